@@ -1,0 +1,240 @@
+"""The commands, one thin function each."""
+
+import contextlib
+import io
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from flowsplat.common.errors import InputError
+from flowsplat.common.progress import console, say
+
+HOLDOUT_NOTE = "Every tenth frame was kept back for these figures; --holdout none trains on all of them."
+
+Preset = Literal["fast", "default", "paper", "high"]
+
+
+def _commands(arguments: Sequence[str]) -> dict[str, Any]:
+    """Every command, its defaults taken from the preset or the run that the arguments name."""
+    from flowsplat.pipeline.config import RunConfig, preset
+
+    defaults = preset(_value_of(arguments, "--preset") or "default")
+    if arguments and arguments[0] in ("train", "evaluate", "render"):
+        defaults = _stored_config(arguments) or defaults
+    Settings = Annotated[RunConfig, tyro.conf.arg(name="")]
+    Source = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="INPUT")]
+    Run = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]
+    Out = Annotated[Path, tyro.conf.arg(aliases=("-o",), metavar="OUT")]
+
+    def run(input: Source, out: Out, preset: Preset = "default", config: Settings = defaults) -> None:
+        """A clip becomes a 4D scene: prepare, train, evaluate and render.
+
+        The same command again continues where it was stopped.
+
+        Args:
+            input: A video file, a folder of pictures, a folder with images/ and masks/, a DAVIS root (with --sequence), a
+                rig scene, or a prepared scene.
+            out: Folder for everything that comes out.
+            preset: fast (half size, about two minutes), default, paper (the paper's settings) or high (five times default).
+            config: All settings.
+        """
+        from flowsplat import pipeline
+
+        _print_figures(pipeline.run(input, out, config), out)
+
+    def prepare(input: Source, out: Out, preset: Preset = "default", config: Settings = defaults) -> None:
+        """Only prepare: frames, cameras, flow, masks, depth and tracks, in OUT/scene.
+
+        Args:
+            input: As for run.
+            out: Folder of the run.
+            preset: As for run.
+            config: All settings.
+        """
+        from flowsplat import pipeline
+
+        folder = pipeline.prepare(input, out, config)
+        say(f"Prepared: {folder.scene_path}. Next: flowsplat train {out}")
+
+    def train(out: Run, preset: Preset = "default", config: Settings = defaults) -> None:
+        """Train a prepared run; continues from its last checkpoint.
+
+        Args:
+            out: Folder of the run.
+            preset: Start from these settings instead of those stored in the run.
+            config: Settings that differ from the stored ones.
+        """
+        from flowsplat import pipeline
+
+        pipeline.train(_open(out, config))
+        say(f"Trained: {out}/model. Next: flowsplat evaluate {out}")
+
+    def evaluate(out: Run, config: Settings = defaults) -> None:
+        """Measure a trained run on what was held out; writes metrics.json and report.html.
+
+        Args:
+            out: Folder of the run.
+            config: Settings that differ from the stored ones.
+        """
+        from flowsplat import pipeline
+
+        _print_figures(pipeline.evaluate_run(_open(out, config)), out)
+
+    def render(out: Run, config: Settings = defaults) -> None:
+        """Render the videos of a trained run: the input path, an orbit, bullet time, or a camera file.
+
+        Args:
+            out: Folder of the run.
+            config: Settings that differ from the stored ones.
+        """
+        from flowsplat import pipeline
+
+        pipeline.render_run(_open(out, config))
+        say(f"Videos: {out}/renders")
+
+    def info(path: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="PATH")] = None) -> None:
+        """What is in a run or a scene; versions; which backends work here, and why the others do not.
+
+        Args:
+            path: Folder of a run or a scene; without it only versions and backends are shown.
+        """
+        from flowsplat.pipeline.describe import describe
+
+        print(*describe(path), sep="\n")
+
+    def demo(out: Out = Path("out/demo"), size: int = 320, frames: int = 40) -> None:
+        """The main job on the built-in clip, with our own priors and with the true ones, side by side.
+
+        Args:
+            out: Folder for both runs.
+            size: Width of the clip in pixels.
+            frames: Number of frames.
+        """
+        from flowsplat.pipeline.demo import run_demo
+
+        run_demo(out, size, frames)
+
+    return {
+        "run": run, "prepare": prepare, "train": train, "evaluate": evaluate, "render": render, "info": info, "demo": demo,
+    }  # fmt: skip
+
+
+def _value_of(arguments: Sequence[str], option: str) -> str | None:
+    for k, argument in enumerate(arguments):
+        if argument == option and k + 1 < len(arguments):
+            return arguments[k + 1]
+        if argument.startswith(option + "="):
+            return argument[len(option) + 1 :]
+    return None
+
+
+def _stored_config(arguments: Sequence[str]) -> Any:
+    """The settings of the run that a command works on, if there is one and no preset is asked for."""
+    from flowsplat.pipeline.folder import RunFolder
+
+    if _value_of(arguments, "--preset") is not None:
+        return None
+    for argument in arguments[1:]:
+        if not argument.startswith("-") and (Path(argument) / "run.json").exists():
+            return RunFolder(Path(argument)).config
+    return None
+
+
+def _open(out: Path, config: Any) -> Any:
+    from flowsplat.pipeline.folder import RunFolder
+
+    folder = RunFolder(out)
+    folder.config = config
+    folder.save()
+    return folder
+
+
+def _print_figures(metrics: dict[str, Any], out: Path) -> None:
+    from flowsplat.pipeline.summary import figures_table
+
+    console.print(figures_table({"": metrics}))
+    say(f"Look at {out / 'report.html'}")
+    if metrics["heldout_frames"] is not None:
+        say(HOLDOUT_NOTE)
+
+
+def _one_line(box: str) -> str:
+    """The message in one of tyro's boxes, as one line."""
+    lines = [line.strip("│╭╮╰╯─ \n") for line in box.splitlines()]
+    text = []
+    for line in lines:
+        if line.startswith("For full helptext") or line == "Argument helptext:":
+            break
+        if line:
+            text.append(line)
+    return " ".join(text[1:] if len(text) > 1 else text)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Entry point of the console script. Bad input ends with one line on stderr and exit code 2."""
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    # tyro spells it None.
+    for k, argument in enumerate(arguments):
+        if argument == "--holdout=none" or (argument == "none" and k and arguments[k - 1] == "--holdout"):
+            arguments[k] = argument[:-4] + "None"
+    if not arguments:
+        arguments = ["--help"]
+    box = io.StringIO()
+    try:
+        commands = _commands(arguments)
+        parsing = contextlib.redirect_stderr(box)
+        call = _Deferred()
+        with parsing:
+            tyro.extras.subcommand_cli_from_dict(
+                {name: call.wrap(function) for name, function in commands.items()},
+                prog="flowsplat",
+                description="One ordinary video becomes a 4D scene of moving Gaussians.",
+                args=arguments,
+            )
+        call.run()
+    except InputError as error:
+        _fail(str(error))
+    except SystemExit as error:
+        if error.code == 2:
+            _fail(_one_line(box.getvalue()) or "The command line cannot be understood: see flowsplat --help.")
+        raise
+    except KeyboardInterrupt:
+        say("Stopped. The same command continues from here.")
+        sys.exit(130)
+    except BrokenPipeError:
+        os._exit(0)
+
+
+class _Deferred:
+    """Runs the chosen command only after parsing, so that parsing errors can be told from its own output."""
+
+    def __init__(self) -> None:
+        self._chosen: Any = None
+
+    def wrap(self, function: Any) -> Any:
+        """The function with the same signature, which only remembers its arguments."""
+        import functools
+
+        @functools.wraps(function)
+        def remember(*args: Any, **kwargs: Any) -> None:
+            self._chosen = functools.partial(function, *args, **kwargs)
+
+        return remember
+
+    def run(self) -> None:
+        """Run what was chosen."""
+        if self._chosen is not None:
+            self._chosen()
+
+
+def _fail(message: str) -> None:
+    say(f"Error: {message}")
+    sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,217 @@
+"""A model and its scene to figures: held-out frames and views, training frames, baselines, flow and depth (METHOD 6).
+
+The keys of ``metrics.json``. Every number is finite; what could not be measured is null:
+
+- ``heldout_frames``: ``psnr``, ``ssim``, ``lpips`` (means over the pictures), ``count``, and the same in ``moving``,
+  inside the given masks.
+- ``heldout_views``: the same, and in ``covisible``, the pixels that the clip saw.
+- ``training_frames``: the same on every ``training_stride``-th training frame; ``moving`` is the true or else the
+  scene's own mask.
+- ``baselines``: held-out frames by ``copy``, ``blend``, ``flow_interpolation`` and the ``static`` model.
+- ``baselines_views``: held-out views by ``copy``, ``warp_by_depth`` (true depth and cameras) and the ``static`` model.
+- ``flow_epe``: rendered flow to the next training frame against the truth, ``mean`` and ``median`` in pixels, and both
+  in ``moving``; on every pair that truth has.
+- ``flow_prior_epe``: the same against the trusted pixels of the flow prior, on the training frames that were rendered.
+- ``depth_abs_rel``: rendered depth against the truth, relative: ``mean`` and ``median`` in ``all``, ``static`` and
+  ``moving``.
+- ``lpips_reason``: why ``lpips`` is null.
+- ``per_image``: a list of pictures with ``kind``, ``name``, ``frame``, their figures and those of their ``baselines``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import zip_longest
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from flowsplat.common.progress import track
+from flowsplat.evaluation.baselines import copy_to_view, predict_frame, to_float, warp_by_depth
+from flowsplat.evaluation.motion import MotionErrors, moving_mask
+from flowsplat.evaluation.perceptual import lpips_metric
+from flowsplat.evaluation.placement import view_camera
+from flowsplat.evaluation.scores import Figures, score_picture, summarize
+from flowsplat.gaussians.rendering import Renderer, Rendering
+from flowsplat.geometry import Camera
+from flowsplat.pictures.colors import float_to_bytes
+from flowsplat.pictures.sheets import preview_sheet
+from flowsplat.scenes import HeldoutView, Scene
+from flowsplat.scenes.layers import write_image
+
+Progress = Callable[[Iterable[Any], str], Iterable[Any]]
+
+FRAME_REGIONS = ("moving",)
+VIEW_REGIONS = ("moving", "covisible")
+FRAME_BASELINES = ("copy", "blend", "flow_interpolation", "static")
+VIEW_BASELINES = ("copy", "warp_by_depth", "static")
+
+TRAINING_STRIDE = 8
+"""Every how many training frames one is measured, fewer where that would leave less than eight."""
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What was measured.
+
+    Attributes:
+        metrics: the content of ``metrics.json``.
+        sheets: the pictures with target, rendering and error that were written: held-out frames, then views.
+    """
+
+    metrics: Figures
+    sheets: list[Path]
+
+
+def evaluate(
+    model: Renderer,
+    scene: Scene,
+    *,
+    folder: Path | None = None,
+    baselines: bool = True,
+    static_model: Renderer | None = None,
+    progress: Progress = track,
+) -> Evaluation:
+    """Measure a model on everything that its scene knows.
+
+    Args:
+        folder: where held-out renderings go: ``heldout/00009.png``, ``views/<name>.png``, and beside each its
+            ``..._sheet.png``. None writes none.
+        baselines: also predict the held-out pictures without a model.
+        static_model: a model of the same scene without motion, measured among the baselines.
+        progress: (items, label) to the same items, showing how far it is.
+
+    Raises:
+        InputError: the scene is damaged or incomplete, or the folder cannot be written.
+    """
+    evaluator = _Evaluator(model, static_model, scene, folder, baselines)
+    frames, views = [], []
+    if scene.heldout_frames:
+        frames = [evaluator.heldout_frame(i) for i in progress(scene.heldout_frames, "Held-out frames")]
+    if scene.views:
+        views = [evaluator.heldout_view(view) for view in progress(scene.views, "Held-out views")]
+    stride = training_stride(scene)
+    # Only truth makes more than a sample worth its time: it is the one thing that says where motion is wrong.
+    measured = scene.train_frames[:: 1 if scene.truth else stride]
+    next_frame = dict(zip_longest(scene.train_frames, scene.train_frames[1:]))
+    sampled, training, errors = set(scene.train_frames[::stride]), [], MotionErrors(scene)
+    for i in progress(measured, "Training frames"):
+        rendering = evaluator.rendering_with_flow(i, next_frame[i])
+        errors.add(i, next_frame[i], rendering)
+        if i in sampled:
+            training.append(evaluator.training_frame(i, rendering))
+    metrics: Figures = {
+        "heldout_frames": summarize(frames, FRAME_REGIONS),
+        "heldout_views": summarize(views, VIEW_REGIONS),
+        "training_frames": summarize(training, FRAME_REGIONS),
+        "training_stride": stride,
+        "baselines": _summarize_baselines(frames, FRAME_BASELINES, FRAME_REGIONS),
+        "baselines_views": _summarize_baselines(views, VIEW_BASELINES, VIEW_REGIONS),
+        **errors.figures(),
+        "lpips_reason": evaluator.lpips_reason,
+        "per_image": frames + views + training,
+    }
+    return Evaluation(metrics, evaluator.sheets)
+
+
+def training_stride(scene: Scene) -> int:
+    """Every how many training frames one is measured."""
+    return int(np.clip(len(scene.train_frames) // TRAINING_STRIDE, 1, TRAINING_STRIDE))
+
+
+def _summarize_baselines(pictures: Sequence[Figures], names: Sequence[str], regions: Sequence[str]) -> Figures | None:
+    figures = {name: summarize([picture["baselines"].get(name) for picture in pictures], regions) for name in names}
+    return figures if any(figures.values()) else None
+
+
+class _Evaluator:
+    """Renders and scores one picture after the other."""
+
+    def __init__(
+        self, model: Renderer, static_model: Renderer | None, scene: Scene, folder: Path | None, baselines: bool
+    ):
+        self._model, self._static_model = model, static_model
+        self._scene, self._folder, self._baselines = scene, folder, baselines
+        self._lpips, reason = lpips_metric()
+        self.lpips_reason = reason or None
+        self.sheets: list[Path] = []
+
+    def heldout_frame(self, i: int) -> Figures:
+        """Render, write and score a held-out frame with the camera that the camera stage found for it."""
+        scene = self._scene
+        masks = scene.heldout_masks
+        predictions = predict_frame(scene, i) if self._baselines else {}
+        return self._heldout_picture(
+            {"kind": "heldout_frame", "name": f"{i:05d}", "frame": i},
+            "heldout",
+            scene.cameras[i],
+            to_float(scene.heldout_frame(i)),
+            {"moving": masks.mask(i) > 0 if masks.has_mask(i) else None},
+            predictions,
+        )
+
+    def heldout_view(self, view: HeldoutView) -> Figures:
+        """Render, write and score a held-out view."""
+        scene = self._scene
+        predictions = {}
+        if self._baselines:
+            is_heldout = view.frame in scene.heldout_frames
+            image = scene.heldout_frame(view.frame) if is_heldout else scene.frame(view.frame)
+            predictions["copy"] = copy_to_view(image, view.camera)
+            truth = scene.truth
+            if truth is not None and truth.has_cameras and truth.has_depth(view.frame):
+                depth, camera = truth.depth(view.frame).depth, truth.cameras[view.frame]
+                predictions["warp_by_depth"] = warp_by_depth(image, depth, camera, view.camera)
+        return self._heldout_picture(
+            {"kind": "heldout_view", "name": view.name, "frame": view.frame},
+            "views",
+            view_camera(scene, view),
+            to_float(scene.view_image(view)),
+            {"moving": scene.view_mask(view), "covisible": scene.view_mask(view, "covisible")},
+            predictions,
+        )
+
+    def training_frame(self, i: int, rendering: Rendering) -> Figures:
+        """Score a training frame that was rendered already."""
+        target = to_float(self._scene.frame(i))
+        figures = score_picture(rendering.colour, target, {"moving": moving_mask(self._scene, i)}, self._lpips)
+        return {"kind": "training_frame", "name": f"{i:05d}", "frame": i, **figures, "baselines": {}}
+
+    def rendering_with_flow(self, i: int, j: int | None) -> Rendering:
+        """Training frame ``i`` with its flow to frame ``j``."""
+        cameras, seconds = self._scene.cameras, self._scene.timestamps
+        flow_to = None if j is None else (cameras[j], float(seconds[j]))
+        return _finite(self._model.render(cameras[i], float(seconds[i]), flow_to))
+
+    def _heldout_picture(
+        self,
+        what: Figures,
+        subfolder: str,
+        camera: Camera,
+        target: np.ndarray,
+        regions: dict[str, np.ndarray | None],
+        predictions: dict[str, np.ndarray],
+    ) -> Figures:
+        seconds = float(self._scene.timestamps[what["frame"]])
+        image = _finite(self._model.render(camera, seconds)).colour
+        if self._static_model is not None:
+            predictions = {**predictions, "static": _finite(self._static_model.render(camera, seconds)).colour}
+        if self._folder is not None:
+            self._write(self._folder / subfolder, what["name"], image, target)
+        scores = {name: score_picture(picture, target, regions, self._lpips) for name, picture in predictions.items()}
+        return {**what, **score_picture(image, target, regions, self._lpips), "baselines": scores}
+
+    def _write(self, folder: Path, name: str, image: np.ndarray, target: np.ndarray) -> None:
+        write_image(folder / f"{name}.png", float_to_bytes(image))
+        sheet = folder / f"{name}_sheet.png"
+        write_image(sheet, preview_sheet(target, image))
+        self.sheets.append(sheet)
+
+
+def _finite(rendering: Rendering) -> Rendering:
+    """Numbers that are not finite become 0, so that a broken model scores badly instead of breaking its figures."""
+    flow = rendering.flow if rendering.flow is None else np.nan_to_num(rendering.flow, posinf=0, neginf=0)
+    colour, depth = (np.nan_to_num(x, posinf=0, neginf=0) for x in (rendering.colour, rendering.depth))
+    return replace(rendering, colour=colour, depth=depth, flow=flow)

@@ -1,0 +1,125 @@
+"""How far a picture, a flow or a depth is from the truth: pure functions on NumPy arrays, computed in float64.
+
+Region metrics (METHOD 6) average inside a mask. A region too small to say anything gives None, never NaN.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+MIN_PIXELS = 50
+"""Regions with fewer pixels are not measured."""
+
+MAX_PSNR = 100.0
+"""dB; identical pictures get this instead of infinity, so that means and JSON stay finite."""
+
+SSIM_WINDOW, SSIM_SIGMA = 11, 1.5
+SSIM_C1, SSIM_C2 = 0.01**2, 0.03**2
+
+
+def _inside(values: np.ndarray, mask: np.ndarray | None) -> np.ndarray | None:
+    """The values [N, ...] of the pixels in ``mask`` (None = all), or None where those are too few."""
+    selected = values.reshape(-1, *values.shape[2:]) if mask is None else values[np.asarray(mask, bool)]
+    return selected if len(selected) >= MIN_PIXELS else None
+
+
+def mean_inside(values: np.ndarray, mask: np.ndarray | None = None) -> float | None:
+    """Mean of a map [H, W, ...] over the pixels in ``mask`` [H, W] bool; None for fewer than ``MIN_PIXELS`` of them."""
+    selected = _inside(values, mask)
+    return None if selected is None else float(selected.mean())
+
+
+def _clipped(image: np.ndarray) -> np.ndarray:
+    return np.clip(np.asarray(image, np.float64), 0, 1)
+
+
+def psnr(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None = None) -> float | None:
+    """Peak signal-to-noise ratio in dB of two float pictures [H, W, 3], clipped to [0, 1].
+
+    Args:
+        mask: [H, W] bool; the squared error is averaged inside it.
+
+    Returns:
+        At most ``MAX_PSNR``; None for fewer than ``MIN_PIXELS`` pixels.
+
+    >>> grey = np.full((8, 8, 3), 0.5)
+    >>> round(psnr(grey, grey + 0.1), 3), psnr(grey, grey), psnr(grey, grey, np.zeros((8, 8), bool))
+    (20.0, 100.0, None)
+    """
+    squared = mean_inside((_clipped(a) - _clipped(b)) ** 2, mask)
+    return None if squared is None else float(-10 * np.log10(max(squared, 10 ** (-MAX_PSNR / 10))))
+
+
+def _blur(image: np.ndarray) -> np.ndarray:
+    return cv2.GaussianBlur(image, (SSIM_WINDOW, SSIM_WINDOW), SSIM_SIGMA, borderType=cv2.BORDER_REFLECT_101)
+
+
+def ssim_map(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The structural similarity at every pixel and channel, [H, W, 3] float64.
+
+    Wang et al. 2004 (https://doi.org/10.1109/TIP.2003.819861): 11x11 Gaussian window of sigma 1.5, K1 = 0.01,
+    K2 = 0.03, data range 1. The picture is mirrored at its border, so that the map has its size, as in
+    torchmetrics.
+    """
+    a, b = _clipped(a), _clipped(b)
+    mean_a, mean_b = _blur(a), _blur(b)
+    var_a = np.maximum(_blur(a * a) - mean_a**2, 0)
+    var_b = np.maximum(_blur(b * b) - mean_b**2, 0)
+    covariance = _blur(a * b) - mean_a * mean_b
+    luminance = (2 * mean_a * mean_b + SSIM_C1) / (mean_a**2 + mean_b**2 + SSIM_C1)
+    structure = (2 * covariance + SSIM_C2) / (var_a + var_b + SSIM_C2)
+    return luminance * structure
+
+
+def ssim(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None = None) -> float | None:
+    """Structural similarity of two float pictures [H, W, 3], clipped to [0, 1]; the map is averaged inside ``mask``.
+
+    Returns:
+        1 for identical pictures; None for fewer than ``MIN_PIXELS`` pixels.
+
+    >>> ramp = np.linspace(0, 1, 16 * 16 * 3).reshape(16, 16, 3)
+    >>> round(ssim(ramp, ramp), 6), ssim(ramp, 1 - ramp) < 0.5
+    (1.0, True)
+    """
+    return mean_inside(ssim_map(a, b), mask)
+
+
+def end_point_error(flow: np.ndarray, truth: np.ndarray, valid: np.ndarray) -> dict[str, float] | None:
+    """Length in pixels of the difference of two flows [H, W, 2] inside ``valid`` [H, W] bool.
+
+    Returns:
+        ``mean`` and ``median``; None for fewer than ``MIN_PIXELS`` pixels.
+
+    >>> end_point_error(np.zeros((8, 8, 2)), np.full((8, 8, 2), [3.0, 4.0]), np.ones((8, 8), bool))
+    {'mean': 5.0, 'median': 5.0}
+    """
+    lengths = np.linalg.norm(np.asarray(flow, np.float64) - np.asarray(truth, np.float64), axis=-1)
+    return _mean_and_median(_inside(lengths, valid))
+
+
+def depth_abs_rel(
+    depth: np.ndarray, truth: np.ndarray, valid: np.ndarray, align: bool = False
+) -> dict[str, float] | None:
+    """|depth - truth| / truth inside ``valid`` [H, W] bool; both [H, W] and in the same unit.
+
+    Args:
+        align: multiply ``depth`` by the ratio of the medians first, for a depth whose scale is unknown.
+
+    Returns:
+        ``mean`` (the field's AbsRel) and ``median``; None for fewer than ``MIN_PIXELS`` pixels.
+
+    >>> depth_abs_rel(np.full((8, 8), 1.5), np.full((8, 8), 2.0), np.ones((8, 8), bool))
+    {'mean': 0.25, 'median': 0.25}
+    """
+    pairs = _inside(np.stack([depth, truth], -1).astype(np.float64), valid)
+    if pairs is None:
+        return None
+    estimate, reference = pairs.T
+    if align and np.median(estimate) > 0:
+        estimate = estimate * (np.median(reference) / np.median(estimate))
+    return _mean_and_median(np.abs(estimate - reference) / reference)
+
+
+def _mean_and_median(values: np.ndarray | None) -> dict[str, float] | None:
+    return None if values is None else {"mean": float(values.mean()), "median": float(np.median(values))}

@@ -1,0 +1,57 @@
+"""One picture against its target, in whole and by region, and the mean over pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from flowsplat.evaluation.metrics import mean_inside, psnr, ssim_map
+from flowsplat.evaluation.perceptual import PerceptualMetric
+
+Figures = dict[str, Any]
+METRICS = ("psnr", "ssim", "lpips")
+
+
+def score_picture(
+    image: np.ndarray, target: np.ndarray, regions: Mapping[str, np.ndarray | None], lpips: PerceptualMetric | None
+) -> Figures:
+    """``psnr``, ``ssim``, ``lpips`` of a float picture [H, W, 3], and the same for every region.
+
+    Args:
+        regions: masks [H, W] bool by name; a region without a mask, or too small to measure, becomes None.
+        lpips: the metric, or None where it cannot be measured. It looks at patches, so it has no value for a region.
+    """
+    similarity = ssim_map(image, target)
+    figures: Figures = {
+        "psnr": psnr(image, target),
+        "ssim": mean_inside(similarity),
+        "lpips": None if lpips is None else lpips(image, target),
+    }
+    for name, mask in regions.items():
+        value = None if mask is None else psnr(image, target, mask)
+        figures[name] = None if value is None else {"psnr": value, "ssim": mean_inside(similarity, mask), "lpips": None}
+    return figures
+
+
+def summarize(scores: Sequence[Figures | None], regions: Sequence[str] = ()) -> Figures | None:
+    """Means over the pictures that have a score, with their ``count``, and the same for ``regions``; None for none."""
+    measured = [score for score in scores if score is not None]
+    if not measured:
+        return None
+    figures: Figures = {name: mean_of(score[name] for score in measured) for name in METRICS}
+    figures["count"] = len(measured)
+    for region in regions:
+        figures[region] = summarize([score[region] for score in measured])
+    return figures
+
+
+def mean_of(values: Iterable[float | None]) -> float | None:
+    """The mean of the values that are there, None if none is.
+
+    >>> mean_of([1.0, None, 3.0]), mean_of([None])
+    (2.0, None)
+    """
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known else None

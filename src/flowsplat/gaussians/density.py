@@ -1,0 +1,187 @@
+"""Density control: pure functions from Gaussians and their statistics to new Gaussians and an index map (METHOD 5)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from flowsplat.gaussians.gaussians4d import Gaussians4D, concatenate
+from flowsplat.geometry.rotations import quats_to_rotations
+
+
+@dataclass
+class DensityStatistics:
+    """What training saw of every Gaussian since the last round, [N] float32 each.
+
+    Attributes:
+        gradient: sum of the norms of the gradient of one picture's loss with respect to the 2D mean in normalised device
+            coordinates (both losses count).
+        visits: in how many pictures it was drawn.
+        flow_residual: sum of |rendered - prior flow| in pixels where it was on the visible surface.
+        flow_visits: how often that was.
+    """
+
+    gradient: Tensor
+    visits: Tensor
+    flow_residual: Tensor
+    flow_visits: Tensor
+
+    @staticmethod
+    def zeros(count: int) -> DensityStatistics:
+        """Nothing seen yet."""
+        return DensityStatistics(*(torch.zeros(count) for _ in range(4)))
+
+
+@dataclass(frozen=True)
+class DensityResult:
+    """New Gaussians; row k comes from old row ``index[k]`` and has no optimizer history where ``is_new[k]``."""
+
+    gaussians: Gaussians4D
+    index: Tensor
+    is_new: Tensor
+
+
+def largest_scale(gaussians: Gaussians4D) -> Tensor:
+    """[N] the largest spatial standard deviation."""
+    if "log_scales" in gaussians.params:
+        return torch.exp(gaussians.params["log_scales"]).amax(1)
+    covars = gaussians.motion.state(gaussians.params, 0.0).covars
+    assert covars is not None
+    return torch.sqrt(torch.diagonal(covars, dim1=1, dim2=2).amax(1))
+
+
+@torch.no_grad()
+def densify(
+    gaussians: Gaussians4D,
+    statistics: DensityStatistics,
+    threshold: float,
+    clone_below: float,
+    cap: int,
+    generator: torch.Generator,
+) -> DensityResult:
+    """Clone small Gaussians and split large ones where the mean gradient exceeds ``threshold``, as 3DGS does.
+
+    Children inherit everything. A split samples two children from the Gaussian, in space and (where it fades within the clip)
+    in time, re-expands their motion about the new centre time and shrinks them by 1.6.
+    """
+    count = len(gaussians)
+    keep = torch.ones(count, dtype=torch.bool)
+    mean_gradient = statistics.gradient / statistics.visits.clamp(min=1)
+    candidates = torch.nonzero(mean_gradient > threshold).squeeze(1)
+    room = max(cap - count, 0)
+    if len(candidates) > room:
+        candidates = candidates[torch.sort(mean_gradient[candidates], descending=True, stable=True).indices[:room]]
+        candidates = torch.sort(candidates).values
+    small = largest_scale(gaussians)[candidates] < clone_below
+    clones, parents = candidates[small], candidates[~small]
+    keep[parents] = False
+    survivors = torch.nonzero(keep).squeeze(1)
+    children = [_split(gaussians.select(parents), generator) for _ in range(2)]
+    merged = concatenate([gaussians.select(survivors), gaussians.select(clones), *children])
+    index = torch.cat([survivors, clones, parents, parents])
+    is_new = torch.ones(len(index), dtype=torch.bool)
+    is_new[: len(survivors)] = False
+    return DensityResult(merged, index, is_new)
+
+
+def _split(parents: Gaussians4D, generator: torch.Generator) -> Gaussians4D:
+    """One child of each parent."""
+    count, params = len(parents), dict(parents.params)
+    sigma_t = torch.exp(-0.5 * parents.motion.log_precision(params))
+    in_time = ~parents.at_rest & parents.dynamic & (sigma_t <= 1)
+    shift = torch.where(in_time, sigma_t * torch.randn(count, generator=generator), torch.zeros(count))
+    params = parents.motion.recentred(params, shift)
+    noise = torch.randn(count, 3, generator=generator)
+    shrink = math.log(1.6)
+    if "log_scales" in params:
+        local = torch.exp(params["log_scales"]) * noise
+        offset = (quats_to_rotations(params["quats"]) @ local[..., None])[..., 0]
+        params["log_scales"] = params["log_scales"] - shrink
+        params["log_lambdas"] = torch.where(in_time, params["log_lambdas"] + 2 * shrink, params["log_lambdas"])
+    else:
+        covars = parents.motion.state(params, 0.0).covars
+        assert covars is not None
+        root = torch.linalg.cholesky(covars + 1e-12 * torch.eye(3))
+        offset = (root @ noise[..., None])[..., 0]
+        params["log_scales4"] = params["log_scales4"] - shrink
+    params["means"] = params["means"] + offset
+    return Gaussians4D(params, parents.dynamic, parents.config, parents.sh_degree)
+
+
+@torch.no_grad()
+def prune(gaussians: Gaussians4D, times: np.ndarray, min_opacity: float, max_scale: float) -> DensityResult:
+    """Remove the transparent, the oversized (``max_scale`` 0 = none is) and those that no training time ever shows.
+
+    Args:
+        times: [T] clip times of the training frames, rising.
+    """
+    keep = torch.sigmoid(gaussians.params["logit_opacities"]) >= min_opacity
+    if max_scale > 0:
+        keep &= largest_scale(gaussians) <= max_scale
+    keep &= gaussians.at_rest | (_best_presence(gaussians, times) >= gaussians.config.p_min)
+    for value in gaussians.params.values():
+        keep &= torch.isfinite(value.reshape(len(value), -1)).all(1)
+    index = torch.nonzero(keep).squeeze(1)
+    return DensityResult(gaussians.select(index), index, torch.zeros(len(index), dtype=torch.bool))
+
+
+def _best_presence(gaussians: Gaussians4D, times: np.ndarray) -> Tensor:
+    """[N] p at the training time nearest to each Gaussian's centre time."""
+    sorted_times = torch.as_tensor(times, dtype=torch.float32)
+    centre = gaussians.params["times"].contiguous()
+    after = torch.searchsorted(sorted_times, centre).clamp(max=len(sorted_times) - 1)
+    before = (after - 1).clamp(min=0)
+    distance = torch.minimum((sorted_times[after] - centre).abs(), (sorted_times[before] - centre).abs())
+    return torch.exp(-0.5 * torch.exp(gaussians.motion.log_precision(gaussians.params)) * distance**2)
+
+
+@torch.no_grad()
+def reset_opacities(gaussians: Gaussians4D, opacity: float) -> None:
+    """Bring every opacity down to at most ``opacity``, in place."""
+    limit = math.log(opacity / (1 - opacity))
+    gaussians.params["logit_opacities"].clamp_(max=limit)
+
+
+@torch.no_grad()
+def revise_dynamic(
+    gaussians: Gaussians4D,
+    statistics: DensityStatistics,
+    moving_residual: float,
+    resting_pixels: float,
+    focal: float,
+    log_lambda: float,
+) -> tuple[int, int]:
+    """Let background that moves become dynamic and dynamic Gaussians that rest become background, in place. Ours.
+
+    Args:
+        moving_residual: background whose flow residual stays above this many pixels, over at least two visits, is dynamic from
+            now on, about the time of the frame that it was made from.
+        resting_pixels: dynamic Gaussians that would move less than this many pixels over the whole clip, and explain the flow
+            where they are seen, are background.
+        focal: pixels, to tell the size of motion at the median depth.
+        log_lambda: temporal precision of the newly dynamic.
+
+    Returns:
+        how many became dynamic, how many came to rest.
+    """
+    visited = statistics.flow_visits >= 2
+    residual = statistics.flow_residual / statistics.flow_visits.clamp(min=1)
+    to_dynamic = ~gaussians.dynamic & visited & (residual > moving_residual)
+    speed = torch.zeros(len(gaussians))
+    rows = torch.nonzero(gaussians.dynamic).squeeze(1)
+    if len(rows):
+        chosen = gaussians.select(rows)
+        sigma = torch.exp(-0.5 * chosen.motion.log_precision(chosen.params))
+        centre = chosen.motion.state({**chosen.params, "times": torch.zeros(len(rows))}, 0.0)
+        side = chosen.motion.state({**chosen.params, "times": -sigma}, 0.0)
+        travelled = torch.maximum((side.means - centre.means).norm(dim=1) / sigma.clamp(min=1e-6), centre.velocities.norm(dim=1))
+        speed[rows] = focal * travelled
+    to_rest = gaussians.dynamic & visited & (speed < resting_pixels) & (residual < 0.5 * moving_residual)
+    gaussians.params["log_lambdas"][to_dynamic] = log_lambda
+    gaussians.dynamic[to_dynamic] = True
+    gaussians.dynamic[to_rest] = False
+    return int(to_dynamic.sum()), int(to_rest.sum())

@@ -1,0 +1,177 @@
+"""Gaussians4D: the parameters of a 4D scene, and which of them are alive at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from flowsplat.gaussians import culling
+from flowsplat.gaussians.motion import LinearMotion, MotionModel, SeriesMotion, presence
+from flowsplat.geometry import Camera
+from flowsplat.splatting.harmonics import harmonics_count
+
+NEAR_PLANE = 0.02
+"""Planar depth (median depth = 1) below which nothing is rendered."""
+_NO_CAMERA = Camera(np.eye(4), np.eye(3), 1, 1)
+
+
+@dataclass(frozen=True)
+class ModelConfig:
+    """What one Gaussian is made of (METHOD 1)."""
+
+    move_means: bool = True
+    """Means move along polynomial + Fourier series. Off: the vanilla term, a straight line (the paper's ablation)."""
+    move_quats: bool = True
+    """Quaternions move likewise. Off: constant rotation; with ``move_means`` off too, the linear 4D Gaussian of 4DGS."""
+    mean_poly: int = 6
+    """Order of the polynomial of the mean."""
+    mean_fourier: int = 6
+    """Order of the Fourier series of the mean."""
+    quat_poly: int = 3
+    """Order of the polynomial of the quaternion."""
+    quat_fourier: int = 3
+    """Order of the Fourier series of the quaternion."""
+    fourier_base: float = 1.0
+    """Lowest frequency of the Fourier series, radians per clip length."""
+    sh_degree: int = 3
+    """Degree of the spherical harmonics of colour, 0 to 3."""
+    gains: int = 0
+    """Cosines of the brightness in time of the background; 0 = off (the paper)."""
+    freeze_background: bool = False
+    """The background neither moves nor fades in time (as long as it is background)."""
+    p_min: float = 0.05
+    """A Gaussian is rendered where its presence p(t) is at least this."""
+
+    def motion(self) -> MotionModel:
+        """The motion model that these settings describe."""
+        if not self.move_means and not self.move_quats:
+            return LinearMotion()
+        mean_orders = (self.mean_poly, self.mean_fourier) if self.move_means else (1, 0)
+        quat_orders = (self.quat_poly, self.quat_fourier) if self.move_quats else (0, 0)
+        return SeriesMotion(*mean_orders, *quat_orders, self.fourier_base)
+
+
+@dataclass(frozen=True)
+class Active:
+    """The Gaussians that are rendered at one time: first those at rest, then those that move.
+
+    Attributes:
+        rows: [A] int64 into the parameters.
+        num_static: how many of them are at rest (and have gains instead of motion).
+        t: clip time.
+    """
+
+    rows: Tensor
+    num_static: int
+    t: float
+
+
+@dataclass
+class Gaussians4D:
+    """N Gaussians: a dict of tensors by the names of METHOD 1, [N, ...] each, and which of them are dynamic.
+
+    Attributes:
+        params: float32 tensors, see ``parameter_shapes``.
+        dynamic: [N] bool; False = background.
+        config: what the parameters mean.
+        sh_degree: the degree in use, at most ``config.sh_degree`` (training raises it step by step).
+    """
+
+    params: dict[str, Tensor]
+    dynamic: Tensor
+    config: ModelConfig
+    sh_degree: int = 0
+    motion: MotionModel = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.motion = self.config.motion()
+        expected = parameter_shapes(self.config)
+        if set(expected) != set(self.params):
+            raise ValueError(f"parameters {sorted(self.params)} do not fit the model {sorted(expected)}")
+        for name, shape in expected.items():
+            if tuple(self.params[name].shape) != (len(self), *shape):
+                raise ValueError(f"{name} must be {[len(self), *shape]}, not {list(self.params[name].shape)}")
+
+    def __len__(self) -> int:
+        return len(self.dynamic)
+
+    @property
+    def at_rest(self) -> Tensor:
+        """[N] bool: those that neither move nor fade."""
+        return ~self.dynamic if self.config.freeze_background else torch.zeros_like(self.dynamic)
+
+    def presence(self, t: float, rows: Tensor | slice = slice(None)) -> Tensor:
+        """p(t) of some rows; 1 for Gaussians at rest."""
+        chosen = {name: value[rows] for name, value in self.params.items() if name in self._presence_names}
+        value = presence(chosen["times"], self.motion.log_precision(chosen), t)
+        return torch.where(self.at_rest[rows], torch.ones_like(value), value)
+
+    @property
+    def _presence_names(self) -> tuple[str, ...]:
+        return ("times", "log_lambdas", "log_scales4", "quats_left", "quats_right")
+
+    @torch.no_grad()
+    def active(self, t: float, camera: Camera | None = None, near: float = NEAR_PLANE) -> Active:
+        """Those with p(t) >= p_min, and of those at rest only what ``camera`` may show (all of them without one)."""
+        count = len(self)
+        viewmat, K = (camera or _NO_CAMERA).tensors()
+        size = (camera.width, camera.height) if camera is not None else (1, 1)
+        sizes = self.params.get("log_scales", self.params["means"])
+        keep, counts = np.empty(count, np.uint8), np.empty((culling.CHUNKS, 2), np.int64)
+        culling.cull(
+            self.at_rest.numpy(), self.params["means"].numpy(), sizes.numpy(), self.params["times"].numpy(),
+            self.motion.log_precision(self.params).numpy(), np.float32(t), np.float32(self.config.p_min),
+            camera is not None and "log_scales" in self.params, viewmat.numpy(), K.numpy(), *size, np.float32(near), keep, counts,
+        )  # fmt: skip
+        rows = torch.empty(int(counts.sum()), dtype=torch.int64)
+        culling.collect(keep, counts, rows.numpy())
+        return Active(rows, int(counts[:, 0].sum()), t)
+
+    def gather(self, active: Active) -> dict[str, Tensor]:
+        """Copies of the rows that are rendered, as leaves for a gradient.
+
+        Motion parameters have rows only for those that move (the last ones), gains only for those at rest (the first ones).
+        """
+        resting, moving = active.rows[: active.num_static], active.rows[active.num_static :]
+        return {
+            name: value[moving if name in self.moving_names else resting if name == "log_gains" else active.rows]
+            for name, value in self.params.items()
+        }
+
+    @property
+    def moving_names(self) -> tuple[str, ...]:
+        """Parameters that only moving Gaussians have in ``gather``."""
+        return (*self.motion.motion_names, "times", "log_lambdas")
+
+    def rows_of(self, name: str, active: Active) -> Tensor:
+        """The rows that ``gather`` took for parameter ``name``."""
+        if name in self.moving_names:
+            return active.rows[active.num_static :]
+        return active.rows[: active.num_static] if name == "log_gains" else active.rows
+
+    def select(self, rows: Tensor) -> Gaussians4D:
+        """A model of some of the Gaussians."""
+        params = {name: value[rows] for name, value in self.params.items()}
+        return Gaussians4D(params, self.dynamic[rows], self.config, self.sh_degree)
+
+
+def parameter_shapes(config: ModelConfig) -> dict[str, tuple[int, ...]]:
+    """Every parameter of a model and its trailing shape."""
+    return {
+        "means": (3,),
+        "times": (),
+        "logit_opacities": (),
+        "sh": (harmonics_count(config.sh_degree), 3),
+        "log_gains": (config.gains,),
+        **config.motion().parameter_shapes,
+    }
+
+
+def concatenate(parts: Sequence[Gaussians4D]) -> Gaussians4D:
+    """One model from several of the same configuration."""
+    params = {name: torch.cat([part.params[name] for part in parts]) for name in parts[0].params}
+    return Gaussians4D(params, torch.cat([part.dynamic for part in parts]), parts[0].config, parts[0].sh_degree)

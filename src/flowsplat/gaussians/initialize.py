@@ -1,0 +1,346 @@
+"""The first Gaussians: from the pixels and tracks of the training frames, or at random (METHOD 4)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+
+from flowsplat.common.errors import InputError
+from flowsplat.gaussians.gaussians4d import Gaussians4D, ModelConfig, concatenate, parameter_shapes
+from flowsplat.gaussians.motion import LinearMotion
+from flowsplat.gaussians.observations import Observation, Observations
+from flowsplat.gaussians.surfaces import SurfaceSamples, sample_surface
+from flowsplat.geometry.rotations import covariances
+from flowsplat.scenes import Tracks
+from flowsplat.splatting.harmonics import harmonics_from_colours
+
+BACKGROUND_LOG_LAMBDA = float(np.log(1e-6))
+
+
+@dataclass(frozen=True)
+class InitConfig:
+    """How the Gaussians start."""
+
+    from_priors: bool = True
+    """Start from depth, masks and motion. Off: at random (the paper's ablation, and the baseline 4DGS)."""
+    foreground: Literal["pixels", "tracks"] = "pixels"
+    """What becomes a mover's Gaussian: every pixel of its mask in the sampled frames, or every track (the paper)."""
+    samples: int = 24
+    """Over how many training frames the movers' Gaussians are sampled (the paper's T-hat)."""
+    precision_factor: float = 0.25
+    """Temporal precision in units of (pi / spacing of the samples)^2: a quarter lets neighbouring samples overlap."""
+    background_spacing: float = 1.4142
+    """Pixels between two background Gaussians: 1, 1.4142 (every other pixel), 2, or more (random thinning)."""
+    foreground_spacing: float = 1.4142
+    """The same for movers, in every sampled frame."""
+    merge_tolerance: float = 0.1
+    """Relative depth difference within which a background pixel counts as stored already."""
+    edge: int = 2
+    """Pixels around the movers' masks from which no background Gaussian is made."""
+    opacity: float = 0.9
+    """Opacity at the start."""
+    size: float = 0.45
+    """Standard deviation at the start, in spacings."""
+    surface_aligned: bool = True
+    """Start as discs aligned to the surface; off: as spheres as large as the mean distance of three neighbours (fudan)."""
+    flatness: float = 0.2
+    """Thickness of a disc relative to its radius."""
+    motion_order: int = 2
+    """Order of the polynomial that is fitted to each mover's points."""
+    motion_reach: int = 3
+    """Over how many training frames to either side a mover's pixel is followed for that fit."""
+    random_count: int = 300_000
+    """How many Gaussians a random start has (never more than the run's cap)."""
+
+
+def initialize(
+    observations: Observations, tracks: Tracks | None, model: ModelConfig, config: InitConfig, seed: int, cap: int
+) -> Gaussians4D:
+    """Gaussians to start training from.
+
+    Args:
+        observations: the training frames.
+        tracks: needed for ``foreground="tracks"`` only.
+        model: what a Gaussian is made of.
+        config: how to start.
+        seed: of the random choices.
+        cap: no more Gaussians than this; a surplus is dropped at random.
+    """
+    rng = np.random.default_rng(seed)
+    if not config.from_priors:
+        gaussians = _random(observations, model, config, rng, min(config.random_count, cap))
+    else:
+        parts = [_background(observations, model, config, rng)]
+        if any(frame.mask.any() for frame in observations.frames):
+            parts.append(_foreground(observations, tracks, model, config, rng))
+        gaussians = concatenate(parts)
+    if len(gaussians) > cap:
+        keep = np.sort(rng.permutation(len(gaussians))[:cap])
+        gaussians = gaussians.select(torch.from_numpy(keep))
+    if len(gaussians) == 0:
+        raise InputError("No Gaussian could be made: the scene has no trusted depth in any training frame.")
+    return gaussians
+
+
+# -- building
+
+
+def _build(
+    samples: SurfaceSamples,
+    times: np.ndarray,
+    log_lambdas: np.ndarray,
+    motion: np.ndarray,
+    dynamic: bool,
+    model: ModelConfig,
+    opacity: float,
+) -> Gaussians4D:
+    """Gaussians from surface samples; motion [N, order, 3] are the first polynomial coefficients of the mean."""
+    count = len(samples.means)
+    params = {name: torch.zeros(count, *shape) for name, shape in parameter_shapes(model).items()}
+    params["means"] = torch.from_numpy(samples.means.astype(np.float32))
+    params["times"] = torch.from_numpy(times.astype(np.float32))
+    params["logit_opacities"] = torch.full((count,), float(np.log(opacity / (1 - opacity))))
+    params["sh"][:, 0] = harmonics_from_colours(torch.from_numpy(samples.colours.astype(np.float32)))
+    quats = torch.from_numpy(samples.quats.astype(np.float32))
+    scales = torch.from_numpy(samples.scales.astype(np.float32))
+    if "log_scales4" in params:
+        covars = covariances(quats, scales)
+        velocities = torch.from_numpy(motion[:, 0].astype(np.float32)) if motion.shape[1] else torch.zeros(count, 3)
+        precisions = torch.from_numpy(log_lambdas.astype(np.float32))
+        params.update(LinearMotion.from_moments(covars, velocities, precisions))
+    else:
+        params["quats"], params["log_scales"] = quats, torch.log(scales)
+        params["log_lambdas"] = torch.from_numpy(log_lambdas.astype(np.float32))
+        order = min(motion.shape[1], params["mean_poly"].shape[1])
+        params["mean_poly"][:, :order] = torch.from_numpy(motion[:, :order].astype(np.float32))
+    return Gaussians4D(params, torch.full((count,), dynamic), model)
+
+
+def _spheres(samples: SurfaceSamples) -> SurfaceSamples:
+    """The same points as spheres, as large as the mean distance of their three nearest neighbours (fudan)."""
+    if len(samples.means) < 2:
+        return samples
+    distances, _ = cKDTree(samples.means).query(samples.means, k=min(4, len(samples.means)), workers=-1)
+    radius = np.clip(distances[:, 1:].mean(1), 1e-5, None)
+    quats = np.tile([1.0, 0, 0, 0], (len(radius), 1))
+    return SurfaceSamples(samples.means, quats, np.repeat(radius[:, None], 3, 1), samples.colours)
+
+
+def _grid(width: int, height: int, spacing: float, rng: np.random.Generator) -> np.ndarray:
+    """[H, W] bool: about one pixel every ``spacing`` pixels."""
+    y, x = np.mgrid[:height, :width]
+    if spacing <= 1.01:
+        return np.ones((height, width), bool)
+    if abs(spacing - 2**0.5) < 0.05:
+        return (x + y) % 2 == 0
+    if abs(spacing - 2) < 0.05:
+        return (x % 2 == 0) & (y % 2 == 0)
+    return rng.random((height, width)) < 1 / spacing**2
+
+
+# -- background
+
+
+def _middle_out(count: int) -> list[int]:
+    """First, last, middle, quarters, ...: what a frame adds to the ones before it gets less and less."""
+    order, intervals = [0, count - 1] if count > 1 else [0], [(0, count - 1)]
+    while intervals:
+        first, last = intervals.pop(0)
+        middle = (first + last) // 2
+        if middle not in (first, last):
+            order.append(middle)
+            intervals += [(first, middle), (middle, last)]
+    return order
+
+
+def _background(
+    observations: Observations, model: ModelConfig, config: InitConfig, rng: np.random.Generator
+) -> Gaussians4D:
+    """Unproject what lies outside the masks, every surface once: first what has trusted depth, then what is still missing.
+
+    Borders that few frames saw have no trusted depth, and a guess renders far better there than a hole.
+    """
+    width, height = observations.size
+    grid = _grid(width, height, config.background_spacing, rng)
+    reach = 2 * max(1, round(config.background_spacing)) + 1
+    parts: list[SurfaceSamples] = []
+    times: list[np.ndarray] = []
+    order = _middle_out(len(observations))
+    for k, trusted in [(k, True) for k in order] + [(k, False) for k in order]:
+        frame = observations[k]
+        mask = cv2.dilate(frame.mask.astype(np.uint8), np.ones((2 * config.edge + 1,) * 2, np.uint8)) > 0
+        wanted = grid & ~mask & (frame.depth_trusted == trusted)
+        if parts:
+            stored = np.concatenate([part.means for part in parts])
+            wanted &= ~_covered(stored, frame, config.merge_tolerance, reach)
+        if wanted.any():
+            parts.append(sample_surface(frame, wanted, config.background_spacing * config.size, config.flatness))
+            # A frozen background has no use for its centre time, so it remembers the frame that it was seen in: that is where
+            # it starts to move if it turns out not to be background.
+            times.append(np.full(len(parts[-1].means), frame.time if model.freeze_background else 0.5))
+    if not parts:
+        parts, times = [SurfaceSamples.empty()], [np.zeros(0)]
+    samples = SurfaceSamples.concatenate(parts)
+    if not config.surface_aligned:
+        samples = _spheres(samples)
+    count = len(samples.means)
+    still = np.zeros((count, 0, 3))
+    precision = np.full(count, BACKGROUND_LOG_LAMBDA)
+    return _build(samples, np.concatenate(times), precision, still, False, model, config.opacity)
+
+
+def _covered(points: np.ndarray, frame: Observation, tolerance: float, reach: int) -> np.ndarray:
+    """[H, W] bool: pixels near which one of the points [N, 3] lies on the visible surface."""
+    height, width = frame.depth.shape
+    uv, depth = frame.camera.project(points)
+    inside = (depth > 0.02) & (uv >= 0).all(1) & (uv[:, 0] < width) & (uv[:, 1] < height)
+    x, y = uv[inside].astype(np.int64).T
+    on_surface = np.abs(depth[inside] - frame.depth[y, x]) < tolerance * frame.depth[y, x]
+    hit = np.zeros((height, width), np.uint8)
+    hit[y[on_surface], x[on_surface]] = 1
+    return cv2.dilate(hit, np.ones((reach, reach), np.uint8)) > 0
+
+
+# -- foreground
+
+
+def sampled_frames(count: int, config: InitConfig) -> tuple[np.ndarray, float]:
+    """Which of ``count`` training frames movers are sampled in, and the log precision that follows from their spacing."""
+    sampled = np.unique(np.round(np.linspace(0, count - 1, min(config.samples, count))).astype(int))
+    spacing = 1.0 / max(len(sampled) - 1, 1)
+    return sampled, float(np.log(config.precision_factor * (np.pi / spacing) ** 2))
+
+
+def _foreground(
+    observations: Observations,
+    tracks: Tracks | None,
+    model: ModelConfig,
+    config: InitConfig,
+    rng: np.random.Generator,
+) -> Gaussians4D:
+    """Movers: every pixel (or track) of the sampled frames, with the motion of the points it follows."""
+    sampled, log_lambda = sampled_frames(len(observations), config)
+    sigma = float(np.exp(-0.5 * log_lambda))
+    width, height = observations.size
+    grid = _grid(width, height, config.foreground_spacing, rng)
+    samples, times, motions = [], [], []
+    for k in sampled:
+        frame = observations[k]
+        usable = frame.mask & frame.depth_trusted
+        if config.foreground == "tracks":
+            wanted = usable & _track_pixels(tracks, frame, usable)
+        else:
+            wanted = usable & grid
+        if not wanted.any():
+            continue
+        samples.append(sample_surface(frame, wanted, config.foreground_spacing * config.size, config.flatness))
+        times.append(np.full(len(samples[-1].means), frame.time))
+        motions.append(_fit_motion(observations, k, wanted, sigma, config.motion_order, config.motion_reach))
+    if not samples:
+        samples, times, motions = [SurfaceSamples.empty()], [np.zeros(0)], [np.zeros((0, config.motion_order, 3))]
+    merged, centre_times = SurfaceSamples.concatenate(samples), np.concatenate(times)
+    if not config.surface_aligned:
+        merged = _spheres(merged)
+    precision = np.full(len(centre_times), log_lambda)
+    return _build(merged, centre_times, precision, np.concatenate(motions), True, model, config.opacity)
+
+
+def _track_pixels(tracks: Tracks | None, frame: Observation, usable: np.ndarray) -> np.ndarray:
+    """[H, W] bool: the pixels of the moving tracks; where those are too sparse, one pixel in every 4 x 4."""
+    height, width = usable.shape
+    wanted = np.zeros((height, width), np.uint8)
+    if tracks is not None:
+        points = tracks.points[tracks.visible[:, frame.frame], frame.frame].astype(np.int64)
+        inside = ((points >= 0) & (points < [width, height])).all(1)
+        wanted[points[inside, 1], points[inside, 0]] = 1
+    y, x = np.mgrid[:height, :width]
+    sparse = cv2.dilate(wanted & usable, np.ones((9, 9), np.uint8)) == 0
+    return (wanted > 0) | (sparse & (x % 4 == 2) & (y % 4 == 2))
+
+
+def _bilinear(values: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Sample [H, W] or [H, W, C] at pixel positions [N, 2] (centres at +0.5), in rows short enough for OpenCV."""
+    count, row = len(points), 4096
+    padded = np.full((-(-count // row) * row, 2), 0.5, np.float32)
+    padded[:count] = points
+    maps = padded.reshape(-1, row, 2) - np.float32(0.5)
+    sampled = cv2.remap(values, maps[..., 0], maps[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return sampled.reshape(len(padded), *values.shape[2:])[:count]
+
+
+def _follow(observations: Observations, k: int, points: np.ndarray, reach: int) -> dict[float, np.ndarray]:
+    """3D positions [N, 3] of pixels of frame k at the times of its neighbours, along flow and depth; NaN where lost."""
+    width, height = observations.size
+    found: dict[float, np.ndarray] = {}
+    for step in (1, -1):
+        here, alive, current = points.astype(np.float32), np.ones(len(points), bool), k
+        for _ in range(reach):
+            flow = observations[current].forward if step > 0 else observations[current].backward
+            if flow is None:
+                break
+            alive &= _bilinear(flow.trusted.astype(np.float32), here) > 0.99
+            here = here + _bilinear(flow.flow, here)
+            current += step
+            frame = observations[current]
+            alive &= ((here > 0.5) & (here < [width - 0.5, height - 0.5])).all(1)
+            alive &= _bilinear(frame.mask.astype(np.float32), here) > 0.99
+            alive &= _bilinear(frame.depth_jump, here) < 0.06
+            if not alive.any():
+                break
+            world = frame.camera.unproject(here, _bilinear(frame.depth, here).astype(np.float64))
+            world[~alive] = np.nan
+            found[frame.time] = world
+    return found
+
+
+def _fit_motion(
+    observations: Observations, k: int, wanted: np.ndarray, sigma: float, order: int, reach: int
+) -> np.ndarray:
+    """Polynomial coefficients [N, order, 3] of each pixel's path about its own time: ridge, weighted by the presence.
+
+    Pixels that could not be followed take the motion of the nearest one that could.
+    """
+    frame = observations[k]
+    y, x = np.nonzero(wanted)
+    points = np.stack([x, y], 1) + 0.5
+    start = frame.camera.unproject(points, frame.depth[y, x].astype(np.float64))
+    normal, right = np.zeros((len(x), order, order)), np.zeros((len(x), order, 3))
+    links = np.zeros(len(x), int)
+    for time, world in _follow(observations, k, points, reach).items():
+        tau = time - frame.time
+        weight, seen = np.exp(-(tau**2) / (4 * sigma**2)), np.isfinite(world[:, 0])
+        basis = (tau / sigma) ** np.arange(1, order + 1)
+        moved = np.where(seen[:, None], world - start, 0)
+        normal += (weight * seen)[:, None, None] * np.outer(basis, basis)
+        right += weight * basis[:, None] * moved[:, None]
+        links += seen
+    ridge = np.diag(1e-3 * 10.0 ** np.arange(order))
+    coefficients = np.linalg.solve(normal + ridge, right) / (sigma ** np.arange(1, order + 1))[:, None]
+    lost = links == 0
+    if lost.any() and not lost.all():
+        coefficients[lost] = coefficients[~lost][cKDTree(start[~lost]).query(start[lost])[1]]
+    return coefficients
+
+
+# -- random
+
+
+def _random(
+    observations: Observations, model: ModelConfig, config: InitConfig, rng: np.random.Generator, count: int
+) -> Gaussians4D:
+    """Uniform in the box of the training frusta between 0.3 and 3 median depths, at uniform times (METHOD 4)."""
+    corners = []
+    for frame in observations.frames:
+        w, h = frame.camera.width, frame.camera.height
+        uv = np.array([[0, 0], [w, 0], [0, h], [w, h]], float)
+        corners += [frame.camera.unproject(uv, np.full(4, depth)) for depth in (0.3, 3.0)]
+    low, high = np.concatenate(corners).min(0), np.concatenate(corners).max(0)
+    means = rng.uniform(low, high, (count, 3))
+    points = SurfaceSamples(means, np.tile([1.0, 0, 0, 0], (count, 1)), np.ones((count, 3)), rng.random((count, 3)))
+    times, precision = rng.uniform(-0.1, 1.1, count), np.full(count, np.log(5.0))
+    return _build(_spheres(points), times, precision, np.zeros((count, 0, 3)), True, model, 0.1)

@@ -1,0 +1,105 @@
+"""The training frames of a scene in memory, in the normalised coordinates of the model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+
+from flowsplat.common.errors import InputError
+from flowsplat.geometry import Camera, Similarity
+from flowsplat.scenes import Flow, Scene
+
+
+@dataclass(frozen=True)
+class Observation:
+    """One training frame.
+
+    Attributes:
+        frame: its number in the clip.
+        time: clip time.
+        camera: in normalised coordinates.
+        image: [H, W, 3] uint8 sRGB.
+        depth: [H, W] float32, median of all frames 1.
+        depth_trusted: [H, W] bool.
+        mask: [H, W] bool, moving objects.
+        forward: flow to the next training frame; None in the last.
+        backward: flow to the previous training frame; None in the first.
+    """
+
+    frame: int
+    time: float
+    camera: Camera
+    image: np.ndarray
+    depth: np.ndarray
+    depth_trusted: np.ndarray
+    mask: np.ndarray
+    forward: Flow | None
+    backward: Flow | None
+
+    @property
+    def target(self) -> np.ndarray:
+        """[H, W, 3] float32 between 0 and 1."""
+        return self.image.astype(np.float32) / 255
+
+    @cached_property
+    def depth_jump(self) -> np.ndarray:
+        """[H, W] float32: relative difference between the farthest and the nearest depth around a pixel."""
+        kernel = np.ones((3, 3), np.uint8)
+        nearest = cv2.erode(self.depth, kernel)
+        return (cv2.dilate(self.depth, kernel) - nearest) / nearest
+
+
+@dataclass(frozen=True)
+class Observations:
+    """All training frames, in order; and the similarity that normalised them."""
+
+    frames: list[Observation]
+    similarity: Similarity
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __getitem__(self, k: int) -> Observation:
+        return self.frames[k]
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height)."""
+        return self.frames[0].camera.width, self.frames[0].camera.height
+
+
+def load_observations(scene: Scene) -> Observations:
+    """Read the training frames with all their priors.
+
+    Raises:
+        InputError: a prior is missing.
+    """
+    for name in ("cameras", "flow", "depth", "masks"):
+        if scene.prior(name) is None:
+            raise InputError(f"{scene.folder} has no {name} yet: run flowsplat prepare on it first.")
+    similarity, times, train = scene.similarity, scene.times, scene.train_frames
+    pairs = set(scene.flow_pairs)
+
+    def flow(i: int, j: int) -> Flow | None:
+        return scene.flow(i, j) if (i, j) in pairs else None
+
+    frames = []
+    for k, i in enumerate(train):
+        depth = scene.depth(i)
+        frames.append(
+            Observation(
+                frame=i,
+                time=float(times[i]),
+                camera=similarity.camera(scene.cameras[i]),
+                image=scene.frame(i),
+                depth=depth.depth * np.float32(similarity.scale),
+                depth_trusted=depth.trusted,
+                mask=scene.mask(i) > 0,
+                forward=flow(i, train[k + 1]) if k + 1 < len(train) else None,
+                backward=flow(i, train[k - 1]) if k > 0 else None,
+            )
+        )
+    return Observations(frames, similarity)

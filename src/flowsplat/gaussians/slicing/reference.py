@@ -1,0 +1,59 @@
+"""The oracle of slicing, in plain torch (METHOD 1)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+
+from flowsplat.gaussians.gaussians4d import Active, ModelConfig
+from flowsplat.gaussians.slicing.api import Slice
+from flowsplat.splatting.harmonics import colours_from_harmonics
+
+
+def time_gains(log_gains: Tensor, t: float) -> Tensor:
+    """Brightness in time exp(sum_k g_k cos(pi k t)) [N] from [N, G]. Ours, background only (METHOD 1)."""
+    cosines = [math.cos(math.pi * k * t) for k in range(1, log_gains.shape[1] + 1)]
+    return torch.exp(log_gains @ log_gains.new_tensor(cosines))
+
+
+def slice_gaussians(
+    leaves: Mapping[str, Tensor],
+    active: Active,
+    config: ModelConfig,
+    sh_degree: int,
+    camera_center: Tensor,
+    next_time: float | None,
+) -> Slice:
+    """See ``api.slice_gaussians``."""
+    n, motion = active.num_static, config.motion()
+    moving_names = {*motion.motion_names, "times", "log_lambdas"}
+    moving = {name: value if name in moving_names else value[n:] for name, value in leaves.items()}
+    state = motion.state(moving, active.t)
+    means = torch.cat([leaves["means"][:n], state.means])
+    opacities = torch.sigmoid(leaves["logit_opacities"])
+    opacities = torch.cat([opacities[:n], opacities[n:] * state.presence])
+    directions = means.detach() - camera_center if sh_degree > 0 else None
+    colours = colours_from_harmonics(leaves["sh"], directions, sh_degree)
+    if config.gains and n:
+        colours = torch.cat([colours[:n] * time_gains(leaves["log_gains"], active.t)[:, None], colours[n:]])
+    quats = scales = covars = next_means = next_quats = None
+    if state.covars is not None:
+        covars = state.covars if n == 0 else torch.cat([motion.state(_resting(leaves, n), 0.0).covars, state.covars])  # type: ignore[list-item]
+    else:
+        assert state.quats is not None
+        quats = torch.cat([leaves["quats"][:n], state.quats])
+        scales = torch.exp(leaves["log_scales"])
+    if next_time is not None:
+        later = motion.state(moving, next_time)
+        next_means = torch.cat([leaves["means"][:n], later.means])
+        if later.quats is not None:
+            next_quats = torch.cat([leaves["quats"][:n], later.quats])
+    return Slice(means, quats, scales, covars, opacities, colours, state.velocities, next_means, next_quats)
+
+
+def _resting(leaves: Mapping[str, Tensor], n: int) -> dict[str, Tensor]:
+    resting = {name: value[:n] for name, value in leaves.items() if name not in ("times", "log_gains")}
+    return {**resting, "times": torch.zeros(n)}

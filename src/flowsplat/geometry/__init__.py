@@ -1,0 +1,6 @@
+"""Cameras, projection, rotations and similarities. Everything is OpenCV axes, pixel centres at +0.5, quaternions wxyz."""
+
+from flowsplat.geometry.cameras import Camera
+from flowsplat.geometry.similarity import Similarity
+
+__all__ = ["Camera", "Similarity"]

@@ -1,0 +1,100 @@
+"""Pinhole cameras as data, and the NumPy side of projecting with them (the differentiable side is ``projection``)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera: OpenCV axes (x right, y down, z forward), centre of the top-left pixel at (0.5, 0.5).
+
+    Attributes:
+        viewmat: [4, 4] float64, world to camera.
+        K: [3, 3] float64, in pixels.
+        width: pixels.
+        height: pixels.
+    """
+
+    viewmat: np.ndarray
+    K: np.ndarray
+    width: int
+    height: int
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "viewmat", np.asarray(self.viewmat, np.float64).reshape(4, 4))
+        object.__setattr__(self, "K", np.asarray(self.K, np.float64).reshape(3, 3))
+
+    @property
+    def center(self) -> np.ndarray:
+        """[3] the camera's position in the world."""
+        return -self.viewmat[:3, :3].T @ self.viewmat[:3, 3]
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether every number is finite and the rotation is one."""
+        R = self.viewmat[:3, :3]
+        return bool(
+            np.isfinite(self.viewmat).all()
+            and np.isfinite(self.K).all()
+            and np.abs(R @ R.T - np.eye(3)).max() < 1e-3
+            and self.K[0, 0] > 0
+            and self.K[1, 1] > 0
+        )
+
+    def resized(self, width: int, height: int) -> Camera:
+        """The same camera with another number of pixels."""
+        scale = np.diag([width / self.width, height / self.height, 1.0])
+        return Camera(self.viewmat, scale @ self.K, width, height)
+
+    def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """World points [..., 3] to pixels [..., 2] and planar depth [...]. Points behind the camera keep their sign of depth."""
+        p = points @ self.viewmat[:3, :3].T + self.viewmat[:3, 3]
+        z = p[..., 2]
+        safe = np.where(np.abs(z) < 1e-9, 1e-9, z)
+        uv = p[..., :2] / safe[..., None] * [self.K[0, 0], self.K[1, 1]] + self.K[:2, 2]
+        return uv, z
+
+    def unproject(self, uv: np.ndarray, depth: np.ndarray) -> np.ndarray:
+        """Pixels [..., 2] with planar depth [...] to world points [..., 3]."""
+        p = np.empty((*np.shape(depth), 3))
+        p[..., 0] = (uv[..., 0] - self.K[0, 2]) / self.K[0, 0] * depth
+        p[..., 1] = (uv[..., 1] - self.K[1, 2]) / self.K[1, 1] * depth
+        p[..., 2] = depth
+        return (p - self.viewmat[:3, 3]) @ self.viewmat[:3, :3]
+
+    def tensors(
+        self, dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu"
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """(viewmat [4, 4], K [3, 3]) as torch tensors."""
+        return torch.as_tensor(self.viewmat, dtype=dtype, device=device), torch.as_tensor(self.K, dtype=dtype, device=device)
+
+    def to_json(self) -> dict[str, Any]:
+        """The documented form in ``cameras.json`` files."""
+        return {"viewmat": self.viewmat.tolist(), "K": self.K.tolist(), "width": self.width, "height": self.height}
+
+    @staticmethod
+    def from_json(value: dict[str, Any]) -> Camera:
+        """The inverse of ``to_json``."""
+        return Camera(np.array(value["viewmat"]), np.array(value["K"]), int(value["width"]), int(value["height"]))
+
+
+def pixel_grid(width: int, height: int) -> np.ndarray:
+    """[H, W, 2] float32: the pixel centres (x, y), the first one (0.5, 0.5)."""
+    x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
+    return np.stack([x, y], -1) + np.float32(0.5)
+
+
+def unproject_depth(depth: np.ndarray, camera: Camera) -> np.ndarray:
+    """Planar depth [H, W] to world points [H, W, 3]."""
+    return camera.unproject(pixel_grid(camera.width, camera.height), depth)
+
+
+def camera_flow(depth: np.ndarray, camera: Camera, other: Camera) -> np.ndarray:
+    """[H, W, 2] flow in pixels that the motion from ``camera`` to ``other`` alone causes on a static scene of this depth."""
+    uv, _ = other.project(unproject_depth(depth, camera))
+    return uv - pixel_grid(camera.width, camera.height)

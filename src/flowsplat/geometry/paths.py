@@ -1,0 +1,69 @@
+"""Camera paths: interpolation between cameras, smoothing, orbits and bullet time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import gaussian_filter1d
+from scipy.spatial.transform import Rotation, Slerp
+
+from flowsplat.geometry.cameras import Camera
+
+
+def _camera_at(center: np.ndarray, rotation: np.ndarray, like: Camera) -> Camera:
+    viewmat = np.eye(4)
+    viewmat[:3, :3] = rotation
+    viewmat[:3, 3] = -rotation @ center
+    return Camera(viewmat, like.K, like.width, like.height)
+
+
+class CameraPath:
+    """Cameras at times, and every camera between them: cubic in position, slerp in rotation, linear in K.
+
+    Outside the given times the first or last camera is held.
+    """
+
+    def __init__(self, times: Sequence[float], cameras: Sequence[Camera]):
+        self.cameras = list(cameras)
+        self.times = np.asarray(times, np.float64)
+        if len(self.times) > 1:
+            self._centers = CubicSpline(self.times, [c.center for c in cameras])
+            self._rotations = Slerp(self.times, Rotation.from_matrix([c.viewmat[:3, :3] for c in cameras]))
+            self._Ks = np.array([c.K for c in cameras])
+
+    def at(self, time: float) -> Camera:
+        """The camera at ``time``; at a given time it is the given camera up to rounding."""
+        first = self.cameras[0]
+        if len(self.times) == 1:
+            return first
+        time = float(np.clip(time, self.times[0], self.times[-1]))
+        K = np.stack([np.interp(time, self.times, self._Ks[:, r, c]) for r in range(3) for c in range(3)]).reshape(3, 3)
+        camera = _camera_at(self._centers(time), self._rotations(time).as_matrix(), first)
+        return Camera(camera.viewmat, K, first.width, first.height)
+
+
+def smooth_path(cameras: Sequence[Camera], sigma: float) -> list[Camera]:
+    """The path low-passed by a Gaussian of ``sigma`` frames in position and rotation."""
+    centers = gaussian_filter1d(np.array([c.center for c in cameras]), sigma, axis=0, mode="nearest")
+    quats = Rotation.from_matrix([c.viewmat[:3, :3] for c in cameras]).as_quat()
+    for k in range(1, len(quats)):
+        if quats[k] @ quats[k - 1] < 0:
+            quats[k] *= -1
+    rotations = Rotation.from_quat(gaussian_filter1d(quats, sigma, axis=0, mode="nearest")).as_matrix()
+    return [_camera_at(x, R, c) for x, R, c in zip(centers, rotations, cameras, strict=True)]
+
+
+def orbit(camera: Camera, distance: float, steps: int, angle: float = 6.0) -> list[Camera]:
+    """A closed loop around ``camera`` that keeps looking at the point ``distance`` in front of it.
+
+    ``angle`` (degrees) is the half-width of the loop seen from that point; half as much up and down.
+    """
+    R, target = camera.viewmat[:3, :3], camera.center + camera.viewmat[2, :3] * distance
+    result = []
+    for phase in np.linspace(0, 2 * np.pi, steps, endpoint=False):
+        yaw, pitch = np.radians(angle) * np.sin(phase), np.radians(angle / 2) * (1 - np.cos(phase)) / 2
+        turned = Rotation.from_euler("yx", [-yaw, pitch]).as_matrix() @ R
+        result.append(_camera_at(target - turned[2] * distance, turned, camera))
+    return result

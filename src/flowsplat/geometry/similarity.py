@@ -1,0 +1,84 @@
+"""Similarities: one scale, one rotation, one translation; and how two camera paths are aligned."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from flowsplat.geometry.cameras import Camera
+
+
+@dataclass(frozen=True)
+class Similarity:
+    """x -> scale * rotation @ x + translation, with scale > 0."""
+
+    scale: float = 1.0
+    rotation: np.ndarray = field(default_factory=lambda: np.eye(3))
+    translation: np.ndarray = field(default_factory=lambda: np.zeros(3))
+
+    def inverse(self) -> Similarity:
+        """The similarity that undoes this one."""
+        return Similarity(1 / self.scale, self.rotation.T, -self.rotation.T @ self.translation / self.scale)
+
+    def points(self, points: np.ndarray) -> np.ndarray:
+        """[..., 3] points moved."""
+        return self.scale * points @ self.rotation.T + self.translation
+
+    def camera(self, camera: Camera) -> Camera:
+        """The camera that sees the moved world exactly as ``camera`` saw the old one (its depths are scaled)."""
+        R = camera.viewmat[:3, :3] @ self.rotation.T
+        viewmat = np.eye(4)
+        viewmat[:3, :3] = R
+        viewmat[:3, 3] = self.scale * camera.viewmat[:3, 3] - R @ self.translation
+        return Camera(viewmat, camera.K, camera.width, camera.height)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain numbers."""
+        return {"scale": self.scale, "rotation": self.rotation.tolist(), "translation": self.translation.tolist()}
+
+    @staticmethod
+    def from_json(value: dict[str, Any]) -> Similarity:
+        """The inverse of ``to_json``."""
+        return Similarity(float(value["scale"]), np.array(value["rotation"], float), np.array(value["translation"], float))
+
+
+def align_paths(estimated: Sequence[Camera], true: Sequence[Camera]) -> Similarity:
+    """The similarity that brings the estimated path onto the true one.
+
+    Rotations first (their chordal mean), then scale and translation by least squares: on a nearly straight path the
+    rotation about it cannot be seen from the positions (METHOD 6). A path without extent keeps scale 1.
+    """
+    M = sum(t.viewmat[:3, :3].T @ e.viewmat[:3, :3] for e, t in zip(estimated, true, strict=True))
+    U, _, Vt = np.linalg.svd(M)
+    rotation = U @ np.diag([1, 1, np.sign(np.linalg.det(U @ Vt))]) @ Vt
+    e = np.array([c.center for c in estimated]) @ rotation.T
+    t = np.array([c.center for c in true])
+    e0, t0 = e - e.mean(0), t - t.mean(0)
+    extent = (e0 * e0).sum()
+    scale = float((e0 * t0).sum() / extent) if extent > 1e-18 and (e0 * t0).sum() > 0 else 1.0
+    return Similarity(scale, rotation, t.mean(0) - scale * e.mean(0))
+
+
+def path_errors(estimated: Sequence[Camera], true: Sequence[Camera]) -> dict[str, float]:
+    """How far an estimated path is from the true one after ``align_paths``.
+
+    Returns:
+        ``path`` (mean position error over the true path's length), ``rotation`` (mean angle, degrees) and ``focal``
+        (relative error of the first camera's focal length).
+    """
+    similarity = align_paths(estimated, true)
+    moved = [similarity.camera(c) for c in estimated]
+    t = np.array([c.center for c in true])
+    distance = np.linalg.norm(np.array([c.center for c in moved]) - t, axis=1).mean()
+    length = np.linalg.norm(np.diff(t, axis=0), axis=1).sum()
+    cosines = [
+        (np.trace(m.viewmat[:3, :3] @ c.viewmat[:3, :3].T) - 1) / 2 for m, c in zip(moved, true, strict=True)
+    ]
+    return {
+        "path": float(distance / max(length, 1e-12)),
+        "rotation": float(np.degrees(np.arccos(np.clip(cosines, -1, 1))).mean()),
+        "focal": float(abs(estimated[0].K[0, 0] / true[0].K[0, 0] - 1)),
+    }

@@ -1,0 +1,341 @@
+"""``report.html``: one page about a run that needs no network and no other file (its videos lie beside it)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+from urllib.parse import quote
+
+import cv2
+import jinja2
+import numpy as np
+from markupsafe import Markup
+
+from flowsplat import __version__
+from flowsplat.common.files import write_text
+from flowsplat.pictures.colors import error_to_color, float_to_bytes, flow_legend, flow_scale, flow_to_color
+from flowsplat.pictures.html import Points, figure, line_chart, picture, table
+
+NAME = "report.html"
+VIDEO_FOLDER = "renders"
+"""Where the videos lie, seen from the report."""
+
+_WIDEST = 960
+"""Pixels of a picture in the page."""
+_EVEN = 0.1
+"""Decibels of PSNR that nobody sees."""
+
+_VIDEO_TITLES = {
+    "input_path": "Along the clip's own cameras",
+    "orbit": "Round the middle of the clip",
+    "bullet_time": "Time standing still",
+    "custom_path": "Along the given camera path",
+}
+_METHODS = {
+    "flow_interpolation": "interpolated by flow",
+    "blend": "both neighbours, blended",
+    "copy": "nearest frame, copied",
+    "warp_by_depth": "warped by true depth",
+    "static": "static scene",
+}
+_STAGES = {"prepare": "preparing", "train": "training", "static": "static scene", "evaluate": "measuring", "render": "videos"}
+
+
+class Comparison(NamedTuple):
+    """A frame of the clip and its rendering, [H, W, 3] uint8 or float between 0 and 1."""
+
+    label: str
+    input: np.ndarray
+    rendering: np.ndarray
+
+
+class FlowComparison(NamedTuple):
+    """Rendered flow and the prior that taught it, [H, W, 2] pixels; NaN where there is none."""
+
+    label: str
+    rendered: np.ndarray
+    prior: np.ndarray
+
+
+@dataclass(frozen=True)
+class ReportData:
+    """What the report tells.
+
+    Attributes:
+        title: name of the scene.
+        metrics: the content of ``metrics.json``; missing keys are like null ones.
+        history: entries of the training history: ``step``, ``loss``, ``psnr`` and so on.
+        comparisons: the first one is shown on top.
+        flows: rendered flow against the prior.
+        active: (seconds, number of Gaussians rendered then).
+        config: the settings, nested.
+        notes: sentences for the user, such as what was done to the input.
+        videos: file names in ``renders/`` by name, as ``render_videos`` returns them.
+    """
+
+    title: str
+    metrics: Mapping[str, Any]
+    history: Sequence[Mapping[str, float]] = ()
+    comparisons: Sequence[Comparison] = ()
+    flows: Sequence[FlowComparison] = ()
+    active: tuple[Sequence[float], Sequence[float]] = ((), ())
+    config: Mapping[str, Any] = field(default_factory=dict)
+    notes: Sequence[str] = ()
+    videos: Mapping[str, str] = field(default_factory=dict)
+
+
+def write_report(folder: Path, data: ReportData) -> Path:
+    """Write ``report.html`` into the folder of a run and return its path.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    loader = jinja2.PackageLoader("flowsplat.output", "templates")
+    environment = jinja2.Environment(
+        loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    page = environment.get_template("report.html.jinja").render(
+        title=data.title,
+        verdict=verdict(data.metrics),
+        headline=_headline(data.metrics),
+        videos=list(_videos(data.videos)),
+        comparisons=[_comparison(*comparison) for comparison in data.comparisons],
+        flows=_flows(data.flows),
+        legend=picture(flow_legend(), "The colour of every direction of flow", None),
+        tables=list(_tables(data.metrics)),
+        charts=list(_charts(data)),
+        notes=data.notes,
+        settings=table(("setting", "value"), list(_flat(data.config))) if data.config else None,
+        version=__version__,
+    )
+    path = Path(folder) / NAME
+    write_text(path, page)
+    return path
+
+
+# -- figures
+
+
+def _pick(metrics: Mapping[str, Any], *path: str) -> Any:
+    """The value under a path of keys, None where anything on the way is missing or null."""
+    value: Any = metrics
+    for key in path:
+        value = value.get(key) if isinstance(value, Mapping) else None
+    return value
+
+
+def verdict(metrics: Mapping[str, Any]) -> str:
+    """In plain words: is the scene any good?"""
+    ours, theirs = _pick(metrics, "heldout_frames", "psnr"), _pick(metrics, "baselines", "flow_interpolation", "psnr")
+    training, views = _pick(metrics, "training_frames", "psnr"), _pick(metrics, "heldout_views", "psnr")
+    if ours is None and views is not None:
+        warped = _pick(metrics, "baselines_views", "warp_by_depth", "psnr")
+        beside = "" if warped is None else f"; warping the frame of the same time by its true depth gives {warped:.2f} dB"
+        return f"Views by other cameras, which training never saw, are rendered at {views:.2f} dB{beside}."
+    if ours is None:
+        known = "" if training is None else f" They are reproduced at {training:.2f} dB."
+        return "No frame was held out, so nothing here tells how good the scene is between the training frames." + known
+    count = _pick(metrics, "heldout_frames", "count")
+    pictures = "Pictures" if count is None else "The picture" if count == 1 else f"The {count} pictures"
+    are = "is" if count == 1 else "are"
+    seen = f"{pictures} that training never saw {are} rendered at {ours:.2f} dB"
+    if theirs is None:
+        return f"{seen}."
+    gain = ours - theirs
+    if abs(gain) < _EVEN:
+        return f"{seen}, as good as interpolating between the neighbouring frames by optical flow ({theirs:.2f} dB)."
+    if gain > 0:
+        return f"{seen}, {gain:.2f} dB better than interpolating between the neighbouring frames by optical flow."
+    return (
+        f"{seen}, {-gain:.2f} dB worse than interpolating between the neighbouring frames by optical flow: "
+        "the scene has not learned all of the motion."
+    )
+
+
+def _headline(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The few figures on top: value, unit, name and a remark."""
+    kinds = {"heldout_frames": "held-out frames", "heldout_views": "held-out views", "training_frames": "training frames"}
+    kind = next((kind for kind in kinds if _pick(metrics, kind, "psnr") is not None), "training_frames")
+    name = kinds[kind]
+    theirs = _pick(metrics, "baselines", "flow_interpolation", "psnr") if kind == "heldout_frames" else None
+    against = "" if theirs is None else f"interpolation: {theirs:.2f} dB"
+    ssim = _pick(metrics, kind, "ssim")
+    seconds = sum((metrics.get("seconds") or {}).values())
+    flow, flow_name = _pick(metrics, "flow_epe", "mean"), "flow error"
+    if flow is None:
+        flow, flow_name = _pick(metrics, "flow_prior_epe", "mean"), "flow against its prior"
+    active = _pick(metrics, "gaussians", "active_mean")
+    return [
+        _card(figure(_pick(metrics, kind, "psnr")), "dB", f"PSNR, {name}", against),
+        _card(figure(ssim, 3), "", f"SSIM, {name}", "1 = equal"),
+        _card(figure(flow, 2), "px", flow_name, "mean end-point error"),
+        _card(
+            figure(_pick(metrics, "gaussians", "total"), 0),
+            "",
+            "Gaussians",
+            "" if active is None else f"{active:,.0f} rendered at a time",
+        ),
+        _card(Markup(_duration(seconds)) if seconds else figure(None), "", "for everything", _memory(metrics)),
+    ]
+
+
+def _card(value: Markup, unit: str, name: str, remark: str) -> dict[str, Any]:
+    return {"value": value, "unit": unit, "name": name, "remark": remark}
+
+
+def _memory(metrics: Mapping[str, Any]) -> str:
+    peak = metrics.get("peak_memory_gib")
+    return "" if peak is None else f"{peak:.1f} GiB of memory at most"
+
+
+def _duration(seconds: float) -> str:
+    """Minutes and seconds for people."""
+    if seconds < 60:
+        return f"{seconds:.1f} s"
+    minutes = round(seconds / 60)
+    return f"{seconds // 60:.0f} min {seconds % 60:.0f} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
+
+
+def _tables(metrics: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """Titled tables of everything that was measured."""
+    lpips = metrics.get("lpips_reason")
+    if _pick(metrics, "heldout_frames") is not None:
+        remark = "Frames of the clip that neither training nor any prior has seen; movers are the given masks."
+        rows = _scores(metrics, "heldout_frames", "baselines", ("moving",), lpips)
+        yield {"title": "Held-out frames", "remark": remark, "table": rows}
+    if _pick(metrics, "heldout_views") is not None:
+        remark = "Pictures by other cameras; covisible are the pixels that the clip itself saw."
+        rows = _scores(metrics, "heldout_views", "baselines_views", ("moving", "covisible"), lpips)
+        yield {"title": "Held-out views", "remark": remark, "table": rows}
+    if _pick(metrics, "training_frames") is not None:
+        rows = _scores(metrics, "training_frames", "", ("moving",), lpips)
+        yield {"title": "Training frames", "remark": "How well what was seen is reproduced.", "table": rows}
+    errors = list(_errors(metrics))
+    if errors:
+        header = ("", "mean", "median", "movers, mean", "movers, median")
+        yield {"title": "Flow and depth", "remark": "", "table": table(header, errors)}
+    seconds = metrics.get("seconds") or {}
+    if seconds:
+        spent = [(_STAGES.get(stage, stage), _duration(value)) for stage, value in seconds.items()]
+        spent.append(("together", _duration(sum(seconds.values()))))
+        yield {"title": "Time", "remark": "", "table": table(("stage", "time"), spent, [len(spent) - 1])}
+
+
+def _scores(metrics: Mapping[str, Any], ours: str, others: str, regions: Sequence[str], lpips_reason: str | None) -> Markup:
+    """PSNR, SSIM and LPIPS of this scene and of the methods that it is compared with."""
+    names = {"moving": "movers", "covisible": "covisible"}
+    header = ["", "PSNR dB", "SSIM", "LPIPS", *(f"PSNR, {names[region]}" for region in regions)]
+    measured = [(name, value) for name, value in (_pick(metrics, others) or {}).items() if value is not None]
+    rows = []
+    for name, values in [("this scene", metrics[ours]), *((_METHODS.get(name, name), value) for name, value in measured)]:
+        row = [
+            name,
+            figure(_pick(values, "psnr")),
+            figure(_pick(values, "ssim"), 3),
+            figure(_pick(values, "lpips"), 3, lpips_reason),
+        ]
+        for region in regions:
+            row.append(figure(_pick(values, region, "psnr"), 2, "no masks to tell which pixels these are"))
+        rows.append(row)
+    return table(header, rows, [0])
+
+
+def _errors(metrics: Mapping[str, Any]) -> Iterator[Sequence[str]]:
+    """Rows of flow errors in pixels and of relative depth errors."""
+    reason = "no masks to tell which pixels move"
+    for key, name in (("flow_epe", "flow against the truth, px"), ("flow_prior_epe", "flow against the prior, px")):
+        values = _pick(metrics, key)
+        if values is not None:
+            moving = [figure(_pick(values, "moving", kind), 2, reason) for kind in ("mean", "median")]
+            yield name, figure(_pick(values, "mean")), figure(_pick(values, "median")), *moving
+    depth = _pick(metrics, "depth_abs_rel")
+    if depth is not None:
+        cells = [figure(_pick(depth, area, kind), 3, reason) for area in ("all", "moving") for kind in ("mean", "median")]
+        yield "depth, relative error", *cells
+
+
+def _flat(config: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Nested settings as (dotted name, value)."""
+    for name, value in config.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", "none" if value is None else str(value)
+
+
+# -- pictures
+
+
+def _fitted(image: np.ndarray) -> np.ndarray:
+    """uint8, not wider than a page needs."""
+    image = float_to_bytes(image)
+    height, width = image.shape[:2]
+    if width <= _WIDEST:
+        return image
+    return cv2.resize(image, (_WIDEST, max(round(height * _WIDEST / width), 1)), None, 0, 0, cv2.INTER_AREA)
+
+
+def _comparison(label: str, image: np.ndarray, rendering: np.ndarray) -> dict[str, Any]:
+    panels = {"clip": image, "rendering": rendering, "error": error_to_color(image, rendering)}
+    return {"label": label, "panels": _panels(panels, label)}
+
+
+def _flows(flows: Sequence[FlowComparison]) -> list[dict[str, Any]]:
+    """Every pair in one colour scale."""
+    shown = []
+    for label, rendered, prior in flows:
+        scale = flow_scale([rendered, prior])
+        panels = {name: flow_to_color(flow, scale) for name, flow in (("rendered", rendered), ("prior", prior))}
+        shown.append({"label": f"{label}; full colour = {scale:.1f} px", "panels": _panels(panels, label)})
+    return shown
+
+
+def _panels(images: Mapping[str, np.ndarray], label: str) -> list[dict[str, Any]]:
+    return [{"name": name, "picture": picture(_fitted(image), f"{label}, {name}")} for name, image in images.items()]
+
+
+def _videos(videos: Mapping[str, str]) -> Iterator[dict[str, Any]]:
+    """The videos with three panels, each with a link to the one with colour alone."""
+    for name, file in videos.items():
+        if not name.endswith("_colour"):
+            colour = videos.get(f"{name}_colour")
+            yield {
+                "title": _VIDEO_TITLES.get(name, name),
+                "file": f"{VIDEO_FOLDER}/{quote(file)}",
+                "colour": None if colour is None else f"{VIDEO_FOLDER}/{quote(colour)}",
+            }
+
+
+def _charts(data: ReportData) -> Iterator[dict[str, Any]]:
+    """Titled line charts of the training and of the Gaussians over time."""
+
+    def over_steps(names: Mapping[str, str]) -> dict[str, Points]:
+        """Series by label, of those keys that the history has with a value other than 0."""
+        kept = {label: key for key, label in names.items() if any(entry.get(key) for entry in data.history)}
+        steps = [entry["step"] for entry in data.history]
+        return {label: (steps, [entry.get(key) for entry in data.history]) for label, key in kept.items()}
+
+    plans: list[tuple[str, dict[str, Points], str, bool]] = [
+        ("PSNR of the training frames", over_steps({"psnr": "PSNR"}), "dB", False),
+        ("Loss", over_steps({"loss": "loss"}), "loss", True),
+        (
+            "Parts of the loss",
+            over_steps({"colour": "colour", "flow": "flow", "rigid": "rigid", "depth": "depth"}),
+            "loss",
+            True,
+        ),
+        ("Gaussians in training", over_steps({"gaussians": "all", "active": "rendered"}), "Gaussians", False),
+    ]
+    for title, series, y_label, log in plans:
+        if series:
+            yield {
+                "title": title,
+                "chart": line_chart(series, title=title, x_label="step", y_label=y_label, log=log),
+            }
+    if len(data.active[0]):
+        title = "Gaussians rendered over the clip"
+        series = {"rendered": data.active}
+        chart = line_chart(series, title=title, x_label="seconds of the clip", y_label="Gaussians")
+        yield {"title": title, "chart": chart}

@@ -1,0 +1,75 @@
+"""Pictures beside each other on one sheet, each with its name."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from flowsplat.pictures.colors import error_to_color, float_to_bytes, flow_to_color
+
+GAP = 4
+"""Pixels between two pictures."""
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
+
+
+def side_by_side(images: Sequence[np.ndarray], labels: Sequence[str] = (), height: int | None = None) -> np.ndarray:
+    """One row of pictures [h, w, 3], grey or colour, uint8 or float between 0 and 1.
+
+    Args:
+        labels: one for every picture, or none at all. Plain ASCII.
+        height: of the sheet, in pixels; None = that of the first picture. The others are resized to it.
+
+    Returns:
+        [height, W, 3] uint8.
+    """
+    height = height or images[0].shape[0]
+    panels = [_resized(_colored(image), height) for image in images]
+    for panel, label in zip(panels, labels, strict=bool(labels)):
+        _write_label(panel, label)
+    gap = np.full((height, GAP, 3), 255, np.uint8)
+    return np.concatenate([part for panel in panels for part in (gap, panel)][1:], axis=1)
+
+
+def stacked(rows: Sequence[np.ndarray]) -> np.ndarray:
+    """Sheets under each other, the narrower ones resized to the width of the first; [H, width, 3] uint8."""
+    width = rows[0].shape[1]
+    gap = np.full((GAP, width, 3), 255, np.uint8)
+    panels = [_resized(row, max(round(row.shape[0] * width / row.shape[1]), 1), width) for row in rows]
+    return np.concatenate([part for panel in panels for part in (gap, panel)][1:])
+
+
+def preview_sheet(target: np.ndarray, rendering: np.ndarray, flow: np.ndarray | None = None) -> np.ndarray:
+    """How training goes: target | rendering | error | flow. Pictures [H, W, 3] uint8 or float, flow [H, W, 2] pixels."""
+    images = [target, rendering, error_to_color(target, rendering)]
+    labels = ["target", "rendering", "error"]
+    if flow is not None:
+        images.append(flow_to_color(flow))
+        labels.append("flow")
+    return side_by_side(images, labels)
+
+
+def _colored(image: np.ndarray) -> np.ndarray:
+    image = float_to_bytes(image)
+    return np.repeat(image[..., None], 3, -1) if image.ndim == 2 else image
+
+
+def _resized(image: np.ndarray, height: int, width: int | None = None) -> np.ndarray:
+    """A copy of the picture at that height, and at that width or one that keeps its shape."""
+    width = width or max(round(image.shape[1] * height / image.shape[0]), 1)
+    if image.shape[:2] == (height, width):
+        return image.copy()
+    method = cv2.INTER_AREA if height < image.shape[0] else cv2.INTER_LINEAR
+    return cv2.resize(image, (width, height), None, 0, 0, method)
+
+
+def _write_label(panel: np.ndarray, label: str) -> None:
+    """White letters on a darkened strip in the top left corner, sized to the picture."""
+    scale = float(np.clip(panel.shape[0] / 600, 0.3, 1.2))
+    (width, height), below = cv2.getTextSize(label, _FONT, scale, 1)
+    margin = max(round(6 * scale), 2)
+    corner = panel[: height + below + 2 * margin, : width + 2 * margin]
+    corner[:] = corner // 3
+    place = (margin, margin + height)
+    cv2.putText(panel, label, place, _FONT, scale, (255, 255, 255), 1, cv2.LINE_AA)

@@ -1,0 +1,78 @@
+"""What is in a run or a scene, in lines for a person."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Iterator
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from flowsplat import __version__
+from flowsplat.common.devices import backends
+from flowsplat.common.errors import InputError
+from flowsplat.common.files import read_json
+from flowsplat.pipeline.folder import RunFolder
+from flowsplat.scenes import Scene
+
+PACKAGES = ("torch", "numba", "numpy", "opencv-contrib-python-headless", "av", "torchmetrics")
+
+
+def describe(path: Path | None) -> Iterator[str]:
+    """Lines about a folder (where one is given), then versions and backends.
+
+    Raises:
+        InputError: the folder is neither a run nor a scene.
+    """
+    if path is not None:
+        if (path / "run.json").exists():
+            yield from _describe_run(RunFolder(path))
+        elif (path / "scene.json").exists():
+            yield from _describe_scene(Scene(path))
+        else:
+            raise InputError(f"{path} is neither the folder of a run nor a prepared scene.")
+        yield ""
+    yield f"flowsplat {__version__}, Python {platform.python_version()}, {platform.platform()}"
+    yield ", ".join(f"{name} {_version(name)}" for name in PACKAGES)
+    for backend in backends():
+        yield f"backend {backend.name}: {'works' if backend.works else 'does not work'} ({backend.reason})"
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "is not installed"
+
+
+def _describe_run(folder: RunFolder) -> Iterator[str]:
+    yield f"Run {folder.path} of {folder.book['input']}"
+    for stage in ("prepare", "train", "evaluate", "render"):
+        entry = folder.book["stages"].get(stage)
+        state = "not finished" if entry is None else f"finished in {sum(entry['seconds'].values()):.0f} s"
+        yield f"  {stage}: {state}"
+    metrics = folder.path / "metrics.json"
+    if metrics.exists():
+        values = read_json(metrics)
+        for name in ("heldout_frames", "heldout_views", "training_frames"):
+            if values.get(name):
+                yield f"  {name.replace('_', ' ')}: PSNR {values[name]['psnr']:.2f}, SSIM {values[name]['ssim']:.3f}"
+    model = folder.model_path / "model.json"
+    if model.exists():
+        value = read_json(model)
+        yield f"  model: {value['gaussians']:,} Gaussians, {value['dynamic']:,} of them move"
+    if (folder.scene_path / "scene.json").exists():
+        yield from _describe_scene(Scene(folder.scene_path))
+
+
+def _describe_scene(scene: Scene) -> Iterator[str]:
+    seconds = scene.timestamps[-1] - scene.timestamps[0]
+    yield f"Scene {scene.folder}: {scene.name}, from {scene.info['source']}"
+    yield (
+        f"  {scene.num_frames} frames of {scene.width} x {scene.height} over {seconds:.2f} s, "
+        f"{len(scene.train_frames)} for training, {len(scene.heldout_frames)} held out"
+    )
+    for name in ("cameras", "flow", "masks", "depth", "tracks"):
+        how = scene.prior(name)
+        yield f"  {name}: " + ("missing" if how is None else str(how.get("verdict", how.get("method"))))
+    if scene.truth is not None:
+        yield f"  truth is there; {len(scene.views)} held-out views"

@@ -1,0 +1,130 @@
+"""The folder of a run, and its book of finished stages.
+
+    run.json       input, its fingerprint, all settings, and which stages are finished with which key
+    scene/         the prepared scene
+    training/      checkpoints (while training), history.json
+    model/         the trained 4D scene
+    logs/          TensorBoard
+    preview.png    a training view beside its target, refreshed while training
+    evaluation/    held-out renderings
+    renders/       videos
+    metrics.json   figures
+    report.html    all of it to look at
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+from flowsplat import __version__
+from flowsplat.common.errors import InputError
+from flowsplat.common.files import make_folder, read_json, write_json
+from flowsplat.pipeline.config import RunConfig, from_plain, to_plain
+
+VERSION = 1
+
+
+class RunFolder:
+    """One run: where its parts are, what is finished, and with which settings."""
+
+    def __init__(self, path: Path):
+        """Open the folder of a run that was started before.
+
+        Raises:
+            InputError: it is none, is damaged, or belongs to a newer version.
+        """
+        self.path = Path(path)
+        if not (self.path / "run.json").exists():
+            raise InputError(f"{path} is not the folder of a run: it has no run.json. Start with flowsplat run INPUT -o {path}.")
+        self.book: dict[str, Any] = read_json(self.path / "run.json")
+        try:
+            if int(self.book["version"]) > VERSION:
+                raise InputError(f"{path} was written by a newer flowsplat. Update flowsplat.")
+            self.fingerprint: str = self.book["fingerprint"]
+            self.config = from_plain(RunConfig, self.book["config"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(f"{self.path / 'run.json'} is damaged: {error}.") from error
+
+    @staticmethod
+    def open_or_create(path: Path, source: str, fingerprint: str, config: RunConfig) -> RunFolder:
+        """The run of this input in this folder, with these settings from now on.
+
+        Raises:
+            InputError: the folder cannot be written, holds something else, or belongs to a different input.
+        """
+        path = Path(path)
+        if (path / "run.json").exists():
+            folder = RunFolder(path)
+            if folder.fingerprint != fingerprint:
+                raise InputError(
+                    f"{path} belongs to a different input ({folder.book.get('input')}) or to other input options. "
+                    "Choose another folder with -o."
+                )
+            folder.config = config
+        else:
+            make_folder(path)
+            if any(path.iterdir()):
+                raise InputError(f"{path} is not empty and not the folder of a run. Choose another folder with -o.")
+            write_json(path / "run.json", _new_book(source, fingerprint, config))
+            folder = RunFolder(path)
+        if not os.access(path, os.W_OK):
+            raise InputError(f"No permission to write {path}. Choose another output folder with -o.")
+        folder.save()
+        return folder
+
+    def save(self) -> None:
+        """Write the book."""
+        self.book["config"] = to_plain(self.config)
+        write_json(self.path / "run.json", self.book)
+
+    # -- stages
+
+    def is_finished(self, stage: str, key: str) -> bool:
+        """Whether a stage was finished with exactly this key."""
+        return bool(self.book["stages"].get(stage, {}).get("key") == key)
+
+    def was_started(self, stage: str, key: str) -> bool:
+        """Whether a stage was begun with exactly this key, so that what it left can be used."""
+        return bool(self.book["started"].get(stage) == key)
+
+    def start(self, stage: str, key: str) -> None:
+        """Note that a stage begins."""
+        self.book["started"][stage] = key
+        self.save()
+
+    def finish(self, stage: str, key: str, seconds: dict[str, float]) -> None:
+        """Note that a stage is finished, and how long its parts took."""
+        self.book["stages"][stage] = {"key": key, "seconds": {name: round(value, 2) for name, value in seconds.items()}}
+        self.save()
+
+    @property
+    def seconds(self) -> dict[str, float]:
+        """Seconds of all finished parts of all finished stages."""
+        return {name: value for stage in self.book["stages"].values() for name, value in stage["seconds"].items()}
+
+    @property
+    def scene_path(self) -> Path:
+        """The prepared scene."""
+        return self.path / "scene"
+
+    @property
+    def model_path(self) -> Path:
+        """The trained model."""
+        return self.path / "model"
+
+
+def stage_key(*parts: Any) -> str:
+    """A short hash of everything that a stage depends on."""
+    text = json.dumps([to_plain(part) for part in parts], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _new_book(source: str, fingerprint: str, config: RunConfig) -> dict[str, Any]:
+    return {
+        "version": VERSION, "flowsplat": __version__, "input": source, "fingerprint": fingerprint,
+        "config": to_plain(config), "started": {}, "stages": {},
+    }  # fmt: skip

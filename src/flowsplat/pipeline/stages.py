@@ -1,0 +1,327 @@
+"""The stages of a run. Each can be called alone; each does nothing where it is finished, and continues where it was stopped."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from flowsplat.common.devices import pick_device
+from flowsplat.common.errors import InputError
+from flowsplat.common.files import read_json, write_json
+from flowsplat.common.progress import say
+from flowsplat.evaluation.evaluate import evaluate
+from flowsplat.gaussians.gaussians4d import Gaussians4D
+from flowsplat.gaussians.initialize import initialize
+from flowsplat.gaussians.model import SceneModel
+from flowsplat.gaussians.observations import Observation, Observations, load_observations
+from flowsplat.gaussians.render import RenderedFrame
+from flowsplat.output.report import write_report
+from flowsplat.output.videos import render_videos
+from flowsplat.pictures.colors import float_to_bytes
+from flowsplat.pictures.sheets import preview_sheet
+from flowsplat.pipeline.config import RunConfig
+from flowsplat.pipeline.folder import RunFolder, stage_key
+from flowsplat.pipeline.summary import report_data
+from flowsplat.priors.prepare import prepare_priors
+from flowsplat.scenes import Scene
+from flowsplat.scenes.ingest import fingerprint, ingest, is_ingested, kind_of_input, open_clip
+from flowsplat.scenes.layers import write_image
+from flowsplat.training.checkpoint import load_model, save_model
+from flowsplat.training.config import TrainConfig
+from flowsplat.training.trainer import Trainer
+
+
+def run(source: Path, out: Path, config: RunConfig | None = None) -> dict[str, Any]:
+    """The whole way: a clip becomes a 4D scene, pictures and figures. Called again, it continues.
+
+    Args:
+        source: a video, a folder of pictures, a DAVIS root, a rig scene or a prepared scene.
+        out: folder of the run.
+        config: every setting; None = the default preset.
+
+    Returns:
+        the content of ``metrics.json``.
+
+    Raises:
+        InputError: the input, a setting or the folder cannot be used.
+    """
+    folder = prepare(source, out, config)
+    train(folder)
+    evaluate_run(folder)
+    return render_run(folder)
+
+
+def load(path: Path | str) -> SceneModel:
+    """The trained scene of a run: ``load("out").render(camera, t)`` gives arrays.
+
+    Raises:
+        InputError: there is none, or it is damaged.
+    """
+    path = Path(path)
+    if (path / "model" / "model.json").exists():
+        path = path / "model"
+    elif not (path / "model.json").exists():
+        raise InputError(f"{path} holds no trained scene yet: run flowsplat train on it first.")
+    return load_model(path)
+
+
+# -- prepare
+
+
+def prepare(source: Path, out: Path, config: RunConfig | None = None) -> RunFolder:
+    """Bring the input into a scene folder and compute what is missing of its priors."""
+    config = config or RunConfig()
+    pick_device(config.device)
+    source = Path(source)
+    kind = kind_of_input(source)
+    identity = stage_key(kind, _scene_identity(source) if kind == "scene" else fingerprint(source, config.input))
+    is_new = not (Path(out) / "run.json").exists()
+    if kind == "scene":
+        Scene(source)
+    elif is_new:
+        open_clip(source, config.input)  # Whatever is wrong with it is said before a folder is made.
+    folder = RunFolder.open_or_create(out, str(source), identity, config)
+    key = stage_key(identity, config.priors)
+    if folder.is_finished("prepare", key):
+        return folder
+    started = time.perf_counter()
+    if "prepare" in folder.book["started"] and not folder.was_started("prepare", key):
+        say("The settings of the priors changed: they are computed again.")
+        shutil.rmtree(folder.scene_path, ignore_errors=True)
+    folder.start("prepare", key)
+    try:
+        scene = _read_input(source, kind, folder.scene_path, config)
+    except InputError:
+        if is_new:
+            shutil.rmtree(folder.path, ignore_errors=True)
+        raise
+    for note in scene.info["notes"]:
+        say(note)
+    _estimate(scene, config.train)
+    ingested = time.perf_counter() - started
+    seconds = prepare_priors(scene, config.priors)
+    folder.finish("prepare", key, {"ingest": ingested, **seconds})
+    return folder
+
+
+def _read_input(source: Path, kind: str, target: Path, config: RunConfig) -> Scene:
+    """The scene folder with everything of the input in it, as far as it is not there yet."""
+    if kind == "scene":
+        return _copy_scene(source, target)
+    if (target / "scene.json").exists() and is_ingested(Scene(target)):
+        return Scene(target)
+    return ingest(open_clip(source, config.input), target, config.input)
+
+
+def _scene_identity(source: Path) -> str:
+    info = Scene(source).info
+    return stage_key({name: info[name] for name in ("name", "source", "width", "height", "timestamps", "train")})
+
+
+def _copy_scene(source: Path, target: Path) -> Scene:
+    """Link a prepared scene's files into the run: every later write replaces a file, so the original stays as it is."""
+    if not (target / "scene.json").exists():
+        partial = target.with_name(".scene.partial")
+        shutil.rmtree(partial, ignore_errors=True)
+
+        def link(origin: str, destination: str) -> None:
+            try:
+                os.link(origin, destination)
+            except OSError:
+                shutil.copy2(origin, destination)
+
+        try:
+            shutil.copytree(source, partial, copy_function=link)
+            partial.rename(target)
+        except OSError as error:
+            raise InputError(f"Cannot copy {source} to {target}: {error.strerror or error}.") from error
+    return Scene(target)
+
+
+def _estimate(scene: Scene, config: TrainConfig) -> None:
+    """Say what the run will take, from what was measured on two cores."""
+    megapixels = scene.width * scene.height / 1e6
+    frames = config.frames_per_iteration or len(scene.train_frames)
+    minutes = (scene.num_frames * 3.5 * megapixels + config.iterations * frames * (0.05 + 0.7 * megapixels)) / 60
+    gib = 1.5 + 4 * megapixels + len(scene.train_frames) * megapixels * 0.02
+    say(
+        f"{scene.num_frames} frames of {scene.width} x {scene.height}, {len(scene.heldout_frames)} of them held out: about "
+        f"{max(minutes, 0.2):.0f} minutes and {gib:.1f} GiB on two cores."
+    )
+
+
+# -- train
+
+
+def _train_key(folder: RunFolder) -> str:
+    return stage_key(folder.book["stages"].get("prepare", {}).get("key"), folder.config.train)
+
+
+def train(folder: RunFolder) -> SceneModel:
+    """Train the scene of a run, from its last checkpoint if there is one.
+
+    Raises:
+        InputError: the scene is not prepared, or something in it is damaged.
+    """
+    if "prepare" not in folder.book["stages"]:
+        raise InputError(f"{folder.path} is not prepared yet: run flowsplat prepare first.")
+    key = _train_key(folder)
+    if folder.is_finished("train", key):
+        return load_model(folder.model_path)
+    if not folder.was_started("train", key):
+        for old in ("training", "logs", "model"):
+            shutil.rmtree(folder.path / old, ignore_errors=True)
+        folder.start("train", key)
+    started = time.perf_counter()
+    scene = Scene(folder.scene_path)
+    observations = load_observations(scene)
+    config = folder.config.train
+    gaussians, history = _fit(scene, observations, config, folder.path, "training", None)
+    model = scene_model(scene, gaussians, config)
+    save_model(folder.model_path, model)
+    write_json(folder.path / "training" / "history.json", history)
+    folder.finish("train", key, {"train": time.perf_counter() - started})
+    for checkpoint in (folder.path / "training").glob("step_*.safetensors"):
+        checkpoint.unlink()
+    (folder.path / "training" / "latest.json").unlink(missing_ok=True)
+    return model
+
+
+def scene_model(scene: Scene, gaussians: Gaussians4D, config: TrainConfig) -> SceneModel:
+    """Gaussians with the space and time of their scene."""
+    first, last = float(scene.timestamps[0]), float(scene.timestamps[-1])
+    return SceneModel(gaussians, scene.similarity, first, last, config.flow_model, config.fill)
+
+
+def _fit(
+    scene: Scene, observations: Observations, config: TrainConfig, out: Path, name: str, start: Gaussians4D | None
+) -> tuple[Gaussians4D, list[dict[str, float]]]:
+    from torch.utils.tensorboard import SummaryWriter
+
+    writer = SummaryWriter(str(out / "logs" / name))
+
+    def record(entry: Mapping[str, float]) -> None:
+        for figure, value in entry.items():
+            if figure != "step":
+                writer.add_scalar(figure, value, int(entry["step"]))
+
+    def preview(step: int, frame: Observation, rendered: RenderedFrame) -> None:
+        image = rendered.colour.detach().clamp(0, 1).numpy()
+        write_image(out / "preview.png", preview_sheet(frame.image, float_to_bytes(image)))
+
+    tracks = scene.tracks if scene.has_tracks else None
+    trainer = Trainer(observations, tracks, config, out / name, preview, record, start)
+    try:
+        gaussians = trainer.run()
+    finally:
+        writer.close()
+    return gaussians, trainer.history
+
+
+def _static_model(folder: RunFolder, scene: Scene) -> SceneModel:
+    """Our own static scene: the same initial Gaussians, movers as in their middle frame, no motion, a quarter of the steps."""
+    path = folder.path / "static"
+    key = stage_key(_train_key(folder), "static")
+    if folder.is_finished("static", key):
+        return load_model(path)
+    if not folder.was_started("static", key):
+        shutil.rmtree(path, ignore_errors=True)
+        folder.start("static", key)
+    started = time.perf_counter()
+    config = folder.config.train
+    config = replace(
+        config,
+        iterations=max(1, config.iterations // 4),
+        model=replace(config.model, freeze_background=True),
+        loss=replace(config.loss, flow=0.0, rigid=0.0),
+        density=replace(config.density, revise=False),
+    )
+    observations = load_observations(scene)
+    start = initialize(observations, scene.tracks if scene.has_tracks else None, config.model, config.init, config.seed,
+                       config.density.max_gaussians)  # fmt: skip
+    keep = ~start.dynamic
+    if start.dynamic.any():
+        times = start.params["times"]
+        seen = torch.unique(times[start.dynamic])
+        keep |= start.dynamic & (times == seen[len(seen) // 2])
+    start = start.select(torch.nonzero(keep).squeeze(1))
+    start.dynamic[:] = False
+    say("Training the static scene for comparison.")
+    gaussians, _ = _fit(scene, observations, config, folder.path, "static", start)
+    model = scene_model(scene, gaussians, config)
+    save_model(path, model)
+    folder.finish("static", key, {"static": time.perf_counter() - started})
+    return model
+
+
+# -- evaluate
+
+
+def evaluate_run(folder: RunFolder) -> dict[str, Any]:
+    """Measure the trained scene; writes ``metrics.json`` and the report.
+
+    Raises:
+        InputError: there is no trained scene yet.
+    """
+    key = stage_key(_train_key(folder), folder.config.baselines)
+    metrics_path = folder.path / "metrics.json"
+    if folder.is_finished("evaluate", key) and metrics_path.exists():
+        return read_json(metrics_path)
+    model = load(folder.path)
+    scene = Scene(folder.scene_path)
+    static = _static_model(folder, scene) if folder.config.baselines == "all" else None
+    folder.start("evaluate", key)
+    started = time.perf_counter()
+    metrics: dict[str, Any] = evaluate(model, scene, folder=folder.path / "evaluation", static_model=static).metrics
+    counts = [model.active_count(float(t)) for t in scene.timestamps]
+    metrics["gaussians"] = {"total": len(model.gaussians), "active_mean": float(np.mean(counts)), "active": counts}
+    folder.finish("evaluate", key, {"evaluate": time.perf_counter() - started})
+    return _write_metrics(folder, metrics)
+
+
+def _write_metrics(folder: RunFolder, metrics: dict[str, Any]) -> dict[str, Any]:
+    peak = _peak_memory()
+    before = metrics.get("peak_memory_gib")
+    metrics["peak_memory_gib"] = max(peak, before) if peak is not None and before is not None else (peak or before)
+    metrics["seconds"] = folder.seconds
+    write_json(folder.path / "metrics.json", metrics)
+    history_path = folder.path / "training" / "history.json"
+    history = read_json(history_path) if history_path.exists() else []
+    data = report_data(folder.path, Scene(folder.scene_path), load(folder.path), metrics, history, folder.config)
+    write_report(folder.path, data)
+    return metrics
+
+
+def _peak_memory() -> float | None:
+    """GiB that this process needed at most; None where the system does not tell."""
+    try:
+        import resource
+    except ImportError:
+        return None
+    unit = 1 if sys.platform == "darwin" else 1024
+    return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 2**30, 2)
+
+
+# -- render
+
+
+def render_run(folder: RunFolder) -> dict[str, Any]:
+    """Render the videos of a run and complete its report. Returns the content of ``metrics.json``."""
+    metrics = evaluate_run(folder)
+    key = stage_key(_train_key(folder), folder.config.render)
+    if folder.is_finished("render", key):
+        return metrics
+    folder.start("render", key)
+    started = time.perf_counter()
+    render_videos(load(folder.path), Scene(folder.scene_path), folder.path / "renders", folder.config.render)
+    folder.finish("render", key, {"render": time.perf_counter() - started})
+    return _write_metrics(folder, metrics)

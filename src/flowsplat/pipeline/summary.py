@@ -1,0 +1,123 @@
+"""Figures of runs as a table for the terminal, and the material of the report."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+
+from flowsplat.common.files import read_json
+from flowsplat.gaussians.rendering import Renderer
+from flowsplat.output.report import Comparison, FlowComparison, ReportData
+from flowsplat.pipeline.config import to_plain
+from flowsplat.scenes import Scene
+from flowsplat.scenes.layers import read_image
+
+SHOWN = 6
+"""Held-out pictures of each kind in the report."""
+
+ROWS: tuple[tuple[str, tuple[str, ...], str], ...] = (
+    ("held-out frames, PSNR", ("heldout_frames", "psnr"), ".2f"),
+    ("held-out frames, SSIM", ("heldout_frames", "ssim"), ".3f"),
+    ("held-out frames, PSNR inside the masks", ("heldout_frames", "moving", "psnr"), ".2f"),
+    ("held-out views, PSNR", ("heldout_views", "psnr"), ".2f"),
+    ("held-out views, SSIM", ("heldout_views", "ssim"), ".3f"),
+    ("held-out views, PSNR of movers", ("heldout_views", "moving", "psnr"), ".2f"),
+    ("training frames, PSNR", ("training_frames", "psnr"), ".2f"),
+    ("copy of the neighbouring frame, PSNR", ("baselines", "copy", "psnr"), ".2f"),
+    ("blend of both neighbours, PSNR", ("baselines", "blend", "psnr"), ".2f"),
+    ("flow interpolation, PSNR", ("baselines", "flow_interpolation", "psnr"), ".2f"),
+    ("static scene, PSNR", ("baselines", "static", "psnr"), ".2f"),
+    ("static scene, PSNR inside the masks", ("baselines", "static", "moving", "psnr"), ".2f"),
+    ("views by warping with true depth, PSNR", ("baselines_views", "warp_by_depth", "psnr"), ".2f"),
+    ("views by warping, PSNR of movers", ("baselines_views", "warp_by_depth", "moving", "psnr"), ".2f"),
+    ("flow end-point error, median px", ("flow_epe", "median"), ".3f"),
+    ("flow end-point error, mean px", ("flow_epe", "mean"), ".3f"),
+    ("flow against the prior, median px", ("flow_prior_epe", "median"), ".3f"),
+    ("depth, relative error", ("depth_abs_rel", "all", "mean"), ".3f"),
+    ("Gaussians", ("gaussians", "total"), ",.0f"),
+    ("Gaussians rendered at a time", ("gaussians", "active_mean"), ",.0f"),
+    ("peak memory, GiB", ("peak_memory_gib",), ".1f"),
+)
+
+
+def pick(metrics: Mapping[str, Any], path: tuple[str, ...]) -> Any:
+    """The value under a path of keys; None where anything on the way is missing or null."""
+    value: Any = metrics
+    for key in path:
+        value = value.get(key) if isinstance(value, Mapping) else None
+    return value
+
+
+def figures_table(runs: Mapping[str, Mapping[str, Any]]) -> Table:
+    """One column a run; rows that no run has are left out."""
+    table = Table(box=None, pad_edge=False)
+    table.add_column("")
+    for name in runs:
+        table.add_column(name, justify="right")
+    for label, path, style in ROWS:
+        values = [pick(metrics, path) for metrics in runs.values()]
+        if any(value is not None for value in values):
+            table.add_row(label, *("–" if value is None else format(value, style) for value in values))
+    totals = [sum(metrics.get("seconds", {}).values()) for metrics in runs.values()]
+    table.add_row("seconds", *(f"{total:.0f}" for total in totals))
+    return table
+
+
+def report_data(
+    out: Path, scene: Scene, model: Renderer, metrics: Mapping[str, Any], history: Sequence[Mapping[str, float]], config: Any
+) -> ReportData:
+    """What the report of the run in ``out`` tells."""
+    book = out / "renders" / "renders.json"
+    videos = {}
+    if book.exists():
+        for name, entry in read_json(book).items():
+            videos[name], videos[f"{name}_colour"] = entry["files"]
+    counts = metrics["gaussians"]["active"]
+    verdicts = [str((scene.prior(name) or {}).get("verdict", "")) for name in ("cameras", "depth", "masks")]
+    return ReportData(
+        title=scene.name,
+        metrics=metrics,
+        history=history,
+        comparisons=list(_comparisons(out, scene)),
+        flows=list(_flows(scene, model)),
+        active=(scene.timestamps.tolist(), counts),
+        config=to_plain(config),
+        notes=[*scene.info["notes"], *(verdict for verdict in verdicts if verdict)],
+        videos=videos,
+    )
+
+
+def _spread(items: Sequence[Any], count: int) -> list[Any]:
+    """At most ``count`` of them, evenly spread, the middle one first."""
+    chosen = [items[round((k + 0.5) * len(items) / count - 0.5)] for k in range(count)] if len(items) > count else list(items)
+    middle = len(chosen) // 2
+    return chosen[middle : middle + 1] + chosen[:middle] + chosen[middle + 1 :]
+
+
+def _comparisons(out: Path, scene: Scene) -> Iterator[Comparison]:
+    """Held-out pictures beside their renderings, as the evaluation wrote them."""
+    for i in _spread(scene.heldout_frames, SHOWN):
+        rendering = out / "evaluation" / "heldout" / f"{i:05d}.png"
+        if rendering.exists():
+            yield Comparison(f"Held-out frame {i}", scene.heldout_frame(i), read_image(rendering))
+    for view in _spread(scene.views, SHOWN):
+        rendering = out / "evaluation" / "views" / f"{view.name}.png"
+        if rendering.exists():
+            yield Comparison(f"Held-out view {view.name}", scene.view_image(view), read_image(rendering))
+
+
+def _flows(scene: Scene, model: Renderer) -> Iterator[FlowComparison]:
+    """Rendered flow beside the prior, NaN where it is not trusted."""
+    train, times = scene.train_frames, scene.timestamps
+    pairs = [(i, j) for i, j in pairwise(train) if (i, j) in set(scene.flow_pairs)]
+    for i, j in _spread(pairs, 3):
+        prior = scene.flow(i, j)
+        rendered = model.render(scene.cameras[i], float(times[i]), (scene.cameras[j], float(times[j])))
+        assert rendered.flow is not None
+        shown = np.where(prior.trusted[..., None], prior.flow, np.nan)
+        yield FlowComparison(f"Frame {i} to {j}", np.where(rendered.alpha[..., None] > 0.5, rendered.flow, np.nan), shown)

@@ -1,0 +1,155 @@
+"""The last word on the cameras: many tracks, several rounds, and in each only the tracks that behave as static points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from flowsplat.priors.cameras.bundle import FocalPrior, Observations, Reconstruction, adjust, residuals
+from flowsplat.priors.cameras.growth import triangulate
+
+FAR = 100.0
+"""Points are kept within this many median depths: a ray without parallax then fixes rotations, not depths."""
+ROUNDS = (1.0, 0.5, 0.2)
+"""Scale of the Cauchy cost in pixels, a round."""
+
+
+@dataclass(frozen=True)
+class Refined:
+    """The refined cameras and what speaks for them.
+
+    Attributes:
+        state: poses of all given frames, focal length, one point a track.
+        static: [N] bool, tracks that behave as static points.
+        errors: [M] pixels, of the observations of static tracks.
+        frames: [M] the frame of each of them.
+        focal_sigma: standard deviation of log focal; infinite where the tracks do not determine it.
+    """
+
+    state: Reconstruction
+    static: np.ndarray
+    errors: np.ndarray
+    frames: np.ndarray
+    focal_sigma: float
+
+
+def place_points(state: Reconstruction, positions: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Triangulated points [N, 3]; those that come out behind a camera or too far away are put far out on their ray."""
+    points = triangulate(state, positions, seen)
+    observed = Observations.of(positions, seen)
+    _, depth = residuals(replace(state, points=points), observed)
+    median = float(np.median(depth[depth > 0])) if (depth > 0).any() else 1.0
+    nearest, farthest = np.full(len(seen), np.inf), np.zeros(len(seen))
+    np.minimum.at(nearest, observed.point, depth)
+    np.maximum.at(farthest, observed.point, depth)
+    lost = np.flatnonzero(((nearest <= 1e-3 * median) | (farthest > FAR * median)) & seen.any(1))
+    middle = _middle_view(seen[lost])
+    rays = np.concatenate([positions[lost, middle] / state.focal, np.ones((len(lost), 1))], 1) * FAR * median
+    points[lost] = np.einsum("nji,nj->ni", state.rotations[middle], rays - state.translations[middle])
+    return points
+
+
+def _middle_view(seen: np.ndarray) -> np.ndarray:
+    """[N] a frame half-way through each track."""
+    order = np.cumsum(seen, 1)
+    return (order >= (order[:, -1:] + 1) // 2).argmax(1)
+
+
+def track_errors(state: Reconstruction, positions: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """[N] pixels: root mean square reprojection error of each track, infinite where it lies behind a camera."""
+    observed = Observations.of(positions, seen)
+    error, depth = residuals(state, observed)
+    squares = np.bincount(observed.point, np.where(depth > 0, error**2, np.inf), len(seen))
+    return np.sqrt(squares / np.maximum(seen.sum(1), 1))
+
+
+def ray_points(state: Reconstruction, positions: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Points [N, 3] at distance 1 in the mean direction of each track's rays, for cameras that share one centre."""
+    observed = Observations.of(positions, seen)
+    rays = np.concatenate([observed.uv / state.focal, np.ones((len(observed.uv), 1))], 1)
+    rays = np.einsum("mji,mj->mi", state.rotations[observed.camera], rays / np.linalg.norm(rays, axis=1, keepdims=True))
+    points = np.stack([np.bincount(observed.point, rays[:, k], len(seen)) for k in range(3)], 1)
+    return points / np.maximum(np.linalg.norm(points, axis=1, keepdims=True), 1e-12)
+
+
+def misfit(state: Reconstruction, positions: np.ndarray, seen: np.ndarray, *, free_translations: bool = True) -> float:
+    """How badly the cameras explain the tracks they explain best, so many that these hold 60 % of the observations.
+
+    Assumes that most of what is seen stands still. A mean robust cost without unit, comparable between cameras for the
+    same tracks, whatever tracks each of them was fitted to.
+    """
+    place = place_points if free_translations else ray_points
+    placed = replace(state, points=place(state, positions, seen))
+    observed = Observations.of(positions, seen)
+    error, depth = residuals(placed, observed)
+    cost = np.log1p((np.where(depth > 0, np.minimum(error, 10.0), 10.0) / 0.5) ** 2)
+    counts = seen.sum(1)
+    totals = np.bincount(observed.point, cost, len(seen))
+    order = np.argsort(totals / np.maximum(counts, 1), kind="stable")
+    best = order[np.cumsum(counts[order]) <= 0.6 * counts.sum()]
+    return float(totals[best].sum() / max(counts[best].sum(), 1))
+
+
+def refine(
+    state: Reconstruction,
+    positions: np.ndarray,
+    seen: np.ndarray,
+    *,
+    fixed_camera: int,
+    expected_focal: float,
+    free_focal: bool = True,
+    free_translations: bool = True,
+    keep_points: bool = False,
+) -> Refined:
+    """Alternate between picking static tracks and adjusting everything to them.
+
+    Args:
+        state: poses to start from.
+        positions: [N, T, 2] pixels from the principal point.
+        seen: [N, T].
+        expected_focal: pixels; decides where the tracks leave the focal length open.
+        keep_points: start from the points of ``state`` instead of triangulating them.
+    """
+    static = np.zeros(len(seen), bool)
+    precision = 0.0
+    place = place_points if free_translations else ray_points
+    for number, scale in enumerate(ROUNDS):
+        if number > 0 or not keep_points:
+            state = replace(state, points=place(state, positions, seen))
+        static = _behaving(track_errors(state, positions, seen), scale)
+        tracks = np.flatnonzero(static)
+        if len(tracks) == 0:
+            break
+        observed = Observations.of(positions[tracks], seen[tracks])
+        prior = FocalPrior(expected_focal, _prior_weight(replace(state, points=state.points[tracks]), observed, scale))
+        done = adjust(
+            replace(state, points=state.points[tracks]), observed, iterations=40, scale=scale, fixed_camera=fixed_camera,
+            free_focal=free_focal, free_translations=free_translations, prior=prior, tolerance=1e-6,
+        )  # fmt: skip
+        points = state.points.copy()
+        points[tracks] = done.reconstruction.points
+        state, precision = replace(done.reconstruction, points=points), max(done.focal_precision - prior.weight, 0.0)
+    tracks = np.flatnonzero(static)
+    observed = Observations.of(positions[tracks], seen[tracks])
+    error, _ = residuals(replace(state, points=state.points[tracks]), observed)
+    # The errors of one track are alike from frame to frame: a track counts as one observation, not as its length.
+    variance = float(np.median(error) ** 2) * len(error) / max(len(tracks), 1)
+    sigma = float(np.sqrt(variance / precision)) if precision > 0 else float("inf")
+    return Refined(state, static, error, observed.camera, sigma)
+
+
+def _behaving(errors: np.ndarray, scale: float) -> np.ndarray:
+    """Tracks whose error is within three times that of the better half, or within the scale."""
+    finite = errors[np.isfinite(errors)]
+    limit = max(scale, 3.0 * float(np.median(finite))) if len(finite) else scale
+    return errors <= limit
+
+
+def _prior_weight(state: Reconstruction, observed: Observations, scale: float) -> float:
+    """Weight of the expected focal length: a wrong factor of e costs as much as a twentieth of all residuals.
+
+    Lens distortion and drifting tracks change the cost by about that much, so less is no evidence about the focal length.
+    """
+    error, _ = residuals(state, observed)
+    return 0.05 * scale**2 * float(np.log1p((error / scale) ** 2).sum())

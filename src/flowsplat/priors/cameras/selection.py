@@ -1,0 +1,36 @@
+"""Which tracks the cameras are computed from: long ones, spread over all frames and over the picture."""
+
+from __future__ import annotations
+
+import numpy as np
+
+GRID = (8, 6)
+"""Columns and rows of the cells that tracks are spread over."""
+
+
+def choose_tracks(
+    positions: np.ndarray, seen: np.ndarray, width: float, height: float, per_cell: int, shortest: int = 3
+) -> np.ndarray:
+    """Indices of tracks, longest first, until every cell of every frame holds about ``per_cell`` of them.
+
+    Args:
+        positions: [N, T, 2] pixels of the frames.
+        seen: [N, T].
+        shortest: frames that a track must have been seen in.
+    """
+    lengths = seen.sum(1)
+    track, frame = np.nonzero(seen)
+    where = positions[track, frame] / [width, height] * GRID
+    column, row = np.clip(where.astype(int), 0, np.array(GRID) - 1).T
+    cell = (frame * GRID[1] + row) * GRID[0] + column
+    first = np.searchsorted(track, np.arange(len(seen) + 1))
+    room = np.full(seen.shape[1] * GRID[0] * GRID[1], per_cell)
+    chosen = []
+    for n in np.argsort(-lengths, kind="stable"):
+        if lengths[n] < shortest:
+            break
+        cells = cell[first[n] : first[n + 1]]
+        if (room[cells] > 0).mean() > 0.3:
+            room[cells] -= 1
+            chosen.append(n)
+    return np.sort(np.array(chosen, int))

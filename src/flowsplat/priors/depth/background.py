@@ -1,0 +1,102 @@
+"""Depth of the static scene in every frame: weighed, fused with the neighbours, filled."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import cv2
+import numpy as np
+
+from flowsplat.geometry import Camera
+from flowsplat.priors.depth.clip import SolvedClip
+from flowsplat.priors.depth.fill import fill
+from flowsplat.priors.depth.fuse import fuse
+from flowsplat.priors.depth.movers import uncover
+
+FUSED_WITH = (2, 4, 8, 16)
+"""Training frames before and after, whose depth is fused with a frame's own."""
+
+PLATE_FROM = (2, 4, 8, 16, 24)
+"""Training frames before and after, from which hidden background is taken."""
+
+NEAREST, FURTHEST = 20.0, 0.03
+"""Inverse depths outside these multiples of the clip's median are mistakes."""
+
+SURE = 5.0
+"""Weight from which a value speaks for pixels of other frames, and below which it gives way to theirs."""
+
+_REJECTED = 0.02
+"""What remains of a weight that more neighbours contradict than confirm."""
+
+_PLATE_SMOOTHNESS = 100.0
+
+_KEPT = 2 * PLATE_FROM[-1] + 16
+"""Frames in memory: on a walk over the clip every one is asked for again until it lies behind the furthest neighbour."""
+
+
+class Background:
+    """The static scene of a clip with parallax, by position in the training frames, at working resolution."""
+
+    def __init__(self, clip: SolvedClip, has_masks: bool):
+        self._clip, self._has_masks = clip, has_masks
+        self._own = lru_cache(maxsize=_KEPT)(self._weighed)
+        self._uncovered = lru_cache(maxsize=1)(self._uncover)
+        self._fused = lru_cache(maxsize=_KEPT)(self._fuse)
+
+    def mask(self, k: int) -> np.ndarray:
+        """Object numbers [h, w]; all 0 where there are no masks yet."""
+        if self._has_masks:
+            return self._clip.mask(k)
+        return np.zeros((self._clip.height, self._clip.width), np.uint8)
+
+    def plate(self, k: int) -> np.ndarray:
+        """Inverse depth [h, w] of the static scene, also behind movers, whose own edges play no part in it."""
+        values, weights = self._uncovered(k)
+        return fill(values, weights, np.zeros((*values.shape, 3), np.uint8), _PLATE_SMOOTHNESS)[0]
+
+    def filled(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """(inverse depth, weight) of the static scene, each [h, w]: along the picture's edges where nothing is known."""
+        values, weights = self._uncovered(k)
+        inverse, support = fill(values, weights, self._clip.image(k))
+        return inverse, weights + np.float32(0.1) * support
+
+    def _around(self, k: int, offsets: tuple[int, ...]) -> list[int]:
+        return [j for offset in offsets for j in (k - offset, k + offset) if 0 <= j < len(self._clip)]
+
+    def _uncover(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        values, weights, camera = self._fused(k)
+        others = [self._sure(j) for j in self._around(k, PLATE_FROM)]
+        return uncover(_swollen(self.mask(k)) | (weights < SURE), values, weights, camera, others)
+
+    def _weighed(self, k: int) -> tuple[np.ndarray, np.ndarray, Camera]:
+        solution, median = self._clip[k], self._clip.median
+        inverse = solution.inverse_depth
+        sane = (inverse > FURTHEST * median) & (inverse < NEAREST * median) & (solution.information > 1)
+        weight = np.clip(solution.information, 0, 400) / (1 + solution.motion**2)
+        return inverse, np.where(sane & ~_swollen(self.mask(k)), weight, 0).astype(np.float32), self._clip.cameras[k]
+
+    def _fuse(self, k: int) -> tuple[np.ndarray, np.ndarray, Camera]:
+        values, weights, camera = self._own(k)
+        inverse, mass, votes = fuse(values, weights, camera, [self._own(j) for j in self._around(k, FUSED_WITH)])
+        mass = np.where(votes >= 0, mass, np.float32(_REJECTED) * mass) * _away_from_edges(inverse, weights)
+        return inverse, mass, camera
+
+    def _sure(self, k: int) -> tuple[np.ndarray, np.ndarray, Camera]:
+        values, weights, camera = self._fused(k)
+        return values, np.where(weights > SURE, weights, 0).astype(np.float32), camera
+
+
+def _swollen(mask: np.ndarray) -> np.ndarray:
+    """bool [h, w]: movers and what is so close that the flow search takes it along."""
+    return cv2.dilate((mask > 0).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+
+
+def _away_from_edges(inverse: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """[h, w] float32: near 0 where depth jumps within 3 pixels, because flow lets near surfaces swell; else near 1."""
+    kernel = np.ones((7, 7), np.uint8)
+    known = weights > 0
+    high = cv2.dilate(np.where(known, inverse, 0).astype(np.float32), kernel)
+    low = cv2.erode(np.where(known, inverse, np.inf).astype(np.float32), kernel)
+    jump = np.zeros_like(inverse)
+    jump[known] = np.minimum((high[known] - low[known]) / inverse[known], 10)
+    return 1 / (1 + (jump / np.float32(0.1)) ** 4)

@@ -1,0 +1,58 @@
+"""From scattered, weighted inverse depth to a value for every pixel, along the edges of the picture."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+SMOOTHNESS = 30.0
+
+HELP = 50.0
+"""Weight of a smoothed value against that of the value itself."""
+
+BROAD_SMOOTHNESS = 10_000.0
+"""Of the trend, which knows no edges."""
+
+DOUBT = 0.1
+"""Weight of the trend."""
+
+COLOUR_SIGMA = 8.0
+"""Grey levels across which the smoother no longer reaches."""
+
+
+def fill(
+    values: np.ndarray, weights: np.ndarray, guide: np.ndarray, smoothness: float = SMOOTHNESS
+) -> tuple[np.ndarray, np.ndarray]:
+    """Weighted edge-aware smoothing (fast global smoother, https://doi.org/10.1109/TIP.2014.2366600).
+
+    The smoother prefers constant surfaces; a value of large weight is therefore kept, and the smoothed one only helps
+    out with a weight of ``HELP``. What has hardly any support within its edges follows the trend across them.
+
+    Args:
+        values: [h, w] float32; where the weight is 0 they do not count.
+        weights: [h, w] float32 >= 0.
+        guide: RGB [h, w, 3] uint8.
+
+    Returns:
+        Values [h, w] float32 and the smoothed weights [h, w] float32 that support them. Without any weight all values
+        are the mean of the input.
+    """
+    smoother = cv2.ximgproc.createFastGlobalSmootherFilter(np.ascontiguousarray(guide), smoothness, COLOUR_SIGMA)
+    broad = cv2.ximgproc.createFastGlobalSmootherFilter(np.zeros_like(guide), BROAD_SMOOTHNESS, COLOUR_SIGMA)
+    known = weights > 0
+    center = float(np.average(values[known], weights=weights[known])) if known.any() else float(values.mean())
+    # Smoothed about the mean, so that the floor of the weights pulls nowhere but to it.
+    offsets = np.where(known, values - center, 0).astype(np.float32)
+    weights = weights.astype(np.float32)
+    support = smoother.filter(weights)
+    floor = np.float32(1e-6 * max(float(weights.max()), 1e-12))
+    trend = broad.filter(offsets * weights) / np.maximum(broad.filter(weights) + floor, 1e-30)
+    smooth = (smoother.filter(offsets * weights) + DOUBT * trend) / (support + DOUBT)
+    blended = (weights * offsets + HELP * smooth) / (weights + HELP)
+    return (blended + center).astype(np.float32), support
+
+
+def upsample(values: np.ndarray, guide: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Half resolution [h, w] to [height, width]: bilinear, then pulled to the edges of the guide [height, width, 3]."""
+    large = cv2.resize(values, (width, height), interpolation=cv2.INTER_LINEAR)
+    return cv2.ximgproc.fastGlobalSmootherFilter(np.ascontiguousarray(guide), large, 4.0, COLOUR_SIGMA)

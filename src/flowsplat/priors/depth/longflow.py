@@ -1,0 +1,70 @@
+"""Flow between training frames that lie several frames apart: composed from shorter flows, then refined."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from flowsplat.priors.flow import compose, dis_flow, forward_backward_confidence, grey
+from flowsplat.scenes import Scene
+
+STRIDES = (1, 2, 4, 8, 16)
+"""Steps between training frames, each twice the one before."""
+
+
+def working_size(scene: Scene) -> tuple[int, int]:
+    """(width, height) of half the resolution, at which depth and motion are solved."""
+    return max(8, scene.width // 2), max(8, scene.height // 2)
+
+
+class LongFlows:
+    """Flows in working pixels between training frames, by their position in ``scene.train_frames``.
+
+    Computed when asked for and kept until ``forget``; a walk over the clip keeps about 8 strides x 16 frames.
+    """
+
+    def __init__(self, scene: Scene):
+        self._scene = scene
+        self._width, self._height = working_size(scene)
+        self._flows: dict[tuple[int, int], np.ndarray] = {}
+        self._grey: dict[int, np.ndarray] = {}
+
+    def neighbours(self, k: int) -> list[int]:
+        """The positions one, two, four and eight steps before and after ``k``, as far as they exist."""
+        count = len(self._scene.train_frames)
+        return [j for stride in STRIDES for j in (k - stride, k + stride) if 0 <= j < count]
+
+    def forget(self, before: int) -> None:
+        """Drop what no frame from position ``before`` on needs."""
+        self._flows = {pair: flow for pair, flow in self._flows.items() if max(pair) >= before}
+        self._grey = {k: image for k, image in self._grey.items() if k >= before - STRIDES[-1]}
+
+    def matches(self, a: int, b: int) -> tuple[np.ndarray, np.ndarray]:
+        """(flow [h, w, 2], confidence [h, w]) from ``a`` to ``b``, which are a stride apart, in working pixels."""
+        forward = self._flow(a, b)
+        return forward, forward_backward_confidence(forward, self._flow(b, a))
+
+    def _flow(self, a: int, b: int) -> np.ndarray:
+        if (a, b) not in self._flows:
+            if abs(a - b) == 1:
+                frames = self._scene.train_frames
+                flow = self._scene.flow(frames[a], frames[b]).flow
+            else:
+                half = (a + b) // 2
+                guess = self._resized(compose(self._flow(a, half), self._flow(half, b)), self._scene.width, self._scene.height)
+                flow = dis_flow(self._image(a), self._image(b), guess)
+            self._flows[a, b] = self._resized(flow, self._width, self._height)
+        return self._flows[a, b]
+
+    def _image(self, k: int) -> np.ndarray:
+        if k not in self._grey:
+            self._grey[k] = grey(self._scene.frame(self._scene.train_frames[k]))
+        return self._grey[k]
+
+    @staticmethod
+    def _resized(flow: np.ndarray, width: int, height: int) -> np.ndarray:
+        """The same flow on another grid, in the pixels of that grid."""
+        old_height, old_width = flow.shape[:2]
+        method = cv2.INTER_AREA if width < old_width else cv2.INTER_LINEAR
+        scale = np.array([width / old_width, height / old_height], np.float32)
+        return cv2.resize(flow, (width, height), interpolation=method) * scale

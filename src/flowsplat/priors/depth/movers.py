@@ -1,0 +1,105 @@
+"""Depth of moving objects: upright cards that stand where the scene behind them ends.
+
+Matches say nothing about the depth of what moves. But every static point that other frames show at the pixels of a
+mover lies behind it: these points are its clean plate. The nearest of them is the ground at its feet, if it stands on
+the ground, and in any case the furthest it can be away. So a mover is as near as the near end of its plate, and no pixel
+of it lies behind the plate (METHOD 7: the order of movers beats the error of their depth).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numba import njit
+from scipy.ndimage import gaussian_filter1d, percentile_filter
+
+from flowsplat.geometry import Camera
+
+NEAR_END = 92.0
+"""Percentile of the plate's inverse depth at which a mover stands: not the nearest pixel, which a leak of the mask may hold."""
+
+MARGIN = 1.03
+"""How much nearer than its plate a mover is kept everywhere."""
+
+WINDOW, NEAR_TIMES = 15, 75
+"""Training frames whose cards are compared, and the percentile of their inverse depth that is taken."""
+
+SMOOTHING = 3.0
+"""Training frames: standard deviation of the smoothing of a card's inverse depth over time."""
+
+
+def uncover(
+    hidden: np.ndarray,
+    inverse_depth: np.ndarray,
+    weight: np.ndarray,
+    camera: Camera,
+    others: Sequence[tuple[np.ndarray, np.ndarray, Camera]],
+) -> tuple[np.ndarray, np.ndarray]:
+    """Static inverse depth and its weight, each [h, w] float32, with ``hidden`` pixels that other frames know put in.
+
+    Args:
+        hidden: bool [h, w], movers and what is too close to them, and pixels that the frame itself is not sure of.
+        inverse_depth: [h, w] of the frame itself, with its weight and camera.
+        others: inverse depth, weight (0 on movers) and camera of other frames.
+    """
+    found, found_weight = np.zeros_like(inverse_depth), np.zeros_like(weight)
+    for other_values, other_weight, other in others:
+        intrinsics = np.array([[c.K[0, 0], c.K[1, 1], c.K[0, 2], c.K[1, 2]] for c in (other, camera)])
+        pose = (camera.viewmat @ np.linalg.inv(other.viewmat))[:3]
+        _splat(other_values, other_weight, intrinsics, pose, found, found_weight)
+    better = hidden & (found_weight > weight)
+    return np.where(better, found, inverse_depth), np.where(better, found_weight, weight)
+
+
+@njit(cache=True)
+def _splat(
+    inverse: np.ndarray, weight: np.ndarray, intrinsics: np.ndarray, pose: np.ndarray, out: np.ndarray, out_weight: np.ndarray
+) -> None:
+    """Carry every known pixel to another camera; the nearest point wins a pixel."""
+    h, w = inverse.shape
+    K, L = intrinsics[0], intrinsics[1]
+    for y in range(h):
+        for x in range(w):
+            if weight[y, x] <= 0:
+                continue
+            z = 1.0 / inverse[y, x]
+            px, py = (x + 0.5 - K[2]) / K[0] * z, (y + 0.5 - K[3]) / K[1] * z
+            qz = pose[2, 0] * px + pose[2, 1] * py + pose[2, 2] * z + pose[2, 3]
+            if qz <= 1e-3 * z:
+                continue
+            c = int(np.floor(L[0] * (pose[0, 0] * px + pose[0, 1] * py + pose[0, 2] * z + pose[0, 3]) / qz + L[2]))
+            r = int(np.floor(L[1] * (pose[1, 0] * px + pose[1, 1] * py + pose[1, 2] * z + pose[1, 3]) / qz + L[3]))
+            if 0 <= c < w and 0 <= r < h and 1.0 / qz > out[r, c]:
+                out[r, c] = 1.0 / qz
+                out_weight[r, c] = weight[y, x]
+
+
+def card(mask: np.ndarray, plate: np.ndarray) -> float:
+    """Inverse depth of the upright card that stands for one object (bool [h, w]) in front of its plate [h, w].
+
+    The nearer of the near end of the plate inside the object, and the ground just below its lowest part.
+    """
+    kernel = np.ones((5, 5), np.uint8)
+    inside = cv2.erode(mask.astype(np.uint8), kernel) > 0
+    near_end = np.percentile(plate[inside if inside.sum() >= 20 else mask], NEAR_END)
+    rows, columns = np.nonzero(mask)
+    extent = rows.max() - rows.min()
+    foot = columns[rows >= rows.max() - max(2, extent // 12)]
+    left, right = np.percentile(foot, [5, 95]).astype(int)
+    below = min(rows.max() + extent // 20, mask.shape[0] - 1)
+    return float(max(near_end, np.median(plate[below - 1 : below + 1, left : right + 1])))
+
+
+def smooth_cards(cards: np.ndarray) -> np.ndarray:
+    """Inverse depths [T] of one object over time, NaN where it is not seen, smoothed; stays NaN there.
+
+    The near end of a window counts: what an object passes in front of at one time bounds its distance at others.
+    """
+    seen = np.isfinite(cards)
+    if not seen.any():
+        return cards
+    filled = np.interp(np.arange(len(cards)), np.flatnonzero(seen), cards[seen])
+    near = percentile_filter(filled, NEAR_TIMES, size=WINDOW, mode="nearest")
+    return np.where(seen, gaussian_filter1d(near, SMOOTHING, mode="nearest"), np.nan)

@@ -1,0 +1,103 @@
+"""Optical flow without weights: Dense Inverse Search (https://arxiv.org/abs/1603.03590) both ways, and its check."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import cv2
+import numpy as np
+
+from flowsplat.common.progress import track
+from flowsplat.geometry.cameras import pixel_grid
+from flowsplat.scenes import Flow, Scene
+
+SMALLEST_SIDE = 64
+"""Pixels. Smaller pictures are enlarged, because the search needs room for its patches."""
+
+_ROW = 16384
+"""Points in a row given to ``cv2.remap``, which takes at most 32767."""
+
+
+def grey(image: np.ndarray) -> np.ndarray:
+    """RGB [H, W, 3] uint8 to grey [H, W] uint8."""
+    return cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+
+
+def dis_flow(a: np.ndarray, b: np.ndarray, initial: np.ndarray | None = None) -> np.ndarray:
+    """Flow [H, W, 2] float32 in pixels from grey ``a`` to grey ``b`` (both [H, W] uint8).
+
+    Args:
+        initial: a first guess [H, W, 2], for large displacements.
+    """
+    height, width = a.shape
+    factor = -(-SMALLEST_SIDE // min(height, width))
+    if factor > 1:
+        size = (width * factor, height * factor)
+        a, b = (cv2.resize(image, size, interpolation=cv2.INTER_LINEAR) for image in (a, b))
+        initial = None if initial is None else cv2.resize(initial, size) * factor
+    search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    a, b = np.ascontiguousarray(a), np.ascontiguousarray(b)
+    if initial is None:
+        flow = search.calc(a, b, None)
+    else:
+        flow = search.calc(a, b, np.array(initial, np.float32, order="C"))  # a copy: the guess is overwritten
+    if factor > 1:
+        flow = cv2.resize(flow, (width, height), interpolation=cv2.INTER_AREA) / factor
+    return np.asarray(flow, np.float32)
+
+
+def sample_map(values: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Bilinear samples [N, C] of a map [H, W] or [H, W, C <= 4] at pixel positions [N, 2] (centres at +0.5).
+
+    Outside the map its border continues. The precision of a position is 1/32 pixel.
+    """
+    channels = 1 if values.ndim == 2 else values.shape[2]
+    count = len(points)
+    rows = -(-count // _ROW)
+    if rows == 0:
+        return np.zeros((0, channels), values.dtype)
+    where = np.zeros((rows * min(count, _ROW), 2), np.float32)
+    where[:count] = np.nan_to_num(points, nan=-1.0, posinf=1e6, neginf=-1e6) - 0.5
+    x, y = where.reshape(rows, -1, 2).transpose(2, 0, 1).copy()
+    sampled = cv2.remap(np.ascontiguousarray(values), x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return sampled.reshape(-1, channels)[:count]
+
+
+def _inside(points: np.ndarray, width: int, height: int) -> np.ndarray:
+    return (points >= 0).all(-1) & (points[..., 0] <= width) & (points[..., 1] <= height)
+
+
+def forward_backward_confidence(forward: np.ndarray, backward: np.ndarray) -> np.ndarray:
+    """Confidence [H, W] float32 between 0 and 1 of ``forward`` [H, W, 2], given the flow back.
+
+    With the round trip's error e and the limit l = 0.5 + 0.05 |forward| pixels it is 1 / (1 + (e / l)^2): 1 for a
+    perfect round trip, one half at the limit, and 0 where the target lies outside the picture.
+    """
+    height, width = forward.shape[:2]
+    target = pixel_grid(width, height) + forward
+    returned = sample_map(backward, target.reshape(-1, 2)).reshape(forward.shape)
+    error = np.linalg.norm(forward + returned, axis=-1)
+    limit = 0.5 + 0.05 * np.linalg.norm(forward, axis=-1)
+    return np.where(_inside(target, width, height), 1 / (1 + (error / limit) ** 2), 0).astype(np.float32)
+
+
+def compose(ab: np.ndarray, bc: np.ndarray) -> np.ndarray:
+    """Flow from a to c [H, W, 2] out of the flows from a to b and from b to c."""
+    height, width = ab.shape[:2]
+    target = pixel_grid(width, height) + ab
+    return ab + sample_map(bc, target.reshape(-1, 2)).reshape(ab.shape)
+
+
+def flow_stage(scene: Scene) -> None:
+    """Flow between consecutive training frames (8 and 10 where 9 is held out), both ways; existing pairs are kept."""
+    frames = scene.train_frames
+    done = set(scene.flow_pairs)
+    medians = []
+    for i, j in track(list(pairwise(frames)), "Flow"):
+        if not {(i, j), (j, i)} <= done:
+            a, b = grey(scene.frame(i)), grey(scene.frame(j))
+            forward, backward = dis_flow(a, b), dis_flow(b, a)
+            scene.write_flow(Flow(i, j, forward, forward_backward_confidence(forward, backward)))
+            scene.write_flow(Flow(j, i, backward, forward_backward_confidence(backward, forward)))
+        medians.append(float(np.median(scene.flow(i, j).confidence)))
+    scene.finish_prior("flow", method="dis", median_confidence=round(float(np.median(medians)), 4))

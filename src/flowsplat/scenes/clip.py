@@ -1,0 +1,260 @@
+"""The clip: an input in its own form (video, pictures, ...), opened, with the frames that were chosen from it.
+
+A format module opens its files as a ``Clip``; ``ingest`` writes any ``Clip`` into a scene folder. Nothing here reads files.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+import cv2
+import numpy as np
+
+from flowsplat.common.errors import InputError
+from flowsplat.geometry import Camera
+from flowsplat.scenes.layers import Depth, Flow, Tracks
+from flowsplat.scenes.scene import HeldoutView
+
+LONG_SIDE = 854
+"""Pixels of the long side to which larger input is brought unless the user says otherwise (DAVIS 480p)."""
+SHORTEST_SIDE = 32
+"""Pixels below which neither flow nor cameras can be estimated."""
+WIDEST_STEP = 0.5
+"""Seconds between two kept frames above which the user is told that the motion will hardly be followed."""
+
+
+@dataclass(frozen=True)
+class InputOptions:
+    """What to take from the input, and what to hold out."""
+
+    start: float | None = None
+    """First second of the input to use; the default is its beginning."""
+    end: float | None = None
+    """Last second of the input to use; the default is its end."""
+    every: int | None = None
+    """Use one frame in so many; the default is the smallest number that leaves at most max_frames frames."""
+    max_frames: int = 100
+    """Use at most so many frames."""
+    resize: int | None = None
+    """Long side of the frames in pixels, 0 to keep their size; the default is at most 854. Frames are never enlarged."""
+    holdout: int | None = 10
+    """Hold one frame in so many out of training, to measure with; none trains on all. Input with held-out cameras trains on all."""
+    sequence: str | None = None
+    """Name of the sequence, where the input is the root folder of the DAVIS data set."""
+    fps: float = 24.0
+    """Frames a second of a folder of pictures."""
+
+    def check(self) -> None:
+        """Refuse values that make no sense.
+
+        Raises:
+            InputError: names the option.
+        """
+        rules = {
+            "start": (self.start is None or 0 <= self.start < np.inf, "must be 0 or more seconds"),
+            "end": (self.end is None or (self.start or 0) < self.end < np.inf, "must be later than --start"),
+            "every": (self.every is None or self.every >= 1, "must be 1 or more"),
+            "max-frames": (self.max_frames >= 2, "must be 2 or more"),
+            "resize": (
+                self.resize is None or self.resize == 0 or self.resize >= SHORTEST_SIDE,
+                f"must be 0 (keep the size) or {SHORTEST_SIDE} or more pixels",
+            ),
+            "holdout": (self.holdout is None or self.holdout >= 2, "must be 2 or more, or none"),
+            "fps": (0 < self.fps < np.inf, "must be more than 0"),
+        }
+        for name, (holds, rule) in rules.items():
+            if not holds:
+                raise InputError(f"--{name} {getattr(self, name.replace('-', '_'))} {rule}.")
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Which frames of the input were chosen.
+
+    Attributes:
+        numbers: [T] rising numbers of frames in the input.
+        timestamps: [T] float64 seconds, the first 0.
+        start: seconds of the input's own time at the first chosen frame.
+        notes: what was dropped and which option changes it, in sentences for the user.
+    """
+
+    numbers: np.ndarray
+    timestamps: np.ndarray
+    start: float
+    notes: list[str]
+
+
+def select_frames(seconds: np.ndarray, options: InputOptions, source: str) -> Selection:
+    """Choose frames by time, then thin them out evenly until at most ``max_frames`` remain.
+
+    An automatic ``every`` thins until all of the time span fits; a chosen one is kept, and what does not fit is cut off the end.
+
+    Args:
+        seconds: [N] rising, when each frame of the input is shown.
+        source: name of the input, for messages.
+
+    Raises:
+        InputError: fewer than two frames remain.
+    """
+    seconds = np.asarray(seconds, np.float64)
+    if len(seconds) < 2:
+        raise InputError(f"{source} has {len(seconds)} frame(s): a moving scene needs at least two frames.")
+    elapsed = seconds - seconds[0]
+    # Half a millisecond of slack: a time typed with three decimals means the frame that is shown then.
+    first, last = (options.start or 0) - 5e-4, (np.inf if options.end is None else options.end) + 5e-4
+    inside = np.flatnonzero((elapsed >= first) & (elapsed <= last))
+    notes = []
+    if len(inside) < len(seconds):
+        notes.append(f"Used {len(inside)} of {len(seconds)} frames, chosen by --start and --end.")
+    every = options.every or max(1, -(-len(inside) // options.max_frames))
+    thinned = inside[::every]
+    numbers = thinned[: options.max_frames]
+    if every > 1:
+        change = "--every" if options.every else "--every or --max-frames"
+        notes.append(f"Kept one frame in {every}, {len(thinned)} of {len(inside)}: change with {change}.")
+    if len(numbers) < len(thinned):
+        dropped = elapsed[inside[-1]] - elapsed[numbers[-1]]
+        notes.append(
+            f"Cut off the last {dropped:.1f} seconds, to {len(numbers)} frames: change with --every or --max-frames."
+        )
+    if len(numbers) < 2:
+        raise InputError(
+            f"{source}: {len(numbers)} of {len(seconds)} frames over {elapsed[-1]:.3g} seconds remain, but a moving scene needs "
+            "at least two frames: change --start, --end or --every."
+        )
+    widest = float(np.diff(elapsed[numbers]).max())
+    if widest > WIDEST_STEP:
+        notes.append(
+            f"Kept frames are up to {widest:.1f} seconds apart, which is wide for following motion: "
+            "choose a shorter piece with --start and --end."
+        )
+    return Selection(numbers, elapsed[numbers] - elapsed[numbers[0]], float(seconds[numbers[0]]), notes)
+
+
+def working_size(width: int, height: int, options: InputOptions, source: str) -> tuple[tuple[int, int], list[str]]:
+    """((width, height) to work at, notes for the user).
+
+    Raises:
+        InputError: too small to work with.
+    """
+    long_side = LONG_SIDE if options.resize is None else options.resize
+    scale = min(1.0, long_side / max(width, height)) if long_side else 1.0
+    size = max(1, round(width * scale)), max(1, round(height * scale))
+    if min(size) < SHORTEST_SIDE:
+        raise InputError(
+            f"{source}: frames of {size[0]}x{size[1]} pixels are too small: both sides must have {SHORTEST_SIDE} pixels or more."
+        )
+    if size == (width, height):
+        return size, []
+    return size, [f"Resized from {width}x{height} to {size[0]}x{size[1]}: change with --resize."]
+
+
+def resize_picture(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Bring a picture [H, W] or [H, W, C] to (width, height): the mean over areas when it shrinks, cubic when it grows."""
+    if image.shape[1::-1] == size:
+        return image
+    shrinks = size[0] <= image.shape[1] and size[1] <= image.shape[0]
+    return cv2.resize(image, size, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_CUBIC)
+
+
+def resize_labels(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Bring masks, depth or flow [H, W] or [H, W, C] to (width, height) without mixing values of neighbours."""
+    if image.shape[1::-1] == size:
+        return image
+    return cv2.resize(image, size, interpolation=cv2.INTER_NEAREST_EXACT)
+
+
+class Truth(Protocol):
+    """What is known exactly about a rendered clip, by the numbers of its chosen frames and at its working size."""
+
+    @property
+    def cameras(self) -> Sequence[Camera]:
+        """One camera a frame."""
+
+    @property
+    def flow_pairs(self) -> Sequence[tuple[int, int]]:
+        """The pairs of frames between which flow is known."""
+
+    @property
+    def tracks(self) -> Tracks:
+        """Points [P, T, 3] in the world."""
+
+    def depth(self, i: int) -> Depth:
+        """Depth of frame ``i``."""
+
+    def flow(self, i: int, j: int) -> Flow:
+        """Flow between a pair of ``flow_pairs``."""
+
+    def mask(self, i: int) -> np.ndarray:
+        """[H, W] object numbers of frame ``i``, 0 = background."""
+
+
+@dataclass(frozen=True)
+class ViewPicture:
+    """A picture by another camera: RGB [H, W, 3] uint8, and [H, W] bool movers and pixels that the clip saw, where known."""
+
+    view: HeldoutView
+    image: np.ndarray
+    mask: np.ndarray | None = None
+    covisible: np.ndarray | None = None
+
+
+@dataclass(kw_only=True)
+class Clip(ABC):
+    """An opened input. Frame ``i`` counts the chosen frames; pictures are read when asked for, never all at once.
+
+    Attributes:
+        name: short name for files and titles.
+        source: where it came from, for provenance.
+        width: pixels of the frames as they are delivered.
+        height: pixels.
+        timestamps: [T] float64 seconds, rising, the first 0.
+        source_fps: frames a second of the input, dropped frames included.
+        notes: what was dropped or converted and which option changes it, in sentences for the user.
+        audio: file with the sound that belongs to the clip.
+        audio_start: seconds in that file's presentation time at which the clip starts.
+        has_masks: whether masks came with the input.
+        truth: what is known exactly.
+    """
+
+    name: str
+    source: str
+    width: int
+    height: int
+    timestamps: np.ndarray
+    source_fps: float
+    notes: list[str] = field(default_factory=list)
+    audio: Path | None = None
+    audio_start: float = 0.0
+    has_masks: bool = False
+    truth: Truth | None = None
+
+    @property
+    def num_frames(self) -> int:
+        """Chosen frames."""
+        return len(self.timestamps)
+
+    @property
+    def num_views(self) -> int:
+        """Pictures by other cameras; where there are any, they are the test, and no frame is held out."""
+        return 0
+
+    @abstractmethod
+    def frames(self, numbers: Sequence[int]) -> Iterator[np.ndarray]:
+        """The pictures RGB [H, W, 3] uint8 of the frames ``numbers``, which rise.
+
+        Raises:
+            InputError: a picture cannot be read.
+        """
+
+    def mask(self, i: int) -> np.ndarray:
+        """[H, W] uint8: object numbers of frame ``i``, 0 = background; only where ``has_masks``."""
+        raise LookupError(f"{self.source} came without masks")
+
+    def views(self) -> Iterator[ViewPicture]:
+        """Pictures by other cameras at the times of chosen frames."""
+        return iter(())

@@ -1,0 +1,117 @@
+"""Folders of pictures, with masks or without."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from flowsplat.common.errors import InputError
+from flowsplat.scenes.clip import Clip, InputOptions, resize_picture, select_frames, working_size
+from flowsplat.scenes.formats.masks import GivenMasks
+from flowsplat.scenes.layers import decode_image
+
+PICTURE_SUFFIXES = {".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp"}
+
+
+def natural_key(path: Path) -> list[tuple[int, str]]:
+    """Sort key under which ``frame9`` comes before ``frame10``."""
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"([0-9]+)", path.name.casefold())]
+
+
+def list_pictures(folder: Path) -> list[Path]:
+    """The pictures in a folder in natural order; hidden files and folders are left out."""
+    found = [p for p in Path(folder).iterdir() if p.suffix.lower() in PICTURE_SUFFIXES and p.name[0] != "." and p.is_file()]
+    return sorted(found, key=natural_key)
+
+
+def read_picture(path: Path) -> np.ndarray:
+    """Any picture as RGB [H, W, 3] uint8: turned upright by its EXIF tag, 16 bits reduced to 8, alpha dropped.
+
+    Raises:
+        InputError: missing, empty, damaged, or with floating-point values.
+    """
+    image = decode_image(path, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
+    if image is None:
+        raise InputError(f"{path} is missing, empty, damaged or not a picture: replace or remove it.")
+    if image.dtype == np.uint16:
+        image = np.rint(image / 257).astype(np.uint8)
+    if image.dtype != np.uint8:
+        raise InputError(f"{path} has {image.dtype} values: save pictures with 8 or 16 bits a channel.")
+    return np.ascontiguousarray(image[..., ::-1])
+
+
+@dataclass(kw_only=True)
+class ImagesClip(Clip):
+    """Chosen pictures of a folder: ``paths`` [T], all of ``stored_size`` (width, height), with ``masks`` where given."""
+
+    paths: list[Path]
+    stored_size: tuple[int, int]
+    masks: GivenMasks | None = None
+
+    def frames(self, numbers: Sequence[int]) -> Iterator[np.ndarray]:
+        for i in numbers:
+            image = read_picture(self.paths[i])
+            size = image.shape[1], image.shape[0]
+            if size != self.stored_size:
+                raise InputError(
+                    f"{self.paths[i]} is {size[0]}x{size[1]} pixels, but {self.paths[0]} is "
+                    f"{self.stored_size[0]}x{self.stored_size[1]}: all pictures must have one size."
+                )
+            yield resize_picture(image, (self.width, self.height))
+
+    def mask(self, i: int) -> np.ndarray:
+        if self.masks is None:
+            return super().mask(i)
+        return self.masks.read(self.paths[i].stem, (self.width, self.height))
+
+
+def open_images(folder: Path, options: InputOptions, masks: Path | None = None, *, name: str | None = None) -> ImagesClip:
+    """Open a folder of pictures.
+
+    Args:
+        masks: a folder with one mask for every picture, of the same name and size.
+        name: name of the clip; the default is the folder's.
+
+    Raises:
+        InputError: no pictures, fewer than two frames to use, or masks that do not fit.
+    """
+    paths = list_pictures(folder)
+    if not paths:
+        raise InputError(f"{folder} has no pictures (jpg, png, webp, tiff or bmp).")
+    stems: dict[str, Path] = {}
+    for path in paths:
+        if path.stem in stems:
+            raise InputError(f"{path} and {stems[path.stem]} have the same name: keep only one of them.")
+        stems[path.stem] = path
+    selection = select_frames(np.arange(len(paths)) / options.fps, options, str(folder))
+    chosen = [paths[i] for i in selection.numbers]
+    height, width = read_picture(chosen[0]).shape[:2]
+    size, notes = working_size(width, height, options, str(folder))
+    given = None
+    if masks is not None:
+        found = {path.stem: path for path in list_pictures(masks)}
+        for stem in stems:
+            if stem not in found:
+                raise InputError(f"{masks} has no mask for {stems[stem].name}: give one for every picture, or none.")
+        for stem, path in found.items():
+            if stem not in stems:
+                raise InputError(f"{path} belongs to no picture in {folder}: remove it, or name it like its picture.")
+        given = GivenMasks.scan({path.stem: found[path.stem] for path in chosen}, (width, height))
+    return ImagesClip(
+        name=name or Path(folder).resolve().name,
+        source=str(folder),
+        width=size[0],
+        height=size[1],
+        timestamps=selection.timestamps,
+        source_fps=options.fps,
+        notes=selection.notes + notes,
+        has_masks=given is not None,
+        paths=chosen,
+        stored_size=(width, height),
+        masks=given,
+    )

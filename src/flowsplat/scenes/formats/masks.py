@@ -1,0 +1,84 @@
+"""Masks that come with pictures: black is background, and every other colour is a moving object.
+
+Black and white, grey object numbers, colours and palettes (DAVIS) all work; alpha is ignored. The colours of a clip become the
+numbers 1, 2, ... in one order for all frames, which for the palette of DAVIS is its own. Where a clip has more colours than
+objects can be (soft edges, JPEG), all that is not black is one object.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from flowsplat.common.errors import InputError
+from flowsplat.scenes.clip import resize_labels
+from flowsplat.scenes.layers import decode_image
+
+MOST_OBJECTS = 32
+"""Colours above which they are taken for shades of one object."""
+JPEG_BLACK = 127
+"""Up to this value a pixel of a JPEG mask is background: compression smears its edges."""
+
+
+def read_labels(path: Path) -> np.ndarray:
+    """[H, W] int32: grey value, or packed colour of each pixel; 0 = background.
+
+    Raises:
+        InputError: missing or not a picture.
+    """
+    image = decode_image(path, cv2.IMREAD_UNCHANGED)
+    if image is None or image.dtype not in (np.uint8, np.uint16):
+        raise InputError(f"{path} is no readable mask: save masks as 8-bit PNG.")
+    if image.ndim == 2:
+        labels = image.astype(np.int32)
+    elif image.shape[2] <= 2:
+        labels = image[..., 0].astype(np.int32)
+    else:
+        blue, green, red = (image[..., c].astype(np.int32) for c in range(3))
+        # Grey pictures stored as colour give the grey value. In this order the colours of DAVIS rank as its object numbers.
+        grey = (blue == green).all() and (green == red).all()
+        labels = red if grey else blue << 16 | green << 8 | red
+    if path.suffix.lower() in (".jpg", ".jpeg"):
+        brightest = image if image.ndim == 2 else image[..., :3].max(-1)
+        labels = (brightest > JPEG_BLACK).astype(np.int32)
+    return labels
+
+
+@dataclass(frozen=True)
+class GivenMasks:
+    """The masks of a clip by name, and the ``colors`` (sorted labels) that became the objects 1, 2, ...; None: all one object."""
+
+    paths: Mapping[str, Path]
+    colors: np.ndarray | None
+
+    @staticmethod
+    def scan(paths: Mapping[str, Path], size: tuple[int, int]) -> GivenMasks:
+        """Read every mask once, to check its size (width, height) and to number the objects of the clip.
+
+        Raises:
+            InputError: a mask cannot be read or has another size.
+        """
+        colors = np.zeros(0, np.int32)
+        for path in paths.values():
+            labels = read_labels(path)
+            if labels.shape != size[::-1]:
+                raise InputError(
+                    f"{path} is {labels.shape[1]}x{labels.shape[0]} pixels, but its picture is {size[0]}x{size[1]}: "
+                    "masks must have the size of their pictures."
+                )
+            if len(colors) <= MOST_OBJECTS:
+                colors = np.union1d(colors, labels[labels > 0])
+        return GivenMasks(paths, colors if len(colors) <= MOST_OBJECTS else None)
+
+    def read(self, name: str, size: tuple[int, int]) -> np.ndarray:
+        """[H, W] uint8 object numbers at ``size`` (width, height), 0 = background."""
+        labels = read_labels(self.paths[name])
+        if self.colors is None:
+            objects = (labels > 0).astype(np.uint8)
+        else:
+            objects = np.where(labels > 0, np.searchsorted(self.colors, labels) + 1, 0).astype(np.uint8)
+        return resize_labels(objects, size)

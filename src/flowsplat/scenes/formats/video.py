@@ -1,0 +1,255 @@
+"""Video files, by FFmpeg (PyAV): any codec, variable frame rate, rotation, pixel aspect, 10 bits and high dynamic range."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+from av.container import InputContainer
+from av.video.stream import VideoStream
+
+from flowsplat.common.errors import InputError
+from flowsplat.scenes.clip import Clip, InputOptions, resize_picture, select_frames, working_size
+from flowsplat.scenes.formats.video_color import Colors, colors_of, decode_rgb, to_srgb
+
+SEEK_MARGIN = 2.0
+"""Seconds before the first wanted frame to which decoding jumps."""
+
+TEXT_CODECS = {"ansi", "bintext", "idf", "xbin"}
+"""FFmpeg plays text files as pictures of their letters."""
+PACKET_CODECS = {"h264", "hevc", "vvc", "vp9", "av1", "libdav1d", "mjpeg", "prores", "dnxhd"}
+"""Codecs of which every packet is one frame; others (VP8, DivX) also have packets of pictures that are never shown."""
+
+
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[tuple[InputContainer, VideoStream]]:
+    """The container and its main video stream; whatever FFmpeg refuses meanwhile becomes an ``InputError``."""
+    try:
+        with av.open(str(path), metadata_errors="ignore") as container:
+            stream = container.streams.best("video")
+            if not isinstance(stream, VideoStream) or stream.codec_context.name in TEXT_CODECS:
+                raise InputError(f"{path} holds no video.")
+            stream.thread_type = "AUTO"
+            yield container, stream
+    except av.FFmpegError as error:
+        if path.stat().st_size == 0:
+            raise InputError(f"{path} is empty.") from error
+        raise InputError(f"{path} is not a video file, or it is truncated or damaged ({error.strerror}).") from error
+
+
+@dataclass(frozen=True)
+class _Index:
+    """Which frames a video has.
+
+    Attributes:
+        keys: [N] rising presentation timestamps in ticks, or just 0, 1, 2, ... where the file has none.
+        seconds: [N] the same in seconds.
+        has_timestamps: which of both.
+        fps: mean frames a second.
+    """
+
+    keys: np.ndarray
+    seconds: np.ndarray
+    has_timestamps: bool
+    fps: float
+
+
+def _read_index(path: Path) -> _Index:
+    """Go through the packets of the file; decode them only where some may hold no picture.
+
+    Raises:
+        InputError: the file ends early.
+    """
+    keys: list[int | None] = []
+    end, damaged = 0.0, False
+    with _opened(path) as (container, stream):
+        for packet in _packets(container):
+            is_picture = packet is not None and packet.stream.index == stream.index and packet.size > 0
+            if packet is None or (is_picture and packet.is_corrupt):
+                damaged = True
+                break
+            if packet.pts is not None and packet.time_base is not None:
+                end = max(end, float((packet.pts + (packet.duration or 0)) * packet.time_base))
+            if is_picture and not packet.is_discard:
+                keys.append(packet.pts)
+        start, duration = (container.start_time or 0) / av.time_base, (container.duration or 0) / av.time_base
+        # Some formats count the duration from zero, others from the first frame.
+        if damaged or duration - (end - min(start, 0)) > max(0.1, 0.05 * duration):
+            raise InputError(
+                f"{path} is truncated or damaged: only about {len(keys)} frames, up to second {end - start:.1f} of {duration:.1f}, "
+                "can be read. Copy or download it again."
+            )
+        rate = float(stream.average_rate or stream.guessed_rate or 0) or 25.0
+        tick = float(stream.time_base or 1)
+        each_packet_is_a_frame = stream.codec_context.name in PACKET_CODECS
+    if not each_packet_is_a_frame:
+        with _opened(path) as (container, stream):
+            keys = [frame.pts for frame in container.decode(stream)]
+    known = {key for key in keys if key is not None}
+    if len(known) < len(keys):
+        return _Index(np.arange(len(keys)), np.arange(len(keys)) / rate, False, rate)
+    ordered = np.array(sorted(known), np.int64)
+    fps = (len(ordered) - 1) / ((ordered[-1] - ordered[0]) * tick) if len(ordered) > 1 else rate
+    return _Index(ordered, ordered * tick, True, float(fps))
+
+
+def _packets(container: InputContainer) -> Iterator[av.Packet | None]:
+    """The packets of all streams; a last None where reading failed."""
+    try:
+        yield from container.demux()
+    except av.FFmpegError:
+        yield None
+
+
+def _check_frame(frame: av.VideoFrame, path: Path) -> None:
+    if frame.interlaced_frame:
+        raise InputError(
+            f"{path} is interlaced: each picture mixes two times. Deinterlace it first, "
+            f"for example with ffmpeg -i IN -vf bwdif OUT.mp4."
+        )
+
+
+def display_matrix(frame: av.VideoFrame) -> np.ndarray:
+    """[2, 2] integer: where the picture's right and down point to on the screen; the identity without rotation metadata.
+
+    Rows are (x, y) on the screen, columns (x, y) in the picture. Oblique angles become the nearest right one.
+    """
+    data: Any = frame.side_data.get("DISPLAYMATRIX")
+    if data is None:
+        return np.eye(2, dtype=int)
+    # FFmpeg's libavutil/display.h: x' = m[0] x + m[3] y, y' = m[1] x + m[4] y, in 16.16 fixed point.
+    m = np.frombuffer(data, np.int32)
+    matrix = np.array([[m[0], m[3]], [m[1], m[4]]], np.float64)
+    upright = abs(matrix[0, 0]) + abs(matrix[1, 1]) >= abs(matrix[0, 1]) + abs(matrix[1, 0])
+    kept = np.eye(2) if upright else np.eye(2)[::-1]
+    return (np.where(matrix < 0, -1, 1) * kept).astype(int)
+
+
+def orient(image: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+    """Turn and mirror a picture [H, W, 3] as ``display_matrix`` says."""
+    if matrix[0, 1]:
+        image = image.swapaxes(0, 1)
+    flip_x, flip_y = matrix[0].sum() < 0, matrix[1].sum() < 0
+    return np.ascontiguousarray(image[:: -1 if flip_y else 1, :: -1 if flip_x else 1])
+
+
+@dataclass(kw_only=True)
+class VideoClip(Clip):
+    """Chosen frames of a video file.
+
+    Attributes:
+        path: the file.
+        index: all its frames.
+        numbers: [T] which of them were chosen.
+        coded_size: (width, height) in pixels as stored.
+        colors: how colours are stored.
+        matrix: how pictures are turned, see ``display_matrix``.
+    """
+
+    path: Path
+    index: _Index
+    numbers: np.ndarray
+    coded_size: tuple[int, int]
+    colors: Colors
+    matrix: np.ndarray
+
+    def frames(self, numbers: Sequence[int]) -> Iterator[np.ndarray]:
+        wanted = [int(self.index.keys[self.numbers[i]]) for i in numbers]
+        if not wanted:
+            return
+        found = 0
+        for key, frame in self._decoded(wanted[0]):
+            if key < wanted[found]:
+                continue
+            if key > wanted[found] or frame.is_corrupt:
+                break
+            yield self._picture(frame)
+            found += 1
+            if found == len(wanted):
+                return
+        second = self.timestamps[numbers[found]] + self.index.seconds[self.numbers[0]] - self.index.seconds[0]
+        raise InputError(
+            f"{self.path} is damaged at second {second:.2f}: only {numbers[found]} of {self.num_frames} frames can be read. "
+            "Copy it again, or leave the damage out with --start and --end."
+        )
+
+    def _decoded(self, first: int) -> Iterator[tuple[int, av.VideoFrame]]:
+        """Decoded frames with their keys, from ``first`` or earlier on."""
+        if self.index.has_timestamps and first > self.index.keys[0]:
+            with contextlib.suppress(av.FFmpegError), _opened(self.path) as (container, stream):
+                margin = int(SEEK_MARGIN / float(stream.time_base or 1))
+                container.seek(max(first - margin, int(self.index.keys[0])), stream=stream, backward=True)
+                frames = ((int(frame.pts), frame) for frame in container.decode(stream) if frame.pts is not None)
+                start = next(frames, None)
+                if start is not None and start[0] <= first:
+                    yield start
+                    yield from frames
+                    return
+        # Some containers cannot seek, or land too late: then everything is decoded.
+        with _opened(self.path) as (container, stream), contextlib.suppress(av.FFmpegError):
+            for count, frame in enumerate(container.decode(stream)):
+                yield (int(frame.pts or 0) if self.index.has_timestamps else count), frame
+
+    def _picture(self, frame: av.VideoFrame) -> np.ndarray:
+        _check_frame(frame, self.path)
+        if (frame.width, frame.height) != self.coded_size:
+            raise InputError(
+                f"{self.path} changes its size from {self.coded_size[0]}x{self.coded_size[1]} to "
+                f"{frame.width}x{frame.height} pixels. Choose a piece of one size with --start and --end."
+            )
+        size = (self.height, self.width) if self.matrix[0, 1] else (self.width, self.height)
+        codes = resize_picture(decode_rgb(frame, self.colors), size)
+        return orient(to_srgb(codes, self.colors), self.matrix)
+
+
+def open_video(path: Path, options: InputOptions) -> VideoClip:
+    """Open a video file and choose its frames.
+
+    Raises:
+        InputError: not a video, empty, truncated, interlaced, or with fewer than two frames to use.
+    """
+    path = Path(path)
+    index = _read_index(path)
+    with _opened(path) as (container, stream):
+        first = next(container.decode(stream), None)
+        if first is None:
+            raise InputError(f"{path} holds no frame that can be decoded: it is damaged.")
+        has_audio = bool(container.streams.audio)
+        aspect = float(stream.sample_aspect_ratio or 1)
+    if index.has_timestamps and first.pts is not None:
+        # Pictures that refer to a key frame before the beginning are in the file but cannot be decoded.
+        shown = index.keys >= first.pts
+        index = _Index(index.keys[shown], index.seconds[shown], True, index.fps)
+    _check_frame(first, path)
+    colors = colors_of(first, str(path))
+    selection = select_frames(index.seconds, options, str(path))
+    matrix = display_matrix(first)
+    notes = list(selection.notes)
+    shown_size = (max(1, round(first.width * aspect)), first.height)
+    if shown_size[0] != first.width:
+        notes.append(f"Pixels that are {aspect:.3g} times as wide as high were made square.")
+    if matrix[0, 1]:
+        shown_size = shown_size[::-1]
+    (width, height), resize_notes = working_size(*shown_size, options, str(path))
+    return VideoClip(
+        name=path.stem,
+        source=str(path),
+        width=width,
+        height=height,
+        timestamps=selection.timestamps,
+        source_fps=index.fps,
+        notes=notes + resize_notes + colors.notes,
+        audio=path if has_audio else None,
+        audio_start=selection.start,
+        path=path,
+        index=index,
+        numbers=selection.numbers,
+        coded_size=(first.width, first.height),
+        colors=colors,
+        matrix=matrix,
+    )

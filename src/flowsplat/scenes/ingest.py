@@ -1,0 +1,206 @@
+"""Input of any kind to a scene folder with frames, split, given masks, truth and held-out views. Priors are not computed here."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from flowsplat.common.errors import InputError
+from flowsplat.common.progress import progress_bar
+from flowsplat.scenes.clip import Clip, InputOptions
+from flowsplat.scenes.formats.davis import PICTURES, open_davis, sequence_folders
+from flowsplat.scenes.formats.images import PICTURE_SUFFIXES, list_pictures, open_images
+from flowsplat.scenes.formats.rig import open_rig
+from flowsplat.scenes.formats.video import open_video
+from flowsplat.scenes.scene import Scene, split_frames
+
+__all__ = ["InputOptions", "fingerprint", "ingest", "is_ingested", "kind_of_input", "open_clip"]
+
+INGESTED = "ingested"
+"""Key of ``Scene.info`` that is true once everything of the input is in the scene."""
+ALREADY = "{} is a prepared scene already: there is nothing to ingest."
+EDGE = 65536
+"""Bytes at both ends of a file that enter its fingerprint."""
+
+
+def kind_of_input(path: Path) -> str:
+    """What ``path`` is: ``scene`` (prepared), ``rig``, ``davis``, ``images`` or ``video``.
+
+    Raises:
+        InputError: it does not exist, or is a folder of nothing that is known.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise InputError(f"{path} does not exist.")
+    if not path.is_dir():
+        if path.suffix.lower() in PICTURE_SUFFIXES:
+            raise InputError(f"{path} is a single picture: give a video, or a folder with at least two frames.")
+        return "video"
+    if (path / "scene.json").exists():
+        return "scene"
+    if (path / "rgb").is_dir() and (path / "cameras.json").exists():
+        return "rig"
+    if (path / PICTURES).is_dir():
+        return "davis"
+    if (path / "images").is_dir() or list_pictures(path):
+        return "images"
+    raise InputError(
+        f"{path} has no pictures (jpg, png, webp, tiff or bmp) and no images/ folder: give a video or a folder of frames."
+    )
+
+
+def _image_folders(path: Path) -> tuple[Path, Path | None]:
+    if not (path / "images").is_dir():
+        return path, None
+    return path / "images", path / "masks" if (path / "masks").is_dir() else None
+
+
+def open_clip(path: Path, options: InputOptions) -> Clip:
+    """Open a video file, a folder of pictures (with ``images/`` and ``masks/`` or without), DAVIS, or a rig scene.
+
+    Raises:
+        InputError: cannot be used; the message says why. Prepared scenes are opened with ``Scene`` instead.
+    """
+    options.check()
+    path = Path(path)
+    kind = kind_of_input(path)
+    if options.sequence is not None and kind != "davis":
+        raise InputError(f"--sequence {options.sequence} needs the root folder of DAVIS, which {path} is not.")
+    if kind == "video":
+        return open_video(path, options)
+    if kind == "rig":
+        return open_rig(path, options)
+    if kind == "davis":
+        return open_davis(path, options)
+    if kind == "images":
+        folder, masks = _image_folders(path)
+        return open_images(folder, options, masks, name=path.resolve().name)
+    raise InputError(ALREADY.format(path))
+
+
+def is_ingested(scene: Scene) -> bool:
+    """Whether everything of the input is in the scene."""
+    return bool(scene.info.get(INGESTED))
+
+
+def ingest(clip: Clip, folder: Path, options: InputOptions) -> Scene:
+    """Write a clip into a scene folder: frames, split, given masks, truth and held-out views.
+
+    ``scene.json`` comes first and ``info["ingested"]`` last, so an interrupted run is recognised; called again, it keeps every
+    file that is there (files are written atomically, so they are whole) and adds what is missing.
+
+    Raises:
+        InputError: the input cannot be read, or the folder holds a scene of another input.
+    """
+    scene = _open_or_create(clip, Path(folder), options)
+    if is_ingested(scene):
+        return scene
+    _write_frames(clip, scene)
+    if clip.has_masks:
+        _write_masks(clip, scene)
+    if clip.truth is not None:
+        _write_truth(clip, scene)
+    written = {view.name for view in scene.views}
+    for picture in clip.views():
+        if picture.view.name not in written:
+            scene.write_view(picture.view, picture.image, picture.mask, picture.covisible)
+    scene.info[INGESTED] = True
+    scene.save_info()
+    return scene
+
+
+def _open_or_create(clip: Clip, folder: Path, options: InputOptions) -> Scene:
+    # Pictures by other cameras are a better test than held-out frames, and truth has flow between neighbours only.
+    holdout = None if clip.num_views else options.holdout
+    train, heldout = split_frames(clip.num_frames, holdout)
+    if (folder / "scene.json").exists():
+        scene = Scene(folder)
+        same = (scene.name, scene.width, scene.height, scene.train_frames, scene.heldout_frames)
+        if same != (clip.name, clip.width, clip.height, train, heldout) or not np.array_equal(scene.timestamps, clip.timestamps):
+            raise InputError(f"{folder} holds a scene of another input or other options: choose another output folder with -o.")
+        return scene
+    return Scene.create(
+        folder,
+        name=clip.name,
+        source=clip.source,
+        width=clip.width,
+        height=clip.height,
+        timestamps=clip.timestamps.tolist(),
+        holdout=holdout,
+        source_fps=clip.source_fps,
+        notes=clip.notes,
+        audio=None if clip.audio is None else str(clip.audio),
+        audio_start=clip.audio_start,
+    )
+
+
+def _write_frames(clip: Clip, scene: Scene) -> None:
+    missing = [i for i in range(scene.num_frames) if not scene.has_frame(i)]
+    with progress_bar("Reading frames", scene.num_frames, done=scene.num_frames - len(missing)) as bar:
+        for i, image in zip(missing, clip.frames(missing), strict=True):
+            scene.write_frame(i, image)
+            bar.advance()
+
+
+def _write_masks(clip: Clip, scene: Scene) -> None:
+    heldout = set(scene.heldout_frames)
+    for i in range(scene.num_frames):
+        layers = scene.heldout_masks if i in heldout else scene
+        if not layers.has_mask(i):
+            layers.write_mask(i, clip.mask(i))
+    scene.finish_prior("masks", method="given")
+
+
+def _write_truth(clip: Clip, scene: Scene) -> None:
+    assert clip.truth is not None
+    truth = scene.create_truth()
+    truth.write_cameras(clip.truth.cameras)
+    truth.write_tracks(clip.truth.tracks)
+    for i in range(scene.num_frames):
+        if not truth.has_mask(i):
+            truth.write_mask(i, clip.truth.mask(i))
+    for i in range(scene.num_frames):
+        if not truth.has_depth(i):
+            truth.write_depth(i, clip.truth.depth(i))
+    for i, j in sorted(set(clip.truth.flow_pairs) - set(truth.flow_pairs)):
+        truth.write_flow(clip.truth.flow(i, j))
+
+
+def fingerprint(path: Path, options: InputOptions) -> str:
+    """A short name of an input with its options, the same wherever the input lies: names, sizes and both ends of its files.
+
+    Raises:
+        InputError: the input does not exist or is of no known kind.
+    """
+    path = Path(path)
+    digest = hashlib.sha256(json.dumps(asdict(options), sort_keys=True).encode())
+    for name, file in _input_files(path, options):
+        try:
+            size = file.stat().st_size
+            digest.update(f"\n{name} {size} ".encode())
+            with open(file, "rb") as opened:
+                digest.update(opened.read(EDGE))
+                opened.seek(max(size - EDGE, 0))
+                digest.update(opened.read(EDGE))
+        except OSError as error:
+            raise InputError(f"{file} cannot be read: {error.strerror}.") from error
+    return digest.hexdigest()[:16]
+
+
+def _input_files(path: Path, options: InputOptions) -> list[tuple[str, Path]]:
+    """The files that make up an input, with names that do not depend on where it lies."""
+    kind = kind_of_input(path)
+    if kind == "scene":
+        raise InputError(ALREADY.format(path))
+    if kind == "video":
+        return [(path.name, path)]
+    if kind == "rig":
+        found = sorted(file for file in path.rglob("*") if file.is_file() and not file.name.startswith("."))
+        return [(file.relative_to(path).as_posix(), file) for file in found]
+    pictures, masks = sequence_folders(path, options.sequence) if kind == "davis" else _image_folders(path)
+    files = [(f"images/{file.name}", file) for file in list_pictures(pictures)]
+    return files + [(f"masks/{file.name}", file) for file in list_pictures(masks)] if masks else files

@@ -1,0 +1,287 @@
+"""What is known about the frames of a clip besides their colours: cameras, depth, flow, masks, tracks.
+
+One folder holds one such set of layers: the priors of a scene, or its truth. The files:
+
+| file | content |
+| --- | --- |
+| ``cameras.json`` | for each frame ``viewmat`` [4, 4] world to camera (OpenCV axes), ``K`` [3, 3], ``width``, ``height`` |
+| ``depth/00000.npz`` | ``depth`` [H, W] float32, planar, in the units of the cameras; ``confidence`` [H, W] uint8, 255 = certain |
+| ``flow/00000_00001.npz`` | ``flow`` [H, W, 2] int16 in 1/64 pixel from frame 0 to 1, at the pixels of 0; ``confidence`` [H, W] |
+| ``masks/00000.png`` | [H, W] uint8, the number of the moving object, 0 = background |
+| ``tracks.npz`` | ``points`` [P, T, 2 or 3] float32, ``visible`` [P, T] bool, ``confidence`` [P, T] uint8, ``moving`` [P] bool |
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from flowsplat.common.errors import InputError
+from flowsplat.common.files import atomic_path, read_json, read_npz, write_json, write_npz
+from flowsplat.geometry import Camera
+
+FLOW_UNIT = 64
+TRUSTED = 0.5
+
+
+@dataclass(frozen=True)
+class Depth:
+    """Planar depth [H, W] float32 with a confidence [H, W] float32 between 0 and 1."""
+
+    depth: np.ndarray
+    confidence: np.ndarray
+
+    @property
+    def trusted(self) -> np.ndarray:
+        """[H, W] bool."""
+        return self.confidence >= TRUSTED
+
+
+@dataclass(frozen=True)
+class Flow:
+    """Displacement in pixels [H, W, 2] float32 from frame ``i`` to frame ``j``, at the pixels of ``i``.
+
+    ``confidence`` [H, W] float32 between 0 and 1; below one half the pixel has no match in ``j``.
+    """
+
+    i: int
+    j: int
+    flow: np.ndarray
+    confidence: np.ndarray
+
+    @property
+    def trusted(self) -> np.ndarray:
+        """[H, W] bool."""
+        return self.confidence >= TRUSTED
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """Points followed over the clip.
+
+    Attributes:
+        points: [P, T, 2] float32 pixels (or [P, T, 3] world for truth); undefined where not visible.
+        visible: [P, T] bool.
+        confidence: [P, T] float32 between 0 and 1.
+        moving: [P] bool, on a moving object.
+    """
+
+    points: np.ndarray
+    visible: np.ndarray
+    confidence: np.ndarray
+    moving: np.ndarray
+
+
+def _to_bytes(confidence: np.ndarray) -> np.ndarray:
+    return np.clip(np.asarray(confidence, np.float32) * 255 + 0.5, 0, 255).astype(np.uint8)
+
+
+def write_image(path: Path, image: np.ndarray) -> None:
+    """Write uint8 [H, W] or RGB [H, W, 3] as PNG, atomically."""
+    if image.ndim == 3:
+        image = image[..., ::-1]
+    # Encoded in memory and written here, so that a full disk is an error and not a silently missing file.
+    ok, encoded = cv2.imencode(".png", np.ascontiguousarray(image), [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    assert ok
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(encoded.tobytes())
+
+
+def decode_image(path: Path, flags: int) -> np.ndarray | None:
+    """A picture as OpenCV gives it (BGR) under ``cv2.IMREAD_*`` flags; None where it cannot be read.
+
+    The file is read here and not by OpenCV, which cannot open every file name on every system.
+    """
+    logging = cv2.utils.logging
+    level = logging.setLogLevel(logging.LOG_LEVEL_SILENT)
+    try:
+        data = np.fromfile(path, np.uint8)
+        return cv2.imdecode(data, flags) if len(data) else None
+    except (OSError, cv2.error):
+        return None
+    finally:
+        logging.setLogLevel(level)
+
+
+def read_image(path: Path) -> np.ndarray:
+    """Read a stored picture as uint8: RGB [H, W, 3] or grey [H, W].
+
+    Raises:
+        InputError: missing or damaged.
+    """
+    if not Path(path).exists():
+        raise InputError(f"{path} is missing from the scene.")
+    image = decode_image(path, cv2.IMREAD_UNCHANGED)
+    if image is None:
+        raise InputError(f"{path} is damaged: it cannot be decoded as a picture.")
+    return np.ascontiguousarray(image[..., ::-1]) if image.ndim == 3 else image
+
+
+class Layers:
+    """One folder of cameras, depth, flow, masks and tracks; read lazily, written atomically, a file a frame."""
+
+    def __init__(self, folder: Path, width: int, height: int):
+        self.folder, self.width, self.height = Path(folder), width, height
+        self._cameras: list[Camera] | None = None
+
+    # -- cameras
+
+    @property
+    def has_cameras(self) -> bool:
+        """Whether cameras were written."""
+        return (self.folder / "cameras.json").exists()
+
+    @property
+    def cameras(self) -> list[Camera]:
+        """One camera a frame.
+
+        Raises:
+            InputError: missing, damaged or not finite.
+        """
+        if self._cameras is None:
+            path = self.folder / "cameras.json"
+            values = read_json(path)
+            try:
+                if not isinstance(values, list):
+                    raise TypeError("it is no list")
+                cameras = [Camera.from_json(value) for value in values]
+            except (KeyError, TypeError, ValueError) as error:
+                raise InputError(f"{path} does not hold cameras: {error}.") from error
+            for index, camera in enumerate(cameras):
+                if not camera.is_finite:
+                    raise InputError(f"{path}: the camera of frame {index} is not finite or not a rotation.")
+            self._cameras = cameras
+        return self._cameras
+
+    def write_cameras(self, cameras: Sequence[Camera]) -> None:
+        """Write one camera for every frame of the clip."""
+        write_json(self.folder / "cameras.json", [camera.to_json() for camera in cameras])
+        self._cameras = None
+
+    # -- depth
+
+    def _depth_path(self, i: int) -> Path:
+        return self.folder / "depth" / f"{i:05d}.npz"
+
+    def has_depth(self, i: int) -> bool:
+        """Whether frame ``i`` has depth."""
+        return self._depth_path(i).exists()
+
+    def depth(self, i: int) -> Depth:
+        """The depth of frame ``i``.
+
+        Raises:
+            InputError: missing, damaged, of the wrong size, or with values that are not finite and positive.
+        """
+        path = self._depth_path(i)
+        arrays = self._arrays(path, ("depth", "confidence"))
+        if not (np.isfinite(arrays["depth"]).all() and (arrays["depth"] > 0).all()):
+            raise InputError(f"{path} holds depths that are not finite and positive.")
+        return Depth(arrays["depth"].astype(np.float32), arrays["confidence"].astype(np.float32) / 255)
+
+    def write_depth(self, i: int, depth: Depth) -> None:
+        """Write the depth of frame ``i``."""
+        write_npz(
+            self._depth_path(i),
+            {"depth": depth.depth.astype(np.float32), "confidence": _to_bytes(depth.confidence)},
+        )
+
+    # -- flow
+
+    def _flow_path(self, i: int, j: int) -> Path:
+        return self.folder / "flow" / f"{i:05d}_{j:05d}.npz"
+
+    @property
+    def flow_pairs(self) -> list[tuple[int, int]]:
+        """The pairs (i, j) that have flow, sorted."""
+        found = sorted((self.folder / "flow").glob("[0-9]*_[0-9]*.npz"))
+        return [(int(path.stem.split("_")[0]), int(path.stem.split("_")[1])) for path in found]
+
+    def flow(self, i: int, j: int) -> Flow:
+        """The flow from frame ``i`` to frame ``j``.
+
+        Raises:
+            InputError: missing, damaged or of the wrong size.
+        """
+        arrays = self._arrays(self._flow_path(i, j), ("flow", "confidence"))
+        flow = arrays["flow"].astype(np.float32) / FLOW_UNIT
+        return Flow(i, j, flow, arrays["confidence"].astype(np.float32) / 255)
+
+    def write_flow(self, flow: Flow) -> None:
+        """Write one pair; displacements beyond 511 px cannot be stored and lose their confidence."""
+        units = np.nan_to_num(np.round(flow.flow * FLOW_UNIT), nan=0.0, posinf=1e6, neginf=-1e6)
+        fits = (np.abs(units) < 32767).all(-1) & np.isfinite(flow.flow).all(-1)
+        arrays = {
+            "flow": np.clip(units, -32767, 32767).astype(np.int16),
+            "confidence": _to_bytes(np.where(fits, flow.confidence, 0)),
+        }
+        write_npz(self._flow_path(flow.i, flow.j), arrays)
+
+    # -- masks
+
+    def _mask_path(self, i: int) -> Path:
+        return self.folder / "masks" / f"{i:05d}.png"
+
+    def has_mask(self, i: int) -> bool:
+        """Whether frame ``i`` has a mask."""
+        return self._mask_path(i).exists()
+
+    def mask(self, i: int) -> np.ndarray:
+        """[H, W] uint8: object numbers, 0 = background.
+
+        Raises:
+            InputError: missing, damaged or of the wrong size.
+        """
+        mask = read_image(self._mask_path(i))
+        if mask.shape != (self.height, self.width):
+            raise InputError(f"{self._mask_path(i)} is {mask.shape[1::-1]} pixels, the frames {(self.width, self.height)}.")
+        return mask
+
+    def write_mask(self, i: int, mask: np.ndarray) -> None:
+        """Write object numbers [H, W]."""
+        write_image(self._mask_path(i), mask.astype(np.uint8))
+
+    # -- tracks
+
+    @property
+    def has_tracks(self) -> bool:
+        """Whether tracks were written."""
+        return (self.folder / "tracks.npz").exists()
+
+    @property
+    def tracks(self) -> Tracks:
+        """The tracks.
+
+        Raises:
+            InputError: missing or damaged.
+        """
+        arrays = read_npz(self.folder / "tracks.npz")
+        try:
+            confidence = arrays["confidence"].astype(np.float32) / 255
+            return Tracks(arrays["points"], arrays["visible"], confidence, arrays["moving"])
+        except KeyError as error:
+            raise InputError(f"{self.folder / 'tracks.npz'} has no {error}.") from error
+
+    def write_tracks(self, tracks: Tracks) -> None:
+        """Write the tracks."""
+        arrays = {
+            "points": tracks.points.astype(np.float32),
+            "visible": tracks.visible.astype(bool),
+            "confidence": _to_bytes(tracks.confidence),
+            "moving": tracks.moving.astype(bool),
+        }
+        write_npz(self.folder / "tracks.npz", arrays)
+
+    def _arrays(self, path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+        arrays = read_npz(path)
+        for name in names:
+            if name not in arrays:
+                raise InputError(f"{path} has no array {name!r}.")
+            if arrays[name].shape[:2] != (self.height, self.width):
+                size = arrays[name].shape[1::-1]
+                raise InputError(f"{path}: {name} is {size} pixels, the frames {(self.width, self.height)}.")
+        return arrays

@@ -1,0 +1,301 @@
+"""The scene: a clip, its split, its priors, and (where they exist) truth and held-out views.
+
+A scene is a folder. ``scene.json`` says what it is; the layers (see ``layers``) lie beside it; training frames are in
+``frames/``, held-out frames in ``heldout/``, truth in ``truth/`` and held-out views in ``views/``:
+
+    scene.json  frames/00000.png  cameras.json  depth/ flow/ masks/ tracks.npz
+    heldout/frames/00009.png  heldout/masks/00009.png
+    views.json  views/<name>.png  views/<name>_mask.png  views/<name>_covisible.png
+    truth/cameras.json  truth/depth/ ...
+
+The split is law: what trains or computes a prior calls ``frame``, ``mask``, ``depth`` and ``flow``, which refuse held-out
+frames. Only the camera stage calls ``any_frame``, only the evaluation ``heldout_frame`` and ``heldout_mask``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from flowsplat.common.errors import InputError, SplitError
+from flowsplat.common.files import make_folder, read_json, write_json
+from flowsplat.geometry import Camera, Similarity
+from flowsplat.scenes.layers import Depth, Flow, Layers, Tracks, read_image, write_image
+
+VERSION = 1
+
+
+def split_frames(count: int, holdout: int | None) -> tuple[list[int], list[int]]:
+    """(training, held-out) frame numbers: every ``holdout``-th frame is held out (9, 19, ... for 10), never the last.
+
+    Raises:
+        InputError: too few frames remain for training.
+    """
+    heldout = [i for i in range(count - 1) if holdout and i % holdout == holdout - 1]
+    train = [i for i in range(count) if i not in set(heldout)]
+    if len(train) < 2:
+        raise InputError(f"{len(train)} training frame(s): a moving scene needs at least two frames.")
+    return train, heldout
+
+
+@dataclass(frozen=True)
+class HeldoutView:
+    """A picture by another camera, known to the evaluation only.
+
+    Attributes:
+        name: file name of the picture without suffix.
+        frame: the frame of the clip that was taken at the same time.
+        camera: in the coordinates of the truth.
+    """
+
+    name: str
+    frame: int
+    camera: Camera
+
+
+class Scene(Layers):
+    """A prepared (or half prepared) scene folder. Its own layers are the priors; ``truth`` holds the true ones."""
+
+    def __init__(self, folder: Path):
+        """Open a scene.
+
+        Raises:
+            InputError: not a scene, damaged, or written by a newer version.
+        """
+        path = Path(folder) / "scene.json"
+        if not path.exists():
+            raise InputError(f"{folder} is not a prepared scene: it has no scene.json.")
+        self.info: dict[str, Any] = read_json(path)
+        try:
+            version = int(self.info["version"])
+            if version > VERSION:
+                raise InputError(
+                    f"{folder} was written by a newer flowsplat (scene version {version}, this one reads {VERSION}). "
+                    "Update flowsplat."
+                )
+            super().__init__(Path(folder), int(self.info["width"]), int(self.info["height"]))
+            self.name: str = self.info["name"]
+            self.timestamps = np.array(self.info["timestamps"], np.float64)
+            self.train_frames: list[int] = [int(i) for i in self.info["train"]]
+            self.heldout_frames: list[int] = [int(i) for i in self.info["heldout"]]
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(f"{path} is damaged: {error}.") from error
+        rising = self.timestamps.ndim == 1 and np.isfinite(self.timestamps).all() and (np.diff(self.timestamps) > 0).all()
+        if not rising or len(self.timestamps) < 2:
+            raise InputError(f"{path} is damaged: there must be two timestamps or more, finite and rising.")
+        if sorted(self.train_frames + self.heldout_frames) != list(range(len(self.timestamps))):
+            raise InputError(f"{path} is damaged: every frame must be either a training or a held-out frame.")
+        self._train = set(self.train_frames)
+
+    @staticmethod
+    def create(
+        folder: Path,
+        *,
+        name: str,
+        source: str,
+        width: int,
+        height: int,
+        timestamps: Sequence[float],
+        holdout: int | None,
+        source_fps: float,
+        notes: Sequence[str] = (),
+        audio: str | None = None,
+        audio_start: float = 0.0,
+    ) -> Scene:
+        """Start a scene folder with its split; frames and layers are written into it afterwards.
+
+        Args:
+            timestamps: seconds, rising, one a frame.
+            holdout: every how many frames one is held out; None = none.
+            source_fps: frames a second of the source, which the final videos keep.
+            notes: what was done to the input, in sentences for the user.
+            audio: the file whose sound belongs to the clip, and at which second of it the clip starts.
+        """
+        train, heldout = split_frames(len(timestamps), holdout)
+        make_folder(folder)
+        info = {
+            "version": VERSION, "name": name, "source": source, "width": width, "height": height,
+            "source_fps": source_fps, "timestamps": list(map(float, timestamps)), "train": train, "heldout": heldout,
+            "notes": list(notes), "audio": audio, "audio_start": audio_start, "priors": {}, "similarity": None,
+        }  # fmt: skip
+        write_json(Path(folder) / "scene.json", info)
+        return Scene(folder)
+
+    def save_info(self) -> None:
+        """Write ``info`` back to ``scene.json``."""
+        write_json(self.folder / "scene.json", self.info)
+
+    # -- time and split
+
+    @property
+    def num_frames(self) -> int:
+        """Frames of the clip, held-out ones included."""
+        return len(self.timestamps)
+
+    @property
+    def times(self) -> np.ndarray:
+        """[T] float64: the timestamps in clip units, first frame 0, last frame 1."""
+        return self.clip_time(self.timestamps)
+
+    def clip_time(self, seconds: np.ndarray | float) -> np.ndarray:
+        """Seconds of the clip to clip units."""
+        first, last = self.timestamps[0], self.timestamps[-1]
+        return (np.asarray(seconds, np.float64) - first) / (last - first)
+
+    def _require_training(self, *frames: int) -> None:
+        for i in frames:
+            if i not in self._train:
+                raise SplitError(f"frame {i} of {self.folder} is not a training frame")
+
+    # -- pictures
+
+    def _frame_path(self, i: int) -> Path:
+        return (self.folder if i in self._train else self.folder / "heldout") / "frames" / f"{i:05d}.png"
+
+    def write_frame(self, i: int, image: np.ndarray) -> None:
+        """Write an RGB picture [H, W, 3] uint8; the split decides where it lands."""
+        write_image(self._frame_path(i), image)
+
+    def has_frame(self, i: int) -> bool:
+        """Whether the picture of frame ``i`` is there."""
+        return self._frame_path(i).exists()
+
+    def any_frame(self, i: int) -> np.ndarray:
+        """RGB [H, W, 3] uint8 of any frame. For the camera stage only."""
+        image = read_image(self._frame_path(i))
+        if image.shape != (self.height, self.width, 3):
+            raise InputError(f"{self._frame_path(i)} has shape {image.shape}, expected {(self.height, self.width, 3)}.")
+        return image
+
+    def frame(self, i: int) -> np.ndarray:
+        """RGB [H, W, 3] uint8 of a training frame."""
+        self._require_training(i)
+        return self.any_frame(i)
+
+    def heldout_frame(self, i: int) -> np.ndarray:
+        """RGB [H, W, 3] uint8 of a held-out frame. For the evaluation only."""
+        if i in self._train:
+            raise SplitError(f"frame {i} is a training frame")
+        return self.any_frame(i)
+
+    # -- layers, guarded by the split
+
+    @property
+    def cameras(self) -> list[Camera]:
+        """One camera a frame.
+
+        Raises:
+            InputError: missing, damaged, not finite, or not one for every frame.
+        """
+        cameras = super().cameras
+        if len(cameras) != self.num_frames:
+            raise InputError(f"{self.folder / 'cameras.json'} has {len(cameras)} cameras for {self.num_frames} frames.")
+        return cameras
+
+    def depth(self, i: int) -> Depth:
+        self._require_training(i)
+        return super().depth(i)
+
+    def flow(self, i: int, j: int) -> Flow:
+        self._require_training(i, j)
+        return super().flow(i, j)
+
+    def mask(self, i: int) -> np.ndarray:
+        self._require_training(i)
+        return super().mask(i)
+
+    def write_depth(self, i: int, depth: Depth) -> None:
+        self._require_training(i)
+        super().write_depth(i, depth)
+
+    def write_flow(self, flow: Flow) -> None:
+        self._require_training(flow.i, flow.j)
+        super().write_flow(flow)
+
+    def write_mask(self, i: int, mask: np.ndarray) -> None:
+        self._require_training(i)
+        super().write_mask(i, mask)
+
+    def write_tracks(self, tracks: Tracks) -> None:
+        if tracks.visible[:, self.heldout_frames].any():
+            raise SplitError("tracks are visible in held-out frames")
+        super().write_tracks(tracks)
+
+    @property
+    def heldout_masks(self) -> Layers:
+        """Masks that came with the input for held-out frames. For the evaluation only."""
+        return Layers(self.folder / "heldout", self.width, self.height)
+
+    # -- priors as a whole
+
+    def prior(self, name: str) -> dict[str, Any] | None:
+        """How the prior ``name`` (cameras, flow, depth, masks, tracks) was made; None while it is missing or unfinished."""
+        return self.info["priors"].get(name)
+
+    def finish_prior(self, name: str, **how: Any) -> None:
+        """Note that a prior is complete, and how it was made (at least ``method``)."""
+        self.info["priors"][name] = how
+        self.save_info()
+
+    # -- scale
+
+    @property
+    def similarity(self) -> Similarity:
+        """World to the normalised coordinates of training: median depth of the training pixels 1, first camera near the origin.
+
+        Raises:
+            InputError: the scene has no depth yet.
+        """
+        if self.info["similarity"] is None:
+            samples = [self.depth(i) for i in self.train_frames[:: max(1, len(self.train_frames) // 16)]]
+            trusted = np.concatenate([d.depth[d.trusted][::17] for d in samples])
+            median = float(np.median(trusted if len(trusted) else np.concatenate([d.depth.ravel() for d in samples])))
+            centers = np.array([self.cameras[i].center for i in self.train_frames])
+            self.info["similarity"] = Similarity(1 / median, np.eye(3), -centers.mean(0) / median).to_json()
+            self.save_info()
+        return Similarity.from_json(self.info["similarity"])
+
+    # -- truth and held-out views
+
+    @property
+    def truth(self) -> Layers | None:
+        """The true layers of a rendered scene. For the evaluation, and for ``--priors true``."""
+        folder = self.folder / "truth"
+        return Layers(folder, self.width, self.height) if folder.exists() else None
+
+    def create_truth(self) -> Layers:
+        """Start the folder of truth."""
+        return Layers(make_folder(self.folder / "truth"), self.width, self.height)
+
+    @property
+    def views(self) -> list[HeldoutView]:
+        """The held-out views, if any."""
+        path = self.folder / "views.json"
+        if not path.exists():
+            return []
+        return [HeldoutView(v["name"], int(v["frame"]), Camera.from_json(v["camera"])) for v in read_json(path)]
+
+    def write_view(
+        self, view: HeldoutView, image: np.ndarray, mask: np.ndarray | None = None, covisible: np.ndarray | None = None
+    ) -> None:
+        """Add a held-out view; ``mask`` marks movers in it, ``covisible`` what the clip itself saw ([H, W] bool)."""
+        write_image(self.folder / "views" / f"{view.name}.png", image)
+        for suffix, extra in (("mask", mask), ("covisible", covisible)):
+            if extra is not None:
+                write_image(self.folder / "views" / f"{view.name}_{suffix}.png", (extra > 0).astype(np.uint8) * 255)
+        views = [v for v in self.views if v.name != view.name] + [view]
+        values = [{"name": v.name, "frame": v.frame, "camera": v.camera.to_json()} for v in views]
+        write_json(self.folder / "views.json", values)
+
+    def view_image(self, view: HeldoutView) -> np.ndarray:
+        """RGB [H, W, 3] uint8 of a held-out view. For the evaluation only."""
+        return read_image(self.folder / "views" / f"{view.name}.png")
+
+    def view_mask(self, view: HeldoutView, kind: str = "mask") -> np.ndarray | None:
+        """[H, W] bool: movers (``mask``) or pixels that the clip saw (``covisible``); None where not given."""
+        path = self.folder / "views" / f"{view.name}_{kind}.png"
+        return read_image(path) > 0 if path.exists() else None

@@ -1,0 +1,253 @@
+"""The synthetic clip: a small moving world, ray cast, in which everything is known exactly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from flowsplat.common.errors import InputError
+from flowsplat.geometry import Camera
+from flowsplat.geometry.cameras import pixel_grid
+from flowsplat.scenes.layers import Flow, Tracks
+from flowsplat.scenes.scene import HeldoutView
+from flowsplat.scenes.synthetic.bodies import Body
+from flowsplat.scenes.synthetic.textures import Surface, in_chunks
+from flowsplat.scenes.synthetic.world import SCENE_DEPTH, build_world, camera_at
+
+SAMPLES = 2
+"""Colour samples along each side of a pixel."""
+
+LIGHT = np.array([-0.45, -0.65, 0.62])
+"""Direction to the light, of length 1 within rounding."""
+
+VISIBLE = 1e-6
+"""A point is seen when the first surface on its ray is not nearer than it by more than this share of its depth."""
+
+TRACKS_PER_BODY = 100
+"""True tracks on each mover; the static world gets twice as many."""
+
+VIEW_STEP = 4
+"""Held-out views exist at every fourth time."""
+
+BASELINE = 0.06
+"""Held-out cameras stand this share of the scene's depth to the left and to the right, and turn in by as much."""
+
+
+@dataclass(frozen=True)
+class View:
+    """One rendered view.
+
+    Attributes:
+        picture: [H, W, 3] uint8 RGB, antialiased.
+        depth: [H, W] float64 planar depth in metres at the pixel centres.
+        mask: [H, W] uint8, number of the mover at the pixel centre, 0 = static.
+    """
+
+    picture: np.ndarray
+    depth: np.ndarray
+    mask: np.ndarray
+
+
+@dataclass(frozen=True)
+class Hits:
+    """What rays meet first: planar ``depth`` [N], ``body`` [N] (index), and ``local`` [N, 3], unit coordinates on it."""
+
+    depth: np.ndarray
+    body: np.ndarray
+    local: np.ndarray
+
+
+@dataclass(frozen=True)
+class SyntheticScene:
+    """A room with three movers: 1 = a spinning block, 2 = a ball on a circle, 3 = an ellipsoid that deforms.
+
+    Everything moves in seconds: fewer or more frames show less or more of the same motion. Same parameters, same bits.
+
+    Attributes:
+        width: pixels.
+        height: pixels.
+        frames: how many.
+        fps: frames a second.
+        seed: decides the textures and which points are tracked.
+
+    Raises:
+        InputError: a parameter that makes no clip.
+    """
+
+    width: int = 320
+    height: int = 180
+    frames: int = 40
+    fps: float = 24.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if min(self.width, self.height) < 16:
+            raise InputError(f"A synthetic clip of {self.width}x{self.height} pixels is too small: use at least 16x16.")
+        if self.frames < 2 or not 0 < self.fps < np.inf:
+            raise InputError(
+                f"A synthetic clip of {self.frames} frame(s) at {self.fps} frames a second shows no motion: "
+                "use at least 2 frames and a finite rate above 0."
+            )
+
+    @cached_property
+    def bodies(self) -> list[Body]:
+        """Everything there is, the room first."""
+        return build_world(self.seed)
+
+    @property
+    def timestamps(self) -> np.ndarray:
+        """[T] float64 seconds."""
+        return np.arange(self.frames) / self.fps
+
+    def camera(self, i: int) -> Camera:
+        """The camera of frame ``i``, metres, world z up."""
+        return camera_at(self.timestamps[i], self.width, self.height)
+
+    # -- pictures
+
+    def cast(self, camera: Camera, time: float, uv: np.ndarray) -> Hits:
+        """What the camera sees at ``time`` (seconds) at the positions ``uv`` [N, 2] (pixels)."""
+        rays = np.ones((len(uv), 3))
+        rays[:, :2] = (uv - camera.K[:2, 2]) / [camera.K[0, 0], camera.K[1, 1]]
+        # Directions of planar depth 1: the multiple of them that meets a surface is its depth.
+        directions = rays @ camera.viewmat[:3, :3]
+        u, v = uv.T
+        depth, index = np.full(len(uv), np.inf), np.zeros(len(uv), np.int64)
+        for k, body in enumerate(self.bodies):
+            (left, top), (right, bottom) = body.bounds(camera, time)
+            near = np.flatnonzero((u >= left) & (u <= right) & (v >= top) & (v <= bottom))
+            found = body.intersect(camera.center, directions[near], time)
+            closer = found < depth[near]
+            depth[near[closer]], index[near[closer]] = found[closer], k
+        points, local = camera.center + depth[:, None] * directions, np.empty_like(directions)
+        for k, body in enumerate(self.bodies):
+            A, c = body.motion(time)
+            local[index == k] = (points[index == k] - c) @ np.linalg.inv(A).T
+        return Hits(depth, index, local)
+
+    def render(self, camera: Camera, time: float) -> View:
+        """The world at ``time`` (seconds) from any camera inside the room."""
+        offsets = (np.arange(SAMPLES) - (SAMPLES - 1) / 2) / SAMPLES
+        grid = pixel_grid(camera.width, camera.height).astype(np.float64).reshape(-1, 2)
+        colour = np.zeros((len(grid), 3))
+        for x in offsets:
+            for y in offsets:
+                colour += self._shade(camera, time, self.cast(camera, time, grid + [x, y]))
+        hits = self.cast(camera, time, grid)
+        shape = (camera.height, camera.width)
+        numbers = np.array([body.number for body in self.bodies], np.uint8)
+        picture = np.clip(colour * (255 / SAMPLES**2) + 0.5, 0, 255).astype(np.uint8)
+        return View(picture.reshape(*shape, 3), hits.depth.reshape(shape), numbers[hits.body].reshape(shape))
+
+    def _shade(self, camera: Camera, time: float, hits: Hits) -> np.ndarray:
+        """[N, 3] display values between 0 and 1: texture, one distant light, and fixed shade where static things meet."""
+        colour = np.empty((len(hits.depth), 3))
+        for k, body in enumerate(self.bodies):
+            chosen = hits.body == k
+            if not chosen.any():
+                continue
+            local, points = hits.local[chosen], body.carry(hits.local[chosen], time)
+            normals = body.normals(local, time)
+            gaze = camera.center - points
+            cosine = np.abs(np.einsum("nk,nk->n", normals, gaze)) / np.linalg.norm(gaze, axis=1)
+            footprint = hits.depth[chosen] / camera.K[0, 0] / np.sqrt(np.maximum(cosine, 0.05))
+            albedo = in_chunks(body.material, Surface(local * body.size, body.faces(local), footprint))
+            light = 0.84 + 0.26 * normals @ LIGHT
+            if body.number == 0:
+                light *= self._openness(points, normals, k)
+            colour[chosen] = np.clip(albedo * light[:, None], 0, 1)
+        return colour
+
+    def _openness(self, points: np.ndarray, normals: np.ndarray, own: int) -> np.ndarray:
+        """[N] how much of the sky static bodies leave to points [N, 3] of body ``own``, 0 to 1.
+
+        Bodies count as spheres (https://iquilezles.org/articles/sphereao/), and the room darkens towards its edges.
+        """
+        room = self.bodies[0]
+        gaps = room.size - np.abs(points - room.motion(0.0)[1])
+        crease = 1 - 0.35 * np.exp(-gaps / 0.35)
+        open_share = crease[:, 0] * crease[:, 1] * crease[:, 2] * (1 if own else 1 / 0.65)
+        for k, body in enumerate(self.bodies[1:], 1):
+            if body.number or k == own:
+                continue
+            away = body.motion(0.0)[1] - points
+            squared = np.einsum("nk,nk->n", away, away)
+            facing = np.maximum(np.einsum("nk,nk->n", away, normals), 0) / np.sqrt(squared)
+            open_share *= 1 - facing * np.minimum((1.2 * body.size.mean()) ** 2 / squared, 0.9)
+        return open_share
+
+    # -- truth
+
+    def _carry(self, hits: Hits, time: float) -> np.ndarray:
+        """[N, 3] where the points that were hit are at ``time``."""
+        points = np.empty_like(hits.local)
+        for k, body in enumerate(self.bodies):
+            points[hits.body == k] = body.carry(hits.local[hits.body == k], time)
+        return points
+
+    def _sees(self, camera: Camera, time: float, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Pixels [N, 2] of world points [N, 3], and whether the camera sees them [N]: in the picture and not hidden."""
+        uv, depth = camera.project(points)
+        inside = (depth > 0) & (uv >= 0).all(1) & (uv < [camera.width, camera.height]).all(1)
+        visible = inside.copy()
+        visible[inside] = self.cast(camera, time, uv[inside]).depth >= depth[inside] * (1 - VISIBLE)
+        return uv, visible
+
+    def flow(self, i: int, j: int) -> Flow:
+        """The flow from frame ``i`` to frame ``j``; its confidence is 1 where the point is visible in ``j``, else 0."""
+        grid = pixel_grid(self.width, self.height).astype(np.float64)
+        hits = self.cast(self.camera(i), self.timestamps[i], grid.reshape(-1, 2))
+        uv, visible = self._sees(self.camera(j), self.timestamps[j], self._carry(hits, self.timestamps[j]))
+        flow = uv.reshape(grid.shape) - grid
+        return Flow(i, j, flow.astype(np.float32), visible.reshape(grid.shape[:2]).astype(np.float32))
+
+    def tracks(self) -> Tracks:
+        """World points over the whole clip, ``TRACKS_PER_BODY`` on each mover and twice as many on the static world.
+
+        They are random pixels of five frames, so that each is visible at least once.
+        """
+        rng = np.random.default_rng(self.seed)
+        grid = pixel_grid(self.width, self.height).astype(np.float64).reshape(-1, 2)
+        births = sorted(set(np.linspace(0, self.frames - 1, 5).round().astype(int)))
+        seen = [self.cast(self.camera(i), self.timestamps[i], grid) for i in births]
+        body, local = np.concatenate([h.body for h in seen]), np.concatenate([h.local for h in seen])
+        numbers = np.array([b.number for b in self.bodies])[body]
+        chosen = []
+        for number in range(numbers.max() + 1):
+            candidates = np.flatnonzero(numbers == number)
+            count = min(len(candidates), TRACKS_PER_BODY * (1 if number else 2))
+            chosen.append(rng.choice(candidates, count, replace=False))
+        pick = np.concatenate(chosen)
+        points = np.empty((len(pick), self.frames, 3), np.float32)
+        visible = np.empty((len(pick), self.frames), bool)
+        start = Hits(np.empty(0), body[pick], local[pick])
+        for i, time in enumerate(self.timestamps):
+            points[:, i] = world = self._carry(start, time)
+            visible[:, i] = self._sees(self.camera(i), time, world)[1]
+        return Tracks(points, visible, visible.astype(np.float32), numbers[pick] > 0)
+
+    # -- held-out views
+
+    def heldout_views(self) -> list[HeldoutView]:
+        """A camera to the left and one to the right of the clip's own, at every ``VIEW_STEP``-th frame."""
+        views = []
+        for i in range(0, self.frames, VIEW_STEP):
+            camera = self.camera(i)
+            for name, side in (("left", -BASELINE), ("right", BASELINE)):
+                step = np.eye(4)
+                step[0, 3] = -side * SCENE_DEPTH
+                turn = np.eye(4)
+                turn[:3, :3] = Rotation.from_euler("y", np.arctan(side)).as_matrix()
+                aside = Camera(turn @ step @ camera.viewmat, camera.K, self.width, self.height)
+                views.append(HeldoutView(f"{name}_{i:05d}", i, aside))
+        return views
+
+    def covisible(self, view: HeldoutView) -> np.ndarray:
+        """[H, W] bool: pixels of a held-out view whose point the clip's frame of the same time sees, too."""
+        time = self.timestamps[view.frame]
+        grid = pixel_grid(self.width, self.height).astype(np.float64).reshape(-1, 2)
+        points = self._carry(self.cast(view.camera, time, grid), time)
+        return self._sees(self.camera(view.frame), time, points)[1].reshape(self.height, self.width)

@@ -1,0 +1,5 @@
+"""Differentiable rasterization of 3D Gaussians with any number of feature channels. Knows nothing of time or video."""
+
+from flowsplat.splatting.api import Projected, blend, project, rasterize
+
+__all__ = ["Projected", "blend", "project", "rasterize"]

@@ -1,0 +1,161 @@
+"""The one signature for rasterizing, and the one place that picks a backend."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import torch
+from torch import Tensor
+
+from flowsplat.splatting import reference
+from flowsplat.splatting.rules import EPS2D
+
+BackendName = Literal["auto", "cpu", "reference"]
+
+
+@dataclass(frozen=True)
+class Projected:
+    """Gaussians in the image plane.
+
+    Attributes:
+        means2d: [N, 2] pixels. ``retain_grad()`` on it gives density control its gradients.
+        conics: [N, 3] upper half of the inverse 2D covariance (xx, xy, yy), 1 / px^2.
+        depths: [N] planar depth.
+        radii: [N, 2] int32, half width and height in pixels of what is drawn; 0 where culled.
+        extents: [N] squared sigmas within which alpha >= 1/255; the CPU backend needs it, None from the oracle.
+        backend: who made it.
+    """
+
+    means2d: Tensor
+    conics: Tensor
+    depths: Tensor
+    radii: Tensor
+    extents: Tensor | None
+    backend: str
+
+    @property
+    def visible(self) -> Tensor:
+        """[N] bool: drawn somewhere in the picture."""
+        return self.radii[:, 0] > 0
+
+
+def _pick(backend: str, means: Tensor) -> str:
+    if backend == "auto":
+        return "reference" if means.dtype == torch.float64 or means.device.type != "cpu" else "cpu"
+    if backend not in ("cpu", "reference"):
+        raise ValueError(f"unknown backend {backend!r}: use auto, cpu or reference")
+    if backend == "cpu" and means.dtype != torch.float32:
+        raise ValueError("the cpu backend computes in float32; use backend='reference' for float64")
+    return backend
+
+
+def project(
+    means: Tensor,
+    quats: Tensor | None,
+    scales: Tensor | None,
+    opacities: Tensor,
+    viewmat: Tensor,
+    K: Tensor,
+    width: int,
+    height: int,
+    *,
+    covars: Tensor | None = None,
+    near_plane: float = 0.01,
+    far_plane: float = 1e10,
+    eps2d: float = EPS2D,
+    backend: BackendName = "auto",
+) -> Projected:
+    """Project 3D Gaussians to 2D ones (the first half of ``rasterize``, same arguments)."""
+    count = len(means)
+    if means.shape != (count, 3):
+        raise ValueError(f"means must be [N, 3], not {list(means.shape)}")
+    if covars is None:
+        if quats is None or scales is None or quats.shape != (count, 4) or scales.shape != (count, 3):
+            raise ValueError("give quats [N, 4] and scales [N, 3], or covars [N, 3, 3]")
+    elif covars.shape != (count, 3, 3):
+        raise ValueError(f"covars must be [N, 3, 3], not {list(covars.shape)}")
+    if opacities.shape != (count,):
+        raise ValueError(f"opacities must be [N], not {list(opacities.shape)}")
+    if viewmat.shape != (4, 4) or K.shape != (3, 3):
+        raise ValueError("viewmat must be [4, 4] and K [3, 3]")
+    name = _pick(backend, means)
+    if covars is not None:
+        quats = scales = None
+    arguments: Any = (means, quats, scales, covars, opacities, viewmat, K, width, height, near_plane, far_plane, eps2d)
+    if name == "cpu":
+        from flowsplat.splatting.cpu import functions
+
+        return Projected(*functions.project(*arguments), name)
+    return Projected(*reference.project(*arguments), None, name)
+
+
+def blend(projected: Projected, opacities: Tensor, features: Tensor, width: int, height: int) -> tuple[Tensor, Tensor]:
+    """Composite features [N, C] front to back (the second half of ``rasterize``).
+
+    Returns:
+        features [H, W, C] on black and alphas [H, W].
+    """
+    if features.ndim != 2 or len(features) != len(opacities):
+        raise ValueError(f"features must be [N, C], not {list(features.shape)}")
+    p = projected
+    if p.backend == "cpu":
+        from flowsplat.splatting.cpu import functions
+
+        return functions.blend(p.means2d, p.conics, opacities, features, p.depths, p.extents, width, height)
+    return reference.blend(p.means2d, p.conics, opacities, features, p.depths, p.radii, width, height)
+
+
+def rasterize(
+    means: Tensor,
+    quats: Tensor | None,
+    scales: Tensor | None,
+    opacities: Tensor,
+    features: Tensor,
+    viewmat: Tensor,
+    K: Tensor,
+    width: int,
+    height: int,
+    *,
+    covars: Tensor | None = None,
+    background: Tensor | None = None,
+    near_plane: float = 0.01,
+    far_plane: float = 1e10,
+    eps2d: float = EPS2D,
+    backend: BackendName = "auto",
+) -> tuple[Tensor, Tensor, dict[str, Any]]:
+    """Splat N Gaussians with C feature channels into a picture (METHOD 3.4), differentiable in everything.
+
+    Args:
+        means: [N, 3] world.
+        quats: [N, 4] wxyz, any length; ignored with ``covars``.
+        scales: [N, 3] standard deviations; ignored with ``covars``.
+        opacities: [N] between 0 and 1.
+        features: [N, C] colours or anything else.
+        viewmat: [4, 4] world to camera, OpenCV axes.
+        K: [3, 3] pixels; the centre of the top-left pixel is (0.5, 0.5).
+        width: pixels.
+        height: pixels.
+        covars: [N, 3, 3] general covariances in place of quats and scales.
+        background: [C] seen where alpha < 1; None = zeros.
+        near_plane: Gaussians nearer are culled.
+        far_plane: Gaussians farther are culled.
+        eps2d: px^2 added to every 2D covariance.
+        backend: ``cpu`` (Numba, float32), ``reference`` (torch, any float type, slow) or ``auto``.
+
+    Returns:
+        features [H, W, C]; alphas [H, W]; and a dict with ``means2d`` [N, 2], ``conics`` [N, 3], ``depths`` [N] and ``radii``
+        [N, 2] int32. Call ``info["means2d"].retain_grad()`` before backward to get the gradients of density control.
+
+    Raises:
+        ValueError: a shape, dtype or backend does not fit.
+    """
+    projected = project(
+        means, quats, scales, opacities, viewmat, K, width, height, covars=covars, near_plane=near_plane,
+        far_plane=far_plane, eps2d=eps2d, backend=backend,
+    )  # fmt: skip
+    image, alphas = blend(projected, opacities, features, width, height)
+    if background is not None:
+        image = image + (1 - alphas)[..., None] * background
+    info = {name: getattr(projected, name) for name in ("means2d", "conics", "depths", "radii")}
+    return image, alphas, info

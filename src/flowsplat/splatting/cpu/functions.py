@@ -1,0 +1,164 @@
+"""The kernels as two differentiable torch functions: projecting and blending."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numba
+import numpy as np
+import torch
+from torch import Tensor
+
+from flowsplat.splatting.cpu import blending, tiles
+from flowsplat.splatting.cpu import projection as kernels
+from flowsplat.splatting.cpu.workspace import Lease
+
+_CHUNKS = 16  # fixed, so that sums over chunks do not depend on the number of threads
+
+
+def _array(tensor: Tensor) -> np.ndarray:
+    return tensor.detach().to(torch.float32).contiguous().numpy()
+
+
+_NO_QUATS, _NO_SCALES = np.zeros((0, 4), np.float32), np.zeros((0, 3), np.float32)
+_NO_COVARS = np.zeros((0, 3, 3), np.float32)
+
+
+class _Project(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, means: Tensor, quats: Tensor | None, scales: Tensor | None, covars: Tensor | None,
+                opacities: Tensor, viewmat: Tensor, K: Tensor, width: int, height: int, near: float, far: float,
+                eps2d: float) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:  # fmt: skip
+        count = len(means)
+        inputs = (
+            _array(means),
+            _NO_QUATS if quats is None else _array(quats),
+            _NO_SCALES if scales is None else _array(scales),
+            _NO_COVARS if covars is None else _array(covars),
+            covars is not None,
+        )
+        view, K_array = _array(viewmat), _array(K)
+        means2d, conics = torch.empty(count, 2), torch.empty(count, 3)
+        depths, extents = torch.empty(count), torch.empty(count)
+        radii = torch.empty(count, 2, dtype=torch.int32)
+        kernels.project_forward(
+            *inputs, _array(opacities), view, K_array, width, height, np.float32(near), np.float32(far),
+            np.float32(eps2d), means2d.numpy(), conics.numpy(), depths.numpy(), radii.numpy(), extents.numpy(),
+        )  # fmt: skip
+        ctx.mark_non_differentiable(radii, extents)
+        ctx.set_materialize_grads(False)
+        ctx.inputs, ctx.camera, ctx.size = inputs, (view, K_array), (width, height)
+        ctx.radii, ctx.conics = radii.numpy(), conics.detach().numpy()
+        return means2d, conics, depths, radii, extents
+
+    @staticmethod
+    def backward(ctx: Any, grad_means2d: Tensor | None, grad_conics: Tensor | None, grad_depths: Tensor | None,
+                 *_: Any) -> tuple[Tensor | None, ...]:  # fmt: skip
+        means, quats, scales, covars, has_covars = ctx.inputs
+        count = len(means)
+        zeros = [
+            torch.zeros(count, *shape) if gradient is None else gradient
+            for gradient, shape in ((grad_means2d, (2,)), (grad_conics, (3,)), (grad_depths, ()))
+        ]
+        wants_camera = ctx.needs_input_grad[5] or ctx.needs_input_grad[6]
+        grad_means, grad_quats = torch.empty(count, 3), torch.empty(len(quats), 4)
+        grad_scales, grad_covars = torch.empty(len(scales), 3), torch.empty(len(covars), 3, 3)
+        grad_camera = np.zeros((_CHUNKS, 16))
+        kernels.project_backward(
+            means, quats, scales, covars, has_covars, *ctx.camera, *ctx.size, ctx.radii, ctx.conics,
+            *(_array(gradient) for gradient in zeros), grad_means.numpy(), grad_quats.numpy(), grad_scales.numpy(),
+            grad_covars.numpy(), wants_camera, grad_camera,
+        )  # fmt: skip
+        grad_view = grad_K = None
+        if wants_camera:
+            camera = torch.from_numpy(grad_camera.sum(0)).to(torch.float32)
+            grad_view, grad_K = torch.zeros(4, 4), torch.zeros(3, 3)
+            grad_view[:3] = camera[:12].reshape(3, 4)
+            grad_K[0, 0], grad_K[1, 1], grad_K[0, 2], grad_K[1, 2] = camera[12:]
+        return (
+            grad_means, None if has_covars else grad_quats, None if has_covars else grad_scales,
+            grad_covars if has_covars else None, None, grad_view, grad_K, None, None, None, None, None,
+        )  # fmt: skip
+
+
+class _Blend(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, means2d: Tensor, conics: Tensor, opacities: Tensor, features: Tensor, depths: Tensor,
+                extents: Tensor, width: int, height: int) -> tuple[Tensor, Tensor]:  # fmt: skip
+        lease = Lease()
+        space = lease.workspace
+        count, channels = features.shape
+        xy, conic, opacity, feature, extent = map(_array, (means2d, conics, opacities, features, extents))
+        order = space.array("order", count, np.uint32)
+        visible = tiles.sort_by_depth(
+            _array(depths).view(np.uint32), extent, order,
+            space.array("keys_a", count, np.uint32), space.array("keys_b", count, np.uint32),
+            space.array("values", count, np.uint32),
+        )  # fmt: skip
+        stride = -(-(tiles.GEOMETRY + channels) // 16) * 16
+        records = space.array("records", visible * stride, np.float32)
+        tiles.pack(visible, order, xy, conic, opacity, feature, records, stride)
+        column_offsets = space.array("column_offsets", visible + 1, np.int64)
+        tiles.count_columns(visible, order, xy, conic, extent, width, column_offsets)
+        strips = space.array("strips", 3 * tiles.prefix_sum(column_offsets, visible), np.int32).reshape(-1, 3)
+        tile_count = -(-width // tiles.TILE_WIDTH) * -(-height // tiles.TILE_HEIGHT)
+        chunk_counts = space.array("chunk_counts", numba.get_num_threads() * tile_count, np.int32).reshape(-1, tile_count)
+        chunk_counts[:] = 0
+        instance_offsets = space.array("instance_offsets", visible + 2, np.int64)
+        tiles.cut_strips(
+            visible, order, xy, conic, extent, width, height, column_offsets, strips, chunk_counts, instance_offsets
+        )
+        total = tiles.prefix_sum(instance_offsets[1:], visible)
+        instance_offsets = instance_offsets[1:]
+        tile_offsets = space.array("tile_offsets", tile_count + 1, np.int64)
+        tiles.tile_ranges(chunk_counts, tile_offsets)
+        instances = space.array("instances", 3 * total, np.int32).reshape(-1, 3)
+        tiles.fill_tiles(visible, width, column_offsets, strips, chunk_counts, instance_offsets, instances)
+
+        image, transmittance = torch.empty(height, width, channels), torch.empty(height, width)
+        tile_stops = space.array("tile_stops", tile_count, np.int64)
+        with numba.parallel_chunksize(8):
+            blending.blend_forward(
+                width, height, records, stride, instances, tile_offsets, image.numpy(), transmittance.numpy(), tile_stops,
+                (0,) * channels,
+            )  # fmt: skip
+        ctx.lease, ctx.size, ctx.stride, ctx.visible, ctx.total = lease, (width, height), stride, visible, total
+        ctx.tiles = records, instances, tile_offsets, tile_stops, order, instance_offsets
+        ctx.save_for_backward(image, transmittance)
+        ctx.inputs = conic, opacity
+        ctx.set_materialize_grads(False)
+        return image, 1 - transmittance
+
+    @staticmethod
+    def backward(ctx: Any, grad_image: Tensor | None, grad_alphas: Tensor | None) -> tuple[Tensor | None, ...]:
+        image, transmittance = ctx.saved_tensors
+        (conic, opacity), (width, height) = ctx.inputs, ctx.size
+        records, instances, tile_offsets, tile_stops, order, instance_offsets = ctx.tiles
+        count, channels = len(opacity), image.shape[2]
+        grad_image = torch.zeros_like(image) if grad_image is None else grad_image
+        grad_alphas = torch.zeros_like(transmittance) if grad_alphas is None else grad_alphas
+        out = ctx.lease.workspace.array("out", max(ctx.total, 1) * ctx.stride, np.float32)
+        with numba.parallel_chunksize(8):
+            blending.blend_backward(
+                width, height, records, ctx.stride, instances, tile_offsets, tile_stops, image.detach().numpy(),
+                transmittance.numpy(), _array(grad_image), _array(grad_alphas), out, (0,) * tiles.GEOMETRY, (0,) * channels,
+            )  # fmt: skip
+        grad_means2d, grad_conics = torch.zeros(count, 2), torch.zeros(count, 3)
+        grad_opacities, grad_features = torch.zeros(count), torch.zeros(count, channels)
+        blending.gather_gradients(
+            ctx.visible, order, instance_offsets, out, ctx.stride, conic, opacity, grad_means2d.numpy(),
+            grad_conics.numpy(), grad_opacities.numpy(), grad_features.numpy(),
+        )  # fmt: skip
+        return grad_means2d, grad_conics, grad_opacities, grad_features, None, None, None, None
+
+
+def project(*args: Any) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """As ``reference.project``, and the squared sigmas [N] within which each Gaussian is drawn (0 where culled)."""
+    result: tuple[Tensor, Tensor, Tensor, Tensor, Tensor] = _Project.apply(*args)
+    return result
+
+
+def blend(*args: Any) -> tuple[Tensor, Tensor]:
+    """As ``reference.blend``, with the extents of ``project`` in place of the radii."""
+    result: tuple[Tensor, Tensor] = _Blend.apply(*args)
+    return result

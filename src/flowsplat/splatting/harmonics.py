@@ -1,0 +1,50 @@
+"""Real spherical harmonics as colours, with the constants and the sign convention of 3D Gaussian Splatting."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+C0 = 0.28209479177387814
+C1 = 0.4886025119029199
+C2 = (1.0925484305920792, -1.0925484305920792, 0.31539156525252005, -1.0925484305920792, 0.5462742152960396)
+C3 = (
+    -0.5900435899266435, 2.890611442640554, -0.4570457994644658, 0.3731763325901154,
+    -0.4570457994644658, 1.445305721320277, -0.5900435899266435,
+)  # fmt: skip
+
+
+def harmonics_count(degree: int) -> int:
+    """How many coefficients a degree has."""
+    return (degree + 1) ** 2
+
+
+def harmonics_basis(directions: Tensor, degree: int) -> Tensor:
+    """[..., 3] unit directions to [..., (degree + 1)^2] basis values; degree 0 to 3."""
+    x, y, z = directions.unbind(-1)
+    basis = [torch.full_like(x, C0)]
+    if degree > 0:
+        basis += [-C1 * y, C1 * z, -C1 * x]
+    if degree > 1:
+        xx, yy, zz = x * x, y * y, z * z
+        basis += [C2[0] * x * y, C2[1] * y * z, C2[2] * (2 * zz - xx - yy), C2[3] * x * z, C2[4] * (xx - yy)]
+    if degree > 2:
+        basis += [
+            C3[0] * y * (3 * xx - yy), C3[1] * x * y * z, C3[2] * y * (4 * zz - xx - yy),
+            C3[3] * z * (2 * zz - 3 * xx - 3 * yy), C3[4] * x * (4 * zz - xx - yy), C3[5] * z * (xx - yy),
+            C3[6] * x * (xx - 3 * yy),
+        ]  # fmt: skip
+    return torch.stack(basis, -1)
+
+
+def colours_from_harmonics(sh: Tensor, directions: Tensor | None, degree: int) -> Tensor:
+    """Coefficients [N, K, 3] seen along directions [N, 3] to colours [N, 3] >= 0; only coefficients up to ``degree`` count."""
+    if degree == 0 or directions is None:
+        return (C0 * sh[:, 0] + 0.5).clamp(min=0)
+    basis = harmonics_basis(torch.nn.functional.normalize(directions, dim=-1), degree)
+    return ((basis[..., None] * sh[:, : basis.shape[-1]]).sum(1) + 0.5).clamp(min=0)
+
+
+def harmonics_from_colours(colours: Tensor) -> Tensor:
+    """The degree-0 coefficient of a colour."""
+    return (colours - 0.5) / C0

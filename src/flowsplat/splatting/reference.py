@@ -1,0 +1,91 @@
+"""The oracle: what every backend must compute, in plain torch, short enough to check by eye.
+
+Works in any float type, differentiates by autograd, and is slow: blending holds [pixels, Gaussians] matrices.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from flowsplat.geometry.projection import camera_jacobian, to_camera
+from flowsplat.geometry.rotations import covariances
+from flowsplat.splatting.rules import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
+
+
+def project(
+    means: Tensor,  # [N, 3]
+    quats: Tensor | None,  # [N, 4]
+    scales: Tensor | None,  # [N, 3]
+    covars: Tensor | None,  # [N, 3, 3]
+    opacities: Tensor,  # [N]
+    viewmat: Tensor,  # [4, 4]
+    K: Tensor,  # [3, 3]
+    width: int,
+    height: int,
+    near_plane: float,
+    far_plane: float,
+    eps2d: float,
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """EWA projection: means2d [N, 2], conics [N, 3], depths [N], radii [N, 2] int32 (0 where culled)."""
+    if covars is None:
+        assert quats is not None
+        assert scales is not None
+        covars = covariances(quats, scales)
+    camera_means = to_camera(means, viewmat)
+    depths = camera_means[:, 2]
+    inside = (depths > near_plane) & (depths < far_plane)
+    safe = torch.where(inside, depths, torch.ones_like(depths))
+    camera_means = torch.cat([camera_means[:, :2], safe[:, None]], 1)
+    J = camera_jacobian(camera_means, K, width, height) @ viewmat[:3, :3]
+    blurred = J @ covars @ J.transpose(1, 2) + eps2d * torch.eye(2, dtype=means.dtype, device=means.device)
+    a, b, c = blurred[:, 0, 0], 0.5 * (blurred[:, 0, 1] + blurred[:, 1, 0]), blurred[:, 1, 1]
+    determinant = a * c - b * b
+    inside = inside & (determinant > 0) & torch.isfinite(determinant)
+    safe_determinant = torch.where(inside, determinant, torch.ones_like(determinant))
+    conics = torch.stack([c, -b, a], 1) / safe_determinant[:, None]
+    means2d = torch.stack(
+        [
+            K[0, 0] * camera_means[:, 0] / camera_means[:, 2] + K[0, 2],
+            K[1, 1] * camera_means[:, 1] / camera_means[:, 2] + K[1, 2],
+        ],
+        1,
+    )
+    with torch.no_grad():
+        extent = 2 * torch.log(opacities.clamp(min=1e-12) / ALPHA_MIN)
+        half = torch.sqrt(extent.clamp(min=0)[:, None] * torch.stack([a, c], 1).clamp(min=0))
+        size = torch.tensor([width, height], dtype=means.dtype, device=means.device)
+        touches = ((means2d + half > 0) & (means2d - half < size)).all(1)
+        visible = inside & touches & (extent > 0)
+        radii = torch.where(visible[:, None], torch.ceil(half).clamp(1, 1e6), torch.zeros_like(half)).to(torch.int32)
+    return means2d, conics, depths, radii
+
+
+def blend(
+    means2d: Tensor,  # [N, 2]
+    conics: Tensor,  # [N, 3]
+    opacities: Tensor,  # [N]
+    features: Tensor,  # [N, C]
+    depths: Tensor,  # [N]
+    radii: Tensor,  # [N, 2]
+    width: int,
+    height: int,
+) -> tuple[Tensor, Tensor]:
+    """Alpha compositing front to back: features [H, W, C] and alphas [H, W] (METHOD 3.4)."""
+    visible = torch.nonzero((radii > 0).all(1)).squeeze(1)
+    order = visible[torch.sort(depths[visible], stable=True).indices]
+    x = torch.arange(width, dtype=means2d.dtype, device=means2d.device) + 0.5
+    y = torch.arange(height, dtype=means2d.dtype, device=means2d.device) + 0.5
+    pixels = torch.stack(torch.meshgrid(x, y, indexing="xy"), -1).reshape(-1, 1, 2)
+    dx, dy = (pixels - means2d[order]).unbind(-1)
+    a, b, c = conics[order].unbind(-1)
+    raw = opacities[order] * torch.exp(-0.5 * (a * dx * dx + c * dy * dy) - b * dx * dy)
+    alpha = torch.where(raw >= ALPHA_MIN, raw.clamp(max=ALPHA_MAX), torch.zeros_like(raw))
+    after = torch.cumprod(1 - alpha, 1)
+    drawn = after > TRANSMITTANCE_MIN
+    alpha = torch.where(drawn, alpha, torch.zeros_like(alpha))
+    after = torch.cumprod(1 - alpha, 1)
+    before = torch.cat([torch.ones_like(after[:, :1]), after[:, :-1]], 1)
+    image = (alpha * before) @ features[order]
+    remaining = after[:, -1] if len(order) else torch.ones(width * height, dtype=means2d.dtype, device=means2d.device)
+    return image.reshape(height, width, -1), (1 - remaining).reshape(height, width)

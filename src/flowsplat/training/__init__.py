@@ -1,0 +1,1 @@
+"""Training: losses, the optimizer, the loop, checkpoints, and every setting of them."""

@@ -1,0 +1,61 @@
+"""The optimizer of all parameters, and the one place that picks who computes its step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+
+from flowsplat.training.adam import cpu, reference
+
+
+class RowAdam:
+    """Adam whose moments and step counts belong to rows: a Gaussian without a gradient is not touched at all.
+
+    Where every row has a gradient in every step this is torch's Adam. Where not, a row that is absent keeps its moments
+    instead of letting them decay, and its bias correction counts its own steps: each Gaussian sees the Adam of the frames
+    that showed it (as the selective Adam of "Taming 3DGS" and gsplat does, there with the common step count).
+    """
+
+    def __init__(self, params: Mapping[str, Tensor]):
+        self.means = {name: torch.zeros_like(value) for name, value in params.items()}
+        self.squares = {name: torch.zeros_like(value) for name, value in params.items()}
+        count = len(next(iter(params.values())))
+        self.counts = torch.zeros(count, dtype=torch.int32)
+
+    def begin_step(self, rows: Tensor) -> None:
+        """Count one step for these rows [A] (each at most once)."""
+        self.counts[rows] += 1
+
+    def step(self, name: str, value: Tensor, rows: Tensor, gradient: Tensor, rates: Tensor) -> None:
+        """Step rows [A] of the parameter ``name`` [N, ...] along gradient [A, ...] at learning rates [D] (D flattened)."""
+        if len(rows) == 0 or value[0].numel() == 0:
+            return
+        count = len(value)
+        module = cpu if value.device.type == "cpu" and value.dtype == torch.float32 else reference
+        module.step_rows(
+            value.view(count, -1), self.means[name].view(count, -1), self.squares[name].view(count, -1), self.counts,
+            rows, gradient.reshape(len(rows), -1), rates,
+        )  # fmt: skip
+
+    def follow(self, index: Tensor, is_new: Tensor) -> None:
+        """After density control: row k comes from old row ``index[k]``; new rows [M] bool start with empty moments."""
+        for moments in (self.means, self.squares):
+            for name, value in moments.items():
+                moments[name] = value[index]
+                moments[name][is_new] = 0
+        self.counts = self.counts[index]
+        self.counts[is_new] = 0
+
+    def state(self) -> dict[str, Tensor]:
+        """Every tensor by name, for a checkpoint."""
+        state = {f"mean.{name}": value for name, value in self.means.items()}
+        state |= {f"square.{name}": value for name, value in self.squares.items()}
+        return {**state, "counts": self.counts}
+
+    def load_state(self, state: Mapping[str, Tensor]) -> None:
+        """The inverse of ``state``."""
+        self.means = {name: state[f"mean.{name}"] for name in self.means}
+        self.squares = {name: state[f"square.{name}"] for name in self.squares}
+        self.counts = state["counts"]

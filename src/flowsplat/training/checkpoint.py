@@ -1,0 +1,89 @@
+"""Tensors and plain values as files: safetensors for the numbers, JSON for the rest."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor
+
+from flowsplat.common.errors import InputError
+from flowsplat.common.files import atomic_path, read_json, write_json
+from flowsplat.gaussians.gaussians4d import Gaussians4D, ModelConfig
+from flowsplat.gaussians.model import SceneModel
+from flowsplat.geometry import Similarity
+
+MODEL_VERSION = 1
+
+
+def write_tensors(path: Path, tensors: Mapping[str, Tensor], values: Mapping[str, Any]) -> None:
+    """Write tensors and JSON-able values into one safetensors file, atomically."""
+    with atomic_path(path) as temporary:
+        contiguous = {name: tensor.contiguous() for name, tensor in tensors.items()}
+        try:
+            save_file(contiguous, temporary, metadata={"values": json.dumps(values)})
+        except SafetensorError as error:
+            # Its writer reports a full disk as text.
+            raise OSError(28 if "No space" in str(error) else 5, str(error)) from error
+
+
+def read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """The inverse of ``write_tensors``.
+
+    Raises:
+        InputError: missing, truncated or damaged.
+    """
+    if not path.exists():
+        raise InputError(f"{path} does not exist.")
+    try:
+        with safe_open(path, framework="pt") as file:
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            return tensors, json.loads((file.metadata() or {}).get("values", "{}"))
+    except (SafetensorError, json.JSONDecodeError, OSError) as error:
+        raise InputError(f"{path} is damaged or truncated ({error}). Delete it to compute it again.") from error
+
+
+def save_model(folder: Path, model: SceneModel) -> None:
+    """Write a trained model: ``gaussians.safetensors`` and a ``model.json`` that a person can read."""
+    g = model.gaussians
+    write_tensors(folder / "gaussians.safetensors", {**g.params, "dynamic": g.dynamic}, {})
+    value = {
+        "version": MODEL_VERSION,
+        "gaussians": len(g),
+        "dynamic": int(g.dynamic.sum()),
+        "model": asdict(g.config),
+        "sh_degree": g.sh_degree,
+        "similarity": model.similarity.to_json(),
+        "first": model.first,
+        "last": model.last,
+        "flow_model": model.flow_model,
+        "fill": model.fill,
+    }
+    write_json(folder / "model.json", value)
+
+
+def load_model(folder: Path) -> SceneModel:
+    """Read what ``save_model`` wrote.
+
+    Raises:
+        InputError: missing, damaged, or of a newer version.
+    """
+    value = read_json(folder / "model.json")
+    try:
+        if int(value["version"]) > MODEL_VERSION:
+            raise InputError(f"{folder} was written by a newer flowsplat (model version {value['version']}). Update flowsplat.")
+        tensors, _ = read_tensors(folder / "gaussians.safetensors")
+        dynamic = tensors.pop("dynamic").to(torch.bool)
+        gaussians = Gaussians4D(tensors, dynamic, ModelConfig(**value["model"]), int(value["sh_degree"]))
+        return SceneModel(
+            gaussians, Similarity.from_json(value["similarity"]), float(value["first"]), float(value["last"]),
+            value["flow_model"], bool(value["fill"]),
+        )  # fmt: skip
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{folder} does not hold a trained model: {error}.") from error

@@ -1,0 +1,161 @@
+"""Every setting of training, and the presets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Annotated
+
+import tyro
+
+from flowsplat.gaussians.flow import FlowModel
+from flowsplat.gaussians.gaussians4d import ModelConfig
+from flowsplat.gaussians.initialize import InitConfig
+
+
+@dataclass(frozen=True)
+class RatesConfig:
+    """Adam's learning rates at the start. Lengths are in median depths, times in clip lengths."""
+
+    means: float = 1.6e-4
+    """Positions; falls to 0.01 of this, exponentially."""
+    times: float = 1.6e-4
+    """Centre times; constant."""
+    quats: float = 1e-3
+    """Rotations."""
+    scales: float = 0.02
+    """Log scales."""
+    opacities: float = 0.05
+    """Logit opacities."""
+    colours: float = 0.02
+    """Harmonics of degree 0."""
+    harmonics: float = 1e-3
+    """Harmonics beyond degree 0."""
+    log_lambdas: float = 0.01
+    """Log temporal precision."""
+    motion: float = 1e-3
+    """Polynomial and Fourier coefficients."""
+    gains: float = 0.015
+    """Brightness in time."""
+    means_decay: float = 0.01
+    """What remains of the rate of ``means`` at the end."""
+    motion_decay: float = 0.1
+    """What remains of the rate of ``motion`` at the end."""
+    decay: float = 0.05
+    """What remains of all other rates at the end, ``times`` excepted."""
+
+
+@dataclass(frozen=True)
+class LossConfig:
+    """Weights of the losses (METHOD 5)."""
+
+    ssim: float = 0.2
+    """gamma_1: share of SSIM in the colour loss."""
+    flow: float = 0.03
+    """gamma_2: weight of the flow loss, pixels."""
+    rigid: float = 0.5
+    """gamma_3: weight of the rigid loss."""
+    depth: float = 0.05
+    """Weight of the depth loss (ours; 0 in the paper)."""
+    rigid_neighbours: int = 20
+    """k: neighbours of every Gaussian in the rigid loss."""
+    rigid_beta: float = 100.0
+    """How fast the weight of a neighbour falls with distance, per median depth."""
+    rigid_refresh: int = 1000
+    """Steps for which the neighbours found in a frame are used again."""
+    rigid_over_all: bool = False
+    """Divide the rigid loss by the number of all Gaussians (the paper) instead of the active ones."""
+    flow_by_alpha: bool = True
+    """Compare flow divided by alpha (ours) instead of as it is (the paper), which is biased where alpha < 1."""
+
+
+@dataclass(frozen=True)
+class DensityConfig:
+    """When Gaussians are added, removed, reset, and when background becomes dynamic (METHOD 5)."""
+
+    every: int = 100
+    """Steps between two rounds."""
+    start: int = 500
+    """First round."""
+    stop: float = 1.0
+    """Last round, as a share of all iterations."""
+    gradient: float = 0.0002
+    """Clone or split above this mean gradient of the 2D mean, in normalised device coordinates; 0 = never."""
+    clone_below: float = 0.01
+    """Gaussians whose largest scale is below this are cloned, the others split. Median depths."""
+    prune_opacity: float = 0.005
+    """Remove below this opacity."""
+    prune_scale: float = 0.1
+    """Remove above this scale, once the first opacity reset is past; 0 = never. Median depths."""
+    reset_every: int = 600
+    """Steps between two opacity resets; 0 = never."""
+    reset_to: float = 0.01
+    """Opacity after a reset."""
+    max_gaussians: int = 1_500_000
+    """Never more than this."""
+    revise: bool = True
+    """Background that keeps a large residual becomes dynamic, dynamic Gaussians that rest become background (ours)."""
+    revise_flow: float = 1.5
+    """Mean flow residual in pixels from which background counts as moving."""
+    revise_rest: float = 0.3
+    """Dynamic Gaussians that move less than this many pixels over their life, as seen, come to rest."""
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """How a scene is trained."""
+
+    iterations: int = 1500
+    """Optimizer steps."""
+    frames_per_iteration: int = 1
+    """Frames rendered in a step; their losses are averaged. 0 = all (the paper, read literally)."""
+    flow_model: FlowModel = "displacement"
+    """How flow is splatted: ``mean`` (the paper), ``displacement`` or ``affine`` (METHOD 3)."""
+    seed: Annotated[int, tyro.conf.arg(aliases=("--seed",))] = 0
+    """Of every random choice."""
+    checkpoint_every: int = 250
+    """Steps between two checkpoints."""
+    preview_every: int = 100
+    """Steps between two preview pictures; 0 = none."""
+    model: ModelConfig = field(default_factory=ModelConfig)
+    """What a Gaussian is made of."""
+    init: InitConfig = field(default_factory=InitConfig)
+    """How Gaussians start."""
+    rates: RatesConfig = field(default_factory=RatesConfig)
+    """Learning rates."""
+    loss: LossConfig = field(default_factory=LossConfig)
+    """Loss weights."""
+    density: DensityConfig = field(default_factory=DensityConfig)
+    """Density control."""
+    fill: bool = True
+    """Fill uncovered pixels of rendered pictures from their neighbours (ours)."""
+
+
+_OURS = TrainConfig(
+    iterations=1500,
+    loss=LossConfig(rigid_neighbours=10),
+    model=ModelConfig(
+        mean_poly=3, mean_fourier=1, quat_poly=1, quat_fourier=0, sh_degree=1, gains=16, freeze_background=True
+    ),
+    density=DensityConfig(every=250, start=250, stop=0.8, gradient=0.0, prune_scale=0.0, reset_every=0),
+)
+
+PRESETS: dict[str, TrainConfig] = {
+    "default": _OURS,
+    "paper": TrainConfig(
+        iterations=1500,
+        frames_per_iteration=4,
+        flow_model="mean",
+        model=ModelConfig(),
+        init=InitConfig(
+            foreground="tracks", samples=7, precision_factor=49 / 36, opacity=0.1, surface_aligned=False,
+            background_spacing=2.0, foreground_spacing=1.0,
+        ),
+        rates=RatesConfig(
+            quats=0.001, scales=0.005, opacities=0.05, colours=0.0025, harmonics=0.0025 / 20, decay=1.0, motion=0.001,
+        ),
+        loss=LossConfig(depth=0.0, rigid_over_all=True, flow_by_alpha=False),
+        density=DensityConfig(revise=False),
+        fill=False,
+    ),
+}  # fmt: skip
+"""Training settings by name; ``fast`` and ``high`` are made from ``default`` in ``pipeline``."""

@@ -1,0 +1,396 @@
+"""The training loop (METHOD 5)."""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from flowsplat.common.errors import InputError
+from flowsplat.common.files import read_json, write_json
+from flowsplat.common.progress import progress_bar, say
+from flowsplat.gaussians.density import DensityResult, DensityStatistics, densify, prune, reset_opacities, revise_dynamic
+from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
+from flowsplat.gaussians.initialize import initialize, sampled_frames
+from flowsplat.gaussians.observations import Observation, Observations
+from flowsplat.gaussians.render import RenderedFrame, render_leaves
+from flowsplat.scenes import Tracks
+from flowsplat.training.adam import RowAdam
+from flowsplat.training.checkpoint import read_tensors, write_tensors
+from flowsplat.training.config import TrainConfig
+from flowsplat.training.losses import depth_loss, flow_loss, rigid_loss, rigid_neighbours
+from flowsplat.training.ssim import colour_loss
+
+RECORD_EVERY = 10
+"""Steps that one entry of the history averages over."""
+
+Preview = Callable[[int, Observation, RenderedFrame], None]
+Record = Callable[[dict[str, float]], None]
+
+
+class Trainer:
+    """Trains 4D Gaussians on observations; can stop at any step and go on from its last checkpoint to the same bits.
+
+    Attributes:
+        gaussians: the model so far.
+        step: steps done.
+        history: one entry every ``RECORD_EVERY`` steps: step, loss, colour, flow, rigid, depth, psnr, gaussians, active.
+    """
+
+    def __init__(
+        self,
+        observations: Observations,
+        tracks: Tracks | None,
+        config: TrainConfig,
+        checkpoints: Path | None = None,
+        preview: Preview | None = None,
+        record: Record | None = None,
+        start: Gaussians4D | None = None,
+    ):
+        """Prepare to train; nothing is computed before ``run``.
+
+        Args:
+            observations: training frames.
+            tracks: for an initialisation from tracks.
+            config: every setting.
+            checkpoints: folder to keep the last checkpoint in; None = none.
+            preview: called every ``preview_every`` steps with a rendered frame.
+            record: called with every new entry of the history.
+            start: the Gaussians to start from; None = ``initialize``.
+        """
+        self.observations, self.tracks, self.config = observations, tracks, config
+        self._checkpoints, self._preview, self._record = checkpoints, preview, record
+        self._start = start
+        self.step, self.history = 0, []  # type: tuple[int, list[dict[str, float]]]
+        self._rng = np.random.default_rng(config.seed)
+        self._generator = torch.Generator().manual_seed(config.seed)
+        self._queue: list[int] = []
+        self._neighbours: dict[int, tuple[Tensor, Tensor, Tensor, int]] = {}
+        self._recent: list[dict[str, float]] = []
+        self._times = np.array([frame.time for frame in observations.frames])
+        self.gaussians: Gaussians4D
+        self._adam: RowAdam
+        self._statistics: DensityStatistics
+
+    # -- the loop
+
+    def run(self) -> Gaussians4D:
+        """Train from the last checkpoint, or from the beginning, to the end."""
+        if not self._load_checkpoint():
+            self.gaussians = self._start or initialize(
+                self.observations, self.tracks, self.config.model, self.config.init, self.config.seed,
+                self.config.density.max_gaussians,
+            )  # fmt: skip
+            self._adam = RowAdam(self.gaussians.params)
+            self._statistics = DensityStatistics.zeros(len(self.gaussians))
+            moving = int(self.gaussians.dynamic.sum())
+            say(f"Starting from {len(self.gaussians) - moving:,} background and {moving:,} moving Gaussians.")
+        config = self.config
+        with progress_bar("Training", config.iterations, self.step) as bar:
+            while self.step < config.iterations:
+                entry = self._iterate()
+                self._after_step(entry)
+                bar.advance(1, f"PSNR {entry['psnr']:.2f}  {len(self.gaussians):,} Gaussians")
+                if self._checkpoints is not None and self.step % config.checkpoint_every == 0 and self.step < config.iterations:
+                    self._save_checkpoint()
+        return self.gaussians
+
+    def _next_frames(self) -> list[int]:
+        count = self.config.frames_per_iteration or len(self.observations)
+        chosen = []
+        for _ in range(count):
+            if not self._queue:
+                self._queue = self._rng.permutation(len(self.observations)).tolist()
+            chosen.append(self._queue.pop())
+        return chosen
+
+    def _iterate(self) -> dict[str, float]:
+        """One optimizer step over the next frames."""
+        self.gaussians.sh_degree = min(
+            self.gaussians.config.sh_degree, 4 * self.step // max(self.config.iterations, 1)
+        )
+        frames = self._next_frames()
+        entries = []
+        if len(frames) == 1:
+            active, visible, gradients, entry = self._differentiate(frames[0])
+            self._apply(
+                {
+                    name: self._visible_rows(name, active, visible, gradient)
+                    for name, gradient in gradients.items()
+                },
+                active.rows[visible],
+            )
+            entries.append(entry)
+        else:
+            totals = {name: torch.zeros_like(value) for name, value in self.gaussians.params.items()}
+            touched = torch.zeros(len(self.gaussians), dtype=torch.bool)
+            for k in frames:
+                active, visible, gradients, entry = self._differentiate(k)
+                for name, gradient in gradients.items():
+                    rows, part = self._visible_rows(name, active, visible, gradient)
+                    totals[name][rows] += part / len(frames)
+                touched[active.rows[visible]] = True
+                entries.append(entry)
+            rows = torch.nonzero(touched).squeeze(1)
+            self._apply({name: (rows, total[rows]) for name, total in totals.items()}, rows)
+        self.step += 1
+        return {name: float(np.mean([entry[name] for entry in entries])) for name in entries[0]}
+
+    def _visible_rows(self, name: str, active: Active, visible: Tensor, gradient: Tensor) -> tuple[Tensor, Tensor]:
+        """The rows of a parameter that were drawn, and their gradients."""
+        rows = self.gaussians.rows_of(name, active)
+        if name in self.gaussians.moving_names:
+            visible = visible[active.num_static :]
+        elif name == "log_gains":
+            visible = visible[: active.num_static]
+        return rows[visible], gradient[visible]
+
+    def _apply(self, gradients: dict[str, tuple[Tensor, Tensor]], rows: Tensor) -> None:
+        self._adam.begin_step(rows)
+        rates = self.rates()
+        for name, (chosen, gradient) in gradients.items():
+            self._adam.step(name, self.gaussians.params[name], chosen, gradient, rates[name])
+
+    def rates(self) -> dict[str, Tensor]:
+        """Learning rates now: one for every number of a row, by parameter."""
+        r = self.config.rates
+        progress = self.step / max(self.config.iterations, 1)
+        means, motion, rest = (decay**progress for decay in (r.means_decay, r.motion_decay, r.decay))
+        rates = {
+            "means": r.means * means, "times": r.times, "log_lambdas": r.log_lambdas * rest, "quats": r.quats * rest,
+            "log_scales": r.scales * rest, "logit_opacities": r.opacities * rest, "log_gains": r.gains * rest,
+            "log_scales4": r.scales * rest, "quats_left": r.quats * rest, "quats_right": r.quats * rest,
+        }  # fmt: skip
+        result = {}
+        for name, value in self.gaussians.params.items():
+            size = value[0].numel()
+            if name == "sh":
+                result[name] = torch.full((size,), r.harmonics * rest)
+                result[name][:3] = r.colours * rest
+            else:
+                result[name] = torch.full((size,), rates.get(name, r.motion * motion))
+        return result
+
+    # -- one frame
+
+    def _differentiate(self, k: int) -> tuple[Active, Tensor, dict[str, Tensor], dict[str, float]]:
+        """Render training frame k and return what was active, what was drawn [A], the gradients of its loss, and figures."""
+        frame, loss_config = self.observations[k], self.config.loss
+        active = self.gaussians.active(frame.time, frame.camera)
+        leaves = {name: value.requires_grad_() for name, value in self.gaussians.gather(active).items()}
+        flow_to = None
+        if frame.forward is not None and loss_config.flow > 0:
+            following = self.observations[k + 1]
+            flow_to = following.camera, following.time
+        rendered = render_leaves(
+            leaves, active, self.gaussians, frame.camera, flow_to=flow_to, flow_model=self.config.flow_model
+        )
+        rendered.projected.means2d.retain_grad()
+        target = torch.from_numpy(frame.target)
+        losses = {"colour": colour_loss(rendered.colour, target, loss_config.ssim)}
+        weights = {"colour": 1.0}
+        if flow_to is not None:
+            assert frame.forward is not None
+            assert rendered.flow is not None
+            valid = torch.from_numpy(frame.forward.trusted)
+            if rendered.unseen is not None:
+                valid = valid & (rendered.unseen.detach() <= 0.05 * rendered.alpha.detach())
+            prior = torch.from_numpy(frame.forward.flow)
+            losses["flow"] = flow_loss(rendered.flow, rendered.alpha, prior, valid, loss_config.flow_by_alpha)
+            weights["flow"] = loss_config.flow
+        if loss_config.depth > 0:
+            trusted = torch.from_numpy(frame.depth_trusted)
+            losses["depth"] = depth_loss(rendered.depth, rendered.alpha, torch.from_numpy(frame.depth), trusted)
+            weights["depth"] = loss_config.depth
+        if loss_config.rigid > 0:
+            rigid = self._rigid(k, active, rendered)
+            if rigid is not None:
+                losses["rigid"], weights["rigid"] = rigid, loss_config.rigid
+        total = sum((weights[name] * loss for name, loss in losses.items()), torch.zeros(()))
+        total.backward()
+        visible = rendered.projected.visible
+        with torch.no_grad():
+            self._count(frame, active, rendered, visible)
+            error = ((rendered.colour.clamp(0, 1) - target) ** 2).mean()
+        if self._preview is not None and self.config.preview_every and self.step % self.config.preview_every == 0:
+            self._preview(self.step, frame, rendered)
+        gradients = {name: leaf.grad for name, leaf in leaves.items() if leaf.grad is not None}
+        names = ("colour", "flow", "depth", "rigid")
+        figures = {name: float(losses[name].detach()) if name in losses else 0.0 for name in names}
+        figures |= {
+            "loss": float(total.detach()),
+            "psnr": float(-10 * torch.log10(error.clamp(min=1e-10))),
+            "active": float(len(active.rows)),
+        }
+        return active, visible, gradients, figures
+
+    def _rigid(self, k: int, active: Active, rendered: RenderedFrame) -> Tensor | None:
+        """The rigid loss among moving Gaussians (among dynamic ones where background may move)."""
+        config, moving = self.config.loss, active.rows[active.num_static :]
+        if self.gaussians.config.freeze_background:
+            among = slice(None)
+        else:
+            among = slice(None) if config.rigid_over_all else torch.nonzero(self.gaussians.dynamic[moving]).squeeze(1)  # type: ignore[assignment]
+        velocities = rendered.sliced.velocities[among]
+        chosen = moving[among]
+        if len(chosen) <= config.rigid_neighbours:
+            return None
+        cached = self._neighbours.get(k)
+        if cached is None or self.step - cached[3] >= config.rigid_refresh or not torch.equal(cached[0], chosen):
+            means = rendered.sliced.means[active.num_static :][among].detach().numpy()
+            cached = (chosen, *rigid_neighbours(means, config.rigid_neighbours, config.rigid_beta), self.step)
+            self._neighbours[k] = cached
+        count = len(self.gaussians) if config.rigid_over_all else len(chosen)
+        return rigid_loss(velocities, cached[1], cached[2], count)
+
+    def _count(self, frame: Observation, active: Active, rendered: RenderedFrame, visible: Tensor) -> None:
+        """Add this picture to the statistics of density control."""
+        statistics, rows = self._statistics, active.rows[visible]
+        gradient = rendered.projected.means2d.grad
+        if gradient is not None:
+            width, height = self.observations.size
+            scaled = gradient[visible] * gradient.new_tensor([width / 2, height / 2])
+            statistics.gradient[rows] += scaled.norm(dim=1)
+        statistics.visits[rows] += 1
+        # Every fourth step is enough evidence, and saves a twentieth of the time.
+        sampled = self.config.density.revise and self.step % 4 == 0
+        if sampled and rendered.flow is not None and frame.forward is not None:
+            seen, residual = _flow_residual(frame, rendered, visible)
+            statistics.flow_residual[rows[seen]] += residual
+            statistics.flow_visits[rows[seen]] += 1
+
+    # -- after a step
+
+    def _after_step(self, entry: dict[str, float]) -> None:
+        self._recent.append(entry)
+        if self.step % RECORD_EVERY == 0 or self.step == self.config.iterations:
+            mean = {name: float(np.mean([e[name] for e in self._recent])) for name in entry}
+            self.history.append({"step": float(self.step), **mean, "gaussians": float(len(self.gaussians))})
+            self._recent = []
+            if self._record is not None:
+                self._record(self.history[-1])
+        config = self.config.density
+        if config.every and config.start <= self.step <= config.stop * self.config.iterations and self.step % config.every == 0:
+            self._control_density()
+        if config.reset_every and self.step % config.reset_every == 0 and self.step < self.config.iterations:
+            reset_opacities(self.gaussians, config.reset_to)
+
+    def _control_density(self) -> None:
+        config = self.config.density
+        if config.revise and self.gaussians.config.freeze_background:
+            _, log_lambda = sampled_frames(len(self.observations), self.config.init)
+            focal = float(self.observations[0].camera.K[0, 0])
+            moved, rested = revise_dynamic(
+                self.gaussians, self._statistics, config.revise_flow, config.revise_rest, focal, log_lambda
+            )
+            if moved or rested:
+                say(f"Step {self.step}: {moved:,} background Gaussians turned out to move, {rested:,} moving ones rest.")
+        if config.gradient > 0:
+            self._adopt(
+                densify(
+                    self.gaussians, self._statistics, config.gradient, config.clone_below, config.max_gaussians, self._generator
+                )
+            )
+        large = config.prune_scale if config.reset_every and self.step > config.reset_every else 0.0
+        self._adopt(prune(self.gaussians, self._times, config.prune_opacity, large))
+        self._statistics = DensityStatistics.zeros(len(self.gaussians))
+        self._neighbours.clear()
+
+    def _adopt(self, result: DensityResult) -> None:
+        self._adam.follow(result.index, result.is_new)
+        self.gaussians = result.gaussians
+
+    # -- checkpoints
+
+    def _save_checkpoint(self) -> None:
+        assert self._checkpoints is not None
+        tensors = {f"param.{name}": value for name, value in self.gaussians.params.items()}
+        tensors |= {f"adam.{name}": value for name, value in self._adam.state().items()}
+        tensors |= {f"statistics.{name}": value for name, value in vars(self._statistics).items()}
+        tensors |= {"dynamic": self.gaussians.dynamic, "generator": self._generator.get_state()}
+        for k, (rows, neighbours, weights, _) in self._neighbours.items():
+            tensors |= {f"rigid.{k}.rows": rows, f"rigid.{k}.neighbours": neighbours, f"rigid.{k}.weights": weights}
+        values = {
+            "step": self.step,
+            "sh_degree": self.gaussians.sh_degree,
+            "queue": self._queue,
+            "rng": self._rng.bit_generator.state,
+            "neighbour_steps": {str(k): entry[3] for k, entry in self._neighbours.items()},
+            "recent": self._recent,
+            "history": self.history,
+            "config": asdict(self.config),
+        }
+        name = f"step_{self.step:06d}.safetensors"
+        write_tensors(self._checkpoints / name, tensors, values)
+        write_json(self._checkpoints / "latest.json", {"file": name, "step": self.step, "written": clock.time()})
+        for old in self._checkpoints.glob("step_*.safetensors"):
+            if old.name != name:
+                old.unlink()
+
+    def _load_checkpoint(self) -> bool:
+        """Go on from the last checkpoint, if there is one.
+
+        Raises:
+            InputError: it is damaged, or was written with other settings.
+        """
+        if self._checkpoints is None or not (self._checkpoints / "latest.json").exists():
+            return False
+        path = self._checkpoints / str(read_json(self._checkpoints / "latest.json").get("file"))
+        tensors, values = read_tensors(path)
+        if values.get("config") != _plain(asdict(self.config)):
+            raise InputError(f"{path} was written with other training settings. Use another output folder, or delete it.")
+        try:
+            self._restore(tensors, values)
+        except (KeyError, ValueError, RuntimeError) as error:
+            raise InputError(f"{path} is incomplete: {error}. Delete {path.parent} to train from the beginning.") from error
+        say(f"Going on from step {self.step} of {self.config.iterations}.")
+        return True
+
+    def _restore(self, tensors: dict[str, Tensor], values: dict[str, Any]) -> None:
+        def group(prefix: str) -> dict[str, Tensor]:
+            return {name[len(prefix) + 1 :]: value for name, value in tensors.items() if name.startswith(prefix + ".")}
+
+        self.gaussians = Gaussians4D(group("param"), tensors["dynamic"], self.config.model, int(values["sh_degree"]))
+        self._adam = RowAdam(self.gaussians.params)
+        self._adam.load_state(group("adam"))
+        self._statistics = DensityStatistics(**group("statistics"))
+        self._generator.set_state(tensors["generator"])
+        self._rng.bit_generator.state = values["rng"]
+        self._queue, self.step = list(values["queue"]), int(values["step"])
+        self._recent, self.history = list(values["recent"]), list(values["history"])
+        rigid = group("rigid")
+        self._neighbours = {
+            int(k): (rigid[f"{k}.rows"], rigid[f"{k}.neighbours"], rigid[f"{k}.weights"], int(step))
+            for k, step in values["neighbour_steps"].items()
+        }
+
+
+def _plain(value: Any) -> Any:
+    """Dataclass fields as JSON gives them back: tuples become lists."""
+    if isinstance(value, dict):
+        return {name: _plain(item) for name, item in value.items()}
+    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
+
+
+def _flow_residual(frame: Observation, rendered: RenderedFrame, visible: Tensor) -> tuple[Tensor, Tensor]:
+    """Among the drawn Gaussians, which lie on the visible surface at a pixel with trusted flow; and the flow error there."""
+    assert rendered.flow is not None
+    assert frame.forward is not None
+    height, width = rendered.alpha.shape
+    uv = rendered.projected.means2d.detach()[visible]
+    x, y = uv[:, 0].long().clamp(0, width - 1), uv[:, 1].long().clamp(0, height - 1)
+    inside = (uv[:, 0] >= 0) & (uv[:, 1] >= 0) & (uv[:, 0] < width) & (uv[:, 1] < height)
+    alpha = rendered.alpha.detach()[y, x]
+    surface = rendered.depth.detach()[y, x] / alpha.clamp(min=1e-6)
+    depths = rendered.projected.depths.detach()[visible]
+    trusted = torch.from_numpy(frame.forward.trusted)[y, x]
+    seen = inside & trusted & (alpha > 0.5) & ((depths - surface).abs() < 0.05 * surface)
+    flow = rendered.flow.detach()[y, x] / alpha.clamp(min=1e-6)[:, None]
+    residual = (flow - torch.from_numpy(frame.forward.flow)[y, x]).norm(dim=1)
+    return seen, residual[seen]

@@ -1,0 +1,176 @@
+"""Flow splatting: camera-only flow against depth reprojection, the affine model against Monte Carlo, compositing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from flowsplat.gaussians.flow import affine_gradient, flow_features, flow_image
+from flowsplat.gaussians.gaussians4d import Gaussians4D, ModelConfig, parameter_shapes
+from flowsplat.gaussians.render import render
+from flowsplat.gaussians.slicing import Slice
+from flowsplat.geometry import Camera
+from flowsplat.geometry.cameras import camera_flow, pixel_grid
+from flowsplat.geometry.rotations import quats_to_rotations
+from flowsplat.splatting import Projected
+from flowsplat.splatting.rules import EPS2D
+
+CONFIG = ModelConfig(mean_poly=2, mean_fourier=1, quat_poly=2, quat_fourier=0, sh_degree=0)
+
+
+def make(means, config=CONFIG, scale=0.02, dynamic=True, **params):
+    count = len(means)
+    values = {name: torch.zeros(count, *shape) for name, shape in parameter_shapes(config).items()}
+    values["means"] = torch.as_tensor(means, dtype=torch.float32)
+    values["quats"][:, 0] = 1
+    values["log_scales"][:] = np.log(scale)
+    values["logit_opacities"][:] = 4.0
+    values |= {name: torch.as_tensor(value, dtype=torch.float32) for name, value in params.items()}
+    return Gaussians4D(values, torch.full((count,), dynamic), config)
+
+
+def camera(shift=(0.0, 0, 0), turn=(0.0, 0, 0), width=64, height=48):
+    viewmat = np.eye(4)
+    viewmat[:3, :3] = Rotation.from_rotvec(turn).as_matrix()
+    viewmat[:3, 3] = shift
+    return Camera(viewmat, np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]]), width, height)
+
+
+def wall(view, spacing=1):
+    """Gaussians on a slanted wall, one a pixel; and its depth."""
+    grid = pixel_grid(view.width, view.height)
+    depth = 1.0 + 0.004 * grid[..., 0]
+    return view.unproject(grid[::spacing, ::spacing].reshape(-1, 2), depth[::spacing, ::spacing].ravel()), depth
+
+
+@pytest.mark.parametrize("model", ["mean", "displacement", "affine"])
+def test_a_still_scene_flows_as_its_depth_and_cameras_say(model):
+    view, other = camera(), camera((0.05, -0.02, 0.04), (0.01, 0.03, -0.01))
+    points, depth = wall(view)
+    gaussians = make(points, scale=0.012)
+    frame = render(gaussians, view, 0.0, flow_to=(other, 0.1), flow_model=model)
+    flow = (frame.flow / frame.alpha[..., None]).numpy()
+    error = np.linalg.norm(flow - camera_flow(depth, view, other), axis=-1)[6:-6, 6:-6]
+    assert float(frame.alpha[6:-6, 6:-6].min()) > 0.9
+    assert error.max() < 0.15
+    assert np.median(error) < 0.05  # half transparent spheres on a slant show a little of what lies behind
+
+
+def test_the_displacement_over_any_gap_and_the_velocity_over_a_small_one():
+    view = camera()
+    poly = torch.zeros(1, 2, 3)
+    poly[0, 0], poly[0, 1] = torch.tensor([0.3, -0.1, 0.2]), torch.tensor([0.5, 0.4, 0.0])
+    gaussians = make([[0.05, 0.02, 1.0]], scale=0.05, mean_poly=poly)
+    for dt in (0.3, 0.01):
+        moved = gaussians.motion.state(gaussians.params, dt).means[0].numpy()
+        expected = view.project(moved)[0] - view.project(np.array([0.05, 0.02, 1.0]))[0]
+        for model in ("displacement", "mean"):
+            frame = render(gaussians, view, 0.0, flow_to=(view, dt), flow_model=model)
+            y, x = np.unravel_index(frame.alpha.argmax(), frame.alpha.shape)
+            flow = (frame.flow[y, x] / frame.alpha[y, x]).numpy()
+            tolerance = 1e-3 if model == "displacement" else 0.05 if dt == 0.01 else np.inf
+            assert np.abs(flow - expected).max() < tolerance, (model, dt)
+
+
+def affine_case(angle: float):
+    """One large rotating Gaussian and two cameras, float64."""
+    view, other = camera((0.1, 0, 0), (0.02, -0.05, 0)), camera((0.13, 0.02, -0.05), (0.0, -0.02, 0.03))
+    quats = torch.tensor([Rotation.from_rotvec([0.4, -0.3, 0.7]).as_quat(scalar_first=True)])
+    turn = Rotation.from_rotvec(angle * np.array([0.36, 0.48, 0.8]))
+    turned = turn * Rotation.from_quat(quats[0].numpy(), scalar_first=True)
+    next_quats = torch.tensor([turned.as_quat(scalar_first=True)])
+    means, scales = torch.tensor([[0.1, -0.05, 1.2], [0.02, 0.012, 0.006]], dtype=torch.float64).split(1)
+    next_means = means + torch.tensor([[0.03, 0.01, -0.02]])
+    sliced = Slice(means, quats, scales, None, torch.ones(1), torch.zeros(1, 3), torch.zeros(1, 3), next_means, next_quats)
+    return sliced, view, other
+
+
+@pytest.mark.parametrize("angle", [0.06, 0.5])
+def test_affine_flow_matches_monte_carlo_of_a_rotating_gaussian(angle):
+    sliced, view, other = affine_case(angle)
+    viewmat, K = view.tensors(torch.float64)
+    next_viewmat, next_K = other.tensors(torch.float64)
+    B = affine_gradient(sliced, viewmat, K, next_viewmat, next_K, view.width, view.height)[0].numpy()
+    rng = np.random.default_rng(0)
+    R, R_next = (quats_to_rotations(q)[0].numpy() for q in (sliced.quats, sliced.next_quats))
+    local = rng.normal(size=(400_000, 3)) * sliced.scales.numpy()
+    first = view.project(sliced.means.numpy() + local @ R.T)[0]
+    second = other.project(sliced.next_means.numpy() + local @ R_next.T)[0]
+    # The rasterizer draws with a blur: what it shows at a pixel is the mean over points that the blur may have brought there.
+    seen = first + rng.normal(size=first.shape) * np.sqrt(EPS2D)
+    centred = seen - seen.mean(0)
+    flow = second - first
+    slope = np.linalg.solve(centred.T @ centred, centred.T @ (flow - flow.mean(0))).T
+    np.testing.assert_allclose(B, slope, atol=0.012)
+    assert np.abs(B).max() > 0.04
+
+
+def test_affine_beats_mean_on_few_large_rotating_gaussians():
+    """The paper says that splatting cannot render the rotational part; affine flow does (METHOD 3.3)."""
+    config = ModelConfig(mean_poly=1, mean_fourier=0, quat_poly=1, quat_fourier=0, sh_degree=0)
+    view, dt, spin = camera(), 0.04, np.array([0.0, 0.0, 6.0])
+    rng = np.random.default_rng(1)
+    offsets = rng.uniform(-0.25, 0.25, (8, 2))
+    means = np.concatenate([offsets, np.full((8, 1), 1.0)], 1)
+    # All turn together about the optical axis: v = spin x position, q' = spin q / 2.
+    velocity = np.cross(spin, means - [0, 0, 1])
+    rate = np.zeros((8, 1, 4))
+    rate[:, 0, 3] = spin[2] / 2
+    gaussians = make(
+        means, config, 0.12, mean_poly=velocity[:, None], quat_poly=rate, logit_opacities=np.full(8, 6.0),
+        log_scales=np.log(np.tile([[0.12, 0.12, 0.001]], (8, 1))),
+    )  # fmt: skip
+    pixels = pixel_grid(view.width, view.height) - [32, 24]
+    angle = spin[2] * dt
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    truth = pixels @ turn.T - pixels
+    errors = {}
+    for model in ("mean", "displacement", "affine"):
+        frame = render(gaussians, view, 0.0, flow_to=(view, dt), flow_model=model)
+        covered = frame.alpha.numpy() > 0.8
+        flow = (frame.flow / frame.alpha[..., None].clamp(min=1e-6)).numpy()
+        errors[model] = np.linalg.norm(flow - truth, axis=-1)[covered].mean()
+        assert covered.sum() > 300
+    assert errors["affine"] < 0.35 * errors["mean"], errors
+    assert errors["affine"] < 0.35 * errors["displacement"], errors
+
+
+def test_a_gaussian_behind_the_other_camera_has_no_flow_but_is_reported():
+    view, other = camera(), camera((0, 0, -2.0))
+    frame = render(make([[0.0, 0, 1]], scale=0.2), view, 0.0, flow_to=(other, 0.1))
+    assert float(frame.flow.abs().max()) == 0
+    assert float(frame.unseen.max()) > 0.5
+    assert render(make([[0.0, 0, 3]], scale=0.2), view, 0.0, flow_to=(other, 0.1)).unseen is None
+
+
+def test_flow_has_gradients_to_all_that_moves():
+    view, other = camera(), camera((0.02, 0, 0))
+    gaussians = make([[0.0, 0, 1], [0.1, 0.05, 1.1]], scale=0.1)
+    from flowsplat.gaussians.render import render_leaves
+
+    active = gaussians.active(0.1)
+    leaves = {name: value.requires_grad_() for name, value in gaussians.gather(active).items()}
+    frame = render_leaves(leaves, active, gaussians, view, flow_to=(other, 0.3), flow_model="affine")
+    frame.flow.sum().backward()
+    for name in ("means", "mean_poly", "mean_cos", "mean_sin", "quat_poly", "log_scales", "logit_opacities"):
+        assert leaves[name].grad is not None, name
+        assert torch.isfinite(leaves[name].grad).all(), name
+        assert float(leaves[name].grad.abs().max()) > 0, name
+
+
+def test_flow_image_of_affine_features_is_linear_in_the_pixel():
+    features = torch.zeros(4, 6, 6)
+    features[..., 0], features[..., 3] = 1.0, 2.0
+    flow = flow_image(features)
+    assert flow[1, 2].tolist() == [1 + 2 * (1.5 - 2), 0]
+
+
+def test_mean_flow_needs_no_second_slice():
+    view, other = camera(), camera((0.02, 0, 0))
+    sliced = Slice(torch.tensor([[0.0, 0, 1]]), None, None, None, torch.ones(1), torch.zeros(1, 3), torch.zeros(1, 3), None, None)
+    projected = Projected(torch.tensor([[32.0, 24]]), torch.ones(1, 3), torch.ones(1), torch.ones(1, 2), None, "reference")
+    flow, front = flow_features("mean", sliced, projected, 0.1, *view.tensors(), *other.tensors(), 64, 48)
+    assert flow[0].tolist() == pytest.approx([1.2, 0.0], abs=1e-5)
+    assert front.tolist() == [True]

@@ -1,0 +1,179 @@
+"""Culling in time, gathering, gains, density control and the scene model."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from flowsplat.gaussians.density import DensityStatistics, densify, prune, reset_opacities, revise_dynamic
+from flowsplat.gaussians.gaussians4d import Gaussians4D, ModelConfig, concatenate, parameter_shapes
+from flowsplat.gaussians.model import SceneModel
+from flowsplat.gaussians.render import fill_uncovered, render, render_leaves
+from flowsplat.gaussians.slicing.reference import time_gains
+from flowsplat.geometry import Camera, Similarity
+
+FROZEN = ModelConfig(mean_poly=2, mean_fourier=1, quat_poly=1, quat_fourier=1, sh_degree=1, gains=4, freeze_background=True)
+
+
+def random_model(count=12, config=FROZEN, seed=0):
+    g = torch.Generator().manual_seed(seed)
+    params = {name: 0.2 * torch.randn(count, *shape, generator=g) for name, shape in parameter_shapes(config).items()}
+    params["means"][:, 2] += 2
+    params["times"] = torch.linspace(0, 1, count)
+    if "log_lambdas" in params:
+        params["log_lambdas"][:] = math.log(40.0)
+    return Gaussians4D(params, torch.arange(count) % 2 == 0, config)
+
+
+def test_culling_in_time_keeps_background_and_the_present():
+    gaussians = random_model()
+    active = gaussians.active(0.3)
+    resting, moving = active.rows[: active.num_static], active.rows[active.num_static :]
+    assert not gaussians.dynamic[resting].any()
+    assert active.num_static == 6
+    p = gaussians.presence(0.3)
+    expected = [i for i in range(12) if gaussians.dynamic[i] and p[i] >= 0.05]
+    assert moving.tolist() == expected
+    assert 0 < len(expected) < 6
+
+
+def test_culling_against_the_camera_changes_no_picture():
+    gaussians = random_model(400)
+    g = torch.Generator().manual_seed(3)
+    gaussians.params["means"] = 3 * torch.randn(400, 3, generator=g)
+    gaussians.params["log_scales"] = torch.randn(400, 3, generator=g) - 3
+    view = Camera(np.eye(4), np.array([[40.0, 0, 20], [0, 40, 15], [0, 0, 1]]), 40, 30)
+    culled = render(gaussians, view, 0.25)
+    everything = gaussians.active(0.25)
+    whole = render_leaves(gaussians.gather(everything), everything, gaussians, view)
+    assert len(culled.sliced.means) < 0.7 * len(everything.rows)
+    assert culled.projected.visible.sum() == whole.projected.visible.sum()
+    assert torch.equal(culled.colour, whole.colour)
+    assert torch.equal(culled.depth, whole.depth)
+
+
+def test_gathered_rows_are_those_of_the_parameters():
+    gaussians = random_model()
+    active = gaussians.active(0.5)
+    leaves = gaussians.gather(active)
+    for name, value in leaves.items():
+        assert torch.equal(value, gaussians.params[name][gaussians.rows_of(name, active)]), name
+    assert len(leaves["mean_poly"]) == len(active.rows) - active.num_static
+    assert len(leaves["log_gains"]) == active.num_static
+    leaves["means"][:] = 0
+    assert float(gaussians.params["means"].abs().min()) > 0  # copies
+
+
+def test_a_model_with_wrong_parameters_is_refused():
+    gaussians = random_model()
+    with pytest.raises(ValueError, match="do not fit"):
+        Gaussians4D({"means": torch.zeros(3, 3)}, torch.zeros(3, dtype=torch.bool), FROZEN)
+    with pytest.raises(ValueError, match="quats must be"):
+        Gaussians4D({**gaussians.params, "quats": torch.zeros(12, 3)}, gaussians.dynamic, FROZEN)
+
+
+def test_gains_change_the_brightness_of_the_background_only():
+    gaussians = random_model()
+    gaussians.params["log_gains"][:] = 0
+    view = Camera(np.eye(4), np.array([[40.0, 0, 20], [0, 40, 15], [0, 0, 1]]), 40, 30)
+    plain = render(gaussians, view, 0.25)
+    gaussians.params["log_gains"][:, 0] = 0.3
+    bright = render(gaussians, view, 0.25)
+    active = gaussians.active(0.25)
+    n = active.num_static
+    torch.testing.assert_close(bright.sliced.colours[:n], plain.sliced.colours[:n] * math.exp(0.3 * math.cos(math.pi * 0.25)))
+    assert torch.equal(bright.sliced.colours[n:], plain.sliced.colours[n:])
+    assert float(time_gains(torch.zeros(3, 4), 0.7).sub(1).abs().max()) == 0
+
+
+@pytest.mark.parametrize("config", [FROZEN, ModelConfig(), ModelConfig(move_means=False, move_quats=False)])
+def test_density_control_keeps_parents_and_makes_children(config):
+    gaussians = random_model(20, config)
+    if "log_scales" in gaussians.params:
+        gaussians.params["log_scales"][:10], gaussians.params["log_scales"][10:] = math.log(0.001), math.log(0.1)
+    statistics = DensityStatistics.zeros(20)
+    statistics.visits[:] = 2
+    statistics.gradient[[1, 2, 15]] = 1.0
+    result = densify(gaussians, statistics, 0.1, 0.01, 1000, torch.Generator().manual_seed(0))
+    survivors = ~result.is_new
+    assert len(result.gaussians) == len(result.index)
+    for name, value in gaussians.params.items():
+        assert torch.equal(result.gaussians.params[name][survivors], value[result.index[survivors]]), name
+    assert torch.equal(result.gaussians.dynamic, gaussians.dynamic[result.index])
+    children = result.index[result.is_new].tolist()
+    if "log_scales" in gaussians.params:
+        assert sorted(children) == [1, 2, 15, 15]  # two clones; one split into two, its parent gone
+        assert 15 not in result.index[survivors].tolist()
+        halves = result.gaussians.params["log_scales"][result.is_new][-2:]
+        torch.testing.assert_close(halves, torch.full((2, 3), math.log(0.1 / 1.6)))
+    capped = densify(gaussians, statistics, 0.1, 0.01, 21, torch.Generator().manual_seed(0))
+    assert len(capped.gaussians) <= 21
+
+
+def test_pruning_removes_the_transparent_the_broken_and_the_never_seen():
+    gaussians = random_model(12)
+    gaussians.params["logit_opacities"][:] = 2.0
+    gaussians.params["logit_opacities"][1] = -9.0
+    gaussians.params["means"][3] = float("nan")
+    gaussians.params["times"][4] = 3.0  # dynamic, long after the clip
+    gaussians.params["times"][5] = 3.0  # background: its time does not matter
+    gaussians.params["times"][6], gaussians.params["log_lambdas"][6] = 0.123, 20.0  # between two frames
+    times = np.linspace(0, 1, 6)
+    result = prune(gaussians, times, 0.005, 0.0)
+    assert sorted(set(range(12)) - set(result.index.tolist())) == [1, 3, 4, 6]
+    assert not result.is_new.any()
+
+
+def test_opacity_reset():
+    gaussians = random_model()
+    gaussians.params["logit_opacities"][:] = torch.linspace(-9, 9, 12)
+    reset_opacities(gaussians, 0.01)
+    assert float(torch.sigmoid(gaussians.params["logit_opacities"]).max()) == pytest.approx(0.01, rel=1e-4)
+
+
+def test_background_that_moves_becomes_dynamic_and_the_resting_comes_to_rest():
+    gaussians = random_model(12)
+    for name in gaussians.motion.motion_names:
+        gaussians.params[name][:] = 0
+    gaussians.params["mean_poly"][0, 0] = torch.tensor([1.0, 0, 0])
+    statistics = DensityStatistics.zeros(12)
+    statistics.flow_visits[:] = 3
+    statistics.flow_residual[[1, 3]] = 3 * 5.0
+    statistics.flow_residual[5], statistics.flow_visits[5] = 50.0, 1  # seen once only
+    moved, rested = revise_dynamic(gaussians, statistics, 1.5, 0.5, 100.0, 6.0)
+    assert (moved, rested) == (2, 5)  # dynamic 2, 4, 6, 8 and 10 do not move; 0 does
+    assert gaussians.dynamic.tolist() == [k in (0, 1, 3) for k in range(12)]
+    assert gaussians.params["log_lambdas"][[1, 3]].tolist() == [6.0, 6.0]
+
+
+def test_concatenating_and_selecting():
+    a, b = random_model(3), random_model(4, seed=1)
+    both = concatenate([a, b])
+    assert len(both) == 7
+    again = both.select(torch.arange(3, 7))
+    assert all(torch.equal(again.params[name], b.params[name]) for name in b.params)
+
+
+def test_filling_spreads_colour_into_holes_and_leaves_the_covered_alone():
+    colour, alpha = np.full((32, 48, 3), 0.5, np.float32), np.ones((32, 48), np.float32)
+    alpha[:, 30:], colour[:, 30:] = 0, 0
+    filled = fill_uncovered(colour, alpha)
+    assert np.abs(filled[:, :30] - 0.5).max() < 1e-6
+    assert np.abs(filled[:, 32:] - 0.5).max() < 0.02
+    assert fill_uncovered(colour * 0 + 0.3, np.ones((32, 48), np.float32)).max() == pytest.approx(0.3)
+
+
+def test_the_scene_model_hides_the_normalisation():
+    gaussians = random_model()
+    camera = Camera(np.eye(4), np.array([[40.0, 0, 20], [0, 40, 15], [0, 0, 1]]), 40, 30)
+    similarity = Similarity(0.25, np.eye(3), np.array([0.1, 0, 0]))
+    outside = similarity.inverse().camera(camera)
+    plain = SceneModel(gaussians, Similarity(), 0.0, 1.0).render(camera, 0.5, (camera, 0.6))
+    scaled = SceneModel(gaussians, similarity, 10.0, 14.0).render(outside, 12.0, (outside, 12.4))
+    np.testing.assert_allclose(scaled.colour, plain.colour, atol=1e-4)
+    np.testing.assert_allclose(scaled.flow, plain.flow, atol=1e-2)
+    np.testing.assert_allclose(scaled.depth, 4 * plain.depth, atol=1e-3)
+    assert SceneModel(gaussians, similarity, 10.0, 14.0).active_count(12.0) == len(gaussians.active(0.5).rows)

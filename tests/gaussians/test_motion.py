@@ -1,0 +1,94 @@
+"""Motion models: derivatives, recentring, and the linear model against the conditional of a 4D normal distribution."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from flowsplat.gaussians.motion import LinearMotion, SeriesMotion, covariances_4d, presence
+from flowsplat.geometry.rotations import angular_velocity, quats_to_rotations
+
+
+def random_params(motion, count=7, seed=0):
+    g = torch.Generator().manual_seed(seed)
+    shapes = {"means": (3,), "times": (), **motion.parameter_shapes}
+    return {name: 0.5 * torch.randn(count, *shape, generator=g, dtype=torch.float64) for name, shape in shapes.items()}
+
+
+MOTIONS = [SeriesMotion(), SeriesMotion(2, 1, 1, 0, 3.0), SeriesMotion(1, 0, 0, 0), LinearMotion()]
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_the_velocity_is_the_derivative_of_the_mean(motion):
+    params, h = random_params(motion), 1e-5
+    before, after = motion.state(params, 0.3 - h), motion.state(params, 0.3 + h)
+    torch.testing.assert_close(motion.state(params, 0.3).velocities, (after.means - before.means) / (2 * h), atol=1e-7, rtol=1e-6)
+
+
+def test_the_rates_agree_with_autograd_and_the_rotation():
+    motion, params = SeriesMotion(), random_params(SeriesMotion())
+
+    def quats(t):
+        return motion.state(params, t).quats
+
+    state = motion.state(params, 0.6)
+    rate = torch.autograd.functional.jacobian(quats, torch.tensor(0.6, dtype=torch.float64))
+    torch.testing.assert_close(state.quat_rates, rate)
+    h = 1e-5
+    R0, R1 = quats_to_rotations(quats(0.6 - h)), quats_to_rotations(quats(0.6 + h))
+    R_rate, R = (R1 - R0) / (2 * h), quats_to_rotations(state.quats)
+    spin = R_rate @ R.transpose(1, 2)  # = [omega]_x
+    omega = torch.stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]], 1)
+    torch.testing.assert_close(angular_velocity(state.quats, state.quat_rates), omega, atol=1e-6, rtol=1e-6)
+
+
+def test_at_its_own_time_a_gaussian_is_where_its_mean_says():
+    motion = SeriesMotion()
+    params = random_params(motion)
+    params["times"][:] = 0.4
+    state = motion.state(params, 0.4)
+    torch.testing.assert_close(state.means, params["means"])
+    torch.testing.assert_close(state.quats, params["quats"])
+    torch.testing.assert_close(state.presence, torch.ones(7, dtype=torch.float64))
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_recentring_does_not_change_the_motion(motion):
+    params = random_params(motion)
+    shift = torch.linspace(-0.5, 0.5, 7, dtype=torch.float64)
+    moved = motion.recentred(params, shift)
+    torch.testing.assert_close(moved["times"], params["times"] + shift)
+    for t in (-0.2, 0.3, 0.9):
+        a, b = motion.state(params, t), motion.state(moved, t)
+        for name in ("means", "velocities", "quats", "quat_rates", "covars"):
+            if getattr(a, name) is not None:
+                torch.testing.assert_close(getattr(b, name), getattr(a, name), msg=f"{name} at {t}")
+
+
+def test_linear_motion_is_the_conditional_of_a_4d_normal_distribution():
+    params = random_params(LinearMotion(), seed=3)
+    U, V, W = covariances_4d(params["log_scales4"], params["quats_left"], params["quats_right"])
+    sigma = torch.zeros(7, 4, 4, dtype=torch.float64)
+    sigma[:, :3, :3], sigma[:, :3, 3], sigma[:, 3, :3], sigma[:, 3, 3] = U, V, V, W
+    assert (torch.linalg.eigvalsh(sigma) > 0).all()
+    # The inverse of the leading block of the precision is the conditional covariance.
+    precision = torch.linalg.inv(sigma)
+    state = LinearMotion().state(params, 0.7)
+    torch.testing.assert_close(state.covars, torch.linalg.inv(precision[:, :3, :3]))
+    tau = 0.7 - params["times"]
+    conditional = params["means"] - tau[:, None] * torch.linalg.solve(precision[:, :3, :3], precision[:, :3, 3])
+    torch.testing.assert_close(state.means, conditional)
+    torch.testing.assert_close(state.presence, presence(params["times"], -torch.log(W), 0.7))
+
+
+def test_linear_parameters_from_moments():
+    g = torch.Generator().manual_seed(5)
+    root = torch.randn(9, 3, 3, generator=g)
+    covars = 0.01 * root @ root.transpose(1, 2) + 1e-4 * torch.eye(3)
+    velocities, log_lambdas = torch.randn(9, 3, generator=g), torch.randn(9, generator=g)
+    params = LinearMotion.from_moments(covars, velocities, log_lambdas)
+    params = {**params, "means": torch.zeros(9, 3), "times": torch.zeros(9)}
+    state = LinearMotion().state(params, 0.1)
+    torch.testing.assert_close(state.covars, covars, atol=1e-5, rtol=1e-3)
+    torch.testing.assert_close(state.velocities, velocities, atol=1e-4, rtol=1e-4)
+    torch.testing.assert_close(LinearMotion().log_precision(params), log_lambdas, atol=1e-4, rtol=1e-4)

@@ -1,0 +1,200 @@
+"""The report of a made-up run: what it says, that it needs nothing else, and that names cannot break it."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from flowsplat.output.report import Comparison, FlowComparison, ReportData, verdict, write_report
+
+NASTY = 'a "clip" <script>alert(1)</script> & {{ 7 * 7 }}'
+
+
+def scores(psnr: float, ssim: float, moving: float | None) -> dict:
+    region = None if moving is None else {"psnr": moving, "ssim": 0.8, "lpips": None, "count": 6}
+    return {"psnr": psnr, "ssim": ssim, "lpips": None, "count": 6, "moving": region}
+
+
+def made_up_metrics() -> dict:
+    return {
+        "heldout_frames": scores(29.87, 0.912, 24.41),
+        "heldout_views": {**scores(21.34, 0.731, 19.9), "covisible": scores(22.08, 0.75, None)},
+        "training_frames": scores(31.02, 0.934, 27.7),
+        "baselines": {
+            "copy": scores(18.10, 0.364, 15.3), "blend": scores(20.08, 0.415, 17.0),
+            "flow_interpolation": scores(26.08, 0.805, 21.2), "static": None,
+        },
+        "baselines_views": {"copy": scores(15.8, 0.3, 12.1), "warp_by_depth": scores(25.76, 0.82, 28.64), "static": None},
+        "flow_epe": None,
+        "flow_prior_epe": {"mean": 0.43, "median": 0.17, "moving": {"mean": 1.12, "median": 0.6}},
+        "depth_abs_rel": {"all": {"mean": 0.041, "median": 0.02}, "static": {"mean": 0.03, "median": 0.02}, "moving": None},
+        "lpips_reason": "LPIPS needs pip install flowsplat[metrics]",
+        "seconds": {"prepare": 92.0, "train": 251.0, "evaluate": 31.5, "render": 44.0},
+        "peak_memory_gib": 2.31,
+        "gaussians": {"total": 184_201, "active_mean": 63_410.5},
+    }  # fmt: skip
+
+
+def made_up_pictures(shift: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """A clip's frame (uint8), its rendering (float), rendered flow and prior flow."""
+    y, x = np.mgrid[:240, :427] / 240
+    ball = np.hypot(x - 0.6 - shift, y - 0.55) < 0.2
+    frame = np.stack([0.35 + 0.3 * y, 0.45 + 0.2 * np.sin(9 * x), 0.55 - 0.2 * y], -1)
+    frame[ball] = [0.85, 0.4, 0.15]
+    noise = np.random.default_rng(3).normal(0, 0.02, frame.shape)
+    flow = np.where(ball[..., None], [6.0, -3.0], [-1.0, 0.2]) + 0.1 * noise[..., :2]
+    prior = np.where(ball[..., None], [7.0, -2.5], [-1.0, 0.2])
+    prior[:20] = np.nan
+    return (frame * 255).astype(np.uint8), np.clip(frame + noise, 0, 1).astype(np.float32), flow, prior
+
+
+def made_up_run() -> ReportData:
+    steps = np.arange(10, 1501, 10)
+    random = np.random.default_rng(0)
+    loss = 0.02 + 0.2 * np.exp(-steps / 200) + random.random(len(steps)) * 0.004
+    history = [
+        {
+            "step": float(s), "loss": float(v), "colour": float(v * 0.7), "flow": float(v * 8), "rigid": float(v / 50),
+            "depth": 0.0, "psnr": 31 - 60 * float(v), "gaussians": 120_000.0 + 43 * int(s), "active": 60_000.0 + 3 * int(s),
+        }
+        for s, v in zip(steps, loss, strict=True)
+    ]  # fmt: skip
+    pictures = [made_up_pictures(shift) for shift in (0.0, 0.25, 0.5)]
+    times = np.arange(48) / 24
+    return ReportData(
+        title="train",
+        metrics=made_up_metrics(),
+        history=history,
+        comparisons=[Comparison(f"frame {9 + 10 * k}", a, b) for k, (a, b, _, _) in enumerate(pictures)],
+        flows=[FlowComparison(f"frame {8 + 10 * k}", c, d) for k, (_, _, c, d) in enumerate(pictures[:2])],
+        active=(times.tolist(), (60_000 + 4_000 * np.sin(times * 3)).tolist()),
+        config={"train": {"iterations": 1500, "model": {"mean_poly": 3}}, "render": {"width": None, "paths": ("input",)}},
+        notes=["The clip was thinned from 240 to 80 frames.", "The camera hardly moves: depth is a guess."],
+        videos={"input_path": "input_path.mp4", "input_path_colour": "input_path_colour.mp4", "orbit": "orbit.mp4"},
+    )
+
+
+def write(tmp_path, data: ReportData) -> str:
+    path = write_report(tmp_path / "out", data)
+    assert path == tmp_path / "out" / "report.html"
+    return path.read_text(encoding="utf-8")
+
+
+def words(page: str) -> str:
+    """What a reader sees, without the pictures and the style."""
+    page = re.sub(r"<style>.*?</style>", "", page, flags=re.S)
+    return re.sub(r"\s+", " ", re.sub(r"<[^>]*>", " ", page))
+
+
+class Balance(HTMLParser):
+    """Fails on tags that are closed in the wrong order."""
+
+    def __init__(self):
+        super().__init__()
+        self.open: list[str] = []
+        self.sources: list[str] = []
+
+    def handle_starttag(self, tag, attrs):
+        self.sources += [value for name, value in attrs if name in ("src", "href", "poster")]
+        if tag not in ("meta", "img", "line", "path"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        if tag not in ("line", "path"):
+            assert self.open.pop() == tag
+
+
+def test_the_report_holds_the_figures(tmp_path):
+    page = words(write(tmp_path, made_up_run()))
+    for text in (
+        "29.87 dB", "3.79 dB better than interpolating", "interpolation: 26.08 dB", "0.912", "24.41", "21.34", "22.08",
+        "25.76", "0.43 px", "1.12", "0.041", "184,201", "63,410 rendered at a time", "6 min 58 s", "2.3 GiB", "31.02",
+        "thinned from 240", "train.model.mean_poly", "1500", "Parts of the loss", "Gaussians rendered over the clip",
+        "Round the middle of the clip", "frame 29", "full colour =",
+    ):  # fmt: skip
+        assert text in page, text
+    assert "static scene" not in page, "what was not measured has no row"
+
+
+def test_it_begins_with_the_pictures_and_the_verdict(tmp_path):
+    page = write(tmp_path, made_up_run())
+    places = [page.index(text) for text in ("<h1>", "better than interpolating", "<img", 'class="card"', "<table", "<svg")]
+    assert places == sorted(places)
+
+
+def test_null_figures_are_dashes_with_their_reason(tmp_path):
+    page = write(tmp_path, made_up_run())
+    assert '<span class="none" title="LPIPS needs pip install flowsplat[metrics]">–</span>' in page
+    assert '<span class="none" title="no masks to tell which pixels move">–</span>' in page
+
+
+def test_it_is_whole_without_a_network(tmp_path):
+    page = write(tmp_path, made_up_run())
+    parser = Balance()
+    parser.feed(page)
+    assert not parser.open
+    videos = {"renders/input_path.mp4", "renders/input_path_colour.mp4", "renders/orbit.mp4"}
+    assert {source for source in parser.sources if not source.startswith("data:")} == videos
+    assert "//" not in re.sub(r"data:[^\"]*", "", page), "no address of another machine"
+    assert "<script" not in page
+    assert "@import" not in page
+    assert "url(" not in page
+    assert len(page) < 3_000_000
+
+
+def test_light_dark_and_print(tmp_path):
+    page = write(tmp_path, made_up_run())
+    assert "prefers-color-scheme: dark" in page
+    assert "@media print" in page
+
+
+def test_names_cannot_break_the_page(tmp_path):
+    picture = made_up_pictures(0)
+    data = replace(
+        made_up_run(),
+        title=NASTY,
+        notes=[NASTY],
+        config={NASTY: NASTY},
+        comparisons=[Comparison(NASTY, *picture[:2])],
+        flows=[FlowComparison(NASTY, *picture[2:])],
+        videos={NASTY: f"{NASTY}.mp4"},
+    )
+    page = write(tmp_path, data)
+    parser = Balance()
+    parser.feed(page)
+    assert not parser.open
+    assert "<script" not in page
+    assert "49" not in re.findall(r"<h1>(.*?)</h1>", page)[0]
+
+
+def test_an_almost_empty_run_is_reported(tmp_path):
+    page = words(write(tmp_path, ReportData("bare", {})))
+    assert "No frame was held out" in page
+    assert "–" in page
+    assert "Videos" not in page
+
+
+@pytest.mark.parametrize(
+    ("ours", "theirs", "says"),
+    [
+        (30.0, 25.0, "5.00 dB better"),
+        (24.0, 25.0, "1.00 dB worse"),
+        (25.05, 25.0, "as good as"),
+        (30.0, None, "never saw are rendered at 30.00 dB."),
+        (None, None, "No frame was held out"),
+    ],
+)
+def test_the_verdict_in_plain_words(ours, theirs, says):
+    metrics = {
+        "heldout_frames": None if ours is None else {"psnr": ours, "count": 3},
+        "baselines": None if theirs is None else {"flow_interpolation": {"psnr": theirs}},
+    }
+    assert says in verdict(metrics)
+
+
+def test_the_same_run_gives_the_same_page(tmp_path):
+    assert write(tmp_path / "a", made_up_run()) == write(tmp_path / "b", made_up_run())

@@ -1,0 +1,45 @@
+"""Sheets of pictures."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from flowsplat.pictures.sheets import GAP, preview_sheet, side_by_side, stacked
+
+
+def test_side_by_side_keeps_pictures_and_resizes_to_the_first():
+    a = np.full((40, 60, 3), 200, np.uint8)
+    b = np.full((20, 10, 3), 0.2, np.float32)
+    grey = np.full((40, 30), 90, np.uint8)
+    sheet = side_by_side([a, b, grey])
+    assert sheet.shape == (40, 60 + 20 + 30 + 2 * GAP, 3)
+    assert sheet.dtype == np.uint8
+    assert (sheet[:, :60] == 200).all()
+    assert (sheet[:, 60 : 60 + GAP] == 255).all()
+    assert (sheet[:, 60 + GAP : 80 + GAP] == 51).all()
+    assert (sheet[:, -30:] == 90).all()
+
+
+def test_labels_are_written_on_a_copy():
+    a = np.full((80, 120, 3), 120, np.uint8)
+    sheet = side_by_side([a, a], ["left", "right"])
+    assert (a == 120).all()
+    assert (sheet[:20, :40] != 120).any()
+    assert (sheet[:20, 120 + GAP : 160 + GAP] != 120).any()
+    assert (sheet[40:, :120] == 120).all()
+    with pytest.raises(ValueError):
+        side_by_side([a, a], ["only one"])
+
+
+def test_height_and_stacked():
+    a = np.zeros((40, 80, 3), np.uint8)
+    assert side_by_side([a], height=20).shape == (20, 40, 3)
+    assert stacked([a, np.zeros((10, 40, 3), np.uint8)]).shape == (40 + GAP + 20, 80, 3)
+
+
+def test_preview_sheet():
+    picture = np.random.default_rng(0).random((30, 40, 3)).astype(np.float32)
+    assert preview_sheet(picture, picture).shape == (30, 3 * 40 + 2 * GAP, 3)
+    flow = np.zeros((30, 40, 2), np.float32)
+    assert preview_sheet((picture * 255).astype(np.uint8), picture, flow).shape == (30, 4 * 40 + 3 * GAP, 3)

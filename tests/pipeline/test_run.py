@@ -1,0 +1,216 @@
+"""The whole way on a tiny clip: what comes out, resuming to the same bits, and the law of the split."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+import flowsplat
+from flowsplat.common.errors import InputError
+from flowsplat.pipeline import prepare, run, train
+from flowsplat.pipeline.config import RunConfig, from_plain, preset, to_plain
+from flowsplat.pipeline.folder import RunFolder
+from flowsplat.scenes import Scene
+from flowsplat.training.trainer import Trainer
+
+from .conftest import small_config
+
+
+def comparable(metrics):
+    return {name: value for name, value in metrics.items() if name not in ("seconds", "peak_memory_gib")}
+
+
+@pytest.fixture(scope="module")
+def finished(tiny_scene, tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("finished") / "out"
+    run(tiny_scene, out, small_config())
+    return out
+
+
+def test_everything_comes_out(finished):
+    metrics = json.loads((finished / "metrics.json").read_text())
+    for name in ("heldout_frames", "heldout_views"):
+        assert {"psnr", "ssim", "lpips", "moving"} <= set(metrics[name])
+    assert set(metrics["baselines"]) == {"copy", "blend", "flow_interpolation", "static"}
+    assert metrics["baselines"]["static"] is None
+    assert {"mean", "median", "moving"} <= set(metrics["flow_epe"])
+    assert {"mean", "median", "moving"} <= set(metrics["flow_prior_epe"])
+    assert metrics["depth_abs_rel"]["all"]["mean"] < 0.2
+    assert metrics["gaussians"]["active_mean"] <= metrics["gaussians"]["total"]
+    assert {"train", "evaluate", "render"} <= set(metrics["seconds"])
+    assert metrics["heldout_frames"]["psnr"] > metrics["baselines"]["copy"]["psnr"]
+    for name in ("report.html", "preview.png", "renders/input_path.mp4", "model/gaussians.safetensors", "run.json"):
+        assert (finished / name).stat().st_size > 0, name
+    assert list((finished / "logs").rglob("events.out*"))
+    assert not list(finished.rglob("*.partial*"))
+
+
+def test_a_finished_run_is_not_computed_again(finished, tiny_scene, monkeypatch):
+    monkeypatch.setattr(Trainer, "run", lambda self: pytest.fail("trained again"))
+    before = (finished / "metrics.json").read_bytes()
+    run(tiny_scene, finished, small_config())
+    assert (finished / "metrics.json").read_bytes() == before
+
+
+def test_the_python_api_renders_arrays(finished):
+    scene = flowsplat.Scene(finished / "scene")
+    model = flowsplat.load(finished)
+    rendering = model.render(scene.cameras[3], scene.timestamps[3], (scene.cameras[4], scene.timestamps[4]))
+    assert rendering.colour.shape == (48, 64, 3)
+    assert rendering.flow.shape == (48, 64, 2)
+    assert rendering.colour.dtype == np.float32
+    error = np.abs(rendering.colour - scene.frame(3) / 255).mean()
+    assert error < 0.1
+    true_depth = scene.truth.depth(3).depth
+    assert np.median(np.abs(rendering.depth / true_depth - 1)) < 0.1  # in the units of the scene's cameras
+
+
+class Stopped(Exception):
+    pass
+
+
+@pytest.mark.parametrize("at", [5, 17])
+def test_interrupted_training_ends_at_the_same_bits(tiny_scene, finished, tmp_path, monkeypatch, at):
+    iterate = Trainer._iterate
+
+    def stop(self):
+        if self.step == at:
+            raise Stopped
+        return iterate(self)
+
+    monkeypatch.setattr(Trainer, "_iterate", stop)
+    with pytest.raises(Stopped):
+        run(tiny_scene, tmp_path / "out", small_config())
+    monkeypatch.setattr(Trainer, "_iterate", iterate)
+    metrics = run(tiny_scene, tmp_path / "out", small_config())
+    assert comparable(metrics) == comparable(json.loads((finished / "metrics.json").read_text()))
+    assert same_model(tmp_path / "out", finished)
+
+
+def same_model(a: Path, b: Path) -> bool:
+    one, other = flowsplat.load(a).gaussians, flowsplat.load(b).gaussians
+    return torch.equal(one.dynamic, other.dynamic) and all(torch.equal(one.params[k], other.params[k]) for k in one.params)
+
+
+def test_heldout_pixels_of_a_prepared_scene_do_not_reach_the_model(tiny_scene, finished, tmp_path):
+    corrupted = tmp_path / "scene"
+    shutil.copytree(tiny_scene, corrupted)
+    scene = Scene(corrupted)
+    assert scene.heldout_frames == [9]
+    scene.write_frame(9, np.random.default_rng(0).integers(0, 255, (48, 64, 3), dtype=np.uint8))
+    folder = prepare(corrupted, tmp_path / "out", small_config())
+    train(folder)
+    assert same_model(tmp_path / "out", finished)
+
+
+@pytest.mark.slow
+def test_heldout_pixels_of_the_input_do_not_reach_the_model_when_cameras_are_given(tiny_scene, tmp_path):
+    from flowsplat.scenes.layers import write_image
+
+    truth = Scene(tiny_scene)
+    config = small_config()
+    cameras = tmp_path / "cameras.json"
+    truth.write_cameras(truth.truth.cameras)
+    shutil.copy(truth.folder / "cameras.json", cameras)
+    (truth.folder / "cameras.json").unlink()
+    config = replace(config, priors=replace(config.priors, priors="own", given=replace(config.priors.given, cameras=cameras)))
+    for name in ("clean", "corrupt"):
+        for i in range(truth.num_frames):
+            image = truth.any_frame(i)
+            if name == "corrupt" and i == 9:
+                image = 255 - image[::-1]
+            write_image(tmp_path / name / f"{i:05d}.png", image)
+        train(prepare(tmp_path / name, tmp_path / f"out_{name}", config))
+    assert same_model(tmp_path / "out_clean", tmp_path / "out_corrupt")
+
+
+def test_other_settings_train_again_and_keep_the_scene(tiny_scene, finished, tmp_path):
+    shutil.copytree(finished, tmp_path / "out")
+    stamp = (tmp_path / "out" / "scene" / "depth" / "00000.npz").stat().st_mtime_ns
+    metrics = run(tiny_scene, tmp_path / "out", small_config(seed=5))
+    assert (tmp_path / "out" / "scene" / "depth" / "00000.npz").stat().st_mtime_ns == stamp
+    assert metrics["heldout_frames"]["psnr"] != json.loads((finished / "metrics.json").read_text())["heldout_frames"]["psnr"]
+
+
+def test_with_all_baselines_there_is_a_static_scene(tiny_scene, finished, tmp_path):
+    shutil.copytree(finished, tmp_path / "out")
+    metrics = run(tiny_scene, tmp_path / "out", replace(small_config(), baselines="all"))
+    assert metrics["baselines"]["static"]["psnr"] > 5
+
+
+def test_no_holdout_gives_no_heldout_figures(tmp_path):
+    from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic
+
+    write_synthetic(tmp_path / "scene", SyntheticScene(width=48, height=32, frames=4), holdout=None)
+    metrics = run(tmp_path / "scene", tmp_path / "out", small_config())
+    assert metrics["heldout_frames"] is None
+    assert metrics["training_frames"]["psnr"] > 10
+
+
+def test_the_folder_of_another_input_is_refused(finished, tmp_path):
+    from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic
+
+    write_synthetic(tmp_path / "scene", SyntheticScene(width=48, height=32, frames=4), holdout=None)
+    with pytest.raises(InputError, match="different input"):
+        prepare(tmp_path / "scene", finished, small_config())
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "file").write_text("x")
+    with pytest.raises(InputError, match="not empty"):
+        prepare(tmp_path / "scene", tmp_path / "other", small_config())
+
+
+def test_a_damaged_checkpoint_is_explained(tiny_scene, tmp_path, monkeypatch):
+    iterate = Trainer._iterate
+
+    def stop(self):
+        if self.step == 15:
+            raise Stopped
+        return iterate(self)
+
+    monkeypatch.setattr(Trainer, "_iterate", stop)
+    with pytest.raises(Stopped):
+        run(tiny_scene, tmp_path / "out", small_config())
+    checkpoint = next((tmp_path / "out" / "training").glob("step_*.safetensors"))
+    checkpoint.write_bytes(checkpoint.read_bytes()[:1000])
+    with pytest.raises(InputError, match="damaged or truncated"):
+        run(tiny_scene, tmp_path / "out", small_config())
+
+
+def test_settings_survive_their_file(tmp_path):
+    for name in ("fast", "default", "paper", "high"):
+        assert from_plain(RunConfig, json.loads(json.dumps(to_plain(preset(name))))) == preset(name)
+    with pytest.raises(InputError, match="Unknown setting"):
+        from_plain(RunConfig, {"colour": 3})
+    with pytest.raises(InputError, match="Unknown preset"):
+        preset("best")
+
+
+def test_a_folder_of_a_newer_version_is_refused(finished, tmp_path):
+    shutil.copytree(finished, tmp_path / "out", ignore=shutil.ignore_patterns("scene"))
+    book = json.loads((tmp_path / "out" / "run.json").read_text())
+    (tmp_path / "out" / "run.json").write_text(json.dumps({**book, "version": 99}))
+    with pytest.raises(InputError, match="newer"):
+        RunFolder(tmp_path / "out")
+
+
+@pytest.mark.parametrize("name", ["paper", "default"])
+@pytest.mark.parametrize(("means", "quats"), [(True, True), (False, True), (False, False)])
+def test_every_representation_trains(tiny_scene, tmp_path, name, means, quats):
+    config = preset(name).train
+    config = replace(config, iterations=4, model=replace(config.model, move_means=means, move_quats=quats))
+    if not (means or quats):
+        config = replace(config, model=replace(config.model, freeze_background=False, gains=0))
+    if name == "paper" and not quats:
+        config = replace(config, init=replace(config.init, from_priors=False, random_count=2000))
+    config = replace(config, density=replace(config.density, every=2, start=2))
+    folder = prepare(tiny_scene, tmp_path / "out", replace(small_config(), train=config))
+    model = train(folder)
+    assert len(model.gaussians) > 100
+    for value in model.gaussians.params.values():
+        assert torch.isfinite(value).all()

@@ -1,0 +1,217 @@
+"""Depth: exact matches give exact depth, neighbours help, movers stand before what they hide, a tripod gets a guess."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from flowsplat.geometry import Camera, Similarity
+from flowsplat.geometry.cameras import camera_flow
+from flowsplat.priors.depth import depth_stage
+from flowsplat.priors.depth.clip import SolvedClip
+from flowsplat.priors.depth.fill import fill, upsample
+from flowsplat.priors.depth.fuse import fuse
+from flowsplat.priors.depth.longflow import LongFlows
+from flowsplat.priors.depth.movers import card, smooth_cards, uncover
+from flowsplat.priors.depth.multiview import solve_multiview
+from flowsplat.priors.flow import flow_stage
+from flowsplat.scenes import Scene
+
+from .planes import HEIGHT, WALL, WIDTH, write_planes
+
+K = np.array([[60.0, 0, 24], [0, 60, 16], [0, 0, 1]])
+SIZE = (48, 32)
+
+
+def camera(x: float = 0, y: float = 0, z: float = 0, turn: float = 0) -> Camera:
+    viewmat = np.eye(4)
+    viewmat[:3, :3] = Rotation.from_euler("y", turn, degrees=True).as_matrix()
+    viewmat[:3, 3] = -viewmat[:3, :3] @ [x, y, z]
+    return Camera(viewmat, K, *SIZE)
+
+
+def slanted() -> np.ndarray:
+    rows, columns = np.mgrid[: SIZE[1], : SIZE[0]]
+    return (3 + 0.02 * columns + 0.03 * rows).astype(np.float32)
+
+
+def solve(others: list[Camera], depth: np.ndarray, **change: np.ndarray):
+    flows = np.stack([camera_flow(depth, camera(), other) for other in others]).astype(np.float32)
+    flows = flows + change.get("error", 0)
+    return solve_multiview(camera(), others, flows, np.ones(flows.shape[:3], np.float32))
+
+
+OTHERS = [camera(0.1), camera(-0.15, 0.05), camera(0.3, 0, 0.1, 2.0), camera(-0.4, 0, 0, -3.0)]
+
+
+def test_exact_matches_give_exact_depth():
+    solution = solve(OTHERS, slanted())
+    np.testing.assert_allclose(1 / solution.inverse_depth, slanted(), rtol=2e-3)
+    assert solution.residual.max() < 0.01
+    assert solution.motion.max() < 0.5
+
+
+def test_information_is_the_squared_parallax():
+    information = solve([camera(0.4), camera(-0.3)], slanted()).information
+    np.testing.assert_allclose(information, (60 * 0.4 / slanted()) ** 2 + (60 * 0.3 / slanted()) ** 2, rtol=0.01)
+
+
+def test_one_wrong_match_is_outvoted():
+    error = np.zeros((4, *SIZE[::-1], 2), np.float32)
+    error[3, 10:20, 10:20] = [9, 4]
+    np.testing.assert_allclose(1 / solve(OTHERS, slanted(), error=error).inverse_depth, slanted(), rtol=0.02)
+
+
+def test_what_moves_off_the_epipolar_line_stands_out():
+    error = np.zeros((4, *SIZE[::-1], 2), np.float32)
+    for index, steps in enumerate((1, -1, 2, -2)):
+        error[index, 10:20, 10:20] = [0.3 * steps, 2 * steps]
+    motion = solve(OTHERS, slanted(), error=error).motion
+    assert np.median(motion[10:20, 10:20]) > 5
+    assert np.median(motion[22:]) < 0.5
+
+
+@pytest.mark.parametrize("others", [[camera(), camera()], [camera(turn=2), camera(turn=-3)]])
+def test_without_travel_nothing_is_known(others):
+    solution = solve(others, slanted())
+    assert solution.information.max() < 1e-6
+    assert solution.residual.max() < 0.01
+
+
+def test_untrusted_matches_are_not_used():
+    flows = np.full((1, *SIZE[::-1], 2), 7, np.float32)
+    solution = solve_multiview(camera(), [camera(0.1)], flows, np.full((1, *SIZE[::-1]), 0.4, np.float32))
+    assert solution.information.max() == 0
+    assert solution.motion.max() == 0
+
+
+def test_neighbours_that_agree_are_averaged_and_those_that_do_not_vote_against():
+    one = np.ones(SIZE[::-1], np.float32)
+    inverse, weight, votes = fuse(one / 3, one, camera(), [(one / 3.05, 3 * one, camera(0.1)), (one / 3, one, camera(-0.1))])
+    assert 3.02 < 1 / inverse[16, 24] < 3.04
+    assert weight[16, 24] == pytest.approx(5, rel=0.02)
+    assert votes[16, 24] == 2
+    inverse, weight, votes = fuse(one / 3, one, camera(), [(one / 6, 100 * one, camera(0.3))])
+    assert inverse[16, 24] == pytest.approx(1 / 3)
+    assert weight[16, 24] == 1
+    assert votes[16, 24] == -1
+
+
+def test_filling_stops_at_an_edge_of_the_picture():
+    guide = np.zeros((32, 48, 3), np.uint8)
+    guide[:, 24:] = 200
+    values = np.where(np.arange(48) < 24, 1.0, 2.0) * np.ones((32, 1))
+    weights = np.zeros((32, 48), np.float32)
+    weights[4:28, [2, 8, 14, 20, 28, 34, 40, 46]] = 100
+    filled, support = fill(values.astype(np.float32), weights, guide)
+    np.testing.assert_allclose(filled, values, atol=0.05)
+    assert (support > 0).all()
+    np.testing.assert_allclose(upsample(filled, np.kron(guide, np.ones((2, 2, 1), np.uint8)), 96, 64)[:, 60:], 2, atol=0.05)
+
+
+def test_without_any_value_all_is_the_mean():
+    filled, support = fill(np.full((16, 16), 3, np.float32), np.zeros((16, 16), np.float32), np.zeros((16, 16, 3), np.uint8))
+    np.testing.assert_allclose(filled, 3)
+    assert support.max() == 0
+
+
+def test_hidden_pixels_come_from_other_frames():
+    one = np.ones(SIZE[::-1], np.float32)
+    hidden = np.zeros(SIZE[::-1], bool)
+    hidden[10:20, 10:20] = True
+    values, weights = uncover(hidden, one, np.where(hidden, 0, one), camera(), [(one / 3, 7 * one, camera(0.05))])
+    np.testing.assert_allclose(values[11:19, 11:19], 1 / 3, rtol=1e-3)
+    assert weights[15, 15] == 7
+    assert values[25, 25] == 1
+
+
+def test_a_card_stands_on_the_ground_at_its_feet():
+    plate = np.linspace(0.1, 1, 40, dtype=np.float32)[:, None] * np.ones((1, 30), np.float32)
+    mask = np.zeros((40, 30), bool)
+    mask[8:30, 10:16] = True
+    assert card(mask, plate) >= plate[29, 0] * 0.99
+    assert card(mask, plate) < plate[34, 0]
+
+
+def test_cards_are_smooth_and_stay_near():
+    cards = np.full(40, 0.5)
+    cards[10:13] = np.nan
+    cards[20] = 5.0
+    smooth = smooth_cards(cards)
+    assert np.isnan(smooth[10:13]).all()
+    np.testing.assert_allclose(smooth[np.isfinite(smooth)], 0.5)
+    assert smooth_cards(np.where(np.arange(40) % 2, 0.5, 0.7))[20] > 0.65
+    assert np.isnan(smooth_cards(np.full(5, np.nan))).all()
+
+
+def test_long_flows_reach_far(tmp_path: Path):
+    scene = write_planes(tmp_path, step=2, square=False)
+    flow_stage(scene)
+    flows = LongFlows(scene)
+    assert flows.neighbours(1) == [0, 2, 3, 5, 9]
+    flow, confidence = flows.matches(1, 9)
+    inside = (slice(5, -5), slice(20, -5))
+    assert np.median(np.abs(flow[inside] - [-8, 0])) < 0.1
+    assert np.median(confidence[inside]) > 0.8
+    flows.forget(12)
+    np.testing.assert_array_equal(flows.matches(1, 9)[0], flow)
+
+
+@pytest.fixture(scope="module")
+def moving(tmp_path_factory) -> Scene:
+    scene = write_planes(tmp_path_factory.mktemp("moving"), step=2, square=True)
+    flow_stage(scene)
+    for i in scene.train_frames:
+        scene.write_mask(i, scene.truth.mask(i))
+    scene.finish_prior("masks", method="truth")
+    depth_stage(scene)
+    return scene
+
+
+def test_the_stage_finds_the_wall_and_puts_the_square_before_it(moving: Scene):
+    for i in moving.train_frames:
+        mask, result = moving.mask(i) > 0, moving.depth(i)
+        assert np.median(np.abs(result.depth[~mask] / WALL - 1)) < 0.02
+        assert (result.depth[mask] < WALL).all()
+        assert result.depth[mask].min() > WALL / 2
+        assert result.trusted[mask].all()
+        assert result.trusted.mean() > 0.85
+    how = moving.prior("depth")
+    assert how["method"] == "multi-view"
+    assert how["objects"] == 1
+
+
+def test_the_stage_resumes_where_it_stopped(moving: Scene):
+    files = sorted((moving.folder / "depth").glob("*.npz"))
+    before = [path.read_bytes() for path in files]
+    files[3].unlink()
+    times = [path.stat().st_mtime_ns for path in files if path.exists()]
+    depth_stage(moving)
+    assert [path.read_bytes() for path in files] == before
+    assert [path.stat().st_mtime_ns for path in files if path != files[3]] == times
+
+
+def test_other_cameras_are_solved_anew(moving: Scene):
+    median = SolvedClip(moving).median
+    cameras = moving.cameras
+    twice = [Similarity(2.0).camera(camera) for camera in cameras]
+    moving.write_cameras(twice)
+    assert SolvedClip(moving).median == pytest.approx(median / 2, rel=1e-3)
+    moving.write_cameras(cameras)
+
+
+def test_a_tripod_gets_a_guess_that_says_so(tmp_path: Path):
+    scene = write_planes(tmp_path, step=0, square=True)
+    flow_stage(scene)
+    depth_stage(scene)
+    how = scene.prior("depth")
+    assert how["method"] == "guess"
+    assert "guess" in how["verdict"]
+    result = scene.depth(5)
+    assert 0.5 <= result.confidence.min() <= result.confidence.max() <= 0.6
+    assert (np.diff(result.depth.mean(1)) <= 1e-6).all()
+    assert result.depth.shape == (HEIGHT, WIDTH)
+    assert np.median(result.depth) == pytest.approx(1, rel=0.1)

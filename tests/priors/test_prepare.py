@@ -1,0 +1,205 @@
+"""All priors in order: given ones, true ones, own ones; and held-out frames that nothing but the cameras may see."""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from flowsplat.common.errors import InputError
+from flowsplat.priors.given import GivenPriors, use_given, use_truth
+from flowsplat.priors.prepare import PriorsOptions, prepare_priors
+from flowsplat.scenes import Flow, Scene
+
+from .planes import FRAMES, HEIGHT, WALL, WIDTH, square_at, write_planes
+
+STAGES = ("cameras", "flow", "masks", "depth", "tracks")
+
+
+def forget_cameras(scene: Scene) -> Scene:
+    (scene.folder / "cameras.json").unlink()
+    del scene.info["priors"]["cameras"]
+    scene.save_info()
+    return Scene(scene.folder)
+
+
+def prior_files(scene: Scene) -> dict[str, bytes]:
+    """Every prior by its path; the pictures and the truth are left out."""
+    paths = [path for name in ("depth", "flow", "masks") for path in (scene.folder / name).iterdir()]
+    paths += [scene.folder / "tracks.npz", scene.folder / "cameras.json", scene.folder / "scene.json"]
+    return {path.relative_to(scene.folder).as_posix(): path.read_bytes() for path in paths}
+
+
+def test_held_out_pixels_change_no_prior(tmp_path: Path):
+    results = []
+    for name in ("as_it_is", "corrupted"):
+        scene = write_planes(tmp_path / name, step=2, square=True, holdout=5)
+        assert scene.heldout_frames == [4, 9]
+        if name == "corrupted":
+            rng = np.random.default_rng(5)
+            for i in scene.heldout_frames:
+                scene.write_frame(i, rng.integers(0, 256, (HEIGHT, WIDTH, 3), np.uint8))
+                scene.heldout_masks.write_mask(i, np.full((HEIGHT, WIDTH), 3, np.uint8))
+        seconds = prepare_priors(scene, PriorsOptions())
+        assert set(seconds) == {"flow", "masks", "depth", "tracks"}
+        results.append(prior_files(scene))
+    assert results[0].keys() == results[1].keys()
+    assert [path for path in results[0] if results[0][path] != results[1][path]] == []
+    assert not any("00004" in path or "00009" in path for path in results[0])
+
+
+def test_finished_priors_are_kept_and_scratch_is_removed(tmp_path: Path):
+    scene = write_planes(tmp_path, step=2, square=True)
+    prepare_priors(scene, PriorsOptions())
+    assert all(scene.prior(name) is not None for name in STAGES)
+    assert scene.info["similarity"] is not None
+    assert not (tmp_path / "multiview").exists()
+    before = prior_files(scene)
+    assert prepare_priors(Scene(tmp_path), PriorsOptions()) == {}
+    assert prior_files(scene) == before
+
+
+def test_truth_replaces_everything(tmp_path: Path):
+    scene = forget_cameras(write_planes(tmp_path, step=2, square=True))
+    assert set(prepare_priors(scene, PriorsOptions(priors="true"))) == {"truth"}
+    assert {scene.prior(name)["method"] for name in STAGES} == {"truth"}
+    np.testing.assert_array_equal(scene.mask(3), scene.truth.mask(3))
+    assert scene.similarity.scale == pytest.approx(1 / WALL)
+    assert scene.tracks.points.shape == (2, FRAMES, 2)
+    np.testing.assert_allclose(scene.tracks.points[0, 3], [WIDTH / 2 - 6, HEIGHT / 2], atol=1e-3)
+
+
+def test_truth_of_held_out_frames_gives_cameras_only(tmp_path: Path):
+    scene = write_planes(tmp_path, step=2, square=True, holdout=5)
+    use_truth(scene)
+    assert len(scene.cameras) == FRAMES
+    assert not any(scene.has_depth(i) or scene.has_mask(i) for i in scene.heldout_frames)
+    assert not scene.tracks.visible[:, scene.heldout_frames].any()
+    assert scene.tracks.visible[:, scene.train_frames].all()
+    # The truth has no flow across held-out frames, so that the flow stage has to complete it.
+    assert scene.prior("flow") is None
+    assert (0, 1) in scene.flow_pairs
+    assert (3, 5) not in scene.flow_pairs
+    seconds = prepare_priors(scene, PriorsOptions(priors="true"))
+    assert (3, 5) in scene.flow_pairs
+    assert "flow" in seconds
+
+
+def test_a_filmed_clip_has_no_truth(tmp_path: Path):
+    scene = write_planes(tmp_path, step=2, square=False)
+    (tmp_path / "truth").rename(tmp_path / "other")
+    with pytest.raises(InputError, match="no truth"):
+        prepare_priors(scene, PriorsOptions(priors="true"))
+
+
+def given_files(folder: Path, scene: Scene) -> GivenPriors:
+    """Cameras, depth, masks and flow at twice the size of the scene."""
+    size = (2 * WIDTH, 2 * HEIGHT)
+    for name in ("depth", "masks", "flow"):
+        (folder / name).mkdir(parents=True)
+    cameras = [camera.resized(*size).to_json() for camera in scene.truth.cameras]
+    (folder / "cameras.json").write_text(json.dumps(cameras))
+    for i in range(FRAMES):
+        np.save(folder / "depth" / f"{i:05d}.npy", cv2.resize(scene.truth.depth(i).depth, size, interpolation=0))
+        mask = cv2.resize(scene.truth.mask(i) * 255, size, interpolation=0)
+        cv2.imwrite(str(folder / "masks" / f"{i:05d}.png"), mask)
+    pairs = [(i, j) for i in range(FRAMES) for j in (i - 1, i + 1) if 0 <= j < FRAMES]
+    for i, j in pairs:
+        flow = np.full((2 * HEIGHT, 2 * WIDTH, 2), [-4.0 * (j - i), 1], "<f4")
+        if i % 2:
+            header = struct.pack("<fii", 202021.25, 2 * WIDTH, 2 * HEIGHT)
+            (folder / "flow" / f"{i:05d}_{j:05d}.flo").write_bytes(header + flow.tobytes())
+        else:
+            confidence = np.full((2 * HEIGHT, 2 * WIDTH), 255, np.uint8)
+            arrays = {"flow": (flow * 64).astype(np.int16), "confidence": confidence}
+            np.savez(folder / "flow" / f"{i:05d}_{j:05d}.npz", **arrays)
+    return GivenPriors(folder / "cameras.json", folder / "depth", folder / "masks", folder / "flow")
+
+
+def test_given_files_are_read_and_resized(tmp_path: Path):
+    scene = forget_cameras(write_planes(tmp_path / "scene", step=2, square=True))
+    given = given_files(tmp_path / "given", scene)
+    seconds = prepare_priors(scene, PriorsOptions(given=given))
+    assert set(seconds) == {"given", "tracks"}
+    for found, true in zip(scene.cameras, scene.truth.cameras, strict=True):
+        np.testing.assert_allclose(found.K, true.K)
+        np.testing.assert_allclose(found.viewmat, true.viewmat)
+    np.testing.assert_array_equal(scene.depth(4).depth, scene.truth.depth(4).depth)
+    np.testing.assert_array_equal(scene.mask(4), scene.truth.mask(4))
+    for pair in ((4, 5), (5, 4)):
+        flow: Flow = scene.flow(*pair)
+        np.testing.assert_allclose(flow.flow, np.broadcast_to([-2.0 * (pair[1] - pair[0]), 0.5], flow.flow.shape))
+        assert flow.trusted.all()
+
+
+def test_given_held_out_masks_are_kept_for_the_evaluation(tmp_path: Path):
+    scene = write_planes(tmp_path / "scene", step=2, square=True, holdout=5)
+    given = given_files(tmp_path / "given", scene)
+    use_given(scene, GivenPriors(masks=given.masks))
+    x, y = square_at(4)
+    assert scene.heldout_masks.mask(4)[y + 2, x + 2] == 1
+    assert not (tmp_path / "scene" / "masks" / "00004.png").exists()
+
+
+def spoil_cameras(path: Path, change) -> None:
+    values = json.loads(path.read_text())
+    change(values)
+    path.write_text(json.dumps(values))
+
+
+BAD = {
+    "cameras: one too few": (
+        "cameras", lambda f: spoil_cameras(f / "cameras.json", lambda v: v.pop()), "11 cameras, but the clip has 12",
+    ),
+    "cameras: no rotation": (
+        "cameras", lambda f: spoil_cameras(f / "cameras.json", lambda v: v[2].update(viewmat=[[2.0] * 4] * 4)), "frame 2",
+    ),
+    "cameras: no K": ("cameras", lambda f: spoil_cameras(f / "cameras.json", lambda v: v[2].pop("K")), "does not hold cameras"),
+    "cameras: other shape": (
+        "cameras", lambda f: spoil_cameras(f / "cameras.json", lambda v: v[0].update(width=99)), "another shape",
+    ),
+    "cameras: no JSON": ("cameras", lambda f: (f / "cameras.json").write_text("[{"), "not readable JSON"),
+    "depth: missing": ("depth", lambda f: (f / "depth" / "00003.npy").unlink(), "00003.npy does not exist"),
+    "depth: NaN": (
+        "depth", lambda f: np.save(f / "depth" / "00003.npy", np.full((HEIGHT, WIDTH), np.nan)), "not finite and positive",
+    ),
+    "depth: zero": ("depth", lambda f: np.save(f / "depth" / "00003.npy", np.zeros((HEIGHT, WIDTH))), "not finite and positive"),
+    "depth: other shape": ("depth", lambda f: np.save(f / "depth" / "00003.npy", np.ones((40, 40))), "another shape"),
+    "depth: colours": ("depth", lambda f: np.save(f / "depth" / "00003.npy", np.ones((HEIGHT, WIDTH, 3))), "one depth map"),
+    "depth: truncated": ("depth", lambda f: (f / "depth" / "00003.npy").write_bytes(b"\x93NUMPY"), "not a readable .npy"),
+    "masks: missing": ("masks", lambda f: (f / "masks" / "00003.png").unlink(), "00003.png does not exist"),
+    "masks: damaged": ("masks", lambda f: (f / "masks" / "00003.png").write_bytes(b"no"), "00003.png"),
+    "masks: other size": (
+        "masks", lambda f: cv2.imwrite(str(f / "masks" / "00003.png"), np.zeros((9, 9), np.uint8)), "00003.png",
+    ),
+    "flow: missing": ("flow", lambda f: (f / "flow" / "00003_00004.flo").unlink(), "00003_00004.npz does not exist"),
+    "flow: truncated": ("flow", lambda f: (f / "flow" / "00003_00004.flo").write_bytes(b"PIEH" + bytes(20)), "truncated"),
+    "flow: no flow": ("flow", lambda f: (f / "flow" / "00003_00004.flo").write_bytes(bytes(20)), "not a Middlebury"),
+    "flow: one array": ("flow", lambda f: np.savez(f / "flow" / "00002_00003.npz", flow=np.zeros((4, 4, 2))), "'confidence'"),
+    "flow: NaN": (
+        "flow",
+        lambda f: np.savez(
+            f / "flow" / "00002_00003.npz", flow=np.full((HEIGHT, WIDTH, 2), np.nan), confidence=np.ones((HEIGHT, WIDTH))
+        ),
+        "not finite",
+    ),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory) -> Scene:
+    return write_planes(tmp_path_factory.mktemp("plain"), step=2, square=True)
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_files_are_refused_in_one_line(tmp_path: Path, plain: Scene, name: str):
+    kind, spoil, message = BAD[name]
+    given = given_files(tmp_path, plain)
+    spoil(tmp_path)
+    with pytest.raises(InputError, match=message) as caught:
+        use_given(plain, GivenPriors(**{kind: getattr(given, kind)}))
+    assert "\n" not in str(caught.value)

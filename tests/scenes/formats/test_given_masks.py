@@ -1,0 +1,204 @@
+"""Masks of every kind become numbers of objects."""
+
+from __future__ import annotations
+
+import shutil
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flowsplat.common.errors import InputError
+from flowsplat.scenes.clip import InputOptions
+from flowsplat.scenes.formats.davis import open_davis
+from flowsplat.scenes.formats.images import ImagesClip, open_images
+
+SHAPE = (48, 64)
+DAVIS_PALETTE = [(0, 0, 0), (128, 0, 0), (0, 128, 0), (128, 128, 0), (0, 0, 128)]
+
+
+def write_palette(path: Path, indices: np.ndarray, palette: list[tuple[int, int, int]]) -> None:
+    """A palette PNG, as DAVIS has them (OpenCV only writes colours)."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    height, width = indices.shape
+    rows = b"".join(b"\0" + row.tobytes() for row in indices.astype(np.uint8))
+    header = struct.pack(">IIBBBBB", width, height, 8, 3, 0, 0, 0)
+    colours = bytes(value for colour in palette for value in colour)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(
+        b"\x89PNG\r\n\x1a\n"
+        + chunk(b"IHDR", header)
+        + chunk(b"PLTE", colours)
+        + chunk(b"IDAT", zlib.compress(rows))
+        + chunk(b"IEND", b"")
+    )
+
+
+def blocks(*values: int) -> np.ndarray:
+    """Vertical stripes of the given values, after one of background."""
+    labels = np.zeros(SHAPE, np.uint8)
+    for k, value in enumerate(values):
+        labels[:, 10 * (k + 1) : 10 * (k + 2)] = value
+    return labels
+
+
+@pytest.fixture
+def folder(tmp_path, picture, write_picture) -> Path:
+    for i in range(3):
+        write_picture(tmp_path / "images" / f"{i:05d}.png", picture(i))
+    return tmp_path
+
+
+def open_with_masks(folder: Path, **options) -> ImagesClip:
+    return open_images(folder / "images", InputOptions(**options), folder / "masks")
+
+
+@pytest.mark.parametrize("kind", ["grey", "grey and alpha", "colour", "half"])
+def test_black_and_white(folder, write_picture, kind):
+    mask = blocks(255)
+    image = {
+        "grey": mask,
+        "grey and alpha": np.dstack([mask, mask, mask, np.full(SHAPE, 255, np.uint8)]),
+        "colour": np.dstack([mask] * 3),
+        "half": mask // 2,
+    }[kind]
+    for i in range(3):
+        write_picture(folder / "masks" / f"{i:05d}.png", image)
+    clip = open_with_masks(folder)
+    assert clip.has_masks
+    np.testing.assert_array_equal(clip.mask(1), mask > 0)
+
+
+def test_alpha_is_no_object(folder, write_picture):
+    for i in range(3):
+        write_picture(
+            folder / "masks" / f"{i:05d}.png", np.dstack([np.zeros((*SHAPE, 3), np.uint8), np.full(SHAPE, 255, np.uint8)])
+        )
+    assert not open_with_masks(folder).mask(0).any()
+
+
+def test_numbers_are_the_same_in_all_frames(folder, write_picture):
+    for i, values in enumerate([(1, 4, 9), (9,), (4,)]):
+        write_picture(folder / "masks" / f"{i:05d}.png", blocks(*values))
+    clip = open_with_masks(folder)
+    np.testing.assert_array_equal(clip.mask(0), blocks(1, 2, 3))
+    np.testing.assert_array_equal(clip.mask(1), blocks(3))
+    np.testing.assert_array_equal(clip.mask(2), blocks(2))
+
+
+def test_palette(folder):
+    """The objects of DAVIS keep their numbers."""
+    for i, values in enumerate([(1, 2, 3, 4), (4, 2), (3,)]):
+        write_palette(folder / "masks" / f"{i:05d}.png", blocks(*values), DAVIS_PALETTE)
+    clip = open_with_masks(folder)
+    for i, values in enumerate([(1, 2, 3, 4), (4, 2), (3,)]):
+        np.testing.assert_array_equal(clip.mask(i), blocks(*values))
+
+
+def test_soft_edges_are_one_object(folder, write_picture):
+    soft = np.tile(np.arange(64, dtype=np.uint8) * 4, (48, 1))
+    for i in range(3):
+        write_picture(folder / "masks" / f"{i:05d}.png", soft)
+    np.testing.assert_array_equal(open_with_masks(folder).mask(0), soft > 0)
+
+
+def test_jpeg_noise_is_background(folder, write_picture):
+    for i in range(3):
+        write_picture(folder / "masks" / f"{i:05d}.jpg", blocks(255))
+    np.testing.assert_array_equal(open_with_masks(folder).mask(0), blocks(1))
+
+
+@pytest.mark.parametrize("value", [0, 255])
+def test_empty_and_full(folder, write_picture, value):
+    for i in range(3):
+        write_picture(folder / "masks" / f"{i:05d}.png", np.full(SHAPE, value, np.uint8))
+    assert (open_with_masks(folder).mask(2) == (value > 0)).all()
+
+
+def test_resized_with_their_pictures(tmp_path, picture, write_picture):
+    labels = np.zeros((96, 128), np.uint8)
+    labels[:, 64:] = 2
+    labels[48:, 64:] = 7
+    for i in range(2):
+        write_picture(tmp_path / "images" / f"{i}.png", picture(i, 128, 96))
+        write_picture(tmp_path / "masks" / f"{i}.png", labels)
+    mask = open_with_masks(tmp_path, resize=64).mask(0)
+    assert mask.shape == (48, 64)
+    assert set(np.unique(mask)) == {0, 1, 2}
+    assert (mask > 0).mean() == 0.5
+
+
+# -- what cannot be used
+
+
+def refuse(folder: Path, words: str) -> None:
+    with pytest.raises(InputError, match=words) as caught:
+        open_with_masks(folder)
+    assert "\n" not in str(caught.value)
+
+
+def test_missing(folder, write_picture):
+    for i in (0, 2):
+        write_picture(folder / "masks" / f"{i:05d}.png", blocks(255))
+    refuse(folder, r"no mask for 00001\.png")
+
+
+def test_extra(folder, write_picture):
+    for i in range(4):
+        write_picture(folder / "masks" / f"{i:05d}.png", blocks(255))
+    refuse(folder, r"00003\.png belongs to no picture")
+
+
+def test_wrong_size(folder, write_picture):
+    for i in range(3):
+        write_picture(folder / "masks" / f"{i:05d}.png", blocks(255)[: 48 - 8 * (i == 2)])
+    refuse(folder, r"00002\.png is 64x40 pixels, but its picture is 64x48")
+
+
+def test_damaged(folder, write_picture):
+    for i in range(3):
+        write_picture(folder / "masks" / f"{i:05d}.png", blocks(255))
+    (folder / "masks" / "00001.png").write_bytes(b"no picture")
+    refuse(folder, r"00001\.png is no readable mask")
+
+
+# -- the DAVIS data set
+
+
+@pytest.fixture
+def davis(folder) -> Path:
+    root = folder / "DAVIS"
+    for name in ("bear", "dog10", "dog9"):
+        shutil.copytree(folder / "images", root / "JPEGImages" / "480p" / name)
+    for i in range(3):
+        write_palette(root / "Annotations" / "480p" / "bear" / f"{i:05d}.png", blocks(1, 2), DAVIS_PALETTE)
+    return root
+
+
+def test_davis(davis):
+    clip = open_davis(davis, InputOptions(sequence="bear"))
+    assert (clip.name, clip.num_frames, clip.source_fps) == ("bear", 3, 24)
+    np.testing.assert_array_equal(clip.mask(1), blocks(1, 2))
+
+
+def test_davis_without_masks(davis):
+    """Of test sequences only the first mask is published, if any."""
+    assert not open_davis(davis, InputOptions(sequence="dog9")).has_masks
+    write_palette(davis / "Annotations" / "480p" / "dog9" / "00000.png", blocks(1), DAVIS_PALETTE)
+    assert not open_davis(davis, InputOptions(sequence="dog9")).has_masks
+
+
+@pytest.mark.parametrize("sequence", [None, "cat", "..", ""])
+def test_davis_without_such_a_sequence(davis, sequence):
+    with pytest.raises(InputError, match=r"bear, dog9, dog10 with --sequence"):
+        open_davis(davis, InputOptions(sequence=sequence))
+
+
+def test_no_davis(tmp_path):
+    with pytest.raises(InputError, match="JPEGImages"):
+        open_davis(tmp_path, InputOptions(sequence="bear"))

@@ -1,0 +1,152 @@
+"""Folders of pictures of every kind."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flowsplat.common.errors import InputError
+from flowsplat.scenes.clip import InputOptions
+from flowsplat.scenes.formats.images import list_pictures, open_images, read_picture
+
+OPTIONS = InputOptions()
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tiff", ".bmp", ".webp", ".jpg", ".PNG"])
+def test_suffixes(tmp_path, picture, write_picture, suffix):
+    for i in range(3):
+        write_picture(tmp_path / f"{i}{suffix}", picture(i))
+    clip = open_images(tmp_path, OPTIONS)
+    frames = list(clip.frames([0, 1, 2]))
+    for i, frame in enumerate(frames):
+        assert frame.dtype == np.uint8
+        assert np.abs(frame.astype(int) - picture(i)).mean() < 3
+
+
+def test_grey_alpha_and_16_bits(tmp_path, picture, write_picture):
+    rgb = picture(0)
+    alpha = write_picture(tmp_path / "alpha.png", np.dstack([rgb, np.zeros(rgb.shape[:2], np.uint8)]))
+    np.testing.assert_array_equal(read_picture(alpha), rgb)
+    grey = write_picture(tmp_path / "grey.png", rgb[..., 0])
+    np.testing.assert_array_equal(read_picture(grey), np.repeat(rgb[..., :1], 3, -1))
+    deep = write_picture(tmp_path / "deep.png", rgb.astype(np.uint16) * 257 + 100)
+    np.testing.assert_array_equal(read_picture(deep), rgb)
+    deep_grey = write_picture(tmp_path / "deep_grey.tiff", rgb[..., 0].astype(np.uint16) * 257)
+    np.testing.assert_array_equal(read_picture(deep_grey), np.repeat(rgb[..., :1], 3, -1))
+
+
+@pytest.mark.parametrize(("orientation", "turns"), [(1, 0), (3, 2), (6, -1), (8, 1)])
+def test_exif_orientation(tmp_path, picture, write_picture, orientation, turns):
+    path = write_picture(tmp_path / "a.jpg", picture(0))
+    tiff = b"MM\0*\0\0\0\x08" + struct.pack(">HHHIHHI", 1, 0x0112, 3, 1, orientation, 0, 0)
+    segment = b"Exif\0\0" + tiff
+    data = path.read_bytes()
+    path.write_bytes(data[:2] + b"\xff\xe1" + struct.pack(">H", len(segment) + 2) + segment + data[2:])
+    got, upright = read_picture(path), np.rot90(picture(0), turns)
+    assert got.shape == upright.shape
+    assert np.abs(got.astype(int) - upright).mean() < 3
+
+
+def test_natural_order_and_hidden_files(tmp_path, picture, write_picture):
+    for name in ("frame10.png", "frame9.png", "frame1.png", ".frame0.png"):
+        write_picture(tmp_path / name, picture(0))
+    (tmp_path / "notes.txt").write_text("no picture")
+    (tmp_path / "folder.png").mkdir()
+    assert [path.name for path in list_pictures(tmp_path)] == ["frame1.png", "frame9.png", "frame10.png"]
+
+
+def test_spaces_and_letters_of_the_world(tmp_path, picture, write_picture):
+    folder = tmp_path / "Mein Video – 動画 é"
+    for i in range(2):
+        write_picture(folder / f"Größe {i}.png", picture(i))
+    clip = open_images(folder, OPTIONS)
+    assert clip.name == "Mein Video – 動画 é"
+    np.testing.assert_array_equal(next(clip.frames([1])), picture(1))
+
+
+def test_times(tmp_path, picture, write_picture):
+    for i in range(20):
+        write_picture(tmp_path / f"{i:03d}.png", picture(i))
+    clip = open_images(tmp_path, InputOptions(fps=10, start=0.5, every=3))
+    np.testing.assert_allclose(clip.timestamps, np.arange(5) * 0.3)
+    assert clip.source_fps == 10
+    np.testing.assert_array_equal(next(clip.frames([2])), picture(11))
+
+
+def test_two_frames_work_and_one_does_not(tmp_path, picture, write_picture):
+    write_picture(tmp_path / "0.png", picture(0))
+    with pytest.raises(InputError, match="at least two frames"):
+        open_images(tmp_path, OPTIONS)
+    write_picture(tmp_path / "1.png", picture(1))
+    assert open_images(tmp_path, OPTIONS).num_frames == 2
+
+
+def test_resizing(tmp_path, picture, write_picture):
+    for i in range(2):
+        write_picture(tmp_path / f"{i}.png", picture(i, 1000, 500))
+    sizes = {resize: open_images(tmp_path, InputOptions(resize=resize)) for resize in (None, 0, 100, 2000)}
+    assert {resize: (clip.width, clip.height) for resize, clip in sizes.items()} == {
+        None: (854, 427),
+        0: (1000, 500),
+        100: (100, 50),
+        2000: (1000, 500),
+    }
+    assert ["--resize" in " ".join(clip.notes) for clip in sizes.values()] == [True, False, True, False]
+    small = next(sizes[100].frames([0]))
+    # The mean over areas: what averaging blocks of 10 x 10 pixels gives.
+    np.testing.assert_allclose(small, picture(0, 1000, 500).reshape(50, 10, 100, 10, 3).mean((1, 3)), atol=0.51)
+
+
+# -- what cannot be used
+
+
+def refuse(folder: Path, words: str, **options) -> None:
+    with pytest.raises(InputError, match=words) as caught:
+        list(read_all(folder, InputOptions(**options)))
+    assert "\n" not in str(caught.value)
+
+
+def read_all(folder: Path, options: InputOptions) -> Iterator[np.ndarray]:
+    clip = open_images(folder, options)
+    yield from clip.frames(range(clip.num_frames))
+
+
+def test_no_pictures(tmp_path):
+    (tmp_path / "readme.txt").write_text("empty")
+    refuse(tmp_path, "no pictures")
+
+
+def test_different_sizes(tmp_path, picture, write_picture):
+    write_picture(tmp_path / "first.png", picture(0))
+    write_picture(tmp_path / "second.png", picture(0, 64, 50))
+    refuse(tmp_path, r"second\.png is 64x50 pixels, but .*first\.png is 64x48")
+
+
+@pytest.mark.parametrize("data", [b"", b"no picture", None])
+def test_damaged(tmp_path, picture, write_picture, data):
+    write_picture(tmp_path / "0.png", picture(0))
+    path = write_picture(tmp_path / "1.png", picture(1))
+    path.write_bytes(path.read_bytes()[:40] if data is None else data)
+    refuse(tmp_path, r"1\.png is missing, empty, damaged")
+
+
+def test_floating_point(tmp_path, picture, write_picture):
+    for i in range(2):
+        write_picture(tmp_path / f"{i}.tiff", picture(i).astype(np.float32))
+    refuse(tmp_path, "8 or 16 bits")
+
+
+def test_same_name_twice(tmp_path, picture, write_picture):
+    write_picture(tmp_path / "0.png", picture(0))
+    write_picture(tmp_path / "0.jpg", picture(0))
+    refuse(tmp_path, "same name")
+
+
+def test_too_small(tmp_path, picture, write_picture):
+    for i in range(2):
+        write_picture(tmp_path / f"{i}.png", picture(i, 400, 20))
+    refuse(tmp_path, "too small")

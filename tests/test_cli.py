@@ -1,0 +1,246 @@
+"""The command line as a person uses it: help, figures, and one line with exit code 2 for every bad input."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from flowsplat.cli import main
+from flowsplat.scenes import Depth, Scene
+from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic
+
+FAST = ["--train.iterations", "6", "--train.checkpoint-every", "3", "--render.paths", "input", "--render.width", "32"]
+
+
+def call(capsys, *arguments: object) -> tuple[int, str]:
+    """Exit code and stderr of a command."""
+    code = 0
+    try:
+        main([str(argument) for argument in arguments])
+    except SystemExit as end:
+        code = int(end.code or 0)
+    return code, capsys.readouterr().err
+
+
+def refuse(capsys, *arguments: object) -> str:
+    """The one line that bad input gives."""
+    code, error = call(capsys, *arguments)
+    assert code == 2, error
+    message = error.strip().splitlines()[-1]
+    assert message.startswith("Error: "), error
+    assert "Traceback" not in error
+    return message
+
+
+def pictures(folder: Path, count: int = 4, size: tuple[int, int] = (48, 32)) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    rng = np.random.default_rng(0)
+    world = cv2.resize(rng.integers(0, 255, (40, 60, 3), dtype=np.uint8), (240, 160), interpolation=cv2.INTER_CUBIC)
+    for i in range(count):
+        encoded = cv2.imencode(".png", world[20 : 20 + size[1], 20 + 2 * i : 20 + 2 * i + size[0]])[1]
+        (folder / f"{i:03d}.png").write_bytes(encoded.tobytes())
+    return folder
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("cli") / "scene"
+    write_synthetic(folder, SyntheticScene(width=64, height=48, frames=12, fps=6.0), holdout=10)
+    return folder
+
+
+def test_help_explains(capsys):
+    with pytest.raises(SystemExit) as end:
+        main(["run", "--help"])
+    assert end.value.code == 0
+    text = capsys.readouterr().out
+    for word in ("--holdout", "--preset", "--train.iterations", "--seed", "video file"):
+        assert word in text
+
+
+def test_a_run_prints_its_figures_and_says_what_was_held_out(capsys, scene, tmp_path):
+    code, error = call(capsys, "run", scene, "-o", tmp_path / "out", "--priors", "true", *FAST)
+    assert code == 0
+    assert "held-out frames, PSNR" in error
+    assert "--holdout none" in error.strip().splitlines()[-1]
+    assert json.loads((tmp_path / "out" / "metrics.json").read_text())["heldout_frames"]["count"] == 1
+
+
+def test_the_stages_one_by_one(capsys, scene, tmp_path):
+    out = tmp_path / "out"
+    assert call(capsys, "prepare", scene, "-o", out, "--priors", "true", *FAST)[0] == 0
+    assert call(capsys, "train", out)[0] == 0
+    assert call(capsys, "evaluate", out)[0] == 0
+    assert call(capsys, "render", out)[0] == 0
+    assert (out / "renders" / "input_path.mp4").exists()
+    assert json.loads((out / "run.json").read_text())["config"]["train"]["iterations"] == 6
+    assert call(capsys, "info", out)[0] == 0
+    assert call(capsys, "info", scene)[0] == 0
+
+
+@pytest.mark.slow
+def test_pictures_without_anything_else_become_a_scene(capsys, tmp_path):
+    folder = pictures(tmp_path / "Ünïcode and spaces", 6, (96, 64))
+    code, error = call(capsys, "run", folder, "-o", tmp_path / "öut put", "--holdout", "none", *FAST)
+    assert code == 0, error
+    metrics = json.loads((tmp_path / "öut put" / "metrics.json").read_text())
+    assert metrics["heldout_frames"] is None
+    assert metrics["training_frames"]["psnr"] > 10
+
+
+@pytest.mark.slow
+def test_two_frames_work(capsys, tmp_path):
+    code, error = call(capsys, "run", pictures(tmp_path / "two", 2), "-o", tmp_path / "out", *FAST)
+    assert code == 0, error
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("value", [0, 255])
+def test_masks_all_empty_or_all_full_work(capsys, tmp_path, value):
+    pictures(tmp_path / "clip" / "images", 4, (65, 43))
+    (tmp_path / "clip" / "masks").mkdir()
+    for i in range(4):
+        cv2.imwrite(str(tmp_path / "clip" / "masks" / f"{i:03d}.png"), np.full((43, 65), value, np.uint8))
+    code, error = call(capsys, "run", tmp_path / "clip", "-o", tmp_path / "out", *FAST)
+    assert code == 0, error
+
+
+def test_input_that_cannot_be_used(capsys, tmp_path):
+    out = tmp_path / "out"
+    assert "does not exist" in refuse(capsys, "run", tmp_path / "missing.mp4", "-o", out)
+    (tmp_path / "empty").mkdir()
+    assert "no pictures" in refuse(capsys, "run", tmp_path / "empty", "-o", out)
+    (tmp_path / "text.mp4").write_text("hello\n" * 100)
+    refuse(capsys, "run", tmp_path / "text.mp4", "-o", out)
+    (tmp_path / "nothing.mp4").write_bytes(b"")
+    refuse(capsys, "run", tmp_path / "nothing.mp4", "-o", out)
+    refuse(capsys, "run", pictures(tmp_path / "one", 1), "-o", out)
+    uneven = pictures(tmp_path / "uneven", 3)
+    pictures(tmp_path / "other", 4, (40, 32))
+    shutil.copy(tmp_path / "other" / "003.png", uneven)
+    refuse(capsys, "run", uneven, "-o", out)
+    assert not out.exists()
+
+
+def test_options_that_do_not_exist(capsys, tmp_path):
+    folder = pictures(tmp_path / "clip")
+    assert "preset" in refuse(capsys, "run", folder, "-o", tmp_path / "out", "--preset", "best")
+    assert "--train.itrations" in refuse(capsys, "run", folder, "-o", tmp_path / "out", "--train.itrations", "3")
+    assert "--start" in refuse(capsys, "run", folder, "-o", tmp_path / "out", "--start", "soon")
+    assert "holdout" in refuse(capsys, "run", folder, "-o", tmp_path / "out", "--holdout", "1")
+    assert "cuda" in refuse(capsys, "run", folder, "-o", tmp_path / "out", "--device", "cuda")
+    refuse(capsys, "rum", folder)
+    assert not (tmp_path / "out").exists()
+
+
+def test_folders_that_cannot_be_used(capsys, tmp_path, scene):
+    folder = pictures(tmp_path / "clip")
+    (tmp_path / "file").write_text("x")
+    refuse(capsys, "run", folder, "-o", tmp_path / "file")
+    assert "not the folder of a run" in refuse(capsys, "train", tmp_path / "clip")
+    assert "neither" in refuse(capsys, "info", tmp_path / "clip")
+    if os.geteuid() != 0:
+        (tmp_path / "locked").mkdir(mode=0o500)
+        assert "permission" in refuse(capsys, "run", folder, "-o", tmp_path / "locked" / "out")
+    call(capsys, "prepare", scene, "-o", tmp_path / "out", "--priors", "true")
+    assert "different input" in refuse(capsys, "run", folder, "-o", tmp_path / "out")
+
+
+def test_scenes_that_are_damaged(capsys, tmp_path, scene):
+    def damaged(name: str) -> Scene:
+        shutil.copytree(scene, tmp_path / name)
+        return Scene(tmp_path / name)
+
+    newer = damaged("newer")
+    newer.info["version"] = 99
+    newer.save_info()
+    assert "newer" in refuse(capsys, "run", newer.folder, "-o", tmp_path / "a")
+    camera = damaged("camera")
+    truth = camera.truth
+    values = json.loads((truth.folder / "cameras.json").read_text())
+    values[2]["viewmat"][0][3] = 1e999
+    (camera.folder / "cameras.json").write_text(json.dumps(values))
+    camera.finish_prior("cameras", method="given")
+    assert "not finite" in refuse(capsys, "run", camera.folder, "-o", tmp_path / "b")
+    depth = damaged("depth")
+    depth.write_cameras(truth.cameras)
+    depth.finish_prior("cameras", method="given")
+    for i in depth.train_frames:
+        depth.write_depth(i, Depth(np.full((48, 64), np.nan if i == 3 else 1.0), np.ones((48, 64))))
+        depth.write_mask(i, np.zeros((48, 64)))
+    depth.finish_prior("depth", method="given")
+    depth.finish_prior("masks", method="given")
+    assert "not finite" in refuse(capsys, "run", depth.folder, "-o", tmp_path / "c", *FAST)
+
+
+def test_a_truncated_checkpoint_is_one_line(capsys, tmp_path, scene, monkeypatch):
+    from flowsplat.training.trainer import Trainer
+
+    out, iterate = tmp_path / "out", Trainer._iterate
+
+    def stop(self):
+        if self.step == 5:
+            raise KeyboardInterrupt
+        return iterate(self)
+
+    monkeypatch.setattr(Trainer, "_iterate", stop)
+    code, error = call(capsys, "run", scene, "-o", out, "--priors", "true", *FAST)
+    assert code == 130
+    assert "continues" in error
+    checkpoint = next((out / "training").glob("step_*.safetensors"))
+    checkpoint.write_bytes(checkpoint.read_bytes()[:500])
+    assert "truncated" in refuse(capsys, "run", scene, "-o", out, "--priors", "true", *FAST)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_full_disk_is_one_line(tmp_path):
+    from flowsplat.common.errors import InputError
+    from flowsplat.common.files import atomic_path
+
+    def fill() -> None:
+        with atomic_path(tmp_path / "x.bin"), open("/dev/full", "wb") as file:
+            file.write(b"0" * 100_000)
+            file.flush()
+
+    with pytest.raises(InputError, match="disk is full"):
+        fill()
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+def test_killed_in_every_stage_it_ends_with_the_same_figures(tmp_path, scene):
+    """SIGKILL, wherever it hits, costs time and nothing else."""
+    command = [sys.executable, "-m", "flowsplat.cli", "run", str(scene), "--priors", "own", *FAST]
+
+    def metrics(out: Path) -> dict:
+        value = json.loads((out / "metrics.json").read_text())
+        return {name: v for name, v in value.items() if name not in ("seconds", "peak_memory_gib")}
+
+    subprocess.run([*command, "-o", str(tmp_path / "whole")], check=True, capture_output=True, timeout=600)
+    out = tmp_path / "killed"
+    signs = [
+        out / "scene" / "cameras.json",  # while preparing
+        out / "scene" / "depth" / "00005.npz",
+        out / "training" / "latest.json",  # while training
+        out / "evaluation" / "heldout" / "00009.png",  # while evaluating
+        out / "renders" / "renders.json",  # while rendering
+    ]
+    for sign in signs:
+        process = subprocess.Popen([*command, "-o", str(out)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        deadline = time.monotonic() + 300
+        while process.poll() is None and not sign.exists() and time.monotonic() < deadline:
+            time.sleep(0.01)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    subprocess.run([*command, "-o", str(out)], check=True, capture_output=True, timeout=600)
+    assert metrics(out) == metrics(tmp_path / "whole")

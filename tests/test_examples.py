@@ -1,0 +1,42 @@
+"""Every example runs as a reader would run it, only shorter."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).parent.parent / "examples"
+
+
+def run_example(name: str, *arguments: object) -> str:
+    command = [sys.executable, str(EXAMPLES / name), *map(str, arguments)]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=600)
+    assert result.returncode == 0, result.stderr
+    return result.stdout
+
+
+def test_every_example_is_tested():
+    tested = Path(__file__).read_text(encoding="utf-8")
+    for path in EXAMPLES.glob("[0-9]*.py"):
+        assert path.name in tested, path.name
+
+
+def test_splatting_on_the_cpu(tmp_path):
+    output = run_example("01_splat_on_the_cpu.py", tmp_path, 60)
+    errors = [float(line.rsplit(" ", 1)[1]) for line in output.splitlines() if line.startswith("step")]
+    assert errors[-1] < 0.5 * errors[0]
+    assert (tmp_path / "01_fitted.png").exists()
+
+
+@pytest.mark.slow
+def test_training_and_rendering_from_python(tmp_path):
+    assert "held-out views" in run_example("02_train_from_python.py", tmp_path, 20)
+    run_example("03_render_a_trained_scene.py", tmp_path)
+    assert (tmp_path / "03_rendered.png").exists()
+
+
+def test_a_motion_model_of_ones_own(tmp_path):
+    assert "speed = [1.0, 2.0, 3.0]" in run_example("04_add_a_motion_model.py", tmp_path)

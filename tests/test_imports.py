@@ -1,0 +1,107 @@
+"""The way of the data is the way of the imports: every room may only use the rooms before it."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import flowsplat
+
+PACKAGE = Path(flowsplat.__file__).parent
+
+FIRST = ("common", "pictures", "geometry")
+MAY_IMPORT = {
+    "common": (),
+    "pictures": ("common",),
+    "geometry": ("common", "pictures"),
+    # Splatting knows no time and no video, scenes know no splats.
+    "splatting": FIRST,
+    "scenes": FIRST,
+    "priors": (*FIRST, "scenes"),
+}
+for room in ("gaussians", "training", "evaluation", "output", "pipeline", "protocols", "cli"):
+    MAY_IMPORT[room] = tuple(MAY_IMPORT)
+# The package's own face shows what the rooms offer; commands are not for importing.
+MAY_IMPORT["__init__"] = tuple(name for name in MAY_IMPORT if name != "cli")
+
+
+def imported_rooms(source: str, package: str) -> Iterator[tuple[int, str]]:
+    """(line, room) of every import of this package in ``source``, wherever in the file it stands.
+
+    Args:
+        package: the dotted package that the module is in, to resolve relative imports.
+    """
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            targets = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            parents = package.split(".")[: len(package.split(".")) + 1 - node.level] if node.level else []
+            base = ".".join([*parents, *([node.module] if node.module else [])])
+            targets = [f"{base}.{alias.name}" for alias in node.names] if base == "flowsplat" else [base]
+        else:
+            continue
+        for target in targets:
+            if target.split(".")[0] == "flowsplat":
+                yield node.lineno, (target.split(".") + ["__init__"])[1]
+
+
+def violations(name: str, source: str) -> list[str]:
+    """The offending lines of a module, given as ``room/module.py``."""
+    parts = Path(name).with_suffix("").parts
+    room = parts[0]
+    if room not in MAY_IMPORT:
+        return [f"{name}: {room!r} is no room of the house (DESIGN.md)"]
+    package = ".".join(["flowsplat", *parts[:-1]])
+    lines = source.splitlines()
+    return [
+        f"{name}:{line}: {room} must not import {target}: {lines[line - 1].strip()}"
+        for line, target in imported_rooms(source, package)
+        if target not in (room, *MAY_IMPORT[room], "__version__")
+    ]
+
+
+def test_imports_run_with_the_data():
+    modules = sorted(PACKAGE.rglob("*.py"))
+    assert modules
+    found = [
+        line
+        for path in modules
+        for line in violations(path.relative_to(PACKAGE).as_posix(), path.read_text(encoding="utf-8"))
+    ]
+    assert not found, "\n" + "\n".join(found)
+
+
+@pytest.mark.parametrize(
+    ("name", "source"),
+    [
+        ("scenes/layers.py", "from flowsplat.splatting import api"),
+        ("splatting/api.py", "from flowsplat.scenes.scene import Scene"),
+        ("priors/flow.py", "import flowsplat.gaussians.render"),
+        ("training/trainer.py", "from flowsplat import evaluation"),
+        ("training/trainer.py", "def f():\n    from ..output import report"),
+        ("training/ssim/cpu.py", "from ...output.report import write"),
+        ("common/files.py", "from flowsplat.pictures import video"),
+        ("pipeline.py", "from .cli import main"),
+        ("geometry/cameras.py", "from flowsplat import Scene"),
+        ("geometry/cameras.py", "import flowsplat"),
+        ("__init__.py", "from flowsplat.cli import main"),
+        ("extras/new.py", ""),
+    ],
+)
+def test_a_step_against_the_order_is_found(name, source):
+    assert len(violations(name, source)) == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "source"),
+    [
+        ("scenes/scene.py", "from flowsplat.scenes.layers import Layers\nfrom .layers import Depth"),
+        ("gaussians/render.py", "from flowsplat.splatting.api import rasterize\nfrom flowsplat.scenes import Scene"),
+        ("training/ssim/cpu.py", "from ...splatting.cpu import simd\nfrom . import reference\nfrom .. import losses"),
+        ("output/report.py", "from flowsplat import __version__, evaluation"),
+        ("cli.py", "import flowsplat.protocols.davis\nimport numpy"),
+    ],
+)
+def test_a_step_along_the_order_is_fine(name, source):
+    assert violations(name, source) == []
