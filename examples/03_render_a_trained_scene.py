@@ -5,7 +5,7 @@ from pathlib import Path
 
 import flowsplat
 from flowsplat.geometry.paths import orbit
-from flowsplat.pictures.colors import depth_to_color, float_to_bytes, flow_to_color
+from flowsplat.pictures.colors import depth_range, depth_to_color, float_to_bytes, flow_to_color
 from flowsplat.pictures.sheets import side_by_side
 from flowsplat.scenes.layers import write_image
 
@@ -19,6 +19,10 @@ distance = 1 / scene.similarity.scale  # the median depth
 camera = orbit(scene.cameras[middle], distance, steps=8, angle=5)[1]
 rendering = model.render(camera, time, flow_to=(camera, scene.timestamps[middle + 1]))
 assert rendering.flow is not None
-panels = [float_to_bytes(rendering.colour), flow_to_color(rendering.flow), depth_to_color(rendering.depth)]
+panels = [
+    float_to_bytes(rendering.colour),
+    flow_to_color(rendering.flow),
+    depth_to_color(rendering.depth, *depth_range([rendering.depth])),
+]
 write_image(out / "03_rendered.png", side_by_side(panels, ["colour", "flow", "depth"]))
 print(f"colour | flow | depth at {time:.3f} s: {out / '03_rendered.png'}")
