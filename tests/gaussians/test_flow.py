@@ -7,9 +7,9 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from flowsplat.gaussians.flow import affine_gradient, flow_features, flow_image
+from flowsplat.gaussians.flow import FlowView, affine_gradient, blend_features, flow_features, flow_image
 from flowsplat.gaussians.gaussians4d import Gaussians4D, ModelConfig, parameter_shapes
-from flowsplat.gaussians.render import render
+from flowsplat.gaussians.render import render, render_active
 from flowsplat.gaussians.slicing import Slice
 from flowsplat.geometry import Camera
 from flowsplat.geometry.cameras import camera_flow, pixel_grid
@@ -148,16 +148,35 @@ def test_a_gaussian_behind_the_other_camera_has_no_flow_but_is_reported():
 def test_flow_has_gradients_to_all_that_moves():
     view, other = camera(), camera((0.02, 0, 0))
     gaussians = make([[0.0, 0, 1], [0.1, 0.05, 1.1]], scale=0.1)
-    from flowsplat.gaussians.render import render_leaves
-
     active = gaussians.active(0.1)
-    leaves = {name: value.requires_grad_() for name, value in gaussians.gather(active).items()}
-    frame = render_leaves(leaves, active, gaussians, view, flow_to=(other, 0.3), flow_model="affine")
+    gradients = {}
+    frame = render_active(gaussians, active, view, flow_to=(other, 0.3), flow_model="affine", gradients=gradients)
     frame.flow.sum().backward()
     for name in ("means", "mean_poly", "mean_cos", "mean_sin", "quat_poly", "log_scales", "logit_opacities"):
-        assert leaves[name].grad is not None, name
-        assert torch.isfinite(leaves[name].grad).all(), name
-        assert float(leaves[name].grad.abs().max()) > 0, name
+        assert torch.isfinite(gradients[name]).all(), name
+        assert float(gradients[name].abs().max()) > 0, name
+
+
+@pytest.mark.parametrize("behind", [False, True])
+def test_the_kernel_of_the_features_matches_its_oracle(behind):
+    view, other = camera(), camera((0.05, -0.02, -1.0 if behind else 0.04), (0.01, 0.03, -0.01))
+    g = torch.Generator().manual_seed(0)
+    values = [torch.randn(30, n, generator=g) for n in (3, 2, 3)]
+    depths = torch.rand(30, generator=g) + 0.7
+    means = torch.cat([0.2 * values[2][:, :2], depths[:, None]], 1)
+    found = []
+    for dtype in (torch.float64, torch.float32):
+        leaves = [v.to(dtype).requires_grad_() for v in (values[0], values[1], depths, means)]
+        colours, means2d, z, next_means = leaves
+        sliced = Slice(means.to(dtype), None, None, None, depths, colours, next_means[:0], next_means, None)
+        projected = Projected(means2d, means2d, z, torch.ones(30, 2, dtype=torch.int32), None, "cpu")
+        features = blend_features(sliced, projected, view, FlowView("displacement", other, 0.1))
+        weights = torch.randn(30, 7, generator=torch.Generator().manual_seed(1)).to(dtype)
+        (features * weights[:, : features.shape[1]]).sum().backward()
+        found.append([features.detach(), *(leaf.grad for leaf in leaves)])
+    assert found[0][0].shape[1] == (7 if behind else 6)
+    for exact, ours in zip(*found, strict=True):
+        torch.testing.assert_close(ours.double(), exact, atol=1e-3, rtol=1e-5)
 
 
 def test_flow_image_of_affine_features_is_linear_in_the_pixel():

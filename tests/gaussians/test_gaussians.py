@@ -11,7 +11,7 @@ import torch
 from flowsplat.gaussians.density import DensityStatistics, densify, prune, reset_opacities, revise_dynamic
 from flowsplat.gaussians.gaussians4d import Gaussians4D, ModelConfig, concatenate, parameter_shapes
 from flowsplat.gaussians.model import SceneModel
-from flowsplat.gaussians.render import fill_uncovered, render, render_leaves
+from flowsplat.gaussians.render import fill_uncovered, render, render_active
 from flowsplat.gaussians.slicing.reference import time_gains
 from flowsplat.geometry import Camera, Similarity
 
@@ -48,7 +48,7 @@ def test_culling_against_the_camera_changes_no_picture():
     view = Camera(np.eye(4), np.array([[40.0, 0, 20], [0, 40, 15], [0, 0, 1]]), 40, 30)
     culled = render(gaussians, view, 0.25)
     everything = gaussians.active(0.25)
-    whole = render_leaves(gaussians.gather(everything), everything, gaussians, view)
+    whole = render_active(gaussians, everything, view)
     assert len(culled.sliced.means) < 0.7 * len(everything.rows)
     assert culled.projected.visible.sum() == whole.projected.visible.sum()
     assert torch.equal(culled.colour, whole.colour)

@@ -37,10 +37,14 @@ BASE = ModelConfig(gains=5, freeze_background=True)
 def test_the_kernel_matches_its_oracle(config, degree, next_time):
     gaussians = random_model(config)
     active = gaussians.active(0.4)
+    gaussians.sh_degree = degree
+    exact = Gaussians4D({name: v.double() for name, v in gaussians.params.items()}, gaussians.dynamic, config, degree)
     results = []
-    for module, dtype in ((reference, torch.float64), (cpu, torch.float32)):
-        leaves = {name: value.to(dtype).requires_grad_() for name, value in gaussians.gather(active).items()}
-        sliced = module.slice_gaussians(leaves, active, config, degree, torch.tensor([0.1, 0.2, -3.0], dtype=dtype), next_time)
+    for module, model in ((reference, exact), (cpu, gaussians)):
+        dtype = model.params["means"].dtype
+        gradients = {}
+        center = torch.tensor([0.1, 0.2, -3.0], dtype=dtype)
+        sliced = module.slice_gaussians(model, active, center, next_time, gradients)
         g = torch.Generator().manual_seed(1)
         total = torch.zeros((), dtype=dtype)
         values = {}
@@ -50,7 +54,7 @@ def test_the_kernel_matches_its_oracle(config, degree, next_time):
                 values[name] = value
                 total = total + (value * torch.randn(value.shape, generator=g, dtype=torch.float64).to(dtype)).sum()
         total.backward()
-        results.append((values, {name: leaf.grad for name, leaf in leaves.items() if leaf.grad is not None}))
+        results.append((values, gradients))
     (expected, expected_gradients), (found, found_gradients) = results
     assert set(found) == set(expected)
     for name, value in expected.items():
@@ -64,7 +68,18 @@ def test_nothing_moving_and_nothing_resting():
         gaussians = random_model(BASE)
         gaussians.dynamic[:] = dynamic
         active = gaussians.active(0.5)
-        leaves = {name: value.requires_grad_() for name, value in gaussians.gather(active).items()}
-        sliced = cpu.slice_gaussians(leaves, active, BASE, 1, torch.zeros(3), 0.6)
+        gradients = {}
+        sliced = cpu.slice_gaussians(gaussians, active, torch.zeros(3), 0.6, gradients)
         sliced.colours.sum().backward()
         assert len(sliced.velocities) == (len(active.rows) if dynamic else 0)
+        assert {name: len(g) for name, g in gradients.items()} == {
+            name: len(gaussians.rows_of(name, active)) for name in gaussians.params
+        }
+
+
+def test_without_gradients_nothing_is_kept_for_a_backward_pass():
+    gaussians = random_model(BASE)
+    active = gaussians.active(0.5)
+    for module in (cpu, reference):
+        sliced = module.slice_gaussians(gaussians, active, torch.zeros(3), None, None)
+        assert not sliced.means.requires_grad

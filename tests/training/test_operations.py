@@ -1,38 +1,82 @@
-"""The colour loss and Adam: kernels against their oracles, and against torch's own Adam. The other losses."""
+"""Losses and Adam: kernels against their oracles, and against torch's own Adam."""
 
 from __future__ import annotations
+
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 import torch
 
+from flowsplat.gaussians.gaussians4d import Gaussians4D, ModelConfig, parameter_shapes
 from flowsplat.training.adam import RowAdam, cpu, reference
-from flowsplat.training.losses import depth_loss, flow_loss, rigid_loss, rigid_neighbours
-from flowsplat.training.ssim import colour_loss
-from flowsplat.training.ssim import cpu as ssim_cpu
-from flowsplat.training.ssim import reference as ssim_reference
+from flowsplat.training.picture_loss import PictureTargets, PictureWeights, picture_loss
+from flowsplat.training.picture_loss import cpu as picture_cpu
+from flowsplat.training.picture_loss import reference as picture_reference
+from flowsplat.training.rigidity import cpu as rigid_cpu
+from flowsplat.training.rigidity import find_neighbours, rigid_loss
+from flowsplat.training.rigidity import reference as rigid_reference
+
+
+def picture_case(height, width, channels, seed=0):
+    """A rendered picture, its alpha, and what it should show; errors are never exactly zero."""
+    rng = np.random.default_rng(seed)
+    image = torch.from_numpy(rng.normal(0.5, 0.4, (height, width, channels)).astype(np.float32))
+    alpha = torch.from_numpy(rng.uniform(0.2, 1, (height, width)).astype(np.float32))
+    if channels in (7, 11):
+        image[..., -1] = alpha * torch.from_numpy(rng.choice([0.0, 0.04, 0.2], (height, width)).astype(np.float32))
+    targets = PictureTargets(
+        colour=rng.integers(0, 256, (height, width, 3), dtype=np.uint8),
+        depth=rng.uniform(0.5, 2, (height, width)).astype(np.float32),
+        depth_trusted=rng.random((height, width)) < 0.7,
+        flow=rng.normal(0, 3, (height, width, 2)).astype(np.float32),
+        flow_trusted=rng.random((height, width)) < 0.7,
+    )
+    return image, alpha, targets
 
 
 @pytest.mark.parametrize(("height", "width"), [(40, 50), (1, 1), (7, 3), (12, 33)])
-@pytest.mark.parametrize("weight", [0.0, 0.2, 1.0])
-def test_the_colour_loss_matches_its_oracle(height, width, weight):
-    g = torch.Generator().manual_seed(0)
-    image, target = torch.rand(height, width, 3, generator=g, requires_grad=True), torch.rand(height, width, 3, generator=g)
-    expected = ssim_reference.colour_loss(image.double(), target.double(), weight)
-    (gradient,) = torch.autograd.grad(expected, image)
-    found = ssim_cpu.colour_loss(image, target, weight)
-    assert float(found.detach()) == pytest.approx(float(expected.detach()), abs=1e-5)
-    torch.testing.assert_close(torch.autograd.grad(found, image)[0], gradient, atol=2e-6, rtol=1e-4)
+@pytest.mark.parametrize("ssim", [0.0, 0.2, 1.0])
+@pytest.mark.parametrize(("channels", "flow_channels"), [(4, 0), (6, 2), (7, 2), (10, 6), (11, 6)])
+@pytest.mark.parametrize("by_alpha", [True, False])
+def test_the_picture_loss_matches_its_oracle(height, width, ssim, channels, flow_channels, by_alpha):
+    image, alpha, targets = picture_case(height, width, channels)
+    if flow_channels == 0:
+        targets = replace(targets, flow=None, flow_trusted=None)
+    weights = PictureWeights(ssim, 0.3, 0.7, by_alpha)
+    found = []
+    for module, dtype in ((picture_reference, torch.float64), (picture_cpu, torch.float32)):
+        leaves = image.to(dtype).requires_grad_(), alpha.to(dtype).requires_grad_()
+        loss, figures = module.picture_loss(*leaves, flow_channels, targets, weights)
+        (2 * loss).backward()
+        found.append((float(loss.detach()), figures, [leaf.grad for leaf in leaves]))
+    (expected, figures, gradients), (loss, ours, our_gradients) = found
+    assert loss == pytest.approx(expected, abs=1e-5, rel=1e-5)
+    assert asdict(ours) == pytest.approx(asdict(figures), abs=1e-5, rel=1e-5)
+    for exact, gradient in zip(gradients, our_gradients, strict=True):
+        torch.testing.assert_close(gradient.double(), exact, atol=5e-6, rtol=1e-3)
 
 
-def test_the_colour_loss_of_equal_pictures_is_zero():
-    image = torch.rand(20, 20, 3)
-    assert abs(float(colour_loss(image, image.clone(), 0.2))) < 1e-6
+def test_a_part_of_weight_zero_is_not_computed():
+    image, alpha, targets = picture_case(9, 8, 6)
+    for module in (picture_cpu, picture_reference):
+        _, figures = module.picture_loss(image, alpha, 2, targets, PictureWeights())
+        assert figures.flow == figures.depth == 0
+
+
+def test_a_perfect_picture_costs_nothing():
+    targets = picture_case(20, 20, 6)[2]
+    image = torch.cat(
+        [torch.from_numpy(targets.colour) / 255, torch.from_numpy(targets.depth)[..., None], torch.from_numpy(targets.flow)], -1
+    )
+    loss, figures = picture_loss(image, torch.ones(20, 20), 2, targets, PictureWeights(0.2, 1.0, 1.0))
+    assert abs(float(loss)) < 1e-5
+    assert figures.squared_error < 1e-12
 
 
 def test_the_oracle_of_the_colour_loss_differentiates():
     image, target = torch.rand(4, 5, 3, dtype=torch.float64, requires_grad=True), torch.rand(4, 5, 3, dtype=torch.float64)
-    assert torch.autograd.gradcheck(lambda x: ssim_reference.colour_loss(x, target, 0.3), image)
+    assert torch.autograd.gradcheck(lambda x: picture_reference.colour_loss(x, target, 0.3), image)
 
 
 def test_with_all_rows_active_it_is_torchs_adam():
@@ -44,8 +88,8 @@ def test_with_all_rows_active_it_is_torchs_adam():
         gradient = torch.randn(30, 4, 3)
         theirs.grad = gradient.clone()
         optimizer.step()
-        adam.begin_step(rows)
-        adam.step("p", ours, rows, gradient, torch.full((12,), 0.01))
+        adam.begin_step(rows, torch.ones(30, dtype=torch.bool))
+        adam.step("p", ours, rows, torch.ones(30, dtype=torch.bool), gradient, torch.full((12,), 0.01))
     torch.testing.assert_close(ours, theirs.detach(), atol=1e-5, rtol=1e-5)
 
 
@@ -56,11 +100,12 @@ def test_the_row_kernel_matches_its_oracle_and_leaves_other_rows_alone():
     g = torch.Generator().manual_seed(1)
     for _ in range(10):
         rows = torch.nonzero(torch.rand(20, generator=g) < 0.4).squeeze(1)
-        rows = rows[rows < 15]
-        counts[rows] += 1
+        rows = rows[rows < 18]
+        stepped = rows < 15
+        counts[rows[stepped]] += 1
         gradient = torch.randn(len(rows), 6, generator=g)
         for module, state in zip((cpu, reference), states, strict=True):
-            module.step_rows(*state, counts, rows, gradient, rates)
+            module.step_rows(*state, counts, rows, stepped, gradient, rates)
     for ours, oracle in zip(*states, strict=True):
         torch.testing.assert_close(ours, oracle, atol=1e-4, rtol=1e-4)
     assert torch.equal(states[0][0][15:], value[15:])
@@ -69,8 +114,9 @@ def test_the_row_kernel_matches_its_oracle_and_leaves_other_rows_alone():
 def test_moments_follow_density_control():
     value = torch.randn(4, 2)
     adam = RowAdam({"p": value})
-    adam.begin_step(torch.arange(4))
-    adam.step("p", value, torch.arange(4), torch.arange(8.0).view(4, 2) + 1, torch.ones(2))
+    every = torch.ones(4, dtype=torch.bool)
+    adam.begin_step(torch.arange(4), every)
+    adam.step("p", value, torch.arange(4), every, torch.arange(8.0).view(4, 2) + 1, torch.ones(2))
     before = adam.means["p"].clone()
     adam.follow(torch.tensor([2, 0, 0]), torch.tensor([False, False, True]))
     assert torch.equal(adam.means["p"][:2], before[[2, 0]])
@@ -83,6 +129,7 @@ def test_flow_loss_by_alpha_ignores_the_transparent_and_is_unbiased():
     alpha[0] = 0.3
     valid = torch.ones(4, 4, dtype=torch.bool)
     premultiplied = target * alpha[..., None]
+    flow_loss = picture_reference.flow_loss
     assert float(flow_loss(premultiplied, alpha, target, valid, True)) == pytest.approx(0, abs=1e-6)
     assert float(flow_loss(premultiplied, alpha, target, valid, False)) > 0.5
     assert float(flow_loss(premultiplied, alpha, target, valid & False, True)) == 0
@@ -90,26 +137,70 @@ def test_flow_loss_by_alpha_ignores_the_transparent_and_is_unbiased():
 
 def test_depth_loss_is_relative():
     alpha, valid = torch.ones(4, 4), torch.ones(4, 4, dtype=torch.bool)
-    assert float(depth_loss(torch.full((4, 4), 2.2), alpha, torch.full((4, 4), 2.0), valid)) == pytest.approx(0.1)
+    loss = picture_reference.depth_loss(torch.full((4, 4), 2.2), alpha, torch.full((4, 4), 2.0), valid)
+    assert float(loss) == pytest.approx(0.1)
 
 
-def test_rigid_loss_is_zero_for_a_common_motion_and_safe_at_rest():
-    rng = np.random.default_rng(0)
-    means = rng.normal(size=(30, 3)) * 0.01
-    neighbours, weights = rigid_neighbours(means, 5, 100.0)
-    assert neighbours.shape == (30, 5)
-    assert not (neighbours == torch.arange(30)[:, None]).any()
-    velocities = torch.ones(30, 3, requires_grad=True)
-    loss = rigid_loss(velocities, neighbours, weights, 30)
-    loss.backward()
-    assert float(loss.detach()) < 1e-5
-    assert torch.isfinite(velocities.grad).all()
+def moving_model(count=60, frames=4):
+    """Gaussians about the times of some frames, each alive in a few of them; a third are background."""
     g = torch.Generator().manual_seed(0)
-    start = torch.randn(30, 3, generator=g, dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradcheck(lambda v: rigid_loss(v, neighbours, weights.double(), 30), start)
-    different = torch.ones(30, 3)
-    different[:15] = 0
-    assert float(rigid_loss(different, neighbours, weights, 30)) > 0.01
-    assert float(rigid_loss(different, neighbours, weights, 60)) == pytest.approx(
-        0.5 * float(rigid_loss(different, neighbours, weights, 30)), rel=1e-5
-    )
+    config = ModelConfig(mean_poly=1, mean_fourier=0, quat_poly=0, quat_fourier=0, sh_degree=0, freeze_background=True)
+    params = {name: torch.zeros(count, *shape) for name, shape in parameter_shapes(config).items()}
+    params["means"] = 0.1 * torch.randn(count, 3, generator=g)
+    params["times"] = torch.randint(frames, (count,), generator=g) / (frames - 1)
+    params["log_lambdas"] += np.log((frames / 1.5) ** 2)
+    return Gaussians4D(params, torch.arange(count) % 3 > 0, config), [k / (frames - 1) for k in range(frames)]
+
+
+def test_neighbours_are_the_nearest_of_those_alive_at_the_centre_time():
+    gaussians, times = moving_model()
+    neighbours = find_neighbours(gaussians, times, 5, 10.0, dynamic_only=True)
+    assert (neighbours.indices[~gaussians.dynamic] == -1).all()
+    for i in torch.nonzero(gaussians.dynamic).squeeze(1).tolist():
+        alive = gaussians.active(float(gaussians.params["times"][i])).rows
+        alive = alive[gaussians.dynamic[alive] & (alive != i)]
+        distance = (gaussians.params["means"][alive] - gaussians.params["means"][i]).norm(dim=1)
+        order = distance.argsort()[:5]
+        assert neighbours.indices[i].tolist() == alive[order].tolist()
+        torch.testing.assert_close(neighbours.weights[i], torch.exp(-10 * distance[order]))
+
+
+def test_neighbours_follow_density_control():
+    gaussians, times = moving_model()
+    neighbours = find_neighbours(gaussians, times, 5, 10.0, dynamic_only=True)
+    index = torch.tensor([*range(10, 60), 20, 20])  # ten are removed, one is cloned twice
+    followed = neighbours.follow(index)
+    for i in range(52):
+        expected = [j - 10 if j >= 10 else -1 for j in neighbours.indices[index[i]].tolist()]
+        assert followed.indices[i].tolist() == expected
+    assert (followed.weights[followed.indices < 0] == 0).all()
+
+
+@pytest.mark.parametrize("dynamic_only", [True, False])
+def test_the_rigid_loss_matches_its_oracle(dynamic_only):
+    gaussians, times = moving_model()
+    neighbours = find_neighbours(gaussians, times, 5, 10.0, dynamic_only)
+    active = gaussians.active(times[1])
+    rows = active.rows[active.num_static :]
+    start = torch.randn(len(rows), 3, generator=torch.Generator().manual_seed(1))
+    found = []
+    for module, dtype in ((rigid_reference, torch.float64), (rigid_cpu, torch.float32)):
+        velocities = start.to(dtype).requires_grad_()
+        loss = module.rigid_loss(velocities, rows, neighbours, 17)
+        (3 * loss).backward()
+        found.append((float(loss.detach()), velocities.grad))
+    assert found[1][0] == pytest.approx(found[0][0], rel=1e-5)
+    assert found[0][0] > 0.01
+    torch.testing.assert_close(found[1][1].double(), found[0][1], atol=1e-6, rtol=1e-4)
+
+
+def test_the_rigid_loss_is_zero_for_a_common_motion_and_safe_at_rest():
+    gaussians, times = moving_model()
+    neighbours = find_neighbours(gaussians, times, 5, 10.0, dynamic_only=True)
+    rows = gaussians.active(times[1]).rows
+    for value in (0.0, 1.0):
+        velocities = torch.full((len(rows), 3), value, requires_grad=True)
+        loss = rigid_loss(velocities, rows, neighbours, len(rows))
+        loss.backward()
+        assert float(loss.detach()) < 1e-5
+        assert torch.isfinite(velocities.grad).all()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import cv2
@@ -10,9 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from flowsplat.gaussians.flow import FlowModel, flow_channels, flow_features, flow_image
+from flowsplat.gaussians.flow import FlowModel, FlowView, blend_features, flow_channels, flow_image
 from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Active, Gaussians4D
-from flowsplat.gaussians.slicing import Slice, slice_gaussians
+from flowsplat.gaussians.slicing import Gradients, Slice, slice_gaussians
 from flowsplat.geometry import Camera
 from flowsplat.splatting import Projected, blend, project
 from flowsplat.splatting.api import BackendName
@@ -23,77 +22,79 @@ class RenderedFrame:
     """Differentiable pictures of one frame, premultiplied by alpha, in the normalised coordinates of the model.
 
     Attributes:
-        colour: [H, W, 3]
+        image: [H, W, C] all of them together: colour, depth, flow, unseen.
         alpha: [H, W]
-        depth: [H, W]
-        flow: [H, W, 2], or None.
-        unseen: [H, W] how much of a pixel is held by Gaussians behind the other camera; None where there are none.
+        flow_model: how flow was splatted; None = there is none.
         sliced: the Gaussians.
         projected: their projection.
     """
 
-    colour: Tensor
+    image: Tensor
     alpha: Tensor
-    depth: Tensor
-    flow: Tensor | None
-    unseen: Tensor | None
+    flow_model: FlowModel | None
     sliced: Slice
     projected: Projected
 
+    @property
+    def flow_channels(self) -> int:
+        """How many channels of ``image`` hold flow."""
+        return flow_channels(self.flow_model) if self.flow_model else 0
 
-def render_leaves(
-    leaves: Mapping[str, Tensor],
-    active: Active,
+    @property
+    def colour(self) -> Tensor:
+        """[H, W, 3]"""
+        return self.image[..., :3]
+
+    @property
+    def depth(self) -> Tensor:
+        """[H, W]"""
+        return self.image[..., 3]
+
+    @property
+    def flow(self) -> Tensor | None:
+        """[H, W, 2], or None."""
+        return flow_image(self.image[..., 4 : 4 + self.flow_channels]) if self.flow_model else None
+
+    @property
+    def unseen(self) -> Tensor | None:
+        """[H, W] how much of a pixel is held by Gaussians behind the other camera; None where there are none."""
+        end = 4 + self.flow_channels
+        return self.image[..., end] if self.image.shape[2] > end else None
+
+
+def render_active(
     gaussians: Gaussians4D,
+    active: Active,
     camera: Camera,
     *,
     flow_to: tuple[Camera, float] | None = None,
     flow_model: FlowModel = "displacement",
+    gradients: Gradients | None = None,
     backend: BackendName = "auto",
 ) -> RenderedFrame:
-    """Render gathered parameters, differentiable in them.
+    """Render the active Gaussians at their time.
 
     Args:
-        leaves: from ``Gaussians4D.gather``.
-        active: the same that it was gathered for.
-        gaussians: for its configuration and harmonics degree.
+        gaussians: the model.
+        active: which of them.
         camera: in normalised coordinates.
         flow_to: the other camera and clip time that flow goes to.
         flow_model: METHOD 3.
+        gradients: where the gradients of the parameters go (``slice_gaussians``); None = not differentiable.
         backend: of the rasterizer.
     """
-    dtype = leaves["means"].dtype
-    viewmat, K = camera.tensors(dtype)
+    dtype = gaussians.params["means"].dtype
     center = torch.as_tensor(camera.center, dtype=dtype)
-    next_time = flow_to[1] if flow_to is not None else None
-    sliced = slice_gaussians(leaves, active, gaussians.config, gaussians.sh_degree, center, next_time)
+    flow = None if flow_to is None else FlowView(flow_model, flow_to[0], flow_to[1] - active.t)
+    sliced = slice_gaussians(gaussians, active, center, flow_to[1] if flow_to is not None else None, gradients)
     width, height = camera.width, camera.height
     projected = project(
-        sliced.means, sliced.quats, sliced.scales, sliced.opacities, viewmat, K, width, height, covars=sliced.covars,
-        near_plane=NEAR_PLANE, backend=backend,
+        sliced.means, sliced.quats, sliced.scales, sliced.opacities, *camera.tensors(dtype), width, height,
+        covars=sliced.covars, near_plane=NEAR_PLANE, backend=backend,
     )  # fmt: skip
-    features = [sliced.colours, projected.depths[:, None]]
-    hidden = None
-    if flow_to is not None:
-        other = flow_to[0].tensors(dtype)
-        flow, front = flow_features(
-            flow_model, sliced, projected, flow_to[1] - active.t, viewmat, K, *other, width, height
-        )
-        features.append(flow)
-        if not bool((front | ~projected.visible).all()):
-            hidden = (~front).to(dtype)[:, None]
-            features.append(hidden)
-    image, alpha = blend(projected, sliced.opacities, torch.cat(features, 1), width, height)
-    end = 4 + (flow_channels(flow_model) if flow_to is not None else 0)
-    return RenderedFrame(
-        colour=image[..., :3],
-        alpha=alpha,
-        depth=image[..., 3],
-        flow=flow_image(image[..., 4:end]) if flow_to is not None else None,
-        unseen=image[..., end] if hidden is not None else None,
-        sliced=sliced,
-        projected=projected,
-    )
+    features = blend_features(sliced, projected, camera, flow)
+    image, alpha = blend(projected, sliced.opacities, features, width, height)
+    return RenderedFrame(image, alpha, flow.model if flow else None, sliced, projected)
 
 
 @torch.no_grad()
@@ -108,8 +109,7 @@ def render(
 ) -> RenderedFrame:
     """Render the Gaussians at clip time ``t``, without gradients; camera in normalised coordinates."""
     active = gaussians.active(t, camera)
-    leaves = gaussians.gather(active)
-    return render_leaves(leaves, active, gaussians, camera, flow_to=flow_to, flow_model=flow_model, backend=backend)
+    return render_active(gaussians, active, camera, flow_to=flow_to, flow_model=flow_model, backend=backend)
 
 
 def fill_uncovered(colour: np.ndarray, alpha: np.ndarray) -> np.ndarray:

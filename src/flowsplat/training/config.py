@@ -61,7 +61,7 @@ class LossConfig:
     rigid_beta: float = 100.0
     """How fast the weight of a neighbour falls with distance, per median depth."""
     rigid_refresh: int = 1000
-    """Steps for which the neighbours found in a frame are used again."""
+    """Steps for which the neighbours once found are used."""
     rigid_over_all: bool = False
     """Divide the rigid loss by the number of all Gaussians (the paper) instead of the active ones."""
     flow_by_alpha: bool = True

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import time as clock
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +20,14 @@ from flowsplat.gaussians.density import DensityResult, DensityStatistics, densif
 from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
 from flowsplat.gaussians.initialize import initialize, sampled_frames
 from flowsplat.gaussians.observations import Observation, Observations
-from flowsplat.gaussians.render import RenderedFrame, render_leaves
+from flowsplat.gaussians.render import RenderedFrame, render_active
+from flowsplat.gaussians.slicing import Gradients
 from flowsplat.scenes import Tracks
 from flowsplat.training.adam import RowAdam
 from flowsplat.training.checkpoint import read_tensors, write_tensors
 from flowsplat.training.config import TrainConfig
-from flowsplat.training.losses import depth_loss, flow_loss, rigid_loss, rigid_neighbours
-from flowsplat.training.ssim import colour_loss
+from flowsplat.training.picture_loss import PictureTargets, PictureWeights, picture_loss
+from flowsplat.training.rigidity import Neighbours, find_neighbours, rigid_loss
 
 RECORD_EVERY = 10
 """Steps that one entry of the history averages over."""
@@ -71,7 +73,8 @@ class Trainer:
         self._rng = np.random.default_rng(config.seed)
         self._generator = torch.Generator().manual_seed(config.seed)
         self._queue: list[int] = []
-        self._neighbours: dict[int, tuple[Tensor, Tensor, Tensor, int]] = {}
+        self._neighbours: Neighbours | None = None
+        self._neighbours_found = 0
         self._recent: list[dict[str, float]] = []
         self._times = np.array([frame.time for frame in observations.frames])
         self.gaussians: Gaussians4D
@@ -116,46 +119,46 @@ class Trainer:
             self.gaussians.config.sh_degree, 4 * self.step // max(self.config.iterations, 1)
         )
         frames = self._next_frames()
-        entries = []
         if len(frames) == 1:
-            active, visible, gradients, entry = self._differentiate(frames[0])
-            self._apply(
-                {
-                    name: self._visible_rows(name, active, visible, gradient)
-                    for name, gradient in gradients.items()
-                },
-                active.rows[visible],
-            )
-            entries.append(entry)
+            active, drawn, gradients, entry = self._differentiate(frames[0])
+            self._apply(active, drawn, gradients)
+            entries = [entry]
         else:
-            totals = {name: torch.zeros_like(value) for name, value in self.gaussians.params.items()}
-            touched = torch.zeros(len(self.gaussians), dtype=torch.bool)
-            for k in frames:
-                active, visible, gradients, entry = self._differentiate(k)
-                for name, gradient in gradients.items():
-                    rows, part = self._visible_rows(name, active, visible, gradient)
-                    totals[name][rows] += part / len(frames)
-                touched[active.rows[visible]] = True
-                entries.append(entry)
-            rows = torch.nonzero(touched).squeeze(1)
-            self._apply({name: (rows, total[rows]) for name, total in totals.items()}, rows)
+            entries = self._accumulate(frames)
         self.step += 1
         return {name: float(np.mean([entry[name] for entry in entries])) for name in entries[0]}
 
-    def _visible_rows(self, name: str, active: Active, visible: Tensor, gradient: Tensor) -> tuple[Tensor, Tensor]:
-        """The rows of a parameter that were drawn, and their gradients."""
-        rows = self.gaussians.rows_of(name, active)
-        if name in self.gaussians.moving_names:
-            visible = visible[active.num_static :]
-        elif name == "log_gains":
-            visible = visible[: active.num_static]
-        return rows[visible], gradient[visible]
+    def _accumulate(self, frames: list[int]) -> list[dict[str, float]]:
+        """One optimizer step along the mean gradient of several frames."""
+        gaussians = self.gaussians
+        totals = {name: torch.zeros_like(value) for name, value in gaussians.params.items()}
+        touched = torch.zeros(len(gaussians), dtype=torch.bool)
+        entries = []
+        for k in frames:
+            active, drawn, gradients, entry = self._differentiate(k)
+            for name, gradient in gradients.items():
+                share = self._of_rows(name, active, drawn).to(gradient.dtype) / len(frames)
+                totals[name][gaussians.rows_of(name, active)] += gradient * share.view(-1, *(1,) * (gradient.ndim - 1))
+            touched[active.rows[drawn]] = True
+            entries.append(entry)
+        moves = ~gaussians.at_rest
+        everything = torch.cat([torch.nonzero(~moves), torch.nonzero(moves)]).squeeze(1)
+        active = Active(everything, int((~moves).sum()), 0.0)
+        self._apply(active, touched[everything], {n: total[gaussians.rows_of(n, active)] for n, total in totals.items()})
+        return entries
 
-    def _apply(self, gradients: dict[str, tuple[Tensor, Tensor]], rows: Tensor) -> None:
-        self._adam.begin_step(rows)
+    def _of_rows(self, name: str, active: Active, values: Tensor) -> Tensor:
+        """Of values [A] of the active Gaussians those that have the parameter."""
+        if name in self.gaussians.moving_names:
+            return values[active.num_static :]
+        return values[: active.num_static] if name == "log_gains" else values
+
+    def _apply(self, active: Active, drawn: Tensor, gradients: Gradients) -> None:
+        self._adam.begin_step(active.rows, drawn)
         rates = self.rates()
-        for name, (chosen, gradient) in gradients.items():
-            self._adam.step(name, self.gaussians.params[name], chosen, gradient, rates[name])
+        for name, gradient in gradients.items():
+            rows = self.gaussians.rows_of(name, active)
+            self._adam.step(name, self.gaussians.params[name], rows, self._of_rows(name, active, drawn), gradient, rates[name])
 
     def rates(self) -> dict[str, Tensor]:
         """Learning rates now: one for every number of a row, by parameter."""
@@ -179,85 +182,75 @@ class Trainer:
 
     # -- one frame
 
-    def _differentiate(self, k: int) -> tuple[Active, Tensor, dict[str, Tensor], dict[str, float]]:
+    def _differentiate(self, k: int) -> tuple[Active, Tensor, Gradients, dict[str, float]]:
         """Render training frame k and return what was active, what was drawn [A], the gradients of its loss, and figures."""
-        frame, loss_config = self.observations[k], self.config.loss
+        frame, config = self.observations[k], self.config
         active = self.gaussians.active(frame.time, frame.camera)
-        leaves = {name: value.requires_grad_() for name, value in self.gaussians.gather(active).items()}
         flow_to = None
-        if frame.forward is not None and loss_config.flow > 0:
+        if frame.forward is not None and config.loss.flow > 0:
             following = self.observations[k + 1]
             flow_to = following.camera, following.time
-        rendered = render_leaves(
-            leaves, active, self.gaussians, frame.camera, flow_to=flow_to, flow_model=self.config.flow_model
+        gradients: Gradients = {}
+        rendered = render_active(
+            self.gaussians, active, frame.camera, flow_to=flow_to, flow_model=config.flow_model, gradients=gradients
         )
-        rendered.projected.means2d.retain_grad()
-        target = torch.from_numpy(frame.target)
-        losses = {"colour": colour_loss(rendered.colour, target, loss_config.ssim)}
-        weights = {"colour": 1.0}
-        if flow_to is not None:
-            assert frame.forward is not None
-            assert rendered.flow is not None
-            valid = torch.from_numpy(frame.forward.trusted)
-            if rendered.unseen is not None:
-                valid = valid & (rendered.unseen.detach() <= 0.05 * rendered.alpha.detach())
-            prior = torch.from_numpy(frame.forward.flow)
-            losses["flow"] = flow_loss(rendered.flow, rendered.alpha, prior, valid, loss_config.flow_by_alpha)
-            weights["flow"] = loss_config.flow
-        if loss_config.depth > 0:
-            trusted = torch.from_numpy(frame.depth_trusted)
-            losses["depth"] = depth_loss(rendered.depth, rendered.alpha, torch.from_numpy(frame.depth), trusted)
-            weights["depth"] = loss_config.depth
-        if loss_config.rigid > 0:
-            rigid = self._rigid(k, active, rendered)
-            if rigid is not None:
-                losses["rigid"], weights["rigid"] = rigid, loss_config.rigid
-        total = sum((weights[name] * loss for name, loss in losses.items()), torch.zeros(()))
+        if config.density.gradient > 0:
+            rendered.projected.means2d.retain_grad()
+        targets = PictureTargets(frame.image, frame.depth, frame.depth_trusted)
+        if flow_to is not None and frame.forward is not None:
+            targets = replace(targets, flow=frame.forward.flow, flow_trusted=frame.forward.trusted)
+        total, figures = picture_loss(rendered.image, rendered.alpha, rendered.flow_channels, targets, self._weights)
+        rigid = self._rigid(active, rendered) if config.loss.rigid > 0 else None
+        if rigid is not None:
+            total = total + config.loss.rigid * rigid
         total.backward()
-        visible = rendered.projected.visible
+        drawn = rendered.projected.visible
         with torch.no_grad():
-            self._count(frame, active, rendered, visible)
-            error = ((rendered.colour.clamp(0, 1) - target) ** 2).mean()
-        if self._preview is not None and self.config.preview_every and self.step % self.config.preview_every == 0:
+            self._count(frame, active, rendered, drawn)
+        if self._preview is not None and config.preview_every and self.step % config.preview_every == 0:
             self._preview(self.step, frame, rendered)
-        gradients = {name: leaf.grad for name, leaf in leaves.items() if leaf.grad is not None}
-        names = ("colour", "flow", "depth", "rigid")
-        figures = {name: float(losses[name].detach()) if name in losses else 0.0 for name in names}
-        figures |= {
+        entry = {
+            "colour": figures.colour,
+            "flow": figures.flow,
+            "depth": figures.depth,
+            "rigid": float(rigid.detach()) if rigid is not None else 0.0,
             "loss": float(total.detach()),
-            "psnr": float(-10 * torch.log10(error.clamp(min=1e-10))),
+            "psnr": -10 * math.log10(max(figures.squared_error, 1e-10)),
             "active": float(len(active.rows)),
         }
-        return active, visible, gradients, figures
+        return active, drawn, gradients, entry
 
-    def _rigid(self, k: int, active: Active, rendered: RenderedFrame) -> Tensor | None:
+    @property
+    def _weights(self) -> PictureWeights:
+        loss = self.config.loss
+        return PictureWeights(loss.ssim, loss.flow, loss.depth, loss.flow_by_alpha)
+
+    def _rigid(self, active: Active, rendered: RenderedFrame) -> Tensor | None:
         """The rigid loss among moving Gaussians (among dynamic ones where background may move)."""
-        config, moving = self.config.loss, active.rows[active.num_static :]
-        if self.gaussians.config.freeze_background:
-            among = slice(None)
-        else:
-            among = slice(None) if config.rigid_over_all else torch.nonzero(self.gaussians.dynamic[moving]).squeeze(1)  # type: ignore[assignment]
-        velocities = rendered.sliced.velocities[among]
-        chosen = moving[among]
-        if len(chosen) <= config.rigid_neighbours:
+        config, moving, velocities = self.config.loss, active.rows[active.num_static :], rendered.sliced.velocities
+        if len(moving) < 2:
             return None
-        cached = self._neighbours.get(k)
-        if cached is None or self.step - cached[3] >= config.rigid_refresh or not torch.equal(cached[0], chosen):
-            means = rendered.sliced.means[active.num_static :][among].detach().numpy()
-            cached = (chosen, *rigid_neighbours(means, config.rigid_neighbours, config.rigid_beta), self.step)
-            self._neighbours[k] = cached
-        count = len(self.gaussians) if config.rigid_over_all else len(chosen)
-        return rigid_loss(velocities, cached[1], cached[2], count)
+        dynamic_only = not config.rigid_over_all
+        if self._neighbours is None or self.step >= self._neighbours_found + config.rigid_refresh:
+            self._neighbours = find_neighbours(
+                self.gaussians, self._times.tolist(), config.rigid_neighbours, config.rigid_beta, dynamic_only
+            )
+            self._neighbours_found = self.step
+        count = len(self.gaussians)
+        if not config.rigid_over_all:
+            count = len(moving) if self.gaussians.config.freeze_background else int(self.gaussians.dynamic[moving].sum())
+        return rigid_loss(velocities, moving, self._neighbours, max(count, 1))
 
     def _count(self, frame: Observation, active: Active, rendered: RenderedFrame, visible: Tensor) -> None:
         """Add this picture to the statistics of density control."""
         statistics, rows = self._statistics, active.rows[visible]
-        gradient = rendered.projected.means2d.grad
-        if gradient is not None:
+        if self.config.density.gradient > 0:
+            gradient = rendered.projected.means2d.grad
+            assert gradient is not None
             width, height = self.observations.size
             scaled = gradient[visible] * gradient.new_tensor([width / 2, height / 2])
             statistics.gradient[rows] += scaled.norm(dim=1)
-        statistics.visits[rows] += 1
+            statistics.visits[rows] += 1
         # Every fourth step is enough evidence, and saves a twentieth of the time.
         sampled = self.config.density.revise and self.step % 4 == 0
         if sampled and rendered.flow is not None and frame.forward is not None:
@@ -300,10 +293,11 @@ class Trainer:
         large = config.prune_scale if config.reset_every and self.step > config.reset_every else 0.0
         self._adopt(prune(self.gaussians, self._times, config.prune_opacity, large))
         self._statistics = DensityStatistics.zeros(len(self.gaussians))
-        self._neighbours.clear()
 
     def _adopt(self, result: DensityResult) -> None:
         self._adam.follow(result.index, result.is_new)
+        if self._neighbours is not None:
+            self._neighbours = self._neighbours.follow(result.index)
         self.gaussians = result.gaussians
 
     # -- checkpoints
@@ -314,14 +308,14 @@ class Trainer:
         tensors |= {f"adam.{name}": value for name, value in self._adam.state().items()}
         tensors |= {f"statistics.{name}": value for name, value in vars(self._statistics).items()}
         tensors |= {"dynamic": self.gaussians.dynamic, "generator": self._generator.get_state()}
-        for k, (rows, neighbours, weights, _) in self._neighbours.items():
-            tensors |= {f"rigid.{k}.rows": rows, f"rigid.{k}.neighbours": neighbours, f"rigid.{k}.weights": weights}
+        if self._neighbours is not None:
+            tensors |= {"neighbours.indices": self._neighbours.indices, "neighbours.weights": self._neighbours.weights}
         values = {
             "step": self.step,
             "sh_degree": self.gaussians.sh_degree,
             "queue": self._queue,
             "rng": self._rng.bit_generator.state,
-            "neighbour_steps": {str(k): entry[3] for k, entry in self._neighbours.items()},
+            "neighbours_found": self._neighbours_found,
             "recent": self._recent,
             "history": self.history,
             "config": asdict(self.config),
@@ -364,11 +358,8 @@ class Trainer:
         self._rng.bit_generator.state = values["rng"]
         self._queue, self.step = list(values["queue"]), int(values["step"])
         self._recent, self.history = list(values["recent"]), list(values["history"])
-        rigid = group("rigid")
-        self._neighbours = {
-            int(k): (rigid[f"{k}.rows"], rigid[f"{k}.neighbours"], rigid[f"{k}.weights"], int(step))
-            for k, step in values["neighbour_steps"].items()
-        }
+        self._neighbours_found = int(values["neighbours_found"])
+        self._neighbours = Neighbours(**group("neighbours")) if "neighbours.indices" in tensors else None
 
 
 def _plain(value: Any) -> Any:

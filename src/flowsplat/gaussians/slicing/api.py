@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from flowsplat.gaussians.gaussians4d import Active, ModelConfig
+from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
 from flowsplat.gaussians.motion import SeriesMotion
+
+Gradients = dict[str, Tensor]
+"""By parameter, the gradient of the rows that ``Gaussians4D.rows_of`` names."""
 
 
 @dataclass(frozen=True)
@@ -40,26 +42,28 @@ class Slice:
 
 
 def slice_gaussians(
-    leaves: Mapping[str, Tensor],
+    gaussians: Gaussians4D,
     active: Active,
-    config: ModelConfig,
-    sh_degree: int,
     camera_center: Tensor,
     next_time: float | None = None,
+    gradients: Gradients | None = None,
 ) -> Slice:
-    """Evaluate gathered parameters at ``active.t``.
+    """Evaluate the active Gaussians at ``active.t``.
+
+    The rows are read where they lie: parameters are far larger than what one frame shows, so neither copies of them nor
+    gradients in their full size are ever made.
 
     Args:
-        leaves: what ``Gaussians4D.gather`` gave.
+        gaussians: the model.
         active: which Gaussians and when.
-        config: the model.
-        sh_degree: harmonics in use.
         camera_center: [3], for the direction of the harmonics.
         next_time: the other time of a flow pair.
+        gradients: where the gradients of the parameters go in the backward pass (a parameter that nothing depends on may be
+            missing then); None = the slice is not differentiable.
     """
     from flowsplat.gaussians.slicing import cpu, reference
 
-    means = leaves["means"]
-    fits = means.device.type == "cpu" and means.dtype == torch.float32 and isinstance(config.motion(), SeriesMotion)
+    means = gaussians.params["means"]
+    fits = means.device.type == "cpu" and means.dtype == torch.float32 and isinstance(gaussians.motion, SeriesMotion)
     module = cpu if fits else reference
-    return module.slice_gaussians(leaves, active, config, sh_degree, camera_center, next_time)
+    return module.slice_gaussians(gaussians, active, camera_center, next_time, gradients)

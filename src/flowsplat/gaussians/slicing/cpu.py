@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -11,9 +10,9 @@ import torch
 from numba import float32, njit, prange
 from torch import Tensor
 
-from flowsplat.gaussians.gaussians4d import Active, ModelConfig
+from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
 from flowsplat.gaussians.motion import SeriesMotion
-from flowsplat.gaussians.slicing.api import Slice
+from flowsplat.gaussians.slicing.api import Gradients, Slice
 from flowsplat.splatting.harmonics import C0, C1, C2, C3
 
 OPTIONS = {"fastmath": {"reassoc", "contract", "arcp", "nsz", "afn"}, "cache": True, "error_model": "numpy"}
@@ -61,14 +60,16 @@ def _combine(basis, poly, cos, sin, j, d):
 
 
 @njit(inline="always", **OPTIONS)
-def _spread(basis, gradient, poly, cos, sin, j, d):
-    """Add basis times gradient to the coefficients' gradients."""
+def _spread(now, rate, later, g, v, w, poly, cos, sin, j, d):
+    """The coefficients' gradients, from those of the value now (g), of its velocity (v) and of the value later (w)."""
     orders, frequencies = poly.shape[1], cos.shape[1]
     for n in range(orders):
-        poly[j, n, d] += basis[n] * gradient
+        poly[j, n, d] = now[n] * g + rate[n] * v + later[n] * w
     for k in range(frequencies):
-        cos[j, k, d] += basis[orders + k] * gradient
-        sin[j, k, d] += basis[orders + frequencies + k] * gradient
+        m = orders + k
+        cos[j, k, d] = now[m] * g + rate[m] * v + later[m] * w
+        m = orders + frequencies + k
+        sin[j, k, d] = now[m] * g + rate[m] * v + later[m] * w
 
 
 @njit(**OPTIONS)
@@ -104,176 +105,173 @@ def _gain(log_gains, cosines, i):
 
 @njit(parallel=True, **OPTIONS)
 def _forward(
-    means, logits, sh, log_gains, quats, log_scales, times, log_lambdas, mean_poly, mean_cos, mean_sin, quat_poly, quat_cos,
-    quat_sin, resting, t, next_t, has_next, base, center, cosines, harmonics,
+    rows, means, logits, sh, log_gains, quats, log_scales, times, log_lambdas, mean_poly, mean_cos, mean_sin, quat_poly,
+    quat_cos, quat_sin, resting, t, next_t, has_next, base, center, cosines, harmonics,
     out_means, out_quats, out_scales, out_opacities, out_colours, out_velocities, next_means, next_quats,
 ):  # fmt: skip
-    count = len(means)
+    count = len(rows)
     mean_size, quat_size = mean_poly.shape[1] + 2 * mean_cos.shape[1], quat_poly.shape[1] + 2 * quat_cos.shape[1]
     for chunk in prange(CHUNKS):
         basis = np.empty((3, mean_size), np.float32)
         quat_basis = np.empty((3, quat_size), np.float32)
         directions = np.empty(16, np.float32)
-        for i in range(count * chunk // CHUNKS, count * (chunk + 1) // CHUNKS):
-            opacity, gain, j = ONE / (ONE + math.exp(-logits[i])), ONE, i - resting
+        for a in range(count * chunk // CHUNKS, count * (chunk + 1) // CHUNKS):
+            i, m = rows[a], a - resting
+            opacity, gain = ONE / (ONE + math.exp(-logits[i])), ONE
             for d in range(3):
-                out_means[i, d] = means[i, d]
-                out_scales[i, d] = math.exp(log_scales[i, d])
+                out_means[a, d] = means[i, d]
+                out_scales[a, d] = math.exp(log_scales[i, d])
             for d in range(4):
-                out_quats[i, d] = quats[i, d]
-            if j >= 0:
-                tau = t - times[j]
-                opacity *= math.exp(-HALF * math.exp(log_lambdas[j]) * tau * tau)
+                out_quats[a, d] = quats[i, d]
+            if m >= 0:
+                tau = t - times[i]
+                opacity *= math.exp(-HALF * math.exp(log_lambdas[i]) * tau * tau)
                 _basis(tau, mean_poly.shape[1], mean_cos.shape[1], base, basis[0], basis[1], basis[2])
                 for d in range(3):
-                    out_means[i, d] += _combine(basis[0], mean_poly, mean_cos, mean_sin, j, d)
-                    out_velocities[j, d] = _combine(basis[1], mean_poly, mean_cos, mean_sin, j, d)
+                    out_means[a, d] += _combine(basis[0], mean_poly, mean_cos, mean_sin, i, d)
+                    out_velocities[m, d] = _combine(basis[1], mean_poly, mean_cos, mean_sin, i, d)
                 _basis(tau, quat_poly.shape[1], quat_cos.shape[1], base, quat_basis[0], quat_basis[1], quat_basis[2])
                 for d in range(4):
-                    out_quats[i, d] += _combine(quat_basis[0], quat_poly, quat_cos, quat_sin, j, d)
+                    out_quats[a, d] += _combine(quat_basis[0], quat_poly, quat_cos, quat_sin, i, d)
             elif log_gains.shape[1] > 0:
                 gain = _gain(log_gains, cosines, i)
             if has_next:
                 for d in range(3):
-                    next_means[i, d] = means[i, d]
+                    next_means[a, d] = means[i, d]
                 for d in range(4):
-                    next_quats[i, d] = quats[i, d]
-                if j >= 0:
-                    tau = next_t - times[j]
+                    next_quats[a, d] = quats[i, d]
+                if m >= 0:
+                    tau = next_t - times[i]
                     _basis(tau, mean_poly.shape[1], mean_cos.shape[1], base, basis[0], basis[1], basis[2])
                     for d in range(3):
-                        next_means[i, d] += _combine(basis[0], mean_poly, mean_cos, mean_sin, j, d)
+                        next_means[a, d] += _combine(basis[0], mean_poly, mean_cos, mean_sin, i, d)
                     _basis(tau, quat_poly.shape[1], quat_cos.shape[1], base, quat_basis[0], quat_basis[1], quat_basis[2])
                     for d in range(4):
-                        next_quats[i, d] += _combine(quat_basis[0], quat_poly, quat_cos, quat_sin, j, d)
-            out_opacities[i] = opacity
-            x, y, z = out_means[i, 0] - center[0], out_means[i, 1] - center[1], out_means[i, 2] - center[2]
+                        next_quats[a, d] += _combine(quat_basis[0], quat_poly, quat_cos, quat_sin, i, d)
+            out_opacities[a] = opacity
+            x, y, z = out_means[a, 0] - center[0], out_means[a, 1] - center[1], out_means[a, 2] - center[2]
             _harmonics(x, y, z, harmonics, directions)
             for d in range(3):
                 colour = HALF
                 for k in range(harmonics):
                     colour += directions[k] * sh[i, k, d]
-                out_colours[i, d] = max(colour, ZERO) * gain
+                out_colours[a, d] = max(colour, ZERO) * gain
 
 
 @njit(parallel=True, **OPTIONS)
 def _backward(
-    means, logits, sh, log_gains, quats, log_scales, times, log_lambdas, mean_poly, mean_cos, mean_sin, quat_poly, quat_cos,
-    quat_sin, resting, t, next_t, has_next, base, center, cosines, harmonics,
+    rows, means, logits, sh, log_gains, quats, log_scales, times, log_lambdas, mean_poly, mean_cos, mean_sin, quat_poly,
+    quat_cos, quat_sin, resting, t, next_t, has_next, base, center, cosines, harmonics,
     out_means, grad_means, grad_quats, grad_scales, grad_opacities, grad_colours, grad_velocities, grad_next_means,
     grad_next_quats, d_means, d_logits, d_sh, d_gains, d_quats, d_scales, d_times, d_lambdas, d_mean_poly, d_mean_cos,
     d_mean_sin, d_quat_poly, d_quat_cos, d_quat_sin,
 ):  # fmt: skip
-    count = len(means)
+    """Every number of every d_... is written, so that they need not be cleared before."""
+    count = len(rows)
     mean_size, quat_size = mean_poly.shape[1] + 2 * mean_cos.shape[1], quat_poly.shape[1] + 2 * quat_cos.shape[1]
     for chunk in prange(CHUNKS):
-        basis = np.empty((3, mean_size), np.float32)
-        quat_basis = np.empty((3, quat_size), np.float32)
+        now, later = np.zeros((3, mean_size), np.float32), np.zeros((3, mean_size), np.float32)
+        quat_now, quat_later = np.zeros((3, quat_size), np.float32), np.zeros((3, quat_size), np.float32)
         directions = np.empty(16, np.float32)
-        for i in range(count * chunk // CHUNKS, count * (chunk + 1) // CHUNKS):
-            j, gain = i - resting, ONE
+        for a in range(count * chunk // CHUNKS, count * (chunk + 1) // CHUNKS):
+            i, m, gain = rows[a], a - resting, ONE
             sigmoid = ONE / (ONE + math.exp(-logits[i]))
-            toward_opacity = grad_opacities[i]
+            toward_opacity = grad_opacities[a]
             for d in range(3):
-                d_means[i, d] = grad_means[i, d]
-                d_scales[i, d] = grad_scales[i, d] * math.exp(log_scales[i, d])
-                if has_next:
-                    d_means[i, d] += grad_next_means[i, d]
+                d_means[a, d] = grad_means[a, d] + (grad_next_means[a, d] if has_next else ZERO)
+                d_scales[a, d] = grad_scales[a, d] * math.exp(log_scales[i, d])
             for d in range(4):
-                d_quats[i, d] = grad_quats[i, d]
-                if has_next:
-                    d_quats[i, d] += grad_next_quats[i, d]
-            if j >= 0:
-                tau, precision, later = t - times[j], math.exp(log_lambdas[j]), ZERO
+                d_quats[a, d] = grad_quats[a, d] + (grad_next_quats[a, d] if has_next else ZERO)
+            if m >= 0:
+                tau, precision = t - times[i], math.exp(log_lambdas[i])
                 present = math.exp(-HALF * precision * tau * tau)
                 toward_presence = toward_opacity * sigmoid * present
                 toward_opacity *= present
-                d_lambdas[j] = -HALF * toward_presence * precision * tau * tau
-                later += toward_presence * precision * tau
-                _basis(tau, mean_poly.shape[1], mean_cos.shape[1], base, basis[0], basis[1], basis[2])
-                for d in range(3):
-                    g, v = grad_means[i, d], grad_velocities[j, d]
-                    _spread(basis[0], g, d_mean_poly, d_mean_cos, d_mean_sin, j, d)
-                    _spread(basis[1], v, d_mean_poly, d_mean_cos, d_mean_sin, j, d)
-                    later -= g * _combine(basis[1], mean_poly, mean_cos, mean_sin, j, d)
-                    later -= v * _combine(basis[2], mean_poly, mean_cos, mean_sin, j, d)
-                _basis(tau, quat_poly.shape[1], quat_cos.shape[1], base, quat_basis[0], quat_basis[1], quat_basis[2])
-                for d in range(4):
-                    _spread(quat_basis[0], grad_quats[i, d], d_quat_poly, d_quat_cos, d_quat_sin, j, d)
-                    later -= grad_quats[i, d] * _combine(quat_basis[1], quat_poly, quat_cos, quat_sin, j, d)
+                d_lambdas[m] = -HALF * toward_presence * precision * tau * tau
+                toward_time = toward_presence * precision * tau
+                _basis(tau, mean_poly.shape[1], mean_cos.shape[1], base, now[0], now[1], now[2])
+                _basis(tau, quat_poly.shape[1], quat_cos.shape[1], base, quat_now[0], quat_now[1], quat_now[2])
                 if has_next:
-                    tau = next_t - times[j]
-                    _basis(tau, mean_poly.shape[1], mean_cos.shape[1], base, basis[0], basis[1], basis[2])
-                    for d in range(3):
-                        _spread(basis[0], grad_next_means[i, d], d_mean_poly, d_mean_cos, d_mean_sin, j, d)
-                        later -= grad_next_means[i, d] * _combine(basis[1], mean_poly, mean_cos, mean_sin, j, d)
-                    _basis(tau, quat_poly.shape[1], quat_cos.shape[1], base, quat_basis[0], quat_basis[1], quat_basis[2])
-                    for d in range(4):
-                        _spread(quat_basis[0], grad_next_quats[i, d], d_quat_poly, d_quat_cos, d_quat_sin, j, d)
-                        later -= grad_next_quats[i, d] * _combine(quat_basis[1], quat_poly, quat_cos, quat_sin, j, d)
-                d_times[j] = later
+                    tau = next_t - times[i]
+                    _basis(tau, mean_poly.shape[1], mean_cos.shape[1], base, later[0], later[1], later[2])
+                    _basis(tau, quat_poly.shape[1], quat_cos.shape[1], base, quat_later[0], quat_later[1], quat_later[2])
+                for d in range(3):
+                    g, v, w = grad_means[a, d], grad_velocities[m, d], grad_next_means[a, d] if has_next else ZERO
+                    _spread(now[0], now[1], later[0], g, v, w, d_mean_poly, d_mean_cos, d_mean_sin, m, d)
+                    toward_time -= g * _combine(now[1], mean_poly, mean_cos, mean_sin, i, d)
+                    toward_time -= v * _combine(now[2], mean_poly, mean_cos, mean_sin, i, d)
+                    toward_time -= w * _combine(later[1], mean_poly, mean_cos, mean_sin, i, d)
+                for d in range(4):
+                    g, w = grad_quats[a, d], grad_next_quats[a, d] if has_next else ZERO
+                    _spread(quat_now[0], quat_now[1], quat_later[0], g, ZERO, w, d_quat_poly, d_quat_cos, d_quat_sin, m, d)
+                    toward_time -= g * _combine(quat_now[1], quat_poly, quat_cos, quat_sin, i, d)
+                    toward_time -= w * _combine(quat_later[1], quat_poly, quat_cos, quat_sin, i, d)
+                d_times[m] = toward_time
             elif log_gains.shape[1] > 0:
                 gain = _gain(log_gains, cosines, i)
-            d_logits[i] = toward_opacity * sigmoid * (ONE - sigmoid)
-            x, y, z = out_means[i, 0] - center[0], out_means[i, 1] - center[1], out_means[i, 2] - center[2]
+            d_logits[a] = toward_opacity * sigmoid * (ONE - sigmoid)
+            x, y, z = out_means[a, 0] - center[0], out_means[a, 1] - center[1], out_means[a, 2] - center[2]
             _harmonics(x, y, z, harmonics, directions)
             toward_gain = ZERO
             for d in range(3):
                 colour = HALF
                 for k in range(harmonics):
                     colour += directions[k] * sh[i, k, d]
-                toward_colour = grad_colours[i, d] * gain if colour > ZERO else ZERO
+                toward_colour = grad_colours[a, d] * gain if colour > ZERO else ZERO
                 toward_gain += toward_colour * colour
                 for k in range(harmonics):
-                    d_sh[i, k, d] = directions[k] * toward_colour
-            if j < 0:
+                    d_sh[a, k, d] = directions[k] * toward_colour
+                for k in range(harmonics, sh.shape[1]):
+                    d_sh[a, k, d] = ZERO
+            if m < 0:
                 for k in range(log_gains.shape[1]):
-                    d_gains[i, k] = toward_gain * cosines[k]
+                    d_gains[a, k] = toward_gain * cosines[k]
 
 
 class _SliceFunction(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, settings: tuple[Any, ...], *tensors: Tensor) -> tuple[Tensor, ...]:
-        arrays = [tensor.detach().contiguous().numpy() for tensor in tensors]
-        count, moving = len(tensors[0]), len(tensors[6])
-        later = count if settings[3] else 0
+    def forward(
+        ctx: Any, _: Tensor, gaussians: Gaussians4D, active: Active, settings: tuple[Any, ...], gradients: Gradients | None
+    ) -> tuple[Tensor, ...]:
+        inputs = [active.rows.numpy(), *(gaussians.params[name].numpy() for name in NAMES)]
+        count = len(active.rows)
+        moving, later = count - active.num_static, count if settings[3] else 0
         shapes = ((count, 3), (count, 4), (count, 3), (count,), (count, 3), (moving, 3), (later, 3), (later, 4))
         outputs = tuple(torch.empty(shape) for shape in shapes)
-        _forward(*arrays, *settings, *(output.numpy() for output in outputs))
-        ctx.arrays, ctx.settings, ctx.shapes, ctx.means = arrays, settings, shapes, outputs[0].detach().numpy()
+        _forward(*inputs, *settings, *(output.numpy() for output in outputs))
+        ctx.inputs, ctx.settings, ctx.shapes, ctx.means = inputs, settings, shapes, outputs[0].detach().numpy()
+        ctx.gaussians, ctx.active, ctx.gradients = gaussians, active, gradients
         ctx.set_materialize_grads(False)
         return outputs
 
     @staticmethod
-    def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
-        incoming = [
+    def backward(ctx: Any, *incoming: Tensor | None) -> tuple[None, ...]:
+        arriving = [
             (torch.zeros(shape) if gradient is None else gradient.contiguous()).numpy()
-            for gradient, shape in zip(gradients, ctx.shapes, strict=True)
+            for gradient, shape in zip(incoming, ctx.shapes, strict=True)
         ]
-        results = [torch.zeros(array.shape) for array in ctx.arrays]
-        _backward(*ctx.arrays, *ctx.settings, ctx.means, *incoming, *(result.numpy() for result in results))
-        return None, *results
+        counts = {name: len(ctx.gaussians.rows_of(name, ctx.active)) for name in NAMES}
+        results = {name: torch.empty(counts[name], *ctx.gaussians.params[name].shape[1:]) for name in NAMES}
+        _backward(*ctx.inputs, *ctx.settings, ctx.means, *arriving, *(result.numpy() for result in results.values()))
+        ctx.gradients.update(results)
+        return None, None, None, None, None
 
 
 def slice_gaussians(
-    leaves: Mapping[str, Tensor],
-    active: Active,
-    config: ModelConfig,
-    sh_degree: int,
-    camera_center: Tensor,
-    next_time: float | None,
+    gaussians: Gaussians4D, active: Active, camera_center: Tensor, next_time: float | None, gradients: Gradients | None
 ) -> Slice:
     """See ``api.slice_gaussians``."""
-    motion = config.motion()
+    motion = gaussians.motion
     assert isinstance(motion, SeriesMotion)
-    cosines = np.cos(np.pi * active.t * np.arange(1, config.gains + 1)).astype(np.float32)
+    cosines = np.cos(np.pi * active.t * np.arange(1, gaussians.config.gains + 1)).astype(np.float32)
     settings = (
         active.num_static, np.float32(active.t), np.float32(next_time or 0.0), next_time is not None,
-        np.float32(motion.fourier_base), camera_center.numpy(), cosines, (sh_degree + 1) ** 2,
+        np.float32(motion.fourier_base), camera_center.numpy(), cosines, (gaussians.sh_degree + 1) ** 2,
     )  # fmt: skip
-    means, quats, scales, opacities, colours, velocities, next_means, next_quats = _SliceFunction.apply(
-        settings, *(leaves[name] for name in NAMES)
-    )
+    # The parameters are not inputs of the function, because their gradients would have their full size: it has one in name.
+    anchor = torch.zeros((), requires_grad=gradients is not None)
+    outputs = _SliceFunction.apply(anchor, gaussians, active, settings, gradients)
+    means, quats, scales, opacities, colours, velocities, next_means, next_quats = outputs
     if next_time is None:
-        return Slice(means, quats, scales, None, opacities, colours, velocities, None, None)
+        next_means = next_quats = None
     return Slice(means, quats, scales, None, opacities, colours, velocities, next_means, next_quats)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import partial
 
 import torch
 from torch import Tensor
 
-from flowsplat.gaussians.gaussians4d import Active, ModelConfig
-from flowsplat.gaussians.slicing.api import Slice
+from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
+from flowsplat.gaussians.slicing.api import Gradients, Slice
 from flowsplat.splatting.harmonics import colours_from_harmonics
 
 
@@ -20,23 +21,21 @@ def time_gains(log_gains: Tensor, t: float) -> Tensor:
 
 
 def slice_gaussians(
-    leaves: Mapping[str, Tensor],
-    active: Active,
-    config: ModelConfig,
-    sh_degree: int,
-    camera_center: Tensor,
-    next_time: float | None,
+    gaussians: Gaussians4D, active: Active, camera_center: Tensor, next_time: float | None, gradients: Gradients | None
 ) -> Slice:
     """See ``api.slice_gaussians``."""
-    n, motion = active.num_static, config.motion()
-    moving_names = {*motion.motion_names, "times", "log_lambdas"}
-    moving = {name: value if name in moving_names else value[n:] for name, value in leaves.items()}
+    leaves = gaussians.gather(active)
+    if gradients is not None:
+        for name, leaf in leaves.items():
+            leaf.requires_grad_().register_hook(partial(gradients.__setitem__, name))
+    n, motion, config = active.num_static, gaussians.motion, gaussians.config
+    moving = {name: value if name in gaussians.moving_names else value[n:] for name, value in leaves.items()}
     state = motion.state(moving, active.t)
     means = torch.cat([leaves["means"][:n], state.means])
     opacities = torch.sigmoid(leaves["logit_opacities"])
     opacities = torch.cat([opacities[:n], opacities[n:] * state.presence])
-    directions = means.detach() - camera_center if sh_degree > 0 else None
-    colours = colours_from_harmonics(leaves["sh"], directions, sh_degree)
+    directions = means.detach() - camera_center if gaussians.sh_degree > 0 else None
+    colours = colours_from_harmonics(leaves["sh"], directions, gaussians.sh_degree)
     if config.gains and n:
         colours = torch.cat([colours[:n] * time_gains(leaves["log_gains"], active.t)[:, None], colours[n:]])
     quats = scales = covars = next_means = next_quats = None

@@ -24,19 +24,28 @@ class RowAdam:
         count = len(next(iter(params.values())))
         self.counts = torch.zeros(count, dtype=torch.int32)
 
-    def begin_step(self, rows: Tensor) -> None:
-        """Count one step for these rows [A] (each at most once)."""
-        self.counts[rows] += 1
+    def begin_step(self, rows: Tensor, stepped: Tensor) -> None:
+        """Count one step for those of the rows [A] (each at most once) that are to be stepped [A] bool."""
+        self.counts[rows] += stepped.to(self.counts.dtype)
 
-    def step(self, name: str, value: Tensor, rows: Tensor, gradient: Tensor, rates: Tensor) -> None:
-        """Step rows [A] of the parameter ``name`` [N, ...] along gradient [A, ...] at learning rates [D] (D flattened)."""
+    def step(self, name: str, value: Tensor, rows: Tensor, stepped: Tensor, gradient: Tensor, rates: Tensor) -> None:
+        """Step the parameter ``name`` in place.
+
+        Args:
+            name: of the parameter, whose moments these are.
+            value: [N, ...], of D numbers a row.
+            rows: [A] int64.
+            stepped: [A] bool; the other rows are left alone, as if they were not named.
+            gradient: [A, ...] of the rows.
+            rates: [D] learning rates.
+        """
         if len(rows) == 0 or value[0].numel() == 0:
             return
         count = len(value)
         module = cpu if value.device.type == "cpu" and value.dtype == torch.float32 else reference
         module.step_rows(
             value.view(count, -1), self.means[name].view(count, -1), self.squares[name].view(count, -1), self.counts,
-            rows, gradient.reshape(len(rows), -1), rates,
+            rows, stepped, gradient.reshape(len(rows), -1), rates,
         )  # fmt: skip
 
     def follow(self, index: Tensor, is_new: Tensor) -> None:

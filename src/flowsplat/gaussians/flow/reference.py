@@ -1,4 +1,4 @@
-"""Flow splatting: from moving Gaussians to the features that blend into an optical flow image (METHOD 3)."""
+"""The flow models in plain torch (METHOD 3); for the displacement the oracle of ``cpu``."""
 
 from __future__ import annotations
 

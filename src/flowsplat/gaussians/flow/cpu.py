@@ -1,0 +1,98 @@
+"""The features of colour, depth and displacement flow, and their gradient, in one sweep. Oracle: ``reference.flow_features``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from numba import njit, prange
+from torch import Tensor
+
+from flowsplat.gaussians.flow.reference import NEAR
+from flowsplat.gaussians.slicing import Slice
+from flowsplat.geometry import Camera
+from flowsplat.splatting import Projected
+
+OPTIONS = {"fastmath": {"reassoc", "contract", "arcp", "nsz"}, "cache": True, "error_model": "numpy"}
+CHANNELS = 6
+ONE, ZERO, CLIP = np.float32(1), np.float32(0), np.float32(NEAR)
+
+
+@njit(parallel=True, **OPTIONS)
+def _forward(colours, depths, means2d, next_means, drawn, view, K, features):
+    """Fill features [A, 6 or 7]; returns how many drawn Gaussians the other camera does not see."""
+    hidden = 0
+    for i in prange(len(colours)):
+        for c in range(3):
+            features[i, c] = colours[i, c]
+        features[i, 3] = depths[i]
+        px, py, pz = next_means[i, 0], next_means[i, 1], next_means[i, 2]
+        z = view[2, 0] * px + view[2, 1] * py + view[2, 2] * pz + view[2, 3]
+        front = z > CLIP
+        features[i, 4] = ZERO
+        features[i, 5] = ZERO
+        if front:
+            inverse = ONE / z
+            x = view[0, 0] * px + view[0, 1] * py + view[0, 2] * pz + view[0, 3]
+            y = view[1, 0] * px + view[1, 1] * py + view[1, 2] * pz + view[1, 3]
+            features[i, 4] = K[0, 0] * x * inverse + K[0, 2] - means2d[i, 0]
+            features[i, 5] = K[1, 1] * y * inverse + K[1, 2] - means2d[i, 1]
+        elif drawn[i, 0] > 0:
+            hidden += 1
+        if features.shape[1] > CHANNELS:
+            features[i, CHANNELS] = ZERO if front else ONE
+    return hidden
+
+
+@njit(parallel=True, **OPTIONS)
+def _backward(gradient, next_means, view, K, d_colours, d_depths, d_means2d, d_next_means):
+    fx, fy = K[0, 0], K[1, 1]
+    for i in prange(len(gradient)):
+        for c in range(3):
+            d_colours[i, c] = gradient[i, c]
+        d_depths[i] = gradient[i, 3]
+        px, py, pz = next_means[i, 0], next_means[i, 1], next_means[i, 2]
+        z = view[2, 0] * px + view[2, 1] * py + view[2, 2] * pz + view[2, 3]
+        front = z > CLIP
+        gu, gv = gradient[i, 4] if front else ZERO, gradient[i, 5] if front else ZERO
+        d_means2d[i, 0] = -gu
+        d_means2d[i, 1] = -gv
+        inverse = ONE / z if front else ZERO
+        x = view[0, 0] * px + view[0, 1] * py + view[0, 2] * pz + view[0, 3]
+        y = view[1, 0] * px + view[1, 1] * py + view[1, 2] * pz + view[1, 3]
+        dx, dy = gu * fx * inverse, gv * fy * inverse
+        dz = -(dx * x + dy * y) * inverse
+        for d in range(3):
+            d_next_means[i, d] = view[0, d] * dx + view[1, d] * dy + view[2, d] * dz
+
+
+class _Features(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: Any, colours: Tensor, depths: Tensor, means2d: Tensor, next_means: Tensor, radii: Tensor, camera: Camera
+    ) -> Tensor:
+        view, K = (tensor.numpy() for tensor in camera.tensors())
+        inputs = [t.detach().contiguous().numpy() for t in (colours, depths, means2d, next_means, radii)]
+        features = torch.empty(len(colours), CHANNELS)
+        if _forward(*inputs, view, K, features.numpy()) > 0:
+            features = torch.empty(len(colours), CHANNELS + 1)
+            _forward(*inputs, view, K, features.numpy())
+        ctx.inputs = inputs[3], view, K
+        return features
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
+        count = len(gradient)
+        results = torch.empty(count, 3), torch.empty(count), torch.empty(count, 2), torch.empty(count, 3)
+        _backward(gradient.contiguous().numpy(), *ctx.inputs, *(result.numpy() for result in results))
+        return *results, None, None
+
+
+def blend_features(sliced: Slice, projected: Projected, other: Camera) -> Tensor:
+    """See ``api.blend_features``; flow goes to the Gaussians' ``next_means`` in the ``other`` camera."""
+    assert sliced.next_means is not None
+    result: Tensor = _Features.apply(
+        sliced.colours, projected.depths, projected.means2d, sliced.next_means, projected.radii, other
+    )
+    return result

@@ -1,0 +1,83 @@
+"""The picture loss, and the one place that picks who computes it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class PictureTargets:
+    """What a picture should show.
+
+    Attributes:
+        colour: [H, W, 3] uint8.
+        depth: [H, W] float32, or None.
+        depth_trusted: [H, W] bool, where it counts.
+        flow: [H, W, 2] float32 pixels, or None.
+        flow_trusted: [H, W] bool, where it counts.
+    """
+
+    colour: np.ndarray
+    depth: np.ndarray | None = None
+    depth_trusted: np.ndarray | None = None
+    flow: np.ndarray | None = None
+    flow_trusted: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class PictureWeights:
+    """Weights of the parts (METHOD 5).
+
+    Attributes:
+        ssim: gamma_1, the share of SSIM in the colour loss.
+        flow: gamma_2.
+        depth: of the relative depth error (ours).
+        flow_by_alpha: compare the flow V with alpha F where alpha >= 0.5, which is |V / alpha - F| weighted by alpha and has no
+            division to explode (ours); otherwise V with F (the paper), which is biased where alpha < 1.
+    """
+
+    ssim: float = 0.2
+    flow: float = 0.0
+    depth: float = 0.0
+    flow_by_alpha: bool = True
+
+
+@dataclass(frozen=True)
+class PictureFigures:
+    """The parts before their weights, and the mean squared error of the colours clamped to 0..1."""
+
+    colour: float
+    flow: float
+    depth: float
+    squared_error: float
+
+
+def picture_loss(
+    image: Tensor, alpha: Tensor, flow_channels: int, targets: PictureTargets, weights: PictureWeights
+) -> tuple[Tensor, PictureFigures]:
+    """L_color + weight L_flow + weight L_depth of a rendered picture (METHOD 5), differentiable in image and alpha.
+
+    L_color is (1 - gamma_1) L1 + gamma_1 (1 - SSIM); SSIM has an 11 x 11 Gaussian window of sigma 1.5 and zeros beyond the
+    border, as 3D Gaussian Splatting trains with. L_flow is the mean error in pixels over trusted pixels and both components;
+    L_depth the relative error |D - alpha d| / d of trusted pixels, its mean over all pixels.
+
+    Args:
+        image: [H, W, C] blended features: colour, depth, then ``flow_channels`` of flow (``gaussians.flow``) and, if there is
+            one more, how much of a pixel is held by what the other camera cannot see; where that is over 5 %, flow is not
+            trusted.
+        alpha: [H, W].
+        flow_channels: 0, 2 or 6.
+        targets: what is compared with; where its flow or depth is None there is no such part.
+        weights: of the parts; a part of weight 0 is not computed.
+
+    Returns:
+        the loss, a scalar, and its parts.
+    """
+    from flowsplat.training.picture_loss import cpu, reference
+
+    module = cpu if image.device.type == "cpu" and image.dtype == torch.float32 else reference
+    return module.picture_loss(image, alpha, flow_channels, targets, weights)

@@ -1,0 +1,89 @@
+"""Who neighbours whom: found once for many steps, at each Gaussian's own centre time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from flowsplat.gaussians.gaussians4d import Gaussians4D
+
+
+@dataclass(frozen=True)
+class Neighbours:
+    """The nearest neighbours of N Gaussians.
+
+    A Gaussian lives for a few frames, and its neighbours at its centre time are its neighbours in all of them; the loss
+    counts a pair where both are active. A search in every frame, every time, would take longer than all the rest of a step.
+
+    Attributes:
+        indices: [N, k] int32; -1 where there is none.
+        weights: [N, k] float32, exp(-beta distance), 0 where there is none.
+    """
+
+    indices: Tensor
+    weights: Tensor
+
+    def __len__(self) -> int:
+        return len(self.indices)
+
+    @cached_property
+    def incoming(self) -> tuple[np.ndarray, np.ndarray]:
+        """The pairs the other way round: offsets [N + 1] int64 into pairs int32, which number the entries of ``indices``.
+
+        With them the gradient of a Gaussian is a sum in a fixed order, whatever the threads do.
+        """
+        flat = self.indices.numpy().ravel()
+        pairs = np.argsort(flat, kind="stable").astype(np.int32)
+        counts = np.bincount(flat[flat >= 0], minlength=len(self))
+        offsets = np.concatenate([[0], np.cumsum(counts)])
+        return offsets, pairs[len(pairs) - offsets[-1] :].copy()
+
+    def follow(self, index: Tensor) -> Neighbours:
+        """After density control: row i comes from old row ``index[i]``; of several copies the first one stays a neighbour."""
+        new = torch.full((len(self) + 1,), len(index))
+        new.scatter_reduce_(0, index, torch.arange(len(index)), "amin")
+        new[new == len(index)] = -1
+        indices = new[self.indices[index].long()].to(torch.int32)
+        return Neighbours(indices, torch.where(indices >= 0, self.weights[index], 0))
+
+
+@torch.no_grad()
+def find_neighbours(
+    gaussians: Gaussians4D, times: Sequence[float], k: int, beta: float, dynamic_only: bool
+) -> Neighbours:
+    """The k nearest neighbours of every Gaussian that moves, among those active in the frame nearest to its centre time.
+
+    Args:
+        gaussians: where they are.
+        times: [T] clip times of the frames.
+        k: how many.
+        beta: weights are exp(-beta distance).
+        dynamic_only: neighbours and neighboured are dynamic ones alone.
+    """
+    count = len(gaussians)
+    indices, weights = torch.full((count, k), -1, dtype=torch.int32), torch.zeros(count, k)
+    frames = torch.as_tensor(np.asarray(times, np.float32))
+    middles = 0.5 * (frames[1:] + frames[:-1])
+    nearest = torch.bucketize(gaussians.params["times"], middles)
+    for frame, t in enumerate(times):
+        active = gaussians.active(t)
+        rows = active.rows[active.num_static :]
+        if dynamic_only:
+            rows = rows[gaussians.dynamic[rows]]
+        wanted = nearest[rows] == frame
+        if len(rows) < 2 or not bool(wanted.any()):
+            continue
+        chosen = {name: value[rows] for name, value in gaussians.params.items()}
+        means = gaussians.motion.state(chosen, t).means.numpy()
+        found = min(k, len(rows) - 1)
+        distances, others = cKDTree(means).query(means[wanted.numpy()], k=found + 1, workers=-1)
+        own = rows[wanted]
+        indices[own, :found] = rows[torch.from_numpy(others[:, 1:])].to(torch.int32)
+        weights[own, :found] = torch.from_numpy(np.exp(-beta * distances[:, 1:]).astype(np.float32))
+    return Neighbours(indices, weights)
