@@ -40,3 +40,12 @@ def test_training_and_rendering_from_python(tmp_path):
 
 def test_a_motion_model_of_ones_own(tmp_path):
     assert "speed = [1.0, 2.0, 3.0]" in run_example("04_add_a_motion_model.py", tmp_path)
+
+
+def test_code_of_gsplat_users(tmp_path):
+    output = run_example("05_gsplat_users.py", tmp_path, 80)
+    steps = [line.split() for line in output.splitlines() if line.startswith("step")]
+    assert float(steps[-1][-1]) > float(steps[0][-1]) + 5  # dB
+    if "gsplat is not installed" not in output:
+        assert int(steps[-1][2]) > int(steps[0][2])
+    assert (tmp_path / "05_gsplat_users.png").exists()

@@ -15,11 +15,12 @@ _PUBLIC = {
     "preset": "flowsplat.pipeline",
     "RunConfig": "flowsplat.pipeline",
     "rasterize": "flowsplat.splatting",
+    "rasterization": "flowsplat.splatting",
     "Camera": "flowsplat.geometry",
     "Scene": "flowsplat.scenes",
 }
 
-__all__ = ["Camera", "RunConfig", "Scene", "__version__", "load", "preset", "rasterize", "run"]
+__all__ = ["Camera", "RunConfig", "Scene", "__version__", "load", "preset", "rasterization", "rasterize", "run"]
 
 
 def __getattr__(name: str) -> Any:

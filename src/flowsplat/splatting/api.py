@@ -90,20 +90,35 @@ def project(
     return Projected(*reference.project(*arguments), None, name)
 
 
-def blend(projected: Projected, opacities: Tensor, features: Tensor, width: int, height: int) -> tuple[Tensor, Tensor]:
+def blend(
+    projected: Projected, opacities: Tensor, features: Tensor, width: int, height: int, *, absgrad: bool = False
+) -> tuple[Tensor, Tensor]:
     """Composite features [N, C] front to back (the second half of ``rasterize``).
+
+    Args:
+        projected: from ``project``.
+        opacities: [N] between 0 and 1.
+        features: [N, C].
+        width: pixels.
+        height: pixels.
+        absgrad: give ``projected.means2d`` an attribute ``absgrad`` [N, 2]: zeros, to which backward adds the sum over pixels of
+            the absolute gradient of the 2D mean (AbsGS, https://arxiv.org/abs/2404.10484). One that is there already is used.
 
     Returns:
         features [H, W, C] on black and alphas [H, W].
     """
     if features.ndim != 2 or len(features) != len(opacities):
         raise ValueError(f"features must be [N, C], not {list(features.shape)}")
-    p = projected
+    p, absolute = projected, None
+    if absgrad:
+        absolute = getattr(p.means2d, "absgrad", None)
+        if absolute is None:
+            absolute = p.means2d.absgrad = torch.zeros_like(p.means2d)  # type: ignore[attr-defined]
     if p.backend == "cpu":
         from flowsplat.splatting.cpu import functions
 
-        return functions.blend(p.means2d, p.conics, opacities, features, p.depths, p.extents, width, height)
-    return reference.blend(p.means2d, p.conics, opacities, features, p.depths, p.radii, width, height)
+        return functions.blend(p.means2d, p.conics, opacities, features, p.depths, p.extents, width, height, absolute)
+    return reference.blend(p.means2d, p.conics, opacities, features, p.depths, p.radii, width, height, absolute)
 
 
 def rasterize(

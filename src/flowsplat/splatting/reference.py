@@ -1,6 +1,7 @@
 """The oracle: what every backend must compute, in plain torch, short enough to check by eye.
 
-Works in any float type, differentiates by autograd, and is slow: blending holds [pixels, Gaussians] matrices.
+Works in any float type, differentiates by autograd, and is slow: blending holds [pixels, Gaussians] matrices of a
+few rows of the picture at a time.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ from torch import Tensor
 from flowsplat.geometry.projection import camera_jacobian, to_camera
 from flowsplat.geometry.rotations import covariances
 from flowsplat.splatting.rules import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
+
+STRIP = 8  # rows blended at a time, so that the matrices fit a cache
 
 
 def project(
@@ -70,14 +73,48 @@ def blend(
     radii: Tensor,  # [N, 2]
     width: int,
     height: int,
+    absolute: Tensor | None = None,  # [N, 2]
 ) -> tuple[Tensor, Tensor]:
-    """Alpha compositing front to back: features [H, W, C] and alphas [H, W] (METHOD 3.4)."""
+    """Alpha compositing front to back: features [H, W, C] and alphas [H, W] (METHOD 3.4).
+
+    Backward adds to ``absolute`` the sum over pixels of the absolute gradient of means2d.
+    """
     visible = torch.nonzero((radii > 0).all(1)).squeeze(1)
     order = visible[torch.sort(depths[visible], stable=True).indices]
+    top, bottom = ((means2d[order, 1].detach() + sign * radii[order, 1]) for sign in (-1, 1))
+    strips = [
+        _blend_rows(
+            means2d, conics, opacities, features, order[(bottom > row) & (top < row + STRIP)], width,
+            torch.arange(row, min(row + STRIP, height)), absolute,
+        )
+        for row in range(0, height, STRIP)
+    ]  # fmt: skip
+    images, alphas = zip(*strips, strict=True)
+    return torch.cat(images), torch.cat(alphas)
+
+
+def _blend_rows(
+    means2d: Tensor,
+    conics: Tensor,
+    opacities: Tensor,
+    features: Tensor,
+    order: Tensor,
+    width: int,
+    rows: Tensor,
+    absolute: Tensor | None,
+) -> tuple[Tensor, Tensor]:
+    """The given rows of the picture, from the Gaussians in ``order``."""
     x = torch.arange(width, dtype=means2d.dtype, device=means2d.device) + 0.5
-    y = torch.arange(height, dtype=means2d.dtype, device=means2d.device) + 0.5
+    y = rows.to(means2d) + 0.5
     pixels = torch.stack(torch.meshgrid(x, y, indexing="xy"), -1).reshape(-1, 1, 2)
-    dx, dy = (pixels - means2d[order]).unbind(-1)
+    centres = means2d[order].expand(len(pixels), -1, -1)  # one copy a pixel, so that each pixel's gradient can be seen
+    if absolute is not None and centres.requires_grad:
+
+        def add_absolute(gradient: Tensor) -> None:
+            absolute.index_add_(0, order, gradient.abs().sum(0))
+
+        centres.register_hook(add_absolute)
+    dx, dy = (pixels - centres).unbind(-1)
     a, b, c = conics[order].unbind(-1)
     raw = opacities[order] * torch.exp(-0.5 * (a * dx * dx + c * dy * dy) - b * dx * dy)
     alpha = torch.where(raw >= ALPHA_MIN, raw.clamp(max=ALPHA_MAX), torch.zeros_like(raw))
@@ -87,5 +124,5 @@ def blend(
     after = torch.cumprod(1 - alpha, 1)
     before = torch.cat([torch.ones_like(after[:, :1]), after[:, :-1]], 1)
     image = (alpha * before) @ features[order]
-    remaining = after[:, -1] if len(order) else torch.ones(width * height, dtype=means2d.dtype, device=means2d.device)
-    return image.reshape(height, width, -1), (1 - remaining).reshape(height, width)
+    remaining = after[:, -1] if len(order) else torch.ones_like(pixels[:, 0, 0])
+    return image.reshape(len(rows), width, -1), (1 - remaining).reshape(len(rows), width)

@@ -1,11 +1,12 @@
 """Blend the Gaussians of every tile front to back, and the gradient. Oracle: ``reference.blend``.
 
-A tile is 16 x 16 pixels; a row of it is one vector. The state of a row lies together (transmittance, then the channels), so
-that a row touches consecutive cache lines. The transmittance of a pixel that has stopped is stored negative: its magnitude
-is the final value, and max(T, 0) makes every later weight zero without a branch.
+A tile is 8 x 32 pixels, cut into blocks of 8 x 2 (8 x 1 with narrower vectors) that are one vector each. The state of a block
+lies together (transmittance, then the channels), so that a block touches consecutive cache lines. The transmittance of a
+pixel that has stopped is stored negative: its magnitude is the final value, and max(T, 0) makes every later weight zero
+without a branch.
 
 The exponent is e = log2(alpha) / 8: alpha = p(e)^8 with p a polynomial for 2^e on [-1, 0], since alpha >= 1/255 means
-e >= -0.9993. Relative error 1e-6.
+e >= -0.9993. Relative error 1e-6. Within a block it is e = P + Q dy + c dy^2 with dy the offset of the block's first row.
 """
 
 from __future__ import annotations
@@ -17,29 +18,38 @@ from numba import float32, int64, njit, prange
 
 from flowsplat.splatting.cpu.projection import HALF, ONE, OPTIONS, ZERO
 from flowsplat.splatting.cpu.simd import (
+    BLOCK_HEIGHT,
+    BLOCK_WIDTH,
+    LANES,
     add_features,
+    add_weighted,
     align_stack,
+    block_columns,
+    block_rows,
     broadcast,
     dot_features,
     largest_lane,
     load,
+    load_features,
     maximum,
+    minimum,
     minus_magnitude,
-    pixel_centers,
+    no_sums,
     prefetch,
-    reciprocal,
     store,
     store_sums,
     where_above,
     where_at_least,
 )
-from flowsplat.splatting.cpu.tiles import GEOMETRY, TILE_HEIGHT, TILE_WIDTH
-from flowsplat.splatting.rules import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
+from flowsplat.splatting.cpu.tiles import CUT, EXPONENT, GEOMETRY, TILE_HEIGHT, TILE_WIDTH
+from flowsplat.splatting.rules import ALPHA_MAX, TRANSMITTANCE_MIN
 
-CUT = np.float32(math.log2(ALPHA_MIN) / 8)
+BLOCKS = TILE_HEIGHT // BLOCK_HEIGHT
+STEP = np.float32(BLOCK_HEIGHT)
 LIMIT = np.float32(ALPHA_MAX)
 STOP = np.float32(TRANSMITTANCE_MIN)
 CHECK_EVERY = 32
+ABSOLUTE = 2  # more sums for an instance where absolute gradients are asked for
 
 
 def _fit_exp2(degree: int) -> np.ndarray:
@@ -68,38 +78,46 @@ def _alpha(exponent):
     return where_at_least(exponent, CUT, value, broadcast(ZERO))
 
 
+@njit(inline="always", **OPTIONS)
+def _lane(x, y):
+    """Where pixel (x, y) of a tile lies: number of its block, lane in it."""
+    return y // BLOCK_HEIGHT, y % BLOCK_HEIGHT * BLOCK_WIDTH + x
+
+
 @njit(**OPTIONS)
 def _blend_tile(pixels, left, top, records, stride, instances, begin, end, channels):
     """Blend instances begin..end over one tile. Returns where it stopped."""
     align_stack()
-    row_size = TILE_WIDTH * (len(channels) + 1)
-    lanes, zero, limit = pixel_centers(), broadcast(ZERO), broadcast(LIMIT)
+    size = LANES * (len(channels) + 1)
+    columns, rows = block_columns(), block_rows()
+    zero, limit = broadcast(ZERO), broadcast(LIMIT)
     p = begin
     while p < end:
         group_end = min(p + CHECK_EVERY, end)
         while p < group_end:
             o = int64(instances[p, 0]) * stride
-            rows = instances[p, 1]
+            blocks = instances[p, 1]
             prefetch(records, int64(instances[min(p + 4, end - 1), 0]) * stride)
-            first, last = int64(rows & 255), int64(rows >> 8)
-            a, b, c, log_opacity = records[o + 2], records[o + 3], records[o + 4], records[o + 5]
-            dx = lanes + (left - records[o])
-            adx = dx * a
-            dy = top + float32(first) - records[o + 1]
-            for row in range(first * row_size, last * row_size + 1, row_size):
-                raw = _alpha((adx + b * dy) * dx + (c * dy * dy + log_opacity))
-                alpha = where_above(raw, LIMIT, limit, raw)
-                stored = load(pixels, row)
+            first, last = int64(blocks & 255), int64(blocks >> 8)
+            a, b, c = records[o + 2], records[o + 3], records[o + 4]
+            dx = columns + (left - records[o])
+            slope = b * dx + (c + c) * rows
+            middle = (a * dx + b * rows) * dx + (c * rows * rows + records[o + 5])
+            features = load_features(records, o + GEOMETRY, channels)
+            dy = top + STEP * float32(first) - records[o + 1]
+            for block in range(first * size, last * size + 1, size):
+                alpha = minimum(_alpha((slope + c * dy) * dy + middle), limit)
+                stored = load(pixels, block)
                 before = maximum(stored, zero)
-                after = before - alpha * before
-                store(pixels, row, where_above(after, STOP, after, minus_magnitude(stored)))
-                weight = where_above(after, STOP, before - after, zero)
-                add_features(pixels, row + TILE_WIDTH, weight, records, o + GEOMETRY, channels)
-                dy += ONE
+                weight = alpha * before
+                after = before - weight
+                store(pixels, block, where_above(after, STOP, after, minus_magnitude(stored)))
+                add_features(pixels, block + LANES, where_above(after, STOP, weight, zero), features)
+                dy += STEP
             p += 1
         highest = load(pixels, 0)
-        for row in range(row_size, TILE_HEIGHT * row_size, row_size):
-            highest = maximum(highest, load(pixels, row))
+        for block in range(size, BLOCKS * size, size):
+            highest = maximum(highest, load(pixels, block))
         if largest_lane(highest) <= ZERO:
             break
     return p
@@ -111,79 +129,87 @@ def blend_forward(
 ):
     """Fill image [H, W, C] and transmittance [H, W]; tile_stops[t] is where backward may stop."""
     tile_columns = (width + TILE_WIDTH - 1) // TILE_WIDTH
-    row_size = TILE_WIDTH * (len(channels) + 1)
+    size = LANES * (len(channels) + 1)
     for tile in prange(tile_stops.shape[0]):
         tile_y, tile_x = tile // tile_columns, tile % tile_columns
         y0, x0 = tile_y * TILE_HEIGHT, tile_x * TILE_WIDTH
-        # One line of padding on both sides keeps the vector loads of the last row inside the array.
-        pixels = np.zeros(TILE_HEIGHT * row_size + TILE_WIDTH, np.float32)
+        pixels = np.zeros(BLOCKS * size, np.float32)
         rows, columns = min(TILE_HEIGHT, height - y0), min(TILE_WIDTH, width - x0)
         for y in range(rows):
             for x in range(columns):
-                pixels[y * row_size + x] = ONE
+                block, lane = _lane(x, y)
+                pixels[block * size + lane] = ONE
         tile_stops[tile] = _blend_tile(
             pixels, float32(x0), float32(y0) + HALF, records, stride, instances,
             int64(tile_offsets[tile]), int64(tile_offsets[tile + 1]), channels,
         )  # fmt: skip
         for y in range(rows):
-            base = y * row_size
             for x in range(columns):
-                transmittance[y0 + y, x0 + x] = abs(pixels[base + x])
+                block, lane = _lane(x, y)
+                base = block * size + lane
+                transmittance[y0 + y, x0 + x] = abs(pixels[base])
                 for c in range(len(channels)):
-                    image[y0 + y, x0 + x, c] = pixels[base + TILE_WIDTH * (c + 1) + x]
+                    image[y0 + y, x0 + x, c] = pixels[base + LANES * (c + 1)]
 
 
 @njit(**OPTIONS)
-def _tile_gradient(pixels, left, top, records, stride, instances, begin, stop, end, sums, out, geometry, channels):
+def _tile_gradient(pixels, left, top, records, stride, instances, begin, stop, end, out, absolute, channels):
     """Replay one tile front to back; every instance writes one record of sums to its slot.
 
-    A row holds the transmittance, then R = the gradient times everything that is still to be drawn behind, then the
-    gradient of every channel.
+    A block holds the transmittance, then R = the gradient times everything that is still to be drawn behind, then the
+    gradient of every channel. ``absolute`` has two entries where the absolute gradient of the 2D mean, summed over pixels
+    (AbsGS), is wanted too, and none elsewhere.
     """
     align_stack()
-    row_size = TILE_WIDTH * (len(channels) + 2)
-    lanes, zero, one, limit = pixel_centers(), broadcast(ZERO), broadcast(ONE), broadcast(LIMIT)
+    size = LANES * (len(channels) + 2)
+    columns, rows = block_columns(), block_rows()
+    zero, limit, least = broadcast(ZERO), broadcast(LIMIT), broadcast(STOP)
     for p in range(begin, stop):
         o = int64(instances[p, 0]) * stride
-        rows = instances[p, 1]
+        blocks = instances[p, 1]
         prefetch(records, int64(instances[min(p + 4, end - 1), 0]) * stride)
-        first, last = int64(rows & 255), int64(rows >> 8)
-        a, b, c, log_opacity = records[o + 2], records[o + 3], records[o + 4], records[o + 5]
-        dx = lanes + (left - records[o])
-        adx = dx * a
-        dy = top + float32(first) - records[o + 1]
-        for k in range(len(channels)):
-            store(sums, TILE_WIDTH * (GEOMETRY + k), zero)
-        g0, g1, g2 = zero, zero, zero
-        for row in range(first * row_size, last * row_size + 1, row_size):
-            raw = _alpha((adx + b * dy) * dx + (c * dy * dy + log_opacity))
-            alpha = where_above(raw, LIMIT, limit, raw)
-            stored = load(pixels, row)
+        first, last = int64(blocks & 255), int64(blocks >> 8)
+        a, b, c = records[o + 2], records[o + 3], records[o + 4]
+        dx = columns + (left - records[o])
+        slope = b * dx + (c + c) * rows
+        middle = (a * dx + b * rows) * dx + (c * rows * rows + records[o + 5])
+        features = load_features(records, o + GEOMETRY, channels)
+        sums = no_sums(channels)
+        dy = top + STEP * float32(first) - records[o + 1]
+        g0, g1, g2, absolute_x, absolute_y = zero, zero, zero, zero, zero
+        for block in range(first * size, last * size + 1, size):
+            raw = _alpha((slope + c * dy) * dy + middle)
+            alpha = minimum(raw, limit)
+            stored = load(pixels, block)
             before = maximum(stored, zero)
-            after = before - alpha * before
-            store(pixels, row, where_above(after, STOP, after, minus_magnitude(stored)))
-            weight = where_above(after, STOP, before - after, zero)
-            toward = weight * dot_features(
-                pixels, row + 2 * TILE_WIDTH, weight, records, o + GEOMETRY, sums, TILE_WIDTH * GEOMETRY, channels
-            )
-            behind = load(pixels, row + TILE_WIDTH) - toward
-            store(pixels, row + TILE_WIDTH, behind)
-            gradient = toward - behind * (alpha * reciprocal(one - alpha))
-            # No gradient where alpha is clamped, and none where the Gaussian was not drawn.
-            gradient = where_above(raw, LIMIT, zero, where_above(weight, ZERO, gradient, zero))
+            weight = alpha * before
+            after = before - weight
+            store(pixels, block, where_above(after, STOP, after, minus_magnitude(stored)))
+            weight = where_above(after, STOP, weight, zero)
+            toward = weight * dot_features(pixels, block + 2 * LANES, features)
+            sums = add_weighted(sums, pixels, block + 2 * LANES, weight)
+            behind = load(pixels, block + LANES) - toward
+            store(pixels, block + LANES, behind)
+            # alpha / (1 - alpha) is weight / after where the Gaussian was drawn, and 0 elsewhere. No gradient where alpha
+            # is clamped.
+            gradient = where_above(raw, LIMIT, zero, toward - behind * (weight / maximum(after, least)))
             g0 = g0 + gradient
             gradient_y = gradient * dy
             g1 = g1 + gradient_y
             g2 = g2 + gradient_y * dy
-            dy += ONE
+            if len(absolute) > 0:
+                absolute_x = absolute_x - minus_magnitude(gradient * ((a + a) * dx + b * (rows + dy)))
+                absolute_y = absolute_y - minus_magnitude(gradient * (b * dx + (c + c) * (rows + dy)))
+            dy += STEP
+        # From offsets of the block to offsets of the pixel: y = dy + row.
+        gy = g1 + rows * g0
+        gyy = g2 + rows * (g1 + gy)
         gx = g0 * dx
-        store(sums, 0, g0)
-        store(sums, TILE_WIDTH, gx)
-        store(sums, 2 * TILE_WIDTH, gx * dx)
-        store(sums, 3 * TILE_WIDTH, g1)
-        store(sums, 4 * TILE_WIDTH, g1 * dx)
-        store(sums, 5 * TILE_WIDTH, g2)
-        store_sums(sums, out, int64(instances[p, 2]) * stride, geometry, channels)
+        o = int64(instances[p, 2]) * stride
+        if len(absolute) > 0:
+            store_sums((g0, gx, gx * dx, gy, gy * dx, gyy, absolute_x, absolute_y), sums, out, o)
+        else:
+            store_sums((g0, gx, gx * dx, gy, gy * dx, gyy), sums, out, o)
     for p in range(stop, end):
         o = int64(instances[p, 2]) * stride
         for k in range(stride):
@@ -193,39 +219,43 @@ def _tile_gradient(pixels, left, top, records, stride, instances, begin, stop, e
 @njit(parallel=True, **OPTIONS)
 def blend_backward(
     width, height, records, stride, instances, tile_offsets, tile_stops, image, transmittance, grad_image, grad_alphas, out,
-    geometry, channels,
+    absolute, channels,
 ):  # fmt: skip
     """Fill out [I, stride]: what every instance contributes to the gradient of its Gaussian."""
     tile_columns = (width + TILE_WIDTH - 1) // TILE_WIDTH
-    row_size = TILE_WIDTH * (len(channels) + 2)
+    size = LANES * (len(channels) + 2)
     for tile in prange(tile_stops.shape[0]):
         tile_y, tile_x = tile // tile_columns, tile % tile_columns
         y0, x0 = tile_y * TILE_HEIGHT, tile_x * TILE_WIDTH
-        pixels = np.zeros(TILE_HEIGHT * row_size + TILE_WIDTH, np.float32)
-        sums = np.empty(TILE_WIDTH * (GEOMETRY + len(channels)), np.float32)
+        pixels = np.zeros(BLOCKS * size, np.float32)
         for y in range(min(TILE_HEIGHT, height - y0)):
-            base = y * row_size
             for x in range(min(TILE_WIDTH, width - x0)):
-                pixels[base + x] = ONE
+                block, lane = _lane(x, y)
+                base = block * size + lane
+                pixels[base] = ONE
                 behind = -transmittance[y0 + y, x0 + x] * grad_alphas[y0 + y, x0 + x]
                 for c in range(len(channels)):
                     gradient = grad_image[y0 + y, x0 + x, c]
-                    pixels[base + TILE_WIDTH * (c + 2) + x] = gradient
+                    pixels[base + LANES * (c + 2)] = gradient
                     behind += gradient * image[y0 + y, x0 + x, c]
-                pixels[base + TILE_WIDTH + x] = behind
+                pixels[base + LANES] = behind
         _tile_gradient(
             pixels, float32(x0), float32(y0) + HALF, records, stride, instances, int64(tile_offsets[tile]),
-            int64(tile_stops[tile]), int64(tile_offsets[tile + 1]), sums, out, geometry, channels,
+            int64(tile_stops[tile]), int64(tile_offsets[tile + 1]), out, absolute, channels,
         )  # fmt: skip
 
 
 @njit(parallel=True, **OPTIONS)
 def gather_gradients(
     visible, order, instance_offsets, out, stride, conics, opacities, grad_means2d, grad_conics,
-    grad_opacities, grad_features,
+    grad_opacities, grad_features, absolute,
 ):  # fmt: skip
-    """Sum the slots of every Gaussian, in order: no atomics, the same bits with any number of threads."""
-    channels = grad_features.shape[1]
+    """Sum the slots of every Gaussian, in order: no atomics, the same bits with any number of threads.
+
+    absolute is [N, 2], added to, or [0, 2] where nobody asked for it.
+    """
+    channels, with_absolute = grad_features.shape[1], absolute.shape[0] > 0
+    first_channel = GEOMETRY + ABSOLUTE if with_absolute else GEOMETRY
     for s in prange(visible):
         i = int64(order[s])
         g, gx, gxx, gy, gxy, gyy = ZERO, ZERO, ZERO, ZERO, ZERO, ZERO
@@ -238,7 +268,10 @@ def gather_gradients(
             gxy += out[o + 4]
             gyy += out[o + 5]
             for c in range(channels):
-                grad_features[i, c] += out[o + GEOMETRY + c]
+                grad_features[i, c] += out[o + first_channel + c]
+            if with_absolute:
+                absolute[i, 0] += out[o + GEOMETRY] / EXPONENT
+                absolute[i, 1] += out[o + GEOMETRY + 1] / EXPONENT
         a, b, c = conics[i, 0], conics[i, 1], conics[i, 2]
         grad_means2d[i, 0] = a * gx + b * gy
         grad_means2d[i, 1] = b * gx + c * gy

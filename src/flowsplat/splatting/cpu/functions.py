@@ -22,6 +22,7 @@ def _array(tensor: Tensor) -> np.ndarray:
 
 _NO_QUATS, _NO_SCALES = np.zeros((0, 4), np.float32), np.zeros((0, 3), np.float32)
 _NO_COVARS = np.zeros((0, 3, 3), np.float32)
+_NO_ABSOLUTE = np.zeros((0, 2), np.float32)
 
 
 class _Project(torch.autograd.Function):
@@ -84,7 +85,7 @@ class _Project(torch.autograd.Function):
 class _Blend(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, means2d: Tensor, conics: Tensor, opacities: Tensor, features: Tensor, depths: Tensor,
-                extents: Tensor, width: int, height: int) -> tuple[Tensor, Tensor]:  # fmt: skip
+                extents: Tensor, width: int, height: int, absolute: Tensor | None) -> tuple[Tensor, Tensor]:  # fmt: skip
         lease = Lease()
         space = lease.workspace
         count, channels = features.shape
@@ -95,18 +96,18 @@ class _Blend(torch.autograd.Function):
             space.array("keys_a", count, np.uint32), space.array("keys_b", count, np.uint32),
             space.array("values", count, np.uint32),
         )  # fmt: skip
-        stride = -(-(tiles.GEOMETRY + channels) // 16) * 16
+        sums = tiles.GEOMETRY + (0 if absolute is None else blending.ABSOLUTE)
+        stride = -(-(sums + channels) // 16) * 16
         records = space.array("records", visible * stride, np.float32)
-        tiles.pack(visible, order, xy, conic, opacity, feature, records, stride)
         column_offsets = space.array("column_offsets", visible + 1, np.int64)
-        tiles.count_columns(visible, order, xy, conic, extent, width, column_offsets)
+        tiles.pack(visible, order, xy, conic, opacity, feature, width, records, stride, column_offsets)
         strips = space.array("strips", 3 * tiles.prefix_sum(column_offsets, visible), np.int32).reshape(-1, 3)
         tile_count = -(-width // tiles.TILE_WIDTH) * -(-height // tiles.TILE_HEIGHT)
         chunk_counts = space.array("chunk_counts", numba.get_num_threads() * tile_count, np.int32).reshape(-1, tile_count)
         chunk_counts[:] = 0
         instance_offsets = space.array("instance_offsets", visible + 2, np.int64)
         tiles.cut_strips(
-            visible, order, xy, conic, extent, width, height, column_offsets, strips, chunk_counts, instance_offsets
+            visible, records, stride, width, height, column_offsets, strips, chunk_counts, instance_offsets
         )
         total = tiles.prefix_sum(instance_offsets[1:], visible)
         instance_offsets = instance_offsets[1:]
@@ -125,7 +126,7 @@ class _Blend(torch.autograd.Function):
         ctx.lease, ctx.size, ctx.stride, ctx.visible, ctx.total = lease, (width, height), stride, visible, total
         ctx.tiles = records, instances, tile_offsets, tile_stops, order, instance_offsets
         ctx.save_for_backward(image, transmittance)
-        ctx.inputs = conic, opacity
+        ctx.inputs, ctx.absolute = (conic, opacity), absolute
         ctx.set_materialize_grads(False)
         return image, 1 - transmittance
 
@@ -141,15 +142,17 @@ class _Blend(torch.autograd.Function):
         with numba.parallel_chunksize(8):
             blending.blend_backward(
                 width, height, records, ctx.stride, instances, tile_offsets, tile_stops, image.detach().numpy(),
-                transmittance.numpy(), _array(grad_image), _array(grad_alphas), out, (0,) * tiles.GEOMETRY, (0,) * channels,
+                transmittance.numpy(), _array(grad_image), _array(grad_alphas), out,
+                (0,) * (0 if ctx.absolute is None else blending.ABSOLUTE), (0,) * channels,
             )  # fmt: skip
         grad_means2d, grad_conics = torch.zeros(count, 2), torch.zeros(count, 3)
         grad_opacities, grad_features = torch.zeros(count), torch.zeros(count, channels)
         blending.gather_gradients(
             ctx.visible, order, instance_offsets, out, ctx.stride, conic, opacity, grad_means2d.numpy(),
             grad_conics.numpy(), grad_opacities.numpy(), grad_features.numpy(),
+            _NO_ABSOLUTE if ctx.absolute is None else ctx.absolute.numpy(),
         )  # fmt: skip
-        return grad_means2d, grad_conics, grad_opacities, grad_features, None, None, None, None
+        return grad_means2d, grad_conics, grad_opacities, grad_features, None, None, None, None, None
 
 
 def project(*args: Any) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:

@@ -1,9 +1,10 @@
-"""Sixteen float32 lanes as one value inside Numba kernels.
+"""Several float32 lanes as one value inside Numba kernels: 16 where the processor has AVX-512, 8 elsewhere.
 
-LLVM knows the type ``<16 x float>``: on AVX-512 it is one register, elsewhere LLVM splits it. Numba has no such type, so
-this module gives it one (``f32x16``) with arithmetic operators and a few intrinsics. Functions that take ``channels`` take
-a tuple with one (ignored) entry a feature channel: its length is part of the type, so kernels are compiled for each number
-of channels from this one source, and Numba's cache on disk holds them.
+LLVM knows vector types; where a register is narrower (NEON has 4 lanes) it splits them. Numba has no such type, so this
+module gives it one (``f32xn``) with arithmetic operators and a few intrinsics. Functions that take ``channels`` take a tuple
+with one (ignored) entry a feature channel: its length is part of the type, so kernels are compiled for each number of
+channels from this one source, and Numba's cache on disk holds them. Tuples of vectors stay in registers as far as there are
+enough.
 """
 
 from __future__ import annotations
@@ -11,29 +12,41 @@ from __future__ import annotations
 import operator
 from typing import Any
 
-from llvmlite import ir
+from llvmlite import binding, ir
 from numba import types
-from numba.core import cgutils
+from numba.core import cgutils, config
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, register_model
 
-LANES = 16
+
+
+def _has_avx512() -> bool:
+    """Whether Numba compiles for AVX-512 (``NUMBA_CPU_FEATURES`` included)."""
+    if config.CPU_FEATURES is not None:
+        return "+avx512f" in config.CPU_FEATURES.split(",")
+    return bool(binding.get_host_cpu_features().get("avx512f"))
+
+
+LANES = 16 if _has_avx512() else 8
+BLOCK_WIDTH = 8
+BLOCK_HEIGHT = LANES // BLOCK_WIDTH
+"""A vector is a block of pixels, 8 x 2 or 8 x 1: small Gaussians fill it better than a row of 16."""
 _I32 = ir.IntType(32)
 _VECTOR = ir.VectorType(ir.FloatType(), LANES)
 _INDICES = ir.VectorType(_I32, LANES)
 _FAST = ("reassoc", "contract", "arcp", "nsz", "afn")
 
 
-class _F32x16(types.Type):
+class _F32xN(types.Type):
     def __init__(self) -> None:
-        super().__init__(name="f32x16")
+        super().__init__(name=f"f32x{LANES}")
 
 
-f32x16 = _F32x16()
+f32xn = _F32xN()
 
 
-@register_model(_F32x16)
-class _F32x16Model(models.PrimitiveModel):
+@register_model(_F32xN)
+class _F32xNModel(models.PrimitiveModel):
     def __init__(self, dmm: Any, fe_type: Any) -> None:
         super().__init__(dmm, fe_type, _VECTOR)
 
@@ -51,20 +64,20 @@ def _define_operator(op: Any, instruction: str) -> None:
     @infer_global(op)
     class _Template(ConcreteTemplate):
         cases = [  # noqa: RUF012
-            signature(f32x16, f32x16, f32x16),
-            signature(f32x16, f32x16, types.float32),
-            signature(f32x16, types.float32, f32x16),
+            signature(f32xn, f32xn, f32xn),
+            signature(f32xn, f32xn, types.float32),
+            signature(f32xn, types.float32, f32xn),
         ]
 
-    @lower_builtin(op, f32x16, f32x16)
+    @lower_builtin(op, f32xn, f32xn)
     def _vector_vector(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return getattr(builder, instruction)(*args, flags=_FAST)
 
-    @lower_builtin(op, f32x16, types.float32)
+    @lower_builtin(op, f32xn, types.float32)
     def _vector_scalar(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return getattr(builder, instruction)(args[0], _splat(builder, args[1]), flags=_FAST)
 
-    @lower_builtin(op, types.float32, f32x16)
+    @lower_builtin(op, types.float32, f32xn)
     def _scalar_vector(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return getattr(builder, instruction)(_splat(builder, args[0]), args[1], flags=_FAST)
 
@@ -99,17 +112,17 @@ def _at(builder: Any, pointer: Any, offset: int) -> Any:
 
 @intrinsic
 def load(typingctx, array, index):
-    """Lanes array[index : index + 16]."""
+    """Lanes array[index : index + LANES]."""
 
     def codegen(context, builder, sig, args):
         return _load(builder, _element(context, builder, sig.args[0], *args))
 
-    return f32x16(array, index), codegen
+    return f32xn(array, index), codegen
 
 
 @intrinsic
 def store(typingctx, array, index, value):
-    """array[index : index + 16] = value."""
+    """array[index : index + LANES] = value."""
 
     def codegen(context, builder, sig, args):
         _store(builder, args[2], _element(context, builder, sig.args[0], args[0], args[1]))
@@ -125,17 +138,27 @@ def broadcast(typingctx, scalar):
     def codegen(context, builder, sig, args):
         return _splat(builder, args[0])
 
-    return f32x16(types.float32), codegen
+    return f32xn(types.float32), codegen
 
 
 @intrinsic
-def pixel_centers(typingctx):
-    """0.5, 1.5, ..., 15.5."""
+def block_columns(typingctx):
+    """The x of every pixel centre of a block: 0.5 ... 7.5, once a row."""
 
     def codegen(context, builder, sig, args):
-        return ir.Constant(_VECTOR, [lane + 0.5 for lane in range(LANES)])
+        return ir.Constant(_VECTOR, [lane % BLOCK_WIDTH + 0.5 for lane in range(LANES)])
 
-    return f32x16(), codegen
+    return f32xn(), codegen
+
+
+@intrinsic
+def block_rows(typingctx):
+    """The row of every pixel of a block: 0, then 1."""
+
+    def codegen(context, builder, sig, args):
+        return ir.Constant(_VECTOR, [float(lane // BLOCK_WIDTH) for lane in range(LANES)])
+
+    return f32xn(), codegen
 
 
 @intrinsic
@@ -146,7 +169,7 @@ def where_at_least(typingctx, value, limit, chosen, otherwise):
         mask = builder.fcmp_ordered(">=", args[0], _splat(builder, args[1]))
         return builder.select(mask, args[2], args[3])
 
-    return f32x16(f32x16, types.float32, f32x16, f32x16), codegen
+    return f32xn(f32xn, types.float32, f32xn, f32xn), codegen
 
 
 @intrinsic
@@ -157,7 +180,7 @@ def where_above(typingctx, value, limit, chosen, otherwise):
         mask = builder.fcmp_ordered(">", args[0], _splat(builder, args[1]))
         return builder.select(mask, args[2], args[3])
 
-    return f32x16(f32x16, types.float32, f32x16, f32x16), codegen
+    return f32xn(f32xn, types.float32, f32xn, f32xn), codegen
 
 
 @intrinsic
@@ -167,7 +190,17 @@ def maximum(typingctx, a, b):
     def codegen(context, builder, sig, args):
         return builder.select(builder.fcmp_ordered(">", args[0], args[1]), args[0], args[1])
 
-    return f32x16(f32x16, f32x16), codegen
+    return f32xn(f32xn, f32xn), codegen
+
+
+@intrinsic
+def minimum(typingctx, a, b):
+    """The smaller of two, lane by lane."""
+
+    def codegen(context, builder, sig, args):
+        return builder.select(builder.fcmp_ordered("<", args[0], args[1]), args[0], args[1])
+
+    return f32xn(f32xn, f32xn), codegen
 
 
 @intrinsic
@@ -178,76 +211,92 @@ def minus_magnitude(typingctx, value):
         sign = ir.Constant(_INDICES, [0x80000000] * LANES)
         return builder.bitcast(builder.or_(builder.bitcast(args[0], _INDICES), sign), _VECTOR)
 
-    return f32x16(f32x16), codegen
+    return f32xn(f32xn), codegen
 
 
 @intrinsic
 def largest_lane(typingctx, value):
-    """The largest of the 16 lanes."""
+    """The largest of the lanes."""
 
     def codegen(context, builder, sig, args):
         kind = ir.FunctionType(ir.FloatType(), [_VECTOR])
-        function = cgutils.get_or_insert_function(builder.module, kind, "llvm.vector.reduce.fmax.v16f32")
+        function = cgutils.get_or_insert_function(builder.module, kind, f"llvm.vector.reduce.fmax.v{LANES}f32")
         return builder.call(function, [args[0]], fastmath=("nnan",))
 
-    return types.float32(f32x16), codegen
+    return types.float32(f32xn), codegen
 
 
 @intrinsic
-def reciprocal(typingctx, value):
-    """1 / value for positive values, by an integer first guess and three Newton steps: no divider, no special cases."""
+def no_sums(typingctx, channels):
+    """A tuple of zero vectors, one a channel."""
+    kind = types.UniTuple(f32xn, len(channels))
 
     def codegen(context, builder, sig, args):
-        guess = builder.sub(ir.Constant(_INDICES, [0x7EF311C3] * LANES), builder.bitcast(args[0], _INDICES))
-        result, two = builder.bitcast(guess, _VECTOR), _constant(2.0)
-        for _ in range(3):
-            error = builder.fsub(two, builder.fmul(args[0], result, flags=_FAST), flags=_FAST)
-            result = builder.fmul(result, error, flags=_FAST)
-        return result
+        return context.make_tuple(builder, kind, [_constant(0.0)] * kind.count)
 
-    return f32x16(f32x16), codegen
+    return kind(channels), codegen
 
 
 @intrinsic
-def add_features(typingctx, pixels, row, weight, record, start, channels):
-    """pixels[row + 16 c :][:16] += weight * record[start + c] for every channel c."""
+def load_features(typingctx, record, start, channels):
+    """A tuple of vectors: record[start + c] in every lane, for every channel c."""
+    kind = types.UniTuple(f32xn, len(channels))
+
+    def codegen(context, builder, sig, args):
+        feature = _element(context, builder, sig.args[0], args[0], args[1])
+        values = [_splat(builder, builder.load(_at(builder, feature, c))) for c in range(kind.count)]
+        return context.make_tuple(builder, kind, values)
+
+    return kind(record, start, channels), codegen
+
+
+@intrinsic
+def add_features(typingctx, pixels, row, weight, features):
+    """pixels[row + LANES c :][:LANES] += weight * features[c] for every channel c."""
 
     def codegen(context, builder, sig, args):
         base = _element(context, builder, sig.args[0], args[0], args[1])
-        feature = _element(context, builder, sig.args[3], args[3], args[4])
-        for c in range(len(sig.args[5])):
+        for c, feature in enumerate(cgutils.unpack_tuple(builder, args[3])):
             slot = _at(builder, base, LANES * c)
-            value = _splat(builder, builder.load(_at(builder, feature, c)))
-            product = builder.fmul(args[2], value, flags=_FAST)
+            product = builder.fmul(args[2], feature, flags=_FAST)
             _store(builder, builder.fadd(_load(builder, slot), product, flags=_FAST), slot)
         return context.get_dummy_value()
 
-    return types.void(pixels, row, f32x16, record, start, channels), codegen
+    return types.void(pixels, row, f32xn, features), codegen
 
 
 @intrinsic
-def dot_features(typingctx, pixels, row, weight, record, start, sums, first, channels):
-    """Return sum_c g_c * record[start + c] with g_c = pixels[row + 16 c :][:16], and add weight * g_c to sums[first + 16 c]."""
+def dot_features(typingctx, pixels, row, features):
+    """sum_c pixels[row + LANES c :][:LANES] * features[c]."""
 
     def codegen(context, builder, sig, args):
         base = _element(context, builder, sig.args[0], args[0], args[1])
-        feature = _element(context, builder, sig.args[3], args[3], args[4])
-        total = _element(context, builder, sig.args[5], args[5], args[6])
         result = _constant(0.0)
-        for c in range(len(sig.args[7])):
-            gradient = _load(builder, _at(builder, base, LANES * c))
-            value = _splat(builder, builder.load(_at(builder, feature, c)))
-            result = builder.fadd(result, builder.fmul(gradient, value, flags=_FAST), flags=_FAST)
-            slot = _at(builder, total, LANES * c)
-            product = builder.fmul(args[2], gradient, flags=_FAST)
-            _store(builder, builder.fadd(_load(builder, slot), product, flags=_FAST), slot)
+        for c, feature in enumerate(cgutils.unpack_tuple(builder, args[2])):
+            product = builder.fmul(_load(builder, _at(builder, base, LANES * c)), feature, flags=_FAST)
+            result = builder.fadd(result, product, flags=_FAST)
         return result
 
-    return f32x16(pixels, row, f32x16, record, start, sums, first, channels), codegen
+    return f32xn(pixels, row, features), codegen
+
+
+@intrinsic
+def add_weighted(typingctx, sums, pixels, row, weight):
+    """sums[c] + weight * pixels[row + LANES c :][:LANES] for every channel c."""
+
+    def codegen(context, builder, sig, args):
+        base = _element(context, builder, sig.args[1], args[1], args[2])
+        values = []
+        for c, total in enumerate(cgutils.unpack_tuple(builder, args[0])):
+            product = builder.fmul(args[3], _load(builder, _at(builder, base, LANES * c)), flags=_FAST)
+            values.append(builder.fadd(total, product, flags=_FAST))
+        return context.make_tuple(builder, sig.return_type, values)
+
+    return sums(sums, pixels, row, f32xn), codegen
 
 
 def _transposed_sums(builder: Any, vectors: list[Any]) -> Any:
-    """Up to 16 vectors to one vector whose lane i is the sum over the lanes of vector i."""
+    """Up to LANES vectors to one vector whose lane i is the sum over the lanes of vector i."""
     step = 1
     while step < LANES:
         merged = []
@@ -263,22 +312,20 @@ def _transposed_sums(builder: Any, vectors: list[Any]) -> Any:
 
 
 @intrinsic
-def store_sums(typingctx, sums, out, index, geometry, channels):
-    """out[index + k] = sum over the lanes of sums[16 k :][:16], for as many k as ``geometry`` and ``channels`` have entries.
+def store_sums(typingctx, geometry, features, out, index):
+    """out[index + k] = sum over the lanes of the k-th vector of ``geometry`` and then ``features`` (tuples of vectors).
 
-    Writes whole groups of 16, the last one filled up with zeros.
+    Writes whole groups of LANES, the last one filled up with zeros.
     """
 
     def codegen(context, builder, sig, args):
-        count = len(sig.args[3]) + len(sig.args[4])
-        source = _element(context, builder, sig.args[0], args[0], ir.Constant(ir.IntType(64), 0))
-        target = _element(context, builder, sig.args[1], args[1], args[2])
-        for group in range(0, count, LANES):
-            vectors = [_load(builder, _at(builder, source, LANES * k)) for k in range(group, min(group + LANES, count))]
-            _store(builder, _transposed_sums(builder, vectors), _at(builder, target, group))
+        vectors = [*cgutils.unpack_tuple(builder, args[0]), *cgutils.unpack_tuple(builder, args[1])]
+        target = _element(context, builder, sig.args[2], args[2], args[3])
+        for group in range(0, len(vectors), LANES):
+            _store(builder, _transposed_sums(builder, vectors[group : group + LANES]), _at(builder, target, group))
         return context.get_dummy_value()
 
-    return types.void(sums, out, index, geometry, channels), codegen
+    return types.void(geometry, features, out, index), codegen
 
 
 @intrinsic

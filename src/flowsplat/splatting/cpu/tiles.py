@@ -13,10 +13,14 @@ import numpy as np
 from numba import float32, int64, njit, prange, uint32
 
 from flowsplat.splatting.cpu.projection import HALF, ONE, OPTIONS, ZERO
+from flowsplat.splatting.cpu.simd import BLOCK_HEIGHT, BLOCK_WIDTH
+from flowsplat.splatting.rules import ALPHA_MIN
 
-TILE_WIDTH = 16  # one vector of lanes
-TILE_HEIGHT = 16
+TILE_WIDTH = BLOCK_WIDTH  # one block of pixels wide
+TILE_HEIGHT = 32
 GEOMETRY = 6  # leading entries of a record: x, y, three of the exponent, log2 opacity
+EXPONENT = np.float32(1.4426950408889634 / 8)  # from a natural exponent to one in base 2 divided by 8
+CUT = np.float32(math.log2(ALPHA_MIN) / 8)  # of the exponent: below it nothing is drawn
 
 
 @njit(**OPTIONS)
@@ -54,47 +58,42 @@ def sort_by_depth(depth_bits, extents, order, keys_a, keys_b, values):
     return visible
 
 
+@njit(inline="always", **OPTIONS)
+def _ellipse(records, o, width):
+    """Of the ellipse in which a record is drawn: a, b, c and limit of a x^2 + 2 b x y + c y^2 <= limit, its determinant, and
+    the first and last column of pixels that it covers (first > last: none)."""
+    a, b, c, limit = -records[o + 2], -HALF * records[o + 3], -records[o + 4], max(records[o + 5] - CUT, ZERO)
+    determinant = a * c - b * b
+    half = math.sqrt(limit * c / determinant)
+    left = max(math.ceil(records[o] - half - HALF), ZERO)
+    right = min(math.floor(records[o] + half - HALF), float32(width - 1))
+    return a, b, c, limit, determinant, left, right
+
+
 @njit(parallel=True, **OPTIONS)
-def pack(visible, order, means2d, conics, opacities, features, records, stride):
-    """One record a Gaussian in depth order, the exponent in base 2 and divided by 8 (see ``blending``)."""
-    scale = float32(1.4426950408889634 / 8)
+def pack(visible, order, means2d, conics, opacities, features, width, records, stride, column_offsets):
+    """One record a Gaussian in depth order, the exponent in base 2 and divided by 8 (see ``blending``).
+
+    column_offsets[s] becomes the number of tile columns that Gaussian s touches.
+    """
     channels = features.shape[1]
     for s in prange(visible):
         i = int64(order[s])
         o = s * stride
         records[o] = means2d[i, 0]
         records[o + 1] = means2d[i, 1]
-        records[o + 2] = -HALF * conics[i, 0] * scale
-        records[o + 3] = -conics[i, 1] * scale
-        records[o + 4] = -HALF * conics[i, 2] * scale
+        records[o + 2] = -HALF * conics[i, 0] * EXPONENT
+        records[o + 3] = -conics[i, 1] * EXPONENT
+        records[o + 4] = -HALF * conics[i, 2] * EXPONENT
         records[o + 5] = math.log2(opacities[i]) * float32(0.125)
         for c in range(channels):
             records[o + GEOMETRY + c] = features[i, c]
+        _, _, _, _, _, left, right = _ellipse(records, o, width)
+        column_offsets[s] = int(right) // TILE_WIDTH - int(left) // TILE_WIDTH + 1 if left <= right else 0
 
 
 @njit(parallel=True, **OPTIONS)
-def count_columns(visible, order, means2d, conics, extents, width, column_offsets):
-    """column_offsets[s] = number of tile columns that Gaussian s touches."""
-    for s in prange(visible):
-        i = int64(order[s])
-        first, last = _columns(means2d[i, 0], conics[i, 0], conics[i, 1], conics[i, 2], extents[i], width)
-        column_offsets[s] = max(last - first + 1, 0)
-
-
-@njit(inline="always", **OPTIONS)
-def _columns(x, a, b, c, extent, width):
-    half = math.sqrt(extent * c / (a * c - b * b))
-    left = max(math.ceil(x - half - HALF), ZERO)
-    right = min(math.floor(x + half - HALF), float32(width - 1))
-    if not (left <= right):
-        return 0, -1
-    return int(left) // TILE_WIDTH, int(right) // TILE_WIDTH
-
-
-@njit(parallel=True, **OPTIONS)
-def cut_strips(
-    visible, order, means2d, conics, extents, width, height, column_offsets, strips, chunk_counts, instance_offsets
-):
+def cut_strips(visible, records, stride, width, height, column_offsets, strips, chunk_counts, instance_offsets):
     """For every tile column of a Gaussian the image rows [first, last] that its ellipse covers there.
 
     strips [S, 3]: tile column, first row, last row (first > last: none). chunk_counts [chunks, tiles] counts the instances a
@@ -104,24 +103,20 @@ def cut_strips(
     chunks = chunk_counts.shape[0]
     for chunk in prange(chunks):
         for s in range(visible * chunk // chunks, visible * (chunk + 1) // chunks):
-            i = int64(order[s])
-            x, y, a, b, c, extent = means2d[i, 0], means2d[i, 1], conics[i, 0], conics[i, 1], conics[i, 2], extents[i]
-            determinant = a * c - b * b
-            half = math.sqrt(extent * c / determinant)
-            topmost = -b / a * math.sqrt(extent * a / determinant)  # x offset of the ellipse's lowest point in the image
+            o = s * stride
+            a, b, c, limit, determinant, left, right = _ellipse(records, o, width)
+            x, y = records[o], records[o + 1]
+            lowest = -b * math.sqrt(limit / (a * determinant))  # x offset of the ellipse's lowest point in the image
             inverse = ONE / c
-            left = max(math.ceil(x - half - HALF), ZERO)
-            right = min(math.floor(x + half - HALF), float32(width - 1))
-            first_strip, last_strip = column_offsets[s], column_offsets[s + 1]
             tile_x = int(left) // TILE_WIDTH
             instances = 0
-            for k in range(first_strip, last_strip):
+            for k in range(column_offsets[s], column_offsets[s + 1]):
                 low = max(float32(tile_x * TILE_WIDTH), left) + HALF - x
                 high = min(float32(tile_x * TILE_WIDTH + TILE_WIDTH - 1), right) + HALF - x
-                d = min(max(topmost, low), high)
-                bottom = y + (-b * d + math.sqrt(max(extent * c - determinant * d * d, ZERO))) * inverse
-                d = min(max(-topmost, low), high)
-                top = y + (-b * d - math.sqrt(max(extent * c - determinant * d * d, ZERO))) * inverse
+                d = min(max(lowest, low), high)
+                bottom = y + (-b * d + math.sqrt(max(limit * c - determinant * d * d, ZERO))) * inverse
+                d = min(max(-lowest, low), high)
+                top = y + (-b * d - math.sqrt(max(limit * c - determinant * d * d, ZERO))) * inverse
                 first = int(min(max(math.ceil(top - HALF), ZERO), float32(height)))
                 last = int(max(min(math.floor(bottom - HALF), float32(height - 1)), float32(-1)))
                 strips[k, 0] = tile_x
@@ -137,7 +132,7 @@ def cut_strips(
 
 @njit(parallel=True, **OPTIONS)
 def fill_tiles(visible, width, column_offsets, strips, chunk_counts, instance_offsets, instances):
-    """instances [I, 3]: Gaussian (depth order), first row | last row << 8 within the tile, slot (grouped by Gaussian).
+    """instances [I, 3]: Gaussian (depth order), first | last << 8 row of blocks within the tile, slot (grouped by Gaussian).
 
     chunk_counts holds where each chunk writes in each tile, so the result does not depend on the number of chunks.
     """
@@ -155,7 +150,8 @@ def fill_tiles(visible, width, column_offsets, strips, chunk_counts, instance_of
                         chunk_counts[chunk, tile] = place + 1
                         row = tile_y * TILE_HEIGHT
                         instances[place, 0] = s
-                        instances[place, 1] = max(first - row, 0) | (min(last - row, TILE_HEIGHT - 1) << 8)
+                        top, bottom = max(first - row, 0) // BLOCK_HEIGHT, min(last - row, TILE_HEIGHT - 1) // BLOCK_HEIGHT
+                        instances[place, 1] = top | bottom << 8
                         instances[place, 2] = slot
                         slot += 1
 

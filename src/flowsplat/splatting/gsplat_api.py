@@ -1,0 +1,303 @@
+"""gsplat's ``rasterization`` on the CPU, so that its users change one import: ``from flowsplat import rasterization``.
+
+A thin layer over ``project`` and ``blend``, one camera after the other. Names, shapes, defaults and return values are those of
+gsplat 1.5 (https://docs.gsplat.studio/main/apis/rasterization.html); what is not covered raises a ValueError that names the
+argument.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any, Literal
+
+import torch
+from torch import Tensor
+
+from flowsplat.splatting.api import BackendName, Projected, blend, project
+from flowsplat.splatting.harmonics import colours_from_harmonics, harmonics_count
+from flowsplat.splatting.rules import EPS2D
+
+RenderMode = Literal["RGB", "D", "ED", "RGB+D", "RGB+ED"]
+MAX_DEGREE = 3
+# Below this the compensated opacity is under 1/255 whatever it was: nothing is drawn, and a root has no slope at 0.
+_MIN_RATIO = 1e-8
+
+
+def rasterization(
+    means: Tensor,
+    quats: Tensor | None,
+    scales: Tensor | None,
+    opacities: Tensor,
+    colors: Tensor,
+    viewmats: Tensor,
+    Ks: Tensor,
+    width: int,
+    height: int,
+    near_plane: float = 0.01,
+    far_plane: float = 1e10,
+    radius_clip: float = 0.0,
+    eps2d: float = EPS2D,
+    sh_degree: int | None = None,
+    packed: bool = True,
+    tile_size: int = 16,
+    backgrounds: Tensor | None = None,
+    render_mode: RenderMode = "RGB",
+    sparse_grad: bool = False,
+    absgrad: bool = False,
+    rasterize_mode: Literal["classic", "antialiased"] = "classic",
+    channel_chunk: int = 32,
+    distributed: bool = False,
+    camera_model: str = "pinhole",
+    segmented: bool = False,
+    covars: Tensor | None = None,
+    with_ut: bool = False,
+    with_eval3d: bool = False,
+    radial_coeffs: Tensor | None = None,
+    tangential_coeffs: Tensor | None = None,
+    thin_prism_coeffs: Tensor | None = None,
+    ftheta_coeffs: Any = None,
+    rolling_shutter: Any = None,
+    viewmats_rs: Tensor | None = None,
+    *,
+    backend: BackendName = "auto",
+) -> tuple[Tensor, Tensor, dict[str, Any]]:
+    """Render N Gaussians into C cameras, differentiable in everything (``Ks`` too). Leading ``...`` are batch dimensions.
+
+    Args:
+        means: [..., N, 3] world.
+        quats: [..., N, 4] wxyz, any length; ignored with ``covars``.
+        scales: [..., N, 3] standard deviations; ignored with ``covars``.
+        opacities: [..., N] between 0 and 1.
+        colors: [..., (C,) N, D] colours or any features; with ``sh_degree`` [..., (C,) N, K, 3] harmonics coefficients.
+        viewmats: [..., C, 4, 4] world to camera, OpenCV axes.
+        Ks: [..., C, 3, 3] pixels; the centre of the top-left pixel is (0.5, 0.5).
+        width: pixels.
+        height: pixels.
+        near_plane: Gaussians nearer are culled.
+        far_plane: Gaussians farther are culled.
+        radius_clip: Gaussians whose half width and half height in pixels are both at most this are culled.
+        eps2d: px^2 added to every 2D covariance.
+        sh_degree: 0 to 3: how many bands of ``colors`` count. None: ``colors`` are colours.
+        packed: meta holds what is visible, as [nnz, ...], and not [..., C, N, ...].
+        tile_size: accepted, without effect.
+        backgrounds: [..., C, D] seen where alpha < 1; depth has none. None = zeros.
+        render_mode: ``RGB`` gives ``colors``, ``D`` depth as it accumulates, ``ED`` depth divided by alpha; or both.
+        sparse_grad: refused: gradients are dense.
+        absgrad: backward also fills ``meta["means2d"].absgrad`` (AbsGS, https://arxiv.org/abs/2404.10484).
+        rasterize_mode: ``antialiased`` multiplies the opacities by sqrt(det(cov) / det(cov + eps2d I)), cov being the 2D
+            covariance (Mip-Splatting, https://arxiv.org/abs/2311.16493).
+        channel_chunk: accepted, without effect.
+        distributed: refused.
+        camera_model: ``pinhole``; others are refused.
+        segmented: accepted, without effect.
+        covars: [..., N, 3, 3] covariances in place of quats and scales.
+        with_ut: refused.
+        with_eval3d: refused.
+        radial_coeffs: refused, as is every lens distortion.
+        tangential_coeffs: refused.
+        thin_prism_coeffs: refused.
+        ftheta_coeffs: refused.
+        rolling_shutter: None or gsplat's GLOBAL; others are refused.
+        viewmats_rs: refused.
+        backend: ``cpu`` (float32), ``reference`` (the oracle: any float type, slow) or ``auto``. Not in gsplat.
+
+    Returns:
+        colours [..., C, H, W, D, D + 1 or 1]; alphas [..., C, H, W, 1]; and meta, a dict with ``means2d`` (call
+        ``retain_grad()`` on it before backward), ``conics``, ``depths``, ``radii`` (0 where culled), ``opacities`` (as drawn),
+        ``batch_ids``, ``camera_ids`` and ``gaussian_ids`` [nnz] int64 (None unless packed), ``width``, ``height``,
+        ``n_cameras`` and ``n_batches``. gsplat's lists of tiles are not there.
+
+    Raises:
+        ValueError: a shape does not fit, or an argument asks for what is not covered.
+    """
+    uncovered = {
+        "sparse_grad": sparse_grad,
+        "distributed": distributed,
+        "camera_model": camera_model != "pinhole",
+        "with_ut": with_ut,
+        "with_eval3d": with_eval3d,
+        "radial_coeffs": radial_coeffs is not None,
+        "tangential_coeffs": tangential_coeffs is not None,
+        "thin_prism_coeffs": thin_prism_coeffs is not None,
+        "ftheta_coeffs": ftheta_coeffs is not None,
+        "rolling_shutter": rolling_shutter is not None and getattr(rolling_shutter, "name", "") != "GLOBAL",
+        "viewmats_rs": viewmats_rs is not None,
+    }
+    for name, asked_for in uncovered.items():
+        if asked_for:
+            raise ValueError(f"{name} is not covered by flowsplat's rasterization: leave it at its default")
+    if render_mode not in ("RGB", "D", "ED", "RGB+D", "RGB+ED"):
+        raise ValueError(f"render_mode must be RGB, D, ED, RGB+D or RGB+ED, not {render_mode!r}")
+    if rasterize_mode not in ("classic", "antialiased"):
+        raise ValueError(f"rasterize_mode must be classic or antialiased, not {rasterize_mode!r}")
+    if covars is not None:
+        quats = scales = None
+    batch, count, cameras, tail = _shapes(means, quats, scales, opacities, colors, viewmats, Ks, covars, backgrounds, sh_degree)
+
+    # From here on everything is a list with one entry an image, which is one camera of one batch entry.
+    batches = math.prod(batch)
+    images = range(batches * cameras)
+
+    def of_entry(value: Tensor | None, *shape: int) -> list[Any]:
+        entries: Any = [None] * batches if value is None else value.reshape(batches, *shape).unbind(0)
+        return [entry for entry in entries for _ in range(cameras)]
+
+    def of_image(value: Tensor, *shape: int) -> Any:
+        return value.reshape(len(images), *shape).unbind(0)
+
+    all_means, all_opacities = of_entry(means, count, 3), of_entry(opacities, count)
+    all_quats, all_scales, all_covars = of_entry(quats, count, 4), of_entry(scales, count, 3), of_entry(covars, count, 3, 3)
+    all_viewmats, all_Ks = of_image(viewmats, 4, 4), of_image(Ks, 3, 3)
+    per_camera = colors.ndim > len(batch) + 1 + len(tail)
+    all_colors = of_image(colors, count, *tail) if per_camera else of_entry(colors, count, *tail)
+    centres = of_image(torch.linalg.inv(viewmats)[..., :3, 3], 3) if sh_degree else None
+    behind = None if backgrounds is None else of_image(backgrounds, tail[-1])
+
+    projections, drawn, chosen = [], [], []
+    for i in images:
+        projected, compensated = _project_image(
+            all_means[i], all_quats[i], all_scales[i], all_covars[i], all_opacities[i], all_viewmats[i], all_Ks[i], width,
+            height, near_plane, far_plane, eps2d, radius_clip, rasterize_mode == "antialiased", backend,
+        )  # fmt: skip
+        projections.append(projected)
+        drawn.append(compensated)
+        chosen.append(torch.nonzero(projected.visible).squeeze(1))
+    sizes = [len(ids) if packed else count for ids in chosen]
+
+    def pick(value: Tensor, i: int) -> Tensor:
+        return value.index_select(0, chosen[i]) if packed else value
+
+    def join(values: list[Tensor]) -> Tensor:
+        picked = [pick(value, i) for i, value in enumerate(values)]
+        return torch.cat(picked) if packed else torch.stack(picked).reshape(*batch, cameras, *picked[0].shape)
+
+    meta: dict[str, Any] = {
+        name: join([getattr(p, name) for p in projections]) for name in ("means2d", "conics", "depths", "radii")
+    }
+    meta["opacities"] = join(drawn)
+    # What is drawn comes from the tensors in meta, so that their gradients can be read there.
+    parts = {name: value.reshape(sum(sizes), *value.shape[meta["depths"].ndim :]).split(sizes) for name, value in meta.items()}
+    if absgrad:
+        absolute = meta["means2d"].absgrad = torch.zeros_like(meta["means2d"])
+        for part, target in zip(parts["means2d"], absolute.reshape(-1, 2).split(sizes), strict=True):
+            part.absgrad = target
+
+    pictures, alphas = [], []
+    for i in images:
+        geometry = {name: parts[name][i] for name in ("means2d", "conics", "depths", "radii")}
+        extents = projections[i].extents
+        projected = replace(projections[i], extents=None if extents is None else pick(extents, i), **geometry)
+        features = []
+        if "RGB" in render_mode:
+            colour = pick(all_colors[i], i)
+            if sh_degree is not None:
+                directions = None if centres is None else pick(all_means[i], i) - centres[i]
+                colour = colours_from_harmonics(colour, directions, sh_degree)
+            features.append(colour)
+        if "D" in render_mode:
+            features.append(geometry["depths"][:, None])
+        picture, alpha = blend(projected, parts["opacities"][i], torch.cat(features, 1), width, height, absgrad=absgrad)
+        alpha = alpha[..., None]
+        if "ED" in render_mode:
+            picture = torch.cat([picture[..., :-1], picture[..., -1:] / alpha.clamp(min=1e-10)], -1)
+        if behind is not None and "RGB" in render_mode:
+            zeros = picture.shape[-1] - tail[-1]  # nothing is behind depth
+            picture = picture + (1 - alpha) * torch.nn.functional.pad(behind[i], (0, zeros))
+        pictures.append(picture)
+        alphas.append(alpha)
+
+    meta |= dict.fromkeys(("batch_ids", "camera_ids", "gaussian_ids"))
+    if packed:
+        image_ids = torch.repeat_interleave(torch.tensor(sizes, device=means.device))
+        meta |= {"batch_ids": image_ids // cameras, "camera_ids": image_ids % cameras, "gaussian_ids": torch.cat(chosen)}
+    meta |= {"width": width, "height": height, "n_batches": batches, "n_cameras": cameras}
+    shape = (*batch, cameras, height, width)
+    return torch.stack(pictures).reshape(*shape, -1), torch.stack(alphas).reshape(*shape, 1), meta
+
+
+def _shapes(
+    means: Tensor,
+    quats: Tensor | None,
+    scales: Tensor | None,
+    opacities: Tensor,
+    colors: Tensor,
+    viewmats: Tensor,
+    Ks: Tensor,
+    covars: Tensor | None,
+    backgrounds: Tensor | None,
+    sh_degree: int | None,
+) -> tuple[tuple[int, ...], int, int, tuple[int, ...]]:
+    """Check all shapes: batch dimensions, N, C and what ``colors`` holds for a Gaussian, (D,) or (K, 3)."""
+
+    def check(name: str, value: Tensor, *shape: int) -> None:
+        if value.shape != (*batch, *shape):
+            raise ValueError(f"{name} must be {[*batch, *shape]}, not {list(value.shape)}")
+
+    if means.ndim < 2 or viewmats.ndim < 3 or 0 in viewmats.shape:
+        raise ValueError("means must be [..., N, 3] and viewmats [..., C, 4, 4] with one camera or more")
+    batch, count, cameras = tuple(means.shape[:-2]), means.shape[-2], viewmats.shape[-3]
+    check("means", means, count, 3)
+    if covars is not None:
+        check("covars", covars, count, 3, 3)
+    elif quats is None or scales is None:
+        raise ValueError("give quats [..., N, 4] and scales [..., N, 3], or covars [..., N, 3, 3]")
+    else:
+        check("quats", quats, count, 4)
+        check("scales", scales, count, 3)
+    check("opacities", opacities, count)
+    check("viewmats", viewmats, cameras, 4, 4)
+    check("Ks", Ks, cameras, 3, 3)
+    if sh_degree is not None and not 0 <= sh_degree <= MAX_DEGREE:
+        raise ValueError(f"sh_degree must be None or 0 to {MAX_DEGREE}, not {sh_degree}")
+    own = 1 if sh_degree is None else 2
+    tail = tuple(colors.shape[-own:])
+    if colors.shape not in ((*batch, count, *tail), (*batch, cameras, count, *tail)):
+        wanted = "[..., (C,) N, D]" if sh_degree is None else "[..., (C,) N, K, 3] with sh_degree"
+        raise ValueError(f"colors must be {wanted}, N = {count}, C = {cameras}, not {list(colors.shape)}")
+    if sh_degree is not None and (tail[1] != 3 or tail[0] < harmonics_count(sh_degree)):
+        raise ValueError(f"colors must hold [{harmonics_count(sh_degree)} or more, 3] a Gaussian for sh_degree {sh_degree}")
+    if backgrounds is not None:
+        check("backgrounds", backgrounds, cameras, tail[-1])
+    return batch, count, cameras, tail
+
+
+def _project_image(
+    means: Tensor,
+    quats: Tensor | None,
+    scales: Tensor | None,
+    covars: Tensor | None,
+    opacities: Tensor,
+    viewmat: Tensor,
+    K: Tensor,
+    width: int,
+    height: int,
+    near_plane: float,
+    far_plane: float,
+    eps2d: float,
+    radius_clip: float,
+    antialiased: bool,
+    backend: BackendName,
+) -> tuple[Projected, Tensor]:
+    """Project into one camera, compensate and clip: what is visible, and the opacities [N] to draw it with."""
+
+    def with_opacities(values: Tensor) -> Projected:
+        return project(
+            means, quats, scales, values, viewmat, K, width, height, covars=covars, near_plane=near_plane,
+            far_plane=far_plane, eps2d=eps2d, backend=backend,
+        )  # fmt: skip
+
+    projected = with_opacities(opacities)
+    if antialiased:
+        a, b, c = torch.where(projected.visible[:, None], projected.conics, torch.zeros_like(projected.conics)).unbind(1)
+        # The conic is the inverse of cov + eps2d I, so det(cov) / det(cov + eps2d I) = det(I - eps2d conic).
+        ratio = 1 - eps2d * (a + c) + eps2d * eps2d * (a * c - b * b)
+        opacities = opacities * torch.sqrt(ratio.clamp(min=_MIN_RATIO))
+        with torch.no_grad():
+            smaller = with_opacities(opacities)  # fainter Gaussians cover fewer pixels, or none
+        projected = replace(projected, radii=smaller.radii, extents=smaller.extents)
+    if radius_clip > 0:
+        kept = (projected.radii > radius_clip).any(1)
+        extents = projected.extents
+        projected = replace(projected, radii=projected.radii * kept[:, None], extents=None if extents is None else extents * kept)
+    return projected, opacities
