@@ -1,121 +1,124 @@
-"""How fast the CPU backend is on this machine: projecting and blending forward and backward, and the fused operations.
+"""How fast the CPU backend is on this machine, and how far from what the machine could do.
 
-    python benchmarks/cpu.py [--count 100000] [--repeat 15] [-o benchmarks/results/cpu-<name>.json]
+    python benchmarks/cpu.py                      # everything; the result goes to benchmarks/results/
+    python benchmarks/cpu.py --quick              # fewer repetitions, nothing is written
+    python benchmarks/cpu.py --docs docs/benchmarks_cpu.md
+    python benchmarks/cpu.py --only rasterizer --compare benchmarks/results/cpu-<processor>.json
+    python benchmarks/cpu.py --read benchmarks/results/cpu-<processor>.json --docs docs/benchmarks_cpu.md   # measures nothing
 
-The work load: Gaussians on a bumpy ground with round objects, 85 % of them about 1.35 pixels and 15 % about 4 pixels large,
-seen at 854 x 480. Every figure is the minimum and the median of many in one process; compare ratios, not machines.
+The tables are printed as they stand in the docs. What is compared takes turns in one process, and every time is the minimum and
+the median of many; still, let nothing else run.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import os
-import platform
-import time
+import re
 from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import datetime, timezone
 from pathlib import Path
+from typing import Any
 
 import numba
-import numpy as np
-import torch
+from cpu_parts import large, machine, rasterizer, scaling, startup, step, variants
+from cpu_parts.report import comparison, markdown
+from cpu_parts.timing import tell
 
-from flowsplat.splatting import blend, project
-from flowsplat.training.adam import RowAdam
-from flowsplat.training.ssim import colour_loss
+from flowsplat.common.files import write_json, write_text
 
-WIDTH, HEIGHT = 854, 480
+RESULTS = Path(__file__).parent / "results"
 
 
-def work_load(count: int) -> dict[str, torch.Tensor]:
-    """Gaussians in front of a camera at the origin."""
-    rng = np.random.default_rng(0)
-    focal = 0.85 * WIDTH
-    u, v = rng.uniform(0, WIDTH, count), rng.uniform(0, HEIGHT, count)
-    x, y = (u - WIDTH / 2) / WIDTH, (v - HEIGHT / 2) / WIDTH
-    depth = 6 - 4 * y + 0.6 * np.sin(9 * x) * np.cos(7 * y)
-    for cx, cy, radius, near in ((-0.2, 0.05, 0.12, 3.0), (0.15, -0.05, 0.17, 3.8), (0.3, 0.12, 0.08, 2.5), (0, 0.15, 0.1, 2.8)):
-        squared = (x - cx) ** 2 + (y - cy) ** 2
-        depth = np.where(squared < radius**2, near - 3 * np.sqrt(np.maximum(radius**2 - squared, 0)), depth)
-    depth *= 1 + 0.02 * rng.standard_normal(count)
-    pixels = np.where(rng.random(count) < 0.15, 4.0, 1.35) * np.exp(0.3 * rng.standard_normal(count))
-    scales = (pixels * depth / focal)[:, None] * np.exp(0.35 * rng.standard_normal((count, 3)))
-    means = np.stack([(u - WIDTH / 2) / focal * depth, (v - HEIGHT / 2) / focal * depth, depth], 1)
-    values = {
-        "means": means, "quats": rng.standard_normal((count, 4)), "scales": scales, "opacities": rng.uniform(0.1, 0.99, count),
+@dataclass(frozen=True)
+class Effort:
+    """How often everything is measured."""
+
+    rasterizer: int = 25
+    torch: int = 3
+    training: int = 16
+    viewing: int = 30
+    growth: int = 7
+    counts: tuple[int, ...] = (10_000, 30_000, 100_000, 300_000, 1_000_000)
+    sizes: tuple[str, ...] = tuple(scaling.SIZES)
+    channels: tuple[int, ...] = (1, 3, 6, 10, 16)
+    large: int = 5
+    warm: int = 7
+    cold: int = 2
+    turns: int = 3
+
+
+QUICK = Effort(
+    rasterizer=5, torch=1, training=4, viewing=6, growth=2, counts=(10_000, 100_000, 1_000_000), sizes=("240p", "480p", "4K"),
+    channels=(3, 6, 10), large=2, warm=2, cold=1, turns=1,
+)  # fmt: skip
+
+
+def measure(options: argparse.Namespace) -> dict[str, Any]:
+    """Everything that was asked for, as it goes into the file."""
+    effort = QUICK if options.quick else Effort()
+    available = numba.config.NUMBA_NUM_THREADS
+    threads = sorted({min(count, available) for count in options.threads})
+    most, limits = threads[-1], machine.Limits()
+    sizes = scaling.SIZES["480p"], scaling.SIZES["240p"]
+    parts: dict[str, Callable[[], dict[str, Any]]] = {
+        "rasterizer": lambda: rasterizer.measure(limits, sizes, (3, 6, 10), threads, effort.rasterizer),
+        "torch": lambda: rasterizer.compare_with_torch(sizes[0], 3, threads, effort.torch),
+        "training": lambda: step.measure_training(most, effort.training),
+        "viewing": lambda: step.measure_viewing(most, effort.viewing),
+        "scaling": lambda: scaling.measure(limits, effort.counts, effort.sizes, effort.channels, most, effort.growth),
+        "large": lambda: large.measure(most, effort.large),
+        "startup": lambda: startup.measure(effort.warm, effort.cold),
+    }
+    result: dict[str, Any] = {
+        "format": 1, "date": datetime.now(timezone.utc).isoformat(timespec="seconds"), "quick": options.quick,
+        "machine": machine.describe(), **machine.commit(RESULTS.parents[1]), "load_before": machine.load(),
     }  # fmt: skip
-    return {name: torch.from_numpy(value.astype(np.float32)).requires_grad_() for name, value in values.items()}
+    for name in options.only or parts:
+        tell(f"{name} ...")
+        result[name] = parts[name]()
+    if options.isa or options.layer:
+        tell("variants ...")
+        chosen = [name for name in (options.isa, options.layer) if name]
+        result["variants"] = variants.measure(chosen, threads, effort.turns, options.quick)
+    return result | {"load_after": machine.load(), "limits": limits.to_json()}
 
 
-def measure(parts: Callable[[], list[float]], repeat: int) -> list[dict[str, float]]:
-    """Minimum and median in ms of every part, after two rounds of warming up."""
-    times = np.array([parts() for _ in range(repeat + 2)][2:]) * 1e3
-    both = zip(times.min(0), np.median(times, 0), strict=True)
-    return [{"min_ms": round(float(a), 2), "median_ms": round(float(b), 2)} for a, b in both]
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parts = ("rasterizer", "torch", "training", "viewing", "scaling", "large", "startup")
+    parser.add_argument("--quick", action="store_true", help="few repetitions")
+    parser.add_argument("--only", nargs="+", choices=parts, help="only these parts")
+    parser.add_argument("--threads", nargs="+", type=int, default=[1, 2], help="numbers of threads; the most is used where one is")
+    parser.add_argument("--isa", choices=["avx2"], help="the rasterizer once more, compiled for this instruction set")
+    parser.add_argument("--layer", choices=["workqueue"], help="the rasterizer once more, with this threading layer of Numba")
+    parser.add_argument("--read", type=Path, metavar="JSON", help="measure nothing, show this result")
+    parser.add_argument("--compare", type=Path, metavar="JSON", help="print the ratios to an earlier result")
+    parser.add_argument("--docs", type=Path, metavar="MD", help="write the tables into this page")
+    parser.add_argument("-o", "--out", type=Path, metavar="JSON", help="write the result here")
+    return parser
 
 
-def rasterizer(count: int, channels: int, repeat: int) -> dict[str, dict[str, float]]:
-    """Projection, blending and the gradient of both."""
-    g = work_load(count)
-    features = torch.randn(count, channels, requires_grad=True)
-    viewmat, focal = torch.eye(4), 0.85 * WIDTH
-    K = torch.tensor([[focal, 0, WIDTH / 2], [0, focal, HEIGHT / 2], [0, 0, 1]])
-    gradient = torch.randn(HEIGHT, WIDTH, channels)
-
-    def parts() -> list[float]:
-        start = time.perf_counter()
-        projected = project(g["means"], g["quats"], g["scales"], g["opacities"], viewmat, K, WIDTH, HEIGHT)
-        projected_at = time.perf_counter()
-        image, _ = blend(projected, g["opacities"], features, WIDTH, HEIGHT)
-        blended_at = time.perf_counter()
-        image.backward(gradient)
-        return [projected_at - start, blended_at - projected_at, time.perf_counter() - blended_at]
-
-    return dict(zip(("project", "blend", "backward"), measure(parts, repeat), strict=True))
-
-
-def operations(repeat: int) -> dict[str, dict[str, float]]:
-    """The fused colour loss with its gradient, and one Adam step of 200,000 rows of 48 numbers."""
-    image, target = torch.rand(HEIGHT, WIDTH, 3, requires_grad=True), torch.rand(HEIGHT, WIDTH, 3)
-    value, gradient = torch.randn(200_000, 48), torch.randn(200_000, 48)
-    adam, rows, rates = RowAdam({"p": value}), torch.arange(200_000), torch.full((48,), 1e-3)
-
-    def parts() -> list[float]:
-        start = time.perf_counter()
-        colour_loss(image, target, 0.2).backward()
-        lost_at = time.perf_counter()
-        adam.begin_step(rows)
-        adam.step("p", value, rows, gradient, rates)
-        return [lost_at - start, time.perf_counter() - lost_at]
-
-    return dict(zip(("colour loss", "adam"), measure(parts, repeat), strict=True))
-
-
-def processor() -> str:
-    """Its name, where the system tells."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return platform.processor()
-    name = next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), platform.processor())
-    flags = next((line for line in lines if line.startswith("flags")), "")
-    return f"{name}, {'AVX-512' if 'avx512f' in flags else 'AVX2' if 'avx2' in flags else 'other'}"
+def main() -> None:
+    """Measure, print, write."""
+    options = _parser().parse_args()
+    result = json.loads(options.read.read_text(encoding="utf-8")) if options.read else measure(options)
+    page = markdown(result)
+    print(page)
+    if options.compare:
+        print(comparison(result, json.loads(options.compare.read_text(encoding="utf-8"))))
+    whole = not (options.read or options.quick or options.only)
+    name = re.sub(r"[^a-z0-9]+", "-", result["machine"]["processor"].lower()).strip("-")
+    out = options.out or (RESULTS / f"cpu-{name}.json" if whole else None)
+    if out:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        write_json(out, result)
+        tell(f"wrote {out}")
+    if options.docs:
+        write_text(options.docs, page)
+        tell(f"wrote {options.docs}")
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--count", type=int, default=100_000)
-    parser.add_argument("--repeat", type=int, default=15)
-    parser.add_argument("-o", "--out", type=Path)
-    options = parser.parse_args()
-    threads = numba.get_num_threads()
-    torch.set_num_threads(threads)
-    result = {
-        "machine": processor(), "cores": os.cpu_count(), "threads": threads, "count": options.count,
-        "size": [WIDTH, HEIGHT], "rasterizer": {f"C={c}": rasterizer(options.count, c, options.repeat) for c in (3, 6, 10)},
-        "operations": operations(options.repeat),
-    }  # fmt: skip
-    text = json.dumps(result, indent=1)
-    print(text)
-    if options.out:
-        options.out.write_text(text + "\n")
+    main()

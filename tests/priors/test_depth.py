@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from flowsplat.geometry import Camera, Similarity
 from flowsplat.geometry.cameras import camera_flow
+from flowsplat.priors.continuity import Continuity
 from flowsplat.priors.depth import depth_stage
 from flowsplat.priors.depth.clip import SolvedClip
 from flowsplat.priors.depth.fill import fill, upsample
@@ -150,7 +151,7 @@ def test_cards_are_smooth_and_stay_near():
 def test_long_flows_reach_far(tmp_path: Path):
     scene = write_planes(tmp_path, step=2, square=False)
     flow_stage(scene)
-    flows = LongFlows(scene)
+    flows = LongFlows(scene, Continuity(scene))
     assert flows.neighbours(1) == [0, 2, 3, 5, 9]
     flow, confidence = flows.matches(1, 9)
     inside = (slice(5, -5), slice(20, -5))

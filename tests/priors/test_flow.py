@@ -77,7 +77,8 @@ def test_the_stage_joins_training_frames_across_held_out_ones_and_resumes(tmp_pa
     assert scene.train_frames == [0, 1, 3, 4, 5]
     assert set(scene.flow_pairs) == {(0, 1), (1, 0), (1, 3), (3, 1), (3, 4), (4, 3), (4, 5), (5, 4)}
     assert np.median(scene.flow(1, 3).flow[..., 0]) == pytest.approx(-2, abs=0.1)
-    assert scene.prior("flow")["median_confidence"] > 0.9
+    assert scene.prior("flow")["trusted"] > 0.9
+    assert "pixels match" in scene.prior("flow")["verdict"]
     first, lost = (scene.folder / "flow" / name for name in ("00000_00001.npz", "00004_00005.npz"))
     stamp, content = first.stat().st_mtime_ns, lost.read_bytes()
     lost.unlink()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+import sys
 from pathlib import Path
 
 import cv2
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 from flowsplat.common.errors import InputError
+from flowsplat.priors.flow import flow_stage
 from flowsplat.priors.given import GivenPriors, use_given, use_truth
 from flowsplat.priors.prepare import PriorsOptions, prepare_priors
 from flowsplat.scenes import Flow, Scene
@@ -94,6 +96,76 @@ def test_a_filmed_clip_has_no_truth(tmp_path: Path):
     (tmp_path / "truth").rename(tmp_path / "other")
     with pytest.raises(InputError, match="no truth"):
         prepare_priors(scene, PriorsOptions(priors="true"))
+
+
+def test_one_way_of_given_flow_is_kept_and_the_other_computed(tmp_path: Path):
+    scene = write_planes(tmp_path / "scene", step=2, square=False, holdout=5)
+    pairs = [(i, i + step) for step in (1, 2) for i in range(FRAMES - step)]
+    (tmp_path / "cache").mkdir()
+    np.save(tmp_path / "cache" / "flows.npy", np.full((len(pairs), 2, HEIGHT // 2, WIDTH // 2), 0.25, np.float16))
+    np.save(tmp_path / "cache" / "flows_masks.npy", np.ones((len(pairs), 1, HEIGHT // 2, WIDTH // 2), bool))
+    np.save(tmp_path / "cache" / "ii-jj.npy", np.array(pairs).T)
+    assert use_given(scene, GivenPriors(flow=tmp_path / "cache")) == {}
+    flow_stage(scene)
+    assert scene.prior("flow")["pairs"] == len(scene.train_frames) - 1
+    np.testing.assert_array_equal(scene.flow(3, 5).flow[40, 60], [0.5, 0.5])
+    assert np.median(scene.flow(5, 3).flow[..., 0]) == pytest.approx(4, abs=0.2)
+
+
+def test_given_depth_in_other_units_is_fitted_to_the_cameras(tmp_path: Path):
+    scene = write_planes(tmp_path / "scene", step=2, square=True, holdout=5)
+    for i in scene.train_frames:
+        scene.write_mask(i, scene.truth.mask(i))
+    scene.finish_prior("masks", method="given")
+    (tmp_path / "depth").mkdir()
+    for i in range(FRAMES):
+        np.savez(tmp_path / "depth" / f"{i:05d}.npz", dep=(7 + i) * scene.truth.depth(i).depth)
+    seconds = prepare_priors(scene, PriorsOptions(given=GivenPriors(depth=tmp_path / "depth")))
+    assert set(seconds) == {"given", "flow", "depth", "tracks"}
+    how = scene.prior("depth")
+    assert how["method"] == "given"
+    assert "MoSca" in how["verdict"]
+    mask = scene.mask(5) > 0
+    assert np.median(scene.depth(5).depth[~mask]) == pytest.approx(WALL, rel=0.03)
+    assert np.median(scene.depth(5).depth[mask]) == pytest.approx(WALL / 2, rel=0.1)
+    assert prepare_priors(scene, PriorsOptions(given=GivenPriors(depth=tmp_path / "depth"))) == {}
+
+
+def test_clicks_take_the_place_of_other_masks(tmp_path: Path):
+    scene = write_planes(tmp_path, step=2, square=True, holdout=5)
+    for i in scene.train_frames:
+        scene.write_mask(i, np.full((HEIGHT, WIDTH), 1, np.uint8))
+    scene.finish_prior("masks", method="given")
+    x, y = square_at(3)
+    options = PriorsOptions(mask_click=(f"{x + 14},{y + 14}@3",), mask_box=(f"{x - 2},{y - 2},{x + 30},{y + 30}@3",))
+    assert set(prepare_priors(scene, options)) == {"flow", "masks", "depth", "tracks"}
+    assert scene.prior("masks")["method"] == "clicks"
+    assert scene.prior("masks")["objects"] == 1
+    true = scene.truth.mask(3) > 0
+    assert ((scene.mask(3) > 0) & true).sum() > 0.8 * true.sum()
+    assert prepare_priors(scene, options) == {}
+    with pytest.raises(InputError, match=r"--given.masks and --mask-click.*give one"):
+        prepare_priors(scene, PriorsOptions(given=GivenPriors(masks=tmp_path), mask_click=("1,1@0",)))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (PriorsOptions(depth="depth-pro"), "--depth depth-pro needs transformers.*--depth multiview"),
+        (PriorsOptions(masks="sam2"), "--masks sam2 needs transformers.*--masks motion"),
+        (PriorsOptions(flow="raft"), "--flow raft needs torchvision.*--flow dis"),
+        (PriorsOptions(mask_click=("3@4",)), "--mask-click 3@4 cannot be understood"),
+    ],
+)
+def test_what_is_not_there_is_said_before_anything_is_computed(tmp_path: Path, monkeypatch, options, message: str):
+    for name in [name for name in sys.modules if name.split(".")[0] == "torchvision"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "transformers", None)
+    monkeypatch.setitem(sys.modules, "torchvision", None)
+    scene = forget_cameras(write_planes(tmp_path, step=2, square=True))
+    with pytest.raises(InputError, match=message):
+        prepare_priors(scene, options)
+    assert not any(scene.prior(name) for name in STAGES)
 
 
 def given_files(folder: Path, scene: Scene) -> GivenPriors:

@@ -8,22 +8,17 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import quote
 
-import cv2
-import jinja2
 import numpy as np
 from markupsafe import Markup
 
-from flowsplat import __version__
-from flowsplat.common.files import write_text
-from flowsplat.pictures.colors import error_to_color, float_to_bytes, flow_legend, flow_scale, flow_to_color
+from flowsplat.output.page import card, picture_row, write_page
+from flowsplat.pictures.colors import error_to_color, flow_legend, flow_scale, flow_to_color
 from flowsplat.pictures.html import Points, figure, line_chart, picture, table
 
 NAME = "report.html"
 VIDEO_FOLDER = "renders"
 """Where the videos lie, seen from the report."""
 
-_WIDEST = 960
-"""Pixels of a picture in the page."""
 _EVEN = 0.1
 """Decibels of PSNR that nobody sees."""
 
@@ -92,11 +87,10 @@ def write_report(folder: Path, data: ReportData) -> Path:
     Raises:
         InputError: the folder cannot be written.
     """
-    loader = jinja2.PackageLoader("flowsplat.output", "templates")
-    environment = jinja2.Environment(
-        loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    page = environment.get_template("report.html.jinja").render(
+    path = Path(folder) / NAME
+    write_page(
+        path,
+        "report.html.jinja",
         title=data.title,
         verdict=verdict(data.metrics),
         headline=_headline(data.metrics),
@@ -108,10 +102,7 @@ def write_report(folder: Path, data: ReportData) -> Path:
         charts=list(_charts(data)),
         notes=data.notes,
         settings=table(("setting", "value"), list(_flat(data.config))) if data.config else None,
-        version=__version__,
     )
-    path = Path(folder) / NAME
-    write_text(path, page)
     return path
 
 
@@ -168,21 +159,17 @@ def _headline(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
         flow, flow_name = _pick(metrics, "flow_prior_epe", "mean"), "flow against its prior"
     active = _pick(metrics, "gaussians", "active_mean")
     return [
-        _card(figure(_pick(metrics, kind, "psnr")), "dB", f"PSNR, {name}", against),
-        _card(figure(ssim, 3), "", f"SSIM, {name}", "1 = equal"),
-        _card(figure(flow, 2), "px", flow_name, "mean end-point error"),
-        _card(
+        card(figure(_pick(metrics, kind, "psnr")), "dB", f"PSNR, {name}", against),
+        card(figure(ssim, 3), "", f"SSIM, {name}", "1 = equal"),
+        card(figure(flow, 2), "px", flow_name, "mean end-point error"),
+        card(
             figure(_pick(metrics, "gaussians", "total"), 0),
             "",
             "Gaussians",
             "" if active is None else f"{active:,.0f} rendered at a time",
         ),
-        _card(Markup(_duration(seconds)) if seconds else figure(None), "", "for everything", _memory(metrics)),
+        card(Markup(_duration(seconds)) if seconds else figure(None), "", "for everything", _memory(metrics)),
     ]
-
-
-def _card(value: Markup, unit: str, name: str, remark: str) -> dict[str, Any]:
-    return {"value": value, "unit": unit, "name": name, "remark": remark}
 
 
 def _memory(metrics: Mapping[str, Any]) -> str:
@@ -268,18 +255,9 @@ def _flat(config: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, st
 # -- pictures
 
 
-def _fitted(image: np.ndarray) -> np.ndarray:
-    """uint8, not wider than a page needs."""
-    image = float_to_bytes(image)
-    height, width = image.shape[:2]
-    if width <= _WIDEST:
-        return image
-    return cv2.resize(image, (_WIDEST, max(round(height * _WIDEST / width), 1)), None, 0, 0, cv2.INTER_AREA)
-
-
 def _comparison(label: str, image: np.ndarray, rendering: np.ndarray) -> dict[str, Any]:
     panels = {"clip": image, "rendering": rendering, "error": error_to_color(image, rendering)}
-    return {"label": label, "panels": _panels(panels, label)}
+    return {"label": label, "panels": picture_row(panels, label)}
 
 
 def _flows(flows: Sequence[FlowComparison]) -> list[dict[str, Any]]:
@@ -288,12 +266,8 @@ def _flows(flows: Sequence[FlowComparison]) -> list[dict[str, Any]]:
     for label, rendered, prior in flows:
         scale = flow_scale([rendered, prior])
         panels = {name: flow_to_color(flow, scale) for name, flow in (("rendered", rendered), ("prior", prior))}
-        shown.append({"label": f"{label}; full colour = {scale:.1f} px", "panels": _panels(panels, label)})
+        shown.append({"label": f"{label}; full colour = {scale:.1f} px", "panels": picture_row(panels, label)})
     return shown
-
-
-def _panels(images: Mapping[str, np.ndarray], label: str) -> list[dict[str, Any]]:
-    return [{"name": name, "picture": picture(_fitted(image), f"{label}, {name}")} for name, image in images.items()]
 
 
 def _videos(videos: Mapping[str, str]) -> Iterator[dict[str, Any]]:

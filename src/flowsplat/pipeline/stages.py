@@ -24,6 +24,7 @@ from flowsplat.gaussians.initialize import initialize
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.observations import Observation, Observations, load_observations
 from flowsplat.gaussians.render import RenderedFrame
+from flowsplat.output.priors_report import verdict, write_priors_report
 from flowsplat.output.report import write_report
 from flowsplat.output.videos import render_videos
 from flowsplat.pictures.colors import float_to_bytes
@@ -108,7 +109,9 @@ def prepare(source: Path, out: Path, config: RunConfig | None = None) -> RunFold
         say(note)
     _estimate(scene, config.train)
     ingested = time.perf_counter() - started
-    seconds = prepare_priors(scene, config.priors)
+    seconds = prepare_priors(scene, config.priors, config.device)
+    page = write_priors_report(folder.path, scene, seconds)
+    say(f"{verdict(scene)} Look at {page}")
     folder.finish("prepare", key, {"ingest": ingested, **seconds})
     return folder
 

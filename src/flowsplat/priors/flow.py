@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import pairwise
 
 import cv2
@@ -9,6 +10,7 @@ import numpy as np
 
 from flowsplat.common.progress import track
 from flowsplat.geometry.cameras import pixel_grid
+from flowsplat.priors.continuity import Continuity
 from flowsplat.scenes import Flow, Scene
 
 SMALLEST_SIDE = 64
@@ -88,16 +90,35 @@ def compose(ab: np.ndarray, bc: np.ndarray) -> np.ndarray:
     return ab + sample_map(bc, target.reshape(-1, 2)).reshape(ab.shape)
 
 
-def flow_stage(scene: Scene) -> None:
-    """Flow between consecutive training frames (8 and 10 where 9 is held out), both ways; existing pairs are kept."""
-    frames = scene.train_frames
-    done = set(scene.flow_pairs)
-    medians = []
-    for i, j in track(list(pairwise(frames)), "Flow"):
-        if not {(i, j), (j, i)} <= done:
-            a, b = grey(scene.frame(i)), grey(scene.frame(j))
-            forward, backward = dis_flow(a, b), dis_flow(b, a)
-            scene.write_flow(Flow(i, j, forward, forward_backward_confidence(forward, backward)))
-            scene.write_flow(Flow(j, i, backward, forward_backward_confidence(backward, forward)))
-        medians.append(float(np.median(scene.flow(i, j).confidence)))
-    scene.finish_prior("flow", method="dis", median_confidence=round(float(np.median(medians)), 4))
+FlowEstimator = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""From two pictures RGB [H, W, 3] uint8 to the flow [H, W, 2] float32 in pixels from the first to the second."""
+
+
+def dis_estimator(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Flow between pictures without weights."""
+    return dis_flow(grey(a), grey(b))
+
+
+def flow_stage(scene: Scene, method: str = "dis", estimate: FlowEstimator = dis_estimator) -> None:
+    """Flow between consecutive training frames (8 and 10 where 9 is held out), both ways; existing pairs are kept.
+
+    Args:
+        method: what ``estimate`` is called, for provenance.
+    """
+    done, continuity = set(scene.flow_pairs), Continuity(scene)
+    shares, computed = [], 0
+    for k, (i, j) in enumerate(track(list(pairwise(scene.train_frames)), "Flow")):
+        missing = [pair for pair in ((i, j), (j, i)) if pair not in done]
+        if missing:
+            a, b = scene.frame(i), scene.frame(j)
+            flows = {(i, j): estimate(a, b), (j, i): estimate(b, a)}
+            for s, t in missing:
+                confidence = forward_backward_confidence(flows[s, t], flows[t, s])
+                if not continuity.joined(k, k + 1):
+                    confidence = np.zeros_like(confidence)  # what agrees across a cut agrees by chance
+                scene.write_flow(Flow(s, t, flows[s, t], confidence))
+            computed += len(missing)
+        shares.append(float(scene.flow(i, j).trusted.mean()))
+    share = float(np.mean(shares))
+    verdict = f"{share:.0%} of the pixels match there and back"
+    scene.finish_prior("flow", method=method, verdict=verdict, pairs=computed, trusted=round(share, 4))

@@ -12,6 +12,7 @@ import numpy as np
 
 from flowsplat.common.progress import track
 from flowsplat.geometry.cameras import pixel_grid
+from flowsplat.priors.continuity import Continuity
 from flowsplat.priors.depth.clip import RESTS, SolvedClip
 from flowsplat.priors.flow import sample_map
 from flowsplat.scenes import Scene
@@ -53,7 +54,7 @@ def mask_stage(scene: Scene) -> None:
         scene.write_mask(scene.train_frames[k], moving)
         backward = backward + _evidence(clip, k)
     objects, share = _number(scene)
-    verdict = f"{objects} moving object(s) on {share:.1%} of the picture" if objects else "nothing moves"
+    verdict = f"{objects} moving object{'s' * (objects > 1)} on {share:.1%} of the picture" if objects else "nothing moves"
     scene.finish_prior("masks", method="motion", verdict=verdict, objects=objects, share=round(share, 5))
 
 
@@ -66,6 +67,8 @@ def _evidence(clip: SolvedClip, k: int) -> np.ndarray:
 
 def _carried(clip: SolvedClip, evidence: np.ndarray, k: int, j: int) -> np.ndarray:
     """The evidence of training frame ``j`` at the pixels of its neighbour ``k``, [h, w]; 0 without a trusted match."""
+    if not clip.continuity.joined(k, j):
+        return np.zeros_like(evidence, np.float32)
     flow, confidence = clip.step_flow(k, j)
     points = pixel_grid(clip.width, clip.height) + flow
     carried = sample_map(evidence.astype(np.float32), points.reshape(-1, 2)).reshape(evidence.shape)
@@ -100,13 +103,16 @@ def _number(scene: Scene) -> tuple[int, float]:
         How many objects there are, and the share of all pixels they cover.
     """
     frames = scene.train_frames
+    continuity = Continuity(scene)
     grid = pixel_grid(scene.width, scene.height)
     before = np.zeros((scene.height, scene.width), np.uint8)
     highest, pixels = 0, 0
     for index, i in enumerate(frames):
         count, labels = cv2.connectedComponents((scene.mask(i) > 0).astype(np.uint8))
         numbers = np.zeros(count, np.uint8)
-        if index and count > 1:
+        if index and not continuity.same_piece(index, index - 1):
+            before = np.zeros_like(before)
+        elif index and count > 1:
             came_from = np.floor(grid + scene.flow(i, frames[index - 1]).flow).astype(int)
             x, y = (np.clip(came_from[..., axis], 0, size - 1) for axis, size in ((0, scene.width), (1, scene.height)))
             before = before[y, x]

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from flowsplat.common.progress import track
+from flowsplat.priors.continuity import Continuity
 from flowsplat.priors.flow import grey, sample_map
 from flowsplat.scenes import Scene, Tracks
 from flowsplat.scenes.layers import TRUSTED
@@ -104,10 +105,11 @@ def oldest_of_crowds(points: np.ndarray, side: float) -> np.ndarray:
 
 
 class TrackTable:
-    """Tracks while they grow: values of numbered points, one frame after the other."""
+    """Tracks while they grow: ``columns`` values of numbered points, one frame after the other."""
 
-    def __init__(self) -> None:
+    def __init__(self, columns: int = 2) -> None:
         self.count = 0
+        self._columns = columns
         self._frames: list[tuple[int, np.ndarray, np.ndarray]] = []
 
     def start(self, number: int) -> np.ndarray:
@@ -116,27 +118,34 @@ class TrackTable:
         return np.arange(self.count - number, self.count)
 
     def add(self, frame: int, tracks: np.ndarray, values: np.ndarray) -> None:
-        """Note the ``values`` [N, C] of ``tracks`` [N] in ``frame``: x, y and whatever else."""
+        """Note the ``values`` [N, columns] of ``tracks`` [N] in ``frame``: x, y and whatever else."""
         self._frames.append((frame, tracks, values))
 
     def values(self, frames: int) -> np.ndarray:
-        """All values [P, frames, C] float32, NaN where a track was not seen."""
-        columns = self._frames[0][2].shape[1]
-        result = np.full((self.count, frames, columns), np.nan, np.float32)
+        """All values [P, frames, columns] float32, NaN where a track was not seen."""
+        result = np.full((self.count, frames, self._columns), np.nan, np.float32)
         for frame, tracks, values in self._frames:
             result[tracks, frame] = values
         return result
 
 
 def tracks_stage(scene: Scene) -> None:
-    """Tracks over the training frames along their stored flow; denser on moving objects, where there are masks."""
-    frames = scene.train_frames
+    """Tracks over the training frames along their stored flow; denser on moving objects, where there are masks.
+
+    They end at a cut of the clip and at frames that show nothing.
+    """
+    frames, continuity = scene.train_frames, Continuity(scene)
     has_masks = scene.prior("masks") is not None
     coarse, fine = _spacings(scene, has_masks)
-    table = TrackTable()
+    table = TrackTable(columns=4)  # x, y, how sure it is, whether it is on a mover
     numbers, points, sure = np.zeros(0, int), np.zeros((0, 2), np.float32), np.zeros(0, np.float32)
     before: tuple[int, np.ndarray] | None = None
-    for t in track(frames, "Tracks"):
+    for k, t in enumerate(track(frames, "Tracks")):
+        if continuity.is_blank(k) or (k > 0 and not continuity.same_piece(k, k - 1)):
+            numbers, points, sure = numbers[:0], points[:0], sure[:0]
+            before = None
+        if continuity.is_blank(k):
+            continue
         image = grey(scene.frame(t))
         mask = scene.mask(t) > 0 if has_masks else np.ones(image.shape, bool)
         if before is not None:
@@ -160,9 +169,12 @@ def tracks_stage(scene: Scene) -> None:
     moving = np.nan_to_num(values[..., 3]).sum(1) > 0.5 * visible.sum(1) if has_masks else np.zeros(len(values), bool)
     values = np.nan_to_num(values)
     scene.write_tracks(Tracks(values[..., :2], visible, values[..., 2], moving))
+    length = int(np.median(visible.sum(1))) if len(values) else 0
+    verdict = f"{len(values)} points, followed over {length} frames (median)" if len(values) else "nothing could be followed"
+    if moving.any():
+        verdict += f", {moving.sum()} of them on moving objects"
     scene.finish_prior(
-        "tracks", method="flow+klt", tracks=len(values), moving=int(moving.sum()),
-        median_length=int(np.median(visible.sum(1))) if len(values) else 0,
+        "tracks", method="flow+klt", verdict=verdict, tracks=len(values), moving=int(moving.sum()), median_length=length,
     )  # fmt: skip
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 
+import cv2
 import numpy as np
 
 from flowsplat.common.progress import progress_bar
@@ -13,9 +14,11 @@ from flowsplat.geometry import Camera
 from flowsplat.geometry.paths import CameraPath
 from flowsplat.priors.cameras.bundle import FocalPrior, Reconstruction
 from flowsplat.priors.cameras.growth import Model, grow, ray_angles
-from flowsplat.priors.cameras.refinement import Refined, misfit, ray_points, refine
-from flowsplat.priors.cameras.selection import choose_tracks
-from flowsplat.priors.cameras.twoview import chained_rotations, rank_pairs
+from flowsplat.priors.cameras.keyframes import choose_keyframes, place_between
+from flowsplat.priors.cameras.pieces import LEAST_TRACKS
+from flowsplat.priors.cameras.refinement import Refined, misfit, place_points, ray_points, refine, track_errors
+from flowsplat.priors.cameras.selection import choose_tracks, on_rim
+from flowsplat.priors.cameras.twoview import LEAST_COMMON, chained_rotations, rank_pairs
 
 USUAL_FOCAL = 0.9
 """Focal length over width that is expected before looking: about 58 degrees across."""
@@ -23,14 +26,20 @@ START_FOCALS = (0.9, 0.6, 1.5)
 """Focal lengths over width from which the search starts."""
 SUCCESSES = 3
 """Complete reconstructions after which the search ends."""
-SIMPLER = 1.25
+SIMPLER = 1.5
 """A simpler kind of motion is believed unless a richer one lowers the misfit by more than this factor."""
 NEGLIGIBLE = 0.04
 """A misfit that errors of a tenth of a pixel cause: below it no richer motion is tried."""
 MOST_STARTS = 15
 """Attempts at a reconstruction, whatever comes of them."""
-LEAST_TRACKS = 8
-"""Tracks below which nothing can be said about the camera."""
+RIM = 0.5
+"""Share of what is seen along the picture's rim that must stand still; below it the cameras follow something in front."""
+FOLLOWS = 0.5
+"""Pixels by which a track may miss its point and still stand still, or four times the median error where that is more."""
+ON_PLANE = 0.97
+"""Share of static tracks that one homography must explain in a scene without relief."""
+MOST_JUDGES = 4000
+"""About how many tracks decide between kinds of motion, at most."""
 
 
 @dataclass(frozen=True)
@@ -41,42 +50,108 @@ class Estimate:
         motion: ``free``, ``rotation`` (it only turns), ``static``, or ``unknown`` where nothing could be followed.
         fit: the cameras with what speaks for them.
         unplaced: frames that saw too few tracks; their poses are interpolated.
-        breaks: frames that share hardly a track with the frame before them.
+        flat: whether all that stands still lies on one plane.
+        surrounds: whether the cameras follow the rim of the picture and most of it moves against them.
         parallax: radians between the first and the last ray to a static point, the median of the longer half of tracks.
     """
 
     motion: str
     fit: Refined
     unplaced: list[int]
-    breaks: list[int]
     parallax: float
+    flat: bool = False
+    surrounds: bool = False
 
 
 def estimate(positions: np.ndarray, width: float, height: float, focal: float | None) -> Estimate:
-    """Find the cameras behind tracks.
+    """Find the cameras behind the tracks of one piece of a clip.
+
+    What most tracks agree on is taken for the static scene, unless it leaves the rim of the picture to something else:
+    a mover may fill most of the frames, but rarely hides what is round it.
 
     Args:
         positions: [N, T, 2] pixels of the frames, NaN where not seen.
         focal: pixels, where it is known.
     """
     seen = np.isfinite(positions[..., 0])
-    centred = np.where(seen[..., None], positions, 0).astype(np.float64) - [width / 2, height / 2]
-    breaks = (1 + np.flatnonzero((seen[:, 1:] & seen[:, :-1]).sum(0) < LEAST_TRACKS)).tolist()
+    found = _of_all_frames(positions, seen, width, height, focal)
+    if found.motion == "unknown":
+        return found
+    follows = _follows(found, positions, seen, width, height)
+    rim = on_rim(positions, width, height)
+    if _share(follows, rim) >= RIM or (~follows).sum() < LEAST_TRACKS:
+        return found
+    other = _of_all_frames(positions[~follows], seen[~follows], width, height, focal)
+    if other.motion == "unknown":
+        return found
+    better = _share(_follows(other, positions, seen, width, height), rim) > max(RIM, _share(follows, rim))
+    return replace(other, surrounds=True) if better else found
+
+
+def _share(follows: np.ndarray, rim: np.ndarray) -> float:
+    """Share of the observations on the rim [N, T] that belong to the tracks [N]."""
+    return float(rim[follows].sum() / max(int(rim.sum()), 1))
+
+
+def _follows(found: Estimate, positions: np.ndarray, seen: np.ndarray, width: float, height: float) -> np.ndarray:
+    """[N] the tracks that stand still under the cameras that were found."""
+    centred = _centred(positions, seen, width, height)
+    place = place_points if found.motion == "free" else ray_points
+    state = replace(found.fit.state, points=place(found.fit.state, centred, seen))
+    limit = max(FOLLOWS, 4 * float(np.median(found.fit.errors)))
+    return (track_errors(state, centred, seen) < limit) & (seen.sum(1) >= 2)
+
+
+def _centred(positions: np.ndarray, seen: np.ndarray, width: float, height: float) -> np.ndarray:
+    """[N, T, 2] float64 from the middle of the picture; no NaN."""
+    return np.where(seen[..., None], positions, 0).astype(np.float64) - [width / 2, height / 2]
+
+
+def _of_all_frames(positions: np.ndarray, seen: np.ndarray, width: float, height: float, focal: float | None) -> Estimate:
+    """The cameras most tracks agree on; those of a long clip by way of its keyframes."""
+    keys = choose_keyframes(seen)
+    if len(keys) == seen.shape[1]:
+        return _of_keyframes(positions, seen, width, height, focal)
+    found = _of_keyframes(positions[:, keys], seen[:, keys], width, height, focal)
+    fit = replace(found.fit, frames=keys[found.fit.frames])
+    if found.motion in ("static", "unknown"):
+        count = seen.shape[1]
+        state = replace(fit.state, rotations=np.tile(np.eye(3), (count, 1, 1)), translations=np.zeros((count, 3)))
+        return replace(found, fit=replace(fit, state=state))
+    centred = _centred(positions, seen, width, height)
+    state, lost = place_between(keys, fit.state, centred, seen, free_translations=found.motion == "free")
+    state = replace(state, points=fit.state.points)
+    return replace(found, fit=replace(fit, state=state), unplaced=sorted(keys[found.unplaced].tolist() + lost))
+
+
+def _of_keyframes(positions: np.ndarray, seen: np.ndarray, width: float, height: float, focal: float | None) -> Estimate:
+    centred = _centred(positions, seen, width, height)
     few = choose_tracks(positions, seen, width, height, per_cell=4, shortest=2)
     expected, free_focal = focal or USUAL_FOCAL * width, focal is None
     tracks, views = centred[few], seen[few]
     standing = _standing(centred, seen, expected)
     if len(few) < LEAST_TRACKS:
-        return Estimate("unknown", standing, [], breaks, 0.0)
+        return Estimate("unknown", standing, [], 0.0)
+    judges = _judges(seen)
+
+    def judged(kind: str, state: Reconstruction, judges: np.ndarray = judges) -> float:
+        return misfit(state, centred[judges], seen[judges], free_translations=kind == "free")
+
+    rests = judged("static", standing.state) <= NEGLIGIBLE
+    if not rests:
+        rim = judges[on_rim(positions[judges], width, height).sum(1) > 0.5 * seen[judges].sum(1)]
+        surrounds = len(rim) >= LEAST_TRACKS and judged("static", standing.state, rim) <= NEGLIGIBLE
+    if rests or surrounds:
+        return Estimate("static", standing, [], 0.0, surrounds=not rests)
     starts = {"static": _Candidate(misfit(standing.state, tracks, views, free_translations=False), standing.state, [], 0)}
-    if starts["static"].misfit > NEGLIGIBLE:
-        starts["rotation"] = turning = _turning(tracks, views, expected, free_focal)
-        if turning.misfit > NEGLIGIBLE:
-            starts["free"] = _search(tracks, views, width, expected, free_focal, turning.state)
-    enough = SIMPLER * (min(start.misfit for start in starts.values()) + NEGLIGIBLE)
-    motion, start = next((kind, start) for kind, start in starts.items() if start.misfit + NEGLIGIBLE <= enough)
+    starts["rotation"] = turning = _turning(tracks, views, expected, free_focal)
+    if turning.misfit > NEGLIGIBLE:
+        starts["free"] = _search(tracks, views, width, expected, free_focal, turning.state)
+    costs = {kind: judged(kind, start.state) + NEGLIGIBLE for kind, start in starts.items()}
+    motion = next(kind for kind, cost in costs.items() if cost <= SIMPLER * min(costs.values()))
+    start = starts[motion]
     if motion == "static":
-        return Estimate("static", standing, [], breaks, 0.0)
+        return Estimate("static", standing, [], 0.0)
     many = choose_tracks(positions, seen, width, height, per_cell=20)
     many = many if len(many) > len(few) else few
     fit = refine(
@@ -84,7 +159,19 @@ def estimate(positions: np.ndarray, width: float, height: float, focal: float | 
         free_focal=free_focal, free_translations=motion == "free",
     )  # fmt: skip
     parallax = _parallax(fit, seen[many]) if motion == "free" else 0.0
-    return Estimate(motion, fit, start.unplaced, breaks, parallax)
+    flat = motion == "free" and _is_flat(fit, centred[many], seen[many])
+    return Estimate(motion, fit, start.unplaced, parallax, flat)
+
+
+def _judges(seen: np.ndarray) -> np.ndarray:
+    """Indices of the tracks by which kinds of motion are compared: every one counts by the area and time it was seen in.
+
+    The tracks that a reconstruction is grown from prefer what sweeps over the picture, and with a point near enough for
+    every track of a mover, a camera that hardly moves can explain anything that travels straight. Here what rests
+    outvotes it.
+    """
+    longer = np.flatnonzero(seen.sum(1) >= min(3, seen.shape[1]))
+    return longer[:: max(1, len(longer) // MOST_JUDGES)]
 
 
 def _parallax(fit: Refined, seen: np.ndarray) -> float:
@@ -93,16 +180,37 @@ def _parallax(fit: Refined, seen: np.ndarray) -> float:
     return float(np.median(ray_angles(fit.state, fit.state.points[longer], seen[longer])))
 
 
+def _is_flat(fit: Refined, centred: np.ndarray, seen: np.ndarray) -> bool:
+    """Whether one homography explains what two distant frames share, whichever frame comes first.
+
+    Told by the pictures and not by the points: without relief the focal length may be far off, and the points bent.
+    """
+    limit = max(FOLLOWS, 4 * float(np.median(fit.errors)))
+    count = seen.shape[1]
+    judged = False
+    for i in sorted({0, count // 3, 2 * count // 3}):
+        common = (seen[:, i] & fit.static) @ seen[:, i + 1 :].astype(int)
+        enough = np.flatnonzero(common >= max(LEAST_COMMON, 0.5 * (seen[:, i] & fit.static).sum()))
+        if len(enough):
+            both = seen[:, i] & seen[:, i + 1 + enough[-1]] & fit.static
+            _, fits = cv2.findHomography(centred[both, i], centred[both, i + 1 + enough[-1]], cv2.RANSAC, limit)
+            judged = True
+            if fits is None or fits.mean() < ON_PLANE:
+                return False
+    return judged
+
+
 def _standing(centred: np.ndarray, seen: np.ndarray, focal: float) -> Refined:
-    """All cameras at the origin, every track at its mean position."""
+    """All cameras at the origin, every track at its mean position; static are those that hardly leave it."""
     count = seen.shape[1]
     state = Reconstruction(np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3)), focal, np.zeros((len(seen), 3)))
     weights = seen[..., None] / np.maximum(seen.sum(1), 1)[:, None, None]
     distance = np.linalg.norm(centred - (centred * weights).sum(1, keepdims=True), axis=-1)
-    longer = seen & (seen.sum(1) >= 2)[:, None]
-    errors = distance[longer] if longer.any() else np.zeros(1)
-    frames = np.nonzero(longer)[1] if longer.any() else np.zeros(1, int)
-    return Refined(state, np.asarray(seen.any(1)), errors, frames, float("inf"))
+    static = (np.where(seen, distance, 0).max(1, initial=0) < FOLLOWS) & (seen.sum(1) >= 2)
+    resting = seen & static[:, None]
+    errors = distance[resting] if resting.any() else np.zeros(1)
+    frames = np.nonzero(resting)[1] if resting.any() else np.zeros(1, int)
+    return Refined(state, static, errors, frames, float("inf"))
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from flowsplat.common.progress import track
+from flowsplat.priors.continuity import is_blank
 from flowsplat.priors.flow import dis_flow, grey, sample_map
 from flowsplat.priors.tracks import TrackTable, corner_strength, new_points, oldest_of_crowds, refine_points
 from flowsplat.scenes import Scene
@@ -18,20 +19,28 @@ WINDOW = 15
 """Side of the square of pixels that is compared round a point: large, because precision decides."""
 
 
-def follow_points(scene: Scene) -> np.ndarray:
-    """Positions [P, T, 2] float32 of points in pixels of the frames (centres at +0.5), NaN where not seen."""
+def follow_points(scene: Scene) -> tuple[np.ndarray, list[int]]:
+    """Follow points from frame to frame, across frames that show nothing.
+
+    Returns:
+        positions [P, T, 2] float32 in pixels of the frames (centres at +0.5), NaN where not seen; and the blank frames.
+    """
     factor = min(1.0, WORKING_SIDE / max(scene.width, scene.height))
     size = (max(1, round(scene.width * factor)), max(1, round(scene.height * factor)))
     to_frame = np.array([scene.width / size[0], scene.height / size[1]], np.float32)
     spacing = max(4, round((size[0] * size[1] / CELLS) ** 0.5))
     table = TrackTable()
     numbers, points = np.zeros(0, int), np.zeros((0, 2), np.float32)
-    before = np.zeros(0, np.uint8)
+    before: np.ndarray | None = None
+    blank = []
     for t in track(range(scene.num_frames), "Following points"):
         image = grey(scene.any_frame(t))
+        if is_blank(image):
+            blank.append(t)
+            continue
         if size != (scene.width, scene.height):
             image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-        if t > 0:
+        if before is not None:
             expected = points + sample_map(dis_flow(before, image), points)
             points, ok = refine_points(before, image, points, expected, WINDOW)
             numbers, points = numbers[ok], points[ok]
@@ -41,4 +50,4 @@ def follow_points(scene: Scene) -> np.ndarray:
         numbers, points = np.concatenate([numbers, table.start(len(fresh))]), np.concatenate([points, fresh])
         table.add(t, numbers, points)
         before = image
-    return table.values(scene.num_frames) * to_frame
+    return table.values(scene.num_frames) * to_frame, blank

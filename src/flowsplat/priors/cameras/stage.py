@@ -9,9 +9,10 @@ import numpy as np
 
 from flowsplat.common.errors import InputError
 from flowsplat.geometry import Camera
-from flowsplat.priors.cameras.checks import verdict
+from flowsplat.priors.cameras.checks import Gaps, verdict
 from flowsplat.priors.cameras.estimate import Estimate, estimate
 from flowsplat.priors.cameras.following import WORKING_SIDE, follow_points
+from flowsplat.priors.cameras.pieces import find_breaks, join, split
 from flowsplat.scenes import Scene
 
 
@@ -31,7 +32,8 @@ def camera_stage(scene: Scene, options: CameraOptions) -> None:
 
     The principal point is taken to be the centre of the picture and pixels to be square. Held-out frames are seen here
     (METHOD 6), but nothing other than their poses leaves this stage. The first camera is the identity and the median
-    distance of the points is 1.
+    distance of the points is 1. Pieces that nothing joins (there is a cut between them) are solved one by one, each in
+    these units, and set side by side so far apart that none sees the other: the path jumps there.
 
     Raises:
         InputError: the given focal length is not a positive number.
@@ -41,29 +43,46 @@ def camera_stage(scene: Scene, options: CameraOptions) -> None:
         raise InputError(f"The focal length is {focal}: give a positive number of pixels, or leave it out.")
     # Thresholds are in pixels of the size at which points are followed.
     unit = max(1.0, max(scene.width, scene.height) / WORKING_SIDE)
-    positions = _off_movers(scene, follow_points(scene)) / unit
-    found = estimate(positions, scene.width / unit, scene.height / unit, None if focal is None else focal / unit)
-    cameras = _cameras(found, unit, scene.width, scene.height)
+    followed, blank = follow_points(scene)
+    shown = [t for t in range(scene.num_frames) if t not in set(blank)]
+    pieces = split(shown, find_breaks(followed / unit, shown))
+    positions = _off_movers(scene, followed) / unit
+    if not pieces:
+        pieces, positions = [list(range(scene.num_frames))], positions[:0]
+    del followed
+    found = [_estimate_piece(positions[:, frames], scene.width / unit, scene.height / unit, focal, unit) for frames in pieces]
+    parts = [_cameras(each, unit, scene.width, scene.height) for each in found]
+    cameras = join(pieces, parts, scene.num_frames)
     scene.write_cameras(cameras)
-    errors, parallax = found.fit.errors * unit, np.degrees(found.parallax)
-    heldout = np.isin(found.fit.frames, scene.heldout_frames)
+    main = found[int(np.argmax([len(frames) for frames in pieces]))]
+    errors = np.concatenate([each.fit.errors for each in found]) * unit
+    numbers = np.concatenate([np.array(frames)[each.fit.frames] for frames, each in zip(pieces, found, strict=True)])
+    heldout = np.isin(numbers, scene.heldout_frames)
+    unplaced = [frames[t] for frames, each in zip(pieces, found, strict=True) for t in each.unplaced]
+    breaks = [frames[0] for frames in pieces[1:]]
     scene.finish_prior(
         "cameras",
         method="tracks",
-        motion=found.motion,
-        static=found.motion in ("static", "unknown"),
-        focal=round(float(cameras[0].K[0, 0]), 3),
+        motion=main.motion,
+        static=len(pieces) == 1 and main.motion in ("static", "unknown"),
+        focal=round(main.fit.state.focal * unit, 3),
         focal_given=focal is not None,
-        focal_sigma=round(found.fit.focal_sigma, 5) if np.isfinite(found.fit.focal_sigma) else None,
-        parallax_degrees=round(float(parallax), 3),
+        focal_sigma=round(main.fit.focal_sigma, 5) if np.isfinite(main.fit.focal_sigma) else None,
+        parallax_degrees=round(float(np.degrees(main.parallax)), 3),
         reprojection_px=round(float(np.median(errors)), 4),
         reprojection_p90_px=round(float(np.quantile(errors, 0.9)), 4),
         reprojection_heldout_px=round(float(np.median(errors[heldout])), 4) if heldout.any() else None,
-        tracks=int(found.fit.static.sum()),
-        unplaced=found.unplaced,
-        breaks=found.breaks,
-        verdict=verdict(found, unit, scene.width, focal is not None),
+        tracks=sum(int(each.fit.static.sum()) for each in found),
+        unplaced=unplaced,
+        breaks=breaks,
+        blank=blank,
+        verdict=verdict(main, unit, scene.width, focal is not None, Gaps(unplaced, breaks, blank, scene.timestamps)),
     )
+
+
+def _estimate_piece(positions: np.ndarray, width: float, height: float, focal: float | None, unit: float) -> Estimate:
+    often = np.isfinite(positions[..., 0]).sum(1) >= min(2, positions.shape[1])
+    return estimate(positions[often], width, height, None if focal is None else focal / unit)
 
 
 def _off_movers(scene: Scene, positions: np.ndarray) -> np.ndarray:

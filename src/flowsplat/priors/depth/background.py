@@ -30,6 +30,9 @@ _REJECTED = 0.02
 
 _PLATE_SMOOTHNESS = 100.0
 
+_NOTHING = 1e-3
+"""Share of pixels with a known value, below which a frame's depth is guessed."""
+
 _KEPT = 2 * PLATE_FROM[-1] + 16
 """Frames in memory: on a walk over the clip every one is asked for again until it lies behind the furthest neighbour."""
 
@@ -52,16 +55,21 @@ class Background:
     def plate(self, k: int) -> np.ndarray:
         """Inverse depth [h, w] of the static scene, also behind movers, whose own edges play no part in it."""
         values, weights = self._uncovered(k)
+        if _unknown(weights):
+            return ground(self._clip.height, self._clip.width, self._clip.median)
         return fill(values, weights, np.zeros((*values.shape, 3), np.uint8), _PLATE_SMOOTHNESS)[0]
 
     def filled(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         """(inverse depth, weight) of the static scene, each [h, w]: along the picture's edges where nothing is known."""
         values, weights = self._uncovered(k)
+        if _unknown(weights):
+            return ground(self._clip.height, self._clip.width, self._clip.median), np.zeros_like(weights)
         inverse, support = fill(values, weights, self._clip.image(k))
         return inverse, weights + np.float32(0.1) * support
 
     def _around(self, k: int, offsets: tuple[int, ...]) -> list[int]:
-        return [j for offset in offsets for j in (k - offset, k + offset) if 0 <= j < len(self._clip)]
+        around = [j for offset in offsets for j in (k - offset, k + offset) if 0 <= j < len(self._clip)]
+        return [j for j in around if self._clip.continuity.same_piece(k, j)]
 
     def _uncover(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         values, weights, camera = self._fused(k)
@@ -84,6 +92,16 @@ class Background:
     def _sure(self, k: int) -> tuple[np.ndarray, np.ndarray, Camera]:
         values, weights, camera = self._fused(k)
         return values, np.where(weights > SURE, weights, 0).astype(np.float32), camera
+
+
+def ground(height: int, width: int, median: float) -> np.ndarray:
+    """Inverse depth [h, w] float32 of a guess: a ground that comes nearer towards the bottom of the picture."""
+    rows = (np.arange(height, dtype=np.float32) + np.float32(0.5)) / np.float32(height)
+    return np.repeat(((0.4 + 1.2 * rows) * median)[:, None], width, axis=1).astype(np.float32)
+
+
+def _unknown(weights: np.ndarray) -> bool:
+    return float((weights > 0).mean()) < _NOTHING
 
 
 def _swollen(mask: np.ndarray) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import shutil
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -13,6 +14,7 @@ import numpy as np
 from flowsplat.common.files import read_npz, write_npz
 from flowsplat.common.progress import track
 from flowsplat.geometry import Camera
+from flowsplat.priors.continuity import Continuity
 from flowsplat.priors.depth.longflow import LongFlows, working_size
 from flowsplat.priors.depth.multiview import MultiView, solve_multiview
 from flowsplat.scenes import Scene
@@ -24,7 +26,11 @@ RESTS = 3.0
 """Multiples of the noise up to which the matches of a pixel are those of a scene at rest."""
 
 ENOUGH = 0.03
-"""Share of pixels with sure depth below which a clip is said to have no parallax."""
+"""Share of pixels with sure depth from which a clip has parallax."""
+
+LITTLE_PARALLAX, MANY = 2.0, 0.3
+"""The same where all is less sure: 14 % per 0.2 pixels of noise, but known of so many pixels. Still far better than a guess:
+on a rendered room a camera that turns and travels by 0.6 degrees of parallax gives depth that is 4 % off, guessed 28 %."""
 
 
 def _folder(scene: Scene) -> Path:
@@ -40,6 +46,7 @@ class SolvedClip:
     """The training frames at working resolution, by their position in ``scene.train_frames``, with their solutions.
 
     Attributes:
+        continuity: which frames can be matched with each other.
         has_parallax: whether the camera travels enough for depth to be seen.
         median: inverse depth of the clip where it is sure; 0 without parallax.
         mean_parallax: mean over frames of the median parallax, in working pixels.
@@ -50,15 +57,16 @@ class SolvedClip:
         self.scene = scene
         self.width, self.height = working_size(scene)
         self.cameras: list[Camera] = [scene.cameras[i].resized(self.width, self.height) for i in scene.train_frames]
+        self.continuity = Continuity(scene)
         # Other cameras make another solution, which must not be mixed with this one.
         digest = hashlib.sha256((scene.folder / "cameras.json").read_bytes()).hexdigest()[:12]
         self._folder = _folder(scene) / digest
         self._solve()
         samples = [self[k] for k in range(0, len(self), max(1, len(self) // 24))]
-        at_rest = [(s.information > PARALLAX) & (s.motion < RESTS) for s in samples]
-        sure = np.concatenate([s.inverse_depth[rest] for s, rest in zip(samples, at_rest, strict=True)])
-        self.has_parallax = len(sure) >= ENOUGH * sum(rest.size for rest in at_rest)
-        self.median = float(np.median(sure)) if self.has_parallax else 0.0
+        self.median, self.has_parallax = _median(samples, PARALLAX, ENOUGH), True
+        if not self.median:
+            self.median = _median(samples, LITTLE_PARALLAX, MANY)
+            self.has_parallax = self.median > 0
         self.mean_parallax = float(np.mean([np.sqrt(np.median(s.information)) for s in samples]))
 
     def __len__(self) -> int:
@@ -93,13 +101,23 @@ class SolvedClip:
         missing = [k for k in range(len(self)) if not self._path(k).exists()]
         if not missing:
             return
-        flows = LongFlows(self.scene)
+        flows = LongFlows(self.scene, self.continuity)
         for k in track(missing, "Matching frames"):
             others = flows.neighbours(k)
-            matches = [flows.matches(k, j) for j in others]
-            solution = solve_multiview(
-                self.cameras[k], [self.cameras[j] for j in others],
-                np.stack([flow for flow, _ in matches]), np.stack([confidence for _, confidence in matches]),
-            )  # fmt: skip
+            if others:
+                matches = [flows.matches(k, j) for j in others]
+                solution = solve_multiview(
+                    self.cameras[k], [self.cameras[j] for j in others],
+                    np.stack([flow for flow, _ in matches]), np.stack([confidence for _, confidence in matches]),
+                )  # fmt: skip
+            else:
+                solution = MultiView(*(np.zeros((4, self.height, self.width), np.float32)))
             write_npz(self._path(k), asdict(solution))
             flows.forget(k + 1)
+
+
+def _median(solutions: Sequence[MultiView], information: float, enough: float) -> float:
+    """Inverse depth, the median of resting pixels with more information; 0 where they are less than that share of all."""
+    at_rest = [(s.information > information) & (s.motion < RESTS) for s in solutions]
+    known = np.concatenate([s.inverse_depth[rest] for s, rest in zip(solutions, at_rest, strict=True)])
+    return float(np.median(known)) if len(known) >= enough * sum(rest.size for rest in at_rest) else 0.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from flowsplat.priors.continuity import Continuity
 from flowsplat.priors.flow import compose, dis_flow, forward_backward_confidence, grey
 from flowsplat.scenes import Scene
 
@@ -23,16 +24,17 @@ class LongFlows:
     Computed when asked for and kept until ``forget``; a walk over the clip keeps about 8 strides x 16 frames.
     """
 
-    def __init__(self, scene: Scene):
-        self._scene = scene
+    def __init__(self, scene: Scene, continuity: Continuity):
+        self._scene, self._continuity = scene, continuity
         self._width, self._height = working_size(scene)
         self._flows: dict[tuple[int, int], np.ndarray] = {}
         self._grey: dict[int, np.ndarray] = {}
 
     def neighbours(self, k: int) -> list[int]:
-        """The positions one, two, four and eight steps before and after ``k``, as far as they exist."""
+        """The positions one, two, four, eight and sixteen steps before and after ``k`` that can be matched with it."""
         count = len(self._scene.train_frames)
-        return [j for stride in STRIDES for j in (k - stride, k + stride) if 0 <= j < count]
+        around = [j for stride in STRIDES for j in (k - stride, k + stride) if 0 <= j < count]
+        return [j for j in around if self._continuity.joined(k, j)]
 
     def forget(self, before: int) -> None:
         """Drop what no frame from position ``before`` on needs."""

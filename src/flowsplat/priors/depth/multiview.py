@@ -19,6 +19,16 @@ ROBUST_SCALE = 0.5
 
 ITERATIONS = 5
 
+RIM = 12
+"""The outermost this many-th part of the picture on each side is its rim."""
+
+LEAST_RIM = 50
+"""Matches on the rim that are enough to judge by."""
+
+CALMER = 2.0
+"""Times the median error on the rim is the most that counts as noise. The median of all matches is below it in clips whose
+movers fill less than half of the picture."""
+
 
 @dataclass(frozen=True)
 class MultiView:
@@ -64,12 +74,21 @@ def solve_multiview(camera: Camera, others: Sequence[Camera], flows: np.ndarray,
 
 
 def _motion(errors: np.ndarray, weights: np.ndarray, lengths: np.ndarray) -> np.ndarray:
-    """Mean over matches of error / noise, [h, w]; the noise of a pair of frames is its median error."""
-    total, count = np.zeros(errors.shape[:2], np.float32), np.full(errors.shape[:2], 1e-6, np.float32)
+    """Mean over matches of error / noise, [h, w]; the noise of a pair of frames is its median error.
+
+    Something that moves may fill most of the picture, but rarely its rim: errors that are far smaller there are the noise.
+    """
+    height, width = errors.shape[:2]
+    total, count = np.zeros((height, width), np.float32), np.full((height, width), 1e-6, np.float32)
+    rim = np.ones((height, width), bool)
+    rim[height // RIM : height - height // RIM, width // RIM : width - width // RIM] = False
     for j in range(errors.shape[2]):
         used = weights[..., j] > 0
         if used.any():
-            noise = 0.1 + 0.01 * lengths[..., j] + np.median(errors[..., j][used])
+            middle = np.median(errors[..., j][used])
+            if (used & rim).sum() >= LEAST_RIM:
+                middle = min(middle, CALMER * np.median(errors[..., j][used & rim]))
+            noise = 0.1 + 0.01 * lengths[..., j] + middle
             total += np.where(used, errors[..., j] / noise, 0)
             count += used
     return total / count

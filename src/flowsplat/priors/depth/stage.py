@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from flowsplat.common.progress import track
-from flowsplat.priors.depth.background import Background
+from flowsplat.priors.depth.background import Background, ground
 from flowsplat.priors.depth.clip import SolvedClip
 from flowsplat.priors.depth.fill import upsample
+from flowsplat.priors.depth.longflow import STRIDES
 from flowsplat.priors.depth.movers import MARGIN, card, smooth_cards
 from flowsplat.scenes import Depth, Scene
 
@@ -16,20 +17,18 @@ NEAREST_DEPTH, FURTHEST_DEPTH = 0.05, 30.0
 
 GUESS_CONFIDENCE = 0.55
 MOVER_CONFIDENCE = 0.6
+MOSTLY = 0.6
+"""Share of trusted pixels from which depth is called known."""
 TRUSTED_WEIGHT = 5.0
 """Weight at which a static pixel has a confidence of one half."""
 
 
 class _Guess:
-    """A clip without parallax: a ground that rises towards the camera at the bottom of the picture."""
+    """A clip without parallax: a ground that comes nearer towards the bottom of the picture."""
 
     def __init__(self, clip: SolvedClip):
-        centers = np.array([camera.center for camera in clip.cameras])
-        extent = float(np.linalg.norm(centers - centers[0], axis=1).max())
-        # Far enough that what little the camera moves shifts nothing by more than about a pixel.
-        self.median = 1 / max(extent * clip.cameras[0].K[0, 0], 1.0) if extent > 1e-9 else 1.0
-        rows = (np.arange(clip.height, dtype=np.float32) + 0.5) / clip.height
-        self._plate = np.repeat(((0.4 + 1.2 * rows) * self.median)[:, None], clip.width, axis=1).astype(np.float32)
+        self.median = 1 / max(_reach(clip) * float(clip.cameras[0].K[0, 0]), 1.0)
+        self._plate = ground(clip.height, clip.width, self.median)
 
     def plate(self, k: int) -> np.ndarray:
         return self._plate
@@ -39,11 +38,21 @@ class _Guess:
         return self._plate, np.full_like(self._plate, weight)
 
 
+def _reach(clip: SolvedClip) -> float:
+    """How far the camera gets from where a piece of the clip begins.
+
+    At this distance times the focal length what it moves shifts nothing by more than about a pixel.
+    """
+    centers, pieces = np.array([camera.center for camera in clip.cameras]), clip.continuity.pieces
+    first = np.searchsorted(pieces, pieces)
+    return float(np.linalg.norm(centers - centers[first], axis=1).max())
+
+
 def depth_stage(scene: Scene) -> None:
     """Depth with confidence for every training frame that has none. Needs cameras and flow, and uses masks if there are any.
 
-    Static pixels come from their matches in other frames, movers are cards in front of what they hide. A clip whose
-    camera does not move (or only turns) gets a guess, and the verdict says so.
+    Static pixels come from their matches in other frames of the same piece of the clip, movers are cards in front of what
+    they hide. A clip whose camera does not move (or only turns) gets a guess, and the verdict says so.
     """
     clip = SolvedClip(scene)
     has_masks = all(scene.has_mask(i) for i in scene.train_frames)
@@ -55,12 +64,19 @@ def depth_stage(scene: Scene) -> None:
         if not scene.has_depth(i):
             scene.write_depth(i, _frame_depth(clip, background, cards, k, median))
         trusted.append(float(scene.depth(i).trusted.mean()))
+    method, share = ("multi-view" if clip.has_parallax else "guess"), float(np.mean(trusted))
     if clip.has_parallax:
-        method, verdict = "multi-view", f"{np.mean(trusted):.0%} of the pixels trusted"
+        verdict = f"{share:.0%} of the pixels trusted"
+        if share < MOSTLY:
+            verdict += ": the rest is filled in, and new views from aside will show it"
     else:
-        method, verdict = "guess", "the camera does not travel, so depth is a guess: new views from aside will be wrong"
+        travels = _reach(clip) > 1e-9
+        little = f"travels too little within {STRIDES[-1]} frames" if travels else "does not travel"
+        verdict = f"the camera {little}, so depth is a guess: new views from aside will be wrong"
+        if travels and len(clip) > 2 * STRIDES[-1]:
+            verdict += "; --every takes frames further apart, which may show it"
     scene.finish_prior(
-        "depth", method=method, verdict=verdict, trusted=round(float(np.mean(trusted)), 4),
+        "depth", method=method, verdict=verdict, trusted=round(share, 4),
         parallax=round(clip.mean_parallax, 3), objects=len(cards),
     )  # fmt: skip
 

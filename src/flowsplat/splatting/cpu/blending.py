@@ -11,8 +11,6 @@ e >= -0.9993. Relative error 1e-6. Within a block it is e = P + Q dy + c dy^2 wi
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numba import float32, int64, njit, prange
 
@@ -167,7 +165,9 @@ def _tile_gradient(pixels, left, top, records, stride, instances, begin, stop, e
     for p in range(begin, stop):
         o = int64(instances[p, 0]) * stride
         blocks = instances[p, 1]
-        prefetch(records, int64(instances[min(p + 4, end - 1), 0]) * stride)
+        ahead = min(p + 4, end - 1)
+        prefetch(records, int64(instances[ahead, 0]) * stride)
+        prefetch(out, int64(instances[ahead, 2]) * stride)
         first, last = int64(blocks & 255), int64(blocks >> 8)
         a, b, c = records[o + 2], records[o + 3], records[o + 4]
         dx = columns + (left - records[o])

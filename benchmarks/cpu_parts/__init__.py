@@ -1,0 +1,1 @@
+"""The parts of the CPU benchmark, one module a subject; ``cpu.py`` beside this folder is the command."""

@@ -1,0 +1,52 @@
+"""What the pages of a run have in common: their look, and pictures beside each other. A page needs no network."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import cv2
+import jinja2
+import numpy as np
+from markupsafe import Markup
+
+from flowsplat import __version__
+from flowsplat.common.files import write_text
+from flowsplat.pictures.colors import float_to_bytes
+from flowsplat.pictures.html import picture
+
+WIDEST = 960
+"""Pixels of a picture in a page."""
+
+
+def write_page(path: Path, template: str, **values: Any) -> None:
+    """Fill a template of this folder and write the page.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    loader = jinja2.PackageLoader("flowsplat.output", "templates")
+    environment = jinja2.Environment(
+        loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    write_text(path, environment.get_template(template).render(version=__version__, **values))
+
+
+def card(value: Markup | str, unit: str, name: str, remark: str) -> dict[str, Any]:
+    """One of the few figures on top of a page."""
+    return {"value": value, "unit": unit, "name": name, "remark": remark}
+
+
+def fitted(image: np.ndarray, widest: int = WIDEST) -> np.ndarray:
+    """uint8, not wider than a page needs."""
+    image = float_to_bytes(image)
+    height, width = image.shape[:2]
+    if width <= widest:
+        return image
+    return cv2.resize(image, (widest, max(round(height * widest / width), 1)), None, 0, 0, cv2.INTER_AREA)
+
+
+def picture_row(images: Mapping[str, np.ndarray], label: str, widest: int = WIDEST) -> list[dict[str, Any]]:
+    """Pictures by name, as the macro ``panels`` of the templates wants them."""
+    return [{"name": name, "picture": picture(fitted(image, widest), f"{label}, {name}")} for name, image in images.items()]

@@ -1,0 +1,355 @@
+"""``priors.html``: what was found out about a clip before training, so that ten seconds tell whether training can work."""
+
+from __future__ import annotations
+
+import base64
+import tempfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from flowsplat.output.camera_path import path_at_an_angle, path_from_above
+from flowsplat.output.page import card, picture_row, write_page
+from flowsplat.pictures.colors import depth_range, depth_to_color, flow_legend, flow_scale, flow_to_color
+from flowsplat.pictures.html import figure, line_chart, picture, table
+from flowsplat.pictures.sheets import side_by_side, stacked
+from flowsplat.pictures.video import write_mp4
+from flowsplat.scenes import Scene, Tracks
+
+NAME = "priors.html"
+
+PANEL = 400
+"""Pixels of the longer side of a picture in the strip."""
+STRIP_FRAMES = 100
+"""Frames of the strip, at most."""
+STRIP_CRF = 30
+"""Quality of the strip: it is to show what was found, not to be beautiful."""
+STILLS = 4
+"""Frames that are shown in pictures, too."""
+TAIL, MOST_TRACKS = 6, 240
+"""Training frames that a track is drawn over, and how many tracks are drawn."""
+SCENE_POINTS = 1500
+"""Points of the scene in the drawing of the path."""
+MOST_PIECES = 3
+"""Pieces of a clip with cuts whose paths are drawn."""
+
+GOOD_CAMERAS = 0.5
+"""Pixels at 854 pixels of picture: cameras that meet static points worse than this are called poor."""
+LITTLE_PARALLAX = 0.5
+"""Degrees of parallax below which depth counts as rough."""
+MOSTLY = 0.6
+"""Share of pixels with trusted depth from which depth counts as known."""
+
+_COLOURS = np.array([(255, 128, 0), (0, 190, 255), (255, 60, 160), (120, 220, 40), (180, 110, 255), (255, 220, 0)], np.uint8)
+"""Of moving objects, by their numbers."""
+_STATIC_TRACK, _MOVING_TRACK = (80, 220, 255), (255, 140, 0)
+_STAGES = ("cameras", "flow", "masks", "depth", "tracks")
+
+
+def write_priors_report(folder: Path, scene: Scene, seconds: Mapping[str, float]) -> Path:
+    """Write ``priors.html`` into the folder of a run and return its path.
+
+    Args:
+        scene: with all of its priors.
+        seconds: what the stages took, as far as they ran.
+
+    Raises:
+        InputError: a prior is missing or damaged, or the folder cannot be written.
+    """
+    shown = _Shown(scene)
+    path = Path(folder) / NAME
+    write_page(
+        path,
+        "priors.html.jinja",
+        title=scene.name,
+        verdict=verdict(scene),
+        strip=_strip(shown),
+        headline=_headline(scene, shown),
+        paths=list(_paths(scene)),
+        stages=table(("", "how", "verdict", "time"), list(_rows(scene, seconds))),
+        stills=[_still(shown, k) for k in _spread(len(shown.frames), STILLS)],
+        legend=picture(flow_legend(), "The colour of every direction of flow", None),
+        flow_scale=f"{shown.flow_scale:.1f}",
+        charts=list(_charts(scene, shown)),
+        notes=scene.info["notes"],
+    )
+    return path
+
+
+# -- words
+
+
+def verdict(scene: Scene) -> str:
+    """In plain words: what was found, and whether training can work.
+
+    Some of "camera path: good; little parallax: depth is a guess; 2 moving objects", and a sentence on what follows.
+    """
+    cameras, depth = scene.prior("cameras") or {}, scene.prior("depth") or {}
+    found = [_camera_words(scene, cameras), _depth_words(cameras, depth), _mask_words(scene)]
+    return f"{'; '.join(found)}. {_advice(scene, cameras, depth)}"
+
+
+def _is_poor(scene: Scene, cameras: Mapping[str, Any]) -> bool:
+    pixel = max(1.0, max(scene.width, scene.height) / 854)
+    return cameras.get("motion") in ("free", "rotation") and cameras["reprojection_px"] > GOOD_CAMERAS * pixel
+
+
+def _camera_words(scene: Scene, cameras: Mapping[str, Any]) -> str:
+    motion = cameras.get("motion")
+    if motion is None:
+        return f"Camera path: {_source(cameras)}"
+    if motion == "unknown":
+        return "Camera path: none, nothing could be followed"
+    words = {"static": "Camera: stands still", "rotation": "Camera: only turns", "free": "Camera path: good"}[motion]
+    if _is_poor(scene, cameras):
+        words = "Camera path: poor"
+    breaks = cameras.get("breaks", [])
+    if breaks:
+        words += f", with a cut before frame {breaks[0]}" if len(breaks) == 1 else f", with {len(breaks)} cuts"
+    blank = cameras.get("blank", [])
+    if blank:
+        words += f"; {len(blank)} blank frame{'s' * (len(blank) > 1)}"
+    return words
+
+
+def _depth_words(cameras: Mapping[str, Any], depth: Mapping[str, Any]) -> str:
+    if depth.get("method") == "guess":
+        reason = "little parallax" if cameras.get("motion", "free") == "free" else "no parallax"
+        return f"{reason}: depth is a guess"
+    if depth.get("method") != "multi-view":
+        return f"depth: {_source(depth)}"
+    if cameras.get("motion") == "free" and cameras["parallax_degrees"] < LITTLE_PARALLAX:
+        return "little parallax: depth is rough"
+    if depth["trusted"] < MOSTLY:
+        return f"depth from motion on {depth['trusted']:.0%} of the picture, the rest is filled in"
+    return "depth from the camera's motion"
+
+
+def _mask_words(scene: Scene) -> str:
+    masks = scene.prior("masks") or {}
+    count = masks.get("objects")
+    if count is None:
+        count = len({int(number) for i in scene.train_frames for number in np.unique(scene.mask(i))} - {0})
+    words = "nothing moves" if not count else "1 moving object" if count == 1 else f"{count} moving objects"
+    return words if masks.get("method") == "motion" else f"{words} ({_source(masks)} masks)"
+
+
+def _source(prior: Mapping[str, Any]) -> str:
+    return {"truth": "true", "given": "given"}.get(prior.get("method", ""), prior.get("method", "unknown"))
+
+
+def _advice(scene: Scene, cameras: Mapping[str, Any], depth: Mapping[str, Any]) -> str:
+    if cameras.get("motion") == "unknown":
+        return "Training will hardly work: the pictures are blank, without texture or nothing but noise."
+    if cameras.get("breaks"):
+        return "Train on one piece at a time: choose it with --start and --end."
+    if cameras.get("blank"):
+        return "Blank frames spoil the training: leave them out with --start and --end."
+    if _is_poor(scene, cameras):
+        return "Training will give blurred pictures: consider cameras from another tool."
+    if depth.get("method") == "guess":
+        return "Training can work along the clip's own path; views from aside will be wrong."
+    if depth.get("method") == "multi-view" and depth["trusted"] < MOSTLY:
+        return "Training can work; views far from the clip's own path will show gaps and bends."
+    return "Training can work."
+
+
+def _headline(scene: Scene, shown: _Shown) -> list[dict[str, Any]]:
+    cameras, depth, tracks = (scene.prior(name) or {} for name in ("cameras", "depth", "tracks"))
+    camera = scene.cameras[scene.train_frames[0]]
+    angle = 2 * np.degrees(np.arctan(scene.width / 2 / camera.K[0, 0]))
+    unsure = (cameras.get("focal_sigma") or 1.0) > 0.05 and not cameras.get("focal_given", True)
+    parallax = cameras.get("parallax_degrees")
+    return [
+        card(figure(cameras.get("reprojection_px")), "px", "camera error", "static points, median"),
+        card(figure(angle, 0), "°", "field of view", "a guess" if unsure else "across the picture"),
+        card(figure(parallax, 1), "°", "parallax", "seen by a point, median"),
+        card(figure(100 * float(np.mean(shown.matched)), 0), "%", "matched", "flow that passes there and back"),
+        card(figure(100 * float(np.mean(shown.trusted)), 0), "%", "depth with confidence", str(depth.get("method", ""))),
+        card(figure(tracks.get("tracks"), 0), "", "points followed", f"over {tracks.get('median_length', '–')} frames, median"),
+    ]
+
+
+def _rows(scene: Scene, seconds: Mapping[str, float]) -> Iterator[tuple[str, ...]]:
+    for name in _STAGES:
+        prior = scene.prior(name) or {}
+        spent = f"{seconds[name]:.0f} s" if name in seconds else ""
+        yield name, str(prior.get("method", "missing")), str(prior.get("verdict", "")), spent
+
+
+# -- pictures
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """One training frame, reduced: picture, flow (NaN where not trusted), mask, depth and where it is trusted."""
+
+    image: np.ndarray
+    flow: np.ndarray
+    mask: np.ndarray
+    depth: np.ndarray
+    sure: np.ndarray
+
+
+class _Shown:
+    """Training frames with their priors at the size of a panel, and figures that colour them all alike.
+
+    Attributes:
+        frames: their numbers.
+        rate: frames a second at which they play at the speed of the clip.
+        matched, trusted: shares of pixels with trusted flow and depth, one a frame (the last one has no flow).
+    """
+
+    def __init__(self, scene: Scene):
+        train = scene.train_frames
+        stride = -(-len(train) // STRIP_FRAMES)
+        self.frames = train[::stride]
+        span = float(scene.timestamps[self.frames[-1]] - scene.timestamps[self.frames[0]])
+        self.rate = float(np.clip((len(self.frames) - 1) / max(span, 1e-6), 2, 30))
+        guessed = (scene.prior("depth") or {}).get("method") == "guess"
+        self._depth_name = "depth (a guess)" if guessed else "depth"
+        self._tracks = scene.tracks if scene.has_tracks else None
+        self._train = train
+        scale = min(1.0, PANEL / max(scene.width, scene.height))
+        self.size = (max(2, round(scene.width * scale)), max(2, round(scene.height * scale)))
+        self._scale = np.array(self.size) / [scene.width, scene.height]
+        self.matched: list[float] = []
+        self.trusted: list[float] = []
+        following = dict(pairwise(train))
+        self._seen = [self._read(scene, i, following.get(i)) for i in self.frames]
+        some = [self._seen[k] for k in _spread(len(self._seen), 12)]
+        self.flow_scale = flow_scale([seen.flow for seen in some])
+        self._near, self._far = depth_range([seen.depth for seen in some])
+
+    def _read(self, scene: Scene, i: int, j: int | None) -> _Seen:
+        depth, mask = scene.depth(i), scene.mask(i)
+        flow = np.full((self.size[1], self.size[0], 2), np.nan, np.float32)
+        if j is not None:
+            found = scene.flow(i, j)
+            trusted = _small(found.trusted.astype(np.float32), self.size) > 0.5
+            flow = np.where(trusted[..., None], _small(found.flow, self.size), np.nan)
+            self.matched.append(float(found.trusted.mean()))
+        self.trusted.append(float(depth.trusted.mean()))
+        return _Seen(
+            _small(scene.frame(i), self.size), flow, cv2.resize(mask, self.size, interpolation=cv2.INTER_NEAREST),
+            cv2.resize(depth.depth, self.size, interpolation=cv2.INTER_NEAREST),
+            _small(depth.trusted.astype(np.float32), self.size) > 0.5,
+        )  # fmt: skip
+
+    def panels(self, k: int) -> dict[str, np.ndarray]:
+        """Pictures of a frame by name."""
+        seen = self._seen[k]
+        depth = depth_to_color(seen.depth, self._near, self._far)
+        pale = (0.45 * depth.mean(-1, keepdims=True) + 60).astype(np.uint8)
+        return {
+            "tracks": self._with_tracks(seen.image, self.frames[k]),
+            "flow": flow_to_color(seen.flow, self.flow_scale),
+            "movers": _with_mask(seen.image, seen.mask),
+            self._depth_name: np.where(seen.sure[..., None], depth, pale),
+        }
+
+    def _with_tracks(self, image: np.ndarray, frame: int) -> np.ndarray:
+        result = image.copy()
+        if self._tracks is None:
+            return result
+        for moving, colour in ((False, _STATIC_TRACK), (True, _MOVING_TRACK)):
+            for line in self._tails(self._tracks, frame, moving):
+                fixed = np.round((line * self._scale - 0.5) * 16).astype(np.int32)
+                cv2.polylines(result, [fixed], False, colour, 1, cv2.LINE_AA, 4)
+                cv2.circle(result, fixed[-1].tolist(), 20, colour, -1, cv2.LINE_AA, 4)
+        return result
+
+    def _tails(self, tracks: Tracks, frame: int, moving: bool) -> Iterator[np.ndarray]:
+        here = np.flatnonzero(tracks.visible[:, frame] & (tracks.moving == moving))
+        until = self._train.index(frame) + 1
+        last = np.array(self._train[max(0, until - TAIL) : until])
+        for n in here[:: max(1, -(-len(here) // (MOST_TRACKS // 2)))]:
+            yield tracks.points[n, last[tracks.visible[n, last]]]
+
+
+def _small(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+
+
+def _with_mask(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """The picture in grey, moving objects tinted by their numbers."""
+    grey = np.repeat(image.mean(-1, keepdims=True) * 0.8, 3, -1)
+    tinted = 0.45 * image + 0.55 * _COLOURS[(mask.astype(int) - 1) % len(_COLOURS)]
+    return np.where(mask[..., None] > 0, tinted, grey).astype(np.uint8)
+
+
+def _spread(count: int, wanted: int) -> list[int]:
+    return np.unique(np.linspace(0, count - 1, wanted).round().astype(int)).tolist()
+
+
+def _still(shown: _Shown, k: int) -> dict[str, Any]:
+    label = f"Frame {shown.frames[k]}"
+    return {"label": label, "panels": picture_row(shown.panels(k), label)}
+
+
+def _strip(shown: _Shown) -> str:
+    """All shown frames as a small video, a ``data:`` address."""
+
+    def sheet(k: int) -> np.ndarray:
+        panels = shown.panels(k)
+        names, images = list(panels), list(panels.values())
+        if shown.size[1] > shown.size[0]:
+            return side_by_side(images, names)
+        return stacked([side_by_side(images[:2], names[:2]), side_by_side(images[2:], names[2:])])
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "strip.mp4"
+        write_mp4(path, (sheet(k) for k in range(len(shown.frames))), shown.rate, crf=STRIP_CRF)
+        return f"data:video/mp4;base64,{base64.b64encode(path.read_bytes()).decode()}"
+
+
+# -- the path
+
+
+def _paths(scene: Scene) -> Iterator[dict[str, Any]]:
+    """Drawings of the path of every piece of the clip."""
+    starts = [0, *(scene.prior("cameras") or {}).get("breaks", [])]
+    ends = [*starts[1:], scene.num_frames]
+    for start, end in list(zip(starts, ends, strict=True))[:MOST_PIECES]:
+        cameras = scene.cameras[start:end]
+        points, colours = _scene_points(scene, [i for i in scene.train_frames if start <= i < end])
+        centers = np.array([camera.center for camera in cameras])
+        length = float(np.linalg.norm(np.diff(centers, axis=0), axis=1).sum())
+        yield {
+            "label": f"Frames {start} to {end - 1}" if len(starts) > 1 else "",
+            "length": f"{length * scene.similarity.scale:.2g}",
+            "views": [path_from_above(cameras, points, colours), path_at_an_angle(cameras)],
+        }
+
+
+def _scene_points(scene: Scene, frames: list[int]) -> tuple[np.ndarray, np.ndarray]:
+    """Static points [N, 3] with their colours [N, 3], from a few of these frames."""
+    points, colours = [np.zeros((0, 3))], [np.zeros((0, 3), np.uint8)]
+    chosen = [frames[k] for k in _spread(len(frames), 3)] if frames else []
+    step = max(1, round((len(chosen) * scene.width * scene.height / SCENE_POINTS) ** 0.5))
+    for i in chosen:
+        y, x = np.mgrid[step // 2 : scene.height : step, step // 2 : scene.width : step].reshape(2, -1)
+        still = scene.mask(i)[y, x] == 0
+        y, x = y[still], x[still]
+        points.append(scene.cameras[i].unproject(np.stack([x, y], -1) + 0.5, scene.depth(i).depth[y, x].astype(np.float64)))
+        colours.append(scene.frame(i)[y, x])
+    return np.concatenate(points), np.concatenate(colours)
+
+
+def _charts(scene: Scene, shown: _Shown) -> Iterator[dict[str, Any]]:
+    frames = shown.frames
+    matched = (frames[: len(shown.matched)], [100 * share for share in shown.matched])
+    trusted = (frames, [100 * share for share in shown.trusted])
+    title = "What is known, over the clip"
+    series = {"flow matched to the next frame": matched, "depth with confidence": trusted}
+    yield {"title": title, "chart": line_chart(series, title=title, x_label="frame", y_label="% of the pixels")}
+    if scene.has_tracks:
+        tracks, title = scene.tracks, "Points followed, over the clip"
+        counts = {name: tracks.visible[tracks.moving == moving].sum(0) for name, moving in (("static", False), ("moving", True))}
+        series = {name: (frames, values[frames].tolist()) for name, values in counts.items()}
+        yield {"title": title, "chart": line_chart(series, title=title, x_label="frame", y_label="points")}

@@ -1,0 +1,114 @@
+"""Long clips: cameras of keyframes first, and from their points those of all frames between them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from flowsplat.geometry import Camera
+from flowsplat.geometry.paths import CameraPath
+from flowsplat.priors.cameras.bundle import NEAR, Reconstruction
+from flowsplat.priors.cameras.refinement import place_points, ray_points, track_errors
+
+LONG = 120
+"""Frames up to which all of them are adjusted together."""
+OVERLAPS = (0.7, 0.55, 0.4)
+"""Share of a keyframe's tracks that the next one must still see; the next value is tried where too many keyframes remain."""
+WIDEST = 16
+"""Frames between two keyframes, at most."""
+LEAST_POINTS = 10
+"""Points that a frame must see to be placed."""
+STEPS = 8
+SCALE = 0.5
+"""Pixels; residuals beyond it lose their influence."""
+INLIER = 1.0
+"""Pixels by which a point may miss its track to serve other frames."""
+
+
+def choose_keyframes(seen: np.ndarray) -> np.ndarray:
+    """Rising frame numbers, the first and the last among them: all frames of a clip that is not long.
+
+    Args:
+        seen: [N, T] which track is seen in which frame.
+    """
+    count = seen.shape[1]
+    keys = list(range(count))
+    for overlap in OVERLAPS:
+        if len(keys) <= LONG:
+            break
+        keys = [0]
+        while keys[-1] < count - 1:
+            last = keys[-1]
+            ahead = seen[seen[:, last], last + 1 : last + 1 + WIDEST].mean(0) if seen[:, last].any() else np.zeros(1)
+            keys.append(last + max(1, int(np.argmin(np.append(ahead >= overlap, False)))))
+    return np.array(keys)
+
+
+def place_between(
+    keys: np.ndarray, state: Reconstruction, positions: np.ndarray, seen: np.ndarray, *, free_translations: bool
+) -> tuple[Reconstruction, list[int]]:
+    """Poses for all frames from those of the keyframes, and the frames that saw too little and are interpolated.
+
+    Args:
+        keys: [K] the keyframes, the first and the last frame among them.
+        state: the poses of the keyframes; its points do not count.
+        positions: [N, T, 2] pixels from the principal point.
+        seen: [N, T].
+    """
+    count = seen.shape[1]
+    often = seen[:, keys].sum(1) >= 2
+    positions, seen = positions[often], seen[often]
+    place = place_points if free_translations else ray_points
+    state = replace(state, points=place(state, positions[:, keys], seen[:, keys]))
+    solid = track_errors(state, positions[:, keys], seen[:, keys]) < INLIER
+    path = CameraPath(keys.tolist(), [_camera(R, t) for R, t in zip(state.rotations, state.translations, strict=True)])
+    viewmats = np.array([path.at(t).viewmat for t in range(count)])
+    viewmats[keys, :3, :3], viewmats[keys, :3, 3] = state.rotations, state.translations
+    lost = []
+    for t in np.setdiff1d(np.arange(count), keys):
+        tracks = np.flatnonzero(seen[:, t] & solid)
+        if len(tracks) < LEAST_POINTS:
+            lost.append(int(t))
+            continue
+        viewmats[t] = _resect(viewmats[t], state.points[tracks], positions[tracks, t], state.focal, free_translations)
+    return Reconstruction(viewmats[:, :3, :3], viewmats[:, :3, 3], state.focal, state.points), lost
+
+
+def _camera(rotation: np.ndarray, translation: np.ndarray) -> Camera:
+    viewmat = np.eye(4)
+    viewmat[:3, :3], viewmat[:3, 3] = rotation, translation
+    return Camera(viewmat, np.eye(3), 1, 1)
+
+
+def _resect(viewmat: np.ndarray, points: np.ndarray, uv: np.ndarray, focal: float, free_translations: bool) -> np.ndarray:
+    """The pose [4, 4] near ``viewmat`` that sees ``points`` [N, 3] at ``uv`` [N, 2]: Gauss-Newton with a Cauchy cost."""
+    best, lowest = viewmat, np.inf
+    size = 6 if free_translations else 3
+    for _ in range(STEPS):
+        turned = points @ viewmat[:3, :3].T
+        p = turned + viewmat[:3, 3]
+        a = focal / np.maximum(p[:, 2], NEAR)
+        r = a[:, None] * p[:, :2] - uv
+        square = (r * r).sum(1) / SCALE**2
+        cost = float(np.log1p(square).sum())
+        if not cost < lowest:
+            break
+        best, lowest = viewmat, cost
+        # d uv / d p, then the chain over a small turn w (p changes by w x turned) and a shift.
+        D = np.zeros((len(points), 2, 3))
+        D[:, 0, 0] = D[:, 1, 1] = a
+        D[:, :, 2] = -(a / np.maximum(p[:, 2], NEAR))[:, None] * p[:, :2]
+        x, y, z = turned.T
+        o = np.zeros_like(x)
+        cross = np.stack([o, z, -y, -z, o, x, y, -x, o], 1).reshape(-1, 3, 3)
+        J = np.concatenate([D @ cross, D], 2)[:, :, :size]
+        w = 1 / (1 + square)
+        H = np.einsum("n,nki,nkj->ij", w, J, J)
+        step = np.zeros(6)
+        step[:size] = np.linalg.solve(H + np.diag(1e-9 * np.diag(H) + 1e-12), -np.einsum("n,nki,nk->i", w, J, r))
+        viewmat = viewmat.copy()
+        viewmat[:3, :3] = Rotation.from_rotvec(step[:3]).as_matrix() @ viewmat[:3, :3]
+        viewmat[:3, 3] += step[3:]
+    return best

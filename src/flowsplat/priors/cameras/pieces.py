@@ -1,0 +1,82 @@
+"""Pieces of a clip whose frames can be joined by tracks, and the cameras of all of them in one world."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import cv2
+import numpy as np
+
+from flowsplat.geometry import Camera
+from flowsplat.geometry.paths import CameraPath
+
+COLLAPSE = 0.1
+"""Share of points that survive from one frame to the next, below which there is a break."""
+FEW = 0.25
+"""The same, where those that survive do not move together."""
+TOGETHER = 0.6
+"""Share of the survivors that one homography must explain, so that they count as moving together."""
+NEAR_PLANE = 2.0
+"""Pixels by which they may miss it."""
+LEAST_TRACKS = 8
+"""Tracks below which nothing can be said about the camera."""
+APART = 100.0
+"""Median distances between the worlds of two pieces, set side by side: no camera sees into the next one."""
+
+
+def find_breaks(positions: np.ndarray, shown: Sequence[int]) -> list[int]:
+    """The frames that share hardly a track with the last one before them that shows anything.
+
+    Args:
+        positions: [N, T, 2] pixels, NaN where not seen.
+        shown: the frames that are not blank.
+    """
+    seen = np.isfinite(positions[..., 0])
+    return [b for a, b in pairwise(shown) if _torn(positions, seen, a, b)]
+
+
+def _torn(positions: np.ndarray, seen: np.ndarray, a: int, b: int) -> bool:
+    both = seen[:, a] & seen[:, b]
+    share = both.sum() / max(int(seen[:, a].sum()), 1)
+    if both.sum() < LEAST_TRACKS or share < COLLAPSE:
+        return True
+    if share >= FEW:
+        return False
+    # Noise and foreign pictures always offer some points that look alike, but those move every way.
+    _, together = cv2.findHomography(positions[both, a], positions[both, b], cv2.RANSAC, NEAR_PLANE)
+    return together is None or together.mean() < TOGETHER
+
+
+def split(shown: Sequence[int], breaks: Sequence[int]) -> list[list[int]]:
+    """The shown frames of every piece; none where most frames stand alone, because nothing in them can be followed."""
+    pieces: list[list[int]] = [[]]
+    for t in shown:
+        if t in set(breaks):
+            pieces.append([])
+        pieces[-1].append(t)
+    alone = sum(len(piece) == 1 for piece in pieces)
+    return pieces if shown and alone <= max(1, len(shown) // 2) else []
+
+
+def join(pieces: Sequence[Sequence[int]], cameras: Sequence[Sequence[Camera]], count: int) -> list[Camera]:
+    """One camera for each of ``count`` frames: the pieces side by side, blank frames interpolated within their piece.
+
+    Args:
+        pieces: the frames of every piece.
+        cameras: their cameras, the first one of every piece the identity.
+    """
+    result: list[Camera] = []
+    ends = [piece[0] for piece in pieces[1:]] + [count]
+    for number, (frames, found, end) in enumerate(zip(pieces, cameras, ends, strict=True)):
+        path = CameraPath(frames, [_aside(camera, number * APART) for camera in found])
+        known = dict(zip(frames, path.cameras, strict=True))
+        result += [known.get(t) or path.at(t) for t in range(len(result), end)]
+    return result
+
+
+def _aside(camera: Camera, distance: float) -> Camera:
+    """The camera in a world that was moved to the right by ``distance``."""
+    shift = np.eye(4)
+    shift[0, 3] = -distance
+    return Camera(camera.viewmat @ shift, camera.K, camera.width, camera.height)

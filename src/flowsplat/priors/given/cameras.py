@@ -1,0 +1,68 @@
+"""Cameras from a file or folder of any known layout."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from flowsplat.common.errors import InputError
+from flowsplat.common.files import read_json, read_npz
+from flowsplat.geometry import Camera
+from flowsplat.priors.given import droid, megasam
+from flowsplat.priors.given.colmap import find_model, read_colmap
+from flowsplat.priors.given.fitting import require_frames, require_shape
+from flowsplat.priors.given.nerfstudio import is_nerfstudio, read_nerfstudio
+from flowsplat.scenes import Scene
+
+KNOWN = (
+    "a JSON list of cameras, nerfstudio's transforms.json, a COLMAP model (cameras and images, .bin or .txt), "
+    "MegaSaM's .npz with cam_c2w, DROID-SLAM's droid_recon .npy"
+)
+
+
+def read_cameras(path: Path, scene: Scene, allow_pickle: bool) -> tuple[list[Camera], str]:
+    """One camera a frame at the size of the frames, and whose layout it was.
+
+    Raises:
+        InputError: missing, damaged, of no known layout, not one camera a frame, or of another shape.
+    """
+    cameras, maker = _read(Path(path), scene, allow_pickle)
+    for index, camera in enumerate(cameras):
+        if not camera.is_finite:
+            raise InputError(f"{path}: the camera of frame {index} is not finite or its viewmat is not a rotation.")
+        require_shape(path, camera.width, camera.height, scene)
+    return [camera.resized(scene.width, scene.height) for camera in cameras], maker
+
+
+def _read(path: Path, scene: Scene, allow_pickle: bool) -> tuple[list[Camera], str]:
+    if path.is_dir():
+        model = find_model(path)
+        if (path / "transforms.json").is_file():
+            path = path / "transforms.json"
+        elif model is not None:
+            return read_colmap(model, scene), "COLMAP"
+    suffix = path.suffix.lower()
+    if suffix == ".json":
+        content = read_json(path)
+        if is_nerfstudio(content):
+            return read_nerfstudio(path, content, scene), "nerfstudio"
+        return _own(path, content, scene), "flowsplat"
+    if suffix == ".npz":
+        arrays = read_npz(path)
+        if megasam.is_megasam(arrays):
+            return megasam.read_cameras(path, arrays, scene), megasam.MAKER
+    if suffix == ".npy":
+        return droid.read_droid(path, scene, allow_pickle), droid.MAKER
+    if not path.exists():
+        raise InputError(f"{path} does not exist.")
+    raise InputError(f"{path} holds no cameras of a known layout. Looked for: {KNOWN}.")
+
+
+def _own(path: Path, content: object, scene: Scene) -> list[Camera]:
+    try:
+        if not isinstance(content, list):
+            raise TypeError("it is neither a list nor a transforms.json")
+        cameras = [Camera.from_json(value) for value in content]
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{path} does not hold cameras (a list with viewmat, K, width, height each): {error}.") from error
+    require_frames(path, len(cameras), scene, "cameras")
+    return cameras

@@ -1,0 +1,182 @@
+"""COLMAP's sparse models, text or binary: https://colmap.github.io/format.html."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from flowsplat.common.errors import InputError
+from flowsplat.geometry import Camera
+from flowsplat.geometry.rotations import quats_to_rotations
+from flowsplat.priors.given.fitting import require_frames
+from flowsplat.priors.given.lens import require_pinhole
+from flowsplat.scenes import Scene
+from flowsplat.scenes.formats.images import natural_key
+
+PLACES = ("", "0", "sparse", "sparse/0", "colmap/sparse/0")
+"""Where in a given folder the model may lie."""
+
+_MODELS = {
+    # name: (number in binary files, parameters, how many of them are focal lengths)
+    "SIMPLE_PINHOLE": (0, 3, 1),
+    "PINHOLE": (1, 4, 2),
+    "SIMPLE_RADIAL": (2, 4, 1),
+    "RADIAL": (3, 5, 1),
+    "OPENCV": (4, 8, 2),
+    "FULL_OPENCV": (6, 12, 2),
+}
+"""The models whose distortion OpenCV has too, in its order. The others are fisheyes."""
+
+_NAMES = {number: name for name, (number, _, _) in _MODELS.items()}
+
+
+@dataclass(frozen=True)
+class _Image:
+    """A registered picture: its name, camera number, and pose world to camera."""
+
+    name: str
+    camera: int
+    quat: tuple[float, ...]
+    translation: tuple[float, ...]
+
+
+def find_model(folder: Path) -> Path | None:
+    """The folder with ``cameras`` and ``images`` in or under ``folder``; None where there is none."""
+    for place in PLACES:
+        for suffix in (".bin", ".txt"):
+            if all((folder / place / f"{name}{suffix}").is_file() for name in ("cameras", "images")):
+                return folder / place
+    return None
+
+
+def read_colmap(model: Path, scene: Scene) -> list[Camera]:
+    """One camera a frame, at the size of COLMAP's pictures; the natural order of their names is that of the frames.
+
+    Raises:
+        InputError: damaged, a lens that is no pinhole, or not every frame was registered.
+    """
+    suffix = ".bin" if (model / "cameras.bin").is_file() else ".txt"
+    path = model / f"images{suffix}"
+    try:
+        if suffix == ".bin":
+            lenses = _binary_cameras((model / "cameras.bin").read_bytes())
+            images = _binary_images(path.read_bytes())
+        else:
+            lenses = _text_cameras((model / "cameras.txt").read_text())
+            images = _text_images(path.read_text())
+    except (struct.error, ValueError, IndexError, UnicodeDecodeError) as error:
+        raise InputError(f"{model} is no readable COLMAP model (damaged or truncated): {error}.") from error
+    require_frames(path, len(images), scene, "registered pictures")
+    cameras = []
+    for image in sorted(images, key=lambda image: natural_key(Path(image.name))):
+        if image.camera not in lenses:
+            raise InputError(f"{path}: {image.name} has camera {image.camera}, which cameras{suffix} does not hold.")
+        name, width, height, parameters = lenses[image.camera]
+        K, distortion = _lens(name, parameters)
+        require_pinhole(model / f"cameras{suffix}", K, width, height, distortion)
+        viewmat = np.eye(4)
+        viewmat[:3, :3] = quats_to_rotations(torch.tensor(image.quat, dtype=torch.float64)).numpy()
+        viewmat[:3, 3] = image.translation
+        cameras.append(Camera(viewmat, K, width, height))
+    return cameras
+
+
+def _lens(name: str, parameters: tuple[float, ...]) -> tuple[np.ndarray, tuple[float, ...]]:
+    """K [3, 3] and the distortion in OpenCV's order."""
+    focals = _MODELS[name][2]
+    fx, fy = parameters[0], parameters[focals - 1]
+    cx, cy, *distortion = parameters[focals:]
+    if name in ("SIMPLE_RADIAL", "RADIAL"):
+        distortion = [*distortion, 0.0][:2] + [0.0, 0.0]
+    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]), tuple(distortion)
+
+
+_Lenses = dict[int, tuple[str, int, int, tuple[float, ...]]]
+
+
+def _checked(name: str, parameters: tuple[float, ...]) -> str:
+    if name not in _MODELS:
+        raise InputError(
+            f"COLMAP's camera model {name} is no pinhole: undistort the pictures first (colmap image_undistorter), "
+            "and give the model of the undistorted ones."
+        )
+    if len(parameters) != _MODELS[name][1]:
+        raise ValueError(f"{name} has {len(parameters)} parameters instead of {_MODELS[name][1]}")
+    return name
+
+
+def _text_lines(text: str) -> list[str]:
+    return [line.strip() for line in text.splitlines() if not line.startswith("#")]
+
+
+def _text_cameras(text: str) -> _Lenses:
+    lenses: _Lenses = {}
+    for line in filter(None, _text_lines(text)):
+        number, name, width, height, *rest = line.split()
+        parameters = tuple(map(float, rest))
+        lenses[int(number)] = (_checked(name, parameters), int(width), int(height), parameters)
+    return lenses
+
+
+def _text_images(text: str) -> list[_Image]:
+    images = []
+    # Every second line holds a picture's points, and may be empty.
+    for line in filter(None, _text_lines(text)[::2]):
+        _, *pose, camera, name = line.split(maxsplit=9)
+        values = tuple(map(float, pose))
+        images.append(_Image(name, int(camera), values[:4], values[4:]))
+    return images
+
+
+class _Bytes:
+    """Little-endian values read one after the other."""
+
+    def __init__(self, data: bytes):
+        self._data, self._at = data, 0
+
+    def take(self, form: str) -> tuple:
+        values = struct.unpack_from("<" + form, self._data, self._at)
+        self._at += struct.calcsize("<" + form)
+        return values
+
+    def text(self) -> str:
+        end = self._data.index(b"\0", self._at)
+        text = self._data[self._at : end].decode()
+        self._at = end + 1
+        return text
+
+    def skip(self, count: int) -> None:
+        self._at += count
+        if self._at > len(self._data):
+            raise ValueError("it ends within a picture's points")
+
+
+def _binary_cameras(data: bytes) -> _Lenses:
+    source = _Bytes(data)
+    lenses: _Lenses = {}
+    for _ in range(*source.take("Q")):
+        number, model, width, height = source.take("iiQQ")
+        name = _checked_number(model)
+        lenses[number] = (name, width, height, source.take(f"{_MODELS[name][1]}d"))
+    return lenses
+
+
+def _checked_number(model: int) -> str:
+    return _NAMES[model] if model in _NAMES else _checked(f"number {model}", ())
+
+
+def _binary_images(data: bytes) -> list[_Image]:
+    source = _Bytes(data)
+    images = []
+    for _ in range(*source.take("Q")):
+        _, *pose = source.take("i7d")
+        (camera,) = source.take("i")
+        name = source.text()
+        images.append(_Image(name, camera, tuple(pose[:4]), tuple(pose[4:])))
+        (points,) = source.take("Q")
+        source.skip(24 * points)  # x, y and the number of the point
+    return images

@@ -1,0 +1,116 @@
+"""Depth from a file or folder of any known layout."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from flowsplat.common.errors import InputError
+from flowsplat.common.files import read_npz
+from flowsplat.priors.given import droid, megasam
+from flowsplat.priors.given.fitting import files_by_frame, load_array, require_shape
+from flowsplat.scenes import Depth, Scene
+from flowsplat.scenes.clip import resize_labels
+from flowsplat.scenes.layers import decode_image
+
+KNOWN = (
+    "a folder of 00000.npy ... (planar depth), Shape of Motion's aligned_depth_anything (disparity, .npy or 16-bit .png), "
+    "MoSca's *_depth (.npz with dep), MegaSaM's .npz with depths"
+)
+
+DISPARITY_FOLDERS = re.compile(r"depth_anything|_disp$", re.IGNORECASE)
+"""What the folders of Shape of Motion's disparities are called (``aligned_depth_anything``, ``unidepth_disp``), and nothing
+else about their files tells them from depth."""
+
+
+@dataclass(frozen=True)
+class GivenDepth:
+    """Depth that the user brought.
+
+    Attributes:
+        maker: whose layout it is.
+        fits: makers of cameras whose units the depth has; with any others it is fitted to them.
+        read: from the number of a frame to its depth at the size of the frames, in units of its own.
+    """
+
+    maker: str
+    fits: tuple[str, ...]
+    read: Callable[[int], Depth]
+
+
+def open_depth(path: Path, scene: Scene) -> GivenDepth:
+    """Find out what ``path`` is; the maps of all training frames are read once, so that they can be relied on.
+
+    Raises:
+        InputError: missing, damaged, of no known layout, of another shape, or not for every training frame.
+    """
+    given = _open(Path(path), scene)
+    for i in scene.train_frames:
+        given.read(i)
+    return given
+
+
+def _open(path: Path, scene: Scene) -> GivenDepth:
+    if path.is_file() and path.suffix == ".npz":
+        return GivenDepth(megasam.MAKER, (megasam.MAKER,), megasam.MegaSamDepth(path, scene))
+    if not path.is_dir():
+        wrong = "holds no depth of a known layout" if path.exists() else "does not exist"
+        raise InputError(f"{path} {wrong}. Looked for: {KNOWN}.")
+    suffixes = {file.suffix.lower() for file in path.iterdir()}
+    is_disparity = any(DISPARITY_FOLDERS.search(part) for part in path.resolve().parts[-3:])
+    if is_disparity and suffixes & {".npy", ".png"}:
+        files = files_by_frame(path, (".npy",) if ".npy" in suffixes else (".png",), scene, "disparity")
+        return GivenDepth("Shape of Motion", (droid.MAKER,), lambda i: _disparity(files[i], scene))
+    if ".npz" in suffixes:
+        files = files_by_frame(path, (".npz",), scene, "depth")
+        return GivenDepth("MoSca", (), lambda i: _mosca(files[i], scene))
+    files = files_by_frame(path, (".npy",), scene, "depth")
+    return GivenDepth("flowsplat", ("any",), lambda i: _own(files[i], scene))
+
+
+def _map(path: Path, values: np.ndarray, scene: Scene) -> np.ndarray:
+    if values.ndim != 2 or values.dtype.kind not in "fiu":
+        raise InputError(f"{path} does not hold one depth map [height, width] of numbers.")
+    require_shape(path, values.shape[1], values.shape[0], scene)
+    return values.astype(np.float32)
+
+
+def _own(path: Path, scene: Scene) -> Depth:
+    depth = _map(path, load_array(path), scene)
+    if not (np.isfinite(depth).all() and (depth > 0).all()):
+        raise InputError(f"{path} holds depths that are not finite and positive: fill them in first.")
+    depth = resize_labels(depth, (scene.width, scene.height))
+    return Depth(depth, np.ones_like(depth))
+
+
+def _known(depth: np.ndarray, known: np.ndarray, scene: Scene) -> Depth:
+    """Depth at the size of the frames; where it is not known as far as the furthest, without confidence."""
+    furthest = depth[known].max() if known.any() else 1.0
+    size = (scene.width, scene.height)
+    return Depth(resize_labels(np.where(known, depth, np.float32(furthest)), size), resize_labels(known.astype(np.float32), size))
+
+
+def _disparity(path: Path, scene: Scene) -> Depth:
+    if path.suffix.lower() == ".png":
+        image = decode_image(path, cv2.IMREAD_UNCHANGED)
+        if image is None or image.dtype != np.uint16:
+            raise InputError(f"{path} is no 16-bit PNG of disparities.")
+        values = _map(path, image, scene) / np.float32(65535)
+    else:
+        values = _map(path, load_array(path), scene)
+    known = np.isfinite(values) & (values > 1e-6)
+    return _known(1 / np.where(known, values, 1), known, scene)
+
+
+def _mosca(path: Path, scene: Scene) -> Depth:
+    arrays = read_npz(path)
+    if "dep" not in arrays:
+        raise InputError(f"{path} has no array 'dep' as MoSca's depth has.")
+    values = _map(path, arrays["dep"], scene)
+    known = np.isfinite(values) & (values > 1e-3)
+    return _known(values, known, scene)

@@ -1,0 +1,121 @@
+"""Flow from a folder of any known layout."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from flowsplat.common.errors import InputError
+from flowsplat.common.files import read_npz
+from flowsplat.priors.given import megasam
+from flowsplat.priors.given.fitting import require_frames, require_shape
+from flowsplat.priors.given.truth import consecutive_pairs
+from flowsplat.scenes import Flow, Scene
+from flowsplat.scenes.clip import resize_labels
+from flowsplat.scenes.formats.images import natural_key
+from flowsplat.scenes.layers import FLOW_UNIT, decode_image
+
+FLO_MAGIC = 202021.25
+"""First number of a Middlebury ``.flo`` file (https://vision.middlebury.edu/flow/code/flow-code/README.txt)."""
+
+KITTI_ZERO, KITTI_UNIT = 32768, 64.0
+"""In KITTI's 16-bit PNG (https://www.cvlibs.net/datasets/kitti/eval_flow.php) u = (red - 32768) / 64 pixels."""
+
+Arrays = tuple[np.ndarray, np.ndarray]
+"""Flow [H, W, 2] and its confidence [H, W]."""
+
+
+def read_flow(folder: Path, scene: Scene) -> tuple[list[Flow], str]:
+    """The pairs of ``consecutive_pairs`` that a folder has, at the size of the frames, and whose layout it was.
+
+    Our own layout must have all of them; those of MegaSaM (forward only) and MoSca may lack some.
+
+    Raises:
+        InputError: missing, damaged, of another shape, or of no known layout.
+    """
+    folder, wanted = Path(folder), consecutive_pairs(scene)
+    if not folder.is_dir():
+        wrong = "is no folder" if folder.exists() else "does not exist"
+        raise InputError(
+            f"{folder} {wrong}. Looked for a folder of 00000_00001.npz, .flo or .png (KITTI), MegaSaM's cache_flow "
+            "(flows.npy, flows_masks.npy, ii-jj.npy), or MoSca's flow_raft (00000.jpg_to_00001.jpg.npz)."
+        )
+    if megasam.is_flow_cache(folder):
+        return megasam.read_flow(folder, wanted, scene), megasam.MAKER
+    if any(folder.glob("*_to_*.npz")):
+        return _mosca(folder, wanted, scene), "MoSca"
+    return [_own(folder, i, j, scene) for i, j in wanted], "flowsplat"
+
+
+def _fitted(path: Path, i: int, j: int, arrays: Arrays, scene: Scene) -> Flow:
+    flow, confidence = arrays
+    if flow.ndim != 3 or flow.shape[2] != 2 or confidence.shape != flow.shape[:2]:
+        raise InputError(f"{path} does not hold flow [height, width, 2] with a confidence [height, width].")
+    height, width = flow.shape[:2]
+    require_shape(path, width, height, scene)
+    if not (np.isfinite(flow).all() and np.isfinite(confidence).all()):
+        raise InputError(f"{path} holds values that are not finite: set them to 0 with confidence 0.")
+    size = (scene.width, scene.height)
+    scale = np.array([scene.width / width, scene.height / height], np.float32)
+    resized = cv2.resize(flow, size, interpolation=cv2.INTER_LINEAR) * scale
+    return Flow(i, j, resized, resize_labels(np.clip(confidence, 0, 1), size))
+
+
+def _own(folder: Path, i: int, j: int, scene: Scene) -> Flow:
+    readers: dict[str, Callable[[Path], Arrays]] = {".npz": _read_npz, ".flo": _read_flo, ".png": _read_kitti}
+    for suffix, read in readers.items():
+        path = folder / f"{i:05d}_{j:05d}{suffix}"
+        if path.exists():
+            return _fitted(path, i, j, read(path), scene)
+    missing = folder / f"{i:05d}_{j:05d}.npz"
+    raise InputError(f"{missing} does not exist: give flow both ways between consecutive training frames.")
+
+
+def _read_npz(path: Path) -> Arrays:
+    arrays = read_npz(path)
+    if not {"flow", "confidence"} <= arrays.keys():
+        raise InputError(f"{path} needs the arrays 'flow' and 'confidence'.")
+    # Whole numbers are 1/64 pixels and 255 is certain, as in a scene folder; floating-point numbers mean themselves.
+    flow, confidence = arrays["flow"], arrays["confidence"]
+    flow = flow / np.float32(FLOW_UNIT) if flow.dtype.kind in "iu" else flow.astype(np.float32)
+    confidence = confidence / np.float32(255) if confidence.dtype.kind in "iu" else confidence.astype(np.float32)
+    return flow, confidence
+
+
+def _read_flo(path: Path) -> Arrays:
+    data = path.read_bytes()
+    if len(data) < 12 or np.frombuffer(data, "<f4", 1)[0] != np.float32(FLO_MAGIC):
+        raise InputError(f"{path} is not a Middlebury .flo file.")
+    width, height = (int(value) for value in np.frombuffer(data, "<i4", 2, offset=4))
+    if width <= 0 or height <= 0 or len(data) != 12 + 8 * width * height:
+        raise InputError(f"{path} is damaged or truncated.")
+    flow = np.frombuffer(data, "<f4", offset=12).reshape(height, width, 2).astype(np.float32)
+    return flow, np.ones((height, width), np.float32)
+
+
+def _read_kitti(path: Path) -> Arrays:
+    image = decode_image(path, cv2.IMREAD_UNCHANGED)
+    if image is None or image.dtype != np.uint16 or image.ndim != 3 or image.shape[2] != 3:
+        raise InputError(f"{path} is no flow of KITTI: a PNG with three channels of 16 bits.")
+    valid = (image[..., 0] > 0).astype(np.float32)  # OpenCV turns the order of the channels round.
+    flow = (image[..., :0:-1].astype(np.float32) - KITTI_ZERO) / np.float32(KITTI_UNIT)
+    return flow * valid[..., None], valid
+
+
+def _mosca(folder: Path, wanted: list[tuple[int, int]], scene: Scene) -> list[Flow]:
+    files = {tuple(path.stem.split("_to_")): path for path in folder.glob("*_to_*.npz")}
+    names = sorted({name for pair in files for name in pair}, key=lambda name: natural_key(Path(name)))
+    require_frames(folder, len(names), scene, "pictures")
+    found = []
+    for i, j in wanted:
+        path = files.get((names[i], names[j]))
+        if path is not None:
+            arrays = read_npz(path)
+            if not {"flow", "mask"} <= arrays.keys():
+                raise InputError(f"{path} needs the arrays 'flow' and 'mask' as MoSca writes them.")
+            values = arrays["flow"].astype(np.float32), arrays["mask"].astype(np.float32)
+            found.append(_fitted(path, i, j, values, scene))
+    return found

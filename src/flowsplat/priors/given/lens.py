@@ -1,0 +1,39 @@
+"""Lens distortion that comes with other people's cameras: ours are pinholes, so it must be small enough to leave out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from flowsplat.common.errors import InputError
+
+MOST_DISTORTION = 1.0
+"""Pixels by which a lens may move a point of the picture's border and still count as a pinhole."""
+
+
+def require_pinhole(path: Path, K: np.ndarray, width: int, height: int, distortion: Sequence[float]) -> None:
+    """Refuse a lens that is no pinhole.
+
+    Args:
+        K: [3, 3] in pixels of a picture of ``width`` x ``height``.
+        distortion: k1, k2, p1, p2, k3, ... as OpenCV orders them.
+
+    Raises:
+        InputError: it moves points of the border by more than ``MOST_DISTORTION`` pixels.
+    """
+    if not any(distortion):
+        return
+    side = np.linspace(0, 1, 9)
+    edge = np.concatenate([np.stack([side, 0 * side + end], 1) for end in (0, 1)])
+    border = np.concatenate([edge, edge[:, ::-1]]) * [width, height]
+    rays = np.concatenate([(border - K[:2, 2]) / K[[0, 1], [0, 1]], np.ones((len(border), 1))], 1)
+    moved, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), K, np.asarray(distortion, np.float64))
+    error = float(np.linalg.norm(moved[:, 0] - border, axis=1).max())
+    if error > MOST_DISTORTION:
+        raise InputError(
+            f"{path} describes a lens that bends the picture by {error:.1f} pixels: undistort the pictures first "
+            "(colmap image_undistorter), and give the cameras of the undistorted ones."
+        )

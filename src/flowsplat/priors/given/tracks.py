@@ -1,0 +1,165 @@
+"""Tracks of other people's trackers.
+
+| whose | files | content |
+| --- | --- | --- |
+| Shape of Motion (TAPIR, BootsTAPIR) | folder of ``<from>_<to>.npy`` | [N, 4]: x, y, logits of occlusion and of a large error |
+| Dynamic Gaussian Marbles (CoTracker) | folder of ``track_<frame>.npy`` | [T, N, 3]: x, y, visible |
+| MoSca | ``*_tap.npz``, or a folder of them | ``tracks`` [T, N, 2 or 3], ``visibility`` [T, N] |
+| CoTracker | ``.npz`` | ``pred_tracks`` [1, T, N, 2], ``pred_visibility`` [1, T, N] |
+| TAPIR | ``.npz`` | ``tracks`` [N, T, 2], ``visibles`` [N, T] |
+
+All count pixels from 0 at the centre of the first one. A track that is followed from every frame comes many times;
+``MOST_TRACKS`` of them, evenly chosen, are kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.special import expit
+
+from flowsplat.common.errors import InputError
+from flowsplat.common.files import read_npz
+from flowsplat.priors.flow import sample_map
+from flowsplat.priors.given.fitting import load_array, require_frames
+from flowsplat.scenes import Scene, Tracks
+from flowsplat.scenes.formats.images import natural_key
+from flowsplat.scenes.layers import TRUSTED
+
+MOST_TRACKS = 20_000
+
+KNOWN = (
+    "a folder of <from>_<to>.npy (TAPIR in Shape of Motion's preprocessing), of track_<frame>.npy (CoTracker) or of "
+    "*_tap.npz (MoSca), or a .npz with tracks and visibility, pred_tracks and pred_visibility, or tracks and visibles"
+)
+
+Found = tuple[np.ndarray, np.ndarray]
+"""Pixels [N, T, 2] with whole numbers at pixel centres, and confidence [N, T], below one half where hidden."""
+
+
+@dataclass(frozen=True)
+class GivenTracks:
+    """Tracks at the size of the frames: ``points`` [P, T, 2] and ``confidence`` [P, T], 0 where not seen; and their maker."""
+
+    points: np.ndarray
+    confidence: np.ndarray
+    maker: str
+
+
+def read_tracks(path: Path, scene: Scene, size: tuple[int, int] | None) -> GivenTracks:
+    """Read tracks and bring them to the size of the frames; held-out frames are left out.
+
+    Args:
+        size: (width, height) of the pictures in which they were made; None = of the frames.
+
+    Raises:
+        InputError: missing, damaged, of no known layout, of another number of frames, or outside the pictures.
+    """
+    path = Path(path)
+    read, maker = _read(path, scene)
+    parts = list(read)
+    count = sum(len(points) for points, _ in parts)
+    step = -(-count // MOST_TRACKS)
+    points = np.concatenate([points[::step] for points, _ in parts])
+    confidence = np.concatenate([confidence[::step] for _, confidence in parts]).astype(np.float32)
+    if points.ndim != 3 or points.shape[2] != 2 or confidence.shape != points.shape[:2]:
+        raise InputError(f"{path} holds tracks of shape {points.shape} with visibility of shape {confidence.shape}.")
+    require_frames(path, points.shape[1], scene, "positions a track")
+    width, height = size or (scene.width, scene.height)
+    pixels = (points.astype(np.float32) + np.float32(0.5)) * np.array([scene.width / width, scene.height / height], np.float32)
+    confidence = np.where(np.isfinite(pixels).all(-1) & np.isfinite(confidence), confidence, 0)
+    pixels = np.nan_to_num(pixels)
+    seen = confidence >= TRUSTED
+    inside = (pixels >= 0).all(-1) & (pixels[..., 0] <= scene.width) & (pixels[..., 1] <= scene.height)
+    if seen.any() and inside[seen].mean() < 0.9:
+        raise InputError(
+            f"{path}: {1 - inside[seen].mean():.0%} of the visible points lie outside the {width}x{height} pixels of the frames: "
+            "give the size of the pictures in which they were tracked with --given.tracks-size WIDTH HEIGHT."
+        )
+    confidence = np.where(inside, np.clip(confidence, 0, 1), 0)
+    confidence[:, scene.heldout_frames] = 0
+    kept = (confidence >= TRUSTED).sum(1) >= 2
+    return GivenTracks(pixels[kept], confidence[kept], maker)
+
+
+def write_tracks(tracks: GivenTracks, path: Path, scene: Scene) -> None:
+    """Write them into the scene; those that are mostly on masks move. Needs masks, if there are to be any."""
+    visible = tracks.confidence >= TRUSTED
+    on_mover = np.zeros(len(visible))
+    if scene.prior("masks") is not None:
+        for i in scene.train_frames:
+            seen = np.flatnonzero(visible[:, i])
+            on_mover[seen] += sample_map((scene.mask(i) > 0).astype(np.float32), tracks.points[seen, i])[:, 0]
+    moving = on_mover > 0.5 * visible.sum(1)
+    scene.write_tracks(Tracks(np.where(visible[..., None], tracks.points, 0), visible, tracks.confidence, moving))
+    scene.finish_prior(
+        "tracks", method="given", verdict=f"from {path} ({tracks.maker})", tracks=len(visible), moving=int(moving.sum()),
+        median_length=int(np.median(visible.sum(1))) if len(visible) else 0,
+    )  # fmt: skip
+
+
+def _read(path: Path, scene: Scene) -> tuple[Iterator[Found], str]:
+    if path.is_file() and path.suffix == ".npz":
+        return _archives([path])
+    if path.is_dir():
+        arrays = sorted(path.glob("*.npy"), key=natural_key)
+        marbles = [file for file in arrays if file.stem.startswith("track_")]
+        archives = sorted(path.glob("*_tap.npz"), key=natural_key)
+        if marbles:
+            return _marbles(marbles), "CoTracker"
+        if archives:
+            return _archives(archives)
+        names = _pair_names(arrays)
+        if names:
+            require_frames(path, len(names), scene, "frames")
+            return _tapir(path, names), "TAPIR"
+    if not path.exists():
+        raise InputError(f"{path} does not exist.")
+    raise InputError(f"{path} holds no tracks of a known layout. Looked for: {KNOWN}.")
+
+
+def _pair_names(files: list[Path]) -> list[str]:
+    """The names of frames, from files that are called ``<from>_<to>``: those that lead to themselves."""
+    halves = [(file.stem[: len(file.stem) // 2], file.stem[len(file.stem) // 2 + 1 :]) for file in files]
+    return sorted({start for start, end in halves if start == end}, key=lambda name: natural_key(Path(name)))
+
+
+def _tapir(folder: Path, names: list[str]) -> Iterator[Found]:
+    """Followed from every frame. Visible with the probability that it is neither hidden nor badly placed."""
+    for start in names:
+        arrays = [load_array(folder / f"{start}_{end}.npy") for end in names]
+        if any(array.ndim != 2 or array.shape[1] != 4 or len(array) != len(arrays[0]) for array in arrays):
+            raise InputError(f"{folder}: the tracks from {start} are not [N, 4] in every file.")
+        values = np.stack(arrays, 1).astype(np.float32)
+        yield values[..., :2], expit(-values[..., 2]) * expit(-values[..., 3])
+
+
+def _marbles(files: list[Path]) -> Iterator[Found]:
+    for file in files:
+        values = load_array(file)
+        if values.ndim != 3 or values.shape[2] != 3:
+            raise InputError(f"{file} is not [T, N, 3] (x, y, visible), but {list(values.shape)}.")
+        values = values.astype(np.float32).swapaxes(0, 1)
+        yield values[..., :2], values[..., 2]
+
+
+def _archives(files: list[Path]) -> tuple[Iterator[Found], str]:
+    found, maker = [], ""
+    for file in files:
+        arrays = read_npz(file)
+        if {"pred_tracks", "pred_visibility"} <= arrays.keys():
+            points, seen, maker = arrays["pred_tracks"], arrays["pred_visibility"], "CoTracker"
+            points = points[0] if points.ndim == 4 else points
+            seen = seen.reshape(points.shape[:2]) if seen.size == points[..., 0].size else seen
+            points, seen = points.swapaxes(0, 1), seen.T
+        elif {"tracks", "visibility"} <= arrays.keys():
+            points, seen, maker = arrays["tracks"].swapaxes(0, 1)[..., :2], arrays["visibility"].T, "MoSca"
+        elif {"tracks", "visibles"} <= arrays.keys():
+            points, seen, maker = arrays["tracks"], arrays["visibles"], "TAPIR"
+        else:
+            raise InputError(f"{file} holds no tracks of a known layout. Looked for: {KNOWN}.")
+        found.append((points, seen.astype(np.float32)))
+    return iter(found), maker

@@ -1,0 +1,81 @@
+"""RAFT (https://arxiv.org/abs/2003.12039) as torchvision has it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+
+from flowsplat.common.errors import InputError
+from flowsplat.priors.flow import FlowEstimator
+from flowsplat.priors.learned.weights import first_line, require_package, state_dict_file
+
+OPTION, SETTING, INSTEAD = "--flow raft", "--models.raft", "--flow dis"
+
+SMALLEST_SIDE = 128
+"""Pixels below which its pyramid of correlations has no room; smaller pictures are enlarged."""
+
+MULTIPLE = 8
+"""Sides are continued to a multiple of this."""
+
+FIRST_WEIGHT = "feature_encoder.convnormrelu.0.weight"
+"""Its number of channels tells large from small."""
+
+
+def raft_estimator(source: str, device: torch.device) -> FlowEstimator:
+    """Flow by RAFT.
+
+    Args:
+        source: ``large`` or ``small`` with torchvision's weights, from torch's cache or fetched once, or a ``.pth`` file.
+
+    Raises:
+        InputError: torchvision or the weights are not there.
+    """
+    models = require_package("torchvision.models.optical_flow", OPTION, INSTEAD)
+    if source in ("large", "small"):
+        weights = (models.Raft_Large_Weights if source == "large" else models.Raft_Small_Weights).DEFAULT
+        network = (models.raft_large if source == "large" else models.raft_small)(weights=None)
+        file = Path(torch.hub.get_dir()) / "checkpoints" / Path(weights.url).name
+        try:
+            state: dict[str, Any] = dict(weights.get_state_dict(progress=False, check_hash=True))
+        except Exception as error:  # no network, no permission, a truncated file
+            raise InputError(
+                f"{OPTION}: the weights {file} can be neither found nor fetched ({first_line(error)}). Fetch {weights.url} to "
+                f"that place, or name your file with {SETTING} FILE, or do without: {INSTEAD}."
+            ) from error
+        path = file
+    else:
+        path = Path(source)
+        state = state_dict_file(path, option=OPTION, setting=SETTING, instead=INSTEAD)
+        channels = state[FIRST_WEIGHT].shape[0] if FIRST_WEIGHT in state else 0
+        small = models.raft_small(weights=None)
+        network = small if small.state_dict()[FIRST_WEIGHT].shape[0] == channels else models.raft_large(weights=None)
+    try:
+        network.load_state_dict(state)
+    except RuntimeError as error:
+        raise InputError(
+            f"{OPTION}: {path} does not hold torchvision's RAFT ({first_line(error)}). Give such a file with {SETTING} FILE, "
+            f"or do without: {INSTEAD}."
+        ) from error
+    network = network.to(device).eval()
+
+    @torch.inference_mode()
+    def estimate(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        height, width = a.shape[:2]
+        factor = max(1.0, SMALLEST_SIDE / min(height, width))
+        rows, columns = round(height * factor), round(width * factor)
+        padding = (0, -columns % MULTIPLE, 0, -rows % MULTIPLE)
+        pair = torch.stack([torch.tensor(image).permute(2, 0, 1) for image in (a, b)]).to(device, torch.float32) / 127.5 - 1
+        if (rows, columns) != (height, width):
+            pair = F.interpolate(pair, (rows, columns), mode="bilinear", align_corners=False)
+        pair = F.pad(pair, padding, mode="replicate")
+        flow = network(pair[:1], pair[1:])[-1][..., :rows, :columns]
+        if (rows, columns) != (height, width):
+            flow = F.interpolate(flow, (height, width), mode="area")
+        scale = np.array([width / columns, height / rows], np.float32)
+        return flow[0].permute(1, 2, 0).cpu().numpy().astype(np.float32) * scale
+
+    return estimate

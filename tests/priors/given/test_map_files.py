@@ -1,0 +1,221 @@
+"""Depth, flow and masks in the layouts of others, written exactly as their code writes them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from flowsplat.common.errors import InputError
+from flowsplat.priors.given import GivenPriors, use_given
+from flowsplat.priors.given.depth import open_depth
+from flowsplat.priors.given.flow import read_flow
+from flowsplat.priors.given.truth import consecutive_pairs
+from flowsplat.scenes import Scene
+
+from .test_camera_files import droid, megasam, slam_intrinsics
+
+SIZE = (854, 480)
+FRAMES = 5
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Scene:
+    """Frame 2 is held out."""
+    return Scene.create(
+        tmp_path / "scene", name="s", source="", width=SIZE[0], height=SIZE[1], timestamps=range(FRAMES), holdout=3, source_fps=1
+    )
+
+
+def ramp(width: int, height: int, whole: tuple[int, int]) -> np.ndarray:
+    """A depth that rises with the position in the whole picture, from 1 to 4 across and 0 to 1 down."""
+    x, y = (np.arange(width) + 0.5) / whole[0], (np.arange(height) + 0.5) / whole[1]
+    return (1 + 3 * x[None] + y[:, None]).astype(np.float32)
+
+
+EXPECTED = ramp(*SIZE, SIZE)
+
+
+def test_megasam_depth_is_put_back_where_it_was_cropped(scene: Scene, tmp_path: Path):
+    whole, (width, height), _ = slam_intrinsics()
+    assert whole != (width, height)
+    depths = np.repeat(ramp(width, height, whole)[None], FRAMES, 0).astype(np.float16)
+    depths[:, :20, :20] = 1e-3
+    megasam(tmp_path / "clip_sgd_cvd_hr.npz", depths=depths)
+    given = open_depth(tmp_path / "clip_sgd_cvd_hr.npz", scene)
+    found = given.read(3)
+    assert given.maker == "MegaSaM"
+    # The border that was cut off continues, and nothing is claimed about it.
+    np.testing.assert_allclose(found.depth[40:440, 40:800], EXPECTED[40:440, 40:800], rtol=0.01)
+    assert (found.confidence[:20, :20] == 0).all()
+    assert (found.confidence[60:440, 60:800] == 1).all()
+    assert found.confidence[-1, 100] == 0
+    assert np.isfinite(found.depth).all()
+
+
+@pytest.mark.parametrize("suffix", [".npy", ".png"])
+def test_shape_of_motion_disparity(scene: Scene, tmp_path: Path, suffix: str):
+    folder = tmp_path / "aligned_depth_anything" / "clip"
+    folder.mkdir(parents=True)
+    disparity = 1 / ramp(*SIZE, SIZE)
+    disparity[:10] = 0
+    for i in range(FRAMES):
+        if suffix == ".npy":
+            np.save(folder / f"frame_{i + 1}.npy", disparity)
+        else:
+            cv2.imwrite(str(folder / f"frame_{i + 1}.png"), np.rint(disparity * 65535).astype(np.uint16))
+    given = open_depth(folder, scene)
+    assert given.maker == "Shape of Motion"
+    np.testing.assert_allclose(given.read(4).depth[10:], EXPECTED[10:], rtol=1e-3)
+    assert (given.read(4).confidence[:10] == 0).all()
+    assert (given.read(4).confidence[10:] == 1).all()
+
+
+def test_mosca_depth(scene: Scene, tmp_path: Path):
+    folder = tmp_path / "uni_depth"
+    folder.mkdir()
+    depth = ramp(427, 240, (427, 240))
+    depth[:5] = 0
+    for i in range(FRAMES):
+        np.savez_compressed(folder / f"{i:05d}.npz", dep=depth)
+    given = open_depth(folder, scene)
+    assert given.maker == "MoSca"
+    np.testing.assert_allclose(given.read(0).depth[12:], EXPECTED[12:], rtol=0.01)
+    assert (given.read(0).confidence[:9] == 0).all()
+
+
+def test_depth_beside_cameras_of_the_same_maker_is_taken_as_it_is(scene: Scene, tmp_path: Path):
+    megasam(tmp_path / "clip.npz")
+    later = use_given(scene, GivenPriors(cameras=tmp_path / "clip.npz", depth=tmp_path / "clip.npz"))
+    assert later == {}
+    assert scene.prior("depth")["method"] == "given"
+    assert not scene.has_depth(2)
+    assert np.median(scene.depth(1).depth) == 2
+    folder = tmp_path / "aligned_depth_anything"
+    folder.mkdir()
+    for i in range(FRAMES):
+        np.save(folder / f"{i:05d}.npy", np.full((48, 85), 0.25, np.float32))
+    droid(tmp_path / "droid.npy")
+    mine = GivenPriors(cameras=tmp_path / "droid.npy", depth=folder, allow_pickle=True)
+    assert use_given(scene, mine) == {}
+    assert np.median(scene.depth(1).depth) == 4
+
+
+def test_depth_beside_other_cameras_waits_to_be_fitted(scene: Scene, tmp_path: Path):
+    megasam(tmp_path / "clip.npz")
+    assert set(use_given(scene, GivenPriors(depth=tmp_path / "clip.npz"))) == {"depth"}
+    assert scene.prior("depth") is None
+
+
+BAD_DEPTH = {
+    "nothing": (lambda f: f / "none", "does not exist. Looked for: .*MoSca"),
+    "an archive of something": (lambda f: saved(f / "a.npz", x=np.ones(3)), "needs depths, intrinsic and cam_c2w"),
+    "MoSca's of something": (lambda f: [saved(f / f"{i:05d}.npz", x=np.ones(3)) for i in range(5)] and f, "no array 'dep'"),
+    "too few": (lambda f: [saved(f / f"f{i}.npz", dep=np.ones((48, 85))) for i in range(4)] and f, "holds 4 files with depth"),
+    "another shape": (lambda f: [saved(f / f"f{i}.npz", dep=np.ones((48, 48))) for i in range(5)] and f, "another shape"),
+}
+
+
+def saved(file: Path, **arrays: np.ndarray) -> Path:
+    np.savez(file, **arrays)
+    return file
+
+
+@pytest.mark.parametrize("name", BAD_DEPTH)
+def test_bad_depth_is_refused_in_one_line(scene: Scene, tmp_path: Path, name: str):
+    make, message = BAD_DEPTH[name]
+    (tmp_path / "given").mkdir()
+    with pytest.raises(InputError, match=message) as caught:
+        open_depth(make(tmp_path / "given"), scene)
+    assert "\n" not in str(caught.value)
+
+
+def flow_cache(folder: Path, frames: int = FRAMES) -> None:
+    """As MegaSaM's preprocess_flow.py writes it: forward only, the step 1 first."""
+    _, (width, height), _ = slam_intrinsics()
+    pairs = [(i, i + step) for step in (1, 2, 4) for i in range(frames - step)]
+    flows = np.stack(
+        [np.broadcast_to(np.array([4.0, -2.0])[:, None, None] * (j - i), (2, height // 2, width // 2)) for i, j in pairs]
+    )
+    masks = np.ones((len(pairs), 1, height // 2, width // 2), bool)
+    masks[:, :, :, :30] = False
+    folder.mkdir()
+    np.save(folder / "flows.npy", flows.astype(np.float16))
+    np.save(folder / "flows_masks.npy", masks)
+    np.save(folder / "ii-jj.npy", np.array(pairs).T)
+
+
+def test_megasam_flow(scene: Scene, tmp_path: Path):
+    flow_cache(tmp_path / "cache")
+    flows, maker = read_flow(tmp_path / "cache", scene)
+    assert maker == "MegaSaM"
+    assert [(flow.i, flow.j) for flow in flows] == [(0, 1), (1, 3), (3, 4)]
+    (w1, h1), _, _ = slam_intrinsics()
+    for flow in flows:
+        expected = np.array([8 * SIZE[0] / w1, -4 * SIZE[1] / h1]) * (flow.j - flow.i)
+        np.testing.assert_allclose(flow.flow, np.broadcast_to(expected, (*SIZE[::-1], 2)), rtol=1e-3)
+        assert not flow.trusted[:, :80].any()
+        assert flow.trusted[:440, 110:800].all()
+
+
+def test_flow_one_way_leaves_the_rest_to_the_stage(scene: Scene, tmp_path: Path):
+    flow_cache(tmp_path / "cache")
+    use_given(scene, GivenPriors(flow=tmp_path / "cache"))
+    assert scene.flow_pairs == [(0, 1), (1, 3), (3, 4)]
+    assert scene.prior("flow") is None
+
+
+def test_mosca_flow(scene: Scene, tmp_path: Path):
+    for i, j in consecutive_pairs(scene) + [(1, 2)]:
+        flow = np.broadcast_to([3.0 * (j - i), 1.0], (240, 427, 2)).astype(np.float16)
+        mask = np.ones((240, 427), np.float16)
+        mask[:20] = 0
+        np.savez_compressed(tmp_path / f"frame_{i + 1}.jpg_to_frame_{j + 1}.jpg.npz", flow=flow, mask=mask)
+    flows, maker = read_flow(tmp_path, scene)
+    assert maker == "MoSca"
+    assert [(flow.i, flow.j) for flow in flows] == consecutive_pairs(scene)
+    np.testing.assert_allclose(flows[2].flow[100, 100], [12, 2], rtol=2e-3)
+    assert not flows[0].trusted[:38].any()
+    assert flows[0].trusted[42:].all()
+
+
+def test_kitti_flow(scene: Scene, tmp_path: Path):
+    for i, j in consecutive_pairs(scene):
+        image = np.zeros((*SIZE[::-1], 3), np.uint16)
+        image[..., 2], image[..., 1], image[..., 0] = 32768 + 64 * 5, 32768 - 64 * 3, 1  # red u, green v, blue valid
+        image[:40] = 0
+        cv2.imwrite(str(tmp_path / f"{i:05d}_{j:05d}.png"), image)
+    flows, _ = read_flow(tmp_path, scene)
+    assert len(flows) == 6
+    np.testing.assert_array_equal(flows[0].flow[100, 100], [5, -3])
+    assert not flows[0].trusted[:40].any()
+    assert flows[0].trusted[40:].all()
+
+
+def test_bad_flow_is_refused_in_one_line(scene: Scene, tmp_path: Path):
+    flow_cache(tmp_path / "short", frames=4)
+    with pytest.raises(InputError, match="holds 4 pictures"):
+        read_flow(tmp_path / "short", scene)
+    with pytest.raises(InputError, match=r"does not exist. Looked for .*cache_flow"):
+        read_flow(tmp_path / "none", scene)
+    np.save(tmp_path / "short" / "ii-jj.npy", np.zeros((2, 3), int))
+    with pytest.raises(InputError, match="not as MegaSaM writes it"):
+        read_flow(tmp_path / "short", scene)
+    (tmp_path / "kitti").mkdir()
+    cv2.imwrite(str(tmp_path / "kitti" / "00000_00001.png"), np.zeros((48, 85, 3), np.uint8))
+    with pytest.raises(InputError, match="no flow of KITTI"):
+        read_flow(tmp_path / "kitti", scene)
+
+
+@pytest.mark.parametrize("names", [[f"{i:05d}.png" for i in range(5)], [f"frame{i + 8}.png" for i in range(5)]])
+def test_masks_by_number_or_in_order(scene: Scene, tmp_path: Path, names: list[str]):
+    for i, name in enumerate(names):
+        mask = np.zeros(SIZE[::-1], np.uint8)
+        mask[10 * i : 10 * i + 10] = 255
+        cv2.imwrite(str(tmp_path / name), mask)
+    use_given(scene, GivenPriors(masks=tmp_path))
+    assert (scene.mask(3)[30:40] == 1).all()
+    assert scene.mask(3).sum() == 10 * SIZE[0]
+    assert scene.heldout_masks.mask(2)[20:30].all()

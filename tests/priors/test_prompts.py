@@ -1,0 +1,148 @@
+"""Clicks and boxes: how they are typed, what they cut out, and how it is carried through the clip."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flowsplat.common.errors import InputError
+from flowsplat.priors.flow import flow_stage
+from flowsplat.priors.prompts import Prompt, cut_out, parse_prompts, prompt_stage, snapped
+from flowsplat.scenes import Scene
+
+from .planes import FRAMES, HEIGHT, SIDE, WIDTH, square_at, texture, write_planes
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory) -> Scene:
+    """A square that moves before a wall that moves too; frame 4 is held out."""
+    scene = write_planes(tmp_path_factory.mktemp("planes"), step=2, square=True, holdout=5)
+    flow_stage(scene)
+    return scene
+
+
+def overlap(a: np.ndarray, b: np.ndarray) -> float:
+    return float((a & b).sum() / (a | b).sum())
+
+
+def test_clicks_and_boxes_as_they_are_typed(scene: Scene):
+    clicks, boxes = ["100,70@3", " 0.25, 0.5 @ 3", "40.5,20@0"], ["10,20,50,60@3", "0.5,0,1,0.5@8"]
+    assert parse_prompts(clicks, boxes, scene) == [
+        Prompt(3, ((32.0, 40.0),), (10, 20, 50, 60)),
+        Prompt(8, (), (64, 0, 128, 40)),
+        Prompt(3, ((100.0, 70.0),)),
+        Prompt(0, ((40.5, 20.0),)),
+    ]
+    assert parse_prompts([], ["100,60,150,90@0"], scene)[0].box == (100, 60, 128, 80)
+
+
+@pytest.mark.parametrize(
+    ("clicks", "boxes", "message"),
+    [
+        (["10,20"], [], r"--mask-click 10,20 cannot be understood: give x,y@frame, for example --mask-click 320,180@0"),
+        (["10@3"], [], "cannot be understood"),
+        (["a,b@3"], [], "cannot be understood"),
+        (["10,20@-1"], [], "cannot be understood"),
+        (["500,20@3"], [], "outside the frames, which have 128x80 pixels"),
+        (["-5,20@3"], [], "outside"),
+        (["10,20@4"], [], "frame 4 is held out for the figures; choose another, for example 3"),
+        (["10,20@12"], [], "no frame 12; they count from 0 to 11"),
+        ([], ["10,20,30@3"], "give x0,y0,x1,y1@frame"),
+        ([], ["30,20,10,40@3"], "is empty"),
+        ([], ["200,20,210,40@3"], "is empty"),
+    ],
+)
+def test_what_is_no_prompt_is_refused_in_one_line(scene: Scene, clicks, boxes, message: str):
+    with pytest.raises(InputError, match=message) as caught:
+        parse_prompts(clicks, boxes, scene)
+    assert "\n" not in str(caught.value)
+
+
+X, Y = square_at(5)
+CENTER = ((X + SIDE / 2, Y + SIDE / 2),)
+BOX = (X - 6, Y - 4, X + SIDE + 5, Y + SIDE + 6)
+
+
+@pytest.mark.parametrize("prompt", [Prompt(5, CENTER), Prompt(5, (), BOX), Prompt(5, CENTER, BOX)])
+def test_an_object_is_cut_out(scene: Scene, prompt: Prompt):
+    found = cut_out(scene.frame(5), scene.flow(5, 6).flow, prompt)
+    assert overlap(found, scene.truth.mask(5) > 0) > 0.75
+
+
+def test_an_object_at_rest_is_cut_out_by_its_colours():
+    image = np.full((80, 120, 3), 60, np.uint8)
+    image[20:50, 30:70] = [200, 90, 40]
+    image = np.clip(image + np.random.default_rng(0).normal(0, 4, image.shape), 0, 255).astype(np.uint8)
+    true = np.zeros((80, 120), bool)
+    true[20:50, 30:70] = True
+    still = np.zeros((80, 120, 2), np.float32)
+    for prompt in (Prompt(0, ((50.0, 35.0),)), Prompt(0, (), (22, 14, 80, 58))):
+        assert overlap(cut_out(image, still, prompt), true) > 0.95
+
+
+def test_a_plain_picture_gives_what_was_shown():
+    image, still = np.full((60, 90, 3), 128, np.uint8), np.zeros((60, 90, 2), np.float32)
+    found = cut_out(image, still, Prompt(0, ((30.0, 30.0),), (20, 20, 40, 40)))
+    assert found[30, 30]
+    assert found.sum() <= 400
+
+
+def test_an_edge_is_moved_to_that_of_the_picture():
+    image = np.zeros((100, 160, 3), np.uint8)
+    image[..., 2] = texture(0, 160, 100)[..., 0] // 3
+    image[30:70, 50:100, 0] = 200
+    true = image[..., 0] > 0
+    shifted = np.roll(true, (1, 2), (0, 1))
+    assert overlap(snapped(image, shifted), true) > 0.98 > overlap(shifted, true)
+
+
+@pytest.mark.parametrize("start", [0, 5, FRAMES - 1])
+def test_a_mask_is_carried_both_ways(scene: Scene, start: int):
+    x, y = square_at(start)
+    prompt_stage(scene, parse_prompts([], [f"{x - 3},{y - 3},{x + SIDE + 3},{y + SIDE + 3}@{start}"], scene))
+    overlaps = [overlap(scene.mask(i) > 0, scene.truth.mask(i) > 0) for i in scene.train_frames]
+    assert np.mean(overlaps) > 0.8
+    assert min(overlaps) > 0.7
+    assert not any(scene.has_mask(i) for i in scene.heldout_frames)
+    how = scene.prior("masks")
+    assert how["method"] == "clicks"
+    assert how["objects"] == 1
+    assert how["confidence"] > 0.8
+
+
+def test_two_prompts_on_one_object_are_one_and_others_are_their_own(scene: Scene):
+    boxes = []
+    for i in (0, 8):
+        x, y = square_at(i)
+        boxes.append(f"{x - 3},{y - 3},{x + SIDE + 3},{y + SIDE + 3}@{i}")
+    prompt_stage(scene, parse_prompts([], [*boxes, "100,2,120,18@0"], scene))
+    assert scene.prior("masks")["objects"] == 2
+    x, y = square_at(8)
+    assert scene.mask(8)[y + SIDE // 2, x + SIDE // 2] == 1
+    assert 2 in np.unique(scene.mask(0)[:20, 95:])
+
+
+def test_the_same_prompts_give_the_same_masks(scene: Scene):
+    prompts = parse_prompts([f"{X + 14},{Y + 14}@5"], [], scene)
+    prompt_stage(scene, prompts)
+    first = [scene.mask(i) for i in scene.train_frames]
+    prompt_stage(scene, prompts)
+    for i, mask in zip(scene.train_frames, first, strict=True):
+        np.testing.assert_array_equal(scene.mask(i), mask)
+    assert first[0].shape == (HEIGHT, WIDTH)
+
+
+def test_what_leaves_the_picture_is_gone(tmp_path: Path):
+    scene = Scene.create(tmp_path, name="s", source="", width=96, height=64, timestamps=range(6), holdout=None, source_fps=1)
+    wall, body = texture(0, 96, 64), texture(1, 30, 30)
+    for i in range(6):
+        frame = wall.copy()
+        left = 60 + 12 * i
+        frame[20:50, left : left + 30] = body[:, : max(0, 96 - left)]
+        scene.write_frame(i, frame)
+    flow_stage(scene)
+    prompt_stage(scene, parse_prompts([], ["57,17,93,53@0"], scene))
+    assert scene.mask(0).sum() > 600
+    assert scene.mask(5).sum() < 0.1 * scene.mask(0).sum()
