@@ -80,7 +80,7 @@ def test_imports_run_with_the_data():
         ("priors/flow.py", "import flowsplat.gaussians.render"),
         ("training/trainer.py", "from flowsplat import evaluation"),
         ("training/trainer.py", "def f():\n    from ..output import report"),
-        ("training/ssim/cpu.py", "from ...output.report import write"),
+        ("training/picture_loss/cpu.py", "from ...output.report import write"),
         ("common/files.py", "from flowsplat.pictures import video"),
         ("pipeline.py", "from .cli import main"),
         ("geometry/cameras.py", "from flowsplat import Scene"),
@@ -98,7 +98,7 @@ def test_a_step_against_the_order_is_found(name, source):
     [
         ("scenes/scene.py", "from flowsplat.scenes.layers import Layers\nfrom .layers import Depth"),
         ("gaussians/render.py", "from flowsplat.splatting.api import rasterize\nfrom flowsplat.scenes import Scene"),
-        ("training/ssim/cpu.py", "from ...splatting.cpu import simd\nfrom . import reference\nfrom .. import losses"),
+        ("training/picture_loss/cpu.py", "from ...splatting.cpu import simd\nfrom . import reference\nfrom .. import losses"),
         ("output/report.py", "from flowsplat import __version__, evaluation"),
         ("cli.py", "import flowsplat.protocols.davis\nimport numpy"),
     ],
