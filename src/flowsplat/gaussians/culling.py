@@ -7,7 +7,8 @@ import math
 import numpy as np
 from numba import float32, njit, prange
 
-OPTIONS = {"cache": True, "error_model": "numpy"}
+from flowsplat.common.kernels import OPTIONS
+
 CHUNKS = 64
 REACH = np.float32(3.34)
 """More sigmas than the rasterizer ever draws: sqrt(2 ln 255) = 3.33."""

@@ -9,12 +9,12 @@ import torch
 from numba import njit, prange
 from torch import Tensor
 
+from flowsplat.common.kernels import OPTIONS
 from flowsplat.gaussians.flow.reference import NEAR
 from flowsplat.gaussians.slicing import Slice
 from flowsplat.geometry import Camera
 from flowsplat.splatting import Projected
 
-OPTIONS = {"fastmath": {"reassoc", "contract", "arcp", "nsz"}, "cache": True, "error_model": "numpy"}
 CHANNELS = 6
 ONE, ZERO, CLIP = np.float32(1), np.float32(0), np.float32(NEAR)
 

@@ -10,12 +10,12 @@ import torch
 from numba import float32, njit, prange
 from torch import Tensor
 
+from flowsplat.common.kernels import OPTIONS
 from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
 from flowsplat.gaussians.motion import SeriesMotion
 from flowsplat.gaussians.slicing.api import Gradients, Slice
 from flowsplat.splatting.harmonics import C0, C1, C2, C3
 
-OPTIONS = {"fastmath": {"reassoc", "contract", "arcp", "nsz", "afn"}, "cache": True, "error_model": "numpy"}
 ONE, ZERO, HALF, TWO = np.float32(1), np.float32(0), np.float32(0.5), np.float32(2)
 CHUNKS = 64
 S0, S1 = np.float32(C0), np.float32(C1)

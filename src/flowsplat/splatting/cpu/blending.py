@@ -14,7 +14,8 @@ from __future__ import annotations
 import numpy as np
 from numba import float32, int64, njit, prange
 
-from flowsplat.splatting.cpu.projection import HALF, ONE, OPTIONS, ZERO
+from flowsplat.common.kernels import OPTIONS
+from flowsplat.splatting.cpu.projection import HALF, ONE, ZERO
 from flowsplat.splatting.cpu.simd import (
     BLOCK_HEIGHT,
     BLOCK_WIDTH,

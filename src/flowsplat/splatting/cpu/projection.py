@@ -11,8 +11,8 @@ import math
 import numpy as np
 from numba import float32, njit, prange
 
-# No "nnan" and "ninf": non-finite Gaussians are recognised by comparisons and culled.
-OPTIONS = {"fastmath": {"reassoc", "contract", "arcp", "nsz", "afn"}, "cache": True, "error_model": "numpy"}
+from flowsplat.common.kernels import OPTIONS
+
 ONE, TWO, HALF, ZERO = np.float32(1), np.float32(2), np.float32(0.5), np.float32(0)
 MARGIN = np.float32(0.15)
 

@@ -12,7 +12,8 @@ import math
 import numpy as np
 from numba import float32, int64, njit, prange, uint32
 
-from flowsplat.splatting.cpu.projection import HALF, ONE, OPTIONS, ZERO
+from flowsplat.common.kernels import OPTIONS
+from flowsplat.splatting.cpu.projection import HALF, ONE, ZERO
 from flowsplat.splatting.cpu.simd import BLOCK_HEIGHT, BLOCK_WIDTH
 from flowsplat.splatting.rules import ALPHA_MIN
 

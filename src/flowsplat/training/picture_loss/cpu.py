@@ -12,12 +12,12 @@ import torch
 from numba import float32, njit, prange
 from torch import Tensor
 
+from flowsplat.common.kernels import OPTIONS
 from flowsplat.splatting.cpu.workspace import Workspace
 from flowsplat.training.picture_loss import reference
 from flowsplat.training.picture_loss.api import PictureFigures, PictureTargets, PictureWeights
 from flowsplat.training.picture_loss.reference import C1, C2, RADIUS, window
 
-OPTIONS = {"fastmath": True, "cache": True, "error_model": "numpy"}
 CHANNELS = 3
 PAD = RADIUS * CHANNELS
 W0, W1, W2, W3, W4, W5 = window()[: RADIUS + 1].astype(np.float32)

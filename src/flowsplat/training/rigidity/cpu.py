@@ -10,10 +10,10 @@ import torch
 from numba import float32, njit, prange
 from torch import Tensor
 
+from flowsplat.common.kernels import OPTIONS
 from flowsplat.training.rigidity import reference
 from flowsplat.training.rigidity.neighbours import Neighbours
 
-OPTIONS = {"fastmath": {"reassoc", "contract", "arcp", "nsz"}, "cache": True, "error_model": "numpy"}
 CHUNKS = 64
 TINY, ZERO, ONE = np.float32(reference.TINY), np.float32(0), np.float32(1)
 
