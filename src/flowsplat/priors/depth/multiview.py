@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit, prange
 
+from flowsplat.common.kernels import OPTIONS
 from flowsplat.geometry import Camera
 
 ROBUST_SCALE = 0.5
@@ -94,14 +95,14 @@ def _motion(errors: np.ndarray, weights: np.ndarray, lengths: np.ndarray) -> np.
     return total / count
 
 
-@njit(cache=True, fastmath=True, inline="always")
+@njit(inline="always", **OPTIONS)
 def _project(A: np.ndarray, B: np.ndarray, w: np.float32, K: np.ndarray) -> tuple[np.float32, np.float32, np.float32]:
     """Pixel (u, v) and depth of A + w B in a camera with fx, fy, cx, cy = K."""
     z = max(A[2] + w * B[2], np.float32(1e-4))
     return K[0] * (A[0] + w * B[0]) / z + K[2], K[1] * (A[1] + w * B[1]) / z + K[3], z
 
 
-@njit(cache=True, fastmath=True, parallel=True)
+@njit(parallel=True, **OPTIONS)
 def _solve(
     intrinsics: np.ndarray, poses: np.ndarray, flows: np.ndarray, weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
