@@ -154,11 +154,12 @@ def _estimate(scene: Scene, config: TrainConfig) -> None:
     """Say what the run will take, from what was measured on two cores."""
     megapixels = scene.width * scene.height / 1e6
     frames = config.frames_per_iteration or len(scene.train_frames)
-    minutes = (scene.num_frames * 3.5 * megapixels + config.iterations * frames * (0.05 + 0.7 * megapixels)) / 60
-    gib = 1.5 + 4 * megapixels + len(scene.train_frames) * megapixels * 0.02
+    around = 15 + scene.num_frames * 4.2 * megapixels  # priors, evaluation and videos
+    minutes = (around + config.iterations * frames * (0.01 + 0.48 * megapixels)) / 60
+    gib = 0.6 + 5.4 * megapixels + len(scene.train_frames) * megapixels * 0.02
     say(
         f"{scene.num_frames} frames of {scene.width} x {scene.height}, {len(scene.heldout_frames)} of them held out: about "
-        f"{max(minutes, 0.2):.0f} minutes and {gib:.1f} GiB on two cores."
+        f"{max(round(minutes), 1)} minute{'s' if round(minutes) > 1 else ''} and {gib:.1f} GiB on two cores."
     )
 
 
