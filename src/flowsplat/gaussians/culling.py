@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import float32, njit, prange
 
-from flowsplat.common.kernels import OPTIONS
+from flowsplat.common.kernels import OPTIONS, exp, parallel_kernel
 
 CHUNKS = 64
 REACH = np.float32(3.34)
@@ -27,7 +27,7 @@ def _outside(position, size, center, limit, focal, inverse, picture):
     return (pixel + reach < ZERO) or (pixel - reach > picture)
 
 
-@njit(parallel=True, **OPTIONS)
+@parallel_kernel
 def cull(at_rest, means, log_sizes, times, log_lambdas, t, p_min, use_camera, view, K, width, height, near, keep, counts):
     """Fill keep [N] uint8 (1 = seen at rest, 2 = seen moving) and counts [CHUNKS, 2].
 
@@ -48,7 +48,7 @@ def cull(at_rest, means, log_sizes, times, log_lambdas, t, p_min, use_camera, vi
                     depth = view[2, 0] * x + view[2, 1] * y + view[2, 2] * z + view[2, 3]
                     seen = depth > near
                     if seen:
-                        size = math.exp(max(log_sizes[i, 0], max(log_sizes[i, 1], log_sizes[i, 2])))
+                        size = exp(max(log_sizes[i, 0], max(log_sizes[i, 1], log_sizes[i, 2])))
                         right = view[0, 0] * x + view[0, 1] * y + view[0, 2] * z + view[0, 3]
                         down = view[1, 0] * x + view[1, 1] * y + view[1, 2] * z + view[1, 3]
                         inverse = ONE / depth
@@ -60,14 +60,14 @@ def cull(at_rest, means, log_sizes, times, log_lambdas, t, p_min, use_camera, vi
                     resting += 1
             else:
                 tau = t - times[i]
-                if math.exp(-HALF * math.exp(log_lambdas[i]) * tau * tau) >= p_min:
+                if exp(-HALF * exp(log_lambdas[i]) * tau * tau) >= p_min:
                     keep[i] = 2
                     moving += 1
         counts[chunk, 0] = resting
         counts[chunk, 1] = moving
 
 
-@njit(parallel=True, **OPTIONS)
+@parallel_kernel
 def collect(keep, counts, rows):
     """Write the kept rows in order, those at rest first."""
     count = len(keep)

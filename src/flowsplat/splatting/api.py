@@ -50,6 +50,14 @@ def _pick(backend: str, means: Tensor) -> str:
     return backend
 
 
+def check_finite(**values: Tensor | None) -> None:
+    """Raise a ValueError that names the first value with NaN or infinity in it, and where that is."""
+    for name, value in values.items():
+        if value is not None and not bool(torch.isfinite(value.detach()).all()):
+            first = torch.nonzero(~torch.isfinite(value.detach()))[0].tolist()
+            raise ValueError(f"{name} must be finite, but {name}{first} is {float(value[tuple(first)])}")
+
+
 def project(
     means: Tensor,
     quats: Tensor | None,
@@ -163,8 +171,13 @@ def rasterize(
         [N, 2] int32. Call ``info["means2d"].retain_grad()`` before backward to get the gradients of density control.
 
     Raises:
-        ValueError: a shape, dtype or backend does not fit.
+        ValueError: a shape, dtype or backend does not fit, or a value is not finite. (``project`` and ``blend`` do not look:
+            there a Gaussian with such a mean, quaternion or scale is culled.)
     """
+    check_finite(
+        means=means, quats=quats, scales=scales, opacities=opacities, features=features, viewmat=viewmat, K=K, covars=covars,
+        background=background,
+    )  # fmt: skip
     projected = project(
         means, quats, scales, opacities, viewmat, K, width, height, covars=covars, near_plane=near_plane,
         far_plane=far_plane, eps2d=eps2d, backend=backend,

@@ -14,7 +14,7 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
-from flowsplat.splatting.api import BackendName, Projected, blend, project
+from flowsplat.splatting.api import BackendName, Projected, blend, check_finite, project
 from flowsplat.splatting.harmonics import colours_from_harmonics, harmonics_count
 from flowsplat.splatting.rules import EPS2D
 
@@ -109,7 +109,7 @@ def rasterization(
         ``n_cameras`` and ``n_batches``. gsplat's lists of tiles are not there.
 
     Raises:
-        ValueError: a shape does not fit, or an argument asks for what is not covered.
+        ValueError: a shape does not fit, a value is not finite, or an argument asks for what is not covered.
     """
     uncovered = {
         "sparse_grad": sparse_grad,
@@ -135,6 +135,10 @@ def rasterization(
         quats = scales = None
     batch, count, cameras, tail = _shapes(means, quats, scales, opacities, colors, viewmats, Ks, covars, backgrounds, sh_degree)
 
+    check_finite(
+        means=means, quats=quats, scales=scales, opacities=opacities, colors=colors, viewmats=viewmats, Ks=Ks, covars=covars,
+        backgrounds=backgrounds,
+    )  # fmt: skip
     # From here on everything is a list with one entry an image, which is one camera of one batch entry.
     batches = math.prod(batch)
     images = range(batches * cameras)

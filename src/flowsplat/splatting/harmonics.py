@@ -38,9 +38,21 @@ def harmonics_basis(directions: Tensor, degree: int) -> Tensor:
 
 
 def colours_from_harmonics(sh: Tensor, directions: Tensor | None, degree: int) -> Tensor:
-    """Coefficients [N, K, 3] seen along directions [N, 3] to colours [N, 3] >= 0; only coefficients up to ``degree`` count."""
+    """Coefficients [N, K, 3] seen along directions [N, 3] to colours [N, 3] >= 0; only coefficients up to ``degree`` count.
+
+    Directions may have any length; at degree 0 they are not needed.
+    """
     if degree == 0 or directions is None:
         return (C0 * sh[:, 0] + 0.5).clamp(min=0)
+    if sh.device.type == "cpu" and sh.dtype == directions.dtype == torch.float32:
+        from flowsplat.splatting.cpu import harmonics
+
+        return harmonics.colours(sh, directions, degree)
+    return colours_in_torch(sh, directions, degree)
+
+
+def colours_in_torch(sh: Tensor, directions: Tensor, degree: int) -> Tensor:
+    """The oracle of the kernel behind ``colours_from_harmonics``."""
     basis = harmonics_basis(torch.nn.functional.normalize(directions, dim=-1), degree)
     return ((basis[..., None] * sh[:, : basis.shape[-1]]).sum(1) + 0.5).clamp(min=0)
 

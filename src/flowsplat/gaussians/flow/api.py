@@ -36,10 +36,13 @@ def blend_features(sliced: Slice, projected: Projected, camera: Camera, flow: Fl
     if flow is None:
         return torch.cat([sliced.colours, projected.depths[:, None]], 1)
     dtype = sliced.means.dtype
-    if flow.model == "displacement" and sliced.means.device.type == "cpu" and dtype == torch.float32:
+    if sliced.means.device.type == "cpu" and dtype == torch.float32:
         from flowsplat.gaussians.flow import cpu
 
-        return cpu.blend_features(sliced, projected, flow.camera)
+        if flow.model == "displacement":
+            return cpu.blend_displacement(sliced, projected, flow.camera)
+        if flow.model == "affine" and sliced.covars is None:
+            return cpu.blend_affine(sliced, projected, camera, flow.camera)
     features, front = flow_features(
         flow.model, sliced, projected, flow.dt, *camera.tensors(dtype), *flow.camera.tensors(dtype), camera.width, camera.height
     )

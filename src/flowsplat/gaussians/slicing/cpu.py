@@ -10,16 +10,14 @@ import torch
 from numba import float32, njit, prange
 from torch import Tensor
 
-from flowsplat.common.kernels import OPTIONS
+from flowsplat.common.kernels import OPTIONS, exp, parallel_kernel
 from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
 from flowsplat.gaussians.motion import SeriesMotion
 from flowsplat.gaussians.slicing.api import Gradients, Slice
-from flowsplat.splatting.harmonics import C0, C1, C2, C3
+from flowsplat.splatting.cpu.harmonics import basis_of
 
-ONE, ZERO, HALF, TWO = np.float32(1), np.float32(0), np.float32(0.5), np.float32(2)
+ONE, ZERO, HALF = np.float32(1), np.float32(0), np.float32(0.5)
 CHUNKS = 64
-S0, S1 = np.float32(C0), np.float32(C1)
-S2, S3 = np.array(C2, np.float32), np.array(C3, np.float32)
 
 NAMES = (
     "means", "logit_opacities", "sh", "log_gains", "quats", "log_scales", "times", "log_lambdas",
@@ -72,38 +70,19 @@ def _spread(now, rate, later, g, v, w, poly, cos, sin, j, d):
         sin[j, k, d] = now[m] * g + rate[m] * v + later[m] * w
 
 
-@njit(**OPTIONS)
-def _harmonics(x, y, z, count, basis):
-    length = math.sqrt(x * x + y * y + z * z)
-    inverse = ONE / max(length, float32(1e-12))
-    x *= inverse
-    y *= inverse
-    z *= inverse
-    basis[0] = S0
-    if count > 1:
-        basis[1], basis[2], basis[3] = -S1 * y, S1 * z, -S1 * x
-    if count > 4:
-        xx, yy, zz = x * x, y * y, z * z
-        basis[4], basis[5], basis[6] = S2[0] * x * y, S2[1] * y * z, S2[2] * (TWO * zz - xx - yy)
-        basis[7], basis[8] = S2[3] * x * z, S2[4] * (xx - yy)
-        if count > 9:
-            three, four = float32(3), float32(4)
-            basis[9], basis[10] = S3[0] * y * (three * xx - yy), S3[1] * x * y * z
-            basis[11] = S3[2] * y * (four * zz - xx - yy)
-            basis[12] = S3[3] * z * (TWO * zz - three * xx - three * yy)
-            basis[13] = S3[4] * x * (four * zz - xx - yy)
-            basis[14], basis[15] = S3[5] * z * (xx - yy), S3[6] * x * (xx - three * yy)
-
-
 @njit(inline="always", **OPTIONS)
 def _gain(log_gains, cosines, i):
-    exponent = ZERO
-    for k in range(log_gains.shape[1]):
-        exponent += log_gains[i, k] * cosines[k]
-    return math.exp(exponent)
+    even, odd = ZERO, ZERO  # Two sums, because each waits for its last addition.
+    count = log_gains.shape[1]
+    for k in range(0, count - 1, 2):
+        even += log_gains[i, k] * cosines[k]
+        odd += log_gains[i, k + 1] * cosines[k + 1]
+    if count % 2 == 1:
+        even += log_gains[i, count - 1] * cosines[count - 1]
+    return exp(even + odd)
 
 
-@njit(parallel=True, **OPTIONS)
+@parallel_kernel
 def _forward(
     rows, means, logits, sh, log_gains, quats, log_scales, times, log_lambdas, mean_poly, mean_cos, mean_sin, quat_poly,
     quat_cos, quat_sin, resting, t, next_t, has_next, base, center, cosines, harmonics,
@@ -117,15 +96,15 @@ def _forward(
         directions = np.empty(16, np.float32)
         for a in range(count * chunk // CHUNKS, count * (chunk + 1) // CHUNKS):
             i, m = rows[a], a - resting
-            opacity, gain = ONE / (ONE + math.exp(-logits[i])), ONE
+            opacity, gain = ONE / (ONE + exp(-logits[i])), ONE
             for d in range(3):
                 out_means[a, d] = means[i, d]
-                out_scales[a, d] = math.exp(log_scales[i, d])
+                out_scales[a, d] = exp(log_scales[i, d])
             for d in range(4):
                 out_quats[a, d] = quats[i, d]
             if m >= 0:
                 tau = t - times[i]
-                opacity *= math.exp(-HALF * math.exp(log_lambdas[i]) * tau * tau)
+                opacity *= exp(-HALF * exp(log_lambdas[i]) * tau * tau)
                 _basis(tau, mean_poly.shape[1], mean_cos.shape[1], base, basis[0], basis[1], basis[2])
                 for d in range(3):
                     out_means[a, d] += _combine(basis[0], mean_poly, mean_cos, mean_sin, i, d)
@@ -150,15 +129,18 @@ def _forward(
                         next_quats[a, d] += _combine(quat_basis[0], quat_poly, quat_cos, quat_sin, i, d)
             out_opacities[a] = opacity
             x, y, z = out_means[a, 0] - center[0], out_means[a, 1] - center[1], out_means[a, 2] - center[2]
-            _harmonics(x, y, z, harmonics, directions)
-            for d in range(3):
-                colour = HALF
-                for k in range(harmonics):
-                    colour += directions[k] * sh[i, k, d]
-                out_colours[a, d] = max(colour, ZERO) * gain
+            basis_of(x, y, z, harmonics, directions)
+            red, green, blue = HALF, HALF, HALF
+            for k in range(harmonics):
+                red += directions[k] * sh[i, k, 0]
+                green += directions[k] * sh[i, k, 1]
+                blue += directions[k] * sh[i, k, 2]
+            out_colours[a, 0] = max(red, ZERO) * gain
+            out_colours[a, 1] = max(green, ZERO) * gain
+            out_colours[a, 2] = max(blue, ZERO) * gain
 
 
-@njit(parallel=True, **OPTIONS)
+@parallel_kernel
 def _backward(
     rows, means, logits, sh, log_gains, quats, log_scales, times, log_lambdas, mean_poly, mean_cos, mean_sin, quat_poly,
     quat_cos, quat_sin, resting, t, next_t, has_next, base, center, cosines, harmonics,
@@ -175,16 +157,16 @@ def _backward(
         directions = np.empty(16, np.float32)
         for a in range(count * chunk // CHUNKS, count * (chunk + 1) // CHUNKS):
             i, m, gain = rows[a], a - resting, ONE
-            sigmoid = ONE / (ONE + math.exp(-logits[i]))
+            sigmoid = ONE / (ONE + exp(-logits[i]))
             toward_opacity = grad_opacities[a]
             for d in range(3):
                 d_means[a, d] = grad_means[a, d] + (grad_next_means[a, d] if has_next else ZERO)
-                d_scales[a, d] = grad_scales[a, d] * math.exp(log_scales[i, d])
+                d_scales[a, d] = grad_scales[a, d] * exp(log_scales[i, d])
             for d in range(4):
                 d_quats[a, d] = grad_quats[a, d] + (grad_next_quats[a, d] if has_next else ZERO)
             if m >= 0:
-                tau, precision = t - times[i], math.exp(log_lambdas[i])
-                present = math.exp(-HALF * precision * tau * tau)
+                tau, precision = t - times[i], exp(log_lambdas[i])
+                present = exp(-HALF * precision * tau * tau)
                 toward_presence = toward_opacity * sigmoid * present
                 toward_opacity *= present
                 d_lambdas[m] = -HALF * toward_presence * precision * tau * tau
@@ -211,7 +193,7 @@ def _backward(
                 gain = _gain(log_gains, cosines, i)
             d_logits[a] = toward_opacity * sigmoid * (ONE - sigmoid)
             x, y, z = out_means[a, 0] - center[0], out_means[a, 1] - center[1], out_means[a, 2] - center[2]
-            _harmonics(x, y, z, harmonics, directions)
+            basis_of(x, y, z, harmonics, directions)
             toward_gain = ZERO
             for d in range(3):
                 colour = HALF

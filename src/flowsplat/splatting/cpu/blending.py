@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from numba import float32, int64, njit, prange
 
-from flowsplat.common.kernels import OPTIONS
+from flowsplat.common.kernels import OPTIONS, parallel_kernel
 from flowsplat.splatting.cpu.projection import HALF, ONE, ZERO
 from flowsplat.splatting.cpu.simd import (
     BLOCK_HEIGHT,
@@ -122,7 +122,7 @@ def _blend_tile(pixels, left, top, records, stride, instances, begin, end, chann
     return p
 
 
-@njit(parallel=True, **OPTIONS)
+@parallel_kernel
 def blend_forward(
     width, height, records, stride, instances, tile_offsets, image, transmittance, tile_stops, channels
 ):
@@ -217,7 +217,7 @@ def _tile_gradient(pixels, left, top, records, stride, instances, begin, stop, e
             out[o + k] = ZERO
 
 
-@njit(parallel=True, **OPTIONS)
+@parallel_kernel
 def blend_backward(
     width, height, records, stride, instances, tile_offsets, tile_stops, image, transmittance, grad_image, grad_alphas, out,
     absolute, channels,
@@ -246,7 +246,7 @@ def blend_backward(
         )  # fmt: skip
 
 
-@njit(parallel=True, **OPTIONS)
+@parallel_kernel
 def gather_gradients(
     visible, order, instance_offsets, out, stride, conics, opacities, grad_means2d, grad_conics,
     grad_opacities, grad_features, absolute,

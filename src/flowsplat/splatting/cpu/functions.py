@@ -13,6 +13,7 @@ from flowsplat.splatting.cpu import blending, tiles
 from flowsplat.splatting.cpu import projection as kernels
 from flowsplat.splatting.cpu.workspace import Lease
 
+MOST_INSTANCES = 2**31 - 1
 _CHUNKS = 16  # fixed, so that sums over chunks do not depend on the number of threads
 
 
@@ -48,7 +49,7 @@ class _Project(torch.autograd.Function):
         )  # fmt: skip
         ctx.mark_non_differentiable(radii, extents)
         ctx.set_materialize_grads(False)
-        ctx.inputs, ctx.camera, ctx.size = inputs, (view, K_array), (width, height)
+        ctx.inputs, ctx.camera, ctx.size = inputs, (view, K_array), (width, height, np.float32(eps2d))
         ctx.radii, ctx.conics = radii.numpy(), conics.detach().numpy()
         return means2d, conics, depths, radii, extents
 
@@ -99,22 +100,29 @@ class _Blend(torch.autograd.Function):
         sums = tiles.GEOMETRY + (0 if absolute is None else blending.ABSOLUTE)
         stride = -(-(sums + channels) // 16) * 16
         records = space.array("records", visible * stride, np.float32)
-        column_offsets = space.array("column_offsets", visible + 1, np.int64)
-        tiles.pack(visible, order, xy, conic, opacity, feature, width, records, stride, column_offsets)
-        strips = space.array("strips", 3 * tiles.prefix_sum(column_offsets, visible), np.int32).reshape(-1, 3)
-        tile_count = -(-width // tiles.TILE_WIDTH) * -(-height // tiles.TILE_HEIGHT)
-        chunk_counts = space.array("chunk_counts", numba.get_num_threads() * tile_count, np.int32).reshape(-1, tile_count)
-        chunk_counts[:] = 0
+        chunks, tile_count = numba.get_num_threads(), -(-width // tiles.TILE_WIDTH) * -(-height // tiles.TILE_HEIGHT)
+        chunk_counts = space.array("chunk_counts", chunks * tile_count, np.int32).reshape(chunks, tile_count)
+        columns, strip_counts = space.array("columns", visible, np.int32), np.empty(chunks, np.int64)
         instance_offsets = space.array("instance_offsets", visible + 2, np.int64)
-        tiles.cut_strips(
-            visible, records, stride, width, height, column_offsets, strips, chunk_counts, instance_offsets
-        )
+        room = max(space.capacity("strips", np.int32) // (3 * chunks), 4 * visible // chunks, 1)
+        while True:
+            strips = space.array("strips", 3 * chunks * room, np.int32).reshape(chunks, room, 3)
+            chunk_counts[:] = 0
+            tiles.pack_and_cut(
+                visible, order, xy, conic, opacity, feature, width, height, records, stride, strips, strip_counts, columns,
+                chunk_counts, instance_offsets,
+            )  # fmt: skip
+            if strip_counts.max() <= room:
+                break
+            room = int(strip_counts.max())
         total = tiles.prefix_sum(instance_offsets[1:], visible)
+        if total > MOST_INSTANCES:
+            raise ValueError(f"{total} pairs of a Gaussian and a tile are too many: at most {MOST_INSTANCES} fit")
         instance_offsets = instance_offsets[1:]
         tile_offsets = space.array("tile_offsets", tile_count + 1, np.int64)
         tiles.tile_ranges(chunk_counts, tile_offsets)
         instances = space.array("instances", 3 * total, np.int32).reshape(-1, 3)
-        tiles.fill_tiles(visible, width, column_offsets, strips, chunk_counts, instance_offsets, instances)
+        tiles.fill_tiles(visible, width, strips, columns, chunk_counts, instance_offsets, instances)
 
         image, transmittance = torch.empty(height, width, channels), torch.empty(height, width)
         tile_stops = space.array("tile_stops", tile_count, np.int64)

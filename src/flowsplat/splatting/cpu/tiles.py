@@ -12,16 +12,19 @@ import math
 import numpy as np
 from numba import float32, int64, njit, prange, uint32
 
-from flowsplat.common.kernels import OPTIONS
-from flowsplat.splatting.cpu.projection import HALF, ONE, ZERO
-from flowsplat.splatting.cpu.simd import BLOCK_HEIGHT, BLOCK_WIDTH
+from flowsplat.common.kernels import OPTIONS, log, parallel_kernel
+from flowsplat.splatting.cpu.projection import HALF, ONE, TWO, ZERO
+from flowsplat.splatting.cpu.simd import BLOCK_HEIGHT, BLOCK_WIDTH, prefetch
 from flowsplat.splatting.rules import ALPHA_MIN
 
 TILE_WIDTH = BLOCK_WIDTH  # one block of pixels wide
-TILE_HEIGHT = 32
+TILE_HEIGHT = 64
 GEOMETRY = 6  # leading entries of a record: x, y, three of the exponent, log2 opacity
 EXPONENT = np.float32(1.4426950408889634 / 8)  # from a natural exponent to one in base 2 divided by 8
+LOG_ALPHA_MIN = np.float32(math.log(ALPHA_MIN))
 CUT = np.float32(math.log2(ALPHA_MIN) / 8)  # of the exponent: below it nothing is drawn
+BATCH = 64  # Gaussians that are packed before they are cut
+AHEAD = 8  # Gaussians ahead whose scattered inputs are asked for
 
 
 @njit(**OPTIONS)
@@ -60,79 +63,93 @@ def sort_by_depth(depth_bits, extents, order, keys_a, keys_b, values):
 
 
 @njit(inline="always", **OPTIONS)
-def _ellipse(records, o, width):
-    """Of the ellipse in which a record is drawn: a, b, c and limit of a x^2 + 2 b x y + c y^2 <= limit, its determinant, and
-    the first and last column of pixels that it covers (first > last: none)."""
-    a, b, c, limit = -records[o + 2], -HALF * records[o + 3], -records[o + 4], max(records[o + 5] - CUT, ZERO)
-    determinant = a * c - b * b
-    half = math.sqrt(limit * c / determinant)
-    left = max(math.ceil(records[o] - half - HALF), ZERO)
-    right = min(math.floor(records[o] + half - HALF), float32(width - 1))
-    return a, b, c, limit, determinant, left, right
+def _pack(i, means2d, conics, opacities, features, last_column, records, o, ellipse):
+    """The record of Gaussian i at records[o:], and the ellipse in which it is drawn.
 
-
-@njit(parallel=True, **OPTIONS)
-def pack(visible, order, means2d, conics, opacities, features, width, records, stride, column_offsets):
-    """One record a Gaussian in depth order, the exponent in base 2 and divided by 8 (see ``blending``).
-
-    column_offsets[s] becomes the number of tile columns that Gaussian s touches.
+    ellipse: centre; the first and last column of pixels that it covers (first > last: none); then slope, top, bend and lowest:
+    at an offset dx it reaches over y - slope dx +- sqrt(top - bend dx^2), and its lowest point in the image is at dx = lowest.
     """
-    channels = features.shape[1]
-    for s in prange(visible):
-        i = int64(order[s])
-        o = s * stride
-        records[o] = means2d[i, 0]
-        records[o + 1] = means2d[i, 1]
-        records[o + 2] = -HALF * conics[i, 0] * EXPONENT
-        records[o + 3] = -conics[i, 1] * EXPONENT
-        records[o + 4] = -HALF * conics[i, 2] * EXPONENT
-        records[o + 5] = math.log2(opacities[i]) * float32(0.125)
-        for c in range(channels):
-            records[o + GEOMETRY + c] = features[i, c]
-        _, _, _, _, _, left, right = _ellipse(records, o, width)
-        column_offsets[s] = int(right) // TILE_WIDTH - int(left) // TILE_WIDTH + 1 if left <= right else 0
+    x, y, a, b, c = means2d[i, 0], means2d[i, 1], conics[i, 0], conics[i, 1], conics[i, 2]
+    level = log(opacities[i])
+    records[o] = x
+    records[o + 1] = y
+    records[o + 2] = -HALF * a * EXPONENT
+    records[o + 3] = -b * EXPONENT
+    records[o + 4] = -HALF * c * EXPONENT
+    records[o + 5] = level * EXPONENT
+    for channel in range(features.shape[1]):
+        records[o + GEOMETRY + channel] = features[i, channel]
+    # Drawn is where a dx^2 + 2 b dx dy + c dy^2 <= limit.
+    limit = max(TWO * (level - LOG_ALPHA_MIN), ZERO)
+    inverse, inverse_determinant = ONE / c, ONE / (a * c - b * b)
+    half = math.sqrt(limit * c * inverse_determinant)
+    ellipse[0] = x
+    ellipse[1] = y
+    ellipse[2] = max(np.ceil(x - half - HALF), ZERO)
+    ellipse[3] = min(np.floor(x + half - HALF), last_column)
+    ellipse[4] = b * inverse
+    ellipse[5] = limit * inverse
+    ellipse[6] = inverse * inverse / inverse_determinant
+    ellipse[7] = -b * math.sqrt(limit * inverse_determinant / a)
 
 
-@njit(parallel=True, **OPTIONS)
-def cut_strips(visible, records, stride, width, height, column_offsets, strips, chunk_counts, instance_offsets):
-    """For every tile column of a Gaussian the image rows [first, last] that its ellipse covers there.
+@parallel_kernel
+def pack_and_cut(
+    visible, order, means2d, conics, opacities, features, width, height, records, stride, strips, strip_counts, columns,
+    chunk_counts, instance_offsets,
+):  # fmt: skip
+    """One record a Gaussian in depth order, and for every tile column the image rows that its ellipse covers there.
 
-    strips [S, 3]: tile column, first row, last row (first > last: none). chunk_counts [chunks, tiles] counts the instances a
-    tile gets from a chunk of Gaussians; instance_offsets[s + 1] the instances of Gaussian s.
+    The exponent of a record is in base 2 and divided by 8 (see ``blending``). strips [chunks, capacity, 3] takes tile column,
+    first and last row, Gaussian after Gaussian of a chunk, columns[s] of them for Gaussian s; strip_counts [chunks] says how
+    many there are, also those that found no room. chunk_counts [chunks, tiles] counts the instances that a tile gets from a
+    chunk; instance_offsets[s + 1] those of Gaussian s.
     """
     tile_columns = (width + TILE_WIDTH - 1) // TILE_WIDTH
-    chunks = chunk_counts.shape[0]
+    chunks, capacity = strips.shape[0], strips.shape[1]
+    w, h = float32(width - 1), float32(height - 1)
     for chunk in prange(chunks):
-        for s in range(visible * chunk // chunks, visible * (chunk + 1) // chunks):
-            o = s * stride
-            a, b, c, limit, determinant, left, right = _ellipse(records, o, width)
-            x, y = records[o], records[o + 1]
-            lowest = -b * math.sqrt(limit / (a * determinant))  # x offset of the ellipse's lowest point in the image
-            inverse = ONE / c
-            tile_x = int(left) // TILE_WIDTH
-            instances = 0
-            for k in range(column_offsets[s], column_offsets[s + 1]):
-                low = max(float32(tile_x * TILE_WIDTH), left) + HALF - x
-                high = min(float32(tile_x * TILE_WIDTH + TILE_WIDTH - 1), right) + HALF - x
-                d = min(max(lowest, low), high)
-                bottom = y + (-b * d + math.sqrt(max(limit * c - determinant * d * d, ZERO))) * inverse
-                d = min(max(-lowest, low), high)
-                top = y + (-b * d - math.sqrt(max(limit * c - determinant * d * d, ZERO))) * inverse
-                first = int(min(max(math.ceil(top - HALF), ZERO), float32(height)))
-                last = int(max(min(math.floor(bottom - HALF), float32(height - 1)), float32(-1)))
-                strips[k, 0] = tile_x
-                strips[k, 1] = first
-                strips[k, 2] = last
-                if first <= last:
-                    for tile_y in range(first // TILE_HEIGHT, last // TILE_HEIGHT + 1):
-                        chunk_counts[chunk, tile_y * tile_columns + tile_x] += 1
-                        instances += 1
-                tile_x += 1
-            instance_offsets[s + 1] = instances
+        k = 0
+        end = visible * (chunk + 1) // chunks
+        ellipses = np.empty((BATCH, 8), np.float32)
+        for begin in range(visible * chunk // chunks, end, BATCH):
+            # How many columns a Gaussian has is a branch that no processor guesses; what it waits for is done before.
+            size = min(BATCH, end - begin)
+            for s in range(begin, begin + size):
+                ahead = int64(order[min(s + AHEAD, end - 1)])
+                prefetch(means2d, ahead * 2)
+                prefetch(conics, ahead * 3)
+                prefetch(features, ahead * features.shape[1])
+                prefetch(opacities, ahead)
+                _pack(int64(order[s]), means2d, conics, opacities, features, w, records, s * stride, ellipses[s - begin])
+            for s in range(begin, begin + size):
+                e = ellipses[s - begin]
+                x, y, left, right, slope, top, bend, lowest = e[0], e[1], e[2], e[3], e[4], e[5], e[6], e[7]
+                before, instances = k, 0
+                # Where nothing is covered, the last column may lie before the first.
+                for tile_x in range(int(left) // TILE_WIDTH, int(right) // TILE_WIDTH + 1):
+                    low = max(float32(tile_x * TILE_WIDTH), left) + HALF - x
+                    high = min(float32(tile_x * TILE_WIDTH + TILE_WIDTH - 1), right) + HALF - x
+                    d, u = min(max(lowest, low), high), min(max(-lowest, low), high)
+                    first = int(max(np.ceil(y - slope * u - math.sqrt(max(top - bend * u * u, ZERO)) - HALF), ZERO))
+                    last = int(min(np.floor(y - slope * d + math.sqrt(max(top - bend * d * d, ZERO)) - HALF), h))
+                    if first <= last and left <= right:
+                        if k < capacity:
+                            strips[chunk, k, 0] = tile_x
+                            strips[chunk, k, 1] = first
+                            strips[chunk, k, 2] = last
+                        k += 1
+                        first_tile, last_tile = first // TILE_HEIGHT, last // TILE_HEIGHT
+                        instances += last_tile - first_tile + 1
+                        for tile_y in range(first_tile, last_tile + 1):
+                            chunk_counts[chunk, tile_y * tile_columns + tile_x] += 1
+                columns[s] = k - before
+                instance_offsets[s + 1] = instances
+        strip_counts[chunk] = k
 
 
-@njit(parallel=True, **OPTIONS)
-def fill_tiles(visible, width, column_offsets, strips, chunk_counts, instance_offsets, instances):
+@parallel_kernel
+def fill_tiles(visible, width, strips, columns, chunk_counts, instance_offsets, instances):
     """instances [I, 3]: Gaussian (depth order), first | last << 8 row of blocks within the tile, slot (grouped by Gaussian).
 
     chunk_counts holds where each chunk writes in each tile, so the result does not depend on the number of chunks.
@@ -140,21 +157,23 @@ def fill_tiles(visible, width, column_offsets, strips, chunk_counts, instance_of
     tile_columns = (width + TILE_WIDTH - 1) // TILE_WIDTH
     chunks = chunk_counts.shape[0]
     for chunk in prange(chunks):
+        k = 0
         for s in range(visible * chunk // chunks, visible * (chunk + 1) // chunks):
             slot = instance_offsets[s]
-            for k in range(column_offsets[s], column_offsets[s + 1]):
-                tile_x, first, last = strips[k, 0], strips[k, 1], strips[k, 2]
-                if first <= last:
-                    for tile_y in range(first // TILE_HEIGHT, last // TILE_HEIGHT + 1):
-                        tile = tile_y * tile_columns + tile_x
-                        place = chunk_counts[chunk, tile]
-                        chunk_counts[chunk, tile] = place + 1
-                        row = tile_y * TILE_HEIGHT
-                        instances[place, 0] = s
-                        top, bottom = max(first - row, 0) // BLOCK_HEIGHT, min(last - row, TILE_HEIGHT - 1) // BLOCK_HEIGHT
-                        instances[place, 1] = top | bottom << 8
-                        instances[place, 2] = slot
-                        slot += 1
+            end = k + columns[s]
+            while k < end:
+                tile_x, first, last = strips[chunk, k, 0], strips[chunk, k, 1], strips[chunk, k, 2]
+                for tile_y in range(first // TILE_HEIGHT, last // TILE_HEIGHT + 1):
+                    tile = tile_y * tile_columns + tile_x
+                    place = chunk_counts[chunk, tile]
+                    chunk_counts[chunk, tile] = place + 1
+                    row = tile_y * TILE_HEIGHT
+                    instances[place, 0] = s
+                    top, bottom = max(first - row, 0) // BLOCK_HEIGHT, min(last - row, TILE_HEIGHT - 1) // BLOCK_HEIGHT
+                    instances[place, 1] = top | bottom << 8
+                    instances[place, 2] = slot
+                    slot += 1
+                k += 1
 
 
 @njit(**OPTIONS)

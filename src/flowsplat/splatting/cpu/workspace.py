@@ -37,6 +37,11 @@ class Workspace:
             buffer = self._arrays[name] = raw[start:]
         return buffer[:size].view(dtype)
 
+    def capacity(self, name: str, dtype: type) -> int:
+        """How many elements ``array`` could return under this name without new memory."""
+        buffer = self._arrays.get(name)
+        return 0 if buffer is None else len(buffer) // np.dtype(dtype).itemsize
+
 
 class Lease:
     """Holds a workspace for as long as somebody holds the lease (an autograd graph, for instance)."""

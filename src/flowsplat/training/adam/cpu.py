@@ -5,10 +5,10 @@ from __future__ import annotations
 import functools
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from torch import Tensor
 
-from flowsplat.common.kernels import OPTIONS
+from flowsplat.common.kernels import parallel_kernel
 from flowsplat.training.adam.reference import BETA1, BETA2, EPSILON
 
 B1, B2, EPS, ONE = np.float32(BETA1), np.float32(BETA2), np.float32(EPSILON), np.float32(1)
@@ -16,7 +16,7 @@ LONGEST = 1 << 15
 """Steps after which the bias correction of the second moment is 1 in float32."""
 
 
-@njit(parallel=True, **OPTIONS)
+@parallel_kernel
 def _step(value, mean, square, counts, rows, stepped, gradient, rates, corrections):
     last = len(corrections) - 1
     for a in prange(len(rows)):

@@ -12,7 +12,7 @@ import torch
 from numba import float32, njit, prange
 from torch import Tensor
 
-from flowsplat.common.kernels import OPTIONS
+from flowsplat.common.kernels import OPTIONS, parallel_kernel
 from flowsplat.splatting.cpu.workspace import Workspace
 from flowsplat.training.picture_loss import reference
 from flowsplat.training.picture_loss.api import PictureFigures, PictureTargets, PictureWeights
@@ -71,7 +71,7 @@ def _flow_counts(image, alpha, flow_trusted, h, w, end, by_alpha):
     return flow_trusted[h, w] and held <= UNSEEN * alpha[h, w] and (alpha[h, w] >= OPAQUE or not by_alpha)
 
 
-@njit(parallel=True, **OPTIONS)
+@parallel_kernel
 def _loss_and_gradient(
     image, alpha, target, flow, flow_trusted, depth, depth_trusted, flow_channels, ssim_weight, flow_weight, depth_weight,
     by_alpha, blurred, derivatives, sums, counts, gradient, alpha_gradient,

@@ -10,7 +10,7 @@ import torch
 from numba import float32, njit, prange
 from torch import Tensor
 
-from flowsplat.common.kernels import OPTIONS
+from flowsplat.common.kernels import OPTIONS, parallel_kernel
 from flowsplat.training.rigidity import reference
 from flowsplat.training.rigidity.neighbours import Neighbours
 
@@ -25,7 +25,7 @@ def _difference(velocities, a, b):
     return x, y, z, ONE / math.sqrt(x * x + y * y + z * z + TINY)
 
 
-@njit(parallel=True, **OPTIONS)
+@parallel_kernel
 def _loss_and_gradient(velocities, rows, place, indices, weights, offsets, pairs, sums, gradient):
     """sums [CHUNKS] and gradient [M, 3], not yet divided; place [N] is the position of a Gaussian among the rows, or -1."""
     count, k = len(rows), indices.shape[1]

@@ -1,4 +1,4 @@
-"""The features of colour, depth and displacement flow, and their gradient, in one sweep. Oracle: ``reference.flow_features``."""
+"""The features of colour, depth and displacement flow, and their gradient, in one sweep. Oracle: ``reference``."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 import torch
-from numba import njit, prange
+from numba import prange
 from torch import Tensor
 
-from flowsplat.common.kernels import OPTIONS
+from flowsplat.common.kernels import parallel_kernel
 from flowsplat.gaussians.flow.reference import NEAR
 from flowsplat.gaussians.slicing import Slice
 from flowsplat.geometry import Camera
@@ -19,7 +19,7 @@ CHANNELS = 6
 ONE, ZERO, CLIP = np.float32(1), np.float32(0), np.float32(NEAR)
 
 
-@njit(parallel=True, **OPTIONS)
+@parallel_kernel
 def _forward(colours, depths, means2d, next_means, drawn, view, K, features):
     """Fill features [A, 6 or 7]; returns how many drawn Gaussians the other camera does not see."""
     hidden = 0
@@ -45,7 +45,7 @@ def _forward(colours, depths, means2d, next_means, drawn, view, K, features):
     return hidden
 
 
-@njit(parallel=True, **OPTIONS)
+@parallel_kernel
 def _backward(gradient, next_means, view, K, d_colours, d_depths, d_means2d, d_next_means):
     fx, fy = K[0, 0], K[1, 1]
     for i in prange(len(gradient)):
@@ -89,7 +89,7 @@ class _Features(torch.autograd.Function):
         return *results, None, None
 
 
-def blend_features(sliced: Slice, projected: Projected, other: Camera) -> Tensor:
+def blend_displacement(sliced: Slice, projected: Projected, other: Camera) -> Tensor:
     """See ``api.blend_features``; flow goes to the Gaussians' ``next_means`` in the ``other`` camera."""
     assert sliced.next_means is not None
     result: Tensor = _Features.apply(

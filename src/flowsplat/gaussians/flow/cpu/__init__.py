@@ -1,0 +1,6 @@
+"""Kernels for the features of a picture: colour, depth and flow."""
+
+from flowsplat.gaussians.flow.cpu.affine import blend_affine
+from flowsplat.gaussians.flow.cpu.displacement import blend_displacement
+
+__all__ = ["blend_affine", "blend_displacement"]

@@ -1,0 +1,130 @@
+"""Colours from spherical harmonics and their gradient, one Gaussian at a time. Oracle: ``harmonics.colours_in_torch``."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import torch
+from numba import float32, njit, prange
+from torch import Tensor
+
+from flowsplat.common.kernels import OPTIONS, parallel_kernel
+from flowsplat.splatting.cpu.projection import HALF, ONE, TWO, ZERO
+from flowsplat.splatting.harmonics import C0, C1, C2, C3
+
+CHUNKS = 64
+S0, S1 = np.float32(C0), np.float32(C1)
+S2, S3 = np.array(C2, np.float32), np.array(C3, np.float32)
+THREE, FOUR, SIX, EIGHT = np.float32(3), np.float32(4), np.float32(6), np.float32(8)
+
+
+@njit(**OPTIONS)
+def basis_of(x, y, z, count, basis):
+    """The first ``count`` (1, 4, 9 or 16) basis functions of a direction of any length."""
+    length = math.sqrt(x * x + y * y + z * z)
+    inverse = ONE / max(length, float32(1e-12))
+    x *= inverse
+    y *= inverse
+    z *= inverse
+    basis[0] = S0
+    if count > 1:
+        basis[1], basis[2], basis[3] = -S1 * y, S1 * z, -S1 * x
+    if count > 4:
+        xx, yy, zz = x * x, y * y, z * z
+        basis[4], basis[5], basis[6] = S2[0] * x * y, S2[1] * y * z, S2[2] * (TWO * zz - xx - yy)
+        basis[7], basis[8] = S2[3] * x * z, S2[4] * (xx - yy)
+        if count > 9:
+            basis[9], basis[10] = S3[0] * y * (THREE * xx - yy), S3[1] * x * y * z
+            basis[11] = S3[2] * y * (FOUR * zz - xx - yy)
+            basis[12] = S3[3] * z * (TWO * zz - THREE * xx - THREE * yy)
+            basis[13] = S3[4] * x * (FOUR * zz - xx - yy)
+            basis[14], basis[15] = S3[5] * z * (xx - yy), S3[6] * x * (xx - THREE * yy)
+
+
+@njit(inline="always", **OPTIONS)
+def _basis_gradient(x, y, z, count, d):
+    """Gradient of the direction, of any length, from that of the basis d [16]."""
+    inverse = ONE / max(math.sqrt(x * x + y * y + z * z), float32(1e-12))
+    x *= inverse
+    y *= inverse
+    z *= inverse
+    gx, gy, gz = -S1 * d[3], -S1 * d[1], S1 * d[2]
+    if count > 4:
+        xx, yy, zz, xy, xz, yz = x * x, y * y, z * z, x * y, x * z, y * z
+        d4, d5, d6, d7, d8 = S2[0] * d[4], S2[1] * d[5], S2[2] * d[6], S2[3] * d[7], S2[4] * d[8]
+        gx += d4 * y - TWO * d6 * x + d7 * z + TWO * d8 * x
+        gy += d4 * x + d5 * z - TWO * d6 * y - TWO * d8 * y
+        gz += d5 * y + FOUR * d6 * z + d7 * x
+        if count > 9:
+            d9, d10, d11, d12 = S3[0] * d[9], S3[1] * d[10], S3[2] * d[11], S3[3] * d[12]
+            d13, d14, d15 = S3[4] * d[13], S3[5] * d[14], S3[6] * d[15]
+            gx += SIX * (d9 * xy - d12 * xz) + d10 * yz - TWO * d11 * xy + d13 * (FOUR * zz - THREE * xx - yy)
+            gx += TWO * d14 * xz + THREE * d15 * (xx - yy)
+            gy += THREE * d9 * (xx - yy) + d10 * xz + d11 * (FOUR * zz - xx - THREE * yy) - SIX * d12 * yz
+            gy += -TWO * (d13 * xy + d14 * yz) - SIX * d15 * xy
+            gz += d10 * xy + EIGHT * (d11 * yz + d13 * xz) + THREE * d12 * (TWO * zz - xx - yy) + d14 * (xx - yy)
+    along = gx * x + gy * y + gz * z
+    return (gx - along * x) * inverse, (gy - along * y) * inverse, (gz - along * z) * inverse
+
+
+@parallel_kernel
+def _forward(sh, directions, count, colours):
+    number = len(sh)
+    for chunk in prange(CHUNKS):
+        basis = np.empty(16, np.float32)
+        for i in range(number * chunk // CHUNKS, number * (chunk + 1) // CHUNKS):
+            basis_of(directions[i, 0], directions[i, 1], directions[i, 2], count, basis)
+            red, green, blue = HALF, HALF, HALF
+            for k in range(count):
+                red += basis[k] * sh[i, k, 0]
+                green += basis[k] * sh[i, k, 1]
+                blue += basis[k] * sh[i, k, 2]
+            colours[i, 0], colours[i, 1], colours[i, 2] = max(red, ZERO), max(green, ZERO), max(blue, ZERO)
+
+
+@parallel_kernel
+def _backward(sh, directions, count, colours, gradient, wants_directions, d_sh, d_directions):
+    number = len(sh)
+    for chunk in prange(CHUNKS):
+        basis, d_basis = np.empty(16, np.float32), np.empty(16, np.float32)
+        for i in range(number * chunk // CHUNKS, number * (chunk + 1) // CHUNKS):
+            x, y, z = directions[i, 0], directions[i, 1], directions[i, 2]
+            basis_of(x, y, z, count, basis)
+            red = gradient[i, 0] if colours[i, 0] > ZERO else ZERO
+            green = gradient[i, 1] if colours[i, 1] > ZERO else ZERO
+            blue = gradient[i, 2] if colours[i, 2] > ZERO else ZERO
+            for k in range(count):
+                d_sh[i, k, 0], d_sh[i, k, 1], d_sh[i, k, 2] = basis[k] * red, basis[k] * green, basis[k] * blue
+                d_basis[k] = red * sh[i, k, 0] + green * sh[i, k, 1] + blue * sh[i, k, 2]
+            for k in range(count, sh.shape[1]):
+                d_sh[i, k, 0], d_sh[i, k, 1], d_sh[i, k, 2] = ZERO, ZERO, ZERO
+            if wants_directions:
+                d_directions[i, 0], d_directions[i, 1], d_directions[i, 2] = _basis_gradient(x, y, z, count, d_basis)
+
+
+class _Colours(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, sh: Tensor, directions: Tensor, count: int) -> Tensor:
+        inputs = sh.detach().contiguous().numpy(), directions.detach().contiguous().numpy(), count
+        colours = torch.empty(len(sh), 3)
+        _forward(*inputs, colours.numpy())
+        ctx.inputs, ctx.colours = inputs, colours.detach().numpy()
+        return colours
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
+        wants_directions = ctx.needs_input_grad[1]
+        d_sh = torch.empty(ctx.inputs[0].shape)
+        d_directions = torch.empty(len(d_sh) if wants_directions else 0, 3)
+        _backward(
+            *ctx.inputs, ctx.colours, gradient.contiguous().numpy(), wants_directions, d_sh.numpy(), d_directions.numpy()
+        )
+        return d_sh, d_directions if wants_directions else None, None
+
+
+def colours(sh: Tensor, directions: Tensor, degree: int) -> Tensor:
+    """See ``harmonics.colours_from_harmonics``; float32, degree 1 to 3."""
+    result: Tensor = _Colours.apply(sh, directions, (degree + 1) ** 2)
+    return result
