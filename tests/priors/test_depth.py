@@ -16,7 +16,7 @@ from flowsplat.priors.depth.clip import SolvedClip
 from flowsplat.priors.depth.fill import fill, upsample
 from flowsplat.priors.depth.fuse import fuse
 from flowsplat.priors.depth.longflow import LongFlows
-from flowsplat.priors.depth.movers import card, smooth_cards, uncover
+from flowsplat.priors.depth.movers import card, growth, smooth_cards, uncover
 from flowsplat.priors.depth.multiview import solve_multiview
 from flowsplat.priors.flow import flow_stage
 from flowsplat.scenes import Scene
@@ -138,14 +138,31 @@ def test_a_card_stands_on_the_ground_at_its_feet():
 
 
 def test_cards_are_smooth_and_stay_near():
-    cards = np.full(40, 0.5)
+    cards, still = np.full(40, 0.5), np.zeros(40)
     cards[10:13] = np.nan
     cards[20] = 5.0
-    smooth = smooth_cards(cards)
+    smooth = smooth_cards(cards, still)
     assert np.isnan(smooth[10:13]).all()
     np.testing.assert_allclose(smooth[np.isfinite(smooth)], 0.5)
-    assert smooth_cards(np.where(np.arange(40) % 2, 0.5, 0.7))[20] > 0.65
-    assert np.isnan(smooth_cards(np.full(5, np.nan))).all()
+    assert smooth_cards(np.where(np.arange(40) % 2, 0.5, 0.7), still)[20] > 0.65
+    assert np.isnan(smooth_cards(np.full(5, np.nan), still[:5])).all()
+
+
+def test_what_grows_comes_nearer():
+    nearness = smooth_cards(np.full(40, 0.5), np.full(40, 0.01))
+    np.testing.assert_allclose(np.diff(np.log(nearness)), 0.007, atol=2e-3)
+
+
+@pytest.mark.parametrize("factor", [0.9, 1.0, 1.2])
+def test_growth_is_that_of_the_object_and_not_of_what_is_near_it(factor):
+    rows, columns = np.mgrid[:60, :80].astype(np.float32)
+    mask = np.zeros((60, 80), bool)
+    mask[15:45, 20:60] = True
+    flow = np.stack([(factor - 1) * (columns - 40) + 3, (factor - 1) * (rows - 30)], -1)
+    flow[15:25, 20:30] = 9
+    flow[~mask] = 0
+    assert growth(mask, flow, np.ones((60, 80), np.float32)) == pytest.approx(np.log(factor), abs=0.02)
+    assert growth(mask, flow, np.zeros((60, 80), np.float32)) == 0
 
 
 def test_long_flows_reach_far(tmp_path: Path):

@@ -66,6 +66,7 @@ def test_tiny_pictures_have_finite_flow(size):
     assert flow.shape == (*size, 2)
     assert np.isfinite(flow).all()
     assert np.isfinite(dis_flow(a, b, initial=flow)).all()
+    assert np.isfinite(dis_flow(a, b, fine=True)).all()
 
 
 def test_the_stage_joins_training_frames_across_held_out_ones_and_resumes(tmp_path):
@@ -96,5 +97,6 @@ def test_measured_flow_of_a_real_pair():
     truth = raw[3:].reshape(height, width, 2)
     a, b = (cv2.imread(str(folder / name), cv2.IMREAD_GRAYSCALE) for name in ("frame10.png", "frame11.png"))
     known = (np.abs(truth) < 1e9).all(-1)
-    error = np.linalg.norm(dis_flow(a, b) - truth, axis=-1)[known]
-    assert error.mean() < 0.3
+    error = np.linalg.norm(dis_flow(a, b, fine=True) - truth, axis=-1)[known]
+    assert error.mean() < 0.15
+    assert error.mean() < np.linalg.norm(dis_flow(a, b) - truth, axis=-1)[known].mean()

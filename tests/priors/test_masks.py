@@ -1,4 +1,4 @@
-"""Masks of movers: found under a moving and a resting camera, empty where nothing moves, numbered over time."""
+"""Masks of movers: found under a moving and a resting camera, cut out along the picture, empty where nothing moves, numbered."""
 
 from __future__ import annotations
 
@@ -7,8 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from flowsplat.priors.depth.background import static_depth
+from flowsplat.priors.depth.clip import SolvedClip
 from flowsplat.priors.flow import flow_stage
-from flowsplat.priors.masks import _number, mask_stage
+from flowsplat.priors.masks import mask_stage
+from flowsplat.priors.masks.colours import Colours, look_up
+from flowsplat.priors.masks.numbers import number_objects
+from flowsplat.priors.masks.plate import CleanPlate
+from flowsplat.priors.masks.stage import DIFFERS
 from flowsplat.scenes import Flow, Scene
 
 from .planes import HEIGHT, WIDTH, write_planes
@@ -63,9 +69,82 @@ def test_numbers_follow_the_flow_and_parting_objects_part(tmp_path: Path):
         mask[32:44, 6 * i + 4 : 6 * i + 14] = i >= 6
         mask[60:70, 6 * i + 4 : 6 * i + 14] = 1
         scene.write_mask(i, mask)
-    objects, share = _number(scene)
+    objects, share = number_objects(scene)
     assert (objects, scene.mask(5)[15, 36], scene.mask(5)[65, 36]) == (3, 1, 2)
     assert scene.mask(11)[15, 72] == 1
     assert scene.mask(11)[38, 72] == 3
     assert scene.mask(11)[65, 72] == 2
     assert share == pytest.approx(310 / (HEIGHT * WIDTH), rel=0.05)
+
+
+def still_flow(scene: Scene) -> None:
+    for i in scene.train_frames:
+        for j in (i - 1, i + 1):
+            if 0 <= j < scene.num_frames:
+                scene.write_flow(Flow(i, j, np.zeros((HEIGHT, WIDTH, 2), np.float32), np.ones((HEIGHT, WIDTH), np.float32)))
+
+
+def test_objects_that_meet_and_part_keep_their_numbers(tmp_path: Path):
+    scene = write_planes(tmp_path, step=0, square=False)
+    still_flow(scene)
+    for i in scene.train_frames:
+        mask = np.zeros((HEIGHT, WIDTH), np.uint8)
+        mask[20:40, 20:40] = 1
+        mask[20:50, 44:74] = 1
+        mask[25:30, 40:44] = i in range(4, 8)
+        scene.write_mask(i, mask)
+    objects, _ = number_objects(scene)
+    assert objects == 2
+    for i in scene.train_frames:
+        assert (scene.mask(i)[20:40, 20:40] == 2).all()
+        assert (scene.mask(i)[20:50, 44:74] == 1).all()
+
+
+def test_what_differs_from_the_plate_is_what_moves(tmp_path: Path):
+    scene = write_planes(tmp_path, step=2, square=True)
+    flow_stage(scene)
+    blocked = np.stack([scene.truth.mask(i) > 0 for i in scene.train_frames])
+    for i in scene.train_frames:
+        scene.write_mask(i, blocked[i])
+    clip = SolvedClip(scene)
+    residual = CleanPlate(clip, static_depth(clip, True), blocked).residual(6)
+    seen, moving = residual >= 0, blocked[6]
+    assert (seen & moving).sum() > 0.5 * moving.sum()
+    assert np.median(residual[seen & ~moving]) < 1
+    assert np.median(residual[seen & moving]) > 2.5
+
+
+def test_where_no_frame_sees_past_a_mover_its_plate_is_unknown(tmp_path: Path):
+    scene = write_planes(tmp_path, step=0, square=False)
+    flow_stage(scene)
+    clip = SolvedClip(scene)
+    blocked = np.zeros((len(clip), HEIGHT, WIDTH), bool)
+    blocked[:, 20:30, 20:30] = True
+    residual = CleanPlate(clip, static_depth(clip, False), blocked).residual(5)
+    assert (residual[20:30, 20:30] == -1).all()
+    assert (residual[40:, 2:-2] >= 0).all()
+    assert residual.max() < 1
+
+
+def test_a_shadow_is_no_mover(tmp_path: Path):
+    scene = write_planes(tmp_path, step=0, square=False)
+    dark = scene.frame(5).astype(np.float32)
+    dark[20:50, 20:60] *= 0.8
+    scene.write_frame(5, dark.astype(np.uint8))
+    flow_stage(scene)
+    clip = SolvedClip(scene)
+    residual = CleanPlate(clip, static_depth(clip, False), np.zeros((len(clip), HEIGHT, WIDTH), bool)).residual(5)
+    assert np.median(residual[25:45, 25:55]) < DIFFERS
+
+
+def test_colours_tell_movers_from_what_is_round_them():
+    frame = np.full((60, 80, 3), (90, 100, 110), np.uint8)
+    moving = np.zeros((60, 80), bool)
+    moving[20:40, 30:50] = True
+    frame[moving] = (200, 40, 30)
+    colours = Colours()
+    assert colours.table() is None
+    colours.add(frame, moving)
+    values = look_up(colours.table(), frame)
+    assert (values[moving] > 2).all()
+    assert (values[~moving] < -2).all()

@@ -16,6 +16,9 @@ from flowsplat.scenes import Flow, Scene
 SMALLEST_SIDE = 64
 """Pixels. Smaller pictures are enlarged, because the search needs room for its patches."""
 
+FINE_PATCH, FINE_STEP, FINE_ROUNDS = 6, 2, 3
+"""Of the fine search: side of a patch and distance between patches in pixels, and rounds of variational refinement."""
+
 _ROW = 16384
 """Points in a row given to ``cv2.remap``, which takes at most 32767."""
 
@@ -25,11 +28,12 @@ def grey(image: np.ndarray) -> np.ndarray:
     return cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
 
 
-def dis_flow(a: np.ndarray, b: np.ndarray, initial: np.ndarray | None = None) -> np.ndarray:
+def dis_flow(a: np.ndarray, b: np.ndarray, initial: np.ndarray | None = None, fine: bool = False) -> np.ndarray:
     """Flow [H, W, 2] float32 in pixels from grey ``a`` to grey ``b`` (both [H, W] uint8).
 
     Args:
         initial: a first guess [H, W, 2], for large displacements.
+        fine: search at full instead of half resolution, with smaller patches: half the error, eight times the time.
     """
     height, width = a.shape
     factor = -(-SMALLEST_SIDE // min(height, width))
@@ -38,6 +42,11 @@ def dis_flow(a: np.ndarray, b: np.ndarray, initial: np.ndarray | None = None) ->
         a, b = (cv2.resize(image, size, interpolation=cv2.INTER_LINEAR) for image in (a, b))
         initial = None if initial is None else cv2.resize(initial, size) * factor
     search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    if fine:
+        search.setFinestScale(0)
+        search.setPatchSize(FINE_PATCH)
+        search.setPatchStride(FINE_STEP)
+        search.setVariationalRefinementIterations(FINE_ROUNDS)
     a, b = np.ascontiguousarray(a), np.ascontiguousarray(b)
     if initial is None:
         flow = search.calc(a, b, None)
@@ -96,7 +105,7 @@ FlowEstimator = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 def dis_estimator(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Flow between pictures without weights."""
-    return dis_flow(grey(a), grey(b))
+    return dis_flow(grey(a), grey(b), fine=True)
 
 
 def flow_stage(scene: Scene, method: str = "dis", estimate: FlowEstimator = dis_estimator) -> None:

@@ -69,6 +69,7 @@ def prepare_priors(scene: Scene, options: PriorsOptions, device: str = "auto") -
     prompts = parse_prompts(options.mask_click, options.mask_box, scene)
     if prompts and options.given.masks is not None:
         raise InputError("--given.masks and --mask-click or --mask-box both say what moves: give one of them.")
+    _require_pictures_as_they_are(options)
     _set_aside(scene, options, bool(prompts))
     names = ("cameras", "flow", "masks", "depth", "tracks")
     missing = [name for name in names if scene.prior(name) is None]
@@ -95,6 +96,14 @@ def prepare_priors(scene: Scene, options: PriorsOptions, device: str = "auto") -
     forget_solutions(scene)
     _ = scene.similarity  # Computed and stored here, so that training and evaluation share it.
     return seconds
+
+
+def _require_pictures_as_they_are(options: PriorsOptions) -> None:
+    """Refuse files that belong to the pictures as they came where these are to be straightened."""
+    named = [name for name in ("cameras", "depth", "flow", "tracks") if getattr(options.given, name) is not None]
+    if options.cameras.distortion == "radial" and (named or options.priors == "true"):
+        files = f"--given.{named[0]}" if named else "--priors true"
+        raise InputError(f"{files} belongs to the pictures as they came: leave out --cameras.distortion radial.")
 
 
 def _set_aside(scene: Scene, options: PriorsOptions, has_prompts: bool) -> None:

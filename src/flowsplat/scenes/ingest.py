@@ -78,7 +78,8 @@ def open_clip(path: Path, options: InputOptions) -> Clip:
         return open_davis(path, options)
     if kind == "images":
         folder, masks = _image_folders(path)
-        return open_images(folder, options, masks, name=path.resolve().name)
+        clip = path.resolve()
+        return open_images(folder, options, masks, name=clip.parent.name if clip.name == "images" else clip.name)
     raise InputError(ALREADY.format(path))
 
 

@@ -41,7 +41,7 @@ def rig(tmp_path, picture, write_picture) -> Path:
     np.savez(folder / "flow.npz", fwd=flow, bwd=-flow, fwd_valid=valid, bwd_valid=~valid)
     points = np.broadcast_to(number, (COUNT, 5, 3)).astype(np.float32)
     visible = np.arange(COUNT)[:, None] >= np.arange(5)
-    np.savez(folder / "tracks.npz", points=points, visible=visible, moving=np.arange(5) > 2, group=np.zeros(5))
+    np.savez(folder / "tracks.npz", points=points, visible=visible, moving=np.arange(5) > 2, birth=np.arange(5))
     times = [0, 4]
     for name in ("left", "up_high"):
         for time in times:
@@ -105,6 +105,7 @@ def test_chosen_frames(rig, picture):
     assert (truth.mask(1) == 3).all()
     assert truth.cameras[1].center[0] == 3
     assert (truth.tracks.points[:, 1] == 3).all()
+    assert truth.births.tolist() == [-1, -1, 0, 1, 2]
     assert [(p.view.name, p.view.frame) for p in clip.views()] == [("left_00004", 2), ("up_high_00004", 2)]
     thinned = open_rig(rig, InputOptions(every=2))
     assert thinned.truth is not None

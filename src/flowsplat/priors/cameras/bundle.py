@@ -1,4 +1,4 @@
-"""Bundle adjustment: poses, points and one shared focal length that together explain where points were seen.
+"""Bundle adjustment: poses, points and one shared lens that together explain where points were seen.
 
 Levenberg-Marquardt with a Cauchy cost and the Schur complement over the points (Triggs et al., "Bundle adjustment - a
 modern synthesis", https://doi.org/10.1007/3-540-44480-7_21). The sums over observations are Numba loops.
@@ -17,23 +17,29 @@ NEAR = 1e-4
 """Depths below this are replaced by it: such an observation is an outlier and only has to stay finite."""
 GROUP = 256
 """Points that are eliminated together."""
+LENS = 2
+"""Parameters that all cameras share: the distortion, then the logarithm of the focal length."""
+USUAL_DISTORTION = 0.3
+"""Distortion that costs as much as a focal length that is wrong by a factor of e."""
 
 
 @dataclass(frozen=True)
 class Reconstruction:
-    """Poses, points and focal length.
+    """Poses, points and the lens.
 
     Attributes:
         rotations: [T, 3, 3] world to camera.
         translations: [T, 3] world to camera.
         focal: pixels.
         points: [N, 3] world.
+        distortion: k1 of the radial model x_d = x (1 + k1 |x|^2), x = (X/Z, Y/Z).
     """
 
     rotations: np.ndarray
     translations: np.ndarray
     focal: float
     points: np.ndarray
+    distortion: float = 0.0
 
     @property
     def centers(self) -> np.ndarray:
@@ -63,11 +69,25 @@ class Observations:
 
 
 @dataclass(frozen=True)
-class FocalPrior:
-    """Pulls the logarithm of the focal length: cost = weight * (log focal - log expected)^2 in square pixels."""
+class LensPrior:
+    """Pulls the lens to an expected focal length and to no distortion.
+
+    cost = weight * ((log focal - log expected)^2 + (distortion / USUAL_DISTORTION)^2) in square pixels.
+    """
 
     expected: float
     weight: float
+
+    def cost(self, state: Reconstruction) -> float:
+        """Square pixels."""
+        return self.weight * float(np.log(state.focal / self.expected) ** 2 + (state.distortion / USUAL_DISTORTION) ** 2)
+
+    def add_to(self, H: np.ndarray, g: np.ndarray, state: Reconstruction) -> None:
+        """Add the gradient and the curvature to the normal equations, in place."""
+        H[-1, -1] += self.weight
+        g[-1] -= self.weight * np.log(state.focal / self.expected)
+        H[-2, -2] += self.weight / USUAL_DISTORTION**2
+        g[-2] -= self.weight * state.distortion / USUAL_DISTORTION**2
 
 
 @dataclass(frozen=True)
@@ -78,11 +98,13 @@ class Adjusted:
         reconstruction: the best state.
         cost: the robust cost without the prior, square pixels.
         focal_precision: curvature of the cost along log focal once all else has adapted (square pixels); 0 where fixed.
+        distortion_precision: the same along the distortion.
     """
 
     reconstruction: Reconstruction
     cost: float
     focal_precision: float
+    distortion_precision: float = 0.0
 
 
 def adjust(
@@ -94,10 +116,11 @@ def adjust(
     fixed_camera: int,
     free_focal: bool = True,
     free_translations: bool = True,
-    prior: FocalPrior | None = None,
+    free_distortion: bool = False,
+    prior: LensPrior | None = None,
     tolerance: float = 1e-4,
 ) -> Adjusted:
-    """Minimise the sum of scale^2 log(1 + |residual|^2 / scale^2) over poses, points and focal length.
+    """Minimise the sum of scale^2 log(1 + |residual|^2 / scale^2) over poses, points, focal length and distortion.
 
     Args:
         scale: pixels; residuals beyond it lose their influence.
@@ -107,24 +130,22 @@ def adjust(
     """
     count = len(start.rotations)
     first = np.searchsorted(seen.point, np.arange(len(start.points) + 1))
-    free = np.ones(6 * count + 1, bool)
+    free = np.ones(6 * count + LENS, bool)
     free[6 * fixed_camera : 6 * fixed_camera + 6] = False
     if not free_translations:
-        free[:-1].reshape(count, 6)[:, 3:] = False
-    free[-1] = free_focal
+        free[:-LENS].reshape(count, 6)[:, 3:] = False
+    free[-LENS:] = free_distortion, free_focal
     index = np.flatnonzero(free)
-    state, damping, precision = start, 1e-4, 0.0
+    state, damping, precisions = start, 1e-4, (0.0, 0.0)
     cost = _total(state, seen, scale, prior)
     for _ in range(iterations):
-        normal = _linearise(state.rotations, state.translations, state.focal, state.points, seen.camera, seen.point, seen.uv, scale)
-        H, g, Hp, gp, cross, cross_focal = normal
-        if prior is not None and free_focal:
-            H[-1, -1] += prior.weight
-            g[-1] -= prior.weight * np.log(state.focal / prior.expected)
+        H, g, Hp, gp, cross, cross_lens = _linearise(*_plain(state, seen), scale)
+        if prior is not None:
+            prior.add_to(H, g, state)
         for _attempt in range(8):
             inverse = _damped_inverses(Hp, damping)
             S, b = H + np.diag(np.diag(H) * damping + 1e-9), g.copy()
-            _eliminate_points(first, seen.camera, cross, cross_focal, inverse, gp, S, b)
+            _eliminate_points(first, seen.camera, cross, cross_lens, inverse, gp, S, b)
             step = np.zeros(len(g))
             try:
                 factor = scipy.linalg.cho_factor(S[np.ix_(index, index)], lower=True, overwrite_a=True, check_finite=False)
@@ -132,10 +153,10 @@ def adjust(
             except scipy.linalg.LinAlgError:
                 damping *= 10
                 continue
-            trial = _moved(state, step, _point_steps(first, seen.camera, cross, cross_focal, inverse, gp, step))
+            trial = _moved(state, step, _point_steps(first, seen.camera, cross, cross_lens, inverse, gp, step))
             trial_cost = _total(trial, seen, scale, prior)
             if trial_cost <= cost:
-                precision = float(factor[0][-1, -1] ** 2) if free_focal else 0.0
+                precisions = _precisions(factor[0], free_focal, free_distortion)
                 break
             damping *= 8
         else:
@@ -144,30 +165,59 @@ def adjust(
         state, cost, damping = trial, trial_cost, max(damping / 6, 1e-8)
         if converged:
             break
-    return Adjusted(state, _total(state, seen, scale, None), precision)
+    return Adjusted(state, _total(state, seen, scale, None), *precisions)
+
+
+def _precisions(L: np.ndarray, focal: bool, distortion: bool) -> tuple[float, float]:
+    """Of log focal and of the distortion, from the Cholesky factor of the normal equations; 0 where fixed."""
+    last = float(L[-1, -1] ** 2)
+    if not (focal and distortion):
+        return last * focal, last * distortion
+    return last, float(L[-2, -2] ** 2) * last / (last + float(L[-1, -2] ** 2))
+
+
+def rays(uv: np.ndarray, focal: float, distortion: float) -> np.ndarray:
+    """(X/Z, Y/Z) [..., 2] of the points that are seen at ``uv`` [..., 2], pixels from the principal point."""
+    bent = np.asarray(uv, np.float64) / focal
+    if distortion == 0:
+        return bent
+    far = np.linalg.norm(bent, axis=-1, keepdims=True)
+    # Beyond the fold of a strong barrel nothing is seen: there the slope is kept positive and the result only finite.
+    straight = far.copy()
+    for _ in range(12):
+        slope = np.maximum(1 + 3 * distortion * straight**2, 0.1)
+        straight = np.maximum(straight - (straight * (1 + distortion * straight**2) - far) / slope, 0)
+    return bent * (straight / np.maximum(far, 1e-12))
 
 
 def residuals(state: Reconstruction, seen: Observations) -> tuple[np.ndarray, np.ndarray]:
     """Reprojection errors [M] in pixels and depths [M] of all observations."""
-    return _reproject(state.rotations, state.translations, state.focal, state.points, seen.camera, seen.point, seen.uv)
+    return _reproject(*_plain(state, seen))
 
 
-def _total(state: Reconstruction, seen: Observations, scale: float, prior: FocalPrior | None) -> float:
+def _plain(state: Reconstruction, seen: Observations) -> tuple:
+    """What the compiled loops take."""
+    lens = (state.focal, state.distortion)
+    return (state.rotations, state.translations, *lens, state.points, seen.camera, seen.point, seen.uv)
+
+
+def _total(state: Reconstruction, seen: Observations, scale: float, prior: LensPrior | None) -> float:
     errors, _ = residuals(state, seen)
     cost = scale**2 * float(np.log1p((errors / scale) ** 2).sum())
     if prior is not None:
-        cost += prior.weight * float(np.log(state.focal / prior.expected)) ** 2
+        cost += prior.cost(state)
     return cost if np.isfinite(cost) else np.inf
 
 
 def _moved(state: Reconstruction, step: np.ndarray, point_steps: np.ndarray) -> Reconstruction:
-    poses = step[:-1].reshape(-1, 6)
+    poses = step[:-LENS].reshape(-1, 6)
     return replace(
         state,
         rotations=Rotation.from_rotvec(poses[:, :3]).as_matrix() @ state.rotations,
         translations=state.translations + poses[:, 3:],
         focal=state.focal * float(np.exp(np.clip(step[-1], -0.5, 0.5))),
         points=state.points + point_steps,
+        distortion=state.distortion + float(np.clip(step[-2], -0.1, 0.1)),
     )
 
 
@@ -181,13 +231,16 @@ def _damped_inverses(Hp: np.ndarray, damping: float) -> np.ndarray:
 
 
 @njit(cache=True)
-def _linearise(R, t, focal, X, camera, point, uv, scale):
-    """Normal equations: cameras with log focal H, g; points Hp, gp; and the blocks between them, one an observation."""
-    size = 6 * len(R) + 1
+def _linearise(R, t, focal, k1, X, camera, point, uv, scale):
+    """Normal equations: cameras and lens H, g; points Hp, gp; and the blocks between them.
+
+    Those between cameras and points are one an observation [M, 6, 3], those between lens and points one a point [N, 3, 2].
+    """
+    size = 6 * len(R) + LENS
     H, g = np.zeros((size, size)), np.zeros(size)
     Hp, gp = np.zeros((len(X), 3, 3)), np.zeros((len(X), 3))
-    cross, cross_focal = np.zeros((len(camera), 6, 3)), np.zeros((len(X), 3))
-    Jc, Jp, r, f = np.zeros((2, 6)), np.zeros((2, 3)), np.zeros(2), np.zeros(2)
+    cross, cross_lens = np.zeros((len(camera), 6, 3)), np.zeros((len(X), 3, LENS))
+    Jc, Jp, Jl, r = np.zeros((2, 6)), np.zeros((2, 3)), np.zeros((2, LENS)), np.zeros(2)
     for m in range(len(camera)):
         c, n = camera[m], point[m]
         M = R[c]
@@ -195,12 +248,19 @@ def _linearise(R, t, focal, X, camera, point, uv, scale):
         y = M[1, 0] * X[n, 0] + M[1, 1] * X[n, 1] + M[1, 2] * X[n, 2]
         z = M[2, 0] * X[n, 0] + M[2, 1] * X[n, 1] + M[2, 2] * X[n, 2]
         inverse = 1.0 / max(z + t[c, 2], NEAR)
-        f[0], f[1] = focal * (x + t[c, 0]) * inverse, focal * (y + t[c, 1]) * inverse
-        r[0], r[1] = f[0] - uv[m, 0], f[1] - uv[m, 1]
+        a, b = (x + t[c, 0]) * inverse, (y + t[c, 1]) * inverse
+        square = a * a + b * b
+        bend = 1.0 + k1 * square
+        Jl[0, 0], Jl[1, 0] = focal * a * square, focal * b * square
+        Jl[0, 1], Jl[1, 1] = focal * a * bend, focal * b * bend
+        r[0], r[1] = Jl[0, 1] - uv[m, 0], Jl[1, 1] - uv[m, 1]
         w = 1.0 / (1.0 + (r[0] * r[0] + r[1] * r[1]) / (scale * scale))
-        a = focal * inverse
+        f = focal * inverse
+        mixed = 2.0 * k1 * a * b * f
         for k in range(2):
-            dx, dy, dz = (a, 0.0, -f[0] * inverse) if k == 0 else (0.0, a, -f[1] * inverse)
+            dx = f * (bend + 2.0 * k1 * a * a) if k == 0 else mixed
+            dy = mixed if k == 0 else f * (bend + 2.0 * k1 * b * b)
+            dz = -(dx * a + dy * b)
             Jc[k, 0], Jc[k, 1], Jc[k, 2] = dz * y - dy * z, dx * z - dz * x, dy * x - dx * y
             Jc[k, 3], Jc[k, 4], Jc[k, 5] = dx, dy, dz
             for j in range(3):
@@ -211,22 +271,27 @@ def _linearise(R, t, focal, X, camera, point, uv, scale):
                 H[o + i, o + j] += w * (Jc[0, i] * Jc[0, j] + Jc[1, i] * Jc[1, j])
             for j in range(3):
                 cross[m, i, j] = w * (Jc[0, i] * Jp[0, j] + Jc[1, i] * Jp[1, j])
-            H[o + i, -1] += w * (Jc[0, i] * f[0] + Jc[1, i] * f[1])
+            for j in range(LENS):
+                H[size - LENS + j, o + i] += w * (Jc[0, i] * Jl[0, j] + Jc[1, i] * Jl[1, j])
             g[o + i] -= w * (Jc[0, i] * r[0] + Jc[1, i] * r[1])
-        H[-1, -1] += w * (f[0] * f[0] + f[1] * f[1])
-        g[-1] -= w * (f[0] * r[0] + f[1] * r[1])
+        for i in range(LENS):
+            for j in range(LENS):
+                H[size - LENS + i, size - LENS + j] += w * (Jl[0, i] * Jl[0, j] + Jl[1, i] * Jl[1, j])
+            g[size - LENS + i] -= w * (Jl[0, i] * r[0] + Jl[1, i] * r[1])
         for i in range(3):
             for j in range(3):
                 Hp[n, i, j] += w * (Jp[0, i] * Jp[0, j] + Jp[1, i] * Jp[1, j])
-            cross_focal[n, i] += w * (f[0] * Jp[0, i] + f[1] * Jp[1, i])
+            for j in range(LENS):
+                cross_lens[n, i, j] += w * (Jl[0, j] * Jp[0, i] + Jl[1, j] * Jp[1, i])
             gp[n, i] -= w * (Jp[0, i] * r[0] + Jp[1, i] * r[1])
-    for i in range(size - 1):
-        H[size - 1, i] = H[i, size - 1]
-    return H, g, Hp, gp, cross, cross_focal
+    for i in range(size - LENS):
+        for j in range(LENS):
+            H[i, size - LENS + j] = H[size - LENS + j, i]
+    return H, g, Hp, gp, cross, cross_lens
 
 
-def _eliminate_points(first, camera, cross, cross_focal, inverse, gp, S, b):
-    """Subtract from S and b what the points take up, in place.
+def _eliminate_points(first, camera, cross, cross_lens, inverse, gp, S, b):
+    """Subtract from the lower half of S, which is all that is read, and from b what the points take up, in place.
 
     Tracks are taken in groups; within the frames that a group spans the blocks are a dense matrix, so that the product
     is one call to BLAS. Tracks in the order of their birth make groups that span few frames.
@@ -239,24 +304,31 @@ def _eliminate_points(first, camera, cross, cross_focal, inverse, gp, S, b):
             continue
         begin, end = int(camera[m].min()), int(camera[m].max()) + 1
         factor = _group_factor(
-            first[low : high + 1] - first[low], camera[m] - begin, cross[m], cross_focal[low:high], roots[low:high],
+            first[low : high + 1] - first[low], camera[m] - begin, cross[m], cross_lens[low:high], roots[low:high],
             end - begin,
         )  # fmt: skip
-        rows = np.append(np.arange(6 * begin, 6 * end), len(b) - 1)
-        S[rows[:, None], rows] -= factor @ factor.T
-        b[rows] -= factor @ np.einsum("nji,nj->ni", roots[low:high], gp[low:high]).ravel()
+        # Blocks are addressed by slices: gathering rows would cost as much as the product.
+        product = factor @ factor.T
+        right = factor @ np.einsum("nji,nj->ni", roots[low:high], gp[low:high]).ravel()
+        cameras = slice(6 * begin, 6 * end)
+        S[cameras, cameras] -= product[:-LENS, :-LENS]
+        S[-LENS:, cameras] -= product[-LENS:, :-LENS]
+        S[-LENS:, -LENS:] -= product[-LENS:, -LENS:]
+        b[cameras] -= right[:-LENS]
+        b[-LENS:] -= right[-LENS:]
 
 
 @njit(cache=True)
-def _group_factor(first, camera, cross, cross_focal, roots, cameras):
-    """[6 cameras + 1, 3 points]: the blocks between cameras with log focal and points, times the roots of the inverses."""
+def _group_factor(first, camera, cross, cross_lens, roots, cameras):
+    """[6 cameras + 2, 3 points]: the blocks between cameras with lens and points, times the roots of the inverses."""
     count = len(roots)
-    result = np.zeros((6 * cameras + 1, 3 * count))
+    result = np.zeros((6 * cameras + LENS, 3 * count))
     for n in range(count):
         L = roots[n]
         for j in range(3):
             for k in range(j, 3):
-                result[6 * cameras, 3 * n + j] += cross_focal[n, k] * L[k, j]
+                for i in range(LENS):
+                    result[6 * cameras + i, 3 * n + j] += cross_lens[n, k, i] * L[k, j]
         for m in range(first[n], first[n + 1]):
             o = 6 * camera[m]
             for i in range(6):
@@ -269,7 +341,7 @@ def _group_factor(first, camera, cross, cross_focal, roots, cameras):
 
 
 @njit(cache=True)
-def _reproject(R, t, focal, X, camera, point, uv):
+def _reproject(R, t, focal, k1, X, camera, point, uv):
     errors, depths = np.empty(len(camera)), np.empty(len(camera))
     for m in range(len(camera)):
         c, n = camera[m], point[m]
@@ -277,19 +349,22 @@ def _reproject(R, t, focal, X, camera, point, uv):
         x = M[0, 0] * X[n, 0] + M[0, 1] * X[n, 1] + M[0, 2] * X[n, 2] + t[c, 0]
         y = M[1, 0] * X[n, 0] + M[1, 1] * X[n, 1] + M[1, 2] * X[n, 2] + t[c, 1]
         z = M[2, 0] * X[n, 0] + M[2, 1] * X[n, 1] + M[2, 2] * X[n, 2] + t[c, 2]
-        a = focal / max(z, NEAR)
-        errors[m], depths[m] = np.hypot(a * x - uv[m, 0], a * y - uv[m, 1]), z
+        a, b = x / max(z, NEAR), y / max(z, NEAR)
+        f = focal * (1.0 + k1 * (a * a + b * b))
+        errors[m], depths[m] = np.hypot(f * a - uv[m, 0], f * b - uv[m, 1]), z
     return errors, depths
 
 
 @njit(cache=True)
-def _point_steps(first, camera, cross, cross_focal, inverse, gp, step):
-    """Steps [N, 3] of the points, given the step of the cameras and the focal length."""
+def _point_steps(first, camera, cross, cross_lens, inverse, gp, step):
+    """Steps [N, 3] of the points, given the step of the cameras and the lens."""
     result = np.zeros_like(gp)
     v = np.zeros(3)
     for n in range(len(gp)):
         for j in range(3):
-            v[j] = gp[n, j] - cross_focal[n, j] * step[-1]
+            v[j] = gp[n, j]
+            for i in range(LENS):
+                v[j] -= cross_lens[n, j, i] * step[len(step) - LENS + i]
         for m in range(first[n], first[n + 1]):
             o = 6 * camera[m]
             for j in range(3):

@@ -29,22 +29,25 @@ class Gaps:
         unplaced: frames that show too little, between others that do not.
         breaks: the first frames after a cut.
         blank: frames that show nothing at all.
+        jumps: frames before which the path turns or leaps as nowhere else.
         timestamps: [T] seconds of all frames of the clip.
     """
 
     unplaced: Sequence[int]
     breaks: Sequence[int]
     blank: Sequence[int]
+    jumps: Sequence[int]
     timestamps: np.ndarray
 
 
-def verdict(found: Estimate, unit: float, width: int, focal_given: bool, gaps: Gaps) -> str:
+def verdict(found: Estimate, unit: float, width: int, focal_given: bool, gaps: Gaps, more: Sequence[str] = ()) -> str:
     """One or more sentences on what kind of camera motion was found and how far to trust it.
 
     Args:
         found: the cameras, or those of the longest piece of a clip with cuts.
         unit: pixels of the frames in a pixel of ``found``.
         width: pixels of the frames.
+        more: further sentences.
     """
     fit = found.fit
     median = float(np.median(fit.errors))
@@ -72,7 +75,7 @@ def verdict(found: Estimate, unit: float, width: int, focal_given: bool, gaps: G
         sentences.append("Something that moves fills most of the picture: the camera was taken from what is seen round it.")
     elif found.motion == "free" and fit.static.mean() < FEW_STATIC:
         sentences.append(f"Only {100 * fit.static.mean():.0f} % of what was followed stands still: this may be another motion.")
-    return " ".join([*sentences, *_gaps(gaps)])
+    return " ".join([*sentences, *_gaps(gaps), *(sentence for sentence in more if sentence)])
 
 
 def _gaps(gaps: Gaps) -> list[str]:
@@ -90,6 +93,9 @@ def _gaps(gaps: Gaps) -> list[str]:
         many = len(gaps.unplaced) > 1
         are = "show too little to be placed, and their cameras are" if many else "shows too little to be placed, and its camera is"
         sentences.append(f"{_stretches(gaps.unplaced)} {are} interpolated.")
+    if gaps.jumps:
+        places = _listed([str(t) for t in gaps.jumps])
+        sentences.append(f"The path jumps before frame {places}: look there before you trust these cameras.")
     return sentences
 
 

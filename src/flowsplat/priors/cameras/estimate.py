@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -12,9 +13,10 @@ import numpy as np
 from flowsplat.common.progress import progress_bar
 from flowsplat.geometry import Camera
 from flowsplat.geometry.paths import CameraPath
-from flowsplat.priors.cameras.bundle import FocalPrior, Reconstruction
-from flowsplat.priors.cameras.growth import Model, grow, ray_angles
-from flowsplat.priors.cameras.keyframes import choose_keyframes, place_between
+from flowsplat.priors.cameras.averaging import averaged_start
+from flowsplat.priors.cameras.bundle import LensPrior, Reconstruction
+from flowsplat.priors.cameras.growth import grow, ray_angles
+from flowsplat.priors.cameras.keyframes import NEAR_BY, SEARCHED, choose_keyframes, place_between
 from flowsplat.priors.cameras.pieces import LEAST_TRACKS
 from flowsplat.priors.cameras.refinement import Refined, misfit, place_points, ray_points, refine, track_errors
 from flowsplat.priors.cameras.selection import choose_tracks, on_rim
@@ -30,6 +32,8 @@ SIMPLER = 1.5
 """A simpler kind of motion is believed unless a richer one lowers the misfit by more than this factor."""
 NEGLIGIBLE = 0.04
 """A misfit that errors of a tenth of a pixel cause: below it no richer motion is tried."""
+SAME_FOCAL = 0.005
+"""Two complete reconstructions whose focal lengths differ by less than this fraction are taken for the same."""
 MOST_STARTS = 15
 """Attempts at a reconstruction, whatever comes of them."""
 RIM = 0.5
@@ -63,7 +67,7 @@ class Estimate:
     surrounds: bool = False
 
 
-def estimate(positions: np.ndarray, width: float, height: float, focal: float | None) -> Estimate:
+def estimate(positions: np.ndarray, width: float, height: float, focal: float | None, solver: str = "own") -> Estimate:
     """Find the cameras behind the tracks of one piece of a clip.
 
     What most tracks agree on is taken for the static scene, unless it leaves the rim of the picture to something else:
@@ -72,16 +76,17 @@ def estimate(positions: np.ndarray, width: float, height: float, focal: float | 
     Args:
         positions: [N, T, 2] pixels of the frames, NaN where not seen.
         focal: pixels, where it is known.
+        solver: how cameras that move begin, ``own`` (frame after frame) or ``global`` (all at once).
     """
     seen = np.isfinite(positions[..., 0])
-    found = _of_all_frames(positions, seen, width, height, focal)
+    found = _of_all_frames(positions, seen, width, height, focal, solver)
     if found.motion == "unknown":
         return found
     follows = _follows(found, positions, seen, width, height)
     rim = on_rim(positions, width, height)
     if _share(follows, rim) >= RIM or (~follows).sum() < LEAST_TRACKS:
         return found
-    other = _of_all_frames(positions[~follows], seen[~follows], width, height, focal)
+    other = _of_all_frames(positions[~follows], seen[~follows], width, height, focal, solver)
     if other.motion == "unknown":
         return found
     better = _share(_follows(other, positions, seen, width, height), rim) > max(RIM, _share(follows, rim))
@@ -107,12 +112,14 @@ def _centred(positions: np.ndarray, seen: np.ndarray, width: float, height: floa
     return np.where(seen[..., None], positions, 0).astype(np.float64) - [width / 2, height / 2]
 
 
-def _of_all_frames(positions: np.ndarray, seen: np.ndarray, width: float, height: float, focal: float | None) -> Estimate:
+def _of_all_frames(
+    positions: np.ndarray, seen: np.ndarray, width: float, height: float, focal: float | None, solver: str
+) -> Estimate:
     """The cameras most tracks agree on; those of a long clip by way of its keyframes."""
     keys = choose_keyframes(seen)
     if len(keys) == seen.shape[1]:
-        return _of_keyframes(positions, seen, width, height, focal)
-    found = _of_keyframes(positions[:, keys], seen[:, keys], width, height, focal)
+        return _of_keyframes(positions, seen, width, height, focal, solver)
+    found = _of_keyframes(positions[:, keys], seen[:, keys], width, height, focal, solver)
     fit = replace(found.fit, frames=keys[found.fit.frames])
     if found.motion in ("static", "unknown"):
         count = seen.shape[1]
@@ -124,7 +131,9 @@ def _of_all_frames(positions: np.ndarray, seen: np.ndarray, width: float, height
     return replace(found, fit=replace(fit, state=state), unplaced=sorted(keys[found.unplaced].tolist() + lost))
 
 
-def _of_keyframes(positions: np.ndarray, seen: np.ndarray, width: float, height: float, focal: float | None) -> Estimate:
+def _of_keyframes(
+    positions: np.ndarray, seen: np.ndarray, width: float, height: float, focal: float | None, solver: str
+) -> Estimate:
     centred = _centred(positions, seen, width, height)
     few = choose_tracks(positions, seen, width, height, per_cell=4, shortest=2)
     expected, free_focal = focal or USUAL_FOCAL * width, focal is None
@@ -144,9 +153,17 @@ def _of_keyframes(positions: np.ndarray, seen: np.ndarray, width: float, height:
     if rests or surrounds:
         return Estimate("static", standing, [], 0.0, surrounds=not rests)
     starts = {"static": _Candidate(misfit(standing.state, tracks, views, free_translations=False), standing.state, [], 0)}
-    starts["rotation"] = turning = _turning(tracks, views, expected, free_focal)
+    keys = choose_keyframes(views, SEARCHED, NEAR_BY)
+    shown = np.flatnonzero(views[:, keys].sum(1) >= 2)
+    some, some_views = tracks[np.ix_(shown, keys)], views[np.ix_(shown, keys)]
+    turning = _turning(some, some_views, expected, free_focal)
+    starts["rotation"] = _on_all_frames(turning, "rotation", keys, tracks, views)
     if turning.misfit > NEGLIGIBLE:
-        starts["free"] = _search(tracks, views, width, expected, free_focal, turning.state)
+        if solver == "global":
+            moving = _search_at_once(some, some_views, width, expected, free_focal) or turning
+        else:
+            moving = _search(some, some_views, width, expected, free_focal, turning.state)
+        starts["free"] = _on_all_frames(moving, "free", keys, tracks, views)
     costs = {kind: judged(kind, start.state) + NEGLIGIBLE for kind, start in starts.items()}
     motion = next(kind for kind, cost in costs.items() if cost <= SIMPLER * min(costs.values()))
     start = starts[motion]
@@ -228,7 +245,9 @@ def _turning(centred: np.ndarray, seen: np.ndarray, expected: float, free_focal:
     count = seen.shape[1]
     rotations = chained_rotations(centred, seen, expected)
     state = Reconstruction(rotations, np.zeros((count, 3)), expected, np.zeros((len(seen), 3)))
-    fit = refine(state, centred, seen, fixed_camera=0, expected_focal=expected, free_focal=free_focal, free_translations=False)
+    fit = refine(
+        state, centred, seen, fixed_camera=0, expected_focal=expected, free_focal=free_focal, free_translations=False, rough=True,
+    )  # fmt: skip
     return _Candidate(misfit(fit.state, centred, seen, free_translations=False), fit.state, [], 0)
 
 
@@ -242,35 +261,70 @@ def _search(
     the same distance: where the camera hardly leaves its place, no pair of frames has parallax to start from.
     """
     focals = [factor * width for factor in START_FOCALS] if free_focal else [expected]
-    known = partial(refine, expected_focal=expected, free_focal=free_focal)
+    known = partial(refine, expected_focal=expected, free_focal=free_focal, rough=True)
     on_sphere = replace(turning, points=ray_points(turning, centred, seen))
     fit = known(on_sphere, centred, seen, fixed_camera=0, keep_points=True)
     found = [_Candidate(misfit(fit.state, centred, seen), fit.state, [], 0)]
     starts = list(product(rank_pairs(centred, seen, expected), focals))[:MOST_STARTS]
-    prior = FocalPrior(expected, 20.0) if free_focal else None
+    prior = LensPrior(expected, 20.0) if free_focal else None
+    grown: list[float] = []
     with progress_bar("Camera search", len(starts)) as bar:
         for pair, focal in starts:
             bar.advance()
             model = grow(centred, seen, pair, focal, prior=prior, free_focal=free_focal)
             if model is not None and model.solid.sum() >= 0.3 * len(seen):
-                fit = known(_with_all_frames(model), centred, seen, fixed_camera=model.origin)
-                unplaced = np.flatnonzero(~model.placed).tolist()
-                found.append(_Candidate(misfit(fit.state, centred, seen), fit.state, unplaced, model.origin))
-                if sum(not candidate.unplaced for candidate in found) > SUCCESSES:
+                if model.placed.all():
+                    again = any(abs(np.log(model.state.focal / other)) < SAME_FOCAL for other in grown)
+                    grown.append(model.state.focal)
+                if not (model.placed.all() and again):
+                    found.append(_candidate(model.state, model.placed, model.origin, centred, seen, known))
+                if len(grown) >= SUCCESSES:
                     break
     return min(found, key=lambda candidate: candidate.misfit)
 
 
-def _with_all_frames(model: Model) -> Reconstruction:
+def _search_at_once(
+    centred: np.ndarray, seen: np.ndarray, width: float, expected: float, free_focal: bool
+) -> _Candidate | None:
+    """The best of the reconstructions that place all frames at once, each from another focal length; None where none can."""
+    known = partial(refine, expected_focal=expected, free_focal=free_focal, rough=True)
+    focals = [factor * width for factor in START_FOCALS] if free_focal else [expected]
+    found = []
+    with progress_bar("Camera search, all frames at once", len(focals)) as bar:
+        for focal in focals:
+            bar.advance()
+            start = averaged_start(centred, seen, focal)
+            if start is not None:
+                state, reached = start
+                found.append(_candidate(state, reached, int(reached.argmax()), centred, seen, known))
+    return min(found, key=lambda candidate: candidate.misfit) if found else None
+
+
+def _candidate(
+    state: Reconstruction, placed: np.ndarray, origin: int, centred: np.ndarray, seen: np.ndarray, refined: Callable[..., Refined]
+) -> _Candidate:
+    """The reconstruction after a refinement of all frames, those that were not ``placed`` [T] included."""
+    fit = refined(_with_all_frames(state, placed), centred, seen, fixed_camera=origin)
+    return _Candidate(misfit(fit.state, centred, seen), fit.state, np.flatnonzero(~placed).tolist(), origin)
+
+
+def _with_all_frames(state: Reconstruction, placed: np.ndarray) -> Reconstruction:
     """Poses of frames that were not placed, interpolated between those that were."""
-    state, placed = model.state, np.flatnonzero(model.placed)
-    if len(placed) == len(model.placed):
+    if placed.all():
         return state
     cameras = []
-    for t in placed:
+    for t in np.flatnonzero(placed):
         viewmat = np.eye(4)
         viewmat[:3, :3], viewmat[:3, 3] = state.rotations[t], state.translations[t]
         cameras.append(Camera(viewmat, np.eye(3), 1, 1))
-    path = CameraPath(placed.tolist(), cameras)
-    viewmats = np.array([path.at(t).viewmat for t in range(len(model.placed))])
+    path = CameraPath(np.flatnonzero(placed).tolist(), cameras)
+    viewmats = np.array([path.at(t).viewmat for t in range(len(placed))])
     return replace(state, rotations=viewmats[:, :3, :3], translations=viewmats[:, :3, 3])
+
+
+def _on_all_frames(start: _Candidate, kind: str, keys: np.ndarray, centred: np.ndarray, seen: np.ndarray) -> _Candidate:
+    """A start that was found on keyframes, with poses for all frames."""
+    if len(keys) == seen.shape[1]:
+        return start
+    state, lost = place_between(keys, start.state, centred, seen, free_translations=kind == "free")
+    return _Candidate(start.misfit, state, sorted(keys[start.unplaced].tolist() + lost), int(keys[start.origin]))

@@ -15,6 +15,8 @@ WORKING_SIDE = 854
 """Pixels of the longer side at which points are followed; larger pictures are reduced."""
 CELLS = 2000
 """About how many points are followed at a time."""
+SMALLEST_SIDE = 100
+"""Pixels of the shorter side down to which pictures are halved for the flow that predicts where points went."""
 WINDOW = 15
 """Side of the square of pixels that is compared round a point: large, because precision decides."""
 
@@ -41,7 +43,7 @@ def follow_points(scene: Scene) -> tuple[np.ndarray, list[int]]:
         if size != (scene.width, scene.height):
             image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
         if before is not None:
-            expected = points + sample_map(dis_flow(before, image), points)
+            expected = points + _coarse_flow(before, image, points)
             points, ok = refine_points(before, image, points, expected, WINDOW)
             numbers, points = numbers[ok], points[ok]
             oldest = oldest_of_crowds(points, 0.6 * spacing)
@@ -51,3 +53,13 @@ def follow_points(scene: Scene) -> tuple[np.ndarray, list[int]]:
         table.add(t, numbers, points)
         before = image
     return table.values(scene.num_frames) * to_frame, blank
+
+
+def _coarse_flow(before: np.ndarray, image: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """[N, 2] displacements of ``points``, right to about a pixel: where the refinement begins."""
+    if min(image.shape) < 2 * SMALLEST_SIDE:
+        return sample_map(dis_flow(before, image), points)
+    half = (image.shape[1] // 2, image.shape[0] // 2)
+    factor = np.array([image.shape[1] / half[0], image.shape[0] / half[1]], np.float32)
+    flow = dis_flow(*(cv2.resize(each, half, interpolation=cv2.INTER_AREA) for each in (before, image)))
+    return sample_map(flow, points / factor) * factor

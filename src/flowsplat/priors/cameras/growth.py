@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numba import njit
 
-from flowsplat.priors.cameras.bundle import FocalPrior, Observations, Reconstruction, adjust, residuals
+from flowsplat.priors.cameras.bundle import LensPrior, Observations, Reconstruction, adjust, rays, residuals
 from flowsplat.priors.cameras.twoview import Pair, intrinsics, relative_pose
 
 LEAST_POINTS = 10
@@ -35,17 +36,25 @@ def triangulate(state: Reconstruction, positions: np.ndarray, seen: np.ndarray) 
     """Points [N, 3] by linear triangulation from all views in ``seen`` [N, T]; positions from the principal point."""
     matrices = np.concatenate([state.rotations, state.translations[:, :, None]], 2)
     point, camera = np.nonzero(seen)
-    rays = positions[point, camera] / state.focal
-    M = matrices[camera]
-    rows = rays[:, :, None] * M[:, 2:3] - M[:, :2]
-    normal = np.zeros((len(seen), 4, 4))
-    counts = seen.sum(1)
-    some = np.flatnonzero(counts)
-    starts = np.concatenate([[0], np.cumsum(counts[some])[:-1]])
-    if len(some):
-        normal[some] = np.add.reduceat(np.einsum("mki,mkj->mij", rows, rows), starts, axis=0)
-    h = np.linalg.eigh(normal)[1][:, :, 0]
+    directions = rays(positions[point, camera], state.focal, state.distortion)
+    h = np.linalg.eigh(_normal_equations(matrices, directions, camera, point, len(seen)))[1][:, :, 0]
     return h[:, :3] / np.where(np.abs(h[:, 3:]) < 1e-9, 1e-9, h[:, 3:])
+
+
+@njit(cache=True)
+def _normal_equations(matrices, directions, camera, point, count):
+    """[count, 4, 4] of the homogeneous points, from projections [T, 3, 4] and directions [M, 2]."""
+    normal = np.zeros((count, 4, 4))
+    row = np.zeros(4)
+    for m in range(len(point)):
+        P, n = matrices[camera[m]], point[m]
+        for k in range(2):
+            for i in range(4):
+                row[i] = directions[m, k] * P[2, i] - P[k, i]
+            for i in range(4):
+                for j in range(4):
+                    normal[n, i, j] += row[i] * row[j]
+    return normal
 
 
 def ray_angles(state: Reconstruction, points: np.ndarray, seen: np.ndarray) -> np.ndarray:
@@ -80,7 +89,7 @@ def adjust_model(
     iterations: int,
     scale: float,
     free_focal: bool,
-    prior: FocalPrior | None,
+    prior: LensPrior | None,
 ) -> float:
     """Bundle-adjust the placed frames and solid points in place; the mean robust cost an observation in square pixels."""
     frames, tracks = np.flatnonzero(model.placed), np.flatnonzero(model.solid)
@@ -111,7 +120,7 @@ def grow(
     pair: Pair,
     focal: float,
     *,
-    prior: FocalPrior | None,
+    prior: LensPrior | None,
     free_focal: bool,
 ) -> Model | None:
     """Place frame after frame, beginning with ``pair``; frames that see too little stay out.

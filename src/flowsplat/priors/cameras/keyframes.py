@@ -14,6 +14,10 @@ from flowsplat.priors.cameras.refinement import place_points, ray_points, track_
 
 LONG = 120
 """Frames up to which all of them are adjusted together."""
+SEARCHED = 48
+"""Frames up to which a search for the right start looks at all of them."""
+NEAR_BY = 4
+"""Frames between two keyframes of a search, at most."""
 OVERLAPS = (0.7, 0.55, 0.4)
 """Share of a keyframe's tracks that the next one must still see; the next value is tried where too many keyframes remain."""
 WIDEST = 16
@@ -27,21 +31,23 @@ INLIER = 1.0
 """Pixels by which a point may miss its track to serve other frames."""
 
 
-def choose_keyframes(seen: np.ndarray) -> np.ndarray:
+def choose_keyframes(seen: np.ndarray, most: int = LONG, widest: int = WIDEST) -> np.ndarray:
     """Rising frame numbers, the first and the last among them: all frames of a clip that is not long.
 
     Args:
         seen: [N, T] which track is seen in which frame.
+        most: keyframes, where their overlap allows it.
+        widest: frames between two of them, at most.
     """
     count = seen.shape[1]
     keys = list(range(count))
     for overlap in OVERLAPS:
-        if len(keys) <= LONG:
+        if len(keys) <= most:
             break
         keys = [0]
         while keys[-1] < count - 1:
             last = keys[-1]
-            ahead = seen[seen[:, last], last + 1 : last + 1 + WIDEST].mean(0) if seen[:, last].any() else np.zeros(1)
+            ahead = seen[seen[:, last], last + 1 : last + 1 + widest].mean(0) if seen[:, last].any() else np.zeros(1)
             keys.append(last + max(1, int(np.argmin(np.append(ahead >= overlap, False)))))
     return np.array(keys)
 

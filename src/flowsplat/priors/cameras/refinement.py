@@ -6,13 +6,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from flowsplat.priors.cameras.bundle import FocalPrior, Observations, Reconstruction, adjust, residuals
+from flowsplat.priors.cameras.bundle import USUAL_DISTORTION, LensPrior, Observations, Reconstruction, adjust, rays, residuals
 from flowsplat.priors.cameras.growth import triangulate
 
 FAR = 100.0
 """Points are kept within this many median depths: a ray without parallax then fixes rotations, not depths."""
-ROUNDS = (1.0, 0.5, 0.2)
-"""Scale of the Cauchy cost in pixels, a round."""
+ROUGH_ROUNDS = (1.0, 0.5)
+"""Scale of the Cauchy cost in pixels, a round, where cameras are only to be compared with others."""
+ROUNDS = (0.5, 0.2)
+"""The same for cameras that have been through the rough rounds."""
+FINE = 1e-5
+"""An adjustment ends when an iteration lowers its cost by less than this fraction."""
+ROUGH = 1e-4
+"""The same of all rounds before the last."""
 
 
 @dataclass(frozen=True)
@@ -25,6 +31,7 @@ class Refined:
         errors: [M] pixels, of the observations of static tracks.
         frames: [M] the frame of each of them.
         focal_sigma: standard deviation of log focal; infinite where the tracks do not determine it.
+        distortion_sigma: standard deviation of the distortion; infinite where it was not estimated.
     """
 
     state: Reconstruction
@@ -32,6 +39,7 @@ class Refined:
     errors: np.ndarray
     frames: np.ndarray
     focal_sigma: float
+    distortion_sigma: float = float("inf")
 
 
 def place_points(state: Reconstruction, positions: np.ndarray, seen: np.ndarray) -> np.ndarray:
@@ -45,8 +53,9 @@ def place_points(state: Reconstruction, positions: np.ndarray, seen: np.ndarray)
     np.maximum.at(farthest, observed.point, depth)
     lost = np.flatnonzero(((nearest <= 1e-3 * median) | (farthest > FAR * median)) & seen.any(1))
     middle = _middle_view(seen[lost])
-    rays = np.concatenate([positions[lost, middle] / state.focal, np.ones((len(lost), 1))], 1) * FAR * median
-    points[lost] = np.einsum("nji,nj->ni", state.rotations[middle], rays - state.translations[middle])
+    directions = rays(positions[lost, middle], state.focal, state.distortion)
+    ends = np.concatenate([directions, np.ones((len(lost), 1))], 1) * FAR * median
+    points[lost] = np.einsum("nji,nj->ni", state.rotations[middle], ends - state.translations[middle])
     return points
 
 
@@ -67,9 +76,10 @@ def track_errors(state: Reconstruction, positions: np.ndarray, seen: np.ndarray)
 def ray_points(state: Reconstruction, positions: np.ndarray, seen: np.ndarray) -> np.ndarray:
     """Points [N, 3] at distance 1 in the mean direction of each track's rays, for cameras that share one centre."""
     observed = Observations.of(positions, seen)
-    rays = np.concatenate([observed.uv / state.focal, np.ones((len(observed.uv), 1))], 1)
-    rays = np.einsum("mji,mj->mi", state.rotations[observed.camera], rays / np.linalg.norm(rays, axis=1, keepdims=True))
-    points = np.stack([np.bincount(observed.point, rays[:, k], len(seen)) for k in range(3)], 1)
+    flat = rays(observed.uv, state.focal, state.distortion)
+    unit = np.concatenate([flat, np.ones((len(flat), 1))], 1) / np.sqrt(1 + (flat**2).sum(1, keepdims=True))
+    unit = np.einsum("mji,mj->mi", state.rotations[observed.camera], unit)
+    points = np.stack([np.bincount(observed.point, unit[:, k], len(seen)) for k in range(3)], 1)
     return points / np.maximum(np.linalg.norm(points, axis=1, keepdims=True), 1e-12)
 
 
@@ -100,7 +110,9 @@ def refine(
     expected_focal: float,
     free_focal: bool = True,
     free_translations: bool = True,
+    free_distortion: bool = False,
     keep_points: bool = False,
+    rough: bool = False,
 ) -> Refined:
     """Alternate between picking static tracks and adjusting everything to them.
 
@@ -109,12 +121,15 @@ def refine(
         positions: [N, T, 2] pixels from the principal point.
         seen: [N, T].
         expected_focal: pixels; decides where the tracks leave the focal length open.
+        free_distortion: estimate the distortion of the lens, too.
         keep_points: start from the points of ``state`` instead of triangulating them.
+        rough: from a first guess, only as far as is needed to compare these cameras with others.
     """
     static = np.zeros(len(seen), bool)
-    precision = 0.0
+    precision = bend_precision = 0.0
+    rounds = ROUGH_ROUNDS if rough else ROUNDS
     place = place_points if free_translations else ray_points
-    for number, scale in enumerate(ROUNDS):
+    for number, scale in enumerate(rounds):
         if number > 0 or not keep_points:
             state = replace(state, points=place(state, positions, seen))
         static = _behaving(track_errors(state, positions, seen), scale)
@@ -122,21 +137,23 @@ def refine(
         if len(tracks) == 0:
             break
         observed = Observations.of(positions[tracks], seen[tracks])
-        prior = FocalPrior(expected_focal, _prior_weight(replace(state, points=state.points[tracks]), observed, scale))
+        prior = LensPrior(expected_focal, _prior_weight(replace(state, points=state.points[tracks]), observed, scale))
         done = adjust(
             replace(state, points=state.points[tracks]), observed, iterations=40, scale=scale, fixed_camera=fixed_camera,
-            free_focal=free_focal, free_translations=free_translations, prior=prior, tolerance=1e-6,
+            free_focal=free_focal, free_translations=free_translations, free_distortion=free_distortion, prior=prior,
+            tolerance=FINE if scale == ROUNDS[-1] else ROUGH,
         )  # fmt: skip
         points = state.points.copy()
         points[tracks] = done.reconstruction.points
         state, precision = replace(done.reconstruction, points=points), max(done.focal_precision - prior.weight, 0.0)
+        bend_precision = max(done.distortion_precision - prior.weight / USUAL_DISTORTION**2, 0.0)
     tracks = np.flatnonzero(static)
     observed = Observations.of(positions[tracks], seen[tracks])
     error, _ = residuals(replace(state, points=state.points[tracks]), observed)
     # The errors of one track are alike from frame to frame: a track counts as one observation, not as its length.
     variance = float(np.median(error) ** 2) * len(error) / max(len(tracks), 1)
-    sigma = float(np.sqrt(variance / precision)) if precision > 0 else float("inf")
-    return Refined(state, static, error, observed.camera, sigma)
+    sigma, bend_sigma = (float(np.sqrt(variance / p)) if p > 0 else float("inf") for p in (precision, bend_precision))
+    return Refined(state, static, error, observed.camera, sigma, bend_sigma)
 
 
 def _behaving(errors: np.ndarray, scale: float) -> np.ndarray:

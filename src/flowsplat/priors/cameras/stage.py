@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -10,10 +11,22 @@ import numpy as np
 from flowsplat.common.errors import InputError
 from flowsplat.geometry import Camera
 from flowsplat.priors.cameras.checks import Gaps, verdict
-from flowsplat.priors.cameras.estimate import Estimate, estimate
+from flowsplat.priors.cameras.estimate import Estimate
 from flowsplat.priors.cameras.following import WORKING_SIDE, follow_points
+from flowsplat.priors.cameras.lens import Lens, find_lens
 from flowsplat.priors.cameras.pieces import find_breaks, join, split
+from flowsplat.priors.cameras.solvers import Solved, solve
 from flowsplat.scenes import Scene
+from flowsplat.scenes.replacing import replace_pictures
+
+LENS_ROUNDS = 2
+"""How often the lens is estimated, each time with the cameras that the one before allowed."""
+SETTLED = 0.1
+"""Pixels of the border by which a lens may change and count as found."""
+LENS = "lens"
+"""Key of ``Scene.info``: the lens that was, or is being, taken out of the pictures."""
+PENDING = "straightening"
+"""Key of ``Scene.info``: what is known of the cameras while the pictures are being straightened."""
 
 
 @dataclass(frozen=True)
@@ -22,25 +35,40 @@ class CameraOptions:
 
     Attributes:
         focal: focal length in pixels of the prepared frames, where it is known; otherwise it is estimated.
+        solver: how a reconstruction begins: own (from two frames to all of them), global (all frames at once), or auto (the
+            first, and where its cameras look bad the second too, of which the better is taken).
+        distortion: none (a pinhole), or radial: one coefficient is estimated for the clip, and the frames and given masks of
+            the scene are replaced by straightened ones.
     """
 
     focal: float | None = None
+    solver: Literal["auto", "own", "global"] = "auto"
+    distortion: Literal["none", "radial"] = "none"
 
 
 def camera_stage(scene: Scene, options: CameraOptions) -> None:
     """Estimate a pose for every frame and one focal length, and write them to ``scene``.
 
     The principal point is taken to be the centre of the picture and pixels to be square. Held-out frames are seen here
-    (METHOD 6), but nothing other than their poses leaves this stage. The first camera is the identity and the median
-    distance of the points is 1. Pieces that nothing joins (there is a cut between them) are solved one by one, each in
+    (METHOD 6), but nothing other than their poses and their lens leaves this stage. The first camera is the identity and the
+    median distance of the points is 1. Pieces that nothing joins (there is a cut between them) are solved one by one, each in
     these units, and set side by side so far apart that none sees the other: the path jumps there.
 
+    Where the lens is to be straightened, the pictures are replaced last; stopped in between, the next call goes on there.
+
     Raises:
-        InputError: the given focal length is not a positive number.
+        InputError: the given focal length is not a positive number, or something was made for pictures that are to be
+            straightened.
     """
     focal = options.focal
     if focal is not None and not (np.isfinite(focal) and focal > 0):
         raise InputError(f"The focal length is {focal}: give a positive number of pixels, or leave it out.")
+    if PENDING in scene.info:
+        _straighten(scene)
+        return
+    radial = options.distortion == "radial" and LENS not in scene.info
+    if radial:
+        _require_lens_in_pictures(scene)
     # Thresholds are in pixels of the size at which points are followed.
     unit = max(1.0, max(scene.width, scene.height) / WORKING_SIDE)
     followed, blank = follow_points(scene)
@@ -50,39 +78,124 @@ def camera_stage(scene: Scene, options: CameraOptions) -> None:
     if not pieces:
         pieces, positions = [list(range(scene.num_frames))], positions[:0]
     del followed
-    found = [_estimate_piece(positions[:, frames], scene.width / unit, scene.height / unit, focal, unit) for frames in pieces]
+    tracks = _Tracks(positions, pieces, scene.width / unit, scene.height / unit)
+    known = None if focal is None else focal / unit
+    solved = tracks.solve(options.solver, known)
+    lens = None
+    if radial:
+        lens, solved = _find_lens(tracks, solved, options.solver, known)
+    found = [each.found for each in solved]
     parts = [_cameras(each, unit, scene.width, scene.height) for each in found]
     cameras = join(pieces, parts, scene.num_frames)
     scene.write_cameras(cameras)
-    main = found[int(np.argmax([len(frames) for frames in pieces]))]
+    main = solved[tracks.longest]
     errors = np.concatenate([each.fit.errors for each in found]) * unit
     numbers = np.concatenate([np.array(frames)[each.fit.frames] for frames, each in zip(pieces, found, strict=True)])
     heldout = np.isin(numbers, scene.heldout_frames)
     unplaced = [frames[t] for frames, each in zip(pieces, found, strict=True) for t in each.unplaced]
+    jumps = [frames[t] for frames, each in zip(pieces, solved, strict=True) for t in each.judgements[0].jumps]
     breaks = [frames[0] for frames in pieces[1:]]
-    scene.finish_prior(
-        "cameras",
-        method="tracks",
-        motion=main.motion,
-        static=len(pieces) == 1 and main.motion in ("static", "unknown"),
-        focal=round(main.fit.state.focal * unit, 3),
-        focal_given=focal is not None,
-        focal_sigma=round(main.fit.focal_sigma, 5) if np.isfinite(main.fit.focal_sigma) else None,
-        parallax_degrees=round(float(np.degrees(main.parallax)), 3),
-        reprojection_px=round(float(np.median(errors)), 4),
-        reprojection_p90_px=round(float(np.quantile(errors, 0.9)), 4),
-        reprojection_heldout_px=round(float(np.median(errors[heldout])), 4) if heldout.any() else None,
-        tracks=sum(int(each.fit.static.sum()) for each in found),
-        unplaced=unplaced,
-        breaks=breaks,
-        blank=blank,
-        verdict=verdict(main, unit, scene.width, focal is not None, Gaps(unplaced, breaks, blank, scene.timestamps)),
+    fit = main.found.fit
+    gaps = Gaps(unplaced, breaks, blank, jumps, scene.timestamps)
+    more = [main.reason(unit), _about_lens(lens, unit) if radial else ""]
+    prior = {
+        "method": "tracks",
+        "solver": main.judgements[0].solver,
+        "solvers": [judgement.to_json(unit) for judgement in main.judgements],
+        "motion": main.found.motion,
+        "static": len(pieces) == 1 and main.found.motion in ("static", "unknown"),
+        "focal": round(fit.state.focal * unit, 3),
+        "focal_given": focal is not None,
+        "focal_sigma": round(fit.focal_sigma, 5) if np.isfinite(fit.focal_sigma) else None,
+        "distortion": round(lens.distortion, 6) if lens else 0.0,
+        "parallax_degrees": round(float(np.degrees(main.found.parallax)), 3),
+        "reprojection_px": round(float(np.median(errors)), 4),
+        "reprojection_p90_px": round(float(np.quantile(errors, 0.9)), 4),
+        "reprojection_heldout_px": round(float(np.median(errors[heldout])), 4) if heldout.any() else None,
+        "tracks": sum(int(each.fit.static.sum()) for each in found),
+        "unplaced": unplaced,
+        "breaks": breaks,
+        "blank": blank,
+        "jumps": jumps,
+        "verdict": verdict(main.found, unit, scene.width, focal is not None, gaps, more),
+    }
+    if lens is None:
+        scene.finish_prior("cameras", **prior)
+        return
+    scene.info[LENS] = lens.scaled(unit).to_json()
+    scene.info[PENDING] = prior
+    scene.save_info()
+    _straighten(scene)
+
+
+@dataclass(frozen=True)
+class _Tracks:
+    """What was followed: positions [N, T, 2] in pixels of the working size, and the frames of every piece."""
+
+    positions: np.ndarray
+    pieces: list[list[int]]
+    width: float
+    height: float
+
+    @property
+    def longest(self) -> int:
+        """Which piece has the most frames."""
+        return int(np.argmax([len(frames) for frames in self.pieces]))
+
+    def of_piece(self, number: int) -> np.ndarray:
+        """[M, frames, 2] of the tracks that were seen more than once in a piece."""
+        positions = self.positions[:, self.pieces[number]]
+        return positions[np.isfinite(positions[..., 0]).sum(1) >= min(2, positions.shape[1])]
+
+    def solve(self, solver: str, focal: float | None, lens: Lens | None = None) -> list[Solved]:
+        """The cameras of every piece, once the lens is taken out."""
+        if lens is not None:
+            straight = _Tracks(lens.straightened(self.positions), self.pieces, self.width, self.height)
+            return straight.solve(solver, None if focal is None else lens.pinhole)
+        return [solve(self.of_piece(k), self.width, self.height, focal, solver) for k in range(len(self.pieces))]
+
+
+def _find_lens(
+    tracks: _Tracks, solved: list[Solved], solver: str, focal: float | None
+) -> tuple[Lens | None, list[Solved]]:
+    """The lens that the longest piece shows, and the cameras of all pieces behind it."""
+    lens, positions = None, tracks.of_piece(tracks.longest)
+    for _ in range(LENS_ROUNDS):
+        new = find_lens(positions, tracks.width, tracks.height, focal, solved[tracks.longest].found, lens)
+        if new is None or (lens is not None and abs(new.shift - lens.shift) < SETTLED):
+            break
+        lens, solved = new, tracks.solve(solver, focal, new)
+    return lens, solved
+
+
+def _about_lens(lens: Lens | None, unit: float) -> str:
+    if lens is None:
+        return "No distortion of the lens shows: the pictures stay as they are."
+    return (
+        f"The lens moved points of the border by up to {lens.shift * unit:.1f} pixels (k1 = {lens.distortion:.3f}): "
+        "frames and given masks were straightened."
     )
 
 
-def _estimate_piece(positions: np.ndarray, width: float, height: float, focal: float | None, unit: float) -> Estimate:
-    often = np.isfinite(positions[..., 0]).sum(1) >= min(2, positions.shape[1])
-    return estimate(positions[often], width, height, None if focal is None else focal / unit)
+def _require_lens_in_pictures(scene: Scene) -> None:
+    """Refuse to straighten pictures that something else was made for."""
+    if scene.truth is not None or scene.views:
+        raise InputError(f"{scene.name} is rendered by pinholes: leave out --cameras.distortion radial.")
+    made = [name for name in ("flow", "depth", "tracks") if scene.prior(name) is not None]
+    if made:
+        raise InputError(
+            f"{' and '.join(made).capitalize()} of {scene.name} were made for the pictures as they came: "
+            "leave out --cameras.distortion radial, or let them be computed."
+        )
+
+
+def _straighten(scene: Scene) -> None:
+    """Replace frames and masks by those that a pinhole sees, and note that the cameras are finished."""
+    lens = Lens(**scene.info[LENS])
+    replace_pictures(scene, lens.straighten)
+    prior = scene.info.pop(PENDING)
+    scene.info["notes"].append(_about_lens(lens, 1.0))
+    scene.finish_prior("cameras", **prior)
 
 
 def _off_movers(scene: Scene, positions: np.ndarray) -> np.ndarray:

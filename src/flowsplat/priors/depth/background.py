@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -25,6 +26,9 @@ NEAREST, FURTHEST = 20.0, 0.03
 SURE = 5.0
 """Weight from which a value speaks for pixels of other frames, and below which it gives way to theirs."""
 
+GUESS_WEIGHT = 6.0
+"""Weight of a guess: little more than what is trusted."""
+
 _REJECTED = 0.02
 """What remains of a weight that more neighbours contradict than confirm."""
 
@@ -37,10 +41,64 @@ _KEPT = 2 * PLATE_FROM[-1] + 16
 """Frames in memory: on a walk over the clip every one is asked for again until it lies behind the furthest neighbour."""
 
 
+class StaticDepth(Protocol):
+    """Depth of the static scene by position in the training frames, at working resolution."""
+
+    median: float
+
+    def plate(self, k: int) -> np.ndarray:
+        """Inverse depth [h, w] of the static scene, also behind movers, whose own edges play no part in it."""
+        ...
+
+    def filled(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """(inverse depth, weight) of the static scene, each [h, w]: along the picture's edges where nothing is known."""
+        ...
+
+    def behind(self, k: int) -> np.ndarray:
+        """Inverse depth [h, w] of the static scene: the plate behind movers, elsewhere along the picture's edges."""
+        ...
+
+
+def static_depth(clip: SolvedClip, has_masks: bool) -> StaticDepth:
+    """From matches where the clip has parallax, else a guess."""
+    return Background(clip, has_masks) if clip.has_parallax else Guess(clip)
+
+
+class Guess:
+    """A clip without parallax: a ground that comes nearer towards the bottom of the picture."""
+
+    def __init__(self, clip: SolvedClip):
+        self.median = 1 / max(camera_reach(clip) * float(clip.cameras[0].K[0, 0]), 1.0)
+        self._plate = ground(clip.height, clip.width, self.median)
+
+    def plate(self, k: int) -> np.ndarray:
+        """As ``StaticDepth.plate``."""
+        return self._plate
+
+    def filled(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """As ``StaticDepth.filled``: a little trusted everywhere."""
+        return self._plate, np.full_like(self._plate, GUESS_WEIGHT)
+
+    def behind(self, k: int) -> np.ndarray:
+        """As ``StaticDepth.behind``."""
+        return self._plate
+
+
+def camera_reach(clip: SolvedClip) -> float:
+    """How far the camera gets from where a piece of the clip begins.
+
+    At this distance times the focal length what it moves shifts nothing by more than about a pixel.
+    """
+    centers, pieces = np.array([camera.center for camera in clip.cameras]), clip.continuity.pieces
+    first = np.searchsorted(pieces, pieces)
+    return float(np.linalg.norm(centers - centers[first], axis=1).max())
+
+
 class Background:
     """The static scene of a clip with parallax, by position in the training frames, at working resolution."""
 
     def __init__(self, clip: SolvedClip, has_masks: bool):
+        self.median = clip.median
         self._clip, self._has_masks = clip, has_masks
         self._own = lru_cache(maxsize=_KEPT)(self._weighed)
         self._uncovered = lru_cache(maxsize=1)(self._uncover)
@@ -66,6 +124,12 @@ class Background:
             return ground(self._clip.height, self._clip.width, self._clip.median), np.zeros_like(weights)
         inverse, support = fill(values, weights, self._clip.image(k))
         return inverse, weights + np.float32(0.1) * support
+
+    def behind(self, k: int) -> np.ndarray:
+        """Inverse depth [h, w] of the static scene: the plate behind movers, elsewhere along the picture's edges."""
+        inverse, _ = self.filled(k)
+        moving = self.mask(k) > 0
+        return np.where(moving, self.plate(k), inverse) if moving.any() else inverse
 
     def _around(self, k: int, offsets: tuple[int, ...]) -> list[int]:
         around = [j for offset in offsets for j in (k - offset, k + offset) if 0 <= j < len(self._clip)]

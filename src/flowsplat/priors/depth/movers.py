@@ -3,7 +3,8 @@
 Matches say nothing about the depth of what moves. But every static point that other frames show at the pixels of a
 mover lies behind it: these points are its clean plate. The nearest of them is the ground at its feet, if it stands on
 the ground, and in any case the furthest it can be away. So a mover is as near as the near end of its plate, and no pixel
-of it lies behind the plate (METHOD 7: the order of movers beats the error of their depth).
+of it lies behind the plate (METHOD 7: the order of movers beats the error of their depth). How its depth changes is seen
+from its size, so that the frames with the nearest plate speak for all.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from numba import njit
 from scipy.ndimage import gaussian_filter1d, percentile_filter
 
 from flowsplat.geometry import Camera
+from flowsplat.scenes.layers import TRUSTED
 
 NEAR_END = 92.0
 """Percentile of the plate's inverse depth at which a mover stands: not the nearest pixel, which a leak of the mask may hold."""
@@ -23,11 +25,19 @@ NEAR_END = 92.0
 MARGIN = 1.03
 """How much nearer than its plate a mover is kept everywhere."""
 
-WINDOW, NEAR_TIMES = 15, 75
-"""Training frames whose cards are compared, and the percentile of their inverse depth that is taken."""
+WINDOW, NEAR_TIMES = 121, 88
+"""Training frames whose cards are compared, and the percentile of their inverse depth, at one size, that is taken."""
 
-SMOOTHING = 3.0
-"""Training frames: standard deviation of the smoothing of a card's inverse depth over time."""
+SMOOTHING = 8.0
+"""Training frames: standard deviation of the smoothing over time of how large an object would be at its card's depth."""
+
+BELIEF = 0.7
+"""How much of an object's growth is due to its depth: flow is noisy, and what turns or bends grows too."""
+
+FEWEST = 40
+"""Trusted working pixels of an object that tell its growth."""
+
+_ROUNDS = 4
 
 
 def uncover(
@@ -92,14 +102,37 @@ def card(mask: np.ndarray, plate: np.ndarray) -> float:
     return float(max(near_end, np.median(plate[below - 1 : below + 1, left : right + 1])))
 
 
-def smooth_cards(cards: np.ndarray) -> np.ndarray:
+def growth(mask: np.ndarray, flow: np.ndarray, confidence: np.ndarray) -> float:
+    """Logarithm of how many times larger an object (bool [h, w]) is where its flow [h, w, 2] leads; 0 where that is unknown.
+
+    From the affine map that explains most of the flow inside the object, by reweighted least squares.
+    """
+    inside = (cv2.erode(mask.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0) & (confidence >= TRUSTED)
+    if inside.sum() < FEWEST:
+        return 0.0
+    rows, columns = np.nonzero(inside)
+    places = np.stack([columns - columns.mean(), rows - rows.mean(), np.ones(len(rows))], 1)
+    moved, weights = flow[inside].astype(np.float64), np.ones(len(rows))
+    for _ in range(_ROUNDS):
+        fit = np.linalg.lstsq(places * weights[:, None], moved * weights[:, None], rcond=None)[0]
+        off = np.linalg.norm(moved - places @ fit, axis=1)
+        weights = 1 / np.sqrt(1 + (off / max(float(np.median(off)), 0.05)) ** 2)
+    return float(0.5 * np.log(max(np.linalg.det(np.eye(2) + fit[:2]), 0.5)))
+
+
+def smooth_cards(cards: np.ndarray, growths: np.ndarray) -> np.ndarray:
     """Inverse depths [T] of one object over time, NaN where it is not seen, smoothed; stays NaN there.
 
-    The near end of a window counts: what an object passes in front of at one time bounds its distance at others.
+    An object that is twice as large in the picture is twice as near. At one size the near end of a window counts: what
+    an object passes in front of at one time bounds its distance at others.
+
+    Args:
+        growths: [T] logarithm of how much larger the object became since the frame before.
     """
     seen = np.isfinite(cards)
     if not seen.any():
         return cards
-    filled = np.interp(np.arange(len(cards)), np.flatnonzero(seen), cards[seen])
-    near = percentile_filter(filled, NEAR_TIMES, size=WINDOW, mode="nearest")
-    return np.where(seen, gaussian_filter1d(near, SMOOTHING, mode="nearest"), np.nan)
+    nearness = BELIEF * np.cumsum(growths)
+    at_one_size = np.interp(np.arange(len(cards)), np.flatnonzero(seen), np.log(cards[seen]) - nearness[seen])
+    near = percentile_filter(at_one_size, NEAR_TIMES, size=WINDOW, mode="nearest")
+    return np.where(seen, np.exp(gaussian_filter1d(near, SMOOTHING, mode="nearest") + nearness), np.nan)

@@ -5,47 +5,21 @@ from __future__ import annotations
 import numpy as np
 
 from flowsplat.common.progress import track
-from flowsplat.priors.depth.background import Background, ground
+from flowsplat.priors.depth.background import StaticDepth, camera_reach, static_depth
 from flowsplat.priors.depth.clip import SolvedClip
 from flowsplat.priors.depth.fill import upsample
 from flowsplat.priors.depth.longflow import STRIDES
-from flowsplat.priors.depth.movers import MARGIN, card, smooth_cards
+from flowsplat.priors.depth.movers import MARGIN, card, growth, smooth_cards
 from flowsplat.scenes import Depth, Scene
 
 NEAREST_DEPTH, FURTHEST_DEPTH = 0.05, 30.0
 """Multiples of the median depth between which all depths lie."""
 
-GUESS_CONFIDENCE = 0.55
 MOVER_CONFIDENCE = 0.6
 MOSTLY = 0.6
 """Share of trusted pixels from which depth is called known."""
 TRUSTED_WEIGHT = 5.0
 """Weight at which a static pixel has a confidence of one half."""
-
-
-class _Guess:
-    """A clip without parallax: a ground that comes nearer towards the bottom of the picture."""
-
-    def __init__(self, clip: SolvedClip):
-        self.median = 1 / max(_reach(clip) * float(clip.cameras[0].K[0, 0]), 1.0)
-        self._plate = ground(clip.height, clip.width, self.median)
-
-    def plate(self, k: int) -> np.ndarray:
-        return self._plate
-
-    def filled(self, k: int) -> tuple[np.ndarray, np.ndarray]:
-        weight = TRUSTED_WEIGHT * GUESS_CONFIDENCE / (1 - GUESS_CONFIDENCE)
-        return self._plate, np.full_like(self._plate, weight)
-
-
-def _reach(clip: SolvedClip) -> float:
-    """How far the camera gets from where a piece of the clip begins.
-
-    At this distance times the focal length what it moves shifts nothing by more than about a pixel.
-    """
-    centers, pieces = np.array([camera.center for camera in clip.cameras]), clip.continuity.pieces
-    first = np.searchsorted(pieces, pieces)
-    return float(np.linalg.norm(centers - centers[first], axis=1).max())
 
 
 def depth_stage(scene: Scene) -> None:
@@ -56,13 +30,12 @@ def depth_stage(scene: Scene) -> None:
     """
     clip = SolvedClip(scene)
     has_masks = all(scene.has_mask(i) for i in scene.train_frames)
-    background = Background(clip, has_masks) if clip.has_parallax else _Guess(clip)
-    median = clip.median if isinstance(background, Background) else background.median
+    background = static_depth(clip, has_masks)
     cards = _cards(clip, background) if has_masks else {}
     trusted = []
     for k, i in enumerate(track(scene.train_frames, "Depth")):
         if not scene.has_depth(i):
-            scene.write_depth(i, _frame_depth(clip, background, cards, k, median))
+            scene.write_depth(i, _frame_depth(clip, background, cards, k))
         trusted.append(float(scene.depth(i).trusted.mean()))
     method, share = ("multi-view" if clip.has_parallax else "guess"), float(np.mean(trusted))
     if clip.has_parallax:
@@ -70,7 +43,7 @@ def depth_stage(scene: Scene) -> None:
         if share < MOSTLY:
             verdict += ": the rest is filled in, and new views from aside will show it"
     else:
-        travels = _reach(clip) > 1e-9
+        travels = camera_reach(clip) > 1e-9
         little = f"travels too little within {STRIDES[-1]} frames" if travels else "does not travel"
         verdict = f"the camera {little}, so depth is a guess: new views from aside will be wrong"
         if travels and len(clip) > 2 * STRIDES[-1]:
@@ -81,20 +54,35 @@ def depth_stage(scene: Scene) -> None:
     )  # fmt: skip
 
 
-def _cards(clip: SolvedClip, background: Background | _Guess) -> dict[int, np.ndarray]:
+def _cards(clip: SolvedClip, background: StaticDepth) -> dict[int, np.ndarray]:
     """Smoothed inverse depth [T] of every object over the training frames."""
     cards: dict[int, np.ndarray] = {}
+    growths: dict[int, np.ndarray] = {}
+    ahead: dict[int, float] = {}
     for k in track(range(len(clip)), "Depth of movers"):
         mask = clip.mask(k)
-        objects = np.unique(mask[mask > 0])
-        if len(objects):
-            plate = background.plate(k)
-            for number in objects:
-                cards.setdefault(int(number), np.full(len(clip), np.nan))[k] = card(mask == number, plate)
-    return {number: smooth_cards(values) for number, values in cards.items()}
+        if not mask.any():
+            ahead = {}
+            continue
+        plate, back, before = background.plate(k), _growths(clip, k, k - 1, mask), ahead
+        ahead = _growths(clip, k, k + 1, mask)
+        for number in map(int, np.unique(mask[mask > 0])):
+            cards.setdefault(number, np.full(len(clip), np.nan))[k] = card(mask == number, plate)
+            both = growths.setdefault(number, np.zeros(len(clip)))
+            if number in before and number in back:
+                both[k] = (before[number] - back[number]) / 2
+    return {number: smooth_cards(values, growths[number]) for number, values in cards.items()}
 
 
-def _frame_depth(clip: SolvedClip, background: Background | _Guess, cards: dict[int, np.ndarray], k: int, median: float) -> Depth:
+def _growths(clip: SolvedClip, k: int, j: int, mask: np.ndarray) -> dict[int, float]:
+    """Logarithm of how much larger the objects of training frame ``k`` are in its neighbour ``j``."""
+    if not 0 <= j < len(clip) or not clip.continuity.joined(k, j):
+        return {}
+    flow, confidence = clip.step_flow(k, j)
+    return {int(number): growth(mask == number, flow, confidence) for number in np.unique(mask[mask > 0])}
+
+
+def _frame_depth(clip: SolvedClip, background: StaticDepth, cards: dict[int, np.ndarray], k: int) -> Depth:
     scene = clip.scene
     frame = scene.frame(scene.train_frames[k])
     inverse, weight = background.filled(k)
@@ -112,7 +100,7 @@ def _frame_depth(clip: SolvedClip, background: Background | _Guess, cards: dict[
         static = np.where(moving, np.maximum(nearness, MARGIN * large_plate), static)
     else:
         static = upsample(inverse, frame, *size)
-    limits = median / FURTHEST_DEPTH, median / NEAREST_DEPTH
+    limits = background.median / FURTHEST_DEPTH, background.median / NEAREST_DEPTH
     depth = 1 / np.clip(static, *limits)
     large_weight = np.maximum(upsample(weight.astype(np.float32), np.zeros_like(frame), *size), 0)
     confidence = np.where(moving, MOVER_CONFIDENCE, large_weight / (large_weight + TRUSTED_WEIGHT))

@@ -7,7 +7,7 @@
 | ``depth.npz`` | ``depth`` [T, H, W], planar |
 | ``flow.npz`` | ``fwd``, ``bwd`` [T, H, W, 2] pixels to the next and the previous frame, ``fwd_valid``, ``bwd_valid`` [T, H, W] |
 | ``masks/00000.png`` | object numbers, 0 = static |
-| ``tracks.npz`` | ``points`` [T, N, 3] world, ``visible`` [T, N], ``moving`` [N] |
+| ``tracks.npz`` | ``points`` [T, N, 3] world, ``visible`` [T, N], ``moving`` [N], ``birth`` [N] a time to ask a tracker at |
 | ``heldout/cameras.json`` | ``K``, ``width``, ``height`` and for each camera ``times``, ``w2c`` |
 | ``heldout/<camera>/00000.png`` | pictures by time; also ``<camera>_masks/`` and ``<camera>_covisible/`` |
 
@@ -95,6 +95,15 @@ class RigTruth:
         visible = self._array("tracks.npz", "visible", points.shape[1])[self._numbers]
         moving = _member(self._archives["tracks.npz"], self._folder / "tracks.npz", "moving", points.shape[1:2])
         return Tracks(points.swapaxes(0, 1), visible.T, np.ones(visible.T.shape, np.float32), moving)
+
+    @property
+    def births(self) -> np.ndarray:
+        """[P] int: for every point of ``tracks`` the chosen frame in which a tracker is asked for it; -1 where not chosen."""
+        count = self._array("tracks.npz", "points").shape[1]
+        births = _member(self._archives["tracks.npz"], self._folder / "tracks.npz", "birth", (count,)).astype(int)
+        number = np.full(len(self._stored), -1)
+        number[self._numbers] = np.arange(len(self._numbers))
+        return number[births]
 
     def depth(self, i: int) -> Depth:
         """Depth of chosen frame ``i``, certain everywhere."""

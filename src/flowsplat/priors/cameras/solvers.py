@@ -1,0 +1,234 @@
+"""Which solver's cameras are taken: judged by tracks that no adjustment has seen, and by whether the path is sane.
+
+That all frames were placed proves nothing: a wrong focal length and a collapsed path place them, too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from flowsplat.priors.cameras.bundle import Observations, residuals
+from flowsplat.priors.cameras.checks import FEW_STATIC, LARGE_ERROR
+from flowsplat.priors.cameras.estimate import Estimate, estimate
+from flowsplat.priors.cameras.pieces import LEAST_TRACKS
+from flowsplat.priors.cameras.refinement import place_points, ray_points
+from flowsplat.priors.cameras.selection import on_rim
+
+EVERY = 8
+"""Every how many of the longer tracks one is kept from the adjustments."""
+LEAST_VIEWS = 3
+"""Frames that such a track was seen in: every second one places its point, the others judge it."""
+LEAST_JUDGES = 30
+"""Such tracks below which they cannot be spared."""
+STATIC_SHARE = 0.6
+"""Share of the observations that is assumed to stand still; those that fit best are judged."""
+UNIT = 0.5
+"""Pixels; errors well beyond it add little to the cost."""
+LARGEST_TURN = 3.0
+"""Degrees by which the turn from frame to frame may change at once, in any clip."""
+JUMP = 8.0
+"""Times the usual change of a turn, or of a step, that count as a jump."""
+LARGEST_STEP = 0.03
+"""Change of a step, in median distances of the points, that is never a jump."""
+COLLAPSED = 1e-4
+"""Extent of the path, in median distances of the points, below which a moving camera does not move."""
+FIELD_OF_VIEW = (8.0, 130.0)
+"""Degrees across that cameras have."""
+BETTER = 0.9
+"""The second solver is taken where its cost is below this share of the first one's, or where only it is sane."""
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What speaks for and against the cameras of one solver.
+
+    Attributes:
+        solver: its name.
+        pixels: median error of kept-back static tracks in the frames that did not place their points; None where there
+            are too few such tracks.
+        cost: the mean robust cost of the same observations, without unit; 0 where there are too few.
+        jumps: frames before which the path jumps.
+        faults: what is impossible about the cameras, in words.
+        poor: whether another solver is worth a try.
+    """
+
+    solver: str
+    pixels: float | None
+    cost: float
+    jumps: list[int]
+    faults: list[str]
+    poor: bool
+
+    @property
+    def sane(self) -> bool:
+        """Whether the cameras are possible."""
+        return not (self.jumps or self.faults)
+
+    def to_json(self, unit: float) -> dict[str, Any]:
+        """Plain numbers, in pixels of the frames."""
+        pixels = None if self.pixels is None else round(self.pixels * unit, 4)
+        return {"solver": self.solver, "heldout_tracks_px": pixels, "jumps": self.jumps, "faults": self.faults}
+
+    def in_words(self, unit: float) -> str:
+        """ "misses kept-back tracks by 0.12 pixels and jumps before frame 7"."""
+        words = [] if self.pixels is None else [f"misses kept-back tracks by {self.pixels * unit:.2f} pixels"]
+        if self.jumps:
+            words.append(f"jumps before frame {self.jumps[0]}")
+        words += self.faults
+        return " and ".join(words) or "places the frames"
+
+
+@dataclass(frozen=True)
+class Solved:
+    """The cameras that were taken, and what was found about all that were tried, the taken ones first."""
+
+    found: Estimate
+    judgements: list[Judgement]
+
+    def reason(self, unit: float) -> str:
+        """Why these were taken, in a sentence; empty where there was no choice.
+
+        Args:
+            unit: pixels of the frames in a pixel of the tracks.
+        """
+        if len(self.judgements) < 2:
+            return ""
+        taken, other = self.judgements
+        return (
+            f"Two solvers were tried, and the {taken.solver} one was taken: it {taken.in_words(unit)}, "
+            f"the {other.solver} one {other.in_words(unit)}."
+        )
+
+
+def solve(positions: np.ndarray, width: float, height: float, focal: float | None, solver: str) -> Solved:
+    """Cameras of one piece of a clip.
+
+    Args:
+        positions: [N, T, 2] pixels, NaN where not seen.
+        focal: pixels, where it is known.
+        solver: ``own`` (frame after frame), ``global`` (all at once), or ``auto``: the first, and where its cameras look
+            bad the second, of which the better is taken.
+    """
+    used, kept_back = keep_back(np.isfinite(positions[..., 0]))
+
+    judges = positions[kept_back]
+    rim = judges[on_rim(judges, width, height).sum(1) > 0.5 * np.isfinite(judges[..., 0]).sum(1)]
+    name = "own" if solver == "auto" else solver
+    first = estimate(positions[used], width, height, focal, name)
+    judgement = judge(name, first, rim if first.surrounds else judges, width, height)
+    if solver != "auto" or not judgement.poor:
+        return Solved(first, [judgement])
+    second = estimate(positions[used], width, height, focal, "global")
+    # Where something in front fills the picture, what is seen along the rim judges either.
+    judges = rim if first.surrounds or second.surrounds else judges
+    found = {name: judge(name, cameras, judges, width, height) for name, cameras in (("own", first), ("global", second))}
+    if prefer(found["global"], found["own"]):
+        return Solved(second, [found["global"], found["own"]])
+    return Solved(first, [found["own"], found["global"]])
+
+
+def prefer(second: Judgement, first: Judgement) -> bool:
+    """Whether the second solver's cameras are to be taken."""
+    if second.sane != first.sane:
+        return second.sane
+    return second.cost < BETTER * first.cost
+
+
+def keep_back(seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Indices of the tracks to adjust to, and of those that judge; none of these where tracks are few.
+
+    Args:
+        seen: [N, T].
+    """
+    longer = np.flatnonzero(seen.sum(1) >= LEAST_VIEWS)
+    kept = longer[EVERY // 2 :: EVERY]
+    if len(kept) < LEAST_JUDGES:
+        kept = kept[:0]
+    return np.setdiff1d(np.arange(len(seen)), kept), kept
+
+
+def judge(name: str, found: Estimate, positions: np.ndarray, width: float, height: float) -> Judgement:
+    """What tracks that no adjustment has seen say about cameras, and whether the path is possible.
+
+    A track's point is placed from every second frame that saw it and judged in the others.
+
+    Args:
+        positions: [N, T, 2] pixels of the kept-back tracks, NaN where not seen.
+    """
+    pixels, cost = _heldout_errors(found, positions, width, height)
+    jumps = find_jumps(found) if found.motion in ("free", "rotation") else []
+    faults = _faults(found, width)
+    lost = found.motion == "free" and (bool(found.unplaced) or found.fit.static.mean() < FEW_STATIC)
+    poor = bool(jumps or faults or lost or (pixels is not None and pixels > LARGE_ERROR))
+    return Judgement(name, pixels, cost, jumps, faults, poor and found.motion != "unknown")
+
+
+def _heldout_errors(found: Estimate, positions: np.ndarray, width: float, height: float) -> tuple[float | None, float]:
+    """Median error in pixels of the observations that fit best, and their mean robust cost."""
+    seen = np.isfinite(positions[..., 0])
+    if len(seen) < LEAST_TRACKS:
+        return None, 0.0
+    centred = np.where(seen[..., None], positions, 0).astype(np.float64) - [width / 2, height / 2]
+    odd = np.cumsum(seen, 1) % 2 == 1
+    place = place_points if found.motion == "free" else ray_points
+    state = replace(found.fit.state, points=np.zeros((len(seen), 3)))
+    state = replace(state, points=place(state, centred, seen & odd))
+    observed = Observations.of(centred, seen & ~odd)
+    error, depth = residuals(state, observed)
+    error = np.where(depth > 0, np.minimum(error, 20 * UNIT), 20 * UNIT)
+    cost = np.log1p((error / UNIT) ** 2)
+    counts = np.bincount(observed.point, minlength=len(seen))
+    means = np.bincount(observed.point, cost, len(seen)) / np.maximum(counts, 1)
+    order = np.argsort(means, kind="stable")
+    best = np.zeros(len(seen), bool)
+    best[order[np.cumsum(counts[order]) <= STATIC_SHARE * counts.sum()]] = True
+    judged = best[observed.point]
+    if not judged.any():
+        return None, 0.0
+    return float(np.median(error[judged])), float(cost[judged].mean())
+
+
+def find_jumps(found: Estimate) -> list[int]:
+    """Frames before which the path turns or leaps quite unlike anywhere else.
+
+    Compared are the changes from one step to the next: a pan may be fast, but it begins and ends.
+    """
+    state = found.fit.state
+    count = len(state.rotations)
+    if count < 5:
+        return []
+    turns = state.rotations[1:] @ state.rotations[:-1].transpose(0, 2, 1)
+    change = np.degrees(Rotation.from_matrix(turns[1:] @ turns[:-1].transpose(0, 2, 1)).magnitude())
+    jumps = change > max(LARGEST_TURN, JUMP * float(np.median(change)))
+    if found.motion == "free":
+        leaps = np.linalg.norm(np.diff(state.centers, 2, axis=0), axis=1) / _distance(found)
+        jumps |= leaps > max(LARGEST_STEP, JUMP * float(np.median(leaps)))
+    # One jump changes two steps: it is named once, before the frame that it leads to.
+    frames = np.flatnonzero(jumps) + 1
+    return [int(t) for k, t in enumerate(frames) if k == 0 or t > frames[k - 1] + 1]
+
+
+def _distance(found: Estimate) -> float:
+    """Median distance of the static points from the path."""
+    state = found.fit.state
+    static = state.points[found.fit.static] if len(state.points) == len(found.fit.static) else state.points
+    if len(static) == 0:
+        return 1.0
+    return max(float(np.median(np.linalg.norm(static - state.centers.mean(0), axis=1))), 1e-12)
+
+
+def _faults(found: Estimate, width: float) -> list[str]:
+    faults = []
+    if found.motion in ("free", "rotation"):
+        angle = float(2 * np.degrees(np.arctan(width / 2 / found.fit.state.focal)))
+        if not FIELD_OF_VIEW[0] <= angle <= FIELD_OF_VIEW[1]:
+            faults.append(f"sees {angle:.0f} degrees across")
+    if found.motion == "free":
+        extent = np.linalg.norm(np.ptp(found.fit.state.centers, axis=0)) / _distance(found)
+        if extent < COLLAPSED:
+            faults.append("hardly moves")
+    return faults

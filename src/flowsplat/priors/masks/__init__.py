@@ -1,0 +1,5 @@
+"""Masks of moving objects without learned weights: what many matches say does not rest, cut out along the picture."""
+
+from flowsplat.priors.masks.stage import mask_stage
+
+__all__ = ["mask_stage"]

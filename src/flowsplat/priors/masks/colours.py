@@ -1,0 +1,54 @@
+"""What colours the movers of a clip have, and what colours there are round them."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+STEPS = (8, 4, 4)
+"""Width of a bin of the histograms in L, a, b."""
+
+ROUND = 0.07
+"""Share of the long side within which colours are those round a mover."""
+
+FEWEST = 200
+"""Pixels of movers that make a model."""
+
+_SHAPE = tuple(256 // step for step in STEPS)
+_FLOOR = 1e-5
+"""Share of all pixels at which a colour is neither's."""
+
+
+class Colours:
+    """Histograms in Lab of movers and of what surrounds them, over the frames that were added."""
+
+    def __init__(self) -> None:
+        self._counts = np.zeros((2, int(np.prod(_SHAPE))))
+
+    def add(self, frame: np.ndarray, moving: np.ndarray) -> None:
+        """Take a frame RGB [H, W, 3] uint8 with its movers bool [H, W]."""
+        margin = int(ROUND * max(moving.shape))
+        near = cv2.dilate(moving.astype(np.uint8), np.ones((2 * margin + 1, 2 * margin + 1), np.uint8)) > 0
+        bins = _bins(frame)
+        for number, chosen in enumerate((near & ~moving, moving)):
+            self._counts[number] += np.bincount(bins[chosen], minlength=self._counts.shape[1])
+
+    def table(self) -> np.ndarray | None:
+        """For every bin the logarithm to base 2 of how much more often movers have its colour; None without movers."""
+        if self._counts.sum(1).min() < FEWEST:
+            return None
+        shares = np.stack([gaussian_filter(count.reshape(_SHAPE), 1.0) for count in self._counts])
+        shares /= shares.sum((1, 2, 3), keepdims=True)
+        return np.log2((shares[1] + _FLOOR) / (shares[0] + _FLOOR)).astype(np.float32).ravel()
+
+
+def look_up(table: np.ndarray, frame: np.ndarray) -> np.ndarray:
+    """The values [H, W] of a table for the colours of a frame RGB [H, W, 3] uint8."""
+    return table[_bins(frame)]
+
+
+def _bins(frame: np.ndarray) -> np.ndarray:
+    """The bin of every pixel, [H, W] int."""
+    lab = cv2.cvtColor(frame, cv2.COLOR_RGB2LAB) // np.array(STEPS, np.uint8)
+    return np.ravel_multi_index(tuple(lab.transpose(2, 0, 1).astype(np.int64)), _SHAPE)

@@ -1,0 +1,93 @@
+"""Where matches say that something moves.
+
+The evidence of a frame is how far its matches lie off the rigid scene: the smaller of the residual under the best depth
+and twice the distance from the epipolar line, over the noise of the pair (``depth.multiview``). Moving things keep
+moving: the evidence is added up along the flow, pulled to the edges of the picture, and cut.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from flowsplat.common.progress import track
+from flowsplat.geometry.cameras import pixel_grid
+from flowsplat.priors.depth.clip import RESTS, SolvedClip
+from flowsplat.priors.flow import sample_map
+from flowsplat.scenes.layers import TRUSTED
+
+STRONGEST = 1.5
+"""Most that one frame can say, for or against: the logarithm to base 2 of the motion over ``RESTS``."""
+
+MEMORY = 0.9
+"""Share of the evidence that a frame takes over from the next and the one before."""
+
+CERTAIN = 2.0
+"""Mean evidence that an object needs: more than one frame can give."""
+
+SMALLEST = 0.001
+"""Share of the picture below which an object is dropped; a hole is closed below a quarter of it."""
+
+_SMOOTHNESS, _COLOUR_SIGMA = 10.0, 12.0
+
+
+def motion_evidence(clip: SolvedClip) -> list[np.ndarray]:
+    """Summed evidence [h, w] float16 at working resolution of every training frame: positive where something moves."""
+    forward: list[np.ndarray] = []
+    for k in range(len(clip)):
+        evidence = _evidence(clip, k)
+        if k > 0:
+            evidence += MEMORY * _carried(clip, forward[-1], k, k - 1)
+        forward.append(evidence.astype(np.float16))
+    backward: np.ndarray = np.zeros_like(forward[-1], np.float32)
+    for k in track(range(len(clip) - 1, -1, -1), "What moves"):
+        if k + 1 < len(clip):
+            backward = MEMORY * _carried(clip, backward, k, k + 1)
+        forward[k] = (forward[k] + backward).astype(np.float16)
+        backward = backward + _evidence(clip, k)
+    return forward
+
+
+def _evidence(clip: SolvedClip, k: int) -> np.ndarray:
+    """[h, w] float32: positive where a frame's own matches speak for motion, negative for rest, 0 without matches."""
+    motion = clip[k].motion
+    strength = np.log2(np.maximum(motion, 1e-3) / np.float32(RESTS))
+    return np.where(motion > 0, np.clip(strength, -STRONGEST, STRONGEST), 0)
+
+
+def _carried(clip: SolvedClip, evidence: np.ndarray, k: int, j: int) -> np.ndarray:
+    """The evidence of training frame ``j`` at the pixels of its neighbour ``k``, [h, w]; 0 without a trusted match."""
+    if not clip.continuity.joined(k, j):
+        return np.zeros_like(evidence, np.float32)
+    return carried(evidence, *clip.step_flow(k, j))
+
+
+def carried(evidence: np.ndarray, flow: np.ndarray, confidence: np.ndarray) -> np.ndarray:
+    """Evidence [h, w] of another frame at the pixels from which a flow [h, w, 2] leads there; 0 where it is not trusted."""
+    height, width = evidence.shape
+    points = pixel_grid(width, height) + flow
+    there = sample_map(evidence.astype(np.float32), points.reshape(-1, 2)).reshape(evidence.shape)
+    return np.where(confidence >= TRUSTED, there, 0)
+
+
+def rough_cut(evidence: np.ndarray, frame: np.ndarray) -> np.ndarray:
+    """Evidence at working resolution and its frame [H, W, 3] to a mask [H, W] uint8 of 0 and 1."""
+    height, width = frame.shape[:2]
+    large = cv2.resize(evidence.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)
+    smooth = cv2.ximgproc.fastGlobalSmootherFilter(np.ascontiguousarray(frame), large, _SMOOTHNESS, _COLOUR_SIGMA)
+    moving: np.ndarray = (smooth > 0).astype(np.uint8)
+    # Slivers, above all along the border where matches are few.
+    moving = cv2.morphologyEx(moving, cv2.MORPH_OPEN, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7)))
+    return parts(moving, smooth, CERTAIN)
+
+
+def parts(moving: np.ndarray, support: np.ndarray, least: float) -> np.ndarray:
+    """The parts of a mask [H, W] uint8 that are large enough and have a mean ``support`` [H, W] of ``least``; holes closed."""
+    smallest = SMALLEST * moving.size
+    _, holes, stats, _ = cv2.connectedComponentsWithStats(1 - moving, connectivity=4)
+    moving = np.where((stats[:, cv2.CC_STAT_AREA] < smallest / 4)[holes], np.uint8(1), moving)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(moving)
+    means = np.bincount(labels.ravel(), support.ravel(), count) / stats[:, cv2.CC_STAT_AREA]
+    kept = (stats[:, cv2.CC_STAT_AREA] >= smallest) & (means >= least)
+    kept[0] = False
+    return kept[labels].astype(np.uint8)

@@ -1,0 +1,131 @@
+"""The clean plate: what the picture of a frame would be without its movers, from frames that see past them.
+
+Depth and cameras of the static scene tell where each pixel lies in other frames. What looks like that in enough of them
+is static, however the flow swells there; what does not has something in front of it. Shadows are static: they only
+darken the plate.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numba import njit, prange
+
+from flowsplat.common.kernels import OPTIONS
+from flowsplat.geometry import Camera
+from flowsplat.priors.depth.background import StaticDepth
+from flowsplat.priors.depth.clip import SolvedClip
+from flowsplat.priors.depth.fill import upsample
+
+SEEN_FROM = (4, 8, 12, 16, 24, 32, 48)
+"""Training frames before and after, whose pictures are compared."""
+
+ENOUGH = 2
+"""Frames that must see a pixel's static point for its picture to count."""
+
+AGREEING = 0.33
+"""Share of the frames that look most like the pixel, whose last one is compared with it."""
+
+SHADE, SHADES = 9, (0.55, 1.25)
+"""Side in pixels of the square in which a shadow is even, and the range of its brightness."""
+
+SHADE_COST = 0.25
+"""How much a brightness other than 1 counts, as a share of the brightness."""
+
+NOISE, SHIFT = 6.0, 0.5
+"""Grey levels and pixels by which a plate is off where nothing moves."""
+
+
+class CleanPlate:
+    """Compares the training frames of a clip with their static scene.
+
+    Args:
+        blocked: bool [T, H, W], the movers as far as they are known, with a margin.
+    """
+
+    def __init__(self, clip: SolvedClip, background: StaticDepth, blocked: np.ndarray):
+        self._clip, self._background, self._blocked = clip, background, blocked
+        self._cameras = [clip.scene.cameras[i] for i in clip.scene.train_frames]
+        self._frame = lru_cache(maxsize=2 * SEEN_FROM[-1] + 1)(lambda k: clip.scene.frame(clip.scene.train_frames[k]))
+
+    def residual(self, k: int) -> np.ndarray:
+        """How many times its noise a frame differs from its plate, [H, W] float32; 1 or less is rest, -1 is unknown."""
+        clip, frame = self._clip, self._frame(k)
+        around = [k + sign * offset for offset in SEEN_FROM for sign in (-1, 1)]
+        others = [j for j in around if 0 <= j < len(clip) and clip.continuity.joined(k, j)]
+        if len(others) < ENOUGH:
+            return np.full(frame.shape[:2], -1, np.float32)
+        inverse = self._background.behind(k)
+        depth = 1 / np.maximum(upsample(inverse, frame, clip.scene.width, clip.scene.height), 1e-3 * float(np.median(inverse)))
+        plate, count = _plate(
+            frame, depth.astype(np.float32), *_poses(self._cameras[k], [self._cameras[j] for j in others]),
+            np.stack([self._frame(j) for j in others]), self._blocked[others],
+        )  # fmt: skip
+        return np.where(count >= ENOUGH, _difference(frame, plate), -1)
+
+
+def _poses(camera: Camera, others: list[Camera]) -> tuple[np.ndarray, np.ndarray]:
+    """(fx, fy, cx, cy [1 + J, 4]; relative poses [J, 3, 4]) of a camera and others, float32."""
+    intrinsics = np.array([[c.K[0, 0], c.K[1, 1], c.K[0, 2], c.K[1, 2]] for c in (camera, *others)], np.float32)
+    poses = [(other.viewmat @ np.linalg.inv(camera.viewmat))[:3] for other in others]
+    return intrinsics, np.array(poses, np.float32)
+
+
+@njit(parallel=True, **OPTIONS)
+def _plate(
+    frame: np.ndarray, depth: np.ndarray, intrinsics: np.ndarray, poses: np.ndarray, frames: np.ndarray, blocked: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(colours [H, W, 3] float32, number of frames that see them [H, W]) of the static scene at the pixels of ``frame``."""
+    H, W = depth.shape
+    J = len(poses)
+    half, one = np.float32(0.5), np.float32(1)
+    plate, count = np.zeros((H, W, 3), np.float32), np.zeros((H, W), np.uint8)
+    K = intrinsics[0]
+    for y in prange(H):
+        seen, apart = np.empty((J, 3), np.float32), np.empty(J, np.float32)
+        for x in range(W):
+            n, z = 0, depth[y, x]
+            px, py = (x + half - K[2]) / K[0] * z, (y + half - K[3]) / K[1] * z
+            for j in range(J):
+                P, L = poses[j], intrinsics[j + 1]
+                qz = P[2, 0] * px + P[2, 1] * py + P[2, 2] * z + P[2, 3]
+                if qz <= np.float32(1e-6) * z:
+                    continue
+                u = L[0] * (P[0, 0] * px + P[0, 1] * py + P[0, 2] * z + P[0, 3]) / qz + L[2] - half
+                v = L[1] * (P[1, 0] * px + P[1, 1] * py + P[1, 2] * z + P[1, 3]) / qz + L[3] - half
+                if not (u >= -half and v >= -half and u < W - half and v < H - half):
+                    continue
+                if blocked[j, int(v + half), int(u + half)]:
+                    continue
+                u, v = min(max(u, np.float32(0)), np.float32(W - 1)), min(max(v, np.float32(0)), np.float32(H - 1))
+                c, r = min(int(u), W - 2), min(int(v), H - 2)
+                a, b = u - c, v - r
+                distance = np.float32(0)
+                for q in range(3):
+                    above = (one - a) * frames[j, r, c, q] + a * frames[j, r, c + 1, q]
+                    below = (one - a) * frames[j, r + 1, c, q] + a * frames[j, r + 1, c + 1, q]
+                    seen[n, q] = (one - b) * above + b * below
+                    distance += (seen[n, q] - frame[y, x, q]) ** 2
+                apart[n] = distance
+                n += 1
+            count[y, x] = n
+            if n > 0:
+                chosen = np.argsort(apart[:n])[int(np.float32(AGREEING) * (n - 1) + half)]
+                for q in range(3):
+                    plate[y, x, q] = seen[chosen, q]
+    return plate, count
+
+
+def _difference(frame: np.ndarray, plate: np.ndarray) -> np.ndarray:
+    """[H, W] float32: how far a frame is off its plate, whose brightness may change, over its noise there."""
+    image = frame.astype(np.float32)
+    size = (SHADE, SHADE)
+    shade = cv2.boxFilter((image * plate).sum(-1), -1, size) / np.maximum(cv2.boxFilter((plate * plate).sum(-1), -1, size), 1)
+    shade = np.clip(shade, *SHADES)
+    squared = ((image - shade[..., None] * plate) ** 2).mean(-1) + (SHADE_COST * (1 - shade)) ** 2 * (plate**2).mean(-1)
+    smooth = cv2.GaussianBlur(image, (0, 0), 1.0)
+    slope = sum((cv2.Sobel(smooth, cv2.CV_32F, *axes, scale=1 / 8) ** 2).mean(-1) for axes in ((1, 0), (0, 1)))
+    steepest = cv2.dilate(slope, np.ones((3, 3), np.uint8))
+    return np.sqrt(squared / (NOISE**2 + SHIFT**2 * steepest)).astype(np.float32)

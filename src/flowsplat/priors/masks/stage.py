@@ -1,0 +1,127 @@
+"""The mask stage: movers are found by their motion, then cut out by what the pictures show (METHOD 4).
+
+Matches find what moves, but not its outline: flow takes along what is near a mover, and misses what is thin. So the
+pictures decide on the outline: a pixel that differs from the static scene as other frames show it, and that has the
+colours of movers, moves; motion decides where no frame sees past it.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from flowsplat.common.progress import track
+from flowsplat.priors.depth.background import static_depth
+from flowsplat.priors.depth.clip import SolvedClip
+from flowsplat.priors.masks.colours import Colours, look_up
+from flowsplat.priors.masks.motion import carried, motion_evidence, parts, rough_cut
+from flowsplat.priors.masks.numbers import number_objects
+from flowsplat.priors.masks.plate import CleanPlate
+from flowsplat.scenes import Scene
+
+DIFFERS = 1.8
+"""Multiples of its noise at which a difference from the plate speaks neither for motion nor for rest."""
+
+STRONGEST = 2.5
+"""Most that a difference from the plate can say: a logarithm to base 2."""
+
+OF_MOTION, FULL_MOTION = 0.6, 8.0
+"""What motion says at most for rest, and the summed evidence at which it does; for motion half as much more."""
+
+OF_COLOUR, FULL_COLOUR = 0.7, 1.5
+"""Weight of the colours' logarithm to base 2, and the most that it counts."""
+
+MEMORY = 0.5
+"""Share of what is said that a frame takes over from the next and the one before."""
+
+MOVES = 0.3
+"""Share of a part that must have been found by its motion."""
+
+MARGIN = 0.01
+"""Share of the long side by which a mover may be larger than its motion shows."""
+
+MODEL_FRAMES = 16
+"""Frames from which the colours are taken."""
+
+_SMOOTHNESS, _COLOUR_SIGMA = 20.0, 10.0
+
+
+def mask_stage(scene: Scene) -> None:
+    """Masks with object numbers for the training frames, if there are none. Needs cameras and flow."""
+    if scene.prior("masks") is not None:
+        return
+    clip = SolvedClip(scene)
+    evidence = motion_evidence(clip)
+    for k, i in enumerate(scene.train_frames):
+        scene.write_mask(i, rough_cut(evidence[k], scene.frame(i)))
+    if any(scene.mask(i).any() for i in scene.train_frames):
+        said = _what_pictures_say(clip, evidence)
+        _add_colours(clip, said, evidence)
+        for k, mask in enumerate(_cut(clip, said, evidence)):
+            scene.write_mask(scene.train_frames[k], mask)
+    objects, share = number_objects(scene)
+    verdict = f"{objects} moving object{'s' * (objects > 1)} on {share:.1%} of the picture" if objects else "nothing moves"
+    scene.finish_prior("masks", method="motion", verdict=verdict, objects=objects, share=round(share, 5))
+
+
+def _what_pictures_say(clip: SolvedClip, evidence: list[np.ndarray]) -> list[np.ndarray]:
+    """[H, W] float16 of every training frame, positive for motion: how it differs from its plate, and the matches."""
+    scene = clip.scene
+    side = 2 * max(1, round(MARGIN * max(scene.width, scene.height) / 2)) + 1
+    masks = [cv2.dilate(scene.mask(i), np.ones((side, side), np.uint8)) > 0 for i in scene.train_frames]
+    plate = CleanPlate(clip, static_depth(clip, True), np.stack(masks))
+    said = []
+    for k in track(range(len(clip)), "Clean plates"):
+        residual = plate.residual(k)
+        differs = np.clip(np.log2(np.maximum(residual, 1e-3) / np.float32(DIFFERS)), -STRONGEST, STRONGEST)
+        moves = OF_MOTION * np.clip(_large(evidence[k], scene) / FULL_MOTION, -1, 1.5)
+        said.append((np.where(residual >= 0, differs, 0) + moves).astype(np.float16))
+    return said
+
+
+def _add_colours(clip: SolvedClip, said: list[np.ndarray], evidence: list[np.ndarray]) -> None:
+    """Add to what is said how much the colours are those of movers."""
+    scene, colours = clip.scene, Colours()
+    for k in range(0, len(clip), -(-len(clip) // MODEL_FRAMES)):
+        frame = scene.frame(scene.train_frames[k])
+        colours.add(frame, _outline(said[k], frame, evidence[k]) > 0)
+    table = colours.table()
+    if table is None:
+        return
+    table = np.float32(OF_COLOUR) * np.clip(table, -FULL_COLOUR, FULL_COLOUR)
+    for k, i in enumerate(scene.train_frames):
+        said[k] = (said[k] + look_up(table, scene.frame(i))).astype(np.float16)
+
+
+def _cut(clip: SolvedClip, said: list[np.ndarray], evidence: list[np.ndarray]) -> list[np.ndarray]:
+    """The masks [H, W] uint8 of 0 and 1, after frames have listened to those before and after."""
+    scene, forward, masks = clip.scene, list(said), []
+    for k in range(1, len(clip)):
+        forward[k] = (said[k] + MEMORY * _from(clip, forward[k - 1], k, k - 1)).astype(np.float16)
+    backward: np.ndarray = np.zeros_like(said[-1], np.float32)
+    for k in track(range(len(clip) - 1, -1, -1), "Masks"):
+        if k + 1 < len(clip):
+            backward = MEMORY * _from(clip, backward, k, k + 1)
+        masks.append(_outline(forward[k] + backward, scene.frame(scene.train_frames[k]), evidence[k]))
+        backward = backward + said[k]
+    return masks[::-1]
+
+
+def _from(clip: SolvedClip, said: np.ndarray, k: int, j: int) -> np.ndarray:
+    """What frame ``j`` says at the pixels of its neighbour ``k``, [H, W]."""
+    if not clip.continuity.joined(k, j):
+        return np.zeros_like(said, np.float32)
+    flow = clip.scene.flow(clip.scene.train_frames[k], clip.scene.train_frames[j])
+    return carried(said, flow.flow, flow.confidence)
+
+
+def _outline(said: np.ndarray, frame: np.ndarray, evidence: np.ndarray) -> np.ndarray:
+    """The mask [H, W] uint8 along the edges of the frame, of parts that were found by their motion."""
+    height, width = frame.shape[:2]
+    smooth = cv2.ximgproc.fastGlobalSmootherFilter(np.ascontiguousarray(frame), said.astype(np.float32), _SMOOTHNESS, _COLOUR_SIGMA)
+    found = cv2.resize(evidence.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR) > 0
+    return parts((smooth > 0).astype(np.uint8), found, MOVES)
+
+
+def _large(evidence: np.ndarray, scene: Scene) -> np.ndarray:
+    return cv2.resize(evidence.astype(np.float32), (scene.width, scene.height), interpolation=cv2.INTER_LINEAR)

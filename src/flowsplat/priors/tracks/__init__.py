@@ -1,0 +1,8 @@
+"""Points followed through the clip."""
+
+from flowsplat.priors.tracks.points import TrackTable, corner_strength, new_points, oldest_of_crowds, refine_points
+from flowsplat.priors.tracks.stage import follow_queries, tracks_stage
+
+__all__ = [
+    "TrackTable", "corner_strength", "follow_queries", "new_points", "oldest_of_crowds", "refine_points", "tracks_stage",
+]  # fmt: skip

@@ -1,0 +1,114 @@
+"""Points to follow: where they start, how they are refined from one picture to the next, and the table they are noted in."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.005)
+"""At most 20 steps, until one is below 0.005 pixel."""
+ROUND_TRIP = 0.5
+"""Pixels by which a point may miss its start after going there and back."""
+
+
+def refine_points(
+    a: np.ndarray, b: np.ndarray, points: np.ndarray, guess: np.ndarray, window: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where ``points`` of grey ``a`` lie in grey ``b``, to a fraction of a pixel.
+
+    Pyramidal Lucas-Kanade (Bouguet 2001) from ``guess`` and back again.
+
+    Args:
+        points: [N, 2] pixels (centres at +0.5) in ``a``.
+        guess: [N, 2] where they are expected in ``b``, right to within a few pixels.
+        window: side of the square of pixels that is compared.
+
+    Returns:
+        positions [N, 2] float32 and whether each passed the round trip [N] bool.
+    """
+    if len(points) == 0:
+        return np.zeros((0, 2), np.float32), np.zeros(0, bool)
+    start, ahead = (np.ascontiguousarray(p - 0.5, np.float32)[:, None] for p in (points, guess))
+
+    def move(source: np.ndarray, target: np.ndarray, begin: np.ndarray, expected: np.ndarray) -> tuple:
+        found, status, _ = cv2.calcOpticalFlowPyrLK(
+            source, target, begin, expected.copy(), winSize=(window, window), maxLevel=1, criteria=STOP,
+            flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+        )  # fmt: skip
+        return found, status[:, 0] > 0
+
+    found, there = move(a, b, start, ahead)
+    back, returned = move(b, a, found, start)
+    height, width = b.shape
+    position = found[:, 0]
+    ok = there & returned & (np.linalg.norm((back - start)[:, 0], axis=1) < ROUND_TRIP)
+    ok &= np.linalg.norm(position - ahead[:, 0], axis=1) < 4
+    ok &= (position > 1).all(1) & (position[:, 0] < width - 2) & (position[:, 1] < height - 2)
+    return position + np.float32(0.5), ok
+
+
+def corner_strength(image: np.ndarray) -> np.ndarray:
+    """[H, W] float32: the smaller eigenvalue of the structure tensor of grey ``image``; 0 where too weak to follow."""
+    strength = cv2.cornerMinEigenVal(image, 7, ksize=3)
+    weakest = max(1e-6, 1e-3 * float(np.quantile(strength, 0.98)))
+    return np.where(strength > weakest, strength, 0)
+
+
+def new_points(strength: np.ndarray, existing: np.ndarray, spacing: int) -> np.ndarray:
+    """The strongest corner of every empty cell, [N, 2] pixels.
+
+    Args:
+        strength: [H, W], 0 where no point may start.
+        existing: [M, 2] pixels of points that are followed already.
+        spacing: side of a cell in pixels.
+    """
+    height, width = strength.shape
+    rows, columns = -(-height // spacing), -(-width // spacing)
+    taken = np.zeros((height, width), np.uint8)
+    pixel = np.clip(existing.astype(int), 0, [width - 1, height - 1])
+    taken[pixel[:, 1], pixel[:, 0]] = 1
+    near = cv2.dilate(taken, np.ones((spacing, spacing), np.uint8))  # not across a cell's border from an old one either
+    strength = np.where(near > 0, 0, strength)
+    padded = np.zeros((rows * spacing, columns * spacing), np.float32)
+    padded[:height, :width] = strength
+    cells = padded.reshape(rows, spacing, columns, spacing).transpose(0, 2, 1, 3).reshape(rows * columns, -1)
+    best = cells.argmax(1)
+    usable = cells[np.arange(len(cells)), best] > 0
+    cell = pixel // spacing
+    usable[cell[:, 1] * columns + cell[:, 0]] = False
+    chosen = np.flatnonzero(usable)
+    x = chosen % columns * spacing + best[chosen] % spacing
+    y = chosen // columns * spacing + best[chosen] // spacing
+    return np.stack([x, y], 1).astype(np.float32) + np.float32(0.5)
+
+
+def oldest_of_crowds(points: np.ndarray, side: float) -> np.ndarray:
+    """Indices of the points [N, 2] (oldest first) that are the first in their square of this side."""
+    cells = np.floor(points / side).astype(np.int64)
+    _, first = np.unique(cells[:, 1] * 1_000_000 + cells[:, 0], return_index=True)
+    return np.sort(first)
+
+
+class TrackTable:
+    """Tracks while they grow: ``columns`` values of numbered points, one frame after the other."""
+
+    def __init__(self, columns: int = 2) -> None:
+        self.count = 0
+        self._columns = columns
+        self._frames: list[tuple[int, np.ndarray, np.ndarray]] = []
+
+    def start(self, number: int) -> np.ndarray:
+        """Numbers [number] of new tracks."""
+        self.count += number
+        return np.arange(self.count - number, self.count)
+
+    def add(self, frame: int, tracks: np.ndarray, values: np.ndarray) -> None:
+        """Note the ``values`` [N, columns] of ``tracks`` [N] in ``frame``: x, y and whatever else."""
+        self._frames.append((frame, tracks, values))
+
+    def values(self, frames: int) -> np.ndarray:
+        """All values [P, frames, columns] float32, NaN where a track was not seen."""
+        result = np.full((self.count, frames, self._columns), np.nan, np.float32)
+        for frame, tracks, values in self._frames:
+            result[tracks, frame] = values
+        return result

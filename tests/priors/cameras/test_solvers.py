@@ -1,0 +1,115 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from flowsplat.priors.cameras import solvers
+from flowsplat.priors.cameras.estimate import Estimate, estimate
+from flowsplat.priors.cameras.solvers import find_jumps, judge, keep_back, prefer, solve
+from tests.priors.cameras.worlds import HEIGHT, WIDTH, observed, path, world
+
+
+@pytest.fixture(scope="module")
+def tracks() -> np.ndarray:
+    return observed(path(20), world(500), 0.1)
+
+
+@pytest.fixture(scope="module")
+def good(tracks) -> Estimate:
+    return estimate(tracks[keep_back(np.isfinite(tracks[..., 0]))[0]], WIDTH, HEIGHT, None)
+
+
+def damaged(found: Estimate, turn: float, frame: int) -> Estimate:
+    """With one camera turned by so many degrees."""
+    rotations = found.fit.state.rotations.copy()
+    rotations[frame] = Rotation.from_rotvec([0, np.radians(turn), 0]).as_matrix() @ rotations[frame]
+    return replace(found, fit=replace(found.fit, state=replace(found.fit.state, rotations=rotations)))
+
+
+def bent(found: Estimate) -> Estimate:
+    """With a focal length that is wrong, and poses that do not know it."""
+    return replace(found, fit=replace(found.fit, state=replace(found.fit.state, focal=1.4 * found.fit.state.focal)))
+
+
+def judged(found: Estimate, tracks: np.ndarray) -> solvers.Judgement:
+    return judge("own", found, tracks[keep_back(np.isfinite(tracks[..., 0]))[1]], WIDTH, HEIGHT)
+
+
+def test_judges_are_no_tracks_of_the_adjustment_and_few_are_left_alone():
+    seen = np.ones((800, 10), bool)
+    seen[::3, 2:] = False
+    used, kept = keep_back(seen)
+    assert not set(used) & set(kept)
+    assert sorted([*used, *kept]) == list(range(800))
+    assert seen[kept].sum(1).min() >= solvers.LEAST_VIEWS
+    assert len(keep_back(seen[:60])[1]) == 0
+
+
+def test_good_cameras_are_not_poor(tracks, good):
+    judgement = judged(good, tracks)
+    assert judgement.sane
+    assert not judgement.poor
+    assert judgement.pixels < 0.2
+
+
+def test_wrong_cameras_are_poor_although_all_frames_have_one(tracks, good):
+    judgement = judged(bent(good), tracks)
+    assert bent(good).unplaced == []
+    assert judgement.poor
+    assert judgement.pixels > 1
+
+
+@pytest.mark.parametrize("frame", [0, 7, 19])
+def test_a_camera_that_looks_elsewhere_is_a_jump(good, frame):
+    assert find_jumps(good) == []
+    jumps = find_jumps(damaged(good, 91, frame))
+    assert jumps
+    assert abs(jumps[0] - frame) <= 1
+    assert find_jumps(damaged(good, 0.2, frame)) == []
+
+
+def test_a_fast_pan_is_no_jump(good):
+    pan = Rotation.from_rotvec(np.radians(8.0) * np.arange(20)[:, None] * [0, 1, 0]).as_matrix()
+    state = replace(good.fit.state, rotations=pan @ good.fit.state.rotations)
+    assert find_jumps(replace(good, motion="rotation", fit=replace(good.fit, state=state))) == []
+
+
+def test_the_sane_are_preferred_and_then_the_better(tracks, good):
+    fine, wrong, jumps = judged(good, tracks), judged(bent(good), tracks), judged(damaged(good, 91, 0), tracks)
+    assert prefer(fine, wrong)
+    assert not prefer(wrong, fine)
+    assert prefer(wrong, jumps)
+    assert not prefer(fine, fine)
+
+
+def test_the_second_solver_is_asked_where_the_first_one_fails(tracks, good, monkeypatch):
+    asked = []
+
+    def broken(positions, width, height, focal, solver):
+        asked.append(solver)
+        return bent(good) if solver == "own" else good
+
+    monkeypatch.setattr(solvers, "estimate", broken)
+    solved = solve(tracks, WIDTH, HEIGHT, None, "auto")
+    assert asked == ["own", "global"]
+    assert solved.found is good
+    assert [judgement.solver for judgement in solved.judgements] == ["global", "own"]
+    assert "the global one was taken: it misses kept-back tracks by 0.1" in solved.reason(1.0)
+    solved = solve(tracks, WIDTH, HEIGHT, None, "own")
+    assert solved.judgements[0].poor
+    assert solved.reason(1.0) == ""
+
+
+def test_the_second_solver_is_not_asked_where_the_first_one_does(tracks, monkeypatch):
+    asked = []
+
+    def noted(positions, width, height, focal, solver):
+        asked.append(solver)
+        return estimate(positions, width, height, focal, solver)
+
+    monkeypatch.setattr(solvers, "estimate", noted)
+    assert solve(tracks, WIDTH, HEIGHT, None, "auto").judgements[0].solver == "own"
+    assert asked == ["own"]
