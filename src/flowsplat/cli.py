@@ -20,6 +20,8 @@ Preset = Literal["fast", "default", "paper", "high"]
 
 def _commands(arguments: Sequence[str]) -> dict[str, Any]:
     """Every command, its defaults taken from the preset or the run that the arguments name."""
+    from flowsplat.output.export.options import ExportOptions, Format
+    from flowsplat.output.viewer.options import ViewOptions
     from flowsplat.pipeline.config import RunConfig, preset
 
     defaults = preset(_value_of(arguments, "--preset") or "default")
@@ -28,6 +30,9 @@ def _commands(arguments: Sequence[str]) -> dict[str, Any]:
     Settings = Annotated[RunConfig, tyro.conf.arg(name="")]
     Source = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="INPUT")]
     Run = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]
+    Viewing = Annotated[ViewOptions, tyro.conf.arg(name="")]
+    Exporting = Annotated[ExportOptions, tyro.conf.arg(name="")]
+    Target = Annotated[Path | None, tyro.conf.arg(aliases=("-o",), metavar="PATH")]
     Out = Annotated[Path, tyro.conf.arg(aliases=("-o",), metavar="OUT")]
 
     def run(input: Source, out: Out, preset: Preset = "default", config: Settings = defaults) -> None:
@@ -96,6 +101,37 @@ def _commands(arguments: Sequence[str]) -> dict[str, Any]:
         pipeline.render_run(_open(out, config))
         say(f"Videos: {out}/renders")
 
+    def view(out: Run, options: Viewing = ViewOptions()) -> None:  # noqa: B008 (frozen)
+        """Look at a run in the browser, also while it trains: any place, any time, colour, flow and depth.
+
+        Args:
+            out: Folder of the run.
+            options: How it is served.
+        """
+        from flowsplat.output.viewer.server import view as serve
+
+        serve(out, options)
+
+    def export(
+        out: Run, to: Format, path: Target = None, options: Exporting = ExportOptions()  # noqa: B008 (frozen)
+    ) -> None:
+        """A trained run in the format of other programs, or as a page that plays it: one .html, no network, no server.
+
+        There is no spz: programs that want it make it from ply.
+
+        Args:
+            out: Folder of the run.
+            to: html (the player), ply (3DGS, at one time), ply-sequence (one ply a frame, as SuperSplat plays it), splat (32 bytes
+                a Gaussian, at one time), npz or safetensors (every parameter), colmap or nerfstudio (the cameras).
+            path: File or folder to write; without it, in OUT/export.
+            options: What and how.
+        """
+        from flowsplat import pipeline
+        from flowsplat.output.export import export_scene
+        from flowsplat.scenes import Scene
+
+        say(f"Written: {export_scene(pipeline.load(out), Scene(out / 'scene'), to, path, options)}")
+
     def info(path: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="PATH")] = None) -> None:
         """What is in a run or a scene; versions; which backends work here, and why the others do not.
 
@@ -118,9 +154,39 @@ def _commands(arguments: Sequence[str]) -> dict[str, Any]:
 
         run_demo(out, size, frames)
 
+    def benchmark() -> None:
+        """Whole benchmarks over many scenes, to tables: flowsplat benchmark --help lists them."""
+
     return {
         "run": run, "prepare": prepare, "train": train, "evaluate": evaluate, "render": render, "info": info, "demo": demo,
+        "benchmark": benchmark, "view": view, "export": export,
     }  # fmt: skip
+
+
+def _benchmarks() -> dict[str, Any]:
+    """Every command behind ``flowsplat benchmark``."""
+    Root = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATA_ROOT")]
+    Out = Annotated[Path, tyro.conf.arg(aliases=("-o",), metavar="OUT")]
+
+    def priors(root: Root, out: Out, scenes: tuple[str, ...] = (), again: bool = False) -> None:
+        """Cameras, flow, masks, depth and tracks of many scenes against the truth.
+
+        Prepares every scene as flowsplat prepare does, in OUT/<scene>, and measures it: figures in OUT/<scene>/figures.json, the
+        table with targets in OUT/priors.md, with pictures in OUT/priors.html. The same command again continues where it was
+        stopped; remove a figures.json to measure what is prepared once more.
+
+        Args:
+            root: Folder with rig/<scene> (rendered scenes), davis/<clip>/images and masks, and flow/<pair> (frame10.png,
+                frame11.png and flow10.flo).
+            out: Folder for everything that comes out.
+            scenes: Names of the scenes to run; the default is all of them.
+            again: Prepare and measure again what is there already.
+        """
+        from flowsplat.protocols.priors import run_priors_benchmark
+
+        run_priors_benchmark(root, out, scenes, again)
+
+    return {"priors": priors}
 
 
 def _value_of(arguments: Sequence[str], option: str) -> str | None:
@@ -184,14 +250,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if not arguments:
         arguments = ["--help"]
     box = io.StringIO()
+    prog, commands = "flowsplat", {}
     try:
-        commands = _commands(arguments)
+        if arguments[0] == "benchmark":
+            prog, commands, arguments = "flowsplat benchmark", _benchmarks(), arguments[1:] or ["--help"]
+        else:
+            commands = _commands(arguments)
         parsing = contextlib.redirect_stderr(box)
         call = _Deferred()
         with parsing:
             tyro.extras.subcommand_cli_from_dict(
                 {name: call.wrap(function) for name, function in commands.items()},
-                prog="flowsplat",
+                prog=prog,
                 description="One ordinary video becomes a 4D scene of moving Gaussians.",
                 args=arguments,
             )

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from flowsplat.geometry import Camera, Similarity
 from flowsplat.geometry.cameras import camera_flow, pixel_grid, unproject_depth
-from flowsplat.geometry.paths import CameraPath, orbit, smooth_path
+from flowsplat.geometry.paths import CameraPath, cropped, dolly_zoom, orbit, shifted, smooth_path
 from flowsplat.geometry.projection import project_points, world_jacobian
 from flowsplat.geometry.rotations import (
     angular_velocity,
@@ -154,3 +154,27 @@ def test_smoothing_keeps_a_still_camera_and_calms_a_shaking_one():
     before = np.diff([c.center for c in shaking], axis=0)
     after = np.diff([c.center for c in smooth_path(shaking, 3.0)], axis=0)
     assert np.abs(after).mean() < 0.3 * np.abs(before).mean()
+
+
+def test_cameras_made_from_a_camera_see_what_they_promise():
+    K = np.array([[50.0, 0, 34], [0, 55, 20], [0, 0, 1]])
+    viewmat = np.eye(4)
+    viewmat[:3, :3] = Rotation.from_euler("xyz", [0.2, -0.4, 0.1]).as_matrix()
+    viewmat[:3, 3] = 0.3, -0.2, 0.5
+    camera = Camera(viewmat, K, 64, 48)
+    uv = np.array([[5.0, 7.0], [32.0, 24.0], [60.0, 41.0]])
+    plane = camera.unproject(uv, np.full(3, 3.0))
+
+    aside = shifted(camera, 0.4, 3.0)
+    np.testing.assert_allclose(aside.project(plane)[0], uv, atol=1e-9)
+    np.testing.assert_allclose(aside.center - camera.center, 0.4 * camera.viewmat[0, :3], atol=1e-12)
+    nearer = camera.unproject(uv, np.full(3, 2.0))
+    np.testing.assert_allclose(aside.project(nearer)[0] - uv, np.tile([50 * 0.4 * (1 / 3 - 1 / 2), 0], (3, 1)), atol=1e-9)
+
+    back = dolly_zoom(camera, 3.0, 1.5)
+    np.testing.assert_allclose(back.project(plane)[0], uv, atol=1e-9)
+    np.testing.assert_allclose(back.project(plane)[1], 4.5)
+
+    corners = np.array([[8.0, 6.0], [56.0, 42.0]])  # of the middle three quarters
+    seen = cropped(camera, 0.75).project(camera.unproject(corners, np.full(2, 2.0)))[0]
+    np.testing.assert_allclose(seen, [[0, 0], [64, 48]], atol=1e-9)

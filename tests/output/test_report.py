@@ -132,6 +132,20 @@ def test_null_figures_are_dashes_with_their_reason(tmp_path):
     assert '<span class="none" title="no masks to tell which pixels move">–</span>' in page
 
 
+def test_videos_of_every_kind(tmp_path):
+    videos = {
+        "orbit_background": "orbit_background.mp4", "orbit_background_colour": "orbit_background_colour.mp4",
+        "orbit_background_stereo": "orbit_background_stereo.mp4", "input_path_movers": "input_path_movers.webm",
+        "wiggle": "wiggle.gif",
+    }  # fmt: skip
+    page = write(tmp_path, replace(made_up_run(), videos=videos))
+    assert "Round the middle of the clip, the background alone: colour, flow, depth." in page
+    assert "Round the middle of the clip, the background alone, for two eyes." in page
+    assert "the movers alone." in page
+    assert '<img src="renders/wiggle.gif"' in page
+    assert '<video controls muted loop playsinline preload="metadata" src="renders/input_path_movers.webm">' in page
+
+
 def test_it_is_whole_without_a_network(tmp_path):
     page = write(tmp_path, made_up_run())
     parser = Balance()

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 
 from flowsplat.gaussians.flow import FlowModel
 from flowsplat.gaussians.gaussians4d import Gaussians4D
 from flowsplat.gaussians.render import fill_uncovered, render
-from flowsplat.gaussians.rendering import Rendering
+from flowsplat.gaussians.rendering import Part, Rendering
 from flowsplat.geometry import Camera, Similarity
 from flowsplat.splatting.api import BackendName
 
@@ -58,6 +59,14 @@ class SceneModel:
             depth=frame.depth.numpy() / divisor / np.float32(self.similarity.scale),
             flow=None if frame.flow is None else frame.flow.numpy() / divisor[..., None],
         )
+
+    def part(self, part: Part) -> SceneModel:
+        """A model of the movers alone or of the background alone: see ``PartedRenderer.part``."""
+        if part == "all":
+            return self
+        dynamic = self.gaussians.dynamic
+        rows = torch.nonzero(dynamic if part == "movers" else ~dynamic).squeeze(1)
+        return replace(self, gaussians=self.gaussians.select(rows), fill=self.fill and part != "movers")
 
     def active_count(self, t: float) -> int:
         """How many Gaussians are rendered at ``t`` seconds."""

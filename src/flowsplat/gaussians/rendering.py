@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 
 from flowsplat.geometry import Camera
+
+Part = Literal["all", "background", "movers"]
+"""Of a scene: everything, what is left without the movers, or the movers alone."""
 
 
 @dataclass(frozen=True)
@@ -38,4 +41,12 @@ class Renderer(Protocol):
             t: seconds of the clip.
             flow_to: the other (camera, seconds) that the flow goes to.
         """
+        ...
+
+
+class PartedRenderer(Renderer, Protocol):
+    """A renderer that knows what moves."""
+
+    def part(self, part: Part) -> PartedRenderer:
+        """The same scene with one part of it only; uncovered pixels of the movers alone are not filled but stay black."""
         ...

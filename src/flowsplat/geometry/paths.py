@@ -67,3 +67,32 @@ def orbit(camera: Camera, distance: float, steps: int, angle: float = 6.0) -> li
         turned = Rotation.from_euler("yx", [-yaw, pitch]).as_matrix() @ R
         result.append(_camera_at(target - turned[2] * distance, turned, camera))
     return result
+
+
+def shifted(camera: Camera, offset: float, distance: float) -> Camera:
+    """``camera`` moved to its right by ``offset``, looking the same way, so that what is at planar depth ``distance`` stays.
+
+    The principal point moves instead of the camera turning: pictures of such cameras differ in x only, as eyes want it.
+    """
+    viewmat, K = camera.viewmat.copy(), camera.K.copy()
+    viewmat[0, 3] -= offset
+    K[0, 2] += K[0, 0] * offset / distance
+    return Camera(viewmat, K, camera.width, camera.height)
+
+
+def dolly_zoom(camera: Camera, distance: float, factor: float) -> Camera:
+    """``camera`` moved along its axis until planar depth ``distance`` is ``factor`` times as far, zoomed to show it as large."""
+    viewmat, K = camera.viewmat.copy(), camera.K.copy()
+    viewmat[2, 3] += distance * (factor - 1)
+    K[[0, 1], [0, 1]] *= factor
+    return Camera(viewmat, K, camera.width, camera.height)
+
+
+def cropped(camera: Camera, share: float) -> Camera:
+    """What the middle of the picture shows, ``share`` of its width and height, with as many pixels as the whole."""
+    middle = np.array([camera.width, camera.height]) / 2
+    K = camera.K.copy()
+    K[:2, 2] -= middle
+    K[:2] /= share
+    K[:2, 2] += middle
+    return Camera(camera.viewmat, K, camera.width, camera.height)

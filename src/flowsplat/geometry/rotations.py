@@ -78,3 +78,10 @@ def covariances(quats: Tensor, scales: Tensor) -> Tensor:
     """Sigma = R S S^T R^T [..., 3, 3] from quaternions [..., 4] and scales [..., 3]."""
     M = quats_to_rotations(quats) * scales[..., None, :]
     return M @ M.transpose(-1, -2)
+
+
+def principal_axes(covars: Tensor) -> tuple[Tensor, Tensor]:
+    """Covariances [N, 3, 3] to unit quaternions [N, 4] and log scales [N, 3]. Not for gradients: NaN at equal scales."""
+    values, axes = torch.linalg.eigh(covars.double())
+    axes = axes * torch.linalg.det(axes).sign()[:, None, None]
+    return rotations_to_quats(axes).to(covars), (0.5 * torch.log(values.clamp(min=1e-16))).to(covars)

@@ -24,8 +24,11 @@ _EVEN = 0.1
 
 _VIDEO_TITLES = {
     "input_path": "Along the clip's own cameras",
+    "stabilised": "Along the clip's own cameras, without the shaking",
     "orbit": "Round the middle of the clip",
     "bullet_time": "Time standing still",
+    "dolly_zoom": "Back and zoomed in, the subject as large",
+    "wiggle": "A small swing",
     "custom_path": "Along the given camera path",
 }
 _METHODS = {
@@ -276,10 +279,23 @@ def _videos(videos: Mapping[str, str]) -> Iterator[dict[str, Any]]:
         if not name.endswith("_colour"):
             colour = videos.get(f"{name}_colour")
             yield {
-                "title": _VIDEO_TITLES.get(name, name),
+                "title": _video_title(name),
                 "file": f"{VIDEO_FOLDER}/{quote(file)}",
+                "panels": file.endswith(".mp4") and not name.endswith("_stereo"),
+                "picture": file.endswith(".gif"),
                 "colour": None if colour is None else f"{VIDEO_FOLDER}/{quote(colour)}",
             }
+
+
+def _video_title(name: str) -> str:
+    """What a video shows, from its name: path, part of the scene, stereo."""
+    rest = name
+    words: list[str] = []
+    for suffix, word in (("_stereo", "for two eyes"), ("_background", "the background alone"), ("_movers", "the movers alone")):
+        if rest.endswith(suffix):
+            rest = rest.removesuffix(suffix)
+            words.insert(0, word)
+    return ", ".join([_VIDEO_TITLES.get(rest, rest), *words])
 
 
 def _charts(data: ReportData) -> Iterator[dict[str, Any]]:

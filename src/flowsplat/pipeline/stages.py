@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import sys
 import time
 from collections.abc import Mapping
 from dataclasses import replace
@@ -17,6 +16,7 @@ import torch
 from flowsplat.common.devices import pick_device
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_json, write_json
+from flowsplat.common.memory import peak_memory
 from flowsplat.common.progress import say
 from flowsplat.evaluation.evaluate import evaluate
 from flowsplat.gaussians.gaussians4d import Gaussians4D
@@ -293,7 +293,7 @@ def evaluate_run(folder: RunFolder) -> dict[str, Any]:
 
 
 def _write_metrics(folder: RunFolder, metrics: dict[str, Any]) -> dict[str, Any]:
-    peak = _peak_memory()
+    peak = peak_memory()
     before = metrics.get("peak_memory_gib")
     metrics["peak_memory_gib"] = max(peak, before) if peak is not None and before is not None else (peak or before)
     metrics["seconds"] = folder.seconds
@@ -303,16 +303,6 @@ def _write_metrics(folder: RunFolder, metrics: dict[str, Any]) -> dict[str, Any]
     data = report_data(folder.path, Scene(folder.scene_path), load(folder.path), metrics, history, folder.config)
     write_report(folder.path, data)
     return metrics
-
-
-def _peak_memory() -> float | None:
-    """GiB that this process needed at most; None where the system does not tell."""
-    try:
-        import resource
-    except ImportError:
-        return None
-    unit = 1 if sys.platform == "darwin" else 1024
-    return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 2**30, 2)
 
 
 # -- render

@@ -73,10 +73,10 @@ def report_data(
 ) -> ReportData:
     """What the report of the run in ``out`` tells."""
     book = out / "renders" / "renders.json"
-    videos = {}
+    videos: dict[str, str] = {}
     if book.exists():
         for name, entry in read_json(book).items():
-            videos[name], videos[f"{name}_colour"] = entry["files"]
+            videos |= dict(zip((name, f"{name}_colour"), entry["files"]))  # noqa: B905 (there may be one file only)
     counts = metrics["gaussians"]["active"]
     verdicts = [str((scene.prior(name) or {}).get("verdict", "")) for name in ("cameras", "depth", "masks")]
     return ReportData(

@@ -87,3 +87,30 @@ def load_model(folder: Path) -> SceneModel:
         )  # fmt: skip
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{folder} does not hold a trained model: {error}.") from error
+
+
+def load_checkpoint(folder: Path, similarity: Similarity, first: float, last: float) -> tuple[SceneModel, int, int]:
+    """Read the newest checkpoint that a trainer left, to look at it: a training that is still running is not disturbed.
+
+    Args:
+        folder: of the checkpoints.
+        similarity: scene to normalised coordinates.
+        first: seconds of the first frame.
+        last: seconds of the last frame.
+
+    Returns:
+        the model, and after which step of how many it was written.
+
+    Raises:
+        InputError: there is none, or it is damaged or being replaced at this moment.
+    """
+    path = folder / str(read_json(folder / "latest.json").get("file"))
+    tensors, values = read_tensors(path)
+    try:
+        config = values["config"]
+        params = {name.removeprefix("param."): value for name, value in tensors.items() if name.startswith("param.")}
+        gaussians = Gaussians4D(params, tensors["dynamic"].bool(), ModelConfig(**config["model"]), int(values["sh_degree"]))
+        model = SceneModel(gaussians, similarity, first, last, config["flow_model"], bool(config["fill"]))
+        return model, int(values["step"]), int(config["iterations"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{path} holds no checkpoint that can be shown: {error}.") from error

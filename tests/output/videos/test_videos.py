@@ -45,6 +45,10 @@ class Plane:
         alpha[:4] = 0
         return Rendering(colour.astype(np.float32), alpha, camera.project(points)[1].astype(np.float32), flow)
 
+    def part(self, part: str) -> Plane:
+        """Nothing moves: the whole plane is background."""
+        return self
+
     def full_size(self, width: int = WIDTH) -> list[tuple[Camera, float, tuple[Camera, float] | None]]:
         """The calls that made frames, without those that looked for the colour scales."""
         return [call for call in self.calls if call[0].width == width]

@@ -1,0 +1,42 @@
+"""3D Gaussians as the .ply of 3D Gaussian Splatting, which every splat viewer reads.
+
+Binary, little endian, float32: ``x y z``, unused normals, ``f_dc_*`` and ``f_rest_*`` (harmonics, channel by channel),
+``opacity`` before the sigmoid, ``scale_*`` before exp, ``rot_*`` wxyz. As the original code writes it
+(https://github.com/graphdeco-inria/gaussian-splatting), except that only harmonics in use are written: 0, 9, 24 or 45.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from flowsplat.common.files import write_bytes
+from flowsplat.output.export.still import Still
+
+
+def property_names(harmonics: int) -> list[str]:
+    """Names in the order of the file for ``harmonics`` coefficients a channel."""
+    rest = [f"f_rest_{k}" for k in range(3 * (harmonics - 1))]
+    return [
+        "x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", *rest,
+        "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3",
+    ]  # fmt: skip
+
+
+def write_ply(path: Path, still: Still, comments: Sequence[str] = ()) -> None:
+    """Write one file atomically.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    count, harmonics = still.sh.shape[:2]
+    columns = [
+        still.means, still.means.new_zeros(count, 3), still.sh[:, 0], still.sh[:, 1:].transpose(1, 2).flatten(1),
+        still.logit_opacities[:, None], still.log_scales, still.quats,
+    ]  # fmt: skip
+    body = np.concatenate([column.numpy() for column in columns], 1).astype("<f4")
+    lines = ["ply", "format binary_little_endian 1.0", *(f"comment {comment}" for comment in comments)]
+    lines += [f"element vertex {count}", *(f"property float {name}" for name in property_names(harmonics)), "end_header", ""]
+    write_bytes(path, "\n".join(lines).encode("ascii", "replace") + body.tobytes())

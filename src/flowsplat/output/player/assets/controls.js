@@ -1,0 +1,91 @@
+// Mouse, touch and keys. They change `state` and nothing else; the loop of main.js draws what it says.
+
+const FLYING = { KeyW: [0, 0, 1], KeyS: [0, 0, -1], KeyA: [-1, 0, 0], KeyD: [1, 0, 0], KeyQ: [0, -1, 0], KeyE: [0, 1, 0] };
+
+class Controls {
+  constructor(state, canvas, scene) {
+    this.state = state;
+    this.canvas = canvas;
+    this.frame = 1 / Math.max(scene.about.frames - 1, 1);
+    this.pressed = new Set();
+    this.pointers = new Map();
+    canvas.addEventListener("pointerdown", (event) => this.down(event));
+    canvas.addEventListener("pointermove", (event) => this.moved(event));
+    for (const name of ["pointerup", "pointercancel"]) canvas.addEventListener(name, (event) => this.pointers.delete(event.pointerId));
+    canvas.addEventListener("contextmenu", (event) => event.preventDefault());
+    canvas.addEventListener("wheel", (event) => this.wheel(event), { passive: false });
+    addEventListener("keydown", (event) => this.key(event));
+    addEventListener("keyup", (event) => this.pressed.delete(event.code));
+    addEventListener("blur", () => this.pressed.clear());
+  }
+
+  /** Leave the clip's camera where it is and let the person move it. */
+  free(mode = "orbit") {
+    this.state.isHeld = false;
+    if (this.state.mode === "clip") {
+      this.state.free.startFrom(this.state.camera());
+      this.state.setMode(mode);
+    }
+  }
+
+  down(event) {
+    this.canvas.setPointerCapture(event.pointerId);
+    this.pointers.set(event.pointerId, event);
+    this.canvas.focus();
+  }
+
+  moved(event) {
+    const before = this.pointers.get(event.pointerId);
+    if (!before) return;
+    this.free();
+    const { free } = this.state;
+    const pinch = this.pointers.size === 2 ? this.spread() : null;
+    this.pointers.set(event.pointerId, event);
+    const pixels = Math.max(this.canvas.clientHeight, 1);
+    const [x, y] = [(event.clientX - before.clientX) / pixels, (event.clientY - before.clientY) / pixels];
+    if (pinch !== null) {
+      free.zoom(pinch / Math.max(this.spread(), 1));
+      free.move([(-x * free.distance) / 2, (-y * free.distance) / 2, 0]);
+    } else if (event.buttons & 6 || event.shiftKey) {
+      free.move([-x * free.distance, -y * free.distance, 0]);
+    } else if (this.state.mode === "fly") {
+      free.turn(-1.5 * x, 1.5 * y);
+    } else {
+      free.orbit(2 * x, -2 * y);
+    }
+  }
+
+  spread() {
+    const [a, b] = [...this.pointers.values()];
+    return Math.hypot(a.clientX - b.clientX, a.clientY - b.clientY);
+  }
+
+  wheel(event) {
+    event.preventDefault();
+    this.free();
+    this.state.free.zoom(Math.exp(0.0012 * event.deltaY * (event.deltaMode === 1 ? 20 : 1)));
+  }
+
+  key(event) {
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    const { state } = this;
+    const isField = ["INPUT", "SELECT", "BUTTON"].includes(event.target.tagName);
+    if (event.code in FLYING) {
+      this.free("fly");
+      state.setMode("fly");
+      this.pressed.add(event.code);
+    } else if (event.code === "Digit1" || event.code === "KeyR") state.setMode("clip");
+    else if (event.code === "Digit2") state.setMode("orbit");
+    else if (event.code === "Digit3") state.setMode("fly");
+    else if (event.code === "Space" && !isField) state.setPlaying(!state.isPlaying);
+    else if (event.code === "ArrowLeft" && !isField) state.seek(state.time - this.frame);
+    else if (event.code === "ArrowRight" && !isField) state.seek(state.time + this.frame);
+    else return;
+    if (!isField) event.preventDefault();
+  }
+
+  /** What pressed keys do in `seconds`. */
+  step(seconds) {
+    for (const code of this.pressed) this.state.free.move(FLYING[code].map((value) => 0.5 * value * seconds));
+  }
+}

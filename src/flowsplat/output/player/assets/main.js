@@ -1,0 +1,179 @@
+// The page: unpack the scene, then draw whenever time or camera have changed.
+
+const element = (id) => document.getElementById(id);
+
+function complain(error) {
+  element("message").textContent = error.message ?? String(error);
+  element("message").hidden = false;
+  document.body.classList.add("failed");
+}
+
+/** What is to be seen: time, camera, and whether it plays. The buttons always show it. */
+class State {
+  constructor(about) {
+    this.about = about;
+    this.time = 0;
+    this.isPlaying = true;
+    this.speed = 1;
+    this.mode = "clip";
+    this.isHeld = false;  // a picture that a program asked for stays until a person does something
+    this.free = new FreeCamera(about.path);
+  }
+
+  camera() {
+    return this.mode === "clip" ? cameraOnPath(this.about.path, this.time) : this.free.camera;
+  }
+
+  setMode(mode) {
+    this.isHeld = false;
+    if (this.mode === "clip" && mode !== "clip") this.free.startFrom(cameraOnPath(this.about.path, this.time));
+    this.mode = mode;
+    element("camera").value = mode;
+  }
+
+  setPlaying(isPlaying) {
+    this.isHeld = false;
+    this.isPlaying = isPlaying;
+    element("play").textContent = isPlaying ? "❚❚" : "▶";
+    element("play").setAttribute("aria-label", isPlaying ? "Pause" : "Play");
+  }
+
+  /** Stop at a clip time. */
+  seek(time) {
+    this.setPlaying(false);
+    this.setTime(Math.min(Math.max(time, 0), 1));
+  }
+
+  setTime(time) {
+    this.time = time;
+    const { first, last } = this.about;
+    element("time").value = time;
+    element("seconds").textContent = `${(first + time * (last - first)).toFixed(2)} s`;
+  }
+
+  step(seconds) {
+    if (!this.isPlaying) return;
+    const time = this.time + (this.speed * seconds) / (this.about.last - this.about.first);
+    this.setTime(time % 1);
+  }
+}
+
+/** Picture size on the page: as large as fits, in the shape of the clip. */
+function fit(about) {
+  const stage = element("stage");
+  const scale = Math.min(stage.clientWidth / about.width, stage.clientHeight / about.height);
+  const size = [Math.max(Math.floor(about.width * scale), 1), Math.max(Math.floor(about.height * scale), 1)];
+  for (const shown of [element("canvas"), element("poster")]) [shown.style.width, shown.style.height] = size.map((n) => `${n}px`);
+  return size;
+}
+
+class Player {
+  constructor(scene, shaders) {
+    this.about = scene.about;
+    this.canvas = element("canvas");
+    this.renderer = new Renderer(this.canvas, scene, shaders);
+    this.sorter = new Sorter(scene);
+    this.state = new State(scene.about);
+    this.controls = new Controls(this.state, this.canvas, scene);
+    this.detail = 1;  // share of the screen's pixels that is drawn while things move
+    this.slowness = 0;
+    this.last = "";  // what was sorted last
+    this.isSharp = false;
+    this.sorted = null;
+    this.isSorting = false;
+    this.size = fit(this.about);
+    addEventListener("resize", () => (this.size = fit(this.about)));
+    this.canvas.addEventListener("webglcontextlost", () => complain(new Error("The graphics card was reset: reload the page.")));
+    const { state } = this;
+    element("play").onclick = () => state.setPlaying(!state.isPlaying);
+    element("time").oninput = () => state.seek(Number(element("time").value));
+    element("speed").onchange = () => (state.speed = Number(element("speed").value));
+    element("camera").onchange = () => state.setMode(element("camera").value);
+  }
+
+  order(camera, time) {
+    return this.sorter.sort([...camera.rotation.slice(6), camera.translation[2]], time);
+  }
+
+  draw({ camera, time, width, height }, order) {
+    this.renderer.resize(width, height);
+    this.renderer.draw(order, camera, time);
+    document.body.classList.add("shown");
+  }
+
+  /** What the state asks for now, with this share of the screen's pixels. */
+  view(detail) {
+    const camera = this.state.camera();
+    const [width, height] = this.size.map((n) => Math.max(Math.round(n * detail * Math.min(devicePixelRatio, 2)), 1));
+    const [x, y] = [width / this.about.width, height / this.about.height];
+    const [fx, fy, cx, cy] = camera.lens;
+    return { camera: { ...camera, lens: [fx * x, fy * y, cx * x, cy * y] }, time: this.state.time, width, height };
+  }
+
+  frame(now) {
+    requestAnimationFrame((later) => this.frame(later));
+    const seconds = Math.min((now - (this.before ?? now)) / 1000, 0.25);
+    this.before = now;
+    if (this.state.isHeld) return;
+    this.state.step(seconds);
+    this.controls.step(seconds);
+    if (this.sorted) {
+      this.draw(this.sorted.view, this.sorted.order);
+      this.sorted = null;
+    }
+    if (!this.isSorting) this.prepare(seconds);
+  }
+
+  /** Have the next picture sorted, if it differs from the last: while the one before is drawn, the next is sorted. */
+  prepare(seconds) {
+    const what = JSON.stringify([this.state.camera(), this.state.time, this.size, devicePixelRatio]);
+    const isSame = what === this.last;
+    if (isSame && (this.detail === 1 || this.isSharp)) return;
+    if (!isSame) this.adapt(seconds);
+    this.isSharp = isSame;
+    this.last = what;
+    const view = this.view(isSame ? 1 : this.detail);  // at rest there is time for all pixels
+    this.isSorting = true;
+    this.order(view.camera, view.time).then((order) => {
+      this.sorted = { view, order };
+      this.isSorting = false;
+    });
+  }
+
+  /** Draw fewer pixels where pictures take long, more where they do not. */
+  adapt(seconds) {
+    this.slowness += 0.1 * (seconds - this.slowness);
+    if (this.slowness > 0.045) this.detail = Math.max(this.detail * 0.97, 0.4);
+    else if (this.slowness < 0.025) this.detail = Math.min(this.detail * 1.02, 1);
+  }
+}
+
+async function start() {
+  const about = JSON.parse(element("about").textContent);
+  fit(about);
+  if (!window.WebGL2RenderingContext) throw new Error(NO_WEBGL);
+  if (!window.DecompressionStream) throw new Error("This browser is too old to unpack the scene: it has no DecompressionStream. One from 2023 or later has it.");
+  const scene = await readScene(about, element("data").textContent);
+  element("data").remove();
+  const player = new Player(scene, JSON.parse(element("shaders").textContent));
+  player.state.setTime(0);
+  const { state } = player;
+  Object.assign(window.flowsplat, {
+    about,
+    state,
+    /** Draw the scene for a camera in the coordinates of cameras.json at seconds of the clip; promise of a PNG data address. */
+    async show({ viewmat, K, width, height, time }) {
+      state.isHeld = true;
+      player.last = "";
+      const camera = cameraOfScene(about, viewmat, K);
+      const clipTime = (time - about.first) / (about.last - about.first);
+      player.draw({ camera, time: clipTime, width, height }, await player.order(camera, clipTime));
+      return player.canvas.toDataURL("image/png");
+    },
+  });
+  requestAnimationFrame((now) => player.frame(now));
+}
+
+window.flowsplat = {};
+window.flowsplat.ready = start();
+window.flowsplat.ready.catch(complain);

@@ -1,0 +1,118 @@
+// The slice: one Gaussian at the time, projected (EWA), with its colour as seen from the camera.
+// Defined in front of this: WIDTH and SLICE_WIDTH (texels and rows of `order` in a line of a texture), SH_COUNT, GAIN_TEXELS, MEAN_DEGREE, QUAT_DEGREE, EPS2D, ALPHA_MIN, P_MIN.
+precision highp float;
+precision highp int;
+precision highp sampler2D;
+precision highp usampler2D;
+
+uniform usampler2D order;   // rows of the active Gaussians, farthest first
+uniform sampler2D states;   // 3 + SH_COUNT texels a Gaussian: mean and opacity, quaternion, scales, harmonics
+uniform sampler2D motions;  // 1 + MEAN_DEGREE + QUAT_DEGREE texels a moving one: middle, 1 / half length, centre, precision; series
+uniform sampler2D gains;    // GAIN_TEXELS texels a resting one
+uniform int resting;        // how many do not move: the first ones
+uniform float time;
+uniform vec4 cosines[GAIN_TEXELS + 1];
+uniform mat3 rotation;      // world to camera
+uniform vec3 translation;
+uniform vec3 center;        // of the camera, in the world
+uniform vec4 lens;          // fx, fy, cx, cy in pixels
+uniform vec2 size;          // of the picture in pixels
+uniform float near;
+
+vec4 texel(sampler2D source, int at) {
+  return texelFetch(source, ivec2(at % WIDTH, at / WIDTH), 0);
+}
+
+vec3 harmonics(int at, vec3 d) {
+  vec3 sum = 0.28209479177387814 * texel(states, at).rgb;
+#if SH_COUNT > 1
+  sum += 0.4886025119029199 * (-d.y * texel(states, at + 1).rgb + d.z * texel(states, at + 2).rgb - d.x * texel(states, at + 3).rgb);
+#endif
+#if SH_COUNT > 4
+  float xx = d.x * d.x, yy = d.y * d.y, zz = d.z * d.z;
+  sum += 1.0925484305920792 * (d.x * d.y * texel(states, at + 4).rgb - d.y * d.z * texel(states, at + 5).rgb
+      - d.x * d.z * texel(states, at + 7).rgb);
+  sum += 0.31539156525252005 * (2.0 * zz - xx - yy) * texel(states, at + 6).rgb;
+  sum += 0.5462742152960396 * (xx - yy) * texel(states, at + 8).rgb;
+#endif
+#if SH_COUNT > 9
+  sum += -0.5900435899266435 * (d.y * (3.0 * xx - yy) * texel(states, at + 9).rgb
+      + d.x * (xx - 3.0 * yy) * texel(states, at + 15).rgb);
+  sum += 2.890611442640554 * d.x * d.y * d.z * texel(states, at + 10).rgb;
+  sum += -0.4570457994644658 * (4.0 * zz - xx - yy) * (d.y * texel(states, at + 11).rgb + d.x * texel(states, at + 13).rgb);
+  sum += 0.3731763325901154 * d.z * (2.0 * zz - 3.0 * xx - 3.0 * yy) * texel(states, at + 12).rgb;
+  sum += 1.445305721320277 * d.z * (xx - yy) * texel(states, at + 14).rgb;
+#endif
+  return max(sum + 0.5, 0.0);
+}
+
+// The Gaussian in place `rank` of the order.
+// axes: of its ellipse in pixels, one standard deviation long: the long one, the short one
+// place: its centre in pixels, how many standard deviations are drawn (0: none), unused
+// colour: rgb and opacity
+void slice(int rank, out vec4 axes, out vec4 place, out vec4 colour) {
+  axes = vec4(0.0);
+  place = vec4(0.0);
+  colour = vec4(0.0);
+  int i = int(texelFetch(order, ivec2(rank % SLICE_WIDTH, rank / SLICE_WIDTH), 0).r);
+  int at = i * (3 + SH_COUNT);
+  vec4 state = texel(states, at);
+  vec4 q = texel(states, at + 1);
+  vec3 scales = texel(states, at + 2).xyz;
+  vec3 mean = state.xyz;
+  float opacity = state.w;
+  float gain = 1.0;
+
+  if (i >= resting) {
+    int motion = (i - resting) * (1 + MEAN_DEGREE + QUAT_DEGREE);
+    vec4 when = texel(motions, motion);
+    float tau = time - when.z;
+    float presence = exp(-0.5 * when.w * tau * tau);
+    if (presence < P_MIN) return;
+    opacity *= presence;
+    float s = (time - when.x) * when.y;
+    float before = 1.0, now = s;  // Chebyshev polynomials of degree k - 1 and k
+    for (int k = 1; k <= max(MEAN_DEGREE, QUAT_DEGREE); k++) {
+      if (k <= MEAN_DEGREE) mean += now * texel(motions, motion + k).xyz;
+      if (k <= QUAT_DEGREE) q += now * texel(motions, motion + MEAN_DEGREE + k);
+      float next = 2.0 * s * now - before;
+      before = now;
+      now = next;
+    }
+  }
+#if GAIN_TEXELS > 0
+  else {
+    float exponent = 0.0;
+    for (int k = 0; k < GAIN_TEXELS; k++) exponent += dot(texel(gains, i * GAIN_TEXELS + k), cosines[k]);
+    gain = exp(exponent);
+  }
+#endif
+
+  vec3 p = rotation * mean + translation;
+  if (p.z <= near || opacity <= ALPHA_MIN) return;
+  float inverse = 1.0 / p.z;
+  vec2 pixel = lens.xy * p.xy * inverse + lens.zw;
+  // As gsplat: the derivative is taken no farther than 0.15 picture sizes outside.
+  vec2 tangent = clamp(p.xy * inverse, (-0.15 * size - lens.zw) / lens.xy, (1.15 * size - lens.zw) / lens.xy);
+
+  q *= inversesqrt(max(dot(q, q), 1e-24));
+  mat3 turn = mat3(
+      1.0 - 2.0 * (q.z * q.z + q.w * q.w), 2.0 * (q.y * q.z + q.x * q.w), 2.0 * (q.y * q.w - q.x * q.z),
+      2.0 * (q.y * q.z - q.x * q.w), 1.0 - 2.0 * (q.y * q.y + q.w * q.w), 2.0 * (q.z * q.w + q.x * q.y),
+      2.0 * (q.y * q.w + q.x * q.z), 2.0 * (q.z * q.w - q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z));
+  mat3 M = rotation * turn;
+  // Rows of the projected standard deviations: J R S.
+  vec3 across = lens.x * inverse * scales * (vec3(M[0].x, M[1].x, M[2].x) - tangent.x * vec3(M[0].z, M[1].z, M[2].z));
+  vec3 down = lens.y * inverse * scales * (vec3(M[0].y, M[1].y, M[2].y) - tangent.y * vec3(M[0].z, M[1].z, M[2].z));
+  float a = dot(across, across) + EPS2D, b = dot(across, down), c = dot(down, down) + EPS2D;
+
+  float middle = 0.5 * (a + c), spread = length(vec2(0.5 * (a - c), b));
+  float large = middle + spread;
+  float small = max((a * c - b * b) / large, 1e-6);
+  vec2 axis = a >= c ? vec2(large - c, b) : vec2(b, large - a);
+  axis = spread > 1e-6 * middle ? normalize(axis) : vec2(1.0, 0.0);
+
+  axes = vec4(sqrt(large) * axis, sqrt(small) * vec2(-axis.y, axis.x));
+  place = vec4(pixel, sqrt(2.0 * log(opacity / ALPHA_MIN)), 0.0);
+  colour = vec4(gain * harmonics(at + 3, normalize(mean - center)), opacity);
+}

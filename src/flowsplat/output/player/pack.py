@@ -1,0 +1,187 @@
+"""A trained scene as the few megabytes that the player unpacks: a header that says what is there, and rounded planes.
+
+Gaussians at rest come first, then those that move, each part along a space-filling curve, so that neighbours in the file
+look alike. Which bits each parameter gets was chosen by the PSNR of the pictures (docs/formats.md).
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+
+from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Gaussians4D
+from flowsplat.gaussians.model import SceneModel
+from flowsplat.geometry import Camera
+from flowsplat.geometry.paths import CameraPath
+from flowsplat.geometry.rotations import normalize_quats, principal_axes, rotations_to_quats
+from flowsplat.output.player.planes import Plane, rounded, rounded_in_chunks, rounded_to_range, rounded_to_step
+from flowsplat.output.player.series import FLATTEST, MovingSeries, moving_series, seen_in_clip
+from flowsplat.splatting.harmonics import harmonics_count
+from flowsplat.splatting.rules import ALPHA_MAX, ALPHA_MIN, EPS2D
+
+VERSION = 1
+CHUNK = 256
+"""Gaussians that share a box of positions."""
+PIXEL_TOLERANCE = 1 / 32
+"""Pixels of the clip by which rounding may move a Gaussian."""
+QUAT_TOLERANCE = 0.004
+"""Largest error of the series of a unit quaternion: half a degree."""
+PATH_SAMPLES = 4
+"""Cameras a frame of the path that the player follows; it interpolates linearly between them."""
+_SMALLEST_SCALE, _LARGEST_SCALE = 1e-5, 1e2
+_STEEPEST = 18.0
+"""Log precision beyond which a Gaussian is seen for less than a ten-thousandth of the clip."""
+
+
+@dataclass(frozen=True)
+class Packed:
+    """What goes into the page.
+
+    Attributes:
+        about: the header, JSON-able.
+        data: the planes behind one another, zlib-compressed.
+        planes: the planes by name.
+    """
+
+    about: dict[str, Any]
+    data: bytes
+    planes: dict[str, Plane]
+
+
+def pack(model: SceneModel, times: Sequence[float], cameras: Sequence[Camera], title: str) -> Packed:
+    """Round and compress a scene.
+
+    Args:
+        model: the scene.
+        times: [T] seconds of the clip's frames.
+        cameras: [T] its cameras, in the coordinates of the scene.
+        title: name of the clip.
+    """
+    inner = [model.similarity.camera(camera) for camera in cameras]
+    gaussians = model.gaussians.select(torch.nonzero(seen_in_clip(model.gaussians)).squeeze(1))
+    resting = _along_curve(gaussians, torch.nonzero(gaussians.at_rest).squeeze(1))
+    moving = _along_curve(gaussians, torch.nonzero(~gaussians.at_rest).squeeze(1))
+    gaussians = gaussians.select(torch.cat([resting, moving]))
+    planes = _planes(gaussians, len(resting), _resolution(gaussians, inner))
+    encoded = [plane.encoded() for plane in planes]
+    similarity = model.similarity
+    about = {
+        "version": VERSION, "title": title, "width": cameras[0].width, "height": cameras[0].height,
+        "first": model.first, "last": model.last, "frames": len(times), "fill": model.fill,
+        "resting": len(resting), "moving": len(moving), "shDegree": gaussians.sh_degree, "gains": gaussians.config.gains,
+        "pMin": gaussians.config.p_min, "near": NEAR_PLANE, "eps2d": EPS2D, "alphaMin": ALPHA_MIN, "alphaMax": ALPHA_MAX,
+        "similarity": similarity.to_json(), "path": _sampled_path(model, times, inner),
+        "planes": [header for header, _ in encoded],
+    }  # fmt: skip
+    data = zlib.compress(b"".join(body for _, body in encoded), 9)
+    return Packed(about, data, {plane.name: plane for plane in planes})
+
+
+def estimated_bytes(gaussians: Gaussians4D) -> int:
+    """About how large the packed planes become as base64, from what was measured on trained scenes."""
+    seen = seen_in_clip(gaussians)
+    resting = int((gaussians.at_rest & seen).sum())
+    moving = int(seen.sum()) - resting
+    harmonics = 3 * (harmonics_count(gaussians.sh_degree) - 1)
+    common = 11.5 + 0.75 * harmonics
+    return round(4 / 3 * (resting * (common + 0.8 * gaussians.config.gains) + moving * (common + 9.5)))
+
+
+def _planes(gaussians: Gaussians4D, resting: int, resolution: np.ndarray) -> list[Plane]:
+    """All parameters of Gaussians that are in order, those at rest first."""
+    params, degree = gaussians.params, gaussians.sh_degree
+    moving = torch.arange(resting, len(gaussians))
+    times = rounded_to_range("times", _column(params["times"][moving]), 16, tail=0)
+    precisions = gaussians.motion.log_precision(params)[moving].clamp(FLATTEST, _STEEPEST)
+    log_lambdas = rounded_to_range("logLambdas", _column(precisions), 16, tail=0)
+    step = float(np.quantile(resolution, 0.1)) if len(resolution) else 1.0
+    series = moving_series(
+        gaussians, moving, torch.from_numpy(times.values[:, 0]), torch.from_numpy(log_lambdas.values[:, 0]), step,
+        QUAT_TOLERANCE,
+    )  # fmt: skip
+    rest_quats, rest_scales = _at_rest(gaussians, resting)
+    means = torch.cat([params["means"][:resting], series.means[:, 0]])
+    quats = torch.cat([rest_quats, series.quats[:, 0]])
+    log_scales = torch.cat([rest_scales, series.log_scales]).clamp(np.log(_SMALLEST_SCALE), np.log(_LARGEST_SCALE))
+    sh = params["sh"][:, : harmonics_count(degree)].numpy()
+    planes = [
+        rounded_in_chunks("means", means.numpy(), resolution, CHUNK),
+        rounded("quats", quats.numpy(), 8, -1.0, 1.0),
+        rounded_to_range("logScales", log_scales.numpy(), 8, tail=0),
+        rounded("opacities", _column(torch.sigmoid(params["logit_opacities"])), 8, 0.0, 1.0),
+        rounded_to_range("colours", sh[:, 0], 8),
+    ]
+    if degree:
+        planes.append(rounded_to_range("harmonics", sh[:, 1:].reshape(len(sh), -1), 8))
+    if gaussians.config.gains:
+        planes.append(rounded_to_range("gains", params["log_gains"][:resting].numpy(), 8))
+    return [*planes, times, log_lambdas, *_motion_planes(series, step)]
+
+
+def _motion_planes(series: MovingSeries, step: float) -> list[Plane]:
+    means, quats = series.means[:, 1:], series.quats[:, 1:]
+    return [
+        rounded_to_step("meanSeries", means.flatten(1).numpy(), step),
+        rounded_to_step("quatSeries", quats.flatten(1).numpy(), QUAT_TOLERANCE),
+    ]
+
+
+def _at_rest(gaussians: Gaussians4D, resting: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """Rotations [R, 4] with w >= 0 and log scales [R, 3] of the first ones."""
+    params = gaussians.params
+    if "quats" in params:
+        quats, log_scales = normalize_quats(params["quats"][:resting]), params["log_scales"][:resting]
+    else:
+        state = gaussians.motion.state({name: value[:resting] for name, value in params.items()}, 0.0)
+        assert state.covars is not None
+        quats, log_scales = principal_axes(state.covars)
+    return torch.where(quats[:, :1] < 0, -quats, quats), log_scales
+
+
+def _column(values: torch.Tensor) -> np.ndarray:
+    return values.numpy()[:, None]
+
+
+def _resolution(gaussians: Gaussians4D, cameras: Sequence[Camera]) -> np.ndarray:
+    """[N] the distance in the scene that is ``PIXEL_TOLERANCE`` in the nearest camera."""
+    tree = cKDTree(np.array([camera.center for camera in cameras]))
+    distance = tree.query(gaussians.params["means"].numpy())[0]
+    focal = max(camera.K[0, 0] for camera in cameras)
+    return PIXEL_TOLERANCE / focal * np.maximum(distance, NEAR_PLANE)
+
+
+def _along_curve(gaussians: Gaussians4D, rows: torch.Tensor) -> torch.Tensor:
+    """Rows in the order of a Morton curve through the ranks of their coordinates, which no outlier can stretch."""
+    means = gaussians.params["means"][rows].numpy()
+    code = np.zeros(len(means), np.int64)
+    for axis in range(3):
+        ranks = np.empty(len(means), np.int64)
+        ranks[np.argsort(means[:, axis], kind="stable")] = np.arange(len(means))
+        cells = ranks * 1024 // max(len(means), 1)
+        for bit in range(10):
+            code |= ((cells >> bit) & 1) << (3 * bit + axis)
+    return rows[torch.from_numpy(np.argsort(code, kind="stable"))]
+
+
+def _sampled_path(model: SceneModel, times: Sequence[float], cameras: Sequence[Camera]) -> list[list[float]]:
+    """Rows: clip time, centre, rotation world to camera (wxyz), fx, fy, cx, cy."""
+    path = CameraPath(times, cameras)
+    steps = PATH_SAMPLES * (len(times) - 1)
+    fine = np.interp(np.arange(steps + 1) / PATH_SAMPLES, np.arange(len(times)), times)
+    rows = []
+    before = np.array([1.0, 0, 0, 0])
+    for t in fine:
+        camera = path.at(float(t))
+        quat = rotations_to_quats(torch.from_numpy(camera.viewmat[:3, :3].copy())).numpy()
+        before = quat if quat @ before >= 0 else -quat
+        K = camera.K
+        row = [model.clip_time(float(t)), *camera.center, *before, K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
+        rows.append([round(float(value), 7) for value in row])
+    return rows
+

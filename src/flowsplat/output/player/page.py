@@ -1,0 +1,68 @@
+"""The player as one HTML file: no network, no server, nothing to install; the scene is inside."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+from markupsafe import Markup
+
+from flowsplat.common.errors import InputError
+from flowsplat.common.files import write_text
+from flowsplat.gaussians.model import SceneModel
+from flowsplat.geometry import Camera
+from flowsplat.output.player.pack import pack
+from flowsplat.pictures.html import data_uri
+
+SCRIPTS = ("scene.js", "cameras.js", "sorter.js", "renderer.js", "controls.js", "main.js")
+"""In the order in which they stand in the page."""
+SHADERS = (
+    "slice.glsl", "slice.frag", "splat.vert", "splat.frag", "whole.vert", "shrink.frag", "spread.frag", "present.frag",
+)  # fmt: skip
+_POSTER_QUALITY = 80
+
+
+def write_player(path: Path, model: SceneModel, times: Sequence[float], cameras: Sequence[Camera], title: str) -> Path:
+    """Write the page.
+
+    Args:
+        path: the ``.html`` file.
+        model: the scene.
+        times: [T] seconds of the clip's frames, two or more.
+        cameras: [T] its cameras, in the coordinates of the scene: the path that the player follows.
+        title: name of the clip.
+
+    Raises:
+        InputError: there is nothing to show, or the file cannot be written.
+    """
+    if not len(model.gaussians):
+        raise InputError("The scene has no Gaussians: there is nothing to show.")
+    packed = pack(model, times, cameras, title)
+    poster = model.render(cameras[0], float(times[0])).colour
+    template = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(_asset("player.html"))
+    page = template.render(
+        title=title,
+        poster=data_uri(np.ascontiguousarray(poster), _POSTER_QUALITY),
+        about=_json(packed.about),
+        shaders=_json({name: _asset(name) for name in SHADERS}),
+        data=Markup(base64.b64encode(packed.data).decode()),
+        script=Markup("\n".join(_asset(name) for name in SCRIPTS)),
+    )
+    write_text(path, page)
+    return Path(path)
+
+
+def _asset(name: str) -> str:
+    return (files("flowsplat.output.player") / "assets" / name).read_text(encoding="utf-8")
+
+
+def _json(value: Any) -> Markup:
+    """JSON that may stand in a script element, whatever names it holds."""
+    text = json.dumps(value, separators=(",", ":"), allow_nan=False)
+    return Markup(text.replace("<", "\\u003c"))

@@ -1,0 +1,85 @@
+"""Which videos are made, and how."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, get_args
+
+from flowsplat.common.errors import InputError
+from flowsplat.gaussians.rendering import Part
+from flowsplat.output.camera_files import LARGEST
+
+PathName = Literal["input", "stabilised", "orbit", "bullet", "dolly", "wiggle"]
+
+_SMALLEST = 16
+
+
+@dataclass(frozen=True)
+class RenderOptions:
+    """Which videos are made, and how."""
+
+    paths: tuple[PathName, ...] = ("input", "orbit", "bullet")
+    """``input``: along the clip's cameras. ``stabilised``: the same without the shaking. ``orbit``: a loop round the middle
+    camera while time plays. ``bullet``: the same loop while time stands still. ``dolly``: time stands still, the camera
+    moves back and zooms in, so that the subject stays as large. ``wiggle``: a GIF that shows depth by a small swing."""
+    parts: tuple[Part, ...] = ("all",)
+    """What is shown. ``background``: without what moves. ``movers``: what moves, alone, on transparent: a WebM (VP9 with
+    alpha) in colour; ``wiggle`` shows them on black."""
+    width: int | None = None
+    """Pixels; the height follows. None = as the clip was trained."""
+    fps: float | None = None
+    """Frames a second. None = as the source, in-between frames rendered where the clip was thinned; then ``input`` has
+    as many frames as the source, and that is what its rendering costs."""
+    slow: float = 1.0
+    """How many times slower than it was time plays; the frames between those of the source are rendered. Without sound."""
+    max_frames: int = 120
+    """Frames of ``orbit``, ``bullet`` and ``dolly`` at most."""
+    orbit_angle: float = 6.0
+    """Half-width in degrees of the loop of ``orbit`` and ``bullet``, seen from the middle of the scene."""
+    bullet_time: float | None = None
+    """Seconds of the clip at which time stands still in ``bullet``, ``dolly`` and ``wiggle``. None = the middle."""
+    stabilise: float = 0.5
+    """Seconds over which ``stabilised`` smooths the path (standard deviation); less where too little picture would be left."""
+    dolly: float = 1.5
+    """How many times as far from the subject the camera of ``dolly`` goes; below 1 it comes nearer and widens."""
+    stereo: bool = False
+    """Every video also as a pair for two eyes, left beside right (``<name>_stereo.mp4``)."""
+    eye_distance: float = 0.03
+    """Between the eyes of ``stereo`` and the ends of ``wiggle``, over the scene's median depth."""
+    camera_file: Path | None = None
+    """A camera path of your own: see ``flowsplat.output.camera_files`` for the formats."""
+
+
+def check_options(options: RenderOptions, fps: float, first: float, last: float) -> None:
+    """Refuse what cannot be rendered, before anything is.
+
+    Args:
+        fps: frames a second that follow from the options and the source.
+        first: seconds of the first frame.
+        last: seconds of the last frame.
+
+    Raises:
+        InputError: an option has a value that makes no video.
+    """
+    for name, given, known in (("camera path", options.paths, get_args(PathName)), ("part", options.parts, get_args(Part))):
+        if unknown := set(given) - set(known):
+            raise InputError(f"Unknown {name} {min(unknown)!r}: choose from {', '.join(known)}, or give a camera file.")
+    if options.width is not None and not _SMALLEST <= options.width <= LARGEST:
+        raise InputError(f"A video {options.width} pixels wide cannot be made: give a width from {_SMALLEST} to {LARGEST}.")
+    if not 0.1 <= fps <= 1000:
+        raise InputError(f"{fps:g} frames a second cannot be written: give a frame rate from 0.1 to 1000.")
+    if not 0.01 <= options.slow <= 100:
+        raise InputError(f"A video {options.slow:g} times slower cannot be made: give --render.slow from 0.01 to 100.")
+    if options.max_frames < 2:
+        raise InputError(f"A video of at most {options.max_frames} frame(s) shows no motion: give 2 or more.")
+    if not 0 <= options.orbit_angle < 90:
+        raise InputError(f"The orbit's angle is {options.orbit_angle:g} degrees: give one from 0 to 90.")
+    if options.bullet_time is not None and not first <= options.bullet_time <= last:
+        raise InputError(f"The bullet time {options.bullet_time:g} s is outside the clip ({first:g} to {last:g} s).")
+    if not 0 <= options.stabilise <= 60:
+        raise InputError(f"A path cannot be smoothed over {options.stabilise:g} s: give --render.stabilise from 0 to 60.")
+    if not 0.25 <= options.dolly <= 4:
+        raise InputError(f"A dolly zoom to {options.dolly:g} times the distance cannot be shown: give one from 0.25 to 4.")
+    if not 0 < options.eye_distance <= 0.5:
+        raise InputError(f"Eyes {options.eye_distance:g} of the depth apart see no depth: give more than 0 and at most 0.5.")

@@ -1,0 +1,160 @@
+"""Every video before it is rendered: what it shows, from where, when, and what it is written as."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from flowsplat.common.errors import InputError
+from flowsplat.common.progress import say
+from flowsplat.gaussians.rendering import Part, PartedRenderer
+from flowsplat.geometry import Camera
+from flowsplat.geometry.paths import CameraPath, dolly_zoom, orbit, shifted
+from flowsplat.output.camera_files import read_camera_file
+from flowsplat.output.videos.options import RenderOptions, check_options
+from flowsplat.output.videos.stabilised import COVERED, Shot, stabilise
+from flowsplat.scenes import Scene
+
+WIGGLE_FRAMES = 16
+WIGGLE_FPS = 12.5
+"""A GIF counts time in hundredths of a second."""
+_PROBE_SHARE = 4
+"""By how much the picture is smaller in which the subject is looked for."""
+_SUFFIXES = {"stereo": "mp4", "alpha": "webm", "gif": "gif"}
+
+
+@dataclass(frozen=True)
+class Plan:
+    """One video before it is rendered.
+
+    Attributes:
+        name: of its files.
+        shots: (camera, seconds of the clip), one a frame.
+        fps: frames a second.
+        kind: colour, flow and depth beside each other and colour alone; two eyes; colour with alpha; an animated GIF.
+        part: what of the scene is shown.
+        eye_distance: between the eyes of a stereo pair, in the units of the scene's cameras.
+        convergence: planar depth that both eyes see in the same place.
+        audio_from: where the sound comes from.
+        audio_start: its second that belongs to the first frame.
+    """
+
+    name: str
+    shots: list[Shot]
+    fps: float
+    kind: Literal["panels", "stereo", "alpha", "gif"] = "panels"
+    part: Part = "all"
+    eye_distance: float = 0.0
+    convergence: float = 1.0
+    audio_from: Path | None = None
+    audio_start: float = 0.0
+
+    @property
+    def files(self) -> list[str]:
+        """Names of what it is written to."""
+        if self.kind == "panels":
+            return [f"{self.name}.mp4", f"{self.name}_colour.mp4"]
+        return [f"{self.name}.{_SUFFIXES[self.kind]}"]
+
+    def to_json(self) -> list[Any]:
+        """All that the video depends on, the model excepted."""
+        views = [[camera.to_json(), t] for camera, t in self.shots]
+        look = [self.kind, self.part, self.eye_distance, self.convergence]
+        return [views, self.fps, look, str(self.audio_from), self.audio_start]
+
+
+def plan_videos(model: PartedRenderer, scene: Scene, options: RenderOptions) -> list[Plan]:
+    """Every video that was asked for.
+
+    Raises:
+        InputError: an option or the camera file cannot be used, or movers are asked for and there are none.
+    """
+    found: list[Plan] = []
+    for plan in _whole(model, scene, options):
+        if "movers" in options.parts:
+            _require_movers(model, plan)
+        for part in options.parts:
+            found += _versions(plan, part, scene, options)
+    return found
+
+
+def _versions(plan: Plan, part: Part, scene: Scene, options: RenderOptions) -> Iterator[Plan]:
+    """The video of one part of the scene, and its stereo pair."""
+    shown = replace(plan, part=part, name=plan.name if part == "all" else f"{plan.name}_{part}")
+    if part == "movers" and plan.kind == "panels":
+        yield replace(shown, kind="alpha", audio_from=None)
+        return
+    yield shown
+    if options.stereo and plan.kind == "panels":
+        depth = 1 / scene.similarity.scale
+        eyes = options.eye_distance * depth
+        yield replace(shown, kind="stereo", name=f"{shown.name}_stereo", eye_distance=eyes, convergence=depth)
+
+
+def _whole(model: PartedRenderer, scene: Scene, options: RenderOptions) -> Iterator[Plan]:
+    """Every path, showing the whole scene."""
+    first, last = float(scene.timestamps[0]), float(scene.timestamps[-1])
+    fps = float(scene.info["source_fps"]) if options.fps is None else options.fps
+    check_options(options, fps, first, last)
+    width = scene.width if options.width is None else options.width
+    size = (width, max(round(scene.height * width / scene.width), 1))
+    given = None if options.camera_file is None else read_camera_file(options.camera_file, size, (first, last))
+    path = CameraPath(scene.timestamps.tolist(), [camera.resized(*size) for camera in scene.cameras])
+    step = 1 / (fps * options.slow)
+    times = first + np.arange(int((last - first) / step + 1e-6) + 1) * step
+    distance = 1 / scene.similarity.scale  # the median depth
+    frozen = (first + last) / 2 if options.bullet_time is None else options.bullet_time
+    audio = scene.info.get("audio") if options.slow == 1 else None
+    sound, start = Path(audio) if audio else None, float(scene.info.get("audio_start") or 0.0)
+    along = [(path.at(t), float(t)) for t in times]
+
+    if "input" in options.paths:
+        yield Plan("input_path", along, fps, audio_from=sound, audio_start=start)
+    if "stabilised" in options.paths:
+        shots, share = stabilise(model, along, options.stabilise / step)
+        say(f"The stabilised path shows {share:.0%} of the width and height of the clip.")
+        yield Plan("stabilised", shots, fps, audio_from=sound, audio_start=start)
+    if "orbit" in options.paths:
+        # The middle of the clip in real time: what the middle camera has seen.
+        spare = max(len(times) - options.max_frames, 0)
+        played = times[spare // 2 : len(times) - (spare - spare // 2)]
+        loop = orbit(path.at((first + last) / 2), distance, len(played), options.orbit_angle)
+        yield Plan("orbit", [(camera, float(t)) for camera, t in zip(loop, played, strict=True)], fps)
+    if "bullet" in options.paths:
+        loop = orbit(path.at(frozen), distance, options.max_frames, options.orbit_angle)
+        yield Plan("bullet_time", [(camera, frozen) for camera in loop], fps)
+    if "dolly" in options.paths:
+        subject = subject_distance(model, path.at(frozen), frozen, distance)
+        there_and_back = (1 - np.cos(np.linspace(0, 2 * np.pi, options.max_frames, endpoint=False))) / 2
+        factors = options.dolly**there_and_back
+        yield Plan("dolly_zoom", [(dolly_zoom(path.at(frozen), subject, float(f)), frozen) for f in factors], fps)
+    if "wiggle" in options.paths:
+        subject = subject_distance(model, path.at(frozen), frozen, distance)
+        swing = np.sin(np.linspace(0, 2 * np.pi, WIGGLE_FRAMES, endpoint=False)) * options.eye_distance / 2 * distance
+        yield Plan("wiggle", [(shifted(path.at(frozen), float(x), subject), frozen) for x in swing], WIGGLE_FPS, kind="gif")
+    if given is not None:
+        yield Plan("custom_path", given.shots, options.fps or given.fps or fps)
+
+
+def subject_distance(model: PartedRenderer, camera: Camera, t: float, otherwise: float) -> float:
+    """Planar depth of the movers that the camera sees, their median; ``otherwise`` where there are none."""
+    seen = model.part("movers").render(_small(camera), t)
+    depth = seen.depth[seen.alpha >= COVERED]
+    return float(np.median(depth)) if depth.size else otherwise
+
+
+def _require_movers(model: PartedRenderer, plan: Plan) -> None:
+    movers = model.part("movers")
+    for k in np.unique(np.linspace(0, len(plan.shots) - 1, 5).round().astype(int)):
+        camera, t = plan.shots[int(k)]
+        if movers.render(_small(camera), t).alpha.max() > 0:
+            return
+    raise InputError(f"Nothing moves in {plan.name}: leave movers out of --render.parts.")
+
+
+def _small(camera: Camera) -> Camera:
+    return camera.resized(max(camera.width // _PROBE_SHARE, 1), max(camera.height // _PROBE_SHARE, 1))

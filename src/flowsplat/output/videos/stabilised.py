@@ -1,0 +1,79 @@
+"""The input path without its shaking, and the crop that this costs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from flowsplat.common.progress import say, track
+from flowsplat.gaussians.rendering import Renderer
+from flowsplat.geometry import Camera
+from flowsplat.geometry.paths import cropped, smooth_path
+
+Shot = tuple[Camera, float]
+
+COVERED = 0.5
+"""Alpha from which something is shown."""
+_LEAST_LEFT = 0.7
+"""Share of width and height that a stabilised video keeps at least; rather than cut more off, it is smoothed less."""
+_PROBE_WIDTH = 160
+"""Pixels of the pictures in which uncovered borders are looked for."""
+_MARGIN = 1
+"""Pixels of these pictures: Gaussians are blurred to a pixel, so that small pictures look covered a little further."""
+
+
+def stabilise(model: Renderer, shots: Sequence[Shot], sigma: float) -> tuple[list[Shot], float]:
+    """Smooth a path, and crop all of it alike, so that no uncovered border is seen.
+
+    A camera that is moved off its path sees beyond what the clip has seen. What of a picture is covered is asked of the
+    scene itself, which knows more than one frame does. Where more than 30 % would have to go, it is smoothed half as much,
+    and again. A clip that has uncovered borders already on its own path keeps them, filled from their neighbours.
+
+    Args:
+        shots: (camera, seconds) at even steps.
+        sigma: shots over which is smoothed (standard deviation).
+
+    Returns:
+        the new shots, of the same size, and the share of width and height that they show.
+    """
+    cameras, times = [camera for camera, _ in shots], [t for _, t in shots]
+    candidates = [smooth_path(cameras, sigma / 2**k) for k in range(4)] if sigma > 0 else [cameras]
+    smooth, share = cameras, 1.0
+    for smooth in candidates:
+        share = covered_share(model, list(zip(smooth, times, strict=True)))
+        if share >= _LEAST_LEFT:
+            break
+    else:
+        own = covered_share(model, shots)
+        smooth = candidates[0] if own < _LEAST_LEFT else cameras
+        share = max(own, _LEAST_LEFT)
+        say("The scene has borders that no frame saw: the stabilised video shows them filled from their neighbours.")
+    return [(cropped(camera, share), t) for camera, t in zip(smooth, times, strict=True)], share
+
+
+def covered_share(model: Renderer, shots: Sequence[Shot]) -> float:
+    """Of width and height, the share of the largest centred crop that has no uncovered border in any of the shots."""
+    first = shots[0][0]
+    height = max(round(first.height * _PROBE_WIDTH / first.width), 1)
+    width = min(_PROBE_WIDTH, first.width)
+    height = min(height, first.height)
+    shares = [
+        _inner_share(model.render(camera.resized(width, height), t).alpha < COVERED)
+        for camera, t in track(list(shots), "Looking for uncovered borders")
+    ]
+    return min(shares)
+
+
+def _inner_share(uncovered: np.ndarray) -> float:
+    """The share of one picture [H, W] bool; uncovered areas that do not touch the border are holes and do not count."""
+    height, width = uncovered.shape
+    _, labels = cv2.connectedComponents(uncovered.astype(np.uint8), connectivity=8)
+    rim = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
+    y, x = np.nonzero(np.isin(labels, rim[rim > 0]))
+    if not len(x):
+        return 1.0
+    dx = (np.abs(x + 0.5 - width / 2) - 0.5 - _MARGIN) / (width / 2)
+    dy = (np.abs(y + 0.5 - height / 2) - 0.5 - _MARGIN) / (height / 2)
+    return float(np.clip(np.maximum(dx, dy).min(), 0, 1))

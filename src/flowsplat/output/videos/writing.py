@@ -1,0 +1,114 @@
+"""Plans to files: panels with colour, flow and depth, pairs for two eyes, colour with alpha, GIFs."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from flowsplat.common.progress import track
+from flowsplat.gaussians.rendering import Renderer
+from flowsplat.geometry.paths import shifted
+from flowsplat.output.videos.plans import Plan
+from flowsplat.output.videos.stabilised import COVERED, Shot
+from flowsplat.pictures.colors import depth_range, depth_to_color, float_to_bytes, flow_scale, flow_to_color
+from flowsplat.pictures.gif import write_gif
+from flowsplat.pictures.sheets import side_by_side
+from flowsplat.pictures.transparent import webm_writer
+from flowsplat.pictures.video import mp4_writer
+
+_PROBES = 5
+"""Shots that are looked at before a video is made, to fix its colour scales."""
+_PROBE_SHARE = 4
+"""By how much those are smaller."""
+_WIDEST_PANEL = 1280
+"""Pixels. Three panels beside each other then stay below what hardware decoders take."""
+
+
+def look(model: Renderer, shots: Sequence[Shot], k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Colour, flow to the next shot and depth of shot ``k``; flow NaN and depth 0 where there is hardly anything."""
+    neighbour = k + 1 if k + 1 < len(shots) else max(k - 1, 0)
+    rendering = model.render(*shots[k], shots[neighbour])
+    assert rendering.flow is not None
+    covered = rendering.alpha >= COVERED
+    # The last shot has no next one: it is taken to go on as it came.
+    flow = rendering.flow if neighbour >= k else -rendering.flow
+    return rendering.colour, np.where(covered[..., None], flow, np.nan), np.where(covered, rendering.depth, 0)
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Colour scales that one video keeps: flow in pixels, depth, and a hash of the shots that they were taken from."""
+
+    flow: float
+    near: float
+    far: float
+    looks: str
+
+    @staticmethod
+    def of(model: Renderer, shots: Sequence[Shot]) -> Scales:
+        """Look at a few shots, smaller."""
+        camera = shots[0][0]
+        width, height = (max(size // _PROBE_SHARE, 1) for size in (camera.width, camera.height))
+        small = [(c.resized(width, height), t) for c, t in shots]
+        chosen = np.unique(np.linspace(0, len(shots) - 1, _PROBES).round().astype(int))
+        seen = [look(model, small, int(k)) for k in chosen]
+        looks = hashlib.sha256()
+        for arrays in seen:
+            for array in arrays:
+                looks.update(np.ascontiguousarray(array, np.float32).tobytes())
+        near, far = depth_range(depth for _, _, depth in seen)
+        scale = flow_scale(flow * (camera.width / width) for _, flow, _ in seen)
+        return Scales(scale, near, far, looks.hexdigest()[:16])
+
+
+def write_plan(model: Renderer, plan: Plan, scales: Scales, folder: Path) -> None:
+    """Render the video of a plan. ``model`` is the part of the scene that it shows.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    paths = [folder / file for file in plan.files]
+    if plan.kind == "panels":
+        _write_panels(model, plan, scales, *paths)
+    elif plan.kind == "stereo":
+        _write_stereo(model, plan, *paths)
+    elif plan.kind == "alpha":
+        _write_alpha(model, plan, *paths)
+    else:
+        shots = track(plan.shots, f"Rendering {plan.name}")
+        write_gif(paths[0], [float_to_bytes(model.render(*shot).colour) for shot in shots], plan.fps)
+
+
+def _write_panels(model: Renderer, plan: Plan, scales: Scales, panels_path: Path, colour_path: Path) -> None:
+    camera = plan.shots[0][0]
+    height = min(camera.height, max(round(camera.height * _WIDEST_PANEL / camera.width), 1))
+    with (
+        mp4_writer(panels_path, plan.fps, audio_from=plan.audio_from, audio_start=plan.audio_start) as write_panels,
+        mp4_writer(colour_path, plan.fps, audio_from=plan.audio_from, audio_start=plan.audio_start) as write_colour,
+    ):
+        for k in track(range(len(plan.shots)), f"Rendering {plan.name}"):
+            picture, flow, depth = look(model, plan.shots, k)
+            colour = float_to_bytes(picture)
+            panels = [colour, flow_to_color(flow, scales.flow), depth_to_color(depth, scales.near, scales.far)]
+            write_panels(side_by_side(panels, ["colour", "flow", "depth"], height))
+            write_colour(colour)
+
+
+def _write_stereo(model: Renderer, plan: Plan, path: Path) -> None:
+    with mp4_writer(path, plan.fps, audio_from=plan.audio_from, audio_start=plan.audio_start) as write:
+        for camera, t in track(plan.shots, f"Rendering {plan.name}"):
+            eyes = [shifted(camera, side * plan.eye_distance / 2, plan.convergence) for side in (-1, 1)]
+            write(np.concatenate([float_to_bytes(model.render(eye, t).colour) for eye in eyes], axis=1))
+
+
+def _write_alpha(model: Renderer, plan: Plan, path: Path) -> None:
+    with webm_writer(path, plan.fps) as write:
+        for camera, t in track(plan.shots, f"Rendering {plan.name}"):
+            seen = model.render(camera, t)
+            # WebM holds colour beside alpha, a rendering has them multiplied.
+            colour = seen.colour / np.maximum(seen.alpha, 1e-6)[..., None]
+            write(float_to_bytes(np.concatenate([colour, seen.alpha[..., None]], axis=-1)))

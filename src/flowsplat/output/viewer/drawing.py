@@ -1,0 +1,193 @@
+"""What a client wants to see, and the picture of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+import torch
+
+from flowsplat.gaussians.model import SceneModel
+from flowsplat.gaussians.rendering import Part
+from flowsplat.gaussians.slicing import slice_gaussians
+from flowsplat.geometry import Camera
+from flowsplat.output.viewer.layout import Box, empty, fitted, halves, place, wipe
+from flowsplat.output.viewer.source import Source
+from flowsplat.output.viewer.world import Pose, World
+from flowsplat.pictures.colors import depth_to_color, float_to_bytes, flow_to_color
+
+Show = Literal["colour", "flow", "depth", "alpha", "Gaussians"]
+Compare = Literal["off", "beside", "wipe"]
+
+_COVERED = 0.5
+_TRACK_TAIL = 8
+"""Frames that a track on the input picture reaches back."""
+_MOST_TRACKS = 250
+"""Of movers, and of the background; more hide the picture."""
+_BACKGROUND = 24
+"""Grey value behind Gaussians that are shown as points."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """What is drawn.
+
+    Attributes:
+        show: which picture; ``Gaussians`` draws the active ones as points.
+        part: of the scene.
+        compare: the input frame beside the rendering, or over its left part.
+        wipe: how much of the rendering it covers, 0 to 1.
+        tracks: the tracks of the clip, drawn where the picture is seen from the input camera.
+    """
+
+    show: Show = "colour"
+    part: Part = "all"
+    compare: Compare = "off"
+    wipe: float = 0.5
+    tracks: bool = False
+
+
+@dataclass(frozen=True)
+class Wish:
+    """One picture that a client is to get.
+
+    Attributes:
+        size: (width, height) of its canvas, in the pixels of the picture.
+        t: seconds of the clip.
+        look: what is drawn.
+        pose: where from; None = from where the input camera is at that time.
+    """
+
+    size: tuple[int, int]
+    t: float
+    look: Look
+    pose: Pose | None
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A picture for a canvas.
+
+    Attributes:
+        image: [H, W, 3] uint8.
+        depth: [H, W] float32 in the world of the browser, far away where there is nothing: what is drawn there by the
+            browser is hidden behind it.
+        pose: the browser's camera that fits to the picture.
+    """
+
+    image: np.ndarray
+    depth: np.ndarray
+    pose: Pose
+
+
+_FAR = 150.0
+"""What viser can say of a depth ends at 167."""
+
+
+def draw(source: Source, world: World, wish: Wish) -> Drawing:
+    """Render and compose what a client wants to see."""
+    image, depth = empty(wish.size), np.full(wish.size[::-1], _FAR, np.float32)
+    whole = Box(0, 0, *wish.size)
+    left, right = halves(wish.size) if wish.look.compare == "beside" else (whole, whole)
+    if wish.pose is not None:
+        # The clip's own camera is fitted into its room, a free one fills it.
+        room, camera = left, world.camera(wish.pose, left.width, left.height)
+    else:
+        room = fitted(source.size, left)
+        camera = source.path.at(wish.t).resized(room.width, room.height)
+    picture, distance = render_look(source, camera, wish)
+    if wish.look.compare == "wipe":
+        over = cv2.resize(source.frame(wish.t), (room.width, room.height), interpolation=cv2.INTER_AREA)
+        picture = wipe(picture, over, wish.look.wipe)
+    place(image, picture, room)
+    depth[room.rows_and_columns] = distance * world.from_scene.scale
+    if wish.look.compare == "beside":
+        place(image, source.frame(wish.t), fitted(source.size, right))
+    pose = wish.pose or _seen_whole(world, camera, wish.size[1])
+    return Drawing(image, np.clip(depth, 0, _FAR), pose)
+
+
+def _seen_whole(world: World, camera: Camera, height: int) -> Pose:
+    """The pose of a fitted camera, its field of view that of the whole canvas."""
+    pose = world.pose(camera)
+    return Pose(pose.wxyz, pose.position, 2 * float(np.arctan(height / 2 / camera.K[1, 1])))
+
+
+def render_look(source: Source, camera: Camera, wish: Wish) -> tuple[np.ndarray, np.ndarray]:
+    """What ``wish.look`` shows, from a camera of the scene.
+
+    Returns:
+        [H, W, 3] uint8 and the planar depth [H, W] in the units of the scene, far away where there is nothing.
+    """
+    look, t = wish.look, wish.t
+    model = source.loaded.part(look.part)
+    if look.show == "Gaussians":
+        return draw_points(model, camera, t), np.full((camera.height, camera.width), np.inf, np.float32)
+    seen = model.render(camera, t, _next_shot(source, camera, wish) if look.show == "flow" else None)
+    covered = seen.alpha >= _COVERED
+    if look.show == "colour":
+        image = float_to_bytes(seen.colour)
+    elif look.show == "alpha":
+        image = np.repeat(float_to_bytes(seen.alpha)[..., None], 3, axis=-1)
+    elif look.show == "depth":
+        image = depth_to_color(np.where(covered, seen.depth, 0), source.scales.near, source.scales.far)
+    else:
+        assert seen.flow is not None
+        scale = source.scales.flow * camera.width / source.size[0]
+        flow = seen.flow if t + source.step <= source.clip[1] else -seen.flow
+        image = flow_to_color(np.where(covered[..., None], flow, np.nan), scale)
+    if look.tracks and wish.pose is None and source.tracks is not None:
+        draw_tracks(image, source, t)
+    return image, np.where(covered, seen.depth, np.inf).astype(np.float32)
+
+
+def _next_shot(source: Source, camera: Camera, wish: Wish) -> tuple[Camera, float]:
+    """Where flow leads to: a frame further; a free camera stands still, so that its flow is the motion of the scene alone."""
+    t = wish.t + source.step if wish.t + source.step <= source.clip[1] else wish.t - source.step
+    if wish.pose is not None:
+        return camera, t
+    return source.path.at(t).resized(camera.width, camera.height), t
+
+
+@torch.no_grad()
+def draw_points(model: SceneModel, camera: Camera, t: float) -> np.ndarray:
+    """[H, W, 3] uint8: every active Gaussian as a dot in its colour at its centre, near ones over far ones."""
+    image = np.full((camera.height, camera.width, 3), _BACKGROUND, np.uint8)
+    there = model.similarity.camera(camera)
+    active = model.gaussians.active(model.clip_time(t), there)
+    if not len(active.rows):
+        return image
+    center = torch.as_tensor(there.center, dtype=model.gaussians.params["means"].dtype)
+    sliced = slice_gaussians(model.gaussians, active, center)
+    uv, depth = there.project(sliced.means.cpu().numpy().astype(np.float64))
+    inside = (depth > 1e-3) & np.isfinite(uv).all(-1) & (uv >= 0).all(-1) & (uv < [camera.width, camera.height]).all(-1)
+    order = np.nonzero(inside)[0][np.argsort(-depth[inside], kind="stable")]
+    dot = np.arange(2 if camera.width >= 480 else 1)
+    x = np.minimum(uv[order, 0].astype(np.int64)[:, None, None] + dot, camera.width - 1)
+    y = np.minimum(uv[order, 1].astype(np.int64)[:, None, None] + dot[:, None], camera.height - 1)
+    colours = float_to_bytes(sliced.colours.cpu().numpy()[order])
+    # Where an index comes twice, NumPy keeps what is written last: the nearest.
+    image[y, x] = colours[:, None, None]
+    return image
+
+
+def draw_tracks(image: np.ndarray, source: Source, t: float) -> None:
+    """Draw the last frames of some of the clip's tracks onto a picture from the input camera: movers warm, background cold.
+
+    There are no tracks on held-out frames: there, those of the nearest training frame are shown.
+    """
+    assert source.tracks is not None
+    tracks, frames = source.tracks, source.scene.train_frames
+    now = min(frames, key=lambda i: abs(source.scene.timestamps[i] - t))
+    tail = [i for i in frames if now - _TRACK_TAIL <= i <= now]
+    scale = np.array([image.shape[1] / source.size[0], image.shape[0] / source.size[1]])
+    width = max(round(image.shape[1] / 640), 1)
+    for moving, colour in ((False, (80, 170, 255)), (True, (255, 140, 0))):
+        chosen = np.nonzero(tracks.visible[:, now] & (tracks.moving == moving))[0]
+        chosen = chosen[:: max(len(chosen) // _MOST_TRACKS, 1)]
+        lines = [np.round(tracks.points[p, tail][tracks.visible[p, tail]] * scale).astype(np.int32) for p in chosen]
+        cv2.polylines(image, lines, False, colour, width, cv2.LINE_AA)
+        for line in lines:
+            cv2.circle(image, tuple(map(int, line[-1])), width, colour, -1, cv2.LINE_AA)

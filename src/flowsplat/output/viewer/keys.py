@@ -1,0 +1,53 @@
+"""A camera path in the making: keys that a client sets, and the shots between them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from flowsplat.geometry import Camera
+from flowsplat.geometry.paths import CameraPath
+
+Shot = tuple[Camera, float]
+
+
+class CameraKeys:
+    """Cameras with the time of the clip that each shows, at even steps of the video."""
+
+    def __init__(self, spacing: float = 1.0):
+        """``spacing``: seconds of the video from one key to the next."""
+        self.spacing = spacing
+        self.keys: list[Shot] = []
+
+    @staticmethod
+    def of_shots(shots: Sequence[Shot], fps: float) -> CameraKeys:
+        """A path that was read from a file: every shot is a key."""
+        found = CameraKeys(1 / fps)
+        found.keys = list(shots)
+        return found
+
+    def add(self, camera: Camera, t: float) -> None:
+        """Set the next key."""
+        self.keys.append((camera, t))
+
+    @property
+    def seconds(self) -> float:
+        """How long the video is."""
+        return max(len(self.keys) - 1, 0) * self.spacing
+
+    def at(self, seconds: float) -> Shot:
+        """Where the camera is after so many seconds of the video, and which time of the clip it shows."""
+        steps = np.arange(len(self.keys)) * self.spacing
+        t = float(np.interp(seconds, steps, [t for _, t in self.keys]))
+        return CameraPath(steps.tolist(), [camera for camera, _ in self.keys]).at(seconds), t
+
+    def shots(self, fps: float) -> list[Shot]:
+        """One shot a frame of the video; none without keys."""
+        if not self.keys:
+            return []
+        steps = np.arange(len(self.keys)) * self.spacing
+        path = CameraPath(steps.tolist(), [camera for camera, _ in self.keys])
+        moments = np.arange(int(self.seconds * fps + 1e-6) + 1) / fps
+        times = np.interp(moments, steps, [t for _, t in self.keys])
+        return [(path.at(float(moment)), float(t)) for moment, t in zip(moments, times, strict=True)]

@@ -1,0 +1,17 @@
+"""How the viewer is served."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class ViewOptions:
+    """How the viewer is served."""
+
+    host: str = "127.0.0.1"
+    """Address to listen on. The default is seen from this machine only; 0.0.0.0 lets everybody on the network look."""
+    port: int = 8080
+    """Port to listen on."""
+    largest: int = 1600
+    """Pixels of the longer side of still pictures at most; while something moves they are as large as stays fluent."""

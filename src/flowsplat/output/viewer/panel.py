@@ -1,0 +1,246 @@
+"""The controls of one client: what is set here becomes its ``Session``, what is rendered for it is shown here."""
+
+from __future__ import annotations
+
+import time
+from typing import Any, get_args
+
+import numpy as np
+import viser
+
+from flowsplat.gaussians.rendering import Part
+from flowsplat.output.viewer.drawing import Compare, Drawing, Look, Show
+from flowsplat.output.viewer.layout import Box, fitted
+from flowsplat.output.viewer.session import Job, Mode, Session
+from flowsplat.output.viewer.source import Source
+from flowsplat.output.viewer.take_away import TakeAway
+from flowsplat.output.viewer.talk import Talk
+from flowsplat.output.viewer.trails import trails
+from flowsplat.output.viewer.worker import Worker
+from flowsplat.output.viewer.world import WORLD_DEPTH, Pose, World
+
+_SPEEDS = {"1/10": 0.1, "1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0}
+_MOST_FRUSTA = 24
+_FRUSTUM = 0.25
+"""Size of a frustum in the browser's world."""
+_REACH = {"orbit": WORLD_DEPTH, "fly": 0.05}
+"""How far ahead of the camera the point lies round which dragging turns it."""
+_TIME_STEP = 0.001
+"""Seconds."""
+_MOST_ENLARGED = 2
+"""Times the size of the clip. Beyond that, the gaps between Gaussians are seen rather than the scene."""
+_MODE_HINT = "Orbit turns round the scene, fly looks about; W A S D Q E move. The input camera stays the clip's."
+_STILL_QUALITY, _MOVING_QUALITY = 92, 75
+"""Of the JPEGs."""
+
+
+class Panel:
+    """The controls of one client."""
+
+    def __init__(self, client: viser.ClientHandle, source: Source, worker: Worker, largest: int):
+        """``largest``: pixels of the longer side of a still picture."""
+        self._client, self._source, self._worker = client, source, worker
+        self._world = World(source.scene.similarity)
+        self._session = Session(source.clip, min(largest, _MOST_ENLARGED * max(source.size)))
+        self._session.mode = "orbit"
+        self._talk = Talk(client)
+        self._overlays: dict[str, Any] = {}
+        self._stood: Pose | None = None
+        self._build()
+        TakeAway(client, self._talk, source, worker, self._session)
+
+    def begin(self) -> None:
+        """Stand where the clip begins, and get pictures from now on."""
+        self._stand(self._input_pose(), _REACH["orbit"])
+        self._client.camera.on_update(self._moved)
+        self._worker.add(self._client.client_id, self._session, self._show)
+        self._moved(self._client.camera)
+
+    def reloaded(self) -> None:
+        """There is a newer model."""
+        self._status.content = self._state()
+        if self._trails.value:
+            self._draw_trails()
+
+    # -- the controls
+
+    def _build(self) -> None:
+        gui, (first, last) = self._client.gui, self._source.clip
+        self._status = gui.add_markdown(self._state())
+        with gui.add_folder("Time"):
+            self._time = gui.add_slider("Seconds", min=first, max=last, step=_TIME_STEP, initial_value=first)
+            self._play = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY)
+            self._speed = gui.add_dropdown("Speed", tuple(_SPEEDS), initial_value="1")
+            self._loop = gui.add_checkbox("Loop", True)
+        with gui.add_folder("Camera"):
+            self._mode = gui.add_dropdown("Mode", get_args(Mode), initial_value="orbit", hint=_MODE_HINT)
+            home = gui.add_button("To the input camera", icon=viser.Icon.HOME)
+        with gui.add_folder("Picture"):
+            self._what = gui.add_dropdown("Show", get_args(Show), initial_value="colour")
+            self._part = gui.add_dropdown("Part", get_args(Part), initial_value="all")
+            self._compare = gui.add_dropdown("Input frame", get_args(Compare), initial_value="off")
+            self._wipe = gui.add_slider("Wipe", min=0.0, max=1.0, step=0.01, initial_value=0.5, visible=False)
+        with gui.add_folder("Drawn into it"):
+            self._cameras = gui.add_checkbox("Cameras", False)
+            self._trails = gui.add_checkbox("Ways of Gaussians", False)
+            self._tracks = gui.add_checkbox("Tracks of the clip", False, hint="Seen from the input camera.",
+                                            visible=self._source.scene.has_tracks)  # fmt: skip
+        for button, action in ((self._play, self._toggle), (home, self._go_home)):
+            button.on_click(self._talk.told(action))
+        for control, action in (
+            (self._time, self._seek), (self._speed, self._set_speed), (self._loop, self._set_loop),
+            (self._mode, self._set_mode), (self._cameras, self._draw_cameras), (self._trails, self._draw_trails),
+        ):  # fmt: skip
+            control.on_update(self._talk.told(action))
+        for control in (self._what, self._part, self._compare, self._wipe, self._tracks):
+            control.on_update(self._talk.told(self._set_look))
+
+    def _state(self) -> str:
+        source = self._source
+        count = len(source.loaded.part("all").gaussians)
+        return f"**{source.scene.name}** · {source.loaded.state} · {count:,} Gaussians"
+
+    # -- time
+
+    def _toggle(self) -> None:
+        now = time.monotonic()
+        with self._worker.changed():
+            self._session.clock.play(not self._session.clock.playing, now)
+        self._label_play()
+
+    def _label_play(self) -> None:
+        label = "Pause" if self._session.clock.playing else "Play"
+        if self._play.label != label:
+            self._play.label = label
+            self._play.icon = viser.Icon.PLAYER_PAUSE if label == "Pause" else viser.Icon.PLAYER_PLAY
+
+    def _seek(self) -> None:
+        now = time.monotonic()
+        with self._worker.changed():
+            self._session.clock.set(float(self._time.value), now)
+            self._session.change(now)
+
+    def _set_speed(self) -> None:
+        with self._worker.changed():
+            self._session.clock.set_speed(_SPEEDS[self._speed.value], time.monotonic())
+
+    def _set_loop(self) -> None:
+        with self._worker.changed():
+            self._session.clock.loop = self._loop.value
+
+    # -- camera
+
+    def _moved(self, camera: viser.CameraHandle) -> None:
+        pose = Pose(np.array(camera.wxyz), np.array(camera.position), float(camera.fov))
+        stood = self._stood
+        with self._worker.changed():
+            mode = self._session.mode
+            self._session.move(pose, (camera.image_width, camera.image_height), time.monotonic())
+        if mode == "input camera" and stood is not None and np.abs(pose.position - stood.position).max() > 1e-3:
+            self._stand(stood, _REACH["orbit"])
+
+    def _stand(self, pose: Pose, reach: float) -> None:
+        """Bring the browser's camera to a pose, turning about a point ``reach`` ahead of it."""
+        self._stood = pose
+        camera = self._client.camera
+        up = -self._world.from_scene.camera(self._world.camera(pose, 2, 2)).viewmat[1, :3]
+        with self._client.atomic():
+            camera.position = pose.position
+            camera.up_direction = up
+            camera.look_at = pose.position + pose.forward * reach
+            camera.fov = pose.fov
+
+    def _input_pose(self) -> Pose:
+        """The input camera at this time, all of its picture inside the window."""
+        shown = self._source.path.at(self._session.clock.at(time.monotonic()))
+        canvas = (self._client.camera.image_width, self._client.camera.image_height)
+        box = fitted(self._source.size, Box(0, 0, *canvas))
+        pose = self._world.pose(shown)
+        return Pose(pose.wxyz, pose.position, 2 * float(np.arctan(np.tan(pose.fov / 2) * canvas[1] / box.height)))
+
+    def _go_home(self) -> None:
+        self._stand(self._input_pose(), _REACH.get(self._session.mode, WORLD_DEPTH))
+
+    def _set_mode(self) -> None:
+        mode: Mode = self._mode.value
+        with self._worker.changed():
+            self._session.mode = mode
+            self._session.change(time.monotonic())
+        if mode != "input camera":
+            camera = self._client.camera
+            here = Pose(np.array(camera.wxyz), np.array(camera.position), float(camera.fov))
+            self._stand(here, _REACH[mode])
+            if self._session.look.compare == "wipe":
+                _put(self._compare, "off")
+                self._set_look()
+
+    # -- picture
+
+    def _set_look(self) -> None:
+        look = Look(self._what.value, self._part.value, self._compare.value, float(self._wipe.value), self._tracks.value)
+        self._wipe.visible = look.compare == "wipe"
+        if look.compare == "wipe" and self._mode.value != "input camera":
+            # A frame can only lie over what was seen from the same place.
+            _put(self._mode, "input camera")
+            self._set_mode()
+        with self._worker.changed():
+            self._session.look = look
+            self._session.change(time.monotonic())
+
+    def _show(self, job: Job, drawing: Drawing) -> None:
+        """Bring a picture to the browser; called by the worker."""
+        drawn_into = self._cameras.value or self._trails.value
+        quality = _STILL_QUALITY if job.is_still else _MOVING_QUALITY
+        depth = drawing.depth if drawn_into else None
+        self._client.scene.set_background_image(drawing.image, format="jpeg", jpeg_quality=quality, depth=depth)
+        if job.wish.pose is None:
+            self._stand(drawing.pose, _REACH["orbit"])
+        _put(self._time, float(np.clip(round(job.wish.t, 3), *self._source.clip)))
+        self._label_play()
+
+    # -- drawn by the browser
+
+    def _draw_cameras(self) -> None:
+        if "cameras" not in self._overlays and self._cameras.value:
+            self._overlays["cameras"] = self._add_cameras()
+        if "cameras" in self._overlays:
+            self._overlays["cameras"].visible = self._cameras.value
+        self._redraw()
+
+    def _add_cameras(self) -> viser.FrameHandle:
+        scene, cameras = self._client.scene, self._source.path.cameras
+        parent = scene.add_frame("/cameras", show_axes=False)
+        heldout = set(self._source.scene.heldout_frames)
+        for i in np.unique(np.linspace(0, len(cameras) - 1, _MOST_FRUSTA).round().astype(int)):
+            pose = self._world.pose(cameras[i])
+            scene.add_camera_frustum(
+                f"/cameras/{i}", pose.fov, cameras[i].width / cameras[i].height, scale=_FRUSTUM, thickness=1.5,
+                thickness_units="screen", color=(255, 190, 60) if int(i) in heldout else (90, 200, 255), wxyz=pose.wxyz,
+                position=pose.position,
+            )  # fmt: skip
+        centers = np.array([self._world.pose(camera).position for camera in cameras])
+        ends = np.stack([centers[:-1], centers[1:]], axis=1)
+        scene.add_line_segments("/cameras/path", ends, (255, 255, 255), thickness=2.0, thickness_units="screen")
+        return parent
+
+    def _draw_trails(self) -> None:
+        if (old := self._overlays.pop("trails", None)) is not None:
+            old.remove()
+        if self._trails.value:
+            ends, colours = trails(self._source.loaded.part("all"))
+            if not len(ends):
+                self._talk.note("Nothing to draw", "No Gaussian of this scene moves.")
+            else:
+                there = self._world.from_scene.points(ends.astype(np.float64))
+                self._overlays["trails"] = self._client.scene.add_line_segments(
+                    "/trails", there, colours, thickness=1.5, thickness_units="screen"
+                )
+        self._redraw()
+
+    def _redraw(self) -> None:
+        with self._worker.changed():
+            self._session.change(time.monotonic())
+
+def _put(control: Any, value: Any) -> None:
+    """Set the value of a control (viser's types call it read-only)."""
+    control.value = value

@@ -1,0 +1,130 @@
+"""``flowsplat view``: serves the viewer until it is stopped."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import io
+import socket
+import threading
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from flowsplat.common.errors import InputError
+from flowsplat.common.progress import say
+from flowsplat.output.viewer.options import ViewOptions
+from flowsplat.output.viewer.source import Source
+from flowsplat.output.viewer.worker import Worker
+
+if TYPE_CHECKING:
+    import viser
+
+    from flowsplat.output.viewer.panel import Panel
+
+
+class Viewer:
+    """The viewer of a run: one server, one worker, and a panel for every client."""
+
+    def __init__(self, folder: Path, options: ViewOptions):
+        """Open the run and begin to serve.
+
+        Raises:
+            InputError: viser is missing, the run has nothing to show yet, or the address cannot be listened on.
+        """
+        if not 1 <= options.port <= 65535:
+            raise InputError(f"There is no port {options.port}: give --port a number from 1 to 65535.")
+        if not 64 <= options.largest <= 8192:
+            raise InputError(f"Pictures of {options.largest} pixels cannot be shown: give --largest from 64 to 8192.")
+        try:
+            import viser  # noqa: F401 (the one thing that may be missing)
+        except ImportError as error:
+            raise InputError("The viewer needs viser: pip install 'flowsplat[view]'.") from error
+        self._options = options
+        self.source = Source(folder)
+        _check_address(options.host, options.port)
+        self._server = _serve(options)
+        self._panels: dict[int, Panel] = {}
+        self._lock = threading.Lock()
+        self.worker = Worker(self.source, self._reloaded)
+        self._server.on_client_connect(self._connect)
+        self._server.on_client_disconnect(self._disconnect)
+        self.worker.start()
+
+    def stop(self) -> None:
+        """Stop serving and rendering."""
+        self.worker.stop()
+        with _quiet():
+            self._server.stop()
+
+    def _connect(self, client: viser.ClientHandle) -> None:
+        from flowsplat.output.viewer.panel import Panel
+
+        panel = Panel(client, self.source, self.worker, self._options.largest)
+        with self._lock:
+            self._panels[client.client_id] = panel
+        panel.begin()
+
+    def _disconnect(self, client: viser.ClientHandle) -> None:
+        with self._lock:
+            self._panels.pop(client.client_id, None)
+        self.worker.remove(client.client_id)
+
+    def _reloaded(self) -> None:
+        with self._lock:
+            panels = list(self._panels.values())
+        for panel in panels:
+            panel.reloaded()
+
+
+def view(folder: Path, options: ViewOptions) -> None:
+    """Serve the viewer of a run until Ctrl-C.
+
+    Raises:
+        InputError: see ``Viewer``.
+    """
+    viewer = Viewer(folder, options)
+    try:
+        shown = "localhost" if options.host in ("127.0.0.1", "0.0.0.0", "::1", "::") else options.host
+        say(f"Showing {folder} ({viewer.source.loaded.state}): http://{shown}:{options.port} - Ctrl-C stops.")
+        if options.host in ("0.0.0.0", "::"):
+            say("Everybody who reaches this machine can look at it.")
+        threading.Event().wait()
+    except KeyboardInterrupt:
+        say("The viewer is stopped.")
+    finally:
+        viewer.stop()
+
+
+def _quiet() -> contextlib.AbstractContextManager[object]:
+    """Without what viser prints: its address may not be the one to open, and we say ourselves what happens."""
+    return contextlib.redirect_stdout(io.StringIO())
+
+
+def _check_address(host: str, port: int) -> None:
+    """Refuse an address that cannot be listened on; viser would silently take another port."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with socket.socket(family, socket.SOCK_STREAM) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except OSError as error:
+            if error.errno == errno.EADDRINUSE:
+                raise InputError(f"Port {port} is in use: choose another one with --port.") from error
+            reason = error.strerror or error
+            raise InputError(f"Cannot listen on {host}, port {port} ({reason}): choose others with --host and --port.") from error
+
+
+def _serve(options: ViewOptions) -> viser.ViserServer:
+    import viser
+
+    # A browser may be closed while a picture is on its way to it.
+    warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")
+    with _quiet():
+        server = viser.ViserServer(host=options.host, port=options.port, label="flowsplat", verbose=False)
+    if server.get_port() != options.port:
+        server.stop()
+        raise InputError(f"Port {options.port} is in use: choose another one with --port.")
+    server.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
+    server.gui.main_panel.dock_right()
+    return server

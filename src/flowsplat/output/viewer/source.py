@@ -1,0 +1,132 @@
+"""What is looked at: the newest model of a run, trained or still in training, and the scene that it was trained on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from flowsplat.common.errors import InputError
+from flowsplat.gaussians.model import SceneModel
+from flowsplat.gaussians.rendering import Part
+from flowsplat.geometry.paths import CameraPath
+from flowsplat.output.videos.writing import Scales
+from flowsplat.scenes import Scene
+from flowsplat.scenes.layers import Tracks
+from flowsplat.training.checkpoint import load_checkpoint, load_model
+
+
+class Loaded:
+    """A model in one state of its training."""
+
+    def __init__(self, model: SceneModel, state: str, number: int):
+        """``state``: in words; ``number`` counts the states, so that one can see whether there is a new one."""
+        self.state, self.number = state, number
+        self._parts: dict[Part, SceneModel] = {"all": model}
+
+    def part(self, part: Part) -> SceneModel:
+        """The model of a part of the scene, made when it is first asked for."""
+        if part not in self._parts:
+            self._parts[part] = self._parts["all"].part(part)
+        return self._parts[part]
+
+
+class Source:
+    """The folder of a run as the viewer reads it. Only one thread may call ``refresh``."""
+
+    def __init__(self, folder: Path):
+        """Open a run.
+
+        Raises:
+            InputError: it is none, is not prepared, or has neither a model nor a checkpoint yet.
+        """
+        self.folder = Path(folder)
+        if not (self.folder / "run.json").exists():
+            raise InputError(f"{folder} is not the folder of a run: start with flowsplat run INPUT -o {folder}.")
+        if not (self.folder / "scene" / "scene.json").exists():
+            raise InputError(f"{folder} is not prepared yet: run flowsplat prepare or flowsplat run first.")
+        self.scene = Scene(self.folder / "scene")
+        found = self._find()
+        if found is None:
+            raise InputError(
+                f"{folder} holds neither a trained scene nor a checkpoint yet: run flowsplat train {folder}; "
+                "its first checkpoint can be looked at while it trains."
+            )
+        self._stamp, read = found
+        self.loaded = Loaded(*read(), 0)
+
+    def refresh(self) -> bool:
+        """Read the newest state again if it changed; whether it did."""
+        found = self._find()
+        if found is None or found[0] == self._stamp:
+            return False
+        try:
+            model, state = found[1]()
+        except InputError:
+            return False  # It is being replaced at this moment: the next call finds it whole.
+        self._stamp = found[0]
+        self.loaded = Loaded(model, state, self.loaded.number + 1)
+        return True
+
+    def _find(self) -> tuple[tuple[str, int], Callable[[], tuple[SceneModel, str]]] | None:
+        """The newest state: what tells it from others, and how to read it."""
+        choices: list[tuple[int, str, Callable[[], tuple[SceneModel, str]]]] = []
+        for path, read in (
+            (self.folder / "training" / "latest.json", self._read_checkpoint),
+            (self.folder / "model" / "model.json", lambda: (load_model(self.folder / "model"), "trained")),
+        ):
+            try:
+                choices.append((path.stat().st_mtime_ns, path.name, read))
+            except OSError:
+                continue
+        if not choices:
+            return None
+        written, name, read = max(choices, key=lambda choice: choice[0])
+        return (name, written), read
+
+    def _read_checkpoint(self) -> tuple[SceneModel, str]:
+        first, last = self.clip
+        model, step, steps = load_checkpoint(self.folder / "training", self.scene.similarity, first, last)
+        return model, f"in training, step {step} of {steps}"
+
+    @property
+    def clip(self) -> tuple[float, float]:
+        """Seconds of the first and the last frame."""
+        return float(self.scene.timestamps[0]), float(self.scene.timestamps[-1])
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) of the clip."""
+        return self.scene.width, self.scene.height
+
+    @cached_property
+    def path(self) -> CameraPath:
+        """The clip's own cameras."""
+        return CameraPath(self.scene.timestamps.tolist(), self.scene.cameras)
+
+    @cached_property
+    def step(self) -> float:
+        """Seconds from one frame to the next, their median."""
+        return float(np.median(np.diff(self.scene.timestamps)))
+
+    @cached_property
+    def tracks(self) -> Tracks | None:
+        """The clip's tracks, if it has some."""
+        return self.scene.tracks if self.scene.has_tracks else None
+
+    @cached_property
+    def scales(self) -> Scales:
+        """Colour scales of flow and depth, which no picture of the viewer changes."""
+        shots = [(camera, float(t)) for camera, t in zip(self.path.cameras, self.scene.timestamps, strict=True)]
+        return Scales.of(self.loaded.part("all"), shots)
+
+    def frame_number(self, t: float) -> int:
+        """The frame nearest to a time."""
+        return int(np.abs(self.scene.timestamps - t).argmin())
+
+    def frame(self, t: float) -> np.ndarray:
+        """[H, W, 3] uint8 the input frame nearest to a time, held-out frames included: nothing learns from what is shown."""
+        i = self.frame_number(t)
+        return self.scene.frame(i) if i in self.scene.train_frames else self.scene.heldout_frame(i)

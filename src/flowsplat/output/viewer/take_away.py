@@ -1,0 +1,172 @@
+"""What a client takes away, as controls: screenshots, and camera paths that are made here or read from a file."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import viser
+
+from flowsplat.common.errors import InputError
+from flowsplat.geometry import Camera
+from flowsplat.output.camera_files import read_camera_file, write_camera_file
+from flowsplat.output.viewer.drawing import Wish, render_look
+from flowsplat.output.viewer.keys import CameraKeys
+from flowsplat.output.viewer.layout import Box, empty, fitted, place
+from flowsplat.output.viewer.recording import next_file, record_path, take_screenshot
+from flowsplat.output.viewer.session import Session
+from flowsplat.output.viewer.source import Source
+from flowsplat.output.viewer.talk import Talk
+from flowsplat.output.viewer.worker import Worker
+from flowsplat.output.viewer.world import World
+
+_QUALITY = 75
+"""Of the JPEGs of a path that is played."""
+
+
+class TakeAway:
+    """The folder of controls for screenshots and camera paths of one client."""
+
+    def __init__(self, client: viser.ClientHandle, talk: Talk, source: Source, worker: Worker, session: Session):
+        self._client, self._talk, self._source, self._worker, self._session = client, talk, source, worker, session
+        self._world = World(source.scene.similarity)
+        self._keys = CameraKeys()
+        self._fps = float(source.scene.info["source_fps"])
+        gui = client.gui
+        with gui.add_folder("Take away", expand_by_default=False):
+            screenshot = gui.add_button("Screenshot", icon=viser.Icon.CAMERA)
+            self._count = gui.add_markdown("No keys yet.")
+            add = gui.add_button("Add a key here", icon=viser.Icon.PLUS)
+            self._spacing = gui.add_slider("Seconds a key", min=0.1, max=10.0, step=0.1, initial_value=1.0)
+            preview = gui.add_button("Play the path", icon=viser.Icon.PLAYER_PLAY)
+            record = gui.add_button("Record it to mp4", icon=viser.Icon.VIDEO)
+            save = gui.add_button("Save the path", icon=viser.Icon.DEVICE_FLOPPY)
+            self._load = gui.add_upload_button("Load a path", mime_type="application/json", icon=viser.Icon.UPLOAD)
+            clear = gui.add_button("Clear the path", icon=viser.Icon.TRASH)
+        for button, action in (
+            (screenshot, self._take_screenshot), (add, self._add_key), (preview, self._preview), (record, self._record),
+            (save, self._save_path), (clear, self._clear),
+        ):  # fmt: skip
+            button.on_click(talk.told(action))
+        self._load.on_upload(talk.told(self._load_path))
+        self._spacing.on_update(talk.told(self._set_spacing))
+
+    @property
+    def _folder(self) -> Path:
+        return self._source.folder / "viewer"
+
+    def _finished(self, path: Path) -> None:
+        """Tell where a file is, and offer it to the browser, which may be on another machine."""
+        self._talk.note("Written", str(path))
+        self._client.send_file_download(path.name, path.read_bytes())
+
+    def _begin(self, task: Iterator[None]) -> None:
+        def told() -> Iterator[None]:
+            try:
+                yield from task
+            except InputError as error:
+                self._talk.wrong(error)
+
+        self._worker.begin(self._client.client_id, told())
+
+    def _take_screenshot(self) -> None:
+        session = self._session
+        with self._worker.changed():
+            assert session.canvas is not None
+            pose = None if session.mode == "input camera" else session.pose
+            wish = Wish(session.pace.still(session.canvas), session.clock.at(time.monotonic()), session.look, pose)
+        path = next_file(self._folder, "screenshot", ".png")
+        self._begin(take_screenshot(self._source, self._world, wish, path, self._finished))
+
+    def _camera_here(self) -> Camera:
+        """What the client sees, as a camera with the size of the clip."""
+        session = self._session
+        if session.mode == "input camera" or session.pose is None:
+            return self._source.path.at(session.clock.at(time.monotonic()))
+        return self._world.camera(session.pose, *self._source.size)
+
+    def _add_key(self) -> None:
+        with self._worker.changed():
+            self._keys.add(self._camera_here(), self._session.clock.at(time.monotonic()))
+        self._count_keys()
+
+    def _count_keys(self) -> None:
+        keys = self._keys
+        self._count.content = f"{len(keys.keys)} keys, {keys.seconds:.1f} s." if keys.keys else "No keys yet."
+
+    def _set_spacing(self) -> None:
+        self._keys.spacing = float(self._spacing.value)
+        self._count_keys()
+
+    def _clear(self) -> None:
+        self._keys = CameraKeys(float(self._spacing.value))
+        self._count_keys()
+
+    def _require_keys(self) -> CameraKeys:
+        if not self._keys.keys:
+            raise InputError("The path has no keys yet: move the camera and the time, and add some.")
+        return self._keys
+
+    def _preview(self) -> None:
+        keys = self._require_keys()
+        self._begin(self._playing(keys))
+
+    def _playing(self, keys: CameraKeys) -> Iterator[None]:
+        session, started = self._session, time.monotonic()
+        with self._worker.changed():
+            session.is_held = True
+        try:
+            while (passed := time.monotonic() - started) <= keys.seconds:
+                camera, t = keys.at(passed)
+                small = camera.resized(*session.pace.moving((camera.width, camera.height)))
+                wish = Wish((small.width, small.height), t, replace(session.look, compare="off"), self._world.pose(camera))
+                before = time.monotonic()
+                image, _ = render_look(self._source, small, wish)
+                session.pace.learn(wish.size, time.monotonic() - before)
+                self._client.scene.set_background_image(self._barred(image), format="jpeg", jpeg_quality=_QUALITY)
+                yield
+        finally:
+            with self._worker.changed():
+                session.is_held = False
+                session.change(time.monotonic())
+
+    def _barred(self, image: np.ndarray) -> np.ndarray:
+        """A picture with bars, so that it has the shape of the window."""
+        height, width = image.shape[:2]
+        shape = self._client.camera.image_width / self._client.camera.image_height
+        size = (max(width, round(height * shape)), max(height, round(width / shape)))
+        canvas = empty(size)
+        place(canvas, image, fitted((width, height), Box(0, 0, *size)))
+        return canvas
+
+    def _record(self) -> None:
+        shots = self._require_keys().shots(self._fps)
+        path = next_file(self._folder, "recording", ".mp4")
+
+        def tell(text: str) -> None:
+            self._count.content = text
+
+        def finished(path: Path) -> None:
+            self._count_keys()
+            self._finished(path)
+
+        self._begin(record_path(self._source, self._world, shots, self._fps, self._session.look, path, tell, finished))
+
+    def _save_path(self) -> None:
+        shots = self._require_keys().shots(self._fps)
+        path = next_file(self._folder, "path", ".json")
+        write_camera_file(path, shots, self._fps)
+        self._finished(path)
+        self._talk.note("Render it", f"flowsplat render {self._source.folder} --render.camera-file {path}")
+
+    def _load_path(self) -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / Path(self._load.value.name).name
+            path.write_bytes(self._load.value.content)
+            found = read_camera_file(path, self._source.size, self._source.clip)
+        self._keys = CameraKeys.of_shots(found.shots, found.fps or self._fps)
+        self._count_keys()

@@ -1,0 +1,38 @@
+"""Where Gaussians go: their ways through the scene as line segments."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import torch
+
+from flowsplat.gaussians.model import SceneModel
+
+_TRAILS = 300
+_STEPS = 40
+"""Times of the clip at which a trail is looked at."""
+
+
+@torch.no_grad()
+def trails(model: SceneModel, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Ways of some moving Gaussians, as far as they are present.
+
+    Returns:
+        ends [S, 2, 3] in the units of the scene's cameras and colours [S, 2, 3] uint8 by time, from blue to red; both empty
+        where nothing moves.
+    """
+    gaussians = model.gaussians
+    rows = torch.nonzero(gaussians.dynamic).squeeze(1).cpu()
+    if len(rows) > _TRAILS:
+        rows = rows[torch.from_numpy(np.random.default_rng(seed).choice(len(rows), _TRAILS, replace=False))]
+    if not len(rows):
+        return np.zeros((0, 2, 3), np.float32), np.zeros((0, 2, 3), np.uint8)
+    params = {name: value[rows] for name, value in gaussians.params.items()}
+    states = [gaussians.motion.state(params, float(t)) for t in np.linspace(0, 1, _STEPS)]
+    places = torch.stack([state.means for state in states]).cpu().numpy().astype(np.float64)
+    present = torch.stack([state.presence for state in states]).cpu().numpy() >= gaussians.config.p_min
+    ends = model.similarity.inverse().points(np.stack([places[:-1], places[1:]], axis=2))
+    kept = present[:-1] & present[1:] & np.isfinite(ends).all((2, 3))
+    ramp = cv2.applyColorMap(np.linspace(30, 225, _STEPS).astype(np.uint8)[:, None], cv2.COLORMAP_TURBO)[:, 0, ::-1]
+    colours = np.broadcast_to(np.stack([ramp[:-1], ramp[1:]], axis=1)[:, None], ends.shape)
+    return ends[kept].astype(np.float32), colours[kept].astype(np.uint8)

@@ -1,0 +1,159 @@
+"""The one thread that renders, for all clients in turn.
+
+Kernels must not be called by two threads at once, and two pictures at the same time would each take twice as long. So
+everything that renders comes here: the pictures that clients need, and longer tasks such as recordings, which advance by
+one step between two pictures.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+
+from flowsplat.common.progress import say
+from flowsplat.output.viewer.drawing import Drawing, draw
+from flowsplat.output.viewer.session import Job, Session
+from flowsplat.output.viewer.source import Source
+from flowsplat.output.viewer.world import World
+
+Show = Callable[[Job, Drawing], None]
+"""Brings a picture to its client."""
+
+_WATCH = 1.0
+"""Seconds between two looks at whether there is a newer model."""
+_ACTIVE, _IDLE = 0.015, 0.25
+"""Seconds to wait for something to do, while somebody may soon need a picture and while nobody does."""
+
+
+class Worker:
+    """Renders for sessions until it is stopped. ``lock`` guards the sessions; leave it with ``changed``."""
+
+    def __init__(self, source: Source, reloaded: Callable[[], None] = lambda: None):
+        """``reloaded`` is called after a newer model was read."""
+        self._source, self._world, self._reloaded = source, World(source.scene.similarity), reloaded
+        self._sessions: dict[int, tuple[Session, Show]] = {}
+        self._turns: deque[int] = deque()
+        self._tasks: deque[tuple[int, Iterator[None]]] = deque()
+        self._condition = threading.Condition(threading.RLock())
+        self._stopping = False
+        self._watched = float("-inf")
+        self._thread = threading.Thread(target=self._run, name="flowsplat viewer", daemon=True)
+
+    def start(self) -> None:
+        """Begin to render."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End after the picture that is being rendered."""
+        with self._condition:
+            self._stopping = True
+            self._condition.notify_all()
+        if self._thread.is_alive():
+            self._thread.join(timeout=30)
+
+    @contextlib.contextmanager
+    def changed(self) -> Iterator[None]:
+        """Change sessions in this block; the worker looks at them afterwards."""
+        with self._condition:
+            yield
+            self._condition.notify_all()
+
+    def add(self, client: int, session: Session, show: Show) -> None:
+        """A client is there."""
+        with self.changed():
+            self._sessions[client] = (session, show)
+            self._turns.append(client)
+
+    def remove(self, client: int) -> None:
+        """A client left, and with it what it had begun."""
+        with self.changed():
+            self._sessions.pop(client, None)
+            if client in self._turns:
+                self._turns.remove(client)
+            for owner, task in list(self._tasks):
+                if owner == client:
+                    self._tasks.remove((owner, task))
+                    self._close(task)
+
+    def begin(self, client: int, task: Iterator[None]) -> None:
+        """Take on a task of a client: it may render between two of its ``yield``."""
+        with self.changed():
+            self._tasks.append((client, task))
+
+    # -- in the worker's thread
+
+    def _run(self) -> None:
+        while not self._stopping:
+            self._watch()
+            found = self._next_job()
+            if found is not None:
+                self._serve(*found)
+            if self._tasks:
+                self._advance()
+            elif found is None:
+                with self._condition:
+                    restless = any(session.is_restless(time.monotonic()) for session, _ in self._sessions.values())
+                    if not self._stopping:
+                        self._condition.wait(_ACTIVE if restless else _IDLE)
+        for _, task in self._tasks:
+            self._close(task)
+
+    def _watch(self) -> None:
+        now = time.monotonic()
+        if now - self._watched < _WATCH:
+            return
+        self._watched = now
+        if self._source.refresh():
+            say(f"Showing a newer model: {self._source.loaded.state}.")
+            self._reloaded()
+
+    def _next_job(self) -> tuple[int, Session, Show, Job] | None:
+        """Of the clients in turn, the first one that needs a picture."""
+        with self._condition:
+            for _ in range(len(self._turns)):
+                client = self._turns[0]
+                self._turns.rotate(-1)
+                session, show = self._sessions[client]
+                job = session.job(time.monotonic(), self._source.loaded.number)
+                if job is not None:
+                    return client, session, show, job
+        return None
+
+    def _serve(self, client: int, session: Session, show: Show, job: Job) -> None:
+        started = time.monotonic()
+        try:
+            drawing = draw(self._source, self._world, job.wish)
+            with self._condition:
+                session.done(job, time.monotonic(), time.monotonic() - started)
+                if client not in self._sessions:
+                    return
+            show(job, drawing)
+        except Exception as error:  # One client's bad luck must not end the viewer for the others.
+            say(f"A picture could not be made: {type(error).__name__}: {error}")
+            with self._condition:
+                session.done(job, time.monotonic(), time.monotonic() - started)
+
+    def _advance(self) -> None:
+        with self._condition:
+            client, task = self._tasks.popleft()
+        try:
+            next(task)
+        except StopIteration:
+            return
+        except Exception as error:
+            say(f"It could not be finished: {type(error).__name__}: {error}")
+            return
+        with self._condition:
+            if client in self._sessions and not self._stopping:
+                self._tasks.append((client, task))
+                return
+        self._close(task)
+
+    @staticmethod
+    def _close(task: Iterator[None]) -> None:
+        close = getattr(task, "close", None)
+        if close is not None:
+            close()

@@ -1,0 +1,59 @@
+"""Between the scene's cameras and those of the browser."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from flowsplat.geometry import Camera, Similarity
+
+WORLD_DEPTH = 4.0
+"""Median depth of the scene in the browser's world: its arrow and letter keys then cross a scene in about two seconds."""
+
+
+@dataclass(frozen=True)
+class Pose:
+    """A camera as the browser has it: OpenCV axes, the principal point in the middle.
+
+    Attributes:
+        wxyz: [4] unit quaternion, camera to world.
+        position: [3] in the world of the browser.
+        fov: vertical field of view in radians.
+    """
+
+    wxyz: np.ndarray
+    position: np.ndarray
+    fov: float
+
+    @property
+    def forward(self) -> np.ndarray:
+        """[3] where it looks."""
+        return Rotation.from_quat(self.wxyz, scalar_first=True).as_matrix()[:, 2]
+
+
+class World:
+    """The world of the browser: the scene, moved and scaled to a median depth of ``WORLD_DEPTH``."""
+
+    def __init__(self, similarity: Similarity):
+        """``similarity``: scene to normalised coordinates (median depth 1)."""
+        self.from_scene = Similarity(
+            similarity.scale * WORLD_DEPTH, similarity.rotation, similarity.translation * WORLD_DEPTH
+        )
+        self.to_scene = self.from_scene.inverse()
+
+    def camera(self, pose: Pose, width: int, height: int) -> Camera:
+        """The camera of the scene that sees what the browser's camera sees on a picture of that size."""
+        viewmat = np.eye(4)
+        viewmat[:3, :3] = Rotation.from_quat(pose.wxyz, scalar_first=True).as_matrix().T
+        viewmat[:3, 3] = -viewmat[:3, :3] @ pose.position
+        focal = height / 2 / np.tan(pose.fov / 2)
+        K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
+        return self.to_scene.camera(Camera(viewmat, K, width, height))
+
+    def pose(self, camera: Camera) -> Pose:
+        """The browser's camera that stands where ``camera`` does; a principal point off the middle is lost."""
+        there = self.from_scene.camera(camera)
+        wxyz = Rotation.from_matrix(there.viewmat[:3, :3].T).as_quat(scalar_first=True)
+        return Pose(wxyz, there.center, 2 * float(np.arctan(camera.height / 2 / camera.K[1, 1])))

@@ -1,0 +1,299 @@
+"""Exports, read by readers that are not ours wherever there is one, and drawn by the oracle."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from plyfile import PlyData
+from safetensors.torch import load_file
+
+from flowsplat.cli import main
+from flowsplat.common.errors import InputError
+from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Gaussians4D, ModelConfig
+from flowsplat.gaussians.model import SceneModel
+from flowsplat.gaussians.render import render
+from flowsplat.geometry import Camera, Similarity
+from flowsplat.output.camera_files import read_camera_file
+from flowsplat.output.export import FORMATS, ExportOptions, export_scene
+from flowsplat.output.export.api import estimated_size
+from flowsplat.output.export.importance import blending_weights, most_important
+from flowsplat.output.export.splat import RECORD
+from flowsplat.output.export.still import still_at, turned_harmonics
+from flowsplat.priors.given.colmap import read_colmap
+from flowsplat.scenes import Scene
+from flowsplat.splatting import rasterize
+from flowsplat.splatting.harmonics import C0, colours_from_harmonics
+from tests.output.small import (
+    FIRST,
+    FRAMES,
+    HEIGHT,
+    LAST,
+    LINEAR,
+    OURS,
+    PAPER,
+    WIDTH,
+    five_pairs,
+    psnr,
+    small_cameras,
+    small_gaussians,
+    small_model,
+    small_run,
+    small_times,
+)
+
+DEFAULT = ExportOptions()
+TURNED = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0], [0.48, 0.64, 0.6]])
+
+
+@pytest.fixture
+def run(tmp_path) -> Path:
+    return small_run(tmp_path / "run", small_model())
+
+
+def drawn_from_ply(path: Path, camera: Camera, near: float) -> np.ndarray:
+    """[H, W, 3] a .ply of 3D Gaussian Splatting, read by plyfile and drawn by the oracle."""
+    vertices = PlyData.read(path)["vertex"]
+
+    def columns(*names: str) -> torch.Tensor:
+        return torch.from_numpy(np.stack([vertices[name] for name in names], 1).astype(np.float64))
+
+    means = columns("x", "y", "z")
+    rest = [p.name for p in vertices.properties if p.name.startswith("f_rest_")]
+    assert rest == [f"f_rest_{k}" for k in range(len(rest))]
+    sh = columns("f_dc_0", "f_dc_1", "f_dc_2")[:, None]
+    if rest:
+        sh = torch.cat([sh, columns(*rest).reshape(len(means), 3, -1).transpose(1, 2)], 1)
+    degree = int(sh.shape[1] ** 0.5) - 1
+    colours = colours_from_harmonics(sh, means - torch.as_tensor(camera.center), degree)
+    return rasterize(
+        means, columns("rot_0", "rot_1", "rot_2", "rot_3"), columns("scale_0", "scale_1", "scale_2").exp(),
+        columns("opacity")[:, 0].sigmoid(), colours, *camera.tensors(torch.float64), camera.width, camera.height, near_plane=near,
+        backend="reference",
+    )[0].numpy()  # fmt: skip
+
+
+def expected(model: SceneModel, camera: Camera, seconds: float) -> np.ndarray:
+    return render(model.gaussians, model.similarity.camera(camera), model.clip_time(seconds)).colour.numpy()
+
+
+@pytest.mark.parametrize(
+    ("config", "options"),
+    [(OURS, {}), (PAPER, {}), (LINEAR, {}), (OURS, {"rotation": TURNED}), (OURS, {"moving": 0}), (OURS, {"moving": 1})],
+    ids=["ours", "paper", "linear", "turned", "nothing moves", "one moves"],
+)
+def test_ply_shows_the_scene_at_its_time(tmp_path, config, options):
+    model = small_model(config, **options)
+    small_run(tmp_path, model)
+    for camera, seconds in five_pairs(model) if config is OURS and not options else five_pairs(model)[2:4]:
+        path = export_scene(model, Scene(tmp_path / "scene"), "ply", tmp_path / "scene.ply", ExportOptions(time=seconds))
+        assert psnr(drawn_from_ply(path, camera, NEAR_PLANE / model.similarity.scale), expected(model, camera, seconds)) > 45
+
+
+def test_ply_has_the_layout_of_the_original(tmp_path, run):
+    path = export_scene(small_model(), Scene(run / "scene"), "ply", tmp_path / "scene.ply", DEFAULT)
+    vertices = PlyData.read(path)["vertex"]
+    names = [prop.name for prop in vertices.properties]
+    assert names == [
+        "x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", *(f"f_rest_{k}" for k in range(9)),
+        "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3",
+    ]  # fmt: skip
+    assert {prop.val_dtype for prop in vertices.properties} == {"f4"}
+    assert PlyData.read(path).byte_order == "<"
+
+
+def test_axes_can_be_flipped(tmp_path, run):
+    model = small_model()
+    camera, seconds = five_pairs(model)[3]
+    options = ExportOptions(time=seconds, flip_axes=True)
+    path = export_scene(model, Scene(run / "scene"), "ply", tmp_path / "scene.ply", options)
+    viewmat = camera.viewmat @ np.diag([1.0, -1, -1, 1])
+    flipped = Camera(viewmat, camera.K, camera.width, camera.height)
+    assert psnr(drawn_from_ply(path, flipped, NEAR_PLANE * 3), expected(model, camera, seconds)) > 45
+
+
+def test_turned_harmonics_look_the_same_along_turned_directions():
+    generator = torch.Generator().manual_seed(1)
+    sh, directions = torch.randn(50, 16, 3, generator=generator), torch.randn(50, 3, generator=generator)
+    R = torch.from_numpy(TURNED)
+    found = colours_from_harmonics(turned_harmonics(sh, R), directions @ R.float().T, 3)
+    torch.testing.assert_close(found, colours_from_harmonics(sh, directions, 3), atol=1e-5, rtol=1e-5)
+
+
+def test_a_sequence_has_a_file_a_frame_and_replaces_an_older_one(tmp_path, run):
+    model, folder = small_model(), tmp_path / "sequence"
+    folder.mkdir()
+    (folder / "frame0099.ply").write_text("of a longer sequence")
+    export_scene(model, Scene(run / "scene"), "ply-sequence", folder, DEFAULT)
+    assert sorted(p.name for p in folder.iterdir()) == [f"frame{k:04d}.ply" for k in range(1, FRAMES + 1)]
+    camera = small_cameras(model)[6]
+    found = drawn_from_ply(folder / "frame0007.ply", camera, NEAR_PLANE * 3)
+    assert psnr(found, expected(model, camera, small_times()[6])) > 45
+    (folder / "holiday.jpg").write_text("mine")
+    with pytest.raises(InputError, match=r"holiday\.jpg"):
+        export_scene(model, Scene(run / "scene"), "ply-sequence", folder, DEFAULT)
+
+
+def test_splat_holds_32_bytes_a_gaussian_largest_first(tmp_path, run):
+    model = small_model()
+    path = export_scene(model, Scene(run / "scene"), "splat", tmp_path / "scene.splat", DEFAULT)
+    records = np.fromfile(path, RECORD)
+    still = still_at(model, (FIRST + LAST) / 2)
+    assert RECORD.itemsize == 32
+    assert len(records) == len(still.means)
+    volume = records["scale"].prod(1) * records["colour"][:, 3]
+    assert volume[:50].mean() > volume[-50:].mean()
+    nearest = np.abs(records["position"][:, None] - still.means.numpy()[None]).sum(2).argmin(1)
+    assert sorted(nearest) == list(range(len(records)))
+    np.testing.assert_allclose(records["scale"], np.exp(still.log_scales.numpy()[nearest]), rtol=1e-5)
+    np.testing.assert_allclose(records["colour"][:, 3] / 255, still.opacities.numpy()[nearest], atol=0.003)
+    colours = np.clip(0.5 + C0 * still.sh[:, 0].numpy()[nearest], 0, 1)
+    np.testing.assert_allclose(records["colour"][:, :3] / 255, colours, atol=0.003)
+    np.testing.assert_allclose((records["rotation"] - 128.0) / 128, still.quats.numpy()[nearest], atol=0.009)
+
+
+def test_all_parameters_come_back_from_both_containers(tmp_path, run):
+    model, scene = small_model(), Scene(run / "scene")
+    npz = np.load(export_scene(model, scene, "npz", tmp_path / "g.npz", DEFAULT), allow_pickle=False)
+    tensors = load_file(export_scene(model, scene, "safetensors", tmp_path / "g.safetensors", DEFAULT))
+    about = json.loads(str(npz["about"]))
+    arrays = {name: torch.from_numpy(npz[name]) for name in npz.files if name != "about"}
+    assert set(arrays) == set(tensors)
+    for name, value in {**model.gaussians.params, "dynamic": model.gaussians.dynamic}.items():
+        assert torch.equal(arrays[name], value)
+        assert torch.equal(tensors[name], value)
+    dynamic = arrays.pop("dynamic")
+    again = SceneModel(
+        Gaussians4D(arrays, dynamic, ModelConfig(**about["model"]), about["sh_degree"]), Similarity.from_json(about["similarity"]),
+        about["first"], about["last"], fill=False,
+    )  # fmt: skip
+    camera, seconds = five_pairs(model)[0]
+    np.testing.assert_array_equal(again.render(camera, seconds).colour, model.render(camera, seconds).colour)
+
+
+def test_cameras_come_back_from_colmap_and_nerfstudio(tmp_path, run):
+    model, scene = small_model(), Scene(run / "scene")
+    colmap = read_colmap(export_scene(model, scene, "colmap", tmp_path / "colmap", DEFAULT), scene)
+    folder = export_scene(model, scene, "nerfstudio", tmp_path / "nerfstudio", DEFAULT)
+    shots = read_camera_file(folder / "transforms.json", (WIDTH, HEIGHT), (FIRST, LAST)).shots
+    assert [t for _, t in shots] == pytest.approx(small_times())
+    for found in (colmap, [camera for camera, _ in shots]):
+        for camera, other in zip(scene.cameras, found, strict=True):
+            np.testing.assert_allclose(camera.viewmat, other.viewmat, atol=1e-9)
+            np.testing.assert_allclose(camera.K, other.K)
+    frames = json.loads((folder / "transforms.json").read_text())["frames"]
+    pictures = [(folder / frame["file_path"]).resolve() for frame in frames]
+    assert pictures[2] == (run / "scene" / "frames" / "00002.png").resolve()
+    assert pictures[3] == (run / "scene" / "heldout" / "frames" / "00003.png").resolve()
+    points = np.loadtxt(tmp_path / "colmap" / "points3D.txt")
+    np.testing.assert_allclose(points[0, 1:4], still_at(model, FIRST).means[0], atol=1e-4)
+
+
+def test_weights_are_what_gaussians_add_to_the_pictures():
+    model = small_model(resting=30, moving=10)
+    camera, seconds = five_pairs(model)[0]
+    camera, t = model.similarity.camera(camera), model.clip_time(seconds)
+    weights = blending_weights(model.gaussians, [(camera, t)] * 2)
+    assert float(weights.sum()) == pytest.approx(2 * float(render(model.gaussians, camera, t).alpha.sum()), rel=1e-4)
+    hidden = model.gaussians.active(t).rows
+    assert float(weights[~torch.isin(torch.arange(40), hidden)].sum()) == 0
+
+
+def test_the_most_important_ones_are_better_than_random_and_than_large_opaque_ones():
+    model = small_model(resting=1500, moving=700)
+    views = list(zip(small_cameras(model), small_times(), strict=True))
+    count = len(model.gaussians) // 2
+    params = model.gaussians.params
+    sizes = torch.sigmoid(params["logit_opacities"]) * params["log_scales"].sum(1).exp()
+    choices = {
+        "random": torch.randperm(len(sizes), generator=torch.Generator().manual_seed(0))[:count],
+        "large": sizes.argsort(descending=True)[:count],
+    }
+    models = {name: replace(model, gaussians=model.gaussians.select(rows)) for name, rows in choices.items()}
+    models["ours"] = most_important(model, views, count)
+    assert len(models["ours"].gaussians) == count
+    beside = five_pairs(model)[3:]
+    figures = {
+        name: np.mean([psnr(expected(kept, *pair), expected(model, *pair)) for pair in beside]) for name, kept in models.items()
+    }
+    assert figures["ours"] > max(figures["random"], figures["large"]) + 1, figures
+    assert most_important(model, views, 10**6) is model
+
+
+@pytest.mark.parametrize("to", ["html", "ply", "splat", "npz", "safetensors"])
+def test_the_estimate_is_near_the_size(tmp_path, run, to):
+    model, scene = small_model(resting=8000, moving=8000), Scene(run / "scene")
+    path = export_scene(model, scene, to, tmp_path / f"out.{to}", DEFAULT)
+    assert 0.5 < estimated_size(model, scene, to, DEFAULT) / path.stat().st_size < 2
+
+
+def export(capsys, *arguments: object) -> tuple[int, str]:
+    code = 0
+    try:
+        main(["export", *map(str, arguments)])
+    except SystemExit as end:
+        code = int(end.code or 0)
+    return code, capsys.readouterr().err.strip().splitlines()[-1]
+
+
+@pytest.mark.parametrize("to", FORMATS)
+def test_the_command_writes_every_format_into_the_run(capsys, run, to):
+    code, line = export(capsys, run, "--to", to)
+    assert code == 0
+    written = Path(line.removeprefix("Written: "))
+    assert written.parent == run / "export"
+    assert written.exists()
+    assert not list(run.rglob("*partial*"))
+
+
+def test_the_command_keeps_as_many_as_it_is_told(capsys, tmp_path, run):
+    assert export(capsys, run, "--to", "ply", "--max-gaussians", 50, "-o", tmp_path / "a.ply")[0] == 0
+    assert 0 < len(PlyData.read(tmp_path / "a.ply")["vertex"]) <= 50
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--to", "obj"], "obj"),
+        (["--to", "ply", "--time", "9"], "outside the clip"),
+        (["--to", "html", "--time", "1"], "--time is for ply"),
+        (["--to", "npz", "--flip-axes"], "--flip-axes is for"),
+        (["--to", "ply", "--max-gaussians", "0"], "at least 1"),
+        (["--to", "ply", "-o", "{folder}"], "is a folder"),
+        (["--to", "colmap", "-o", "{file}"], "is a file"),
+        (["--to", "ply", "-o", "{file}/scene.ply"], "is a file"),
+    ],
+)
+def test_what_cannot_be_exported_is_said_in_one_line(capsys, tmp_path, run, arguments, words):
+    (tmp_path / "file").write_text("x")
+    places = {"folder": tmp_path, "file": tmp_path / "file"}
+    code, line = export(capsys, run, *(argument.format(**places) for argument in arguments))
+    assert code == 2
+    assert line.startswith("Error: ")
+    assert words in line
+
+
+def test_a_run_that_is_not_trained_is_refused(capsys, tmp_path):
+    code, line = export(capsys, tmp_path, "--to", "ply")
+    assert code == 2
+    assert "no trained scene yet" in line
+
+
+def test_a_folder_that_may_not_be_written_is_named(tmp_path, run, monkeypatch):
+    def refuse(self: Path, *_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    model, scene = small_model(), Scene(run / "scene")
+    monkeypatch.setattr(Path, "mkdir", refuse)
+    with pytest.raises(InputError, match="No permission to write"):
+        export_scene(model, scene, "ply", tmp_path / "locked" / "scene.ply", DEFAULT)
+
+
+def test_a_scene_of_one_moving_gaussian_can_be_exported(tmp_path, run):
+    model = SceneModel(small_gaussians(OURS, resting=0, moving=1), Similarity(), FIRST, LAST)
+    for to in FORMATS:
+        export_scene(model, Scene(run / "scene"), to, tmp_path / f"x.{to}", DEFAULT)

@@ -1,0 +1,108 @@
+"""What the player's file holds, read back by a second reader and drawn by our own rasterizer."""
+
+from __future__ import annotations
+
+import zlib
+
+import numpy as np
+import pytest
+import torch
+
+from flowsplat.gaussians.render import render
+from flowsplat.geometry.paths import CameraPath
+from flowsplat.output.player.pack import PATH_SAMPLES, Packed, estimated_bytes, pack
+from flowsplat.output.player.planes import Plane, rounded, rounded_in_chunks, rounded_to_range, rounded_to_step
+from flowsplat.output.player.series import moving_series, seen_in_clip, visible_interval
+from tests.output.player.unpacking import chebyshev, show, unpack
+from tests.output.small import LINEAR, OURS, PAPER, five_pairs, psnr, small_cameras, small_gaussians, small_model, small_times
+
+
+def packed(model) -> Packed:
+    return pack(model, small_times(), small_cameras(model), "small")
+
+
+def read_back(plane: Plane) -> np.ndarray:
+    header, data = plane.encoded()
+    return unpack({"planes": [header]}, zlib.compress(data))[plane.name]
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+def test_planes_round_trip_within_half_a_step(bits):
+    values = np.random.default_rng(0).normal(size=(1000, 3)).cumsum(0)  # neighbours are alike: delta-coded
+    plane = rounded_to_range("x", values, bits, tail=0)
+    assert plane.encoded()[0]["delta"]
+    np.testing.assert_array_equal(read_back(plane), plane.values)
+    assert np.all(np.abs(plane.values - values) <= 0.51 * plane.step)
+
+
+def test_planes_in_chunks_are_fine_where_values_are_close_together():
+    values = np.concatenate([np.linspace(0, 1e-3, 256), np.linspace(0, 1000, 44)])[:, None]
+    plane = rounded_in_chunks("x", values, np.zeros(300), 256)
+    np.testing.assert_array_equal(read_back(plane), plane.values)
+    assert np.abs(plane.values - values)[:256].max() < 1e-8
+    coarse = rounded_in_chunks("x", values, np.full(300, 0.5), 256)
+    assert np.abs(coarse.values - values).max() <= 0.26
+    assert len(zlib.compress(coarse.encoded()[1])) < len(zlib.compress(plane.encoded()[1]))
+
+
+def test_planes_clip_and_may_be_empty():
+    assert rounded("x", np.array([[-5.0], [5.0]]), 8, -1, 1).values.ravel().tolist() == pytest.approx([-1, 1])
+    assert rounded_to_step("x", np.array([[1e9], [0.3]]), 0.1).values.ravel() == pytest.approx([3276.7, 0.3], abs=1e-3)
+    for empty in (np.zeros((0, 3)), np.zeros((5, 0))):
+        assert read_back(rounded_to_step("x", empty, 1.0)).shape == empty.shape
+        assert read_back(rounded_to_range("x", empty, 8)).shape == empty.shape
+    assert read_back(rounded_in_chunks("x", np.zeros((0, 3)), np.zeros(0), 256)).shape == (0, 3)
+
+
+@pytest.mark.parametrize("config", [OURS, PAPER, LINEAR], ids=["ours", "paper", "linear"])
+def test_series_follow_the_motion_model(config):
+    gaussians = small_gaussians(config, resting=0, moving=200)
+    rows, params = torch.arange(200), gaussians.params
+    precision = gaussians.motion.log_precision(params)
+    series = moving_series(gaussians, rows, params["times"], precision, 1e-4, 1e-3)
+    middle, half = visible_interval(params["times"], precision, config.p_min)
+    for share in (-1.0, -0.3, 0.6, 1.0):
+        state = gaussians.motion.state({**params, "times": params["times"] - (middle + share * half)}, 0.0)
+        found = series.means[:, 0].numpy() + chebyshev(series.means[:, 1:].numpy(), np.full(200, share))
+        assert np.quantile(np.abs(found - state.means.numpy()).max(1), 0.98) < 4e-4
+        if state.quats is not None:
+            quats = series.quats[:, 0].numpy() + chebyshev(series.quats[:, 1:].numpy(), np.full(200, share))
+            cosines = (quats * state.quats.numpy()).sum(1) / np.linalg.norm(state.quats, axis=1) / np.linalg.norm(quats, axis=1)
+            assert np.quantile(np.abs(cosines), 0.05) > 0.9999
+
+
+@pytest.mark.parametrize(
+    ("config", "counts"),
+    [(OURS, {}), (PAPER, {}), (LINEAR, {}), (OURS, {"moving": 0}), (OURS, {"resting": 0}), (OURS, {"moving": 1})],
+    ids=["ours", "paper", "linear", "nothing moves", "all move", "one moves"],
+)
+def test_what_is_read_back_looks_the_same(config, counts):
+    model = small_model(config, **counts)
+    pack_ = packed(model)
+    planes = unpack(pack_.about, pack_.data)
+    for camera, seconds in five_pairs(model):
+        expected = render(model.gaussians, model.similarity.camera(camera), model.clip_time(seconds)).colour.numpy()
+        assert psnr(show(pack_.about, planes, camera, seconds), expected) > 38
+
+
+def test_gaussians_that_are_never_seen_are_left_out():
+    model = small_model(resting=3, moving=4)
+    model.gaussians.params["times"][4:6] = torch.tensor([-30.0, 30.0])
+    assert seen_in_clip(model.gaussians).tolist() == [True] * 4 + [False, False, True]
+    assert packed(model).about["moving"] == 2
+
+
+def test_the_path_of_the_clip_is_exact_at_its_frames():
+    model = small_model()
+    path = np.array(packed(model).about["path"])
+    assert len(path) == PATH_SAMPLES * (len(small_times()) - 1) + 1
+    for row, camera in zip(path[::PATH_SAMPLES], small_cameras(model), strict=True):
+        np.testing.assert_allclose(row[1:4], model.similarity.camera(camera).center, atol=1e-6)
+        np.testing.assert_allclose(row[8:], camera.K[[0, 1, 0, 1], [0, 1, 2, 2]], atol=1e-5)
+    between = CameraPath(small_times(), small_cameras(model)).at(float(np.mean(small_times()[2:4])))
+    np.testing.assert_allclose(path[2 * PATH_SAMPLES + 2, 1:4], model.similarity.camera(between).center, atol=1e-6)
+
+
+def test_the_estimate_is_near_the_size():
+    model = small_model(resting=20_000, moving=20_000)
+    assert 0.6 < estimated_bytes(model.gaussians) / (len(packed(model).data) * 4 / 3) < 1.6

@@ -1,0 +1,217 @@
+"""The player in a real browser, from disk and without network: pictures, controls, and what it says where it cannot work."""
+
+from __future__ import annotations
+
+import base64
+
+import cv2
+import numpy as np
+import pytest
+
+from flowsplat.common.errors import InputError
+from flowsplat.geometry.paths import CameraPath
+from flowsplat.output.player import write_player
+from tests.output.small import (
+    FIRST,
+    HEIGHT,
+    LAST,
+    LINEAR,
+    OURS,
+    PAPER,
+    WIDTH,
+    five_pairs,
+    psnr,
+    small_cameras,
+    small_model,
+    small_times,
+)
+
+NO_FLOATS = """
+const original = WebGL2RenderingContext.prototype.getExtension;
+WebGL2RenderingContext.prototype.getExtension = function (name) {
+  return name.startsWith("EXT_color_buffer") ? null : original.call(this, name);
+};
+"""
+
+
+def picture_of(page, camera, seconds: float) -> np.ndarray:
+    """[H, W, 3] what the page draws."""
+    asked = {
+        "viewmat": camera.viewmat.tolist(), "K": camera.K.tolist(), "width": camera.width, "height": camera.height, "time": seconds,
+    }  # fmt: skip
+    address = page.page.evaluate("(asked) => flowsplat.show(asked)", asked)
+    data = np.frombuffer(base64.b64decode(address.split(",")[1]), np.uint8)
+    return cv2.imdecode(data, cv2.IMREAD_COLOR)[..., ::-1] / 255
+
+
+def seen(page) -> np.ndarray:
+    """What stands on the page in place of the scene."""
+    page.settle()
+    return cv2.imdecode(np.frombuffer(page.page.locator("#stage").screenshot(), np.uint8), cv2.IMREAD_COLOR).astype(float)
+
+
+def test_it_loads_without_network_and_without_complaints(open_page, player_file):
+    page = open_page(player_file)
+    page.pause()
+    assert page.page.evaluate("document.body.className") == "shown"
+    assert page.page.title() == "small </script> scene"
+    assert page.page.locator("#message").is_hidden()
+    assert seen(page).std() > 10
+    assert page.complaints == []
+    outside = [url for url in page.requests if not url.startswith(("file:", "blob:", "data:"))]
+    assert outside == []
+
+
+@pytest.mark.parametrize(
+    ("config", "options"),
+    [
+        (OURS, {}), (OURS, {"fill": True}), (PAPER, {}), (LINEAR, {}), (OURS, {"moving": 0}), (OURS, {"moving": 1}),
+        (OURS, {"resting": 0}),
+    ],
+    ids=["ours", "filled", "paper", "linear", "nothing moves", "one moves", "all move"],
+)  # fmt: skip
+def test_pictures_are_those_of_our_own_renderer(open_page, tmp_path, config, options):
+    model = small_model(config, **options)
+    page = open_page(write_player(tmp_path / "player.html", model, small_times(), small_cameras(model), "small"))
+    for camera, seconds in five_pairs(model):
+        assert psnr(picture_of(page, camera, seconds), model.render(camera, seconds).colour) > 37
+    large = five_pairs(model)[3][0].resized(2 * WIDTH + 1, 2 * HEIGHT - 1)
+    assert psnr(picture_of(page, large, 1.3), model.render(large, 1.3).colour) > 37
+    assert page.complaints == []
+
+
+def test_pictures_without_float_targets_and_without_workers(open_page, player_file):
+    model = small_model()
+    page = open_page(player_file, NO_FLOATS + "window.Worker = class { constructor() { throw new Error('none'); } };")
+    for camera, seconds in five_pairs(model):
+        assert psnr(picture_of(page, camera, seconds), model.render(camera, seconds).colour) > 30
+    assert page.complaints == []
+
+
+def test_the_slider_changes_the_picture(open_page, player_file):
+    page = open_page(player_file)
+    page.pause()
+    page.page.locator("#time").fill("0.1")
+    early = seen(page)
+    page.page.locator("#time").fill("0.8")
+    late = seen(page)
+    assert np.abs(early - late).mean() > 2
+    assert page.page.locator("#seconds").inner_text() == f"{FIRST + 0.8 * (LAST - FIRST):.2f} s"
+    page.page.locator("#time").fill("0.1")
+    assert np.abs(early - seen(page)).mean() < 0.5
+
+
+def test_it_plays_pauses_and_slows_down(open_page, player_file):
+    page = open_page(player_file)
+    page.page.locator("#speed").select_option("0.1")
+    assert page.page.evaluate("flowsplat.state.isPlaying")
+    before = page.page.evaluate("flowsplat.state.time")
+    page.page.wait_for_function("(before) => flowsplat.state.time !== before", arg=before)
+    page.page.locator("#play").click()
+    stopped = page.page.evaluate("flowsplat.state.time")
+    page.settle()
+    assert page.page.evaluate("flowsplat.state.time") == stopped
+    page.page.locator("#canvas").focus()
+    page.page.keyboard.press("ArrowRight")
+    step = page.page.evaluate("flowsplat.state.time") - stopped
+    assert step == pytest.approx(1 / (len(small_times()) - 1), abs=1e-6)
+    # Steps of simulated time: a tenth of a second at a tenth of the speed.
+    page.page.evaluate("flowsplat.state.setPlaying(true); flowsplat.state.setTime(0.5); flowsplat.state.step(0.1)")
+    page.page.evaluate("flowsplat.state.setPlaying(false)")
+    assert 0.5 + 0.01 / (LAST - FIRST) <= page.page.evaluate("flowsplat.state.time") < 0.6
+
+
+def test_mouse_and_keys_move_the_camera_and_bring_it_back(open_page, player_file):
+    page = open_page(player_file)
+    page.pause()
+    page.page.locator("#time").fill("0.5")
+    home = seen(page)
+    mouse = page.page.mouse
+    mouse.move(240, 150)
+    mouse.down()
+    mouse.move(300, 170, steps=3)
+    mouse.up()
+    assert page.page.locator("#camera").input_value() == "orbit"
+    turned = seen(page)
+    assert np.abs(turned - home).mean() > 2
+    mouse.wheel(0, -300)
+    assert np.abs(seen(page) - turned).mean() > 1
+    page.page.locator("#canvas").focus()
+    page.page.keyboard.down("KeyW")
+    page.page.wait_for_timeout(200)
+    page.page.keyboard.up("KeyW")
+    assert page.page.locator("#camera").input_value() == "fly"
+    page.page.keyboard.press("KeyR")
+    assert page.page.locator("#camera").input_value() == "clip"
+    assert np.abs(seen(page) - home).mean() < 0.5
+    assert page.complaints == []
+
+
+def test_an_orbit_keeps_its_target_in_the_middle(open_page, player_file):
+    page = open_page(player_file)
+    page.pause()
+    shown = page.page.evaluate("""() => {
+      const free = flowsplat.state.free;
+      flowsplat.state.setMode("orbit");
+      const target = plus(free.centre, rowsOf(free.rotation)[2], free.distance);
+      free.orbit(0.4, 5);  // more than the poles allow
+      free.zoom(0.5);
+      const { rotation, translation } = free.camera;
+      return rowsOf(rotation).map((row, k) => dot(row, target) + translation[k]);
+    }""")
+    assert shown == pytest.approx([0, 0, 0.5], abs=1e-5)
+
+
+def test_two_fingers_bring_it_nearer(open_page, player_file):
+    page = open_page(player_file, has_touch=True)
+    page.pause()
+    fingers = page.page.context.new_cdp_session(page.page)
+
+    def touch(kind: str, *places: tuple[int, int]) -> None:
+        points = [{"x": x, "y": y, "id": k} for k, (x, y) in enumerate(places)]
+        fingers.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+    touch("touchStart", (200, 150), (280, 150))
+    touch("touchMove", (160, 150), (320, 150))
+    touch("touchEnd")
+    assert page.page.evaluate("flowsplat.state.free.distance") == pytest.approx(0.5, rel=0.1)
+
+
+def test_the_clips_camera_is_followed(open_page, player_file):
+    page = open_page(player_file)
+    model = small_model()
+    path = CameraPath(small_times(), small_cameras(model))
+    for t in (0.0, 0.31, 0.77, 1.0):
+        found = page.page.evaluate("(t) => cameraOnPath(flowsplat.about.path, t)", t)
+        camera = model.similarity.camera(path.at(FIRST + t * (LAST - FIRST)))
+        np.testing.assert_allclose(np.reshape(found["rotation"], (3, 3)), camera.viewmat[:3, :3], atol=2e-4)
+        np.testing.assert_allclose(found["translation"], camera.viewmat[:3, 3], atol=2e-4)
+        np.testing.assert_allclose(found["lens"], camera.K[[0, 1, 0, 1], [0, 1, 2, 2]], atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("init", "word"),
+    [
+        ("delete window.WebGL2RenderingContext;", "WebGL2"),
+        ("HTMLCanvasElement.prototype.getContext = () => null;", "WebGL2"),
+        ("delete window.DecompressionStream;", "DecompressionStream"),
+    ],
+)
+def test_a_browser_that_is_too_old_is_told_so(open_page, player_file, init, word):
+    page = open_page(player_file, init)
+    message = page.page.locator("#message")
+    assert message.is_visible()
+    assert word in message.inner_text()
+    assert page.page.locator("#poster").is_visible()
+    assert page.page.locator("#wait").is_hidden()
+
+
+def test_a_page_that_cannot_be_written_is_refused(tmp_path):
+    model = small_model(resting=4, moving=2)
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(InputError, match="file"):
+        write_player(tmp_path / "file" / "player.html", model, small_times(), small_cameras(model), "small")
+    empty = small_model(resting=0, moving=0)
+    with pytest.raises(InputError, match="no Gaussians"):
+        write_player(tmp_path / "player.html", empty, small_times(), small_cameras(model), "small")
+    assert not (tmp_path / "player.html").exists()

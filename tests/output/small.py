@@ -1,0 +1,107 @@
+"""A small scene that needs no training: a wall of resting Gaussians, and some that move and turn in front of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from flowsplat.gaussians.gaussians4d import Gaussians4D, ModelConfig, parameter_shapes
+from flowsplat.gaussians.model import SceneModel
+from flowsplat.geometry import Camera, Similarity
+from flowsplat.scenes import Scene
+from flowsplat.training.checkpoint import save_model
+
+WIDTH, HEIGHT, FRAMES = 96, 64, 9
+FIRST, LAST = 0.5, 2.5
+
+OURS = ModelConfig(
+    mean_poly=3, mean_fourier=1, quat_poly=1, quat_fourier=0, sh_degree=1, gains=5, freeze_background=True
+)
+PAPER = ModelConfig()
+LINEAR = ModelConfig(move_means=False, move_quats=False, sh_degree=2)
+
+
+def small_gaussians(config: ModelConfig = OURS, resting: int = 400, moving: int = 250, seed: int = 0) -> Gaussians4D:
+    """A wall at depth 1 and movers between 0.5 and 0.9 in front of the normalised origin."""
+    generator = torch.Generator().manual_seed(seed)
+    count = resting + moving
+    dynamic = torch.arange(count) >= resting
+
+    def random(*shape: int) -> torch.Tensor:
+        return torch.rand(*shape, generator=generator)
+
+    means = (random(count, 3) - 0.5) * torch.tensor([1.6, 1.1, 0.0])
+    means[:, 2] = torch.where(dynamic, 0.5 + 0.4 * random(count), 1 + 0.1 * random(count))
+    params = {name: 0.02 * (random(count, *shape) - 0.5) for name, shape in parameter_shapes(config).items()}
+    params["means"] = means
+    params["times"] = torch.where(dynamic, random(count), torch.full((count,), 0.5))
+    params["logit_opacities"] = 3 * random(count) - 0.5
+    params["sh"][:, 0] = 3 * (random(count, 3) - 0.5)
+    params["sh"][:, 1:] *= 10
+    params["log_gains"] = 0.3 * (random(count, config.gains) - 0.5)
+    for name in ("mean_poly", "mean_cos", "mean_sin", "quat_poly", "quat_cos", "quat_sin"):
+        if name in params:
+            params[name] *= dynamic[:, None, None] * (40 if name.startswith("quat") else 20)
+    if "quats" in params:
+        params["quats"] = random(count, 4) - 0.5
+        params["log_scales"] = torch.log(0.02 + 0.05 * random(count, 3))
+        params["log_lambdas"] = torch.where(dynamic, 2 + 3 * random(count), torch.full((count,), -13.8))
+    else:
+        params["quats_left"], params["quats_right"] = random(count, 4) - 0.5, random(count, 4) - 0.5
+        params["log_scales4"] = torch.log(0.03 + 0.1 * random(count, 4))
+    return Gaussians4D(params, dynamic, config, config.sh_degree)
+
+
+def small_model(config: ModelConfig = OURS, *, rotation: np.ndarray | None = None, fill: bool = False, **counts: int) -> SceneModel:
+    """The model in a scene that is three times as large and moved."""
+    similarity = Similarity(1 / 3, np.eye(3) if rotation is None else rotation, np.array([0.2, -0.1, 0.05]))
+    return SceneModel(small_gaussians(config, **counts), similarity, FIRST, LAST, fill=fill)
+
+
+def small_cameras(model: SceneModel, width: int = WIDTH, height: int = HEIGHT) -> list[Camera]:
+    """A camera that moves to the right and turns back, in the coordinates of the scene."""
+    cameras = []
+    for share in np.linspace(0, 1, FRAMES):
+        angle = 0.1 * (share - 0.5)
+        viewmat = np.eye(4)
+        viewmat[:3, :3] = [[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]]
+        viewmat[0, 3] = 0.1 - 0.2 * share
+        inner = Camera(viewmat, np.array([[80.0, 0, 47], [0, 82, 33], [0, 0, 1]]), WIDTH, HEIGHT)
+        cameras.append(model.similarity.inverse().camera(inner).resized(width, height))
+    return cameras
+
+
+def small_times() -> list[float]:
+    """Seconds of the frames."""
+    return np.linspace(FIRST, LAST, FRAMES).tolist()
+
+
+def small_run(folder: Path, model: SceneModel) -> Path:
+    """A run folder with that trained model and its scene, without pictures."""
+    scene = Scene.create(
+        folder / "scene", name="small", source="test", width=WIDTH, height=HEIGHT, timestamps=small_times(), holdout=4,
+        source_fps=4.0,
+    )  # fmt: skip
+    scene.write_cameras(small_cameras(model))
+    scene.info["similarity"] = model.similarity.to_json()
+    scene.save_info()
+    save_model(folder / "model", model)
+    return folder
+
+
+def psnr(image: np.ndarray, reference: np.ndarray) -> float:
+    """dB of pictures between 0 and 1."""
+    return float(-10 * np.log10(np.mean((np.clip(image, 0, 1) - np.clip(reference, 0, 1)) ** 2) + 1e-12))
+
+
+def five_pairs(model: SceneModel) -> list[tuple[Camera, float]]:
+    """Input cameras at and between frames, and two cameras beside the path."""
+    cameras, times = small_cameras(model), small_times()
+    beside = []
+    for shift in (0.3, -0.2):
+        viewmat = cameras[4].viewmat.copy()
+        viewmat[:2, 3] += shift
+        beside.append(Camera(viewmat, cameras[4].K, WIDTH, HEIGHT))
+    return [(cameras[0], times[0]), (cameras[3], times[3]), (cameras[-1], times[-1]), (beside[0], times[4] + 0.1), (beside[1], 1.9)]

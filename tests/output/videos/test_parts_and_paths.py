@@ -1,0 +1,204 @@
+"""What only a 4D scene can do: parts, slow motion, stabilised paths, dolly zooms, stereo pairs and wiggles, on a made scene."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import av
+import numpy as np
+import pytest
+
+from flowsplat.common.errors import InputError
+from flowsplat.geometry import Camera
+from flowsplat.geometry.paths import dolly_zoom, shifted
+from flowsplat.output.videos import RenderOptions, render_videos
+from flowsplat.output.videos.plans import plan_videos, subject_distance
+from flowsplat.output.videos.stabilised import covered_share, stabilise
+from flowsplat.scenes import Scene
+from flowsplat.training.checkpoint import load_model
+from tests.output.tiny import FPS, FRAMES, MOVER, WALL, tiny_cameras, tiny_model, tiny_run
+
+SIZE = (64, 48)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tiny_run(tmp_path_factory.mktemp("parts") / "out", movers=3)
+    return load_model(folder / "model"), Scene(folder / "scene")
+
+
+def frames_of(path, decoder: str | None = None, pixels: str = "rgb24") -> list[np.ndarray]:
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        if decoder is None:
+            return [frame.to_ndarray(format=pixels) for frame in container.decode(stream)]
+        context = av.CodecContext.create(decoder, "r")
+        return [f.to_ndarray(format=pixels) for packet in container.demux(stream) if packet.size for f in context.decode(packet)]
+
+
+def red(image: np.ndarray) -> np.ndarray:
+    """Where the mover is."""
+    image = image.astype(np.int32)
+    return (image[..., 0] > 120) & (image[..., 0] > image[..., 2] + 60)
+
+
+def test_background_alone_has_no_movers(run, tmp_path):
+    made = render_videos(*run, tmp_path, RenderOptions(paths=("input",), parts=("all", "background")))
+    assert set(made) == {"input_path", "input_path_colour", "input_path_background", "input_path_background_colour"}
+    whole = [red(frame).sum() for frame in frames_of(tmp_path / "input_path_colour.mp4")]
+    without = [red(frame).sum() for frame in frames_of(tmp_path / "input_path_background_colour.mp4")]
+    assert min(whole) > 10
+    assert max(without) == 0
+
+
+def test_movers_alone_are_on_transparent(run, tmp_path):
+    made = render_videos(*run, tmp_path, RenderOptions(paths=("input",), parts=("movers",)))
+    assert made == {"input_path_movers": "input_path_movers.webm"}
+    frames = frames_of(tmp_path / "input_path_movers.webm", "libvpx-vp9", "rgba")
+    assert len(frames) == FRAMES
+    for frame in frames:
+        alpha = frame[..., 3]
+        assert alpha.max() > 230
+        assert (alpha < 10).mean() > 0.5
+        assert red(frame[alpha > 200][None]).all(), "full colour where it is opaque"
+    places = [np.argwhere(frame[..., 3] > 128)[:, 1].mean() for frame in frames]
+    assert places[-1] > places[0] + 5, "it moves to the right"
+
+
+def test_movers_of_a_scene_without_any_are_refused(tmp_path):
+    folder = tiny_run(tmp_path / "out", movers=0)
+    arguments = load_model(folder / "model"), Scene(folder / "scene"), tmp_path / "r"
+    with pytest.raises(InputError, match="Nothing moves"):
+        render_videos(*arguments, RenderOptions(paths=("input",), parts=("movers",)))
+    assert render_videos(*arguments, RenderOptions(paths=("dolly",), parts=("background",), max_frames=2))
+
+
+def test_slow_motion_has_more_frames_at_the_same_rate(run):
+    options = RenderOptions(paths=("input",))
+    (normal,), (slow,) = plan_videos(*run, options), plan_videos(*run, replace(options, slow=4.0))
+    assert len(normal.shots) == FRAMES
+    assert len(slow.shots) == 4 * (FRAMES - 1) + 1
+    assert slow.fps == normal.fps == FPS
+    np.testing.assert_allclose([t for _, t in slow.shots][::4], [t for _, t in normal.shots])
+    assert slow.audio_from is None
+
+
+def test_slow_motion_moves_between_the_frames(run):
+    (slow,) = plan_videos(*run, RenderOptions(paths=("input",), slow=4.0))
+    places = [np.argwhere(run[0].part("movers").render(*shot).alpha > 0.5)[:, 1].mean() for shot in slow.shots]
+    assert (np.diff(places) > 0.1).all(), "every frame is a step further"
+
+
+def shakiness(cameras) -> float:
+    return float(np.abs(np.diff([camera.center for camera in cameras], n=2, axis=0)).mean())
+
+
+def test_the_stabilised_path_is_smoother_and_shows_no_uncovered_border():
+    """A wall that ends where the shaking cameras still just see it: without the crop its end would be seen."""
+    cameras = tiny_cameras(SIZE, shake=0.1)
+    model = tiny_model(1, half_width=1.8)
+    shots = [(camera, i / FPS) for i, camera in enumerate(cameras)]
+    # At the end of its way the camera sees past the right end of the wall.
+    assert covered_share(model, shots) < 1
+    smooth, share = stabilise(model, shots, 2.0)
+    assert shakiness(camera for camera, _ in smooth) < 0.2 * shakiness(cameras)
+    assert 0.7 <= share < 1
+    assert smooth[0][0].K[0, 0] == pytest.approx(cameras[0].K[0, 0] / share)
+    assert [t for _, t in smooth] == [t for _, t in shots]
+    for camera, t in smooth:
+        assert (camera.width, camera.height) == SIZE
+        assert (model.render(camera, t).alpha > 0.5).all()
+
+
+def test_less_is_smoothed_where_too_much_would_be_cropped():
+    """One look far to the side: smoothed away, the other frames would see past the wall."""
+    cameras = tiny_cameras((64, 48))
+    turned = cameras[4].viewmat.copy()
+    turned[0, 3] -= 3.0
+    cameras[4] = Camera(turned, cameras[4].K, 64, 48)
+    shots = [(camera, i / FPS) for i, camera in enumerate(cameras)]
+    model = tiny_model(1, half_width=5.5)
+    assert covered_share(model, shots) == 1
+    smooth, share = stabilise(model, shots, 1.0)
+    assert share >= 0.7
+    assert all((model.render(*shot).alpha > 0.5).all() for shot in smooth)
+
+
+def test_holes_in_the_middle_are_not_cropped_away(run):
+    model = tiny_model(1)
+    inside = (model.gaussians.params["means"][:, :2].norm(dim=1) > 0.15) | model.gaussians.dynamic
+    model.gaussians = model.gaussians.select(inside.nonzero().squeeze(1))
+    shots = [(camera, i / FPS) for i, camera in enumerate(tiny_cameras(SIZE))]
+    assert (model.render(*shots[0]).alpha < 0.5).any()
+    assert covered_share(model, shots) == 1
+
+
+def test_dolly_zoom_keeps_the_size_of_the_subject(run):
+    model, scene = run
+    (plan,) = plan_videos(model, scene, RenderOptions(paths=("dolly",), max_frames=8, dolly=1.6))
+    near, far = plan.shots[0][0], plan.shots[4][0]
+    assert far.K[0, 0] == pytest.approx(1.6 * near.K[0, 0])
+    movers, wall = model.part("movers"), model.part("background")
+    areas = [movers.render(camera, t).alpha.sum() for camera, t in plan.shots]
+    np.testing.assert_allclose(areas, areas[0], rtol=0.02)
+    assert np.median(wall.render(far, plan.shots[4][1]).depth) > np.median(wall.render(*plan.shots[0]).depth) + 1
+    # The pattern of the wall grows: it is further behind the subject than the subject from the camera.
+    a, b = (camera.project(np.array([[0.0, 0, WALL], [1.0, 0, WALL]]))[0] for camera in (near, far))
+    assert abs(b[1, 0] - b[0, 0]) > 1.15 * abs(a[1, 0] - a[0, 0])
+
+
+def test_the_subject_is_what_moves(run):
+    model, scene = run
+    assert subject_distance(model, scene.cameras[4], 0.5, 99.0) == pytest.approx(MOVER, rel=0.05)
+    assert subject_distance(tiny_model(0), scene.cameras[4], 0.5, 99.0) == 99.0
+
+
+def test_dolly_zoom_of_a_camera_keeps_its_plane():
+    camera = tiny_cameras(SIZE)[3]
+    points = camera.unproject(np.array([[3.0, 5.0], [60.0, 40.0]]), np.array([2.5, 2.5]))
+    uv, depth = dolly_zoom(camera, 2.5, 0.6).project(points)
+    np.testing.assert_allclose(uv, [[3, 5], [60, 40]], atol=1e-9)
+    np.testing.assert_allclose(depth, 1.5)
+
+
+def test_stereo_pairs_differ_by_the_sign_of_the_parallax(run, tmp_path):
+    made = render_videos(*run, tmp_path, RenderOptions(paths=("input",), stereo=True, eye_distance=0.08))
+    assert made["input_path_stereo"] == "input_path_stereo.mp4"
+    (frame, *_) = frames_of(tmp_path / "input_path_stereo.mp4")
+    assert frame.shape == (SIZE[1], 2 * SIZE[0], 3)
+    left, right = frame[:, : SIZE[0]], frame[:, SIZE[0] :]
+    places = [np.argwhere(red(eye))[:, 1].mean() for eye in (left, right)]
+    eyes, focal = 0.08 * WALL, 64
+    expected = focal * eyes * (1 / MOVER - 1 / WALL)
+    assert places[0] - places[1] == pytest.approx(expected, abs=0.7), "near things lie further right for the left eye"
+    # What is as far as the eyes converge stays where it is.
+    camera = tiny_cameras(SIZE)[0]
+    point = np.array([0.3, 0.2, WALL])
+    for side in (-1, 1):
+        np.testing.assert_allclose(shifted(camera, side * 0.1, WALL).project(point)[0], camera.project(point)[0], atol=1e-9)
+
+
+def test_the_wiggle_swings_round_the_subject(run, tmp_path):
+    assert render_videos(*run, tmp_path, RenderOptions(paths=("wiggle",), eye_distance=0.1)) == {"wiggle": "wiggle.gif"}
+    frames = frames_of(tmp_path / "wiggle.gif")
+    assert frames[0].shape == (SIZE[1], SIZE[0], 3)
+    places = [np.argwhere(red(frame))[:, 1].mean() for frame in frames]
+    assert np.ptp(places) < 1.0
+    changes = [np.abs(frame.astype(int) - frames[0]).mean() for frame in frames]
+    assert max(changes) > 3, "the wall moves behind it"
+    assert np.argmax(changes) not in (0, len(frames) - 1)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"parts": ("sky",)}, "sky"),
+        ({"slow": 0.0}, "slower"),
+        ({"stabilise": -1.0}, "smoothed"),
+        ({"dolly": 9.0}, "dolly"),
+        ({"eye_distance": 0.0}, "Eyes"),
+    ],
+)
+def test_bad_options_are_told(run, tmp_path, options, says):
+    with pytest.raises(InputError, match=says):
+        render_videos(*run, tmp_path, RenderOptions(**options))

@@ -1,0 +1,117 @@
+"""Pictures of what a client wants to see."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from flowsplat.output.viewer.drawing import Look, Wish, draw, draw_points
+from flowsplat.output.viewer.layout import BAR
+from flowsplat.output.viewer.source import Source
+from flowsplat.output.viewer.trails import trails
+from flowsplat.output.viewer.world import WORLD_DEPTH, World
+from flowsplat.scenes.layers import Tracks
+from tests.output.tiny import MOVER, WALL, tiny_cameras, tiny_model, tiny_run
+
+
+@pytest.fixture(scope="module")
+def source(run_folder) -> Source:
+    return Source(run_folder)
+
+
+def seen(source: Source, size=(128, 96), t=0.5, **look):
+    return draw(source, World(source.scene.similarity), Wish(size, t, Look(**look), None))
+
+
+def test_the_input_camera_sees_the_input_frame(source):
+    drawing = seen(source, (64, 48))
+    assert np.abs(drawing.image.astype(int) - source.frame(0.5)).mean() < 1.5
+
+
+def test_depth_is_told_in_the_world_of_the_browser(source):
+    drawing = seen(source, t=0.5)
+    assert np.median(drawing.depth) == pytest.approx(WORLD_DEPTH, rel=0.02)
+    assert drawing.depth.min() == pytest.approx(WORLD_DEPTH * MOVER / WALL, rel=0.05)
+
+
+def test_bars_lie_where_the_clip_does_not(source):
+    drawing = seen(source, (200, 96))
+    assert (drawing.image[:, :36] == BAR).all()
+    assert (drawing.depth[:, :36] > 100).all()
+    assert (drawing.image[:, 36:164] != BAR).any((0, 2)).all()
+    # The browser's camera fits to it: its focal length is that of the fitted picture.
+    assert 48 / np.tan(drawing.pose.fov / 2) == pytest.approx(128)
+
+
+def test_a_free_camera_fills_the_canvas(source):
+    world = World(source.scene.similarity)
+    pose = world.pose(source.path.at(0.5))
+    drawing = draw(source, world, Wish((200, 96), 0.5, Look(), pose))
+    assert drawing.pose is pose
+    assert (drawing.image[:, :36] != BAR).any()
+    middle = drawing.image[:, 36:164].astype(int)
+    assert np.abs(middle - seen(source, (128, 96)).image).mean() < 3, "the same picture with more at its sides"
+
+
+def test_flow_of_the_input_camera_has_the_camera_in_it(source):
+    """To the right by 0.3 in 8 steps: the wall flows to the left, which is cyan."""
+    red, green, blue = seen(source, show="flow").image[10, 10].astype(int)
+    assert min(green, blue) > red + 40
+    last = seen(source, show="flow", t=1.0).image[10, 10].astype(int)
+    assert min(last[1], last[2]) > last[0] + 40, "at the end flow goes on as it came"
+
+
+def test_points_lie_where_the_gaussians_are():
+    model = tiny_model(1)
+    camera = tiny_cameras((640, 480))[0]
+    image = draw_points(model.part("movers"), camera, 0.0)
+    (y, x) = np.argwhere(image[..., 0] > 150).mean(0)
+    uv, _ = camera.project(np.array([-0.5, 0.0, MOVER]))
+    assert (x, y) == pytest.approx(uv, abs=2)
+    both = draw_points(model, camera, 0.0)
+    assert (both[int(y), int(x)] == image[int(y), int(x)]).all(), "near ones lie over far ones"
+    assert draw_points(tiny_model(0).part("movers"), camera, 0.0).max() < 30
+
+
+def test_tracks_are_drawn_where_they_are(source):
+    points = np.zeros((2, 9, 2), np.float32)
+    points[0], points[1] = (10, 20), (50, 30)
+    points[0, :, 0] += np.arange(9)
+    tracks = Tracks(points, np.ones((2, 9), bool), np.ones((2, 9), np.float32), np.array([True, False]))
+    plain = seen(source)
+    source.tracks = tracks
+    try:
+        changed = np.abs(seen(source, tracks=True).image.astype(int) - plain.image).max(-1) > 20
+        free = World(source.scene.similarity).pose(source.path.at(0.5))
+        wish = Wish((128, 96), 0.5, Look(tracks=True), free)
+        other = draw(source, World(source.scene.similarity), wish)
+        same = draw(source, World(source.scene.similarity), replace(wish, look=Look()))
+    finally:
+        source.tracks = None
+    assert changed[38:43, 20:30].any()
+    assert changed[58:63, 98:103].any()
+    assert changed.mean() < 0.02
+    np.testing.assert_array_equal(other.image, same.image)
+
+
+def test_trails_go_where_the_mover_goes(tmp_path):
+    ends, colours = trails(tiny_model(1))
+    assert ends.shape == colours.shape == (39, 2, 3)
+    np.testing.assert_allclose(ends[0, 0], [-0.5, 0, MOVER], atol=1e-5)
+    np.testing.assert_allclose(ends[-1, 1], [0.5, 0, MOVER], atol=1e-5)
+    np.testing.assert_allclose(ends[1:, 0], ends[:-1, 1])
+    assert colours[0, 0, 2] > colours[0, 0, 0]
+    assert colours[-1, 1, 0] > colours[-1, 1, 2]
+    assert len(trails(tiny_model(0))[0]) == 0
+    many, _ = trails(tiny_model(900))
+    assert len(many) == 300 * 39
+    np.testing.assert_array_equal(many, trails(tiny_model(900))[0])
+
+
+def test_a_portrait_clip(tmp_path):
+    source = Source(tiny_run(tmp_path / "out", size=(36, 64)))
+    drawing = seen(source, (128, 64))
+    assert (drawing.image[:, :46] == BAR).all()
+    assert np.abs(drawing.image[:, 46:82].astype(int) - source.frame(0.5)).mean() < 2

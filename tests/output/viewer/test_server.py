@@ -1,0 +1,363 @@
+"""The viewer as browsers see it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+
+from flowsplat.cli import main
+from flowsplat.common.errors import InputError
+from flowsplat.geometry import Camera
+from flowsplat.output.camera_files import read_camera_file, write_camera_file
+from flowsplat.output.viewer.options import ViewOptions
+from flowsplat.scenes.layers import read_image
+from flowsplat.training.checkpoint import load_model, save_model
+from tests.output.tiny import FPS, FRAMES, tiny_run
+
+pytest.importorskip("viser", reason="viser is not installed: pip install 'flowsplat[view]'")
+
+from flowsplat.output.viewer.server import Viewer
+from flowsplat.output.viewer.world import WORLD_DEPTH
+from tests.output.viewer.browser import Browser
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@pytest.fixture(scope="module")
+def port(run_folder) -> Iterator[int]:
+    port = free_port()
+    viewer = Viewer(run_folder, ViewOptions(port=port))
+    yield port
+    viewer.stop()
+
+
+@pytest.fixture
+def browser(port) -> Iterator[Browser]:
+    with Browser(port) as browser:
+        browser.settled()
+        yield browser
+
+
+def red(image: np.ndarray) -> np.ndarray:
+    image = image.astype(int)
+    return (image[..., 0] > 120) & (image[..., 0] > image[..., 2] + 40)
+
+
+def place(image: np.ndarray) -> float:
+    """Column of the mover, over the width."""
+    return float(np.argwhere(red(image))[:, 1].mean() / image.shape[1])
+
+
+def test_it_serves_a_page_and_a_picture(port, browser):
+    page = urllib.request.urlopen(f"http://127.0.0.1:{port}", timeout=20).read()
+    assert b"<html" in page
+    image = browser.settled()
+    assert image.shape == (72, 96, 3)
+    assert 20 < red(image).sum() < 500
+    assert image[..., 2].mean() > image[..., 0].mean()
+    assert any("tiny" in str(control.get("_markdown")) for control in browser.controls.values())
+
+
+def test_time_moves(browser):
+    start = place(browser.settled())
+    browser.set("Seconds", 1.0)
+    browser.wait(lambda: place(browser.pictures[-1]) > start + 0.1)
+    browser.set("Speed", "1/4")
+    browser.set("Seconds", 0.0)
+    browser.settled()
+    seen = len(browser.pictures)
+    browser.click("Play")
+    browser.wait(lambda: browser.value("Seconds") > 0.2)
+    assert len(browser.pictures) > seen + 1
+    browser.click("Play")
+    browser.settled()
+    stopped = browser.value("Seconds")
+    time.sleep(0.5)
+    assert 0.2 < browser.value("Seconds") == stopped
+
+
+def test_playing_once_ends_at_the_end(browser):
+    browser.set("Loop", False)
+    browser.set("Speed", "2")
+    browser.click("Play")
+    browser.wait(lambda: browser.value("Seconds") == pytest.approx((FRAMES - 1) / FPS))
+    browser.wait(lambda: "Play" in [control.get("label") for control in browser.controls.values()])
+
+
+def test_the_camera_can_be_moved(browser):
+    before = browser.settled()
+    browser.look(position=browser.position + [0.8, 0, 0], look_at=np.array([0.8, 0, WORLD_DEPTH]))
+    after = browser.settled()
+    assert place(after) < place(before) - 0.05
+
+
+def test_orbit_turns_round_the_scene_and_fly_in_place(browser):
+    assert browser.reach == pytest.approx(WORLD_DEPTH, rel=1e-3)
+    where = browser.position
+    browser.set("Mode", "fly")
+    browser.wait(lambda: browser.reach < 0.1)
+    browser.set("Mode", "orbit")
+    browser.wait(lambda: browser.reach > 3)
+    np.testing.assert_allclose(browser.position, where, atol=1e-6)
+    browser.look(position=where + [2.0, 1.0, 0.0])
+    browser.settled(0.4)
+    browser.click("To the input camera")
+    browser.wait(lambda: np.abs(browser.position - where).max() < 1e-3)
+
+
+def test_two_clients_have_their_own_camera_and_time(port, browser):
+    with Browser(port, (48, 72)) as other:
+        mine, theirs = browser.settled(), other.settled()
+        assert mine.shape != theirs.shape
+        other.set("Seconds", 1.0)
+        other.set("Show", "alpha")
+        changed = other.settled()
+        assert changed.std() < 30
+        assert changed.shape == theirs.shape
+        np.testing.assert_array_equal(browser.settled(), mine)
+        browser.click("Play")
+        other.click("Play")
+        counts = len(browser.pictures), len(other.pictures)
+        browser.wait(lambda: len(browser.pictures) > counts[0] + 3 and len(other.pictures) > counts[1] + 3)
+    count = len(browser.pictures)
+    browser.wait(lambda: len(browser.pictures) > count + 3)
+    browser.click("Play")
+
+
+def test_every_drawing_is_different_and_what_it_should_be(browser):
+    seen = {"colour": browser.settled()}
+    for show in ("flow", "depth", "alpha", "Gaussians"):
+        browser.set("Show", show)
+        seen[show] = browser.settled()
+    assert seen["alpha"][20:50, 30:60].mean() > 240
+    assert len(np.unique(seen["Gaussians"].reshape(-1, 3), axis=0)) > 20
+    # A free camera stands still, so only the mover flows, to the right: red on white.
+    y, x = np.argwhere(red(seen["colour"])).mean(0).astype(int)
+    assert seen["flow"][y, x, 0] > seen["flow"][y, x, 2] + 50
+    assert seen["flow"][5, 5].min() > 230
+    names = list(seen)
+    for k, a in enumerate(names):
+        for b in names[k + 1 :]:
+            assert np.abs(seen[a].astype(int) - seen[b]).mean() > 5, (a, b)
+
+
+def test_parts(browser):
+    browser.set("Part", "background")
+    assert not red(browser.settled()).any()
+    browser.set("Part", "movers")
+    movers = browser.settled()
+    assert red(movers).any()
+    assert np.median(movers) < 10
+
+
+def test_the_wipe_looks_through_the_input_camera(run_folder, browser):
+    browser.set("Seconds", 0.5)
+    browser.set("Show", "alpha")
+    browser.set("Input frame", "wipe")
+    browser.wait(lambda: browser.value("Mode") == "input camera")
+    image = browser.settled()
+    frame = read_image(run_folder / "scene" / "heldout" / "frames" / "00004.png")
+    left = image[: 72, :40].astype(int)
+    assert left.std() > 20, "the input frame"
+    assert image[20:50, 60:90].mean() > 240, "the alpha of the rendering"
+    assert abs(left.mean() - frame[:, :26].mean()) < 10
+    browser.set("Mode", "orbit")
+    browser.wait(lambda: browser.value("Input frame") == "off")
+
+
+def test_the_input_frame_beside_the_rendering(browser):
+    browser.set("Mode", "input camera")
+    browser.set("Input frame", "beside")
+    image = browser.settled().astype(int)
+    # Two pictures of 48 x 36 in the middle, bars above and below.
+    assert image[:15].max() < 40
+    assert image[60:].max() < 40
+    assert np.abs(image[20:52, 2:46] - image[20:52, 50:94]).mean() < 12
+
+
+def test_the_input_camera_follows_the_clip(browser):
+    browser.set("Mode", "input camera")
+    browser.settled()
+    start = browser.position
+    browser.set("Seconds", 1.0)
+    browser.wait(lambda: browser.position[0] > start[0] + 0.2)
+    there = browser.position
+    browser.look(position=there + [2.0, 0, 0])
+    browser.wait(lambda: np.abs(browser.position - there).max() < 1e-3)
+
+
+def test_cameras_and_ways_are_drawn_by_the_browser(browser):
+    browser.set("Cameras", True)
+    browser.wait(lambda: "/cameras/0" in browser.nodes and "/cameras/8" in browser.nodes)
+    browser.set("Ways of Gaussians", True)
+    browser.wait(lambda: "/trails" in browser.nodes)
+    browser.settled()
+    assert browser.depths[-1] is not None, "so that the scene hides what is behind it"
+
+
+def test_paths_are_made_saved_loaded_and_recorded(run_folder, browser, tmp_path):
+    browser.click("Save the path")
+    browser.wait(lambda: any("no keys" in note for note in browser.notes))
+    browser.click("Add a key here")
+    browser.wait(lambda: any("1 keys" in str(control.get("_markdown")) for control in browser.controls.values()))
+    browser.set("Seconds", 1.0)
+    browser.look(position=browser.position + [0.4, 0, 0], look_at=np.array([0.4, 0, WORLD_DEPTH]))
+    browser.settled()
+    browser.click("Add a key here")
+    browser.wait(lambda: any("2 keys" in str(control.get("_markdown")) for control in browser.controls.values()))
+    browser.click("Save the path")
+    path = run_folder / "viewer" / "path_001.json"
+    browser.wait(path.exists)
+    saved = read_camera_file(path, (1, 1), (0.0, 1.0))
+    assert saved.fps == FPS
+    assert [t for _, t in saved.shots] == pytest.approx(np.linspace(0, 1, 9))
+    assert saved.shots[-1][0].center[0] - saved.shots[0][0].center[0] == pytest.approx(0.4, abs=0.02)
+    browser.wait(lambda: len(browser.downloads.get("path_001.json", b"")) == path.stat().st_size)
+
+    browser.click("Record it to mp4")
+    film = run_folder / "viewer" / "recording_001.mp4"
+    browser.wait(film.exists)
+    with av.open(str(film)) as container:
+        frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+    assert (len(frames), frames[0].shape) == (9, (48, 64, 3))
+    assert red(frames[0]).any()
+
+    browser.click("Screenshot")
+    picture = run_folder / "viewer" / "screenshot_001.png"
+    browser.wait(picture.exists)
+    assert read_image(picture).shape == (72, 96, 3)
+
+    camera = Camera(np.eye(4), np.array([[64.0, 0, 32], [0, 64, 24], [0, 0, 1]]), 64, 48)
+    write_camera_file(tmp_path / "mine.json", [(camera, 0.25)] * 3, fps=4)
+    browser.upload("Load a path", "mine.json", (tmp_path / "mine.json").read_bytes())
+    browser.wait(lambda: any("3 keys, 0.5 s" in str(control.get("_markdown")) for control in browser.controls.values()))
+    count = len(browser.pictures)
+    browser.click("Play the path")
+    browser.wait(lambda: len(browser.pictures) > count)
+    browser.upload("Load a path", "bad.json", b"{}")
+    browser.wait(lambda: any("no list" in note for note in browser.notes))
+    browser.settled()
+
+
+@pytest.mark.parametrize(("movers", "size"), [(0, (64, 48)), (1, (64, 48)), (1, (36, 64))])
+def test_unusual_scenes(tmp_path, movers, size):
+    """No mover at all, a single one, and a portrait clip."""
+    port = free_port()
+    viewer = Viewer(tiny_run(tmp_path / "out", movers, size), ViewOptions(port=port))
+    try:
+        with Browser(port) as browser:
+            assert red(browser.settled()).any() == bool(movers)
+            for part in ("background", "movers"):
+                browser.set("Part", part)
+                browser.set("Show", "Gaussians")
+                browser.settled(0.4)
+                browser.set("Show", "flow")
+                browser.settled(0.4)
+            browser.set("Show", "colour")
+            browser.set("Part", "all")
+            browser.set("Ways of Gaussians", True)
+            browser.wait(lambda: "/trails" in browser.nodes or any("No Gaussian" in note for note in browser.notes))
+            browser.set("Mode", "input camera")
+            image = browser.settled()
+            assert image.shape[0] / image.shape[1] == pytest.approx(72 / 96, abs=0.02)
+            bars = (np.abs(image[:, : image.shape[1] // 8].astype(int) - 20) < 6).all()
+            assert bars == (size[0] < size[1]), "a portrait clip has bars beside it"
+    finally:
+        viewer.stop()
+
+
+def test_a_newer_model_is_shown(tmp_path):
+    folder, port = tiny_run(tmp_path / "out"), free_port()
+    viewer = Viewer(folder, ViewOptions(port=port))
+    try:
+        with Browser(port) as browser:
+            assert red(browser.settled()).any()
+            model = load_model(folder / "model")
+            save_model(folder / "model", replace(model.part("background"), fill=True))
+            browser.wait(lambda: not red(browser.pictures[-1]).any())
+            browser.wait(lambda: any("441 Gaussians" in str(c.get("_markdown")) or "1,681" in str(c.get("_markdown"))
+                                     for c in browser.controls.values()))  # fmt: skip
+    finally:
+        viewer.stop()
+
+
+def test_ctrl_c_stops_it_and_the_port_is_free_again(run_folder):
+    port = free_port()
+    command = [sys.executable, "-m", "flowsplat.cli", "view", str(run_folder), "--port", str(port)]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env={**os.environ})
+    try:
+        assert process.stderr is not None
+        line = process.stderr.readline()
+        assert f"http://localhost:{port}" in line
+        with Browser(port) as browser:
+            browser.wait(lambda: browser.pictures)
+            process.send_signal(signal.SIGINT)
+            out, error = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert process.returncode == 0, error
+    assert "Traceback" not in error + out
+    assert out == ""
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        probe.bind(("127.0.0.1", port))
+
+
+def test_a_port_in_use_is_told(run_folder):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        with pytest.raises(InputError, match=r"Port \d+ is in use"):
+            Viewer(run_folder, ViewOptions(port=taken.getsockname()[1]))
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [({"port": 0}, "port 0"), ({"host": "203.0.113.9", "port": 8099}, "Cannot listen"), ({"largest": 2}, "2 pixels")],
+)
+def test_bad_options(run_folder, options, says):
+    with pytest.raises(InputError, match=says):
+        Viewer(run_folder, ViewOptions(**options))
+
+
+def test_a_missing_viser_is_told(run_folder, monkeypatch):
+    monkeypatch.setitem(sys.modules, "viser", None)
+    with pytest.raises(InputError, match=r"pip install 'flowsplat\[view\]'"):
+        Viewer(run_folder, ViewOptions(port=free_port()))
+
+
+def test_the_command_ends_with_one_line_and_exit_code_2(tmp_path, capsys):
+    with pytest.raises(SystemExit) as end:
+        main(["view", str(tiny_run(tmp_path / "out", trained=False))])
+    assert end.value.code == 2
+    message = capsys.readouterr().err.strip()
+    assert message.startswith("Error: ")
+    assert "\n" not in message
+
+
+def test_runs_with_nothing_to_show_are_told(tmp_path):
+    with pytest.raises(InputError, match="not the folder of a run"):
+        Viewer(tmp_path, ViewOptions(port=free_port()))
+    folder: Path = tiny_run(tmp_path / "out", trained=False)
+    with pytest.raises(InputError, match="neither a trained scene nor a checkpoint"):
+        Viewer(folder, ViewOptions(port=free_port()))
+    shutil.rmtree(folder / "scene")
+    with pytest.raises(InputError, match="not prepared"):
+        Viewer(folder, ViewOptions(port=free_port()))

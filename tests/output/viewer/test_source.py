@@ -1,0 +1,87 @@
+"""What is looked at, while it changes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from flowsplat.output.viewer.source import Source
+from flowsplat.pipeline import prepare, train
+from flowsplat.pipeline.config import RunConfig
+from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic
+from flowsplat.training.checkpoint import load_model
+from flowsplat.training.trainer import Trainer
+from tests.output.tiny import tiny_run
+
+
+class Stopped(Exception):
+    pass
+
+
+def test_a_training_can_be_watched(tmp_path, monkeypatch):
+    """A checkpoint is shown, then a newer one, then the trained model."""
+    write_synthetic(tmp_path / "clip", SyntheticScene(width=48, height=32, frames=6, fps=6.0), holdout=None)
+    config = RunConfig()
+    settings = replace(config.train, iterations=9, checkpoint_every=3)
+    config = replace(config, train=settings, priors=replace(config.priors, priors="true"))
+    folder = prepare(tmp_path / "clip", tmp_path / "out", config)
+
+    def until(step: int) -> None:
+        iterate = Trainer._iterate
+
+        def stopping(self, *arguments):
+            if self.step == step:
+                raise Stopped
+            return iterate(self, *arguments)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(Trainer, "_iterate", stopping)
+            with pytest.raises(Stopped):
+                train(folder)
+
+    until(4)
+    source = Source(tmp_path / "out")
+    assert source.loaded.state == "in training, step 3 of 9"
+    assert not source.refresh()
+    camera = source.path.at(0.5)
+    before = source.loaded.part("all").render(camera, 0.5).colour
+    assert np.abs(before - source.frame(0.5) / 255).mean() < 0.2
+
+    until(7)
+    assert source.refresh()
+    assert (source.loaded.state, source.loaded.number) == ("in training, step 6 of 9", 1)
+    assert np.abs(source.loaded.part("all").render(camera, 0.5).colour - before).max() > 0
+
+    train(folder)
+    assert source.refresh()
+    assert source.loaded.state == "trained"
+    expected = load_model(tmp_path / "out" / "model").render(camera, 0.5).colour
+    np.testing.assert_array_equal(source.loaded.part("all").render(camera, 0.5).colour, expected)
+
+
+def test_a_model_that_is_being_replaced_is_left_for_later(tmp_path):
+    folder = tiny_run(tmp_path / "out")
+    source = Source(folder)
+    whole = (folder / "model" / "gaussians.safetensors").read_bytes()
+    (folder / "model" / "gaussians.safetensors").write_bytes(whole[: len(whole) // 2])
+    (folder / "model" / "model.json").touch()
+    assert not source.refresh()
+    (folder / "model" / "gaussians.safetensors").write_bytes(whole)
+    assert source.refresh()
+    (folder / "model" / "model.json").unlink()
+    assert not source.refresh()
+    assert source.loaded.number == 1
+
+
+def test_parts_and_frames(run_folder):
+    source = Source(run_folder)
+    loaded = source.loaded
+    assert loaded.part("movers") is loaded.part("movers")
+    counts = [len(loaded.part(part).gaussians) for part in ("all", "background", "movers")]
+    assert counts[0] == counts[1] + counts[2]
+    assert source.scene.heldout_frames == [4]
+    for i, t in enumerate(source.scene.timestamps):
+        assert source.frame_number(float(t) + 0.01) == i
+        assert source.frame(float(t)).shape == (48, 64, 3)

@@ -1,0 +1,76 @@
+"""The command: it prepares, measures, writes its tables, and continues."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from flowsplat.cli import main
+from flowsplat.scenes import Scene
+
+
+def call(*arguments: object) -> None:
+    main(["benchmark", "priors", *(str(argument) for argument in arguments)])
+
+
+def test_a_pair_is_measured_once(data_root, tmp_path, capsys):
+    out = tmp_path / "out"
+    call(data_root, "-o", out, "--scenes", "pair")
+    path = out / "pair" / "figures.json"
+    result = json.loads(path.read_text())
+    assert result["scene"] == "pair"
+    assert result["size"] == [120, 80]
+    assert list(result["seconds"]) == ["flow"]
+    assert 0 < result["figures"]["flow.epe"] < 0.2
+    assert 0.05 < result["figures"]["time.memory"] < 4
+    assert "| pair | 0." in (out / "priors.md").read_text()
+    page = (out / "priors.html").read_text()
+    assert "3 of 3 targets met" in page
+    assert page.count("<img") == 1
+    result["figures"]["flow.epe"] = 0.777
+    path.write_text(json.dumps(result))
+    capsys.readouterr()
+    call(data_root, "-o", out, "--scenes", "pair")
+    assert "measured already" in capsys.readouterr().err
+    assert "| pair | 0.78 px | ≤ 0.25 px | not met |" in (out / "priors.md").read_text()
+    call(data_root, "-o", out, "--scenes", "pair", "--again")
+    assert json.loads(path.read_text())["figures"]["flow.epe"] < 0.2
+
+
+@pytest.mark.slow
+def test_scenes_with_all_priors(data_root, tmp_path):
+    out = tmp_path / "out"
+    call(data_root, "-o", out, "--scenes", "tiny", "clip")
+    tiny, clip = (json.loads((out / name / "figures.json").read_text()) for name in ("tiny", "clip"))
+    for name in ("flow.epe", "cameras.path", "depth.static", "masks.iou", "tracks.life", "tracks.movers", "time.total"):
+        assert name in tiny["figures"]
+    assert tiny["seconds"].keys() >= {"ingest", "cameras", "flow", "masks", "depth", "tracks"}
+    assert set(clip["figures"]) == {"masks.iou", "time.total", "time.cpu", "time.memory"}
+    assert Scene(out / "clip" / "scene").prior("masks")["method"] == "motion"  # and not those in the clip's folder
+    assert Scene(out / "tiny" / "scene").heldout_frames == []
+    assert (out / "priors.html").read_text().count("<img") == 2
+    assert (out / "tiny" / "priors.html").exists()
+
+
+@pytest.mark.parametrize(("arguments", "words"), [(["missing"], "is no folder"), ([".", "--scenes", "none"], "no scenes")])
+def test_what_cannot_be_used_is_one_line(tmp_path, monkeypatch, capsys, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as end:
+        call(*arguments, "-o", tmp_path / "out")
+    assert end.value.code == 2
+    error = capsys.readouterr().err.strip()
+    assert words in error
+    assert "\n" not in error
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [(["-h"], "benchmark"), (["benchmark"], "priors"), (["benchmark", "-h"], "priors"), (["benchmark", "priors", "-h"], "ROOT")],
+)
+def test_help_names_the_benchmarks(capsys, arguments, word):
+    with pytest.raises(SystemExit) as end:
+        main(arguments)
+    assert end.value.code == 0
+    assert word in capsys.readouterr().out
