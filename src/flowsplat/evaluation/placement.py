@@ -8,11 +8,12 @@ from flowsplat.common.errors import InputError
 from flowsplat.geometry import Camera
 from flowsplat.geometry.similarity import align_paths
 from flowsplat.scenes import HeldoutView, Scene
+from flowsplat.scenes.ingest import CALIBRATED
 
 
 def cameras_are_true(scene: Scene) -> bool:
-    """Whether the scene's cameras share the coordinates of the truth."""
-    return (scene.prior("cameras") or {}).get("method") == "truth"
+    """Whether the scene's cameras share the coordinates of the truth and of the held-out views."""
+    return (scene.prior("cameras") or {}).get("method") in ("truth", CALIBRATED)
 
 
 def true_scale(scene: Scene) -> float:

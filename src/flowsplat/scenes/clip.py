@@ -219,6 +219,7 @@ class Clip(ABC):
         audio_start: seconds in that file's presentation time at which the clip starts.
         has_masks: whether masks came with the input.
         truth: what is known exactly.
+        cameras: [T] calibrated ones that came with the input, in the coordinates of its views and at the working size.
     """
 
     name: str
@@ -232,6 +233,7 @@ class Clip(ABC):
     audio_start: float = 0.0
     has_masks: bool = False
     truth: Truth | None = None
+    cameras: Sequence[Camera] | None = None
 
     @property
     def num_frames(self) -> int:

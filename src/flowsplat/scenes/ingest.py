@@ -14,12 +14,16 @@ from flowsplat.common.progress import progress_bar
 from flowsplat.scenes.clip import Clip, InputOptions
 from flowsplat.scenes.formats.davis import PICTURES, open_davis, sequence_folders
 from flowsplat.scenes.formats.images import PICTURE_SUFFIXES, list_pictures, open_images
+from flowsplat.scenes.formats.nerfies import is_nerfies, open_nerfies
+from flowsplat.scenes.formats.nvidia import RAW_PICTURES, TARGET, is_nvidia, open_nvidia, target_folder
 from flowsplat.scenes.formats.rig import open_rig
 from flowsplat.scenes.formats.video import open_video
 from flowsplat.scenes.scene import Scene, split_frames
 
 __all__ = ["InputOptions", "fingerprint", "ingest", "is_ingested", "kind_of_input", "open_clip"]
 
+CALIBRATED = "calibrated"
+"""Method of cameras that came with the input and share the coordinates of its held-out views."""
 INGESTED = "ingested"
 """Key of ``Scene.info`` that is true once everything of the input is in the scene."""
 ALREADY = "{} is a prepared scene already: there is nothing to ingest."
@@ -28,7 +32,7 @@ EDGE = 65536
 
 
 def kind_of_input(path: Path) -> str:
-    """What ``path`` is: ``scene`` (prepared), ``rig``, ``davis``, ``images`` or ``video``.
+    """What ``path`` is: ``scene`` (prepared), ``rig``, ``davis``, ``nvidia``, ``nerfies``, ``images`` or ``video``.
 
     Raises:
         InputError: it does not exist, or is a folder of nothing that is known.
@@ -40,12 +44,16 @@ def kind_of_input(path: Path) -> str:
         if path.suffix.lower() in PICTURE_SUFFIXES:
             raise InputError(f"{path} is a single picture: give a video, or a folder with at least two frames.")
         return "video"
+    if is_nerfies(path):  # has a scene.json, too
+        return "nerfies"
     if (path / "scene.json").exists():
         return "scene"
     if (path / "rgb").is_dir() and (path / "cameras.json").exists():
         return "rig"
     if (path / PICTURES).is_dir():
         return "davis"
+    if is_nvidia(path):
+        return "nvidia"
     if (path / "images").is_dir() or list_pictures(path):
         return "images"
     raise InputError(
@@ -60,7 +68,7 @@ def _image_folders(path: Path) -> tuple[Path, Path | None]:
 
 
 def open_clip(path: Path, options: InputOptions) -> Clip:
-    """Open a video file, a folder of pictures (with ``images/`` and ``masks/`` or without), DAVIS, or a rig scene.
+    """Open a video file, a folder of pictures (with ``images/`` and ``masks/`` or without), DAVIS, a rig or an NVIDIA scene.
 
     Raises:
         InputError: cannot be used; the message says why. Prepared scenes are opened with ``Scene`` instead.
@@ -76,6 +84,10 @@ def open_clip(path: Path, options: InputOptions) -> Clip:
         return open_rig(path, options)
     if kind == "davis":
         return open_davis(path, options)
+    if kind == "nvidia":
+        return open_nvidia(path, options)
+    if kind == "nerfies":
+        return open_nerfies(path, options)
     if kind == "images":
         folder, masks = _image_folders(path)
         clip = path.resolve()
@@ -89,7 +101,7 @@ def is_ingested(scene: Scene) -> bool:
 
 
 def ingest(clip: Clip, folder: Path, options: InputOptions) -> Scene:
-    """Write a clip into a scene folder: frames, split, given masks, truth and held-out views.
+    """Write a clip into a scene folder: frames, split, given masks, calibrated cameras, truth and held-out views.
 
     ``scene.json`` comes first and ``info["ingested"]`` last, so an interrupted run is recognised; called again, it keeps every
     file that is there (files are written atomically, so they are whole) and adds what is missing.
@@ -103,6 +115,9 @@ def ingest(clip: Clip, folder: Path, options: InputOptions) -> Scene:
     _write_frames(clip, scene)
     if clip.has_masks:
         _write_masks(clip, scene)
+    if clip.cameras is not None:
+        scene.write_cameras(list(clip.cameras))
+        scene.finish_prior("cameras", method=CALIBRATED, verdict="calibrated cameras, as they came")
     if clip.truth is not None:
         _write_truth(clip, scene)
     written = {view.name for view in scene.views}
@@ -199,9 +214,12 @@ def _input_files(path: Path, options: InputOptions) -> list[tuple[str, Path]]:
         raise InputError(ALREADY.format(path))
     if kind == "video":
         return [(path.name, path)]
-    if kind == "rig":
+    if kind in ("rig", "nvidia", "nerfies"):
         found = sorted(file for file in path.rglob("*") if file.is_file() and not file.name.startswith("."))
-        return [(file.relative_to(path).as_posix(), file) for file in found]
+        files = [(file.relative_to(path).as_posix(), file) for file in found]
+        if kind == "nvidia" and not (path / RAW_PICTURES).is_dir():
+            files += [(f"gt/{file.name}", file) for file in sorted(target_folder(path).glob(TARGET))]
+        return files
     pictures, masks = sequence_folders(path, options.sequence) if kind == "davis" else _image_folders(path)
     files = [(f"images/{file.name}", file) for file in list_pictures(pictures)]
     return files + [(f"masks/{file.name}", file) for file in list_pictures(masks)] if masks else files

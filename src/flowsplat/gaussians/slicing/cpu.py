@@ -194,17 +194,21 @@ def _backward(
             d_logits[a] = toward_opacity * sigmoid * (ONE - sigmoid)
             x, y, z = out_means[a, 0] - center[0], out_means[a, 1] - center[1], out_means[a, 2] - center[2]
             basis_of(x, y, z, harmonics, directions)
-            toward_gain = ZERO
-            for d in range(3):
-                colour = HALF
-                for k in range(harmonics):
-                    colour += directions[k] * sh[i, k, d]
-                toward_colour = grad_colours[a, d] * gain if colour > ZERO else ZERO
-                toward_gain += toward_colour * colour
-                for k in range(harmonics):
-                    d_sh[a, k, d] = directions[k] * toward_colour
-                for k in range(harmonics, sh.shape[1]):
-                    d_sh[a, k, d] = ZERO
+            red, green, blue = HALF, HALF, HALF
+            for k in range(harmonics):
+                red += directions[k] * sh[i, k, 0]
+                green += directions[k] * sh[i, k, 1]
+                blue += directions[k] * sh[i, k, 2]
+            toward_red = grad_colours[a, 0] * gain if red > ZERO else ZERO
+            toward_green = grad_colours[a, 1] * gain if green > ZERO else ZERO
+            toward_blue = grad_colours[a, 2] * gain if blue > ZERO else ZERO
+            toward_gain = toward_red * red + toward_green * green + toward_blue * blue
+            for k in range(harmonics):
+                d_sh[a, k, 0] = directions[k] * toward_red
+                d_sh[a, k, 1] = directions[k] * toward_green
+                d_sh[a, k, 2] = directions[k] * toward_blue
+            for k in range(harmonics, sh.shape[1]):
+                d_sh[a, k, 0], d_sh[a, k, 1], d_sh[a, k, 2] = ZERO, ZERO, ZERO
             if m < 0:
                 for k in range(log_gains.shape[1]):
                     d_gains[a, k] = toward_gain * cosines[k]

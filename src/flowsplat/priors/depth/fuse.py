@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
+from flowsplat.common.kernels import parallel_kernel
 from flowsplat.geometry import Camera
 
 AGREEMENT = 1.5
@@ -40,7 +41,7 @@ def fuse(
     return _fuse(inverses, weights, intrinsics, there, back)
 
 
-@njit(cache=True, parallel=True)
+@parallel_kernel
 def _fuse(
     inverses: np.ndarray, weights: np.ndarray, intrinsics: np.ndarray, there: np.ndarray, back: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit, prange
 
-from flowsplat.common.kernels import OPTIONS
+from flowsplat.common.kernels import OPTIONS, parallel_kernel
 from flowsplat.geometry import Camera
 
 ROBUST_SCALE = 0.5
@@ -102,7 +102,7 @@ def _project(A: np.ndarray, B: np.ndarray, w: np.float32, K: np.ndarray) -> tupl
     return K[0] * (A[0] + w * B[0]) / z + K[2], K[1] * (A[1] + w * B[1]) / z + K[3], z
 
 
-@njit(parallel=True, **OPTIONS)
+@parallel_kernel
 def _solve(
     intrinsics: np.ndarray, poses: np.ndarray, flows: np.ndarray, weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -11,9 +11,9 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
-from flowsplat.common.kernels import OPTIONS
+from flowsplat.common.kernels import parallel_kernel
 from flowsplat.geometry import Camera
 from flowsplat.priors.depth.background import StaticDepth
 from flowsplat.priors.depth.clip import SolvedClip
@@ -73,7 +73,7 @@ def _poses(camera: Camera, others: list[Camera]) -> tuple[np.ndarray, np.ndarray
     return intrinsics, np.array(poses, np.float32)
 
 
-@njit(parallel=True, **OPTIONS)
+@parallel_kernel
 def _plate(
     frame: np.ndarray, depth: np.ndarray, intrinsics: np.ndarray, poses: np.ndarray, frames: np.ndarray, blocked: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:

@@ -38,8 +38,8 @@ ALLOWED = 1.0
 """Pixels from its neighbours' motion, beside twice their spread, from which a point is taken back to them."""
 LONGEST_GAP = 12
 """Frames after which a point that was not seen is given up."""
-REACH = 0.07
-"""Share of the picture's diagonal within which neighbours are asked."""
+REACH, SHORTEST_REACH = 0.07, 32.0
+"""Share of the picture's diagonal, and pixels at least, within which neighbours are asked."""
 ELDER = 2
 """Frames from which a point has a velocity."""
 OUTSIDE = 20
@@ -137,7 +137,7 @@ class Follower:
         if self._patches is None or len(self.ids) == 0:
             return
         living, picture = self._living, image.astype(np.float32)
-        reach = REACH * float(np.hypot(*image.shape))
+        reach = max(SHORTEST_REACH, REACH * float(np.hypot(*image.shape)))
         places, shapes, likeness, led = self._first_guess(picture, flow, pace, reach)
         elders = living.ages >= ELDER
         believed = (likeness >= LIKE) & (elders | (led >= TRUSTED))
@@ -155,6 +155,8 @@ class Follower:
         places[stray] = np.where(back[:, None], found, expected)
         shapes[stray] = np.where(back[:, None, None], shape, turned)
         likeness[stray], away[stray] = np.where(back, like, 0), off
+        alone = np.flatnonzero(~asked & elders & (likeness < LIKE))
+        places[alone] = living.places[alone] + living.moves[alone] * np.float32(pace)
         self._arrive(picture, labels, places, shapes, likeness, np.minimum(away, 5) + spread, asked)
 
     def _first_guess(
@@ -199,7 +201,7 @@ class Follower:
         living.ages, living.missed, living.trust = living.ages + 1, np.where(found, 0, living.missed + 1), trust.astype(np.float32)
         self._renew(np.flatnonzero(found & (likeness < FADING)), picture, labels, doubt)
         near = (places > -OUTSIDE).all(1) & (places[:, 0] < width + OUTSIDE) & (places[:, 1] < height + OUTSIDE)
-        self.keep(np.flatnonzero(near & (found | (asked & (living.missed <= LONGEST_GAP)))))
+        self.keep(np.flatnonzero(near & (found | ((asked | (living.ages > ELDER)) & (living.missed <= LONGEST_GAP)))))
 
     def _renew(self, rows: np.ndarray, picture: np.ndarray, labels: np.ndarray, doubt: np.ndarray) -> None:
         """Take faded patches anew where the ones before them are still there, too; else something else is before the point."""

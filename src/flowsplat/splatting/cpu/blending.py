@@ -1,6 +1,6 @@
 """Blend the Gaussians of every tile front to back, and the gradient. Oracle: ``reference.blend``.
 
-A tile is 8 x 32 pixels, cut into blocks of 8 x 2 (8 x 1 with narrower vectors) that are one vector each. The state of a block
+A tile is 8 x 64 pixels, cut into blocks of 8 x 2 (8 x 1 with narrower vectors) that are one vector each. The state of a block
 lies together (transmittance, then the channels), so that a block touches consecutive cache lines. The transmittance of a
 pixel that has stopped is stored negative: its magnitude is the final value, and max(T, 0) makes every later weight zero
 without a branch.

@@ -54,6 +54,32 @@ def _blur_down(rows, y, out, count):
         )
 
 
+@njit(**OPTIONS)
+def _sum(values, count):
+    """Sum of the first entries, which are spoilt: halves are added to halves, many at once."""
+    while count > 1:
+        half = count // 2
+        for i in range(half):
+            values[i] += values[count - half + i]
+        count -= half
+    return values[0]
+
+
+@njit(inline="always", **OPTIONS)
+def _sign(x):
+    """-1, 0 or 1, without a branch that nobody can guess."""
+    return float32((x > ZERO) - (x < ZERO))
+
+
+@njit(inline="always", **OPTIONS)
+def _rows(image, target, h, width, row_x, row_y):
+    """Row h of the picture and of what it should be, as numbers between 0 and 1."""
+    for w in range(width):
+        for c in range(CHANNELS):
+            row_x[w * CHANNELS + c] = image[h, w, c]
+            row_y[w * CHANNELS + c] = BYTE * float32(target[h, w, c])
+
+
 @njit(inline="always", **OPTIONS)
 def _flow_at(image, h, w, flow_channels, half_width, half_height):
     """What ``gaussians.flow.flow_image`` makes of a pixel's features, and the pixel from the centre of the picture."""
@@ -84,10 +110,7 @@ def _loss_and_gradient(
     for h in prange(height):
         row_x, row_y = np.empty(count, np.float32), np.empty(count, np.float32)
         padded = np.zeros(count + 2 * PAD, np.float32)
-        for w in range(width):
-            for c in range(CHANNELS):
-                row_x[w * CHANNELS + c] = image[h, w, c]
-                row_y[w * CHANNELS + c] = BYTE * float32(target[h, w, c])
+        _rows(image, target, h, width, row_x, row_y)
         for i in range(count):
             padded[PAD + i] = row_x[i]
         _blur_along(padded, blurred[0, h + RADIUS], count)
@@ -116,7 +139,6 @@ def _loss_and_gradient(
         _blur_down(blurred[1], h, my, count)
         _blur_down(blurred[2], h, squares, count)
         _blur_down(blurred[3], h, product, count)
-        total = ZERO
         for i in range(count):
             a, b = mx[i], my[i]
             means = a * a + b * b
@@ -124,14 +146,14 @@ def _loss_and_gradient(
             denominator1, denominator2 = means + K1, squares[i] - means + K2
             inverse = ONE / (denominator1 * denominator2)
             ssim = numerator1 * numerator2 * inverse
-            total += ssim
             # Derivatives with respect to the three blurred fields that contain x: mean, x^2 + y^2 and x y.
             padded[0, PAD + i] = (
                 TWO * b * (numerator2 - numerator1) * inverse - ssim * TWO * a * (denominator2 - denominator1) * inverse
             )
             padded[1, PAD + i] = -ssim * inverse * denominator1
             padded[2, PAD + i] = TWO * numerator1 * inverse
-        sums[h, 0] = total
+            product[i] = ssim  # A sum here would have to be taken one number at a time.
+        sums[h, 0] = _sum(product, count)
         for k in range(3):
             _blur_along(padded[k], derivatives[k, h + RADIUS], count)
     for h in prange(height):
@@ -139,18 +161,19 @@ def _loss_and_gradient(
         _blur_down(derivatives[0], h, d_mean, count)
         _blur_down(derivatives[1], h, d_square, count)
         _blur_down(derivatives[2], h, d_product, count)
-        absolute, squared, flow_sum, depth_sum = ZERO, ZERO, ZERO, ZERO
+        row_x, row_y = np.empty(count, np.float32), np.empty(count, np.float32)
+        _rows(image, target, h, width, row_x, row_y)
         l1_share, ssim_share = (ONE - ssim_weight) * share, ssim_weight * share
+        for i in range(count):
+            x, y = row_x[i], row_y[i]
+            difference, clamped = x - y, min(max(x, ZERO), ONE) - y
+            row_x[i] = l1_share * _sign(difference) - ssim_share * (d_mean[i] + TWO * x * d_square[i] + y * d_product[i])
+            d_mean[i], d_square[i] = abs(difference), clamped * clamped
+        absolute, squared = _sum(d_mean, count), _sum(d_square, count)
+        flow_sum, depth_sum = ZERO, ZERO
         for w in range(width):
             for c in range(CHANNELS):
-                i = w * CHANNELS + c
-                x, y = image[h, w, c], BYTE * float32(target[h, w, c])
-                difference = x - y
-                absolute += abs(difference)
-                clamped = min(max(x, ZERO), ONE) - y
-                squared += clamped * clamped
-                sign = l1_share if difference > ZERO else (-l1_share if difference < ZERO else ZERO)
-                gradient[h, w, c] = sign - ssim_share * (d_mean[i] + TWO * x * d_square[i] + y * d_product[i])
+                gradient[h, w, c] = row_x[w * CHANNELS + c]
             for c in range(CHANNELS, channels):
                 gradient[h, w, c] = ZERO
             toward_alpha = ZERO
@@ -158,7 +181,7 @@ def _loss_and_gradient(
                 difference = image[h, w, 3] - alpha[h, w] * depth[h, w]
                 inverse = ONE / depth[h, w]
                 depth_sum += abs(difference) * inverse
-                sign = depth_share if difference > ZERO else (-depth_share if difference < ZERO else ZERO)
+                sign = depth_share * _sign(difference)
                 gradient[h, w, 3] = sign * inverse
                 toward_alpha -= sign
             if flow_weight > ZERO and _flow_counts(image, alpha, flow_trusted, h, w, end, by_alpha):
@@ -166,8 +189,7 @@ def _loss_and_gradient(
                 factor = alpha[h, w] if by_alpha else ONE
                 du, dv = u - factor * flow[h, w, 0], v - factor * flow[h, w, 1]
                 flow_sum += abs(du) + abs(dv)
-                gu = flow_share if du > ZERO else (-flow_share if du < ZERO else ZERO)
-                gv = flow_share if dv > ZERO else (-flow_share if dv < ZERO else ZERO)
+                gu, gv = flow_share * _sign(du), flow_share * _sign(dv)
                 gradient[h, w, 4] = gu
                 gradient[h, w, 5] = gv
                 if flow_channels == 6:

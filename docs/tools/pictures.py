@@ -1,0 +1,262 @@
+"""Make the pictures of the tutorial and of "Why does my clip fail?" anew, with the commands that a reader would use.
+
+    python docs/tools/pictures.py WORK_FOLDER [--only tutorial|clips]
+
+Needs chromium or chrome, and playwright and viser (extra ``dev``). What is in the work folder already is used again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import shutil
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from flowsplat.geometry import Camera
+from flowsplat.pictures.sheets import side_by_side
+from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic_video
+from flowsplat.scenes.synthetic.bodies import Body
+from flowsplat.scenes.synthetic.textures import patchwork
+from flowsplat.scenes.synthetic.world import TOYS, camera_at
+
+IMAGES = Path(__file__).parent.parent / "images"
+SIZE = (320, 180)
+FRAMES, FPS = 24, 12.0
+"""Of the clips that fail."""
+MIDDLE = 1.0
+"""Seconds of the clip's middle."""
+PORT = 8137
+PROGRAMS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+FLAGS = ("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+QUALITY = 82
+
+Picture = np.ndarray
+
+
+# -- clips that fail
+
+
+def _world() -> SyntheticScene:
+    return SyntheticScene(*SIZE, frames=FRAMES, fps=FPS)
+
+
+def _filmed(world: SyntheticScene, camera: Callable[[float], Camera]) -> list[Picture]:
+    return [world.render(camera(t), t).picture for t in world.timestamps]
+
+
+def _usual(t: float) -> Camera:
+    return camera_at(t, *SIZE)
+
+
+def _turned(t: float) -> Camera:
+    """From one place, looking about."""
+    stands, turn = _usual(MIDDLE), np.eye(4)
+    turn[:3, :3] = Rotation.from_rotvec([0.05 * np.sin(3 * t), 0.35 * (t - MIDDLE), 0.02 * t]).as_matrix()
+    return Camera(turn @ stands.viewmat, stands.K, *SIZE)
+
+
+def _hardly(t: float) -> Camera:
+    """Turning, and travelling a few centimetres in front of things that are metres away."""
+    turned, step = _turned(t), np.eye(4)
+    step[:3, 3] = [-0.03 * t, 0.005 * np.sin(4 * t), 0]
+    return Camera(step @ turned.viewmat, turned.K, *SIZE)
+
+
+def _before_a_wall(t: float) -> Camera:
+    """Sideways along the wall behind everything, a metre and a half from it."""
+    viewmat = np.eye(4)
+    viewmat[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
+    viewmat[:3, 3] = -viewmat[:3, :3] @ [-2.2 + t, 2.0 + 0.05 * np.sin(3 * t), 3.1]
+    return Camera(viewmat, _usual(t).K, *SIZE)
+
+
+def _cut() -> list[Picture]:
+    other = SyntheticScene(*SIZE, frames=FRAMES, fps=FPS, seed=7)
+    first, second = _filmed(_world(), _usual), _filmed(other, lambda t: _usual(2 - t))
+    return first[: FRAMES // 2] + second[FRAMES // 2 :]
+
+
+def _black() -> list[Picture]:
+    frames = _filmed(_world(), _usual)
+    return [np.zeros_like(frame) if 10 <= i < 13 else frame for i, frame in enumerate(frames)]
+
+
+def _filled() -> list[Picture]:
+    """Something large is carried along in front of the camera."""
+    world, size = _world(), np.array([0.78, 0.1, 0.43])
+
+    def motion(t: float) -> tuple[np.ndarray, np.ndarray]:
+        camera = _usual(t)
+        right, down, forward = camera.viewmat[:3, :3]
+        middle = camera.center + 1.5 * forward + 0.04 * np.sin(5 * t) * right + 0.03 * np.cos(7 * t) * down
+        return np.stack([right, forward, -down], 1) * size, middle
+
+    world.bodies.append(Body("box", size, motion, patchwork(np.random.default_rng(1), 0.3, TOYS), 4))
+    return _filmed(world, _usual)
+
+
+def _plain() -> list[Picture]:
+    """A white wall and the noise of the sensor."""
+    rng = np.random.default_rng(0)
+    return [np.clip(rng.normal(205, 2, (SIZE[1], SIZE[0], 3)), 0, 255).astype(np.uint8) for _ in range(FRAMES)]
+
+
+CLIPS: dict[str, Callable[[], list[Picture]]] = {
+    "standing_camera": lambda: _filmed(_world(), lambda t: _usual(MIDDLE)),
+    "turning_camera": lambda: _filmed(_world(), _turned),
+    "hardly_travels": lambda: _filmed(_world(), _hardly),
+    "one_wall": lambda: _filmed(_world(), _before_a_wall),
+    "a_cut": _cut,
+    "black_frames": _black,
+    "fills_the_picture": _filled,
+    "nothing_to_follow": _plain,
+}
+
+
+def picture_clips(work: Path, browser: Any) -> None:
+    """Prepare every clip that fails, and picture the top of its priors.html."""
+    for name, make in CLIPS.items():
+        frames, out = work / name, work / f"{name}_run"
+        if not frames.exists():
+            frames.mkdir(parents=True)
+            for i, image in enumerate(make()):
+                cv2.imwrite(str(frames / f"{i:05d}.png"), image[..., ::-1])
+        if not (out / "priors.html").exists():
+            _flowsplat("prepare", frames, "-o", out, "--fps", FPS)
+        with _page(browser, 640, 700) as page:
+            page.goto((out / "priors.html").as_uri())
+            print(f"{name}: {page.inner_text('header p')}")
+            print(page.inner_text(".stages table"))
+            _hold(page, "video.strip")
+            _shoot(page, f"clip_{name}", until="video.strip")
+
+
+# -- the tutorial
+
+
+def picture_tutorial(work: Path, browser: Any) -> None:
+    """The tutorial's commands on the built-in clip, and what a reader sees after each."""
+    clip, out, export = work / "clip.mp4", work / "run", work / "clip.html"
+    if not clip.exists():
+        write_synthetic_video(clip, SyntheticScene(*SIZE))
+    if not (out / "report.html").exists():
+        _flowsplat("run", clip, "-o", out, "--preset", "fast")
+    _flowsplat("render", out, "--preset", "fast", "--render.paths", "wiggle", "--render.parts", "all", "background", "movers")
+    if not export.exists():
+        _flowsplat("export", out, "--to", "html", "-o", export)
+    with _page(browser, 900, 900) as page:
+        page.goto((out / "priors.html").as_uri())
+        _hold(page, "video.strip")
+        _shoot(page, "tutorial_priors", until=".cameras, .cards")
+    with _page(browser, 900, 900) as page:
+        page.goto((out / "report.html").as_uri())
+        page.wait_for_timeout(1500)
+        _shoot(page, "tutorial_report", until=".cards")
+    with _page(browser, 900, 620) as page:
+        page.goto(export.as_uri())
+        page.wait_for_selector("body.shown", timeout=120_000)
+        page.select_option("#camera", "orbit")
+        page.wait_for_timeout(8000)
+        _shoot(page, "tutorial_player")
+    with _viewer(out), _page(browser, 1200, 760) as page:
+        page.goto(f"http://127.0.0.1:{PORT}")
+        page.wait_for_timeout(20_000)
+        _shoot(page, "tutorial_view")
+    parts = {"all": "wiggle", "background": "wiggle_background", "movers": "wiggle_movers"}
+    images = [_first_frame(out / "renders" / f"{name}.gif") for name in parts.values()]
+    _write("tutorial_parts", side_by_side(images, list(parts)))
+
+
+@contextlib.contextmanager
+def _viewer(out: Path) -> Iterator[None]:
+    command = [sys.executable, "-m", "flowsplat.cli", "view", str(out), "--port", str(PORT)]
+    running = subprocess.Popen(command)
+    try:
+        for _ in range(120):
+            with contextlib.suppress(OSError):
+                urllib.request.urlopen(f"http://127.0.0.1:{PORT}").close()
+                break
+            time.sleep(0.5)
+        yield
+    finally:
+        running.terminate()
+        running.wait()
+
+
+def _first_frame(path: Path) -> Picture:
+    found, image = cv2.VideoCapture(str(path)).read()
+    if not found:
+        raise ValueError(f"{path} has no picture")
+    return image[..., ::-1]
+
+
+# -- how
+
+
+def _flowsplat(*arguments: object) -> None:
+    subprocess.run([sys.executable, "-m", "flowsplat.cli", *map(str, arguments)], check=True)
+
+
+@contextlib.contextmanager
+def _page(browser: Any, width: int, height: int) -> Iterator[Any]:
+    context = browser.new_context(viewport={"width": width, "height": height}, color_scheme="light")
+    try:
+        yield context.new_page()
+    finally:
+        context.close()
+
+
+def _hold(page: Any, video: str) -> None:
+    """Show the middle of a video and nothing round it."""
+    page.eval_on_selector(
+        video,
+        "(v) => new Promise((done) => { v.controls = false; v.pause(); v.onseeked = done; v.currentTime = v.duration / 2; })",
+    )
+    page.wait_for_timeout(300)
+
+
+def _shoot(page: Any, name: str, until: str | None = None) -> None:
+    """Picture a page, down to the end of the first element ``until``."""
+    options: dict[str, Any] = {}
+    if until is not None:
+        box = page.locator(until).first.bounding_box()
+        height = box["y"] + box["height"] + 8
+        options = {"full_page": True, "clip": {"x": 0, "y": 0, "width": page.viewport_size["width"], "height": height}}
+    page.screenshot(path=str(IMAGES / f"{name}.jpg"), type="jpeg", quality=QUALITY, **options)
+
+
+def _write(name: str, image: Picture) -> None:
+    cv2.imwrite(str(IMAGES / f"{name}.jpg"), image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+
+
+def main() -> None:
+    """Make the pictures."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("work", type=Path)
+    parser.add_argument("--only", choices=("tutorial", "clips"))
+    arguments = parser.parse_args()
+    work = arguments.work.resolve()
+    from playwright.sync_api import sync_playwright
+
+    program = next(filter(None, map(shutil.which, PROGRAMS)), None)
+    with sync_playwright() as running:
+        browser = running.chromium.launch(executable_path=program, args=list(FLAGS))
+        if arguments.only != "tutorial":
+            picture_clips(work, browser)
+        if arguments.only != "clips":
+            picture_tutorial(work, browser)
+        browser.close()
+
+
+if __name__ == "__main__":
+    main()

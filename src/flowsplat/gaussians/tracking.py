@@ -1,0 +1,308 @@
+"""Tracks out of the model: a pixel at a time becomes a path in 3D, carried by the Gaussians that are seen there."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from flowsplat.gaussians.gaussians4d import Gaussians4D
+from flowsplat.gaussians.model import SceneModel
+from flowsplat.gaussians.render import RenderedFrame, render_active
+from flowsplat.geometry import Camera
+from flowsplat.geometry.rotations import covariances, quats_to_rotations
+from flowsplat.splatting.rules import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
+
+CARRIERS = 32
+"""At most so many Gaussians carry a point."""
+SAME_SURFACE = 0.05
+"""Relative difference of depth up to which two things are one surface."""
+FADED = 0.5
+"""Carriers hand over when less than this share of the weight that they were chosen for is left."""
+REACH = 4.0
+"""Standard deviations from a point within which a Gaussian may take over; further away the nearest ones do."""
+TOO_FAR = 0.1
+"""Share of its distance to the camera further than which nothing takes over a point."""
+
+
+@dataclass(frozen=True)
+class Paths:
+    """Where Q points were over T frames.
+
+    Attributes:
+        points: [Q, T, 3] float64 in the coordinates of the scene's cameras. NaN where nothing carried the point: its pixel was
+            empty, or its carriers faded and nothing took over.
+        visible: [Q, T] bool: inside the picture, and the rendered depth there is the point's.
+    """
+
+    points: np.ndarray
+    visible: np.ndarray
+
+
+@torch.no_grad()
+def follow_points(model: SceneModel, cameras: Sequence[Camera], timestamps: np.ndarray, queries: np.ndarray) -> Paths:
+    """Follow points of the picture through the model. Ours; the paper shows no tracks.
+
+    The Gaussians that make up the pixel, by their weights alpha_i T_i (METHOD 3.4), carry the point that is seen there along
+    their own rigid motion, movers or background, whichever holds more of it. A Gaussian carries while its presence is at
+    least ``p_min``; when half of the weight has faded, those take over that are present where the point is.
+
+    Args:
+        cameras: [T] of the scene.
+        timestamps: [T] seconds, rising.
+        queries: [Q, 3]: u, v in pixels (the centre of the top-left pixel is 0.5, 0.5) and the number of the frame.
+
+    Raises:
+        ValueError: the shapes do not fit.
+    """
+    queries = np.asarray(queries, np.float64)
+    if queries.ndim != 2 or queries.shape[1] != 3 or len(cameras) != len(timestamps):
+        raise ValueError(f"queries must be [Q, 3], not {list(queries.shape)}, and there must be one camera a time")
+    normalised = [model.similarity.camera(camera) for camera in cameras]
+    times = [model.clip_time(float(t)) for t in timestamps]
+    starts = queries[:, 2].astype(int)
+    points = np.full((len(queries), len(times), 3), np.nan)
+    chosen: dict[int, _Carriers] = {}
+    for frame in np.unique(starts):
+        here = np.flatnonzero(starts == frame)
+        rendered = _render(model, normalised[frame], times[frame])
+        found = [_seen_at(model.gaussians, rendered, normalised[frame], queries[q, :2]) for q in here]
+        for q, (point, carriers) in zip(here, found, strict=True):
+            if carriers is not None:
+                points[q, frame], chosen[q] = point, carriers
+    for order in (range(len(times)), range(len(times) - 1, -1, -1)):
+        _carry_along(model.gaussians, normalised, times, list(order), starts, dict(chosen), points)
+    visible = np.zeros(points.shape[:2], bool)
+    for i, (camera, t) in enumerate(zip(normalised, times, strict=True)):
+        visible[:, i] = _is_seen(points[:, i], camera, _render(model, camera, t))
+    return Paths(model.similarity.inverse().points(points), visible)
+
+
+@dataclass(frozen=True)
+class _Carriers:
+    """The Gaussians of one point.
+
+    ``rows`` [K]; ``weights`` [K] as if all were fully present; ``promised`` is the weight that they had when they were chosen.
+    """
+
+    rows: np.ndarray
+    weights: np.ndarray
+    promised: float
+
+
+# -- at the query
+
+
+def _render(model: SceneModel, camera: Camera, t: float) -> _Frame:
+    active = model.gaussians.active(t, camera)
+    return _Frame(render_active(model.gaussians, active, camera, backend=model.backend), active.rows.numpy(), t)
+
+
+@dataclass(frozen=True)
+class _Frame:
+    """A rendered frame, with the rows of its Gaussians and its time."""
+
+    rendered: RenderedFrame
+    rows: np.ndarray
+    t: float
+
+
+def pixel_weights(rendered: RenderedFrame, uv: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Which of the rendered Gaussians make up the picture at the position ``uv`` [2] (pixels).
+
+    Returns:
+        their indices [K], front to back, and their weights alpha_i T_i [K], by the rules of the rasterizer.
+    """
+    projected = rendered.projected
+    offset = torch.as_tensor(uv, dtype=projected.means2d.dtype) - projected.means2d
+    near = torch.nonzero((offset.abs() <= projected.radii).all(1) & projected.visible).squeeze(1)
+    near = near[torch.sort(projected.depths[near], stable=True).indices]
+    x, y = offset[near].double().unbind(1)
+    a, b, c = projected.conics[near].double().unbind(1)
+    alpha = rendered.sliced.opacities[near].double() * torch.exp(-0.5 * (a * x * x + c * y * y) - b * x * y)
+    alpha = torch.where(alpha >= ALPHA_MIN, alpha.clamp(max=ALPHA_MAX), torch.zeros_like(alpha))
+    after = torch.cumprod(1 - alpha, 0)
+    before = torch.cat([torch.ones_like(after[:1]), after[:-1]])
+    weights = torch.where(after > TRANSMITTANCE_MIN, alpha * before, torch.zeros_like(alpha))
+    return near[weights > 0].numpy(), weights[weights > 0].numpy()
+
+
+def _seen_at(gaussians: Gaussians4D, frame: _Frame, camera: Camera, uv: np.ndarray) -> tuple[np.ndarray, _Carriers | None]:
+    """The point [3] that is seen at a pixel, and who carries it; None where the pixel is empty."""
+    index, weights = pixel_weights(frame.rendered, uv)
+    if not len(index):
+        return np.full(3, np.nan), None
+    depths = frame.rendered.projected.depths.numpy()[index].astype(np.float64)
+    moving = gaussians.dynamic.numpy()[frame.rows[index]]
+    kind = moving == (weights[moving].sum() > weights[~moving].sum())
+    index, weights, depths = index[kind], weights[kind], depths[kind]
+    # The surface is where half of the weight is passed; what lies behind or before it does not move this point.
+    order = np.argsort(depths)
+    surface = depths[order][np.searchsorted(np.cumsum(weights[order]), 0.5 * weights.sum())]
+    own = np.abs(depths / surface - 1) <= SAME_SURFACE
+    index, weights, depths = index[own], weights[own], depths[own]
+    point = camera.unproject(uv, np.average(depths, weights=weights))
+    return point, _strongest(gaussians, frame.rows[index], weights, frame.t)
+
+
+def _strongest(gaussians: Gaussians4D, rows: np.ndarray, weights: np.ndarray, t: float) -> _Carriers:
+    """Carriers from the weights that Gaussians have at time ``t``."""
+    best = np.argsort(-weights, kind="stable")[:CARRIERS]
+    rows, weights = rows[best], weights[best]
+    present = gaussians.presence(t, torch.from_numpy(rows)).double().numpy()
+    return _Carriers(rows, weights / np.maximum(present, gaussians.config.p_min), float(weights.sum()))
+
+
+# -- along the clip
+
+
+def _carry_along(
+    gaussians: Gaussians4D,
+    cameras: Sequence[Camera],
+    times: Sequence[float],
+    order: list[int],
+    starts: np.ndarray,
+    carriers: dict[int, _Carriers],
+    points: np.ndarray,
+) -> None:
+    """Fill ``points`` [Q, T, 3] from the frame of each query onwards, in the order of the frames that is given."""
+    for here, there in pairwise(order):
+        forward = there > here
+        alive = [q for q in carriers if (starts[q] <= here if forward else starts[q] >= here)]
+        faded = [alive[k] for k in np.flatnonzero(_are_faded(gaussians, [carriers[q] for q in alive], times[there]))]
+        successors = _take_over(gaussians, cameras[here], times[here], times[there], faded, carriers, points[:, here])
+        for q, successor in zip(faded, successors, strict=True):
+            if successor is None:
+                del carriers[q]
+            else:
+                carriers[q] = successor
+        alive = [q for q in alive if q in carriers]
+        if alive:
+            points[alive, there] = _step(gaussians, [carriers[q] for q in alive], points[alive, here], times[here], times[there])
+
+
+def _are_faded(gaussians: Gaussians4D, carriers: list[_Carriers], t: float) -> np.ndarray:
+    """[A] bool: less than ``FADED`` of the weight is left at time ``t``."""
+    owner, rows = _flat(carriers)
+    present = gaussians.presence(t, rows).double().numpy()
+    weights = np.concatenate([[], *(each.weights for each in carriers)])
+    left = np.bincount(owner, np.where(present >= gaussians.config.p_min, weights * present, 0), len(carriers))
+    return left < FADED * np.array([each.promised for each in carriers])
+
+
+def _flat(carriers: list[_Carriers]) -> tuple[np.ndarray, Tensor]:
+    """For all carriers one after the other: whose they are [S], and their rows [S]."""
+    owner = np.repeat(np.arange(len(carriers)), [len(each.rows) for each in carriers])
+    return owner, torch.from_numpy(np.concatenate([np.zeros(0, np.int64), *(each.rows for each in carriers)]))
+
+
+def _step(gaussians: Gaussians4D, carriers: list[_Carriers], points: np.ndarray, t: float, to: float) -> np.ndarray:
+    """Points [A, 3] at time ``t`` moved to time ``to``: the weighted mean of where their carriers bring them."""
+    owner, rows = _flat(carriers)
+    before, after = _placed(gaussians, rows, t), _placed(gaussians, rows, to)
+    arm = (torch.from_numpy(points[owner]) - before.means)[..., None]
+    moved = (after.means + (after.rotations @ before.rotations.transpose(1, 2) @ arm).squeeze(-1)).numpy()
+    present = torch.where(after.presence >= gaussians.config.p_min, torch.minimum(before.presence, after.presence), 0.0)
+    weights = np.concatenate([each.weights for each in carriers]) * present.numpy()
+    total = np.bincount(owner, weights, len(carriers))
+    return np.stack([np.bincount(owner, weights * moved[:, k], len(carriers)) / total for k in range(3)], 1)
+
+
+@dataclass(frozen=True)
+class _Placed:
+    """Some Gaussians at a time, float64: ``means`` [N, 3], ``rotations`` [N, 3, 3], ``covars`` [N, 3, 3], ``presence`` [N]."""
+
+    means: Tensor
+    rotations: Tensor
+    covars: Tensor
+    presence: Tensor
+
+
+def _placed(gaussians: Gaussians4D, rows: Tensor, t: float) -> _Placed:
+    params = {name: value[rows].double() for name, value in gaussians.params.items()}
+    state = gaussians.motion.state(params, t)
+    rest = gaussians.at_rest[rows]
+    means = torch.where(rest[:, None], params["means"], state.means)
+    presence = gaussians.presence(t, rows).double()
+    if state.covars is not None:  # the linear 4D Gaussian does not turn
+        return _Placed(means, torch.eye(3, dtype=torch.float64).expand(len(rows), 3, 3), state.covars, presence)
+    assert state.quats is not None
+    assert state.scales is not None
+    quats = torch.where(rest[:, None], params["quats"], state.quats)
+    return _Placed(means, quats_to_rotations(quats), covariances(quats, state.scales), presence)
+
+
+# -- handing over
+
+
+def _take_over(
+    gaussians: Gaussians4D,
+    camera: Camera,
+    t: float,
+    to: float,
+    faded: list[int],
+    carriers: dict[int, _Carriers],
+    points: np.ndarray,
+) -> Iterator[_Carriers | None]:
+    """For every point in ``faded`` those of the same kind that are present where it is, now and at the next time."""
+    present = torch.minimum(gaussians.presence(t), gaussians.presence(to)) >= gaussians.config.p_min
+    by_kind: dict[bool, list[int]] = defaultdict(list)
+    for q in faded:
+        by_kind[bool(gaussians.dynamic[carriers[q].rows[0]])].append(q)
+    found: dict[int, _Carriers] = {}
+    for kind, members in by_kind.items():
+        rows = torch.nonzero(present & (gaussians.dynamic == kind)).squeeze(1)
+        if not len(rows):
+            continue
+        tree = cKDTree(_centers(gaussians, rows, t))
+        distance, nearest = (part.reshape(len(members), -1) for part in tree.query(points[members], min(CARRIERS, len(rows))))
+        for q, apart, near in zip(members, distance, nearest, strict=True):
+            depth = abs(float(camera.project(points[q])[1]))
+            if apart[0] <= TOO_FAR * depth:
+                weights = _density(gaussians, rows[near], points[q], t, depth / camera.K[0, 0])
+                found[q] = _strongest(gaussians, rows.numpy()[near], weights, t)
+    yield from (found.get(q) for q in faded)
+
+
+def _centers(gaussians: Gaussians4D, rows: Tensor, t: float) -> np.ndarray:
+    """[N, 3] float32 means at a time."""
+    params = {name: value[rows] for name, value in gaussians.params.items()}
+    return torch.where(gaussians.at_rest[rows][:, None], params["means"], gaussians.motion.state(params, t).means).numpy()
+
+
+def _density(gaussians: Gaussians4D, rows: Tensor, point: np.ndarray, t: float, pixel: float) -> np.ndarray:
+    """[N] how much each of some Gaussians holds of a point [3] at a time; ``pixel`` is the size of a pixel there."""
+    placed = _placed(gaussians, rows, t)
+    opacities = torch.sigmoid(gaussians.params["logit_opacities"][rows]).double() * placed.presence
+    arm = (torch.from_numpy(point) - placed.means)[..., None]
+    # Discs on a surface are thin: a pixel of slack, or none of them would reach a point beside its plane.
+    blurred = placed.covars + pixel**2 * torch.eye(3, dtype=torch.float64)
+    squared = (arm.transpose(1, 2) @ torch.linalg.solve(blurred, arm)).flatten()
+    if float(squared.min()) > REACH**2:
+        return (opacities / (arm.squeeze(-1).square().sum(1) + pixel**2)).numpy()
+    return (opacities * torch.exp(-0.5 * squared)).numpy()
+
+
+# -- visibility
+
+
+def _is_seen(points: np.ndarray, camera: Camera, frame: _Frame) -> np.ndarray:
+    """[Q] whether points [Q, 3] are in the picture and at the depth of what is rendered at one of the nearest four pixels."""
+    rendered = frame.rendered
+    alpha = rendered.alpha.numpy()
+    depth = np.where(alpha >= 0.5, rendered.depth.numpy() / np.maximum(alpha, 1e-6), np.inf)
+    known = np.isfinite(points).all(1)
+    uv, z = camera.project(np.where(known[:, None], points, 0))
+    inside = known & (z > 0) & (uv >= 0).all(1) & (uv < [camera.width, camera.height]).all(1)
+    seen = np.zeros(len(points), bool)
+    corner = np.floor(np.where(inside[:, None], uv, 0) - 0.5).astype(int)
+    for step in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        x, y = np.clip(corner + step, 0, [camera.width - 1, camera.height - 1]).T
+        seen |= np.abs(z / depth[y, x] - 1) <= SAME_SURFACE
+    return seen & inside

@@ -1,0 +1,93 @@
+"""Scenes in the layout of Nerfies and DyCheck, as Dynamic Gaussian Marbles ships the NVIDIA scenes.
+
+| file | content |
+| --- | --- |
+| ``splits/train.json``, ``splits/val.json`` | ``frame_names``, ``time_ids``, ``camera_ids``: the clip, and the test |
+| ``camera/<frame name>.json`` | ``focal_length``, ``principal_point``, ``image_size`` (width, height), ``orientation`` (world to camera), ``position`` (of the camera), ``pixel_aspect_ratio``, ``skew``, ``radial_distortion``, ``tangential_distortion``; OpenCV |
+| ``rgb/1x/<frame name>.png`` | pictures of that size |
+
+On NVIDIA, camera 4 is the clip and 3, 5 and 6 are the test, at half size; the splits say so. Depth, segmentation and tracks that lie
+beside them come from networks and are not read (``--given.depth`` and its like take files of one's own).
+"""  # noqa: E501 (a row of a table)
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from flowsplat.common.errors import InputError
+from flowsplat.common.files import read_json
+from flowsplat.geometry import Camera
+from flowsplat.scenes.clip import InputOptions
+from flowsplat.scenes.formats.posed import PosedClip, PosedPicture, PosedView, open_posed
+
+PICTURES = "rgb/1x"
+
+
+def is_nerfies(folder: Path) -> bool:
+    """Whether a folder has this layout."""
+    return (folder / "camera").is_dir() and (folder / "splits").is_dir()
+
+
+def open_nerfies(folder: Path, options: InputOptions) -> PosedClip:
+    """Open a scene with its cameras and its held-out views.
+
+    Raises:
+        InputError: a file is missing, damaged or does not fit.
+    """
+    folder = Path(folder)
+    train, test = _read_split(folder, "train"), _read_split(folder, "val")
+    times = [time for _, time, _ in train]
+    if len(set(times)) < len(times):
+        raise InputError(f"{folder / 'splits/train.json'} has two pictures at one time: a clip has one.")
+    views = [PosedView(name, time, _picture(folder, name)) for name, time, _ in test]
+    cameras = [", ".join(sorted({camera for _, _, camera in split}, key=lambda c: (len(c), c))) for split in (train, test)]
+    note = f"Camera {cameras[0]} makes the clip, {cameras[1] or 'none'} the test."
+    return open_posed(folder, options, [_picture(folder, name) for name, _, _ in train], views, times, [note])
+
+
+def _read_split(folder: Path, split: str) -> list[tuple[str, int, str]]:
+    """(frame name, time, camera) sorted by time."""
+    path = folder / "splits" / f"{split}.json"
+    values = read_json(path)
+    try:
+        rows = zip(values["frame_names"], values["time_ids"], values["camera_ids"], strict=True)
+        found = [(str(name), int(time), str(camera)) for name, time, camera in rows]
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{path} must hold frame_names, time_ids and camera_ids, as many of each: {error}.") from error
+    for name, time, _ in found:
+        if time < 0 or Path(name).name != name:
+            raise InputError(f"{path}: {name!r} at time {time} names no picture.")
+    return sorted(found, key=lambda row: row[1])
+
+
+def _picture(folder: Path, name: str) -> PosedPicture:
+    return PosedPicture(folder / PICTURES / f"{name}.png", read_camera(folder / "camera" / f"{name}.json"))
+
+
+def read_camera(path: Path) -> Camera:
+    """A camera of this layout, at its ``image_size``.
+
+    Raises:
+        InputError: missing, damaged, or with skew or distortion, which a pinhole has not.
+    """
+    values: dict[str, Any] = read_json(path)
+    try:
+        (width, height), (cx, cy) = values["image_size"], values["principal_point"]
+        focal = float(values["focal_length"])
+        bent = [values.get("skew", 0.0), *values.get("radial_distortion", ()), *values.get("tangential_distortion", ())]
+        R, center = np.array(values["orientation"], float).reshape(3, 3), np.array(values["position"], float).reshape(3)
+        K = np.array([[focal, 0, cx], [0, focal * float(values.get("pixel_aspect_ratio", 1.0)), cy], [0, 0, 1]], float)
+        viewmat = np.eye(4)
+        viewmat[:3, :3], viewmat[:3, 3] = R, -R @ center
+        camera = Camera(viewmat, K, int(width), int(height))
+        is_bent = bool(np.abs(np.array(bent, float)).max() > 0)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(f"{path} does not hold a camera: {error}.") from error
+    if is_bent:
+        raise InputError(f"{path} has skew or lens distortion: straighten the pictures first.")
+    if not camera.is_finite or np.linalg.det(R) <= 0:
+        raise InputError(f"{path}: the camera is not finite or not a rotation.")
+    return camera
