@@ -11,18 +11,18 @@ from .textures import shifted, texture
 
 SIZE = (90, 140)
 VELOCITY = np.array([2.0, 0.5])
-WORLD, POST = texture(150, 260), texture(150, 260, seed=3, blobs=0.7) // 3
+WORLD, COVER = texture(150, 260), texture(150, 260, seed=3, blobs=0.7) // 3
 
 
 def picture(i: int, hidden: bool = False) -> np.ndarray:
     """A texture that moves; something else before columns 40 to 60 of frames 8 to 10."""
     image = shifted(WORLD, 2.0 * i, 0.5 * i, SIZE[1], SIZE[0])
     if hidden and 8 <= i <= 10:
-        image[:, 40:60] = POST[: SIZE[0], 40:60]
+        image[:, 40:60] = COVER[: SIZE[0], 40:60]
     return image
 
 
-def follow(hidden: bool, frames: int = 16) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def follow(hidden: bool = False, frames: int = 16) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points [P, T, 2], where they truly are, and where they were seen [P, T]."""
     y, x = np.mgrid[12:72:6, 12:72:6]
     start = np.stack([x.ravel(), y.ravel()], -1) + 0.5
@@ -39,7 +39,7 @@ def follow(hidden: bool, frames: int = 16) -> tuple[np.ndarray, np.ndarray, np.n
 
 
 def test_in_the_open_all_points_live():
-    points, true, seen = follow(hidden=False)
+    points, true, seen = follow()
     assert seen.mean() > 0.97
     assert np.median(np.linalg.norm(points - true, axis=-1)[seen]) < 0.1
 
@@ -58,13 +58,13 @@ def test_what_never_comes_back_is_given_up():
     flow = Flow(0, 1, np.zeros((*SIZE, 2), np.float32), sure)
     follower = Follower()
     follower.add(np.array([7]), np.array([[50.5, 40.5]]), picture(0), labels)
-    follower.step(POST[: SIZE[0], : SIZE[1]], labels, flow)
+    follower.step(COVER[: SIZE[0], : SIZE[1]], labels, flow)
     assert len(follower.ids) == 0  # no velocity yet, and nobody to go with
     y, x = np.mgrid[20:60:8, 20:80:8]
     start = np.stack([x.ravel(), y.ravel()], -1) + 0.5
     follower.add(np.arange(len(start)), start, picture(0), labels)
     for _ in range(LONGEST_GAP + 3):
-        follower.step(POST[: SIZE[0], : SIZE[1]], labels, flow)
+        follower.step(COVER[: SIZE[0], : SIZE[1]], labels, flow)
     assert follower.seen.sum() <= 2
     follower.keep(np.zeros(0, int))
     follower.step(picture(0), labels, flow)

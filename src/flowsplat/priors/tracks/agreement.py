@@ -6,7 +6,7 @@ import numpy as np
 from numba import float32, njit, prange
 from scipy.spatial import cKDTree
 
-from flowsplat.common.kernels import OPTIONS
+from flowsplat.common.kernels import parallel_kernel
 
 NEIGHBOURS = 12
 FEWEST = 4
@@ -52,7 +52,7 @@ def agreed_motion(
     return motion, gradient, spread
 
 
-@njit(parallel=True, **OPTIONS)
+@parallel_kernel
 def _fit(here, index, points, motions, weights, reach, motion, gradient, spread):
     one = float32(1)
     for row in prange(len(here)):

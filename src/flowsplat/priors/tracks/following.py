@@ -28,7 +28,7 @@ STILL_LIKE = 0.6
 """Likeness to the patch before it from which a faded one is taken anew."""
 SLIP = 0.2
 """Pixels that a point may slip then, beside half of what speaks against it."""
-TRUST, DRIFT = 0.6, 1.0
+TRUST, DRIFT = 0.55, 1.0
 """Likeness less penalties from which, and pixels of slipping up to which, a point that was found counts as seen."""
 BETTER = 0.15
 """Likeness by which the place that the flow leads to must beat the one that the velocity leads to."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import float32, njit, prange
 
-from flowsplat.common.kernels import OPTIONS
+from flowsplat.common.kernels import OPTIONS, parallel_kernel
 
 RADIUS = 6
 """Pixels from the centre of a patch to its border."""
@@ -100,7 +100,7 @@ def _sample(image, x, y):
     )
 
 
-@njit(parallel=True, **OPTIONS)
+@parallel_kernel
 def _cut(image, labels, points, grey, right, down, weights):
     height, width = image.shape
     half = float32(0.5)
@@ -137,7 +137,7 @@ def _solve(H, b):
         b[i] /= H[i, i]
 
 
-@njit(parallel=True, **OPTIONS)
+@parallel_kernel
 def _align(grey, right, down, weights, image, points, shapes, likeness):
     height, width = image.shape
     pixels = len(_OFFSETS)
