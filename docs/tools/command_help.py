@@ -5,7 +5,8 @@ from __future__ import annotations
 import contextlib
 import io
 import os
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterator
 from typing import Any
 from unittest import mock
 
@@ -14,6 +15,8 @@ from flowsplat import cli
 PAGE, MARK = "commands.md", "<!-- what every command says of itself -->"
 WIDTH = 100
 """Columns of the help."""
+GROUPS = ("benchmark",)
+"""Commands that have commands of their own."""
 SHORT = 45
 """Lines of a help that is shown without a click."""
 
@@ -32,21 +35,21 @@ def help_of(*words: str) -> str:
     return printed.getvalue().strip()
 
 
+def all_commands(*words: str) -> Iterator[tuple[str, ...]]:
+    """The words of every command, read from the help: ``("run",)``, ..., ``("benchmark", "priors")``, ..."""
+    usage = help_of(*words).split("\n\n")[0]
+    choices = re.search(r"\{([\w,-]+)\}", "".join(usage.split()))
+    for name in choices[1].split(",") if choices else []:
+        below = list(all_commands(*words, name)) if name in GROUPS else []
+        yield from below or [(*words, name)]
+
+
 def _sections() -> Iterator[str]:
-    for words, function in _all_commands():
+    for words in all_commands():
         text = help_of(*words)
         lines = text.splitlines()
         name = " ".join(("flowsplat", *words))
-        yield f"\n## {name}\n\n{(function.__doc__ or '').split(chr(10))[0]}\n"
+        yield f"\n## {name}\n\n{text.split(chr(10) * 2)[1]}\n"
         yield f'???{"+" * (len(lines) <= SHORT)} note "{name} --help"\n\n    ```text'
         yield from (f"    {line}" for line in lines)
         yield "    ```\n"
-
-
-def _all_commands() -> Iterator[tuple[tuple[str, ...], Any]]:
-    commands: Mapping[str, Any] = cli._commands([])
-    for name, function in commands.items():
-        if name != "benchmark":
-            yield (name,), function
-    for name, function in cli._benchmarks().items():
-        yield ("benchmark", name), function

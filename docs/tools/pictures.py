@@ -80,10 +80,19 @@ def _before_a_wall(t: float) -> Camera:
     return Camera(viewmat, _usual(t).K, *SIZE)
 
 
+def _turning() -> list[Picture]:
+    world = _world()
+    world.bodies[:] = [body for body in world.bodies if body.number == 0]
+    return _filmed(world, _turned)
+
+
 def _cut() -> list[Picture]:
+    """After half of the clip, another room, looking to the side."""
+    side = np.eye(4)
+    side[:3, :3] = Rotation.from_rotvec([0, -1.1, 0]).as_matrix()
     other = SyntheticScene(*SIZE, frames=FRAMES, fps=FPS, seed=7)
-    first, second = _filmed(_world(), _usual), _filmed(other, lambda t: _usual(2 - t))
-    return first[: FRAMES // 2] + second[FRAMES // 2 :]
+    second = _filmed(other, lambda t: Camera(side @ _usual(t).viewmat, _usual(t).K, *SIZE))
+    return _filmed(_world(), _usual)[: FRAMES // 2] + second[FRAMES // 2 :]
 
 
 def _black() -> list[Picture]:
@@ -92,28 +101,27 @@ def _black() -> list[Picture]:
 
 
 def _filled() -> list[Picture]:
-    """Something large is carried along in front of the camera."""
-    world, size = _world(), np.array([0.78, 0.1, 0.43])
+    """Something large sways in front of a camera on a tripod."""
+    world, size, camera = _world(), np.array([0.78, 0.1, 0.43]), _usual(MIDDLE)
+    right, down, forward = camera.viewmat[:3, :3]
 
     def motion(t: float) -> tuple[np.ndarray, np.ndarray]:
-        camera = _usual(t)
-        right, down, forward = camera.viewmat[:3, :3]
-        middle = camera.center + 1.5 * forward + 0.04 * np.sin(5 * t) * right + 0.03 * np.cos(7 * t) * down
+        middle = camera.center + 1.5 * forward + 0.06 * np.sin(5 * t) * right + 0.04 * np.cos(7 * t) * down
         return np.stack([right, forward, -down], 1) * size, middle
 
     world.bodies.append(Body("box", size, motion, patchwork(np.random.default_rng(1), 0.3, TOYS), 4))
-    return _filmed(world, _usual)
+    return _filmed(world, lambda t: camera)[: FRAMES // 2]
 
 
 def _plain() -> list[Picture]:
     """A white wall and the noise of the sensor."""
     rng = np.random.default_rng(0)
-    return [np.clip(rng.normal(205, 2, (SIZE[1], SIZE[0], 3)), 0, 255).astype(np.uint8) for _ in range(FRAMES)]
+    return [np.clip(rng.normal(205, 6, (SIZE[1], SIZE[0], 3)), 0, 255).astype(np.uint8) for _ in range(FRAMES)]
 
 
 CLIPS: dict[str, Callable[[], list[Picture]]] = {
     "standing_camera": lambda: _filmed(_world(), lambda t: _usual(MIDDLE)),
-    "turning_camera": lambda: _filmed(_world(), _turned),
+    "turning_camera": _turning,
     "hardly_travels": lambda: _filmed(_world(), _hardly),
     "one_wall": lambda: _filmed(_world(), _before_a_wall),
     "a_cut": _cut,
@@ -151,7 +159,8 @@ def picture_tutorial(work: Path, browser: Any) -> None:
         write_synthetic_video(clip, SyntheticScene(*SIZE))
     if not (out / "report.html").exists():
         _flowsplat("run", clip, "-o", out, "--preset", "fast")
-    _flowsplat("render", out, "--preset", "fast", "--render.paths", "wiggle", "--render.parts", "all", "background", "movers")
+    if not (out / "renders" / "wiggle_movers.gif").exists():
+        _flowsplat("render", out, "--render.paths", "wiggle", "--render.parts", "all", "background", "movers")
     if not export.exists():
         _flowsplat("export", out, "--to", "html", "-o", export)
     with _page(browser, 900, 900) as page:
@@ -165,12 +174,15 @@ def picture_tutorial(work: Path, browser: Any) -> None:
     with _page(browser, 900, 620) as page:
         page.goto(export.as_uri())
         page.wait_for_selector("body.shown", timeout=120_000)
-        page.select_option("#camera", "orbit")
-        page.wait_for_timeout(8000)
+        page.evaluate("flowsplat.state.seek(0.5)")
+        page.wait_for_timeout(5000)
         _shoot(page, "tutorial_player")
-    with _viewer(out), _page(browser, 1200, 760) as page:
+    with _viewer(out), _page(browser, 1200, 640) as page:
         page.goto(f"http://127.0.0.1:{PORT}")
-        page.wait_for_timeout(20_000)
+        page.wait_for_timeout(15_000)
+        for button in page.locator("[class*=Notification] button").all():
+            button.click()  # that this browser draws in software
+        page.wait_for_timeout(5000)
         _shoot(page, "tutorial_view")
     parts = {"all": "wiggle", "background": "wiggle_background", "movers": "wiggle_movers"}
     images = [_first_frame(out / "renders" / f"{name}.gif") for name in parts.values()]
@@ -230,7 +242,7 @@ def _shoot(page: Any, name: str, until: str | None = None) -> None:
     options: dict[str, Any] = {}
     if until is not None:
         box = page.locator(until).first.bounding_box()
-        height = box["y"] + box["height"] + 8
+        height = box["y"] + box["height"] + 2
         options = {"full_page": True, "clip": {"x": 0, "y": 0, "width": page.viewport_size["width"], "height": height}}
     page.screenshot(path=str(IMAGES / f"{name}.jpg"), type="jpeg", quality=QUALITY, **options)
 

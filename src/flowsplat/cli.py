@@ -5,6 +5,7 @@ import io
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -132,6 +133,27 @@ def _commands(arguments: Sequence[str]) -> dict[str, Any]:
 
         say(f"Written: {export_scene(pipeline.load(out), Scene(out / 'scene'), to, path, options)}")
 
+    def tracks(out: Run, at: tuple[str, ...] = (), queries: Path | None = None, path: Target = None) -> None:
+        """Follow points through a trained run: where what is seen at a pixel goes in 3D, and when it is visible.
+
+        Writes queries, timestamps, points [Q, T, 3] in the coordinates of OUT/scene/cameras.json, and visible [Q, T].
+
+        Args:
+            out: Folder of the run.
+            at: Points to follow, each u,v,frame: pixels of the prepared frames (the centre of the first is 0.5,0.5), and the
+                number of the frame.
+            queries: More of them: a .json with a list of [u, v, frame], or a text with u,v,frame on every line.
+            path: File to write, .json or .npz; without it OUT/export/tracks.json.
+        """
+        from flowsplat import pipeline
+        from flowsplat.output.tracks import read_queries, write_tracks
+        from flowsplat.scenes import Scene
+
+        model, scene = pipeline.load(out), Scene(out / "scene")
+        wanted = read_queries(at, queries, scene)
+        written, found = write_tracks(model, scene, wanted, path or out / "export" / "tracks.json")
+        say(f"Written: {written}. {found} of {len(wanted)} points lie on something and were followed.")
+
     def info(path: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="PATH")] = None) -> None:
         """What is in a run or a scene; versions; which backends work here, and why the others do not.
 
@@ -159,12 +181,21 @@ def _commands(arguments: Sequence[str]) -> dict[str, Any]:
 
     return {
         "run": run, "prepare": prepare, "train": train, "evaluate": evaluate, "render": render, "info": info, "demo": demo,
-        "benchmark": benchmark, "view": view, "export": export,
+        "benchmark": benchmark, "view": view, "export": export, "tracks": tracks,
     }  # fmt: skip
 
 
-def _benchmarks() -> dict[str, Any]:
-    """Every command behind ``flowsplat benchmark``."""
+def _benchmarks(arguments: Sequence[str] = ()) -> dict[str, Any]:
+    """Every command behind ``flowsplat benchmark``, its defaults taken from the preset that the arguments name."""
+    from flowsplat.pipeline.config import RunConfig, preset
+    from flowsplat.training.config import TrainConfig
+
+    defaults = preset(_value_of(arguments, "--preset") or "default")
+    Names = tuple[str, ...]
+
+    def with_training(train: TrainConfig) -> RunConfig:
+        return replace(defaults, train=train)
+
     Root = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATA_ROOT")]
     Out = Annotated[Path, tyro.conf.arg(aliases=("-o",), metavar="OUT")]
 
@@ -186,7 +217,71 @@ def _benchmarks() -> dict[str, Any]:
 
         run_priors_benchmark(root, out, scenes, again)
 
-    return {"priors": priors}
+    def davis(
+        root: Root, out: Out, scenes: Names = (), masks: Literal["given", "own"] = "given", preset: Preset = "default",
+        train: TrainConfig = defaults.train, again: bool = False,
+    ) -> None:  # fmt: skip
+        """Whole runs on clips of DAVIS: every tenth frame is predicted; beside the paper's figures.
+
+        Every clip is an ordinary run in OUT/<clip>_...; its figures are in the .json beside it, the tables in OUT/davis.md, with
+        pictures in OUT/davis.html. The same command again continues where it was stopped.
+
+        Args:
+            root: Folder with davis/<clip>/images and masks, or with DAVIS itself (JPEGImages/480p, Annotations/480p).
+            out: Folder for everything that comes out.
+            scenes: Names of the clips to run; the default is all of them.
+            masks: given (those of the data set, for training frames) or own (found by us; the given ones only measure).
+            preset: How it is trained: fast, default, paper or high. Frames, their size and the split are the protocol's.
+            train: Settings of training that differ from the preset's; the tables name them.
+            again: Forget what is in OUT of these clips.
+        """
+        from flowsplat.protocols.runs import davis_cases, run_benchmark
+
+        run_benchmark("davis", davis_cases(root, scenes, masks, preset, with_training(train)), out, again)
+
+    def rig(
+        root: Root, out: Out, scenes: Names = (), priors: Literal["true", "own"] = "own", preset: Preset = "default",
+        train: TrainConfig = defaults.train, again: bool = False,
+    ) -> None:  # fmt: skip
+        """Whole runs on rendered scenes: held-out cameras, and the errors of flow, depth and tracks in 3D.
+
+        Results as of benchmark davis, in OUT/rig.md and OUT/rig.html.
+
+        Args:
+            root: Folder with rig/<scene>.
+            out: Folder for everything that comes out.
+            scenes: Names of the scenes to run; the default is all of them.
+            priors: own (from the pictures alone) or true (cameras, depth, masks, flow and tracks of the renderer).
+            preset: How it is trained: fast, default, paper or high. Frames and their size are the protocol's.
+            train: Settings of training that differ from the preset's; the tables name them.
+            again: Forget what is in OUT of these scenes.
+        """
+        from flowsplat.protocols.runs import rig_cases, run_benchmark
+
+        run_benchmark("rig", rig_cases(root, scenes, priors, preset, with_training(train)), out, again)
+
+    def nvidia(
+        root: Root, out: Out, scenes: Names = (), preset: Preset = "default", train: TrainConfig = defaults.train,
+        again: bool = False,
+    ) -> None:  # fmt: skip
+        """Whole runs on the NVIDIA Dynamic Scenes: the other cameras of the rig; beside published figures.
+
+        Results as of benchmark davis, in OUT/nvidia.md and OUT/nvidia.html.
+
+        Args:
+            root: Folder with nvidia/<scene>, each raw (mv_images and poses_bounds.npy), of twelve pictures (images,
+                poses_bounds.npy and v000_t000.png ...), or as Dynamic Gaussian Marbles has them (camera, rgb and splits).
+            out: Folder for everything that comes out.
+            scenes: Names of the scenes to run; the default is all of them.
+            preset: How it is trained: fast, default, paper or high. Frames and their size are the protocol's.
+            train: Settings of training that differ from the preset's; the tables name them.
+            again: Forget what is in OUT of these scenes.
+        """
+        from flowsplat.protocols.runs import nvidia_cases, run_benchmark
+
+        run_benchmark("nvidia", nvidia_cases(root, scenes, preset, with_training(train)), out, again)
+
+    return {"priors": priors, "davis": davis, "rig": rig, "nvidia": nvidia}
 
 
 def _value_of(arguments: Sequence[str], option: str) -> str | None:
@@ -253,7 +348,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     prog, commands = "flowsplat", {}
     try:
         if arguments[0] == "benchmark":
-            prog, commands, arguments = "flowsplat benchmark", _benchmarks(), arguments[1:] or ["--help"]
+            prog, commands, arguments = "flowsplat benchmark", _benchmarks(arguments), arguments[1:] or ["--help"]
         else:
             commands = _commands(arguments)
         parsing = contextlib.redirect_stderr(box)

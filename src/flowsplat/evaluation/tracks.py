@@ -21,7 +21,7 @@ def track_errors(model: SceneModel, scene: Scene, births: np.ndarray | None = No
 
     Errors are distances over the point's true depth, in percent, both in the axes of the camera of the same time, so that they
     mean the same with estimated cameras (METHOD 6); these get one scale for the clip. Compared are the ``span`` frames after
-    the query, or before it where the clip ends sooner, in which the true point is visible.
+    the query, or before it where the clip ends sooner and there are more, in which the true point is visible.
 
     Args:
         births: [P] the frame in which each true point is asked for, negative = not at all; None = its first visible one.
@@ -38,20 +38,20 @@ def track_errors(model: SceneModel, scene: Scene, births: np.ndarray | None = No
     true = truth.tracks
     births = np.where(true.visible.any(1), true.visible.argmax(1), -1) if births is None else births
     asked = np.flatnonzero(births >= 0)
-    births, points, visible, moving = births[asked], true.points[asked].astype(np.float64), true.visible[asked], true.moving[asked]
     if not len(asked):
         return None
-    pixels = np.array([truth.cameras[b].project(point[b])[0] for point, b in zip(points, births, strict=True)])
+    pixels = np.array([truth.cameras[births[p]].project(true.points[p, births[p]].astype(float))[0] for p in asked])
     inside = ((pixels >= 0) & (pixels < [scene.width, scene.height])).all(1)
-    births, points, visible, moving, pixels = (part[inside] for part in (births, points, visible, moving, pixels))
+    asked, pixels = asked[inside], pixels[inside]
+    births, points, visible, moving = births[asked], true.points[asked].astype(float), true.visible[asked], true.moving[asked]
     paths = follow_points(model, scene.cameras, scene.timestamps, np.column_stack([pixels, births]))
     ours = true_scale(scene) * _in_cameras(paths.points, scene.cameras)
     exact = _in_cameras(points, truth.cameras)
     errors = 100 * np.linalg.norm(ours - exact, axis=-1) / exact[..., 2]
     errors[np.isnan(errors)] = np.inf
-    # Where the clip ends within the span, the frames before the query are taken.
     steps = np.arange(scene.num_frames) - births[:, None]
-    steps[births + span > scene.num_frames - 1] *= -1
+    remaining = scene.num_frames - 1 - births
+    steps[(remaining < span) & (remaining < births)] *= -1
     counted = (steps > 0) & (steps <= span) & visible
     last = counted & (steps == span)
     regions = {"all": np.ones(len(moving), bool), "moving": moving, "static": ~moving}

@@ -66,14 +66,14 @@ def follow_points(model: SceneModel, cameras: Sequence[Camera], timestamps: np.n
         raise ValueError(f"queries must be [Q, 3], not {list(queries.shape)}, and there must be one camera a time")
     normalised = [model.similarity.camera(camera) for camera in cameras]
     times = [model.clip_time(float(t)) for t in timestamps]
-    starts = queries[:, 2].astype(int)
+    starts = queries[:, 2].astype(np.int64)
     points = np.full((len(queries), len(times), 3), np.nan)
     chosen: dict[int, _Carriers] = {}
-    for frame in np.unique(starts):
+    for frame in np.unique(starts).tolist():
         here = np.flatnonzero(starts == frame)
         rendered = _render(model, normalised[frame], times[frame])
         found = [_seen_at(model.gaussians, rendered, normalised[frame], queries[q, :2]) for q in here]
-        for q, (point, carriers) in zip(here, found, strict=True):
+        for q, (point, carriers) in zip(here.tolist(), found, strict=True):
             if carriers is not None:
                 points[q, frame], chosen[q] = point, carriers
     for order in (range(len(times)), range(len(times) - 1, -1, -1)):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import float32, njit, prange
+from numba import float32, prange
 from scipy.spatial import cKDTree
 
 from flowsplat.common.kernels import parallel_kernel
