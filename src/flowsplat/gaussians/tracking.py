@@ -148,15 +148,15 @@ def _seen_at(gaussians: Gaussians4D, frame: _Frame, camera: Camera, uv: np.ndarr
     own = np.abs(depths / surface - 1) <= SAME_SURFACE
     index, weights, depths = index[own], weights[own], depths[own]
     point = camera.unproject(uv, np.average(depths, weights=weights))
-    return point, _strongest(gaussians, frame.rows[index], weights, frame.t)
+    rows = frame.rows[index]
+    return point, _strongest(gaussians, rows, weights, gaussians.presence(frame.t, torch.from_numpy(rows)).double().numpy())
 
 
-def _strongest(gaussians: Gaussians4D, rows: np.ndarray, weights: np.ndarray, t: float) -> _Carriers:
-    """Carriers from the weights that Gaussians have at time ``t``."""
+def _strongest(gaussians: Gaussians4D, rows: np.ndarray, weights: np.ndarray, presence: np.ndarray) -> _Carriers:
+    """Carriers from the weights and the presence that Gaussians have at a time."""
     best = np.argsort(-weights, kind="stable")[:CARRIERS]
-    rows, weights = rows[best], weights[best]
-    present = gaussians.presence(t, torch.from_numpy(rows)).double().numpy()
-    return _Carriers(rows, weights / np.maximum(present, gaussians.config.p_min), float(weights.sum()))
+    rows, weights, presence = rows[best], weights[best], presence[best]
+    return _Carriers(rows, weights / np.maximum(presence, gaussians.config.p_min), float(weights.sum()))
 
 
 # -- along the clip
@@ -262,11 +262,11 @@ def _take_over(
             continue
         tree = cKDTree(_centers(gaussians, rows, t))
         distance, nearest = (part.reshape(len(members), -1) for part in tree.query(points[members], min(CARRIERS, len(rows))))
-        for q, apart, near in zip(members, distance, nearest, strict=True):
-            depth = abs(float(camera.project(points[q])[1]))
-            if apart[0] <= TOO_FAR * depth:
-                weights = _density(gaussians, rows[near], points[q], t, depth / camera.K[0, 0])
-                found[q] = _strongest(gaussians, rows.numpy()[near], weights, t)
+        depth = np.abs(camera.project(points[members])[1])
+        near = rows.numpy()[nearest]
+        weights, presence = _density(gaussians, near, points[members], t, depth / camera.K[0, 0])
+        for k in np.flatnonzero(distance[:, 0] <= TOO_FAR * depth):
+            found[members[k]] = _strongest(gaussians, near[k], weights[k], presence[k])
     yield from (found.get(q) for q in faded)
 
 
@@ -276,17 +276,27 @@ def _centers(gaussians: Gaussians4D, rows: Tensor, t: float) -> np.ndarray:
     return torch.where(gaussians.at_rest[rows][:, None], params["means"], gaussians.motion.state(params, t).means).numpy()
 
 
-def _density(gaussians: Gaussians4D, rows: Tensor, point: np.ndarray, t: float, pixel: float) -> np.ndarray:
-    """[N] how much each of some Gaussians holds of a point [3] at a time; ``pixel`` is the size of a pixel there."""
-    placed = _placed(gaussians, rows, t)
-    opacities = torch.sigmoid(gaussians.params["logit_opacities"][rows]).double() * placed.presence
-    arm = (torch.from_numpy(point) - placed.means)[..., None]
+def _density(
+    gaussians: Gaussians4D, rows: np.ndarray, points: np.ndarray, t: float, pixels: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """How much each of some Gaussians (``rows`` [Q, K]) holds of points [Q, 3] at a time, and their presence: [Q, K] both.
+
+    Args:
+        pixels: [Q] the size of a pixel at each point.
+    """
+    flat = torch.from_numpy(rows.ravel())
+    placed = _placed(gaussians, flat, t)
+    opacities = torch.sigmoid(gaussians.params["logit_opacities"][flat]).double() * placed.presence
+    arm = torch.from_numpy(points).repeat_interleave(rows.shape[1], 0) - placed.means
+    slack = torch.from_numpy(pixels).repeat_interleave(rows.shape[1])[:, None, None] ** 2
     # Discs on a surface are thin: a pixel of slack, or none of them would reach a point beside its plane.
-    blurred = placed.covars + pixel**2 * torch.eye(3, dtype=torch.float64)
-    squared = (arm.transpose(1, 2) @ torch.linalg.solve(blurred, arm)).flatten()
-    if float(squared.min()) > REACH**2:
-        return (opacities / (arm.squeeze(-1).square().sum(1) + pixel**2)).numpy()
-    return (opacities * torch.exp(-0.5 * squared)).numpy()
+    blurred = placed.covars + slack * torch.eye(3, dtype=torch.float64)
+    squared = (arm * torch.linalg.solve(blurred, arm)).sum(1)
+    inside = opacities * torch.exp(-0.5 * squared)
+    beside = opacities / (arm.square().sum(1) + slack.flatten())
+    reached = (squared.reshape(rows.shape) <= REACH**2).any(1, keepdim=True)
+    weights = torch.where(reached, inside.reshape(rows.shape), beside.reshape(rows.shape))
+    return weights.numpy(), placed.presence.reshape(rows.shape).numpy()
 
 
 # -- visibility

@@ -1,0 +1,136 @@
+"""The documentation: it builds without a warning, every link and picture of it is there, and what it quotes is what we say."""
+
+from __future__ import annotations
+
+import ast
+import html
+import os
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+import pytest
+
+import flowsplat
+from flowsplat.cli import main
+
+TOP = Path(__file__).parent.parent.parent
+DOCS = TOP / "docs"
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory) -> Path:
+    """The built site."""
+    for package in ("mkdocs", "material", "mkdocstrings"):
+        pytest.importorskip(package, reason="the site was not built: that needs mkdocs (pip install -e '.[docs]')")
+    folder = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder)]
+    environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
+    result = subprocess.run(command, cwd=TOP, env=environment, capture_output=True, text=True, timeout=300)
+    assert result.returncode == 0, result.stderr
+    return folder
+
+
+class Found(HTMLParser):
+    """The addresses that a page asks for, and the places in it that can be linked to."""
+
+    def __init__(self, page: Path):
+        super().__init__()
+        self.addresses: list[str] = []
+        self.names: set[str] = set()
+        self.feed(page.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        values = dict(attrs)
+        self.addresses += [values[key] or "" for key in ("href", "src") if key in values]
+        self.names |= {values[key] or "" for key in ("id", "name") if key in values}
+
+
+def test_every_link_and_picture_is_there(site):
+    pages = {path: Found(path) for path in site.rglob("*.html") if path.name != "404.html"}
+    assert len(pages) > 8
+    wrong = []
+    for page, found in pages.items():
+        for address in found.addresses:
+            parts = urlsplit(address)
+            if parts.scheme or parts.netloc:
+                continue
+            target = (page.parent / unquote(parts.path)).resolve() if parts.path else page
+            target = target / "index.html" if target.is_dir() else target
+            named = not parts.fragment or target not in pages or unquote(parts.fragment) in pages[target].names
+            if not target.is_file() or not named:
+                wrong.append(f"{page.name}: {address}")
+    assert wrong == []
+
+
+def test_nothing_is_fetched_from_elsewhere(site):
+    for page in site.rglob("*.html"):
+        text = page.read_text(encoding="utf-8")
+        assert re.findall(r"<(?:script|img|link|iframe)[^>]+(?:src|href)=[\"']?(?:https?:)?//[^\"' >]+", text) == [], page.name
+
+
+def test_the_site_shows_the_real_help(site, capsys):
+    page = html.unescape((site / "commands.html").read_text(encoding="utf-8"))
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    usage = re.search(r"\{([\w,\s-]+)\}", capsys.readouterr().out)
+    assert usage is not None
+    names = re.sub(r"\s", "", usage[1]).split(",")
+    assert len(names) > 8
+    for name in [*names, "benchmark priors"]:
+        if name != "benchmark":
+            assert f"usage: flowsplat {name} " in page
+    assert "--render.stereo" in page
+    assert "--max-gaussians" in page
+
+
+def test_the_site_shows_docstrings(site):
+    page = (site / "api.html").read_text(encoding="utf-8")
+    for name in ("splatting.api.rasterize", "gaussians.gaussians4d.Gaussians4D", "scenes.scene.Scene", "pipeline.stages.run"):
+        assert f'id="flowsplat.{name}"' in page
+
+
+def test_what_the_pages_quote_is_what_we_say():
+    said = "\n".join(_texts(Path(flowsplat.__file__).parent))
+    quoted = re.findall("“([^”]+)”", (DOCS / "why_clips_fail.md").read_text(encoding="utf-8"))
+    assert len(quoted) > 20
+    assert [text for text in quoted if text not in said] == []
+
+
+def test_every_sentence_on_cameras_is_explained():
+    page = (DOCS / "why_clips_fail.md").read_text(encoding="utf-8")
+    quoted = re.findall("“([^”]+)”", page)
+    tree = ast.parse((Path(flowsplat.__file__).parent / "priors/cameras/checks.py").read_text(encoding="utf-8"))
+    function = next(node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name == "verdict")
+    sentences = [text for text in _strings(function) if text.endswith(".") and text.count(" ") > 3 and "\n" not in text]
+    praise = ("pixels (median), field of view", " degrees.")
+    unexplained = [text for text in sentences if not any(q in text or text.strip() in q for q in (*quoted, *praise))]
+    assert len(sentences) > 7
+    assert unexplained == []
+
+
+def test_no_picture_is_left_over():
+    pages = "".join(path.read_text(encoding="utf-8") for path in [*DOCS.glob("*.md"), TOP / "README.md"])
+    assert [path.name for path in (DOCS / "images").iterdir() if path.name not in pages] == []
+
+
+def test_the_links_of_the_readme():
+    text = (TOP / "README.md").read_text(encoding="utf-8")
+    for address in re.findall(r"\]\(([^)#]+)", text):
+        if not urlsplit(address).scheme:
+            assert (TOP / address).exists(), address
+
+
+def _texts(package: Path) -> list[str]:
+    found = []
+    for path in sorted(package.rglob("*.py")):
+        found += _strings(ast.parse(path.read_text(encoding="utf-8")))
+    return found
+
+
+def _strings(tree: ast.AST) -> list[str]:
+    """All strings, the parts of an f-string as far as nothing is put in between."""
+    return [node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str)]
