@@ -75,25 +75,35 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         "format": 1, "date": datetime.now(timezone.utc).isoformat(timespec="seconds"), "quick": options.quick,
         "machine": machine.describe(), **machine.commit(RESULTS.parents[1]), "load_before": machine.load(),
     }  # fmt: skip
-    for name in options.only or parts:
+    for name in parts if options.only is None else options.only:
         tell(f"{name} ...")
         result[name] = parts[name]()
     if options.isa or options.layer:
         tell("variants ...")
         chosen = [name for name in (options.isa, options.layer) if name]
         result["variants"] = variants.measure(chosen, threads, effort.turns, options.quick)
-    return result | {"load_after": machine.load(), "limits": limits.to_json()}
+    result |= {"load_after": machine.load(), "limits": limits.to_json()}
+    return _added(json.loads(options.add_to.read_text(encoding="utf-8")), result) if options.add_to else result
+
+
+def _added(earlier: dict[str, Any], result: dict[str, Any]) -> dict[str, Any]:
+    """An earlier result with what was measured now in place of or beside what it has."""
+    for name in ("machine", "commit"):
+        if earlier[name] != result[name]:
+            raise SystemExit(f"--add-to: the {name} is not the same: {earlier[name]} then, {result[name]} now")
+    return earlier | {name: value for name, value in result.items() if value}
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parts = ("rasterizer", "torch", "training", "viewing", "scaling", "large", "startup")
     parser.add_argument("--quick", action="store_true", help="few repetitions")
-    parser.add_argument("--only", nargs="+", choices=parts, help="only these parts")
+    parser.add_argument("--only", nargs="*", choices=parts, help="only these parts")
     parser.add_argument("--threads", nargs="+", type=int, default=[1, 2], help="numbers of threads; the most is used where one is")
     parser.add_argument("--isa", choices=["avx2"], help="the rasterizer once more, compiled for this instruction set")
     parser.add_argument("--layer", choices=["workqueue"], help="the rasterizer once more, with this threading layer of Numba")
     parser.add_argument("--read", type=Path, metavar="JSON", help="measure nothing, show this result")
+    parser.add_argument("--add-to", type=Path, metavar="JSON", help="put what is measured into this result of the same commit")
     parser.add_argument("--compare", type=Path, metavar="JSON", help="print the ratios to an earlier result")
     parser.add_argument("--docs", type=Path, metavar="MD", help="write the tables into this page")
     parser.add_argument("-o", "--out", type=Path, metavar="JSON", help="write the result here")
@@ -108,7 +118,8 @@ def main() -> None:
     print(page)
     if options.compare:
         print(comparison(result, json.loads(options.compare.read_text(encoding="utf-8"))))
-    whole = not (options.read or options.quick or options.only)
+    whole = not (options.read or options.quick or options.only is not None)
+    options.out = options.out or options.add_to
     name = re.sub(r"[^a-z0-9]+", "-", result["machine"]["processor"].lower()).strip("-")
     out = options.out or (RESULTS / f"cpu-{name}.json" if whole else None)
     if out:

@@ -43,7 +43,7 @@ def _commands(arguments: Sequence[str]) -> dict[str, Any]:
 
         Args:
             input: A video file, a folder of pictures, a folder with images/ and masks/, a DAVIS root (with --sequence), a
-                rig scene, or a prepared scene.
+                rig scene, an NVIDIA Dynamic Scene, or a prepared scene.
             out: Folder for everything that comes out.
             preset: fast (half size, about two minutes), default, paper (the paper's settings) or high (five times default).
             config: All settings.

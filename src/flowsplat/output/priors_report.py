@@ -108,6 +108,10 @@ def _camera_words(scene: Scene, cameras: Mapping[str, Any]) -> str:
     words = {"static": "Camera: stands still", "rotation": "Camera: only turns", "free": "Camera path: good"}[motion]
     if _is_poor(scene, cameras):
         words = "Camera path: poor"
+    elif cameras.get("flat"):
+        words = "Camera path: one plane, so the focal length is a guess"
+    if cameras.get("surrounds"):
+        words += "; something that moves fills most of the picture"
     breaks = cameras.get("breaks", [])
     if breaks:
         words += f", with a cut before frame {breaks[0]}" if len(breaks) == 1 else f", with {len(breaks)} cuts"
@@ -152,6 +156,8 @@ def _advice(scene: Scene, cameras: Mapping[str, Any], depth: Mapping[str, Any]) 
         return "Blank frames spoil the training: leave them out with --start and --end."
     if _is_poor(scene, cameras):
         return "Training will give blurred pictures: consider cameras from another tool."
+    if cameras.get("flat") and not cameras.get("focal_given"):
+        return "Training can work along the clip's own path; give --cameras.focal if you know it."
     if depth.get("method") == "guess":
         return "Training can work along the clip's own path; views from aside will be wrong."
     if depth.get("method") == "multi-view" and depth["trusted"] < MOSTLY:

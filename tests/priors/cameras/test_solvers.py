@@ -77,6 +77,16 @@ def test_a_fast_pan_is_no_jump(good):
     assert find_jumps(replace(good, motion="rotation", fit=replace(good.fit, state=state))) == []
 
 
+def test_frames_that_are_left_out_are_no_jump(good):
+    pan = Rotation.from_rotvec(np.radians(4.0) * np.arange(20)[:, None] * [0, 1, 0]).as_matrix()
+    kept = [*range(8), *range(15, 20)]
+    centers = np.linspace([0.0, 0, 0], [3, 0, 0], 20)
+    state = replace(good.fit.state, rotations=pan[kept], translations=-np.einsum("tij,tj->ti", pan, centers)[kept])
+    found = replace(good, fit=replace(good.fit, state=state))
+    assert find_jumps(found) != []
+    assert find_jumps(found, kept) == []
+
+
 def test_the_sane_are_preferred_and_then_the_better(tracks, good):
     fine, wrong, jumps = judged(good, tracks), judged(bent(good), tracks), judged(damaged(good, 91, 0), tracks)
     assert prefer(fine, wrong)

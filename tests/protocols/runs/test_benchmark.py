@@ -55,7 +55,7 @@ def test_one_scene_that_cannot_be_run_does_not_stop_the_others(runs_root, tmp_pa
     assert "LPIPS needs its weights." in text
     page = (out / "davis.html").read_text()
     assert "bear, tuned" in page
-    assert "1 runs measured, 1 could not be run" in page
+    assert "Runs measured: 1; that could not be run: 1." in page
 
 
 def test_what_is_measured_is_kept_until_settings_change(runs_root, tmp_path, measured, capsys):
@@ -128,7 +128,7 @@ def test_davis_with_both_kinds_of_masks(runs_root, tmp_path):
         assert scene.heldout_masks.has_mask(9)
     text = (out / "davis.md").read_text()
     assert "flowsplat, own masks, default, iterations 6" in text
-    assert "| Flow Splatting | 31.88 |" in text
+    assert "| Flow Splatting (the paper) | 31.88 |" in text
 
 
 @pytest.mark.slow

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from flowsplat.cli import main
 from flowsplat.common.errors import InputError
 from flowsplat.evaluation.placement import view_camera
 from flowsplat.geometry import Camera
@@ -222,3 +223,14 @@ def test_files_that_do_not_fit_are_one_line(layouts, tmp_path, case):
 def test_poses_that_do_not_exist(tmp_path):
     with pytest.raises(InputError, match="does not exist"):
         read_poses_bounds(tmp_path / "poses_bounds.npy")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("layout", WRITERS)
+def test_a_whole_run(originals, tmp_path, layout):
+    """As a user calls it: the views are the test, rendered from the calibrated cameras."""
+    quick = ["--train.iterations", "6", "--render.paths", "input", "--render.width", "32"]
+    main(["run", str(originals / layout), "-o", str(tmp_path / "out"), *quick])
+    metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    assert metrics["heldout_frames"] is None
+    assert metrics["heldout_views"]["count"] == {"raw": 33, "twelve": 3, "nerfies": 9}[layout]

@@ -5,6 +5,7 @@ That all frames were placed proves nothing: a wrong focal length and a collapsed
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -104,7 +105,9 @@ class Solved:
         )
 
 
-def solve(positions: np.ndarray, width: float, height: float, focal: float | None, solver: str) -> Solved:
+def solve(
+    positions: np.ndarray, width: float, height: float, focal: float | None, solver: str, frames: Sequence[int] | None = None
+) -> Solved:
     """Cameras of one piece of a clip.
 
     Args:
@@ -112,6 +115,7 @@ def solve(positions: np.ndarray, width: float, height: float, focal: float | Non
         focal: pixels, where it is known.
         solver: ``own`` (frame after frame), ``global`` (all at once), or ``auto``: the first, and where its cameras look
             bad the second, of which the better is taken.
+        frames: their numbers in the clip, where some are left out.
     """
     used, kept_back = keep_back(np.isfinite(positions[..., 0]))
 
@@ -119,13 +123,15 @@ def solve(positions: np.ndarray, width: float, height: float, focal: float | Non
     rim = judges[on_rim(judges, width, height).sum(1) > 0.5 * np.isfinite(judges[..., 0]).sum(1)]
     name = "own" if solver == "auto" else solver
     first = estimate(positions[used], width, height, focal, name)
-    judgement = judge(name, first, rim if first.surrounds else judges, width, height)
+    judgement = judge(name, first, rim if first.surrounds else judges, width, height, frames)
     if solver != "auto" or not judgement.poor:
         return Solved(first, [judgement])
     second = estimate(positions[used], width, height, focal, "global")
     # Where something in front fills the picture, what is seen along the rim judges either.
     judges = rim if first.surrounds or second.surrounds else judges
-    found = {name: judge(name, cameras, judges, width, height) for name, cameras in (("own", first), ("global", second))}
+    found = {
+        name: judge(name, cameras, judges, width, height, frames) for name, cameras in (("own", first), ("global", second))
+    }
     if prefer(found["global"], found["own"]):
         return Solved(second, [found["global"], found["own"]])
     return Solved(first, [found["own"], found["global"]])
@@ -151,16 +157,19 @@ def keep_back(seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.setdiff1d(np.arange(len(seen)), kept), kept
 
 
-def judge(name: str, found: Estimate, positions: np.ndarray, width: float, height: float) -> Judgement:
+def judge(
+    name: str, found: Estimate, positions: np.ndarray, width: float, height: float, frames: Sequence[int] | None = None
+) -> Judgement:
     """What tracks that no adjustment has seen say about cameras, and whether the path is possible.
 
     A track's point is placed from every second frame that saw it and judged in the others.
 
     Args:
         positions: [N, T, 2] pixels of the kept-back tracks, NaN where not seen.
+        frames: their numbers in the clip, where some are left out.
     """
     pixels, cost = _heldout_errors(found, positions, width, height)
-    jumps = find_jumps(found) if found.motion in ("free", "rotation") else []
+    jumps = find_jumps(found, frames) if found.motion in ("free", "rotation") else []
     faults = _faults(found, width)
     lost = found.motion == "free" and (bool(found.unplaced) or found.fit.static.mean() < FEW_STATIC)
     poor = bool(jumps or faults or lost or (pixels is not None and pixels > LARGE_ERROR))
@@ -192,24 +201,28 @@ def _heldout_errors(found: Estimate, positions: np.ndarray, width: float, height
     return float(np.median(error[judged])), float(cost[judged].mean())
 
 
-def find_jumps(found: Estimate) -> list[int]:
+def find_jumps(found: Estimate, frames: Sequence[int] | None = None) -> list[int]:
     """Frames before which the path turns or leaps quite unlike anywhere else.
 
-    Compared are the changes from one step to the next: a pan may be fast, but it begins and ends.
+    Compared are the changes of speed from one step to the next: a pan may be fast, but it begins and ends.
+
+    Args:
+        frames: [T] their numbers in the clip, where some are left out.
     """
     state = found.fit.state
     count = len(state.rotations)
     if count < 5:
         return []
-    turns = state.rotations[1:] @ state.rotations[:-1].transpose(0, 2, 1)
-    change = np.degrees(Rotation.from_matrix(turns[1:] @ turns[:-1].transpose(0, 2, 1)).magnitude())
+    gaps = np.diff(np.arange(count) if frames is None else np.asarray(frames))[:, None]
+    turns = Rotation.from_matrix(state.rotations[1:] @ state.rotations[:-1].transpose(0, 2, 1)).as_rotvec() / gaps
+    change = np.degrees(np.linalg.norm(np.diff(turns, axis=0), axis=1))
     jumps = change > max(LARGEST_TURN, JUMP * float(np.median(change)))
     if found.motion == "free":
-        leaps = np.linalg.norm(np.diff(state.centers, 2, axis=0), axis=1) / _distance(found)
+        leaps = np.linalg.norm(np.diff(np.diff(state.centers, axis=0) / gaps, axis=0), axis=1) / _distance(found)
         jumps |= leaps > max(LARGEST_STEP, JUMP * float(np.median(leaps)))
     # One jump changes two steps: it is named once, before the frame that it leads to.
-    frames = np.flatnonzero(jumps) + 1
-    return [int(t) for k, t in enumerate(frames) if k == 0 or t > frames[k - 1] + 1]
+    places = np.flatnonzero(jumps) + 1
+    return [int(t) for k, t in enumerate(places) if k == 0 or t > places[k - 1] + 1]
 
 
 def _distance(found: Estimate) -> float:

@@ -104,6 +104,8 @@ def camera_stage(scene: Scene, options: CameraOptions) -> None:
         "solvers": [judgement.to_json(unit) for judgement in main.judgements],
         "motion": main.found.motion,
         "static": len(pieces) == 1 and main.found.motion in ("static", "unknown"),
+        "flat": main.found.flat,
+        "surrounds": main.found.surrounds,
         "focal": round(fit.state.focal * unit, 3),
         "focal_given": focal is not None,
         "focal_sigma": round(fit.focal_sigma, 5) if np.isfinite(fit.focal_sigma) else None,
@@ -152,7 +154,9 @@ class _Tracks:
         if lens is not None:
             straight = _Tracks(lens.straightened(self.positions), self.pieces, self.width, self.height)
             return straight.solve(solver, None if focal is None else lens.pinhole)
-        return [solve(self.of_piece(k), self.width, self.height, focal, solver) for k in range(len(self.pieces))]
+        return [
+            solve(self.of_piece(k), self.width, self.height, focal, solver, frames) for k, frames in enumerate(self.pieces)
+        ]
 
 
 def _find_lens(

@@ -40,10 +40,11 @@ NO_MATTER = ("checkpoint_every", "preview_every")
 
 ProtocolName = Literal["davis", "rig", "nvidia"]
 FORMS = {
-    "nerfies": "form of Dynamic Gaussian Marbles, half size",
+    "nerfies": "Marbles' form, half size",
     "twelve": "twelve pictures, 480x270",
-    "raw": "raw form, NSFF's protocol, 24 times at height 288",
+    "raw": "NSFF's form, height 288",
 }
+"""Forms of an NVIDIA scene, for people."""
 
 
 @dataclass(frozen=True)

@@ -54,7 +54,7 @@ def write_report(protocol: ProtocolName, out: Path, results: Sequence[Result], f
         page,
         "protocol.html.jinja",
         title=TITLES[protocol],
-        verdict=f"{len(results)} runs measured" + (f", {len(failed)} could not be run." if failed else "."),
+        verdict=f"Runs measured: {len(results)}" + (f"; that could not be run: {len(failed)}." if failed else "."),
         remarks=remarks,
         tables=[_shown(each) for each in found],
         scenes=[_scene(out, result) for result in results],

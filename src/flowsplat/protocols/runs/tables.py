@@ -25,7 +25,6 @@ BASELINES = {
 }
 DIGITS = {"psnr": 2, "ssim": 3, "lpips": 3}
 NAMES = {"psnr": "PSNR", "ssim": "SSIM", "lpips": "LPIPS (AlexNet)"}
-PAPER = "Flow Splatting"
 TUNED_MARK = "*tuned*"
 
 
@@ -75,6 +74,10 @@ def label(result: Result) -> str:
     return f"{result['scene']}, {TUNED_MARK}" if result["tuned"] else str(result["scene"])
 
 
+def _method(name: str) -> str:
+    return f"{name} (the paper)" if name == "Flow Splatting" else name
+
+
 def _how(result: Result) -> str:
     """What tells one run of a scene from another."""
     return f"{result['variant']}, {result['settings']}"
@@ -88,7 +91,7 @@ def _matrix(title: str, known: Mapping[str, Any], results: Sequence[Result], met
     names = {scene.casefold(): own.get(scene.casefold(), scene) for scene in known["scenes"]}
     columns = names | {key: name for key, name in own.items() if key not in names}
     lines: list[tuple[str, dict[str, float | None], bool]] = [
-        (method, dict(zip(names, figures[metric], strict=True)), False)
+        (_method(method), dict(zip(names, figures[metric], strict=True)), False)
         for method, figures in known["methods"].items()
         if metric in figures
     ]
@@ -102,8 +105,8 @@ def _matrix(title: str, known: Mapping[str, Any], results: Sequence[Result], met
     rows: list[tuple[str, ...]] = []
     for name, values, _ in lines:
         cells = [values.get(key) for key in columns]
-        for group in (names, own):
-            scores = [values.get(key) for key in group]
+        for scenes in (tuple(names), tuple(own)):
+            scores = [values.get(key) for key in scenes]
             cells.append(None if None in scores else mean_of(scores))
         rows.append((name, *(text(cell, DIGITS[metric]) for cell in cells)))
     header = ("method", *columns.values(), f"mean of the {len(names)} published", "mean of those run here")
@@ -126,7 +129,7 @@ def _by_scene(results: Sequence[Result], path: tuple[str, ...]) -> dict[str, flo
 def _nvidia(known: Mapping[str, Any], results: Sequence[Result]) -> Table:
     digits = (2, 2, 2, 2, 1, 0, 0)
     rows = [
-        (method, *(value if isinstance(value, str) else text(value, d) for value, d in zip(values, digits, strict=True)))
+        (_method(method), *(value if isinstance(value, str) else text(value, d) for value, d in zip(values, digits, strict=True)))
         for method, values in known["methods"].items()
     ]
     ours = []
