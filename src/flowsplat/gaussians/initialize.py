@@ -8,7 +8,6 @@ from typing import Literal
 import cv2
 import numpy as np
 import torch
-from scipy.spatial import cKDTree
 
 from flowsplat.common.errors import InputError
 from flowsplat.gaussians.gaussians4d import Gaussians4D, ModelConfig, concatenate, parameter_shapes
@@ -125,7 +124,7 @@ def _spheres(samples: SurfaceSamples) -> SurfaceSamples:
     """The same points as spheres, as large as the mean distance of their three nearest neighbours (fudan)."""
     if len(samples.means) < 2:
         return samples
-    distances, _ = cKDTree(samples.means).query(samples.means, k=min(4, len(samples.means)), workers=-1)
+    distances = _nearest(samples.means, samples.means, min(4, len(samples.means)))[0]
     radius = np.clip(distances[:, 1:].mean(1), 1e-5, None)
     quats = np.tile([1.0, 0, 0, 0], (len(radius), 1))
     return SurfaceSamples(samples.means, quats, np.repeat(radius[:, None], 3, 1), samples.colours)
@@ -323,7 +322,7 @@ def _fit_motion(
     coefficients = np.linalg.solve(normal + ridge, right) / (sigma ** np.arange(1, order + 1))[:, None]
     lost = links == 0
     if lost.any() and not lost.all():
-        coefficients[lost] = coefficients[~lost][cKDTree(start[~lost]).query(start[lost])[1]]
+        coefficients[lost] = coefficients[~lost][_nearest(start[~lost], start[lost], 1)[1]]
     return coefficients
 
 
@@ -344,3 +343,11 @@ def _random(
     points = SurfaceSamples(means, np.tile([1.0, 0, 0, 0], (count, 1)), np.ones((count, 3)), rng.random((count, 3)))
     times, precision = rng.uniform(-0.1, 1.1, count), np.full(count, np.log(5.0))
     return _build(_spheres(points), times, precision, np.zeros((count, 0, 3)), True, model, 0.1)
+
+
+def _nearest(points: np.ndarray, queries: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Distances and indices of the ``count`` points nearest to each query: [Q, count], or [Q] for one."""
+    from scipy.spatial import cKDTree  # A quarter of a second, which those who only look at a scene need not wait.
+
+    distances, indices = cKDTree(points).query(queries, k=count, workers=-1)
+    return distances, indices
