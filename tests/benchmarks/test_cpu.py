@@ -78,7 +78,8 @@ def test_the_floor_is_the_designs():
 
 
 @pytest.mark.parametrize("channels", [1, 5])
-def test_torch_tiles_compute_what_the_oracle_computes(channels):
+@pytest.mark.parametrize("differentiate", [torch_tiles.differentiate_simply, torch_tiles.differentiate_by_rows])
+def test_torch_tiles_compute_what_the_oracle_computes(differentiate, channels):
     load = work_load(200, *SIZE, footprint=1.5)
     generator = torch.Generator().manual_seed(0)
     leaves = {name: leaf.detach().double().requires_grad_() for name, leaf in load.leaves().items()}
@@ -86,7 +87,7 @@ def test_torch_tiles_compute_what_the_oracle_computes(channels):
     grad_image = torch.randn(SIZE[1], SIZE[0], channels, generator=generator, dtype=torch.float64)
     grad_alphas = torch.randn(SIZE[1], SIZE[0], generator=generator, dtype=torch.float64)
     view = load.camera.tensors(torch.float64)
-    image, alphas, seconds = torch_tiles.differentiate(leaves, features, *view, *SIZE, grad_image, grad_alphas)
+    image, alphas, seconds = differentiate(leaves, features, *view, *SIZE, grad_image, grad_alphas)
 
     inputs = [*leaves.values(), features]
     expected, expected_alphas, _ = rasterize(*inputs, *view, *SIZE, backend="reference")
@@ -100,10 +101,10 @@ def test_torch_tiles_compute_what_the_oracle_computes(channels):
 
 def test_a_wrong_picture_is_refused(monkeypatch):
     picture = rasterizer.Picture(work_load(100, *SIZE), 3, 1)
-    assert set(picture.torch_job()) == {"forward", "backward"}
+    assert set(picture.torch_job(careful=True)) == set(picture.torch_job(careful=False)) == {"forward", "backward"}
     monkeypatch.setattr(torch_tiles, "ALPHA_MIN", 0.1)
     with pytest.raises(RuntimeError, match="differs"):
-        picture.torch_job()
+        picture.torch_job(careful=True)
 
 
 # -- measuring
