@@ -178,6 +178,23 @@ def test_long_flows_reach_far(tmp_path: Path):
     np.testing.assert_array_equal(flows.matches(1, 9)[0], flow)
 
 
+def test_long_flows_are_those_of_the_chosen_method(tmp_path: Path):
+    scene = write_planes(tmp_path, step=2, square=False)
+    flow_stage(scene)
+    guesses = []
+
+    def estimate(a: np.ndarray, b: np.ndarray, guess: np.ndarray | None = None) -> np.ndarray:
+        assert a.shape == b.shape == (HEIGHT, WIDTH, 3)
+        guesses.append(guess)
+        return np.full((HEIGHT, WIDTH, 2), 6, np.float32)
+
+    flows = LongFlows(scene, Continuity(scene), estimate)
+    np.testing.assert_allclose(flows.matches(1, 3)[0], 3)
+    assert [guess.shape for guess in guesses] == [(HEIGHT, WIDTH, 2)] * 2  # there and back, from neighbours' flow
+    assert np.median(np.abs(guesses[0] - [-4, 0])) < 0.1
+    assert np.median(np.abs(flows.matches(3, 4)[0] - [-1, 0])) < 0.1
+
+
 @pytest.fixture(scope="module")
 def moving(tmp_path_factory) -> Scene:
     scene = write_planes(tmp_path_factory.mktemp("moving"), step=2, square=True)

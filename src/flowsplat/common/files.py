@@ -120,3 +120,20 @@ def read_npz(path: Path) -> dict[str, np.ndarray]:
         raise InputError(f"{path} does not exist.") from error
     except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
         raise InputError(f"{path} is damaged or truncated: {error}.") from error
+
+
+def read_npy(path: Path) -> np.ndarray:
+    """One array of a ``.npy`` file; pickled objects are refused.
+
+    Raises:
+        InputError: missing or damaged.
+    """
+    try:
+        array = np.load(path, allow_pickle=False)
+    except FileNotFoundError as error:
+        raise InputError(f"{path} does not exist.") from error
+    except (OSError, ValueError, EOFError) as error:
+        raise InputError(f"{path} is no readable .npy file (damaged or truncated): {error}.") from error
+    if not isinstance(array, np.ndarray):
+        raise InputError(f"{path} is no readable .npy file: it is an archive.")
+    return array

@@ -25,7 +25,7 @@ from flowsplat.priors.depth.clip import SolvedClip
 from flowsplat.priors.depth.fill import fill, upsample
 from flowsplat.priors.depth.movers import MARGIN
 from flowsplat.priors.depth.stage import FURTHEST_DEPTH, NEAREST_DEPTH, TRUSTED_WEIGHT
-from flowsplat.priors.flow import sample_map
+from flowsplat.priors.flow import FlowEstimator, dis_estimator, sample_map
 from flowsplat.scenes import Depth, Scene
 from flowsplat.scenes.layers import TRUSTED
 
@@ -102,14 +102,17 @@ def fit_line(x: np.ndarray, y: np.ndarray, weights: np.ndarray, loose: float) ->
     return (typical / middle, 0.0) if middle > 0 else (0.0, typical)
 
 
-def monocular_stage(scene: Scene, source: Monocular) -> None:
+def monocular_stage(scene: Scene, source: Monocular, estimate: FlowEstimator = dis_estimator) -> None:
     """Depth with confidence for every training frame from monocular depth. Needs cameras and flow, uses masks if there are any.
 
     Without parallax nothing measures scale and shift: the frames are then fitted to each other, the whole clip gets an
     arbitrary scale, and the verdict says so.
+
+    Args:
+        estimate: finds the flow between frames that are no neighbours.
     """
     folder = scene.folder / "monocular"
-    clip = SolvedClip(scene)
+    clip = SolvedClip(scene, estimate)
     for i in track(scene.train_frames, "Monocular depth"):
         if not (folder / f"{i:05d}.npz").exists():
             inverse, confidence = source.inverse(i)
@@ -146,6 +149,10 @@ class _Maps:
         if not self.has_masks:
             return np.zeros((self.scene.height, self.scene.width), bool)
         return self.scene.mask(self.scene.train_frames[k]) > 0
+
+    def moving_small(self, k: int) -> np.ndarray:
+        """[h, w] float32 at working resolution, above 0 wherever a pixel of it shows something that moves."""
+        return cv2.resize(self.moving(k).astype(np.float32), (self.clip.width, self.clip.height), interpolation=cv2.INTER_AREA)
 
 
 def _write_measured(maps: _Maps, source: Monocular) -> dict[str, object]:
@@ -258,8 +265,9 @@ def _chained_lines(maps: _Maps, relative: bool) -> np.ndarray:
     grid = pixel_grid(clip.width, clip.height)
     for before, k in pairwise(range(len(clip))):
         flow, confidence = clip.step_flow(k, before)
-        rests = cv2.resize(maps.moving(k).astype(np.uint8), (clip.width, clip.height), interpolation=cv2.INTER_NEAREST) == 0
-        chosen = rests & (confidence >= TRUSTED)
+        landed = (grid + flow).reshape(-1, 2)
+        moves_there = sample_map(maps.moving_small(before), landed)[:, 0].reshape(confidence.shape)
+        chosen = (maps.moving_small(k) == 0) & (moves_there == 0) & (confidence >= TRUSTED)
         lines[k] = lines[before]
         if not clip.continuity.same_piece(k, before):
             # Nothing is known across a cut; what comes after it is as far away as what came before.
@@ -268,7 +276,7 @@ def _chained_lines(maps: _Maps, relative: bool) -> np.ndarray:
             lines[k] = (lines[before, 0], middle - lines[before, 0] * here) if relative else (middle / max(here, 1e-9), 0.0)
         elif chosen.sum() >= FEWEST:
             here = maps.small(k)[0][chosen]
-            there = sample_map(maps.small(before)[0], (grid + flow)[chosen])[:, 0]
+            there = sample_map(maps.small(before)[0], landed[chosen.ravel()])[:, 0]
             middles = float(np.median(there)), float(np.median(here))
             # Without a shift of its own a frame differs by its scale alone.
             sizes = [np.subtract(*np.percentile(values, [80, 20])) for values in (there, here)] if relative else middles

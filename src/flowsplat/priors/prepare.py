@@ -15,7 +15,7 @@ from flowsplat.common.progress import say
 from flowsplat.priors.cameras import CameraOptions, camera_stage
 from flowsplat.priors.depth import depth_stage
 from flowsplat.priors.depth.clip import forget_solutions
-from flowsplat.priors.flow import flow_stage
+from flowsplat.priors.flow import FlowEstimator, dis_estimator, flow_stage
 from flowsplat.priors.given import GivenPriors, use_given, use_truth
 from flowsplat.priors.learned.weights import ModelOptions, network_device
 from flowsplat.priors.masks import mask_stage
@@ -71,23 +71,26 @@ def prepare_priors(scene: Scene, options: PriorsOptions, device: str = "auto") -
         raise InputError("--given.masks and --mask-click or --mask-box both say what moves: give one of them.")
     _require_pictures_as_they_are(options)
     _set_aside(scene, options, bool(prompts))
-    names = ("cameras", "flow", "masks", "depth", "tracks")
-    missing = [name for name in names if scene.prior(name) is None]
+    missing = _missing(scene)
     seconds: dict[str, float] = {}
     if options.priors == "true" and missing:
         seconds["truth"] = _timed(lambda: use_truth(scene))
         _set_aside(scene, options, bool(prompts))
+        missing = _missing(scene)
+    # Networks are loaded before anything is computed: that one is missing is said now, and not after minutes of other work.
+    estimate = _flow_estimator(options, device) if {"flow", "masks", "depth"} & set(missing) else dis_estimator
     later: dict[str, Stage] = {}
     if options.given != GivenPriors() and missing:
         start = time.perf_counter()
-        later = use_given(scene, options.given)
+        later = use_given(scene, options.given, estimate)
         seconds["given"] = time.perf_counter() - start
-    missing = [name for name in names if scene.prior(name) is None]
+        missing = _missing(scene)
+    chosen = set(missing) - set(later)
     stages = {
         "cameras": lambda: camera_stage(scene, options.cameras),
+        "flow": lambda: flow_stage(scene, options.flow, estimate),
         "tracks": lambda: tracks_stage(scene),
-        # Networks are loaded here: that one is missing is said now, and not after minutes of other work.
-        **{name: choose(scene, options, prompts, device) for name, choose in _CHOICES.items() if name in set(missing) - set(later)},
+        **{name: choose(scene, options, prompts, estimate, device) for name, choose in _CHOICES.items() if name in chosen},
         **later,
     }
     for name in missing:
@@ -104,6 +107,11 @@ def _require_pictures_as_they_are(options: PriorsOptions) -> None:
     if options.cameras.distortion == "radial" and (named or options.priors == "true"):
         files = f"--given.{named[0]}" if named else "--priors true"
         raise InputError(f"{files} belongs to the pictures as they came: leave out --cameras.distortion radial.")
+
+
+def _missing(scene: Scene) -> list[str]:
+    """The priors that are not there, in the order in which they need each other."""
+    return [name for name in ("cameras", "flow", "masks", "depth", "tracks") if scene.prior(name) is None]
 
 
 def _set_aside(scene: Scene, options: PriorsOptions, has_prompts: bool) -> None:
@@ -126,17 +134,19 @@ def _set_aside(scene: Scene, options: PriorsOptions, has_prompts: bool) -> None:
             scene.save_info()
 
 
-def _choose_flow(scene: Scene, options: PriorsOptions, prompts: list[Prompt], device: str) -> Stage:
+def _flow_estimator(options: PriorsOptions, device: str) -> FlowEstimator:
     if options.flow == "dis":
-        return partial(flow_stage, scene)
+        return dis_estimator
     from flowsplat.priors.learned.raft import raft_estimator
 
-    return partial(flow_stage, scene, "raft", raft_estimator(options.models.raft, network_device(device)))
+    return raft_estimator(options.models.raft, network_device(device))
 
 
-def _choose_masks(scene: Scene, options: PriorsOptions, prompts: list[Prompt], device: str) -> Stage:
+def _choose_masks(
+    scene: Scene, options: PriorsOptions, prompts: list[Prompt], estimate: FlowEstimator, device: str
+) -> Stage:
     if options.masks == "motion":
-        return partial(prompt_stage, scene, prompts) if prompts else partial(mask_stage, scene)
+        return partial(prompt_stage, scene, prompts) if prompts else partial(mask_stage, scene, estimate)
     from flowsplat.priors.learned.sam import load_segmenter, prompts_from_masks, sam_stage
 
     segmenter = load_segmenter(options.masks, options.models, network_device(device))
@@ -144,21 +154,24 @@ def _choose_masks(scene: Scene, options: PriorsOptions, prompts: list[Prompt], d
         return partial(sam_stage, scene, segmenter, prompts, "clicks and boxes")
 
     def found_by_motion() -> None:
-        mask_stage(scene)
+        mask_stage(scene, estimate)
         sam_stage(scene, segmenter, prompts_from_masks(scene), "motion")
 
     return found_by_motion
 
 
-def _choose_depth(scene: Scene, options: PriorsOptions, prompts: list[Prompt], device: str) -> Stage:
+def _choose_depth(
+    scene: Scene, options: PriorsOptions, prompts: list[Prompt], estimate: FlowEstimator, device: str
+) -> Stage:
     if options.depth == "multiview":
-        return partial(depth_stage, scene)
+        return partial(depth_stage, scene, estimate)
     from flowsplat.priors.learned.depth import learned_depth
 
-    return partial(monocular_stage, scene, learned_depth(options.depth, scene, options.models, network_device(device)))
+    source = learned_depth(options.depth, scene, options.models, network_device(device))
+    return partial(monocular_stage, scene, source, estimate)
 
 
-_CHOICES = {"flow": _choose_flow, "masks": _choose_masks, "depth": _choose_depth}
+_CHOICES = {"masks": _choose_masks, "depth": _choose_depth}
 
 
 def _timed(stage: Stage) -> float:

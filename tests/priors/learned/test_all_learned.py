@@ -15,7 +15,11 @@ from ..planes import HEIGHT, WIDTH, write_planes
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("masks", "prompts"), [("sam2", ()), ("sam3", ("60,40@3",))])
-def test_every_network_takes_its_place(tmp_path: Path, raft_file, depth_anything, sam2, sam3, masks, prompts):
+def test_every_network_takes_its_place(tmp_path: Path, monkeypatch, raft_file, depth_anything, sam2, sam3, masks, prompts):
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("flow of another method")
+
+    monkeypatch.setattr("flowsplat.priors.flow.dis_flow", refuse)
     scene = write_planes(tmp_path, step=2, square=True, holdout=5)
     models = ModelOptions(raft=str(raft_file), depth_anything=str(depth_anything), sam2=str(sam2), sam3=str(sam3))
     options = PriorsOptions(flow="raft", masks=masks, depth="depth-anything", models=models, mask_click=prompts)

@@ -13,8 +13,11 @@ import torch
 from flowsplat.common.errors import InputError
 from flowsplat.priors.flow import flow_stage
 from flowsplat.priors.learned.raft import raft_estimator
+from flowsplat.priors.learned.weights import ModelOptions
+from flowsplat.priors.prepare import PriorsOptions, prepare_priors
 from flowsplat.scenes import Scene
 
+from ..planes import write_planes
 from .conftest import import_torchvision
 
 CPU = torch.device("cpu")
@@ -53,6 +56,11 @@ def test_flow_is_in_pixels_of_the_picture(raft_file: Path, monkeypatch):
     assert 0.8 < high <= 1
 
 
+def test_a_guess_changes_nothing(raft_file: Path):
+    a, b, estimate = picture(128, 136), picture(128, 136, seed=1), raft_estimator(str(raft_file), CPU)
+    np.testing.assert_array_equal(estimate(a, b, np.full((128, 136, 2), 9, np.float32)), estimate(a, b))
+
+
 def test_the_stage_names_it(raft_file: Path, tmp_path: Path):
     scene = Scene.create(tmp_path, name="s", source="", width=40, height=32, timestamps=range(3), holdout=None, source_fps=1)
     for i in range(3):
@@ -60,6 +68,18 @@ def test_the_stage_names_it(raft_file: Path, tmp_path: Path):
     flow_stage(scene, "raft", raft_estimator(str(raft_file), CPU))
     assert scene.prior("flow")["method"] == "raft"
     assert scene.flow_pairs == [(0, 1), (1, 0), (1, 2), (2, 1)]
+
+
+@pytest.mark.slow
+def test_all_flow_is_its_own(raft_file: Path, tmp_path: Path, monkeypatch):
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("flow of another method")
+
+    monkeypatch.setattr("flowsplat.priors.flow.dis_flow", refuse)
+    scene = write_planes(tmp_path, step=2, square=True, holdout=5)
+    prepare_priors(scene, PriorsOptions(flow="raft", models=ModelOptions(raft=str(raft_file))))
+    assert scene.prior("flow")["method"] == "raft"
+    assert all(np.isfinite(scene.depth(i).depth).all() for i in scene.train_frames)
 
 
 def test_absent_weights_say_where_to_get_them(monkeypatch, tmp_path: Path):

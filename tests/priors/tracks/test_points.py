@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 
 from flowsplat.priors.tracks import TrackTable, corner_strength, new_points, oldest_of_crowds, refine_points
+from flowsplat.priors.tracks.points import MUTED, detail
 
 from .textures import shifted, texture
 
@@ -46,3 +47,14 @@ def test_a_table_keeps_what_was_noted():
     assert values.shape == (3, 3, 2)
     assert values[1, 2].tolist() == [5, 6]
     assert np.isfinite(values[..., 0]).tolist() == [[True, False, False], [True, False, True], [False, False, True]]
+
+
+def test_shade_is_muted_and_detail_stays():
+    shade = np.linspace(40, 200, 120)[None] * np.ones((90, 1))
+    grain = 20 * np.where(np.indices((90, 120)).sum(0) % 2, 1.0, -1.0)
+    found = detail(np.clip(shade + grain, 0, 255).astype(np.uint8))
+    inner = (slice(20, -20), slice(20, -20))
+    rise = found.mean(0)[100] - found.mean(0)[20]
+    assert abs(rise / (shade[0, 100] - shade[0, 20]) - (1 - MUTED)) < 0.05
+    assert abs(np.abs(np.diff(found, axis=1))[inner].mean() / 40 - 1) < 0.05
+    assert np.abs(detail(np.full((20, 30), 128, np.uint8)) - 128).max() < 1e-3

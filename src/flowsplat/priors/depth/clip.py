@@ -17,6 +17,7 @@ from flowsplat.geometry import Camera
 from flowsplat.priors.continuity import Continuity
 from flowsplat.priors.depth.longflow import LongFlows, working_size
 from flowsplat.priors.depth.multiview import MultiView, solve_multiview
+from flowsplat.priors.flow import FlowEstimator, dis_estimator
 from flowsplat.scenes import Scene
 
 PARALLAX = 25.0
@@ -52,16 +53,21 @@ class SolvedClip:
         mean_parallax: mean over frames of the median parallax, in working pixels.
     """
 
-    def __init__(self, scene: Scene):
-        """Solve what is not solved yet. Needs cameras and flow."""
+    def __init__(self, scene: Scene, estimate: FlowEstimator = dis_estimator):
+        """Solve what is not solved yet. Needs cameras and flow.
+
+        Args:
+            estimate: finds the flow between frames that are no neighbours.
+        """
         self.scene = scene
         self.width, self.height = working_size(scene)
         self.cameras: list[Camera] = [scene.cameras[i].resized(self.width, self.height) for i in scene.train_frames]
         self.continuity = Continuity(scene)
-        # Other cameras make another solution, which must not be mixed with this one.
-        digest = hashlib.sha256((scene.folder / "cameras.json").read_bytes()).hexdigest()[:12]
+        # Other cameras or other flow make another solution, which must not be mixed with this one.
+        flow = str((scene.prior("flow") or {}).get("method"))
+        digest = hashlib.sha256((scene.folder / "cameras.json").read_bytes() + flow.encode()).hexdigest()[:12]
         self._folder = _folder(scene) / digest
-        self._solve()
+        self._solve(estimate)
         samples = [self[k] for k in range(0, len(self), max(1, len(self) // 24))]
         self.median, self.has_parallax = _median(samples, PARALLAX, ENOUGH), True
         if not self.median:
@@ -97,11 +103,11 @@ class SolvedClip:
     def _path(self, k: int) -> Path:
         return self._folder / f"{self.scene.train_frames[k]:05d}.npz"
 
-    def _solve(self) -> None:
+    def _solve(self, estimate: FlowEstimator) -> None:
         missing = [k for k in range(len(self)) if not self._path(k).exists()]
         if not missing:
             return
-        flows = LongFlows(self.scene, self.continuity)
+        flows = LongFlows(self.scene, self.continuity, estimate)
         for k in track(missing, "Matching frames"):
             others = flows.neighbours(k)
             if others:

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from flowsplat.priors.continuity import Continuity
-from flowsplat.priors.flow import compose, dis_flow, forward_backward_confidence, grey
+from flowsplat.priors.flow import FlowEstimator, compose, dis_estimator, forward_backward_confidence
 from flowsplat.scenes import Scene
 
 STRIDES = (1, 2, 4, 8, 16)
@@ -24,11 +24,11 @@ class LongFlows:
     Computed when asked for and kept until ``forget``; a walk over the clip keeps about 8 strides x 16 frames.
     """
 
-    def __init__(self, scene: Scene, continuity: Continuity):
-        self._scene, self._continuity = scene, continuity
+    def __init__(self, scene: Scene, continuity: Continuity, estimate: FlowEstimator = dis_estimator):
+        self._scene, self._continuity, self._estimate = scene, continuity, estimate
         self._width, self._height = working_size(scene)
         self._flows: dict[tuple[int, int], np.ndarray] = {}
-        self._grey: dict[int, np.ndarray] = {}
+        self._frames: dict[int, np.ndarray] = {}
 
     def neighbours(self, k: int) -> list[int]:
         """The positions one, two, four, eight and sixteen steps before and after ``k`` that can be matched with it."""
@@ -39,7 +39,7 @@ class LongFlows:
     def forget(self, before: int) -> None:
         """Drop what no frame from position ``before`` on needs."""
         self._flows = {pair: flow for pair, flow in self._flows.items() if max(pair) >= before}
-        self._grey = {k: image for k, image in self._grey.items() if k >= before - STRIDES[-1]}
+        self._frames = {k: image for k, image in self._frames.items() if k >= before - STRIDES[-1]}
 
     def matches(self, a: int, b: int) -> tuple[np.ndarray, np.ndarray]:
         """(flow [h, w, 2], confidence [h, w]) from ``a`` to ``b``, which are a stride apart, in working pixels."""
@@ -54,14 +54,14 @@ class LongFlows:
             else:
                 half = (a + b) // 2
                 guess = self._resized(compose(self._flow(a, half), self._flow(half, b)), self._scene.width, self._scene.height)
-                flow = dis_flow(self._image(a), self._image(b), guess)
+                flow = self._estimate(self._frame(a), self._frame(b), guess)
             self._flows[a, b] = self._resized(flow, self._width, self._height)
         return self._flows[a, b]
 
-    def _image(self, k: int) -> np.ndarray:
-        if k not in self._grey:
-            self._grey[k] = grey(self._scene.frame(self._scene.train_frames[k]))
-        return self._grey[k]
+    def _frame(self, k: int) -> np.ndarray:
+        if k not in self._frames:
+            self._frames[k] = self._scene.frame(self._scene.train_frames[k])
+        return self._frames[k]
 
     @staticmethod
     def _resized(flow: np.ndarray, width: int, height: int) -> np.ndarray:

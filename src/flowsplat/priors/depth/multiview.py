@@ -14,6 +14,7 @@ from numba import njit, prange
 
 from flowsplat.common.kernels import OPTIONS, parallel_kernel
 from flowsplat.geometry import Camera
+from flowsplat.priors.flow import lengths
 
 ROBUST_SCALE = 0.5
 """Working pixels: a residual of this size has half its weight (Cauchy)."""
@@ -70,7 +71,7 @@ def solve_multiview(camera: Camera, others: Sequence[Camera], flows: np.ndarray,
     targets = np.ascontiguousarray(np.moveaxis(flows, 0, 2), dtype=np.float32)
     weights = np.ascontiguousarray(np.moveaxis(np.where(confidences >= 0.5, confidences, 0), 0, 2), dtype=np.float32)
     inverse_depth, information, residual, errors = _solve(intrinsics.astype(np.float32), poses.astype(np.float32), targets, weights)
-    motion = _motion(errors, weights, np.linalg.norm(targets, axis=-1))
+    motion = _motion(errors, weights, lengths(targets))
     return MultiView(inverse_depth / np.float32(reach), information, residual, motion.reshape(height, width))
 
 

@@ -10,6 +10,7 @@ from flowsplat.priors.depth.clip import SolvedClip
 from flowsplat.priors.depth.fill import upsample
 from flowsplat.priors.depth.longflow import STRIDES
 from flowsplat.priors.depth.movers import MARGIN, card, growth, smooth_cards
+from flowsplat.priors.flow import FlowEstimator, dis_estimator
 from flowsplat.scenes import Depth, Scene
 
 NEAREST_DEPTH, FURTHEST_DEPTH = 0.05, 30.0
@@ -22,13 +23,16 @@ TRUSTED_WEIGHT = 5.0
 """Weight at which a static pixel has a confidence of one half."""
 
 
-def depth_stage(scene: Scene) -> None:
+def depth_stage(scene: Scene, estimate: FlowEstimator = dis_estimator) -> None:
     """Depth with confidence for every training frame that has none. Needs cameras and flow, and uses masks if there are any.
 
     Static pixels come from their matches in other frames of the same piece of the clip, movers are cards in front of what
     they hide. A clip whose camera does not move (or only turns) gets a guess, and the verdict says so.
+
+    Args:
+        estimate: finds the flow between frames that are no neighbours.
     """
-    clip = SolvedClip(scene)
+    clip = SolvedClip(scene, estimate)
     has_masks = all(scene.has_mask(i) for i in scene.train_frames)
     background = static_depth(clip, has_masks)
     cards = _cards(clip, background) if has_masks else {}

@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 
 from flowsplat.common.errors import InputError
-from flowsplat.common.files import read_npz
+from flowsplat.common.files import read_npy, read_npz
 from flowsplat.priors.given import droid, megasam
-from flowsplat.priors.given.fitting import files_by_frame, load_array, require_shape
+from flowsplat.priors.given.fitting import files_by_frame, require_shape
 from flowsplat.scenes import Depth, Scene
 from flowsplat.scenes.clip import resize_labels
 from flowsplat.scenes.layers import decode_image
@@ -81,7 +81,7 @@ def _map(path: Path, values: np.ndarray, scene: Scene) -> np.ndarray:
 
 
 def _own(path: Path, scene: Scene) -> Depth:
-    depth = _map(path, load_array(path), scene)
+    depth = _map(path, read_npy(path), scene)
     if not (np.isfinite(depth).all() and (depth > 0).all()):
         raise InputError(f"{path} holds depths that are not finite and positive: fill them in first.")
     depth = resize_labels(depth, (scene.width, scene.height))
@@ -102,7 +102,7 @@ def _disparity(path: Path, scene: Scene) -> Depth:
             raise InputError(f"{path} is no 16-bit PNG of disparities.")
         values = _map(path, image, scene) / np.float32(65535)
     else:
-        values = _map(path, load_array(path), scene)
+        values = _map(path, read_npy(path), scene)
     known = np.isfinite(values) & (values > 1e-6)
     return _known(1 / np.where(known, values, 1), known, scene)
 

@@ -94,20 +94,3 @@ def pad_to(values: np.ndarray, size: tuple[int, int], **how: Any) -> np.ndarray:
     """[H, W, ...] continued at the right and at the bottom to ``size`` (width, height)."""
     border = [(0, size[1] - values.shape[0]), (0, size[0] - values.shape[1])] + [(0, 0)] * (values.ndim - 2)
     return np.pad(values, border, **how)
-
-
-def load_array(path: Path) -> np.ndarray:
-    """One array of a ``.npy`` file; pickled objects are refused.
-
-    Raises:
-        InputError: missing or damaged.
-    """
-    try:
-        array = np.load(path, allow_pickle=False)
-    except FileNotFoundError as error:
-        raise InputError(f"{path} does not exist.") from error
-    except (OSError, ValueError, EOFError) as error:
-        raise InputError(f"{path} is not a readable .npy file: {error}.") from error
-    if not isinstance(array, np.ndarray):
-        raise InputError(f"{path} is not a readable .npy file: it is an archive.")
-    return array

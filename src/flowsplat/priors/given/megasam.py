@@ -17,9 +17,9 @@ import cv2
 import numpy as np
 
 from flowsplat.common.errors import InputError
-from flowsplat.common.files import read_npz
+from flowsplat.common.files import read_npy, read_npz
 from flowsplat.geometry import Camera
-from flowsplat.priors.given.fitting import load_array, pad_to, require_frames, slam_size
+from flowsplat.priors.given.fitting import pad_to, require_frames, slam_size
 from flowsplat.scenes import Depth, Flow, Scene
 from flowsplat.scenes.clip import resize_labels
 
@@ -90,8 +90,8 @@ def read_flow(folder: Path, wanted: list[tuple[int, int]], scene: Scene) -> list
     Raises:
         InputError: damaged or not of this clip.
     """
-    flows, pairs = load_array(folder / "flows.npy"), load_array(folder / "ii-jj.npy")
-    masks = load_array(folder / "flows_masks.npy")
+    flows, pairs = read_npy(folder / "flows.npy"), read_npy(folder / "ii-jj.npy")
+    masks = read_npy(folder / "flows_masks.npy")
     if flows.ndim != 4 or flows.shape[1] != 2 or pairs.shape != (2, len(flows)) or len(masks) != len(flows):
         raise InputError(
             f"{folder} is not as MegaSaM writes it: flows {flows.shape}, ii-jj {pairs.shape}, flows_masks {masks.shape}."

@@ -22,9 +22,9 @@ import numpy as np
 from scipy.special import expit
 
 from flowsplat.common.errors import InputError
-from flowsplat.common.files import read_npz
+from flowsplat.common.files import read_npy, read_npz
 from flowsplat.priors.flow import sample_map
-from flowsplat.priors.given.fitting import load_array, require_frames
+from flowsplat.priors.given.fitting import require_frames
 from flowsplat.scenes import Scene, Tracks
 from flowsplat.scenes.formats.images import natural_key
 from flowsplat.scenes.layers import TRUSTED
@@ -130,7 +130,7 @@ def _pair_names(files: list[Path]) -> list[str]:
 def _tapir(folder: Path, names: list[str]) -> Iterator[Found]:
     """Followed from every frame. Visible with the probability that it is neither hidden nor badly placed."""
     for start in names:
-        arrays = [load_array(folder / f"{start}_{end}.npy") for end in names]
+        arrays = [read_npy(folder / f"{start}_{end}.npy") for end in names]
         if any(array.ndim != 2 or array.shape[1] != 4 or len(array) != len(arrays[0]) for array in arrays):
             raise InputError(f"{folder}: the tracks from {start} are not [N, 4] in every file.")
         values = np.stack(arrays, 1).astype(np.float32)
@@ -139,7 +139,7 @@ def _tapir(folder: Path, names: list[str]) -> Iterator[Found]:
 
 def _marbles(files: list[Path]) -> Iterator[Found]:
     for file in files:
-        values = load_array(file)
+        values = read_npy(file)
         if values.ndim != 3 or values.shape[2] != 3:
             raise InputError(f"{file} is not [T, N, 3] (x, y, visible), but {list(values.shape)}.")
         values = values.astype(np.float32).swapaxes(0, 1)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from flowsplat.priors.flow import FlowEstimator, dis_estimator
 from flowsplat.priors.given.cameras import read_cameras
 from flowsplat.priors.given.depth import GivenDepth, open_depth
 from flowsplat.priors.given.flow import read_flow
@@ -42,8 +43,13 @@ class GivenPriors:
     """Read pickled files (DROID-SLAM's droid_recon), which can run any code: only for files that you trust."""
 
 
-def use_given(scene: Scene, given: GivenPriors) -> dict[str, Callable[[], None]]:
+def use_given(
+    scene: Scene, given: GivenPriors, estimate: FlowEstimator = dis_estimator
+) -> dict[str, Callable[[], None]]:
     """Read the user's files into the scene, those that are named.
+
+    Args:
+        estimate: finds the flow between frames that are no neighbours, where depth must be fitted.
 
     Returns:
         What can only be done once other priors are there, by the name of its prior: depth that must be fitted to the
@@ -66,7 +72,7 @@ def use_given(scene: Scene, given: GivenPriors) -> dict[str, Callable[[], None]]
                 scene.write_depth(i, depth.read(i))
             scene.finish_prior("depth", method="given", verdict=_verdict(given.depth, depth.maker))
         else:
-            later["depth"] = partial(monocular_stage, scene, _monocular(depth, given.depth))
+            later["depth"] = partial(monocular_stage, scene, _monocular(depth, given.depth), estimate)
     if given.masks is not None:
         use_masks(given.masks, scene)
         scene.finish_prior("masks", method="given", verdict=f"from {given.masks}")

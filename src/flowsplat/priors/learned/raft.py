@@ -26,7 +26,7 @@ FIRST_WEIGHT = "feature_encoder.convnormrelu.0.weight"
 
 
 def raft_estimator(source: str, device: torch.device) -> FlowEstimator:
-    """Flow by RAFT.
+    """Flow by RAFT, which compares all pixels with all and leaves a guess aside.
 
     Args:
         source: ``large`` or ``small`` with torchvision's weights, from torch's cache or fetched once, or a ``.pth`` file.
@@ -63,7 +63,7 @@ def raft_estimator(source: str, device: torch.device) -> FlowEstimator:
     network = network.to(device).eval()
 
     @torch.inference_mode()
-    def estimate(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    def estimate(a: np.ndarray, b: np.ndarray, guess: np.ndarray | None = None) -> np.ndarray:
         height, width = a.shape[:2]
         factor = max(1.0, SMALLEST_SIDE / min(height, width))
         rows, columns = round(height * factor), round(width * factor)

@@ -13,6 +13,7 @@ import numpy as np
 from flowsplat.common.progress import track
 from flowsplat.priors.depth.background import static_depth
 from flowsplat.priors.depth.clip import SolvedClip
+from flowsplat.priors.flow import FlowEstimator, dis_estimator
 from flowsplat.priors.masks.colours import Colours, look_up
 from flowsplat.priors.masks.motion import carried, motion_evidence, parts, rough_cut
 from flowsplat.priors.masks.numbers import number_objects
@@ -46,11 +47,15 @@ MODEL_FRAMES = 16
 _SMOOTHNESS, _COLOUR_SIGMA = 20.0, 10.0
 
 
-def mask_stage(scene: Scene) -> None:
-    """Masks with object numbers for the training frames, if there are none. Needs cameras and flow."""
+def mask_stage(scene: Scene, estimate: FlowEstimator = dis_estimator) -> None:
+    """Masks with object numbers for the training frames, if there are none. Needs cameras and flow.
+
+    Args:
+        estimate: finds the flow between frames that are no neighbours.
+    """
     if scene.prior("masks") is not None:
         return
-    clip = SolvedClip(scene)
+    clip = SolvedClip(scene, estimate)
     evidence = motion_evidence(clip)
     for k, i in enumerate(scene.train_frames):
         scene.write_mask(i, rough_cut(evidence[k], scene.frame(i)))

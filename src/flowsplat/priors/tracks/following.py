@@ -129,7 +129,7 @@ class Follower:
         """Go to the next picture.
 
         Args:
-            image: [H, W] grey, uint8.
+            image: [H, W] grey.
             labels: [H, W] of its objects.
             flow: from the picture before.
             pace: how long this step takes, relative to the one before.

@@ -9,6 +9,17 @@ STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.005)
 """At most 20 steps, until one is below 0.005 pixel."""
 ROUND_TRIP = 0.5
 """Pixels by which a point may miss its start after going there and back."""
+BLUR, MUTED = 3.0, 0.7
+"""Pixels across which a picture is blurred for what is larger than detail, and the share of that which is taken away."""
+
+
+def detail(image: np.ndarray) -> np.ndarray:
+    """Grey [H, W] uint8 with its brightness muted, float32.
+
+    Light and shade stay where they are while a surface turns under them, and would hold its texture back.
+    """
+    smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), BLUR)
+    return image - np.float32(MUTED) * (smooth - np.float32(128))
 
 
 def refine_points(

@@ -10,7 +10,8 @@ from flowsplat.common.progress import track
 from flowsplat.priors.continuity import Continuity
 from flowsplat.priors.flow import grey, sample_map
 from flowsplat.priors.tracks.following import Follower
-from flowsplat.priors.tracks.points import TrackTable, corner_strength, new_points, oldest_of_crowds
+from flowsplat.priors.tracks.points import TrackTable, corner_strength, detail, new_points, oldest_of_crowds
+from flowsplat.priors.tracks.resting import complete_resting
 from flowsplat.scenes import Scene, Tracks
 
 BACKGROUND_POINTS = 700
@@ -39,19 +40,20 @@ def tracks_stage(scene: Scene) -> None:
         table.add(t, follower.ids[seen], np.concatenate([points, follower.confidence[seen, None], inside], 1))
     table.count = seeds.count
     values = table.values(scene.num_frames)
-    lengths = np.isfinite(values[..., 0]).sum(1)
-    values = values[lengths >= min(SHORTEST, len(scene.train_frames))]
     visible = np.isfinite(values[..., 0])
-    moving = np.nan_to_num(values[..., 3]).sum(1) > 0.5 * visible.sum(1)
     values = np.nan_to_num(values)
-    scene.write_tracks(Tracks(values[..., :2], visible, values[..., 2], moving))
-    length = int(np.median(visible.sum(1))) if len(values) else 0
-    verdict = f"{len(values)} points, followed over {length} frames (median)" if len(values) else "nothing could be followed"
-    if moving.any():
-        verdict += f", {moving.sum()} of them on moving objects"
-    scene.finish_prior(
-        "tracks", method="patches", verdict=verdict, tracks=len(values), moving=int(moving.sum()), median_length=length,
-    )  # fmt: skip
+    moving = values[..., 3].sum(1) > 0.5 * visible.sum(1)
+    kept, shortest = visible.any(1), min(SHORTEST, len(scene.train_frames))
+    points, confidence = complete_resting(scene, values[kept, :, :2], values[kept, :, 2], visible[kept].argmax(1))
+    lasting = (confidence > 0).sum(1) >= shortest
+    tracks = Tracks(points[lasting], confidence[lasting] > 0, confidence[lasting], moving[kept][lasting])
+    scene.write_tracks(tracks)
+    count, movers = len(tracks.points), int(tracks.moving.sum())
+    length = int(np.median(tracks.visible.sum(1))) if count else 0
+    verdict = f"{count} points, followed over {length} frames (median)" if count else "nothing could be followed"
+    if movers:
+        verdict += f", {movers} of them on moving objects"
+    scene.finish_prior("tracks", method="patches", verdict=verdict, tracks=count, moving=movers, median_length=length)
 
 
 def follow_queries(scene: Scene, frames: np.ndarray, points: np.ndarray) -> Tracks:
@@ -79,6 +81,7 @@ def follow_queries(scene: Scene, frames: np.ndarray, points: np.ndarray) -> Trac
             mine = np.flatnonzero((follower.ids < count) & follower.seen)
             ids = follower.ids[mine]
             found[ids, t], confidence[ids, t] = follower.points[mine], follower.confidence[mine]
+    found, confidence = complete_resting(scene, found, confidence, frames)
     return Tracks(found, confidence > 0, confidence, np.zeros(count, bool))
 
 
@@ -92,7 +95,7 @@ def _follow(scene: Scene, order: list[int], start: Start, label: str) -> Iterato
         if continuity.is_blank(k):
             before = -1
             continue
-        image = grey(scene.frame(t))
+        image = detail(grey(scene.frame(t)))
         labels = scene.mask(t).astype(np.int32) if has_masks else np.zeros(image.shape, np.int32)
         if before < 0 or not continuity.joined(k, scene.train_frames.index(before)):
             follower, took = Follower(), 0.0

@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from flowsplat.common.errors import InputError
+from flowsplat.common.files import read_npy
 from flowsplat.geometry import Camera
 from flowsplat.scenes.clip import InputOptions
 from flowsplat.scenes.formats.images import list_pictures
@@ -51,13 +52,8 @@ def read_poses_bounds(path: Path) -> list[Camera]:
     Raises:
         InputError: missing, damaged, or not of this form.
     """
-    try:
-        rows = np.load(path, allow_pickle=False)
-    except FileNotFoundError as error:
-        raise InputError(f"{path} does not exist.") from error
-    except (OSError, ValueError, EOFError) as error:
-        raise InputError(f"{path} is damaged or truncated: {error}.") from error
-    if not isinstance(rows, np.ndarray) or rows.ndim != 2 or rows.shape[1] != 17 or rows.dtype.kind != "f":
+    rows = read_npy(path)
+    if rows.ndim != 2 or rows.shape[1] != 17 or rows.dtype.kind != "f":
         raise InputError(f"{path} must hold [N, 17] numbers, 15 of a pose and 2 of its bounds, one row a camera.")
     return [_llff_camera(row[:15].reshape(3, 5).astype(np.float64), f"{path}, row {n}") for n, row in enumerate(rows)]
 
