@@ -9,7 +9,9 @@ import torch
 
 from flowsplat.gaussians.gaussians4d import Gaussians4D, ModelConfig, parameter_shapes
 from flowsplat.gaussians.model import SceneModel
+from flowsplat.gaussians.render import render
 from flowsplat.geometry import Camera, Similarity
+from flowsplat.output.player import write_player
 from flowsplat.scenes import Scene
 from flowsplat.training.checkpoint import save_model
 
@@ -89,6 +91,16 @@ def small_run(folder: Path, model: SceneModel) -> Path:
     scene.save_info()
     save_model(folder / "model", model)
     return folder
+
+
+def small_player(path: Path, model: SceneModel, title: str = "small") -> Path:
+    """The page that plays the model."""
+    return write_player(path, model, small_times(), small_cameras(model), title)
+
+
+def rendered(model: SceneModel, camera: Camera, seconds: float) -> np.ndarray:
+    """[H, W, 3] our picture, uncovered pixels black."""
+    return render(model.gaussians, model.similarity.camera(camera), model.clip_time(seconds)).colour.numpy()
 
 
 def psnr(image: np.ndarray, reference: np.ndarray) -> float:

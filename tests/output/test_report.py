@@ -126,6 +126,16 @@ def test_it_begins_with_the_pictures_and_the_verdict(tmp_path):
     assert places == sorted(places)
 
 
+def test_refined_poses_stand_beside_the_strict_figures(tmp_path):
+    data = made_up_run()
+    metrics = {**data.metrics, "heldout_frames_refined": scores(30.55, 0.923, 25.0)}
+    page = words(write(tmp_path, replace(data, metrics=metrics)))
+    assert "PSNR, pose refined" in page
+    assert "30.55" in page
+    assert page.index("29.87 dB") < page.index("30.55"), "the strict figure is the headline"
+    assert "pose refined" not in words(write(tmp_path, data))
+
+
 def test_null_figures_are_dashes_with_their_reason(tmp_path):
     page = write(tmp_path, made_up_run())
     assert '<span class="none" title="LPIPS needs pip install flowsplat[metrics]">–</span>' in page

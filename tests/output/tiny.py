@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import av
 import numpy as np
 import torch
 
@@ -72,3 +73,19 @@ def tiny_run(folder: Path, movers: int = 1, size: tuple[int, int] = (64, 48), tr
     if trained:
         save_model(folder / "model", model)
     return folder
+
+
+def red(image: np.ndarray) -> np.ndarray:
+    """[H, W] bool: where the mover is in a picture [H, W, 3]."""
+    image = image.astype(np.int32)
+    return (image[..., 0] > 120) & (image[..., 0] > image[..., 2] + 50)
+
+
+def frames_of(path: Path, decoder: str | None = None, pixels: str = "rgb24") -> list[np.ndarray]:
+    """The frames of a video; alpha needs the ``decoder`` named."""
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        if decoder is None:
+            return [frame.to_ndarray(format=pixels) for frame in container.decode(stream)]
+        context = av.CodecContext.create(decoder, "r")
+        return [f.to_ndarray(format=pixels) for packet in container.demux(stream) if packet.size for f in context.decode(packet)]

@@ -15,8 +15,9 @@ import numpy as np
 
 from flowsplat.output.camera_path import path_at_an_angle, path_from_above
 from flowsplat.output.page import card, picture_row, write_page
+from flowsplat.pictures.charts import line_chart
 from flowsplat.pictures.colors import depth_range, depth_to_color, flow_legend, flow_scale, flow_to_color
-from flowsplat.pictures.html import figure, line_chart, picture, table
+from flowsplat.pictures.html import figure, picture, table
 from flowsplat.pictures.sheets import side_by_side, stacked
 from flowsplat.pictures.video import write_mp4
 from flowsplat.scenes import Scene, Tracks

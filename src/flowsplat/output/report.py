@@ -12,8 +12,9 @@ import numpy as np
 from markupsafe import Markup
 
 from flowsplat.output.page import card, picture_row, write_page
+from flowsplat.pictures.charts import Points, line_chart
 from flowsplat.pictures.colors import error_to_color, flow_legend, flow_scale, flow_to_color
-from flowsplat.pictures.html import Points, figure, line_chart, picture, table
+from flowsplat.pictures.html import figure, picture, table
 
 NAME = "report.html"
 VIDEO_FOLDER = "renders"
@@ -193,6 +194,11 @@ def _tables(metrics: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     lpips = metrics.get("lpips_reason")
     if _pick(metrics, "heldout_frames") is not None:
         remark = "Frames of the clip that neither training nor any prior has seen; movers are the given masks."
+        if _pick(metrics, "heldout_frames_refined") is not None:
+            remark += (
+                " Poses of held-out frames are used as they were estimated; refined is what comes out when the pose of each alone "
+                "is fitted to its own picture, and tells how much is the cameras' fault."
+            )
         rows = _scores(metrics, "heldout_frames", "baselines", ("moving",), lpips)
         yield {"title": "Held-out frames", "remark": remark, "table": rows}
     if _pick(metrics, "heldout_views") is not None:
@@ -216,7 +222,9 @@ def _tables(metrics: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
 def _scores(metrics: Mapping[str, Any], ours: str, others: str, regions: Sequence[str], lpips_reason: str | None) -> Markup:
     """PSNR, SSIM and LPIPS of this scene and of the methods that it is compared with."""
     names = {"moving": "movers", "covisible": "covisible"}
+    refined = metrics.get(f"{ours}_refined")
     header = ["", "PSNR dB", "SSIM", "LPIPS", *(f"PSNR, {names[region]}" for region in regions)]
+    header += ["PSNR, pose refined", "SSIM, pose refined"] if refined else []
     measured = [(name, value) for name, value in (_pick(metrics, others) or {}).items() if value is not None]
     rows = []
     for name, values in [("this scene", metrics[ours]), *((_METHODS.get(name, name), value) for name, value in measured)]:
@@ -228,6 +236,9 @@ def _scores(metrics: Mapping[str, Any], ours: str, others: str, regions: Sequenc
         ]
         for region in regions:
             row.append(figure(_pick(values, region, "psnr"), 2, "no masks to tell which pixels these are"))
+        if refined:
+            known = refined if values is metrics[ours] else {}
+            row += [figure(_pick(known, key), digits, "no pose to refine") for key, digits in (("psnr", 2), ("ssim", 3))]
         rows.append(row)
     return table(header, rows, [0])
 

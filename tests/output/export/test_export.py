@@ -23,6 +23,7 @@ from flowsplat.output.export import FORMATS, ExportOptions, export_scene
 from flowsplat.output.export.api import estimated_size
 from flowsplat.output.export.importance import blending_weights, most_important
 from flowsplat.output.export.splat import RECORD
+from flowsplat.output.export.spz import write_spz
 from flowsplat.output.export.still import still_at, turned_harmonics
 from flowsplat.priors.given.colmap import read_colmap
 from flowsplat.scenes import Scene
@@ -39,12 +40,14 @@ from tests.output.small import (
     WIDTH,
     five_pairs,
     psnr,
+    rendered,
     small_cameras,
     small_gaussians,
     small_model,
     small_run,
     small_times,
 )
+from tests.output.tiny import tiny_run
 
 DEFAULT = ExportOptions()
 TURNED = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0], [0.48, 0.64, 0.6]])
@@ -55,8 +58,20 @@ def run(tmp_path) -> Path:
     return small_run(tmp_path / "run", small_model())
 
 
+def drawn(
+    means: torch.Tensor, quats: torch.Tensor, log_scales: torch.Tensor, logit_opacities: torch.Tensor, sh: torch.Tensor,
+    camera: Camera, near: float,
+) -> np.ndarray:  # fmt: skip
+    """[H, W, 3] what was read from a file, drawn by the oracle."""
+    colours = colours_from_harmonics(sh, means - torch.as_tensor(camera.center), int(sh.shape[1] ** 0.5) - 1)
+    return rasterize(
+        means, quats, log_scales.exp(), logit_opacities.sigmoid(), colours, *camera.tensors(torch.float64), camera.width,
+        camera.height, near_plane=near, backend="reference",
+    )[0].numpy()  # fmt: skip
+
+
 def drawn_from_ply(path: Path, camera: Camera, near: float) -> np.ndarray:
-    """[H, W, 3] a .ply of 3D Gaussian Splatting, read by plyfile and drawn by the oracle."""
+    """A .ply of 3D Gaussian Splatting, read by plyfile."""
     vertices = PlyData.read(path)["vertex"]
 
     def columns(*names: str) -> torch.Tensor:
@@ -68,17 +83,25 @@ def drawn_from_ply(path: Path, camera: Camera, near: float) -> np.ndarray:
     sh = columns("f_dc_0", "f_dc_1", "f_dc_2")[:, None]
     if rest:
         sh = torch.cat([sh, columns(*rest).reshape(len(means), 3, -1).transpose(1, 2)], 1)
-    degree = int(sh.shape[1] ** 0.5) - 1
-    colours = colours_from_harmonics(sh, means - torch.as_tensor(camera.center), degree)
-    return rasterize(
-        means, columns("rot_0", "rot_1", "rot_2", "rot_3"), columns("scale_0", "scale_1", "scale_2").exp(),
-        columns("opacity")[:, 0].sigmoid(), colours, *camera.tensors(torch.float64), camera.width, camera.height, near_plane=near,
-        backend="reference",
-    )[0].numpy()  # fmt: skip
+    quats, log_scales = columns("rot_0", "rot_1", "rot_2", "rot_3"), columns("scale_0", "scale_1", "scale_2")
+    return drawn(means, quats, log_scales, columns("opacity")[:, 0], sh, camera, near)
 
 
-def expected(model: SceneModel, camera: Camera, seconds: float) -> np.ndarray:
-    return render(model.gaussians, model.similarity.camera(camera), model.clip_time(seconds)).colour.numpy()
+def drawn_from_spz(path: Path, camera: Camera, near: float) -> np.ndarray:
+    """An .spz, read by gsply; ``camera`` with y up and z backward."""
+    gsply = pytest.importorskip("gsply", reason="no independent reader of spz is installed: pip install gsply (extra dev)")
+    found = gsply.read_spz(path)
+    means, quats, log_scales, opacities, sh0 = (
+        torch.from_numpy(np.asarray(part, np.float64))
+        for part in (found.means, found.quats, found.scales, found.opacities, found.sh0)
+    )
+    sh = torch.cat([sh0[:, None], torch.from_numpy(np.asarray(found.shN, np.float64)).reshape(len(sh0), -1, 3)], 1)
+    return drawn(means, quats, log_scales, opacities, sh, camera, near)
+
+
+def flipped(camera: Camera) -> Camera:
+    """The camera in a world with y up and z backward."""
+    return Camera(camera.viewmat @ np.diag([1.0, -1, -1, 1]), camera.K, camera.width, camera.height)
 
 
 @pytest.mark.parametrize(
@@ -91,7 +114,7 @@ def test_ply_shows_the_scene_at_its_time(tmp_path, config, options):
     small_run(tmp_path, model)
     for camera, seconds in five_pairs(model) if config is OURS and not options else five_pairs(model)[2:4]:
         path = export_scene(model, Scene(tmp_path / "scene"), "ply", tmp_path / "scene.ply", ExportOptions(time=seconds))
-        assert psnr(drawn_from_ply(path, camera, NEAR_PLANE / model.similarity.scale), expected(model, camera, seconds)) > 45
+        assert psnr(drawn_from_ply(path, camera, NEAR_PLANE / model.similarity.scale), rendered(model, camera, seconds)) > 45
 
 
 def test_ply_has_the_layout_of_the_original(tmp_path, run):
@@ -111,9 +134,7 @@ def test_axes_can_be_flipped(tmp_path, run):
     camera, seconds = five_pairs(model)[3]
     options = ExportOptions(time=seconds, flip_axes=True)
     path = export_scene(model, Scene(run / "scene"), "ply", tmp_path / "scene.ply", options)
-    viewmat = camera.viewmat @ np.diag([1.0, -1, -1, 1])
-    flipped = Camera(viewmat, camera.K, camera.width, camera.height)
-    assert psnr(drawn_from_ply(path, flipped, NEAR_PLANE * 3), expected(model, camera, seconds)) > 45
+    assert psnr(drawn_from_ply(path, flipped(camera), NEAR_PLANE * 3), rendered(model, camera, seconds)) > 45
 
 
 def test_turned_harmonics_look_the_same_along_turned_directions():
@@ -132,7 +153,7 @@ def test_a_sequence_has_a_file_a_frame_and_replaces_an_older_one(tmp_path, run):
     assert sorted(p.name for p in folder.iterdir()) == [f"frame{k:04d}.ply" for k in range(1, FRAMES + 1)]
     camera = small_cameras(model)[6]
     found = drawn_from_ply(folder / "frame0007.ply", camera, NEAR_PLANE * 3)
-    assert psnr(found, expected(model, camera, small_times()[6])) > 45
+    assert psnr(found, rendered(model, camera, small_times()[6])) > 45
     (folder / "holiday.jpg").write_text("mine")
     with pytest.raises(InputError, match=r"holiday\.jpg"):
         export_scene(model, Scene(run / "scene"), "ply-sequence", folder, DEFAULT)
@@ -218,17 +239,36 @@ def test_the_most_important_ones_are_better_than_random_and_than_large_opaque_on
     assert len(models["ours"].gaussians) == count
     beside = five_pairs(model)[3:]
     figures = {
-        name: np.mean([psnr(expected(kept, *pair), expected(model, *pair)) for pair in beside]) for name, kept in models.items()
+        name: np.mean([psnr(rendered(kept, *pair), rendered(model, *pair)) for pair in beside]) for name, kept in models.items()
     }
     assert figures["ours"] > max(figures["random"], figures["large"]) + 1, figures
     assert most_important(model, views, 10**6) is model
 
 
-@pytest.mark.parametrize("to", ["html", "ply", "splat", "npz", "safetensors"])
+@pytest.mark.parametrize("to", ["html", "ply", "splat", "spz", "npz", "safetensors"])
 def test_the_estimate_is_near_the_size(tmp_path, run, to):
     model, scene = small_model(resting=8000, moving=8000), Scene(run / "scene")
     path = export_scene(model, scene, to, tmp_path / f"out.{to}", DEFAULT)
     assert 0.5 < estimated_size(model, scene, to, DEFAULT) / path.stat().st_size < 2
+
+
+@pytest.mark.parametrize(("config", "options"), [(OURS, {}), (LINEAR, {}), (OURS, {"rotation": TURNED}), (OURS, {"moving": 1})])
+def test_spz_shows_the_scene_at_its_time(tmp_path, config, options):
+    model = small_model(config, **options)
+    small_run(tmp_path, model)
+    for camera, seconds in five_pairs(model)[2:4]:
+        path = export_scene(model, Scene(tmp_path / "scene"), "spz", tmp_path / "scene.spz", ExportOptions(time=seconds))
+        found = drawn_from_spz(path, flipped(camera), NEAR_PLANE / model.similarity.scale)
+        assert psnr(found, rendered(model, camera, seconds)) > 45
+
+
+def test_spz_keeps_far_places_and_takes_fewer_bits_for_them(tmp_path):
+    gsply = pytest.importorskip("gsply", reason="no independent reader of spz is installed: pip install gsply (extra dev)")
+    still = still_at(small_model(), FIRST, flip_axes=True)
+    for size, step in ((1.0, 2**-16), (1000.0, 2**-12), (1e6, 2**-2)):
+        far = replace(still, means=still.means * size / still.means.abs().max())
+        write_spz(tmp_path / "far.spz", far)
+        assert np.abs(gsply.read_spz(tmp_path / "far.spz").means - far.means.numpy()).max() <= 0.51 * step + 1e-6 * size
 
 
 def export(capsys, *arguments: object) -> tuple[int, str]:
@@ -262,6 +302,7 @@ def test_the_command_keeps_as_many_as_it_is_told(capsys, tmp_path, run):
         (["--to", "ply", "--time", "9"], "outside the clip"),
         (["--to", "html", "--time", "1"], "--time is for ply"),
         (["--to", "npz", "--flip-axes"], "--flip-axes is for"),
+        (["--to", "spz", "--flip-axes"], "not for spz"),
         (["--to", "ply", "--max-gaussians", "0"], "at least 1"),
         (["--to", "ply", "-o", "{folder}"], "is a folder"),
         (["--to", "colmap", "-o", "{file}"], "is a file"),
@@ -277,8 +318,9 @@ def test_what_cannot_be_exported_is_said_in_one_line(capsys, tmp_path, run, argu
     assert words in line
 
 
-def test_a_run_that_is_not_trained_is_refused(capsys, tmp_path):
-    code, line = export(capsys, tmp_path, "--to", "ply")
+@pytest.mark.parametrize("to", FORMATS)
+def test_a_run_that_is_still_training_is_refused(capsys, tmp_path, to):
+    code, line = export(capsys, tiny_run(tmp_path / "out", trained=False), "--to", to)
     assert code == 2
     assert "no trained scene yet" in line
 
@@ -293,7 +335,8 @@ def test_a_folder_that_may_not_be_written_is_named(tmp_path, run, monkeypatch):
         export_scene(model, scene, "ply", tmp_path / "locked" / "scene.ply", DEFAULT)
 
 
-def test_a_scene_of_one_moving_gaussian_can_be_exported(tmp_path, run):
-    model = SceneModel(small_gaussians(OURS, resting=0, moving=1), Similarity(), FIRST, LAST)
+@pytest.mark.parametrize(("resting", "moving"), [(0, 1), (40, 0), (40, 1)])
+def test_a_scene_with_hardly_anything_that_moves_can_be_exported(tmp_path, run, resting, moving):
+    model = SceneModel(small_gaussians(OURS, resting=resting, moving=moving), Similarity(), FIRST, LAST)
     for to in FORMATS:
         export_scene(model, Scene(run / "scene"), to, tmp_path / f"x.{to}", DEFAULT)

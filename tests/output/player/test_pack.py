@@ -8,13 +8,22 @@ import numpy as np
 import pytest
 import torch
 
-from flowsplat.gaussians.render import render
-from flowsplat.geometry.paths import CameraPath
-from flowsplat.output.player.pack import PATH_SAMPLES, Packed, estimated_bytes, pack
+from flowsplat.output.player.pack import Packed, estimated_bytes, pack
 from flowsplat.output.player.planes import Plane, rounded, rounded_in_chunks, rounded_to_range, rounded_to_step
 from flowsplat.output.player.series import moving_series, seen_in_clip, visible_interval
 from tests.output.player.unpacking import chebyshev, show, unpack
-from tests.output.small import LINEAR, OURS, PAPER, five_pairs, psnr, small_cameras, small_gaussians, small_model, small_times
+from tests.output.small import (
+    LINEAR,
+    OURS,
+    PAPER,
+    five_pairs,
+    psnr,
+    rendered,
+    small_cameras,
+    small_gaussians,
+    small_model,
+    small_times,
+)
 
 
 def packed(model) -> Packed:
@@ -81,8 +90,7 @@ def test_what_is_read_back_looks_the_same(config, counts):
     pack_ = packed(model)
     planes = unpack(pack_.about, pack_.data)
     for camera, seconds in five_pairs(model):
-        expected = render(model.gaussians, model.similarity.camera(camera), model.clip_time(seconds)).colour.numpy()
-        assert psnr(show(pack_.about, planes, camera, seconds), expected) > 38
+        assert psnr(show(pack_.about, planes, camera, seconds), rendered(model, camera, seconds)) > 38
 
 
 def test_gaussians_that_are_never_seen_are_left_out():
@@ -90,17 +98,6 @@ def test_gaussians_that_are_never_seen_are_left_out():
     model.gaussians.params["times"][4:6] = torch.tensor([-30.0, 30.0])
     assert seen_in_clip(model.gaussians).tolist() == [True] * 4 + [False, False, True]
     assert packed(model).about["moving"] == 2
-
-
-def test_the_path_of_the_clip_is_exact_at_its_frames():
-    model = small_model()
-    path = np.array(packed(model).about["path"])
-    assert len(path) == PATH_SAMPLES * (len(small_times()) - 1) + 1
-    for row, camera in zip(path[::PATH_SAMPLES], small_cameras(model), strict=True):
-        np.testing.assert_allclose(row[1:4], model.similarity.camera(camera).center, atol=1e-6)
-        np.testing.assert_allclose(row[8:], camera.K[[0, 1, 0, 1], [0, 1, 2, 2]], atol=1e-5)
-    between = CameraPath(small_times(), small_cameras(model)).at(float(np.mean(small_times()[2:4])))
-    np.testing.assert_allclose(path[2 * PATH_SAMPLES + 2, 1:4], model.similarity.camera(between).center, atol=1e-6)
 
 
 def test_the_estimate_is_near_the_size():

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from flowsplat.common.errors import InputError
-from flowsplat.geometry.paths import CameraPath
+from flowsplat.geometry.paths import CameraPath, dolly_zoom, orbit, shifted
 from flowsplat.output.player import write_player
+from flowsplat.output.videos.options import RenderOptions
 from tests.output.small import (
     FIRST,
     HEIGHT,
@@ -23,6 +24,7 @@ from tests.output.small import (
     psnr,
     small_cameras,
     small_model,
+    small_player,
     small_times,
 )
 
@@ -72,12 +74,24 @@ def test_it_loads_without_network_and_without_complaints(open_page, player_file)
 )  # fmt: skip
 def test_pictures_are_those_of_our_own_renderer(open_page, tmp_path, config, options):
     model = small_model(config, **options)
-    page = open_page(write_player(tmp_path / "player.html", model, small_times(), small_cameras(model), "small"))
+    page = open_page(small_player(tmp_path / "player.html", model))
     for camera, seconds in five_pairs(model):
         assert psnr(picture_of(page, camera, seconds), model.render(camera, seconds).colour) > 37
     large = five_pairs(model)[3][0].resized(2 * WIDTH + 1, 2 * HEIGHT - 1)
     assert psnr(picture_of(page, large, 1.3), model.render(large, 1.3).colour) > 37
     assert page.complaints == []
+
+
+def test_a_portrait_clip_fits_the_page(open_page, tmp_path):
+    model, path = small_model(), tmp_path / "player.html"
+    cameras = small_cameras(model, HEIGHT, WIDTH)
+    page = open_page(write_player(path, model, small_times(), cameras, "portrait"))
+    page.pause()
+    box = page.page.locator("#canvas").bounding_box()
+    stage = page.page.locator("#stage").bounding_box()
+    assert box["width"] / box["height"] == pytest.approx(HEIGHT / WIDTH, abs=0.01)
+    assert box["height"] == pytest.approx(stage["height"], abs=2)
+    assert psnr(picture_of(page, cameras[4], 1.5), model.render(cameras[4], 1.5).colour) > 37
 
 
 def test_pictures_without_float_targets_and_without_workers(open_page, player_file):
@@ -189,6 +203,73 @@ def test_the_clips_camera_is_followed(open_page, player_file):
         np.testing.assert_allclose(found["lens"], camera.K[[0, 1, 0, 1], [0, 1, 2, 2]], atol=1e-4)
 
 
+@pytest.mark.parametrize("part", ["background", "movers"])
+def test_parts_are_those_of_our_own_renderer(open_page, tmp_path, part):
+    model = small_model(fill=True)
+    page = open_page(small_player(tmp_path / "player.html", model))
+    page.page.locator("#part").select_option(part)
+    for camera, seconds in five_pairs(model)[1:4]:
+        assert psnr(picture_of(page, camera, seconds), model.part(part).render(camera, seconds).colour) > 37
+    assert page.complaints == []
+
+
+def test_parts_are_not_offered_where_there_is_only_one(open_page, tmp_path):
+    page = open_page(small_player(tmp_path / "player.html", small_model(moving=0)))
+    assert page.page.locator("#part").is_hidden()
+
+
+def test_two_eyes_see_the_scene_from_their_own_places(open_page, player_file):
+    """The page's picture at rest against pictures of two cameras of ours."""
+    page = open_page(player_file)
+    page.pause()
+    page.page.locator("#time").fill("0.5")
+    page.page.locator("#stereo").check()
+    page.settle()
+    both, height = page.page.evaluate("[element('canvas').width, element('canvas').height]")
+    width = both // 2
+    found = seen(page)
+    model = small_model()
+    camera = small_cameras(model)[4].resized(width, height)
+    depth = 1 / model.similarity.scale
+    top, left = (found.shape[0] - height) // 2, (found.shape[1] - 2 * width) // 2
+    for k, side in enumerate((-1, 1)):
+        eye = shifted(camera, side * RenderOptions.eye_distance / 2 * depth, depth)
+        half = found[top : top + height, left + k * width : left + (k + 1) * width, ::-1] / 255
+        assert psnr(half, model.render(eye, (FIRST + LAST) / 2).colour) > 35
+    assert page.complaints == []
+
+
+def test_cameras_that_move_by_themselves(open_page, player_file):
+    """Each is where ``render`` puts it, and time stands still until it is told to play."""
+    page = open_page(player_file)
+    model = small_model()
+    camera = model.similarity.camera(CameraPath(small_times(), small_cameras(model)).at(FIRST + 0.4 * (LAST - FIRST)))
+    page.page.locator("#time").fill("0.4")
+    subject = page.page.evaluate("subjectAt(flowsplat.about.subjects, 0.4)")
+    expected = {
+        "swing": orbit(camera, 1.0, 8)[1],
+        "dolly": dolly_zoom(camera, subject, 1.5 ** ((1 - np.cos(np.pi / 4)) / 2)),
+        "wiggle": shifted(camera, 0.015 * np.sin(np.pi / 4), subject),
+    }
+    for mode, there in expected.items():
+        page.page.evaluate("flowsplat.state.setPlaying(true)")
+        page.page.locator("#camera").select_option(mode)
+        page.page.evaluate("flowsplat.state.setTime(0.4)")
+        assert not page.page.evaluate("flowsplat.state.isPlaying")
+        found = page.page.evaluate("flowsplat.state.moves.phase = Math.PI / 4; flowsplat.state.camera()")
+        np.testing.assert_allclose(np.reshape(found["rotation"], (3, 3)), there.viewmat[:3, :3], atol=3e-3)
+        np.testing.assert_allclose(found["translation"], there.viewmat[:3, 3], atol=3e-3)
+        np.testing.assert_allclose(found["lens"], there.K[[0, 1, 0, 1], [0, 1, 2, 2]], rtol=1e-4)
+        first = seen(page)
+        page.page.wait_for_timeout(300)
+        assert np.abs(seen(page) - first).mean() > 0.05, mode
+    page.page.locator("#camera").select_option("steady")
+    row = page.page.evaluate("flowsplat.about.steady[flowsplat.about.steady.length - 1]")
+    page.page.locator("#time").fill("1")
+    np.testing.assert_allclose(page.page.evaluate("centreOf(flowsplat.state.camera())"), row[1:4], atol=1e-5)
+    assert page.complaints == []
+
+
 @pytest.mark.parametrize(
     ("init", "word"),
     [
@@ -210,8 +291,8 @@ def test_a_page_that_cannot_be_written_is_refused(tmp_path):
     model = small_model(resting=4, moving=2)
     (tmp_path / "file").write_text("x")
     with pytest.raises(InputError, match="file"):
-        write_player(tmp_path / "file" / "player.html", model, small_times(), small_cameras(model), "small")
+        small_player(tmp_path / "file" / "player.html", model)
     empty = small_model(resting=0, moving=0)
     with pytest.raises(InputError, match="no Gaussians"):
-        write_player(tmp_path / "player.html", empty, small_times(), small_cameras(model), "small")
+        small_player(tmp_path / "player.html", empty)
     assert not (tmp_path / "player.html").exists()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import av
 import numpy as np
 import pytest
 
@@ -16,7 +15,7 @@ from flowsplat.output.videos.plans import plan_videos, subject_distance
 from flowsplat.output.videos.stabilised import covered_share, stabilise
 from flowsplat.scenes import Scene
 from flowsplat.training.checkpoint import load_model
-from tests.output.tiny import FPS, FRAMES, MOVER, WALL, tiny_cameras, tiny_model, tiny_run
+from tests.output.tiny import FPS, FRAMES, MOVER, WALL, frames_of, red, tiny_cameras, tiny_model, tiny_run
 
 SIZE = (64, 48)
 
@@ -25,21 +24,6 @@ SIZE = (64, 48)
 def run(tmp_path_factory):
     folder = tiny_run(tmp_path_factory.mktemp("parts") / "out", movers=3)
     return load_model(folder / "model"), Scene(folder / "scene")
-
-
-def frames_of(path, decoder: str | None = None, pixels: str = "rgb24") -> list[np.ndarray]:
-    with av.open(str(path)) as container:
-        stream = container.streams.video[0]
-        if decoder is None:
-            return [frame.to_ndarray(format=pixels) for frame in container.decode(stream)]
-        context = av.CodecContext.create(decoder, "r")
-        return [f.to_ndarray(format=pixels) for packet in container.demux(stream) if packet.size for f in context.decode(packet)]
-
-
-def red(image: np.ndarray) -> np.ndarray:
-    """Where the mover is."""
-    image = image.astype(np.int32)
-    return (image[..., 0] > 120) & (image[..., 0] > image[..., 2] + 60)
 
 
 def test_background_alone_has_no_movers(run, tmp_path):

@@ -189,6 +189,12 @@ def test_the_sound_of_the_clip_is_kept(scene, tmp_path):
             assert len(container.streams.audio) == streams
 
 
+def test_a_folder_that_cannot_be_written_is_told(scene, tmp_path):
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(InputError, match="Cannot write"):
+        render_videos(Plane(), scene, tmp_path / "file" / "r", RenderOptions(paths=("input",), width=16))
+
+
 @pytest.mark.parametrize(
     ("options", "says"),
     [

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+import socket
 import threading
 import time
 from collections.abc import Callable
@@ -19,6 +21,18 @@ from websockets.typing import Subprotocol
 
 PATIENCE = 150.0
 """Seconds; kernels may have to be compiled."""
+
+
+def free_port() -> int:
+    """A port that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def heed_ctrl_c() -> None:
+    """For ``preexec_fn``: where tests run in the background Ctrl-C is ignored, and a child would inherit that."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 class Browser:

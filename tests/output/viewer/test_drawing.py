@@ -7,13 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from flowsplat.output.videos.options import RenderOptions
 from flowsplat.output.viewer.drawing import Look, Wish, draw, draw_points
 from flowsplat.output.viewer.layout import BAR
 from flowsplat.output.viewer.source import Source
 from flowsplat.output.viewer.trails import trails
 from flowsplat.output.viewer.world import WORLD_DEPTH, World
 from flowsplat.scenes.layers import Tracks
-from tests.output.tiny import MOVER, WALL, tiny_cameras, tiny_model, tiny_run
+from tests.output.tiny import MOVER, WALL, red, tiny_cameras, tiny_model, tiny_run
 
 
 @pytest.fixture(scope="module")
@@ -61,6 +62,25 @@ def test_flow_of_the_input_camera_has_the_camera_in_it(source):
     assert min(green, blue) > red + 40
     last = seen(source, show="flow", t=1.0).image[10, 10].astype(int)
     assert min(last[1], last[2]) > last[0] + 40, "at the end flow goes on as it came"
+
+
+def test_a_stereo_pair_shows_near_things_further_right_to_the_left_eye(source):
+    one, pair = seen(source, (128, 96)), seen(source, (256, 96), stereo=True)
+    left, right = pair.image[:, :128], pair.image[:, 128:]
+    places = [np.argwhere(red(image))[:, 1].mean() for image in (left, one.image, right)]
+    expected = 128 * RenderOptions.eye_distance * WALL * (1 / MOVER - 1 / WALL)
+    assert places[0] - places[2] == pytest.approx(expected, abs=0.7)
+    assert places[1] == pytest.approx((places[0] + places[2]) / 2, abs=0.5)
+    assert np.abs(left[:, :30].astype(int) - right[:, :30]).mean() < 1, "the wall is where both eyes meet"
+    assert pair.depth.max() == 0, "what the browser draws is not seen"
+
+
+def test_the_eyes_of_a_stereo_pair_see_the_same_flow(source):
+    """Their distance is no motion: the wall flows as one eye sees it."""
+    pair = seen(source, (256, 96), show="flow", stereo=True).image.astype(int)
+    one = seen(source, (128, 96), show="flow").image.astype(int)
+    for half in (pair[:, :128], pair[:, 128:]):
+        assert np.abs(half[:, :30] - one[:, :30]).mean() < 3
 
 
 def test_points_lie_where_the_gaussians_are():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import signal
 import socket
@@ -14,7 +13,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-import av
 import numpy as np
 import pytest
 
@@ -25,19 +23,13 @@ from flowsplat.output.camera_files import read_camera_file, write_camera_file
 from flowsplat.output.viewer.options import ViewOptions
 from flowsplat.scenes.layers import read_image
 from flowsplat.training.checkpoint import load_model, save_model
-from tests.output.tiny import FPS, FRAMES, tiny_run
+from tests.output.tiny import FPS, FRAMES, frames_of, red, tiny_run
 
 pytest.importorskip("viser", reason="viser is not installed: pip install 'flowsplat[view]'")
 
 from flowsplat.output.viewer.server import Viewer
 from flowsplat.output.viewer.world import WORLD_DEPTH
-from tests.output.viewer.browser import Browser
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+from tests.output.viewer.browser import Browser, free_port, heed_ctrl_c
 
 
 @pytest.fixture(scope="module")
@@ -53,11 +45,6 @@ def browser(port) -> Iterator[Browser]:
     with Browser(port) as browser:
         browser.settled()
         yield browser
-
-
-def red(image: np.ndarray) -> np.ndarray:
-    image = image.astype(int)
-    return (image[..., 0] > 120) & (image[..., 0] > image[..., 2] + 40)
 
 
 def place(image: np.ndarray) -> float:
@@ -216,7 +203,7 @@ def test_paths_are_made_saved_loaded_and_recorded(run_folder, browser, tmp_path)
     browser.click("Save the path")
     browser.wait(lambda: any("no keys" in note for note in browser.notes))
     browser.click("Add a key here")
-    browser.wait(lambda: any("1 keys" in str(control.get("_markdown")) for control in browser.controls.values()))
+    browser.wait(lambda: any("1 key," in str(control.get("_markdown")) for control in browser.controls.values()))
     browser.set("Seconds", 1.0)
     browser.look(position=browser.position + [0.4, 0, 0], look_at=np.array([0.4, 0, WORLD_DEPTH]))
     browser.settled()
@@ -231,11 +218,10 @@ def test_paths_are_made_saved_loaded_and_recorded(run_folder, browser, tmp_path)
     assert saved.shots[-1][0].center[0] - saved.shots[0][0].center[0] == pytest.approx(0.4, abs=0.02)
     browser.wait(lambda: len(browser.downloads.get("path_001.json", b"")) == path.stat().st_size)
 
-    browser.click("Record it to mp4")
+    browser.click("Record it")
     film = run_folder / "viewer" / "recording_001.mp4"
     browser.wait(film.exists)
-    with av.open(str(film)) as container:
-        frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+    frames = frames_of(film)
     assert (len(frames), frames[0].shape) == (9, (48, 64, 3))
     assert red(frames[0]).any()
 
@@ -254,6 +240,60 @@ def test_paths_are_made_saved_loaded_and_recorded(run_folder, browser, tmp_path)
     browser.upload("Load a path", "bad.json", b"{}")
     browser.wait(lambda: any("no list" in note for note in browser.notes))
     browser.settled()
+
+
+def test_ready_made_paths_are_taken_and_recorded(tmp_path):
+    port, folder = free_port(), tiny_run(tmp_path / "out", movers=3)
+    viewer = Viewer(folder, ViewOptions(port=port))
+    try:
+        with Browser(port) as browser:
+            browser.settled()
+            for name, says in (
+                ("stabilised", "9 keys, 1.0 s"), ("bullet", "120 keys"), ("dolly", "120 keys"), ("wiggle", "16 keys, 1.2 s"),
+            ):  # fmt: skip
+                browser.set("Ready-made path", name)
+                browser.click("Take this path")
+                browser.wait(lambda says=says: any(says in str(c.get("_markdown")) for c in browser.controls.values()))
+            browser.set("Record as", ".gif")
+            browser.click("Record it")
+            gif = folder / "viewer" / "recording_001.gif"
+            browser.wait(gif.exists)
+            places = [np.argwhere(red(frame))[:, 1].mean() for frame in frames_of(gif)]
+            assert len(places) == 16
+            assert np.ptp(places) < 1.0, "it swings round the mover"
+
+            browser.set("Speed", "1/2")
+            browser.set("Ready-made path", "input")
+            browser.click("Take this path")
+            browser.wait(lambda: any("17 keys, 2.0 s" in str(c.get("_markdown")) for c in browser.controls.values()))
+            browser.set("Record as", ".webm")
+            browser.click("Record it")
+            browser.wait((folder / "viewer" / "recording_001.webm").exists)
+
+            browser.set("Stereo pair", True)
+            browser.set("Record as", ".mp4")
+            browser.click("Record it")
+            browser.wait((folder / "viewer" / "recording_001.mp4").exists)
+            frame, *_ = frames_of(folder / "viewer" / "recording_001.mp4")
+            assert frame.shape == (48, 2 * 64, 3)
+            left, right = (np.argwhere(red(eye))[:, 1].mean() for eye in (frame[:, :64], frame[:, 64:]))
+            assert 0.2 < left - right < 4, "near things lie further right for the left eye"
+    finally:
+        viewer.stop()
+
+
+def test_movers_of_a_scene_without_any_are_not_recorded(tmp_path):
+    port, folder = free_port(), tiny_run(tmp_path / "out", movers=0)
+    viewer = Viewer(folder, ViewOptions(port=port))
+    try:
+        with Browser(port) as browser:
+            browser.click("Add a key here")
+            browser.set("Record as", ".webm")
+            browser.click("Record it")
+            browser.wait(lambda: any("Nothing moves" in note for note in browser.notes))
+    finally:
+        viewer.stop()
+    assert not (folder / "viewer").exists()
 
 
 @pytest.mark.parametrize(("movers", "size"), [(0, (64, 48)), (1, (64, 48)), (1, (36, 64))])
@@ -300,8 +340,8 @@ def test_a_newer_model_is_shown(tmp_path):
 
 def test_ctrl_c_stops_it_and_the_port_is_free_again(run_folder):
     port = free_port()
-    command = [sys.executable, "-m", "flowsplat.cli", "view", str(run_folder), "--port", str(port)]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env={**os.environ})
+    command = [sys.executable, "-m", "flowsplat.cli", "view", str(run_folder), "--port", str(port), "--device", "cpu"]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, preexec_fn=heed_ctrl_c)
     try:
         assert process.stderr is not None
         line = process.stderr.readline()
@@ -320,12 +360,43 @@ def test_ctrl_c_stops_it_and_the_port_is_free_again(run_folder):
         probe.bind(("127.0.0.1", port))
 
 
-def test_a_port_in_use_is_told(run_folder):
+def failing(capsys, *arguments: object) -> str:
+    """The one line with which a command ends that cannot work."""
+    with pytest.raises(SystemExit) as end:
+        main(["view", *map(str, arguments), "--device", "cpu"])
+    assert end.value.code == 2
+    message = capsys.readouterr().err.strip()
+    assert message.startswith("Error: ")
+    assert "\n" not in message
+    return message
+
+
+def test_a_port_in_use_is_told(run_folder, capsys):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
-        with pytest.raises(InputError, match=r"Port \d+ is in use"):
-            Viewer(run_folder, ViewOptions(port=taken.getsockname()[1]))
+        port = taken.getsockname()[1]
+        assert f"Port {port} is in use" in failing(capsys, run_folder, "--port", port)
+
+
+def test_a_run_that_cannot_be_written_to_can_be_looked_at(tmp_path):
+    port, folder = free_port(), tiny_run(tmp_path / "out")
+    (folder / "viewer").write_text("a file where the folder should be")
+    viewer = Viewer(folder, ViewOptions(port=port))
+    try:
+        with Browser(port) as browser:
+            browser.settled()
+            browser.click("Add a key here")
+            for label in ("Screenshot", "Save the path", "Record it"):
+                told = len(browser.notes)
+                browser.click(label)
+                browser.wait(lambda told=told: "viewer" in "".join(browser.notes[told:]))
+                assert "did not work" in browser.notes[-1]
+            count = len(browser.pictures)
+            browser.set("Seconds", 1.0)
+            browser.wait(lambda: len(browser.pictures) > count)
+    finally:
+        viewer.stop()
 
 
 @pytest.mark.parametrize(
@@ -344,12 +415,7 @@ def test_a_missing_viser_is_told(run_folder, monkeypatch):
 
 
 def test_the_command_ends_with_one_line_and_exit_code_2(tmp_path, capsys):
-    with pytest.raises(SystemExit) as end:
-        main(["view", str(tiny_run(tmp_path / "out", trained=False))])
-    assert end.value.code == 2
-    message = capsys.readouterr().err.strip()
-    assert message.startswith("Error: ")
-    assert "\n" not in message
+    assert "neither a trained scene" in failing(capsys, tiny_run(tmp_path / "out", trained=False))
 
 
 def test_runs_with_nothing_to_show_are_told(tmp_path):

@@ -18,8 +18,7 @@ from scipy.spatial import cKDTree
 from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Gaussians4D
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.geometry import Camera
-from flowsplat.geometry.paths import CameraPath
-from flowsplat.geometry.rotations import normalize_quats, principal_axes, rotations_to_quats
+from flowsplat.geometry.rotations import normalize_quats, principal_axes
 from flowsplat.output.player.planes import Plane, rounded, rounded_in_chunks, rounded_to_range, rounded_to_step
 from flowsplat.output.player.series import FLATTEST, MovingSeries, moving_series, seen_in_clip
 from flowsplat.splatting.harmonics import harmonics_count
@@ -32,8 +31,6 @@ PIXEL_TOLERANCE = 1 / 32
 """Pixels of the clip by which rounding may move a Gaussian."""
 QUAT_TOLERANCE = 0.004
 """Largest error of the series of a unit quaternion: half a degree."""
-PATH_SAMPLES = 4
-"""Cameras a frame of the path that the player follows; it interpolates linearly between them."""
 _SMALLEST_SCALE, _LARGEST_SCALE = 1e-5, 1e2
 _STEEPEST = 18.0
 """Log precision beyond which a Gaussian is seen for less than a ten-thousandth of the clip."""
@@ -44,14 +41,12 @@ class Packed:
     """What goes into the page.
 
     Attributes:
-        about: the header, JSON-able.
+        about: the header, JSON-able; ``ways`` adds the cameras to it.
         data: the planes behind one another, zlib-compressed.
-        planes: the planes by name.
     """
 
     about: dict[str, Any]
     data: bytes
-    planes: dict[str, Plane]
 
 
 def pack(model: SceneModel, times: Sequence[float], cameras: Sequence[Camera], title: str) -> Packed:
@@ -70,17 +65,15 @@ def pack(model: SceneModel, times: Sequence[float], cameras: Sequence[Camera], t
     gaussians = gaussians.select(torch.cat([resting, moving]))
     planes = _planes(gaussians, len(resting), _resolution(gaussians, inner))
     encoded = [plane.encoded() for plane in planes]
-    similarity = model.similarity
     about = {
         "version": VERSION, "title": title, "width": cameras[0].width, "height": cameras[0].height,
         "first": model.first, "last": model.last, "frames": len(times), "fill": model.fill,
         "resting": len(resting), "moving": len(moving), "shDegree": gaussians.sh_degree, "gains": gaussians.config.gains,
         "pMin": gaussians.config.p_min, "near": NEAR_PLANE, "eps2d": EPS2D, "alphaMin": ALPHA_MIN, "alphaMax": ALPHA_MAX,
-        "similarity": similarity.to_json(), "path": _sampled_path(model, times, inner),
-        "planes": [header for header, _ in encoded],
+        "similarity": model.similarity.to_json(), "planes": [header for header, _ in encoded],
     }  # fmt: skip
     data = zlib.compress(b"".join(body for _, body in encoded), 9)
-    return Packed(about, data, {plane.name: plane for plane in planes})
+    return Packed(about, data)
 
 
 def estimated_bytes(gaussians: Gaussians4D) -> int:
@@ -167,21 +160,3 @@ def _along_curve(gaussians: Gaussians4D, rows: torch.Tensor) -> torch.Tensor:
         for bit in range(10):
             code |= ((cells >> bit) & 1) << (3 * bit + axis)
     return rows[torch.from_numpy(np.argsort(code, kind="stable"))]
-
-
-def _sampled_path(model: SceneModel, times: Sequence[float], cameras: Sequence[Camera]) -> list[list[float]]:
-    """Rows: clip time, centre, rotation world to camera (wxyz), fx, fy, cx, cy."""
-    path = CameraPath(times, cameras)
-    steps = PATH_SAMPLES * (len(times) - 1)
-    fine = np.interp(np.arange(steps + 1) / PATH_SAMPLES, np.arange(len(times)), times)
-    rows = []
-    before = np.array([1.0, 0, 0, 0])
-    for t in fine:
-        camera = path.at(float(t))
-        quat = rotations_to_quats(torch.from_numpy(camera.viewmat[:3, :3].copy())).numpy()
-        before = quat if quat @ before >= 0 else -quat
-        K = camera.K
-        row = [model.clip_time(float(t)), *camera.center, *before, K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
-        rows.append([round(float(value), 7) for value in row])
-    return rows
-

@@ -16,14 +16,13 @@ from flowsplat.geometry import Camera
 from flowsplat.geometry.paths import CameraPath, dolly_zoom, orbit, shifted
 from flowsplat.output.camera_files import read_camera_file
 from flowsplat.output.videos.options import RenderOptions, check_options
-from flowsplat.output.videos.stabilised import COVERED, Shot, stabilise
+from flowsplat.output.videos.shots import COVERED, Shot, small
+from flowsplat.output.videos.stabilised import stabilise
 from flowsplat.scenes import Scene
 
 WIGGLE_FRAMES = 16
 WIGGLE_FPS = 12.5
 """A GIF counts time in hundredths of a second."""
-_PROBE_SHARE = 4
-"""By how much the picture is smaller in which the subject is looked for."""
 _SUFFIXES = {"stereo": "mp4", "alpha": "webm", "gif": "gif"}
 
 
@@ -142,7 +141,7 @@ def _whole(model: PartedRenderer, scene: Scene, options: RenderOptions) -> Itera
 
 def subject_distance(model: PartedRenderer, camera: Camera, t: float, otherwise: float) -> float:
     """Planar depth of the movers that the camera sees, their median; ``otherwise`` where there are none."""
-    seen = model.part("movers").render(_small(camera), t)
+    seen = model.part("movers").render(small(camera), t)
     depth = seen.depth[seen.alpha >= COVERED]
     return float(np.median(depth)) if depth.size else otherwise
 
@@ -151,10 +150,6 @@ def _require_movers(model: PartedRenderer, plan: Plan) -> None:
     movers = model.part("movers")
     for k in np.unique(np.linspace(0, len(plan.shots) - 1, 5).round().astype(int)):
         camera, t = plan.shots[int(k)]
-        if movers.render(_small(camera), t).alpha.max() > 0:
+        if movers.render(small(camera), t).alpha.max() > 0:
             return
     raise InputError(f"Nothing moves in {plan.name}: leave movers out of --render.parts.")
-
-
-def _small(camera: Camera) -> Camera:
-    return camera.resized(max(camera.width // _PROBE_SHARE, 1), max(camera.height // _PROBE_SHARE, 1))

@@ -9,13 +9,9 @@ import numpy as np
 
 from flowsplat.common.progress import say, track
 from flowsplat.gaussians.rendering import Renderer
-from flowsplat.geometry import Camera
 from flowsplat.geometry.paths import cropped, smooth_path
+from flowsplat.output.videos.shots import COVERED, Shot
 
-Shot = tuple[Camera, float]
-
-COVERED = 0.5
-"""Alpha from which something is shown."""
 _LEAST_LEFT = 0.7
 """Share of width and height that a stabilised video keeps at least; rather than cut more off, it is smoothed less."""
 _PROBE_WIDTH = 160
@@ -40,7 +36,6 @@ def stabilise(model: Renderer, shots: Sequence[Shot], sigma: float) -> tuple[lis
     """
     cameras, times = [camera for camera, _ in shots], [t for _, t in shots]
     candidates = [smooth_path(cameras, sigma / 2**k) for k in range(4)] if sigma > 0 else [cameras]
-    smooth, share = cameras, 1.0
     for smooth in candidates:
         share = covered_share(model, list(zip(smooth, times, strict=True)))
         if share >= _LEAST_LEFT:
@@ -49,7 +44,7 @@ def stabilise(model: Renderer, shots: Sequence[Shot], sigma: float) -> tuple[lis
         own = covered_share(model, shots)
         smooth = candidates[0] if own < _LEAST_LEFT else cameras
         share = max(own, _LEAST_LEFT)
-        say("The scene has borders that no frame saw: the stabilised video shows them filled from their neighbours.")
+        say("The scene has borders that no frame saw: the stabilised path shows them filled from their neighbours.")
     return [(cropped(camera, share), t) for camera, t in zip(smooth, times, strict=True)], share
 
 

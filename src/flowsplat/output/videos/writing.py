@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from flowsplat.common.progress import track
-from flowsplat.gaussians.rendering import Renderer
+from flowsplat.gaussians.rendering import Renderer, Rendering
 from flowsplat.geometry.paths import shifted
 from flowsplat.output.videos.plans import Plan
-from flowsplat.output.videos.stabilised import COVERED, Shot
+from flowsplat.output.videos.shots import COVERED, Shot, small
 from flowsplat.pictures.colors import depth_range, depth_to_color, float_to_bytes, flow_scale, flow_to_color
 from flowsplat.pictures.gif import write_gif
 from flowsplat.pictures.sheets import side_by_side
@@ -22,8 +22,6 @@ from flowsplat.pictures.video import mp4_writer
 
 _PROBES = 5
 """Shots that are looked at before a video is made, to fix its colour scales."""
-_PROBE_SHARE = 4
-"""By how much those are smaller."""
 _WIDEST_PANEL = 1280
 """Pixels. Three panels beside each other then stay below what hardware decoders take."""
 
@@ -51,17 +49,16 @@ class Scales:
     @staticmethod
     def of(model: Renderer, shots: Sequence[Shot]) -> Scales:
         """Look at a few shots, smaller."""
-        camera = shots[0][0]
-        width, height = (max(size // _PROBE_SHARE, 1) for size in (camera.width, camera.height))
-        small = [(c.resized(width, height), t) for c, t in shots]
+        smaller = [(small(camera), t) for camera, t in shots]
+        ratio = shots[0][0].width / smaller[0][0].width
         chosen = np.unique(np.linspace(0, len(shots) - 1, _PROBES).round().astype(int))
-        seen = [look(model, small, int(k)) for k in chosen]
+        seen = [look(model, smaller, int(k)) for k in chosen]
         looks = hashlib.sha256()
         for arrays in seen:
             for array in arrays:
                 looks.update(np.ascontiguousarray(array, np.float32).tobytes())
         near, far = depth_range(depth for _, _, depth in seen)
-        scale = flow_scale(flow * (camera.width / width) for _, flow, _ in seen)
+        scale = flow_scale(flow * ratio for _, flow, _ in seen)
         return Scales(scale, near, far, looks.hexdigest()[:16])
 
 
@@ -108,7 +105,10 @@ def _write_stereo(model: Renderer, plan: Plan, path: Path) -> None:
 def _write_alpha(model: Renderer, plan: Plan, path: Path) -> None:
     with webm_writer(path, plan.fps) as write:
         for camera, t in track(plan.shots, f"Rendering {plan.name}"):
-            seen = model.render(camera, t)
-            # WebM holds colour beside alpha, a rendering has them multiplied.
-            colour = seen.colour / np.maximum(seen.alpha, 1e-6)[..., None]
-            write(float_to_bytes(np.concatenate([colour, seen.alpha[..., None]], axis=-1)))
+            write(on_transparent(model.render(camera, t)))
+
+
+def on_transparent(seen: Rendering) -> np.ndarray:
+    """[H, W, 4] uint8 RGBA of what was rendered without filling; colour is not multiplied by alpha, as WebM wants it."""
+    colour = seen.colour / np.maximum(seen.alpha, 1e-6)[..., None]
+    return float_to_bytes(np.concatenate([colour, seen.alpha[..., None]], axis=-1))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import cv2
@@ -13,6 +13,9 @@ from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.rendering import Part
 from flowsplat.gaussians.slicing import slice_gaussians
 from flowsplat.geometry import Camera
+from flowsplat.geometry.paths import shifted
+from flowsplat.output.videos.options import RenderOptions
+from flowsplat.output.videos.shots import COVERED
 from flowsplat.output.viewer.layout import Box, empty, fitted, halves, place, wipe
 from flowsplat.output.viewer.source import Source
 from flowsplat.output.viewer.world import Pose, World
@@ -21,13 +24,16 @@ from flowsplat.pictures.colors import depth_to_color, float_to_bytes, flow_to_co
 Show = Literal["colour", "flow", "depth", "alpha", "Gaussians"]
 Compare = Literal["off", "beside", "wipe"]
 
-_COVERED = 0.5
 _TRACK_TAIL = 8
 """Frames that a track on the input picture reaches back."""
 _MOST_TRACKS = 250
 """Of movers, and of the background; more hide the picture."""
 _BACKGROUND = 24
 """Grey value behind Gaussians that are shown as points."""
+_FAR = 150.0
+"""What viser can say of a depth ends at 167."""
+_BOTH_EYES = (-1, 1)
+_ONE_EYE = (0,)
 
 
 @dataclass(frozen=True)
@@ -40,6 +46,7 @@ class Look:
         compare: the input frame beside the rendering, or over its left part.
         wipe: how much of the rendering it covers, 0 to 1.
         tracks: the tracks of the clip, drawn where the picture is seen from the input camera.
+        stereo: a pair for two eyes, left beside right, in place of what ``compare`` says.
     """
 
     show: Show = "colour"
@@ -47,6 +54,7 @@ class Look:
     compare: Compare = "off"
     wipe: float = 0.5
     tracks: bool = False
+    stereo: bool = False
 
 
 @dataclass(frozen=True)
@@ -73,7 +81,7 @@ class Drawing:
     Attributes:
         image: [H, W, 3] uint8.
         depth: [H, W] float32 in the world of the browser, far away where there is nothing: what is drawn there by the
-            browser is hidden behind it.
+            browser is hidden behind it. 0 behind a stereo pair, which hides all of that: it is for one eye.
         pose: the browser's camera that fits to the picture.
     """
 
@@ -82,21 +90,23 @@ class Drawing:
     pose: Pose
 
 
-_FAR = 150.0
-"""What viser can say of a depth ends at 167."""
-
-
 def draw(source: Source, world: World, wish: Wish) -> Drawing:
     """Render and compose what a client wants to see."""
     image, depth = empty(wish.size), np.full(wish.size[::-1], _FAR, np.float32)
     whole = Box(0, 0, *wish.size)
-    left, right = halves(wish.size) if wish.look.compare == "beside" else (whole, whole)
+    is_halved = wish.look.stereo or wish.look.compare == "beside"
+    left, right = halves(wish.size) if is_halved else (whole, whole)
     if wish.pose is not None:
         # The clip's own camera is fitted into its room, a free one fills it.
         room, camera = left, world.camera(wish.pose, left.width, left.height)
     else:
         room = fitted(source.size, left)
         camera = source.path.at(wish.t).resized(room.width, room.height)
+    pose = wish.pose or _seen_whole(world, camera, wish.size[1])
+    if wish.look.stereo:
+        for half, side in zip((left, right), _BOTH_EYES, strict=True):
+            place(image, render_look(source, camera, wish, side)[0], replace(room, x=room.x + half.x))
+        return Drawing(image, np.zeros_like(depth), pose)
     picture, distance = render_look(source, camera, wish)
     if wish.look.compare == "wipe":
         over = cv2.resize(source.frame(wish.t), (room.width, room.height), interpolation=cv2.INTER_AREA)
@@ -105,7 +115,6 @@ def draw(source: Source, world: World, wish: Wish) -> Drawing:
     depth[room.rows_and_columns] = distance * world.from_scene.scale
     if wish.look.compare == "beside":
         place(image, source.frame(wish.t), fitted(source.size, right))
-    pose = wish.pose or _seen_whole(world, camera, wish.size[1])
     return Drawing(image, np.clip(depth, 0, _FAR), pose)
 
 
@@ -115,18 +124,27 @@ def _seen_whole(world: World, camera: Camera, height: int) -> Pose:
     return Pose(pose.wxyz, pose.position, 2 * float(np.arctan(height / 2 / camera.K[1, 1])))
 
 
-def render_look(source: Source, camera: Camera, wish: Wish) -> tuple[np.ndarray, np.ndarray]:
-    """What ``wish.look`` shows, from a camera of the scene.
+def draw_shot(source: Source, world: World, camera: Camera, t: float, look: Look) -> np.ndarray:
+    """[H, W, 3] uint8 a shot of a path as a client looks at it, without the input frame; twice as wide for two eyes."""
+    wish = Wish((camera.width, camera.height), t, look, world.pose(camera))
+    sides = _BOTH_EYES if look.stereo else _ONE_EYE
+    return np.concatenate([render_look(source, camera, wish, side)[0] for side in sides], axis=1)
+
+
+def render_look(source: Source, camera: Camera, wish: Wish, side: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """What ``wish.look`` shows, from a camera of the scene or from one of two eyes there (``side`` -1 left, 1 right).
 
     Returns:
         [H, W, 3] uint8 and the planar depth [H, W] in the units of the scene, far away where there is nothing.
     """
     look, t = wish.look, wish.t
+    flow_to = _next_shot(source, camera, wish, side) if look.show == "flow" else None
+    camera = _eye(source, camera, side)
     model = source.loaded.part(look.part)
     if look.show == "Gaussians":
         return draw_points(model, camera, t), np.full((camera.height, camera.width), np.inf, np.float32)
-    seen = model.render(camera, t, _next_shot(source, camera, wish) if look.show == "flow" else None)
-    covered = seen.alpha >= _COVERED
+    seen = model.render(camera, t, flow_to)
+    covered = seen.alpha >= COVERED
     if look.show == "colour":
         image = float_to_bytes(seen.colour)
     elif look.show == "alpha":
@@ -143,12 +161,17 @@ def render_look(source: Source, camera: Camera, wish: Wish) -> tuple[np.ndarray,
     return image, np.where(covered, seen.depth, np.inf).astype(np.float32)
 
 
-def _next_shot(source: Source, camera: Camera, wish: Wish) -> tuple[Camera, float]:
+def _eye(source: Source, camera: Camera, side: int) -> Camera:
+    depth = 1 / source.scene.similarity.scale  # the median
+    return shifted(camera, side * RenderOptions.eye_distance / 2 * depth, depth)
+
+
+def _next_shot(source: Source, camera: Camera, wish: Wish, side: int) -> tuple[Camera, float]:
     """Where flow leads to: a frame further; a free camera stands still, so that its flow is the motion of the scene alone."""
     t = wish.t + source.step if wish.t + source.step <= source.clip[1] else wish.t - source.step
-    if wish.pose is not None:
-        return camera, t
-    return source.path.at(t).resized(camera.width, camera.height), t
+    if wish.pose is None:
+        camera = source.path.at(t).resized(camera.width, camera.height)
+    return _eye(source, camera, side), t
 
 
 @torch.no_grad()

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from flowsplat.geometry import Camera
 from flowsplat.geometry.paths import CameraPath
-
-Shot = tuple[Camera, float]
+from flowsplat.output.videos.shots import Shot
 
 
 class CameraKeys:
@@ -36,18 +35,15 @@ class CameraKeys:
         """How long the video is."""
         return max(len(self.keys) - 1, 0) * self.spacing
 
-    def at(self, seconds: float) -> Shot:
-        """Where the camera is after so many seconds of the video, and which time of the clip it shows."""
-        steps = np.arange(len(self.keys)) * self.spacing
-        t = float(np.interp(seconds, steps, [t for _, t in self.keys]))
-        return CameraPath(steps.tolist(), [camera for camera, _ in self.keys]).at(seconds), t
+    def way(self) -> Callable[[float], Shot]:
+        """A function that tells, after so many seconds of the video, where the camera is and which time of the clip it shows."""
+        steps, times = np.arange(len(self.keys)) * self.spacing, [t for _, t in self.keys]
+        path = CameraPath(steps.tolist(), [camera for camera, _ in self.keys])
+        return lambda seconds: (path.at(seconds), float(np.interp(seconds, steps, times)))
 
     def shots(self, fps: float) -> list[Shot]:
         """One shot a frame of the video; none without keys."""
         if not self.keys:
             return []
-        steps = np.arange(len(self.keys)) * self.spacing
-        path = CameraPath(steps.tolist(), [camera for camera, _ in self.keys])
-        moments = np.arange(int(self.seconds * fps + 1e-6) + 1) / fps
-        times = np.interp(moments, steps, [t for _, t in self.keys])
-        return [(path.at(float(moment)), float(t)) for moment, t in zip(moments, times, strict=True)]
+        way = self.way()
+        return [way(k / fps) for k in range(int(self.seconds * fps + 1e-6) + 1)]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from flowsplat.common.devices import DeviceName
+
 
 @dataclass(frozen=True)
 class ViewOptions:
@@ -13,5 +15,7 @@ class ViewOptions:
     """Address to listen on. The default is seen from this machine only; 0.0.0.0 lets everybody on the network look."""
     port: int = 8080
     """Port to listen on."""
+    device: DeviceName = "auto"
+    """What to render on."""
     largest: int = 1600
     """Pixels of the longer side of still pictures at most; while something moves they are as large as stays fluent."""

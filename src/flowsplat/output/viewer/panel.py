@@ -80,6 +80,7 @@ class Panel:
             self._part = gui.add_dropdown("Part", get_args(Part), initial_value="all")
             self._compare = gui.add_dropdown("Input frame", get_args(Compare), initial_value="off")
             self._wipe = gui.add_slider("Wipe", min=0.0, max=1.0, step=0.01, initial_value=0.5, visible=False)
+            self._stereo = gui.add_checkbox("Stereo pair", False, hint="For two eyes, left beside right.")
         with gui.add_folder("Drawn into it"):
             self._cameras = gui.add_checkbox("Cameras", False)
             self._trails = gui.add_checkbox("Ways of Gaussians", False)
@@ -92,7 +93,7 @@ class Panel:
             (self._mode, self._set_mode), (self._cameras, self._draw_cameras), (self._trails, self._draw_trails),
         ):  # fmt: skip
             control.on_update(self._talk.told(action))
-        for control in (self._what, self._part, self._compare, self._wipe, self._tracks):
+        for control in (self._what, self._part, self._compare, self._wipe, self._stereo, self._tracks):
             control.on_update(self._talk.told(self._set_look))
 
     def _state(self) -> str:
@@ -177,7 +178,9 @@ class Panel:
     # -- picture
 
     def _set_look(self) -> None:
-        look = Look(self._what.value, self._part.value, self._compare.value, float(self._wipe.value), self._tracks.value)
+        look = Look(
+            self._what.value, self._part.value, self._compare.value, float(self._wipe.value), self._tracks.value, self._stereo.value
+        )
         self._wipe.visible = look.compare == "wipe"
         if look.compare == "wipe" and self._mode.value != "input camera":
             # A frame can only lie over what was seen from the same place.
@@ -240,6 +243,7 @@ class Panel:
     def _redraw(self) -> None:
         with self._worker.changed():
             self._session.change(time.monotonic())
+
 
 def _put(control: Any, value: Any) -> None:
     """Set the value of a control (viser's types call it read-only)."""

@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+import contextlib
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from flowsplat.output.viewer.drawing import Look, Wish, draw, render_look
-from flowsplat.output.viewer.keys import Shot
+import numpy as np
+
+from flowsplat.common.errors import InputError
+from flowsplat.output.videos.plans import WIGGLE_FPS
+from flowsplat.output.videos.writing import on_transparent
+from flowsplat.output.viewer.drawing import Look, Wish, draw, draw_shot
+from flowsplat.output.viewer.keys import CameraKeys
 from flowsplat.output.viewer.source import Source
 from flowsplat.output.viewer.world import World
+from flowsplat.pictures.gif import write_gif
+from flowsplat.pictures.transparent import webm_writer
 from flowsplat.pictures.video import mp4_writer
 from flowsplat.scenes.layers import write_image
 
 Told = Callable[[str], None]
 """Takes a line on how far it is."""
+Writer = Callable[[Path, float], contextlib.AbstractContextManager[Callable[[np.ndarray], None]]]
 
 
 def next_file(folder: Path, stem: str, suffix: str) -> Path:
@@ -36,19 +44,48 @@ def take_screenshot(source: Source, world: World, wish: Wish, path: Path, finish
     yield
 
 
+@contextlib.contextmanager
+def _gif_writer(path: Path, fps: float) -> Iterator[Callable[[np.ndarray], None]]:
+    frames: list[np.ndarray] = []
+    yield frames.append
+    write_gif(path, frames, fps)
+
+
+_WRITERS: dict[str, Writer] = {".mp4": mp4_writer, ".gif": _gif_writer, ".webm": webm_writer}
+RECORDINGS = tuple(_WRITERS)
+"""Suffixes of what can be recorded."""
+
+
 def record_path(
-    source: Source, world: World, shots: Sequence[Shot], fps: float, look: Look, path: Path, tell: Told,
+    source: Source, world: World, keys: CameraKeys, fps: float, look: Look, path: Path, tell: Told,
     finished: Callable[[Path], None],
 ) -> Iterator[None]:  # fmt: skip
-    """A task: a camera path as an mp4 that shows what the client looks at, one frame a step.
+    """A task: a camera path as a video of what the client looks at, one frame a step.
+
+    Args:
+        source: the scene.
+        world: of the browser.
+        keys: the path.
+        fps: frames a second; a GIF has those of the wiggle.
+        look: what is shown; a WebM shows the movers in colour on transparent, whatever it says.
+        path: ``.mp4``, ``.gif`` or ``.webm``.
+        tell: told how far it is.
+        finished: called with the path in the end.
 
     Raises:
-        InputError: it cannot be written.
+        InputError: it cannot be written, or a WebM is asked for where nothing moves.
     """
-    alone = replace(look, compare="off")
-    with mp4_writer(path, fps) as write:
+    suffix, movers = path.suffix, source.loaded.part("movers")
+    if suffix == ".webm" and not len(movers.gaussians):
+        raise InputError("Nothing moves in this scene: record it as mp4 or gif.")
+    fps = WIGGLE_FPS if suffix == ".gif" else fps
+    shots = keys.shots(fps)
+    with _WRITERS[suffix](path, fps) as write:
         for k, (camera, t) in enumerate(shots):
             tell(f"Recording frame {k + 1} of {len(shots)}")
-            write(render_look(source, camera, Wish((camera.width, camera.height), t, alone, world.pose(camera)))[0])
+            if suffix == ".webm":
+                write(on_transparent(movers.render(camera, t)))
+            else:
+                write(draw_shot(source, world, camera, t, look))
             yield
     finished(path)

@@ -11,6 +11,7 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from flowsplat.common.devices import pick_device
 from flowsplat.common.errors import InputError
 from flowsplat.common.progress import say
 from flowsplat.output.viewer.options import ViewOptions
@@ -30,7 +31,8 @@ class Viewer:
         """Open the run and begin to serve.
 
         Raises:
-            InputError: viser is missing, the run has nothing to show yet, or the address cannot be listened on.
+            InputError: viser is missing, the run has nothing to show yet, the device does not work, or the address cannot be
+                listened on.
         """
         if not 1 <= options.port <= 65535:
             raise InputError(f"There is no port {options.port}: give --port a number from 1 to 65535.")
@@ -41,7 +43,7 @@ class Viewer:
         except ImportError as error:
             raise InputError("The viewer needs viser: pip install 'flowsplat[view]'.") from error
         self._options = options
-        self.source = Source(folder)
+        self.source = Source(folder, pick_device(options.device))
         _check_address(options.host, options.port)
         self._server = _serve(options)
         self._panels: dict[int, Panel] = {}

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+import torch
 
 from flowsplat.common.errors import InputError
 from flowsplat.gaussians.model import SceneModel
@@ -36,13 +38,13 @@ class Loaded:
 class Source:
     """The folder of a run as the viewer reads it. Only one thread may call ``refresh``."""
 
-    def __init__(self, folder: Path):
-        """Open a run.
+    def __init__(self, folder: Path, device: torch.device | str = "cpu"):
+        """Open a run; ``device``: where its models are rendered.
 
         Raises:
             InputError: it is none, is not prepared, or has neither a model nor a checkpoint yet.
         """
-        self.folder = Path(folder)
+        self.folder, self._device = Path(folder), device
         if not (self.folder / "run.json").exists():
             raise InputError(f"{folder} is not the folder of a run: start with flowsplat run INPUT -o {folder}.")
         if not (self.folder / "scene" / "scene.json").exists():
@@ -55,7 +57,8 @@ class Source:
                 "its first checkpoint can be looked at while it trains."
             )
         self._stamp, read = found
-        self.loaded = Loaded(*read(), 0)
+        model, state = read()
+        self.loaded = Loaded(self._ready(model), state, 0)
 
     def refresh(self) -> bool:
         """Read the newest state again if it changed; whether it did."""
@@ -67,8 +70,12 @@ class Source:
         except InputError:
             return False  # It is being replaced at this moment: the next call finds it whole.
         self._stamp = found[0]
-        self.loaded = Loaded(model, state, self.loaded.number + 1)
+        self.loaded = Loaded(self._ready(model), state, self.loaded.number + 1)
         return True
+
+    def _ready(self, model: SceneModel) -> SceneModel:
+        """On the device that renders, prepared for many frames."""
+        return replace(model.to(self._device), graphs=True)
 
     def _find(self) -> tuple[tuple[str, int], Callable[[], tuple[SceneModel, str]]] | None:
         """The newest state: what tells it from others, and how to read it."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import viser
@@ -14,10 +14,12 @@ import viser
 from flowsplat.common.errors import InputError
 from flowsplat.geometry import Camera
 from flowsplat.output.camera_files import read_camera_file, write_camera_file
-from flowsplat.output.viewer.drawing import Wish, render_look
+from flowsplat.output.videos.options import PathName, RenderOptions
+from flowsplat.output.videos.plans import plan_videos
+from flowsplat.output.viewer.drawing import Wish, draw_shot
 from flowsplat.output.viewer.keys import CameraKeys
 from flowsplat.output.viewer.layout import Box, empty, fitted, place
-from flowsplat.output.viewer.recording import next_file, record_path, take_screenshot
+from flowsplat.output.viewer.recording import RECORDINGS, next_file, record_path, take_screenshot
 from flowsplat.output.viewer.session import Session
 from flowsplat.output.viewer.source import Source
 from flowsplat.output.viewer.talk import Talk
@@ -26,6 +28,8 @@ from flowsplat.output.viewer.world import World
 
 _QUALITY = 75
 """Of the JPEGs of a path that is played."""
+_READY_HINT = "The paths that flowsplat render knows, at the speed set above; bullet, dolly and wiggle at this moment of the clip."
+_RECORDINGS_HINT = "mp4 and gif: what is shown, for two eyes if so set. webm: what moves, on transparent."
 
 
 class TakeAway:
@@ -40,16 +44,19 @@ class TakeAway:
         with gui.add_folder("Take away", expand_by_default=False):
             screenshot = gui.add_button("Screenshot", icon=viser.Icon.CAMERA)
             self._count = gui.add_markdown("No keys yet.")
+            self._ready = gui.add_dropdown("Ready-made path", get_args(PathName), initial_value="orbit", hint=_READY_HINT)
+            ready = gui.add_button("Take this path", icon=viser.Icon.ROUTE)
             add = gui.add_button("Add a key here", icon=viser.Icon.PLUS)
             self._spacing = gui.add_slider("Seconds a key", min=0.1, max=10.0, step=0.1, initial_value=1.0)
             preview = gui.add_button("Play the path", icon=viser.Icon.PLAYER_PLAY)
-            record = gui.add_button("Record it to mp4", icon=viser.Icon.VIDEO)
+            self._suffix = gui.add_dropdown("Record as", RECORDINGS, initial_value=".mp4", hint=_RECORDINGS_HINT)
+            record = gui.add_button("Record it", icon=viser.Icon.VIDEO)
             save = gui.add_button("Save the path", icon=viser.Icon.DEVICE_FLOPPY)
             self._load = gui.add_upload_button("Load a path", mime_type="application/json", icon=viser.Icon.UPLOAD)
             clear = gui.add_button("Clear the path", icon=viser.Icon.TRASH)
         for button, action in (
-            (screenshot, self._take_screenshot), (add, self._add_key), (preview, self._preview), (record, self._record),
-            (save, self._save_path), (clear, self._clear),
+            (screenshot, self._take_screenshot), (ready, self._take_ready), (add, self._add_key), (preview, self._preview),
+            (record, self._record), (save, self._save_path), (clear, self._clear),
         ):  # fmt: skip
             button.on_click(talk.told(action))
         self._load.on_upload(talk.told(self._load_path))
@@ -96,7 +103,22 @@ class TakeAway:
 
     def _count_keys(self) -> None:
         keys = self._keys
-        self._count.content = f"{len(keys.keys)} keys, {keys.seconds:.1f} s." if keys.keys else "No keys yet."
+        number = "1 key" if len(keys.keys) == 1 else f"{len(keys.keys)} keys"
+        self._count.content = f"{number}, {keys.seconds:.1f} s." if keys.keys else "No keys yet."
+
+    def _take_ready(self) -> None:
+        clock = self._session.clock
+        now = clock.at(time.monotonic())
+        self._count.content = "Working it out ..."
+        self._begin(self._planning(RenderOptions(paths=(self._ready.value,), slow=1 / clock.speed, bullet_time=now)))
+
+    def _planning(self, options: RenderOptions) -> Iterator[None]:
+        try:
+            (plan,) = plan_videos(self._source.loaded.part("all"), self._source.scene, options)
+            self._keys = CameraKeys.of_shots(plan.shots, plan.fps)
+        finally:
+            self._count_keys()
+        yield
 
     def _set_spacing(self) -> None:
         self._keys.spacing = float(self._spacing.value)
@@ -116,17 +138,16 @@ class TakeAway:
         self._begin(self._playing(keys))
 
     def _playing(self, keys: CameraKeys) -> Iterator[None]:
-        session, started = self._session, time.monotonic()
+        session, way, started = self._session, keys.way(), time.monotonic()
         with self._worker.changed():
             session.is_held = True
         try:
             while (passed := time.monotonic() - started) <= keys.seconds:
-                camera, t = keys.at(passed)
-                small = camera.resized(*session.pace.moving((camera.width, camera.height)))
-                wish = Wish((small.width, small.height), t, replace(session.look, compare="off"), self._world.pose(camera))
+                camera, t = way(passed)
+                size = session.pace.moving((camera.width, camera.height))
                 before = time.monotonic()
-                image, _ = render_look(self._source, small, wish)
-                session.pace.learn(wish.size, time.monotonic() - before)
+                image = draw_shot(self._source, self._world, camera.resized(*size), t, session.look)
+                session.pace.learn(size, time.monotonic() - before)
                 self._client.scene.set_background_image(self._barred(image), format="jpeg", jpeg_quality=_QUALITY)
                 yield
         finally:
@@ -144,8 +165,8 @@ class TakeAway:
         return canvas
 
     def _record(self) -> None:
-        shots = self._require_keys().shots(self._fps)
-        path = next_file(self._folder, "recording", ".mp4")
+        keys = self._require_keys()
+        path = next_file(self._folder, "recording", self._suffix.value)
 
         def tell(text: str) -> None:
             self._count.content = text
@@ -154,7 +175,7 @@ class TakeAway:
             self._count_keys()
             self._finished(path)
 
-        self._begin(record_path(self._source, self._world, shots, self._fps, self._session.look, path, tell, finished))
+        self._begin(record_path(self._source, self._world, keys, self._fps, self._session.look, path, tell, finished))
 
     def _save_path(self) -> None:
         shots = self._require_keys().shots(self._fps)

@@ -19,13 +19,10 @@ class Controls {
     addEventListener("blur", () => this.pressed.clear());
   }
 
-  /** Leave the clip's camera where it is and let the person move it. */
-  free(mode = "orbit") {
+  /** Leave the camera where it is and let the person move it. */
+  free() {
     this.state.isHeld = false;
-    if (this.state.mode === "clip") {
-      this.state.free.startFrom(this.state.camera());
-      this.state.setMode(mode);
-    }
+    if (!this.state.isFree) this.state.setMode("orbit");
   }
 
   down(event) {
@@ -71,7 +68,6 @@ class Controls {
     const { state } = this;
     const isField = ["INPUT", "SELECT", "BUTTON"].includes(event.target.tagName);
     if (event.code in FLYING) {
-      this.free("fly");
       state.setMode("fly");
       this.pressed.add(event.code);
     } else if (event.code === "Digit1" || event.code === "KeyR") state.setMode("clip");

@@ -16,19 +16,44 @@ class State {
     this.isPlaying = true;
     this.speed = 1;
     this.mode = "clip";
+    this.part = "all";
+    this.isStereo = false;
     this.isHeld = false;  // a picture that a program asked for stays until a person does something
     this.free = new FreeCamera(about.path);
+    this.moves = new Moves(about);
+  }
+
+  get isFree() {
+    return this.mode === "orbit" || this.mode === "fly";
   }
 
   camera() {
-    return this.mode === "clip" ? cameraOnPath(this.about.path, this.time) : this.free.camera;
+    if (this.isFree) return this.free.camera;
+    if (this.mode in LOOPS) return this.moves.camera(this.mode, this.time);
+    return cameraOnPath(this.mode === "steady" ? this.about.steady : this.about.path, this.time);
   }
 
   setMode(mode) {
     this.isHeld = false;
-    if (this.mode === "clip" && mode !== "clip") this.free.startFrom(cameraOnPath(this.about.path, this.time));
+    const before = this.camera();
+    const wasFree = this.isFree;
     this.mode = mode;
+    if (this.isFree && !wasFree) this.free.startFrom(before);
+    if (mode in LOOPS) {
+      this.moves.phase = 0;
+      this.setPlaying(false);  // time stands still until it is told to play
+    }
     element("camera").value = mode;
+  }
+
+  setPart(part) {
+    this.isHeld = false;
+    this.part = part;
+  }
+
+  setStereo(isStereo) {
+    this.isHeld = false;
+    this.isStereo = isStereo;
   }
 
   setPlaying(isPlaying) {
@@ -52,19 +77,23 @@ class State {
   }
 
   step(seconds) {
+    if (this.mode in LOOPS) this.moves.step(this.mode, seconds);
     if (!this.isPlaying) return;
     const time = this.time + (this.speed * seconds) / (this.about.last - this.about.first);
     this.setTime(time % 1);
   }
 }
 
-/** Picture size on the page: as large as fits, in the shape of the clip. */
-function fit(about) {
+/** Size of one picture on the page: as large as fits, in the shape of the clip, `eyes` of them beside each other. */
+function fit(about, eyes = 1) {
   const stage = element("stage");
-  const scale = Math.min(stage.clientWidth / about.width, stage.clientHeight / about.height);
-  const size = [Math.max(Math.floor(about.width * scale), 1), Math.max(Math.floor(about.height * scale), 1)];
-  for (const shown of [element("canvas"), element("poster")]) [shown.style.width, shown.style.height] = size.map((n) => `${n}px`);
-  return size;
+  const scale = Math.min(stage.clientWidth / eyes / about.width, stage.clientHeight / about.height);
+  const [width, height] = [about.width, about.height].map((n) => Math.max(Math.floor(n * scale), 1));
+  for (const shown of [element("canvas"), element("poster")]) {
+    shown.style.width = `${eyes * width}px`;
+    shown.style.height = `${height}px`;
+  }
+  return [width, height];
 }
 
 class Player {
@@ -82,22 +111,34 @@ class Player {
     this.sorted = null;
     this.isSorting = false;
     this.size = fit(this.about);
-    addEventListener("resize", () => (this.size = fit(this.about)));
+    addEventListener("resize", () => this.fit());
     this.canvas.addEventListener("webglcontextlost", () => complain(new Error("The graphics card was reset: reload the page.")));
     const { state } = this;
     element("play").onclick = () => state.setPlaying(!state.isPlaying);
     element("time").oninput = () => state.seek(Number(element("time").value));
     element("speed").onchange = () => (state.speed = Number(element("speed").value));
     element("camera").onchange = () => state.setMode(element("camera").value);
+    element("part").onchange = () => state.setPart(element("part").value);
+    element("part").parentElement.hidden = !scene.about.resting || !scene.about.moving;
+    element("stereo").onchange = () => {
+      state.setStereo(element("stereo").checked);
+      this.fit();
+    };
   }
 
-  order(camera, time) {
-    return this.sorter.sort([...camera.rotation.slice(6), camera.translation[2]], time);
+  fit() {
+    this.size = fit(this.about, this.state.isStereo ? 2 : 1);
   }
 
-  draw({ camera, time, width, height }, order) {
-    this.renderer.resize(width, height);
-    this.renderer.draw(order, camera, time);
+  order({ cameras, time, part }) {
+    // All eyes look the same way from the same depth, so that one order serves them.
+    const [{ rotation, translation }] = cameras;
+    return this.sorter.sort([...rotation.slice(6), translation[2]], time, part);
+  }
+
+  draw({ cameras, time, part, width, height }, order) {
+    this.renderer.resize(width, height, cameras.length);
+    this.renderer.draw(order, cameras, time, part);
     document.body.classList.add("shown");
   }
 
@@ -107,7 +148,9 @@ class Player {
     const [width, height] = this.size.map((n) => Math.max(Math.round(n * detail * Math.min(devicePixelRatio, 2)), 1));
     const [x, y] = [width / this.about.width, height / this.about.height];
     const [fx, fy, cx, cy] = camera.lens;
-    return { camera: { ...camera, lens: [fx * x, fy * y, cx * x, cy * y] }, time: this.state.time, width, height };
+    const sized = { ...camera, lens: [fx * x, fy * y, cx * x, cy * y] };
+    const { time, part, isStereo } = this.state;
+    return { cameras: isStereo ? eyesOf(sized) : [sized], time, part, width, height };
   }
 
   frame(now) {
@@ -126,7 +169,8 @@ class Player {
 
   /** Have the next picture sorted, if it differs from the last: while the one before is drawn, the next is sorted. */
   prepare(seconds) {
-    const what = JSON.stringify([this.state.camera(), this.state.time, this.size, devicePixelRatio]);
+    const { time, part, isStereo } = this.state;
+    const what = JSON.stringify([this.state.camera(), time, part, isStereo, this.size, devicePixelRatio]);
     const isSame = what === this.last;
     if (isSame && (this.detail === 1 || this.isSharp)) return;
     if (!isSame) this.adapt(seconds);
@@ -134,7 +178,7 @@ class Player {
     this.last = what;
     const view = this.view(isSame ? 1 : this.detail);  // at rest there is time for all pixels
     this.isSorting = true;
-    this.order(view.camera, view.time).then((order) => {
+    this.order(view).then((order) => {
       this.sorted = { view, order };
       this.isSorting = false;
     });
@@ -165,9 +209,9 @@ async function start() {
     async show({ viewmat, K, width, height, time }) {
       state.isHeld = true;
       player.last = "";
-      const camera = cameraOfScene(about, viewmat, K);
       const clipTime = (time - about.first) / (about.last - about.first);
-      player.draw({ camera, time: clipTime, width, height }, await player.order(camera, clipTime));
+      const view = { cameras: [cameraOfScene(about, viewmat, K)], time: clipTime, part: state.part, width, height };
+      player.draw(view, await player.order(view));
       return player.canvas.toDataURL("image/png");
     },
   });

@@ -4,11 +4,13 @@ precision highp sampler2D;
 uniform sampler2D source;  // premultiplied
 uniform sampler2D filled;
 uniform bool isFilled;
+uniform int left;  // where on the canvas the picture begins
 out vec4 result;
 
 void main() {
-  vec4 own = texelFetch(source, ivec2(gl_FragCoord.xy), 0);
+  ivec2 at = ivec2(gl_FragCoord.xy) - ivec2(left, 0);
+  vec4 own = texelFetch(source, at, 0);
   float open = 1.0 - own.a;
   float ramp = isFilled ? clamp((open - 0.3) / 0.4, 0.0, 1.0) * open : 0.0;
-  result = vec4(own.rgb + ramp * texelFetch(filled, ivec2(gl_FragCoord.xy), 0).rgb, 1.0);
+  result = vec4(own.rgb + ramp * texelFetch(filled, at, 0).rgb, 1.0);
 }

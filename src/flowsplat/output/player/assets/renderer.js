@@ -172,12 +172,15 @@ class Renderer {
     return { texture, frame, width, height };
   }
 
-  /** Make the canvas and the pyramid of targets this large. */
-  resize(width, height) {
+  /** Make the pyramid of targets this large, and the canvas for `eyes` such pictures beside each other. */
+  resize(width, height, eyes) {
     const gl = this.gl;
-    if (this.levels.length && gl.canvas.width === width && gl.canvas.height === height) return;
-    gl.canvas.width = width;
-    gl.canvas.height = height;
+    if (gl.canvas.width !== eyes * width || gl.canvas.height !== height) {
+      gl.canvas.width = eyes * width;
+      gl.canvas.height = height;
+    }
+    const own = this.levels[0]?.own;
+    if (own && own.width === width && own.height === height) return;
     for (const level of this.levels) {
       for (const { texture, frame } of Object.values(level)) {
         gl.deleteTexture(texture);
@@ -208,12 +211,16 @@ class Renderer {
     });
   }
 
-  /** Draw the Gaussians of `order` (farthest first) on the canvas as `camera` sees them at clip time `time`. */
-  draw(order, camera, time) {
+  /** Draw the Gaussians of `order` (farthest first) as each of `cameras` sees them at clip time `time`, beside each other. */
+  draw(order, cameras, time, part) {
+    this.upload(order);
+    cameras.forEach((camera, eye) => this.drawEye(order, camera, time, part, eye));
+  }
+
+  drawEye(order, camera, time, part, eye) {
     const gl = this.gl;
     const [top] = this.levels;
     const scene = { order: this.order, states: this.states, motions: this.motions, gains: this.gains };
-    this.upload(order);
     if (this.isDirect) {
       this.use(this.splat, top.own, scene);
       this.lookAt(this.splat, camera, time);
@@ -235,9 +242,12 @@ class Renderer {
     gl.drawElements(gl.TRIANGLES, 6 * order.length, gl.UNSIGNED_INT, 0);
     gl.disable(gl.BLEND);
     gl.bindVertexArray(this.nothing);
-    if (this.about.fill) this.fill();
+    const isFilled = this.about.fill && part !== "movers";
+    if (isFilled) this.fill();
     this.use(this.present, null, { source: top.own.texture, filled: (top.filled ?? top.own).texture });
-    gl.uniform1i(this.present.at.isFilled, this.about.fill ? 1 : 0);
+    gl.viewport(eye * top.own.width, 0, top.own.width, top.own.height);
+    gl.uniform1i(this.present.at.left, eye * top.own.width);
+    gl.uniform1i(this.present.at.isFilled, isFilled ? 1 : 0);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
   }
 
@@ -264,7 +274,7 @@ class Renderer {
     gl.uniform3fv(at.translation, camera.translation);
     gl.uniform3fv(at.center, centreOf(camera));
     gl.uniform4fv(at.lens, camera.lens);
-    gl.uniform2f(at.size, gl.canvas.width, gl.canvas.height);
+    gl.uniform2f(at.size, this.levels[0].own.width, this.levels[0].own.height);
     gl.uniform1f(at.near, this.about.near);
   }
 

@@ -14,9 +14,11 @@ function sorterProgram(post) {
     histogram = new Uint32Array(65536);
   }
 
-  /** Fill `depths`, and `rows` with those in front of the near plane that are present; returns how many. */
-  function measure(x, y, z, w, time) {
-    const { resting, moving, means, series, degree, intervals, pMin, near } = scene;
+  /** Fill `depths`, and `rows` with those of a part in front of the near plane that are present; returns how many. */
+  function measure(x, y, z, w, time, part) {
+    const { means, series, degree, intervals, pMin, near } = scene;
+    const resting = part === "movers" ? 0 : scene.resting;
+    const moving = part === "background" ? 0 : scene.moving;
     let active = 0;
     for (let i = 0; i < resting; i++) {
       const depth = x * means[3 * i] + y * means[3 * i + 1] + z * means[3 * i + 2] + w;
@@ -29,7 +31,7 @@ function sorterProgram(post) {
     for (let j = 0; j < moving; j++) {
       const tau = time - intervals[4 * j + 2];
       if (intervals[4 * j + 3] * tau * tau > reach) continue;
-      const i = resting + j;
+      const i = scene.resting + j;
       let depth = x * means[3 * i] + y * means[3 * i + 1] + z * means[3 * i + 2] + w;
       const s = (time - intervals[4 * j]) * intervals[4 * j + 1];
       let before = 1;
@@ -61,8 +63,8 @@ function sorterProgram(post) {
   }
 
   /** Rows of the active Gaussians, farthest first: positive floats are in the order of their bits. */
-  function sort({ row, time, ticket }) {
-    const active = measure(row[0], row[1], row[2], row[3], time);
+  function sort({ row, time, part, ticket }) {
+    const active = measure(row[0], row[1], row[2], row[3], time, part);
     pass(rows, other, active, 0);
     pass(other, rows, active, 16);
     const order = rows.slice(0, active);
@@ -97,12 +99,12 @@ class Sorter {
     });
   }
 
-  /** Promise of the order at a time for a camera with this third row of its viewmat. */
-  sort(row, time) {
+  /** Promise of the order at a time of a part of the scene, for a camera with this third row of its viewmat. */
+  sort(row, time, part) {
     const ticket = this.ticket++;
     return new Promise((resolve) => {
       this.waiting.set(ticket, resolve);
-      this.send({ row, time, ticket });
+      this.send({ row, time, part, ticket });
     });
   }
 }

@@ -1,0 +1,54 @@
+// Cameras that move by themselves beside the clip's own: in a loop of so many seconds, while time stands still or plays.
+
+const LOOPS = { swing: 5, dolly: 6, wiggle: 1.28 };
+const SWING = { yaw: Math.PI / 30, pitch: Math.PI / 60 };  // half-widths: 6 and 3 degrees
+const DOLLY = 1.5;  // times as far from the subject
+const EYES = 0.03;  // between two eyes, over the median depth of the clip
+
+/** `camera` moved to its right, so that what is at planar depth `distance` stays in its place. */
+function shifted({ rotation, translation: [x, y, z], lens: [fx, fy, cx, cy] }, offset, distance) {
+  return { rotation, translation: [x - offset, y, z], lens: [fx, fy, cx + (fx * offset) / distance, cy] };
+}
+
+/** `camera` moved back until planar depth `distance` is `factor` times as far, and zoomed to show it as large. */
+function dollied({ rotation, translation: [x, y, z], lens: [fx, fy, cx, cy] }, distance, factor) {
+  return { rotation, translation: [x, y, z + distance * (factor - 1)], lens: [fx * factor, fy * factor, cx, cy] };
+}
+
+/** Left and right. */
+function eyesOf(camera) {
+  return [-1, 1].map((side) => shifted(camera, (side * EYES) / 2, 1));
+}
+
+/** Planar depth of what moves, at a clip time; `subjects` are at even steps of the clip. */
+function subjectAt(subjects, time) {
+  const place = Math.min(Math.max(time, 0), 1) * (subjects.length - 1);
+  const before = Math.floor(place);
+  const after = Math.min(before + 1, subjects.length - 1);
+  return subjects[before] + (place - before) * (subjects[after] - subjects[before]);
+}
+
+class Moves {
+  constructor(about) {
+    this.about = about;
+    this.turning = new FreeCamera(about.path);
+    this.phase = 0;
+  }
+
+  step(mode, seconds) {
+    this.phase = (this.phase + (2 * Math.PI * seconds) / LOOPS[mode]) % (2 * Math.PI);
+  }
+
+  /** The camera of a mode of `LOOPS` at a clip time. */
+  camera(mode, time) {
+    const base = cameraOnPath(this.about.path, time);
+    if (mode === "swing") {
+      this.turning.startFrom(base);
+      this.turning.orbit(SWING.yaw * Math.sin(this.phase), (-SWING.pitch * (1 - Math.cos(this.phase))) / 2);
+      return this.turning.camera;
+    }
+    const subject = subjectAt(this.about.subjects, time);
+    if (mode === "dolly") return dollied(base, subject, DOLLY ** ((1 - Math.cos(this.phase)) / 2));
+    return shifted(base, (EYES / 2) * Math.sin(this.phase), subject);
+  }
+}

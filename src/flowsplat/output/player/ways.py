@@ -1,0 +1,66 @@
+"""The ways that the player's camera can take by itself: the clip's own, the same without its shaking, and what it turns about."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+
+from flowsplat.gaussians.model import SceneModel
+from flowsplat.geometry import Camera
+from flowsplat.geometry.paths import CameraPath
+from flowsplat.geometry.rotations import rotations_to_quats
+from flowsplat.output.videos.options import RenderOptions
+from flowsplat.output.videos.plans import subject_distance
+from flowsplat.output.videos.stabilised import stabilise
+
+PATH_SAMPLES = 4
+"""Cameras a frame of a path; the player interpolates linearly between them."""
+_SUBJECTS = 17
+"""Times of the clip at which the distance of what moves is looked at."""
+
+
+def ways(model: SceneModel, times: Sequence[float], cameras: Sequence[Camera]) -> dict[str, Any]:
+    """What the header of the page says about cameras, in the coordinates of the player (normalised).
+
+    Args:
+        model: the scene.
+        times: [T] seconds of the clip's frames.
+        cameras: [T] its cameras, in the coordinates of the scene.
+
+    Returns:
+        ``path`` and ``steady``: rows of clip time, centre, rotation world to camera (wxyz), fx, fy, cx, cy. ``subjects``: planar
+        depth of the movers at even steps of the clip, the median depth of the clip where none are seen.
+    """
+    step = (times[-1] - times[0]) / (len(times) - 1)
+    steady, _ = stabilise(model, list(zip(cameras, times, strict=True)), RenderOptions.stabilise / step)
+    return {
+        "path": sampled_path(model, times, cameras),
+        "steady": sampled_path(model, times, [camera for camera, _ in steady]),
+        "subjects": _subjects(model, times, cameras),
+    }
+
+
+def sampled_path(model: SceneModel, times: Sequence[float], cameras: Sequence[Camera]) -> list[list[float]]:
+    """The rows of a path: see ``ways``."""
+    path = CameraPath(times, [model.similarity.camera(camera) for camera in cameras])
+    steps = PATH_SAMPLES * (len(times) - 1)
+    fine = np.interp(np.arange(steps + 1) / PATH_SAMPLES, np.arange(len(times)), times)
+    rows = []
+    before = np.array([1.0, 0, 0, 0])
+    for t in fine:
+        camera = path.at(float(t))
+        quat = rotations_to_quats(torch.from_numpy(camera.viewmat[:3, :3].copy())).numpy()
+        before = quat if quat @ before >= 0 else -quat
+        K = camera.K
+        row = [model.clip_time(float(t)), *camera.center, *before, K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
+        rows.append([round(float(value), 7) for value in row])
+    return rows
+
+
+def _subjects(model: SceneModel, times: Sequence[float], cameras: Sequence[Camera]) -> list[float]:
+    path, scale = CameraPath(times, cameras), model.similarity.scale
+    probes = np.linspace(times[0], times[-1], _SUBJECTS)
+    return [round(scale * subject_distance(model, path.at(float(t)), float(t), 1 / scale), 5) for t in probes]
