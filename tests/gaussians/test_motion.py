@@ -92,3 +92,10 @@ def test_linear_parameters_from_moments():
     torch.testing.assert_close(state.covars, covars, atol=1e-5, rtol=1e-3)
     torch.testing.assert_close(state.velocities, velocities, atol=1e-4, rtol=1e-4)
     torch.testing.assert_close(LinearMotion().log_precision(params), log_lambdas, atol=1e-4, rtol=1e-4)
+
+
+def test_the_precision_of_linear_motion_is_that_of_its_covariance():
+    g = torch.Generator().manual_seed(4)
+    params = {name: torch.randn(50, *shape, generator=g) for name, shape in LinearMotion().parameter_shapes.items()}
+    _, _, W = covariances_4d(params["log_scales4"], params["quats_left"], params["quats_right"])
+    torch.testing.assert_close(LinearMotion().log_precision(params), -torch.log(W))

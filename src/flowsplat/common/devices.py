@@ -1,14 +1,23 @@
-"""Which backends work on this machine, and why the others do not."""
+"""Which backends work on this machine, and why the others do not; and whose kernels compute with a tensor."""
 
 from __future__ import annotations
 
+import functools
 import os
 import platform
 from dataclasses import dataclass
+from typing import Literal
 
+import numpy as np
 import torch
+from torch import Tensor
 
 from flowsplat.common.errors import InputError
+from flowsplat.common.progress import say
+from flowsplat.common.triton import triton_works
+
+DeviceName = Literal["auto", "cpu", "cuda"]
+Kernels = Literal["cpu", "triton", "reference"]
 
 
 @dataclass(frozen=True)
@@ -20,30 +29,57 @@ class Backend:
     reason: str
 
 
+def gpu_problem() -> str | None:
+    """Why nothing can be computed on a GPU here; None where a small kernel ran on it. Tried once."""
+    return triton_works()
+
+
 def backends() -> list[Backend]:
     """What this machine can splat with."""
     from numba import config
 
-    found = [Backend("cpu", True, f"Numba on {os.cpu_count()} cores, {platform.machine()}, {config.CPU_NAME or 'native'}")]
-    if torch.cuda.is_available():
-        reason = f"{torch.cuda.get_device_name()} is there, but this version has no GPU kernels yet"
-    elif torch.version.cuda is None:
-        reason = "this PyTorch is a CPU build, and this version has no GPU kernels yet"
-    else:
-        reason = "PyTorch sees no GPU, and this version has no GPU kernels yet"
-    found.append(Backend("cuda", False, reason))
-    return found
+    problem = gpu_problem()
+    gpu = f"Triton on {torch.cuda.get_device_name()}" if problem is None else problem
+    return [
+        Backend("cpu", True, f"Numba on {os.cpu_count()} cores, {platform.machine()}, {config.CPU_NAME or 'native'}"),
+        Backend("cuda", problem is None, gpu),
+    ]
 
 
 def pick_device(name: str) -> torch.device:
-    """``auto`` and ``cpu`` give the CPU; a device without a working backend is refused.
+    """``auto`` is the GPU where it works; where not, one line says why, once, and it is the CPU.
 
     Raises:
-        InputError: the device does not work here.
+        InputError: the device that was asked for does not work here.
     """
-    if name in ("auto", "cpu"):
+    if name not in ("auto", "cpu", "cuda"):
+        raise InputError(f"Unknown device {name!r}: use auto, cpu or cuda.")
+    if name == "cpu":
         return torch.device("cpu")
-    for backend in backends():
-        if backend.name == name:
-            raise InputError(f"--device {name} does not work here: {backend.reason}. Use --device cpu.")
-    raise InputError(f"Unknown device {name!r}: use auto, cpu or cuda.")
+    problem = gpu_problem()
+    if problem is None:
+        return torch.device("cuda")
+    if name == "cuda":
+        raise InputError(f"--device cuda does not work here: {problem}. Use --device cpu.")
+    _say_once(f"Computing on the CPU: {problem}.")
+    return torch.device("cpu")
+
+
+@functools.cache
+def _say_once(message: str) -> None:
+    say(message)
+
+
+def kernels_for(value: Tensor) -> Kernels:
+    """Whose kernels compute with tensors like this one; what is not float32 goes through the oracles, on any device."""
+    if value.dtype != torch.float32:
+        return "reference"
+    if value.device.type == "cpu":
+        return "cpu"
+    return "triton" if value.device.type == "cuda" and gpu_problem() is None else "reference"
+
+
+def upload(values: np.ndarray | Tensor, device: torch.device) -> Tensor:
+    """A host array on a device, without waiting for what that device still computes; on the CPU the same memory."""
+    tensor = values if isinstance(values, Tensor) else torch.from_numpy(np.ascontiguousarray(values))
+    return tensor if tensor.device == device else tensor.to(device, non_blocking=True)

@@ -31,9 +31,9 @@ class DensityStatistics:
     flow_visits: Tensor
 
     @staticmethod
-    def zeros(count: int) -> DensityStatistics:
+    def zeros(count: int, device: torch.device | str = "cpu") -> DensityStatistics:
         """Nothing seen yet."""
-        return DensityStatistics(*(torch.zeros(count) for _ in range(4)))
+        return DensityStatistics(*(torch.zeros(count, device=device) for _ in range(4)))
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def densify(
     in time, re-expands their motion about the new centre time and shrinks them by 1.6.
     """
     count = len(gaussians)
-    keep = torch.ones(count, dtype=torch.bool)
+    keep = torch.ones(count, dtype=torch.bool, device=gaussians.device)
     mean_gradient = statistics.gradient / statistics.visits.clamp(min=1)
     candidates = torch.nonzero(mean_gradient > threshold).squeeze(1)
     room = max(cap - count, 0)
@@ -83,19 +83,19 @@ def densify(
     children = [_split(gaussians.select(parents), generator) for _ in range(2)]
     merged = concatenate([gaussians.select(survivors), gaussians.select(clones), *children])
     index = torch.cat([survivors, clones, parents, parents])
-    is_new = torch.ones(len(index), dtype=torch.bool)
+    is_new = torch.ones(len(index), dtype=torch.bool, device=index.device)
     is_new[: len(survivors)] = False
     return DensityResult(merged, index, is_new)
 
 
 def _split(parents: Gaussians4D, generator: torch.Generator) -> Gaussians4D:
-    """One child of each parent."""
-    count, params = len(parents), dict(parents.params)
+    """One child of each parent; the random numbers are the host's, the same on every device."""
+    count, params, device = len(parents), dict(parents.params), parents.device
     sigma_t = torch.exp(-0.5 * parents.motion.log_precision(params))
     in_time = ~parents.at_rest & parents.dynamic & (sigma_t <= 1)
-    shift = torch.where(in_time, sigma_t * torch.randn(count, generator=generator), torch.zeros(count))
+    shift = torch.where(in_time, sigma_t * torch.randn(count, generator=generator).to(device), torch.zeros_like(sigma_t))
     params = parents.motion.recentred(params, shift)
-    noise = torch.randn(count, 3, generator=generator)
+    noise = torch.randn(count, 3, generator=generator).to(device)
     shrink = math.log(1.6)
     if "log_scales" in params:
         local = torch.exp(params["log_scales"]) * noise
@@ -105,7 +105,7 @@ def _split(parents: Gaussians4D, generator: torch.Generator) -> Gaussians4D:
     else:
         covars = parents.motion.state(params, 0.0).covars
         assert covars is not None
-        root = torch.linalg.cholesky(covars + 1e-12 * torch.eye(3))
+        root = torch.linalg.cholesky(covars + 1e-12 * torch.eye(3, device=device))
         offset = (root @ noise[..., None])[..., 0]
         params["log_scales4"] = params["log_scales4"] - shrink
     params["means"] = params["means"] + offset
@@ -126,12 +126,12 @@ def prune(gaussians: Gaussians4D, times: np.ndarray, min_opacity: float, max_sca
     for value in gaussians.params.values():
         keep &= torch.isfinite(value.reshape(len(value), -1)).all(1)
     index = torch.nonzero(keep).squeeze(1)
-    return DensityResult(gaussians.select(index), index, torch.zeros(len(index), dtype=torch.bool))
+    return DensityResult(gaussians.select(index), index, torch.zeros(len(index), dtype=torch.bool, device=index.device))
 
 
 def _best_presence(gaussians: Gaussians4D, times: np.ndarray) -> Tensor:
     """[N] p at the training time nearest to each Gaussian's centre time."""
-    sorted_times = torch.as_tensor(times, dtype=torch.float32)
+    sorted_times = torch.as_tensor(times, dtype=torch.float32, device=gaussians.device)
     centre = gaussians.params["times"].contiguous()
     after = torch.searchsorted(sorted_times, centre).clamp(max=len(sorted_times) - 1)
     before = (after - 1).clamp(min=0)
@@ -171,12 +171,12 @@ def revise_dynamic(
     visited = statistics.flow_visits >= 2
     residual = statistics.flow_residual / statistics.flow_visits.clamp(min=1)
     to_dynamic = ~gaussians.dynamic & visited & (residual > moving_residual)
-    speed = torch.zeros(len(gaussians))
+    speed = torch.zeros(len(gaussians), device=gaussians.device)
     rows = torch.nonzero(gaussians.dynamic).squeeze(1)
     if len(rows):
         chosen = gaussians.select(rows)
         sigma = torch.exp(-0.5 * chosen.motion.log_precision(chosen.params))
-        centre = chosen.motion.state({**chosen.params, "times": torch.zeros(len(rows))}, 0.0)
+        centre = chosen.motion.state({**chosen.params, "times": torch.zeros_like(sigma)}, 0.0)
         side = chosen.motion.state({**chosen.params, "times": -sigma}, 0.0)
         travelled = torch.maximum((side.means - centre.means).norm(dim=1) / sigma.clamp(min=1e-6), centre.velocities.norm(dim=1))
         speed[rows] = focal * travelled

@@ -5,18 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from flowsplat.gaussians import culling
+from flowsplat.gaussians.culling import active_rows
 from flowsplat.gaussians.motion import LinearMotion, MotionModel, SeriesMotion, presence
 from flowsplat.geometry import Camera
 from flowsplat.splatting.harmonics import harmonics_count
 
 NEAR_PLANE = 0.02
 """Planar depth (median depth = 1) below which nothing is rendered."""
-_NO_CAMERA = Camera(np.eye(4), np.eye(3), 1, 1)
 
 
 @dataclass(frozen=True)
@@ -117,19 +115,12 @@ class Gaussians4D:
     @torch.no_grad()
     def active(self, t: float, camera: Camera | None = None, near: float = NEAR_PLANE) -> Active:
         """Those with p(t) >= p_min, and of those at rest only what ``camera`` may show (all of them without one)."""
-        count = len(self)
-        viewmat, K = (camera or _NO_CAMERA).tensors()
-        size = (camera.width, camera.height) if camera is not None else (1, 1)
-        sizes = self.params.get("log_scales", self.params["means"])
-        keep, counts = np.empty(count, np.uint8), np.empty((culling.CHUNKS, 2), np.int64)
-        culling.cull(
-            self.at_rest.numpy(), self.params["means"].numpy(), sizes.numpy(), self.params["times"].numpy(),
-            self.motion.log_precision(self.params).numpy(), np.float32(t), np.float32(self.config.p_min),
-            camera is not None and "log_scales" in self.params, viewmat.numpy(), K.numpy(), *size, np.float32(near), keep, counts,
+        params = self.params
+        rows, num_static = active_rows(
+            self.at_rest, params["means"], params.get("log_scales"), params["times"], self.motion.log_precision(params), t,
+            self.config.p_min, camera, near,
         )  # fmt: skip
-        rows = torch.empty(int(counts.sum()), dtype=torch.int64)
-        culling.collect(keep, counts, rows.numpy())
-        return Active(rows, int(counts[:, 0].sum()), t)
+        return Active(rows, num_static, t)
 
     def gather(self, active: Active) -> dict[str, Tensor]:
         """Copies of the rows that are rendered, as leaves for a gradient.
@@ -152,6 +143,18 @@ class Gaussians4D:
         if name in self.moving_names:
             return active.rows[active.num_static :]
         return active.rows[: active.num_static] if name == "log_gains" else active.rows
+
+    def to(self, device: torch.device | str) -> Gaussians4D:
+        """The same Gaussians on a device; these themselves where they are there already."""
+        if self.device == torch.device(device):
+            return self
+        params = {name: value.to(device) for name, value in self.params.items()}
+        return Gaussians4D(params, self.dynamic.to(device), self.config, self.sh_degree)
+
+    @property
+    def device(self) -> torch.device:
+        """Where the parameters are."""
+        return self.dynamic.device
 
     def select(self, rows: Tensor) -> Gaussians4D:
         """A model of some of the Gaussians."""

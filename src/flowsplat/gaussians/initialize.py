@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import cv2
@@ -19,6 +19,10 @@ from flowsplat.scenes import Tracks
 from flowsplat.splatting.harmonics import harmonics_from_colours
 
 BACKGROUND_LOG_LAMBDA = float(np.log(1e-6))
+FITTING_TRIES = 3
+"""How often the grids are made coarser until the cap holds."""
+FITTING_MARGIN = 1.01
+"""By how much coarser than the count says."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +38,7 @@ class InitConfig:
     precision_factor: float = 0.25
     """Temporal precision in units of (pi / spacing of the samples)^2: a quarter lets neighbouring samples overlap."""
     background_spacing: float = 1.4142
-    """Pixels between two background Gaussians: 1, 1.4142 (every other pixel), 2, or more (random thinning)."""
+    """Pixels between two background Gaussians: 1, 1.4142 (every other pixel), 2, or any other from 1 on; a cap makes it larger."""
     foreground_spacing: float = 1.4142
     """The same for movers, in every sampled frame."""
     merge_tolerance: float = 0.1
@@ -68,22 +72,37 @@ def initialize(
         model: what a Gaussian is made of.
         config: how to start.
         seed: of the random choices.
-        cap: no more Gaussians than this; a surplus is dropped at random.
+        cap: no more Gaussians than this. Both grids, of the background and of the movers, are made coarser alike until they
+            fit, so that fewer Gaussians are larger and leave no holes; what little is still too much is dropped at random.
     """
     rng = np.random.default_rng(seed)
     if not config.from_priors:
         gaussians = _random(observations, model, config, rng, min(config.random_count, cap))
     else:
-        parts = [_background(observations, model, config, rng)]
-        if any(frame.mask.any() for frame in observations.frames):
-            parts.append(_foreground(observations, tracks, model, config, rng))
-        gaussians = concatenate(parts)
+        gaussians = _from_priors(observations, tracks, model, config, rng)
+        for _ in range(FITTING_TRIES):
+            if len(gaussians) <= cap:
+                break
+            # Twice as wide a grid has a quarter of the points.
+            stretch = FITTING_MARGIN * (len(gaussians) / cap) ** 0.5
+            spacings = stretch * config.background_spacing, stretch * config.foreground_spacing
+            config = replace(config, background_spacing=spacings[0], foreground_spacing=spacings[1])
+            gaussians = _from_priors(observations, tracks, model, config, rng)
     if len(gaussians) > cap:
         keep = np.sort(rng.permutation(len(gaussians))[:cap])
         gaussians = gaussians.select(torch.from_numpy(keep))
     if len(gaussians) == 0:
         raise InputError("No Gaussian could be made: the scene has no trusted depth in any training frame.")
     return gaussians
+
+
+def _from_priors(
+    observations: Observations, tracks: Tracks | None, model: ModelConfig, config: InitConfig, rng: np.random.Generator
+) -> Gaussians4D:
+    parts = [_background(observations, model, config, rng)]
+    if any(frame.mask.any() for frame in observations.frames):
+        parts.append(_foreground(observations, tracks, model, config, rng))
+    return concatenate(parts)
 
 
 # -- building
@@ -139,7 +158,8 @@ def _grid(width: int, height: int, spacing: float, rng: np.random.Generator) -> 
         return (x + y) % 2 == 0
     if abs(spacing - 2) < 0.05:
         return (x % 2 == 0) & (y % 2 == 0)
-    return rng.random((height, width)) < 1 / spacing**2
+    # Sums of multiples of these two numbers (powers of 1 / 1.3247, the plastic ratio) are spread evenly, without clumps.
+    return (0.7548776662466927 * x + 0.5698402909980532 * y + rng.random()) % 1 < 1 / spacing**2
 
 
 # -- background

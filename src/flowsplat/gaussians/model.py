@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
+from flowsplat.common import devices
 from flowsplat.gaussians.flow import FlowModel
 from flowsplat.gaussians.gaussians4d import Gaussians4D
+from flowsplat.gaussians.motion import SeriesMotion
 from flowsplat.gaussians.render import fill_uncovered, render
 from flowsplat.gaussians.rendering import Part, Rendering
 from flowsplat.geometry import Camera, Similarity
 from flowsplat.splatting.api import BackendName
+
+_MOST_GRAPHS = 4
+"""Sizes of pictures whose graphs are kept; each has buffers of its own."""
 
 
 @dataclass
@@ -27,6 +34,7 @@ class SceneModel:
         flow_model: how flow is splatted.
         fill: whether uncovered pixels are filled from their neighbours.
         backend: of the rasterizer.
+        graphs: whether a GPU draws by CUDA graphs, one for every size of picture: for many frames one after the other.
     """
 
     gaussians: Gaussians4D
@@ -36,6 +44,12 @@ class SceneModel:
     flow_model: FlowModel = "displacement"
     fill: bool = True
     backend: BackendName = "auto"
+    graphs: bool = False
+    _drawn_by: dict[tuple[int, int, bool], Any] = field(init=False, default_factory=dict, repr=False, compare=False)
+
+    def to(self, device: torch.device | str) -> SceneModel:
+        """The same scene on a device, where it is rendered from then on; pictures are arrays as before."""
+        return replace(self, gaussians=self.gaussians.to(device))
 
     def clip_time(self, t: float) -> float:
         """Seconds to clip units."""
@@ -44,21 +58,40 @@ class SceneModel:
     def render(self, camera: Camera, t: float, flow_to: tuple[Camera, float] | None = None) -> Rendering:
         """Render the scene: see ``Renderer.render``."""
         other = None if flow_to is None else (self.similarity.camera(flow_to[0]), self.clip_time(flow_to[1]))
-        frame = render(
-            self.gaussians, self.similarity.camera(camera), self.clip_time(t), flow_to=other, flow_model=self.flow_model,
-            backend=self.backend,
-        )  # fmt: skip
-        alpha = frame.alpha.numpy()
-        colour = frame.colour.contiguous().numpy()
+        image, alpha, flow = (
+            None if plane is None else plane.cpu().numpy() for plane in self._draw(self.similarity.camera(camera), t, other)
+        )
+        assert image is not None
+        assert alpha is not None
+        colour = np.ascontiguousarray(image[..., :3])
         if self.fill:
             colour = fill_uncovered(colour, alpha)
         divisor = np.maximum(alpha, 1e-6)
         return Rendering(
             colour=np.clip(colour, 0, 1),
             alpha=alpha,
-            depth=frame.depth.numpy() / divisor / np.float32(self.similarity.scale),
-            flow=None if frame.flow is None else frame.flow.numpy() / divisor[..., None],
+            depth=image[..., 3] / divisor / np.float32(self.similarity.scale),
+            flow=None if flow is None else flow / divisor[..., None],
         )
+
+    def _draw(self, camera: Camera, t: float, other: tuple[Camera, float] | None) -> tuple[Tensor, Tensor, Tensor | None]:
+        """Image with colour and depth, alpha and flow, premultiplied; cameras in normalised coordinates, ``t`` in seconds."""
+        g, by_series = self.gaussians, isinstance(self.gaussians.motion, SeriesMotion)
+        if (
+            self.graphs and by_series and devices.kernels_for(g.params["means"]) == "triton"
+            and (other is None or self.flow_model == "displacement")
+        ):  # fmt: skip
+            from flowsplat.gaussians.viewing import FixedRenderer
+
+            key = (camera.width, camera.height, other is not None)
+            if key not in self._drawn_by:
+                while len(self._drawn_by) >= _MOST_GRAPHS:
+                    del self._drawn_by[next(iter(self._drawn_by))]
+                self._drawn_by[key] = FixedRenderer(g, *key)
+            image, alpha = self._drawn_by[key].render(camera, self.clip_time(t), other)
+            return image, alpha, None if other is None else image[..., 4:6]
+        frame = render(g, camera, self.clip_time(t), flow_to=other, flow_model=self.flow_model, backend=self.backend)
+        return frame.image, frame.alpha, frame.flow
 
     def part(self, part: Part) -> SceneModel:
         """A model of the movers alone or of the background alone: see ``PartedRenderer.part``."""

@@ -189,6 +189,15 @@ def covariances_4d(log_scales4: Tensor, quats_left: Tensor, quats_right: Tensor)
     return sigma[:, 1:, 1:], sigma[:, 1:, 0], sigma[:, 0, 0]
 
 
+def _variance_in_time(log_scales4: Tensor, quats_left: Tensor, quats_right: Tensor) -> Tensor:
+    """W [N] alone, from the first row of R4: it is needed of all Gaussians at every time, also of those that do not show."""
+    a, b, c, d = normalize_quats(quats_left).unbind(-1)
+    w, x, y, z = normalize_quats(quats_right).unbind(-1)
+    row = a * w - b * x - c * y - d * z, c * z - a * x - b * w - d * y, d * x - a * y - b * z - c * w, b * y - a * z - c * x - d * w
+    variances = torch.exp(2 * log_scales4)
+    return sum((row[k] ** 2 * variances[:, (k + 3) % 4] for k in range(1, 4)), row[0] ** 2 * variances[:, 3])
+
+
 @dataclass(frozen=True)
 class LinearMotion:
     """The linear 4D Gaussian: a 4D normal distribution cut at time t (its conditional), so the mean moves on a line.
@@ -205,7 +214,7 @@ class LinearMotion:
         return ()
 
     def log_precision(self, params: Params) -> Tensor:
-        return -torch.log(covariances_4d(params["log_scales4"], params["quats_left"], params["quats_right"])[2])
+        return -torch.log(_variance_in_time(params["log_scales4"], params["quats_left"], params["quats_right"]))
 
     def state(self, params: Params, t: float) -> MotionState:
         U, V, W = covariances_4d(params["log_scales4"], params["quats_left"], params["quats_right"])

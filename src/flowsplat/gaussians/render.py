@@ -83,13 +83,13 @@ def render_active(
         gradients: where the gradients of the parameters go (``slice_gaussians``); None = not differentiable.
         backend: of the rasterizer.
     """
-    dtype = gaussians.params["means"].dtype
+    dtype, device = gaussians.params["means"].dtype, gaussians.device
     center = torch.as_tensor(camera.center, dtype=dtype)
     flow = None if flow_to is None else FlowView(flow_model, flow_to[0], flow_to[1] - active.t)
     sliced = slice_gaussians(gaussians, active, center, flow_to[1] if flow_to is not None else None, gradients)
     width, height = camera.width, camera.height
     projected = project(
-        sliced.means, sliced.quats, sliced.scales, sliced.opacities, *camera.tensors(dtype), width, height,
+        sliced.means, sliced.quats, sliced.scales, sliced.opacities, *camera.tensors(dtype, device), width, height,
         covars=sliced.covars, near_plane=NEAR_PLANE, backend=backend,
     )  # fmt: skip
     features = blend_features(sliced, projected, camera, flow)

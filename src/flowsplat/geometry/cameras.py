@@ -71,7 +71,9 @@ class Camera:
         self, dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu"
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """(viewmat [4, 4], K [3, 3]) as torch tensors."""
-        return torch.as_tensor(self.viewmat, dtype=dtype, device=device), torch.as_tensor(self.K, dtype=dtype, device=device)
+        viewmat, K = torch.as_tensor(self.viewmat, dtype=dtype), torch.as_tensor(self.K, dtype=dtype)
+        # Such small copies have left the host's memory when the call returns: nobody waits for the device.
+        return viewmat.to(device, non_blocking=True), K.to(device, non_blocking=True)
 
     def to_json(self) -> dict[str, Any]:
         """The documented form in ``cameras.json`` files."""

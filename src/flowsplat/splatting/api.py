@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Any, Literal
 
 import torch
 from torch import Tensor
 
+from flowsplat.common.triton import check_runs, triton_works
 from flowsplat.splatting import reference
 from flowsplat.splatting.rules import EPS2D
 
-BackendName = Literal["auto", "cpu", "reference"]
+BackendName = Literal["auto", "cpu", "triton", "reference"]
 
 
 @dataclass(frozen=True)
@@ -23,7 +25,7 @@ class Projected:
         conics: [N, 3] upper half of the inverse 2D covariance (xx, xy, yy), 1 / px^2.
         depths: [N] planar depth.
         radii: [N, 2] int32, half width and height in pixels of what is drawn; 0 where culled.
-        extents: [N] squared sigmas within which alpha >= 1/255; the CPU backend needs it, None from the oracle.
+        extents: [N] squared sigmas within which alpha >= 1/255; all backends but the oracle, which gives None, need it.
         backend: who made it.
     """
 
@@ -42,12 +44,25 @@ class Projected:
 
 def _pick(backend: str, means: Tensor) -> str:
     if backend == "auto":
-        return "reference" if means.dtype == torch.float64 or means.device.type != "cpu" else "cpu"
-    if backend not in ("cpu", "reference"):
-        raise ValueError(f"unknown backend {backend!r}: use auto, cpu or reference")
-    if backend == "cpu" and means.dtype != torch.float32:
-        raise ValueError("the cpu backend computes in float32; use backend='reference' for float64")
+        if means.dtype == torch.float64:
+            return "reference"
+        if means.device.type == "cpu":
+            return "cpu"
+        return "triton" if means.device.type == "cuda" and triton_works() is None else "reference"
+    if backend not in ("cpu", "triton", "reference"):
+        raise ValueError(f"unknown backend {backend!r}: use auto, cpu, triton or reference")
+    if backend != "reference" and means.dtype != torch.float32:
+        raise ValueError(f"the {backend} backend computes in float32; use backend='reference' for {str(means.dtype)[6:]}")
+    if backend == "cpu" and means.device.type != "cpu":
+        raise ValueError(f"the cpu backend needs tensors on the CPU, not on {means.device}")
+    if backend == "triton":
+        check_runs(means)
     return backend
+
+
+def _kernels(backend: str) -> Any:
+    """The differentiable functions of a backend that has kernels; imported only where they are needed."""
+    return import_module(f"flowsplat.splatting.{backend}.functions")
 
 
 def check_finite(**values: Tensor | None) -> None:
@@ -91,11 +106,10 @@ def project(
     if covars is not None:
         quats = scales = None
     arguments: Any = (means, quats, scales, covars, opacities, viewmat, K, width, height, near_plane, far_plane, eps2d)
-    if name == "cpu":
-        from flowsplat.splatting.cpu import functions
-
-        return Projected(*functions.project(*arguments), name)
-    return Projected(*reference.project(*arguments), None, name)
+    if name == "reference":
+        return Projected(*reference.project(*arguments), None, name)
+    means2d, conics, depths, radii, extents = _kernels(name).project(*arguments)
+    return Projected(means2d, conics, depths, radii, extents, name)
 
 
 def blend(
@@ -122,11 +136,12 @@ def blend(
         absolute = getattr(p.means2d, "absgrad", None)
         if absolute is None:
             absolute = p.means2d.absgrad = torch.zeros_like(p.means2d)  # type: ignore[attr-defined]
-    if p.backend == "cpu":
-        from flowsplat.splatting.cpu import functions
-
-        return functions.blend(p.means2d, p.conics, opacities, features, p.depths, p.extents, width, height, absolute)
-    return reference.blend(p.means2d, p.conics, opacities, features, p.depths, p.radii, width, height, absolute)
+    if p.backend == "reference":
+        return reference.blend(p.means2d, p.conics, opacities, features, p.depths, p.radii, width, height, absolute)
+    result: tuple[Tensor, Tensor] = _kernels(p.backend).blend(
+        p.means2d, p.conics, opacities, features, p.depths, p.extents, width, height, absolute
+    )
+    return result
 
 
 def rasterize(
@@ -164,7 +179,8 @@ def rasterize(
         near_plane: Gaussians nearer are culled.
         far_plane: Gaussians farther are culled.
         eps2d: px^2 added to every 2D covariance.
-        backend: ``cpu`` (Numba, float32), ``reference`` (torch, any float type, slow) or ``auto``.
+        backend: ``cpu`` (Numba, float32), ``triton`` (GPU, float32), ``reference`` (torch, any float type and device, slow) or
+            ``auto``: by device and type. On a GPU where Triton does not work that is the slow one.
 
     Returns:
         features [H, W, C]; alphas [H, W]; and a dict with ``means2d`` [N, 2], ``conics`` [N, 3], ``depths`` [N] and ``radii``

@@ -100,7 +100,8 @@ def rasterization(
         ftheta_coeffs: refused.
         rolling_shutter: None or gsplat's GLOBAL; others are refused.
         viewmats_rs: refused.
-        backend: ``cpu`` (float32), ``reference`` (the oracle: any float type, slow) or ``auto``. Not in gsplat.
+        backend: ``cpu``, ``triton`` (a GPU; float32 both), ``reference`` (the oracle: any float type, slow) or ``auto``. Not in
+            gsplat.
 
     Returns:
         colours [..., C, H, W, D, D + 1 or 1]; alphas [..., C, H, W, 1]; and meta, a dict with ``means2d`` (call

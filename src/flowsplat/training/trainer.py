@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time as clock
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from flowsplat.common.devices import upload
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_json, write_json
 from flowsplat.common.progress import progress_bar, say
@@ -28,12 +29,15 @@ from flowsplat.training.checkpoint import read_tensors, write_tensors
 from flowsplat.training.config import TrainConfig
 from flowsplat.training.picture_loss import PictureTargets, PictureWeights, picture_loss
 from flowsplat.training.rigidity import Neighbours, find_neighbours, rigid_loss
+from flowsplat.training.targets import Targets
 
 RECORD_EVERY = 10
 """Steps that one entry of the history averages over."""
 
 Preview = Callable[[int, Observation, RenderedFrame], None]
 Record = Callable[[dict[str, float]], None]
+Entry = dict[str, float | Tensor]
+"""Figures of a step by name; tensors of the GPU as long as nobody needs to know them."""
 
 
 class Trainer:
@@ -54,6 +58,7 @@ class Trainer:
         preview: Preview | None = None,
         record: Record | None = None,
         start: Gaussians4D | None = None,
+        device: torch.device | str = "cpu",
     ):
         """Prepare to train; nothing is computed before ``run``.
 
@@ -65,17 +70,19 @@ class Trainer:
             preview: called every ``preview_every`` steps with a rendered frame.
             record: called with every new entry of the history.
             start: the Gaussians to start from; None = ``initialize``.
+            device: what to train on. Its tensors stay there, ``gaussians`` too.
         """
         self.observations, self.tracks, self.config = observations, tracks, config
         self._checkpoints, self._preview, self._record = checkpoints, preview, record
-        self._start = start
+        self._start, self._device = start, torch.device(device)
+        self._targets = Targets(observations, config.loss.flow > 0, self._device)
         self.step, self.history = 0, []  # type: tuple[int, list[dict[str, float]]]
         self._rng = np.random.default_rng(config.seed)
         self._generator = torch.Generator().manual_seed(config.seed)
         self._queue: list[int] = []
         self._neighbours: Neighbours | None = None
         self._neighbours_found = 0
-        self._recent: list[dict[str, float]] = []
+        self._recent: list[Entry] = []
         self._times = np.array([frame.time for frame in observations.frames])
         self.gaussians: Gaussians4D
         self._adam: RowAdam
@@ -86,12 +93,13 @@ class Trainer:
     def run(self) -> Gaussians4D:
         """Train from the last checkpoint, or from the beginning, to the end."""
         if not self._load_checkpoint():
-            self.gaussians = self._start or initialize(
+            start = self._start or initialize(
                 self.observations, self.tracks, self.config.model, self.config.init, self.config.seed,
                 self.config.density.max_gaussians,
             )  # fmt: skip
+            self.gaussians = start.to(self._device)
             self._adam = RowAdam(self.gaussians.params)
-            self._statistics = DensityStatistics.zeros(len(self.gaussians))
+            self._statistics = DensityStatistics.zeros(len(self.gaussians), self._device)
             moving = int(self.gaussians.dynamic.sum())
             say(f"Starting from {len(self.gaussians) - moving:,} background and {moving:,} moving Gaussians.")
         config = self.config
@@ -99,7 +107,9 @@ class Trainer:
             while self.step < config.iterations:
                 entry = self._iterate()
                 self._after_step(entry)
-                bar.advance(1, f"PSNR {entry['psnr']:.2f}  {len(self.gaussians):,} Gaussians")
+                known = entry if isinstance(entry["psnr"], float) else self.history[-1] if self.history else None
+                psnr = "" if known is None else f"PSNR {known['psnr']:.2f}  "
+                bar.advance(1, f"{psnr}{len(self.gaussians):,} Gaussians")
                 if self._checkpoints is not None and self.step % config.checkpoint_every == 0 and self.step < config.iterations:
                     self._save_checkpoint()
         return self.gaussians
@@ -113,12 +123,14 @@ class Trainer:
             chosen.append(self._queue.pop())
         return chosen
 
-    def _iterate(self) -> dict[str, float]:
+    def _iterate(self) -> Entry:
         """One optimizer step over the next frames."""
         self.gaussians.sh_degree = min(
             self.gaussians.config.sh_degree, 4 * self.step // max(self.config.iterations, 1)
         )
         frames = self._next_frames()
+        for k in (*frames[1:2], *self._queue[-1:]):
+            self._targets.prefetch(k)
         if len(frames) == 1:
             active, drawn, gradients, entry = self._differentiate(frames[0])
             self._apply(active, drawn, gradients)
@@ -126,20 +138,20 @@ class Trainer:
         else:
             entries = self._accumulate(frames)
         self.step += 1
-        return {name: float(np.mean([entry[name] for entry in entries])) for name in entries[0]}
+        return {name: _mean([entry[name] for entry in entries]) for name in entries[0]}
 
-    def _accumulate(self, frames: list[int]) -> list[dict[str, float]]:
+    def _accumulate(self, frames: list[int]) -> list[Entry]:
         """One optimizer step along the mean gradient of several frames."""
         gaussians = self.gaussians
         totals = {name: torch.zeros_like(value) for name, value in gaussians.params.items()}
-        touched = torch.zeros(len(gaussians), dtype=torch.bool)
+        touched = torch.zeros(len(gaussians), dtype=torch.bool, device=self._device)
         entries = []
         for k in frames:
             active, drawn, gradients, entry = self._differentiate(k)
             for name, gradient in gradients.items():
                 share = self._of_rows(name, active, drawn).to(gradient.dtype) / len(frames)
                 totals[name][gaussians.rows_of(name, active)] += gradient * share.view(-1, *(1,) * (gradient.ndim - 1))
-            touched[active.rows[drawn]] = True
+            touched[active.rows] |= drawn
             entries.append(entry)
         moves = ~gaussians.at_rest
         everything = torch.cat([torch.nonzero(~moves), torch.nonzero(moves)]).squeeze(1)
@@ -178,11 +190,13 @@ class Trainer:
                 result[name][:3] = r.colours * rest
             else:
                 result[name] = torch.full((size,), rates.get(name, r.motion * motion))
-        return result
+        # One copy to the device for all of them.
+        moved = upload(torch.cat(list(result.values())), self._device)
+        return dict(zip(result, moved.split([len(rate) for rate in result.values()]), strict=True))
 
     # -- one frame
 
-    def _differentiate(self, k: int) -> tuple[Active, Tensor, Gradients, dict[str, float]]:
+    def _differentiate(self, k: int) -> tuple[Active, Tensor, Gradients, Entry]:
         """Render training frame k and return what was active, what was drawn [A], the gradients of its loss, and figures."""
         frame, config = self.observations[k], self.config
         active = self.gaussians.active(frame.time, frame.camera)
@@ -196,9 +210,7 @@ class Trainer:
         )
         if config.density.gradient > 0:
             rendered.projected.means2d.retain_grad()
-        targets = PictureTargets(frame.image, frame.depth, frame.depth_trusted)
-        if flow_to is not None and frame.forward is not None:
-            targets = replace(targets, flow=frame.forward.flow, flow_trusted=frame.forward.trusted)
+        targets = self._targets[k]
         total, figures = picture_loss(rendered.image, rendered.alpha, rendered.flow_channels, targets, self._weights)
         rigid = self._rigid(active, rendered) if config.loss.rigid > 0 else None
         if rigid is not None:
@@ -206,16 +218,16 @@ class Trainer:
         total.backward()
         drawn = rendered.projected.visible
         with torch.no_grad():
-            self._count(frame, active, rendered, drawn)
+            self._count(targets, active, rendered, drawn)
         if self._preview is not None and config.preview_every and self.step % config.preview_every == 0:
             self._preview(self.step, frame, rendered)
         entry = {
             "colour": figures.colour,
             "flow": figures.flow,
             "depth": figures.depth,
-            "rigid": float(rigid.detach()) if rigid is not None else 0.0,
-            "loss": float(total.detach()),
-            "psnr": -10 * math.log10(max(figures.squared_error, 1e-10)),
+            "rigid": _number(rigid) if rigid is not None else 0.0,
+            "loss": _number(total),
+            "psnr": _psnr(figures.squared_error),
             "active": float(len(active.rows)),
         }
         return active, drawn, gradients, entry
@@ -236,34 +248,39 @@ class Trainer:
                 self.gaussians, self._times.tolist(), config.rigid_neighbours, config.rigid_beta, dynamic_only
             )
             self._neighbours_found = self.step
-        count = len(self.gaussians)
-        if not config.rigid_over_all:
-            count = len(moving) if self.gaussians.config.freeze_background else int(self.gaussians.dynamic[moving].sum())
-        return rigid_loss(velocities, moving, self._neighbours, max(count, 1))
+        count: int | Tensor = len(self.gaussians)
+        if not config.rigid_over_all and self.gaussians.config.freeze_background:
+            count = len(moving)
+        elif not config.rigid_over_all:
+            dynamic = self.gaussians.dynamic[moving].sum().clamp(min=1)
+            count = dynamic if dynamic.is_cuda else int(dynamic)
+        return rigid_loss(velocities, moving, self._neighbours, count)
 
-    def _count(self, frame: Observation, active: Active, rendered: RenderedFrame, visible: Tensor) -> None:
+    def _count(self, targets: PictureTargets, active: Active, rendered: RenderedFrame, visible: Tensor) -> None:
         """Add this picture to the statistics of density control."""
-        statistics, rows = self._statistics, active.rows[visible]
+        statistics, rows = self._statistics, active.rows
         if self.config.density.gradient > 0:
             gradient = rendered.projected.means2d.grad
             assert gradient is not None
             width, height = self.observations.size
-            scaled = gradient[visible] * gradient.new_tensor([width / 2, height / 2])
-            statistics.gradient[rows] += scaled.norm(dim=1)
-            statistics.visits[rows] += 1
+            scaled = gradient * upload(torch.tensor([width / 2, height / 2], dtype=gradient.dtype), gradient.device)
+            statistics.gradient[rows] += torch.where(visible, scaled.norm(dim=1), 0)
+            statistics.visits[rows] += visible
         # Every fourth step is enough evidence, and saves a twentieth of the time.
         sampled = self.config.density.revise and self.step % 4 == 0
-        if sampled and rendered.flow is not None and frame.forward is not None:
-            seen, residual = _flow_residual(frame, rendered, visible)
-            statistics.flow_residual[rows[seen]] += residual
-            statistics.flow_visits[rows[seen]] += 1
+        if sampled and rendered.flow is not None and targets.flow is not None:
+            seen, residual = _flow_residual(targets, rendered)
+            seen &= visible
+            statistics.flow_residual[rows] += torch.where(seen, residual, 0)
+            statistics.flow_visits[rows] += seen
 
     # -- after a step
 
-    def _after_step(self, entry: dict[str, float]) -> None:
+    def _after_step(self, entry: Entry) -> None:
         self._recent.append(entry)
         if self.step % RECORD_EVERY == 0 or self.step == self.config.iterations:
-            mean = {name: float(np.mean([e[name] for e in self._recent])) for name in entry}
+            recent = _read(self._recent)
+            mean = {name: float(np.mean([e[name] for e in recent])) for name in entry}
             self.history.append({"step": float(self.step), **mean, "gaussians": float(len(self.gaussians))})
             self._recent = []
             if self._record is not None:
@@ -292,7 +309,7 @@ class Trainer:
             )
         large = config.prune_scale if config.reset_every and self.step > config.reset_every else 0.0
         self._adopt(prune(self.gaussians, self._times, config.prune_opacity, large))
-        self._statistics = DensityStatistics.zeros(len(self.gaussians))
+        self._statistics = DensityStatistics.zeros(len(self.gaussians), self._device)
 
     def _adopt(self, result: DensityResult) -> None:
         self._adam.follow(result.index, result.is_new)
@@ -316,7 +333,7 @@ class Trainer:
             "queue": self._queue,
             "rng": self._rng.bit_generator.state,
             "neighbours_found": self._neighbours_found,
-            "recent": self._recent,
+            "recent": _read(self._recent),
             "history": self.history,
             "config": asdict(self.config),
         }
@@ -348,9 +365,11 @@ class Trainer:
 
     def _restore(self, tensors: dict[str, Tensor], values: dict[str, Any]) -> None:
         def group(prefix: str) -> dict[str, Tensor]:
-            return {name[len(prefix) + 1 :]: value for name, value in tensors.items() if name.startswith(prefix + ".")}
+            chosen = {name[len(prefix) + 1 :]: value for name, value in tensors.items() if name.startswith(prefix + ".")}
+            return {name: value.to(self._device) for name, value in chosen.items()}
 
-        self.gaussians = Gaussians4D(group("param"), tensors["dynamic"], self.config.model, int(values["sh_degree"]))
+        dynamic = tensors["dynamic"].to(self._device)
+        self.gaussians = Gaussians4D(group("param"), dynamic, self.config.model, int(values["sh_degree"]))
         self._adam = RowAdam(self.gaussians.params)
         self._adam.load_state(group("adam"))
         self._statistics = DensityStatistics(**group("statistics"))
@@ -369,19 +388,40 @@ def _plain(value: Any) -> Any:
     return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
 
 
-def _flow_residual(frame: Observation, rendered: RenderedFrame, visible: Tensor) -> tuple[Tensor, Tensor]:
-    """Among the drawn Gaussians, which lie on the visible surface at a pixel with trusted flow; and the flow error there."""
+def _mean(values: list[float | Tensor]) -> float | Tensor:
+    numbers = [value for value in values if not isinstance(value, Tensor)]
+    return float(np.mean(numbers)) if len(numbers) == len(values) else sum(values) / len(values)
+
+
+def _number(value: Tensor) -> float | Tensor:
+    """A figure: what is on a GPU stays there."""
+    return value.detach() if value.is_cuda else float(value.detach())
+
+
+def _psnr(squared_error: float | Tensor) -> float | Tensor:
+    if isinstance(squared_error, Tensor):
+        return -10 * torch.log10(squared_error.clamp(min=1e-10))
+    return -10 * math.log10(max(squared_error, 1e-10))
+
+
+def _read(entries: list[Entry]) -> list[dict[str, float]]:
+    """Wait for the figures that are still on a device, for all of them once."""
+    tensors = [value.double() for entry in entries for value in entry.values() if isinstance(value, Tensor)]
+    numbers = iter(torch.stack(tensors).tolist() if tensors else [])
+    return [{name: next(numbers) if isinstance(value, Tensor) else value for name, value in e.items()} for e in entries]
+
+
+def _flow_residual(targets: PictureTargets, rendered: RenderedFrame) -> tuple[Tensor, Tensor]:
+    """Which Gaussians, if drawn, lie on the visible surface at a pixel with trusted flow; and the flow error there, [A] each."""
     assert rendered.flow is not None
-    assert frame.forward is not None
     height, width = rendered.alpha.shape
-    uv = rendered.projected.means2d.detach()[visible]
+    uv = rendered.projected.means2d.detach()
     x, y = uv[:, 0].long().clamp(0, width - 1), uv[:, 1].long().clamp(0, height - 1)
     inside = (uv[:, 0] >= 0) & (uv[:, 1] >= 0) & (uv[:, 0] < width) & (uv[:, 1] < height)
     alpha = rendered.alpha.detach()[y, x]
     surface = rendered.depth.detach()[y, x] / alpha.clamp(min=1e-6)
-    depths = rendered.projected.depths.detach()[visible]
-    trusted = torch.from_numpy(frame.forward.trusted)[y, x]
+    depths = rendered.projected.depths.detach()
+    trusted = torch.as_tensor(targets.flow_trusted, device=uv.device)[y, x]
     seen = inside & trusted & (alpha > 0.5) & ((depths - surface).abs() < 0.05 * surface)
     flow = rendered.flow.detach()[y, x] / alpha.clamp(min=1e-6)[:, None]
-    residual = (flow - torch.from_numpy(frame.forward.flow)[y, x]).norm(dim=1)
-    return seen, residual[seen]
+    return seen, (flow - torch.as_tensor(targets.flow, device=uv.device)[y, x]).norm(dim=1)

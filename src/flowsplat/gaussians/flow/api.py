@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib import import_module
 
 import torch
 from torch import Tensor
 
+from flowsplat.common import devices
 from flowsplat.gaussians.flow.reference import FlowModel, flow_features
 from flowsplat.gaussians.slicing import Slice
 from flowsplat.geometry import Camera
@@ -31,22 +33,21 @@ class FlowView:
 def blend_features(sliced: Slice, projected: Projected, camera: Camera, flow: FlowView | None) -> Tensor:
     """Features [A, C] of the Gaussians: colour, depth, 2 or 6 of flow, and 1 where the other camera does not see the Gaussian.
 
-    The last one exists only if a Gaussian that is drawn lies behind the other camera.
+    On the CPU the last one exists only if a Gaussian that is drawn lies behind the other camera; on a GPU it always does,
+    because the host would have to wait to learn that.
     """
     if flow is None:
         return torch.cat([sliced.colours, projected.depths[:, None]], 1)
-    dtype = sliced.means.dtype
-    if sliced.means.device.type == "cpu" and dtype == torch.float32:
-        from flowsplat.gaussians.flow import cpu
-
+    dtype, device = sliced.means.dtype, sliced.means.device
+    kernels = devices.kernels_for(sliced.means)
+    if kernels != "reference" and (flow.model == "displacement" or (flow.model == "affine" and sliced.covars is None)):
+        twin = import_module(f"flowsplat.gaussians.flow.{kernels}")
         if flow.model == "displacement":
-            return cpu.blend_displacement(sliced, projected, flow.camera)
-        if flow.model == "affine" and sliced.covars is None:
-            return cpu.blend_affine(sliced, projected, camera, flow.camera)
-    features, front = flow_features(
-        flow.model, sliced, projected, flow.dt, *camera.tensors(dtype), *flow.camera.tensors(dtype), camera.width, camera.height
-    )
+            return twin.blend_displacement(sliced, projected, flow.camera)
+        return twin.blend_affine(sliced, projected, camera, flow.camera)
+    views = *camera.tensors(dtype, device), *flow.camera.tensors(dtype, device)
+    features, front = flow_features(flow.model, sliced, projected, flow.dt, *views, camera.width, camera.height)
     parts = [sliced.colours, projected.depths[:, None], features]
-    if not bool((front | ~projected.visible).all()):
+    if device.type != "cpu" or not bool((front | ~projected.visible).all()):
         parts.append((~front).to(dtype)[:, None])
     return torch.cat(parts, 1)

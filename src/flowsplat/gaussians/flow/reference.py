@@ -93,7 +93,7 @@ def affine_gradient(
         sigma = covariances(sliced.quats, sliced.scales)
         M = quats_to_rotations(sliced.next_quats) @ quats_to_rotations(sliced.quats).transpose(1, 2)
         J_moved = J_j @ M
-    blurred = J_i @ sigma @ J_i.transpose(1, 2) + EPS2D * torch.eye(2, dtype=sigma.dtype)
+    blurred = J_i @ sigma @ J_i.transpose(1, 2) + EPS2D * torch.eye(2, dtype=sigma.dtype, device=sigma.device)
     G = sigma @ J_i.transpose(1, 2) @ _inverse_2x2(blurred)
     return (J_moved - J_i) @ G
 
@@ -110,8 +110,8 @@ def flow_image(blended: Tensor) -> Tensor:
         return blended
     height, width = blended.shape[:2]
     y, x = torch.meshgrid(
-        torch.arange(height, dtype=blended.dtype) + 0.5 - height / 2,
-        torch.arange(width, dtype=blended.dtype) + 0.5 - width / 2,
+        torch.arange(height, dtype=blended.dtype, device=blended.device) + 0.5 - height / 2,
+        torch.arange(width, dtype=blended.dtype, device=blended.device) + 0.5 - width / 2,
         indexing="ij",
     )
     u = blended[..., 0] + blended[..., 2] * x + blended[..., 3] * y

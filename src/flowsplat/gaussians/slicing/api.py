@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib import import_module
 
-import torch
 from torch import Tensor
 
+from flowsplat.common import devices
 from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
 from flowsplat.gaussians.motion import SeriesMotion
 
@@ -56,14 +57,11 @@ def slice_gaussians(
     Args:
         gaussians: the model.
         active: which Gaussians and when.
-        camera_center: [3], for the direction of the harmonics.
+        camera_center: [3], for the direction of the harmonics; on the CPU nobody has to wait for it.
         next_time: the other time of a flow pair.
         gradients: where the gradients of the parameters go in the backward pass (a parameter that nothing depends on may be
             missing then); None = the slice is not differentiable.
     """
-    from flowsplat.gaussians.slicing import cpu, reference
-
-    means = gaussians.params["means"]
-    fits = means.device.type == "cpu" and means.dtype == torch.float32 and isinstance(gaussians.motion, SeriesMotion)
-    module = cpu if fits else reference
-    return module.slice_gaussians(gaussians, active, camera_center, next_time, gradients)
+    kernels = devices.kernels_for(gaussians.params["means"]) if isinstance(gaussians.motion, SeriesMotion) else "reference"
+    twin = import_module(f"flowsplat.gaussians.slicing.{kernels}")
+    return twin.slice_gaussians(gaussians, active, camera_center, next_time, gradients)

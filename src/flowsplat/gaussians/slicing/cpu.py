@@ -14,7 +14,7 @@ from flowsplat.common.kernels import OPTIONS, exp, parallel_kernel
 from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
 from flowsplat.gaussians.motion import SeriesMotion
 from flowsplat.gaussians.slicing.api import Gradients, Slice
-from flowsplat.splatting.cpu.harmonics import basis_of
+from flowsplat.splatting.cpu.harmonics import basis_of, colour_of
 
 ONE, ZERO, HALF = np.float32(1), np.float32(0), np.float32(0.5)
 CHUNKS = 64
@@ -130,11 +130,7 @@ def _forward(
             out_opacities[a] = opacity
             x, y, z = out_means[a, 0] - center[0], out_means[a, 1] - center[1], out_means[a, 2] - center[2]
             basis_of(x, y, z, harmonics, directions)
-            red, green, blue = HALF, HALF, HALF
-            for k in range(harmonics):
-                red += directions[k] * sh[i, k, 0]
-                green += directions[k] * sh[i, k, 1]
-                blue += directions[k] * sh[i, k, 2]
+            red, green, blue = colour_of(directions, sh, i, harmonics)
             out_colours[a, 0] = max(red, ZERO) * gain
             out_colours[a, 1] = max(green, ZERO) * gain
             out_colours[a, 2] = max(blue, ZERO) * gain
@@ -194,11 +190,7 @@ def _backward(
             d_logits[a] = toward_opacity * sigmoid * (ONE - sigmoid)
             x, y, z = out_means[a, 0] - center[0], out_means[a, 1] - center[1], out_means[a, 2] - center[2]
             basis_of(x, y, z, harmonics, directions)
-            red, green, blue = HALF, HALF, HALF
-            for k in range(harmonics):
-                red += directions[k] * sh[i, k, 0]
-                green += directions[k] * sh[i, k, 1]
-                blue += directions[k] * sh[i, k, 2]
+            red, green, blue = colour_of(directions, sh, i, harmonics)
             toward_red = grad_colours[a, 0] * gain if red > ZERO else ZERO
             toward_green = grad_colours[a, 1] * gain if green > ZERO else ZERO
             toward_blue = grad_colours[a, 2] * gain if blue > ZERO else ZERO

@@ -34,7 +34,7 @@ def slice_gaussians(
     means = torch.cat([leaves["means"][:n], state.means])
     opacities = torch.sigmoid(leaves["logit_opacities"])
     opacities = torch.cat([opacities[:n], opacities[n:] * state.presence])
-    directions = means.detach() - camera_center if gaussians.sh_degree > 0 else None
+    directions = means.detach() - camera_center.to(means.device) if gaussians.sh_degree > 0 else None
     colours = colours_from_harmonics(leaves["sh"], directions, gaussians.sh_degree)
     if config.gains and n:
         colours = torch.cat([colours[:n] * time_gains(leaves["log_gains"], active.t)[:, None], colours[n:]])
@@ -55,4 +55,4 @@ def slice_gaussians(
 
 def _resting(leaves: Mapping[str, Tensor], n: int) -> dict[str, Tensor]:
     resting = {name: value[:n] for name, value in leaves.items() if name not in ("times", "log_gains")}
-    return {**resting, "times": torch.zeros(n)}
+    return {**resting, "times": torch.zeros(n, device=leaves["means"].device)}

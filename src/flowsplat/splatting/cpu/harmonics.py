@@ -44,6 +44,17 @@ def basis_of(x, y, z, count, basis):
 
 
 @njit(inline="always", **OPTIONS)
+def colour_of(basis, sh, i, count):
+    """Red, green and blue of Gaussian i in the direction of the basis, before negative ones become 0."""
+    red, green, blue = HALF, HALF, HALF
+    for k in range(count):
+        red += basis[k] * sh[i, k, 0]
+        green += basis[k] * sh[i, k, 1]
+        blue += basis[k] * sh[i, k, 2]
+    return red, green, blue
+
+
+@njit(inline="always", **OPTIONS)
 def _basis_gradient(x, y, z, count, d):
     """Gradient of the direction, of any length, from that of the basis d [16]."""
     inverse = ONE / max(math.sqrt(x * x + y * y + z * z), float32(1e-12))
@@ -76,11 +87,7 @@ def _forward(sh, directions, count, colours):
         basis = np.empty(16, np.float32)
         for i in range(number * chunk // CHUNKS, number * (chunk + 1) // CHUNKS):
             basis_of(directions[i, 0], directions[i, 1], directions[i, 2], count, basis)
-            red, green, blue = HALF, HALF, HALF
-            for k in range(count):
-                red += basis[k] * sh[i, k, 0]
-                green += basis[k] * sh[i, k, 1]
-                blue += basis[k] * sh[i, k, 2]
+            red, green, blue = colour_of(basis, sh, i, count)
             colours[i, 0], colours[i, 1], colours[i, 2] = max(red, ZERO), max(green, ZERO), max(blue, ZERO)
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from importlib import import_module
 
 import torch
 from torch import Tensor
 
-from flowsplat.training.adam import cpu, reference
+from flowsplat.common import devices
 
 
 class RowAdam:
@@ -21,8 +22,8 @@ class RowAdam:
     def __init__(self, params: Mapping[str, Tensor]):
         self.means = {name: torch.zeros_like(value) for name, value in params.items()}
         self.squares = {name: torch.zeros_like(value) for name, value in params.items()}
-        count = len(next(iter(params.values())))
-        self.counts = torch.zeros(count, dtype=torch.int32)
+        first = next(iter(params.values()))
+        self.counts = torch.zeros(len(first), dtype=torch.int32, device=first.device)
 
     def begin_step(self, rows: Tensor, stepped: Tensor) -> None:
         """Count one step for those of the rows [A] (each at most once) that are to be stepped [A] bool."""
@@ -42,8 +43,8 @@ class RowAdam:
         if len(rows) == 0 or value[0].numel() == 0:
             return
         count = len(value)
-        module = cpu if value.device.type == "cpu" and value.dtype == torch.float32 else reference
-        module.step_rows(
+        twin = import_module(f"flowsplat.training.adam.{devices.kernels_for(value)}")
+        twin.step_rows(
             value.view(count, -1), self.means[name].view(count, -1), self.squares[name].view(count, -1), self.counts,
             rows, stepped, gradient.reshape(len(rows), -1), rates,
         )  # fmt: skip

@@ -3,10 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
+
+from flowsplat.common import devices
+
+Plane = np.ndarray | Tensor
+"""A picture in the memory of the host, or on a device."""
 
 
 @dataclass(frozen=True)
@@ -21,11 +28,21 @@ class PictureTargets:
         flow_trusted: [H, W] bool, where it counts.
     """
 
-    colour: np.ndarray
-    depth: np.ndarray | None = None
-    depth_trusted: np.ndarray | None = None
-    flow: np.ndarray | None = None
-    flow_trusted: np.ndarray | None = None
+    colour: Plane
+    depth: Plane | None = None
+    depth_trusted: Plane | None = None
+    flow: Plane | None = None
+    flow_trusted: Plane | None = None
+
+    def to(self, device: torch.device) -> PictureTargets:
+        """As tensors of a device, those that are there already as they are."""
+
+        def moved(plane: Plane | None) -> Any:
+            return None if plane is None else devices.upload(plane, device)
+
+        return PictureTargets(
+            moved(self.colour), moved(self.depth), moved(self.depth_trusted), moved(self.flow), moved(self.flow_trusted)
+        )
 
 
 @dataclass(frozen=True)
@@ -48,12 +65,15 @@ class PictureWeights:
 
 @dataclass(frozen=True)
 class PictureFigures:
-    """The parts before their weights, and the mean squared error of the colours clamped to 0..1."""
+    """The parts before their weights, and the mean squared error of the colours clamped to 0..1.
 
-    colour: float
-    flow: float
-    depth: float
-    squared_error: float
+    Tensors where they were computed on a GPU, so that nobody has to wait for them.
+    """
+
+    colour: float | Tensor
+    flow: float | Tensor
+    depth: float | Tensor
+    squared_error: float | Tensor
 
 
 def picture_loss(
@@ -77,7 +97,5 @@ def picture_loss(
     Returns:
         the loss, a scalar, and its parts.
     """
-    from flowsplat.training.picture_loss import cpu, reference
-
-    module = cpu if image.device.type == "cpu" and image.dtype == torch.float32 else reference
-    return module.picture_loss(image, alpha, flow_channels, targets, weights)
+    twin = import_module(f"flowsplat.training.picture_loss.{devices.kernels_for(image)}")
+    return twin.picture_loss(image, alpha, flow_channels, targets, weights)

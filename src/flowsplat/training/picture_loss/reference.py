@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from flowsplat.gaussians.flow import flow_image
-from flowsplat.training.picture_loss.api import PictureFigures, PictureTargets, PictureWeights
+from flowsplat.training.picture_loss.api import PictureFigures, PictureTargets, PictureWeights, Plane
 
 RADIUS, SIGMA, C1, C2 = 5, 1.5, 0.01**2, 0.03**2
 OPAQUE = 0.5
@@ -62,8 +62,8 @@ def picture_loss(
 ) -> tuple[Tensor, PictureFigures]:
     """See ``api.picture_loss``."""
 
-    def tensor(array: np.ndarray) -> Tensor:
-        value = torch.from_numpy(array).to(image.device)
+    def tensor(plane: Plane) -> Tensor:
+        value = torch.as_tensor(plane, device=image.device)
         return value if value.dtype == torch.bool else value.to(image.dtype)
 
     target = tensor(targets.colour) / 255

@@ -63,14 +63,14 @@ def _loss_and_gradient(velocities, rows, place, indices, weights, offsets, pairs
 
 class _RigidLoss(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, velocities: Tensor, rows: Tensor, neighbours: Neighbours, count: int) -> Tensor:
+    def forward(ctx: Any, velocities: Tensor, rows: Tensor, neighbours: Neighbours, count: int | Tensor) -> Tensor:
         place = np.full(len(neighbours), -1, np.int32)
         sums, gradient = np.empty(CHUNKS), torch.empty(len(rows), 3)
         _loss_and_gradient(
             velocities.detach().contiguous().numpy(), rows.numpy(), place, neighbours.indices.numpy(),
-            neighbours.weights.numpy(), *neighbours.incoming, sums, gradient.numpy(),
+            neighbours.weights.numpy(), *(t.numpy() for t in neighbours.incoming), sums, gradient.numpy(),
         )  # fmt: skip
-        ctx.share = 1 / (neighbours.indices.shape[1] * count)
+        ctx.share = float(1 / (neighbours.indices.shape[1] * count))
         ctx.save_for_backward(gradient)
         return velocities.new_tensor(ctx.share * sums.sum())
 
@@ -79,7 +79,7 @@ class _RigidLoss(torch.autograd.Function):
         return grad * ctx.share * ctx.saved_tensors[0], None, None, None
 
 
-def rigid_loss(velocities: Tensor, rows: Tensor, neighbours: Neighbours, count: int) -> Tensor:
+def rigid_loss(velocities: Tensor, rows: Tensor, neighbours: Neighbours, count: int | Tensor) -> Tensor:
     """See ``api.rigid_loss``."""
     result: Tensor = _RigidLoss.apply(velocities, rows, neighbours, count)
     return result

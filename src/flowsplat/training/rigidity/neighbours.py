@@ -33,21 +33,22 @@ class Neighbours:
         return len(self.indices)
 
     @cached_property
-    def incoming(self) -> tuple[np.ndarray, np.ndarray]:
+    def incoming(self) -> tuple[Tensor, Tensor]:
         """The pairs the other way round: offsets [N + 1] int64 into pairs int32, which number the entries of ``indices``.
 
         With them the gradient of a Gaussian is a sum in a fixed order, whatever the threads do.
         """
-        flat = self.indices.numpy().ravel()
-        pairs = np.argsort(flat, kind="stable").astype(np.int32)
-        counts = np.bincount(flat[flat >= 0], minlength=len(self))
-        offsets = np.concatenate([[0], np.cumsum(counts)])
-        return offsets, pairs[len(pairs) - offsets[-1] :].copy()
+        flat = self.indices.flatten()
+        # Counting from 1, so that the missing ones, -1, count too and come first.
+        counts = torch.bincount(flat + 1, minlength=len(self) + 1)
+        pairs = torch.argsort(flat, stable=True)[int(counts[0]) :].to(torch.int32)
+        return torch.cumsum(counts, 0) - counts[0], pairs
 
     def follow(self, index: Tensor) -> Neighbours:
         """After density control: row i comes from old row ``index[i]``; of several copies the first one stays a neighbour."""
-        new = torch.full((len(self) + 1,), len(index))
-        new.scatter_reduce_(0, index, torch.arange(len(index)), "amin")
+        device = index.device
+        new = torch.full((len(self) + 1,), len(index), device=device)
+        new.scatter_reduce_(0, index, torch.arange(len(index), device=device), "amin")
         new[new == len(index)] = -1
         indices = new[self.indices[index].long()].to(torch.int32)
         return Neighbours(indices, torch.where(indices >= 0, self.weights[index], 0))
@@ -66,9 +67,9 @@ def find_neighbours(
         beta: weights are exp(-beta distance).
         dynamic_only: neighbours and neighboured are dynamic ones alone.
     """
-    count = len(gaussians)
-    indices, weights = torch.full((count, k), -1, dtype=torch.int32), torch.zeros(count, k)
-    frames = torch.as_tensor(np.asarray(times, np.float32))
+    count, device = len(gaussians), gaussians.device
+    indices, weights = torch.full((count, k), -1, dtype=torch.int32, device=device), torch.zeros(count, k, device=device)
+    frames = torch.as_tensor(np.asarray(times, np.float32), device=device)
     middles = 0.5 * (frames[1:] + frames[:-1])
     nearest = torch.bucketize(gaussians.params["times"], middles)
     for frame, t in enumerate(times):
@@ -80,10 +81,10 @@ def find_neighbours(
         if len(rows) < 2 or not bool(wanted.any()):
             continue
         chosen = {name: value[rows] for name, value in gaussians.params.items()}
-        means = gaussians.motion.state(chosen, t).means.numpy()
+        means = gaussians.motion.state(chosen, t).means.cpu().numpy()
         found = min(k, len(rows) - 1)
-        distances, others = cKDTree(means).query(means[wanted.numpy()], k=found + 1, workers=-1)
+        distances, others = cKDTree(means).query(means[wanted.cpu().numpy()], k=found + 1, workers=-1)
         own = rows[wanted]
-        indices[own, :found] = rows[torch.from_numpy(others[:, 1:])].to(torch.int32)
-        weights[own, :found] = torch.from_numpy(np.exp(-beta * distances[:, 1:]).astype(np.float32))
+        indices[own, :found] = rows[torch.from_numpy(others[:, 1:]).to(device)].to(torch.int32)
+        weights[own, :found] = torch.from_numpy(np.exp(-beta * distances[:, 1:]).astype(np.float32)).to(device)
     return Neighbours(indices, weights)

@@ -11,10 +11,10 @@ TINY = 1e-12
 """Added to squared norms, which have no gradient at 0 otherwise."""
 
 
-def rigid_loss(velocities: Tensor, rows: Tensor, neighbours: Neighbours, count: int) -> Tensor:
+def rigid_loss(velocities: Tensor, rows: Tensor, neighbours: Neighbours, count: int | Tensor) -> Tensor:
     """See ``api.rigid_loss``."""
-    place = torch.full((len(neighbours) + 1,), -1)  # the last one is where the missing neighbour, -1, points to
-    place[rows] = torch.arange(len(rows))
+    place = torch.full((len(neighbours) + 1,), -1, device=rows.device)  # the last one is where the missing neighbour, -1, points to
+    place[rows] = torch.arange(len(rows), device=rows.device)
     others = place[neighbours.indices[rows].long()]
     difference = velocities[:, None] - velocities[others.clamp(min=0)]
     norm = torch.sqrt((difference * difference).sum(-1) + TINY)

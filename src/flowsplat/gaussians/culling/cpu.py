@@ -1,19 +1,20 @@
-"""Which Gaussians can be seen at a time by a camera: the cull that comes before anything else."""
+"""The cull in one sweep over the Gaussians and a second one over what is left. Oracle: ``reference``."""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
+import torch
 from numba import float32, njit, prange
+from torch import Tensor
 
 from flowsplat.common.kernels import OPTIONS, exp, parallel_kernel
+from flowsplat.gaussians.culling import reference
+from flowsplat.geometry import Camera
 
 CHUNKS = 64
-REACH = np.float32(3.34)
-"""More sigmas than the rasterizer ever draws: sqrt(2 ln 255) = 3.33."""
-BLUR = np.float32(0.55)
-"""More than the standard deviation of the rasterizer's blur in pixels, sqrt(0.3)."""
+REACH, BLUR = np.float32(reference.REACH), np.float32(reference.BLUR)
 ZERO, ONE, HALF = np.float32(0), np.float32(1), np.float32(0.5)
 
 
@@ -28,11 +29,8 @@ def _outside(position, size, center, limit, focal, inverse, picture):
 
 
 @parallel_kernel
-def cull(at_rest, means, log_sizes, times, log_lambdas, t, p_min, use_camera, view, K, width, height, near, keep, counts):
-    """Fill keep [N] uint8 (1 = seen at rest, 2 = seen moving) and counts [CHUNKS, 2].
-
-    Gaussians at rest are culled against the camera, never one that it could show; moving ones by presence alone.
-    """
+def _cull(at_rest, means, log_sizes, times, log_lambdas, t, p_min, use_camera, view, K, width, height, near, keep, counts):
+    """Fill keep [N] uint8 (1 = seen at rest, 2 = seen moving) and counts [CHUNKS, 2]."""
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
     w, h = float32(width), float32(height)
     limit_x, limit_y = max(w - cx, cx) / fx + float32(0.15) * w / fx, max(h - cy, cy) / fy + float32(0.15) * h / fy
@@ -68,7 +66,7 @@ def cull(at_rest, means, log_sizes, times, log_lambdas, t, p_min, use_camera, vi
 
 
 @parallel_kernel
-def collect(keep, counts, rows):
+def _collect(keep, counts, rows):
     """Write the kept rows in order, those at rest first."""
     count = len(keep)
     starts = np.empty((CHUNKS, 2), np.int64)
@@ -86,3 +84,25 @@ def collect(keep, counts, rows):
             elif keep[i] == 2:
                 rows[moving] = i
                 moving += 1
+
+
+_NO_CAMERA = Camera(np.eye(4), np.eye(3), 1, 1)
+
+
+def active_rows(
+    at_rest: Tensor, means: Tensor, log_scales: Tensor | None, times: Tensor, log_lambdas: Tensor, t: float, p_min: float,
+    camera: Camera | None, near: float,
+) -> tuple[Tensor, int]:  # fmt: skip
+    """See ``api.active_rows``; any float type."""
+    use_camera = camera is not None and log_scales is not None
+    camera = camera or _NO_CAMERA
+    viewmat, K = camera.tensors()
+    sizes = means if log_scales is None else log_scales
+    keep, counts = np.empty(len(means), np.uint8), np.empty((CHUNKS, 2), np.int64)
+    _cull(
+        at_rest.numpy(), means.numpy(), sizes.numpy(), times.numpy(), log_lambdas.numpy(), np.float32(t), np.float32(p_min),
+        use_camera, viewmat.numpy(), K.numpy(), camera.width, camera.height, np.float32(near), keep, counts,
+    )  # fmt: skip
+    rows = torch.empty(int(counts.sum()), dtype=torch.int64)
+    _collect(keep, counts, rows.numpy())
+    return rows, int(counts[:, 0].sum())

@@ -1,0 +1,46 @@
+"""The cull, and the one place that picks who computes it."""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+from torch import Tensor
+
+from flowsplat.common import devices
+from flowsplat.geometry import Camera
+
+
+def active_rows(
+    at_rest: Tensor,
+    means: Tensor,
+    log_scales: Tensor | None,
+    times: Tensor,
+    log_lambdas: Tensor,
+    t: float,
+    p_min: float,
+    camera: Camera | None,
+    near: float,
+) -> tuple[Tensor, int]:
+    """Rows of the Gaussians to render at ``t``, those at rest first, each kind in order; and how many of them rest.
+
+    Gaussians at rest are culled against the camera, never one that it could show; moving ones by presence alone.
+
+    Args:
+        at_rest: [N] bool.
+        means: [N, 3]
+        log_scales: [N, 3]; None = the camera culls nothing.
+        times: [N]
+        log_lambdas: [N]
+        t: clip time.
+        p_min: moving Gaussians below this presence are not rendered.
+        camera: who looks; None = everybody at rest is seen.
+        near: planar depth below which nothing is rendered.
+
+    Returns:
+        rows [A] int64 on the device of the Gaussians, and the number of those at rest.
+    """
+    kernels = devices.kernels_for(means)
+    if kernels == "reference" and means.device.type == "cpu":
+        kernels = "cpu"  # which culls in any float type
+    twin = import_module(f"flowsplat.gaussians.culling.{kernels}")
+    return twin.active_rows(at_rest, means, log_scales, times, log_lambdas, t, p_min, camera, near)

@@ -1,0 +1,6 @@
+"""Triton kernels for the features of a picture: colour, depth and flow."""
+
+from flowsplat.gaussians.flow.triton.affine import blend_affine
+from flowsplat.gaussians.flow.triton.displacement import blend_displacement
+
+__all__ = ["blend_affine", "blend_displacement"]

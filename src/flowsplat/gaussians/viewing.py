@@ -1,0 +1,117 @@
+"""Frames to look at, one after the other: forward only, in buffers of a fixed size, on a GPU as one CUDA graph.
+
+Launching the few dozen kernels of a frame takes the host longer than a GPU takes to run them; a graph is one launch. In it nothing
+may depend on numbers that only the device knows, so there is room for more Gaussians than are active, and rows that nobody needs
+are Gaussians of opacity 0. What found no room is counted: then the buffers grow and the frame is drawn again.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from flowsplat.common.devices import upload
+from flowsplat.gaussians.culling.triton import LENS, Marked
+from flowsplat.gaussians.culling.triton import lens_numbers as culling_numbers
+from flowsplat.gaussians.flow.triton.displacement import displacement_features
+from flowsplat.gaussians.flow.triton.lenses import lens_numbers
+from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Gaussians4D
+from flowsplat.gaussians.slicing.triton import moment_numbers, slice_rows
+from flowsplat.geometry import Camera
+from flowsplat.splatting import Projected, blend, project
+from flowsplat.splatting.triton.tiles import Room
+
+_GRANULE = 1024
+
+
+class FixedRenderer:
+    """Draws Gaussians with a series motion in pictures of one size; flow is the displacement's.
+
+    Attributes:
+        captures: how often its graph was made, or would have been: once, and once more whenever a buffer grew.
+    """
+
+    def __init__(self, gaussians: Gaussians4D, width: int, height: int, with_flow: bool):
+        self._gaussians, self._size, self._with_flow = gaussians, (width, height), with_flow
+        device = gaussians.device
+        moment = 5 + gaussians.config.gains
+        self._numbers = torch.zeros(LENS + moment + 25, device=device)
+        self._lens, self._moment, self._other = self._numbers.split([LENS, moment, 25])
+        self._rooms = [_GRANULE, _GRANULE]  # for Gaussians at rest, for moving ones
+        self._room = Room(device)
+        self._graph: torch.cuda.CUDAGraph | None = None
+        self._shown: tuple[Tensor, Tensor, Tensor] | None = None
+        self.captures = 0
+
+    @torch.no_grad()
+    def render(self, camera: Camera, t: float, flow_to: tuple[Camera, float] | None = None) -> tuple[Tensor, Tensor]:
+        """Image [H, W, 4] of colour and depth, or [H, W, 7] with flow and what the other camera does not see; alpha [H, W].
+
+        Premultiplied; both are drawn over by the next frame.
+
+        Args:
+            camera: of the size of the pictures, in normalised coordinates.
+            t: clip time.
+            flow_to: the other camera and clip time, if there is to be flow.
+        """
+        if (camera.width, camera.height) != self._size or (flow_to is not None) != self._with_flow:
+            raise ValueError(f"this renders pictures of {self._size}, {'with' if self._with_flow else 'without'} flow")
+        other, later = flow_to or (camera, None)
+        moment = moment_numbers(self._gaussians, t, camera.center, later)
+        numbers = np.concatenate([culling_numbers(t, camera), moment, lens_numbers(other)[0]])
+        self._numbers.copy_(upload(numbers.astype(np.float32), self._numbers.device))
+        while True:
+            image, alpha, needed = self._replay()
+            found = needed.tolist()
+            if all(count <= room for count, room in zip(found, self._rooms, strict=True)) and not self._room.overflowed():
+                return image, alpha
+            self._rooms = [max(room, _roomy(count)) for count, room in zip(found, self._rooms, strict=True)]
+            if self._room.overflowed():
+                self._room.grow()
+            self._graph = self._shown = None
+
+    def _replay(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Draw; on a GPU by the graph, which is made where there is none."""
+        if self._graph is not None and self._shown is not None:
+            self._graph.replay()
+            return self._shown
+        drawn = self._draw()
+        if self._shown is None:
+            self.captures += 1
+        if not self._numbers.is_cuda:
+            self._shown = drawn
+            return drawn
+        # Drawn once outside, so that every kernel is compiled; capturing runs nothing.
+        torch.cuda.synchronize(self._numbers.device)
+        self._graph = torch.cuda.CUDAGraph()
+        with torch.cuda.graph(self._graph, capture_error_mode="thread_local"):
+            self._shown = self._draw()
+        self._graph.replay()
+        return self._shown
+
+    def _draw(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Everything that the device does for a frame; and how many Gaussians at rest and moving there were [2]."""
+        g, (width, height) = self._gaussians, self._size
+        p, (at_rest, moving) = g.params, self._rooms
+        given = (g.at_rest, p["means"], p["log_scales"], p["times"], p["log_lambdas"], self._lens)
+        marked = Marked(*given, g.config.p_min, self._size, NEAR_PLANE)
+        rows = torch.full((at_rest + moving,), -1, dtype=torch.int64, device=g.device)
+        marked.collect(rows, at_rest)
+        means, quats, scales, opacities, colours, _, next_means, _ = slice_rows(g, rows, at_rest, self._moment, self._with_flow)
+        viewmat, K = self._lens[1:17].view(4, 4), self._lens[17:].view(3, 3)
+        projected: Projected = project(
+            means, quats, scales, opacities, viewmat, K, width, height, near_plane=NEAR_PLANE, backend="triton"
+        )
+        if self._with_flow:
+            features = displacement_features(colours, projected.depths, projected.means2d, next_means, self._other)
+        else:
+            features = torch.cat([colours, projected.depths[:, None]], 1)
+        with self._room.fixed():
+            image, alpha = blend(projected, opacities, features, width, height)
+        return image, alpha, marked.ends[:, -1]
+
+
+def _roomy(count: int) -> int:
+    """A quarter more, and not too fine."""
+    return -(-(count + count // 4) // _GRANULE) * _GRANULE

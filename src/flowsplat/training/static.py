@@ -1,0 +1,42 @@
+"""A scene without motion, to compare with: the same Gaussians, movers as they were in one frame."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+
+from flowsplat.gaussians.gaussians4d import Gaussians4D
+from flowsplat.gaussians.initialize import initialize
+from flowsplat.gaussians.observations import Observations
+from flowsplat.scenes import Tracks
+from flowsplat.training.config import TrainConfig
+
+
+def static_config(config: TrainConfig) -> TrainConfig:
+    """The settings without anything that moves."""
+    return replace(
+        config,
+        model=replace(config.model, freeze_background=True),
+        loss=replace(config.loss, flow=0.0, rigid=0.0),
+        density=replace(config.density, revise=False),
+    )
+
+
+def static_start(observations: Observations, tracks: Tracks | None, config: TrainConfig) -> Gaussians4D:
+    """The first Gaussians of a static scene: the background, and the movers as in their middle frame.
+
+    Args:
+        observations: the training frames.
+        tracks: for an initialisation from tracks.
+        config: from ``static_config``.
+    """
+    start = initialize(observations, tracks, config.model, config.init, config.seed, config.density.max_gaussians)
+    keep = ~start.dynamic
+    if start.dynamic.any():
+        times = start.params["times"]
+        seen = torch.unique(times[start.dynamic])
+        keep |= start.dynamic & (times == seen[len(seen) // 2])
+    start = start.select(torch.nonzero(keep).squeeze(1))
+    start.dynamic[:] = False
+    return start

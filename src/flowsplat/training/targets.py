@@ -1,0 +1,66 @@
+"""What the training frames should show, on the device that trains."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from flowsplat.common.devices import upload
+from flowsplat.gaussians.observations import Observations
+from flowsplat.training.picture_loss import PictureTargets
+
+SHARE = 0.5
+"""Of the memory that is free at the start, how much of a GPU's may be taken by targets that stay."""
+
+
+class Targets:
+    """The targets of every training frame. On a GPU they stay once they are there, as long as there is room.
+
+    What is asked for next can be brought over while the present step computes.
+    """
+
+    def __init__(self, observations: Observations, with_flow: bool, device: torch.device):
+        self._observations, self._with_flow, self._device = observations, with_flow, device
+        self._there: dict[int, tuple[PictureTargets, Any]] = {}
+        if device.type == "cuda":
+            self._stream = torch.cuda.Stream(device)
+            self._room = SHARE * torch.cuda.mem_get_info(device)[0]
+
+    def __getitem__(self, k: int) -> PictureTargets:
+        """Of training frame ``k``."""
+        if self._device.type != "cuda":
+            return self._on_host(k)
+        self.prefetch(k)
+        targets, arrived = self._there[k]
+        current = torch.cuda.current_stream(self._device)
+        current.wait_event(arrived)
+        for plane in _planes(targets):
+            plane.record_stream(current)
+        if self._room < 0:
+            del self._there[k]
+        return targets
+
+    def prefetch(self, k: int) -> None:
+        """Begin to bring frame ``k`` to the device."""
+        if self._device.type != "cuda" or k in self._there:
+            return
+        host = self._on_host(k)
+        with torch.cuda.stream(self._stream):
+            pinned: dict[str, Any] = {
+                name: upload(plane, torch.device("cpu")).pin_memory() for name, plane in vars(host).items() if plane is not None
+            }
+            targets = PictureTargets(**pinned).to(self._device)
+            self._there[k] = targets, self._stream.record_event()
+        self._room -= sum(plane.nbytes for plane in _planes(targets))
+
+    def _on_host(self, k: int) -> PictureTargets:
+        frame = self._observations[k]
+        if frame.forward is None or not self._with_flow:
+            return PictureTargets(frame.image, frame.depth, frame.depth_trusted)
+        return PictureTargets(frame.image, frame.depth, frame.depth_trusted, frame.forward.flow, frame.forward.trusted)
+
+
+def _planes(targets: PictureTargets) -> list[Tensor]:
+    return [plane for plane in vars(targets).values() if isinstance(plane, Tensor)]

@@ -1,0 +1,76 @@
+"""The first Gaussians under a cap: fewer of them, evenly, and large enough to leave no holes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from flowsplat.gaussians.density import largest_scale
+from flowsplat.gaussians.initialize import _grid, initialize
+from flowsplat.gaussians.observations import load_observations
+from flowsplat.gaussians.render import render
+from flowsplat.priors.prepare import PriorsOptions, prepare_priors
+from flowsplat.scenes import Scene
+from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic
+from flowsplat.training.config import PRESETS
+
+CONFIG = PRESETS["default"]
+
+
+@pytest.fixture(scope="module")
+def observations(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("init") / "scene"
+    write_synthetic(folder, SyntheticScene(width=96, height=64, frames=6, fps=6.0), holdout=None)
+    prepare_priors(Scene(folder), PriorsOptions(priors="true"))
+    return load_observations(Scene(folder))
+
+
+def start(observations, cap, **changes):
+    return initialize(observations, None, CONFIG.model, replace(CONFIG.init, **changes), 0, cap)
+
+
+def test_a_cap_that_does_not_bind_changes_nothing(observations):
+    free = start(observations, 10**6)
+    same = start(observations, len(free))
+    assert len(same) == len(free)
+    assert all((same.params[name] == value).all() for name, value in free.params.items())
+
+
+@pytest.mark.parametrize("share", [0.7, 0.3, 0.1])
+def test_a_cap_thins_background_and_movers_alike(observations, share):
+    free = start(observations, 10**6)
+    cap = int(share * len(free))
+    capped = start(observations, cap)
+    assert 0.8 * cap < len(capped) <= cap
+    dynamic = free.dynamic.float().mean()
+    assert capped.dynamic.float().mean() == pytest.approx(float(dynamic), rel=0.25)
+    # The area of a Gaussian grows as their number falls.
+    growth = (largest_scale(capped).median() / largest_scale(free).median()) ** 2
+    assert float(growth) == pytest.approx(1 / share, rel=0.35)
+
+
+def test_fewer_gaussians_leave_no_holes(observations):
+    frame, free = observations[3], start(observations, 10**6)
+    capped = start(observations, len(free) // 6)
+    dropped = free.select(torch.randperm(len(free), generator=torch.Generator().manual_seed(0))[: len(capped)])
+    covered = {name: render(each, frame.camera, frame.time).alpha.mean() for name, each in (("even", capped), ("random", dropped))}
+    assert covered["even"] > 0.8
+    assert covered["even"] > covered["random"] + 0.2
+
+
+def test_a_cap_holds_for_a_random_start_and_for_tracks(observations):
+    assert len(start(observations, 500, from_priors=False)) == 500
+    assert len(start(observations, 500, foreground="tracks", background_spacing=1.0)) <= 500
+
+
+@pytest.mark.parametrize("spacing", [1.0, 1.4142, 1.7, 2.0, 3.3, 7.5])
+def test_grids_are_as_dense_as_they_say_and_even(spacing):
+    grid = _grid(200, 150, spacing, np.random.default_rng(0))
+    assert grid.mean() == pytest.approx(1 / spacing**2, rel=0.03)
+    side = int(np.ceil(4 * spacing))
+    blocks = grid[: 150 // side * side, : 200 // side * side].reshape(150 // side, side, 200 // side, side).sum((1, 3))
+    expected = side**2 / spacing**2
+    assert np.abs(blocks - expected).max() < 0.3 * expected + 1, "no clumps and no holes"

@@ -1,0 +1,246 @@
+"""The Triton kernels round slicing and flow against their oracles, in Triton's interpreter where there is no GPU."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from flowsplat.gaussians import culling
+from flowsplat.gaussians.culling import reference as cull_reference
+from flowsplat.gaussians.flow import FlowView, flow_features
+from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Active, Gaussians4D
+from flowsplat.gaussians.slicing import Slice, reference
+from flowsplat.geometry import Camera
+from flowsplat.splatting import Projected
+from tests.common.compiling import compiled
+from tests.gaussians.test_flow import camera
+from tests.gaussians.test_slicing import BASE, OUTPUTS, random_model
+
+pytest.importorskip("triton", reason="Triton is not installed")
+from flowsplat.gaussians.culling import triton as cull_triton
+from flowsplat.gaussians.flow import triton as flow_triton
+from flowsplat.gaussians.slicing import triton
+
+DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
+
+
+def cull_arguments(count, view, seed=0):
+    g = torch.Generator().manual_seed(seed)
+    gaussians = random_model(BASE, count)
+    means = 3 * torch.randn(count, 3, generator=g)
+    log_scales = torch.randn(count, 3, generator=g) - 3
+    p = gaussians.params
+    return [gaussians.at_rest, means, log_scales, p["times"], p["log_lambdas"] + 3, 0.4, 0.05, view, NEAR_PLANE]
+
+
+def on_device(values):
+    return [value.to(DEVICE) if isinstance(value, torch.Tensor) else value for value in values]
+
+
+@pytest.mark.parametrize("count", [0, 1, 1000, 2500])
+@pytest.mark.parametrize("view", [None, Camera(np.eye(4), np.array([[40.0, 0, 20], [0, 40, 15], [0, 0, 1]]), 40, 30)])
+def test_the_cull_keeps_what_its_oracle_and_the_cpu_keep(count, view):
+    given = cull_arguments(count, view)
+    rows, num_static = cull_triton.active_rows(*on_device(given))
+    for expected, resting in (cull_reference.active_rows(*given), culling.active_rows(*given)):
+        assert rows.cpu().tolist() == expected.tolist()
+        assert num_static == resting
+    assert count < 1000 or 0 < num_static < len(rows) < count
+
+
+def test_the_cull_fills_buffers_of_a_fixed_size():
+    given = cull_arguments(1500, None)
+    rows, num_static = cull_triton.active_rows(*on_device(given))
+    lens = torch.from_numpy(cull_triton.lens_numbers(given[5], None))
+    marked = cull_triton.Marked(*on_device([*given[:5], lens]), given[6], None, given[8])
+    buffer = torch.full((num_static + 10 + len(rows) - num_static - 3,), -1, device=DEVICE)
+    marked.collect(buffer, num_static + 10)
+    assert buffer[:num_static].tolist() == rows[:num_static].tolist()
+    assert buffer[num_static : num_static + 10].tolist() == [-1] * 10
+    assert buffer[num_static + 10 :].tolist() == rows[num_static:-3].tolist()
+
+
+def differentiated(module, model, active, next_time, dtype, device):
+    """Outputs and gradients of a slice under fixed random weights."""
+    gradients = {}
+    center = torch.tensor([0.1, 0.2, -3.0], dtype=dtype)
+    sliced = module.slice_gaussians(model, active, center, next_time, gradients)
+    g = torch.Generator().manual_seed(1)
+    total, values = torch.zeros((), dtype=dtype, device=device), {}
+    for name in OUTPUTS:
+        value = getattr(sliced, name)
+        if value is not None:
+            values[name] = value.detach().cpu().double()
+            weights = torch.randn(value.shape, generator=g, dtype=torch.float64).to(device, dtype)
+            total = total + (value * weights).sum()
+    total.backward()
+    return values, {name: gradient.cpu().double() for name, gradient in gradients.items()}
+
+
+@pytest.mark.parametrize(
+    ("config", "degree", "next_time"),
+    [
+        (BASE, 3, 0.7),
+        (replace(BASE, sh_degree=2), 2, None),
+        (replace(BASE, sh_degree=3, mean_poly=2, mean_fourier=1, quat_poly=1, quat_fourier=0, fourier_base=3.0), 1, 0.1),
+        (replace(BASE, gains=0, freeze_background=False), 0, 0.7),
+        (replace(BASE, move_means=False), 1, 0.7),
+        (replace(BASE, move_quats=False), 0, None),
+    ],
+)
+def test_slicing_matches_its_oracle(config, degree, next_time):
+    gaussians = random_model(config, 150)  # more than a block, so that one rests, one is mixed
+    gaussians.sh_degree = degree
+    active = gaussians.active(0.4)
+    exact = Gaussians4D({name: v.double() for name, v in gaussians.params.items()}, gaussians.dynamic, config, degree)
+    expected, expected_gradients = differentiated(reference, exact, active, next_time, torch.float64, "cpu")
+    there = Active(active.rows.to(DEVICE), active.num_static, active.t)
+    found, gradients = differentiated(triton, gaussians.to(DEVICE), there, next_time, torch.float32, DEVICE)
+    assert set(found) == set(expected)
+    for name, value in expected.items():
+        torch.testing.assert_close(found[name], value, atol=2e-5, rtol=2e-5, msg=name)
+    for name, gradient in expected_gradients.items():
+        torch.testing.assert_close(gradients[name], gradient, atol=2e-4, rtol=2e-4, msg=name)
+
+
+@pytest.mark.parametrize("dynamic", [True, False])
+def test_slicing_where_all_move_or_all_rest_or_nobody_is_there(dynamic):
+    gaussians = random_model(BASE).to(DEVICE)
+    gaussians.dynamic[:] = dynamic
+    for active in (gaussians.active(0.5), Active(torch.empty(0, dtype=torch.int64, device=DEVICE), 0, 0.5)):
+        gradients = {}
+        sliced = triton.slice_gaussians(gaussians, active, torch.zeros(3), 0.6, gradients)
+        sliced.colours.sum().backward()
+        assert len(sliced.velocities) == (len(active.rows) if dynamic else 0)
+        assert {name: len(g) for name, g in gradients.items()} == {
+            name: len(gaussians.rows_of(name, active)) for name in gaussians.params
+        }
+    assert not triton.slice_gaussians(gaussians, active, torch.zeros(3), None, None).means.requires_grad
+
+
+def test_rows_of_nobody_have_no_opacity_and_the_others_are_as_without_them():
+    gaussians = random_model(BASE).to(DEVICE)
+    active = gaussians.active(0.5)
+    n, nobody = active.num_static, torch.full((7,), -1, device=DEVICE)
+    moment = torch.from_numpy(triton.moment_numbers(gaussians, 0.5, np.zeros(3), 0.6)).to(DEVICE)
+    alone = triton.slice_rows(gaussians, active.rows, n, moment, True)
+    rows = torch.cat([active.rows[:n], nobody, active.rows[n:], nobody])
+    padded = triton.slice_rows(gaussians, rows, n + 7, moment, True)
+    for value, with_nobody in zip(alone, padded, strict=True):
+        assert torch.isfinite(with_nobody).all()
+        chosen = (rows if len(with_nobody) == len(rows) else rows[n + 7 :]) >= 0
+        assert torch.equal(with_nobody[chosen], value)
+    assert float(padded[3][rows < 0].abs().max()) == 0
+
+
+def test_hostile_gaussians_are_sliced_as_the_oracle_does():
+    gaussians = random_model(BASE, 12)
+    params = gaussians.params
+    params["quats"][0] = 0
+    params["log_lambdas"][1], params["times"][1] = 60.0, 0.4
+    params["logit_opacities"][2], params["logit_opacities"][3] = 80.0, -80.0
+    params["means"][4] = torch.tensor([0.1, 0.2, -3.0])  # in the camera's centre
+    params["sh"][5] = -5.0
+    active = gaussians.active(0.4)
+    expected, expected_gradients = differentiated(reference, gaussians, active, 0.5, torch.float32, "cpu")
+    there = Active(active.rows.to(DEVICE), active.num_static, active.t)
+    found, gradients = differentiated(triton, gaussians.to(DEVICE), there, 0.5, torch.float32, DEVICE)
+    for name, value in expected.items():
+        torch.testing.assert_close(found[name], value, atol=1e-4, rtol=1e-4, msg=name)
+    for name, gradient in expected_gradients.items():
+        assert torch.isfinite(gradients[name]).all(), name
+        torch.testing.assert_close(gradients[name], gradient, atol=1e-3, rtol=1e-3, msg=name)
+
+
+@pytest.mark.parametrize("behind", [False, True])
+@pytest.mark.parametrize("model", ["displacement", "affine"])
+def test_the_features_match_their_oracle(model, behind):
+    view, other = camera(), camera((0.05, -0.02, -1.0 if behind else 0.04), (0.01, 0.03, -0.01))
+    g = torch.Generator().manual_seed(0)
+    count = 60
+    depths = torch.rand(count, generator=g) + 0.7
+    depths[:2] = 0.03  # nearer than where Jacobians are held
+    means = torch.cat([0.6 * torch.randn(count, 2, generator=g), depths[:, None]], 1)  # some beyond the border
+    inputs = {
+        "colours": torch.rand(count, 3, generator=g), "depths": depths, "means2d": 30 * torch.rand(count, 2, generator=g),
+        "means": means, "quats": torch.randn(count, 4, generator=g), "scales": 0.2 * torch.rand(count, 3, generator=g) + 0.01,
+        "next_means": means + 0.1 * torch.randn(count, 3, generator=g), "next_quats": torch.randn(count, 4, generator=g),
+    }  # fmt: skip
+    inputs["next_means"][:2, 2] = 0.2
+    inputs["scales"][3, :2] = 1e-6  # a needle
+    found = []
+    for dtype, device in ((torch.float64, "cpu"), (torch.float32, DEVICE)):
+        leaves = {name: value.to(device, dtype).requires_grad_() for name, value in inputs.items()}
+        sliced = Slice(
+            leaves["means"], leaves["quats"], leaves["scales"], None, leaves["depths"], leaves["colours"],
+            leaves["next_means"][:0], leaves["next_means"], leaves["next_quats"],
+        )  # fmt: skip
+        projected = Projected(leaves["means2d"], leaves["means2d"], leaves["depths"], torch.ones(count, 2), None, "reference")
+        if dtype == torch.float64:
+            flow = FlowView(model, other, 0.1)
+            cameras = *view.tensors(dtype), *other.tensors(dtype)
+            features, front = flow_features(model, sliced, projected, flow.dt, *cameras, view.width, view.height)
+            unseen = (~front).to(dtype)[:, None]
+            features = torch.cat([sliced.colours, projected.depths[:, None], features, unseen], 1)
+        elif model == "displacement":
+            features = flow_triton.blend_displacement(sliced, projected, other)
+        else:
+            features = flow_triton.blend_affine(sliced, projected, view, other)
+        weights = torch.randn(features.shape, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+        (features * weights.to(features)).sum().backward()
+        gradients = [torch.zeros_like(leaf) if leaf.grad is None else leaf.grad for leaf in leaves.values()]
+        found.append([value.cpu().double() for value in (features.detach(), *gradients)])
+    assert bool(found[0][0][:, -1].any()) == behind
+    for name, exact, ours in zip(["features", *inputs], *found, strict=True):
+        scale = exact.abs().reshape(count, -1).sum(1)
+        error = (ours - exact).abs().reshape(count, -1).sum(1)
+        assert float((error / (scale + 1e-3 * scale.max() + 1e-12)).max()) < 1e-3, name
+        assert float((ours - exact).norm()) <= 2e-4 * float(exact.norm()), name
+
+
+def test_no_gaussians_have_no_features():
+    view = camera()
+    empty = torch.zeros(0, 3, device=DEVICE, requires_grad=True)
+    quats = torch.zeros(0, 4, device=DEVICE)
+    sliced = Slice(empty, quats, empty, None, empty[:, 0], empty, empty, empty, quats)
+    projected = Projected(empty[:, :2], empty, empty[:, 0], empty[:, :2], None, "triton")
+    displacement = flow_triton.blend_displacement(sliced, projected, view)
+    affine = flow_triton.blend_affine(sliced, projected, view, view)
+    for features in (displacement, affine):
+        features.sum().backward()
+        assert len(features) == 0
+
+
+@pytest.mark.slow
+def test_every_kernel_compiles_for_gpus_that_are_not_there():
+    kernels = compiled("""
+from dataclasses import replace
+from flowsplat.gaussians.culling import triton as culling
+from flowsplat.gaussians.flow import triton as flow
+from flowsplat.gaussians.slicing import Slice, triton as slicing
+from flowsplat.splatting import Projected
+from tests.common.compiling import compiled
+from tests.gaussians.test_flow import camera
+from tests.gaussians.test_slicing import BASE, random_model
+
+small = replace(BASE, sh_degree=2, mean_poly=3, mean_fourier=1, quat_poly=1, quat_fourier=0)
+for config, degree, next_time, size in ((small, 0, None, None), (small, 2, 0.7, (64, 48))):
+    gaussians = random_model(config, 200)
+    gaussians.sh_degree, p = degree, gaussians.params
+    lens = torch.from_numpy(culling.lens_numbers(0.5, camera()))
+    given = gaussians.at_rest, p["means"], p["log_scales"], p["times"], p["log_lambdas"], lens
+    culling.Marked(*given, 0.05, size, 0.02).collect(torch.empty(200, dtype=torch.int64), 100)
+    sliced = slicing.slice_gaussians(gaussians, gaussians.active(0.5), torch.zeros(3), next_time, {})
+    (sliced.means.sum() + sliced.quats.sum()).backward()
+leaves = [torch.rand(50, size, requires_grad=True) for size in (3, 4, 3, 3, 3, 4, 2)]
+means, quats, scales, colours, next_means, next_quats, means2d = leaves
+sliced = Slice(means, quats, scales, None, means[:, 0], colours, means, next_means, next_quats)
+projected = Projected(means2d, means, means[:, 0], means2d, None, "triton")
+flow.blend_displacement(sliced, projected, camera()).sum().backward()
+flow.blend_affine(sliced, projected, camera(), camera()).sum().backward()
+""")
+    assert set(kernels) == {"_mark", "_collect", "_forward", "_backward"}
+    assert all({"80", "90"} <= targets for targets in kernels.values())

@@ -1,0 +1,89 @@
+"""The CPU backend against the GPU backend at full size."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+
+import pytest
+import torch
+
+from flowsplat.gaussians.render import render, render_active
+from flowsplat.training.config import PRESETS
+from flowsplat.training.trainer import Trainer
+from tests.benchmarks.conftest import BENCHMARKS
+
+sys.path.insert(0, str(BENCHMARKS))
+scene = pytest.importorskip("cpu_parts.scene")
+WIDTH, HEIGHT, COUNT = 854, 480, 100_000
+
+
+def scenes():
+    """The same Gaussians on both, their cameras."""
+    model = scene.gaussians(PRESETS["default"].model, COUNT, WIDTH, HEIGHT)
+    return model, model.to("cuda"), scene.cameras(scene.work_load(1, WIDTH, HEIGHT))
+
+
+def difference(ours: torch.Tensor, expected: torch.Tensor) -> float:
+    """Of the GPU from the CPU, relative to the norm."""
+    return float((ours.detach().cpu().double() - expected.detach().double()).norm() / expected.detach().double().norm())
+
+
+@pytest.mark.parametrize("flow_model", ["mean", "displacement", "affine"])
+def test_pictures_are_the_same(flow_model):
+    on_cpu, on_gpu, cameras = scenes()
+    expected, ours = (
+        render(model, cameras[1], 0.2, flow_to=(cameras[2], 0.4), flow_model=flow_model) for model in (on_cpu, on_gpu)
+    )
+    # At the edge of a support a rounding decides: a few pixels of 400,000 differ by up to 1/255.
+    for name in ("colour", "depth", "alpha", "flow"):
+        assert difference(getattr(ours, name), getattr(expected, name)) < 1e-3, name
+    assert torch.equal(render(on_gpu, cameras[1], 0.2).image, render(on_gpu, cameras[1], 0.2).image)
+
+
+def test_gradients_are_the_same():
+    on_cpu, on_gpu, cameras = scenes()
+    found = []
+    for model in (on_cpu, on_gpu):
+        gradients: dict[str, torch.Tensor] = {}
+        active = model.active(0.2, cameras[1])
+        frame = render_active(model, active, cameras[1], flow_to=(cameras[2], 0.4), flow_model="affine", gradients=gradients)
+        weights = torch.randn(HEIGHT, WIDTH, 10, generator=torch.Generator().manual_seed(0))
+        (frame.image[..., :10] * weights.to(frame.image.device)).sum().backward()
+        found.append((active.rows.cpu(), gradients))
+    (rows, expected), (our_rows, ours) = found
+    assert torch.equal(rows, our_rows)
+    for name, gradient in expected.items():
+        if float(gradient.norm()) > 0:
+            assert difference(ours[name], gradient) < 1e-2, name
+
+
+def test_a_step_waits_for_the_gpu_twice_at_most():
+    """Once for how many Gaussians are active, once for whether all their pairs found room."""
+    config = replace(PRESETS["default"], iterations=12, preview_every=0)
+    start = scene.gaussians(config.model, COUNT, WIDTH, HEIGHT)
+    trainer = Trainer(scene.observations(start, WIDTH, HEIGHT), None, config, start=start, device="cuda")
+    trainer.run()
+    with torch.profiler.profile() as profile:
+        trainer._iterate()
+    waits = [event for event in profile.events() if event.name in ("cudaStreamSynchronize", "cudaEventSynchronize")]
+    assert len(waits) <= 2, [event.name for event in waits]
+
+
+def test_training_stops_and_goes_on_across_devices(tmp_path):
+    config = replace(PRESETS["default"], iterations=6, checkpoint_every=3, preview_every=0)
+    start = scene.gaussians(config.model, 5_000, 160, 90)
+    observations = scene.observations(start, 160, 90)
+
+    class Stopped(Exception):
+        pass
+
+    def stop(_: dict[str, float]) -> None:
+        raise Stopped
+
+    first = Trainer(observations, None, config, tmp_path, record=stop, start=start.to("cuda"), device="cuda")
+    with pytest.raises(Stopped):
+        first.run()  # at the last step, when the checkpoint of step 3 is there
+    second = Trainer(observations, None, config, tmp_path, device="cpu")
+    assert second.run().device.type == "cpu"
+    assert second.step == 6
