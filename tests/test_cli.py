@@ -138,9 +138,22 @@ def test_options_that_do_not_exist(capsys, tmp_path):
     assert "--train.itrations" in refuse(capsys, "run", folder, "-o", tmp_path / "out", "--train.itrations", "3")
     assert "--start" in refuse(capsys, "run", folder, "-o", tmp_path / "out", "--start", "soon")
     assert "holdout" in refuse(capsys, "run", folder, "-o", tmp_path / "out", "--holdout", "1")
-    assert "cuda" in refuse(capsys, "run", folder, "-o", tmp_path / "out", "--device", "cuda")
     refuse(capsys, "rum", folder)
     assert not (tmp_path / "out").exists()
+
+
+def test_a_device_that_does_not_work_is_refused_by_every_command(capsys, tmp_path, scene, monkeypatch):
+    from flowsplat.common import devices
+
+    monkeypatch.setattr(devices, "gpu_problem", lambda: "nobody plugged it in")
+    out, refused = tmp_path / "out", ("--device", "cuda")
+    assert "nobody plugged it in" in refuse(capsys, "run", scene, "-o", out, *refused)
+    assert not out.exists()
+    call(capsys, "prepare", scene, "-o", out, "--priors", "true", *FAST)
+    for command in ("train", "evaluate", "render", "view"):
+        assert "nobody plugged it in" in refuse(capsys, command, out, *refused)
+    assert json.loads((out / "run.json").read_text())["config"]["device"] == "auto"
+    assert "nobody plugged it in" in refuse(capsys, "benchmark", "davis", tmp_path, "-o", out, *refused)
 
 
 def test_folders_that_cannot_be_used(capsys, tmp_path, scene):

@@ -118,12 +118,11 @@ def _commands(arguments: Sequence[str]) -> dict[str, Any]:
     ) -> None:
         """A trained run in the format of other programs, or as a page that plays it: one .html, no network, no server.
 
-        There is no spz: programs that want it make it from ply.
-
         Args:
             out: Folder of the run.
             to: html (the player), ply (3DGS, at one time), ply-sequence (one ply a frame, as SuperSplat plays it), splat (32 bytes
-                a Gaussian, at one time), npz or safetensors (every parameter), colmap or nerfstudio (the cameras).
+                a Gaussian, at one time), spz (compressed, at one time), npz or safetensors (every parameter), colmap or
+                nerfstudio (the cameras).
             path: File or folder to write; without it, in OUT/export.
             options: What and how.
         """
@@ -187,14 +186,19 @@ def _commands(arguments: Sequence[str]) -> dict[str, Any]:
 
 def _benchmarks(arguments: Sequence[str] = ()) -> dict[str, Any]:
     """Every command behind ``flowsplat benchmark``, its defaults taken from the preset that the arguments name."""
+    from flowsplat.common.devices import DeviceName, pick_device
     from flowsplat.pipeline.config import RunConfig, preset
+    from flowsplat.protocols.studies import ablations as ablating
+    from flowsplat.protocols.studies import caps as capping
     from flowsplat.training.config import TrainConfig
 
     defaults = preset(_value_of(arguments, "--preset") or "default")
+    Numbers = tuple[int, ...]
     Names = tuple[str, ...]
 
-    def with_training(train: TrainConfig) -> RunConfig:
-        return replace(defaults, train=train)
+    def changed(train: TrainConfig, device: DeviceName) -> RunConfig:
+        pick_device(device)
+        return replace(defaults, train=train, device=device)
 
     Root = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATA_ROOT")]
     Out = Annotated[Path, tyro.conf.arg(aliases=("-o",), metavar="OUT")]
@@ -219,7 +223,7 @@ def _benchmarks(arguments: Sequence[str] = ()) -> dict[str, Any]:
 
     def davis(
         root: Root, out: Out, scenes: Names = (), masks: Literal["given", "own"] = "given", preset: Preset = "default",
-        train: TrainConfig = defaults.train, again: bool = False,
+        train: TrainConfig = defaults.train, device: DeviceName = "auto", again: bool = False,
     ) -> None:  # fmt: skip
         """Whole runs on clips of DAVIS: every tenth frame is predicted; beside the paper's figures.
 
@@ -233,15 +237,16 @@ def _benchmarks(arguments: Sequence[str] = ()) -> dict[str, Any]:
             masks: given (those of the data set, for training frames) or own (found by us; the given ones only measure).
             preset: How it is trained: fast, default, paper or high. Frames, their size and the split are the protocol's.
             train: Settings of training that differ from the preset's; the tables name them.
+            device: What to compute on.
             again: Forget what is in OUT of these clips.
         """
         from flowsplat.protocols.runs import davis_cases, run_benchmark
 
-        run_benchmark("davis", davis_cases(root, scenes, masks, preset, with_training(train)), out, again)
+        run_benchmark("davis", davis_cases(root, scenes, masks, preset, changed(train, device)), out, again)
 
     def rig(
         root: Root, out: Out, scenes: Names = (), priors: Literal["true", "own"] = "own", preset: Preset = "default",
-        train: TrainConfig = defaults.train, again: bool = False,
+        train: TrainConfig = defaults.train, device: DeviceName = "auto", again: bool = False,
     ) -> None:  # fmt: skip
         """Whole runs on rendered scenes: held-out cameras, and the errors of flow, depth and tracks in 3D.
 
@@ -254,15 +259,16 @@ def _benchmarks(arguments: Sequence[str] = ()) -> dict[str, Any]:
             priors: own (from the pictures alone) or true (cameras, depth, masks, flow and tracks of the renderer).
             preset: How it is trained: fast, default, paper or high. Frames and their size are the protocol's.
             train: Settings of training that differ from the preset's; the tables name them.
+            device: What to compute on.
             again: Forget what is in OUT of these scenes.
         """
         from flowsplat.protocols.runs import rig_cases, run_benchmark
 
-        run_benchmark("rig", rig_cases(root, scenes, priors, preset, with_training(train)), out, again)
+        run_benchmark("rig", rig_cases(root, scenes, priors, preset, changed(train, device)), out, again)
 
     def nvidia(
         root: Root, out: Out, scenes: Names = (), preset: Preset = "default", train: TrainConfig = defaults.train,
-        again: bool = False,
+        device: DeviceName = "auto", again: bool = False,
     ) -> None:  # fmt: skip
         """Whole runs on the NVIDIA Dynamic Scenes: the other cameras of the rig; beside published figures.
 
@@ -275,13 +281,56 @@ def _benchmarks(arguments: Sequence[str] = ()) -> dict[str, Any]:
             scenes: Names of the scenes to run; the default is all of them.
             preset: How it is trained: fast, default, paper or high. Frames and their size are the protocol's.
             train: Settings of training that differ from the preset's; the tables name them.
+            device: What to compute on.
             again: Forget what is in OUT of these scenes.
         """
         from flowsplat.protocols.runs import nvidia_cases, run_benchmark
 
-        run_benchmark("nvidia", nvidia_cases(root, scenes, preset, with_training(train)), out, again)
+        run_benchmark("nvidia", nvidia_cases(root, scenes, preset, changed(train, device)), out, again)
 
-    return {"priors": priors, "davis": davis, "rig": rig, "nvidia": nvidia}
+    def ablations(
+        root: Root, out: Out, rows: Names = (), scenes: Names = ablating.SCENES, seeds: Numbers = ablating.SEEDS,
+        iterations: int = ablating.ITERATIONS, again: bool = False,
+    ) -> None:  # fmt: skip
+        """What every part of the method is worth: short trainings without it, beside the paper's three ablation tables.
+
+        Scenes are prepared once, in OUT/scenes, and shared by all runs; each run is one process and one .json. The tables, with a
+        verdict on every row (confirmed, contradicted or not separable), are in OUT/ablations.md and OUT/ablations.html. The same
+        command again continues where it was stopped.
+
+        Args:
+            root: Folder with davis/<clip>/images and masks, and rig/<scene>.
+            out: Folder for everything that comes out.
+            rows: Names of rows, or of whole tables (representation, training, orders, ours, baselines); the default is all of them.
+            scenes: Names of the scenes. Clips are brought to 427 pixels of width and have given masks; rendered scenes keep their
+                size and have true priors.
+            seeds: Every row is trained once with each.
+            iterations: Frame-steps of every run.
+            again: Train and measure again what is in OUT already; prepared scenes stay.
+        """
+        ablating.run_ablations(root, out, rows, scenes, seeds, iterations, again)
+
+    def caps(
+        root: Root, out: Out, scenes: Names = capping.SCENES, caps: Numbers = capping.CAPS, steps: Numbers = capping.STEPS,
+        seeds: Numbers = capping.SEEDS, size: int = capping.SIZE, again: bool = False,
+    ) -> None:  # fmt: skip
+        """What more Gaussians and more frame-steps bring: PSNR against both, as pictures.
+
+        Results as of benchmark ablations, in OUT/caps.md and OUT/caps.html; each drawing is an .svg, too.
+
+        Args:
+            root: Folder with davis/<clip>/images and masks, and rig/<scene>.
+            out: Folder for everything that comes out.
+            scenes: Names of the scenes.
+            caps: Numbers of Gaussians, each trained for 1,500 frame-steps.
+            steps: Numbers of frame-steps, each with 200,000 Gaussians.
+            seeds: Every point is trained once with each.
+            size: Long side in pixels to which clips are brought; rendered scenes keep their size.
+            again: Train and measure again what is in OUT already; prepared scenes stay.
+        """
+        capping.run_caps(root, out, scenes, caps, steps, seeds, size, again)
+
+    return {"priors": priors, "davis": davis, "rig": rig, "nvidia": nvidia, "ablations": ablations, "caps": caps}
 
 
 def _value_of(arguments: Sequence[str], option: str) -> str | None:
@@ -306,9 +355,11 @@ def _stored_config(arguments: Sequence[str]) -> Any:
 
 
 def _open(out: Path, config: Any) -> Any:
+    from flowsplat.common.devices import pick_device
     from flowsplat.pipeline.folder import RunFolder
 
     folder = RunFolder(out)
+    pick_device(config.device)  # before it is kept
     folder.config = config
     folder.save()
     return folder

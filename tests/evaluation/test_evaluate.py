@@ -206,3 +206,40 @@ def test_training_frames_never_reach_held_out_ones(world, build_scene, monkeypat
     monkeypatch.setattr(Scene, "heldout_frame", lambda self, i: asked.append(i) or self.any_frame(i))
     evaluate(world, scene, progress=quiet)
     assert set(asked) == {4, 9}
+
+
+def test_refined_poses_are_a_second_figure(world, build_scene):
+    """Poses that are off by a pixel spoil the strict figures; the refined ones stand beside them."""
+    scene = build_scene(holdout=4)
+    true = scene.cameras
+    asked = []
+
+    class Shaken:
+        def render(self, camera, t, flow_to=None):
+            is_true = any(np.array_equal(camera.viewmat, known.viewmat) for known in true)
+            return world.render(camera if not is_true else camera_beside(camera), t, flow_to)
+
+    def camera_beside(camera):
+        viewmat = camera.viewmat.copy()
+        viewmat[0, 3] += 0.05
+        return replace(camera, viewmat=viewmat)
+
+    def refine(camera, seconds, target):
+        asked.append(seconds)
+        assert target.shape == (scene.height, scene.width, 3)
+        viewmat = camera.viewmat.copy()
+        viewmat[0, 3] += 1e-9
+        return replace(camera, viewmat=viewmat)
+
+    metrics = evaluate(Shaken(), scene, refine=refine, progress=quiet).metrics
+    strict, refined = metrics["heldout_frames"], metrics["heldout_frames_refined"]
+    assert asked == [scene.timestamps[i] for i in scene.heldout_frames]
+    assert refined["psnr"] > strict["psnr"] + 10
+    assert refined["moving"]["psnr"] > strict["moving"]["psnr"] + 10
+    assert refined["count"] == strict["count"] == 2
+    first = metrics["per_image"][0]
+    assert first["refined"]["psnr"] > first["psnr"] + 10
+    assert "refined" not in metrics["per_image"][-1]
+    plain = evaluate(Shaken(), scene, progress=quiet).metrics
+    assert plain["heldout_frames_refined"] is None
+    assert plain["heldout_frames"] == strict

@@ -37,6 +37,7 @@ def test_everything_comes_out(finished):
     metrics = json.loads((finished / "metrics.json").read_text())
     for name in ("heldout_frames", "heldout_views"):
         assert {"psnr", "ssim", "lpips", "moving"} <= set(metrics[name])
+    assert metrics["heldout_frames_refined"]["psnr"] >= metrics["heldout_frames"]["psnr"]
     assert set(metrics["baselines"]) == {"copy", "blend", "flow_interpolation", "static"}
     assert metrics["baselines"]["static"] is None
     assert {"mean", "median", "moving"} <= set(metrics["flow_epe"])

@@ -4,7 +4,9 @@ The keys of ``metrics.json``. Every number is finite; what could not be measured
 
 - ``heldout_frames``: ``psnr``, ``ssim``, ``lpips`` (means over the pictures), ``count``, and the same in ``moving``,
   inside the given masks.
-- ``heldout_views``: the same, and in ``covisible``, the pixels that the clip saw.
+- ``heldout_frames_refined``: the same figures with the pose of every held-out frame refined on its own picture. Never the
+  headline; null where that was not asked for. In ``per_image`` they are each picture's ``refined``.
+- ``heldout_views``: as ``heldout_frames``, and in ``covisible``, the pixels that the clip saw.
 - ``training_frames``: the same on every ``training_stride``-th training frame; ``moving`` is the true or else the
   scene's own mask.
 - ``baselines``: held-out frames by ``copy``, ``blend``, ``flow_interpolation`` and the ``static`` model.
@@ -42,6 +44,8 @@ from flowsplat.scenes import HeldoutView, Scene
 from flowsplat.scenes.layers import write_image
 
 Progress = Callable[[Iterable[Any], str], Iterable[Any]]
+Refine = Callable[[Camera, float, np.ndarray], Camera]
+"""(camera, seconds, picture [H, W, 3] float) to the camera nearby that shows the picture best."""
 
 FRAME_REGIONS = ("moving",)
 VIEW_REGIONS = ("moving", "covisible")
@@ -72,6 +76,7 @@ def evaluate(
     folder: Path | None = None,
     baselines: bool = True,
     static_model: Renderer | None = None,
+    refine: Refine | None = None,
     progress: Progress = track,
 ) -> Evaluation:
     """Measure a model on everything that its scene knows.
@@ -81,12 +86,13 @@ def evaluate(
             ``..._sheet.png``. None writes none.
         baselines: also predict the held-out pictures without a model.
         static_model: a model of the same scene without motion, measured among the baselines.
+        refine: measures the held-out frames a second time, from the cameras that it finds.
         progress: (items, label) to the same items, showing how far it is.
 
     Raises:
         InputError: the scene is damaged or incomplete, or the folder cannot be written.
     """
-    evaluator = _Evaluator(model, static_model, scene, folder, baselines)
+    evaluator = _Evaluator(model, static_model, scene, folder, baselines, refine)
     frames, views = [], []
     if scene.heldout_frames:
         frames = [evaluator.heldout_frame(i) for i in progress(scene.heldout_frames, "Held-out frames")]
@@ -104,6 +110,7 @@ def evaluate(
             training.append(evaluator.training_frame(i, rendering))
     metrics: Figures = {
         "heldout_frames": summarize(frames, FRAME_REGIONS),
+        "heldout_frames_refined": summarize([frame.get("refined") for frame in frames], FRAME_REGIONS),
         "heldout_views": summarize(views, VIEW_REGIONS),
         "training_frames": summarize(training, FRAME_REGIONS),
         "training_stride": stride,
@@ -130,10 +137,16 @@ class _Evaluator:
     """Renders and scores one picture after the other."""
 
     def __init__(
-        self, model: Renderer, static_model: Renderer | None, scene: Scene, folder: Path | None, baselines: bool
+        self,
+        model: Renderer,
+        static_model: Renderer | None,
+        scene: Scene,
+        folder: Path | None,
+        baselines: bool,
+        refine: Refine | None,
     ):
         self._model, self._static_model = model, static_model
-        self._scene, self._folder, self._baselines = scene, folder, baselines
+        self._scene, self._folder, self._baselines, self._refine = scene, folder, baselines, refine
         self._lpips, reason = lpips_metric()
         self.lpips_reason = reason or None
         self.sheets: list[Path] = []
@@ -143,14 +156,15 @@ class _Evaluator:
         scene = self._scene
         masks = scene.heldout_masks
         predictions = predict_frame(scene, i) if self._baselines else {}
-        return self._heldout_picture(
-            {"kind": "heldout_frame", "name": f"{i:05d}", "frame": i},
-            "heldout",
-            scene.cameras[i],
-            to_float(scene.heldout_frame(i)),
-            {"moving": masks.mask(i) > 0 if masks.has_mask(i) else None},
-            predictions,
-        )
+        camera, target = scene.cameras[i], to_float(scene.heldout_frame(i))
+        regions = {"moving": masks.mask(i) > 0 if masks.has_mask(i) else None}
+        what = {"kind": "heldout_frame", "name": f"{i:05d}", "frame": i}
+        figures = self._heldout_picture(what, "heldout", camera, target, regions, predictions)
+        if self._refine is not None:
+            seconds = float(scene.timestamps[i])
+            image = _finite(self._model.render(self._refine(camera, seconds, target), seconds)).colour
+            figures["refined"] = score_picture(image, target, regions, self._lpips)
+        return figures
 
     def heldout_view(self, view: HeldoutView) -> Figures:
         """Render, write and score a held-out view."""

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, TypeVar, cast, get_args, get_type_hi
 
 import tyro
 
+from flowsplat.common.devices import DeviceName
 from flowsplat.common.errors import InputError
 from flowsplat.output.videos import RenderOptions
 from flowsplat.priors.prepare import PriorsOptions
@@ -32,8 +33,10 @@ class RunConfig:
     """Which videos are made."""
     baselines: Literal["simple", "all"] = "simple"
     """What the result is compared with; ``all`` also trains our own static scene (a quarter of the training time)."""
-    device: Literal["auto", "cpu", "cuda"] = "auto"
-    """What to compute on."""
+    refine_poses: bool = True
+    """Also measure held-out frames with their poses refined on their own pictures: beside the strict figures, never instead."""
+    device: DeviceName = "auto"
+    """What to train and render on: ``auto`` is the GPU where it works."""
 
 
 def preset(name: str) -> RunConfig:

@@ -7,11 +7,11 @@ import shutil
 import time
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from flowsplat.common.devices import pick_device
 from flowsplat.common.errors import InputError
@@ -19,8 +19,8 @@ from flowsplat.common.files import read_json, write_json
 from flowsplat.common.memory import peak_memory
 from flowsplat.common.progress import say
 from flowsplat.evaluation.evaluate import evaluate
+from flowsplat.evaluation.poses import refine_camera
 from flowsplat.gaussians.gaussians4d import Gaussians4D
-from flowsplat.gaussians.initialize import initialize
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.observations import Observation, Observations, load_observations
 from flowsplat.gaussians.render import RenderedFrame
@@ -38,6 +38,7 @@ from flowsplat.scenes.ingest import fingerprint, ingest, is_ingested, kind_of_in
 from flowsplat.scenes.layers import write_image
 from flowsplat.training.checkpoint import load_model, save_model
 from flowsplat.training.config import TrainConfig
+from flowsplat.training.static import static_config, static_start
 from flowsplat.training.trainer import Trainer
 
 
@@ -61,18 +62,22 @@ def run(source: Path, out: Path, config: RunConfig | None = None) -> dict[str, A
     return render_run(folder)
 
 
-def load(path: Path | str) -> SceneModel:
+def load(path: Path | str, device: str = "cpu") -> SceneModel:
     """The trained scene of a run: ``load("out").render(camera, t)`` gives arrays.
 
+    Args:
+        path: of the run, or of its model.
+        device: what renders it: auto, cpu or cuda.
+
     Raises:
-        InputError: there is none, or it is damaged.
+        InputError: there is none, it is damaged, or the device does not work.
     """
     path = Path(path)
     if (path / "model" / "model.json").exists():
         path = path / "model"
     elif not (path / "model.json").exists():
         raise InputError(f"{path} holds no trained scene yet: run flowsplat train on it first.")
-    return load_model(path)
+    return load_model(path).to(pick_device(device))
 
 
 # -- prepare
@@ -174,13 +179,14 @@ def train(folder: RunFolder) -> SceneModel:
     """Train the scene of a run, from its last checkpoint if there is one.
 
     Raises:
-        InputError: the scene is not prepared, or something in it is damaged.
+        InputError: the scene is not prepared, something in it is damaged, or the device does not work.
     """
     if "prepare" not in folder.book["stages"]:
         raise InputError(f"{folder.path} is not prepared yet: run flowsplat prepare first.")
+    device = pick_device(folder.config.device)
     key = _train_key(folder)
     if folder.is_finished("train", key):
-        return load_model(folder.model_path)
+        return load_model(folder.model_path).to(device)
     if not folder.was_started("train", key):
         for old in ("training", "logs", "model"):
             shutil.rmtree(folder.path / old, ignore_errors=True)
@@ -189,7 +195,7 @@ def train(folder: RunFolder) -> SceneModel:
     scene = Scene(folder.scene_path)
     observations = load_observations(scene)
     config = folder.config.train
-    gaussians, history = _fit(scene, observations, config, folder.path, "training", None)
+    gaussians, history = _fit(folder, scene, observations, config, "training", None)
     model = scene_model(scene, gaussians, config)
     save_model(folder.model_path, model)
     write_json(folder.path / "training" / "history.json", history)
@@ -207,10 +213,11 @@ def scene_model(scene: Scene, gaussians: Gaussians4D, config: TrainConfig) -> Sc
 
 
 def _fit(
-    scene: Scene, observations: Observations, config: TrainConfig, out: Path, name: str, start: Gaussians4D | None
+    folder: RunFolder, scene: Scene, observations: Observations, config: TrainConfig, name: str, start: Gaussians4D | None
 ) -> tuple[Gaussians4D, list[dict[str, float]]]:
     from torch.utils.tensorboard import SummaryWriter
 
+    out = folder.path
     writer = SummaryWriter(str(out / "logs" / name))
 
     def record(entry: Mapping[str, float]) -> None:
@@ -219,11 +226,12 @@ def _fit(
                 writer.add_scalar(figure, value, int(entry["step"]))
 
     def preview(step: int, frame: Observation, rendered: RenderedFrame) -> None:
-        image = rendered.colour.detach().clamp(0, 1).numpy()
+        image = rendered.colour.detach().clamp(0, 1).cpu().numpy()
         write_image(out / "preview.png", preview_sheet(frame.image, float_to_bytes(image)))
 
     tracks = scene.tracks if scene.has_tracks else None
-    trainer = Trainer(observations, tracks, config, out / name, preview, record, start)
+    device = pick_device(folder.config.device)
+    trainer = Trainer(observations, tracks, config, out / name, preview, record, start, device)
     try:
         gaussians = trainer.run()
     finally:
@@ -236,31 +244,17 @@ def _static_model(folder: RunFolder, scene: Scene) -> SceneModel:
     path = folder.path / "static"
     key = stage_key(_train_key(folder), "static")
     if folder.is_finished("static", key):
-        return load_model(path)
+        return load_model(path).to(pick_device(folder.config.device))
     if not folder.was_started("static", key):
         shutil.rmtree(path, ignore_errors=True)
         folder.start("static", key)
     started = time.perf_counter()
-    config = folder.config.train
-    config = replace(
-        config,
-        iterations=max(1, config.iterations // 4),
-        model=replace(config.model, freeze_background=True),
-        loss=replace(config.loss, flow=0.0, rigid=0.0),
-        density=replace(config.density, revise=False),
-    )
+    config = static_config(folder.config.train)
+    config = replace(config, iterations=max(1, config.iterations // 4))
     observations = load_observations(scene)
-    start = initialize(observations, scene.tracks if scene.has_tracks else None, config.model, config.init, config.seed,
-                       config.density.max_gaussians)  # fmt: skip
-    keep = ~start.dynamic
-    if start.dynamic.any():
-        times = start.params["times"]
-        seen = torch.unique(times[start.dynamic])
-        keep |= start.dynamic & (times == seen[len(seen) // 2])
-    start = start.select(torch.nonzero(keep).squeeze(1))
-    start.dynamic[:] = False
+    start = static_start(observations, scene.tracks if scene.has_tracks else None, config)
     say("Training the static scene for comparison.")
-    gaussians, _ = _fit(scene, observations, config, folder.path, "static", start)
+    gaussians, _ = _fit(folder, scene, observations, config, "static", start)
     model = scene_model(scene, gaussians, config)
     save_model(path, model)
     folder.finish("static", key, {"static": time.perf_counter() - started})
@@ -274,18 +268,21 @@ def evaluate_run(folder: RunFolder) -> dict[str, Any]:
     """Measure the trained scene; writes ``metrics.json`` and the report.
 
     Raises:
-        InputError: there is no trained scene yet.
+        InputError: there is no trained scene yet, or the device does not work.
     """
-    key = stage_key(_train_key(folder), folder.config.baselines)
+    pick_device(folder.config.device)
+    key = stage_key(_train_key(folder), folder.config.baselines, folder.config.refine_poses)
     metrics_path = folder.path / "metrics.json"
     if folder.is_finished("evaluate", key) and metrics_path.exists():
         return read_json(metrics_path)
-    model = load(folder.path)
+    model = load(folder.path, folder.config.device)
     scene = Scene(folder.scene_path)
     static = _static_model(folder, scene) if folder.config.baselines == "all" else None
     folder.start("evaluate", key)
     started = time.perf_counter()
-    metrics: dict[str, Any] = evaluate(model, scene, folder=folder.path / "evaluation", static_model=static).metrics
+    refine = partial(refine_camera, model) if folder.config.refine_poses else None
+    found = evaluate(model, scene, folder=folder.path / "evaluation", static_model=static, refine=refine)
+    metrics: dict[str, Any] = found.metrics
     counts = [model.active_count(float(t)) for t in scene.timestamps]
     metrics["gaussians"] = {"total": len(model.gaussians), "active_mean": float(np.mean(counts)), "active": counts}
     folder.finish("evaluate", key, {"evaluate": time.perf_counter() - started})
@@ -300,7 +297,8 @@ def _write_metrics(folder: RunFolder, metrics: dict[str, Any]) -> dict[str, Any]
     write_json(folder.path / "metrics.json", metrics)
     history_path = folder.path / "training" / "history.json"
     history = read_json(history_path) if history_path.exists() else []
-    data = report_data(folder.path, Scene(folder.scene_path), load(folder.path), metrics, history, folder.config)
+    model = load(folder.path, folder.config.device)
+    data = report_data(folder.path, Scene(folder.scene_path), model, metrics, history, folder.config)
     write_report(folder.path, data)
     return metrics
 
@@ -316,6 +314,6 @@ def render_run(folder: RunFolder) -> dict[str, Any]:
         return metrics
     folder.start("render", key)
     started = time.perf_counter()
-    render_videos(load(folder.path), Scene(folder.scene_path), folder.path / "renders", folder.config.render)
+    render_videos(load(folder.path, folder.config.device), Scene(folder.scene_path), folder.path / "renders", folder.config.render)
     folder.finish("render", key, {"render": time.perf_counter() - started})
     return _write_metrics(folder, metrics)

@@ -24,6 +24,7 @@ ROWS: tuple[tuple[str, tuple[str, ...], str], ...] = (
     ("held-out frames, PSNR", ("heldout_frames", "psnr"), ".2f"),
     ("held-out frames, SSIM", ("heldout_frames", "ssim"), ".3f"),
     ("held-out frames, PSNR inside the masks", ("heldout_frames", "moving", "psnr"), ".2f"),
+    ("the same with their poses refined, PSNR", ("heldout_frames_refined", "psnr"), ".2f"),
     ("held-out views, PSNR", ("heldout_views", "psnr"), ".2f"),
     ("held-out views, SSIM", ("heldout_views", "ssim"), ".3f"),
     ("held-out views, PSNR of movers", ("heldout_views", "moving", "psnr"), ".2f"),

@@ -122,6 +122,7 @@ def test_davis_with_both_kinds_of_masks(runs_root, tmp_path):
         value = json.loads((out / f"bear_{masks}-masks_default.json").read_text())
         assert value["test"] == {"kind": "frames", "count": 1}
         assert value["ours"]["moving"] is not None
+        assert value["refined"]["psnr"] >= value["ours"]["psnr"]
         scene = Scene(out / f"bear_{masks}-masks_default" / "scene")
         assert scene.heldout_frames == [9]
         assert (scene.prior("masks") or {})["method"] == ("given" if masks == "given" else "motion")

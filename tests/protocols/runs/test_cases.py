@@ -24,6 +24,7 @@ def test_davis_with_the_masks_that_are_given(runs_root):
         assert case.config.input.holdout == 10
         assert case.config.input.every == 1
         assert case.config.baselines == "all"
+        assert case.config.refine_poses
 
 
 def test_davis_with_our_own_masks(runs_root):

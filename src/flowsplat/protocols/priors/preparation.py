@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import shutil
 import time
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +12,7 @@ from flowsplat.common.memory import peak_memory
 from flowsplat.pipeline import RunConfig, prepare
 from flowsplat.priors.flow import flow_stage
 from flowsplat.protocols.priors.scenes import BenchmarkScene
+from flowsplat.protocols.process import in_own_process
 from flowsplat.scenes import Scene
 from flowsplat.scenes.clip import InputOptions
 from flowsplat.scenes.ingest import ingest, open_clip
@@ -36,9 +35,7 @@ def prepare_scene(scene: BenchmarkScene, folder: Path) -> tuple[Scene, dict[str,
     Raises:
         InputError: the input cannot be used.
     """
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(1, mp_context=context) as processes:
-        processes.submit(_prepare_here, scene, folder).result()
+    in_own_process(_prepare_here, scene, folder)
     needed = read_json(folder / NEEDED) if (folder / NEEDED).exists() else {}
     return Scene(folder / "scene"), needed
 

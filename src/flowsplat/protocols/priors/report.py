@@ -18,6 +18,7 @@ from flowsplat.pictures.sheets import side_by_side, stacked
 from flowsplat.protocols.priors.measure import read_true_flow, true_mask
 from flowsplat.protocols.priors.rows import DEFINITIONS, HEADER, Row, table_rows
 from flowsplat.protocols.priors.scenes import BenchmarkScene
+from flowsplat.protocols.tables import markdown_table
 from flowsplat.scenes import Flow, Layers, Scene
 from flowsplat.scenes.layers import read_image, write_image
 
@@ -63,8 +64,7 @@ def verdict(rows: Sequence[Row]) -> str:
 
 
 def _markdown(rows: Sequence[Row], results: Sequence[Mapping[str, Any]]) -> str:
-    lines = [f"# {TITLE}", "", verdict(rows), "", "| " + " | ".join(HEADER) + " |", "|" + " --- |" * len(HEADER)]
-    lines += ["| " + " | ".join(row.cells) + " |" for row in rows]
+    lines = [f"# {TITLE}", "", verdict(rows), "", *markdown_table(HEADER, [row.cells for row in rows])]
     lines += ["", *(f"- {line}" for line in DEFINITIONS), "", *(f"- {_facts(result)}" for result in results)]
     return "\n".join(lines) + "\n"
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Literal
 
 from flowsplat.common.errors import InputError
+from flowsplat.protocols.roots import open_root, require_scenes
 
 TUNED = frozenset({"workshop", "bear", "train", "rubberwhale"})
 """Scenes on which settings were chosen; all others are only reported."""
@@ -48,9 +49,7 @@ def find_scenes(root: Path) -> list[BenchmarkScene]:
     Raises:
         InputError: there is no such folder, or nothing in it.
     """
-    root = Path(root)
-    if not root.is_dir():
-        raise InputError(f"{root} is no folder: give the data root, which holds rig/, davis/ and flow/.")
+    root = open_root(root, "rig/, davis/ and flow/")
     needs: list[tuple[str, Kind, tuple[str, ...]]] = [
         ("rig", "rig", ("rgb", "cameras.json")),
         ("davis", "davis", ("images", "masks")),
@@ -79,7 +78,5 @@ def choose_scenes(root: Path, names: Sequence[str]) -> list[BenchmarkScene]:
         InputError: as ``find_scenes``, or there is no scene of that name.
     """
     found = {scene.name: scene for scene in find_scenes(root)}
-    unknown = [name for name in names if name not in found]
-    if unknown:
-        raise InputError(f"{root} has no scene {unknown[0]!r}: choose from {', '.join(found)}.")
+    require_scenes(root, names, found)
     return [scene for name, scene in found.items() if not names or name in names]

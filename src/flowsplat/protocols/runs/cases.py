@@ -22,6 +22,7 @@ from flowsplat.common.errors import InputError
 from flowsplat.pipeline import RunConfig, preset
 from flowsplat.pipeline.config import to_plain
 from flowsplat.protocols.priors.scenes import TUNED
+from flowsplat.protocols.roots import open_root, require_scenes
 from flowsplat.scenes.clip import InputOptions
 from flowsplat.scenes.formats.davis import PICTURES, sequence_folders
 from flowsplat.scenes.formats.images import read_picture
@@ -83,17 +84,20 @@ class Case:
         return self.scene in TUNED
 
 
-def protocol_config(name: str, config: RunConfig | None) -> tuple[RunConfig, str]:
-    """The settings of a run without its input, and their name: the preset, and what differs from it in training.
+def protocol_config(name: str, config: RunConfig | None, holdout: int | None) -> tuple[RunConfig, str]:
+    """The settings of a run on all frames of its input, and their name: the preset, and what differs from it in training.
 
     Args:
         config: with the training and the device to use; None = the preset's.
+        holdout: every how many frames one is held out; None = none.
     """
     start = preset(name)
     config = config or start
     base, wanted = _flat(to_plain(start.train)), _flat(to_plain(config.train))
     changed = [f"{key} {value}" for key, value in wanted.items() if base.get(key) != value and key not in NO_MATTER]
-    return replace(config, input=ALL_FRAMES, priors=RunConfig().priors, baselines="all"), ", ".join([name, *changed])
+    options = replace(ALL_FRAMES, holdout=holdout)
+    fixed = replace(config, input=options, priors=RunConfig().priors, baselines="all", refine_poses=True)
+    return fixed, ", ".join([name, *changed])
 
 
 def _flat(value: dict, prefix: str = "") -> dict[str, object]:
@@ -105,9 +109,7 @@ def _flat(value: dict, prefix: str = "") -> dict[str, object]:
 
 def _places(root: Path, group: str) -> list[Path]:
     """The folders to look at, sorted by name."""
-    root = Path(root)
-    if not root.is_dir():
-        raise InputError(f"{root} is no folder: give the data root, which holds {group}/.")
+    root = open_root(root, f"{group}/")
     parent = root / group if (root / group).is_dir() else root
     return sorted(path for path in parent.iterdir() if path.is_dir())
 
@@ -115,10 +117,7 @@ def _places(root: Path, group: str) -> list[Path]:
 def _chosen(root: Path, cases: Sequence[Case], names: Sequence[str], looked_for: str) -> list[Case]:
     if not cases:
         raise InputError(f"{root} holds no scenes: looked for {looked_for}.")
-    known = [case.scene for case in cases]
-    for name in names:
-        if name not in known:
-            raise InputError(f"{root} has no scene {name!r}: choose from {', '.join(known)}.")
+    require_scenes(root, names, [case.scene for case in cases])
     return [case for case in cases if not names or case.scene in names]
 
 
@@ -137,8 +136,7 @@ def davis_cases(
     Raises:
         InputError: no such folder, no clips in it, or none of that name.
     """
-    config, settings = protocol_config(preset_name, config)
-    config = replace(config, input=replace(config.input, holdout=10))
+    config, settings = protocol_config(preset_name, config, holdout=10)
     cases = []
     for name, with_masks, pictures, options in _davis_clips(Path(root), config.input):
         given = with_masks is not None and masks == "given"
@@ -181,8 +179,8 @@ def rig_cases(
     Raises:
         InputError: no such folder, no scenes in it, or none of that name.
     """
-    config, settings = protocol_config(preset_name, config)
-    config = replace(config, input=replace(config.input, holdout=None), priors=replace(config.priors, priors=priors))
+    config, settings = protocol_config(preset_name, config, holdout=None)
+    config = replace(config, priors=replace(config.priors, priors=priors))
     cases = [
         Case("rig", path.name, "", f"{priors} priors", settings, path, config)
         for path in _places(root, "rig")
@@ -202,7 +200,7 @@ def nvidia_cases(
     Raises:
         InputError: no such folder, no scenes in it, or none of that name.
     """
-    config, settings = protocol_config(preset_name, config)
+    config, settings = protocol_config(preset_name, config, ALL_FRAMES.holdout)
     cases = []
     for path in _places(root, "nvidia"):
         form = _form(path)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import time
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +14,7 @@ from flowsplat.gaussians.model import SceneModel
 from flowsplat.pictures.sheets import stacked
 from flowsplat.pipeline import evaluate_run, load, prepare, train
 from flowsplat.pipeline.folder import RunFolder
+from flowsplat.protocols.process import in_own_process
 from flowsplat.protocols.runs.cases import Case
 from flowsplat.scenes import Scene
 from flowsplat.scenes.formats.rig import RigTruth
@@ -32,16 +31,15 @@ def measure_case(case: Case, folder: Path, strip: Path) -> dict[str, Any]:
     Returns:
         ``name``, ``protocol``, ``scene``, ``form``, ``variant``, ``settings``, ``tuned``, ``flowsplat`` (version), ``frames``,
         ``size``, ``test`` (``kind``, ``count``), ``ours`` and each of ``baselines``: ``psnr``, ``ssim``, ``lpips``, ``moving``,
-        ``covisible``; ``training_frames``, ``flow_epe``, ``flow_prior_epe``, ``depth_abs_rel`` (see ``evaluation.evaluate``),
-        ``tracks`` (see ``evaluation.tracks``), ``gaussians``, ``pictures_a_second``, ``seconds`` by stage,
-        ``peak_memory_gib``, ``lpips_reason``, ``verdicts``.
+        ``covisible``; ``refined`` (ours with the poses of held-out frames refined; None for held-out cameras);
+        ``training_frames``, ``flow_epe``, ``flow_prior_epe``, ``depth_abs_rel`` (see ``evaluation.evaluate``), ``tracks`` (see
+        ``evaluation.tracks``), ``gaussians``, ``pictures_a_second``, ``seconds`` by stage, ``peak_memory_gib``,
+        ``lpips_reason``, ``verdicts``.
 
     Raises:
         InputError: the input cannot be used.
     """
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(1, mp_context=context) as processes:
-        return processes.submit(_measure_here, case, folder, strip).result()
+    return in_own_process(_measure_here, case, folder, strip)
 
 
 def _measure_here(case: Case, folder: Path, strip: Path) -> dict[str, Any]:
@@ -58,7 +56,8 @@ def _measure_here(case: Case, folder: Path, strip: Path) -> dict[str, Any]:
         "settings": case.settings, "tuned": case.is_tuned, "flowsplat": __version__,
         "frames": scene.num_frames, "size": [scene.width, scene.height],
         "test": {"kind": kind, "count": (metrics[name] or {}).get("count", 0)},
-        "ours": metrics[name], "baselines": metrics["baselines_views" if scene.views else "baselines"] or {},
+        "ours": metrics[name], "refined": None if scene.views else metrics["heldout_frames_refined"],
+        "baselines": metrics["baselines_views" if scene.views else "baselines"] or {},
         **{key: metrics[key] for key in ("training_frames", "flow_epe", "flow_prior_epe", "depth_abs_rel", "lpips_reason")},
         "tracks": track_errors(model, scene, _births(case)),
         "gaussians": {key: metrics["gaussians"][key] for key in ("total", "active_mean")},

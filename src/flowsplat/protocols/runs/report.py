@@ -10,7 +10,8 @@ from flowsplat.common.files import write_text
 from flowsplat.output.page import fitted, write_page
 from flowsplat.pictures.html import picture, table
 from flowsplat.protocols.runs.cases import ProtocolName
-from flowsplat.protocols.runs.tables import TUNED_MARK, Result, Table, label, tables
+from flowsplat.protocols.runs.tables import Result, label, tables
+from flowsplat.protocols.tables import TUNED_MARK, Table, markdown
 from flowsplat.scenes.layers import read_image
 
 TITLES = {"davis": "DAVIS", "rig": "Rendered scenes with truth", "nvidia": "NVIDIA Dynamic Scenes"}
@@ -48,7 +49,7 @@ def write_report(protocol: ProtocolName, out: Path, results: Sequence[Result], f
     remarks += sorted({str(result["lpips_reason"]) for result in results if result["lpips_reason"]})
     remarks += [f"{name} could not be run: {reason}" for name, reason in failed.items()]
     found = tables(protocol, results)
-    write_text(out / f"{protocol}.md", _markdown(TITLES[protocol], remarks, found))
+    write_text(out / f"{protocol}.md", markdown(TITLES[protocol], remarks, found))
     page = out / f"{protocol}.html"
     write_page(
         page,
@@ -62,20 +63,9 @@ def write_report(protocol: ProtocolName, out: Path, results: Sequence[Result], f
     return page
 
 
-def _markdown(title: str, remarks: Sequence[str], found: Sequence[Table]) -> str:
-    lines = [f"# {title}", "", *(f"- {remark}" for remark in remarks)]
-    for each in found:
-        lines += ["", f"## {each.title}", "", "| " + " | ".join(each.header) + " |", "|" + " --- |" * len(each.header)]
-        for k, row in enumerate(each.rows):
-            cells = [f"**{cell}**" for cell in row] if k in each.ours else row
-            lines.append("| " + " | ".join(cells) + " |")
-        lines += ["", each.note]
-    return "\n".join(lines) + "\n"
-
-
 def _shown(each: Table) -> dict[str, Any]:
     plain = [[cell.replace(TUNED_MARK, "tuned") for cell in row] for row in (each.header, *each.rows)]
-    return {"title": each.title, "note": each.note, "table": table(plain[0], plain[1:], each.ours)}
+    return {"title": each.title, "note": each.note, "table": table(plain[0], plain[1:], each.strong)}
 
 
 def _scene(out: Path, result: Result) -> dict[str, Any]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
 
@@ -12,6 +11,7 @@ from flowsplat.evaluation.scores import mean_of
 from flowsplat.pictures.html import NOTHING
 from flowsplat.pipeline.summary import pick
 from flowsplat.protocols.runs.cases import FORMS
+from flowsplat.protocols.tables import TUNED_MARK, Table, scaled_mean, text
 
 Result = Mapping[str, Any]
 """The JSON of a case (``measure.measure_case``)."""
@@ -25,18 +25,6 @@ BASELINES = {
 }
 DIGITS = {"psnr": 2, "ssim": 3, "lpips": 3}
 NAMES = {"psnr": "PSNR", "ssim": "SSIM", "lpips": "LPIPS (AlexNet)"}
-TUNED_MARK = "*tuned*"
-
-
-@dataclass(frozen=True)
-class Table:
-    """A title, a note below it, a header, rows of texts, and the indices of the rows that are ours."""
-
-    title: str
-    note: str
-    header: tuple[str, ...]
-    rows: list[tuple[str, ...]]
-    ours: tuple[int, ...] = ()
 
 
 def published() -> dict[str, Any]:
@@ -62,11 +50,6 @@ def _beside_published(protocol: str, results: Sequence[Result]) -> Iterator[Tabl
         twelve = [result for result in results if result["form"] == "twelve"]
         for metric in ("psnr", "lpips") if twelve else ():
             yield _matrix(f"{NAMES[metric]}, {FORMS['twelve']}", known["nvidia_twelve"], twelve, metric)
-
-
-def text(value: float | None, digits: int) -> str:
-    """A number, or a dash for None."""
-    return NOTHING if value is None else f"{value:,.{digits}f}"
 
 
 def label(result: Result) -> str:
@@ -136,9 +119,9 @@ def _nvidia(known: Mapping[str, Any], results: Sequence[Result]) -> Table:
     for how in dict.fromkeys(_how(result) for result in results):
         group = [result for result in results if _how(result) == how]
         means = [mean_of(pick(result, ("ours", metric)) for result in group) for metric in DIGITS]
-        means.append(_mean([pick(result, ("seconds", "train")) for result in group], 1 / 3600))
-        means.append(_mean([pick(result, ("pictures_a_second",)) for result in group]))
-        means += [_mean([pick(result, ("gaussians", key)) for result in group], 1e-3) for key in ("active_mean", "total")]
+        means.append(scaled_mean([pick(result, ("seconds", "train")) for result in group], 1 / 3600))
+        means.append(scaled_mean([pick(result, ("pictures_a_second",)) for result in group]))
+        means += [scaled_mean([pick(result, ("gaussians", key)) for result in group], 1e-3) for key in ("active_mean", "total")]
         ours.append(len(rows))
         rows.append((f"flowsplat, {how}", *(text(mean, d) for mean, d in zip(means, digits, strict=True))))
         for name in BASELINES:
@@ -154,17 +137,13 @@ def _nvidia(known: Mapping[str, Any], results: Sequence[Result]) -> Table:
     return Table(f"NVIDIA, {FORMS['nerfies']}", note, header, rows, tuple(ours))
 
 
-def _mean(values: Sequence[float | None], factor: float = 1.0) -> float | None:
-    mean = mean_of(values)
-    return None if mean is None else factor * mean
-
-
 # -- every case on its own
 
 
 def _pictures(results: Sequence[Result]) -> Table:
     rows: list[tuple[str, ...]] = []
     ours: list[int] = []
+    has_refined = any(result.get("refined") for result in results)
     for result in results:
         for name, figures in {"": result["ours"], **result["baselines"]}.items():
             if figures is None:
@@ -175,12 +154,23 @@ def _pictures(results: Sequence[Result]) -> Table:
                 ours.append(len(rows))
             method = BASELINES[name] if name else f"flowsplat, {_how(result)}"
             extra = [text(value, digits) for value, digits in zip(regions, (2, 3, 2), strict=True)]
+            if has_refined:
+                refined = None if name else result.get("refined")
+                extra += [text(pick(refined or {}, path), 2) for path in (("psnr",), ("moving", "psnr"))]
             rows.append((label(result), _form_of(result), method, *values, *extra))
-    header = ("scene", "form", "method", "PSNR", "SSIM", "LPIPS", "PSNR of movers", "SSIM of movers", "PSNR where the clip saw it")
+    header: tuple[str, ...] = (
+        "scene", "form", "method", "PSNR", "SSIM", "LPIPS", "PSNR of movers", "SSIM of movers", "PSNR where the clip saw it",
+    )  # fmt: skip
     note = (
         "Full image, and inside the masks of what moves (given or true ones; a dash where there are none). LPIPS looks at "
         "patches and has no value inside a mask. Copied is the frame before a held-out one, or that of a held-out camera's time."
     )
+    if has_refined:
+        header += ("PSNR, poses refined", "PSNR of movers, poses refined")
+        note += (
+            " All figures use the poses of held-out frames as they were estimated, but for those in the columns called refined: "
+            "there the pose of every held-out frame alone was fitted to its own picture."
+        )
     return Table("All test pictures", note, header, rows, tuple(ours))
 
 
@@ -208,7 +198,7 @@ def _truth(results: Sequence[Result]) -> Iterator[Table]:
     if not used:
         return
     rows = [
-        (label(result), _how(result), *(text(_mean([pick(result, path)], factor), d) for _, path, factor, d in used))
+        (label(result), _how(result), *(text(scaled_mean([pick(result, path)], factor), d) for _, path, factor, d in used))
         for result in results
     ]
     note = (

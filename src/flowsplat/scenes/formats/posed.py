@@ -29,11 +29,12 @@ SAME_SHAPE = 0.01
 
 @dataclass(frozen=True)
 class PosedPicture:
-    """A picture, its camera at the size of the calibration, and the file of its mask of movers, if there is one."""
+    """A picture, its camera at the size of the calibration, and the masks of movers and of what the clip saw, if there are any."""
 
     path: Path
     camera: Camera
     mask: Path | None = None
+    covisible: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -50,11 +51,13 @@ class PosedClip(Clip):
     """A clip with calibrated cameras.
 
     Attributes:
+        numbers: [T] of the chosen frames in the input.
         pictures: [T] the chosen frames.
         stored_size: (width, height) of all of them.
         others: the pictures by other cameras, with the numbers of their frames.
     """
 
+    numbers: np.ndarray
     pictures: list[PosedPicture]
     stored_size: tuple[int, int]
     others: list[tuple[int, PosedView]]
@@ -81,9 +84,12 @@ class PosedClip(Clip):
             image = read_posed(picture)
             share = min(1.0, self.width / image.shape[1])
             size = max(1, round(image.shape[1] * share)), max(1, round(image.shape[0] * share))
-            mask = None if picture.mask is None else resize_labels((read_labels(picture.mask) > 0).astype(np.uint8), size) > 0
+            masks = (
+                None if path is None else resize_labels((read_labels(path) > 0).astype(np.uint8), size) > 0
+                for path in (picture.mask, picture.covisible)
+            )
             camera = picture.camera.resized(*size)
-            yield ViewPicture(HeldoutView(view.name, frame, camera), resize_picture(image, size), mask)
+            yield ViewPicture(HeldoutView(view.name, frame, camera), resize_picture(image, size), *masks)
 
 
 def read_posed(picture: PosedPicture) -> np.ndarray:
@@ -139,6 +145,7 @@ def open_posed(
         source_fps=options.fps,
         notes=[*selection.notes, *resized, *notes],
         cameras=[picture.camera.resized(*size) for picture in chosen],
+        numbers=selection.numbers,
         pictures=chosen,
         stored_size=(width, height),
         others=[(frame_at[view.time], view) for view in views if view.time in frame_at],

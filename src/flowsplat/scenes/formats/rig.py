@@ -16,8 +16,8 @@ The masks are truth, not given masks: a scene without them has to find its mover
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,19 +26,11 @@ import numpy as np
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_json, read_npz
 from flowsplat.geometry import Camera
-from flowsplat.scenes.clip import (
-    Clip,
-    InputOptions,
-    ViewPicture,
-    resize_labels,
-    resize_picture,
-    select_frames,
-    working_size,
-)
-from flowsplat.scenes.formats.images import list_pictures, read_picture
+from flowsplat.scenes.clip import InputOptions, resize_labels
+from flowsplat.scenes.formats.images import list_pictures
 from flowsplat.scenes.formats.masks import read_labels
+from flowsplat.scenes.formats.posed import PosedClip, PosedPicture, PosedView, open_posed
 from flowsplat.scenes.layers import Depth, Flow, Tracks
-from flowsplat.scenes.scene import HeldoutView
 
 
 def _cameras(path: Path, values: dict[str, Any], poses: Sequence[Any]) -> list[Camera]:
@@ -121,65 +113,14 @@ class RigTruth:
 
     def mask(self, i: int) -> np.ndarray:
         """[H, W] uint8 object numbers of chosen frame ``i``."""
-        return _read_mask(self._folder / "masks" / f"{self._numbers[i]:05d}.png", self._stored[0], self._size)
+        path = self._folder / "masks" / f"{self._numbers[i]:05d}.png"
+        labels, camera = read_labels(path), self._stored[0]
+        if labels.shape != (camera.height, camera.width):
+            raise InputError(f"{path} is {labels.shape[1]}x{labels.shape[0]} pixels, its camera {camera.width}x{camera.height}.")
+        return resize_labels(labels.astype(np.uint8), self._size)
 
 
-def _read_mask(path: Path, camera: Camera, size: tuple[int, int]) -> np.ndarray:
-    labels = read_labels(path)
-    if labels.shape != (camera.height, camera.width):
-        raise InputError(f"{path} is {labels.shape[1]}x{labels.shape[0]} pixels, its camera {camera.width}x{camera.height}.")
-    return resize_labels(labels.astype(np.uint8), size)
-
-
-@dataclass(kw_only=True)
-class RigClip(Clip):
-    """A rig scene.
-
-    Attributes:
-        paths: [T] the chosen pictures.
-        stored: camera of the first picture, at its stored size.
-        heldout: the folder of held-out cameras.
-        heldout_views: what it holds at the times of chosen frames, with cameras at the stored size.
-    """
-
-    paths: list[Path]
-    stored: Camera
-    heldout: Path
-    heldout_views: list[HeldoutView]
-
-    @property
-    def num_views(self) -> int:
-        """Pictures by the held-out cameras."""
-        return len(self.heldout_views)
-
-    def frames(self, numbers: Sequence[int]) -> Iterator[np.ndarray]:
-        for i in numbers:
-            yield self._read(self.paths[i], self.stored, (self.width, self.height))
-
-    def views(self) -> Iterator[ViewPicture]:
-        for view in self.heldout_views:
-            camera_name, time = view.name.rsplit("_", 1)
-            stored = view.camera
-            camera = stored.resized(
-                round(stored.width * self.width / self.stored.width), round(stored.height * self.height / self.stored.height)
-            )
-            size = camera.width, camera.height
-            masks = []
-            for kind in ("masks", "covisible"):
-                path = self.heldout / f"{camera_name}_{kind}" / f"{time}.png"
-                masks.append(_read_mask(path, stored, size) > 0 if path.exists() else None)
-            image = self._read(self.heldout / camera_name / f"{time}.png", stored, size)
-            yield ViewPicture(HeldoutView(view.name, view.frame, camera), image, *masks)
-
-    @staticmethod
-    def _read(path: Path, camera: Camera, size: tuple[int, int]) -> np.ndarray:
-        image = read_picture(path)
-        if image.shape[:2] != (camera.height, camera.width):
-            raise InputError(f"{path} is {image.shape[1]}x{image.shape[0]} pixels, its camera {camera.width}x{camera.height}.")
-        return resize_picture(image, size)
-
-
-def _heldout_views(folder: Path, numbers: np.ndarray) -> list[HeldoutView]:
+def _heldout_views(folder: Path) -> list[PosedView]:
     path = folder / "cameras.json"
     if not path.exists():
         return []
@@ -187,16 +128,18 @@ def _heldout_views(folder: Path, numbers: np.ndarray) -> list[HeldoutView]:
     views = []
     try:
         for name, camera in values["cameras"].items():
-            poses = _cameras(path, values, camera["w2c"])
-            for time, pose in zip(camera["times"], poses, strict=True):
-                views += [HeldoutView(f"{name}_{time:05d}", int(i), pose) for i in np.flatnonzero(numbers == time)]
+            for time, pose in zip(camera["times"], _cameras(path, values, camera["w2c"]), strict=True):
+                file = f"{int(time):05d}.png"
+                masks = (folder / f"{name}_{kind}" / file for kind in ("masks", "covisible"))
+                picture = PosedPicture(folder / name / file, pose, *(mask if mask.exists() else None for mask in masks))
+                views.append(PosedView(f"{name}_{int(time):05d}", int(time), picture))
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(f"{path} does not hold the held-out cameras: {error}.") from error
     return views
 
 
-def open_rig(folder: Path, options: InputOptions) -> RigClip:
-    """Open a rig scene with its truth and its held-out views.
+def open_rig(folder: Path, options: InputOptions) -> PosedClip:
+    """Open a rig scene with its truth and its held-out views. Its cameras are truth too, and not given.
 
     Raises:
         InputError: a file is missing, damaged or does not fit.
@@ -209,20 +152,7 @@ def open_rig(folder: Path, options: InputOptions) -> RigClip:
     paths = list_pictures(folder / "rgb")
     if len(paths) != len(cameras):
         raise InputError(f"{folder} has {len(paths)} pictures in rgb/ but {len(cameras)} cameras in cameras.json.")
-    fps = float(values.get("fps", options.fps))
-    selection = select_frames(np.arange(len(paths)) / fps, options, str(folder))
-    (width, height), notes = working_size(cameras[0].width, cameras[0].height, options, str(folder))
-    return RigClip(
-        name=folder.resolve().name,
-        source=str(folder),
-        width=width,
-        height=height,
-        timestamps=selection.timestamps,
-        source_fps=fps,
-        notes=selection.notes + notes,
-        truth=RigTruth(folder, cameras, selection.numbers, (width, height)),
-        paths=[paths[n] for n in selection.numbers],
-        stored=cameras[0],
-        heldout=folder / "heldout",
-        heldout_views=_heldout_views(folder / "heldout", selection.numbers),
-    )
+    pictures = [PosedPicture(path, camera) for path, camera in zip(paths, cameras, strict=True)]
+    options = replace(options, fps=float(values.get("fps", options.fps)))
+    clip = open_posed(folder, options, pictures, _heldout_views(folder / "heldout"))
+    return replace(clip, cameras=None, truth=RigTruth(folder, cameras, clip.numbers, (clip.width, clip.height)))

@@ -1,0 +1,128 @@
+"""What more Gaussians and more frame-steps bring: PSNR against the cap, and against the steps."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from markupsafe import Markup
+
+from flowsplat.common.errors import InputError
+from flowsplat.evaluation.scores import mean_of
+from flowsplat.pictures.charts import Points, line_chart
+from flowsplat.protocols.resume import measure_jobs, results_in
+from flowsplat.protocols.studies.report import Section, how_measured, scene_names, write_study
+from flowsplat.protocols.studies.runs import Result, study_runs
+from flowsplat.protocols.studies.scenes import study_scenes
+from flowsplat.protocols.studies.variants import Variant
+from flowsplat.protocols.tables import Table, text
+
+PROTOCOL = "caps"
+SCENES = ("bear", "train")
+SEEDS = (0,)
+CAPS = (50_000, 100_000, 200_000, 400_000, 600_000)
+STEPS = (250, 500, 1000, 1500, 3000)
+ITERATIONS = 1500
+"""Frame-steps of the runs with different caps."""
+CAP = 200_000
+"""Gaussians of the runs with different numbers of steps."""
+SIZE = 854
+"""Long side of the clips, pixels; a rendered scene keeps its own."""
+
+DENSE = {"init.background_spacing": 1.0, "init.foreground_spacing": 1.0}
+"""Every pixel may start a Gaussian, so that it is the cap that says how many there are."""
+
+REMARKS = (
+    "The first Gaussians are thinned evenly to the cap, and are as much larger; their number falls a little while those that "
+    "nobody sees are removed.",
+)
+COLUMNS = {"psnr": "PSNR", "moving": "PSNR of movers", "ssim": "SSIM", "training_psnr": "PSNR of training frames"}
+DIGITS = {"ssim": 3}
+
+
+def capped(cap: int, steps: int) -> Variant:
+    """At most so many Gaussians, and so many frame-steps with the schedules stretched to them."""
+    changes = {**DENSE, "density.max_gaussians": cap, "iterations": steps}
+    return Variant(f"cap{cap}-steps{steps}", f"at most {cap:,} Gaussians, {steps:,} steps", changes)
+
+
+def run_caps(
+    root: Path,
+    out: Path,
+    scenes: Sequence[str] = SCENES,
+    caps: Sequence[int] = CAPS,
+    steps: Sequence[int] = STEPS,
+    seeds: Sequence[int] = SEEDS,
+    size: int = SIZE,
+    again: bool = False,
+) -> Path:
+    """Run or resume the study: one JSON a run, ``OUT/caps.md`` and ``.html``, and both pictures.
+
+    Args:
+        root: the data root.
+        caps: numbers of Gaussians, each with ``ITERATIONS`` steps.
+        steps: numbers of frame-steps, each with ``CAP`` Gaussians.
+        size: long side of clips of DAVIS in pixels.
+        again: forget the figures of these runs that are in OUT; prepared scenes stay.
+
+    Returns:
+        path of the page, which shows all runs in OUT.
+
+    Raises:
+        InputError: a number or a name cannot be used, or the folder cannot be written.
+    """
+    if any(value < 1 for value in (*caps, *steps)):
+        raise InputError("--caps and --steps are numbers of Gaussians and of steps: 1 or more.")
+    plan = dict.fromkeys([*((cap, ITERATIONS) for cap in caps), *((CAP, count) for count in steps)])
+    runs = study_runs(PROTOCOL, study_scenes(root, scenes, size), [capped(*each) for each in plan], seeds, ITERATIONS, CAP)
+    jobs = [run.job(out) for run in runs]
+    return measure_jobs(jobs, out, lambda failed: write_report(out, results_in(PROTOCOL, out), failed), "runs", again)
+
+
+def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str]) -> Path:
+    """Write the tables and pictures of what is there of the study, and return the path of the page.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    plans = (
+        ("cap", "iterations", ITERATIONS, "Gaussians", "Gaussians at most"),
+        ("iterations", "cap", CAP, "frame-steps", "frame-steps"),
+    )
+    sections = []
+    for axis, fixed, value, name, label in plans:
+        chosen = [result for result in results if result[fixed] == value]
+        if len({result[axis] for result in chosen}) > 1:
+            note = f"Each with {value:,} {'frame-steps' if fixed == 'iterations' else 'Gaussians at most'}. Means over seeds."
+            table = _table(f"PSNR against {name}", note, label, axis, chosen)
+            sections.append(Section(axis, table, _chart(table.title, label, axis, chosen)))
+    verdict = f"Runs measured: {len(results)}."
+    remarks = [*REMARKS, how_measured(results)] if results else []
+    return write_study(out, PROTOCOL, "Gaussians and steps", verdict, remarks, sections, failed)
+
+
+def _mean(results: Sequence[Result], scene: str, axis: str, value: int, figure: str) -> float | None:
+    """Of a figure over the seeds."""
+    return mean_of(result[figure] for result in results if result["scene"] == scene and result[axis] == value)
+
+
+def _chart(title: str, x_label: str, axis: str, results: Sequence[Result]) -> Markup:
+    values = sorted({result[axis] for result in results})
+    series: dict[str, Points] = {
+        label: (values, [_mean(results, scene, axis, value, "psnr") for value in values])
+        for scene, label in scene_names(results).items()
+    }
+    return line_chart(series, title=title, x_label=x_label, y_label="PSNR, dB", dots=True)
+
+
+def _table(title: str, note: str, label: str, axis: str, results: Sequence[Result]) -> Table:
+    rows = []
+    for scene, name in scene_names(results).items():
+        for value in sorted({result[axis] for result in results if result["scene"] == scene}):
+            group = [result for result in results if result["scene"] == scene and result[axis] == value]
+            figures = [text(mean_of(result[key] for result in group), DIGITS.get(key, 2)) for key in COLUMNS]
+            total, active = (mean_of(result["gaussians"][key] for result in group) for key in ("total", "active_mean"))
+            seconds, memory = mean_of(r["seconds"]["train"] for r in group), mean_of(r["peak_memory_gib"] for r in group)
+            rows.append((name, f"{value:,}", *figures, text(total, 0), text(active, 0), text(seconds, 0), text(memory, 1)))
+    header = ("scene", label, *COLUMNS.values(), "Gaussians at the end", "active, mean", "seconds of training", "peak memory, GiB")
+    return Table(title, note, header, rows)

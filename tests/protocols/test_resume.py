@@ -1,0 +1,72 @@
+"""Many measurements: continued, told when they fail, measured again when asked or when their key changed."""
+
+from __future__ import annotations
+
+import json
+import os
+
+import pytest
+
+from flowsplat.common.errors import InputError
+from flowsplat.protocols.process import in_own_process
+from flowsplat.protocols.resume import Job, measure_jobs, results_in
+from flowsplat.protocols.roots import open_root, require_scenes
+
+
+@pytest.fixture
+def calls():
+    return []
+
+
+def job(calls, name: str, key: str = "k", reason: str | None = None) -> Job:
+    def measure():
+        calls.append(name)
+        if reason:
+            raise InputError(reason)
+        return {"protocol": "test", "name": name}
+
+    return Job(name, key, measure)
+
+
+def test_what_is_measured_is_kept(calls, tmp_path):
+    seen = []
+
+    def report(failed):
+        seen.append((dict(failed), [result["name"] for result in results_in("test", tmp_path)]))
+        return tmp_path / "page.html"
+
+    assert measure_jobs([job(calls, "a"), job(calls, "b")], tmp_path, report) == tmp_path / "page.html"
+    assert seen == [({}, ["a"]), ({}, ["a", "b"])], "the page is written after each"
+    measure_jobs([job(calls, "a"), job(calls, "b", key="other")], tmp_path, report)
+    assert calls == ["a", "b", "b"]
+    measure_jobs([job(calls, "a")], tmp_path, report, again=True)
+    assert calls == ["a", "b", "b", "a"]
+    assert json.loads((tmp_path / "b.json").read_text())["key"] == "other"
+    assert results_in("another", tmp_path) == []
+
+
+def test_one_that_fails_does_not_stop_the_others(calls, tmp_path):
+    reported = []
+
+    def report(failed):
+        reported.append(dict(failed))
+        return tmp_path
+
+    jobs = [job(calls, "a", reason="it is broken"), job(calls, "b")]
+    with pytest.raises(InputError, match="1 of 2 runs could not be run, first a: it is broken"):
+        measure_jobs(jobs, tmp_path, report, "runs")
+    assert calls == ["a", "b"]
+    assert reported[-1] == {"a": "it is broken"}
+    assert not (tmp_path / "a.json").exists()
+
+
+def test_a_process_of_its_own():
+    assert in_own_process(os.getpid) != os.getpid()
+    with pytest.raises(InputError, match="no folder"):
+        in_own_process(open_root, "/missing", "rig/")
+
+
+def test_names_of_scenes(tmp_path):
+    require_scenes(tmp_path, ["a"], ["a", "b"])
+    with pytest.raises(InputError, match="has no scene 'c': choose from a, b"):
+        require_scenes(tmp_path, ["a", "c"], ["a", "b"])
