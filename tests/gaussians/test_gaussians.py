@@ -177,3 +177,25 @@ def test_the_scene_model_hides_the_normalisation():
     np.testing.assert_allclose(scaled.flow, plain.flow, atol=1e-2)
     np.testing.assert_allclose(scaled.depth, 4 * plain.depth, atol=1e-3)
     assert SceneModel(gaussians, similarity, 10.0, 14.0).active_count(12.0) == len(gaussians.active(0.5).rows)
+
+
+def test_finer_pixels_show_the_same_picture():
+    """Every third pixel of a picture three times as fine is a pixel of the picture that training knows."""
+    generator = torch.Generator().manual_seed(4)
+    count = 400
+    params = {name: torch.zeros(count, *shape) for name, shape in parameter_shapes(FROZEN).items()}
+    grid = torch.stack(torch.meshgrid(torch.arange(20.0), torch.arange(20.0), indexing="xy"), -1).reshape(-1, 2)
+    params["means"] = torch.cat([(grid - 9.5) * 1.5 / 40, torch.ones(count, 1)], 1)  # one in 1.5 pixels
+    params["quats"][:, 0] = 1
+    params["log_scales"][:] = math.log(0.3 / 40)
+    params["logit_opacities"][:] = 3
+    params["sh"][:, 0] = torch.randn(count, 3, generator=generator)
+    gaussians = Gaussians4D(params, torch.zeros(count, dtype=torch.bool), FROZEN)
+    model = SceneModel(gaussians, Similarity(), 0.0, 1.0, fill=False, focal=40.0)
+    camera = Camera(np.eye(4), np.array([[40.0, 0, 12], [0, 40, 12], [0, 0, 1]]), 24, 24)
+    fine = camera.resized(72, 72)
+    known, seen = model.render(camera, 0.5), model.render(fine, 0.5)
+    np.testing.assert_allclose(seen.colour[1::3, 1::3], known.colour, atol=2e-3)
+    np.testing.assert_allclose(seen.alpha[1::3, 1::3], known.alpha, atol=2e-3)
+    model.focal = 0.0
+    assert np.abs(model.render(fine, 0.5).alpha[1::3, 1::3] - known.alpha).max() > 0.2  # gaps between the Gaussians

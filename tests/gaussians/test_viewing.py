@@ -19,6 +19,7 @@ from tests.gaussians.test_gaussians import FROZEN, random_model
 pytest.importorskip("triton", reason="Triton is not installed")
 from flowsplat.gaussians import viewing
 from flowsplat.gaussians.viewing import FixedRenderer
+from flowsplat.splatting.rules import EPS2D
 
 DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
 SIZE = 40, 24
@@ -52,7 +53,7 @@ def test_a_scene_that_is_looked_at_is_drawn_so(monkeypatch):
     for width in (16, 17):
         view, other = camera(width=width, height=16), camera((0.05, 0.02, 0), width=width, height=16)
         ours = fast.render(view, 0.5, (other, 0.7))
-        assert list(fast._drawn_by) == [(width, 16, True)]
+        assert list(fast._drawn_by) == [(width, 16, True, EPS2D)]
     monkeypatch.undo()
     expected = plain.render(view, 0.5, (other, 0.7))
     for name in ("colour", "alpha", "depth", "flow"):

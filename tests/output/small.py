@@ -56,10 +56,12 @@ def small_gaussians(config: ModelConfig = OURS, resting: int = 400, moving: int 
     return Gaussians4D(params, dynamic, config, config.sh_degree)
 
 
-def small_model(config: ModelConfig = OURS, *, rotation: np.ndarray | None = None, fill: bool = False, **counts: int) -> SceneModel:
+def small_model(
+    config: ModelConfig = OURS, *, rotation: np.ndarray | None = None, fill: bool = False, focal: float = 0.0, **counts: int
+) -> SceneModel:
     """The model in a scene that is three times as large and moved."""
     similarity = Similarity(1 / 3, np.eye(3) if rotation is None else rotation, np.array([0.2, -0.1, 0.05]))
-    return SceneModel(small_gaussians(config, **counts), similarity, FIRST, LAST, fill=fill)
+    return SceneModel(small_gaussians(config, **counts), similarity, FIRST, LAST, fill=fill, focal=focal)
 
 
 def small_cameras(model: SceneModel, width: int = WIDTH, height: int = HEIGHT) -> list[Camera]:

@@ -17,7 +17,10 @@ from flowsplat.gaussians.render import fill_uncovered, render
 from flowsplat.gaussians.rendering import Part, Rendering
 from flowsplat.geometry import Camera, Similarity
 from flowsplat.splatting.api import BackendName
+from flowsplat.splatting.rules import EPS2D
 
+_BLUR_STEPS = 16
+"""Steps of the blur's width between pixels as in training and twice as fine."""
 _MOST_GRAPHS = 4
 """Sizes of pictures whose graphs are kept; each has buffers of its own."""
 
@@ -33,6 +36,8 @@ class SceneModel:
         last: seconds of the last frame.
         flow_model: how flow is splatted.
         fill: whether uncovered pixels are filled from their neighbours.
+        focal: focal length in pixels of the pictures that it was trained on; 0 = not known. Where pixels are finer than those
+            were, the rasterizer's blur grows with the picture (``blur``).
         backend: of the rasterizer.
         graphs: whether a GPU draws by CUDA graphs, one for every size of picture: for many frames one after the other.
     """
@@ -43,9 +48,10 @@ class SceneModel:
     last: float
     flow_model: FlowModel = "displacement"
     fill: bool = True
+    focal: float = 0.0
     backend: BackendName = "auto"
     graphs: bool = False
-    _drawn_by: dict[tuple[int, int, bool], Any] = field(init=False, default_factory=dict, repr=False, compare=False)
+    _drawn_by: dict[tuple[int, int, bool, float], Any] = field(init=False, default_factory=dict, repr=False, compare=False)
 
     def to(self, device: torch.device | str) -> SceneModel:
         """The same scene on a device, where it is rendered from then on; pictures are arrays as before."""
@@ -54,6 +60,16 @@ class SceneModel:
     def clip_time(self, t: float) -> float:
         """Seconds to clip units."""
         return (t - self.first) / (self.last - self.first)
+
+    def blur(self, camera: Camera) -> float:
+        """Variance in px^2 that the rasterizer adds to every Gaussian (``eps2d``).
+
+        Training knows Gaussians only together with its blur, so it belongs to what they look like: with pixels a third as wide
+        the same blur is three pixels wide, or the gaps between the Gaussians would show (as in Mip-Splatting,
+        https://arxiv.org/abs/2311.16493). In steps, because a CUDA graph holds one.
+        """
+        finer = round(_BLUR_STEPS * camera.K[0, 0] / self.focal) / _BLUR_STEPS if self.focal > 0 else 1.0
+        return EPS2D * max(finer, 1.0) ** 2
 
     def render(self, camera: Camera, t: float, flow_to: tuple[Camera, float] | None = None) -> Rendering:
         """Render the scene: see ``Renderer.render``."""
@@ -83,14 +99,16 @@ class SceneModel:
         ):  # fmt: skip
             from flowsplat.gaussians.viewing import FixedRenderer
 
-            key = (camera.width, camera.height, other is not None)
+            key = (camera.width, camera.height, other is not None, self.blur(camera))
             if key not in self._drawn_by:
                 while len(self._drawn_by) >= _MOST_GRAPHS:
                     del self._drawn_by[next(iter(self._drawn_by))]
                 self._drawn_by[key] = FixedRenderer(g, *key)
             image, alpha = self._drawn_by[key].render(camera, self.clip_time(t), other)
             return image, alpha, None if other is None else image[..., 4:6]
-        frame = render(g, camera, self.clip_time(t), flow_to=other, flow_model=self.flow_model, backend=self.backend)
+        frame = render(
+            g, camera, self.clip_time(t), flow_to=other, flow_model=self.flow_model, eps2d=self.blur(camera), backend=self.backend
+        )
         return frame.image, frame.alpha, frame.flow
 
     def part(self, part: Part) -> SceneModel:

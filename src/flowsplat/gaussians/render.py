@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -15,6 +16,7 @@ from flowsplat.gaussians.slicing import Gradients, Slice, slice_gaussians
 from flowsplat.geometry import Camera
 from flowsplat.splatting import Projected, blend, project
 from flowsplat.splatting.api import BackendName
+from flowsplat.splatting.rules import EPS2D
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,7 @@ def render_active(
     flow_to: tuple[Camera, float] | None = None,
     flow_model: FlowModel = "displacement",
     gradients: Gradients | None = None,
+    eps2d: float = EPS2D,
     backend: BackendName = "auto",
 ) -> RenderedFrame:
     """Render the active Gaussians at their time.
@@ -81,6 +84,7 @@ def render_active(
         flow_to: the other camera and clip time that flow goes to.
         flow_model: METHOD 3.
         gradients: where the gradients of the parameters go (``slice_gaussians``); None = not differentiable.
+        eps2d: px^2 of blur; affine flow reckons with that of training.
         backend: of the rasterizer.
     """
     dtype, device = gaussians.params["means"].dtype, gaussians.device
@@ -90,7 +94,7 @@ def render_active(
     width, height = camera.width, camera.height
     projected = project(
         sliced.means, sliced.quats, sliced.scales, sliced.opacities, *camera.tensors(dtype, device), width, height,
-        covars=sliced.covars, near_plane=NEAR_PLANE, backend=backend,
+        covars=sliced.covars, near_plane=NEAR_PLANE, eps2d=eps2d, backend=backend,
     )  # fmt: skip
     features = blend_features(sliced, projected, camera, flow)
     image, alpha = blend(projected, sliced.opacities, features, width, height)
@@ -105,11 +109,14 @@ def render(
     *,
     flow_to: tuple[Camera, float] | None = None,
     flow_model: FlowModel = "displacement",
+    eps2d: float = EPS2D,
     backend: BackendName = "auto",
 ) -> RenderedFrame:
     """Render the Gaussians at clip time ``t``, without gradients; camera in normalised coordinates."""
-    active = gaussians.active(t, camera)
-    return render_active(gaussians, active, camera, flow_to=flow_to, flow_model=flow_model, backend=backend)
+    # The cull reckons with the usual blur; a stronger one reaches farther into the picture.
+    beyond = math.ceil(3.34 * (math.sqrt(eps2d) - math.sqrt(EPS2D)))
+    active = gaussians.active(t, camera.widened(beyond) if beyond > 0 else camera)
+    return render_active(gaussians, active, camera, flow_to=flow_to, flow_model=flow_model, eps2d=eps2d, backend=backend)
 
 
 def fill_uncovered(colour: np.ndarray, alpha: np.ndarray) -> np.ndarray:

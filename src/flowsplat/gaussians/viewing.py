@@ -20,6 +20,7 @@ from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Gaussians4D
 from flowsplat.gaussians.slicing.triton import moment_numbers, slice_rows
 from flowsplat.geometry import Camera
 from flowsplat.splatting import Projected, blend, project
+from flowsplat.splatting.rules import EPS2D
 from flowsplat.splatting.triton.tiles import Room
 
 _GRANULE = 1024
@@ -32,8 +33,8 @@ class FixedRenderer:
         captures: how often its graph was made, or would have been: once, and once more whenever a buffer grew.
     """
 
-    def __init__(self, gaussians: Gaussians4D, width: int, height: int, with_flow: bool):
-        self._gaussians, self._size, self._with_flow = gaussians, (width, height), with_flow
+    def __init__(self, gaussians: Gaussians4D, width: int, height: int, with_flow: bool, eps2d: float = EPS2D):
+        self._gaussians, self._eps2d, self._size, self._with_flow = gaussians, eps2d, (width, height), with_flow
         device = gaussians.device
         moment = 5 + gaussians.config.gains
         self._numbers = torch.zeros(LENS + moment + 25, device=device)
@@ -101,7 +102,8 @@ class FixedRenderer:
         means, quats, scales, opacities, colours, _, next_means, _ = slice_rows(g, rows, at_rest, self._moment, self._with_flow)
         viewmat, K = self._lens[1:17].view(4, 4), self._lens[17:].view(3, 3)
         projected: Projected = project(
-            means, quats, scales, opacities, viewmat, K, width, height, near_plane=NEAR_PLANE, backend="triton"
+            means, quats, scales, opacities, viewmat, K, width, height, near_plane=NEAR_PLANE, eps2d=self._eps2d,
+            backend="triton",
         )
         if self._with_flow:
             features = displacement_features(colours, projected.depths, projected.means2d, next_means, self._other)

@@ -51,6 +51,11 @@ class Camera:
         scale = np.diag([width / self.width, height / self.height, 1.0])
         return Camera(self.viewmat, scale @ self.K, width, height)
 
+    def widened(self, border: int) -> Camera:
+        """The same camera with ``border`` more pixels on every side."""
+        K = self.K + [[0, 0, border], [0, 0, border], [0, 0, 0]]
+        return Camera(self.viewmat, K, self.width + 2 * border, self.height + 2 * border)
+
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """World points [..., 3] to pixels [..., 2] and planar depth [...]. Points behind the camera keep their sign of depth."""
         p = points @ self.viewmat[:3, :3].T + self.viewmat[:3, 3]

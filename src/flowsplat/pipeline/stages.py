@@ -209,7 +209,8 @@ def train(folder: RunFolder) -> SceneModel:
 def scene_model(scene: Scene, gaussians: Gaussians4D, config: TrainConfig) -> SceneModel:
     """Gaussians with the space and time of their scene."""
     first, last = float(scene.timestamps[0]), float(scene.timestamps[-1])
-    return SceneModel(gaussians, scene.similarity, first, last, config.flow_model, config.fill)
+    focal = float(scene.cameras[scene.train_frames[0]].K[0, 0])
+    return SceneModel(gaussians, scene.similarity, first, last, config.flow_model, config.fill, focal)
 
 
 def _fit(

@@ -64,6 +64,7 @@ def save_model(folder: Path, model: SceneModel) -> None:
         "last": model.last,
         "flow_model": model.flow_model,
         "fill": model.fill,
+        "focal": model.focal,
     }
     write_json(folder / "model.json", value)
 
@@ -83,13 +84,15 @@ def load_model(folder: Path) -> SceneModel:
         gaussians = Gaussians4D(tensors, dynamic, ModelConfig(**value["model"]), int(value["sh_degree"]))
         return SceneModel(
             gaussians, Similarity.from_json(value["similarity"]), float(value["first"]), float(value["last"]),
-            value["flow_model"], bool(value["fill"]),
+            value["flow_model"], bool(value["fill"]), float(value.get("focal", 0.0)),
         )  # fmt: skip
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{folder} does not hold a trained model: {error}.") from error
 
 
-def load_checkpoint(folder: Path, similarity: Similarity, first: float, last: float) -> tuple[SceneModel, int, int]:
+def load_checkpoint(
+    folder: Path, similarity: Similarity, first: float, last: float, focal: float
+) -> tuple[SceneModel, int, int]:
     """Read the newest checkpoint that a trainer left, to look at it: a training that is still running is not disturbed.
 
     Args:
@@ -97,6 +100,7 @@ def load_checkpoint(folder: Path, similarity: Similarity, first: float, last: fl
         similarity: scene to normalised coordinates.
         first: seconds of the first frame.
         last: seconds of the last frame.
+        focal: focal length in pixels of the training frames.
 
     Returns:
         the model, and after which step of how many it was written.
@@ -110,7 +114,7 @@ def load_checkpoint(folder: Path, similarity: Similarity, first: float, last: fl
         config = values["config"]
         params = {name.removeprefix("param."): value for name, value in tensors.items() if name.startswith("param.")}
         gaussians = Gaussians4D(params, tensors["dynamic"].bool(), ModelConfig(**config["model"]), int(values["sh_degree"]))
-        model = SceneModel(gaussians, similarity, first, last, config["flow_model"], bool(config["fill"]))
+        model = SceneModel(gaussians, similarity, first, last, config["flow_model"], bool(config["fill"]), focal)
         return model, int(values["step"]), int(config["iterations"])
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path} holds no checkpoint that can be shown: {error}.") from error

@@ -69,7 +69,8 @@ def pack(model: SceneModel, times: Sequence[float], cameras: Sequence[Camera], t
         "version": VERSION, "title": title, "width": cameras[0].width, "height": cameras[0].height,
         "first": model.first, "last": model.last, "frames": len(times), "fill": model.fill,
         "resting": len(resting), "moving": len(moving), "shDegree": gaussians.sh_degree, "gains": gaussians.config.gains,
-        "pMin": gaussians.config.p_min, "near": NEAR_PLANE, "eps2d": EPS2D, "alphaMin": ALPHA_MIN, "alphaMax": ALPHA_MAX,
+        "pMin": gaussians.config.p_min, "near": NEAR_PLANE, "eps2d": EPS2D, "focal": model.focal,
+        "alphaMin": ALPHA_MIN, "alphaMax": ALPHA_MAX,
         "similarity": model.similarity.to_json(), "planes": [header for header, _ in encoded],
     }  # fmt: skip
     data = zlib.compress(b"".join(body for _, body in encoded), 9)

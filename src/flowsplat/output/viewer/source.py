@@ -94,8 +94,8 @@ class Source:
         return (name, written), read
 
     def _read_checkpoint(self) -> tuple[SceneModel, str]:
-        first, last = self.clip
-        model, step, steps = load_checkpoint(self.folder / "training", self.scene.similarity, first, last)
+        (first, last), focal = self.clip, float(self.scene.cameras[self.scene.train_frames[0]].K[0, 0])
+        model, step, steps = load_checkpoint(self.folder / "training", self.scene.similarity, first, last, focal)
         return model, f"in training, step {step} of {steps}"
 
     @property

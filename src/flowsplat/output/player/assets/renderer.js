@@ -18,7 +18,7 @@ class Renderer {
     this.gainTexels = Math.ceil(about.gains / 4);
     const constants = {
       WIDTH: this.width, SLICE_WIDTH, SH_COUNT: this.harmonics, GAIN_TEXELS: this.gainTexels, MEAN_DEGREE: scene.meanDegree,
-      QUAT_DEGREE: scene.quatDegree, EPS2D: about.eps2d, ALPHA_MIN: about.alphaMin, ALPHA_MAX: about.alphaMax, P_MIN: about.pMin,
+      QUAT_DEGREE: scene.quatDegree, EPS2D: about.eps2d, FOCAL: about.focal, ALPHA_MIN: about.alphaMin, ALPHA_MAX: about.alphaMax, P_MIN: about.pMin,
     };
     const slice = shaders["slice.glsl"];
     if (this.isDirect) {
@@ -66,7 +66,7 @@ class Renderer {
   program(vertex, fragment, constants) {
     const gl = this.gl;
     const head = Object.entries(constants).map(([name, value]) => {
-      const isReal = name === "EPS2D" || name.startsWith("ALPHA") || name === "P_MIN";
+      const isReal = name === "EPS2D" || name === "FOCAL" || name.startsWith("ALPHA") || name === "P_MIN";
       return `#define ${name} ${isReal ? value.toExponential(9) : value}\n`;
     });
     const program = gl.createProgram();

@@ -1,5 +1,5 @@
 // The slice: one Gaussian at the time, projected (EWA), with its colour as seen from the camera.
-// Defined in front of this: WIDTH and SLICE_WIDTH (texels and rows of `order` in a line of a texture), SH_COUNT, GAIN_TEXELS, MEAN_DEGREE, QUAT_DEGREE, EPS2D, ALPHA_MIN, P_MIN.
+// Defined in front of this: WIDTH and SLICE_WIDTH (texels and rows of `order` in a line of a texture), SH_COUNT, GAIN_TEXELS, MEAN_DEGREE, QUAT_DEGREE, EPS2D, FOCAL, ALPHA_MIN, P_MIN.
 precision highp float;
 precision highp int;
 precision highp sampler2D;
@@ -104,7 +104,10 @@ void slice(int rank, out vec4 axes, out vec4 place, out vec4 colour) {
   // Rows of the projected standard deviations: J R S.
   vec3 across = lens.x * inverse * scales * (vec3(M[0].x, M[1].x, M[2].x) - tangent.x * vec3(M[0].z, M[1].z, M[2].z));
   vec3 down = lens.y * inverse * scales * (vec3(M[0].y, M[1].y, M[2].y) - tangent.y * vec3(M[0].z, M[1].z, M[2].z));
-  float a = dot(across, across) + EPS2D, b = dot(across, down), c = dot(down, down) + EPS2D;
+  // Where pixels are finer than those of training, the blur of training is as much wider (SceneModel.blur).
+  float finer = FOCAL > 0.0 ? max(lens.x / FOCAL, 1.0) : 1.0;
+  float blur = EPS2D * finer * finer;
+  float a = dot(across, across) + blur, b = dot(across, down), c = dot(down, down) + blur;
 
   float middle = 0.5 * (a + c), spread = length(vec2(0.5 * (a - c), b));
   float large = middle + spread;
