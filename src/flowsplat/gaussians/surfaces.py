@@ -10,7 +10,6 @@ import numpy as np
 import torch
 
 from flowsplat.gaussians.observations import Observation
-from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.geometry.rotations import rotations_to_quats
 
 
@@ -35,30 +34,40 @@ class SurfaceSamples:
         return SurfaceSamples(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
-def camera_normals(frame: Observation) -> np.ndarray:
-    """[H, W, 3] unit normals in camera axes, towards the camera.
+def camera_normals(frame: Observation, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """[N, 3] unit normals of pixels in camera axes, towards the camera.
 
     Differences over two pixels of smoothed depth, on each axis to the side where depth jumps less, so that edges of objects
     keep the normal of their own surface.
+
+    Args:
+        frame: the training frame.
+        x: [N] column of each pixel.
+        y: [N] row of each pixel.
     """
     depth = cv2.bilateralFilter(frame.depth, 5, 0.02, 2.0)
-    K, step = frame.camera.K, 2
-    rays = (pixel_grid(*depth.shape[::-1]) - K[:2, 2]) / [K[0, 0], K[1, 1]]
-    points = np.concatenate([rays * depth[..., None], depth[..., None]], -1)
-    padded = np.pad(points, ((step, step), (step, step), (0, 0)), constant_values=1e4)
+    height, width = depth.shape
+    K, step, far = frame.camera.K, 2, 1e4
+
+    def point(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        inside = (x >= 0) & (y >= 0) & (x < width) & (y < height)
+        rays = (np.stack([x, y], 1) + 0.5 - K[:2, 2]) / [K[0, 0], K[1, 1]]
+        z = depth[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)][:, None]
+        return np.where(inside[:, None], np.concatenate([rays * z, z], 1), far)
+
+    points = point(x, y)
 
     def difference(after: np.ndarray, before: np.ndarray) -> np.ndarray:
         ahead, behind = after - points, points - before
-        return np.where(np.abs(ahead[..., 2:]) < np.abs(behind[..., 2:]), ahead, behind)
+        return np.where(np.abs(ahead[:, 2:]) < np.abs(behind[:, 2:]), ahead, behind)
 
-    inner = slice(step, -step)
-    dx = difference(padded[inner, 2 * step :], padded[inner, : -2 * step])
-    dy = difference(padded[2 * step :, inner], padded[: -2 * step, inner])
+    dx = difference(point(x + step, y), point(x - step, y))
+    dy = difference(point(x, y + step), point(x, y - step))
     normals = np.cross(dx, dy)
-    length = np.linalg.norm(normals, axis=-1, keepdims=True)
-    views = points / np.linalg.norm(points, axis=-1, keepdims=True)
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    views = points / np.linalg.norm(points, axis=1, keepdims=True)
     normals = np.where(length > 1e-12, normals / np.maximum(length, 1e-12), -views)
-    facing = (normals * views).sum(-1, keepdims=True)
+    facing = (normals * views).sum(1, keepdims=True)
     return np.where(facing > 0, -normals, normals)
 
 
@@ -78,7 +87,7 @@ def sample_surface(frame: Observation, wanted: np.ndarray, size: float, flatness
     depth = frame.depth[y, x].astype(np.float64)
     rotation = frame.camera.viewmat[:3, :3]
     means = frame.camera.unproject(np.stack([x, y], 1) + 0.5, depth)
-    normals = camera_normals(frame)[y, x] @ rotation
+    normals = camera_normals(frame, x, y) @ rotation
     rays = means - frame.camera.center
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     cosine = -(rays * normals).sum(1, keepdims=True)
