@@ -182,10 +182,11 @@ def test_the_scene_model_hides_the_normalisation():
 def test_finer_pixels_show_the_same_picture():
     """Every third pixel of a picture three times as fine is a pixel of the picture that training knows."""
     generator = torch.Generator().manual_seed(4)
-    count = 400
+    count = 900  # many of them beyond the border
     params = {name: torch.zeros(count, *shape) for name, shape in parameter_shapes(FROZEN).items()}
-    grid = torch.stack(torch.meshgrid(torch.arange(20.0), torch.arange(20.0), indexing="xy"), -1).reshape(-1, 2)
-    params["means"] = torch.cat([(grid - 9.5) * 1.5 / 40, torch.ones(count, 1)], 1)  # one in 1.5 pixels
+    grid = torch.stack(torch.meshgrid(torch.arange(30.0), torch.arange(30.0), indexing="xy"), -1).reshape(-1, 2)
+    grid += 0.4 * torch.rand(grid.shape, generator=generator)  # so that some only just reach into the picture
+    params["means"] = torch.cat([(grid - 14.5) * 1.5 / 40, torch.ones(count, 1)], 1)  # one in 1.5 pixels
     params["quats"][:, 0] = 1
     params["log_scales"][:] = math.log(0.3 / 40)
     params["logit_opacities"][:] = 3
@@ -197,5 +198,10 @@ def test_finer_pixels_show_the_same_picture():
     known, seen = model.render(camera, 0.5), model.render(fine, 0.5)
     np.testing.assert_allclose(seen.colour[1::3, 1::3], known.colour, atol=2e-3)
     np.testing.assert_allclose(seen.alpha[1::3, 1::3], known.alpha, atol=2e-3)
+    # The cull knows how far the blur reaches: with a camera nothing is missing that is there without one.
+    eps2d, everything = model.blur(fine), gaussians.active(0.5)
+    whole = render_active(gaussians, everything, fine, eps2d=eps2d)
+    assert len(gaussians.active(0.5, fine, eps2d=eps2d).rows) < len(everything.rows)
+    assert torch.equal(render(gaussians, fine, 0.5, eps2d=eps2d).image, whole.image)
     model.focal = 0.0
     assert np.abs(model.render(fine, 0.5).alpha[1::3, 1::3] - known.alpha).max() > 0.2  # gaps between the Gaussians

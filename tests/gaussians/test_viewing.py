@@ -13,30 +13,30 @@ from flowsplat.gaussians import model
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.render import render
 from flowsplat.geometry import Similarity
+from flowsplat.splatting.rules import EPS2D
 from tests.gaussians.test_flow import camera
 from tests.gaussians.test_gaussians import FROZEN, random_model
 
 pytest.importorskip("triton", reason="Triton is not installed")
 from flowsplat.gaussians import viewing
 from flowsplat.gaussians.viewing import FixedRenderer
-from flowsplat.splatting.rules import EPS2D
 
 DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
 SIZE = 40, 24
 
 
-@pytest.mark.parametrize("with_flow", [False, True])
-def test_frames_are_those_of_the_ordinary_way_whatever_came_before(with_flow, monkeypatch):
+@pytest.mark.parametrize(("with_flow", "eps2d"), [(False, EPS2D), (True, EPS2D), (False, 30.0)])
+def test_frames_are_those_of_the_ordinary_way_whatever_came_before(with_flow, eps2d, monkeypatch):
     monkeypatch.setattr(viewing, "_GRANULE", 8)
     gaussians = random_model(40, replace(FROZEN, freeze_background=True))
     gaussians.sh_degree = 1
     gaussians.params["means"][:, :2] *= 2
-    renderer = FixedRenderer(gaussians.to(DEVICE), *SIZE, with_flow)
+    renderer = FixedRenderer(gaussians.to(DEVICE), *SIZE, with_flow, eps2d)
     for t in (0.1, 0.5, 0.1):
         view = camera((0.1 * t, 0, 0), width=SIZE[0], height=SIZE[1])
         flow_to = (camera((0.05, 0.02, 0), width=SIZE[0], height=SIZE[1]), t + 0.1) if with_flow else None
         image, alpha = renderer.render(view, t, flow_to)
-        expected = render(gaussians, view, t, flow_to=flow_to)
+        expected = render(gaussians, view, t, flow_to=flow_to, eps2d=eps2d)
         assert float(expected.alpha.max()) > 0.3
         assert image.shape[2] == (7 if with_flow else 4)
         np.testing.assert_allclose(alpha.cpu(), expected.alpha, atol=2e-5)

@@ -8,10 +8,11 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
-from flowsplat.gaussians.culling import active_rows
+from flowsplat.gaussians.culling import active_rows, border
 from flowsplat.gaussians.motion import LinearMotion, MotionModel, SeriesMotion, presence
 from flowsplat.geometry import Camera
 from flowsplat.splatting.harmonics import harmonics_count
+from flowsplat.splatting.rules import EPS2D
 
 NEAR_PLANE = 0.02
 """Planar depth (median depth = 1) below which nothing is rendered."""
@@ -113,9 +114,11 @@ class Gaussians4D:
         return ("times", "log_lambdas", "log_scales4", "quats_left", "quats_right")
 
     @torch.no_grad()
-    def active(self, t: float, camera: Camera | None = None, near: float = NEAR_PLANE) -> Active:
+    def active(self, t: float, camera: Camera | None = None, near: float = NEAR_PLANE, eps2d: float = EPS2D) -> Active:
         """Those with p(t) >= p_min, and of those at rest only what ``camera`` may show (all of them without one)."""
         params = self.params
+        if camera is not None:
+            camera = camera.widened(border(eps2d))
         rows, num_static = active_rows(
             self.at_rest, params["means"], params.get("log_scales"), params["times"], self.motion.log_precision(params), t,
             self.config.p_min, camera, near,

@@ -66,7 +66,8 @@ class SceneModel:
 
         Training knows Gaussians only together with its blur, so it belongs to what they look like: with pixels a third as wide
         the same blur is three pixels wide, or the gaps between the Gaussians would show (as in Mip-Splatting,
-        https://arxiv.org/abs/2311.16493). In steps, because a CUDA graph holds one.
+        https://arxiv.org/abs/2311.16493). Only the focal length counts: from farther off with a longer lens (a dolly zoom) that is
+        more blur than needed, and from nearer less. In steps, because a CUDA graph holds one.
         """
         finer = round(_BLUR_STEPS * camera.K[0, 0] / self.focal) / _BLUR_STEPS if self.focal > 0 else 1.0
         return EPS2D * max(finer, 1.0) ** 2

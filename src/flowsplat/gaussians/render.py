@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import cv2
@@ -113,9 +112,7 @@ def render(
     backend: BackendName = "auto",
 ) -> RenderedFrame:
     """Render the Gaussians at clip time ``t``, without gradients; camera in normalised coordinates."""
-    # The cull reckons with the usual blur; a stronger one reaches farther into the picture.
-    beyond = math.ceil(3.34 * (math.sqrt(eps2d) - math.sqrt(EPS2D)))
-    active = gaussians.active(t, camera.widened(beyond) if beyond > 0 else camera)
+    active = gaussians.active(t, camera, eps2d=eps2d)
     return render_active(gaussians, active, camera, flow_to=flow_to, flow_model=flow_model, eps2d=eps2d, backend=backend)
 
 

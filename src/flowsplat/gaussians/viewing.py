@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from flowsplat.common.devices import upload
+from flowsplat.gaussians.culling import border
 from flowsplat.gaussians.culling.triton import LENS, Marked
 from flowsplat.gaussians.culling.triton import lens_numbers as culling_numbers
 from flowsplat.gaussians.flow.triton.displacement import displacement_features
@@ -36,6 +37,8 @@ class FixedRenderer:
     def __init__(self, gaussians: Gaussians4D, width: int, height: int, with_flow: bool, eps2d: float = EPS2D):
         self._gaussians, self._eps2d, self._size, self._with_flow = gaussians, eps2d, (width, height), with_flow
         device = gaussians.device
+        self._border = border(eps2d)
+        self._inside = torch.tensor([[0.0, 0, self._border], [0, 0, self._border], [0, 0, 0]], device=device)
         moment = 5 + gaussians.config.gains
         self._numbers = torch.zeros(LENS + moment + 25, device=device)
         self._lens, self._moment, self._other = self._numbers.split([LENS, moment, 25])
@@ -60,7 +63,8 @@ class FixedRenderer:
             raise ValueError(f"this renders pictures of {self._size}, {'with' if self._with_flow else 'without'} flow")
         other, later = flow_to or (camera, None)
         moment = moment_numbers(self._gaussians, t, camera.center, later)
-        numbers = np.concatenate([culling_numbers(t, camera), moment, lens_numbers(other)[0]])
+        seen_by = camera.widened(self._border)
+        numbers = np.concatenate([culling_numbers(t, seen_by), moment, lens_numbers(other)[0]])
         self._numbers.copy_(upload(numbers.astype(np.float32), self._numbers.device))
         while True:
             image, alpha, needed = self._replay()
@@ -96,11 +100,12 @@ class FixedRenderer:
         g, (width, height) = self._gaussians, self._size
         p, (at_rest, moving) = g.params, self._rooms
         given = (g.at_rest, p["means"], p["log_scales"], p["times"], p["log_lambdas"], self._lens)
-        marked = Marked(*given, g.config.p_min, self._size, NEAR_PLANE)
+        widened = width + 2 * self._border, height + 2 * self._border
+        marked = Marked(*given, g.config.p_min, widened, NEAR_PLANE)
         rows = torch.full((at_rest + moving,), -1, dtype=torch.int64, device=g.device)
         marked.collect(rows, at_rest)
         means, quats, scales, opacities, colours, _, next_means, _ = slice_rows(g, rows, at_rest, self._moment, self._with_flow)
-        viewmat, K = self._lens[1:17].view(4, 4), self._lens[17:].view(3, 3)
+        viewmat, K = self._lens[1:17].view(4, 4), self._lens[17:].view(3, 3) - self._inside
         projected: Projected = project(
             means, quats, scales, opacities, viewmat, K, width, height, near_plane=NEAR_PLANE, eps2d=self._eps2d,
             backend="triton",

@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from importlib import import_module
 
 from torch import Tensor
 
 from flowsplat.common import devices
+from flowsplat.gaussians.culling.reference import REACH
 from flowsplat.geometry import Camera
+from flowsplat.splatting.rules import EPS2D
+
+
+def border(eps2d: float) -> int:
+    """Pixels by which the camera of a cull must be wider (``Camera.widened``) where the rasterizer blurs by ``eps2d``.
+
+    The cull itself reckons with the usual blur, and a stronger one reaches farther into the picture.
+    """
+    return max(math.ceil(REACH * (math.sqrt(eps2d) - math.sqrt(EPS2D))), 0)
 
 
 def active_rows(
