@@ -157,12 +157,14 @@ def test_flow_has_gradients_to_all_that_moves():
         assert float(gradients[name].abs().max()) > 0, name
 
 
-@pytest.mark.parametrize("behind", [False, True])
-@pytest.mark.parametrize("model", ["displacement", "affine"])
-def test_the_kernels_of_the_features_match_their_oracle(model, behind):
-    view, other = camera(), camera((0.05, -0.02, -1.0 if behind else 0.04), (0.01, 0.03, -0.01))
+def feature_views(behind: bool) -> tuple[Camera, Camera]:
+    """A camera, and another one that some Gaussians of ``feature_inputs`` may be behind."""
+    return camera(), camera((0.05, -0.02, -1.0 if behind else 0.04), (0.01, 0.03, -0.01))
+
+
+def feature_inputs(count: int = 60) -> dict[str, torch.Tensor]:
+    """What features depend on, by name; random."""
     g = torch.Generator().manual_seed(0)
-    count = 60
     depths = torch.rand(count, generator=g) + 0.7
     depths[:2] = 0.03  # nearer than where Jacobians are held
     means = torch.cat([0.6 * torch.randn(count, 2, generator=g), depths[:, None]], 1)  # some beyond the border
@@ -172,28 +174,44 @@ def test_the_kernels_of_the_features_match_their_oracle(model, behind):
         "next_means": means + 0.1 * torch.randn(count, 3, generator=g), "next_quats": torch.randn(count, 4, generator=g),
     }  # fmt: skip
     inputs["next_means"][:2, 2] = 0.2
+    return inputs
+
+
+def slice_of(leaves: dict[str, torch.Tensor]) -> Slice:
+    """The slice whose features these are."""
+    return Slice(
+        leaves["means"], leaves["quats"], leaves["scales"], None, leaves["depths"], leaves["colours"],
+        leaves["next_means"][:0], leaves["next_means"], leaves["next_quats"],
+    )  # fmt: skip
+
+
+def assert_alike(name: str, ours: torch.Tensor, exact: torch.Tensor, tolerance: float) -> None:
+    """Float64 tensors [N, ...]: every row to a thousandth of itself or of the largest's thousandth, the whole to ``tolerance``."""
+    scale, error = (value.abs().reshape(len(exact), -1).sum(1) for value in (exact, ours - exact))
+    assert float((error / (scale + 1e-3 * scale.max() + 1e-12)).max()) < 1e-3, name
+    assert float((ours - exact).norm()) <= tolerance * float(exact.norm()), name
+
+
+@pytest.mark.parametrize("behind", [False, True])
+@pytest.mark.parametrize("model", ["displacement", "affine"])
+def test_the_kernels_of_the_features_match_their_oracle(model, behind):
+    view, other = feature_views(behind)
+    inputs = feature_inputs()
     found = []
     for dtype in (torch.float64, torch.float32):
         leaves = {name: value.to(dtype).requires_grad_() for name, value in inputs.items()}
-        sliced = Slice(
-            leaves["means"], leaves["quats"], leaves["scales"], None, leaves["depths"], leaves["colours"],
-            leaves["next_means"][:0], leaves["next_means"], leaves["next_quats"],
-        )  # fmt: skip
-        radii = torch.ones(count, 2, dtype=torch.int32)
+        sliced = slice_of(leaves)
+        radii = torch.ones(len(leaves["depths"]), 2, dtype=torch.int32)
         projected = Projected(leaves["means2d"], leaves["means2d"], leaves["depths"], radii, None, "cpu")
         features = blend_features(sliced, projected, view, FlowView(model, other, 0.1))
-        weights = torch.randn(count, 11, generator=torch.Generator().manual_seed(1)).to(dtype)
+        weights = torch.randn(len(features), 11, generator=torch.Generator().manual_seed(1)).to(dtype)
         (features * weights[:, : features.shape[1]]).sum().backward()
         gradients = [torch.zeros_like(leaf) if leaf.grad is None else leaf.grad for leaf in leaves.values()]
         found.append([features.detach(), *gradients])
     assert found[0][0].shape[1] == {"displacement": 6, "affine": 10}[model] + behind
-    used = 0
     for name, exact, ours in zip(["features", *inputs], *found, strict=True):
-        scale = exact.abs().flatten(1).sum(1) if exact.ndim > 1 else exact.abs()
-        error = (ours.double() - exact).abs().flatten(1).sum(1) if exact.ndim > 1 else (ours.double() - exact).abs()
-        assert float((error / (scale + 1e-3 * scale.max() + 1e-12)).max()) < 1e-3, name
-        assert float((ours.double() - exact).norm()) <= 5e-5 * float(exact.norm()), name
-        used += float(exact.norm()) > 0
+        assert_alike(name, ours.double(), exact, 5e-5)
+    used = sum(float(exact.norm()) > 0 for exact in found[0])
     assert used == {"displacement": 5, "affine": 9}[model]
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import torch
@@ -16,8 +14,8 @@ from flowsplat.gaussians.slicing import Slice, reference
 from flowsplat.geometry import Camera
 from flowsplat.splatting import Projected
 from tests.common.compiling import compiled
-from tests.gaussians.test_flow import camera
-from tests.gaussians.test_slicing import BASE, OUTPUTS, random_model
+from tests.gaussians.test_flow import assert_alike, camera, feature_inputs, feature_views, slice_of
+from tests.gaussians.test_slicing import BASE, CASES, OUTPUTS, random_model
 
 pytest.importorskip("triton", reason="Triton is not installed")
 from flowsplat.gaussians.culling import triton as cull_triton
@@ -80,17 +78,7 @@ def differentiated(module, model, active, next_time, dtype, device):
     return values, {name: gradient.cpu().double() for name, gradient in gradients.items()}
 
 
-@pytest.mark.parametrize(
-    ("config", "degree", "next_time"),
-    [
-        (BASE, 3, 0.7),
-        (replace(BASE, sh_degree=2), 2, None),
-        (replace(BASE, sh_degree=3, mean_poly=2, mean_fourier=1, quat_poly=1, quat_fourier=0, fourier_base=3.0), 1, 0.1),
-        (replace(BASE, gains=0, freeze_background=False), 0, 0.7),
-        (replace(BASE, move_means=False), 1, 0.7),
-        (replace(BASE, move_quats=False), 0, None),
-    ],
-)
+@pytest.mark.parametrize(("config", "degree", "next_time"), CASES)
 def test_slicing_matches_its_oracle(config, degree, next_time):
     gaussians = random_model(config, 150)  # more than a block, so that one rests, one is mixed
     gaussians.sh_degree = degree
@@ -158,27 +146,15 @@ def test_hostile_gaussians_are_sliced_as_the_oracle_does():
 @pytest.mark.parametrize("behind", [False, True])
 @pytest.mark.parametrize("model", ["displacement", "affine"])
 def test_the_features_match_their_oracle(model, behind):
-    view, other = camera(), camera((0.05, -0.02, -1.0 if behind else 0.04), (0.01, 0.03, -0.01))
-    g = torch.Generator().manual_seed(0)
-    count = 60
-    depths = torch.rand(count, generator=g) + 0.7
-    depths[:2] = 0.03  # nearer than where Jacobians are held
-    means = torch.cat([0.6 * torch.randn(count, 2, generator=g), depths[:, None]], 1)  # some beyond the border
-    inputs = {
-        "colours": torch.rand(count, 3, generator=g), "depths": depths, "means2d": 30 * torch.rand(count, 2, generator=g),
-        "means": means, "quats": torch.randn(count, 4, generator=g), "scales": 0.2 * torch.rand(count, 3, generator=g) + 0.01,
-        "next_means": means + 0.1 * torch.randn(count, 3, generator=g), "next_quats": torch.randn(count, 4, generator=g),
-    }  # fmt: skip
-    inputs["next_means"][:2, 2] = 0.2
+    view, other = feature_views(behind)
+    inputs = feature_inputs()
     inputs["scales"][3, :2] = 1e-6  # a needle
     found = []
     for dtype, device in ((torch.float64, "cpu"), (torch.float32, DEVICE)):
         leaves = {name: value.to(device, dtype).requires_grad_() for name, value in inputs.items()}
-        sliced = Slice(
-            leaves["means"], leaves["quats"], leaves["scales"], None, leaves["depths"], leaves["colours"],
-            leaves["next_means"][:0], leaves["next_means"], leaves["next_quats"],
-        )  # fmt: skip
-        projected = Projected(leaves["means2d"], leaves["means2d"], leaves["depths"], torch.ones(count, 2), None, "reference")
+        sliced = slice_of(leaves)
+        radii = torch.ones_like(leaves["means2d"])
+        projected = Projected(leaves["means2d"], leaves["means2d"], leaves["depths"], radii, None, "reference")
         if dtype == torch.float64:
             flow = FlowView(model, other, 0.1)
             cameras = *view.tensors(dtype), *other.tensors(dtype)
@@ -195,10 +171,7 @@ def test_the_features_match_their_oracle(model, behind):
         found.append([value.cpu().double() for value in (features.detach(), *gradients)])
     assert bool(found[0][0][:, -1].any()) == behind
     for name, exact, ours in zip(["features", *inputs], *found, strict=True):
-        scale = exact.abs().reshape(count, -1).sum(1)
-        error = (ours - exact).abs().reshape(count, -1).sum(1)
-        assert float((error / (scale + 1e-3 * scale.max() + 1e-12)).max()) < 1e-3, name
-        assert float((ours - exact).norm()) <= 2e-4 * float(exact.norm()), name
+        assert_alike(name, ours, exact, 2e-4)
 
 
 def test_no_gaussians_have_no_features():
