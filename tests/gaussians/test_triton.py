@@ -8,11 +8,12 @@ import torch
 
 from flowsplat.gaussians import culling
 from flowsplat.gaussians.culling import reference as cull_reference
+from flowsplat.gaussians.culling import rooms as rooms_module
 from flowsplat.gaussians.flow import FlowView, flow_features
 from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Active, Gaussians4D
 from flowsplat.gaussians.slicing import Slice, reference
 from flowsplat.geometry import Camera
-from flowsplat.splatting import Projected
+from flowsplat.splatting import Projected, blend, project
 from tests.common.compiling import compiled
 from tests.gaussians.test_flow import assert_alike, camera, feature_inputs, feature_views, slice_of
 from tests.gaussians.test_slicing import BASE, CASES, OUTPUTS, random_model
@@ -59,6 +60,25 @@ def test_the_cull_fills_buffers_of_a_fixed_size():
     assert buffer[:num_static].tolist() == rows[:num_static].tolist()
     assert buffer[num_static : num_static + 10].tolist() == [-1] * 10
     assert buffer[num_static + 10 :].tolist() == rows[num_static:-3].tolist()
+
+
+@pytest.mark.parametrize("granule", [4, 2048])
+def test_the_cull_fills_rooms_and_says_what_they_lacked(granule, monkeypatch):
+    given = cull_arguments(1500, Camera(np.eye(4), np.array([[40.0, 0, 20], [0, 40, 15], [0, 0, 1]]), 40, 30))
+    rows, num_static = cull_triton.active_rows(*on_device(given))
+    monkeypatch.setattr(rooms_module, "GRANULE", granule)
+    rooms = culling.Rooms()
+    for attempt in range(2):
+        padded, needed = culling.padded_rows(*on_device(given), rooms)
+        assert needed.values() == [num_static, len(rows) - num_static]
+        for places, chosen in ((padded[: rooms.at_rest], rows[:num_static]), (padded[rooms.at_rest :], rows[num_static:])):
+            found = places[places >= 0]
+            assert found.tolist() == chosen[: len(places)].tolist() == places[: len(found)].tolist()
+        assert rooms.hold(needed.values()) == (granule == 2048 or attempt == 1)
+        before = rooms.at_rest, rooms.moving
+        rooms.grow(needed.values())
+        assert granule == 4 or (rooms.at_rest, rooms.moving) == before
+        assert (rooms.at_rest % granule, rooms.moving % granule) == (0, 0)
 
 
 def differentiated(module, model, active, next_time, dtype, device):
@@ -122,6 +142,51 @@ def test_rows_of_nobody_have_no_opacity_and_the_others_are_as_without_them():
         chosen = (rows if len(with_nobody) == len(rows) else rows[n + 7 :]) >= 0
         assert torch.equal(with_nobody[chosen], value)
     assert float(padded[3][rows < 0].abs().max()) == 0
+
+
+@pytest.mark.parametrize("next_time", [None, 0.6])
+@pytest.mark.parametrize("anybody", [True, False])
+def test_nobody_has_no_gradient_whatever_arrives_and_the_others_have_theirs(next_time, anybody):
+    gaussians = random_model(BASE).to(DEVICE)
+    active = gaussians.active(0.5)
+    if not anybody:
+        active = Active(active.rows[:0], 0, 0.5)
+    n, nobody = active.num_static, torch.full((7,), -1, device=DEVICE)
+    padded = Active(torch.cat([active.rows[:n], nobody, active.rows[n:], nobody]), n + 7, 0.5)
+    found = []
+    for case in (active, padded):
+        gradients = {}
+        sliced = triton.slice_gaussians(gaussians, case, torch.tensor([0.1, 0.2, -3.0]), next_time, gradients)
+        outputs = [value for value in (getattr(sliced, name) for name in OUTPUTS) if value is not None]
+        g, arriving = torch.Generator().manual_seed(1), []
+        for value in outputs:
+            chosen = (case.rows if len(value) == len(case.rows) else case.rows[case.num_static :]) >= 0
+            gradient = torch.full_like(value, torch.nan)
+            gradient[chosen] = torch.randn(value[chosen].shape, generator=g).to(DEVICE)
+            arriving.append(gradient)
+        torch.autograd.backward(outputs, arriving)
+        found.append(gradients)
+    for name, expected in found[0].items():
+        there, ours = gaussians.rows_of(name, padded) >= 0, found[1][name]
+        assert torch.equal(ours[there], expected), name
+        assert not ours[~there].count_nonzero(), name
+
+
+@pytest.mark.parametrize("features_of", [flow_triton.blend_displacement, flow_triton.blend_affine])
+def test_nobody_is_drawn(features_of):
+    gaussians = random_model(BASE).to(DEVICE)
+    nobody, view, gradients = Active(torch.full((20,), -1, device=DEVICE), 9, 0.5), camera(), {}
+    sliced = triton.slice_gaussians(gaussians, nobody, torch.zeros(3), 0.6, gradients)
+    given = sliced.means, sliced.quats, sliced.scales, sliced.opacities, *view.tensors(device=DEVICE)
+    projected = project(*given, view.width, view.height, backend="triton")
+    views = (view, view) if features_of is flow_triton.blend_affine else (view,)
+    image, alpha = blend(projected, sliced.opacities, features_of(sliced, projected, *views), view.width, view.height)
+    (image.sum() + alpha.sum()).backward()
+    assert not projected.visible.any()
+    assert not image.count_nonzero()
+    assert not alpha.count_nonzero()
+    assert len(gradients) == len(gaussians.params)
+    assert all(not gradient.count_nonzero() for gradient in gradients.values())
 
 
 def test_hostile_gaussians_are_sliced_as_the_oracle_does():

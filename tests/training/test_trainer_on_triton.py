@@ -9,7 +9,8 @@ import pytest
 import torch
 
 from flowsplat.common import devices
-from flowsplat.gaussians.gaussians4d import Gaussians4D, parameter_shapes
+from flowsplat.gaussians.culling import rooms
+from flowsplat.gaussians.gaussians4d import Active, Gaussians4D, parameter_shapes
 from flowsplat.gaussians.observations import Observation, Observations
 from flowsplat.gaussians.render import render
 from flowsplat.geometry import Camera, Similarity
@@ -61,9 +62,10 @@ def seen(gaussians: Gaussians4D) -> Observations:
 
 @pytest.fixture
 def by_triton(monkeypatch):
-    """Call it, and from then on every operation is computed by the Triton kernels, on the CPU too."""
+    """Call it, and from then on every operation is computed by the Triton kernels, on the CPU too, in small rooms."""
 
     def force() -> None:
+        monkeypatch.setattr(rooms, "GRANULE", 8)  # the interpreter takes its time with nobody, too
         pick = splatting._pick
         monkeypatch.setattr(devices, "kernels_for", lambda value: "triton" if value.dtype == torch.float32 else "reference")
         monkeypatch.setattr(splatting, "_pick", lambda backend, means: "triton" if backend == "auto" else pick(backend, means))
@@ -85,6 +87,18 @@ def close(ours: torch.Tensor, expected: torch.Tensor, name: str, tolerance: floa
     assert float(error) <= tolerance * float(expected.double().norm()) + 1e-7, name
 
 
+def of_somebody(gaussians: Gaussians4D, name: str, active: Active, gradient: torch.Tensor) -> torch.Tensor:
+    """Of a gradient by rows that of somebody; nobody's is 0."""
+    resting, moving = active.counts()
+    if name in gaussians.moving_names:
+        ours = gradient[:moving]
+    else:
+        ours = gradient[:resting] if name == "log_gains" else active.somebody(gradient)
+    assert torch.isfinite(gradient).all()
+    assert int(gradient.count_nonzero()) == int(ours.count_nonzero())
+    return ours
+
+
 @pytest.mark.parametrize(("preset", "flow_model"), [("default", "displacement"), ("default", "affine"), ("paper", "mean")])
 def test_the_loss_and_its_gradients_are_those_of_the_cpu(preset, flow_model, by_triton):
     config = tiny(preset, flow_model=flow_model)
@@ -97,11 +111,14 @@ def test_the_loss_and_its_gradients_are_those_of_the_cpu(preset, flow_model, by_
         found.append([trainer._differentiate(k) for k in (0, FRAMES - 1)])  # the last one has no flow
         by_triton()
     for expected, ours in zip(*found, strict=True):
-        assert ours[0].rows.tolist() == expected[0].rows.tolist()
-        assert ours[1].tolist() == expected[1].tolist()
+        active = ours[0]
+        assert active.somebody(active.rows).tolist() == expected[0].rows.tolist()
+        assert len(active.rows) > len(expected[0].rows)
+        assert active.somebody(ours[1]).tolist() == expected[1].tolist()
+        assert int(ours[1].sum()) == int(expected[1].sum())
         assert {name: float(value) for name, value in ours[3].items()} == pytest.approx(expected[3], rel=1e-4, abs=1e-6)
         for name, gradient in expected[2].items():
-            close(ours[2][name], gradient, name, 2e-4)
+            close(of_somebody(trainer.gaussians, name, active, ours[2][name]), gradient, name, 2e-4)
 
 
 def test_steps_lead_where_those_of_the_cpu_lead(by_triton):
@@ -118,3 +135,68 @@ def test_steps_lead_where_those_of_the_cpu_lead(by_triton):
     first = a_few(config).params
     for name, value in expected.params.items():
         close(ours.params[name].cpu() - first[name], value - first[name], name, 0.02)  # Adam's first steps are signs
+
+
+def state_of(trainer: Trainer) -> dict[str, torch.Tensor]:
+    """Everything that training changes."""
+    statistics = {f"statistics.{name}": value for name, value in vars(trainer._statistics).items()}
+    return {**trainer.gaussians.params, **trainer._adam.state(), **statistics}
+
+
+@pytest.mark.parametrize(
+    ("preset", "frames", "gains", "frozen", "granules"),
+    [("default", 1, 2, True, (8, 48)), ("default", 2, 2, True, (8,)), ("paper", 1, 0, False, (8,))],
+)
+def test_places_of_nobody_change_nothing_and_where_there_are_too_few_there_are_more(
+    preset, frames, gains, frozen, granules, by_triton, monkeypatch
+):
+    config = tiny(preset, frames_per_iteration=frames)
+    config = replace(config, model=replace(config.model, gains=gains, freeze_background=frozen))
+    observations, computed = seen(a_few(config)), []
+    by_triton()
+    backpropagate, padded = Trainer._backpropagate, Gaussians4D.active
+
+    def counting(self, *given):
+        computed.append(given)
+        return backpropagate(self, *given)
+
+    def run():
+        computed.clear()
+        trainer = Trainer(observations, None, config, start=a_few(config), device="cuda" if ON_GPU else "cpu")
+        trainer.run()
+        return state_of(trainer), trainer.history[-1], len(computed)
+
+    monkeypatch.setattr(Trainer, "_backpropagate", counting)
+    found = []
+    for granule in granules:
+        monkeypatch.setattr(rooms, "GRANULE", granule)
+        found.append(run())
+    monkeypatch.setattr(Gaussians4D, "active", lambda self, t, camera=None, rooms=None: padded(self, t, camera))
+    expected, figures, steps = run()
+    assert steps == config.iterations * frames
+    assert int(expected["counts"].max()) == config.iterations
+    assert [attempts > steps for _, _, attempts in found] == [granule < 16 for granule in granules]
+    for state, our_figures, _ in found:
+        assert our_figures == pytest.approx(figures, rel=1e-6)
+        for name, value in expected.items():
+            assert torch.equal(state[name], value), name
+
+
+@pytest.mark.parametrize("somebody", [True, False])
+def test_a_frame_without_anybody_that_moves_or_without_anybody(somebody, by_triton):
+    config = tiny("default")
+    observations = seen(a_few(config))
+    by_triton()
+    start = a_few(config)
+    start.dynamic[:] = not somebody
+    start.params["log_lambdas"] += 20.0  # those that move are long gone
+    start.params["times"] -= 3.0
+    before = {name: value.clone() for name, value in start.params.items()}
+    trainer = Trainer(observations, None, config, start=start, device="cuda" if ON_GPU else "cpu")
+    trainer.run()
+    assert trainer.history[-1]["active"] == (24 if somebody else 0)
+    assert trainer.history[-1]["rigid"] == 0
+    for name, value in trainer.gaussians.params.items():
+        assert torch.isfinite(value).all(), name
+        assert somebody or torch.equal(value.cpu(), before[name]), name
+    assert int(trainer._adam.counts.max()) == (2 if somebody else 0)

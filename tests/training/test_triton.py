@@ -88,6 +88,18 @@ def test_a_step_of_adam_matches_its_oracle_and_leaves_other_rows_alone():
     assert torch.equal(states[0][0][15:].cpu(), value[15:])
 
 
+def test_adam_leaves_rows_of_nobody_out():
+    g = torch.Generator().manual_seed(1)
+    value, gradient, rates = torch.randn(5, 4, generator=g), torch.randn(4, 4, generator=g), torch.ones(4)
+    states = [[value.clone().to(DEVICE), torch.zeros(5, 4, device=DEVICE), torch.zeros(5, 4, device=DEVICE)] for _ in range(2)]
+    counts, rows, stepped = torch.ones(5, dtype=torch.int32), torch.tensor([3, -1, 0, -1]), torch.tensor([True, False, True, False])
+    for state, kept in zip(states, ([0, 1, 2, 3], [0, 2]), strict=True):
+        adam_triton.step_rows(*state, *(t.to(DEVICE) for t in (counts, rows[kept], stepped[kept], gradient[kept], rates)))
+    for ours, expected in zip(*states, strict=True):
+        assert torch.equal(ours, expected)
+    assert torch.equal(states[0][0][4].cpu(), value[4])
+
+
 @pytest.mark.parametrize("dynamic_only", [True, False])
 def test_the_rigid_loss_matches_its_oracle(dynamic_only):
     gaussians, times = moving_model()
@@ -106,6 +118,30 @@ def test_the_rigid_loss_matches_its_oracle(dynamic_only):
     assert found[1][0] == pytest.approx(found[0][0], rel=1e-5)
     assert found[0][0] > 0.01
     torch.testing.assert_close(found[1][1], found[0][1], atol=1e-6, rtol=1e-4)
+
+
+def test_rows_of_nobody_pull_nobody():
+    gaussians, times = moving_model()
+    neighbours = find_neighbours(gaussians, times, 5, 10.0, True)
+    active = gaussians.active(times[1])
+    rows = active.rows[active.num_static :].to(DEVICE)
+    velocities = torch.randn(len(rows), 3, generator=torch.Generator().manual_seed(1)).to(DEVICE)
+    there = Neighbours(neighbours.indices.to(DEVICE), neighbours.weights.to(DEVICE))
+    there.indices[0], there.weights[0] = rows[1:6].to(torch.int32), 1.0  # of whom nobody might be taken for
+    nobody = torch.full((9,), -1, device=DEVICE)
+    found = []
+    for places in (rows, torch.cat([rows, nobody]), nobody):
+        own = torch.ones(len(places), 3, device=DEVICE)
+        own[: len(rows)] = velocities[: len(places)]
+        loss = rigid_triton.rigid_loss(own.requires_grad_(), places, there, torch.tensor(17, device=DEVICE))
+        loss.backward()
+        found.append((float(loss.detach()), own.grad))
+    (expected, gradient), (padded, ours), (nothing, none) = found
+    assert padded == pytest.approx(expected, rel=1e-6)
+    assert torch.equal(ours[: len(rows)], gradient)
+    assert not ours[len(rows) :].count_nonzero()
+    assert nothing == 0
+    assert not none.count_nonzero()
 
 
 def test_nobody_has_no_rigid_loss():

@@ -79,6 +79,26 @@ def kernels_for(value: Tensor) -> Kernels:
     return "triton" if value.device.type == "cuda" and gpu_problem() is None else "reference"
 
 
+class Later:
+    """Whole numbers [K] of a device that the host asks for now and reads later, when the device has other work."""
+
+    def __init__(self, numbers: Tensor) -> None:
+        self._numbers, self._arrived = numbers, None
+        if numbers.is_cuda:
+            self._numbers = torch.empty(numbers.shape, dtype=numbers.dtype, pin_memory=True)
+            self._numbers.copy_(numbers, non_blocking=True)
+            self._arrived = torch.cuda.Event()
+            self._arrived.record()
+
+    def values(self) -> list[int]:
+        """The numbers. Waits for what the device was told before it was asked, and for nothing after that."""
+        if self._arrived is not None:
+            self._arrived.synchronize()
+            self._arrived = None
+        numbers: list[int] = self._numbers.tolist()
+        return numbers
+
+
 def upload(values: np.ndarray | Tensor, device: torch.device) -> Tensor:
     """A host array on a device, without waiting for what that device still computes; on the CPU the same memory."""
     tensor = values if isinstance(values, Tensor) else torch.from_numpy(np.ascontiguousarray(values))

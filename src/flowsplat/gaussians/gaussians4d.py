@@ -8,7 +8,9 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
-from flowsplat.gaussians.culling import active_rows, border
+from flowsplat.common import devices
+from flowsplat.common.devices import Kernels, Later
+from flowsplat.gaussians.culling import Rooms, active_rows, border, padded_rows
 from flowsplat.gaussians.motion import LinearMotion, MotionModel, SeriesMotion, presence
 from flowsplat.geometry import Camera
 from flowsplat.splatting.harmonics import harmonics_count
@@ -58,15 +60,40 @@ class ModelConfig:
 class Active:
     """The Gaussians that are rendered at one time: first those at rest, then those that move.
 
+    On a GPU that nobody waits for (``rooms`` of ``Gaussians4D.active``) there are places for more rows than are active. Nobody,
+    -1, is in those: to the Triton kernels a Gaussian of opacity 0 without a gradient. The host asks how many are active when
+    everything that needs the rows is in the GPU's queue.
+
     Attributes:
-        rows: [A] int64 into the parameters.
-        num_static: how many of them are at rest (and have gains instead of motion).
+        rows: [A] int64 into the parameters; -1 = nobody, in the last places for those at rest and in the last of all.
+        num_static: how many of them are for those at rest (and have gains instead of motion).
         t: clip time.
+        needed: how many are at rest and moving, whether they found a place or not; None = they fill the rows.
     """
 
     rows: Tensor
     num_static: int
     t: float
+    needed: Later | None = None
+
+    def counts(self) -> tuple[int, int]:
+        """How many are at rest and moving. Waits for a GPU to have counted them, not for anything after that."""
+        if self.needed is None:
+            return self.num_static, len(self.rows) - self.num_static
+        resting, moving = self.needed.values()
+        return resting, moving
+
+    def fits(self) -> bool:
+        """Whether all of them found a place. Waits like ``counts``."""
+        resting, moving = self.counts()
+        return resting <= self.num_static and moving <= len(self.rows) - self.num_static
+
+    def somebody(self, values: Tensor) -> Tensor:
+        """Of values [A] of the rows those of somebody, who all have a place. Waits like ``counts``."""
+        if self.needed is None:
+            return values
+        resting, moving = self.counts()
+        return torch.cat([values[:resting], values[self.num_static : self.num_static + moving]])
 
 
 @dataclass
@@ -114,19 +141,40 @@ class Gaussians4D:
         return ("times", "log_lambdas", "log_scales4", "quats_left", "quats_right")
 
     @torch.no_grad()
-    def active(self, t: float, camera: Camera | None = None, near: float = NEAR_PLANE, eps2d: float = EPS2D) -> Active:
-        """Those with p(t) >= p_min, and of those at rest only what ``camera`` may show (all of them without one)."""
+    def active(
+        self, t: float, camera: Camera | None = None, near: float = NEAR_PLANE, eps2d: float = EPS2D, rooms: Rooms | None = None
+    ) -> Active:
+        """Those with p(t) >= p_min, and of those at rest only what ``camera`` may show (all of them without one).
+
+        Args:
+            t: clip time.
+            camera: who looks.
+            near: planar depth below which nothing is rendered.
+            eps2d: px^2 of blur that they will be rendered with.
+            rooms: so that nobody waits for a GPU: where Triton kernels slice, the rows have as many places as this says. Look
+                at ``fits()`` of the result before anything that was made with it is used, and where not, grow the rooms.
+                None = the host waits for their number.
+        """
         params = self.params
         if camera is not None:
             camera = camera.widened(border(eps2d))
-        rows, num_static = active_rows(
+        given = (
             self.at_rest, params["means"], params.get("log_scales"), params["times"], self.motion.log_precision(params), t,
             self.config.p_min, camera, near,
         )  # fmt: skip
+        if rooms is not None and self.sliced_by == "triton":
+            padded, needed = padded_rows(*given, rooms)
+            return Active(padded, rooms.at_rest, t, needed)
+        rows, num_static = active_rows(*given)
         return Active(rows, num_static, t)
 
+    @property
+    def sliced_by(self) -> Kernels:
+        """Whose kernels slice these; there are some for a series motion only."""
+        return devices.kernels_for(self.params["means"]) if isinstance(self.motion, SeriesMotion) else "reference"
+
     def gather(self, active: Active) -> dict[str, Tensor]:
-        """Copies of the rows that are rendered, as leaves for a gradient.
+        """Copies of the rows that are rendered, as leaves for a gradient; everybody must be somebody.
 
         Motion parameters have rows only for those that move (the last ones), gains only for those at rest (the first ones).
         """

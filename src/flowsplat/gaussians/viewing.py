@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from flowsplat.common.devices import upload
-from flowsplat.gaussians.culling import border
+from flowsplat.gaussians.culling import Rooms, border
 from flowsplat.gaussians.culling.triton import LENS, Marked
 from flowsplat.gaussians.culling.triton import lens_numbers as culling_numbers
 from flowsplat.gaussians.flow.triton.displacement import displacement_features
@@ -23,8 +23,6 @@ from flowsplat.geometry import Camera
 from flowsplat.splatting import Projected, blend, project
 from flowsplat.splatting.rules import EPS2D
 from flowsplat.splatting.triton.tiles import Room
-
-_GRANULE = 1024
 
 
 class FixedRenderer:
@@ -42,8 +40,7 @@ class FixedRenderer:
         moment = 5 + gaussians.config.gains
         self._numbers = torch.zeros(LENS + moment + 25, device=device)
         self._lens, self._moment, self._other = self._numbers.split([LENS, moment, 25])
-        self._rooms = [_GRANULE, _GRANULE]  # for Gaussians at rest, for moving ones
-        self._room = Room(device)
+        self._rooms, self._room = Rooms(), Room(device)
         self._graph: torch.cuda.CUDAGraph | None = None
         self._shown: tuple[Tensor, Tensor, Tensor] | None = None
         self.captures = 0
@@ -69,9 +66,9 @@ class FixedRenderer:
         while True:
             image, alpha, needed = self._replay()
             found = needed.tolist()
-            if all(count <= room for count, room in zip(found, self._rooms, strict=True)) and not self._room.overflowed():
+            if self._rooms.hold(found) and not self._room.overflowed():
                 return image, alpha
-            self._rooms = [max(room, _roomy(count)) for count, room in zip(found, self._rooms, strict=True)]
+            self._rooms.grow(found)
             if self._room.overflowed():
                 self._room.grow()
             self._graph = self._shown = None
@@ -98,13 +95,12 @@ class FixedRenderer:
     def _draw(self) -> tuple[Tensor, Tensor, Tensor]:
         """Everything that the device does for a frame; and how many Gaussians at rest and moving there were [2]."""
         g, (width, height) = self._gaussians, self._size
-        p, (at_rest, moving) = g.params, self._rooms
+        p = g.params
         given = (g.at_rest, p["means"], p["log_scales"], p["times"], p["log_lambdas"], self._lens)
         widened = width + 2 * self._border, height + 2 * self._border
         marked = Marked(*given, g.config.p_min, widened, NEAR_PLANE)
-        rows = torch.full((at_rest + moving,), -1, dtype=torch.int64, device=g.device)
-        marked.collect(rows, at_rest)
-        means, quats, scales, opacities, colours, _, next_means, _ = slice_rows(g, rows, at_rest, self._moment, self._with_flow)
+        rows, resting = marked.padded(self._rooms), self._rooms.at_rest
+        means, quats, scales, opacities, colours, _, next_means, _ = slice_rows(g, rows, resting, self._moment, self._with_flow)
         viewmat, K = self._lens[1:17].view(4, 4), self._lens[17:].view(3, 3) - self._inside
         projected: Projected = project(
             means, quats, scales, opacities, viewmat, K, width, height, near_plane=NEAR_PLANE, eps2d=self._eps2d,
@@ -117,8 +113,3 @@ class FixedRenderer:
         with self._room.fixed():
             image, alpha = blend(projected, opacities, features, width, height)
         return image, alpha, marked.ends[:, -1]
-
-
-def _roomy(count: int) -> int:
-    """A quarter more, and not too fine."""
-    return -(-(count + count // 4) // _GRANULE) * _GRANULE

@@ -17,6 +17,7 @@ from flowsplat.common.devices import upload
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_json, write_json
 from flowsplat.common.progress import progress_bar, say
+from flowsplat.gaussians.culling import Rooms
 from flowsplat.gaussians.density import DensityResult, DensityStatistics, densify, prune, reset_opacities, revise_dynamic
 from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
 from flowsplat.gaussians.initialize import initialize, sampled_frames
@@ -42,6 +43,13 @@ Entry = dict[str, float | Tensor]
 
 class Trainer:
     """Trains 4D Gaussians on observations; can stop at any step and go on from its last checkpoint to the same bits.
+
+    On a GPU the host runs ahead. Of a step it has to know two things only: whether all active Gaussians found room (``Rooms``),
+    and all their pairs with a tile (``splatting.triton.tiles.Room``). Both are counted before the Gaussians are blended, and read
+    when there is more than that in the GPU's queue: the pairs after the forward pass, the Gaussians after the backward pass. Where
+    there was too little room, there is more from then on, and the frame is computed again before anything is changed. It does
+    wait every ``RECORD_EVERY`` steps for the history, and where neighbours are searched, density is controlled, or a preview or
+    a checkpoint is written.
 
     Attributes:
         gaussians: the model so far.
@@ -80,6 +88,8 @@ class Trainer:
         self._rng = np.random.default_rng(config.seed)
         self._generator = torch.Generator().manual_seed(config.seed)
         self._queue: list[int] = []
+        self._rooms = Rooms()
+        self._everybody: Active | None = None
         self._neighbours: Neighbours | None = None
         self._neighbours_found = 0
         self._recent: list[Entry] = []
@@ -92,6 +102,7 @@ class Trainer:
 
     def run(self) -> Gaussians4D:
         """Train from the last checkpoint, or from the beginning, to the end."""
+        self._everybody = None
         if not self._load_checkpoint():
             start = self._start or initialize(
                 self.observations, self.tracks, self.config.model, self.config.init, self.config.seed,
@@ -143,8 +154,10 @@ class Trainer:
     def _accumulate(self, frames: list[int]) -> list[Entry]:
         """One optimizer step along the mean gradient of several frames."""
         gaussians = self.gaussians
-        totals = {name: torch.zeros_like(value) for name, value in gaussians.params.items()}
-        touched = torch.zeros(len(gaussians), dtype=torch.bool, device=self._device)
+        # The last one is where nobody, -1, points to.
+        count = len(gaussians)
+        totals = {name: value.new_zeros(count + 1, *value.shape[1:]) for name, value in gaussians.params.items()}
+        touched = torch.zeros(count + 1, dtype=torch.bool, device=self._device)
         entries = []
         for k in frames:
             active, drawn, gradients, entry = self._differentiate(k)
@@ -153,10 +166,8 @@ class Trainer:
                 totals[name][gaussians.rows_of(name, active)] += gradient * share.view(-1, *(1,) * (gradient.ndim - 1))
             touched[active.rows] |= drawn
             entries.append(entry)
-        moves = ~gaussians.at_rest
-        everything = torch.cat([torch.nonzero(~moves), torch.nonzero(moves)]).squeeze(1)
-        active = Active(everything, int((~moves).sum()), 0.0)
-        self._apply(active, touched[everything], {n: total[gaussians.rows_of(n, active)] for n, total in totals.items()})
+        active = self._everybody = self._everybody or _everybody(gaussians)
+        self._apply(active, touched[active.rows], {n: total[gaussians.rows_of(n, active)] for n, total in totals.items()})
         return entries
 
     def _of_rows(self, name: str, active: Active, values: Tensor) -> Tensor:
@@ -166,7 +177,7 @@ class Trainer:
         return values[: active.num_static] if name == "log_gains" else values
 
     def _apply(self, active: Active, drawn: Tensor, gradients: Gradients) -> None:
-        self._adam.begin_step(active.rows, drawn)
+        self._adam.begin_step(active.somebody(active.rows), active.somebody(drawn))
         rates = self.rates()
         for name, gradient in gradients.items():
             rows = self.gaussians.rows_of(name, active)
@@ -197,9 +208,28 @@ class Trainer:
     # -- one frame
 
     def _differentiate(self, k: int) -> tuple[Active, Tensor, Gradients, Entry]:
-        """Render training frame k and return what was active, what was drawn [A], the gradients of its loss, and figures."""
+        """Render training frame k and return what was active, what was drawn [A], the gradients of its loss, and figures.
+
+        Until the loss is differentiated nothing is kept but what only depends on the step, so that a frame whose Gaussians did
+        not all find room can be computed again. Their number is asked for when all that is in the queue of the GPU.
+        """
+        frame, targets = self.observations[k], self._targets[k]
+        while True:
+            active = self.gaussians.active(frame.time, frame.camera, rooms=self._rooms)
+            rendered, gradients, entry = self._backpropagate(k, active, targets)
+            if active.fits():
+                break
+            self._rooms.grow(active.counts())
+        drawn = rendered.projected.visible
+        with torch.no_grad():
+            self._count(targets, active, rendered, drawn)
+        if self._preview is not None and self.config.preview_every and self.step % self.config.preview_every == 0:
+            self._preview(self.step, frame, rendered)
+        return active, drawn, gradients, {**entry, "active": float(sum(active.counts()))}
+
+    def _backpropagate(self, k: int, active: Active, targets: PictureTargets) -> tuple[RenderedFrame, Gradients, Entry]:
+        """Render training frame k and differentiate its loss."""
         frame, config = self.observations[k], self.config
-        active = self.gaussians.active(frame.time, frame.camera)
         flow_to = None
         if frame.forward is not None and config.loss.flow > 0:
             following = self.observations[k + 1]
@@ -210,17 +240,11 @@ class Trainer:
         )
         if config.density.gradient > 0:
             rendered.projected.means2d.retain_grad()
-        targets = self._targets[k]
         total, figures = picture_loss(rendered.image, rendered.alpha, rendered.flow_channels, targets, self._weights)
         rigid = self._rigid(active, rendered) if config.loss.rigid > 0 else None
         if rigid is not None:
             total = total + config.loss.rigid * rigid
         total.backward()
-        drawn = rendered.projected.visible
-        with torch.no_grad():
-            self._count(targets, active, rendered, drawn)
-        if self._preview is not None and config.preview_every and self.step % config.preview_every == 0:
-            self._preview(self.step, frame, rendered)
         entry = {
             "colour": figures.colour,
             "flow": figures.flow,
@@ -228,9 +252,8 @@ class Trainer:
             "rigid": _number(rigid) if rigid is not None else 0.0,
             "loss": _number(total),
             "psnr": _psnr(figures.squared_error),
-            "active": float(len(active.rows)),
         }
-        return active, drawn, gradients, entry
+        return rendered, gradients, entry
 
     @property
     def _weights(self) -> PictureWeights:
@@ -240,7 +263,7 @@ class Trainer:
     def _rigid(self, active: Active, rendered: RenderedFrame) -> Tensor | None:
         """The rigid loss among moving Gaussians (among dynamic ones where background may move)."""
         config, moving, velocities = self.config.loss, active.rows[active.num_static :], rendered.sliced.velocities
-        if len(moving) < 2:
+        if min(len(moving), len(self.gaussians)) < 2:
             return None
         dynamic_only = not config.rigid_over_all
         if self._neighbours is None or self.step >= self._neighbours_found + config.rigid_refresh:
@@ -249,30 +272,28 @@ class Trainer:
             )
             self._neighbours_found = self.step
         count: int | Tensor = len(self.gaussians)
-        if not config.rigid_over_all and self.gaussians.config.freeze_background:
-            count = len(moving)
-        elif not config.rigid_over_all:
-            dynamic = self.gaussians.dynamic[moving].sum().clamp(min=1)
+        if not config.rigid_over_all:
+            dynamic = (self.gaussians.dynamic[moving] & (moving >= 0)).sum().clamp(min=1)
             count = dynamic if dynamic.is_cuda else int(dynamic)
         return rigid_loss(velocities, moving, self._neighbours, count)
 
     def _count(self, targets: PictureTargets, active: Active, rendered: RenderedFrame, visible: Tensor) -> None:
         """Add this picture to the statistics of density control."""
-        statistics, rows = self._statistics, active.rows
+        statistics, rows = self._statistics, active.somebody(active.rows)
         if self.config.density.gradient > 0:
             gradient = rendered.projected.means2d.grad
             assert gradient is not None
             width, height = self.observations.size
             scaled = gradient * upload(torch.tensor([width / 2, height / 2], dtype=gradient.dtype), gradient.device)
-            statistics.gradient[rows] += torch.where(visible, scaled.norm(dim=1), 0)
-            statistics.visits[rows] += visible
+            statistics.gradient[rows] += active.somebody(torch.where(visible, scaled.norm(dim=1), 0))
+            statistics.visits[rows] += active.somebody(visible)
         # Every fourth step is enough evidence, and saves a twentieth of the time.
         sampled = self.config.density.revise and self.step % 4 == 0
         if sampled and rendered.flow is not None and targets.flow is not None:
             seen, residual = _flow_residual(targets, rendered)
             seen &= visible
-            statistics.flow_residual[rows] += torch.where(seen, residual, 0)
-            statistics.flow_visits[rows] += seen
+            statistics.flow_residual[rows] += active.somebody(torch.where(seen, residual, 0))
+            statistics.flow_visits[rows] += active.somebody(seen)
 
     # -- after a step
 
@@ -310,6 +331,7 @@ class Trainer:
         large = config.prune_scale if config.reset_every and self.step > config.reset_every else 0.0
         self._adopt(prune(self.gaussians, self._times, config.prune_opacity, large))
         self._statistics = DensityStatistics.zeros(len(self.gaussians), self._device)
+        self._everybody = None
 
     def _adopt(self, result: DensityResult) -> None:
         self._adam.follow(result.index, result.is_new)
@@ -386,6 +408,13 @@ def _plain(value: Any) -> Any:
     if isinstance(value, dict):
         return {name: _plain(item) for name, item in value.items()}
     return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
+
+
+def _everybody(gaussians: Gaussians4D) -> Active:
+    """All of them, those at rest first. Waits for a GPU to count those."""
+    rests = gaussians.at_rest
+    resting = torch.nonzero(rests)
+    return Active(torch.cat([resting, torch.nonzero(~rests)]).squeeze(1), len(resting), 0.0)
 
 
 def _mean(values: list[float | Tensor]) -> float | Tensor:

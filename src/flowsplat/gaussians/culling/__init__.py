@@ -1,5 +1,6 @@
 """Which Gaussians can be seen at a time by a camera: the cull that comes before anything else."""
 
-from flowsplat.gaussians.culling.api import active_rows, border
+from flowsplat.gaussians.culling.api import active_rows, border, padded_rows
+from flowsplat.gaussians.culling.rooms import Rooms
 
-__all__ = ["active_rows", "border"]
+__all__ = ["Rooms", "active_rows", "border", "padded_rows"]

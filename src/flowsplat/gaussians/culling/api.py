@@ -8,7 +8,9 @@ from importlib import import_module
 from torch import Tensor
 
 from flowsplat.common import devices
+from flowsplat.common.devices import Later
 from flowsplat.gaussians.culling.reference import REACH
+from flowsplat.gaussians.culling.rooms import Rooms
 from flowsplat.geometry import Camera
 from flowsplat.splatting.rules import EPS2D
 
@@ -48,10 +50,32 @@ def active_rows(
         near: planar depth below which nothing is rendered.
 
     Returns:
-        rows [A] int64 on the device of the Gaussians, and the number of those at rest.
+        rows [A] int64 on the device of the Gaussians, and the number of those at rest. The host waits for a GPU to count them.
     """
     kernels = devices.kernels_for(means)
     if kernels == "reference" and means.device.type == "cpu":
         kernels = "cpu"  # which culls in any float type
     twin = import_module(f"flowsplat.gaussians.culling.{kernels}")
     return twin.active_rows(at_rest, means, log_scales, times, log_lambdas, t, p_min, camera, near)
+
+
+def padded_rows(
+    at_rest: Tensor,
+    means: Tensor,
+    log_scales: Tensor | None,
+    times: Tensor,
+    log_lambdas: Tensor,
+    t: float,
+    p_min: float,
+    camera: Camera | None,
+    near: float,
+    rooms: Rooms,
+) -> tuple[Tensor, Later]:
+    """As ``active_rows`` by the Triton kernels, without waiting for them: in as many rows as there is room for.
+
+    Returns:
+        rows [A] int64, those at rest from the first one, moving ones from ``rooms.at_rest``; -1 = nobody. What finds no room is
+        left out. And how many at rest and moving there are.
+    """
+    twin = import_module("flowsplat.gaussians.culling.triton")
+    return twin.padded_rows(at_rest, means, log_scales, times, log_lambdas, t, p_min, camera, near, rooms)

@@ -11,8 +11,9 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from flowsplat.common.devices import upload
+from flowsplat.common.devices import Later, upload
 from flowsplat.gaussians.culling import reference
+from flowsplat.gaussians.culling.rooms import Rooms
 from flowsplat.geometry import Camera
 
 BLOCK = 1024
@@ -135,15 +136,37 @@ class Marked:
             self._keep, self._counts, self.ends, rows, room_at_rest, len(rows), self._count, self._blocks, BLOCK=BLOCK
         )
 
+    def padded(self, rooms: Rooms) -> Tensor:
+        """Rows of as many as there is room for; -1 in every place that stays empty."""
+        rows = torch.full((rooms.at_rest + rooms.moving,), -1, dtype=torch.int64, device=self._keep.device)
+        self.collect(rows, rooms.at_rest)
+        return rows
+
+
+def _marked(
+    at_rest: Tensor, means: Tensor, log_scales: Tensor | None, times: Tensor, log_lambdas: Tensor, t: float, p_min: float,
+    camera: Camera | None, near: float,
+) -> Marked:  # fmt: skip
+    lens, size = upload(lens_numbers(t, camera), means.device), (camera.width, camera.height) if camera is not None else None
+    return Marked(at_rest, means, log_scales, times, log_lambdas, lens, p_min, size, near)
+
 
 def active_rows(
     at_rest: Tensor, means: Tensor, log_scales: Tensor | None, times: Tensor, log_lambdas: Tensor, t: float, p_min: float,
     camera: Camera | None, near: float,
 ) -> tuple[Tensor, int]:  # fmt: skip
     """See ``api.active_rows``. Waits for the device once, for the two numbers that say how large everything after it is."""
-    lens, size = upload(lens_numbers(t, camera), means.device), (camera.width, camera.height) if camera is not None else None
-    marked = Marked(at_rest, means, log_scales, times, log_lambdas, lens, p_min, size, near)
+    marked = _marked(at_rest, means, log_scales, times, log_lambdas, t, p_min, camera, near)
     resting, moving = marked.ends[:, -1].tolist()
     rows = torch.empty(resting + moving, dtype=torch.int64, device=means.device)
     marked.collect(rows, resting)
     return rows, resting
+
+
+def padded_rows(
+    at_rest: Tensor, means: Tensor, log_scales: Tensor | None, times: Tensor, log_lambdas: Tensor, t: float, p_min: float,
+    camera: Camera | None, near: float, rooms: Rooms,
+) -> tuple[Tensor, Later]:  # fmt: skip
+    """See ``api.padded_rows``."""
+    marked = _marked(at_rest, means, log_scales, times, log_lambdas, t, p_min, camera, near)
+    return marked.padded(rooms), Later(marked.ends[:, -1])

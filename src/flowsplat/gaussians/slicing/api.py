@@ -7,9 +7,7 @@ from importlib import import_module
 
 from torch import Tensor
 
-from flowsplat.common import devices
 from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
-from flowsplat.gaussians.motion import SeriesMotion
 
 Gradients = dict[str, Tensor]
 """By parameter, the gradient of the rows that ``Gaussians4D.rows_of`` names."""
@@ -62,6 +60,5 @@ def slice_gaussians(
         gradients: where the gradients of the parameters go in the backward pass (a parameter that nothing depends on may be
             missing then); None = the slice is not differentiable.
     """
-    kernels = devices.kernels_for(gaussians.params["means"]) if isinstance(gaussians.motion, SeriesMotion) else "reference"
-    twin = import_module(f"flowsplat.gaussians.slicing.{kernels}")
+    twin = import_module(f"flowsplat.gaussians.slicing.{gaussians.sliced_by}")
     return twin.slice_gaussians(gaussians, active, camera_center, next_time, gradients)

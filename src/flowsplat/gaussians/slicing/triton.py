@@ -1,7 +1,7 @@
 """Slicing and its gradient as two Triton kernels, a lane a Gaussian. Oracle: ``reference`` (series motion only).
 
 Rows are read where they lie. Blocks in which everything rests skip the series. A row of -1 is nobody: it is written as a Gaussian
-of opacity 0, so that buffers of a fixed size can be filled in part.
+of opacity 0 and its gradient is 0, so that buffers of a fixed size can be filled in part.
 """
 
 from __future__ import annotations
@@ -227,13 +227,16 @@ def _backward(
     HAS_NEXT: tl.constexpr, MEAN_POLY: tl.constexpr, MEAN_FOURIER: tl.constexpr, QUAT_POLY: tl.constexpr,
     QUAT_FOURIER: tl.constexpr, GAINS: tl.constexpr, HARMONICS: tl.constexpr, STORED: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """Every number of every d_... is written, so that they need not be cleared before."""
+    """Every number of every d_... is written, so that they need not be cleared before; that of nobody is 0, whatever arrives."""
     block = tl.program_id(0)
     a = block * BLOCK + tl.arange(0, BLOCK)
-    there = a < count
-    i = tl.load(rows + a, mask=there, other=0)
+    inside = a < count
+    i = tl.load(rows + a, mask=inside, other=-1)
+    there = i >= 0
+    i = tl.maximum(i, 0)
     moving, still = there & (a >= resting), there & (a < resting)
     m = a - resting
+    moves, stays = inside & (a >= resting), inside & (a < resting)
     sigmoid = 1.0 / (1.0 + tl.exp(-tl.load(logits + i, mask=there, other=0.0)))
     toward_opacity = tl.load(grad_opacities + a, mask=there, other=0.0)
     some_move = (block + 1) * BLOCK > resting
@@ -245,17 +248,17 @@ def _backward(
         presence = tl.where(moving, tl.exp(-0.5 * precision * tau * tau), 1.0)
         toward_presence = toward_opacity * sigmoid * presence
         toward_opacity *= presence
-        tl.store(d_lambdas + m, -0.5 * toward_presence * precision * tau * tau, mask=moving)
+        tl.store(d_lambdas + m, -0.5 * toward_presence * precision * tau * tau, mask=moves)
         toward_time += toward_presence * precision * tau
-    tl.store(d_logits + a, toward_opacity * sigmoid * (1.0 - sigmoid), mask=there)
+    tl.store(d_logits + a, toward_opacity * sigmoid * (1.0 - sigmoid), mask=inside)
     for d in tl.static_range(3):
         g = tl.load(grad_means + a * 3 + d, mask=there, other=0.0)
         w = tl.zeros_like(g)
         if HAS_NEXT:
             w = tl.load(grad_next_means + a * 3 + d, mask=there, other=0.0)
-        tl.store(d_means + a * 3 + d, g + w, mask=there)
+        tl.store(d_means + a * 3 + d, g + w, mask=inside)
         scale = tl.exp(tl.load(log_scales + i * 3 + d, mask=there, other=0.0))
-        tl.store(d_scales + a * 3 + d, tl.load(grad_scales + a * 3 + d, mask=there, other=0.0) * scale, mask=there)
+        tl.store(d_scales + a * 3 + d, tl.load(grad_scales + a * 3 + d, mask=there, other=0.0) * scale, mask=inside)
         if some_move:
             v = tl.load(grad_velocities + m * 3 + d, mask=moving, other=0.0)
             _, rate, acceleration = _series(mean_poly, mean_cos, mean_sin, i, moving, d, tau, base, MEAN_POLY, MEAN_FOURIER, 3)
@@ -264,14 +267,14 @@ def _backward(
                 _, rate, _ = _series(mean_poly, mean_cos, mean_sin, i, moving, d, later, base, MEAN_POLY, MEAN_FOURIER, 3)
                 toward_time -= w * rate
             _spread(
-                d_mean_poly, d_mean_cos, d_mean_sin, m, moving, d, tau, later, base, g, v, w, MEAN_POLY, MEAN_FOURIER, 3
+                d_mean_poly, d_mean_cos, d_mean_sin, m, moves, d, tau, later, base, g, v, w, MEAN_POLY, MEAN_FOURIER, 3
             )
     for d in tl.static_range(4):
         g = tl.load(grad_quats + a * 4 + d, mask=there, other=0.0)
         w = tl.zeros_like(g)
         if HAS_NEXT:
             w = tl.load(grad_next_quats + a * 4 + d, mask=there, other=0.0)
-        tl.store(d_quats + a * 4 + d, g + w, mask=there)
+        tl.store(d_quats + a * 4 + d, g + w, mask=inside)
         if some_move:
             _, rate, _ = _series(quat_poly, quat_cos, quat_sin, i, moving, d, tau, base, QUAT_POLY, QUAT_FOURIER, 4)
             toward_time -= g * rate
@@ -279,10 +282,10 @@ def _backward(
                 _, rate, _ = _series(quat_poly, quat_cos, quat_sin, i, moving, d, later, base, QUAT_POLY, QUAT_FOURIER, 4)
                 toward_time -= w * rate
             _spread(
-                d_quat_poly, d_quat_cos, d_quat_sin, m, moving, d, tau, later, base, g, tl.zeros_like(g), w, QUAT_POLY,
+                d_quat_poly, d_quat_cos, d_quat_sin, m, moves, d, tau, later, base, g, tl.zeros_like(g), w, QUAT_POLY,
                 QUAT_FOURIER, 4,
             )  # fmt: skip
-    tl.store(d_times + m, toward_time, mask=moving)
+    tl.store(d_times + m, toward_time, mask=moves)
     x = tl.load(out_means + a * 3, mask=there, other=0.0)
     y = tl.load(out_means + a * 3 + 1, mask=there, other=0.0)
     z = tl.load(out_means + a * 3 + 2, mask=there, other=0.0)
@@ -296,16 +299,16 @@ def _backward(
         at = d_sh + (a * STORED + k) * 3
         if k < HARMONICS:
             basis = _harmonic(k, x, y, z)
-            tl.store(at, basis * toward_red, mask=there)
-            tl.store(at + 1, basis * toward_green, mask=there)
-            tl.store(at + 2, basis * toward_blue, mask=there)
+            tl.store(at, basis * toward_red, mask=inside)
+            tl.store(at + 1, basis * toward_green, mask=inside)
+            tl.store(at + 2, basis * toward_blue, mask=inside)
         else:
-            tl.store(at, tl.zeros_like(x), mask=there)
-            tl.store(at + 1, tl.zeros_like(x), mask=there)
-            tl.store(at + 2, tl.zeros_like(x), mask=there)
+            tl.store(at, tl.zeros_like(x), mask=inside)
+            tl.store(at + 1, tl.zeros_like(x), mask=inside)
+            tl.store(at + 2, tl.zeros_like(x), mask=inside)
     toward_gain = toward_red * red + toward_green * green + toward_blue * blue
     for k in tl.static_range(GAINS):
-        tl.store(d_gains + a * GAINS + k, toward_gain * tl.load(moment + COSINES + k), mask=still)
+        tl.store(d_gains + a * GAINS + k, toward_gain * tl.load(moment + COSINES + k), mask=stays)
 
 
 def moment_numbers(gaussians: Gaussians4D, t: float, camera_center: np.ndarray, next_time: float | None) -> np.ndarray:

@@ -9,6 +9,7 @@ import torch
 import triton
 from torch import Tensor
 
+from flowsplat.common.devices import Later
 from flowsplat.common.triton import power_of_two, rows_per_program
 from flowsplat.splatting.triton import blending, tiles
 from flowsplat.splatting.triton import projection as kernels
@@ -99,14 +100,15 @@ def _blend(inputs: tuple[Tensor, ...], width: int, height: int, save: bool) -> _
     if fixed is not None:
         fixed.note(counted.needed)
         return _blend_counted(counted, xy, conic, opacity, feature, extent, width, height, fixed.capacity, save)
-    room, needed = tiles.own_room(device, width, height), _Later(counted.needed)
+    room, later = tiles.own_room(device, width, height), Later(counted.needed)
     while True:
         capacity = room.capacity
         blended = _blend_counted(counted, xy, conic, opacity, feature, extent, width, height, capacity, save)
         # Only now: the GPU has enough to do while the host waits for a number that was counted before all that.
-        if needed.value() <= capacity:
+        (needed,) = later.values()
+        if needed <= capacity:
             return blended
-        room.grow(needed.value())
+        room.grow(needed)
 
 
 def _blend_counted(
@@ -126,23 +128,6 @@ def _blend_counted(
         TOGETHER=blending.TOGETHER, num_warps=blending.FORWARD_WARPS,
     )  # fmt: skip
     return _Blended(image, alphas, transmittance, stops, counted, binned)
-
-
-class _Later:
-    """A number [1] of the GPU that the host asks for now and reads later."""
-
-    def __init__(self, number: Tensor) -> None:
-        self._number, self._arrived = number, None
-        if number.is_cuda:
-            self._number = torch.empty(1, dtype=number.dtype, pin_memory=True)
-            self._number.copy_(number, non_blocking=True)
-            self._arrived = torch.cuda.Event()
-            self._arrived.record()
-
-    def value(self) -> int:
-        if self._arrived is not None:
-            self._arrived.synchronize()
-        return int(self._number)
 
 
 class _Blend(torch.autograd.Function):

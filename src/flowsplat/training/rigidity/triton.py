@@ -1,7 +1,7 @@
 """The rigid loss and its gradient as one Triton kernel, a lane a Gaussian. Oracle: ``reference``.
 
 As in ``cpu`` a Gaussian's gradient is a sum over its own pairs and over those that name it, in a fixed order: there are no atomic
-additions, and the same input gives the same bits.
+additions, and the same input gives the same bits. A row of -1 is nobody, who has no neighbours and a gradient of 0.
 """
 
 from __future__ import annotations
@@ -33,17 +33,19 @@ def _difference(velocities, x, y, z, b, mask):
 def _loss_and_gradient(
     velocities, rows, place, indices, weights, offsets, pairs, sums, gradient, count, SIZE: tl.constexpr, BLOCK: tl.constexpr
 ):  # fmt: skip
-    """sums [programs] and gradient [M, 3], not yet divided; place [N] is the position of a Gaussian among the rows, or -1."""
+    """sums [programs] and gradient [M, 3], not yet divided; place [N + 1] is the position of a Gaussian among the rows, or -1."""
     a = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     inside = a < count
-    i = tl.load(rows + a, mask=inside, other=0)
+    i = tl.load(rows + a, mask=inside, other=-1)
+    there = i >= 0
+    i = tl.maximum(i, 0)
     x = tl.load(velocities + a * 3, mask=inside, other=0.0)
     y = tl.load(velocities + a * 3 + 1, mask=inside, other=0.0)
     z = tl.load(velocities + a * 3 + 2, mask=inside, other=0.0)
     total, gx, gy, gz = tl.zeros_like(x), tl.zeros_like(x), tl.zeros_like(x), tl.zeros_like(x)
     for n in range(SIZE):
-        j = tl.load(indices + i * SIZE + n, mask=inside, other=-1)
-        known = inside & (j >= 0)
+        j = tl.load(indices + i * SIZE + n, mask=there, other=-1)
+        known = there & (j >= 0)
         b = tl.load(place + j, mask=known, other=-1)
         known = known & (b >= 0)
         weight = tl.load(weights + i * SIZE + n, mask=known, other=0.0)
@@ -53,12 +55,12 @@ def _loss_and_gradient(
         gx += pull * dx
         gy += pull * dy
         gz += pull * dz
-    begin = tl.load(offsets + i, mask=inside, other=0)
-    number = (tl.load(offsets + i + 1, mask=inside, other=0) - begin).to(tl.int32)
+    begin = tl.load(offsets + i, mask=there, other=0)
+    number = (tl.load(offsets + i + 1, mask=there, other=0) - begin).to(tl.int32)
     longest = tl.max(number, 0)
     p = 0
     while p < longest:
-        known = inside & (p < number)
+        known = there & (p < number)
         pair = tl.load(pairs + begin + p, mask=known, other=0)
         b = tl.load(place + pair // SIZE, mask=known, other=-1)
         known = known & (b >= 0)
@@ -78,7 +80,8 @@ class _RigidLoss(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, velocities: Tensor, rows: Tensor, neighbours: Neighbours, count: int | Tensor) -> Tensor:
         moving, device = len(rows), rows.device
-        place = torch.full((len(neighbours),), -1, dtype=torch.int32, device=device)
+        # The last one is where nobody, -1, points to; as a neighbour it is not looked up.
+        place = torch.full((len(neighbours) + 1,), -1, dtype=torch.int32, device=device)
         place[rows] = torch.arange(moving, dtype=torch.int32, device=device)
         block = rows_per_program(moving)
         programs = triton.cdiv(moving, block)
