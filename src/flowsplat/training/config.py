@@ -35,7 +35,11 @@ class RatesConfig:
     motion: float = 1e-3
     """Polynomial and Fourier coefficients."""
     gains: float = 0.015
-    """Brightness in time."""
+    """Brightness in time: its slowest wave."""
+    gains_falloff: float = 0.5
+    """The k-th wave of brightness learns k to the power of minus this as fast."""
+    moving: float = 2.0
+    """Factor for Gaussians that move: each is seen in a few frames only, so it is stepped less often."""
     means_decay: float = 0.01
     """What remains of the rate of ``means`` at the end."""
     motion_decay: float = 0.1
@@ -151,7 +155,7 @@ PRESETS: dict[str, TrainConfig] = {
             background_spacing=2.0, foreground_spacing=1.0,
         ),
         rates=RatesConfig(
-            quats=0.001, scales=0.005, opacities=0.05, colours=0.0025, harmonics=0.0025 / 20, decay=1.0, motion=0.001,
+            quats=0.001, scales=0.005, opacities=0.05, colours=0.0025, harmonics=0.0025 / 20, decay=1.0, motion=0.001, moving=1.0,
         ),
         loss=LossConfig(depth=0.0, rigid_over_all=True, flow_by_alpha=False),
         density=DensityConfig(revise=False),

@@ -176,15 +176,21 @@ class Trainer:
             return values[active.num_static :]
         return values[: active.num_static] if name == "log_gains" else values
 
+    def _at_rest(self, name: str, active: Active) -> int:
+        """How many of the active Gaussians that have the parameter, the first ones, are at rest."""
+        return 0 if name in self.gaussians.moving_names else active.num_static
+
     def _apply(self, active: Active, drawn: Tensor, gradients: Gradients) -> None:
         self._adam.begin_step(active.somebody(active.rows), active.somebody(drawn))
         rates = self.rates()
         for name, gradient in gradients.items():
-            rows = self.gaussians.rows_of(name, active)
-            self._adam.step(name, self.gaussians.params[name], rows, self._of_rows(name, active, drawn), gradient, rates[name])
+            value, rows = self.gaussians.params[name], self.gaussians.rows_of(name, active)
+            stepped, at_rest = self._of_rows(name, active, drawn), self._at_rest(name, active)
+            for part, rate in ((slice(at_rest), rates[name]), (slice(at_rest, None), rates[name] * self.config.rates.moving)):
+                self._adam.step(name, value, rows[part], stepped[part], gradient[part], rate)
 
     def rates(self) -> dict[str, Tensor]:
-        """Learning rates now: one for every number of a row, by parameter."""
+        """Learning rates now of Gaussians at rest: one for every number of a row, by parameter."""
         r = self.config.rates
         progress = self.step / max(self.config.iterations, 1)
         means, motion, rest = (decay**progress for decay in (r.means_decay, r.motion_decay, r.decay))
@@ -201,6 +207,8 @@ class Trainer:
                 result[name][:3] = r.colours * rest
             else:
                 result[name] = torch.full((size,), rates.get(name, r.motion * motion))
+            if name == "log_gains":
+                result[name] *= torch.arange(1.0, size + 1) ** -r.gains_falloff
         # One copy to the device for all of them.
         moved = upload(torch.cat(list(result.values())), self._device)
         return dict(zip(result, moved.split([len(rate) for rate in result.values()]), strict=True))

@@ -1,0 +1,30 @@
+"""The training loop: who is stepped how far."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+
+from flowsplat.training.trainer import Trainer
+from tests.training.handful import a_few, seen, tiny
+
+
+def test_the_first_step_is_as_long_as_the_learning_rate_says():
+    """Adam's first step has the length of its rate, whatever the gradient."""
+    config = tiny("default")
+    config = replace(config, iterations=1, rates=replace(config.rates, moving=3.0, gains=0.01, gains_falloff=0.5))
+    start = a_few(config)
+    trained = Trainer(seen(start), None, config, start=start.select(torch.arange(len(start)))).run()
+    steps = {name: (value - start.params[name]).abs() for name, value in trained.params.items()}
+    drawn = steps["log_scales"].amax(1) > 0
+    still, moving = drawn & ~start.dynamic, drawn & start.dynamic
+    assert int(still.sum()) > 2
+    assert int(moving.sum()) > 2
+    for name, rate in (("log_scales", config.rates.scales), ("means", config.rates.means)):
+        torch.testing.assert_close(steps[name][still].amax(), torch.tensor(rate), rtol=1e-3, atol=1e-7)
+        torch.testing.assert_close(steps[name][moving].amax(), torch.tensor(3 * rate), rtol=1e-3, atol=1e-7)
+    torch.testing.assert_close(steps["log_lambdas"].amax(), torch.tensor(3 * config.rates.log_lambdas), rtol=1e-3, atol=1e-7)
+    # Every second wave is at its height in each of the three frames, the others are 0 in the middle one.
+    waves = steps["log_gains"].amax(0)[1::2]
+    torch.testing.assert_close(waves, 0.01 / torch.arange(2.0, 2 * len(waves) + 1, 2).sqrt(), rtol=1e-3, atol=1e-7)
