@@ -37,8 +37,8 @@ class RatesConfig:
     gains: float = 0.015
     """Brightness in time: its slowest wave."""
     gains_falloff: float = 0.5
-    """The k-th wave of brightness learns k to the power of minus this as fast."""
-    moving: float = 2.0
+    """The k-th wave of brightness learns at k to the power of minus this of that rate."""
+    moving: float = 3.0
     """Factor for Gaussians that move: each is seen in a few frames only, so it is stepped less often."""
     means_decay: float = 0.01
     """What remains of the rate of ``means`` at the end."""
@@ -136,7 +136,7 @@ class TrainConfig:
 
 _OURS = TrainConfig(
     iterations=1500,
-    loss=LossConfig(rigid_neighbours=10),
+    loss=LossConfig(rigid=0.1, rigid_neighbours=10),
     model=ModelConfig(
         mean_poly=3, mean_fourier=1, quat_poly=1, quat_fourier=0, sh_degree=1, gains=16, freeze_background=True
     ),
