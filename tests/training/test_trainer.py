@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import pytest
 import torch
 
 from flowsplat.training.trainer import Trainer
@@ -28,3 +29,17 @@ def test_the_first_step_is_as_long_as_the_learning_rate_says():
     # Every second wave is at its height in each of the three frames, the others are 0 in the middle one.
     waves = steps["log_gains"].amax(0)[1::2]
     torch.testing.assert_close(waves, 0.01 / torch.arange(2.0, 2 * len(waves) + 1, 2).sqrt(), rtol=1e-3, atol=1e-7)
+
+
+@pytest.mark.parametrize(("pixels", "share"), [(0.0, 1.0), (1e-3, 0.5), (1.0, 1.0)])
+def test_positions_move_no_more_pixels_a_step_than_allowed(pixels, share):
+    config = tiny("default")
+    start = a_few(config)
+    observations = seen(start)
+    focal = float(observations[0].camera.K[0, 0])
+    config = replace(config, iterations=1, rates=replace(config.rates, means=2e-3 / focal, means_pixels=pixels))
+    trained = Trainer(observations, None, config, start=start.select(torch.arange(len(start)))).run()
+    steps = {name: (value - start.params[name]).abs().amax() for name, value in trained.params.items()}
+    rates = config.rates
+    for name, rate in (("means", share * rates.means), ("mean_poly", share * rates.motion), ("quats", rates.quats)):
+        torch.testing.assert_close(steps[name], torch.tensor(rates.moving * rate), rtol=1e-2, atol=1e-7)

@@ -18,6 +18,9 @@ class RatesConfig:
 
     means: float = 1.6e-4
     """Positions; falls to 0.01 of this, exponentially."""
+    means_pixels: float = 0.06
+    """Positions move at most this many pixels a step, and ``motion`` is slowed down alike: pixels are small in a fine picture and
+    behind a long lens. 0 = as fast as the rates say."""
     times: float = 1.6e-4
     """Centre times; constant."""
     quats: float = 1e-3
@@ -155,7 +158,8 @@ PRESETS: dict[str, TrainConfig] = {
             background_spacing=2.0, foreground_spacing=1.0,
         ),
         rates=RatesConfig(
-            quats=0.001, scales=0.005, opacities=0.05, colours=0.0025, harmonics=0.0025 / 20, decay=1.0, motion=0.001, moving=1.0,
+            means_pixels=0.0, quats=0.001, scales=0.005, opacities=0.05, colours=0.0025, harmonics=0.0025 / 20, decay=1.0,
+            motion=0.001, moving=1.0,
         ),
         loss=LossConfig(depth=0.0, rigid_over_all=True, flow_by_alpha=False),
         density=DensityConfig(revise=False),

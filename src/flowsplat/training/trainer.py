@@ -176,6 +176,11 @@ class Trainer:
             return values[active.num_static :]
         return values[: active.num_static] if name == "log_gains" else values
 
+    @property
+    def _focal(self) -> float:
+        """Pixels that a unit of length has at the median depth."""
+        return float(self.observations[0].camera.K[0, 0])
+
     def _at_rest(self, name: str, active: Active) -> int:
         """How many of the active Gaussians that have the parameter, the first ones, are at rest."""
         return 0 if name in self.gaussians.moving_names else active.num_static
@@ -194,8 +199,9 @@ class Trainer:
         r = self.config.rates
         progress = self.step / max(self.config.iterations, 1)
         means, motion, rest = (decay**progress for decay in (r.means_decay, r.motion_decay, r.decay))
+        slowed = min(1.0, r.means_pixels / (r.means * self._focal)) if r.means_pixels else 1.0
         rates = {
-            "means": r.means * means, "times": r.times, "log_lambdas": r.log_lambdas * rest, "quats": r.quats * rest,
+            "means": slowed * r.means * means, "times": r.times, "log_lambdas": r.log_lambdas * rest, "quats": r.quats * rest,
             "log_scales": r.scales * rest, "logit_opacities": r.opacities * rest, "log_gains": r.gains * rest,
             "log_scales4": r.scales * rest, "quats_left": r.quats * rest, "quats_right": r.quats * rest,
         }  # fmt: skip
@@ -206,7 +212,7 @@ class Trainer:
                 result[name] = torch.full((size,), r.harmonics * rest)
                 result[name][:3] = r.colours * rest
             else:
-                result[name] = torch.full((size,), rates.get(name, r.motion * motion))
+                result[name] = torch.full((size,), rates.get(name, slowed * r.motion * motion))
             if name == "log_gains":
                 result[name] *= torch.arange(1.0, size + 1) ** -r.gains_falloff
         # One copy to the device for all of them.
@@ -324,9 +330,8 @@ class Trainer:
         config = self.config.density
         if config.revise and self.gaussians.config.freeze_background:
             _, log_lambda = sampled_frames(len(self.observations), self.config.init)
-            focal = float(self.observations[0].camera.K[0, 0])
             moved, rested = revise_dynamic(
-                self.gaussians, self._statistics, config.revise_flow, config.revise_rest, focal, log_lambda
+                self.gaussians, self._statistics, config.revise_flow, config.revise_rest, self._focal, log_lambda
             )
             if moved or rested:
                 say(f"Step {self.step}: {moved:,} background Gaussians turned out to move, {rested:,} moving ones rest.")

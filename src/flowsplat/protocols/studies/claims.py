@@ -100,6 +100,7 @@ CLAIMS: tuple[Claim, ...] = (
     ),
     _ours("even-gains", "fast waves of brightness learn as fast as slow ones", {"rates.gains_falloff": 0.0}),
     _ours("even-rates", "movers learn as fast as the background", {"rates.moving": 1.0}),
+    _ours("lens-rates", "positions learn as fast behind a long lens as behind a short one", {"rates.means_pixels": 0.0}),
     _ours("rigid-0.5", "the paper's weight of the rigid loss", {"loss.rigid": 0.5}),
     _ours("no-revise", "what moves is not revised", {"density.revise": False}),
     _ours("spheres", "start as spheres, not as discs", {"init.surface_aligned": False}),
