@@ -31,13 +31,13 @@ def test_the_first_step_is_as_long_as_the_learning_rate_says():
     torch.testing.assert_close(waves, 0.01 / torch.arange(2.0, 2 * len(waves) + 1, 2).sqrt(), rtol=1e-3, atol=1e-7)
 
 
-@pytest.mark.parametrize(("pixels", "share"), [(0.0, 1.0), (1e-3, 0.5), (1.0, 1.0)])
-def test_positions_move_no_more_pixels_a_step_than_allowed(pixels, share):
+@pytest.mark.parametrize(("rate", "pixels", "share"), [(2e-3, 0.0, 1.0), (2e-3, 1e-3, 0.5), (2e-3, 1.0, 1.0), (0.0, 1e-3, 1.0)])
+def test_positions_move_no_more_pixels_a_step_than_allowed(rate, pixels, share):
     config = tiny("default")
     start = a_few(config)
     observations = seen(start)
     focal = float(observations[0].camera.K[0, 0])
-    config = replace(config, iterations=1, rates=replace(config.rates, means=2e-3 / focal, means_pixels=pixels))
+    config = replace(config, iterations=1, rates=replace(config.rates, means=rate / focal, means_pixels=pixels))
     trained = Trainer(observations, None, config, start=start.select(torch.arange(len(start)))).run()
     steps = {name: (value - start.params[name]).abs().amax() for name, value in trained.params.items()}
     rates = config.rates

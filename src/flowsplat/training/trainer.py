@@ -199,7 +199,8 @@ class Trainer:
         r = self.config.rates
         progress = self.step / max(self.config.iterations, 1)
         means, motion, rest = (decay**progress for decay in (r.means_decay, r.motion_decay, r.decay))
-        slowed = min(1.0, r.means_pixels / (r.means * self._focal)) if r.means_pixels else 1.0
+        limit = r.means_pixels / self._focal
+        slowed = limit / r.means if 0 < limit < r.means else 1.0
         rates = {
             "means": slowed * r.means * means, "times": r.times, "log_lambdas": r.log_lambdas * rest, "quats": r.quats * rest,
             "log_scales": r.scales * rest, "logit_opacities": r.opacities * rest, "log_gains": r.gains * rest,
