@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from flowsplat.geometry import Camera, Similarity
 from flowsplat.geometry.cameras import camera_flow
 from flowsplat.priors.continuity import Continuity
 from flowsplat.priors.depth import depth_stage
+from flowsplat.priors.depth.background import Background
 from flowsplat.priors.depth.clip import SolvedClip
 from flowsplat.priors.depth.fill import fill, upsample
 from flowsplat.priors.depth.fuse import fuse
@@ -127,6 +129,38 @@ def test_hidden_pixels_come_from_other_frames():
     np.testing.assert_allclose(values[11:19, 11:19], 1 / 3, rtol=1e-3)
     assert weights[15, 15] == 7
     assert values[25, 25] == 1
+
+
+def test_what_one_moment_alone_saw_stays_behind_the_mover():
+    """A near box at the left is seen in the first frames; later, and out of reach of the plate, the mover is before it."""
+    count, (width, height), hidden = 60, SIZE, np.s_[8:24, 6:20]
+    box, wall = 1 / 3, 1 / 6
+
+    class Clip:
+        median, cameras = wall, [camera(0.001 * k) for k in range(count)]
+        continuity = SimpleNamespace(same_piece=lambda k, j: True)
+
+        def __len__(self):
+            return count
+
+        def mask(self, k):
+            mask = np.zeros((height, width), np.uint8)
+            mask[hidden] = k >= 10
+            return mask
+
+        def image(self, k):
+            return np.zeros((height, width, 3), np.uint8)
+
+        def __getitem__(self, k):
+            inverse = np.full((height, width), wall, np.float32)
+            inverse[hidden] = box
+            return SimpleNamespace(inverse_depth=inverse, information=np.full_like(inverse, 100), motion=np.zeros_like(inverse))
+
+    Clip.width, Clip.height = width, height
+    background, inside = Background(Clip(), has_masks=True), np.s_[14:18, 11:15]
+    assert background.plate(50)[inside].max() < 1.1 * wall
+    np.testing.assert_allclose(background.foremost(50)[inside], box, rtol=0.01)
+    np.testing.assert_allclose(background.foremost(50)[:, 30:], wall, rtol=0.01)
 
 
 def test_a_card_stands_on_the_ground_at_its_feet():

@@ -214,7 +214,8 @@ def _write_frame(maps: _Maps, background: Background, k: int, line: np.ndarray, 
     trusted = np.where(weight > TRUSTED_WEIGHT, weight, 0)
     bend = fill(measured - small, trusted, clip.image(k))[0] if trusted.any() else np.zeros_like(small)
     static = np.clip(aligned + upsample(bend, frame, *size), floor, ceiling)
-    depth = 1 / np.clip(np.where(moving, np.maximum(aligned, MARGIN * plate), static), floor, ceiling)
+    front = upsample(background.foremost(k), np.zeros_like(frame), *size)
+    depth = 1 / np.clip(np.where(moving, np.maximum(aligned, MARGIN * front), static), floor, ceiling)
     own = np.float32(1 / (1 + (misfit / MISFIT) ** 2)) * known
     seen = np.maximum(upsample(weight, np.zeros_like(frame), *size), 0)
     confidence = np.where(moving, own, np.maximum(own, seen / (seen + TRUSTED_WEIGHT)))

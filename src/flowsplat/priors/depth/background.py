@@ -12,7 +12,7 @@ from flowsplat.geometry import Camera
 from flowsplat.priors.depth.clip import SolvedClip
 from flowsplat.priors.depth.fill import fill
 from flowsplat.priors.depth.fuse import fuse
-from flowsplat.priors.depth.movers import uncover
+from flowsplat.priors.depth.movers import carried, uncover
 
 FUSED_WITH = (2, 4, 8, 16)
 """Training frames before and after, whose depth is fused with a frame's own."""
@@ -37,7 +37,11 @@ _PLATE_SMOOTHNESS = 100.0
 _NOTHING = 1e-3
 """Share of pixels with a known value, below which a frame's depth is guessed."""
 
-_KEPT = 2 * PLATE_FROM[-1] + 16
+WITNESSES = 24
+"""Frames, evenly over a piece of the clip, before whose static scene a mover stands. The depth of frames far apart differs by
+some percent, and where a mover were behind what one of them saw, it would make that vanish."""
+
+_KEPT = 2 * PLATE_FROM[-1] + 16 + WITNESSES
 """Frames in memory: on a walk over the clip every one is asked for again until it lies behind the furthest neighbour."""
 
 
@@ -48,6 +52,10 @@ class StaticDepth(Protocol):
 
     def plate(self, k: int) -> np.ndarray:
         """Inverse depth [h, w] of the static scene, also behind movers, whose own edges play no part in it."""
+        ...
+
+    def foremost(self, k: int) -> np.ndarray:
+        """Inverse depth [h, w] before which every mover stands: at least the plate's, and what any other frame knows of there."""
         ...
 
     def filled(self, k: int) -> tuple[np.ndarray, np.ndarray]:
@@ -73,6 +81,10 @@ class Guess:
 
     def plate(self, k: int) -> np.ndarray:
         """As ``StaticDepth.plate``."""
+        return self._plate
+
+    def foremost(self, k: int) -> np.ndarray:
+        """As ``StaticDepth.foremost``."""
         return self._plate
 
     def filled(self, k: int) -> tuple[np.ndarray, np.ndarray]:
@@ -102,6 +114,7 @@ class Background:
         self._clip, self._has_masks = clip, has_masks
         self._own = lru_cache(maxsize=_KEPT)(self._weighed)
         self._uncovered = lru_cache(maxsize=1)(self._uncover)
+        self._plates = lru_cache(maxsize=1)(self._plate)
         self._fused = lru_cache(maxsize=_KEPT)(self._fuse)
 
     def mask(self, k: int) -> np.ndarray:
@@ -111,11 +124,18 @@ class Background:
         return np.zeros((self._clip.height, self._clip.width), np.uint8)
 
     def plate(self, k: int) -> np.ndarray:
-        """Inverse depth [h, w] of the static scene, also behind movers, whose own edges play no part in it."""
-        values, weights = self._uncovered(k)
-        if _unknown(weights):
-            return ground(self._clip.height, self._clip.width, self._clip.median)
-        return fill(values, weights, np.zeros((*values.shape, 3), np.uint8), _PLATE_SMOOTHNESS)[0]
+        """As ``StaticDepth.plate``: known pixels, those of other frames too, and between them the smoothest surface."""
+        return self._plates(k)
+
+    def foremost(self, k: int) -> np.ndarray:
+        """As ``StaticDepth.foremost``: the second nearest that frames from all over the piece are sure of."""
+        piece = [j for j in range(len(self._clip)) if self._clip.continuity.same_piece(k, j)]
+        chosen = np.linspace(0, len(piece) - 1, WITNESSES).round().astype(int)
+        witnesses = sorted({piece[n] for n in chosen} - {k})
+        if len(witnesses) < 2:
+            return self.plate(k)
+        seen = np.stack([carried(*self._sure(j), self._clip.cameras[k])[0] for j in witnesses])
+        return np.maximum(self.plate(k), np.partition(seen, -2, axis=0)[-2])
 
     def filled(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         """(inverse depth, weight) of the static scene, each [h, w]: along the picture's edges where nothing is known."""
@@ -130,6 +150,12 @@ class Background:
         inverse, _ = self.filled(k)
         moving = self.mask(k) > 0
         return np.where(moving, self.plate(k), inverse) if moving.any() else inverse
+
+    def _plate(self, k: int) -> np.ndarray:
+        values, weights = self._uncovered(k)
+        if _unknown(weights):
+            return ground(self._clip.height, self._clip.width, self._clip.median)
+        return fill(values, weights, np.zeros((*values.shape, 3), np.uint8), _PLATE_SMOOTHNESS)[0]
 
     def _around(self, k: int, offsets: tuple[int, ...]) -> list[int]:
         around = [j for offset in offsets for j in (k - offset, k + offset) if 0 <= j < len(self._clip)]

@@ -3,8 +3,8 @@
 Matches say nothing about the depth of what moves. But every static point that other frames show at the pixels of a
 mover lies behind it: these points are its clean plate. The nearest of them is the ground at its feet, if it stands on
 the ground, and in any case the furthest it can be away. So a mover is as near as the near end of its plate, and no pixel
-of it lies behind the plate (METHOD 7: the order of movers beats the error of their depth). How its depth changes is seen
-from its size, so that the frames with the nearest plate speak for all.
+of it lies behind the plate, or behind what a frame far away in time saw there (METHOD 7: the order of movers beats the
+error of their depth). How its depth changes is seen from its size, so that the frames with the nearest plate speak for all.
 """
 
 from __future__ import annotations
@@ -55,12 +55,27 @@ def uncover(
         others: inverse depth, weight (0 on movers) and camera of other frames.
     """
     found, found_weight = np.zeros_like(inverse_depth), np.zeros_like(weight)
-    for other_values, other_weight, other in others:
-        intrinsics = np.array([[c.K[0, 0], c.K[1, 1], c.K[0, 2], c.K[1, 2]] for c in (other, camera)])
-        pose = (camera.viewmat @ np.linalg.inv(other.viewmat))[:3]
-        _splat(other_values, other_weight, intrinsics, pose, found, found_weight)
+    for other in others:
+        _carry(*other, camera, found, found_weight)
     better = hidden & (found_weight > weight)
     return np.where(better, found, inverse_depth), np.where(better, found_weight, weight)
+
+
+def carried(
+    inverse_depth: np.ndarray, weight: np.ndarray, camera: Camera, to: Camera
+) -> tuple[np.ndarray, np.ndarray]:
+    """Inverse depth and weight, each [h, w], as another camera sees them, 0 where it sees none; the nearest point wins."""
+    found, found_weight = np.zeros_like(inverse_depth), np.zeros_like(weight)
+    _carry(inverse_depth, weight, camera, to, found, found_weight)
+    return found, found_weight
+
+
+def _carry(
+    inverse_depth: np.ndarray, weight: np.ndarray, camera: Camera, to: Camera, out: np.ndarray, out_weight: np.ndarray
+) -> None:
+    intrinsics = np.array([[c.K[0, 0], c.K[1, 1], c.K[0, 2], c.K[1, 2]] for c in (camera, to)])
+    pose = (to.viewmat @ np.linalg.inv(camera.viewmat))[:3]
+    _splat(inverse_depth, weight, intrinsics, pose, out, out_weight)
 
 
 @njit(cache=True)

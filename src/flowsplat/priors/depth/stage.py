@@ -68,10 +68,10 @@ def _cards(clip: SolvedClip, background: StaticDepth) -> dict[int, np.ndarray]:
         if not mask.any():
             ahead = {}
             continue
-        plate, back, before = background.plate(k), _growths(clip, k, k - 1, mask), ahead
+        front, back, before = background.foremost(k), _growths(clip, k, k - 1, mask), ahead
         ahead = _growths(clip, k, k + 1, mask)
         for number in map(int, np.unique(mask[mask > 0])):
-            cards.setdefault(number, np.full(len(clip), np.nan))[k] = card(mask == number, plate)
+            cards.setdefault(number, np.full(len(clip), np.nan))[k] = card(mask == number, front)
             both = growths.setdefault(number, np.zeros(len(clip)))
             if number in before and number in back:
                 both[k] = (before[number] - back[number]) / 2
@@ -97,11 +97,11 @@ def _frame_depth(clip: SolvedClip, background: StaticDepth, cards: dict[int, np.
         plate = background.plate(k)
         inverse = np.where(clip.mask(k) > 0, plate, inverse)
         static = upsample(inverse, frame, *size)
-        large_plate = upsample(plate, np.zeros_like(frame), *size)
+        front = upsample(background.foremost(k), np.zeros_like(frame), *size)
         heights = np.array([cards[n][k] if n in cards else np.nan for n in range(int(mask.max()) + 1)], np.float32)
         # An object too small to be seen at working resolution has no card and stays just in front of its plate.
         nearness = np.nan_to_num(heights)[mask]
-        static = np.where(moving, np.maximum(nearness, MARGIN * large_plate), static)
+        static = np.where(moving, np.maximum(nearness, MARGIN * front), static)
     else:
         static = upsample(inverse, frame, *size)
     limits = background.median / FURTHEST_DEPTH, background.median / NEAREST_DEPTH
