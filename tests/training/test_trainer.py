@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 
+from flowsplat.training.average import EVERY
 from flowsplat.training.trainer import Trainer
 from tests.training.handful import a_few, seen, tiny
 
@@ -43,3 +44,43 @@ def test_positions_move_no_more_pixels_a_step_than_allowed(rate, pixels, share):
     rates = config.rates
     for name, rate in (("means", share * rates.means), ("mean_poly", share * rates.motion), ("quats", rates.quats)):
         torch.testing.assert_close(steps[name], torch.tensor(rates.moving * rate), rtol=1e-2, atol=1e-7)
+
+
+def test_at_the_end_movers_still_learn_what_looks_good():
+    config = tiny("default")
+    config = replace(config, iterations=10, rates=replace(config.rates, moving=3.0, decay=0.1, moving_decay=0.5))
+    trainer = Trainer(seen(a_few(config)), None, config, start=a_few(config))
+    trainer.run()
+    still, moving = trainer.rates(), trainer.rates(moving=True)
+    torch.testing.assert_close(still["log_scales"], torch.full((3,), 0.1 * config.rates.scales))
+    torch.testing.assert_close(moving["log_scales"], torch.full((3,), 3 * 0.5 * config.rates.scales))
+    torch.testing.assert_close(moving["means"], 3 * still["means"])
+
+
+def test_the_result_is_the_mean_over_the_last_steps():
+    config = replace(tiny("default"), iterations=5 * EVERY, average=0.5)
+    start = a_few(config)
+    mean = Trainer(seen(start), None, config, start=start.select(torch.arange(len(start)))).run()
+    by_hand = []
+
+    class Watched(Trainer):
+        def _after_step(self, entry):
+            super()._after_step(entry)
+            if self.step in (3 * EVERY, 4 * EVERY, 5 * EVERY):
+                by_hand.append({name: value.clone() for name, value in self.gaussians.params.items()})
+
+    Watched(seen(start), None, replace(config, average=0.0), start=start.select(torch.arange(len(start)))).run()
+    for name, value in mean.params.items():
+        torch.testing.assert_close(value, torch.stack([params[name] for params in by_hand]).mean(0))
+    assert not torch.equal(mean.params["means"], by_hand[-1]["means"])
+
+
+def test_a_mean_that_was_begun_goes_on_to_the_same_bits(tmp_path):
+    config = replace(tiny("default"), iterations=4 * EVERY, average=0.6, checkpoint_every=3 * EVERY)
+    start = a_few(config)
+    whole = Trainer(seen(start), None, config, tmp_path, start=start.select(torch.arange(len(start)))).run()
+    resumed = Trainer(seen(start), None, config, tmp_path)
+    again = resumed.run()
+    assert resumed.step == 4 * EVERY
+    for name, value in whole.params.items():
+        assert torch.equal(value, again.params[name]), name

@@ -49,6 +49,8 @@ class RatesConfig:
     """What remains of the rate of ``motion`` at the end."""
     decay: float = 0.05
     """What remains of all other rates at the end, ``times`` excepted."""
+    moving_decay: float = 0.25
+    """The same of Gaussians that move."""
 
 
 @dataclass(frozen=True)
@@ -117,6 +119,8 @@ class TrainConfig:
     """Frames rendered in a step; their losses are averaged. 0 = all (the paper, read literally)."""
     flow_model: FlowModel = "displacement"
     """How flow is splatted: ``mean`` (the paper), ``displacement`` or ``affine`` (METHOD 3)."""
+    average: float = 0.2
+    """The result is the mean over this share of the steps, the last ones; 0 = what the last step led to."""
     seed: Annotated[int, tyro.conf.arg(aliases=("--seed",))] = 0
     """Of every random choice."""
     checkpoint_every: int = 250
@@ -152,6 +156,7 @@ PRESETS: dict[str, TrainConfig] = {
         iterations=1500,
         frames_per_iteration=4,
         flow_model="mean",
+        average=0.0,
         model=ModelConfig(),
         init=InitConfig(
             foreground="tracks", samples=7, precision_factor=49 / 36, opacity=0.1, surface_aligned=False,
@@ -159,7 +164,7 @@ PRESETS: dict[str, TrainConfig] = {
         ),
         rates=RatesConfig(
             means_pixels=0.0, quats=0.001, scales=0.005, opacities=0.05, colours=0.0025, harmonics=0.0025 / 20, decay=1.0,
-            motion=0.001, moving=1.0,
+            motion=0.001, moving=1.0, moving_decay=1.0,
         ),
         loss=LossConfig(depth=0.0, rigid_over_all=True, flow_by_alpha=False),
         density=DensityConfig(revise=False),

@@ -26,6 +26,7 @@ from flowsplat.gaussians.render import RenderedFrame, render_active
 from flowsplat.gaussians.slicing import Gradients
 from flowsplat.scenes import Tracks
 from flowsplat.training.adam import RowAdam
+from flowsplat.training.average import EVERY, TailAverage
 from flowsplat.training.checkpoint import read_tensors, write_tensors
 from flowsplat.training.config import TrainConfig
 from flowsplat.training.picture_loss import PictureTargets, PictureWeights, picture_loss
@@ -93,6 +94,7 @@ class Trainer:
         self._neighbours: Neighbours | None = None
         self._neighbours_found = 0
         self._recent: list[Entry] = []
+        self._average = TailAverage()
         self._times = np.array([frame.time for frame in observations.frames])
         self.gaussians: Gaussians4D
         self._adam: RowAdam
@@ -123,6 +125,7 @@ class Trainer:
                 bar.advance(1, f"{psnr}{len(self.gaussians):,} Gaussians")
                 if self._checkpoints is not None and self.step % config.checkpoint_every == 0 and self.step < config.iterations:
                     self._save_checkpoint()
+        self._average.write(self.gaussians.params)
         return self.gaussians
 
     def _next_frames(self) -> list[int]:
@@ -187,18 +190,19 @@ class Trainer:
 
     def _apply(self, active: Active, drawn: Tensor, gradients: Gradients) -> None:
         self._adam.begin_step(active.somebody(active.rows), active.somebody(drawn))
-        rates = self.rates()
+        rates_at_rest, rates_moving = self.rates(), self.rates(moving=True)
         for name, gradient in gradients.items():
             value, rows = self.gaussians.params[name], self.gaussians.rows_of(name, active)
             stepped, at_rest = self._of_rows(name, active, drawn), self._at_rest(name, active)
-            for part, rate in ((slice(at_rest), rates[name]), (slice(at_rest, None), rates[name] * self.config.rates.moving)):
-                self._adam.step(name, value, rows[part], stepped[part], gradient[part], rate)
+            for part, rates in ((slice(at_rest), rates_at_rest), (slice(at_rest, None), rates_moving)):
+                self._adam.step(name, value, rows[part], stepped[part], gradient[part], rates[name])
 
-    def rates(self) -> dict[str, Tensor]:
-        """Learning rates now of Gaussians at rest: one for every number of a row, by parameter."""
+    def rates(self, moving: bool = False) -> dict[str, Tensor]:
+        """Learning rates now of Gaussians at rest, or of those that move: one for every number of a row, by parameter."""
         r = self.config.rates
         progress = self.step / max(self.config.iterations, 1)
-        means, motion, rest = (decay**progress for decay in (r.means_decay, r.motion_decay, r.decay))
+        decay = r.moving_decay if moving else r.decay
+        means, motion, rest = (decay**progress for decay in (r.means_decay, r.motion_decay, decay))
         limit = r.means_pixels / self._focal
         slowed = limit / r.means if 0 < limit < r.means else 1.0
         rates = {
@@ -217,8 +221,8 @@ class Trainer:
             if name == "log_gains":
                 result[name] *= torch.arange(1.0, size + 1) ** -r.gains_falloff
         # One copy to the device for all of them.
-        moved = upload(torch.cat(list(result.values())), self._device)
-        return dict(zip(result, moved.split([len(rate) for rate in result.values()]), strict=True))
+        together = upload(torch.cat(list(result.values())) * (r.moving if moving else 1), self._device)
+        return dict(zip(result, together.split([len(rate) for rate in result.values()]), strict=True))
 
     # -- one frame
 
@@ -321,6 +325,8 @@ class Trainer:
             self._recent = []
             if self._record is not None:
                 self._record(self.history[-1])
+        if self.step > (1 - self.config.average) * self.config.iterations and self.step % EVERY == 0:
+            self._average.add(self.gaussians.params)
         config = self.config.density
         if config.every and config.start <= self.step <= config.stop * self.config.iterations and self.step % config.every == 0:
             self._control_density()
@@ -351,6 +357,8 @@ class Trainer:
         self._adam.follow(result.index, result.is_new)
         if self._neighbours is not None:
             self._neighbours = self._neighbours.follow(result.index)
+        if len(result.index) != len(self.gaussians) or bool(result.is_new.any()):
+            self._average.restart()
         self.gaussians = result.gaussians
 
     # -- checkpoints
@@ -360,6 +368,7 @@ class Trainer:
         tensors = {f"param.{name}": value for name, value in self.gaussians.params.items()}
         tensors |= {f"adam.{name}": value for name, value in self._adam.state().items()}
         tensors |= {f"statistics.{name}": value for name, value in vars(self._statistics).items()}
+        tensors |= {f"average.{name}": value for name, value in self._average.state().items()}
         tensors |= {"dynamic": self.gaussians.dynamic, "generator": self._generator.get_state()}
         if self._neighbours is not None:
             tensors |= {"neighbours.indices": self._neighbours.indices, "neighbours.weights": self._neighbours.weights}
@@ -370,6 +379,7 @@ class Trainer:
             "rng": self._rng.bit_generator.state,
             "neighbours_found": self._neighbours_found,
             "recent": _read(self._recent),
+            "averaged": self._average.count,
             "history": self.history,
             "config": asdict(self.config),
         }
@@ -409,6 +419,7 @@ class Trainer:
         self._adam = RowAdam(self.gaussians.params)
         self._adam.load_state(group("adam"))
         self._statistics = DensityStatistics(**group("statistics"))
+        self._average.load_state(int(values["averaged"]), group("average"))
         self._generator.set_state(tensors["generator"])
         self._rng.bit_generator.state = values["rng"]
         self._queue, self.step = list(values["queue"]), int(values["step"])
