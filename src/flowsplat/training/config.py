@@ -49,7 +49,7 @@ class RatesConfig:
     """What remains of the rate of ``motion`` at the end."""
     decay: float = 0.05
     """What remains of all other rates at the end, ``times`` excepted."""
-    moving_decay: float = 0.25
+    moving_decay: float = 0.6
     """The same of Gaussians that move."""
 
 
