@@ -4,8 +4,9 @@
     python benchmarks/edges.py OUT --only portrait "static camera"
     python benchmarks/edges.py OUT --read                         # the table of what is there
 
-Every tenth frame is held out (of the wide pictures every fourth) and compared with what flow interpolation makes of its
-neighbours. ``OUT/<edge>/`` is the run, ``OUT/<edge>.json`` its figures; the same command again goes on where it was stopped.
+Every tenth frame is held out and compared with what flow interpolation makes of its neighbours; of the wide pictures, a sixth of
+a second apart, every fourth. ``OUT/<edge>/run/`` is the run, ``OUT/<edge>.json`` its figures; the same command again goes on where
+it was stopped.
 """
 
 from __future__ import annotations

@@ -51,7 +51,7 @@ def violations(name: str, source: str) -> list[str]:
     parts = Path(name).with_suffix("").parts
     room = parts[0]
     if room not in MAY_IMPORT:
-        return [f"{name}: {room!r} is no room of the house (DESIGN.md)"]
+        return [f"{name}: {room!r} is no room of the house (CONTRIBUTING.md)"]
     package = ".".join(["flowsplat", *parts[:-1]])
     lines = source.splitlines()
     return [

@@ -1,4 +1,4 @@
-"""The main job on the built-in clip: as a user would run it, and with true priors beside it."""
+"""The main job on the built-in clip: as a user would run it (with fewer steps), and with true priors beside it."""
 
 from __future__ import annotations
 

@@ -5,10 +5,12 @@
     priors.html    cameras, depth, masks, flow and tracks to look at, with a verdict
     training/      checkpoints (while training), history.json
     model/         the trained 4D scene
+    static/        our own static scene to compare with (--baselines all)
     logs/          TensorBoard
     preview.png    a training view beside its target, refreshed while training
     evaluation/    held-out renderings
     renders/       videos
+    export/        what flowsplat export and tracks write
     metrics.json   figures
     report.html    all of it to look at
 """

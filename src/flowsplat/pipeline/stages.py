@@ -46,7 +46,8 @@ def run(source: Path, out: Path, config: RunConfig | None = None) -> dict[str, A
     """The whole way: a clip becomes a 4D scene, pictures and figures. Called again, it continues.
 
     Args:
-        source: a video, a folder of pictures, a DAVIS root, a rig scene or a prepared scene.
+        source: a video, a folder of pictures (or with images/ and masks/), a DAVIS root, a rig scene, an NVIDIA Dynamic Scene
+            or a prepared scene.
         out: folder of the run.
         config: every setting; None = the default preset.
 

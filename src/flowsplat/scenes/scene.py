@@ -9,7 +9,7 @@ A scene is a folder. ``scene.json`` says what it is; the layers (see ``layers``)
     truth/cameras.json  truth/depth/ ...
 
 The split is law: what trains or computes a prior calls ``frame``, ``mask``, ``depth`` and ``flow``, which refuse held-out
-frames. Only the camera stage calls ``any_frame``, only the evaluation ``heldout_frame`` and ``heldout_mask``.
+frames. Only the camera stage calls ``any_frame``; ``heldout_frame`` is for the evaluation, the report and the viewer.
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ class TailAverage:
         self.count += 1
 
     def restart(self) -> None:
-        """Forget everything: there are other Gaussians now."""
+        """Forget everything: there are other Gaussians now, or their opacities were reset."""
         self.count, self._sums = 0, {}
 
     @torch.no_grad()

@@ -19,8 +19,8 @@ class RatesConfig:
     means: float = 1.6e-4
     """Positions; falls to 0.01 of this, exponentially."""
     means_pixels: float = 0.06
-    """Positions move at most this many pixels a step, and ``motion`` is slowed down alike: pixels are small in a fine picture and
-    behind a long lens. 0 = as fast as the rates say."""
+    """Positions at rest move at most this many pixels a step, as seen at the median depth, and ``motion`` is slowed down alike:
+    pixels are small in a fine picture and behind a long lens. 0 = as fast as the rates say."""
     times: float = 1.6e-4
     """Centre times; constant."""
     quats: float = 1e-3
@@ -72,9 +72,11 @@ class LossConfig:
     rigid_refresh: int = 1000
     """Steps for which the neighbours once found are used."""
     rigid_over_all: bool = False
-    """Divide the rigid loss by the number of all Gaussians (the paper) instead of the active ones."""
+    """The rigid loss is among all Gaussians that may move, divided by the number of all (the paper); off: among dynamic ones
+    alone, divided by those active."""
     flow_by_alpha: bool = True
-    """Compare flow divided by alpha (ours) instead of as it is (the paper), which is biased where alpha < 1."""
+    """Compare flow with alpha times the prior, where alpha is at least 0.5 (ours), instead of with the prior as it is (the paper),
+    which is biased where alpha < 1."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +108,8 @@ class DensityConfig:
     revise_flow: float = 1.5
     """Mean flow residual in pixels from which background counts as moving."""
     revise_rest: float = 0.3
-    """Dynamic Gaussians that move less than this many pixels over their life, as seen, come to rest."""
+    """Dynamic Gaussians that would move less than this many pixels over the whole clip, seen at the median depth, and explain the
+    flow where they are seen, come to rest."""
 
 
 @dataclass(frozen=True)

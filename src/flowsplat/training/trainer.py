@@ -280,7 +280,7 @@ class Trainer:
         return PictureWeights(loss.ssim, loss.flow, loss.depth, loss.flow_by_alpha)
 
     def _rigid(self, active: Active, rendered: RenderedFrame) -> Tensor | None:
-        """The rigid loss among moving Gaussians (among dynamic ones where background may move)."""
+        """The rigid loss among dynamic Gaussians; with ``rigid_over_all`` among all that may move."""
         config, moving, velocities = self.config.loss, active.rows[active.num_static :], rendered.sliced.velocities
         if min(len(moving), len(self.gaussians)) < 2:
             return None
@@ -332,6 +332,7 @@ class Trainer:
             self._control_density()
         if config.reset_every and self.step % config.reset_every == 0 and self.step < self.config.iterations:
             reset_opacities(self.gaussians, config.reset_to)
+            self._average.restart()
 
     def _control_density(self) -> None:
         config = self.config.density

@@ -55,7 +55,7 @@ class StaticDepth(Protocol):
         ...
 
     def foremost(self, k: int) -> np.ndarray:
-        """Inverse depth [h, w] before which every mover stands: at least the plate's, and what any other frame knows of there."""
+        """Inverse depth [h, w] before which every mover stands: the plate's, or what two other frames are sure of there."""
         ...
 
     def filled(self, k: int) -> tuple[np.ndarray, np.ndarray]:

@@ -3,8 +3,9 @@
 Matches say nothing about the depth of what moves. But every static point that other frames show at the pixels of a
 mover lies behind it: these points are its clean plate. The nearest of them is the ground at its feet, if it stands on
 the ground, and in any case the furthest it can be away. So a mover is as near as the near end of its plate, and no pixel
-of it lies behind the plate, or behind what a frame far away in time saw there (METHOD 7: the order of movers beats the
-error of their depth). How its depth changes is seen from its size, so that the frames with the nearest plate speak for all.
+of it lies behind the plate, or behind what frames far away in time saw there (METHOD 9: that a mover is before the
+background matters more than how far before). How its depth changes is seen from its size, so that the frames with the
+nearest plate speak for all.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ NEAR_END = 92.0
 """Percentile of the plate's inverse depth at which a mover stands: not the nearest pixel, which a leak of the mask may hold."""
 
 MARGIN = 1.03
-"""How much nearer than its plate a mover is kept everywhere."""
+"""How much nearer than all that is known to be behind it a mover is kept everywhere."""
 
 WINDOW, NEAR_TIMES = 121, 88
 """Training frames whose cards are compared, and the percentile of their inverse depth, at one size, that is taken."""

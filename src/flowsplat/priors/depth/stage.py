@@ -1,4 +1,4 @@
-"""The depth stage: planar depth for every training frame, without learned weights (METHOD 4, 7)."""
+"""The depth stage: planar depth for every training frame, without learned weights (METHOD 9)."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def _frame_depth(clip: SolvedClip, background: StaticDepth, cards: dict[int, np.
         static = upsample(inverse, frame, *size)
         front = upsample(background.foremost(k), np.zeros_like(frame), *size)
         heights = np.array([cards[n][k] if n in cards else np.nan for n in range(int(mask.max()) + 1)], np.float32)
-        # An object too small to be seen at working resolution has no card and stays just in front of its plate.
+        # An object too small to be seen at working resolution has no card and stays just in front of what is known to be behind it.
         nearness = np.nan_to_num(heights)[mask]
         static = np.where(moving, np.maximum(nearness, MARGIN * front), static)
     else:

@@ -1,4 +1,4 @@
-"""The mask stage: movers are found by their motion, then cut out by what the pictures show (METHOD 4).
+"""The mask stage: movers are found by their motion, then cut out by what the pictures show (METHOD 9).
 
 Matches find what moves, but not its outline: flow takes along what is near a mover, and misses what is thin. So the
 pictures decide on the outline: a pixel that differs from the static scene as other frames show it, and that has the

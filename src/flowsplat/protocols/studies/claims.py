@@ -96,7 +96,8 @@ CLAIMS: tuple[Claim, ...] = (
         Variant(
             "free-background", "the background may move and fade", {"model.gains": 0, "model.freeze_background": False}
         ),
-        -1, NO_GAINS, remark="what moves has no brightness in time, so this is compared with the row above",
+        -1, NO_GAINS,
+        remark="what moves has no brightness in time, so this is compared with the row above; all learn at the rates of movers",
     ),
     _ours("even-gains", "fast waves of brightness learn as fast as slow ones", {"rates.gains_falloff": 0.0}),
     _ours("even-rates", "movers learn as fast as the background", {"rates.moving": 1.0, "rates.moving_decay": 0.05}),
