@@ -2,36 +2,37 @@
 
     python benchmarks/edges.py OUT                                # all of them, about an hour on two cores
     python benchmarks/edges.py OUT --only portrait "static camera"
-    python benchmarks/edges.py OUT --read                         # the table of what is there
 
 Every tenth frame is held out and compared with what flow interpolation makes of its neighbours; of the wide pictures, a sixth of
-a second apart, every fourth. ``OUT/<edge>/run/`` is the run, ``OUT/<edge>.json`` its figures; the same command again goes on where
-it was stopped.
+a second apart, every fourth. ``OUT/<edge>/run/`` is the run, ``OUT/<edge>.json`` its figures, ``OUT/edges.md`` the table;
+the same command again goes on where it was stopped.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import re
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from flowsplat import pipeline
 from flowsplat.common.errors import InputError
-from flowsplat.common.files import make_folder, write_json
-from flowsplat.common.progress import say
+from flowsplat.common.files import make_folder, write_json, write_text
 from flowsplat.geometry import Camera
 from flowsplat.pictures.video import write_mp4
 from flowsplat.pipeline import RunConfig
+from flowsplat.pipeline.folder import stage_key
 from flowsplat.protocols.process import in_own_process
+from flowsplat.protocols.resume import Job, measure_jobs, results_in
 from flowsplat.scenes import Scene
 from flowsplat.scenes.synthetic import SyntheticScene
 from flowsplat.scenes.synthetic.world import camera_at
+
+PROTOCOL = "edges"
 
 
 @dataclass(frozen=True)
@@ -91,11 +92,12 @@ def run_edge(name: str, preset: str, out: Path) -> dict[str, Any]:
     """Film, run and measure.
 
     Returns:
-        ``frames``, ``size``, ``test`` (count), ``ours``, ``interpolation``, ``training_frames`` (each ``psnr``, ``ssim``, and
-        ``moving``), ``flow_prior_epe``, ``gaussians``, ``seconds``, ``peak_memory_gib``, ``verdicts``.
+        ``name``, ``protocol``, ``preset``, ``frames``, ``size``, ``test`` (count), ``ours``, ``interpolation``,
+        ``training_frames`` (each ``psnr``, ``ssim``, and ``moving``), ``flow_prior_epe``, ``gaussians``, ``verdicts``,
+        and ``seconds`` and ``peak_memory_gib``, which are None where the run was begun by an earlier process.
     """
+    edge, is_new = EDGES[name], not out.exists()
     make_folder(out)
-    edge = EDGES[name]
     spec, video = edge.clip, out / "clip.mp4"
     if not video.exists():
         pictures = (spec.render(spec.camera(i), time).picture for i, time in enumerate(spec.timestamps))
@@ -103,39 +105,38 @@ def run_edge(name: str, preset: str, out: Path) -> dict[str, Any]:
     config = edge.change(pipeline.preset(preset))
     if edge.given_cameras:
         cameras = out / "cameras.json"
-        write_json(cameras, [_plain(spec.camera(i)) for i in range(spec.frames)])
+        write_json(cameras, [spec.camera(i).to_json() for i in range(spec.frames)])
         config = replace(config, priors=replace(config.priors, given=replace(config.priors.given, cameras=cameras)))
     run = pipeline.prepare(video, out / "run", config)
     pipeline.train(run)
     metrics = pipeline.evaluate_run(run)
     scene = Scene(run.scene_path)
     return {
-        "frames": scene.num_frames, "size": [scene.width, scene.height], "test": metrics["heldout_frames"]["count"],
-        "ours": metrics["heldout_frames"], "interpolation": metrics["baselines"]["flow_interpolation"],
-        **{key: metrics[key] for key in ("training_frames", "flow_prior_epe", "peak_memory_gib")},
-        "gaussians": {key: metrics["gaussians"][key] for key in ("total", "active_mean")}, "seconds": run.seconds,
+        "name": name, "protocol": PROTOCOL, "preset": preset, "frames": scene.num_frames, "size": [scene.width, scene.height],
+        "test": metrics["heldout_frames"]["count"], "ours": metrics["heldout_frames"],
+        "interpolation": metrics["baselines"]["flow_interpolation"],
+        **{key: metrics[key] for key in ("training_frames", "flow_prior_epe")},
+        "gaussians": {key: metrics["gaussians"][key] for key in ("total", "active_mean")},
         "verdicts": {name: (scene.prior(name) or {}).get("verdict", "") for name in ("cameras", "depth", "masks")},
+        "seconds": run.seconds if is_new else None, "peak_memory_gib": metrics["peak_memory_gib"] if is_new else None,
     }  # fmt: skip
 
 
-def _plain(camera: Camera) -> dict[str, Any]:
-    return {"viewmat": camera.viewmat.tolist(), "K": camera.K.tolist(), "width": camera.width, "height": camera.height}
-
-
-def table(results: dict[str, dict[str, Any]]) -> str:
-    """Markdown, as it stands in the docs."""
+def table(results: Sequence[Mapping[str, Any]]) -> str:
+    """Markdown, for the docs."""
     lines = [
         "| clip | held out: PSNR / SSIM | flow interpolation | training frames | Gaussians (active) | time, peak memory | depth |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
-    for name, r in results.items():
-        ours, flow, seconds = r["ours"], r["interpolation"], sum(r["seconds"].values())
+    for r in results:
+        ours, flow = r["ours"], r["interpolation"]
         trusted = re.match(r"\d+ ?%", r["verdicts"]["depth"])
+        cost = f"{sum(r['seconds'].values()):.0f} s, {r['peak_memory_gib']} GiB" if r["seconds"] else "-"
         lines.append(
-            f"| {name}: {r['frames']} frames of {r['size'][0]}x{r['size'][1]} | {ours['psnr']:.2f} / {ours['ssim']:.3f} | "
+            f"| {r['name']}: {r['frames']} frames of {r['size'][0]}x{r['size'][1]} | {ours['psnr']:.2f} / {ours['ssim']:.3f} | "
             f"{flow['psnr']:.2f} / {flow['ssim']:.3f} | {r['training_frames']['psnr']:.2f} | "
-            f"{r['gaussians']['total'] / 1e3:.0f}k ({np.mean(r['gaussians']['active_mean']) / 1e3:.0f}k) | "
-            f"{seconds:.0f} s, {r['peak_memory_gib']} GiB | {trusted.group() + ' trusted' if trusted else 'a guess'} |"
+            f"{r['gaussians']['total'] / 1e3:.0f}k ({r['gaussians']['active_mean'] / 1e3:.0f}k) | {cost} | "
+            f"{trusted.group() + ' trusted' if trusted else 'a guess'} |"
         )
     return "\n".join(lines)
 
@@ -146,21 +147,25 @@ def main() -> None:
     parser.add_argument("out", type=Path, metavar="OUT", help="folder for everything that comes out")
     parser.add_argument("--only", nargs="+", choices=EDGES, default=list(EDGES), metavar="EDGE", help=", ".join(EDGES))
     parser.add_argument("--preset", default="default", help="fast, default, paper or high")
-    parser.add_argument("--read", action="store_true", help="measure nothing")
     options = parser.parse_args()
-    results = {}
+    out, page = options.out, options.out / f"{PROTOCOL}.md"
+    jobs = []
     for name in options.only:
-        place = options.out / re.sub(r"\W+", "-", name)
-        figures = place.with_suffix(".json")
-        if not figures.exists() and not options.read:
-            say(f"{name} ...")
-            try:
-                write_json(figures, in_own_process(run_edge, name, options.preset, place))
-            except InputError as error:
-                say(f"{name}: {error}")
-        if figures.exists():
-            results[name] = json.loads(figures.read_text())
-    print(table(results))
+        slug, edge = f"{re.sub(r'[^a-z0-9]+', '-', name)}_{options.preset}", EDGES[name]
+        key = stage_key(edge.clip, edge.given_cameras, edge.change(pipeline.preset(options.preset)))
+        jobs.append(Job(slug, key, partial(in_own_process, run_edge, name, options.preset, out / slug)))
+
+    def report(failed: Mapping[str, str]) -> Path:
+        write_text(page, table(results_in(PROTOCOL, out)) + "\n")
+        return page
+
+    try:
+        measure_jobs(jobs, out, report, "clips")
+    except InputError as error:
+        sys.exit(str(error))
+    finally:
+        if page.exists():
+            print(page.read_text())
 
 
 if __name__ == "__main__":

@@ -40,6 +40,6 @@ def test_a_clip_is_run_and_told(tmp_path, monkeypatch):
     assert (figures["frames"], figures["size"], figures["test"]) == (8, [96, 64], 1)
     assert figures["ours"]["psnr"] > 10
     assert "cameras.json" in figures["verdicts"]["cameras"]
-    row = edges.table({"tiny": figures}).splitlines()[-1]
+    row = edges.table([figures]).splitlines()[-1]
     assert row.startswith("| tiny: 8 frames of 96x64 | ")
     assert f"{figures['ours']['psnr']:.2f}" in row

@@ -149,6 +149,21 @@ def test_background_that_moves_becomes_dynamic_and_the_resting_comes_to_rest():
     assert gaussians.params["log_lambdas"][[1, 3]].tolist() == [6.0, 6.0]
 
 
+def test_linear_background_that_moves_becomes_dynamic_too():
+    config = ModelConfig(move_means=False, move_quats=False, freeze_background=True)
+    shapes, g = parameter_shapes(config), torch.Generator().manual_seed(0)
+    params = {name: torch.randn(4, *shape, generator=g) for name, shape in shapes.items()}
+    gaussians = Gaussians4D(params, torch.zeros(4, dtype=torch.bool), config)
+    still = gaussians.motion.state(gaussians.params, 0.0).covars
+    statistics = DensityStatistics.zeros(4)
+    statistics.flow_visits[:] = 3
+    statistics.flow_residual[[1, 3]] = 3 * 5.0
+    assert revise_dynamic(gaussians, statistics, 1.5, 0.5, 100.0, 6.0) == (2, 0)
+    precision = gaussians.motion.log_precision(gaussians.params)
+    torch.testing.assert_close(precision[[1, 3]], torch.full((2,), 6.0), rtol=1e-3, atol=1e-3)
+    torch.testing.assert_close(gaussians.motion.state(gaussians.params, 0.0).covars, still, rtol=1e-2, atol=1e-3)
+
+
 def test_concatenating_and_selecting():
     a, b = random_model(3), random_model(4, seed=1)
     both = concatenate([a, b])

@@ -65,6 +65,17 @@ def test_recentring_does_not_change_the_motion(motion):
                 torch.testing.assert_close(getattr(b, name), getattr(a, name), msg=f"{name} at {t}")
 
 
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_another_precision_changes_nothing_else(motion):
+    params = random_params(motion)
+    changed = motion.with_precision(params, 3.0)
+    torch.testing.assert_close(motion.log_precision({**params, **changed}), torch.full((7,), 3.0, dtype=torch.float64))
+    a, b = motion.state(params, 0.2), motion.state(changed, 0.2)
+    for name in ("means", "velocities", "quats", "covars"):
+        if getattr(a, name) is not None:
+            torch.testing.assert_close(getattr(b, name), getattr(a, name), msg=name, rtol=1e-4, atol=1e-5)
+
+
 def test_linear_motion_is_the_conditional_of_a_4d_normal_distribution():
     params = random_params(LinearMotion(), seed=3)
     U, V, W = covariances_4d(params["log_scales4"], params["quats_left"], params["quats_right"])

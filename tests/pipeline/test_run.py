@@ -205,8 +205,6 @@ def test_a_folder_of_a_newer_version_is_refused(finished, tmp_path):
 def test_every_representation_trains(tiny_scene, tmp_path, name, means, quats):
     config = preset(name).train
     config = replace(config, iterations=4, model=replace(config.model, move_means=means, move_quats=quats))
-    if not (means or quats):
-        config = replace(config, model=replace(config.model, freeze_background=False, gains=0))
     if name == "paper" and not quats:
         config = replace(config, init=replace(config.init, from_priors=False, random_count=2000))
     config = replace(config, density=replace(config.density, every=2, start=2))

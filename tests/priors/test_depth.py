@@ -175,15 +175,20 @@ def test_cards_are_smooth_and_stay_near():
     cards, still = np.full(40, 0.5), np.zeros(40)
     cards[10:13] = np.nan
     cards[20] = 5.0
-    smooth = smooth_cards(cards, still)
+    smooth = smooth_cards(cards, still, still)
     assert np.isnan(smooth[10:13]).all()
     np.testing.assert_allclose(smooth[np.isfinite(smooth)], 0.5)
-    assert smooth_cards(np.where(np.arange(40) % 2, 0.5, 0.7), still)[20] > 0.65
-    assert np.isnan(smooth_cards(np.full(5, np.nan), still[:5])).all()
+    assert smooth_cards(np.where(np.arange(40) % 2, 0.5, 0.7), still, still)[20] > 0.65
+    assert np.isnan(smooth_cards(np.full(5, np.nan), still[:5], still[:5])).all()
+
+
+def test_cards_do_not_reach_across_a_cut():
+    halves = np.repeat([1.5, 0.5], 40)
+    np.testing.assert_allclose(smooth_cards(halves, np.zeros(80), np.repeat([0, 1], 40)), halves)
 
 
 def test_what_grows_comes_nearer():
-    nearness = smooth_cards(np.full(40, 0.5), np.full(40, 0.01))
+    nearness = smooth_cards(np.full(40, 0.5), np.full(40, 0.01), np.zeros(40))
     np.testing.assert_allclose(np.diff(np.log(nearness)), 0.007, atol=2e-3)
 
 

@@ -66,6 +66,11 @@ def test_a_process_of_its_own():
         in_own_process(open_root, "/missing", "rig/")
 
 
+def test_a_process_that_is_killed_is_told():
+    with pytest.raises(InputError, match="killed"):
+        in_own_process(os._exit, 9)
+
+
 def test_names_of_scenes(tmp_path):
     require_scenes(tmp_path, ["a"], ["a", "b"])
     with pytest.raises(InputError, match="has no scene 'c': choose from a, b"):

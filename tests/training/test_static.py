@@ -45,6 +45,13 @@ def test_a_static_scene_has_its_movers_once_and_at_rest(scene, config):
     assert static_config(config).loss.flow == static_config(config).loss.rigid == 0
 
 
+def test_a_random_start_stays_whole(scene, config):
+    config = replace(config, init=replace(config.init, from_priors=False, random_count=500))
+    start = static_start(load_observations(scene), None, static_config(config))
+    assert len(start) == 500
+    assert start.at_rest.all()
+
+
 def test_one_scene_for_every_frame_shares_gaussians_and_steps(scene, config, monkeypatch):
     observations = load_observations(scene)
     share = per_frame_config(config, FRAMES)

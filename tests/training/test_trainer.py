@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from flowsplat.training.average import EVERY
+from flowsplat.training.average import EVERY, TailAverage
 from flowsplat.training.trainer import Trainer
 from tests.training.handful import a_few, seen, tiny
 
@@ -84,3 +84,32 @@ def test_a_mean_that_was_begun_goes_on_to_the_same_bits(tmp_path):
     assert resumed.step == 4 * EVERY
     for name, value in whole.params.items():
         assert torch.equal(value, again.params[name]), name
+
+
+def test_a_mean_follows_who_is_pruned_and_begins_anew_with_who_is_born():
+    average, params = TailAverage(), {"means": torch.arange(4.0)}
+    average.add(params)
+    average.follow(torch.tensor([0, 2, 3]), torch.zeros(3, dtype=torch.bool))
+    average.add({"means": torch.tensor([2.0, 4.0, 3.0])})
+    mean = {"means": torch.zeros(3)}
+    average.write(mean)
+    assert mean["means"].tolist() == [1, 3, 3]
+    average.follow(torch.tensor([0, 1, 1]), torch.tensor([False, False, True]))
+    assert average.count == 0
+    average.write(mean)
+    assert mean["means"].tolist() == [1, 3, 3]
+
+
+def test_after_the_last_step_nobody_is_born_or_reset():
+    config = tiny("paper")
+    every = replace(config.density, every=1, start=2, gradient=1e-9, reset_every=2)
+    start = a_few(config)
+    trained = Trainer(seen(start), None, replace(config, density=every), start=start.select(torch.arange(len(start)))).run()
+    assert len(trained) == len(start)
+    assert float(trained.params["logit_opacities"].max()) > -4
+
+
+def test_without_checkpoints_none_is_written(tmp_path):
+    config = replace(tiny("default"), checkpoint_every=0)
+    Trainer(seen(a_few(config)), None, config, tmp_path, start=a_few(config)).run()
+    assert not list(tmp_path.iterdir())

@@ -181,7 +181,11 @@ def revise_dynamic(
         travelled = torch.maximum((side.means - centre.means).norm(dim=1) / sigma.clamp(min=1e-6), centre.velocities.norm(dim=1))
         speed[rows] = focal * travelled
     to_rest = gaussians.dynamic & visited & (speed < resting_pixels) & (residual < 0.5 * moving_residual)
-    gaussians.params["log_lambdas"][to_dynamic] = log_lambda
+    moved = torch.nonzero(to_dynamic).squeeze(1)
+    if len(moved):
+        chosen = gaussians.select(moved)
+        for name, value in chosen.motion.with_precision(chosen.params, log_lambda).items():
+            gaussians.params[name][moved] = value
     gaussians.dynamic[to_dynamic] = True
     gaussians.dynamic[to_rest] = False
-    return int(to_dynamic.sum()), int(to_rest.sum())
+    return len(moved), int(to_rest.sum())

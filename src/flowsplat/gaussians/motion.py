@@ -68,6 +68,10 @@ class MotionModel(Protocol):
         """The parameters that describe the same motion about the centre times moved by ``shift`` [N]."""
         ...
 
+    def with_precision(self, params: Params, log_lambda: float) -> dict[str, Tensor]:
+        """The parameters of the same Gaussians with another temporal precision."""
+        ...
+
 
 def presence(times: Tensor, log_lambdas: Tensor, t: float) -> Tensor:
     """p(t) = exp(-lambda (t - mu_t)^2 / 2) [N]."""
@@ -165,6 +169,9 @@ class SeriesMotion:
             result[f"{kind}_sin"] = sin * torch.cos(phase) - cos * torch.sin(phase)
         return result
 
+    def with_precision(self, params: Params, log_lambda: float) -> dict[str, Tensor]:
+        return {**params, "log_lambdas": torch.full_like(params["log_lambdas"], log_lambda)}
+
 
 def _left_matrix(q: Tensor) -> Tensor:
     """[N, 4, 4] with q p = L(q) p for quaternions wxyz."""
@@ -231,6 +238,13 @@ class LinearMotion:
         _, V, W = covariances_4d(params["log_scales4"], params["quats_left"], params["quats_right"])
         moved = params["means"] + shift[:, None] * V / W[:, None]
         return {**params, "means": moved, "times": params["times"] + shift}
+
+    def with_precision(self, params: Params, log_lambda: float) -> dict[str, Tensor]:
+        host = {name: value.cpu() for name, value in params.items()}
+        state = self.state(host, 0.0)
+        assert state.covars is not None
+        moments = self.from_moments(state.covars, state.velocities, torch.full((len(state.means),), log_lambda))
+        return {**params, **{name: value.to(params[name]) for name, value in moments.items()}}
 
     @staticmethod
     def from_moments(covars: Tensor, velocities: Tensor, log_lambdas: Tensor) -> dict[str, Tensor]:

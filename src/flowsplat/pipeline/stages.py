@@ -189,6 +189,8 @@ def train(folder: RunFolder) -> SceneModel:
     if folder.is_finished("train", key):
         return load_model(folder.model_path).to(device)
     if not folder.was_started("train", key):
+        if folder.model_path.exists() or (folder.path / "training").exists():
+            say("The settings of training, or the scene, are others than before: it begins anew.")
         for old in ("training", "logs", "model"):
             shutil.rmtree(folder.path / old, ignore_errors=True)
         folder.start("train", key)
@@ -201,10 +203,14 @@ def train(folder: RunFolder) -> SceneModel:
     save_model(folder.model_path, model)
     write_json(folder.path / "training" / "history.json", history)
     folder.finish("train", key, {"train": time.perf_counter() - started})
-    for checkpoint in (folder.path / "training").glob("step_*.safetensors"):
-        checkpoint.unlink()
-    (folder.path / "training" / "latest.json").unlink(missing_ok=True)
+    _drop_checkpoints(folder.path / "training")
     return model
+
+
+def _drop_checkpoints(path: Path) -> None:
+    for checkpoint in path.glob("step_*.safetensors"):
+        checkpoint.unlink()
+    (path / "latest.json").unlink(missing_ok=True)
 
 
 def scene_model(scene: Scene, gaussians: Gaussians4D, config: TrainConfig) -> SceneModel:
@@ -260,6 +266,7 @@ def _static_model(folder: RunFolder, scene: Scene) -> SceneModel:
     model = scene_model(scene, gaussians, config)
     save_model(path, model)
     folder.finish("static", key, {"static": time.perf_counter() - started})
+    _drop_checkpoints(path)
     return model
 
 

@@ -5,14 +5,24 @@ from __future__ import annotations
 import multiprocessing
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from typing import ParamSpec, TypeVar
+
+from flowsplat.common.errors import InputError
 
 Parameters = ParamSpec("Parameters")
 Result = TypeVar("Result")
 
 
 def in_own_process(function: Callable[Parameters, Result], *args: Parameters.args, **kwargs: Parameters.kwargs) -> Result:
-    """Call a function of a module in a fresh process, and return or raise what it does."""
+    """Call a function of a module in a fresh process, and return or raise what it does.
+
+    Raises:
+        InputError: the process was killed.
+    """
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(1, mp_context=context) as processes:
-        return processes.submit(function, *args, **kwargs).result()
+        try:
+            return processes.submit(function, *args, **kwargs).result()
+        except BrokenProcessPool as error:
+            raise InputError("its process was killed, most likely because memory ran out.") from error

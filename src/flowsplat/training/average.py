@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 EVERY = 10
-"""Steps between two that count."""
+"""Steps between two that count; the last one does."""
 
 
 class TailAverage:
@@ -35,8 +35,14 @@ class TailAverage:
         self.count += 1
 
     def restart(self) -> None:
-        """Forget everything: there are other Gaussians now, or their opacities were reset."""
+        """Forget everything: some parameters were changed by other means than a step."""
         self.count, self._sums = 0, {}
+
+    def follow(self, index: Tensor, is_new: Tensor) -> None:
+        """After density control: row k comes from old row ``index[k]``; new rows have no past, so all begins anew."""
+        if bool(is_new.any()):
+            self.restart()
+        self._sums = {name: total[index] for name, total in self._sums.items()}
 
     @torch.no_grad()
     def write(self, params: Mapping[str, Tensor]) -> None:

@@ -127,7 +127,7 @@ class TrainConfig:
     seed: Annotated[int, tyro.conf.arg(aliases=("--seed",))] = 0
     """Of every random choice."""
     checkpoint_every: int = 250
-    """Steps between two checkpoints."""
+    """Steps between two checkpoints; 0 = none."""
     preview_every: int = 100
     """Steps between two preview pictures; 0 = none."""
     model: ModelConfig = field(default_factory=ModelConfig)

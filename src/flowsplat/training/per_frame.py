@@ -52,7 +52,7 @@ def per_frame_config(config: TrainConfig, frames: int) -> TrainConfig:
     still = static_config(config)
     return replace(
         still,
-        iterations=max(1, config.iterations * max(config.frames_per_iteration, 1) // frames),
+        iterations=max(1, config.iterations * (config.frames_per_iteration or frames) // frames),
         frames_per_iteration=1,
         preview_every=0,
         model=replace(still.model, gains=0),

@@ -24,7 +24,7 @@ def static_config(config: TrainConfig) -> TrainConfig:
 
 
 def static_start(observations: Observations, tracks: Tracks | None, config: TrainConfig) -> Gaussians4D:
-    """The first Gaussians of a static scene: the background, and the movers as in their middle frame.
+    """The first Gaussians of a static scene: the background, and the movers as in their middle frame. A random start stays whole.
 
     Args:
         observations: the training frames.
@@ -33,7 +33,9 @@ def static_start(observations: Observations, tracks: Tracks | None, config: Trai
     """
     start = initialize(observations, tracks, config.model, config.init, config.seed, config.density.max_gaussians)
     keep = ~start.dynamic
-    if start.dynamic.any():
+    if not config.init.from_priors:
+        keep[:] = True
+    elif start.dynamic.any():
         times = start.params["times"]
         seen = torch.unique(times[start.dynamic])
         keep |= start.dynamic & (times == seen[len(seen) // 2])

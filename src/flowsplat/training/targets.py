@@ -23,7 +23,7 @@ class Targets:
 
     def __init__(self, observations: Observations, with_flow: bool, device: torch.device):
         self._observations, self._with_flow, self._device = observations, with_flow, device
-        self._there: dict[int, tuple[PictureTargets, Any]] = {}
+        self._there: dict[int, tuple[PictureTargets, Any, bool]] = {}
         if device.type == "cuda":
             self._stream = torch.cuda.Stream(device)
             self._room = SHARE * torch.cuda.mem_get_info(device)[0]
@@ -33,12 +33,12 @@ class Targets:
         if self._device.type != "cuda":
             return self._on_host(k)
         self.prefetch(k)
-        targets, arrived = self._there[k]
+        targets, arrived, stays = self._there[k]
         current = torch.cuda.current_stream(self._device)
         current.wait_event(arrived)
         for plane in _planes(targets):
             plane.record_stream(current)
-        if self._room < 0:
+        if not stays:
             del self._there[k]
         return targets
 
@@ -52,8 +52,10 @@ class Targets:
                 name: upload(plane, torch.device("cpu")).pin_memory() for name, plane in vars(host).items() if plane is not None
             }
             targets = PictureTargets(**pinned).to(self._device)
-            self._there[k] = targets, self._stream.record_event()
-        self._room -= sum(plane.nbytes for plane in _planes(targets))
+            size = sum(plane.nbytes for plane in _planes(targets))
+            stays = size <= self._room
+            self._there[k] = targets, self._stream.record_event(), stays
+        self._room -= size if stays else 0
 
     def _on_host(self, k: int) -> PictureTargets:
         frame = self._observations[k]

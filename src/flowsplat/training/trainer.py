@@ -123,7 +123,8 @@ class Trainer:
                 known = entry if isinstance(entry["psnr"], float) else self.history[-1] if self.history else None
                 psnr = "" if known is None else f"PSNR {known['psnr']:.2f}  "
                 bar.advance(1, f"{psnr}{len(self.gaussians):,} Gaussians")
-                if self._checkpoints is not None and self.step % config.checkpoint_every == 0 and self.step < config.iterations:
+                due = config.checkpoint_every > 0 and self.step % config.checkpoint_every == 0
+                if self._checkpoints is not None and due and self.step < config.iterations:
                     self._save_checkpoint()
         self._average.write(self.gaussians.params)
         return self.gaussians
@@ -325,14 +326,17 @@ class Trainer:
             self._recent = []
             if self._record is not None:
                 self._record(self.history[-1])
-        if self.step > (1 - self.config.average) * self.config.iterations and self.step % EVERY == 0:
+        config, left = self.config.density, self.config.iterations - self.step
+        averaged = self.step > (1 - self.config.average) * self.config.iterations
+        if averaged and left % EVERY == 0:
             self._average.add(self.gaussians.params)
-        config = self.config.density
+        # After the last step nothing would be trained any more: children would stay where chance put them.
+        if left == 0:
+            return
         if config.every and config.start <= self.step <= config.stop * self.config.iterations and self.step % config.every == 0:
             self._control_density()
-        if config.reset_every and self.step % config.reset_every == 0 and self.step < self.config.iterations:
+        if config.reset_every and self.step % config.reset_every == 0 and not averaged:
             reset_opacities(self.gaussians, config.reset_to)
-            self._average.restart()
 
     def _control_density(self) -> None:
         config = self.config.density
@@ -342,6 +346,7 @@ class Trainer:
                 self.gaussians, self._statistics, config.revise_flow, config.revise_rest, self._focal, log_lambda
             )
             if moved or rested:
+                self._average.restart()
                 say(f"Step {self.step}: {moved:,} background Gaussians turned out to move, {rested:,} moving ones rest.")
         if config.gradient > 0:
             self._adopt(
@@ -358,8 +363,7 @@ class Trainer:
         self._adam.follow(result.index, result.is_new)
         if self._neighbours is not None:
             self._neighbours = self._neighbours.follow(result.index)
-        if len(result.index) != len(self.gaussians) or bool(result.is_new.any()):
-            self._average.restart()
+        self._average.follow(result.index, result.is_new)
         self.gaussians = result.gaussians
 
     # -- checkpoints

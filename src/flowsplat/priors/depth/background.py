@@ -112,7 +112,7 @@ class Background:
     def __init__(self, clip: SolvedClip, has_masks: bool):
         self.median = clip.median
         self._clip, self._has_masks = clip, has_masks
-        self._own = lru_cache(maxsize=_KEPT)(self._weighed)
+        self._own = lru_cache(maxsize=2 * FUSED_WITH[-1] + 2)(self._weighed)
         self._uncovered = lru_cache(maxsize=1)(self._uncover)
         self._plates = lru_cache(maxsize=1)(self._plate)
         self._fused = lru_cache(maxsize=_KEPT)(self._fuse)
@@ -134,8 +134,11 @@ class Background:
         witnesses = sorted({piece[n] for n in chosen} - {k})
         if len(witnesses) < 2:
             return self.plate(k)
-        seen = np.stack([carried(*self._sure(j), self._clip.cameras[k])[0] for j in witnesses])
-        return np.maximum(self.plate(k), np.partition(seen, -2, axis=0)[-2])
+        first, second = np.zeros((2, self._clip.height, self._clip.width), np.float32)
+        for j in witnesses:
+            seen, _ = carried(*self._sure(j), self._clip.cameras[k])
+            first, second = np.maximum(first, seen), np.maximum(second, np.minimum(first, seen))
+        return np.maximum(self.plate(k), second)
 
     def filled(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         """(inverse depth, weight) of the static scene, each [h, w]: along the picture's edges where nothing is known."""

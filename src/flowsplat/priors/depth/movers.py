@@ -136,15 +136,24 @@ def growth(mask: np.ndarray, flow: np.ndarray, confidence: np.ndarray) -> float:
     return float(0.5 * np.log(max(np.linalg.det(np.eye(2) + fit[:2]), 0.5)))
 
 
-def smooth_cards(cards: np.ndarray, growths: np.ndarray) -> np.ndarray:
+def smooth_cards(cards: np.ndarray, growths: np.ndarray, pieces: np.ndarray) -> np.ndarray:
     """Inverse depths [T] of one object over time, NaN where it is not seen, smoothed; stays NaN there.
 
     An object that is twice as large in the picture is twice as near. At one size the near end of a window counts: what
-    an object passes in front of at one time bounds its distance at others.
+    an object passes in front of at one time bounds its distance at others. Either side of a cut is a world of its own.
 
     Args:
         growths: [T] logarithm of how much larger the object became since the frame before.
+        pieces: [T] number of the piece of the clip.
     """
+    smooth = np.full(len(cards), np.nan)
+    for piece in np.unique(pieces):
+        part = pieces == piece
+        smooth[part] = _smooth_piece(cards[part], growths[part])
+    return smooth
+
+
+def _smooth_piece(cards: np.ndarray, growths: np.ndarray) -> np.ndarray:
     seen = np.isfinite(cards)
     if not seen.any():
         return cards

@@ -75,7 +75,8 @@ def _cards(clip: SolvedClip, background: StaticDepth) -> dict[int, np.ndarray]:
             both = growths.setdefault(number, np.zeros(len(clip)))
             if number in before and number in back:
                 both[k] = (before[number] - back[number]) / 2
-    return {number: smooth_cards(values, growths[number]) for number, values in cards.items()}
+    pieces = np.asarray(clip.continuity.pieces)
+    return {number: smooth_cards(values, growths[number], pieces) for number, values in cards.items()}
 
 
 def _growths(clip: SolvedClip, k: int, j: int, mask: np.ndarray) -> dict[int, float]:
