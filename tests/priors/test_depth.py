@@ -53,7 +53,6 @@ OTHERS = [camera(0.1), camera(-0.15, 0.05), camera(0.3, 0, 0.1, 2.0), camera(-0.
 def test_exact_matches_give_exact_depth():
     solution = solve(OTHERS, slanted())
     np.testing.assert_allclose(1 / solution.inverse_depth, slanted(), rtol=2e-3)
-    assert solution.residual.max() < 0.01
     assert solution.motion.max() < 0.5
 
 
@@ -81,7 +80,6 @@ def test_what_moves_off_the_epipolar_line_stands_out():
 def test_without_travel_nothing_is_known(others):
     solution = solve(others, slanted())
     assert solution.information.max() < 1e-6
-    assert solution.residual.max() < 0.01
 
 
 def test_untrusted_matches_are_not_used():

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
+import sys
 
 import pytest
 
@@ -69,6 +71,17 @@ def test_a_process_of_its_own():
 def test_a_process_that_is_killed_is_told():
     with pytest.raises(InputError, match="killed"):
         in_own_process(os._exit, 9)
+
+
+def test_a_process_ends_with_the_one_that_asked():
+    asked = "import os, time; print('here', flush=True); time.sleep(60)"
+    program = f"from flowsplat.protocols.process import in_own_process; in_own_process(exec, {asked!r})"
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        assert parent.stdout.readline() == "here\n"
+        parent.kill()
+        # The end of the file comes when nobody holds the pipe any more.
+        assert parent.communicate(timeout=20)[0] == ""
 
 
 def test_names_of_scenes(tmp_path):

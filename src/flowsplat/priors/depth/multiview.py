@@ -40,13 +40,11 @@ class MultiView:
         inverse_depth: one over the planar depth; 0 where nothing is known.
         information: squared parallax in pixels that the matches have together: 1 / variance of the logarithm of the
             depth if matches are one pixel off.
-        residual: robust mean distance in pixels between the matches and the rigid scene.
         motion: how many times its noise level each match is off the rigid scene, on average (1 = as expected at rest).
     """
 
     inverse_depth: np.ndarray
     information: np.ndarray
-    residual: np.ndarray
     motion: np.ndarray
 
 
@@ -70,9 +68,9 @@ def solve_multiview(camera: Camera, others: Sequence[Camera], flows: np.ndarray,
     # Along the last axis the matches of a pixel lie side by side.
     targets = np.ascontiguousarray(np.moveaxis(flows, 0, 2), dtype=np.float32)
     weights = np.ascontiguousarray(np.moveaxis(np.where(confidences >= 0.5, confidences, 0), 0, 2), dtype=np.float32)
-    inverse_depth, information, residual, errors = _solve(intrinsics.astype(np.float32), poses.astype(np.float32), targets, weights)
+    inverse_depth, information, errors = _solve(intrinsics.astype(np.float32), poses.astype(np.float32), targets, weights)
     motion = _motion(errors, weights, lengths(targets))
-    return MultiView(inverse_depth / np.float32(reach), information, residual, motion.reshape(height, width))
+    return MultiView(inverse_depth / np.float32(reach), information, motion.reshape(height, width))
 
 
 def _motion(errors: np.ndarray, weights: np.ndarray, lengths: np.ndarray) -> np.ndarray:
@@ -106,13 +104,12 @@ def _project(A: np.ndarray, B: np.ndarray, w: np.float32, K: np.ndarray) -> tupl
 @parallel_kernel
 def _solve(
     intrinsics: np.ndarray, poses: np.ndarray, flows: np.ndarray, weights: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """(inverse depth, information, residual [h, w]; error of each match [h, w, J]) of the problem with reach 1."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(inverse depth, information [h, w]; error of each match [h, w, J]) of the problem with reach 1."""
     h, w, J = weights.shape
     one, tiny = np.float32(1), np.float32(1e-12)
     inverse_depth = np.zeros((h, w), np.float32)
     information = np.zeros((h, w), np.float32)
-    residual = np.zeros((h, w), np.float32)
     errors = np.zeros((h, w, J), np.float32)
     scale2 = np.float32(ROBUST_SCALE * ROBUST_SCALE)
     lowest, highest = np.float32(1e-4), np.float32(1e2)
@@ -162,7 +159,7 @@ def _solve(
                         g += weight * (du * ru + dv * rv)
                         H += weight * (du * du + dv * dv)
                 inverse = min(max(inverse - g / H, lowest), highest)
-            total, mass, info = np.float32(0), np.float32(1e-6), np.float32(0)
+            info = np.float32(0)
             for j in range(J):
                 if weights[y, x, j] > 0:
                     B, K = poses[j, :, 3], intrinsics[j + 1]
@@ -173,8 +170,6 @@ def _solve(
                     dv = (K[1] * B[1] - (v - K[3]) * B[2]) / z
                     d2 = du * du + dv * dv
                     weight = weights[y, x, j] / (one + r2 / scale2)
-                    total += weight * np.sqrt(r2)
-                    mass += weight
                     info += weight * d2
                     error = np.sqrt(r2)
                     if d2 > tiny:  # The distance from the epipolar line; twice it if that is less than the residual.
@@ -183,5 +178,4 @@ def _solve(
             if known:
                 inverse_depth[y, x] = inverse
                 information[y, x] = info * inverse * inverse
-            residual[y, x] = total / mass
-    return inverse_depth, information, residual, errors
+    return inverse_depth, information, errors
