@@ -21,13 +21,17 @@ Preset = Literal["fast", "default", "paper", "high"]
 
 def _commands(arguments: Sequence[str]) -> dict[str, Any]:
     """Every command, its defaults taken from the preset or the run that the arguments name."""
+    from flowsplat.common.devices import DeviceName
     from flowsplat.output.export.options import ExportOptions, Format
+    from flowsplat.output.videos import RenderOptions
     from flowsplat.output.viewer.options import ViewOptions
-    from flowsplat.pipeline.config import RunConfig, preset
+    from flowsplat.pipeline.config import Baselines, RunConfig, preset
+    from flowsplat.training.config import TrainConfig
 
-    defaults = preset(_value_of(arguments, "--preset") or "default")
-    if arguments and arguments[0] in ("train", "evaluate", "render"):
-        defaults = _stored_config(arguments) or defaults
+    named = _value_of(arguments, "--preset")
+    defaults = preset(named or "default")
+    if arguments and arguments[0] in ("train", "evaluate", "render") and (stored := _stored_config(arguments)):
+        defaults = replace(stored, train=defaults.train) if named else stored
     Settings = Annotated[RunConfig, tyro.conf.arg(name="")]
     Source = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="INPUT")]
     Run = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]
@@ -66,40 +70,49 @@ def _commands(arguments: Sequence[str]) -> dict[str, Any]:
         folder = pipeline.prepare(input, out, config)
         say(f"Prepared: {folder.scene_path}. Next: flowsplat train {out}")
 
-    def train(out: Run, preset: Preset = "default", config: Settings = defaults) -> None:
+    def train(
+        out: Run, preset: Preset = "default", train: TrainConfig = defaults.train, device: DeviceName = defaults.device
+    ) -> None:
         """Train a prepared run; continues from its last checkpoint.
 
         Args:
             out: Folder of the run.
             preset: Start from these settings instead of those stored in the run.
-            config: Settings that differ from the stored ones.
+            train: Settings that differ from the stored ones; they are stored in their place.
+            device: What to compute on.
         """
         from flowsplat import pipeline
 
-        pipeline.train(_open(out, config))
+        pipeline.train(_open(out, train=train, device=device))
         say(f"Trained: {out}/model. Next: flowsplat evaluate {out}")
 
-    def evaluate(out: Run, config: Settings = defaults) -> None:
+    def evaluate(
+        out: Run, baselines: Baselines = defaults.baselines, refine_poses: bool = defaults.refine_poses,
+        device: DeviceName = defaults.device,
+    ) -> None:  # fmt: skip
         """Measure a trained run on what was held out; writes metrics.json and report.html.
 
         Args:
             out: Folder of the run.
-            config: Settings that differ from the stored ones.
+            baselines: What the result is compared with; all also trains our own static scene (a quarter of the training time).
+            refine_poses: Also measure held-out frames with their poses refined on their own pictures.
+            device: What to compute on.
         """
         from flowsplat import pipeline
 
-        _print_figures(pipeline.evaluate_run(_open(out, config)), out)
+        _print_figures(pipeline.evaluate_run(_open(out, baselines=baselines, refine_poses=refine_poses, device=device)), out)
 
-    def render(out: Run, config: Settings = defaults) -> None:
-        """Render the videos of a trained run: the input path, an orbit, bullet time, or a camera file.
+    def render(out: Run, render: RenderOptions = defaults.render, device: DeviceName = defaults.device) -> None:
+        """Render videos of a trained run: the input path, an orbit, bullet time, or a camera file, beside those it has.
 
         Args:
             out: Folder of the run.
-            config: Settings that differ from the stored ones.
+            render: Options that differ from those that the run was started with; for this time only.
+            device: What to compute on.
         """
         from flowsplat import pipeline
 
-        pipeline.render_run(_open(out, config))
+        pipeline.render_run(_open(out, device=device), render)
         say(f"Videos: {out}/renders")
 
     def view(out: Run, options: Viewing = ViewOptions()) -> None:  # noqa: B008 (frozen)
@@ -343,24 +356,23 @@ def _value_of(arguments: Sequence[str], option: str) -> str | None:
 
 
 def _stored_config(arguments: Sequence[str]) -> Any:
-    """The settings of the run that a command works on, if there is one and no preset is asked for."""
+    """The settings of the run that a command works on, if there is one."""
     from flowsplat.pipeline.folder import RunFolder
 
-    if _value_of(arguments, "--preset") is not None:
-        return None
     for argument in arguments[1:]:
         if not argument.startswith("-") and (Path(argument) / "run.json").exists():
             return RunFolder(Path(argument)).config
     return None
 
 
-def _open(out: Path, config: Any) -> Any:
+def _open(out: Path, **changes: Any) -> Any:
+    """The run in a folder, with some of its settings changed from now on."""
     from flowsplat.common.devices import pick_device
     from flowsplat.pipeline.folder import RunFolder
 
     folder = RunFolder(out)
-    pick_device(config.device)  # before it is kept
-    folder.config = config
+    pick_device(changes["device"])  # before it is kept
+    folder.config = replace(folder.config, **changes)
     folder.save()
     return folder
 

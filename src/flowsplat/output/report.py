@@ -299,13 +299,16 @@ def _videos(videos: Mapping[str, str]) -> Iterator[dict[str, Any]]:
 
 
 def _video_title(name: str) -> str:
-    """What a video shows, from its name: path, part of the scene, stereo."""
+    """What a video shows, from its name: path, tempo, part of the scene, stereo."""
     rest = name
     words: list[str] = []
     for suffix, word in (("_stereo", "for two eyes"), ("_background", "the background alone"), ("_movers", "the movers alone")):
         if rest.endswith(suffix):
             rest = rest.removesuffix(suffix)
             words.insert(0, word)
+    rest, slow, times = rest.partition("_slow")
+    if slow:
+        words.insert(0, f"{times} times slower")
     return ", ".join([_VIDEO_TITLES.get(rest, rest), *words])
 
 

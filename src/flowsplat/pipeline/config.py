@@ -17,6 +17,7 @@ from flowsplat.scenes.clip import InputOptions
 from flowsplat.training.config import PRESETS, TrainConfig
 
 Config = TypeVar("Config")
+Baselines = Literal["simple", "all"]
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ class RunConfig:
     """How the scene is trained."""
     render: RenderOptions = field(default_factory=RenderOptions)
     """Which videos are made."""
-    baselines: Literal["simple", "all"] = "simple"
+    baselines: Baselines = "simple"
     """What the result is compared with; ``all`` also trains our own static scene (a quarter of the training time)."""
     refine_poses: bool = True
     """Also measure held-out frames with their poses refined on their own pictures: beside the strict figures, never instead."""

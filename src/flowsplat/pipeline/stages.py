@@ -26,7 +26,7 @@ from flowsplat.gaussians.observations import Observation, Observations, load_obs
 from flowsplat.gaussians.render import RenderedFrame
 from flowsplat.output.priors_report import verdict, write_priors_report
 from flowsplat.output.report import write_report
-from flowsplat.output.videos import render_videos
+from flowsplat.output.videos import RenderOptions, render_videos
 from flowsplat.pictures.colors import float_to_bytes
 from flowsplat.pictures.sheets import preview_sheet
 from flowsplat.pipeline.config import RunConfig
@@ -315,14 +315,23 @@ def _write_metrics(folder: RunFolder, metrics: dict[str, Any]) -> dict[str, Any]
 # -- render
 
 
-def render_run(folder: RunFolder) -> dict[str, Any]:
-    """Render the videos of a run and complete its report. Returns the content of ``metrics.json``."""
+def render_run(folder: RunFolder, options: RenderOptions | None = None) -> dict[str, Any]:
+    """Render videos of a run and complete its report. Returns the content of ``metrics.json``.
+
+    Args:
+        folder: the run.
+        options: which videos, beside those that are there; None = those of the run's own settings.
+    """
     metrics = evaluate_run(folder)
+    own = options is None or options == folder.config.render
     key = stage_key(_train_key(folder), folder.config.render)
-    if folder.is_finished("render", key):
+    if own and folder.is_finished("render", key):
         return metrics
-    folder.start("render", key)
     started = time.perf_counter()
-    render_videos(load(folder.path, folder.config.device), Scene(folder.scene_path), folder.path / "renders", folder.config.render)
-    folder.finish("render", key, {"render": time.perf_counter() - started})
+    if own:
+        folder.start("render", key)
+    model, scene = load(folder.path, folder.config.device), Scene(folder.scene_path)
+    render_videos(model, scene, folder.path / "renders", options or folder.config.render)
+    if own:
+        folder.finish("render", key, {"render": time.perf_counter() - started})
     return _write_metrics(folder, metrics)

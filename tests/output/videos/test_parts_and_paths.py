@@ -65,6 +65,7 @@ def test_slow_motion_has_more_frames_at_the_same_rate(run):
     assert slow.fps == normal.fps == FPS
     np.testing.assert_allclose([t for _, t in slow.shots][::4], [t for _, t in normal.shots])
     assert slow.audio_from is None
+    assert (normal.name, slow.name) == ("input_path", "input_path_slow4"), "it lies beside the one at full speed"
 
 
 def test_slow_motion_moves_between_the_frames(run):

@@ -28,8 +28,8 @@ def render_videos(model: PartedRenderer, scene: Scene, folder: Path, options: Re
 
     Returns:
         what was made, by name, to the file's name in ``folder``: ``input_path``, ``stabilised``, ``orbit``,
-        ``bullet_time``, ``dolly_zoom``, ``wiggle`` and ``custom_path``, with ``_background`` or ``_movers`` where a part
-        is shown, then ``_stereo`` or ``_colour`` for the other files.
+        ``bullet_time``, ``dolly_zoom``, ``wiggle`` and ``custom_path``, with ``_slow4`` where time plays four times slower,
+        ``_background`` or ``_movers`` where a part is shown, then ``_stereo`` or ``_colour`` for the other files.
 
     Raises:
         InputError: an option or the camera file cannot be used, or the folder cannot be written.

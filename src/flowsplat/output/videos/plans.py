@@ -110,19 +110,20 @@ def _whole(model: PartedRenderer, scene: Scene, options: RenderOptions) -> Itera
     audio = scene.info.get("audio") if options.slow == 1 else None
     sound, start = Path(audio) if audio else None, float(scene.info.get("audio_start") or 0.0)
     along = [(path.at(t), float(t)) for t in times]
+    tempo = "" if options.slow == 1 else f"_slow{options.slow:g}"
 
     if "input" in options.paths:
-        yield Plan("input_path", along, fps, audio_from=sound, audio_start=start)
+        yield Plan(f"input_path{tempo}", along, fps, audio_from=sound, audio_start=start)
     if "stabilised" in options.paths:
         shots, share = stabilise(model, along, options.stabilise / step)
         say(f"The stabilised path shows {share:.0%} of the width and height of the clip.")
-        yield Plan("stabilised", shots, fps, audio_from=sound, audio_start=start)
+        yield Plan(f"stabilised{tempo}", shots, fps, audio_from=sound, audio_start=start)
     if "orbit" in options.paths:
         # The middle of the clip in real time: what the middle camera has seen.
         spare = max(len(times) - options.max_frames, 0)
         played = times[spare // 2 : len(times) - (spare - spare // 2)]
         loop = orbit(path.at((first + last) / 2), distance, len(played), options.orbit_angle)
-        yield Plan("orbit", [(camera, float(t)) for camera, t in zip(loop, played, strict=True)], fps)
+        yield Plan(f"orbit{tempo}", [(camera, float(t)) for camera, t in zip(loop, played, strict=True)], fps)
     if "bullet" in options.paths:
         loop = orbit(path.at(frozen), distance, options.max_frames, options.orbit_angle)
         yield Plan("bullet_time", [(camera, frozen) for camera in loop], fps)
