@@ -6,7 +6,7 @@ from pathlib import Path
 
 import torch
 
-from flowsplat.gaussians.motion import MotionState, Params, presence
+from flowsplat.gaussians.motion import MotionModel, MotionState, Params, presence
 
 
 @dataclass(frozen=True)
@@ -39,9 +39,12 @@ class CircularMotion:
     def recentred(self, params: Params, shift: torch.Tensor) -> dict[str, torch.Tensor]:
         raise ValueError("a circle cannot be split in time: its start is its parameter")
 
+    def with_precision(self, params: Params, log_lambda: float) -> dict[str, torch.Tensor]:
+        return {"log_lambdas": torch.full_like(params["log_lambdas"], log_lambda)}
+
 
 out = Path(sys.argv[1] if len(sys.argv) > 1 else "out/examples")
-motion = CircularMotion()
+motion: MotionModel = CircularMotion()
 params = {name: torch.zeros(3, *shape) for name, shape in motion.parameter_shapes.items()}
 params |= {"means": torch.zeros(3, 3), "times": torch.zeros(3), "radii": torch.ones(3), "rates": torch.tensor([1.0, 2.0, 3.0])}
 for time in (0.0, 0.25, 0.5):

@@ -50,7 +50,7 @@ class InitConfig:
     size: float = 0.45
     """Standard deviation at the start, in spacings."""
     surface_aligned: bool = True
-    """Start as discs aligned to the surface; off: as spheres as large as the mean distance of three neighbours (fudan)."""
+    """Start as discs aligned to the surface; off: as spheres as large as the mean distance of three neighbours (as 4DGS)."""
     flatness: float = 0.2
     """Thickness of a disc relative to its radius."""
     motion_order: int = 2

@@ -121,7 +121,7 @@ class TrainConfig:
     frames_per_iteration: int = 1
     """Frames rendered in a step; their losses are averaged. 0 = all (the paper, read literally)."""
     flow_model: FlowModel = "displacement"
-    """How flow is splatted: ``mean`` (the paper), ``displacement`` or ``affine`` (METHOD 3)."""
+    """How flow is splatted: ``mean`` (the paper), ``displacement`` or ``affine`` (docs/method.md, section 3)."""
     average: float = 0.2
     """The result is the mean over this share of the steps, the last ones; 0 = what the last step led to."""
     seed: Annotated[int, tyro.conf.arg(aliases=("--seed",))] = 0

@@ -48,7 +48,7 @@ class RenderOptions:
     eye_distance: float = 0.03
     """Between the eyes of ``stereo`` and the ends of ``wiggle``, over the scene's median depth."""
     camera_file: Path | None = None
-    """A camera path of your own: see ``flowsplat.output.camera_files`` for the formats."""
+    """A camera path of your own: ours, nerfstudio's ``camera_path.json`` or a ``transforms.json``."""
 
 
 def check_options(options: RenderOptions, fps: float, first: float, last: float) -> None:
