@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 import torch
 
+from flowsplat.gaussians.culling import cpu as culling_cpu
+from flowsplat.gaussians.culling import reference as culling_reference
 from flowsplat.gaussians.density import DensityStatistics, densify, prune, reset_opacities, revise_dynamic
 from flowsplat.gaussians.gaussians4d import Gaussians4D, ModelConfig, concatenate, parameter_shapes
 from flowsplat.gaussians.model import SceneModel
@@ -220,3 +222,17 @@ def test_finer_pixels_show_the_same_picture():
     assert torch.equal(render(gaussians, fine, 0.5, eps2d=eps2d).image, whole.image)
     model.focal = 0.0
     assert np.abs(model.render(fine, 0.5).alpha[1::3, 1::3] - known.alpha).max() > 0.2  # gaps between the Gaussians
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_culling_matches_its_oracle(dtype):
+    gaussians = random_model(4000)
+    g = torch.Generator().manual_seed(3)
+    gaussians.params["means"] = 3 * torch.randn(4000, 3, generator=g)
+    gaussians.params["log_scales"] = torch.randn(4000, 3, generator=g) - 3
+    view = Camera(np.eye(4), np.array([[40.0, 0, 20], [0, 40, 15], [0, 0, 1]]), 40, 30)
+    names = ("means", "log_scales", "times", "log_lambdas")
+    arguments = [gaussians.at_rest, *(gaussians.params[name].to(dtype) for name in names), 0.25, 0.05, view, 0.02]
+    found, expected = culling_cpu.active_rows(*arguments), culling_reference.active_rows(*arguments)
+    assert found[1] == expected[1]
+    assert torch.equal(found[0], expected[0])

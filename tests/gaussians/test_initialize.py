@@ -74,3 +74,15 @@ def test_grids_are_as_dense_as_they_say_and_even(spacing):
     blocks = grid[: 150 // side * side, : 200 // side * side].reshape(150 // side, side, 200 // side, side).sum((1, 3))
     expected = side**2 / spacing**2
     assert np.abs(blocks - expected).max() < 0.3 * expected + 1, "no clumps and no holes"
+
+
+@pytest.mark.parametrize("share", [0.0, 0.02])
+def test_movers_whose_depth_is_a_guess_are_there_all_the_same(observations, share):
+    """A Gaussian for every pixel as where depth is trusted: nothing else would make them."""
+    rng = np.random.default_rng(0)
+    frames = [
+        replace(frame, depth_trusted=frame.depth_trusted & (~frame.mask | (rng.random(frame.mask.shape) < share)))
+        for frame in observations.frames
+    ]
+    guessed = start(replace(observations, frames=frames), 10**6)
+    assert int(guessed.dynamic.sum()) == int(start(observations, 10**6).dynamic.sum())

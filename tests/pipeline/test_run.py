@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,10 +14,11 @@ import torch
 
 import flowsplat
 from flowsplat.common.errors import InputError
-from flowsplat.pipeline import prepare, run, train
+from flowsplat.pipeline import prepare, run, stages, train
 from flowsplat.pipeline.config import RunConfig, from_plain, preset, to_plain
 from flowsplat.pipeline.folder import RunFolder
 from flowsplat.scenes import Scene
+from flowsplat.scenes.clip import InputOptions
 from flowsplat.training.trainer import Trainer
 
 from .conftest import small_config
@@ -213,3 +215,79 @@ def test_every_representation_trains(tiny_scene, tmp_path, name, means, quats):
     assert len(model.gaussians) > 100
     for value in model.gaussians.params.values():
         assert torch.isfinite(value).all()
+
+
+def interrupt(monkeypatch, thing, name, *arguments):
+    """Run, and be stopped where ``name`` is called."""
+
+    def stop(*_args, **_kwargs):
+        raise Stopped
+
+    with monkeypatch.context() as patch:
+        patch.setattr(thing, name, stop)
+        with pytest.raises(Stopped):
+            run(*arguments)
+
+
+@pytest.mark.parametrize(("module", "where"), [(Trainer, "run"), (stages, "prepare_priors"), (stages, "write_priors_report")])
+def test_back_to_the_first_settings_after_others_were_interrupted(tiny_scene, finished, tmp_path, monkeypatch, module, where):
+    out, first = tmp_path / "out", small_config()
+    shutil.copytree(finished, out)
+    others = replace(first, priors=replace(first.priors, mask_click=("10,10@0",)), train=replace(first.train, seed=5))
+    interrupt(monkeypatch, module, where, tiny_scene, out, others)
+    metrics = run(tiny_scene, out, first)
+    assert comparable(metrics) == comparable(json.loads((finished / "metrics.json").read_text()))
+    assert same_model(out, finished)
+
+
+@pytest.mark.parametrize("where", ["write_json", "write_report"])
+def test_a_stage_is_finished_when_its_results_are_written(tiny_scene, finished, tmp_path, monkeypatch, where):
+    out = tmp_path / "out"
+    shutil.copytree(finished, out)
+    written = getattr(stages, where)
+
+    def stop(path, *arguments):
+        if where == "write_report" or Path(path).name == "metrics.json":
+            raise Stopped
+        return written(path, *arguments)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(stages, where, stop)
+        with pytest.raises(Stopped):
+            run(tiny_scene, out, small_config(seed=5))
+    metrics = run(tiny_scene, out, small_config(seed=5))
+    assert metrics["heldout_frames"]["psnr"] != json.loads((finished / "metrics.json").read_text())["heldout_frames"]["psnr"]
+    assert "renders/input_path.mp4" in (out / "report.html").read_text()
+
+
+def test_a_model_is_not_measured_under_other_settings(finished, tmp_path):
+    shutil.copytree(finished, tmp_path / "out")
+    folder = RunFolder(tmp_path / "out")
+    folder.config = small_config(seed=5)
+    with pytest.raises(InputError, match="trained with other settings"):
+        stages.evaluate_run(folder)
+
+
+def test_what_a_prepared_scene_cannot_follow_is_said(tiny_scene, tmp_path, capsys):
+    prepare(tiny_scene, tmp_path / "out", replace(small_config(), input=InputOptions(holdout=None)))
+    assert "no effect" in capsys.readouterr().err
+
+
+def test_the_seconds_of_all_sittings_count(tiny_scene, tmp_path, monkeypatch):
+    iterate = Trainer._iterate
+
+    def stop(self):
+        if self.step == 25:
+            raise Stopped
+        time.sleep(0.02)
+        return iterate(self)
+
+    folder = prepare(tiny_scene, tmp_path / "out", small_config())
+    with monkeypatch.context() as patch:
+        patch.setattr(Trainer, "_iterate", stop)
+        with pytest.raises(Stopped):
+            train(folder)
+    (tmp_path / "out" / "training" / ".step_000030.1.partial.safetensors").write_text("left by a process that was killed")
+    train(folder)
+    assert folder.seconds["train"] > 20 * 0.02
+    assert {path.name for path in (tmp_path / "out" / "training").iterdir()} == {"history.json"}

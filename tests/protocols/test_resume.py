@@ -45,6 +45,8 @@ def test_what_is_measured_is_kept(calls, tmp_path):
     assert calls == ["a", "b", "b", "a"]
     assert json.loads((tmp_path / "b.json").read_text())["key"] == "other"
     assert results_in("another", tmp_path) == []
+    (tmp_path / ".a.1.partial.json").write_text("{left by a process that was killed")
+    assert len(results_in("test", tmp_path)) == 2
 
 
 def test_one_that_fails_does_not_stop_the_others(calls, tmp_path):

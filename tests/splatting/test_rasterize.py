@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+
 import numba
 import numpy as np
 import pytest
@@ -11,7 +13,9 @@ from hypothesis import strategies as st
 
 from flowsplat.geometry.rotations import covariances
 from flowsplat.splatting import rasterize
+from flowsplat.splatting.cpu import functions
 from flowsplat.splatting.cpu.blending import E0, E1, E2, E3, E4, E5
+from flowsplat.splatting.cpu.workspace import Lease, Workspace
 
 WIDTH, HEIGHT = 50, 37
 NAMES = ("means", "quats", "scales", "opacities", "features", "viewmat", "K")
@@ -243,3 +247,33 @@ def test_bad_arguments_are_named():
             rasterize(*broken, 8, 8)
     with pytest.raises(ValueError, match="quats"):
         rasterize(arguments[0], None, None, *arguments[3:], 8, 8)
+
+
+def test_any_number_of_channels(monkeypatch):
+    values = in_float32(random_gaussians(70, 7))
+    monkeypatch.setattr(functions, "MOST_CHANNELS", 3)
+    expected, found = run(values, "reference"), run(values, "cpu")
+    assert relative(found[0], expected[0]) < 2e-6
+    assert relative(found[1], expected[1]) < 2e-6
+    for name, gradient in expected[3].items():
+        assert relative(found[3][name], gradient) < 1e-5, name
+
+
+def test_a_second_derivative_is_refused():
+    values = {name: v.float().requires_grad_() for name, v in random_gaussians(20, 3).items()}
+    image, _, _ = rasterize(*values.values(), WIDTH, HEIGHT)
+    (gradient,) = torch.autograd.grad((image**2).sum(), values["means"], create_graph=True)
+    with pytest.raises(RuntimeError, match="differentiable"):
+        gradient.sum().backward()
+
+
+def test_a_lease_may_end_while_another_begins():
+    def end():
+        lease = Lease()
+        with Workspace._lock:  # as where the garbage collector runs in the middle of acquiring
+            del lease
+
+    thread = threading.Thread(target=end, daemon=True)
+    thread.start()
+    thread.join(5)
+    assert not thread.is_alive()

@@ -204,3 +204,13 @@ def test_the_rigid_loss_is_zero_for_a_common_motion_and_safe_at_rest():
         loss.backward()
         assert float(loss.detach()) < 1e-5
         assert torch.isfinite(velocities.grad).all()
+
+
+def test_who_lies_where_its_twin_does_has_the_twin_as_neighbour():
+    gaussians, times = moving_model()
+    twice = gaussians.select(torch.cat([torch.arange(60), torch.arange(60)]))
+    neighbours = find_neighbours(twice, times, 5, 10.0, dynamic_only=True)
+    own = torch.arange(120)
+    moving = torch.nonzero(twice.dynamic).squeeze(1)
+    assert not (neighbours.indices == own[:, None]).any()
+    assert (neighbours.indices[moving] == ((own + 60) % 120)[moving, None]).any(1).all()

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import pytest
 import torch
 
+from flowsplat.common.errors import InputError
+from flowsplat.protocols.studies.variants import changed
 from flowsplat.training.average import EVERY, TailAverage
+from flowsplat.training.config import PRESETS
 from flowsplat.training.trainer import Trainer
 from tests.training.handful import a_few, seen, tiny
 
@@ -113,3 +117,30 @@ def test_without_checkpoints_none_is_written(tmp_path):
     config = replace(tiny("default"), checkpoint_every=0)
     Trainer(seen(a_few(config)), None, config, tmp_path, start=a_few(config)).run()
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "rule"),
+    [
+        ("seed", -1, "0 or more"), ("iterations", -5, "0 or more"), ("average", 1.5, "at most 1"),
+        ("rates.means", math.nan, "0 or more"),
+        ("density.max_gaussians", 0, "1 or more"), ("init.opacity", 1.0, "between 0 and 1"), ("density.reset_to", 0.0, "between"),
+        ("loss.rigid_neighbours", 0, "1 or more"), ("model.sh_degree", 4, "0, 1, 2 or 3"), ("init.samples", 0, "1 or more"),
+    ],
+)  # fmt: skip
+def test_settings_that_make_no_sense_are_named(name, value, rule):
+    with pytest.raises(InputError, match=f"--train.{name} .*{rule}"):
+        changed(PRESETS["default"], {name: value}).check()
+
+
+def test_all_presets_make_sense():
+    for preset in PRESETS.values():
+        preset.check()
+
+
+def test_a_training_that_prunes_everybody_says_so():
+    config = tiny("paper")
+    density = replace(config.density, every=1, start=1, prune_opacity=2.0)
+    start = a_few(config)
+    with pytest.raises(InputError, match="No Gaussian is left at step 1"):
+        Trainer(seen(start), None, replace(config, density=density), start=start).run()

@@ -88,8 +88,8 @@ _ONE_BITS = np.int32(127 << 23)
 
 @njit(inline="always", **OPTIONS)
 def exp(x):
-    """e^x of a float32 to within 3e-7 of itself; never below 1e-38."""
-    x = min(max(x, _SMALLEST), _LARGEST)
+    """e^x in float32 to within 3e-7 of itself; never below 1e-38."""
+    x = min(max(float32(x), _SMALLEST), _LARGEST)
     n = (x * _PER_OCTAVE + _ROUND) - _ROUND
     r = (x - n * _LN2_HIGH) - n * _LN2_LOW
     series = ((((_E6 * r + _E5) * r + _E4) * r + _E3) * r + _E2) * (r * r) + r + _ONE

@@ -19,6 +19,8 @@ from flowsplat.scenes import Tracks
 from flowsplat.splatting.harmonics import harmonics_from_colours
 
 BACKGROUND_LOG_LAMBDA = float(np.log(1e-6))
+HARDLY_ANY = 0.05
+"""Share of the movers' pixels of a frame: where fewer have trusted depth, all of them are used."""
 FITTING_TRIES = 3
 """How often the grids are made coarser until the cap holds."""
 FITTING_MARGIN = 1.01
@@ -251,6 +253,8 @@ def _foreground(
     for k in sampled:
         frame = observations[k]
         usable = frame.mask & frame.depth_trusted
+        if usable.sum() < HARDLY_ANY * frame.mask.sum():
+            usable = frame.mask  # At a guessed depth is better than not at all: nothing else makes movers.
         if config.foreground == "tracks":
             wanted = usable & _track_pixels(tracks, frame, usable)
         else:

@@ -64,6 +64,7 @@ def follow_points(model: SceneModel, cameras: Sequence[Camera], timestamps: np.n
     queries = np.asarray(queries, np.float64)
     if queries.ndim != 2 or queries.shape[1] != 3 or len(cameras) != len(timestamps):
         raise ValueError(f"queries must be [Q, 3], not {list(queries.shape)}, and there must be one camera a time")
+    model = model.to("cpu")
     normalised = [model.similarity.camera(camera) for camera in cameras]
     times = [model.clip_time(float(t)) for t in timestamps]
     starts = queries[:, 2].astype(np.int64)

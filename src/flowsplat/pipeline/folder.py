@@ -20,6 +20,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -94,12 +95,19 @@ class RunFolder:
         """Whether a stage was begun with exactly this key, so that what it left can be used."""
         return bool(self.book["started"].get(stage) == key)
 
+    def forget(self, stage: str) -> None:
+        """Note that nothing of a stage can be used: to be said before any of it is deleted."""
+        self.book["stages"].pop(stage, None)
+        self.book["started"].pop(stage, None)
+        self.save()
+
     def start(self, stage: str, key: str) -> None:
-        """Note that a stage begins."""
+        """Note that a stage begins; what was finished of it before no longer is."""
+        self.book["stages"].pop(stage, None)
         self.book["started"][stage] = key
         self.save()
 
-    def finish(self, stage: str, key: str, seconds: dict[str, float]) -> None:
+    def finish(self, stage: str, key: str, seconds: Mapping[str, float]) -> None:
         """Note that a stage is finished, and how long its parts took."""
         self.book["stages"][stage] = {"key": key, "seconds": {name: round(value, 2) for name, value in seconds.items()}}
         self.save()

@@ -34,6 +34,7 @@ from flowsplat.pipeline.folder import RunFolder, stage_key
 from flowsplat.pipeline.summary import report_data
 from flowsplat.priors.prepare import prepare_priors
 from flowsplat.scenes import Scene
+from flowsplat.scenes.clip import InputOptions
 from flowsplat.scenes.ingest import fingerprint, ingest, is_ingested, kind_of_input, open_clip
 from flowsplat.scenes.layers import write_image
 from flowsplat.training.checkpoint import load_model, save_model
@@ -87,6 +88,7 @@ def load(path: Path | str, device: str = "cpu") -> SceneModel:
 def prepare(source: Path, out: Path, config: RunConfig | None = None) -> RunFolder:
     """Bring the input into a scene folder and compute what is missing of its priors."""
     config = config or RunConfig()
+    config.train.check()
     pick_device(config.device)
     source = Path(source)
     kind = kind_of_input(source)
@@ -94,6 +96,8 @@ def prepare(source: Path, out: Path, config: RunConfig | None = None) -> RunFold
     is_new = not (Path(out) / "run.json").exists()
     if kind == "scene":
         Scene(source)
+        if config.input != InputOptions():
+            say(f"{source} is prepared already: options of what to take from a clip have no effect on it.")
     elif is_new:
         open_clip(source, config.input)  # Whatever is wrong with it is said before a folder is made.
     folder = RunFolder.open_or_create(out, str(source), identity, config)
@@ -101,8 +105,10 @@ def prepare(source: Path, out: Path, config: RunConfig | None = None) -> RunFold
     if folder.is_finished("prepare", key):
         return folder
     started = time.perf_counter()
-    if "prepare" in folder.book["started"] and not folder.was_started("prepare", key):
-        say("The settings of the priors changed: they are computed again.")
+    if not folder.was_started("prepare", key):
+        if "prepare" in folder.book["started"]:
+            say("The settings of the priors changed: they are computed again.")
+        folder.forget("prepare")
         shutil.rmtree(folder.scene_path, ignore_errors=True)
     folder.start("prepare", key)
     try:
@@ -191,6 +197,7 @@ def train(folder: RunFolder) -> SceneModel:
     if not folder.was_started("train", key):
         if folder.model_path.exists() or (folder.path / "training").exists():
             say("The settings of training, or the scene, are others than before: it begins anew.")
+        folder.forget("train")
         for old in ("training", "logs", "model"):
             shutil.rmtree(folder.path / old, ignore_errors=True)
         folder.start("train", key)
@@ -198,17 +205,17 @@ def train(folder: RunFolder) -> SceneModel:
     scene = Scene(folder.scene_path)
     observations = load_observations(scene)
     config = folder.config.train
-    gaussians, history = _fit(folder, scene, observations, config, "training", None)
-    model = scene_model(scene, gaussians, config)
+    trained = _fit(folder, scene, observations, config, "training", None)
+    model = scene_model(scene, trained.gaussians, config)
     save_model(folder.model_path, model)
-    write_json(folder.path / "training" / "history.json", history)
-    folder.finish("train", key, {"train": time.perf_counter() - started})
+    write_json(folder.path / "training" / "history.json", trained.history)
+    folder.finish("train", key, {"train": trained.earlier_seconds + time.perf_counter() - started})
     _drop_checkpoints(folder.path / "training")
     return model
 
 
 def _drop_checkpoints(path: Path) -> None:
-    for checkpoint in path.glob("step_*.safetensors"):
+    for checkpoint in path.glob("*step_*.safetensors"):  # those that were never finished, too
         checkpoint.unlink()
     (path / "latest.json").unlink(missing_ok=True)
 
@@ -222,7 +229,7 @@ def scene_model(scene: Scene, gaussians: Gaussians4D, config: TrainConfig) -> Sc
 
 def _fit(
     folder: RunFolder, scene: Scene, observations: Observations, config: TrainConfig, name: str, start: Gaussians4D | None
-) -> tuple[Gaussians4D, list[dict[str, float]]]:
+) -> Trainer:
     from torch.utils.tensorboard import SummaryWriter
 
     out = folder.path
@@ -241,10 +248,10 @@ def _fit(
     device = pick_device(folder.config.device)
     trainer = Trainer(observations, tracks, config, out / name, preview, record, start, device)
     try:
-        gaussians = trainer.run()
+        trainer.run()
     finally:
         writer.close()
-    return gaussians, trainer.history
+    return trainer
 
 
 def _static_model(folder: RunFolder, scene: Scene) -> SceneModel:
@@ -254,6 +261,7 @@ def _static_model(folder: RunFolder, scene: Scene) -> SceneModel:
     if folder.is_finished("static", key):
         return load_model(path).to(pick_device(folder.config.device))
     if not folder.was_started("static", key):
+        folder.forget("static")
         shutil.rmtree(path, ignore_errors=True)
         folder.start("static", key)
     started = time.perf_counter()
@@ -262,10 +270,10 @@ def _static_model(folder: RunFolder, scene: Scene) -> SceneModel:
     observations = load_observations(scene)
     start = static_start(observations, scene.tracks if scene.has_tracks else None, config)
     say("Training the static scene for comparison.")
-    gaussians, _ = _fit(folder, scene, observations, config, "static", start)
-    model = scene_model(scene, gaussians, config)
+    trained = _fit(folder, scene, observations, config, "static", start)
+    model = scene_model(scene, trained.gaussians, config)
     save_model(path, model)
-    folder.finish("static", key, {"static": time.perf_counter() - started})
+    folder.finish("static", key, {"static": trained.earlier_seconds + time.perf_counter() - started})
     _drop_checkpoints(path)
     return model
 
@@ -277,9 +285,11 @@ def evaluate_run(folder: RunFolder) -> dict[str, Any]:
     """Measure the trained scene; writes ``metrics.json`` and the report.
 
     Raises:
-        InputError: there is no trained scene yet, or the device does not work.
+        InputError: there is no trained scene with the settings of the run, or the device does not work.
     """
     pick_device(folder.config.device)
+    if folder.model_path.exists() and not folder.is_finished("train", _train_key(folder)):
+        raise InputError(f"{folder.model_path} was trained with other settings than those of the run: run flowsplat train first.")
     key = stage_key(_train_key(folder), folder.config.baselines, folder.config.refine_poses)
     metrics_path = folder.path / "metrics.json"
     if folder.is_finished("evaluate", key) and metrics_path.exists():
@@ -294,22 +304,24 @@ def evaluate_run(folder: RunFolder) -> dict[str, Any]:
     metrics: dict[str, Any] = found.metrics
     counts = [model.active_count(float(t)) for t in scene.timestamps]
     metrics["gaussians"] = {"total": len(model.gaussians), "active_mean": float(np.mean(counts)), "active": counts}
-    folder.finish("evaluate", key, {"evaluate": time.perf_counter() - started})
-    return _write_metrics(folder, metrics)
+    seconds = {"evaluate": time.perf_counter() - started}
+    _write_metrics(folder, metrics, seconds)
+    folder.finish("evaluate", key, seconds)
+    return metrics
 
 
-def _write_metrics(folder: RunFolder, metrics: dict[str, Any]) -> dict[str, Any]:
+def _write_metrics(folder: RunFolder, metrics: dict[str, Any], seconds: Mapping[str, float]) -> None:
+    """Complete ``metrics``, and write them and the report. A stage that took ``seconds`` is finished only when that is done."""
     peak = peak_memory()
     before = metrics.get("peak_memory_gib")
     metrics["peak_memory_gib"] = max(peak, before) if peak is not None and before is not None else (peak or before)
-    metrics["seconds"] = folder.seconds
+    metrics["seconds"] = {**folder.seconds, **seconds}
     write_json(folder.path / "metrics.json", metrics)
     history_path = folder.path / "training" / "history.json"
     history = read_json(history_path) if history_path.exists() else []
     model = load(folder.path, folder.config.device)
     data = report_data(folder.path, Scene(folder.scene_path), model, metrics, history, folder.config)
     write_report(folder.path, data)
-    return metrics
 
 
 # -- render
@@ -332,6 +344,8 @@ def render_run(folder: RunFolder, options: RenderOptions | None = None) -> dict[
         folder.start("render", key)
     model, scene = load(folder.path, folder.config.device), Scene(folder.scene_path)
     render_videos(model, scene, folder.path / "renders", options or folder.config.render)
+    seconds = {"render": time.perf_counter() - started} if own else {}
+    _write_metrics(folder, metrics, seconds)
     if own:
-        folder.finish("render", key, {"render": time.perf_counter() - started})
-    return _write_metrics(folder, metrics)
+        folder.finish("render", key, seconds)
+    return metrics

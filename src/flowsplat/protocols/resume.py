@@ -67,5 +67,5 @@ def measure_jobs(
 
 def results_in(protocol: str, out: Path) -> list[dict[str, Any]]:
     """The figures of a protocol that are in a folder, by name."""
-    found = [read_json(path) for path in sorted(out.glob("*.json"))]
+    found = [read_json(path) for path in sorted(out.glob("[!.]*.json"))]
     return [value for value in found if isinstance(value, dict) and value.get("protocol") == protocol]

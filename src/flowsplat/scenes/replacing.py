@@ -36,7 +36,7 @@ def replace_pictures(scene: Scene, change: Callable[[np.ndarray], np.ndarray]) -
     """
     aside = scene.folder / ASIDE
     if not scene.info.get(COMPLETE):
-        old = [Path(folder) / path.name for folder in FOLDERS for path in sorted((scene.folder / folder).glob("*.png"))]
+        old = [Path(folder) / path.name for folder in FOLDERS for path in sorted((scene.folder / folder).glob("[!.]*.png"))]
         for path in track(old, "Straightening pictures"):
             if not (aside / path).exists():
                 write_image(aside / path, change(read_image(scene.folder / path)))
@@ -44,7 +44,7 @@ def replace_pictures(scene: Scene, change: Callable[[np.ndarray], np.ndarray]) -
         scene.save_info()
     for folder in FOLDERS:
         make_folder(scene.folder / folder)
-        for path in sorted((aside / folder).glob("*.png")):
+        for path in sorted((aside / folder).glob("[!.]*.png")):
             os.replace(path, scene.folder / folder / path.name)
         if not any((scene.folder / folder).iterdir()):
             (scene.folder / folder).rmdir()

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Annotated
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields, is_dataclass
+from typing import Annotated, Any
 
 import tyro
 
+from flowsplat.common.errors import InputError
 from flowsplat.gaussians.flow import FlowModel
 from flowsplat.gaussians.gaussians4d import ModelConfig
 from flowsplat.gaussians.initialize import InitConfig
@@ -142,6 +145,43 @@ class TrainConfig:
     """Density control."""
     fill: bool = True
     """Fill uncovered pixels of rendered pictures from their neighbours (ours)."""
+
+    def check(self) -> None:
+        """Refuse values that make no sense.
+
+        Raises:
+            InputError: names the option.
+        """
+        values = dict(_numbers(self))
+        for name, value in values.items():
+            if not 0 <= value < math.inf:
+                raise InputError(f"--train.{name} {value:g} must be 0 or more.")
+        for rule, holds, names in (
+            ("must be 1 or more", lambda value: value >= 1, _ONE_OR_MORE),
+            ("must be between 0 and 1", lambda value: 0 < value < 1, _BETWEEN),
+            ("must be at most 1", lambda value: value <= 1, ("average", "loss.ssim", "density.stop")),
+            ("must be 0, 1, 2 or 3", lambda value: value <= 3, ("model.sh_degree",)),
+        ):
+            for name in names:
+                if not holds(values[name]):
+                    raise InputError(f"--train.{name} {values[name]:g} {rule}.")
+
+
+_ONE_OR_MORE = (
+    "init.samples", "init.background_spacing", "init.foreground_spacing", "init.random_count", "init.motion_order",
+    "loss.rigid_neighbours", "loss.rigid_refresh", "density.max_gaussians",
+)  # fmt: skip
+_BETWEEN = ("init.opacity", "density.reset_to", "model.p_min")
+
+
+def _numbers(config: Any, prefix: str = "") -> Iterator[tuple[str, float]]:
+    """Every number of a dataclass of settings by its dotted name."""
+    for each in fields(config):
+        value = getattr(config, each.name)
+        if is_dataclass(value):
+            yield from _numbers(value, f"{prefix}{each.name}.")
+        elif isinstance(value, int | float) and not isinstance(value, bool):
+            yield f"{prefix}{each.name}", value
 
 
 _OURS = TrainConfig(

@@ -55,6 +55,7 @@ class Trainer:
     Attributes:
         gaussians: the model so far.
         step: steps done.
+        earlier_seconds: what earlier processes took for the steps that this one went on from.
         history: one entry every ``RECORD_EVERY`` steps: step, loss, colour, flow, rigid, depth, psnr, gaussians, active.
     """
 
@@ -80,12 +81,17 @@ class Trainer:
             record: called with every new entry of the history.
             start: the Gaussians to start from; None = ``initialize``.
             device: what to train on. Its tensors stay there, ``gaussians`` too.
+
+        Raises:
+            InputError: a setting has a value that makes no sense.
         """
+        config.check()
         self.observations, self.tracks, self.config = observations, tracks, config
         self._checkpoints, self._preview, self._record = checkpoints, preview, record
         self._start, self._device = start, torch.device(device)
         self._targets = Targets(observations, config.loss.flow > 0, self._device)
         self.step, self.history = 0, []  # type: tuple[int, list[dict[str, float]]]
+        self.earlier_seconds, self._started = 0.0, clock.perf_counter()
         self._rng = np.random.default_rng(config.seed)
         self._generator = torch.Generator().manual_seed(config.seed)
         self._queue: list[int] = []
@@ -104,7 +110,7 @@ class Trainer:
 
     def run(self) -> Gaussians4D:
         """Train from the last checkpoint, or from the beginning, to the end."""
-        self._everybody = None
+        self._everybody, self._started = None, clock.perf_counter()
         if not self._load_checkpoint():
             start = self._start or initialize(
                 self.observations, self.tracks, self.config.model, self.config.init, self.config.seed,
@@ -356,6 +362,8 @@ class Trainer:
             )
         large = config.prune_scale if config.reset_every and self.step > config.reset_every else 0.0
         self._adopt(prune(self.gaussians, self._times, config.prune_opacity, large))
+        if len(self.gaussians) == 0:
+            raise InputError(f"No Gaussian is left at step {self.step}: --train.density prunes them all.")
         self._statistics = DensityStatistics.zeros(len(self.gaussians), self._device)
         self._everybody = None
 
@@ -385,13 +393,14 @@ class Trainer:
             "neighbours_found": self._neighbours_found,
             "recent": _read(self._recent),
             "averaged": self._average.count,
+            "seconds": self.earlier_seconds + clock.perf_counter() - self._started,
             "history": self.history,
             "config": asdict(self.config),
         }
         name = f"step_{self.step:06d}.safetensors"
         write_tensors(self._checkpoints / name, tensors, values)
         write_json(self._checkpoints / "latest.json", {"file": name, "step": self.step, "written": clock.time()})
-        for old in self._checkpoints.glob("step_*.safetensors"):
+        for old in self._checkpoints.glob("*step_*.safetensors"):
             if old.name != name:
                 old.unlink()
 
@@ -430,6 +439,7 @@ class Trainer:
         self._queue, self.step = list(values["queue"]), int(values["step"])
         self._recent, self.history = list(values["recent"]), list(values["history"])
         self._neighbours_found = int(values["neighbours_found"])
+        self.earlier_seconds = float(values["seconds"])
         self._neighbours = Neighbours(**group("neighbours")) if "neighbours.indices" in tensors else None
 
 

@@ -92,3 +92,12 @@ def test_caps(tmp_path):
         drawing = (tmp_path / f"caps_{name}.svg").read_text()
         assert drawing.count("<path class=\"line\"") == 2
         assert drawing.count("<circle") == (6 if name == "cap" else 4)
+
+
+def test_runs_of_different_lengths_are_not_compared(tmp_path):
+    found = [result("full", 31.0, seed=seed, iterations=steps) for seed in (0, 1) for steps in (500, 1500)]
+    found += [result("sh-0", 29.0, seed=seed, iterations=500) for seed in (0, 1)]
+    found += [{**each, "psnr": 29.0} for each in found if each["variant"] == "full" and each["iterations"] == 500]
+    ablation_report.write_report(tmp_path, found, {})
+    (row,) = [line for line in (tmp_path / "ablations.md").read_text().splitlines() if line.startswith("| colours of degree 0")]
+    assert row.split(" | ")[2].strip() == "+0.00"

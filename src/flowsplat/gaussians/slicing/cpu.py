@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from numba import float32, njit, prange
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from flowsplat.common.kernels import OPTIONS, exp, parallel_kernel
 from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
@@ -223,6 +224,7 @@ class _SliceFunction(torch.autograd.Function):
         return outputs
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *incoming: Tensor | None) -> tuple[None, ...]:
         arriving = [
             (torch.zeros(shape) if gradient is None else gradient.contiguous()).numpy()

@@ -13,6 +13,7 @@ import torch
 import triton
 import triton.language as tl
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from flowsplat.common.devices import upload
 from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
@@ -367,6 +368,7 @@ class _SliceFunction(torch.autograd.Function):
         return outputs
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *incoming: Tensor | None) -> tuple[None, ...]:
         gaussians, active, device = ctx.gaussians, ctx.active, ctx.means.device
         arriving = [

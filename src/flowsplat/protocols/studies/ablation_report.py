@@ -12,7 +12,7 @@ from flowsplat.protocols.studies.claims import CLAIMS, TITLES, Claim, Group
 from flowsplat.protocols.studies.report import Section, how_measured, scene_names, write_study
 from flowsplat.protocols.studies.runs import Result, by_run
 from flowsplat.protocols.studies.variants import Variant
-from flowsplat.protocols.studies.verdicts import EVEN, Effect, Verdict, counts, effect, verdict
+from flowsplat.protocols.studies.verdicts import EVEN, Effect, Run, Verdict, counts, effect, verdict
 from flowsplat.protocols.tables import Table, scaled_mean, text
 
 TITLE = "Ablations"
@@ -93,8 +93,8 @@ def _base_row(base: Variant, scenes: Mapping[str, str], results: Sequence[Result
     )  # fmt: skip
 
 
-def _of_scene(values: Mapping[tuple[str, int], float], scene: str) -> Iterator[float]:
-    return (value for (name, _), value in values.items() if name == scene)
+def _of_scene(values: Mapping[Run, float], scene: str) -> Iterator[float]:
+    return (value for run, value in values.items() if run[0] == scene)
 
 
 def _row(

@@ -24,6 +24,7 @@ from flowsplat.protocols.process import in_own_process
 from flowsplat.protocols.resume import Job
 from flowsplat.protocols.studies.scenes import StudyScene
 from flowsplat.protocols.studies.variants import Variant
+from flowsplat.protocols.studies.verdicts import Run
 from flowsplat.scenes import Scene
 from flowsplat.training.config import TrainConfig
 from flowsplat.training.per_frame import PerFrameModel, train_per_frame
@@ -121,7 +122,8 @@ def _train(run: StudyRun, scene: Scene) -> tuple[SceneModel | PerFrameModel, int
     return scene_model(scene, gaussians, config), len(gaussians)
 
 
-def by_run(results: Sequence[Result], variant: str, figure: tuple[str, ...]) -> dict[tuple[str, int], float]:
-    """A figure of all runs of a variant that have it, by (scene, seed)."""
-    found = {(result["scene"], result["seed"]): pick(result, figure) for result in results if result["variant"] == variant}
-    return {key: float(value) for key, value in found.items() if value is not None}
+def by_run(results: Sequence[Result], variant: str, figure: tuple[str, ...]) -> dict[Run, float]:
+    """A figure of all runs of a variant that have it, by (scene, seed, frame-steps)."""
+    runs = [result for result in results if result["variant"] == variant]
+    found = {(result["scene"], result["seed"], result["iterations"]): pick(result, figure) for result in runs}
+    return {run: float(value) for run, value in found.items() if value is not None}

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 Verdict = Literal["confirmed", "contradicted", "not separable"]
+Run = tuple[Any, ...]
+"""Which run: its scene, then what tells the runs on that scene apart (seed, frame-steps)."""
 
 EVEN = 0.1
 """Decibels of PSNR that nobody sees."""
@@ -19,33 +21,33 @@ class Effect:
     """The differences of a variant from its base.
 
     Attributes:
-        differences: of runs on the same scene with the same seed, by (scene, seed).
+        differences: of runs on the same scene with the same seed and as many frame-steps, by run.
         mean: over the seeds of every scene, then over the scenes.
         spread: standard deviation of the single differences over seeds and scenes; None for fewer than two.
     """
 
-    differences: Mapping[tuple[str, int], float]
+    differences: Mapping[Run, float]
     mean: float
     spread: float | None
 
     def of_scene(self, scene: str) -> float | None:
         """Mean over the seeds of one scene; None where there is none."""
-        values = [value for (name, _), value in self.differences.items() if name == scene]
+        values = [value for run, value in self.differences.items() if run[0] == scene]
         return float(np.mean(values)) if values else None
 
 
-def effect(variant: Mapping[tuple[str, int], float], base: Mapping[tuple[str, int], float]) -> Effect | None:
+def effect(variant: Mapping[Run, float], base: Mapping[Run, float]) -> Effect | None:
     """Compare what both have in common; None where that is nothing.
 
     Args:
-        variant: a figure by (scene, seed).
+        variant: a figure by run.
         base: the same figure of what it is compared with.
     """
     differences = {key: value - base[key] for key, value in variant.items() if key in base}
     if not differences:
         return None
-    scenes = dict.fromkeys(scene for scene, _ in differences)
-    means = [np.mean([value for (name, _), value in differences.items() if name == scene]) for scene in scenes]
+    scenes = dict.fromkeys(run[0] for run in differences)
+    means = [np.mean([value for run, value in differences.items() if run[0] == scene]) for scene in scenes]
     spread = float(np.std(list(differences.values()), ddof=1)) if len(differences) > 1 else None
     return Effect(differences, float(np.mean(means)), spread)
 

@@ -8,12 +8,15 @@ import numba
 import numpy as np
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from flowsplat.splatting.cpu import blending, tiles
 from flowsplat.splatting.cpu import projection as kernels
 from flowsplat.splatting.cpu.workspace import Lease
 
 MOST_INSTANCES = 2**31 - 1
+MOST_CHANNELS = 64
+"""Of one blending: of more, each piece is blended by itself."""
 _CHUNKS = 16  # fixed, so that sums over chunks do not depend on the number of threads
 
 
@@ -54,6 +57,7 @@ class _Project(torch.autograd.Function):
         return means2d, conics, depths, radii, extents
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, grad_means2d: Tensor | None, grad_conics: Tensor | None, grad_depths: Tensor | None,
                  *_: Any) -> tuple[Tensor | None, ...]:  # fmt: skip
         means, quats, scales, covars, has_covars = ctx.inputs
@@ -139,6 +143,7 @@ class _Blend(torch.autograd.Function):
         return image, 1 - transmittance
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, grad_image: Tensor | None, grad_alphas: Tensor | None) -> tuple[Tensor | None, ...]:
         image, transmittance = ctx.saved_tensors
         (conic, opacity), (width, height) = ctx.inputs, ctx.size
@@ -169,7 +174,18 @@ def project(*args: Any) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     return result
 
 
-def blend(*args: Any) -> tuple[Tensor, Tensor]:
-    """As ``reference.blend``, with the extents of ``project`` in place of the radii."""
-    result: tuple[Tensor, Tensor] = _Blend.apply(*args)
-    return result
+def blend(
+    means2d: Tensor, conics: Tensor, opacities: Tensor, features: Tensor, depths: Tensor, extents: Tensor, width: int, height: int,
+    absolute: Tensor | None,
+) -> tuple[Tensor, Tensor]:  # fmt: skip
+    """As ``reference.blend``, with the extents of ``project`` in place of the radii.
+
+    The kernels are compiled for every number of channels, which takes the longer the more there are.
+    """
+    pieces = [
+        _Blend.apply(means2d, conics, opacities, piece, depths, extents, width, height, absolute)
+        for piece in features.split(MOST_CHANNELS, 1)
+    ]
+    if len(pieces) == 1:
+        return pieces[0]
+    return torch.cat([image for image, _ in pieces], 2), pieces[0][1]

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from numba import float32, njit, prange
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from flowsplat.common.kernels import OPTIONS, parallel_kernel
 from flowsplat.splatting.cpu.projection import HALF, ONE, TWO, ZERO
@@ -121,6 +122,7 @@ class _Colours(torch.autograd.Function):
         return colours
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         wants_directions = ctx.needs_input_grad[1]
         d_sh = torch.empty(ctx.inputs[0].shape)

@@ -11,7 +11,7 @@ class Workspace:
     """Named scratch arrays that only grow. One forward pass owns a workspace until its gradient is no longer needed."""
 
     _free: list[Workspace] = []  # noqa: RUF012
-    _lock = threading.Lock()
+    _lock = threading.RLock()  # The garbage collector may end a lease while this thread holds it.
 
     def __init__(self) -> None:
         self._arrays: dict[str, np.ndarray] = {}

@@ -8,6 +8,7 @@ from typing import Any
 import torch
 import triton
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from flowsplat.common.devices import Later
 from flowsplat.common.triton import power_of_two, rows_per_program
@@ -45,6 +46,7 @@ class _Project(torch.autograd.Function):
         return means2d, conics, depths, radii, extents
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, grad_means2d: Tensor | None, grad_conics: Tensor | None, grad_depths: Tensor | None,
                  *_: Any) -> tuple[Tensor | None, ...]:  # fmt: skip
         means, quats, scales, covars = ctx.inputs
@@ -144,6 +146,7 @@ class _Blend(torch.autograd.Function):
         return blended.image, blended.alphas
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, grad_image: Tensor | None, grad_alphas: Tensor | None) -> tuple[Tensor | None, ...]:
         image, transmittance = ctx.saved_tensors
         (width, height), counted, binned = ctx.size, ctx.counted, ctx.binned

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from numba import float32, njit, prange
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from flowsplat.common.kernels import OPTIONS, parallel_kernel
 from flowsplat.splatting.cpu.workspace import Workspace
@@ -248,6 +249,7 @@ class _PictureLoss(torch.autograd.Function):
         return image.new_tensor(total), figures
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, grad: Tensor, _: Any) -> tuple[Tensor, Tensor, None, None, None]:
         gradient, alpha_gradient = ctx.saved_tensors
         if float(grad) != 1:

@@ -12,6 +12,7 @@ import torch
 import triton
 import triton.language as tl
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from flowsplat.common.triton import rows_per_program
 from flowsplat.training.picture_loss import reference
@@ -285,6 +286,7 @@ class _PictureLoss(torch.autograd.Function):
         return total.to(image.dtype), figures
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, grad: Tensor, _: Any) -> tuple[Tensor, Tensor, None, None, None]:
         gradient, alpha_gradient = ctx.saved_tensors
         return grad * gradient, grad * alpha_gradient, None, None, None

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from numba import float32, njit, prange
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from flowsplat.common.kernels import OPTIONS, parallel_kernel
 from flowsplat.training.rigidity import reference
@@ -75,6 +76,7 @@ class _RigidLoss(torch.autograd.Function):
         return velocities.new_tensor(ctx.share * sums.sum())
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None, None, None]:
         return grad * ctx.share * ctx.saved_tensors[0], None, None, None
 

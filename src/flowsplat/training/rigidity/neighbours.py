@@ -85,6 +85,10 @@ def find_neighbours(
         found = min(k, len(rows) - 1)
         distances, others = cKDTree(means).query(means[wanted.cpu().numpy()], k=found + 1, workers=-1)
         own = rows[wanted]
-        indices[own, :found] = rows[torch.from_numpy(others[:, 1:]).to(device)].to(torch.int32)
-        weights[own, :found] = torch.from_numpy(np.exp(-beta * distances[:, 1:]).astype(np.float32)).to(device)
+        # Everybody but itself, which need not come first: a clone lies where its twin does.
+        itself = others == np.flatnonzero(wanted.cpu().numpy())[:, None]
+        itself[~itself.any(1), -1] = True
+        others, distances = others[~itself].reshape(-1, found), distances[~itself].reshape(-1, found)
+        indices[own, :found] = rows[torch.from_numpy(others).to(device)].to(torch.int32)
+        weights[own, :found] = torch.from_numpy(np.exp(-beta * distances).astype(np.float32)).to(device)
     return Neighbours(indices, weights)

@@ -12,6 +12,7 @@ import torch
 import triton
 import triton.language as tl
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from flowsplat.common.triton import rows_per_program
 from flowsplat.training.rigidity import reference
@@ -96,6 +97,7 @@ class _RigidLoss(torch.autograd.Function):
         return (share * sums.sum(dtype=torch.float64)).to(torch.float32)
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None, None, None]:
         return grad * ctx.saved_tensors[0], None, None, None
 

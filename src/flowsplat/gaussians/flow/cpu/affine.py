@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from numba import njit, prange
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from flowsplat.common.kernels import OPTIONS, parallel_kernel
 from flowsplat.gaussians.flow.reference import NEAR
@@ -214,6 +215,7 @@ class _Features(torch.autograd.Function):
         return features
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         count = len(gradient)
         results = [torch.empty(count, size) if size > 1 else torch.empty(count) for size in (3, 1, 2, 3, 4, 3, 3, 4)]

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from numba import prange
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from flowsplat.common.kernels import parallel_kernel
 from flowsplat.gaussians.flow.reference import NEAR
@@ -82,6 +83,7 @@ class _Features(torch.autograd.Function):
         return features
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         count = len(gradient)
         results = torch.empty(count, 3), torch.empty(count), torch.empty(count, 2), torch.empty(count, 3)

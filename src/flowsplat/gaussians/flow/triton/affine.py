@@ -12,6 +12,7 @@ import torch
 import triton
 import triton.language as tl
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from flowsplat.common.devices import upload
 from flowsplat.common.triton import rows_per_program
@@ -222,6 +223,7 @@ class _Features(torch.autograd.Function):
         return features
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         count, device = len(gradient), gradient.device
         shapes = ((count, 3), (count,), *((count, size) for size in (2, 3, 4, 3, 3, 4)))

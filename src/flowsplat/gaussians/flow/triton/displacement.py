@@ -11,6 +11,7 @@ import torch
 import triton
 import triton.language as tl
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from flowsplat.common.devices import upload
 from flowsplat.common.triton import rows_per_program
@@ -86,6 +87,7 @@ class _Features(torch.autograd.Function):
         return displacement_features(colours, depths, means2d, next_means, lens)
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         count, device = len(gradient), gradient.device
         results = [torch.empty(shape, device=device) for shape in ((count, 3), (count,), (count, 2), (count, 3))]
