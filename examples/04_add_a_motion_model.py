@@ -32,7 +32,6 @@ class CircularMotion:
             velocities=(radius * rate)[:, None] * torch.stack([-sin, cos, zero], 1),
             presence=presence(params["times"], params["log_lambdas"], t),
             quats=params["quats"],
-            quat_rates=torch.zeros_like(params["quats"]),
             scales=torch.exp(params["log_scales"]),
         )
 

@@ -14,7 +14,7 @@ import tyro
 from flowsplat.common.errors import InputError
 from flowsplat.common.progress import console, say
 
-HOLDOUT_NOTE = "Every tenth frame was kept back for these figures; --holdout none trains on all of them."
+HOLDOUT_NOTE = "These figures are of frames that were kept back (--holdout); --holdout none trains on all of them."
 
 Preset = Literal["fast", "default", "paper", "high"]
 

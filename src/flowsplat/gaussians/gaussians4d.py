@@ -142,14 +142,13 @@ class Gaussians4D:
 
     @torch.no_grad()
     def active(
-        self, t: float, camera: Camera | None = None, near: float = NEAR_PLANE, eps2d: float = EPS2D, rooms: Rooms | None = None
+        self, t: float, camera: Camera | None = None, eps2d: float = EPS2D, rooms: Rooms | None = None
     ) -> Active:
         """Those with p(t) >= p_min, and of those at rest only what ``camera`` may show (all of them without one).
 
         Args:
             t: clip time.
             camera: who looks.
-            near: planar depth below which nothing is rendered.
             eps2d: px^2 of blur that they will be rendered with.
             rooms: so that nobody waits for a GPU: where Triton kernels slice, the rows have as many places as this says. Look
                 at ``fits()`` of the result before anything that was made with it is used, and where not, grow the rooms.
@@ -160,7 +159,7 @@ class Gaussians4D:
             camera = camera.widened(border(eps2d))
         given = (
             self.at_rest, params["means"], params.get("log_scales"), params["times"], self.motion.log_precision(params), t,
-            self.config.p_min, camera, near,
+            self.config.p_min, camera, NEAR_PLANE,
         )  # fmt: skip
         if rooms is not None and self.sliced_by == "triton":
             padded, needed = padded_rows(*given, rooms)
@@ -174,15 +173,8 @@ class Gaussians4D:
         return devices.kernels_for(self.params["means"]) if isinstance(self.motion, SeriesMotion) else "reference"
 
     def gather(self, active: Active) -> dict[str, Tensor]:
-        """Copies of the rows that are rendered, as leaves for a gradient; everybody must be somebody.
-
-        Motion parameters have rows only for those that move (the last ones), gains only for those at rest (the first ones).
-        """
-        resting, moving = active.rows[: active.num_static], active.rows[active.num_static :]
-        return {
-            name: value[moving if name in self.moving_names else resting if name == "log_gains" else active.rows]
-            for name, value in self.params.items()
-        }
+        """Copies of the rows that are rendered, as leaves for a gradient; everybody must be somebody."""
+        return {name: value[self.rows_of(name, active)] for name, value in self.params.items()}
 
     @property
     def moving_names(self) -> tuple[str, ...]:
@@ -191,9 +183,13 @@ class Gaussians4D:
 
     def rows_of(self, name: str, active: Active) -> Tensor:
         """The rows that ``gather`` took for parameter ``name``."""
+        return active.rows[self.part(name, active)]
+
+    def part(self, name: str, active: Active) -> slice:
+        """Which active Gaussians use parameter ``name``: motion those that move (the last), gains those at rest (the first)."""
         if name in self.moving_names:
-            return active.rows[active.num_static :]
-        return active.rows[: active.num_static] if name == "log_gains" else active.rows
+            return slice(active.num_static, None)
+        return slice(active.num_static) if name == "log_gains" else slice(None)
 
     def to(self, device: torch.device | str) -> Gaussians4D:
         """The same Gaussians on a device; these themselves where they are there already."""

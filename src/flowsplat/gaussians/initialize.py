@@ -15,6 +15,7 @@ from flowsplat.gaussians.motion import LinearMotion
 from flowsplat.gaussians.observations import Observation, Observations
 from flowsplat.gaussians.surfaces import SurfaceSamples, sample_surface
 from flowsplat.geometry.rotations import covariances
+from flowsplat.priors.flow import sample_map
 from flowsplat.scenes import Tracks
 from flowsplat.splatting.harmonics import harmonics_from_colours
 
@@ -79,7 +80,7 @@ def initialize(
     """
     rng = np.random.default_rng(seed)
     if not config.from_priors:
-        gaussians = _random(observations, model, config, rng, min(config.random_count, cap))
+        gaussians = _random(observations, model, rng, min(config.random_count, cap))
     else:
         gaussians = _from_priors(observations, tracks, model, config, rng)
         for _ in range(FITTING_TRIES):
@@ -286,16 +287,6 @@ def _track_pixels(tracks: Tracks | None, frame: Observation, usable: np.ndarray)
     return (wanted > 0) | (sparse & (x % 4 == 2) & (y % 4 == 2))
 
 
-def _bilinear(values: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Sample [H, W] or [H, W, C] at pixel positions [N, 2] (centres at +0.5), in rows short enough for OpenCV."""
-    count, row = len(points), 4096
-    padded = np.full((-(-count // row) * row, 2), 0.5, np.float32)
-    padded[:count] = points
-    maps = padded.reshape(-1, row, 2) - np.float32(0.5)
-    sampled = cv2.remap(values, maps[..., 0], maps[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return sampled.reshape(len(padded), *values.shape[2:])[:count]
-
-
 def _follow(observations: Observations, k: int, points: np.ndarray, reach: int) -> dict[float, np.ndarray]:
     """3D positions [N, 3] of pixels of frame k at the times of its neighbours, along flow and depth; NaN where lost."""
     width, height = observations.size
@@ -306,16 +297,16 @@ def _follow(observations: Observations, k: int, points: np.ndarray, reach: int) 
             flow = observations[current].forward if step > 0 else observations[current].backward
             if flow is None:
                 break
-            alive &= _bilinear(flow.trusted.astype(np.float32), here) > 0.99
-            here = here + _bilinear(flow.flow, here)
+            alive &= sample_map(flow.trusted.astype(np.float32), here)[:, 0] > 0.99
+            here = here + sample_map(flow.flow, here)
             current += step
             frame = observations[current]
             alive &= ((here > 0.5) & (here < [width - 0.5, height - 0.5])).all(1)
-            alive &= _bilinear(frame.mask.astype(np.float32), here) > 0.99
-            alive &= _bilinear(frame.depth_jump, here) < 0.06
+            alive &= sample_map(frame.mask.astype(np.float32), here)[:, 0] > 0.99
+            alive &= sample_map(frame.depth_jump, here)[:, 0] < 0.06
             if not alive.any():
                 break
-            world = frame.camera.unproject(here, _bilinear(frame.depth, here).astype(np.float64))
+            world = frame.camera.unproject(here, sample_map(frame.depth, here)[:, 0].astype(np.float64))
             world[~alive] = np.nan
             found[frame.time] = world
     return found
@@ -354,7 +345,7 @@ def _fit_motion(
 
 
 def _random(
-    observations: Observations, model: ModelConfig, config: InitConfig, rng: np.random.Generator, count: int
+    observations: Observations, model: ModelConfig, rng: np.random.Generator, count: int
 ) -> Gaussians4D:
     """Uniform in the box of the training frusta between 0.3 and 3 median depths, at uniform times (METHOD 4)."""
     corners = []

@@ -29,7 +29,6 @@ class MotionState:
         velocities: [N, 3] d mean / dt, per clip length.
         presence: [N] p(t), between 0 and 1.
         quats: [N, 4] not normalised.
-        quat_rates: [N, 4] dq / dt.
         scales: [N, 3]
         covars: [N, 3, 3]
     """
@@ -38,7 +37,6 @@ class MotionState:
     velocities: Tensor
     presence: Tensor
     quats: Tensor | None = None
-    quat_rates: Tensor | None = None
     scales: Tensor | None = None
     covars: Tensor | None = None
 
@@ -146,7 +144,6 @@ class SeriesMotion:
             velocities=_combine(series_basis_rate(tau, *mean_orders), *mean_terms),
             presence=presence(params["times"], params["log_lambdas"], t),
             quats=params["quats"] + _combine(series_basis(tau, *quat_orders), *quat_terms),
-            quat_rates=_combine(series_basis_rate(tau, *quat_orders), *quat_terms),
             scales=torch.exp(params["log_scales"]),
         )
 

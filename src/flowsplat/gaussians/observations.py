@@ -39,11 +39,6 @@ class Observation:
     forward: Flow | None
     backward: Flow | None
 
-    @property
-    def target(self) -> np.ndarray:
-        """[H, W, 3] float32 between 0 and 1."""
-        return self.image.astype(np.float32) / 255
-
     @cached_property
     def depth_jump(self) -> np.ndarray:
         """[H, W] float32: relative difference between the farthest and the nearest depth around a pixel."""

@@ -27,11 +27,6 @@ def multiply_quats(a: Tensor, b: Tensor) -> Tensor:
     )
 
 
-def conjugate_quats(quats: Tensor) -> Tensor:
-    """[..., 4] the inverse rotation of a unit quaternion."""
-    return quats * quats.new_tensor([1.0, -1.0, -1.0, -1.0])
-
-
 def quats_to_rotations(quats: Tensor) -> Tensor:
     """Quaternions [..., 4] of any length to rotation matrices [..., 3, 3]."""
     w, x, y, z = normalize_quats(quats).unbind(-1)
@@ -66,12 +61,6 @@ def rotations_to_quats(rotations: Tensor) -> Tensor:
     quats = torch.gather(candidates, -2, best).squeeze(-2)
     quats = quats / quats.norm(dim=-1, keepdim=True)
     return torch.where(quats[..., :1] < 0, -quats, quats)
-
-
-def angular_velocity(quats: Tensor, quat_rates: Tensor) -> Tensor:
-    """omega [..., 3] of R(q(t)) in world axes from q [..., 4] and dq/dt [..., 4]; q need not have length 1 (METHOD 1)."""
-    squared = torch.clamp((quats * quats).sum(-1, keepdim=True), min=1e-24)
-    return 2.0 * multiply_quats(quat_rates, conjugate_quats(quats))[..., 1:] / squared
 
 
 def covariances(quats: Tensor, scales: Tensor) -> Tensor:

@@ -8,7 +8,7 @@ from pathlib import Path
 from flowsplat.common.files import make_folder
 from flowsplat.common.progress import console, say
 from flowsplat.pipeline.config import RunConfig
-from flowsplat.pipeline.stages import evaluate_run, prepare, render_run, train
+from flowsplat.pipeline.stages import prepare, render_run, train
 from flowsplat.pipeline.summary import figures_table
 from flowsplat.scenes import Scene
 from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic, write_synthetic_video
@@ -36,12 +36,10 @@ def run_demo(out: Path, width: int = 320, frames: int = 40) -> None:
     own = prepare(video, out / "own", config)
     _lend_truth(Scene(truth), own.scene_path)
     train(own)
-    evaluate_run(own)
     own_metrics = render_run(own)
     say("Running with the true cameras, depth, masks and flow.")
     true = prepare(truth, out / "true", replace(config, priors=replace(config.priors, priors="true")))
     train(true)
-    evaluate_run(true)
     true_metrics = render_run(true)
     console.print(figures_table({"own priors": own_metrics, "true priors": true_metrics}))
     say(f"Look at {out / 'own' / 'report.html'} and {out / 'true' / 'report.html'}")

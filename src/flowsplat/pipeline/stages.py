@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -33,7 +33,7 @@ from flowsplat.pipeline.config import RunConfig
 from flowsplat.pipeline.folder import RunFolder, stage_key
 from flowsplat.pipeline.summary import report_data
 from flowsplat.priors.prepare import prepare_priors
-from flowsplat.scenes import Scene
+from flowsplat.scenes import Scene, Tracks
 from flowsplat.scenes.clip import InputOptions
 from flowsplat.scenes.ingest import fingerprint, ingest, is_ingested, kind_of_input, open_clip
 from flowsplat.scenes.layers import write_image
@@ -41,6 +41,8 @@ from flowsplat.training.checkpoint import load_model, save_model
 from flowsplat.training.config import TrainConfig
 from flowsplat.training.static import static_config, static_start
 from flowsplat.training.trainer import Trainer
+
+Begin = Callable[[Observations, Tracks | None, TrainConfig], Gaussians4D]
 
 
 def run(source: Path, out: Path, config: RunConfig | None = None) -> dict[str, Any]:
@@ -60,7 +62,6 @@ def run(source: Path, out: Path, config: RunConfig | None = None) -> dict[str, A
     """
     folder = prepare(source, out, config)
     train(folder)
-    evaluate_run(folder)
     return render_run(folder)
 
 
@@ -201,17 +202,7 @@ def train(folder: RunFolder) -> SceneModel:
         for old in ("training", "logs", "model"):
             shutil.rmtree(folder.path / old, ignore_errors=True)
         folder.start("train", key)
-    started = time.perf_counter()
-    scene = Scene(folder.scene_path)
-    observations = load_observations(scene)
-    config = folder.config.train
-    trained = _fit(folder, scene, observations, config, "training", None)
-    model = scene_model(scene, trained.gaussians, config)
-    save_model(folder.model_path, model)
-    write_json(folder.path / "training" / "history.json", trained.history)
-    folder.finish("train", key, {"train": trained.earlier_seconds + time.perf_counter() - started})
-    _drop_checkpoints(folder.path / "training")
-    return model
+    return _trained(folder, "train", key, folder.config.train, "training", folder.model_path)
 
 
 def _drop_checkpoints(path: Path) -> None:
@@ -227,13 +218,19 @@ def scene_model(scene: Scene, gaussians: Gaussians4D, config: TrainConfig) -> Sc
     return SceneModel(gaussians, scene.similarity, first, last, config.flow_model, config.fill, focal)
 
 
-def _fit(
-    folder: RunFolder, scene: Scene, observations: Observations, config: TrainConfig, name: str, start: Gaussians4D | None
-) -> Trainer:
+def _trained(
+    folder: RunFolder, stage: str, key: str, config: TrainConfig, where: str, model_path: Path, begin: Begin | None = None
+) -> SceneModel:
+    """Train in the folder ``where`` of a run, from the last checkpoint there if there is one, and save the scene.
+
+    Args:
+        begin: makes the Gaussians to start from; None = as ``initialize``.
+    """
     from torch.utils.tensorboard import SummaryWriter
 
-    out = folder.path
-    writer = SummaryWriter(str(out / "logs" / name))
+    started, out, scene = time.perf_counter(), folder.path, Scene(folder.scene_path)
+    tracks, observations = scene.tracks if scene.has_tracks else None, load_observations(scene)
+    writer = SummaryWriter(str(out / "logs" / where))
 
     def record(entry: Mapping[str, float]) -> None:
         for figure, value in entry.items():
@@ -244,17 +241,20 @@ def _fit(
         image = rendered.colour.detach().clamp(0, 1).cpu().numpy()
         write_image(out / "preview.png", preview_sheet(frame.image, float_to_bytes(image)))
 
-    tracks = scene.tracks if scene.has_tracks else None
-    device = pick_device(folder.config.device)
-    trainer = Trainer(observations, tracks, config, out / name, preview, record, start, device)
+    start = None if begin is None else begin(observations, tracks, config)
+    trainer = Trainer(observations, tracks, config, out / where, preview, record, start, pick_device(folder.config.device))
     try:
-        trainer.run()
+        model = scene_model(scene, trainer.run(), config)
     finally:
         writer.close()
-    return trainer
+    save_model(model_path, model)
+    write_json(out / where / "history.json", trainer.history)
+    folder.finish(stage, key, {stage: trainer.earlier_seconds + time.perf_counter() - started})
+    _drop_checkpoints(out / where)
+    return model
 
 
-def _static_model(folder: RunFolder, scene: Scene) -> SceneModel:
+def _static_model(folder: RunFolder) -> SceneModel:
     """Our own static scene: the same initial Gaussians, movers as in their middle frame, no motion, a quarter of the steps."""
     path = folder.path / "static"
     key = stage_key(_train_key(folder), "static")
@@ -264,18 +264,10 @@ def _static_model(folder: RunFolder, scene: Scene) -> SceneModel:
         folder.forget("static")
         shutil.rmtree(path, ignore_errors=True)
         folder.start("static", key)
-    started = time.perf_counter()
     config = static_config(folder.config.train)
-    config = replace(config, iterations=max(1, config.iterations // 4))
-    observations = load_observations(scene)
-    start = static_start(observations, scene.tracks if scene.has_tracks else None, config)
     say("Training the static scene for comparison.")
-    trained = _fit(folder, scene, observations, config, "static", start)
-    model = scene_model(scene, trained.gaussians, config)
-    save_model(path, model)
-    folder.finish("static", key, {"static": trained.earlier_seconds + time.perf_counter() - started})
-    _drop_checkpoints(path)
-    return model
+    quarter = replace(config, iterations=max(1, config.iterations // 4))
+    return _trained(folder, "static", key, quarter, "static", path, static_start)
 
 
 # -- evaluate
@@ -296,7 +288,7 @@ def evaluate_run(folder: RunFolder) -> dict[str, Any]:
         return read_json(metrics_path)
     model = load(folder.path, folder.config.device)
     scene = Scene(folder.scene_path)
-    static = _static_model(folder, scene) if folder.config.baselines == "all" else None
+    static = _static_model(folder) if folder.config.baselines == "all" else None
     folder.start("evaluate", key)
     started = time.perf_counter()
     refine = partial(refine_camera, model) if folder.config.refine_poses else None

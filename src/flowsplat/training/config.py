@@ -20,7 +20,7 @@ class RatesConfig:
     """Adam's learning rates at the start. Lengths are in median depths, times in clip lengths."""
 
     means: float = 1.6e-4
-    """Positions; falls to 0.01 of this, exponentially."""
+    """Positions; falls to ``means_decay`` of this, exponentially."""
     means_pixels: float = 0.06
     """Positions at rest move at most this many pixels a step, as seen at the median depth, and ``motion`` is slowed down alike:
     pixels are small in a fine picture and behind a long lens. 0 = as fast as the rates say."""

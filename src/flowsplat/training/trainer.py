@@ -172,7 +172,7 @@ class Trainer:
         for k in frames:
             active, drawn, gradients, entry = self._differentiate(k)
             for name, gradient in gradients.items():
-                share = self._of_rows(name, active, drawn).to(gradient.dtype) / len(frames)
+                share = drawn[gaussians.part(name, active)].to(gradient.dtype) / len(frames)
                 totals[name][gaussians.rows_of(name, active)] += gradient * share.view(-1, *(1,) * (gradient.ndim - 1))
             touched[active.rows] |= drawn
             entries.append(entry)
@@ -180,27 +180,17 @@ class Trainer:
         self._apply(active, touched[active.rows], {n: total[gaussians.rows_of(n, active)] for n, total in totals.items()})
         return entries
 
-    def _of_rows(self, name: str, active: Active, values: Tensor) -> Tensor:
-        """Of values [A] of the active Gaussians those that have the parameter."""
-        if name in self.gaussians.moving_names:
-            return values[active.num_static :]
-        return values[: active.num_static] if name == "log_gains" else values
-
     @property
     def _focal(self) -> float:
         """Pixels that a unit of length has at the median depth."""
         return float(self.observations[0].camera.K[0, 0])
 
-    def _at_rest(self, name: str, active: Active) -> int:
-        """How many of the active Gaussians that have the parameter, the first ones, are at rest."""
-        return 0 if name in self.gaussians.moving_names else active.num_static
-
     def _apply(self, active: Active, drawn: Tensor, gradients: Gradients) -> None:
         self._adam.begin_step(active.somebody(active.rows), active.somebody(drawn))
         rates_at_rest, rates_moving = self.rates(), self.rates(moving=True)
         for name, gradient in gradients.items():
-            value, rows = self.gaussians.params[name], self.gaussians.rows_of(name, active)
-            stepped, at_rest = self._of_rows(name, active, drawn), self._at_rest(name, active)
+            value, having = self.gaussians.params[name], self.gaussians.part(name, active)
+            rows, stepped, at_rest = active.rows[having], drawn[having], active.num_static - (having.start or 0)
             for part, rates in ((slice(at_rest), rates_at_rest), (slice(at_rest, None), rates_moving)):
                 self._adam.step(name, value, rows[part], stepped[part], gradient[part], rates[name])
 

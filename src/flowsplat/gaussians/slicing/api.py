@@ -12,6 +12,12 @@ from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
 Gradients = dict[str, Tensor]
 """By parameter, the gradient of the rows that ``Gaussians4D.rows_of`` names."""
 
+NAMES = (
+    "means", "logit_opacities", "sh", "log_gains", "quats", "log_scales", "times", "log_lambdas",
+    "mean_poly", "mean_cos", "mean_sin", "quat_poly", "quat_cos", "quat_sin",
+)  # fmt: skip
+"""Parameters of a series motion, in the order in which its kernels take them."""
+
 
 @dataclass(frozen=True)
 class Slice:

@@ -14,16 +14,11 @@ from torch.autograd.function import once_differentiable
 from flowsplat.common.kernels import OPTIONS, exp, parallel_kernel
 from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
 from flowsplat.gaussians.motion import SeriesMotion
-from flowsplat.gaussians.slicing.api import Gradients, Slice
+from flowsplat.gaussians.slicing.api import NAMES, Gradients, Slice
 from flowsplat.splatting.cpu.harmonics import basis_of, colour_of
 
 ONE, ZERO, HALF = np.float32(1), np.float32(0), np.float32(0.5)
 CHUNKS = 64
-
-NAMES = (
-    "means", "logit_opacities", "sh", "log_gains", "quats", "log_scales", "times", "log_lambdas",
-    "mean_poly", "mean_cos", "mean_sin", "quat_poly", "quat_cos", "quat_sin",
-)  # fmt: skip
 
 
 @njit(**OPTIONS)

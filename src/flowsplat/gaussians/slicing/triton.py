@@ -18,14 +18,10 @@ from torch.autograd.function import once_differentiable
 from flowsplat.common.devices import upload
 from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
 from flowsplat.gaussians.motion import SeriesMotion
-from flowsplat.gaussians.slicing.api import Gradients, Slice
+from flowsplat.gaussians.slicing.api import NAMES, Gradients, Slice
 from flowsplat.splatting.harmonics import C0, C1, C2, C3
 
 BLOCK = 128
-NAMES = (
-    "means", "logit_opacities", "sh", "log_gains", "quats", "log_scales", "times", "log_lambdas",
-    "mean_poly", "mean_cos", "mean_sin", "quat_poly", "quat_cos", "quat_sin",
-)  # fmt: skip
 COSINES = tl.constexpr(5)
 """Where the cosines of the brightness begin in a moment: before them are time, other time and the camera's centre."""
 
