@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import shutil
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 
 import cv2
@@ -117,7 +117,7 @@ class SolvedClip:
                     np.stack([flow for flow, _ in matches]), np.stack([confidence for _, confidence in matches]),
                 )  # fmt: skip
             else:
-                solution = MultiView(*(np.zeros((4, self.height, self.width), np.float32)))
+                solution = MultiView(*np.zeros((len(fields(MultiView)), self.height, self.width), np.float32))
             write_npz(self._path(k), asdict(solution))
             flows.forget(k + 1)
 
