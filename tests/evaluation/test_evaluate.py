@@ -17,10 +17,6 @@ from flowsplat.scenes.layers import read_image
 MOVED = Similarity(0.4, Rotation.from_euler("xyz", [0.3, -0.2, 0.5]).as_matrix(), np.array([1.0, 2, -3]))
 
 
-def quiet(items, label):
-    return items
-
-
 @pytest.fixture(autouse=True)
 def no_lpips(monkeypatch):
     """The same figures on machines with and without the weights."""
@@ -38,7 +34,7 @@ def numbers(value):
 
 def test_the_truth_scores_perfectly(world, build_scene):
     scene = build_scene()
-    metrics = evaluate(world, scene, progress=quiet).metrics
+    metrics = evaluate(world, scene)
     for kind, count in (("heldout_frames", 2), ("heldout_views", 2), ("training_frames", 10)):
         figures = metrics[kind]
         assert figures["psnr"] == MAX_PSNR
@@ -56,7 +52,7 @@ def test_the_truth_scores_perfectly(world, build_scene):
 
 
 def test_the_figures_are_json_with_finite_numbers(world, build_scene, tmp_path):
-    metrics = evaluate(world, build_scene(), static_model=world, progress=quiet).metrics
+    metrics = evaluate(world, build_scene(), static_model=world)
     write_json(tmp_path / "metrics.json", metrics)
     assert json.loads((tmp_path / "metrics.json").read_text()) == metrics
     assert np.isfinite(numbers(metrics)).all()
@@ -67,7 +63,7 @@ def test_the_figures_are_json_with_finite_numbers(world, build_scene, tmp_path):
 
 def test_baselines_are_worse_than_the_truth_and_ordered(world, build_scene):
     still = replace(world, moves=False)
-    metrics = evaluate(world, build_scene(), static_model=still, progress=quiet).metrics
+    metrics = evaluate(world, build_scene(), static_model=still)
     frames, views = metrics["baselines"], metrics["baselines_views"]
     assert frames["copy"]["psnr"] < frames["blend"]["psnr"] < frames["flow_interpolation"]["psnr"] < MAX_PSNR
     assert frames["static"]["moving"]["psnr"] + 3 < frames["flow_interpolation"]["moving"]["psnr"]
@@ -78,14 +74,14 @@ def test_baselines_are_worse_than_the_truth_and_ordered(world, build_scene):
 
 
 def test_without_a_static_model_its_row_is_null(world, build_scene):
-    metrics = evaluate(world, build_scene(), progress=quiet).metrics
+    metrics = evaluate(world, build_scene())
     assert metrics["baselines"]["static"] is None
     assert metrics["baselines_views"]["static"] is None
 
 
 def test_baselines_can_be_left_out(world, build_scene, monkeypatch):
     monkeypatch.setattr(module, "predict_frame", lambda *_: pytest.fail("computed"))
-    metrics = evaluate(world, build_scene(), baselines=False, progress=quiet).metrics
+    metrics = evaluate(world, build_scene(), baselines=False)
     assert metrics["baselines"] is None
     assert metrics["baselines_views"] is None
 
@@ -97,7 +93,7 @@ def test_motion_errors_are_measured_in_pixels_and_relative_depth(world, build_sc
             flow = None if true.flow is None else true.flow + np.float32([0.3, -0.4])
             return replace(true, flow=flow, depth=true.depth * np.float32(1.25))
 
-    metrics = evaluate(Wrong(), build_scene(), progress=quiet).metrics
+    metrics = evaluate(Wrong(), build_scene())
     assert metrics["flow_epe"]["median"] == pytest.approx(0.5, abs=0.02)
     assert metrics["flow_epe"]["moving"]["mean"] == pytest.approx(0.5, abs=0.02)
     for region in ("all", "static", "moving"):
@@ -106,7 +102,7 @@ def test_motion_errors_are_measured_in_pixels_and_relative_depth(world, build_sc
 
 @pytest.mark.parametrize("scene_options", [{"holdout": None}, {"views": False}, {"holdout": None, "views": False}])
 def test_what_the_scene_does_not_have_is_null(world, build_scene, scene_options):
-    metrics = evaluate(world, build_scene(**scene_options), progress=quiet).metrics
+    metrics = evaluate(world, build_scene(**scene_options))
     no_frames, no_views = "holdout" in scene_options, "views" in scene_options
     assert (metrics["heldout_frames"] is None) == (metrics["baselines"] is None) == no_frames
     assert (metrics["heldout_views"] is None) == (metrics["baselines_views"] is None) == no_views
@@ -114,7 +110,7 @@ def test_what_the_scene_does_not_have_is_null(world, build_scene, scene_options)
 
 
 def test_without_truth_only_the_prior_flow_is_compared(world, build_scene):
-    metrics = evaluate(world, build_scene(truth=False), progress=quiet).metrics
+    metrics = evaluate(world, build_scene(truth=False))
     assert metrics["flow_epe"] is None
     assert metrics["depth_abs_rel"] is None
     assert metrics["flow_prior_epe"]["mean"] < 1 / 64
@@ -123,7 +119,7 @@ def test_without_truth_only_the_prior_flow_is_compared(world, build_scene):
 
 
 def test_without_masks_regions_are_null(world, build_scene):
-    metrics = evaluate(world, build_scene(masks=False), progress=quiet).metrics
+    metrics = evaluate(world, build_scene(masks=False))
     for kind in ("heldout_frames", "heldout_views", "training_frames", "flow_epe", "flow_prior_epe"):
         assert metrics[kind]["moving"] is None
     assert metrics["baselines"]["copy"]["moving"] is None
@@ -133,7 +129,7 @@ def test_without_masks_regions_are_null(world, build_scene):
 
 
 def test_with_full_masks_the_region_is_the_picture(world, build_scene):
-    metrics = evaluate(world, build_scene(full_masks=True), progress=quiet).metrics
+    metrics = evaluate(world, build_scene(full_masks=True))
     copy = metrics["baselines"]["copy"]
     assert copy["moving"]["psnr"] == pytest.approx(copy["psnr"])
     assert metrics["flow_epe"]["moving"]["mean"] == pytest.approx(metrics["flow_epe"]["mean"])
@@ -142,7 +138,7 @@ def test_with_full_masks_the_region_is_the_picture(world, build_scene):
 
 def test_estimated_cameras_place_the_views_and_scale_the_depth(world, build_scene):
     scene = build_scene(similarity=MOVED)
-    metrics = evaluate(replace(world, similarity=MOVED), scene, progress=quiet).metrics
+    metrics = evaluate(replace(world, similarity=MOVED), scene)
     assert metrics["heldout_views"]["psnr"] > 60
     assert metrics["heldout_frames"]["psnr"] > 60
     assert metrics["depth_abs_rel"]["all"]["mean"] < 1e-5
@@ -152,7 +148,7 @@ def test_estimated_cameras_place_the_views_and_scale_the_depth(world, build_scen
 def test_views_without_any_true_camera_are_an_input_error(world, build_scene):
     scene = build_scene(similarity=MOVED, truth=False)
     with pytest.raises(InputError, match="no true cameras"):
-        evaluate(world, scene, progress=quiet)
+        evaluate(world, scene)
 
 
 def test_a_model_full_of_nan_scores_badly_and_finitely(world, build_scene):
@@ -162,7 +158,7 @@ def test_a_model_full_of_nan_scores_badly_and_finitely(world, build_scene):
             nothing = {name: np.full_like(value, np.nan) for name, value in vars(true).items() if value is not None}
             return replace(true, **nothing)
 
-    metrics = evaluate(Broken(), build_scene(), progress=quiet).metrics
+    metrics = evaluate(Broken(), build_scene())
     assert np.isfinite(numbers(metrics)).all()
     assert metrics["heldout_frames"]["psnr"] < 10
     assert metrics["depth_abs_rel"]["all"] == {"mean": 1.0, "median": 1.0}
@@ -170,7 +166,7 @@ def test_a_model_full_of_nan_scores_badly_and_finitely(world, build_scene):
 
 def test_lpips_is_averaged_where_it_can_be_measured(world, build_scene, monkeypatch):
     monkeypatch.setattr(module, "lpips_metric", lambda: (lambda a, b: float(np.abs(a - b).mean()), ""))
-    metrics = evaluate(world, build_scene(), progress=quiet).metrics
+    metrics = evaluate(world, build_scene())
     assert metrics["lpips_reason"] is None
     assert metrics["heldout_frames"]["lpips"] < 1e-6
     assert metrics["baselines"]["copy"]["lpips"] > 0.01
@@ -187,16 +183,12 @@ def test_a_long_clip_without_truth_renders_a_sample_of_its_training_frames(world
 
 def test_renderings_and_sheets_are_written(world, build_scene, tmp_path):
     scene = build_scene()
-    result = evaluate(world, scene, folder=tmp_path / "evaluation", progress=quiet)
-    names = [str(path.relative_to(tmp_path / "evaluation")) for path in result.sheets]
-    assert names == [
-        "heldout/00004_sheet.png",
-        "heldout/00009_sheet.png",
-        "views/left_sheet.png",
-        "views/right_sheet.png",
-    ]
+    evaluate(world, scene, folder=tmp_path / "evaluation")
+    pictures = ("heldout/00004", "heldout/00009", "views/left", "views/right")
+    names = {f"{picture}{kind}" for picture in pictures for kind in (".png", "_sheet.png")}
+    assert {path.relative_to(tmp_path / "evaluation").as_posix() for path in tmp_path.glob("evaluation/*/*")} == names
     np.testing.assert_array_equal(read_image(tmp_path / "evaluation/heldout/00004.png"), scene.heldout_frame(4))
-    sheet = read_image(result.sheets[0])
+    sheet = read_image(tmp_path / "evaluation/heldout/00004_sheet.png")
     assert sheet.shape[1] >= 3 * scene.width
 
 
@@ -204,7 +196,7 @@ def test_training_frames_never_reach_held_out_ones(world, build_scene, monkeypat
     scene = build_scene()
     asked = []
     monkeypatch.setattr(Scene, "heldout_frame", lambda self, i: asked.append(i) or self.any_frame(i))
-    evaluate(world, scene, progress=quiet)
+    evaluate(world, scene)
     assert set(asked) == {4, 9}
 
 
@@ -231,7 +223,7 @@ def test_refined_poses_are_a_second_figure(world, build_scene):
         viewmat[0, 3] += 1e-9
         return replace(camera, viewmat=viewmat)
 
-    metrics = evaluate(Shaken(), scene, refine=refine, progress=quiet).metrics
+    metrics = evaluate(Shaken(), scene, refine=refine)
     strict, refined = metrics["heldout_frames"], metrics["heldout_frames_refined"]
     assert asked == [scene.timestamps[i] for i in scene.heldout_frames]
     assert refined["psnr"] > strict["psnr"] + 10
@@ -240,6 +232,6 @@ def test_refined_poses_are_a_second_figure(world, build_scene):
     first = metrics["per_image"][0]
     assert first["refined"]["psnr"] > first["psnr"] + 10
     assert "refined" not in metrics["per_image"][-1]
-    plain = evaluate(Shaken(), scene, progress=quiet).metrics
+    plain = evaluate(Shaken(), scene)
     assert plain["heldout_frames_refined"] is None
     assert plain["heldout_frames"] == strict

@@ -38,7 +38,7 @@ def build(folder: Path, scale: float = 1.0, with_tracks: bool = True) -> Scene:
 
 
 def test_exact_motion_has_hardly_an_error(tmp_path):
-    found = track_errors(spinning.model(), build(tmp_path / "scene"), span=6)
+    found = track_errors(spinning.model(), build(tmp_path / "scene"))
     assert found is not None
     assert found["all"]["points"] == 6
     assert found["moving"]["points"] == 4
@@ -67,15 +67,15 @@ def test_a_model_that_rests_is_wrong_by_the_way_of_the_points(tmp_path):
     keep = torch.nonzero(model.gaussians.params["times"] == 0).squeeze(1)
     model.gaussians = model.gaussians.select(keep)
     births = np.array([0, 0, 0, 0, -1, 0])
-    found = track_errors(model, build(tmp_path / "scene"), births, span=4)
+    found = track_errors(model, build(tmp_path / "scene"), births)
     assert found is not None
     assert found["all"]["points"] == 5
     start = spinning.on_plate(OFFSETS, 0)
-    true = [np.linalg.norm(spinning.on_plate(OFFSETS, i / 12) - start, axis=1) / spinning.PLATE for i in range(1, 5)]
+    true = [np.linalg.norm(spinning.on_plate(OFFSETS, i / 12) - start, axis=1) / spinning.PLATE for i in range(1, 13)]
     samples = np.array(true).T
     expected = np.concatenate([samples[0, 2:], samples[1:].ravel()])  # the first point is seen from frame 3 on
     assert found["moving"]["median"] == pytest.approx(100 * np.median(expected), rel=0.03)
-    assert found["moving"]["last"] == pytest.approx(100 * np.median(samples[:, 3]), rel=0.03)
+    assert found["moving"]["last"] == pytest.approx(100 * np.median(samples[:, 11]), rel=0.03)
     assert found["static"]["median"] < 0.01
 
 
@@ -90,7 +90,7 @@ def test_births_near_the_end_are_followed_backwards(tmp_path):
 
 
 def test_a_clip_shorter_than_the_span_counts_what_there_is(tmp_path):
-    found = track_errors(spinning.model(), build(tmp_path / "scene"), np.array([3, 2, 2, 2, 0, 12]), span=40)
+    found = track_errors(spinning.model(), build(tmp_path / "scene"), np.array([3, 2, 2, 2, 0, 12]))
     assert found is not None
     assert found["moving"]["median"] < 0.5
     assert found["static"]["median"] < 0.5

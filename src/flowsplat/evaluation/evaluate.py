@@ -22,11 +22,10 @@ The keys of ``metrics.json``. Every number is finite; what could not be measured
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -43,7 +42,6 @@ from flowsplat.pictures.sheets import preview_sheet
 from flowsplat.scenes import HeldoutView, Scene
 from flowsplat.scenes.layers import write_image
 
-Progress = Callable[[Iterable[Any], str], Iterable[Any]]
 Refine = Callable[[Camera, float, np.ndarray], Camera]
 """(camera, seconds, picture [H, W, 3] float) to the camera nearby that shows the picture best."""
 
@@ -56,19 +54,6 @@ TRAINING_STRIDE = 8
 """Every how many training frames one is measured, fewer where that would leave less than eight."""
 
 
-@dataclass(frozen=True)
-class Evaluation:
-    """What was measured.
-
-    Attributes:
-        metrics: the content of ``metrics.json``.
-        sheets: the pictures with target, rendering and error that were written: held-out frames, then views.
-    """
-
-    metrics: Figures
-    sheets: list[Path]
-
-
 def evaluate(
     model: Renderer,
     scene: Scene,
@@ -77,8 +62,7 @@ def evaluate(
     baselines: bool = True,
     static_model: Renderer | None = None,
     refine: Refine | None = None,
-    progress: Progress = track,
-) -> Evaluation:
+) -> Figures:
     """Measure a model on everything that its scene knows.
 
     Args:
@@ -87,7 +71,9 @@ def evaluate(
         baselines: also predict the held-out pictures without a model.
         static_model: a model of the same scene without motion, measured among the baselines.
         refine: measures the held-out frames a second time, from the cameras that it finds.
-        progress: (items, label) to the same items, showing how far it is.
+
+    Returns:
+        the content of ``metrics.json``, but for what a run adds.
 
     Raises:
         InputError: the scene is damaged or incomplete, or the folder cannot be written.
@@ -95,20 +81,20 @@ def evaluate(
     evaluator = _Evaluator(model, static_model, scene, folder, baselines, refine)
     frames, views = [], []
     if scene.heldout_frames:
-        frames = [evaluator.heldout_frame(i) for i in progress(scene.heldout_frames, "Held-out frames")]
+        frames = [evaluator.heldout_frame(i) for i in track(scene.heldout_frames, "Held-out frames")]
     if scene.views:
-        views = [evaluator.heldout_view(view) for view in progress(scene.views, "Held-out views")]
+        views = [evaluator.heldout_view(view) for view in track(scene.views, "Held-out views")]
     stride = training_stride(scene)
     # Only truth makes more than a sample worth its time: it is the one thing that says where motion is wrong.
     measured = scene.train_frames[:: 1 if scene.truth else stride]
     next_frame = dict(zip_longest(scene.train_frames, scene.train_frames[1:]))
     sampled, training, errors = set(scene.train_frames[::stride]), [], MotionErrors(scene)
-    for i in progress(measured, "Training frames"):
+    for i in track(measured, "Training frames"):
         rendering = evaluator.rendering_with_flow(i, next_frame[i])
         errors.add(i, next_frame[i], rendering)
         if i in sampled:
             training.append(evaluator.training_frame(i, rendering))
-    metrics: Figures = {
+    return {
         "heldout_frames": summarize(frames, FRAME_REGIONS),
         "heldout_frames_refined": summarize([frame.get("refined") for frame in frames], FRAME_REGIONS),
         "heldout_views": summarize(views, VIEW_REGIONS),
@@ -120,7 +106,6 @@ def evaluate(
         "lpips_reason": evaluator.lpips_reason,
         "per_image": frames + views + training,
     }
-    return Evaluation(metrics, evaluator.sheets)
 
 
 def training_stride(scene: Scene) -> int:
@@ -149,7 +134,6 @@ class _Evaluator:
         self._scene, self._folder, self._baselines, self._refine = scene, folder, baselines, refine
         self._lpips, reason = lpips_metric()
         self.lpips_reason = reason or None
-        self.sheets: list[Path] = []
 
     def heldout_frame(self, i: int) -> Figures:
         """Render, write and score a held-out frame with the camera that the camera stage found for it."""
@@ -219,9 +203,7 @@ class _Evaluator:
 
     def _write(self, folder: Path, name: str, image: np.ndarray, target: np.ndarray) -> None:
         write_image(folder / f"{name}.png", float_to_bytes(image))
-        sheet = folder / f"{name}_sheet.png"
-        write_image(sheet, preview_sheet(target, image))
-        self.sheets.append(sheet)
+        write_image(folder / f"{name}_sheet.png", preview_sheet(target, image))
 
 
 def _finite(rendering: Rendering) -> Rendering:

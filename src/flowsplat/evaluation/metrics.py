@@ -56,11 +56,15 @@ def _blur(image: np.ndarray) -> np.ndarray:
 
 
 def ssim_map(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The structural similarity at every pixel and channel, [H, W, 3] float64.
+    """The structural similarity of two float pictures, clipped to [0, 1], at every pixel and channel, [H, W, 3] float64.
 
     Wang et al. 2004 (https://doi.org/10.1109/TIP.2003.819861): 11x11 Gaussian window of sigma 1.5, K1 = 0.01,
     K2 = 0.03, data range 1. The picture is mirrored at its border, so that the map has its size, as in
     torchmetrics.
+
+    >>> ramp = np.linspace(0, 1, 16 * 16 * 3).reshape(16, 16, 3)
+    >>> round(float(ssim_map(ramp, ramp).mean()), 6), bool(ssim_map(ramp, 1 - ramp).mean() < 0.5)
+    (1.0, True)
     """
     a, b = _clipped(a), _clipped(b)
     mean_a, mean_b = _blur(a), _blur(b)
@@ -70,19 +74,6 @@ def ssim_map(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     luminance = (2 * mean_a * mean_b + SSIM_C1) / (mean_a**2 + mean_b**2 + SSIM_C1)
     structure = (2 * covariance + SSIM_C2) / (var_a + var_b + SSIM_C2)
     return luminance * structure
-
-
-def ssim(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None = None) -> float | None:
-    """Structural similarity of two float pictures [H, W, 3], clipped to [0, 1]; the map is averaged inside ``mask``.
-
-    Returns:
-        1 for identical pictures; None for fewer than ``MIN_PIXELS`` pixels.
-
-    >>> ramp = np.linspace(0, 1, 16 * 16 * 3).reshape(16, 16, 3)
-    >>> round(ssim(ramp, ramp), 6), ssim(ramp, 1 - ramp) < 0.5
-    (1.0, True)
-    """
-    return mean_inside(ssim_map(a, b), mask)
 
 
 def end_point_error(flow: np.ndarray, truth: np.ndarray, valid: np.ndarray) -> dict[str, float] | None:
@@ -98,13 +89,8 @@ def end_point_error(flow: np.ndarray, truth: np.ndarray, valid: np.ndarray) -> d
     return _mean_and_median(_inside(lengths, valid))
 
 
-def depth_abs_rel(
-    depth: np.ndarray, truth: np.ndarray, valid: np.ndarray, align: bool = False
-) -> dict[str, float] | None:
+def depth_abs_rel(depth: np.ndarray, truth: np.ndarray, valid: np.ndarray) -> dict[str, float] | None:
     """|depth - truth| / truth inside ``valid`` [H, W] bool; both [H, W] and in the same unit.
-
-    Args:
-        align: multiply ``depth`` by the ratio of the medians first, for a depth whose scale is unknown.
 
     Returns:
         ``mean`` (the field's AbsRel) and ``median``; None for fewer than ``MIN_PIXELS`` pixels.
@@ -116,8 +102,6 @@ def depth_abs_rel(
     if pairs is None:
         return None
     estimate, reference = pairs.T
-    if align and np.median(estimate) > 0:
-        estimate = estimate * (np.median(reference) / np.median(estimate))
     return _mean_and_median(np.abs(estimate - reference) / reference)
 
 

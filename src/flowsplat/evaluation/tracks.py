@@ -16,11 +16,11 @@ SPAN = 12
 """Frames over which a point is followed from the one in which it is asked for."""
 
 
-def track_errors(model: SceneModel, scene: Scene, births: np.ndarray | None = None, span: int = SPAN) -> dict[str, Any] | None:
+def track_errors(model: SceneModel, scene: Scene, births: np.ndarray | None = None) -> dict[str, Any] | None:
     """Follow every true point from the pixel where it is seen, and compare its path with the true one.
 
     Errors are distances over the point's true depth, in percent, both in the axes of the camera of the same time, so that they
-    mean the same with estimated cameras (METHOD 6); these get one scale for the clip. Compared are the ``span`` frames after
+    mean the same with estimated cameras (METHOD 6); these get one scale for the clip. Compared are the ``SPAN`` frames after
     the query, or before it where the clip ends sooner and there are more, in which the true point is visible.
 
     Args:
@@ -51,9 +51,9 @@ def track_errors(model: SceneModel, scene: Scene, births: np.ndarray | None = No
     errors[np.isnan(errors)] = np.inf
     steps = np.arange(scene.num_frames) - births[:, None]
     remaining = scene.num_frames - 1 - births
-    steps[(remaining < span) & (remaining < births)] *= -1
-    counted = (steps > 0) & (steps <= span) & visible
-    last = counted & (steps == span)
+    steps[(remaining < SPAN) & (remaining < births)] *= -1
+    counted = (steps > 0) & (steps <= SPAN) & visible
+    last = counted & (steps == SPAN)
     regions = {"all": np.ones(len(moving), bool), "moving": moving, "static": ~moving}
     return {name: _figures(errors, counted, last, paths.visible, part) for name, part in regions.items()}
 

@@ -292,8 +292,7 @@ def evaluate_run(folder: RunFolder) -> dict[str, Any]:
     folder.start("evaluate", key)
     started = time.perf_counter()
     refine = partial(refine_camera, model) if folder.config.refine_poses else None
-    found = evaluate(model, scene, folder=folder.path / "evaluation", static_model=static, refine=refine)
-    metrics: dict[str, Any] = found.metrics
+    metrics = evaluate(model, scene, folder=folder.path / "evaluation", static_model=static, refine=refine)
     counts = [model.active_count(float(t)) for t in scene.timestamps]
     metrics["gaussians"] = {"total": len(model.gaussians), "active_mean": float(np.mean(counts)), "active": counts}
     seconds = {"evaluate": time.perf_counter() - started}

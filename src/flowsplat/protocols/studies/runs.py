@@ -85,7 +85,7 @@ def measure(run: StudyRun, path: Path) -> dict[str, Any]:
     started, processor = time.perf_counter(), time.process_time()
     model, total = _train(run, scene)
     trained, used = time.perf_counter(), time.process_time() - processor
-    metrics = evaluate(model, scene, baselines=False).metrics
+    metrics = evaluate(model, scene, baselines=False)
     kind = "views" if scene.views else "frames"
     tested = metrics[f"heldout_{kind}"]
     counts = [model.active_count(float(t)) for t in scene.timestamps]
