@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from flowsplat.geometry import Camera, Similarity
-from flowsplat.geometry.cameras import camera_flow, pixel_grid, unproject_depth
+from flowsplat.geometry.cameras import pixel_grid, unproject_depth
 from flowsplat.geometry.paths import CameraPath, cropped, dolly_zoom, orbit, shifted, smooth_path
 from flowsplat.geometry.projection import project_points, world_jacobian
 from flowsplat.geometry.rotations import (
@@ -61,16 +61,6 @@ def test_jacobian_is_the_derivative():
     J = world_jacobian(points, viewmat, K, camera.width, camera.height)
     exact = torch.stack([torch.autograd.functional.jacobian(lambda x: project_points(x, viewmat, K)[0], p) for p in points])
     torch.testing.assert_close(J, exact)
-
-
-def test_camera_flow_of_a_turning_camera_does_not_depend_on_depth():
-    camera = Camera(np.eye(4), np.array([[30.0, 0, 16], [0, 30, 12], [0, 0, 1]]), 32, 24)
-    turned = np.eye(4)
-    turned[:3, :3] = Rotation.from_rotvec([0, 0.05, 0]).as_matrix()
-    other = Camera(turned, camera.K, 32, 24)
-    near, far = camera_flow(np.full((24, 32), 1.0), camera, other), camera_flow(np.full((24, 32), 9.0), camera, other)
-    np.testing.assert_allclose(near, far, atol=1e-4)
-    assert np.abs(near).max() > 1
 
 
 @given(st.lists(st.floats(-2, 2), min_size=4, max_size=4).filter(lambda q: np.linalg.norm(q) > 0.1))

@@ -41,5 +41,4 @@ def test_height_and_stacked():
 def test_preview_sheet():
     picture = np.random.default_rng(0).random((30, 40, 3)).astype(np.float32)
     assert preview_sheet(picture, picture).shape == (30, 3 * 40 + 2 * GAP, 3)
-    flow = np.zeros((30, 40, 2), np.float32)
-    assert preview_sheet((picture * 255).astype(np.uint8), picture, flow).shape == (30, 4 * 40 + 3 * GAP, 3)
+    assert preview_sheet((picture * 255).astype(np.uint8), picture).shape == (30, 3 * 40 + 2 * GAP, 3)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from flowsplat.common.errors import InputError
-from flowsplat.pictures.video import write_mp4
+from flowsplat.pictures.video import mp4_writer, write_mp4
 
 COLOURS = [(255, 0, 0), (0, 255, 0), (0, 0, 255), (255, 255, 255), (0, 0, 0), (200, 120, 40)]
 
@@ -40,6 +40,12 @@ def write_tone(path: Path, seconds: float, channels: str = "stereo", rate: int =
         frame.sample_rate, frame.pts, frame.time_base = rate, 0, Fraction(1, rate)
         container.mux(stream.encode(frame))
         container.mux(stream.encode())
+
+
+def write_with_sound(path: Path, count: int, source: Path, start: float = 0.0) -> None:
+    with mp4_writer(path, 24, audio_from=source, audio_start=start) as write:
+        for frame in plain_frames(count):
+            write(frame)
 
 
 def read_sound(path: Path) -> tuple[np.ndarray, int]:
@@ -98,7 +104,7 @@ def test_odd_sizes_are_padded(tmp_path):
 @pytest.mark.parametrize("layout", ["mono", "stereo"])
 def test_sound_is_cut_to_the_clip(tmp_path, layout):
     write_tone(tmp_path / "tone.wav", 3, layout)
-    write_mp4(tmp_path / "a.mp4", plain_frames(24), 24, audio_from=tmp_path / "tone.wav", audio_start=0.5)
+    write_with_sound(tmp_path / "a.mp4", 24, tmp_path / "tone.wav", 0.5)
     samples, rate = read_sound(tmp_path / "a.mp4")
     assert samples.shape[0] == (1 if layout == "mono" else 2)
     assert samples.shape[1] / rate == pytest.approx(1.0, abs=0.06)
@@ -108,7 +114,7 @@ def test_sound_is_cut_to_the_clip(tmp_path, layout):
 
 def test_sound_of_an_unusual_rate_that_is_shorter_than_the_clip(tmp_path):
     write_tone(tmp_path / "tone.wav", 1.5, rate=11025)
-    write_mp4(tmp_path / "a.mp4", plain_frames(48), 24, audio_from=tmp_path / "tone.wav")
+    write_with_sound(tmp_path / "a.mp4", 48, tmp_path / "tone.wav")
     samples, rate = read_sound(tmp_path / "a.mp4")
     assert rate == 48000
     assert np.argmax(np.abs(samples[0]) > 0.2) / rate == pytest.approx(1.0, abs=0.03)
@@ -122,7 +128,7 @@ def test_without_sound_the_video_is_silent(tmp_path, kind):
         write_mp4(source, plain_frames(), 24)
     elif kind == "not a video":
         source.write_text("no video at all")
-    write_mp4(tmp_path / "a.mp4", plain_frames(), 24, audio_from=source)
+    write_with_sound(tmp_path / "a.mp4", 6, source)
     assert len(decode(tmp_path / "a.mp4")) == 6
 
 

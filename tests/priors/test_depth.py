@@ -10,7 +10,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from flowsplat.geometry import Camera, Similarity
-from flowsplat.geometry.cameras import camera_flow
 from flowsplat.priors.continuity import Continuity
 from flowsplat.priors.depth import depth_stage
 from flowsplat.priors.depth.background import Background
@@ -22,6 +21,7 @@ from flowsplat.priors.depth.movers import card, growth, smooth_cards, uncover
 from flowsplat.priors.depth.multiview import solve_multiview
 from flowsplat.priors.flow import flow_stage
 from flowsplat.scenes import Scene
+from tests.geometry.still import camera_flow
 
 from .planes import HEIGHT, WALL, WIDTH, write_planes
 

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from flowsplat.common.errors import InputError
-from flowsplat.geometry.cameras import camera_flow, pixel_grid, unproject_depth
+from flowsplat.geometry.cameras import pixel_grid, unproject_depth
 from flowsplat.scenes import Flow, Scene
 from flowsplat.scenes.synthetic import SyntheticScene, View, write_synthetic, write_synthetic_video
+from tests.geometry.still import camera_flow
 
 SMALL = SyntheticScene(width=64, height=48, frames=8)
 WIDE = SyntheticScene(width=64, height=36)

@@ -23,7 +23,8 @@ class RenderedFrame:
     """Differentiable pictures of one frame, premultiplied by alpha, in the normalised coordinates of the model.
 
     Attributes:
-        image: [H, W, C] all of them together: colour, depth, flow, unseen.
+        image: [H, W, C] all of them together: colour, depth, flow and, if there are any, how much of a pixel Gaussians behind the
+            other camera hold.
         alpha: [H, W]
         flow_model: how flow was splatted; None = there is none.
         sliced: the Gaussians.
@@ -55,12 +56,6 @@ class RenderedFrame:
     def flow(self) -> Tensor | None:
         """[H, W, 2], or None."""
         return flow_image(self.image[..., 4 : 4 + self.flow_channels]) if self.flow_model else None
-
-    @property
-    def unseen(self) -> Tensor | None:
-        """[H, W] how much of a pixel is held by Gaussians behind the other camera; None where there are none."""
-        end = 4 + self.flow_channels
-        return self.image[..., end] if self.image.shape[2] > end else None
 
 
 def render_active(

@@ -99,9 +99,3 @@ def pixel_grid(width: int, height: int) -> np.ndarray:
 def unproject_depth(depth: np.ndarray, camera: Camera) -> np.ndarray:
     """Planar depth [H, W] to world points [H, W, 3]."""
     return camera.unproject(pixel_grid(camera.width, camera.height), depth)
-
-
-def camera_flow(depth: np.ndarray, camera: Camera, other: Camera) -> np.ndarray:
-    """[H, W, 2] flow in pixels that the motion from ``camera`` to ``other`` alone causes on a static scene of this depth."""
-    uv, _ = other.project(unproject_depth(depth, camera))
-    return uv - pixel_grid(camera.width, camera.height)

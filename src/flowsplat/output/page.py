@@ -47,6 +47,6 @@ def fitted(image: np.ndarray, widest: int = WIDEST) -> np.ndarray:
     return cv2.resize(image, (widest, max(round(height * widest / width), 1)), None, 0, 0, cv2.INTER_AREA)
 
 
-def picture_row(images: Mapping[str, np.ndarray], label: str, widest: int = WIDEST) -> list[dict[str, Any]]:
+def picture_row(images: Mapping[str, np.ndarray], label: str) -> list[dict[str, Any]]:
     """Pictures by name, as the macro ``panels`` of the templates wants them."""
-    return [{"name": name, "picture": picture(fitted(image, widest), f"{label}, {name}")} for name, image in images.items()]
+    return [{"name": name, "picture": picture(fitted(image), f"{label}, {name}")} for name, image in images.items()]

@@ -100,10 +100,10 @@ def depth_to_color(depth: np.ndarray, near: float, far: float) -> np.ndarray:
     return color
 
 
-def error_to_color(a: np.ndarray, b: np.ndarray, largest: float = 0.25) -> np.ndarray:
+def error_to_color(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Mean absolute difference of two pictures (uint8, or float between 0 and 1) as [H, W, 3] uint8 heat.
 
-    Black is equal, pale yellow ``largest`` or more (1 = black against white).
+    Black is equal, pale yellow a quarter or more (1 = black against white).
     """
     difference = np.abs(float_to_bytes(a).astype(np.float32) - float_to_bytes(b)).mean(-1) / 255
-    return cv2.applyColorMap(float_to_bytes(difference / largest), cv2.COLORMAP_INFERNO)[..., ::-1].copy()
+    return cv2.applyColorMap(float_to_bytes(difference / 0.25), cv2.COLORMAP_INFERNO)[..., ::-1].copy()

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from flowsplat.pictures.colors import error_to_color, float_to_bytes, flow_to_color
+from flowsplat.pictures.colors import error_to_color, float_to_bytes
 
 GAP = 4
 """Pixels between two pictures."""
@@ -40,14 +40,9 @@ def stacked(rows: Sequence[np.ndarray]) -> np.ndarray:
     return np.concatenate([part for panel in panels for part in (gap, panel)][1:])
 
 
-def preview_sheet(target: np.ndarray, rendering: np.ndarray, flow: np.ndarray | None = None) -> np.ndarray:
-    """How training goes: target | rendering | error | flow. Pictures [H, W, 3] uint8 or float, flow [H, W, 2] pixels."""
-    images = [target, rendering, error_to_color(target, rendering)]
-    labels = ["target", "rendering", "error"]
-    if flow is not None:
-        images.append(flow_to_color(flow))
-        labels.append("flow")
-    return side_by_side(images, labels)
+def preview_sheet(target: np.ndarray, rendering: np.ndarray) -> np.ndarray:
+    """How training goes: target | rendering | error. Pictures [H, W, 3] uint8 or float."""
+    return side_by_side([target, rendering, error_to_color(target, rendering)], ["target", "rendering", "error"])
 
 
 def _colored(image: np.ndarray) -> np.ndarray:

@@ -15,10 +15,12 @@ from flowsplat.common.errors import InputError
 from flowsplat.common.files import atomic_path
 
 _BT709, _LIMITED, _FULL = 1, 1, 2  # as in ``pictures.video``
+_CRF = 24
+"""VP9's constant quality, lower is better and larger."""
 
 
 @contextlib.contextmanager
-def webm_writer(path: Path, fps: float, *, crf: int = 24) -> Iterator[Callable[[np.ndarray], None]]:
+def webm_writer(path: Path, fps: float) -> Iterator[Callable[[np.ndarray], None]]:
     """Yield a function that appends one frame [H, W, 4] uint8 (RGB not multiplied by alpha); whole when the block ends.
 
     An odd width or height is padded by a transparent column or row, because yuva420p needs even sizes.
@@ -30,7 +32,7 @@ def webm_writer(path: Path, fps: float, *, crf: int = 24) -> Iterator[Callable[[
     rate = Fraction(fps).limit_denominator(1001)
     with atomic_path(path) as temporary, av.open(str(temporary), "w") as container:
         try:
-            stream = container.add_stream("libvpx-vp9", rate=rate, options={"crf": str(crf), "b": "0", "cpu-used": "4"})
+            stream = container.add_stream("libvpx-vp9", rate=rate, options={"crf": str(_CRF), "b": "0", "cpu-used": "4"})
         except (ValueError, av.FFmpegError) as error:
             raise InputError("This PyAV cannot encode VP9. Install the one from PyPI: pip install --force av.") from error
         assert isinstance(stream, av.video.VideoStream)

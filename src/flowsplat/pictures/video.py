@@ -29,17 +29,9 @@ _AAC_RATES = (22050, 24000, 32000, 44100, 48000)
 _AUDIO_PREROLL = 0.2
 
 
-def write_mp4(
-    path: Path,
-    frames: Iterable[np.ndarray],
-    fps: float,
-    *,
-    audio_from: Path | None = None,
-    audio_start: float = 0.0,
-    crf: int = 18,
-) -> None:
-    """Write RGB frames [H, W, 3] uint8 as an mp4: see ``mp4_writer``."""
-    with mp4_writer(path, fps, audio_from=audio_from, audio_start=audio_start, crf=crf) as write:
+def write_mp4(path: Path, frames: Iterable[np.ndarray], fps: float, *, crf: int = 18) -> None:
+    """Write RGB frames [H, W, 3] uint8 as an mp4 without sound: see ``mp4_writer``."""
+    with mp4_writer(path, fps, crf=crf) as write:
         for frame in frames:
             write(frame)
 

@@ -139,12 +139,8 @@ class Scene(Layers):
     @property
     def times(self) -> np.ndarray:
         """[T] float64: the timestamps in clip units, first frame 0, last frame 1."""
-        return self.clip_time(self.timestamps)
-
-    def clip_time(self, seconds: np.ndarray | float) -> np.ndarray:
-        """Seconds of the clip to clip units."""
         first, last = self.timestamps[0], self.timestamps[-1]
-        return (np.asarray(seconds, np.float64) - first) / (last - first)
+        return (self.timestamps - first) / (last - first)
 
     def _require_training(self, *frames: int) -> None:
         for i in frames:

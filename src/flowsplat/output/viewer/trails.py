@@ -14,7 +14,7 @@ _STEPS = 40
 
 
 @torch.no_grad()
-def trails(model: SceneModel, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+def trails(model: SceneModel) -> tuple[np.ndarray, np.ndarray]:
     """Ways of some moving Gaussians, as far as they are present.
 
     Returns:
@@ -24,7 +24,7 @@ def trails(model: SceneModel, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     gaussians = model.gaussians
     rows = torch.nonzero(gaussians.dynamic).squeeze(1).cpu()
     if len(rows) > _TRAILS:
-        rows = rows[torch.from_numpy(np.random.default_rng(seed).choice(len(rows), _TRAILS, replace=False))]
+        rows = rows[torch.from_numpy(np.random.default_rng(0).choice(len(rows), _TRAILS, replace=False))]
     if not len(rows):
         return np.zeros((0, 2, 3), np.float32), np.zeros((0, 2, 3), np.uint8)
     params = {name: value[rows] for name, value in gaussians.params.items()}
