@@ -71,7 +71,7 @@ class ReportData:
         active: (seconds, number of Gaussians rendered then).
         config: the settings, nested.
         notes: sentences for the user, such as what was done to the input.
-        videos: file names in ``renders/`` by name, as ``render_videos`` returns them.
+        videos: file names in ``renders/`` by name, as ``output.videos.rendered`` tells them.
     """
 
     title: str

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from flowsplat.common.files import read_json
 from flowsplat.gaussians.rendering import Renderer
-from flowsplat.output.report import Comparison, FlowComparison, ReportData
+from flowsplat.output.report import VIDEO_FOLDER, Comparison, FlowComparison, ReportData
+from flowsplat.output.videos import rendered
 from flowsplat.pipeline.config import to_plain
 from flowsplat.scenes import Scene
 from flowsplat.scenes.layers import read_image
@@ -73,11 +73,6 @@ def report_data(
     out: Path, scene: Scene, model: Renderer, metrics: Mapping[str, Any], history: Sequence[Mapping[str, float]], config: Any
 ) -> ReportData:
     """What the report of the run in ``out`` tells."""
-    book = out / "renders" / "renders.json"
-    videos: dict[str, str] = {}
-    if book.exists():
-        for name, entry in read_json(book).items():
-            videos |= dict(zip((name, f"{name}_colour"), entry["files"]))  # noqa: B905 (there may be one file only)
     counts = metrics["gaussians"]["active"]
     verdicts = [str((scene.prior(name) or {}).get("verdict", "")) for name in ("cameras", "depth", "masks")]
     return ReportData(
@@ -89,7 +84,7 @@ def report_data(
         active=(scene.timestamps.tolist(), counts),
         config=to_plain(config),
         notes=[*scene.info["notes"], *(verdict for verdict in verdicts if verdict)],
-        videos=videos,
+        videos=rendered(out / VIDEO_FOLDER),
     )
 
 

@@ -10,7 +10,7 @@ import pytest
 from flowsplat.common.errors import InputError
 from flowsplat.geometry import Camera
 from flowsplat.geometry.paths import dolly_zoom, shifted
-from flowsplat.output.videos import RenderOptions, render_videos
+from flowsplat.output.videos import RenderOptions, render_videos, rendered
 from flowsplat.output.videos.plans import plan_videos, subject_distance
 from flowsplat.output.videos.stabilised import covered_share, stabilise
 from flowsplat.scenes import Scene
@@ -27,8 +27,8 @@ def run(tmp_path_factory):
 
 
 def test_background_alone_has_no_movers(run, tmp_path):
-    made = render_videos(*run, tmp_path, RenderOptions(paths=("input",), parts=("all", "background")))
-    assert set(made) == {"input_path", "input_path_colour", "input_path_background", "input_path_background_colour"}
+    render_videos(*run, tmp_path, RenderOptions(paths=("input",), parts=("all", "background")))
+    assert set(rendered(tmp_path)) == {"input_path", "input_path_colour", "input_path_background", "input_path_background_colour"}
     whole = [red(frame).sum() for frame in frames_of(tmp_path / "input_path_colour.mp4")]
     without = [red(frame).sum() for frame in frames_of(tmp_path / "input_path_background_colour.mp4")]
     assert min(whole) > 10
@@ -36,8 +36,8 @@ def test_background_alone_has_no_movers(run, tmp_path):
 
 
 def test_movers_alone_are_on_transparent(run, tmp_path):
-    made = render_videos(*run, tmp_path, RenderOptions(paths=("input",), parts=("movers",)))
-    assert made == {"input_path_movers": "input_path_movers.webm"}
+    render_videos(*run, tmp_path, RenderOptions(paths=("input",), parts=("movers",)))
+    assert rendered(tmp_path) == {"input_path_movers": "input_path_movers.webm"}
     frames = frames_of(tmp_path / "input_path_movers.webm", "libvpx-vp9", "rgba")
     assert len(frames) == FRAMES
     for frame in frames:
@@ -54,7 +54,8 @@ def test_movers_of_a_scene_without_any_are_refused(tmp_path):
     arguments = load_model(folder / "model"), Scene(folder / "scene"), tmp_path / "r"
     with pytest.raises(InputError, match="Nothing moves"):
         render_videos(*arguments, RenderOptions(paths=("input",), parts=("movers",)))
-    assert render_videos(*arguments, RenderOptions(paths=("dolly",), parts=("background",), max_frames=2))
+    render_videos(*arguments, RenderOptions(paths=("dolly",), parts=("background",), max_frames=2))
+    assert rendered(tmp_path / "r")
 
 
 def test_slow_motion_has_more_frames_at_the_same_rate(run):
@@ -147,8 +148,8 @@ def test_dolly_zoom_of_a_camera_keeps_its_plane():
 
 
 def test_stereo_pairs_differ_by_the_sign_of_the_parallax(run, tmp_path):
-    made = render_videos(*run, tmp_path, RenderOptions(paths=("input",), stereo=True, eye_distance=0.08))
-    assert made["input_path_stereo"] == "input_path_stereo.mp4"
+    render_videos(*run, tmp_path, RenderOptions(paths=("input",), stereo=True, eye_distance=0.08))
+    assert rendered(tmp_path)["input_path_stereo"] == "input_path_stereo.mp4"
     (frame, *_) = frames_of(tmp_path / "input_path_stereo.mp4")
     assert frame.shape == (SIZE[1], 2 * SIZE[0], 3)
     left, right = frame[:, : SIZE[0]], frame[:, SIZE[0] :]
@@ -164,7 +165,8 @@ def test_stereo_pairs_differ_by_the_sign_of_the_parallax(run, tmp_path):
 
 
 def test_the_wiggle_swings_round_the_subject(run, tmp_path):
-    assert render_videos(*run, tmp_path, RenderOptions(paths=("wiggle",), eye_distance=0.1)) == {"wiggle": "wiggle.gif"}
+    render_videos(*run, tmp_path, RenderOptions(paths=("wiggle",), eye_distance=0.1))
+    assert rendered(tmp_path) == {"wiggle": "wiggle.gif"}
     frames = frames_of(tmp_path / "wiggle.gif")
     assert frames[0].shape == (SIZE[1], SIZE[0], 3)
     places = [np.argwhere(red(frame))[:, 1].mean() for frame in frames]

@@ -17,7 +17,7 @@ from flowsplat.gaussians.rendering import Rendering
 from flowsplat.geometry import Camera, Similarity
 from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.output.camera_files import write_camera_file
-from flowsplat.output.videos import RenderOptions, render_videos
+from flowsplat.output.videos import RenderOptions, render_videos, rendered
 from flowsplat.scenes import Scene
 
 WIDTH, HEIGHT, DEPTH = 64, 48, 4.0
@@ -83,8 +83,8 @@ def decode(path: Path) -> tuple[list[np.ndarray], Fraction]:
 
 def test_the_input_path_runs_at_the_rate_of_the_source(scene, tmp_path):
     model = Plane()
-    made = render_videos(model, scene, tmp_path / "renders", RenderOptions(paths=("input",)))
-    assert made == {"input_path": "input_path.mp4", "input_path_colour": "input_path_colour.mp4"}
+    render_videos(model, scene, tmp_path / "renders", RenderOptions(paths=("input",)))
+    assert rendered(tmp_path / "renders") == {"input_path": "input_path.mp4", "input_path_colour": "input_path_colour.mp4"}
     frames, rate = decode(tmp_path / "renders" / "input_path_colour.mp4")
     assert (len(frames), rate, frames[0].shape) == (17, 20, (HEIGHT, WIDTH, 3))
     assert frames[-1][20, 20, 0] / 255 == pytest.approx(0.3 + 0.5 * 0.8, abs=0.03)
@@ -110,8 +110,8 @@ def test_panels_show_colour_flow_and_depth_to_the_end(scene, tmp_path):
 
 def test_orbit_plays_the_middle_and_bullet_time_stands_still(scene, tmp_path):
     model = Plane()
-    made = render_videos(model, scene, tmp_path, RenderOptions(paths=("orbit", "bullet"), max_frames=7))
-    assert list(made) == ["orbit", "orbit_colour", "bullet_time", "bullet_time_colour"]
+    render_videos(model, scene, tmp_path, RenderOptions(paths=("orbit", "bullet"), max_frames=7))
+    assert list(rendered(tmp_path)) == ["orbit", "orbit_colour", "bullet_time", "bullet_time_colour"]
     calls = model.full_size()
     orbit, bullet = calls[:7], calls[7:]
     np.testing.assert_allclose([t for _, t, _ in orbit], np.arange(5, 12) / 20)
@@ -135,7 +135,8 @@ def test_a_camera_file(scene, tmp_path):
     shots = [(scene.cameras[0].resized(32, 24), 0.0), (scene.cameras[1].resized(32, 24), 0.5)]
     write_camera_file(tmp_path / "path.json", shots, fps=5)
     options = RenderOptions(paths=(), camera_file=tmp_path / "path.json")
-    assert list(render_videos(Plane(), scene, tmp_path, options)) == ["custom_path", "custom_path_colour"]
+    render_videos(Plane(), scene, tmp_path, options)
+    assert list(rendered(tmp_path)) == ["custom_path", "custom_path_colour"]
     frames, rate = decode(tmp_path / "custom_path_colour.mp4")
     assert (len(frames), rate, frames[0].shape) == (2, 5, (24, 32, 3))
 
@@ -155,7 +156,8 @@ def test_only_what_changed_is_rendered_again(scene, tmp_path):
     render_videos(Plane(), scene, tmp_path, options)
 
     again = Plane()
-    assert len(render_videos(again, scene, tmp_path, options)) == 4
+    render_videos(again, scene, tmp_path, options)
+    assert len(rendered(tmp_path)) == 4
     assert not again.full_size()
 
     turned = Plane()

@@ -20,25 +20,20 @@ from flowsplat.output.videos.plans import Plan, plan_videos
 from flowsplat.output.videos.writing import Scales, write_plan
 from flowsplat.scenes import Scene
 
-__all__ = ["RenderOptions", "render_videos"]
+__all__ = ["RenderOptions", "render_videos", "rendered"]
+
+_BOOK = "renders.json"
 
 
-def render_videos(model: PartedRenderer, scene: Scene, folder: Path, options: RenderOptions) -> dict[str, str]:
+def render_videos(model: PartedRenderer, scene: Scene, folder: Path, options: RenderOptions) -> None:
     """Render the videos that ``options`` ask for into ``folder``.
-
-    Returns:
-        what was made, by name, to the file's name in ``folder``: ``input_path``, ``stabilised``, ``orbit``,
-        ``bullet_time``, ``dolly_zoom``, ``wiggle`` and ``custom_path``, with ``_slow4`` where time plays four times slower,
-        ``_background`` or ``_movers`` where a part is shown, then ``_stereo`` or ``_colour`` for the other files.
 
     Raises:
         InputError: an option or the camera file cannot be used, or the folder cannot be written.
     """
-    book_path = Path(folder) / "renders.json"
-    book: dict[str, Any] = read_json(book_path) if book_path.exists() else {}
+    book = _book(folder)
     plans = plan_videos(model, scene, options)
     parts = {part: model.part(part) for part in options.parts}
-    made: dict[str, str] = {}
     for plan in plans:
         shown = parts[plan.part]
         scales = Scales.of(shown, plan.shots)
@@ -46,9 +41,25 @@ def render_videos(model: PartedRenderer, scene: Scene, folder: Path, options: Re
         if book.get(plan.name) != entry or not all((Path(folder) / file).exists() for file in plan.files):
             write_plan(shown, plan, scales, Path(folder))
             book[plan.name] = entry
-            write_json(book_path, book)
-        made |= dict(zip((plan.name, f"{plan.name}_colour"), plan.files))  # noqa: B905 (there may be one file only)
-    return made
+            write_json(Path(folder) / _BOOK, book)
+
+
+def rendered(folder: Path) -> dict[str, str]:
+    """What was rendered into ``folder``, by name, to the file's name in it.
+
+    Names: ``input_path``, ``stabilised``, ``orbit``, ``bullet_time``, ``dolly_zoom``, ``wiggle`` and ``custom_path``, with
+    ``_slow4`` where time plays four times slower, ``_background`` or ``_movers`` where a part is shown, then ``_stereo`` or
+    ``_colour`` for the other files.
+
+    Raises:
+        InputError: ``renders.json`` is damaged.
+    """
+    return {name + "_colour" * k: file for name, entry in _book(folder).items() for k, file in enumerate(entry["files"])}
+
+
+def _book(folder: Path) -> dict[str, Any]:
+    path = Path(folder) / _BOOK
+    return read_json(path) if path.exists() else {}
 
 
 def _key(plan: Plan, scales: Scales) -> str:
