@@ -72,7 +72,7 @@ def made_up_run() -> ReportData:
         comparisons=[Comparison(f"frame {9 + 10 * k}", a, b) for k, (a, b, _, _) in enumerate(pictures)],
         flows=[FlowComparison(f"frame {8 + 10 * k}", c, d) for k, (_, _, c, d) in enumerate(pictures[:2])],
         active=(times.tolist(), (60_000 + 4_000 * np.sin(times * 3)).tolist()),
-        config={"train": {"iterations": 1500, "model": {"mean_poly": 3}}, "render": {"width": None, "paths": ("input",)}},
+        config={"train.iterations": 1500, "train.model.mean_poly": 3, "render.width": None, "render.paths": ("input",)},
         notes=["The clip was thinned from 240 to 80 frames.", "The camera hardly moves: depth is a guess."],
         videos={"input_path": "input_path.mp4", "input_path_colour": "input_path_colour.mp4", "orbit": "orbit.mp4"},
     )

@@ -11,3 +11,8 @@ class InputError(Exception):
 
 class SplitError(RuntimeError):
     """Code that may only see training frames asked for a held-out one. Always a bug, never the user's fault."""
+
+
+def first_line(error: BaseException) -> str:
+    """What an error says, on one line that fits into a sentence; its kind where it says nothing."""
+    return (str(error).strip().splitlines() or [type(error).__name__])[0].rstrip(".: ")

@@ -14,6 +14,8 @@ from types import ModuleType
 import torch
 from torch import Tensor
 
+from flowsplat.common.errors import first_line
+
 MISSING = "Triton is not installed (it comes with PyTorch for GPUs on Linux; elsewhere: pip install triton)"
 
 
@@ -84,9 +86,5 @@ def triton_works() -> str | None:
 
         right = probe()
     except Exception as error:  # Compilers and drivers fail with errors of their own.
-        return f"{torch.cuda.get_device_name()} is there, but Triton fails on it: {_first_line(error)}"
+        return f"{torch.cuda.get_device_name()} is there, but Triton fails on it: {first_line(error)}"
     return None if right else f"{torch.cuda.get_device_name()} is there, but a Triton kernel gave a wrong result on it"
-
-
-def _first_line(error: Exception) -> str:
-    return next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)

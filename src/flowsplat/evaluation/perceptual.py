@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from flowsplat.common.errors import first_line
+
 PerceptualMetric = Callable[[np.ndarray, np.ndarray], float | None]
 """(picture, other picture), both float RGB [H, W, 3], clipped to [0, 1], to a distance: 0 = they look the same.
 
@@ -31,7 +33,7 @@ def lpips_metric() -> tuple[PerceptualMetric | None, str]:
         from torchmetrics.image.lpip import LearnedPerceptualImagePatchSimilarity
         from torchvision.models import AlexNet_Weights
     except Exception as error:  # missing: ImportError; built for another torch: RuntimeError, OSError
-        return None, f"LPIPS needs the extra packages of pip install 'flowsplat[metrics]': {_first_line(error)}."
+        return None, f"LPIPS needs the extra packages of pip install 'flowsplat[metrics]': {first_line(error)}."
     weights = Path(torch.hub.get_dir()) / "checkpoints" / Path(AlexNet_Weights.DEFAULT.url).name
     if not weights.exists():
         return None, (
@@ -43,7 +45,7 @@ def lpips_metric() -> tuple[PerceptualMetric | None, str]:
             warnings.simplefilter("ignore")
             network = LearnedPerceptualImagePatchSimilarity(net_type="alex", normalize=True)
     except Exception as error:  # a truncated file raises whatever the unpickler stumbles over
-        return None, f"LPIPS could not read the AlexNet weights {weights.name}, delete them: {_first_line(error)}."
+        return None, f"LPIPS could not read the AlexNet weights {weights.name}, delete them: {first_line(error)}."
 
     def distance(a: np.ndarray, b: np.ndarray) -> float | None:
         if min(a.shape[:2]) < SMALLEST_SIDE:
@@ -58,7 +60,3 @@ def lpips_metric() -> tuple[PerceptualMetric | None, str]:
 
 def _batch(image: np.ndarray) -> torch.Tensor:
     return torch.tensor(image.transpose(2, 0, 1)[None], dtype=torch.float32).clamp(0, 1)
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).strip().splitlines() or [type(error).__name__])[0].rstrip(".")

@@ -55,3 +55,11 @@ def mean_of(values: Iterable[float | None]) -> float | None:
     """
     known = [value for value in values if value is not None]
     return float(np.mean(known)) if known else None
+
+
+def pick(metrics: Mapping[str, Any], *path: str) -> Any:
+    """The value under a path of keys; None where anything on the way is missing or null."""
+    value: Any = metrics
+    for key in path:
+        value = value.get(key) if isinstance(value, Mapping) else None
+    return value

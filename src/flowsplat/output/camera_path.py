@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from markupsafe import Markup
 
+from flowsplat.common.spread import spread
 from flowsplat.geometry import Camera
 
 _WIDTH, _HEIGHT, _MARGIN = 640, 400, 26
@@ -81,8 +82,7 @@ def _extent(places: np.ndarray) -> float:
 
 
 def _some(cameras: Sequence[Camera]) -> list[Camera]:
-    chosen = np.unique(np.linspace(0, len(cameras) - 1, _MOST_FRUSTA).round().astype(int))
-    return [cameras[i] for i in chosen]
+    return [cameras[i] for i in spread(len(cameras), _MOST_FRUSTA)]
 
 
 def _corners(camera: Camera, length: float) -> np.ndarray:

@@ -13,10 +13,11 @@ from typing import Any
 import cv2
 import numpy as np
 
+from flowsplat.common.spread import spread
 from flowsplat.output.camera_path import path_at_an_angle, path_from_above
 from flowsplat.output.page import card, picture_row, write_page
 from flowsplat.pictures.charts import line_chart
-from flowsplat.pictures.colors import depth_range, depth_to_color, flow_legend, flow_scale, flow_to_color
+from flowsplat.pictures.colors import depth_range, depth_to_color, flow_legend, flow_scale, flow_to_color, tinted
 from flowsplat.pictures.html import figure, picture, table
 from flowsplat.pictures.sheets import side_by_side, stacked
 from flowsplat.pictures.video import write_mp4
@@ -46,8 +47,6 @@ LITTLE_PARALLAX = 0.5
 MOSTLY = 0.6
 """Share of pixels with trusted depth from which depth counts as known."""
 
-_COLOURS = np.array([(255, 128, 0), (0, 190, 255), (255, 60, 160), (120, 220, 40), (180, 110, 255), (255, 220, 0)], np.uint8)
-"""Of moving objects, by their numbers."""
 _STATIC_TRACK, _MOVING_TRACK = (80, 220, 255), (255, 140, 0)
 _STAGES = ("cameras", "flow", "masks", "depth", "tracks")
 
@@ -73,7 +72,7 @@ def write_priors_report(folder: Path, scene: Scene, seconds: Mapping[str, float]
         headline=_headline(scene, shown),
         paths=list(_paths(scene)),
         stages=table(("", "how", "verdict", "time"), list(_rows(scene, seconds))),
-        stills=[_still(shown, k) for k in _spread(len(shown.frames), STILLS)],
+        stills=[_still(shown, k) for k in spread(len(shown.frames), STILLS)],
         legend=picture(flow_legend(), "The colour of every direction of flow", None),
         flow_scale=f"{shown.flow_scale:.1f}",
         charts=list(_charts(scene, shown)),
@@ -229,7 +228,7 @@ class _Shown:
         self.trusted: list[float] = []
         following = dict(pairwise(train))
         self._seen = [self._read(scene, i, following.get(i)) for i in self.frames]
-        some = [self._seen[k] for k in _spread(len(self._seen), 12)]
+        some = [self._seen[k] for k in spread(len(self._seen), 12)]
         self.flow_scale = flow_scale([seen.flow for seen in some])
         self._near, self._far = depth_range([seen.depth for seen in some])
 
@@ -256,7 +255,7 @@ class _Shown:
         return {
             "tracks": self._with_tracks(seen.image, self.frames[k]),
             "flow": flow_to_color(seen.flow, self.flow_scale),
-            "movers": _with_mask(seen.image, seen.mask),
+            "movers": tinted(seen.image, seen.mask),
             self._depth_name: np.where(seen.sure[..., None], depth, pale),
         }
 
@@ -281,17 +280,6 @@ class _Shown:
 
 def _small(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-
-
-def _with_mask(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """The picture in grey, moving objects tinted by their numbers."""
-    grey = np.repeat(image.mean(-1, keepdims=True) * 0.8, 3, -1)
-    tinted = 0.45 * image + 0.55 * _COLOURS[(mask.astype(int) - 1) % len(_COLOURS)]
-    return np.where(mask[..., None] > 0, tinted, grey).astype(np.uint8)
-
-
-def _spread(count: int, wanted: int) -> list[int]:
-    return np.unique(np.linspace(0, count - 1, wanted).round().astype(int)).tolist()
 
 
 def _still(shown: _Shown, k: int) -> dict[str, Any]:
@@ -337,7 +325,7 @@ def _paths(scene: Scene) -> Iterator[dict[str, Any]]:
 def _scene_points(scene: Scene, frames: list[int]) -> tuple[np.ndarray, np.ndarray]:
     """Static points [N, 3] with their colours [N, 3], from a few of these frames."""
     points, colours = [np.zeros((0, 3))], [np.zeros((0, 3), np.uint8)]
-    chosen = [frames[k] for k in _spread(len(frames), 3)] if frames else []
+    chosen = [frames[k] for k in spread(len(frames), 3)] if frames else []
     step = max(1, round((len(chosen) * scene.width * scene.height / SCENE_POINTS) ** 0.5))
     for i in chosen:
         y, x = np.mgrid[step // 2 : scene.height : step, step // 2 : scene.width : step].reshape(2, -1)

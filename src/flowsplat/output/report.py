@@ -11,6 +11,7 @@ from urllib.parse import quote
 import numpy as np
 from markupsafe import Markup
 
+from flowsplat.evaluation.scores import pick
 from flowsplat.output.page import card, picture_row, write_page
 from flowsplat.pictures.charts import Points, line_chart
 from flowsplat.pictures.colors import error_to_color, flow_legend, flow_scale, flow_to_color
@@ -69,7 +70,7 @@ class ReportData:
         comparisons: the first one is shown on top.
         flows: rendered flow against the prior.
         active: (seconds, number of Gaussians rendered then).
-        config: the settings, nested.
+        config: the settings by dotted name.
         notes: sentences for the user, such as what was done to the input.
         videos: file names in ``renders/`` by name, as ``output.videos.rendered`` tells them.
     """
@@ -105,7 +106,7 @@ def write_report(folder: Path, data: ReportData) -> Path:
         tables=list(_tables(data.metrics)),
         charts=list(_charts(data)),
         notes=data.notes,
-        settings=table(("setting", "value"), list(_flat(data.config))) if data.config else None,
+        settings=_settings(data.config) if data.config else None,
     )
     return path
 
@@ -113,26 +114,18 @@ def write_report(folder: Path, data: ReportData) -> Path:
 # -- figures
 
 
-def _pick(metrics: Mapping[str, Any], *path: str) -> Any:
-    """The value under a path of keys, None where anything on the way is missing or null."""
-    value: Any = metrics
-    for key in path:
-        value = value.get(key) if isinstance(value, Mapping) else None
-    return value
-
-
 def verdict(metrics: Mapping[str, Any]) -> str:
     """In plain words: is the scene any good?"""
-    ours, theirs = _pick(metrics, "heldout_frames", "psnr"), _pick(metrics, "baselines", "flow_interpolation", "psnr")
-    training, views = _pick(metrics, "training_frames", "psnr"), _pick(metrics, "heldout_views", "psnr")
+    ours, theirs = pick(metrics, "heldout_frames", "psnr"), pick(metrics, "baselines", "flow_interpolation", "psnr")
+    training, views = pick(metrics, "training_frames", "psnr"), pick(metrics, "heldout_views", "psnr")
     if ours is None and views is not None:
-        warped = _pick(metrics, "baselines_views", "warp_by_depth", "psnr")
+        warped = pick(metrics, "baselines_views", "warp_by_depth", "psnr")
         beside = "" if warped is None else f"; warping the frame of the same time by its true depth gives {warped:.2f} dB"
         return f"Views by other cameras, which training never saw, are rendered at {views:.2f} dB{beside}."
     if ours is None:
         known = "" if training is None else f" They are reproduced at {training:.2f} dB."
         return "No frame was held out, so nothing here tells how good the scene is between the training frames." + known
-    count = _pick(metrics, "heldout_frames", "count")
+    count = pick(metrics, "heldout_frames", "count")
     pictures = "Pictures" if count is None else "The picture" if count == 1 else f"The {count} pictures"
     are = "is" if count == 1 else "are"
     seen = f"{pictures} that training never saw {are} rendered at {ours:.2f} dB"
@@ -152,22 +145,22 @@ def verdict(metrics: Mapping[str, Any]) -> str:
 def _headline(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
     """The few figures on top: value, unit, name and a remark."""
     kinds = {"heldout_frames": "held-out frames", "heldout_views": "held-out views", "training_frames": "training frames"}
-    kind = next((kind for kind in kinds if _pick(metrics, kind, "psnr") is not None), "training_frames")
+    kind = next((kind for kind in kinds if pick(metrics, kind, "psnr") is not None), "training_frames")
     name = kinds[kind]
-    theirs = _pick(metrics, "baselines", "flow_interpolation", "psnr") if kind == "heldout_frames" else None
+    theirs = pick(metrics, "baselines", "flow_interpolation", "psnr") if kind == "heldout_frames" else None
     against = "" if theirs is None else f"interpolation: {theirs:.2f} dB"
-    ssim = _pick(metrics, kind, "ssim")
+    ssim = pick(metrics, kind, "ssim")
     seconds = sum((metrics.get("seconds") or {}).values())
-    flow, flow_name = _pick(metrics, "flow_epe", "mean"), "flow error"
+    flow, flow_name = pick(metrics, "flow_epe", "mean"), "flow error"
     if flow is None:
-        flow, flow_name = _pick(metrics, "flow_prior_epe", "mean"), "flow against its prior"
-    active = _pick(metrics, "gaussians", "active_mean")
+        flow, flow_name = pick(metrics, "flow_prior_epe", "mean"), "flow against its prior"
+    active = pick(metrics, "gaussians", "active_mean")
     return [
-        card(figure(_pick(metrics, kind, "psnr")), "dB", f"PSNR, {name}", against),
+        card(figure(pick(metrics, kind, "psnr")), "dB", f"PSNR, {name}", against),
         card(figure(ssim, 3), "", f"SSIM, {name}", "1 = equal"),
         card(figure(flow, 2), "px", flow_name, "mean end-point error"),
         card(
-            figure(_pick(metrics, "gaussians", "total"), 0),
+            figure(pick(metrics, "gaussians", "total"), 0),
             "",
             "Gaussians",
             "" if active is None else f"{active:,.0f} rendered at a time",
@@ -192,20 +185,20 @@ def _duration(seconds: float) -> str:
 def _tables(metrics: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     """Titled tables of everything that was measured."""
     lpips = metrics.get("lpips_reason")
-    if _pick(metrics, "heldout_frames") is not None:
+    if pick(metrics, "heldout_frames") is not None:
         remark = "Frames of the clip that neither training nor any prior has seen; movers are the given masks."
-        if _pick(metrics, "heldout_frames_refined") is not None:
+        if pick(metrics, "heldout_frames_refined") is not None:
             remark += (
                 " Poses of held-out frames are used as they were estimated; refined is what comes out when the pose of each alone "
                 "is fitted to its own picture, and tells how much is the cameras' fault."
             )
         rows = _scores(metrics, "heldout_frames", "baselines", ("moving",), lpips)
         yield {"title": "Held-out frames", "remark": remark, "table": rows}
-    if _pick(metrics, "heldout_views") is not None:
+    if pick(metrics, "heldout_views") is not None:
         remark = "Pictures by other cameras; covisible are the pixels that the clip itself saw."
         rows = _scores(metrics, "heldout_views", "baselines_views", ("moving", "covisible"), lpips)
         yield {"title": "Held-out views", "remark": remark, "table": rows}
-    if _pick(metrics, "training_frames") is not None:
+    if pick(metrics, "training_frames") is not None:
         rows = _scores(metrics, "training_frames", "", ("moving",), lpips)
         yield {"title": "Training frames", "remark": "How well what was seen is reproduced.", "table": rows}
     errors = list(_errors(metrics))
@@ -225,20 +218,20 @@ def _scores(metrics: Mapping[str, Any], ours: str, others: str, regions: Sequenc
     refined = metrics.get(f"{ours}_refined")
     header = ["", "PSNR dB", "SSIM", "LPIPS", *(f"PSNR, {names[region]}" for region in regions)]
     header += ["PSNR, pose refined", "SSIM, pose refined"] if refined else []
-    measured = [(name, value) for name, value in (_pick(metrics, others) or {}).items() if value is not None]
+    measured = [(name, value) for name, value in (pick(metrics, others) or {}).items() if value is not None]
     rows = []
     for name, values in [("this scene", metrics[ours]), *((_METHODS.get(name, name), value) for name, value in measured)]:
         row = [
             name,
-            figure(_pick(values, "psnr")),
-            figure(_pick(values, "ssim"), 3),
-            figure(_pick(values, "lpips"), 3, lpips_reason),
+            figure(pick(values, "psnr")),
+            figure(pick(values, "ssim"), 3),
+            figure(pick(values, "lpips"), 3, lpips_reason),
         ]
         for region in regions:
-            row.append(figure(_pick(values, region, "psnr"), 2, "no masks to tell which pixels these are"))
+            row.append(figure(pick(values, region, "psnr"), 2, "no masks to tell which pixels these are"))
         if refined:
             known = refined if values is metrics[ours] else {}
-            row += [figure(_pick(known, key), digits, "no pose to refine") for key, digits in (("psnr", 2), ("ssim", 3))]
+            row += [figure(pick(known, key), digits, "no pose to refine") for key, digits in (("psnr", 2), ("ssim", 3))]
         rows.append(row)
     return table(header, rows, [0])
 
@@ -247,23 +240,18 @@ def _errors(metrics: Mapping[str, Any]) -> Iterator[Sequence[str]]:
     """Rows of flow errors in pixels and of relative depth errors."""
     reason = "no masks to tell which pixels move"
     for key, name in (("flow_epe", "flow against the truth, px"), ("flow_prior_epe", "flow against the prior, px")):
-        values = _pick(metrics, key)
+        values = pick(metrics, key)
         if values is not None:
-            moving = [figure(_pick(values, "moving", kind), 2, reason) for kind in ("mean", "median")]
-            yield name, figure(_pick(values, "mean")), figure(_pick(values, "median")), *moving
-    depth = _pick(metrics, "depth_abs_rel")
+            moving = [figure(pick(values, "moving", kind), 2, reason) for kind in ("mean", "median")]
+            yield name, figure(pick(values, "mean")), figure(pick(values, "median")), *moving
+    depth = pick(metrics, "depth_abs_rel")
     if depth is not None:
-        cells = [figure(_pick(depth, area, kind), 3, reason) for area in ("all", "moving") for kind in ("mean", "median")]
+        cells = [figure(pick(depth, area, kind), 3, reason) for area in ("all", "moving") for kind in ("mean", "median")]
         yield "depth, relative error", *cells
 
 
-def _flat(config: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
-    """Nested settings as (dotted name, value)."""
-    for name, value in config.items():
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{prefix}{name}.")
-        else:
-            yield f"{prefix}{name}", "none" if value is None else str(value)
+def _settings(config: Mapping[str, Any]) -> Markup:
+    return table(("setting", "value"), [(name, "none" if value is None else str(value)) for name, value in config.items()])
 
 
 # -- pictures

@@ -14,6 +14,8 @@ _ARCS = np.array([0, 15, 6, 4, 11, 13, 6])
 _CORNERS = np.array([[255, 0, 0], [255, 255, 0], [0, 255, 0], [0, 255, 255], [0, 0, 255], [255, 0, 255], [255, 0, 0]], np.float32)
 _HUES = 3600
 _OUTSIDE = 0.75
+_OBJECTS = np.array([(255, 128, 0), (0, 190, 255), (255, 60, 160), (120, 220, 40), (180, 110, 255), (255, 220, 0)], np.uint8)
+"""Colours of moving objects, by their numbers."""
 """How much displacements beyond the scale are darkened."""
 
 SMALLEST_FLOW_SCALE = 0.5
@@ -107,3 +109,10 @@ def error_to_color(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """
     difference = np.abs(float_to_bytes(a).astype(np.float32) - float_to_bytes(b)).mean(-1) / 255
     return cv2.applyColorMap(float_to_bytes(difference / 0.25), cv2.COLORMAP_INFERNO)[..., ::-1].copy()
+
+
+def tinted(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """The picture [H, W, 3] uint8 in grey, moving objects tinted by their numbers in ``mask`` [H, W] (0 = background)."""
+    grey = np.repeat(image.mean(-1, keepdims=True) * 0.8, 3, -1)
+    coloured = 0.45 * image + 0.55 * _OBJECTS[(mask.astype(int) - 1) % len(_OBJECTS)]
+    return np.where(mask[..., None] > 0, coloured, grey).astype(np.uint8)

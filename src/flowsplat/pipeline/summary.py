@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
+from flowsplat.evaluation.scores import pick
 from flowsplat.gaussians.rendering import Renderer
 from flowsplat.output.report import VIDEO_FOLDER, Comparison, FlowComparison, ReportData
 from flowsplat.output.videos import rendered
-from flowsplat.pipeline.config import to_plain
+from flowsplat.pipeline.config import flat, to_plain
 from flowsplat.scenes import Scene
 from flowsplat.scenes.layers import read_image
 
@@ -46,14 +47,6 @@ ROWS: tuple[tuple[str, tuple[str, ...], str], ...] = (
 )
 
 
-def pick(metrics: Mapping[str, Any], path: tuple[str, ...]) -> Any:
-    """The value under a path of keys; None where anything on the way is missing or null."""
-    value: Any = metrics
-    for key in path:
-        value = value.get(key) if isinstance(value, Mapping) else None
-    return value
-
-
 def figures_table(runs: Mapping[str, Mapping[str, Any]]) -> Table:
     """One column a run; rows that no run has are left out."""
     table = Table(box=None, pad_edge=False)
@@ -61,7 +54,7 @@ def figures_table(runs: Mapping[str, Mapping[str, Any]]) -> Table:
     for name in runs:
         table.add_column(name, justify="right")
     for label, path, style in ROWS:
-        values = [pick(metrics, path) for metrics in runs.values()]
+        values = [pick(metrics, *path) for metrics in runs.values()]
         if any(value is not None for value in values):
             table.add_row(label, *("–" if value is None else format(value, style) for value in values))
     totals = [sum(metrics.get("seconds", {}).values()) for metrics in runs.values()]
@@ -82,7 +75,7 @@ def report_data(
         comparisons=list(_comparisons(out, scene)),
         flows=list(_flows(scene, model)),
         active=(scene.timestamps.tolist(), counts),
-        config=to_plain(config),
+        config=flat(to_plain(config)),
         notes=[*scene.info["notes"], *(verdict for verdict in verdicts if verdict)],
         videos=rendered(out / VIDEO_FOLDER),
     )

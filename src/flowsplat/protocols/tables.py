@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from flowsplat.evaluation.scores import mean_of
 from flowsplat.pictures.html import NOTHING
@@ -22,6 +23,11 @@ class Table:
     header: tuple[str, ...]
     rows: list[tuple[str, ...]]
     strong: tuple[int, ...] = ()
+
+
+def label(result: Mapping[str, Any]) -> str:
+    """Name of a result's scene, with a mark where settings were chosen on it."""
+    return f"{result['scene']}, {TUNED_MARK}" if result["tuned"] else str(result["scene"])
 
 
 def text(value: float | None, digits: int, sign: bool = False) -> str:

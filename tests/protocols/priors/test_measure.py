@@ -70,6 +70,7 @@ def test_cameras_and_depth_are_compared_in_any_frame_of_reference(scene):
     similarity = Similarity(3.0, np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]), np.array([1.0, 2, 3]))
     truth = scene.truth
     scene.write_cameras([similarity.camera(camera) for camera in truth.cameras])
+    scene.finish_prior("cameras", method="tracks")
     for i in scene.train_frames:
         true, moving = truth.depth(i).depth, truth.mask(i) > 0
         scene.write_depth(i, Depth(3 * true * np.where(moving, 1.2, 0.99), np.ones_like(true)))

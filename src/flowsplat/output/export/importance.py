@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from flowsplat.common.progress import track
+from flowsplat.common.spread import spread
 from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Gaussians4D
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.slicing import slice_gaussians
@@ -30,7 +30,7 @@ def most_important(model: SceneModel, views: Sequence[tuple[Camera, float]], cou
     """
     if count >= len(model.gaussians):
         return model
-    chosen = np.unique(np.linspace(0, len(views) - 1, min(len(views), MOST_VIEWS)).round().astype(int))
+    chosen = spread(len(views), MOST_VIEWS)
     inner = [(model.similarity.camera(views[k][0]), model.clip_time(views[k][1])) for k in chosen]
     weights = blending_weights(model.gaussians, inner)
     rows = torch.argsort(weights, descending=True, stable=True)[:count].sort().values

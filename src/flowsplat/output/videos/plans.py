@@ -11,6 +11,7 @@ import numpy as np
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.progress import say
+from flowsplat.common.spread import spread
 from flowsplat.gaussians.rendering import Part, PartedRenderer
 from flowsplat.geometry import Camera
 from flowsplat.geometry.paths import CameraPath, dolly_zoom, orbit, shifted
@@ -149,8 +150,8 @@ def subject_distance(model: PartedRenderer, camera: Camera, t: float, otherwise:
 
 def _require_movers(model: PartedRenderer, plan: Plan) -> None:
     movers = model.part("movers")
-    for k in np.unique(np.linspace(0, len(plan.shots) - 1, 5).round().astype(int)):
-        camera, t = plan.shots[int(k)]
+    for k in spread(len(plan.shots), 5):
+        camera, t = plan.shots[k]
         if movers.render(small(camera), t).alpha.max() > 0:
             return
     raise InputError(f"Nothing moves in {plan.name}: leave movers out of --render.parts.")

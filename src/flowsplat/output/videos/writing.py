@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from flowsplat.common.progress import track
+from flowsplat.common.spread import spread
 from flowsplat.gaussians.rendering import Renderer, Rendering
 from flowsplat.geometry.paths import shifted
 from flowsplat.output.videos.plans import Plan
@@ -51,8 +52,7 @@ class Scales:
         """Look at a few shots, smaller."""
         smaller = [(small(camera), t) for camera, t in shots]
         ratio = shots[0][0].width / smaller[0][0].width
-        chosen = np.unique(np.linspace(0, len(shots) - 1, _PROBES).round().astype(int))
-        seen = [look(model, smaller, int(k)) for k in chosen]
+        seen = [look(model, smaller, k) for k in spread(len(shots), _PROBES)]
         looks = hashlib.sha256()
         for arrays in seen:
             for array in arrays:

@@ -8,6 +8,7 @@ from typing import Any, get_args
 import numpy as np
 import viser
 
+from flowsplat.common.spread import spread
 from flowsplat.gaussians.rendering import Part
 from flowsplat.output.viewer.drawing import Compare, Drawing, Look, Show
 from flowsplat.output.viewer.layout import Box, fitted
@@ -214,11 +215,11 @@ class Panel:
         scene, cameras = self._client.scene, self._source.path.cameras
         parent = scene.add_frame("/cameras", show_axes=False)
         heldout = set(self._source.scene.heldout_frames)
-        for i in np.unique(np.linspace(0, len(cameras) - 1, _MOST_FRUSTA).round().astype(int)):
+        for i in spread(len(cameras), _MOST_FRUSTA):
             pose = self._world.pose(cameras[i])
             scene.add_camera_frustum(
                 f"/cameras/{i}", pose.fov, cameras[i].width / cameras[i].height, scale=_FRUSTUM, thickness=1.5,
-                thickness_units="screen", color=(255, 190, 60) if int(i) in heldout else (90, 200, 255), wxyz=pose.wxyz,
+                thickness_units="screen", color=(255, 190, 60) if i in heldout else (90, 200, 255), wxyz=pose.wxyz,
                 position=pose.position,
             )  # fmt: skip
         centers = np.array([self._world.pose(camera).position for camera in cameras])

@@ -9,9 +9,9 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 
-from flowsplat.common.errors import InputError
+from flowsplat.common.errors import InputError, first_line
 from flowsplat.priors.flow import FlowEstimator
-from flowsplat.priors.learned.weights import first_line, require_package, state_dict_file
+from flowsplat.priors.learned.weights import require_package, state_dict_file
 
 OPTION, SETTING, INSTEAD = "--flow raft", "--models.raft", "--flow dis"
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import torch
 
-from flowsplat.common.errors import InputError
+from flowsplat.common.errors import InputError, first_line
 
 
 @dataclass(frozen=True)
@@ -54,11 +54,6 @@ def require_package(module: str, option: str, instead: str) -> Any:
             f"{option} needs {module}, which cannot be imported ({first_line(error)}): "
             f"pip install 'flowsplat[learned]', or do without: {instead}."
         ) from error
-
-
-def first_line(error: BaseException) -> str:
-    """What an error says, on one line."""
-    return (str(error).strip().splitlines() or [type(error).__name__])[0].rstrip(".:")
 
 
 def from_hub(kind: Any, source: str, *, option: str, setting: str, instead: str) -> Any:

@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 
 from flowsplat.common.errors import InputError
-from flowsplat.geometry.similarity import align_paths, path_errors
+from flowsplat.evaluation.placement import true_scale
+from flowsplat.geometry.similarity import path_errors
 from flowsplat.priors.tracks import follow_queries
 from flowsplat.protocols.priors.scenes import TRUE_FLOW, BenchmarkScene
 from flowsplat.scenes import Flow, Layers, Scene
@@ -132,7 +133,7 @@ def depth_figures(scene: Scene, truth: Layers) -> Figures:
 
     Every pixel of every training frame counts, whatever its confidence.
     """
-    scale = align_paths(scene.cameras, truth.cameras).scale
+    scale = true_scale(scene)
     errors: dict[bool, list[np.ndarray]] = {False: [], True: []}
     for i in scene.train_frames:
         true, moving = truth.depth(i).depth, truth.mask(i) > 0

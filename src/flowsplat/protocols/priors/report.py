@@ -10,15 +10,16 @@ from typing import Any
 import numpy as np
 
 from flowsplat.common.files import write_text
-from flowsplat.geometry.similarity import align_paths
+from flowsplat.common.spread import spread
+from flowsplat.evaluation.placement import true_scale
 from flowsplat.output.page import fitted, write_page
-from flowsplat.pictures.colors import depth_range, depth_to_color, flow_scale, flow_to_color
+from flowsplat.pictures.colors import depth_range, depth_to_color, flow_scale, flow_to_color, tinted
 from flowsplat.pictures.html import picture, table
 from flowsplat.pictures.sheets import side_by_side, stacked
 from flowsplat.protocols.priors.measure import read_true_flow, true_mask
 from flowsplat.protocols.priors.rows import DEFINITIONS, HEADER, Row, table_rows
 from flowsplat.protocols.priors.scenes import BenchmarkScene
-from flowsplat.protocols.tables import markdown_table
+from flowsplat.protocols.tables import TUNED_MARK, markdown_table
 from flowsplat.scenes import Flow, Layers, Scene
 from flowsplat.scenes.layers import read_image, write_image
 
@@ -44,7 +45,7 @@ def write_report(out: Path, results: Sequence[Mapping[str, Any]]) -> Path:
     rows = list(table_rows(results))
     write_text(out / TABLE, _markdown(rows, results))
     marks = {"met": "✓ met", "not met": "✗ not met"}
-    cells = [tuple(marks.get(cell, cell.replace("*tuned*", "tuned")) for cell in row.cells) for row in rows]
+    cells = [tuple(marks.get(cell, cell.replace(TUNED_MARK, "tuned")) for cell in row.cells) for row in rows]
     write_page(
         out / PAGE,
         "benchmark.html.jinja",
@@ -89,8 +90,7 @@ def _shown(out: Path, result: Mapping[str, Any]) -> dict[str, Any]:
 def write_strip(folder: Path, benchmark: BenchmarkScene, scene: Scene) -> None:
     """Draw a few frames with what was found and what is true, under each other, into ``strip.png``."""
     following = list(pairwise(scene.train_frames))
-    chosen = np.unique(np.linspace(0, len(following) - 1, STRIP_FRAMES).round().astype(int))
-    pairs = [following[k] for k in chosen]
+    pairs = [following[k] for k in spread(len(following), STRIP_FRAMES)]
     truth = scene.truth
     ours = [scene.flow(*pair) for pair in pairs]
     true = [_true_flow(benchmark, scene, truth, pair) for pair in pairs]
@@ -105,12 +105,12 @@ def write_strip(folder: Path, benchmark: BenchmarkScene, scene: Scene) -> None:
         if exact is not None:
             panels["true flow"] = flow_to_color(_known(exact), scale)
         if scene.prior("masks") is not None:
-            panels["mask"] = _tinted(scene.frame(i), scene.mask(i))
+            panels["mask"] = tinted(scene.frame(i), scene.mask(i) > 0)
             exact_mask = truth.mask(i) if truth is not None else true_mask(benchmark, scene, i)
-            panels["true mask"] = _tinted(scene.frame(i), exact_mask)
+            panels["true mask"] = tinted(scene.frame(i), exact_mask > 0)
         if scene.prior("depth") is not None:
             depth = scene.depth(i).depth
-            panels["depth"] = depth_to_color(_true_scale(scene, truth) * depth, near, far)
+            panels["depth"] = depth_to_color(true_scale(scene) * depth, near, far)
             if truth is not None:
                 panels["true depth"] = depth_to_color(truth.depth(i).depth, near, far)
         rows.append(side_by_side(list(panels.values()), list(panels), STRIP_HEIGHT))
@@ -123,16 +123,5 @@ def _true_flow(benchmark: BenchmarkScene, scene: Scene, truth: Layers | None, pa
     return truth.flow(*pair) if truth is not None and pair in truth.flow_pairs else None
 
 
-def _true_scale(scene: Scene, truth: Layers | None) -> float:
-    return 1.0 if truth is None else align_paths(scene.cameras, truth.cameras).scale
-
-
 def _known(flow: Flow) -> np.ndarray:
     return np.where(flow.trusted[..., None], flow.flow, np.nan)
-
-
-def _tinted(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """The picture in grey, with movers in orange."""
-    grey = np.repeat(image.mean(-1, keepdims=True) * 0.8, 3, -1)
-    tinted = 0.45 * image + 0.55 * np.array([255, 128, 0])
-    return np.where(mask[..., None] > 0, tinted, grey).astype(np.uint8)

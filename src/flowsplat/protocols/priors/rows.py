@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from flowsplat.protocols.tables import label
+
 HEADER = ("prior", "figure", "scene", "", "target", "")
 
 
@@ -123,8 +125,8 @@ def table_rows(results: Sequence[Mapping[str, Any]]) -> Iterator[Row]:
                 continue
             target = figure.target(result["kind"], result["scene"])
             met = None if target is None else figure.meets(value, target)
-            scene = f"{result['scene']}, *tuned*" if result["tuned"] else result["scene"]
-            yield Row(prior, figure.name, scene, figure.text(value), "" if target is None else figure.target_text(target), met)
+            bound = "" if target is None else figure.target_text(target)
+            yield Row(prior, figure.name, label(result), figure.text(value), bound, met)
         if figure.key == "masks.iou":
             yield from _mean_of_clips(results, figure)
 

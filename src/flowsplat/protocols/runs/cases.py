@@ -20,7 +20,7 @@ from typing import Literal
 
 from flowsplat.common.errors import InputError
 from flowsplat.pipeline import RunConfig, preset
-from flowsplat.pipeline.config import to_plain
+from flowsplat.pipeline.config import flat, to_plain
 from flowsplat.protocols.priors.scenes import TUNED
 from flowsplat.protocols.roots import open_root, require_scenes
 from flowsplat.scenes.clip import InputOptions
@@ -93,18 +93,11 @@ def protocol_config(name: str, config: RunConfig | None, holdout: int | None) ->
     """
     start = preset(name)
     config = config or start
-    base, wanted = _flat(to_plain(start.train)), _flat(to_plain(config.train))
+    base, wanted = flat(to_plain(start.train)), flat(to_plain(config.train))
     changed = [f"{key} {value}" for key, value in wanted.items() if base.get(key) != value and key not in NO_MATTER]
     options = replace(ALL_FRAMES, holdout=holdout)
     fixed = replace(config, input=options, priors=RunConfig().priors, baselines="all", refine_poses=True)
     return fixed, ", ".join([name, *changed])
-
-
-def _flat(value: dict, prefix: str = "") -> dict[str, object]:
-    flat: dict[str, object] = {}
-    for key, item in value.items():
-        flat |= _flat(item, f"{prefix}{key}.") if isinstance(item, dict) else {prefix + key: item}
-    return flat
 
 
 def _places(root: Path, group: str) -> list[Path]:

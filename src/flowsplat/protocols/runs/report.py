@@ -10,8 +10,8 @@ from flowsplat.common.files import write_text
 from flowsplat.output.page import fitted, write_page
 from flowsplat.pictures.html import picture, table
 from flowsplat.protocols.runs.cases import ProtocolName
-from flowsplat.protocols.runs.tables import Result, label, tables
-from flowsplat.protocols.tables import TUNED_MARK, Table, markdown
+from flowsplat.protocols.runs.tables import Result, tables
+from flowsplat.protocols.tables import TUNED_MARK, Table, label, markdown
 from flowsplat.scenes.layers import read_image
 
 TITLES = {"davis": "DAVIS", "rig": "Rendered scenes with truth", "nvidia": "NVIDIA Dynamic Scenes"}

@@ -7,11 +7,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from importlib.resources import files
 from typing import Any
 
-from flowsplat.evaluation.scores import mean_of
+from flowsplat.evaluation.scores import mean_of, pick
 from flowsplat.pictures.html import NOTHING
-from flowsplat.pipeline.summary import pick
 from flowsplat.protocols.runs.cases import FORMS
-from flowsplat.protocols.tables import TUNED_MARK, Table, scaled_mean, text
+from flowsplat.protocols.tables import Table, label, scaled_mean, text
 
 Result = Mapping[str, Any]
 """The JSON of a case (``measure.measure_case``)."""
@@ -50,11 +49,6 @@ def _beside_published(protocol: str, results: Sequence[Result]) -> Iterator[Tabl
         twelve = [result for result in results if result["form"] == "twelve"]
         for metric in ("psnr", "lpips") if twelve else ():
             yield _matrix(f"{NAMES[metric]}, {FORMS['twelve']}", known["nvidia_twelve"], twelve, metric)
-
-
-def label(result: Result) -> str:
-    """Name of the scene, with a mark where settings were chosen on it."""
-    return f"{result['scene']}, {TUNED_MARK}" if result["tuned"] else str(result["scene"])
 
 
 def _method(name: str) -> str:
@@ -101,7 +95,7 @@ def _by_scene(results: Sequence[Result], path: tuple[str, ...]) -> dict[str, flo
     """The figure of every scene, from the first run that has it."""
     found: dict[str, float | None] = {}
     for result in results:
-        key, value = result["scene"].casefold(), pick(result, path)
+        key, value = result["scene"].casefold(), pick(result, *path)
         found[key] = found[key] if found.get(key) is not None else value
     return found
 
@@ -118,14 +112,14 @@ def _nvidia(known: Mapping[str, Any], results: Sequence[Result]) -> Table:
     ours = []
     for how in dict.fromkeys(_how(result) for result in results):
         group = [result for result in results if _how(result) == how]
-        means = [mean_of(pick(result, ("ours", metric)) for result in group) for metric in DIGITS]
-        means.append(scaled_mean([pick(result, ("seconds", "train")) for result in group], 1 / 3600))
-        means.append(scaled_mean([pick(result, ("pictures_a_second",)) for result in group]))
-        means += [scaled_mean([pick(result, ("gaussians", key)) for result in group], 1e-3) for key in ("active_mean", "total")]
+        means = [mean_of(pick(result, "ours", metric) for result in group) for metric in DIGITS]
+        means.append(scaled_mean([pick(result, "seconds", "train") for result in group], 1 / 3600))
+        means.append(scaled_mean([pick(result, "pictures_a_second") for result in group]))
+        means += [scaled_mean([pick(result, "gaussians", key) for result in group], 1e-3) for key in ("active_mean", "total")]
         ours.append(len(rows))
         rows.append((f"flowsplat, {how}", *(text(mean, d) for mean, d in zip(means, digits, strict=True))))
         for name in BASELINES:
-            scores = [mean_of(pick(result, ("baselines", name, metric)) for result in group) for metric in DIGITS]
+            scores = [mean_of(pick(result, "baselines", name, metric) for result in group) for metric in DIGITS]
             if any(score is not None for score in scores):
                 rows.append((BASELINES[name], *(text(s, d) for s, d in zip(scores, digits, strict=False)), *[NOTHING] * 4))
     scenes = ", ".join(dict.fromkeys(label(result) for result in results))
@@ -148,15 +142,15 @@ def _pictures(results: Sequence[Result]) -> Table:
         for name, figures in {"": result["ours"], **result["baselines"]}.items():
             if figures is None:
                 continue
-            values = [text(pick(figures, (metric,)), digits) for metric, digits in DIGITS.items()]
-            regions = [pick(figures, path) for path in (("moving", "psnr"), ("moving", "ssim"), ("covisible", "psnr"))]
+            values = [text(pick(figures, metric), digits) for metric, digits in DIGITS.items()]
+            regions = [pick(figures, *path) for path in (("moving", "psnr"), ("moving", "ssim"), ("covisible", "psnr"))]
             if not name:
                 ours.append(len(rows))
             method = BASELINES[name] if name else f"flowsplat, {_how(result)}"
             extra = [text(value, digits) for value, digits in zip(regions, (2, 3, 2), strict=True)]
             if has_refined:
                 refined = None if name else result.get("refined")
-                extra += [text(pick(refined or {}, path), 2) for path in (("psnr",), ("moving", "psnr"))]
+                extra += [text(pick(refined or {}, *path), 2) for path in (("psnr",), ("moving", "psnr"))]
             rows.append((label(result), _form_of(result), method, *values, *extra))
     header: tuple[str, ...] = (
         "scene", "form", "method", "PSNR", "SSIM", "LPIPS", "PSNR of movers", "SSIM of movers", "PSNR where the clip saw it",
@@ -194,11 +188,11 @@ _ERRORS: tuple[tuple[str, tuple[str, ...], float, int], ...] = (
 
 def _truth(results: Sequence[Result]) -> Iterator[Table]:
     """How far flow, depth and tracks are from the truth, where there is one; and rendered flow from its prior."""
-    used = [error for error in _ERRORS if any(pick(result, error[1]) is not None for result in results)]
+    used = [error for error in _ERRORS if any(pick(result, *error[1]) is not None for result in results)]
     if not used:
         return
     rows = [
-        (label(result), _how(result), *(text(scaled_mean([pick(result, path)], factor), d) for _, path, factor, d in used))
+        (label(result), _how(result), *(text(scaled_mean([pick(result, *path)], factor), d) for _, path, factor, d in used))
         for result in results
     ]
     note = (
@@ -219,7 +213,7 @@ def _cost(results: Sequence[Result]) -> Table:
             label(result), _how(result), f"{result['frames']} of {width}x{height}", f"{test['count']} {test['kind']}", stages,
             text(sum(value for name, value in seconds.items() if name != "static"), 0), text(result["peak_memory_gib"], 2),
             text(result["gaussians"]["active_mean"], 0), text(result["gaussians"]["total"], 0),
-            text(result["pictures_a_second"], 1), text(pick(result, ("training_frames", "psnr")), 2),
+            text(result["pictures_a_second"], 1), text(pick(result, "training_frames", "psnr"), 2),
         ))  # fmt: skip
     header = (
         "scene", "run", "frames", "test pictures", "seconds by stage", "seconds", "peak memory, GiB", "Gaussians active, mean",

@@ -15,11 +15,11 @@ from flowsplat import __version__
 from flowsplat.common.devices import pick_device
 from flowsplat.common.memory import peak_memory
 from flowsplat.evaluation.evaluate import evaluate
+from flowsplat.evaluation.scores import pick
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.observations import load_observations
 from flowsplat.pipeline.folder import stage_key
 from flowsplat.pipeline.stages import scene_model
-from flowsplat.pipeline.summary import pick
 from flowsplat.protocols.process import in_own_process
 from flowsplat.protocols.resume import Job
 from flowsplat.protocols.studies.scenes import StudyScene
@@ -93,10 +93,10 @@ def measure(run: StudyRun, path: Path) -> dict[str, Any]:
         "protocol": run.protocol, "scene": run.scene.case.scene, "size": [scene.width, scene.height],
         "tuned": run.scene.case.is_tuned, "variant": run.variant.name, "settings": run.variant.settings, "seed": run.config.seed,
         "iterations": run.config.iterations, "cap": run.config.density.max_gaussians, "flowsplat": __version__,
-        "test": {"kind": kind, "count": pick(tested, ("count",)) or 0},
-        **{name: pick(tested, (name,)) for name in ("psnr", "ssim", "lpips")}, "moving": pick(tested, ("moving", "psnr")),
-        "training_psnr": pick(metrics, ("training_frames", "psnr")),
-        **{name: pick(metrics, (name, "mean")) for name in ("flow_epe", "flow_prior_epe")},
+        "test": {"kind": kind, "count": pick(tested, "count") or 0},
+        **{name: pick(tested, name) for name in ("psnr", "ssim", "lpips")}, "moving": pick(tested, "moving", "psnr"),
+        "training_psnr": pick(metrics, "training_frames", "psnr"),
+        **{name: pick(metrics, name, "mean") for name in ("flow_epe", "flow_prior_epe")},
         "gaussians": {"total": total, "active_mean": float(np.mean(counts))},
         "seconds": {
             "train": round(trained - started, 2), "train_cpu": round(used, 2), "evaluate": round(time.perf_counter() - trained, 2),
@@ -125,5 +125,5 @@ def _train(run: StudyRun, scene: Scene) -> tuple[SceneModel | PerFrameModel, int
 def by_run(results: Sequence[Result], variant: str, figure: tuple[str, ...]) -> dict[Run, float]:
     """A figure of all runs of a variant that have it, by (scene, seed, frame-steps)."""
     runs = [result for result in results if result["variant"] == variant]
-    found = {(result["scene"], result["seed"], result["iterations"]): pick(result, figure) for result in runs}
+    found = {(result["scene"], result["seed"], result["iterations"]): pick(result, *figure) for result in runs}
     return {run: float(value) for run, value in found.items() if value is not None}
