@@ -219,9 +219,9 @@ def _benchmarks(arguments: Sequence[str] = ()) -> dict[str, Any]:
     def priors(root: Root, out: Out, scenes: tuple[str, ...] = (), again: bool = False) -> None:
         """Cameras, flow, masks, depth and tracks of many scenes against the truth.
 
-        Prepares every scene as flowsplat prepare does, in OUT/<scene>, and measures it: figures in OUT/<scene>/figures.json, the
-        table with targets in OUT/priors.md, with pictures in OUT/priors.html. The same command again continues where it was
-        stopped; remove a figures.json to measure what is prepared once more.
+        Prepares every scene as flowsplat prepare does, in OUT/<scene>, and measures it: figures in OUT/<scene>.json, the table
+        with targets in OUT/priors.md, with pictures in OUT/priors.html. The same command again continues where it was stopped;
+        remove an OUT/<scene>.json to measure what is prepared once more.
 
         Args:
             root: Folder with rig/<scene> (rendered scenes), davis/<clip>/images and masks, and flow/<pair> (frame10.png,

@@ -7,6 +7,8 @@ import json
 import pytest
 
 from flowsplat.cli import main
+from flowsplat.common.errors import InputError
+from flowsplat.protocols.priors import benchmark
 from flowsplat.scenes import Scene
 
 
@@ -17,7 +19,7 @@ def call(*arguments: object) -> None:
 def test_a_pair_is_measured_once(data_root, tmp_path, capsys):
     out = tmp_path / "out"
     call(data_root, "-o", out, "--scenes", "pair")
-    path = out / "pair" / "figures.json"
+    path = out / "pair.json"
     result = json.loads(path.read_text())
     assert result["scene"] == "pair"
     assert result["size"] == [120, 80]
@@ -38,11 +40,29 @@ def test_a_pair_is_measured_once(data_root, tmp_path, capsys):
     assert json.loads(path.read_text())["figures"]["flow.epe"] < 0.2
 
 
+def test_a_scene_that_cannot_be_measured_does_not_stop_the_others(data_root, tmp_path, monkeypatch, capsys):
+    def measure(scene, folder):
+        if scene.name == "clip":
+            raise InputError("it is torn.")
+        facts = {"scene": scene.name, "kind": scene.kind, "tuned": False, "frames": 2, "size": [4, 3], "flowsplat": "0"}
+        return {**facts, "figures": {"flow.epe": 0.1}}
+
+    monkeypatch.setattr(benchmark, "_measure_scene", measure)
+    with pytest.raises(SystemExit) as end:
+        call(data_root, "-o", tmp_path)
+    assert end.value.code == 2
+    assert "1 of 3 scenes could not be run, first clip: it is torn." in " ".join(capsys.readouterr().err.split())
+    text = (tmp_path / "priors.md").read_text()
+    assert text.index("| tiny | 0.10 px |") < text.index("| pair | 0.10 px |"), "in the order of the data root"
+    for name in ("priors.md", "priors.html"):
+        assert "clip could not be measured: it is torn." in (tmp_path / name).read_text()
+
+
 @pytest.mark.slow
 def test_scenes_with_all_priors(data_root, tmp_path):
     out = tmp_path / "out"
     call(data_root, "-o", out, "--scenes", "tiny", "clip")
-    tiny, clip = (json.loads((out / name / "figures.json").read_text()) for name in ("tiny", "clip"))
+    tiny, clip = (json.loads((out / f"{name}.json").read_text()) for name in ("tiny", "clip"))
     for name in ("flow.epe", "cameras.path", "depth.static", "masks.iou", "tracks.life", "tracks.movers", "time.total"):
         assert name in tiny["figures"]
     assert tiny["seconds"].keys() >= {"ingest", "cameras", "flow", "masks", "depth", "tracks"}

@@ -2,27 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from flowsplat import __version__
-from flowsplat.common.errors import InputError
-from flowsplat.common.files import make_folder, read_json, write_json
-from flowsplat.common.progress import say
+from flowsplat.common.files import make_folder, read_json
+from flowsplat.pipeline.folder import stage_key
 from flowsplat.protocols.priors.measure import measure
-from flowsplat.protocols.priors.preparation import forget, prepare_scene
+from flowsplat.protocols.priors.preparation import forget, prepare_scene, scene_config
 from flowsplat.protocols.priors.report import write_report, write_strip
 from flowsplat.protocols.priors.scenes import BenchmarkScene, choose_scenes
-
-FIGURES = "figures.json"
+from flowsplat.protocols.resume import Job, measure_jobs
 
 
 def run_priors_benchmark(root: Path, out: Path, names: Sequence[str] = (), again: bool = False) -> Path:
-    """Prepare and measure scenes, and write ``OUT/<scene>/figures.json``, ``OUT/priors.md`` and ``OUT/priors.html``.
+    """Prepare scenes in ``OUT/<scene>/`` and measure them: ``OUT/<scene>.json``, ``OUT/priors.md`` and ``OUT/priors.html``.
 
-    ``figures.json`` holds ``scene``, ``kind``, ``tuned``, ``frames``, ``size``, ``flowsplat`` (version), ``figures`` by the keys of
-    ``rows`` and, where one process did all of the work, ``seconds`` by stage.
+    The JSON of a scene holds ``scene``, ``kind``, ``tuned``, ``frames``, ``size``, ``flowsplat`` (version), ``figures`` by the keys
+    of ``rows`` and, where one process did all of the work, ``seconds`` by stage. A scene that cannot be measured is told and left
+    out, and the others go on.
 
     Args:
         root: the data root (see ``scenes``).
@@ -33,31 +33,30 @@ def run_priors_benchmark(root: Path, out: Path, names: Sequence[str] = (), again
         path of the page.
 
     Raises:
-        InputError: the root or a scene cannot be used, or the folder cannot be written.
+        InputError: the root cannot be used, the folder cannot be written, or, at the end, which scenes could not be measured.
     """
     chosen = choose_scenes(root, names)
     make_folder(out)
-    page = out
-    for k, benchmark in enumerate(chosen):
-        folder = out / benchmark.name
-        if again:
-            forget(folder)
-        if (folder / FIGURES).exists():
-            say(f"{benchmark.name}: measured already ({k + 1} of {len(chosen)}).")
-        else:
-            say(f"{benchmark.name} ({k + 1} of {len(chosen)}) ...")
-            _measure_scene(benchmark, folder)
-        page = write_report(out, _results(root, out))
-    say(f"Look at {page}")
-    return page
+    if again:
+        for benchmark in chosen:
+            (out / f"{benchmark.name}.json").unlink(missing_ok=True)
+            forget(out / benchmark.name)
+    jobs = [_job(benchmark, out / benchmark.name) for benchmark in chosen]
+
+    def report(failed: Mapping[str, str]) -> Path:
+        return write_report(out, _results(root, out), failed)
+
+    return measure_jobs(jobs, out, report)
 
 
-def _measure_scene(benchmark: BenchmarkScene, folder: Path) -> None:
-    try:
-        scene, needed = prepare_scene(benchmark, folder)
-        figures = measure(benchmark, scene)
-    except InputError as error:
-        raise InputError(f"{benchmark.name}: {error}") from error
+def _job(benchmark: BenchmarkScene, folder: Path) -> Job:
+    config = scene_config(benchmark)
+    return Job(benchmark.name, stage_key(benchmark.kind, config.input, config.priors), partial(_measure_scene, benchmark, folder))
+
+
+def _measure_scene(benchmark: BenchmarkScene, folder: Path) -> dict[str, Any]:
+    scene, needed = prepare_scene(benchmark, folder)
+    figures = measure(benchmark, scene)
     write_strip(folder, benchmark, scene)
     figures |= {f"time.{name}": needed[name] for name in ("total", "cpu", "memory") if needed.get(name) is not None}
     result: dict[str, Any] = {
@@ -67,10 +66,10 @@ def _measure_scene(benchmark: BenchmarkScene, folder: Path) -> None:
     }  # fmt: skip
     if needed:
         result["seconds"] = {name: round(value, 2) for name, value in needed["seconds"].items()}
-    write_json(folder / FIGURES, result)
+    return result
 
 
 def _results(root: Path, out: Path) -> list[dict[str, Any]]:
     """Of all scenes that were measured, in the order of the data root."""
-    paths = [out / benchmark.name / FIGURES for benchmark in choose_scenes(root, ())]
+    paths = [out / f"{benchmark.name}.json" for benchmark in choose_scenes(root, ())]
     return [read_json(path) for path in paths if path.exists()]

@@ -40,6 +40,13 @@ def prepare_scene(scene: BenchmarkScene, folder: Path) -> tuple[Scene, dict[str,
     return Scene(folder / "scene"), needed
 
 
+def scene_config(scene: BenchmarkScene) -> RunConfig:
+    """With which settings a scene is prepared."""
+    if scene.kind == "pair":
+        return RunConfig(input=InputOptions(resize=WHOLE_SIZE))
+    return RunConfig(input=InputOptions(holdout=None)) if scene.kind == "rig" else RunConfig()
+
+
 def forget(folder: Path) -> None:
     """Remove what was prepared and measured in the folder of a scene."""
     if (folder / "run.json").exists() or (folder / "scene" / "scene.json").exists():
@@ -65,12 +72,11 @@ def _prepared_with(folder: Path) -> str | None:
 
 
 def _all_priors(scene: BenchmarkScene, folder: Path) -> dict[str, float]:
-    options = InputOptions(holdout=None) if scene.kind == "rig" else InputOptions()
-    return prepare(scene.source, folder, RunConfig(input=options)).seconds
+    return prepare(scene.source, folder, scene_config(scene)).seconds
 
 
 def _flow_only(scene: BenchmarkScene, folder: Path) -> dict[str, float]:
-    options = InputOptions(resize=WHOLE_SIZE)
+    options = scene_config(scene).input
     prepared = ingest(open_clip(scene.source, options), make_folder(folder) / "scene", options)
     start = time.perf_counter()
     flow_stage(prepared)

@@ -33,17 +33,19 @@ STRIP_WIDTH = 2000
 """Pixels of a strip in the page, at most."""
 
 
-def write_report(out: Path, results: Sequence[Mapping[str, Any]]) -> Path:
+def write_report(out: Path, results: Sequence[Mapping[str, Any]], failed: Mapping[str, str]) -> Path:
     """Write ``priors.md`` and ``priors.html`` and return the path of the page.
 
     Args:
         results: the JSON of every scene; the picture of each lies in the folder of its name.
+        failed: scenes that could not be measured, and why.
 
     Raises:
         InputError: the folder cannot be written.
     """
     rows = list(table_rows(results))
-    write_text(out / TABLE, _markdown(rows, results))
+    remarks = [*DEFINITIONS, *(f"{name} could not be measured: {reason}" for name, reason in failed.items())]
+    write_text(out / TABLE, _markdown(rows, remarks, results))
     marks = {"met": "✓ met", "not met": "✗ not met"}
     cells = [tuple(marks.get(cell, cell.replace(TUNED_MARK, "tuned")) for cell in row.cells) for row in rows]
     write_page(
@@ -52,7 +54,7 @@ def write_report(out: Path, results: Sequence[Mapping[str, Any]]) -> Path:
         title=TITLE,
         verdict=verdict(rows),
         table=table(HEADER, cells, [k for k, row in enumerate(rows) if row.met is False]),
-        definitions=DEFINITIONS,
+        remarks=remarks,
         scenes=[_shown(out, result) for result in results],
     )
     return out / PAGE
@@ -64,9 +66,9 @@ def verdict(rows: Sequence[Row]) -> str:
     return f"{sum(judged)} of {len(judged)} targets met."
 
 
-def _markdown(rows: Sequence[Row], results: Sequence[Mapping[str, Any]]) -> str:
+def _markdown(rows: Sequence[Row], remarks: Sequence[str], results: Sequence[Mapping[str, Any]]) -> str:
     lines = [f"# {TITLE}", "", verdict(rows), "", *markdown_table(HEADER, [row.cells for row in rows])]
-    lines += ["", *(f"- {line}" for line in DEFINITIONS), "", *(f"- {_facts(result)}" for result in results)]
+    lines += ["", *(f"- {line}" for line in remarks), "", *(f"- {_facts(result)}" for result in results)]
     return "\n".join(lines) + "\n"
 
 
