@@ -7,6 +7,8 @@ moving: the evidence is added up along the flow, pulled to the edges of the pict
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+
 import cv2
 import numpy as np
 
@@ -33,19 +35,35 @@ _SMOOTHNESS, _COLOUR_SIGMA = 10.0, 12.0
 
 def motion_evidence(clip: SolvedClip) -> list[np.ndarray]:
     """Summed evidence [h, w] float16 at working resolution of every training frame: positive where something moves."""
-    forward: list[np.ndarray] = []
-    for k in range(len(clip)):
-        evidence = _evidence(clip, k)
-        if k > 0:
-            evidence += MEMORY * _carried(clip, forward[-1], k, k - 1)
-        forward.append(evidence.astype(np.float16))
+    sums = listened(clip, lambda k: _evidence(clip, k), clip.step_flow, MEMORY)
+    return [total.astype(np.float16) for total in track(sums, "What moves", len(clip))][::-1]
+
+
+def listened(
+    clip: SolvedClip, own: Callable[[int], np.ndarray], flow: Callable[[int, int], tuple[np.ndarray, np.ndarray]], memory: float
+) -> Iterator[np.ndarray]:
+    """What each training frame says together with those before and after it, [h, w] float32, from the last to the first.
+
+    Args:
+        own: what a frame says by itself, [h, w]; asked for twice.
+        flow: from a training frame and its neighbour to the flow [h, w, 2] between them and its confidence [h, w].
+        memory: share that a frame takes over from each neighbour that it is joined with.
+    """
+
+    def heard(said: np.ndarray, k: int, j: int) -> np.ndarray:
+        if not clip.continuity.joined(k, j):
+            return np.zeros_like(said, np.float32)
+        return memory * _carried(said, *flow(k, j))
+
+    forward = [own(0).astype(np.float16)]
+    for k in range(1, len(clip)):
+        forward.append((own(k) + heard(forward[-1], k, k - 1)).astype(np.float16))
     backward: np.ndarray = np.zeros_like(forward[-1], np.float32)
-    for k in track(range(len(clip) - 1, -1, -1), "What moves"):
+    for k in range(len(clip) - 1, -1, -1):
         if k + 1 < len(clip):
-            backward = MEMORY * _carried(clip, backward, k, k + 1)
-        forward[k] = (forward[k] + backward).astype(np.float16)
-        backward = backward + _evidence(clip, k)
-    return forward
+            backward = heard(backward, k, k + 1)
+        yield forward.pop() + backward
+        backward = backward + own(k)
 
 
 def _evidence(clip: SolvedClip, k: int) -> np.ndarray:
@@ -55,14 +73,7 @@ def _evidence(clip: SolvedClip, k: int) -> np.ndarray:
     return np.where(motion > 0, np.clip(strength, -STRONGEST, STRONGEST), 0)
 
 
-def _carried(clip: SolvedClip, evidence: np.ndarray, k: int, j: int) -> np.ndarray:
-    """The evidence of training frame ``j`` at the pixels of its neighbour ``k``, [h, w]; 0 without a trusted match."""
-    if not clip.continuity.joined(k, j):
-        return np.zeros_like(evidence, np.float32)
-    return carried(evidence, *clip.step_flow(k, j))
-
-
-def carried(evidence: np.ndarray, flow: np.ndarray, confidence: np.ndarray) -> np.ndarray:
+def _carried(evidence: np.ndarray, flow: np.ndarray, confidence: np.ndarray) -> np.ndarray:
     """Evidence [h, w] of another frame at the pixels from which a flow [h, w, 2] leads there; 0 where it is not trusted."""
     height, width = evidence.shape
     points = pixel_grid(width, height) + flow
@@ -72,13 +83,17 @@ def carried(evidence: np.ndarray, flow: np.ndarray, confidence: np.ndarray) -> n
 
 def rough_cut(evidence: np.ndarray, frame: np.ndarray) -> np.ndarray:
     """Evidence at working resolution and its frame [H, W, 3] to a mask [H, W] uint8 of 0 and 1."""
-    height, width = frame.shape[:2]
-    large = cv2.resize(evidence.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)
-    smooth = cv2.ximgproc.fastGlobalSmootherFilter(np.ascontiguousarray(frame), large, _SMOOTHNESS, _COLOUR_SIGMA)
+    guide = np.ascontiguousarray(frame)
+    smooth = cv2.ximgproc.fastGlobalSmootherFilter(guide, enlarged(evidence, frame), _SMOOTHNESS, _COLOUR_SIGMA)
     moving: np.ndarray = (smooth > 0).astype(np.uint8)
     # Slivers, above all along the border where matches are few.
     moving = cv2.morphologyEx(moving, cv2.MORPH_OPEN, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7)))
     return parts(moving, smooth, CERTAIN)
+
+
+def enlarged(evidence: np.ndarray, like: np.ndarray) -> np.ndarray:
+    """Evidence [h, w] at the size of a picture [H, W, ...]: [H, W] float32."""
+    return cv2.resize(evidence.astype(np.float32), like.shape[1::-1], interpolation=cv2.INTER_LINEAR)
 
 
 def parts(moving: np.ndarray, support: np.ndarray, least: float) -> np.ndarray:

@@ -15,7 +15,7 @@ from flowsplat.priors.depth.background import static_depth
 from flowsplat.priors.depth.clip import SolvedClip
 from flowsplat.priors.flow import FlowEstimator, dis_estimator
 from flowsplat.priors.masks.colours import Colours, look_up
-from flowsplat.priors.masks.motion import carried, motion_evidence, parts, rough_cut
+from flowsplat.priors.masks.motion import enlarged, listened, motion_evidence, parts, rough_cut
 from flowsplat.priors.masks.numbers import number_objects
 from flowsplat.priors.masks.plate import CleanPlate
 from flowsplat.scenes import Scene
@@ -79,7 +79,7 @@ def _what_pictures_say(clip: SolvedClip, evidence: list[np.ndarray]) -> list[np.
     for k in track(range(len(clip)), "Clean plates"):
         residual = plate.residual(k)
         differs = np.clip(np.log2(np.maximum(residual, 1e-3) / np.float32(DIFFERS)), -STRONGEST, STRONGEST)
-        moves = OF_MOTION * np.clip(_large(evidence[k], scene) / FULL_MOTION, -1, 1.5)
+        moves = OF_MOTION * np.clip(enlarged(evidence[k], residual) / FULL_MOTION, -1, 1.5)
         said.append((np.where(residual >= 0, differs, 0) + moves).astype(np.float16))
     return said
 
@@ -100,33 +100,17 @@ def _add_colours(clip: SolvedClip, said: list[np.ndarray], evidence: list[np.nda
 
 def _cut(clip: SolvedClip, said: list[np.ndarray], evidence: list[np.ndarray]) -> list[np.ndarray]:
     """The masks [H, W] uint8 of 0 and 1, after frames have listened to those before and after."""
-    scene, forward, masks = clip.scene, list(said), []
-    for k in range(1, len(clip)):
-        forward[k] = (said[k] + MEMORY * _from(clip, forward[k - 1], k, k - 1)).astype(np.float16)
-    backward: np.ndarray = np.zeros_like(said[-1], np.float32)
-    for k in track(range(len(clip) - 1, -1, -1), "Masks"):
-        if k + 1 < len(clip):
-            backward = MEMORY * _from(clip, backward, k, k + 1)
-        masks.append(_outline(forward[k] + backward, scene.frame(scene.train_frames[k]), evidence[k]))
-        backward = backward + said[k]
-    return masks[::-1]
+    scene, numbers = clip.scene, clip.scene.train_frames
 
+    def flow(k: int, j: int) -> tuple[np.ndarray, np.ndarray]:
+        found = scene.flow(numbers[k], numbers[j])
+        return found.flow, found.confidence
 
-def _from(clip: SolvedClip, said: np.ndarray, k: int, j: int) -> np.ndarray:
-    """What frame ``j`` says at the pixels of its neighbour ``k``, [H, W]."""
-    if not clip.continuity.joined(k, j):
-        return np.zeros_like(said, np.float32)
-    flow = clip.scene.flow(clip.scene.train_frames[k], clip.scene.train_frames[j])
-    return carried(said, flow.flow, flow.confidence)
+    sums = zip(numbers[::-1], evidence[::-1], listened(clip, said.__getitem__, flow, MEMORY), strict=True)
+    return [_outline(total, scene.frame(i), motion) for i, motion, total in track(sums, "Masks", len(clip))][::-1]
 
 
 def _outline(said: np.ndarray, frame: np.ndarray, evidence: np.ndarray) -> np.ndarray:
     """The mask [H, W] uint8 along the edges of the frame, of parts that were found by their motion."""
-    height, width = frame.shape[:2]
     smooth = cv2.ximgproc.fastGlobalSmootherFilter(np.ascontiguousarray(frame), said.astype(np.float32), _SMOOTHNESS, _COLOUR_SIGMA)
-    found = cv2.resize(evidence.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR) > 0
-    return parts((smooth > 0).astype(np.uint8), found, MOVES)
-
-
-def _large(evidence: np.ndarray, scene: Scene) -> np.ndarray:
-    return cv2.resize(evidence.astype(np.float32), (scene.width, scene.height), interpolation=cv2.INTER_LINEAR)
+    return parts((smooth > 0).astype(np.uint8), enlarged(evidence, frame) > 0, MOVES)
