@@ -20,7 +20,7 @@ import numpy as np
 from flowsplat.common.files import read_npz, write_npz
 from flowsplat.common.progress import track
 from flowsplat.geometry.cameras import pixel_grid
-from flowsplat.priors.depth.background import SURE, Background
+from flowsplat.priors.depth.background import SURE, Background, unseen_inverse
 from flowsplat.priors.depth.clip import SolvedClip
 from flowsplat.priors.depth.fill import fill, upsample
 from flowsplat.priors.depth.movers import MARGIN
@@ -233,7 +233,7 @@ def _write_free(maps: _Maps, source: Monocular) -> dict[str, object]:
     shift = 0.0
     if source.relative or far <= 0:
         shift = (FLAT * middle - far) / (1 - FLAT)
-    scale = _unseen(clip) / max(middle + shift, 1e-9)
+    scale = unseen_inverse(clip) / max(middle + shift, 1e-9)
     floor, ceiling = scale * (middle + shift) / FURTHEST_DEPTH, scale * (middle + shift) / NEAREST_DEPTH
     for k, i in enumerate(track(scene.train_frames, "Depth")):
         inverse, known = maps[k]
@@ -244,13 +244,6 @@ def _write_free(maps: _Maps, source: Monocular) -> dict[str, object]:
         "new views from aside keep the order of things, not their distance",
         "parallax": round(clip.mean_parallax, 3),
     }  # fmt: skip
-
-
-def _unseen(clip: SolvedClip) -> float:
-    """Inverse depth at which what little the cameras of a piece move shifts nothing by more than about a pixel."""
-    centers, pieces = np.array([camera.center for camera in clip.cameras]), clip.continuity.pieces
-    reach = float(np.linalg.norm(centers - centers[np.searchsorted(pieces, pieces)], axis=1).max())
-    return 1 / max(reach * float(clip.cameras[0].K[0, 0]), 1.0)
 
 
 def _chained_lines(maps: _Maps, relative: bool) -> np.ndarray:

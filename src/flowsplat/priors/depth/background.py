@@ -76,7 +76,7 @@ class Guess:
     """A clip without parallax: a ground that comes nearer towards the bottom of the picture."""
 
     def __init__(self, clip: SolvedClip):
-        self.median = 1 / max(camera_reach(clip) * float(clip.cameras[0].K[0, 0]), 1.0)
+        self.median = unseen_inverse(clip)
         self._plate = ground(clip.height, clip.width, self.median)
 
     def plate(self, k: int) -> np.ndarray:
@@ -97,13 +97,15 @@ class Guess:
 
 
 def camera_reach(clip: SolvedClip) -> float:
-    """How far the camera gets from where a piece of the clip begins.
-
-    At this distance times the focal length what it moves shifts nothing by more than about a pixel.
-    """
+    """How far the camera gets from where a piece of the clip begins."""
     centers, pieces = np.array([camera.center for camera in clip.cameras]), clip.continuity.pieces
     first = np.searchsorted(pieces, pieces)
     return float(np.linalg.norm(centers - centers[first], axis=1).max())
+
+
+def unseen_inverse(clip: SolvedClip) -> float:
+    """Inverse depth at which what little the cameras of a piece move shifts nothing by more than about a pixel; 1 at most."""
+    return 1 / max(camera_reach(clip) * float(clip.cameras[0].K[0, 0]), 1.0)
 
 
 class Background:
