@@ -18,7 +18,7 @@ from flowsplat.priors.cameras.bundle import LensPrior, Reconstruction
 from flowsplat.priors.cameras.growth import grow, ray_angles
 from flowsplat.priors.cameras.keyframes import NEAR_BY, SEARCHED, choose_keyframes, place_between
 from flowsplat.priors.cameras.pieces import LEAST_TRACKS
-from flowsplat.priors.cameras.refinement import Refined, misfit, place_points, ray_points, refine, track_errors
+from flowsplat.priors.cameras.refinement import Refined, from_middle, misfit, refine, track_errors, with_points
 from flowsplat.priors.cameras.selection import choose_tracks, on_rim
 from flowsplat.priors.cameras.twoview import LEAST_COMMON, chained_rotations, rank_pairs
 
@@ -100,16 +100,10 @@ def _share(follows: np.ndarray, rim: np.ndarray) -> float:
 
 def _follows(found: Estimate, positions: np.ndarray, seen: np.ndarray, width: float, height: float) -> np.ndarray:
     """[N] the tracks that stand still under the cameras that were found."""
-    centred = _centred(positions, seen, width, height)
-    place = place_points if found.motion == "free" else ray_points
-    state = replace(found.fit.state, points=place(found.fit.state, centred, seen))
+    centred = from_middle(positions, seen, width, height)
+    state = with_points(found.fit.state, centred, seen, free_translations=found.motion == "free")
     limit = max(FOLLOWS, 4 * float(np.median(found.fit.errors)))
     return (track_errors(state, centred, seen) < limit) & (seen.sum(1) >= 2)
-
-
-def _centred(positions: np.ndarray, seen: np.ndarray, width: float, height: float) -> np.ndarray:
-    """[N, T, 2] float64 from the middle of the picture; no NaN."""
-    return np.where(seen[..., None], positions, 0).astype(np.float64) - [width / 2, height / 2]
 
 
 def _of_all_frames(
@@ -125,7 +119,7 @@ def _of_all_frames(
         count = seen.shape[1]
         state = replace(fit.state, rotations=np.tile(np.eye(3), (count, 1, 1)), translations=np.zeros((count, 3)))
         return replace(found, fit=replace(fit, state=state))
-    centred = _centred(positions, seen, width, height)
+    centred = from_middle(positions, seen, width, height)
     state, lost = place_between(keys, fit.state, centred, seen, free_translations=found.motion == "free")
     state = replace(state, points=fit.state.points)
     return replace(found, fit=replace(fit, state=state), unplaced=sorted(keys[found.unplaced].tolist() + lost))
@@ -134,7 +128,7 @@ def _of_all_frames(
 def _of_keyframes(
     positions: np.ndarray, seen: np.ndarray, width: float, height: float, focal: float | None, solver: str
 ) -> Estimate:
-    centred = _centred(positions, seen, width, height)
+    centred = from_middle(positions, seen, width, height)
     few = choose_tracks(positions, seen, width, height, per_cell=4, shortest=2)
     expected, free_focal = focal or USUAL_FOCAL * width, focal is None
     tracks, views = centred[few], seen[few]
@@ -262,7 +256,7 @@ def _search(
     """
     focals = [factor * width for factor in START_FOCALS] if free_focal else [expected]
     known = partial(refine, expected_focal=expected, free_focal=free_focal, rough=True)
-    on_sphere = replace(turning, points=ray_points(turning, centred, seen))
+    on_sphere = with_points(turning, centred, seen, free_translations=False)
     fit = known(on_sphere, centred, seen, fixed_camera=0, keep_points=True)
     found = [_Candidate(misfit(fit.state, centred, seen), fit.state, [], 0)]
     starts = list(product(rank_pairs(centred, seen, expected), focals))[:MOST_STARTS]

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from flowsplat.geometry import Camera
 from flowsplat.geometry.paths import CameraPath
 from flowsplat.priors.cameras.bundle import NEAR, Reconstruction
-from flowsplat.priors.cameras.refinement import place_points, ray_points, track_errors
+from flowsplat.priors.cameras.refinement import track_errors, with_points
 
 LONG = 120
 """Frames up to which all of them are adjusted together."""
@@ -66,8 +64,7 @@ def place_between(
     count = seen.shape[1]
     often = seen[:, keys].sum(1) >= 2
     positions, seen = positions[often], seen[often]
-    place = place_points if free_translations else ray_points
-    state = replace(state, points=place(state, positions[:, keys], seen[:, keys]))
+    state = with_points(state, positions[:, keys], seen[:, keys], free_translations=free_translations)
     solid = track_errors(state, positions[:, keys], seen[:, keys]) < INLIER
     path = CameraPath(keys.tolist(), [_camera(R, t) for R, t in zip(state.rotations, state.translations, strict=True)])
     viewmats = np.array([path.at(t).viewmat for t in range(count)])

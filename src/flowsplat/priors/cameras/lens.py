@@ -12,7 +12,7 @@ import numpy as np
 from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.priors.cameras.bundle import rays
 from flowsplat.priors.cameras.estimate import NEGLIGIBLE, SIMPLER, Estimate
-from flowsplat.priors.cameras.refinement import misfit, refine
+from flowsplat.priors.cameras.refinement import from_middle, misfit, refine
 from flowsplat.priors.cameras.selection import choose_tracks
 
 PER_CELL = 20
@@ -113,7 +113,7 @@ def find_lens(
     if len(chosen) == 0:
         return None
     seen = seen[chosen]
-    centred = np.where(seen[..., None], positions[chosen], 0).astype(np.float64) - [width / 2, height / 2]
+    centred = from_middle(positions[chosen], seen, width, height)
     state = found.fit.state
     if start is not None:
         state = replace(state, focal=state.focal * start.focal / start.pinhole, distortion=start.distortion)

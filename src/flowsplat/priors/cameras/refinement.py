@@ -19,6 +19,12 @@ FINE = 1e-5
 """An adjustment ends when an iteration lowers its cost by less than this fraction."""
 ROUGH = 1e-4
 """The same of all rounds before the last."""
+UNIT = 0.5
+"""Pixels; errors well beyond it add little to the robust cost by which cameras are compared."""
+WORST = 20 * UNIT
+"""Pixels that any larger error counts as, and a point behind the camera."""
+STATIC_SHARE = 0.6
+"""Share of the observations that is assumed to stand still; the cameras are judged by those that fit best."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +46,17 @@ class Refined:
     frames: np.ndarray
     focal_sigma: float
     distortion_sigma: float = float("inf")
+
+
+def from_middle(positions: np.ndarray, seen: np.ndarray, width: float, height: float) -> np.ndarray:
+    """Positions [N, T, 2] as float64 from the middle of the picture, and without NaN where they are not ``seen`` [N, T]."""
+    return np.where(seen[..., None], positions, 0).astype(np.float64) - [width / 2, height / 2]
+
+
+def with_points(state: Reconstruction, positions: np.ndarray, seen: np.ndarray, *, free_translations: bool) -> Reconstruction:
+    """The cameras with a point for each track: ``place_points`` where they may travel, else ``ray_points``."""
+    place = place_points if free_translations else ray_points
+    return replace(state, points=place(state, positions, seen))
 
 
 def place_points(state: Reconstruction, positions: np.ndarray, seen: np.ndarray) -> np.ndarray:
@@ -83,21 +100,29 @@ def ray_points(state: Reconstruction, positions: np.ndarray, seen: np.ndarray) -
     return points / np.maximum(np.linalg.norm(points, axis=1, keepdims=True), 1e-12)
 
 
+def robust_errors(state: Reconstruction, observed: Observations) -> tuple[np.ndarray, np.ndarray]:
+    """Errors [M] in pixels, ``WORST`` at most, and their cost [M] without unit."""
+    error, depth = residuals(state, observed)
+    error = np.where(depth > 0, np.minimum(error, WORST), WORST)
+    return error, np.log1p((error / UNIT) ** 2)
+
+
+def best_tracks(costs: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """Indices of the tracks that fit best, by their summed costs [N] and how many observations they have [N]."""
+    order = np.argsort(costs / np.maximum(counts, 1), kind="stable")
+    return order[np.cumsum(counts[order]) <= STATIC_SHARE * counts.sum()]
+
+
 def misfit(state: Reconstruction, positions: np.ndarray, seen: np.ndarray, *, free_translations: bool = True) -> float:
-    """How badly the cameras explain the tracks they explain best, so many that these hold 60 % of the observations.
+    """How badly the cameras explain the tracks they explain best, a ``STATIC_SHARE`` of the observations.
 
     Assumes that most of what is seen stands still. A mean robust cost without unit, comparable between cameras for the
     same tracks, whatever tracks each of them was fitted to.
     """
-    place = place_points if free_translations else ray_points
-    placed = replace(state, points=place(state, positions, seen))
     observed = Observations.of(positions, seen)
-    error, depth = residuals(placed, observed)
-    cost = np.log1p((np.where(depth > 0, np.minimum(error, 10.0), 10.0) / 0.5) ** 2)
-    counts = seen.sum(1)
-    totals = np.bincount(observed.point, cost, len(seen))
-    order = np.argsort(totals / np.maximum(counts, 1), kind="stable")
-    best = order[np.cumsum(counts[order]) <= 0.6 * counts.sum()]
+    _, cost = robust_errors(with_points(state, positions, seen, free_translations=free_translations), observed)
+    totals, counts = np.bincount(observed.point, cost, len(seen)), seen.sum(1)
+    best = best_tracks(totals, counts)
     return float(totals[best].sum() / max(counts[best].sum(), 1))
 
 
@@ -128,10 +153,9 @@ def refine(
     static = np.zeros(len(seen), bool)
     precision = bend_precision = 0.0
     rounds = ROUGH_ROUNDS if rough else ROUNDS
-    place = place_points if free_translations else ray_points
     for number, scale in enumerate(rounds):
         if number > 0 or not keep_points:
-            state = replace(state, points=place(state, positions, seen))
+            state = with_points(state, positions, seen, free_translations=free_translations)
         static = _behaving(track_errors(state, positions, seen), scale)
         tracks = np.flatnonzero(static)
         if len(tracks) == 0:

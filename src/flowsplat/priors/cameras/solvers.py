@@ -6,17 +6,17 @@ That all frames were placed proves nothing: a wrong focal length and a collapsed
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from flowsplat.priors.cameras.bundle import Observations, residuals
+from flowsplat.priors.cameras.bundle import Observations
 from flowsplat.priors.cameras.checks import FEW_STATIC, LARGE_ERROR
 from flowsplat.priors.cameras.estimate import Estimate, estimate
 from flowsplat.priors.cameras.pieces import LEAST_TRACKS
-from flowsplat.priors.cameras.refinement import place_points, ray_points
+from flowsplat.priors.cameras.refinement import best_tracks, from_middle, robust_errors, with_points
 from flowsplat.priors.cameras.selection import on_rim
 
 EVERY = 8
@@ -25,10 +25,6 @@ LEAST_VIEWS = 3
 """Frames that such a track was seen in: every second one places its point, the others judge it."""
 LEAST_JUDGES = 30
 """Such tracks below which they cannot be spared."""
-STATIC_SHARE = 0.6
-"""Share of the observations that is assumed to stand still; those that fit best are judged."""
-UNIT = 0.5
-"""Pixels; errors well beyond it add little to the cost."""
 LARGEST_TURN = 3.0
 """Degrees by which the turn from frame to frame may change at once, in any clip."""
 JUMP = 8.0
@@ -181,21 +177,13 @@ def _heldout_errors(found: Estimate, positions: np.ndarray, width: float, height
     seen = np.isfinite(positions[..., 0])
     if len(seen) < LEAST_TRACKS:
         return None, 0.0
-    centred = np.where(seen[..., None], positions, 0).astype(np.float64) - [width / 2, height / 2]
+    centred = from_middle(positions, seen, width, height)
     odd = np.cumsum(seen, 1) % 2 == 1
-    place = place_points if found.motion == "free" else ray_points
-    state = replace(found.fit.state, points=np.zeros((len(seen), 3)))
-    state = replace(state, points=place(state, centred, seen & odd))
+    state = with_points(found.fit.state, centred, seen & odd, free_translations=found.motion == "free")
     observed = Observations.of(centred, seen & ~odd)
-    error, depth = residuals(state, observed)
-    error = np.where(depth > 0, np.minimum(error, 20 * UNIT), 20 * UNIT)
-    cost = np.log1p((error / UNIT) ** 2)
-    counts = np.bincount(observed.point, minlength=len(seen))
-    means = np.bincount(observed.point, cost, len(seen)) / np.maximum(counts, 1)
-    order = np.argsort(means, kind="stable")
-    best = np.zeros(len(seen), bool)
-    best[order[np.cumsum(counts[order]) <= STATIC_SHARE * counts.sum()]] = True
-    judged = best[observed.point]
+    error, cost = robust_errors(state, observed)
+    best = best_tracks(np.bincount(observed.point, cost, len(seen)), (seen & ~odd).sum(1))
+    judged = np.isin(observed.point, best)
     if not judged.any():
         return None, 0.0
     return float(np.median(error[judged])), float(cost[judged].mean())
