@@ -86,9 +86,10 @@ def test_nerfstudio_camera_path(tmp_path):
 def test_transforms_json(tmp_path):
     cameras = [some_camera(k) for k in range(2)]
     frames = [{"file_path": "a.png", "transform_matrix": opengl_pose(camera).tolist()} for camera in cameras]
-    frames[1]["fl_x"] = 35.0
+    frames[1].update(fl_x=35.0, transform_matrix=frames[1]["transform_matrix"][:3])
     found = read(tmp_path, {"fl_x": 70, "fl_y": 72, "cx": 41, "cy": 29, "w": 80, "h": 60, "frames": frames})
     assert_same(found.shots[0][0], cameras[0])
+    np.testing.assert_allclose(found.shots[1][0].viewmat, cameras[1].viewmat, atol=1e-9)
     assert found.shots[1][0].K[0, 0] == 35
     assert [time for _, time in found.shots] == [1.0, 3.0]
 
@@ -101,6 +102,7 @@ def test_transforms_json_with_an_angle(tmp_path):
     assert (camera.width, camera.height, time) == (64, 48, 3.0)
 
 
+LENS = {"fl_x": 50, "frames": [{"transform_matrix": np.eye(4).tolist()}]}
 GOOD = {"t": 1.5, "viewmat": np.eye(4).tolist(), "K": [[50, 0, 32], [0, 50, 24], [0, 0, 1]]}
 
 
@@ -127,6 +129,10 @@ GOOD = {"t": 1.5, "viewmat": np.eye(4).tolist(), "K": [[50, 0, 32], [0, 50, 24],
         ({"camera_path": [{}], "camera_type": "fisheye"}, "fisheye"),
         ({"camera_path": [{"camera_to_world": np.zeros(16).tolist(), "fov": 50}]}, "frame 0"),
         ({"camera_path": [{"camera_to_world": np.eye(4).ravel().tolist(), "fov": 180}]}, "180 degrees"),
+        ({**LENS, "k1": -0.3}, r"frame 0: it describes a lens that bends the picture by .* undistorted ones\.$"),
+        ({**LENS, "camera_model": "OPENCV_FISHEYE"}, "it describes a fisheye"),
+        ({**LENS, "fl_x": -50}, "fl_x is -50"),
+        ({**LENS, "frames": [{"transform_matrix": [1, 2]}]}, "transform_matrix has 2 numbers"),
     ],
 )
 def test_what_is_wrong_is_said_in_one_line(tmp_path, content, says):

@@ -8,6 +8,9 @@ from typing import Any
 import numpy as np
 import torch
 
+OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
+"""From OpenCV's axes of a camera to OpenGL's, with y up and z backward, and back."""
+
 
 @dataclass(frozen=True)
 class Camera:

@@ -12,7 +12,7 @@ Ours is a JSON object:
 | ``K`` or ``fov_y`` | 3 x 3 rows in pixels (skew is not used), or the vertical field of view in degrees with a centred axis |
 
 The other two hold camera to world with y up and z backward (OpenGL), which is turned into ours, in the same world as
-above; their times (``render_time``, ``time``) run from 0 to 1 over the clip.
+above; their times (``render_time``, ``time``) run from 0 to 1 over the clip. Lenses must be pinholes.
 https://docs.nerf.studio/quickstart/data_conventions.html
 """
 
@@ -28,11 +28,10 @@ import numpy as np
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_json, write_json
 from flowsplat.geometry import Camera
+from flowsplat.scenes.formats.nerfstudio import from_opengl, picture_size, positive, transforms_camera
 
 LARGEST = 8192
 """Pixels of width or height; beyond that it is a slip and not a wish."""
-
-_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 @dataclass(frozen=True)
@@ -69,9 +68,9 @@ def read_camera_file(path: Path, size: tuple[int, int], clip: tuple[float, float
         found = [_read_entry(read, content, entry, index, size) for index, entry in enumerate(entries)]
         if len({(camera.width, camera.height) for camera, _ in found}) > 1:
             raise InputError("its cameras differ in width or height, a video needs one size")
-        fps = None if content.get("fps") is None else _positive(content["fps"], "fps")
+        fps = None if content.get("fps") is None else positive(content["fps"], "fps")
         seconds = _seconds([time for _, time in found], clip, is_relative)
-    except InputError as error:
+    except (InputError, ValueError) as error:
         raise InputError(f"{path} cannot be used as a camera path: {error}.") from error
     return CameraShots([(camera, time) for (camera, _), time in zip(found, seconds, strict=True)], fps)
 
@@ -101,53 +100,41 @@ def _read_entry(read: Reader, content: Entry, entry: Any, index: int, size: tupl
         if not isinstance(entry, dict):
             raise InputError("it is not a JSON object")
         camera, time = read(content, entry, size)
+        if not (1 <= camera.width <= LARGEST and 1 <= camera.height <= LARGEST):
+            raise InputError(f"a picture of {camera.width} x {camera.height} pixels is not possible (1 to {LARGEST})")
         if not camera.is_finite or np.linalg.det(camera.viewmat[:3, :3]) < 0:
             raise InputError("its matrices are not finite, not a rotation, or have no positive focal length")
         return camera, time
     except KeyError as error:
         raise InputError(f"frame {index} has no {error}") from error
     except (InputError, TypeError, ValueError, np.linalg.LinAlgError) as error:
-        raise InputError(f"frame {index}: {error}") from error
+        raise InputError(f"frame {index}: {str(error).rstrip('.')}") from error
 
 
 def _from_ours(content: Entry, entry: Entry, size: tuple[int, int]) -> tuple[Camera, float | None]:
-    width, height = _size(content, ("width", "height"), size)
+    width, height = picture_size(content, ("width", "height"), size)
     if "K" in entry:
         K = _matrix(entry["K"], (3, 3), "K")
         if abs(K[0, 1]) > 1e-6 * abs(K[0, 0]) or not np.allclose(K[[1, 2, 2, 2], [0, 0, 1, 2]], (0, 0, 0, 1)):
             raise InputError("its K is not of the form fx 0 cx, 0 fy cy, 0 0 1")
     else:
-        K = _centred_K(_positive(entry["fov_y"], "fov_y"), width, height)
+        K = _centred_K(positive(entry["fov_y"], "fov_y"), width, height)
     time = entry.get("t")
     return Camera(_matrix(entry["viewmat"], (4, 4), "viewmat"), K, width, height), None if time is None else float(time)
 
 
 def _from_camera_path(content: Entry, entry: Entry, size: tuple[int, int]) -> tuple[Camera, float | None]:
-    width, height = _size(content, ("render_width", "render_height"), size)
-    viewmat = _from_opengl(_matrix(entry["camera_to_world"], (4, 4), "camera_to_world"))
+    width, height = picture_size(content, ("render_width", "render_height"), size)
+    viewmat = from_opengl(entry["camera_to_world"], "camera_to_world")
     time = entry.get("render_time")
-    K = _centred_K(_positive(entry["fov"], "fov"), width, height)
+    K = _centred_K(positive(entry["fov"], "fov"), width, height)
     return Camera(viewmat, K, width, height), None if time is None else float(time)
 
 
 def _from_transforms(content: Entry, entry: Entry, size: tuple[int, int]) -> tuple[Camera, float | None]:
-    values = {**content, **entry}  # a frame may have intrinsics of its own
-    width, height = _size(values, ("w", "h"), size)
-    if "fl_x" in values:
-        fx = _positive(values["fl_x"], "fl_x")
-    else:
-        fx = 0.5 * width / np.tan(0.5 * _positive(values["camera_angle_x"], "camera_angle_x"))
-    fy = _positive(values.get("fl_y", fx), "fl_y")
-    cx, cy = float(values.get("cx", width / 2)), float(values.get("cy", height / 2))
+    camera = transforms_camera("it", {**content, **entry}, size)
     time = entry.get("time")
-    K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-    viewmat = _from_opengl(_matrix(entry["transform_matrix"], (4, 4), "transform_matrix"))
-    return Camera(viewmat, K, width, height), None if time is None else float(time)
-
-
-def _from_opengl(camera_to_world: np.ndarray) -> np.ndarray:
-    """World to camera in OpenCV axes from camera to world in OpenGL axes."""
-    return np.linalg.inv(camera_to_world @ _OPENGL)
+    return camera, None if time is None else float(time)
 
 
 def _centred_K(fov_y: float, width: int, height: int) -> np.ndarray:
@@ -163,23 +150,6 @@ def _matrix(value: Any, shape: tuple[int, int], name: str) -> np.ndarray:
     if matrix.size != shape[0] * shape[1]:
         raise InputError(f"{name} has {matrix.size} numbers instead of {shape[0]} x {shape[1]}")
     return matrix.reshape(shape)
-
-
-def _positive(value: Any, name: str) -> float:
-    try:
-        number = float(value)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{name} is not a number") from error
-    if not (np.isfinite(number) and number > 0):
-        raise InputError(f"{name} is {number:g}, it must be positive")
-    return number
-
-
-def _size(values: Entry, names: tuple[str, str], size: tuple[int, int]) -> tuple[int, int]:
-    width, height = (round(_positive(values.get(name, default), name)) for name, default in zip(names, size, strict=True))
-    if not (1 <= width <= LARGEST and 1 <= height <= LARGEST):
-        raise InputError(f"a picture of {width} x {height} pixels is not possible (1 to {LARGEST})")
-    return width, height
 
 
 def _seconds(times: list[float | None], clip: tuple[float, float], is_relative: bool) -> list[float]:

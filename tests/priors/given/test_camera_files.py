@@ -68,6 +68,7 @@ def transforms(**common: object) -> dict:
 def test_nerfstudio(scene: Scene, tmp_path: Path):
     content = transforms(k1=0.0, k2=1e-9)
     content["frames"] = content["frames"][::-1]
+    content["frames"][2]["transform_matrix"] = content["frames"][2]["transform_matrix"][:3]
     (tmp_path / "transforms.json").write_text(json.dumps(content))
     check(scene, tmp_path / "transforms.json", "nerfstudio")
     check(scene, tmp_path, "nerfstudio")
@@ -205,6 +206,7 @@ BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
     "no focal length": (
         lambda f: write(f / "transforms.json", json.dumps({k: v for k, v in transforms().items() if k != "fl_x"})), "camera_angle_x"
     ),
+    "a negative focal length": (lambda f: write(f / "transforms.json", edited(transforms(), fl_x=-5)), "fl_x is -5"),
     "no rotation": (
         lambda f: write(f / "transforms.json", edited(transforms(), frames=[
             {"file_path": "a", "transform_matrix": (2 * np.eye(4)).tolist()}] * 5)), "frame 0 is not finite or"

@@ -13,12 +13,12 @@ import torch
 
 from flowsplat.common.files import make_folder, write_json, write_text
 from flowsplat.geometry import Camera
+from flowsplat.geometry.cameras import OPENGL
 from flowsplat.geometry.rotations import rotations_to_quats
 from flowsplat.output.export.still import Still
 from flowsplat.scenes import Scene
 
 MOST_POINTS = 100_000
-_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def frame_names(scene: Scene) -> list[str]:
@@ -70,7 +70,7 @@ def write_nerfstudio(folder: Path, scene: Scene) -> None:
         K = camera.K
         frames.append({
             "file_path": (at / name).as_posix(), "time": time, "w": camera.width, "h": camera.height, "fl_x": K[0, 0],
-            "fl_y": K[1, 1], "cx": K[0, 2], "cy": K[1, 2], "transform_matrix": np.linalg.inv(camera.viewmat) @ _OPENGL,
+            "fl_y": K[1, 1], "cx": K[0, 2], "cy": K[1, 2], "transform_matrix": np.linalg.inv(camera.viewmat) @ OPENGL,
         })  # fmt: skip
     write_json(folder / "transforms.json", {"camera_model": "OPENCV", "frames": frames})
 

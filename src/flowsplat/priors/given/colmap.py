@@ -13,9 +13,9 @@ from flowsplat.common.errors import InputError
 from flowsplat.geometry import Camera
 from flowsplat.geometry.rotations import quats_to_rotations
 from flowsplat.priors.given.fitting import require_frames
-from flowsplat.priors.given.lens import require_pinhole
 from flowsplat.scenes import Scene
 from flowsplat.scenes.formats.images import natural_key
+from flowsplat.scenes.formats.lens import require_pinhole
 
 PLACES = ("", "0", "sparse", "sparse/0", "colmap/sparse/0")
 """Where in a given folder the model may lie."""

@@ -14,10 +14,11 @@ MOST_DISTORTION = 1.0
 """Pixels by which a lens may move a point of the picture's border and still count as a pinhole."""
 
 
-def require_pinhole(path: Path, K: np.ndarray, width: int, height: int, distortion: Sequence[float]) -> None:
+def require_pinhole(where: Path | str, K: np.ndarray, width: int, height: int, distortion: Sequence[float]) -> None:
     """Refuse a lens that is no pinhole.
 
     Args:
+        where: what to call the file in an error.
         K: [3, 3] in pixels of a picture of ``width`` x ``height``.
         distortion: k1, k2, p1, p2, k3, ... as OpenCV orders them.
 
@@ -34,6 +35,6 @@ def require_pinhole(path: Path, K: np.ndarray, width: int, height: int, distorti
     error = float(np.linalg.norm(moved[:, 0] - border, axis=1).max())
     if error > MOST_DISTORTION:
         raise InputError(
-            f"{path} describes a lens that bends the picture by {error:.1f} pixels: undistort the pictures first "
+            f"{where} describes a lens that bends the picture by {error:.1f} pixels: undistort the pictures first "
             "(colmap image_undistorter), and give the cameras of the undistorted ones."
         )
