@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import ArrayLike
 
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 """From OpenCV's axes of a camera to OpenGL's, with y up and z backward, and back."""
@@ -36,6 +37,15 @@ class Camera:
     def center(self) -> np.ndarray:
         """[3] the camera's position in the world."""
         return -self.viewmat[:3, :3].T @ self.viewmat[:3, 3]
+
+    @property
+    def intrinsics(self) -> np.ndarray:
+        """[4] fx, fy, cx, cy in pixels."""
+        return self.K[[0, 1, 0, 1], [0, 1, 2, 2]]
+
+    def pose_from(self, other: Camera) -> np.ndarray:
+        """[3, 4] rows of the map from the axes of ``other`` to those of this camera."""
+        return (self.viewmat @ np.linalg.inv(other.viewmat))[:3]
 
     @property
     def is_finite(self) -> bool:
@@ -91,6 +101,13 @@ class Camera:
     def from_json(value: dict[str, Any]) -> Camera:
         """The inverse of ``to_json``."""
         return Camera(np.array(value["viewmat"]), np.array(value["K"]), int(value["width"]), int(value["height"]))
+
+
+def rigid(rotation: np.ndarray, translation: ArrayLike) -> np.ndarray:
+    """[4, 4] float64 x -> rotation x + translation, from [3, 3] and [3]: a viewmat."""
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = rotation, translation
+    return matrix
 
 
 def pixel_grid(width: int, height: int) -> np.ndarray:

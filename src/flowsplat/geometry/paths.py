@@ -9,14 +9,11 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation, Slerp
 
-from flowsplat.geometry.cameras import Camera
+from flowsplat.geometry.cameras import Camera, rigid
 
 
 def _camera_at(center: np.ndarray, rotation: np.ndarray, like: Camera) -> Camera:
-    viewmat = np.eye(4)
-    viewmat[:3, :3] = rotation
-    viewmat[:3, 3] = -rotation @ center
-    return Camera(viewmat, like.K, like.width, like.height)
+    return Camera(rigid(rotation, -rotation @ center), like.K, like.width, like.height)
 
 
 class CameraPath:

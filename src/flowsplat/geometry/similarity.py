@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from flowsplat.geometry.cameras import Camera
+from flowsplat.geometry.cameras import Camera, rigid
 
 
 @dataclass(frozen=True)
@@ -30,10 +30,8 @@ class Similarity:
     def camera(self, camera: Camera) -> Camera:
         """The camera that sees the moved world exactly as ``camera`` saw the old one (its depths are scaled)."""
         R = camera.viewmat[:3, :3] @ self.rotation.T
-        viewmat = np.eye(4)
-        viewmat[:3, :3] = R
-        viewmat[:3, 3] = self.scale * camera.viewmat[:3, 3] - R @ self.translation
-        return Camera(viewmat, camera.K, camera.width, camera.height)
+        t = self.scale * camera.viewmat[:3, 3] - R @ self.translation
+        return Camera(rigid(R, t), camera.K, camera.width, camera.height)
 
     def to_json(self) -> dict[str, Any]:
         """Plain numbers."""

@@ -76,5 +76,5 @@ def write_nerfstudio(folder: Path, scene: Scene) -> None:
 
 
 def _pinhole(camera: Camera) -> str:
-    numbers = " ".join(repr(float(camera.K[r, c])) for r, c in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    numbers = " ".join(repr(value) for value in camera.intrinsics.tolist())
     return f"PINHOLE {camera.width} {camera.height} {numbers}"

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from flowsplat.geometry import Camera, Similarity
+from flowsplat.geometry.cameras import rigid
 
 WORLD_DEPTH = 4.0
 """Median depth of the scene in the browser's world: its arrow and letter keys then cross a scene in about two seconds."""
@@ -45,12 +46,10 @@ class World:
 
     def camera(self, pose: Pose, width: int, height: int) -> Camera:
         """The camera of the scene that sees what the browser's camera sees on a picture of that size."""
-        viewmat = np.eye(4)
-        viewmat[:3, :3] = Rotation.from_quat(pose.wxyz, scalar_first=True).as_matrix().T
-        viewmat[:3, 3] = -viewmat[:3, :3] @ pose.position
+        R = Rotation.from_quat(pose.wxyz, scalar_first=True).inv().as_matrix()
         focal = height / 2 / np.tan(pose.fov / 2)
         K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
-        return self.to_scene.camera(Camera(viewmat, K, width, height))
+        return self.to_scene.camera(Camera(rigid(R, -R @ pose.position), K, width, height))
 
     def pose(self, camera: Camera) -> Pose:
         """The browser's camera that stands where ``camera`` does; a principal point off the middle is lost."""

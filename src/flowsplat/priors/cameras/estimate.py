@@ -11,12 +11,10 @@ import cv2
 import numpy as np
 
 from flowsplat.common.progress import progress_bar
-from flowsplat.geometry import Camera
-from flowsplat.geometry.paths import CameraPath
 from flowsplat.priors.cameras.averaging import averaged_start
 from flowsplat.priors.cameras.bundle import LensPrior, Reconstruction
 from flowsplat.priors.cameras.growth import grow, ray_angles
-from flowsplat.priors.cameras.keyframes import NEAR_BY, SEARCHED, choose_keyframes, place_between
+from flowsplat.priors.cameras.keyframes import NEAR_BY, SEARCHED, between, choose_keyframes, place_between
 from flowsplat.priors.cameras.pieces import LEAST_TRACKS
 from flowsplat.priors.cameras.refinement import Refined, from_middle, misfit, refine, track_errors, with_points
 from flowsplat.priors.cameras.selection import choose_tracks, on_rim
@@ -306,13 +304,7 @@ def _with_all_frames(state: Reconstruction, placed: np.ndarray) -> Reconstructio
     """Poses of frames that were not placed, interpolated between those that were."""
     if placed.all():
         return state
-    cameras = []
-    for t in np.flatnonzero(placed):
-        viewmat = np.eye(4)
-        viewmat[:3, :3], viewmat[:3, 3] = state.rotations[t], state.translations[t]
-        cameras.append(Camera(viewmat, np.eye(3), 1, 1))
-    path = CameraPath(np.flatnonzero(placed).tolist(), cameras)
-    viewmats = np.array([path.at(t).viewmat for t in range(len(placed))])
+    viewmats = between(np.flatnonzero(placed), state.rotations[placed], state.translations[placed], len(placed))
     return replace(state, rotations=viewmats[:, :3, :3], translations=viewmats[:, :3, 3])
 
 

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from flowsplat.geometry import Camera
+from flowsplat.geometry.cameras import rigid
 from flowsplat.geometry.paths import CameraPath
 from flowsplat.priors.cameras.bundle import NEAR, Reconstruction
 from flowsplat.priors.cameras.refinement import track_errors, with_points
@@ -66,8 +67,7 @@ def place_between(
     positions, seen = positions[often], seen[often]
     state = with_points(state, positions[:, keys], seen[:, keys], free_translations=free_translations)
     solid = track_errors(state, positions[:, keys], seen[:, keys]) < INLIER
-    path = CameraPath(keys.tolist(), [_camera(R, t) for R, t in zip(state.rotations, state.translations, strict=True)])
-    viewmats = np.array([path.at(t).viewmat for t in range(count)])
+    viewmats = between(keys, state.rotations, state.translations, count)
     viewmats[keys, :3, :3], viewmats[keys, :3, 3] = state.rotations, state.translations
     lost = []
     for t in np.setdiff1d(np.arange(count), keys):
@@ -79,10 +79,11 @@ def place_between(
     return Reconstruction(viewmats[:, :3, :3], viewmats[:, :3, 3], state.focal, state.points), lost
 
 
-def _camera(rotation: np.ndarray, translation: np.ndarray) -> Camera:
-    viewmat = np.eye(4)
-    viewmat[:3, :3], viewmat[:3, 3] = rotation, translation
-    return Camera(viewmat, np.eye(3), 1, 1)
+def between(frames: np.ndarray, rotations: np.ndarray, translations: np.ndarray, count: int) -> np.ndarray:
+    """Viewmats [count, 4, 4] interpolated from those of some rising ``frames`` [K]: [K, 3, 3] and [K, 3]."""
+    cameras = [Camera(rigid(R, t), np.eye(3), 1, 1) for R, t in zip(rotations, translations, strict=True)]
+    path = CameraPath(frames.tolist(), cameras)
+    return np.array([path.at(t).viewmat for t in range(count)])
 
 
 def _resect(viewmat: np.ndarray, points: np.ndarray, uv: np.ndarray, focal: float, free_translations: bool) -> np.ndarray:

@@ -10,6 +10,7 @@ import numpy as np
 
 from flowsplat.common.errors import InputError
 from flowsplat.geometry import Camera
+from flowsplat.geometry.cameras import rigid
 from flowsplat.priors.cameras.checks import Gaps, verdict
 from flowsplat.priors.cameras.estimate import Estimate
 from flowsplat.priors.cameras.following import WORKING_SIDE, follow_points
@@ -228,8 +229,6 @@ def _cameras(found: Estimate, unit: float, width: int, height: int) -> list[Came
     K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]])
     cameras = []
     for rotation, center in zip(state.rotations, state.centers, strict=True):
-        viewmat = np.eye(4)
-        viewmat[:3, :3] = rotation @ state.rotations[0].T
-        viewmat[:3, 3] = -rotation @ (center - state.centers[0]) / distance
-        cameras.append(Camera(viewmat, K, width, height))
+        moved = -rotation @ (center - state.centers[0]) / distance
+        cameras.append(Camera(rigid(rotation @ state.rotations[0].T, moved), K, width, height))
     return cameras

@@ -35,9 +35,9 @@ def fuse(
     inverses = np.stack([inverse_depth, *(n[0] for n in neighbours)]).astype(np.float32)
     weights = np.stack([weight, *(n[1] for n in neighbours)]).astype(np.float32)
     cameras = [camera, *(n[2] for n in neighbours)]
-    intrinsics = np.array([[c.K[0, 0], c.K[1, 1], c.K[0, 2], c.K[1, 2]] for c in cameras])
-    there = np.array([(c.viewmat @ np.linalg.inv(camera.viewmat))[:3] for c in cameras])
-    back = np.array([(camera.viewmat @ np.linalg.inv(c.viewmat))[:3] for c in cameras])
+    intrinsics = np.array([c.intrinsics for c in cameras])
+    there = np.array([c.pose_from(camera) for c in cameras])
+    back = np.array([camera.pose_from(c) for c in cameras])
     return _fuse(inverses, weights, intrinsics, there, back)
 
 

@@ -74,9 +74,7 @@ def carried(
 def _carry(
     inverse_depth: np.ndarray, weight: np.ndarray, camera: Camera, to: Camera, out: np.ndarray, out_weight: np.ndarray
 ) -> None:
-    intrinsics = np.array([[c.K[0, 0], c.K[1, 1], c.K[0, 2], c.K[1, 2]] for c in (camera, to)])
-    pose = (to.viewmat @ np.linalg.inv(camera.viewmat))[:3]
-    _splat(inverse_depth, weight, intrinsics, pose, out, out_weight)
+    _splat(inverse_depth, weight, np.array([camera.intrinsics, to.intrinsics]), to.pose_from(camera), out, out_weight)
 
 
 @njit(cache=True)

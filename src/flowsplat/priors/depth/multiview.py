@@ -57,9 +57,8 @@ def solve_multiview(camera: Camera, others: Sequence[Camera], flows: np.ndarray,
         flows: [J, h, w, 2] float32, from the frame to each other one, in working pixels.
         confidences: [J, h, w] float32 of these matches; below one half a match is not used.
     """
-    relative = [other.viewmat @ np.linalg.inv(camera.viewmat) for other in others]
-    poses = np.array([pose[:3] for pose in relative], np.float64).reshape(-1, 3, 4)
-    intrinsics = np.array([[c.K[0, 0], c.K[1, 1], c.K[0, 2], c.K[1, 2]] for c in [camera, *others]])
+    poses = np.array([other.pose_from(camera) for other in others], np.float64).reshape(-1, 3, 4)
+    intrinsics = np.array([c.intrinsics for c in [camera, *others]])
     reach = float(np.linalg.norm(poses[:, :, 3], axis=1).max(initial=0.0))
     height, width = flows.shape[1:3]
     if reach < 1e-9:

@@ -11,6 +11,7 @@ import torch
 
 from flowsplat.common.errors import InputError
 from flowsplat.geometry import Camera
+from flowsplat.geometry.cameras import rigid
 from flowsplat.geometry.rotations import quats_to_rotations
 from flowsplat.priors.given.fitting import require_frames
 from flowsplat.scenes import Scene
@@ -78,10 +79,8 @@ def read_colmap(model: Path, scene: Scene) -> list[Camera]:
         name, width, height, parameters = lenses[image.camera]
         K, distortion = _lens(name, parameters)
         require_pinhole(model / f"cameras{suffix}", K, width, height, distortion)
-        viewmat = np.eye(4)
-        viewmat[:3, :3] = quats_to_rotations(torch.tensor(image.quat, dtype=torch.float64)).numpy()
-        viewmat[:3, 3] = image.translation
-        cameras.append(Camera(viewmat, K, width, height))
+        rotation = quats_to_rotations(torch.tensor(image.quat, dtype=torch.float64)).numpy()
+        cameras.append(Camera(rigid(rotation, image.translation), K, width, height))
     return cameras
 
 

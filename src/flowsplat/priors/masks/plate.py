@@ -68,9 +68,8 @@ class CleanPlate:
 
 def _poses(camera: Camera, others: list[Camera]) -> tuple[np.ndarray, np.ndarray]:
     """(fx, fy, cx, cy [1 + J, 4]; relative poses [J, 3, 4]) of a camera and others, float32."""
-    intrinsics = np.array([[c.K[0, 0], c.K[1, 1], c.K[0, 2], c.K[1, 2]] for c in (camera, *others)], np.float32)
-    poses = [(other.viewmat @ np.linalg.inv(camera.viewmat))[:3] for other in others]
-    return intrinsics, np.array(poses, np.float32)
+    intrinsics = np.array([c.intrinsics for c in (camera, *others)], np.float32)
+    return intrinsics, np.array([other.pose_from(camera) for other in others], np.float32)
 
 
 @parallel_kernel

@@ -20,6 +20,7 @@ import numpy as np
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_json
 from flowsplat.geometry import Camera
+from flowsplat.geometry.cameras import rigid
 from flowsplat.scenes.clip import InputOptions
 from flowsplat.scenes.formats.posed import PosedClip, PosedPicture, PosedView, open_posed
 
@@ -80,9 +81,7 @@ def read_camera(path: Path) -> Camera:
         bent = [values.get("skew", 0.0), *values.get("radial_distortion", ()), *values.get("tangential_distortion", ())]
         R, center = np.array(values["orientation"], float).reshape(3, 3), np.array(values["position"], float).reshape(3)
         K = np.array([[focal, 0, cx], [0, focal * float(values.get("pixel_aspect_ratio", 1.0)), cy], [0, 0, 1]], float)
-        viewmat = np.eye(4)
-        viewmat[:3, :3], viewmat[:3, 3] = R, -R @ center
-        camera = Camera(viewmat, K, int(width), int(height))
+        camera = Camera(rigid(R, -R @ center), K, int(width), int(height))
         is_bent = bool(np.abs(np.array(bent, float)).max() > 0)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(f"{path} does not hold a camera: {error}.") from error

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from flowsplat.geometry import Camera
+from flowsplat.geometry.cameras import rigid
 from flowsplat.scenes.synthetic.bodies import Body, Motion, Shape
 from flowsplat.scenes.synthetic.textures import (
     Material,
@@ -173,8 +174,6 @@ def camera_at(time: float, width: int, height: int) -> Camera:
     right = np.cross(forward, [0, 0, 1])
     right /= np.linalg.norm(right)
     R = np.stack([right, np.cross(forward, right), forward])
-    viewmat = np.eye(4)
-    viewmat[:3, :3], viewmat[:3, 3] = R, -R @ position
     focal = FOCAL * width
     K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
-    return Camera(viewmat, K, width, height)
+    return Camera(rigid(R, -R @ position), K, width, height)
