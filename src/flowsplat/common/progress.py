@@ -57,10 +57,12 @@ def progress_bar(label: str, total: float, done: float = 0) -> Iterator[Bar]:
         yield Bar(progress, progress.add_task(label, total=total, completed=done, note=""))  # type: ignore[arg-type]
 
 
-def track(items: Iterable[Item], label: str) -> Iterator[Item]:
-    """Iterate over ``items`` under a progress bar."""
-    items = list(items)
-    with progress_bar(label, len(items)) as bar:
+def track(items: Iterable[Item], label: str, total: int | None = None) -> Iterator[Item]:
+    """Iterate over ``items`` under a progress bar; ``total`` is their number where they are still being made."""
+    if total is None:
+        items = list(items)
+        total = len(items)
+    with progress_bar(label, total) as bar:
         for item in items:
             yield item
             bar.advance()
