@@ -267,3 +267,10 @@ def test_killed_in_every_stage_it_ends_with_the_same_figures(tmp_path, scene):
         process.wait()
     subprocess.run([*command, "-o", str(out)], check=True, capture_output=True, timeout=600, env=environment)
     assert metrics(out) == metrics(tmp_path / "whole")
+
+
+def test_a_folder_where_a_file_is_wanted(capsys, tmp_path, scene):
+    folder = tmp_path / "folder.json"
+    folder.mkdir()
+    assert "folder.json" in refuse(capsys, "run", scene, "-o", tmp_path / "out", "--priors", "true", "--render.camera-file", folder)
+    assert "too long" in refuse(capsys, "run", scene, "-o", tmp_path / ("x" * 300), "--priors", "true")

@@ -155,3 +155,13 @@ def test_misuse_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError):
         write_mp4(tmp_path / "file" / "a.mp4", plain_frames(), 24)
+
+
+def test_sound_that_cannot_be_decoded_is_left_out(tmp_path, capsys):
+    write_tone(tmp_path / "tone.mov", 1.0)
+    # Big-endian or little-endian samples of a kind that nobody knows.
+    (tmp_path / "tone.mov").write_bytes((tmp_path / "tone.mov").read_bytes().replace(b"sowt", b"zzzz"))
+    write_with_sound(tmp_path / "a.mp4", 12, tmp_path / "tone.mov")
+    assert "cannot be decoded: the video stays silent" in capsys.readouterr().err
+    with av.open(str(tmp_path / "a.mp4")) as container:
+        assert not container.streams.audio

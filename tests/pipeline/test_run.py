@@ -14,9 +14,10 @@ import torch
 
 import flowsplat
 from flowsplat.common.errors import InputError
-from flowsplat.pipeline import prepare, run, stages, train
+from flowsplat.pipeline import demo, prepare, run, stages, train
 from flowsplat.pipeline.config import RunConfig, from_plain, preset, to_plain
 from flowsplat.pipeline.folder import RunFolder
+from flowsplat.priors.given import GivenPriors
 from flowsplat.scenes import Scene
 from flowsplat.scenes.clip import InputOptions
 from flowsplat.training.trainer import Trainer
@@ -291,3 +292,48 @@ def test_the_seconds_of_all_sittings_count(tiny_scene, tmp_path, monkeypatch):
     train(folder)
     assert folder.seconds["train"] > 20 * 0.02
     assert {path.name for path in (tmp_path / "out" / "training").iterdir()} == {"history.json"}
+
+
+@pytest.mark.parametrize("wrong", [{"given": GivenPriors(masks=Path("/nonexistent"))}, {"mask_click": ("900,3@0",)}])
+def test_an_option_that_cannot_be_used_costs_nothing(tiny_scene, finished, tmp_path, monkeypatch, wrong):
+    out, first = tmp_path / "out", small_config()
+    shutil.copytree(finished, out)
+    with pytest.raises(InputError):
+        run(tiny_scene, out, replace(first, priors=replace(first.priors, **wrong)))
+    assert RunFolder(out).config == first
+    monkeypatch.setattr(stages, "prepare_priors", lambda *_: pytest.fail("prepared again"))
+    monkeypatch.setattr(Trainer, "run", lambda self: pytest.fail("trained again"))
+    run(tiny_scene, out, first)
+
+
+def test_what_is_wrong_with_the_videos_is_said_first(tiny_scene, tmp_path, monkeypatch):
+    monkeypatch.setattr(stages, "prepare_priors", lambda *_: pytest.fail("prepared before the videos were looked at"))
+    config = small_config()
+    with pytest.raises(InputError, match=r"nope\.json"):
+        run(tiny_scene, tmp_path / "out", replace(config, render=replace(config.render, camera_file=tmp_path / "nope.json")))
+    assert not (tmp_path / "out").exists()
+
+
+def test_settings_that_are_no_numbers_are_named(tiny_scene, tmp_path):
+    config = small_config()
+    cameras = replace(config.priors.cameras, focal=float("inf"))
+    for changed, name in (
+        (replace(config, input=replace(config.input, start=float("nan"))), "--start"),
+        (replace(config, priors=replace(config.priors, cameras=cameras)), "--cameras.focal"),
+        (replace(config, render=replace(config.render, slow=float("nan"))), "--render.slow"),
+    ):
+        with pytest.raises(InputError, match=name):
+            prepare(tiny_scene, tmp_path / "out", changed)
+
+
+def test_a_demo_of_another_size_is_not_taken_for_this_one(tmp_path, monkeypatch):
+    monkeypatch.setattr(demo, "prepare", stop_here)
+    for _ in range(2):
+        with pytest.raises(Stopped):
+            demo.run_demo(tmp_path / "demo", 64, 4)
+    with pytest.raises(InputError, match="another size"):
+        demo.run_demo(tmp_path / "demo", 96, 4)
+
+
+def stop_here(*_args, **_kwargs):
+    raise Stopped

@@ -100,7 +100,7 @@ def prepared(folder: Path, frames: Sequence[np.ndarray]) -> Scene:
     prepare_priors(scene, PriorsOptions())
     scene = Scene(folder)
     json.dumps(scene.info, allow_nan=False)
-    assert all(camera.is_finite for camera in scene.cameras)
+    assert all(camera.is_valid for camera in scene.cameras)
     for i in scene.train_frames:
         assert np.isfinite(scene.depth(i).depth).all()
         assert scene.mask(i).shape == (scene.height, scene.width)

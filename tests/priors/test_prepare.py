@@ -275,3 +275,12 @@ def test_bad_files_are_refused_in_one_line(tmp_path: Path, plain: Scene, name: s
     with pytest.raises(InputError, match=message) as caught:
         use_given(plain, GivenPriors(**{kind: getattr(given, kind)}))
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["cameras", "flow", "masks"])
+def test_what_is_there_already_is_not_replaced_by_files_in_silence(tmp_path: Path, name: str):
+    scene = write_planes(tmp_path / "scene", step=2, square=True)
+    given = given_files(tmp_path / "given", scene)
+    use_truth(scene)
+    with pytest.raises(InputError, match=f"has {name} already"):
+        prepare_priors(scene, PriorsOptions(given=GivenPriors(**{name: getattr(given, name)})))

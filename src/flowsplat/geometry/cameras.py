@@ -48,13 +48,15 @@ class Camera:
         return (self.viewmat @ np.linalg.inv(other.viewmat))[:3]
 
     @property
-    def is_finite(self) -> bool:
-        """Whether every number is finite and the rotation is one."""
+    def is_valid(self) -> bool:
+        """Whether every number is finite, the rotation is one and no mirror, and the picture has pixels."""
         R = self.viewmat[:3, :3]
         return bool(
             np.isfinite(self.viewmat).all()
             and np.isfinite(self.K).all()
             and np.abs(R @ R.T - np.eye(3)).max() < 1e-3
+            and np.linalg.det(R) > 0
+            and min(self.width, self.height) >= 1
             and self.K[0, 0] > 0
             and self.K[1, 1] > 0
         )

@@ -70,7 +70,7 @@ def read_camera_file(path: Path, size: tuple[int, int], clip: tuple[float, float
             raise InputError("its cameras differ in width or height, a video needs one size")
         fps = None if content.get("fps") is None else positive(content["fps"], "fps")
         seconds = _seconds([time for _, time in found], clip, is_relative)
-    except (InputError, ValueError) as error:
+    except (InputError, ValueError, ArithmeticError) as error:
         raise InputError(f"{path} cannot be used as a camera path: {error}.") from error
     return CameraShots([(camera, time) for (camera, _), time in zip(found, seconds, strict=True)], fps)
 
@@ -102,12 +102,12 @@ def _read_entry(read: Reader, content: Entry, entry: Any, index: int, size: tupl
         camera, time = read(content, entry, size)
         if not (1 <= camera.width <= LARGEST and 1 <= camera.height <= LARGEST):
             raise InputError(f"a picture of {camera.width} x {camera.height} pixels is not possible (1 to {LARGEST})")
-        if not camera.is_finite or np.linalg.det(camera.viewmat[:3, :3]) < 0:
+        if not camera.is_valid:
             raise InputError("its matrices are not finite, not a rotation, or have no positive focal length")
         return camera, time
     except KeyError as error:
         raise InputError(f"frame {index} has no {error}") from error
-    except (InputError, TypeError, ValueError, np.linalg.LinAlgError) as error:
+    except (InputError, TypeError, ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
         raise InputError(f"frame {index}: {str(error).rstrip('.')}") from error
 
 

@@ -46,7 +46,7 @@ def _rows_of(file: Path) -> list[Sequence[object]]:
 def _query(where: str, row: Sequence[object], scene: Scene) -> tuple[float, float, float]:
     try:
         u, v, frame = (float(part) for part in row)  # type: ignore[arg-type]
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, ArithmeticError) as error:
         raise InputError(f"{where} is no point: give {WANTED}.") from error
     if not (0 <= u < scene.width and 0 <= v < scene.height):
         raise InputError(f"{where} is outside the picture of {scene.width}x{scene.height} pixels.")

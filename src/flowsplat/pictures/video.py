@@ -127,8 +127,11 @@ class _Sound:
         except (OSError, av.FFmpegError) as error:
             say(f"The sound of {path} cannot be read ({error}): the video stays silent.")
             return
-        if source.streams.audio:
-            audio = source.streams.audio[0]
+        # FFmpeg lists tracks, too, that it has no decoder for.
+        audio = next((track for track in source.streams.audio if track.codec_context is not None), None)
+        if audio is None:
+            say(f"The sound of {path} cannot be decoded: the video stays silent.")
+        else:
             rate = audio.rate if audio.rate in _AAC_RATES else _AAC_RATES[-1]
             self._stream = container.add_stream("aac", rate=rate)
             self._stream.layout = "mono" if audio.channels == 1 else "stereo"

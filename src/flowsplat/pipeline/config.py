@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -81,6 +82,18 @@ def flat(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     for name, value in config.items():
         found |= flat(value, f"{prefix}{name}.") if isinstance(value, Mapping) else {f"{prefix}{name}": value}
     return found
+
+
+def check_numbers(config: RunConfig) -> None:
+    """Refuse settings that are no numbers.
+
+    Raises:
+        InputError: names the option.
+    """
+    for name, value in flat(to_plain(config)).items():
+        if isinstance(value, float) and not math.isfinite(value):
+            option = name.removeprefix("input.").removeprefix("priors.").replace("_", "-")
+            raise InputError(f"--{option} is {value}: give a number.")
 
 
 def from_plain(kind: type[Config], value: dict[str, Any]) -> Config:

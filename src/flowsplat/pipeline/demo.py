@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import os
+from dataclasses import asdict, replace
 from pathlib import Path
 
-from flowsplat.common.files import make_folder
+from flowsplat.common.errors import InputError
+from flowsplat.common.files import make_folder, read_json, write_json
 from flowsplat.common.progress import console, say
 from flowsplat.pipeline.config import RunConfig
 from flowsplat.pipeline.stages import prepare, render_run, train
@@ -20,11 +22,14 @@ def run_demo(out: Path, width: int = 320, frames: int = 40) -> None:
     """Render the built-in clip to a video, run on that video, run with true priors, and print both results side by side.
 
     Raises:
-        InputError: the folder cannot be written.
+        InputError: the folder cannot be written, or holds another clip.
     """
     spec = SyntheticScene(width=width, height=width * 9 // 16, frames=frames)
     make_folder(out)
-    video, truth = out / "clip.mp4", out / "truth"
+    video, truth, book = out / "clip.mp4", out / "truth", out / "clip.json"
+    if book.exists() and read_json(book) != asdict(spec):
+        raise InputError(f"{out} holds the demo with another size or number of frames: choose another folder with -o.")
+    write_json(book, asdict(spec))
     if not video.exists():
         write_synthetic_video(video, spec)
     if not (truth / "complete").exists():
@@ -50,4 +55,5 @@ def _lend_truth(truth: Scene, scene: Path) -> None:
     for name in ("truth", "views", "views.json"):
         target = scene / name
         if not target.exists():
-            target.symlink_to((truth.folder / name).resolve())
+            target.unlink(missing_ok=True)  # where it pointed to is gone
+            target.symlink_to(os.path.relpath(truth.folder / name, scene))

@@ -26,10 +26,10 @@ from flowsplat.gaussians.observations import Observation, Observations, load_obs
 from flowsplat.gaussians.render import RenderedFrame
 from flowsplat.output.priors_report import verdict, write_priors_report
 from flowsplat.output.report import write_report
-from flowsplat.output.videos import RenderOptions, render_videos
+from flowsplat.output.videos import RenderOptions, render_videos, settle
 from flowsplat.pictures.colors import float_to_bytes
 from flowsplat.pictures.sheets import preview_sheet
-from flowsplat.pipeline.config import RunConfig
+from flowsplat.pipeline.config import RunConfig, check_numbers
 from flowsplat.pipeline.folder import RunFolder, stage_key
 from flowsplat.pipeline.summary import report_data
 from flowsplat.priors.prepare import prepare_priors
@@ -89,6 +89,7 @@ def load(path: Path | str, device: str = "cpu") -> SceneModel:
 def prepare(source: Path, out: Path, config: RunConfig | None = None) -> RunFolder:
     """Bring the input into a scene folder and compute what is missing of its priors."""
     config = config or RunConfig()
+    check_numbers(config)
     config.train.check()
     pick_device(config.device)
     source = Path(source)
@@ -101,22 +102,43 @@ def prepare(source: Path, out: Path, config: RunConfig | None = None) -> RunFold
             say(f"{source} is prepared already: options of what to take from a clip have no effect on it.")
     elif is_new:
         open_clip(source, config.input)  # Whatever is wrong with it is said before a folder is made.
+    before = None if is_new else RunFolder(out).book
     folder = RunFolder.open_or_create(out, str(source), identity, config)
     key = stage_key(identity, config.priors)
     if folder.is_finished("prepare", key):
         return folder
-    started = time.perf_counter()
-    if not folder.was_started("prepare", key):
-        if "prepare" in folder.book["started"]:
+    aside = folder.path / ".scene.before"
+    if before is not None and not folder.was_started("prepare", key):
+        if "prepare" in before["started"]:
             say("The settings of the priors changed: they are computed again.")
         folder.forget("prepare")
-        shutil.rmtree(folder.scene_path, ignore_errors=True)
+        shutil.rmtree(aside, ignore_errors=True)
+        if folder.scene_path.exists():
+            folder.scene_path.rename(aside)
     folder.start("prepare", key)
     try:
+        _compute_scene(folder, source, kind, key)
+    except InputError:
+        if before is not None and aside.exists():  # What was there is worth more than an option that cannot be used.
+            shutil.rmtree(folder.scene_path, ignore_errors=True)
+            aside.rename(folder.scene_path)
+            write_json(folder.path / "run.json", before)
+        elif is_new and not folder.scene_path.exists():
+            shutil.rmtree(folder.path, ignore_errors=True)
+        raise
+    shutil.rmtree(aside, ignore_errors=True)
+    return folder
+
+
+def _compute_scene(folder: RunFolder, source: Path, kind: str, key: str) -> None:
+    """Fill the scene of a run: what the input holds, then the priors that it lacks."""
+    started, config, is_new = time.perf_counter(), folder.config, not folder.scene_path.exists()
+    try:
         scene = _read_input(source, kind, folder.scene_path, config)
+        settle(scene, config.render)  # Whatever is wrong with the videos is said before hours of other work.
     except InputError:
         if is_new:
-            shutil.rmtree(folder.path, ignore_errors=True)
+            shutil.rmtree(folder.scene_path, ignore_errors=True)
         raise
     for note in scene.info["notes"]:
         say(note)
@@ -126,7 +148,6 @@ def prepare(source: Path, out: Path, config: RunConfig | None = None) -> RunFold
     page = write_priors_report(folder.path, scene, seconds)
     say(f"{verdict(scene)} Look at {page}")
     folder.finish("prepare", key, {"ingest": ingested, **seconds})
-    return folder
 
 
 def _read_input(source: Path, kind: str, target: Path, config: RunConfig) -> Scene:

@@ -125,6 +125,11 @@ def _set_aside(scene: Scene, options: PriorsOptions, has_prompts: bool) -> None:
     # Motion only shows a network what to follow, so its masks are not yet what was asked for.
     if options.masks != "motion" and (scene.prior("masks") or {}).get("method") == "motion":
         wanted["masks"] = options.masks
+    for name in ("cameras", "flow", "masks"):
+        existing = scene.prior(name)
+        if getattr(options.given, name) is not None and existing is not None and existing.get("method") != "given":
+            method = existing.get("method")
+            raise InputError(f"The scene has {name} already ({method}), which --given.{name} cannot replace. Start from the clip.")
     for name, method in wanted.items():
         existing = scene.prior(name)
         if method is not None and existing is not None and existing.get("method") != method:

@@ -149,7 +149,7 @@ def _open_or_create(clip: Clip, folder: Path, options: InputOptions) -> Scene:
         holdout=holdout,
         source_fps=clip.source_fps,
         notes=clip.notes,
-        audio=None if clip.audio is None else str(clip.audio),
+        audio=None if clip.audio is None else str(Path(clip.audio).resolve()),
         audio_start=clip.audio_start,
     )
 
@@ -215,7 +215,9 @@ def _input_files(path: Path, options: InputOptions) -> list[tuple[str, Path]]:
     if kind == "video":
         return [(path.name, path)]
     if kind in ("rig", "nvidia", "nerfies"):
-        found = sorted(file for file in path.rglob("*") if file.is_file() and not file.name.startswith("."))
+        runs = [book.parent for book in path.rglob("run.json")]  # what was made of this input may lie within
+        inside = (file for file in path.rglob("*") if not any(run in file.parents for run in runs))
+        found = sorted(file for file in inside if file.is_file() and not file.name.startswith("."))
         files = [(file.relative_to(path).as_posix(), file) for file in found]
         if kind == "nvidia" and not (path / RAW_PICTURES).is_dir():
             files += [(f"gt/{file.name}", file) for file in sorted(target_folder(path).glob(TARGET))]

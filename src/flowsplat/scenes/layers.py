@@ -149,10 +149,10 @@ class Layers:
                 if not isinstance(values, list):
                     raise TypeError("it is no list")
                 cameras = [Camera.from_json(value) for value in values]
-            except (KeyError, TypeError, ValueError) as error:
+            except (KeyError, TypeError, ValueError, ArithmeticError) as error:
                 raise InputError(f"{path} does not hold cameras: {error}.") from error
             for index, camera in enumerate(cameras):
-                if not camera.is_finite:
+                if not camera.is_valid:
                     raise InputError(f"{path}: the camera of frame {index} is not finite or not a rotation.")
             self._cameras = cameras
         return self._cameras

@@ -82,7 +82,7 @@ class Scene(Layers):
             self.timestamps = np.array(self.info["timestamps"], np.float64)
             self.train_frames: list[int] = [int(i) for i in self.info["train"]]
             self.heldout_frames: list[int] = [int(i) for i in self.info["heldout"]]
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, ArithmeticError) as error:
             raise InputError(f"{path} is damaged: {error}.") from error
         rising = self.timestamps.ndim == 1 and np.isfinite(self.timestamps).all() and (np.diff(self.timestamps) > 0).all()
         if not rising or len(self.timestamps) < 2:

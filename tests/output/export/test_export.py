@@ -149,8 +149,9 @@ def test_a_sequence_has_a_file_a_frame_and_replaces_an_older_one(tmp_path, run):
     model, folder = small_model(), tmp_path / "sequence"
     folder.mkdir()
     (folder / "frame0099.ply").write_text("of a longer sequence")
+    (folder / ".frame0003.1.partial.ply").write_text("left by a process that was killed")
     export_scene(model, Scene(run / "scene"), "ply-sequence", folder, DEFAULT)
-    assert sorted(p.name for p in folder.iterdir()) == [f"frame{k:04d}.ply" for k in range(1, FRAMES + 1)]
+    assert sorted(p.name for p in folder.glob("[!.]*")) == [f"frame{k:04d}.ply" for k in range(1, FRAMES + 1)]
     camera = small_cameras(model)[6]
     found = drawn_from_ply(folder / "frame0007.ply", camera, NEAR_PLANE * 3)
     assert psnr(found, rendered(model, camera, small_times()[6])) > 45

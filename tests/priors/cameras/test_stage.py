@@ -59,7 +59,7 @@ def test_short_and_tiny_clips_have_finite_cameras(tmp_path, count, size):
     scene = scene_of(tmp_path / "scene", frames)
     camera_stage(scene, CameraOptions())
     assert len(scene.cameras) == count
-    assert all(camera.is_finite for camera in scene.cameras)
+    assert all(camera.is_valid for camera in scene.cameras)
     json.dumps(scene.prior("cameras"), allow_nan=False)
 
 

@@ -202,3 +202,11 @@ def test_davis_without_such_a_sequence(davis, sequence):
 def test_no_davis(tmp_path):
     with pytest.raises(InputError, match="JPEGImages"):
         open_davis(tmp_path, InputOptions(sequence="bear"))
+
+
+def test_colours_of_16_bits_are_as_many_objects(folder, write_picture):
+    colours = np.array([[0, 0, 0], [65535, 0, 0], [0, 0, 65535]], np.uint16)[blocks(1, 2)]
+    for i in range(3):
+        write_picture(folder / "masks" / f"{i:05d}.png", colours)
+    clip = open_with_masks(folder)
+    assert np.unique(clip.mask(0)).tolist() == [0, 1, 2]

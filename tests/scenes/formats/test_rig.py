@@ -11,7 +11,7 @@ import pytest
 from flowsplat.common.errors import InputError
 from flowsplat.scenes.clip import InputOptions
 from flowsplat.scenes.formats.rig import open_rig
-from flowsplat.scenes.ingest import ingest, kind_of_input
+from flowsplat.scenes.ingest import fingerprint, ingest, kind_of_input
 
 COUNT, WIDTH, HEIGHT = 6, 64, 48
 K = [[60.0, 0, 32], [0, 60, 24], [0, 0, 1]]
@@ -218,3 +218,25 @@ def test_workshop(data):
         flow = truth.flow(i, j)
         assert np.median(np.linalg.norm(flow.flow[y, x] - (after - before), axis=1)) < 0.05
         assert flow.trusted[y, x].mean() > 0.95
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("fps", None, "fps is None"), ("fps", "abc", "fps is 'abc'"), ("fps", 0, "fps is 0"), ("width", 0, "is not"),
+        ("width", 1e400, "cameras"),
+    ],
+)
+def test_numbers_that_are_none(rig, name, value, message):
+    values = json.loads((rig / "cameras.json").read_text())
+    (rig / "cameras.json").write_text(json.dumps({**values, name: value}))
+    with pytest.raises(InputError, match=message):
+        open_rig(rig, InputOptions())
+
+
+def test_what_was_made_of_it_within_is_no_part_of_it(rig):
+    before = fingerprint(rig, InputOptions())
+    (rig / "out" / "scene").mkdir(parents=True)
+    (rig / "out" / "run.json").write_text("{}")
+    (rig / "out" / "scene" / "00000.png").write_text("x")
+    assert fingerprint(rig, InputOptions()) == before

@@ -267,3 +267,20 @@ def test_nothing_in_the_chosen_time(tmp_path, pictures, write_video):
 
 def test_too_small(tmp_path, picture, write_video):
     refuse(write_video(tmp_path / "a.mp4", [picture(i, 16, 16) for i in range(3)]), "too small")
+
+
+def test_an_avi_with_pictures_that_refer_to_later_ones(tmp_path, picture, write_video):
+    sent = [picture(i) for i in range(30)]
+    path = write_video(tmp_path / "a.avi", sent, options={"bf": "2", "g": "15"}, matrix=5)
+    clip = open_video(path, OPTIONS)
+    frames = list(clip.frames(range(clip.num_frames)))
+    assert len(frames) == 30
+    assert all(abs(got[..., 2].mean() - there[..., 2].mean()) < 2 for got, there in zip(frames, sent, strict=True))
+    np.testing.assert_allclose(clip.timestamps, np.arange(30) / 25, atol=2e-3)
+
+
+def test_a_codec_that_nobody_knows(tmp_path, pictures, write_video):
+    path = write_video(tmp_path / "a.mp4", pictures)
+    path.write_bytes(path.read_bytes().replace(b"avc1", b"zzzz"))
+    with pytest.raises(InputError, match="cannot be decoded"):
+        open_video(path, OPTIONS)

@@ -138,14 +138,15 @@ def _write(model: SceneModel, scene: Scene, to: str, path: Path, options: Export
 
 def _write_sequence(folder: Path, model: SceneModel, scene: Scene, options: ExportOptions) -> None:
     """``frame0001.ply`` and so on, one a frame of the clip; files of a longer sequence that was there before go."""
-    foreign = [entry.name for entry in folder.iterdir() if not _SEQUENCE_FILE.fullmatch(entry.name)]
+    entries = [entry for entry in folder.iterdir() if not entry.name.startswith(".")]
+    foreign = [entry.name for entry in entries if not _SEQUENCE_FILE.fullmatch(entry.name)]
     if foreign:
         raise InputError(f"{folder} holds something else ({min(foreign)}): give an empty folder with -o.")
     names = [f"frame{k:04d}.ply" for k in range(1, scene.num_frames + 1)]
     for name, seconds in zip(names, track(scene.timestamps.tolist(), "Writing the sequence"), strict=True):
         write_ply(folder / name, still_at(model, seconds, flip_axes=options.flip_axes), _comments(scene, seconds))
-    for entry in folder.iterdir():
-        if entry.name not in names and _SEQUENCE_FILE.fullmatch(entry.name):
+    for entry in entries:
+        if entry.name not in names:
             entry.unlink()
 
 

@@ -16,11 +16,11 @@ from flowsplat import __version__
 from flowsplat.common.files import read_json, write_json
 from flowsplat.gaussians.rendering import PartedRenderer
 from flowsplat.output.videos.options import RenderOptions
-from flowsplat.output.videos.plans import Plan, plan_videos
+from flowsplat.output.videos.plans import Plan, plan_videos, settle
 from flowsplat.output.videos.writing import Scales, write_plan
 from flowsplat.scenes import Scene
 
-__all__ = ["RenderOptions", "render_videos", "rendered"]
+__all__ = ["RenderOptions", "render_videos", "rendered", "settle"]
 
 _BOOK = "renders.json"
 

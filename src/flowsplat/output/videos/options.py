@@ -13,6 +13,8 @@ from flowsplat.output.camera_files import LARGEST
 PathName = Literal["input", "stabilised", "orbit", "bullet", "dolly", "wiggle"]
 
 _SMALLEST = 16
+SLOWEST, FASTEST = 0.1, 1000.0
+"""Frames a second that can be written."""
 
 
 @dataclass(frozen=True)
@@ -67,8 +69,8 @@ def check_options(options: RenderOptions, fps: float, first: float, last: float)
             raise InputError(f"Unknown {name} {min(unknown)!r}: choose from {', '.join(known)}, or give a camera file.")
     if options.width is not None and not _SMALLEST <= options.width <= LARGEST:
         raise InputError(f"A video {options.width} pixels wide cannot be made: give a width from {_SMALLEST} to {LARGEST}.")
-    if not 0.1 <= fps <= 1000:
-        raise InputError(f"{fps:g} frames a second cannot be written: give a frame rate from 0.1 to 1000.")
+    if not SLOWEST <= fps <= FASTEST:
+        raise InputError(f"{fps:g} frames a second cannot be written: give a frame rate from {SLOWEST:g} to {FASTEST:g}.")
     if not 0.01 <= options.slow <= 100:
         raise InputError(f"A video {options.slow:g} times slower cannot be made: give --render.slow from 0.01 to 100.")
     if options.max_frames < 2:

@@ -15,8 +15,8 @@ from flowsplat.common.spread import spread
 from flowsplat.gaussians.rendering import Part, PartedRenderer
 from flowsplat.geometry import Camera
 from flowsplat.geometry.paths import CameraPath, dolly_zoom, orbit, shifted
-from flowsplat.output.camera_files import read_camera_file
-from flowsplat.output.videos.options import RenderOptions, check_options
+from flowsplat.output.camera_files import CameraShots, read_camera_file
+from flowsplat.output.videos.options import FASTEST, SLOWEST, RenderOptions, check_options
 from flowsplat.output.videos.shots import COVERED, Shot, small
 from flowsplat.output.videos.stabilised import stabilise
 from flowsplat.scenes import Scene
@@ -82,6 +82,20 @@ def plan_videos(model: PartedRenderer, scene: Scene, options: RenderOptions) -> 
     return found
 
 
+def settle(scene: Scene, options: RenderOptions) -> tuple[float, tuple[int, int], CameraShots | None]:
+    """What follows from the options and the clip alone: frames a second, (width, height), and the camera file's shots.
+
+    Raises:
+        InputError: an option or the camera file cannot be used.
+    """
+    first, last = float(scene.timestamps[0]), float(scene.timestamps[-1])
+    fps = min(max(float(scene.info["source_fps"]), SLOWEST), FASTEST) if options.fps is None else options.fps
+    check_options(options, fps, first, last)
+    width = scene.width if options.width is None else options.width
+    size = (width, max(round(scene.height * width / scene.width), 1))
+    return fps, size, None if options.camera_file is None else read_camera_file(options.camera_file, size, (first, last))
+
+
 def _versions(plan: Plan, part: Part, scene: Scene, options: RenderOptions) -> Iterator[Plan]:
     """The video of one part of the scene, and its stereo pair."""
     shown = replace(plan, part=part, name=plan.name if part == "all" else f"{plan.name}_{part}")
@@ -98,11 +112,7 @@ def _versions(plan: Plan, part: Part, scene: Scene, options: RenderOptions) -> I
 def _whole(model: PartedRenderer, scene: Scene, options: RenderOptions) -> Iterator[Plan]:
     """Every path, showing the whole scene."""
     first, last = float(scene.timestamps[0]), float(scene.timestamps[-1])
-    fps = float(scene.info["source_fps"]) if options.fps is None else options.fps
-    check_options(options, fps, first, last)
-    width = scene.width if options.width is None else options.width
-    size = (width, max(round(scene.height * width / scene.width), 1))
-    given = None if options.camera_file is None else read_camera_file(options.camera_file, size, (first, last))
+    fps, size, given = settle(scene, options)
     path = CameraPath(scene.timestamps.tolist(), [camera.resized(*size) for camera in scene.cameras])
     step = 1 / (fps * options.slow)
     times = first + np.arange(int((last - first) / step + 1e-6) + 1) * step

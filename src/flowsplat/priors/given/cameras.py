@@ -27,7 +27,7 @@ def read_cameras(path: Path, scene: Scene, allow_pickle: bool) -> tuple[list[Cam
     """
     cameras, maker = _read(Path(path), scene, allow_pickle)
     for index, camera in enumerate(cameras):
-        if not camera.is_finite:
+        if not camera.is_valid:
             raise InputError(f"{path}: the camera of frame {index} is not finite or its viewmat is not a rotation.")
         require_shape(path, camera.width, camera.height, scene)
     return [camera.resized(scene.width, scene.height) for camera in cameras], maker
@@ -62,7 +62,7 @@ def _own(path: Path, content: object, scene: Scene) -> list[Camera]:
         if not isinstance(content, list):
             raise TypeError("it is neither a list nor a transforms.json")
         cameras = [Camera.from_json(value) for value in content]
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, ArithmeticError) as error:
         raise InputError(f"{path} does not hold cameras (a list with viewmat, K, width, height each): {error}.") from error
     require_frames(path, len(cameras), scene, "cameras")
     return cameras

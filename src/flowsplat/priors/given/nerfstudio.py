@@ -34,7 +34,7 @@ def read_nerfstudio(path: Path, content: dict[str, Any], scene: Scene) -> list[C
         else:
             frames = sorted(frames, key=lambda frame: natural_key(Path(frame["file_path"])))
         return [transforms_camera(path, {**content, **frame}, (scene.width, scene.height)) for frame in frames]
-    except (KeyError, TypeError, ValueError, np.linalg.LinAlgError) as error:
+    except (KeyError, TypeError, ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
         raise InputError(f"{path} is no transforms.json of nerfstudio: {_reason(error)}.") from error
 
 

@@ -38,6 +38,7 @@ def read_labels(path: Path) -> np.ndarray:
     elif image.shape[2] <= 2:
         labels = image[..., 0].astype(np.int32)
     else:
+        image = image if image.dtype == np.uint8 else (image >> 8).astype(np.uint8)  # three numbers have to fit in one
         blue, green, red = (image[..., c].astype(np.int32) for c in range(3))
         # Grey pictures stored as colour give the grey value. In this order the colours of DAVIS rank as its object numbers.
         grey = (blue == green).all() and (green == red).all()

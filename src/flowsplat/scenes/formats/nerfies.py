@@ -56,7 +56,7 @@ def _read_split(folder: Path, split: str) -> list[tuple[str, int, str]]:
     try:
         rows = zip(values["frame_names"], values["time_ids"], values["camera_ids"], strict=True)
         found = [(str(name), int(time), str(camera)) for name, time, camera in rows]
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, ArithmeticError) as error:
         raise InputError(f"{path} must hold frame_names, time_ids and camera_ids, as many of each: {error}.") from error
     for name, time, _ in found:
         if time < 0 or Path(name).name != name:
@@ -83,10 +83,10 @@ def read_camera(path: Path) -> Camera:
         K = np.array([[focal, 0, cx], [0, focal * float(values.get("pixel_aspect_ratio", 1.0)), cy], [0, 0, 1]], float)
         camera = Camera(rigid(R, -R @ center), K, int(width), int(height))
         is_bent = bool(np.abs(np.array(bent, float)).max() > 0)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
         raise InputError(f"{path} does not hold a camera: {error}.") from error
     if is_bent:
         raise InputError(f"{path} has skew or lens distortion: straighten the pictures first.")
-    if not camera.is_finite or np.linalg.det(R) <= 0:
+    if not camera.is_valid:
         raise InputError(f"{path}: the camera is not finite or not a rotation.")
     return camera

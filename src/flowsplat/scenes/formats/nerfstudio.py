@@ -70,7 +70,7 @@ def positive(value: Any, name: str) -> float:
     """
     try:
         number = float(value)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, ArithmeticError) as error:
         raise ValueError(f"{name} is not a number") from error
     if not (np.isfinite(number) and number > 0):
         raise ValueError(f"{name} is {number:g}, it must be positive")

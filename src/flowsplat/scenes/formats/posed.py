@@ -127,7 +127,7 @@ def open_posed(
     """
     numbers = np.arange(len(pictures)) if times is None else np.asarray(times)
     for picture in (*pictures, *(view.picture for view in views)):
-        if not picture.camera.is_finite:
+        if not picture.camera.is_valid:
             raise InputError(f"The camera of {picture.path} is not finite or not a rotation.")
         if not picture.path.exists():
             raise InputError(f"{picture.path} is missing.")

@@ -36,10 +36,10 @@ from flowsplat.scenes.layers import Depth, Flow, Tracks
 def _cameras(path: Path, values: dict[str, Any], poses: Sequence[Any]) -> list[Camera]:
     try:
         cameras = [Camera(np.array(w2c), np.array(values["K"]), int(values["width"]), int(values["height"])) for w2c in poses]
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, ArithmeticError) as error:
         raise InputError(f"{path} does not hold cameras: {error}.") from error
     for index, camera in enumerate(cameras):
-        if not camera.is_finite:
+        if not camera.is_valid:
             raise InputError(f"{path}: camera {index} is not finite or not a rotation.")
     return cameras
 
@@ -133,9 +133,20 @@ def _heldout_views(folder: Path) -> list[PosedView]:
                 masks = (folder / f"{name}_{kind}" / file for kind in ("masks", "covisible"))
                 picture = PosedPicture(folder / name / file, pose, *(mask if mask.exists() else None for mask in masks))
                 views.append(PosedView(f"{name}_{int(time):05d}", int(time), picture))
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
         raise InputError(f"{path} does not hold the held-out cameras: {error}.") from error
     return views
+
+
+def _rate(path: Path, value: Any) -> float:
+    """Frames a second.
+
+    Raises:
+        InputError: it is none.
+    """
+    if isinstance(value, int | float) and 0 < value < float("inf"):
+        return float(value)
+    raise InputError(f"{path}: fps is {value!r}, it must be a positive number.")
 
 
 def open_rig(folder: Path, options: InputOptions) -> PosedClip:
@@ -153,6 +164,6 @@ def open_rig(folder: Path, options: InputOptions) -> PosedClip:
     if len(paths) != len(cameras):
         raise InputError(f"{folder} has {len(paths)} pictures in rgb/ but {len(cameras)} cameras in cameras.json.")
     pictures = [PosedPicture(path, camera) for path, camera in zip(paths, cameras, strict=True)]
-    options = replace(options, fps=float(values.get("fps", options.fps)))
+    options = replace(options, fps=_rate(folder / "cameras.json", values.get("fps", options.fps)))
     clip = open_posed(folder, options, pictures, _heldout_views(folder / "heldout"))
     return replace(clip, cameras=None, truth=RigTruth(folder, cameras, clip.numbers, (clip.width, clip.height)))

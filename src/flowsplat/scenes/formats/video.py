@@ -26,12 +26,19 @@ PACKET_CODECS = {"h264", "hevc", "vvc", "vp9", "av1", "libdav1d", "mjpeg", "pror
 """Codecs of which every packet is one frame; others (VP8, DivX) also have packets of pictures that are never shown."""
 
 
+COUNTED_FORMATS = {"avi"}
+"""Formats without timestamps: FFmpeg numbers their packets, which lie in another order than the pictures where some refer to later
+ones."""
+
+
 @contextlib.contextmanager
 def _opened(path: Path) -> Iterator[tuple[InputContainer, VideoStream]]:
     """The container and its main video stream; whatever FFmpeg refuses meanwhile becomes an ``InputError``."""
     try:
         with av.open(str(path), metadata_errors="ignore") as container:
             stream = container.streams.best("video")
+            if isinstance(stream, VideoStream) and stream.codec_context is None:
+                raise InputError(f"{path} has a video of a kind that cannot be decoded: convert it to H.264 first.")
             if not isinstance(stream, VideoStream) or stream.codec_context.name in TEXT_CODECS:
                 raise InputError(f"{path} holds no video.")
             stream.thread_type = "AUTO"
@@ -87,11 +94,12 @@ def _read_index(path: Path) -> _Index:
         rate = float(stream.average_rate or stream.guessed_rate or 0) or 25.0
         tick = float(stream.time_base or 1)
         each_packet_is_a_frame = stream.codec_context.name in PACKET_CODECS
+        has_timestamps = container.format.name not in COUNTED_FORMATS
     if not each_packet_is_a_frame:
         with _opened(path) as (container, stream):
             keys = [frame.pts for frame in container.decode(stream)]
     known = {key for key in keys if key is not None}
-    if len(known) < len(keys):
+    if len(known) < len(keys) or not has_timestamps:
         return _Index(np.arange(len(keys)), np.arange(len(keys)) / rate, False, rate)
     ordered = np.array(sorted(known), np.int64)
     fps = (len(ordered) - 1) / ((ordered[-1] - ordered[0]) * tick) if len(ordered) > 1 else rate
