@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import cProfile
 import functools
+import inspect
 import re
 import sys
 import time
@@ -118,6 +119,6 @@ def _gradients() -> dict[tuple[str, int], str]:
         kind = waiting.pop()
         waiting += kind.__subclasses__()
         if kind.__module__.startswith("flowsplat."):
-            code = kind.backward.__code__
+            code = inspect.unwrap(kind.backward).__code__
             found[code.co_filename, code.co_firstlineno] = re.sub("(?<=[a-z])(?=[A-Z])", " ", kind.__name__.lstrip("_")).lower()
     return found
