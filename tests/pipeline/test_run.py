@@ -306,6 +306,27 @@ def test_an_option_that_cannot_be_used_costs_nothing(tiny_scene, finished, tmp_p
     run(tiny_scene, out, first)
 
 
+def test_a_scene_that_was_put_aside_is_not_taken_for_a_later_one(tiny_scene, finished, tmp_path, monkeypatch):
+    """Killed while others settings were prepared, and these then cannot be used: the first ones are prepared again."""
+    out, first = tmp_path / "out", small_config()
+    shutil.copytree(finished, out)
+    others = replace(first, priors=replace(first.priors, mask_click=("10,10@0",)))
+    interrupt(monkeypatch, stages, "prepare_priors", tiny_scene, out, others)
+
+    def refuse(*_args):
+        raise InputError("cannot be used")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(stages, "prepare_priors", refuse)
+        with pytest.raises(InputError, match="cannot be used"):
+            run(tiny_scene, out, others)
+    metrics = run(tiny_scene, out, others)
+    assert RunFolder(out).config == others
+    shutil.rmtree(out)
+    assert comparable(run(tiny_scene, out, others)) == comparable(metrics)
+    assert not (out / stages.ASIDE).exists()
+
+
 def test_what_is_wrong_with_the_videos_is_said_first(tiny_scene, tmp_path, monkeypatch):
     monkeypatch.setattr(stages, "prepare_priors", lambda *_: pytest.fail("prepared before the videos were looked at"))
     config = small_config()

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -41,6 +42,9 @@ from flowsplat.training.checkpoint import load_model, save_model
 from flowsplat.training.config import TrainConfig
 from flowsplat.training.static import static_config, static_start
 from flowsplat.training.trainer import Trainer
+
+ASIDE = ".scene.before"
+"""Where the scene of other settings waits until that of the new ones is there."""
 
 Begin = Callable[[Observations, Tracks | None, TrainConfig], Gaussians4D]
 
@@ -102,43 +106,52 @@ def prepare(source: Path, out: Path, config: RunConfig | None = None) -> RunFold
             say(f"{source} is prepared already: options of what to take from a clip have no effect on it.")
     elif is_new:
         open_clip(source, config.input)  # Whatever is wrong with it is said before a folder is made.
-    before = None if is_new else RunFolder(out).book
+    before = {} if is_new else RunFolder(out).book
     folder = RunFolder.open_or_create(out, str(source), identity, config)
     key = stage_key(identity, config.priors)
     if folder.is_finished("prepare", key):
         return folder
-    aside = folder.path / ".scene.before"
-    if before is not None and not folder.was_started("prepare", key):
-        if "prepare" in before["started"]:
-            say("The settings of the priors changed: they are computed again.")
-        folder.forget("prepare")
-        shutil.rmtree(aside, ignore_errors=True)
-        if folder.scene_path.exists():
-            folder.scene_path.rename(aside)
-    folder.start("prepare", key)
-    try:
-        _compute_scene(folder, source, kind, key)
-    except InputError:
-        if before is not None and aside.exists():  # What was there is worth more than an option that cannot be used.
-            shutil.rmtree(folder.scene_path, ignore_errors=True)
-            aside.rename(folder.scene_path)
-            write_json(folder.path / "run.json", before)
-        elif is_new and not folder.scene_path.exists():
-            shutil.rmtree(folder.path, ignore_errors=True)
-        raise
-    shutil.rmtree(aside, ignore_errors=True)
+    goes_on = is_new or folder.was_started("prepare", key)
+    with contextlib.nullcontext() if goes_on else _put_aside(folder, before):
+        folder.start("prepare", key)
+        _compute_scene(folder, source, kind, key, is_new)
+    shutil.rmtree(folder.path / ASIDE, ignore_errors=True)
     return folder
 
 
-def _compute_scene(folder: RunFolder, source: Path, kind: str, key: str) -> None:
+@contextlib.contextmanager
+def _put_aside(folder: RunFolder, before: Mapping[str, Any]) -> Iterator[None]:
+    """The scene of other settings makes room for a new one, and comes back where that turns out to be impossible.
+
+    Args:
+        before: the book of the run with those settings.
+    """
+    if "prepare" in before["started"]:
+        say("The settings of the priors changed: they are computed again.")
+    aside = folder.path / ASIDE
+    folder.forget("prepare")
+    shutil.rmtree(aside, ignore_errors=True)
+    if folder.scene_path.exists():
+        folder.scene_path.rename(aside)
+    try:
+        yield
+    except InputError:
+        if aside.exists():
+            shutil.rmtree(folder.scene_path, ignore_errors=True)
+            aside.rename(folder.scene_path)
+            write_json(folder.path / "run.json", before)
+        raise
+
+
+def _compute_scene(folder: RunFolder, source: Path, kind: str, key: str, is_new: bool) -> None:
     """Fill the scene of a run: what the input holds, then the priors that it lacks."""
-    started, config, is_new = time.perf_counter(), folder.config, not folder.scene_path.exists()
+    started, config = time.perf_counter(), folder.config
     try:
         scene = _read_input(source, kind, folder.scene_path, config)
-        settle(scene, config.render)  # Whatever is wrong with the videos is said before hours of other work.
+        settle(scene, config.render)  # Whatever is wrong with the videos is said before minutes of other work.
     except InputError:
         if is_new:
-            shutil.rmtree(folder.scene_path, ignore_errors=True)
+            shutil.rmtree(folder.path, ignore_errors=True)
         raise
     for note in scene.info["notes"]:
         say(note)
