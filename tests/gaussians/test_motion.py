@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 import torch
 
@@ -92,3 +94,16 @@ def test_the_precision_of_linear_motion_is_that_of_its_covariance():
     params = {name: torch.randn(50, *shape, generator=g) for name, shape in LinearMotion().parameter_shapes.items()}
     _, _, W = covariances_4d(params["log_scales4"], params["quats_left"], params["quats_right"])
     torch.testing.assert_close(LinearMotion().log_precision(params), -torch.log(W))
+
+
+@pytest.mark.parametrize("duration", [0.1, 1.0, 1000.0])
+def test_the_covariance_of_linear_motion_is_exact_however_long_it_lasts(duration):
+    params = random_params(LinearMotion(), seed=3)
+    params["log_scales4"][:, :3] = math.log(0.003) + 0.5 * params["log_scales4"][:, :3]
+    params["log_scales4"][:, 3] = math.log(duration)
+    upright = torch.tensor([1.0, 0, 0, 0], dtype=torch.float64)
+    params |= {name: upright + 0.05 * params[name] for name in ("quats_left", "quats_right")}
+    U, V, W = covariances_4d(params["log_scales4"], params["quats_left"], params["quats_right"])
+    expected = U - V[:, :, None] * V[:, None] / W[:, None, None]
+    found = LinearMotion().state({name: value.float() for name, value in params.items()}, 0.3).covars
+    assert ((found - expected).flatten(1).norm(dim=1) / expected.flatten(1).norm(dim=1)).max() < 1e-4

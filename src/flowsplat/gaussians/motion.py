@@ -193,6 +193,19 @@ def covariances_4d(log_scales4: Tensor, quats_left: Tensor, quats_right: Tensor)
     return sigma[:, 1:, 1:], sigma[:, 1:, 0], sigma[:, 0, 0]
 
 
+def _conditional_covariances(log_scales4: Tensor, quats_left: Tensor, quats_right: Tensor) -> Tensor:
+    """U - V V^T / W [N, 3, 3], as the inverse of the spatial block of Sigma_4D^-1.
+
+    That is the same, but the difference is lost in float32 where a Gaussian lasts long: of background with W = 1e6, U is millions
+    of times the covariance that is left.
+    """
+    R = _left_matrix(normalize_quats(quats_left)) @ _right_matrix(normalize_quats(quats_right))
+    M = R[:, 1:] * torch.exp(-log_scales4)[:, None, [3, 0, 1, 2]]
+    a, b, c = (M @ M.transpose(1, 2)).unbind(1)
+    columns = torch.stack([torch.linalg.cross(b, c), torch.linalg.cross(c, a), torch.linalg.cross(a, b)], 2)
+    return columns / (a * columns[:, :, 0]).sum(1)[:, None, None]
+
+
 def _variance_in_time(log_scales4: Tensor, quats_left: Tensor, quats_right: Tensor) -> Tensor:
     """W [N] alone, from the first row of R4: it is needed of all Gaussians at every time, also of those that do not show."""
     a, b, c, d = normalize_quats(quats_left).unbind(-1)
@@ -221,14 +234,14 @@ class LinearMotion:
         return -torch.log(_variance_in_time(params["log_scales4"], params["quats_left"], params["quats_right"]))
 
     def state(self, params: Params, t: float) -> MotionState:
-        U, V, W = covariances_4d(params["log_scales4"], params["quats_left"], params["quats_right"])
+        _, V, W = covariances_4d(params["log_scales4"], params["quats_left"], params["quats_right"])
         tau = t - params["times"]
         velocity = V / W[:, None]
         return MotionState(
             means=params["means"] + tau[:, None] * velocity,
             velocities=velocity,
             presence=torch.exp(-0.5 * tau * tau / W),
-            covars=U - V[:, :, None] * velocity[:, None, :],
+            covars=_conditional_covariances(params["log_scales4"], params["quats_left"], params["quats_right"]),
         )
 
     def recentred(self, params: Params, shift: Tensor) -> dict[str, Tensor]:
