@@ -260,9 +260,8 @@ def test_cameras_that_move_by_themselves(open_page, player_file):
         np.testing.assert_allclose(np.reshape(found["rotation"], (3, 3)), there.viewmat[:3, :3], atol=3e-3)
         np.testing.assert_allclose(found["translation"], there.viewmat[:3, 3], atol=3e-3)
         np.testing.assert_allclose(found["lens"], there.K[[0, 1, 0, 1], [0, 1, 2, 2]], rtol=1e-4)
-        first = seen(page)
-        page.page.wait_for_timeout(300)
-        assert np.abs(seen(page) - first).mean() > 0.05, mode
+        first = seen(page)  # a slow machine may show the next ones a whole turn later, where they look alike
+        assert any(np.abs(seen(page) - first).mean() > 0.05 for _ in range(20)), mode
     page.page.locator("#camera").select_option("steady")
     row = page.page.evaluate("flowsplat.about.steady[flowsplat.about.steady.length - 1]")
     page.page.locator("#time").fill("1")
