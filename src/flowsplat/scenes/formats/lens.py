@@ -33,7 +33,7 @@ def require_pinhole(where: Path | str, K: np.ndarray, width: int, height: int, d
     rays = np.concatenate([(border - K[:2, 2]) / K[[0, 1], [0, 1]], np.ones((len(border), 1))], 1)
     moved, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), K, np.asarray(distortion, np.float64))
     error = float(np.linalg.norm(moved[:, 0] - border, axis=1).max())
-    if error > MOST_DISTORTION:
+    if not error <= MOST_DISTORTION:  # so that NaN is refused, too
         raise InputError(
             f"{where} describes a lens that bends the picture by {error:.1f} pixels: undistort the pictures first "
             "(colmap image_undistorter), and give the cameras of the undistorted ones."
