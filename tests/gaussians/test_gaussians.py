@@ -183,6 +183,15 @@ def test_filling_spreads_colour_into_holes_and_leaves_the_covered_alone():
     assert fill_uncovered(colour * 0 + 0.3, np.ones((32, 48), np.float32)).max() == pytest.approx(0.3)
 
 
+def test_filling_does_not_brighten_dark_surfaces_that_the_background_shows_through():
+    colour, alpha = np.full((32, 48, 3), 0.5, np.float32), np.ones((32, 48), np.float32)
+    alpha[:, 8:10], colour[:, 8:10] = 0.55, 0.02  # what training makes of something black
+    alpha[:, 30:], colour[:, 30:] = 0, 0
+    filled = fill_uncovered(colour, alpha)
+    np.testing.assert_array_equal(filled[:, 8:10], colour[:, 8:10])
+    assert filled[:, 32:].min() > 0.4
+
+
 def test_the_scene_model_hides_the_normalisation():
     gaussians = random_model()
     camera = Camera(np.eye(4), np.array([[40.0, 0, 20], [0, 40, 15], [0, 0, 1]]), 40, 30)

@@ -11,6 +11,7 @@ void main() {
   ivec2 at = ivec2(gl_FragCoord.xy) - ivec2(left, 0);
   vec4 own = texelFetch(source, at, 0);
   float open = 1.0 - own.a;
-  float ramp = isFilled ? clamp((open - 0.3) / 0.4, 0.0, 1.0) * open : 0.0;
+  // From where to where: as fill_uncovered of gaussians/render.py.
+  float ramp = isFilled ? clamp((open - 0.5) / 0.4, 0.0, 1.0) * open : 0.0;
   result = vec4(own.rgb + ramp * texelFetch(filled, at, 0).rgb, 1.0);
 }
