@@ -57,11 +57,15 @@ def small_gaussians(config: ModelConfig = OURS, resting: int = 400, moving: int 
 
 
 def small_model(
-    config: ModelConfig = OURS, *, rotation: np.ndarray | None = None, fill: bool = False, focal: float = 0.0, **counts: int
-) -> SceneModel:
-    """The model in a scene that is three times as large and moved."""
+    config: ModelConfig = OURS, *, rotation: np.ndarray | None = None, fill: bool = False, focal: float = 0.0,
+    is_thin: bool = False, **counts: int,
+) -> SceneModel:  # fmt: skip
+    """The model in a scene that is three times as large and moved; a thin one lets some of the black behind it through."""
     similarity = Similarity(1 / 3, np.eye(3) if rotation is None else rotation, np.array([0.2, -0.1, 0.05]))
-    return SceneModel(small_gaussians(config, **counts), similarity, FIRST, LAST, fill=fill, focal=focal)
+    gaussians = small_gaussians(config, **counts)
+    if is_thin:
+        gaussians.params["logit_opacities"] -= 2
+    return SceneModel(gaussians, similarity, FIRST, LAST, fill=fill, focal=focal)
 
 
 def small_cameras(model: SceneModel, width: int = WIDTH, height: int = HEIGHT) -> list[Camera]:

@@ -18,8 +18,7 @@ from flowsplat.splatting.api import BackendName
 from flowsplat.splatting.rules import EPS2D
 
 FILLED_FROM, FILLED_TO = 0.5, 0.9
-"""Transmittance from which the colour of the neighbours is added to a pixel, and from which on all of it (``present.frag`` of the
-player has the same)."""
+"""Transmittance from which the colour of the neighbours is added to a pixel, and from which on all of it."""
 
 
 @dataclass(frozen=True)
@@ -119,8 +118,8 @@ def fill_uncovered(colour: np.ndarray, alpha: np.ndarray) -> np.ndarray:
     """Give uncovered pixels the colour of their nearest covered neighbours, by push-pull over a pyramid. Ours.
 
     Borders that no training frame saw would be black otherwise (1.8 dB on the views of a rendered scene). Training has a black
-    background and shows it through whatever is dark: such pixels are covered and must not get brighter, which cost 1.2 dB on
-    a clip of a dark bear. So filling only begins at a transmittance that no dark surface has (METHOD 7).
+    background and shows it through whatever is dark: such pixels are covered and must not get brighter, which cost .5 dB on
+    a clip of a dark bear. So filling only begins at a transmittance that hardly any dark surface has (METHOD 7).
 
     Args:
         colour: [H, W, 3] float32 premultiplied.

@@ -67,10 +67,10 @@ def test_it_loads_without_network_and_without_complaints(open_page, player_file)
 @pytest.mark.parametrize(
     ("config", "options"),
     [
-        (OURS, {}), (OURS, {"fill": True}), (PAPER, {}), (LINEAR, {}), (OURS, {"moving": 0}), (OURS, {"moving": 1}),
-        (OURS, {"resting": 0}), (OURS, {"focal": 20.0}),
+        (OURS, {}), (OURS, {"fill": True}), (OURS, {"fill": True, "is_thin": True}), (PAPER, {}), (LINEAR, {}),
+        (OURS, {"moving": 0}), (OURS, {"moving": 1}), (OURS, {"resting": 0}), (OURS, {"focal": 20.0}),
     ],
-    ids=["ours", "filled", "paper", "linear", "nothing moves", "one moves", "all move", "trained on coarse pixels"],
+    ids=["ours", "filled", "half filled", "paper", "linear", "nothing moves", "one moves", "all move", "trained on coarse pixels"],
 )  # fmt: skip
 def test_pictures_are_those_of_our_own_renderer(open_page, tmp_path, config, options):
     model = small_model(config, **options)

@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 
 from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Gaussians4D
 from flowsplat.gaussians.model import SceneModel
+from flowsplat.gaussians.render import FILLED_FROM, FILLED_TO
 from flowsplat.geometry import Camera
 from flowsplat.geometry.rotations import normalize_quats, principal_axes
 from flowsplat.output.player.planes import Plane, rounded, rounded_in_chunks, rounded_to_range, rounded_to_step
@@ -70,7 +71,7 @@ def pack(model: SceneModel, times: Sequence[float], cameras: Sequence[Camera], t
         "first": model.first, "last": model.last, "frames": len(times), "fill": model.fill,
         "resting": len(resting), "moving": len(moving), "shDegree": gaussians.sh_degree, "gains": gaussians.config.gains,
         "pMin": gaussians.config.p_min, "near": NEAR_PLANE, "eps2d": EPS2D, "focal": model.focal,
-        "alphaMin": ALPHA_MIN, "alphaMax": ALPHA_MAX,
+        "alphaMin": ALPHA_MIN, "alphaMax": ALPHA_MAX, "filledFrom": FILLED_FROM, "filledTo": FILLED_TO,
         "similarity": model.similarity.to_json(), "planes": [header for header, _ in encoded],
     }  # fmt: skip
     data = zlib.compress(b"".join(body for _, body in encoded), 9)

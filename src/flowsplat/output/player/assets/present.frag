@@ -1,4 +1,5 @@
 // The picture on the page; what no Gaussian covers takes its colour from the neighbours.
+// Defined in front of this: FILLED_FROM and FILLED_TO (transmittances).
 precision highp float;
 precision highp sampler2D;
 uniform sampler2D source;  // premultiplied
@@ -11,7 +12,6 @@ void main() {
   ivec2 at = ivec2(gl_FragCoord.xy) - ivec2(left, 0);
   vec4 own = texelFetch(source, at, 0);
   float open = 1.0 - own.a;
-  // From where to where: as fill_uncovered of gaussians/render.py.
-  float ramp = isFilled ? clamp((open - 0.5) / 0.4, 0.0, 1.0) * open : 0.0;
+  float ramp = isFilled ? clamp((open - FILLED_FROM) / (FILLED_TO - FILLED_FROM), 0.0, 1.0) * open : 0.0;
   result = vec4(own.rgb + ramp * texelFetch(filled, at, 0).rgb, 1.0);
 }

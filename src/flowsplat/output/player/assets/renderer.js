@@ -19,6 +19,7 @@ class Renderer {
     const constants = {
       WIDTH: this.width, SLICE_WIDTH, SH_COUNT: this.harmonics, GAIN_TEXELS: this.gainTexels, MEAN_DEGREE: scene.meanDegree,
       QUAT_DEGREE: scene.quatDegree, EPS2D: about.eps2d, FOCAL: about.focal, ALPHA_MIN: about.alphaMin, ALPHA_MAX: about.alphaMax, P_MIN: about.pMin,
+      FILLED_FROM: about.filledFrom, FILLED_TO: about.filledTo,
     };
     const slice = shaders["slice.glsl"];
     if (this.isDirect) {
@@ -66,7 +67,7 @@ class Renderer {
   program(vertex, fragment, constants) {
     const gl = this.gl;
     const head = Object.entries(constants).map(([name, value]) => {
-      const isReal = name === "EPS2D" || name === "FOCAL" || name.startsWith("ALPHA") || name === "P_MIN";
+      const isReal = name === "EPS2D" || name === "FOCAL" || name.startsWith("ALPHA") || name === "P_MIN" || name.startsWith("FILLED");
       return `#define ${name} ${isReal ? value.toExponential(9) : value}\n`;
     });
     const program = gl.createProgram();
