@@ -9,9 +9,10 @@ import pytest
 import torch
 
 from flowsplat.gaussians.density import largest_scale
-from flowsplat.gaussians.initialize import _grid, initialize
+from flowsplat.gaussians.initialize import initialize
 from flowsplat.gaussians.observations import load_observations
 from flowsplat.gaussians.render import render
+from flowsplat.gaussians.sampling import detail, grid, spacings
 from flowsplat.priors.prepare import PriorsOptions, prepare_priors
 from flowsplat.scenes import Scene
 from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic
@@ -68,12 +69,47 @@ def test_a_cap_holds_for_a_random_start_and_for_tracks(observations):
 
 @pytest.mark.parametrize("spacing", [1.0, 1.4142, 1.7, 2.0, 3.3, 7.5])
 def test_grids_are_as_dense_as_they_say_and_even(spacing):
-    grid = _grid(200, 150, spacing, np.random.default_rng(0))
-    assert grid.mean() == pytest.approx(1 / spacing**2, rel=0.03)
-    side = int(np.ceil(4 * spacing))
-    blocks = grid[: 150 // side * side, : 200 // side * side].reshape(150 // side, side, 200 // side, side).sum((1, 3))
-    expected = side**2 / spacing**2
-    assert np.abs(blocks - expected).max() < 0.3 * expected + 1, "no clumps and no holes"
+    for each in (spacing, np.full((150, 200), spacing)):
+        pixels = grid(200, 150, each, np.random.default_rng(0))
+        assert pixels.mean() == pytest.approx(1 / spacing**2, rel=0.03)
+        side = int(np.ceil(4 * spacing))
+        blocks = pixels[: 150 // side * side, : 200 // side * side].reshape(150 // side, side, 200 // side, side).sum((1, 3))
+        expected = side**2 / spacing**2
+        assert np.abs(blocks - expected).max() < 0.3 * expected + 1, "no clumps and no holes"
+
+
+@pytest.mark.parametrize("spacing", [1.0, 1.4142, 2.0, 5.0])
+def test_spacings_share_out_as_many_points_where_there_is_detail(spacing):
+    rng = np.random.default_rng(0)
+    image = np.full((120, 160, 3), 100, np.uint8)
+    image[:, 80:] += rng.integers(0, 60, (120, 80, 3)).astype(np.uint8)
+    region = np.ones((120, 160), bool)
+    region[:30] = False
+    apart = spacings(detail(image), region, spacing)
+    assert (1 / apart[region] ** 2).mean() == pytest.approx(1 / spacing**2, rel=0.02)
+    assert apart.min() >= 0.999
+    assert apart.max() <= 2.001 * spacing
+    if spacing > 1:
+        assert apart[60:, :60].mean() > 1.3 * apart[60:, 100:].mean()
+    assert (spacings(detail(image), np.zeros_like(region), spacing) == np.float32(spacing)).all()
+
+
+def test_more_gaussians_where_there_is_detail(observations):
+    """As many as when they are spread evenly, within what merging leaves; and the smaller ones where the detail is."""
+    even, ours = start(observations, 10**6, detail=0.0), start(observations, 10**6)
+    assert len(ours) == pytest.approx(len(even), rel=0.15)
+    assert size_where_busy(observations[3], ours) < 0.9 * size_where_busy(observations[3], even)
+
+
+def size_where_busy(frame, gaussians):
+    """Of the background in the frame, in pixels: the quarter with most detail against the quarter with least."""
+    finer, width, height = detail(frame.image), frame.camera.width, frame.camera.height
+    uv, depth = frame.camera.project(gaussians.params["means"].numpy().astype(float))
+    inside = ~gaussians.dynamic.numpy() & (depth > 0) & (uv >= 0).all(1) & (uv < (width, height)).all(1)
+    x, y = uv[inside].astype(int).T
+    size = torch.exp(gaussians.params["log_scales"][:, 1]).numpy()[inside] / depth[inside]
+    least, most = np.quantile(finer, [0.25, 0.75])
+    return np.median(size[finer[y, x] > most]) / np.median(size[finer[y, x] < least])
 
 
 @pytest.mark.parametrize("share", [0.0, 0.02])

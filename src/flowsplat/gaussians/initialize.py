@@ -13,6 +13,7 @@ from flowsplat.common.errors import InputError
 from flowsplat.gaussians.gaussians4d import Gaussians4D, ModelConfig, concatenate, parameter_shapes
 from flowsplat.gaussians.motion import LinearMotion
 from flowsplat.gaussians.observations import Observation, Observations
+from flowsplat.gaussians.sampling import detail, grid, spacings
 from flowsplat.gaussians.surfaces import SurfaceSamples, sample_surface
 from flowsplat.geometry.rotations import covariances
 from flowsplat.priors.flow import sample_map
@@ -41,9 +42,12 @@ class InitConfig:
     precision_factor: float = 0.25
     """Temporal precision in units of (pi / spacing of the samples)^2: a quarter lets neighbouring samples overlap."""
     background_spacing: float = 1.4142
-    """Pixels between two background Gaussians: 1, 1.4142 (every other pixel), 2, or any other from 1 on; a cap makes it larger."""
+    """Pixels between two background Gaussians on average: 1, 1.4142 (every other pixel), 2, or any other from 1 on; a cap makes it
+    larger."""
     foreground_spacing: float = 1.4142
     """The same for movers, in every sampled frame."""
+    detail: float = 1.0
+    """How much more of them there are where the picture has detail: their density follows its power of this; 0 = evenly."""
     merge_tolerance: float = 0.1
     """Relative depth difference within which a background pixel counts as stored already."""
     edge: int = 2
@@ -152,17 +156,15 @@ def _spheres(samples: SurfaceSamples) -> SurfaceSamples:
     return SurfaceSamples(samples.means, quats, np.repeat(radius[:, None], 3, 1), samples.colours)
 
 
-def _grid(width: int, height: int, spacing: float, rng: np.random.Generator) -> np.ndarray:
-    """[H, W] bool: about one pixel every ``spacing`` pixels."""
-    y, x = np.mgrid[:height, :width]
-    if spacing <= 1.01:
-        return np.ones((height, width), bool)
-    if abs(spacing - 2**0.5) < 0.05:
-        return (x + y) % 2 == 0
-    if abs(spacing - 2) < 0.05:
-        return (x % 2 == 0) & (y % 2 == 0)
-    # Sums of multiples of these two numbers (powers of 1 / 1.3247, the plastic ratio) are spread evenly, without clumps.
-    return (0.7548776662466927 * x + 0.5698402909980532 * y + rng.random()) % 1 < 1 / spacing**2
+def _chosen(
+    frame: Observation, region: np.ndarray, spacing: float, config: InitConfig, rng: np.random.Generator
+) -> tuple[np.ndarray, float | np.ndarray]:
+    """Which pixels [H, W] of a region become Gaussians, ``spacing`` apart on average, and how far apart they are."""
+    apart: float | np.ndarray = spacing
+    if config.detail:
+        apart = spacings(detail(frame.image) ** config.detail, region, spacing)
+    height, width = region.shape
+    return region & grid(width, height, apart, rng), apart
 
 
 # -- background
@@ -187,21 +189,19 @@ def _background(
 
     Borders that few frames saw have no trusted depth, and a guess renders far better there than a hole.
     """
-    width, height = observations.size
-    grid = _grid(width, height, config.background_spacing, rng)
-    reach = 2 * max(1, round(config.background_spacing)) + 1
     parts: list[SurfaceSamples] = []
     times: list[np.ndarray] = []
     order = _middle_out(len(observations))
     for k, trusted in [(k, True) for k in order] + [(k, False) for k in order]:
         frame = observations[k]
         mask = cv2.dilate(frame.mask.astype(np.uint8), np.ones((2 * config.edge + 1,) * 2, np.uint8)) > 0
-        wanted = grid & ~mask & (frame.depth_trusted == trusted)
+        pixels, spacing = _chosen(frame, ~mask, config.background_spacing, config, rng)
+        wanted = pixels & (frame.depth_trusted == trusted)
         if parts:
             stored = np.concatenate([part.means for part in parts])
-            wanted &= ~_covered(stored, frame, config.merge_tolerance, reach)
+            wanted &= ~_covered(stored, frame, config.merge_tolerance, spacing)
         if wanted.any():
-            parts.append(sample_surface(frame, wanted, config.background_spacing * config.size, config.flatness))
+            parts.append(sample_surface(frame, wanted, spacing * config.size, config.flatness))
             # A frozen background has no use for its centre time, so it remembers the frame that it was seen in: that is where
             # it starts to move if it turns out not to be background.
             times.append(np.full(len(parts[-1].means), frame.time if model.freeze_background else 0.5))
@@ -216,8 +216,8 @@ def _background(
     return _build(samples, np.concatenate(times), precision, still, False, model, config.opacity)
 
 
-def _covered(points: np.ndarray, frame: Observation, tolerance: float, reach: int) -> np.ndarray:
-    """[H, W] bool: pixels near which one of the points [N, 3] lies on the visible surface."""
+def _covered(points: np.ndarray, frame: Observation, tolerance: float, spacing: float | np.ndarray) -> np.ndarray:
+    """[H, W] bool: pixels within whose spacing one of the points [N, 3] lies on the visible surface."""
     height, width = frame.depth.shape
     uv, depth = frame.camera.project(points)
     inside = (depth > 0.02) & (uv >= 0).all(1) & (uv[:, 0] < width) & (uv[:, 1] < height)
@@ -225,7 +225,11 @@ def _covered(points: np.ndarray, frame: Observation, tolerance: float, reach: in
     on_surface = np.abs(depth[inside] - frame.depth[y, x]) < tolerance * frame.depth[y, x]
     hit = np.zeros((height, width), np.uint8)
     hit[y[on_surface], x[on_surface]] = 1
-    return cv2.dilate(hit, np.ones((reach, reach), np.uint8)) > 0
+    reach = np.broadcast_to(np.maximum(1, np.round(spacing)), hit.shape)
+    covered = np.zeros(hit.shape, bool)
+    for pixels in map(int, np.unique(reach)):
+        covered |= (reach == pixels) & (cv2.dilate(hit, np.ones((2 * pixels + 1,) * 2, np.uint8)) > 0)
+    return covered
 
 
 # -- foreground
@@ -248,21 +252,18 @@ def _foreground(
     """Movers: every pixel (or track) of the sampled frames, with the motion of the points it follows."""
     sampled, log_lambda = sampled_frames(len(observations), config)
     sigma = float(np.exp(-0.5 * log_lambda))
-    width, height = observations.size
-    grid = _grid(width, height, config.foreground_spacing, rng)
     samples, times, motions = [], [], []
     for k in sampled:
         frame = observations[k]
         usable = frame.mask & frame.depth_trusted
         if usable.sum() < HARDLY_ANY * frame.mask.sum():
             usable = frame.mask  # At a guessed depth is better than not at all: nothing else makes movers.
+        wanted, spacing = _chosen(frame, usable, config.foreground_spacing, config, rng)
         if config.foreground == "tracks":
-            wanted = usable & _track_pixels(tracks, frame, usable)
-        else:
-            wanted = usable & grid
+            wanted, spacing = usable & _track_pixels(tracks, frame, usable), config.foreground_spacing
         if not wanted.any():
             continue
-        samples.append(sample_surface(frame, wanted, config.foreground_spacing * config.size, config.flatness))
+        samples.append(sample_surface(frame, wanted, spacing * config.size, config.flatness))
         times.append(np.full(len(samples[-1].means), frame.time))
         motions.append(_fit_motion(observations, k, wanted, sigma, config.motion_order, config.motion_reach))
     if not samples:

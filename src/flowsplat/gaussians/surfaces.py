@@ -71,13 +71,13 @@ def camera_normals(frame: Observation, x: np.ndarray, y: np.ndarray) -> np.ndarr
     return np.where(facing > 0, -normals, normals)
 
 
-def sample_surface(frame: Observation, wanted: np.ndarray, size: float, flatness: float) -> SurfaceSamples:
+def sample_surface(frame: Observation, wanted: np.ndarray, size: float | np.ndarray, flatness: float) -> SurfaceSamples:
     """One disc for every wanted pixel [H, W].
 
     Args:
         frame: the training frame.
         wanted: which pixels.
-        size: radius in pixels, as a standard deviation.
+        size: radius in pixels, as a standard deviation: one number, or [H, W].
         flatness: thickness relative to the radius.
 
     The third axis is the normal. A tilted disc is stretched along its tilt, at most three times, so that it covers as many
@@ -99,7 +99,7 @@ def sample_surface(frame: Observation, wanted: np.ndarray, size: float, flatness
     tilted = tilt_length > 0.05
     first = np.where(tilted, tilt / np.maximum(tilt_length, 1e-9), anywhere)
     frames = np.stack([first, np.cross(normals, first), normals], -1)
-    radius = size * depth / frame.camera.K[0, 0]
+    radius = (size[y, x] if isinstance(size, np.ndarray) else size) * depth / frame.camera.K[0, 0]
     stretch = np.where(tilted[:, 0], 1 / np.maximum(cosine[:, 0], 1 / 3), 1.0)
     scales = np.stack([radius * stretch, radius, radius * flatness], 1)
     quats = rotations_to_quats(torch.from_numpy(frames)).numpy()

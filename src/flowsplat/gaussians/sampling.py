@@ -1,0 +1,77 @@
+"""Which pixels become Gaussians: as close together as the picture has detail there. Ours."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+COARSEST = 2.0
+"""How many times as far apart as on average they are at most, where there is nothing to see."""
+_FINE, _AROUND = 1.0, 3.0
+"""Standard deviations, pixels: what is finer than the first is detail, and it is averaged over the second."""
+_QUIET = 1 / 255
+"""Detail that every picture has: a step of its own numbers."""
+_PROBES = 20_000
+"""Pixels that say how many there would be."""
+
+
+def detail(image: np.ndarray) -> np.ndarray:
+    """How much a slight blur would take from the picture around each pixel.
+
+    Args:
+        image: [H, W, 3] uint8.
+
+    Returns:
+        [H, W] float32, root mean square over the channels, above 0; colours in 0..1.
+    """
+    colours = image.astype(np.float32) / 255
+    lost = colours - cv2.GaussianBlur(colours, (0, 0), _FINE)
+    return np.sqrt(cv2.GaussianBlur((lost**2).mean(-1), (0, 0), _AROUND)) + np.float32(_QUIET)
+
+
+def spacings(weight: np.ndarray, region: np.ndarray, spacing: float) -> np.ndarray:
+    """Share out as many points as an even spacing has in a region: their density follows the weight.
+
+    The density is limited to one point a pixel, and from below by ``COARSEST``.
+
+    Args:
+        weight: [H, W] above 0.
+        region: [H, W] bool.
+        spacing: pixels between two points if they were spread evenly, 1 or more.
+
+    Returns:
+        [H, W] float32 pixels between two points, at least 1.
+    """
+    wanted = 1 / spacing**2
+    lowest = wanted / COARSEST**2
+    probes = weight[region]
+    probes = probes[:: max(1, len(probes) // _PROBES)]
+    if len(probes) == 0:
+        return np.full(weight.shape, spacing, np.float32)
+    low, high = lowest / probes.max(), 1 / probes.min()
+    for _ in range(30):
+        middle = (low * high) ** 0.5
+        if np.clip(middle * probes, lowest, 1).mean() > wanted:
+            high = middle
+        else:
+            low = middle
+    return 1 / np.sqrt(np.clip(low * weight, lowest, 1))
+
+
+def grid(width: int, height: int, spacing: float | np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """[H, W] bool: about one pixel every ``spacing`` pixels.
+
+    Args:
+        spacing: 1 or more: one number, or [H, W] one at every pixel.
+        rng: for where the pattern begins.
+    """
+    y, x = np.mgrid[:height, :width]
+    if isinstance(spacing, float):
+        if spacing <= 1.01:
+            return np.ones((height, width), bool)
+        if abs(spacing - 2**0.5) < 0.05:
+            return (x + y) % 2 == 0
+        if abs(spacing - 2) < 0.05:
+            return (x % 2 == 0) & (y % 2 == 0)
+    # Sums of multiples of these two numbers (powers of 1 / 1.3247, the plastic ratio) are spread evenly, without clumps.
+    return (0.7548776662466927 * x + 0.5698402909980532 * y + rng.random()) % 1 < 1 / spacing**2
