@@ -41,10 +41,9 @@ class InitConfig:
     """Over how many training frames the movers' Gaussians are sampled (the paper's T-hat)."""
     precision_factor: float = 0.25
     """Temporal precision in units of (pi / spacing of the samples)^2: a quarter lets neighbouring samples overlap."""
-    background_spacing: float = 1.4142
-    """Pixels between two background Gaussians on average: 1, 1.4142 (every other pixel), 2, or any other from 1 on; a cap makes it
-    larger."""
-    foreground_spacing: float = 1.4142
+    background_spacing: float = 1.5
+    """Pixels between two background Gaussians on average, 1 or more; a cap makes it larger."""
+    foreground_spacing: float = 1.5
     """The same for movers, in every sampled frame."""
     detail: float = 1.0
     """How much more of them there are where the picture has detail: their density follows its power of this; 0 = evenly."""
