@@ -39,6 +39,8 @@ class InitConfig:
     """What becomes a mover's Gaussian: every pixel of its mask in the sampled frames, or every track (the paper)."""
     samples: int = 24
     """Over how many training frames the movers' Gaussians are sampled (the paper's T-hat)."""
+    sample_gap: int = 4
+    """More of them where two would be further apart than so many training frames; 0 = however far (the paper)."""
     precision_factor: float = 0.25
     """Temporal precision in units of (pi / spacing of the samples)^2: a quarter lets neighbouring samples overlap."""
     background_spacing: float = 1.5
@@ -236,7 +238,8 @@ def _covered(points: np.ndarray, frame: Observation, tolerance: float, spacing: 
 
 def sampled_frames(count: int, config: InitConfig) -> tuple[np.ndarray, float]:
     """Which of ``count`` training frames movers are sampled in, and the log precision that follows from their spacing."""
-    sampled = np.unique(np.round(np.linspace(0, count - 1, min(config.samples, count))).astype(int))
+    enough = -(-(count - 1) // config.sample_gap) + 1 if config.sample_gap else 1
+    sampled = np.unique(np.round(np.linspace(0, count - 1, min(max(config.samples, enough), count))).astype(int))
     spacing = 1.0 / max(len(sampled) - 1, 1)
     return sampled, float(np.log(config.precision_factor * (np.pi / spacing) ** 2))
 

@@ -112,7 +112,10 @@ CLAIMS: tuple[Claim, ...] = (
     _ours("no-revise", "what moves is not revised", {"density.revise": False}),
     _ours("spheres", "start as spheres, not as discs", {"init.surface_aligned": False}),
     _ours("even-detail", "as many Gaussians where nothing is as where the detail is", {"init.detail": 0.0}),
-    _ours("samples-7", "7 samples, precision as printed", {"init.samples": 7, "init.precision_factor": 49 / 36}),
+    _ours(
+        "samples-7", "7 samples, precision as printed",
+        {"init.samples": 7, "init.sample_gap": 0, "init.precision_factor": 49 / 36},
+    ),
     _ours("no-depth", "without depth loss", {"loss.depth": 0.0}),
     _ours("sh-0", "colours of degree 0", {"model.sh_degree": 0}),
     _ours("sh-2", "colours of degree 2", {"model.sh_degree": 2}, 0),
