@@ -260,8 +260,9 @@ def _foreground(
         usable = frame.mask & frame.depth_trusted
         if usable.sum() < HARDLY_ANY * frame.mask.sum():
             usable = frame.mask  # At a guessed depth is better than not at all: nothing else makes movers.
-        wanted, spacing = _chosen(frame, usable, config.foreground_spacing, config, rng)
-        if config.foreground == "tracks":
+        if config.foreground == "pixels":
+            wanted, spacing = _chosen(frame, usable, config.foreground_spacing, config, rng)
+        else:
             wanted, spacing = usable & _track_pixels(tracks, frame, usable), config.foreground_spacing
         if not wanted.any():
             continue

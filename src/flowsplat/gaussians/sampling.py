@@ -66,12 +66,5 @@ def grid(width: int, height: int, spacing: float | np.ndarray, rng: np.random.Ge
         rng: for where the pattern begins.
     """
     y, x = np.mgrid[:height, :width]
-    if isinstance(spacing, float):
-        if spacing <= 1.01:
-            return np.ones((height, width), bool)
-        if abs(spacing - 2**0.5) < 0.05:
-            return (x + y) % 2 == 0
-        if abs(spacing - 2) < 0.05:
-            return (x % 2 == 0) & (y % 2 == 0)
     # Sums of multiples of these two numbers (powers of 1 / 1.3247, the plastic ratio) are spread evenly, without clumps.
     return (0.7548776662466927 * x + 0.5698402909980532 * y + rng.random()) % 1 < 1 / spacing**2

@@ -160,6 +160,7 @@ class TrainConfig:
             ("must be 1 or more", lambda value: value >= 1, _ONE_OR_MORE),
             ("must be between 0 and 1", lambda value: 0 < value < 1, _BETWEEN),
             ("must be at most 1", lambda value: value <= 1, ("average", "loss.ssim", "density.stop")),
+            ("must be at most 4", lambda value: value <= 4, ("init.detail",)),
             ("must be 0, 1, 2 or 3", lambda value: value <= 3, ("model.sh_degree",)),
         ):
             for name in names:
