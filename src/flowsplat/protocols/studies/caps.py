@@ -33,8 +33,8 @@ DENSE = {"init.background_spacing": 1.0, "init.foreground_spacing": 1.0}
 """Every pixel may start a Gaussian, so that it is the cap that says how many there are."""
 
 REMARKS = (
-    "The first Gaussians are thinned evenly to the cap, and are as much larger; their number falls a little while those that "
-    "nobody sees are removed.",
+    "The first Gaussians are placed as far apart as the cap asks, and are as much larger; their number falls a little while "
+    "those that nobody sees are removed.",
 )
 COLUMNS = {"psnr": "PSNR", "moving": "PSNR of movers", "ssim": "SSIM", "training_psnr": "PSNR of training frames"}
 DIGITS = {"ssim": 3}
