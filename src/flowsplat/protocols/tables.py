@@ -31,14 +31,14 @@ def label(result: Mapping[str, Any]) -> str:
 
 
 def text(value: float | None, digits: int, sign: bool = False) -> str:
-    """A number, with its sign where that is asked for; a dash for None.
+    """A number, with its sign where that is asked for (zero has none but +); a dash for None.
 
     >>> text(1234.5, 1), text(0.25, 2, sign=True), text(None, 2)
     ('1,234.5', '+0.25', '–')
     """
     if value is None:
         return NOTHING
-    return f"{value:{'+' if sign else ''},.{digits}f}"
+    return f"{round(value, digits) + 0.0:{'+' if sign else ''},.{digits}f}"
 
 
 def scaled_mean(values: Iterable[float | None], factor: float = 1.0) -> float | None:

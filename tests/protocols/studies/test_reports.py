@@ -31,26 +31,26 @@ def ablations() -> list[dict]:
             found.append(result("full", 31.0 + offset + 0.1 * seed, **more))
             found.append(result("linear", 30.0 + offset, **more))
             found.append(result("no-q", 31.0 + offset + 0.1 * (1 - seed), moving=None, **more))
-            found.append(result("no-mu", 31.5 + offset + 0.1 * seed, **more))
+            found.append(result("no-mu", 31.5 + offset + 0.1 * seed, moving=28.0 + offset, **more))
     return found
 
 
 def test_ablations(tmp_path):
     page = ablation_report.write_report(tmp_path, ablations(), {"ablations_x": "it is broken"})
     text = (tmp_path / "ablations.md").read_text()
-    assert "3 rows: 1 confirmed, 1 contradicted, 1 not separable." in text
+    assert "3 rows: 1 confirmed, 1 contradicted, 1 not separable, 0 no difference." in text
     assert "ablations_x could not be run: it is broken" in text
     rows = {line.split(" | ")[0].strip("| *"): line.strip("| ").split(" | ") for line in text.splitlines() if line.startswith("| ")}
     base = [cell.strip("*") for cell in rows["all of it"]]
-    assert base[1:6] == ["31.05", "30.05", "30.55", NOTHING, "28.55"]
+    assert base[1:6] == ["31.05 (29.05)", "30.05 (28.05)", "30.55 (28.55)", NOTHING, "0.900"]
     linear = rows["neither mu(t) nor q(t): the linear 4D Gaussian"]
-    assert linear[1:4] == ["-1.05", "-1.05", "-1.05"]
-    assert linear[4] == "0.06"
-    assert linear[7:10] == ["-0.85", "worse", "confirmed"]
+    assert linear[1:5] == ["-1.05 (-1.05)", "-1.05 (-1.05)", "-1.05 (-1.05)", "0.06 (0.06)"]
+    assert linear[6:9] == ["-0.85", "worse", "confirmed"]
     assert linear[-3:] == ["61", "110", "200"]
-    assert rows["without q(t): constant rotation"][9] == "not separable"
-    assert rows["without q(t): constant rotation"][5] == NOTHING
-    assert rows["without mu(t): a straight line"][9] == "contradicted"
+    unmoved = rows["without q(t): constant rotation"]
+    assert unmoved[3] == "+0.00", "movers are not measured, and zero is not negative"
+    assert unmoved[8] == "not separable"
+    assert rows["without mu(t): a straight line"][8] == "contradicted (confirmed)"
     assert "## Orders" not in text, "nothing of it is measured"
     assert "bear at 427x240: 8 held-out frames" in text
     assert page.name == "ablations.html"
@@ -100,4 +100,4 @@ def test_runs_of_different_lengths_are_not_compared(tmp_path):
     found += [{**each, "psnr": 29.0} for each in found if each["variant"] == "full" and each["iterations"] == 500]
     ablation_report.write_report(tmp_path, found, {})
     (row,) = [line for line in (tmp_path / "ablations.md").read_text().splitlines() if line.startswith("| colours of degree 0")]
-    assert row.split(" | ")[2].strip() == "+0.00"
+    assert row.split(" | ")[2].strip() == "+0.00 (-2.00)"

@@ -45,11 +45,15 @@ def test_without_common_runs_there_is_no_effect():
         ((0.5, 0.6, 0.4, 0.5, 0.5, 0.6), 1, "confirmed"),
         ((-1.0, 1.2, -0.8, 0.9, -1.1, 0.4), -1, "not separable"),
         ((-0.1, -0.1, -0.1, -0.1, -2.0, -2.0), -1, "not separable"),  # one scene alone
-        ((0.01, -0.02, 0.0, 0.03, -0.01, 0.0), 0, "confirmed"),
+        ((0.01, -0.02, 0.0, 0.03, -0.01, 0.0), 0, "no difference"),
+        ((0.02, 0.02, 0.02, 0.02, 0.02, 0.02), -1, "no difference"),  # however alike the runs are
+        ((0.3, -0.3, 0.3, -0.3, 0.1, 0.0), -1, "not separable"),
+        ((0.04, 0.06, 0.04, 0.06, 0.04, 0.04), -1, "no difference"),
+        ((0.06, 0.07, 0.06, 0.07, 0.06, 0.07), 1, "confirmed"),
         ((0.5, 0.6, 0.4, 0.5, 0.5, 0.6), 0, "contradicted"),
         ((2.0, -1.0, 2.0, -1.0, 0.1, 0.1), 0, "not separable"),
-        ((0.0,) * 6, -1, "not separable"),
-        ((0.0,) * 6, 0, "confirmed"),
+        ((0.0,) * 6, -1, "no difference"),
+        ((0.0,) * 6, 0, "no difference"),
     ],
 )
 def test_verdicts(differences, expected, said):
@@ -62,4 +66,4 @@ def test_one_run_has_no_spread_and_says_nothing(expected):
 
 
 def test_counting():
-    assert counts(["confirmed", "not separable", "confirmed"]) == "2 confirmed, 0 contradicted, 1 not separable"
+    assert counts(["confirmed", "not separable", "confirmed"]) == "2 confirmed, 0 contradicted, 1 not separable, 0 no difference"

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
-Verdict = Literal["confirmed", "contradicted", "not separable"]
+Verdict = Literal["confirmed", "contradicted", "not separable", "no difference"]
 Run = tuple[Any, ...]
 """Which run: its scene, then what tells the runs on that scene apart (seed, frame-steps)."""
 
-EVEN = 0.1
-"""Decibels of PSNR that nobody sees."""
+EVEN = 0.05
+"""Decibels of PSNR that nobody sees, and that another seed changes as well."""
 
 
 @dataclass(frozen=True)
@@ -55,9 +55,9 @@ def effect(variant: Mapping[Run, float], base: Mapping[Run, float]) -> Effect | 
 def verdict(found: Effect, expected: int) -> Verdict:
     """Judge a claim by the mean difference and its spread over seeds and scenes.
 
-    A difference below its spread is *not separable*, and so is a single one, whose spread is not known. A larger one *confirms* a
-    claim of the same sign and *contradicts* one of the other. That something makes no difference is confirmed by a mean below
-    ``EVEN`` and contradicted by a separable one above it.
+    A mean and a spread below ``EVEN`` are *no difference*, whatever was claimed. Else a mean up to its spread is *not separable*,
+    and so is a single one, whose spread is not known. A larger one *confirms* a claim of the same sign and *contradicts* any other,
+    also that there were no difference.
 
     Args:
         expected: the sign of the difference that was claimed: -1, 0 (none) or 1.
@@ -68,17 +68,13 @@ def verdict(found: Effect, expected: int) -> Verdict:
     """
     if found.spread is None:
         return "not separable"
-    separable = abs(found.mean) > found.spread
-    if expected == 0:
-        if abs(found.mean) < EVEN:
-            return "confirmed"
-        return "contradicted" if separable else "not separable"
-    if not separable:
+    if max(abs(found.mean), found.spread) < EVEN:
+        return "no difference"
+    if abs(found.mean) <= found.spread:
         return "not separable"
     return "confirmed" if np.sign(found.mean) == np.sign(expected) else "contradicted"
 
 
 def counts(verdicts: Sequence[Verdict]) -> str:
     """How many of each, in a sentence."""
-    kinds: tuple[Verdict, ...] = ("confirmed", "contradicted", "not separable")
-    return ", ".join(f"{verdicts.count(kind)} {kind}" for kind in kinds)
+    return ", ".join(f"{verdicts.count(kind)} {kind}" for kind in get_args(Verdict))
