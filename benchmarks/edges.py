@@ -1,17 +1,18 @@
 """Does the method still work at the edges? Unusual clips of the built-in world, each an ordinary run, and what came out.
 
-    python benchmarks/edges.py OUT                                # all of them, about an hour on two cores
+    python benchmarks/edges.py OUT --preset fast                  # all of them, about an hour on two cores
     python benchmarks/edges.py OUT --only portrait "static camera"
 
 Every tenth frame is held out and compared with what flow interpolation makes of its neighbours; of the wide pictures, a sixth of
-a second apart, every fourth. ``OUT/<edge>/run/`` is the run, ``OUT/<edge>.json`` its figures, ``OUT/edges.md`` the table;
-the same command again goes on where it was stopped.
+a second apart, every fourth. ``OUT/<edge>_<preset>/run/`` is the run, ``OUT/<edge>_<preset>.json`` its figures, ``OUT/edges.md``
+the table of all presets; the same command again goes on where it was stopped.
 """
 
 from __future__ import annotations
 
 import argparse
 import re
+import shutil
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -21,18 +22,21 @@ from typing import Any
 
 from flowsplat import pipeline
 from flowsplat.common.errors import InputError
-from flowsplat.common.files import make_folder, write_json, write_text
+from flowsplat.common.files import make_folder, read_json, write_json, write_text
+from flowsplat.common.source import source_state
 from flowsplat.geometry import Camera
 from flowsplat.pictures.video import write_mp4
 from flowsplat.pipeline import RunConfig
 from flowsplat.pipeline.folder import stage_key
 from flowsplat.protocols.process import in_own_process
 from flowsplat.protocols.resume import Job, measure_jobs, results_in
+from flowsplat.protocols.tables import made_by
 from flowsplat.scenes import Scene
 from flowsplat.scenes.synthetic import SyntheticScene
 from flowsplat.scenes.synthetic.world import camera_at
 
 PROTOCOL = "edges"
+PRESETS = ("fast", "default", "paper", "high")
 
 
 @dataclass(frozen=True)
@@ -88,16 +92,20 @@ EDGES = {
 }
 
 
-def run_edge(name: str, preset: str, out: Path) -> dict[str, Any]:
-    """Film, run and measure.
+def run_edge(name: str, preset: str, out: Path, key: str) -> dict[str, Any]:
+    """Film, run and measure; what is in ``out`` of another ``key`` is forgotten.
 
     Returns:
-        ``name``, ``protocol``, ``preset``, ``frames``, ``size``, ``test`` (count), ``ours``, ``interpolation``,
-        ``training_frames`` (each ``psnr``, ``ssim``, and ``moving``), ``flow_prior_epe``, ``gaussians``, ``verdicts``,
-        and ``seconds`` and ``peak_memory_gib``, which are None where the run was begun by an earlier process.
+        ``name``, ``protocol``, ``preset``, ``flowsplat`` (``source_state``), ``frames``, ``size``, ``test`` (count), ``ours``,
+        ``interpolation``, ``training_frames`` (each ``psnr``, ``ssim``, and ``moving``), ``flow_prior_epe``, ``gaussians``,
+        ``verdicts``, and ``seconds`` and ``peak_memory_gib``, which are None where the run was begun by an earlier process.
     """
+    mark = out / "key.json"
+    if (out / "clip.mp4").exists() and not (mark.exists() and read_json(mark) == key):
+        shutil.rmtree(out)
     edge, is_new = EDGES[name], not out.exists()
     make_folder(out)
+    write_json(mark, key)
     spec, video = edge.clip, out / "clip.mp4"
     if not video.exists():
         pictures = (spec.render(spec.camera(i), time).picture for i, time in enumerate(spec.timestamps))
@@ -112,7 +120,8 @@ def run_edge(name: str, preset: str, out: Path) -> dict[str, Any]:
     metrics = pipeline.evaluate_run(run)
     scene = Scene(run.scene_path)
     return {
-        "name": name, "protocol": PROTOCOL, "preset": preset, "frames": scene.num_frames, "size": [scene.width, scene.height],
+        "name": name, "protocol": PROTOCOL, "preset": preset, "flowsplat": source_state(),
+        "frames": scene.num_frames, "size": [scene.width, scene.height],
         "test": metrics["heldout_frames"]["count"], "ours": metrics["heldout_frames"],
         "interpolation": metrics["baselines"]["flow_interpolation"],
         **{key: metrics[key] for key in ("training_frames", "flow_prior_epe")},
@@ -133,8 +142,9 @@ def table(results: Sequence[Mapping[str, Any]]) -> str:
         trusted = re.match(r"\d+ ?%", r["verdicts"]["depth"])
         cost = f"{sum(r['seconds'].values()):.0f} s, {r['peak_memory_gib']} GiB" if r["seconds"] else "-"
         lines.append(
-            f"| {r['name']}: {r['frames']} frames of {r['size'][0]}x{r['size'][1]} | {ours['psnr']:.2f} / {ours['ssim']:.3f} | "
-            f"{flow['psnr']:.2f} / {flow['ssim']:.3f} | {r['training_frames']['psnr']:.2f} | "
+            f"| {r['name']}: {r['frames']} frames of {r['size'][0]}x{r['size'][1]}, {r['preset']} | "
+            f"{ours['psnr']:.2f} / {ours['ssim']:.3f} | {flow['psnr']:.2f} / {flow['ssim']:.3f} | "
+            f"{r['training_frames']['psnr']:.2f} | "
             f"{r['gaussians']['total'] / 1e3:.0f}k ({r['gaussians']['active_mean'] / 1e3:.0f}k) | {cost} | "
             f"{trusted.group() + ' trusted' if trusted else 'a guess'} |"
         )
@@ -146,17 +156,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out", type=Path, metavar="OUT", help="folder for everything that comes out")
     parser.add_argument("--only", nargs="+", choices=EDGES, default=list(EDGES), metavar="EDGE", help=", ".join(EDGES))
-    parser.add_argument("--preset", default="default", help="fast, default, paper or high")
+    parser.add_argument("--preset", choices=PRESETS, default="default", help=", ".join(PRESETS))
     options = parser.parse_args()
     out, page = options.out, options.out / f"{PROTOCOL}.md"
     jobs = []
     for name in options.only:
         slug, edge = f"{re.sub(r'[^a-z0-9]+', '-', name)}_{options.preset}", EDGES[name]
         key = stage_key(edge.clip, edge.given_cameras, edge.change(pipeline.preset(options.preset)))
-        jobs.append(Job(slug, key, partial(in_own_process, run_edge, name, options.preset, out / slug)))
+        jobs.append(Job(slug, key, partial(in_own_process, run_edge, name, options.preset, out / slug, key)))
 
     def report(failed: Mapping[str, str]) -> Path:
-        write_text(page, table(results_in(PROTOCOL, out)) + "\n")
+        results = results_in(PROTOCOL, out)
+        write_text(page, f"{table(results)}\n\n{made_by(results)}\n" if results else "")
         return page
 
     try:

@@ -338,7 +338,7 @@ def _benchmarks(arguments: Sequence[str] = ()) -> dict[str, Any]:
             caps: Numbers of Gaussians, each trained for 1,500 frame-steps.
             steps: Numbers of frame-steps, each with 200,000 Gaussians.
             seeds: Every point is trained once with each.
-            size: Long side in pixels to which clips are brought; rendered scenes keep their size.
+            size: Long side in pixels to which clips are brought, 0 = as they are; rendered scenes keep their size.
             again: Train and measure again what is in OUT already; prepared scenes stay.
         """
         capping.run_caps(root, out, scenes, caps, steps, seeds, size, again)

@@ -36,10 +36,16 @@ def test_a_clip_is_run_and_told(tmp_path, monkeypatch):
 
     tiny = edges.Edge(SyntheticScene(96, 64, 8), lambda config: edges._holding_out(4)(brief(config)), given_cameras=True)
     monkeypatch.setitem(edges.EDGES, "tiny", tiny)
-    figures = edges.run_edge("tiny", "fast", tmp_path / "tiny")
+    figures = edges.run_edge("tiny", "fast", tmp_path / "tiny", "some key")
     assert (figures["frames"], figures["size"], figures["test"]) == (8, [96, 64], 1)
     assert figures["ours"]["psnr"] > 10
     assert "cameras.json" in figures["verdicts"]["cameras"]
     row = edges.table([figures]).splitlines()[-1]
-    assert row.startswith("| tiny: 8 frames of 96x64 | ")
+    assert row.startswith("| tiny: 8 frames of 96x64, fast | ")
     assert f"{figures['ours']['psnr']:.2f}" in row
+    again = edges.run_edge("tiny", "fast", tmp_path / "tiny", "some key")
+    assert again["seconds"] is None, "it is there, and nothing was filmed anew"
+    assert again["ours"] == figures["ours"]
+    (tmp_path / "tiny" / "rest.txt").write_text("of other settings")
+    assert edges.run_edge("tiny", "fast", tmp_path / "tiny", "another key")["seconds"] is not None
+    assert not (tmp_path / "tiny" / "rest.txt").exists()

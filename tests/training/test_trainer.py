@@ -127,6 +127,7 @@ def test_without_checkpoints_none_is_written(tmp_path):
         ("density.max_gaussians", 0, "1 or more"), ("init.opacity", 1.0, "between 0 and 1"), ("density.reset_to", 0.0, "between"),
         ("loss.rigid_neighbours", 0, "1 or more"), ("model.sh_degree", 4, "0, 1, 2 or 3"), ("init.samples", 0, "1 or more"),
         ("init.detail", 5.0, "at most 4"), ("init.detail", -1.0, "0 or more"), ("init.sample_gap", -1, "0 or more"),
+        ("init.flatness", 0.0, "more than 0"), ("init.size", 0.0, "more than 0"), ("init.precision_factor", 0.0, "more than 0"),
     ],
 )  # fmt: skip
 def test_settings_that_make_no_sense_are_named(name, value, rule):

@@ -178,15 +178,15 @@ def _duration(seconds: float) -> str:
     """Minutes and seconds for people."""
     if seconds < 60:
         return f"{seconds:.1f} s"
-    minutes = round(seconds / 60)
-    return f"{seconds // 60:.0f} min {seconds % 60:.0f} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes} min {rest} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
 
 
 def _tables(metrics: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     """Titled tables of everything that was measured."""
     lpips = metrics.get("lpips_reason")
     if pick(metrics, "heldout_frames") is not None:
-        remark = "Frames of the clip that neither training nor any prior has seen; movers are the given masks."
+        remark = "Frames of the clip that training has not seen, and of the priors only the cameras; movers are the given masks."
         if pick(metrics, "heldout_frames_refined") is not None:
             remark += (
                 " Poses of held-out frames are used as they were estimated; refined is what comes out when the pose of each alone "

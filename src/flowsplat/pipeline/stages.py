@@ -276,7 +276,8 @@ def _trained(
         write_image(out / "preview.png", preview_sheet(frame.image, float_to_bytes(image)))
 
     start = None if begin is None else begin(observations, tracks, config)
-    trainer = Trainer(observations, tracks, config, out / where, preview, record, start, pick_device(folder.config.device))
+    shown = preview if begin is None else None  # the picture of a run is that of its scene, not of what it is compared with
+    trainer = Trainer(observations, tracks, config, out / where, shown, record, start, pick_device(folder.config.device))
     try:
         model = scene_model(scene, trainer.run(), config)
     finally:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,6 +29,19 @@ class Table:
 def label(result: Mapping[str, Any]) -> str:
     """Name of a result's scene, with a mark where settings were chosen on it."""
     return f"{result['scene']}, {TUNED_MARK}" if result["tuned"] else str(result["scene"])
+
+
+def made_by(results: Iterable[Mapping[str, Any]]) -> str:
+    """Which state of flowsplat made some results, in a sentence; several are told, because figures may differ for that alone.
+
+    >>> made_by([{"flowsplat": "1.0+a"}, {"flowsplat": "1.0+b"}, {"flowsplat": "1.0+b"}])
+    'Made by 2 different states of flowsplat, of which figures may differ for that alone: 1.0+a (1 run), 1.0+b (2 runs).'
+    """
+    states = Counter(str(result["flowsplat"]) for result in results)
+    if len(states) == 1:
+        return f"Made by flowsplat {next(iter(states))}."
+    told = ", ".join(f"{state} ({count} run{'' if count == 1 else 's'})" for state, count in sorted(states.items()))
+    return f"Made by {len(states)} different states of flowsplat, of which figures may differ for that alone: {told}."
 
 
 def text(value: float | None, digits: int, sign: bool = False) -> str:

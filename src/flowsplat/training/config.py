@@ -158,6 +158,7 @@ class TrainConfig:
                 raise InputError(f"--train.{name} {value:g} must be 0 or more.")
         for rule, holds, names in (
             ("must be 1 or more", lambda value: value >= 1, _ONE_OR_MORE),
+            ("must be more than 0", lambda value: value > 0, _POSITIVE),
             ("must be between 0 and 1", lambda value: 0 < value < 1, _BETWEEN),
             ("must be at most 1", lambda value: value <= 1, ("average", "loss.ssim", "density.stop")),
             ("must be at most 4", lambda value: value <= 4, ("init.detail",)),
@@ -172,6 +173,7 @@ _ONE_OR_MORE = (
     "init.samples", "init.background_spacing", "init.foreground_spacing", "init.random_count", "init.motion_order",
     "loss.rigid_neighbours", "loss.rigid_refresh", "density.max_gaussians",
 )  # fmt: skip
+_POSITIVE = ("init.precision_factor", "init.size", "init.flatness")
 _BETWEEN = ("init.opacity", "density.reset_to", "model.p_min")
 
 

@@ -9,6 +9,7 @@ import pytest
 from flowsplat.pictures.html import NOTHING
 from flowsplat.protocols.studies import ablation_report, caps
 from flowsplat.protocols.studies.claims import CLAIMS
+from flowsplat.protocols.tables import made_by
 
 
 def result(variant: str, psnr: float, scene: str = "bear", seed: int = 0, **changes) -> dict:
@@ -38,7 +39,7 @@ def ablations() -> list[dict]:
 def test_ablations(tmp_path):
     page = ablation_report.write_report(tmp_path, ablations(), {"ablations_x": "it is broken"})
     text = (tmp_path / "ablations.md").read_text()
-    assert "3 rows: 1 confirmed, 1 contradicted, 1 not separable, 0 no difference." in text
+    assert "3 rows: 1 confirmed, 1 contradicted, 1 not separable, 0 no difference, 0 one run." in text
     assert "ablations_x could not be run: it is broken" in text
     rows = {line.split(" | ")[0].strip("| *"): line.strip("| ").split(" | ") for line in text.splitlines() if line.startswith("| ")}
     base = [cell.strip("*") for cell in rows["all of it"]]
@@ -53,6 +54,8 @@ def test_ablations(tmp_path):
     assert rows["without mu(t): a straight line"][8] == "contradicted (confirmed)"
     assert "## Orders" not in text, "nothing of it is measured"
     assert "bear at 427x240: 8 held-out frames" in text
+    assert "Made by flowsplat 0." in text
+    assert "left out" not in text
     assert page.name == "ablations.html"
     html = page.read_text()
     assert html.count('class="chart"') == 1
@@ -94,10 +97,28 @@ def test_caps(tmp_path):
         assert drawing.count("<circle") == (6 if name == "cap" else 4)
 
 
-def test_runs_of_different_lengths_are_not_compared(tmp_path):
-    found = [result("full", 31.0, seed=seed, iterations=steps) for seed in (0, 1) for steps in (500, 1500)]
-    found += [result("sh-0", 29.0, seed=seed, iterations=500) for seed in (0, 1)]
-    found += [{**each, "psnr": 29.0} for each in found if each["variant"] == "full" and each["iterations"] == 500]
-    ablation_report.write_report(tmp_path, found, {})
-    (row,) = [line for line in (tmp_path / "ablations.md").read_text().splitlines() if line.startswith("| colours of degree 0")]
-    assert row.split(" | ")[2].strip() == "+0.00 (-2.00)"
+def test_what_is_left_out_is_told(tmp_path):
+    for module in (ablation_report, caps):
+        path = module.write_report(tmp_path, ablations(), {}, 3).with_suffix(".md")
+        assert "left out here: 3." in path.read_text()
+
+
+def test_one_run_tells_nothing(tmp_path):
+    ablation_report.write_report(tmp_path, [result("full", 31.0), result("sh-0", 29.0)], {})
+    text = (tmp_path / "ablations.md").read_text()
+    (row,) = [line for line in text.splitlines() if line.startswith("| colours of degree 0")]
+    assert "| one run |" in row
+
+
+def test_many_scenes_are_not_all_in_the_picture(tmp_path):
+    found = [result("x", 30.0, scene, cap=cap) for scene in "abcdefg" for cap in (50_000, 200_000)]
+    caps.write_report(tmp_path, found, {})
+    assert (tmp_path / "caps_cap.svg").read_text().count("<path class=\"line\"") == 5
+    text = (tmp_path / "caps.md").read_text()
+    assert "The picture shows 5 of 7 scenes." in text
+    assert "| g, tuned | 50,000 |" in text
+
+
+def test_states_of_the_code_are_told():
+    assert made_by([{"flowsplat": "0.1.0+a"}] * 2) == "Made by flowsplat 0.1.0+a."
+    assert "2 different states" in made_by([{"flowsplat": "0.1.0+a"}, {"flowsplat": "0.1.0+b"}])

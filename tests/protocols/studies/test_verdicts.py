@@ -61,9 +61,10 @@ def test_verdicts(differences, expected, said):
 
 
 @pytest.mark.parametrize("expected", [-1, 0, 1])
-def test_one_run_has_no_spread_and_says_nothing(expected):
-    assert verdict(Effect({("a", 0): -9.0}, -9.0, None), expected) == "not separable"
+def test_one_run_has_no_spread_and_tells_nothing(expected):
+    assert verdict(Effect({("a", 0): -9.0}, -9.0, None), expected) == "one run"
 
 
 def test_counting():
-    assert counts(["confirmed", "not separable", "confirmed"]) == "2 confirmed, 0 contradicted, 1 not separable, 0 no difference"
+    told = counts(["confirmed", "not separable", "confirmed"])
+    assert told == "2 confirmed, 0 contradicted, 1 not separable, 0 no difference, 0 one run"

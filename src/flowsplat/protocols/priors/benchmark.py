@@ -7,8 +7,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from flowsplat import __version__
 from flowsplat.common.files import make_folder, read_json
+from flowsplat.common.source import source_state
 from flowsplat.pipeline.folder import stage_key
 from flowsplat.protocols.priors.measure import measure
 from flowsplat.protocols.priors.preparation import forget, prepare_scene, scene_config
@@ -20,9 +20,9 @@ from flowsplat.protocols.resume import Job, measure_jobs
 def run_priors_benchmark(root: Path, out: Path, names: Sequence[str] = (), again: bool = False) -> Path:
     """Prepare scenes in ``OUT/<scene>/`` and measure them: ``OUT/<scene>.json``, ``OUT/priors.md`` and ``OUT/priors.html``.
 
-    The JSON of a scene holds ``scene``, ``kind``, ``tuned``, ``frames``, ``size``, ``flowsplat`` (version), ``figures`` by the keys
-    of ``rows`` and, where one process did all of the work, ``seconds`` by stage. A scene that cannot be measured is told and left
-    out, and the others go on.
+    The JSON of a scene holds ``scene``, ``kind``, ``tuned``, ``frames``, ``size``, ``flowsplat`` (``source_state``), ``figures`` by
+    the keys of ``rows`` and, where one process did all of the work, ``seconds`` by stage. A scene that cannot be measured is told
+    and left out, and the others go on.
 
     Args:
         root: the data root (see ``scenes``).
@@ -61,7 +61,7 @@ def _measure_scene(benchmark: BenchmarkScene, folder: Path) -> dict[str, Any]:
     figures |= {f"time.{name}": needed[name] for name in ("total", "cpu", "memory") if needed.get(name) is not None}
     result: dict[str, Any] = {
         "scene": benchmark.name, "kind": benchmark.kind, "tuned": benchmark.is_tuned, "frames": scene.num_frames,
-        "size": [scene.width, scene.height], "flowsplat": __version__,
+        "size": [scene.width, scene.height], "flowsplat": source_state(),
         "figures": {name: round(value, 4) for name, value in figures.items()},
     }  # fmt: skip
     if needed:

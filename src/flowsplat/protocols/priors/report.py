@@ -19,7 +19,7 @@ from flowsplat.pictures.sheets import side_by_side, stacked
 from flowsplat.protocols.priors.measure import read_true_flow, true_mask
 from flowsplat.protocols.priors.rows import DEFINITIONS, HEADER, Row, table_rows
 from flowsplat.protocols.priors.scenes import BenchmarkScene
-from flowsplat.protocols.tables import TUNED_MARK, markdown_table
+from flowsplat.protocols.tables import TUNED_MARK, made_by, markdown_table
 from flowsplat.scenes import Flow, Layers, Scene
 from flowsplat.scenes.layers import read_image, write_image
 
@@ -44,7 +44,8 @@ def write_report(out: Path, results: Sequence[Mapping[str, Any]], failed: Mappin
         InputError: the folder cannot be written.
     """
     rows = list(table_rows(results))
-    remarks = [*DEFINITIONS, *(f"{name} could not be measured: {reason}" for name, reason in failed.items())]
+    remarks = [*DEFINITIONS, *([made_by(results)] if results else [])]
+    remarks += [f"{name} could not be measured: {reason}" for name, reason in failed.items()]
     write_text(out / TABLE, _markdown(rows, remarks, results))
     marks = {"met": "✓ met", "not met": "✗ not met"}
     cells = [tuple(marks.get(cell, cell.replace(TUNED_MARK, "tuned")) for cell in row.cells) for row in rows]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from flowsplat import __version__
+from flowsplat.common.source import source_state
 from flowsplat.evaluation.tracks import track_errors
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.pictures.sheets import stacked
@@ -29,9 +29,9 @@ def measure_case(case: Case, folder: Path, strip: Path) -> dict[str, Any]:
     """Run or resume a case in ``folder``, and draw its strip.
 
     Returns:
-        ``name``, ``protocol``, ``scene``, ``form``, ``variant``, ``settings``, ``tuned``, ``flowsplat`` (version), ``frames``,
-        ``size``, ``test`` (``kind``, ``count``), ``ours`` and each of ``baselines``: ``psnr``, ``ssim``, ``lpips``, ``moving``,
-        ``covisible``; ``refined`` (ours with the poses of held-out frames refined; None for held-out cameras);
+        ``name``, ``protocol``, ``scene``, ``form``, ``variant``, ``settings``, ``tuned``, ``flowsplat`` (``source_state``),
+        ``frames``, ``size``, ``test`` (``kind``, ``count``), ``ours`` and each of ``baselines``: ``psnr``, ``ssim``, ``lpips``,
+        ``moving``, ``covisible``; ``refined`` (ours with the poses of held-out frames refined; None for held-out cameras);
         ``training_frames``, ``flow_epe``, ``flow_prior_epe``, ``depth_abs_rel`` (see ``evaluation.evaluate``), ``tracks`` (see
         ``evaluation.tracks``), ``gaussians``, ``pictures_a_second``, ``seconds`` by stage, ``peak_memory_gib``,
         ``lpips_reason``, ``verdicts``.
@@ -53,7 +53,7 @@ def _measure_here(case: Case, folder: Path, strip: Path) -> dict[str, Any]:
     _write_strip(run, metrics, kind, strip)
     return {
         "name": case.name, "protocol": case.protocol, "scene": case.scene, "form": case.form, "variant": case.variant,
-        "settings": case.settings, "tuned": case.is_tuned, "flowsplat": __version__,
+        "settings": case.settings, "tuned": case.is_tuned, "flowsplat": source_state(),
         "frames": scene.num_frames, "size": [scene.width, scene.height],
         "test": {"kind": kind, "count": (metrics[name] or {}).get("count", 0)},
         "ours": metrics[name], "refined": None if scene.views else metrics["heldout_frames_refined"],

@@ -11,7 +11,7 @@ from flowsplat.output.page import fitted, write_page
 from flowsplat.pictures.html import picture, table
 from flowsplat.protocols.runs.cases import ProtocolName
 from flowsplat.protocols.runs.tables import Result, tables
-from flowsplat.protocols.tables import TUNED_MARK, Table, label, markdown
+from flowsplat.protocols.tables import TUNED_MARK, Table, label, made_by, markdown
 from flowsplat.scenes.layers import read_image
 
 TITLES = {"davis": "DAVIS", "rig": "Rendered scenes with truth", "nvidia": "NVIDIA Dynamic Scenes"}
@@ -46,6 +46,7 @@ def write_report(protocol: ProtocolName, out: Path, results: Sequence[Result], f
         InputError: the folder cannot be written.
     """
     remarks = [RULES[protocol], MARKS]
+    remarks += [made_by(results)] if results else []
     remarks += sorted({str(result["lpips_reason"]) for result in results if result["lpips_reason"]})
     remarks += [f"{name} could not be run: {reason}" for name, reason in failed.items()]
     found = tables(protocol, results)

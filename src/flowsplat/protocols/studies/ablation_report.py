@@ -23,13 +23,19 @@ REMARKS = (
     "masks of what moves.",
     "The spread is the standard deviation of the single differences over seeds and scenes. A mean and a spread below "
     f"{EVEN} dB are no difference. Else a mean up to its spread is not separable; a larger one is confirmed where it has the sign "
-    "that was claimed (by the paper, or by us: what we added is worth something), and otherwise contradicted.",
+    "that was claimed (by the paper, or by us: what we added is worth something), and otherwise contradicted. One run has no "
+    "spread.",
 )
 EXPECTED = {-1: "worse", 0: "as good", 1: "better"}
 
 
-def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str]) -> Path:
-    """Write the tables of what is there of the ablations, and return the path of the page.
+def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str], others: int = 0) -> Path:
+    """Write the tables of some results of the ablations, and return the path of the page.
+
+    Args:
+        results: with the same settings and as many steps.
+        failed: runs that could not be made, and why.
+        others: how many results in ``out`` are none of these.
 
     Raises:
         InputError: the folder cannot be written.
@@ -40,7 +46,7 @@ def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str]
     steps = ", ".join(f"{count:,}" for count in sorted({result["iterations"] for result in results}))
     remarks = [*REMARKS, how_measured(results), f"Seeds {', '.join(map(str, seeds))}; {steps} frame-steps."] if results else []
     said = f"{len(verdicts)} rows: {counts(verdicts)}." if verdicts else "Nothing is measured yet."
-    return write_study(out, "ablations", TITLE, said, remarks, sections, failed)
+    return write_study(out, "ablations", TITLE, said, remarks, sections, failed, others)
 
 
 @dataclass(frozen=True)

@@ -6,14 +6,14 @@ own settings; compared are differences, not values.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from flowsplat.protocols.resume import measure_jobs, results_in
 from flowsplat.protocols.studies.ablation_report import write_report
-from flowsplat.protocols.studies.claims import chosen_claims, needed_variants
-from flowsplat.protocols.studies.runs import study_runs
-from flowsplat.protocols.studies.scenes import study_scenes
+from flowsplat.protocols.studies.claims import CLAIMS, chosen_claims, needed_variants
+from flowsplat.protocols.studies.runs import comparable, study_runs
+from flowsplat.protocols.studies.scenes import chosen_scenes, study_scenes
 
 PROTOCOL = "ablations"
 SCENES = ("train", "bear", "workshop")
@@ -42,12 +42,17 @@ def run_ablations(
         again: forget the figures of these runs that are in OUT; prepared scenes stay.
 
     Returns:
-        path of the page, which shows all runs in OUT.
+        path of the page, which shows all runs in OUT with these settings and steps.
 
     Raises:
         InputError: a name is not known, an input cannot be used, or the folder cannot be written.
     """
-    claims = chosen_claims(rows)
-    found = study_scenes(root, scenes, SIZE)
-    jobs = [run.job(out) for run in study_runs(PROTOCOL, found, needed_variants(claims), seeds, iterations, CAP)]
-    return measure_jobs(jobs, out, lambda failed: write_report(out, results_in(PROTOCOL, out), failed), "runs", again)
+    claims, known = chosen_claims(rows), study_scenes(root, SIZE)
+    wanted = chosen_scenes(root, known, scenes)
+    jobs = [run.job(out) for run in study_runs(PROTOCOL, wanted, needed_variants(claims), seeds, iterations, CAP)]
+
+    def report(failed: Mapping[str, str]) -> Path:
+        found, others = comparable(results_in(PROTOCOL, out), PROTOCOL, known, needed_variants(CLAIMS), iterations, CAP)
+        return write_report(out, found, failed, others)
+
+    return measure_jobs(jobs, out, report, "runs", again)

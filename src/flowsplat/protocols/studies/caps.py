@@ -9,11 +9,11 @@ from markupsafe import Markup
 
 from flowsplat.common.errors import InputError
 from flowsplat.evaluation.scores import mean_of
-from flowsplat.pictures.charts import Points, line_chart
+from flowsplat.pictures.charts import MOST_LINES, Points, line_chart
 from flowsplat.protocols.resume import measure_jobs, results_in
 from flowsplat.protocols.studies.report import Section, how_measured, scene_names, write_study
-from flowsplat.protocols.studies.runs import Result, study_runs
-from flowsplat.protocols.studies.scenes import study_scenes
+from flowsplat.protocols.studies.runs import Result, comparable, study_runs
+from flowsplat.protocols.studies.scenes import chosen_scenes, study_scenes
 from flowsplat.protocols.studies.variants import Variant
 from flowsplat.protocols.tables import Table, text
 
@@ -43,7 +43,7 @@ DIGITS = {"ssim": 3}
 def capped(cap: int, steps: int) -> Variant:
     """At most so many Gaussians, and so many frame-steps with the schedules stretched to them."""
     changes = {**DENSE, "density.max_gaussians": cap, "iterations": steps}
-    return Variant(f"cap{cap}-steps{steps}", f"at most {cap:,} Gaussians, {steps:,} steps", changes)
+    return Variant(f"cap{cap}", f"at most {cap:,} Gaussians, {steps:,} steps", changes)
 
 
 def run_caps(
@@ -62,11 +62,11 @@ def run_caps(
         root: the data root.
         caps: numbers of Gaussians, each with ``ITERATIONS`` steps.
         steps: numbers of frame-steps, each with ``CAP`` Gaussians.
-        size: long side of clips of DAVIS in pixels.
+        size: long side of clips of DAVIS in pixels; 0 = as they are.
         again: forget the figures of these runs that are in OUT; prepared scenes stay.
 
     Returns:
-        path of the page, which shows all runs in OUT.
+        path of the page, which shows all runs in OUT with these settings and of this size.
 
     Raises:
         InputError: a number or a name cannot be used, or the folder cannot be written.
@@ -74,13 +74,26 @@ def run_caps(
     if any(value < 1 for value in (*caps, *steps)):
         raise InputError("--caps and --steps are numbers of Gaussians and of steps: 1 or more.")
     plan = dict.fromkeys([*((cap, ITERATIONS) for cap in caps), *((CAP, count) for count in steps)])
-    runs = study_runs(PROTOCOL, study_scenes(root, scenes, size), [capped(*each) for each in plan], seeds, ITERATIONS, CAP)
-    jobs = [run.job(out) for run in runs]
-    return measure_jobs(jobs, out, lambda failed: write_report(out, results_in(PROTOCOL, out), failed), "runs", again)
+    known = study_scenes(root, size)
+    wanted = chosen_scenes(root, known, scenes)
+    jobs = [run.job(out) for run in study_runs(PROTOCOL, wanted, [capped(*each) for each in plan], seeds, ITERATIONS, CAP)]
+
+    def report(failed: Mapping[str, str]) -> Path:
+        results = results_in(PROTOCOL, out)
+        there = dict.fromkeys((result["cap"], result["iterations"]) for result in results)
+        found, others = comparable(results, PROTOCOL, known, [capped(*each) for each in there], ITERATIONS, CAP)
+        return write_report(out, found, failed, others)
+
+    return measure_jobs(jobs, out, report, "runs", again)
 
 
-def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str]) -> Path:
-    """Write the tables and pictures of what is there of the study, and return the path of the page.
+def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str], others: int = 0) -> Path:
+    """Write the tables and pictures of some results of the study, and return the path of the page.
+
+    Args:
+        results: with the same settings and of the same size.
+        failed: runs that could not be made, and why.
+        others: how many results in ``out`` are none of these.
 
     Raises:
         InputError: the folder cannot be written.
@@ -93,12 +106,14 @@ def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str]
     for axis, fixed, value, name, label in plans:
         chosen = [result for result in results if result[fixed] == value]
         if len({result[axis] for result in chosen}) > 1:
-            note = f"Each with {value:,} {'frame-steps' if fixed == 'iterations' else 'Gaussians at most'}. Means over seeds."
+            scenes = scene_names(chosen)
+            more = f" The picture shows {MOST_LINES} of {len(scenes)} scenes." if len(scenes) > MOST_LINES else ""
+            note = f"Each with {value:,} {'frame-steps' if fixed == 'iterations' else 'Gaussians at most'}. Means over seeds.{more}"
             table = _table(f"PSNR against {name}", note, label, axis, chosen)
             sections.append(Section(axis, table, _chart(table.title, label, axis, chosen)))
     verdict = f"Runs measured: {len(results)}."
     remarks = [*REMARKS, how_measured(results)] if results else []
-    return write_study(out, PROTOCOL, "Gaussians and steps", verdict, remarks, sections, failed)
+    return write_study(out, PROTOCOL, "Gaussians and steps", verdict, remarks, sections, failed, others)
 
 
 def _mean(results: Sequence[Result], scene: str, axis: str, value: int, figure: str) -> float | None:
@@ -110,7 +125,7 @@ def _chart(title: str, x_label: str, axis: str, results: Sequence[Result]) -> Ma
     values = sorted({result[axis] for result in results})
     series: dict[str, Points] = {
         label: (values, [_mean(results, scene, axis, value, "psnr") for value in values])
-        for scene, label in scene_names(results).items()
+        for scene, label in list(scene_names(results).items())[:MOST_LINES]
     }
     return line_chart(series, title=title, x_label=x_label, y_label="PSNR, dB", dots=True)
 

@@ -13,7 +13,7 @@ from flowsplat.output.page import write_page
 from flowsplat.pictures.charts import svg_file
 from flowsplat.pictures.html import table
 from flowsplat.protocols.studies.runs import Result
-from flowsplat.protocols.tables import TUNED_MARK, Table, markdown
+from flowsplat.protocols.tables import TUNED_MARK, Table, made_by, markdown
 
 
 @dataclass(frozen=True)
@@ -32,17 +32,27 @@ class Section:
 
 
 def write_study(
-    out: Path, name: str, title: str, verdict: str, remarks: Sequence[str], sections: Sequence[Section], failed: Mapping[str, str]
+    out: Path,
+    name: str,
+    title: str,
+    verdict: str,
+    remarks: Sequence[str],
+    sections: Sequence[Section],
+    failed: Mapping[str, str],
+    others: int = 0,
 ) -> Path:
     """Write ``OUT/<name>.md``, ``.html`` and a ``<name>_<section>.svg`` for every section, and return the path of the page.
 
     Args:
         verdict: the result in a sentence.
         failed: runs that could not be made, and why.
+        others: how many results in ``out`` are left out.
 
     Raises:
         InputError: the folder cannot be written.
     """
+    if others:
+        remarks = [*remarks, f"Results in this folder that have other settings or scenes, and are left out here: {others}."]
     remarks = [verdict, *remarks, *(f"{run} could not be run: {reason}" for run, reason in failed.items())]
     pictures = {section.table.title: out / f"{name}_{section.name}.svg" for section in sections}
     for section in sections:
@@ -69,11 +79,12 @@ def scene_names(results: Sequence[Result]) -> dict[str, str]:
 
 
 def how_measured(results: Sequence[Result]) -> str:
-    """Which pictures were measured, in a sentence."""
+    """Which pictures were measured, and by which code, in some sentences."""
     parts = []
     for name in scene_names(results):
         result = next(result for result in results if result["scene"] == name)
         width, height = result["size"]
         kind = "held-out frames" if result["test"]["kind"] == "frames" else "pictures by held-out cameras"
         parts.append(f"{name} at {width}x{height}: {result['test']['count']} {kind}")
-    return f"Measured are {'; '.join(parts)}. Cameras are used as they were estimated, or as they are given."
+    cameras = "Cameras are used as they were estimated, or as they are given."
+    return f"Measured are {'; '.join(parts)}. {cameras} {made_by(results)}"

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from flowsplat import __version__
 from flowsplat.common.devices import pick_device
 from flowsplat.common.memory import peak_memory
+from flowsplat.common.source import source_state
 from flowsplat.evaluation.evaluate import evaluate
 from flowsplat.evaluation.scores import pick
 from flowsplat.gaussians.model import SceneModel
@@ -53,10 +53,14 @@ class StudyRun:
 
     def job(self, out: Path) -> Job:
         """Prepare the scene in ``out`` where it is not yet, train and measure."""
-        name = f"{self.scene.name}_{self.variant.name}_seed{self.config.seed}"
+        name = f"{self.scene.name}_{self.variant.name}_{self.config.iterations}-steps_seed{self.config.seed}"
+        return Job(f"{self.protocol}_{name}", self.key, partial(self._measure, out))
+
+    @property
+    def key(self) -> str:
+        """A short name of all its settings."""
         case = self.scene.case
-        key = stage_key(case.scene, case.config.input, case.config.priors, self.variant.kind, self.config)
-        return Job(f"{self.protocol}_{name}", key, partial(self._measure, out))
+        return stage_key(case.scene, case.config.input, case.config.priors, self.variant.kind, self.config)
 
     def _measure(self, out: Path) -> dict[str, Any]:
         return in_own_process(measure, self, self.scene.prepared(out))
@@ -77,9 +81,10 @@ def measure(run: StudyRun, path: Path) -> dict[str, Any]:
 
     Returns:
         ``protocol``, ``scene``, ``size``, ``tuned``, ``variant``, ``settings``, ``seed``, ``iterations``, ``cap``, ``flowsplat``
-        (version), ``test`` (``kind``, ``count``), ``psnr``, ``ssim``, ``lpips`` and ``moving`` (PSNR) of the held-out pictures with
-        strict cameras, ``training_psnr``, ``flow_epe`` and ``flow_prior_epe`` (mean, pixels), ``gaussians`` (``total``,
-        ``active_mean``), ``seconds`` (``train`` by the clock, ``train_cpu`` of all cores, ``evaluate``) and ``peak_memory_gib``.
+        (``source_state``), ``test`` (``kind``, ``count``), ``psnr``, ``ssim``, ``lpips`` and ``moving`` (PSNR) of the held-out
+        pictures with strict cameras, ``training_psnr``, ``flow_epe`` and ``flow_prior_epe`` (mean, pixels), ``gaussians``
+        (``total``, ``active_mean``), ``seconds`` (``train`` by the clock, ``train_cpu`` of all cores, ``evaluate``) and
+        ``peak_memory_gib``.
     """
     scene = Scene(path)
     started, processor = time.perf_counter(), time.process_time()
@@ -92,7 +97,7 @@ def measure(run: StudyRun, path: Path) -> dict[str, Any]:
     return {
         "protocol": run.protocol, "scene": run.scene.case.scene, "size": [scene.width, scene.height],
         "tuned": run.scene.case.is_tuned, "variant": run.variant.name, "settings": run.variant.settings, "seed": run.config.seed,
-        "iterations": run.config.iterations, "cap": run.config.density.max_gaussians, "flowsplat": __version__,
+        "iterations": run.config.iterations, "cap": run.config.density.max_gaussians, "flowsplat": source_state(),
         "test": {"kind": kind, "count": pick(tested, "count") or 0},
         **{name: pick(tested, name) for name in ("psnr", "ssim", "lpips")}, "moving": pick(tested, "moving", "psnr"),
         "training_psnr": pick(metrics, "training_frames", "psnr"),
@@ -122,8 +127,20 @@ def _train(run: StudyRun, scene: Scene) -> tuple[SceneModel | PerFrameModel, int
     return scene_model(scene, gaussians, config), len(gaussians)
 
 
+def comparable(
+    results: Sequence[Result], protocol: str, scenes: Sequence[StudyScene], variants: Sequence[Variant], iterations: int, cap: int
+) -> tuple[list[Result], int]:
+    """The results of these scenes and variants that were made with the settings of today, and how many others there are."""
+    seeds = {result["seed"] for result in results}
+    names = {result["scene"] for result in results}
+    there = [scene for scene in scenes if scene.case.scene in names]
+    keys = {run.key for run in study_runs(protocol, there, variants, sorted(seeds), iterations, cap)}
+    found = [result for result in results if result["key"] in keys]
+    return found, len(results) - len(found)
+
+
 def by_run(results: Sequence[Result], variant: str, figure: tuple[str, ...]) -> dict[Run, float]:
-    """A figure of all runs of a variant that have it, by (scene, seed, frame-steps)."""
+    """A figure of all runs of a variant that have it."""
     runs = [result for result in results if result["variant"] == variant]
-    found = {(result["scene"], result["seed"], result["iterations"]): pick(result, *figure) for result in runs}
+    found = {(result["scene"], result["seed"]): pick(result, *figure) for result in runs}
     return {run: float(value) for run, value in found.items() if value is not None}

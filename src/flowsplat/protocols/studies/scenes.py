@@ -23,16 +23,16 @@ class StudyScene:
 
     Attributes:
         case: its input, split and priors: a clip of DAVIS with given masks, or a rendered scene with true priors.
-        size: long side in pixels; 0 for a rendered scene, which keeps its own.
+        size: long side in pixels; 0 = as it is, None for a rendered scene, which keeps its own.
     """
 
     case: Case
-    size: int
+    size: int | None
 
     @property
     def name(self) -> str:
         """Of the scene and its size, for files."""
-        return f"{self.case.scene}_{self.size}" if self.size else self.case.scene
+        return self.case.scene if self.size is None else f"{self.case.scene}_{self.size}"
 
     def prepared(self, out: Path) -> Path:
         """The prepared scene in ``out``; what is missing of it is computed, and looked for only once.
@@ -52,24 +52,34 @@ def _prepare(case: Case, folder: Path) -> Path:
     return prepare(case.source, folder, case.config).scene_path
 
 
-def study_scenes(root: Path, names: Sequence[str], size: int) -> list[StudyScene]:
-    """The scenes called ``names`` under a data root.
-
-    Args:
-        size: long side in pixels of clips of DAVIS.
+def chosen_scenes(root: Path, known: Sequence[StudyScene], names: Sequence[str]) -> list[StudyScene]:
+    """Those called ``names`` among the scenes of a data root.
 
     Raises:
-        InputError: no such folder, or no scene of that name.
+        InputError: there is no scene of that name.
+    """
+    by_name = {scene.case.scene: scene for scene in known}
+    require_scenes(root, names, by_name)
+    return [by_name[name] for name in dict.fromkeys(names)]
+
+
+def study_scenes(root: Path, size: int) -> list[StudyScene]:
+    """All scenes under a data root.
+
+    Args:
+        size: long side in pixels of clips of DAVIS; 0 = as they are.
+
+    Raises:
+        InputError: no such folder.
     """
     open_root(root, "davis/ and rig/")
     known: dict[str, StudyScene] = {}
-    for find, wanted in ((davis_cases, size), (partial(rig_cases, priors="true"), 0)):
+    for find, wanted in ((davis_cases, size), (partial(rig_cases, priors="true"), None)):
         try:
             cases = find(root)
         except InputError:
             continue  # A root may hold one kind only.
         for case in cases:
-            options = replace(case.config.input, resize=wanted) if wanted else case.config.input
+            options = case.config.input if wanted is None else replace(case.config.input, resize=wanted)
             known.setdefault(case.scene, StudyScene(replace(case, config=replace(case.config, input=options)), wanted))
-    require_scenes(root, names, known)
-    return [known[name] for name in dict.fromkeys(names)]
+    return list(known.values())

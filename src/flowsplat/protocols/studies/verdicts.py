@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 
-Verdict = Literal["confirmed", "contradicted", "not separable", "no difference"]
-Run = tuple[Any, ...]
-"""Which run: its scene, then what tells the runs on that scene apart (seed, frame-steps)."""
+Verdict = Literal["confirmed", "contradicted", "not separable", "no difference", "one run"]
+Run = tuple[str, int]
+"""Which run of a variant: its scene and its seed."""
 
 EVEN = 0.05
 """Decibels of PSNR that nobody sees, and that another seed changes as well."""
@@ -21,7 +21,7 @@ class Effect:
     """The differences of a variant from its base.
 
     Attributes:
-        differences: of runs on the same scene with the same seed and as many frame-steps, by run.
+        differences: of runs on the same scene with the same seed, by run.
         mean: over the seeds of every scene, then over the scenes.
         spread: standard deviation of the single differences over seeds and scenes; None for fewer than two.
     """
@@ -55,9 +55,9 @@ def effect(variant: Mapping[Run, float], base: Mapping[Run, float]) -> Effect | 
 def verdict(found: Effect, expected: int) -> Verdict:
     """Judge a claim by the mean difference and its spread over seeds and scenes.
 
-    A mean and a spread below ``EVEN`` are *no difference*, whatever was claimed. Else a mean up to its spread is *not separable*,
-    and so is a single one, whose spread is not known. A larger one *confirms* a claim of the same sign and *contradicts* any other,
-    also that there were no difference.
+    A mean and a spread below ``EVEN`` are *no difference*, whatever was claimed. Else a mean up to its spread is *not separable*.
+    A larger one *confirms* a claim of the same sign and *contradicts* any other, also that there were no difference. *One run* has
+    no spread and tells nothing.
 
     Args:
         expected: the sign of the difference that was claimed: -1, 0 (none) or 1.
@@ -67,7 +67,7 @@ def verdict(found: Effect, expected: int) -> Verdict:
     'confirmed'
     """
     if found.spread is None:
-        return "not separable"
+        return "one run"
     if max(abs(found.mean), found.spread) < EVEN:
         return "no difference"
     if abs(found.mean) <= found.spread:
