@@ -68,6 +68,9 @@ class LossConfig:
     """gamma_3: weight of the rigid loss."""
     depth: float = 0.05
     """Weight of the depth loss (ours; 0 in the paper)."""
+    opaque: float = 0.0
+    """Weight of the loss on training pixels that let light through (ours): needed where some thousand steps would let dark surfaces
+    open, which rendering then fills."""
     rigid_neighbours: int = 20
     """k: neighbours of every Gaussian in the rigid loss."""
     rigid_beta: float = 100.0

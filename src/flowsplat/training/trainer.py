@@ -29,6 +29,7 @@ from flowsplat.training.adam import RowAdam
 from flowsplat.training.average import EVERY, TailAverage
 from flowsplat.training.checkpoint import read_tensors, write_tensors
 from flowsplat.training.config import TrainConfig
+from flowsplat.training.openness import openness
 from flowsplat.training.picture_loss import PictureTargets, PictureWeights, picture_loss
 from flowsplat.training.rigidity import Neighbours, find_neighbours, rigid_loss
 from flowsplat.training.targets import Targets
@@ -260,6 +261,8 @@ class Trainer:
         rigid = self._rigid(active, rendered) if config.loss.rigid > 0 else None
         if rigid is not None:
             total = total + config.loss.rigid * rigid
+        if config.loss.opaque > 0:
+            total = total + config.loss.opaque * openness(rendered.alpha)
         total.backward()
         entry = {
             "colour": figures.colour,
