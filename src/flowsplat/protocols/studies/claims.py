@@ -116,6 +116,7 @@ CLAIMS: tuple[Claim, ...] = (
         "samples-7", "7 samples, precision as printed",
         {"init.samples": 7, "init.sample_gap": 0, "init.precision_factor": 49 / 36},
     ),
+    _ours("no-opaque", "dark surfaces may open", {"loss.opaque": 0.0}),
     _ours("no-depth", "without depth loss", {"loss.depth": 0.0}),
     _ours("sh-0", "colours of degree 0", {"model.sh_degree": 0}),
     _ours("sh-2", "colours of degree 2", {"model.sh_degree": 2}, 0),
