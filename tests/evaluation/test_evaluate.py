@@ -42,7 +42,7 @@ def test_the_truth_scores_perfectly(world, build_scene):
         assert figures["count"] == count
         assert figures["moving"]["psnr"] == MAX_PSNR
         assert figures["moving"]["count"] == count
-    for name in ("flow_epe", "flow_prior_epe"):  # flow is stored in 1/64 pixel
+    for name in ("flow_epe", "prior_flow_epe", "flow_prior_epe"):  # flow is stored in 1/64 pixel
         assert max(metrics[name]["mean"], metrics[name]["moving"]["mean"]) < 1 / 64
     assert max(numbers(metrics["depth_abs_rel"])) < 1e-6
     assert metrics["training_stride"] == 1
@@ -112,6 +112,7 @@ def test_what_the_scene_does_not_have_is_null(world, build_scene, scene_options)
 def test_without_truth_only_the_prior_flow_is_compared(world, build_scene):
     metrics = evaluate(world, build_scene(truth=False))
     assert metrics["flow_epe"] is None
+    assert metrics["prior_flow_epe"] is None
     assert metrics["depth_abs_rel"] is None
     assert metrics["flow_prior_epe"]["mean"] < 1 / 64
     assert metrics["baselines_views"]["warp_by_depth"] is None

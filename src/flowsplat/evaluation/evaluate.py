@@ -13,7 +13,8 @@ The keys of ``metrics.json``. Every number is finite; what could not be measured
 - ``baselines_views``: held-out views by ``copy``, ``warp_by_depth`` (true depth and cameras) and the ``static`` model.
 - ``flow_epe``: rendered flow to the next training frame against the truth, ``mean`` and ``median`` in pixels, and both
   in ``moving``; on every pair that truth has.
-- ``flow_prior_epe``: the same against the trusted pixels of the flow prior, on the training frames that were rendered.
+- ``prior_flow_epe``: that of the flow prior instead of the rendered flow, on the same pixels: what the model was taught by.
+- ``flow_prior_epe``: rendered flow against the trusted pixels of the flow prior, on the training frames that were rendered.
 - ``depth_abs_rel``: rendered depth against the truth, relative: ``mean`` and ``median`` in ``all``, ``static`` and
   ``moving``.
 - ``lpips_reason``: why ``lpips`` is null.

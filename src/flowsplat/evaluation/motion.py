@@ -42,6 +42,8 @@ class MotionErrors:
         if j is not None and rendering.flow is not None:
             if truth is not None and (i, j) in self._true_pairs:
                 self._add_flow("flow_epe", rendering.flow, truth.flow(i, j), moving)
+                if (i, j) in self._prior_pairs:
+                    self._add_flow("prior_flow_epe", self._scene.flow(i, j).flow, truth.flow(i, j), moving)
             if (i, j) in self._prior_pairs:
                 self._add_flow("flow_prior_epe", rendering.flow, self._scene.flow(i, j), moving)
         if truth is not None and truth.has_depth(i):
@@ -64,11 +66,11 @@ class MotionErrors:
         return {key: float(np.mean([error[key] for error in errors])) for key in ("mean", "median")} if errors else None
 
     def figures(self) -> dict[str, Any]:
-        """``flow_epe`` and ``flow_prior_epe`` (``mean``, ``median``, ``moving``) and ``depth_abs_rel`` (``all``,
-        ``static``, ``moving``): ``mean`` and ``median`` over the pixels of a frame, averaged over the frames. None each
-        where there was nothing to compare with."""
+        """``flow_epe``, ``prior_flow_epe`` and ``flow_prior_epe`` (``mean``, ``median``, ``moving``) and ``depth_abs_rel``
+        (``all``, ``static``, ``moving``): ``mean`` and ``median`` over the pixels of a frame, averaged over the frames. None
+        each where there was nothing to compare with."""
         figures: dict[str, Any] = {}
-        for name in ("flow_epe", "flow_prior_epe"):
+        for name in ("flow_epe", "prior_flow_epe", "flow_prior_epe"):
             whole = self._average(name, "all")
             figures[name] = None if whole is None else {**whole, "moving": self._average(name, "moving")}
         depth = {region: self._average("depth_abs_rel", region) for region in ("all", "static", "moving")}

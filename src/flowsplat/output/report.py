@@ -239,7 +239,11 @@ def _scores(metrics: Mapping[str, Any], ours: str, others: str, regions: Sequenc
 def _errors(metrics: Mapping[str, Any]) -> Iterator[Sequence[str]]:
     """Rows of flow errors in pixels and of relative depth errors."""
     reason = "no masks to tell which pixels move"
-    for key, name in (("flow_epe", "flow against the truth, px"), ("flow_prior_epe", "flow against the prior, px")):
+    for key, name in (
+        ("flow_epe", "flow against the truth, px"),
+        ("prior_flow_epe", "flow of the prior against the truth, px"),
+        ("flow_prior_epe", "flow against the prior, px"),
+    ):
         values = pick(metrics, key)
         if values is not None:
             moving = [figure(pick(values, "moving", kind), 2, reason) for kind in ("mean", "median")]

@@ -99,13 +99,15 @@ def test_errors_against_the_truth():
     depth = {"all": {"mean": 0.03}, "static": {"mean": 0.02}, "moving": {"mean": 0.1}}
     flow = {"mean": 0.4, "median": 0.2, "moving": {"mean": 1.5, "median": 1.0}}
     rig = result(
-        "workshop", "rig", tuned=True, flow_epe=flow, depth_abs_rel=depth, tracks={"all": region, "moving": region, "static": None}
+        "workshop", "rig", tuned=True, flow_epe=flow, prior_flow_epe={**flow, "mean": 0.7}, depth_abs_rel=depth,
+        tracks={"all": region, "moving": region, "static": None},
     )  # fmt: skip
     found = {table.title: table for table in tables("rig", [rig, result("garden", "rig")])}
     assert list(found) == ["All test pictures", "Flow, depth and tracks", "Time, memory and size"]
     rows = rows_of(found["Flow, depth and tracks"])
     workshop = rows["workshop, *tuned*"]
     assert workshop["flow of movers, mean px"] == "1.500"
+    assert workshop["flow of the prior, mean px"] == "0.700"
     assert workshop["depth of static, mean %"] == "2.00"
     assert workshop["tracks on movers, median %"] == "4.20"
     assert workshop["tracks on movers after 12 frames, median %"] == "6.50"

@@ -21,6 +21,8 @@ from flowsplat.scenes.formats.rig import RigTruth
 from flowsplat.scenes.ingest import open_clip
 from flowsplat.scenes.layers import read_image, write_image
 
+MOTION = ("flow_epe", "prior_flow_epe", "flow_prior_epe", "depth_abs_rel")
+"""Errors of flow and depth (``evaluation.evaluate``)."""
 TIMED = 5
 """Pictures that are rendered to tell how many there are in a second."""
 
@@ -32,9 +34,8 @@ def measure_case(case: Case, folder: Path, strip: Path) -> dict[str, Any]:
         ``name``, ``protocol``, ``scene``, ``form``, ``variant``, ``settings``, ``tuned``, ``flowsplat`` (``source_state``),
         ``frames``, ``size``, ``test`` (``kind``, ``count``), ``ours`` and each of ``baselines``: ``psnr``, ``ssim``, ``lpips``,
         ``moving``, ``covisible``; ``refined`` (ours with the poses of held-out frames refined; None for held-out cameras);
-        ``training_frames``, ``flow_epe``, ``flow_prior_epe``, ``depth_abs_rel`` (see ``evaluation.evaluate``), ``tracks`` (see
-        ``evaluation.tracks``), ``gaussians``, ``pictures_a_second``, ``seconds`` by stage, ``peak_memory_gib``,
-        ``lpips_reason``, ``verdicts``.
+        ``training_frames`` and ``MOTION`` (see ``evaluation.evaluate``), ``tracks`` (see ``evaluation.tracks``), ``gaussians``,
+        ``pictures_a_second``, ``seconds`` by stage, ``peak_memory_gib``, ``lpips_reason``, ``verdicts``.
 
     Raises:
         InputError: the input cannot be used.
@@ -58,7 +59,7 @@ def _measure_here(case: Case, folder: Path, strip: Path) -> dict[str, Any]:
         "test": {"kind": kind, "count": (metrics[name] or {}).get("count", 0)},
         "ours": metrics[name], "refined": None if scene.views else metrics["heldout_frames_refined"],
         "baselines": metrics["baselines_views" if scene.views else "baselines"] or {},
-        **{key: metrics[key] for key in ("training_frames", "flow_epe", "flow_prior_epe", "depth_abs_rel", "lpips_reason")},
+        **{key: metrics.get(key) for key in ("training_frames", *MOTION, "lpips_reason")},
         "tracks": track_errors(model, scene, _births(case)),
         "gaussians": {key: metrics["gaussians"][key] for key in ("total", "active_mean")},
         "pictures_a_second": _pictures_a_second(model, scene),

@@ -176,6 +176,8 @@ _ERRORS: tuple[tuple[str, tuple[str, ...], float, int], ...] = (
     ("flow, mean px", ("flow_epe", "mean"), 1, 3),
     ("flow, median px", ("flow_epe", "median"), 1, 3),
     ("flow of movers, mean px", ("flow_epe", "moving", "mean"), 1, 3),
+    ("flow of the prior, mean px", ("prior_flow_epe", "mean"), 1, 3),
+    ("flow of the prior on movers, mean px", ("prior_flow_epe", "moving", "mean"), 1, 3),
     ("flow against its prior, median px", ("flow_prior_epe", "median"), 1, 3),
     ("depth of static, mean %", ("depth_abs_rel", "static", "mean"), 100, 2),
     ("depth of movers, mean %", ("depth_abs_rel", "moving", "mean"), 100, 2),
