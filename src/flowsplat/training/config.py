@@ -191,7 +191,7 @@ def _numbers(config: Any, prefix: str = "") -> Iterator[tuple[str, float]]:
 
 _OURS = TrainConfig(
     iterations=2000,
-    loss=LossConfig(flow=0.01, rigid=0.1, opaque=0.1, rigid_neighbours=10),
+    loss=LossConfig(rigid=0.1, opaque=0.1, rigid_neighbours=10),
     model=ModelConfig(
         mean_poly=3, mean_fourier=1, quat_poly=1, quat_fourier=0, sh_degree=1, gains=16, freeze_background=True
     ),
