@@ -18,9 +18,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from flowsplat import pipeline
+from flowsplat.cli import Preset
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import make_folder, read_json, write_json, write_text
 from flowsplat.common.source import source_state
@@ -36,7 +37,7 @@ from flowsplat.scenes.synthetic import SyntheticScene
 from flowsplat.scenes.synthetic.world import camera_at
 
 PROTOCOL = "edges"
-PRESETS = ("fast", "default", "paper", "high")
+PRESETS = get_args(Preset)
 
 
 @dataclass(frozen=True)

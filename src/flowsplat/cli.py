@@ -308,7 +308,7 @@ def _benchmarks(arguments: Sequence[str] = ()) -> dict[str, Any]:
         """What every part of the method is worth: short trainings without it, beside the paper's three ablation tables.
 
         Scenes are prepared once, in OUT/scenes, and shared by all runs; each run is one process and one .json. The tables, with a
-        verdict on every row (confirmed, contradicted, not separable or no difference), are in OUT/ablations.md and
+        verdict on every row (confirmed, contradicted, not separable, no difference or one run), are in OUT/ablations.md and
         OUT/ablations.html. The same command again continues where it was stopped.
 
         Args:

@@ -40,12 +40,14 @@ class MotionErrors:
         moving = moving_mask(self._scene, i)
         truth = self._scene.truth
         if j is not None and rendering.flow is not None:
+            prior = self._scene.flow(i, j) if (i, j) in self._prior_pairs else None
             if truth is not None and (i, j) in self._true_pairs:
-                self._add_flow("flow_epe", rendering.flow, truth.flow(i, j), moving)
-                if (i, j) in self._prior_pairs:
-                    self._add_flow("prior_flow_epe", self._scene.flow(i, j).flow, truth.flow(i, j), moving)
-            if (i, j) in self._prior_pairs:
-                self._add_flow("flow_prior_epe", rendering.flow, self._scene.flow(i, j), moving)
+                true = truth.flow(i, j)
+                self._add_flow("flow_epe", rendering.flow, true, moving)
+                if prior is not None:
+                    self._add_flow("prior_flow_epe", prior.flow, true, moving)
+            if prior is not None:
+                self._add_flow("flow_prior_epe", rendering.flow, prior, moving)
         if truth is not None and truth.has_depth(i):
             true_depth = truth.depth(i)
             regions = {"all": np.ones_like(true_depth.trusted)}

@@ -37,7 +37,7 @@ def made_by(results: Iterable[Mapping[str, Any]]) -> str:
     >>> made_by([{"flowsplat": "1.0+a"}, {"flowsplat": "1.0+b"}, {"flowsplat": "1.0+b"}])
     'Made by 2 different states of flowsplat, of which figures may differ for that alone: 1.0+a (1 run), 1.0+b (2 runs).'
     """
-    states = Counter(str(result["flowsplat"]) for result in results)
+    states = Counter(str(result.get("flowsplat", "of unknown version")) for result in results)
     if len(states) == 1:
         return f"Made by flowsplat {next(iter(states))}."
     told = ", ".join(f"{state} ({count} run{'' if count == 1 else 's'})" for state, count in sorted(states.items()))

@@ -121,4 +121,5 @@ def test_many_scenes_are_not_all_in_the_picture(tmp_path):
 
 def test_states_of_the_code_are_told():
     assert made_by([{"flowsplat": "0.1.0+a"}] * 2) == "Made by flowsplat 0.1.0+a."
+    assert "of unknown version (1 run)" in made_by([{}, {"flowsplat": "0.1.0+b"}]), "figures from before it was recorded"
     assert "2 different states" in made_by([{"flowsplat": "0.1.0+a"}, {"flowsplat": "0.1.0+b"}])
