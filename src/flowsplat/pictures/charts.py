@@ -14,8 +14,8 @@ from markupsafe import Markup
 Points = tuple[Sequence[float | None], Sequence[float | None]]
 """(x, y) of a line; None or what is not finite leaves a gap."""
 
-MOST_LINES = 5
-"""Of a chart with lines, which have a colour each."""
+MOST_SERIES = 5
+"""Of a chart: each has a colour of its own."""
 
 _WIDTH, _HEIGHT = 640, 260
 _LEFT, _RIGHT, _TOP, _BOTTOM = 58, 20, 12, 44
@@ -54,12 +54,12 @@ def svg_file(chart: Markup) -> str:
 def line_chart(
     series: Mapping[str, Points], *, title: str, x_label: str, y_label: str, log: bool = False, dots: bool = False
 ) -> Markup:
-    """An SVG chart with one line for every named series (at most ``MOST_LINES``), axes, grid and a legend.
+    """An SVG chart with one line for every named series (at most ``MOST_SERIES``), axes, grid and a legend.
 
     ``log`` draws y on a logarithmic axis; values that are not positive are left out then. ``dots`` marks every point.
     """
-    if len(series) > MOST_LINES:
-        raise ValueError(f"a chart shows at most {MOST_LINES} lines, not {len(series)}")
+    if len(series) > MOST_SERIES:
+        raise ValueError(f"a chart shows at most {MOST_SERIES} lines, not {len(series)}")
     lines = {name: _clean(points, log) for name, points in series.items()}
     xs, ys = (np.concatenate([line[k][np.isfinite(line[1])] for line in lines.values()] or [[]]) for k in (0, 1))
     if not len(xs):
@@ -147,8 +147,8 @@ def bar_chart(
         names: what the values are, at most five.
         spreads: by the name of the row, how far the first value may be off; a thin line shows it.
     """
-    if len(names) > MOST_LINES or any(len(values) != len(names) for values in bars.values()):
-        raise ValueError(f"every row needs one value for each of the {len(names)} names, and there are at most {MOST_LINES}")
+    if len(names) > MOST_SERIES or any(len(values) != len(names) for values in bars.values()):
+        raise ValueError(f"every row needs one value for each of the {len(names)} names, and there are at most {MOST_SERIES}")
     spreads = spreads or {}
     known = [value for values in bars.values() for value in values if value is not None and np.isfinite(value)]
     if not known:

@@ -9,7 +9,7 @@ from markupsafe import Markup
 
 from flowsplat.common.errors import InputError
 from flowsplat.evaluation.scores import mean_of
-from flowsplat.pictures.charts import MOST_LINES, Points, line_chart
+from flowsplat.pictures.charts import MOST_SERIES, Points, line_chart
 from flowsplat.protocols.resume import measure_jobs, results_in
 from flowsplat.protocols.studies.report import Section, how_measured, scene_names, write_study
 from flowsplat.protocols.studies.runs import Result, comparable, study_runs
@@ -107,7 +107,7 @@ def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str]
         chosen = [result for result in results if result[fixed] == value]
         if len({result[axis] for result in chosen}) > 1:
             scenes = scene_names(chosen)
-            more = f" The picture shows {MOST_LINES} of {len(scenes)} scenes." if len(scenes) > MOST_LINES else ""
+            more = f" The picture shows {MOST_SERIES} of {len(scenes)} scenes." if len(scenes) > MOST_SERIES else ""
             note = f"Each with {value:,} {'frame-steps' if fixed == 'iterations' else 'Gaussians at most'}. Means over seeds.{more}"
             table = _table(f"PSNR against {name}", note, label, axis, chosen)
             sections.append(Section(axis, table, _chart(table.title, label, axis, chosen)))
@@ -125,7 +125,7 @@ def _chart(title: str, x_label: str, axis: str, results: Sequence[Result]) -> Ma
     values = sorted({result[axis] for result in results})
     series: dict[str, Points] = {
         label: (values, [_mean(results, scene, axis, value, "psnr") for value in values])
-        for scene, label in list(scene_names(results).items())[:MOST_LINES]
+        for scene, label in list(scene_names(results).items())[:MOST_SERIES]
     }
     return line_chart(series, title=title, x_label=x_label, y_label="PSNR, dB", dots=True)
 
