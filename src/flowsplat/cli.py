@@ -228,7 +228,7 @@ def _benchmarks(arguments: Sequence[str] = ()) -> dict[str, Any]:
                 frame11.png and flow10.flo).
             out: Folder for everything that comes out.
             scenes: Names of the scenes to run; the default is all of them.
-            again: Prepare and measure again what is there already.
+            again: Prepare and measure again what is there already; leave it out to go on from where that was stopped.
         """
         from flowsplat.protocols.priors import run_priors_benchmark
 
@@ -251,7 +251,7 @@ def _benchmarks(arguments: Sequence[str] = ()) -> dict[str, Any]:
             preset: How it is trained: fast, default, paper or high. Frames, their size and the split are the protocol's.
             train: Settings of training that differ from the preset's; the tables name them.
             device: What to compute on.
-            again: Forget what is in OUT of these clips.
+            again: Forget what is in OUT of these clips; leave it out to go on from where that was stopped.
         """
         from flowsplat.protocols.runs import davis_cases, run_benchmark
 
@@ -273,7 +273,7 @@ def _benchmarks(arguments: Sequence[str] = ()) -> dict[str, Any]:
             preset: How it is trained: fast, default, paper or high. Frames and their size are the protocol's.
             train: Settings of training that differ from the preset's; the tables name them.
             device: What to compute on.
-            again: Forget what is in OUT of these scenes.
+            again: Forget what is in OUT of these scenes; leave it out to go on from where that was stopped.
         """
         from flowsplat.protocols.runs import rig_cases, run_benchmark
 
@@ -295,7 +295,7 @@ def _benchmarks(arguments: Sequence[str] = ()) -> dict[str, Any]:
             preset: How it is trained: fast, default, paper or high. Frames and their size are the protocol's.
             train: Settings of training that differ from the preset's; the tables name them.
             device: What to compute on.
-            again: Forget what is in OUT of these scenes.
+            again: Forget what is in OUT of these scenes; leave it out to go on from where that was stopped.
         """
         from flowsplat.protocols.runs import nvidia_cases, run_benchmark
 
@@ -319,7 +319,8 @@ def _benchmarks(arguments: Sequence[str] = ()) -> dict[str, Any]:
                 size and have true priors.
             seeds: Every row is trained once with each.
             iterations: Frame-steps of every run.
-            again: Train and measure again what is in OUT already; prepared scenes stay.
+            again: Train and measure again what is in OUT already; prepared scenes stay. Leave it out to go on from where that was
+                stopped.
         """
         ablating.run_ablations(root, out, rows, scenes, seeds, iterations, again)
 
@@ -339,7 +340,8 @@ def _benchmarks(arguments: Sequence[str] = ()) -> dict[str, Any]:
             steps: Numbers of frame-steps, each with 200,000 Gaussians.
             seeds: Every point is trained once with each.
             size: Long side in pixels to which clips are brought, 0 = as they are; rendered scenes keep their size.
-            again: Train and measure again what is in OUT already; prepared scenes stay.
+            again: Train and measure again what is in OUT already; prepared scenes stay. Leave it out to go on from where that was
+                stopped.
         """
         capping.run_caps(root, out, scenes, caps, steps, seeds, size, again)
 
@@ -367,12 +369,13 @@ def _stored_config(arguments: Sequence[str]) -> Any:
 
 def _open(out: Path, **changes: Any) -> Any:
     """The run in a folder, with some of its settings changed from now on."""
-    from flowsplat.common.devices import pick_device
+    from flowsplat.pipeline.config import check
     from flowsplat.pipeline.folder import RunFolder
 
     folder = RunFolder(out)
-    pick_device(changes["device"])  # before it is kept
-    folder.config = replace(folder.config, **changes)
+    config = replace(folder.config, **changes)
+    check(config)  # before it is kept
+    folder.config = config
     folder.save()
     return folder
 

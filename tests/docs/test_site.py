@@ -134,3 +134,15 @@ def _texts(package: Path) -> list[str]:
 def _strings(tree: ast.AST) -> list[str]:
     """All strings, the parts of an f-string as far as nothing is put in between."""
     return [node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str)]
+
+
+def test_the_same_browsers_are_looked_for_everywhere():
+    def names(file: str, variable: str) -> tuple[str, ...]:
+        tree = ast.parse((TOP / file).read_text())
+        assigned = (node for node in tree.body if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == variable)
+        return ast.literal_eval(next(assigned).value)
+
+    wanted = names("tests/output/conftest.py", "NAMES")
+    assert names("docs/tools/pictures.py", "PROGRAMS") == wanted
+    assert names("docs/tools/pictures.py", "FLAGS") == names("tests/output/conftest.py", "FLAGS")
+    assert f"command -v {' '.join(wanted)} " in (TOP / ".ci" / "run").read_text()

@@ -59,7 +59,8 @@ def made_up_run() -> ReportData:
     history = [
         {
             "step": float(s), "loss": float(v), "colour": float(v * 0.7), "flow": float(v * 8), "rigid": float(v / 50),
-            "depth": 0.0, "psnr": 31 - 60 * float(v), "gaussians": 120_000.0 + 43 * int(s), "active": 60_000.0 + 3 * int(s),
+            "open": float(v / 99), "depth": 0.0, "psnr": 31 - 60 * float(v), "gaussians": 120_000.0 + 43 * int(s),
+            "active": 60_000.0 + 3 * int(s),
         }
         for s, v in zip(steps, loss, strict=True)
     ]  # fmt: skip
@@ -112,8 +113,8 @@ def test_the_report_holds_the_figures(tmp_path):
     page = words(write(tmp_path, made_up_run()))
     for text in (
         "29.87 dB", "3.79 dB better than interpolating", "interpolation: 26.08 dB", "0.912", "24.41", "21.34", "22.08",
-        "25.76", "0.43 px", "1.12", "0.041", "184,201", "63,410 rendered at a time", "6 min 58 s", "2.3 GiB", "31.02",
-        "thinned from 240", "train.model.mean_poly", "1500", "Parts of the loss", "Gaussians rendered over the clip",
+        "25.76", "0.43 px", "1.12", "0.041", "184,201", "63,410 active at a time", "6 min 58 s", "2.3 GiB", "31.02",
+        "thinned from 240", "train.model.mean_poly", "1500", "Parts of the loss", "Gaussians active over the clip",
         "Round the middle of the clip", "frame 29", "full colour =",
     ):  # fmt: skip
         assert text in page, text

@@ -20,6 +20,7 @@ from flowsplat.pipeline.folder import RunFolder
 from flowsplat.priors.given import GivenPriors
 from flowsplat.scenes import Scene
 from flowsplat.scenes.clip import InputOptions
+from flowsplat.scenes.layers import write_image
 from flowsplat.training.trainer import Trainer
 
 from .conftest import small_config
@@ -169,7 +170,7 @@ def test_the_folder_of_another_input_is_refused(finished, tmp_path):
         prepare(tmp_path / "scene", tmp_path / "other", small_config())
 
 
-def test_a_damaged_checkpoint_is_explained(tiny_scene, tmp_path, monkeypatch):
+def test_a_damaged_checkpoint_is_explained_and_can_be_deleted(tiny_scene, finished, tmp_path, monkeypatch):
     iterate = Trainer._iterate
 
     def stop(self):
@@ -182,8 +183,98 @@ def test_a_damaged_checkpoint_is_explained(tiny_scene, tmp_path, monkeypatch):
         run(tiny_scene, tmp_path / "out", small_config())
     checkpoint = next((tmp_path / "out" / "training").glob("step_*.safetensors"))
     checkpoint.write_bytes(checkpoint.read_bytes()[:1000])
-    with pytest.raises(InputError, match="damaged or truncated"):
+    with pytest.raises(InputError, match=r"damaged or truncated.*Delete it to compute it again"):
         run(tiny_scene, tmp_path / "out", small_config())
+    checkpoint.unlink()
+    monkeypatch.setattr(Trainer, "_iterate", iterate)
+    run(tiny_scene, tmp_path / "out", small_config())
+    assert same_model(tmp_path / "out", finished)
+
+
+@pytest.mark.parametrize("lost", ["model/gaussians.safetensors", "renders/input_path.mp4"])
+def test_what_was_deleted_is_made_again(tiny_scene, finished, tmp_path, lost):
+    shutil.copytree(finished, tmp_path / "out")
+    (tmp_path / "out" / lost).unlink()
+    run(tiny_scene, tmp_path / "out", small_config())
+    assert (tmp_path / "out" / lost).exists()
+    assert same_model(tmp_path / "out", finished)
+
+
+def test_a_wrong_setting_of_training_costs_nothing(finished, tmp_path):
+    shutil.copytree(finished, tmp_path / "out")
+    folder = RunFolder(tmp_path / "out")
+    folder.config = small_config(init=replace(small_config().train.init, opacity=1.5))
+    with pytest.raises(InputError, match=r"init\.opacity"):
+        train(folder)
+    assert same_model(tmp_path / "out", finished)
+    assert RunFolder(tmp_path / "out").book["stages"].keys() == RunFolder(finished).book["stages"].keys()
+
+
+def test_other_previews_and_checkpoints_do_not_train_again(tiny_scene, finished, tmp_path, monkeypatch):
+    out, config = tmp_path / "out", small_config()
+    often = replace(config, train=replace(config.train, preview_every=7, checkpoint_every=6))
+    stop = 15
+
+    def until(self):
+        if self.step == stop:
+            raise Stopped
+        return iterate(self)
+
+    iterate = Trainer._iterate
+    with monkeypatch.context() as patch:
+        patch.setattr(Trainer, "_iterate", until)
+        with pytest.raises(Stopped):
+            run(tiny_scene, out, config)
+    stop = 3  # which is passed already
+    monkeypatch.setattr(Trainer, "_iterate", until)
+    run(tiny_scene, out, often)
+    assert same_model(out, finished)
+    monkeypatch.setattr(Trainer, "run", lambda self: pytest.fail("trained again"))
+    run(tiny_scene, out, config)
+
+
+def test_videos_of_the_model_before_are_not_shown(tiny_scene, finished, tmp_path):
+    out = tmp_path / "out"
+    shutil.copytree(finished, out)
+    folder = RunFolder(out)
+    stages.render_run(folder, replace(folder.config.render, paths=("bullet",), max_frames=2))
+    assert "bullet_time.mp4" in (out / "report.html").read_text()
+    run(tiny_scene, out, small_config(seed=5))
+    assert "bullet_time.mp4" not in (out / "report.html").read_text()
+    assert "input_path.mp4" in (out / "report.html").read_text()
+
+
+def test_other_contents_of_given_files_are_noticed(tiny_scene, finished, tmp_path):
+    scene, masks = Scene(finished / "scene"), tmp_path / "masks"
+    config = small_config()
+    config = replace(config, priors=replace(config.priors, priors="own", given=GivenPriors(masks=masks)))
+    bare = tmp_path / "scene"
+    shutil.copytree(tiny_scene, bare)
+    info = json.loads((bare / "scene.json").read_text())
+    info["priors"].pop("masks", None)
+    (bare / "scene.json").write_text(json.dumps(info))
+    for value in (0, 1):
+        for i in range(scene.num_frames):
+            write_image(masks / f"{i:05d}.png", np.full((scene.height, scene.width), value, np.uint8))
+        folder = prepare(bare, tmp_path / "out", config)
+        assert (Scene(folder.scene_path).mask(0) == value).all()
+
+
+def test_memory_of_an_earlier_process_counts(finished, tmp_path):
+    shutil.copytree(finished, tmp_path / "out")
+    folder = RunFolder(tmp_path / "out")
+    folder.book["stages"]["train"]["peak_memory_gib"] = 99.5
+    folder.config = replace(folder.config, refine_poses=False)
+    assert stages.evaluate_run(folder)["peak_memory_gib"] == 99.5
+
+
+@pytest.mark.parametrize("missing", ["input", "started", "stages", "fingerprint", "config", "version"])
+def test_a_damaged_book_is_refused_in_one_line(finished, tmp_path, missing):
+    book = json.loads((finished / "run.json").read_text())
+    del book[missing]
+    (tmp_path / "run.json").write_text(json.dumps(book))
+    with pytest.raises(InputError, match=f"damaged.*{missing}"):
+        RunFolder(tmp_path)
 
 
 def test_settings_survive_their_file(tmp_path):

@@ -144,6 +144,10 @@ def test_clicks_take_the_place_of_other_masks(tmp_path: Path):
     true = scene.truth.mask(3) > 0
     assert ((scene.mask(3) > 0) & true).sum() > 0.8 * true.sum()
     assert prepare_priors(scene, options) == {}
+    stamp = (tmp_path / "depth" / "00000.npz").stat().st_mtime_ns
+    scene.finish_prior("masks", method="given")  # now they come from elsewhere, and shaped depth and tracks
+    assert set(prepare_priors(scene, options)) == {"masks", "depth", "tracks"}
+    assert (tmp_path / "depth" / "00000.npz").stat().st_mtime_ns > stamp
     with pytest.raises(InputError, match=r"--given.masks and --mask-click.*give one"):
         prepare_priors(scene, PriorsOptions(given=GivenPriors(masks=tmp_path), mask_click=("1,1@0",)))
 

@@ -219,6 +219,14 @@ def test_bad_info(scene, values, words):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("missing", ["source", "source_fps", "notes", "priors", "similarity", "train"])
+def test_info_that_lacks_something(scene, missing):
+    path = scene.folder / "scene.json"
+    path.write_text(json.dumps({key: value for key, value in json.loads(path.read_text()).items() if key != missing}))
+    with pytest.raises(InputError, match=f"damaged.*{missing}"):
+        Scene(scene.folder)
+
+
 @pytest.mark.parametrize("text", ["", "{", "[]", "3"])
 def test_damaged_info(scene, text):
     (scene.folder / "scene.json").write_text(text)

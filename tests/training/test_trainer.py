@@ -122,7 +122,7 @@ def test_without_checkpoints_none_is_written(tmp_path):
 @pytest.mark.parametrize(
     ("name", "value", "rule"),
     [
-        ("seed", -1, "0 or more"), ("iterations", -5, "0 or more"), ("average", 1.5, "at most 1"),
+        ("seed", -1, "0 or more"), ("seed", 10**30, "less than 2"), ("iterations", -5, "0 or more"), ("average", 1.5, "at most 1"),
         ("rates.means", math.nan, "0 or more"),
         ("density.max_gaussians", 0, "1 or more"), ("init.opacity", 1.0, "between 0 and 1"), ("density.reset_to", 0.0, "between"),
         ("loss.rigid_neighbours", 0, "1 or more"), ("model.sh_degree", 4, "0, 1, 2 or 3"), ("init.samples", 0, "1 or more"),

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import hashlib
 import json
 import os
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from flowsplat.common.errors import InputError
+
+EDGE = 65536
+"""Bytes at both ends of a file that enter its fingerprint."""
 
 
 @contextlib.contextmanager
@@ -61,6 +65,26 @@ def make_folder(path: Path) -> Path:
     return Path(path)
 
 
+def fingerprint(start: str, files: Iterable[tuple[str, Path]]) -> str:
+    """A short hash of ``start`` and of named files: of their names, sizes and both ends.
+
+    Raises:
+        InputError: a file cannot be read.
+    """
+    digest = hashlib.sha256(start.encode())
+    for name, file in files:
+        try:
+            size = file.stat().st_size
+            digest.update(f"\n{name} {size} ".encode())
+            with open(file, "rb") as opened:
+                digest.update(opened.read(EDGE))
+                opened.seek(max(size - EDGE, 0))
+                digest.update(opened.read(EDGE))
+        except OSError as error:
+            raise InputError(f"{file} cannot be read: {error.strerror}.") from error
+    return digest.hexdigest()[:16]
+
+
 def write_bytes(path: Path, data: bytes) -> None:
     """Write ``data`` atomically."""
     with atomic_path(path) as temporary:
@@ -101,6 +125,17 @@ def read_json(path: Path) -> Any:
         raise InputError(f"{path} cannot be read: {error.strerror}.") from error
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path} is not readable JSON (damaged or truncated): {error}.") from error
+
+
+def require_keys(path: Path, value: Mapping[str, Any], *keys: str) -> None:
+    """Refuse an object of a JSON file that lacks something.
+
+    Raises:
+        InputError: names the file and the first key that is not there.
+    """
+    for key in keys:
+        if key not in value:
+            raise InputError(f"{path} is damaged: it has no {key!r}.")
 
 
 def write_npz(path: Path, arrays: Mapping[str, np.ndarray], *, compressed: bool = False) -> None:

@@ -121,5 +121,5 @@ class SceneModel:
         return replace(self, gaussians=self.gaussians.select(rows), fill=self.fill and part != "movers")
 
     def active_count(self, t: float) -> int:
-        """How many Gaussians are rendered at ``t`` seconds."""
+        """How many Gaussians are there at ``t`` seconds, whether a camera sees them or not."""
         return len(self.gaussians.active(self.clip_time(t)).rows)

@@ -21,6 +21,9 @@ from flowsplat.pictures.colors import depth_range, depth_to_color, flow_legend, 
 from flowsplat.pictures.html import figure, picture, table
 from flowsplat.pictures.sheets import side_by_side, stacked
 from flowsplat.pictures.video import write_mp4
+from flowsplat.priors.cameras.checks import LARGE_ERROR, LITTLE_PARALLAX
+from flowsplat.priors.cameras.following import WORKING_SIDE
+from flowsplat.priors.depth.stage import MOSTLY
 from flowsplat.scenes import Scene, Tracks
 
 NAME = "priors.html"
@@ -39,13 +42,6 @@ SCENE_POINTS = 1500
 """Points of the scene in the drawing of the path."""
 MOST_PIECES = 3
 """Pieces of a clip with cuts whose paths are drawn."""
-
-GOOD_CAMERAS = 0.5
-"""Pixels at 854 pixels of picture: cameras that meet static points worse than this are called poor."""
-LITTLE_PARALLAX = 0.5
-"""Degrees of parallax below which depth counts as rough."""
-MOSTLY = 0.6
-"""Share of pixels with trusted depth from which depth counts as known."""
 
 _STATIC_TRACK, _MOVING_TRACK = (80, 220, 255), (255, 140, 0)
 _STAGES = ("cameras", "flow", "masks", "depth", "tracks")
@@ -95,8 +91,8 @@ def verdict(scene: Scene) -> str:
 
 
 def _is_poor(scene: Scene, cameras: Mapping[str, Any]) -> bool:
-    pixel = max(1.0, max(scene.width, scene.height) / 854)
-    return cameras.get("motion") in ("free", "rotation") and cameras["reprojection_px"] > GOOD_CAMERAS * pixel
+    pixel = max(1.0, max(scene.width, scene.height) / WORKING_SIDE)
+    return cameras.get("motion") in ("free", "rotation") and cameras["reprojection_px"] > LARGE_ERROR * pixel
 
 
 def _camera_words(scene: Scene, cameras: Mapping[str, Any]) -> str:

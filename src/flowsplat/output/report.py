@@ -36,11 +36,11 @@ _VIDEO_TITLES = {
 _METHODS = {
     "flow_interpolation": "interpolated by flow",
     "blend": "both neighbours, blended",
-    "copy": "nearest frame, copied",
+    "copy": "frame before, copied",
     "warp_by_depth": "warped by true depth",
     "static": "static scene",
 }
-_STAGES = {"prepare": "preparing", "train": "training", "static": "static scene", "evaluate": "measuring", "render": "videos"}
+_STAGES = {"train": "training", "static": "static scene", "evaluate": "measuring", "render": "videos"}
 
 
 class Comparison(NamedTuple):
@@ -69,7 +69,7 @@ class ReportData:
         history: entries of the training history: ``step``, ``loss``, ``psnr`` and so on.
         comparisons: the first one is shown on top.
         flows: rendered flow against the prior.
-        active: (seconds, number of Gaussians rendered then).
+        active: (seconds, number of Gaussians active then, in the picture or not).
         config: the settings by dotted name.
         notes: sentences for the user, such as what was done to the input.
         videos: file names in ``renders/`` by name, as ``output.videos.rendered`` tells them.
@@ -163,7 +163,7 @@ def _headline(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
             figure(pick(metrics, "gaussians", "total"), 0),
             "",
             "Gaussians",
-            "" if active is None else f"{active:,.0f} rendered at a time",
+            "" if active is None else f"{active:,.0f} active at a time",
         ),
         card(Markup(_duration(seconds)) if seconds else figure(None), "", "for everything", _memory(metrics)),
     ]
@@ -318,7 +318,7 @@ def _charts(data: ReportData) -> Iterator[dict[str, Any]]:
         ("Loss", over_steps({"loss": "loss"}), "loss", True),
         (
             "Parts of the loss",
-            over_steps({"colour": "colour", "flow": "flow", "rigid": "rigid", "depth": "depth"}),
+            over_steps({key: key for key in ("colour", "flow", "rigid", "depth", "open")}),
             "loss",
             True,
         ),
@@ -331,7 +331,7 @@ def _charts(data: ReportData) -> Iterator[dict[str, Any]]:
                 "chart": line_chart(series, title=title, x_label="step", y_label=y_label, log=log),
             }
     if len(data.active[0]):
-        title = "Gaussians rendered over the clip"
-        series = {"rendered": data.active}
+        title = "Gaussians active over the clip"
+        series = {"active": data.active}
         chart = line_chart(series, title=title, x_label="seconds of the clip", y_label="Gaussians")
         yield {"title": title, "chart": chart}

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, TypeVar, cast, get_args, get_type_hi
 
 import tyro
 
-from flowsplat.common.devices import DeviceName
+from flowsplat.common.devices import DeviceName, pick_device
 from flowsplat.common.errors import InputError
 from flowsplat.output.videos import RenderOptions
 from flowsplat.priors.prepare import PriorsOptions
@@ -87,16 +87,18 @@ def flat(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return found
 
 
-def check_numbers(config: RunConfig) -> None:
-    """Refuse settings that are no numbers.
+def check(config: RunConfig) -> None:
+    """Refuse settings that no run can have.
 
     Raises:
-        InputError: names the option.
+        InputError: names the option, or says why the device does not work.
     """
     for name, value in flat(to_plain(config)).items():
         if isinstance(value, float) and not math.isfinite(value):
             option = name.removeprefix("input.").removeprefix("priors.").replace("_", "-")
             raise InputError(f"--{option} is {value}: give a number.")
+    config.train.check()
+    pick_device(config.device)
 
 
 def from_plain(kind: type[Config], value: dict[str, Any]) -> Config:

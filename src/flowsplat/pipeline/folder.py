@@ -26,7 +26,8 @@ from typing import Any
 
 from flowsplat import __version__
 from flowsplat.common.errors import InputError
-from flowsplat.common.files import make_folder, read_json, write_json
+from flowsplat.common.files import make_folder, read_json, require_keys, write_json
+from flowsplat.common.memory import peak_memory
 from flowsplat.pipeline.config import RunConfig, from_plain, to_plain
 
 VERSION = 1
@@ -48,6 +49,7 @@ class RunFolder:
         try:
             if int(self.book["version"]) > VERSION:
                 raise InputError(f"{path} was written by a newer flowsplat. Update flowsplat.")
+            require_keys(self.path / "run.json", self.book, "input", "started", "stages")
             self.fingerprint: str = self.book["fingerprint"]
             self.config = from_plain(RunConfig, self.book["config"])
         except (KeyError, TypeError, ValueError) as error:
@@ -65,7 +67,7 @@ class RunFolder:
             folder = RunFolder(path)
             if folder.fingerprint != fingerprint:
                 raise InputError(
-                    f"{path} belongs to a different input ({folder.book.get('input')}) or to other input options. "
+                    f"{path} belongs to a different input ({folder.book['input']}) or to other input options. "
                     "Choose another folder with -o."
                 )
             folder.config = config
@@ -108,14 +110,21 @@ class RunFolder:
         self.save()
 
     def finish(self, stage: str, key: str, seconds: Mapping[str, float]) -> None:
-        """Note that a stage is finished, and how long its parts took."""
-        self.book["stages"][stage] = {"key": key, "seconds": {name: round(value, 2) for name, value in seconds.items()}}
+        """Note that a stage is finished, how long its parts took, and how much memory this process has needed."""
+        took = {name: round(value, 2) for name, value in seconds.items()}
+        self.book["stages"][stage] = {"key": key, "seconds": took, "peak_memory_gib": peak_memory()}
         self.save()
 
     @property
     def seconds(self) -> dict[str, float]:
         """Seconds of all finished parts of all finished stages."""
         return {name: value for stage in self.book["stages"].values() for name, value in stage["seconds"].items()}
+
+    @property
+    def peak_memory(self) -> float | None:
+        """GiB that this process and those that finished a stage needed at most; None where the system does not tell."""
+        peaks = [peak_memory(), *(stage.get("peak_memory_gib") for stage in self.book["stages"].values())]
+        return max((peak for peak in peaks if peak is not None), default=None)
 
     @property
     def scene_path(self) -> Path:

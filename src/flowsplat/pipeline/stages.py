@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from flowsplat.common import files
 from flowsplat.common.devices import pick_device
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_json, write_json
-from flowsplat.common.memory import peak_memory
 from flowsplat.common.progress import say
 from flowsplat.evaluation.evaluate import evaluate
 from flowsplat.evaluation.poses import refine_camera
@@ -27,10 +27,10 @@ from flowsplat.gaussians.observations import Observation, Observations, load_obs
 from flowsplat.gaussians.render import RenderedFrame
 from flowsplat.output.priors_report import verdict, write_priors_report
 from flowsplat.output.report import write_report
-from flowsplat.output.videos import RenderOptions, render_videos, settle
+from flowsplat.output.videos import RenderOptions, are_rendered, forget_videos, render_videos, settle
 from flowsplat.pictures.colors import float_to_bytes
 from flowsplat.pictures.sheets import preview_sheet
-from flowsplat.pipeline.config import RunConfig, check_numbers
+from flowsplat.pipeline.config import RunConfig, check, preset, to_plain
 from flowsplat.pipeline.folder import RunFolder, stage_key
 from flowsplat.pipeline.summary import report_data
 from flowsplat.priors.prepare import prepare_priors
@@ -38,8 +38,8 @@ from flowsplat.scenes import Scene, Tracks
 from flowsplat.scenes.clip import InputOptions
 from flowsplat.scenes.ingest import fingerprint, ingest, is_ingested, kind_of_input, open_clip
 from flowsplat.scenes.layers import write_image
-from flowsplat.training.checkpoint import load_model, save_model
-from flowsplat.training.config import TrainConfig
+from flowsplat.training.checkpoint import has_model, load_model, save_model
+from flowsplat.training.config import TrainConfig, that_matter
 from flowsplat.training.static import static_config, static_start
 from flowsplat.training.trainer import Trainer
 
@@ -93,22 +93,21 @@ def load(path: Path | str, device: str = "cpu") -> SceneModel:
 def prepare(source: Path, out: Path, config: RunConfig | None = None) -> RunFolder:
     """Bring the input into a scene folder and compute what is missing of its priors."""
     config = config or RunConfig()
-    check_numbers(config)
-    config.train.check()
-    pick_device(config.device)
+    check(config)
     source = Path(source)
     kind = kind_of_input(source)
     identity = stage_key(kind, _scene_identity(source) if kind == "scene" else fingerprint(source, config.input))
     is_new = not (Path(out) / "run.json").exists()
     if kind == "scene":
         Scene(source)
-        if config.input != InputOptions():
+        if config.input not in (InputOptions(), preset("fast").input):
             say(f"{source} is prepared already: options of what to take from a clip have no effect on it.")
     elif is_new:
         open_clip(source, config.input)  # Whatever is wrong with it is said before a folder is made.
     before = {} if is_new else RunFolder(out).book
     folder = RunFolder.open_or_create(out, str(source), identity, config)
-    key = stage_key(identity, config.priors)
+    given = config.priors.given.files()
+    key = stage_key(identity, config.priors, *([files.fingerprint("", given)] if given else []))
     if folder.is_finished("prepare", key):
         return folder
     goes_on = is_new or folder.was_started("prepare", key)
@@ -127,7 +126,7 @@ def _put_aside(folder: RunFolder, before: Mapping[str, Any]) -> Iterator[None]:
         before: the book of the run with those settings.
     """
     if "prepare" in before["started"]:
-        say("The settings of the priors changed: they are computed again.")
+        say("The settings of the priors, or the files given for them, changed: they are computed again.")
     aside = folder.path / ASIDE
     folder.forget("prepare")
     shutil.rmtree(aside, ignore_errors=True)
@@ -214,7 +213,7 @@ def _estimate(scene: Scene, config: TrainConfig) -> None:
 
 
 def _train_key(folder: RunFolder) -> str:
-    return stage_key(folder.book["stages"].get("prepare", {}).get("key"), folder.config.train)
+    return stage_key(folder.book["stages"].get("prepare", {}).get("key"), that_matter(to_plain(folder.config.train)))
 
 
 def train(folder: RunFolder) -> SceneModel:
@@ -227,14 +226,16 @@ def train(folder: RunFolder) -> SceneModel:
         raise InputError(f"{folder.path} is not prepared yet: run flowsplat prepare first.")
     device = pick_device(folder.config.device)
     key = _train_key(folder)
-    if folder.is_finished("train", key):
+    if folder.is_finished("train", key) and has_model(folder.model_path):
         return load_model(folder.model_path).to(device)
+    check(folder.config)  # before anything is deleted
     if not folder.was_started("train", key):
         if folder.model_path.exists() or (folder.path / "training").exists():
             say("The settings of training, or the scene, are others than before: it begins anew.")
         folder.forget("train")
         for old in ("training", "logs", "model"):
             shutil.rmtree(folder.path / old, ignore_errors=True)
+        forget_videos(folder.path / "renders")
         folder.start("train", key)
     return _trained(folder, "train", key, folder.config.train, "training", folder.model_path)
 
@@ -293,7 +294,7 @@ def _static_model(folder: RunFolder) -> SceneModel:
     """Our own static scene: the same initial Gaussians, movers as in their middle frame, no motion, a quarter of the steps."""
     path = folder.path / "static"
     key = stage_key(_train_key(folder), "static")
-    if folder.is_finished("static", key):
+    if folder.is_finished("static", key) and has_model(path):
         return load_model(path).to(pick_device(folder.config.device))
     if not folder.was_started("static", key):
         folder.forget("static")
@@ -338,9 +339,7 @@ def evaluate_run(folder: RunFolder) -> dict[str, Any]:
 
 def _write_metrics(folder: RunFolder, metrics: dict[str, Any], seconds: Mapping[str, float]) -> None:
     """Complete ``metrics``, and write them and the report. A stage that took ``seconds`` is finished only when that is done."""
-    peak = peak_memory()
-    before = metrics.get("peak_memory_gib")
-    metrics["peak_memory_gib"] = max(peak, before) if peak is not None and before is not None else (peak or before)
+    metrics["peak_memory_gib"] = folder.peak_memory
     metrics["seconds"] = {**folder.seconds, **seconds}
     write_json(folder.path / "metrics.json", metrics)
     history_path = folder.path / "training" / "history.json"
@@ -363,7 +362,7 @@ def render_run(folder: RunFolder, options: RenderOptions | None = None) -> dict[
     metrics = evaluate_run(folder)
     own = options is None or options == folder.config.render
     key = stage_key(_train_key(folder), folder.config.render)
-    if own and folder.is_finished("render", key):
+    if own and folder.is_finished("render", key) and are_rendered(folder.path / "renders"):
         return metrics
     started = time.perf_counter()
     if own:

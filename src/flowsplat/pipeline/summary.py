@@ -42,7 +42,7 @@ ROWS: tuple[tuple[str, tuple[str, ...], str], ...] = (
     ("flow against the prior, median px", ("flow_prior_epe", "median"), ".3f"),
     ("depth, relative error", ("depth_abs_rel", "all", "mean"), ".3f"),
     ("Gaussians", ("gaussians", "total"), ",.0f"),
-    ("Gaussians rendered at a time", ("gaussians", "active_mean"), ",.0f"),
+    ("Gaussians active at a time", ("gaussians", "active_mean"), ",.0f"),
     ("peak memory, GiB", ("peak_memory_gib",), ".1f"),
 )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -133,10 +134,24 @@ def _set_aside(scene: Scene, options: PriorsOptions, has_prompts: bool) -> None:
     for name, method in wanted.items():
         existing = scene.prior(name)
         if method is not None and existing is not None and existing.get("method") != method:
-            del scene.info["priors"][name]
-            if name == "depth":
-                scene.info["similarity"] = None  # It made the old depth's median 1.
-            scene.save_info()
+            if name == "masks":
+                _forget_what_masks_shaped(scene)
+            _forget(scene, name)
+
+
+def _forget(scene: Scene, name: str) -> None:
+    scene.info["priors"].pop(name, None)
+    if name == "depth":
+        scene.info["similarity"] = None  # It made the old depth's median 1.
+    scene.save_info()
+
+
+def _forget_what_masks_shaped(scene: Scene) -> None:
+    """Depth stands movers before what is behind them, and tracks say which of them move: both are made anew with new masks."""
+    for name, files in (("depth", scene.folder / "depth"), ("tracks", scene.folder / "tracks.npz")):
+        if (scene.prior(name) or {}).get("method") not in ("given", "truth"):
+            _forget(scene, name)
+            shutil.rmtree(files) if files.is_dir() else files.unlink(missing_ok=True)
 
 
 def _flow_estimator(options: PriorsOptions, device: str) -> FlowEstimator:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
+from flowsplat.common import files
 from flowsplat.common.errors import InputError
 from flowsplat.common.progress import progress_bar
 from flowsplat.scenes.clip import Clip, InputOptions
@@ -27,8 +27,6 @@ CALIBRATED = "calibrated"
 INGESTED = "ingested"
 """Key of ``Scene.info`` that is true once everything of the input is in the scene."""
 ALREADY = "{} is a prepared scene already: there is nothing to ingest."
-EDGE = 65536
-"""Bytes at both ends of a file that enter its fingerprint."""
 
 
 def kind_of_input(path: Path) -> str:
@@ -192,19 +190,7 @@ def fingerprint(path: Path, options: InputOptions) -> str:
     Raises:
         InputError: the input does not exist or is of no known kind.
     """
-    path = Path(path)
-    digest = hashlib.sha256(json.dumps(asdict(options), sort_keys=True).encode())
-    for name, file in _input_files(path, options):
-        try:
-            size = file.stat().st_size
-            digest.update(f"\n{name} {size} ".encode())
-            with open(file, "rb") as opened:
-                digest.update(opened.read(EDGE))
-                opened.seek(max(size - EDGE, 0))
-                digest.update(opened.read(EDGE))
-        except OSError as error:
-            raise InputError(f"{file} cannot be read: {error.strerror}.") from error
-    return digest.hexdigest()[:16]
+    return files.fingerprint(json.dumps(asdict(options), sort_keys=True), _input_files(Path(path), options))
 
 
 def _input_files(path: Path, options: InputOptions) -> list[tuple[str, Path]]:
@@ -218,10 +204,10 @@ def _input_files(path: Path, options: InputOptions) -> list[tuple[str, Path]]:
         runs = [book.parent for book in path.rglob("run.json")]  # what was made of this input may lie within
         inside = (file for file in path.rglob("*") if not any(run in file.parents for run in runs))
         found = sorted(file for file in inside if file.is_file() and not file.name.startswith("."))
-        files = [(file.relative_to(path).as_posix(), file) for file in found]
+        named = [(file.relative_to(path).as_posix(), file) for file in found]
         if kind == "nvidia" and not (path / RAW_PICTURES).is_dir():
-            files += [(f"gt/{file.name}", file) for file in sorted(target_folder(path).glob(TARGET))]
-        return files
+            named += [(f"gt/{file.name}", file) for file in sorted(target_folder(path).glob(TARGET))]
+        return named
     pictures, masks = sequence_folders(path, options.sequence) if kind == "davis" else _image_folders(path)
-    files = [(f"images/{file.name}", file) for file in list_pictures(pictures)]
-    return files + [(f"masks/{file.name}", file) for file in list_pictures(masks)] if masks else files
+    named = [(f"images/{file.name}", file) for file in list_pictures(pictures)]
+    return named + [(f"masks/{file.name}", file) for file in list_pictures(masks)] if masks else named

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from flowsplat.common.errors import InputError, SplitError
-from flowsplat.common.files import make_folder, read_json, write_json
+from flowsplat.common.files import make_folder, read_json, require_keys, write_json
 from flowsplat.geometry import Camera, Similarity
 from flowsplat.scenes.layers import Depth, Flow, Layers, Tracks, read_image, write_image
 
@@ -77,6 +77,7 @@ class Scene(Layers):
                     f"{folder} was written by a newer flowsplat (scene version {version}, this one reads {VERSION}). "
                     "Update flowsplat."
                 )
+            require_keys(path, self.info, "source", "source_fps", "notes", "priors", "similarity")
             super().__init__(Path(folder), int(self.info["width"]), int(self.info["height"]))
             self.name: str = self.info["name"]
             self.timestamps = np.array(self.info["timestamps"], np.float64)

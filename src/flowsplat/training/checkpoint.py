@@ -69,6 +69,11 @@ def save_model(folder: Path, model: SceneModel) -> None:
     write_json(folder / "model.json", value)
 
 
+def has_model(folder: Path) -> bool:
+    """Whether the files of a trained model are there."""
+    return all((folder / name).exists() for name in ("model.json", "gaussians.safetensors"))
+
+
 def load_model(folder: Path) -> SceneModel:
     """Read what ``save_model`` wrote.
 

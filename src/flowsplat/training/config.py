@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Annotated, Any
 
@@ -109,7 +109,8 @@ class DensityConfig:
     max_gaussians: int = 1_500_000
     """Never more than this."""
     revise: bool = True
-    """Background that keeps a large residual becomes dynamic, dynamic Gaussians that rest become background (ours)."""
+    """Background that keeps a large residual becomes dynamic, dynamic Gaussians that rest become background (ours). Without effect
+    where background is no other than what moves (``model.freeze_background`` off, as in the paper)."""
     revise_flow: float = 1.5
     """Mean flow residual in pixels from which background counts as moving."""
     revise_rest: float = 0.3
@@ -165,6 +166,7 @@ class TrainConfig:
             ("must be at most 1", lambda value: value <= 1, ("average", "loss.ssim", "density.stop")),
             ("must be at most 4", lambda value: value <= 4, ("init.detail",)),
             ("must be 0, 1, 2 or 3", lambda value: value <= 3, ("model.sh_degree",)),
+            ("must be less than 2^63", lambda value: value < 2**63, ("seed",)),
         ):
             for name in names:
                 if not holds(values[name]):
@@ -197,6 +199,15 @@ _OURS = TrainConfig(
     ),
     density=DensityConfig(every=250, start=250, stop=0.8, gradient=0.0, prune_scale=0.0, reset_every=0),
 )
+
+NO_MATTER = ("checkpoint_every", "preview_every")
+"""Settings of training that change no figure."""
+
+
+def that_matter(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Those settings of training, by name, of which the result depends."""
+    return {name: value for name, value in settings.items() if name not in NO_MATTER}
+
 
 PRESETS: dict[str, TrainConfig] = {
     "default": _OURS,

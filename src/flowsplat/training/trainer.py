@@ -28,7 +28,7 @@ from flowsplat.scenes import Tracks
 from flowsplat.training.adam import RowAdam
 from flowsplat.training.average import EVERY, TailAverage
 from flowsplat.training.checkpoint import read_tensors, write_tensors
-from flowsplat.training.config import TrainConfig
+from flowsplat.training.config import TrainConfig, that_matter
 from flowsplat.training.openness import openness
 from flowsplat.training.picture_loss import PictureTargets, PictureWeights, picture_loss
 from flowsplat.training.rigidity import Neighbours, find_neighbours, rigid_loss
@@ -57,7 +57,8 @@ class Trainer:
         gaussians: the model so far.
         step: steps done.
         earlier_seconds: what earlier processes took for the steps that this one went on from.
-        history: one entry every ``RECORD_EVERY`` steps: step, loss, colour, flow, rigid, depth, psnr, gaussians, active.
+        history: one entry every ``RECORD_EVERY`` steps: step, loss, colour, flow, rigid, depth, open, psnr, gaussians,
+            active.
     """
 
     def __init__(
@@ -261,18 +262,25 @@ class Trainer:
         rigid = self._rigid(active, rendered) if config.loss.rigid > 0 else None
         if rigid is not None:
             total = total + config.loss.rigid * rigid
-        if config.loss.opaque > 0:
-            total = total + config.loss.opaque * openness(rendered.alpha)
+        opened = openness(rendered.alpha) if config.loss.opaque > 0 else None
+        if opened is not None:
+            total = total + config.loss.opaque * opened
         total.backward()
         entry = {
             "colour": figures.colour,
             "flow": figures.flow,
             "depth": figures.depth,
             "rigid": _number(rigid) if rigid is not None else 0.0,
+            "open": _number(opened) if opened is not None else 0.0,
             "loss": _number(total),
             "psnr": _psnr(figures.squared_error),
         }
         return rendered, gradients, entry
+
+    @property
+    def _revises(self) -> bool:
+        """Whether Gaussians are told to move, or to rest, from what was seen of them."""
+        return self.config.density.revise and self.config.model.freeze_background
 
     @property
     def _weights(self) -> PictureWeights:
@@ -307,7 +315,7 @@ class Trainer:
             statistics.gradient[rows] += active.somebody(torch.where(visible, scaled.norm(dim=1), 0))
             statistics.visits[rows] += active.somebody(visible)
         # Every fourth step is enough evidence, and saves a twentieth of the time.
-        sampled = self.config.density.revise and self.step % 4 == 0
+        sampled = self._revises and self.step % 4 == 0
         if sampled and rendered.flow is not None and targets.flow is not None:
             seen, residual = _flow_residual(targets, rendered)
             seen &= visible
@@ -339,7 +347,7 @@ class Trainer:
 
     def _control_density(self) -> None:
         config = self.config.density
-        if config.revise and self.gaussians.config.freeze_background:
+        if self._revises:
             _, log_lambda = sampled_frames(len(self.observations), self.config.init)
             moved, rested = revise_dynamic(
                 self.gaussians, self._statistics, config.revise_flow, config.revise_rest, self._focal, log_lambda
@@ -406,8 +414,10 @@ class Trainer:
         if self._checkpoints is None or not (self._checkpoints / "latest.json").exists():
             return False
         path = self._checkpoints / str(read_json(self._checkpoints / "latest.json").get("file"))
+        if not path.exists():  # a damaged one, which was deleted
+            return False
         tensors, values = read_tensors(path)
-        if values.get("config") != _plain(asdict(self.config)):
+        if that_matter(values.get("config", {})) != that_matter(_plain(asdict(self.config))):
             raise InputError(f"{path} was written with other training settings. Use another output folder, or delete it.")
         try:
             self._restore(tensors, values)

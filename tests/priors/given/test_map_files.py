@@ -160,6 +160,13 @@ def test_megasam_flow(scene: Scene, tmp_path: Path):
         assert flow.trusted[:440, 110:800].all()
 
 
+def test_megasam_masks_of_another_size_are_refused(scene: Scene, tmp_path: Path):
+    flow_cache(tmp_path / "cache")
+    np.save(tmp_path / "cache" / "flows_masks.npy", np.load(tmp_path / "cache" / "flows_masks.npy")[..., 1:])
+    with pytest.raises(InputError, match="not as MegaSaM writes it"):
+        read_flow(tmp_path / "cache", scene)
+
+
 def test_flow_one_way_leaves_the_rest_to_the_stage(scene: Scene, tmp_path: Path):
     flow_cache(tmp_path / "cache")
     use_given(scene, GivenPriors(flow=tmp_path / "cache"))

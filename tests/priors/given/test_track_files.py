@@ -153,6 +153,11 @@ def test_of_very_many_tracks_an_even_choice_is_kept(scene: Scene, tmp_path: Path
     np.testing.assert_allclose(found.points[:3], pixels()[::3] + 0.5)
 
 
+def test_a_size_of_nothing_is_refused(scene: Scene, tmp_path: Path):
+    with pytest.raises(InputError, match=r"--given\.tracks-size 0 80"):
+        read_tracks(tapnet(tmp_path), scene, (0, HEIGHT))
+
+
 BAD = {
     "nothing": (lambda f: f / "none", "does not exist"),
     "an empty folder": (lambda f: f, r"Looked for: .*MoSca"),
@@ -161,6 +166,9 @@ BAD = {
     "no visibility": (lambda f: saved(f, tracks=pixels(), visibles=visible()[:4]), "visibility of shape"),
     "one file short": (lambda f: missing(f), "00001_00003.npy does not exist"),
     "other columns": (lambda f: wrong(f), r"are not \[N, 4\]"),
+    "no tracks": (lambda f: saved(f, tracks=pixels()[:0], visibles=visible()[:0]), "holds no tracks"),
+    "one axis": (lambda f: saved(f, pred_tracks=np.ones(5), pred_visibility=np.ones(5)), r"tracks of shape \(5,\)"),
+    "files of different length": (lambda f: shorter(f), "tracks of different length"),
 }
 
 
@@ -171,6 +179,12 @@ def saved(folder: Path, **arrays: np.ndarray) -> Path:
 
 def missing(folder: Path) -> Path:
     (tapir(folder) / "00001_00003.npy").unlink()
+    return folder
+
+
+def shorter(folder: Path) -> Path:
+    values = np.load(marbles(folder) / "track_00003.npy")
+    np.save(folder / "track_00003.npy", values[:4])
     return folder
 
 

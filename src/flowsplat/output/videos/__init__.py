@@ -20,7 +20,7 @@ from flowsplat.output.videos.plans import Plan, plan_videos, settle
 from flowsplat.output.videos.writing import Scales, write_plan
 from flowsplat.scenes import Scene
 
-__all__ = ["RenderOptions", "render_videos", "rendered", "settle"]
+__all__ = ["RenderOptions", "are_rendered", "forget_videos", "render_videos", "rendered", "settle"]
 
 _BOOK = "renders.json"
 
@@ -55,6 +55,16 @@ def rendered(folder: Path) -> dict[str, str]:
         InputError: ``renders.json`` is damaged.
     """
     return {name + "_colour" * k: file for name, entry in _book(folder).items() for k, file in enumerate(entry["files"])}
+
+
+def are_rendered(folder: Path) -> bool:
+    """Whether all files of the videos that were rendered into ``folder`` are still there."""
+    return all((Path(folder) / file).exists() for file in rendered(folder).values())
+
+
+def forget_videos(folder: Path) -> None:
+    """Note that what is in ``folder`` shows another scene; the files stay until new ones take their place."""
+    (Path(folder) / _BOOK).unlink(missing_ok=True)
 
 
 def _book(folder: Path) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -25,11 +26,18 @@ Told = Callable[[str], None]
 Writer = Callable[[Path, float], contextlib.AbstractContextManager[Callable[[np.ndarray], None]]]
 
 
+_PROMISED: set[Path] = set()
+"""Names that were given away, so that two recordings at once do not write to one file."""
+_PROMISING = threading.Lock()
+
+
 def next_file(folder: Path, stem: str, suffix: str) -> Path:
-    """``stem_001.suffix``, or the first number that is not taken yet."""
-    number = 1
-    while (path := folder / f"{stem}_{number:03d}{suffix}").exists():
-        number += 1
+    """``stem_001.suffix``, or the first number that neither exists nor was given to somebody before."""
+    with _PROMISING:
+        number = 1
+        while (path := folder / f"{stem}_{number:03d}{suffix}").exists() or path in _PROMISED:
+            number += 1
+        _PROMISED.add(path)
     return path
 
 

@@ -92,7 +92,7 @@ def read_flow(folder: Path, wanted: list[tuple[int, int]], scene: Scene) -> list
     """
     flows, pairs = read_npy(folder / "flows.npy"), read_npy(folder / "ii-jj.npy")
     masks = read_npy(folder / "flows_masks.npy")
-    if flows.ndim != 4 or flows.shape[1] != 2 or pairs.shape != (2, len(flows)) or len(masks) != len(flows):
+    if flows.ndim != 4 or flows.shape[1] != 2 or pairs.shape != (2, len(flows)) or masks.size * 2 != flows.size:
         raise InputError(
             f"{folder} is not as MegaSaM writes it: flows {flows.shape}, ii-jj {pairs.shape}, flows_masks {masks.shape}."
         )

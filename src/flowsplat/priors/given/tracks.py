@@ -36,6 +36,11 @@ KNOWN = (
     "*_tap.npz (MoSca), or a .npz with tracks and visibility, pred_tracks and pred_visibility, or tracks and visibles"
 )
 
+_ARCHIVES = {
+    "CoTracker": ("pred_tracks", "pred_visibility"), "MoSca": ("tracks", "visibility"), "TAPIR": ("tracks", "visibles"),
+}  # fmt: skip
+"""Names of the points and of what is seen in a ``.npz``, by maker."""
+
 Found = tuple[np.ndarray, np.ndarray]
 """Pixels [N, T, 2] with whole numbers at pixel centres, and confidence [N, T], below one half where hidden."""
 
@@ -62,6 +67,10 @@ def read_tracks(path: Path, scene: Scene, size: tuple[int, int] | None) -> Given
     read, maker = _read(path, scene)
     parts = list(read)
     count = sum(len(points) for points, _ in parts)
+    if not count:
+        raise InputError(f"{path} holds no tracks.")
+    if len({points.shape[1:] for points, _ in parts}) > 1:
+        raise InputError(f"{path}: its files hold tracks of different length.")
     step = -(-count // MOST_TRACKS)
     points = np.concatenate([points[::step] for points, _ in parts])
     confidence = np.concatenate([confidence[::step] for _, confidence in parts]).astype(np.float32)
@@ -69,6 +78,8 @@ def read_tracks(path: Path, scene: Scene, size: tuple[int, int] | None) -> Given
         raise InputError(f"{path} holds tracks of shape {points.shape} with visibility of shape {confidence.shape}.")
     require_frames(path, points.shape[1], scene, "positions a track")
     width, height = size or (scene.width, scene.height)
+    if min(width, height) < 1:
+        raise InputError(f"--given.tracks-size {width} {height}: give the width and height of pictures.")
     pixels = (points.astype(np.float32) + np.float32(0.5)) * np.array([scene.width / width, scene.height / height], np.float32)
     confidence = np.where(np.isfinite(pixels).all(-1) & np.isfinite(confidence), confidence, 0)
     pixels = np.nan_to_num(pixels)
@@ -150,16 +161,17 @@ def _archives(files: list[Path]) -> tuple[Iterator[Found], str]:
     found, maker = [], ""
     for file in files:
         arrays = read_npz(file)
-        if {"pred_tracks", "pred_visibility"} <= arrays.keys():
-            points, seen, maker = arrays["pred_tracks"], arrays["pred_visibility"], "CoTracker"
-            points = points[0] if points.ndim == 4 else points
-            seen = seen.reshape(points.shape[:2]) if seen.size == points[..., 0].size else seen
-            points, seen = points.swapaxes(0, 1), seen.T
-        elif {"tracks", "visibility"} <= arrays.keys():
-            points, seen, maker = arrays["tracks"].swapaxes(0, 1)[..., :2], arrays["visibility"].T, "MoSca"
-        elif {"tracks", "visibles"} <= arrays.keys():
-            points, seen, maker = arrays["tracks"], arrays["visibles"], "TAPIR"
-        else:
+        maker = next((maker for maker, names in _ARCHIVES.items() if set(names) <= arrays.keys()), "")
+        if not maker:
             raise InputError(f"{file} holds no tracks of a known layout. Looked for: {KNOWN}.")
+        points, seen = (arrays[name] for name in _ARCHIVES[maker])
+        if maker == "CoTracker" and points.ndim == 4:
+            points, seen = points[0], seen[0, ..., 0] if seen.ndim == 4 else seen[0]
+        if points.ndim != 3 or seen.shape != points.shape[:2]:
+            raise InputError(f"{file} holds tracks of shape {points.shape} with visibility of shape {seen.shape}.")
+        if maker == "MoSca":
+            points = points[..., :2]
+        if maker != "TAPIR":
+            points, seen = points.swapaxes(0, 1), seen.T
         found.append((points, seen.astype(np.float32)))
     return iter(found), maker

@@ -42,6 +42,18 @@ class GivenPriors:
     allow_pickle: bool = False
     """Read pickled files (DROID-SLAM's droid_recon), which can run any code: only for files that you trust."""
 
+    def files(self) -> list[tuple[str, Path]]:
+        """All files that are named, or lie in folders that are named, with names that do not depend on where they lie."""
+        found = []
+        for option in ("cameras", "depth", "masks", "flow", "tracks"):
+            path = getattr(self, option)
+            if path is not None and path.is_dir():
+                inside = sorted(file for file in path.rglob("*") if file.is_file() and not file.name.startswith("."))
+                found += [(f"{option}/{file.relative_to(path).as_posix()}", file) for file in inside]
+            elif path is not None and path.exists():
+                found.append((option, path))
+        return found
+
 
 def use_given(
     scene: Scene, given: GivenPriors, estimate: FlowEstimator = dis_estimator

@@ -75,7 +75,8 @@ def _markdown(rows: Sequence[Row], remarks: Sequence[str], results: Sequence[Map
 
 def _facts(result: Mapping[str, Any]) -> str:
     width, height = result["size"]
-    facts = f"{result['scene']}: {result['frames']} frames of {width}x{height}, flowsplat {result['flowsplat']}"
+    version = result.get("flowsplat", "of unknown version")
+    facts = f"{result['scene']}: {result['frames']} frames of {width}x{height}, flowsplat {version}"
     seconds = ", ".join(f"{name} {value:.0f} s" for name, value in result.get("seconds", {}).items())
     return f"{facts}; {seconds or 'prepared in several goes, so without times'}"
 

@@ -29,15 +29,13 @@ from flowsplat.scenes.formats.images import read_picture
 from flowsplat.scenes.formats.nerfies import is_nerfies
 from flowsplat.scenes.formats.nvidia import RAW_PICTURES, is_nvidia
 from flowsplat.scenes.ingest import open_clip
+from flowsplat.training.config import NO_MATTER
 
 ALL_FRAMES = InputOptions(every=1, max_frames=100_000)
 NSFF_TIMES, NSFF_HEIGHT = 24, 288
 TWELVE_WIDTH = 480
 MARBLES_SCALE = 2
 """Dynamic Gaussian Marbles measures on pictures of half the size."""
-
-NO_MATTER = ("checkpoint_every", "preview_every")
-"""Settings of training that change no figure."""
 
 ProtocolName = Literal["davis", "rig", "nvidia"]
 FORMS = {
