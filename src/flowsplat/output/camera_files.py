@@ -4,7 +4,7 @@ Ours is a JSON object:
 
 | key | content |
 | --- | --- |
-| ``fps`` | frames a second of the video; optional |
+| ``fps`` | frames a second of the video, 0.1 to 1000; optional |
 | ``width``, ``height`` | pixels of the pictures; optional, else those of the scene |
 | ``frames`` | a list, in the order of the video, of objects with the keys below |
 | ``t`` | seconds of the clip; optional, but for all frames or for none: then the clip plays once |
@@ -28,6 +28,7 @@ import numpy as np
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_json, write_json
 from flowsplat.geometry import Camera
+from flowsplat.pictures.video import FASTEST, SLOWEST
 from flowsplat.scenes.formats.nerfstudio import from_opengl, picture_size, positive, transforms_camera
 
 LARGEST = 8192
@@ -69,6 +70,8 @@ def read_camera_file(path: Path, size: tuple[int, int], clip: tuple[float, float
         if len({(camera.width, camera.height) for camera, _ in found}) > 1:
             raise InputError("its cameras differ in width or height, a video needs one size")
         fps = None if content.get("fps") is None else positive(content["fps"], "fps")
+        if fps is not None and not SLOWEST <= fps <= FASTEST:
+            raise InputError(f"its fps is {fps:g}: only {SLOWEST:g} to {FASTEST:g} can be written")
         seconds = _seconds([time for _, time in found], clip, is_relative)
     except (InputError, ValueError, ArithmeticError) as error:
         raise InputError(f"{path} cannot be used as a camera path: {error}.") from error

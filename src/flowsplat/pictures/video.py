@@ -18,6 +18,9 @@ from flowsplat.common.errors import InputError
 from flowsplat.common.files import atomic_path
 from flowsplat.common.progress import say
 
+SLOWEST, FASTEST = 0.1, 1000.0
+"""Frames a second that can be written."""
+
 # https://www.itu.int/rec/T-REC-H.273: code point 1 is BT.709 for primaries, transfer and matrix. FFmpeg numbers the
 # ranges 1 = limited ("MPEG") and 2 = full ("JPEG"), and its RGB matrix is 0.
 _BT709 = 1

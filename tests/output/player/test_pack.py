@@ -13,9 +13,11 @@ from flowsplat.output.player.planes import Plane, rounded, rounded_in_chunks, ro
 from flowsplat.output.player.series import moving_series, seen_in_clip, visible_interval
 from tests.output.player.unpacking import chebyshev, show, unpack
 from tests.output.small import (
+    HEIGHT,
     LINEAR,
     OURS,
     PAPER,
+    WIDTH,
     five_pairs,
     psnr,
     rendered,
@@ -78,6 +80,47 @@ def test_series_follow_the_motion_model(config):
             quats = series.quats[:, 0].numpy() + chebyshev(series.quats[:, 1:].numpy(), np.full(200, share))
             cosines = (quats * state.quats.numpy()).sum(1) / np.linalg.norm(state.quats, axis=1) / np.linalg.norm(quats, axis=1)
             assert np.quantile(np.abs(cosines), 0.05) > 0.9999
+
+
+def test_series_follow_more_than_one_turn():
+    gaussians = small_gaussians(PAPER, resting=0, moving=3)
+    params, rows = gaussians.params, torch.arange(3)
+    params["quats"] = torch.tensor([[0.1, 0.2, 0, 0]]).repeat(3, 1)
+    for name in ("quat_poly", "quat_cos", "quat_sin"):
+        params[name].zero_()
+    params["quat_cos"][:, 0, 0] = 1
+    params["quat_sin"][:, 0, 1] = 1
+    precision = torch.full((3,), 3.5)
+    series = moving_series(gaussians, rows, params["times"], precision, 1e-4, 1e-3)
+    middle, half = visible_interval(params["times"], precision, PAPER.p_min)
+    assert (2 * np.pi * half > np.pi / 2).all(), "more than half a turn to either side"
+    for share in np.linspace(-1, 1, 9):
+        state = gaussians.motion.state({**params, "times": params["times"] - (middle + float(share) * half)}, 0.0)
+        quats = series.quats[:, 0].numpy() + chebyshev(series.quats[:, 1:].numpy(), np.full(3, share))
+        cosines = (quats * state.quats.numpy()).sum(1) / np.linalg.norm(state.quats, axis=1) / np.linalg.norm(quats, axis=1)
+        assert np.abs(cosines).min() > 0.99
+
+
+@pytest.mark.parametrize("width", [WIDTH, 40 * WIDTH])
+def test_what_crosses_the_scene_is_where_it_belongs(width):
+    """However small the pixels are, and with them the steps of what is stored."""
+    model = small_model(resting=0, moving=40)
+    params = model.gaussians.params
+    params["mean_poly"][:, 0, 0] = torch.linspace(-3, 3, 40)
+    params["log_lambdas"][:] = 0.0
+    pack_ = pack(model, small_times(), small_cameras(model, width, HEIGHT * width // WIDTH), "small")
+    planes = unpack(pack_.about, pack_.data)
+    middle, half = visible_interval(
+        torch.from_numpy(planes["times"][:, 0]), torch.from_numpy(planes["logLambdas"][:, 0]), model.gaussians.config.p_min
+    )
+    for share in (-0.9, 0.7):
+        found = planes["means"] + chebyshev(planes["meanSeries"].reshape(40, -1, 3), np.full(40, share))
+        gaps = []
+        for k in range(40):  # the page has an order of its own
+            t = float(middle[k] + share * half[k])
+            true = model.gaussians.motion.state({**params, "times": params["times"] - t}, 0.0).means.numpy()
+            gaps.append(np.linalg.norm(true - found[k], axis=1).min())
+        assert max(gaps) < 2e-3
 
 
 @pytest.mark.parametrize(

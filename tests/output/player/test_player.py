@@ -102,6 +102,26 @@ def test_pictures_without_float_targets_and_without_workers(open_page, player_fi
     assert page.complaints == []
 
 
+def test_a_worker_that_does_not_start_is_not_waited_for(open_page, player_file):
+    silent = "window.Worker = class { postMessage() {} terminate() {} constructor() { setTimeout(() => this.onerror(), 200); } };"
+    page = open_page(player_file, silent)
+    model = small_model()
+    camera, seconds = five_pairs(model)[0]
+    assert psnr(picture_of(page, camera, seconds), model.render(camera, seconds).colour) > 30
+    assert page.complaints == []
+
+
+def test_keys_reach_the_player_out_of_a_list(open_page, player_file):
+    page = open_page(player_file)
+    page.pause()
+    for field, key, mode in (("#camera", "KeyW", "fly"), ("#camera", "KeyS", "fly"), ("#speed", "Digit1", "clip")):
+        speed = page.page.locator("#speed").input_value()
+        page.page.locator(field).focus()
+        page.page.keyboard.press(key)
+        assert page.page.locator("#camera").input_value() == mode
+        assert page.page.locator("#speed").input_value() == speed
+
+
 def test_the_slider_changes_the_picture(open_page, player_file):
     page = open_page(player_file)
     page.pause()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from flowsplat.common.errors import InputError
 from flowsplat.geometry import Camera
 from flowsplat.output.viewer.keys import CameraKeys
 
@@ -36,6 +37,11 @@ def test_a_path_from_a_file_comes_back_frame_by_frame():
     back = CameraKeys.of_shots(shots, 12.5).shots(12.5)
     assert [t for _, t in back] == pytest.approx([t for _, t in shots])
     np.testing.assert_allclose([c.center for c, _ in back], [c.center for c, _ in shots], atol=1e-12)
+
+
+def test_a_path_that_came_as_a_whole_takes_no_more_keys():
+    with pytest.raises(InputError, match="clear it"):
+        CameraKeys.of_shots([(camera(0.0), 0.0), (camera(1.0), 1.0)], 30.0).add(camera(2.0), 1.0)
 
 
 def test_few_keys():

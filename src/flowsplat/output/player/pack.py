@@ -122,7 +122,8 @@ def _planes(gaussians: Gaussians4D, resting: int, resolution: np.ndarray) -> lis
 def _motion_planes(series: MovingSeries, step: float) -> list[Plane]:
     means, quats = series.means[:, 1:], series.quats[:, 1:]
     return [
-        rounded_to_step("meanSeries", means.flatten(1).numpy(), step),
+        # In boxes, too: what crosses the picture between two frames goes further than 16 bits of such steps.
+        rounded_in_chunks("meanSeries", means.flatten(1).numpy(), np.full(len(means), step), CHUNK),
         rounded_to_step("quatSeries", quats.flatten(1).numpy(), QUAT_TOLERANCE),
     ]
 

@@ -87,11 +87,11 @@ def moving_series(
     else:
         quats = torch.stack([normalize_quats(state.quats) for state in states if state.quats is not None], 1)
         log_scales = params["log_scales"]
-    # q and -q are one rotation: the series needs one branch, and the same one for all that look alike.
+    # q and -q are one rotation, and the same one is to be stored for all that look alike. In time q is continuous: no node is
+    # turned alone, for then a turn of more than half a circle would jump.
     reference = quats[:, NODES // 2]
     largest = torch.gather(reference, 1, reference.abs().argmax(1, keepdim=True))
-    reference = reference * torch.where(largest < 0, -1.0, 1.0)
-    quats = quats * torch.where((quats * reference[:, None]).sum(-1, keepdim=True) < 0, -1.0, 1.0)
+    quats = quats * torch.where(largest < 0, -1.0, 1.0)[:, None]
     return MovingSeries(
         times, log_lambdas, _fitted(means, nodes, mean_tolerance), _fitted(quats, nodes, quat_tolerance), log_scales
     )

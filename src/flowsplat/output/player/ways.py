@@ -35,10 +35,11 @@ def ways(model: SceneModel, times: Sequence[float], cameras: Sequence[Camera]) -
         depth of the movers at even steps of the clip, the median depth of the clip where none are seen.
     """
     step = (times[-1] - times[0]) / (len(times) - 1)
-    steady, _ = stabilise(model, list(zip(cameras, times, strict=True)), RenderOptions.stabilise / step)
+    even, clip = np.linspace(times[0], times[-1], len(times)).tolist(), CameraPath(times, cameras)
+    steady, _ = stabilise(model, [(clip.at(t), t) for t in even], RenderOptions.stabilise / step)
     return {
         "path": sampled_path(model, times, cameras),
-        "steady": sampled_path(model, times, [camera for camera, _ in steady]),
+        "steady": sampled_path(model, even, [camera for camera, _ in steady]),
         "subjects": _subjects(model, times, cameras),
     }
 

@@ -9,12 +9,12 @@ from typing import Literal, get_args
 from flowsplat.common.errors import InputError
 from flowsplat.gaussians.rendering import Part
 from flowsplat.output.camera_files import LARGEST
+from flowsplat.pictures.video import FASTEST, SLOWEST
 
 PathName = Literal["input", "stabilised", "orbit", "bullet", "dolly", "wiggle"]
 
 _SMALLEST = 16
-SLOWEST, FASTEST = 0.1, 1000.0
-"""Frames a second that can be written."""
+"""Pixels of width."""
 
 
 @dataclass(frozen=True)

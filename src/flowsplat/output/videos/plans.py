@@ -16,9 +16,10 @@ from flowsplat.gaussians.rendering import Part, PartedRenderer
 from flowsplat.geometry import Camera
 from flowsplat.geometry.paths import CameraPath, dolly_zoom, orbit, shifted
 from flowsplat.output.camera_files import CameraShots, read_camera_file
-from flowsplat.output.videos.options import FASTEST, SLOWEST, RenderOptions, check_options
+from flowsplat.output.videos.options import RenderOptions, check_options
 from flowsplat.output.videos.shots import COVERED, Shot, small
 from flowsplat.output.videos.stabilised import stabilise
+from flowsplat.pictures.video import FASTEST, SLOWEST
 from flowsplat.scenes import Scene
 
 WIGGLE_FRAMES = 16

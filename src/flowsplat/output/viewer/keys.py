@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from flowsplat.common.errors import InputError
 from flowsplat.geometry import Camera
 from flowsplat.geometry.paths import CameraPath
 from flowsplat.output.videos.shots import Shot
@@ -18,16 +19,24 @@ class CameraKeys:
         """``spacing``: seconds of the video from one key to the next."""
         self.spacing = spacing
         self.keys: list[Shot] = []
+        self._is_whole = False
 
     @staticmethod
     def of_shots(shots: Sequence[Shot], fps: float) -> CameraKeys:
         """A path that was read from a file: every shot is a key."""
         found = CameraKeys(1 / fps)
         found.keys = list(shots)
+        found._is_whole = True
         return found
 
     def add(self, camera: Camera, t: float) -> None:
-        """Set the next key."""
+        """Set the next key.
+
+        Raises:
+            InputError: the path came as a whole, with a key for every frame and a size of its own.
+        """
+        if self._is_whole:
+            raise InputError("This path has a key for every frame already: clear it to make one of your own.")
         self.keys.append((camera, t))
 
     @property

@@ -77,7 +77,8 @@ class Controls {
     else if (event.code === "ArrowLeft" && !isField) state.seek(state.time - this.frame);
     else if (event.code === "ArrowRight" && !isField) state.seek(state.time + this.frame);
     else return;
-    if (!isField) event.preventDefault();
+    // A list would take a letter or a digit for the first letter of one of its options.
+    if (!isField || /^(Key|Digit)/.test(event.code)) event.preventDefault();
   }
 
   /** What pressed keys do in `seconds`. */

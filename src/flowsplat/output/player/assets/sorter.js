@@ -81,30 +81,41 @@ class Sorter {
     this.waiting = new Map();
     this.ticket = 0;
     const receive = (answer) => {
-      this.waiting.get(answer.ticket)(answer.order);
+      this.waiting.get(answer.ticket).resolve(answer.order);
       this.waiting.delete(answer.ticket);
+    };
+    const load = {
+      resting: about.resting, moving: about.moving, means: planes.means.values, series: planes.meanSeries.values,
+      degree: meanDegree, intervals, pMin: about.pMin, near: about.near,
+    };
+    const sortHere = () => {
+      const handle = sorterProgram(receive);
+      this.send = (message) => queueMicrotask(() => handle(message));
     };
     try {
       const source = `const handle = (${sorterProgram})((answer, moved) => postMessage(answer, moved)); onmessage = (event) => handle(event.data);`;
       const worker = new Worker(URL.createObjectURL(new Blob([source], { type: "text/javascript" })));
       worker.onmessage = (event) => receive(event.data);
+      // A page may be allowed to make a worker and not to start it: that is told later.
+      worker.onerror = () => {
+        worker.terminate();
+        sortHere();
+        this.send(load);
+        for (const { message } of this.waiting.values()) this.send(message);
+      };
       this.send = (message) => worker.postMessage(message);
     } catch {
-      const handle = sorterProgram(receive);
-      this.send = (message) => queueMicrotask(() => handle(message));
+      sortHere();
     }
-    this.send({
-      resting: about.resting, moving: about.moving, means: planes.means.values, series: planes.meanSeries.values,
-      degree: meanDegree, intervals, pMin: about.pMin, near: about.near,
-    });
+    this.send(load);
   }
 
   /** Promise of the order at a time of a part of the scene, for a camera with this third row of its viewmat. */
   sort(row, time, part) {
-    const ticket = this.ticket++;
+    const message = { row, time, part, ticket: this.ticket++ };
     return new Promise((resolve) => {
-      this.waiting.set(ticket, resolve);
-      this.send({ row, time, part, ticket });
+      this.waiting.set(message.ticket, { resolve, message });
+      this.send(message);
     });
   }
 }
