@@ -20,7 +20,8 @@ from flowsplat.priors.depth.longflow import LongFlows
 from flowsplat.priors.depth.movers import card, growth, smooth_cards, uncover
 from flowsplat.priors.depth.multiview import solve_multiview
 from flowsplat.priors.flow import flow_stage
-from flowsplat.scenes import Scene
+from flowsplat.priors.given import consecutive_pairs
+from flowsplat.scenes import Flow, Scene
 from tests.geometry.still import camera_flow
 
 from .planes import HEIGHT, WALL, WIDTH, write_planes
@@ -230,6 +231,20 @@ def test_long_flows_are_those_of_the_chosen_method(tmp_path: Path):
     assert [guess.shape for guess in guesses] == [(HEIGHT, WIDTH, 2)] * 2  # there and back, from neighbours' flow
     assert np.median(np.abs(guesses[0] - [-4, 0])) < 0.1
     assert np.median(np.abs(flows.matches(3, 4)[0] - [-1, 0])) < 0.1
+
+
+def test_given_flow_that_knows_nothing_is_no_match(tmp_path: Path):
+    """Nothing both ways looks like a perfect round trip."""
+    scene = write_planes(tmp_path, step=2, square=False)
+    for i, j in consecutive_pairs(scene):
+        confidence = np.ones((HEIGHT, WIDTH), np.float32)
+        confidence[:, : WIDTH // 2] = 0
+        scene.write_flow(Flow(i, j, np.zeros((HEIGHT, WIDTH, 2), np.float32), confidence))
+    scene.finish_prior("flow", method="given")
+    _, confidence = LongFlows(scene, Continuity(scene)).matches(3, 4)
+    middle = confidence.shape[1] // 2
+    assert confidence[:, : middle - 2].max() == 0
+    assert confidence[:, middle + 2 :].min() > 0.9
 
 
 @pytest.fixture(scope="module")

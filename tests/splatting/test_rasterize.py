@@ -249,6 +249,23 @@ def test_bad_arguments_are_named():
         rasterize(arguments[0], None, None, *arguments[3:], 8, 8)
 
 
+@pytest.mark.parametrize("sigma", [3e3, 1e5])
+def test_long_thin_gaussians_are_drawn(sigma):
+    """Whatever their direction: float32 knows little of the determinant of such a conic."""
+    for angle in np.linspace(0.05, 3.1, 23):
+        values = {
+            "means": torch.tensor([[0.0, 0.0, 1.0]]),
+            "quats": torch.tensor([[np.cos(angle / 2), 0, 0, np.sin(angle / 2)]], dtype=torch.float32),
+            "scales": torch.tensor([[sigma / 50, 1e-5, 1e-5]]),
+            "opacities": torch.tensor([0.9]),
+            "features": torch.ones(1, 1),
+            "viewmat": torch.eye(4),
+            "K": torch.tensor([[50.0, 0, 16.5], [0, 50, 12.5], [0, 0, 1]]),
+        }
+        alphas = rasterize(*values.values(), 33, 25, backend="cpu")[1]
+        assert float(alphas[12, 16]) == pytest.approx(0.9, abs=0.02)
+
+
 def test_any_number_of_channels(monkeypatch):
     values = in_float32(random_gaussians(70, 7))
     monkeypatch.setattr(functions, "MOST_CHANNELS", 3)

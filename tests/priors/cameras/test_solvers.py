@@ -71,6 +71,16 @@ def test_a_camera_that_looks_elsewhere_is_a_jump(good, frame):
     assert find_jumps(damaged(good, 0.2, frame)) == []
 
 
+def test_jumps_are_named_by_the_frames_of_the_clip(good, tracks):
+    broken = damaged(good, 91, 7)
+    kept = tracks[keep_back(np.isfinite(tracks[..., 0]))[1]]
+    numbers = [k + 30 for k in range(tracks.shape[1])]
+    plain, shifted = (judge("own", broken, kept, WIDTH, HEIGHT, frames) for frames in (None, numbers))
+    assert plain.jumps
+    assert shifted.jumps == [t + 30 for t in plain.jumps]
+    assert f"jumps before frame {shifted.jumps[0]}" in shifted.in_words(1.0)
+
+
 def test_a_fast_pan_is_no_jump(good):
     pan = Rotation.from_rotvec(np.radians(8.0) * np.arange(20)[:, None] * [0, 1, 0]).as_matrix()
     state = replace(good.fit.state, rotations=pan @ good.fit.state.rotations)

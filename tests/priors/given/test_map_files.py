@@ -201,6 +201,34 @@ def test_kitti_flow(scene: Scene, tmp_path: Path):
     assert flows[0].trusted[40:].all()
 
 
+def test_sparse_flow_is_not_mixed_with_nothing(scene: Scene, tmp_path: Path):
+    """Resized, it stays what it is where it is known."""
+    random = np.random.default_rng(0)
+    for i, j in consecutive_pairs(scene):
+        known = random.random((375, 667)) < 0.3
+        image = np.zeros((375, 667, 3), np.uint16)
+        image[known] = (1, 32768 - 64 * 3, 32768 + 64 * 5)
+        cv2.imwrite(str(tmp_path / f"{i:05d}_{j:05d}.png"), image)
+    flow = read_flow(tmp_path, scene)[0][0]
+    assert 0.2 < flow.trusted.mean() < 0.4
+    expected = np.array([5 * 854 / 667, -3 * 480 / 375])
+    np.testing.assert_allclose(flow.flow[flow.trusted], np.broadcast_to(expected, (flow.trusted.sum(), 2)), rtol=1e-4)
+
+
+def test_flow_of_more_frames_than_the_clip_has_is_refused(scene: Scene, tmp_path: Path):
+    for i, j in consecutive_pairs(scene) + [(7, 8)]:
+        np.savez(tmp_path / f"{i:05d}_{j:05d}.npz", flow=np.zeros((48, 85, 2), np.float32), confidence=np.ones((48, 85)))
+    with pytest.raises(InputError, match="holds 9 pictures, but the clip has 5 frames"):
+        read_flow(tmp_path, scene)
+
+
+def test_masks_of_more_frames_than_the_clip_has_are_refused(scene: Scene, tmp_path: Path):
+    for i in range(2 * FRAMES):
+        cv2.imwrite(str(tmp_path / f"{i:05d}.png"), np.zeros(SIZE[::-1], np.uint8))
+    with pytest.raises(InputError, match="holds 10 files with a mask, but the clip has 5 frames"):
+        use_given(scene, GivenPriors(masks=tmp_path))
+
+
 def test_bad_flow_is_refused_in_one_line(scene: Scene, tmp_path: Path):
     flow_cache(tmp_path / "short", frames=4)
     with pytest.raises(InputError, match="holds 4 pictures"):

@@ -100,6 +100,19 @@ def test_palette(folder):
         np.testing.assert_array_equal(clip.mask(i), blocks(*values))
 
 
+def test_a_colour_is_the_same_object_whatever_else_is_seen(folder, write_picture):
+    """White is no shade of red where the red object has left."""
+    for i, colours in enumerate([((255, 0, 0), (255, 255, 255)), ((255, 255, 255),), ((255, 0, 0),)]):
+        image = np.zeros((*SHAPE, 3), np.uint8)
+        for k, colour in enumerate(colours):
+            image[:, 10 * (k + 1) : 10 * (k + 2)] = colour
+        write_picture(folder / "masks" / f"{i:05d}.png", image)
+    clip = open_with_masks(folder)
+    np.testing.assert_array_equal(clip.mask(0), blocks(1, 2))
+    np.testing.assert_array_equal(clip.mask(1), blocks(2))
+    np.testing.assert_array_equal(clip.mask(2), blocks(1))
+
+
 def test_soft_edges_are_one_object(folder, write_picture):
     soft = np.tile(np.arange(64, dtype=np.uint8) * 4, (48, 1))
     for i in range(3):

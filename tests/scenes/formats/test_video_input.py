@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 from collections.abc import Callable
 from fractions import Fraction
@@ -13,6 +14,7 @@ import pytest
 
 from flowsplat.common.errors import InputError
 from flowsplat.scenes.clip import InputOptions
+from flowsplat.scenes.formats import video
 from flowsplat.scenes.formats.video import display_matrix, open_video, orient
 
 OPTIONS = InputOptions()
@@ -102,6 +104,32 @@ def test_some_frames(tmp_path, picture, write_video):
     for number, frame in zip((3, 40, 75), clip.frames([3, 40, 75]), strict=True):
         np.testing.assert_array_equal(frame, everything[100 + number])
     assert list(clip.frames([])) == []
+
+
+def test_what_cannot_seek_is_decoded_from_its_beginning(tmp_path, picture, write_video, monkeypatch):
+    class Unwilling:
+        def __init__(self, container):
+            self._container = container
+
+        def __getattr__(self, name):
+            return getattr(self._container, name)
+
+        def seek(self, *_args, **_kwargs):
+            raise av.error.PermissionError(1, "Operation not permitted")
+
+    opened = video._opened
+
+    @contextlib.contextmanager
+    def unwilling(path):
+        with opened(path) as (container, stream):
+            yield Unwilling(container), stream
+
+    path = write_video(tmp_path / "a.mp4", [picture(i) for i in range(60)], options={"g": "20"})
+    clip = open_video(path, InputOptions(start=1.6))
+    expected = list(clip.frames([0, 5]))
+    monkeypatch.setattr(video, "_opened", unwilling)
+    for found, frame in zip(clip.frames([0, 5]), expected, strict=True):
+        np.testing.assert_array_equal(found, frame)
 
 
 def test_variable_frame_rate(tmp_path, pictures, write_video):

@@ -48,7 +48,7 @@ class Judgement:
         pixels: median error of kept-back static tracks in the frames that did not place their points; None where there
             are too few such tracks.
         cost: the mean robust cost of the same observations, without unit; 0 where there are too few.
-        jumps: frames before which the path jumps.
+        jumps: frames of the clip before which the path jumps.
         faults: what is impossible about the cameras, in words.
         poor: whether another solver is worth a try.
     """
@@ -166,6 +166,7 @@ def judge(
     """
     pixels, cost = _heldout_errors(found, positions, width, height)
     jumps = find_jumps(found, frames) if found.motion in ("free", "rotation") else []
+    jumps = jumps if frames is None else [int(frames[t]) for t in jumps]
     faults = _faults(found, width)
     lost = found.motion == "free" and (bool(found.unplaced) or found.fit.static.mean() < FEW_STATIC)
     poor = bool(jumps or faults or lost or (pixels is not None and pixels > LARGE_ERROR))
@@ -190,7 +191,7 @@ def _heldout_errors(found: Estimate, positions: np.ndarray, width: float, height
 
 
 def find_jumps(found: Estimate, frames: Sequence[int] | None = None) -> list[int]:
-    """Frames before which the path turns or leaps quite unlike anywhere else.
+    """Positions before which the path turns or leaps quite unlike anywhere else.
 
     Compared are the changes of speed from one step to the next: a pan may be fast, but it begins and ends.
 

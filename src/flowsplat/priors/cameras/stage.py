@@ -94,7 +94,7 @@ def camera_stage(scene: Scene, options: CameraOptions) -> None:
     numbers = np.concatenate([np.array(frames)[each.fit.frames] for frames, each in zip(pieces, found, strict=True)])
     heldout = np.isin(numbers, scene.heldout_frames)
     unplaced = [frames[t] for frames, each in zip(pieces, found, strict=True) for t in each.unplaced]
-    jumps = [frames[t] for frames, each in zip(pieces, solved, strict=True) for t in each.judgements[0].jumps]
+    jumps = [t for each in solved for t in each.judgements[0].jumps]
     breaks = [frames[0] for frames in pieces[1:]]
     fit = main.found.fit
     gaps = Gaps(unplaced, breaks, blank, jumps, scene.timestamps)

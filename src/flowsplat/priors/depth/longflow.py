@@ -44,7 +44,13 @@ class LongFlows:
     def matches(self, a: int, b: int) -> tuple[np.ndarray, np.ndarray]:
         """(flow [h, w, 2], confidence [h, w]) from ``a`` to ``b``, which are a stride apart, in working pixels."""
         forward = self._flow(a, b)
-        return forward, forward_backward_confidence(forward, self._flow(b, a))
+        confidence = forward_backward_confidence(forward, self._flow(b, a))
+        if abs(a - b) == 1 and (self._scene.prior("flow") or {}).get("method") == "given":
+            # Other people's flow may be 0 where they know none, both ways: the round trip cannot tell.
+            frames = self._scene.train_frames
+            stored = self._scene.flow(frames[a], frames[b]).confidence
+            confidence = np.minimum(confidence, cv2.resize(stored, confidence.shape[::-1], interpolation=cv2.INTER_AREA))
+        return forward, confidence
 
     def _flow(self, a: int, b: int) -> np.ndarray:
         if (a, b) not in self._flows:

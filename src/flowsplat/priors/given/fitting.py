@@ -58,6 +58,9 @@ def files_by_frame(folder: Path, suffixes: Sequence[str], scene: Scene, what: st
         raise InputError(f"{folder} is no folder: give one with {what} for every training frame.")
     found = sorted((p for p in folder.iterdir() if p.suffix.lower() in suffixes and p.name[0] != "."), key=natural_key)
     by_stem = {path.stem: path for path in found}
+    beyond = [int(stem) for stem in by_stem if stem.isdecimal() and len(stem) == 5 and int(stem) >= scene.num_frames]
+    if beyond:  # of the clip before frames were chosen: the first ones are others
+        require_frames(folder, max(beyond) + 1, scene, f"files with {what}")
     numbered = {i: by_stem[f"{i:05d}"] for i in range(scene.num_frames) if f"{i:05d}" in by_stem}
     missing = [i for i in scene.train_frames if i not in numbered]
     if not missing:

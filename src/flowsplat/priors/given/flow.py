@@ -47,6 +47,10 @@ def read_flow(folder: Path, scene: Scene) -> tuple[list[Flow], str]:
         return megasam.read_flow(folder, wanted, scene), megasam.MAKER
     if any(folder.glob("*_to_*.npz")):
         return _mosca(folder, wanted, scene), "MoSca"
+    files = (path for path in folder.iterdir() if path.suffix in (".npz", ".flo", ".png"))
+    numbers = [int(number) for path in files for number in path.stem.split("_") if number.isdecimal() and len(number) == 5]
+    if max(numbers, default=0) >= scene.num_frames:  # of the clip before frames were chosen: the first ones are others
+        require_frames(folder, max(numbers) + 1, scene, "pictures")
     return [_own(folder, i, j, scene) for i, j in wanted], "flowsplat"
 
 
@@ -60,8 +64,10 @@ def _fitted(path: Path, i: int, j: int, arrays: Arrays, scene: Scene) -> Flow:
         raise InputError(f"{path} holds values that are not finite: set them to 0 with confidence 0.")
     size = (scene.width, scene.height)
     scale = np.array([scene.width / width, scene.height / height], np.float32)
-    resized = cv2.resize(flow, size, interpolation=cv2.INTER_LINEAR) * scale
-    return Flow(i, j, resized, resize_labels(np.clip(confidence, 0, 1), size))
+    known = (confidence > 0).astype(np.float32)
+    share = cv2.resize(known, size, interpolation=cv2.INTER_LINEAR)
+    resized = cv2.resize(flow * known[..., None], size, interpolation=cv2.INTER_LINEAR) / np.maximum(share, 1e-6)[..., None]
+    return Flow(i, j, resized * scale, np.where(share > 0, resize_labels(np.clip(confidence, 0, 1), size), 0))
 
 
 def _own(folder: Path, i: int, j: int, scene: Scene) -> Flow:

@@ -16,6 +16,7 @@ from flowsplat.priors.given.tracks import read_tracks, write_tracks
 from flowsplat.priors.given.truth import consecutive_pairs
 from flowsplat.priors.monocular import Monocular, monocular_stage
 from flowsplat.scenes import Scene
+from flowsplat.scenes.ingest import CALIBRATED
 
 
 @dataclass(frozen=True)
@@ -27,8 +28,9 @@ class GivenPriors:
     """Our JSON list (one camera a frame: viewmat [4, 4] world to camera with OpenCV axes, K [3, 3], width, height), or the
     cameras of nerfstudio (transforms.json), COLMAP (a sparse model), MegaSaM (.npz) or DROID-SLAM (droid_recon .npy)."""
     depth: Path | None = None
-    """A folder of 00000.npy ... [H, W], planar depth in the units of the cameras, for every training frame; or the depth of
-    MegaSaM (.npz), Shape of Motion (aligned_depth_anything) or MoSca, which is fitted to cameras that are not its own."""
+    """A folder of 00000.npy ... [H, W], planar depth for every training frame, in the units of the cameras where these are given;
+    or the depth of MegaSaM (.npz), Shape of Motion (aligned_depth_anything) or MoSca. It is fitted to cameras that are not its
+    own."""
     masks: Path | None = None
     """A folder of pictures, 00000.png ... or one a frame: object numbers or colours, black = background. Masks of held-out
     frames are kept for the evaluation."""
@@ -79,7 +81,8 @@ def use_given(
         scene.finish_prior("cameras", method="given", verdict=_verdict(given.cameras, maker))
     if given.depth is not None:
         depth = open_depth(given.depth, scene)
-        if {"any", maker} & set(depth.fits):
+        units_known = (scene.prior("cameras") or {}).get("method") in ("given", "truth", CALIBRATED)
+        if maker in depth.fits or ("any" in depth.fits and units_known):
             for i in scene.train_frames:
                 scene.write_depth(i, depth.read(i))
             scene.finish_prior("depth", method="given", verdict=_verdict(given.depth, depth.maker))

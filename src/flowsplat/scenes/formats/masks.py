@@ -25,7 +25,9 @@ JPEG_BLACK = 127
 
 
 def read_labels(path: Path) -> np.ndarray:
-    """[H, W] int32: grey value, or packed colour of each pixel; 0 = background.
+    """[H, W] int32: the colour of each pixel, packed, of grey pictures too; 0 = background. 16-bit grey is a number as it is.
+
+    A label means the same in every picture of a clip, whatever else is seen in it.
 
     Raises:
         InputError: missing or not a picture.
@@ -33,16 +35,13 @@ def read_labels(path: Path) -> np.ndarray:
     image = decode_image(path, cv2.IMREAD_UNCHANGED)
     if image is None or image.dtype not in (np.uint8, np.uint16):
         raise InputError(f"{path} is no readable mask: save masks as 8-bit PNG.")
-    if image.ndim == 2:
-        labels = image.astype(np.int32)
-    elif image.shape[2] <= 2:
-        labels = image[..., 0].astype(np.int32)
+    if image.ndim == 2 or image.shape[2] <= 2:
+        labels = (image if image.ndim == 2 else image[..., 0]).astype(np.int32)
+        labels = labels * 0x010101 if image.dtype == np.uint8 else labels
     else:
         image = image if image.dtype == np.uint8 else (image >> 8).astype(np.uint8)  # three numbers have to fit in one
-        blue, green, red = (image[..., c].astype(np.int32) for c in range(3))
-        # Grey pictures stored as colour give the grey value. In this order the colours of DAVIS rank as its object numbers.
-        grey = (blue == green).all() and (green == red).all()
-        labels = red if grey else blue << 16 | green << 8 | red
+        # In this order the colours of DAVIS rank as its object numbers.
+        labels = image[..., 0].astype(np.int32) << 16 | image[..., 1].astype(np.int32) << 8 | image[..., 2]
     if path.suffix.lower() in (".jpg", ".jpeg"):
         brightest = image if image.ndim == 2 else image[..., :3].max(-1)
         labels = (brightest > JPEG_BLACK).astype(np.int32)

@@ -117,7 +117,7 @@ class RigTruth:
         labels, camera = read_labels(path), self._stored[0]
         if labels.shape != (camera.height, camera.width):
             raise InputError(f"{path} is {labels.shape[1]}x{labels.shape[0]} pixels, its camera {camera.width}x{camera.height}.")
-        return resize_labels(labels.astype(np.uint8), self._size)
+        return resize_labels((labels & 255).astype(np.uint8), self._size)  # of packed grey, the grey value
 
 
 def _heldout_views(folder: Path) -> list[PosedView]:

@@ -189,7 +189,7 @@ class VideoClip(Clip):
     def _decoded(self, first: int) -> Iterator[tuple[int, av.VideoFrame]]:
         """Decoded frames with their keys, from ``first`` or earlier on."""
         if self.index.has_timestamps and first > self.index.keys[0]:
-            with contextlib.suppress(av.FFmpegError), _opened(self.path) as (container, stream):
+            with _opened(self.path) as (container, stream), contextlib.suppress(av.FFmpegError):
                 margin = int(SEEK_MARGIN / float(stream.time_base or 1))
                 container.seek(max(first - margin, int(self.index.keys[0])), stream=stream, backward=True)
                 frames = ((int(frame.pts), frame) for frame in container.decode(stream) if frame.pts is not None)

@@ -180,11 +180,12 @@ def blend(
 ) -> tuple[Tensor, Tensor]:  # fmt: skip
     """As ``reference.blend``, with the extents of ``project`` in place of the radii.
 
-    The kernels are compiled for every number of channels, which takes the longer the more there are.
+    The kernels are compiled for every number of channels, which takes the longer the more there are. Absolute gradients are of
+    all channels together, so they are not taken in pieces.
     """
     pieces = [
         _Blend.apply(means2d, conics, opacities, piece, depths, extents, width, height, absolute)
-        for piece in features.split(MOST_CHANNELS, 1)
+        for piece in features.split(MOST_CHANNELS if absolute is None else features.shape[1], 1)
     ]
     if len(pieces) == 1:
         return pieces[0]
