@@ -201,6 +201,19 @@ def test_kitti_flow(scene: Scene, tmp_path: Path):
     assert flows[0].trusted[40:].all()
 
 
+def test_depth_is_taken_as_it_is_only_where_its_units_are_known(scene: Scene, tmp_path: Path):
+    """Cameras that are computed have units of their own."""
+    for i in scene.train_frames:
+        np.save(tmp_path / f"{i:05d}.npy", np.full(SIZE[::-1], 3.0, np.float32))
+    given = GivenPriors(depth=tmp_path)
+    assert "depth" in use_given(scene, given)
+    assert scene.prior("depth") is None
+    scene.finish_prior("cameras", method="given")
+    assert "depth" not in use_given(scene, given)
+    assert scene.prior("depth")["method"] == "given"
+    np.testing.assert_allclose(scene.depth(0).depth, 3, rtol=1e-3)
+
+
 def test_sparse_flow_is_not_mixed_with_nothing(scene: Scene, tmp_path: Path):
     """Resized, it stays what it is where it is known."""
     random = np.random.default_rng(0)
