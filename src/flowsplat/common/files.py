@@ -16,8 +16,8 @@ import numpy as np
 
 from flowsplat.common.errors import InputError
 
-EDGE = 65536
-"""Bytes at both ends of a file that enter its fingerprint."""
+_EDGE = 65536
+"""Bytes at both ends of a file that enter its hash."""
 
 
 @contextlib.contextmanager
@@ -65,7 +65,7 @@ def make_folder(path: Path) -> Path:
     return Path(path)
 
 
-def fingerprint(start: str, files: Iterable[tuple[str, Path]]) -> str:
+def hash_files(start: str, files: Iterable[tuple[str, Path]]) -> str:
     """A short hash of ``start`` and of named files: of their names, sizes and both ends.
 
     Raises:
@@ -77,9 +77,9 @@ def fingerprint(start: str, files: Iterable[tuple[str, Path]]) -> str:
             size = file.stat().st_size
             digest.update(f"\n{name} {size} ".encode())
             with open(file, "rb") as opened:
-                digest.update(opened.read(EDGE))
-                opened.seek(max(size - EDGE, 0))
-                digest.update(opened.read(EDGE))
+                digest.update(opened.read(_EDGE))
+                opened.seek(max(size - _EDGE, 0))
+                digest.update(opened.read(_EDGE))
         except OSError as error:
             raise InputError(f"{file} cannot be read: {error.strerror}.") from error
     return digest.hexdigest()[:16]

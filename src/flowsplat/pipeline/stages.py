@@ -14,10 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from flowsplat.common import files
 from flowsplat.common.devices import pick_device
 from flowsplat.common.errors import InputError
-from flowsplat.common.files import read_json, write_json
+from flowsplat.common.files import hash_files, read_json, write_json
 from flowsplat.common.progress import say
 from flowsplat.evaluation.evaluate import evaluate
 from flowsplat.evaluation.poses import refine_camera
@@ -30,7 +29,7 @@ from flowsplat.output.report import write_report
 from flowsplat.output.videos import RenderOptions, are_rendered, forget_videos, render_videos, settle
 from flowsplat.pictures.colors import float_to_bytes
 from flowsplat.pictures.sheets import preview_sheet
-from flowsplat.pipeline.config import RunConfig, check, preset, to_plain
+from flowsplat.pipeline.config import RunConfig, check, to_plain
 from flowsplat.pipeline.folder import RunFolder, stage_key
 from flowsplat.pipeline.summary import report_data
 from flowsplat.priors.prepare import prepare_priors
@@ -100,14 +99,13 @@ def prepare(source: Path, out: Path, config: RunConfig | None = None) -> RunFold
     is_new = not (Path(out) / "run.json").exists()
     if kind == "scene":
         Scene(source)
-        if config.input not in (InputOptions(), preset("fast").input):
-            say(f"{source} is prepared already: options of what to take from a clip have no effect on it.")
+        if config.input != InputOptions():
+            say(f"{source} is prepared already: what options or the preset take from a clip has no effect on it.")
     elif is_new:
         open_clip(source, config.input)  # Whatever is wrong with it is said before a folder is made.
     before = {} if is_new else RunFolder(out).book
     folder = RunFolder.open_or_create(out, str(source), identity, config)
-    given = config.priors.given.files()
-    key = stage_key(identity, config.priors, *([files.fingerprint("", given)] if given else []))
+    key = stage_key(identity, config.priors, hash_files("", config.priors.given.files()))
     if folder.is_finished("prepare", key):
         return folder
     goes_on = is_new or folder.was_started("prepare", key)
@@ -224,11 +222,10 @@ def train(folder: RunFolder) -> SceneModel:
     """
     if "prepare" not in folder.book["stages"]:
         raise InputError(f"{folder.path} is not prepared yet: run flowsplat prepare first.")
-    device = pick_device(folder.config.device)
+    check(folder.config)  # before anything is deleted
     key = _train_key(folder)
     if folder.is_finished("train", key) and has_model(folder.model_path):
-        return load_model(folder.model_path).to(device)
-    check(folder.config)  # before anything is deleted
+        return load_model(folder.model_path).to(pick_device(folder.config.device))
     if not folder.was_started("train", key):
         if folder.model_path.exists() or (folder.path / "training").exists():
             say("The settings of training, or the scene, are others than before: it begins anew.")

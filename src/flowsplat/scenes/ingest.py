@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from flowsplat.common import files
 from flowsplat.common.errors import InputError
+from flowsplat.common.files import hash_files
 from flowsplat.common.progress import progress_bar
 from flowsplat.scenes.clip import Clip, InputOptions
 from flowsplat.scenes.formats.davis import PICTURES, open_davis, sequence_folders
@@ -190,7 +190,7 @@ def fingerprint(path: Path, options: InputOptions) -> str:
     Raises:
         InputError: the input does not exist or is of no known kind.
     """
-    return files.fingerprint(json.dumps(asdict(options), sort_keys=True), _input_files(Path(path), options))
+    return hash_files(json.dumps(asdict(options), sort_keys=True), _input_files(Path(path), options))
 
 
 def _input_files(path: Path, options: InputOptions) -> list[tuple[str, Path]]:

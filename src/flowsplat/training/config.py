@@ -205,7 +205,7 @@ NO_MATTER = ("checkpoint_every", "preview_every")
 
 
 def that_matter(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Those settings of training, by name, of which the result depends."""
+    """Those settings of training, by name, on which the result depends."""
     return {name: value for name, value in settings.items() if name not in NO_MATTER}
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +45,20 @@ def require_frames(path: Path, count: int, scene: Scene, what: str) -> None:
         )
 
 
+def refuse_later_frames(path: Path, names: Iterable[str], scene: Scene, what: str) -> None:
+    """Refuse files that are numbered by the frames of a clip from which fewer were chosen: its first ones are others.
+
+    Args:
+        names: five digits each; others say nothing.
+
+    Raises:
+        InputError: a number is not of a frame.
+    """
+    count = 1 + max((int(name) for name in names if name.isdecimal() and len(name) == 5), default=-1)
+    if count > scene.num_frames:
+        require_frames(path, count, scene, what)
+
+
 def files_by_frame(folder: Path, suffixes: Sequence[str], scene: Scene, what: str) -> dict[int, Path]:
     """The file of every frame, by its number.
 
@@ -58,9 +72,7 @@ def files_by_frame(folder: Path, suffixes: Sequence[str], scene: Scene, what: st
         raise InputError(f"{folder} is no folder: give one with {what} for every training frame.")
     found = sorted((p for p in folder.iterdir() if p.suffix.lower() in suffixes and p.name[0] != "."), key=natural_key)
     by_stem = {path.stem: path for path in found}
-    beyond = [int(stem) for stem in by_stem if stem.isdecimal() and len(stem) == 5 and int(stem) >= scene.num_frames]
-    if beyond:  # of the clip before frames were chosen: the first ones are others
-        require_frames(folder, max(beyond) + 1, scene, f"files with {what}")
+    refuse_later_frames(folder, by_stem, scene, f"files with {what}")
     numbered = {i: by_stem[f"{i:05d}"] for i in range(scene.num_frames) if f"{i:05d}" in by_stem}
     missing = [i for i in scene.train_frames if i not in numbered]
     if not missing:

@@ -11,7 +11,7 @@ import numpy as np
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_npz
 from flowsplat.priors.given import megasam
-from flowsplat.priors.given.fitting import require_frames, require_shape
+from flowsplat.priors.given.fitting import refuse_later_frames, require_frames, require_shape
 from flowsplat.priors.given.truth import consecutive_pairs
 from flowsplat.scenes import Flow, Scene
 from flowsplat.scenes.clip import resize_labels
@@ -48,9 +48,7 @@ def read_flow(folder: Path, scene: Scene) -> tuple[list[Flow], str]:
     if any(folder.glob("*_to_*.npz")):
         return _mosca(folder, wanted, scene), "MoSca"
     files = (path for path in folder.iterdir() if path.suffix in (".npz", ".flo", ".png"))
-    numbers = [int(number) for path in files for number in path.stem.split("_") if number.isdecimal() and len(number) == 5]
-    if max(numbers, default=0) >= scene.num_frames:  # of the clip before frames were chosen: the first ones are others
-        require_frames(folder, max(numbers) + 1, scene, "pictures")
+    refuse_later_frames(folder, (number for path in files for number in path.stem.split("_")), scene, "pictures")
     return [_own(folder, i, j, scene) for i, j in wanted], "flowsplat"
 
 

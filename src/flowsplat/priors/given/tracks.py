@@ -166,7 +166,8 @@ def _archives(files: list[Path]) -> tuple[Iterator[Found], str]:
             raise InputError(f"{file} holds no tracks of a known layout. Looked for: {KNOWN}.")
         points, seen = (arrays[name] for name in _ARCHIVES[maker])
         if maker == "CoTracker" and points.ndim == 4:
-            points, seen = points[0], seen[0, ..., 0] if seen.ndim == 4 else seen[0]
+            points = points[0]
+            seen = seen.reshape(points.shape[:2]) if seen.size == points[..., 0].size else seen
         if points.ndim != 3 or seen.shape != points.shape[:2]:
             raise InputError(f"{file} holds tracks of shape {points.shape} with visibility of shape {seen.shape}.")
         if maker == "MoSca":
