@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from flowsplat.output.videos.options import RenderOptions
+from flowsplat.output.viewer.browser_frame import SCENE_DEPTH, BrowserFrame
 from flowsplat.output.viewer.drawing import Look, Wish, draw, draw_points
 from flowsplat.output.viewer.layout import BAR
 from flowsplat.output.viewer.source import Source
 from flowsplat.output.viewer.trails import trails
-from flowsplat.output.viewer.world import WORLD_DEPTH, World
 from flowsplat.scenes.layers import Tracks
 from tests.output.tiny import MOVER, WALL, red, tiny_cameras, tiny_model, tiny_run
 
@@ -23,7 +23,7 @@ def source(run_folder) -> Source:
 
 
 def seen(source: Source, size=(128, 96), t=0.5, **look):
-    return draw(source, World(source.scene.similarity), Wish(size, t, Look(**look), None))
+    return draw(source, BrowserFrame(source.scene.similarity), Wish(size, t, Look(**look), None))
 
 
 def test_the_input_camera_sees_the_input_frame(source):
@@ -33,8 +33,8 @@ def test_the_input_camera_sees_the_input_frame(source):
 
 def test_depth_is_told_in_the_world_of_the_browser(source):
     drawing = seen(source, t=0.5)
-    assert np.median(drawing.depth) == pytest.approx(WORLD_DEPTH, rel=0.02)
-    assert drawing.depth.min() == pytest.approx(WORLD_DEPTH * MOVER / WALL, rel=0.05)
+    assert np.median(drawing.depth) == pytest.approx(SCENE_DEPTH, rel=0.02)
+    assert drawing.depth.min() == pytest.approx(SCENE_DEPTH * MOVER / WALL, rel=0.05)
 
 
 def test_bars_lie_where_the_clip_does_not(source):
@@ -47,9 +47,9 @@ def test_bars_lie_where_the_clip_does_not(source):
 
 
 def test_a_free_camera_fills_the_canvas(source):
-    world = World(source.scene.similarity)
-    pose = world.pose(source.path.at(0.5))
-    drawing = draw(source, world, Wish((200, 96), 0.5, Look(), pose))
+    frame = BrowserFrame(source.scene.similarity)
+    pose = frame.pose(source.path.at(0.5))
+    drawing = draw(source, frame, Wish((200, 96), 0.5, Look(), pose))
     assert drawing.pose is pose
     assert (drawing.image[:, :36] != BAR).any()
     middle = drawing.image[:, 36:164].astype(int)
@@ -104,10 +104,10 @@ def test_tracks_are_drawn_where_they_are(source):
     source.tracks = tracks
     try:
         changed = np.abs(seen(source, tracks=True).image.astype(int) - plain.image).max(-1) > 20
-        free = World(source.scene.similarity).pose(source.path.at(0.5))
+        free = BrowserFrame(source.scene.similarity).pose(source.path.at(0.5))
         wish = Wish((128, 96), 0.5, Look(tracks=True), free)
-        other = draw(source, World(source.scene.similarity), wish)
-        same = draw(source, World(source.scene.similarity), replace(wish, look=Look()))
+        other = draw(source, BrowserFrame(source.scene.similarity), wish)
+        same = draw(source, BrowserFrame(source.scene.similarity), replace(wish, look=Look()))
     finally:
         source.tracks = None
     assert changed[38:43, 20:30].any()

@@ -27,7 +27,7 @@ def test_shots_go_through_the_keys():
         assert shots[k][0].center[0] == pytest.approx(x)
         assert shots[k][1] == pytest.approx(t)
     assert shots[15][1] == pytest.approx(2.0)
-    there, t = keys.way()(3.0)
+    there, t = keys.shot_at()(3.0)
     assert t == pytest.approx(2.0)
     np.testing.assert_allclose(there.center, shots[15][0].center)
 

@@ -2,41 +2,41 @@
 
 from __future__ import annotations
 
-from flowsplat.output.viewer.resolution import Pace
+from flowsplat.output.viewer.resolution import AdaptiveResolution
 
 
 def test_still_pictures_are_as_large_as_the_canvas_up_to_a_limit():
-    pace = Pace(800)
-    assert pace.still((640, 480)) == (640, 480)
-    assert pace.still((1600, 400)) == (800, 200)
-    assert pace.still((300, 1600)) == (150, 800)
+    resolution = AdaptiveResolution(800)
+    assert resolution.still((640, 480)) == (640, 480)
+    assert resolution.still((1600, 400)) == (800, 200)
+    assert resolution.still((300, 1600)) == (150, 800)
 
 
 def test_moving_pictures_become_as_large_as_stays_fluent():
-    pace, canvas = Pace(1600), (1600, 900)
+    resolution, canvas = AdaptiveResolution(1600), (1600, 900)
     for _ in range(30):
-        size = pace.moving(canvas)
-        pace.learn(size, size[0] * size[1] * 1e-6)  # a slow machine: a second for a million pixels
+        size = resolution.moving(canvas)
+        resolution.learn(size, size[0] * size[1] * 1e-6)  # a slow machine: a second for a million pixels
     pixels = size[0] * size[1]
     assert 60_000 < pixels < 100_000
     for _ in range(30):
-        size = pace.moving(canvas)
-        pace.learn(size, size[0] * size[1] * 1e-9)
+        size = resolution.moving(canvas)
+        resolution.learn(size, size[0] * size[1] * 1e-9)
     assert size == canvas, "a fast one shows everything"
 
 
 def test_one_slow_picture_does_not_spoil_the_next():
-    pace, canvas = Pace(1600), (1600, 900)
-    before = pace.moving(canvas)
-    pace.learn(before, 30.0)
-    after = pace.moving(canvas)
+    resolution, canvas = AdaptiveResolution(1600), (1600, 900)
+    before = resolution.moving(canvas)
+    resolution.learn(before, 30.0)
+    after = resolution.moving(canvas)
     assert after[0] > before[0] / 2
 
 
 def test_they_never_get_too_small_to_see_or_larger_than_still_ones():
-    pace = Pace(1600)
+    resolution = AdaptiveResolution(1600)
     for _ in range(50):
-        pace.learn(pace.moving((1600, 900)), 10.0)
-    assert max(pace.moving((1600, 900))) >= 240
-    assert pace.moving((100, 50)) == (100, 50)
-    assert min(pace.moving((1, 1000))) >= 1
+        resolution.learn(resolution.moving((1600, 900)), 10.0)
+    assert max(resolution.moving((1600, 900))) >= 240
+    assert resolution.moving((100, 50)) == (100, 50)
+    assert min(resolution.moving((1, 1000))) >= 1

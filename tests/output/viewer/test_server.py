@@ -27,8 +27,8 @@ from tests.output.tiny import FPS, FRAMES, frames_of, red, tiny_run
 
 pytest.importorskip("viser", reason="viser is not installed: pip install 'flowsplat[view]'")
 
+from flowsplat.output.viewer.browser_frame import SCENE_DEPTH
 from flowsplat.output.viewer.server import Viewer
-from flowsplat.output.viewer.world import WORLD_DEPTH
 from tests.output.viewer.browser import Browser, free_port, heed_ctrl_c
 
 
@@ -90,13 +90,13 @@ def test_playing_once_ends_at_the_end(browser):
 
 def test_the_camera_can_be_moved(browser):
     before = browser.settled()
-    browser.look(position=browser.position + [0.8, 0, 0], look_at=np.array([0.8, 0, WORLD_DEPTH]))
+    browser.look(position=browser.position + [0.8, 0, 0], look_at=np.array([0.8, 0, SCENE_DEPTH]))
     after = browser.settled()
     assert place(after) < place(before) - 0.05
 
 
 def test_orbit_turns_round_the_scene_and_fly_in_place(browser):
-    assert browser.reach == pytest.approx(WORLD_DEPTH, rel=1e-3)
+    assert browser.reach == pytest.approx(SCENE_DEPTH, rel=1e-3)
     where = browser.position
     browser.set("Mode", "fly")
     browser.wait(lambda: browser.reach < 0.1)
@@ -193,7 +193,7 @@ def test_the_input_camera_follows_the_clip(browser):
 def test_cameras_and_ways_are_drawn_by_the_browser(browser):
     browser.set("Cameras", True)
     browser.wait(lambda: "/cameras/0" in browser.nodes and "/cameras/8" in browser.nodes)
-    browser.set("Ways of Gaussians", True)
+    browser.set("Paths of Gaussians", True)
     browser.wait(lambda: "/trails" in browser.nodes)
     browser.settled()
     assert browser.depths[-1] is not None, "so that the scene hides what is behind it"
@@ -205,7 +205,7 @@ def test_paths_are_made_saved_loaded_and_recorded(run_folder, browser, tmp_path)
     browser.click("Add a key here")
     browser.wait(lambda: any("1 key," in str(control.get("_markdown")) for control in browser.controls.values()))
     browser.set("Seconds", 1.0)
-    browser.look(position=browser.position + [0.4, 0, 0], look_at=np.array([0.4, 0, WORLD_DEPTH]))
+    browser.look(position=browser.position + [0.4, 0, 0], look_at=np.array([0.4, 0, SCENE_DEPTH]))
     browser.settled()
     browser.click("Add a key here")
     browser.wait(lambda: any("2 keys" in str(control.get("_markdown")) for control in browser.controls.values()))
@@ -312,7 +312,7 @@ def test_unusual_scenes(tmp_path, movers, size):
                 browser.settled(0.4)
             browser.set("Show", "colour")
             browser.set("Part", "all")
-            browser.set("Ways of Gaussians", True)
+            browser.set("Paths of Gaussians", True)
             browser.wait(lambda: "/trails" in browser.nodes or any("No Gaussian" in note for note in browser.notes))
             browser.set("Mode", "input camera")
             image = browser.settled()

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from flowsplat.output.viewer.browser_frame import Pose
 from flowsplat.output.viewer.session import Session
-from flowsplat.output.viewer.world import Pose
 
 CANVAS = (1200, 900)
 POSE = Pose(np.array([1.0, 0, 0, 0]), np.zeros(3), 1.0)

@@ -8,10 +8,10 @@ import time
 import pytest
 
 from flowsplat.output.viewer import worker as module
+from flowsplat.output.viewer.browser_frame import BrowserFrame
 from flowsplat.output.viewer.session import Session
 from flowsplat.output.viewer.source import Source
 from flowsplat.output.viewer.worker import Worker
-from flowsplat.output.viewer.world import World
 
 
 @pytest.fixture
@@ -32,7 +32,7 @@ def wait(what) -> None:
 def client(worker: Worker, number: int, run_folder, pictures: list, playing: bool = True) -> Session:
     source = Source(run_folder)
     session = Session(source.clip, 64)
-    session.move(World(source.scene.similarity).pose(source.path.at(0.0)), (64, 48), time.monotonic())
+    session.move(BrowserFrame(source.scene.similarity).pose(source.path.at(0.0)), (64, 48), time.monotonic())
     session.clock.play(playing, time.monotonic())
     worker.add(number, session, lambda job, drawing: pictures.append((job, drawing, threading.get_ident())))
     return session
@@ -73,10 +73,10 @@ def test_tasks_advance_between_pictures_and_end_with_their_client(worker, run_fo
 def test_what_fails_for_one_client_does_not_stop_the_others(worker, run_folder, monkeypatch, capsys):
     whole, good, bad = module.draw, [], []
 
-    def draw(source, world, wish):
+    def draw(source, browser, wish):
         if wish.size == (10, 10):
             raise RuntimeError("no such picture")
-        return whole(source, world, wish)
+        return whole(source, browser, wish)
 
     monkeypatch.setattr(module, "draw", draw)
     broken = client(worker, 1, run_folder, bad, playing=False)

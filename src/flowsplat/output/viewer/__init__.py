@@ -1,4 +1,4 @@
 """The interactive viewer.
 
-``server``, ``panel``, ``take_away`` and ``talk`` speak to viser; everything else here knows nothing of it.
+``server``, ``panel``, ``export_panel`` and ``notifications`` use viser; nothing else here does.
 """

@@ -16,12 +16,12 @@ from flowsplat.geometry import Camera
 from flowsplat.geometry.paths import shifted
 from flowsplat.output.videos.options import RenderOptions
 from flowsplat.output.videos.shots import COVERED
+from flowsplat.output.viewer.browser_frame import BrowserFrame, Pose
 from flowsplat.output.viewer.layout import Box, empty, fitted, halves, place, wipe
 from flowsplat.output.viewer.source import Source
-from flowsplat.output.viewer.world import Pose, World
 from flowsplat.pictures.colors import depth_to_color, float_to_bytes, flow_to_color
 
-Show = Literal["colour", "flow", "depth", "alpha", "Gaussians"]
+PictureKind = Literal["colour", "flow", "depth", "alpha", "Gaussians"]
 Compare = Literal["off", "beside", "wipe"]
 
 _TRACK_TAIL = 8
@@ -49,7 +49,7 @@ class Look:
         stereo: a pair for two eyes, left beside right, in place of what ``compare`` says.
     """
 
-    show: Show = "colour"
+    show: PictureKind = "colour"
     part: Part = "all"
     compare: Compare = "off"
     wipe: float = 0.5
@@ -80,7 +80,7 @@ class Drawing:
 
     Attributes:
         image: [H, W, 3] uint8.
-        depth: [H, W] float32 in the world of the browser, far away where there is nothing: what is drawn there by the
+        depth: [H, W] float32 in the browser's coordinates, far away where there is nothing: what is drawn there by the
             browser is hidden behind it. 0 behind a stereo pair, which hides all of that: it is for one eye.
         pose: the browser's camera that fits to the picture.
     """
@@ -90,7 +90,7 @@ class Drawing:
     pose: Pose
 
 
-def draw(source: Source, world: World, wish: Wish) -> Drawing:
+def draw(source: Source, browser: BrowserFrame, wish: Wish) -> Drawing:
     """Render and compose what a client wants to see."""
     image, depth = empty(wish.size), np.full(wish.size[::-1], _FAR, np.float32)
     whole = Box(0, 0, *wish.size)
@@ -98,11 +98,11 @@ def draw(source: Source, world: World, wish: Wish) -> Drawing:
     left, right = halves(wish.size) if is_halved else (whole, whole)
     if wish.pose is not None:
         # The clip's own camera is fitted into its room, a free one fills it.
-        room, camera = left, world.camera(wish.pose, left.width, left.height)
+        room, camera = left, browser.camera(wish.pose, left.width, left.height)
     else:
         room = fitted(source.size, left)
         camera = source.path.at(wish.t).resized(room.width, room.height)
-    pose = wish.pose or _seen_whole(world, camera, wish.size[1])
+    pose = wish.pose or _seen_whole(browser, camera, wish.size[1])
     if wish.look.stereo:
         for half, side in zip((left, right), _BOTH_EYES, strict=True):
             place(image, render_look(source, camera, wish, side)[0], replace(room, x=room.x + half.x))
@@ -112,21 +112,21 @@ def draw(source: Source, world: World, wish: Wish) -> Drawing:
         over = cv2.resize(source.frame(wish.t), (room.width, room.height), interpolation=cv2.INTER_AREA)
         picture = wipe(picture, over, wish.look.wipe)
     place(image, picture, room)
-    depth[room.rows_and_columns] = distance * world.from_scene.scale
+    depth[room.rows_and_columns] = distance * browser.from_scene.scale
     if wish.look.compare == "beside":
         place(image, source.frame(wish.t), fitted(source.size, right))
     return Drawing(image, np.clip(depth, 0, _FAR), pose)
 
 
-def _seen_whole(world: World, camera: Camera, height: int) -> Pose:
+def _seen_whole(browser: BrowserFrame, camera: Camera, height: int) -> Pose:
     """The pose of a fitted camera, its field of view that of the whole canvas."""
-    pose = world.pose(camera)
+    pose = browser.pose(camera)
     return Pose(pose.wxyz, pose.position, 2 * float(np.arctan(height / 2 / camera.K[1, 1])))
 
 
-def draw_shot(source: Source, world: World, camera: Camera, t: float, look: Look) -> np.ndarray:
+def draw_shot(source: Source, browser: BrowserFrame, camera: Camera, t: float, look: Look) -> np.ndarray:
     """[H, W, 3] uint8 a shot of a path as a client looks at it, without the input frame; twice as wide for two eyes."""
-    wish = Wish((camera.width, camera.height), t, look, world.pose(camera))
+    wish = Wish((camera.width, camera.height), t, look, browser.pose(camera))
     sides = _BOTH_EYES if look.stereo else _ONE_EYE
     return np.concatenate([render_look(source, camera, wish, side)[0] for side in sides], axis=1)
 

@@ -44,7 +44,7 @@ class CameraKeys:
         """How long the video is."""
         return max(len(self.keys) - 1, 0) * self.spacing
 
-    def way(self) -> Callable[[float], Shot]:
+    def shot_at(self) -> Callable[[float], Shot]:
         """A function that tells, after so many seconds of the video, where the camera is and which time of the clip it shows."""
         steps, times = np.arange(len(self.keys)) * self.spacing, [t for _, t in self.keys]
         path = CameraPath(steps.tolist(), [camera for camera, _ in self.keys])
@@ -54,5 +54,5 @@ class CameraKeys:
         """One shot a frame of the video; none without keys."""
         if not self.keys:
             return []
-        way = self.way()
-        return [way(k / fps) for k in range(int(self.seconds * fps + 1e-6) + 1)]
+        shot_at = self.shot_at()
+        return [shot_at(k / fps) for k in range(int(self.seconds * fps + 1e-6) + 1)]

@@ -10,21 +10,21 @@ import viser
 
 from flowsplat.common.spread import spread
 from flowsplat.gaussians.rendering import Part
-from flowsplat.output.viewer.drawing import Compare, Drawing, Look, Show
+from flowsplat.output.viewer.browser_frame import SCENE_DEPTH, BrowserFrame, Pose
+from flowsplat.output.viewer.drawing import Compare, Drawing, Look, PictureKind
+from flowsplat.output.viewer.export_panel import ExportPanel
 from flowsplat.output.viewer.layout import Box, fitted
+from flowsplat.output.viewer.notifications import Notifications
 from flowsplat.output.viewer.session import Job, Mode, Session
 from flowsplat.output.viewer.source import Source
-from flowsplat.output.viewer.take_away import TakeAway
-from flowsplat.output.viewer.talk import Talk
 from flowsplat.output.viewer.trails import trails
 from flowsplat.output.viewer.worker import Worker
-from flowsplat.output.viewer.world import WORLD_DEPTH, Pose, World
 
 _SPEEDS = {"1/10": 0.1, "1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0}
 _MOST_FRUSTA = 24
 _FRUSTUM = 0.25
-"""Size of a frustum in the browser's world."""
-_REACH = {"orbit": WORLD_DEPTH, "fly": 0.05}
+"""Size of a frustum in the browser's coordinates."""
+_REACH = {"orbit": SCENE_DEPTH, "fly": 0.05}
 """How far ahead of the camera the point lies round which dragging turns it."""
 _TIME_STEP = 0.001
 """Seconds."""
@@ -41,14 +41,14 @@ class Panel:
     def __init__(self, client: viser.ClientHandle, source: Source, worker: Worker, largest: int):
         """``largest``: pixels of the longer side of a still picture."""
         self._client, self._source, self._worker = client, source, worker
-        self._world = World(source.scene.similarity)
+        self._browser = BrowserFrame(source.scene.similarity)
         self._session = Session(source.clip, min(largest, _MOST_ENLARGED * max(source.size)))
         self._session.mode = "orbit"
-        self._talk = Talk(client)
+        self._notifications = Notifications(client)
         self._overlays: dict[str, Any] = {}
         self._stood: Pose | None = None
         self._build()
-        TakeAway(client, self._talk, source, worker, self._session)
+        ExportPanel(client, self._notifications, source, worker, self._session)
 
     def begin(self) -> None:
         """Stand where the clip begins, and get pictures from now on."""
@@ -77,25 +77,25 @@ class Panel:
             self._mode = gui.add_dropdown("Mode", get_args(Mode), initial_value="orbit", hint=_MODE_HINT)
             home = gui.add_button("To the input camera", icon=viser.Icon.HOME)
         with gui.add_folder("Picture"):
-            self._what = gui.add_dropdown("Show", get_args(Show), initial_value="colour")
+            self._what = gui.add_dropdown("Show", get_args(PictureKind), initial_value="colour")
             self._part = gui.add_dropdown("Part", get_args(Part), initial_value="all")
             self._compare = gui.add_dropdown("Input frame", get_args(Compare), initial_value="off")
             self._wipe = gui.add_slider("Wipe", min=0.0, max=1.0, step=0.01, initial_value=0.5, visible=False)
             self._stereo = gui.add_checkbox("Stereo pair", False, hint="For two eyes, left beside right.")
         with gui.add_folder("Drawn into it"):
             self._cameras = gui.add_checkbox("Cameras", False)
-            self._trails = gui.add_checkbox("Ways of Gaussians", False)
+            self._trails = gui.add_checkbox("Paths of Gaussians", False)
             self._tracks = gui.add_checkbox("Tracks of the clip", False, hint="Seen from the input camera.",
                                             visible=self._source.scene.has_tracks)  # fmt: skip
         for button, action in ((self._play, self._toggle), (home, self._go_home)):
-            button.on_click(self._talk.told(action))
+            button.on_click(self._notifications.callback(action))
         for control, action in (
             (self._time, self._seek), (self._speed, self._set_speed), (self._loop, self._set_loop),
             (self._mode, self._set_mode), (self._cameras, self._draw_cameras), (self._trails, self._draw_trails),
         ):  # fmt: skip
-            control.on_update(self._talk.told(action))
+            control.on_update(self._notifications.callback(action))
         for control in (self._what, self._part, self._compare, self._wipe, self._stereo, self._tracks):
-            control.on_update(self._talk.told(self._set_look))
+            control.on_update(self._notifications.callback(self._set_look))
 
     def _state(self) -> str:
         source = self._source
@@ -145,7 +145,7 @@ class Panel:
         """Bring the browser's camera to a pose, turning about a point ``reach`` ahead of it."""
         self._stood = pose
         camera = self._client.camera
-        up = -self._world.from_scene.camera(self._world.camera(pose, 2, 2)).viewmat[1, :3]
+        up = -self._browser.from_scene.camera(self._browser.camera(pose, 2, 2)).viewmat[1, :3]
         with self._client.atomic():
             camera.position = pose.position
             camera.up_direction = up
@@ -157,11 +157,11 @@ class Panel:
         shown = self._source.path.at(self._session.clock.at(time.monotonic()))
         canvas = (self._client.camera.image_width, self._client.camera.image_height)
         box = fitted(self._source.size, Box(0, 0, *canvas))
-        pose = self._world.pose(shown)
+        pose = self._browser.pose(shown)
         return Pose(pose.wxyz, pose.position, 2 * float(np.arctan(np.tan(pose.fov / 2) * canvas[1] / box.height)))
 
     def _go_home(self) -> None:
-        self._stand(self._input_pose(), _REACH.get(self._session.mode, WORLD_DEPTH))
+        self._stand(self._input_pose(), _REACH.get(self._session.mode, SCENE_DEPTH))
 
     def _set_mode(self) -> None:
         mode: Mode = self._mode.value
@@ -216,13 +216,13 @@ class Panel:
         parent = scene.add_frame("/cameras", show_axes=False)
         heldout = set(self._source.scene.heldout_frames)
         for i in spread(len(cameras), _MOST_FRUSTA):
-            pose = self._world.pose(cameras[i])
+            pose = self._browser.pose(cameras[i])
             scene.add_camera_frustum(
                 f"/cameras/{i}", pose.fov, cameras[i].width / cameras[i].height, scale=_FRUSTUM, thickness=1.5,
                 thickness_units="screen", color=(255, 190, 60) if i in heldout else (90, 200, 255), wxyz=pose.wxyz,
                 position=pose.position,
             )  # fmt: skip
-        centers = np.array([self._world.pose(camera).position for camera in cameras])
+        centers = np.array([self._browser.pose(camera).position for camera in cameras])
         ends = np.stack([centers[:-1], centers[1:]], axis=1)
         scene.add_line_segments("/cameras/path", ends, (255, 255, 255), thickness=2.0, thickness_units="screen")
         return parent
@@ -233,9 +233,9 @@ class Panel:
         if self._trails.value:
             ends, colours = trails(self._source.loaded.part("all"))
             if not len(ends):
-                self._talk.note("Nothing to draw", "No Gaussian of this scene moves.")
+                self._notifications.show("Nothing to draw", "No Gaussian of this scene moves.")
             else:
-                there = self._world.from_scene.points(ends.astype(np.float64))
+                there = self._browser.from_scene.points(ends.astype(np.float64))
                 self._overlays["trails"] = self._client.scene.add_line_segments(
                     "/trails", there, colours, thickness=1.5, thickness_units="screen"
                 )

@@ -1,4 +1,4 @@
-"""What a client takes away: screenshots, camera paths and recordings, in ``OUT/viewer``."""
+"""What a client exports: screenshots, camera paths and recordings, in ``OUT/viewer``."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ import numpy as np
 from flowsplat.common.errors import InputError
 from flowsplat.output.videos.plans import WIGGLE_FPS
 from flowsplat.output.videos.writing import on_transparent
+from flowsplat.output.viewer.browser_frame import BrowserFrame
 from flowsplat.output.viewer.drawing import Look, Wish, draw, draw_shot
 from flowsplat.output.viewer.keys import CameraKeys
 from flowsplat.output.viewer.source import Source
-from flowsplat.output.viewer.world import World
 from flowsplat.pictures.gif import write_gif
 from flowsplat.pictures.transparent import webm_writer
 from flowsplat.pictures.video import mp4_writer
 from flowsplat.scenes.layers import write_image
 
-Told = Callable[[str], None]
+ShowProgress = Callable[[str], None]
 """Takes a line on how far it is."""
 Writer = Callable[[Path, float], contextlib.AbstractContextManager[Callable[[np.ndarray], None]]]
 
@@ -41,13 +41,15 @@ def next_file(folder: Path, stem: str, suffix: str) -> Path:
     return path
 
 
-def take_screenshot(source: Source, world: World, wish: Wish, path: Path, finished: Callable[[Path], None]) -> Iterator[None]:
+def take_screenshot(
+    source: Source, browser: BrowserFrame, wish: Wish, path: Path, finished: Callable[[Path], None]
+) -> Iterator[None]:
     """A task: what a client sees, as a PNG.
 
     Raises:
         InputError: it cannot be written.
     """
-    write_image(path, draw(source, world, wish).image)
+    write_image(path, draw(source, browser, wish).image)
     finished(path)
     yield
 
@@ -65,19 +67,19 @@ RECORDINGS = tuple(_WRITERS)
 
 
 def record_path(
-    source: Source, world: World, keys: CameraKeys, fps: float, look: Look, path: Path, tell: Told,
+    source: Source, browser: BrowserFrame, keys: CameraKeys, fps: float, look: Look, path: Path, tell: ShowProgress,
     finished: Callable[[Path], None],
 ) -> Iterator[None]:  # fmt: skip
     """A task: a camera path as a video of what the client looks at, one frame a step.
 
     Args:
         source: the scene.
-        world: of the browser.
+        browser: its coordinates.
         keys: the path.
         fps: frames a second; a GIF has those of the wiggle.
         look: what is shown; a WebM shows the movers in colour on transparent, whatever it says.
         path: ``.mp4``, ``.gif`` or ``.webm``.
-        tell: told how far it is.
+        tell: shows how far it is.
         finished: called with the path in the end.
 
     Raises:
@@ -94,6 +96,6 @@ def record_path(
             if suffix == ".webm":
                 write(on_transparent(movers.render(camera, t)))
             else:
-                write(draw_shot(source, world, camera, t, look))
+                write(draw_shot(source, browser, camera, t, look))
             yield
     finished(path)

@@ -1,4 +1,4 @@
-"""How large a picture is rendered: all of it when still, as much as stays fluent while something moves."""
+"""How large a picture is rendered: all of it when still, as much as can be drawn fluently while something moves."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ _SMALLEST = 240
 """Pixels of the longer side."""
 
 
-class Pace:
+class AdaptiveResolution:
     """Learns from the times of past pictures how large the next one may be."""
 
     def __init__(self, largest: int):

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from flowsplat.output.viewer.browser_frame import Pose
 from flowsplat.output.viewer.clock import Clock
 from flowsplat.output.viewer.drawing import Look, Wish
-from flowsplat.output.viewer.resolution import Pace
-from flowsplat.output.viewer.world import Pose
+from flowsplat.output.viewer.resolution import AdaptiveResolution
 
 Mode = Literal["orbit", "fly", "input camera"]
 
@@ -30,7 +30,7 @@ class Session:
     """The state of a client; it is only touched under the lock of the worker."""
 
     def __init__(self, clip: tuple[float, float], largest: int):
-        self.clock, self.pace = Clock(*clip), Pace(largest)
+        self.clock, self.resolution = Clock(*clip), AdaptiveResolution(largest)
         self.mode: Mode = "input camera"
         self.look = Look()
         self.pose: Pose | None = None
@@ -70,7 +70,7 @@ class Session:
                 return None
             if not is_still and now - self._drawn_at < 1 / _MOST_FPS:
                 return None
-        size = self.pace.still(self.canvas) if is_still else self.pace.moving(self.canvas)
+        size = self.resolution.still(self.canvas) if is_still else self.resolution.moving(self.canvas)
         return Job(Wish(size, t, self.look, None if self.mode == "input camera" else self.pose), is_still, version)
 
     def is_restless(self, now: float) -> bool:
@@ -81,4 +81,4 @@ class Session:
         """A picture was made, and took so long."""
         self._drawn, self._drawn_at = (job.version, job.wish.t, job.is_still), now
         if not job.is_still:
-            self.pace.learn(job.wish.size, seconds)
+            self.resolution.learn(job.wish.size, seconds)

@@ -1,4 +1,4 @@
-"""Where Gaussians go: their ways through the scene as line segments."""
+"""The paths of moving Gaussians through the scene as line segments."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _STEPS = 40
 
 @torch.no_grad()
 def trails(model: SceneModel) -> tuple[np.ndarray, np.ndarray]:
-    """Ways of some moving Gaussians, as far as they are present.
+    """Paths of some moving Gaussians, as far as they are present.
 
     Returns:
         ends [S, 2, 3] in the units of the scene's cameras and colours [S, 2, 3] uint8 by time, from blue to red; both empty

@@ -14,13 +14,13 @@ from collections import deque
 from collections.abc import Callable, Iterator
 
 from flowsplat.common.progress import say
+from flowsplat.output.viewer.browser_frame import BrowserFrame
 from flowsplat.output.viewer.drawing import Drawing, draw
 from flowsplat.output.viewer.session import Job, Session
 from flowsplat.output.viewer.source import Source
-from flowsplat.output.viewer.world import World
 
-Show = Callable[[Job, Drawing], None]
-"""Brings a picture to its client."""
+SendPicture = Callable[[Job, Drawing], None]
+"""Sends a picture to its client."""
 
 _WATCH = 1.0
 """Seconds between two looks at whether there is a newer model."""
@@ -33,8 +33,8 @@ class Worker:
 
     def __init__(self, source: Source, reloaded: Callable[[], None] = lambda: None):
         """``reloaded`` is called after a newer model was read."""
-        self._source, self._world, self._reloaded = source, World(source.scene.similarity), reloaded
-        self._sessions: dict[int, tuple[Session, Show]] = {}
+        self._source, self._browser, self._reloaded = source, BrowserFrame(source.scene.similarity), reloaded
+        self._sessions: dict[int, tuple[Session, SendPicture]] = {}
         self._turns: deque[int] = deque()
         self._tasks: deque[tuple[int, Iterator[None]]] = deque()
         self._condition = threading.Condition(threading.RLock())
@@ -61,7 +61,7 @@ class Worker:
             yield
             self._condition.notify_all()
 
-    def add(self, client: int, session: Session, show: Show) -> None:
+    def add(self, client: int, session: Session, show: SendPicture) -> None:
         """A client is there."""
         with self.changed():
             self._sessions[client] = (session, show)
@@ -110,7 +110,7 @@ class Worker:
             say(f"Showing a newer model: {self._source.loaded.state}.")
             self._reloaded()
 
-    def _next_job(self) -> tuple[int, Session, Show, Job] | None:
+    def _next_job(self) -> tuple[int, Session, SendPicture, Job] | None:
         """Of the clients in turn, the first one that needs a picture."""
         with self._condition:
             for _ in range(len(self._turns)):
@@ -122,10 +122,10 @@ class Worker:
                     return client, session, show, job
         return None
 
-    def _serve(self, client: int, session: Session, show: Show, job: Job) -> None:
+    def _serve(self, client: int, session: Session, show: SendPicture, job: Job) -> None:
         started = time.monotonic()
         try:
-            drawing = draw(self._source, self._world, job.wish)
+            drawing = draw(self._source, self._browser, job.wish)
             with self._condition:
                 session.done(job, time.monotonic(), time.monotonic() - started)
                 if client not in self._sessions:

@@ -1,4 +1,4 @@
-"""What a client takes away, as controls: screenshots, and camera paths that are made here or read from a file."""
+"""Controls for what a client exports: screenshots, and camera paths that are made here or read from a file."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from flowsplat.geometry import Camera
 from flowsplat.output.camera_files import read_camera_file, write_camera_file
 from flowsplat.output.videos.options import PathName, RenderOptions
 from flowsplat.output.videos.plans import plan_videos
+from flowsplat.output.viewer.browser_frame import BrowserFrame
 from flowsplat.output.viewer.drawing import Wish, draw_shot
 from flowsplat.output.viewer.keys import CameraKeys
 from flowsplat.output.viewer.layout import Box, empty, fitted, place
+from flowsplat.output.viewer.notifications import Notifications
 from flowsplat.output.viewer.recording import RECORDINGS, next_file, record_path, take_screenshot
 from flowsplat.output.viewer.session import Session
 from flowsplat.output.viewer.source import Source
-from flowsplat.output.viewer.talk import Talk
 from flowsplat.output.viewer.worker import Worker
-from flowsplat.output.viewer.world import World
 
 _QUALITY = 75
 """Of the JPEGs of a path that is played."""
@@ -32,16 +32,17 @@ _READY_HINT = "The paths that flowsplat render knows, at the speed set above; bu
 _RECORDINGS_HINT = "mp4 and gif: what is shown, for two eyes if so set. webm: what moves, on transparent."
 
 
-class TakeAway:
+class ExportPanel:
     """The folder of controls for screenshots and camera paths of one client."""
 
-    def __init__(self, client: viser.ClientHandle, talk: Talk, source: Source, worker: Worker, session: Session):
-        self._client, self._talk, self._source, self._worker, self._session = client, talk, source, worker, session
-        self._world = World(source.scene.similarity)
+    def __init__(self, client: viser.ClientHandle, notifications: Notifications, source: Source, worker: Worker, session: Session):
+        self._client, self._notifications = client, notifications
+        self._source, self._worker, self._session = source, worker, session
+        self._browser = BrowserFrame(source.scene.similarity)
         self._keys = CameraKeys()
         self._fps = float(source.scene.info["source_fps"])
         gui = client.gui
-        with gui.add_folder("Take away", expand_by_default=False):
+        with gui.add_folder("Export", expand_by_default=False):
             screenshot = gui.add_button("Screenshot", icon=viser.Icon.CAMERA)
             self._count = gui.add_markdown("No keys yet.")
             self._ready = gui.add_dropdown("Ready-made path", get_args(PathName), initial_value="orbit", hint=_READY_HINT)
@@ -58,9 +59,9 @@ class TakeAway:
             (screenshot, self._take_screenshot), (ready, self._take_ready), (add, self._add_key), (preview, self._preview),
             (record, self._record), (save, self._save_path), (clear, self._clear),
         ):  # fmt: skip
-            button.on_click(talk.told(action))
-        self._load.on_upload(talk.told(self._load_path))
-        self._spacing.on_update(talk.told(self._set_spacing))
+            button.on_click(notifications.callback(action))
+        self._load.on_upload(notifications.callback(self._load_path))
+        self._spacing.on_update(notifications.callback(self._set_spacing))
 
     @property
     def _folder(self) -> Path:
@@ -68,33 +69,33 @@ class TakeAway:
 
     def _finished(self, path: Path) -> None:
         """Tell where a file is, and offer it to the browser, which may be on another machine."""
-        self._talk.note("Written", str(path))
+        self._notifications.show("Written", str(path))
         self._client.send_file_download(path.name, path.read_bytes())
 
     def _begin(self, task: Iterator[None]) -> None:
-        def told() -> Iterator[None]:
+        def guarded() -> Iterator[None]:
             try:
                 yield from task
             except InputError as error:
-                self._talk.wrong(error)
+                self._notifications.show_error(error)
 
-        self._worker.begin(self._client.client_id, told())
+        self._worker.begin(self._client.client_id, guarded())
 
     def _take_screenshot(self) -> None:
         session = self._session
         with self._worker.changed():
             assert session.canvas is not None
             pose = None if session.mode == "input camera" else session.pose
-            wish = Wish(session.pace.still(session.canvas), session.clock.at(time.monotonic()), session.look, pose)
+            wish = Wish(session.resolution.still(session.canvas), session.clock.at(time.monotonic()), session.look, pose)
         path = next_file(self._folder, "screenshot", ".png")
-        self._begin(take_screenshot(self._source, self._world, wish, path, self._finished))
+        self._begin(take_screenshot(self._source, self._browser, wish, path, self._finished))
 
     def _camera_here(self) -> Camera:
         """What the client sees, as a camera with the size of the clip."""
         session = self._session
         if session.mode == "input camera" or session.pose is None:
             return self._source.path.at(session.clock.at(time.monotonic()))
-        return self._world.camera(session.pose, *self._source.size)
+        return self._browser.camera(session.pose, *self._source.size)
 
     def _add_key(self) -> None:
         with self._worker.changed():
@@ -138,16 +139,16 @@ class TakeAway:
         self._begin(self._playing(keys))
 
     def _playing(self, keys: CameraKeys) -> Iterator[None]:
-        session, way, started = self._session, keys.way(), time.monotonic()
+        session, shot_at, started = self._session, keys.shot_at(), time.monotonic()
         with self._worker.changed():
             session.is_held = True
         try:
             while (passed := time.monotonic() - started) <= keys.seconds:
-                camera, t = way(passed)
-                size = session.pace.moving((camera.width, camera.height))
+                camera, t = shot_at(passed)
+                size = session.resolution.moving((camera.width, camera.height))
                 before = time.monotonic()
-                image = draw_shot(self._source, self._world, camera.resized(*size), t, session.look)
-                session.pace.learn(size, time.monotonic() - before)
+                image = draw_shot(self._source, self._browser, camera.resized(*size), t, session.look)
+                session.resolution.learn(size, time.monotonic() - before)
                 self._client.scene.set_background_image(self._barred(image), format="jpeg", jpeg_quality=_QUALITY)
                 yield
         finally:
@@ -175,14 +176,14 @@ class TakeAway:
             self._count_keys()
             self._finished(path)
 
-        self._begin(record_path(self._source, self._world, keys, self._fps, self._session.look, path, tell, finished))
+        self._begin(record_path(self._source, self._browser, keys, self._fps, self._session.look, path, tell, finished))
 
     def _save_path(self) -> None:
         shots = self._require_keys().shots(self._fps)
         path = next_file(self._folder, "path", ".json")
         write_camera_file(path, shots, self._fps)
         self._finished(path)
-        self._talk.note("Render it", f"flowsplat render {self._source.folder} --render.camera-file {path}")
+        self._notifications.show("Render it", f"flowsplat render {self._source.folder} --render.camera-file {path}")
 
     def _load_path(self) -> None:
         with tempfile.TemporaryDirectory() as folder:

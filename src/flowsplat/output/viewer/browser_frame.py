@@ -1,4 +1,4 @@
-"""Between the scene's cameras and those of the browser."""
+"""From the coordinates of the scene to those of the browser, and back."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 from flowsplat.geometry import Camera, Similarity
 from flowsplat.geometry.cameras import rigid
 
-WORLD_DEPTH = 4.0
-"""Median depth of the scene in the browser's world: its arrow and letter keys then cross a scene in about two seconds."""
+SCENE_DEPTH = 4.0
+"""Median depth of the scene in the browser's coordinates: its arrow and letter keys then cross a scene in about two seconds."""
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class Pose:
 
     Attributes:
         wxyz: [4] unit quaternion, camera to world.
-        position: [3] in the world of the browser.
+        position: [3] in the browser's coordinates.
         fov: vertical field of view in radians.
     """
 
@@ -34,13 +34,13 @@ class Pose:
         return Rotation.from_quat(self.wxyz, scalar_first=True).as_matrix()[:, 2]
 
 
-class World:
-    """The world of the browser: the scene, moved and scaled to a median depth of ``WORLD_DEPTH``."""
+class BrowserFrame:
+    """The browser's coordinates: the scene, moved and scaled to a median depth of ``SCENE_DEPTH``."""
 
     def __init__(self, similarity: Similarity):
         """``similarity``: scene to normalised coordinates (median depth 1)."""
         self.from_scene = Similarity(
-            similarity.scale * WORLD_DEPTH, similarity.rotation, similarity.translation * WORLD_DEPTH
+            similarity.scale * SCENE_DEPTH, similarity.rotation, similarity.translation * SCENE_DEPTH
         )
         self.to_scene = self.from_scene.inverse()
 

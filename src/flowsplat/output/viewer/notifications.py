@@ -1,0 +1,38 @@
+"""Notifications to a client of the viewer, and callbacks that show its errors there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import viser
+
+from flowsplat.common.errors import InputError
+
+
+class Notifications:
+    """Messages to one client, and callbacks that show it what went wrong."""
+
+    def __init__(self, client: viser.ClientHandle):
+        self._client = client
+
+    def show(self, title: str, text: str, color: Any = None) -> None:
+        """Show a message for some seconds."""
+        self._client.add_notification(title, text, auto_close_seconds=8.0, color=color)
+
+    def show_error(self, error: InputError) -> None:
+        """Show what did not work, and why."""
+        self.show("This did not work", str(error), "red")
+
+    def callback(self, action: Callable[[], None]) -> Callable[[Any], None]:
+        """An action as viser calls it: only for events of a client, and an InputError is shown to that client."""
+
+        def call(event: Any) -> None:
+            if event.client_id is None:
+                return
+            try:
+                action()
+            except InputError as error:
+                self.show_error(error)
+
+        return call
