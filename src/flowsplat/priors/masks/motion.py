@@ -1,4 +1,4 @@
-"""Where matches say that something moves.
+"""Evidence of motion from matches.
 
 The evidence of a frame is how far its matches lie off the rigid scene: the smaller of the residual under the best depth
 and twice the distance from the epipolar line, over the noise of the pair (``depth.multiview``). Moving things keep
@@ -19,7 +19,7 @@ from flowsplat.priors.flow import sample_map
 from flowsplat.scenes.layers import TRUSTED
 
 STRONGEST = 1.5
-"""Most that one frame can say, for or against: the logarithm to base 2 of the motion over ``RESTS``."""
+"""Largest evidence of one frame, for or against motion: the logarithm to base 2 of the motion over ``RESTS``."""
 
 MEMORY = 0.9
 """Share of the evidence that a frame takes over from the next and the one before."""
@@ -35,45 +35,45 @@ _SMOOTHNESS, _COLOUR_SIGMA = 10.0, 12.0
 
 def motion_evidence(clip: SolvedClip) -> list[np.ndarray]:
     """Summed evidence [h, w] float16 at working resolution of every training frame: positive where something moves."""
-    sums = listened(clip, lambda k: _evidence(clip, k), clip.step_flow, MEMORY)
+    sums = propagated(clip, lambda k: _evidence(clip, k), clip.step_flow, MEMORY)
     return [total.astype(np.float16) for total in track(sums, "What moves", len(clip))][::-1]
 
 
-def listened(
+def propagated(
     clip: SolvedClip, own: Callable[[int], np.ndarray], flow: Callable[[int, int], tuple[np.ndarray, np.ndarray]], memory: float
 ) -> Iterator[np.ndarray]:
-    """What each training frame says together with those before and after it, [h, w] float32, from the last to the first.
+    """The evidence of each training frame and of those before and after it, [h, w] float32, from the last to the first.
 
     Args:
-        own: what a frame says by itself, [h, w]; asked for twice.
+        own: the evidence of a frame by itself, [h, w]; asked for twice.
         flow: from a training frame and its neighbour to the flow [h, w, 2] between them and its confidence [h, w].
         memory: share that a frame takes over from each neighbour that it is joined with.
     """
 
-    def heard(said: np.ndarray, k: int, j: int) -> np.ndarray:
+    def from_neighbour(evidence: np.ndarray, k: int, j: int) -> np.ndarray:
         if not clip.continuity.joined(k, j):
-            return np.zeros_like(said, np.float32)
-        return memory * _carried(said, *flow(k, j))
+            return np.zeros_like(evidence, np.float32)
+        return memory * _warped(evidence, *flow(k, j))
 
     forward = [own(0).astype(np.float16)]
     for k in range(1, len(clip)):
-        forward.append((own(k) + heard(forward[-1], k, k - 1)).astype(np.float16))
+        forward.append((own(k) + from_neighbour(forward[-1], k, k - 1)).astype(np.float16))
     backward: np.ndarray = np.zeros_like(forward[-1], np.float32)
     for k in range(len(clip) - 1, -1, -1):
         if k + 1 < len(clip):
-            backward = heard(backward, k, k + 1)
+            backward = from_neighbour(backward, k, k + 1)
         yield forward.pop() + backward
         backward = backward + own(k)
 
 
 def _evidence(clip: SolvedClip, k: int) -> np.ndarray:
-    """[h, w] float32: positive where a frame's own matches speak for motion, negative for rest, 0 without matches."""
+    """[h, w] float32: positive where a frame's own matches are evidence of motion, negative of rest, 0 without matches."""
     motion = clip[k].motion
     strength = np.log2(np.maximum(motion, 1e-3) / np.float32(RESTS))
     return np.where(motion > 0, np.clip(strength, -STRONGEST, STRONGEST), 0)
 
 
-def _carried(evidence: np.ndarray, flow: np.ndarray, confidence: np.ndarray) -> np.ndarray:
+def _warped(evidence: np.ndarray, flow: np.ndarray, confidence: np.ndarray) -> np.ndarray:
     """Evidence [h, w] of another frame at the pixels from which a flow [h, w, 2] leads there; 0 where it is not trusted."""
     height, width = evidence.shape
     points = pixel_grid(width, height) + flow

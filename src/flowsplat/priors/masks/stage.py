@@ -15,25 +15,25 @@ from flowsplat.priors.depth.background import static_depth
 from flowsplat.priors.depth.clip import SolvedClip
 from flowsplat.priors.flow import FlowEstimator, dis_estimator
 from flowsplat.priors.masks.colours import Colours, look_up
-from flowsplat.priors.masks.motion import enlarged, listened, motion_evidence, parts, rough_cut
+from flowsplat.priors.masks.motion import enlarged, motion_evidence, parts, propagated, rough_cut
 from flowsplat.priors.masks.numbers import number_objects
 from flowsplat.priors.masks.plate import CleanPlate
 from flowsplat.scenes import Scene
 
 DIFFERS = 1.8
-"""Multiples of its noise at which a difference from the plate speaks neither for motion nor for rest."""
+"""Multiples of its noise at which a difference from the plate is evidence of neither motion nor rest."""
 
 STRONGEST = 2.5
-"""Most that a difference from the plate can say: a logarithm to base 2."""
+"""Largest evidence of a difference from the plate: a logarithm to base 2."""
 
 OF_MOTION, FULL_MOTION = 0.6, 8.0
-"""What motion says at most for rest, and the summed evidence at which it does; for motion half as much more."""
+"""Largest evidence of rest that motion gives, and the summed motion evidence at which it does; of motion half as much more."""
 
 OF_COLOUR, FULL_COLOUR = 0.7, 1.5
 """Weight of the colours' logarithm to base 2, and the most that it counts."""
 
 MEMORY = 0.5
-"""Share of what is said that a frame takes over from the next and the one before."""
+"""Share of the evidence that a frame takes over from the next and the one before."""
 
 MOVES = 0.3
 """Share of a part that must have been found by its motion."""
@@ -56,61 +56,62 @@ def mask_stage(scene: Scene, estimate: FlowEstimator = dis_estimator) -> None:
     if scene.prior("masks") is not None:
         return
     clip = SolvedClip(scene, estimate)
-    evidence = motion_evidence(clip)
+    motion = motion_evidence(clip)
     for k, i in enumerate(scene.train_frames):
-        scene.write_mask(i, rough_cut(evidence[k], scene.frame(i)))
+        scene.write_mask(i, rough_cut(motion[k], scene.frame(i)))
     if any(scene.mask(i).any() for i in scene.train_frames):
-        said = _what_pictures_say(clip, evidence)
-        _add_colours(clip, said, evidence)
-        for k, mask in enumerate(_cut(clip, said, evidence)):
+        evidence = _plate_evidence(clip, motion)
+        _add_colours(clip, evidence, motion)
+        for k, mask in enumerate(_cut(clip, evidence, motion)):
             scene.write_mask(scene.train_frames[k], mask)
     objects, share = number_objects(scene)
     verdict = f"{objects} moving object{'s' * (objects > 1)} on {share:.1%} of the picture" if objects else "nothing moves"
     scene.finish_prior("masks", method="motion", verdict=verdict, objects=objects, share=round(share, 5))
 
 
-def _what_pictures_say(clip: SolvedClip, evidence: list[np.ndarray]) -> list[np.ndarray]:
+def _plate_evidence(clip: SolvedClip, motion: list[np.ndarray]) -> list[np.ndarray]:
     """[H, W] float16 of every training frame, positive for motion: how it differs from its plate, and the matches."""
     scene = clip.scene
     side = 2 * max(1, round(MARGIN * max(scene.width, scene.height) / 2)) + 1
     masks = [cv2.dilate(scene.mask(i), np.ones((side, side), np.uint8)) > 0 for i in scene.train_frames]
     plate = CleanPlate(clip, static_depth(clip, True), np.stack(masks))
-    said = []
+    evidence = []
     for k in track(range(len(clip)), "Clean plates"):
         residual = plate.residual(k)
         differs = np.clip(np.log2(np.maximum(residual, 1e-3) / np.float32(DIFFERS)), -STRONGEST, STRONGEST)
-        moves = OF_MOTION * np.clip(enlarged(evidence[k], residual) / FULL_MOTION, -1, 1.5)
-        said.append((np.where(residual >= 0, differs, 0) + moves).astype(np.float16))
-    return said
+        moves = OF_MOTION * np.clip(enlarged(motion[k], residual) / FULL_MOTION, -1, 1.5)
+        evidence.append((np.where(residual >= 0, differs, 0) + moves).astype(np.float16))
+    return evidence
 
 
-def _add_colours(clip: SolvedClip, said: list[np.ndarray], evidence: list[np.ndarray]) -> None:
-    """Add to what is said how much the colours are those of movers."""
+def _add_colours(clip: SolvedClip, evidence: list[np.ndarray], motion: list[np.ndarray]) -> None:
+    """Add to the evidence how much the colours are those of movers."""
     scene, colours = clip.scene, Colours()
     for k in range(0, len(clip), -(-len(clip) // MODEL_FRAMES)):
         frame = scene.frame(scene.train_frames[k])
-        colours.add(frame, _outline(said[k], frame, evidence[k]) > 0)
+        colours.add(frame, _outline(evidence[k], frame, motion[k]) > 0)
     table = colours.table()
     if table is None:
         return
     table = np.float32(OF_COLOUR) * np.clip(table, -FULL_COLOUR, FULL_COLOUR)
     for k, i in enumerate(scene.train_frames):
-        said[k] = (said[k] + look_up(table, scene.frame(i))).astype(np.float16)
+        evidence[k] = (evidence[k] + look_up(table, scene.frame(i))).astype(np.float16)
 
 
-def _cut(clip: SolvedClip, said: list[np.ndarray], evidence: list[np.ndarray]) -> list[np.ndarray]:
-    """The masks [H, W] uint8 of 0 and 1, after frames have listened to those before and after."""
+def _cut(clip: SolvedClip, evidence: list[np.ndarray], motion: list[np.ndarray]) -> list[np.ndarray]:
+    """The masks [H, W] uint8 of 0 and 1, from evidence that is propagated between frames."""
     scene, numbers = clip.scene, clip.scene.train_frames
 
     def flow(k: int, j: int) -> tuple[np.ndarray, np.ndarray]:
         found = scene.flow(numbers[k], numbers[j])
         return found.flow, found.confidence
 
-    sums = zip(numbers[::-1], evidence[::-1], listened(clip, said.__getitem__, flow, MEMORY), strict=True)
-    return [_outline(total, scene.frame(i), motion) for i, motion, total in track(sums, "Masks", len(clip))][::-1]
+    sums = zip(numbers[::-1], motion[::-1], propagated(clip, evidence.__getitem__, flow, MEMORY), strict=True)
+    return [_outline(total, scene.frame(i), moving) for i, moving, total in track(sums, "Masks", len(clip))][::-1]
 
 
-def _outline(said: np.ndarray, frame: np.ndarray, evidence: np.ndarray) -> np.ndarray:
+def _outline(evidence: np.ndarray, frame: np.ndarray, motion: np.ndarray) -> np.ndarray:
     """The mask [H, W] uint8 along the edges of the frame, of parts that were found by their motion."""
-    smooth = cv2.ximgproc.fastGlobalSmootherFilter(np.ascontiguousarray(frame), said.astype(np.float32), _SMOOTHNESS, _COLOUR_SIGMA)
-    return parts((smooth > 0).astype(np.uint8), enlarged(evidence, frame) > 0, MOVES)
+    guide, values = np.ascontiguousarray(frame), evidence.astype(np.float32)
+    smooth = cv2.ximgproc.fastGlobalSmootherFilter(guide, values, _SMOOTHNESS, _COLOUR_SIGMA)
+    return parts((smooth > 0).astype(np.uint8), enlarged(motion, frame) > 0, MOVES)
