@@ -8,9 +8,15 @@ import numpy as np
 import pytest
 import torch
 
+from flowsplat.output.player.chebyshev import fit_motion, seen_in_clip, visible_interval
 from flowsplat.output.player.pack import Packed, estimated_bytes, pack
-from flowsplat.output.player.planes import Plane, rounded, rounded_in_chunks, rounded_to_range, rounded_to_step
-from flowsplat.output.player.series import moving_series, seen_in_clip, visible_interval
+from flowsplat.output.player.quantization import (
+    QuantizedArray,
+    quantized,
+    quantized_in_chunks,
+    quantized_to_range,
+    quantized_to_step,
+)
 from tests.output.player.unpacking import chebyshev, show, unpack
 from tests.output.small import (
     HEIGHT,
@@ -32,37 +38,37 @@ def packed(model) -> Packed:
     return pack(model, small_times(), small_cameras(model), "small")
 
 
-def read_back(plane: Plane) -> np.ndarray:
-    header, data = plane.encoded()
-    return unpack({"planes": [header]}, zlib.compress(data))[plane.name]
+def read_back(array: QuantizedArray) -> np.ndarray:
+    header, data = array.encoded()
+    return unpack({"arrays": [header]}, zlib.compress(data))[array.name]
 
 
 @pytest.mark.parametrize("bits", [8, 16])
-def test_planes_round_trip_within_half_a_step(bits):
+def test_quantized_arrays_round_trip_within_half_a_step(bits):
     values = np.random.default_rng(0).normal(size=(1000, 3)).cumsum(0)  # neighbours are alike: delta-coded
-    plane = rounded_to_range("x", values, bits, tail=0)
-    assert plane.encoded()[0]["delta"]
-    np.testing.assert_array_equal(read_back(plane), plane.values)
-    assert np.all(np.abs(plane.values - values) <= 0.51 * plane.step)
+    array = quantized_to_range("x", values, bits, tail=0)
+    assert array.encoded()[0]["delta"]
+    np.testing.assert_array_equal(read_back(array), array.values)
+    assert np.all(np.abs(array.values - values) <= 0.51 * array.step)
 
 
-def test_planes_in_chunks_are_fine_where_values_are_close_together():
+def test_quantized_arrays_in_chunks_are_fine_where_values_are_close_together():
     values = np.concatenate([np.linspace(0, 1e-3, 256), np.linspace(0, 1000, 44)])[:, None]
-    plane = rounded_in_chunks("x", values, np.zeros(300), 256)
-    np.testing.assert_array_equal(read_back(plane), plane.values)
-    assert np.abs(plane.values - values)[:256].max() < 1e-8
-    coarse = rounded_in_chunks("x", values, np.full(300, 0.5), 256)
+    array = quantized_in_chunks("x", values, np.zeros(300), 256)
+    np.testing.assert_array_equal(read_back(array), array.values)
+    assert np.abs(array.values - values)[:256].max() < 1e-8
+    coarse = quantized_in_chunks("x", values, np.full(300, 0.5), 256)
     assert np.abs(coarse.values - values).max() <= 0.26
-    assert len(zlib.compress(coarse.encoded()[1])) < len(zlib.compress(plane.encoded()[1]))
+    assert len(zlib.compress(coarse.encoded()[1])) < len(zlib.compress(array.encoded()[1]))
 
 
-def test_planes_clip_and_may_be_empty():
-    assert rounded("x", np.array([[-5.0], [5.0]]), 8, -1, 1).values.ravel().tolist() == pytest.approx([-1, 1])
-    assert rounded_to_step("x", np.array([[1e9], [0.3]]), 0.1).values.ravel() == pytest.approx([3276.7, 0.3], abs=1e-3)
+def test_quantized_arrays_clip_and_may_be_empty():
+    assert quantized("x", np.array([[-5.0], [5.0]]), 8, -1, 1).values.ravel().tolist() == pytest.approx([-1, 1])
+    assert quantized_to_step("x", np.array([[1e9], [0.3]]), 0.1).values.ravel() == pytest.approx([3276.7, 0.3], abs=1e-3)
     for empty in (np.zeros((0, 3)), np.zeros((5, 0))):
-        assert read_back(rounded_to_step("x", empty, 1.0)).shape == empty.shape
-        assert read_back(rounded_to_range("x", empty, 8)).shape == empty.shape
-    assert read_back(rounded_in_chunks("x", np.zeros((0, 3)), np.zeros(0), 256)).shape == (0, 3)
+        assert read_back(quantized_to_step("x", empty, 1.0)).shape == empty.shape
+        assert read_back(quantized_to_range("x", empty, 8)).shape == empty.shape
+    assert read_back(quantized_in_chunks("x", np.zeros((0, 3)), np.zeros(0), 256)).shape == (0, 3)
 
 
 @pytest.mark.parametrize("config", [OURS, PAPER, LINEAR], ids=["ours", "paper", "linear"])
@@ -70,14 +76,14 @@ def test_series_follow_the_motion_model(config):
     gaussians = small_gaussians(config, resting=0, moving=200)
     rows, params = torch.arange(200), gaussians.params
     precision = gaussians.motion.log_precision(params)
-    series = moving_series(gaussians, rows, params["times"], precision, 1e-4, 1e-3)
+    motion = fit_motion(gaussians, rows, params["times"], precision, 1e-4, 1e-3)
     middle, half = visible_interval(params["times"], precision, config.p_min)
     for share in (-1.0, -0.3, 0.6, 1.0):
         state = gaussians.motion.state({**params, "times": params["times"] - (middle + share * half)}, 0.0)
-        found = series.means[:, 0].numpy() + chebyshev(series.means[:, 1:].numpy(), np.full(200, share))
+        found = motion.means[:, 0].numpy() + chebyshev(motion.means[:, 1:].numpy(), np.full(200, share))
         assert np.quantile(np.abs(found - state.means.numpy()).max(1), 0.98) < 4e-4
         if state.quats is not None:
-            quats = series.quats[:, 0].numpy() + chebyshev(series.quats[:, 1:].numpy(), np.full(200, share))
+            quats = motion.quats[:, 0].numpy() + chebyshev(motion.quats[:, 1:].numpy(), np.full(200, share))
             cosines = (quats * state.quats.numpy()).sum(1) / np.linalg.norm(state.quats, axis=1) / np.linalg.norm(quats, axis=1)
             assert np.quantile(np.abs(cosines), 0.05) > 0.9999
 
@@ -91,12 +97,12 @@ def test_series_follow_more_than_one_turn():
     params["quat_cos"][:, 0, 0] = 1
     params["quat_sin"][:, 0, 1] = 1
     precision = torch.full((3,), 3.5)
-    series = moving_series(gaussians, rows, params["times"], precision, 1e-4, 1e-3)
+    motion = fit_motion(gaussians, rows, params["times"], precision, 1e-4, 1e-3)
     middle, half = visible_interval(params["times"], precision, PAPER.p_min)
     assert (2 * np.pi * half > np.pi / 2).all(), "more than half a turn to either side"
     for share in np.linspace(-1, 1, 9):
         state = gaussians.motion.state({**params, "times": params["times"] - (middle + float(share) * half)}, 0.0)
-        quats = series.quats[:, 0].numpy() + chebyshev(series.quats[:, 1:].numpy(), np.full(3, share))
+        quats = motion.quats[:, 0].numpy() + chebyshev(motion.quats[:, 1:].numpy(), np.full(3, share))
         cosines = (quats * state.quats.numpy()).sum(1) / np.linalg.norm(state.quats, axis=1) / np.linalg.norm(quats, axis=1)
         assert np.abs(cosines).min() > 0.99
 
@@ -109,12 +115,12 @@ def test_what_crosses_the_scene_is_where_it_belongs(width):
     params["mean_poly"][:, 0, 0] = torch.linspace(-3, 3, 40)
     params["log_lambdas"][:] = 0.0
     pack_ = pack(model, small_times(), small_cameras(model, width, HEIGHT * width // WIDTH), "small")
-    planes = unpack(pack_.about, pack_.data)
+    arrays = unpack(pack_.about, pack_.data)
     middle, half = visible_interval(
-        torch.from_numpy(planes["times"][:, 0]), torch.from_numpy(planes["logLambdas"][:, 0]), model.gaussians.config.p_min
+        torch.from_numpy(arrays["times"][:, 0]), torch.from_numpy(arrays["logLambdas"][:, 0]), model.gaussians.config.p_min
     )
     for share in (-0.9, 0.7):
-        found = planes["means"] + chebyshev(planes["meanSeries"].reshape(40, -1, 3), np.full(40, share))
+        found = arrays["means"] + chebyshev(arrays["meanCoefficients"].reshape(40, -1, 3), np.full(40, share))
         gaps = []
         for k in range(40):  # the page has an order of its own
             t = float(middle[k] + share * half[k])
@@ -131,9 +137,9 @@ def test_what_crosses_the_scene_is_where_it_belongs(width):
 def test_what_is_read_back_looks_the_same(config, counts):
     model = small_model(config, **counts)
     pack_ = packed(model)
-    planes = unpack(pack_.about, pack_.data)
+    arrays = unpack(pack_.about, pack_.data)
     for camera, seconds in five_pairs(model):
-        assert psnr(show(pack_.about, planes, camera, seconds), rendered(model, camera, seconds)) > 38
+        assert psnr(show(pack_.about, arrays, camera, seconds), rendered(model, camera, seconds)) > 38
 
 
 def test_gaussians_that_are_never_seen_are_left_out():

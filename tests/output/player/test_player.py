@@ -216,7 +216,7 @@ def test_the_clips_camera_is_followed(open_page, player_file):
     model = small_model()
     path = CameraPath(small_times(), small_cameras(model))
     for t in (0.0, 0.31, 0.77, 1.0):
-        found = page.page.evaluate("(t) => cameraOnPath(flowsplat.about.path, t)", t)
+        found = page.page.evaluate("(t) => cameraOnPath(flowsplat.about.clipPath, t)", t)
         camera = model.similarity.camera(path.at(FIRST + t * (LAST - FIRST)))
         np.testing.assert_allclose(np.reshape(found["rotation"], (3, 3)), camera.viewmat[:3, :3], atol=2e-4)
         np.testing.assert_allclose(found["translation"], camera.viewmat[:3, 3], atol=2e-4)
@@ -265,7 +265,7 @@ def test_cameras_that_move_by_themselves(open_page, player_file):
     model = small_model()
     camera = model.similarity.camera(CameraPath(small_times(), small_cameras(model)).at(FIRST + 0.4 * (LAST - FIRST)))
     page.page.locator("#time").fill("0.4")
-    subject = page.page.evaluate("subjectAt(flowsplat.about.subjects, 0.4)")
+    subject = page.page.evaluate("subjectAt(flowsplat.about.subjectDepths, 0.4)")
     expected = {
         "swing": orbit(camera, 1.0, 8)[1],
         "dolly": dolly_zoom(camera, subject, 1.5 ** ((1 - np.cos(np.pi / 4)) / 2)),
@@ -276,14 +276,14 @@ def test_cameras_that_move_by_themselves(open_page, player_file):
         page.page.locator("#camera").select_option(mode)
         page.page.evaluate("flowsplat.state.setTime(0.4)")
         assert not page.page.evaluate("flowsplat.state.isPlaying")
-        found = page.page.evaluate("flowsplat.state.moves.phase = Math.PI / 4; flowsplat.state.camera()")
+        found = page.page.evaluate("flowsplat.state.cameraLoops.phase = Math.PI / 4; flowsplat.state.camera()")
         np.testing.assert_allclose(np.reshape(found["rotation"], (3, 3)), there.viewmat[:3, :3], atol=3e-3)
         np.testing.assert_allclose(found["translation"], there.viewmat[:3, 3], atol=3e-3)
         np.testing.assert_allclose(found["lens"], there.K[[0, 1, 0, 1], [0, 1, 2, 2]], rtol=1e-4)
         first = seen(page)  # a slow machine may show the next ones a whole turn later, where they look alike
         assert any(np.abs(seen(page) - first).mean() > 0.05 for _ in range(20)), mode
     page.page.locator("#camera").select_option("steady")
-    row = page.page.evaluate("flowsplat.about.steady[flowsplat.about.steady.length - 1]")
+    row = page.page.evaluate("flowsplat.about.steadyPath[flowsplat.about.steadyPath.length - 1]")
     page.page.locator("#time").fill("1")
     np.testing.assert_allclose(page.page.evaluate("centreOf(flowsplat.state.camera())"), row[1:4], atol=1e-5)
     assert page.complaints == []

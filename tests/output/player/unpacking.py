@@ -14,7 +14,7 @@ from flowsplat.splatting.harmonics import colours_from_harmonics
 
 
 def unpack(about: dict[str, Any], data: bytes) -> dict[str, np.ndarray]:
-    """Every plane [count, components] float32, by name."""
+    """Every array [count, components] float32, by name."""
     body, at, result = zlib.decompress(data), 0, {}
 
     def take(dtype: str, count: int) -> np.ndarray:
@@ -23,21 +23,21 @@ def unpack(about: dict[str, Any], data: bytes) -> dict[str, np.ndarray]:
         at += array.nbytes
         return array
 
-    for plane in about["planes"]:
-        count, components, chunks = plane["count"], plane["components"], plane["chunks"]
+    for array in about["arrays"]:
+        count, components, chunks = array["count"], array["components"], array["chunks"]
         low = take("<f4", chunks * components).reshape(chunks, components)
         step = take("<f4", chunks * components).reshape(chunks, components)
         columns = []
         for _ in range(components):
             q = take("u1", count).astype(np.int64)
-            if plane["bits"] == 16:
+            if array["bits"] == 16:
                 q = q * 256 + take("u1", count)
-            if plane["delta"]:
-                q = np.cumsum(np.where(q % 2 == 1, -(q + 1) // 2, q // 2)) % (1 << plane["bits"])
+            if array["delta"]:
+                q = np.cumsum(np.where(q % 2 == 1, -(q + 1) // 2, q // 2)) % (1 << array["bits"])
             columns.append(q)
         q = np.stack(columns, 1) if columns else np.zeros((count, 0), np.int64)
-        rows = np.arange(count) // plane["chunk"]
-        result[plane["name"]] = low[rows] + step[rows] * q.astype(np.float32)
+        rows = np.arange(count) // array["chunk"]
+        result[array["name"]] = low[rows] + step[rows] * q.astype(np.float32)
     assert at == len(body)
     return result
 
@@ -48,32 +48,32 @@ def chebyshev(coefficients: np.ndarray, s: np.ndarray) -> np.ndarray:
     return np.einsum("mk,mkc->mc", np.cos(degrees * np.arccos(np.clip(s, -1, 1))[:, None]), coefficients)
 
 
-def show(about: dict[str, Any], planes: dict[str, np.ndarray], camera: Camera, seconds: float, backend: Any = "auto") -> np.ndarray:
+def show(about: dict[str, Any], arrays: dict[str, np.ndarray], camera: Camera, seconds: float, backend: Any = "auto") -> np.ndarray:
     """[H, W, 3] the scene at a time, before uncovered pixels are filled; camera in the coordinates of the scene."""
     t = (seconds - about["first"]) / (about["last"] - about["first"])
     resting = about["resting"]
-    times, lambdas = planes["times"][:, 0], np.exp(planes["logLambdas"][:, 0])
+    times, lambdas = arrays["times"][:, 0], np.exp(arrays["logLambdas"][:, 0])
     reach = np.sqrt(-2 * np.log(about["pMin"]) / lambdas)
     start, end = np.maximum(times - reach, 0), np.minimum(times + reach, 1)
     s = (t - (start + end) / 2) / np.maximum((end - start) / 2, 1e-6)
     presence = np.exp(-lambdas * (t - times) ** 2 / 2)
-    means, quats = planes["means"].copy(), planes["quats"].copy()
-    for states, name in ((means, "meanSeries"), (quats, "quatSeries")):
-        series, components = planes[name], states.shape[1]
-        states[resting:] += chebyshev(series.reshape(len(times), series.shape[1] // components, components), s)
-    opacities = planes["opacities"][:, 0].copy()
+    means, quats = arrays["means"].copy(), arrays["quats"].copy()
+    for states, name in ((means, "meanCoefficients"), (quats, "quatCoefficients")):
+        coefficients, components = arrays[name], states.shape[1]
+        states[resting:] += chebyshev(coefficients.reshape(len(times), coefficients.shape[1] // components, components), s)
+    opacities = arrays["opacities"][:, 0].copy()
     opacities[resting:] *= np.where(presence >= about["pMin"], presence, 0)
     degree = about["shDegree"]
-    sh = planes["colours"]
+    sh = arrays["colours"]
     if degree:
-        sh = np.concatenate([sh, planes["harmonics"]], 1)
+        sh = np.concatenate([sh, arrays["harmonics"]], 1)
     moved = Similarity.from_json(about["similarity"]).camera(camera)
     directions = torch.from_numpy(means) - torch.as_tensor(moved.center, dtype=torch.float32)
     colours = colours_from_harmonics(torch.from_numpy(sh.reshape(len(means), -1, 3)), directions, degree).numpy()
     if about["gains"]:
         cosines = np.cos(np.pi * t * np.arange(1, about["gains"] + 1))
-        colours[:resting] *= np.exp(planes["gains"] @ cosines)[:, None]
-    arrays = [means, quats, np.exp(planes["logScales"]), opacities, colours]
-    tensors = [torch.from_numpy(np.ascontiguousarray(a, np.float32)) for a in arrays]
+        colours[:resting] *= np.exp(arrays["gains"] @ cosines)[:, None]
+    inputs = [means, quats, np.exp(arrays["logScales"]), opacities, colours]
+    tensors = [torch.from_numpy(np.ascontiguousarray(a, np.float32)) for a in inputs]
     size = moved.width, moved.height
     return rasterize(*tensors, *moved.tensors(), *size, near_plane=about["near"], eps2d=about["eps2d"], backend=backend)[0].numpy()

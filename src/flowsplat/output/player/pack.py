@@ -1,4 +1,4 @@
-"""A trained scene as the few megabytes that the player unpacks: a header that says what is there, and rounded planes.
+"""A trained scene as the few megabytes that the player unpacks: a header that says what is there, and quantized arrays.
 
 Gaussians at rest come first, then those that move, each part along a space-filling curve, so that neighbours in the file
 look alike. Which bits each parameter gets was chosen by the PSNR of the pictures (docs/formats.md).
@@ -20,8 +20,14 @@ from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.render import FILLED_FROM, FILLED_TO
 from flowsplat.geometry import Camera
 from flowsplat.geometry.rotations import normalize_quats, principal_axes
-from flowsplat.output.player.planes import Plane, rounded, rounded_in_chunks, rounded_to_range, rounded_to_step
-from flowsplat.output.player.series import FLATTEST, MovingSeries, moving_series, seen_in_clip
+from flowsplat.output.player.chebyshev import FLATTEST, ChebyshevMotion, fit_motion, seen_in_clip
+from flowsplat.output.player.quantization import (
+    QuantizedArray,
+    quantized,
+    quantized_in_chunks,
+    quantized_to_range,
+    quantized_to_step,
+)
 from flowsplat.splatting.harmonics import harmonics_count
 from flowsplat.splatting.rules import ALPHA_MAX, ALPHA_MIN, EPS2D
 
@@ -42,8 +48,8 @@ class Packed:
     """What goes into the page.
 
     Attributes:
-        about: the header, JSON-able; ``ways`` adds the cameras to it.
-        data: the planes behind one another, zlib-compressed.
+        about: the header, JSON-able; ``camera_paths`` adds the cameras to it.
+        data: the arrays behind one another, zlib-compressed.
     """
 
     about: dict[str, Any]
@@ -64,22 +70,22 @@ def pack(model: SceneModel, times: Sequence[float], cameras: Sequence[Camera], t
     resting = _along_curve(gaussians, torch.nonzero(gaussians.at_rest).squeeze(1))
     moving = _along_curve(gaussians, torch.nonzero(~gaussians.at_rest).squeeze(1))
     gaussians = gaussians.select(torch.cat([resting, moving]))
-    planes = _planes(gaussians, len(resting), _resolution(gaussians, inner))
-    encoded = [plane.encoded() for plane in planes]
+    arrays = _arrays(gaussians, len(resting), _resolution(gaussians, inner))
+    encoded = [array.encoded() for array in arrays]
     about = {
         "version": VERSION, "title": title, "width": cameras[0].width, "height": cameras[0].height,
         "first": model.first, "last": model.last, "frames": len(times), "fill": model.fill,
         "resting": len(resting), "moving": len(moving), "shDegree": gaussians.sh_degree, "gains": gaussians.config.gains,
         "pMin": gaussians.config.p_min, "near": NEAR_PLANE, "eps2d": EPS2D, "focal": model.focal,
         "alphaMin": ALPHA_MIN, "alphaMax": ALPHA_MAX, "filledFrom": FILLED_FROM, "filledTo": FILLED_TO,
-        "similarity": model.similarity.to_json(), "planes": [header for header, _ in encoded],
+        "similarity": model.similarity.to_json(), "arrays": [header for header, _ in encoded],
     }  # fmt: skip
     data = zlib.compress(b"".join(body for _, body in encoded), 9)
     return Packed(about, data)
 
 
 def estimated_bytes(gaussians: Gaussians4D) -> int:
-    """About how large the packed planes become as base64, from what was measured on trained scenes."""
+    """About how large the packed arrays become as base64, from what was measured on trained scenes."""
     seen = seen_in_clip(gaussians)
     resting = int((gaussians.at_rest & seen).sum())
     moving = int(seen.sum()) - resting
@@ -88,43 +94,43 @@ def estimated_bytes(gaussians: Gaussians4D) -> int:
     return round(4 / 3 * (resting * (common + 0.8 * gaussians.config.gains) + moving * (common + 9.5)))
 
 
-def _planes(gaussians: Gaussians4D, resting: int, resolution: np.ndarray) -> list[Plane]:
+def _arrays(gaussians: Gaussians4D, resting: int, resolution: np.ndarray) -> list[QuantizedArray]:
     """All parameters of Gaussians that are in order, those at rest first."""
     params, degree = gaussians.params, gaussians.sh_degree
     moving = torch.arange(resting, len(gaussians))
-    times = rounded_to_range("times", _column(params["times"][moving]), 16, tail=0)
+    times = quantized_to_range("times", _column(params["times"][moving]), 16, tail=0)
     precisions = gaussians.motion.log_precision(params)[moving].clamp(FLATTEST, _STEEPEST)
-    log_lambdas = rounded_to_range("logLambdas", _column(precisions), 16, tail=0)
+    log_lambdas = quantized_to_range("logLambdas", _column(precisions), 16, tail=0)
     step = float(np.quantile(resolution, 0.1)) if len(resolution) else 1.0
-    series = moving_series(
+    motion = fit_motion(
         gaussians, moving, torch.from_numpy(times.values[:, 0]), torch.from_numpy(log_lambdas.values[:, 0]), step,
         QUAT_TOLERANCE,
     )  # fmt: skip
     rest_quats, rest_scales = _at_rest(gaussians, resting)
-    means = torch.cat([params["means"][:resting], series.means[:, 0]])
-    quats = torch.cat([rest_quats, series.quats[:, 0]])
-    log_scales = torch.cat([rest_scales, series.log_scales]).clamp(np.log(_SMALLEST_SCALE), np.log(_LARGEST_SCALE))
+    means = torch.cat([params["means"][:resting], motion.means[:, 0]])
+    quats = torch.cat([rest_quats, motion.quats[:, 0]])
+    log_scales = torch.cat([rest_scales, motion.log_scales]).clamp(np.log(_SMALLEST_SCALE), np.log(_LARGEST_SCALE))
     sh = params["sh"][:, : harmonics_count(degree)].numpy()
-    planes = [
-        rounded_in_chunks("means", means.numpy(), resolution, CHUNK),
-        rounded("quats", quats.numpy(), 8, -1.0, 1.0),
-        rounded_to_range("logScales", log_scales.numpy(), 8, tail=0),
-        rounded("opacities", _column(torch.sigmoid(params["logit_opacities"])), 8, 0.0, 1.0),
-        rounded_to_range("colours", sh[:, 0], 8),
+    arrays = [
+        quantized_in_chunks("means", means.numpy(), resolution, CHUNK),
+        quantized("quats", quats.numpy(), 8, -1.0, 1.0),
+        quantized_to_range("logScales", log_scales.numpy(), 8, tail=0),
+        quantized("opacities", _column(torch.sigmoid(params["logit_opacities"])), 8, 0.0, 1.0),
+        quantized_to_range("colours", sh[:, 0], 8),
     ]
     if degree:
-        planes.append(rounded_to_range("harmonics", sh[:, 1:].reshape(len(sh), -1), 8))
+        arrays.append(quantized_to_range("harmonics", sh[:, 1:].reshape(len(sh), -1), 8))
     if gaussians.config.gains:
-        planes.append(rounded_to_range("gains", params["log_gains"][:resting].numpy(), 8))
-    return [*planes, times, log_lambdas, *_motion_planes(series, step)]
+        arrays.append(quantized_to_range("gains", params["log_gains"][:resting].numpy(), 8))
+    return [*arrays, times, log_lambdas, *_motion_arrays(motion, step)]
 
 
-def _motion_planes(series: MovingSeries, step: float) -> list[Plane]:
-    means, quats = series.means[:, 1:], series.quats[:, 1:]
+def _motion_arrays(motion: ChebyshevMotion, step: float) -> list[QuantizedArray]:
+    means, quats = motion.means[:, 1:], motion.quats[:, 1:]
     return [
         # In boxes, too: what crosses the picture between two frames goes further than 16 bits of such steps.
-        rounded_in_chunks("meanSeries", means.flatten(1).numpy(), np.full(len(means), step), CHUNK),
-        rounded_to_step("quatSeries", quats.flatten(1).numpy(), QUAT_TOLERANCE),
+        quantized_in_chunks("meanCoefficients", means.flatten(1).numpy(), np.full(len(means), step), CHUNK),
+        quantized_to_step("quatCoefficients", quats.flatten(1).numpy(), QUAT_TOLERANCE),
     ]
 
 

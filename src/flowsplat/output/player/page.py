@@ -17,11 +17,11 @@ from flowsplat.common.errors import InputError
 from flowsplat.common.files import write_text
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.geometry import Camera
+from flowsplat.output.player.camera_paths import camera_paths
 from flowsplat.output.player.pack import pack
-from flowsplat.output.player.ways import ways
 from flowsplat.pictures.html import data_uri
 
-SCRIPTS = ("scene.js", "cameras.js", "moves.js", "sorter.js", "renderer.js", "controls.js", "main.js")
+SCRIPTS = ("scene.js", "cameras.js", "camera_loops.js", "sorter.js", "renderer.js", "controls.js", "main.js")
 """In the order in which they stand in the page."""
 SHADERS = (
     "slice.glsl", "slice.frag", "splat.vert", "splat.frag", "whole.vert", "shrink.frag", "spread.frag", "present.frag",
@@ -50,7 +50,7 @@ def write_player(path: Path, model: SceneModel, times: Sequence[float], cameras:
     page = template.render(
         title=title,
         poster=data_uri(np.ascontiguousarray(poster), _POSTER_QUALITY),
-        about=_json({**packed.about, **ways(model, times, cameras)}),
+        about=_json({**packed.about, **camera_paths(model, times, cameras)}),
         shaders=_json({name: _asset(name) for name in SHADERS}),
         data=Markup(base64.b64encode(packed.data).decode()),
         script=Markup("\n".join(_asset(name) for name in SCRIPTS)),

@@ -19,8 +19,8 @@ class State {
     this.part = "all";
     this.isStereo = false;
     this.isHeld = false;  // a picture that a program asked for stays until a person does something
-    this.free = new FreeCamera(about.path);
-    this.moves = new Moves(about);
+    this.free = new FreeCamera(about.clipPath);
+    this.cameraLoops = new CameraLoops(about);
   }
 
   get isFree() {
@@ -29,8 +29,8 @@ class State {
 
   camera() {
     if (this.isFree) return this.free.camera;
-    if (this.mode in LOOPS) return this.moves.camera(this.mode, this.time);
-    return cameraOnPath(this.mode === "steady" ? this.about.steady : this.about.path, this.time);
+    if (this.mode in LOOPS) return this.cameraLoops.camera(this.mode, this.time);
+    return cameraOnPath(this.mode === "steady" ? this.about.steadyPath : this.about.clipPath, this.time);
   }
 
   setMode(mode) {
@@ -40,7 +40,7 @@ class State {
     this.mode = mode;
     if (this.isFree && !wasFree) this.free.startFrom(before);
     if (mode in LOOPS) {
-      this.moves.phase = 0;
+      this.cameraLoops.phase = 0;
       this.setPlaying(false);  // time stands still until it is told to play
     }
     element("camera").value = mode;
@@ -77,7 +77,7 @@ class State {
   }
 
   step(seconds) {
-    if (this.mode in LOOPS) this.moves.step(this.mode, seconds);
+    if (this.mode in LOOPS) this.cameraLoops.step(this.mode, seconds);
     if (!this.isPlaying) return;
     const time = this.time + (this.speed * seconds) / (this.about.last - this.about.first);
     this.setTime(time % 1);

@@ -116,11 +116,11 @@ class Renderer {
     gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
   }
 
-  stateTexels({ about, planes }) {
+  stateTexels({ about, arrays }) {
     const count = about.resting + about.moving;
     const stride = 4 * (3 + this.harmonics);
     const texels = new Float32Array(count * stride);
-    const { means, quats, logScales, opacities, colours, harmonics } = planes;
+    const { means, quats, logScales, opacities, colours, harmonics } = arrays;
     for (let i = 0; i < count; i++) {
       const at = i * stride;
       for (let c = 0; c < 3; c++) {
@@ -137,24 +137,24 @@ class Renderer {
     return texels;
   }
 
-  motionTexels({ about, planes, intervals, meanDegree, quatDegree }) {
+  motionTexels({ about, arrays, intervals, meanDegree, quatDegree }) {
     const stride = 4 * (1 + meanDegree + quatDegree);
     const texels = new Float32Array(about.moving * stride);
     for (let i = 0; i < about.moving; i++) {
       const at = i * stride;
       for (let c = 0; c < 4; c++) texels[at + c] = intervals[4 * i + c];
       for (let k = 0; k < meanDegree; k++) {
-        for (let c = 0; c < 3; c++) texels[at + 4 * (1 + k) + c] = planes.meanSeries.values[3 * (i * meanDegree + k) + c];
+        for (let c = 0; c < 3; c++) texels[at + 4 * (1 + k) + c] = arrays.meanCoefficients.values[3 * (i * meanDegree + k) + c];
       }
-      for (let k = 0; k < 4 * quatDegree; k++) texels[at + 4 * (1 + meanDegree) + k] = planes.quatSeries.values[4 * i * quatDegree + k];
+      for (let k = 0; k < 4 * quatDegree; k++) texels[at + 4 * (1 + meanDegree) + k] = arrays.quatCoefficients.values[4 * i * quatDegree + k];
     }
     return texels;
   }
 
-  gainTexelsOf({ about, planes }) {
+  gainTexelsOf({ about, arrays }) {
     const texels = new Float32Array(4 * this.gainTexels * about.resting);
     for (let i = 0; i < about.resting; i++) {
-      for (let k = 0; k < about.gains; k++) texels[4 * this.gainTexels * i + k] = planes.gains.values[about.gains * i + k];
+      for (let k = 0; k < about.gains; k++) texels[4 * this.gainTexels * i + k] = arrays.gains.values[about.gains * i + k];
     }
     return texels;
   }

@@ -1,4 +1,4 @@
-// The embedded scene: from text to arrays of numbers (the layout is that of planes.py).
+// The embedded scene: from text to arrays of numbers (the layout is that of quantization.py).
 
 /** Base64 to bytes, compressed bytes to plain ones. */
 async function inflate(text) {
@@ -9,16 +9,16 @@ async function inflate(text) {
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }
 
-/** All planes by name: Float32Array of count * components. */
-function readPlanes(about, bytes) {
-  const planes = {};
+/** All arrays by name: Float32Array of count * components. */
+function readArrays(about, bytes) {
+  const arrays = {};
   let at = 0;
   const floats = (count) => {
     const part = new Float32Array(bytes.slice(at, at + 4 * count).buffer);
     at += 4 * count;
     return part;
   };
-  for (const { name, bits, count, components, chunks, chunk, delta } of about.planes) {
+  for (const { name, bits, count, components, chunks, chunk, delta } of about.arrays) {
     const low = floats(chunks * components);
     const step = floats(chunks * components);
     const values = new Float32Array(count * components);
@@ -35,17 +35,17 @@ function readPlanes(about, bytes) {
       }
       at += count;
     }
-    planes[name] = { values, components };
+    arrays[name] = { values, components };
   }
-  return planes;
+  return arrays;
 }
 
-/** Per moving Gaussian: middle and 1 / half length of its visible interval, centre time, precision (as series.py). */
-function visibleIntervals(about, planes) {
+/** Per moving Gaussian: middle and 1 / half length of its visible interval, centre time, precision (as chebyshev.py). */
+function visibleIntervals(about, arrays) {
   const intervals = new Float32Array(4 * about.moving);
   for (let i = 0; i < about.moving; i++) {
-    const centre = planes.times.values[i];
-    const precision = Math.exp(planes.logLambdas.values[i]);
+    const centre = arrays.times.values[i];
+    const precision = Math.exp(arrays.logLambdas.values[i]);
     const reach = Math.sqrt((-2 * Math.log(about.pMin)) / precision);
     const start = Math.max(centre - reach, 0);
     const end = Math.min(centre + reach, 1);
@@ -56,12 +56,12 @@ function visibleIntervals(about, planes) {
 
 /** The scene as the renderer and the sorter want it. */
 async function readScene(about, text) {
-  const planes = readPlanes(about, await inflate(text));
+  const arrays = readArrays(about, await inflate(text));
   return {
     about,
-    planes,
-    intervals: visibleIntervals(about, planes),
-    meanDegree: planes.meanSeries.components / 3,
-    quatDegree: planes.quatSeries.components / 4,
+    arrays,
+    intervals: visibleIntervals(about, arrays),
+    meanDegree: arrays.meanCoefficients.components / 3,
+    quatDegree: arrays.quatCoefficients.components / 4,
   };
 }

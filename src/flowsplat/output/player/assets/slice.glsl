@@ -7,7 +7,7 @@ precision highp usampler2D;
 
 uniform usampler2D order;   // rows of the active Gaussians, farthest first
 uniform sampler2D states;   // 3 + SH_COUNT texels a Gaussian: mean and opacity, quaternion, scales, harmonics
-uniform sampler2D motions;  // 1 + MEAN_DEGREE + QUAT_DEGREE texels a moving one: middle, 1 / half length, centre, precision; series
+uniform sampler2D motions;  // 1 + MEAN_DEGREE + QUAT_DEGREE texels a moving one: middle, 1 / half length, centre, precision; coefficients
 uniform sampler2D gains;    // GAIN_TEXELS texels a resting one
 uniform int resting;        // how many do not move: the first ones
 uniform float time;

@@ -16,7 +16,7 @@ function sorterProgram(post) {
 
   /** Fill `depths`, and `rows` with those of a part in front of the near plane that are present; returns how many. */
   function measure(x, y, z, w, time, part) {
-    const { means, series, degree, intervals, pMin, near } = scene;
+    const { means, coefficients, degree, intervals, pMin, near } = scene;
     const resting = part === "movers" ? 0 : scene.resting;
     const moving = part === "background" ? 0 : scene.moving;
     let active = 0;
@@ -37,7 +37,7 @@ function sorterProgram(post) {
       let before = 1;
       let now = s;
       for (let k = 0, at = 3 * degree * j; k < degree; k++, at += 3) {
-        depth += now * (x * series[at] + y * series[at + 1] + z * series[at + 2]);
+        depth += now * (x * coefficients[at] + y * coefficients[at + 1] + z * coefficients[at + 2]);
         const next = 2 * s * now - before;
         before = now;
         now = next;
@@ -77,7 +77,7 @@ function sorterProgram(post) {
 /** Sorts in a worker, or on this thread where a page from disk may not start one. */
 class Sorter {
   constructor(scene) {
-    const { about, planes, intervals, meanDegree } = scene;
+    const { about, arrays, intervals, meanDegree } = scene;
     this.waiting = new Map();
     this.ticket = 0;
     const receive = (answer) => {
@@ -85,7 +85,7 @@ class Sorter {
       this.waiting.delete(answer.ticket);
     };
     const load = {
-      resting: about.resting, moving: about.moving, means: planes.means.values, series: planes.meanSeries.values,
+      resting: about.resting, moving: about.moving, means: arrays.means.values, coefficients: arrays.meanCoefficients.values,
       degree: meanDegree, intervals, pMin: about.pMin, near: about.near,
     };
     const sortHere = () => {

@@ -1,7 +1,7 @@
 """Numbers rounded to 8 or 16 bits and laid out so that they compress well.
 
-A plane holds one parameter, ``count`` rows of ``components`` numbers. Value = low + step * q, where low and step belong to a
-chunk of consecutive rows. Its bytes, in this order:
+A quantized array holds one parameter, ``count`` rows of ``components`` numbers. Value = low + step * q, where low and step
+belong to a chunk of consecutive rows. Its bytes, in this order:
 
 | bytes | content |
 | --- | --- |
@@ -26,8 +26,8 @@ _TAIL = 2e-4
 
 
 @dataclass(frozen=True)
-class Plane:
-    """One rounded parameter.
+class QuantizedArray:
+    """One quantized parameter.
 
     Attributes:
         name: of the parameter.
@@ -76,31 +76,31 @@ class Plane:
         return self.low.astype("<f4").tobytes() + self.step.astype("<f4").tobytes() + body.tobytes()
 
 
-def rounded(name: str, values: np.ndarray, bits: int, low: np.ndarray | float, high: np.ndarray | float) -> Plane:
+def quantized(name: str, values: np.ndarray, bits: int, low: np.ndarray | float, high: np.ndarray | float) -> QuantizedArray:
     """Values [count, components] in equal steps from ``low`` to ``high`` (each [components] or one number); clipped to them."""
     components = values.shape[1]
     low = np.broadcast_to(np.asarray(low, np.float32), components)
     high = np.broadcast_to(np.asarray(high, np.float32), components)
     step = np.maximum(high - low, np.float32(1e-12)) / np.float32((1 << bits) - 1)
-    return _plane(name, values, bits, low[None], step[None], max(len(values), 1))
+    return _quantized(name, values, bits, low[None], step[None], max(len(values), 1))
 
 
-def rounded_to_range(name: str, values: np.ndarray, bits: int, tail: float = _TAIL) -> Plane:
+def quantized_to_range(name: str, values: np.ndarray, bits: int, tail: float = _TAIL) -> QuantizedArray:
     """Values [count, components], each component between its own smallest and largest value, a few outliers apart."""
     if not len(values):
-        return rounded(name, values, bits, 0.0, 1.0)
+        return quantized(name, values, bits, 0.0, 1.0)
     low, high = np.quantile(values, (tail, 1 - tail), axis=0)
-    return rounded(name, values, bits, low, high)
+    return quantized(name, values, bits, low, high)
 
 
-def rounded_to_step(name: str, values: np.ndarray, step: float) -> Plane:
+def quantized_to_step(name: str, values: np.ndarray, step: float) -> QuantizedArray:
     """Values around zero to multiples of ``step``, 16 bits."""
     components = values.shape[1]
     low = np.full((1, components), -32768 * step, np.float32)
-    return _plane(name, values, 16, low, np.full((1, components), step, np.float32), max(len(values), 1))
+    return _quantized(name, values, 16, low, np.full((1, components), step, np.float32), max(len(values), 1))
 
 
-def rounded_in_chunks(name: str, values: np.ndarray, steps: np.ndarray, chunk: int) -> Plane:
+def quantized_in_chunks(name: str, values: np.ndarray, steps: np.ndarray, chunk: int) -> QuantizedArray:
     """Values [count, components] in 16 bits between the smallest and the largest of every chunk of rows.
 
     Args:
@@ -114,10 +114,10 @@ def rounded_in_chunks(name: str, values: np.ndarray, steps: np.ndarray, chunk: i
     high = np.maximum.reduceat(values, starts) if len(values) else low
     fine = np.minimum.reduceat(steps, starts)[:, None] if len(values) else np.zeros((0, 1))
     step = np.maximum((high - low) / 65535, fine)
-    return _plane(name, values, 16, low.astype(np.float32), step.astype(np.float32), chunk)
+    return _quantized(name, values, 16, low.astype(np.float32), step.astype(np.float32), chunk)
 
 
-def _plane(name: str, values: np.ndarray, bits: int, low: np.ndarray, step: np.ndarray, chunk: int) -> Plane:
+def _quantized(name: str, values: np.ndarray, bits: int, low: np.ndarray, step: np.ndarray, chunk: int) -> QuantizedArray:
     chunks = np.arange(len(values)) // chunk
     q = np.rint((values.astype(np.float64) - low[chunks]) / step[chunks])
-    return Plane(name, bits, np.clip(q, 0, (1 << bits) - 1).astype(np.uint16), low, step, chunk)
+    return QuantizedArray(name, bits, np.clip(q, 0, (1 << bits) - 1).astype(np.uint16), low, step, chunk)

@@ -25,7 +25,7 @@ _SHARE = 0.999
 
 
 @dataclass(frozen=True)
-class MovingSeries:
+class ChebyshevMotion:
     """M moving Gaussians over their visible intervals.
 
     Attributes:
@@ -57,9 +57,9 @@ def seen_in_clip(gaussians: Gaussians4D) -> Tensor:
     return gaussians.at_rest | ((params["times"] + reach > 0) & (params["times"] - reach < 1))
 
 
-def moving_series(
+def fit_motion(
     gaussians: Gaussians4D, rows: Tensor, times: Tensor, log_lambdas: Tensor, mean_tolerance: float, quat_tolerance: float
-) -> MovingSeries:
+) -> ChebyshevMotion:
     """Fit the series of the Gaussians ``rows`` [M].
 
     Args:
@@ -92,7 +92,7 @@ def moving_series(
     reference = quats[:, NODES // 2]
     largest = torch.gather(reference, 1, reference.abs().argmax(1, keepdim=True))
     quats = quats * torch.where(largest < 0, -1.0, 1.0)[:, None]
-    return MovingSeries(
+    return ChebyshevMotion(
         times, log_lambdas, _fitted(means, nodes, mean_tolerance), _fitted(quats, nodes, quat_tolerance), log_scales
     )
 

@@ -1,4 +1,4 @@
-"""The ways that the player's camera can take by itself: the clip's own, the same without its shaking, and what it turns about."""
+"""Camera paths of the player: the clip's own, the same without its shaking, and the depth of its subject."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _SUBJECTS = 17
 """Times of the clip at which the distance of what moves is looked at."""
 
 
-def ways(model: SceneModel, times: Sequence[float], cameras: Sequence[Camera]) -> dict[str, Any]:
+def camera_paths(model: SceneModel, times: Sequence[float], cameras: Sequence[Camera]) -> dict[str, Any]:
     """What the header of the page says about cameras, in the coordinates of the player (normalised).
 
     Args:
@@ -31,21 +31,21 @@ def ways(model: SceneModel, times: Sequence[float], cameras: Sequence[Camera]) -
         cameras: [T] its cameras, in the coordinates of the scene.
 
     Returns:
-        ``path`` and ``steady``: rows of clip time, centre, rotation world to camera (wxyz), fx, fy, cx, cy. ``subjects``: planar
-        depth of the movers at even steps of the clip, the median depth of the clip where none are seen.
+        ``clipPath`` and ``steadyPath``: rows of clip time, centre, rotation world to camera (wxyz), fx, fy, cx, cy.
+        ``subjectDepths``: planar depth of the movers at even steps of the clip, the median depth of the clip where none are seen.
     """
     step = (times[-1] - times[0]) / (len(times) - 1)
     even, clip = np.linspace(times[0], times[-1], len(times)).tolist(), CameraPath(times, cameras)
     steady, _ = stabilise(model, [(clip.at(t), t) for t in even], RenderOptions.stabilise / step)
     return {
-        "path": sampled_path(model, times, cameras),
-        "steady": sampled_path(model, even, [camera for camera, _ in steady]),
-        "subjects": _subjects(model, times, cameras),
+        "clipPath": sampled_path(model, times, cameras),
+        "steadyPath": sampled_path(model, even, [camera for camera, _ in steady]),
+        "subjectDepths": _subject_depths(model, times, cameras),
     }
 
 
 def sampled_path(model: SceneModel, times: Sequence[float], cameras: Sequence[Camera]) -> list[list[float]]:
-    """The rows of a path: see ``ways``."""
+    """The rows of a path: see ``camera_paths``."""
     path = CameraPath(times, [model.similarity.camera(camera) for camera in cameras])
     steps = PATH_SAMPLES * (len(times) - 1)
     fine = np.interp(np.arange(steps + 1) / PATH_SAMPLES, np.arange(len(times)), times)
@@ -61,7 +61,7 @@ def sampled_path(model: SceneModel, times: Sequence[float], cameras: Sequence[Ca
     return rows
 
 
-def _subjects(model: SceneModel, times: Sequence[float], cameras: Sequence[Camera]) -> list[float]:
+def _subject_depths(model: SceneModel, times: Sequence[float], cameras: Sequence[Camera]) -> list[float]:
     path, scale = CameraPath(times, cameras), model.similarity.scale
     probes = np.linspace(times[0], times[-1], _SUBJECTS)
     return [round(scale * subject_distance(model, path.at(float(t)), float(t), 1 / scale), 5) for t in probes]

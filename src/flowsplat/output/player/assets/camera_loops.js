@@ -20,18 +20,18 @@ function eyesOf(camera) {
   return [-1, 1].map((side) => shifted(camera, (side * EYES) / 2, 1));
 }
 
-/** Planar depth of what moves, at a clip time; `subjects` are at even steps of the clip. */
-function subjectAt(subjects, time) {
-  const place = Math.min(Math.max(time, 0), 1) * (subjects.length - 1);
+/** Planar depth of what moves, at a clip time; `depths` are at even steps of the clip. */
+function subjectAt(depths, time) {
+  const place = Math.min(Math.max(time, 0), 1) * (depths.length - 1);
   const before = Math.floor(place);
-  const after = Math.min(before + 1, subjects.length - 1);
-  return subjects[before] + (place - before) * (subjects[after] - subjects[before]);
+  const after = Math.min(before + 1, depths.length - 1);
+  return depths[before] + (place - before) * (depths[after] - depths[before]);
 }
 
-class Moves {
+class CameraLoops {
   constructor(about) {
     this.about = about;
-    this.turning = new FreeCamera(about.path);
+    this.turning = new FreeCamera(about.clipPath);
     this.phase = 0;
   }
 
@@ -41,13 +41,13 @@ class Moves {
 
   /** The camera of a mode of `LOOPS` at a clip time. */
   camera(mode, time) {
-    const base = cameraOnPath(this.about.path, time);
+    const base = cameraOnPath(this.about.clipPath, time);
     if (mode === "swing") {
       this.turning.startFrom(base);
       this.turning.orbit(SWING.yaw * Math.sin(this.phase), (-SWING.pitch * (1 - Math.cos(this.phase))) / 2);
       return this.turning.camera;
     }
-    const subject = subjectAt(this.about.subjects, time);
+    const subject = subjectAt(this.about.subjectDepths, time);
     if (mode === "dolly") return dollied(base, subject, DOLLY ** ((1 - Math.cos(this.phase)) / 2));
     return shifted(base, (EYES / 2) * Math.sin(this.phase), subject);
   }

@@ -1,4 +1,4 @@
-"""The ways of the player's camera."""
+"""Camera paths of the player."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from flowsplat.geometry.paths import CameraPath
-from flowsplat.output.player.ways import PATH_SAMPLES, sampled_path, ways
+from flowsplat.output.player.camera_paths import PATH_SAMPLES, camera_paths, sampled_path
 from tests.output.small import small_cameras, small_model, small_times
 from tests.output.tiny import FPS, FRAMES, MOVER, WALL, tiny_cameras, tiny_model
 
@@ -24,8 +24,8 @@ def test_the_path_of_the_clip_is_exact_at_its_frames():
 
 def test_the_steadied_path_shakes_less_and_shows_no_uncovered_border():
     model, times = tiny_model(1, half_width=1.8), (np.arange(FRAMES) / FPS).tolist()
-    found = ways(model, times, tiny_cameras((64, 48), shake=0.1))
-    own, steady = np.array(found["path"]), np.array(found["steady"])
+    found = camera_paths(model, times, tiny_cameras((64, 48), shake=0.1))
+    own, steady = np.array(found["clipPath"]), np.array(found["steadyPath"])
     heights = [rows[::PATH_SAMPLES, 2] for rows in (own, steady)]
     assert np.abs(np.diff(heights[1], 2)).mean() < 0.2 * np.abs(np.diff(heights[0], 2)).mean()
     np.testing.assert_allclose(steady[:, 0], own[:, 0])
@@ -35,4 +35,4 @@ def test_the_steadied_path_shakes_less_and_shows_no_uncovered_border():
 @pytest.mark.parametrize(("movers", "depth"), [(1, MOVER / WALL), (0, 1.0)])
 def test_the_subject_is_what_moves(movers, depth):
     model, times = tiny_model(movers), (np.arange(FRAMES) / FPS).tolist()
-    np.testing.assert_allclose(ways(model, times, tiny_cameras((64, 48)))["subjects"], depth, rtol=0.05)
+    np.testing.assert_allclose(camera_paths(model, times, tiny_cameras((64, 48)))["subjectDepths"], depth, rtol=0.05)
