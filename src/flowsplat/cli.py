@@ -201,8 +201,8 @@ def _benchmarks(arguments: Sequence[str] = ()) -> dict[str, Any]:
     """Every command behind ``flowsplat benchmark``, its defaults taken from the preset that the arguments name."""
     from flowsplat.common.devices import DeviceName, pick_device
     from flowsplat.pipeline.config import RunConfig, preset
-    from flowsplat.protocols.studies import ablations as ablating
-    from flowsplat.protocols.studies import caps as capping
+    from flowsplat.protocols.ablations import benchmark as ablating
+    from flowsplat.protocols.ablations import caps as capping
     from flowsplat.training.config import TrainConfig
 
     defaults = preset(_value_of(arguments, "--preset") or "default")
@@ -253,7 +253,7 @@ def _benchmarks(arguments: Sequence[str] = ()) -> dict[str, Any]:
             device: What to compute on.
             again: Forget what is in OUT of these clips; leave it out to go on from where that was stopped.
         """
-        from flowsplat.protocols.runs import davis_cases, run_benchmark
+        from flowsplat.protocols.datasets import davis_cases, run_benchmark
 
         run_benchmark("davis", davis_cases(root, scenes, masks, preset, changed(train, device)), out, again)
 
@@ -275,7 +275,7 @@ def _benchmarks(arguments: Sequence[str] = ()) -> dict[str, Any]:
             device: What to compute on.
             again: Forget what is in OUT of these scenes; leave it out to go on from where that was stopped.
         """
-        from flowsplat.protocols.runs import rig_cases, run_benchmark
+        from flowsplat.protocols.datasets import rig_cases, run_benchmark
 
         run_benchmark("rig", rig_cases(root, scenes, priors, preset, changed(train, device)), out, again)
 
@@ -297,7 +297,7 @@ def _benchmarks(arguments: Sequence[str] = ()) -> dict[str, Any]:
             device: What to compute on.
             again: Forget what is in OUT of these scenes; leave it out to go on from where that was stopped.
         """
-        from flowsplat.protocols.runs import nvidia_cases, run_benchmark
+        from flowsplat.protocols.datasets import nvidia_cases, run_benchmark
 
         run_benchmark("nvidia", nvidia_cases(root, scenes, preset, changed(train, device)), out, again)
 

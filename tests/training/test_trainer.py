@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from flowsplat.common.errors import InputError
-from flowsplat.protocols.studies.variants import changed
+from flowsplat.protocols.ablations.variants import changed
 from flowsplat.training.average import EVERY, TailAverage
 from flowsplat.training.config import PRESETS
 from flowsplat.training.trainer import Trainer

@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from flowsplat.protocols.ablations.claims import CLAIMS, chosen_claims, needed_variants
+from flowsplat.protocols.ablations.report import write_report
+from flowsplat.protocols.ablations.scenes import ablation_scenes, chosen_scenes
+from flowsplat.protocols.ablations.training_runs import comparable, training_runs
 from flowsplat.protocols.resume import measure_jobs, results_in
-from flowsplat.protocols.studies.ablation_report import write_report
-from flowsplat.protocols.studies.claims import CLAIMS, chosen_claims, needed_variants
-from flowsplat.protocols.studies.runs import comparable, study_runs
-from flowsplat.protocols.studies.scenes import chosen_scenes, study_scenes
 
 PROTOCOL = "ablations"
 SCENES = ("train", "bear", "workshop")
@@ -47,9 +47,9 @@ def run_ablations(
     Raises:
         InputError: a name is not known, an input cannot be used, or the folder cannot be written.
     """
-    claims, known = chosen_claims(rows), study_scenes(root, SIZE)
+    claims, known = chosen_claims(rows), ablation_scenes(root, SIZE)
     wanted = chosen_scenes(root, known, scenes)
-    jobs = [run.job(out) for run in study_runs(PROTOCOL, wanted, needed_variants(claims), seeds, iterations, CAP)]
+    jobs = [run.job(out) for run in training_runs(PROTOCOL, wanted, needed_variants(claims), seeds, iterations, CAP)]
 
     def report(failed: Mapping[str, str]) -> Path:
         found, others = comparable(results_in(PROTOCOL, out), PROTOCOL, known, needed_variants(CLAIMS), iterations, CAP)

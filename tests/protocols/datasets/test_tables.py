@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from flowsplat.pictures.html import NOTHING
-from flowsplat.protocols.runs.tables import published, tables
-from tests.protocols.runs.conftest import figures, result
+from flowsplat.protocols.datasets.tables import published, tables
+from tests.protocols.datasets.conftest import figures, result
 
 
 def rows_of(table) -> dict[str, dict[str, str]]:

@@ -9,8 +9,8 @@ from typing import Any
 from flowsplat.common.files import write_text
 from flowsplat.output.page import fitted, write_page
 from flowsplat.pictures.html import picture, table
-from flowsplat.protocols.runs.cases import ProtocolName
-from flowsplat.protocols.runs.tables import Result, tables
+from flowsplat.protocols.datasets.cases import ProtocolName
+from flowsplat.protocols.datasets.tables import Result, tables
 from flowsplat.protocols.tables import TUNED_MARK, Table, label, made_by, markdown
 from flowsplat.scenes.layers import read_image
 

@@ -1,5 +1,5 @@
 """The tiny data root of the runs."""
 
-from tests.protocols.runs.conftest import runs_root
+from tests.protocols.datasets.conftest import runs_root
 
 __all__ = ["runs_root"]

@@ -9,9 +9,9 @@ import pytest
 
 from flowsplat.cli import main
 from flowsplat.common.errors import InputError
-from flowsplat.protocols.runs import benchmark, davis_cases
+from flowsplat.protocols.datasets import benchmark, davis_cases
 from flowsplat.scenes import Scene
-from tests.protocols.runs.conftest import result
+from tests.protocols.datasets.conftest import result
 
 QUICK = ("--train.iterations", "6", "--train.checkpoint-every", "3")
 

@@ -10,10 +10,10 @@ from typing import Any
 
 from flowsplat.common.files import make_folder
 from flowsplat.pipeline.folder import stage_key
+from flowsplat.protocols.datasets.cases import Case, ProtocolName
+from flowsplat.protocols.datasets.measure import measure_case
+from flowsplat.protocols.datasets.report import STRIP, write_report
 from flowsplat.protocols.resume import Job, measure_jobs, results_in
-from flowsplat.protocols.runs.cases import Case, ProtocolName
-from flowsplat.protocols.runs.measure import measure_case
-from flowsplat.protocols.runs.report import STRIP, write_report
 
 
 def run_benchmark(protocol: ProtocolName, cases: Sequence[Case], out: Path, again: bool = False) -> Path:

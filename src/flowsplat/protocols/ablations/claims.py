@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from flowsplat.common.errors import InputError
-from flowsplat.protocols.studies.variants import Variant
+from flowsplat.protocols.ablations.variants import Variant
 
 Group = Literal["representation", "training", "orders", "ours", "baselines"]
 

@@ -1,4 +1,4 @@
-"""A study as a page: tables with a picture under each, as HTML, as Markdown, and the pictures as files."""
+"""The page of an ablation: tables with a picture under each, as HTML, as Markdown, and the pictures as files."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from flowsplat.common.files import write_text
 from flowsplat.output.page import write_page
 from flowsplat.pictures.charts import svg_file
 from flowsplat.pictures.html import table
-from flowsplat.protocols.studies.runs import Result
+from flowsplat.protocols.ablations.training_runs import Result
 from flowsplat.protocols.tables import TUNED_MARK, Table, made_by, markdown
 
 
@@ -31,7 +31,7 @@ class Section:
     chart: Markup
 
 
-def write_study(
+def write_ablation_page(
     out: Path,
     name: str,
     title: str,
@@ -66,7 +66,7 @@ def write_study(
         }
         for section in sections
     ]  # fmt: skip
-    write_page(page, "study.html.jinja", title=title, verdict=verdict, remarks=remarks[1:], sections=shown)
+    write_page(page, "ablations.html.jinja", title=title, verdict=verdict, remarks=remarks[1:], sections=shown)
     return page
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from flowsplat.evaluation.scores import mean_of, pick
 from flowsplat.pictures.html import NOTHING
-from flowsplat.protocols.runs.cases import FORMS
+from flowsplat.protocols.datasets.cases import FORMS
 from flowsplat.protocols.tables import Table, label, scaled_mean, text
 
 Result = Mapping[str, Any]

@@ -1,4 +1,4 @@
-"""The pages of the studies, from figures as runs leave them."""
+"""The pages of the ablations, from figures as runs leave them."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import xml.etree.ElementTree as ElementTree
 import pytest
 
 from flowsplat.pictures.html import NOTHING
-from flowsplat.protocols.studies import ablation_report, caps
-from flowsplat.protocols.studies.claims import CLAIMS
+from flowsplat.protocols.ablations import caps, report
+from flowsplat.protocols.ablations.claims import CLAIMS
 from flowsplat.protocols.tables import made_by
 
 
@@ -37,7 +37,7 @@ def ablations() -> list[dict]:
 
 
 def test_ablations(tmp_path):
-    page = ablation_report.write_report(tmp_path, ablations(), {"ablations_x": "it is broken"})
+    page = report.write_report(tmp_path, ablations(), {"ablations_x": "it is broken"})
     text = (tmp_path / "ablations.md").read_text()
     assert "3 rows: 1 confirmed, 1 contradicted, 1 not separable, 0 no difference, 0 one run." in text
     assert "ablations_x could not be run: it is broken" in text
@@ -66,14 +66,14 @@ def test_ablations(tmp_path):
 
 def test_every_row_has_its_place(tmp_path):
     names = {claim.variant.name for claim in CLAIMS} | {claim.base.name for claim in CLAIMS}
-    ablation_report.write_report(tmp_path, [result(name, 30.0, seed=seed) for name in names for seed in (0, 1)], {})
+    report.write_report(tmp_path, [result(name, 30.0, seed=seed) for name in names for seed in (0, 1)], {})
     text = (tmp_path / "ablations.md").read_text()
     assert f"{len(CLAIMS)} rows" in text
     for claim in CLAIMS:
         assert f"| {claim.variant.label} |" in text
 
 
-@pytest.mark.parametrize("write", [ablation_report.write_report, caps.write_report])
+@pytest.mark.parametrize("write", [report.write_report, caps.write_report])
 def test_without_results_the_page_is_empty(tmp_path, write):
     assert write(tmp_path, [], {}).exists()
 
@@ -98,13 +98,13 @@ def test_caps(tmp_path):
 
 
 def test_what_is_left_out_is_told(tmp_path):
-    for module in (ablation_report, caps):
+    for module in (report, caps):
         path = module.write_report(tmp_path, ablations(), {}, 3).with_suffix(".md")
         assert "left out here: 3." in path.read_text()
 
 
 def test_one_run_tells_nothing(tmp_path):
-    ablation_report.write_report(tmp_path, [result("full", 31.0), result("sh-0", 29.0)], {})
+    report.write_report(tmp_path, [result("full", 31.0), result("sh-0", 29.0)], {})
     text = (tmp_path / "ablations.md").read_text()
     (row,) = [line for line in text.splitlines() if line.startswith("| colours of degree 0")]
     assert "| one run |" in row

@@ -9,11 +9,11 @@ from pathlib import Path
 from flowsplat.evaluation.scores import mean_of
 from flowsplat.pictures.charts import bar_chart
 from flowsplat.pictures.html import NOTHING
-from flowsplat.protocols.studies.claims import CLAIMS, TITLES, Claim, Group
-from flowsplat.protocols.studies.report import Section, how_measured, scene_names, write_study
-from flowsplat.protocols.studies.runs import Result, by_run
-from flowsplat.protocols.studies.variants import Variant
-from flowsplat.protocols.studies.verdicts import EVEN, Effect, Verdict, counts, effect, verdict
+from flowsplat.protocols.ablations.claims import CLAIMS, TITLES, Claim, Group
+from flowsplat.protocols.ablations.page import Section, how_measured, scene_names, write_ablation_page
+from flowsplat.protocols.ablations.training_runs import Result, by_run
+from flowsplat.protocols.ablations.variants import Variant
+from flowsplat.protocols.ablations.verdicts import EVEN, Effect, Verdict, counts, effect, verdict
 from flowsplat.protocols.tables import Table, scaled_mean, text
 
 TITLE = "Ablations"
@@ -46,7 +46,7 @@ def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str]
     steps = ", ".join(f"{count:,}" for count in sorted({result["iterations"] for result in results}))
     remarks = [*REMARKS, how_measured(results), f"Seeds {', '.join(map(str, seeds))}; {steps} frame-steps."] if results else []
     said = f"{len(verdicts)} rows: {counts(verdicts)}." if verdicts else "Nothing is measured yet."
-    return write_study(out, "ablations", TITLE, said, remarks, sections, failed, others)
+    return write_ablation_page(out, "ablations", TITLE, said, remarks, sections, failed, others)
 
 
 @dataclass(frozen=True)

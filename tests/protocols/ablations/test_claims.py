@@ -7,8 +7,8 @@ from dataclasses import asdict
 import pytest
 
 from flowsplat.common.errors import InputError
-from flowsplat.protocols.studies.claims import CLAIMS, FULL, PAPER_ORDERS, TITLES, chosen_claims, needed_variants
-from flowsplat.protocols.studies.variants import Variant, changed
+from flowsplat.protocols.ablations.claims import CLAIMS, FULL, PAPER_ORDERS, TITLES, chosen_claims, needed_variants
+from flowsplat.protocols.ablations.variants import Variant, changed
 from flowsplat.training.config import PRESETS, TrainConfig
 
 PAPER = {

@@ -10,10 +10,10 @@ import pytest
 
 from flowsplat.cli import main
 from flowsplat.common.errors import InputError
-from flowsplat.protocols.studies import ablations, caps, runs, scenes
-from flowsplat.protocols.studies.scenes import chosen_scenes, study_scenes
+from flowsplat.protocols.ablations import benchmark, caps, scenes, training_runs
+from flowsplat.protocols.ablations.scenes import ablation_scenes, chosen_scenes
 from flowsplat.training.config import PRESETS
-from tests.protocols.studies.test_reports import result
+from tests.protocols.ablations.test_reports import result
 
 
 def call(*arguments: object) -> None:
@@ -28,15 +28,15 @@ def refuse(capsys, *arguments: object) -> str:
 
 
 def test_scenes_of_both_kinds(runs_root):
-    known = study_scenes(runs_root, 32)
+    known = ablation_scenes(runs_root, 32)
     bear, tiny = chosen_scenes(runs_root, known, ["bear", "tiny"])
     assert (bear.name, tiny.name) == ("bear_32", "tiny")
     assert bear.case.config.input.resize == 32
     assert bear.case.variant == "given masks"
     assert tiny.case.config.input.resize is None
     assert tiny.case.config.priors.priors == "true"
-    assert study_scenes(runs_root, 0)[0].case.config.input.resize == 0, "as it is, not what no wish gives"
-    assert [scene.name for scene in study_scenes(runs_root / "rig", 32)] == ["tiny"]
+    assert ablation_scenes(runs_root, 0)[0].case.config.input.resize == 0, "as it is, not what no wish gives"
+    assert [scene.name for scene in ablation_scenes(runs_root / "rig", 32)] == ["tiny"]
     with pytest.raises(InputError, match="no scene 'x': choose from bear, plain, tiny"):
         chosen_scenes(runs_root, known, ["x"])
 
@@ -54,7 +54,7 @@ def measured(monkeypatch):
         figures = result(run.variant.name, 30.0 + len(done), run.scene.case.scene, run.config.seed)
         return {**figures, "protocol": run.protocol, "cap": run.config.density.max_gaussians, "iterations": run.config.iterations}
 
-    for module in (runs, scenes):
+    for module in (training_runs, scenes):
         monkeypatch.setattr(module, "in_own_process", in_own_process)
     return done
 
@@ -65,7 +65,7 @@ def test_ablations_continue(runs_root, tmp_path, measured, capsys):
     each = [(scene, variant) for variant in ("full", "sh-0") for scene in ("bear_427", "tiny")]
     assert measured == [(*pair, seed) for seed in (0, 1) for pair in each]
     value = json.loads((tmp_path / "ablations_bear_427_sh-0_1500-steps_seed1.json").read_text())
-    assert (value["cap"], value["iterations"]) == (ablations.CAP, ablations.ITERATIONS)
+    assert (value["cap"], value["iterations"]) == (benchmark.CAP, benchmark.ITERATIONS)
     call(*arguments)
     assert len(measured) == 8
     call(*arguments, "--iterations", "7", "--seeds", "0")

@@ -1,4 +1,4 @@
-"""The scenes of a study: found under a data root, prepared once, and shared by all of its runs."""
+"""The scenes of the ablations: found under a data root, prepared once, and shared by all of its runs."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from pathlib import Path
 
 from flowsplat.common.errors import InputError
 from flowsplat.pipeline import prepare
+from flowsplat.protocols.datasets.cases import Case, davis_cases, rig_cases
 from flowsplat.protocols.process import in_own_process
 from flowsplat.protocols.roots import open_root, require_scenes
-from flowsplat.protocols.runs.cases import Case, davis_cases, rig_cases
 
 FOLDER = "scenes"
 """In OUT, where the prepared scenes are."""
 
 
 @dataclass(frozen=True)
-class StudyScene:
+class AblationScene:
     """A scene under a data root.
 
     Attributes:
@@ -52,7 +52,7 @@ def _prepare(case: Case, folder: Path) -> Path:
     return prepare(case.source, folder, case.config).scene_path
 
 
-def chosen_scenes(root: Path, known: Sequence[StudyScene], names: Sequence[str]) -> list[StudyScene]:
+def chosen_scenes(root: Path, known: Sequence[AblationScene], names: Sequence[str]) -> list[AblationScene]:
     """Those called ``names`` among the scenes of a data root.
 
     Raises:
@@ -63,7 +63,7 @@ def chosen_scenes(root: Path, known: Sequence[StudyScene], names: Sequence[str])
     return [by_name[name] for name in dict.fromkeys(names)]
 
 
-def study_scenes(root: Path, size: int) -> list[StudyScene]:
+def ablation_scenes(root: Path, size: int) -> list[AblationScene]:
     """All scenes under a data root.
 
     Args:
@@ -73,7 +73,7 @@ def study_scenes(root: Path, size: int) -> list[StudyScene]:
         InputError: no such folder.
     """
     open_root(root, "davis/ and rig/")
-    known: dict[str, StudyScene] = {}
+    known: dict[str, AblationScene] = {}
     for find, wanted in ((davis_cases, size), (partial(rig_cases, priors="true"), None)):
         try:
             cases = find(root)
@@ -81,5 +81,5 @@ def study_scenes(root: Path, size: int) -> list[StudyScene]:
             continue  # A root may hold one kind only.
         for case in cases:
             options = case.config.input if wanted is None else replace(case.config.input, resize=wanted)
-            known.setdefault(case.scene, StudyScene(replace(case, config=replace(case.config, input=options)), wanted))
+            known.setdefault(case.scene, AblationScene(replace(case, config=replace(case.config, input=options)), wanted))
     return list(known.values())

@@ -10,11 +10,11 @@ from markupsafe import Markup
 from flowsplat.common.errors import InputError
 from flowsplat.evaluation.scores import mean_of
 from flowsplat.pictures.charts import MOST_SERIES, Points, line_chart
+from flowsplat.protocols.ablations.page import Section, how_measured, scene_names, write_ablation_page
+from flowsplat.protocols.ablations.scenes import ablation_scenes, chosen_scenes
+from flowsplat.protocols.ablations.training_runs import Result, comparable, training_runs
+from flowsplat.protocols.ablations.variants import Variant
 from flowsplat.protocols.resume import measure_jobs, results_in
-from flowsplat.protocols.studies.report import Section, how_measured, scene_names, write_study
-from flowsplat.protocols.studies.runs import Result, comparable, study_runs
-from flowsplat.protocols.studies.scenes import chosen_scenes, study_scenes
-from flowsplat.protocols.studies.variants import Variant
 from flowsplat.protocols.tables import Table, text
 
 PROTOCOL = "caps"
@@ -56,7 +56,7 @@ def run_caps(
     size: int = SIZE,
     again: bool = False,
 ) -> Path:
-    """Run or resume the study: one JSON a run, ``OUT/caps.md`` and ``.html``, and both pictures.
+    """Run or resume the runs with different caps and steps: one JSON a run, ``OUT/caps.md`` and ``.html``, and both pictures.
 
     Args:
         root: the data root.
@@ -74,9 +74,9 @@ def run_caps(
     if any(value < 1 for value in (*caps, *steps)):
         raise InputError("--caps and --steps are numbers of Gaussians and of steps: 1 or more.")
     plan = dict.fromkeys([*((cap, ITERATIONS) for cap in caps), *((CAP, count) for count in steps)])
-    known = study_scenes(root, size)
+    known = ablation_scenes(root, size)
     wanted = chosen_scenes(root, known, scenes)
-    jobs = [run.job(out) for run in study_runs(PROTOCOL, wanted, [capped(*each) for each in plan], seeds, ITERATIONS, CAP)]
+    jobs = [run.job(out) for run in training_runs(PROTOCOL, wanted, [capped(*each) for each in plan], seeds, ITERATIONS, CAP)]
 
     def report(failed: Mapping[str, str]) -> Path:
         results = results_in(PROTOCOL, out)
@@ -88,7 +88,7 @@ def run_caps(
 
 
 def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str], others: int = 0) -> Path:
-    """Write the tables and pictures of some results of the study, and return the path of the page.
+    """Write the tables and pictures of some results, and return the path of the page.
 
     Args:
         results: with the same settings and of the same size.
@@ -113,7 +113,7 @@ def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str]
             sections.append(Section(axis, table, _chart(table.title, label, axis, chosen)))
     verdict = f"Runs measured: {len(results)}."
     remarks = [*REMARKS, how_measured(results)] if results else []
-    return write_study(out, PROTOCOL, "Gaussians and steps", verdict, remarks, sections, failed, others)
+    return write_ablation_page(out, PROTOCOL, "Gaussians and steps", verdict, remarks, sections, failed, others)
 
 
 def _mean(results: Sequence[Result], scene: str, axis: str, value: int, figure: str) -> float | None:

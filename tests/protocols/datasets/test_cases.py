@@ -9,7 +9,7 @@ import pytest
 
 from flowsplat.common.errors import InputError
 from flowsplat.pipeline import RunConfig, preset
-from flowsplat.protocols.runs import davis_cases, nvidia_cases, rig_cases
+from flowsplat.protocols.datasets import davis_cases, nvidia_cases, rig_cases
 
 
 def test_davis_with_the_masks_that_are_given(runs_root):

@@ -1,4 +1,4 @@
-"""One run of a study: a variant trained on a prepared scene with one seed, in a process of its own, to one JSON."""
+"""One training run of an ablation: a variant trained on a prepared scene with one seed, in a process of its own, to one JSON."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.observations import load_observations
 from flowsplat.pipeline.folder import stage_key
 from flowsplat.pipeline.stages import scene_model
+from flowsplat.protocols.ablations.scenes import AblationScene
+from flowsplat.protocols.ablations.variants import Variant
+from flowsplat.protocols.ablations.verdicts import Run
 from flowsplat.protocols.process import in_own_process
 from flowsplat.protocols.resume import Job
-from flowsplat.protocols.studies.scenes import StudyScene
-from flowsplat.protocols.studies.variants import Variant
-from flowsplat.protocols.studies.verdicts import Run
 from flowsplat.scenes import Scene
 from flowsplat.training.config import TrainConfig
 from flowsplat.training.per_frame import PerFrameModel, train_per_frame
@@ -36,18 +36,18 @@ Result = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
-class StudyRun:
+class TrainingRun:
     """A variant on a scene with a seed.
 
     Attributes:
-        protocol: the name of the study.
+        protocol: ablations or caps.
         scene: prepared or to be prepared.
         variant: how it is trained.
         config: all settings of the training, the seed among them.
     """
 
     protocol: str
-    scene: StudyScene
+    scene: AblationScene
     variant: Variant
     config: TrainConfig
 
@@ -66,17 +66,17 @@ class StudyRun:
         return in_own_process(measure, self, self.scene.prepared(out))
 
 
-def study_runs(
-    protocol: str, scenes: Sequence[StudyScene], variants: Sequence[Variant], seeds: Sequence[int], iterations: int, cap: int
-) -> Iterator[StudyRun]:
+def training_runs(
+    protocol: str, scenes: Sequence[AblationScene], variants: Sequence[Variant], seeds: Sequence[int], iterations: int, cap: int
+) -> Iterator[TrainingRun]:
     """All of them, seed by seed and variant by variant, so that an early look at the results is an even one."""
     for seed in seeds:
         for variant in variants:
             for scene in scenes:
-                yield StudyRun(protocol, scene, variant, variant.config(iterations, cap, seed))
+                yield TrainingRun(protocol, scene, variant, variant.config(iterations, cap, seed))
 
 
-def measure(run: StudyRun, path: Path) -> dict[str, Any]:
+def measure(run: TrainingRun, path: Path) -> dict[str, Any]:
     """Train and measure on the prepared scene in ``path``.
 
     Returns:
@@ -110,7 +110,7 @@ def measure(run: StudyRun, path: Path) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _train(run: StudyRun, scene: Scene) -> tuple[SceneModel | PerFrameModel, int]:
+def _train(run: TrainingRun, scene: Scene) -> tuple[SceneModel | PerFrameModel, int]:
     """The trained scene, and how many Gaussians it has."""
     observations, config = load_observations(scene), run.config
     device = pick_device(run.scene.case.config.device)
@@ -128,13 +128,14 @@ def _train(run: StudyRun, scene: Scene) -> tuple[SceneModel | PerFrameModel, int
 
 
 def comparable(
-    results: Sequence[Result], protocol: str, scenes: Sequence[StudyScene], variants: Sequence[Variant], iterations: int, cap: int
-) -> tuple[list[Result], int]:
+    results: Sequence[Result], protocol: str, scenes: Sequence[AblationScene], variants: Sequence[Variant], iterations: int,
+    cap: int,
+) -> tuple[list[Result], int]:  # fmt: skip
     """The results of these scenes and variants that were made with the settings of today, and how many others there are."""
     seeds = {result["seed"] for result in results}
     names = {result["scene"] for result in results}
     there = [scene for scene in scenes if scene.case.scene in names]
-    keys = {run.key for run in study_runs(protocol, there, variants, sorted(seeds), iterations, cap)}
+    keys = {run.key for run in training_runs(protocol, there, variants, sorted(seeds), iterations, cap)}
     found = [result for result in results if result["key"] in keys]
     return found, len(results) - len(found)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from flowsplat.protocols.studies.verdicts import Effect, counts, effect, verdict
+from flowsplat.protocols.ablations.verdicts import Effect, counts, effect, verdict
 
 
 def runs(*values: float) -> dict[tuple[str, int], float]:

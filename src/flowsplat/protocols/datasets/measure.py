@@ -14,8 +14,8 @@ from flowsplat.gaussians.model import SceneModel
 from flowsplat.pictures.sheets import stacked
 from flowsplat.pipeline import evaluate_run, load, prepare, train
 from flowsplat.pipeline.folder import RunFolder
+from flowsplat.protocols.datasets.cases import Case
 from flowsplat.protocols.process import in_own_process
-from flowsplat.protocols.runs.cases import Case
 from flowsplat.scenes import Scene
 from flowsplat.scenes.formats.rig import RigTruth
 from flowsplat.scenes.ingest import open_clip
