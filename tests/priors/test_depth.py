@@ -13,7 +13,7 @@ from flowsplat.geometry import Camera, Similarity
 from flowsplat.priors.continuity import Continuity
 from flowsplat.priors.depth import depth_stage
 from flowsplat.priors.depth.background import Background
-from flowsplat.priors.depth.clip import SolvedClip
+from flowsplat.priors.depth.clip import MatchedClip
 from flowsplat.priors.depth.fill import fill, upsample
 from flowsplat.priors.depth.fuse import fuse
 from flowsplat.priors.depth.longflow import LongFlows
@@ -282,11 +282,11 @@ def test_the_stage_resumes_where_it_stopped(moving: Scene):
 
 
 def test_other_cameras_are_solved_anew(moving: Scene):
-    median = SolvedClip(moving).median
+    median = MatchedClip(moving).median
     cameras = moving.cameras
     twice = [Similarity(2.0).camera(camera) for camera in cameras]
     moving.write_cameras(twice)
-    assert SolvedClip(moving).median == pytest.approx(median / 2, rel=1e-3)
+    assert MatchedClip(moving).median == pytest.approx(median / 2, rel=1e-3)
     moving.write_cameras(cameras)
 
 

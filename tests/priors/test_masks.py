@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from flowsplat.priors.depth.background import static_depth
-from flowsplat.priors.depth.clip import SolvedClip
+from flowsplat.priors.depth.clip import MatchedClip
 from flowsplat.priors.flow import flow_stage
 from flowsplat.priors.masks import mask_stage
 from flowsplat.priors.masks.colours import Colours, look_up
@@ -106,7 +106,7 @@ def test_what_differs_from_the_plate_is_what_moves(tmp_path: Path):
     blocked = np.stack([scene.truth.mask(i) > 0 for i in scene.train_frames])
     for i in scene.train_frames:
         scene.write_mask(i, blocked[i])
-    clip = SolvedClip(scene)
+    clip = MatchedClip(scene)
     residual = CleanPlate(clip, static_depth(clip, True), blocked).residual(6)
     seen, moving = residual >= 0, blocked[6]
     assert (seen & moving).sum() > 0.5 * moving.sum()
@@ -117,7 +117,7 @@ def test_what_differs_from_the_plate_is_what_moves(tmp_path: Path):
 def test_where_no_frame_sees_past_a_mover_its_plate_is_unknown(tmp_path: Path):
     scene = write_planes(tmp_path, step=0, square=False)
     flow_stage(scene)
-    clip = SolvedClip(scene)
+    clip = MatchedClip(scene)
     blocked = np.zeros((len(clip), HEIGHT, WIDTH), bool)
     blocked[:, 20:30, 20:30] = True
     residual = CleanPlate(clip, static_depth(clip, False), blocked).residual(5)
@@ -132,7 +132,7 @@ def test_a_shadow_is_no_mover(tmp_path: Path):
     dark[20:50, 20:60] *= 0.8
     scene.write_frame(5, dark.astype(np.uint8))
     flow_stage(scene)
-    clip = SolvedClip(scene)
+    clip = MatchedClip(scene)
     residual = CleanPlate(clip, static_depth(clip, False), np.zeros((len(clip), HEIGHT, WIDTH), bool)).residual(5)
     assert np.median(residual[25:45, 25:55]) < DIFFERS
 

@@ -21,7 +21,7 @@ from flowsplat.common.files import read_npz, write_npz
 from flowsplat.common.progress import track
 from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.priors.depth.background import SURE, Background, unseen_inverse
-from flowsplat.priors.depth.clip import SolvedClip
+from flowsplat.priors.depth.clip import MatchedClip
 from flowsplat.priors.depth.fill import fill, upsample
 from flowsplat.priors.depth.movers import MARGIN
 from flowsplat.priors.depth.stage import FURTHEST_DEPTH, NEAREST_DEPTH, TRUSTED_WEIGHT
@@ -112,7 +112,7 @@ def monocular_stage(scene: Scene, source: Monocular, estimate: FlowEstimator = d
         estimate: finds the flow between frames that are no neighbours.
     """
     folder = scene.folder / "monocular"
-    clip = SolvedClip(scene, estimate)
+    clip = MatchedClip(scene, estimate)
     for i in track(scene.train_frames, "Monocular depth"):
         if not (folder / f"{i:05d}.npz").exists():
             inverse, confidence = source.inverse(i)
@@ -129,7 +129,7 @@ def monocular_stage(scene: Scene, source: Monocular, estimate: FlowEstimator = d
 class _Maps:
     """What the source said, by position in the training frames."""
 
-    def __init__(self, clip: SolvedClip, folder: Path):
+    def __init__(self, clip: MatchedClip, folder: Path):
         self.clip, self.scene, self._folder = clip, clip.scene, folder
         self.has_masks = all(self.scene.has_mask(i) for i in self.scene.train_frames)
 

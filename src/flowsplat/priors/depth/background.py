@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from flowsplat.geometry import Camera
-from flowsplat.priors.depth.clip import SolvedClip
+from flowsplat.priors.depth.clip import MatchedClip
 from flowsplat.priors.depth.fill import fill
 from flowsplat.priors.depth.fuse import fuse
 from flowsplat.priors.depth.movers import carried, uncover
@@ -67,7 +67,7 @@ class StaticDepth(Protocol):
         ...
 
 
-def static_depth(clip: SolvedClip, has_masks: bool) -> StaticDepth:
+def static_depth(clip: MatchedClip, has_masks: bool) -> StaticDepth:
     """From matches where the clip has parallax, else a guess."""
     return Background(clip, has_masks) if clip.has_parallax else Guess(clip)
 
@@ -75,7 +75,7 @@ def static_depth(clip: SolvedClip, has_masks: bool) -> StaticDepth:
 class Guess:
     """A clip without parallax: a ground that comes nearer towards the bottom of the picture."""
 
-    def __init__(self, clip: SolvedClip):
+    def __init__(self, clip: MatchedClip):
         self.median = unseen_inverse(clip)
         self._plate = ground(clip.height, clip.width, self.median)
 
@@ -96,14 +96,14 @@ class Guess:
         return self._plate
 
 
-def camera_reach(clip: SolvedClip) -> float:
+def camera_reach(clip: MatchedClip) -> float:
     """How far the camera gets from where a piece of the clip begins."""
     centers, pieces = np.array([camera.center for camera in clip.cameras]), clip.continuity.pieces
     first = np.searchsorted(pieces, pieces)
     return float(np.linalg.norm(centers - centers[first], axis=1).max())
 
 
-def unseen_inverse(clip: SolvedClip) -> float:
+def unseen_inverse(clip: MatchedClip) -> float:
     """Inverse depth at which what little the cameras of a piece move shifts nothing by more than about a pixel; 1 at most."""
     return 1 / max(camera_reach(clip) * float(clip.cameras[0].K[0, 0]), 1.0)
 
@@ -111,7 +111,7 @@ def unseen_inverse(clip: SolvedClip) -> float:
 class Background:
     """The static scene of a clip with parallax, by position in the training frames, at working resolution."""
 
-    def __init__(self, clip: SolvedClip, has_masks: bool):
+    def __init__(self, clip: MatchedClip, has_masks: bool):
         self.median = clip.median
         self._clip, self._has_masks = clip, has_masks
         self._own = lru_cache(maxsize=2 * FUSED_WITH[-1] + 2)(self._weighed)

@@ -43,7 +43,7 @@ def forget_solutions(scene: Scene) -> None:
     shutil.rmtree(_folder(scene), ignore_errors=True)
 
 
-class SolvedClip:
+class MatchedClip:
     """The training frames at working resolution, by their position in ``scene.train_frames``, with their solutions.
 
     Attributes:

@@ -6,7 +6,7 @@ import numpy as np
 
 from flowsplat.common.progress import track
 from flowsplat.priors.depth.background import StaticDepth, camera_reach, static_depth
-from flowsplat.priors.depth.clip import SolvedClip
+from flowsplat.priors.depth.clip import MatchedClip
 from flowsplat.priors.depth.fill import upsample
 from flowsplat.priors.depth.longflow import STRIDES
 from flowsplat.priors.depth.movers import MARGIN, card, growth, smooth_cards
@@ -32,7 +32,7 @@ def depth_stage(scene: Scene, estimate: FlowEstimator = dis_estimator) -> None:
     Args:
         estimate: finds the flow between frames that are no neighbours.
     """
-    clip = SolvedClip(scene, estimate)
+    clip = MatchedClip(scene, estimate)
     has_masks = all(scene.has_mask(i) for i in scene.train_frames)
     background = static_depth(clip, has_masks)
     cards = _cards(clip, background) if has_masks else {}
@@ -58,7 +58,7 @@ def depth_stage(scene: Scene, estimate: FlowEstimator = dis_estimator) -> None:
     )  # fmt: skip
 
 
-def _cards(clip: SolvedClip, background: StaticDepth) -> dict[int, np.ndarray]:
+def _cards(clip: MatchedClip, background: StaticDepth) -> dict[int, np.ndarray]:
     """Smoothed inverse depth [T] of every object over the training frames."""
     cards: dict[int, np.ndarray] = {}
     growths: dict[int, np.ndarray] = {}
@@ -79,7 +79,7 @@ def _cards(clip: SolvedClip, background: StaticDepth) -> dict[int, np.ndarray]:
     return {number: smooth_cards(values, growths[number], pieces) for number, values in cards.items()}
 
 
-def _growths(clip: SolvedClip, k: int, j: int, mask: np.ndarray) -> dict[int, float]:
+def _growths(clip: MatchedClip, k: int, j: int, mask: np.ndarray) -> dict[int, float]:
     """Logarithm of how much larger the objects of training frame ``k`` are in its neighbour ``j``."""
     if not 0 <= j < len(clip) or not clip.continuity.joined(k, j):
         return {}
@@ -87,7 +87,7 @@ def _growths(clip: SolvedClip, k: int, j: int, mask: np.ndarray) -> dict[int, fl
     return {int(number): growth(mask == number, flow, confidence) for number in np.unique(mask[mask > 0])}
 
 
-def _frame_depth(clip: SolvedClip, background: StaticDepth, cards: dict[int, np.ndarray], k: int) -> Depth:
+def _frame_depth(clip: MatchedClip, background: StaticDepth, cards: dict[int, np.ndarray], k: int) -> Depth:
     scene = clip.scene
     frame = scene.frame(scene.train_frames[k])
     inverse, weight = background.filled(k)

@@ -14,7 +14,7 @@ import numpy as np
 
 from flowsplat.common.progress import track
 from flowsplat.geometry.cameras import pixel_grid
-from flowsplat.priors.depth.clip import RESTS, SolvedClip
+from flowsplat.priors.depth.clip import RESTS, MatchedClip
 from flowsplat.priors.flow import sample_map
 from flowsplat.scenes.layers import TRUSTED
 
@@ -33,14 +33,14 @@ SMALLEST = 0.001
 _SMOOTHNESS, _COLOUR_SIGMA = 10.0, 12.0
 
 
-def motion_evidence(clip: SolvedClip) -> list[np.ndarray]:
+def motion_evidence(clip: MatchedClip) -> list[np.ndarray]:
     """Summed evidence [h, w] float16 at working resolution of every training frame: positive where something moves."""
     sums = propagated(clip, lambda k: _evidence(clip, k), clip.step_flow, MEMORY)
     return [total.astype(np.float16) for total in track(sums, "What moves", len(clip))][::-1]
 
 
 def propagated(
-    clip: SolvedClip, own: Callable[[int], np.ndarray], flow: Callable[[int, int], tuple[np.ndarray, np.ndarray]], memory: float
+    clip: MatchedClip, own: Callable[[int], np.ndarray], flow: Callable[[int, int], tuple[np.ndarray, np.ndarray]], memory: float
 ) -> Iterator[np.ndarray]:
     """The evidence of each training frame and of those before and after it, [h, w] float32, from the last to the first.
 
@@ -66,7 +66,7 @@ def propagated(
         backward = backward + own(k)
 
 
-def _evidence(clip: SolvedClip, k: int) -> np.ndarray:
+def _evidence(clip: MatchedClip, k: int) -> np.ndarray:
     """[h, w] float32: positive where a frame's own matches are evidence of motion, negative of rest, 0 without matches."""
     motion = clip[k].motion
     strength = np.log2(np.maximum(motion, 1e-3) / np.float32(RESTS))

@@ -16,7 +16,7 @@ from numba import prange
 from flowsplat.common.kernels import parallel_kernel
 from flowsplat.geometry import Camera
 from flowsplat.priors.depth.background import StaticDepth
-from flowsplat.priors.depth.clip import SolvedClip
+from flowsplat.priors.depth.clip import MatchedClip
 from flowsplat.priors.depth.fill import upsample
 
 SEEN_FROM = (4, 8, 12, 16, 24, 32, 48)
@@ -45,7 +45,7 @@ class CleanPlate:
         blocked: bool [T, H, W], the movers as far as they are known, with a margin.
     """
 
-    def __init__(self, clip: SolvedClip, background: StaticDepth, blocked: np.ndarray):
+    def __init__(self, clip: MatchedClip, background: StaticDepth, blocked: np.ndarray):
         self._clip, self._background, self._blocked = clip, background, blocked
         self._cameras = [clip.scene.cameras[i] for i in clip.scene.train_frames]
         self._frame = lru_cache(maxsize=2 * SEEN_FROM[-1] + 1)(lambda k: clip.scene.frame(clip.scene.train_frames[k]))

@@ -12,7 +12,7 @@ import numpy as np
 
 from flowsplat.common.progress import track
 from flowsplat.priors.depth.background import static_depth
-from flowsplat.priors.depth.clip import SolvedClip
+from flowsplat.priors.depth.clip import MatchedClip
 from flowsplat.priors.flow import FlowEstimator, dis_estimator
 from flowsplat.priors.masks.colours import Colours, look_up
 from flowsplat.priors.masks.motion import enlarged, motion_evidence, parts, propagated, rough_cut
@@ -55,7 +55,7 @@ def mask_stage(scene: Scene, estimate: FlowEstimator = dis_estimator) -> None:
     """
     if scene.prior("masks") is not None:
         return
-    clip = SolvedClip(scene, estimate)
+    clip = MatchedClip(scene, estimate)
     motion = motion_evidence(clip)
     for k, i in enumerate(scene.train_frames):
         scene.write_mask(i, rough_cut(motion[k], scene.frame(i)))
@@ -69,7 +69,7 @@ def mask_stage(scene: Scene, estimate: FlowEstimator = dis_estimator) -> None:
     scene.finish_prior("masks", method="motion", verdict=verdict, objects=objects, share=round(share, 5))
 
 
-def _plate_evidence(clip: SolvedClip, motion: list[np.ndarray]) -> list[np.ndarray]:
+def _plate_evidence(clip: MatchedClip, motion: list[np.ndarray]) -> list[np.ndarray]:
     """[H, W] float16 of every training frame, positive for motion: how it differs from its plate, and the matches."""
     scene = clip.scene
     side = 2 * max(1, round(MARGIN * max(scene.width, scene.height) / 2)) + 1
@@ -84,7 +84,7 @@ def _plate_evidence(clip: SolvedClip, motion: list[np.ndarray]) -> list[np.ndarr
     return evidence
 
 
-def _add_colours(clip: SolvedClip, evidence: list[np.ndarray], motion: list[np.ndarray]) -> None:
+def _add_colours(clip: MatchedClip, evidence: list[np.ndarray], motion: list[np.ndarray]) -> None:
     """Add to the evidence how much the colours are those of movers."""
     scene, colours = clip.scene, Colours()
     for k in range(0, len(clip), -(-len(clip) // MODEL_FRAMES)):
@@ -98,7 +98,7 @@ def _add_colours(clip: SolvedClip, evidence: list[np.ndarray], motion: list[np.n
         evidence[k] = (evidence[k] + look_up(table, scene.frame(i))).astype(np.float16)
 
 
-def _cut(clip: SolvedClip, evidence: list[np.ndarray], motion: list[np.ndarray]) -> list[np.ndarray]:
+def _cut(clip: MatchedClip, evidence: list[np.ndarray], motion: list[np.ndarray]) -> list[np.ndarray]:
     """The masks [H, W] uint8 of 0 and 1, from evidence that is propagated between frames."""
     scene, numbers = clip.scene, clip.scene.train_frames
 

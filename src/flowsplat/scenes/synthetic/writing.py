@@ -11,7 +11,7 @@ from flowsplat.common.progress import track
 from flowsplat.pictures.video import write_mp4
 from flowsplat.scenes.layers import Depth
 from flowsplat.scenes.scene import Scene
-from flowsplat.scenes.synthetic.clip import SyntheticScene
+from flowsplat.scenes.synthetic.synthetic_scene import SyntheticScene
 
 
 def write_synthetic(folder: Path, spec: SyntheticScene, *, holdout: int | None = None, with_truth: bool = True) -> Scene:
