@@ -105,3 +105,13 @@ def test_a_step_against_the_order_is_found(name, source):
 )
 def test_a_step_along_the_order_is_fine(name, source):
     assert violations(name, source) == []
+
+
+@pytest.mark.parametrize(("package", "others"), [("background", ("masks", "depth")), ("masks", ("depth",)), ("depth", ("masks",))])
+def test_the_priors_do_not_import_each_other_in_circles(package, others):
+    """Masks and depth both use the static scene of ``priors.background``, and nothing of each other."""
+    modules = sorted((PACKAGE / "priors" / package).glob("*.py"))
+    assert modules
+    imports = "\n".join(line for path in modules for line in path.read_text(encoding="utf-8").splitlines() if "import" in line)
+    for other in others:
+        assert f"priors.{other}" not in imports

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flowsplat.priors.depth.background import static_depth
-from flowsplat.priors.depth.clip import MatchedClip
+from flowsplat.priors.background.matched_clip import MatchedClip
+from flowsplat.priors.background.static_depth import static_depth
 from flowsplat.priors.flow import flow_stage
 from flowsplat.priors.masks import mask_stage
 from flowsplat.priors.masks.colours import Colours, look_up

@@ -1,7 +1,7 @@
 """Depth that was made picture by picture, by a network or in other units than the cameras', fitted to the cameras.
 
 Such depth knows how a picture is built, movers included, but neither its scale nor, often, where infinity lies. Both are
-found for every frame from the static scene, whose inverse depth the matches tell (``depth``): a robust line through
+found for every frame from the static scene, whose inverse depth the matches tell (``background``): a robust line through
 (monocular, measured) inverse depths. Where the scene rests and its matches are trusted, what they say stays; elsewhere,
 and on movers above all, the fitted monocular depth is taken.
 """
@@ -20,9 +20,9 @@ import numpy as np
 from flowsplat.common.files import read_npz, write_npz
 from flowsplat.common.progress import track
 from flowsplat.geometry.cameras import pixel_grid
-from flowsplat.priors.depth.background import SURE, Background, unseen_inverse
-from flowsplat.priors.depth.clip import MatchedClip
-from flowsplat.priors.depth.fill import fill, upsample
+from flowsplat.priors.background.fill import fill, upsample
+from flowsplat.priors.background.matched_clip import MatchedClip
+from flowsplat.priors.background.static_depth import SURE, Background, unseen_inverse
 from flowsplat.priors.depth.movers import MARGIN
 from flowsplat.priors.depth.stage import FURTHEST_DEPTH, NEAREST_DEPTH, TRUSTED_WEIGHT
 from flowsplat.priors.flow import FlowEstimator, dis_estimator, sample_map

@@ -13,9 +13,9 @@ import tyro
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.progress import say
+from flowsplat.priors.background.matched_clip import forget_solutions
 from flowsplat.priors.cameras import CameraOptions, camera_stage
 from flowsplat.priors.depth import depth_stage
-from flowsplat.priors.depth.clip import forget_solutions
 from flowsplat.priors.flow import FlowEstimator, dis_estimator, flow_stage
 from flowsplat.priors.given import GivenPriors, use_given, use_truth
 from flowsplat.priors.learned.weights import ModelOptions, network_device

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from flowsplat.common.progress import track
-from flowsplat.priors.depth.background import StaticDepth, camera_reach, static_depth
-from flowsplat.priors.depth.clip import MatchedClip
-from flowsplat.priors.depth.fill import upsample
-from flowsplat.priors.depth.longflow import STRIDES
+from flowsplat.priors.background.fill import upsample
+from flowsplat.priors.background.longflow import STRIDES
+from flowsplat.priors.background.matched_clip import MatchedClip
+from flowsplat.priors.background.static_depth import StaticDepth, camera_reach, static_depth
 from flowsplat.priors.depth.movers import MARGIN, card, growth, smooth_cards
 from flowsplat.priors.flow import FlowEstimator, dis_estimator
 from flowsplat.scenes import Depth, Scene

@@ -1,7 +1,7 @@
 """Evidence of motion from matches.
 
 The evidence of a frame is how far its matches lie off the rigid scene: the smaller of the residual under the best depth
-and twice the distance from the epipolar line, over the noise of the pair (``depth.multiview``). Moving things keep
+and twice the distance from the epipolar line, over the noise of the pair (``background.multiview``). Moving things keep
 moving: the evidence is added up along the flow, pulled to the edges of the picture, and cut.
 """
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from flowsplat.common.progress import track
 from flowsplat.geometry.cameras import pixel_grid
-from flowsplat.priors.depth.clip import RESTS, MatchedClip
+from flowsplat.priors.background.matched_clip import RESTS, MatchedClip
 from flowsplat.priors.flow import sample_map
 from flowsplat.scenes.layers import TRUSTED
 

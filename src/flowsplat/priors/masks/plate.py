@@ -15,9 +15,9 @@ from numba import prange
 
 from flowsplat.common.kernels import parallel_kernel
 from flowsplat.geometry import Camera
-from flowsplat.priors.depth.background import StaticDepth
-from flowsplat.priors.depth.clip import MatchedClip
-from flowsplat.priors.depth.fill import upsample
+from flowsplat.priors.background.fill import upsample
+from flowsplat.priors.background.matched_clip import MatchedClip
+from flowsplat.priors.background.static_depth import StaticDepth
 
 SEEN_FROM = (4, 8, 12, 16, 24, 32, 48)
 """Training frames before and after, whose pictures are compared."""

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 
 from flowsplat.common.progress import track
-from flowsplat.priors.depth.background import static_depth
-from flowsplat.priors.depth.clip import MatchedClip
+from flowsplat.priors.background.matched_clip import MatchedClip
+from flowsplat.priors.background.static_depth import static_depth
 from flowsplat.priors.flow import FlowEstimator, dis_estimator
 from flowsplat.priors.masks.colours import Colours, look_up
 from flowsplat.priors.masks.motion import enlarged, motion_evidence, parts, propagated, rough_cut

@@ -34,7 +34,7 @@ movers fill less than half of the picture."""
 
 @dataclass(frozen=True)
 class MultiView:
-    """What the matches of one frame say about its pixels, each [h, w] float32 at working resolution.
+    """What the matches of one frame give for its pixels, each [h, w] float32 at working resolution.
 
     Attributes:
         inverse_depth: one over the planar depth; 0 where nothing is known.

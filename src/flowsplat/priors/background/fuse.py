@@ -1,4 +1,4 @@
-"""Depth maps of neighbouring frames that agree make each other better; what no neighbour confirms loses its say."""
+"""Depth maps of neighbouring frames that agree make each other better; what no neighbour confirms loses its weight."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the matches say about every training frame: solved once, kept in the scene folder, used for masks and depth."""
+"""The matches of every training frame, solved once for depth and motion, kept in the scene folder, used by masks and depth."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ import numpy as np
 from flowsplat.common.files import read_npz, write_npz
 from flowsplat.common.progress import track
 from flowsplat.geometry import Camera
+from flowsplat.priors.background.longflow import LongFlows, working_size
+from flowsplat.priors.background.multiview import MultiView, solve_multiview
 from flowsplat.priors.continuity import Continuity
-from flowsplat.priors.depth.longflow import LongFlows, working_size
-from flowsplat.priors.depth.multiview import MultiView, solve_multiview
 from flowsplat.priors.flow import FlowEstimator, dis_estimator
 from flowsplat.scenes import Scene
 

@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 
 from flowsplat.geometry import Camera
-from flowsplat.priors.depth.clip import MatchedClip
-from flowsplat.priors.depth.fill import fill
-from flowsplat.priors.depth.fuse import fuse
-from flowsplat.priors.depth.movers import carried, uncover
+from flowsplat.priors.background.fill import fill
+from flowsplat.priors.background.fuse import fuse
+from flowsplat.priors.background.matched_clip import MatchedClip
+from flowsplat.priors.background.reprojection import carried, uncover
 
 FUSED_WITH = (2, 4, 8, 16)
 """Training frames before and after, whose depth is fused with a frame's own."""
