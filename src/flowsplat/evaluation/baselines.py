@@ -13,7 +13,8 @@ import numpy as np
 
 from flowsplat.geometry import Camera
 from flowsplat.geometry.cameras import pixel_grid, unproject_depth
-from flowsplat.priors.flow import dis_flow, grey, sample_map
+from flowsplat.geometry.interpolation import sample_map
+from flowsplat.priors.flow import dis_flow, grey
 from flowsplat.scenes import Scene
 
 SAME_SURFACE = 1.02

@@ -15,8 +15,8 @@ from flowsplat.gaussians.motion import LinearMotion
 from flowsplat.gaussians.observations import Observation, Observations
 from flowsplat.gaussians.sampling import detail, grid, spacings
 from flowsplat.gaussians.surfaces import SurfaceSamples, sample_surface
+from flowsplat.geometry.interpolation import sample_map
 from flowsplat.geometry.rotations import covariances
-from flowsplat.priors.flow import sample_map
 from flowsplat.scenes import Tracks
 from flowsplat.splatting.harmonics import harmonics_from_colours
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from flowsplat.common.progress import track
 from flowsplat.geometry.cameras import pixel_grid
+from flowsplat.geometry.interpolation import sample_map
 from flowsplat.priors.continuity import Continuity
 from flowsplat.scenes import Flow, Scene
 
@@ -19,9 +20,6 @@ SMALLEST_SIDE = 64
 FINE_PATCH, FINE_STEP, FINE_DESCENTS, FINE_ROUNDS = 5, 2, 24, 3
 """Of the fine search: side of a patch and distance between patches in pixels, steps of descent for a patch, and rounds of
 variational refinement."""
-
-_ROW = 16384
-"""Points in a row given to ``cv2.remap``, which takes at most 32767."""
 
 
 def grey(image: np.ndarray) -> np.ndarray:
@@ -57,23 +55,6 @@ def dis_flow(a: np.ndarray, b: np.ndarray, initial: np.ndarray | None = None, fi
     if factor > 1:
         flow = cv2.resize(flow, (width, height), interpolation=cv2.INTER_AREA) / factor
     return np.asarray(flow, np.float32)
-
-
-def sample_map(values: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Bilinear samples [N, C] of a map [H, W] or [H, W, C <= 4] at pixel positions [N, 2] (centres at +0.5).
-
-    Outside the map its border continues. The precision of a position is 1/32 pixel.
-    """
-    channels = 1 if values.ndim == 2 else values.shape[2]
-    count = len(points)
-    rows = -(-count // _ROW)
-    if rows == 0:
-        return np.zeros((0, channels), values.dtype)
-    where = np.zeros((rows * min(count, _ROW), 2), np.float32)
-    where[:count] = np.nan_to_num(points, nan=-1.0, posinf=1e6, neginf=-1e6) - 0.5
-    x, y = where.reshape(rows, -1, 2).transpose(2, 0, 1).copy()
-    sampled = cv2.remap(np.ascontiguousarray(values), x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return sampled.reshape(-1, channels)[:count]
 
 
 def _inside(points: np.ndarray, width: int, height: int) -> np.ndarray:

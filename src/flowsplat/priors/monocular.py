@@ -20,12 +20,13 @@ import numpy as np
 from flowsplat.common.files import read_npz, write_npz
 from flowsplat.common.progress import track
 from flowsplat.geometry.cameras import pixel_grid
+from flowsplat.geometry.interpolation import sample_map
 from flowsplat.priors.background.fill import fill, upsample
 from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.static_depth import SURE, Background, unseen_inverse
 from flowsplat.priors.depth.movers import MARGIN
 from flowsplat.priors.depth.stage import FURTHEST_DEPTH, NEAREST_DEPTH, TRUSTED_WEIGHT
-from flowsplat.priors.flow import FlowEstimator, dis_estimator, sample_map
+from flowsplat.priors.flow import FlowEstimator, dis_estimator
 from flowsplat.scenes import Depth, Scene
 from flowsplat.scenes.layers import TRUSTED
 

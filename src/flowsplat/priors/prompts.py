@@ -17,7 +17,7 @@ import numpy as np
 from flowsplat.common.errors import InputError
 from flowsplat.common.progress import track
 from flowsplat.geometry.cameras import pixel_grid
-from flowsplat.priors.flow import sample_map
+from flowsplat.geometry.interpolation import sample_map
 from flowsplat.scenes import Scene
 
 REACH = 0.25

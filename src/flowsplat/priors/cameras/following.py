@@ -6,8 +6,9 @@ import cv2
 import numpy as np
 
 from flowsplat.common.progress import track
+from flowsplat.geometry.interpolation import sample_map
 from flowsplat.priors.continuity import is_blank
-from flowsplat.priors.flow import dis_flow, grey, sample_map
+from flowsplat.priors.flow import dis_flow, grey
 from flowsplat.priors.tracks import TrackTable, corner_strength, new_points, oldest_of_crowds, refine_points
 from flowsplat.scenes import Scene
 

@@ -23,7 +23,7 @@ from scipy.special import expit
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_npy, read_npz
-from flowsplat.priors.flow import sample_map
+from flowsplat.geometry.interpolation import sample_map
 from flowsplat.priors.given.fitting import require_frames
 from flowsplat.scenes import Scene, Tracks
 from flowsplat.scenes.formats.images import natural_key

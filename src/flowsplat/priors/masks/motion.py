@@ -14,8 +14,8 @@ import numpy as np
 
 from flowsplat.common.progress import track
 from flowsplat.geometry.cameras import pixel_grid
+from flowsplat.geometry.interpolation import sample_map
 from flowsplat.priors.background.matched_clip import RESTS, MatchedClip
-from flowsplat.priors.flow import sample_map
 from flowsplat.scenes.layers import TRUSTED
 
 STRONGEST = 1.5

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flowsplat.priors.flow import sample_map
+from flowsplat.geometry.interpolation import sample_map
 from flowsplat.priors.tracks.agreement import agreed_motion
 from flowsplat.priors.tracks.patches import Patches, align
 from flowsplat.scenes import Flow

@@ -7,8 +7,9 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from flowsplat.common.progress import track
+from flowsplat.geometry.interpolation import sample_map
 from flowsplat.priors.continuity import Continuity
-from flowsplat.priors.flow import grey, sample_map
+from flowsplat.priors.flow import grey
 from flowsplat.priors.tracks.following import Follower
 from flowsplat.priors.tracks.points import TrackTable, corner_strength, detail, new_points, oldest_of_crowds
 from flowsplat.priors.tracks.resting import complete_resting
