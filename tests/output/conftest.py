@@ -25,7 +25,7 @@ def chromium() -> Iterator[Any]:
 
 
 class Complaints(list[str]):
-    """What a page says on its console, of some kinds, and errors that nobody caught."""
+    """What a page says on its console, of some kinds, and errors that were not caught."""
 
     def __init__(self, page: Any, kinds: Sequence[str] = ("error", "warning")):
         super().__init__()

@@ -82,7 +82,7 @@ def test_a_process_ends_with_the_one_that_asked():
         assert parent.stdout is not None
         assert parent.stdout.readline() == "here\n"
         parent.kill()
-        # The end of the file comes when nobody holds the pipe any more.
+        # The end of the file comes when no process holds the pipe any more.
         assert parent.communicate(timeout=20)[0] == ""
 
 

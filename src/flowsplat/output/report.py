@@ -22,7 +22,7 @@ VIDEO_FOLDER = "renders"
 """Where the videos lie, seen from the report."""
 
 _EVEN = 0.1
-"""Decibels of PSNR that nobody sees."""
+"""Decibels of PSNR that are not visible."""
 
 _VIDEO_TITLES = {
     "input_path": "Along the clip's own cameras",

@@ -95,8 +95,8 @@ class FlowEstimator(Protocol):
         """The flow [H, W, 2] float32 in pixels from picture ``a`` to ``b`` (RGB [H, W, 3] uint8).
 
         Args:
-            guess: for pictures that lie further apart, the flow [H, W, 2] that shorter ones lead to. Who can find large
-                motion without it may leave it aside.
+            guess: for pictures that lie further apart, the flow [H, W, 2] that shorter ones lead to. An estimator that finds large
+                motion without it may ignore it.
         """
         ...
 

@@ -31,7 +31,7 @@ def in_own_process(function: Callable[Parameters, Result], *args: Parameters.arg
 
 
 def _end_with_parent() -> None:
-    """Without this, a training would go on for nobody after the command that asked for it was killed."""
+    """Without this, a training would go on after the command that asked for it was killed."""
     parent = multiprocessing.parent_process()
     assert parent is not None
 

@@ -1,4 +1,4 @@
-"""The viewer in a real browser: it starts, serves two at once, moves in time and stops, and nobody complains."""
+"""The viewer in a real browser: it starts, serves two at once, moves in time and stops, without errors or warnings."""
 
 from __future__ import annotations
 

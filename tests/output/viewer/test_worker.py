@@ -1,4 +1,4 @@
-"""One thread renders for everybody."""
+"""One thread renders for all clients."""
 
 from __future__ import annotations
 

@@ -63,13 +63,13 @@ def test_depth_pro_says_depth(scene: Scene, depth_pro: Path):
     assert (confidence == 1).all()
 
 
-@pytest.mark.parametrize("source", ["nobody/nothing", "/nowhere/at/all"])
+@pytest.mark.parametrize("source", ["no-such-owner/no-such-model", "/nowhere/at/all"])
 def test_an_absent_model_says_how_to_get_it(scene: Scene, source: str):
     import_transformers()
     with pytest.raises(InputError, match=rf"--depth depth-pro: .*{source}.*--models.depth-pro FOLDER.*--depth multiview") as caught:
         learned_depth("depth-pro", scene, ModelOptions(depth_pro=source), CPU)
     assert "\n" not in str(caught.value)
-    assert ("hf download" in str(caught.value)) == (source == "nobody/nothing")
+    assert ("hf download" in str(caught.value)) == (source == "no-such-owner/no-such-model")
 
 
 def test_an_incomplete_checkpoint_is_refused(scene: Scene, depth_anything: Path, tmp_path: Path):

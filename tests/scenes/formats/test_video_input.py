@@ -307,7 +307,7 @@ def test_an_avi_with_pictures_that_refer_to_later_ones(tmp_path, picture, write_
     np.testing.assert_allclose(clip.timestamps, np.arange(30) / 25, atol=2e-3)
 
 
-def test_a_codec_that_nobody_knows(tmp_path, pictures, write_video):
+def test_an_unknown_codec(tmp_path, pictures, write_video):
     path = write_video(tmp_path / "a.mp4", pictures)
     path.write_bytes(path.read_bytes().replace(b"avc1", b"zzzz"))
     with pytest.raises(InputError, match="cannot be decoded"):

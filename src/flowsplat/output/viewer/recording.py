@@ -32,7 +32,7 @@ _PROMISING = threading.Lock()
 
 
 def next_file(folder: Path, stem: str, suffix: str) -> Path:
-    """``stem_001.suffix``, or the first number that neither exists nor was given to somebody before."""
+    """``stem_001.suffix``, or the first number that neither exists nor was given away before."""
     with _PROMISING:
         number = 1
         while (path := folder / f"{stem}_{number:03d}{suffix}").exists() or path in _PROMISED:

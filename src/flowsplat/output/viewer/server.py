@@ -90,7 +90,7 @@ def view(folder: Path, options: ViewOptions) -> None:
         shown = "localhost" if options.host in ("127.0.0.1", "0.0.0.0", "::1", "::") else options.host
         say(f"Showing {folder} ({viewer.source.loaded.state}): http://{shown}:{options.port} - Ctrl-C stops.")
         if options.host in ("0.0.0.0", "::"):
-            say("Everybody who reaches this machine can look at it.")
+            say("Every computer that reaches this one can open the viewer.")
         threading.Event().wait()
     except KeyboardInterrupt:
         say("The viewer is stopped.")

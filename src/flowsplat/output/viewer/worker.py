@@ -25,7 +25,7 @@ SendPicture = Callable[[Job, Drawing], None]
 _WATCH = 1.0
 """Seconds between two looks at whether there is a newer model."""
 _ACTIVE, _IDLE = 0.015, 0.25
-"""Seconds to wait for something to do, while somebody may soon need a picture and while nobody does."""
+"""Seconds to wait for something to do, while a client may soon need a picture and while none does."""
 
 
 class Worker:

@@ -1,6 +1,6 @@
 """Points that are followed from frame to frame by their own texture, and by what their neighbours do.
 
-A point is expected where its velocity, or else the flow, leads; the patch of its first frame is aligned there. Whoever moves
+A point is expected where its velocity, or else the flow, leads; the patch of its first frame is aligned there. One that moves
 unlike its neighbours, or no longer looks like itself, goes with its neighbours, unseen, until it is found again. So a point
 survives short occlusions and wrong flow, and does not drift: it is its first patch that has to be there, or a later one that
 was taken while that was so.

@@ -34,7 +34,7 @@ DENSE = {"init.background_spacing": 1.0, "init.foreground_spacing": 1.0}
 
 REMARKS = (
     "The first Gaussians are placed as far apart as the cap asks, and are as much larger; their number falls a little while "
-    "those that nobody sees are removed.",
+    "those that no camera sees are removed.",
 )
 COLUMNS = {"psnr": "PSNR", "moving": "PSNR of movers", "ssim": "SSIM", "training_psnr": "PSNR of training frames"}
 DIGITS = {"ssim": 3}

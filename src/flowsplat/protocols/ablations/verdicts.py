@@ -13,7 +13,7 @@ Run = tuple[str, int]
 """Which run of a variant: its scene and its seed."""
 
 EVEN = 0.05
-"""Decibels of PSNR that nobody sees, and that another seed changes as well."""
+"""Decibels of PSNR that are not visible, and that another seed changes as well."""
 
 
 @dataclass(frozen=True)
