@@ -349,16 +349,32 @@ def _write_metrics(folder: RunFolder, metrics: dict[str, Any], seconds: Mapping[
 # -- render
 
 
+def _render_key(folder: RunFolder) -> str:
+    """A camera file counts by what is in it, not by where it lies.
+
+    Raises:
+        InputError: the camera file cannot be read.
+    """
+    options, file = folder.config.render, folder.config.render.camera_file
+    if file is None:
+        return stage_key(_train_key(folder), options)
+    content = hash_files("", [("camera_file", file)], whole=True)
+    return stage_key(_train_key(folder), replace(options, camera_file=None), content)
+
+
 def render_run(folder: RunFolder, options: RenderOptions | None = None) -> dict[str, Any]:
     """Render videos of a run and complete its report. Returns the content of ``metrics.json``.
 
     Args:
         folder: the run.
         options: which videos, beside those that are there; None = those of the run's own settings.
+
+    Raises:
+        InputError: an option or the camera file cannot be used, or as ``evaluate_run``.
     """
     metrics = evaluate_run(folder)
     own = options is None or options == folder.config.render
-    key = stage_key(_train_key(folder), folder.config.render)
+    key = _render_key(folder) if own else ""
     if own and folder.is_finished("render", key) and are_rendered(folder.path / "renders"):
         return metrics
     started = time.perf_counter()
