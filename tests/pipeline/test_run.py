@@ -14,7 +14,7 @@ import torch
 
 import flowsplat
 from flowsplat.common.errors import InputError
-from flowsplat.pipeline import demo, prepare, run, stages, train
+from flowsplat.pipeline import demo, prepare, run, stages, summary, train
 from flowsplat.pipeline.config import RunConfig, from_plain, preset, to_plain
 from flowsplat.pipeline.folder import RunFolder, stage_key
 from flowsplat.priors.given import GivenPriors
@@ -280,6 +280,28 @@ def test_videos_without_a_camera_file_have_the_key_that_they_always_had(finished
     folder = RunFolder(finished)
     key = stage_key(stages._train_key(folder), to_plain(folder.config.render))
     assert folder.book["stages"]["render"]["key"] == key
+
+
+def test_the_model_is_read_once_and_flows_of_the_report_are_rendered_once(finished, tmp_path, monkeypatch):
+    shutil.copytree(finished, tmp_path / "out")
+    folder = RunFolder(tmp_path / "out")
+    for stage in ("evaluate", "render"):
+        folder.forget(stage)
+    read, compared, listed = [], [], []
+    load_model, comparison, flow_pairs = stages.load_model, summary.FlowComparison, Scene.flow_pairs
+
+    def count(calls, function):
+        return lambda *arguments: calls.append(arguments) or function(*arguments)
+
+    monkeypatch.setattr(stages, "load_model", count(read, load_model))
+    monkeypatch.setattr(summary, "FlowComparison", count(compared, comparison))
+    stages.render_run(folder)
+    assert len(read) == 1
+    assert len(compared) == len({title for title, *_ in compared}) > 0
+    monkeypatch.setattr(Scene, "flow_pairs", property(count(listed, flow_pairs.fget)))
+    stages.render_run(folder, replace(folder.config.render, paths=("bullet",), max_frames=2))
+    assert len(listed) == 1
+    assert len(read) == 2
 
 
 def test_other_contents_of_given_files_are_noticed(tiny_scene, finished, tmp_path):
