@@ -158,6 +158,20 @@ def test_no_holdout_gives_no_heldout_figures(tmp_path):
     assert metrics["training_frames"]["psnr"] > 10
 
 
+def test_a_prepared_scene_may_hold_out_its_first_and_last_frame(tiny_scene, tmp_path):
+    shutil.copytree(tiny_scene, tmp_path / "scene")
+    scene = Scene(tmp_path / "scene")
+    pictures = [scene.any_frame(i) for i in range(scene.num_frames)]
+    scene.info |= {"train": list(range(1, 11)), "heldout": [0, 11]}
+    scene.save_info()
+    scene = Scene(tmp_path / "scene")
+    for i, picture in enumerate(pictures):
+        scene.write_frame(i, picture)
+    metrics = run(tmp_path / "scene", tmp_path / "out", small_config())
+    assert metrics["heldout_frames"]["count"] == 2
+    assert metrics["baselines"]["copy"]["psnr"] == metrics["baselines"]["flow_interpolation"]["psnr"] > 10
+
+
 def test_the_folder_of_another_input_is_refused(finished, tmp_path):
     from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic
 
