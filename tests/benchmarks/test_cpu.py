@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,7 +22,9 @@ from cpu_parts.work_load import work_load
 from flowsplat.splatting import blend, project, rasterize
 from flowsplat.splatting.cpu import tiles
 from flowsplat.splatting.rules import ALPHA_MIN
+from flowsplat.training import trainer
 from flowsplat.training.config import PRESETS
+from flowsplat.training.trainer import Trainer
 from tests.benchmarks.conftest import BENCHMARKS
 
 SIZE = 70, 50
@@ -230,9 +233,42 @@ def test_a_large_picture_runs_in_a_process_of_its_own():
     assert measured["forward"]["repeats"] == 1
 
 
-def test_what_fresh_processes_do():
-    first.picture()
-    first.step()
+def test_what_fresh_processes_do(monkeypatch):
+    """One picture that shows something, and one training step with every loss; and the benchmark's own kernels stay away."""
+    pictures, trained, losses = [], [], {}
+    render, run = first.SceneModel.render, Trainer.run
+
+    def rendered(*arguments):
+        pictures.append(render(*arguments))
+        return pictures[-1]
+
+    def train(self):
+        start = {name: value.clone() for name, value in self._start.params.items()}
+        trained.append((self, start, run(self)))
+
+    def counted(name):
+        function = getattr(trainer, name)
+        monkeypatch.setattr(trainer, name, lambda *values: losses.setdefault(name, values) and function(*values))
+
+    monkeypatch.setattr(first.SceneModel, "render", rendered)
+    monkeypatch.setattr(Trainer, "run", train)
+    for name in ("picture_loss", "rigid_loss", "openness"):
+        counted(name)
+    exec(startup.ACTIONS["import flowsplat, one picture"])
+    assert [picture.colour.shape for picture in pictures] == [(480, 854, 3)]
+    assert (pictures[0].alpha > 0.5).mean() > 0.05
+    assert not trained
+    exec(startup.ACTIONS["import flowsplat, one training step"])
+    ((done, before, after),) = trained
+    assert done.step == 1
+    assert set(losses) == {"picture_loss", "rigid_loss", "openness"}
+    *_, flow_channels, targets, weights = losses["picture_loss"]
+    assert flow_channels > 0
+    assert targets.flow is not None
+    assert targets.depth is not None
+    assert min(weights.flow, weights.depth, weights.ssim) > 0
+    assert any(not torch.equal(value, before[name]) for name, value in after.params.items())
+    assert "cpu_parts" not in "".join(line for line in Path(first.__file__).read_text().splitlines() if "import " in line)
 
 
 def test_starting_warm_and_cold(monkeypatch):

@@ -47,6 +47,28 @@ def test_the_held_out_time_sets_the_weights(tmp_path):
     assert psnr(predictions["flow_interpolation"][8:-8, 8:-8], target) > 35
 
 
+def hold_out(scene: Scene, frames: list[int]) -> Scene:
+    """The same scene with another split, as other tools may have made it."""
+    pictures = [scene.any_frame(i) for i in range(scene.num_frames)]
+    scene.info["heldout"] = frames
+    scene.info["train"] = [i for i in range(scene.num_frames) if i not in frames]
+    scene.save_info()
+    scene = Scene(scene.folder)
+    for i, picture in enumerate(pictures):
+        scene.write_frame(i, picture)
+    return scene
+
+
+def test_a_held_out_frame_at_either_end_is_predicted_from_its_only_neighbour(tmp_path):
+    scene = sliding_scene(tmp_path / "scene", [0.0, 1.0, 2.0, 3.0, 4.0, 5.0], [0.0, 2.0, 4.0, 6.0, 8.0, 10.0])
+    scene = hold_out(scene, [0, 1, 5])
+    for i, neighbour in ((0, 2), (1, 2), (5, 4)):
+        predictions = predict_frame(scene, i)
+        assert set(predictions) == {"copy", "blend", "flow_interpolation"}
+        for image in predictions.values():
+            np.testing.assert_array_equal(image, to_float(scene.frame(neighbour)))
+
+
 def camera(x: float = 0.0, width: int = 64, height: int = 48) -> Camera:
     viewmat = np.eye(4)
     viewmat[0, 3] = -x

@@ -14,9 +14,9 @@ import torch
 
 import flowsplat
 from flowsplat.common.errors import InputError
-from flowsplat.pipeline import demo, prepare, run, stages, train
+from flowsplat.pipeline import demo, prepare, run, stages, summary, train
 from flowsplat.pipeline.config import RunConfig, from_plain, preset, to_plain
-from flowsplat.pipeline.folder import RunFolder
+from flowsplat.pipeline.folder import RunFolder, stage_key
 from flowsplat.priors.given import GivenPriors
 from flowsplat.scenes import Scene
 from flowsplat.scenes.clip import InputOptions
@@ -158,6 +158,20 @@ def test_no_holdout_gives_no_heldout_figures(tmp_path):
     assert metrics["training_frames"]["psnr"] > 10
 
 
+def test_a_prepared_scene_may_hold_out_its_first_and_last_frame(tiny_scene, tmp_path):
+    shutil.copytree(tiny_scene, tmp_path / "scene")
+    scene = Scene(tmp_path / "scene")
+    pictures = [scene.any_frame(i) for i in range(scene.num_frames)]
+    scene.info |= {"train": list(range(1, 11)), "heldout": [0, 11]}
+    scene.save_info()
+    scene = Scene(tmp_path / "scene")
+    for i, picture in enumerate(pictures):
+        scene.write_frame(i, picture)
+    metrics = run(tmp_path / "scene", tmp_path / "out", small_config())
+    assert metrics["heldout_frames"]["count"] == 2
+    assert metrics["baselines"]["copy"]["psnr"] == metrics["baselines"]["flow_interpolation"]["psnr"] > 10
+
+
 def test_the_folder_of_another_input_is_refused(finished, tmp_path):
     from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic
 
@@ -242,6 +256,66 @@ def test_videos_of_the_model_before_are_not_shown(tiny_scene, finished, tmp_path
     run(tiny_scene, out, small_config(seed=5))
     assert "bullet_time.mp4" not in (out / "report.html").read_text()
     assert "input_path.mp4" in (out / "report.html").read_text()
+
+
+def camera_file(path: Path, fov: float, frames: int = 2) -> Path:
+    entry = {"viewmat": np.eye(4).tolist(), "fov_y": fov, "t": 0.0}
+    path.write_text(json.dumps({"fps": 4, "width": 32, "height": 16, "frames": [{**entry, "note": "x" * 100}] * frames}))
+    return path
+
+
+def test_another_content_of_the_camera_file_is_rendered_again(tiny_scene, finished, tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    shutil.copytree(finished, out)
+    config = small_config()
+    config = replace(config, render=replace(config.render, paths=(), camera_file=camera_file(tmp_path / "path.json", 40.0)))
+    run(tiny_scene, out, config)
+    before = (out / "renders" / "custom_path.mp4").read_bytes()
+    camera_file(tmp_path / "path.json", 60.0)
+    run(tiny_scene, out, config)
+    assert (out / "renders" / "custom_path.mp4").read_bytes() != before
+    moved = replace(config, render=replace(config.render, camera_file=camera_file(tmp_path / "moved.json", 60.0)))
+    monkeypatch.setattr(stages, "render_videos", lambda *_: pytest.fail("rendered again"))
+    run(tiny_scene, out, moved)
+
+
+def test_the_middle_of_a_long_camera_file_counts(finished, tmp_path):
+    folder = RunFolder(finished)
+    file = camera_file(tmp_path / "path.json", 40.0, frames=1000)
+    folder.config = replace(folder.config, render=replace(folder.config.render, camera_file=file))
+    key = stages._render_key(folder)
+    text = file.read_text()
+    middle = text.index("40.0", len(text) // 2)
+    file.write_text(text[:middle] + "60.0" + text[middle + 4 :])
+    assert stages._render_key(folder) != key
+
+
+def test_videos_without_a_camera_file_have_the_key_that_they_always_had(finished):
+    folder = RunFolder(finished)
+    key = stage_key(stages._train_key(folder), to_plain(folder.config.render))
+    assert folder.book["stages"]["render"]["key"] == key
+
+
+def test_the_model_is_read_once_and_flows_of_the_report_are_rendered_once(finished, tmp_path, monkeypatch):
+    shutil.copytree(finished, tmp_path / "out")
+    folder = RunFolder(tmp_path / "out")
+    for stage in ("evaluate", "render"):
+        folder.forget(stage)
+    read, compared, listed = [], [], []
+    load_model, comparison, flow_pairs = stages.load_model, summary.FlowComparison, Scene.flow_pairs
+
+    def count(calls, function):
+        return lambda *arguments: calls.append(arguments) or function(*arguments)
+
+    monkeypatch.setattr(stages, "load_model", count(read, load_model))
+    monkeypatch.setattr(summary, "FlowComparison", count(compared, comparison))
+    stages.render_run(folder)
+    assert len(read) == 1
+    assert len(compared) == len({title for title, *_ in compared}) > 0
+    monkeypatch.setattr(Scene, "flow_pairs", property(count(listed, flow_pairs.fget)))
+    stages.render_run(folder, replace(folder.config.render, paths=("bullet",), max_frames=2))
+    assert len(listed) == 1
+    assert len(read) == 2
 
 
 def test_other_contents_of_given_files_are_noticed(tiny_scene, finished, tmp_path):

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import re
+import shutil
 import struct
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
 import cv2
@@ -12,9 +15,11 @@ import numpy as np
 import pytest
 
 from flowsplat.common.errors import InputError
-from flowsplat.priors.flow import flow_stage
+from flowsplat.priors.cameras import CameraOptions
+from flowsplat.priors.flow import dis_estimator, flow_stage
 from flowsplat.priors.given import GivenPriors, use_given, use_truth
-from flowsplat.priors.prepare import PriorsOptions, prepare_priors
+from flowsplat.priors.monocular import Monocular
+from flowsplat.priors.prepare import PriorsOptions, _unwanted, prepare_priors
 from flowsplat.scenes import Flow, Scene
 
 from .planes import FRAMES, HEIGHT, WALL, WIDTH, square_at, write_planes
@@ -63,6 +68,143 @@ def test_finished_priors_are_kept_and_scratch_is_removed(tmp_path: Path):
     before = prior_files(scene)
     assert prepare_priors(Scene(tmp_path), PriorsOptions()) == {}
     assert prior_files(scene) == before
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory) -> Path:
+    """A prepared scene; what is there counts as made by us, the cameras included."""
+    scene = write_planes(tmp_path_factory.mktemp("done"), step=2, square=True)
+    scene.finish_prior("cameras", method="tracks", options=asdict(CameraOptions()))
+    prepare_priors(scene, PriorsOptions())
+    return scene.folder
+
+
+@pytest.fixture
+def prepared(done: Path, tmp_path: Path) -> Scene:
+    shutil.copytree(done, tmp_path / "scene")
+    return Scene(tmp_path / "scene")
+
+
+@pytest.fixture
+def networks(monkeypatch) -> None:
+    """What stands for networks that are not there: other methods of the same names."""
+
+    def learned_depth(name: str, scene: Scene, *_: object) -> Monocular:
+        def inverse(i: int) -> tuple[np.ndarray, np.ndarray]:
+            return 1 / scene.truth.depth(i).depth, np.ones((HEIGHT, WIDTH), np.float32)
+
+        return Monocular(name, name, relative=False, inverse=inverse)
+
+    def sam_stage(scene: Scene, segmenter: str, prompts: list, shown_by: str) -> None:
+        for i in scene.train_frames:
+            scene.write_mask(i, scene.truth.mask(i))
+        scene.finish_prior("masks", method=segmenter, verdict=shown_by)
+
+    monkeypatch.setattr("flowsplat.priors.learned.raft.raft_estimator", lambda *_: dis_estimator)
+    monkeypatch.setattr("flowsplat.priors.learned.depth.learned_depth", learned_depth)
+    monkeypatch.setattr("flowsplat.priors.learned.sam.load_segmenter", lambda name, *_: name)
+    monkeypatch.setattr("flowsplat.priors.learned.sam.sam_stage", sam_stage)
+
+
+def methods(scene: Scene) -> dict[str, str]:
+    return {name: scene.prior(name)["method"] for name in STAGES}
+
+
+@pytest.mark.parametrize(
+    ("options", "anew", "method"),
+    [
+        (PriorsOptions(flow="raft"), {"flow", "masks", "depth", "tracks"}, {"flow": "raft"}),
+        (PriorsOptions(masks="sam2"), {"masks", "depth", "tracks"}, {"masks": "sam2"}),
+        (PriorsOptions(depth="depth-pro"), {"depth", "tracks"}, {"depth": "depth-pro"}),
+    ],
+)
+def test_another_method_than_the_scene_has_replaces_it(prepared: Scene, networks, capsys, options, anew, method):
+    before, had = methods(prepared), prior_files(prepared)
+    assert set(prepare_priors(prepared, options)) == anew
+    assert methods(prepared) == before | method
+    said = " ".join(capsys.readouterr().err.split())
+    replaced, kept = (re.search(f"{start}[^:]*: ([^.]*)", said)[1] for start in ("Computed anew", "Already there and kept"))
+    assert {entry.split()[0] for entry in replaced.split(", ")} == anew
+    assert {entry.split()[0] for entry in kept.split(", ")} == set(STAGES) - anew
+    for path, content in prior_files(prepared).items():
+        if path.split("/")[0].split(".")[0] in set(STAGES) - anew:
+            assert content == had[path]
+    assert prepare_priors(Scene(prepared.folder), options) == {}
+    # What was asked for then is not undone by who asks for nothing now.
+    assert prepare_priors(Scene(prepared.folder), PriorsOptions()) == {}
+    assert methods(Scene(prepared.folder)) == before | method
+
+
+def test_what_is_kept_is_said(prepared: Scene, capsys):
+    assert prepare_priors(prepared, PriorsOptions()) == {}
+    said = " ".join(capsys.readouterr().err.split())
+    assert "kept: cameras (tracks), flow (dis), masks (motion), depth (multi-view), tracks (patches)." in said
+
+
+def test_given_masks_give_way_to_a_network_that_is_asked_for(prepared: Scene, networks):
+    prepared.finish_prior("masks", method="given")
+    assert set(prepare_priors(prepared, PriorsOptions(masks="sam3"))) == {"masks", "depth", "tracks"}
+    assert methods(prepared)["masks"] == "sam3"
+
+
+def test_what_would_not_be_made_as_it_was_is_kept(prepared: Scene, networks):
+    prepared.finish_prior("masks", method="clicks")
+    prepared.finish_prior("depth", method="depth-pro")
+    assert set(prepare_priors(prepared, PriorsOptions(flow="raft"))) == {"flow", "tracks"}
+    assert set(prepare_priors(prepared, PriorsOptions(masks="sam2", depth="depth-pro"))) == {"masks", "depth", "tracks"}
+
+
+def test_nothing_is_forgotten_where_a_network_is_missing(prepared: Scene, monkeypatch):
+    monkeypatch.setitem(sys.modules, "transformers", None)
+    before = prior_files(prepared)
+    for options in (PriorsOptions(depth="depth-pro"), PriorsOptions(masks="sam2")):
+        with pytest.raises(InputError, match="needs transformers"):
+            prepare_priors(prepared, options)
+    assert prior_files(Scene(prepared.folder)) == before
+
+
+def test_other_camera_options_compute_the_cameras_anew(prepared: Scene, monkeypatch):
+    def camera_stage(scene: Scene, options: CameraOptions) -> None:
+        scene.write_cameras(scene.truth.cameras)
+        scene.finish_prior("cameras", method="tracks", options=asdict(options))
+
+    monkeypatch.setattr("flowsplat.priors.prepare.camera_stage", camera_stage)
+    options = PriorsOptions(cameras=CameraOptions(solver="global"))
+    assert set(prepare_priors(prepared, options)) == {"cameras", "masks", "depth", "tracks"}
+    assert prepare_priors(prepared, options) == {}
+    assert prepare_priors(prepared, PriorsOptions()) == {}
+    prepared.finish_prior("depth", method="given")
+    with pytest.raises(InputError, match=r"depth of planes \(given\) belongs to the cameras"):
+        prepare_priors(prepared, PriorsOptions(cameras=CameraOptions(focal=99.0)))
+    assert methods(prepared)["cameras"] == "tracks"
+    for method in ("given", "truth", "calibrated"):
+        prepared.finish_prior("cameras", method=method)
+        assert prepare_priors(prepared, PriorsOptions(cameras=CameraOptions(focal=99.0))) == {}
+
+
+def test_straightened_pictures_need_new_flow(prepared: Scene):
+    options = PriorsOptions(cameras=CameraOptions(distortion="radial"))
+    with pytest.raises(InputError, match="rendered by pinholes"):
+        prepare_priors(prepared, options)
+    (prepared.folder / "truth").rename(prepared.folder / "other")
+    assert _unwanted(prepared, options, False) == set(STAGES)
+    prepared.finish_prior("flow", method="given")
+    with pytest.raises(InputError, match="Flow of planes were made for the pictures as they came"):
+        prepare_priors(prepared, options)
+    assert set(methods(prepared)) == set(STAGES)
+
+
+def test_truth_replaces_what_was_computed(prepared: Scene, networks):
+    assert set(prepare_priors(prepared, PriorsOptions(priors="true", depth="depth-pro"))) == {"truth"}
+    assert set(methods(prepared).values()) == {"truth"}
+    np.testing.assert_array_equal(prepared.depth(3).depth, prepared.truth.depth(3).depth)
+    assert prepared.similarity.scale == pytest.approx(1 / WALL)
+    assert prepare_priors(prepared, PriorsOptions(priors="true", flow="raft")) == {}
+    assert set(prepare_priors(prepared, PriorsOptions(depth="depth-pro"))) == {"depth"}
+    (prepared.folder / "truth").rename(prepared.folder / "other")
+    with pytest.raises(InputError, match="no truth"):
+        prepare_priors(prepared, PriorsOptions(priors="true"))
+    assert methods(Scene(prepared.folder))["depth"] == "depth-pro"
 
 
 def test_truth_replaces_everything(tmp_path: Path):

@@ -210,6 +210,9 @@ def edit(scene: Scene, **values) -> None:
         ({"train": [0, 1, 2]}, "either a training or a held-out frame"),
         ({"heldout": [9, 19, 20]}, "either a training or a held-out frame"),
         ({"heldout": None}, "damaged"),
+        ({"train": [0], "heldout": list(range(1, COUNT))}, "1 training frame.*at least two"),
+        ({"train": [], "heldout": list(range(COUNT))}, "0 training frame.*at least two"),
+        ({"train": list(range(COUNT))[::-1], "heldout": []}, "must rise"),
     ],
 )
 def test_bad_info(scene, values, words):

@@ -65,8 +65,11 @@ def make_folder(path: Path) -> Path:
     return Path(path)
 
 
-def hash_files(start: str, files: Iterable[tuple[str, Path]]) -> str:
+def hash_files(start: str, files: Iterable[tuple[str, Path]], whole: bool = False) -> str:
     """A short hash of ``start`` and of named files: of their names, sizes and both ends.
+
+    Args:
+        whole: read all of every file, not only its ends.
 
     Raises:
         InputError: a file cannot be read.
@@ -77,7 +80,7 @@ def hash_files(start: str, files: Iterable[tuple[str, Path]]) -> str:
             size = file.stat().st_size
             digest.update(f"\n{name} {size} ".encode())
             with open(file, "rb") as opened:
-                digest.update(opened.read(_EDGE))
+                digest.update(opened.read(size if whole else _EDGE))
                 opened.seek(max(size - _EDGE, 0))
                 digest.update(opened.read(_EDGE))
         except OSError as error:

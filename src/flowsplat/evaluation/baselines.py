@@ -36,9 +36,13 @@ def predict_frame(scene: Scene, i: int) -> dict[str, np.ndarray]:
 
     Returns:
         ``copy`` (the previous one), ``blend`` (both, weighted by time) and ``flow_interpolation`` (both warped to the
-        time between them by the flow from one to the other, then blended).
+        time between them by the flow from one to the other, then blended). Before the first training frame and after the
+        last there is one neighbour only, and each of the three is that.
     """
     following = bisect.bisect(scene.train_frames, i)
+    if following in (0, len(scene.train_frames)):
+        only = to_float(scene.frame(scene.train_frames[0 if following == 0 else -1]))
+        return {"copy": only, "blend": only, "flow_interpolation": only}
     before, after = scene.train_frames[following - 1], scene.train_frames[following]
     span = scene.timestamps[after] - scene.timestamps[before]
     fraction = float((scene.timestamps[i] - scene.timestamps[before]) / span)

@@ -8,7 +8,7 @@ import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -25,13 +25,13 @@ from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.observations import Observation, Observations, load_observations
 from flowsplat.gaussians.render import RenderedFrame
 from flowsplat.output.priors_report import verdict, write_priors_report
-from flowsplat.output.report import write_report
+from flowsplat.output.report import FlowComparison, write_report
 from flowsplat.output.videos import RenderOptions, are_rendered, forget_videos, render_videos, settle
 from flowsplat.pictures.colors import float_to_bytes
 from flowsplat.pictures.sheets import preview_sheet
 from flowsplat.pipeline.config import RunConfig, check, to_plain
 from flowsplat.pipeline.folder import RunFolder, stage_key
-from flowsplat.pipeline.summary import report_data
+from flowsplat.pipeline.summary import flow_comparisons, report_data
 from flowsplat.priors.prepare import prepare_priors
 from flowsplat.scenes import Scene, Tracks
 from flowsplat.scenes.clip import InputOptions
@@ -306,12 +306,35 @@ def _static_model(folder: RunFolder) -> SceneModel:
 # -- evaluate
 
 
+class _Result:
+    """The trained scene of a run and what its report shows of it, each read or rendered when first asked for, and then kept."""
+
+    def __init__(self, folder: RunFolder):
+        self._folder = folder
+
+    @cached_property
+    def model(self) -> SceneModel:
+        return load(self._folder.path, self._folder.config.device)
+
+    @cached_property
+    def scene(self) -> Scene:
+        return Scene(self._folder.scene_path)
+
+    @cached_property
+    def flows(self) -> list[FlowComparison]:
+        return list(flow_comparisons(self.scene, self.model))
+
+
 def evaluate_run(folder: RunFolder) -> dict[str, Any]:
     """Measure the trained scene; writes ``metrics.json`` and the report.
 
     Raises:
         InputError: there is no trained scene with the settings of the run, or the device does not work.
     """
+    return _evaluate(folder, _Result(folder))
+
+
+def _evaluate(folder: RunFolder, result: _Result) -> dict[str, Any]:
     pick_device(folder.config.device)
     if folder.model_path.exists() and not folder.is_finished("train", _train_key(folder)):
         raise InputError(f"{folder.model_path} was trained with other settings than those of the run: run flowsplat train first.")
@@ -319,8 +342,7 @@ def evaluate_run(folder: RunFolder) -> dict[str, Any]:
     metrics_path = folder.path / "metrics.json"
     if folder.is_finished("evaluate", key) and metrics_path.exists():
         return read_json(metrics_path)
-    model = load(folder.path, folder.config.device)
-    scene = Scene(folder.scene_path)
+    model, scene = result.model, result.scene
     static = _static_model(folder) if folder.config.baselines == "all" else None
     folder.start("evaluate", key)
     started = time.perf_counter()
@@ -329,24 +351,36 @@ def evaluate_run(folder: RunFolder) -> dict[str, Any]:
     counts = [model.active_count(float(t)) for t in scene.timestamps]
     metrics["gaussians"] = {"total": len(model.gaussians), "active_mean": float(np.mean(counts)), "active": counts}
     seconds = {"evaluate": time.perf_counter() - started}
-    _write_metrics(folder, metrics, seconds)
+    _write_metrics(folder, result, metrics, seconds)
     folder.finish("evaluate", key, seconds)
     return metrics
 
 
-def _write_metrics(folder: RunFolder, metrics: dict[str, Any], seconds: Mapping[str, float]) -> None:
+def _write_metrics(folder: RunFolder, result: _Result, metrics: dict[str, Any], seconds: Mapping[str, float]) -> None:
     """Complete ``metrics``, and write them and the report. A stage that took ``seconds`` is finished only when that is done."""
     metrics["peak_memory_gib"] = folder.peak_memory
     metrics["seconds"] = {**folder.seconds, **seconds}
     write_json(folder.path / "metrics.json", metrics)
     history_path = folder.path / "training" / "history.json"
     history = read_json(history_path) if history_path.exists() else []
-    model = load(folder.path, folder.config.device)
-    data = report_data(folder.path, Scene(folder.scene_path), model, metrics, history, folder.config)
+    data = report_data(folder.path, result.scene, result.flows, metrics, history, folder.config)
     write_report(folder.path, data)
 
 
 # -- render
+
+
+def _render_key(folder: RunFolder) -> str:
+    """A camera file counts by what is in it, not by where it lies.
+
+    Raises:
+        InputError: the camera file cannot be read.
+    """
+    options, file = folder.config.render, folder.config.render.camera_file
+    if file is None:
+        return stage_key(_train_key(folder), options)
+    content = hash_files("", [("camera_file", file)], whole=True)
+    return stage_key(_train_key(folder), replace(options, camera_file=None), content)
 
 
 def render_run(folder: RunFolder, options: RenderOptions | None = None) -> dict[str, Any]:
@@ -355,19 +389,22 @@ def render_run(folder: RunFolder, options: RenderOptions | None = None) -> dict[
     Args:
         folder: the run.
         options: which videos, beside those that are there; None = those of the run's own settings.
+
+    Raises:
+        InputError: an option or the camera file cannot be used, or as ``evaluate_run``.
     """
-    metrics = evaluate_run(folder)
+    result = _Result(folder)
+    metrics = _evaluate(folder, result)
     own = options is None or options == folder.config.render
-    key = stage_key(_train_key(folder), folder.config.render)
+    key = _render_key(folder) if own else ""
     if own and folder.is_finished("render", key) and are_rendered(folder.path / "renders"):
         return metrics
     started = time.perf_counter()
     if own:
         folder.start("render", key)
-    model, scene = load(folder.path, folder.config.device), Scene(folder.scene_path)
-    render_videos(model, scene, folder.path / "renders", options or folder.config.render)
+    render_videos(result.model, result.scene, folder.path / "renders", options or folder.config.render)
     seconds = {"render": time.perf_counter() - started} if own else {}
-    _write_metrics(folder, metrics, seconds)
+    _write_metrics(folder, result, metrics, seconds)
     if own:
         folder.finish("render", key, seconds)
     return metrics

@@ -63,9 +63,10 @@ def figures_table(runs: Mapping[str, Mapping[str, Any]]) -> Table:
 
 
 def report_data(
-    out: Path, scene: Scene, model: Renderer, metrics: Mapping[str, Any], history: Sequence[Mapping[str, float]], config: Any
-) -> ReportData:
-    """What the report of the run in ``out`` tells."""
+    out: Path, scene: Scene, flows: Sequence[FlowComparison], metrics: Mapping[str, Any],
+    history: Sequence[Mapping[str, float]], config: Any,
+) -> ReportData:  # fmt: skip
+    """What the report of the run in ``out`` tells, with ``flow_comparisons``."""
     counts = metrics["gaussians"]["active"]
     verdicts = [str((scene.prior(name) or {}).get("verdict", "")) for name in ("cameras", "depth", "masks")]
     return ReportData(
@@ -73,7 +74,7 @@ def report_data(
         metrics=metrics,
         history=history,
         comparisons=list(_comparisons(out, scene)),
-        flows=list(_flows(scene, model)),
+        flows=flows,
         active=(scene.timestamps.tolist(), counts),
         config=flat(to_plain(config)),
         notes=[*scene.info["notes"], *(verdict for verdict in verdicts if verdict)],
@@ -100,10 +101,10 @@ def _comparisons(out: Path, scene: Scene) -> Iterator[Comparison]:
             yield Comparison(f"Held-out view {view.name}", scene.view_image(view), read_image(rendering))
 
 
-def _flows(scene: Scene, model: Renderer) -> Iterator[FlowComparison]:
+def flow_comparisons(scene: Scene, model: Renderer) -> Iterator[FlowComparison]:
     """Rendered flow beside the prior, NaN where it is not trusted."""
-    train, times = scene.train_frames, scene.timestamps
-    pairs = [(i, j) for i, j in pairwise(train) if (i, j) in set(scene.flow_pairs)]
+    known, times = set(scene.flow_pairs), scene.timestamps
+    pairs = [pair for pair in pairwise(scene.train_frames) if pair in known]
     for i, j in _spread(pairs, 3):
         prior = scene.flow(i, j)
         rendered = model.render(scene.cameras[i], float(times[i]), (scene.cameras[j], float(times[j])))

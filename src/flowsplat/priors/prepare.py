@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from typing import Annotated, Literal
 
@@ -15,9 +15,10 @@ from flowsplat.common.errors import InputError
 from flowsplat.common.progress import say
 from flowsplat.priors.background.matched_clip import forget_solutions
 from flowsplat.priors.cameras import CameraOptions, camera_stage
+from flowsplat.priors.cameras.stage import LENS, OWN, require_lens_in_pictures
 from flowsplat.priors.depth import depth_stage
 from flowsplat.priors.flow import FlowEstimator, dis_estimator, flow_stage
-from flowsplat.priors.given import GivenPriors, use_given, use_truth
+from flowsplat.priors.given import GivenPriors, true_layers, use_given, use_truth
 from flowsplat.priors.learned.weights import ModelOptions, network_device
 from flowsplat.priors.masks import mask_stage
 from flowsplat.priors.monocular import monocular_stage
@@ -53,9 +54,24 @@ class PriorsOptions:
 
 Stage = Callable[[], None]
 
+_PRIORS = ("cameras", "flow", "masks", "depth", "tracks")
+"""In the order in which they need each other."""
+_FOLLOW = {
+    "cameras": ("masks", "depth", "tracks"), "flow": ("masks", "depth", "tracks"), "masks": ("depth", "tracks"),
+    "depth": ("tracks",), "tracks": (),
+}  # fmt: skip
+"""What is computed from each of them."""
+
 
 def prepare_priors(scene: Scene, options: PriorsOptions, device: str = "auto") -> dict[str, float]:
-    """Complete the priors of a scene; those that are there are kept, but for those that the options name otherwise.
+    """Complete the priors of a scene.
+
+    Those that are there are kept, and one line says which. But where an option asks for another method than the one that is
+    recorded, the prior is computed anew, and with it what follows from it, as far as that would be made as it was; a line
+    says this, too. An option that is left at its default asks for nothing. Asked for in this sense are ``--flow``,
+    ``--masks``, clicks and boxes, ``--depth``, ``--priors true`` (which goes before the three methods) and given depth and
+    tracks; and other ``--cameras`` options than those that our own cameras were computed with. Given, true or calibrated
+    cameras are not replaced by such options, which say how cameras are computed, and not whether.
 
     Args:
         device: where networks run: auto, cpu or cuda.
@@ -64,34 +80,40 @@ def prepare_priors(scene: Scene, options: PriorsOptions, device: str = "auto") -
         Seconds of every stage that ran.
 
     Raises:
-        InputError: a given file does not fit, the scene has no truth, a network is not there, a click is no click, or no
-            cameras can be found.
+        InputError: a given file does not fit, or cannot replace what the scene has; the scene has no truth, a network is not
+            there, a click is no click, or no cameras can be found; or the scene has depth that belongs to its cameras and
+            cannot be made anew for others.
     """
     prompts = parse_prompts(options.mask_click, options.mask_box, scene)
     if prompts and options.given.masks is not None:
         raise InputError("--given.masks and --mask-click or --mask-box both say what moves: give one of them.")
     _require_pictures_as_they_are(options)
-    _set_aside(scene, options, bool(prompts))
-    missing = _missing(scene)
+    unwanted = _unwanted(scene, options, bool(prompts))
+    _say_what_is_kept(scene, unwanted)
     seconds: dict[str, float] = {}
-    if options.priors == "true" and missing:
+    if options.priors == "true" and (unwanted or _missing(scene)):
+        true_layers(scene)
+        _forget(scene, unwanted)
         seconds["truth"] = _timed(lambda: use_truth(scene))
-        _set_aside(scene, options, bool(prompts))
-        missing = _missing(scene)
-    # Networks are loaded before anything is computed: that one is missing is said now, and not after minutes of other work.
-    estimate = _flow_estimator(options, device) if {"flow", "masks", "depth"} & set(missing) else dis_estimator
+        unwanted = _unwanted(scene, options, bool(prompts))
+    # Networks are loaded before anything is forgotten or computed: that one is missing is said now, not after minutes of work.
+    due = {*_missing(scene), *unwanted}
+    estimate = _flow_estimator(options, device) if {"flow", "masks", "depth"} & due else dis_estimator
+    ours = [name for name in _CHOICES if name in due and getattr(options.given, name) is None]
+    chosen = {name: _CHOICES[name](scene, options, prompts, estimate, device) for name in ours}
+    _forget(scene, unwanted)
+    missing = _missing(scene)
     later: dict[str, Stage] = {}
     if options.given != GivenPriors() and missing:
         start = time.perf_counter()
         later = use_given(scene, options.given, estimate)
         seconds["given"] = time.perf_counter() - start
         missing = _missing(scene)
-    chosen = set(missing) - set(later)
     stages = {
         "cameras": lambda: camera_stage(scene, options.cameras),
         "flow": lambda: flow_stage(scene, options.flow, estimate),
         "tracks": lambda: tracks_stage(scene),
-        **{name: choose(scene, options, prompts, estimate, device) for name, choose in _CHOICES.items() if name in chosen},
+        **chosen,
         **later,
     }
     for name in missing:
@@ -112,46 +134,103 @@ def _require_pictures_as_they_are(options: PriorsOptions) -> None:
 
 def _missing(scene: Scene) -> list[str]:
     """The priors that are not there, in the order in which they need each other."""
-    return [name for name in ("cameras", "flow", "masks", "depth", "tracks") if scene.prior(name) is None]
+    return [name for name in _PRIORS if scene.prior(name) is None]
 
 
-def _set_aside(scene: Scene, options: PriorsOptions, has_prompts: bool) -> None:
-    """Forget priors that the user wants from elsewhere: from clicks, or from files that cannot be read in at once."""
-    by_prompts = "clicks" if options.masks == "motion" else options.masks
-    wanted = {
-        "masks": by_prompts if has_prompts else None,
-        "depth": "given" if options.given.depth else None,
-        "tracks": "given" if options.given.tracks else None,
-    }
-    # Motion only shows a network what to follow, so its masks are not yet what was asked for.
-    if options.masks != "motion" and (scene.prior("masks") or {}).get("method") == "motion":
-        wanted["masks"] = options.masks
+def _method(scene: Scene, name: str) -> str | None:
+    prior = scene.prior(name)
+    return None if prior is None else str(prior.get("method"))
+
+
+def _asked(options: PriorsOptions, has_prompts: bool) -> dict[str, str]:
+    """The method of every prior for which the options ask."""
+    asked: dict[str, str] = {}
+    if options.flow != "dis":
+        asked["flow"] = options.flow
+    if has_prompts or options.masks != "motion":
+        asked["masks"] = "clicks" if options.masks == "motion" else options.masks
+    if options.depth != "multiview":
+        asked["depth"] = options.depth
+    if options.priors == "true":
+        asked |= {name: "truth" for name in ("cameras", "masks", "depth") if name != "masks" or not has_prompts}
+    return asked | {name: "given" for name in _PRIORS if getattr(options.given, name) is not None}
+
+
+def _unwanted(scene: Scene, options: PriorsOptions, has_prompts: bool) -> set[str]:
+    """The priors that are there and must be computed anew: the user asks for other ones, or they follow from such.
+
+    Raises:
+        InputError: something that is there cannot be replaced.
+    """
     for name in ("cameras", "flow", "masks"):
-        existing = scene.prior(name)
-        if getattr(options.given, name) is not None and existing is not None and existing.get("method") != "given":
-            method = existing.get("method")
+        method = _method(scene, name)
+        if getattr(options.given, name) is not None and method not in (None, "given"):
             raise InputError(f"The scene has {name} already ({method}), which --given.{name} cannot replace. Start from the clip.")
-    for name, method in wanted.items():
-        existing = scene.prior(name)
-        if method is not None and existing is not None and existing.get("method") != method:
-            if name == "masks":
-                _forget_what_masks_shaped(scene)
-            _forget(scene, name)
+    asked = _asked(options, has_prompts)
+    if options.priors == "true" and _method(scene, "flow") == "truth":
+        asked.pop("flow", None)
+    found = {name for name, method in asked.items() if _method(scene, name) not in (None, method)}
+    are_own_other = "cameras" not in asked and _are_other_cameras_asked(scene, options.cameras)
+    if are_own_other:
+        found.add("cameras")
+    follow = dict(_FOLLOW)
+    if options.cameras.distortion == "radial" and LENS not in scene.info:
+        follow["cameras"] = ("flow", *follow["cameras"])
+    # What follows is only computed anew where that is done as it was; the result of clicks, say, is kept without new clicks.
+    usual = {"flow": ("dis",), "masks": ("motion",), "depth": ("multi-view", "guess"), "tracks": ("patches",)}
+    ways = usual | {name: (method,) for name, method in asked.items()}
+    for name in _PRIORS:
+        if name in found:
+            found |= {other for other in follow[name] if _method(scene, other) != "truth" and _method(scene, other) in ways[other]}
+    if are_own_other:
+        _require_new_cameras(scene, options.cameras, found)
+    return found
 
 
-def _forget(scene: Scene, name: str) -> None:
-    scene.info["priors"].pop(name, None)
-    if name == "depth":
+def _are_other_cameras_asked(scene: Scene, options: CameraOptions) -> bool:
+    """Whether our own cameras are there, but were computed with other settings than those that differ from the defaults."""
+    prior, usual = scene.prior("cameras") or {}, asdict(CameraOptions())
+    used = prior.get("options", {})
+    return prior.get("method") == OWN and any(
+        value not in (usual[name], used.get(name)) for name, value in asdict(options).items()
+    )
+
+
+def _require_new_cameras(scene: Scene, options: CameraOptions, unwanted: set[str]) -> None:
+    """Refuse to replace cameras under what was made for them and stays."""
+    method = _method(scene, "depth")
+    if method is not None and "depth" not in unwanted:
+        raise InputError(
+            f"The depth of {scene.name} ({method}) belongs to the cameras that are there, and these options would not make it "
+            "anew: start from the clip, or leave out what asks for other cameras."
+        )
+    if options.distortion == "radial" and LENS not in scene.info:
+        require_lens_in_pictures(scene, unwanted)
+
+
+def _say_what_is_kept(scene: Scene, unwanted: set[str]) -> None:
+    there = [name for name in _PRIORS if scene.prior(name) is not None]
+    for names, what in (
+        ([name for name in there if name in unwanted], "Computed anew, because other ones are asked for or follow"),
+        ([name for name in there if name not in unwanted], "Already there and kept"),
+    ):
+        if names:
+            say(f"{what}: {', '.join(f'{name} ({_method(scene, name)})' for name in names)}.")
+
+
+def _forget(scene: Scene, names: set[str]) -> None:
+    """Note that priors are not there, and delete those of their files that would be taken for what is being computed."""
+    if not names:
+        return
+    for name in names:
+        scene.info["priors"].pop(name, None)
+    if "depth" in names:
         scene.info["similarity"] = None  # It made the old depth's median 1.
     scene.save_info()
-
-
-def _forget_what_masks_shaped(scene: Scene) -> None:
-    """Depth stands movers before what is behind them, and tracks say which of them move: both are made anew with new masks."""
-    for name, files in (("depth", scene.folder / "depth"), ("tracks", scene.folder / "tracks.npz")):
-        if (scene.prior(name) or {}).get("method") not in ("given", "truth"):
-            _forget(scene, name)
-            shutil.rmtree(files) if files.is_dir() else files.unlink(missing_ok=True)
+    for name in names & {"flow", "depth"}:
+        shutil.rmtree(scene.folder / name, ignore_errors=True)
+    if "tracks" in names:
+        (scene.folder / "tracks.npz").unlink(missing_ok=True)
 
 
 def _flow_estimator(options: PriorsOptions, device: str) -> FlowEstimator:

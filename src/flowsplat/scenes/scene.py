@@ -90,6 +90,10 @@ class Scene(Layers):
             raise InputError(f"{path} is damaged: there must be two timestamps or more, finite and rising.")
         if sorted(self.train_frames + self.heldout_frames) != list(range(len(self.timestamps))):
             raise InputError(f"{path} is damaged: every frame must be either a training or a held-out frame.")
+        if len(self.train_frames) < 2:
+            raise InputError(f"{path} has {len(self.train_frames)} training frame(s): a moving scene needs at least two.")
+        if sorted(self.train_frames) != self.train_frames or sorted(self.heldout_frames) != self.heldout_frames:
+            raise InputError(f"{path} is damaged: the numbers of training and of held-out frames must rise.")
         self._train = set(self.train_frames)
 
     @staticmethod

@@ -186,6 +186,7 @@ def test_a_camera_that_stands_still_shows_no_lens(tmp_path):
     scene = scene_of(tmp_path / "scene", [texture(48, 64)] * 3)
     camera_stage(scene, CameraOptions(distortion="radial"))
     assert "No distortion of the lens shows" in scene.prior("cameras")["verdict"]
+    assert scene.prior("cameras")["options"] == {"focal": None, "solver": "auto", "distortion": "radial"}
     assert "lens" not in scene.info
 
 

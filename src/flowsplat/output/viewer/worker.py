@@ -91,15 +91,14 @@ class Worker:
             found = self._next_job()
             if found is not None:
                 self._serve(*found)
-            if self._tasks:
-                self._advance()
-            elif found is None:
+            if not self._advance() and found is None:
                 with self._condition:
                     restless = any(session.is_restless(time.monotonic()) for session, _ in self._sessions.values())
                     if not self._stopping:
                         self._condition.wait(_ACTIVE if restless else _IDLE)
-        for _, task in self._tasks:
-            self._close(task)
+        with self._condition:
+            for _, task in self._tasks:
+                self._close(task)
 
     def _watch(self) -> None:
         now = time.monotonic()
@@ -136,21 +135,25 @@ class Worker:
             with self._condition:
                 session.done(job, time.monotonic(), time.monotonic() - started)
 
-    def _advance(self) -> None:
+    def _advance(self) -> bool:
+        """One step of the task whose turn it is; False where there is none."""
         with self._condition:
+            if not self._tasks:  # looked at under the lock: the client of the last one may be leaving
+                return False
             client, task = self._tasks.popleft()
         try:
             next(task)
         except StopIteration:
-            return
+            return True
         except Exception as error:
             say(f"It could not be finished: {type(error).__name__}: {error}")
-            return
+            return True
         with self._condition:
             if client in self._sessions and not self._stopping:
                 self._tasks.append((client, task))
-                return
+                return True
         self._close(task)
+        return True
 
     @staticmethod
     def _close(task: Iterator[None]) -> None:

@@ -290,7 +290,10 @@ def _linearise(R, t, focal, k1, X, camera, point, uv, scale):
     return H, g, Hp, gp, cross, cross_lens
 
 
-def _eliminate_points(first, camera, cross, cross_lens, inverse, gp, S, b):
+def _eliminate_points(
+    first: np.ndarray, camera: np.ndarray, cross: np.ndarray, cross_lens: np.ndarray, inverse: np.ndarray, gp: np.ndarray,
+    S: np.ndarray, b: np.ndarray,
+) -> None:  # fmt: skip
     """Subtract from the lower half of S, which is all that is read, and from b what the points take up, in place.
 
     Tracks are taken in groups; within the frames that a group spans the blocks are a dense matrix, so that the product

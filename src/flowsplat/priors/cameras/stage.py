@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import asdict, dataclass
 from typing import Literal
 
 import cv2
@@ -26,6 +27,8 @@ SETTLED = 0.1
 """Pixels of the border by which a lens may change and count as found."""
 LENS = "lens"
 """Key of ``Scene.info``: the lens that was, or is being, taken out of the pictures."""
+OWN = "tracks"
+"""Method of cameras that this stage computed."""
 PENDING = "straightening"
 """Key of ``Scene.info``: what is known of the cameras while the pictures are being straightened."""
 
@@ -69,7 +72,7 @@ def camera_stage(scene: Scene, options: CameraOptions) -> None:
         return
     radial = options.distortion == "radial" and LENS not in scene.info
     if radial:
-        _require_lens_in_pictures(scene)
+        require_lens_in_pictures(scene)
     # Thresholds are in pixels of the size at which points are followed.
     unit = max(1.0, max(scene.width, scene.height) / WORKING_SIDE)
     followed, blank = follow_points(scene)
@@ -100,7 +103,8 @@ def camera_stage(scene: Scene, options: CameraOptions) -> None:
     gaps = Gaps(unplaced, breaks, blank, jumps, scene.timestamps)
     more = [main.reason(unit), _about_lens(lens, unit) if radial else ""]
     prior = {
-        "method": "tracks",
+        "method": OWN,
+        "options": asdict(options),
         "solver": main.judgements[0].solver,
         "solvers": [judgement.to_json(unit) for judgement in main.judgements],
         "motion": main.found.motion,
@@ -182,11 +186,18 @@ def _about_lens(lens: Lens | None, unit: float) -> str:
     )
 
 
-def _require_lens_in_pictures(scene: Scene) -> None:
-    """Refuse to straighten pictures that something else was made for."""
+def require_lens_in_pictures(scene: Scene, unwanted: Collection[str] = ()) -> None:
+    """Refuse to straighten pictures that something else was made for.
+
+    Args:
+        unwanted: priors that are about to be forgotten.
+
+    Raises:
+        InputError: names what was made for the pictures.
+    """
     if scene.truth is not None or scene.views:
         raise InputError(f"{scene.name} is rendered by pinholes: leave out --cameras.distortion radial.")
-    made = [name for name in ("flow", "depth", "tracks") if scene.prior(name) is not None]
+    made = [name for name in ("flow", "depth", "tracks") if scene.prior(name) is not None and name not in unwanted]
     if made:
         raise InputError(
             f"{' and '.join(made).capitalize()} of {scene.name} were made for the pictures as they came: "

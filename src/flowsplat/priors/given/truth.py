@@ -10,11 +10,24 @@ import numpy as np
 from flowsplat.common.errors import InputError
 from flowsplat.geometry import Camera
 from flowsplat.scenes import Scene, Tracks
+from flowsplat.scenes.layers import Layers
 
 
 def consecutive_pairs(scene: Scene) -> list[tuple[int, int]]:
     """Both directions between neighbouring training frames."""
     return [pair for i, j in pairwise(scene.train_frames) for pair in ((i, j), (j, i))]
+
+
+def true_layers(scene: Scene) -> Layers:
+    """The truth of a rendered scene.
+
+    Raises:
+        InputError: the scene has no truth.
+    """
+    truth = scene.truth
+    if truth is None or not truth.has_cameras:
+        raise InputError(f"{scene.name} has no truth: only rendered scenes do. Use --priors own.")
+    return truth
 
 
 def use_truth(scene: Scene) -> None:
@@ -25,9 +38,7 @@ def use_truth(scene: Scene) -> None:
     Raises:
         InputError: the scene has no truth.
     """
-    truth = scene.truth
-    if truth is None or not truth.has_cameras:
-        raise InputError(f"{scene.name} has no truth: only rendered scenes do. Use --priors own.")
+    truth = true_layers(scene)
     scene.write_cameras(truth.cameras)
     scene.finish_prior("cameras", method="truth", verdict="true cameras")
     for i in scene.train_frames:

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+
 from flowsplat.priors.flow import FlowEstimator, dis_estimator
 from flowsplat.priors.given.cameras import read_cameras
 from flowsplat.priors.given.depth import GivenDepth, open_depth
@@ -107,7 +109,7 @@ def _verdict(path: Path, maker: str) -> str:
 
 
 def _monocular(depth: GivenDepth, path: Path) -> Monocular:
-    def inverse(i: int):
+    def inverse(i: int) -> tuple[np.ndarray, np.ndarray]:
         found = depth.read(i)
         return 1 / found.depth, found.confidence
 
