@@ -114,7 +114,7 @@ class Frames:
         }  # fmt: skip
 
     def _by_graph(self, repeat: int) -> dict[str, float] | None:
-        """A frame by a CUDA graph, until the host knows that everything found room; depth is always drawn. Not for affine flow."""
+        """A frame by a CUDA graph, until the host knows that its buffers sufficed; depth is always drawn. Not for affine flow."""
         if self.flow is not None and self.flow.model != "displacement":
             return None
         renderer = FixedRenderer(self.model, *self.size, self.flow is not None)

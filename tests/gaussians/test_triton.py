@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from flowsplat.gaussians import culling
+from flowsplat.gaussians.culling import capacity as capacity_module
 from flowsplat.gaussians.culling import reference as cull_reference
-from flowsplat.gaussians.culling import rooms as rooms_module
 from flowsplat.gaussians.flow import FlowView, flow_features
 from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Active, Gaussians4D
 from flowsplat.gaussians.slicing import Slice, reference
@@ -63,22 +63,22 @@ def test_the_cull_fills_buffers_of_a_fixed_size():
 
 
 @pytest.mark.parametrize("granule", [4, 2048])
-def test_the_cull_fills_rooms_and_says_what_they_lacked(granule, monkeypatch):
+def test_the_cull_fills_the_rows_and_says_how_many_it_needed(granule, monkeypatch):
     given = cull_arguments(1500, Camera(np.eye(4), np.array([[40.0, 0, 20], [0, 40, 15], [0, 0, 1]]), 40, 30))
     rows, num_static = cull_triton.active_rows(*on_device(given))
-    monkeypatch.setattr(rooms_module, "GRANULE", granule)
-    rooms = culling.Rooms()
+    monkeypatch.setattr(capacity_module, "GRANULE", granule)
+    capacity = culling.RowCapacity()
     for attempt in range(2):
-        padded, needed = culling.padded_rows(*on_device(given), rooms)
+        padded, needed = culling.padded_rows(*on_device(given), capacity)
         assert needed.values() == [num_static, len(rows) - num_static]
-        for places, chosen in ((padded[: rooms.at_rest], rows[:num_static]), (padded[rooms.at_rest :], rows[num_static:])):
+        for places, chosen in ((padded[: capacity.at_rest], rows[:num_static]), (padded[capacity.at_rest :], rows[num_static:])):
             found = places[places >= 0]
             assert found.tolist() == chosen[: len(places)].tolist() == places[: len(found)].tolist()
-        assert rooms.hold(needed.values()) == (granule == 2048 or attempt == 1)
-        before = rooms.at_rest, rooms.moving
-        rooms.grow(needed.values())
-        assert granule == 4 or (rooms.at_rest, rooms.moving) == before
-        assert (rooms.at_rest % granule, rooms.moving % granule) == (0, 0)
+        assert capacity.fits(needed.values()) == (granule == 2048 or attempt == 1)
+        before = capacity.at_rest, capacity.moving
+        capacity.grow(needed.values())
+        assert granule == 4 or (capacity.at_rest, capacity.moving) == before
+        assert (capacity.at_rest % granule, capacity.moving % granule) == (0, 0)
 
 
 def differentiated(module, model, active, next_time, dtype, device):

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from flowsplat.common import devices
-from flowsplat.gaussians.culling import rooms
+from flowsplat.gaussians.culling import capacity
 from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
 from flowsplat.splatting import api as splatting
 from flowsplat.training.trainer import Trainer
@@ -21,10 +21,10 @@ ON_GPU = torch.cuda.is_available()
 
 @pytest.fixture
 def by_triton(monkeypatch):
-    """Call it, and from then on every operation is computed by the Triton kernels, on the CPU too, in small rooms."""
+    """Call it, and from then on every operation is computed by the Triton kernels, on the CPU too, with few rows."""
 
     def force() -> None:
-        monkeypatch.setattr(rooms, "GRANULE", 8)  # the interpreter takes its time with nobody, too
+        monkeypatch.setattr(capacity, "GRANULE", 8)  # the interpreter takes its time with nobody, too
         pick = splatting._pick
         monkeypatch.setattr(devices, "kernels_for", lambda value: "triton" if value.dtype == torch.float32 else "reference")
         monkeypatch.setattr(splatting, "_pick", lambda backend, means: "triton" if backend == "auto" else pick(backend, means))
@@ -119,9 +119,9 @@ def test_places_of_nobody_change_nothing_and_where_there_are_too_few_there_are_m
     monkeypatch.setattr(Trainer, "_backpropagate", counting)
     found = []
     for granule in granules:
-        monkeypatch.setattr(rooms, "GRANULE", granule)
+        monkeypatch.setattr(capacity, "GRANULE", granule)
         found.append(run())
-    monkeypatch.setattr(Gaussians4D, "active", lambda self, t, camera=None, rooms=None: padded(self, t, camera))
+    monkeypatch.setattr(Gaussians4D, "active", lambda self, t, camera=None, capacity=None: padded(self, t, camera))
     expected, figures, steps = run()
     assert steps == config.iterations * frames
     assert int(expected["counts"].max()) == config.iterations

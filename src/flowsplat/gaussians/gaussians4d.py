@@ -10,7 +10,7 @@ from torch import Tensor
 
 from flowsplat.common import devices
 from flowsplat.common.devices import Kernels, Later
-from flowsplat.gaussians.culling import Rooms, active_rows, border, padded_rows
+from flowsplat.gaussians.culling import RowCapacity, active_rows, border, padded_rows
 from flowsplat.gaussians.motion import LinearMotion, MotionModel, SeriesMotion, presence
 from flowsplat.geometry import Camera
 from flowsplat.splatting.harmonics import harmonics_count
@@ -142,7 +142,7 @@ class Gaussians4D:
 
     @torch.no_grad()
     def active(
-        self, t: float, camera: Camera | None = None, eps2d: float = EPS2D, rooms: Rooms | None = None
+        self, t: float, camera: Camera | None = None, eps2d: float = EPS2D, capacity: RowCapacity | None = None
     ) -> Active:
         """Those with p(t) >= p_min, and of those at rest only what ``camera`` may show (all of them without one).
 
@@ -150,9 +150,9 @@ class Gaussians4D:
             t: clip time.
             camera: who looks.
             eps2d: px^2 of blur that they will be rendered with.
-            rooms: so that nobody waits for a GPU: where Triton kernels slice, the rows have as many places as this says. Look
-                at ``fits()`` of the result before anything that was made with it is used, and where not, grow the rooms.
-                None = the host waits for their number.
+            capacity: so that the host need not wait for a GPU: where Triton kernels slice, there are as many rows as this says.
+                Look at ``fits()`` of the result before anything that was made with it is used, and where not, grow the
+                capacity. None = the host waits for their number.
         """
         params = self.params
         if camera is not None:
@@ -161,9 +161,9 @@ class Gaussians4D:
             self.at_rest, params["means"], params.get("log_scales"), params["times"], self.motion.log_precision(params), t,
             self.config.p_min, camera, NEAR_PLANE,
         )  # fmt: skip
-        if rooms is not None and self.sliced_by == "triton":
-            padded, needed = padded_rows(*given, rooms)
-            return Active(padded, rooms.at_rest, t, needed)
+        if capacity is not None and self.sliced_by == "triton":
+            padded, needed = padded_rows(*given, capacity)
+            return Active(padded, capacity.at_rest, t, needed)
         rows, num_static = active_rows(*given)
         return Active(rows, num_static, t)
 

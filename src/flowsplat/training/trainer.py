@@ -17,7 +17,7 @@ from flowsplat.common.devices import upload
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_json, write_json
 from flowsplat.common.progress import progress_bar, say
-from flowsplat.gaussians.culling import Rooms
+from flowsplat.gaussians.culling import RowCapacity
 from flowsplat.gaussians.density import DensityResult, DensityStatistics, densify, prune, reset_opacities, revise_dynamic
 from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
 from flowsplat.gaussians.initialize import initialize, sampled_frames
@@ -46,12 +46,12 @@ Entry = dict[str, float | Tensor]
 class Trainer:
     """Trains 4D Gaussians on observations; can stop at any step and go on from its last checkpoint to the same bits.
 
-    On a GPU the host runs ahead. Of a step it has to know two things only: whether all active Gaussians found room (``Rooms``),
-    and all their pairs with a tile (``splatting.triton.tiles.Room``). Both are counted before the Gaussians are blended, and read
-    when there is more than that in the GPU's queue: the pairs after the forward pass, the Gaussians after the backward pass. Where
-    there was too little room, there is more from then on, and the frame is computed again before anything is changed. It does
-    wait every ``RECORD_EVERY`` steps for the history, and where neighbours are searched, density is controlled, or a preview or
-    a checkpoint is written.
+    On a GPU the host runs ahead. Of a step it has to know two things only: whether there were enough rows for the active Gaussians
+    (``RowCapacity``) and enough slots for their pairs with a tile (``splatting.triton.tiles.PairCapacity``). Both are counted
+    before the Gaussians are blended, and read when there is more than that in the GPU's queue: the pairs after the forward pass,
+    the Gaussians after the backward pass. Where there were too few, there are more from then on, and the frame is computed again
+    before anything is changed. It does wait every ``RECORD_EVERY`` steps for the history, and where neighbours are searched,
+    density is controlled, or a preview or a checkpoint is written.
 
     Attributes:
         gaussians: the model so far.
@@ -97,7 +97,7 @@ class Trainer:
         self._rng = np.random.default_rng(config.seed)
         self._generator = torch.Generator().manual_seed(config.seed)
         self._queue: list[int] = []
-        self._rooms = Rooms()
+        self._capacity = RowCapacity()
         self._everybody: Active | None = None
         self._neighbours: Neighbours | None = None
         self._neighbours_found = 0
@@ -228,16 +228,16 @@ class Trainer:
     def _differentiate(self, k: int) -> tuple[Active, Tensor, Gradients, Entry]:
         """Render training frame k and return what was active, what was drawn [A], the gradients of its loss, and figures.
 
-        Until the loss is differentiated nothing is kept but what only depends on the step, so that a frame whose Gaussians did
-        not all find room can be computed again. Their number is asked for when all that is in the queue of the GPU.
+        Until the loss is differentiated nothing is kept but what only depends on the step, so that a frame with too few rows
+        for its Gaussians can be computed again. Their number is asked for when all that is in the queue of the GPU.
         """
         frame, targets = self.observations[k], self._targets[k]
         while True:
-            active = self.gaussians.active(frame.time, frame.camera, rooms=self._rooms)
+            active = self.gaussians.active(frame.time, frame.camera, capacity=self._capacity)
             rendered, gradients, entry = self._backpropagate(k, active, targets)
             if active.fits():
                 break
-            self._rooms.grow(active.counts())
+            self._capacity.grow(active.counts())
         drawn = rendered.projected.visible
         with torch.no_grad():
             self._count(targets, active, rendered, drawn)

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from flowsplat.common.devices import Later, upload
 from flowsplat.gaussians.culling import reference
-from flowsplat.gaussians.culling.rooms import Rooms
+from flowsplat.gaussians.culling.capacity import RowCapacity
 from flowsplat.geometry import Camera
 
 BLOCK = 1024
@@ -76,8 +76,8 @@ def _mark(
 
 
 @triton.jit
-def _collect(keep, counts, ends, rows, room_at_rest, room, count, blocks, BLOCK: tl.constexpr):
-    """Write the kept rows in order: those at rest from 0 to room_at_rest, those that move from there to room.
+def _collect(keep, counts, ends, rows, rows_at_rest, capacity, count, blocks, BLOCK: tl.constexpr):
+    """Write the kept rows in order: those at rest from 0 to rows_at_rest, those that move from there to capacity.
 
     ends [2, blocks]: how many of a kind there are up to the end of a block.
     """
@@ -88,9 +88,9 @@ def _collect(keep, counts, ends, rows, room_at_rest, room, count, blocks, BLOCK:
     first = tl.load(ends + block) - tl.load(counts + block)
     last = tl.load(ends + blocks + block) - tl.load(counts + blocks + block)
     place = first + tl.cumsum(resting, 0) - resting
-    tl.store(rows + place, i.to(tl.int64), mask=(kind == 1) & (place < room_at_rest))
-    place = room_at_rest + last + tl.cumsum(moving, 0) - moving
-    tl.store(rows + place, i.to(tl.int64), mask=(kind == 2) & (place < room))
+    tl.store(rows + place, i.to(tl.int64), mask=(kind == 1) & (place < rows_at_rest))
+    place = rows_at_rest + last + tl.cumsum(moving, 0) - moving
+    tl.store(rows + place, i.to(tl.int64), mask=(kind == 2) & (place < capacity))
 
 
 def lens_numbers(t: float, camera: Camera | None) -> np.ndarray:
@@ -115,7 +115,7 @@ class Marked:
             at_rest: and the other tensors: see ``api.active_rows``.
             lens: ``lens_numbers`` on the device.
             p_min: see ``api.active_rows``.
-            size: (width, height) of the camera; None = everybody at rest is seen.
+            size: (width, height) of the camera; None = all at rest are seen.
             near: see ``api.active_rows``.
         """
         self._count, self._blocks = len(means), max(triton.cdiv(len(means), BLOCK), 1)
@@ -130,16 +130,16 @@ class Marked:
         )  # fmt: skip
         self.ends = torch.cumsum(self._counts, 1, dtype=torch.int32)
 
-    def collect(self, rows: Tensor, room_at_rest: int) -> None:
-        """Fill rows: those at rest up to ``room_at_rest``, the moving ones after it; what finds no room is left out."""
+    def collect(self, rows: Tensor, rows_at_rest: int) -> None:
+        """Fill rows: those at rest up to ``rows_at_rest``, the moving ones after it; what exceeds the rows is left out."""
         _collect[(self._blocks,)](
-            self._keep, self._counts, self.ends, rows, room_at_rest, len(rows), self._count, self._blocks, BLOCK=BLOCK
+            self._keep, self._counts, self.ends, rows, rows_at_rest, len(rows), self._count, self._blocks, BLOCK=BLOCK
         )
 
-    def padded(self, rooms: Rooms) -> Tensor:
-        """Rows of as many as there is room for; -1 in every place that stays empty."""
-        rows = torch.full((rooms.at_rest + rooms.moving,), -1, dtype=torch.int64, device=self._keep.device)
-        self.collect(rows, rooms.at_rest)
+    def padded(self, capacity: RowCapacity) -> Tensor:
+        """As many rows as ``capacity`` says; -1 in those that are padding."""
+        rows = torch.full((capacity.at_rest + capacity.moving,), -1, dtype=torch.int64, device=self._keep.device)
+        self.collect(rows, capacity.at_rest)
         return rows
 
 
@@ -165,8 +165,8 @@ def active_rows(
 
 def padded_rows(
     at_rest: Tensor, means: Tensor, log_scales: Tensor | None, times: Tensor, log_lambdas: Tensor, t: float, p_min: float,
-    camera: Camera | None, near: float, rooms: Rooms,
+    camera: Camera | None, near: float, capacity: RowCapacity,
 ) -> tuple[Tensor, Later]:  # fmt: skip
     """See ``api.padded_rows``."""
     marked = _marked(at_rest, means, log_scales, times, log_lambdas, t, p_min, camera, near)
-    return marked.padded(rooms), Later(marked.ends[:, -1])
+    return marked.padded(capacity), Later(marked.ends[:, -1])
