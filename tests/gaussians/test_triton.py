@@ -115,7 +115,7 @@ def test_slicing_matches_its_oracle(config, degree, next_time):
 
 
 @pytest.mark.parametrize("dynamic", [True, False])
-def test_slicing_where_all_move_or_all_rest_or_nobody_is_there(dynamic):
+def test_slicing_where_all_move_or_all_rest_or_there_are_none(dynamic):
     gaussians = random_model(BASE).to(DEVICE)
     gaussians.dynamic[:] = dynamic
     for active in (gaussians.active(0.5), Active(torch.empty(0, dtype=torch.int64, device=DEVICE), 0, 0.5)):
@@ -129,30 +129,30 @@ def test_slicing_where_all_move_or_all_rest_or_nobody_is_there(dynamic):
     assert not triton.slice_gaussians(gaussians, active, torch.zeros(3), None, None).means.requires_grad
 
 
-def test_rows_of_nobody_have_no_opacity_and_the_others_are_as_without_them():
+def test_padding_rows_have_no_opacity_and_the_others_are_as_without_them():
     gaussians = random_model(BASE).to(DEVICE)
     active = gaussians.active(0.5)
-    n, nobody = active.num_static, torch.full((7,), -1, device=DEVICE)
+    n, padding = active.num_static, torch.full((7,), -1, device=DEVICE)
     moment = torch.from_numpy(triton.moment_numbers(gaussians, 0.5, np.zeros(3), 0.6)).to(DEVICE)
     alone = triton.slice_rows(gaussians, active.rows, n, moment, True)
-    rows = torch.cat([active.rows[:n], nobody, active.rows[n:], nobody])
+    rows = torch.cat([active.rows[:n], padding, active.rows[n:], padding])
     padded = triton.slice_rows(gaussians, rows, n + 7, moment, True)
-    for value, with_nobody in zip(alone, padded, strict=True):
-        assert torch.isfinite(with_nobody).all()
-        chosen = (rows if len(with_nobody) == len(rows) else rows[n + 7 :]) >= 0
-        assert torch.equal(with_nobody[chosen], value)
+    for value, with_padding in zip(alone, padded, strict=True):
+        assert torch.isfinite(with_padding).all()
+        chosen = (rows if len(with_padding) == len(rows) else rows[n + 7 :]) >= 0
+        assert torch.equal(with_padding[chosen], value)
     assert float(padded[3][rows < 0].abs().max()) == 0
 
 
 @pytest.mark.parametrize("next_time", [None, 0.6])
-@pytest.mark.parametrize("anybody", [True, False])
-def test_nobody_has_no_gradient_whatever_arrives_and_the_others_have_theirs(next_time, anybody):
+@pytest.mark.parametrize("any_rows", [True, False])
+def test_padding_has_no_gradient_whatever_arrives_and_the_others_have_theirs(next_time, any_rows):
     gaussians = random_model(BASE).to(DEVICE)
     active = gaussians.active(0.5)
-    if not anybody:
+    if not any_rows:
         active = Active(active.rows[:0], 0, 0.5)
-    n, nobody = active.num_static, torch.full((7,), -1, device=DEVICE)
-    padded = Active(torch.cat([active.rows[:n], nobody, active.rows[n:], nobody]), n + 7, 0.5)
+    n, padding = active.num_static, torch.full((7,), -1, device=DEVICE)
+    padded = Active(torch.cat([active.rows[:n], padding, active.rows[n:], padding]), n + 7, 0.5)
     found = []
     for case in (active, padded):
         gradients = {}
@@ -173,10 +173,10 @@ def test_nobody_has_no_gradient_whatever_arrives_and_the_others_have_theirs(next
 
 
 @pytest.mark.parametrize("features_of", [flow_triton.blend_displacement, flow_triton.blend_affine])
-def test_nobody_is_drawn(features_of):
+def test_padding_is_not_drawn(features_of):
     gaussians = random_model(BASE).to(DEVICE)
-    nobody, view, gradients = Active(torch.full((20,), -1, device=DEVICE), 9, 0.5), camera(), {}
-    sliced = triton.slice_gaussians(gaussians, nobody, torch.zeros(3), 0.6, gradients)
+    padding, view, gradients = Active(torch.full((20,), -1, device=DEVICE), 9, 0.5), camera(), {}
+    sliced = triton.slice_gaussians(gaussians, padding, torch.zeros(3), 0.6, gradients)
     given = sliced.means, sliced.quats, sliced.scales, sliced.opacities, *view.tensors(device=DEVICE)
     projected = project(*given, view.width, view.height, backend="triton")
     views = (view, view) if features_of is flow_triton.blend_affine else (view,)

@@ -104,7 +104,7 @@ def test_a_mean_follows_who_is_pruned_and_begins_anew_with_who_is_born():
     assert mean["means"].tolist() == [1, 3, 3]
 
 
-def test_after_the_last_step_nobody_is_born_or_reset():
+def test_after_the_last_step_no_gaussian_is_added_or_reset():
     config = tiny("paper")
     every = replace(config.density, every=1, start=2, gradient=1e-9, reset_every=2)
     start = a_few(config)
@@ -140,7 +140,7 @@ def test_all_presets_make_sense():
         preset.check()
 
 
-def test_a_training_that_prunes_everybody_says_so():
+def test_a_training_that_prunes_all_gaussians_says_so():
     config = tiny("paper")
     density = replace(config.density, every=1, start=1, prune_opacity=2.0)
     start = a_few(config)

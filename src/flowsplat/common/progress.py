@@ -1,4 +1,4 @@
-"""One way to show progress: rich bars with the time that is left, on stderr, quiet when nobody watches."""
+"""One way to show progress: rich bars with the time that is left, on stderr, quiet away from a terminal."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ console = Console(stderr=True, highlight=False)
 
 
 def say(message: str) -> None:
-    """Print one line for the person who watches."""
+    """Print one line on stderr."""
     console.print(message, markup=False, soft_wrap=True)
 
 

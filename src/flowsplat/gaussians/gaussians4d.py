@@ -60,15 +60,15 @@ class ModelConfig:
 class Active:
     """The Gaussians that are rendered at one time: first those at rest, then those that move.
 
-    On a GPU that nobody waits for (``rooms`` of ``Gaussians4D.active``) there are places for more rows than are active. Nobody,
-    -1, is in those: to the Triton kernels a Gaussian of opacity 0 without a gradient. The host asks how many are active when
-    everything that needs the rows is in the GPU's queue.
+    Where the host does not wait for a GPU (``capacity`` of ``Gaussians4D.active``) there are more rows than active Gaussians. The
+    others are padding, -1: to the Triton kernels a Gaussian of opacity 0 without a gradient. The host asks how many are active
+    when everything that needs the rows is in the GPU's queue.
 
     Attributes:
-        rows: [A] int64 into the parameters; -1 = nobody, in the last places for those at rest and in the last of all.
+        rows: [A] int64 into the parameters; -1 = padding, behind those at rest and behind those that move.
         num_static: how many of them are for those at rest (and have gains instead of motion).
         t: clip time.
-        needed: how many are at rest and moving, whether they found a place or not; None = they fill the rows.
+        needed: how many are at rest and moving, whether there is a row for each or not; None = they fill the rows.
     """
 
     rows: Tensor
@@ -84,12 +84,12 @@ class Active:
         return resting, moving
 
     def fits(self) -> bool:
-        """Whether all of them found a place. Waits like ``counts``."""
+        """Whether there is a row for each of them. Waits like ``counts``."""
         resting, moving = self.counts()
         return resting <= self.num_static and moving <= len(self.rows) - self.num_static
 
-    def somebody(self, values: Tensor) -> Tensor:
-        """Of values [A] of the rows those of somebody, who all have a place. Waits like ``counts``."""
+    def valid(self, values: Tensor) -> Tensor:
+        """Of values [A] of the rows those that are not padding's; all must fit. Waits like ``counts``."""
         if self.needed is None:
             return values
         resting, moving = self.counts()
@@ -173,7 +173,7 @@ class Gaussians4D:
         return devices.kernels_for(self.params["means"]) if isinstance(self.motion, SeriesMotion) else "reference"
 
     def gather(self, active: Active) -> dict[str, Tensor]:
-        """Copies of the rows that are rendered, as leaves for a gradient; everybody must be somebody."""
+        """Copies of the rows that are rendered, as leaves for a gradient; none may be padding."""
         return {name: value[self.rows_of(name, active)] for name, value in self.params.items()}
 
     @property

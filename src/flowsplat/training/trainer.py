@@ -40,7 +40,7 @@ RECORD_EVERY = 10
 Preview = Callable[[int, Observation, RenderedFrame], None]
 Record = Callable[[dict[str, float]], None]
 Entry = dict[str, float | Tensor]
-"""Figures of a step by name; tensors of the GPU as long as nobody needs to know them."""
+"""Figures of a step by name; tensors of the GPU as long as the host need not know them."""
 
 
 class Trainer:
@@ -98,7 +98,7 @@ class Trainer:
         self._generator = torch.Generator().manual_seed(config.seed)
         self._queue: list[int] = []
         self._capacity = RowCapacity()
-        self._everybody: Active | None = None
+        self._all_rows: Active | None = None
         self._neighbours: Neighbours | None = None
         self._neighbours_found = 0
         self._recent: list[Entry] = []
@@ -112,7 +112,7 @@ class Trainer:
 
     def run(self) -> Gaussians4D:
         """Train from the last checkpoint, or from the beginning, to the end."""
-        self._everybody, self._started = None, clock.perf_counter()
+        self._all_rows, self._started = None, clock.perf_counter()
         if not self._load_checkpoint():
             start = self._start or initialize(
                 self.observations, self.tracks, self.config.model, self.config.init, self.config.seed,
@@ -166,7 +166,7 @@ class Trainer:
     def _accumulate(self, frames: list[int]) -> list[Entry]:
         """One optimizer step along the mean gradient of several frames."""
         gaussians = self.gaussians
-        # The last one is where nobody, -1, points to.
+        # The last one is where padding, -1, points to.
         count = len(gaussians)
         totals = {name: value.new_zeros(count + 1, *value.shape[1:]) for name, value in gaussians.params.items()}
         touched = torch.zeros(count + 1, dtype=torch.bool, device=self._device)
@@ -178,7 +178,7 @@ class Trainer:
                 totals[name][gaussians.rows_of(name, active)] += gradient * share.view(-1, *(1,) * (gradient.ndim - 1))
             touched[active.rows] |= drawn
             entries.append(entry)
-        active = self._everybody = self._everybody or _everybody(gaussians)
+        active = self._all_rows = self._all_rows or _all_rows(gaussians)
         self._apply(active, touched[active.rows], {n: total[gaussians.rows_of(n, active)] for n, total in totals.items()})
         return entries
 
@@ -188,7 +188,7 @@ class Trainer:
         return float(self.observations[0].camera.K[0, 0])
 
     def _apply(self, active: Active, drawn: Tensor, gradients: Gradients) -> None:
-        self._adam.begin_step(active.somebody(active.rows), active.somebody(drawn))
+        self._adam.begin_step(active.valid(active.rows), active.valid(drawn))
         rates_at_rest, rates_moving = self.rates(), self.rates(moving=True)
         for name, gradient in gradients.items():
             value, having = self.gaussians.params[name], self.gaussians.part(name, active)
@@ -306,21 +306,21 @@ class Trainer:
 
     def _count(self, targets: PictureTargets, active: Active, rendered: RenderedFrame, visible: Tensor) -> None:
         """Add this picture to the statistics of density control."""
-        statistics, rows = self._statistics, active.somebody(active.rows)
+        statistics, rows = self._statistics, active.valid(active.rows)
         if self.config.density.gradient > 0:
             gradient = rendered.projected.means2d.grad
             assert gradient is not None
             width, height = self.observations.size
             scaled = gradient * upload(torch.tensor([width / 2, height / 2], dtype=gradient.dtype), gradient.device)
-            statistics.gradient[rows] += active.somebody(torch.where(visible, scaled.norm(dim=1), 0))
-            statistics.visits[rows] += active.somebody(visible)
+            statistics.gradient[rows] += active.valid(torch.where(visible, scaled.norm(dim=1), 0))
+            statistics.visits[rows] += active.valid(visible)
         # Every fourth step is enough evidence, and saves a twentieth of the time.
         sampled = self._revises and self.step % 4 == 0
         if sampled and rendered.flow is not None and targets.flow is not None:
             seen, residual = _flow_residual(targets, rendered)
             seen &= visible
-            statistics.flow_residual[rows] += active.somebody(torch.where(seen, residual, 0))
-            statistics.flow_visits[rows] += active.somebody(seen)
+            statistics.flow_residual[rows] += active.valid(torch.where(seen, residual, 0))
+            statistics.flow_visits[rows] += active.valid(seen)
 
     # -- after a step
 
@@ -366,7 +366,7 @@ class Trainer:
         if len(self.gaussians) == 0:
             raise InputError(f"No Gaussian is left at step {self.step}: --train.density prunes them all.")
         self._statistics = DensityStatistics.zeros(len(self.gaussians), self._device)
-        self._everybody = None
+        self._all_rows = None
 
     def _adopt(self, result: DensityResult) -> None:
         self._adam.follow(result.index, result.is_new)
@@ -453,7 +453,7 @@ def _plain(value: Any) -> Any:
     return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
 
 
-def _everybody(gaussians: Gaussians4D) -> Active:
+def _all_rows(gaussians: Gaussians4D) -> Active:
     """All of them, those at rest first. Waits for a GPU to count those."""
     rests = gaussians.at_rest
     resting = torch.nonzero(rests)

@@ -1,6 +1,6 @@
 """Slicing and its gradient as two Triton kernels, a lane a Gaussian. Oracle: ``reference`` (series motion only).
 
-Rows are read where they lie. Blocks in which everything rests skip the series. A row of -1 is nobody: it is written as a Gaussian
+Rows are read where they lie. Blocks in which everything rests skip the series. A row of -1 is padding: it is written as a Gaussian
 of opacity 0 and its gradient is 0, so that buffers of a fixed size can be filled in part.
 """
 
@@ -224,7 +224,7 @@ def _backward(
     HAS_NEXT: tl.constexpr, MEAN_POLY: tl.constexpr, MEAN_FOURIER: tl.constexpr, QUAT_POLY: tl.constexpr,
     QUAT_FOURIER: tl.constexpr, GAINS: tl.constexpr, HARMONICS: tl.constexpr, STORED: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """Every number of every d_... is written, so that they need not be cleared before; that of nobody is 0, whatever arrives."""
+    """Every number of every d_... is written, so that they need not be cleared before; that of padding is 0, whatever arrives."""
     block = tl.program_id(0)
     a = block * BLOCK + tl.arange(0, BLOCK)
     inside = a < count
@@ -331,7 +331,7 @@ def slice_rows(gaussians: Gaussians4D, rows: Tensor, resting: int, moment: Tenso
 
     Args:
         gaussians: the model.
-        rows: [A] int64; -1 = nobody.
+        rows: [A] int64; -1 = padding.
         resting: how many of the rows, the first ones, are for Gaussians at rest.
         moment: ``moment_numbers`` on the device.
         has_next: whether means and quats at the other time are wanted.

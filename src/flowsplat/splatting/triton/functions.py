@@ -153,7 +153,7 @@ class _Blend(torch.autograd.Function):
         (count, channels), device = ctx.feature.shape, image.device
         columns, rows = tiles.tile_grid(width, height)
         capacity = len(binned.slots)
-        # Zeros: behind the place where a tile stopped nobody writes.
+        # Zeros: behind the place where a tile stopped nothing is written.
         stride = -(-(blending.GEOMETRY + channels) // 4) * 4
         out = torch.zeros(capacity, stride, device=device)
         grad_means2d, grad_conics = torch.empty(count, 2, device=device), torch.empty(count, 3, device=device)
@@ -204,7 +204,7 @@ def blend(
     height: int,
     absolute: Tensor | None = None,  # [N, 2]
 ) -> tuple[Tensor, Tensor]:
-    """As ``reference.blend``, with the extents of ``project`` in place of the radii. Keeps nothing where nobody differentiates."""
+    """As ``reference.blend``, with the extents of ``project`` in place of the radii. Keeps nothing without a gradient."""
     inputs = means2d, conics, opacities, features
     if len(means2d) == 0:
         nothing = sum(value.sum() for value in inputs)

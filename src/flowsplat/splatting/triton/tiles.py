@@ -167,7 +167,7 @@ def fill_tiles(
     """Bring the Gaussians of every tile together, as many as the capacity allows."""
     count, device = len(means2d), means2d.device
     columns, rows = tile_grid(width, height)
-    # A tile number no tile has marks a slot that nobody uses, and sorts last. Narrow keys sort faster.
+    # A tile number no tile has marks an unused slot, and sorts last. Narrow keys sort faster.
     dtype = torch.int16 if columns * rows < 2**15 - 1 else torch.int32
     keys = torch.full((capacity,), columns * rows, dtype=dtype, device=device)
     owners = torch.zeros(capacity, dtype=torch.int32, device=device)

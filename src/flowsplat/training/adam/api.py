@@ -36,7 +36,7 @@ class RowAdam:
             name: of the parameter, whose moments these are.
             value: [N, ...], of D numbers a row.
             rows: [A] int64.
-            stepped: [A] bool; the other rows are left alone, as if they were not named, and may be -1, nobody.
+            stepped: [A] bool; the other rows are left alone, as if they were not named, and may be -1, padding.
             gradient: [A, ...] of the rows.
             rates: [D] learning rates.
         """

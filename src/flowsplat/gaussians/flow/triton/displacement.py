@@ -1,6 +1,6 @@
 """The features of colour, depth and displacement flow, and their gradient, in one Triton kernel each. Oracle: ``reference``.
 
-There is always a last channel for what the other camera does not see, so that nobody has to wait to learn whether it is needed.
+There is always a last channel for what the other camera does not see, so that the host need not wait to learn whether it is needed.
 """
 
 from __future__ import annotations
