@@ -14,8 +14,9 @@ import torch
 
 import flowsplat
 from flowsplat.common.errors import InputError
+from flowsplat.common.settings import from_plain, to_plain
 from flowsplat.pipeline import demo, prepare, run, stages, train
-from flowsplat.pipeline.config import RunConfig, from_plain, preset, to_plain
+from flowsplat.pipeline.config import RunConfig, preset
 from flowsplat.pipeline.folder import RunFolder
 from flowsplat.priors.given import GivenPriors
 from flowsplat.scenes import Scene

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 from collections.abc import Iterable, Iterator
 from typing import TypeVar
 
@@ -25,6 +26,12 @@ console = Console(stderr=True, highlight=False)
 def say(message: str) -> None:
     """Print one line on stderr."""
     console.print(message, markup=False, soft_wrap=True)
+
+
+@functools.cache
+def say_once(message: str) -> None:
+    """Print one line, the first time only that it is to be said."""
+    say(message)
 
 
 class Bar:

@@ -28,7 +28,8 @@ from flowsplat import __version__
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import make_folder, read_json, require_keys, write_json
 from flowsplat.common.memory import peak_memory
-from flowsplat.pipeline.config import RunConfig, from_plain, to_plain
+from flowsplat.common.settings import from_plain, to_plain
+from flowsplat.pipeline.config import RunConfig
 
 VERSION = 1
 
@@ -138,8 +139,8 @@ class RunFolder:
 
 
 def stage_key(*parts: Any) -> str:
-    """A short hash of everything that a stage depends on."""
-    text = json.dumps([to_plain(part) for part in parts], sort_keys=True)
+    """A short hash of everything that a stage depends on; settings count by the names that they had first."""
+    text = json.dumps([to_plain(part, first_names=True) for part in parts], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 

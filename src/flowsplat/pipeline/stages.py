@@ -18,6 +18,7 @@ from flowsplat.common.devices import pick_device
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import hash_files, read_json, write_json
 from flowsplat.common.progress import say
+from flowsplat.common.settings import to_plain
 from flowsplat.evaluation.evaluate import evaluate
 from flowsplat.evaluation.poses import refine_camera
 from flowsplat.gaussians.gaussians4d import Gaussians4D
@@ -29,7 +30,7 @@ from flowsplat.output.report import write_report
 from flowsplat.output.videos import RenderOptions, are_rendered, forget_videos, render_videos, settle
 from flowsplat.pictures.colors import float_to_bytes
 from flowsplat.pictures.sheets import preview_sheet
-from flowsplat.pipeline.config import RunConfig, check, to_plain
+from flowsplat.pipeline.config import RunConfig, check
 from flowsplat.pipeline.folder import RunFolder, stage_key
 from flowsplat.pipeline.summary import report_data
 from flowsplat.priors.prepare import prepare_priors
@@ -37,7 +38,7 @@ from flowsplat.scenes import Scene, Tracks
 from flowsplat.scenes.clip import InputOptions
 from flowsplat.scenes.ingest import fingerprint, ingest, is_ingested, kind_of_input, open_clip
 from flowsplat.scenes.layers import write_image
-from flowsplat.training.checkpoint import has_model, load_model, save_model
+from flowsplat.training.checkpoint import has_model, load_model, present_figures, save_model
 from flowsplat.training.config import TrainConfig, that_matter
 from flowsplat.training.static import static_config, static_start
 from flowsplat.training.trainer import Trainer
@@ -211,7 +212,8 @@ def _estimate(scene: Scene, config: TrainConfig) -> None:
 
 
 def _train_key(folder: RunFolder) -> str:
-    return stage_key(folder.book["stages"].get("prepare", {}).get("key"), that_matter(to_plain(folder.config.train)))
+    settings = to_plain(folder.config.train, first_names=True)
+    return stage_key(folder.book["stages"].get("prepare", {}).get("key"), that_matter(settings))
 
 
 def train(folder: RunFolder) -> SceneModel:
@@ -340,7 +342,7 @@ def _write_metrics(folder: RunFolder, metrics: dict[str, Any], seconds: Mapping[
     metrics["seconds"] = {**folder.seconds, **seconds}
     write_json(folder.path / "metrics.json", metrics)
     history_path = folder.path / "training" / "history.json"
-    history = read_json(history_path) if history_path.exists() else []
+    history = present_figures(read_json(history_path)) if history_path.exists() else []
     model = load(folder.path, folder.config.device)
     data = report_data(folder.path, Scene(folder.scene_path), model, metrics, history, folder.config)
     write_report(folder.path, data)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time as clock
 from collections.abc import Callable
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ from flowsplat.common.devices import upload
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_json, write_json
 from flowsplat.common.progress import progress_bar, say
+from flowsplat.common.settings import present_names, to_plain
 from flowsplat.gaussians.culling import RowCapacity
 from flowsplat.gaussians.density import DensityResult, DensityStatistics, densify, prune, reset_opacities, revise_dynamic
 from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
@@ -27,9 +27,9 @@ from flowsplat.gaussians.slicing import Gradients
 from flowsplat.scenes import Tracks
 from flowsplat.training.adam import RowAdam
 from flowsplat.training.average import EVERY, TailAverage
-from flowsplat.training.checkpoint import read_tensors, write_tensors
+from flowsplat.training.checkpoint import present_figures, read_tensors, write_tensors
 from flowsplat.training.config import TrainConfig, that_matter
-from flowsplat.training.openness import openness
+from flowsplat.training.coverage import coverage_loss
 from flowsplat.training.picture_loss import PictureTargets, PictureWeights, picture_loss
 from flowsplat.training.rigidity import Neighbours, find_neighbours, rigid_loss
 from flowsplat.training.targets import Targets
@@ -57,8 +57,8 @@ class Trainer:
         gaussians: the model so far.
         step: steps done.
         earlier_seconds: what earlier processes took for the steps that this one went on from.
-        history: one entry every ``RECORD_EVERY`` steps: step, loss, colour, flow, rigid, depth, open, psnr, gaussians,
-            active.
+        history: one entry every ``RECORD_EVERY`` steps: step, loss, colour, flow, rigid, depth, coverage, psnr,
+            gaussians, active.
     """
 
     def __init__(
@@ -262,16 +262,16 @@ class Trainer:
         rigid = self._rigid(active, rendered) if config.loss.rigid > 0 else None
         if rigid is not None:
             total = total + config.loss.rigid * rigid
-        opened = openness(rendered.alpha) if config.loss.opaque > 0 else None
-        if opened is not None:
-            total = total + config.loss.opaque * opened
+        coverage = coverage_loss(rendered.alpha) if config.loss.coverage > 0 else None
+        if coverage is not None:
+            total = total + config.loss.coverage * coverage
         total.backward()
         entry = {
             "colour": figures.colour,
             "flow": figures.flow,
             "depth": figures.depth,
             "rigid": _number(rigid) if rigid is not None else 0.0,
-            "open": _number(opened) if opened is not None else 0.0,
+            "coverage": _number(coverage) if coverage is not None else 0.0,
             "loss": _number(total),
             "psnr": _psnr(figures.squared_error),
         }
@@ -396,7 +396,7 @@ class Trainer:
             "averaged": self._average.count,
             "seconds": self.earlier_seconds + clock.perf_counter() - self._started,
             "history": self.history,
-            "config": asdict(self.config),
+            "config": to_plain(self.config),
         }
         name = f"step_{self.step:06d}.safetensors"
         write_tensors(self._checkpoints / name, tensors, values)
@@ -417,7 +417,8 @@ class Trainer:
         if not path.exists():  # a damaged one, which was deleted
             return False
         tensors, values = read_tensors(path)
-        if that_matter(values.get("config", {})) != that_matter(_plain(asdict(self.config))):
+        stored = present_names(TrainConfig, values.get("config", {}), "train.")
+        if that_matter(stored) != that_matter(to_plain(self.config)):
             raise InputError(f"{path} was written with other training settings. Use another output folder, or delete it.")
         try:
             self._restore(tensors, values)
@@ -440,17 +441,11 @@ class Trainer:
         self._generator.set_state(tensors["generator"])
         self._rng.bit_generator.state = values["rng"]
         self._queue, self.step = list(values["queue"]), int(values["step"])
-        self._recent, self.history = list(values["recent"]), list(values["history"])
+        self._recent = [{**entry} for entry in present_figures(values["recent"])]
+        self.history = present_figures(values["history"])
         self._neighbours_found = int(values["neighbours_found"])
         self.earlier_seconds = float(values["seconds"])
         self._neighbours = Neighbours(**group("neighbours")) if "neighbours.indices" in tensors else None
-
-
-def _plain(value: Any) -> Any:
-    """Dataclass fields as JSON gives them back: tuples become lists."""
-    if isinstance(value, dict):
-        return {name: _plain(item) for name, item in value.items()}
-    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
 
 
 def _all_rows(gaussians: Gaussians4D) -> Active:
