@@ -19,6 +19,7 @@ from tests.gaussians.test_flow import assert_alike, camera, feature_inputs, feat
 from tests.gaussians.test_slicing import BASE, CASES, OUTPUTS, random_model
 
 pytest.importorskip("triton", reason="Triton is not installed")
+from flowsplat.gaussians.camera_buffer import CAMERA, moment_numbers
 from flowsplat.gaussians.culling import triton as cull_triton
 from flowsplat.gaussians.flow import triton as flow_triton
 from flowsplat.gaussians.slicing import triton
@@ -53,8 +54,8 @@ def test_the_cull_keeps_what_its_oracle_and_the_cpu_keep(count, view):
 def test_the_cull_fills_buffers_of_a_fixed_size():
     given = cull_arguments(1500, None)
     rows, num_static = cull_triton.active_rows(*on_device(given))
-    lens = torch.from_numpy(cull_triton.lens_numbers(given[5], None))
-    marked = cull_triton.Marked(*on_device([*given[:5], lens]), given[6], None, given[8])
+    numbers, moment = torch.zeros(CAMERA.value), torch.tensor([given[5]])
+    marked = cull_triton.Marked(*on_device([*given[:5], numbers, moment]), given[6], None, given[8])
     buffer = torch.full((num_static + 10 + len(rows) - num_static - 3,), -1, device=DEVICE)
     marked.collect(buffer, num_static + 10)
     assert buffer[:num_static].tolist() == rows[:num_static].tolist()
@@ -133,7 +134,7 @@ def test_padding_rows_have_no_opacity_and_the_others_are_as_without_them():
     gaussians = random_model(BASE).to(DEVICE)
     active = gaussians.active(0.5)
     n, padding = active.num_static, torch.full((7,), -1, device=DEVICE)
-    moment = torch.from_numpy(triton.moment_numbers(gaussians, 0.5, np.zeros(3), 0.6)).to(DEVICE)
+    moment = torch.from_numpy(moment_numbers(gaussians.config.gains, 0.5, np.zeros(3), 0.6)).to(DEVICE)
     alone = triton.slice_rows(gaussians, active.rows, n, moment, True)
     rows = torch.cat([active.rows[:n], padding, active.rows[n:], padding])
     padded = triton.slice_rows(gaussians, rows, n + 7, moment, True)
@@ -256,6 +257,7 @@ def test_no_gaussians_have_no_features():
 def test_every_kernel_compiles_for_gpus_that_are_not_there():
     kernels = compiled("""
 from dataclasses import replace
+from flowsplat.gaussians.camera_buffer import camera_numbers
 from flowsplat.gaussians.culling import triton as culling
 from flowsplat.gaussians.flow import triton as flow
 from flowsplat.gaussians.slicing import Slice, triton as slicing
@@ -268,8 +270,8 @@ small = replace(BASE, sh_degree=2, mean_poly=3, mean_fourier=1, quat_poly=1, qua
 for config, degree, next_time, size in ((small, 0, None, None), (small, 2, 0.7, (64, 48))):
     gaussians = random_model(config, 200)
     gaussians.sh_degree, p = degree, gaussians.params
-    lens = torch.from_numpy(culling.lens_numbers(0.5, camera()))
-    given = gaussians.at_rest, p["means"], p["log_scales"], p["times"], p["log_lambdas"], lens
+    numbers, moment = torch.from_numpy(camera_numbers(camera())[0]), torch.tensor([0.5])
+    given = gaussians.at_rest, p["means"], p["log_scales"], p["times"], p["log_lambdas"], numbers, moment
     culling.Marked(*given, 0.05, size, 0.02).collect(torch.empty(200, dtype=torch.int64), 100)
     sliced = slicing.slice_gaussians(gaussians, gaussians.active(0.5), torch.zeros(3), next_time, {})
     (sliced.means.sum() + sliced.quats.sum()).backward()

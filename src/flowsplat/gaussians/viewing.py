@@ -12,13 +12,12 @@ import torch
 from torch import Tensor
 
 from flowsplat.common.devices import upload
+from flowsplat.gaussians.camera_buffer import CAMERA, camera_numbers, camera_tensors, moment_numbers, moment_size
 from flowsplat.gaussians.culling import RowCapacity, border
-from flowsplat.gaussians.culling.triton import LENS, Marked
-from flowsplat.gaussians.culling.triton import lens_numbers as culling_numbers
+from flowsplat.gaussians.culling.triton import Marked
 from flowsplat.gaussians.flow.triton.displacement import displacement_features
-from flowsplat.gaussians.flow.triton.lenses import lens_numbers
 from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Gaussians4D
-from flowsplat.gaussians.slicing.triton import moment_numbers, slice_rows
+from flowsplat.gaussians.slicing.triton import slice_rows
 from flowsplat.geometry import Camera
 from flowsplat.splatting import Projected, blend, project
 from flowsplat.splatting.rules import EPS2D
@@ -37,9 +36,9 @@ class FixedRenderer:
         device = gaussians.device
         self._border = border(eps2d)
         self._inside = torch.tensor([[0.0, 0, self._border], [0, 0, self._border], [0, 0, 0]], device=device)
-        moment = 5 + gaussians.config.gains
-        self._numbers = torch.zeros(LENS + moment + 25, device=device)
-        self._lens, self._moment, self._other = self._numbers.split([LENS, moment, 25])
+        sizes = [CAMERA.value, moment_size(gaussians.config.gains), CAMERA.value]
+        self._numbers = torch.zeros(sum(sizes), device=device)
+        self._widened, self._moment, self._other = self._numbers.split(sizes)
         self._rows, self._pairs = RowCapacity(), PairCapacity(device)
         self._graph: torch.cuda.CUDAGraph | None = None
         self._shown: tuple[Tensor, Tensor, Tensor] | None = None
@@ -59,9 +58,9 @@ class FixedRenderer:
         if (camera.width, camera.height) != self._size or (flow_to is not None) != self._with_flow:
             raise ValueError(f"this renders pictures of {self._size}, {'with' if self._with_flow else 'without'} flow")
         other, later = flow_to or (camera, None)
-        moment = moment_numbers(self._gaussians, t, camera.center, later)
-        seen_by = camera.widened(self._border)
-        numbers = np.concatenate([culling_numbers(t, seen_by), moment, lens_numbers(other)[0]])
+        moment = moment_numbers(self._gaussians.config.gains, t, camera.center, later)
+        widened, seen_from = camera_numbers(camera.widened(self._border), other)
+        numbers = np.concatenate([widened, moment, seen_from])
         self._numbers.copy_(upload(numbers.astype(np.float32), self._numbers.device))
         while True:
             image, alpha, needed = self._replay()
@@ -96,14 +95,14 @@ class FixedRenderer:
         """Everything that the device does for a frame; and how many Gaussians at rest and moving there were [2]."""
         g, (width, height) = self._gaussians, self._size
         p = g.params
-        given = (g.at_rest, p["means"], p["log_scales"], p["times"], p["log_lambdas"], self._lens)
+        given = (g.at_rest, p["means"], p["log_scales"], p["times"], p["log_lambdas"], self._widened, self._moment)
         widened = width + 2 * self._border, height + 2 * self._border
         marked = Marked(*given, g.config.p_min, widened, NEAR_PLANE)
         rows, resting = marked.padded(self._rows), self._rows.at_rest
         means, quats, scales, opacities, colours, _, next_means, _ = slice_rows(g, rows, resting, self._moment, self._with_flow)
-        viewmat, K = self._lens[1:17].view(4, 4), self._lens[17:].view(3, 3) - self._inside
+        viewmat, K = camera_tensors(self._widened)
         projected: Projected = project(
-            means, quats, scales, opacities, viewmat, K, width, height, near_plane=NEAR_PLANE, eps2d=self._eps2d,
+            means, quats, scales, opacities, viewmat, K - self._inside, width, height, near_plane=NEAR_PLANE, eps2d=self._eps2d,
             backend="triton",
         )
         if self._with_flow:
