@@ -16,9 +16,10 @@ from flowsplat.gaussians.camera_buffer import CAMERA, CX, CY, FX, FY, TIME, came
 from flowsplat.gaussians.culling import reference
 from flowsplat.gaussians.culling.capacity import RowCapacity
 from flowsplat.geometry import Camera
+from flowsplat.splatting.rules import TANGENT_MARGIN
 
 BLOCK = 1024
-REACH, BLUR, MARGIN = tl.constexpr(reference.REACH), tl.constexpr(reference.BLUR), tl.constexpr(reference.MARGIN)
+REACH, BLUR, MARGIN = tl.constexpr(reference.REACH), tl.constexpr(reference.BLUR), tl.constexpr(TANGENT_MARGIN)
 
 
 @triton.jit

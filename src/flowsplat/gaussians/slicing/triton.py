@@ -19,7 +19,7 @@ from flowsplat.gaussians.camera_buffer import CENTRE, COSINES, NEXT_TIME, TIME, 
 from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
 from flowsplat.gaussians.motion import SeriesMotion
 from flowsplat.gaussians.slicing.api import NAMES, Gradients, Slice
-from flowsplat.splatting.harmonics import C0, C1, C2, C3
+from flowsplat.splatting.rules import C0, C1, C2, C3
 
 BLOCK = 128
 
