@@ -39,7 +39,7 @@ from flowsplat.scenes.clip import InputOptions
 from flowsplat.scenes.ingest import fingerprint, ingest, is_ingested, kind_of_input, open_clip
 from flowsplat.scenes.layers import write_image
 from flowsplat.training.checkpoint import has_model, load_model, present_figures, save_model
-from flowsplat.training.config import TrainConfig, that_matter
+from flowsplat.training.config import TrainConfig, affecting_result
 from flowsplat.training.static import static_config, static_start
 from flowsplat.training.trainer import Trainer
 
@@ -213,7 +213,7 @@ def _estimate(scene: Scene, config: TrainConfig) -> None:
 
 def _train_key(folder: RunFolder) -> str:
     settings = to_plain(folder.config.train, first_names=True)
-    return stage_key(folder.book["stages"].get("prepare", {}).get("key"), that_matter(settings))
+    return stage_key(folder.book["stages"].get("prepare", {}).get("key"), affecting_result(settings))
 
 
 def train(folder: RunFolder) -> SceneModel:

@@ -200,13 +200,13 @@ _OURS = TrainConfig(
     density=DensityConfig(every=250, start=250, stop=0.8, gradient=0.0, prune_scale=0.0, reset_every=0),
 )
 
-NO_MATTER = ("checkpoint_every", "preview_every")
+NOT_AFFECTING_RESULT = ("checkpoint_every", "preview_every")
 """Settings of training that change no figure."""
 
 
-def that_matter(settings: Mapping[str, Any]) -> dict[str, Any]:
+def affecting_result(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Those settings of training, by name, on which the result depends."""
-    return {name: value for name, value in settings.items() if name not in NO_MATTER}
+    return {name: value for name, value in settings.items() if name not in NOT_AFFECTING_RESULT}
 
 
 PRESETS: dict[str, TrainConfig] = {

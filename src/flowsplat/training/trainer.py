@@ -28,7 +28,7 @@ from flowsplat.scenes import Tracks
 from flowsplat.training.adam import RowAdam
 from flowsplat.training.average import EVERY, TailAverage
 from flowsplat.training.checkpoint import present_figures, read_tensors, write_tensors
-from flowsplat.training.config import TrainConfig, that_matter
+from flowsplat.training.config import TrainConfig, affecting_result
 from flowsplat.training.coverage import coverage_loss
 from flowsplat.training.picture_loss import PictureTargets, PictureWeights, picture_loss
 from flowsplat.training.rigidity import Neighbours, find_neighbours, rigid_loss
@@ -418,7 +418,7 @@ class Trainer:
             return False
         tensors, values = read_tensors(path)
         stored = present_names(TrainConfig, values.get("config", {}), "train.")
-        if that_matter(stored) != that_matter(to_plain(self.config)):
+        if affecting_result(stored) != affecting_result(to_plain(self.config)):
             raise InputError(f"{path} was written with other training settings. Use another output folder, or delete it.")
         try:
             self._restore(tensors, values)
