@@ -12,7 +12,7 @@ from rich.table import Table
 
 from flowsplat.common.settings import flat, to_plain
 from flowsplat.evaluation.scores import pick
-from flowsplat.gaussians.rendering import Renderer
+from flowsplat.gaussians.renderer import Renderer
 from flowsplat.output.report import VIDEO_FOLDER, Comparison, FlowComparison, ReportData
 from flowsplat.output.videos import rendered
 from flowsplat.scenes import Scene

@@ -14,7 +14,7 @@ from typing import Any
 
 from flowsplat import __version__
 from flowsplat.common.files import read_json, write_json
-from flowsplat.gaussians.rendering import PartedRenderer
+from flowsplat.gaussians.renderer import PartedRenderer
 from flowsplat.output.videos.options import RenderOptions
 from flowsplat.output.videos.plans import Plan, plan_videos, settle
 from flowsplat.output.videos.writing import Scales, write_plan

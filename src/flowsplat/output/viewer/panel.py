@@ -9,7 +9,7 @@ import numpy as np
 import viser
 
 from flowsplat.common.spread import spread
-from flowsplat.gaussians.rendering import Part
+from flowsplat.gaussians.renderer import Part
 from flowsplat.output.viewer.drawing import Compare, Drawing, Look, Show
 from flowsplat.output.viewer.layout import Box, fitted
 from flowsplat.output.viewer.session import Job, Mode, Session

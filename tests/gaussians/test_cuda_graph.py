@@ -18,8 +18,8 @@ from tests.gaussians.test_flow import camera
 from tests.gaussians.test_gaussians import FROZEN, random_model
 
 pytest.importorskip("triton", reason="Triton is not installed")
+from flowsplat.gaussians.cuda_graph import FixedRenderer
 from flowsplat.gaussians.culling import capacity
-from flowsplat.gaussians.viewing import FixedRenderer
 
 DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
 SIZE = 40, 24
