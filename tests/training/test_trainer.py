@@ -93,12 +93,12 @@ def test_a_mean_that_was_begun_goes_on_to_the_same_bits(tmp_path):
 def test_a_mean_follows_who_is_pruned_and_begins_anew_with_who_is_born():
     average, params = TailAverage(), {"means": torch.arange(4.0)}
     average.add(params)
-    average.follow(torch.tensor([0, 2, 3]), torch.zeros(3, dtype=torch.bool))
+    average.reindex(torch.tensor([0, 2, 3]), torch.zeros(3, dtype=torch.bool))
     average.add({"means": torch.tensor([2.0, 4.0, 3.0])})
     mean = {"means": torch.zeros(3)}
     average.write(mean)
     assert mean["means"].tolist() == [1, 3, 3]
-    average.follow(torch.tensor([0, 1, 1]), torch.tensor([False, False, True]))
+    average.reindex(torch.tensor([0, 1, 1]), torch.tensor([False, False, True]))
     assert average.count == 0
     average.write(mean)
     assert mean["means"].tolist() == [1, 3, 3]

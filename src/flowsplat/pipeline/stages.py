@@ -104,7 +104,7 @@ def prepare(source: Path, out: Path, config: RunConfig | None = None) -> RunFold
             say(f"{source} is prepared already: what options or the preset take from a clip has no effect on it.")
     elif is_new:
         open_clip(source, config.input)  # Whatever is wrong with it is said before a folder is made.
-    before = {} if is_new else RunFolder(out).book
+    before = {} if is_new else RunFolder(out).record
     folder = RunFolder.open_or_create(out, str(source), identity, config)
     key = stage_key(identity, config.priors, hash_files("", config.priors.given.files()))
     if folder.is_finished("prepare", key):
@@ -122,7 +122,7 @@ def _put_aside(folder: RunFolder, before: Mapping[str, Any]) -> Iterator[None]:
     """The scene of other settings makes room for a new one, and comes back where that turns out to be impossible.
 
     Args:
-        before: the book of the run with those settings.
+        before: the record of the run with those settings.
     """
     if "prepare" in before["started"]:
         say("The settings of the priors, or the files given for them, changed: they are computed again.")
@@ -213,7 +213,7 @@ def _estimate(scene: Scene, config: TrainConfig) -> None:
 
 def _train_key(folder: RunFolder) -> str:
     settings = to_plain(folder.config.train, first_names=True)
-    return stage_key(folder.book["stages"].get("prepare", {}).get("key"), affecting_result(settings))
+    return stage_key(folder.record["stages"].get("prepare", {}).get("key"), affecting_result(settings))
 
 
 def train(folder: RunFolder) -> SceneModel:
@@ -222,7 +222,7 @@ def train(folder: RunFolder) -> SceneModel:
     Raises:
         InputError: the scene is not prepared, something in it is damaged, or the device does not work.
     """
-    if "prepare" not in folder.book["stages"]:
+    if "prepare" not in folder.record["stages"]:
         raise InputError(f"{folder.path} is not prepared yet: run flowsplat prepare first.")
     check(folder.config)  # before anything is deleted
     key = _train_key(folder)

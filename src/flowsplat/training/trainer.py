@@ -369,10 +369,10 @@ class Trainer:
         self._all_rows = None
 
     def _adopt(self, result: DensityResult) -> None:
-        self._adam.follow(result.index, result.is_new)
+        self._adam.reindex(result.index, result.is_new)
         if self._neighbours is not None:
-            self._neighbours = self._neighbours.follow(result.index)
-        self._average.follow(result.index, result.is_new)
+            self._neighbours = self._neighbours.reindex(result.index)
+        self._average.reindex(result.index, result.is_new)
         self.gaussians = result.gaussians
 
     # -- checkpoints

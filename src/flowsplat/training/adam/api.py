@@ -49,7 +49,7 @@ class RowAdam:
             rows, stepped, gradient.reshape(len(rows), -1), rates,
         )  # fmt: skip
 
-    def follow(self, index: Tensor, is_new: Tensor) -> None:
+    def reindex(self, index: Tensor, is_new: Tensor) -> None:
         """After density control: row k comes from old row ``index[k]``; new rows [M] bool start with empty moments."""
         for moments in (self.means, self.squares):
             for name, value in moments.items():

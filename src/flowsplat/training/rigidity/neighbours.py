@@ -44,7 +44,7 @@ class Neighbours:
         pairs = torch.argsort(flat, stable=True)[int(counts[0]) :].to(torch.int32)
         return torch.cumsum(counts, 0) - counts[0], pairs
 
-    def follow(self, index: Tensor) -> Neighbours:
+    def reindex(self, index: Tensor) -> Neighbours:
         """After density control: row i comes from old row ``index[i]``; of several copies the first one stays a neighbour."""
         device = index.device
         new = torch.full((len(self) + 1,), len(index), device=device)
