@@ -1,4 +1,4 @@
-"""The way of the data is the way of the imports: every room may only use the rooms before it."""
+"""The way of the data is the way of the imports: every package may only use the packages before it."""
 
 import ast
 from collections.abc import Iterator
@@ -20,14 +20,14 @@ MAY_IMPORT = {
     "scenes": FIRST,
     "priors": (*FIRST, "scenes"),
 }
-for room in ("gaussians", "training", "evaluation", "output", "pipeline", "protocols", "cli"):
-    MAY_IMPORT[room] = tuple(MAY_IMPORT)
-# The package's own face shows what the rooms offer; commands are not for importing.
+for name in ("gaussians", "training", "evaluation", "output", "pipeline", "protocols", "cli"):
+    MAY_IMPORT[name] = tuple(MAY_IMPORT)
+# ``flowsplat`` itself shows what its packages offer; commands are not for importing.
 MAY_IMPORT["__init__"] = tuple(name for name in MAY_IMPORT if name != "cli")
 
 
-def imported_rooms(source: str, package: str) -> Iterator[tuple[int, str]]:
-    """(line, room) of every import of this package in ``source``, wherever in the file it stands.
+def imported_packages(source: str, package: str) -> Iterator[tuple[int, str]]:
+    """(line, package) of every import of flowsplat in ``source``, wherever in the file it stands.
 
     Args:
         package: the dotted package that the module is in, to resolve relative imports.
@@ -47,17 +47,17 @@ def imported_rooms(source: str, package: str) -> Iterator[tuple[int, str]]:
 
 
 def violations(name: str, source: str) -> list[str]:
-    """The offending lines of a module, given as ``room/module.py``."""
+    """The offending lines of a module, given as ``package/module.py``."""
     parts = Path(name).with_suffix("").parts
-    room = parts[0]
-    if room not in MAY_IMPORT:
-        return [f"{name}: {room!r} is no room of the house (CONTRIBUTING.md)"]
-    package = ".".join(["flowsplat", *parts[:-1]])
+    package = parts[0]
+    if package not in MAY_IMPORT:
+        return [f"{name}: {package!r} is no package that is listed (CONTRIBUTING.md)"]
+    dotted = ".".join(["flowsplat", *parts[:-1]])
     lines = source.splitlines()
     return [
-        f"{name}:{line}: {room} must not import {target}: {lines[line - 1].strip()}"
-        for line, target in imported_rooms(source, package)
-        if target not in (room, *MAY_IMPORT[room], "__version__")
+        f"{name}:{line}: {package} must not import {target}: {lines[line - 1].strip()}"
+        for line, target in imported_packages(source, dotted)
+        if target not in (package, *MAY_IMPORT[package], "__version__")
     ]
 
 

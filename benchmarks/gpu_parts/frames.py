@@ -13,11 +13,11 @@ from cpu_parts.timing import replaced, significant
 from cpu_parts.work_load import work_load
 from torch import Tensor
 
+from flowsplat.gaussians.cuda_graph import FixedRenderer
 from flowsplat.gaussians.flow import FlowView, blend_features
 from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Gaussians4D
 from flowsplat.gaussians.render import render_active
 from flowsplat.gaussians.slicing import slice_gaussians
-from flowsplat.gaussians.viewing import FixedRenderer
 from flowsplat.splatting import Projected, blend, project
 from flowsplat.training.config import PRESETS
 from flowsplat.training.trainer import Trainer
@@ -114,7 +114,7 @@ class Frames:
         }  # fmt: skip
 
     def _by_graph(self, repeat: int) -> dict[str, float] | None:
-        """A frame by a CUDA graph, until the host knows that everything found room; depth is always drawn. Not for affine flow."""
+        """A frame by a CUDA graph, until the host knows that its buffers sufficed; depth is always drawn. Not for affine flow."""
         if self.flow is not None and self.flow.model != "displacement":
             return None
         renderer = FixedRenderer(self.model, *self.size, self.flow is not None)

@@ -1,7 +1,7 @@
 """flowsplat: one ordinary video becomes a 4D scene of moving 3D Gaussians.
 
 ``flowsplat.run("clip.mp4", "out")`` does the whole way, ``flowsplat.load("out").render(camera, t)`` shows the result, and
-``flowsplat.rasterize(...)`` splats Gaussians on the CPU. The rooms of the package can be used alone: importing one pulls in
+``flowsplat.rasterize(...)`` splats Gaussians on the CPU. Its packages can be used alone: importing one pulls in
 nothing that it does not need.
 """
 

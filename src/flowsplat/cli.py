@@ -348,6 +348,22 @@ def _benchmarks(arguments: Sequence[str] = ()) -> dict[str, Any]:
     return {"priors": priors, "davis": davis, "rig": rig, "nvidia": nvidia, "ablations": ablations, "caps": caps}
 
 
+def _with_present_names(arguments: Sequence[str]) -> list[str]:
+    """The arguments with the names that options have now; a line says which had another one."""
+    from flowsplat.common.settings import renamed_settings
+    from flowsplat.pipeline.config import RunConfig, option_of
+
+    renamed = {option_of(before): option_of(now) for before, now in renamed_settings(RunConfig).items()}
+    found = []
+    for argument in arguments:
+        option, equals, value = argument.partition("=")
+        now = renamed.get(option.replace("_", "-"))
+        if now is not None:
+            say(f"{option} is called {now} now.")
+        found.append(argument if now is None else now + equals + value)
+    return found
+
+
 def _value_of(arguments: Sequence[str], option: str) -> str | None:
     for k, argument in enumerate(arguments):
         if argument == option and k + 1 < len(arguments):
@@ -410,6 +426,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             arguments[k] = argument[:-4] + "None"
     if not arguments:
         arguments = ["--help"]
+    arguments = _with_present_names(arguments)
     box = io.StringIO()
     prog, commands = "flowsplat", {}
     try:

@@ -252,7 +252,7 @@ def test_what_fresh_processes_do(monkeypatch):
 
     monkeypatch.setattr(first.SceneModel, "render", rendered)
     monkeypatch.setattr(Trainer, "run", train)
-    for name in ("picture_loss", "rigid_loss", "openness"):
+    for name in ("picture_loss", "rigid_loss", "coverage_loss"):
         counted(name)
     exec(startup.ACTIONS["import flowsplat, one picture"])
     assert [picture.colour.shape for picture in pictures] == [(480, 854, 3)]
@@ -261,7 +261,7 @@ def test_what_fresh_processes_do(monkeypatch):
     exec(startup.ACTIONS["import flowsplat, one training step"])
     ((done, before, after),) = trained
     assert done.step == 1
-    assert set(losses) == {"picture_loss", "rigid_loss", "openness"}
+    assert set(losses) == {"picture_loss", "rigid_loss", "coverage_loss"}
     *_, flow_channels, targets, weights = losses["picture_loss"]
     assert flow_channels > 0
     assert targets.flow is not None

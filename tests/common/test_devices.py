@@ -5,14 +5,14 @@ from __future__ import annotations
 import pytest
 import torch
 
-from flowsplat.common import devices
+from flowsplat.common import devices, progress
 from flowsplat.common.errors import InputError
 
 
 @pytest.fixture
 def without_gpu(monkeypatch):
     monkeypatch.setattr(devices, "gpu_problem", lambda: "nobody plugged it in")
-    devices._say_once.cache_clear()
+    progress.say_once.cache_clear()
 
 
 @pytest.fixture

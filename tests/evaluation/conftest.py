@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flowsplat.gaussians.rendering import Rendering
+from flowsplat.gaussians.renderer import Rendering
 from flowsplat.geometry import Camera, Similarity
 from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.scenes import Depth, Flow, HeldoutView, Scene

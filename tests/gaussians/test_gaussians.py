@@ -16,6 +16,7 @@ from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.render import fill_uncovered, render, render_active
 from flowsplat.gaussians.slicing.reference import time_gains
 from flowsplat.geometry import Camera, Similarity
+from flowsplat.splatting.rules import ALPHA_MIN, EPS2D
 
 FROZEN = ModelConfig(mean_poly=2, mean_fourier=1, quat_poly=1, quat_fourier=1, sh_degree=1, gains=4, freeze_background=True)
 
@@ -55,6 +56,11 @@ def test_culling_against_the_camera_changes_no_picture():
     assert culled.projected.visible.sum() == whole.projected.visible.sum()
     assert torch.equal(culled.colour, whole.colour)
     assert torch.equal(culled.depth, whole.depth)
+
+
+def test_culling_reckons_with_more_than_is_drawn():
+    assert -2 * math.log(ALPHA_MIN) < culling_reference.REACH**2
+    assert culling_reference.BLUR**2 > EPS2D
 
 
 def test_gathered_rows_are_those_of_the_parameters():

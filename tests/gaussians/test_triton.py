@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from flowsplat.gaussians import culling
+from flowsplat.gaussians.culling import capacity as capacity_module
 from flowsplat.gaussians.culling import reference as cull_reference
-from flowsplat.gaussians.culling import rooms as rooms_module
 from flowsplat.gaussians.flow import FlowView, flow_features
 from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Active, Gaussians4D
 from flowsplat.gaussians.slicing import Slice, reference
@@ -19,6 +19,7 @@ from tests.gaussians.test_flow import assert_alike, camera, feature_inputs, feat
 from tests.gaussians.test_slicing import BASE, CASES, OUTPUTS, random_model
 
 pytest.importorskip("triton", reason="Triton is not installed")
+from flowsplat.gaussians.camera_buffer import CAMERA, moment_numbers
 from flowsplat.gaussians.culling import triton as cull_triton
 from flowsplat.gaussians.flow import triton as flow_triton
 from flowsplat.gaussians.slicing import triton
@@ -53,8 +54,8 @@ def test_the_cull_keeps_what_its_oracle_and_the_cpu_keep(count, view):
 def test_the_cull_fills_buffers_of_a_fixed_size():
     given = cull_arguments(1500, None)
     rows, num_static = cull_triton.active_rows(*on_device(given))
-    lens = torch.from_numpy(cull_triton.lens_numbers(given[5], None))
-    marked = cull_triton.Marked(*on_device([*given[:5], lens]), given[6], None, given[8])
+    numbers, moment = torch.zeros(CAMERA.value), torch.tensor([given[5]])
+    marked = cull_triton.Marked(*on_device([*given[:5], numbers, moment]), given[6], None, given[8])
     buffer = torch.full((num_static + 10 + len(rows) - num_static - 3,), -1, device=DEVICE)
     marked.collect(buffer, num_static + 10)
     assert buffer[:num_static].tolist() == rows[:num_static].tolist()
@@ -63,22 +64,22 @@ def test_the_cull_fills_buffers_of_a_fixed_size():
 
 
 @pytest.mark.parametrize("granule", [4, 2048])
-def test_the_cull_fills_rooms_and_says_what_they_lacked(granule, monkeypatch):
+def test_the_cull_fills_the_rows_and_says_how_many_it_needed(granule, monkeypatch):
     given = cull_arguments(1500, Camera(np.eye(4), np.array([[40.0, 0, 20], [0, 40, 15], [0, 0, 1]]), 40, 30))
     rows, num_static = cull_triton.active_rows(*on_device(given))
-    monkeypatch.setattr(rooms_module, "GRANULE", granule)
-    rooms = culling.Rooms()
+    monkeypatch.setattr(capacity_module, "GRANULE", granule)
+    capacity = culling.RowCapacity()
     for attempt in range(2):
-        padded, needed = culling.padded_rows(*on_device(given), rooms)
+        padded, needed = culling.padded_rows(*on_device(given), capacity)
         assert needed.values() == [num_static, len(rows) - num_static]
-        for places, chosen in ((padded[: rooms.at_rest], rows[:num_static]), (padded[rooms.at_rest :], rows[num_static:])):
+        for places, chosen in ((padded[: capacity.at_rest], rows[:num_static]), (padded[capacity.at_rest :], rows[num_static:])):
             found = places[places >= 0]
             assert found.tolist() == chosen[: len(places)].tolist() == places[: len(found)].tolist()
-        assert rooms.hold(needed.values()) == (granule == 2048 or attempt == 1)
-        before = rooms.at_rest, rooms.moving
-        rooms.grow(needed.values())
-        assert granule == 4 or (rooms.at_rest, rooms.moving) == before
-        assert (rooms.at_rest % granule, rooms.moving % granule) == (0, 0)
+        assert capacity.fits(needed.values()) == (granule == 2048 or attempt == 1)
+        before = capacity.at_rest, capacity.moving
+        capacity.grow(needed.values())
+        assert granule == 4 or (capacity.at_rest, capacity.moving) == before
+        assert (capacity.at_rest % granule, capacity.moving % granule) == (0, 0)
 
 
 def differentiated(module, model, active, next_time, dtype, device):
@@ -115,7 +116,7 @@ def test_slicing_matches_its_oracle(config, degree, next_time):
 
 
 @pytest.mark.parametrize("dynamic", [True, False])
-def test_slicing_where_all_move_or_all_rest_or_nobody_is_there(dynamic):
+def test_slicing_where_all_move_or_all_rest_or_there_are_none(dynamic):
     gaussians = random_model(BASE).to(DEVICE)
     gaussians.dynamic[:] = dynamic
     for active in (gaussians.active(0.5), Active(torch.empty(0, dtype=torch.int64, device=DEVICE), 0, 0.5)):
@@ -129,30 +130,30 @@ def test_slicing_where_all_move_or_all_rest_or_nobody_is_there(dynamic):
     assert not triton.slice_gaussians(gaussians, active, torch.zeros(3), None, None).means.requires_grad
 
 
-def test_rows_of_nobody_have_no_opacity_and_the_others_are_as_without_them():
+def test_padding_rows_have_no_opacity_and_the_others_are_as_without_them():
     gaussians = random_model(BASE).to(DEVICE)
     active = gaussians.active(0.5)
-    n, nobody = active.num_static, torch.full((7,), -1, device=DEVICE)
-    moment = torch.from_numpy(triton.moment_numbers(gaussians, 0.5, np.zeros(3), 0.6)).to(DEVICE)
+    n, padding = active.num_static, torch.full((7,), -1, device=DEVICE)
+    moment = torch.from_numpy(moment_numbers(gaussians.config.gains, 0.5, np.zeros(3), 0.6)).to(DEVICE)
     alone = triton.slice_rows(gaussians, active.rows, n, moment, True)
-    rows = torch.cat([active.rows[:n], nobody, active.rows[n:], nobody])
+    rows = torch.cat([active.rows[:n], padding, active.rows[n:], padding])
     padded = triton.slice_rows(gaussians, rows, n + 7, moment, True)
-    for value, with_nobody in zip(alone, padded, strict=True):
-        assert torch.isfinite(with_nobody).all()
-        chosen = (rows if len(with_nobody) == len(rows) else rows[n + 7 :]) >= 0
-        assert torch.equal(with_nobody[chosen], value)
+    for value, with_padding in zip(alone, padded, strict=True):
+        assert torch.isfinite(with_padding).all()
+        chosen = (rows if len(with_padding) == len(rows) else rows[n + 7 :]) >= 0
+        assert torch.equal(with_padding[chosen], value)
     assert float(padded[3][rows < 0].abs().max()) == 0
 
 
 @pytest.mark.parametrize("next_time", [None, 0.6])
-@pytest.mark.parametrize("anybody", [True, False])
-def test_nobody_has_no_gradient_whatever_arrives_and_the_others_have_theirs(next_time, anybody):
+@pytest.mark.parametrize("any_rows", [True, False])
+def test_padding_has_no_gradient_whatever_arrives_and_the_others_have_theirs(next_time, any_rows):
     gaussians = random_model(BASE).to(DEVICE)
     active = gaussians.active(0.5)
-    if not anybody:
+    if not any_rows:
         active = Active(active.rows[:0], 0, 0.5)
-    n, nobody = active.num_static, torch.full((7,), -1, device=DEVICE)
-    padded = Active(torch.cat([active.rows[:n], nobody, active.rows[n:], nobody]), n + 7, 0.5)
+    n, padding = active.num_static, torch.full((7,), -1, device=DEVICE)
+    padded = Active(torch.cat([active.rows[:n], padding, active.rows[n:], padding]), n + 7, 0.5)
     found = []
     for case in (active, padded):
         gradients = {}
@@ -173,10 +174,10 @@ def test_nobody_has_no_gradient_whatever_arrives_and_the_others_have_theirs(next
 
 
 @pytest.mark.parametrize("features_of", [flow_triton.blend_displacement, flow_triton.blend_affine])
-def test_nobody_is_drawn(features_of):
+def test_padding_is_not_drawn(features_of):
     gaussians = random_model(BASE).to(DEVICE)
-    nobody, view, gradients = Active(torch.full((20,), -1, device=DEVICE), 9, 0.5), camera(), {}
-    sliced = triton.slice_gaussians(gaussians, nobody, torch.zeros(3), 0.6, gradients)
+    padding, view, gradients = Active(torch.full((20,), -1, device=DEVICE), 9, 0.5), camera(), {}
+    sliced = triton.slice_gaussians(gaussians, padding, torch.zeros(3), 0.6, gradients)
     given = sliced.means, sliced.quats, sliced.scales, sliced.opacities, *view.tensors(device=DEVICE)
     projected = project(*given, view.width, view.height, backend="triton")
     views = (view, view) if features_of is flow_triton.blend_affine else (view,)
@@ -256,6 +257,7 @@ def test_no_gaussians_have_no_features():
 def test_every_kernel_compiles_for_gpus_that_are_not_there():
     kernels = compiled("""
 from dataclasses import replace
+from flowsplat.gaussians.camera_buffer import camera_numbers
 from flowsplat.gaussians.culling import triton as culling
 from flowsplat.gaussians.flow import triton as flow
 from flowsplat.gaussians.slicing import Slice, triton as slicing
@@ -268,8 +270,8 @@ small = replace(BASE, sh_degree=2, mean_poly=3, mean_fourier=1, quat_poly=1, qua
 for config, degree, next_time, size in ((small, 0, None, None), (small, 2, 0.7, (64, 48))):
     gaussians = random_model(config, 200)
     gaussians.sh_degree, p = degree, gaussians.params
-    lens = torch.from_numpy(culling.lens_numbers(0.5, camera()))
-    given = gaussians.at_rest, p["means"], p["log_scales"], p["times"], p["log_lambdas"], lens
+    numbers, moment = torch.from_numpy(camera_numbers(camera())[0]), torch.tensor([0.5])
+    given = gaussians.at_rest, p["means"], p["log_scales"], p["times"], p["log_lambdas"], numbers, moment
     culling.Marked(*given, 0.05, size, 0.02).collect(torch.empty(200, dtype=torch.int64), 100)
     sliced = slicing.slice_gaussians(gaussians, gaussians.active(0.5), torch.zeros(3), next_time, {})
     (sliced.means.sum() + sliced.quats.sum()).backward()

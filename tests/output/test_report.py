@@ -59,7 +59,7 @@ def made_up_run() -> ReportData:
     history = [
         {
             "step": float(s), "loss": float(v), "colour": float(v * 0.7), "flow": float(v * 8), "rigid": float(v / 50),
-            "open": float(v / 99), "depth": 0.0, "psnr": 31 - 60 * float(v), "gaussians": 120_000.0 + 43 * int(s),
+            "coverage": float(v / 99), "depth": 0.0, "psnr": 31 - 60 * float(v), "gaussians": 120_000.0 + 43 * int(s),
             "active": 60_000.0 + 3 * int(s),
         }
         for s, v in zip(steps, loss, strict=True)

@@ -13,7 +13,7 @@ from flowsplat.gaussians.gaussians4d import Gaussians4D, ModelConfig, parameter_
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.geometry import Camera, Similarity
 from flowsplat.scenes import Scene
-from flowsplat.splatting.harmonics import C0
+from flowsplat.splatting.rules import C0
 from flowsplat.training.checkpoint import save_model
 
 WALL, MOVER = 4.0, 2.5

@@ -14,8 +14,9 @@ import torch
 
 import flowsplat
 from flowsplat.common.errors import InputError
+from flowsplat.common.settings import from_plain, to_plain
 from flowsplat.pipeline import demo, prepare, run, stages, summary, train
-from flowsplat.pipeline.config import RunConfig, from_plain, preset, to_plain
+from flowsplat.pipeline.config import RunConfig, preset
 from flowsplat.pipeline.folder import RunFolder, stage_key
 from flowsplat.priors.given import GivenPriors
 from flowsplat.scenes import Scene
@@ -221,7 +222,7 @@ def test_a_wrong_setting_of_training_costs_nothing(finished, tmp_path):
     with pytest.raises(InputError, match=r"init\.opacity"):
         train(folder)
     assert same_model(tmp_path / "out", finished)
-    assert RunFolder(tmp_path / "out").book["stages"].keys() == RunFolder(finished).book["stages"].keys()
+    assert RunFolder(tmp_path / "out").record["stages"].keys() == RunFolder(finished).record["stages"].keys()
 
 
 def test_other_previews_and_checkpoints_do_not_train_again(tiny_scene, finished, tmp_path, monkeypatch):
@@ -293,7 +294,7 @@ def test_the_middle_of_a_long_camera_file_counts(finished, tmp_path):
 def test_videos_without_a_camera_file_have_the_key_that_they_always_had(finished):
     folder = RunFolder(finished)
     key = stage_key(stages._train_key(folder), to_plain(folder.config.render))
-    assert folder.book["stages"]["render"]["key"] == key
+    assert folder.record["stages"]["render"]["key"] == key
 
 
 def test_the_model_is_read_once_and_flows_of_the_report_are_rendered_once(finished, tmp_path, monkeypatch):
@@ -337,16 +338,16 @@ def test_other_contents_of_given_files_are_noticed(tiny_scene, finished, tmp_pat
 def test_memory_of_an_earlier_process_counts(finished, tmp_path):
     shutil.copytree(finished, tmp_path / "out")
     folder = RunFolder(tmp_path / "out")
-    folder.book["stages"]["train"]["peak_memory_gib"] = 99.5
+    folder.record["stages"]["train"]["peak_memory_gib"] = 99.5
     folder.config = replace(folder.config, refine_poses=False)
     assert stages.evaluate_run(folder)["peak_memory_gib"] == 99.5
 
 
 @pytest.mark.parametrize("missing", ["input", "started", "stages", "fingerprint", "config", "version"])
-def test_a_damaged_book_is_refused_in_one_line(finished, tmp_path, missing):
-    book = json.loads((finished / "run.json").read_text())
-    del book[missing]
-    (tmp_path / "run.json").write_text(json.dumps(book))
+def test_a_damaged_record_is_refused_in_one_line(finished, tmp_path, missing):
+    record = json.loads((finished / "run.json").read_text())
+    del record[missing]
+    (tmp_path / "run.json").write_text(json.dumps(record))
     with pytest.raises(InputError, match=f"damaged.*{missing}"):
         RunFolder(tmp_path)
 
@@ -362,8 +363,8 @@ def test_settings_survive_their_file(tmp_path):
 
 def test_a_folder_of_a_newer_version_is_refused(finished, tmp_path):
     shutil.copytree(finished, tmp_path / "out", ignore=shutil.ignore_patterns("scene"))
-    book = json.loads((tmp_path / "out" / "run.json").read_text())
-    (tmp_path / "out" / "run.json").write_text(json.dumps({**book, "version": 99}))
+    record = json.loads((tmp_path / "out" / "run.json").read_text())
+    (tmp_path / "out" / "run.json").write_text(json.dumps({**record, "version": 99}))
     with pytest.raises(InputError, match="newer"):
         RunFolder(tmp_path / "out")
 

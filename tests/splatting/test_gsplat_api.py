@@ -373,8 +373,8 @@ def test_it_comes_without_the_rest_of_the_package():
     loaded = {name.split(".")[0] for name in result.stdout.split()}
     assert "torch" in loaded
     assert not loaded & {"av", "cv2", "tyro", "rich", "jinja2", "tensorboard", "gsplat", "scipy"}
-    rooms = {name.split(".")[1] for name in result.stdout.split() if name.startswith("flowsplat.")}
-    assert rooms <= {"common", "pictures", "geometry", "splatting"}
+    packages = {name.split(".")[1] for name in result.stdout.split() if name.startswith("flowsplat.")}
+    assert packages <= {"common", "pictures", "geometry", "splatting"}
     assert flowsplat.rasterization is rasterization
 
 

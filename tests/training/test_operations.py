@@ -118,7 +118,7 @@ def test_moments_follow_density_control():
     adam.begin_step(torch.arange(4), every)
     adam.step("p", value, torch.arange(4), every, torch.arange(8.0).view(4, 2) + 1, torch.ones(2))
     before = adam.means["p"].clone()
-    adam.follow(torch.tensor([2, 0, 0]), torch.tensor([False, False, True]))
+    adam.reindex(torch.tensor([2, 0, 0]), torch.tensor([False, False, True]))
     assert torch.equal(adam.means["p"][:2], before[[2, 0]])
     assert float(adam.means["p"][2].abs().max()) == 0
     assert adam.counts.tolist() == [1, 1, 0]
@@ -169,11 +169,11 @@ def test_neighbours_follow_density_control():
     gaussians, times = moving_model()
     neighbours = find_neighbours(gaussians, times, 5, 10.0, dynamic_only=True)
     index = torch.tensor([*range(10, 60), 20, 20])  # ten are removed, one is cloned twice
-    followed = neighbours.follow(index)
+    reindexed = neighbours.reindex(index)
     for i in range(52):
         expected = [j - 10 if j >= 10 else -1 for j in neighbours.indices[index[i]].tolist()]
-        assert followed.indices[i].tolist() == expected
-    assert (followed.weights[followed.indices < 0] == 0).all()
+        assert reindexed.indices[i].tolist() == expected
+    assert (reindexed.weights[reindexed.indices < 0] == 0).all()
 
 
 @pytest.mark.parametrize("dynamic_only", [True, False])

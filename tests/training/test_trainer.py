@@ -93,18 +93,18 @@ def test_a_mean_that_was_begun_goes_on_to_the_same_bits(tmp_path):
 def test_a_mean_follows_who_is_pruned_and_begins_anew_with_who_is_born():
     average, params = TailAverage(), {"means": torch.arange(4.0)}
     average.add(params)
-    average.follow(torch.tensor([0, 2, 3]), torch.zeros(3, dtype=torch.bool))
+    average.reindex(torch.tensor([0, 2, 3]), torch.zeros(3, dtype=torch.bool))
     average.add({"means": torch.tensor([2.0, 4.0, 3.0])})
     mean = {"means": torch.zeros(3)}
     average.write(mean)
     assert mean["means"].tolist() == [1, 3, 3]
-    average.follow(torch.tensor([0, 1, 1]), torch.tensor([False, False, True]))
+    average.reindex(torch.tensor([0, 1, 1]), torch.tensor([False, False, True]))
     assert average.count == 0
     average.write(mean)
     assert mean["means"].tolist() == [1, 3, 3]
 
 
-def test_after_the_last_step_nobody_is_born_or_reset():
+def test_after_the_last_step_no_gaussian_is_added_or_reset():
     config = tiny("paper")
     every = replace(config.density, every=1, start=2, gradient=1e-9, reset_every=2)
     start = a_few(config)
@@ -140,7 +140,7 @@ def test_all_presets_make_sense():
         preset.check()
 
 
-def test_a_training_that_prunes_everybody_says_so():
+def test_a_training_that_prunes_all_gaussians_says_so():
     config = tiny("paper")
     density = replace(config.density, every=1, start=1, prune_opacity=2.0)
     start = a_few(config)

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from flowsplat.common import devices
-from flowsplat.gaussians.culling import rooms
+from flowsplat.gaussians.culling import capacity
 from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
 from flowsplat.splatting import api as splatting
 from flowsplat.training.trainer import Trainer
@@ -21,10 +21,10 @@ ON_GPU = torch.cuda.is_available()
 
 @pytest.fixture
 def by_triton(monkeypatch):
-    """Call it, and from then on every operation is computed by the Triton kernels, on the CPU too, in small rooms."""
+    """Call it, and from then on every operation is computed by the Triton kernels, on the CPU too, with few rows."""
 
     def force() -> None:
-        monkeypatch.setattr(rooms, "GRANULE", 8)  # the interpreter takes its time with nobody, too
+        monkeypatch.setattr(capacity, "GRANULE", 8)  # the interpreter takes its time with padding, too
         pick = splatting._pick
         monkeypatch.setattr(devices, "kernels_for", lambda value: "triton" if value.dtype == torch.float32 else "reference")
         monkeypatch.setattr(splatting, "_pick", lambda backend, means: "triton" if backend == "auto" else pick(backend, means))
@@ -37,13 +37,13 @@ def close(ours: torch.Tensor, expected: torch.Tensor, name: str, tolerance: floa
     assert float(error) <= tolerance * float(expected.double().norm()) + 1e-7, name
 
 
-def of_somebody(gaussians: Gaussians4D, name: str, active: Active, gradient: torch.Tensor) -> torch.Tensor:
-    """Of a gradient by rows that of somebody; nobody's is 0."""
+def without_padding(gaussians: Gaussians4D, name: str, active: Active, gradient: torch.Tensor) -> torch.Tensor:
+    """Of a gradient by rows that which is not padding's; the padding's is 0."""
     resting, moving = active.counts()
     if name in gaussians.moving_names:
         ours = gradient[:moving]
     else:
-        ours = gradient[:resting] if name == "log_gains" else active.somebody(gradient)
+        ours = gradient[:resting] if name == "log_gains" else active.valid(gradient)
     assert torch.isfinite(gradient).all()
     assert int(gradient.count_nonzero()) == int(ours.count_nonzero())
     return ours
@@ -62,13 +62,13 @@ def test_the_loss_and_its_gradients_are_those_of_the_cpu(preset, flow_model, by_
         by_triton()
     for expected, ours in zip(*found, strict=True):
         active = ours[0]
-        assert active.somebody(active.rows).tolist() == expected[0].rows.tolist()
+        assert active.valid(active.rows).tolist() == expected[0].rows.tolist()
         assert len(active.rows) > len(expected[0].rows)
-        assert active.somebody(ours[1]).tolist() == expected[1].tolist()
+        assert active.valid(ours[1]).tolist() == expected[1].tolist()
         assert int(ours[1].sum()) == int(expected[1].sum())
         assert {name: float(value) for name, value in ours[3].items()} == pytest.approx(expected[3], rel=1e-4, abs=1e-6)
         for name, gradient in expected[2].items():
-            close(of_somebody(trainer.gaussians, name, active, ours[2][name]), gradient, name, 2e-4)
+            close(without_padding(trainer.gaussians, name, active, ours[2][name]), gradient, name, 2e-4)
 
 
 def test_steps_lead_where_those_of_the_cpu_lead(by_triton):
@@ -97,7 +97,7 @@ def state_of(trainer: Trainer) -> dict[str, torch.Tensor]:
     ("preset", "frames", "gains", "frozen", "granules"),
     [("default", 1, 2, True, (8, 48)), ("default", 2, 2, True, (8,)), ("paper", 1, 0, False, (8,))],
 )
-def test_places_of_nobody_change_nothing_and_where_there_are_too_few_there_are_more(
+def test_padding_changes_nothing_and_where_there_are_too_few_rows_there_are_more(
     preset, frames, gains, frozen, granules, by_triton, monkeypatch
 ):
     config = tiny(preset, frames_per_iteration=frames)
@@ -119,9 +119,9 @@ def test_places_of_nobody_change_nothing_and_where_there_are_too_few_there_are_m
     monkeypatch.setattr(Trainer, "_backpropagate", counting)
     found = []
     for granule in granules:
-        monkeypatch.setattr(rooms, "GRANULE", granule)
+        monkeypatch.setattr(capacity, "GRANULE", granule)
         found.append(run())
-    monkeypatch.setattr(Gaussians4D, "active", lambda self, t, camera=None, rooms=None: padded(self, t, camera))
+    monkeypatch.setattr(Gaussians4D, "active", lambda self, t, camera=None, capacity=None: padded(self, t, camera))
     expected, figures, steps = run()
     assert steps == config.iterations * frames
     assert int(expected["counts"].max()) == config.iterations
@@ -132,21 +132,21 @@ def test_places_of_nobody_change_nothing_and_where_there_are_too_few_there_are_m
             assert torch.equal(state[name], value), name
 
 
-@pytest.mark.parametrize("somebody", [True, False])
-def test_a_frame_without_anybody_that_moves_or_without_anybody(somebody, by_triton):
+@pytest.mark.parametrize("resting", [True, False])
+def test_a_frame_without_moving_gaussians_or_without_any(resting, by_triton):
     config = tiny("default")
     observations = seen(a_few(config))
     by_triton()
     start = a_few(config)
-    start.dynamic[:] = not somebody
+    start.dynamic[:] = not resting
     start.params["log_lambdas"] += 20.0  # those that move are long gone
     start.params["times"] -= 3.0
     before = {name: value.clone() for name, value in start.params.items()}
     trainer = Trainer(observations, None, config, start=start, device="cuda" if ON_GPU else "cpu")
     trainer.run()
-    assert trainer.history[-1]["active"] == (24 if somebody else 0)
+    assert trainer.history[-1]["active"] == (24 if resting else 0)
     assert trainer.history[-1]["rigid"] == 0
     for name, value in trainer.gaussians.params.items():
         assert torch.isfinite(value).all(), name
-        assert somebody or torch.equal(value.cpu(), before[name]), name
-    assert int(trainer._adam.counts.max()) == (2 if somebody else 0)
+        assert resting or torch.equal(value.cpu(), before[name]), name
+    assert int(trainer._adam.counts.max()) == (2 if resting else 0)

@@ -88,7 +88,7 @@ def test_a_step_of_adam_matches_its_oracle_and_leaves_other_rows_alone():
     assert torch.equal(states[0][0][15:].cpu(), value[15:])
 
 
-def test_adam_leaves_rows_of_nobody_out():
+def test_adam_leaves_padding_rows_out():
     g = torch.Generator().manual_seed(1)
     value, gradient, rates = torch.randn(5, 4, generator=g), torch.randn(4, 4, generator=g), torch.ones(4)
     states = [[value.clone().to(DEVICE), torch.zeros(5, 4, device=DEVICE), torch.zeros(5, 4, device=DEVICE)] for _ in range(2)]
@@ -120,17 +120,17 @@ def test_the_rigid_loss_matches_its_oracle(dynamic_only):
     torch.testing.assert_close(found[1][1], found[0][1], atol=1e-6, rtol=1e-4)
 
 
-def test_rows_of_nobody_pull_nobody():
+def test_padding_rows_pull_no_gaussian():
     gaussians, times = moving_model()
     neighbours = find_neighbours(gaussians, times, 5, 10.0, True)
     active = gaussians.active(times[1])
     rows = active.rows[active.num_static :].to(DEVICE)
     velocities = torch.randn(len(rows), 3, generator=torch.Generator().manual_seed(1)).to(DEVICE)
     there = Neighbours(neighbours.indices.to(DEVICE), neighbours.weights.to(DEVICE))
-    there.indices[0], there.weights[0] = rows[1:6].to(torch.int32), 1.0  # of whom nobody might be taken for
-    nobody = torch.full((9,), -1, device=DEVICE)
+    there.indices[0], there.weights[0] = rows[1:6].to(torch.int32), 1.0  # which padding might be taken for
+    padding = torch.full((9,), -1, device=DEVICE)
     found = []
-    for places in (rows, torch.cat([rows, nobody]), nobody):
+    for places in (rows, torch.cat([rows, padding]), padding):
         own = torch.ones(len(places), 3, device=DEVICE)
         own[: len(rows)] = velocities[: len(places)]
         loss = rigid_triton.rigid_loss(own.requires_grad_(), places, there, torch.tensor(17, device=DEVICE))
@@ -144,7 +144,7 @@ def test_rows_of_nobody_pull_nobody():
     assert not none.count_nonzero()
 
 
-def test_nobody_has_no_rigid_loss():
+def test_no_gaussians_have_no_rigid_loss():
     neighbours = Neighbours(torch.full((4, 3), -1, dtype=torch.int32, device=DEVICE), torch.zeros(4, 3, device=DEVICE))
     for rows in ([], [0, 2]):
         velocities = torch.ones(len(rows), 3, device=DEVICE, requires_grad=True)

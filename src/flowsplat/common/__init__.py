@@ -1,1 +1,1 @@
-"""What every room uses: errors for people, atomic files, progress, devices."""
+"""What every package uses: errors for people, atomic files, progress, devices."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import os
 import platform
 from dataclasses import dataclass
@@ -13,7 +12,7 @@ import torch
 from torch import Tensor
 
 from flowsplat.common.errors import InputError
-from flowsplat.common.progress import say
+from flowsplat.common.progress import say_once
 from flowsplat.common.triton import triton_works
 
 DeviceName = Literal["auto", "cpu", "cuda"]
@@ -61,13 +60,8 @@ def pick_device(name: str) -> torch.device:
         return torch.device("cuda")
     if name == "cuda":
         raise InputError(f"--device cuda does not work here: {problem}. Use --device cpu.")
-    _say_once(f"Computing on the CPU: {problem}.")
+    say_once(f"Computing on the CPU: {problem}.")
     return torch.device("cpu")
-
-
-@functools.cache
-def _say_once(message: str) -> None:
-    say(message)
 
 
 def kernels_for(value: Tensor) -> Kernels:

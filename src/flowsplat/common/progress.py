@@ -1,8 +1,9 @@
-"""One way to show progress: rich bars with the time that is left, on stderr, quiet when nobody watches."""
+"""One way to show progress: rich bars with the time that is left, on stderr, quiet away from a terminal."""
 
 from __future__ import annotations
 
 import contextlib
+import functools
 from collections.abc import Iterable, Iterator
 from typing import TypeVar
 
@@ -23,8 +24,14 @@ console = Console(stderr=True, highlight=False)
 
 
 def say(message: str) -> None:
-    """Print one line for the person who watches."""
+    """Print one line on stderr."""
     console.print(message, markup=False, soft_wrap=True)
+
+
+@functools.cache
+def say_once(message: str) -> None:
+    """Print one line, the first time only that it is to be said."""
+    say(message)
 
 
 class Bar:

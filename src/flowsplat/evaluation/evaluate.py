@@ -36,7 +36,7 @@ from flowsplat.evaluation.motion import MotionErrors, moving_mask
 from flowsplat.evaluation.perceptual import lpips_metric
 from flowsplat.evaluation.placement import view_camera
 from flowsplat.evaluation.scores import Figures, score_picture, summarize
-from flowsplat.gaussians.rendering import Renderer, Rendering
+from flowsplat.gaussians.renderer import Renderer, Rendering
 from flowsplat.geometry import Camera
 from flowsplat.pictures.colors import float_to_bytes
 from flowsplat.pictures.sheets import preview_sheet

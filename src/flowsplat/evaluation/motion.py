@@ -9,7 +9,7 @@ import numpy as np
 
 from flowsplat.evaluation.metrics import depth_abs_rel, end_point_error
 from flowsplat.evaluation.placement import true_scale
-from flowsplat.gaussians.rendering import Rendering
+from flowsplat.gaussians.renderer import Rendering
 from flowsplat.scenes import Flow, Scene
 
 Errors = dict[str, float]

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from flowsplat.common import devices
 from flowsplat.common.devices import Kernels, Later
-from flowsplat.gaussians.culling import Rooms, active_rows, border, padded_rows
+from flowsplat.gaussians.culling import RowCapacity, active_rows, border, padded_rows
 from flowsplat.gaussians.motion import LinearMotion, MotionModel, SeriesMotion, presence
 from flowsplat.geometry import Camera
 from flowsplat.splatting.harmonics import harmonics_count
@@ -60,15 +60,15 @@ class ModelConfig:
 class Active:
     """The Gaussians that are rendered at one time: first those at rest, then those that move.
 
-    On a GPU that nobody waits for (``rooms`` of ``Gaussians4D.active``) there are places for more rows than are active. Nobody,
-    -1, is in those: to the Triton kernels a Gaussian of opacity 0 without a gradient. The host asks how many are active when
-    everything that needs the rows is in the GPU's queue.
+    Where the host does not wait for a GPU (``capacity`` of ``Gaussians4D.active``) there are more rows than active Gaussians. The
+    others are padding, -1: to the Triton kernels a Gaussian of opacity 0 without a gradient. The host asks how many are active
+    when everything that needs the rows is in the GPU's queue.
 
     Attributes:
-        rows: [A] int64 into the parameters; -1 = nobody, in the last places for those at rest and in the last of all.
+        rows: [A] int64 into the parameters; -1 = padding, behind those at rest and behind those that move.
         num_static: how many of them are for those at rest (and have gains instead of motion).
         t: clip time.
-        needed: how many are at rest and moving, whether they found a place or not; None = they fill the rows.
+        needed: how many are at rest and moving, whether there is a row for each or not; None = they fill the rows.
     """
 
     rows: Tensor
@@ -84,12 +84,12 @@ class Active:
         return resting, moving
 
     def fits(self) -> bool:
-        """Whether all of them found a place. Waits like ``counts``."""
+        """Whether there is a row for each of them. Waits like ``counts``."""
         resting, moving = self.counts()
         return resting <= self.num_static and moving <= len(self.rows) - self.num_static
 
-    def somebody(self, values: Tensor) -> Tensor:
-        """Of values [A] of the rows those of somebody, who all have a place. Waits like ``counts``."""
+    def valid(self, values: Tensor) -> Tensor:
+        """Of values [A] of the rows those that are not padding's; all must fit. Waits like ``counts``."""
         if self.needed is None:
             return values
         resting, moving = self.counts()
@@ -142,7 +142,7 @@ class Gaussians4D:
 
     @torch.no_grad()
     def active(
-        self, t: float, camera: Camera | None = None, eps2d: float = EPS2D, rooms: Rooms | None = None
+        self, t: float, camera: Camera | None = None, eps2d: float = EPS2D, capacity: RowCapacity | None = None
     ) -> Active:
         """Those with p(t) >= p_min, and of those at rest only what ``camera`` may show (all of them without one).
 
@@ -150,9 +150,9 @@ class Gaussians4D:
             t: clip time.
             camera: who looks.
             eps2d: px^2 of blur that they will be rendered with.
-            rooms: so that nobody waits for a GPU: where Triton kernels slice, the rows have as many places as this says. Look
-                at ``fits()`` of the result before anything that was made with it is used, and where not, grow the rooms.
-                None = the host waits for their number.
+            capacity: so that the host need not wait for a GPU: where Triton kernels slice, there are as many rows as this says.
+                Look at ``fits()`` of the result before anything that was made with it is used, and where not, grow the
+                capacity. None = the host waits for their number.
         """
         params = self.params
         if camera is not None:
@@ -161,9 +161,9 @@ class Gaussians4D:
             self.at_rest, params["means"], params.get("log_scales"), params["times"], self.motion.log_precision(params), t,
             self.config.p_min, camera, NEAR_PLANE,
         )  # fmt: skip
-        if rooms is not None and self.sliced_by == "triton":
-            padded, needed = padded_rows(*given, rooms)
-            return Active(padded, rooms.at_rest, t, needed)
+        if capacity is not None and self.sliced_by == "triton":
+            padded, needed = padded_rows(*given, capacity)
+            return Active(padded, capacity.at_rest, t, needed)
         rows, num_static = active_rows(*given)
         return Active(rows, num_static, t)
 
@@ -173,7 +173,7 @@ class Gaussians4D:
         return devices.kernels_for(self.params["means"]) if isinstance(self.motion, SeriesMotion) else "reference"
 
     def gather(self, active: Active) -> dict[str, Tensor]:
-        """Copies of the rows that are rendered, as leaves for a gradient; everybody must be somebody."""
+        """Copies of the rows that are rendered, as leaves for a gradient; none may be padding."""
         return {name: value[self.rows_of(name, active)] for name, value in self.params.items()}
 
     @property

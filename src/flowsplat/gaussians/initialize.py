@@ -10,7 +10,8 @@ import numpy as np
 import torch
 
 from flowsplat.common.errors import InputError
-from flowsplat.gaussians.gaussians4d import Gaussians4D, ModelConfig, concatenate, parameter_shapes
+from flowsplat.common.spread import spread
+from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Gaussians4D, ModelConfig, concatenate, parameter_shapes
 from flowsplat.gaussians.motion import LinearMotion
 from flowsplat.gaussians.observations import Observation, Observations
 from flowsplat.gaussians.sampling import detail, grid, spacings
@@ -221,7 +222,7 @@ def _covered(points: np.ndarray, frame: Observation, tolerance: float, spacing: 
     """[H, W] bool: pixels within whose spacing one of the points [N, 3] lies on the visible surface."""
     height, width = frame.depth.shape
     uv, depth = frame.camera.project(points)
-    inside = (depth > 0.02) & (uv >= 0).all(1) & (uv[:, 0] < width) & (uv[:, 1] < height)
+    inside = (depth > NEAR_PLANE) & (uv >= 0).all(1) & (uv[:, 0] < width) & (uv[:, 1] < height)
     x, y = uv[inside].astype(np.int64).T
     on_surface = np.abs(depth[inside] - frame.depth[y, x]) < tolerance * frame.depth[y, x]
     hit = np.zeros((height, width), np.uint8)
@@ -239,7 +240,7 @@ def _covered(points: np.ndarray, frame: Observation, tolerance: float, spacing: 
 def sampled_frames(count: int, config: InitConfig) -> tuple[np.ndarray, float]:
     """Which of ``count`` training frames movers are sampled in, and the log precision that follows from their spacing."""
     enough = -(-(count - 1) // config.sample_gap) + 1 if config.sample_gap else 1
-    sampled = np.unique(np.round(np.linspace(0, count - 1, min(max(config.samples, enough), count))).astype(int))
+    sampled = np.array(spread(count, min(max(config.samples, enough), count)))
     spacing = 1.0 / max(len(sampled) - 1, 1)
     return sampled, float(np.log(config.precision_factor * (np.pi / spacing) ** 2))
 

@@ -14,7 +14,7 @@ from flowsplat.gaussians.flow import FlowModel
 from flowsplat.gaussians.gaussians4d import Gaussians4D
 from flowsplat.gaussians.motion import SeriesMotion
 from flowsplat.gaussians.render import fill_uncovered, render
-from flowsplat.gaussians.rendering import Part, Rendering
+from flowsplat.gaussians.renderer import Part, Rendering
 from flowsplat.geometry import Camera, Similarity
 from flowsplat.splatting.api import BackendName
 from flowsplat.splatting.rules import EPS2D
@@ -98,7 +98,7 @@ class SceneModel:
             self.graphs and by_series and devices.kernels_for(g.params["means"]) == "triton"
             and (other is None or self.flow_model == "displacement")
         ):  # fmt: skip
-            from flowsplat.gaussians.viewing import FixedRenderer
+            from flowsplat.gaussians.cuda_graph import FixedRenderer
 
             key = (camera.width, camera.height, other is not None, self.blur(camera))
             if key not in self._drawn_by:

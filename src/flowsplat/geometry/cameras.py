@@ -92,7 +92,7 @@ class Camera:
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """(viewmat [4, 4], K [3, 3]) as torch tensors."""
         viewmat, K = torch.as_tensor(self.viewmat, dtype=dtype), torch.as_tensor(self.K, dtype=dtype)
-        # Such small copies have left the host's memory when the call returns: nobody waits for the device.
+        # Such small copies have left the host's memory when the call returns: the host does not wait for the device.
         return viewmat.to(device, non_blocking=True), K.to(device, non_blocking=True)
 
     def to_json(self) -> dict[str, Any]:

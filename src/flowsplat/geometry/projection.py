@@ -5,6 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+TANGENT_MARGIN = 0.15
+"""Picture sizes beyond the border at which the tangents of a Jacobian are clamped, as in gsplat."""
+
 
 def to_camera(points: Tensor, viewmat: Tensor) -> Tensor:
     """World points [..., 3] to camera axes [..., 3]."""
@@ -27,13 +30,13 @@ def project_points(points: Tensor, viewmat: Tensor, K: Tensor, near: float = 1e-
 def camera_jacobian(camera_points: Tensor, K: Tensor, width: int, height: int, near: float = 1e-6) -> Tensor:
     """[..., 2, 3] derivative of the pixel with respect to the point in camera axes.
 
-    Like gsplat, x / z and y / z are clamped to 0.15 image sizes beyond the border, so that a Gaussian far outside the
+    Like gsplat, x / z and y / z are clamped to ``TANGENT_MARGIN`` image sizes beyond the border, so that a Gaussian far outside the
     picture does not get a needle-shaped footprint that reaches into it.
     """
     x, y, z = camera_points.unbind(-1)
     inverse = 1.0 / torch.where(z > near, z, torch.full_like(z, near))
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
-    margin_x, margin_y = 0.15 * width, 0.15 * height
+    margin_x, margin_y = TANGENT_MARGIN * width, TANGENT_MARGIN * height
     tx = torch.maximum(torch.minimum(x * inverse, (width + margin_x - cx) / fx), (-margin_x - cx) / fx)
     ty = torch.maximum(torch.minimum(y * inverse, (height + margin_y - cy) / fy), (-margin_y - cy) / fy)
     zero = torch.zeros_like(inverse)

@@ -318,7 +318,7 @@ def _charts(data: ReportData) -> Iterator[dict[str, Any]]:
         ("Loss", over_steps({"loss": "loss"}), "loss", True),
         (
             "Parts of the loss",
-            over_steps({key: key for key in ("colour", "flow", "rigid", "depth", "open")}),
+            over_steps({key: key for key in ("colour", "flow", "rigid", "depth", "coverage")}),
             "loss",
             True,
         ),

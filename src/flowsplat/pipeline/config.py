@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, cast, get_args, get_type_hints
+from typing import Annotated, Literal
 
 import tyro
 
 from flowsplat.common.devices import DeviceName, pick_device
 from flowsplat.common.errors import InputError
+from flowsplat.common.settings import flat, to_plain
 from flowsplat.output.videos import RenderOptions
 from flowsplat.priors.prepare import PriorsOptions
 from flowsplat.scenes.clip import InputOptions
 from flowsplat.training.config import PRESETS, TrainConfig
 
-Config = TypeVar("Config")
 Baselines = Literal["simple", "all"]
 
 
@@ -70,21 +67,9 @@ def preset(name: str) -> RunConfig:
     return presets[name]
 
 
-def to_plain(config: Any) -> Any:
-    """A configuration as JSON holds it."""
-    if dataclasses.is_dataclass(config) and not isinstance(config, type):
-        return {f.name: to_plain(getattr(config, f.name)) for f in dataclasses.fields(config)}
-    if isinstance(config, list | tuple):
-        return [to_plain(item) for item in config]
-    return str(config) if isinstance(config, Path) else config
-
-
-def flat(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested settings (``to_plain``) by dotted name."""
-    found: dict[str, Any] = {}
-    for name, value in config.items():
-        found |= flat(value, f"{prefix}{name}.") if isinstance(value, Mapping) else {f"{prefix}{name}": value}
-    return found
+def option_of(name: str) -> str:
+    """The option of the command line for a setting of a run by its dotted name."""
+    return "--" + name.removeprefix("input.").removeprefix("priors.").replace("_", "-")
 
 
 def check(config: RunConfig) -> None:
@@ -95,29 +80,6 @@ def check(config: RunConfig) -> None:
     """
     for name, value in flat(to_plain(config)).items():
         if isinstance(value, float) and not math.isfinite(value):
-            option = name.removeprefix("input.").removeprefix("priors.").replace("_", "-")
-            raise InputError(f"--{option} is {value}: give a number.")
+            raise InputError(f"{option_of(name)} is {value}: give a number.")
     config.train.check()
     pick_device(config.device)
-
-
-def from_plain(kind: type[Config], value: dict[str, Any]) -> Config:
-    """The inverse of ``to_plain``. Fields that the file lacks keep their defaults.
-
-    Raises:
-        InputError: the file has a field that does not exist.
-    """
-    hints = get_type_hints(kind)
-    arguments: dict[str, Any] = {}
-    for name, item in value.items():
-        if name not in hints:
-            raise InputError(f"Unknown setting {name!r} in {kind.__name__}.")
-        hint = hints[name]
-        if dataclasses.is_dataclass(hint) and isinstance(item, dict):
-            item = from_plain(cast("type[Any]", hint), item)
-        elif isinstance(item, list):
-            item = tuple(item)
-        elif isinstance(item, str) and (hint is Path or Path in get_args(hint)):
-            item = Path(item)
-        arguments[name] = item
-    return kind(**arguments)

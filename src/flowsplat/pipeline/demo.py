@@ -26,10 +26,10 @@ def run_demo(out: Path, width: int = 320, frames: int = 40) -> None:
     """
     spec = SyntheticScene(width=width, height=width * 9 // 16, frames=frames)
     make_folder(out)
-    video, truth, book = out / "clip.mp4", out / "truth", out / "clip.json"
-    if book.exists() and read_json(book) != asdict(spec):
+    video, truth, record = out / "clip.mp4", out / "truth", out / "clip.json"
+    if record.exists() and read_json(record) != asdict(spec):
         raise InputError(f"{out} holds the demo with another size or number of frames: choose another folder with -o.")
-    write_json(book, asdict(spec))
+    write_json(record, asdict(spec))
     if not video.exists():
         write_synthetic_video(video, spec)
     if not (truth / "complete").exists():

@@ -1,4 +1,4 @@
-"""The folder of a run, and its book of finished stages.
+"""The folder of a run, and its record of finished stages.
 
     run.json       input, its fingerprint, all settings, and which stages are finished with which key
     scene/         the prepared scene
@@ -28,7 +28,8 @@ from flowsplat import __version__
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import make_folder, read_json, require_keys, write_json
 from flowsplat.common.memory import peak_memory
-from flowsplat.pipeline.config import RunConfig, from_plain, to_plain
+from flowsplat.common.settings import from_plain, to_plain
+from flowsplat.pipeline.config import RunConfig
 
 VERSION = 1
 
@@ -45,13 +46,13 @@ class RunFolder:
         self.path = Path(path)
         if not (self.path / "run.json").exists():
             raise InputError(f"{path} is not the folder of a run: it has no run.json. Start with flowsplat run INPUT -o {path}.")
-        self.book: dict[str, Any] = read_json(self.path / "run.json")
+        self.record: dict[str, Any] = read_json(self.path / "run.json")
         try:
-            if int(self.book["version"]) > VERSION:
+            if int(self.record["version"]) > VERSION:
                 raise InputError(f"{path} was written by a newer flowsplat. Update flowsplat.")
-            require_keys(self.path / "run.json", self.book, "input", "started", "stages")
-            self.fingerprint: str = self.book["fingerprint"]
-            self.config = from_plain(RunConfig, self.book["config"])
+            require_keys(self.path / "run.json", self.record, "input", "started", "stages")
+            self.fingerprint: str = self.record["fingerprint"]
+            self.config = from_plain(RunConfig, self.record["config"])
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"{self.path / 'run.json'} is damaged: {error}.") from error
 
@@ -67,7 +68,7 @@ class RunFolder:
             folder = RunFolder(path)
             if folder.fingerprint != fingerprint:
                 raise InputError(
-                    f"{path} belongs to a different input ({folder.book['input']}) or to other input options. "
+                    f"{path} belongs to a different input ({folder.record['input']}) or to other input options. "
                     "Choose another folder with -o."
                 )
             folder.config = config
@@ -75,7 +76,7 @@ class RunFolder:
             make_folder(path)
             if any(path.iterdir()):
                 raise InputError(f"{path} is not empty and not the folder of a run. Choose another folder with -o.")
-            write_json(path / "run.json", _new_book(source, fingerprint, config))
+            write_json(path / "run.json", _new_record(source, fingerprint, config))
             folder = RunFolder(path)
         if not os.access(path, os.W_OK):
             raise InputError(f"No permission to write {path}. Choose another output folder with -o.")
@@ -83,47 +84,47 @@ class RunFolder:
         return folder
 
     def save(self) -> None:
-        """Write the book."""
-        self.book["config"] = to_plain(self.config)
-        write_json(self.path / "run.json", self.book)
+        """Write the record."""
+        self.record["config"] = to_plain(self.config)
+        write_json(self.path / "run.json", self.record)
 
     # -- stages
 
     def is_finished(self, stage: str, key: str) -> bool:
         """Whether a stage was finished with exactly this key."""
-        return bool(self.book["stages"].get(stage, {}).get("key") == key)
+        return bool(self.record["stages"].get(stage, {}).get("key") == key)
 
     def was_started(self, stage: str, key: str) -> bool:
         """Whether a stage was begun with exactly this key, so that what it left can be used."""
-        return bool(self.book["started"].get(stage) == key)
+        return bool(self.record["started"].get(stage) == key)
 
     def forget(self, stage: str) -> None:
         """Note that nothing of a stage can be used: to be said before any of it is deleted."""
-        self.book["stages"].pop(stage, None)
-        self.book["started"].pop(stage, None)
+        self.record["stages"].pop(stage, None)
+        self.record["started"].pop(stage, None)
         self.save()
 
     def start(self, stage: str, key: str) -> None:
         """Note that a stage begins; what was finished of it before no longer is."""
-        self.book["stages"].pop(stage, None)
-        self.book["started"][stage] = key
+        self.record["stages"].pop(stage, None)
+        self.record["started"][stage] = key
         self.save()
 
     def finish(self, stage: str, key: str, seconds: Mapping[str, float]) -> None:
         """Note that a stage is finished, how long its parts took, and how much memory this process has needed."""
         took = {name: round(value, 2) for name, value in seconds.items()}
-        self.book["stages"][stage] = {"key": key, "seconds": took, "peak_memory_gib": peak_memory()}
+        self.record["stages"][stage] = {"key": key, "seconds": took, "peak_memory_gib": peak_memory()}
         self.save()
 
     @property
     def seconds(self) -> dict[str, float]:
         """Seconds of all finished parts of all finished stages."""
-        return {name: value for stage in self.book["stages"].values() for name, value in stage["seconds"].items()}
+        return {name: value for stage in self.record["stages"].values() for name, value in stage["seconds"].items()}
 
     @property
     def peak_memory(self) -> float | None:
         """GiB that this process and those that finished a stage needed at most; None where the system does not tell."""
-        peaks = [peak_memory(), *(stage.get("peak_memory_gib") for stage in self.book["stages"].values())]
+        peaks = [peak_memory(), *(stage.get("peak_memory_gib") for stage in self.record["stages"].values())]
         return max((peak for peak in peaks if peak is not None), default=None)
 
     @property
@@ -138,12 +139,12 @@ class RunFolder:
 
 
 def stage_key(*parts: Any) -> str:
-    """A short hash of everything that a stage depends on."""
-    text = json.dumps([to_plain(part) for part in parts], sort_keys=True)
+    """A short hash of everything that a stage depends on; settings count by the names that they had first."""
+    text = json.dumps([to_plain(part, first_names=True) for part in parts], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def _new_book(source: str, fingerprint: str, config: RunConfig) -> dict[str, Any]:
+def _new_record(source: str, fingerprint: str, config: RunConfig) -> dict[str, Any]:
     return {
         "version": VERSION, "flowsplat": __version__, "input": source, "fingerprint": fingerprint,
         "config": to_plain(config), "started": {}, "stages": {},

@@ -18,6 +18,7 @@ from flowsplat.common.devices import pick_device
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import hash_files, read_json, write_json
 from flowsplat.common.progress import say
+from flowsplat.common.settings import to_plain
 from flowsplat.evaluation.evaluate import evaluate
 from flowsplat.evaluation.poses import refine_camera
 from flowsplat.gaussians.gaussians4d import Gaussians4D
@@ -29,7 +30,7 @@ from flowsplat.output.report import FlowComparison, write_report
 from flowsplat.output.videos import RenderOptions, are_rendered, forget_videos, render_videos, settle
 from flowsplat.pictures.colors import float_to_bytes
 from flowsplat.pictures.sheets import preview_sheet
-from flowsplat.pipeline.config import RunConfig, check, to_plain
+from flowsplat.pipeline.config import RunConfig, check
 from flowsplat.pipeline.folder import RunFolder, stage_key
 from flowsplat.pipeline.summary import flow_comparisons, report_data
 from flowsplat.priors.prepare import prepare_priors
@@ -37,8 +38,8 @@ from flowsplat.scenes import Scene, Tracks
 from flowsplat.scenes.clip import InputOptions
 from flowsplat.scenes.ingest import fingerprint, ingest, is_ingested, kind_of_input, open_clip
 from flowsplat.scenes.layers import write_image
-from flowsplat.training.checkpoint import has_model, load_model, save_model
-from flowsplat.training.config import TrainConfig, that_matter
+from flowsplat.training.checkpoint import has_model, load_model, present_figures, save_model
+from flowsplat.training.config import TrainConfig, affecting_result
 from flowsplat.training.static import static_config, static_start
 from flowsplat.training.trainer import Trainer
 
@@ -103,7 +104,7 @@ def prepare(source: Path, out: Path, config: RunConfig | None = None) -> RunFold
             say(f"{source} is prepared already: what options or the preset take from a clip has no effect on it.")
     elif is_new:
         open_clip(source, config.input)  # Whatever is wrong with it is said before a folder is made.
-    before = {} if is_new else RunFolder(out).book
+    before = {} if is_new else RunFolder(out).record
     folder = RunFolder.open_or_create(out, str(source), identity, config)
     key = stage_key(identity, config.priors, hash_files("", config.priors.given.files()))
     if folder.is_finished("prepare", key):
@@ -121,7 +122,7 @@ def _put_aside(folder: RunFolder, before: Mapping[str, Any]) -> Iterator[None]:
     """The scene of other settings makes room for a new one, and comes back where that turns out to be impossible.
 
     Args:
-        before: the book of the run with those settings.
+        before: the record of the run with those settings.
     """
     if "prepare" in before["started"]:
         say("The settings of the priors, or the files given for them, changed: they are computed again.")
@@ -211,7 +212,8 @@ def _estimate(scene: Scene, config: TrainConfig) -> None:
 
 
 def _train_key(folder: RunFolder) -> str:
-    return stage_key(folder.book["stages"].get("prepare", {}).get("key"), that_matter(to_plain(folder.config.train)))
+    settings = to_plain(folder.config.train, first_names=True)
+    return stage_key(folder.record["stages"].get("prepare", {}).get("key"), affecting_result(settings))
 
 
 def train(folder: RunFolder) -> SceneModel:
@@ -220,7 +222,7 @@ def train(folder: RunFolder) -> SceneModel:
     Raises:
         InputError: the scene is not prepared, something in it is damaged, or the device does not work.
     """
-    if "prepare" not in folder.book["stages"]:
+    if "prepare" not in folder.record["stages"]:
         raise InputError(f"{folder.path} is not prepared yet: run flowsplat prepare first.")
     check(folder.config)  # before anything is deleted
     key = _train_key(folder)
@@ -362,7 +364,7 @@ def _write_metrics(folder: RunFolder, result: _Result, metrics: dict[str, Any], 
     metrics["seconds"] = {**folder.seconds, **seconds}
     write_json(folder.path / "metrics.json", metrics)
     history_path = folder.path / "training" / "history.json"
-    history = read_json(history_path) if history_path.exists() else []
+    history = present_figures(read_json(history_path)) if history_path.exists() else []
     data = report_data(folder.path, result.scene, result.flows, metrics, history, folder.config)
     write_report(folder.path, data)
 

@@ -201,7 +201,7 @@ def _input_files(path: Path, options: InputOptions) -> list[tuple[str, Path]]:
     if kind == "video":
         return [(path.name, path)]
     if kind in ("rig", "nvidia", "nerfies"):
-        runs = [book.parent for book in path.rglob("run.json")]  # what was made of this input may lie within
+        runs = [record.parent for record in path.rglob("run.json")]  # what was made of this input may lie within
         inside = (file for file in path.rglob("*") if not any(run in file.parents for run in runs))
         found = sorted(file for file in inside if file.is_file() and not file.name.startswith("."))
         named = [(file.relative_to(path).as_posix(), file) for file in found]

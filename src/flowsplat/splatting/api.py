@@ -11,7 +11,7 @@ from torch import Tensor
 
 from flowsplat.common.triton import check_runs, triton_works
 from flowsplat.splatting import reference
-from flowsplat.splatting.rules import EPS2D
+from flowsplat.splatting.rules import EPS2D, FAR, NEAR
 
 BackendName = Literal["auto", "cpu", "triton", "reference"]
 
@@ -84,8 +84,8 @@ def project(
     height: int,
     *,
     covars: Tensor | None = None,
-    near_plane: float = 0.01,
-    far_plane: float = 1e10,
+    near_plane: float = NEAR,
+    far_plane: float = FAR,
     eps2d: float = EPS2D,
     backend: BackendName = "auto",
 ) -> Projected:
@@ -157,8 +157,8 @@ def rasterize(
     *,
     covars: Tensor | None = None,
     background: Tensor | None = None,
-    near_plane: float = 0.01,
-    far_plane: float = 1e10,
+    near_plane: float = NEAR,
+    far_plane: float = FAR,
     eps2d: float = EPS2D,
     backend: BackendName = "auto",
 ) -> tuple[Tensor, Tensor, dict[str, Any]]:

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from flowsplat.splatting.api import BackendName, Projected, blend, check_finite, project
 from flowsplat.splatting.harmonics import colours_from_harmonics, harmonics_count
-from flowsplat.splatting.rules import EPS2D
+from flowsplat.splatting.rules import EPS2D, FAR, NEAR
 
 RenderMode = Literal["RGB", "D", "ED", "RGB+D", "RGB+ED"]
 MAX_DEGREE = 3
@@ -34,8 +34,8 @@ def rasterization(
     Ks: Tensor,
     width: int,
     height: int,
-    near_plane: float = 0.01,
-    far_plane: float = 1e10,
+    near_plane: float = NEAR,
+    far_plane: float = FAR,
     radius_clip: float = 0.0,
     eps2d: float = EPS2D,
     sh_degree: int | None = None,

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from flowsplat.geometry.projection import camera_jacobian, to_camera
 from flowsplat.geometry.rotations import covariances
-from flowsplat.splatting.rules import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
+from flowsplat.splatting.rules import ALPHA_MAX, ALPHA_MIN, OPACITY_FLOOR, RADIUS_MAX, TRANSMITTANCE_MIN
 
 STRIP = 8  # rows blended at a time, so that the matrices fit a cache
 
@@ -55,12 +55,12 @@ def project(
         1,
     )
     with torch.no_grad():
-        extent = 2 * torch.log(opacities.clamp(min=1e-12) / ALPHA_MIN)
+        extent = 2 * torch.log(opacities.clamp(min=OPACITY_FLOOR) / ALPHA_MIN)
         half = torch.sqrt(extent.clamp(min=0)[:, None] * torch.stack([a, c], 1).clamp(min=0))
         size = torch.tensor([width, height], dtype=means.dtype, device=means.device)
         touches = ((means2d + half > 0) & (means2d - half < size)).all(1)
         visible = inside & touches & (extent > 0)
-        radii = torch.where(visible[:, None], torch.ceil(half).clamp(1, 1e6), torch.zeros_like(half)).to(torch.int32)
+        radii = torch.where(visible[:, None], torch.ceil(half).clamp(1, RADIUS_MAX), torch.zeros_like(half)).to(torch.int32)
     return means2d, conics, depths, radii
 
 

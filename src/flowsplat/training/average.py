@@ -38,7 +38,7 @@ class TailAverage:
         """Forget everything: some parameters were changed by other means than a step."""
         self.count, self._sums = 0, {}
 
-    def follow(self, index: Tensor, is_new: Tensor) -> None:
+    def reindex(self, index: Tensor, is_new: Tensor) -> None:
         """After density control: row k comes from old row ``index[k]``; new rows have no past, so all begins anew."""
         if bool(is_new.any()):
             self.restart()

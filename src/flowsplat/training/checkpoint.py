@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -15,11 +15,14 @@ from torch import Tensor
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import atomic_path, read_json, write_json
+from flowsplat.common.progress import say_once
 from flowsplat.gaussians.gaussians4d import Gaussians4D, ModelConfig
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.geometry import Similarity
 
 MODEL_VERSION = 1
+RENAMED_FIGURES = {"open": "coverage"}
+"""Figures of the history that had another name in an earlier version, and their name now."""
 
 
 def write_tensors(path: Path, tensors: Mapping[str, Tensor], values: Mapping[str, Any]) -> None:
@@ -47,6 +50,14 @@ def read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
             return tensors, json.loads((file.metadata() or {}).get("values", "{}"))
     except (SafetensorError, json.JSONDecodeError, OSError) as error:
         raise InputError(f"{path} is damaged or truncated ({error}). Delete it to compute it again.") from error
+
+
+def present_figures(history: Sequence[Mapping[str, float]]) -> list[dict[str, float]]:
+    """Entries of a history with the names that figures have now; a line says which had another one."""
+    found = [{RENAMED_FIGURES.get(name, name): value for name, value in entry.items()} for entry in history]
+    for before in {name for entry in history for name in entry if name in RENAMED_FIGURES}:
+        say_once(f"The figure {before} of the history of training is called {RENAMED_FIGURES[before]} now.")
+    return found
 
 
 def save_model(folder: Path, model: SceneModel) -> None:

@@ -68,8 +68,8 @@ class LossConfig:
     """gamma_3: weight of the rigid loss."""
     depth: float = 0.05
     """Weight of the depth loss (ours; 0 in the paper)."""
-    opaque: float = 0.0
-    """Weight of the loss on training pixels that let light through (ours; 0 in the paper)."""
+    coverage: float = 0.0
+    """Weight of the loss on training pixels that are not covered (ours; 0 in the paper)."""
     rigid_neighbours: int = 20
     """k: neighbours of every Gaussian in the rigid loss."""
     rigid_beta: float = 100.0
@@ -193,20 +193,20 @@ def _numbers(config: Any, prefix: str = "") -> Iterator[tuple[str, float]]:
 
 _OURS = TrainConfig(
     iterations=2000,
-    loss=LossConfig(rigid=0.1, opaque=0.1, rigid_neighbours=10),
+    loss=LossConfig(rigid=0.1, coverage=0.1, rigid_neighbours=10),
     model=ModelConfig(
         mean_poly=3, mean_fourier=1, quat_poly=1, quat_fourier=0, sh_degree=1, gains=16, freeze_background=True
     ),
     density=DensityConfig(every=250, start=250, stop=0.8, gradient=0.0, prune_scale=0.0, reset_every=0),
 )
 
-NO_MATTER = ("checkpoint_every", "preview_every")
+NOT_AFFECTING_RESULT = ("checkpoint_every", "preview_every")
 """Settings of training that change no figure."""
 
 
-def that_matter(settings: Mapping[str, Any]) -> dict[str, Any]:
+def affecting_result(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Those settings of training, by name, on which the result depends."""
-    return {name: value for name, value in settings.items() if name not in NO_MATTER}
+    return {name: value for name, value in settings.items() if name not in NOT_AFFECTING_RESULT}
 
 
 PRESETS: dict[str, TrainConfig] = {

@@ -15,7 +15,7 @@ import torch
 from flowsplat.gaussians.gaussians4d import Gaussians4D
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.observations import Observations
-from flowsplat.gaussians.rendering import Rendering
+from flowsplat.gaussians.renderer import Rendering
 from flowsplat.geometry import Camera
 from flowsplat.training.config import TrainConfig
 from flowsplat.training.static import static_config

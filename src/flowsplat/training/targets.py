@@ -16,7 +16,7 @@ SHARE = 0.5
 
 
 class Targets:
-    """The targets of every training frame. On a GPU they stay once they are there, as long as there is room.
+    """The targets of every training frame. On a GPU they stay once they are there, as long as its memory holds them.
 
     What is asked for next can be brought over while the present step computes.
     """

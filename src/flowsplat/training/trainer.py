@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time as clock
 from collections.abc import Callable
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,8 @@ from flowsplat.common.devices import upload
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_json, write_json
 from flowsplat.common.progress import progress_bar, say
-from flowsplat.gaussians.culling import Rooms
+from flowsplat.common.settings import present_names, to_plain
+from flowsplat.gaussians.culling import RowCapacity
 from flowsplat.gaussians.density import DensityResult, DensityStatistics, densify, prune, reset_opacities, revise_dynamic
 from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
 from flowsplat.gaussians.initialize import initialize, sampled_frames
@@ -27,9 +27,9 @@ from flowsplat.gaussians.slicing import Gradients
 from flowsplat.scenes import Tracks
 from flowsplat.training.adam import RowAdam
 from flowsplat.training.average import EVERY, TailAverage
-from flowsplat.training.checkpoint import read_tensors, write_tensors
-from flowsplat.training.config import TrainConfig, that_matter
-from flowsplat.training.openness import openness
+from flowsplat.training.checkpoint import present_figures, read_tensors, write_tensors
+from flowsplat.training.config import TrainConfig, affecting_result
+from flowsplat.training.coverage import coverage_loss
 from flowsplat.training.picture_loss import PictureTargets, PictureWeights, picture_loss
 from flowsplat.training.rigidity import Neighbours, find_neighbours, rigid_loss
 from flowsplat.training.targets import Targets
@@ -40,25 +40,25 @@ RECORD_EVERY = 10
 Preview = Callable[[int, Observation, RenderedFrame], None]
 Record = Callable[[dict[str, float]], None]
 Entry = dict[str, float | Tensor]
-"""Figures of a step by name; tensors of the GPU as long as nobody needs to know them."""
+"""Figures of a step by name; tensors of the GPU as long as the host need not know them."""
 
 
 class Trainer:
     """Trains 4D Gaussians on observations; can stop at any step and go on from its last checkpoint to the same bits.
 
-    On a GPU the host runs ahead. Of a step it has to know two things only: whether all active Gaussians found room (``Rooms``),
-    and all their pairs with a tile (``splatting.triton.tiles.Room``). Both are counted before the Gaussians are blended, and read
-    when there is more than that in the GPU's queue: the pairs after the forward pass, the Gaussians after the backward pass. Where
-    there was too little room, there is more from then on, and the frame is computed again before anything is changed. It does
-    wait every ``RECORD_EVERY`` steps for the history, and where neighbours are searched, density is controlled, or a preview or
-    a checkpoint is written.
+    On a GPU the host runs ahead. Of a step it has to know two things only: whether there were enough rows for the active Gaussians
+    (``RowCapacity``) and enough slots for their pairs with a tile (``splatting.triton.tiles.PairCapacity``). Both are counted
+    before the Gaussians are blended, and read when there is more than that in the GPU's queue: the pairs after the forward pass,
+    the Gaussians after the backward pass. Where there were too few, there are more from then on, and the frame is computed again
+    before anything is changed. It does wait every ``RECORD_EVERY`` steps for the history, and where neighbours are searched,
+    density is controlled, or a preview or a checkpoint is written.
 
     Attributes:
         gaussians: the model so far.
         step: steps done.
         earlier_seconds: what earlier processes took for the steps that this one went on from.
-        history: one entry every ``RECORD_EVERY`` steps: step, loss, colour, flow, rigid, depth, open, psnr, gaussians,
-            active.
+        history: one entry every ``RECORD_EVERY`` steps: step, loss, colour, flow, rigid, depth, coverage, psnr,
+            gaussians, active.
     """
 
     def __init__(
@@ -97,8 +97,8 @@ class Trainer:
         self._rng = np.random.default_rng(config.seed)
         self._generator = torch.Generator().manual_seed(config.seed)
         self._queue: list[int] = []
-        self._rooms = Rooms()
-        self._everybody: Active | None = None
+        self._capacity = RowCapacity()
+        self._all_rows: Active | None = None
         self._neighbours: Neighbours | None = None
         self._neighbours_found = 0
         self._recent: list[Entry] = []
@@ -112,7 +112,7 @@ class Trainer:
 
     def run(self) -> Gaussians4D:
         """Train from the last checkpoint, or from the beginning, to the end."""
-        self._everybody, self._started = None, clock.perf_counter()
+        self._all_rows, self._started = None, clock.perf_counter()
         if not self._load_checkpoint():
             start = self._start or initialize(
                 self.observations, self.tracks, self.config.model, self.config.init, self.config.seed,
@@ -166,7 +166,7 @@ class Trainer:
     def _accumulate(self, frames: list[int]) -> list[Entry]:
         """One optimizer step along the mean gradient of several frames."""
         gaussians = self.gaussians
-        # The last one is where nobody, -1, points to.
+        # The last one is where padding, -1, points to.
         count = len(gaussians)
         totals = {name: value.new_zeros(count + 1, *value.shape[1:]) for name, value in gaussians.params.items()}
         touched = torch.zeros(count + 1, dtype=torch.bool, device=self._device)
@@ -178,7 +178,7 @@ class Trainer:
                 totals[name][gaussians.rows_of(name, active)] += gradient * share.view(-1, *(1,) * (gradient.ndim - 1))
             touched[active.rows] |= drawn
             entries.append(entry)
-        active = self._everybody = self._everybody or _everybody(gaussians)
+        active = self._all_rows = self._all_rows or _all_rows(gaussians)
         self._apply(active, touched[active.rows], {n: total[gaussians.rows_of(n, active)] for n, total in totals.items()})
         return entries
 
@@ -188,7 +188,7 @@ class Trainer:
         return float(self.observations[0].camera.K[0, 0])
 
     def _apply(self, active: Active, drawn: Tensor, gradients: Gradients) -> None:
-        self._adam.begin_step(active.somebody(active.rows), active.somebody(drawn))
+        self._adam.begin_step(active.valid(active.rows), active.valid(drawn))
         rates_at_rest, rates_moving = self.rates(), self.rates(moving=True)
         for name, gradient in gradients.items():
             value, having = self.gaussians.params[name], self.gaussians.part(name, active)
@@ -228,16 +228,16 @@ class Trainer:
     def _differentiate(self, k: int) -> tuple[Active, Tensor, Gradients, Entry]:
         """Render training frame k and return what was active, what was drawn [A], the gradients of its loss, and figures.
 
-        Until the loss is differentiated nothing is kept but what only depends on the step, so that a frame whose Gaussians did
-        not all find room can be computed again. Their number is asked for when all that is in the queue of the GPU.
+        Until the loss is differentiated nothing is kept but what only depends on the step, so that a frame with too few rows
+        for its Gaussians can be computed again. Their number is asked for when all that is in the queue of the GPU.
         """
         frame, targets = self.observations[k], self._targets[k]
         while True:
-            active = self.gaussians.active(frame.time, frame.camera, rooms=self._rooms)
+            active = self.gaussians.active(frame.time, frame.camera, capacity=self._capacity)
             rendered, gradients, entry = self._backpropagate(k, active, targets)
             if active.fits():
                 break
-            self._rooms.grow(active.counts())
+            self._capacity.grow(active.counts())
         drawn = rendered.projected.visible
         with torch.no_grad():
             self._count(targets, active, rendered, drawn)
@@ -262,16 +262,16 @@ class Trainer:
         rigid = self._rigid(active, rendered) if config.loss.rigid > 0 else None
         if rigid is not None:
             total = total + config.loss.rigid * rigid
-        opened = openness(rendered.alpha) if config.loss.opaque > 0 else None
-        if opened is not None:
-            total = total + config.loss.opaque * opened
+        coverage = coverage_loss(rendered.alpha) if config.loss.coverage > 0 else None
+        if coverage is not None:
+            total = total + config.loss.coverage * coverage
         total.backward()
         entry = {
             "colour": figures.colour,
             "flow": figures.flow,
             "depth": figures.depth,
             "rigid": _number(rigid) if rigid is not None else 0.0,
-            "open": _number(opened) if opened is not None else 0.0,
+            "coverage": _number(coverage) if coverage is not None else 0.0,
             "loss": _number(total),
             "psnr": _psnr(figures.squared_error),
         }
@@ -306,21 +306,21 @@ class Trainer:
 
     def _count(self, targets: PictureTargets, active: Active, rendered: RenderedFrame, visible: Tensor) -> None:
         """Add this picture to the statistics of density control."""
-        statistics, rows = self._statistics, active.somebody(active.rows)
+        statistics, rows = self._statistics, active.valid(active.rows)
         if self.config.density.gradient > 0:
             gradient = rendered.projected.means2d.grad
             assert gradient is not None
             width, height = self.observations.size
             scaled = gradient * upload(torch.tensor([width / 2, height / 2], dtype=gradient.dtype), gradient.device)
-            statistics.gradient[rows] += active.somebody(torch.where(visible, scaled.norm(dim=1), 0))
-            statistics.visits[rows] += active.somebody(visible)
+            statistics.gradient[rows] += active.valid(torch.where(visible, scaled.norm(dim=1), 0))
+            statistics.visits[rows] += active.valid(visible)
         # Every fourth step is enough evidence, and saves a twentieth of the time.
         sampled = self._revises and self.step % 4 == 0
         if sampled and rendered.flow is not None and targets.flow is not None:
             seen, residual = _flow_residual(targets, rendered)
             seen &= visible
-            statistics.flow_residual[rows] += active.somebody(torch.where(seen, residual, 0))
-            statistics.flow_visits[rows] += active.somebody(seen)
+            statistics.flow_residual[rows] += active.valid(torch.where(seen, residual, 0))
+            statistics.flow_visits[rows] += active.valid(seen)
 
     # -- after a step
 
@@ -366,13 +366,13 @@ class Trainer:
         if len(self.gaussians) == 0:
             raise InputError(f"No Gaussian is left at step {self.step}: --train.density prunes them all.")
         self._statistics = DensityStatistics.zeros(len(self.gaussians), self._device)
-        self._everybody = None
+        self._all_rows = None
 
     def _adopt(self, result: DensityResult) -> None:
-        self._adam.follow(result.index, result.is_new)
+        self._adam.reindex(result.index, result.is_new)
         if self._neighbours is not None:
-            self._neighbours = self._neighbours.follow(result.index)
-        self._average.follow(result.index, result.is_new)
+            self._neighbours = self._neighbours.reindex(result.index)
+        self._average.reindex(result.index, result.is_new)
         self.gaussians = result.gaussians
 
     # -- checkpoints
@@ -396,7 +396,7 @@ class Trainer:
             "averaged": self._average.count,
             "seconds": self.earlier_seconds + clock.perf_counter() - self._started,
             "history": self.history,
-            "config": asdict(self.config),
+            "config": to_plain(self.config),
         }
         name = f"step_{self.step:06d}.safetensors"
         write_tensors(self._checkpoints / name, tensors, values)
@@ -417,7 +417,8 @@ class Trainer:
         if not path.exists():  # a damaged one, which was deleted
             return False
         tensors, values = read_tensors(path)
-        if that_matter(values.get("config", {})) != that_matter(_plain(asdict(self.config))):
+        stored = present_names(TrainConfig, values.get("config", {}), "train.")
+        if affecting_result(stored) != affecting_result(to_plain(self.config)):
             raise InputError(f"{path} was written with other training settings. Use another output folder, or delete it.")
         try:
             self._restore(tensors, values)
@@ -440,20 +441,14 @@ class Trainer:
         self._generator.set_state(tensors["generator"])
         self._rng.bit_generator.state = values["rng"]
         self._queue, self.step = list(values["queue"]), int(values["step"])
-        self._recent, self.history = list(values["recent"]), list(values["history"])
+        self._recent = [{**entry} for entry in present_figures(values["recent"])]
+        self.history = present_figures(values["history"])
         self._neighbours_found = int(values["neighbours_found"])
         self.earlier_seconds = float(values["seconds"])
         self._neighbours = Neighbours(**group("neighbours")) if "neighbours.indices" in tensors else None
 
 
-def _plain(value: Any) -> Any:
-    """Dataclass fields as JSON gives them back: tuples become lists."""
-    if isinstance(value, dict):
-        return {name: _plain(item) for name, item in value.items()}
-    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
-
-
-def _everybody(gaussians: Gaussians4D) -> Active:
+def _all_rows(gaussians: Gaussians4D) -> Active:
     """All of them, those at rest first. Waits for a GPU to count those."""
     rests = gaussians.at_rest
     resting = torch.nonzero(rests)

@@ -28,7 +28,8 @@ from flowsplat.output.export.still import still_at, turned_harmonics
 from flowsplat.priors.given.colmap import read_colmap
 from flowsplat.scenes import Scene
 from flowsplat.splatting import rasterize
-from flowsplat.splatting.harmonics import C0, colours_from_harmonics
+from flowsplat.splatting.harmonics import colours_from_harmonics
+from flowsplat.splatting.rules import C0
 from tests.output.small import (
     FIRST,
     FRAMES,

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from flowsplat.common.errors import InputError
-from flowsplat.gaussians.rendering import Rendering
+from flowsplat.gaussians.renderer import Rendering
 from flowsplat.geometry import Camera, Similarity
 from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.output.camera_files import write_camera_file

@@ -7,6 +7,7 @@ from dataclasses import asdict
 import pytest
 
 from flowsplat.common.errors import InputError
+from flowsplat.common.progress import say_once
 from flowsplat.protocols.ablations.claims import CLAIMS, FULL, PAPER_ORDERS, TITLES, chosen_claims, needed_variants
 from flowsplat.protocols.ablations.variants import Variant, changed
 from flowsplat.training.config import PRESETS, TrainConfig
@@ -68,3 +69,9 @@ def test_changing_settings():
         with pytest.raises(ValueError, match="no setting"):
             changed(TrainConfig(), {path: 1})
     assert Variant("full", "all").settings == ""
+
+
+def test_a_row_is_found_by_its_earlier_name(capsys):
+    say_once.cache_clear()
+    assert [claim.variant.name for claim in chosen_claims(["no-opaque"])] == ["no-coverage"]
+    assert "no-opaque is called no-coverage now" in capsys.readouterr().err

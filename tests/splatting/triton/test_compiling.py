@@ -10,7 +10,7 @@ pytest.importorskip("triton", reason="Triton is not installed")
 
 SCRIPT = """
 from flowsplat.splatting.triton import functions
-from flowsplat.splatting.triton.tiles import Room
+from flowsplat.splatting.triton.tiles import PairCapacity
 
 g = torch.Generator().manual_seed(0)
 viewmat, K = torch.eye(4).requires_grad_(), torch.tensor([[40.0, 0, 20], [0, 40, 14], [0, 0, 1]])
@@ -23,7 +23,7 @@ def draw(channels, covars, absgrad, size=(40, 28)):
     means2d, conics, depths, radii, extents = drawn
     absolute = torch.zeros(8, 2) if absgrad else None
     rest = conics, opacities, torch.ones(8, channels), depths, extents
-    with Room("cpu", 64).fixed():
+    with PairCapacity("cpu", 64).fixed():
         image, alphas = functions.blend(means2d, *rest, *size, absolute)
         (image.sum() + alphas.sum()).backward()
         with torch.no_grad():

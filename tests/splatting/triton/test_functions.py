@@ -237,10 +237,10 @@ def test_the_camera_may_be_on_the_cpu():
     assert leaves["K"].grad.abs().sum() > 0
 
 
-def in_room(values, room, differentiate=True):
-    """Picture and gradients, drawn in this room."""
+def drawn_with(values, capacity, differentiate=True):
+    """Picture and gradients, drawn with this capacity."""
     leaves = {name: value.float().to(DEVICE).requires_grad_(differentiate) for name, value in values.items()}
-    with room.fixed():
+    with capacity.fixed():
         projected = project(*geometry(leaves), WIDTH, HEIGHT, backend="triton")
         image, _ = blend(projected, leaves["opacities"], leaves["features"], WIDTH, HEIGHT)
         if differentiate:
@@ -248,35 +248,35 @@ def in_room(values, room, differentiate=True):
     return image.detach().cpu(), [leaf.grad for leaf in leaves.values()]
 
 
-def test_what_does_not_fit_a_fixed_room_is_noticed_and_fits_when_it_has_grown(monkeypatch):
+def test_what_exceeds_a_fixed_capacity_is_noticed_and_fits_when_it_has_grown(monkeypatch):
     monkeypatch.setattr(tiles, "_GRANULE", 16)
     values = random_gaussians(40, 3, seed=4)
-    expected, gradients = in_room(values, ample := tiles.Room(DEVICE, 4096))
+    expected, gradients = drawn_with(values, ample := tiles.PairCapacity(DEVICE, 4096))
     assert not ample.overflowed()
-    room = tiles.Room(DEVICE, 32)
-    assert not room.overflowed()
-    lacking, lacking_gradients = in_room(values, room)
-    assert room.overflowed()
+    capacity = tiles.PairCapacity(DEVICE, 32)
+    assert not capacity.overflowed()
+    lacking, lacking_gradients = drawn_with(values, capacity)
+    assert capacity.overflowed()
     assert float((lacking - expected).abs().max()) > 0.01
     assert torch.isfinite(lacking).all()
     assert all(torch.isfinite(gradient).all() for gradient in lacking_gradients)
-    room.grow()
-    assert not room.overflowed()
-    assert room.capacity < 4096
-    image, again = in_room(values, room)
+    capacity.grow()
+    assert not capacity.overflowed()
+    assert capacity.pairs < 4096
+    image, again = drawn_with(values, capacity)
     assert torch.equal(image, expected)
     assert all(map(torch.equal, again, gradients))
 
 
-def test_the_own_room_of_a_picture_grows_by_itself(monkeypatch):
+def test_the_shared_capacity_of_a_picture_grows_by_itself(monkeypatch):
     monkeypatch.setattr(tiles, "_GRANULE", 16)
-    monkeypatch.setattr(tiles, "_rooms", {})
+    monkeypatch.setattr(tiles, "_shared", {})
     values = {name: value.float() for name, value in random_gaussians(40, 3, seed=4).items()}
     expected = draw(values, "triton")
-    small = tiles.own_room(DEVICE, WIDTH, HEIGHT)
-    small.capacity = 32
+    small = tiles.shared_capacity(DEVICE, WIDTH, HEIGHT)
+    small.pairs = 32
     found = draw(values, "triton")
-    assert small.capacity > 32
+    assert small.pairs > 32
     assert torch.equal(found.image, expected.image)
     for name, gradient in expected.gradients.items():
         assert torch.equal(found.gradients[name], gradient), name
@@ -284,7 +284,7 @@ def test_the_own_room_of_a_picture_grows_by_itself(monkeypatch):
 
 def test_more_pairs_than_can_be_numbered_are_refused():
     with pytest.raises(ValueError, match="too many"):
-        tiles.Room("cpu").grow(2**31)
+        tiles.PairCapacity("cpu").grow(2**31)
 
 
 @pytest.mark.parametrize("packed", [True, False])

@@ -9,8 +9,8 @@ from torch import Tensor
 
 from flowsplat.common import devices
 from flowsplat.common.devices import Later
+from flowsplat.gaussians.culling.capacity import RowCapacity
 from flowsplat.gaussians.culling.reference import REACH
-from flowsplat.gaussians.culling.rooms import Rooms
 from flowsplat.geometry import Camera
 from flowsplat.splatting.rules import EPS2D
 
@@ -46,7 +46,7 @@ def active_rows(
         log_lambdas: [N]
         t: clip time.
         p_min: moving Gaussians below this presence are not rendered.
-        camera: who looks; None = everybody at rest is seen.
+        camera: who looks; None = all at rest are seen.
         near: planar depth below which nothing is rendered.
 
     Returns:
@@ -69,13 +69,13 @@ def padded_rows(
     p_min: float,
     camera: Camera | None,
     near: float,
-    rooms: Rooms,
+    capacity: RowCapacity,
 ) -> tuple[Tensor, Later]:
-    """As ``active_rows`` by the Triton kernels, without waiting for them: in as many rows as there is room for.
+    """As ``active_rows`` by the Triton kernels, without waiting for them: in as many rows as ``capacity`` says.
 
     Returns:
-        rows [A] int64, those at rest from the first one, moving ones from ``rooms.at_rest``; -1 = nobody. What finds no room is
-        left out. And how many at rest and moving there are.
+        rows [A] int64, those at rest from the first one, moving ones from ``capacity.at_rest``; -1 = padding. Those for
+        which there is no row are left out. And how many at rest and moving there are.
     """
     twin = import_module("flowsplat.gaussians.culling.triton")
-    return twin.padded_rows(at_rest, means, log_scales, times, log_lambdas, t, p_min, camera, near, rooms)
+    return twin.padded_rows(at_rest, means, log_scales, times, log_lambdas, t, p_min, camera, near, capacity)

@@ -12,9 +12,10 @@ from torch import Tensor
 from flowsplat.common.kernels import OPTIONS, exp, parallel_kernel
 from flowsplat.gaussians.culling import reference
 from flowsplat.geometry import Camera
+from flowsplat.splatting.rules import TANGENT_MARGIN
 
 CHUNKS = 64
-REACH, BLUR = np.float32(reference.REACH), np.float32(reference.BLUR)
+REACH, BLUR, MARGIN = np.float32(reference.REACH), np.float32(reference.BLUR), np.float32(TANGENT_MARGIN)
 ZERO, ONE, HALF = np.float32(0), np.float32(1), np.float32(0.5)
 
 
@@ -33,7 +34,7 @@ def _cull(at_rest, means, log_sizes, times, log_lambdas, t, p_min, use_camera, v
     """Fill keep [N] uint8 (1 = seen at rest, 2 = seen moving) and counts [CHUNKS, 2]."""
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
     w, h = float32(width), float32(height)
-    limit_x, limit_y = max(w - cx, cx) / fx + float32(0.15) * w / fx, max(h - cy, cy) / fy + float32(0.15) * h / fy
+    limit_x, limit_y = max(w - cx, cx) / fx + MARGIN * w / fx, max(h - cy, cy) / fy + MARGIN * h / fy
     count = len(at_rest)
     for chunk in prange(CHUNKS):
         resting, moving = 0, 0

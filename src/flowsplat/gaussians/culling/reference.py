@@ -7,13 +7,12 @@ from torch import Tensor
 
 from flowsplat.gaussians.motion import presence
 from flowsplat.geometry import Camera
+from flowsplat.splatting.rules import TANGENT_MARGIN
 
 REACH = 3.34
-"""More sigmas than the rasterizer ever draws: sqrt(2 ln 255) = 3.33."""
+"""More sigmas than the rasterizer ever draws: sqrt(-2 ln ``ALPHA_MIN``) = 3.33."""
 BLUR = 0.55
-"""More than the standard deviation of the rasterizer's blur in pixels, sqrt(0.3)."""
-MARGIN = 0.15
-"""Picture sizes beyond the border at which the rasterizer holds the tangents of its Jacobians."""
+"""More than the standard deviation of the rasterizer's blur in pixels, sqrt(``EPS2D``) = 0.548."""
 
 
 def active_rows(
@@ -37,7 +36,7 @@ def _may_be_seen(means: Tensor, sizes: Tensor, camera: Camera, near: float) -> T
     seen = depth > near
     for axis, picture in ((0, camera.width), (1, camera.height)):
         focal, centre = K[axis, axis], K[axis, 2]
-        limit = torch.maximum(picture - centre, centre) / focal + MARGIN * picture / focal
+        limit = torch.maximum(picture - centre, centre) / focal + TANGENT_MARGIN * picture / focal
         tangent = points[:, axis] / depth
         held = torch.minimum(torch.maximum(tangent, -limit), limit)
         reach = REACH * (focal / depth * sizes * torch.sqrt(1 + held * held) + BLUR)

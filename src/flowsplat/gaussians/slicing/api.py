@@ -61,7 +61,7 @@ def slice_gaussians(
     Args:
         gaussians: the model.
         active: which Gaussians and when.
-        camera_center: [3], for the direction of the harmonics; on the CPU nobody has to wait for it.
+        camera_center: [3], for the direction of the harmonics; on the CPU the device need not be waited for.
         next_time: the other time of a flow pair.
         gradients: where the gradients of the parameters go in the backward pass (a parameter that nothing depends on may be
             missing then); None = the slice is not differentiable.

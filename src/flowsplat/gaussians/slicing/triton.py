@@ -1,6 +1,6 @@
 """Slicing and its gradient as two Triton kernels, a lane a Gaussian. Oracle: ``reference`` (series motion only).
 
-Rows are read where they lie. Blocks in which everything rests skip the series. A row of -1 is nobody: it is written as a Gaussian
+Rows are read where they lie. Blocks in which everything rests skip the series. A row of -1 is padding: it is written as a Gaussian
 of opacity 0 and its gradient is 0, so that buffers of a fixed size can be filled in part.
 """
 
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import torch
 import triton
 import triton.language as tl
@@ -16,14 +15,13 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from flowsplat.common.devices import upload
+from flowsplat.gaussians.camera_buffer import CENTRE, COSINES, NEXT_TIME, TIME, moment_numbers
 from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
 from flowsplat.gaussians.motion import SeriesMotion
 from flowsplat.gaussians.slicing.api import NAMES, Gradients, Slice
-from flowsplat.splatting.harmonics import C0, C1, C2, C3
+from flowsplat.splatting.rules import C0, C1, C2, C3
 
 BLOCK = 128
-COSINES = tl.constexpr(5)
-"""Where the cosines of the brightness begin in a moment: before them are time, other time and the camera's centre."""
 
 S0, S1 = tl.constexpr(C0), tl.constexpr(C1)
 S20, S21, S22, S23, S24 = (tl.constexpr(c) for c in C2)
@@ -72,7 +70,7 @@ def _harmonic(k: tl.constexpr, x, y, z):
 @triton.jit
 def _direction(x, y, z, moment):
     """Unit vector from the camera's centre."""
-    x, y, z = x - tl.load(moment + 2), y - tl.load(moment + 3), z - tl.load(moment + 4)
+    x, y, z = x - tl.load(moment + CENTRE), y - tl.load(moment + CENTRE + 1), z - tl.load(moment + CENTRE + 2)
     inverse = 1.0 / tl.maximum(tl.sqrt(x * x + y * y + z * z), 1e-12)
     return x * inverse, y * inverse, z * inverse
 
@@ -165,8 +163,8 @@ def _forward(
     m = a - resting
     moves = inside & (a >= resting)
     opacity = tl.where(there, 1.0 / (1.0 + tl.exp(-tl.load(logits + i, mask=there, other=0.0))), 0.0)
-    tau = tl.load(moment) - tl.load(times + i, mask=moving, other=0.0)
-    later = tl.load(moment + 1) - tl.load(times + i, mask=moving, other=0.0)
+    tau = tl.load(moment + TIME) - tl.load(times + i, mask=moving, other=0.0)
+    later = tl.load(moment + NEXT_TIME) - tl.load(times + i, mask=moving, other=0.0)
     some_move = (block + 1) * BLOCK > resting
     if some_move:
         precision = tl.exp(tl.load(log_lambdas + i, mask=moving, other=0.0))
@@ -224,7 +222,7 @@ def _backward(
     HAS_NEXT: tl.constexpr, MEAN_POLY: tl.constexpr, MEAN_FOURIER: tl.constexpr, QUAT_POLY: tl.constexpr,
     QUAT_FOURIER: tl.constexpr, GAINS: tl.constexpr, HARMONICS: tl.constexpr, STORED: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """Every number of every d_... is written, so that they need not be cleared before; that of nobody is 0, whatever arrives."""
+    """Every number of every d_... is written, so that they need not be cleared before; that of padding is 0, whatever arrives."""
     block = tl.program_id(0)
     a = block * BLOCK + tl.arange(0, BLOCK)
     inside = a < count
@@ -237,8 +235,8 @@ def _backward(
     sigmoid = 1.0 / (1.0 + tl.exp(-tl.load(logits + i, mask=there, other=0.0)))
     toward_opacity = tl.load(grad_opacities + a, mask=there, other=0.0)
     some_move = (block + 1) * BLOCK > resting
-    tau = tl.load(moment) - tl.load(times + i, mask=moving, other=0.0)
-    later = tl.load(moment + 1) - tl.load(times + i, mask=moving, other=0.0)
+    tau = tl.load(moment + TIME) - tl.load(times + i, mask=moving, other=0.0)
+    later = tl.load(moment + NEXT_TIME) - tl.load(times + i, mask=moving, other=0.0)
     toward_time = tl.zeros_like(tau)
     if some_move:
         precision = tl.exp(tl.load(log_lambdas + i, mask=moving, other=0.0))
@@ -308,12 +306,6 @@ def _backward(
         tl.store(d_gains + a * GAINS + k, toward_gain * tl.load(moment + COSINES + k), mask=stays)
 
 
-def moment_numbers(gaussians: Gaussians4D, t: float, camera_center: np.ndarray, next_time: float | None) -> np.ndarray:
-    """[5 + gains] float32, what the kernels need to know of a time and a camera."""
-    cosines = np.cos(np.pi * t * np.arange(1, gaussians.config.gains + 1))
-    return np.concatenate([[t, next_time or 0.0], camera_center, cosines]).astype(np.float32)
-
-
 def _constants(gaussians: Gaussians4D, has_next: bool) -> dict[str, Any]:
     motion = gaussians.motion
     assert isinstance(motion, SeriesMotion)
@@ -331,9 +323,9 @@ def slice_rows(gaussians: Gaussians4D, rows: Tensor, resting: int, moment: Tenso
 
     Args:
         gaussians: the model.
-        rows: [A] int64; -1 = nobody.
+        rows: [A] int64; -1 = padding.
         resting: how many of the rows, the first ones, are for Gaussians at rest.
-        moment: ``moment_numbers`` on the device.
+        moment: its numbers on the device (``camera_buffer``).
         has_next: whether means and quats at the other time are wanted.
 
     Returns:
@@ -387,7 +379,7 @@ def slice_gaussians(
     gaussians: Gaussians4D, active: Active, camera_center: Tensor, next_time: float | None, gradients: Gradients | None
 ) -> Slice:
     """See ``api.slice_gaussians``."""
-    moment = moment_numbers(gaussians, active.t, camera_center.cpu().numpy(), next_time)
+    moment = moment_numbers(gaussians.config.gains, active.t, camera_center.cpu().numpy(), next_time)
     # The parameters are not inputs of the function, because their gradients would have their full size: it has one in name.
     anchor = torch.zeros((), requires_grad=gradients is not None)
     has_next = next_time is not None

@@ -12,7 +12,8 @@ from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.slicing import slice_gaussians
 from flowsplat.gaussians.slicing.reference import time_gains
 from flowsplat.geometry.rotations import multiply_quats, normalize_quats, principal_axes, rotations_to_quats
-from flowsplat.splatting.harmonics import C0, harmonics_basis, harmonics_count
+from flowsplat.splatting.harmonics import harmonics_basis, harmonics_count
+from flowsplat.splatting.rules import C0
 
 _FLIP = torch.tensor([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])
 """Half a turn about x: y down and z forward become y up and z backward."""

@@ -14,7 +14,7 @@ from typing import Any
 
 from flowsplat import __version__
 from flowsplat.common.files import read_json, write_json
-from flowsplat.gaussians.rendering import PartedRenderer
+from flowsplat.gaussians.renderer import PartedRenderer
 from flowsplat.output.videos.options import RenderOptions
 from flowsplat.output.videos.plans import Plan, plan_videos, settle
 from flowsplat.output.videos.writing import Scales, write_plan
@@ -22,7 +22,7 @@ from flowsplat.scenes import Scene
 
 __all__ = ["RenderOptions", "are_rendered", "forget_videos", "render_videos", "rendered", "settle"]
 
-_BOOK = "renders.json"
+_RECORD = "renders.json"
 
 
 def render_videos(model: PartedRenderer, scene: Scene, folder: Path, options: RenderOptions) -> None:
@@ -31,17 +31,17 @@ def render_videos(model: PartedRenderer, scene: Scene, folder: Path, options: Re
     Raises:
         InputError: an option or the camera file cannot be used, or the folder cannot be written.
     """
-    book = _book(folder)
+    record = _record(folder)
     plans = plan_videos(model, scene, options)
     parts = {part: model.part(part) for part in options.parts}
     for plan in plans:
         shown = parts[plan.part]
         scales = Scales.of(shown, plan.shots)
         entry = {"key": _key(plan, scales), "fps": plan.fps, "frames": len(plan.shots), "files": plan.files}
-        if book.get(plan.name) != entry or not all((Path(folder) / file).exists() for file in plan.files):
+        if record.get(plan.name) != entry or not all((Path(folder) / file).exists() for file in plan.files):
             write_plan(shown, plan, scales, Path(folder))
-            book[plan.name] = entry
-            write_json(Path(folder) / _BOOK, book)
+            record[plan.name] = entry
+            write_json(Path(folder) / _RECORD, record)
 
 
 def rendered(folder: Path) -> dict[str, str]:
@@ -54,7 +54,7 @@ def rendered(folder: Path) -> dict[str, str]:
     Raises:
         InputError: ``renders.json`` is damaged.
     """
-    return {name + "_colour" * k: file for name, entry in _book(folder).items() for k, file in enumerate(entry["files"])}
+    return {name + "_colour" * k: file for name, entry in _record(folder).items() for k, file in enumerate(entry["files"])}
 
 
 def are_rendered(folder: Path) -> bool:
@@ -64,11 +64,11 @@ def are_rendered(folder: Path) -> bool:
 
 def forget_videos(folder: Path) -> None:
     """Note that what is in ``folder`` shows another scene; the files stay until new ones take their place."""
-    (Path(folder) / _BOOK).unlink(missing_ok=True)
+    (Path(folder) / _RECORD).unlink(missing_ok=True)
 
 
-def _book(folder: Path) -> dict[str, Any]:
-    path = Path(folder) / _BOOK
+def _record(folder: Path) -> dict[str, Any]:
+    path = Path(folder) / _RECORD
     return read_json(path) if path.exists() else {}
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from flowsplat.common.errors import InputError
-from flowsplat.gaussians.rendering import Part
+from flowsplat.gaussians.renderer import Part
 from flowsplat.output.camera_files import LARGEST
 from flowsplat.pictures.video import FASTEST, SLOWEST
 

@@ -12,7 +12,7 @@ import numpy as np
 from flowsplat.common.errors import InputError
 from flowsplat.common.progress import say
 from flowsplat.common.spread import spread
-from flowsplat.gaussians.rendering import Part, PartedRenderer
+from flowsplat.gaussians.renderer import Part, PartedRenderer
 from flowsplat.geometry import Camera
 from flowsplat.geometry.paths import CameraPath, dolly_zoom, orbit, shifted
 from flowsplat.output.camera_files import CameraShots, read_camera_file

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from flowsplat.common.progress import say, track
-from flowsplat.gaussians.rendering import Renderer
+from flowsplat.gaussians.renderer import Renderer
 from flowsplat.geometry.paths import cropped, smooth_path
 from flowsplat.output.videos.shots import COVERED, Shot
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from flowsplat.common.progress import track
 from flowsplat.common.spread import spread
-from flowsplat.gaussians.rendering import Renderer, Rendering
+from flowsplat.gaussians.renderer import Renderer, Rendering
 from flowsplat.geometry.paths import shifted
 from flowsplat.output.videos.plans import Plan
 from flowsplat.output.videos.shots import COVERED, Shot, small

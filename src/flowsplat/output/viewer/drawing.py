@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from flowsplat.gaussians.model import SceneModel
-from flowsplat.gaussians.rendering import Part
+from flowsplat.gaussians.renderer import Part
 from flowsplat.gaussians.slicing import slice_gaussians
 from flowsplat.geometry import Camera
 from flowsplat.geometry.paths import shifted

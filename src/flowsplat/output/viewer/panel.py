@@ -9,7 +9,7 @@ import numpy as np
 import viser
 
 from flowsplat.common.spread import spread
-from flowsplat.gaussians.rendering import Part
+from flowsplat.gaussians.renderer import Part
 from flowsplat.output.viewer.browser_frame import SCENE_DEPTH, BrowserFrame, Pose
 from flowsplat.output.viewer.drawing import Compare, Drawing, Look, PictureKind
 from flowsplat.output.viewer.export_panel import ExportPanel

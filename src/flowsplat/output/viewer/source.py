@@ -12,7 +12,7 @@ import torch
 
 from flowsplat.common.errors import InputError
 from flowsplat.gaussians.model import SceneModel
-from flowsplat.gaussians.rendering import Part
+from flowsplat.gaussians.renderer import Part
 from flowsplat.geometry.paths import CameraPath
 from flowsplat.output.videos.writing import Scales
 from flowsplat.scenes import Scene

@@ -8,6 +8,7 @@ from typing import Protocol
 import cv2
 import numpy as np
 
+from flowsplat.common.spread import spread
 from flowsplat.geometry import Camera
 from flowsplat.priors.background.fill import fill
 from flowsplat.priors.background.fuse import fuse
@@ -132,8 +133,7 @@ class Background:
     def foremost(self, k: int) -> np.ndarray:
         """As ``StaticDepth.foremost``: the second nearest that frames from all over the piece are sure of."""
         piece = [j for j in range(len(self._clip)) if self._clip.continuity.same_piece(k, j)]
-        chosen = np.linspace(0, len(piece) - 1, WITNESSES).round().astype(int)
-        witnesses = sorted({piece[n] for n in chosen} - {k})
+        witnesses = sorted({piece[n] for n in spread(len(piece), WITNESSES)} - {k})
         if len(witnesses) < 2:
             return self.plate(k)
         first, second = np.zeros((2, self._clip.height, self._clip.width), np.float32)

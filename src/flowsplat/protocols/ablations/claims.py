@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from flowsplat.common.errors import InputError
+from flowsplat.common.progress import say_once
 from flowsplat.protocols.ablations.variants import Variant
 
 Group = Literal["representation", "training", "orders", "ours", "baselines"]
@@ -71,6 +72,9 @@ def _ours(name: str, label: str, changes: Mapping[str, Any], expected: int = -1)
     return Claim("ours", Variant(name, label, changes), expected)
 
 
+RENAMED_ROWS = {"no-opaque": "no-coverage"}
+"""Rows that had another name in an earlier version, and their name now."""
+
 CLAIMS: tuple[Claim, ...] = (
     _from_paper(
         "representation", "linear", "neither mu(t) nor q(t): the linear 4D Gaussian",
@@ -116,7 +120,7 @@ CLAIMS: tuple[Claim, ...] = (
         "samples-7", "7 samples, precision as printed",
         {"init.samples": 7, "init.sample_gap": 0, "init.precision_factor": 49 / 36},
     ),
-    _ours("no-opaque", "dark surfaces may open", {"loss.opaque": 0.0}),
+    _ours("no-coverage", "dark surfaces need not cover their pixels", {"loss.coverage": 0.0}),
     _ours("no-depth", "without depth loss", {"loss.depth": 0.0}),
     _ours("sh-0", "colours of degree 0", {"model.sh_degree": 0}),
     _ours("sh-2", "colours of degree 2", {"model.sh_degree": 2}, 0),
@@ -145,6 +149,9 @@ def chosen_claims(names: Sequence[str]) -> list[Claim]:
     Raises:
         InputError: there is no such row.
     """
+    for name in RENAMED_ROWS.keys() & set(names):
+        say_once(f"The row {name} is called {RENAMED_ROWS[name]} now.")
+    names = [RENAMED_ROWS.get(name, name) for name in names]
     known = dict.fromkeys([*TITLES, *(claim.variant.name for claim in CLAIMS)])
     for name in names:
         if name not in known:

@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Literal
 
 from flowsplat.common.errors import InputError
+from flowsplat.common.settings import flat, to_plain
 from flowsplat.pipeline import RunConfig, preset
-from flowsplat.pipeline.config import flat, to_plain
 from flowsplat.protocols.priors.scenes import TUNED
 from flowsplat.protocols.roots import open_root, require_scenes
 from flowsplat.scenes.clip import InputOptions
@@ -29,7 +29,7 @@ from flowsplat.scenes.formats.images import read_picture
 from flowsplat.scenes.formats.nerfies import is_nerfies
 from flowsplat.scenes.formats.nvidia import RAW_PICTURES, is_nvidia
 from flowsplat.scenes.ingest import open_clip
-from flowsplat.training.config import that_matter
+from flowsplat.training.config import affecting_result
 
 ALL_FRAMES = InputOptions(every=1, max_frames=100_000)
 NSFF_TIMES, NSFF_HEIGHT = 24, 288
@@ -91,7 +91,7 @@ def protocol_config(name: str, config: RunConfig | None, holdout: int | None) ->
     """
     start = preset(name)
     config = config or start
-    base, wanted = flat(to_plain(start.train)), that_matter(flat(to_plain(config.train)))
+    base, wanted = flat(to_plain(start.train)), affecting_result(flat(to_plain(config.train)))
     changed = [f"{key} {value}" for key, value in wanted.items() if base.get(key) != value]
     options = replace(ALL_FRAMES, holdout=holdout)
     fixed = replace(config, input=options, priors=RunConfig().priors, baselines="all", refine_poses=True)

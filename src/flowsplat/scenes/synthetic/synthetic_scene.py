@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from flowsplat.common.errors import InputError
+from flowsplat.common.spread import spread
 from flowsplat.geometry import Camera
 from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.scenes.layers import Flow, Tracks
@@ -211,7 +212,7 @@ class SyntheticScene:
         """
         rng = np.random.default_rng(self.seed)
         grid = pixel_grid(self.width, self.height).astype(np.float64).reshape(-1, 2)
-        births = sorted(set(np.linspace(0, self.frames - 1, 5).round().astype(int)))
+        births = spread(self.frames, 5)
         seen = [self.cast(self.camera(i), self.timestamps[i], grid) for i in births]
         body, local = np.concatenate([h.body for h in seen]), np.concatenate([h.local for h in seen])
         numbers = np.array([b.number for b in self.bodies])[body]

@@ -242,7 +242,7 @@ def gather_gradients(
 ):  # fmt: skip
     """Sum the slots of every Gaussian, in order: no atomics, the same bits with any number of threads.
 
-    absolute is [N, 2], added to, or [0, 2] where nobody asked for it.
+    absolute is [N, 2], added to, or [0, 2] where it is not asked for.
     """
     channels, with_absolute = grad_features.shape[1], absolute.shape[0] > 0
     first_channel = GEOMETRY + ABSOLUTE if with_absolute else GEOMETRY

@@ -13,7 +13,7 @@ from torch.autograd.function import once_differentiable
 
 from flowsplat.common.kernels import OPTIONS, parallel_kernel
 from flowsplat.splatting.cpu.projection import HALF, ONE, TWO, ZERO
-from flowsplat.splatting.harmonics import C0, C1, C2, C3
+from flowsplat.splatting.rules import C0, C1, C2, C3
 
 CHUNKS = 64
 S0, S1 = np.float32(C0), np.float32(C1)

@@ -13,9 +13,12 @@ import numpy as np
 from numba import float32, njit, prange
 
 from flowsplat.common.kernels import OPTIONS, log, parallel_kernel
+from flowsplat.splatting.rules import ALPHA_MIN, DETERMINANT_MAX, OPACITY_FLOOR, RADIUS_MAX, TANGENT_MARGIN
 
 ONE, TWO, HALF, ZERO = np.float32(1), np.float32(2), np.float32(0.5), np.float32(0)
-MARGIN = np.float32(0.15)
+MARGIN, PER_ALPHA_MIN = np.float32(TANGENT_MARGIN), np.float32(1 / ALPHA_MIN)
+LEAST_OPACITY, MOST_RADIUS = np.float32(OPACITY_FLOOR), np.float32(RADIUS_MAX)
+MOST_DETERMINANT = np.float32(DETERMINANT_MAX)
 
 
 @njit(inline="always", **OPTIONS)
@@ -109,18 +112,18 @@ def project_forward(
             a, b, c, determinant = _flatten_given(covars, i, a0, a1, a2, b0, b1, b2, eps2d)
         else:
             a, b, c, determinant = _flatten(quats, scales, i, a0, a1, a2, b0, b1, b2, eps2d)
-        good = inside and (determinant > ZERO) and (determinant < float32(1e30))
+        good = inside and (determinant > ZERO) and (determinant < MOST_DETERMINANT)
         inverse_determinant = ONE / determinant if good else ONE
         conics[i, 0] = c * inverse_determinant
         conics[i, 1] = -b * inverse_determinant
         conics[i, 2] = a * inverse_determinant
-        extent = TWO * log(max(opacities[i], float32(1e-12)) * float32(255))
+        extent = TWO * log(max(opacities[i], LEAST_OPACITY) * PER_ALPHA_MIN)
         if good and extent > ZERO:
             half_x, half_y = math.sqrt(extent * a), math.sqrt(extent * c)
             if (u + half_x > ZERO) and (u - half_x < w) and (v + half_y > ZERO) and (v - half_y < h):
                 extents[i] = extent
-                radii[i, 0] = int(min(max(np.ceil(half_x), ONE), float32(1e6)))
-                radii[i, 1] = int(min(max(np.ceil(half_y), ONE), float32(1e6)))
+                radii[i, 0] = int(min(max(np.ceil(half_x), ONE), MOST_RADIUS))
+                radii[i, 1] = int(min(max(np.ceil(half_y), ONE), MOST_RADIUS))
 
 
 @parallel_kernel

@@ -18,7 +18,7 @@ class Workspace:
 
     @staticmethod
     def acquire() -> Workspace:
-        """A workspace nobody else uses."""
+        """A workspace that is not in use."""
         with Workspace._lock:
             return Workspace._free.pop() if Workspace._free else Workspace()
 
@@ -44,7 +44,7 @@ class Workspace:
 
 
 class Lease:
-    """Holds a workspace for as long as somebody holds the lease (an autograd graph, for instance)."""
+    """Holds a workspace for as long as the lease is held (by an autograd graph, for instance)."""
 
     def __init__(self) -> None:
         self.workspace = Workspace.acquire()

@@ -79,7 +79,7 @@ def blend_forward(
                 goes_on = after > _STOP
                 T = tl.where(goes_on, after, -tl.abs(T))
                 drawn = total + feature[:, None] * tl.where(goes_on, weight, 0.0)[None, :]
-                total = tl.where((channel < CHANNELS)[:, None], drawn, 0.0)  # the compiler leaves out channels nobody has
+                total = tl.where((channel < CHANNELS)[:, None], drawn, 0.0)  # the compiler leaves out channels that are not there
             p += TOGETHER
         highest = tl.max(T, axis=0)
     pixel = row * width + column

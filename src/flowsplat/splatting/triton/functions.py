@@ -95,29 +95,29 @@ class _Blended:
 def _blend(inputs: tuple[Tensor, ...], width: int, height: int, save: bool) -> _Blended:
     """Blend means2d, conics, opacities, features, depths and extents, float32; ``save``: so that backward can replay it."""
     xy, conic, opacity, feature, depth, extent = inputs
-    device, fixed = xy.device, tiles.chosen_room()
+    device, fixed = xy.device, tiles.chosen_capacity()
     if fixed is None and xy.is_cuda and torch.cuda.is_current_stream_capturing():
-        raise RuntimeError("a CUDA graph cannot wait for the GPU: capture it inside `with room.fixed():` (triton.tiles.Room)")
+        raise RuntimeError("a CUDA graph cannot wait for the GPU: capture it inside `with PairCapacity.fixed():` (triton.tiles)")
     counted = tiles.count_tiles(xy, conic, opacity, depth, extent, width, height)
     if fixed is not None:
         fixed.note(counted.needed)
-        return _blend_counted(counted, xy, conic, opacity, feature, extent, width, height, fixed.capacity, save)
-    room, later = tiles.own_room(device, width, height), Later(counted.needed)
+        return _blend_counted(counted, xy, conic, opacity, feature, extent, width, height, fixed.pairs, save)
+    shared, later = tiles.shared_capacity(device, width, height), Later(counted.needed)
     while True:
-        capacity = room.capacity
+        capacity = shared.pairs
         blended = _blend_counted(counted, xy, conic, opacity, feature, extent, width, height, capacity, save)
         # Only now: the GPU has enough to do while the host waits for a number that was counted before all that.
         (needed,) = later.values()
         if needed <= capacity:
             return blended
-        room.grow(needed)
+        shared.grow(needed)
 
 
 def _blend_counted(
     counted: Counted, xy: Tensor, conic: Tensor, opacity: Tensor, feature: Tensor, extent: Tensor, width: int, height: int,
     capacity: int, save: bool,
 ) -> _Blended:  # fmt: skip
-    """Blend with room for ``capacity`` pairs of a Gaussian and a tile."""
+    """Blend at most ``capacity`` pairs of a Gaussian and a tile."""
     binned = tiles.fill_tiles(counted, xy, conic, opacity, extent, width, height, capacity)
     columns, rows = tiles.tile_grid(width, height)
     channels, device = feature.shape[1], xy.device
@@ -153,7 +153,7 @@ class _Blend(torch.autograd.Function):
         (count, channels), device = ctx.feature.shape, image.device
         columns, rows = tiles.tile_grid(width, height)
         capacity = len(binned.slots)
-        # Zeros: behind the place where a tile stopped nobody writes.
+        # Zeros: behind the place where a tile stopped nothing is written.
         stride = -(-(blending.GEOMETRY + channels) // 4) * 4
         out = torch.zeros(capacity, stride, device=device)
         grad_means2d, grad_conics = torch.empty(count, 2, device=device), torch.empty(count, 3, device=device)
@@ -204,7 +204,7 @@ def blend(
     height: int,
     absolute: Tensor | None = None,  # [N, 2]
 ) -> tuple[Tensor, Tensor]:
-    """As ``reference.blend``, with the extents of ``project`` in place of the radii. Keeps nothing where nobody differentiates."""
+    """As ``reference.blend``, with the extents of ``project`` in place of the radii. Keeps nothing without a gradient."""
     inputs = means2d, conics, opacities, features
     if len(means2d) == 0:
         nothing = sum(value.sum() for value in inputs)

@@ -10,13 +10,17 @@ from __future__ import annotations
 import triton
 import triton.language as tl
 
-MARGIN = tl.constexpr(0.15)
+from flowsplat.splatting.rules import ALPHA_MIN, DETERMINANT_MAX, OPACITY_FLOOR, RADIUS_MAX, TANGENT_MARGIN
+
+MARGIN, PER_ALPHA_MIN = tl.constexpr(TANGENT_MARGIN), tl.constexpr(1 / ALPHA_MIN)
+LEAST_OPACITY, MOST_RADIUS = tl.constexpr(OPACITY_FLOOR), tl.constexpr(RADIUS_MAX)
+MOST_DETERMINANT = tl.constexpr(DETERMINANT_MAX)
 CAMERA = 16  # entries of a camera's gradient: twelve of viewmat, then fx, fy, cx, cy
 
 
 @triton.jit
 def _view(view):
-    """The twelve entries of viewmat [4, 4] that matter."""
+    """The twelve entries of viewmat [4, 4] that are read."""
     return (
         tl.load(view), tl.load(view + 1), tl.load(view + 2), tl.load(view + 3),
         tl.load(view + 4), tl.load(view + 5), tl.load(view + 6), tl.load(view + 7),
@@ -25,7 +29,7 @@ def _view(view):
 
 
 @triton.jit
-def _lens(K, w, h):
+def _intrinsics(K, w, h):
     """fx, fy, cx, cy of K [3, 3], and the tangents beyond which the Jacobian is clamped."""
     fx, cx, fy, cy = tl.load(K), tl.load(K + 2), tl.load(K + 4), tl.load(K + 5)
     margin_x, margin_y = w * MARGIN, h * MARGIN
@@ -112,7 +116,7 @@ def project_forward(
     live = i < count
     w, h = width.to(tl.float32), height.to(tl.float32)
     v00, v01, v02, v03, v10, v11, v12, v13, v20, v21, v22, v23 = _view(view)
-    fx, fy, cx, cy, left, right, top, bottom = _lens(K, w, h)
+    fx, fy, cx, cy, left, right, top, bottom = _intrinsics(K, w, h)
     px = tl.load(means + 3 * i, mask=live, other=0.0)
     py = tl.load(means + 3 * i + 1, mask=live, other=0.0)
     pz = tl.load(means + 3 * i + 2, mask=live, other=0.0)
@@ -130,10 +134,10 @@ def project_forward(
         a, b, c, determinant = _flatten_given(covars, i, live, a0, a1, a2, b0, b1, b2, eps2d)
     else:
         a, b, c, determinant = _flatten(quats, scales, i, live, a0, a1, a2, b0, b1, b2, eps2d)
-    good = inside & (determinant > 0) & (determinant < 1e30)
+    good = inside & (determinant > 0) & (determinant < MOST_DETERMINANT)
     inverse_determinant = 1.0 / tl.where(good, determinant, 1.0)
     opacity = tl.load(opacities + i, mask=live, other=0.0)
-    extent = 2 * tl.log(tl.maximum(opacity, 1e-12) * 255.0)
+    extent = 2 * tl.log(tl.maximum(opacity, LEAST_OPACITY) * PER_ALPHA_MIN)
     good = good & (extent > 0)
     half_x, half_y = tl.sqrt(tl.where(good, extent * a, 0.0)), tl.sqrt(tl.where(good, extent * c, 0.0))
     good = good & (u + half_x > 0) & (u - half_x < w) & (v + half_y > 0) & (v - half_y < h)
@@ -144,7 +148,7 @@ def project_forward(
     tl.store(conics + 3 * i + 2, a * inverse_determinant, mask=live)
     tl.store(depths + i, z, mask=live)
     tl.store(extents + i, tl.where(good, extent, 0.0), mask=live)
-    wide, high = _clamped(tl.ceil(half_x), 1.0, 1e6), _clamped(tl.ceil(half_y), 1.0, 1e6)
+    wide, high = _clamped(tl.ceil(half_x), 1.0, MOST_RADIUS), _clamped(tl.ceil(half_y), 1.0, MOST_RADIUS)
     tl.store(radii + 2 * i, tl.where(good, wide, 0.0).to(tl.int32), mask=live)
     tl.store(radii + 2 * i + 1, tl.where(good, high, 0.0).to(tl.int32), mask=live)
 
@@ -161,7 +165,7 @@ def project_backward(
     drawn = tl.load(radii + 2 * i, mask=live, other=0) > 0
     w, h = width.to(tl.float32), height.to(tl.float32)
     v00, v01, v02, v03, v10, v11, v12, v13, v20, v21, v22, v23 = _view(view)
-    fx, fy, _cx, _cy, left, right, top, bottom = _lens(K, w, h)
+    fx, fy, _cx, _cy, left, right, top, bottom = _intrinsics(K, w, h)
     px = tl.load(means + 3 * i, mask=drawn, other=0.0)
     py = tl.load(means + 3 * i + 1, mask=drawn, other=0.0)
     pz = tl.load(means + 3 * i + 2, mask=drawn, other=0.0)

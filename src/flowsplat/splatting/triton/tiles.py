@@ -5,8 +5,8 @@ gives it its *slots*, and it writes the number of one tile into each. A second, 
 and keeps their depth order. Slots stay grouped by Gaussian: backward writes one row a slot, and the rows of a Gaussian are
 then summed in order, so there are no atomics and the bits do not depend on the schedule.
 
-There is room for a fixed number of slots, which is what lets a CUDA graph replay all this. How many were needed is known on
-the GPU at once and on the host a little later: ``Room``.
+The number of slots is fixed, which is what lets a CUDA graph replay all this. How many were needed is known on
+the GPU at once and on the host a little later: ``PairCapacity``.
 """
 
 from __future__ import annotations
@@ -37,41 +37,41 @@ _LOG2_E = tl.constexpr(1 / math.log(2))
 _TINY = tl.constexpr(1e-20)
 
 
-class Room:
-    """For how many pairs of a Gaussian and a tile there is room, and how many were needed.
+class PairCapacity:
+    """How many pairs of a Gaussian and a tile can be stored, and how many were needed.
 
-    By default every size of picture on a device has a room of its own, which grows by itself: while the GPU blends, the host
+    By default every size of picture on a device has a capacity of its own, which grows by itself: while the GPU blends, the host
     reads how many pairs were counted, and does the picture again where they did not fit. A CUDA graph cannot do that. Inside
-    ``with room.fixed():`` nothing waits for the GPU; look at ``overflowed()`` afterwards, and if it is true, ``grow()`` and
+    ``with capacity.fixed():`` nothing waits for the GPU; look at ``overflowed()`` afterwards, and if it is true, ``grow()`` and
     draw (or capture) again: the picture lacks what did not fit.
 
     Attributes:
-        capacity: pairs that there is room for.
+        pairs: how many can be stored.
     """
 
-    def __init__(self, device: torch.device | str, capacity: int = 1 << 16) -> None:
-        self.capacity = _rounded(capacity)
+    def __init__(self, device: torch.device | str, pairs: int = 1 << 16) -> None:
+        self.pairs = _rounded(pairs)
         self._needed = torch.zeros(1, dtype=torch.int64, device=device)
 
     @contextmanager
-    def fixed(self) -> Iterator[Room]:
-        """Blend in this room, without waiting for the GPU."""
-        before, _chosen.room = getattr(_chosen, "room", None), self
+    def fixed(self) -> Iterator[PairCapacity]:
+        """Blend with this capacity, without waiting for the GPU."""
+        before, _chosen.capacity = getattr(_chosen, "capacity", None), self
         try:
             yield self
         finally:
-            _chosen.room = before
+            _chosen.capacity = before
 
     def note(self, needed: Tensor) -> None:
         """Keep the largest number [1] that was needed, on the device."""
         torch.maximum(self._needed, needed, out=self._needed)
 
     def overflowed(self) -> bool:
-        """Whether a picture drawn in this room, since it was made, needed more than there is now. Waits for the GPU."""
-        return int(self._needed) > self.capacity
+        """Whether a picture drawn with this capacity, since it was made, needed more than it is now. Waits for the GPU."""
+        return int(self._needed) > self.pairs
 
     def grow(self, needed: int | None = None) -> None:
-        """Make room for what was needed and a quarter more.
+        """Raise it to what was needed and a quarter more.
 
         Raises:
             ValueError: there are more pairs than can be numbered.
@@ -79,7 +79,7 @@ class Room:
         needed = int(self._needed) if needed is None else needed
         if needed > MOST_INSTANCES:
             raise ValueError(f"{needed} pairs of a Gaussian and a tile are too many: at most {MOST_INSTANCES} fit")
-        self.capacity = min(max(self.capacity, _rounded(needed + needed // 4)), MOST_INSTANCES)
+        self.pairs = min(max(self.pairs, _rounded(needed + needed // 4)), MOST_INSTANCES)
 
 
 def _rounded(count: int) -> int:
@@ -87,21 +87,21 @@ def _rounded(count: int) -> int:
 
 
 _chosen = threading.local()
-_rooms: dict[tuple[torch.device, int, int], Room] = {}
+_shared: dict[tuple[torch.device, int, int], PairCapacity] = {}
 
 
-def chosen_room() -> Room | None:
-    """The room of ``with room.fixed():``, if we are in one."""
-    room: Room | None = getattr(_chosen, "room", None)
-    return room
+def chosen_capacity() -> PairCapacity | None:
+    """The one of ``with capacity.fixed():``, if we are inside of that."""
+    capacity: PairCapacity | None = getattr(_chosen, "capacity", None)
+    return capacity
 
 
-def own_room(device: torch.device, width: int, height: int) -> Room:
-    """The room that pictures of this size share, and that grows by itself."""
+def shared_capacity(device: torch.device, width: int, height: int) -> PairCapacity:
+    """The capacity that pictures of this size share, and that grows by itself."""
     key = (device, width, height)
-    if key not in _rooms:
-        _rooms[key] = Room(device)
-    return _rooms[key]
+    if key not in _shared:
+        _shared[key] = PairCapacity(device)
+    return _shared[key]
 
 
 @dataclass(frozen=True)
@@ -164,10 +164,10 @@ def count_tiles(
 def fill_tiles(
     counted: Counted, means2d: Tensor, conics: Tensor, opacities: Tensor, extents: Tensor, width: int, height: int, capacity: int
 ) -> Binned:
-    """Bring the Gaussians of every tile together, as many as there is room for."""
+    """Bring the Gaussians of every tile together, as many as the capacity allows."""
     count, device = len(means2d), means2d.device
     columns, rows = tile_grid(width, height)
-    # A tile number no tile has marks a slot that nobody uses, and sorts last. Narrow keys sort faster.
+    # A tile number no tile has marks an unused slot, and sorts last. Narrow keys sort faster.
     dtype = torch.int16 if columns * rows < 2**15 - 1 else torch.int32
     keys = torch.full((capacity,), columns * rows, dtype=dtype, device=device)
     owners = torch.zeros(capacity, dtype=torch.int32, device=device)

@@ -36,7 +36,7 @@ class RowAdam:
             name: of the parameter, whose moments these are.
             value: [N, ...], of D numbers a row.
             rows: [A] int64.
-            stepped: [A] bool; the other rows are left alone, as if they were not named, and may be -1, nobody.
+            stepped: [A] bool; the other rows are left alone, as if they were not named, and may be -1, padding.
             gradient: [A, ...] of the rows.
             rates: [D] learning rates.
         """
@@ -49,7 +49,7 @@ class RowAdam:
             rows, stepped, gradient.reshape(len(rows), -1), rates,
         )  # fmt: skip
 
-    def follow(self, index: Tensor, is_new: Tensor) -> None:
+    def reindex(self, index: Tensor, is_new: Tensor) -> None:
         """After density control: row k comes from old row ``index[k]``; new rows [M] bool start with empty moments."""
         for moments in (self.means, self.squares):
             for name, value in moments.items():

@@ -67,7 +67,7 @@ class PictureWeights:
 class PictureFigures:
     """The parts before their weights, and the mean squared error of the colours clamped to 0..1.
 
-    Tensors where they were computed on a GPU, so that nobody has to wait for them.
+    Tensors where they were computed on a GPU, so that the host need not wait for them.
     """
 
     colour: float | Tensor

@@ -68,7 +68,7 @@ def _sum(values, count):
 
 @njit(inline="always", **OPTIONS)
 def _sign(x):
-    """-1, 0 or 1, without a branch that nobody can guess."""
+    """-1, 0 or 1, without a branch, which could not be predicted."""
     return float32((x > ZERO) - (x < ZERO))
 
 

@@ -15,9 +15,9 @@ def rigid_loss(velocities: Tensor, rows: Tensor, neighbours: Neighbours, count: 
 
     Args:
         velocities: [M, 3] of active Gaussians, per clip length.
-        rows: [M] int64, which Gaussians they are; for the Triton kernels -1 = nobody.
+        rows: [M] int64, which Gaussians they are; for the Triton kernels -1 = padding.
         neighbours: of all Gaussians.
-        count: how many of the rows are somebody for ours; the number of all Gaussians for the paper's. A tensor where only the
+        count: how many of the rows are not padding for ours; the number of all Gaussians for the paper's. A tensor where only the
             device knows it.
     """
     twin = import_module(f"flowsplat.training.rigidity.{devices.kernels_for(velocities)}")

@@ -44,7 +44,7 @@ class Neighbours:
         pairs = torch.argsort(flat, stable=True)[int(counts[0]) :].to(torch.int32)
         return torch.cumsum(counts, 0) - counts[0], pairs
 
-    def follow(self, index: Tensor) -> Neighbours:
+    def reindex(self, index: Tensor) -> Neighbours:
         """After density control: row i comes from old row ``index[i]``; of several copies the first one stays a neighbour."""
         device = index.device
         new = torch.full((len(self) + 1,), len(index), device=device)
@@ -85,7 +85,7 @@ def find_neighbours(
         found = min(k, len(rows) - 1)
         distances, others = cKDTree(means).query(means[wanted.cpu().numpy()], k=found + 1, workers=-1)
         own = rows[wanted]
-        # Everybody but itself, which need not come first: a clone lies where its twin does.
+        # All but itself, which need not come first: a clone lies where its twin does.
         itself = others == np.flatnonzero(wanted.cpu().numpy())[:, None]
         itself[~itself.any(1), -1] = True
         others, distances = others[~itself].reshape(-1, found), distances[~itself].reshape(-1, found)

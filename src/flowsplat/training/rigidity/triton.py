@@ -1,7 +1,7 @@
 """The rigid loss and its gradient as one Triton kernel, a lane a Gaussian. Oracle: ``reference``.
 
 As in ``cpu`` a Gaussian's gradient is a sum over its own pairs and over those that name it, in a fixed order: there are no atomic
-additions, and the same input gives the same bits. A row of -1 is nobody, who has no neighbours and a gradient of 0.
+additions, and the same input gives the same bits. A row of -1 is padding, without neighbours and with a gradient of 0.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class _RigidLoss(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, velocities: Tensor, rows: Tensor, neighbours: Neighbours, count: int | Tensor) -> Tensor:
         moving, device = len(rows), rows.device
-        # The last one is where nobody, -1, points to; as a neighbour it is not looked up.
+        # The last one is where padding, -1, points to; as a neighbour it is not looked up.
         place = torch.full((len(neighbours) + 1,), -1, dtype=torch.int32, device=device)
         place[rows] = torch.arange(moving, dtype=torch.int32, device=device)
         block = rows_per_program(moving)

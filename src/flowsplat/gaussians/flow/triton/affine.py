@@ -16,8 +16,9 @@ from torch.autograd.function import once_differentiable
 
 from flowsplat.common.devices import upload
 from flowsplat.common.triton import rows_per_program
+from flowsplat.gaussians.camera_buffer import CAMERA, CX, CY, FX, FY, camera_numbers, to_camera, to_world, view_row
 from flowsplat.gaussians.flow.reference import NEAR
-from flowsplat.gaussians.flow.triton.lenses import K, lens_numbers, load_vector, store_vector, to_camera, to_world
+from flowsplat.gaussians.flow.triton.vectors import load_vector, store_vector
 from flowsplat.gaussians.slicing import Slice
 from flowsplat.geometry import Camera
 from flowsplat.splatting import Projected
@@ -25,14 +26,13 @@ from flowsplat.splatting.rules import EPS2D
 from flowsplat.splatting.triton.projection import MARGIN, rotation, rotation_gradient
 
 CHANNELS = 11  # colour 3, depth, flow at the centre of the picture 2, B by rows 4, unseen
-LENS = tl.constexpr(25)
 CLIP, BLUR = tl.constexpr(NEAR), tl.constexpr(EPS2D)
 
 
 @triton.jit
-def _tangents(lens, x, y, z, width, height):
+def _tangents(camera, x, y, z, width, height):
     """1 / z and the tangents, held as the rasterizer holds them."""
-    fx, fy, cx, cy = tl.load(lens + K), tl.load(lens + K + 4), tl.load(lens + K + 2), tl.load(lens + K + 5)
+    fx, fy, cx, cy = tl.load(camera + FX), tl.load(camera + FY), tl.load(camera + CX), tl.load(camera + CY)
     inverse = 1.0 / tl.where(z > CLIP, z, CLIP)
     tx = tl.minimum(tl.maximum(x * inverse, (cx + width * MARGIN) / -fx), (cx - (width + width * MARGIN)) / -fx)
     ty = tl.minimum(tl.maximum(y * inverse, (cy + height * MARGIN) / -fy), (cy - (height + height * MARGIN)) / -fy)
@@ -40,14 +40,12 @@ def _tangents(lens, x, y, z, width, height):
 
 
 @triton.jit
-def _jacobian_row(lens, row: tl.constexpr, tangent, inverse):
+def _jacobian_row(camera, row: tl.constexpr, tangent, inverse):
     """Row 0 or 1 of the derivative of the pixel with respect to the point in the world."""
-    scale = tl.load(lens + K + 4 * row) * inverse
-    at = lens + 4 * row
-    a = scale * (tl.load(at) - tangent * tl.load(lens + 8))
-    b = scale * (tl.load(at + 1) - tangent * tl.load(lens + 9))
-    c = scale * (tl.load(at + 2) - tangent * tl.load(lens + 10))
-    return a, b, c
+    scale = (tl.load(camera + FX) if row == 0 else tl.load(camera + FY)) * inverse
+    x, y, z = view_row(camera, row)
+    depth_x, depth_y, depth_z = view_row(camera, 2)
+    return scale * (x - tangent * depth_x), scale * (y - tangent * depth_y), scale * (z - tangent * depth_z)
 
 
 @triton.jit
@@ -59,15 +57,15 @@ def _row_times(a, b, c, r00, r01, r02, r10, r11, r12, r20, r21, r22, s0, s1, s2)
 
 
 @triton.jit
-def _footprint(means, quats, s0, s1, s2, lens, i, mask, width, height):
+def _footprint(means, quats, s0, s1, s2, camera, i, mask, width, height):
     """The rows of L = J R S, and the point in camera axes."""
     px, py, pz = load_vector(means, i, mask)
-    x, y, z = to_camera(lens, px, py, pz)
-    inverse, tx, ty = _tangents(lens, x, y, z, width, height)
+    x, y, z = to_camera(camera, px, py, pz)
+    inverse, tx, ty = _tangents(camera, x, y, z, width, height)
     r00, r01, r02, r10, r11, r12, r20, r21, r22, _, _, _, _, _ = rotation(quats, i, mask)
-    a, b, c = _jacobian_row(lens, 0, tx, inverse)
+    a, b, c = _jacobian_row(camera, 0, tx, inverse)
     p0, p1, p2 = _row_times(a, b, c, r00, r01, r02, r10, r11, r12, r20, r21, r22, s0, s1, s2)
-    a, b, c = _jacobian_row(lens, 1, ty, inverse)
+    a, b, c = _jacobian_row(camera, 1, ty, inverse)
     q0, q1, q2 = _row_times(a, b, c, r00, r01, r02, r10, r11, r12, r20, r21, r22, s0, s1, s2)
     return p0, p1, p2, q0, q1, q2, x, y, z
 
@@ -87,22 +85,22 @@ def _products(p0, p1, p2, q0, q1, q2, n0, n1, n2, m0, m1, m2):
 
 @triton.jit(do_not_specialize=["count"])
 def _forward(
-    colours, depths, means2d, means, quats, scales, next_means, next_quats, lenses, features, width, height, count,
+    colours, depths, means2d, means, quats, scales, next_means, next_quats, cameras, features, width, height, count,
     BLOCK: tl.constexpr,
 ):  # fmt: skip
     i = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     inside = i < count
     s0, s1, s2 = load_vector(scales, i, inside)
-    p0, p1, p2, q0, q1, q2, _, _, _ = _footprint(means, quats, s0, s1, s2, lenses, i, inside, width, height)
-    later = lenses + LENS
+    p0, p1, p2, q0, q1, q2, _, _, _ = _footprint(means, quats, s0, s1, s2, cameras, i, inside, width, height)
+    later = cameras + CAMERA
     n0, n1, n2, m0, m1, m2, x, y, z = _footprint(next_means, next_quats, s0, s1, s2, later, i, inside, width, height)
     front = z > CLIP
     b00, b01, b10, b11, _, _, _ = _products(p0, p1, p2, q0, q1, q2, n0, n1, n2, m0, m1, m2)
     inverse = 1.0 / tl.where(front, z, 1.0)
     u, v = tl.load(means2d + i * 2, mask=inside, other=0.0), tl.load(means2d + i * 2 + 1, mask=inside, other=0.0)
     cx, cy = u - 0.5 * width, v - 0.5 * height
-    du = tl.load(later + K) * x * inverse + tl.load(later + K + 2) - u - (b00 * cx + b01 * cy)
-    dv = tl.load(later + K + 4) * y * inverse + tl.load(later + K + 5) - v - (b10 * cx + b11 * cy)
+    du = tl.load(later + FX) * x * inverse + tl.load(later + CX) - u - (b00 * cx + b01 * cy)
+    dv = tl.load(later + FY) * y * inverse + tl.load(later + CY) - v - (b10 * cx + b11 * cy)
     red, green, blue = load_vector(colours, i, inside)
     row = features + i * 11
     tl.store(row, red, mask=inside)
@@ -120,34 +118,35 @@ def _forward(
 
 @triton.jit
 def _footprint_gradient(
-    means, quats, s0, s1, s2, lens, i, mask, front, width, height, p0, p1, p2, q0, q1, q2, gu, gv, d_means, d_quats
+    means, quats, s0, s1, s2, camera, i, mask, front, width, height, p0, p1, p2, q0, q1, q2, gu, gv, d_means, d_quats
 ):  # fmt: skip
     """Write the gradients of mean and quaternion and return that of the scales.
 
     p and q are the gradients of the rows of L, gu and gv that of the pixel; front: where there is any.
     """
-    fx, fy = tl.load(lens + K), tl.load(lens + K + 4)
+    fx, fy = tl.load(camera + FX), tl.load(camera + FY)
     px, py, pz = load_vector(means, i, mask)
-    x, y, z = to_camera(lens, px, py, pz)
-    inverse, tx, ty = _tangents(lens, x, y, z, width, height)
+    x, y, z = to_camera(camera, px, py, pz)
+    inverse, tx, ty = _tangents(camera, x, y, z, width, height)
     r00, r01, r02, r10, r11, r12, r20, r21, r22, w, qx, qy, qz, length = rotation(quats, i, mask)
     # Of the rows of J in the world, from R S.
     a0, b0 = r00 * s0 * p0 + r01 * s1 * p1 + r02 * s2 * p2, r00 * s0 * q0 + r01 * s1 * q1 + r02 * s2 * q2
     a1, b1 = r10 * s0 * p0 + r11 * s1 * p1 + r12 * s2 * p2, r10 * s0 * q0 + r11 * s1 * q1 + r12 * s2 * q2
     a2, b2 = r20 * s0 * p0 + r21 * s1 * p1 + r22 * s2 * p2, r20 * s0 * q0 + r21 * s1 * q1 + r22 * s2 * q2
-    v20, v21, v22 = tl.load(lens + 8), tl.load(lens + 9), tl.load(lens + 10)
-    dj00 = a0 * tl.load(lens) + a1 * tl.load(lens + 1) + a2 * tl.load(lens + 2)
-    dj11 = b0 * tl.load(lens + 4) + b1 * tl.load(lens + 5) + b2 * tl.load(lens + 6)
+    v00, v01, v02 = view_row(camera, 0)
+    v10, v11, v12 = view_row(camera, 1)
+    v20, v21, v22 = view_row(camera, 2)
+    dj00, dj11 = a0 * v00 + a1 * v01 + a2 * v02, b0 * v10 + b1 * v11 + b2 * v12
     dj02, dj12 = a0 * v20 + a1 * v21 + a2 * v22, b0 * v20 + b1 * v21 + b2 * v22
     dux = gu * fx - tl.where(tx == x * inverse, dj02 * fx * inverse, 0.0)
     duy = gv * fy - tl.where(ty == y * inverse, dj12 * fy * inverse, 0.0)
     d_inverse = fx * (dj00 - dj02 * tx) + fy * (dj11 - dj12 * ty) + dux * x + duy * y
     dz = tl.where(z > CLIP, -d_inverse * inverse * inverse, 0.0)
-    wx, wy, wz = to_world(lens, dux * inverse, duy * inverse, dz)
+    wx, wy, wz = to_world(camera, dux * inverse, duy * inverse, dz)
     store_vector(d_means, i, tl.where(front, wx, 0.0), tl.where(front, wy, 0.0), tl.where(front, wz, 0.0), mask)
     # The gradient of R S is J^T times that of L.
-    ja, jb, jc = _jacobian_row(lens, 0, tx, inverse)
-    ka, kb, kc = _jacobian_row(lens, 1, ty, inverse)
+    ja, jb, jc = _jacobian_row(camera, 0, tx, inverse)
+    ka, kb, kc = _jacobian_row(camera, 1, ty, inverse)
     p0, p1, p2 = tl.where(front, p0, 0.0), tl.where(front, p1, 0.0), tl.where(front, p2, 0.0)
     q0, q1, q2 = tl.where(front, q0, 0.0), tl.where(front, q1, 0.0), tl.where(front, q2, 0.0)
     w00, w01, w02 = ja * p0 + ka * q0, ja * p1 + ka * q1, ja * p2 + ka * q2
@@ -163,7 +162,7 @@ def _footprint_gradient(
 
 @triton.jit(do_not_specialize=["count"])
 def _backward(
-    gradient, means2d, means, quats, scales, next_means, next_quats, lenses, d_colours, d_depths, d_means2d, d_means, d_quats,
+    gradient, means2d, means, quats, scales, next_means, next_quats, cameras, d_colours, d_depths, d_means2d, d_means, d_quats,
     d_scales, d_next_means, d_next_quats, width, height, count, BLOCK: tl.constexpr,
 ):  # fmt: skip
     i = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
@@ -173,8 +172,8 @@ def _backward(
     store_vector(d_colours, i, red, green, tl.load(row + 2, mask=inside, other=0.0), inside)
     tl.store(d_depths + i, tl.load(row + 3, mask=inside, other=0.0), mask=inside)
     s0, s1, s2 = load_vector(scales, i, inside)
-    later = lenses + LENS
-    p0, p1, p2, q0, q1, q2, _, _, _ = _footprint(means, quats, s0, s1, s2, lenses, i, inside, width, height)
+    later = cameras + CAMERA
+    p0, p1, p2, q0, q1, q2, _, _, _ = _footprint(means, quats, s0, s1, s2, cameras, i, inside, width, height)
     n0, n1, n2, m0, m1, m2, _, _, z = _footprint(next_means, next_quats, s0, s1, s2, later, i, inside, width, height)
     front = inside & (z > CLIP)
     b00, b01, b10, b11, xx, xy, yy = _products(p0, p1, p2, q0, q1, q2, n0, n1, n2, m0, m1, m2)
@@ -195,7 +194,7 @@ def _backward(
     e2, f2 = h00 * n2 + h10 * m2 + 2.0 * y00 * p2 + cross * q2, h01 * n2 + h11 * m2 + cross * p2 + 2.0 * y11 * q2
     zero = tl.zeros_like(gu)
     t0, t1, t2 = _footprint_gradient(
-        means, quats, s0, s1, s2, lenses, i, inside, front, width, height, e0, e1, e2, f0, f1, f2, zero, zero, d_means, d_quats
+        means, quats, s0, s1, s2, cameras, i, inside, front, width, height, e0, e1, e2, f0, f1, f2, zero, zero, d_means, d_quats
     )
     e0, e1, e2 = h00 * p0 + h01 * q0, h00 * p1 + h01 * q1, h00 * p2 + h01 * q2
     f0, f1, f2 = h10 * p0 + h11 * q0, h10 * p1 + h11 * q1, h10 * p2 + h11 * q2
@@ -210,7 +209,7 @@ class _Features(torch.autograd.Function):
     @staticmethod
     def forward(
         ctx: Any, colours: Tensor, depths: Tensor, means2d: Tensor, means: Tensor, quats: Tensor, scales: Tensor,
-        next_means: Tensor, next_quats: Tensor, lenses: Tensor, width: int, height: int,
+        next_means: Tensor, next_quats: Tensor, cameras: Tensor, width: int, height: int,
     ) -> Tensor:  # fmt: skip
         given = (colours, depths, means2d, means, quats, scales, next_means, next_quats)
         inputs = [tensor.detach().contiguous() for tensor in given]
@@ -218,8 +217,8 @@ class _Features(torch.autograd.Function):
         features = torch.empty(count, CHANNELS, device=colours.device)
         if count:
             block = rows_per_program(count)
-            _forward[(triton.cdiv(count, block),)](*inputs, lenses, features, *size, count, BLOCK=block)
-        ctx.inputs, ctx.size = (*inputs[2:], lenses), size
+            _forward[(triton.cdiv(count, block),)](*inputs, cameras, features, *size, count, BLOCK=block)
+        ctx.inputs, ctx.size = (*inputs[2:], cameras), size
         return features
 
     @staticmethod
@@ -236,9 +235,9 @@ class _Features(torch.autograd.Function):
 
 def blend_affine(sliced: Slice, projected: Projected, camera: Camera, other: Camera) -> Tensor:
     """See ``api.blend_features``; from the Gaussians in ``camera`` to where they are next in the ``other`` one."""
-    lenses = upload(lens_numbers(camera, other), sliced.means.device)
+    cameras = upload(camera_numbers(camera, other), sliced.means.device)
     result: Tensor = _Features.apply(
         sliced.colours, projected.depths, projected.means2d, sliced.means, sliced.quats, sliced.scales, sliced.next_means,
-        sliced.next_quats, lenses, camera.width, camera.height,
+        sliced.next_quats, cameras, camera.width, camera.height,
     )  # fmt: skip
     return result

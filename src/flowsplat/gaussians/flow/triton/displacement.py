@@ -1,6 +1,6 @@
 """The features of colour, depth and displacement flow, and their gradient, in one Triton kernel each. Oracle: ``reference``.
 
-There is always a last channel for what the other camera does not see, so that nobody has to wait to learn whether it is needed.
+There is always a last channel for what the other camera does not see, so that the host need not wait to learn whether it is needed.
 """
 
 from __future__ import annotations
@@ -15,8 +15,9 @@ from torch.autograd.function import once_differentiable
 
 from flowsplat.common.devices import upload
 from flowsplat.common.triton import rows_per_program
+from flowsplat.gaussians.camera_buffer import CX, CY, FX, FY, camera_numbers, to_camera, to_world
 from flowsplat.gaussians.flow.reference import NEAR
-from flowsplat.gaussians.flow.triton.lenses import K, lens_numbers, load_vector, store_vector, to_camera, to_world
+from flowsplat.gaussians.flow.triton.vectors import load_vector, store_vector
 from flowsplat.gaussians.slicing import Slice
 from flowsplat.geometry import Camera
 from flowsplat.splatting import Projected
@@ -26,16 +27,16 @@ CLIP = tl.constexpr(NEAR)
 
 
 @triton.jit(do_not_specialize=["count"])
-def _forward(colours, depths, means2d, next_means, lens, features, count, BLOCK: tl.constexpr):
+def _forward(colours, depths, means2d, next_means, camera, features, count, BLOCK: tl.constexpr):
     i = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     inside = i < count
     red, green, blue = load_vector(colours, i, inside)
     x, y, z = load_vector(next_means, i, inside)
-    x, y, z = to_camera(lens, x, y, z)
+    x, y, z = to_camera(camera, x, y, z)
     front = z > CLIP
     inverse = 1.0 / tl.where(front, z, 1.0)
-    u = tl.load(lens + K) * x * inverse + tl.load(lens + K + 2) - tl.load(means2d + i * 2, mask=inside, other=0.0)
-    v = tl.load(lens + K + 4) * y * inverse + tl.load(lens + K + 5) - tl.load(means2d + i * 2 + 1, mask=inside, other=0.0)
+    u = tl.load(camera + FX) * x * inverse + tl.load(camera + CX) - tl.load(means2d + i * 2, mask=inside, other=0.0)
+    v = tl.load(camera + FY) * y * inverse + tl.load(camera + CY) - tl.load(means2d + i * 2 + 1, mask=inside, other=0.0)
     row = features + i * 7
     tl.store(row, red, mask=inside)
     tl.store(row + 1, green, mask=inside)
@@ -47,19 +48,19 @@ def _forward(colours, depths, means2d, next_means, lens, features, count, BLOCK:
 
 
 @triton.jit(do_not_specialize=["count"])
-def _backward(gradient, next_means, lens, d_colours, d_depths, d_means2d, d_next_means, count, BLOCK: tl.constexpr):
+def _backward(gradient, next_means, camera, d_colours, d_depths, d_means2d, d_next_means, count, BLOCK: tl.constexpr):
     i = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     inside = i < count
     row = gradient + i * 7
     red, green, blue = load_vector(next_means, i, inside)
-    x, y, z = to_camera(lens, red, green, blue)
+    x, y, z = to_camera(camera, red, green, blue)
     front = z > CLIP
     gu = tl.where(front, tl.load(row + 4, mask=inside, other=0.0), 0.0)
     gv = tl.where(front, tl.load(row + 5, mask=inside, other=0.0), 0.0)
     inverse = 1.0 / tl.where(front, z, 1.0)
-    dx, dy = gu * tl.load(lens + K) * inverse, gv * tl.load(lens + K + 4) * inverse
+    dx, dy = gu * tl.load(camera + FX) * inverse, gv * tl.load(camera + FY) * inverse
     dz = tl.where(front, -(dx * x + dy * y) * inverse, 0.0)
-    wx, wy, wz = to_world(lens, dx, dy, dz)
+    wx, wy, wz = to_world(camera, dx, dy, dz)
     store_vector(d_next_means, i, wx, wy, wz, inside)
     tl.store(d_means2d + i * 2, -gu, mask=inside)
     tl.store(d_means2d + i * 2 + 1, -gv, mask=inside)
@@ -68,23 +69,23 @@ def _backward(gradient, next_means, lens, d_colours, d_depths, d_means2d, d_next
     store_vector(d_colours, i, red, green, tl.load(row + 2, mask=inside, other=0.0), inside)
 
 
-def displacement_features(colours: Tensor, depths: Tensor, means2d: Tensor, next_means: Tensor, lens: Tensor) -> Tensor:
-    """[A, 7] without gradients; ``lens``: ``lens_numbers`` of the other camera on the device."""
+def displacement_features(colours: Tensor, depths: Tensor, means2d: Tensor, next_means: Tensor, camera: Tensor) -> Tensor:
+    """[A, 7] without gradients; ``camera``: ``camera_numbers`` of the other camera on the device."""
     count = len(colours)
     features = torch.empty(count, CHANNELS, device=colours.device)
     if count:
         block = rows_per_program(count)
-        _forward[(triton.cdiv(count, block),)](colours, depths, means2d, next_means, lens, features, count, BLOCK=block)
+        _forward[(triton.cdiv(count, block),)](colours, depths, means2d, next_means, camera, features, count, BLOCK=block)
     return features
 
 
 class _Features(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, colours: Tensor, depths: Tensor, means2d: Tensor, next_means: Tensor, lens: Tensor) -> Tensor:
+    def forward(ctx: Any, colours: Tensor, depths: Tensor, means2d: Tensor, next_means: Tensor, camera: Tensor) -> Tensor:
         given = (colours, depths, means2d, next_means)
         colours, depths, means2d, next_means = (tensor.detach().contiguous() for tensor in given)
-        ctx.inputs = next_means, lens
-        return displacement_features(colours, depths, means2d, next_means, lens)
+        ctx.inputs = next_means, camera
+        return displacement_features(colours, depths, means2d, next_means, camera)
 
     @staticmethod
     @once_differentiable
@@ -100,6 +101,6 @@ class _Features(torch.autograd.Function):
 def blend_displacement(sliced: Slice, projected: Projected, other: Camera) -> Tensor:
     """See ``api.blend_features``; flow goes to the Gaussians' ``next_means`` in the ``other`` camera."""
     assert sliced.next_means is not None
-    lens = upload(lens_numbers(other), sliced.means.device)
-    result: Tensor = _Features.apply(sliced.colours, projected.depths, projected.means2d, sliced.next_means, lens)
+    camera = upload(camera_numbers(other), sliced.means.device)
+    result: Tensor = _Features.apply(sliced.colours, projected.depths, projected.means2d, sliced.next_means, camera)
     return result

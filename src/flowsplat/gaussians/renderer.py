@@ -1,4 +1,4 @@
-"""What a rendered view is, and who can give one."""
+"""Who can show a 4D scene, and what a rendered view is."""
 
 from __future__ import annotations
 

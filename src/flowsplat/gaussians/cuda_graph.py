@@ -1,8 +1,8 @@
 """Frames to look at, one after the other: forward only, in buffers of a fixed size, on a GPU as one CUDA graph.
 
 Launching the few dozen kernels of a frame takes the host longer than a GPU takes to run them; a graph is one launch. In it nothing
-may depend on numbers that only the device knows, so there is room for more Gaussians than are active, and rows that nobody needs
-are Gaussians of opacity 0. What found no room is counted: then the buffers grow and the frame is drawn again.
+may depend on numbers that only the device knows, so there are more rows than active Gaussians, and those that are padding
+are Gaussians of opacity 0. What is needed is counted: where the buffers are too small they grow, and the frame is drawn again.
 """
 
 from __future__ import annotations
@@ -12,17 +12,16 @@ import torch
 from torch import Tensor
 
 from flowsplat.common.devices import upload
-from flowsplat.gaussians.culling import Rooms, border
-from flowsplat.gaussians.culling.triton import LENS, Marked
-from flowsplat.gaussians.culling.triton import lens_numbers as culling_numbers
+from flowsplat.gaussians.camera_buffer import CAMERA, camera_numbers, camera_tensors, moment_numbers, moment_size
+from flowsplat.gaussians.culling import RowCapacity, border
+from flowsplat.gaussians.culling.triton import Marked
 from flowsplat.gaussians.flow.triton.displacement import displacement_features
-from flowsplat.gaussians.flow.triton.lenses import lens_numbers
 from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Gaussians4D
-from flowsplat.gaussians.slicing.triton import moment_numbers, slice_rows
+from flowsplat.gaussians.slicing.triton import slice_rows
 from flowsplat.geometry import Camera
 from flowsplat.splatting import Projected, blend, project
 from flowsplat.splatting.rules import EPS2D
-from flowsplat.splatting.triton.tiles import Room
+from flowsplat.splatting.triton.tiles import PairCapacity
 
 
 class FixedRenderer:
@@ -37,10 +36,10 @@ class FixedRenderer:
         device = gaussians.device
         self._border = border(eps2d)
         self._inside = torch.tensor([[0.0, 0, self._border], [0, 0, self._border], [0, 0, 0]], device=device)
-        moment = 5 + gaussians.config.gains
-        self._numbers = torch.zeros(LENS + moment + 25, device=device)
-        self._lens, self._moment, self._other = self._numbers.split([LENS, moment, 25])
-        self._rooms, self._room = Rooms(), Room(device)
+        sizes = [CAMERA.value, moment_size(gaussians.config.gains), CAMERA.value]
+        self._numbers = torch.zeros(sum(sizes), device=device)
+        self._widened, self._moment, self._other = self._numbers.split(sizes)
+        self._rows, self._pairs = RowCapacity(), PairCapacity(device)
         self._graph: torch.cuda.CUDAGraph | None = None
         self._shown: tuple[Tensor, Tensor, Tensor] | None = None
         self.captures = 0
@@ -59,18 +58,18 @@ class FixedRenderer:
         if (camera.width, camera.height) != self._size or (flow_to is not None) != self._with_flow:
             raise ValueError(f"this renders pictures of {self._size}, {'with' if self._with_flow else 'without'} flow")
         other, later = flow_to or (camera, None)
-        moment = moment_numbers(self._gaussians, t, camera.center, later)
-        seen_by = camera.widened(self._border)
-        numbers = np.concatenate([culling_numbers(t, seen_by), moment, lens_numbers(other)[0]])
+        moment = moment_numbers(self._gaussians.config.gains, t, camera.center, later)
+        widened, seen_from = camera_numbers(camera.widened(self._border), other)
+        numbers = np.concatenate([widened, moment, seen_from])
         self._numbers.copy_(upload(numbers.astype(np.float32), self._numbers.device))
         while True:
             image, alpha, needed = self._replay()
             found = needed.tolist()
-            if self._rooms.hold(found) and not self._room.overflowed():
+            if self._rows.fits(found) and not self._pairs.overflowed():
                 return image, alpha
-            self._rooms.grow(found)
-            if self._room.overflowed():
-                self._room.grow()
+            self._rows.grow(found)
+            if self._pairs.overflowed():
+                self._pairs.grow()
             self._graph = self._shown = None
 
     def _replay(self) -> tuple[Tensor, Tensor, Tensor]:
@@ -96,20 +95,20 @@ class FixedRenderer:
         """Everything that the device does for a frame; and how many Gaussians at rest and moving there were [2]."""
         g, (width, height) = self._gaussians, self._size
         p = g.params
-        given = (g.at_rest, p["means"], p["log_scales"], p["times"], p["log_lambdas"], self._lens)
+        given = (g.at_rest, p["means"], p["log_scales"], p["times"], p["log_lambdas"], self._widened, self._moment)
         widened = width + 2 * self._border, height + 2 * self._border
         marked = Marked(*given, g.config.p_min, widened, NEAR_PLANE)
-        rows, resting = marked.padded(self._rooms), self._rooms.at_rest
+        rows, resting = marked.padded(self._rows), self._rows.at_rest
         means, quats, scales, opacities, colours, _, next_means, _ = slice_rows(g, rows, resting, self._moment, self._with_flow)
-        viewmat, K = self._lens[1:17].view(4, 4), self._lens[17:].view(3, 3) - self._inside
+        viewmat, K = camera_tensors(self._widened)
         projected: Projected = project(
-            means, quats, scales, opacities, viewmat, K, width, height, near_plane=NEAR_PLANE, eps2d=self._eps2d,
+            means, quats, scales, opacities, viewmat, K - self._inside, width, height, near_plane=NEAR_PLANE, eps2d=self._eps2d,
             backend="triton",
         )
         if self._with_flow:
             features = displacement_features(colours, projected.depths, projected.means2d, next_means, self._other)
         else:
             features = torch.cat([colours, projected.depths[:, None]], 1)
-        with self._room.fixed():
+        with self._pairs.fixed():
             image, alpha = blend(projected, opacities, features, width, height)
         return image, alpha, marked.ends[:, -1]

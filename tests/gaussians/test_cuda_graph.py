@@ -18,8 +18,8 @@ from tests.gaussians.test_flow import camera
 from tests.gaussians.test_gaussians import FROZEN, random_model
 
 pytest.importorskip("triton", reason="Triton is not installed")
-from flowsplat.gaussians.culling import rooms
-from flowsplat.gaussians.viewing import FixedRenderer
+from flowsplat.gaussians.cuda_graph import FixedRenderer
+from flowsplat.gaussians.culling import capacity
 
 DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
 SIZE = 40, 24
@@ -27,7 +27,7 @@ SIZE = 40, 24
 
 @pytest.mark.parametrize(("with_flow", "eps2d"), [(False, EPS2D), (True, EPS2D), (False, 30.0)])
 def test_frames_are_those_of_the_ordinary_way_whatever_came_before(with_flow, eps2d, monkeypatch):
-    monkeypatch.setattr(rooms, "GRANULE", 8)
+    monkeypatch.setattr(capacity, "GRANULE", 8)
     gaussians = random_model(40, replace(FROZEN, freeze_background=True))
     gaussians.sh_degree = 1
     gaussians.params["means"][:, :2] *= 2
@@ -41,7 +41,7 @@ def test_frames_are_those_of_the_ordinary_way_whatever_came_before(with_flow, ep
         assert image.shape[2] == (7 if with_flow else 4)
         np.testing.assert_allclose(alpha.cpu(), expected.alpha, atol=2e-5)
         np.testing.assert_allclose(image[..., : expected.image.shape[2]].cpu(), expected.image, atol=2e-4)
-    assert renderer.captures >= 2  # 20 rest, and there was room for 8
+    assert renderer.captures >= 2  # 20 rest, and there were 8 rows
 
 
 def test_a_scene_that_is_looked_at_is_drawn_so(monkeypatch):

@@ -1,0 +1,93 @@
+"""Dataclasses of settings as JSON holds them, and the names that settings had in earlier versions."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypeVar, cast, get_args, get_type_hints
+
+from flowsplat.common.errors import InputError
+from flowsplat.common.progress import say_once
+
+Config = TypeVar("Config")
+
+RENAMED: Mapping[str, Mapping[str, str]] = {"LossConfig": {"opaque": "coverage"}}
+"""By the name of their dataclass: settings that had another name in an earlier version, the oldest first, and their name now.
+
+Files and options with the earlier name are still read. Keys of stages are made with the first name, so that a run of an
+earlier version stays finished."""
+
+
+def to_plain(config: Any, first_names: bool = False) -> Any:
+    """A configuration as JSON holds it; ``first_names``: with the names that its settings had first (``RENAMED``)."""
+    if dataclasses.is_dataclass(config) and not isinstance(config, type):
+        renamed = RENAMED.get(type(config).__name__, {}) if first_names else {}
+        names = {now: before for before, now in reversed(list(renamed.items()))}
+        return {names.get(f.name, f.name): to_plain(getattr(config, f.name), first_names) for f in dataclasses.fields(config)}
+    if isinstance(config, list | tuple):
+        return [to_plain(item, first_names) for item in config]
+    return str(config) if isinstance(config, Path) else config
+
+
+def flat(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested settings (``to_plain``) by dotted name."""
+    found: dict[str, Any] = {}
+    for name, value in config.items():
+        found |= flat(value, f"{prefix}{name}.") if isinstance(value, Mapping) else {f"{prefix}{name}": value}
+    return found
+
+
+def from_plain(kind: type[Config], value: Mapping[str, Any]) -> Config:
+    """The inverse of ``to_plain``. Settings that are missing keep their defaults; earlier names are read, with a line.
+
+    Raises:
+        InputError: there is a setting that does not exist.
+    """
+    return _built(kind, present_names(kind, value))
+
+
+def _built(kind: type[Config], value: Mapping[str, Any]) -> Config:
+    hints = get_type_hints(kind)
+    arguments: dict[str, Any] = {}
+    for name, item in value.items():
+        if name not in hints:
+            raise InputError(f"Unknown setting {name!r} in {kind.__name__}.")
+        hint = hints[name]
+        if dataclasses.is_dataclass(hint) and isinstance(item, dict):
+            item = _built(cast("type[Any]", hint), item)
+        elif isinstance(item, list):
+            item = tuple(item)
+        elif isinstance(item, str) and (hint is Path or Path in get_args(hint)):
+            item = Path(item)
+        arguments[name] = item
+    return kind(**arguments)
+
+
+def present_names(kind: type, value: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Settings of a dataclass as JSON holds them, with the names that they have now; a line says which had another one.
+
+    Args:
+        kind: the dataclass.
+        value: its settings by name, also the names of an earlier version.
+        prefix: before the names, in the line.
+    """
+    hints, renamed, found = get_type_hints(kind), RENAMED.get(kind.__name__, {}), {}
+    for name, item in value.items():
+        now = renamed.get(name, name)
+        if now != name and now not in value:
+            say_once(f"The setting {prefix}{name} is called {prefix}{now} now.")
+            name = now
+        if dataclasses.is_dataclass(hints.get(name)) and isinstance(item, Mapping):
+            item = present_names(cast("type[Any]", hints[name]), item, f"{prefix}{name}.")
+        found[name] = item
+    return found
+
+
+def renamed_settings(kind: type, prefix: str = "") -> dict[str, str]:
+    """The dotted names that settings of a dataclass had, and those that they have now."""
+    found = {prefix + before: prefix + now for before, now in RENAMED.get(kind.__name__, {}).items()}
+    for name, hint in get_type_hints(kind).items():
+        if dataclasses.is_dataclass(hint):
+            found |= renamed_settings(cast("type[Any]", hint), f"{prefix}{name}.")
+    return found

@@ -1,0 +1,17 @@
+"""The coverage loss: how far training pixels are from being covered, which long training would let happen. Ours (METHOD 7)."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+UNCOVERED_FROM = 0.3
+"""Transmittance that costs nothing. Less than ``render.FILLED_FROM``, from which on rendering fills."""
+
+
+def coverage_loss(alpha: Tensor) -> Tensor:
+    """Mean transmittance above ``UNCOVERED_FROM``, a scalar, differentiable in alpha [H, W].
+
+    Black shows through a pixel that is not covered, so a dark surface need not cover it and, in some thousand steps, comes not to.
+    Rendering would take it for a pixel that nothing covers and fill it from its neighbours.
+    """
+    return (1 - UNCOVERED_FROM - alpha).clamp(min=0).mean()
