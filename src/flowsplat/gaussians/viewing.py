@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from flowsplat.common.devices import upload
+from flowsplat.common.triton import device_of
 from flowsplat.gaussians.culling import Rooms, border
 from flowsplat.gaussians.culling.triton import LENS, Marked
 from flowsplat.gaussians.culling.triton import lens_numbers as culling_numbers
@@ -64,7 +65,8 @@ class FixedRenderer:
         numbers = np.concatenate([culling_numbers(t, seen_by), moment, lens_numbers(other)[0]])
         self._numbers.copy_(upload(numbers.astype(np.float32), self._numbers.device))
         while True:
-            image, alpha, needed = self._replay()
+            with device_of(self._numbers):
+                image, alpha, needed = self._replay()
             found = needed.tolist()
             if self._rooms.hold(found) and not self._room.overflowed():
                 return image, alpha

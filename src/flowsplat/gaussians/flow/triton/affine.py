@@ -15,7 +15,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from flowsplat.common.devices import upload
-from flowsplat.common.triton import rows_per_program
+from flowsplat.common.triton import device_of, rows_per_program
 from flowsplat.gaussians.flow.reference import NEAR
 from flowsplat.gaussians.flow.triton.lenses import K, lens_numbers, load_vector, store_vector, to_camera, to_world
 from flowsplat.gaussians.slicing import Slice
@@ -218,7 +218,8 @@ class _Features(torch.autograd.Function):
         features = torch.empty(count, CHANNELS, device=colours.device)
         if count:
             block = rows_per_program(count)
-            _forward[(triton.cdiv(count, block),)](*inputs, lenses, features, *size, count, BLOCK=block)
+            with device_of(colours):
+                _forward[(triton.cdiv(count, block),)](*inputs, lenses, features, *size, count, BLOCK=block)
         ctx.inputs, ctx.size = (*inputs[2:], lenses), size
         return features
 
@@ -230,7 +231,8 @@ class _Features(torch.autograd.Function):
         results = [torch.empty(shape, device=device) for shape in shapes]
         if count:
             block = rows_per_program(count)
-            _backward[(triton.cdiv(count, block),)](gradient.contiguous(), *ctx.inputs, *results, *ctx.size, count, BLOCK=block)
+            with device_of(gradient):
+                _backward[(triton.cdiv(count, block),)](gradient.contiguous(), *ctx.inputs, *results, *ctx.size, count, BLOCK=block)
         return *results, None, None, None
 
 
