@@ -113,6 +113,35 @@ def test_after_the_last_step_nobody_is_born_or_reset():
     assert float(trained.params["logit_opacities"].max()) > -4
 
 
+def test_after_a_reset_the_next_gradient_alone_says_where_opacities_go(tmp_path):
+    """Moments from before the reset would let them fall for many steps more, whatever the gradient."""
+    config = tiny("paper")
+    config = replace(
+        config, iterations=12, frames_per_iteration=0, density=replace(config.density, reset_every=10), checkpoint_every=11
+    )
+    observations, found = seen(a_few(config)), []
+
+    class Watched(Trainer):
+        def _apply(self, active, drawn, gradients):
+            before = self.gaussians.params["logit_opacities"].clone()
+            super()._apply(active, drawn, gradients)
+            step = (self.gaussians.params["logit_opacities"] - before)[active.rows]
+            found.append((self.step, step[drawn], gradients["logit_opacities"][drawn]))
+
+    trainer = Watched(observations, None, config, tmp_path, start=a_few(config))
+    whole = trainer.run()
+    rate = float(trainer.rates()["logit_opacities"])
+    at, step, gradient = found[10]
+    assert at == 10
+    assert len(step) > 10
+    # Adam's first step has the length of its rate and goes down the gradient.
+    torch.testing.assert_close(step, -rate * gradient.sign(), rtol=1e-3, atol=1e-7)
+    _, before, earlier = found[9]
+    assert not torch.allclose(before, -rate * earlier.sign(), rtol=1e-3)  # which is no rule without a reset
+    again = Trainer(observations, None, config, tmp_path)
+    assert torch.equal(again.run().params["logit_opacities"], whole.params["logit_opacities"])
+
+
 def test_without_checkpoints_none_is_written(tmp_path):
     config = replace(tiny("default"), checkpoint_every=0)
     Trainer(seen(a_few(config)), None, config, tmp_path, start=a_few(config)).run()

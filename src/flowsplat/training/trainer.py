@@ -344,6 +344,7 @@ class Trainer:
             self._control_density()
         if config.reset_every and self.step % config.reset_every == 0 and not averaged:
             reset_opacities(self.gaussians, config.reset_to)
+            self._adam.restart("logit_opacities")
 
     def _control_density(self) -> None:
         config = self.config.density
