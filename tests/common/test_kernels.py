@@ -27,12 +27,28 @@ def test_the_exponential_is_right_to_the_last_digits():
     assert np.abs(found / np.exp(x.astype(np.float64)) - 1).max() < 3e-7
 
 
+def test_the_exponential_is_finite_and_right_wherever_it_is_a_float32():
+    """Up to the last float32 whose exponential is one, and from the first one that is not clamped."""
+    top, bottom = np.float32(88.72283), np.float32(-87.3)
+    ends = [np.concatenate([np.linspace(a, b, 100_001), [b]]).astype(np.float32) for a, b in ((88.3, top), (bottom, -86.9))]
+    x = np.concatenate(ends)
+    found = np.empty_like(x)
+    _exp(x, found)
+    with np.errstate(over="raise"):
+        assert np.isfinite(np.exp(top))
+    with np.errstate(over="ignore"):
+        assert np.isinf(np.exp(np.nextafter(top, np.float32(np.inf))))
+    assert np.isfinite(found).all()
+    assert np.abs(found / np.exp(x.astype(np.float64)) - 1).max() < 3e-7
+
+
 def test_the_exponential_of_extremes():
     x, found = np.array([-np.inf, -1000, 1000, np.inf, np.nan, 0], np.float32), np.empty(6, np.float32)
     _exp(x, found)
     assert (found[:2] >= 0).all()
     assert (found[:2] < 2e-38).all()
-    assert np.isinf(found[2:4]).all()
+    assert (found[2:4] > 3.402e38).all()
+    assert np.isfinite(found[:4]).all()
     assert np.isnan(found[4])
     assert found[5] == 1
 

@@ -113,6 +113,62 @@ def test_after_the_last_step_no_gaussian_is_added_or_reset():
     assert float(trained.params["logit_opacities"].max()) > -4
 
 
+def test_after_a_reset_the_next_gradient_alone_says_where_opacities_go(tmp_path):
+    """Moments from before the reset would let them fall for many steps more, whatever the gradient."""
+    config = tiny("paper")
+    config = replace(
+        config, iterations=12, frames_per_iteration=0, density=replace(config.density, reset_every=10), checkpoint_every=11
+    )
+    observations, found = seen(a_few(config)), []
+
+    class Watched(Trainer):
+        def _apply(self, active, drawn, gradients):
+            before = self.gaussians.params["logit_opacities"].clone()
+            super()._apply(active, drawn, gradients)
+            step = (self.gaussians.params["logit_opacities"] - before)[active.rows]
+            found.append((self.step, step[drawn], gradients["logit_opacities"][drawn]))
+
+    trainer = Watched(observations, None, config, tmp_path, start=a_few(config))
+    whole = trainer.run()
+    rate = float(trainer.rates()["logit_opacities"])
+    at, step, gradient = found[10]
+    assert at == 10
+    assert len(step) > 10
+    # Adam's first step has the length of its rate and goes down the gradient.
+    torch.testing.assert_close(step, -rate * gradient.sign(), rtol=1e-3, atol=1e-7)
+    _, before, earlier = found[9]
+    assert not torch.allclose(before, -rate * earlier.sign(), rtol=1e-3)  # which is no rule without a reset
+    again = Trainer(observations, None, config, tmp_path)
+    assert torch.equal(again.run().params["logit_opacities"], whole.params["logit_opacities"])
+
+
+def test_who_turns_out_to_move_gets_neighbours_at_once():
+    config = tiny("default")
+    config = replace(
+        config, iterations=4, loss=replace(config.loss, rigid_refresh=1000),
+        density=replace(config.density, every=2, start=2, revise_rest=0.0),
+    )  # fmt: skip
+    start, had, moved = a_few(config), [], []
+    start.dynamic[:12] = False
+
+    class Watched(Trainer):
+        def _rigid(self, active, rendered):
+            result = super()._rigid(active, rendered)
+            had.append((self._neighbours.indices >= 0).any(1))
+            return result
+
+        def _control_density(self):
+            before = self.gaussians.dynamic.clone()
+            self._statistics.flow_visits[:2], self._statistics.flow_residual[:2] = 2.0, 200.0
+            super()._control_density()
+            moved.append(torch.nonzero(self.gaussians.dynamic & ~before).squeeze(1).tolist())
+
+    Watched(seen(a_few(config)), None, config, start=start).run()
+    assert moved == [[0, 1]]
+    assert not had[1][:2].any()
+    assert had[2][:2].all()
+
+
 def test_without_checkpoints_none_is_written(tmp_path):
     config = replace(tiny("default"), checkpoint_every=0)
     Trainer(seen(a_few(config)), None, config, tmp_path, start=a_few(config)).run()

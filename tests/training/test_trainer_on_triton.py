@@ -15,6 +15,7 @@ from flowsplat.training.trainer import Trainer
 from tests.training.handful import FRAMES, a_few, seen, tiny
 
 pytest.importorskip("triton", reason="Triton is not installed")
+from flowsplat.common.triton_probe import _squares
 
 ON_GPU = torch.cuda.is_available()
 
@@ -85,6 +86,42 @@ def test_steps_lead_where_those_of_the_cpu_lead(by_triton):
     first = a_few(config).params
     for name, value in expected.params.items():
         close(ours.params[name].cpu() - first[name], value - first[name], name, 0.02)  # Adam's first steps are signs
+
+
+@pytest.mark.parametrize("flow_model", ["displacement", "affine"])
+def test_every_kernel_of_a_step_is_launched_on_the_device_of_its_tensors(flow_model, by_triton, monkeypatch):
+    """Not on the one that happens to be the current one. The interpreter knows no devices, so the guard is counted instead."""
+    runs = type(_squares)
+    guarded, launched = [], []
+
+    class Guard:
+        def __init__(self, tensor):
+            assert isinstance(tensor, torch.Tensor)
+
+        def __enter__(self):
+            guarded.append(self)
+
+        def __exit__(self, *_):
+            guarded.pop()
+
+    run = runs.run
+
+    def launch(self, *given, **settings):
+        launched.append((self.fn.__module__, self.fn.__name__, bool(guarded)))
+        return run(self, *given, **settings)
+
+    monkeypatch.setattr(torch.cuda, "device_of", Guard)
+    monkeypatch.setattr(runs, "run", launch)
+    by_triton()
+    config = tiny("default", flow_model=flow_model)
+    Trainer(seen(a_few(config)), None, config, start=a_few(config), device="cuda" if ON_GPU else "cpu").run()
+    assert {module.split(".triton")[0] for module, _, _ in launched} >= {
+        f"flowsplat.{part}" for part in (
+            "gaussians.culling", "gaussians.slicing", "gaussians.flow", "splatting", "training.picture_loss",
+            "training.rigidity", "training.adam",
+        )
+    }  # fmt: skip
+    assert {(module, name) for module, name, is_guarded in launched if not is_guarded} == set()
 
 
 def state_of(trainer: Trainer) -> dict[str, torch.Tensor]:

@@ -82,7 +82,7 @@ class Later:
             self._numbers = torch.empty(numbers.shape, dtype=numbers.dtype, pin_memory=True)
             self._numbers.copy_(numbers, non_blocking=True)
             self._arrived = torch.cuda.Event()
-            self._arrived.record()
+            self._arrived.record(torch.cuda.current_stream(numbers.device))
 
     def values(self) -> list[int]:
         """The numbers. Waits for what the device was told before it was asked, and for nothing after that."""

@@ -8,6 +8,7 @@ other way round the interpreter of 3.7 makes a constant of the product.
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
 from functools import lru_cache
 from types import ModuleType
 
@@ -52,6 +53,15 @@ def check_runs(tensor: Tensor) -> None:
         raise ValueError(
             "Triton runs on a GPU; for tensors on the CPU set TRITON_INTERPRET=1 before Triton is imported (slow: for tests)"
         )
+
+
+def device_of(tensor: Tensor) -> AbstractContextManager[None]:
+    """A context in which the device of this tensor is the current one: that is where Triton launches, whatever it is given.
+
+    A tensor on the CPU, with which the interpreter computes, changes nothing.
+    """
+    context: AbstractContextManager[None] = torch.cuda.device_of(tensor)
+    return context
 
 
 def rows_per_program(count: int) -> int:

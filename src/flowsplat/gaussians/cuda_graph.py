@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from flowsplat.common.devices import upload
+from flowsplat.common.triton import device_of
 from flowsplat.gaussians.camera_buffer import CAMERA, camera_numbers, camera_tensors, moment_numbers, moment_size
 from flowsplat.gaussians.culling import RowCapacity, border
 from flowsplat.gaussians.culling.triton import Marked
@@ -63,7 +64,8 @@ class FixedRenderer:
         numbers = np.concatenate([widened, moment, seen_from])
         self._numbers.copy_(upload(numbers.astype(np.float32), self._numbers.device))
         while True:
-            image, alpha, needed = self._replay()
+            with device_of(self._numbers):
+                image, alpha, needed = self._replay()
             found = needed.tolist()
             if self._rows.fits(found) and not self._pairs.overflowed():
                 return image, alpha

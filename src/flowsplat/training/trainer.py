@@ -344,6 +344,7 @@ class Trainer:
             self._control_density()
         if config.reset_every and self.step % config.reset_every == 0 and not averaged:
             reset_opacities(self.gaussians, config.reset_to)
+            self._adam.restart("logit_opacities")
 
     def _control_density(self) -> None:
         config = self.config.density
@@ -354,6 +355,7 @@ class Trainer:
             )
             if moved or rested:
                 self._average.restart()
+                self._neighbours = None  # Those that became dynamic have none yet, and nobody has them as neighbours.
                 say(f"Step {self.step}: {moved:,} background Gaussians turned out to move, {rested:,} moving ones rest.")
         if config.gradient > 0:
             self._adopt(

@@ -12,6 +12,7 @@ import triton.language as tl
 from torch import Tensor
 
 from flowsplat.common.devices import Later, upload
+from flowsplat.common.triton import device_of
 from flowsplat.gaussians.camera_buffer import CAMERA, CX, CY, FX, FY, TIME, camera_numbers, to_camera
 from flowsplat.gaussians.culling import reference
 from flowsplat.gaussians.culling.capacity import RowCapacity
@@ -107,18 +108,20 @@ class Marked:
         self._counts = torch.empty(2, self._blocks, dtype=torch.int32, device=means.device)
         use_camera = size is not None and log_scales is not None
         width, height = size or (1, 1)
-        _mark[(self._blocks,)](
-            at_rest.view(torch.uint8), means, means if log_scales is None else log_scales, times, log_lambdas, camera, moment,
-            float(p_min), float(near), float(width), float(height), self._count, self._blocks, self._keep, self._counts,
-            USE_CAMERA=use_camera, BLOCK=BLOCK,
-        )  # fmt: skip
+        with device_of(means):
+            _mark[(self._blocks,)](
+                at_rest.view(torch.uint8), means, means if log_scales is None else log_scales, times, log_lambdas, camera, moment,
+                float(p_min), float(near), float(width), float(height), self._count, self._blocks, self._keep, self._counts,
+                USE_CAMERA=use_camera, BLOCK=BLOCK,
+            )  # fmt: skip
         self.ends = torch.cumsum(self._counts, 1, dtype=torch.int32)
 
     def collect(self, rows: Tensor, rows_at_rest: int) -> None:
         """Fill rows: those at rest up to ``rows_at_rest``, the moving ones after it; what exceeds the rows is left out."""
-        _collect[(self._blocks,)](
-            self._keep, self._counts, self.ends, rows, rows_at_rest, len(rows), self._count, self._blocks, BLOCK=BLOCK
-        )
+        with device_of(rows):
+            _collect[(self._blocks,)](
+                self._keep, self._counts, self.ends, rows, rows_at_rest, len(rows), self._count, self._blocks, BLOCK=BLOCK
+            )
 
     def padded(self, capacity: RowCapacity) -> Tensor:
         """As many rows as ``capacity`` says; -1 in those that are padding."""

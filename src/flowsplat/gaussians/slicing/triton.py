@@ -15,6 +15,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from flowsplat.common.devices import upload
+from flowsplat.common.triton import device_of
 from flowsplat.gaussians.camera_buffer import CENTRE, COSINES, NEXT_TIME, TIME, moment_numbers
 from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
 from flowsplat.gaussians.motion import SeriesMotion
@@ -337,9 +338,10 @@ def slice_rows(gaussians: Gaussians4D, rows: Tensor, resting: int, moment: Tenso
     outputs = tuple(torch.empty(shape, device=rows.device) for shape in shapes)
     if count:
         params = (gaussians.params[name] for name in NAMES)
-        _forward[(triton.cdiv(count, BLOCK),)](
-            rows, moment, *params, *outputs, count, resting, **_constants(gaussians, has_next)
-        )
+        with device_of(rows):
+            _forward[(triton.cdiv(count, BLOCK),)](
+                rows, moment, *params, *outputs, count, resting, **_constants(gaussians, has_next)
+            )
     return outputs
 
 
@@ -367,10 +369,11 @@ class _SliceFunction(torch.autograd.Function):
         results = {name: torch.empty(counts[name], *gaussians.params[name].shape[1:], device=device) for name in NAMES}
         count = len(active.rows)
         if count:
-            _backward[(triton.cdiv(count, BLOCK),)](
-                active.rows, ctx.moment, *(gaussians.params[name] for name in NAMES), ctx.means, *arriving, *results.values(),
-                count, active.num_static, **ctx.constants,
-            )  # fmt: skip
+            with device_of(ctx.means):
+                _backward[(triton.cdiv(count, BLOCK),)](
+                    active.rows, ctx.moment, *(gaussians.params[name] for name in NAMES), ctx.means, *arriving,
+                    *results.values(), count, active.num_static, **ctx.constants,
+                )  # fmt: skip
         ctx.gradients.update(results)
         return None, None, None, None, None, None
 

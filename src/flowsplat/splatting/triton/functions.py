@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from flowsplat.common.devices import Later
-from flowsplat.common.triton import power_of_two, rows_per_program
+from flowsplat.common.triton import device_of, power_of_two, rows_per_program
 from flowsplat.splatting.triton import blending, tiles
 from flowsplat.splatting.triton import projection as kernels
 from flowsplat.splatting.triton.tiles import Binned, Counted
@@ -34,7 +34,7 @@ class _Project(torch.autograd.Function):
         radii = torch.empty(count, 2, dtype=torch.int32, device=device)
         if count > 0:
             block = rows_per_program(count)
-            with torch.cuda.device_of(means):
+            with device_of(means):
                 kernels.project_forward[(triton.cdiv(count, block),)](
                     *inputs, _ready(opacities), *camera, means2d, conics, depths, radii, extents, count, width, height,
                     float(near), float(far), float(eps2d), HAS_COVARS=covars is not None, BLOCK=block,
@@ -63,7 +63,7 @@ class _Project(torch.autograd.Function):
         programs = triton.cdiv(count, block)
         grad_camera = torch.empty(programs, kernels.CAMERA, device=device) if wants_camera else None
         if count > 0:
-            with torch.cuda.device_of(means):
+            with device_of(means):
                 kernels.project_backward[(programs,)](
                     means, quats, scales, covars, *ctx.camera, ctx.radii, ctx.conics, *given, grad_means, grad_quats,
                     grad_scales, grad_covars, grad_camera, count, *ctx.size, HAS_COVARS=covars is not None,
@@ -137,7 +137,7 @@ class _Blend(torch.autograd.Function):
     def forward(ctx: Any, means2d: Tensor, conics: Tensor, opacities: Tensor, features: Tensor, depths: Tensor,
                 extents: Tensor, width: int, height: int, absolute: Tensor | None) -> tuple[Tensor, Tensor]:  # fmt: skip
         inputs = tuple(map(_ready, (means2d, conics, opacities, features, depths, extents)))
-        with torch.cuda.device_of(means2d):
+        with device_of(means2d):
             blended = _blend(inputs, width, height, save=True)
         ctx.save_for_backward(blended.image, blended.transmittance)
         ctx.size, ctx.opacity, ctx.feature, ctx.absolute = (width, height), inputs[2], inputs[3], absolute
@@ -158,7 +158,7 @@ class _Blend(torch.autograd.Function):
         out = torch.zeros(capacity, stride, device=device)
         grad_means2d, grad_conics = torch.empty(count, 2, device=device), torch.empty(count, 3, device=device)
         grad_opacities, grad_features = torch.empty(count, device=device), torch.empty(count, channels, device=device)
-        with torch.cuda.device_of(image):
+        with device_of(image):
             blending.blend_backward[(columns * rows,)](
                 counted.records, ctx.feature, binned.gaussians, binned.slots, binned.offsets, ctx.stops, image, transmittance,
                 torch.zeros_like(image) if grad_image is None else _ready(grad_image),
@@ -212,6 +212,6 @@ def blend(
     if torch.is_grad_enabled() and any(value.requires_grad for value in inputs):
         result: tuple[Tensor, Tensor] = _Blend.apply(*inputs, depths, extents, width, height, absolute)
         return result
-    with torch.cuda.device_of(means2d):
+    with device_of(means2d):
         blended = _blend(tuple(map(_ready, (*inputs, depths, extents))), width, height, save=False)
     return blended.image, blended.alphas

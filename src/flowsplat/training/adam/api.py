@@ -24,10 +24,21 @@ class RowAdam:
         self.squares = {name: torch.zeros_like(value) for name, value in params.items()}
         first = next(iter(params.values()))
         self.counts = torch.zeros(len(first), dtype=torch.int32, device=first.device)
+        self._restarted: dict[str, Tensor] = {}
 
     def begin_step(self, rows: Tensor, stepped: Tensor) -> None:
         """Count one step for those of the rows [A] (each at most once) that are to be stepped [A] bool."""
         self.counts[rows] += stepped.to(self.counts.dtype)
+
+    def restart(self, name: str) -> None:
+        """Forget the moments of the parameter ``name`` and begin its bias correction anew.
+
+        For values that were changed by other means than a step: their moments still point to where the old ones went. The step
+        counts belong to all parameters of a row, so what each row had counted by now is kept and left out from here on.
+        """
+        self.means[name].zero_()
+        self.squares[name].zero_()
+        self._restarted[name] = self.counts.clone()
 
     def step(self, name: str, value: Tensor, rows: Tensor, stepped: Tensor, gradient: Tensor, rates: Tensor) -> None:
         """Step the parameter ``name`` in place.
@@ -43,9 +54,10 @@ class RowAdam:
         if len(rows) == 0 or value[0].numel() == 0:
             return
         count = len(value)
+        counts = self.counts - self._restarted[name] if name in self._restarted else self.counts
         twin = import_module(f"flowsplat.training.adam.{devices.kernels_for(value)}")
         twin.step_rows(
-            value.view(count, -1), self.means[name].view(count, -1), self.squares[name].view(count, -1), self.counts,
+            value.view(count, -1), self.means[name].view(count, -1), self.squares[name].view(count, -1), counts,
             rows, stepped, gradient.reshape(len(rows), -1), rates,
         )  # fmt: skip
 
@@ -57,11 +69,15 @@ class RowAdam:
                 moments[name][is_new] = 0
         self.counts = self.counts[index]
         self.counts[is_new] = 0
+        for name, counted in self._restarted.items():
+            self._restarted[name] = counted[index]
+            self._restarted[name][is_new] = 0
 
     def state(self) -> dict[str, Tensor]:
         """Every tensor by name, for a checkpoint."""
         state = {f"mean.{name}": value for name, value in self.means.items()}
         state |= {f"square.{name}": value for name, value in self.squares.items()}
+        state |= {f"restarted.{name}": value for name, value in self._restarted.items()}
         return {**state, "counts": self.counts}
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
@@ -69,3 +85,4 @@ class RowAdam:
         self.means = {name: state[f"mean.{name}"] for name in self.means}
         self.squares = {name: state[f"square.{name}"] for name in self.squares}
         self.counts = state["counts"]
+        self._restarted = {name: state[f"restarted.{name}"] for name in self.means if f"restarted.{name}" in state}

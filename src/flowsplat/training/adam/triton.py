@@ -9,7 +9,7 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from flowsplat.common.triton import rows_per_program
+from flowsplat.common.triton import device_of, rows_per_program
 from flowsplat.training.adam.reference import BETA1, BETA2, EPSILON, correction_table
 
 B1, B2, EPS = tl.constexpr(BETA1), tl.constexpr(BETA2), tl.constexpr(EPSILON)
@@ -50,7 +50,8 @@ def step_rows(
     count, size = gradient.shape
     table = _corrections(value.device)
     block = rows_per_program(count * size)
-    _step[(triton.cdiv(count * size, block),)](
-        value, mean, square, counts, rows, stepped.view(torch.uint8), gradient.contiguous(), rates, table, count, len(table) - 1,
-        D=size, BLOCK=block,
-    )  # fmt: skip
+    with device_of(value):
+        _step[(triton.cdiv(count * size, block),)](
+            value, mean, square, counts, rows, stepped.view(torch.uint8), gradient.contiguous(), rates, table, count,
+            len(table) - 1, D=size, BLOCK=block,
+        )  # fmt: skip

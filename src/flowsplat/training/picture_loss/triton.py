@@ -14,7 +14,7 @@ import triton.language as tl
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from flowsplat.common.triton import rows_per_program
+from flowsplat.common.triton import device_of, rows_per_program
 from flowsplat.training.picture_loss import reference
 from flowsplat.training.picture_loss.api import PictureFigures, PictureTargets, PictureWeights
 
@@ -248,29 +248,31 @@ class _PictureLoss(torch.autograd.Function):
         programs, pixel_programs = triton.cdiv(colours, block), triton.cdiv(pixels, pixel_block)
         blurred, derivatives = torch.empty(4, colours, device=device), torch.empty(3, colours, device=device)
         similarity, colour_sums = torch.empty(programs, device=device), torch.empty(2, programs, device=device)
-        grid = (programs,)
-        _blur_products[grid](image, targets.colour, blurred, width, height, channels, BLOCK=block)
-        _derivatives[grid](blurred, derivatives, similarity, width, height, BLOCK=block)
-        _blur_derivatives[grid](derivatives, blurred, width, height, BLOCK=block)
-        _colour_gradient[grid](
-            image, targets.colour, blurred, gradient, colour_sums, float(weights.ssim), width, height, channels, BLOCK=block
-        )
+        with device_of(image):
+            grid = (programs,)
+            _blur_products[grid](image, targets.colour, blurred, width, height, channels, BLOCK=block)
+            _derivatives[grid](blurred, derivatives, similarity, width, height, BLOCK=block)
+            _blur_derivatives[grid](derivatives, blurred, width, height, BLOCK=block)
+            _colour_gradient[grid](
+                image, targets.colour, blurred, gradient, colour_sums, float(weights.ssim), width, height, channels, BLOCK=block
+            )
         has_flow = targets.flow is not None and weights.flow > 0
         has_depth = targets.depth is not None and weights.depth > 0
         flow_weight, depth_weight = float(weights.flow) if has_flow else 0.0, float(weights.depth) if has_depth else 0.0
         kind = {"FLOW": flow_channels, "HELD": channels > 4 + flow_channels, "BY_ALPHA": weights.flow_by_alpha}
         counted, others = torch.zeros((), dtype=torch.int64, device=device), torch.empty(2, pixel_programs, device=device)
-        grid = (pixel_programs,)
-        if has_flow:
-            counts = torch.empty(pixel_programs, dtype=torch.int32, device=device)
-            _count_flow[grid](image, alpha, _bytes(targets.flow_trusted), counts, pixels, channels, **kind, BLOCK=pixel_block)
-            counted = counts.sum()
-        _other_gradients[grid](
-            image, alpha, targets.flow if has_flow else image, _bytes(targets.flow_trusted if has_flow else None), counted,
-            targets.depth if has_depth else image, _bytes(targets.depth_trusted if has_depth else None), gradient, alpha_gradient,
-            others, flow_weight, depth_weight, width, height, channels, CHANNELS=channels, **kind, HAS_FLOW=has_flow,
-            HAS_DEPTH=has_depth, BLOCK=pixel_block,
-        )  # fmt: skip
+        with device_of(image):
+            grid = (pixel_programs,)
+            if has_flow:
+                counts = torch.empty(pixel_programs, dtype=torch.int32, device=device)
+                _count_flow[grid](image, alpha, _bytes(targets.flow_trusted), counts, pixels, channels, **kind, BLOCK=pixel_block)
+                counted = counts.sum()
+            _other_gradients[grid](
+                image, alpha, targets.flow if has_flow else image, _bytes(targets.flow_trusted if has_flow else None), counted,
+                targets.depth if has_depth else image, _bytes(targets.depth_trusted if has_depth else None), gradient,
+                alpha_gradient, others, flow_weight, depth_weight, width, height, channels, CHANNELS=channels, **kind,
+                HAS_FLOW=has_flow, HAS_DEPTH=has_depth, BLOCK=pixel_block,
+            )  # fmt: skip
         ctx.save_for_backward(gradient, alpha_gradient)
         ssim = similarity.sum(dtype=torch.float64) / colours
         absolute, squared = colour_sums.sum(1, dtype=torch.float64) / colours

@@ -14,7 +14,7 @@ import triton.language as tl
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from flowsplat.common.triton import rows_per_program
+from flowsplat.common.triton import device_of, rows_per_program
 from flowsplat.training.rigidity import reference
 from flowsplat.training.rigidity.neighbours import Neighbours
 
@@ -88,10 +88,11 @@ class _RigidLoss(torch.autograd.Function):
         programs = triton.cdiv(moving, block)
         sums, gradient = torch.empty(programs, device=device), torch.empty(moving, 3, device=device)
         if moving:
-            _loss_and_gradient[(programs,)](
-                velocities.detach().contiguous(), rows, place, neighbours.indices, neighbours.weights, *neighbours.incoming, sums,
-                gradient, moving, SIZE=neighbours.indices.shape[1], BLOCK=block,
-            )  # fmt: skip
+            with device_of(velocities):
+                _loss_and_gradient[(programs,)](
+                    velocities.detach().contiguous(), rows, place, neighbours.indices, neighbours.weights, *neighbours.incoming,
+                    sums, gradient, moving, SIZE=neighbours.indices.shape[1], BLOCK=block,
+                )  # fmt: skip
         share = 1 / (neighbours.indices.shape[1] * count)
         ctx.save_for_backward(share * gradient)
         return (share * sums.sum(dtype=torch.float64)).to(torch.float32)

@@ -15,7 +15,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from flowsplat.common.devices import upload
-from flowsplat.common.triton import rows_per_program
+from flowsplat.common.triton import device_of, rows_per_program
 from flowsplat.gaussians.camera_buffer import CAMERA, CX, CY, FX, FY, camera_numbers, to_camera, to_world, view_row
 from flowsplat.gaussians.flow.reference import NEAR
 from flowsplat.gaussians.flow.triton.vectors import load_vector, store_vector
@@ -217,7 +217,8 @@ class _Features(torch.autograd.Function):
         features = torch.empty(count, CHANNELS, device=colours.device)
         if count:
             block = rows_per_program(count)
-            _forward[(triton.cdiv(count, block),)](*inputs, cameras, features, *size, count, BLOCK=block)
+            with device_of(colours):
+                _forward[(triton.cdiv(count, block),)](*inputs, cameras, features, *size, count, BLOCK=block)
         ctx.inputs, ctx.size = (*inputs[2:], cameras), size
         return features
 
@@ -229,7 +230,8 @@ class _Features(torch.autograd.Function):
         results = [torch.empty(shape, device=device) for shape in shapes]
         if count:
             block = rows_per_program(count)
-            _backward[(triton.cdiv(count, block),)](gradient.contiguous(), *ctx.inputs, *results, *ctx.size, count, BLOCK=block)
+            with device_of(gradient):
+                _backward[(triton.cdiv(count, block),)](gradient.contiguous(), *ctx.inputs, *results, *ctx.size, count, BLOCK=block)
         return *results, None, None, None
 
 

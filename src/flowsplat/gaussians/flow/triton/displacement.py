@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from flowsplat.common.devices import upload
-from flowsplat.common.triton import rows_per_program
+from flowsplat.common.triton import device_of, rows_per_program
 from flowsplat.gaussians.camera_buffer import CX, CY, FX, FY, camera_numbers, to_camera, to_world
 from flowsplat.gaussians.flow.reference import NEAR
 from flowsplat.gaussians.flow.triton.vectors import load_vector, store_vector
@@ -75,7 +75,8 @@ def displacement_features(colours: Tensor, depths: Tensor, means2d: Tensor, next
     features = torch.empty(count, CHANNELS, device=colours.device)
     if count:
         block = rows_per_program(count)
-        _forward[(triton.cdiv(count, block),)](colours, depths, means2d, next_means, camera, features, count, BLOCK=block)
+        with device_of(colours):
+            _forward[(triton.cdiv(count, block),)](colours, depths, means2d, next_means, camera, features, count, BLOCK=block)
     return features
 
 
@@ -94,7 +95,8 @@ class _Features(torch.autograd.Function):
         results = [torch.empty(shape, device=device) for shape in ((count, 3), (count,), (count, 2), (count, 3))]
         if count:
             block = rows_per_program(count)
-            _backward[(triton.cdiv(count, block),)](gradient.contiguous(), *ctx.inputs, *results, count, BLOCK=block)
+            with device_of(gradient):
+                _backward[(triton.cdiv(count, block),)](gradient.contiguous(), *ctx.inputs, *results, count, BLOCK=block)
         return *results, None
 
 
