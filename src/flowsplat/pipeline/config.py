@@ -13,6 +13,7 @@ import tyro
 
 from flowsplat.common.devices import DeviceName, pick_device
 from flowsplat.common.errors import InputError
+from flowsplat.common.settings import to_plain
 from flowsplat.output.videos import RenderOptions
 from flowsplat.priors.prepare import PriorsOptions
 from flowsplat.scenes.clip import InputOptions
@@ -68,15 +69,6 @@ def preset(name: str) -> RunConfig:
     if name not in presets:
         raise InputError(f"Unknown preset {name!r}: choose one of {', '.join(presets)}.")
     return presets[name]
-
-
-def to_plain(config: Any) -> Any:
-    """A configuration as JSON holds it."""
-    if dataclasses.is_dataclass(config) and not isinstance(config, type):
-        return {f.name: to_plain(getattr(config, f.name)) for f in dataclasses.fields(config)}
-    if isinstance(config, list | tuple):
-        return [to_plain(item) for item in config]
-    return str(config) if isinstance(config, Path) else config
 
 
 def flat(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -28,7 +28,8 @@ from flowsplat import __version__
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import make_folder, read_json, require_keys, write_json
 from flowsplat.common.memory import peak_memory
-from flowsplat.pipeline.config import RunConfig, from_plain, to_plain
+from flowsplat.common.settings import to_plain
+from flowsplat.pipeline.config import RunConfig, from_plain
 
 VERSION = 1
 

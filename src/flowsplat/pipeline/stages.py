@@ -18,6 +18,7 @@ from flowsplat.common.devices import pick_device
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import hash_files, read_json, write_json
 from flowsplat.common.progress import say
+from flowsplat.common.settings import to_plain
 from flowsplat.evaluation.evaluate import evaluate
 from flowsplat.evaluation.poses import refine_camera
 from flowsplat.gaussians.gaussians4d import Gaussians4D
@@ -29,7 +30,7 @@ from flowsplat.output.report import write_report
 from flowsplat.output.videos import RenderOptions, are_rendered, forget_videos, render_videos, settle
 from flowsplat.pictures.colors import float_to_bytes
 from flowsplat.pictures.sheets import preview_sheet
-from flowsplat.pipeline.config import RunConfig, check, to_plain
+from flowsplat.pipeline.config import RunConfig, check
 from flowsplat.pipeline.folder import RunFolder, stage_key
 from flowsplat.pipeline.summary import report_data
 from flowsplat.priors.prepare import prepare_priors

@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
+from flowsplat.common.settings import to_plain
 from flowsplat.evaluation.scores import pick
 from flowsplat.gaussians.rendering import Renderer
 from flowsplat.output.report import VIDEO_FOLDER, Comparison, FlowComparison, ReportData
 from flowsplat.output.videos import rendered
-from flowsplat.pipeline.config import flat, to_plain
+from flowsplat.pipeline.config import flat
 from flowsplat.scenes import Scene
 from flowsplat.scenes.layers import read_image
 

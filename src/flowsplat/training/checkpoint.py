@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,7 @@ from torch import Tensor
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import atomic_path, read_json, write_json
+from flowsplat.common.settings import to_plain
 from flowsplat.gaussians.gaussians4d import Gaussians4D, ModelConfig
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.geometry import Similarity
@@ -57,7 +57,7 @@ def save_model(folder: Path, model: SceneModel) -> None:
         "version": MODEL_VERSION,
         "gaussians": len(g),
         "dynamic": int(g.dynamic.sum()),
-        "model": asdict(g.config),
+        "model": to_plain(g.config),
         "sh_degree": g.sh_degree,
         "similarity": model.similarity.to_json(),
         "first": model.first,

@@ -19,8 +19,9 @@ from pathlib import Path
 from typing import Literal
 
 from flowsplat.common.errors import InputError
+from flowsplat.common.settings import to_plain
 from flowsplat.pipeline import RunConfig, preset
-from flowsplat.pipeline.config import flat, to_plain
+from flowsplat.pipeline.config import flat
 from flowsplat.protocols.priors.scenes import TUNED
 from flowsplat.protocols.roots import open_root, require_scenes
 from flowsplat.scenes.clip import InputOptions
