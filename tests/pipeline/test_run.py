@@ -14,8 +14,9 @@ import torch
 
 import flowsplat
 from flowsplat.common.errors import InputError
+from flowsplat.common.settings import to_plain
 from flowsplat.pipeline import demo, prepare, run, stages, train
-from flowsplat.pipeline.config import RunConfig, from_plain, preset, to_plain
+from flowsplat.pipeline.config import RunConfig, from_plain, preset
 from flowsplat.pipeline.folder import RunFolder
 from flowsplat.priors.given import GivenPriors
 from flowsplat.scenes import Scene
@@ -284,6 +285,18 @@ def test_settings_survive_their_file(tmp_path):
         from_plain(RunConfig, {"colour": 3})
     with pytest.raises(InputError, match="Unknown preset"):
         preset("best")
+
+
+def test_runs_from_before_there_were_kinds_of_motion_keep_their_settings():
+    """Their keys are made of what ``to_plain`` gives."""
+    for name in ("default", "paper"):
+        plain = to_plain(preset(name))
+        assert "kind" not in plain["train"]["model"]
+        assert from_plain(RunConfig, plain).train.model.kind == "series"
+    config = preset("default")
+    other = replace(config, train=replace(config.train, model=replace(config.train.model, kind="linear")))
+    assert to_plain(other)["train"]["model"]["kind"] == "linear"
+    assert from_plain(RunConfig, to_plain(other)) == other
 
 
 def test_a_folder_of_a_newer_version_is_refused(finished, tmp_path):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time as clock
 from collections.abc import Callable
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +16,12 @@ from flowsplat.common.devices import upload
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_json, write_json
 from flowsplat.common.progress import progress_bar, say
+from flowsplat.common.settings import to_plain
 from flowsplat.gaussians.culling import Rooms
 from flowsplat.gaussians.density import DensityResult, DensityStatistics, densify, prune, reset_opacities, revise_dynamic
 from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
 from flowsplat.gaussians.initialize import initialize, sampled_frames
+from flowsplat.gaussians.motion.protocol import RateGroup
 from flowsplat.gaussians.observations import Observation, Observations
 from flowsplat.gaussians.render import RenderedFrame, render_active
 from flowsplat.gaussians.slicing import Gradients
@@ -205,10 +206,13 @@ class Trainer:
         limit = r.means_pixels / self._focal
         slowed = limit / r.means if 0 < limit < r.means else 1.0
         rates = {
-            "means": slowed * r.means * means, "times": r.times, "log_lambdas": r.log_lambdas * rest, "quats": r.quats * rest,
-            "log_scales": r.scales * rest, "logit_opacities": r.opacities * rest, "log_gains": r.gains * rest,
-            "log_scales4": r.scales * rest, "quats_left": r.quats * rest, "quats_right": r.quats * rest,
+            "means": slowed * r.means * means, "times": r.times, "logit_opacities": r.opacities * rest, "log_gains": r.gains * rest,
         }  # fmt: skip
+        groups: dict[RateGroup, float] = {
+            "rotation": r.quats * rest, "scale": r.scales * rest, "precision": r.log_lambdas * rest,
+            "motion": slowed * r.motion * motion,
+        }  # fmt: skip
+        rates |= {name: groups[parameter.rate] for name, parameter in self.gaussians.motion.parameters.items()}
         result = {}
         for name, value in self.gaussians.params.items():
             size = value[0].numel()
@@ -216,7 +220,7 @@ class Trainer:
                 result[name] = torch.full((size,), r.harmonics * rest)
                 result[name][:3] = r.colours * rest
             else:
-                result[name] = torch.full((size,), rates.get(name, slowed * r.motion * motion))
+                result[name] = torch.full((size,), rates[name])
             if name == "log_gains":
                 result[name] *= torch.arange(1.0, size + 1) ** -r.gains_falloff
         # One copy to the device for all of them.
@@ -398,7 +402,7 @@ class Trainer:
             "averaged": self._average.count,
             "seconds": self.earlier_seconds + clock.perf_counter() - self._started,
             "history": self.history,
-            "config": asdict(self.config),
+            "config": to_plain(self.config),
         }
         name = f"step_{self.step:06d}.safetensors"
         write_tensors(self._checkpoints / name, tensors, values)
@@ -419,7 +423,7 @@ class Trainer:
         if not path.exists():  # a damaged one, which was deleted
             return False
         tensors, values = read_tensors(path)
-        if that_matter(values.get("config", {})) != that_matter(_plain(asdict(self.config))):
+        if that_matter(values.get("config", {})) != that_matter(to_plain(self.config)):
             raise InputError(f"{path} was written with other training settings. Use another output folder, or delete it.")
         try:
             self._restore(tensors, values)
@@ -446,13 +450,6 @@ class Trainer:
         self._neighbours_found = int(values["neighbours_found"])
         self.earlier_seconds = float(values["seconds"])
         self._neighbours = Neighbours(**group("neighbours")) if "neighbours.indices" in tensors else None
-
-
-def _plain(value: Any) -> Any:
-    """Dataclass fields as JSON gives them back: tuples become lists."""
-    if isinstance(value, dict):
-        return {name: _plain(item) for name, item in value.items()}
-    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
 
 
 def _everybody(gaussians: Gaussians4D) -> Active:
