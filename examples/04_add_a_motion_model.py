@@ -1,51 +1,72 @@
-"""Write a motion model of your own: anything with the methods of ``MotionModel`` moves Gaussians. Here: circles."""
+"""Define a motion model of your own, train it on the small built-in clip and export it. Here: every mover flies like a thrown ball.
+
+In a copy of flowsplat the class would be a file of ``gaussians/motion`` (CONTRIBUTING.md, "Add a motion model").
+"""
 
 import sys
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 
 import torch
+from torch import Tensor
 
-from flowsplat.gaussians.motion import MotionModel, MotionState, Params, presence
+import flowsplat
+from flowsplat.common.files import read_json
+from flowsplat.gaussians.gaussians4d import ModelConfig
+from flowsplat.gaussians.motion import MotionState, Parameter, Params, RigidMotion, presence, register
+from flowsplat.output.export import ExportOptions, export_scene
+from flowsplat.pipeline.stages import prepare, train
+from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic
 
 
-@dataclass(frozen=True)
-class CircularMotion:
-    """Every Gaussian runs on a circle in the x-y plane: mu(t) = mean + radius (cos(w tau) - 1, sin(w tau), 0)."""
+class Thrown(RigidMotion):
+    """mu(t) = mean + velocity tau + acceleration tau^2 / 2; the rotation stays."""
 
     @property
-    def parameter_shapes(self) -> dict[str, tuple[int, ...]]:
-        return {"log_lambdas": (), "quats": (4,), "log_scales": (3,), "radii": (), "rates": ()}
+    def parameters(self) -> dict[str, Parameter]:
+        motion = {name: Parameter((3,), "motion", moves=True) for name in ("velocities", "accelerations")}
+        return {**super().parameters, **motion}
 
-    @property
-    def motion_names(self) -> tuple[str, ...]:
-        return "radii", "rates"
-
-    def log_precision(self, params: Params) -> torch.Tensor:
-        return params["log_lambdas"]
+    def start(self, quats: Tensor, scales: Tensor, log_lambdas: Tensor, coefficients: Tensor) -> dict[str, Tensor]:
+        order = coefficients.shape[1]
+        fitted = torch.nn.functional.pad(coefficients, (0, 0, 0, max(2 - order, 0)))
+        motion = {"velocities": fitted[:, 0], "accelerations": 2 * fitted[:, 1]}
+        return {**super().start(quats, scales, log_lambdas, coefficients), **motion}
 
     def state(self, params: Params, t: float) -> MotionState:
-        tau, radius, rate = t - params["times"], params["radii"], params["rates"]
-        cos, sin, zero = torch.cos(rate * tau), torch.sin(rate * tau), torch.zeros_like(tau)
+        tau = (t - params["times"])[:, None]
+        velocities, accelerations = params["velocities"], params["accelerations"]
         return MotionState(
-            means=params["means"] + radius[:, None] * torch.stack([cos - 1, sin, zero], 1),
-            velocities=(radius * rate)[:, None] * torch.stack([-sin, cos, zero], 1),
+            means=params["means"] + velocities * tau + 0.5 * accelerations * tau**2,
+            velocities=velocities + accelerations * tau,
             presence=presence(params["times"], params["log_lambdas"], t),
             quats=params["quats"],
             scales=torch.exp(params["log_scales"]),
         )
 
-    def recentred(self, params: Params, shift: torch.Tensor) -> dict[str, torch.Tensor]:
-        raise ValueError("a circle cannot be split in time: its start is its parameter")
+    def recentred(self, params: Params, shift: Tensor) -> dict[str, Tensor]:
+        moved = self.state({**params, "times": -shift}, 0.0)
+        return {**params, "means": moved.means, "velocities": moved.velocities, "times": params["times"] + shift}
 
-    def with_precision(self, params: Params, log_lambda: float) -> dict[str, torch.Tensor]:
-        return {"log_lambdas": torch.full_like(params["log_lambdas"], log_lambda)}
+
+@register("thrown")
+def thrown(settings: ModelConfig) -> Thrown:
+    return Thrown()
 
 
 out = Path(sys.argv[1] if len(sys.argv) > 1 else "out/examples")
-motion: MotionModel = CircularMotion()
-params = {name: torch.zeros(3, *shape) for name, shape in motion.parameter_shapes.items()}
-params |= {"means": torch.zeros(3, 3), "times": torch.zeros(3), "radii": torch.ones(3), "rates": torch.tensor([1.0, 2.0, 3.0])}
-for time in (0.0, 0.25, 0.5):
-    state = motion.state(params, time)
-    print(f"t = {time}: x = {[round(v, 3) for v in state.means[:, 0].tolist()]}, speed = {state.velocities.norm(dim=1).tolist()}")
+iterations = int(sys.argv[2]) if len(sys.argv) > 2 else 150
+
+scene = out / "04_scene"
+if not (scene / "scene.json").exists():
+    write_synthetic(scene, SyntheticScene(width=64, height=36, frames=8), holdout=4)
+config = flowsplat.preset("default")
+settings = replace(config.train, iterations=iterations, model=replace(config.train.model, kind="thrown"))
+run = prepare(scene, out / "04_run", replace(config, priors=replace(config.priors, priors="true"), train=settings))
+model = train(run)
+history = read_json(run.path / "training" / "history.json")
+print(f"loss {history[0]['loss']:.4f} -> {history[-1]['loss']:.4f}, PSNR {history[0]['psnr']:.2f} -> {history[-1]['psnr']:.2f} dB")
+gaussians = model.gaussians
+speed = gaussians.params["velocities"][gaussians.dynamic].norm(dim=1).median()
+print(f"{int(gaussians.dynamic.sum())} of {len(gaussians)} Gaussians move, at {speed:.3f} median depths a clip")
+print(f"to watch it: {export_scene(model, flowsplat.Scene(run.scene_path), 'html', out / '04_player.html', ExportOptions())}")

@@ -144,8 +144,9 @@ def test_opacity_reset():
 
 def test_background_that_moves_becomes_dynamic_and_the_resting_comes_to_rest():
     gaussians = random_model(12)
-    for name in gaussians.motion.motion_names:
-        gaussians.params[name][:] = 0
+    for name, parameter in gaussians.motion.parameters.items():
+        if parameter.rate == "motion":
+            gaussians.params[name][:] = 0
     gaussians.params["mean_poly"][0, 0] = torch.tensor([1.0, 0, 0])
     statistics = DensityStatistics.zeros(12)
     statistics.flow_visits[:] = 3

@@ -7,16 +7,19 @@ import math
 import pytest
 import torch
 
-from flowsplat.gaussians.motion import LinearMotion, SeriesMotion, covariances_4d, presence
+from flowsplat.gaussians.gaussians4d import ModelConfig
+from flowsplat.gaussians.motion import LinearMotion, Parameter, SeriesMotion, covariances_4d, motion_model, presence
+from tests.gaussians.balls import Balls
 
 
 def random_params(motion, count=7, seed=0):
     g = torch.Generator().manual_seed(seed)
-    shapes = {"means": (3,), "times": (), **motion.parameter_shapes}
+    shapes = {"means": (3,), "times": (), **{name: parameter.shape for name, parameter in motion.parameters.items()}}
     return {name: 0.5 * torch.randn(count, *shape, generator=g, dtype=torch.float64) for name, shape in shapes.items()}
 
 
-MOTIONS = [SeriesMotion(), SeriesMotion(2, 1, 1, 0, 3.0), SeriesMotion(1, 0, 0, 0), LinearMotion()]
+MOTIONS = [SeriesMotion(), SeriesMotion(2, 1, 1, 0, 3.0), SeriesMotion(1, 0, 0, 0), LinearMotion(), Balls()]
+UNKNOWN = Parameter((), "motion")
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
@@ -47,6 +50,63 @@ def test_recentring_does_not_change_the_motion(motion):
         for name in ("means", "velocities", "quats", "covars"):
             if getattr(a, name) is not None:
                 torch.testing.assert_close(getattr(b, name), getattr(a, name), msg=f"{name} at {t}")
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_gradients_are_those_of_the_values(motion):
+    params = {name: value.requires_grad_() for name, value in random_params(motion, count=2).items()}
+
+    def values(*given):
+        named = dict(zip(params, given, strict=True))
+        state, shape = motion.state(named, 0.3), motion.at_rest(named)
+        kept = (*vars(state).values(), *vars(shape).values(), motion.log_precision(named))
+        return tuple(value for value in kept if value is not None)
+
+    assert torch.autograd.gradcheck(values, tuple(params.values()))
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_at_their_centre_times_gaussians_have_the_shape_of_those_at_rest(motion):
+    """Which takes nothing of what moves."""
+    params = random_params(motion)
+    moving = ("times", *(name for name, parameter in motion.parameters.items() if parameter.moves))
+    shape = motion.at_rest({name: value for name, value in params.items() if name not in moving})
+    state = motion.state({**params, "times": torch.zeros(7, dtype=torch.float64)}, 0.0)
+    for name in ("quats", "scales", "covars"):
+        assert (getattr(shape, name) is None) == (getattr(state, name) is None)
+        if getattr(shape, name) is not None:
+            torch.testing.assert_close(getattr(shape, name), getattr(state, name), msg=name)
+    if shape.scales is not None and motion.log_scales(params) is not None:
+        torch.testing.assert_close(torch.exp(motion.log_scales(params)), shape.scales)
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_those_that_fade_say_all_about_the_precision(motion):
+    params = random_params(motion)
+    named = {name: value for name, value in params.items() if name == "times" or motion.parameters.get(name, UNKNOWN).fades}
+    torch.testing.assert_close(motion.log_precision(named), motion.log_precision(params))
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_what_is_shrunk_is_smaller_in_space_and_where_asked_in_time(motion):
+    params = random_params(motion)
+    in_time = torch.arange(7) % 2 == 0
+    before, after = motion.at_rest(params), motion.at_rest(shrunk := motion.shrunk(params, math.log(1.6), in_time))
+    if before.scales is not None:
+        torch.testing.assert_close(after.scales, before.scales / 1.6)
+    else:
+        torch.testing.assert_close(after.covars, before.covars / 1.6**2)
+    change = motion.log_precision(shrunk) - motion.log_precision(params)
+    torch.testing.assert_close(change[in_time], torch.full((4,), 2 * math.log(1.6), dtype=torch.float64))
+
+
+def test_the_settings_name_the_model():
+    assert ModelConfig().motion() == SeriesMotion()
+    assert ModelConfig(move_means=False).motion() == SeriesMotion(1, 0, 3, 3)
+    assert ModelConfig(move_quats=False).motion() == SeriesMotion(6, 6, 0, 0)
+    for config in (ModelConfig(move_means=False, move_quats=False), ModelConfig(kind="linear")):
+        assert config.motion() == LinearMotion()
+    assert isinstance(motion_model("balls", ModelConfig()), Balls)
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
@@ -91,7 +151,7 @@ def test_linear_parameters_from_moments():
 
 def test_the_precision_of_linear_motion_is_that_of_its_covariance():
     g = torch.Generator().manual_seed(4)
-    params = {name: torch.randn(50, *shape, generator=g) for name, shape in LinearMotion().parameter_shapes.items()}
+    params = {name: torch.randn(50, 4, generator=g) for name in LinearMotion().parameters}
     _, _, W = covariances_4d(params["log_scales4"], params["quats_left"], params["quats_right"])
     torch.testing.assert_close(LinearMotion().log_precision(params), -torch.log(W))
 

@@ -11,6 +11,9 @@ from flowsplat.common.errors import InputError
 from flowsplat.common.progress import say_once
 
 Config = TypeVar("Config")
+Value = TypeVar("Value")
+
+_LATER = "later"
 
 RENAMED: Mapping[str, Mapping[str, str]] = {"LossConfig": {"opaque": "coverage"}}
 """By the name of their dataclass: settings that had another name in an earlier version, the oldest first, and their name now.
@@ -19,12 +22,26 @@ Files and options with the earlier name are still read. Keys of stages are made 
 earlier version stays finished."""
 
 
+def later(default: Value) -> Value:
+    """A field for a setting that came when there were runs already, with the default that does what those did.
+
+    ``to_plain`` leaves it out where it has its default, so that the runs from before keep their keys.
+    """
+    value: Value = dataclasses.field(default=default, metadata={_LATER: True})
+    return value
+
+
 def to_plain(config: Any, first_names: bool = False) -> Any:
-    """A configuration as JSON holds it; ``first_names``: with the names that its settings had first (``RENAMED``)."""
+    """A configuration as JSON holds it, without what came ``later`` and has its default.
+
+    Args:
+        first_names: with the names that its settings had first (``RENAMED``).
+    """
     if dataclasses.is_dataclass(config) and not isinstance(config, type):
         renamed = RENAMED.get(type(config).__name__, {}) if first_names else {}
         names = {now: before for before, now in reversed(list(renamed.items()))}
-        return {names.get(f.name, f.name): to_plain(getattr(config, f.name), first_names) for f in dataclasses.fields(config)}
+        kept = [f for f in dataclasses.fields(config) if not (_LATER in f.metadata and getattr(config, f.name) == f.default)]
+        return {names.get(f.name, f.name): to_plain(getattr(config, f.name), first_names) for f in kept}
     if isinstance(config, list | tuple):
         return [to_plain(item, first_names) for item in config]
     return str(config) if isinstance(config, Path) else config

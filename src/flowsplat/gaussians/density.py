@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from flowsplat.gaussians.gaussians4d import Gaussians4D, concatenate
+from flowsplat.gaussians.motion import Shape
 from flowsplat.geometry.rotations import quats_to_rotations
 
 
@@ -47,11 +48,11 @@ class DensityResult:
 
 def largest_scale(gaussians: Gaussians4D) -> Tensor:
     """[N] the largest spatial standard deviation."""
-    if "log_scales" in gaussians.params:
-        return torch.exp(gaussians.params["log_scales"]).amax(1)
-    covars = gaussians.motion.state(gaussians.params, 0.0).covars
-    assert covars is not None
-    return torch.sqrt(torch.diagonal(covars, dim1=1, dim2=2).amax(1))
+    shape = gaussians.motion.at_rest(gaussians.params)
+    if shape.scales is not None:
+        return shape.scales.amax(1)
+    assert shape.covars is not None
+    return torch.sqrt(torch.diagonal(shape.covars, dim1=1, dim2=2).amax(1))
 
 
 @torch.no_grad()
@@ -96,20 +97,20 @@ def _split(parents: Gaussians4D, generator: torch.Generator) -> Gaussians4D:
     shift = torch.where(in_time, sigma_t * torch.randn(count, generator=generator).to(device), torch.zeros_like(sigma_t))
     params = parents.motion.recentred(params, shift)
     noise = torch.randn(count, 3, generator=generator).to(device)
-    shrink = math.log(1.6)
-    if "log_scales" in params:
-        local = torch.exp(params["log_scales"]) * noise
-        offset = (quats_to_rotations(params["quats"]) @ local[..., None])[..., 0]
-        params["log_scales"] = params["log_scales"] - shrink
-        params["log_lambdas"] = torch.where(in_time, params["log_lambdas"] + 2 * shrink, params["log_lambdas"])
-    else:
-        covars = parents.motion.state(params, 0.0).covars
-        assert covars is not None
-        root = torch.linalg.cholesky(covars + 1e-12 * torch.eye(3, device=device))
-        offset = (root @ noise[..., None])[..., 0]
-        params["log_scales4"] = params["log_scales4"] - shrink
+    offset = _drawn_from(parents.motion.at_rest(params), noise)
+    params = parents.motion.shrunk(params, math.log(1.6), in_time)
     params["means"] = params["means"] + offset
     return Gaussians4D(params, parents.dynamic, parents.config, parents.sh_degree)
+
+
+def _drawn_from(shape: Shape, noise: Tensor) -> Tensor:
+    """[N, 3] points of normal distributions about 0 with these shapes, from standard normal ones."""
+    if shape.covars is not None:
+        root = torch.linalg.cholesky(shape.covars + 1e-12 * torch.eye(3, device=noise.device))
+        return (root @ noise[..., None])[..., 0]
+    assert shape.quats is not None
+    assert shape.scales is not None
+    return (quats_to_rotations(shape.quats) @ (shape.scales * noise)[..., None])[..., 0]
 
 
 @torch.no_grad()

@@ -10,8 +10,9 @@ from torch import Tensor
 
 from flowsplat.common import devices
 from flowsplat.common.devices import Kernels, Later
+from flowsplat.common.settings import later
 from flowsplat.gaussians.culling import RowCapacity, active_rows, border, padded_rows
-from flowsplat.gaussians.motion import LinearMotion, MotionModel, SeriesMotion, presence
+from flowsplat.gaussians.motion import MotionModel, motion_model, presence
 from flowsplat.geometry import Camera
 from flowsplat.splatting.harmonics import harmonics_count
 from flowsplat.splatting.rules import EPS2D
@@ -24,6 +25,9 @@ NEAR_PLANE = 0.02
 class ModelConfig:
     """What one Gaussian is made of (METHOD 1)."""
 
+    kind: str = later("series")
+    """Motion model: ``series``, which the next settings describe, ``linear`` (the linear 4D Gaussian of 4DGS), or one of your own
+    (CONTRIBUTING.md)."""
     move_means: bool = True
     """Means move along polynomial + Fourier series. Off: the vanilla term, a straight line (the paper's ablation)."""
     move_quats: bool = True
@@ -48,12 +52,13 @@ class ModelConfig:
     """A Gaussian is rendered where its presence p(t) is at least this."""
 
     def motion(self) -> MotionModel:
-        """The motion model that these settings describe."""
-        if not self.move_means and not self.move_quats:
-            return LinearMotion()
-        mean_orders = (self.mean_poly, self.mean_fourier) if self.move_means else (1, 0)
-        quat_orders = (self.quat_poly, self.quat_fourier) if self.move_quats else (0, 0)
-        return SeriesMotion(*mean_orders, *quat_orders, self.fourier_base)
+        """The motion model that these settings describe.
+
+        Raises:
+            InputError: there is none of that kind.
+        """
+        neither = self.kind == "series" and not self.move_means and not self.move_quats
+        return motion_model("linear" if neither else self.kind, self)
 
 
 @dataclass(frozen=True)
@@ -132,13 +137,10 @@ class Gaussians4D:
 
     def presence(self, t: float, rows: Tensor | slice = slice(None)) -> Tensor:
         """p(t) of some rows; 1 for Gaussians at rest."""
-        chosen = {name: value[rows] for name, value in self.params.items() if name in self._presence_names}
+        names = ("times", *(name for name, parameter in self.motion.parameters.items() if parameter.fades))
+        chosen = {name: self.params[name][rows] for name in names}
         value = presence(chosen["times"], self.motion.log_precision(chosen), t)
         return torch.where(self.at_rest[rows], torch.ones_like(value), value)
-
-    @property
-    def _presence_names(self) -> tuple[str, ...]:
-        return ("times", "log_lambdas", "log_scales4", "quats_left", "quats_right")
 
     @torch.no_grad()
     def active(
@@ -158,7 +160,7 @@ class Gaussians4D:
         if camera is not None:
             camera = camera.widened(border(eps2d))
         given = (
-            self.at_rest, params["means"], params.get("log_scales"), params["times"], self.motion.log_precision(params), t,
+            self.at_rest, params["means"], self.motion.log_scales(params), params["times"], self.motion.log_precision(params), t,
             self.config.p_min, camera, NEAR_PLANE,
         )  # fmt: skip
         if capacity is not None and self.sliced_by == "triton":
@@ -169,8 +171,8 @@ class Gaussians4D:
 
     @property
     def sliced_by(self) -> Kernels:
-        """Whose kernels slice these; there are some for a series motion only."""
-        return devices.kernels_for(self.params["means"]) if isinstance(self.motion, SeriesMotion) else "reference"
+        """Whose kernels slice these; a motion model without fused ones has the plain slice."""
+        return devices.kernels_for(self.params["means"]) if self.motion.kernels == "series" else "reference"
 
     def gather(self, active: Active) -> dict[str, Tensor]:
         """Copies of the rows that are rendered, as leaves for a gradient; none may be padding."""
@@ -179,7 +181,7 @@ class Gaussians4D:
     @property
     def moving_names(self) -> tuple[str, ...]:
         """Parameters that only moving Gaussians have in ``gather``."""
-        return (*self.motion.motion_names, "times", "log_lambdas")
+        return ("times", *(name for name, parameter in self.motion.parameters.items() if parameter.moves))
 
     def rows_of(self, name: str, active: Active) -> Tensor:
         """The rows that ``gather`` took for parameter ``name``."""
@@ -217,7 +219,7 @@ def parameter_shapes(config: ModelConfig) -> dict[str, tuple[int, ...]]:
         "logit_opacities": (),
         "sh": (harmonics_count(config.sh_degree), 3),
         "log_gains": (config.gains,),
-        **config.motion().parameter_shapes,
+        **{name: parameter.shape for name, parameter in config.motion().parameters.items()},
     }
 
 

@@ -12,12 +12,10 @@ import torch
 from flowsplat.common.errors import InputError
 from flowsplat.common.spread import spread
 from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Gaussians4D, ModelConfig, concatenate, parameter_shapes
-from flowsplat.gaussians.motion import LinearMotion
 from flowsplat.gaussians.observations import Observation, Observations
 from flowsplat.gaussians.sampling import detail, grid, spacings
 from flowsplat.gaussians.surfaces import SurfaceSamples, sample_surface
 from flowsplat.geometry.interpolation import sample_map
-from flowsplat.geometry.rotations import covariances
 from flowsplat.scenes import Tracks
 from flowsplat.splatting.harmonics import harmonics_from_colours
 
@@ -133,18 +131,8 @@ def _build(
     params["times"] = torch.from_numpy(times.astype(np.float32))
     params["logit_opacities"] = torch.full((count,), float(np.log(opacity / (1 - opacity))))
     params["sh"][:, 0] = harmonics_from_colours(torch.from_numpy(samples.colours.astype(np.float32)))
-    quats = torch.from_numpy(samples.quats.astype(np.float32))
-    scales = torch.from_numpy(samples.scales.astype(np.float32))
-    if "log_scales4" in params:
-        covars = covariances(quats, scales)
-        velocities = torch.from_numpy(motion[:, 0].astype(np.float32)) if motion.shape[1] else torch.zeros(count, 3)
-        precisions = torch.from_numpy(log_lambdas.astype(np.float32))
-        params.update(LinearMotion.from_moments(covars, velocities, precisions))
-    else:
-        params["quats"], params["log_scales"] = quats, torch.log(scales)
-        params["log_lambdas"] = torch.from_numpy(log_lambdas.astype(np.float32))
-        order = min(motion.shape[1], params["mean_poly"].shape[1])
-        params["mean_poly"][:, :order] = torch.from_numpy(motion[:, :order].astype(np.float32))
+    given = (torch.from_numpy(values.astype(np.float32)) for values in (samples.quats, samples.scales, log_lambdas, motion))
+    params.update(model.motion().start(*given))
     return Gaussians4D(params, torch.full((count,), dynamic), model)
 
 

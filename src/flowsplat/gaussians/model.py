@@ -9,10 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from flowsplat.common import devices
 from flowsplat.gaussians.flow import FlowModel
 from flowsplat.gaussians.gaussians4d import Gaussians4D
-from flowsplat.gaussians.motion import SeriesMotion
 from flowsplat.gaussians.render import fill_uncovered, render
 from flowsplat.gaussians.renderer import Part, Rendering
 from flowsplat.geometry import Camera, Similarity
@@ -93,9 +91,9 @@ class SceneModel:
 
     def _draw(self, camera: Camera, t: float, other: tuple[Camera, float] | None) -> tuple[Tensor, Tensor, Tensor | None]:
         """Image with colour and depth, alpha and flow, premultiplied; cameras in normalised coordinates, ``t`` in seconds."""
-        g, by_series = self.gaussians, isinstance(self.gaussians.motion, SeriesMotion)
+        g = self.gaussians
         if (
-            self.graphs and by_series and devices.kernels_for(g.params["means"]) == "triton"
+            self.graphs and g.sliced_by == "triton"
             and (other is None or self.flow_model == "displacement")
         ):  # fmt: skip
             from flowsplat.gaussians.cuda_graph import FixedRenderer

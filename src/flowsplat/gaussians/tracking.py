@@ -231,12 +231,17 @@ def _placed(gaussians: Gaussians4D, rows: Tensor, t: float) -> _Placed:
     rest = gaussians.at_rest[rows]
     means = torch.where(rest[:, None], params["means"], state.means)
     presence = gaussians.presence(t, rows).double()
-    if state.covars is not None:  # the linear 4D Gaussian does not turn
-        return _Placed(means, torch.eye(3, dtype=torch.float64).expand(len(rows), 3, 3), state.covars, presence)
+    shape = gaussians.motion.at_rest(params)
+    if state.covars is not None and shape.covars is not None:  # which do not say how a Gaussian turned
+        covars = torch.where(rest[:, None, None], shape.covars, state.covars)
+        return _Placed(means, torch.eye(3, dtype=torch.float64).expand(len(rows), 3, 3), covars, presence)
     assert state.quats is not None
     assert state.scales is not None
-    quats = torch.where(rest[:, None], params["quats"], state.quats)
-    return _Placed(means, quats_to_rotations(quats), covariances(quats, state.scales), presence)
+    assert shape.quats is not None
+    assert shape.scales is not None
+    quats = torch.where(rest[:, None], shape.quats, state.quats)
+    scales = torch.where(rest[:, None], shape.scales, state.scales)
+    return _Placed(means, quats_to_rotations(quats), covariances(quats, scales), presence)
 
 
 # -- handing over

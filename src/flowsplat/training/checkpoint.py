@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ from torch import Tensor
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import atomic_path, read_json, write_json
 from flowsplat.common.progress import say_once
+from flowsplat.common.settings import to_plain
 from flowsplat.gaussians.gaussians4d import Gaussians4D, ModelConfig
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.geometry import Similarity
@@ -68,7 +68,7 @@ def save_model(folder: Path, model: SceneModel) -> None:
         "version": MODEL_VERSION,
         "gaussians": len(g),
         "dynamic": int(g.dynamic.sum()),
-        "model": asdict(g.config),
+        "model": to_plain(g.config),
         "sh_degree": g.sh_degree,
         "similarity": model.similarity.to_json(),
         "first": model.first,

@@ -171,6 +171,7 @@ class TrainConfig:
             for name in names:
                 if not holds(values[name]):
                     raise InputError(f"--train.{name} {values[name]:g} {rule}.")
+        self.model.motion()
 
 
 _ONE_OR_MORE = (

@@ -21,6 +21,7 @@ from flowsplat.gaussians.culling import RowCapacity
 from flowsplat.gaussians.density import DensityResult, DensityStatistics, densify, prune, reset_opacities, revise_dynamic
 from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
 from flowsplat.gaussians.initialize import initialize, sampled_frames
+from flowsplat.gaussians.motion.protocol import RateGroup
 from flowsplat.gaussians.observations import Observation, Observations
 from flowsplat.gaussians.render import RenderedFrame, render_active
 from flowsplat.gaussians.slicing import Gradients
@@ -205,10 +206,13 @@ class Trainer:
         limit = r.means_pixels / self._focal
         slowed = limit / r.means if 0 < limit < r.means else 1.0
         rates = {
-            "means": slowed * r.means * means, "times": r.times, "log_lambdas": r.log_lambdas * rest, "quats": r.quats * rest,
-            "log_scales": r.scales * rest, "logit_opacities": r.opacities * rest, "log_gains": r.gains * rest,
-            "log_scales4": r.scales * rest, "quats_left": r.quats * rest, "quats_right": r.quats * rest,
+            "means": slowed * r.means * means, "times": r.times, "logit_opacities": r.opacities * rest, "log_gains": r.gains * rest,
         }  # fmt: skip
+        groups: dict[RateGroup, float] = {
+            "rotation": r.quats * rest, "scale": r.scales * rest, "precision": r.log_lambdas * rest,
+            "motion": slowed * r.motion * motion,
+        }  # fmt: skip
+        rates |= {name: groups[parameter.rate] for name, parameter in self.gaussians.motion.parameters.items()}
         result = {}
         for name, value in self.gaussians.params.items():
             size = value[0].numel()
@@ -216,7 +220,7 @@ class Trainer:
                 result[name] = torch.full((size,), r.harmonics * rest)
                 result[name][:3] = r.colours * rest
             else:
-                result[name] = torch.full((size,), rates.get(name, slowed * r.motion * motion))
+                result[name] = torch.full((size,), rates[name])
             if name == "log_gains":
                 result[name] *= torch.arange(1.0, size + 1) ** -r.gains_falloff
         # One copy to the device for all of them.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from functools import partial
 
 import torch
@@ -31,6 +30,7 @@ def slice_gaussians(
     n, motion, config = active.num_static, gaussians.motion, gaussians.config
     moving = {name: value if name in gaussians.moving_names else value[n:] for name, value in leaves.items()}
     state = motion.state(moving, active.t)
+    shape = motion.at_rest({name: value[:n] for name, value in leaves.items() if name not in gaussians.moving_names})
     means = torch.cat([leaves["means"][:n], state.means])
     opacities = torch.sigmoid(leaves["logit_opacities"])
     opacities = torch.cat([opacities[:n], opacities[n:] * state.presence])
@@ -40,19 +40,19 @@ def slice_gaussians(
         colours = torch.cat([colours[:n] * time_gains(leaves["log_gains"], active.t)[:, None], colours[n:]])
     quats = scales = covars = next_means = next_quats = None
     if state.covars is not None:
-        covars = state.covars if n == 0 else torch.cat([motion.state(_resting(leaves, n), 0.0).covars, state.covars])  # type: ignore[list-item]
+        covars = _together(shape.covars, state.covars)
     else:
-        assert state.quats is not None
-        quats = torch.cat([leaves["quats"][:n], state.quats])
-        scales = torch.exp(leaves["log_scales"])
+        quats, scales = _together(shape.quats, state.quats), _together(shape.scales, state.scales)
     if next_time is not None:
         later = motion.state(moving, next_time)
         next_means = torch.cat([leaves["means"][:n], later.means])
         if later.quats is not None:
-            next_quats = torch.cat([leaves["quats"][:n], later.quats])
+            next_quats = _together(shape.quats, later.quats)
     return Slice(means, quats, scales, covars, opacities, colours, state.velocities, next_means, next_quats)
 
 
-def _resting(leaves: Mapping[str, Tensor], n: int) -> dict[str, Tensor]:
-    resting = {name: value[:n] for name, value in leaves.items() if name not in ("times", "log_gains")}
-    return {**resting, "times": torch.zeros(n, device=leaves["means"].device)}
+def _together(resting: Tensor | None, moving: Tensor | None) -> Tensor:
+    """One tensor of those at rest and those that move."""
+    assert resting is not None
+    assert moving is not None
+    return torch.cat([resting, moving])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +10,7 @@ import numpy as np
 
 from flowsplat import __version__
 from flowsplat.common.files import write_npz
+from flowsplat.common.settings import to_plain
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.training.checkpoint import write_tensors
 
@@ -23,7 +23,7 @@ def about_parameters(model: SceneModel) -> dict[str, Any]:
         "format": "flowsplat parameters",
         "version": VERSION,
         "flowsplat": __version__,
-        "model": asdict(model.gaussians.config),
+        "model": to_plain(model.gaussians.config),
         "sh_degree": model.gaussians.sh_degree,
         "similarity": model.similarity.to_json(),
         "first": model.first,

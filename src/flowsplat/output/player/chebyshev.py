@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from flowsplat.common.errors import InputError
 from flowsplat.gaussians.gaussians4d import Gaussians4D
 from flowsplat.geometry.rotations import normalize_quats, principal_axes
 
@@ -20,6 +21,7 @@ NODES = 12
 """Times at which the motion is looked at; the degree of a series stays below."""
 FLATTEST = math.log(1e-3)
 """Log precision below which p(t) is 1 everywhere in the clip, to within 0.001."""
+_CHANGING = "A motion model whose Gaussians change their shape in time cannot be put into the player."
 _SHARE = 0.999
 """Share of the Gaussians whose series keep the tolerance."""
 
@@ -81,12 +83,16 @@ def fit_motion(
     if states[0].covars is not None:
         covars = torch.stack([state.covars for state in states if state.covars is not None], 1)
         if not torch.allclose(covars[:, :1].expand_as(covars), covars, rtol=1e-3, atol=1e-9):
-            raise ValueError("a motion model whose covariances change their shape in time cannot be put into the player")
+            raise InputError(_CHANGING)
         quats, log_scales = principal_axes(covars[:, 0])
         quats = quats[:, None].expand(-1, NODES, -1)
     else:
         quats = torch.stack([normalize_quats(state.quats) for state in states if state.quats is not None], 1)
-        log_scales = params["log_scales"]
+        scales = torch.stack([state.scales for state in states if state.scales is not None], 1)
+        if not torch.allclose(scales[:, :1].expand_as(scales), scales, rtol=1e-3, atol=1e-9):
+            raise InputError(_CHANGING)
+        kept = gaussians.motion.log_scales(params)
+        log_scales = torch.log(scales[:, 0]) if kept is None else kept
     # q and -q are one rotation, and the same one is to be stored for all that look alike. In time q is continuous: no node is
     # turned alone, for then a turn of more than half a circle would jump.
     reference = quats[:, NODES // 2]

@@ -136,13 +136,14 @@ def _motion_arrays(motion: ChebyshevMotion, step: float) -> list[QuantizedArray]
 
 def _at_rest(gaussians: Gaussians4D, resting: int) -> tuple[torch.Tensor, torch.Tensor]:
     """Rotations [R, 4] with w >= 0 and log scales [R, 3] of the first ones."""
-    params = gaussians.params
-    if "quats" in params:
-        quats, log_scales = normalize_quats(params["quats"][:resting]), params["log_scales"][:resting]
+    params = {name: value[:resting] for name, value in gaussians.params.items()}
+    shape, kept = gaussians.motion.at_rest(params), gaussians.motion.log_scales(params)
+    if shape.covars is not None:
+        quats, log_scales = principal_axes(shape.covars)
     else:
-        state = gaussians.motion.state({name: value[:resting] for name, value in params.items()}, 0.0)
-        assert state.covars is not None
-        quats, log_scales = principal_axes(state.covars)
+        assert shape.quats is not None
+        assert shape.scales is not None
+        quats, log_scales = normalize_quats(shape.quats), torch.log(shape.scales) if kept is None else kept
     return torch.where(quats[:, :1] < 0, -quats, quats), log_scales
 
 

@@ -1,0 +1,36 @@
+"""Motion models: how a Gaussian's mean and covariance depend on time (METHOD 1).
+
+``protocol`` says what every model offers, and holds the registry. ``series`` is polynomial + Fourier (the paper's), ``linear`` the
+4D Gaussian of 4DGS (the "vanilla" representation of the paper's ablation), and ``rigid`` what models share whose Gaussians keep
+their scales.
+"""
+
+from flowsplat.gaussians.motion import linear, series  # noqa: F401  Each registers its model.
+from flowsplat.gaussians.motion.linear import LinearMotion, covariances_4d
+from flowsplat.gaussians.motion.protocol import (
+    MotionModel,
+    MotionState,
+    Parameter,
+    Params,
+    Shape,
+    motion_model,
+    presence,
+    register,
+)
+from flowsplat.gaussians.motion.rigid import RigidMotion
+from flowsplat.gaussians.motion.series import SeriesMotion
+
+__all__ = [
+    "LinearMotion",
+    "MotionModel",
+    "MotionState",
+    "Parameter",
+    "Params",
+    "RigidMotion",
+    "SeriesMotion",
+    "Shape",
+    "covariances_4d",
+    "motion_model",
+    "presence",
+    "register",
+]

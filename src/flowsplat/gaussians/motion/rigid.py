@@ -1,0 +1,54 @@
+"""What models share whose Gaussians keep their scales: rotation, scales and temporal precision are parameters of their own."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from flowsplat.gaussians.motion.protocol import FusedKernels, Parameter, Params, Shape
+
+
+class RigidMotion:
+    """A model without its motion: subclasses add its parameters, ``state`` and ``recentred``, and what of it has a start.
+
+    As it is, ``start`` leaves all motion at 0.
+    """
+
+    @property
+    def parameters(self) -> dict[str, Parameter]:
+        """See ``MotionModel``."""
+        return {
+            "log_lambdas": Parameter((), "precision", moves=True, fades=True),
+            "quats": Parameter((4,), "rotation"),
+            "log_scales": Parameter((3,), "scale"),
+        }
+
+    @property
+    def kernels(self) -> FusedKernels | None:
+        """None: see ``MotionModel``."""
+        return None
+
+    def log_precision(self, params: Params) -> Tensor:
+        """See ``MotionModel``."""
+        return params["log_lambdas"]
+
+    def at_rest(self, params: Params) -> Shape:
+        """See ``MotionModel``."""
+        return Shape(params["quats"], torch.exp(params["log_scales"]))
+
+    def log_scales(self, params: Params) -> Tensor | None:
+        """See ``MotionModel``."""
+        return params["log_scales"]
+
+    def start(self, quats: Tensor, scales: Tensor, log_lambdas: Tensor, coefficients: Tensor) -> dict[str, Tensor]:
+        """See ``MotionModel``."""
+        return {"quats": quats, "log_scales": torch.log(scales), "log_lambdas": log_lambdas}
+
+    def with_precision(self, params: Params, log_lambda: float) -> dict[str, Tensor]:
+        """See ``MotionModel``."""
+        return {**params, "log_lambdas": torch.full_like(params["log_lambdas"], log_lambda)}
+
+    def shrunk(self, params: Params, log_factor: float, in_time: Tensor) -> dict[str, Tensor]:
+        """See ``MotionModel``."""
+        log_lambdas = torch.where(in_time, params["log_lambdas"] + 2 * log_factor, params["log_lambdas"])
+        return {**params, "log_scales": params["log_scales"] - log_factor, "log_lambdas": log_lambdas}

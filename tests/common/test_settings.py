@@ -1,0 +1,31 @@
+"""Settings as plain values, and those that came when there were runs already."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from flowsplat.common.settings import later, to_plain
+
+
+@dataclass(frozen=True)
+class Inner:
+    old: int = 1
+    new: str = later("as before")
+
+
+@dataclass(frozen=True)
+class Outer:
+    inner: Inner = Inner()
+    names: tuple[str, ...] = ("a", "b")
+    file: Path = Path("x/y")
+
+
+def test_settings_become_what_json_holds():
+    assert to_plain(Outer(Inner(2, "else"))) == {"inner": {"old": 2, "new": "else"}, "names": ["a", "b"], "file": "x/y"}
+
+
+def test_what_came_later_is_left_out_at_its_default():
+    assert to_plain(Outer())["inner"] == {"old": 1}
+    assert Inner().new == "as before"
+    assert to_plain(replace(Inner(), new="else"))["new"] == "else"
