@@ -59,8 +59,7 @@ def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str]
         page, "protocol.html.jinja", title=TITLE,
         verdict=f"Runs measured: {len(results)}" + (f"; that could not be run: {len(failed)}." if failed else "."),
         remarks=remarks,
-        tables=[{"title": each.title, "note": each.note, "table": table(_plain(each.header), [*map(_plain, each.rows)])}
-                for each in found],
+        tables=[_shown(each) for each in found],
         scenes=[_scene(out, result) for result in sorted(results, key=_place)],
     )  # fmt: skip
     return page
@@ -68,6 +67,11 @@ def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str]
 
 def _place(result: Result) -> tuple[str, int]:
     return result["scene"], list(ORACLES).index(result["oracle"])
+
+
+def _shown(each: Table) -> dict[str, Any]:
+    rows = [_plain(row) for row in each.rows]
+    return {"title": each.title, "note": each.note, "table": table(_plain(each.header), rows, each.strong)}
 
 
 def _plain(cells: Sequence[str]) -> tuple[str, ...]:
@@ -100,7 +104,8 @@ def _gains(results: Sequence[Result]) -> Table:
         rows.append(tuple(cells))
     header = ["true", *(cell for name in scenes.values() for cell in (name, "gain"))]
     note = "PSNR of pictures by held-out cameras, dB: all of the picture / inside movers. Gain: over the row above that is there."
-    return Table("What every prior costs", note, tuple(header), rows)
+    own = [k for k, row in enumerate(rows) if row[0] == MEANINGS["own"]]
+    return Table("What every prior costs", note, tuple(header), rows, tuple(own))
 
 
 def _cells(result: Result | None, before: Result | None) -> list[str]:
