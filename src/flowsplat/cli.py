@@ -345,7 +345,37 @@ def _benchmarks(arguments: Sequence[str] = ()) -> dict[str, Any]:
         """
         capping.run_caps(root, out, scenes, caps, steps, seeds, size, again)
 
-    return {"priors": priors, "davis": davis, "rig": rig, "nvidia": nvidia, "ablations": ablations, "caps": caps}
+    def oracles(
+        root: Root, out: Out, scenes: Names = (), oracles: Names = (), preset: Preset = "default",
+        train: TrainConfig = defaults.train, device: DeviceName = "auto", at_once: Literal[1, 2] = 1, again: bool = False,
+    ) -> None:  # fmt: skip
+        """What every prior costs: rendered scenes trained with one prior after the other replaced by the truth.
+
+        A scene is prepared once with own priors, in OUT/scenes/<scene>. Each oracle is a copy with true layers in place of its own,
+        in OUT/scenes/<scene>_<oracle>, and an ordinary run on it, in OUT/<scene>_<oracle>_...; its figures are in a .json in OUT,
+        the tables in OUT/oracles.md and OUT/oracles.html. The same command again continues where it was stopped.
+
+        Args:
+            root: Folder with rig/<scene>.
+            out: Folder for everything that comes out.
+            scenes: Names of the scenes to run; the default is all of them.
+            oracles: Which: own (nothing is true), constant, course, relief (of the depth of movers), outline (true masks, too),
+                background (its depth, too), flow (too), cameras (all is true). Each holds what is true in those before it; the
+                default is all of them.
+            preset: How they are trained: fast, default, paper or high. Frames and their size are the protocol's.
+            train: Settings of training that differ from the preset's; the tables name them.
+            device: What to compute on.
+            at_once: How many trainings run at a time, each in a process of its own with one thread.
+            again: Forget oracle scenes, runs and figures that are in OUT of these; prepared scenes stay. Leave it out to go on from
+                where that was stopped.
+        """
+        from flowsplat.protocols.oracles import run_oracles
+
+        run_oracles(root, out, scenes, oracles, preset, changed(train, device), at_once, again)
+
+    return {
+        "priors": priors, "davis": davis, "rig": rig, "nvidia": nvidia, "ablations": ablations, "caps": caps, "oracles": oracles,
+    }  # fmt: skip
 
 
 def _with_present_names(arguments: Sequence[str]) -> list[str]:

@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+import threading
 
 import pytest
 
@@ -62,6 +63,23 @@ def test_one_that_fails_does_not_stop_the_others(calls, tmp_path):
     assert calls == ["a", "b"]
     assert reported[-1] == {"a": "it is broken"}
     assert not (tmp_path / "a.json").exists()
+
+
+def test_two_at_once(tmp_path):
+    """Each waits for the other, which one after the other never could."""
+    both = threading.Barrier(2, timeout=20)
+    reported = []
+
+    def measure():
+        both.wait()
+        return {"protocol": "test"}
+
+    def report(failed):
+        reported.append(len(results_in("test", tmp_path)))
+        return tmp_path
+
+    measure_jobs([Job(name, "k", measure) for name in "abcd"], tmp_path, report, at_once=2)
+    assert reported[-1] == 4
 
 
 def test_a_process_of_its_own():

@@ -164,7 +164,7 @@ def _compute_scene(folder: RunFolder, source: Path, kind: str, key: str, is_new:
 def _read_input(source: Path, kind: str, target: Path, config: RunConfig) -> Scene:
     """The scene folder with everything of the input in it, as far as it is not there yet."""
     if kind == "scene":
-        return _copy_scene(source, target)
+        return copy_scene(source, target)
     if (target / "scene.json").exists() and is_ingested(Scene(target)):
         return Scene(target)
     return ingest(open_clip(source, config.input), target, config.input)
@@ -175,10 +175,14 @@ def _scene_identity(source: Path) -> str:
     return stage_key({name: info[name] for name in ("name", "source", "width", "height", "timestamps", "train")})
 
 
-def _copy_scene(source: Path, target: Path) -> Scene:
-    """Link a prepared scene's files into the run: every later write replaces a file, so the original stays as it is."""
+def copy_scene(source: Path, target: Path) -> Scene:
+    """Link a prepared scene's files into another folder: every later write replaces a file, so the original stays as it is.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
     if not (target / "scene.json").exists():
-        partial = target.with_name(".scene.partial")
+        partial = target.with_name(f".{target.name}.partial")
         shutil.rmtree(partial, ignore_errors=True)
 
         def link(origin: str, destination: str) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,7 +30,12 @@ class Job:
 
 
 def measure_jobs(
-    jobs: Sequence[Job], out: Path, report: Callable[[Mapping[str, str]], Path], noun: str = "scenes", again: bool = False
+    jobs: Sequence[Job],
+    out: Path,
+    report: Callable[[Mapping[str, str]], Path],
+    noun: str = "scenes",
+    again: bool = False,
+    at_once: int = 1,
 ) -> Path:
     """Measure what is not measured yet with its key, each into ``OUT/<name>.json``; one that fails is told and left out.
 
@@ -36,6 +43,7 @@ def measure_jobs(
         report: called after every job with the failed ones and why, writes the page and returns its path.
         noun: what the jobs are, for messages.
         again: measure also what is measured already.
+        at_once: how many are measured at a time, each in a thread that its ``measure`` waits in.
 
     Returns:
         path of the page.
@@ -46,23 +54,37 @@ def measure_jobs(
     make_folder(out)
     failed: dict[str, str] = {}
     page = out
-    for k, job in enumerate(jobs):
-        path = out / f"{job.name}.json"
-        if not again and path.exists() and read_json(path).get("key") == job.key:
-            say(f"{job.name}: measured already ({k + 1} of {len(jobs)}).")
-        else:
-            say(f"{job.name} ({k + 1} of {len(jobs)}) ...")
-            try:
-                write_json(path, {**job.measure(), "key": job.key})
-            except InputError as error:
-                failed[job.name] = str(error)
-                say(f"{job.name} could not be run: {error}")
-        page = report(failed)
+    waiting, running = deque(enumerate(jobs)), dict[Future[str | None], Job]()
+    with ThreadPoolExecutor(at_once) as lanes:
+        while waiting or running:
+            while waiting and len(running) < at_once:
+                k, job = waiting.popleft()
+                running[lanes.submit(_measured, job, out, f"{k + 1} of {len(jobs)}", again)] = job
+            for done in wait(running, return_when=FIRST_COMPLETED).done:
+                job, error = running.pop(done), done.result()
+                if error is not None:
+                    failed[job.name] = error
+            page = report(failed)
     say(f"Look at {page}")
     if failed:
         first = next(iter(failed))
         raise InputError(f"{len(failed)} of {len(jobs)} {noun} could not be run, first {first}: {failed[first]}")
     return page
+
+
+def _measured(job: Job, out: Path, which: str, again: bool) -> str | None:
+    """Measure a job where that is wanted; why it cannot be measured, or None."""
+    path = out / f"{job.name}.json"
+    if not again and path.exists() and read_json(path).get("key") == job.key:
+        say(f"{job.name}: measured already ({which}).")
+        return None
+    say(f"{job.name} ({which}) ...")
+    try:
+        write_json(path, {**job.measure(), "key": job.key})
+    except InputError as error:
+        say(f"{job.name} could not be run: {error}")
+        return str(error)
+    return None
 
 
 def results_in(protocol: str, out: Path) -> list[dict[str, Any]]:

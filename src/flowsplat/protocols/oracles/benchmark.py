@@ -1,0 +1,195 @@
+"""All oracles of rendered scenes, each trained and measured on the held-out cameras; called again, it continues."""
+
+from __future__ import annotations
+
+import shutil
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cache, partial
+from pathlib import Path
+from typing import Any, Literal
+
+import cv2
+import torch
+from numba import set_num_threads
+
+from flowsplat.common.errors import InputError
+from flowsplat.common.source import source_state
+from flowsplat.evaluation.scores import pick
+from flowsplat.pipeline import RunConfig, evaluate_run, prepare, train
+from flowsplat.pipeline.config import check
+from flowsplat.pipeline.folder import stage_key
+from flowsplat.protocols.oracles.movers import depth_scale, masks_of, mover_errors, static_error
+from flowsplat.protocols.oracles.report import write_report
+from flowsplat.protocols.oracles.scenes import ORACLE, ORACLES, make_oracle
+from flowsplat.protocols.priors.measure import pooled_iou
+from flowsplat.protocols.process import in_own_process
+from flowsplat.protocols.resume import Job, measure_jobs, results_in
+from flowsplat.protocols.datasets.cases import Case, rig_cases
+from flowsplat.scenes import Scene
+from flowsplat.scenes.clip import InputOptions
+
+PROTOCOL = "oracles"
+FOLDER = "scenes"
+"""In OUT, where the prepared scenes and their oracles are."""
+
+AtOnce = Literal[1, 2]
+
+_turn = threading.Lock()
+
+
+@dataclass(frozen=True)
+class OracleRun:
+    """An oracle of a scene, and how it is trained.
+
+    Attributes:
+        case: the scene with own priors.
+        oracle: a name from ``ORACLES``.
+    """
+
+    case: Case
+    oracle: str
+
+    @property
+    def name(self) -> str:
+        """Of its folder and files."""
+        config = self.case.config.train
+        preset = self.case.settings.split(",")[0]
+        return f"{self.case.scene}_{self.oracle}_{preset}_{config.iterations}-steps_seed{config.seed}"
+
+    def job(self, out: Path) -> Job:
+        """Prepare the scene in ``out`` where it is not yet, make the oracle, train and measure."""
+        config = self.case.config
+        key = stage_key(self.case.scene, self.oracle, config.input, config.priors, config.train)
+        return Job(f"{PROTOCOL}_{self.name}", key, partial(self._measure, out))
+
+    def _measure(self, out: Path) -> dict[str, Any]:
+        with _turn:  # Two oracles of a scene may be made at a time.
+            prepared = _prepared(self.case, out / FOLDER / self.case.scene)
+        return in_own_process(measure_oracle, self, prepared, out)
+
+    def forget(self, out: Path) -> None:
+        """Remove the run and the oracle scene that it was made from; the prepared scene stays."""
+        for path in (out / self.name, self.scene_path(out)):
+            if (path / "run.json").exists() or (path / "scene.json").exists():
+                shutil.rmtree(path)
+
+    def scene_path(self, out: Path) -> Path:
+        """The oracle scene."""
+        return out / FOLDER / f"{self.case.scene}_{self.oracle}"
+
+
+@cache
+def _prepared(case: Case, folder: Path) -> Path:
+    return in_own_process(_prepare, case, folder)
+
+
+def _prepare(case: Case, folder: Path) -> Path:
+    return prepare(case.source, folder, case.config).scene_path
+
+
+def run_oracles(
+    root: Path,
+    out: Path,
+    scenes: Sequence[str] = (),
+    oracles: Sequence[str] = (),
+    preset_name: str = "default",
+    config: RunConfig | None = None,
+    at_once: AtOnce = 1,
+    again: bool = False,
+) -> Path:
+    """Run or resume the oracles: one JSON and one run each, ``OUT/oracles.md`` and ``.html``.
+
+    ``OUT/scenes/<scene>`` is the prepared scene, ``OUT/scenes/<scene>_<oracle>`` the scene with true priors in place of its own,
+    and ``OUT/<scene>_<oracle>_...`` an ordinary run on it, with the rendered held-out views in ``evaluation/views``.
+
+    Args:
+        root: the data root, with ``rig/<scene>``.
+        scenes: their names; none = all.
+        oracles: names from ``ORACLES``; none = all.
+        preset_name: the name of the settings of training.
+        config: with the training and the device to use; None = the preset's.
+        at_once: how many trainings run at a time, each in a process of its own with one thread.
+        again: forget runs, figures and oracle scenes that are in OUT of these; prepared scenes stay.
+
+    Returns:
+        path of the page, which shows all runs in OUT with these settings.
+
+    Raises:
+        InputError: a name or a setting cannot be used, or the folder cannot be written.
+    """
+    runs = list(oracle_runs(root, scenes, oracles, preset_name, config))
+    if again:
+        for run in runs:
+            run.forget(out)
+    settings = runs[0].case.settings
+
+    def report(failed: Mapping[str, str]) -> Path:
+        results = results_in(PROTOCOL, out)
+        same = [result for result in results if result["settings"] == settings]
+        return write_report(out, same, failed, len(results) - len(same))
+
+    return measure_jobs([run.job(out) for run in runs], out, report, "runs", again, at_once)
+
+
+def oracle_runs(
+    root: Path, scenes: Sequence[str], oracles: Sequence[str], preset_name: str = "default", config: RunConfig | None = None
+) -> Iterator[OracleRun]:
+    """Those that are asked for, scene by scene, in the order in which oracles add to each other.
+
+    Raises:
+        InputError: as ``run_oracles``.
+    """
+    for oracle in oracles:
+        if oracle not in ORACLES:
+            raise InputError(f"There is no oracle {oracle!r}: choose from {', '.join(ORACLES)}.")
+    for case in rig_cases(root, scenes, "own", preset_name, config):
+        check(case.config)
+        plain = replace(case, config=replace(case.config, baselines="simple", refine_poses=False))
+        for oracle in ORACLES:
+            if oracle in oracles or not oracles:
+                yield OracleRun(plain, oracle)
+
+
+def measure_oracle(run: OracleRun, prepared: Path, out: Path) -> dict[str, Any]:
+    """Make the oracle of the prepared scene, train and measure it, or what is missing of that.
+
+    Returns:
+        ``protocol``, ``scene``, ``size``, ``frames``, ``tuned``, ``oracle``, ``settings``, ``seed``, ``iterations``, ``flowsplat``
+        (``source_state``), ``run`` (name of its folder); ``views`` (how many), ``psnr``, ``ssim``, ``moving``, ``covisible`` (PSNR)
+        of the held-out cameras and ``training_psnr``; ``mask_iou``, ``scale`` (units of the scene per unit of the truth),
+        ``static`` (``static_error``) and ``movers`` (``mover_errors``) of its priors; ``gaussians`` and ``seconds`` by stage.
+
+    Raises:
+        InputError: the scene has no truth, or the folder cannot be written.
+    """
+    _use_one_thread()
+    config = replace(run.case.config, input=InputOptions())
+    scene = make_oracle(prepared, run.scene_path(out), run.oracle, config.device)
+    folder = out / run.name
+    if (folder / "scene" / "scene.json").exists() and Scene(folder / "scene").info.get(ORACLE) != scene.info[ORACLE]:
+        shutil.rmtree(folder)
+    trained = prepare(scene.folder, folder, config)
+    train(trained)
+    metrics = evaluate_run(trained)
+    tested = metrics["heldout_views"]
+    return {
+        "protocol": PROTOCOL, "scene": run.case.scene, "size": [scene.width, scene.height], "frames": scene.num_frames,
+        "tuned": run.case.is_tuned, "oracle": run.oracle, "settings": run.case.settings, "seed": config.train.seed,
+        "iterations": config.train.iterations, "flowsplat": source_state(), "run": run.name,
+        "views": pick(tested, "count") or 0, "psnr": pick(tested, "psnr"), "ssim": pick(tested, "ssim"),
+        **{region: pick(tested, region, "psnr") for region in ("moving", "covisible")},
+        "training_psnr": pick(metrics, "training_frames", "psnr"),
+        "mask_iou": pooled_iou((own, true) for _, own, true in masks_of(scene)),
+        "scale": depth_scale(scene), "static": static_error(scene),
+        "movers": [asdict(error) for error in mover_errors(scene)],
+        "gaussians": metrics["gaussians"]["total"], "seconds": trained.seconds,
+    }  # fmt: skip
+
+
+def _use_one_thread() -> None:
+    """So that two trainings at a time do not get in each other's way."""
+    torch.set_num_threads(1)
+    cv2.setNumThreads(1)
+    set_num_threads(1)
