@@ -20,13 +20,13 @@ from flowsplat.evaluation.scores import pick
 from flowsplat.pipeline import RunConfig, evaluate_run, prepare, train
 from flowsplat.pipeline.config import check
 from flowsplat.pipeline.folder import stage_key
+from flowsplat.protocols.datasets.cases import Case, rig_cases
 from flowsplat.protocols.oracles.movers import depth_scale, masks_of, mover_errors, static_error
 from flowsplat.protocols.oracles.report import write_report
 from flowsplat.protocols.oracles.scenes import ORACLE, ORACLES, make_oracle
 from flowsplat.protocols.priors.measure import pooled_iou
 from flowsplat.protocols.process import in_own_process
 from flowsplat.protocols.resume import Job, measure_jobs, results_in
-from flowsplat.protocols.datasets.cases import Case, rig_cases
 from flowsplat.scenes import Scene
 from flowsplat.scenes.clip import InputOptions
 
