@@ -6,5 +6,6 @@ Seeds below 900 are for tuning. Seeds 900 to 999 decide between versions and are
 
 from flowsplat.scenes.synthetic.worlds.drawing import draw_plan, draw_world
 from flowsplat.scenes.synthetic.worlds.world import World
+from flowsplat.scenes.synthetic.worlds.writing import read_movers, write_world
 
-__all__ = ["World", "draw_plan", "draw_world"]
+__all__ = ["World", "draw_plan", "draw_world", "read_movers", "write_world"]

@@ -75,7 +75,7 @@ def _meet(shape, s, x, y, z, dx, dy, dz):
     """Smallest multiple of the direction at which a ray, in the part's axes, meets the part; infinite where it does not."""
     if shape == ELLIPSOID:
         return _ball(x / s[0], y / s[1], z / s[2], 1.0, dx / s[0], dy / s[1], dz / s[2])
-    if shape == BOX or shape == ROOM:
+    if shape in (BOX, ROOM):
         near, far = _slabs(s, x, y, z, dx, dy, dz)
         if shape == ROOM:
             return far
@@ -84,10 +84,14 @@ def _meet(shape, s, x, y, z, dx, dy, dz):
 
 
 @njit(**OPTIONS)
-def _first(shapes, sizes, turns, origins, bounds, u, v, dx, dy, dz):
-    """(multiple, part) of the first surface on a ray through pixel (u, v); ``origins`` are the camera's in the parts' axes."""
+def _first(shapes, sizes, turns, origins, bounds, chosen, count, u, v, dx, dy, dz):
+    """(multiple, part) of the first surface on a ray through pixel (u, v), of the first ``count`` parts in ``chosen``.
+
+    ``origins`` are the camera's in the parts' axes.
+    """
     best, part = math.inf, -1
-    for k in range(len(shapes)):
+    for n in range(count):
+        k = chosen[n]
         if u < bounds[k, 0] or u > bounds[k, 2] or v < bounds[k, 1] or v > bounds[k, 3]:
             continue
         R, o = turns[k], origins[k]
@@ -105,7 +109,7 @@ def _first(shapes, sizes, turns, origins, bounds, u, v, dx, dy, dz):
 @njit(**OPTIONS)
 def _normal(shape, s, x, y, z):
     """Unit normal, in the part's axes, that points to where the part is seen from."""
-    if shape == BOX or shape == ROOM:
+    if shape in (BOX, ROOM):
         a, b, c = abs(x) / s[0], abs(y) / s[1], abs(z) / s[2]
         sign = -1.0 if shape == ROOM else 1.0
         if a >= b and a >= c:
@@ -126,11 +130,9 @@ def _normal(shape, s, x, y, z):
 
 
 @njit(**OPTIONS)
-def _shaded(shapes, sizes, turns, centres, radii, casts, x, y, z, lx, ly, lz):
-    """Whether something stands between a point and the distant light in direction (lx, ly, lz)."""
-    for k in range(len(shapes)):
-        if not casts[k]:
-            continue
+def _shaded(shapes, sizes, turns, centres, radii, throwing, x, y, z, lx, ly, lz):
+    """Whether one of the parts ``throwing`` stands between a point and the distant light in direction (lx, ly, lz)."""
+    for k in throwing:
         px, py, pz = x - centres[k, 0], y - centres[k, 1], z - centres[k, 2]
         along = px * lx + py * ly + pz * lz
         squared = px * px + py * py + pz * pz
@@ -169,10 +171,11 @@ def cast(
     """
     count = len(uv)
     depth, index, local = np.empty(count), np.empty(count, np.int64), np.empty((count, 3))
+    every = np.arange(len(shapes))
     for n in range(count):
         a, b = (uv[n, 0] - K[2]) / K[0], (uv[n, 1] - K[3]) / K[1]
         dx, dy, dz = R[0, 0] * a + R[1, 0] * b + R[2, 0], R[0, 1] * a + R[1, 1] * b + R[2, 1], R[0, 2] * a + R[1, 2] * b + R[2, 2]
-        t, k = _first(shapes, sizes, turns, origins, bounds, uv[n, 0], uv[n, 1], dx, dy, dz)
+        t, k = _first(shapes, sizes, turns, origins, bounds, every, len(every), uv[n, 0], uv[n, 1], dx, dy, dz)
         depth[n], index[n] = t, k
         for q in range(3):
             local[n, q] = origins[k, q] + t * (turns[k, 0, q] * dx + turns[k, 1, q] * dy + turns[k, 2, q] * dz)
@@ -200,7 +203,13 @@ def render(
     """
     H, W = picture.shape[:2]
     S = len(offsets)
+    chosen, throwing = np.empty(len(shapes), np.int64), np.flatnonzero(casts)
     for row in range(H):
+        count = 0
+        for k in range(len(shapes)):
+            if bounds[k, 1] <= row + 1 and bounds[k, 3] >= row:
+                chosen[count] = k
+                count += 1
         for column in range(W):
             for s in range(S):
                 u, v = column + 0.5 + offsets[s, 0], row + 0.5 + offsets[s, 1]
@@ -208,7 +217,7 @@ def render(
                 dx = R[0, 0] * a + R[1, 0] * b + R[2, 0]
                 dy = R[0, 1] * a + R[1, 1] * b + R[2, 1]
                 dz = R[0, 2] * a + R[1, 2] * b + R[2, 2]
-                t, k = _first(shapes, sizes, turns, origins, bounds, u, v, dx, dy, dz)
+                t, k = _first(shapes, sizes, turns, origins, bounds, chosen, count, u, v, dx, dy, dz)
                 T, o = turns[k], origins[k]
                 x = o[0] + t * (T[0, 0] * dx + T[1, 0] * dy + T[2, 0] * dz)
                 y = o[1] + t * (T[0, 1] * dx + T[1, 1] * dy + T[2, 1] * dz)
@@ -229,7 +238,7 @@ def render(
                         px = centre[0] + t * dx + 2e-3 * nx
                         py = centre[1] + t * dy + 2e-3 * ny
                         pz = centre[2] + t * dz + 2e-3 * nz
-                        if not _shaded(shapes, sizes, turns, centres, radii, casts, px, py, pz, L[0], L[1], L[2]):
+                        if not _shaded(shapes, sizes, turns, centres, radii, throwing, px, py, pz, L[0], L[1], L[2]):
                             light += sun * facing
                 picture[row, column, 0] += min(red * light, 1.0) / S
                 picture[row, column, 1] += min(green * light, 1.0) / S

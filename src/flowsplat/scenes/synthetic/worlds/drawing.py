@@ -56,14 +56,17 @@ NEAREST, FURTHEST = 1.4, 24.0
 """Metres between which movers are drawn."""
 
 IN_SIGHT, ENOUGH_PIXELS = 0.6, 0.0012
-"""Share of the frames in which a mover's middle must be in the picture and enough of it be seen, and how much is enough: a share of the
-picture (69 of 57,600 pixels)."""
+"""Share of the frames in which a mover's middle must be in the picture and enough of it be seen, and how much is enough: a
+share of the picture (69 of 57,600 pixels)."""
 
 LARGEST = 0.35
 """Share of the picture that a mover may fill."""
 
 GROUND_SEEN, GROUND_UNSEEN = 0.08, 0.004
 """Share of the picture that the ground fills at least where it is to be seen, and at most where not."""
+
+OTHER_STEPS = 0.1
+"""Share of the ground in sight that a second step fills at least, where there are steps."""
 
 SKY = 90.0
 """Metres to where the sky is painted."""
@@ -385,7 +388,8 @@ def _draw_scenery(
     for _ in range(int(rng.integers(1, 4))):
         far = max(behind, furthest + 1.5) * rng.uniform(1.0, 2.0)
         half = np.array([rng.uniform(0.1, 0.6) * scale.wide(far), 0.3, rng.uniform(0.1, 0.35) * scale.wide(far)])
-        put(box(half, material(2.0)), np.array([rng.uniform(-0.5, 0.5) * scale.wide(far), far + 0.3]), half[2], rng.uniform(-0.4, 0.4))
+        at = np.array([rng.uniform(-0.5, 0.5) * scale.wide(far), far + 0.3])
+        put(box(half, material(2.0)), at, half[2], rng.uniform(-0.4, 0.4))
     for _ in range(int(rng.integers(4, 12))):
         far = rng.uniform(0.7, 1.5) * float(rng.choice(centres.mean(1)[:, 1]))
         at = np.array([rng.uniform(-0.6, 0.6) * scale.wide(far), far])
@@ -477,19 +481,23 @@ def _is_in_sight(world: World, plan: Plan) -> bool:
     height = round(width * world.height / world.width)
     grid = pixel_grid(width, height).astype(np.float64).reshape(-1, 2)
     count = len(world.ground.parts(world.parts[0].material))
-    shares, grounds, inside = [], [], []
+    shares, inside = [], []
+    treads = np.zeros(count)
     for time in np.linspace(0, world.duration, _CHECK_FRAMES):
         camera = world.camera_at(time, width, height)
         hits = world.cast(camera, time, grid)
         uv = camera.project(np.concatenate([mover.centre(np.array([time])) for mover in world.movers]))[0]
         inside.append(((uv >= 0) & (uv <= [width, height])).all(1))
         shares.append(np.bincount(world.numbers[hits.part], minlength=len(world.movers) + 1)[1:] / len(grid))
-        points = hits.local[(hits.part >= 1) & (hits.part <= count)]
-        half = np.array([world.parts[k].size[2] for k in hits.part[(hits.part >= 1) & (hits.part <= count)]])
-        grounds.append((points[:, 2] > half - 1e-4).sum() / len(grid))
+        boxes = np.array([part.size[2] for part in world.parts[1 : count + 1]])
+        ground = (hits.part >= 1) & (hits.part <= count)
+        tread = hits.part[ground] - 1
+        treads += np.bincount(tread[hits.local[ground, 2] > boxes[tread] - 1e-4], minlength=count)
     seen = np.array(shares)
     if (seen > LARGEST).any() or (((seen > ENOUGH_PIXELS) & np.array(inside)).mean(0) < IN_SIGHT).any():
         return False
-    ground = float(np.mean(grounds))
-    return ground <= GROUND_UNSEEN if plan.ground == "none" else ground >= GROUND_SEEN
+    treads = np.sort(treads) / (_CHECK_FRAMES * len(grid))
+    if plan.ground == "none":
+        return bool(treads.sum() <= GROUND_UNSEEN)
+    return bool(treads.sum() >= GROUND_SEEN and (plan.ground != "steps" or treads[-2] >= OTHER_STEPS * treads.sum()))
 

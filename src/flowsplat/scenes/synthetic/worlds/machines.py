@@ -65,7 +65,8 @@ def vehicle(
     width, high = length * rng.uniform(0.4, 0.5), length * rng.uniform(0.16, 0.3)
     radius, base = length * rng.uniform(0.08, 0.11), 0.31 * length
     at = ground.middle_of_tread(at, 0.55 * width)
-    paint, glass, tyre = draw_material(rng, 0.6 * length, rich), draw_material(rng, length, False), draw_material(rng, radius, True, (SEGMENTS,))
+    paint, glass = draw_material(rng, 0.6 * length, rich), draw_material(rng, length, False)
+    tyre = draw_material(rng, radius, True, (SEGMENTS,))
     tyre[2:5], tyre[5:8] = rng.uniform(0.06, 0.15), rng.uniform(0.4, 0.9)
     cabin = np.array([rng.uniform(0.2, 0.32) * length, 0.46 * width, rng.uniform(0.1, 0.16) * length])
     shift = rng.uniform(-0.12, 0.05) * length
@@ -74,7 +75,7 @@ def vehicle(
     axes = frame(ground.tangent(np.array(heading)), ground.normal)[0]
     stretch = float(np.linalg.norm(ground.tangent(np.array(heading))))
     corners = [np.array([x, y, 0.0]) for x in (-base, base) for y in (-width / 2, width / 2)]
-    floor = 1.1 * radius
+    floor, onto_axle = 1.1 * radius, Rotation.from_euler("x", -90, degrees=True).as_matrix()
 
     def origin(times: np.ndarray) -> np.ndarray:
         """[T, 3] the point of the ground below the middle."""
@@ -84,7 +85,7 @@ def vehicle(
     def poses(times: np.ndarray) -> Poses:
         below, whole = origin(times), np.broadcast_to(axes, (len(times), 3, 3))
         # The wheels' own z is their axle, to the left.
-        wheel = axes @ about(np.array([0.0, 1.0, 0.0]), stretch * way(times) / radius) @ Rotation.from_euler("x", -90, True).as_matrix()
+        wheel = axes @ about(np.array([0.0, 1.0, 0.0]), stretch * way(times) / radius) @ onto_axle
         found: list[Poses] = [
             (whole, below + axes @ [0, 0, floor + high / 2]), (whole, below + axes @ [shift, 0, floor + high + cabin[2]]),
         ]  # fmt: skip
@@ -144,7 +145,7 @@ def in_the_air(
             speeds.append(spring * (GRAVITY * falls - speeds[-1]))
             heights.append(0.0)
     else:
-        heights, speeds = [rng.uniform(0.3, 1.2)], [0.5 * GRAVITY * duration * rng.uniform(0.9, 1.1)]
+        heights, speeds = [rng.uniform(0.3, 1.2)], [0.5 * GRAVITY * duration * rng.uniform(1.0, 1.12)]
     begin, height, rise = np.array(starts), np.array(heights), np.array(speeds)
     axis = rng.normal(size=3)
     axis *= rng.uniform(0, 10) / np.linalg.norm(axis)
@@ -189,7 +190,8 @@ def pendulum(
         angle = reach * np.cos(rate * times + phase)
         turn = frame(np.cross(across, UP), UP) @ about(np.array([0.0, 1.0, 0.0]), -angle)
         down = -turn[..., 2]
-        return together([(turn, pivot + (length + 0.5 * size) * down), rod(np.broadcast_to(pivot, down.shape), pivot + length * down, across)])
+        held = rod(np.broadcast_to(pivot, down.shape), pivot + length * down, across)
+        return together([(turn, pivot + (length + 0.5 * size) * down), held])
 
     support = _gallows(rng, ground, pivot, across, length * np.sin(reach) + 1.5 * size)
     return Mover("pendulum", (weight, rope), poses, nothing_touches, swings=True, pivot=pivot, support=support)
@@ -211,7 +213,9 @@ def _gallows(rng: np.random.Generator, ground: Ground, pivot: np.ndarray, across
     return tuple(placed)
 
 
-def door(rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: float, scale: float, duration: float, rich: bool) -> Mover:
+def door(
+    rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: float, scale: float, duration: float, rich: bool
+) -> Mover:
     """A door on its post that opens or closes; closed it lies along ``heading``."""
     wide, tall = scale * rng.uniform(0.75, 1.1), scale * rng.uniform(1.6, 2.2)
     start, sweep = rng.uniform(0, 0.4), rng.uniform(0.6, 1.5)

@@ -100,7 +100,9 @@ def _share(m, x, y, z, nx, ny, nz, footprint):
 
 
 @njit(**OPTIONS)
-def albedo(m: np.ndarray, x: float, y: float, z: float, nx: float, ny: float, nz: float, footprint: float) -> tuple[float, float, float]:
+def albedo(
+    m: np.ndarray, x: float, y: float, z: float, nx: float, ny: float, nz: float, footprint: float
+) -> tuple[float, float, float]:
     """Colour of the point (x, y, z) with unit normal (nx, ny, nz), in a part's axes and metres.
 
     Args:
@@ -111,6 +113,8 @@ def albedo(m: np.ndarray, x: float, y: float, z: float, nx: float, ny: float, nz
     field, tint, weight = 0.0, 0.0, 1.0
     length = m[12]
     for octave in range(int(m[13])):
+        # Every octave has its own axes, so that no face lies along the cells of all.
+        x, y, z = 0.8 * y + 0.6 * z, -0.8 * x + 0.36 * y - 0.48 * z, -0.6 * x - 0.48 * y + 0.64 * z
         fade = min(max(length / footprint / 2 - 1, 0.0), 1.0)
         if fade > 0:
             value = fade * weight * _noise(x / length + 17.3 * octave, y / length + 5.1, z / length + 9.7, int(m[14]) + 31 * octave)
@@ -152,4 +156,4 @@ def draw_material(rng: np.random.Generator, scale: float, rich: bool, patterns: 
 def _draw_colour(rng: np.random.Generator) -> np.ndarray:
     """[3] anything between earth and paint, not too dark."""
     grey = rng.uniform(0.2, 0.85)
-    return np.clip(grey + rng.choice([0.05, 0.12, 0.25]) * rng.normal(size=3), 0.06, 0.95)
+    return np.clip(grey + rng.choice([0.05, 0.1, 0.2]) * rng.normal(size=3), 0.06, 0.95)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from flowsplat.scenes.synthetic.worlds.casting import BOX, CAPSULE, CYLINDER, ELLIPSOID
@@ -102,12 +103,12 @@ def ball(radius: float, material: np.ndarray) -> Part:
     return Part(ELLIPSOID, np.full(3, float(radius)), material)
 
 
-def ellipsoid(half: Sequence[float], material: np.ndarray) -> Part:
+def ellipsoid(half: ArrayLike, material: np.ndarray) -> Part:
     """An ellipsoid of half axes [3]."""
     return Part(ELLIPSOID, np.array(half, float), material)
 
 
-def box(half: Sequence[float], material: np.ndarray) -> Part:
+def box(half: ArrayLike, material: np.ndarray) -> Part:
     """A box of half extents [3]."""
     return Part(BOX, np.array(half, float), material)
 

@@ -10,7 +10,20 @@ from scipy.ndimage import minimum_filter1d, uniform_filter1d
 
 from flowsplat.scenes.synthetic.worlds.ground import Ground
 from flowsplat.scenes.synthetic.worlds.materials import SEGMENTS, draw_material
-from flowsplat.scenes.synthetic.worlds.parts import UP, Mover, Part, Poses, about, ball, box, capsule, ellipsoid, frame, rod, together
+from flowsplat.scenes.synthetic.worlds.parts import (
+    UP,
+    Mover,
+    Part,
+    Poses,
+    about,
+    ball,
+    box,
+    capsule,
+    ellipsoid,
+    frame,
+    rod,
+    together,
+)
 
 HEIGHT = 1.75
 """Metres of a walker of scale 1."""
@@ -82,8 +95,10 @@ class Gait:
         (start, heading), (end, later) = self.plant(number, side), self.plant(number + 1, side)
         smooth = w * w * (3 - 2 * w)
         sole = start + smooth[:, None] * (end - start)
-        lift = 0.09 * self.scale + 0.5 * np.abs(end[:, 2] - start[:, 2])
-        sole[:, 2] += lift * np.sin(np.pi * w)
+        # Up to a higher step at first, down to a lower one at last, so that it clears the edge.
+        rise = end[:, 2] - start[:, 2]
+        part = np.clip(np.where(rise > 0, 2.5 * w, 2.5 * w - 1.5), 0, 1)
+        sole[:, 2] = start[:, 2] + part * part * (3 - 2 * part) * rise + 0.09 * self.scale * np.sin(np.pi * w)
         pitch = 0.35 * np.sin(np.pi * w) ** 2
         return sole, heading + smooth * (later - heading), pitch, since <= 0
 
@@ -113,7 +128,7 @@ def walker(
         rich: whether the clothes have patterns.
         carries: a box, a ball or a bag.
     """
-    step = scale * np.clip(0.32 + 0.3 * speed / scale, 0.3, 0.75)
+    step = scale * np.clip(0.3 + 0.24 * speed / scale, 0.3, 0.66)
     bend = 0.0 if arms == "forward" and not carries else rng.uniform(-0.15, 0.15)
     gait = Gait(ground, at, heading, bend, step, rng.uniform(0, 2 * step), scale)
     hips = _hips(gait, speed, duration)
@@ -169,19 +184,15 @@ def _body(rng: np.random.Generator, scale: float, rich: bool) -> list[Part]:
     skin[2:8] = np.tile(np.array([0.85, 0.62, 0.48]) * rng.uniform(0.4, 1.05), 2)
     hair = draw_material(rng, 0.1, False)
     hair[2:8] *= 0.4
-    legs = [
-        [capsule(0.075 * scale, THIGH * scale, trousers), capsule(0.055 * scale, SHIN * scale, trousers), box(HALF_FOOT * scale, shoe)]
-        for _ in range(2)
-    ]
-    limbs = [
-        [capsule(0.048 * scale, UPPER_ARM * scale, sleeve), capsule(0.04 * scale, LOWER_ARM * scale, skin)] for _ in range(2)
-    ]
+    leg = [capsule(0.075 * scale, THIGH * scale, trousers), capsule(0.055 * scale, SHIN * scale, trousers)]
+    leg.append(box(HALF_FOOT * scale, shoe))
+    arm = [capsule(0.048 * scale, UPPER_ARM * scale, sleeve), capsule(0.04 * scale, LOWER_ARM * scale, skin)]
     trunk = [
         ellipsoid(np.array([0.12, 0.165, 0.13]) * scale, trousers), ellipsoid(np.array([0.135, 0.2, 0.32]) * scale, shirt),
         capsule(0.05 * scale, 0.12 * scale, skin), ellipsoid(np.array([0.1, 0.085, 0.12]) * scale, skin),
         ellipsoid(np.array([0.1, 0.092, 0.09]) * scale, hair),
     ]  # fmt: skip
-    return [*trunk, *legs[0], *legs[1], *limbs[0], *limbs[1]]
+    return [*trunk, *leg, *leg, *arm, *arm]
 
 
 def _carried(rng: np.random.Generator, scale: float, bag: bool) -> list[Part]:
@@ -222,8 +233,8 @@ def _stand(gait: Gait, s: np.ndarray, hips: np.ndarray, arms: Arms, parts: list[
         if arms == "forward":
             upper, bent = np.full(len(s), 0.35), np.full(len(s), 1.15)
         else:
-            # An arm swings with the leg of the other side, whose foot is foremost as this side's stands furthest behind.
-            swing = 0.45 * np.sin(phase + (np.pi / 2 if side < 0 else -np.pi / 2) + (0 if side < 0 else 0))
+            # An arm is foremost when the leg of its own side is furthest behind.
+            swing = -side * 0.45 * np.sin(phase)
             upper, bent = (0.1 * swing if bag and side > 0 else swing), 0.25 + 0.2 * np.maximum(swing, 0)
         outward = -side * (0.0 if arms == "forward" else 0.1) * left
         elbow = shoulder + UPPER_ARM * scale * _direction(forward, upper, outward)

@@ -28,7 +28,7 @@ RESTING = 9
 _STILL = 1e-4
 """Metres a frame below which a part does not move."""
 
-_EXPOSURES = 8
+_EXPOSURES = 6
 """Times over which a blurred picture is averaged."""
 
 _SAMPLES = np.array([[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25]])
@@ -261,8 +261,12 @@ class World:
         return Tracks(points, visible, visible.astype(np.float32), owners[pick] > 0), owners[pick]
 
     def describe(self, number: int) -> dict[str, object]:
-        """What is true of a mover: ``number``, ``kind``, ``contact`` (seconds at which it touches the ground), ``swings``, ``rolls``,
-        ``rests`` (for ``RESTING`` frames or more), ``pivot`` [3] or None, and ``touches``: the mover that it touches, or None."""
+        """What is true of a mover, to be written as JSON.
+
+        Returns:
+            ``number``, ``kind``, ``contact`` (seconds at which it touches the ground), ``swings``, ``rolls``, ``rests`` (for
+            ``RESTING`` frames or more), ``pivot`` [3] or None, and ``touches``: the mover that it touches, or None.
+        """
         mover = self.movers[number - 1]
         times = self.timestamps
         contact = sorted({*times[mover.touching(times)[1].any(1)].tolist(), *mover.instants})
