@@ -77,6 +77,7 @@ def run_movers_benchmark(
                     failed[jobs[job]] = str(error)
                     say(f"World {jobs[job]} could not be measured: {error}")
                 bar.advance(note=f"world {jobs[job]}")
+                write_report(out, seeds, failed)
         except BrokenProcessPool as error:
             raise InputError("a process was killed, most likely because memory ran out: the same command continues.") from error
         except BaseException:
