@@ -148,7 +148,7 @@ def test_what_touches_the_ground_stands_on_it(seed):
 def test_movers_and_ground_are_in_sight_and_the_camera_is_free(seed):
     world, plan = draw_world(seed), draw_plan(seed)
     assert [mover.kind for mover in world.movers] == list(plan.kinds)
-    count = len(world.ground.parts(world.parts[0].material))
+    count = world.ground.boxes
     grid = pixel_grid(80, 45).astype(float).reshape(-1, 2)
     seen, ground = [], []
     for time in world.timestamps[::4]:

@@ -35,10 +35,11 @@ from flowsplat.scenes.synthetic.worlds.world import Light, World
 
 GROUNDS: tuple[GroundKind, ...] = ("flat", "slope", "steps", "none")
 
-PLANS = (*KINDS, "crossing", "touching")
-"""What a world can be about; the last two are pairs."""
+PAIRS = ("crossing", "touching")
+"""Pairs of movers, as frequent as single ones of each kind where a world has two or more."""
 
 CROSSING: tuple[Kind, ...] = ("walker", "carrier", "vehicle", "rolling")
+TOUCHING: tuple[tuple[Kind, Kind], ...] = (("walker", "walker"), ("walker", "vehicle"), ("rolling", "rolling"))
 
 BLURRED, NOISY = 0.3, 0.7
 """Shares of worlds with motion blur and with visible noise."""
@@ -104,15 +105,15 @@ def draw_plan(seed: int) -> Plan:
     pair: str | None = None
     while len(kinds) < count:
         # A pair comes first, and only where there is room for it.
-        chosen = str(rng.choice(PLANS if not kinds and count > 1 else KINDS))
-        if chosen == "crossing":
-            pair, kinds = chosen, [CROSSING[k] for k in rng.integers(0, len(CROSSING), 2)]
-        elif chosen == "touching":
-            pair = chosen
-            pairs: list[tuple[Kind, Kind]] = [("walker", "walker"), ("walker", "vehicle"), ("rolling", "rolling")]
-            kinds = list(pairs[int(rng.integers(len(pairs)))])
+        chosen = int(rng.integers(len(KINDS) + (len(PAIRS) if not kinds and count > 1 else 0)))
+        if chosen < len(KINDS):
+            kinds.append(KINDS[chosen])
+            continue
+        pair = PAIRS[chosen - len(KINDS)]
+        if pair == "crossing":
+            kinds = [CROSSING[k] for k in rng.integers(0, len(CROSSING), 2)]
         else:
-            kinds.append(next(kind for kind in KINDS if kind == chosen))
+            kinds = list(TOUCHING[int(rng.integers(len(TOUCHING)))])
     raised = bool(rng.random() < 0.5) or bool({"rolling", "bouncing"} & set(kinds))
     return Plan(GROUNDS[ground], CAMERAS[camera], tuple(kinds), pair, raised)
 
@@ -436,13 +437,8 @@ def _apart(placed: Placed, mover: Mover, times: np.ndarray) -> bool:
     """Whether something static is nowhere near the way of a mover."""
     centres, radii = _balls(mover, times)
     local = np.abs((centres - placed.centre) @ placed.turn)
-    gap = np.linalg.norm(np.maximum(local - _half(placed.part), 0), axis=-1)
+    gap = np.linalg.norm(np.maximum(local - placed.part.size, 0), axis=-1)
     return bool((gap > radii + 0.05).all())
-
-
-def _half(part: Part) -> np.ndarray:
-    """[3] half extents of a box round a part."""
-    return part.size
 
 
 def _are_apart(movers: Sequence[Mover], times: np.ndarray, first_two_touch: bool) -> bool:
@@ -465,7 +461,7 @@ def _is_free(world: World, centres: np.ndarray, held: int) -> bool:
     """Whether the camera is inside or next to nothing."""
     for placed in world.static[1:]:
         local = np.abs((centres - placed.centre) @ placed.turn)
-        if (np.linalg.norm(np.maximum(local - _half(placed.part), 0), axis=-1) < 0.3).any():
+        if (np.linalg.norm(np.maximum(local - placed.part.size, 0), axis=-1) < 0.3).any():
             return False
     times = np.linspace(0, world.duration, len(centres))
     for mover in world.movers:
@@ -480,7 +476,7 @@ def _is_in_sight(world: World, plan: Plan) -> bool:
     width = _CHECK_WIDTH
     height = round(width * world.height / world.width)
     grid = pixel_grid(width, height).astype(np.float64).reshape(-1, 2)
-    count = len(world.ground.parts(world.parts[0].material))
+    count = world.ground.boxes
     shares, inside = [], []
     treads = np.zeros(count)
     for time in np.linspace(0, world.duration, _CHECK_FRAMES):

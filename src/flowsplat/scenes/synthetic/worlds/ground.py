@@ -49,6 +49,11 @@ class Ground:
         normal = np.array([-self.gradient[0], -self.gradient[1], 1.0])
         return normal / np.linalg.norm(normal)
 
+    @property
+    def boxes(self) -> int:
+        """Of how many parts it consists."""
+        return self.count + 1
+
     def step(self, places: np.ndarray) -> np.ndarray:
         """[...] number of the step at places [..., 2]."""
         along = places @ self.direction - self.first

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from scipy.ndimage import minimum_filter1d, uniform_filter1d
@@ -47,8 +48,8 @@ _RATE = 240.0
 _SMOOTH = 41
 """Of these times, the window over which it is smoothed."""
 
-Arms = str
-"""``swing``, or ``forward``: held out, as one carries or pushes."""
+Arms = Literal["swing", "forward"]
+"""``forward``: held out, as one carries or pushes."""
 
 
 @dataclass(frozen=True)
@@ -133,7 +134,7 @@ def walker(
     gait = Gait(ground, at, heading, bend, step, rng.uniform(0, 2 * step), scale)
     hips = _hips(gait, speed, duration)
     bag = bool(rng.random() < 0.4) and carries
-    held = "forward" if carries and not bag else arms
+    held: Arms = "forward" if carries and not bag else arms
     parts = _body(rng, scale, rich)
     if carries:
         parts += _carried(rng, scale, bag)

@@ -72,7 +72,7 @@ class World:
         camera_kind: how the camera moves.
         focal: focal length in widths of the picture.
         path: from times [T] to the cameras.
-        static: what never moves, the sky first.
+        static: what never moves: the sky, the boxes of the ground, all else.
         movers: what moves; the first has number 1 in the masks.
         light: sun and sky.
         shutter: share of the time between frames that a picture is exposed; 0 = no blur.
@@ -120,7 +120,7 @@ class World:
     @cached_property
     def _constants(self) -> dict[str, np.ndarray]:
         casts = np.array([part.shape != ROOM for part in self.parts])
-        casts[1 : 1 + len(self.ground.parts(self.parts[0].material))] = False  # The ground shades nothing but what is inside it.
+        casts[1 : 1 + self.ground.boxes] = False  # The ground shades nothing but what is inside it.
         return {
             "shapes": np.array([part.shape for part in self.parts]), "sizes": np.stack([part.size for part in self.parts]),
             "radii": np.array([part.radius for part in self.parts]), "casts": casts,
