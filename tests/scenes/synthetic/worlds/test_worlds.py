@@ -144,6 +144,28 @@ def test_what_touches_the_ground_stands_on_it(seed):
             np.testing.assert_allclose(away, away[0], rtol=1e-9)
 
 
+@pytest.mark.parametrize(("seed", "kinds"), [(4, ("rolling", "rolling")), (10, ("walker", "walker")), (118, ("walker", "vehicle"))])
+def test_pairs_touch_each_other(seed, kinds):
+    world = draw_world(seed, 96, 54, 40)
+    assert tuple(mover.kind for mover in world.movers[:2]) == kinds
+    assert [world.describe(number)["touches"] for number in (1, 2)] == [2, 1]
+    (first, a), (second, b) = ((mover, mover.poses(np.linspace(0, world.duration, 400))[1]) for mover in world.movers[:2])
+    if kinds == ("rolling", "rolling"):
+        gap = np.linalg.norm(a[:, 0] - b[:, 0], axis=1) - first.parts[0].radius - second.parts[0].radius
+        assert gap.min() == pytest.approx(0, abs=2e-3)
+    elif kinds == ("walker", "walker"):
+        # The right upper arm of one and the left one of the other: the last four parts are arms, left first.
+        gap = np.linalg.norm(a[:, -2] - b[:, -4], axis=1) - 2 * first.parts[-2].size[0]
+        assert (np.abs(gap) < 0.05).all()
+    else:
+        # Hands, at the ends of the lower arms, and the bar, the third part from the end.
+        R, c = first.poses(np.linspace(0, world.duration, 400))
+        hands = c[:, [-3, -1]] + np.stack([R[:, k, :, 2] * first.parts[k].size[2] for k in (-3, -1)], 1)
+        away = np.abs(hands - b[:, -3][:, None])
+        assert away[..., 2].max() < 0.12
+        assert np.linalg.norm(away[..., :2].min(1), axis=-1).max() < 0.35
+
+
 @pytest.mark.parametrize("seed", range(24))
 def test_movers_and_ground_are_in_sight_and_the_camera_is_free(seed):
     world, plan = draw_world(seed), draw_plan(seed)

@@ -278,14 +278,14 @@ def _draw_touching(
 ) -> list[Mover]:
     """Two who walk arm in arm, somebody who pushes a cart, or a ball that hits another one."""
     rich, other_rich = bool(rng.random() < 0.6), bool(rng.random() < 0.6)
-    place, heading = rng.uniform(-0.2, 0.2), _draw_heading(rng)
+    beside, heading = rng.uniform(-0.2, 0.2), _draw_heading(rng)
     if kinds == ("rolling", "rolling"):
         radius = float(np.exp(rng.uniform(np.log(0.12), np.log(0.4))))
         distance = scale.distance(rng, 2 * radius)
         heading = straight(rng, ground, heading)
         speed = _speed(rng, 0.8, 2.5, scale, distance, duration)
         hit = rng.uniform(0.35, 0.65) * duration
-        at = ground.middle_of_tread(_spot(scale, place, distance), 1.2 * radius)
+        at = ground.middle_of_tread(_spot(scale, beside, distance), 1.2 * radius)
         gap = 2 * radius / float(np.linalg.norm(ground.tangent(np.array(heading))))
         ahead = np.array([np.cos(heading), np.sin(heading)])
 
@@ -302,7 +302,7 @@ def _draw_touching(
         ]
     body = rng.uniform(0.75, 1.1)
     distance = max(scale.distance(rng, body * HEIGHT), 2.4)
-    at, speed = _spot(scale, place, distance), rng.uniform(0.7, 1.4)
+    at, speed = _spot(scale, beside, distance), rng.uniform(0.7, 1.4)
     if kinds[1] == "walker":
         state = int(rng.integers(2**31))
         aside = 0.52 * body * np.array([np.sin(heading), -np.cos(heading)])
@@ -321,8 +321,9 @@ def _draw_touching(
     def way(times: np.ndarray) -> np.ndarray:
         return np.asarray(speed * (times - duration / 2))
 
-    # The hands reach 0.41 of the body's scale before the hips.
-    return [pusher, vehicle(rng, ground, at + (0.39 * body + length / 2) * ahead, heading, length, way, other_rich)]
+    # The hands are 0.4 of the body's scale before the hips, and the feet reach as far.
+    place, handle = at + (0.62 * body + length / 2) * ahead, (1.09 * body, 0.22 * body)
+    return [pusher, vehicle(rng, ground, place, heading, length, way, other_rich, handle)]
 
 
 def _repainted(rng: np.random.Generator, mover: Mover, rich: bool) -> Mover:

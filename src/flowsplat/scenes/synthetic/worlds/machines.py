@@ -59,8 +59,13 @@ def straight(rng: np.random.Generator, ground: Ground, heading: float) -> float:
 
 def vehicle(
     rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: float, length: float, way: Way, rich: bool,
+    handle: tuple[float, float] | None = None,
 ) -> Mover:  # fmt: skip
-    """A box on four wheels that roll without slip, in the middle of the clip at ``at`` [2], ``length`` metres long."""
+    """A box on four wheels that roll without slip, in the middle of the clip at ``at`` [2], ``length`` metres long.
+
+    Args:
+        handle: of a cart that is pushed: metres above the ground and behind the box.
+    """
     heading = straight(rng, ground, heading)
     width, high = length * rng.uniform(0.4, 0.5), length * rng.uniform(0.16, 0.3)
     radius, base = length * rng.uniform(0.08, 0.11), 0.31 * length
@@ -71,11 +76,16 @@ def vehicle(
     cabin = np.array([rng.uniform(0.2, 0.32) * length, 0.46 * width, rng.uniform(0.1, 0.16) * length])
     shift = rng.uniform(-0.12, 0.05) * length
     wheels = [cylinder(radius, 0.06 * length, tyre) for _ in range(4)]
-    parts = (box([length / 2, width / 2, high / 2], paint), box(cabin, glass), *wheels)
+    parts = [box([length / 2, width / 2, high / 2], paint), box(cabin, glass), *wheels]
     axes = frame(ground.tangent(np.array(heading)), ground.normal)[0]
     stretch = float(np.linalg.norm(ground.tangent(np.array(heading))))
     corners = [np.array([x, y, 0.0]) for x in (-base, base) for y in (-width / 2, width / 2)]
     floor, onto_axle = 1.1 * radius, Rotation.from_euler("x", -90, degrees=True).as_matrix()
+    rods: list[tuple[np.ndarray, np.ndarray]] = []
+    if handle is not None:
+        bar = [np.array([-length / 2 - handle[1], side * 0.4 * width, handle[0]]) for side in (-1, 1)]
+        rods = [(bar[0], bar[1]), *((np.array([-0.48 * length, end[1], floor + 0.8 * high]), end) for end in bar)]
+        parts += [capsule(0.02, float(np.linalg.norm(end - start)), glass) for start, end in rods]
 
     def origin(times: np.ndarray) -> np.ndarray:
         """[T, 3] the point of the ground below the middle."""
@@ -90,13 +100,14 @@ def vehicle(
             (whole, below + axes @ [0, 0, floor + high / 2]), (whole, below + axes @ [shift, 0, floor + high + cabin[2]]),
         ]  # fmt: skip
         found += [(wheel, below + axes @ (corner + [0, 0, radius])) for corner in corners]
+        found += [rod(below + axes @ start, below + axes @ end, axes[:, 0]) for start, end in rods]
         return together(found)
 
     def touching(times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         points = np.stack([origin(times) + axes @ corner for corner in corners], 1)
         return points, np.ones(points.shape[:2], bool)
 
-    return Mover("vehicle", parts, poses, touching, rolls=True)
+    return Mover("vehicle", tuple(parts), poses, touching, rolls=True)
 
 
 def rolling(
