@@ -23,15 +23,18 @@ def in_own_process(function: Callable[Parameters, Result], *args: Parameters.arg
         InputError: the process was killed.
     """
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(1, mp_context=context, initializer=_end_with_parent) as processes:
+    with ProcessPoolExecutor(1, mp_context=context, initializer=end_with_parent) as processes:
         try:
             return processes.submit(function, *args, **kwargs).result()
         except BrokenProcessPool as error:
             raise InputError("its process was killed, most likely because memory ran out.") from error
 
 
-def _end_with_parent() -> None:
-    """Without this, a training would go on after the command that asked for it was killed."""
+def end_with_parent() -> None:
+    """To be called first in a new process.
+
+    Without this, a training would go on after the command that asked for it was killed.
+    """
     parent = multiprocessing.parent_process()
     assert parent is not None
 

@@ -1,0 +1,282 @@
+"""A random world: everything that a clip of it shows, and the truth of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from flowsplat.geometry import Camera
+from flowsplat.geometry.cameras import pixel_grid, rigid
+from flowsplat.scenes.layers import Flow, Tracks
+from flowsplat.scenes.synthetic.worlds.cameras import CameraKind, Views
+from flowsplat.scenes.synthetic.worlds.casting import ROOM, cast, render
+from flowsplat.scenes.synthetic.worlds.ground import Ground
+from flowsplat.scenes.synthetic.worlds.parts import Mover, Part, Placed
+
+VISIBLE = 1e-5
+"""A point is seen when the first surface on its ray is not nearer than it by more than this share of its depth."""
+
+TRACKS_PER_MOVER = 100
+"""True tracks on each mover; the static world gets twice as many."""
+
+RESTING = 9
+"""Frames for which nothing of a mover may move for it to count as resting."""
+
+_STILL = 1e-4
+"""Metres a frame below which a part does not move."""
+
+_EXPOSURES = 6
+"""Times over which a blurred picture is averaged."""
+
+_SAMPLES = np.array([[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25]])
+"""Pixels."""
+
+_SUN_SIZE = 0.012
+"""Radians by which the directions to the sun differ: shadows have soft edges."""
+
+_FAR = 1e9
+
+
+@dataclass(frozen=True)
+class Light:
+    """``direction`` [3] to the sun, its strength, the strength of the sky, both as factors of the colours."""
+
+    direction: np.ndarray
+    sun: float
+    ambient: float
+
+
+@dataclass(frozen=True)
+class Hits:
+    """What rays meet first: planar ``depth`` [N], ``part`` [N], and ``local`` [N, 3], metres in the part's axes."""
+
+    depth: np.ndarray
+    part: np.ndarray
+    local: np.ndarray
+
+
+@dataclass(frozen=True)
+class World:
+    """A random world (see ``drawing.draw_world``). Same description, same bits.
+
+    Attributes:
+        seed: which world it is.
+        width: pixels.
+        height: pixels.
+        frames: how many.
+        fps: frames a second.
+        ground: what movers stand on.
+        camera_kind: how the camera moves.
+        focal: focal length in widths of the picture.
+        path: from times [T] to the cameras.
+        static: what never moves: the sky, the boxes of the ground, all else.
+        movers: what moves; the first has number 1 in the masks.
+        light: sun and sky.
+        shutter: share of the time between frames that a picture is exposed; 0 = no blur.
+        noise: standard deviation of the pictures' noise in grey levels.
+        touching: numbers of two movers that touch each other, if any.
+    """
+
+    seed: int
+    width: int
+    height: int
+    frames: int
+    fps: float
+    ground: Ground
+    camera_kind: CameraKind
+    focal: float
+    path: Callable[[np.ndarray], Views]
+    static: tuple[Placed, ...]
+    movers: tuple[Mover, ...]
+    light: Light
+    shutter: float = 0.0
+    noise: float = 0.0
+    touching: tuple[int, int] | None = None
+
+    @property
+    def timestamps(self) -> np.ndarray:
+        """[T] float64 seconds."""
+        return np.arange(self.frames) / self.fps
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first frame to the last."""
+        return (self.frames - 1) / self.fps
+
+    @cached_property
+    def parts(self) -> tuple[Part, ...]:
+        """All parts, those of the static world first."""
+        return (*(placed.part for placed in self.static), *(part for mover in self.movers for part in mover.parts))
+
+    @cached_property
+    def numbers(self) -> np.ndarray:
+        """[P] uint8 to which mover each part belongs, 0 = static."""
+        counts = [len(self.static), *(len(mover.parts) for mover in self.movers)]
+        return np.repeat(np.arange(len(counts)), counts).astype(np.uint8)
+
+    @cached_property
+    def _constants(self) -> dict[str, np.ndarray]:
+        casts = np.array([part.shape != ROOM for part in self.parts])
+        casts[1 : 1 + self.ground.boxes] = False  # The ground shades nothing but what is inside it.
+        return {
+            "shapes": np.array([part.shape for part in self.parts]), "sizes": np.stack([part.size for part in self.parts]),
+            "radii": np.array([part.radius for part in self.parts]), "casts": casts,
+            "materials": np.stack([part.material for part in self.parts]),
+        }  # fmt: skip
+
+    def poses(self, time: float) -> tuple[np.ndarray, np.ndarray]:
+        """(rotations [P, 3, 3] from the parts' axes to the world's, centres [P, 3])."""
+        times = np.array([time])
+        moved = [mover.poses(times) for mover in self.movers]
+        turns = [np.stack([placed.turn for placed in self.static]), *(R[0] for R, _ in moved)]
+        centres = [np.stack([placed.centre for placed in self.static]), *(c[0] for _, c in moved)]
+        return np.concatenate(turns), np.concatenate(centres)
+
+    def camera_at(self, time: float, width: int | None = None, height: int | None = None) -> Camera:
+        """The camera at a time in seconds, with another number of pixels if asked for."""
+        width, height = width or self.width, height or self.height
+        (centre,), (R,) = self.path(np.array([time]))
+        focal = self.focal * width
+        return Camera(rigid(R, -R @ centre), np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]]), width, height)
+
+    def camera(self, i: int) -> Camera:
+        """The camera of frame ``i``, metres, world z up."""
+        return self.camera_at(self.timestamps[i])
+
+    # -- rays
+
+    def _seen_from(self, camera: Camera, turns: np.ndarray, centres: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(the camera's centre in the parts' axes [P, 3], rectangles [P, 4] outside of which parts are never seen)."""
+        origins = np.einsum("pkq,pk->pq", turns, camera.center - centres)
+        # Corners of a box round every part in its own axes.
+        sizes = self._constants["sizes"].copy()
+        tubes = np.isin(self._constants["shapes"], (2,))
+        sizes[tubes, 2] += sizes[tubes, 0]
+        signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), -1).reshape(-1, 3)
+        corners = centres[:, None] + np.einsum("pkq,psq->psk", turns, signs * sizes[:, None])
+        uv, depth = camera.project(corners)
+        bounds = np.concatenate([uv.min(1) - 0.01, uv.max(1) + 0.01], 1)
+        behind = (depth < 1e-2).any(1) | (self._constants["shapes"] == ROOM)
+        bounds[behind] = [-_FAR, -_FAR, _FAR, _FAR]
+        return origins, bounds
+
+    def cast(self, camera: Camera, time: float, uv: np.ndarray) -> Hits:
+        """What a camera sees at ``time`` at positions ``uv`` [N, 2] (pixels)."""
+        turns, centres = self.poses(time)
+        origins, bounds = self._seen_from(camera, turns, centres)
+        c = self._constants
+        uv = np.ascontiguousarray(uv, np.float64)
+        R = np.ascontiguousarray(camera.viewmat[:3, :3])
+        return Hits(*cast(c["shapes"], c["sizes"], turns, origins, bounds, R, camera.intrinsics, uv))
+
+    def picture(self, i: int) -> np.ndarray:
+        """[H, W, 3] uint8 RGB of frame ``i``: antialiased, blurred by motion and noisy as the world says."""
+        time = self.timestamps[i]
+        shares = (np.arange(_EXPOSURES) + 0.5) / _EXPOSURES - 0.5 if self.shutter else np.zeros(1)
+        total = np.zeros((self.height, self.width, 3))
+        lights = self._suns()
+        for k, share in enumerate(shares):
+            moment = time + share * self.shutter / self.fps
+            camera = self.camera_at(moment)
+            turns, centres = self.poses(moment)
+            origins, bounds = self._seen_from(camera, turns, centres)
+            c = self._constants
+            # Of several exposures each takes two of the samples in turn.
+            chosen = slice(None) if len(shares) == 1 else slice(k % 2, None, 2)
+            render(
+                c["shapes"], c["sizes"], turns, centres, origins, bounds, c["radii"], c["casts"], c["materials"],
+                np.ascontiguousarray(camera.viewmat[:3, :3]), camera.intrinsics, camera.center, _SAMPLES[chosen], lights[chosen],
+                self.light.ambient, self.light.sun, total,
+            )  # fmt: skip
+        rng = np.random.default_rng([self.seed, 3, i])
+        levels = total * (255 / len(shares)) + self.noise * rng.normal(size=total.shape)
+        return np.clip(levels + 0.5, 0, 255).astype(np.uint8)
+
+    def _suns(self) -> np.ndarray:
+        """[S, 3] directions to points of the sun."""
+        axis = self.light.direction
+        aside = np.cross(axis, [0.3, 0.5, -0.8])
+        aside /= np.linalg.norm(aside)
+        suns = axis + _SUN_SIZE * 4 * (_SAMPLES[:, :1] * aside + _SAMPLES[:, 1:] * np.cross(axis, aside))
+        return np.asarray(suns / np.linalg.norm(suns, axis=1, keepdims=True))
+
+    # -- truth
+
+    def geometry(self, i: int) -> tuple[np.ndarray, np.ndarray]:
+        """(planar depth [H, W] in metres at the pixel centres, number of the mover [H, W] uint8) of frame ``i``."""
+        hits = self._frame_hits(i)
+        shape = (self.height, self.width)
+        return hits.depth.reshape(shape), self.numbers[hits.part].reshape(shape)
+
+    def _frame_hits(self, i: int) -> Hits:
+        grid = pixel_grid(self.width, self.height).astype(np.float64).reshape(-1, 2)
+        return self.cast(self.camera(i), self.timestamps[i], grid)
+
+    def _carry(self, hits: Hits, time: float) -> np.ndarray:
+        """[N, 3] where the points that were hit are at ``time``."""
+        turns, centres = self.poses(time)
+        return np.asarray(np.einsum("nkq,nq->nk", turns[hits.part], hits.local) + centres[hits.part])
+
+    def sees(self, camera: Camera, time: float, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Pixels [N, 2] of world points [N, 3], and whether the camera sees them [N]: in the picture and not hidden."""
+        uv, depth = camera.project(points)
+        inside = (depth > 0) & (uv >= 0).all(1) & (uv < [camera.width, camera.height]).all(1)
+        visible = inside.copy()
+        visible[inside] = self.cast(camera, time, uv[inside]).depth >= depth[inside] * (1 - VISIBLE)
+        return uv, visible
+
+    def flow(self, i: int, j: int) -> Flow:
+        """The flow from frame ``i`` to frame ``j``; its confidence is 1 where the point is visible in ``j``, else 0."""
+        grid = pixel_grid(self.width, self.height).astype(np.float64)
+        time = self.timestamps[j]
+        uv, visible = self.sees(self.camera(j), time, self._carry(self._frame_hits(i), time))
+        flow = np.clip(uv.reshape(grid.shape) - grid, -500, 500)
+        return Flow(i, j, flow.astype(np.float32), visible.reshape(grid.shape[:2]).astype(np.float32))
+
+    def tracks(self) -> tuple[Tracks, np.ndarray]:
+        """World points over the whole clip, and the mover of each [P]; random pixels of five frames.
+
+        ``TRACKS_PER_MOVER`` on each mover, fewer where it hardly shows, and twice as many on the static world.
+        """
+        rng = np.random.default_rng([self.seed, 4])
+        births = sorted(set(np.linspace(0, self.frames - 1, 5).round().astype(int)))
+        seen = [self._frame_hits(i) for i in births]
+        part, local = np.concatenate([h.part for h in seen]), np.concatenate([h.local for h in seen])
+        owners = self.numbers[part]
+        chosen = []
+        for number in range(len(self.movers) + 1):
+            candidates = np.flatnonzero(owners == number)
+            count = min(len(candidates), TRACKS_PER_MOVER * (1 if number else 2))
+            chosen.append(rng.choice(candidates, count, replace=False))
+        pick = np.concatenate(chosen)
+        points = np.empty((len(pick), self.frames, 3), np.float32)
+        visible = np.empty((len(pick), self.frames), bool)
+        start = Hits(np.empty(0), part[pick], local[pick])
+        for i, time in enumerate(self.timestamps):
+            points[:, i] = world = self._carry(start, time)
+            visible[:, i] = self.sees(self.camera(i), time, world)[1]
+        return Tracks(points, visible, visible.astype(np.float32), owners[pick] > 0), owners[pick]
+
+    def describe(self, number: int) -> dict[str, object]:
+        """What is true of a mover, to be written as JSON.
+
+        Returns:
+            ``number``, ``kind``, ``contact`` (seconds at which it touches the ground), ``swings``, ``rolls``, ``rests`` (for
+            ``RESTING`` frames or more), ``pivot`` [3] or None, and ``touches``: the mover that it touches, or None.
+        """
+        mover = self.movers[number - 1]
+        times = self.timestamps
+        contact = sorted({*times[mover.touching(times)[1].any(1)].tolist(), *mover.instants})
+        R, c = mover.poses(times)
+        steps = np.abs(np.diff(c, axis=0)).max((1, 2)) + np.abs(np.diff(R, axis=0)).max((1, 2, 3))
+        still = np.concatenate([[0], np.cumsum(steps < _STILL)])
+        pair = self.touching
+        other = None if pair is None or number not in pair else pair[0] + pair[1] - number
+        return {
+            "number": number, "kind": mover.kind, "contact": [round(t, 6) for t in contact], "swings": mover.swings,
+            "rolls": mover.rolls, "rests": bool((still[RESTING - 1 :] - still[: -RESTING + 1] >= RESTING - 1).any()),
+            "pivot": None if mover.pivot is None else [round(float(x), 6) for x in mover.pivot], "touches": other,
+        }  # fmt: skip
