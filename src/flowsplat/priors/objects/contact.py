@@ -1,0 +1,91 @@
+"""Where a mover's lowest pixels meet the ground: at most that far away is it, and just so far if it stands there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from flowsplat.geometry import Camera
+from flowsplat.priors.background.ground import Ground
+
+LOWEST = 0.15
+"""Pixels that count as its lowest, in units of the root of its area: fewer may be a leak of the mask."""
+FEWEST_PIXELS = 24
+HIDDEN = 0.06
+"""How much nearer than the ground the static scene just below its lowest pixels must be to hide its feet."""
+
+
+@dataclass(frozen=True)
+class Bound:
+    """What one frame says.
+
+    Attributes:
+        log_depth: logarithm of the planar depth of the card's middle at which it would touch the ground.
+        visible: whether its lowest pixels are in the picture, nothing stands before them, and the ground was seen there.
+    """
+
+    log_depth: float
+    visible: bool
+
+
+def upright_ratio(camera: Camera, normal: np.ndarray, middle: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """[N] depth at pixels [N, 2] of an upright card that faces the camera, relative to that at its ``middle`` [2].
+
+    The card holds the ground's normal [3]. A camera that looks down sees its foot farther than its head in planar depth.
+    """
+    rays = camera.unproject(np.concatenate([middle[None], pixels]), np.ones(len(pixels) + 1)) - camera.center
+    facing = rays[0] - (rays[0] @ normal) * normal
+    along = rays @ facing
+    # A camera that looks straight down sees no upright card: it faces the picture then.
+    if along[0] < 0.05 * float(rays[0] @ rays[0]):
+        return np.ones(len(pixels))
+    return along[0] / np.maximum(along[1:], 0.2 * along[0])
+
+
+def middle_of(mask: np.ndarray) -> np.ndarray:
+    """[2] median pixel of a mask [H, W]."""
+    y, x = np.nonzero(mask)
+    return np.array([np.median(x), np.median(y)]) + 0.5
+
+
+def ground_bound(mask: np.ndarray, camera: Camera, ground: Ground, static: np.ndarray) -> Bound | None:
+    """The bound of one frame.
+
+    Args:
+        mask: bool [h, w], of one mover.
+        camera: of the frame, at that size.
+        static: [h, w] planar depth of the static scene.
+
+    Returns:
+        None where the mover is too small or all of it is above the horizon.
+    """
+    height, width = mask.shape
+    if mask.sum() < FEWEST_PIXELS:
+        return None
+    # The rim on the side where the ground comes nearer; a camera may be rolled, so the side is that of the picture's "down".
+    down = camera.viewmat[:3, :3] @ -ground.normal
+    column, row = (round(float(v)) for v in down[:2] / max(float(np.abs(down[:2]).max()), 1e-9))
+    shifted = cv2.warpAffine(
+        mask.astype(np.uint8), np.array([[1.0, 0, -column], [0, 1.0, -row]]), (width, height), flags=cv2.INTER_NEAREST
+    )
+    y, x = np.nonzero(mask & (shifted == 0))
+    pixels = np.stack([x + 0.5 + 0.5 * column, y + 0.5 + 0.5 * row], 1)
+    depth, known = ground.depth(camera, pixels)
+    with np.errstate(divide="ignore"):
+        log_depth = np.log(depth) - np.log(upright_ratio(camera, ground.normal, middle_of(mask), pixels))
+    order = np.argsort(log_depth, kind="stable")
+    count = max(3, int(LOWEST * np.sqrt(mask.sum())))
+    lowest = order[: min(count, len(order))]
+    bound = float(log_depth[lowest[-1]])
+    if not np.isfinite(bound):
+        return None
+    reach = 2 + height // 90
+    below_x, below_y = x[lowest] + reach * column, y[lowest] + reach * row
+    inside = (below_x >= 0) & (below_y >= 0) & (below_x < width) & (below_y < height)
+    visible = bool(known[lowest].mean() > 0.5 and inside.mean() > 0.9)
+    if visible:
+        ahead = np.log(static[below_y[inside], below_x[inside]]) - np.log(depth[lowest][inside])
+        visible = bool(np.median(ahead) > -HIDDEN)
+    return Bound(bound, visible)

@@ -1,0 +1,74 @@
+"""How far away a mover is: a posterior over ln s from everything that ties it to the still world.
+
+Frames of one camera leave one number open for every mover, its distance at a time of one's choice; scaling it about the
+camera changes no picture. Each cue that ties it to the world has its own noise, a gate, and a chance to be wrong.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+STEP, NEAR, FAR = 0.005, -1.5, 1.5
+"""The grid of ln s about the guess."""
+CARD_SIGMA, CARD_TAIL, CARD_WRONG = 0.2, 0.6, 0.3
+"""Of the guess that every mover has, where the scene behind it ends: its standard deviation, mostly, and that of the rest."""
+BOUND_SOFTNESS, BOUND_WRONG = 0.03, 0.02
+"""How sharply a far bound cuts, and its chance to be wrong."""
+
+
+@dataclass(frozen=True)
+class Cue:
+    """What one cue says about ln s.
+
+    Attributes:
+        log_scale: its value.
+        sigma: standard deviation.
+        wrong: chance that it has nothing to do with the truth.
+    """
+
+    log_scale: float
+    sigma: float
+    wrong: float
+
+
+@dataclass(frozen=True)
+class Distance:
+    """The posterior.
+
+    Attributes:
+        log_scale: median of ln s. A chance that the cues are wrong lies on one side of a bound: it would move the mean.
+        sigma: standard deviation.
+    """
+
+    log_scale: float
+    sigma: float
+
+
+def combine(guess: float, cues: Mapping[str, Cue], bounds: Sequence[float]) -> Distance:
+    """Median and standard deviation of the whole posterior of ln s.
+
+    Args:
+        guess: ln s if nothing else is known.
+        cues: those that passed their gates.
+        bounds: ln s beyond which the mover would be behind what it hides.
+    """
+    x = np.arange(guess + NEAR, guess + FAR, STEP)
+    width = FAR - NEAR
+    log_p = np.log((1 - CARD_WRONG) * _student(x, guess, CARD_SIGMA, 4) + CARD_WRONG * _student(x, guess, CARD_TAIL, 4))
+    for cue in cues.values():
+        log_p += np.log((1 - cue.wrong) * _student(x, cue.log_scale, cue.sigma, 4) + cue.wrong / width)
+    for bound in bounds:
+        inside = 1 / (1 + np.exp(np.clip((x - bound) / BOUND_SOFTNESS, -50, 50)))
+        log_p += np.log((1 - BOUND_WRONG) * inside + BOUND_WRONG)
+    p = np.exp(log_p - log_p.max())
+    p /= p.sum()
+    median = float(np.interp(0.5, np.cumsum(p), x))
+    return Distance(median, float(np.sqrt((p * (x - median) ** 2).sum())))
+
+
+def _student(x: np.ndarray, mean: float, sigma: float, freedom: int) -> np.ndarray:
+    """Density of Student's t; its constant for 3 and 4 degrees of freedom is nearly the same."""
+    return 0.37 / sigma * (1 + ((x - mean) / sigma) ** 2 / freedom) ** (-(freedom + 1) / 2)

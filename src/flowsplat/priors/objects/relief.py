@@ -1,0 +1,134 @@
+"""The depth of every pixel of a mover: an upright card, and what its points stand out of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numba import njit
+
+from flowsplat.priors.objects.rigid import NEAREST, RESIDUAL_WIDTH, Observations, RigidMotion, _derivatives
+
+DEEPEST = 0.6
+"""Standard deviation of the relief that is expected, in units of the object's half width."""
+SMOOTHNESS = 60.0
+"""Of the relief, as in the fast global smoother."""
+COLOUR_SIGMA = 12.0
+"""Grey levels across which it is less smooth."""
+NOISE_FACTOR = 2.0
+"""Errors of tracks last for frames: standard deviation of a point's depth over that of white noise."""
+OFF_LIMIT = 2.0
+"""Pixels up to which an observation tells of the relief."""
+_ITERATIONS = 6
+
+
+@dataclass(frozen=True)
+class ReliefPoints:
+    """Logarithm of depth at points of a mover, by observation.
+
+    Attributes:
+        frame_of: [M] position of the frame.
+        pixels: [M, 2] float.
+        log_depth: [M] in the object's unit.
+        sigma: [M] standard deviation.
+    """
+
+    frame_of: np.ndarray
+    pixels: np.ndarray
+    log_depth: np.ndarray
+    sigma: np.ndarray
+
+
+def place_points(motion: RigidMotion, observations: Observations, K: np.ndarray) -> ReliefPoints:
+    """All points of a mover, also those that its motion was not found from, with its poses held."""
+    o = observations
+    points, covariances = _place(
+        motion.turns, motion.shifts, motion.used, o.first, o.frame_of, o.x, o.focal, RESIDUAL_WIDTH,
+        (NOISE_FACTOR * motion.noise / (DEEPEST * motion.size)) ** 2, _ITERATIONS,
+    )  # fmt: skip
+    n, t = o.point_of, o.frame_of
+    y = np.einsum("mij,mj->mi", motion.turns[t], points[n]) + motion.shifts[t]
+    depth = np.maximum(y[:, 2], NEAREST)
+    off = o.focal * np.linalg.norm(y[:, :2] / depth[:, None] - o.x, axis=1)
+    axis = motion.turns[t][:, 2]
+    noise = NOISE_FACTOR * motion.noise
+    sigma = noise * np.sqrt(np.maximum(np.einsum("mi,mij,mj->m", axis, covariances[n], axis), 0)) / depth
+    good = motion.used[t] & (off < OFF_LIMIT) & (y[:, 2] > NEAREST) & np.isfinite(sigma)
+    pixels = o.x * [K[0, 0], K[1, 1]] + K[:2, 2]
+    return ReliefPoints(t[good], pixels[good], np.log(depth[good]), np.maximum(sigma[good], 1e-4))
+
+
+def relief(mask: np.ndarray, picture: np.ndarray, pixels: np.ndarray, offsets: np.ndarray, sigma: np.ndarray, expected: float) -> np.ndarray:
+    """Offsets of ln depth [H, W] float32 from the card's, smoothed along the picture's edges and held by their expectation, 0.
+
+    Args:
+        mask: bool [H, W] of the mover.
+        picture: RGB [H, W, 3] uint8.
+        pixels: [N, 2] where offsets [N] with standard deviation sigma [N] are known.
+        expected: standard deviation of the relief.
+    """
+    height, width = mask.shape
+    result = np.zeros((height, width), np.float32)
+    y, x = np.nonzero(mask)
+    if len(y) == 0 or len(pixels) == 0:
+        return result
+    y0, y1, x0, x1 = y.min(), y.max() + 1, x.min(), x.max() + 1
+    weights, sums = np.zeros((2, y1 - y0, x1 - x0), np.float32)
+    column, row = np.clip(pixels.astype(int) - [x0, y0], 0, [x1 - x0 - 1, y1 - y0 - 1]).T
+    weight = 1 / (sigma**2 + (0.1 * expected) ** 2)
+    np.add.at(weights, (row, column), weight)
+    np.add.at(sums, (row, column), weight * offsets)
+    guide = np.ascontiguousarray(picture[y0:y1, x0:x1])
+    smoother = cv2.ximgproc.createFastGlobalSmootherFilter(guide, SMOOTHNESS, COLOUR_SIGMA)
+    # One expectation for each patch as wide as a quarter of the mover.
+    patch = max(1.0, len(y) / 16)
+    held = 1 / (expected**2 * patch)
+    local = smoother.filter(sums) / (smoother.filter(weights) + held)
+    result[y0:y1, x0:x1] = np.clip(local, -3 * expected, 3 * expected)
+    return result
+
+
+@njit(cache=True)
+def _place(
+    turns: np.ndarray, shifts: np.ndarray, used: np.ndarray, first: np.ndarray, frame_of: np.ndarray, x: np.ndarray, focal: float,
+    width: float, ridge: float, iterations: int,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """Positions [N, 3] of points with known poses, and their covariance [N, 3, 3] for a noise of one pixel."""
+    N = len(first) - 1
+    points, covariances = np.zeros((N, 3)), np.zeros((N, 3, 3))
+    r, J, B = np.zeros(2), np.zeros((2, 6)), np.zeros((2, 3))
+    for n in range(N):
+        start = -1
+        for m in range(first[n], first[n + 1]):
+            if used[frame_of[m]]:
+                start = m
+                break
+        if start < 0:
+            covariances[n] = np.inf
+            continue
+        t = frame_of[start]
+        z = shifts[t, 2]
+        ray = np.array([x[start, 0] * z, x[start, 1] * z, z])
+        S = turns[t].T @ (ray - shifts[t])
+        V = np.zeros((3, 3))
+        for _ in range(iterations):
+            V[:] = 0.0
+            g = np.zeros(3)
+            for d in range(3):
+                V[d, d] = ridge
+                g[d] = -ridge * S[d]
+            for m in range(first[n], first[n + 1]):
+                t = frame_of[m]
+                if not used[t]:
+                    continue
+                _derivatives(turns[t], shifts[t], S, x[m], focal, r, J, B)
+                u = 1.0 / (1.0 + (r[0] * r[0] + r[1] * r[1]) / width**2)
+                for i in range(3):
+                    g[i] -= u * (B[0, i] * r[0] + B[1, i] * r[1])
+                    for j in range(3):
+                        V[i, j] += u * (B[0, i] * B[0, j] + B[1, i] * B[1, j])
+            S = S + np.linalg.solve(V, g)
+        points[n] = S
+        covariances[n] = np.linalg.inv(V)
+    return points, covariances
