@@ -23,7 +23,8 @@ from flowsplat.priors.learned.weights import ModelOptions, network_device
 from flowsplat.priors.masks import mask_stage
 from flowsplat.priors.monocular import monocular_stage
 from flowsplat.priors.prompts import Prompt, parse_prompts, prompt_stage
-from flowsplat.priors.tracks import tracks_stage
+from flowsplat.priors.objects import objects_stage
+from flowsplat.priors.tracks import complete_tracks, tracks_stage
 from flowsplat.scenes import Scene
 
 
@@ -54,7 +55,7 @@ class PriorsOptions:
 
 Stage = Callable[[], None]
 
-_PRIORS = ("cameras", "flow", "masks", "depth", "tracks")
+_PRIORS = ("cameras", "flow", "masks", "tracks", "depth")
 """In the order in which they need each other."""
 _FOLLOW = {
     "cameras": ("masks", "depth", "tracks"), "flow": ("masks", "depth", "tracks"), "masks": ("depth", "tracks"),
@@ -119,6 +120,8 @@ def prepare_priors(scene: Scene, options: PriorsOptions, device: str = "auto") -
     for name in missing:
         seconds[name] = _timed(stages.pop(name))
         say(f"{name}: {_verdict(scene, name)} ({seconds[name]:.0f} s)")
+    if (scene.prior("tracks") or {}).get("incomplete"):
+        seconds["tracks"] = seconds.get("tracks", 0.0) + _timed(lambda: complete_tracks(scene))
     forget_solutions(scene)
     _ = scene.similarity  # Computed and stored here, so that training and evaluation share it.
     return seconds
@@ -263,11 +266,19 @@ def _choose_depth(
     scene: Scene, options: PriorsOptions, prompts: list[Prompt], estimate: FlowEstimator, device: str
 ) -> Stage:
     if options.depth == "multiview":
-        return partial(depth_stage, scene, estimate)
+        return partial(_objects_and_depth, scene, estimate)
     from flowsplat.priors.learned.depth import learned_depth
 
     source = learned_depth(options.depth, scene, options.models, network_device(device))
     return partial(monocular_stage, scene, source, estimate)
+
+
+def _objects_and_depth(scene: Scene, estimate: FlowEstimator) -> None:
+    """Movers first: they have a distance of their own, and the depth of their pixels follows from it."""
+    if all(scene.has_mask(i) for i in scene.train_frames) and scene.has_tracks:
+        objects_stage(scene, estimate)
+        say(f"objects: {_verdict(scene, 'objects')}")
+    depth_stage(scene, estimate)
 
 
 _CHOICES = {"masks": _choose_masks, "depth": _choose_depth}

@@ -138,7 +138,7 @@ class Background:
             return self.plate(k)
         first, second = np.zeros((2, self._clip.height, self._clip.width), np.float32)
         for j in witnesses:
-            seen, _ = carried(*self._sure(j), self._clip.cameras[k])
+            seen, _ = carried(*self.sure(j), self._clip.cameras[k])
             first, second = np.maximum(first, seen), np.maximum(second, np.minimum(first, seen))
         return np.maximum(self.plate(k), second)
 
@@ -168,7 +168,7 @@ class Background:
 
     def _uncover(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         values, weights, camera = self._fused(k)
-        others = [self._sure(j) for j in self._around(k, PLATE_FROM)]
+        others = [self.sure(j) for j in self._around(k, PLATE_FROM)]
         return uncover(_swollen(self.mask(k)) | (weights < SURE), values, weights, camera, others)
 
     def _weighed(self, k: int) -> tuple[np.ndarray, np.ndarray, Camera]:
@@ -184,7 +184,8 @@ class Background:
         mass = np.where(votes >= 0, mass, np.float32(_REJECTED) * mass) * _away_from_edges(inverse, weights)
         return inverse, mass, camera
 
-    def _sure(self, k: int) -> tuple[np.ndarray, np.ndarray, Camera]:
+    def sure(self, k: int) -> tuple[np.ndarray, np.ndarray, Camera]:
+        """Inverse depth [h, w] of the static scene, its weight, 0 where it is not sure, and the camera of the frame."""
         values, weights, camera = self._fused(k)
         return values, np.where(weights > SURE, weights, 0).astype(np.float32), camera
 

@@ -9,13 +9,15 @@ from flowsplat.priors.background.fill import upsample
 from flowsplat.priors.background.longflow import STRIDES
 from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.static_depth import StaticDepth, camera_reach, static_depth
-from flowsplat.priors.depth.movers import MARGIN, card, growth, smooth_cards
 from flowsplat.priors.flow import FlowEstimator, dis_estimator
+from flowsplat.priors.objects import SceneMovers, load_movers
 from flowsplat.scenes import Depth, Scene
 
 NEAREST_DEPTH, FURTHEST_DEPTH = 0.05, 30.0
 """Multiples of the median depth between which all depths lie."""
 
+MARGIN = 1.03
+"""How much nearer than all that is known to be behind it a mover is whose distance nothing tells."""
 MOVER_CONFIDENCE = 0.6
 MOSTLY = 0.6
 """Share of trusted pixels from which depth is called known."""
@@ -26,8 +28,8 @@ TRUSTED_WEIGHT = 5.0
 def depth_stage(scene: Scene, estimate: FlowEstimator = dis_estimator) -> None:
     """Depth with confidence for every training frame that has none. Needs cameras and flow, and uses masks if there are any.
 
-    Static pixels come from their matches in other frames of the same piece of the clip, movers are cards in front of what
-    they hide. A clip whose camera does not move (or only turns) gets a guess, and the verdict says so.
+    Static pixels come from their matches in other frames of the same piece of the clip, movers from the object stage; movers
+    that it does not know stand just in front of what they hide. A clip whose camera does not move (or only turns) gets a guess, and the verdict says so.
 
     Args:
         estimate: finds the flow between frames that are no neighbours.
@@ -35,11 +37,11 @@ def depth_stage(scene: Scene, estimate: FlowEstimator = dis_estimator) -> None:
     clip = MatchedClip(scene, estimate)
     has_masks = all(scene.has_mask(i) for i in scene.train_frames)
     background = static_depth(clip, has_masks)
-    cards = _cards(clip, background) if has_masks else {}
+    movers = load_movers(scene)
     trusted = []
     for k, i in enumerate(track(scene.train_frames, "Depth")):
         if not scene.has_depth(i):
-            scene.write_depth(i, _frame_depth(clip, background, cards, k))
+            scene.write_depth(i, _frame_depth(clip, background, movers, has_masks, k))
         trusted.append(float(scene.depth(i).trusted.mean()))
     method, share = ("multi-view" if clip.has_parallax else "guess"), float(np.mean(trusted))
     if clip.has_parallax:
@@ -54,44 +56,15 @@ def depth_stage(scene: Scene, estimate: FlowEstimator = dis_estimator) -> None:
             verdict += "; --every takes frames further apart, which may show it"
     scene.finish_prior(
         "depth", method=method, verdict=verdict, trusted=round(share, 4),
-        parallax=round(clip.mean_parallax, 3), objects=len(cards),
+        parallax=round(clip.mean_parallax, 3), objects=len(movers.movers),
     )  # fmt: skip
 
 
-def _cards(clip: MatchedClip, background: StaticDepth) -> dict[int, np.ndarray]:
-    """Smoothed inverse depth [T] of every object over the training frames."""
-    cards: dict[int, np.ndarray] = {}
-    growths: dict[int, np.ndarray] = {}
-    ahead: dict[int, float] = {}
-    for k in track(range(len(clip)), "Depth of movers"):
-        mask = clip.mask(k)
-        if not mask.any():
-            ahead = {}
-            continue
-        front, back, before = background.foremost(k), _growths(clip, k, k - 1, mask), ahead
-        ahead = _growths(clip, k, k + 1, mask)
-        for number in map(int, np.unique(mask[mask > 0])):
-            cards.setdefault(number, np.full(len(clip), np.nan))[k] = card(mask == number, front)
-            both = growths.setdefault(number, np.zeros(len(clip)))
-            if number in before and number in back:
-                both[k] = (before[number] - back[number]) / 2
-    pieces = np.asarray(clip.continuity.pieces)
-    return {number: smooth_cards(values, growths[number], pieces) for number, values in cards.items()}
-
-
-def _growths(clip: MatchedClip, k: int, j: int, mask: np.ndarray) -> dict[int, float]:
-    """Logarithm of how much larger the objects of training frame ``k`` are in its neighbour ``j``."""
-    if not 0 <= j < len(clip) or not clip.continuity.joined(k, j):
-        return {}
-    flow, confidence = clip.step_flow(k, j)
-    return {int(number): growth(mask == number, flow, confidence) for number in np.unique(mask[mask > 0])}
-
-
-def _frame_depth(clip: MatchedClip, background: StaticDepth, cards: dict[int, np.ndarray], k: int) -> Depth:
+def _frame_depth(clip: MatchedClip, background: StaticDepth, movers: SceneMovers, has_masks: bool, k: int) -> Depth:
     scene = clip.scene
     frame = scene.frame(scene.train_frames[k])
     inverse, weight = background.filled(k)
-    mask = scene.mask(scene.train_frames[k]) if cards else np.zeros((scene.height, scene.width), np.uint8)
+    mask = scene.mask(scene.train_frames[k]) if has_masks else np.zeros((scene.height, scene.width), np.uint8)
     size = (scene.width, scene.height)
     moving = mask > 0
     if moving.any():
@@ -99,10 +72,10 @@ def _frame_depth(clip: MatchedClip, background: StaticDepth, cards: dict[int, np
         inverse = np.where(clip.mask(k) > 0, plate, inverse)
         static = upsample(inverse, frame, *size)
         front = upsample(background.foremost(k), np.zeros_like(frame), *size)
-        heights = np.array([cards[n][k] if n in cards else np.nan for n in range(int(mask.max()) + 1)], np.float32)
-        # An object too small to be seen at working resolution has no card and stays just in front of what is known to be behind it.
-        nearness = np.nan_to_num(heights)[mask]
-        static = np.where(moving, np.maximum(nearness, MARGIN * front), static)
+        known = movers.depth(k, mask, frame, scene.cameras[scene.train_frames[k]])
+        nearness = np.where(known > 0, 1 / np.maximum(known, 1e-9), 0)
+        # Nothing lies behind what it hides; an object without a distance stays just in front of that.
+        static = np.where(moving, np.maximum(nearness, np.where(known > 0, 1, MARGIN) * front), static)
     else:
         static = upsample(inverse, frame, *size)
     limits = background.median / FURTHEST_DEPTH, background.median / NEAREST_DEPTH

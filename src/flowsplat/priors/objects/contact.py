@@ -56,7 +56,7 @@ def ground_bound(mask: np.ndarray, camera: Camera, ground: Ground, static: np.nd
     Args:
         mask: bool [h, w], of one mover.
         camera: of the frame, at that size.
-        static: [h, w] planar depth of the static scene.
+        static: planar depth of the static scene, of any size.
 
     Returns:
         None where the mover is too small or all of it is above the horizon.
@@ -86,6 +86,7 @@ def ground_bound(mask: np.ndarray, camera: Camera, ground: Ground, static: np.nd
     inside = (below_x >= 0) & (below_y >= 0) & (below_x < width) & (below_y < height)
     visible = bool(known[lowest].mean() > 0.5 and inside.mean() > 0.9)
     if visible:
-        ahead = np.log(static[below_y[inside], below_x[inside]]) - np.log(depth[lowest][inside])
+        rows, columns = (below_y * static.shape[0]) // height, (below_x * static.shape[1]) // width
+        ahead = np.log(static[rows[inside], columns[inside]]) - np.log(depth[lowest][inside])
         visible = bool(np.median(ahead) > -HIDDEN)
     return Bound(bound, visible)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from flowsplat.geometry import Camera
 from flowsplat.priors.background.ground import Ground
-from flowsplat.priors.objects.contact import Bound, ground_bound, middle_of, upright_ratio
-from flowsplat.priors.objects.distance import Cue, Distance, combine
+from flowsplat.priors.objects.contact import Bound, upright_ratio
+from flowsplat.priors.objects.distance import Cue, combine
 from flowsplat.priors.objects.path import Law, WorldPath, constant_height, pivot, smooth
 from flowsplat.priors.objects.relief import DEEPEST, ReliefPoints, place_points, relief
 from flowsplat.priors.objects.rigid import Observations, RigidMotion, longest, solve_rigid
@@ -28,7 +28,8 @@ WRONG = {"pivot": 0.05, "height": 0.05, "smooth": 0.1, "contact": 0.07}
 FLAT = 0.07
 """Range of the bounds, from the 10th to the 60th percentile over time, up to which a mover stands on the ground."""
 FEWEST_BOUNDS = 8
-BOUND_SLACK = 0.03
+BOUND_PERCENTILE, BOUND_SLACK = 5, 0.03
+"""Over time, of where a mover would touch the ground: it is not farther than this in any frame, but for errors of its outline."""
 
 
 @dataclass(frozen=True)
@@ -37,46 +38,36 @@ class Mover:
 
     Attributes:
         number: in the masks.
-        log_course: [T] logarithm of the depth of its middle over time, up to one constant; NaN where it is not seen.
-        middles: [T, 2] the pixel that belongs to.
-        distance: ln s and its standard deviation.
-        cues: those that were accepted.
-        laws: what every law of motion said, accepted or not.
-        bounds: [T] ln s at which it would touch the ground; NaN where nothing is known.
-        motion: of a rigid mover that is believed.
-        points: its relief.
-        why: what speaks for its distance, or why nothing does.
+        log_depth: [T] logarithm of the planar depth of its middle in the training frames; NaN where it is not seen.
+        middles: [T, 2] the pixel that belongs to; NaN likewise.
+        sigma: standard deviation of its distance, of ln s.
+        rigid: whether its motion was found.
+        cues: what speaks for its distance.
+        points: depth of points on it, with its distance.
+        expected: standard deviation of ln depth that its relief is expected to have.
     """
 
     number: int
-    log_course: np.ndarray
+    log_depth: np.ndarray
     middles: np.ndarray
-    distance: Distance
+    sigma: float
+    rigid: bool
     cues: Mapping[str, Cue]
-    laws: Mapping[str, Law] = field(default_factory=dict)
-    bounds: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    motion: RigidMotion | None = None
-    points: ReliefPoints | None = None
-    why: str = ""
+    points: ReliefPoints
+    expected: float
 
-    def depth(self, t: int, mask: np.ndarray, picture: np.ndarray, camera: Camera, normal: np.ndarray) -> np.ndarray:
-        """Planar depth [H, W] float32 of its pixels ``mask`` [H, W] in frame t."""
+    def depth(self, k: int, mask: np.ndarray, picture: np.ndarray, camera: Camera, normal: np.ndarray) -> np.ndarray:
+        """Planar depth [N] of its pixels ``mask`` [H, W] in training frame k, in the order of ``np.nonzero``."""
         y, x = np.nonzero(mask)
-        result = np.zeros(mask.shape, np.float32)
-        pixels = np.stack([x, y], 1) + 0.5
-        middle = self.middles[t] if np.isfinite(self.middles[t]).all() else middle_of(mask)
-        log_depth = self.log_course[t] + self.distance.log_scale + np.log(upright_ratio(camera, normal, middle, pixels))
-        if self.points is not None and self.motion is not None:
-            here = self.points.frame_of == t
-            if here.any():
-                places = self.points.pixels[here]
-                card = np.log(upright_ratio(camera, normal, middle, places)) + self.log_course[t]
-                stands_out = relief(
-                    mask, picture, places, self.points.log_depth[here] - card, self.points.sigma[here], DEEPEST * self.motion.size
-                )
-                log_depth = log_depth + stands_out[y, x]
-        result[y, x] = np.exp(log_depth)
-        return result
+        middle, pixels = self.middles[k], np.stack([x, y], 1) + 0.5
+        log_depth = self.log_depth[k] + np.log(upright_ratio(camera, normal, middle, pixels))
+        here = self.points.frame_of == k
+        if here.any():
+            places = self.points.pixels[here]
+            card = self.log_depth[k] + np.log(upright_ratio(camera, normal, middle, places))
+            offsets = self.points.log_depth[here] - card
+            log_depth = log_depth + relief(mask, picture, places, offsets, self.points.sigma[here], self.expected)[y, x]
+        return np.exp(log_depth)
 
 
 def tracks_of_movers(
@@ -168,49 +159,52 @@ def contact_cue(bounds: np.ndarray, visible: np.ndarray) -> Cue | None:
 
 
 def solve_mover(
-    number: int, positions: np.ndarray, inside: np.ndarray, masks: Sequence[np.ndarray], cameras: Sequence[Camera],
-    ground: Ground | None, statics: Sequence[np.ndarray], log_cards: np.ndarray, normal: np.ndarray,
+    number: int, positions: np.ndarray, inside: np.ndarray, middles: np.ndarray, bounds: Sequence[Bound | None],
+    cameras: Sequence[Camera], ground: Ground | None, log_cards: np.ndarray, normal: np.ndarray,
 ) -> Mover:  # fmt: skip
     """One mover.
 
     Args:
         positions: [N, T, 2] pixels of its tracks over the training frames, where ``inside`` [N, T].
-        masks: [T] bool [H, W].
-        statics: [T] planar depth [H, W] of the static scene.
+        middles: [T, 2] its middle pixels, NaN where it is not seen.
+        bounds: [T] where it would touch the ground.
+        cameras: [T].
         log_cards: [T] logarithm of the depth of today's card, NaN where it is not seen: a guess, and a course where its motion is
             not believed.
         normal: [3] up.
     """
     K, T = cameras[0].K, len(cameras)
-    middles = np.array([middle_of(mask) if mask.any() else [np.nan, np.nan] for mask in masks])
+    seen = np.isfinite(log_cards) & np.isfinite(middles).all(1)
     motion = rigid_motion(positions, inside, K)
-    course, why = log_cards - np.nanmean(log_cards), "growth"
-    points, cues, laws = None, {}, {}
+    course = np.where(seen, log_cards - np.mean(log_cards[seen]), np.nan)
+    points, cues = ReliefPoints.none(), {}
     if motion is not None:
         points = place_points(motion, Observations.of_tracks(positions, inside, K), K)
-        solved = motion.log_depths()
-        for t in range(T):
-            here = (points.frame_of == t) & (points.sigma < np.inf)
-            if here.sum() >= 3 and np.isfinite(middles[t]).all():
-                card = np.log(upright_ratio(cameras[t], normal, middles[t], points.pixels[here]))
-                solved[t] = np.median(points.log_depth[here] - card)
-        seen = np.isfinite(log_cards)
-        known = np.isfinite(solved)
-        filled = np.interp(np.arange(T), np.flatnonzero(known), solved[known])
-        course, why = np.where(seen, filled, np.nan), "rigid"
-        cues, laws = accepted_laws(WorldPath.of(motion, cameras), ground.normal if ground else None)
-    guess = float(np.nanmedian(log_cards - course))
-    bounds, visible = np.full(T, np.nan), np.zeros(T, bool)
-    if ground is not None:
-        for t in range(T):
-            bound: Bound | None = ground_bound(masks[t], cameras[t], ground, statics[t]) if np.isfinite(course[t]) else None
-            if bound is not None:
-                bounds[t], visible[t] = bound.log_depth - course[t], bound.visible
-    stands = contact_cue(bounds, visible)
+        found = middle_depths(points, middles, cameras, normal)
+        course = np.where(seen, np.interp(np.arange(T), np.flatnonzero(np.isfinite(found)), found[np.isfinite(found)]), np.nan)
+        cues = accepted_laws(WorldPath.of(motion, cameras), ground.normal if ground else None)[0]
+    at_ground = np.array([np.nan if bound is None else bound.log_depth for bound in bounds]) - course
+    stands = contact_cue(at_ground, np.array([bound is not None and bound.visible for bound in bounds]))
     if stands is not None:
         cues = {**cues, "contact": stands}
-    known = np.isfinite(bounds)
-    far = [float(np.percentile(bounds[known], 5)) + BOUND_SLACK] if known.sum() >= FEWEST_BOUNDS else []
+    known = at_ground[np.isfinite(at_ground)]
+    far = [float(np.percentile(known, BOUND_PERCENTILE)) + BOUND_SLACK] if len(known) >= FEWEST_BOUNDS else []
+    distance = combine(float(np.median((log_cards - course)[seen])), cues, far)
+    moved = replace(points, log_depth=points.log_depth + distance.log_scale)
+    expected = DEEPEST * motion.size if motion is not None else 0.0
     return Mover(
-        number, course, middles, combine(guess, cues, far), cues, laws, bounds, motion, points, why,
+        number, course + distance.log_scale, middles, distance.sigma, motion is not None, cues, moved, expected
     )  # fmt: skip
+
+
+def middle_depths(
+    points: ReliefPoints, middles: np.ndarray, cameras: Sequence[Camera], normal: np.ndarray
+) -> np.ndarray:
+    """[T] logarithm of the depth of a mover's middle, that of an upright card through its points; NaN where fewer than three are."""
+    result = np.full(len(cameras), np.nan)
+    for t in range(len(cameras)):
+        here = points.frame_of == t
+        if here.sum() >= 3 and np.isfinite(middles[t]).all():
+            card = np.log(upright_ratio(cameras[t], normal, middles[t], points.pixels[here]))
+            result[t] = np.median(points.log_depth[here] - card)
+    return result

@@ -39,6 +39,11 @@ class ReliefPoints:
     log_depth: np.ndarray
     sigma: np.ndarray
 
+    @staticmethod
+    def none() -> ReliefPoints:
+        """No point."""
+        return ReliefPoints(np.zeros(0, int), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+
 
 def place_points(motion: RigidMotion, observations: Observations, K: np.ndarray) -> ReliefPoints:
     """All points of a mover, also those that its motion was not found from, with its poses held."""

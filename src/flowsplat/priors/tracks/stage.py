@@ -44,17 +44,30 @@ def tracks_stage(scene: Scene) -> None:
     visible = np.isfinite(values[..., 0])
     values = np.nan_to_num(values)
     moving = values[..., 3].sum(1) > 0.5 * visible.sum(1)
-    kept, shortest = visible.any(1), min(SHORTEST, len(scene.train_frames))
-    points, confidence = complete_resting(scene, values[kept, :, :2], values[kept, :, 2], visible[kept].argmax(1))
-    lasting = (confidence > 0).sum(1) >= shortest
-    tracks = Tracks(points[lasting], confidence[lasting] > 0, confidence[lasting], moving[kept][lasting])
+    kept = visible.any(1)
+    # Short ones go later: a point that rests gets longer once its depth is known.
+    _finish(scene, Tracks(values[kept, :, :2], visible[kept], values[kept, :, 2], moving[kept]), incomplete=True)
+
+
+def complete_tracks(scene: Scene) -> None:
+    """Give points of the background the paths of resting points, as far as depth tells, and drop what was hardly seen.
+
+    The last step of the tracks: depth needs masks, and movers need tracks.
+    """
+    tracks = scene.tracks
+    points, confidence = complete_resting(scene, tracks.points, tracks.confidence, tracks.visible.argmax(1))
+    lasting = (confidence > 0).sum(1) >= min(SHORTEST, len(scene.train_frames))
+    _finish(scene, Tracks(points[lasting], confidence[lasting] > 0, confidence[lasting], tracks.moving[lasting]))
+
+
+def _finish(scene: Scene, tracks: Tracks, **how: bool) -> None:
     scene.write_tracks(tracks)
     count, movers = len(tracks.points), int(tracks.moving.sum())
     length = int(np.median(tracks.visible.sum(1))) if count else 0
     verdict = f"{count} points, followed over {length} frames (median)" if count else "nothing could be followed"
     if movers:
         verdict += f", {movers} of them on moving objects"
-    scene.finish_prior("tracks", method="patches", verdict=verdict, tracks=count, moving=movers, median_length=length)
+    scene.finish_prior("tracks", method="patches", verdict=verdict, tracks=count, moving=movers, median_length=length, **how)
 
 
 def follow_queries(scene: Scene, frames: np.ndarray, points: np.ndarray) -> Tracks:

@@ -14,13 +14,13 @@ import cv2
 import numpy as np
 from scipy.ndimage import gaussian_filter1d, percentile_filter
 
+from flowsplat.common.progress import track
+from flowsplat.priors.background.matched_clip import MatchedClip
+from flowsplat.priors.background.static_depth import StaticDepth
 from flowsplat.scenes.layers import TRUSTED
 
 NEAR_END = 92.0
 """Percentile of the plate's inverse depth at which a mover stands: not the nearest pixel, which a leak of the mask may hold."""
-
-MARGIN = 1.03
-"""How much nearer than all that is known to be behind it a mover is kept everywhere."""
 
 WINDOW, NEAR_TIMES = 121, 88
 """Training frames whose cards are compared, and the percentile of their inverse depth, at one size, that is taken."""
@@ -96,3 +96,32 @@ def _smooth_piece(cards: np.ndarray, growths: np.ndarray) -> np.ndarray:
     at_one_size = np.interp(np.arange(len(cards)), np.flatnonzero(seen), np.log(cards[seen]) - nearness[seen])
     near = percentile_filter(at_one_size, NEAR_TIMES, size=WINDOW, mode="nearest")
     return np.where(seen, np.exp(gaussian_filter1d(near, SMOOTHING, mode="nearest") + nearness), np.nan)
+
+
+def cards_of(clip: MatchedClip, background: StaticDepth) -> dict[int, np.ndarray]:
+    """Smoothed inverse depth [T] of every object over the training frames."""
+    cards: dict[int, np.ndarray] = {}
+    growths: dict[int, np.ndarray] = {}
+    ahead: dict[int, float] = {}
+    for k in track(range(len(clip)), "Depth of movers"):
+        mask = clip.mask(k)
+        if not mask.any():
+            ahead = {}
+            continue
+        front, back, before = background.foremost(k), _growths(clip, k, k - 1, mask), ahead
+        ahead = _growths(clip, k, k + 1, mask)
+        for number in map(int, np.unique(mask[mask > 0])):
+            cards.setdefault(number, np.full(len(clip), np.nan))[k] = card(mask == number, front)
+            both = growths.setdefault(number, np.zeros(len(clip)))
+            if number in before and number in back:
+                both[k] = (before[number] - back[number]) / 2
+    pieces = np.asarray(clip.continuity.pieces)
+    return {number: smooth_cards(values, growths[number], pieces) for number, values in cards.items()}
+
+
+def _growths(clip: MatchedClip, k: int, j: int, mask: np.ndarray) -> dict[int, float]:
+    """Logarithm of how much larger the objects of training frame ``k`` are in its neighbour ``j``."""
+    if not 0 <= j < len(clip) or not clip.continuity.joined(k, j):
+        return {}
+    flow, confidence = clip.step_flow(k, j)
+    return {int(number): growth(mask == number, flow, confidence) for number in np.unique(mask[mask > 0])}

@@ -1,0 +1,91 @@
+"""The object stage: how each mover moves, and how far away it is (METHOD 9)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from flowsplat.common.progress import track
+from flowsplat.priors.background.ground import Ground, find_ground, static_points, up_direction
+from flowsplat.priors.background.matched_clip import MatchedClip
+from flowsplat.priors.background.static_depth import Background, StaticDepth, static_depth
+from flowsplat.priors.flow import FlowEstimator, dis_estimator
+from flowsplat.priors.objects.card import cards_of
+from flowsplat.priors.objects.contact import Bound, ground_bound, middle_of
+from flowsplat.priors.objects.movers import solve_mover, tracks_of_movers
+from flowsplat.priors.objects.storage import SceneMovers, save_movers
+from flowsplat.scenes import Scene
+
+SMALLEST = 20
+"""Pixels of a mover from which a frame tells of it."""
+GROUND_FRAMES = 16
+"""Frames of a piece that the ground is found in."""
+
+
+def objects_stage(scene: Scene, estimate: FlowEstimator = dis_estimator) -> None:
+    """Course, relief and distance of every numbered mover. Needs cameras, flow, masks and tracks.
+
+    Args:
+        estimate: finds the flow between frames that are no neighbours.
+    """
+    clip = MatchedClip(scene, estimate)
+    found = find_movers(clip, static_depth(clip, has_masks=True))
+    save_movers(scene, found)
+    rigid = sum(mover.rigid for mover in found.movers)
+    tied = sum(bool(mover.cues) for mover in found.movers)
+    count = len(found.movers)
+    verdict = f"{count} mover{'s' if count != 1 else ''}, {rigid} of them rigid, {tied} tied to the still scene"
+    scene.finish_prior("objects", method="motion", verdict=verdict, movers=count, rigid=rigid, tied=tied)
+
+
+def find_movers(clip: MatchedClip, background: StaticDepth) -> SceneMovers:
+    """The movers of a clip."""
+    scene = clip.scene
+    frames = scene.train_frames
+    cameras = [scene.cameras[i] for i in frames]
+    pieces = np.asarray(clip.continuity.pieces)
+    grounds = {int(piece): _ground(clip, background, np.flatnonzero(pieces == piece)) for piece in np.unique(pieces)}
+    any_ground = next((ground for ground in grounds.values() if ground is not None), None)
+    normal = any_ground.normal if any_ground is not None else up_direction(cameras)
+    cards = cards_of(clip, background)
+    middles = {number: np.full((len(frames), 2), np.nan) for number in cards}
+    bounds: dict[int, list[Bound | None]] = {number: [None] * len(frames) for number in cards}
+    for k, i in enumerate(track(frames, "Contact with the ground")):
+        mask, ground = scene.mask(i), grounds[int(pieces[k])]
+        static = 1 / np.maximum(background.behind(k), 1e-9)
+        for number in cards:
+            inside = mask == number
+            if inside.sum() < SMALLEST:
+                continue
+            middles[number][k] = middle_of(inside)
+            if ground is not None:
+                bounds[number][k] = ground_bound(inside, cameras[k], ground, static)
+    tracks = scene.tracks
+    on_movers = tracks_of_movers(tracks.points, tracks.visible, scene.mask, frames)
+    movers = []
+    for number, values in track(list(cards.items()), "Motion of movers"):
+        seen = np.isfinite(values) & np.isfinite(middles[number]).all(1)
+        if not seen.any():
+            continue
+        chosen, inside = on_movers.get(number, (np.zeros(0, int), np.zeros((0, len(frames)), bool)))
+        log_cards = np.where(seen, -np.log(np.where(seen, values, 1)), np.nan)
+        home = int(np.bincount(pieces[seen]).argmax())
+        movers.append(
+            solve_mover(
+                number, tracks.points[chosen][:, frames], inside, middles[number], bounds[number], cameras, grounds[home], log_cards, normal
+            )
+        )
+    return SceneMovers(movers, normal, any_ground is not None)
+
+
+def _ground(clip: MatchedClip, background: StaticDepth, frames: np.ndarray) -> Ground | None:
+    """The ground of one piece of the clip, given by positions of its frames."""
+    if not isinstance(background, Background):
+        return None
+    chosen = frames[np.unique(np.linspace(0, len(frames) - 1, min(GROUND_FRAMES, len(frames))).round().astype(int))]
+    depths, sure = [], []
+    for k in chosen:
+        inverse, weight, _ = background.sure(int(k))
+        depths.append(1 / np.maximum(inverse, 1e-9))
+        sure.append(weight > 0)
+    points, found = static_points(depths, sure, [clip.cameras[int(k)] for k in chosen])
+    return find_ground(points, found, [clip.cameras[int(k)] for k in frames]) if len(points) else None

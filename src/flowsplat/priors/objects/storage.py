@@ -1,0 +1,108 @@
+"""The movers of a scene as files: ``objects.json`` for people, ``objects.npz`` for the numbers.
+
+| file | content |
+| --- | --- |
+| ``objects.json`` | ``normal`` [3] up, ``ground`` whether there is one; of each mover ``number``, ``sigma``, ``rigid``, ``expected``, ``cues`` |
+| ``objects.npz`` | ``log_depth`` [M, T], ``middles`` [M, T, 2]; of all points ``mover``, ``frame``, ``pixels``, ``point_log_depth``, ``point_sigma`` |
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from flowsplat.common.errors import InputError
+from flowsplat.common.files import read_json, read_npz, write_json, write_npz
+from flowsplat.geometry import Camera
+from flowsplat.priors.objects.distance import Cue
+from flowsplat.priors.objects.movers import Mover
+from flowsplat.priors.objects.relief import ReliefPoints
+from flowsplat.scenes import Scene
+
+
+@dataclass(frozen=True)
+class SceneMovers:
+    """Everything that is known about the movers of a scene.
+
+    Attributes:
+        movers: those with a distance.
+        normal: [3] unit vector, up.
+        has_ground: whether a ground was found.
+    """
+
+    movers: Sequence[Mover]
+    normal: np.ndarray
+    has_ground: bool = False
+
+    def depth(self, k: int, mask: np.ndarray, picture: np.ndarray, camera: Camera) -> np.ndarray:
+        """Planar depth [H, W] float32 of the pixels of movers in training frame k; 0 where none is known.
+
+        Args:
+            mask: [H, W] uint8, object numbers.
+            picture: RGB [H, W, 3] uint8.
+        """
+        result = np.zeros(mask.shape, np.float32)
+        for mover in self.movers:
+            inside = mask == mover.number
+            if inside.any() and np.isfinite(mover.log_depth[k]):
+                result[inside] = mover.depth(k, inside, picture, camera, self.normal)
+        return result
+
+
+def save_movers(scene: Scene, found: SceneMovers) -> None:
+    """Write the movers into the folder of the scene."""
+    movers = found.movers
+    frames = len(scene.train_frames)
+    arrays = {
+        "log_depth": np.array([m.log_depth for m in movers], np.float32).reshape(len(movers), frames),
+        "middles": np.array([m.middles for m in movers], np.float32).reshape(len(movers), frames, 2),
+        "mover": np.repeat([m.number for m in movers], [len(m.points.frame_of) for m in movers]).astype(np.uint8),
+    }
+    every = [m.points for m in movers] or [ReliefPoints.none()]
+    arrays |= {
+        "frame": np.concatenate([p.frame_of for p in every]).astype(np.int32),
+        "pixels": np.concatenate([p.pixels for p in every]).astype(np.float32),
+        "point_log_depth": np.concatenate([p.log_depth for p in every]).astype(np.float32),
+        "point_sigma": np.concatenate([p.sigma for p in every]).astype(np.float32),
+    }
+    write_npz(scene.folder / "objects.npz", arrays)
+    described = [
+        {
+            "number": m.number, "sigma": m.sigma, "rigid": m.rigid, "expected": m.expected,
+            "cues": {name: asdict(cue) for name, cue in m.cues.items()},
+        }
+        for m in movers
+    ]  # fmt: skip
+    write_json(scene.folder / "objects.json", {"normal": found.normal.tolist(), "ground": found.has_ground, "movers": described})
+
+
+def load_movers(scene: Scene) -> SceneMovers:
+    """What ``save_movers`` wrote; no movers where nothing was written.
+
+    Raises:
+        InputError: damaged.
+    """
+    path = scene.folder / "objects.json"
+    if not path.exists():
+        return SceneMovers([], np.array([0.0, -1.0, 0.0]))
+    value, arrays = read_json(path), read_npz(scene.folder / "objects.npz")
+    try:
+        movers = []
+        for index, described in enumerate(value["movers"]):
+            mine = arrays["mover"] == described["number"]
+            points = ReliefPoints(
+                arrays["frame"][mine].astype(int), arrays["pixels"][mine].astype(float),
+                arrays["point_log_depth"][mine].astype(float), arrays["point_sigma"][mine].astype(float),
+            )  # fmt: skip
+            cues = {name: Cue(**cue) for name, cue in described["cues"].items()}
+            movers.append(
+                Mover(
+                    int(described["number"]), arrays["log_depth"][index].astype(float), arrays["middles"][index].astype(float),
+                    float(described["sigma"]), bool(described["rigid"]), cues, points, float(described["expected"]),
+                )  # fmt: skip
+            )
+        return SceneMovers(movers, np.array(value["normal"], float), bool(value["ground"]))
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise InputError(f"{path} does not hold movers: {error}.") from error
