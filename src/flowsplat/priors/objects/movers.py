@@ -23,11 +23,17 @@ SPLIT_HALF = 0.04
 """Standard deviation over time between ln z of two solutions from halves of the tracks, above which none is believed."""
 INLIERS = 0.85
 HALF_PER_FRAME = 25
-FLOOR = {"pivot": 0.02, "height": 0.03, "smooth": 0.03, "contact": 0.025}
-WRONG = {"pivot": 0.05, "height": 0.05, "smooth": 0.1, "contact": 0.07}
+FLOOR = {"pivot": 0.02, "height": 0.03, "smooth": 0.03, "contact": 0.025, "bounce": 0.03}
+WRONG = {"pivot": 0.05, "height": 0.05, "smooth": 0.1, "contact": 0.07, "bounce": 0.1}
 FLAT = 0.07
 """Range of the bounds, from the 10th to the 60th percentile over time, up to which a mover stands on the ground."""
 FEWEST_BOUNDS = 8
+BOUNCE_SPAN = 2
+"""Frames to either side over which the second difference of the bounds is taken."""
+BOUNCE, BOUNCE_NOISE = 0.1, 4.0
+"""Second difference of the bounds from which a minimum may be a bounce, and how many times their usual spread that must be."""
+BOUNCE_WIDTH, BOUNCE_ELSEWHERE = 4, 0.25
+"""So many frames from a bounce the second difference is at most this share of that at it: a smooth minimum is wider."""
 BOUND_PERCENTILE, BOUND_SLACK = 5, 0.03
 """Over time, of where a mover would touch the ground: it is not farther than this in any frame, but for errors of its outline."""
 
@@ -158,6 +164,38 @@ def contact_cue(bounds: np.ndarray, visible: np.ndarray) -> Cue | None:
     return Cue(float(middle), float(np.hypot(FLOOR["contact"], 0.5 * (high - low))), WRONG["contact"])
 
 
+def bounce_cue(bounds: np.ndarray) -> Cue | None:
+    """That a mover touched the ground for moments: its bounds [T] have sharp minima, where it bounced.
+
+    Between bounces what is thrown falls towards the ground ever faster, so the bounds are concave there. What swings or flies
+    past has a smooth minimum.
+    """
+    n, levels = BOUNCE_SPAN, []
+    curved = np.full(len(bounds), np.nan)
+    curved[n:-n] = bounds[2 * n :] - 2 * bounds[n:-n] + bounds[: -2 * n]
+    known = curved[np.isfinite(curved)]
+    if len(known) < FEWEST_BOUNDS:
+        return None
+    least = max(BOUNCE, BOUNCE_NOISE * 1.5 * float(np.median(np.abs(known - np.median(known)))))
+    for k in range(2 * n, len(bounds) - 2 * n):
+        around = curved[max(k - BOUNCE_WIDTH, 0) : k + BOUNCE_WIDTH + 1]
+        if not (np.isfinite(curved[k - n : k + n + 1]).all() and curved[k] >= least and curved[k] >= np.nanmax(around)):
+            continue
+        beyond = np.array([curved[j] for j in (k - BOUNCE_WIDTH, k + BOUNCE_WIDTH) if 0 <= j < len(curved)])
+        if np.isfinite(beyond).any() and np.nanmax(beyond) <= BOUNCE_ELSEWHERE * curved[k]:
+            # It touched between two frames: where the lines through both flanks meet.
+            left, right = bounds[k - 1] - bounds[k - 2], bounds[k + 2] - bounds[k + 1]
+            if left < 0 < right:
+                meet = np.clip((bounds[k + 1] - right - bounds[k - 1] - left) / (left - right), -1, 1)
+                level = min(bounds[k - 1] + left * (meet + 1), float(bounds[k - 1 : k + 2].min()))
+                levels.append(max(level, float(bounds[k - 1 : k + 2].min()) - 0.05))
+    if not levels:
+        return None
+    middle, spread = float(np.median(levels)), float(np.ptp(levels))
+    few = len(levels) == 1
+    return Cue(middle, float(np.hypot(0.05 if few else FLOOR["bounce"], 0.5 * spread)), 0.2 if few else WRONG["bounce"])
+
+
 def solve_mover(
     number: int, positions: np.ndarray, inside: np.ndarray, middles: np.ndarray, bounds: Sequence[Bound | None],
     cameras: Sequence[Camera], ground: Ground | None, log_cards: np.ndarray, normal: np.ndarray,
@@ -184,11 +222,17 @@ def solve_mover(
         course = np.where(seen, np.interp(np.arange(T), np.flatnonzero(np.isfinite(found)), found[np.isfinite(found)]), np.nan)
         cues = accepted_laws(WorldPath.of(motion, cameras), ground.normal if ground else None)[0]
     at_ground = np.array([np.nan if bound is None else bound.log_depth for bound in bounds]) - course
-    stands = contact_cue(at_ground, np.array([bound is not None and bound.visible for bound in bounds]))
+    visible = np.array([bound is not None and bound.visible for bound in bounds])
+    stands = contact_cue(at_ground, visible)
+    bounces = bounce_cue(np.where(visible, at_ground, np.nan)) if stands is None else None
+    known, far = at_ground[np.isfinite(at_ground)], []
+    # Where it touches is what bounds it; else no frame may put it below the ground.
     if stands is not None:
         cues = {**cues, "contact": stands}
-    known = at_ground[np.isfinite(at_ground)]
-    far = [float(np.percentile(known, BOUND_PERCENTILE)) + BOUND_SLACK] if len(known) >= FEWEST_BOUNDS else []
+    elif bounces is not None:
+        cues = {**cues, "bounce": bounces}
+    elif len(known) >= FEWEST_BOUNDS:
+        far = [float(np.percentile(known, BOUND_PERCENTILE)) + BOUND_SLACK]
     distance = combine(float(np.median((log_cards - course)[seen])), cues, far)
     moved = replace(points, log_depth=points.log_depth + distance.log_scale)
     expected = DEEPEST * motion.size if motion is not None else 0.0
