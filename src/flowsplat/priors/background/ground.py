@@ -20,7 +20,9 @@ TILT = 35.0
 """Degrees between the ground's normal and the mean upward direction of the cameras."""
 TOLERANCE = 0.012
 """Share of a point's depth that it may lie off a plane."""
-BELOW = 2.0
+SHARPNESS = 0.3
+"""Tolerances off a plane at which a point counts half."""
+BELOW = 1.0
 """How much a point that lies below a plane speaks against it, where one on it speaks for it: nothing is below the ground."""
 FEWEST_SHARE = 0.04
 """Share of all static points from which a plane is one."""
@@ -93,7 +95,7 @@ class Ground:
         return points @ self.normal - self.levels[0].offset
 
     def depth(self, camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Planar depth [N] at which the rays through pixels [N, 2] meet the ground (inf: nowhere), and whether it was seen there."""
+        """Planar depth [N] at which the rays through pixels [N, 2] meet the ground (inf: nowhere), and where it was seen."""
         rays = camera.unproject(pixels, np.ones(len(pixels))) - camera.center
         depth, known = self.levels[0].along(camera.center, rays)
         for level in self.levels[1:]:
@@ -166,16 +168,18 @@ def _plane(
     if len(normals) == 0:
         return None
     off = (points @ normals.T - offsets) / (TOLERANCE * depths[:, None])
-    on = (np.abs(off) < 1).sum(0)
+    # Points right on a plane count most: one that passes between two levels has many near it, but few on it.
+    on = ((np.abs(off) < 1) / (1 + (off / SHARPNESS) ** 2)).sum(0)
     if first:
         on = on - BELOW * (off < -3).sum(0)
     best = int(np.argmax(on))
     normal, offset = normals[best], float(offsets[best])
     for _ in range(_REFITS):
-        near = np.abs(points @ normal - offset) < 1.5 * TOLERANCE * depths
+        near = np.abs(points @ normal - offset) < TOLERANCE * depths
         if near.sum() < 10:
             return None
-        weights = 1 / depths[near] ** 2
+        off_plane = (points[near] @ normal - offset) / (TOLERANCE * depths[near])
+        weights = 1 / (depths[near] ** 2 * (1 + (off_plane / SHARPNESS) ** 2))
         middle = np.average(points[near], axis=0, weights=weights)
         spread = ((points[near] - middle) * weights[:, None]).T @ (points[near] - middle)
         fitted = np.linalg.eigh(spread)[1][:, 0]

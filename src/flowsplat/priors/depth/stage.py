@@ -16,8 +16,9 @@ from flowsplat.scenes import Depth, Scene
 NEAREST_DEPTH, FURTHEST_DEPTH = 0.05, 30.0
 """Multiples of the median depth between which all depths lie."""
 
-MARGIN = 1.03
-"""How much nearer than all that is known to be behind it a mover is whose distance nothing tells."""
+MARGIN, KNOWN_MARGIN = 1.03, 1.01
+"""How much nearer than all that is known to be behind it a mover is at least: where nothing tells its distance, and where
+something does. A foot is as far away as the ground that it stands on."""
 MOVER_CONFIDENCE = 0.6
 MOSTLY = 0.6
 """Share of trusted pixels from which depth is called known."""
@@ -75,7 +76,7 @@ def _frame_depth(clip: MatchedClip, background: StaticDepth, movers: SceneMovers
         known = movers.depth(k, mask, frame, scene.cameras[scene.train_frames[k]])
         nearness = np.where(known > 0, 1 / np.maximum(known, 1e-9), 0)
         # Nothing lies behind what it hides; an object without a distance stays just in front of that.
-        static = np.where(moving, np.maximum(nearness, np.where(known > 0, 1, MARGIN) * front), static)
+        static = np.where(moving, np.maximum(nearness, np.where(known > 0, KNOWN_MARGIN, MARGIN) * front), static)
     else:
         static = upsample(inverse, frame, *size)
     limits = background.median / FURTHEST_DEPTH, background.median / NEAREST_DEPTH

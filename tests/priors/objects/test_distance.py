@@ -1,0 +1,195 @@
+"""What ties a mover to the still world: laws of motion, contact, bounces, and how they are put together."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from flowsplat.geometry import Camera
+from flowsplat.geometry.cameras import rigid
+from flowsplat.priors.background.ground import Ground, find_ground
+from flowsplat.priors.objects.contact import ground_bound, middle_of, upright_ratio
+from flowsplat.priors.objects.distance import Cue, combine
+from flowsplat.priors.objects.movers import accepted_laws, bounce_cue, contact_cue
+from flowsplat.priors.objects.path import WorldPath, constant_height, pivot
+from flowsplat.priors.objects.rigid import Observations, solve_rigid
+from tests.priors.objects.test_rigid import body, turn
+
+K = np.array([[300.0, 0, 160], [0, 300.0, 90], [0, 0, 1]])
+UP = np.array([0.0, 0, 1])
+
+
+def look(center: np.ndarray, at: np.ndarray, roll: float = 0.0) -> Camera:
+    """A camera at ``center`` that looks ``at`` a point; world z is up."""
+    forward = (at - center) / np.linalg.norm(at - center)
+    right = np.cross(forward, UP)
+    right /= np.linalg.norm(right)
+    R = turn(roll, axis=2) @ np.stack([right, np.cross(forward, right), forward])
+    return Camera(rigid(R, -R @ center), K, 320, 180)
+
+
+def flat_ground(height: float = 0.0, step: float | None = None) -> Ground | None:
+    """The ground of points on the plane z = height; with ``step`` everything at y > 6 lies that much higher."""
+    rng = np.random.default_rng(0)
+    points = np.concatenate([rng.uniform([-5, 2, 0], [5, 12, 0], (3000, 3)), rng.uniform([-5, 12, 0], [5, 12.01, 4], (500, 3))])
+    points[:3000, 2] = height + (0 if step is None else step * (points[:3000, 1] > 6))
+    cameras = [look(np.array([0, 0, 1.6]), np.array([0, 6.0, 1.0]))]
+    depths = cameras[0].project(points)[1]
+    return find_ground(points + rng.normal(0, 0.003, points.shape), depths, cameras)
+
+
+def picture_of(camera: Camera, low: np.ndarray, width: float, height: float) -> np.ndarray:
+    """bool [180, 320]: an upright card with the middle of its lower edge at ``low``, that faces the camera."""
+    away = low - camera.center
+    side = np.cross(away, UP)
+    side /= np.linalg.norm(side)
+    facing = np.array([away[0], away[1], 0]) / np.linalg.norm(away[:2])
+    y, x = np.mgrid[:180, :320]
+    rays = camera.unproject(np.stack([x, y], -1) + 0.5, np.ones((180, 320))) - camera.center
+    t = (away @ facing) / (rays @ facing)
+    hit = camera.center + t[..., None] * rays - low
+    return (t > 0) & (np.abs(hit @ side) < width / 2) & (hit[..., 2] > 0) & (hit[..., 2] < height)
+
+
+def test_the_ground_and_its_levels():
+    ground = flat_ground(step=0.5)
+    assert ground is not None
+    assert ground.normal @ UP > 0.999
+    camera = look(np.array([0, 0, 1.6]), np.array([0, 6.0, 0.6]))
+    for y, z in ((4.0, 0.0), (9.0, 0.5)):
+        pixel, depth = camera.project(np.array([[0.3, y, z]]))
+        found, known = ground.depth(camera, pixel)
+        assert known.all()
+        assert found == pytest.approx(depth, rel=0.01)
+    sky = ground.depth(camera, np.array([[160.0, 5.0]]))[0]
+    assert np.isinf(sky).all()
+
+
+def test_no_ground_where_none_is_in_sight():
+    rng = np.random.default_rng(0)
+    wall = rng.uniform([-4, 8, 0], [4, 8.01, 4], (2000, 3))
+    camera = look(np.array([0, 0, 1.6]), np.array([0, 8.0, 1.6]))
+    assert find_ground(wall, camera.project(wall)[1], [camera]) is None
+    assert find_ground(wall[:5], camera.project(wall[:5])[1], [camera]) is None
+
+
+@pytest.mark.parametrize("roll", [0.0, 0.1])
+@pytest.mark.parametrize("height", [1.6, 4.0])
+def test_what_stands_is_where_its_feet_are(roll, height):
+    ground = flat_ground()
+    assert ground is not None
+    camera = look(np.array([0, 0, height]), np.array([0, 6.0, 0.8]), roll)
+    mask = picture_of(camera, np.array([0.4, 6.0, 0.0]), 0.5, 1.7)
+    static = np.full((90, 160), 12.0)
+    bound = ground_bound(mask, camera, ground, static)
+    assert bound is not None
+    assert bound.visible
+    middle = middle_of(mask)
+    ray = camera.unproject(middle[None], np.ones(1))[0] - camera.center
+    true = np.log(6.0 / ray[1])  # planar depth at which the ray through the middle meets the card's plane
+    assert bound.log_depth == pytest.approx(true, abs=0.02)
+
+
+def test_what_floats_is_bounded_from_afar_and_hidden_feet_are_noticed():
+    ground = flat_ground()
+    assert ground is not None
+    camera = look(np.array([0, 0, 1.6]), np.array([0, 6.0, 0.8]))
+    standing = ground_bound(picture_of(camera, np.array([0, 6.0, 0.0]), 0.5, 1.0), camera, ground, np.full((90, 160), 12.0))
+    floating = ground_bound(picture_of(camera, np.array([0, 6.0, 0.5]), 0.5, 1.0), camera, ground, np.full((90, 160), 12.0))
+    hidden = ground_bound(picture_of(camera, np.array([0, 6.0, 0.2]), 0.5, 1.0), camera, ground, np.full((90, 160), 3.0))
+    assert standing is not None
+    assert floating is not None
+    assert hidden is not None
+    assert floating.log_depth > standing.log_depth + 0.2
+    assert not hidden.visible
+    assert ground_bound(np.zeros((180, 320), bool), camera, ground, np.full((90, 160), 3.0)) is None
+
+
+def test_an_upright_card_is_not_flat_in_planar_depth():
+    camera = look(np.array([0, 0, 4.0]), np.array([0, 5.0, 0.5]))
+    points = np.array([[0.0, 5, 1.5], [0.0, 5, 0.8], [0.0, 5, 0.0]])
+    pixels, depth = camera.project(points)
+    assert upright_ratio(camera, UP, pixels[1], pixels) == pytest.approx(depth / depth[1], rel=1e-6)
+    assert depth[2] > 1.1 * depth[0]
+    down = look(np.array([0, 4.999, 6.0]), np.array([0, 5.0, 0.0]))
+    assert upright_ratio(down, UP, np.array([160.0, 90.0]), pixels) == pytest.approx(1.0)
+
+
+def moving_scene(law: str, seed: int = 0, noise: float = 0.15) -> tuple[WorldPath, float]:
+    """The path of a body, from its pixels, and its true ln s."""
+    rng = np.random.default_rng(seed)
+    frames, points = 40, body(60, seed)
+    cameras, pixels, depths = [], np.zeros((60, frames, 2), np.float32), []
+    for t in range(frames):
+        u = t / frames
+        center = np.array([1.2 * np.sin(2.5 * u), 0.3 * np.cos(3 * u), 1.6 + 0.25 * np.sin(9 * u)])
+        cameras.append(look(center, np.array([0, 6.0, 1.2])))
+        if law == "pendulum":
+            angle = 0.6 * np.sin(7 * u)
+            R = turn(angle, axis=1)
+            place = np.array([0, 6.0, 3.5]) + R @ np.array([0, 0, -2.0])
+        else:
+            R, place = turn(3 * u, axis=2), np.array([-1 + 2 * u, 6.0 + 0.4 * np.sin(5 * u), 0.6])
+        world = points @ R.T + place
+        uv, _ = cameras[t].project(world)
+        pixels[:, t] = uv + rng.normal(0, noise, uv.shape)
+        depths.append(cameras[t].project(place)[1])
+    motion = solve_rigid(Observations.of_tracks(pixels, np.ones((60, frames), bool), K))
+    assert motion is not None
+    return WorldPath.of(motion, cameras), float(np.median(np.log(depths) - motion.log_depths()))
+
+
+def test_what_swings_about_a_fixed_point():
+    path, true = moving_scene("pendulum")
+    law = pivot(path)
+    assert law.usable
+    assert -np.log(law.nearness) == pytest.approx(true, abs=0.05)
+    cues, _ = accepted_laws(path, UP)
+    assert len(cues) == 1
+    assert next(iter(cues.values())).log_scale == pytest.approx(true, abs=0.06)
+
+
+def test_what_keeps_its_height():
+    path, true = moving_scene("rolling")
+    law = constant_height(path, UP)
+    assert law.usable
+    assert law.measures["explained"] > 0.3
+    assert -np.log(law.nearness) == pytest.approx(true, abs=0.05)
+
+
+def test_standing_and_flying():
+    frames, rng = np.arange(48), np.random.default_rng(0)
+    visible = np.ones(48, bool)
+    stands = contact_cue(0.3 + rng.normal(0, 0.015, 48), visible)
+    assert stands is not None
+    assert stands.log_scale == pytest.approx(0.3, abs=0.02)
+    assert contact_cue(0.6 + 0.3 * np.cos(frames / 6), visible) is None
+    assert contact_cue(np.full(48, 0.3), np.zeros(48, bool)) is None
+
+
+def test_bounces_have_sharp_minima():
+    t, rng = np.arange(48), np.random.default_rng(0)
+    height = np.abs(np.sin(np.pi * (t + 0.3) / 16))
+    bounces = bounce_cue(-0.4 + 0.5 * height + rng.normal(0, 0.01, 48))
+    assert bounces is not None
+    assert bounces.log_scale == pytest.approx(-0.4, abs=0.05)
+    assert bounce_cue(0.5 + 0.4 * np.cos(t / 6)) is None
+    assert bounce_cue(0.5 + rng.normal(0, 0.02, 48)) is None
+    assert bounce_cue(np.full(48, np.nan)) is None
+    assert bounce_cue(np.zeros(3)) is None
+
+
+def test_cues_are_combined_by_their_sureness():
+    alone = combine(0.0, {}, [])
+    assert alone.log_scale == pytest.approx(0, abs=0.01)
+    assert alone.sigma > 0.2
+    told = combine(0.0, {"contact": Cue(0.4, 0.03, 0.07)}, [])
+    assert told.log_scale == pytest.approx(0.4, abs=0.03)
+    assert told.sigma < alone.sigma
+    both = combine(0.0, {"contact": Cue(0.4, 0.03, 0.07), "pivot": Cue(0.44, 0.03, 0.05)}, [])
+    assert both.log_scale == pytest.approx(0.42, abs=0.02)
+    assert both.sigma < told.sigma
+    bounded = combine(0.3, {}, [0.0])
+    assert bounded.log_scale < 0.05
+    torn = combine(0.0, {"contact": Cue(0.4, 0.03, 0.07), "pivot": Cue(-0.4, 0.03, 0.05)}, [])
+    assert torn.sigma > 0.2

@@ -1,0 +1,107 @@
+"""Structure from motion in a mover's own frame."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from flowsplat.priors.objects.movers import rigid_motion
+from flowsplat.priors.objects.relief import place_points
+from flowsplat.priors.objects.rigid import Observations, longest, solve_rigid, widest_turn
+
+K = np.array([[300.0, 0, 160], [0, 300.0, 90], [0, 0, 1]])
+FRAMES = 24
+
+
+def turn(angle: float, axis: int = 1) -> np.ndarray:
+    c, s = np.cos(angle), np.sin(angle)
+    matrix = np.eye(3)
+    i, j = [k for k in range(3) if k != axis]
+    matrix[i, i], matrix[i, j], matrix[j, i], matrix[j, j] = c, -s, s, c
+    return matrix
+
+
+def body(count: int = 80, seed: int = 0) -> np.ndarray:
+    """Points on the front half of an ellipsoid."""
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(count, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    return points * [0.5, 0.4, 0.3]
+
+
+def seen_body(points: np.ndarray, degrees: float, noise: float, seed: int = 1) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pixels [N, T, 2], where they count [N, T], and the depth [T] of the middle, of a body that turns, passes and comes nearer."""
+    rng = np.random.default_rng(seed)
+    pixels = np.zeros((len(points), FRAMES, 2), np.float32)
+    depths = np.linspace(6, 4, FRAMES)
+    for t in range(FRAMES):
+        place = points @ turn(np.radians(degrees) * t / FRAMES).T + [-1 + 2 * t / FRAMES, 0.2 * np.sin(t / 4), depths[t]]
+        pixels[:, t] = place[:, :2] / place[:, 2:] * [K[0, 0], K[1, 1]] + K[:2, 2] + rng.normal(0, noise, (len(points), 2))
+    seen = np.ones((len(points), FRAMES), bool)
+    seen[::3, : FRAMES // 3] = False
+    seen[1::3, 2 * FRAMES // 3 :] = False
+    return pixels, seen, depths
+
+
+@pytest.mark.parametrize("degrees", [15, 90])
+def test_relative_depth_over_time(degrees):
+    pixels, seen, depths = seen_body(body(), degrees, 0.2)
+    motion = solve_rigid(Observations.of_tracks(pixels, seen, K))
+    assert motion is not None
+    assert motion.inliers > 0.95
+    error = motion.log_depths() - np.log(depths)
+    assert np.std(error) < 0.015
+
+
+def test_relief_and_turn_of_what_turns():
+    points = body()
+    pixels, seen, depths = seen_body(points, 90, 0.2)
+    observations = Observations.of_tracks(pixels, seen, K)
+    motion = solve_rigid(observations)
+    assert motion is not None
+    assert motion.widest_turn() == pytest.approx(90 * (FRAMES - 1) / FRAMES, abs=4)
+    found = place_points(motion, observations, K)
+    middle = np.argsort(np.abs(found.frame_of - FRAMES // 2), kind="stable")[: (found.frame_of == FRAMES // 2).sum()]
+    tracks = observations.point_of[observations.frame_of == FRAMES // 2]
+    assert len(tracks) == len(middle)
+    true = np.log((points @ turn(np.radians(90) * (FRAMES // 2) / FRAMES).T)[tracks, 2] + depths[FRAMES // 2])
+    error = found.log_depth[middle] - true
+    assert np.std(error) < 0.004
+    assert np.std(true) > 0.04
+
+
+def test_what_is_known_of_a_point_says_how_sure_it_is():
+    turned = [solve_rigid(Observations.of_tracks(*seen_body(body(), degrees, 0.2)[:2], K)) for degrees in (10, 90)]
+    sigmas = [float(np.median(place_points(each, each.observations, K).sigma)) for each in turned if each is not None]
+    assert sigmas[0] > 2 * sigmas[1]
+
+
+def test_what_bends_is_not_believed():
+    rng = np.random.default_rng(3)
+    pixels, seen, _ = seen_body(body(), 60, 0.2)
+    assert rigid_motion(pixels, seen, K) is not None
+    wobble = np.cumsum(rng.normal(0, 3, (len(pixels), FRAMES, 2)), 1)
+    assert rigid_motion((pixels + wobble).astype(np.float32), seen, K) is None
+
+
+def test_too_little_to_know():
+    pixels, seen, _ = seen_body(body(10), 60, 0.2)
+    assert rigid_motion(pixels, seen, K) is None
+    assert solve_rigid(Observations.of_tracks(pixels[:0], seen[:0], K)) is None
+    assert solve_rigid(Observations.of_tracks(pixels[:4], seen[:4], K)) is None
+
+
+def test_longest_tracks_fill_every_frame():
+    seen = np.zeros((30, 10), bool)
+    for n in range(30):
+        seen[n, n % 5 : n % 5 + 3 + n % 4] = True
+    chosen = longest(seen, 5)
+    assert (seen[chosen].sum(0)[:8] >= 5).all()
+    assert len(chosen) < 15
+    assert len(longest(seen[:0])) == 0
+
+
+def test_widest_turn():
+    turns = np.stack([turn(a) for a in (0.0, 0.3, 1.0)])
+    assert widest_turn(turns) == pytest.approx(np.degrees(1.0), abs=1e-6)
+    assert widest_turn(turns[:1]) == 0
