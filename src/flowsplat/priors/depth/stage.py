@@ -16,7 +16,7 @@ from flowsplat.scenes import Depth, Scene
 NEAREST_DEPTH, FURTHEST_DEPTH = 0.05, 30.0
 """Multiples of the median depth between which all depths lie."""
 
-MARGIN, KNOWN_MARGIN = 1.03, 1.01
+MARGIN, KNOWN_MARGIN = 1.03, 1.02
 """How much nearer than all that is known to be behind it a mover is at least: where nothing tells its distance, and where
 something does. A foot is as far away as the ground that it stands on."""
 MOVER_CONFIDENCE = 0.6
