@@ -7,7 +7,7 @@ import pytest
 
 from flowsplat.geometry import Camera
 from flowsplat.geometry.cameras import rigid
-from flowsplat.priors.background.ground import Ground, find_ground
+from flowsplat.priors.background.ground import Ground, find_ground, static_points
 from flowsplat.priors.objects.contact import ground_bound, middle_of, upright_ratio
 from flowsplat.priors.objects.distance import Cue, combine
 from flowsplat.priors.objects.movers import accepted_laws, bounce_cue, contact_cue
@@ -28,14 +28,18 @@ def look(center: np.ndarray, at: np.ndarray, roll: float = 0.0) -> Camera:
     return Camera(rigid(R, -R @ center), K, 320, 180)
 
 
-def flat_ground(height: float = 0.0, step: float | None = None) -> Ground | None:
-    """The ground of points on the plane z = height; with ``step`` everything at y > 6 lies that much higher."""
+CAMERA = look(np.array([0, 0, 1.6]), np.array([0, 6.0, 1.0]))
+
+
+def seen_ground(step: float | None = None, wall: bool = True) -> Ground | None:
+    """The ground of points on the plane z = 0 before a wall; with ``step`` everything at y > 6 lies that much higher."""
     rng = np.random.default_rng(0)
-    points = np.concatenate([rng.uniform([-5, 2, 0], [5, 12, 0], (3000, 3)), rng.uniform([-5, 12, 0], [5, 12.01, 4], (500, 3))])
-    points[:3000, 2] = height + (0 if step is None else step * (points[:3000, 1] > 6))
-    cameras = [look(np.array([0, 0, 1.6]), np.array([0, 6.0, 1.0]))]
-    depths = cameras[0].project(points)[1]
-    return find_ground(points + rng.normal(0, 0.003, points.shape), depths, cameras)
+    floor = rng.uniform([-5, 2, 0], [5, 12, 0], (20000, 3))
+    floor[:, 2] = 0 if step is None else step * (floor[:, 1] > 6)
+    back = rng.uniform([-5, 12, 0], [5, 12, 4], (4000 if wall else 0, 3))
+    points = np.concatenate([floor, back]) + rng.normal(0, 0.003, (len(floor) + len(back), 3))
+    normals = np.concatenate([np.tile(UP, (len(floor), 1)), np.tile([0.0, -1, 0], (len(back), 1))])
+    return find_ground(points, normals, CAMERA.project(points)[1], [CAMERA])
 
 
 def picture_of(camera: Camera, low: np.ndarray, width: float, height: float) -> np.ndarray:
@@ -51,32 +55,51 @@ def picture_of(camera: Camera, low: np.ndarray, width: float, height: float) -> 
     return (t > 0) & (np.abs(hit @ side) < width / 2) & (hit[..., 2] > 0) & (hit[..., 2] < height)
 
 
-def test_the_ground_and_its_levels():
-    ground = flat_ground(step=0.5)
+def test_the_ground_and_its_steps():
+    ground = seen_ground(step=0.5)
     assert ground is not None
     assert ground.normal @ UP > 0.999
     camera = look(np.array([0, 0, 1.6]), np.array([0, 6.0, 0.6]))
     for y, z in ((4.0, 0.0), (9.0, 0.5)):
         pixel, depth = camera.project(np.array([[0.3, y, z]]))
-        found, known = ground.depth(camera, pixel)
-        assert known.all()
-        assert found == pytest.approx(depth, rel=0.01)
-    sky = ground.depth(camera, np.array([[160.0, 5.0]]))[0]
-    assert np.isinf(sky).all()
+        assert ground.depth(camera, pixel) == pytest.approx(depth, rel=0.01)
+        assert ground.height(np.array([[0.3, y, z + 0.2]])) == pytest.approx(0.2, abs=0.02)
+    assert np.isinf(ground.depth(camera, np.array([[160.0, 5.0]]))).all()
+    assert len(ground.depth(camera, np.zeros((0, 2)))) == 0
+
+
+def test_ground_that_was_not_seen_is_not_known():
+    ground = seen_ground()
+    assert ground is not None
+    aside = look(np.array([0, 0, 1.6]), np.array([9.0, 4.0, 0.0]))
+    assert np.isinf(ground.depth(aside, np.array([[160.0, 90.0]]))).all()
+    assert np.isnan(ground.height(np.array([[20.0, 5.0, 0.0]]))).all()
 
 
 def test_no_ground_where_none_is_in_sight():
     rng = np.random.default_rng(0)
     wall = rng.uniform([-4, 8, 0], [4, 8.01, 4], (2000, 3))
     camera = look(np.array([0, 0, 1.6]), np.array([0, 8.0, 1.6]))
-    assert find_ground(wall, camera.project(wall)[1], [camera]) is None
-    assert find_ground(wall[:5], camera.project(wall[:5])[1], [camera]) is None
+    normals = np.tile([0.0, -1, 0], (len(wall), 1))
+    assert find_ground(wall, normals, camera.project(wall)[1], [camera]) is None
+    assert find_ground(wall[:0], normals[:0], np.zeros(0), [camera]) is None
+
+
+def test_points_and_normals_of_depth():
+    camera = look(np.array([0, 0, 1.6]), np.array([0, 6.0, 0.0]))
+    y, x = np.mgrid[:180, :320]
+    rays = camera.unproject(np.stack([x, y], -1) + 0.5, np.ones((180, 320))) - camera.center
+    depth = np.where(rays[..., 2] < -0.05, 1.6 / np.maximum(-rays[..., 2], 1e-9), 30.0)
+    points, normals, found = static_points([depth], [rays[..., 2] < -0.05], [camera])
+    assert np.abs(points[:, 2]).max() < 1e-6
+    assert (normals @ UP > 0.99).all()
+    np.testing.assert_allclose(camera.project(points)[1], found)
 
 
 @pytest.mark.parametrize("roll", [0.0, 0.1])
 @pytest.mark.parametrize("height", [1.6, 4.0])
 def test_what_stands_is_where_its_feet_are(roll, height):
-    ground = flat_ground()
+    ground = seen_ground()
     assert ground is not None
     camera = look(np.array([0, 0, height]), np.array([0, 6.0, 0.8]), roll)
     mask = picture_of(camera, np.array([0.4, 6.0, 0.0]), 0.5, 1.7)
@@ -91,7 +114,7 @@ def test_what_stands_is_where_its_feet_are(roll, height):
 
 
 def test_what_floats_is_bounded_from_afar_and_hidden_feet_are_noticed():
-    ground = flat_ground()
+    ground = seen_ground()
     assert ground is not None
     camera = look(np.array([0, 0, 1.6]), np.array([0, 6.0, 0.8]))
     standing = ground_bound(picture_of(camera, np.array([0, 6.0, 0.0]), 0.5, 1.0), camera, ground, np.full((90, 160), 12.0))
@@ -160,11 +183,12 @@ def test_what_keeps_its_height():
 def test_standing_and_flying():
     frames, rng = np.arange(48), np.random.default_rng(0)
     visible = np.ones(48, bool)
-    stands = contact_cue(0.3 + rng.normal(0, 0.015, 48), visible)
+    stands = contact_cue(0.3 + rng.normal(0, 0.015, 48), visible, 48)
     assert stands is not None
     assert stands.log_scale == pytest.approx(0.3, abs=0.02)
-    assert contact_cue(0.6 + 0.3 * np.cos(frames / 6), visible) is None
-    assert contact_cue(np.full(48, 0.3), np.zeros(48, bool)) is None
+    assert contact_cue(0.6 + 0.3 * np.cos(frames / 6), visible, 48) is None
+    assert contact_cue(np.full(48, 0.3), np.zeros(48, bool), 48) is None
+    assert contact_cue(np.full(48, 0.3), frames < 12, 48) is None
 
 
 def test_bounces_have_sharp_minima():
@@ -191,5 +215,7 @@ def test_cues_are_combined_by_their_sureness():
     assert both.sigma < told.sigma
     bounded = combine(0.3, {}, [0.0])
     assert bounded.log_scale < 0.05
+    low = combine(0.3, {}, [], near_ground=-0.3)
+    assert -0.2 < low.log_scale < 0.2
     torn = combine(0.0, {"contact": Cue(0.4, 0.03, 0.07), "pivot": Cue(-0.4, 0.03, 0.05)}, [])
     assert torn.sigma > 0.2

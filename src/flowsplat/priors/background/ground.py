@@ -1,8 +1,9 @@
-"""The ground: planes with an extent, and what height is left over on them, found once for a clip from its static depth.
+"""The ground: a map of heights over a plane, found once for a piece of a clip from its static depth.
 
 A mover that stands on the ground is where its feet are, and the depth beside its feet is the least sure of all: masks and
-shadows spoil it. So the ground is fitted to what all frames saw of it. Which way is up is not known; cameras are held
-upright within ``TILT``, and the ground lies below them.
+shadows spoil it. So the ground is what all frames saw of it: static points of surfaces that face up. Which way is up is not
+known; cameras are held upright within ``TILT``, and the ground lies below them. Steps and slopes are in the map; where
+nothing of the ground was seen near a place, it is not known there.
 """
 
 from __future__ import annotations
@@ -12,65 +13,31 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.ndimage import distance_transform_edt
 
 from flowsplat.geometry import Camera
+from flowsplat.geometry.cameras import unproject_depth
 
 TILT = 35.0
 """Degrees between the ground's normal and the mean upward direction of the cameras."""
+STEEPEST = 35.0
+"""Degrees by which a surface may slope and still be ground."""
 TOLERANCE = 0.012
 """Share of a point's depth that it may lie off a plane."""
 SHARPNESS = 0.3
 """Tolerances off a plane at which a point counts half."""
 BELOW = 1.0
 """How much a point that lies below a plane speaks against it, where one on it speaks for it: nothing is below the ground."""
-FEWEST_SHARE = 0.04
-"""Share of all static points from which a plane is one."""
-MOST_LEVELS = 3
-"""Planes at most: steps and terraces."""
-SAME_TILT = 12.0
-"""Degrees between the normals of levels."""
-NEIGHBOURS = 24
-"""Points of a level around a place whose median height is that of the ground there."""
-REACH = 0.12
-"""How far from a place, in units of its distance, a point still tells of it."""
-_SAMPLES, _TRIES, _REFITS = 6000, 2000, 5
-
-
-@dataclass(frozen=True)
-class _Level:
-    """One plane: points X with normal . X = offset, and the points that lie on it, as seen from above."""
-
-    normal: np.ndarray
-    offset: float
-    axes: np.ndarray
-    heights: np.ndarray
-    tree: cKDTree
-
-    def along(self, origin: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Where rays [N, 3] from ``origin`` meet it, in lengths of a ray (inf: nowhere), and whether points were seen there."""
-        fall = rays @ self.normal
-        above = origin @ self.normal - self.offset
-        with np.errstate(divide="ignore", invalid="ignore"):
-            t = np.where(fall * np.sign(above) < -1e-9, -above / fall, np.inf)
-        known = np.zeros(len(rays), bool)
-        for _ in range(2):
-            hit = np.isfinite(t)
-            if not hit.any():
-                break
-            places = (origin + t[hit, None] * rays[hit]) @ self.axes.T
-            reach = REACH * t[hit] * np.linalg.norm(rays[hit], axis=1)
-            count = min(NEIGHBOURS, len(self.heights))
-            away, index = self.tree.query(places, k=count, workers=1)
-            away, index = away.reshape(len(places), -1), index.reshape(len(places), -1)
-            near = away <= reach[:, None]
-            heights = np.where(near, self.heights[index], np.nan)
-            enough = near.sum(1) >= max(3, count // 3)
-            height = np.zeros(len(places))
-            height[enough] = np.nanmedian(heights[enough], axis=1)
-            known[hit] = enough
-            t[hit] = (height - above) / fall[hit]
-        return np.where(t > 0, t, np.inf), known
+FEWEST_SHARE = 0.03
+"""Share of all static points from which there is a ground."""
+CELL = 0.015
+"""Side of a cell of the map, in units of the median depth of its points."""
+REACH = 8
+"""Cells across which heights are carried to where nothing was seen: what a mover always hides."""
+LOWEST = 40
+"""Percentile of the heights in a cell that counts: what stands on the ground is above it."""
+_SAMPLES, _TRIES, _REFITS = 4000, 1500, 5
+_LARGEST_MAP = 1500
 
 
 @dataclass(frozen=True)
@@ -78,32 +45,66 @@ class Ground:
     """What one can stand on.
 
     Attributes:
-        levels: the largest first.
-        share: of the static points that lie on it.
+        normal: [3] unit vector, up.
+        share: of the static points that face up and lie near the map's plane.
+        origin: [3] a point of the plane; ``axes`` [2, 3] span it.
+        corner: [2] of the map, in the plane; ``cell`` the side of its cells.
+        heights: [rows, columns] of the ground above the plane, NaN where it is not known.
     """
 
-    levels: tuple[_Level, ...]
+    normal: np.ndarray
     share: float
-
-    @property
-    def normal(self) -> np.ndarray:
-        """[3] unit vector, up, of the largest level."""
-        return self.levels[0].normal
+    origin: np.ndarray
+    axes: np.ndarray
+    corner: np.ndarray
+    cell: float
+    heights: np.ndarray
 
     def height(self, points: np.ndarray) -> np.ndarray:
-        """[N] how far points [N, 3] are above the largest level."""
-        return points @ self.normal - self.levels[0].offset
+        """[N] how far points [N, 3] are above the ground right below them; NaN where that is not known."""
+        return (points - self.origin) @ self.normal - self._below(points)
 
-    def depth(self, camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Planar depth [N] at which the rays through pixels [N, 2] meet the ground (inf: nowhere), and where it was seen."""
-        rays = camera.unproject(pixels, np.ones(len(pixels))) - camera.center
-        depth, known = self.levels[0].along(camera.center, rays)
-        for level in self.levels[1:]:
-            other, seen = level.along(camera.center, rays)
-            # Only the largest level goes on where nobody saw it. What is nearer and was seen hides what is farther.
-            better = seen & ((other < depth) | ~known)
-            depth, known = np.where(better, other, depth), known | better
-        return depth, known
+    def depth(self, camera: Camera, pixels: np.ndarray) -> np.ndarray:
+        """Planar depth [N] at which the rays through pixels [N, 2] first meet the ground; inf where that is nowhere or not known."""
+        origin, rays = camera.center, camera.unproject(pixels, np.ones(len(pixels))) - camera.center
+        result = np.full(len(pixels), np.inf)
+        if len(pixels) == 0:
+            return result
+        known = self.heights[np.isfinite(self.heights)]
+        above = (origin - self.origin) @ self.normal
+        fall = rays @ self.normal
+        falling = fall < -1e-6
+        if not falling.any() or len(known) == 0:
+            return result
+        # Between the highest and the lowest ground a ray is followed in steps of half a cell.
+        first = np.maximum((known.max() - above) / fall[falling], 0)
+        last = (known.min() - 1e-9 - above) / fall[falling]
+        flat = np.linalg.norm(rays[falling] @ self.axes.T, axis=1)
+        extent = self.cell * float(np.hypot(*self.heights.shape)) + np.linalg.norm((origin - self.origin) @ self.axes.T)
+        last = np.minimum(last, 2 * extent / np.maximum(flat, 1e-9)) + self.cell / np.maximum(flat, 1e-9)
+        steps = int(np.clip(np.ceil(((last - first) * flat).max() / (0.5 * self.cell)), 2, 800))
+        t = first[:, None] + (last - first)[:, None] * np.linspace(0, 1, steps)
+        gap = self.height((origin + t[..., None] * rays[falling, None]).reshape(-1, 3)).reshape(t.shape)
+        crossed = (gap[:, :-1] > 0) & (gap[:, 1:] <= 0)
+        row = np.flatnonzero(crossed.any(1))
+        at = crossed[row].argmax(1)
+        high, low = gap[row, at], gap[row, at + 1]
+        meets = t[row, at] + (t[row, at + 1] - t[row, at]) * high / np.maximum(high - low, 1e-12)
+        result[np.flatnonzero(falling)[row]] = meets
+        return result
+
+    def _below(self, points: np.ndarray) -> np.ndarray:
+        """[N] height of the ground above the plane below or above points [N, 3], between cells linearly where it is even."""
+        place = ((points - self.origin) @ self.axes.T - self.corner) / self.cell - 0.5
+        # A row of pixels may be longer than OpenCV allows: 1,024 at a time.
+        width = 1024
+        padded = np.full((-(-len(place) // width) * width, 2), -9.0, np.float32)
+        padded[: len(place)] = np.clip(place, -9, 1e6)
+        x, y = (padded[:, axis].reshape(-1, width) for axis in (0, 1))
+        found = cv2.remap(
+            self.heights, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan")
+        )  # fmt: skip
+        return found.ravel()[: len(place)].astype(np.float64)
 
 
 def up_direction(cameras: Sequence[Camera]) -> np.ndarray:
@@ -112,68 +113,94 @@ def up_direction(cameras: Sequence[Camera]) -> np.ndarray:
     return up / np.linalg.norm(up)
 
 
-def find_ground(points: np.ndarray, depths: np.ndarray, cameras: Sequence[Camera], seed: int = 0) -> Ground | None:
+def find_ground(points: np.ndarray, normals: np.ndarray, depths: np.ndarray, cameras: Sequence[Camera], seed: int = 0) -> Ground | None:
     """The ground among static points.
 
     Args:
         points: [N, 3] world.
+        normals: [N, 3] unit vectors of their surfaces, towards the camera that saw them.
         depths: [N] depth of each in the frame that saw it: its error grows with it.
         cameras: of the frames.
         seed: of the random choices.
 
     Returns:
-        None where no plane below the cameras holds ``FEWEST_SHARE`` of the points.
+        None where hardly any surface below the cameras faces up.
     """
     rng = np.random.default_rng(seed)
-    if len(points) > _SAMPLES:
-        chosen = rng.choice(len(points), _SAMPLES, replace=False)
-        points, depths = points[chosen], depths[chosen]
-    up = up_direction(cameras)
-    centers = np.array([camera.center for camera in cameras])
-    total, levels, on_ground = len(points), [], 0
-    axis, tilt = up, TILT
-    free = np.ones(len(points), bool)
-    while len(levels) < MOST_LEVELS and free.sum() >= max(30, FEWEST_SHARE * total):
-        found = _plane(points[free], depths[free], points, depths, centers, axis, tilt, rng, first=not levels)
-        if found is None:
-            break
-        normal, offset = found
-        off = points @ normal - offset
-        on = free & (np.abs(off) < 3 * TOLERANCE * depths)
-        near = free & (np.abs(off) < TOLERANCE * depths)
-        if near.sum() < FEWEST_SHARE * total:
-            break
-        side = np.linalg.svd(normal[None])[2][1:]
-        levels.append(_Level(normal, offset, side, off[on], cKDTree(points[on] @ side.T)))
-        on_ground += int(near.sum())
-        free &= ~on
-        axis, tilt = levels[0].normal, SAME_TILT
-    return Ground(tuple(levels), on_ground / total) if levels else None
+    up, total = up_direction(cameras), len(points)
+    facing = normals @ up > np.cos(np.radians(TILT + STEEPEST) / 1.4)
+    if facing.sum() < max(30, FEWEST_SHARE * total):
+        return None
+    flat, far = points[facing], depths[facing]
+    few = rng.choice(len(flat), min(_SAMPLES, len(flat)), replace=False)
+    found = _plane(flat[few], far[few], normals[facing][few], np.array([c.center for c in cameras]), up, rng)
+    if found is None:
+        return None
+    normal, offset = found
+    upward = normals @ normal > np.cos(np.radians(STEEPEST))
+    near = upward & (np.abs(points @ normal - offset) < 3 * TOLERANCE * depths)
+    if near.sum() < max(30, FEWEST_SHARE * total):
+        return None
+    axes = np.linalg.svd(normal[None])[2][1:]
+    axes[1] *= np.sign(np.cross(axes[0], axes[1]) @ normal)
+    origin = normal * offset
+    kept = points[upward & (points @ normal < min(float(c.center @ normal) for c in cameras))]
+    return _mapped(kept, normal, float(near.mean()), origin, axes, CELL * float(np.median(depths[upward])))
+
+
+def _mapped(points: np.ndarray, normal: np.ndarray, share: float, origin: np.ndarray, axes: np.ndarray, cell: float) -> Ground | None:
+    places, heights = (points - origin) @ axes.T, (points - origin) @ normal
+    if len(places) == 0:
+        return None
+    # Few points far away must not make the map endless.
+    low, high = np.percentile(places, [0.5, 99.5], axis=0)
+    cell = max(cell, float((high - low).max()) / _LARGEST_MAP)
+    corner = low - (REACH + 1) * cell
+    shape = (np.ceil((high - corner) / cell).astype(int) + REACH + 1)[::-1]
+    index = np.floor((places - corner) / cell).astype(int)
+    inside = ((index >= 0) & (index < shape[::-1])).all(1)
+    flat, values = index[inside, 1] * shape[1] + index[inside, 0], heights[inside]
+    order = np.lexsort((values, flat))
+    flat, values = flat[order], values[order]
+    cells, first, counts = np.unique(flat, return_index=True, return_counts=True)
+    grid = np.full(shape[0] * shape[1], np.nan, np.float32)
+    grid[cells] = values[first + (counts * LOWEST) // 100]
+    grid = _evened(grid.reshape(shape))
+    away, nearest = distance_transform_edt(np.isnan(grid), return_indices=True)
+    grid = np.where(away <= REACH, grid[tuple(nearest)], np.nan)
+    return Ground(normal, share, origin, axes, corner, cell, grid.astype(np.float32))
+
+
+def _evened(grid: np.ndarray) -> np.ndarray:
+    """The median of each known cell and its known neighbours; a cell alone is dropped."""
+    padded = np.pad(grid, 1, constant_values=np.nan)
+    around = np.stack([padded[y : y + grid.shape[0], x : x + grid.shape[1]] for y in range(3) for x in range(3)])
+    enough = np.isfinite(around).sum(0) >= 3
+    result = np.full(grid.shape, np.nan, np.float32)
+    result[enough] = np.nanmedian(around[:, enough], axis=0)
+    return np.where(np.isfinite(grid), result, np.nan)
 
 
 def _plane(
-    points: np.ndarray, depths: np.ndarray, everything: np.ndarray, all_depths: np.ndarray, centers: np.ndarray, axis: np.ndarray,
-    tilt: float, rng: np.random.Generator, first: bool,
+    points: np.ndarray, depths: np.ndarray, normals: np.ndarray, centers: np.ndarray, axis: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, float] | None:  # fmt: skip
     """The plane that most points lie on and few below: (normal, offset)."""
     corners = points[rng.integers(0, len(points), (_TRIES, 3))]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    lengths = np.linalg.norm(normals, axis=1)
-    normals = normals[lengths > 1e-12] / lengths[lengths > 1e-12, None]
-    offsets = (normals * corners[lengths > 1e-12, 0]).sum(1)
-    flip = np.sign(normals @ axis)
-    normals, offsets = normals * flip[:, None], offsets * flip
-    possible = (normals @ axis > np.cos(np.radians(tilt))) & ((centers @ normals.T).min(0) > offsets)
-    normals, offsets = normals[possible], offsets[possible]
-    if len(normals) == 0:
+    found = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(found, axis=1)
+    found = found[lengths > 1e-12] / lengths[lengths > 1e-12, None]
+    offsets = (found * corners[lengths > 1e-12, 0]).sum(1)
+    flip = np.sign(found @ axis)
+    found, offsets = found * flip[:, None], offsets * flip
+    possible = (found @ axis > np.cos(np.radians(TILT))) & ((centers @ found.T).min(0) > offsets)
+    found, offsets = found[possible], offsets[possible]
+    if len(found) == 0:
         return None
-    off = (points @ normals.T - offsets) / (TOLERANCE * depths[:, None])
+    off = (points @ found.T - offsets) / (TOLERANCE * depths[:, None])
     # Points right on a plane count most: one that passes between two levels has many near it, but few on it.
-    on = ((np.abs(off) < 1) / (1 + (off / SHARPNESS) ** 2)).sum(0)
-    if first:
-        on = on - BELOW * (off < -3).sum(0)
+    on = ((np.abs(off) < 1) / (1 + (off / SHARPNESS) ** 2)).sum(0) - BELOW * (off < -3).sum(0)
     best = int(np.argmax(on))
-    normal, offset = normals[best], float(offsets[best])
+    normal, offset = found[best], float(offsets[best])
     for _ in range(_REFITS):
         near = np.abs(points @ normal - offset) < TOLERANCE * depths
         if near.sum() < 10:
@@ -189,21 +216,30 @@ def _plane(
 
 
 def static_points(
-    depths: Sequence[np.ndarray], sure: Sequence[np.ndarray], cameras: Sequence[Camera], every: int = 3
-) -> tuple[np.ndarray, np.ndarray]:
-    """Points [N, 3] and depths [N] of sure static pixels of some frames, thinned.
+    depths: Sequence[np.ndarray], sure: Sequence[np.ndarray], cameras: Sequence[Camera], every: int = 2
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points [N, 3] of sure static pixels of some frames, thinned, unit normals [N, 3] of their surfaces, and depths [N].
 
     Args:
         depths: [h, w] planar each.
         sure: bool [h, w] each; a pixel next to one that is not is left out.
         cameras: of these frames at that size.
     """
-    points, found = [], []
+    points, normals, found = [], [], []
     for depth, trusted, camera in zip(depths, sure, cameras, strict=True):
-        inner = cv2.erode(trusted.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+        # Normals of a window: those of neighbouring pixels are lost in the noise.
+        world = unproject_depth(cv2.blur(depth.astype(np.float64), (3, 3)), camera)
+        right, down = np.zeros_like(world), np.zeros_like(world)
+        right[:, 2:-2], down[2:-2] = world[:, 4:] - world[:, :-4], world[4:] - world[:-4]
+        normal = np.cross(down, right)
+        length = np.linalg.norm(normal, axis=-1)
+        inner = (cv2.erode(trusted.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0) & (length > 1e-12)
+        inner[:2], inner[-2:], inner[:, :2], inner[:, -2:] = False, False, False, False
         y, x = np.nonzero(inner[::every, ::every])
         y, x = y * every, x * every
         z = depth[y, x].astype(np.float64)
         points.append(camera.unproject(np.stack([x, y], 1) + 0.5, z))
+        towards = normal[y, x] / length[y, x, None]
+        normals.append(towards * -np.sign(((points[-1] - camera.center) * towards).sum(1, keepdims=True)))
         found.append(z)
-    return np.concatenate(points), np.concatenate(found)
+    return np.concatenate(points), np.concatenate(normals), np.concatenate(found)

@@ -59,6 +59,10 @@ class StaticDepth(Protocol):
         """Inverse depth [h, w] before which every mover stands: the plate's, or what two other frames are sure of there."""
         ...
 
+    def witnessed(self, k: int) -> np.ndarray:
+        """Inverse depth [h, w] that two other frames are sure of, the second nearest; 0 where no two are."""
+        ...
+
     def filled(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         """(inverse depth, weight) of the static scene, each [h, w]: along the picture's edges where nothing is known."""
         ...
@@ -87,6 +91,10 @@ class Guess:
     def foremost(self, k: int) -> np.ndarray:
         """As ``StaticDepth.foremost``."""
         return self._plate
+
+    def witnessed(self, k: int) -> np.ndarray:
+        """As ``StaticDepth.witnessed``: nothing is sure."""
+        return np.zeros_like(self._plate)
 
     def filled(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         """As ``StaticDepth.filled``: a little trusted everywhere."""
@@ -118,6 +126,7 @@ class Background:
         self._own = lru_cache(maxsize=2 * FUSED_WITH[-1] + 2)(self._weighed)
         self._uncovered = lru_cache(maxsize=1)(self._uncover)
         self._plates = lru_cache(maxsize=1)(self._plate)
+        self._witnessed = lru_cache(maxsize=1)(self._witness)
         self._fused = lru_cache(maxsize=_KEPT)(self._fuse)
 
     def mask(self, k: int) -> np.ndarray:
@@ -132,15 +141,20 @@ class Background:
 
     def foremost(self, k: int) -> np.ndarray:
         """As ``StaticDepth.foremost``: the second nearest that frames from all over the piece are sure of."""
+        return np.maximum(self.plate(k), self.witnessed(k))
+
+    def witnessed(self, k: int) -> np.ndarray:
+        """As ``StaticDepth.witnessed``."""
+        return self._witnessed(k)
+
+    def _witness(self, k: int) -> np.ndarray:
         piece = [j for j in range(len(self._clip)) if self._clip.continuity.same_piece(k, j)]
-        witnesses = sorted({piece[n] for n in spread(len(piece), WITNESSES)} - {k})
-        if len(witnesses) < 2:
-            return self.plate(k)
+        chosen = np.linspace(0, len(piece) - 1, WITNESSES).round().astype(int)
         first, second = np.zeros((2, self._clip.height, self._clip.width), np.float32)
-        for j in witnesses:
+        for j in sorted({piece[n] for n in chosen} - {k}):
             seen, _ = carried(*self.sure(j), self._clip.cameras[k])
             first, second = np.maximum(first, seen), np.maximum(second, np.minimum(first, seen))
-        return np.maximum(self.plate(k), second)
+        return second
 
     def filled(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         """(inverse depth, weight) of the static scene, each [h, w]: along the picture's edges where nothing is known."""

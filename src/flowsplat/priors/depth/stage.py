@@ -73,10 +73,12 @@ def _frame_depth(clip: MatchedClip, background: StaticDepth, movers: SceneMovers
         inverse = np.where(clip.mask(k) > 0, plate, inverse)
         static = upsample(inverse, frame, *size)
         front = upsample(background.foremost(k), np.zeros_like(frame), *size)
+        sure = upsample(background.witnessed(k), np.zeros_like(frame), *size)
         known = movers.depth(k, mask, frame, scene.cameras[scene.train_frames[k]])
         nearness = np.where(known > 0, 1 / np.maximum(known, 1e-9), 0)
-        # Nothing lies behind what it hides; an object without a distance stays just in front of that.
-        static = np.where(moving, np.maximum(nearness, np.where(known > 0, KNOWN_MARGIN, MARGIN) * front), static)
+        # Nothing lies behind what other frames are sure of; what nothing ties stays just in front of what is filled in, too.
+        tied = np.isin(mask, [mover.number for mover in movers.movers if mover.cues])
+        static = np.where(moving, np.maximum(nearness, np.where(tied, KNOWN_MARGIN * sure, MARGIN * front)), static)
     else:
         static = upsample(inverse, frame, *size)
     limits = background.median / FURTHEST_DEPTH, background.median / NEAREST_DEPTH

@@ -23,7 +23,7 @@ class Bound:
 
     Attributes:
         log_depth: logarithm of the planar depth of the card's middle at which it would touch the ground.
-        visible: whether its lowest pixels are in the picture, nothing stands before them, and the ground was seen there.
+        visible: whether its lowest pixels are in the picture and nothing stands before them.
     """
 
     log_depth: float
@@ -56,10 +56,10 @@ def ground_bound(mask: np.ndarray, camera: Camera, ground: Ground, static: np.nd
     Args:
         mask: bool [h, w], of one mover.
         camera: of the frame, at that size.
-        static: planar depth of the static scene, of any size.
+        static: planar depth of the static scene, of any size; inf where it is not sure.
 
     Returns:
-        None where the mover is too small or all of it is above the horizon.
+        None where the mover is too small, all of it is above the horizon, or the ground below it was not seen.
     """
     height, width = mask.shape
     if mask.sum() < FEWEST_PIXELS:
@@ -72,19 +72,22 @@ def ground_bound(mask: np.ndarray, camera: Camera, ground: Ground, static: np.nd
     )
     y, x = np.nonzero(mask & (shifted == 0))
     pixels = np.stack([x + 0.5 + 0.5 * column, y + 0.5 + 0.5 * row], 1)
-    depth, known = ground.depth(camera, pixels)
-    with np.errstate(divide="ignore"):
-        log_depth = np.log(depth) - np.log(upright_ratio(camera, ground.normal, middle_of(mask), pixels))
-    order = np.argsort(log_depth, kind="stable")
+    depth = ground.depth(camera, pixels)
+    log_depth = np.log(depth) - np.log(upright_ratio(camera, ground.normal, middle_of(mask), pixels))
+    # The lowest pixels are those nearest to the camera's foot on the ground, whether the ground is known there or not.
+    rays = camera.unproject(pixels, np.ones(len(pixels))) - camera.center
+    order = np.argsort(rays @ ground.normal, kind="stable")
     count = max(3, int(LOWEST * np.sqrt(mask.sum())))
     lowest = order[: min(count, len(order))]
-    bound = float(log_depth[lowest[-1]])
-    if not np.isfinite(bound):
+    known = np.isfinite(log_depth)
+    if known[lowest].mean() < 0.5:
         return None
+    bound = float(np.sort(log_depth[known])[min(count, int(known.sum())) - 1])
     reach = 2 + height // 90
     below_x, below_y = x[lowest] + reach * column, y[lowest] + reach * row
     inside = (below_x >= 0) & (below_y >= 0) & (below_x < width) & (below_y < height)
-    visible = bool(known[lowest].mean() > 0.5 and inside.mean() > 0.9)
+    inside &= known[lowest]
+    visible = bool(inside.mean() > 0.5 and (below_y < height).mean() > 0.9)
     if visible:
         rows, columns = (below_y * static.shape[0]) // height, (below_x * static.shape[1]) // width
         ahead = np.log(static[rows[inside], columns[inside]]) - np.log(depth[lowest][inside])

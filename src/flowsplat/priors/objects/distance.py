@@ -13,8 +13,10 @@ import numpy as np
 
 STEP, NEAR, FAR = 0.005, -1.5, 1.5
 """The grid of ln s about the guess."""
-CARD_SIGMA, CARD_TAIL, CARD_WRONG = 0.2, 0.6, 0.3
+CARD_SIGMA, CARD_TAIL, CARD_WRONG = 0.25, 0.8, 0.4
 """Of the guess that every mover has, where the scene behind it ends: its standard deviation, mostly, and that of the rest."""
+GROUND_SIGMA = 0.25
+"""Of the guess by where it would touch the ground."""
 BOUND_SOFTNESS, BOUND_WRONG = 0.03, 0.02
 """How sharply a far bound cuts, and its chance to be wrong."""
 
@@ -47,17 +49,21 @@ class Distance:
     sigma: float
 
 
-def combine(guess: float, cues: Mapping[str, Cue], bounds: Sequence[float]) -> Distance:
+def combine(guess: float, cues: Mapping[str, Cue], bounds: Sequence[float], near_ground: float | None = None) -> Distance:
     """Median and standard deviation of the whole posterior of ln s.
 
     Args:
         guess: ln s if nothing else is known.
         cues: those that passed their gates.
         bounds: ln s beyond which the mover would be behind what it hides.
+        near_ground: ln s a little nearer than where it would touch the ground.
     """
-    x = np.arange(guess + NEAR, guess + FAR, STEP)
+    told = [guess, *(cue.log_scale for cue in cues.values()), *([] if near_ground is None else [near_ground])]
+    x = np.arange(min(told) + NEAR, max(told) + FAR, STEP)
     width = FAR - NEAR
     log_p = np.log((1 - CARD_WRONG) * _student(x, guess, CARD_SIGMA, 4) + CARD_WRONG * _student(x, guess, CARD_TAIL, 4))
+    if near_ground is not None:
+        log_p += np.log((1 - CARD_WRONG) * _student(x, near_ground, GROUND_SIGMA, 4) + CARD_WRONG * _student(x, near_ground, CARD_TAIL, 4))
     for cue in cues.values():
         log_p += np.log((1 - cue.wrong) * _student(x, cue.log_scale, cue.sigma, 4) + cue.wrong / width)
     for bound in bounds:

@@ -15,7 +15,7 @@ from flowsplat.priors.objects.path import Law, WorldPath, constant_height, pivot
 from flowsplat.priors.objects.relief import DEEPEST, ReliefPoints, place_points, relief
 from flowsplat.priors.objects.rigid import Observations, RigidMotion, longest, solve_rigid
 
-FEWEST_TRACKS, FEWEST_FRAMES = 24, 10
+FEWEST_TRACKS, FEWEST_FRAMES = 16, 10
 SHORTEST_TRACK = 5
 INSIDE = 0.7
 """Share of a track that must lie inside a mover to be on it."""
@@ -25,8 +25,10 @@ INLIERS = 0.85
 HALF_PER_FRAME = 25
 FLOOR = {"pivot": 0.02, "height": 0.03, "smooth": 0.03, "contact": 0.025, "bounce": 0.03}
 WRONG = {"pivot": 0.05, "height": 0.05, "smooth": 0.1, "contact": 0.07, "bounce": 0.1}
-FLAT = 0.07
-"""Range of the bounds, from the 10th to the 60th percentile over time, up to which a mover stands on the ground."""
+FLAT, FLAT_LOW, FLAT_HIGH = 0.06, 10, 70
+"""Range of the bounds between two percentiles over time up to which a mover stands on the ground."""
+MOSTLY = 0.5
+"""Share of the frames in which a mover is seen in which its feet must be seen, too: what swings hides where it is high."""
 FEWEST_BOUNDS = 8
 BOUNCE_SPAN = 2
 """Frames to either side over which the second difference of the bounds is taken."""
@@ -34,6 +36,8 @@ BOUNCE, BOUNCE_NOISE = 0.1, 4.0
 """Second difference of the bounds from which a minimum may be a bounce, and how many times their usual spread that must be."""
 BOUNCE_WIDTH, BOUNCE_ELSEWHERE = 4, 0.25
 """So many frames from a bounce the second difference is at most this share of that at it: a smooth minimum is wider."""
+GUESS_PERCENTILE, ABOVE_GROUND = 10, 0.15
+"""What does not touch the ground is guessed to be this much nearer, in ln, than where it would."""
 BOUND_PERCENTILE, BOUND_SLACK = 5, 0.03
 """Over time, of where a mover would touch the ground: it is not farther than this in any frame, but for errors of its outline."""
 
@@ -153,12 +157,17 @@ def accepted_laws(path: WorldPath, normal: np.ndarray | None) -> tuple[dict[str,
     return cues, laws
 
 
-def contact_cue(bounds: np.ndarray, visible: np.ndarray) -> Cue | None:
-    """That a mover stands on the ground: its bounds [T] hardly change over time."""
+def contact_cue(bounds: np.ndarray, visible: np.ndarray, frames: int) -> Cue | None:
+    """That a mover stands on the ground: its bounds [T] hardly change over time.
+
+    Args:
+        visible: [T] whether its feet are.
+        frames: in how many it is seen.
+    """
     seen = np.sort(bounds[visible & np.isfinite(bounds)])
-    if len(seen) < FEWEST_BOUNDS or len(seen) < 0.3 * np.isfinite(bounds).sum():
+    if len(seen) < max(FEWEST_BOUNDS, MOSTLY * frames):
         return None
-    low, middle, high = np.percentile(seen, [10, 30, 60])
+    low, middle, high = np.percentile(seen, [FLAT_LOW, 35, FLAT_HIGH])
     if high - low > FLAT:
         return None
     return Cue(float(middle), float(np.hypot(FLOOR["contact"], 0.5 * (high - low))), WRONG["contact"])
@@ -223,7 +232,7 @@ def solve_mover(
         cues = accepted_laws(WorldPath.of(motion, cameras), ground.normal if ground else None)[0]
     at_ground = np.array([np.nan if bound is None else bound.log_depth for bound in bounds]) - course
     visible = np.array([bound is not None and bound.visible for bound in bounds])
-    stands = contact_cue(at_ground, visible)
+    stands = contact_cue(at_ground, visible, int(seen.sum()))
     bounces = bounce_cue(np.where(visible, at_ground, np.nan)) if stands is None else None
     known, far = at_ground[np.isfinite(at_ground)], []
     # Where it touches is what bounds it; else no frame may put it below the ground.
@@ -233,7 +242,8 @@ def solve_mover(
         cues = {**cues, "bounce": bounces}
     elif len(known) >= FEWEST_BOUNDS:
         far = [float(np.percentile(known, BOUND_PERCENTILE)) + BOUND_SLACK]
-    distance = combine(float(np.median((log_cards - course)[seen])), cues, far)
+    near_ground = float(np.percentile(known, GUESS_PERCENTILE)) - ABOVE_GROUND if len(known) >= FEWEST_BOUNDS else None
+    distance = combine(float(np.median((log_cards - course)[seen])), cues, far, near_ground)
     moved = replace(points, log_depth=points.log_depth + distance.log_scale)
     expected = DEEPEST * motion.size if motion is not None else 0.0
     return Mover(

@@ -51,7 +51,7 @@ def find_movers(clip: MatchedClip, background: StaticDepth) -> SceneMovers:
     bounds: dict[int, list[Bound | None]] = {number: [None] * len(frames) for number in cards}
     for k, i in enumerate(track(frames, "Contact with the ground")):
         mask, ground = scene.mask(i), grounds[int(pieces[k])]
-        static = 1 / np.maximum(background.behind(k), 1e-9)
+        static = _sure_depth(background, k)
         for number in cards:
             inside = mask == number
             if inside.sum() < SMALLEST:
@@ -77,6 +77,14 @@ def find_movers(clip: MatchedClip, background: StaticDepth) -> SceneMovers:
     return SceneMovers(movers, normal, any_ground is not None)
 
 
+def _sure_depth(background: StaticDepth, k: int) -> np.ndarray:
+    """Planar depth [h, w] of the static scene in a training frame; inf where it is not sure."""
+    if not isinstance(background, Background):
+        return np.full((1, 1), np.inf)
+    inverse, weight, _ = background.sure(k)
+    return np.where(weight > 0, 1 / np.maximum(inverse, 1e-9), np.inf)
+
+
 def _ground(clip: MatchedClip, background: StaticDepth, frames: np.ndarray) -> Ground | None:
     """The ground of one piece of the clip, given by positions of its frames."""
     if not isinstance(background, Background):
@@ -87,5 +95,5 @@ def _ground(clip: MatchedClip, background: StaticDepth, frames: np.ndarray) -> G
         inverse, weight, _ = background.sure(int(k))
         depths.append(1 / np.maximum(inverse, 1e-9))
         sure.append(weight > 0)
-    points, found = static_points(depths, sure, [clip.cameras[int(k)] for k in chosen])
-    return find_ground(points, found, [clip.cameras[int(k)] for k in frames]) if len(points) else None
+    points, normals, found = static_points(depths, sure, [clip.cameras[int(k)] for k in chosen])
+    return find_ground(points, normals, found, [clip.cameras[int(k)] for k in frames]) if len(points) else None
