@@ -24,8 +24,7 @@ from flowsplat.geometry.interpolation import sample_map
 from flowsplat.priors.background.fill import fill, upsample
 from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.static_depth import SURE, Background, unseen_inverse
-from flowsplat.priors.depth.stage import MARGIN
-from flowsplat.priors.depth.stage import FURTHEST_DEPTH, NEAREST_DEPTH, TRUSTED_WEIGHT
+from flowsplat.priors.depth.stage import FURTHEST_DEPTH, MARGIN, NEAREST_DEPTH, TRUSTED_WEIGHT
 from flowsplat.priors.flow import FlowEstimator, dis_estimator
 from flowsplat.scenes import Depth, Scene
 from flowsplat.scenes.layers import TRUSTED

@@ -22,8 +22,8 @@ from flowsplat.priors.given import GivenPriors, true_layers, use_given, use_trut
 from flowsplat.priors.learned.weights import ModelOptions, network_device
 from flowsplat.priors.masks import mask_stage
 from flowsplat.priors.monocular import monocular_stage
-from flowsplat.priors.prompts import Prompt, parse_prompts, prompt_stage
 from flowsplat.priors.objects import objects_stage
+from flowsplat.priors.prompts import Prompt, parse_prompts, prompt_stage
 from flowsplat.priors.tracks import complete_tracks, tracks_stage
 from flowsplat.scenes import Scene
 

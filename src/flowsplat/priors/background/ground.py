@@ -65,7 +65,7 @@ class Ground:
         return (points - self.origin) @ self.normal - self._below(points)
 
     def depth(self, camera: Camera, pixels: np.ndarray) -> np.ndarray:
-        """Planar depth [N] at which the rays through pixels [N, 2] first meet the ground; inf where that is nowhere or not known."""
+        """Planar depth [N] at which the rays through pixels [N, 2] first meet the ground; inf where it is not known."""
         origin, rays = camera.center, camera.unproject(pixels, np.ones(len(pixels))) - camera.center
         result = np.full(len(pixels), np.inf)
         if len(pixels) == 0:
@@ -113,7 +113,9 @@ def up_direction(cameras: Sequence[Camera]) -> np.ndarray:
     return up / np.linalg.norm(up)
 
 
-def find_ground(points: np.ndarray, normals: np.ndarray, depths: np.ndarray, cameras: Sequence[Camera], seed: int = 0) -> Ground | None:
+def find_ground(
+    points: np.ndarray, normals: np.ndarray, depths: np.ndarray, cameras: Sequence[Camera], seed: int = 0
+) -> Ground | None:
     """The ground among static points.
 
     Args:
@@ -133,7 +135,7 @@ def find_ground(points: np.ndarray, normals: np.ndarray, depths: np.ndarray, cam
         return None
     flat, far = points[facing], depths[facing]
     few = rng.choice(len(flat), min(_SAMPLES, len(flat)), replace=False)
-    found = _plane(flat[few], far[few], normals[facing][few], np.array([c.center for c in cameras]), up, rng)
+    found = _plane(flat[few], far[few], np.array([c.center for c in cameras]), up, rng)
     if found is None:
         return None
     normal, offset = found
@@ -148,7 +150,10 @@ def find_ground(points: np.ndarray, normals: np.ndarray, depths: np.ndarray, cam
     return _mapped(kept, normal, float(near.mean()), origin, axes, CELL * float(np.median(depths[upward])))
 
 
-def _mapped(points: np.ndarray, normal: np.ndarray, share: float, origin: np.ndarray, axes: np.ndarray, cell: float) -> Ground | None:
+def _mapped(
+    points: np.ndarray, normal: np.ndarray, share: float, origin: np.ndarray, axes: np.ndarray, cell: float
+) -> Ground | None:
+    """The map of the points [N, 3] that face up."""
     places, heights = (points - origin) @ axes.T, (points - origin) @ normal
     if len(places) == 0:
         return None
@@ -182,8 +187,8 @@ def _evened(grid: np.ndarray) -> np.ndarray:
 
 
 def _plane(
-    points: np.ndarray, depths: np.ndarray, normals: np.ndarray, centers: np.ndarray, axis: np.ndarray, rng: np.random.Generator
-) -> tuple[np.ndarray, float] | None:  # fmt: skip
+    points: np.ndarray, depths: np.ndarray, centers: np.ndarray, axis: np.ndarray, rng: np.random.Generator
+) -> tuple[np.ndarray, float] | None:
     """The plane that most points lie on and few below: (normal, offset)."""
     corners = points[rng.integers(0, len(points), (_TRIES, 3))]
     found = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

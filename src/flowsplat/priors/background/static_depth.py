@@ -149,9 +149,8 @@ class Background:
 
     def _witness(self, k: int) -> np.ndarray:
         piece = [j for j in range(len(self._clip)) if self._clip.continuity.same_piece(k, j)]
-        chosen = np.linspace(0, len(piece) - 1, WITNESSES).round().astype(int)
         first, second = np.zeros((2, self._clip.height, self._clip.width), np.float32)
-        for j in sorted({piece[n] for n in chosen} - {k}):
+        for j in sorted({piece[n] for n in spread(len(piece), WITNESSES)} - {k}):
             seen, _ = carried(*self.sure(j), self._clip.cameras[k])
             first, second = np.maximum(first, seen), np.maximum(second, np.minimum(first, seen))
         return second

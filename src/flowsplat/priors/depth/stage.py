@@ -29,8 +29,9 @@ TRUSTED_WEIGHT = 5.0
 def depth_stage(scene: Scene, estimate: FlowEstimator = dis_estimator) -> None:
     """Depth with confidence for every training frame that has none. Needs cameras and flow, and uses masks if there are any.
 
-    Static pixels come from their matches in other frames of the same piece of the clip, movers from the object stage; movers
-    that it does not know stand just in front of what they hide. A clip whose camera does not move (or only turns) gets a guess, and the verdict says so.
+    Static pixels come from their matches in other frames of the same piece of the clip, movers from the object stage; what that
+    does not know stands just in front of what it hides. A clip whose camera does not move (or only turns) gets a guess, and the
+    verdict says so.
 
     Args:
         estimate: finds the flow between frames that are no neighbours.

@@ -14,7 +14,8 @@ import numpy as np
 STEP, NEAR, FAR = 0.005, -1.5, 1.5
 """The grid of ln s about the guess."""
 CARD_SIGMA, CARD_TAIL, CARD_WRONG = 0.25, 0.8, 0.4
-"""Of the guess that every mover has, where the scene behind it ends: its standard deviation, mostly, and that of the rest."""
+"""Of the guess that every mover has, where the scene behind it ends: its standard deviation, mostly, and that of
+the rest."""
 GROUND_SIGMA = 0.25
 """Of the guess by where it would touch the ground."""
 BOUND_SOFTNESS, BOUND_WRONG = 0.03, 0.02
@@ -49,7 +50,9 @@ class Distance:
     sigma: float
 
 
-def combine(guess: float, cues: Mapping[str, Cue], bounds: Sequence[float], near_ground: float | None = None) -> Distance:
+def combine(
+    guess: float, cues: Mapping[str, Cue], bounds: Sequence[float], near_ground: float | None = None
+) -> Distance:
     """Median and standard deviation of the whole posterior of ln s.
 
     Args:
@@ -61,9 +64,9 @@ def combine(guess: float, cues: Mapping[str, Cue], bounds: Sequence[float], near
     told = [guess, *(cue.log_scale for cue in cues.values()), *([] if near_ground is None else [near_ground])]
     x = np.arange(min(told) + NEAR, max(told) + FAR, STEP)
     width = FAR - NEAR
-    log_p = np.log((1 - CARD_WRONG) * _student(x, guess, CARD_SIGMA, 4) + CARD_WRONG * _student(x, guess, CARD_TAIL, 4))
+    log_p = np.log(_guessed(x, guess, CARD_SIGMA))
     if near_ground is not None:
-        log_p += np.log((1 - CARD_WRONG) * _student(x, near_ground, GROUND_SIGMA, 4) + CARD_WRONG * _student(x, near_ground, CARD_TAIL, 4))
+        log_p += np.log(_guessed(x, near_ground, GROUND_SIGMA))
     for cue in cues.values():
         log_p += np.log((1 - cue.wrong) * _student(x, cue.log_scale, cue.sigma, 4) + cue.wrong / width)
     for bound in bounds:
@@ -73,6 +76,10 @@ def combine(guess: float, cues: Mapping[str, Cue], bounds: Sequence[float], near
     p /= p.sum()
     median = float(np.interp(0.5, np.cumsum(p), x))
     return Distance(median, float(np.sqrt((p * (x - median) ** 2).sum())))
+
+
+def _guessed(x: np.ndarray, mean: float, sigma: float) -> np.ndarray:
+    return (1 - CARD_WRONG) * _student(x, mean, sigma, 4) + CARD_WRONG * _student(x, mean, CARD_TAIL, 4)
 
 
 def _student(x: np.ndarray, mean: float, sigma: float, freedom: int) -> np.ndarray:

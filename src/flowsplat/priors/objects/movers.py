@@ -254,7 +254,7 @@ def solve_mover(
 def middle_depths(
     points: ReliefPoints, middles: np.ndarray, cameras: Sequence[Camera], normal: np.ndarray
 ) -> np.ndarray:
-    """[T] logarithm of the depth of a mover's middle, that of an upright card through its points; NaN where fewer than three are."""
+    """[T] logarithm of the depth of a mover's middle: of an upright card through its points; NaN of fewer than three."""
     result = np.full(len(cameras), np.nan)
     for t in range(len(cameras)):
         here = points.frame_of == t

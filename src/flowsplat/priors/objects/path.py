@@ -131,10 +131,10 @@ def smooth(path: WorldPath, order: int = 3) -> Law | None:
     rows = [i for i in range(len(path.frames) - order) if path.frames[i + order] - path.frames[i] == order]
     if len(rows) < 6:
         return None
-    D = np.zeros((len(rows), len(path.frames)))
+    differences = np.zeros((len(rows), len(path.frames)))
     for j in range(order + 1):
-        D[np.arange(len(rows)), np.array(rows) + j] = (-1) ** (order - j) * math.comb(order, j)
-    D = np.kron(D, np.eye(3))
+        differences[np.arange(len(rows)), np.array(rows) + j] = (-1) ** (order - j) * math.comb(order, j)
+    D = np.kron(differences, np.eye(3))
     noise = D @ path.covariance_of(np.zeros(3)) @ D.T
     A = np.concatenate([(D @ path.centers.ravel())[:, None], D @ path.turns.reshape(-1, 3)], 1)
     prior = np.array([1e-9, *[1 / path.size**2] * 3])

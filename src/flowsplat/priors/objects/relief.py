@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numba import njit
 
-from flowsplat.priors.objects.rigid import NEAREST, RESIDUAL_WIDTH, Observations, RigidMotion, _derivatives
+from flowsplat.priors.objects.rigid import NEAREST, RESIDUAL_WIDTH, Observations, RigidMotion, derivatives
 
 DEEPEST = 0.6
 """Standard deviation of the relief that is expected, in units of the object's half width."""
@@ -64,7 +64,9 @@ def place_points(motion: RigidMotion, observations: Observations, K: np.ndarray)
     return ReliefPoints(t[good], pixels[good], np.log(depth[good]), np.maximum(sigma[good], 1e-4))
 
 
-def relief(mask: np.ndarray, picture: np.ndarray, pixels: np.ndarray, offsets: np.ndarray, sigma: np.ndarray, expected: float) -> np.ndarray:
+def relief(
+    mask: np.ndarray, picture: np.ndarray, pixels: np.ndarray, offsets: np.ndarray, sigma: np.ndarray, expected: float
+) -> np.ndarray:
     """Offsets of ln depth [H, W] float32 from the card's, smoothed along the picture's edges and held by their expectation, 0.
 
     Args:
@@ -127,7 +129,7 @@ def _place(
                 t = frame_of[m]
                 if not used[t]:
                     continue
-                _derivatives(turns[t], shifts[t], S, x[m], focal, r, J, B)
+                derivatives(turns[t], shifts[t], S, x[m], focal, r, J, B)
                 u = 1.0 / (1.0 + (r[0] * r[0] + r[1] * r[1]) / width**2)
                 for i in range(3):
                     g[i] -= u * (B[0, i] * r[0] + B[1, i] * r[1])

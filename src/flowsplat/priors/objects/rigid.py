@@ -333,7 +333,9 @@ def _second_differences(turns: np.ndarray, shifts: np.ndarray, weight: float) ->
 
 
 @njit(cache=True)
-def _derivatives(Q: np.ndarray, tau: np.ndarray, S: np.ndarray, x: np.ndarray, focal: float, r: np.ndarray, J: np.ndarray, B: np.ndarray) -> None:
+def derivatives(
+    Q: np.ndarray, tau: np.ndarray, S: np.ndarray, x: np.ndarray, focal: float, r: np.ndarray, J: np.ndarray, B: np.ndarray
+) -> None:
     """Residual r [2] of one observation, its derivatives J [2, 6] by the pose and B [2, 3] by the point."""
     y0 = Q[0, 0] * S[0] + Q[0, 1] * S[1] + Q[0, 2] * S[2]
     y1 = Q[1, 0] * S[0] + Q[1, 1] * S[1] + Q[1, 2] * S[2]
@@ -402,7 +404,7 @@ def _reduced_system(
             t = frame_of[m]
             if t < 0:
                 continue
-            _derivatives(turns[t], shifts[t], points[n], x[m], focal, r, J, B)
+            derivatives(turns[t], shifts[t], points[n], x[m], focal, r, J, B)
             u = 1.0 / (1.0 + (r[0] * r[0] + r[1] * r[1]) / width**2)
             for i in range(6):
                 b[6 * t + i] -= u * (J[0, i] * r[0] + J[1, i] * r[1])
@@ -475,7 +477,7 @@ def _refine_pose(
         for d in range(3):
             H[d, d] += 0.5 * len(points)
         for n in range(len(points)):
-            _derivatives(Q, tau, points[n], x[n], focal, r, J, B)
+            derivatives(Q, tau, points[n], x[n], focal, r, J, B)
             u = 1.0 / (1.0 + (r[0] * r[0] + r[1] * r[1]) / width**2)
             for i in range(6):
                 b[i] -= u * (J[0, i] * r[0] + J[1, i] * r[1])

@@ -71,8 +71,9 @@ def find_movers(clip: MatchedClip, background: StaticDepth) -> SceneMovers:
         home = int(np.bincount(pieces[seen]).argmax())
         movers.append(
             solve_mover(
-                number, tracks.points[chosen][:, frames], inside, middles[number], bounds[number], cameras, grounds[home], log_cards, normal
-            )
+                number, tracks.points[chosen][:, frames], inside, middles[number], bounds[number], cameras, grounds[home], log_cards,
+                normal,
+            )  # fmt: skip
         )
     return SceneMovers(movers, normal, any_ground is not None)
 

@@ -1,9 +1,11 @@
-"""The movers of a scene as files: ``objects.json`` for people, ``objects.npz`` for the numbers.
+"""The movers of a scene as files.
 
 | file | content |
 | --- | --- |
-| ``objects.json`` | ``normal`` [3] up, ``ground`` whether there is one; of each mover ``number``, ``sigma``, ``rigid``, ``expected``, ``cues`` |
-| ``objects.npz`` | ``log_depth`` [M, T], ``middles`` [M, T, 2]; of all points ``mover``, ``frame``, ``pixels``, ``point_log_depth``, ``point_sigma`` |
+| ``objects.json`` | ``normal`` [3] up, ``ground``: whether there is one; of each of the ``movers`` its ``number`` in the masks, |
+| | ``sigma`` of ln distance, whether it is ``rigid``, the ``expected`` relief, and the ``cues`` that speak for its distance |
+| ``objects.npz`` | ``log_depth`` [M, T] and ``middles`` [M, T, 2] of the movers over the training frames; of all points on them |
+| | ``mover``, ``frame``, ``pixels``, ``point_log_depth`` and ``point_sigma`` |
 """
 
 from __future__ import annotations
@@ -55,7 +57,7 @@ def save_movers(scene: Scene, found: SceneMovers) -> None:
     """Write the movers into the folder of the scene."""
     movers = found.movers
     frames = len(scene.train_frames)
-    arrays = {
+    arrays: dict[str, np.ndarray] = {
         "log_depth": np.array([m.log_depth for m in movers], np.float32).reshape(len(movers), frames),
         "middles": np.array([m.middles for m in movers], np.float32).reshape(len(movers), frames, 2),
         "mover": np.repeat([m.number for m in movers], [len(m.points.frame_of) for m in movers]).astype(np.uint8),
@@ -97,12 +99,11 @@ def load_movers(scene: Scene) -> SceneMovers:
                 arrays["point_log_depth"][mine].astype(float), arrays["point_sigma"][mine].astype(float),
             )  # fmt: skip
             cues = {name: Cue(**cue) for name, cue in described["cues"].items()}
-            movers.append(
-                Mover(
-                    int(described["number"]), arrays["log_depth"][index].astype(float), arrays["middles"][index].astype(float),
-                    float(described["sigma"]), bool(described["rigid"]), cues, points, float(described["expected"]),
-                )  # fmt: skip
-            )
+            mover = Mover(
+                int(described["number"]), arrays["log_depth"][index].astype(float), arrays["middles"][index].astype(float),
+                float(described["sigma"]), bool(described["rigid"]), cues, points, float(described["expected"]),
+            )  # fmt: skip
+            movers.append(mover)
         return SceneMovers(movers, np.array(value["normal"], float), bool(value["ground"]))
     except (KeyError, TypeError, ValueError, IndexError) as error:
         raise InputError(f"{path} does not hold movers: {error}.") from error

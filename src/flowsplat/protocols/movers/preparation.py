@@ -19,6 +19,7 @@ from flowsplat.priors.cameras import CameraOptions, camera_stage
 from flowsplat.priors.depth import depth_stage
 from flowsplat.priors.flow import flow_stage
 from flowsplat.priors.masks import mask_stage
+from flowsplat.priors.objects import objects_stage
 from flowsplat.priors.tracks import tracks_stage
 from flowsplat.scenes import Scene
 from flowsplat.scenes.synthetic.worlds import draw_world, write_world
@@ -59,7 +60,7 @@ def prepare_world(seed: int, folder: Path, width: int, height: int, frames: int)
 
 
 def place_movers(scene: Scene, again: bool = False) -> None:
-    """The step under test: the depth of what moves, before a static world whose matches are solved already.
+    """The step under test: course, relief and distance of what moves, before a static world whose matches are solved already.
 
     Args:
         again: forget the depth that is there.
@@ -70,6 +71,7 @@ def place_movers(scene: Scene, again: bool = False) -> None:
         scene.save_info()
     if scene.prior("depth") is None:
         shutil.rmtree(scene.folder / "depth", ignore_errors=True)
+        objects_stage(scene)
         depth_stage(scene)
 
 
