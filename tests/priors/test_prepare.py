@@ -138,7 +138,7 @@ def test_another_method_than_the_scene_has_replaces_it(prepared: Scene, networks
 def test_what_is_kept_is_said(prepared: Scene, capsys):
     assert prepare_priors(prepared, PriorsOptions()) == {}
     said = " ".join(capsys.readouterr().err.split())
-    assert "kept: cameras (tracks), flow (dis), masks (motion), depth (multi-view), tracks (patches)." in said
+    assert "kept: cameras (tracks), flow (dis), masks (motion), tracks (patches), depth (multi-view)." in said
 
 
 def test_given_masks_give_way_to_a_network_that_is_asked_for(prepared: Scene, networks):

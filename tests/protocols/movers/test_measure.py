@@ -7,8 +7,12 @@ import shutil
 import numpy as np
 import pytest
 
-from flowsplat.common.files import write_json
-from flowsplat.protocols.movers.measure import OBJECTS, depth_scale, measure_scene
+from flowsplat.priors.objects import SceneMovers
+from flowsplat.priors.objects.distance import Cue
+from flowsplat.priors.objects.movers import Mover
+from flowsplat.priors.objects.relief import ReliefPoints
+from flowsplat.priors.objects.storage import save_movers
+from flowsplat.protocols.movers.measure import depth_scale, measure_scene
 from flowsplat.scenes import Depth, Scene
 from flowsplat.scenes.synthetic.worlds import draw_world, write_world
 
@@ -106,10 +110,14 @@ def test_what_is_believed_of_an_object_goes_to_its_mover(scene):
         return depth, np.where(mask == 1, 7, mask)
 
     change(scene, renumbered)
-    write_json(scene.folder / OBJECTS, {"7": {"sigma": 0.03, "cues": ["contact"], "other": 1}, "3": {"sigma": 0.5}})
+    frames = len(scene.train_frames)
+    course, middles = np.zeros(frames), np.zeros((frames, 2))
+    movers = [
+        Mover(7, course, middles, 0.03, True, {"contact": Cue(0.0, 0.03, 0.1)}, ReliefPoints.none(), 0.0),
+        Mover(3, course, middles, 0.5, False, {}, ReliefPoints.none(), 0.0),
+    ]
+    save_movers(scene, SceneMovers(movers, np.array([0, -1.0, 0])))
     first, second, third = measure_scene(scene)["movers"]
     assert (first["sigma"], first["cues"]) == (0.03, ["contact"])
     assert "sigma" not in second
-    assert third["sigma"] == 0.5
-    assert "cues" not in third
-    assert "other" not in first
+    assert (third["sigma"], third["cues"]) == (0.5, [])

@@ -69,12 +69,11 @@ def find_movers(clip: MatchedClip, background: StaticDepth) -> SceneMovers:
         chosen, inside = on_movers.get(number, (np.zeros(0, int), np.zeros((0, len(frames)), bool)))
         log_cards = np.where(seen, -np.log(np.where(seen, values, 1)), np.nan)
         home = int(np.bincount(pieces[seen]).argmax())
-        movers.append(
-            solve_mover(
-                number, tracks.points[chosen][:, frames], inside, middles[number], bounds[number], cameras, grounds[home], log_cards,
-                normal,
-            )  # fmt: skip
+        positions = tracks.points[chosen][:, frames]
+        mover = solve_mover(
+            number, positions, inside, middles[number], bounds[number], cameras, grounds[home], log_cards, normal
         )
+        movers.append(mover)
     return SceneMovers(movers, normal, any_ground is not None)
 
 

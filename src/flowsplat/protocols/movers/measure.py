@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from flowsplat.common.files import read_json
+from flowsplat.priors.objects import load_movers
 from flowsplat.scenes import Scene
 from flowsplat.scenes.synthetic.worlds import read_movers
 
@@ -23,10 +23,6 @@ FEWEST = 20
 
 CENTRAL = (15.87, 84.13)
 """Percentiles whose half distance is the standard deviation of a normal distribution."""
-
-OBJECTS = "objects.json"
-"""In a scene, if the step under test writes it: by the number of an object, what is believed of its distance: ``sigma``, the
-standard deviation of its logarithm, and ``cues``, the names of what told it."""
 
 Record = dict[str, Any]
 
@@ -45,7 +41,7 @@ def measure_scene(scene: Scene) -> Record:
           deviation within a frame; None where it was not found;
         - ``iou``: with the object that overlaps it most in a frame, intersections and unions summed over frames;
         - ``idf1``: of the object that stands for it over the clip, one object for one mover;
-        - ``object``: the number of that object, or None; and its ``sigma`` and ``cues``, where ``OBJECTS`` tells them.
+        - ``object``: the number of that object, or None; and its ``sigma`` and ``cues``, where the object stage tells them.
 
     Raises:
         InputError: something of the scene is missing or damaged.
@@ -175,10 +171,5 @@ def _mean_height(inside: np.ndarray) -> float:
 
 
 def _told(scene: Scene) -> dict[str, Record]:
-    """``sigma`` and ``cues`` of objects by their numbers, as far as the scene tells them."""
-    path = scene.folder / OBJECTS
-    if not path.exists():
-        return {}
-    return {
-        number: {key: values[key] for key in ("sigma", "cues") if key in values} for number, values in read_json(path).items()
-    }
+    """What is believed of the distance of objects by their numbers: ``sigma`` of its logarithm, and ``cues`` that told it."""
+    return {str(m.number): {"sigma": m.sigma, "cues": sorted(m.cues)} for m in load_movers(scene).movers}
