@@ -62,18 +62,26 @@ def test_the_ground_and_its_steps():
     camera = look(np.array([0, 0, 1.6]), np.array([0, 6.0, 0.6]))
     for y, z in ((4.0, 0.0), (9.0, 0.5)):
         pixel, depth = camera.project(np.array([[0.3, y, z]]))
-        assert ground.depth(camera, pixel) == pytest.approx(depth, rel=0.01)
+        found, known = ground.depth(camera, pixel)
+        assert known.all()
+        assert found == pytest.approx(depth, rel=0.01)
         assert ground.height(np.array([[0.3, y, z + 0.2]])) == pytest.approx(0.2, abs=0.02)
-    assert np.isinf(ground.depth(camera, np.array([[160.0, 5.0]]))).all()
-    assert len(ground.depth(camera, np.zeros((0, 2)))) == 0
+    assert np.isinf(ground.depth(camera, np.array([[160.0, 5.0]]))[0]).all()
+    assert len(ground.depth(camera, np.zeros((0, 2)))[0]) == 0
 
 
-def test_ground_that_was_not_seen_is_not_known():
-    ground = seen_ground()
-    assert ground is not None
+def test_ground_that_was_not_seen_is_supposed_to_go_on_where_it_is_one_plane():
     aside = look(np.array([0, 0, 1.6]), np.array([9.0, 4.0, 0.0]))
-    assert np.isinf(ground.depth(aside, np.array([[160.0, 90.0]]))).all()
-    assert np.isnan(ground.height(np.array([[20.0, 5.0, 0.0]]))).all()
+    true = aside.project(np.array([[9.0, 4.0, 0.0]]))[1]
+    flat, steps = seen_ground(), seen_ground(step=0.5)
+    assert flat is not None
+    assert steps is not None
+    depth, known = flat.depth(aside, np.array([[160.0, 90.0]]))
+    assert not known.any()
+    assert depth == pytest.approx(true, rel=0.01)
+    assert np.isnan(flat.height(np.array([[20.0, 5.0, 0.0]]))).all()
+    if steps.share < 0.5:
+        assert np.isinf(steps.depth(aside, np.array([[160.0, 90.0]]))[0]).all()
 
 
 def test_no_ground_where_none_is_in_sight():
@@ -138,7 +146,7 @@ def test_an_upright_card_is_not_flat_in_planar_depth():
     assert upright_ratio(down, UP, np.array([160.0, 90.0]), pixels) == pytest.approx(1.0)
 
 
-def moving_scene(law: str, seed: int = 0, noise: float = 0.15) -> tuple[WorldPath, float]:
+def moving_scene(law: str, seed: int = 0, noise: float = 0.15, standing: bool = False) -> tuple[WorldPath, float]:
     """The path of a body, from its pixels, and its true ln s."""
     rng = np.random.default_rng(seed)
     frames, points = 40, body(60, seed)
@@ -146,6 +154,7 @@ def moving_scene(law: str, seed: int = 0, noise: float = 0.15) -> tuple[WorldPat
     for t in range(frames):
         u = t / frames
         center = np.array([1.2 * np.sin(2.5 * u), 0.3 * np.cos(3 * u), 1.6 + 0.25 * np.sin(9 * u)])
+        center = np.array([0.0, 0.3, 1.6]) if standing else center
         cameras.append(look(center, np.array([0, 6.0, 1.2])))
         if law == "pendulum":
             angle = 0.6 * np.sin(7 * u)
@@ -178,6 +187,14 @@ def test_what_keeps_its_height():
     assert law.usable
     assert law.measures["explained"] > 0.3
     assert -np.log(law.nearness) == pytest.approx(true, abs=0.05)
+
+
+@pytest.mark.parametrize("law", ["pendulum", "rolling"])
+def test_a_standing_camera_tells_no_distance(law):
+    path, _ = moving_scene(law, standing=True)
+    cues, laws = accepted_laws(path, UP)
+    assert not cues
+    assert not any(each.usable for each in laws.values())
 
 
 def test_standing_and_flying():

@@ -52,7 +52,7 @@ def test_which_layers_are_replaced(oracles, wrong_scene):
         "constant": {"depth"},
         "course": {"depth"},
         "relief": {"depth"},
-        "outline": {"depth", "masks", "tracks.npz"},
+        "outline": {"depth", "masks", "tracks.npz", "objects.json", "objects.npz"},
         "background": {"depth", "masks", "tracks.npz"},
         "flow": {"depth", "masks", "tracks.npz", "flow"},
         "cameras": {"depth", "masks", "tracks.npz", "flow", "cameras.json"},

@@ -30,6 +30,8 @@ BELOW = 1.0
 """How much a point that lies below a plane speaks against it, where one on it speaks for it: nothing is below the ground."""
 FEWEST_SHARE = 0.03
 """Share of all static points from which there is a ground."""
+PLANE_SHARE = 0.5
+"""Share of what faces up that must lie near the plane for it to be taken on where nothing was seen: steps and terraces end."""
 CELL = 0.015
 """Side of a cell of the map, in units of the median depth of its points."""
 REACH = 8
@@ -46,7 +48,7 @@ class Ground:
 
     Attributes:
         normal: [3] unit vector, up.
-        share: of the static points that face up and lie near the map's plane.
+        share: of the static points that face up those that lie near the plane.
         origin: [3] a point of the plane; ``axes`` [2, 3] span it.
         corner: [2] of the map, in the plane; ``cell`` the side of its cells.
         heights: [rows, columns] of the ground above the plane, NaN where it is not known.
@@ -64,8 +66,23 @@ class Ground:
         """[N] how far points [N, 3] are above the ground right below them; NaN where that is not known."""
         return (points - self.origin) @ self.normal - self._below(points)
 
-    def depth(self, camera: Camera, pixels: np.ndarray) -> np.ndarray:
-        """Planar depth [N] at which the rays through pixels [N, 2] first meet the ground; inf where it is not known."""
+    def depth(self, camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Planar depth [N] at which the rays through pixels [N, 2] first meet the ground, and whether it was seen there [N].
+
+        Where it was not, the plane goes on, if most of what faces up lies on it (``PLANE_SHARE``); inf elsewhere and above the
+        horizon.
+        """
+        seen = self._seen_depth(camera, pixels)
+        known = np.isfinite(seen)
+        if self.share < PLANE_SHARE or known.all():
+            return seen, known
+        rays = camera.unproject(pixels, np.ones(len(pixels))) - camera.center
+        fall, above = rays @ self.normal, (camera.center - self.origin) @ self.normal
+        with np.errstate(divide="ignore"):
+            plane = np.where((fall < -1e-6) & (above > 0), -above / fall, np.inf)
+        return np.where(known, seen, plane), known
+
+    def _seen_depth(self, camera: Camera, pixels: np.ndarray) -> np.ndarray:
         origin, rays = camera.center, camera.unproject(pixels, np.ones(len(pixels))) - camera.center
         result = np.full(len(pixels), np.inf)
         if len(pixels) == 0:
@@ -140,14 +157,15 @@ def find_ground(
         return None
     normal, offset = found
     upward = normals @ normal > np.cos(np.radians(STEEPEST))
-    near = upward & (np.abs(points @ normal - offset) < 3 * TOLERANCE * depths)
+    near = upward & (np.abs(points @ normal - offset) < 2 * TOLERANCE * depths)
     if near.sum() < max(30, FEWEST_SHARE * total):
         return None
+    share = float(near.sum() / upward.sum())
     axes = np.linalg.svd(normal[None])[2][1:]
     axes[1] *= np.sign(np.cross(axes[0], axes[1]) @ normal)
     origin = normal * offset
     kept = points[upward & (points @ normal < min(float(c.center @ normal) for c in cameras))]
-    return _mapped(kept, normal, float(near.mean()), origin, axes, CELL * float(np.median(depths[upward])))
+    return _mapped(kept, normal, share, origin, axes, CELL * float(np.median(depths[upward])))
 
 
 def _mapped(

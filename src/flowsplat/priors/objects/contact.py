@@ -16,6 +16,9 @@ FEWEST_PIXELS = 24
 HIDDEN = 0.06
 """How much nearer than the ground the static scene just below its lowest pixels must be to hide its feet."""
 
+BEYOND = 0.15
+"""How much farther the static scene is seen than the ground is supposed to be, so that it ends before."""
+
 
 @dataclass(frozen=True)
 class Bound:
@@ -24,10 +27,12 @@ class Bound:
     Attributes:
         log_depth: logarithm of the planar depth of the card's middle at which it would touch the ground.
         visible: whether its lowest pixels are in the picture and nothing stands before them.
+        seen: whether the ground was seen there, and is not only supposed to go on.
     """
 
     log_depth: float
     visible: bool
+    seen: bool
 
 
 def upright_ratio(camera: Camera, normal: np.ndarray, middle: np.ndarray, pixels: np.ndarray) -> np.ndarray:
@@ -72,7 +77,7 @@ def ground_bound(mask: np.ndarray, camera: Camera, ground: Ground, static: np.nd
     )
     y, x = np.nonzero(mask & (shifted == 0))
     pixels = np.stack([x + 0.5 + 0.5 * column, y + 0.5 + 0.5 * row], 1)
-    depth = ground.depth(camera, pixels)
+    depth, seen = ground.depth(camera, pixels)
     log_depth = np.log(depth) - np.log(upright_ratio(camera, ground.normal, middle_of(mask), pixels))
     # The lowest pixels are those nearest to the camera's foot on the ground, whether the ground is known there or not.
     rays = camera.unproject(pixels, np.ones(len(pixels))) - camera.center
@@ -87,9 +92,12 @@ def ground_bound(mask: np.ndarray, camera: Camera, ground: Ground, static: np.nd
     below_x, below_y = x[lowest] + reach * column, y[lowest] + reach * row
     inside = (below_x >= 0) & (below_y >= 0) & (below_x < width) & (below_y < height)
     inside &= known[lowest]
+    was_seen = bool(seen[lowest].mean() > 0.5)
     visible = bool(inside.mean() > 0.5 and (below_y < height).mean() > 0.9)
     if visible:
         rows, columns = (below_y * static.shape[0]) // height, (below_x * static.shape[1]) // width
-        ahead = np.log(static[rows[inside], columns[inside]]) - np.log(depth[lowest][inside])
-        visible = bool(np.median(ahead) > -HIDDEN)
-    return Bound(bound, visible)
+        ahead = float(np.median(np.log(static[rows[inside], columns[inside]]) - np.log(depth[lowest][inside])))
+        visible = ahead > -HIDDEN
+        if not was_seen and np.isfinite(ahead) and ahead > BEYOND:
+            return None
+    return Bound(bound, visible, was_seen)

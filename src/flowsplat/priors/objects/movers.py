@@ -25,11 +25,13 @@ INLIERS = 0.85
 HALF_PER_FRAME = 25
 FLOOR = {"pivot": 0.02, "height": 0.03, "smooth": 0.03, "contact": 0.025, "bounce": 0.03}
 WRONG = {"pivot": 0.05, "height": 0.05, "smooth": 0.1, "contact": 0.07, "bounce": 0.1}
-FLAT, FLAT_LOW, FLAT_HIGH = 0.06, 10, 70
+FLAT, FLAT_LOW, FLAT_HIGH = 0.1, 10, 70
 """Range of the bounds between two percentiles over time up to which a mover stands on the ground."""
 MOSTLY = 0.5
 """Share of the frames in which a mover is seen in which its feet must be seen, too: what swings hides where it is high."""
 FEWEST_BOUNDS = 8
+SUPPOSED_SIGMA, SUPPOSED_WRONG = 0.06, 0.25
+"""What is added to the error of a contact with ground that was not seen, and its chance to be wrong."""
 BOUNCE_SPAN = 2
 """Frames to either side over which the second difference of the bounds is taken."""
 BOUNCE, BOUNCE_NOISE = 0.1, 4.0
@@ -173,6 +175,11 @@ def contact_cue(bounds: np.ndarray, visible: np.ndarray, frames: int) -> Cue | N
     return Cue(float(middle), float(np.hypot(FLOOR["contact"], 0.5 * (high - low))), WRONG["contact"])
 
 
+def unsurer(cue: Cue) -> Cue:
+    """The same on ground that nobody saw."""
+    return Cue(cue.log_scale, float(np.hypot(cue.sigma, SUPPOSED_SIGMA)), SUPPOSED_WRONG)
+
+
 def bounce_cue(bounds: np.ndarray) -> Cue | None:
     """That a mover touched the ground for moments: its bounds [T] have sharp minima, where it bounced.
 
@@ -201,6 +208,8 @@ def bounce_cue(bounds: np.ndarray) -> Cue | None:
     if not levels:
         return None
     middle, spread = float(np.median(levels)), float(np.ptp(levels))
+    if spread > FLAT:
+        return None  # It is the same ground each time.
     few = len(levels) == 1
     return Cue(middle, float(np.hypot(0.05 if few else FLOOR["bounce"], 0.5 * spread)), 0.2 if few else WRONG["bounce"])
 
@@ -229,12 +238,20 @@ def solve_mover(
         points = place_points(motion, Observations.of_tracks(positions, inside, K), K)
         found = middle_depths(points, middles, cameras, normal)
         course = np.where(seen, np.interp(np.arange(T), np.flatnonzero(np.isfinite(found)), found[np.isfinite(found)]), np.nan)
-        cues = accepted_laws(WorldPath.of(motion, cameras), ground.normal if ground else None)[0]
+        try:
+            cues = accepted_laws(WorldPath.of(motion, cameras), ground.normal if ground else None)[0]
+        except np.linalg.LinAlgError:
+            cues = {}  # Poses that the tracks hardly tell have no covariance: then no law does either.
     at_ground = np.array([np.nan if bound is None else bound.log_depth for bound in bounds]) - course
     visible = np.array([bound is not None and bound.visible for bound in bounds])
     stands = contact_cue(at_ground, visible, int(seen.sum()))
     bounces = bounce_cue(np.where(visible, at_ground, np.nan)) if stands is None else None
-    known, far = at_ground[np.isfinite(at_ground)], []
+    # Ground that is only supposed may drop: it says less, and bounds nothing.
+    seen_ground = np.array([bound is not None and bound.seen for bound in bounds])
+    supposed = float(seen_ground[np.isfinite(at_ground)].mean()) < 0.5 if np.isfinite(at_ground).any() else False
+    known, far = at_ground[np.isfinite(at_ground) & seen_ground], []
+    if supposed:
+        stands, bounces = (None if cue is None else unsurer(cue) for cue in (stands, bounces))
     # Where it touches is what bounds it; else no frame may put it below the ground.
     if stands is not None:
         cues = {**cues, "contact": stands}
@@ -243,7 +260,10 @@ def solve_mover(
     elif len(known) >= FEWEST_BOUNDS:
         far = [float(np.percentile(known, BOUND_PERCENTILE)) + BOUND_SLACK]
     near_ground = float(np.percentile(known, GUESS_PERCENTILE)) - ABOVE_GROUND if len(known) >= FEWEST_BOUNDS else None
-    distance = combine(float(np.median((log_cards - course)[seen])), cues, far, near_ground)
+    # What hides behind a mover that touches the ground says nothing that its feet do not say better.
+    touches = [cue for cue in (stands, bounces) if cue is not None]
+    guess = touches[0].log_scale if touches else float(np.median((log_cards - course)[seen]))
+    distance = combine(guess, cues, far, None if touches else near_ground)
     moved = replace(points, log_depth=points.log_depth + distance.log_scale)
     expected = DEEPEST * motion.size if motion is not None else 0.0
     return Mover(

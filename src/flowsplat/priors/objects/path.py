@@ -179,6 +179,8 @@ def _least_squares(
     L = np.linalg.cholesky(covariance + 1e-12 * np.trace(covariance) / len(covariance) * np.eye(len(covariance)))
     a, b = np.linalg.solve(L, A), np.linalg.solve(L, y)
     H = a.T @ a + np.diag(prior)
+    # What the data do not tell, the distance before a camera that stands, say, stays unsure instead of singular.
+    H += 1e-12 * np.trace(H) / len(H) * np.eye(len(H))
     x = np.linalg.solve(H, a.T @ b)
     off = b - a @ x
     return x, np.linalg.inv(H), float(off @ off + (prior * x**2).sum()), off

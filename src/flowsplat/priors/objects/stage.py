@@ -1,4 +1,4 @@
-"""The object stage: how each mover moves, and how far away it is (METHOD 9)."""
+"""The object stage: how each mover moves, and how far away it is (METHOD 10)."""
 
 from __future__ import annotations
 
