@@ -13,7 +13,8 @@ import tyro
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.progress import say
-from flowsplat.priors.background.matched_clip import forget_solutions
+from flowsplat.priors.background.matched_clip import MatchedClip, forget_solutions
+from flowsplat.priors.background.static_depth import static_depth
 from flowsplat.priors.cameras import CameraOptions, camera_stage
 from flowsplat.priors.cameras.stage import LENS, OWN, require_lens_in_pictures
 from flowsplat.priors.depth import depth_stage
@@ -275,10 +276,13 @@ def _choose_depth(
 
 def _objects_and_depth(scene: Scene, estimate: FlowEstimator) -> None:
     """Movers first: they have a distance of their own, and the depth of their pixels follows from it."""
-    if all(scene.has_mask(i) for i in scene.train_frames) and scene.has_tracks:
-        objects_stage(scene, estimate)
+    has_masks = all(scene.has_mask(i) for i in scene.train_frames)
+    clip = MatchedClip(scene, estimate)
+    static = clip, static_depth(clip, has_masks)
+    if has_masks and scene.has_tracks:
+        objects_stage(scene, estimate, static)
         say(f"objects: {_verdict(scene, 'objects')}")
-    depth_stage(scene, estimate)
+    depth_stage(scene, estimate, static)
 
 
 _CHOICES = {"masks": _choose_masks, "depth": _choose_depth}

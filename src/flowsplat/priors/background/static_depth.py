@@ -125,8 +125,9 @@ class Background:
         self._clip, self._has_masks = clip, has_masks
         self._own = lru_cache(maxsize=2 * FUSED_WITH[-1] + 2)(self._weighed)
         self._uncovered = lru_cache(maxsize=1)(self._uncover)
-        self._plates = lru_cache(maxsize=1)(self._plate)
-        self._witnessed = lru_cache(maxsize=1)(self._witness)
+        # Movers are placed, and then drawn, on two walks over the clip.
+        self._plates = lru_cache(maxsize=len(clip))(self._plate)
+        self._witnessed = lru_cache(maxsize=len(clip))(self._witness)
         self._fused = lru_cache(maxsize=_KEPT)(self._fuse)
 
     def mask(self, k: int) -> np.ndarray:

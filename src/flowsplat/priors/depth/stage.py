@@ -28,7 +28,9 @@ TRUSTED_WEIGHT = 5.0
 """Weight at which a static pixel has a confidence of one half."""
 
 
-def depth_stage(scene: Scene, estimate: FlowEstimator = dis_estimator) -> None:
+def depth_stage(
+    scene: Scene, estimate: FlowEstimator = dis_estimator, static: tuple[MatchedClip, StaticDepth] | None = None
+) -> None:
     """Depth with confidence for every training frame that has none. Needs cameras and flow, and uses masks if there are any.
 
     Static pixels come from their matches in other frames of the same piece of the clip, movers from the object stage; what that
@@ -37,10 +39,11 @@ def depth_stage(scene: Scene, estimate: FlowEstimator = dis_estimator) -> None:
 
     Args:
         estimate: finds the flow between frames that are no neighbours.
+        static: the clip and its static scene, where they are at hand.
     """
-    clip = MatchedClip(scene, estimate)
     has_masks = all(scene.has_mask(i) for i in scene.train_frames)
-    background = static_depth(clip, has_masks)
+    clip = static[0] if static else MatchedClip(scene, estimate)
+    background = static[1] if static else static_depth(clip, has_masks)
     movers = load_movers(scene)
     trusted = []
     for k, i in enumerate(track(scene.train_frames, "Depth")):

@@ -21,14 +21,17 @@ GROUND_FRAMES = 16
 """Frames of a piece that the ground is found in."""
 
 
-def objects_stage(scene: Scene, estimate: FlowEstimator = dis_estimator) -> None:
+def objects_stage(
+    scene: Scene, estimate: FlowEstimator = dis_estimator, static: tuple[MatchedClip, StaticDepth] | None = None
+) -> None:
     """Course, relief and distance of every numbered mover. Needs cameras, flow, masks and tracks.
 
     Args:
         estimate: finds the flow between frames that are no neighbours.
+        static: the clip and its static scene, where they are at hand.
     """
-    clip = MatchedClip(scene, estimate)
-    found = find_movers(clip, static_depth(clip, has_masks=True))
+    clip = static[0] if static else MatchedClip(scene, estimate)
+    found = find_movers(clip, static[1] if static else static_depth(clip, has_masks=True))
     save_movers(scene, found)
     rigid = sum(mover.rigid for mover in found.movers)
     tied = sum(bool(mover.cues) for mover in found.movers)
