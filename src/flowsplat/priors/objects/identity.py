@@ -1,0 +1,656 @@
+"""Which pixels of masks belong to one mover: object numbers from tracks, which persist where masks touch and break.
+
+Parts of a mask that are connected may be several movers that touch, and a mover may be several parts. Tracks that were in
+different parts for several frames are on different movers, unless they move as one; tracks that are never apart are on one.
+So tracks are clustered: strong ties first, between neighbours whose distance hardly changes over all frames that they share
+(Brox and Malik, ECCV 2010), and no tie between clusters that were apart, unless most frames speak for it (in the spirit of
+Keuper et al., ICCV 2015). Legs and arms belong to a body that they are never apart from, though they move in ways of their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from numba import njit
+from scipy.spatial import cKDTree
+
+from flowsplat.priors.continuity import Continuity
+from flowsplat.priors.objects.relief import place_points
+from flowsplat.priors.objects.rigid import Observations, longest, solve_rigid
+from flowsplat.scenes import Scene
+
+OWN = ("motion", "clicks")
+"""Methods of masks whose numbers are ours to change."""
+GAP = 0.004
+"""Share of the long side by which parts are enlarged before they count as apart."""
+INSIDE = 0.6
+"""Share of its visible frames that a track must be inside masks."""
+SHORTEST = 3
+"""Frames of a track inside masks."""
+NEIGHBOURS, REACH = 8, 0.04
+"""Nearest tracks that a track is compared with, and how far they may be, as a share of the long side."""
+LAGS = ((1, 0.2), (3, 0.45), (8, 0.6))
+"""Frames over which the change of a distance is looked at, and the share of the distance that turning and bending may take."""
+AGREE = 1.5
+"""Pixels, in a picture whose long side is 640 or less, that a distance may change beyond that."""
+STRONG = 5
+"""Frames that two tracks must share for a strong tie."""
+LASTING = 3
+"""Frames in different parts from which clusters count as apart."""
+NOW_AND_THEN = 0.1
+"""Frames apart, as a share of those together, up to which a mask only broke."""
+STRAY = 0.1
+"""Share of the most tracks that a cluster ever has in a frame below which those in another say nothing: they may have slipped."""
+FEWEST_TRACKS, FEWEST_FRAMES = 12, 5
+"""Below, a cluster is too small to be a mover."""
+OUTWEIGHS = 3.0
+"""Frames of contact in agreement that one frame apart outweighs."""
+BRIDGE, BRIDGED = 0.75, 0.7
+"""Share of the neighbours across a gap that must agree in a frame, and of the frames apart in which they do, in one mover."""
+APART_FRAMES = 24
+"""Frames, evenly chosen, in which two clusters that are apart are compared."""
+AHEAD, EXTRAPOLATED = 3, 0.05
+"""Frames over which the motion of two clusters is compared, and the error of one that is extrapolated, as a share of how far."""
+RIGID_TRACKS, RIGID_FRAMES, EXPLAINED = 24, 10, 0.85
+"""Needed to ask whether one rigid motion explains two clusters, and the share of the observations that it must explain."""
+RIGID_GAP = 0.12
+"""Share of the long side between clusters up to which that is asked."""
+RIGID_TURN, RIGID_DEPTH = 15.0, 4.0
+"""Degrees that it must turn, and half widths of the larger one that points of the other may be nearer or farther than it."""
+OVERLAP, LONGEST_PAUSE = 2, 6
+"""Frames that two clusters may share, and that may pass between them, if one continues the other."""
+FLOW_WEIGHT = 3.0
+"""Pixels of distance that one pixel of a difference in motion counts, where a part is divided."""
+VOTES = 5
+MOST_MOVERS = 60
+"""Clusters that are compared with each other in one piece of a clip; the smallest beyond are too small."""
+
+
+def identify_movers(scene: Scene) -> int:
+    """Rewrite the object numbers of the stored masks by common motion; what is masked stays the same.
+
+    Needs tracks over the training frames. True masks keep their numbers, and so do masks that came with several.
+
+    Returns:
+        How many objects there are.
+    """
+    frames = scene.train_frames
+    numbers = np.unique(np.concatenate([np.unique(scene.mask(i)) for i in frames]))
+    numbers = numbers[numbers > 0]
+    method = (scene.prior("masks") or {}).get("method")
+    if len(numbers) == 0 or method == "truth" or (method not in OWN and len(numbers) > 1):
+        return len(numbers)
+    tracks, pieces = scene.tracks, Continuity(scene).pieces
+    K = scene.cameras[frames[0]].K if scene.has_cameras else None
+    highest = 0
+    for piece in np.unique(pieces):
+        chosen = [frames[k] for k in np.flatnonzero(pieces == piece)]
+        clip = MaskedTracks(tracks.points[:, chosen, :2], tracks.visible[:, chosen], [scene.mask(i) for i in chosen])
+        owners = movers_of_tracks(clip, K)
+
+        def motion(k: int, chosen: list[int] = chosen) -> np.ndarray | None:
+            """Of the pixels of a frame, per frame ahead."""
+            if len(chosen) == 1:
+                return None
+            j = k + 1 if k + 1 < len(chosen) else k - 1
+            return scene.flow(chosen[k], chosen[j]).flow * (j - k)
+
+        def write(k: int, mask: np.ndarray, chosen: list[int] = chosen) -> None:
+            scene.write_mask(chosen[k], mask)
+
+        highest = paint(clip, owners, motion, write, highest)
+    how = scene.prior("masks")
+    if how is not None:
+        how["objects"] = highest
+        scene.save_info()
+    return highest
+
+
+@dataclass
+class MaskedTracks:
+    """Tracks and the parts of masks that they lie in, over the training frames of one piece of a clip.
+
+    Attributes:
+        points: [P, T, 2] pixels, where visible [P, T] bool.
+        masks: T of [H, W] uint8, object numbers.
+        part: [P, T] int16, the part that a track lies in, from 1, different ones being a gap apart; 0 = in none or not seen.
+    """
+
+    points: np.ndarray
+    visible: np.ndarray
+    masks: list[np.ndarray]
+    part: np.ndarray = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.part = np.zeros(self.visible.shape, np.int16)
+        for k in range(len(self.masks)):
+            seen, places = self.seen(k)
+            self.part[seen, k] = self.parts(k)[1][places[:, 1], places[:, 0]]
+        inside = (self.part > 0).sum(1)
+        self.part[(inside < SHORTEST) | (inside < INSIDE * self.visible.sum(1))] = 0
+
+    @property
+    def long_side(self) -> int:
+        """Of the picture, in pixels."""
+        return max(self.masks[0].shape)
+
+    def seen(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """Indices [N] of the tracks that are visible in frame k, and the pixels (column, row) [N, 2] that they are on."""
+        seen = np.flatnonzero(self.visible[:, k])
+        height, width = self.masks[k].shape
+        return seen, np.clip(self.points[seen, k].astype(int), 0, [width - 1, height - 1])
+
+    def parts(self, k: int) -> tuple[int, np.ndarray]:
+        """One more than how many parts the mask of frame k has, and their labels [H, W], 0 outside the mask."""
+        moving = (self.masks[k] > 0).astype(np.uint8)
+        side = 2 * max(1, round(GAP * self.long_side)) + 1
+        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
+        count, labels = cv2.connectedComponents(cv2.dilate(moving, disc))
+        return count, labels * moving
+
+
+def movers_of_tracks(clip: MaskedTracks, K: np.ndarray | None = None) -> np.ndarray:
+    """The mover, from 1, that every track is on [P]; 0 for those on none, or on what is too small to know.
+
+    Args:
+        K: [3, 3] intrinsics. Without them only what is near may be joined across gaps.
+    """
+    on = np.flatnonzero((clip.part > 0).any(1))
+    owners = np.zeros(len(clip.part), int)
+    if len(on) == 0:
+        return owners
+    points = clip.points[on].astype(np.float32)
+    part = np.ascontiguousarray(clip.part[on])
+    ties = _Ties.find(points, part, clip.long_side)
+    cluster = _clustered(part, ties)
+    clusters = _Clusters(points, part, cluster, ties, clip.long_side)
+    clusters.join_in_contact()
+    clusters.join_over_time()
+    clusters.join_never_apart()
+    clusters.join_across_gaps(K)
+    clusters.join_over_time()
+    clusters.attach_small()
+    owners[on] = clusters.numbers()
+    return owners
+
+
+@dataclass(frozen=True)
+class _Ties:
+    """Pairs of neighbours, the strongest first.
+
+    Attributes:
+        a, b: [E] indices of tracks.
+        known: [E] whether they share enough frames to tell.
+        agrees: [E] whether their distance hardly changes over all frames that they share.
+        strong: how many, the first ones, are known to agree.
+    """
+
+    a: np.ndarray
+    b: np.ndarray
+    known: np.ndarray
+    agrees: np.ndarray
+    strong: int
+
+    @staticmethod
+    def find(points: np.ndarray, part: np.ndarray, long_side: int) -> _Ties:
+        found = []
+        for k in range(part.shape[1]):
+            here = np.flatnonzero(part[:, k])
+            count = min(NEIGHBOURS + 1, len(here))
+            if count < 2:
+                continue
+            _, near = cKDTree(points[here, k]).query(points[here, k], k=count, distance_upper_bound=REACH * long_side)
+            near = np.append(here, -1)[near]
+            pairs = np.stack([np.repeat(here, count - 1), near[:, 1:].ravel()], 1)
+            pairs = np.sort(pairs[(pairs >= 0).all(1) & (pairs[:, 0] != pairs[:, 1])], 1)
+            found.append(pairs[:, 0].astype(np.int64) * len(part) + pairs[:, 1])
+        codes = np.unique(np.concatenate(found)) if found else np.zeros(0, np.int64)
+        a, b = codes // len(part), codes % len(part)
+        worst, shared = _disagreement(points, part > 0, a, b)
+        agrees = worst <= AGREE * max(1.0, long_side / 640)
+        known = shared >= STRONG
+        strong = agrees & known
+        order = np.lexsort((worst, -shared, ~agrees, ~strong))
+        return _Ties(a[order], b[order], known[order], agrees[order], int(strong.sum()))
+
+
+class _Clusters:
+    """Clusters of tracks, and for how many frames they were together, apart, and in contact."""
+
+    def __init__(self, points: np.ndarray, part: np.ndarray, cluster: np.ndarray, ties: _Ties, long_side: int):
+        self._points, self._part, self._long_side = points, part, long_side
+        self._ties = ties
+        self._scale = max(1.0, long_side / 640)
+        _, cluster = np.unique(cluster, return_inverse=True)
+        sizes = np.bincount(cluster)
+        lasting = np.array([np.count_nonzero((part[cluster == c] > 0).any(0)) for c in range(len(sizes))])
+        large = np.flatnonzero((sizes >= FEWEST_TRACKS) & (lasting >= FEWEST_FRAMES))
+        large = large[np.argsort(-sizes[large], kind="stable")][:MOST_MOVERS]
+        rank = np.full(len(sizes), -1)
+        rank[large] = np.arange(len(large))
+        self._small = cluster
+        self._of = rank[cluster]  # [N] the large cluster that a track is in, or -1
+        self._count()
+
+    def _count(self) -> None:
+        """Where every large cluster mostly is, and the frames in which two of them touch, and agree where they touch."""
+        count, frames = int(self._of.max(initial=-1)) + 1, self._part.shape[1]
+        self._home = np.array([self._main_part(self._of == c) for c in range(count)], int).reshape(count, frames)
+        a, b = self._of[self._ties.a], self._of[self._ties.b]
+        across = (a >= 0) & (b >= 0) & (a != b) & self._ties.known
+        i, j, agrees = self._ties.a[across], self._ties.b[across], self._ties.agrees[across]
+        touching = (self._part[i] == self._part[j]) & (self._part[i] > 0)
+        self._touch, self._agree = np.zeros((2, count, count, frames), np.int32)
+        pair, frame = np.nonzero(touching)
+        for x, y in ((a[across][pair], b[across][pair]), (b[across][pair], a[across][pair])):
+            np.add.at(self._touch, (x, y, frame), 1)
+            np.add.at(self._agree, (x, y, frame), agrees[pair].astype(np.int32))
+
+    def _main_part(self, chosen: np.ndarray) -> np.ndarray:
+        """[T] the part that most of the chosen tracks are in, 0 where none is."""
+        parts = self._part[chosen]
+        home, most = np.zeros((2, parts.shape[1]), int)
+        for k in range(parts.shape[1]):
+            held = np.bincount(parts[:, k], minlength=1)
+            held[0] = 0
+            home[k], most[k] = held.argmax(), held.max()
+        return np.where(most > STRAY * most.max(initial=0), home, 0)
+
+    def _join(self, a: int, b: int) -> None:
+        """Cluster b becomes part of a; the last one takes its number."""
+        last = self._of.max()
+        self._of[self._of == b] = a
+        if b != last:
+            self._of[self._of == last] = b
+
+    def _together(self) -> tuple[np.ndarray, np.ndarray]:
+        """Frames [C, C] in which two clusters are in one part, and in different ones."""
+        seen = self._home > 0
+        both = seen[:, None] & seen[None]
+        same = self._home[:, None] == self._home[None]
+        return (both & same).sum(2), (both & ~same).sum(2)
+
+    def join_in_contact(self) -> None:
+        """Join what agrees where it touches and is hardly ever apart, or agrees for longer than it is apart."""
+        while len(self._home) > 1:
+            together, apart = self._together()
+            contact = self._contact()
+            allowed = (contact > 0) & (self._hardly(apart, together) | (contact > OUTWEIGHS * apart))
+            if not self._join_best(np.where(allowed, contact - apart + 1e-3 * together, -np.inf)):
+                return
+
+    def join_never_apart(self) -> None:
+        """Join what shares a part whenever it is seen: limbs, and what is carried."""
+        while len(self._home) > 1:
+            together, apart = self._together()
+            allowed = self._hardly(apart, together) & (together >= LASTING)
+            if not self._join_best(np.where(allowed, (self._touch > 0).sum(2) - apart + 1e-3 * together, -np.inf)):
+                return
+
+    def join_over_time(self) -> None:
+        """Join what begins about where and when another cluster ends: a body whose tracks were all lost at once."""
+        while len(self._home) > 1:
+            together, apart = self._together()
+            allowed = np.maximum(together, apart) <= OVERLAP
+            key = np.full(allowed.shape, -np.inf)
+            for a, b in np.argwhere(np.triu(allowed, 1)):
+                key[a, b] = -self._handover(int(a), int(b))
+            if not self._join_best(np.where(key >= -1, key, -np.inf)):
+                return
+
+    def _handover(self, a: int, b: int) -> float:
+        """How far one of two clusters begins from where the other would be, in units of both their radii; infinite if not then."""
+        first, last = np.array([np.flatnonzero(self._home[c])[[0, -1]] for c in (a, b)]).T
+        early, late = (0, 1) if first[0] + last[0] <= first[1] + last[1] else (1, 0)
+        members = [np.flatnonzero(self._of == c) for c in (a, b)]
+        end, start = int(last[early]), int(first[late])
+        if abs(start - end) > LONGEST_PAUSE:
+            return np.inf
+        before, after = self._middle(members[early], end), self._middle(members[late], start)
+        since = members[early][(self._part[members[early], end] > 0) & (self._part[members[early], end - 1] > 0)]
+        if end > 0 and len(since) and start > end:
+            moved = np.median(self._points[since, end] - self._points[since, end - 1], 0)
+            before += moved * (start - end)
+        return float(np.linalg.norm(before - after) / max(self._radius(members[0]) + self._radius(members[1]), 1e-9))
+
+    def _middle(self, members: np.ndarray, k: int) -> np.ndarray:
+        """Mean place [2] of those of the tracks that are seen in frame k."""
+        return self._points[members[self._part[members, k] > 0], k].mean(0)
+
+    def _radius(self, members: np.ndarray) -> float:
+        """Pixels: of a disc with the spread of the tracks, in the frame with the most of them."""
+        seen = self._part[members] > 0
+        k = int(np.argmax(seen.sum(0)))
+        return float(np.sqrt(2) * np.linalg.norm(np.std(self._points[members[seen[:, k]], k], axis=0)))
+
+    def _larger_first(self, a: int, b: int) -> list[np.ndarray]:
+        """The tracks of two clusters."""
+        return sorted((np.flatnonzero(self._of == c) for c in (a, b)), key=lambda rows: -len(rows))
+
+    def _sizes(self) -> np.ndarray:
+        """[C] tracks of every large cluster."""
+        return np.bincount(self._of[self._of >= 0], minlength=len(self._home))
+
+    def _contact(self) -> np.ndarray:
+        """Frames [C, C] in which two clusters touch, and most of their neighbours agree."""
+        return ((self._agree >= 2) & (2 * self._agree >= self._touch)).sum(2)
+
+    @staticmethod
+    def _hardly(apart: np.ndarray, together: np.ndarray) -> np.ndarray:
+        return apart < np.maximum(LASTING, NOW_AND_THEN * together)
+
+    def _join_best(self, key: np.ndarray) -> bool:
+        """Join the pair with the largest key [C, C]; False if none is finite."""
+        key = np.where(np.triu(np.ones(key.shape, bool), 1), key, -np.inf)
+        a, b = np.unravel_index(int(key.argmax()), key.shape)
+        if not np.isfinite(key[a, b]):
+            return False
+        self._join(int(a), int(b))
+        self._count()
+        return True
+
+    def join_across_gaps(self, K: np.ndarray | None) -> None:
+        """Join clusters that were apart but move as one: near ones by their neighbours, others by one rigid motion."""
+        refused: set[tuple[frozenset[int], frozenset[int]]] = set()
+        while len(self._home) > 1:
+            joined, (_, apart) = False, self._together()
+            sizes = self._sizes()
+            pairs = [(int(a), int(b)) for a, b in np.argwhere(np.triu(apart >= LASTING, 1))]
+            for a, b in sorted(pairs, key=lambda pair: (-min(sizes[pair[0]], sizes[pair[1]]), pair)):
+                members = [np.flatnonzero(self._of == c) for c in (a, b)]
+                tried = frozenset(members[0].tolist()), frozenset(members[1].tolist())
+                if tried in refused:
+                    continue
+                if self._close(a, b) and self._moves_alike(a, b, K):
+                    self._join(min(a, b), max(a, b))
+                    self._count()
+                    joined = True
+                    break
+                refused.add(tried)
+            if not joined:
+                return
+
+    def _apart_frames(self, a: int, b: int) -> np.ndarray:
+        """Frames, at most about ``APART_FRAMES`` of them, in which two clusters are in different parts."""
+        found = np.flatnonzero((self._home[a] > 0) & (self._home[b] > 0) & (self._home[a] != self._home[b]))
+        return found[:: -(-len(found) // APART_FRAMES)] if len(found) else found
+
+    def _gap(self, a: int, b: int, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of the tracks of two clusters in frame k: pairs, one for each of b, the nearest first, and how far they are apart."""
+        first, second = (np.flatnonzero((self._of == c) & (self._part[:, k] > 0)) for c in (a, b))
+        away, near = cKDTree(self._points[first, k]).query(self._points[second, k])
+        order = np.argsort(away, kind="stable")
+        return first[near[order]], second[order], away[order]
+
+    def _close(self, a: int, b: int) -> bool:
+        """Whether the boxes round two clusters come near in any frame in which they are apart."""
+        for k in self._apart_frames(a, b):
+            places = [self._points[(self._of == c) & (self._part[:, k] > 0), k] for c in (a, b)]
+            low, high = np.stack([p.min(0) for p in places]), np.stack([p.max(0) for p in places])
+            if (low.max(0) - high.min(0)).max() <= RIGID_GAP * self._long_side:
+                return True
+        return False
+
+    def _moves_alike(self, a: int, b: int, K: np.ndarray | None) -> bool:
+        """Whether two clusters that were apart are one body."""
+        return self._bridged(a, b) or self._moves_as_one(a, b) or (K is not None and self._one_rigid_motion(a, b, K))
+
+    def _bridged(self, a: int, b: int) -> bool:
+        """Whether neighbours across the gap between two clusters agree in most frames in which there is one."""
+        apart, agree = self._apart_frames(a, b), 0
+        for k in apart:
+            i, j, away = self._gap(a, b, int(k))
+            near = np.flatnonzero(away <= REACH * self._long_side)[:20]
+            worst, shared = _disagreement(self._points, self._part > 0, i[near], j[near])
+            told = shared >= STRONG
+            agree += told.sum() >= 3 and (worst[told] <= AGREE * self._scale).mean() >= BRIDGE
+        return agree >= max(LASTING, BRIDGED * len(apart))
+
+    def _moves_as_one(self, a: int, b: int) -> bool:
+        """Whether the shift, turn and growth of the larger of two close clusters tell where the other goes: what a post divides."""
+        members = self._larger_first(a, b)
+        radius = min(self._radius(rows) for rows in members)
+        widest = min(max(radius, REACH * self._long_side), RIGID_GAP * self._long_side)
+        seen, told, agree = self._part > 0, 0, 0
+        for k in self._apart_frames(a, b):
+            if k + AHEAD >= seen.shape[1]:
+                break
+            first, second = (rows[seen[rows, k] & seen[rows, k + AHEAD]] for rows in members)
+            if min(len(first), len(second)) < FEWEST_TRACKS // 2:
+                continue
+            told += 1
+            x, y = self._points[first, k], self._points[first, k + AHEAD]
+            away = cKDTree(x).query(self._points[second, k])[0]
+            if away.min() > widest:
+                continue
+            found = cv2.estimateAffinePartial2D(x, y, method=cv2.LMEDS)[0]
+            if found is None:
+                continue
+            off = np.linalg.norm(self._points[second, k] @ found[:, :2].T + found[:, 2] - self._points[second, k + AHEAD], axis=1)
+            agree += np.median(off) <= AGREE * self._scale + EXTRAPOLATED * np.median(away)
+        return told >= LASTING and agree >= BRIDGE * told
+
+    def _one_rigid_motion(self, a: int, b: int, K: np.ndarray) -> bool:
+        """Whether the motion of the larger of two clusters explains the points of the other."""
+        apart, members = self._apart_frames(a, b), self._larger_first(a, b)
+        if len(members[1]) < RIGID_TRACKS or len(apart) < RIGID_FRAMES:
+            return False
+        middle = apart[:: max(1, len(apart) // 5)]
+        if np.median([self._gap(a, b, int(k))[2][0] for k in middle]) > RIGID_GAP * self._long_side:
+            return False
+        seen = self._part > 0
+        larger = members[0][longest(seen[members[0]])]
+        motion = solve_rigid(Observations.of_tracks(self._points[larger], seen[larger], K))
+        # What only shifts explains all that shifts alike, at some depth.
+        if motion is None or motion.inliers < EXPLAINED or motion.widest_turn() < RIGID_TURN:
+            return False
+        # Points of short tracks could be placed to fit any motion.
+        other = members[1][seen[members[1]].sum(1) >= RIGID_FRAMES]
+        if len(other) < RIGID_TRACKS // 2:
+            return False
+        observations = Observations.of_tracks(self._points[other], seen[other], K)
+        placed = place_points(motion, observations, K)
+        relief = np.abs(np.exp(placed.log_depth) - motion.shifts[placed.frame_of, 2])
+        return int((relief <= RIGID_DEPTH * motion.size).sum()) >= EXPLAINED * len(observations.x)
+
+    def attach_small(self) -> None:
+        """Give tracks of small clusters to the large one that they are tied to, or share a part with and are never apart from."""
+        if len(self._home) == 0:
+            return
+        seen = self._home > 0
+        for small in np.unique(self._small[self._of < 0]):
+            mine = self._small == small
+            home = self._main_part(mine)
+            both = seen & (home > 0)
+            together, apart = (both & (self._home == home)).sum(1), (both & (self._home != home)).sum(1)
+            tied = np.concatenate([self._of[self._ties.b[mine[self._ties.a]]], self._of[self._ties.a[mine[self._ties.b]]]])
+            agrees = np.concatenate([self._ties.agrees[mine[self._ties.a]], self._ties.agrees[mine[self._ties.b]]])
+            known = tied >= 0
+            ties = np.bincount(tied[known], minlength=len(seen))
+            agreeing = np.bincount(tied[known & agrees], minlength=len(seen))
+            allowed = self._hardly(apart, together) & (together > 0) | (2 * agreeing > ties) & (agreeing >= 3)
+            if allowed.any():
+                self._of[mine] = int(np.where(allowed, agreeing + 1e-3 * ties + 1e-6 * together, -1).argmax())
+
+    def numbers(self) -> np.ndarray:
+        """[N] number of the cluster of every track from 1; 0 = none."""
+        return self._of + 1
+
+
+def _disagreement(points: np.ndarray, seen: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of pairs of tracks: by how many pixels, beyond what turning takes, their distance changed most [E]; frames they share [E]."""
+    worst, shared = np.full(len(a), np.inf), np.zeros(len(a), int)
+    for start in range(0, len(a), 20000):
+        rows = slice(start, start + 20000)
+        apart, both = points[a[rows]] - points[b[rows]], seen[a[rows]] & seen[b[rows]]
+        length, most = np.linalg.norm(apart, axis=2), np.full(len(both), -np.inf)
+        for lag, share in LAGS:
+            if both.shape[1] <= lag:
+                continue
+            change = np.linalg.norm(apart[:, lag:] - apart[:, :-lag], axis=2)
+            change -= share * np.minimum(length[:, lag:], length[:, :-lag])
+            most = np.maximum(most, np.where(both[:, lag:] & both[:, :-lag], change, -np.inf).max(1))
+        worst[rows], shared[rows] = np.where(np.isfinite(most), most, np.inf), both.sum(1)
+    return worst, shared
+
+
+def _clustered(part: np.ndarray, ties: _Ties) -> np.ndarray:
+    """The cluster of every track [N] from its strong ties, the strongest first; none of them was apart within itself."""
+    home, held = part.copy(), (part > 0).astype(np.int32)
+    return _union(home, held, ties.a[: ties.strong], ties.b[: ties.strong], LASTING, STRAY)
+
+
+@njit(cache=True)
+def _union(home: np.ndarray, held: np.ndarray, a: np.ndarray, b: np.ndarray, lasting: int, stray: float) -> np.ndarray:
+    """Union of tracks along ties, but for those between sets that were in different parts for ``lasting`` frames.
+
+    Args:
+        home: [N, T] the part that a set is mostly in, held: [N, T] how many of its tracks are there; both are changed.
+    """
+    parent, most = np.arange(len(home)), np.ones(len(home), np.int32)
+    for e in range(len(a)):
+        x, y = a[e], b[e]
+        while parent[x] != x:
+            parent[x] = parent[parent[x]]
+            x = parent[x]
+        while parent[y] != y:
+            parent[y] = parent[parent[y]]
+            y = parent[y]
+        if x == y:
+            continue
+        apart = 0
+        for t in range(home.shape[1]):
+            told = held[x, t] > stray * most[x] and held[y, t] > stray * most[y]
+            apart += told and home[x, t] != home[y, t]
+        if apart >= lasting:
+            continue
+        if y < x:
+            x, y = y, x
+        parent[y] = x
+        for t in range(home.shape[1]):
+            if held[x, t] > 0 and held[y, t] > 0 and home[x, t] == home[y, t]:
+                held[x, t] += held[y, t]
+            elif held[y, t] > held[x, t]:
+                home[x, t], held[x, t] = home[y, t], held[y, t]
+            most[x] = max(most[x], held[x, t])
+    for n in range(len(parent)):
+        root = n
+        while parent[root] != root:
+            root = parent[root]
+        parent[n] = root
+    return parent
+
+
+def paint(
+    clip: MaskedTracks, owners: np.ndarray, motion: Callable[[int], np.ndarray | None], write: Callable[[int, np.ndarray], None],
+    highest: int = 0,
+) -> int:  # fmt: skip
+    """Masks with the numbers of the movers that their tracks are on.
+
+    A part with tracks of one mover is its own. In one with tracks of several, every pixel goes with those that are nearest and
+    move like it. A part without tracks goes where the number that it had goes in the frames around it, else to a mover that it is
+    mostly close to, or keeps a number of its own.
+
+    Args:
+        owners: [P] from 1, 0 = of no mover.
+        motion: of the pixels of a frame [H, W, 2] per frame ahead, or None where it is unknown.
+        write: takes the position of a frame and its mask [H, W] uint8.
+        highest: the highest number that is taken.
+
+    Returns:
+        The highest number that is taken now; 255 at most, which all further objects share.
+    """
+    painted = [_painted(clip, owners, k, motion) for k in range(len(clip.masks))]
+    most = int(owners.max(initial=0))
+    _fill_unknown(clip, painted, most)
+    _give_to_neighbours(clip, painted, most)
+    numbers: dict[int, int] = {0: 0}
+    for k, labels in enumerate(painted):
+        present, area = np.unique(labels, return_counts=True)
+        for label in present[np.argsort(-area, kind="stable")]:
+            if int(label) not in numbers:
+                highest = min(highest + 1, 255)
+                numbers[int(label)] = highest
+        table = np.zeros(max(numbers) + 1, np.uint8)
+        table[list(numbers)] = list(numbers.values())
+        write(k, table[labels])
+    return highest
+
+
+def _painted(clip: MaskedTracks, owners: np.ndarray, k: int, motion: Callable[[int], np.ndarray | None]) -> np.ndarray:
+    """[H, W] int32 owners of the pixels of frame k, -1 where none is known and 0 outside the mask."""
+    count, labels = clip.parts(k)
+    result = np.where(labels > 0, -1, 0).astype(np.int32)
+    seen, places = clip.seen(k)
+    owned = (clip.part[seen, k] > 0) & (owners[seen] > 0)
+    seen, places = seen[owned], places[owned]
+    part, owner = clip.part[seen, k].astype(int), owners[seen]
+    if len(seen) == 0:
+        return result
+    held = np.bincount(part * (owner.max() + 1) + owner, minlength=count * (owner.max() + 1)).reshape(count, -1)
+    # Single tracks may have slipped from one mover to another.
+    present = (held >= 3) & ((held >= 0.1 * held.sum(1, keepdims=True)) | (held >= 0.3 * held.sum(0)))
+    flow: np.ndarray | None = None
+    for here in np.flatnonzero(held.any(1)):
+        valid = np.flatnonzero(present[here])
+        if len(valid) < 2:
+            result[labels == here] = held[here].argmax()
+            continue
+        if flow is None:
+            found = motion(k)
+            flow = np.zeros((*labels.shape, 2), np.float32) if found is None else found
+        y, x = np.nonzero(labels == here)
+        mine = np.flatnonzero((part == here) & present[here][owner])
+        at_tracks = np.concatenate([places[mine], FLOW_WEIGHT * flow[places[mine, 1], places[mine, 0]]], 1)
+        at_pixels = np.concatenate([np.stack([x, y], 1), FLOW_WEIGHT * flow[y, x]], 1)
+        _, near = cKDTree(at_tracks).query(at_pixels, k=min(VOTES, len(mine)))
+        votes = owner[mine][near.reshape(len(y), -1)]
+        counts = np.stack([(votes == number).sum(1) for number in valid], 1)
+        result[y, x] = valid[counts.argmax(1)]
+    return result
+
+
+def _fill_unknown(clip: MaskedTracks, painted: list[np.ndarray], most: int) -> None:
+    """Owners of the pixels that have none, in place: by the number that they had, else ``most`` and that number."""
+    votes = np.zeros((len(painted), 256, most + 1), np.int64)
+    for k, labels in enumerate(painted):
+        known = labels > 0
+        codes = clip.masks[k][known].astype(np.int64) * (most + 1) + labels[known]
+        votes[k] = np.bincount(codes, minlength=256 * (most + 1)).reshape(256, most + 1)
+    for k, labels in enumerate(painted):
+        unknown = labels < 0
+        if not unknown.any():
+            continue
+        near = votes[max(0, k - FEWEST_FRAMES) : k + FEWEST_FRAMES + 1].sum(0)
+        goes = np.where(near.any(1), near.argmax(1), most + np.arange(256))
+        labels[unknown] = goes[clip.masks[k][unknown]]
+
+
+def _give_to_neighbours(clip: MaskedTracks, painted: list[np.ndarray], most: int) -> None:
+    """Give what no track is on, numbers above ``most``, to the mover that it is mostly close to, in place."""
+    nearest: dict[int, list[tuple[int, float]]] = {}
+    for labels in painted:
+        unknown = [int(number) for number in np.unique(labels) if number > most]
+        if not unknown:
+            continue
+        known = (labels > 0) & (labels <= most)
+        away, site = cv2.distanceTransformWithLabels(
+            (~known).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
+        )  # fmt: skip
+        owner = np.zeros(int(site.max()) + 1, int)
+        owner[site[known]] = labels[known]
+        for number in unknown:
+            y, x = np.nonzero(labels == number)
+            at = int(away[y, x].argmin())
+            distance = float(away[y, x][at]) if known.any() else np.inf
+            nearest.setdefault(number, []).append((int(owner[site[y[at], x[at]]]), distance))
+    for number, found in nearest.items():
+        owners, distances = np.array([o for o, _ in found]), np.array([d for _, d in found])
+        best = int(np.bincount(owners).argmax())
+        close = (owners == best) & (distances <= REACH * clip.long_side)
+        if best > 0 and 2 * close.sum() > len(found):
+            for labels in painted:
+                labels[labels == number] = best
