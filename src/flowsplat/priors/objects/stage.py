@@ -11,6 +11,7 @@ from flowsplat.priors.background.static_depth import Background, StaticDepth, st
 from flowsplat.priors.flow import FlowEstimator, dis_estimator
 from flowsplat.priors.objects.card import cards_of
 from flowsplat.priors.objects.contact import Bound, ground_bound, middle_of
+from flowsplat.priors.objects.identity import identify_movers
 from flowsplat.priors.objects.movers import solve_mover, tracks_of_movers
 from flowsplat.priors.objects.storage import SceneMovers, save_movers
 from flowsplat.scenes import Scene
@@ -26,10 +27,13 @@ def objects_stage(
 ) -> None:
     """Course, relief and distance of every numbered mover. Needs cameras, flow, masks and tracks.
 
+    The numbers of masks of our own are rewritten first, by common motion.
+
     Args:
         estimate: finds the flow between frames that are no neighbours.
         static: the clip and its static scene, where they are at hand.
     """
+    identify_movers(scene)
     clip = static[0] if static else MatchedClip(scene, estimate)
     found = find_movers(clip, static[1] if static else static_depth(clip, has_masks=True))
     save_movers(scene, found)
