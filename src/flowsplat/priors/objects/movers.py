@@ -21,7 +21,7 @@ INSIDE = 0.7
 """Share of a track that must lie inside a mover to be on it."""
 SPLIT_HALF = 0.04
 """Standard deviation over time between ln z of two solutions from halves of the tracks, above which none is believed."""
-INLIERS = 0.85
+INLIERS = 0.7
 HALF_PER_FRAME = 25
 FLOOR = {"pivot": 0.02, "height": 0.03, "smooth": 0.03, "contact": 0.025, "bounce": 0.03}
 WRONG = {"pivot": 0.05, "height": 0.05, "smooth": 0.1, "contact": 0.07, "bounce": 0.1}

@@ -1,35 +1,18 @@
-"""Which pixels of masks belong to one mover: object numbers from tracks, which persist where masks touch and break.
-
-Parts of a mask that are connected may be several movers that touch, and a mover may be several parts. Tracks that were in
-different parts for several frames are on different movers, unless they move as one; tracks that are never apart are on one.
-So tracks are clustered: strong ties first, between neighbours whose distance hardly changes over all frames that they share
-(Brox and Malik, ECCV 2010), and no tie between clusters that were apart, unless most frames speak for it (in the spirit of
-Keuper et al., ICCV 2015). Legs and arms belong to a body that they are never apart from, though they move in ways of their own.
-"""
+"""Tracks clustered into movers: what agrees in motion, and what is never apart."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numba import njit
 from scipy.spatial import cKDTree
 
-from flowsplat.priors.continuity import Continuity
+from flowsplat.priors.objects.identity.masked_tracks import MaskedTracks
 from flowsplat.priors.objects.relief import place_points
 from flowsplat.priors.objects.rigid import Observations, longest, solve_rigid
-from flowsplat.scenes import Scene
 
-OWN = ("motion", "clicks")
-"""Methods of masks whose numbers are ours to change."""
-GAP = 0.004
-"""Share of the long side by which parts are enlarged before they count as apart."""
-INSIDE = 0.6
-"""Share of its visible frames that a track must be inside masks."""
-SHORTEST = 3
-"""Frames of a track inside masks."""
 NEIGHBOURS, REACH = 8, 0.04
 """Nearest tracks that a track is compared with, and how far they may be, as a share of the long side."""
 LAGS = ((1, 0.2), (3, 0.45), (8, 0.6))
@@ -62,94 +45,8 @@ RIGID_TURN, RIGID_DEPTH = 15.0, 4.0
 """Degrees that it must turn, and half widths of the larger one that points of the other may be nearer or farther than it."""
 OVERLAP, LONGEST_PAUSE = 2, 6
 """Frames that two clusters may share, and that may pass between them, if one continues the other."""
-FLOW_WEIGHT = 3.0
-"""Pixels of distance that one pixel of a difference in motion counts, where a part is divided."""
-VOTES = 5
 MOST_MOVERS = 60
 """Clusters that are compared with each other in one piece of a clip; the smallest beyond are too small."""
-
-
-def identify_movers(scene: Scene) -> int:
-    """Rewrite the object numbers of the stored masks by common motion; what is masked stays the same.
-
-    Needs tracks over the training frames. True masks keep their numbers, and so do masks that came with several.
-
-    Returns:
-        How many objects there are.
-    """
-    frames = scene.train_frames
-    numbers = np.unique(np.concatenate([np.unique(scene.mask(i)) for i in frames]))
-    numbers = numbers[numbers > 0]
-    method = (scene.prior("masks") or {}).get("method")
-    if len(numbers) == 0 or method == "truth" or (method not in OWN and len(numbers) > 1):
-        return len(numbers)
-    tracks, pieces = scene.tracks, Continuity(scene).pieces
-    K = scene.cameras[frames[0]].K if scene.has_cameras else None
-    highest = 0
-    for piece in np.unique(pieces):
-        chosen = [frames[k] for k in np.flatnonzero(pieces == piece)]
-        clip = MaskedTracks(tracks.points[:, chosen, :2], tracks.visible[:, chosen], [scene.mask(i) for i in chosen])
-        owners = movers_of_tracks(clip, K)
-
-        def motion(k: int, chosen: list[int] = chosen) -> np.ndarray | None:
-            """Of the pixels of a frame, per frame ahead."""
-            if len(chosen) == 1:
-                return None
-            j = k + 1 if k + 1 < len(chosen) else k - 1
-            return scene.flow(chosen[k], chosen[j]).flow * (j - k)
-
-        def write(k: int, mask: np.ndarray, chosen: list[int] = chosen) -> None:
-            scene.write_mask(chosen[k], mask)
-
-        highest = paint(clip, owners, motion, write, highest)
-    how = scene.prior("masks")
-    if how is not None:
-        how["objects"] = highest
-        scene.save_info()
-    return highest
-
-
-@dataclass
-class MaskedTracks:
-    """Tracks and the parts of masks that they lie in, over the training frames of one piece of a clip.
-
-    Attributes:
-        points: [P, T, 2] pixels, where visible [P, T] bool.
-        masks: T of [H, W] uint8, object numbers.
-        part: [P, T] int16, the part that a track lies in, from 1, different ones being a gap apart; 0 = in none or not seen.
-    """
-
-    points: np.ndarray
-    visible: np.ndarray
-    masks: list[np.ndarray]
-    part: np.ndarray = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.part = np.zeros(self.visible.shape, np.int16)
-        for k in range(len(self.masks)):
-            seen, places = self.seen(k)
-            self.part[seen, k] = self.parts(k)[1][places[:, 1], places[:, 0]]
-        inside = (self.part > 0).sum(1)
-        self.part[(inside < SHORTEST) | (inside < INSIDE * self.visible.sum(1))] = 0
-
-    @property
-    def long_side(self) -> int:
-        """Of the picture, in pixels."""
-        return max(self.masks[0].shape)
-
-    def seen(self, k: int) -> tuple[np.ndarray, np.ndarray]:
-        """Indices [N] of the tracks that are visible in frame k, and the pixels (column, row) [N, 2] that they are on."""
-        seen = np.flatnonzero(self.visible[:, k])
-        height, width = self.masks[k].shape
-        return seen, np.clip(self.points[seen, k].astype(int), 0, [width - 1, height - 1])
-
-    def parts(self, k: int) -> tuple[int, np.ndarray]:
-        """One more than how many parts the mask of frame k has, and their labels [H, W], 0 outside the mask."""
-        moving = (self.masks[k] > 0).astype(np.uint8)
-        side = 2 * max(1, round(GAP * self.long_side)) + 1
-        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
-        count, labels = cv2.connectedComponents(cv2.dilate(moving, disc))
-        return count, labels * moving
 
 
 def movers_of_tracks(clip: MaskedTracks, K: np.ndarray | None = None) -> np.ndarray:
@@ -542,115 +439,3 @@ def _union(home: np.ndarray, held: np.ndarray, a: np.ndarray, b: np.ndarray, las
             root = parent[root]
         parent[n] = root
     return parent
-
-
-def paint(
-    clip: MaskedTracks, owners: np.ndarray, motion: Callable[[int], np.ndarray | None], write: Callable[[int, np.ndarray], None],
-    highest: int = 0,
-) -> int:  # fmt: skip
-    """Masks with the numbers of the movers that their tracks are on.
-
-    A part with tracks of one mover is its own. In one with tracks of several, every pixel goes with those that are nearest and
-    move like it. A part without tracks goes where the number that it had goes in the frames around it, else to a mover that it is
-    mostly close to, or keeps a number of its own.
-
-    Args:
-        owners: [P] from 1, 0 = of no mover.
-        motion: of the pixels of a frame [H, W, 2] per frame ahead, or None where it is unknown.
-        write: takes the position of a frame and its mask [H, W] uint8.
-        highest: the highest number that is taken.
-
-    Returns:
-        The highest number that is taken now; 255 at most, which all further objects share.
-    """
-    painted = [_painted(clip, owners, k, motion) for k in range(len(clip.masks))]
-    most = int(owners.max(initial=0))
-    _fill_unknown(clip, painted, most)
-    _give_to_neighbours(clip, painted, most)
-    numbers: dict[int, int] = {0: 0}
-    for k, labels in enumerate(painted):
-        present, area = np.unique(labels, return_counts=True)
-        for label in present[np.argsort(-area, kind="stable")]:
-            if int(label) not in numbers:
-                highest = min(highest + 1, 255)
-                numbers[int(label)] = highest
-        table = np.zeros(max(numbers) + 1, np.uint8)
-        table[list(numbers)] = list(numbers.values())
-        write(k, table[labels])
-    return highest
-
-
-def _painted(clip: MaskedTracks, owners: np.ndarray, k: int, motion: Callable[[int], np.ndarray | None]) -> np.ndarray:
-    """[H, W] int32 owners of the pixels of frame k, -1 where none is known and 0 outside the mask."""
-    count, labels = clip.parts(k)
-    result = np.where(labels > 0, -1, 0).astype(np.int32)
-    seen, places = clip.seen(k)
-    owned = (clip.part[seen, k] > 0) & (owners[seen] > 0)
-    seen, places = seen[owned], places[owned]
-    part, owner = clip.part[seen, k].astype(int), owners[seen]
-    if len(seen) == 0:
-        return result
-    held = np.bincount(part * (owner.max() + 1) + owner, minlength=count * (owner.max() + 1)).reshape(count, -1)
-    # Single tracks may have slipped from one mover to another.
-    present = (held >= 3) & ((held >= 0.1 * held.sum(1, keepdims=True)) | (held >= 0.3 * held.sum(0)))
-    flow: np.ndarray | None = None
-    for here in np.flatnonzero(held.any(1)):
-        valid = np.flatnonzero(present[here])
-        if len(valid) < 2:
-            result[labels == here] = held[here].argmax()
-            continue
-        if flow is None:
-            found = motion(k)
-            flow = np.zeros((*labels.shape, 2), np.float32) if found is None else found
-        y, x = np.nonzero(labels == here)
-        mine = np.flatnonzero((part == here) & present[here][owner])
-        at_tracks = np.concatenate([places[mine], FLOW_WEIGHT * flow[places[mine, 1], places[mine, 0]]], 1)
-        at_pixels = np.concatenate([np.stack([x, y], 1), FLOW_WEIGHT * flow[y, x]], 1)
-        _, near = cKDTree(at_tracks).query(at_pixels, k=min(VOTES, len(mine)))
-        votes = owner[mine][near.reshape(len(y), -1)]
-        counts = np.stack([(votes == number).sum(1) for number in valid], 1)
-        result[y, x] = valid[counts.argmax(1)]
-    return result
-
-
-def _fill_unknown(clip: MaskedTracks, painted: list[np.ndarray], most: int) -> None:
-    """Owners of the pixels that have none, in place: by the number that they had, else ``most`` and that number."""
-    votes = np.zeros((len(painted), 256, most + 1), np.int64)
-    for k, labels in enumerate(painted):
-        known = labels > 0
-        codes = clip.masks[k][known].astype(np.int64) * (most + 1) + labels[known]
-        votes[k] = np.bincount(codes, minlength=256 * (most + 1)).reshape(256, most + 1)
-    for k, labels in enumerate(painted):
-        unknown = labels < 0
-        if not unknown.any():
-            continue
-        near = votes[max(0, k - FEWEST_FRAMES) : k + FEWEST_FRAMES + 1].sum(0)
-        goes = np.where(near.any(1), near.argmax(1), most + np.arange(256))
-        labels[unknown] = goes[clip.masks[k][unknown]]
-
-
-def _give_to_neighbours(clip: MaskedTracks, painted: list[np.ndarray], most: int) -> None:
-    """Give what no track is on, numbers above ``most``, to the mover that it is mostly close to, in place."""
-    nearest: dict[int, list[tuple[int, float]]] = {}
-    for labels in painted:
-        unknown = [int(number) for number in np.unique(labels) if number > most]
-        if not unknown:
-            continue
-        known = (labels > 0) & (labels <= most)
-        away, site = cv2.distanceTransformWithLabels(
-            (~known).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
-        )  # fmt: skip
-        owner = np.zeros(int(site.max()) + 1, int)
-        owner[site[known]] = labels[known]
-        for number in unknown:
-            y, x = np.nonzero(labels == number)
-            at = int(away[y, x].argmin())
-            distance = float(away[y, x][at]) if known.any() else np.inf
-            nearest.setdefault(number, []).append((int(owner[site[y[at], x[at]]]), distance))
-    for number, found in nearest.items():
-        owners, distances = np.array([o for o, _ in found]), np.array([d for _, d in found])
-        best = int(np.bincount(owners).argmax())
-        close = (owners == best) & (distances <= REACH * clip.long_side)
-        if best > 0 and 2 * close.sum() > len(found):
-            for labels in painted:
-                labels[labels == number] = best

@@ -1,0 +1,54 @@
+"""Rewrites the object numbers of stored masks."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from flowsplat.priors.continuity import Continuity
+from flowsplat.priors.objects.identity.clusters import movers_of_tracks
+from flowsplat.priors.objects.identity.masked_tracks import MaskedTracks
+from flowsplat.priors.objects.identity.painting import paint
+from flowsplat.scenes import Scene
+
+OWN = ("motion", "clicks")
+"""Methods of masks whose numbers are ours to change."""
+
+
+def identify_movers(scene: Scene) -> int:
+    """Rewrite the object numbers of the stored masks by common motion; what is masked stays the same.
+
+    Needs tracks over the training frames. True masks keep their numbers, and so do masks that came with several.
+
+    Returns:
+        How many objects there are.
+    """
+    frames = scene.train_frames
+    numbers = np.unique(np.concatenate([np.unique(scene.mask(i)) for i in frames]))
+    numbers = numbers[numbers > 0]
+    method = (scene.prior("masks") or {}).get("method")
+    if len(numbers) == 0 or method == "truth" or (method not in OWN and len(numbers) > 1):
+        return len(numbers)
+    tracks, pieces = scene.tracks, Continuity(scene).pieces
+    K = scene.cameras[frames[0]].K if scene.has_cameras else None
+    highest = 0
+    for piece in np.unique(pieces):
+        chosen = [frames[k] for k in np.flatnonzero(pieces == piece)]
+        clip = MaskedTracks(tracks.points[:, chosen, :2], tracks.visible[:, chosen], [scene.mask(i) for i in chosen])
+        owners = movers_of_tracks(clip, K)
+
+        def motion(k: int, chosen: list[int] = chosen) -> np.ndarray | None:
+            """Of the pixels of a frame, per frame ahead."""
+            if len(chosen) == 1:
+                return None
+            j = k + 1 if k + 1 < len(chosen) else k - 1
+            return scene.flow(chosen[k], chosen[j]).flow * (j - k)
+
+        def write(k: int, mask: np.ndarray, chosen: list[int] = chosen) -> None:
+            scene.write_mask(chosen[k], mask)
+
+        highest = paint(clip, owners, motion, write, highest)
+    how = scene.prior("masks")
+    if how is not None:
+        how["objects"] = highest
+        scene.save_info()
+    return highest
