@@ -108,7 +108,7 @@ def test_it_can_be_exported_and_packed_for_the_page(observations):
     planes = unpack(about, packed.data)
     assert about["moving"] == int(gaussians.dynamic.sum())
     assert (about["width"], about["height"]) == (WIDTH, HEIGHT)
-    moves = planes["meanSeries"].reshape(about["moving"], -1, 3)
+    moves = planes["meanCoefficients"].reshape(about["moving"], -1, 3)
     assert float(np.abs(moves[:, 0, 0]).min()) > 0
     assert float(np.abs(moves[:, 0, 1:]).max()) < 1e-2
 
