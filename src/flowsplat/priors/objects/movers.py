@@ -152,10 +152,6 @@ def accepted_laws(path: WorldPath, normal: np.ndarray | None) -> tuple[dict[str,
         for name, law in laws.items()
         if law.usable and passed[name]
     }
-    # They share the poses of one solution, so only the surest speaks.
-    if cues:
-        best = min(cues, key=lambda name: cues[name].sigma)
-        cues = {best: cues[best]}
     return cues, laws
 
 
@@ -260,8 +256,12 @@ def solve_mover(
     elif len(known) >= FEWEST_BOUNDS:
         far = [float(np.percentile(known, BOUND_PERCENTILE)) + BOUND_SLACK]
     near_ground = float(np.percentile(known, GUESS_PERCENTILE)) - ABOVE_GROUND if len(known) >= FEWEST_BOUNDS else None
+    # Laws of motion and contact rest on the same course, so their errors are not independent: only the surest speaks.
+    if len(cues) > 1:
+        surest = min(cues, key=lambda name: cues[name].sigma)
+        cues = {surest: cues[surest]}
     # What hides behind a mover that touches the ground says nothing that its feet do not say better.
-    touches = [cue for cue in (stands, bounces) if cue is not None]
+    touches = [cue for cue in (stands, bounces) if cue is not None and cue in cues.values()]
     guess = touches[0].log_scale if touches else float(np.median((log_cards - course)[seen]))
     distance = combine(guess, cues, far, None if touches else near_ground)
     moved = replace(points, log_depth=points.log_depth + distance.log_scale)
