@@ -35,7 +35,8 @@ def test_a_world_is_prepared_once_and_placed_again(tmp_path):
     assert true.prior("masks")["method"] == "truth"
     assert os.path.samefile(own.folder / "frames" / "00003.png", true.folder / "frames" / "00003.png")
     # Again: only the depth is made anew, from what is there.
-    kept = [(folder / variant / name) for variant in ("own", "true") for name in ("cameras.json", "masks/00003.png", "tracks.npz")]
+    names = ("cameras.json", "masks_found/00003.png", "tracks.npz")
+    kept = [(folder / variant / name) for variant in ("own", "true") for name in names]
     before = [path.stat().st_mtime_ns for path in kept]
     depth = folder / "true" / "depth" / "00003.npz"
     depth.write_bytes(b"damaged")

@@ -28,6 +28,9 @@ from flowsplat.scenes.synthetic.worlds.writing import MOVERS
 Variant = Literal["own", "true"]
 VARIANTS: tuple[Variant, ...] = ("own", "true")
 
+FOUND = "masks_found"
+"""Folder of a scene with the masks before the step under test."""
+
 LINKED = ("frames", "truth")
 """Folders that both scenes have in common."""
 
@@ -69,7 +72,15 @@ def place_movers(scene: Scene, again: bool = False) -> None:
         scene.info["priors"].pop("depth", None)
         scene.info["similarity"] = None
         scene.save_info()
+    # The step gives objects other numbers: it always begins with those that the mask stage gave.
+    found, masks = scene.folder / FOUND, scene.folder / "masks"
+    if not found.exists():
+        partial = found.with_name(f".{FOUND}.partial")
+        shutil.rmtree(partial, ignore_errors=True)
+        shutil.copytree(masks, partial)
+        partial.rename(found)
     if scene.prior("depth") is None:
+        shutil.copytree(found, masks, dirs_exist_ok=True)
         shutil.rmtree(scene.folder / "depth", ignore_errors=True)
         objects_stage(scene)
         depth_stage(scene)
