@@ -20,7 +20,9 @@ MARGIN, KNOWN_MARGIN = 1.03, 1.02
 """How much nearer than all that is known to be behind it a mover is at least: where nothing tells its distance, and where
 something does. A foot is as far away as the ground that it stands on."""
 TIED = 0.12
-"""Standard deviation of a mover's ln distance up to which it may stand behind what is only filled in."""
+PLACES = {"contact", "bounce", "pivot"}
+"""Standard deviation of a mover's ln distance up to which it may stand behind what is only filled in, and the cues that tie it
+to a place of the still scene, with which it may do so, too."""
 MOVER_CONFIDENCE = 0.6
 MOSTLY = 0.6
 """Share of trusted pixels from which depth is called known."""
@@ -83,7 +85,7 @@ def _frame_depth(clip: MatchedClip, background: StaticDepth, movers: SceneMovers
         known = movers.depth(k, mask, frame, scene.cameras[scene.train_frames[k]])
         nearness = np.where(known > 0, 1 / np.maximum(known, 1e-9), 0)
         # Nothing lies behind what other frames are sure of; what nothing ties stays just in front of what is filled in, too.
-        tied = np.isin(mask, [mover.number for mover in movers.movers if mover.cues and mover.sigma <= TIED])
+        tied = np.isin(mask, [mover.number for mover in movers.movers if mover.sigma <= TIED or not PLACES.isdisjoint(mover.cues)])
         static = np.where(moving, np.maximum(nearness, np.where(tied, KNOWN_MARGIN * sure, MARGIN * front)), static)
     else:
         static = upsample(inverse, frame, *size)
