@@ -228,6 +228,10 @@ def _forget(scene: Scene, names: set[str]) -> None:
         return
     for name in names:
         scene.info["priors"].pop(name, None)
+    if names & {"cameras", "flow", "masks", "tracks", "depth"}:
+        scene.info["priors"].pop("objects", None)
+        for path in ("objects.json", "objects.npz"):
+            (scene.folder / path).unlink(missing_ok=True)
     if "depth" in names:
         scene.info["similarity"] = None  # It made the old depth's median 1.
     scene.save_info()
@@ -279,7 +283,9 @@ def _objects_and_depth(scene: Scene, estimate: FlowEstimator) -> None:
     has_masks = all(scene.has_mask(i) for i in scene.train_frames)
     clip = MatchedClip(scene, estimate)
     static = clip, static_depth(clip, has_masks)
-    if has_masks and scene.has_tracks:
+    # Depth that is half done belongs to the objects that were found for it.
+    goes_on = scene.prior("objects") is not None and any(scene.has_depth(i) for i in scene.train_frames)
+    if has_masks and scene.has_tracks and not goes_on:
         objects_stage(scene, estimate, static)
         say(f"objects: {_verdict(scene, 'objects')}")
     depth_stage(scene, estimate, static)

@@ -359,7 +359,7 @@ class Trainer:
             )
             if moved or rested:
                 self._average.restart()
-                self._neighbours = None  # Those that became dynamic have none yet, and nobody has them as neighbours.
+                self._neighbours = None  # Those that became dynamic have none yet, and are the neighbours of none.
                 say(f"Step {self.step}: {moved:,} background Gaussians turned out to move, {rested:,} moving ones rest.")
         if config.gradient > 0:
             self._adopt(

@@ -15,6 +15,7 @@ from flowsplat.priors.objects.distance import Cue
 from flowsplat.priors.objects.movers import Mover
 from flowsplat.priors.objects.relief import ReliefPoints, relief
 from flowsplat.priors.objects.storage import save_movers
+from flowsplat.priors.prepare import _forget
 from flowsplat.priors.tracks import tracks_stage
 from flowsplat.scenes import Scene
 from tests.priors.planes import HEIGHT, WIDTH, write_planes
@@ -106,3 +107,15 @@ def test_relief_follows_sure_points_and_is_flat_without():
     assert np.abs(unsure).max() < 0.2 * np.abs(sure).max()
     assert (relief(mask, picture, pixels[:0], offsets[:0], offsets[:0], 0.05) == 0).all()
     assert (relief(np.zeros_like(mask), picture, pixels, offsets, np.ones(len(x)), 0.05) == 0).all()
+
+
+def test_objects_go_with_what_they_follow_from(tmp_path: Path):
+    scene = write_planes(tmp_path, step=2, square=False)
+    save_movers(scene, SceneMovers([], np.array([0, -1.0, 0])))
+    scene.finish_prior("objects", method="motion")
+    _forget(scene, set())
+    assert scene.prior("objects") is not None
+    _forget(scene, {"masks"})
+    assert scene.prior("objects") is None
+    assert not (scene.folder / "objects.json").exists()
+    assert not (scene.folder / "objects.npz").exists()

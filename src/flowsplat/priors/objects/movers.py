@@ -172,7 +172,7 @@ def contact_cue(bounds: np.ndarray, visible: np.ndarray, frames: int) -> Cue | N
 
 
 def unsurer(cue: Cue) -> Cue:
-    """The same on ground that nobody saw."""
+    """The same on ground that was not seen."""
     return Cue(cue.log_scale, float(np.hypot(cue.sigma, SUPPOSED_SIGMA)), SUPPOSED_WRONG)
 
 
@@ -221,8 +221,8 @@ def solve_mover(
         middles: [T, 2] its middle pixels, NaN where it is not seen.
         bounds: [T] where it would touch the ground.
         cameras: [T].
-        log_cards: [T] logarithm of the depth of today's card, NaN where it is not seen: a guess, and a course where its motion is
-            not believed.
+        log_cards: [T] logarithm of the depth of its card, NaN where it is not seen: a guess, and a course where its motion is not
+            believed.
         normal: [3] up.
     """
     K, T = cameras[0].K, len(cameras)
@@ -233,6 +233,9 @@ def solve_mover(
     if motion is not None:
         points = place_points(motion, Observations.of_tracks(positions, inside, K), K)
         found = middle_depths(points, middles, cameras, normal)
+        if not np.isfinite(found).any():
+            motion, points = None, ReliefPoints.none()
+    if motion is not None:
         course = np.where(seen, np.interp(np.arange(T), np.flatnonzero(np.isfinite(found)), found[np.isfinite(found)]), np.nan)
         try:
             cues = accepted_laws(WorldPath.of(motion, cameras), ground.normal if ground else None)[0]

@@ -163,7 +163,7 @@ def _write_true_depth(scene: Scene) -> None:
     scene.finish_prior("depth", method="truth", verdict="true depth")
 
 
-# -- the scene's book
+# -- what the scene records
 
 
 def _forget(scene: Scene, *priors: str) -> None:

@@ -276,7 +276,7 @@ def _draw_mover(
 def _draw_touching(
     rng: np.random.Generator, kinds: tuple[Kind, ...], scale: _Scale, ground: Ground, duration: float
 ) -> list[Mover]:
-    """Two who walk arm in arm, somebody who pushes a cart, or a ball that hits another one."""
+    """Two who walk arm in arm, one who pushes a cart, or a ball that hits another one."""
     rich, other_rich = bool(rng.random() < 0.6), bool(rng.random() < 0.6)
     beside, heading = rng.uniform(-0.2, 0.2), _draw_heading(rng)
     if kinds == ("rolling", "rolling"):

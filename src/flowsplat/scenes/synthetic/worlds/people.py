@@ -120,7 +120,7 @@ def walker(
     rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: float, scale: float, speed: float, duration: float,
     rich: bool, carries: bool = False, arms: Arms = "swing",
 ) -> Mover:  # fmt: skip
-    """Somebody who walks, in the middle of the clip at ``at`` [2].
+    """A person who walks, in the middle of the clip at ``at`` [2].
 
     Args:
         scale: 1 = as tall as ``HEIGHT``.
