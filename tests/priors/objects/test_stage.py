@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -79,6 +80,18 @@ def test_no_movers_and_bad_files(tmp_path: Path):
         (scene.folder / "objects.json").write_text(text)
         with pytest.raises(InputError, match=r"objects\.json"):
             load_movers(scene)
+
+
+def test_movers_of_another_number_of_frames_are_refused(tmp_path: Path):
+    scene = write_planes(tmp_path, step=2, square=False)
+    short = Mover(1, np.zeros(3), np.zeros((3, 2)), 0.1, False, {}, ReliefPoints.none(), 0.0)
+    frames = len(scene.train_frames)
+    save_movers(scene, SceneMovers([replace(short, log_depth=np.zeros(frames), middles=np.zeros((frames, 2)))], np.ones(3)))
+    assert len(load_movers(scene).movers) == 1
+    arrays = dict(np.load(scene.folder / "objects.npz"))
+    np.savez(scene.folder / "objects.npz", **{**arrays, "log_depth": arrays["log_depth"][:, :3]})
+    with pytest.raises(InputError, match="frames"):
+        load_movers(scene)
 
 
 def test_a_mover_without_points_is_an_upright_card(scene: Scene):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from flowsplat.common.progress import track
+from flowsplat.common.spread import spread
 from flowsplat.priors.background.ground import Ground, find_ground, static_points, up_direction
 from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.static_depth import Background, StaticDepth, static_depth
@@ -96,7 +97,7 @@ def _ground(clip: MatchedClip, background: StaticDepth, frames: np.ndarray) -> G
     """The ground of one piece of the clip, given by positions of its frames."""
     if not isinstance(background, Background):
         return None
-    chosen = frames[np.unique(np.linspace(0, len(frames) - 1, min(GROUND_FRAMES, len(frames))).round().astype(int))]
+    chosen = frames[spread(len(frames), GROUND_FRAMES)]
     depths, sure = [], []
     for k in chosen:
         inverse, weight, _ = background.sure(int(k))

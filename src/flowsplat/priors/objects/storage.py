@@ -91,7 +91,9 @@ def load_movers(scene: Scene) -> SceneMovers:
         return SceneMovers([], np.array([0.0, -1.0, 0.0]))
     value, arrays = read_json(path), read_npz(scene.folder / "objects.npz")
     try:
-        movers = []
+        movers, (count, frames) = [], (len(value["movers"]), len(scene.train_frames))
+        if arrays["log_depth"].shape != (count, frames) or arrays["middles"].shape != (count, frames, 2):
+            raise ValueError(f"objects.npz is not of {count} movers in {frames} frames")
         for index, described in enumerate(value["movers"]):
             mine = arrays["mover"] == described["number"]
             points = ReliefPoints(
