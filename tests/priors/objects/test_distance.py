@@ -10,8 +10,8 @@ from flowsplat.geometry.cameras import rigid
 from flowsplat.priors.background.ground import Ground, find_ground, static_points
 from flowsplat.priors.objects.contact import ground_bound, middle_of, upright_ratio
 from flowsplat.priors.objects.distance import Cue, combine
-from flowsplat.priors.objects.movers import accepted_laws, bounce_cue, contact_cue
-from flowsplat.priors.objects.path import WorldPath, constant_height, pivot
+from flowsplat.priors.objects.movers import accepted_laws, bounce_cue, contact_cue, thrown_cue
+from flowsplat.priors.objects.path import WorldPath, bounce_frames, constant_height, pivot
 from flowsplat.priors.objects.rigid import Observations, solve_rigid
 from tests.priors.objects.test_rigid import body, turn
 
@@ -160,6 +160,9 @@ def moving_scene(law: str, seed: int = 0, noise: float = 0.15, standing: bool = 
             angle = 0.6 * np.sin(7 * u)
             R = turn(angle, axis=1)
             place = np.array([0, 6.0, 3.5]) + R @ np.array([0, 0, -2.0])
+        elif law == "hopping":
+            since = (t + 5) % 15 / 15
+            R, place = turn(3 * u, axis=2), np.array([-1 + 2 * u, 6.0, 0.6 + 2.4 * since * (1 - since)])
         else:
             R, place = turn(3 * u, axis=2), np.array([-1 + 2 * u, 6.0 + 0.4 * np.sin(5 * u), 0.6])
         world = points @ R.T + place
@@ -217,6 +220,31 @@ def test_bounces_have_sharp_minima():
     assert bounce_cue(0.5 + rng.normal(0, 0.02, 48)) is None
     assert bounce_cue(np.full(48, np.nan)) is None
     assert bounce_cue(np.zeros(3)) is None
+
+
+@pytest.mark.parametrize("wrong", [0.8, 1.0, 1.3])
+def test_what_hops_is_thrown_up_at_its_bounces(wrong):
+    path, true = moving_scene("hopping")
+    assert bounce_frames(path, UP, float(np.exp(true)) * wrong) == pytest.approx([10, 25], abs=1)
+
+
+@pytest.mark.parametrize("law", ["pendulum", "rolling"])
+def test_what_swings_or_rolls_does_not_bounce(law):
+    path, true = moving_scene(law)
+    assert len(bounce_frames(path, UP, float(np.exp(true)))) == 0
+
+
+def test_the_nearest_bound_at_a_bounce_speaks():
+    bounds = np.full(40, 0.8)
+    bounds[[10, 25]] = 0.31, 0.44
+    cue = thrown_cue(bounds, np.array([11, 25]))
+    assert cue is not None
+    assert cue.log_scale == pytest.approx(0.3, abs=0.03)
+    once = thrown_cue(bounds, np.array([25]))
+    assert once is not None
+    assert once.sigma > cue.sigma
+    assert thrown_cue(bounds, np.zeros(0, int)) is None
+    assert thrown_cue(np.full(40, np.nan), np.array([10])) is None
 
 
 def test_cues_are_combined_by_their_sureness():

@@ -11,7 +11,7 @@ from flowsplat.geometry import Camera
 from flowsplat.priors.background.ground import Ground
 from flowsplat.priors.objects.contact import Bound, upright_ratio
 from flowsplat.priors.objects.distance import Cue, combine
-from flowsplat.priors.objects.path import Law, WorldPath, constant_height, pivot, smooth
+from flowsplat.priors.objects.path import Law, WorldPath, bounce_frames, constant_height, pivot, smooth
 from flowsplat.priors.objects.relief import DEEPEST, ReliefPoints, place_points, relief
 from flowsplat.priors.objects.rigid import Observations, RigidMotion, longest, solve_rigid
 
@@ -22,7 +22,8 @@ INSIDE = 0.7
 SPLIT_HALF = 0.04
 """Standard deviation over time between ln z of two solutions from halves of the tracks, above which none is believed."""
 INLIERS = 0.7
-HALF_PER_FRAME = 25
+PER_FRAME = (50, 180)
+"""Tracks in a frame that the motion is solved from, the longest first; half of them for either half. Both are tried."""
 FLOOR = {"pivot": 0.02, "height": 0.03, "smooth": 0.03, "contact": 0.025, "bounce": 0.03}
 WRONG = {"pivot": 0.05, "height": 0.05, "smooth": 0.1, "contact": 0.07, "bounce": 0.1}
 FLAT, FLAT_LOW, FLAT_HIGH = 0.1, 10, 70
@@ -38,6 +39,8 @@ BOUNCE, BOUNCE_NOISE = 0.1, 4.0
 """Second difference of the bounds from which a minimum may be a bounce, and how many times their usual spread that must be."""
 BOUNCE_WIDTH, BOUNCE_ELSEWHERE = 4, 0.25
 """So many frames from a bounce the second difference is at most this share of that at it: a smooth minimum is wider."""
+THROWN_BIAS, THROWN_SIGMA = 0.02, 0.03
+"""By how much the nearest bound at a bounce is too far, for it lies between two frames; its standard deviation of several."""
 GUESS_PERCENTILE, ABOVE_GROUND = 10, 0.15
 """What does not touch the ground is guessed to be this much nearer, in ln, than where it would."""
 BOUND_PERCENTILE, BOUND_SLACK = 5, 0.03
@@ -120,17 +123,18 @@ def rigid_motion(positions: np.ndarray, inside: np.ndarray, K: np.ndarray) -> Ri
         chosen = rows[longest(inside[rows], most)]
         return solve_rigid(Observations.of_tracks(positions[chosen], inside[chosen], K))
 
-    whole = solved(np.arange(len(inside)), 45)
-    if whole is None or whole.inliers < INLIERS:
-        return None
-    halves = [solved(np.arange(len(inside))[start::2], HALF_PER_FRAME) for start in (0, 1)]
-    if halves[0] is None or halves[1] is None:
-        return None
-    differences = halves[0].log_depths() - halves[1].log_depths()
-    known = np.isfinite(differences)
-    if known.sum() < FEWEST_FRAMES or float(np.std(differences[known])) > SPLIT_HALF:
-        return None
-    return whole
+    every = np.arange(len(inside))
+    found = [(whole, most) for most in PER_FRAME if (whole := solved(every, most)) is not None and whole.inliers >= INLIERS]
+    # More tracks make a rigid body surer. In what bends they are limbs that move on their own, and disagree.
+    for whole, most in sorted(found, key=lambda each: each[0].noise):
+        halves = [solved(every[start::2], most // 2) for start in (0, 1)]
+        if halves[0] is None or halves[1] is None:
+            continue
+        differences = halves[0].log_depths() - halves[1].log_depths()
+        known = np.isfinite(differences)
+        if known.sum() >= FEWEST_FRAMES and float(np.std(differences[known])) <= SPLIT_HALF:
+            return whole
+    return None
 
 
 def accepted_laws(path: WorldPath, normal: np.ndarray | None) -> tuple[dict[str, Cue], dict[str, Law]]:
@@ -174,6 +178,21 @@ def contact_cue(bounds: np.ndarray, visible: np.ndarray, frames: int) -> Cue | N
 def unsurer(cue: Cue) -> Cue:
     """The same on ground that was not seen."""
     return Cue(cue.log_scale, float(np.hypot(cue.sigma, SUPPOSED_SIGMA)), SUPPOSED_WRONG)
+
+
+def thrown_cue(bounds: np.ndarray, thrown: np.ndarray) -> Cue | None:
+    """That a mover touched the ground in the frames in which its own path was thrown up.
+
+    Thin tips of a mask and feet that something hides put a bound too far, so the nearest of them speaks.
+
+    Args:
+        bounds: [T], NaN where its feet are not seen.
+        thrown: [B] frames.
+    """
+    levels = [float(np.nanmin(around)) for k in thrown if np.isfinite(around := bounds[max(k - 1, 0) : k + 2]).any()]
+    if not levels:
+        return None
+    return Cue(min(levels) - THROWN_BIAS, THROWN_SIGMA if len(levels) > 1 else 1.5 * THROWN_SIGMA, WRONG["bounce"])
 
 
 def bounce_cue(bounds: np.ndarray) -> Cue | None:
@@ -229,7 +248,7 @@ def solve_mover(
     seen = np.isfinite(log_cards) & np.isfinite(middles).all(1)
     motion = rigid_motion(positions, inside, K)
     course = np.where(seen, log_cards - np.mean(log_cards[seen]), np.nan)
-    points, cues = ReliefPoints.none(), {}
+    points, cues, path = ReliefPoints.none(), {}, None
     if motion is not None:
         points = place_points(motion, Observations.of_tracks(positions, inside, K), K)
         found = middle_depths(points, middles, cameras, normal)
@@ -238,13 +257,20 @@ def solve_mover(
     if motion is not None:
         course = np.where(seen, np.interp(np.arange(T), np.flatnonzero(np.isfinite(found)), found[np.isfinite(found)]), np.nan)
         try:
-            cues = accepted_laws(WorldPath.of(motion, cameras), ground.normal if ground else None)[0]
+            path = WorldPath.of(motion, cameras)
+            cues = accepted_laws(path, ground.normal if ground else None)[0]
         except np.linalg.LinAlgError:
-            cues = {}  # Poses that the tracks hardly tell have no covariance: then no law does either.
+            cues, path = {}, None  # Poses that the tracks hardly tell have no covariance: then no law does either.
     at_ground = np.array([np.nan if bound is None else bound.log_depth for bound in bounds]) - course
     visible = np.array([bound is not None and bound.visible for bound in bounds])
     stands = contact_cue(at_ground, visible, int(seen.sum()))
-    bounces = bounce_cue(np.where(visible, at_ground, np.nan)) if stands is None else None
+    touched = np.where(visible, at_ground, np.nan)
+    bounces = None
+    if stands is None:
+        thrown = np.zeros(0, int)
+        if path is not None and ground is not None:
+            thrown = bounce_frames(path, ground.normal, float(np.exp(np.median((log_cards - course)[seen]))))
+        bounces = thrown_cue(touched, thrown) or bounce_cue(touched)
     # Ground that is only supposed may drop: it says less, and bounds nothing.
     seen_ground = np.array([bound is not None and bound.seen for bound in bounds])
     supposed = float(seen_ground[np.isfinite(at_ground)].mean()) < 0.5 if np.isfinite(at_ground).any() else False

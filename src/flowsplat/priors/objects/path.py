@@ -21,6 +21,13 @@ INFLATE = 4.0
 """Factor on the variance of tracks: their errors last for frames, so that they average out less than white noise."""
 MODEL_ERROR = 0.01
 """Share of an object's size by which any law of motion is off."""
+BOUNCE_SPAN = 2
+"""Frames to either side over which the second difference of a height is taken."""
+BOUNCE, BOUNCE_WIDTH = 1.5, 4
+"""Second difference at a bounce, in units of that in free flight; so many frames from it there is free flight again."""
+FLIGHT_SPREAD = 1.2
+"""Spread of the second differences over time, in units of their median, up to which it is free flight."""
+FEWEST_CURVED = 8
 
 
 @dataclass(frozen=True)
@@ -34,6 +41,7 @@ class WorldPath:
         centers: [F, 3] C_t of the cameras, in the scene's unit.
         covariance: [6F, 6F] of (turn, shift) of all poses, in world axes.
         size: half the width of the object, in its own unit.
+        middle: [3] the median of its points.
     """
 
     frames: np.ndarray
@@ -42,6 +50,7 @@ class WorldPath:
     centers: np.ndarray
     covariance: np.ndarray
     size: float
+    middle: np.ndarray
 
     @staticmethod
     def of(motion: RigidMotion, cameras: Sequence[Camera]) -> WorldPath:
@@ -63,6 +72,7 @@ class WorldPath:
         return WorldPath(
             frames, np.einsum("fij,fj->fi", to_world, shifts), to_world @ turns,
             np.array([cameras[t].center for t in frames]), turner @ covariance @ turner.T, motion.size,
+            np.median(motion.points[motion.known], 0),
         )  # fmt: skip
 
     @property
@@ -148,6 +158,39 @@ def smooth(path: WorldPath, order: int = 3) -> Law | None:
             gain = float(np.sqrt((A[:, 0] ** 2).mean()) * x[0] / process)
             best, law = likelihood, _law(x, own[0, 0] * max(1.0, chi / len(D)), chi / len(D), gain=gain)
     return law
+
+
+def bounce_frames(path: WorldPath, normal: np.ndarray, scale: float) -> np.ndarray:
+    """Frames [B] in which the body was thrown up while it fell freely before and after.
+
+    In free flight the second difference of its height over time is the same negative number; at a bounce it is many times that,
+    upwards, for a moment. What swings has a smooth minimum, what rolls or stands none.
+
+    Args:
+        normal: [3] up.
+        scale: s, roughly: it weighs the camera's own height, whose second difference is small.
+    """
+    n, T = BOUNCE_SPAN, int(path.frames[-1]) + 1 if len(path.frames) else 0
+    height = np.full(T, np.nan)
+    height[path.frames] = (path.centers + scale * (path.relative + path.turns @ path.middle)) @ normal
+    curved = np.full(T, np.nan)
+    curved[n : T - n] = height[2 * n :] - 2 * height[n : T - n] + height[: T - 2 * n]
+    known = curved[np.isfinite(curved)]
+    if len(known) < FEWEST_CURVED:
+        return np.zeros(0, int)
+    falling = -float(np.median(known))
+    spread = 1.5 * float(np.median(np.abs(known + falling)))
+    if falling <= 0 or spread > FLIGHT_SPREAD * falling:
+        return np.zeros(0, int)
+    found = []
+    for k in np.flatnonzero(np.isfinite(curved)):
+        around = curved[max(k - BOUNCE_WIDTH, 0) : k + BOUNCE_WIDTH + 1]
+        if curved[k] < BOUNCE * falling or curved[k] < np.nanmax(around):
+            continue
+        sides = [curved[j] for j in (k - BOUNCE_WIDTH, k + BOUNCE_WIDTH) if 0 <= j < T and np.isfinite(curved[j])]
+        if sides and max(sides) <= 0:
+            found.append(int(k))
+    return np.array(found, int)
 
 
 def _law(x: np.ndarray, variance: float, fit: float, **measures: float) -> Law:
