@@ -128,6 +128,35 @@ def test_hidden_pixels_come_from_other_frames():
     assert values[25, 25] == 1
 
 
+def test_what_shows_hardly_any_parallax_is_known_to_be_far():
+    """A sky at the median's parallax of 100 pixels would show .5 of them if it were 200 times as far: its inverse depth is sure."""
+    median, (width, height) = 1 / 2, SIZE
+    inverse = np.full((height, width), median, np.float32)
+    inverse[:10] = median / 200
+    information = ((100 * inverse / median) ** 2).astype(np.float32)
+
+    class Clip:
+        cameras, continuity = [camera()], SimpleNamespace(same_piece=lambda k, j: True)
+
+        def __len__(self):
+            return 1
+
+        def mask(self, k):
+            return np.zeros((height, width), np.uint8)
+
+        def image(self, k):
+            return np.zeros((height, width, 3), np.uint8)
+
+        def __getitem__(self, k):
+            return SimpleNamespace(inverse_depth=inverse, information=information, motion=np.zeros_like(inverse))
+
+    Clip.width, Clip.height, Clip.median = width, height, median
+    known, weight, _ = Background(Clip(), has_masks=True).sure(0)
+    assert (weight[:6] > 0).all()
+    np.testing.assert_allclose(known[:6], 0.01 * median, rtol=1e-3)
+    np.testing.assert_allclose(known[14:], median, rtol=1e-3)
+
+
 def test_what_one_moment_alone_saw_stays_behind_the_mover():
     """A near box at the left is seen in the first frames; later, and out of reach of the plate, the mover is before it."""
     count, (width, height), hidden = 60, SIZE, np.s_[8:24, 6:20]

@@ -21,8 +21,8 @@ FUSED_WITH = (2, 4, 8, 16)
 PLATE_FROM = (2, 4, 8, 16, 24)
 """Training frames before and after, from which hidden background is taken."""
 
-NEAREST, FURTHEST = 20.0, 0.03
-"""Inverse depths outside these multiples of the clip's median are mistakes."""
+NEAREST, FURTHEST = 20.0, 0.01
+"""Inverse depths above the first multiple of the clip's median are mistakes; those below the second are as good as at it."""
 
 SURE = 5.0
 """Weight from which a value speaks for pixels of other frames, and below which it gives way to theirs."""
@@ -187,9 +187,12 @@ class Background:
 
     def _weighed(self, k: int) -> tuple[np.ndarray, np.ndarray, Camera]:
         solution, median = self._clip[k], self._clip.median
-        inverse = solution.inverse_depth
-        sane = (inverse > FURTHEST * median) & (inverse < NEAREST * median) & (solution.information > 1)
-        weight = np.clip(solution.information, 0, 400) / (1 + solution.motion**2)
+        # Matches with hardly any parallax do not tell how far away a point is, but that it is far: the inverse of its depth is
+        # known as well as that of any other. So what is far is weighed by the parallax that it would have at the median depth.
+        inverse = np.maximum(solution.inverse_depth, FURTHEST * median)
+        information = solution.information * np.maximum(median / np.maximum(solution.inverse_depth, 1e-3 * median), 1) ** 2
+        sane = (solution.information > 0) & (inverse < NEAREST * median) & (information > 1)
+        weight = np.clip(information, 0, 400) / (1 + solution.motion**2)
         return inverse, np.where(sane & ~_swollen(self.mask(k)), weight, 0).astype(np.float32), self._clip.cameras[k]
 
     def _fuse(self, k: int) -> tuple[np.ndarray, np.ndarray, Camera]:

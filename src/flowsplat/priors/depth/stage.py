@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from flowsplat.common.progress import track
+from flowsplat.priors.background.edges import EdgeRefiner
 from flowsplat.priors.background.fill import upsample
 from flowsplat.priors.background.longflow import STRIDES
 from flowsplat.priors.background.matched_clip import MatchedClip
@@ -47,10 +48,11 @@ def depth_stage(
     clip = static[0] if static else MatchedClip(scene, estimate)
     background = static[1] if static else static_depth(clip, has_masks)
     movers = load_movers(scene)
+    refined = EdgeRefiner(clip, has_masks) if clip.has_parallax else None
     trusted = []
     for k, i in enumerate(track(scene.train_frames, "Depth")):
         if not scene.has_depth(i):
-            scene.write_depth(i, _frame_depth(clip, background, movers, has_masks, k))
+            scene.write_depth(i, _frame_depth(clip, background, movers, refined, has_masks, k))
         trusted.append(float(scene.depth(i).trusted.mean()))
     method, share = ("multi-view" if clip.has_parallax else "guess"), float(np.mean(trusted))
     if clip.has_parallax:
@@ -69,7 +71,9 @@ def depth_stage(
     )  # fmt: skip
 
 
-def _frame_depth(clip: MatchedClip, background: StaticDepth, movers: SceneMovers, has_masks: bool, k: int) -> Depth:
+def _frame_depth(
+    clip: MatchedClip, background: StaticDepth, movers: SceneMovers, refined: EdgeRefiner | None, has_masks: bool, k: int
+) -> Depth:
     scene = clip.scene
     frame = scene.frame(scene.train_frames[k])
     inverse, weight = background.filled(k)
@@ -80,6 +84,7 @@ def _frame_depth(clip: MatchedClip, background: StaticDepth, movers: SceneMovers
         plate = background.plate(k)
         inverse = np.where(clip.mask(k) > 0, plate, inverse)
         static = upsample(inverse, frame, *size)
+        static = static if refined is None else refined(k, static)
         front = upsample(background.foremost(k), np.zeros_like(frame), *size)
         sure = upsample(background.witnessed(k), np.zeros_like(frame), *size)
         known = movers.depth(k, mask, frame, scene.cameras[scene.train_frames[k]])
@@ -89,6 +94,7 @@ def _frame_depth(clip: MatchedClip, background: StaticDepth, movers: SceneMovers
         static = np.where(moving, np.maximum(nearness, np.where(tied, KNOWN_MARGIN * sure, MARGIN * front)), static)
     else:
         static = upsample(inverse, frame, *size)
+        static = static if refined is None else refined(k, static)
     limits = background.median / FURTHEST_DEPTH, background.median / NEAREST_DEPTH
     depth = 1 / np.clip(static, *limits)
     large_weight = np.maximum(upsample(weight.astype(np.float32), np.zeros_like(frame), *size), 0)

@@ -1,0 +1,65 @@
+"""Jumps of depth lie where the pictures have them."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from flowsplat.priors.background.edges import features, refine_edges
+
+from .planes import FOCAL, HEIGHT, SIDE, WALL, WIDTH, camera_at, texture
+
+SHIFTS = (-12, -8, -4, 4, 8, 12)
+LEFT, TOP = 50, 25
+
+
+def still_square(shift: int) -> tuple[np.ndarray, np.ndarray]:
+    """Picture [H, W, 3] and inverse depth [H, W] of a square at half the wall's depth; the wall is ``shift`` pixels to the left."""
+    wall = texture(0, WIDTH + 40, HEIGHT)
+    picture = wall[:, 20 + shift : 20 + shift + WIDTH].copy()
+    inverse = np.full((HEIGHT, WIDTH), 1 / WALL, np.float32)
+    x = LEFT - 2 * shift
+    picture[TOP : TOP + SIDE, x : x + SIDE] = texture(1, SIDE, SIDE)
+    inverse[TOP : TOP + SIDE, x : x + SIDE] = 2 / WALL
+    return picture, inverse
+
+
+def refined(inverse: np.ndarray, still: np.ndarray, moving: np.ndarray | None = None) -> np.ndarray:
+    pictures = np.stack([features(still_square(shift)[0]) for shift in SHIFTS])
+    moving = np.zeros(pictures.shape[:3], bool) if moving is None else moving
+    cameras = [camera_at(shift) for shift in SHIFTS]
+    return refine_edges(inverse, still, features(still_square(0)[0]), camera_at(0), pictures, moving, cameras)
+
+
+def test_the_camera_is_that_of_the_pictures():
+    # Half the depth, twice the shift.
+    assert camera_at(8).viewmat[0, 3] * FOCAL * 2 / WALL == pytest.approx(-16)
+
+
+@pytest.mark.parametrize("change", ["swollen", "shrunk"])
+def test_swollen_and_shrunk_surfaces_end_where_their_picture_ends(change):
+    true = still_square(0)[1]
+    operation = cv2.dilate if change == "swollen" else cv2.erode
+    wrong = operation(true, np.ones((9, 9), np.uint8))
+    before, everywhere = np.abs(wrong - true) > 0.01, np.ones(true.shape, bool)
+    after = np.abs(refined(wrong, everywhere) - true) > 0.01
+    assert before.sum() > 300
+    assert after.sum() < 0.15 * before.sum()
+
+
+def test_what_is_right_stays_and_what_moves_is_left_alone():
+    true, everywhere = still_square(0)[1], np.ones((HEIGHT, WIDTH), bool)
+    assert (np.abs(refined(true, everywhere) - true) > 0.01).mean() < 0.01
+    wrong = cv2.dilate(true, np.ones((9, 9), np.uint8))
+    np.testing.assert_array_equal(refined(wrong, ~everywhere), wrong)
+
+
+def test_frames_that_show_only_what_moves_say_nothing():
+    wrong, everywhere = cv2.dilate(still_square(0)[1], np.ones((9, 9), np.uint8)), np.ones((HEIGHT, WIDTH), bool)
+    np.testing.assert_array_equal(refined(wrong, everywhere, np.ones((len(SHIFTS), HEIGHT, WIDTH), bool)), wrong)
+
+
+def test_an_even_slope_has_no_jump():
+    slope = np.tile(np.linspace(0.2, 0.21, WIDTH, dtype=np.float32), (HEIGHT, 1))
+    np.testing.assert_array_equal(refined(slope, np.ones(slope.shape, bool)), slope)
