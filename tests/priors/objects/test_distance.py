@@ -10,7 +10,7 @@ from flowsplat.geometry.cameras import rigid
 from flowsplat.priors.background.ground import Ground, find_ground, static_points
 from flowsplat.priors.objects.contact import ground_bound, middle_of, upright_ratio
 from flowsplat.priors.objects.distance import Cue, combine
-from flowsplat.priors.objects.movers import accepted_laws, bounce_cue, contact_cue, thrown_cue
+from flowsplat.priors.objects.movers import accepted_laws, bounce_cue, contact_cue, settled, thrown_cue
 from flowsplat.priors.objects.path import WorldPath, bounce_frames, constant_height, pivot
 from flowsplat.priors.objects.rigid import Observations, solve_rigid
 from tests.priors.objects.test_rigid import body, turn
@@ -263,3 +263,13 @@ def test_cues_are_combined_by_their_sureness():
     assert -0.2 < low.log_scale < 0.2
     torn = combine(0.0, {"contact": Cue(0.4, 0.03, 0.07), "pivot": Cue(-0.4, 0.03, 0.05)}, [])
     assert torn.sigma > 0.2
+
+
+def test_feet_settle_a_course_over_time():
+    rng, frames = np.random.default_rng(0), np.arange(60)
+    drift = 0.05 * np.sin(frames / 12)
+    seen = np.ones(60, bool)
+    seen[20:24] = False
+    above = np.where(seen, -drift + rng.normal(0, 0.01, 60), np.nan)
+    assert np.std(drift + settled(above, seen)) < 0.4 * np.std(drift)
+    np.testing.assert_array_equal(settled(np.full(60, np.nan), seen), 0)

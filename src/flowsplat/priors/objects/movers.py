@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
 from flowsplat.geometry import Camera
 from flowsplat.priors.background.ground import Ground
@@ -31,6 +32,8 @@ FLAT, FLAT_LOW, FLAT_HIGH = 0.1, 10, 70
 MOSTLY = 0.5
 """Share of the frames in which a mover is seen in which its feet must be seen, too: what swings hides where it is high."""
 FEWEST_BOUNDS = 8
+STEPS = 5.0
+"""Frames: standard deviation over time of what feet say about a course; steps are shorter."""
 SUPPOSED_SIGMA, SUPPOSED_WRONG = 0.06, 0.25
 """What is added to the error of a contact with ground that was not seen, and its chance to be wrong."""
 BOUNCE_SPAN = 2
@@ -175,6 +178,21 @@ def contact_cue(bounds: np.ndarray, visible: np.ndarray, frames: int) -> Cue | N
     return Cue(float(middle), float(np.hypot(FLOOR["contact"], 0.5 * (high - low))), WRONG["contact"])
 
 
+def settled(above: np.ndarray, visible: np.ndarray) -> np.ndarray:
+    """[T] what brings the course of a mover that stands to the ground over time.
+
+    A course that only its size tells is some percent off over time, where feet are seen to one or two.
+
+    Args:
+        above: [T] in ln, how much farther than its course each frame's feet would be on the ground.
+        visible: [T] whether they are seen.
+    """
+    seen = visible & np.isfinite(above)
+    weight = gaussian_filter1d(seen.astype(float), STEPS, mode="nearest")
+    value = gaussian_filter1d(np.where(seen, np.clip(above, -FLAT, FLAT), 0), STEPS, mode="nearest")
+    return np.where(weight > 1e-3, value / np.maximum(weight, 1e-3), 0)
+
+
 def unsurer(cue: Cue) -> Cue:
     """The same on ground that was not seen."""
     return Cue(cue.log_scale, float(np.hypot(cue.sigma, SUPPOSED_SIGMA)), SUPPOSED_WRONG)
@@ -278,6 +296,8 @@ def solve_mover(
     if supposed:
         stands, bounces = (None if cue is None else unsurer(cue) for cue in (stands, bounces))
     # Where it touches is what bounds it; else no frame may put it below the ground.
+    if stands is not None and motion is None:
+        course = course + settled(at_ground - stands.log_scale, visible)
     if stands is not None:
         cues = {**cues, "contact": stands}
     elif bounces is not None:
