@@ -60,7 +60,8 @@ def test_relief_and_turn_of_what_turns():
     motion = solve_rigid(observations)
     assert motion is not None
     assert motion.widest_turn() == pytest.approx(90 * (FRAMES - 1) / FRAMES, abs=4)
-    found = place_points(motion, observations, K)
+    found, share = place_points(motion, observations, K)
+    assert share > 0.95
     middle = np.argsort(np.abs(found.frame_of - FRAMES // 2), kind="stable")[: (found.frame_of == FRAMES // 2).sum()]
     tracks = observations.point_of[observations.frame_of == FRAMES // 2]
     assert len(tracks) == len(middle)
@@ -72,7 +73,7 @@ def test_relief_and_turn_of_what_turns():
 
 def test_what_is_known_of_a_point_says_how_sure_it_is():
     turned = [solve_rigid(Observations.of_tracks(*seen_body(body(), degrees, 0.2)[:2], K)) for degrees in (10, 90)]
-    sigmas = [float(np.median(place_points(each, each.observations, K).sigma)) for each in turned if each is not None]
+    sigmas = [float(np.median(place_points(each, each.observations, K)[0].sigma)) for each in turned if each is not None]
     assert sigmas[0] > 2 * sigmas[1]
 
 

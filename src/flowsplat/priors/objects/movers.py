@@ -13,7 +13,7 @@ from flowsplat.priors.background.ground import Ground
 from flowsplat.priors.objects.contact import Bound, upright_ratio
 from flowsplat.priors.objects.distance import Cue, combine
 from flowsplat.priors.objects.path import Law, WorldPath, bounce_frames, constant_height, pivot, smooth
-from flowsplat.priors.objects.relief import DEEPEST, ReliefPoints, place_points, relief
+from flowsplat.priors.objects.relief import DEEPEST, ReliefPoints, place_points, relief, roundness
 from flowsplat.priors.objects.rigid import Observations, RigidMotion, longest, solve_rigid
 
 FEWEST_TRACKS, FEWEST_FRAMES = 16, 10
@@ -23,6 +23,8 @@ INSIDE = 0.7
 SPLIT_HALF = 0.04
 """Standard deviation over time between ln z of two solutions from halves of the tracks, above which none is believed."""
 INLIERS = 0.7
+RIGID_SHARE = 0.85
+"""Share of all observations on a mover that its motion explains from which it does not bend, so that its points have one shape."""
 PER_FRAME = (50, 180)
 """Tracks in a frame that the motion is solved from, the longest first; half of them for either half. Both are tried."""
 FLOOR = {"pivot": 0.02, "height": 0.03, "smooth": 0.03, "contact": 0.025, "bounce": 0.03}
@@ -59,7 +61,7 @@ class Mover:
         log_depth: [T] logarithm of the planar depth of its middle in the training frames; NaN where it is not seen.
         middles: [T, 2] the pixel that belongs to; NaN likewise.
         sigma: standard deviation of its distance, of ln s.
-        rigid: whether its motion was found.
+        rigid: whether its motion was found and explains all of it, so that it does not bend.
         cues: what speaks for its distance.
         points: depth of points on it, with its distance.
         expected: standard deviation of ln depth that its relief is expected to have.
@@ -78,12 +80,14 @@ class Mover:
         """Planar depth [N] of its pixels ``mask`` [H, W] in training frame k, in the order of ``np.nonzero``."""
         y, x = np.nonzero(mask)
         middle, pixels = self.middles[k], np.stack([x, y], 1) + 0.5
-        log_depth = self.log_depth[k] + np.log(upright_ratio(camera, normal, middle, pixels))
+        front = roundness(mask, float(camera.K[0, 0]))
+        log_depth = self.log_depth[k] + np.log(upright_ratio(camera, normal, middle, pixels)) + front[y, x]
         here = self.points.frame_of == k
         if here.any():
             places = self.points.pixels[here]
-            card = self.log_depth[k] + np.log(upright_ratio(camera, normal, middle, places))
-            offsets = self.points.log_depth[here] - card
+            column, row = np.clip(places.astype(int), 0, [mask.shape[1] - 1, mask.shape[0] - 1]).T
+            expected = self.log_depth[k] + np.log(upright_ratio(camera, normal, middle, places)) + front[row, column]
+            offsets = self.points.log_depth[here] - expected
             log_depth = log_depth + relief(mask, picture, places, offsets, self.points.sigma[here], self.expected)[y, x]
         return np.exp(log_depth)
 
@@ -268,7 +272,7 @@ def solve_mover(
     course = np.where(seen, log_cards - np.mean(log_cards[seen]), np.nan)
     points, cues, path = ReliefPoints.none(), {}, None
     if motion is not None:
-        points = place_points(motion, Observations.of_tracks(positions, inside, K), K)
+        points, share = place_points(motion, Observations.of_tracks(positions, inside, K), K)
         found = middle_depths(points, middles, cameras, normal)
         if not np.isfinite(found).any():
             motion, points = None, ReliefPoints.none()
@@ -279,6 +283,8 @@ def solve_mover(
             cues = accepted_laws(path, ground.normal if ground else None)[0]
         except np.linalg.LinAlgError:
             cues, path = {}, None  # Poses that the tracks hardly tell have no covariance: then no law does either.
+        if share < RIGID_SHARE:
+            points = ReliefPoints.none()  # Of what bends, limbs are placed wrongly.
     at_ground = np.array([np.nan if bound is None else bound.log_depth for bound in bounds]) - course
     visible = np.array([bound is not None and bound.visible for bound in bounds])
     stands = contact_cue(at_ground, visible, int(seen.sum()))
@@ -316,7 +322,7 @@ def solve_mover(
     moved = replace(points, log_depth=points.log_depth + distance.log_scale)
     expected = DEEPEST * motion.size if motion is not None else 0.0
     return Mover(
-        number, course + distance.log_scale, middles, distance.sigma, motion is not None, cues, moved, expected
+        number, course + distance.log_scale, middles, distance.sigma, len(points.frame_of) > 0, cues, moved, expected
     )  # fmt: skip
 
 

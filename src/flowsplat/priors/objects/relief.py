@@ -8,8 +8,12 @@ import cv2
 import numpy as np
 from numba import njit
 
-from flowsplat.priors.objects.rigid import NEAREST, RESIDUAL_WIDTH, Observations, RigidMotion, derivatives
+from flowsplat.priors.objects.rigid import INLIER, NEAREST, RESIDUAL_WIDTH, Observations, RigidMotion, derivatives
 
+ROUND = 0.75
+"""How deep the front of a mover is expected to be, in units of a ball's of its width."""
+DISCS = 0.8 ** np.arange(9)
+"""Radii of the discs that are tried, in units of the largest one inside a mover."""
 DEEPEST = 0.6
 """Standard deviation of the relief that is expected, in units of the object's half width."""
 SMOOTHNESS = 60.0
@@ -45,8 +49,12 @@ class ReliefPoints:
         return ReliefPoints(np.zeros(0, int), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
 
 
-def place_points(motion: RigidMotion, observations: Observations, K: np.ndarray) -> ReliefPoints:
-    """All points of a mover, also those that its motion was not found from, with its poses held."""
+def place_points(motion: RigidMotion, observations: Observations, K: np.ndarray) -> tuple[ReliefPoints, float]:
+    """All points of a mover, also those that its motion was not found from, with its poses held.
+
+    Returns:
+        The points, and the share of all observations that lie where the motion puts them: limbs that move on their own do not.
+    """
     o = observations
     points, covariances = _place(
         motion.turns, motion.shifts, motion.used, o.first, o.frame_of, o.x, o.focal, RESIDUAL_WIDTH,
@@ -61,7 +69,37 @@ def place_points(motion: RigidMotion, observations: Observations, K: np.ndarray)
     sigma = noise * np.sqrt(np.maximum(np.einsum("mi,mij,mj->m", axis, covariances[n], axis), 0)) / depth
     good = motion.used[t] & (off < OFF_LIMIT) & (y[:, 2] > NEAREST) & np.isfinite(sigma)
     pixels = o.x * [K[0, 0], K[1, 1]] + K[:2, 2]
-    return ReliefPoints(t[good], pixels[good], np.log(depth[good]), np.maximum(sigma[good], 1e-4))
+    share = float((off[motion.used[t]] < INLIER).mean()) if motion.used[t].any() else 0.0
+    return ReliefPoints(t[good], pixels[good], np.log(depth[good]), np.maximum(sigma[good], 1e-4)), share
+
+
+def roundness(mask: np.ndarray, focal: float) -> np.ndarray:
+    """Offsets of ln depth [H, W] float32 of a body that is as deep as it is wide, ``ROUND`` of a sphere's; median 0 over the mask.
+
+    Each pixel lies on the largest disc inside the outline that holds it: limbs are thin, bodies thick.
+
+    Args:
+        mask: bool [H, W] of the mover.
+        focal: pixels.
+    """
+    result = np.zeros(mask.shape, np.float32)
+    y, x = np.nonzero(mask)
+    if len(y) == 0:
+        return result
+    y0, y1, x0, x1 = y.min(), y.max() + 1, x.min(), x.max() + 1
+    # Where the border of the picture cuts a mover, it goes on.
+    inside = mask[y0:y1, x0:x1].astype(np.uint8)
+    sides = [int(y0 > 0), int(y1 < mask.shape[0]), int(x0 > 0), int(x1 < mask.shape[1])]
+    padded = cv2.copyMakeBorder(inside, *sides, cv2.BORDER_CONSTANT, value=0)
+    rim = cv2.distanceTransform(padded, cv2.DIST_L2, 5)
+    radius = rim.copy()
+    for level in float(rim.max()) * DISCS:
+        near = cv2.distanceTransform((rim < level).astype(np.uint8), cv2.DIST_L2, 5) < level
+        radius = np.where(near & (rim > 0), np.maximum(radius, level), radius)
+    height = np.sqrt(np.maximum(rim * (2 * radius - rim), 0))[sides[0] : sides[0] + y1 - y0, sides[2] : sides[2] + x1 - x0]
+    offsets = -ROUND / focal * height
+    result[y0:y1, x0:x1] = np.where(inside > 0, offsets - np.median(offsets[inside > 0]), 0)
+    return result
 
 
 def relief(

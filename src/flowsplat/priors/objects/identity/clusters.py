@@ -349,7 +349,7 @@ class _Clusters:
         if len(other) < RIGID_TRACKS // 2:
             return False
         observations = Observations.of_tracks(self._points[other], seen[other], K)
-        placed = place_points(motion, observations, K)
+        placed, _ = place_points(motion, observations, K)
         relief = np.abs(np.exp(placed.log_depth) - motion.shifts[placed.frame_of, 2])
         return int((relief <= RIGID_DEPTH * motion.size).sum()) >= EXPLAINED * len(observations.x)
 
