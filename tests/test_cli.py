@@ -92,7 +92,10 @@ def test_the_stages_one_by_one(capsys, scene, tmp_path):
     assert (out / "run.json").read_text() == record, "what is asked for once is not kept"
     for command, option in (("train", "--resize"), ("evaluate", "--train.iterations"), ("render", "--train.iterations")):
         assert option in refuse(capsys, command, out, option, "9"), "an option that the command cannot act on"
-    assert call(capsys, "info", out)[0] == 0
+    main(["info", str(out)])
+    counts = json.loads((out / "model" / "model.json").read_text())["movers"]
+    assert "Gaussians of the movers: " + ", ".join(f"{n:,} of {m}" for m, n in counts.items()) in capsys.readouterr().out
+    assert len(counts) > 1
     assert call(capsys, "info", scene)[0] == 0
 
 

@@ -205,6 +205,11 @@ def _tables(metrics: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     if errors:
         header = ("", "mean", "median", "movers, mean", "movers, median")
         yield {"title": "Flow and depth", "remark": "", "table": table(header, errors)}
+    movers = pick(metrics, "gaussians", "movers")
+    if movers:
+        remark = "Of the number that a mover has in the masks; --render.parts movers:NUMBER shows it alone."
+        rows = table(("mover", "Gaussians"), [(number, f"{count:,}") for number, count in movers.items()])
+        yield {"title": "Movers", "remark": remark, "table": rows}
     seconds = metrics.get("seconds") or {}
     if seconds:
         spent = [(_STAGES.get(stage, stage), _duration(value)) for stage, value in seconds.items()]
