@@ -96,6 +96,7 @@ def test_the_stages_one_by_one(capsys, scene, tmp_path):
     counts = json.loads((out / "model" / "model.json").read_text())["movers"]
     assert "Gaussians of the movers: " + ", ".join(f"{n:,} of {m}" for m, n in counts.items()) in capsys.readouterr().out
     assert len(counts) > 1
+    assert f"no mover 99: there are {', '.join(counts)}" in refuse(capsys, "render", out, "--render.parts", "movers:99")
     assert call(capsys, "info", scene)[0] == 0
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -9,10 +10,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from flowsplat.common.errors import InputError
 from flowsplat.gaussians.flow import FlowModel
 from flowsplat.gaussians.gaussians4d import Gaussians4D
 from flowsplat.gaussians.render import fill_uncovered, render
-from flowsplat.gaussians.renderer import Part, Rendering
+from flowsplat.gaussians.renderer import Part, Rendering, numbers_of
 from flowsplat.geometry import Camera, Similarity
 from flowsplat.splatting.api import BackendName
 from flowsplat.splatting.rules import EPS2D
@@ -111,12 +113,32 @@ class SceneModel:
         return frame.image, frame.alpha, frame.flow
 
     def part(self, part: Part) -> SceneModel:
-        """A model of the movers alone or of the background alone: see ``PartedRenderer.part``."""
+        """A model of movers alone or of the background alone: see ``PartedRenderer.part``.
+
+        ``movers`` is what moves. A mover that is named by its number has all that belongs to it, what of it rests as well.
+        """
         if part == "all":
             return self
-        dynamic = self.gaussians.dynamic
-        rows = torch.nonzero(dynamic if part == "movers" else ~dynamic).squeeze(1)
-        return replace(self, gaussians=self.gaussians.select(rows), fill=self.fill and part != "movers")
+        numbers, dynamic = numbers_of(part), self.gaussians.dynamic
+        if numbers is not None:
+            self.require_movers(numbers)
+            chosen = torch.isin(self.gaussians.movers, self.gaussians.movers.new_tensor(numbers))
+        else:
+            chosen = dynamic if part == "movers" else ~dynamic
+        rows = torch.nonzero(chosen).squeeze(1)
+        return replace(self, gaussians=self.gaussians.select(rows), fill=self.fill and part == "background")
+
+    def require_movers(self, numbers: Iterable[int]) -> None:
+        """Refuse numbers that no mover has.
+
+        Raises:
+            InputError: names the first of them, and those that there are.
+        """
+        known = self.gaussians.mover_counts
+        for number in numbers:
+            if number not in known:
+                there_are = f"there are {', '.join(map(str, known))}" if known else "none of its Gaussians belongs to a mover"
+                raise InputError(f"The trained scene has no mover {number}: {there_are}.")
 
     def active_count(self, t: float) -> int:
         """How many Gaussians are there at ``t`` seconds, whether a camera sees them or not."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -299,10 +300,13 @@ def _video_title(name: str) -> str:
     """What a video shows, from its name: path, tempo, part of the scene, stereo."""
     rest = name
     words: list[str] = []
-    for suffix, word in (("_stereo", "for two eyes"), ("_background", "the background alone"), ("_movers", "the movers alone")):
+    for suffix, word in (("_stereo", "for two eyes"), ("_background", "the background alone")):
         if rest.endswith(suffix):
             rest = rest.removesuffix(suffix)
             words.insert(0, word)
+    if movers := re.search(r"_movers((?:_\d+)*)$", rest):
+        rest, numbers = rest[: movers.start()], movers[1].strip("_").replace("_", ", ")
+        words.insert(0, f"mover {numbers} alone" if numbers else "the movers alone")
     rest, slow, times = rest.partition("_slow")
     if slow:
         words.insert(0, f"{times} times slower")

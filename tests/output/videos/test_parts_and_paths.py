@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from flowsplat.common.errors import InputError
 from flowsplat.geometry import Camera
@@ -49,11 +50,45 @@ def test_movers_alone_are_on_transparent(run, tmp_path):
     assert places[-1] > places[0] + 5, "it moves to the right"
 
 
+def test_one_mover_alone(run, tmp_path):
+    """Named by its number it has what of it rests as well."""
+    model, scene = run
+    two = replace(model, gaussians=model.gaussians.select(torch.arange(len(model.gaussians))))
+    two.gaussians.movers[-1] = 5
+    two.gaussians.dynamic[-2] = False
+    assert two.gaussians.mover_counts == {2: 2, 5: 1}
+    assert [len(two.part(part).gaussians) for part in ("movers", "movers:2", "movers:5", "movers:5,2")] == [2, 2, 1, 3]
+    assert not two.part("movers:2").fill
+    render_videos(two, scene, tmp_path, RenderOptions(paths=("input",), parts=("movers:5", "movers:5,2"), max_frames=2))
+    assert rendered(tmp_path) == {
+        "input_path_movers_5": "input_path_movers_5.webm", "input_path_movers_5_2": "input_path_movers_5_2.webm"
+    }  # fmt: skip
+    one, both = (frames_of(tmp_path / file, "libvpx-vp9", "rgba")[4][..., 3] for file in rendered(tmp_path).values())
+    np.testing.assert_allclose(one / 255, two.part("movers:5").render(scene.cameras[4], 0.5).alpha, atol=0.1)
+    assert both.sum() > 1.2 * one.sum()
+
+
+@pytest.mark.parametrize(
+    ("part", "message"),
+    [
+        ("movers:1", "no mover 1: there are 2"), ("movers:2,9", "no mover 9: there are 2"), ("movers:300", "no mover 300"),
+        ("movers:", "Unknown part 'movers:'"), ("movers:x", "movers:1,3"), ("movers:-1", "Unknown part"), ("car:1", "Unknown part"),
+        ("movers:1,,2", "Unknown part"), ("movers:²", "Unknown part"),
+    ],
+)  # fmt: skip
+def test_movers_that_are_not_there_are_named(run, tmp_path, part, message):
+    with pytest.raises(InputError, match=message):
+        render_videos(*run, tmp_path, RenderOptions(paths=("input",), parts=("all", part)))
+    assert rendered(tmp_path) == {}
+
+
 def test_movers_of_a_scene_without_any_are_refused(tmp_path):
     folder = tiny_run(tmp_path / "out", movers=0)
     arguments = load_model(folder / "model"), Scene(folder / "scene"), tmp_path / "r"
     with pytest.raises(InputError, match="Nothing moves"):
         render_videos(*arguments, RenderOptions(paths=("input",), parts=("movers",)))
+    with pytest.raises(InputError, match="no mover 1: none of its Gaussians belongs"):
+        render_videos(*arguments, RenderOptions(paths=("input",), parts=("movers:1",)))
     render_videos(*arguments, RenderOptions(paths=("dolly",), parts=("background",), max_frames=2))
     assert rendered(tmp_path / "r")
 

@@ -152,6 +152,8 @@ def test_parts(browser):
     movers = browser.settled()
     assert red(movers).any()
     assert np.median(movers) < 10
+    browser.set("Part", "movers:2")
+    np.testing.assert_array_equal(browser.settled(), movers)
 
 
 def test_the_wipe_looks_through_the_input_camera(run_folder, browser):

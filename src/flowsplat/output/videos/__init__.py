@@ -48,8 +48,8 @@ def rendered(folder: Path) -> dict[str, str]:
     """What was rendered into ``folder``, by name, to the file's name in it.
 
     Names: ``input_path``, ``stabilised``, ``orbit``, ``bullet_time``, ``dolly_zoom``, ``wiggle`` and ``custom_path``, with
-    ``_slow4`` where time plays four times slower, ``_background`` or ``_movers`` where a part is shown, then ``_stereo`` or
-    ``_colour`` for the other files.
+    ``_slow4`` where time plays four times slower, ``_background``, ``_movers`` or ``_movers_1_3`` where a part is shown, then
+    ``_stereo`` or ``_colour`` for the other files.
 
     Raises:
         InputError: ``renders.json`` is damaged.

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from flowsplat.common.errors import InputError
-from flowsplat.gaussians.renderer import Part
+from flowsplat.gaussians.renderer import Part, numbers_of
 from flowsplat.output.camera_files import LARGEST
 from flowsplat.pictures.video import FASTEST, SLOWEST
 
@@ -26,8 +26,9 @@ class RenderOptions:
     camera while time plays. ``bullet``: the same loop while time stands still. ``dolly``: time stands still, the camera
     moves back and zooms in, so that the subject stays as large. ``wiggle``: a GIF that shows depth by a small swing."""
     parts: tuple[Part, ...] = ("all",)
-    """What is shown. ``background``: without what moves. ``movers``: what moves, alone, on transparent: a WebM (VP9 with
-    alpha) in colour; ``wiggle`` shows them on black."""
+    """What is shown: ``all``. ``background``: without what moves. ``movers``: what moves, alone, on transparent: a WebM (VP9
+    with alpha) in colour; ``wiggle`` shows them on black. ``movers:2`` or ``movers:1,3``: likewise the movers of these numbers
+    alone, as they have them in the masks; the report and ``flowsplat info`` tell which there are."""
     width: int | None = None
     """Pixels; the height follows. None = as the clip was trained."""
     fps: float | None = None
@@ -64,9 +65,11 @@ def check_options(options: RenderOptions, fps: float, first: float, last: float)
     Raises:
         InputError: an option has a value that makes no video.
     """
-    for name, given, known in (("camera path", options.paths, get_args(PathName)), ("part", options.parts, get_args(Part))):
-        if unknown := set(given) - set(known):
-            raise InputError(f"Unknown {name} {min(unknown)!r}: choose from {', '.join(known)}, or give a camera file.")
+    if unknown := set(options.paths) - set(get_args(PathName)):
+        known = ", ".join(get_args(PathName))
+        raise InputError(f"Unknown camera path {min(unknown)!r}: choose from {known}, or give a camera file.")
+    for part in options.parts:
+        numbers_of(part)
     if options.width is not None and not _SMALLEST <= options.width <= LARGEST:
         raise InputError(f"A video {options.width} pixels wide cannot be made: give a width from {_SMALLEST} to {LARGEST}.")
     if not SLOWEST <= fps <= FASTEST:

@@ -9,7 +9,7 @@ import numpy as np
 import viser
 
 from flowsplat.common.spread import spread
-from flowsplat.gaussians.renderer import Part
+from flowsplat.gaussians.renderer import PARTS
 from flowsplat.output.viewer.browser_frame import SCENE_DEPTH, BrowserFrame, Pose
 from flowsplat.output.viewer.drawing import Compare, Drawing, Look, PictureKind
 from flowsplat.output.viewer.export_panel import ExportPanel
@@ -47,6 +47,7 @@ class Panel:
         self._notifications = Notifications(client)
         self._overlays: dict[str, Any] = {}
         self._stood: Pose | None = None
+        self._movers = tuple(source.loaded.part("all").gaussians.mover_counts)
         self._build()
         ExportPanel(client, self._notifications, source, worker, self._session)
 
@@ -78,7 +79,7 @@ class Panel:
             home = gui.add_button("To the input camera", icon=viser.Icon.HOME)
         with gui.add_folder("Picture"):
             self._what = gui.add_dropdown("Show", get_args(PictureKind), initial_value="colour")
-            self._part = gui.add_dropdown("Part", get_args(Part), initial_value="all")
+            self._part = gui.add_dropdown("Part", (*PARTS, *(f"movers:{n}" for n in self._movers)), initial_value="all")
             self._compare = gui.add_dropdown("Input frame", get_args(Compare), initial_value="off")
             self._wipe = gui.add_slider("Wipe", min=0.0, max=1.0, step=0.01, initial_value=0.5, visible=False)
             self._stereo = gui.add_checkbox("Stereo pair", False, hint="For two eyes, left beside right.")
