@@ -97,6 +97,11 @@ def test_the_stages_one_by_one(capsys, scene, tmp_path):
     assert "Gaussians of the movers: " + ", ".join(f"{n:,} of {m}" for m, n in counts.items()) in capsys.readouterr().out
     assert len(counts) > 1
     assert f"no mover 99: there are {', '.join(counts)}" in refuse(capsys, "render", out, "--render.parts", "movers:99")
+    assert "no mover 99" in refuse(capsys, "render", out, "--render.distances", "99=1.2")
+    mover, other = list(counts)[:2]
+    chosen = ("--render.paths", "bullet", "--render.max-frames", "2", "--render.distances", f"{mover}=1.2", f"{other}=.9")
+    assert call(capsys, "render", out, *chosen)[0] == 0
+    assert (out / "renders" / f"bullet_time_distance_{mover}x1.2_{other}x0.9.mp4").exists()
     assert call(capsys, "info", scene)[0] == 0
 
 

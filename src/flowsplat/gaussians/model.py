@@ -134,16 +134,7 @@ class SceneModel:
         return replace(self, gaussians=self.gaussians.select(rows), fill=self.fill and part == "background")
 
     def at_distances(self, factors: Mapping[int, float], times: Sequence[float], cameras: Sequence[Camera]) -> SceneModel:
-        """The same scene with some movers farther away, or nearer: see ``gaussians.distances``.
-
-        Args:
-            factors: by the number of the mover, how many times as far away from the clip's camera as it was trained.
-            times: [T] seconds of the clip's frames.
-            cameras: [T] its cameras, in the coordinates of the scene.
-
-        Raises:
-            InputError: there is no such mover, or a factor is none.
-        """
+        """The same scene with some movers farther away, or nearer: see ``PartedRenderer.at_distances``."""
         self.require_movers(factors)
         check_factors(factors)
         changed = {number: float(factor) for number, factor in factors.items() if factor != 1}

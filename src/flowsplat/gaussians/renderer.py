@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -70,5 +71,20 @@ class PartedRenderer(Renderer, Protocol):
 
         Raises:
             InputError: there is no such part.
+        """
+        ...
+
+    def at_distances(
+        self, factors: Mapping[int, float], times: Sequence[float], cameras: Sequence[Camera]
+    ) -> PartedRenderer:
+        """The same scene with some movers farther away, or nearer: see ``gaussians.distances``.
+
+        Args:
+            factors: by the number of the mover, how many times as far away from the clip's camera as it was trained.
+            times: [T] seconds of the clip's frames.
+            cameras: [T] its cameras, in the coordinates of the scene.
+
+        Raises:
+            InputError: there is no such mover, or a factor is none.
         """
         ...

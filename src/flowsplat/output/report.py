@@ -307,6 +307,9 @@ def _video_title(name: str) -> str:
     if movers := re.search(r"_movers((?:_\d+)*)$", rest):
         rest, numbers = rest[: movers.start()], movers[1].strip("_").replace("_", ", ")
         words.insert(0, f"mover {numbers} alone" if numbers else "the movers alone")
+    rest, moved, distances = rest.partition("_distance_")
+    if moved:
+        words.insert(0, ", ".join("mover {} {} times as far".format(*entry.split("x")) for entry in distances.split("_")))
     rest, slow, times = rest.partition("_slow")
     if slow:
         words.insert(0, f"{times} times slower")

@@ -16,7 +16,7 @@ from flowsplat.gaussians.renderer import Part, PartedRenderer
 from flowsplat.geometry import Camera
 from flowsplat.geometry.paths import CameraPath, dolly_zoom, orbit, shifted
 from flowsplat.output.camera_files import CameraShots, read_camera_file
-from flowsplat.output.videos.options import RenderOptions, check_options
+from flowsplat.output.videos.options import RenderOptions, check_options, factors_of
 from flowsplat.output.videos.shots import COVERED, Shot, small
 from flowsplat.output.videos.stabilised import stabilise
 from flowsplat.pictures.video import FASTEST, SLOWEST
@@ -100,6 +100,9 @@ def settle(scene: Scene, options: RenderOptions) -> tuple[float, tuple[int, int]
 def _versions(plan: Plan, part: Part, scene: Scene, options: RenderOptions) -> Iterator[Plan]:
     """The video of one part of the scene, and its stereo pair."""
     suffix = "" if part == "all" else "_" + part.replace(":", "_").replace(",", "_")
+    if options.distances:
+        factors = factors_of(options.distances)
+        suffix = "_distance" + "".join(f"_{number}x{factor:g}" for number, factor in factors.items()) + suffix
     shown = replace(plan, part=part, name=plan.name + suffix)
     if part.startswith("movers") and plan.kind == "panels":
         yield replace(shown, kind="alpha", audio_from=None)
