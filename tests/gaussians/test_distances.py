@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from flowsplat.common import devices
 from flowsplat.common.errors import InputError
 from flowsplat.gaussians.distances import slice_view
 from flowsplat.gaussians.flow import FlowModel
@@ -105,6 +106,22 @@ def test_only_the_mover_that_is_named_goes_and_what_of_it_rests_goes_with_it():
     expected = -0.5 * torch.as_tensor(moved.distances.speed(clip_time), dtype=torch.float32)
     torch.testing.assert_close(resting, expected.expand(3, 3))
     assert float(expected.norm()) > 0.05
+
+
+def test_the_slice_of_the_gpu_is_that_of_the_cpu(monkeypatch):
+    """Triton's kernels, in its interpreter where there is no GPU."""
+    pytest.importorskip("triton", reason="Triton is not installed")
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    model = small_model(OURS, resting=20, moving=30)
+    model.gaussians.movers[:3] = 1
+    moved, camera = at(model, m1=1.5, m2=0.8), model.similarity.camera(small_cameras(model)[2])
+    expected = slice_view(model.gaussians, camera, 0.4, 0.5, moved.distances)
+    assert len(expected.means) > 20
+    monkeypatch.setattr(devices, "kernels_for", lambda value: "triton")
+    found = slice_view(model.gaussians.to(device), camera, 0.4, 0.5, moved.distances)
+    for name, value in vars(expected).items():
+        if value is not None:
+            torch.testing.assert_close(getattr(found, name).cpu(), value, rtol=1e-4, atol=1e-5, msg=name)
 
 
 def test_velocities_are_those_of_the_moved_places():
