@@ -26,7 +26,7 @@ from flowsplat.geometry.paths import CameraPath
 from flowsplat.splatting.rules import EPS2D
 
 NEAREST, FARTHEST = 0.1, 10.0
-"""Between these lies every factor: beyond them nothing but a mistake is known."""
+"""The smallest and the largest factor: what lies beyond is a slip of whoever typed it."""
 _STEP = 1e-4
 """Of clip time, to tell how fast the camera goes."""
 

@@ -63,10 +63,11 @@ class State {
     return { pivot: centreOf(cameraOnPath(this.about.clipPath, time)), factors: [...this.factors] };
   }
 
-  /** Put the mover of a number so many times as far from the clip's camera as it was trained. */
+  /** Put the mover of a number so many times as far from the clip's camera as it was trained; where there is none, nothing happens. */
   setDistance(number, factor) {
     this.isHeld = false;
-    this.factors[placeOfMover(this.about, number)] = factor;
+    const place = placeOfMover(this.about, number);
+    if (place) this.factors[place] = factor;
   }
 
   setStereo(isStereo) {
@@ -102,7 +103,7 @@ class State {
   }
 }
 
-/** From 1 on. */
+/** From 1 on; 0: there is no mover of that number. */
 function placeOfMover(about, number) {
   return about.movers.findIndex(([other]) => other === number) + 1;
 }
