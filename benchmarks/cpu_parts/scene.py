@@ -81,7 +81,7 @@ def observations(scene: Gaussians4D, width: int, height: int) -> Observations:
                 image=(np.clip(noisy, 0, 1) * 255).astype(np.uint8),
                 depth=np.where(covered, seen.depth.numpy() / divisor, 1).astype(np.float32),
                 depth_trusted=covered,
-                mask=np.zeros((height, width), bool),
+                movers=np.zeros((height, width), np.uint8),
                 forward=flow,
                 backward=None,
             )

@@ -148,7 +148,8 @@ def _commands(arguments: Sequence[str]) -> dict[str, Any]:
     def tracks(out: Run, at: tuple[str, ...] = (), queries: Path | None = None, path: Target = None) -> None:
         """Follow points through a trained run: where what is seen at a pixel goes in 3D, and when it is visible.
 
-        Writes queries, timestamps, points [Q, T, 3] in the coordinates of OUT/scene/cameras.json, and visible [Q, T].
+        Writes queries, timestamps, points [Q, T, 3] in the coordinates of OUT/scene/cameras.json, visible [Q, T], and movers [Q],
+        the number of the mover that each point is on.
 
         Args:
             out: Folder of the run.

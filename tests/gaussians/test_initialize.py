@@ -67,6 +67,24 @@ def test_a_cap_holds_for_a_random_start_and_for_tracks(observations):
     assert len(start(observations, 500, foreground="tracks", background_spacing=1.0)) <= 500
 
 
+@pytest.mark.parametrize("foreground", ["pixels", "tracks"])
+def test_every_gaussian_knows_its_mover(observations, foreground):
+    """Seen from the frame that it was made from, it lies on the mask of its number."""
+    made = start(observations, 10**6, foreground=foreground)
+    assert not made.movers[~made.dynamic].any()
+    seeds, found = made.select(torch.nonzero(made.dynamic).squeeze(1)), 0
+    for frame in observations.frames:
+        here = seeds.params["times"] == frame.time
+        uv, _ = frame.camera.project(seeds.params["means"][here].double().numpy())
+        x, y = uv.astype(np.int64).T
+        np.testing.assert_array_equal(seeds.movers[here].numpy(), frame.movers[y, x])
+        found += int(here.sum())
+    assert found == len(seeds)
+    assert set(made.mover_counts) == set(np.unique(observations[0].movers)) - {0}
+    assert len(made.mover_counts) > 1
+    assert start(observations, 500, from_priors=False).mover_counts == {}, "a random start knows no masks"
+
+
 @pytest.mark.parametrize("spacing", [1.0, 1.4142, 1.7, 2.0, 3.3, 7.5])
 def test_grids_are_as_dense_as_they_say_and_even(spacing):
     for each in (spacing, np.full((150, 200), spacing)):

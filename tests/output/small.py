@@ -53,7 +53,9 @@ def small_gaussians(config: ModelConfig = OURS, resting: int = 400, moving: int 
     else:
         params["quats_left"], params["quats_right"] = random(count, 4) - 0.5, random(count, 4) - 0.5
         params["log_scales4"] = torch.log(0.03 + 0.1 * random(count, 4))
-    return Gaussians4D(params, dynamic, config, config.sh_degree)
+    # Two movers, of the left and of the right.
+    movers = torch.where(dynamic, torch.where(means[:, 0] < 0, 1, 2), 0).to(torch.uint8)
+    return Gaussians4D(params, dynamic, config, config.sh_degree, movers)
 
 
 def small_model(

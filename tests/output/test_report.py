@@ -35,7 +35,7 @@ def made_up_metrics() -> dict:
         "lpips_reason": "LPIPS needs pip install flowsplat[metrics]",
         "seconds": {"prepare": 92.0, "train": 251.0, "evaluate": 31.5, "render": 44.0},
         "peak_memory_gib": 2.31,
-        "gaussians": {"total": 184_201, "active_mean": 63_410.5},
+        "gaussians": {"total": 184_201, "active_mean": 63_410.5, "movers": {"2": 9_021, "7": 314}},
     }  # fmt: skip
 
 
@@ -114,7 +114,7 @@ def test_the_report_holds_the_figures(tmp_path):
     for text in (
         "29.87 dB", "3.79 dB better than interpolating", "interpolation: 26.08 dB", "0.912", "24.41", "21.34", "22.08",
         "25.76", "0.43 px", "1.12", "0.041", "184,201", "63,410 active at a time", "6 min 58 s", "2.3 GiB", "31.02",
-        "thinned from 240", "train.model.mean_poly", "1500", "Parts of the loss", "Gaussians active over the clip",
+        "thinned from 240", "9,021", "train.model.mean_poly", "1500", "Parts of the loss", "Gaussians active over the clip",
         "Round the middle of the clip", "frame 29", "full colour =",
     ):  # fmt: skip
         assert text in page, text
@@ -147,12 +147,14 @@ def test_videos_of_every_kind(tmp_path):
     videos = {
         "orbit_background": "orbit_background.mp4", "orbit_background_colour": "orbit_background_colour.mp4",
         "orbit_background_stereo": "orbit_background_stereo.mp4", "input_path_movers": "input_path_movers.webm",
-        "wiggle": "wiggle.gif", "stabilised_slow2.5_movers": "stabilised_slow2.5_movers.webm",
+        "wiggle": "wiggle.gif", "orbit_distance_2x1.2_3x0.9_movers_2_3": "o.webm",
+        "stabilised_slow2.5_movers": "stabilised_slow2.5_movers.webm",
     }  # fmt: skip
     page = write(tmp_path, replace(made_up_run(), videos=videos))
     assert "Round the middle of the clip, the background alone: colour, flow, depth." in page
     assert "Round the middle of the clip, the background alone, for two eyes." in page
     assert "the movers alone." in page
+    assert "Round the middle of the clip, mover 2 1.2 times as far, mover 3 0.9 times as far, mover 2, 3 alone." in page
     assert "without the shaking, 2.5 times slower, the movers alone." in page
     assert '<img src="renders/wiggle.gif"' in page
     assert '<video controls muted loop playsinline preload="metadata" src="renders/input_path_movers.webm">' in page

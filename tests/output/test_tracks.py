@@ -41,6 +41,7 @@ def test_points_from_the_command_line(run, capsys):
     np.testing.assert_allclose(points[0, :, 2], MOVER, rtol=1e-3)
     np.testing.assert_allclose(points[1, :, 2], WALL, rtol=1e-3)
     assert all(value["visible"][1])
+    assert value["movers"] == [2, 0]
 
 
 @pytest.mark.parametrize("name", ["points.json", "points.txt"])
@@ -53,6 +54,7 @@ def test_points_from_a_file(run, tmp_path, name):
         assert found["visible"].shape == (2, FRAMES)
         np.testing.assert_array_equal(found["queries"], [[19.2, 24, 0], [60.5, 5.5, 3]])
         assert len(found["timestamps"]) == FRAMES
+        assert found["movers"].tolist() == [2, 0]
 
 
 @pytest.mark.parametrize(

@@ -36,7 +36,7 @@ def tiny_cameras(size: tuple[int, int], shake: float = 0.0) -> list[Camera]:
 
 
 def tiny_model(movers: int = 1, half_width: float = 4.0) -> SceneModel:
-    """The wall is ``2 half_width`` wide and high, the mover a ball of up to one Gaussian for each of ``movers``."""
+    """The wall is ``2 half_width`` wide and high, the mover, number 2, a ball of up to one Gaussian for each of ``movers``."""
     side = np.arange(-half_width, half_width + 1e-6, 0.2)
     x, y = (part.ravel() for part in np.meshgrid(side, side))
     wall = np.stack([x, y, np.full_like(x, WALL)], -1)
@@ -53,7 +53,7 @@ def tiny_model(movers: int = 1, half_width: float = 4.0) -> SceneModel:
     params["log_scales"][:] = float(np.log(0.15 / WALL))
     dynamic = torch.arange(count) >= len(wall)
     params["mean_poly"][dynamic, 0, 0] = 1.0 / WALL  # to the right by 1 over the clip
-    return SceneModel(Gaussians4D(params, dynamic, CONFIG), SIMILARITY, 0.0, (FRAMES - 1) / FPS)
+    return SceneModel(Gaussians4D(params, dynamic, CONFIG, movers=2 * dynamic.to(torch.uint8)), SIMILARITY, 0.0, (FRAMES - 1) / FPS)
 
 
 def tiny_run(folder: Path, movers: int = 1, size: tuple[int, int] = (64, 48), trained: bool = True, shake: float = 0.0) -> Path:

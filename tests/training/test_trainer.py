@@ -9,8 +9,11 @@ import pytest
 import torch
 
 from flowsplat.common.errors import InputError
+from flowsplat.gaussians.model import SceneModel
+from flowsplat.geometry import Similarity
 from flowsplat.protocols.ablations.variants import changed
 from flowsplat.training.average import EVERY, TailAverage
+from flowsplat.training.checkpoint import load_checkpoint, load_model, read_tensors, save_model, write_tensors
 from flowsplat.training.config import PRESETS
 from flowsplat.training.trainer import Trainer
 from tests.training.handful import a_few, seen, tiny
@@ -102,6 +105,42 @@ def test_a_mean_follows_who_is_pruned_and_begins_anew_with_who_is_born():
     assert average.count == 0
     average.write(mean)
     assert mean["means"].tolist() == [1, 3, 3]
+
+
+def test_movers_keep_their_numbers_and_change_no_training(tmp_path):
+    """Through density control, checkpoints and files; what was written before there were numbers is read without."""
+    config = replace(tiny("paper"), iterations=4, checkpoint_every=2, average=0.0)
+    config = replace(config, density=replace(config.density, every=1, start=1, gradient=1e-9, max_gaussians=60))
+    start = a_few(config)
+    start.movers = (torch.arange(len(start)) % 4).to(torch.uint8)
+    # Whoever descends from a Gaussian has its colour nearly still: four steps change it less than they differ.
+    kinds = torch.linspace(-3, 3, 4)
+    start.params["sh"][:, 0, 0] = kinds[start.movers.long()]
+    unnumbered = start.select(torch.arange(len(start)))
+    unnumbered.movers = torch.zeros(len(start), dtype=torch.uint8)
+    observations = seen(start)
+    trained = Trainer(observations, None, config, tmp_path / "steps", start=start).run()
+    assert len(trained) > len(start) + 8
+    nearest = (trained.params["sh"][:, 0, 0, None] - kinds).abs().argmin(1)
+    assert torch.equal(trained.movers.long(), nearest)
+    other = Trainer(observations, None, config, start=unnumbered).run()
+    assert not other.movers.any()
+    for name, value in trained.params.items():
+        assert torch.equal(value, other.params[name]), name
+    again = Trainer(observations, None, config, tmp_path / "steps").run()
+    assert torch.equal(again.movers, trained.movers)
+
+    kept, step, _ = load_checkpoint(tmp_path / "steps", Similarity(), 0.0, 1.0, 20.0)
+    assert step == 2
+    assert set(kept.gaussians.mover_counts) == {1, 2, 3}
+    save_model(tmp_path, SceneModel(trained, Similarity(), 0.0, 1.0))
+    assert torch.equal(load_model(tmp_path).gaussians.movers, trained.movers)
+    for path in (tmp_path / "gaussians.safetensors", *(tmp_path / "steps").glob("*.safetensors")):
+        tensors, values = read_tensors(path)
+        write_tensors(path, {name: value for name, value in tensors.items() if name != "movers"}, values)
+    assert load_model(tmp_path).gaussians.mover_counts == {}
+    assert load_checkpoint(tmp_path / "steps", Similarity(), 0.0, 1.0, 20.0)[0].gaussians.mover_counts == {}
+    assert torch.equal(Trainer(observations, None, config, tmp_path / "steps").run().params["means"], trained.params["means"])
 
 
 def test_after_the_last_step_no_gaussian_is_added_or_reset():

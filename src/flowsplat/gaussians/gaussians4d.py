@@ -103,19 +103,24 @@ class Active:
 
 @dataclass
 class Gaussians4D:
-    """N Gaussians: a dict of tensors by the names of METHOD 1, [N, ...] each, and which of them are dynamic.
+    """N Gaussians: a dict of tensors by the names of METHOD 1, [N, ...] each, which of them are dynamic, and whose they are.
 
     Attributes:
         params: float32 tensors, see ``parameter_shapes``.
         dynamic: [N] bool; False = background.
         config: what the parameters mean.
         sh_degree: the degree in use, at most ``config.sh_degree`` (training raises it step by step).
+        movers: [N] uint8 number of the moving object that each belongs to, as in the masks of the clip; 0 = of none. Nothing that
+            is computed in training depends on it. Left out it is 0 for all. It is not the same as ``dynamic``: a part of an
+            object that turns out to rest is background and still belongs to it, and background that turns out to move belongs
+            to none.
     """
 
     params: dict[str, Tensor]
     dynamic: Tensor
     config: ModelConfig
     sh_degree: int = 0
+    movers: Tensor = field(default_factory=lambda: torch.zeros(0, dtype=torch.uint8))
     motion: MotionModel = field(init=False)
 
     def __post_init__(self) -> None:
@@ -126,6 +131,10 @@ class Gaussians4D:
         for name, shape in expected.items():
             if tuple(self.params[name].shape) != (len(self), *shape):
                 raise ValueError(f"{name} must be {[len(self), *shape]}, not {list(self.params[name].shape)}")
+        if not len(self.movers):
+            self.movers = torch.zeros(len(self), dtype=torch.uint8, device=self.device)
+        if self.movers.shape != self.dynamic.shape:
+            raise ValueError(f"movers must be {[len(self)]}, not {list(self.movers.shape)}")
 
     def __len__(self) -> int:
         return len(self.dynamic)
@@ -198,7 +207,13 @@ class Gaussians4D:
         if self.device == torch.device(device):
             return self
         params = {name: value.to(device) for name, value in self.params.items()}
-        return Gaussians4D(params, self.dynamic.to(device), self.config, self.sh_degree)
+        return Gaussians4D(params, self.dynamic.to(device), self.config, self.sh_degree, self.movers.to(device))
+
+    @property
+    def mover_counts(self) -> dict[int, int]:
+        """How many Gaussians each mover has, by its number, rising; without 0."""
+        numbers, counts = torch.unique(self.movers, return_counts=True)
+        return {number: count for number, count in zip(numbers.tolist(), counts.tolist(), strict=True) if number}
 
     @property
     def device(self) -> torch.device:
@@ -208,7 +223,7 @@ class Gaussians4D:
     def select(self, rows: Tensor) -> Gaussians4D:
         """A model of some of the Gaussians."""
         params = {name: value[rows] for name, value in self.params.items()}
-        return Gaussians4D(params, self.dynamic[rows], self.config, self.sh_degree)
+        return Gaussians4D(params, self.dynamic[rows], self.config, self.sh_degree, self.movers[rows])
 
 
 def parameter_shapes(config: ModelConfig) -> dict[str, tuple[int, ...]]:
@@ -226,4 +241,5 @@ def parameter_shapes(config: ModelConfig) -> dict[str, tuple[int, ...]]:
 def concatenate(parts: Sequence[Gaussians4D]) -> Gaussians4D:
     """One model from several of the same configuration."""
     params = {name: torch.cat([part.params[name] for part in parts]) for name in parts[0].params}
-    return Gaussians4D(params, torch.cat([part.dynamic for part in parts]), parts[0].config, parts[0].sh_degree)
+    dynamic, movers = torch.cat([part.dynamic for part in parts]), torch.cat([part.movers for part in parts])
+    return Gaussians4D(params, dynamic, parts[0].config, parts[0].sh_degree, movers)

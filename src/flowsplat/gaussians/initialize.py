@@ -123,8 +123,12 @@ def _build(
     dynamic: bool,
     model: ModelConfig,
     opacity: float,
+    movers: np.ndarray | None = None,
 ) -> Gaussians4D:
-    """Gaussians from surface samples; motion [N, order, 3] are the first polynomial coefficients of the mean."""
+    """Gaussians from surface samples; motion [N, order, 3] are the first polynomial coefficients of the mean.
+
+    ``movers`` [N]: the number of the mover that each belongs to; None = they belong to none.
+    """
     count = len(samples.means)
     params = {name: torch.zeros(count, *shape) for name, shape in parameter_shapes(model).items()}
     params["means"] = torch.from_numpy(samples.means.astype(np.float32))
@@ -133,7 +137,8 @@ def _build(
     params["sh"][:, 0] = harmonics_from_colours(torch.from_numpy(samples.colours.astype(np.float32)))
     given = (torch.from_numpy(values.astype(np.float32)) for values in (samples.quats, samples.scales, log_lambdas, motion))
     params.update(model.motion().start(*given))
-    return Gaussians4D(params, torch.full((count,), dynamic), model)
+    numbers = np.zeros(count, np.uint8) if movers is None else movers.astype(np.uint8)
+    return Gaussians4D(params, torch.full((count,), dynamic), model, movers=torch.from_numpy(numbers))
 
 
 def _spheres(samples: SurfaceSamples) -> SurfaceSamples:
@@ -243,7 +248,7 @@ def _foreground(
     """Movers: every pixel (or track) of the sampled frames, with the motion of the points it follows."""
     sampled, log_lambda = sampled_frames(len(observations), config)
     sigma = float(np.exp(-0.5 * log_lambda))
-    samples, times, motions = [], [], []
+    samples, times, motions, movers = [], [], [], []
     for k in sampled:
         frame = observations[k]
         usable = frame.mask & frame.depth_trusted
@@ -258,13 +263,16 @@ def _foreground(
         samples.append(sample_surface(frame, wanted, spacing * config.size, config.flatness))
         times.append(np.full(len(samples[-1].means), frame.time))
         motions.append(_fit_motion(observations, k, wanted, sigma, config.motion_order, config.motion_reach))
+        movers.append(frame.movers[wanted])
     if not samples:
         samples, times, motions = [SurfaceSamples.empty()], [np.zeros(0)], [np.zeros((0, config.motion_order, 3))]
+        movers = [np.zeros(0, np.uint8)]
     merged, centre_times = SurfaceSamples.concatenate(samples), np.concatenate(times)
     if not config.surface_aligned:
         merged = _spheres(merged)
     precision = np.full(len(centre_times), log_lambda)
-    return _build(merged, centre_times, precision, np.concatenate(motions), True, model, config.opacity)
+    motion, numbers = np.concatenate(motions), np.concatenate(movers)
+    return _build(merged, centre_times, precision, motion, True, model, config.opacity, numbers)
 
 
 def _track_pixels(tracks: Tracks | None, frame: Observation, usable: np.ndarray) -> np.ndarray:

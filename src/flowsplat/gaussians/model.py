@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -9,11 +10,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from flowsplat.common.errors import InputError
+from flowsplat.gaussians.distances import Distances, check_factors
 from flowsplat.gaussians.flow import FlowModel
 from flowsplat.gaussians.gaussians4d import Gaussians4D
 from flowsplat.gaussians.render import fill_uncovered, render
-from flowsplat.gaussians.renderer import Part, Rendering
+from flowsplat.gaussians.renderer import Part, Rendering, numbers_of
 from flowsplat.geometry import Camera, Similarity
+from flowsplat.geometry.paths import CameraPath
 from flowsplat.splatting.api import BackendName
 from flowsplat.splatting.rules import EPS2D
 
@@ -38,6 +42,7 @@ class SceneModel:
             were, the rasterizer's blur grows with the picture (``blur``).
         backend: of the rasterizer.
         graphs: whether a GPU draws by CUDA graphs, one for every size of picture: for many frames one after the other.
+        distances: of movers that are shown elsewhere than they were trained (``at_distances``). Rendering knows them, nothing else.
     """
 
     gaussians: Gaussians4D
@@ -49,6 +54,7 @@ class SceneModel:
     focal: float = 0.0
     backend: BackendName = "auto"
     graphs: bool = False
+    distances: Distances | None = None
     _drawn_by: dict[tuple[int, int, bool, float], Any] = field(init=False, default_factory=dict, repr=False, compare=False)
 
     def to(self, device: torch.device | str) -> SceneModel:
@@ -93,7 +99,7 @@ class SceneModel:
         """Image with colour and depth, alpha and flow, premultiplied; cameras in normalised coordinates, ``t`` in seconds."""
         g = self.gaussians
         if (
-            self.graphs and g.sliced_by == "triton"
+            self.graphs and g.sliced_by == "triton" and self.distances is None
             and (other is None or self.flow_model == "displacement")
         ):  # fmt: skip
             from flowsplat.gaussians.cuda_graph import FixedRenderer
@@ -106,17 +112,46 @@ class SceneModel:
             image, alpha = self._drawn_by[key].render(camera, self.clip_time(t), other)
             return image, alpha, None if other is None else image[..., 4:6]
         frame = render(
-            g, camera, self.clip_time(t), flow_to=other, flow_model=self.flow_model, eps2d=self.blur(camera), backend=self.backend
-        )
+            g, camera, self.clip_time(t), flow_to=other, flow_model=self.flow_model, eps2d=self.blur(camera), backend=self.backend,
+            distances=self.distances,
+        )  # fmt: skip
         return frame.image, frame.alpha, frame.flow
 
     def part(self, part: Part) -> SceneModel:
-        """A model of the movers alone or of the background alone: see ``PartedRenderer.part``."""
+        """A model of movers alone or of the background alone: see ``PartedRenderer.part``.
+
+        ``movers`` is what moves. A mover that is named by its number has all that belongs to it, what of it rests as well.
+        """
         if part == "all":
             return self
-        dynamic = self.gaussians.dynamic
-        rows = torch.nonzero(dynamic if part == "movers" else ~dynamic).squeeze(1)
-        return replace(self, gaussians=self.gaussians.select(rows), fill=self.fill and part != "movers")
+        numbers, dynamic = numbers_of(part), self.gaussians.dynamic
+        if numbers is not None:
+            self.require_movers(numbers)
+            chosen = torch.isin(self.gaussians.movers, self.gaussians.movers.new_tensor(numbers))
+        else:
+            chosen = dynamic if part == "movers" else ~dynamic
+        rows = torch.nonzero(chosen).squeeze(1)
+        return replace(self, gaussians=self.gaussians.select(rows), fill=self.fill and part == "background")
+
+    def at_distances(self, factors: Mapping[int, float], times: Sequence[float], cameras: Sequence[Camera]) -> SceneModel:
+        """The same scene with some movers farther away, or nearer: see ``PartedRenderer.at_distances``."""
+        self.require_movers(factors)
+        check_factors(factors)
+        changed = {number: float(factor) for number, factor in factors.items() if factor != 1}
+        path = CameraPath([self.clip_time(t) for t in times], [self.similarity.camera(camera) for camera in cameras])
+        return replace(self, distances=Distances(changed, path) if changed else None)
+
+    def require_movers(self, numbers: Iterable[int]) -> None:
+        """Refuse numbers that no mover has.
+
+        Raises:
+            InputError: names the first of them, and those that there are.
+        """
+        known = self.gaussians.mover_counts
+        for number in numbers:
+            if number not in known:
+                there_are = f"there are {', '.join(map(str, known))}" if known else "none of its Gaussians belongs to a mover"
+                raise InputError(f"The trained scene has no mover {number}: {there_are}.")
 
     def active_count(self, t: float) -> int:
         """How many Gaussians are there at ``t`` seconds, whether a camera sees them or not."""

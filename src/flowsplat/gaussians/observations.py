@@ -24,7 +24,7 @@ class Observation:
         image: [H, W, 3] uint8 sRGB.
         depth: [H, W] float32, median of all frames 1.
         depth_trusted: [H, W] bool.
-        mask: [H, W] bool, moving objects.
+        movers: [H, W] uint8 number of the moving object in a pixel, 0 = background.
         forward: flow to the next training frame; None in the last.
         backward: flow to the previous training frame; None in the first.
     """
@@ -35,9 +35,14 @@ class Observation:
     image: np.ndarray
     depth: np.ndarray
     depth_trusted: np.ndarray
-    mask: np.ndarray
+    movers: np.ndarray
     forward: Flow | None
     backward: Flow | None
+
+    @cached_property
+    def mask(self) -> np.ndarray:
+        """[H, W] bool: moving objects."""
+        return self.movers > 0
 
     @cached_property
     def depth_jump(self) -> np.ndarray:
@@ -92,7 +97,7 @@ def load_observations(scene: Scene) -> Observations:
                 image=scene.frame(i),
                 depth=depth.depth * np.float32(similarity.scale),
                 depth_trusted=depth.trusted,
-                mask=scene.mask(i) > 0,
+                movers=scene.mask(i),
                 forward=flow(i, train[k + 1]) if k + 1 < len(train) else None,
                 backward=flow(i, train[k - 1]) if k > 0 else None,
             )

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from flowsplat.gaussians.distances import Distances, slice_view
 from flowsplat.gaussians.flow import FlowModel, FlowView, blend_features, flow_channels, flow_image
 from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Active, Gaussians4D
 from flowsplat.gaussians.slicing import Gradients, Slice, slice_gaussians
@@ -84,10 +85,14 @@ def render_active(
         eps2d: px^2 of blur; affine flow reckons with that of training.
         backend: of the rasterizer.
     """
-    dtype, device = gaussians.params["means"].dtype, gaussians.device
-    center = torch.as_tensor(camera.center, dtype=dtype)
+    center = torch.as_tensor(camera.center, dtype=gaussians.params["means"].dtype)
     flow = None if flow_to is None else FlowView(flow_model, flow_to[0], flow_to[1] - active.t)
     sliced = slice_gaussians(gaussians, active, center, flow_to[1] if flow_to is not None else None, gradients)
+    return _blended(sliced, camera, flow, eps2d, backend)
+
+
+def _blended(sliced: Slice, camera: Camera, flow: FlowView | None, eps2d: float, backend: BackendName) -> RenderedFrame:
+    dtype, device = sliced.means.dtype, sliced.means.device
     width, height = camera.width, camera.height
     projected = project(
         sliced.means, sliced.quats, sliced.scales, sliced.opacities, *camera.tensors(dtype, device), width, height,
@@ -108,10 +113,15 @@ def render(
     flow_model: FlowModel = "displacement",
     eps2d: float = EPS2D,
     backend: BackendName = "auto",
+    distances: Distances | None = None,
 ) -> RenderedFrame:
-    """Render the Gaussians at clip time ``t``, without gradients; camera in normalised coordinates."""
-    active = gaussians.active(t, camera, eps2d=eps2d)
-    return render_active(gaussians, active, camera, flow_to=flow_to, flow_model=flow_model, eps2d=eps2d, backend=backend)
+    """Render the Gaussians at clip time ``t``, without gradients; camera in normalised coordinates.
+
+    ``distances``: of movers that are not where they were trained.
+    """
+    flow = None if flow_to is None else FlowView(flow_model, flow_to[0], flow_to[1] - t)
+    sliced = slice_view(gaussians, camera, t, flow_to[1] if flow_to is not None else None, distances, eps2d)
+    return _blended(sliced, camera, flow, eps2d, backend)
 
 
 def fill_uncovered(colour: np.ndarray, alpha: np.ndarray) -> np.ndarray:

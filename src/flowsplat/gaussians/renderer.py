@@ -2,15 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 
+from flowsplat.common.errors import InputError
 from flowsplat.geometry import Camera
 
-Part = Literal["all", "background", "movers"]
-"""Of a scene: everything, what is left without the movers, or the movers alone."""
+Part = str
+"""Of a scene: one of ``PARTS``, or ``movers:`` and the numbers of some of them, as in ``movers:2`` or ``movers:1,3``."""
+PARTS: tuple[Part, ...] = ("all", "background", "movers")
+"""Everything, what is left without the movers, or the movers alone."""
+
+
+def numbers_of(part: Part) -> tuple[int, ...] | None:
+    """The numbers of the movers that a part names; None = it names none.
+
+    Raises:
+        InputError: there is no such part.
+    """
+    if part in PARTS:
+        return None
+    kind, _, numbers = part.partition(":")
+    listed = numbers.split(",")
+    if kind != "movers" or not all(number.isdecimal() for number in listed):
+        raise InputError(f"Unknown part {part!r}: choose from {', '.join(PARTS)}, or name movers by number as in movers:1,3.")
+    return tuple(int(number) for number in listed)
 
 
 @dataclass(frozen=True)
@@ -48,5 +67,24 @@ class PartedRenderer(Renderer, Protocol):
     """A renderer that knows what moves."""
 
     def part(self, part: Part) -> PartedRenderer:
-        """The same scene with one part of it only; uncovered pixels of the movers alone are not filled but stay black."""
+        """The same scene with one part of it only; uncovered pixels of movers alone are not filled but stay black.
+
+        Raises:
+            InputError: there is no such part.
+        """
+        ...
+
+    def at_distances(
+        self, factors: Mapping[int, float], times: Sequence[float], cameras: Sequence[Camera]
+    ) -> PartedRenderer:
+        """The same scene with some movers farther away, or nearer: see ``gaussians.distances``.
+
+        Args:
+            factors: by the number of the mover, how many times as far away from the clip's camera as it was trained.
+            times: [T] seconds of the clip's frames.
+            cameras: [T] its cameras, in the coordinates of the scene.
+
+        Raises:
+            InputError: there is no such mover, or a factor is none.
+        """
         ...

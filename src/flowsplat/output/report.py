@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -205,6 +206,11 @@ def _tables(metrics: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     if errors:
         header = ("", "mean", "median", "movers, mean", "movers, median")
         yield {"title": "Flow and depth", "remark": "", "table": table(header, errors)}
+    movers = pick(metrics, "gaussians", "movers")
+    if movers:
+        remark = "Of the number that a mover has in the masks; --render.parts movers:NUMBER shows it alone."
+        rows = table(("mover", "Gaussians"), [(number, f"{count:,}") for number, count in movers.items()])
+        yield {"title": "Movers", "remark": remark, "table": rows}
     seconds = metrics.get("seconds") or {}
     if seconds:
         spent = [(_STAGES.get(stage, stage), _duration(value)) for stage, value in seconds.items()]
@@ -294,10 +300,16 @@ def _video_title(name: str) -> str:
     """What a video shows, from its name: path, tempo, part of the scene, stereo."""
     rest = name
     words: list[str] = []
-    for suffix, word in (("_stereo", "for two eyes"), ("_background", "the background alone"), ("_movers", "the movers alone")):
+    for suffix, word in (("_stereo", "for two eyes"), ("_background", "the background alone")):
         if rest.endswith(suffix):
             rest = rest.removesuffix(suffix)
             words.insert(0, word)
+    if movers := re.search(r"_movers((?:_\d+)*)$", rest):
+        rest, numbers = rest[: movers.start()], movers[1].strip("_").replace("_", ", ")
+        words.insert(0, f"mover {numbers} alone" if numbers else "the movers alone")
+    rest, moved, distances = rest.partition("_distance_")
+    if moved:
+        words.insert(0, ", ".join("mover {} {} times as far".format(*entry.split("x")) for entry in distances.split("_")))
     rest, slow, times = rest.partition("_slow")
     if slow:
         words.insert(0, f"{times} times slower")

@@ -59,7 +59,8 @@ def write_tracks(model: SceneModel, scene: Scene, queries: np.ndarray, path: Pat
     """Follow points [Q, 3] through the model and write their paths.
 
     ``.npz``: ``queries`` [Q, 3], ``timestamps`` [T] seconds, ``points`` [Q, T, 3] in the coordinates of ``scene/cameras.json``
-    (NaN where unknown), ``visible`` [Q, T]. ``.json``: the same as lists, null where unknown.
+    (NaN where unknown), ``visible`` [Q, T], ``movers`` [Q] the number of the mover that each is on (0: on none). ``.json``: the
+    same as lists, null where unknown.
 
     Returns:
         the path, and how many points lie on something.
@@ -72,10 +73,10 @@ def write_tracks(model: SceneModel, scene: Scene, queries: np.ndarray, path: Pat
         raise InputError(f"{path} is neither .json nor .npz: name the file so.")
     paths = follow_points(model, scene.cameras, scene.timestamps, queries)
     known = np.isfinite(paths.points).all(-1)
+    values = {"queries": queries, "timestamps": scene.timestamps, "visible": paths.visible, "movers": paths.movers}
     if suffix == ".npz":
-        values = {"queries": queries, "timestamps": scene.timestamps, "points": paths.points, "visible": paths.visible}
-        write_npz(path, values, compressed=True)
+        write_npz(path, {**values, "points": paths.points}, compressed=True)
     else:
         points = [[p.tolist() if k else None for p, k in zip(*row, strict=True)] for row in zip(paths.points, known, strict=True)]
-        write_json(path, {"queries": queries, "timestamps": scene.timestamps, "points": points, "visible": paths.visible})
+        write_json(path, {**values, "points": points})
     return path, int(known.any(1).sum())

@@ -355,7 +355,10 @@ def _evaluate(folder: RunFolder, result: _Result) -> dict[str, Any]:
     refine = partial(refine_camera, model) if folder.config.refine_poses else None
     metrics = evaluate(model, scene, folder=folder.path / "evaluation", static_model=static, refine=refine)
     counts = [model.active_count(float(t)) for t in scene.timestamps]
-    metrics["gaussians"] = {"total": len(model.gaussians), "active_mean": float(np.mean(counts)), "active": counts}
+    metrics["gaussians"] = {
+        "total": len(model.gaussians), "active_mean": float(np.mean(counts)), "active": counts,
+        "movers": {str(number): count for number, count in model.gaussians.mover_counts.items()},
+    }  # fmt: skip
     seconds = {"evaluate": time.perf_counter() - started}
     _write_metrics(folder, result, metrics, seconds)
     folder.finish("evaluate", key, seconds)

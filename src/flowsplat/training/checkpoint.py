@@ -20,7 +20,8 @@ from flowsplat.gaussians.gaussians4d import Gaussians4D, ModelConfig
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.geometry import Similarity
 
-MODEL_VERSION = 1
+MODEL_VERSION = 2
+"""1 had no ``movers``; such models are read."""
 RENAMED_FIGURES = {"open": "coverage"}
 """Figures of the history that had another name in an earlier version, and their name now."""
 
@@ -52,6 +53,11 @@ def read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
         raise InputError(f"{path} is damaged or truncated ({error}). Delete it to compute it again.") from error
 
 
+def stored_movers(tensors: Mapping[str, Tensor]) -> Tensor:
+    """[N] uint8 whose the Gaussians of a model or a checkpoint are; 0 for all where it was written before they had numbers."""
+    return tensors.get("movers", torch.zeros_like(tensors["dynamic"])).to(torch.uint8)
+
+
 def present_figures(history: Sequence[Mapping[str, float]]) -> list[dict[str, float]]:
     """Entries of a history with the names that figures have now; a line says which had another one."""
     found = [{RENAMED_FIGURES.get(name, name): value for name, value in entry.items()} for entry in history]
@@ -63,11 +69,12 @@ def present_figures(history: Sequence[Mapping[str, float]]) -> list[dict[str, fl
 def save_model(folder: Path, model: SceneModel) -> None:
     """Write a trained model: ``gaussians.safetensors`` and a ``model.json`` that a person can read."""
     g = model.gaussians
-    write_tensors(folder / "gaussians.safetensors", {**g.params, "dynamic": g.dynamic}, {})
+    write_tensors(folder / "gaussians.safetensors", {**g.params, "dynamic": g.dynamic, "movers": g.movers}, {})
     value = {
         "version": MODEL_VERSION,
         "gaussians": len(g),
         "dynamic": int(g.dynamic.sum()),
+        "movers": {str(number): count for number, count in g.mover_counts.items()},
         "model": to_plain(g.config),
         "sh_degree": g.sh_degree,
         "similarity": model.similarity.to_json(),
@@ -96,8 +103,9 @@ def load_model(folder: Path) -> SceneModel:
         if int(value["version"]) > MODEL_VERSION:
             raise InputError(f"{folder} was written by a newer flowsplat (model version {value['version']}). Update flowsplat.")
         tensors, _ = read_tensors(folder / "gaussians.safetensors")
-        dynamic = tensors.pop("dynamic").to(torch.bool)
-        gaussians = Gaussians4D(tensors, dynamic, ModelConfig(**value["model"]), int(value["sh_degree"]))
+        dynamic, movers = tensors["dynamic"].to(torch.bool), stored_movers(tensors)
+        params = {name: tensor for name, tensor in tensors.items() if name not in ("dynamic", "movers")}
+        gaussians = Gaussians4D(params, dynamic, ModelConfig(**value["model"]), int(value["sh_degree"]), movers)
         return SceneModel(
             gaussians, Similarity.from_json(value["similarity"]), float(value["first"]), float(value["last"]),
             value["flow_model"], bool(value["fill"]), float(value.get("focal", 0.0)),
@@ -129,7 +137,8 @@ def load_checkpoint(
     try:
         config = values["config"]
         params = {name.removeprefix("param."): value for name, value in tensors.items() if name.startswith("param.")}
-        gaussians = Gaussians4D(params, tensors["dynamic"].bool(), ModelConfig(**config["model"]), int(values["sh_degree"]))
+        dynamic, movers = tensors["dynamic"].bool(), stored_movers(tensors)
+        gaussians = Gaussians4D(params, dynamic, ModelConfig(**config["model"]), int(values["sh_degree"]), movers)
         model = SceneModel(gaussians, similarity, first, last, config["flow_model"], bool(config["fill"]), focal)
         return model, int(values["step"]), int(config["iterations"])
     except (KeyError, TypeError, ValueError) as error:

@@ -67,6 +67,6 @@ def train_per_frame(
     share = per_frame_config(config, len(observations))
     found = []
     for frame in observations.frames:
-        still = replace(frame, mask=np.zeros_like(frame.mask), forward=None, backward=None)
+        still = replace(frame, movers=np.zeros_like(frame.movers), forward=None, backward=None)
         found.append(Trainer(Observations([still], observations.similarity), None, share, device=device).run())
     return found

@@ -28,7 +28,7 @@ from flowsplat.gaussians.slicing import Gradients
 from flowsplat.scenes import Tracks
 from flowsplat.training.adam import RowAdam
 from flowsplat.training.average import EVERY, TailAverage
-from flowsplat.training.checkpoint import present_figures, read_tensors, write_tensors
+from flowsplat.training.checkpoint import present_figures, read_tensors, stored_movers, write_tensors
 from flowsplat.training.config import TrainConfig, affecting_result
 from flowsplat.training.coverage import coverage_loss
 from flowsplat.training.picture_loss import PictureTargets, PictureWeights, picture_loss
@@ -389,7 +389,8 @@ class Trainer:
         tensors |= {f"adam.{name}": value for name, value in self._adam.state().items()}
         tensors |= {f"statistics.{name}": value for name, value in vars(self._statistics).items()}
         tensors |= {f"average.{name}": value for name, value in self._average.state().items()}
-        tensors |= {"dynamic": self.gaussians.dynamic, "generator": self._generator.get_state()}
+        tensors |= {"dynamic": self.gaussians.dynamic, "movers": self.gaussians.movers}
+        tensors |= {"generator": self._generator.get_state()}
         if self._neighbours is not None:
             tensors |= {"neighbours.indices": self._neighbours.indices, "neighbours.weights": self._neighbours.weights}
         values = {
@@ -438,8 +439,8 @@ class Trainer:
             chosen = {name[len(prefix) + 1 :]: value for name, value in tensors.items() if name.startswith(prefix + ".")}
             return {name: value.to(self._device) for name, value in chosen.items()}
 
-        dynamic = tensors["dynamic"].to(self._device)
-        self.gaussians = Gaussians4D(group("param"), dynamic, self.config.model, int(values["sh_degree"]))
+        dynamic, movers = tensors["dynamic"].to(self._device), stored_movers(tensors).to(self._device)
+        self.gaussians = Gaussians4D(group("param"), dynamic, self.config.model, int(values["sh_degree"]), movers)
         self._adam = RowAdam(self.gaussians.params)
         self._adam.load_state(group("adam"))
         self._statistics = DensityStatistics(**group("statistics"))

@@ -233,6 +233,67 @@ def test_parts_are_those_of_our_own_renderer(open_page, tmp_path, part):
     assert page.complaints == []
 
 
+@pytest.mark.parametrize("init", [None, NO_FLOATS], ids=["floats", "no floats"])
+def test_movers_farther_away_and_nearer_are_those_of_our_own_renderer(open_page, tmp_path, init):
+    """What of a mover rests goes with it."""
+    model = small_model()
+    model.gaussians.movers[:40] = 2  # of the wall
+    factors = {1: 1.6, 2: 0.8}
+    page = open_page(small_player(tmp_path / "player.html", model), init)
+    for number, factor in factors.items():
+        page.page.evaluate("([number, factor]) => flowsplat.state.setDistance(number, factor)", [number, factor])
+    moved = model.at_distances(factors, small_times(), small_cameras(model))
+    for camera, seconds in five_pairs(model):
+        found = picture_of(page, camera, seconds)
+        assert psnr(found, moved.render(camera, seconds).colour) > (30 if init else 37)
+        assert psnr(found, model.render(camera, seconds).colour) < 28
+    assert page.complaints == []
+
+
+def test_one_mover_alone_looks_the_same_to_the_clips_camera_however_far_it_is(open_page, player_file):
+    page = open_page(player_file)
+    model = small_model()
+    page.page.locator("#part").select_option("movers:2")
+    clip, aside = five_pairs(model)[1], five_pairs(model)[3]
+    before = [picture_of(page, *pair) for pair in (clip, aside)]
+    assert psnr(before[0], model.part("movers:2").render(*clip).colour) > 37
+    page.page.evaluate("flowsplat.state.setDistance(1, 2.0); flowsplat.state.setDistance(9, 2.0)")
+    assert psnr(picture_of(page, *aside), before[1]) > 60, "the other one, and one that is not there"
+    page.page.evaluate("flowsplat.state.setDistance(2, 1.8)")
+    assert psnr(picture_of(page, *clip), before[0]) > 45
+    assert psnr(picture_of(page, *aside), before[1]) < 25
+    assert page.complaints == []
+
+
+def test_sliders_push_movers_away_and_bring_them_back(open_page, player_file):
+    page = open_page(player_file)
+    page.pause()
+    page.page.locator("#time").fill("0.5")
+    page.page.locator("#camera").select_option("orbit")
+    page.page.evaluate("flowsplat.state.free.orbit(0.3, 0)")
+    home = seen(page)
+    page.page.locator("#distances summary").click()
+    bar_open = seen(page)
+    page.page.locator("#distance2").fill("1.5")
+    assert page.page.evaluate("flowsplat.state.factors") == [1, 1, 1.5]
+    assert page.page.locator("#distances output").all_inner_texts() == ["1.00", "1.50"]
+    assert np.abs(seen(page) - bar_open).mean() > 1
+    page.page.locator("#trained").click()
+    assert page.page.evaluate("flowsplat.state.factors") == [1, 1, 1]
+    page.page.locator("#distances summary").click()
+    assert np.abs(seen(page) - home).mean() < 0.5
+    assert page.complaints == []
+
+
+def test_a_scene_without_movers_offers_no_distances(open_page, tmp_path):
+    model = small_model()
+    model.gaussians.movers[:] = 0
+    page = open_page(small_player(tmp_path / "player.html", model))
+    assert page.page.locator("#distances").is_hidden()
+    assert page.page.locator("#part option").count() == 3
+    assert page.complaints == []
+
+
 def test_parts_are_not_offered_where_there_is_only_one(open_page, tmp_path):
     page = open_page(small_player(tmp_path / "player.html", small_model(moving=0)))
     assert page.page.locator("#part").is_hidden()

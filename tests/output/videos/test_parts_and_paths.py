@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from flowsplat.common.errors import InputError
 from flowsplat.geometry import Camera
-from flowsplat.geometry.paths import dolly_zoom, shifted
+from flowsplat.geometry.paths import CameraPath, dolly_zoom, shifted
 from flowsplat.output.videos import RenderOptions, render_videos, rendered
 from flowsplat.output.videos.plans import plan_videos, subject_distance
 from flowsplat.output.videos.stabilised import covered_share, stabilise
@@ -49,11 +50,84 @@ def test_movers_alone_are_on_transparent(run, tmp_path):
     assert places[-1] > places[0] + 5, "it moves to the right"
 
 
+def test_one_mover_alone(run, tmp_path):
+    """Named by its number it has what of it rests as well."""
+    model, scene = run
+    two = replace(model, gaussians=model.gaussians.select(torch.arange(len(model.gaussians))))
+    two.gaussians.movers[-1] = 5
+    two.gaussians.dynamic[-2] = False
+    assert two.gaussians.mover_counts == {2: 2, 5: 1}
+    assert [len(two.part(part).gaussians) for part in ("movers", "movers:2", "movers:5", "movers:5,2")] == [2, 2, 1, 3]
+    assert not two.part("movers:2").fill
+    render_videos(two, scene, tmp_path, RenderOptions(paths=("input",), parts=("movers:5", "movers:5,2"), max_frames=2))
+    assert rendered(tmp_path) == {
+        "input_path_movers_5": "input_path_movers_5.webm", "input_path_movers_5_2": "input_path_movers_5_2.webm"
+    }  # fmt: skip
+    one, both = (frames_of(tmp_path / file, "libvpx-vp9", "rgba")[4][..., 3] for file in rendered(tmp_path).values())
+    np.testing.assert_allclose(one / 255, two.part("movers:5").render(scene.cameras[4], 0.5).alpha, atol=0.1)
+    assert both.sum() > 1.2 * one.sum()
+
+
+@pytest.mark.parametrize(
+    ("part", "message"),
+    [
+        ("movers:1", "no mover 1: there are 2"), ("movers:2,9", "no mover 9: there are 2"), ("movers:300", "no mover 300"),
+        ("movers:", "Unknown part 'movers:'"), ("movers:x", "movers:1,3"), ("movers:-1", "Unknown part"), ("car:1", "Unknown part"),
+        ("movers:1,,2", "Unknown part"), ("movers:²", "Unknown part"),
+    ],
+)  # fmt: skip
+def test_movers_that_are_not_there_are_named(run, tmp_path, part, message):
+    with pytest.raises(InputError, match=message):
+        render_videos(*run, tmp_path, RenderOptions(paths=("input",), parts=("all", part)))
+    assert rendered(tmp_path) == {}
+
+
+def test_movers_farther_away(run, tmp_path):
+    """Along the clip's own path the same pictures, from an orbit others; each lies beside what was rendered before."""
+    model, scene = run
+    options = RenderOptions(paths=("input", "orbit"), max_frames=8)
+    render_videos(model, scene, tmp_path, options)
+    render_videos(model, scene, tmp_path, replace(options, distances=("2=1.5",)))
+    names = {"input_path", "orbit", "input_path_distance_2x1.5", "orbit_distance_2x1.5"}
+    assert set(rendered(tmp_path)) == names | {f"{name}_colour" for name in names}
+
+    def places(name: str) -> np.ndarray:
+        frames = frames_of(tmp_path / f"{name}_colour.mp4")
+        return np.array([np.argwhere(red(frame))[:, 1].mean() for frame in frames])
+
+    np.testing.assert_allclose(places("input_path_distance_2x1.5"), places("input_path"), atol=0.7)
+    plan = next(plan for plan in plan_videos(model, scene, options) if plan.name == "orbit")
+    t = np.array([t for _, t in plan.shots])
+    centres = np.array([CameraPath(scene.timestamps.tolist(), scene.cameras).at(s).center for s in t])
+    mover = np.stack([-0.5 + t / model.last, np.zeros_like(t), np.full_like(t, MOVER)], 1)
+    expected = [
+        camera.project(x)[0][0] - camera.project(y)[0][0]
+        for (camera, _), x, y in zip(plan.shots, centres + 1.5 * (mover - centres), mover, strict=True)
+    ]
+    assert np.ptp(expected) > 4
+    np.testing.assert_allclose(places("orbit_distance_2x1.5") - places("orbit"), expected, atol=1)
+
+
+@pytest.mark.parametrize(
+    ("distances", "message"),
+    [
+        (("3=1.2",), "no mover 3: there are 2"), (("2",), "mover=factor as in 2=1.2"), (("2=far",), "'2=far' is none"),
+        (("x=1",), "'x=1' is none"), (("2=0",), "0.1 to 10"), (("2=nan",), "cannot be nan"), (("2=1.1", "2=1.2"), "mover 2 twice"),
+    ],
+)  # fmt: skip
+def test_distances_that_make_no_sense_are_refused(run, tmp_path, distances, message):
+    with pytest.raises(InputError, match=message):
+        render_videos(*run, tmp_path, RenderOptions(paths=("input",), distances=distances))
+    assert rendered(tmp_path) == {}
+
+
 def test_movers_of_a_scene_without_any_are_refused(tmp_path):
     folder = tiny_run(tmp_path / "out", movers=0)
     arguments = load_model(folder / "model"), Scene(folder / "scene"), tmp_path / "r"
     with pytest.raises(InputError, match="Nothing moves"):
         render_videos(*arguments, RenderOptions(paths=("input",), parts=("movers",)))
+    with pytest.raises(InputError, match="no mover 1: none of its Gaussians belongs"):
+        render_videos(*arguments, RenderOptions(paths=("input",), parts=("movers:1",)))
     render_videos(*arguments, RenderOptions(paths=("dolly",), parts=("background",), max_frames=2))
     assert rendered(tmp_path / "r")
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from flowsplat.geometry import Camera
 from flowsplat.output.videos.options import RenderOptions
 from flowsplat.output.viewer.browser_frame import SCENE_DEPTH, BrowserFrame
 from flowsplat.output.viewer.drawing import Look, Wish, draw, draw_points
@@ -14,7 +15,7 @@ from flowsplat.output.viewer.layout import BAR
 from flowsplat.output.viewer.source import Source
 from flowsplat.output.viewer.trails import trails
 from flowsplat.scenes.layers import Tracks
-from tests.output.tiny import MOVER, WALL, red, tiny_cameras, tiny_model, tiny_run
+from tests.output.tiny import FPS, FRAMES, MOVER, WALL, red, tiny_cameras, tiny_model, tiny_run
 
 
 @pytest.fixture(scope="module")
@@ -114,6 +115,34 @@ def test_tracks_are_drawn_where_they_are(source):
     assert changed[58:63, 98:103].any()
     assert changed.mean() < 0.02
     np.testing.assert_array_equal(other.image, same.image)
+
+
+def test_a_mover_farther_away_looks_the_same_to_the_clips_camera_alone(source):
+    """The mover stands at 2.5 before a wall at 4: half as far again it is still before the wall, twice as far behind it."""
+    plain, far, hidden = (seen(source, (64, 48), distances=((2, factor),)) for factor in (1.0, 1.5, 2.0))
+    assert np.abs(far.image.astype(int) - plain.image).max() < 6
+    assert far.depth.min() == pytest.approx(1.5 * plain.depth.min(), rel=0.03)
+    assert not red(hidden.image).any()
+    frame = BrowserFrame(source.scene.similarity)
+    aside = source.path.at(0.5).viewmat.copy()
+    aside[0, 3] -= 0.4
+    camera = Camera(aside, source.path.at(0.5).K, 64, 48)
+    places = []
+    for distances in ((), ((2, 1.5), (7, 2.0))):
+        drawing = draw(source, frame, Wish((64, 48), 0.5, Look(distances=distances), frame.pose(camera)))
+        places.append(np.argwhere(red(drawing.image))[:, 1].mean())
+    # 0.4 to the right of the clip's camera what is at depth z is seen 64 * 0.4 / z further left.
+    assert places[1] - places[0] == pytest.approx(64 * 0.4 / MOVER * (1 - 1 / 1.5), abs=0.5)
+    dots = draw(source, frame, Wish((64, 48), 0.5, Look("Gaussians", distances=((2, 1.5),)), frame.pose(camera))).image
+    assert np.argwhere(red(dots))[:, 1].mean() == pytest.approx(places[1], abs=1)
+
+
+def test_trails_go_with_the_distance():
+    model = tiny_model(1)
+    times = [k / FPS for k in range(FRAMES)]
+    ends, _ = trails(model.at_distances({2: 1.5}, times, tiny_cameras((64, 48))))
+    np.testing.assert_allclose(ends[0, 0], [-0.75, 0, 1.5 * MOVER], atol=1e-4)
+    np.testing.assert_allclose(ends[-1, 1], [0.3 + 1.5 * 0.2, 0, 1.5 * MOVER], atol=1e-4)
 
 
 def test_trails_go_where_the_mover_goes(tmp_path):

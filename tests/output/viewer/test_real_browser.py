@@ -86,6 +86,15 @@ def test_two_browsers_move_in_time_and_it_stops(chromium, served):
         wait(first, lambda: place(first) > starts[0] + 20)
         assert place(second) == pytest.approx(starts[1], abs=1), "the other one has a time of its own"
 
+        first.get_by_text("Distance of movers").click()
+        distance = first.locator("input.mantine-NumberInput-input").nth(-2)  # the last is of the export
+        distance.fill("2")
+        distance.press("Enter")
+        below_notes = slice(160, None)
+        assert red(shown(second)[below_notes]).any()
+        wait(first, lambda: not red(shown(first)[below_notes]).any())  # behind the wall
+        assert place(second) == pytest.approx(starts[1], abs=1), "and distances of its own"
+
         second.get_by_role("button", name="Play", exact=True).click()
         wait(second, lambda: place(second) > starts[1] + 20)
         second.get_by_role("button", name="Pause", exact=True).click()

@@ -152,6 +152,22 @@ def test_parts(browser):
     movers = browser.settled()
     assert red(movers).any()
     assert np.median(movers) < 10
+    browser.set("Part", "movers:2")
+    np.testing.assert_array_equal(browser.settled(), movers)
+
+
+def test_movers_can_be_pushed_away(browser):
+    """Behind the wall, from where the clip sees them; and back."""
+    home = browser.settled()
+    browser.set("Mover 2", 1.5)
+    assert np.abs(browser.settled().astype(int) - home).mean() < 1
+    browser.set("Mover 2", 2.0)
+    assert not red(browser.settled()).any()
+    browser.set("Paths of Gaussians", True)
+    browser.wait(lambda: "/trails" in browser.nodes)
+    browser.click("As trained")
+    np.testing.assert_array_equal(browser.settled(), home)
+    assert browser.value("Mover 2") == 1
 
 
 def test_the_wipe_looks_through_the_input_camera(run_folder, browser):

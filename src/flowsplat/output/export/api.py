@@ -73,7 +73,7 @@ def estimated_size(model: SceneModel, scene: Scene, to: str, options: ExportOpti
     """About how many bytes an export will have; exact for ply, ply-sequence and splat but for their headers."""
     gaussians = model.gaussians
     harmonics = harmonics_count(gaussians.sh_degree)
-    record = 4 * len(property_names(harmonics))
+    record = 4 * len(property_names(harmonics, _has_movers(model)))
     active = model.active_count(_seconds(model, options))
     sizes = {
         "html": lambda: _PAGE_BYTES + estimated_bytes(gaussians),
@@ -84,7 +84,7 @@ def estimated_size(model: SceneModel, scene: Scene, to: str, options: ExportOpti
         "colmap": lambda: 150 * scene.num_frames + 40 * min(active, 100_000),
         "nerfstudio": lambda: 700 * scene.num_frames,
     }
-    parameters = sum(value.numel() * value.element_size() for value in gaussians.params.values()) + len(gaussians)
+    parameters = sum(value.numel() * value.element_size() for value in gaussians.params.values()) + 2 * len(gaussians)
     return sizes.get(to, lambda: parameters)()
 
 
@@ -118,7 +118,7 @@ def _write(model: SceneModel, scene: Scene, to: str, path: Path, options: Export
     if to == "html":
         write_player(path, model, scene.timestamps.tolist(), scene.cameras, scene.name)
     elif to == "ply":
-        write_ply(path, still_at(model, seconds, flip_axes=options.flip_axes), _comments(scene, seconds))
+        write_ply(path, still_at(model, seconds, flip_axes=options.flip_axes), _has_movers(model), _comments(scene, seconds))
     elif to == "ply-sequence":
         _write_sequence(path, model, scene, options)
     elif to == "splat":
@@ -144,10 +144,15 @@ def _write_sequence(folder: Path, model: SceneModel, scene: Scene, options: Expo
         raise InputError(f"{folder} holds something else ({min(foreign)}): give an empty folder with -o.")
     names = [f"frame{k:04d}.ply" for k in range(1, scene.num_frames + 1)]
     for name, seconds in zip(names, track(scene.timestamps.tolist(), "Writing the sequence"), strict=True):
-        write_ply(folder / name, still_at(model, seconds, flip_axes=options.flip_axes), _comments(scene, seconds))
+        still = still_at(model, seconds, flip_axes=options.flip_axes)
+        write_ply(folder / name, still, _has_movers(model), _comments(scene, seconds))
     for entry in entries:
         if entry.name not in names:
             entry.unlink()
+
+
+def _has_movers(model: SceneModel) -> bool:
+    return bool(model.gaussians.movers.any())
 
 
 def _comments(scene: Scene, seconds: float) -> list[str]:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from torch import Tensor
 
 from flowsplat import __version__
 from flowsplat.common.files import write_npz
@@ -37,10 +38,8 @@ def write_parameters_npz(path: Path, model: SceneModel) -> None:
     Raises:
         InputError: it cannot be written.
     """
-    arrays = {name: value.numpy() for name, value in model.gaussians.params.items()}
-    write_npz(
-        path, {**arrays, "dynamic": model.gaussians.dynamic.numpy(), "about": np.array(json.dumps(about_parameters(model)))}
-    )
+    arrays = {name: value.numpy() for name, value in _tensors(model).items()}
+    write_npz(path, {**arrays, "about": np.array(json.dumps(about_parameters(model)))})
 
 
 def write_parameters_safetensors(path: Path, model: SceneModel) -> None:
@@ -49,4 +48,9 @@ def write_parameters_safetensors(path: Path, model: SceneModel) -> None:
     Raises:
         InputError: it cannot be written.
     """
-    write_tensors(path, {**model.gaussians.params, "dynamic": model.gaussians.dynamic}, about_parameters(model))
+    write_tensors(path, _tensors(model), about_parameters(model))
+
+
+def _tensors(model: SceneModel) -> dict[str, Tensor]:
+    gaussians = model.gaussians
+    return {**gaussians.params, "dynamic": gaussians.dynamic, "movers": gaussians.movers}

@@ -2,7 +2,9 @@
 
 Binary, little endian, float32: ``x y z``, unused normals, ``f_dc_*`` and ``f_rest_*`` (harmonics, channel by channel),
 ``opacity`` before the sigmoid, ``scale_*`` before exp, ``rot_*`` wxyz. As the original code writes it
-(https://github.com/graphdeco-inria/gaussian-splatting), except that only harmonics in use are written: 0, 9, 24 or 45.
+(https://github.com/graphdeco-inria/gaussian-splatting), except that only harmonics in use are written: 0, 9, 24 or 45. Where
+something moves one more follows, ``mover``: the number of the mover, 0 = none. It is a float as well, because there are readers
+that take every property for one.
 """
 
 from __future__ import annotations
@@ -16,17 +18,17 @@ from flowsplat.common.files import write_bytes
 from flowsplat.output.export.still import Still
 
 
-def property_names(harmonics: int) -> list[str]:
+def property_names(harmonics: int, has_movers: bool) -> list[str]:
     """Names in the order of the file for ``harmonics`` coefficients a channel."""
     rest = [f"f_rest_{k}" for k in range(3 * (harmonics - 1))]
     return [
         "x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", *rest,
-        "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3",
+        "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3", *(["mover"] if has_movers else []),
     ]  # fmt: skip
 
 
-def write_ply(path: Path, still: Still, comments: Sequence[str] = ()) -> None:
-    """Write one file atomically.
+def write_ply(path: Path, still: Still, has_movers: bool, comments: Sequence[str] = ()) -> None:
+    """Write one file atomically, with the numbers of movers if the scene has some.
 
     Raises:
         InputError: it cannot be written.
@@ -36,7 +38,9 @@ def write_ply(path: Path, still: Still, comments: Sequence[str] = ()) -> None:
         still.means, still.means.new_zeros(count, 3), still.sh[:, 0], still.sh[:, 1:].transpose(1, 2).flatten(1),
         still.logit_opacities[:, None], still.log_scales, still.quats,
     ]  # fmt: skip
+    columns += [still.movers[:, None].float()] if has_movers else []
     body = np.concatenate([column.numpy() for column in columns], 1).astype("<f4")
     lines = ["ply", "format binary_little_endian 1.0", *(f"comment {comment}" for comment in comments)]
-    lines += [f"element vertex {count}", *(f"property float {name}" for name in property_names(harmonics)), "end_header", ""]
+    properties = [f"property float {name}" for name in property_names(harmonics, has_movers)]
+    lines += [f"element vertex {count}", *properties, "end_header", ""]
     write_bytes(path, "\n".join(lines).encode("ascii", "replace") + body.tobytes())

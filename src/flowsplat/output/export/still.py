@@ -31,6 +31,7 @@ class Still:
         log_scales: [A, 3]
         opacities: [A] presence at the time included.
         sh: [A, K, 3] harmonics, brightness at the time included.
+        movers: [A] uint8 number of the mover that each belongs to; 0 = of none.
     """
 
     means: Tensor
@@ -38,6 +39,7 @@ class Still:
     log_scales: Tensor
     opacities: Tensor
     sh: Tensor
+    movers: Tensor
 
     @property
     def logit_opacities(self) -> Tensor:
@@ -86,6 +88,7 @@ def still_at(model: SceneModel, seconds: float, *, flip_axes: bool = False) -> S
         log_scales + float(np.log(undo.scale)),
         sliced.opacities,
         turned_harmonics(sh, rotation),
+        gaussians.movers[active.rows],
     )
 
 

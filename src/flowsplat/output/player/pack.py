@@ -75,7 +75,8 @@ def pack(model: SceneModel, times: Sequence[float], cameras: Sequence[Camera], t
     about = {
         "version": VERSION, "title": title, "width": cameras[0].width, "height": cameras[0].height,
         "first": model.first, "last": model.last, "frames": len(times), "fill": model.fill,
-        "resting": len(resting), "moving": len(moving), "shDegree": gaussians.sh_degree, "gains": gaussians.config.gains,
+        "resting": len(resting), "moving": len(moving), "movers": [list(pair) for pair in gaussians.mover_counts.items()],
+        "shDegree": gaussians.sh_degree, "gains": gaussians.config.gains,
         "pMin": gaussians.config.p_min, "near": NEAR_PLANE, "eps2d": EPS2D, "focal": model.focal,
         "alphaMin": ALPHA_MIN, "alphaMax": ALPHA_MAX, "filledFrom": FILLED_FROM, "filledTo": FILLED_TO,
         "similarity": model.similarity.to_json(), "arrays": [header for header, _ in encoded],
@@ -122,6 +123,8 @@ def _arrays(gaussians: Gaussians4D, resting: int, resolution: np.ndarray) -> lis
         arrays.append(quantized_to_range("harmonics", sh[:, 1:].reshape(len(sh), -1), 8))
     if gaussians.config.gains:
         arrays.append(quantized_to_range("gains", params["log_gains"][:resting].numpy(), 8))
+    if gaussians.movers.any():
+        arrays.append(quantized("movers", _column(gaussians.movers), 8, 0.0, 255.0))
     return [*arrays, times, log_lambdas, *_motion_arrays(motion, step)]
 
 

@@ -15,7 +15,7 @@ from typing import Any
 from flowsplat import __version__
 from flowsplat.common.files import read_json, write_json
 from flowsplat.gaussians.renderer import PartedRenderer
-from flowsplat.output.videos.options import RenderOptions
+from flowsplat.output.videos.options import RenderOptions, factors_of
 from flowsplat.output.videos.plans import Plan, plan_videos, settle
 from flowsplat.output.videos.writing import Scales, write_plan
 from flowsplat.scenes import Scene
@@ -32,6 +32,8 @@ def render_videos(model: PartedRenderer, scene: Scene, folder: Path, options: Re
         InputError: an option or the camera file cannot be used, or the folder cannot be written.
     """
     record = _record(folder)
+    if options.distances:
+        model = model.at_distances(factors_of(options.distances), scene.timestamps.tolist(), scene.cameras)
     plans = plan_videos(model, scene, options)
     parts = {part: model.part(part) for part in options.parts}
     for plan in plans:
@@ -48,8 +50,8 @@ def rendered(folder: Path) -> dict[str, str]:
     """What was rendered into ``folder``, by name, to the file's name in it.
 
     Names: ``input_path``, ``stabilised``, ``orbit``, ``bullet_time``, ``dolly_zoom``, ``wiggle`` and ``custom_path``, with
-    ``_slow4`` where time plays four times slower, ``_background`` or ``_movers`` where a part is shown, then ``_stereo`` or
-    ``_colour`` for the other files.
+    ``_slow4`` where time plays four times slower, ``_distance_2x1.2`` where mover 2 is that much farther away, ``_background``,
+    ``_movers`` or ``_movers_1_3`` where a part is shown, then ``_stereo`` or ``_colour`` for the other files.
 
     Raises:
         InputError: ``renders.json`` is damaged.

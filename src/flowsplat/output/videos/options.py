@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
 
 from flowsplat.common.errors import InputError
-from flowsplat.gaussians.renderer import Part
+from flowsplat.common.settings import later
+from flowsplat.gaussians.distances import check_factors
+from flowsplat.gaussians.renderer import Part, numbers_of
 from flowsplat.output.camera_files import LARGEST
 from flowsplat.pictures.video import FASTEST, SLOWEST
 
@@ -26,8 +29,9 @@ class RenderOptions:
     camera while time plays. ``bullet``: the same loop while time stands still. ``dolly``: time stands still, the camera
     moves back and zooms in, so that the subject stays as large. ``wiggle``: a GIF that shows depth by a small swing."""
     parts: tuple[Part, ...] = ("all",)
-    """What is shown. ``background``: without what moves. ``movers``: what moves, alone, on transparent: a WebM (VP9 with
-    alpha) in colour; ``wiggle`` shows them on black."""
+    """What is shown: ``all``. ``background``: without what moves. ``movers``: what moves, alone, on transparent: a WebM (VP9
+    with alpha) in colour; ``wiggle`` shows them on black. ``movers:2`` or ``movers:1,3``: likewise the movers of these numbers
+    alone, as they have them in the masks; the report and ``flowsplat info`` tell which there are."""
     width: int | None = None
     """Pixels; the height follows. None = as the clip was trained."""
     fps: float | None = None
@@ -49,8 +53,33 @@ class RenderOptions:
     """Every video also as a pair for two eyes, left beside right (``<name>_stereo.mp4``)."""
     eye_distance: float = 0.03
     """Between the eyes of ``stereo`` and the ends of ``wiggle``, over the scene's median depth."""
+    distances: tuple[str, ...] = later(())
+    """Movers farther from the clip's camera than they were trained, or nearer: each ``number=factor``, as in ``2=1.2 3=0.9``. Their
+    sizes go with them, so that the clip's own frames stay as they are, but for who hides whom; other cameras see the difference."""
     camera_file: Path | None = None
     """A camera path of your own: ours, nerfstudio's ``camera_path.json`` or a ``transforms.json``."""
+
+
+def factors_of(distances: Sequence[str]) -> dict[int, float]:
+    """By the number of the mover, how many times as far away it is to be shown: of ``RenderOptions.distances``.
+
+    Raises:
+        InputError: one of them cannot be understood, comes twice, or is no distance.
+    """
+    factors: dict[int, float] = {}
+    for text in distances:
+        number, _, factor = text.partition("=")
+        try:
+            value = float(factor)
+        except ValueError:
+            value = None
+        if not number.isdecimal() or value is None:
+            raise InputError(f"--render.distances {text!r} is none: give mover=factor as in 2=1.2.")
+        if int(number) in factors:
+            raise InputError(f"--render.distances names mover {number} twice.")
+        factors[int(number)] = value
+    check_factors(factors)
+    return factors
 
 
 def check_options(options: RenderOptions, fps: float, first: float, last: float) -> None:
@@ -64,9 +93,12 @@ def check_options(options: RenderOptions, fps: float, first: float, last: float)
     Raises:
         InputError: an option has a value that makes no video.
     """
-    for name, given, known in (("camera path", options.paths, get_args(PathName)), ("part", options.parts, get_args(Part))):
-        if unknown := set(given) - set(known):
-            raise InputError(f"Unknown {name} {min(unknown)!r}: choose from {', '.join(known)}, or give a camera file.")
+    if unknown := set(options.paths) - set(get_args(PathName)):
+        known = ", ".join(get_args(PathName))
+        raise InputError(f"Unknown camera path {min(unknown)!r}: choose from {known}, or give a camera file.")
+    for part in options.parts:
+        numbers_of(part)
+    factors_of(options.distances)
     if options.width is not None and not _SMALLEST <= options.width <= LARGEST:
         raise InputError(f"A video {options.width} pixels wide cannot be made: give a width from {_SMALLEST} to {LARGEST}.")
     if not SLOWEST <= fps <= FASTEST:

@@ -16,7 +16,7 @@ from flowsplat.gaussians.renderer import Part, PartedRenderer
 from flowsplat.geometry import Camera
 from flowsplat.geometry.paths import CameraPath, dolly_zoom, orbit, shifted
 from flowsplat.output.camera_files import CameraShots, read_camera_file
-from flowsplat.output.videos.options import RenderOptions, check_options
+from flowsplat.output.videos.options import RenderOptions, check_options, factors_of
 from flowsplat.output.videos.shots import COVERED, Shot, small
 from flowsplat.output.videos.stabilised import stabilise
 from flowsplat.pictures.video import FASTEST, SLOWEST
@@ -72,13 +72,13 @@ def plan_videos(model: PartedRenderer, scene: Scene, options: RenderOptions) -> 
     """Every video that was asked for.
 
     Raises:
-        InputError: an option or the camera file cannot be used, or movers are asked for and there are none.
+        InputError: an option or the camera file cannot be used, or movers are asked for that are not there.
     """
     found: list[Plan] = []
     for plan in _whole(model, scene, options):
-        if "movers" in options.parts:
-            _require_movers(model, plan)
         for part in options.parts:
+            if part.startswith("movers"):
+                _require_movers(model.part(part), plan, part)
             found += _versions(plan, part, scene, options)
     return found
 
@@ -99,8 +99,12 @@ def settle(scene: Scene, options: RenderOptions) -> tuple[float, tuple[int, int]
 
 def _versions(plan: Plan, part: Part, scene: Scene, options: RenderOptions) -> Iterator[Plan]:
     """The video of one part of the scene, and its stereo pair."""
-    shown = replace(plan, part=part, name=plan.name if part == "all" else f"{plan.name}_{part}")
-    if part == "movers" and plan.kind == "panels":
+    suffix = "" if part == "all" else "_" + part.replace(":", "_").replace(",", "_")
+    if options.distances:
+        factors = factors_of(options.distances)
+        suffix = "_distance" + "".join(f"_{number}x{factor:g}" for number, factor in factors.items()) + suffix
+    shown = replace(plan, part=part, name=plan.name + suffix)
+    if part.startswith("movers") and plan.kind == "panels":
         yield replace(shown, kind="alpha", audio_from=None)
         return
     yield shown
@@ -159,10 +163,10 @@ def subject_distance(model: PartedRenderer, camera: Camera, t: float, otherwise:
     return float(np.median(depth)) if depth.size else otherwise
 
 
-def _require_movers(model: PartedRenderer, plan: Plan) -> None:
-    movers = model.part("movers")
+def _require_movers(movers: PartedRenderer, plan: Plan, part: Part) -> None:
     for k in spread(len(plan.shots), 5):
         camera, t = plan.shots[k]
         if movers.render(small(camera), t).alpha.max() > 0:
             return
-    raise InputError(f"Nothing moves in {plan.name}: leave movers out of --render.parts.")
+    nothing = "Nothing moves" if part == "movers" else f"Nothing of {part} is seen"
+    raise InputError(f"{nothing} in {plan.name}: leave {part} out of --render.parts.")

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import torch
 
+from flowsplat.gaussians.distances import slice_view
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.renderer import Part
-from flowsplat.gaussians.slicing import slice_gaussians
 from flowsplat.geometry import Camera
 from flowsplat.geometry.paths import shifted
 from flowsplat.output.videos.options import RenderOptions
@@ -47,6 +47,7 @@ class Look:
         wipe: how much of the rendering it covers, 0 to 1.
         tracks: the tracks of the clip, drawn where the picture is seen from the input camera.
         stereo: a pair for two eyes, left beside right, in place of what ``compare`` says.
+        distances: of movers, by number, how many times as far away they are as they were trained.
     """
 
     show: PictureKind = "colour"
@@ -55,6 +56,7 @@ class Look:
     wipe: float = 0.5
     tracks: bool = False
     stereo: bool = False
+    distances: tuple[tuple[int, float], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -140,7 +142,7 @@ def render_look(source: Source, camera: Camera, wish: Wish, side: int = 0) -> tu
     look, t = wish.look, wish.t
     flow_to = _next_shot(source, camera, wish, side) if look.show == "flow" else None
     camera = _eye(source, camera, side)
-    model = source.loaded.part(look.part)
+    model = source.model(look.part, look.distances)
     if look.show == "Gaussians":
         return draw_points(model, camera, t), np.full((camera.height, camera.width), np.inf, np.float32)
     seen = model.render(camera, t, flow_to)
@@ -179,11 +181,9 @@ def draw_points(model: SceneModel, camera: Camera, t: float) -> np.ndarray:
     """[H, W, 3] uint8: every active Gaussian as a dot in its colour at its centre, near ones over far ones."""
     image = np.full((camera.height, camera.width, 3), _BACKGROUND, np.uint8)
     there = model.similarity.camera(camera)
-    active = model.gaussians.active(model.clip_time(t), there)
-    if not len(active.rows):
+    sliced = slice_view(model.gaussians, there, model.clip_time(t), distances=model.distances)
+    if not len(sliced.means):
         return image
-    center = torch.as_tensor(there.center, dtype=model.gaussians.params["means"].dtype)
-    sliced = slice_gaussians(model.gaussians, active, center)
     uv, depth = there.project(sliced.means.cpu().numpy().astype(np.float64))
     inside = (depth > 1e-3) & np.isfinite(uv).all(-1) & (uv >= 0).all(-1) & (uv < [camera.width, camera.height]).all(-1)
     order = np.nonzero(inside)[0][np.argsort(-depth[inside], kind="stable")]

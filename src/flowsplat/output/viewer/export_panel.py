@@ -183,7 +183,9 @@ class ExportPanel:
         path = next_file(self._folder, "path", ".json")
         write_camera_file(path, shots, self._fps)
         self._finished(path)
-        self._notifications.show("Render it", f"flowsplat render {self._source.folder} --render.camera-file {path}")
+        distances = [f"{number}={factor:g}" for number, factor in self._session.look.distances]
+        options = f"--render.camera-file {path}" + "".join(f" {word}" for word in ("--render.distances", *distances) if distances)
+        self._notifications.show("Render it", f"flowsplat render {self._source.folder} {options}")
 
     def _load_path(self) -> None:
         with tempfile.TemporaryDirectory() as folder:

@@ -9,7 +9,7 @@ import numpy as np
 import viser
 
 from flowsplat.common.spread import spread
-from flowsplat.gaussians.renderer import Part
+from flowsplat.gaussians.renderer import PARTS
 from flowsplat.output.viewer.browser_frame import SCENE_DEPTH, BrowserFrame, Pose
 from flowsplat.output.viewer.drawing import Compare, Drawing, Look, PictureKind
 from flowsplat.output.viewer.export_panel import ExportPanel
@@ -31,6 +31,11 @@ _TIME_STEP = 0.001
 _MOST_ENLARGED = 2
 """Times the size of the clip. Beyond that, the gaps between Gaussians are seen rather than the scene."""
 _MODE_HINT = "Orbit turns round the scene, fly looks about; W A S D Q E move. The input camera stays the clip's."
+_MOST_MOVERS = 16
+"""Movers that can be chosen: those with the most Gaussians."""
+_DISTANCES, _DISTANCE_STEP = (0.3, 3.0), 0.01
+"""Times as far from the clip's camera as trained."""
+_DISTANCE_HINT = "Times as far from the clip's camera. The clip's own frames stay as they are, but for who hides whom."
 _STILL_QUALITY, _MOVING_QUALITY = 92, 75
 """Of the JPEGs."""
 
@@ -47,6 +52,8 @@ class Panel:
         self._notifications = Notifications(client)
         self._overlays: dict[str, Any] = {}
         self._stood: Pose | None = None
+        counts = source.loaded.part("all").gaussians.mover_counts
+        self._movers = sorted(sorted(counts, key=lambda number: -counts[number])[:_MOST_MOVERS])
         self._build()
         ExportPanel(client, self._notifications, source, worker, self._session)
 
@@ -78,10 +85,20 @@ class Panel:
             home = gui.add_button("To the input camera", icon=viser.Icon.HOME)
         with gui.add_folder("Picture"):
             self._what = gui.add_dropdown("Show", get_args(PictureKind), initial_value="colour")
-            self._part = gui.add_dropdown("Part", get_args(Part), initial_value="all")
+            self._part = gui.add_dropdown("Part", (*PARTS, *(f"movers:{n}" for n in self._movers)), initial_value="all")
             self._compare = gui.add_dropdown("Input frame", get_args(Compare), initial_value="off")
             self._wipe = gui.add_slider("Wipe", min=0.0, max=1.0, step=0.01, initial_value=0.5, visible=False)
             self._stereo = gui.add_checkbox("Stereo pair", False, hint="For two eyes, left beside right.")
+        self._distances: dict[int, viser.GuiSliderHandle] = {}
+        if self._movers:
+            with gui.add_folder("Distance of movers", expand_by_default=False):
+                gui.add_markdown(_DISTANCE_HINT)
+                for number in self._movers:
+                    near, far = _DISTANCES
+                    slider = gui.add_slider(f"Mover {number}", min=near, max=far, step=_DISTANCE_STEP, initial_value=1.0)
+                    self._distances[number] = slider
+                trained = gui.add_button("As trained", icon=viser.Icon.ARROW_BACK)
+            trained.on_click(self._notifications.callback(self._reset_distances))
         with gui.add_folder("Drawn into it"):
             self._cameras = gui.add_checkbox("Cameras", False)
             self._trails = gui.add_checkbox("Paths of Gaussians", False)
@@ -96,6 +113,8 @@ class Panel:
             control.on_update(self._notifications.callback(action))
         for control in (self._what, self._part, self._compare, self._wipe, self._stereo, self._tracks):
             control.on_update(self._notifications.callback(self._set_look))
+        for slider in self._distances.values():
+            slider.on_update(self._notifications.callback(self._set_look))
 
     def _state(self) -> str:
         source = self._source
@@ -179,9 +198,12 @@ class Panel:
     # -- picture
 
     def _set_look(self) -> None:
+        distances = tuple((number, float(slider.value)) for number, slider in self._distances.items() if slider.value != 1)
         look = Look(
-            self._what.value, self._part.value, self._compare.value, float(self._wipe.value), self._tracks.value, self._stereo.value
-        )
+            self._what.value, self._part.value, self._compare.value, float(self._wipe.value), self._tracks.value,
+            self._stereo.value, distances,
+        )  # fmt: skip
+        are_moved = look.distances != self._session.look.distances
         self._wipe.visible = look.compare == "wipe"
         if look.compare == "wipe" and self._mode.value != "input camera":
             # A frame can only lie over what was seen from the same place.
@@ -190,6 +212,13 @@ class Panel:
         with self._worker.changed():
             self._session.look = look
             self._session.change(time.monotonic())
+        if are_moved and self._trails.value:
+            self._draw_trails()
+
+    def _reset_distances(self) -> None:
+        for slider in self._distances.values():
+            _put(slider, 1.0)
+        self._set_look()
 
     def _show(self, job: Job, drawing: Drawing) -> None:
         """Bring a picture to the browser; called by the worker."""
@@ -231,7 +260,7 @@ class Panel:
         if (old := self._overlays.pop("trails", None)) is not None:
             old.remove()
         if self._trails.value:
-            ends, colours = trails(self._source.loaded.part("all"))
+            ends, colours = trails(self._source.model("all", self._session.look.distances))
             if not len(ends):
                 self._notifications.show("Nothing to draw", "No Gaussian of this scene moves.")
             else:

@@ -85,7 +85,7 @@ def record_path(
     Raises:
         InputError: it cannot be written, or a WebM is asked for where nothing moves.
     """
-    suffix, movers = path.suffix, source.loaded.part("movers")
+    suffix, movers = path.suffix, source.model("movers", look.distances)
     if suffix == ".webm" and not len(movers.gaussians):
         raise InputError("Nothing moves in this scene: record it as mp4 or gif.")
     fps = WIGGLE_FPS if suffix == ".gif" else fps

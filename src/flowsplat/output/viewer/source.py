@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -11,6 +11,7 @@ import numpy as np
 import torch
 
 from flowsplat.common.errors import InputError
+from flowsplat.gaussians.distances import Distances
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.renderer import Part
 from flowsplat.geometry.paths import CameraPath
@@ -59,6 +60,14 @@ class Source:
         self._stamp, read = found
         model, state = read()
         self.loaded = Loaded(self._ready(model), state, 0)
+
+    def model(self, part: Part, distances: Sequence[tuple[int, float]] = ()) -> SceneModel:
+        """The newest model of a part of the scene, with movers so many times as far away as they were trained.
+
+        Numbers that no mover has do nothing: in training they may come and go.
+        """
+        model, factors = self.loaded.part(part), {number: factor for number, factor in distances if factor != 1}
+        return replace(model, distances=Distances(factors, self._inner_path)) if factors else model
 
     def refresh(self) -> bool:
         """Read the newest state again if it changed; whether it did."""
@@ -112,6 +121,13 @@ class Source:
     def path(self) -> CameraPath:
         """The clip's own cameras."""
         return CameraPath(self.scene.timestamps.tolist(), self.scene.cameras)
+
+    @cached_property
+    def _inner_path(self) -> CameraPath:
+        """The same in the normalised coordinates and the clip time of the models."""
+        first, last = self.clip
+        times = (self.path.times - first) / (last - first)
+        return CameraPath(times.tolist(), [self.scene.similarity.camera(camera) for camera in self.path.cameras])
 
     @cached_property
     def step(self) -> float:

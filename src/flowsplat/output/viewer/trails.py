@@ -28,8 +28,13 @@ def trails(model: SceneModel) -> tuple[np.ndarray, np.ndarray]:
     if not len(rows):
         return np.zeros((0, 2, 3), np.float32), np.zeros((0, 2, 3), np.uint8)
     params = {name: value[rows] for name, value in gaussians.params.items()}
-    states = [gaussians.motion.state(params, float(t)) for t in np.linspace(0, 1, _STEPS)]
-    places = torch.stack([state.means for state in states]).cpu().numpy().astype(np.float64)
+    times = np.linspace(0, 1, _STEPS).tolist()
+    states = [gaussians.motion.state(params, t) for t in times]
+    means = [state.means for state in states]
+    if model.distances is not None:
+        movers = gaussians.movers[rows]
+        means = [model.distances.moved(here, movers, t) for here, t in zip(means, times, strict=True)]
+    places = torch.stack(means).cpu().numpy().astype(np.float64)
     present = torch.stack([state.presence for state in states]).cpu().numpy() >= gaussians.config.p_min
     ends = model.similarity.inverse().points(np.stack([places[:-1], places[1:]], axis=2))
     kept = present[:-1] & present[1:] & np.isfinite(ends).all((2, 3))

@@ -18,6 +18,7 @@ class State {
     this.mode = "clip";
     this.part = "all";
     this.isStereo = false;
+    this.factors = [1, ...about.movers.map(() => 1)];  // by the place of the mover; the first is of what belongs to none
     this.isHeld = false;  // a picture that a program asked for stays until a person does something
     this.free = new FreeCamera(about.clipPath);
     this.cameraLoops = new CameraLoops(about);
@@ -51,6 +52,24 @@ class State {
     this.part = part;
   }
 
+  /** What of the scene is shown: a part, and the place of the one mover that is (0: of no one mover). */
+  get shown() {
+    const [part, number] = this.part.split(":");
+    return { part, only: number ? placeOfMover(this.about, Number(number)) : 0 };
+  }
+
+  /** Where the clip's camera is at this time, and how many times as far from there every mover is. */
+  distances(time = this.time) {
+    return { pivot: centreOf(cameraOnPath(this.about.clipPath, time)), factors: [...this.factors] };
+  }
+
+  /** Put the mover of a number so many times as far from the clip's camera as it was trained; where there is none, nothing happens. */
+  setDistance(number, factor) {
+    this.isHeld = false;
+    const place = placeOfMover(this.about, number);
+    if (place) this.factors[place] = factor;
+  }
+
   setStereo(isStereo) {
     this.isHeld = false;
     this.isStereo = isStereo;
@@ -82,6 +101,11 @@ class State {
     const time = this.time + (this.speed * seconds) / (this.about.last - this.about.first);
     this.setTime(time % 1);
   }
+}
+
+/** From 1 on; 0: there is no mover of that number. */
+function placeOfMover(about, number) {
+  return about.movers.findIndex(([other]) => other === number) + 1;
 }
 
 /** Size of one picture on the page: as large as fits, in the shape of the clip, `eyes` of them beside each other. */
@@ -119,7 +143,8 @@ class Player {
     element("speed").onchange = () => (state.speed = Number(element("speed").value));
     element("camera").onchange = () => state.setMode(element("camera").value);
     element("part").onchange = () => state.setPart(element("part").value);
-    element("part").parentElement.hidden = !scene.about.resting || !scene.about.moving;
+    element("part").parentElement.hidden = (!scene.about.resting || !scene.about.moving) && scene.about.movers.length < 2;
+    offerMovers(state);
     element("stereo").onchange = () => {
       state.setStereo(element("stereo").checked);
       this.fit();
@@ -130,15 +155,15 @@ class Player {
     this.size = fit(this.about, this.state.isStereo ? 2 : 1);
   }
 
-  order({ cameras, time, part }) {
+  order({ cameras, time, shown, distances }) {
     // All eyes look the same way from the same depth, so that one order serves them.
     const [{ rotation, translation }] = cameras;
-    return this.sorter.sort([...rotation.slice(6), translation[2]], time, part);
+    return this.sorter.sort([...rotation.slice(6), translation[2]], time, shown, distances);
   }
 
-  draw({ cameras, time, part, width, height }, order) {
+  draw({ cameras, time, shown, distances, width, height }, order) {
     this.renderer.resize(width, height, cameras.length);
-    this.renderer.draw(order, cameras, time, part);
+    this.renderer.draw(order, cameras, time, shown.part, distances);
     document.body.classList.add("shown");
   }
 
@@ -149,8 +174,8 @@ class Player {
     const [x, y] = [width / this.about.width, height / this.about.height];
     const [fx, fy, cx, cy] = camera.lens;
     const sized = { ...camera, lens: [fx * x, fy * y, cx * x, cy * y] };
-    const { time, part, isStereo } = this.state;
-    return { cameras: isStereo ? eyesOf(sized) : [sized], time, part, width, height };
+    const { time, shown, isStereo } = this.state;
+    return { cameras: isStereo ? eyesOf(sized) : [sized], time, shown, distances: this.state.distances(), width, height };
   }
 
   frame(now) {
@@ -169,8 +194,8 @@ class Player {
 
   /** Have the next picture sorted, if it differs from the last: while the one before is drawn, the next is sorted. */
   prepare(seconds) {
-    const { time, part, isStereo } = this.state;
-    const what = JSON.stringify([this.state.camera(), time, part, isStereo, this.size, devicePixelRatio]);
+    const { time, part, factors, isStereo } = this.state;
+    const what = JSON.stringify([this.state.camera(), time, part, factors, isStereo, this.size, devicePixelRatio]);
     const isSame = what === this.last;
     if (isSame && (this.detail === 1 || this.isSharp)) return;
     if (!isSame) this.adapt(seconds);
@@ -210,7 +235,8 @@ async function start() {
       state.isHeld = true;
       player.last = "";
       const clipTime = (time - about.first) / (about.last - about.first);
-      const view = { cameras: [cameraOfScene(about, viewmat, K)], time: clipTime, part: state.part, width, height };
+      const distances = state.distances(clipTime);
+      const view = { cameras: [cameraOfScene(about, viewmat, K)], time: clipTime, shown: state.shown, distances, width, height };
       player.draw(view, await player.order(view));
       return player.canvas.toDataURL("image/png");
     },

@@ -16,8 +16,9 @@ class Renderer {
     this.width = Math.min(gl.getParameter(gl.MAX_TEXTURE_SIZE), 4096);
     this.harmonics = (about.shDegree + 1) ** 2;
     this.gainTexels = Math.ceil(about.gains / 4);
+    this.moverTexels = Math.ceil((about.movers.length + 1) / 4);
     const constants = {
-      WIDTH: this.width, SLICE_WIDTH, SH_COUNT: this.harmonics, GAIN_TEXELS: this.gainTexels, MEAN_DEGREE: scene.meanDegree,
+      MOVER_TEXELS: this.moverTexels, WIDTH: this.width, SLICE_WIDTH, SH_COUNT: this.harmonics, GAIN_TEXELS: this.gainTexels, MEAN_DEGREE: scene.meanDegree,
       QUAT_DEGREE: scene.quatDegree, EPS2D: about.eps2d, FOCAL: about.focal, ALPHA_MIN: about.alphaMin, ALPHA_MAX: about.alphaMax, P_MIN: about.pMin,
       FILLED_FROM: about.filledFrom, FILLED_TO: about.filledTo,
     };
@@ -116,7 +117,7 @@ class Renderer {
     gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
   }
 
-  stateTexels({ about, arrays }) {
+  stateTexels({ about, arrays, movers }) {
     const count = about.resting + about.moving;
     const stride = 4 * (3 + this.harmonics);
     const texels = new Float32Array(count * stride);
@@ -129,6 +130,7 @@ class Renderer {
         texels[at + 12 + c] = colours.values[3 * i + c];
       }
       texels[at + 3] = opacities.values[i];
+      texels[at + 11] = movers[i];
       for (let c = 0; c < 4; c++) texels[at + 4 + c] = quats.values[4 * i + c];
       for (let k = 1; k < this.harmonics; k++) {
         for (let c = 0; c < 3; c++) texels[at + 12 + 4 * k + c] = harmonics.values[i * harmonics.components + 3 * (k - 1) + c];
@@ -212,23 +214,26 @@ class Renderer {
     });
   }
 
-  /** Draw the Gaussians of `order` (farthest first) as each of `cameras` sees them at clip time `time`, beside each other. */
-  draw(order, cameras, time, part) {
+  /**
+   * Draw the Gaussians of `order` (farthest first) as each of `cameras` sees them at clip time `time`, beside each other.
+   * `distances`: the pivot, and how many times as far from there every mover is.
+   */
+  draw(order, cameras, time, part, distances) {
     this.upload(order);
-    cameras.forEach((camera, eye) => this.drawEye(order, camera, time, part, eye));
+    cameras.forEach((camera, eye) => this.drawEye(order, camera, time, part, distances, eye));
   }
 
-  drawEye(order, camera, time, part, eye) {
+  drawEye(order, camera, time, part, distances, eye) {
     const gl = this.gl;
     const [top] = this.levels;
     const scene = { order: this.order, states: this.states, motions: this.motions, gains: this.gains };
     if (this.isDirect) {
       this.use(this.splat, top.own, scene);
-      this.lookAt(this.splat, camera, time);
+      this.lookAt(this.splat, camera, time, distances);
     } else {
       const lines = Math.ceil(order.length / SLICE_WIDTH);
       this.use(this.slice, { ...this.slicing, height: lines }, scene);
-      this.lookAt(this.slice, camera, time);
+      this.lookAt(this.slice, camera, time, distances);
       gl.uniform1i(this.slice.at.count, order.length);
       gl.drawArrays(gl.TRIANGLES, 0, 3);
       const [slicedAxes, slicedPlaces, slicedColours] = this.sliced;
@@ -262,7 +267,7 @@ class Renderer {
   }
 
   /** Tell the program that slices what is to be seen. */
-  lookAt({ at }, camera, time) {
+  lookAt({ at }, camera, time, { pivot, factors }) {
     const gl = this.gl;
     gl.uniform1i(at.resting, this.about.resting);
     gl.uniform1f(at.time, time);
@@ -277,6 +282,10 @@ class Renderer {
     gl.uniform4fv(at.lens, camera.lens);
     gl.uniform2f(at.size, this.levels[0].own.width, this.levels[0].own.height);
     gl.uniform1f(at.near, this.about.near);
+    gl.uniform3fv(at.pivot, pivot);
+    const padded = new Float32Array(4 * this.moverTexels).fill(1);
+    padded.set(factors);
+    gl.uniform4fv(at.factors, padded);
   }
 
   /** Push-pull: shrink the picture level by level, then carry colours back into what is uncovered. */

@@ -54,6 +54,14 @@ function visibleIntervals(about, arrays) {
   return intervals;
 }
 
+/** Per Gaussian the place of its mover in `about.movers`, from 1; 0: it belongs to none. */
+function placesOfMovers(about, arrays) {
+  const places = new Uint8Array(about.resting + about.moving);
+  const placeOf = new Map(about.movers.map(([number], k) => [number, k + 1]));
+  if (arrays.movers) arrays.movers.values.forEach((number, i) => (places[i] = placeOf.get(number) ?? 0));
+  return places;
+}
+
 /** The scene as the renderer and the sorter want it. */
 async function readScene(about, text) {
   const arrays = readArrays(about, await inflate(text));
@@ -61,6 +69,7 @@ async function readScene(about, text) {
     about,
     arrays,
     intervals: visibleIntervals(about, arrays),
+    movers: placesOfMovers(about, arrays),
     meanDegree: arrays.meanCoefficients.components / 3,
     quatDegree: arrays.quatCoefficients.components / 4,
   };

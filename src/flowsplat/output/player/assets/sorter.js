@@ -14,14 +14,20 @@ function sorterProgram(post) {
     histogram = new Uint32Array(65536);
   }
 
-  /** Fill `depths`, and `rows` with those of a part in front of the near plane that are present; returns how many. */
-  function measure(x, y, z, w, time, part) {
-    const { means, coefficients, degree, intervals, pMin, near } = scene;
-    const resting = part === "movers" ? 0 : scene.resting;
+  /**
+   * Fill `depths`, and `rows` with those of a part in front of the near plane that are present; returns how many.
+   * Movers are `factors` times as far away from the pivot (0: of no mover).
+   */
+  function measure([x, y, z, w], time, { part, only }, pivot, factors) {
+    const { means, coefficients, degree, intervals, movers, pMin, near } = scene;
+    const resting = part === "movers" && !only ? 0 : scene.resting;
     const moving = part === "background" ? 0 : scene.moving;
+    const across = x * pivot[0] + y * pivot[1] + z * pivot[2];
     let active = 0;
     for (let i = 0; i < resting; i++) {
-      const depth = x * means[3 * i] + y * means[3 * i + 1] + z * means[3 * i + 2] + w;
+      if (only && movers[i] !== only) continue;
+      const seen = x * means[3 * i] + y * means[3 * i + 1] + z * means[3 * i + 2];
+      const depth = across + factors[movers[i]] * (seen - across) + w;
       if (depth > near) {
         depths[i] = depth;
         rows[active++] = i;
@@ -32,16 +38,18 @@ function sorterProgram(post) {
       const tau = time - intervals[4 * j + 2];
       if (intervals[4 * j + 3] * tau * tau > reach) continue;
       const i = scene.resting + j;
-      let depth = x * means[3 * i] + y * means[3 * i + 1] + z * means[3 * i + 2] + w;
+      if (only && movers[i] !== only) continue;
+      let seen = x * means[3 * i] + y * means[3 * i + 1] + z * means[3 * i + 2];
       const s = (time - intervals[4 * j]) * intervals[4 * j + 1];
       let before = 1;
       let now = s;
       for (let k = 0, at = 3 * degree * j; k < degree; k++, at += 3) {
-        depth += now * (x * coefficients[at] + y * coefficients[at + 1] + z * coefficients[at + 2]);
+        seen += now * (x * coefficients[at] + y * coefficients[at + 1] + z * coefficients[at + 2]);
         const next = 2 * s * now - before;
         before = now;
         now = next;
       }
+      const depth = across + factors[movers[i]] * (seen - across) + w;
       if (depth > near) {
         depths[i] = depth;
         rows[active++] = i;
@@ -63,8 +71,8 @@ function sorterProgram(post) {
   }
 
   /** Rows of the active Gaussians, farthest first: positive floats are in the order of their bits. */
-  function sort({ row, time, part, ticket }) {
-    const active = measure(row[0], row[1], row[2], row[3], time, part);
+  function sort({ row, time, shown, pivot, factors, ticket }) {
+    const active = measure(row, time, shown, pivot, factors);
     pass(rows, other, active, 0);
     pass(other, rows, active, 16);
     const order = rows.slice(0, active);
@@ -77,7 +85,7 @@ function sorterProgram(post) {
 /** Sorts in a worker, or on this thread where a page from disk may not start one. */
 class Sorter {
   constructor(scene) {
-    const { about, arrays, intervals, meanDegree } = scene;
+    const { about, arrays, intervals, movers, meanDegree } = scene;
     this.waiting = new Map();
     this.ticket = 0;
     const receive = (answer) => {
@@ -86,7 +94,7 @@ class Sorter {
     };
     const load = {
       resting: about.resting, moving: about.moving, means: arrays.means.values, coefficients: arrays.meanCoefficients.values,
-      degree: meanDegree, intervals, pMin: about.pMin, near: about.near,
+      degree: meanDegree, intervals, movers, pMin: about.pMin, near: about.near,
     };
     const sortHere = () => {
       const handle = sorterProgram(receive);
@@ -110,9 +118,12 @@ class Sorter {
     this.send(load);
   }
 
-  /** Promise of the order at a time of a part of the scene, for a camera with this third row of its viewmat. */
-  sort(row, time, part) {
-    const message = { row, time, part, ticket: this.ticket++ };
+  /**
+   * Promise of the order at a time of what is shown ({ part, only }: the place of the one mover, or 0), for a camera with this
+   * third row of its viewmat, with every mover so many times as far away from the pivot.
+   */
+  sort(row, time, shown, { pivot, factors }) {
+    const message = { row, time, shown, pivot, factors, ticket: this.ticket++ };
     return new Promise((resolve) => {
       this.waiting.set(message.ticket, { resolve, message });
       this.send(message);

@@ -1,0 +1,166 @@
+"""Movers nearer or farther than they were trained: the one thing about a mover that no picture of the clip tells.
+
+A mover whose places and sizes are multiplied by one number k about the centre of the clip's camera, at every time about where the
+camera is at that time, looks the same in all of the clip's own frames but for who hides whom:
+
+    X' = C(t) + k (X - C(t))
+
+So its distance can be chosen after training, exactly. C(t) follows the clip's path between its frames.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from flowsplat.common.errors import InputError
+from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
+from flowsplat.gaussians.slicing import Slice, slice_gaussians
+from flowsplat.geometry import Camera
+from flowsplat.geometry.paths import CameraPath
+from flowsplat.splatting.rules import EPS2D
+
+NEAREST, FARTHEST = 0.1, 10.0
+"""The smallest and the largest factor: what lies beyond is a slip of whoever typed it."""
+_STEP = 1e-4
+"""Of clip time, to tell how fast the camera goes."""
+
+
+@dataclass(frozen=True)
+class Distances:
+    """How many times as far away as they were trained some movers are.
+
+    Attributes:
+        factors: the number k of each of them.
+        path: the clip's cameras by clip time, in the normalised coordinates of the Gaussians.
+    """
+
+    factors: Mapping[int, float]
+    path: CameraPath
+
+    def centre(self, t: float) -> np.ndarray:
+        """[3] C(t), where the clip's camera is at clip time ``t``."""
+        return self.path.at(t).center
+
+    def speed(self, t: float) -> np.ndarray:
+        """[3] how far C(t) goes per clip length; 0 before and after the clip, where it stands."""
+        before, after = np.clip([t - _STEP, t + _STEP], self.path.times[0], self.path.times[-1])
+        return (self.centre(after) - self.centre(before)) / (after - before) if after > before else np.zeros(3)
+
+    def moved(self, points: Tensor, movers: Tensor, t: float) -> Tensor:
+        """Where points [N, 3] of the movers with these numbers [N] are at clip time ``t``."""
+        scale = torch.ones(len(points), dtype=points.dtype, device=points.device)
+        for number, factor in self.factors.items():
+            scale[movers == number] = factor
+        centre = torch.as_tensor(self.centre(t), dtype=points.dtype, device=points.device)
+        return centre + scale[:, None] * (points - centre)
+
+
+def check_factors(factors: Mapping[int, float]) -> None:
+    """Refuse what is no factor of a distance.
+
+    Raises:
+        InputError: one is not a number between ``NEAREST`` and ``FARTHEST``.
+    """
+    for number, factor in factors.items():
+        if not (math.isfinite(factor) and NEAREST <= factor <= FARTHEST):
+            raise InputError(
+                f"Mover {number} cannot be {factor:g} times as far away: give a number from {NEAREST:g} to {FARTHEST:g}."
+            )
+
+
+@torch.no_grad()
+def slice_view(
+    gaussians: Gaussians4D,
+    camera: Camera,
+    t: float,
+    next_time: float | None = None,
+    distances: Distances | None = None,
+    eps2d: float = EPS2D,
+) -> Slice:
+    """The Gaussians that a camera may show, at clip time ``t``: see ``slice_gaussians``.
+
+    Args:
+        gaussians: the model.
+        camera: in normalised coordinates.
+        t: clip time.
+        next_time: the other time of a flow pair.
+        distances: of movers that are not where they were trained.
+        eps2d: px^2 of blur that they will be rendered with.
+    """
+    seen = gaussians.active(t, camera, eps2d=eps2d)
+    viewer = torch.as_tensor(camera.center, dtype=gaussians.params["means"].dtype)
+    if distances is None:
+        return slice_gaussians(gaussians, seen, viewer, next_time)
+    known = gaussians.movers.new_tensor(list(distances.factors))
+    parts = [slice_gaussians(gaussians, _only(seen, ~torch.isin(gaussians.movers, known)), viewer, next_time)]
+    everywhere = gaussians.active(t)  # what a camera sees of those that are moved is not told by where they were
+    for number, factor in distances.factors.items():
+        chosen = _only(everywhere, gaussians.movers == number)
+        if len(chosen.rows):
+            parts.append(_moved_slice(gaussians, chosen, viewer, next_time, distances, factor))
+    return _joined(parts)
+
+
+def _only(active: Active, wanted: Tensor) -> Active:
+    """Of the active Gaussians those that are wanted ([N] bool); none of them may be padding."""
+    keep = wanted[active.rows]
+    return Active(active.rows[keep], int(keep[: active.num_static].sum()), active.t)
+
+
+def _moved_slice(
+    gaussians: Gaussians4D, active: Active, viewer: Tensor, next_time: float | None, distances: Distances, factor: float
+) -> Slice:
+    """The slice of one mover; all of its rows move, for what rests of it goes with the camera."""
+
+    def like(values: np.ndarray) -> Tensor:
+        return torch.as_tensor(values, dtype=viewer.dtype, device=gaussians.device)
+
+    # Seen from the viewer the moved Gaussian is where its original is for one who stands so much nearer to C(t), or farther.
+    here = torch.as_tensor(distances.centre(active.t), dtype=viewer.dtype)
+    found = slice_gaussians(gaussians, active, here + (viewer - here) / factor, next_time)
+    resting = found.velocities.new_zeros(active.num_static, 3)
+    centre, next_means = like(distances.centre(active.t)), None
+    if next_time is not None:
+        assert found.next_means is not None
+        next_centre = like(distances.centre(next_time))
+        next_means = next_centre + factor * (found.next_means - next_centre)
+    return Slice(
+        means=centre + factor * (found.means - centre),
+        quats=found.quats,
+        scales=None if found.scales is None else factor * found.scales,
+        covars=None if found.covars is None else factor**2 * found.covars,
+        opacities=found.opacities,
+        colours=found.colours,
+        velocities=factor * torch.cat([resting, found.velocities]) + (1 - factor) * like(distances.speed(active.t)),
+        next_means=next_means,
+        next_quats=found.next_quats,
+    )
+
+
+def _joined(parts: list[Slice]) -> Slice:
+    """One slice; of all parts but the first every row moves."""
+
+    def joined(values: list[Tensor | None]) -> Tensor | None:
+        known = [value for value in values if value is not None]
+        return torch.cat(known) if known else None
+
+    def all_of(name: str) -> Tensor:
+        return torch.cat([getattr(part, name) for part in parts])
+
+    return Slice(
+        means=all_of("means"),
+        quats=joined([part.quats for part in parts]),
+        scales=joined([part.scales for part in parts]),
+        covars=joined([part.covars for part in parts]),
+        opacities=all_of("opacities"),
+        colours=all_of("colours"),
+        velocities=all_of("velocities"),
+        next_means=joined([part.next_means for part in parts]),
+        next_quats=joined([part.next_quats for part in parts]),
+    )
