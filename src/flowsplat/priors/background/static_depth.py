@@ -206,6 +206,12 @@ class Background:
         values, weights, camera = self._fused(k)
         return values, np.where(weights > SURE, weights, 0).astype(np.float32), camera
 
+    def placed(self, k: int) -> np.ndarray:
+        """Planar depth [h, w] of the static scene where it is sure, not only that it is far; inf elsewhere."""
+        inverse, weight, _ = self.sure(k)
+        own = weight * np.minimum(inverse / self.median, 1) ** 2
+        return np.where(own > SURE, 1 / np.maximum(inverse, 1e-9), np.inf)
+
 
 def ground(height: int, width: int, median: float) -> np.ndarray:
     """Inverse depth [h, w] float32 of a guess: a ground that comes nearer towards the bottom of the picture."""

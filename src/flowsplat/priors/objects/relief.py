@@ -89,14 +89,14 @@ def roundness(mask: np.ndarray, focal: float) -> np.ndarray:
     y0, y1, x0, x1 = y.min(), y.max() + 1, x.min(), x.max() + 1
     # Where the border of the picture cuts a mover, it goes on.
     inside = mask[y0:y1, x0:x1].astype(np.uint8)
-    sides = [int(y0 > 0), int(y1 < mask.shape[0]), int(x0 > 0), int(x1 < mask.shape[1])]
-    padded = cv2.copyMakeBorder(inside, *sides, cv2.BORDER_CONSTANT, value=0)
+    above, left = int(y0 > 0), int(x0 > 0)
+    padded = np.pad(inside, ((above, int(y1 < mask.shape[0])), (left, int(x1 < mask.shape[1]))))
     rim = cv2.distanceTransform(padded, cv2.DIST_L2, 5)
     radius = rim.copy()
     for level in float(rim.max()) * DISCS:
         near = cv2.distanceTransform((rim < level).astype(np.uint8), cv2.DIST_L2, 5) < level
         radius = np.where(near & (rim > 0), np.maximum(radius, level), radius)
-    height = np.sqrt(np.maximum(rim * (2 * radius - rim), 0))[sides[0] : sides[0] + y1 - y0, sides[2] : sides[2] + x1 - x0]
+    height = np.sqrt(np.maximum(rim * (2 * radius - rim), 0))[above : above + y1 - y0, left : left + x1 - x0]
     offsets = -ROUND / focal * height
     result[y0:y1, x0:x1] = np.where(inside > 0, offsets - np.median(offsets[inside > 0]), 0)
     return result

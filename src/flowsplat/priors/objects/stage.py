@@ -89,8 +89,7 @@ def _sure_depth(background: StaticDepth, k: int) -> np.ndarray:
     """Planar depth [h, w] of the static scene in a training frame; inf where it is not sure."""
     if not isinstance(background, Background):
         return np.full((1, 1), np.inf)
-    inverse, weight, _ = background.sure(k)
-    return np.where(weight > 0, 1 / np.maximum(inverse, 1e-9), np.inf)
+    return background.placed(k)
 
 
 def _ground(clip: MatchedClip, background: StaticDepth, frames: np.ndarray) -> Ground | None:
@@ -98,10 +97,7 @@ def _ground(clip: MatchedClip, background: StaticDepth, frames: np.ndarray) -> G
     if not isinstance(background, Background):
         return None
     chosen = frames[spread(len(frames), GROUND_FRAMES)]
-    depths, sure = [], []
-    for k in chosen:
-        inverse, weight, _ = background.sure(int(k))
-        depths.append(1 / np.maximum(inverse, 1e-9))
-        sure.append(weight > 0)
+    depths = [1 / np.maximum(background.sure(int(k))[0], 1e-9) for k in chosen]
+    sure = [np.isfinite(background.placed(int(k))) for k in chosen]
     points, normals, found = static_points(depths, sure, [clip.cameras[int(k)] for k in chosen])
     return find_ground(points, normals, found, [clip.cameras[int(k)] for k in frames]) if len(points) else None
