@@ -59,7 +59,7 @@ def refine_edges(
     poses = np.array([other.pose_from(camera) for other in cameras], np.float32).reshape(-1, 3, 4)
     intrinsics = np.array([c.intrinsics for c in [camera, *cameras]], np.float32)
     for _ in range(ROUNDS):
-        around = [cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1)) for reach in REACHES]
+        around = [cv2.getStructuringElement(cv2.MORPH_RECT, (2 * reach + 1, 2 * reach + 1)) for reach in REACHES]
         far, close = [cv2.erode(inverse, each) for each in around], [cv2.dilate(inverse, each) for each in around]
         proposed = [inverse, *far, *close]  # Equal ones are neighbours, and are tried once.
         asked = still & (close[-1] - far[-1] > JUMP * inverse)
@@ -102,20 +102,27 @@ def _costs(
     proposed: np.ndarray, near: np.ndarray, picture: np.ndarray, pictures: np.ndarray, moving: np.ndarray,
     intrinsics: np.ndarray, poses: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
-    """[H, W, L] float32: how much the better half of the frames differs from each pixel at each proposed inverse depth."""
+    """[H, W, L] float32: how much the better half of the frames differs from each pixel at each proposed inverse depth.
+
+    Of every other pixel, as on a chessboard: they vote as well as all, in half the time.
+    """
     H, W, L = proposed.shape
     J = len(poses)
     kept = max(J // 2, 1)
     result = np.full((H, W, L), np.float32(_WORST), np.float32)
-    half, worst = np.float32(0.5), np.float32(_WORST)
+    half, one, worst = np.float32(0.5), np.float32(1), np.float32(_WORST)
     most, steepest = np.float32(_COLOUR), np.float32(_GRADIENT)
     K0 = intrinsics[0]
     for y in prange(H):
-        best = np.empty(kept, np.float32)
+        best, rays = np.empty(kept, np.float32), np.empty((J, 3), np.float32)
         for x in range(W):
-            if not near[y, x]:
+            if not near[y, x] or (x + y) % 2:
                 continue
             dx, dy = (x + half - K0[2]) / K0[0], (y + half - K0[3]) / K0[1]
+            red, green, blue, slope = picture[y, x, 0], picture[y, x, 1], picture[y, x, 2], picture[y, x, 3]
+            for j in range(J):
+                for r in range(3):
+                    rays[j, r] = poses[j, r, 0] * dx + poses[j, r, 1] * dy + poses[j, r, 2]
             for n in range(L):
                 w = proposed[y, x, n]
                 if n > 0 and w == proposed[y, x, n - 1]:
@@ -123,27 +130,26 @@ def _costs(
                     continue
                 best[:] = worst
                 for j in range(J):
-                    P, K = poses[j], intrinsics[j + 1]
-                    z = P[2, 0] * dx + P[2, 1] * dy + P[2, 2] + w * P[2, 3]
+                    z = rays[j, 2] + w * poses[j, 2, 3]
                     if z <= np.float32(1e-6):
                         continue
-                    u = K[0] * (P[0, 0] * dx + P[0, 1] * dy + P[0, 2] + w * P[0, 3]) / z + K[2] - half
-                    v = K[1] * (P[1, 0] * dx + P[1, 1] * dy + P[1, 2] + w * P[1, 3]) / z + K[3] - half
+                    nearer = one / z
+                    u = intrinsics[j + 1, 0] * (rays[j, 0] + w * poses[j, 0, 3]) * nearer + intrinsics[j + 1, 2] - half
+                    v = intrinsics[j + 1, 1] * (rays[j, 1] + w * poses[j, 1, 3]) * nearer + intrinsics[j + 1, 3] - half
                     if not (u >= 0 and v >= 0 and u < W - 1 and v < H - 1):
                         continue
-                    c, r = int(u), int(v)
+                    c, r = np.int32(u), np.int32(v)
                     if moving[j, r, c]:
                         continue
                     a, b = u - c, v - r
-                    total = np.float32(0)
-                    for q in range(4):
-                        top = pictures[j, r, c, q] * (1 - a) + pictures[j, r, c + 1, q] * a
-                        low = pictures[j, r + 1, c, q] * (1 - a) + pictures[j, r + 1, c + 1, q] * a
-                        off = abs(top * (1 - b) + low * b - picture[y, x, q])
-                        if q < 3:
-                            total += off
-                        else:
-                            total = half * min(total, most) + min(off, steepest)
+                    a00, a01, a10, a11 = (one - a) * (one - b), a * (one - b), (one - a) * b, a * b
+                    p, q = pictures[j, r, c], pictures[j, r, c + 1]
+                    s, t = pictures[j, r + 1, c], pictures[j, r + 1, c + 1]
+                    off0 = abs(a00 * p[0] + a01 * q[0] + a10 * s[0] + a11 * t[0] - red)
+                    off1 = abs(a00 * p[1] + a01 * q[1] + a10 * s[1] + a11 * t[1] - green)
+                    off2 = abs(a00 * p[2] + a01 * q[2] + a10 * s[2] + a11 * t[2] - blue)
+                    off3 = abs(a00 * p[3] + a01 * q[3] + a10 * s[3] + a11 * t[3] - slope)
+                    total = half * min(off0 + off1 + off2, most) + min(off3, steepest)
                     # The smallest ones stay in order.
                     k = kept - 1
                     if total < best[k]:
@@ -151,7 +157,10 @@ def _costs(
                             best[k] = best[k - 1]
                             k -= 1
                         best[k] = total
-                result[y, x, n] = best.mean()
+                total = np.float32(0)
+                for k in range(kept):
+                    total += best[k]
+                result[y, x, n] = total / np.float32(kept)
     return result
 
 
@@ -169,7 +178,8 @@ def _chosen(proposed: np.ndarray, costs: np.ndarray, asked: np.ndarray, picture:
             total[:] = 0
             red, green, blue = picture[y, x, 0], picture[y, x, 1], picture[y, x, 2]
             for r in range(max(y - WINDOW, 0), min(y + WINDOW + 1, H)):
-                for c in range(max(x - WINDOW, 0), min(x + WINDOW + 1, W)):
+                first = max(x - WINDOW, 0)
+                for c in range(first + (first + r) % 2, min(x + WINDOW + 1, W), 2):
                     off = abs(picture[r, c, 0] - red) + abs(picture[r, c, 1] - green) + abs(picture[r, c, 2] - blue)
                     weight = np.float32(1) / (np.float32(1) + (off * scale) * (off * scale))
                     for n in range(L):
