@@ -16,6 +16,11 @@ from flowsplat.output.priors_report import NAME, PANEL, verdict, write_priors_re
 from flowsplat.pipeline import prepare
 from flowsplat.pipeline.config import RunConfig
 from flowsplat.priors.given import use_truth
+from flowsplat.priors.objects import SceneMovers
+from flowsplat.priors.objects.distance import Cue
+from flowsplat.priors.objects.movers import Mover
+from flowsplat.priors.objects.relief import ReliefPoints
+from flowsplat.priors.objects.storage import save_movers
 from flowsplat.scenes import Scene
 from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic
 
@@ -71,6 +76,28 @@ def test_the_page_tells_what_was_found_and_needs_nothing_else(as_found, tmp_path
     assert page.count('class="chart cameras"') == 2
     assert not re.search(r"[\"\s](nan|inf)\b", page)
     assert len(page) < 1e6
+
+
+def test_the_page_shows_what_moves_and_how_sure_its_distance_is(as_found, tmp_path):
+    frames = len(as_found.train_frames)
+    depth, middles = np.full(frames, np.log(2.0)), np.full((frames, 2), [32.0, 24.0])
+    number = int(next(n for i in as_found.train_frames for n in np.unique(as_found.mask(i)) if n))
+    tied = Mover(number, depth, middles, 0.05, True, {"pivot": Cue(0.0, 0.02, 0.05)}, ReliefPoints.none(), 0.0)
+    save_movers(as_found, SceneMovers([tied], np.array([0.0, -1.0, 0.0])))
+    as_found.info["priors"]["objects"] = {"method": "motion", "movers": 1, "rigid": 1, "tied": 1, "verdict": "1 mover"}
+    try:
+        page = page_of(tmp_path, as_found)
+        text = words(page)
+        for part in ("1 moving object. Training", f"Mover {number}", "swings about a fixed point", "sure to 5%", "Largest step aside"):
+            assert part in text, part
+        assert page.count('class="mover"') == 1
+        as_found.info["priors"]["objects"].update(movers=3, tied=1)
+        assert "3 moving objects, how far away 2 of them are is a guess." in verdict(as_found)
+        as_found.info["priors"]["objects"].update(tied=0)
+        assert "3 moving objects, how far away is a guess." in verdict(as_found)
+    finally:
+        for name in ("objects.json", "objects.npz"):
+            (as_found.folder / name).unlink()
 
 
 def test_the_strip_shows_every_training_frame(as_found, tmp_path):

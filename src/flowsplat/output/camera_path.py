@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from markupsafe import Markup
@@ -23,27 +24,49 @@ _YAW, _PITCH = np.radians(32.0), np.radians(28.0)
 """Under which the path is seen at an angle: from behind, a little from the right and from above."""
 
 
-def path_from_above(cameras: Sequence[Camera], points: np.ndarray, colours: np.ndarray) -> Markup:
-    """An SVG of the path, the outer rays of some cameras and points of the scene, seen from above.
+@dataclass(frozen=True)
+class MoverPath:
+    """Where a mover was, in the world of the cameras, and where it may have been by one standard deviation.
+
+    Attributes:
+        number: that it is called by.
+        colour: red, green and blue, 0 to 255.
+        places: [T, 3] over the frames that see it; ``near`` and ``far`` [T, 3] the same.
+    """
+
+    number: int
+    colour: tuple[int, int, int]
+    places: np.ndarray
+    near: np.ndarray
+    far: np.ndarray
+
+
+def path_from_above(
+    cameras: Sequence[Camera], points: np.ndarray, colours: np.ndarray, movers: Sequence[MoverPath] = ()
+) -> Markup:
+    """An SVG of the path, the outer rays of some cameras, points of the scene and paths of movers, seen from above.
 
     Args:
         cameras: in the order of time.
         points: [N, 3] of the scene, in the world of the cameras; may be empty.
         colours: [N, 3] uint8.
+        movers: their paths, each with a band of one standard deviation along the rays.
     """
     axes = _level_axes(cameras)[[0, 2]]
     centers = np.array([camera.center for camera in cameras]) @ axes.T
     dots = points @ axes.T
     # A few points far out would make all the rest too small to see.
     bounds = np.percentile(dots, (3, 97), axis=0) if len(dots) else np.zeros((0, 2))
-    around = np.concatenate([centers, bounds])
+    around = np.concatenate([centers, bounds, *(mover.places @ axes.T for mover in movers)])
     length = _REACH * _extent(around)
     wedges = [_corners(camera, length)[[0, 1]] @ axes.T for camera in _some(cameras)]
     page = _Page(np.concatenate([around, *wedges]))
     parts = [page.dot(place, colour) for place, colour in zip(dots, colours, strict=True) if page.shows(place)]
     for camera, wedge in zip(_some(cameras), wedges, strict=True):
         parts.append(page.line(np.array([wedge[0], camera.center @ axes.T, wedge[1]]), "frustum"))
-    return _svg("The camera path from above, with the scene", parts + _track(page, centers))
+    parts += [page.mover(mover, axes) for mover in movers]
+    title = "The camera path from above, with the scene" + (" and what moves" if movers else "")
+    return _svg(title, parts + _track(page, centers))
 
 
 def path_at_an_angle(cameras: Sequence[Camera]) -> Markup:
@@ -112,6 +135,17 @@ class _Page:
         x, y = self.place(place) - _DOT / 2
         fill = "#" + "".join(f"{int(c):02x}" for c in colour)
         return Markup('<rect x="{:.0f}" y="{:.0f}" width="{}" height="{}" fill="{}"/>').format(x, y, _DOT, _DOT, fill)
+
+    def mover(self, mover: MoverPath, axes: np.ndarray) -> Markup:
+        """The path of a mover with its band, its number where it begins."""
+        colour = "#{:02x}{:02x}{:02x}".format(*mover.colour)
+        band = self.place(np.concatenate([mover.near, mover.far[::-1]]) @ axes.T)
+        path = self.place(mover.places @ axes.T)
+        around, along = ("L".join(f"{x:.1f} {y:.1f}" for x, y in line) for line in (band, path))
+        return Markup(
+            '<g class="mover" fill="{c}" stroke="{c}"><path class="band" d="M{}Z"/><path class="way" d="M{}"/>'
+            '<text x="{:.1f}" y="{:.1f}">{}</text></g>'
+        ).format(around, along, path[0, 0] + 5, path[0, 1] - 5, mover.number, c=colour)
 
     def line(self, places: np.ndarray, kind: str) -> Markup:
         path = "L".join(f"{x:.1f} {y:.1f}" for x, y in self.place(places))

@@ -14,16 +14,18 @@ import cv2
 import numpy as np
 
 from flowsplat.common.spread import spread
-from flowsplat.output.camera_path import path_at_an_angle, path_from_above
+from flowsplat.output.camera_path import MoverPath, path_at_an_angle, path_from_above
 from flowsplat.output.page import card, picture_row, write_page
 from flowsplat.pictures.charts import line_chart
-from flowsplat.pictures.colors import depth_range, depth_to_color, flow_legend, flow_scale, flow_to_color, tinted
+from flowsplat.pictures.colors import depth_range, depth_to_color, flow_legend, flow_scale, flow_to_color, object_color, tinted
 from flowsplat.pictures.html import figure, picture, table
 from flowsplat.pictures.sheets import side_by_side, stacked
 from flowsplat.pictures.video import write_mp4
 from flowsplat.priors.cameras.checks import LARGE_ERROR, LITTLE_PARALLAX
 from flowsplat.priors.cameras.following import WORKING_SIDE
 from flowsplat.priors.depth.stage import MOSTLY
+from flowsplat.priors.objects import SceneMovers, load_movers
+from flowsplat.priors.objects.description import MoverDescription, describe_movers
 from flowsplat.scenes import Scene, Tracks
 
 NAME = "priors.html"
@@ -40,11 +42,13 @@ TAIL, MOST_TRACKS = 6, 240
 """Training frames that a track is drawn over, and how many tracks are drawn."""
 SCENE_POINTS = 1500
 """Points of the scene in the drawing of the path."""
+THUMBNAIL = 160
+"""Pixels of the longer side of the picture of a mover."""
 MOST_PIECES = 3
 """Pieces of a clip with cuts whose paths are drawn."""
 
 _STATIC_TRACK, _MOVING_TRACK = (80, 220, 255), (255, 140, 0)
-_STAGES = ("cameras", "flow", "masks", "depth", "tracks")
+_STAGES = ("cameras", "flow", "masks", "tracks", "objects", "depth")
 
 
 def write_priors_report(folder: Path, scene: Scene, seconds: Mapping[str, float]) -> Path:
@@ -57,7 +61,7 @@ def write_priors_report(folder: Path, scene: Scene, seconds: Mapping[str, float]
     Raises:
         InputError: a prior is missing or damaged, or the folder cannot be written.
     """
-    shown = _Shown(scene)
+    shown, movers = _Shown(scene), load_movers(scene)
     path = Path(folder) / NAME
     write_page(
         path,
@@ -66,7 +70,8 @@ def write_priors_report(folder: Path, scene: Scene, seconds: Mapping[str, float]
         verdict=verdict(scene),
         strip=_strip(shown),
         headline=_headline(scene, shown),
-        paths=list(_paths(scene)),
+        paths=list(_paths(scene, movers)),
+        movers=list(_movers(scene, movers)),
         stages=table(("", "how", "verdict", "time"), list(_rows(scene, seconds))),
         stills=[_still(shown, k) for k in spread(len(shown.frames), STILLS)],
         legend=picture(flow_legend(), "The colour of every direction of flow", None),
@@ -131,12 +136,17 @@ def _depth_words(cameras: Mapping[str, Any], depth: Mapping[str, Any]) -> str:
 
 
 def _mask_words(scene: Scene) -> str:
-    masks = scene.prior("masks") or {}
-    count = masks.get("objects")
+    masks, movers = scene.prior("masks") or {}, scene.prior("objects") or {}
+    # Movers, where tracks have told which parts belong together.
+    count = movers.get("movers", masks.get("objects"))
     if count is None:
         count = len({int(number) for i in scene.train_frames for number in np.unique(scene.mask(i))} - {0})
     words = "nothing moves" if not count else "1 moving object" if count == 1 else f"{count} moving objects"
-    return words if masks.get("method") == "motion" else f"{words} ({_source(masks)} masks)"
+    words = words if masks.get("method") == "motion" else f"{words} ({_source(masks)} masks)"
+    guessed = count - movers.get("tied", count) if count else 0
+    if guessed and (scene.prior("depth") or {}).get("method") != "guess":
+        words += ", how far away is a guess" if guessed == count else f", how far away {guessed} of them are is a guess"
+    return words
 
 
 def _source(prior: Mapping[str, Any]) -> str:
@@ -302,7 +312,7 @@ def _strip(shown: _Shown) -> str:
 # -- the path
 
 
-def _paths(scene: Scene) -> Iterator[dict[str, Any]]:
+def _paths(scene: Scene, movers: SceneMovers) -> Iterator[dict[str, Any]]:
     """Drawings of the path of every piece of the clip."""
     starts = [0, *(scene.prior("cameras") or {}).get("breaks", [])]
     ends = [*starts[1:], scene.num_frames]
@@ -314,8 +324,71 @@ def _paths(scene: Scene) -> Iterator[dict[str, Any]]:
         yield {
             "label": f"Frames {start} to {end - 1}" if len(starts) > 1 else "",
             "length": f"{length * scene.similarity.scale:.2g}",
-            "views": [path_from_above(cameras, points, colours), path_at_an_angle(cameras)],
+            "views": [
+                path_from_above(cameras, points, colours, list(_mover_paths(scene, movers, start, end))), path_at_an_angle(cameras),
+            ],
         }
+
+
+def _mover_paths(scene: Scene, movers: SceneMovers, start: int, end: int) -> Iterator[MoverPath]:
+    """Paths of what is seen between two frames of the clip, with one standard deviation of its distance to either side."""
+    for mover in movers.movers:
+        seen = [k for k, i in enumerate(scene.train_frames) if start <= i < end and np.isfinite(mover.log_depth[k])]
+        if not seen:
+            continue
+        places = [
+            np.concatenate([
+                scene.cameras[scene.train_frames[k]].unproject(mover.middles[k][None], np.exp(mover.log_depth[k] + off)[None])
+                for k in seen
+            ])
+            for off in (0.0, -mover.sigma, mover.sigma)
+        ]  # fmt: skip
+        yield MoverPath(mover.number, object_color(mover.number), *places)
+
+
+def _movers(scene: Scene, found: SceneMovers) -> Iterator[dict[str, Any]]:
+    """A picture of every mover where it is largest, and what is known of its distance."""
+    described = {each.number: each for each in describe_movers(scene, found)}
+    best = dict.fromkeys(described, (0, -1))
+    for i in scene.train_frames:
+        areas = np.bincount(scene.mask(i).ravel(), minlength=256)
+        best = {number: max(most, (int(areas[number]), i)) for number, most in best.items()}
+    for number, mover in described.items():
+        area, i = best[number]
+        if area:
+            label = f"Mover {number}"
+            yield {"label": label, "picture": picture(_cut_out(scene, i, number), label), **_words(scene, mover)}
+
+
+def _words(scene: Scene, mover: MoverDescription) -> dict[str, str]:
+    unit, camera = scene.similarity.scale, _travel(scene)
+    step = f"{mover.largest_step / mover.depth:.1%} of its distance"
+    if camera > 0:
+        step += f", {mover.largest_step / camera:.0%} of the camera's own travel"
+    return {
+        "cues": mover.words, "distance": f"{mover.depth * unit:.2f} median depths of the scene",
+        "sure": f"to {100 * np.expm1(mover.sigma):.0f}%", "step": step,
+        "rigid": "one rigid body" if mover.rigid else "bends, or too little of it was followed",
+    }  # fmt: skip
+
+
+def _travel(scene: Scene) -> float:
+    """How far apart the camera's centres are, at most along any axis."""
+    return float(np.ptp([camera.center for camera in scene.cameras], axis=0).max())
+
+
+def _cut_out(scene: Scene, i: int, number: int) -> np.ndarray:
+    """The surroundings of a mover, it in colour and all else in grey."""
+    mask = scene.mask(i)
+    y, x = np.nonzero(mask == number)
+    room = max(8, int(0.15 * max(np.ptp(x), np.ptp(y))))
+    rows, columns = slice(max(y.min() - room, 0), y.max() + room + 1), slice(max(x.min() - room, 0), x.max() + room + 1)
+    image, own = scene.frame(i)[rows, columns], (mask[rows, columns] == number).astype(np.uint8)
+    grey = np.repeat(image.mean(-1, keepdims=True) * 0.6, 3, -1)
+    cut = np.where(own[..., None] > 0, image, grey).astype(np.uint8)
+    cv2.drawContours(cut, cv2.findContours(own, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0], -1, object_color(number), 1)
+    scale = min(1.0, THUMBNAIL / max(cut.shape[:2]))
+    return _small(cut, (max(1, round(cut.shape[1] * scale)), max(1, round(cut.shape[0] * scale))))
 
 
 def _scene_points(scene: Scene, frames: list[int]) -> tuple[np.ndarray, np.ndarray]:

@@ -111,6 +111,12 @@ def error_to_color(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return cv2.applyColorMap(float_to_bytes(difference / 0.25), cv2.COLORMAP_INFERNO)[..., ::-1].copy()
 
 
+def object_color(number: int) -> tuple[int, int, int]:
+    """Red, green and blue of a moving object, as in ``tinted``."""
+    red, green, blue = _OBJECTS[(number - 1) % len(_OBJECTS)]
+    return int(red), int(green), int(blue)
+
+
 def tinted(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """The picture [H, W, 3] uint8 in grey, moving objects tinted by their numbers in ``mask`` [H, W] (0 = background)."""
     grey = np.repeat(image.mean(-1, keepdims=True) * 0.8, 3, -1)

@@ -33,6 +33,8 @@ from flowsplat.pictures.sheets import preview_sheet
 from flowsplat.pipeline.config import RunConfig, check
 from flowsplat.pipeline.folder import RunFolder, stage_key
 from flowsplat.pipeline.summary import flow_comparisons, report_data
+from flowsplat.priors.objects import load_movers
+from flowsplat.priors.objects.description import mover_figures
 from flowsplat.priors.prepare import prepare_priors
 from flowsplat.scenes import Scene, Tracks
 from flowsplat.scenes.clip import InputOptions
@@ -359,6 +361,7 @@ def _evaluate(folder: RunFolder, result: _Result) -> dict[str, Any]:
         "total": len(model.gaussians), "active_mean": float(np.mean(counts)), "active": counts,
         "movers": {str(number): count for number, count in model.gaussians.mover_counts.items()},
     }  # fmt: skip
+    metrics["movers"] = mover_figures(scene, load_movers(scene))
     seconds = {"evaluate": time.perf_counter() - started}
     _write_metrics(folder, result, metrics, seconds)
     folder.finish("evaluate", key, seconds)

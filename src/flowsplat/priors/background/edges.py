@@ -138,13 +138,13 @@ def _costs(
                     v = intrinsics[j + 1, 1] * (rays[j, 1] + w * poses[j, 1, 3]) * nearer + intrinsics[j + 1, 3] - half
                     if not (u >= 0 and v >= 0 and u < W - 1 and v < H - 1):
                         continue
-                    c, r = np.int32(u), np.int32(v)
-                    if moving[j, r, c]:
+                    c, row = int(u), int(v)
+                    if moving[j, row, c]:
                         continue
-                    a, b = u - c, v - r
+                    a, b = u - np.float32(c), v - np.float32(row)
                     a00, a01, a10, a11 = (one - a) * (one - b), a * (one - b), (one - a) * b, a * b
-                    p, q = pictures[j, r, c], pictures[j, r, c + 1]
-                    s, t = pictures[j, r + 1, c], pictures[j, r + 1, c + 1]
+                    p, q = pictures[j, row, c], pictures[j, row, c + 1]
+                    s, t = pictures[j, row + 1, c], pictures[j, row + 1, c + 1]
                     off0 = abs(a00 * p[0] + a01 * q[0] + a10 * s[0] + a11 * t[0] - red)
                     off1 = abs(a00 * p[1] + a01 * q[1] + a10 * s[1] + a11 * t[1] - green)
                     off2 = abs(a00 * p[2] + a01 * q[2] + a10 * s[2] + a11 * t[2] - blue)

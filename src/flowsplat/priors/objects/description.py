@@ -1,0 +1,85 @@
+"""What is known about each mover, for people and for ``metrics.json``: how far away it is, what tells it, and how sure it is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from flowsplat.priors.objects.movers import Mover
+from flowsplat.priors.objects.storage import SceneMovers
+from flowsplat.scenes import Scene
+
+HALF_PIXEL = 0.5
+"""Pixels that a mover may be off when it is seen from aside."""
+
+WORDS = {
+    "contact": "stands on the ground",
+    "bounce": "touches the ground when it bounces",
+    "pivot": "swings about a fixed point",
+    "height": "keeps its height over the ground",
+    "smooth": "its path is even where the camera shakes",
+    "touch": "a hint: it touches what is still",
+    "distance": "a hint: as far away as a place of the still scene",
+}
+"""What speaks for a distance, by the name of its cue."""
+
+GUESS = "nothing: a guess"
+
+
+@dataclass(frozen=True)
+class MoverDescription:
+    """One mover.
+
+    Attributes:
+        number: in the masks.
+        frames: how many training frames it is seen in.
+        depth: median planar depth of its middle, in the units of the cameras.
+        sigma: standard deviation of the natural logarithm of its depth.
+        cues: names of what speaks for its depth; none = a guess.
+        rigid: whether its motion was found and explains all of it.
+        largest_step: how far aside it may be seen from, in those units, until sigma makes half a pixel: Z / (2 f sigma).
+    """
+
+    number: int
+    frames: int
+    depth: float
+    sigma: float
+    cues: Sequence[str]
+    rigid: bool
+    largest_step: float
+
+    @property
+    def words(self) -> str:
+        """What speaks for its distance."""
+        return " and ".join(WORDS.get(cue, cue) for cue in self.cues) or GUESS
+
+
+def describe_movers(scene: Scene, found: SceneMovers) -> list[MoverDescription]:
+    """Of every mover that is seen in a training frame, in the order of their numbers."""
+    focal = float(scene.cameras[scene.train_frames[0]].K[0, 0])
+    return [_described(mover, focal) for mover in sorted(found.movers, key=lambda each: each.number) if _seen(mover).any()]
+
+
+def _seen(mover: Mover) -> np.ndarray:
+    return np.isfinite(mover.log_depth)
+
+
+def _described(mover: Mover, focal: float) -> MoverDescription:
+    seen = _seen(mover)
+    depth, sigma = float(np.exp(np.median(mover.log_depth[seen]))), float(mover.sigma)
+    step = HALF_PIXEL * depth / (focal * max(sigma, 1e-6))
+    return MoverDescription(mover.number, int(seen.sum()), depth, sigma, sorted(mover.cues), mover.rigid, step)
+
+
+def mover_figures(scene: Scene, found: SceneMovers) -> list[dict[str, object]]:
+    """The same as JSON: depth and step both in the units of the cameras and in median depths of the scene."""
+    unit = scene.similarity.scale
+    return [
+        {
+            "number": m.number, "frames": m.frames, "depth": m.depth, "depth_in_scenes": m.depth * unit, "sigma": m.sigma,
+            "cues": list(m.cues), "rigid": m.rigid, "largest_step": m.largest_step, "largest_step_in_scenes": m.largest_step * unit,
+        }
+        for m in describe_movers(scene, found)
+    ]  # fmt: skip
