@@ -88,7 +88,8 @@ def test_the_page_shows_what_moves_and_how_sure_its_distance_is(as_found, tmp_pa
     try:
         page = page_of(tmp_path, as_found)
         text = words(page)
-        for part in ("1 moving object. Training", f"Mover {number}", "swings about a fixed point", "sure to 5%", "Largest step aside"):
+        told = ("swings about a fixed point", "sure to 5%", "Largest step aside")
+        for part in ("1 moving object. Training", f"Mover {number}", *told):
             assert part in text, part
         assert page.count('class="mover"') == 1
         as_found.info["priors"]["objects"].update(movers=3, tied=1)

@@ -13,6 +13,7 @@ import tyro
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.progress import say
+from flowsplat.common.settings import later
 from flowsplat.priors.background.matched_clip import MatchedClip, forget_solutions
 from flowsplat.priors.background.static_depth import static_depth
 from flowsplat.priors.cameras import CameraOptions, camera_stage
@@ -24,6 +25,7 @@ from flowsplat.priors.learned.weights import ModelOptions, network_device
 from flowsplat.priors.masks import mask_stage
 from flowsplat.priors.monocular import monocular_stage
 from flowsplat.priors.objects import objects_stage
+from flowsplat.priors.objects.hints import Hint, parse_hints
 from flowsplat.priors.prompts import Prompt, parse_prompts, prompt_stage
 from flowsplat.priors.tracks import complete_tracks, tracks_stage
 from flowsplat.scenes import Scene
@@ -44,6 +46,11 @@ class PriorsOptions:
     """A moving object: x,y@frame, in pixels of the prepared frames or as shares of the picture (0.5,0.4@0). Repeat it for more."""
     mask_box: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """A box round a moving object: x0,y0,x1,y1@frame. A click inside it on the same frame belongs to it."""
+    touch: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = later(())
+    """Where something that moves touches what is still, the ground, say: x,y@frame, as for --mask-click. One such place tells how
+    far away it is over the whole clip. Repeat it for more."""
+    distance: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = later(())
+    """What something that moves is as far away as: x,y@frame=x2,y2, where x2,y2 shows something still in that frame."""
     depth: Literal["multiview", "depth-anything", "depth-pro"] = "multiview"
     """Depth: multiview (no weights), or a monocular network of the extra ``learned``, fitted to the cameras frame by frame."""
     models: ModelOptions = field(default_factory=ModelOptions)
@@ -63,6 +70,7 @@ _FOLLOW = {
     "depth": ("tracks",), "tracks": (),
 }  # fmt: skip
 """What is computed from each of them."""
+_OWN_DEPTH = ("multi-view", "guess")
 
 
 def prepare_priors(scene: Scene, options: PriorsOptions, device: str = "auto") -> dict[str, float]:
@@ -87,10 +95,18 @@ def prepare_priors(scene: Scene, options: PriorsOptions, device: str = "auto") -
             cannot be made anew for others.
     """
     prompts = parse_prompts(options.mask_click, options.mask_box, scene)
+    hints = parse_hints(options.touch, options.distance, scene)
+    if hints and (options.priors == "true" or options.depth != "multiview" or options.given.depth is not None):
+        raise InputError("--touch and --distance place movers in depth of our own: leave out what takes other depth.")
     if prompts and options.given.masks is not None:
         raise InputError("--given.masks and --mask-click or --mask-box both say what moves: give one of them.")
     _require_pictures_as_they_are(options)
     unwanted = _unwanted(scene, options, bool(prompts))
+    depth = _method(scene, "depth")
+    if hints and depth is not None and not _has_hints(scene, hints):
+        if depth not in _OWN_DEPTH:
+            raise InputError(f"The scene has depth already ({depth}), in which --touch and --distance place nothing.")
+        unwanted.add("depth")
     _say_what_is_kept(scene, unwanted)
     seconds: dict[str, float] = {}
     if options.priors == "true" and (unwanted or _missing(scene)):
@@ -102,7 +118,7 @@ def prepare_priors(scene: Scene, options: PriorsOptions, device: str = "auto") -
     due = {*_missing(scene), *unwanted}
     estimate = _flow_estimator(options, device) if {"flow", "masks", "depth"} & due else dis_estimator
     ours = [name for name in _CHOICES if name in due and getattr(options.given, name) is None]
-    chosen = {name: _CHOICES[name](scene, options, prompts, estimate, device) for name in ours}
+    chosen = {name: _CHOICES[name](scene, options, prompts, hints, estimate, device) for name in ours}
     _forget(scene, unwanted)
     missing = _missing(scene)
     later: dict[str, Stage] = {}
@@ -144,6 +160,11 @@ def _missing(scene: Scene) -> list[str]:
 def _method(scene: Scene, name: str) -> str | None:
     prior = scene.prior(name)
     return None if prior is None else str(prior.get("method"))
+
+
+def _has_hints(scene: Scene, hints: list[Hint]) -> bool:
+    """Whether the movers that are there were placed with these hints."""
+    return (scene.prior("objects") or {}).get("hints", []) == [hint.text for hint in hints]
 
 
 def _asked(options: PriorsOptions, has_prompts: bool) -> dict[str, str]:
@@ -250,7 +271,7 @@ def _flow_estimator(options: PriorsOptions, device: str) -> FlowEstimator:
 
 
 def _choose_masks(
-    scene: Scene, options: PriorsOptions, prompts: list[Prompt], estimate: FlowEstimator, device: str
+    scene: Scene, options: PriorsOptions, prompts: list[Prompt], hints: list[Hint], estimate: FlowEstimator, device: str
 ) -> Stage:
     if options.masks == "motion":
         return partial(prompt_stage, scene, prompts) if prompts else partial(mask_stage, scene, estimate)
@@ -268,25 +289,27 @@ def _choose_masks(
 
 
 def _choose_depth(
-    scene: Scene, options: PriorsOptions, prompts: list[Prompt], estimate: FlowEstimator, device: str
+    scene: Scene, options: PriorsOptions, prompts: list[Prompt], hints: list[Hint], estimate: FlowEstimator, device: str
 ) -> Stage:
     if options.depth == "multiview":
-        return partial(_objects_and_depth, scene, estimate)
+        return partial(_objects_and_depth, scene, estimate, hints)
     from flowsplat.priors.learned.depth import learned_depth
 
     source = learned_depth(options.depth, scene, options.models, network_device(device))
     return partial(monocular_stage, scene, source, estimate)
 
 
-def _objects_and_depth(scene: Scene, estimate: FlowEstimator) -> None:
+def _objects_and_depth(scene: Scene, estimate: FlowEstimator, hints: list[Hint]) -> None:
     """Movers first: they have a distance of their own, and the depth of their pixels follows from it."""
     has_masks = all(scene.has_mask(i) for i in scene.train_frames)
     clip = MatchedClip(scene, estimate)
     static = clip, static_depth(clip, has_masks)
     # Depth that is half done belongs to the objects that were found for it.
-    goes_on = scene.prior("objects") is not None and any(scene.has_depth(i) for i in scene.train_frames)
+    same = scene.prior("objects") is not None and (not hints or _has_hints(scene, hints))
+    goes_on = same and any(scene.has_depth(i) for i in scene.train_frames)
     if has_masks and scene.has_tracks and not goes_on:
-        objects_stage(scene, estimate, static)
+        shutil.rmtree(scene.folder / "depth", ignore_errors=True)
+        objects_stage(scene, estimate, static, hints)
         say(f"objects: {_verdict(scene, 'objects')}")
     depth_stage(scene, estimate, static)
 

@@ -68,9 +68,9 @@ def parse_prompts(clicks: Sequence[str], boxes: Sequence[str], scene: Scene) -> 
         InputError: not of that form, outside the picture, or on a frame that is held out or does not exist.
     """
     found = []
-    points = [(text, *_values(text, "--mask-click", 2, scene)) for text in clicks]
+    points = [(text, *parse_place(text, "--mask-click", 2, scene)) for text in clicks]
     for text in boxes:
-        frame, (x0, y0, x1, y1) = _values(text, "--mask-box", 4, scene)
+        frame, (x0, y0, x1, y1) = parse_place(text, "--mask-box", 4, scene)
         if x1 - x0 < 2 or y1 - y0 < 2:
             raise InputError(f"--mask-box {text} is empty: give left,top,right,bottom@frame.")
         inside = [p for p in points if p[1] == frame and x0 <= p[2][0] <= x1 and y0 <= p[2][1] <= y1]
@@ -79,7 +79,15 @@ def parse_prompts(clicks: Sequence[str], boxes: Sequence[str], scene: Scene) -> 
     return found + [Prompt(frame, ((x, y),)) for _, frame, (x, y) in points]
 
 
-def _values(text: str, option: str, count: int, scene: Scene) -> tuple[int, tuple[float, ...]]:
+def parse_place(text: str, option: str, count: int, scene: Scene) -> tuple[int, tuple[float, ...]]:
+    """The frame and the ``count`` (2 or 4) values, in pixels, of a place in a training frame as it is typed.
+
+    Args:
+        option: that it was given to, for messages.
+
+    Raises:
+        InputError: as ``parse_prompts``.
+    """
     form = ("x,y" if count == 2 else "x0,y0,x1,y1") + "@frame"
     match = re.fullmatch(rf"\s*({_NUMBER}(?:\s*,\s*{_NUMBER}){{{count - 1}}})\s*@\s*(\d+)\s*", text)
     if match is None:

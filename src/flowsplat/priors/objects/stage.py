@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from flowsplat.common.progress import track
@@ -12,6 +14,7 @@ from flowsplat.priors.background.static_depth import Background, StaticDepth, st
 from flowsplat.priors.flow import FlowEstimator, dis_estimator
 from flowsplat.priors.objects.card import cards_of
 from flowsplat.priors.objects.contact import Bound, ground_bound, middle_of
+from flowsplat.priors.objects.hints import Hint, with_hints
 from flowsplat.priors.objects.identity import identify_movers
 from flowsplat.priors.objects.movers import solve_mover, tracks_of_movers
 from flowsplat.priors.objects.storage import SceneMovers, save_movers
@@ -24,8 +27,9 @@ GROUND_FRAMES = 16
 
 
 def objects_stage(
-    scene: Scene, estimate: FlowEstimator = dis_estimator, static: tuple[MatchedClip, StaticDepth] | None = None
-) -> None:
+    scene: Scene, estimate: FlowEstimator = dis_estimator, static: tuple[MatchedClip, StaticDepth] | None = None,
+    hints: Sequence[Hint] = (),
+) -> None:  # fmt: skip
     """Course, relief and distance of every numbered mover. Needs cameras, flow, masks and tracks.
 
     The numbers of masks of our own are rewritten first, by common motion.
@@ -33,20 +37,30 @@ def objects_stage(
     Args:
         estimate: finds the flow between frames that are no neighbours.
         static: the clip and its static scene, where they are at hand.
+        hints: what the user knows of distances.
+
+    Raises:
+        InputError: a hint does not fit the clip.
     """
     identify_movers(scene)
     clip = static[0] if static else MatchedClip(scene, estimate)
-    found = find_movers(clip, static[1] if static else static_depth(clip, has_masks=True))
+    found = find_movers(clip, static[1] if static else static_depth(clip, has_masks=True), hints)
     save_movers(scene, found)
     rigid = sum(mover.rigid for mover in found.movers)
     tied = sum(bool(mover.cues) for mover in found.movers)
     count = len(found.movers)
     verdict = f"{count} mover{'s' if count != 1 else ''}, {rigid} of them rigid, {tied} tied to the still scene"
-    scene.finish_prior("objects", method="motion", verdict=verdict, movers=count, rigid=rigid, tied=tied)
+    scene.finish_prior(
+        "objects", method="motion", verdict=verdict, movers=count, rigid=rigid, tied=tied, hints=[hint.text for hint in hints]
+    )
 
 
-def find_movers(clip: MatchedClip, background: StaticDepth) -> SceneMovers:
-    """The movers of a clip."""
+def find_movers(clip: MatchedClip, background: StaticDepth, hints: Sequence[Hint] = ()) -> SceneMovers:
+    """The movers of a clip.
+
+    Raises:
+        InputError: a hint does not fit it.
+    """
     scene = clip.scene
     frames = scene.train_frames
     cameras = [scene.cameras[i] for i in frames]
@@ -82,7 +96,8 @@ def find_movers(clip: MatchedClip, background: StaticDepth) -> SceneMovers:
             number, positions, inside, middles[number], bounds[number], cameras, grounds[home], log_cards, normal
         )
         movers.append(mover)
-    return SceneMovers(movers, normal, any_ground is not None)
+    found = SceneMovers(movers, normal, any_ground is not None)
+    return with_hints(clip, background, grounds, found, hints) if hints else found
 
 
 def _sure_depth(background: StaticDepth, k: int) -> np.ndarray:

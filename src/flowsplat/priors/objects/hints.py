@@ -1,0 +1,157 @@
+"""What the user knows of a mover's distance: where it touches what is still, and what is as far away as it.
+
+``--touch x,y@frame``: what is seen there touches the still scene, or the ground, right behind it. ``--distance x,y@frame=x2,y2``:
+it is as far away as the still point seen at x2,y2 of that frame. One hint places its mover over the whole clip, for its course
+over time is known up to one factor.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from flowsplat.common.errors import InputError
+from flowsplat.priors.background.ground import Ground
+from flowsplat.priors.background.matched_clip import MatchedClip
+from flowsplat.priors.background.static_depth import StaticDepth
+from flowsplat.priors.objects.distance import Cue
+from flowsplat.priors.objects.movers import Mover
+from flowsplat.priors.objects.storage import SceneMovers
+from flowsplat.priors.prompts import parse_place
+from flowsplat.scenes import Scene
+
+SIGMA = {"touch": 0.02, "distance": 0.03}
+"""Standard deviation of ln distance that one hint leaves."""
+WRONG = 0.02
+"""Chance that a hint is a slip of the hand."""
+SAME_SURFACE = 0.15
+"""In ln: where the ground is this close to the still scene behind a pixel, it is what is touched, and the surer of both."""
+NEAR = 0.02
+"""Share of the picture's long side within which a hint that misses a mover still means it."""
+
+
+@dataclass(frozen=True)
+class Hint:
+    """One hint.
+
+    Attributes:
+        text: as it was given.
+        kind: touch or distance.
+        frame: of the clip.
+        place: x, y in pixels of the frames, on the mover.
+        still: x, y of the still point that is as far away; None for a touch.
+    """
+
+    text: str
+    kind: str
+    frame: int
+    place: tuple[float, float]
+    still: tuple[float, float] | None = None
+
+
+def parse_hints(touch: Sequence[str], distance: Sequence[str], scene: Scene) -> list[Hint]:
+    """Hints as they are typed: ``x,y@frame`` and ``x,y@frame=x2,y2``; values of at most 1 are shares of width and height.
+
+    Raises:
+        InputError: not of that form, outside the picture, or on a frame that is held out or does not exist.
+    """
+    found = []
+    for text in touch:
+        frame, (x, y) = parse_place(text, "--touch", 2, scene)
+        found.append(Hint(f"touch {text}", "touch", frame, (x, y)))
+    for text in distance:
+        match = re.fullmatch(r"\s*([^=]+)=([^=@]+)\s*", text)
+        if match is None or match[2].count(",") != 1:
+            raise InputError(
+                f"--distance {text} cannot be understood: give x,y@frame=x2,y2, for example --distance 320,180@0=400,200, where "
+                "x2,y2 shows something still that is as far away."
+            )
+        frame, (x, y) = parse_place(match[1], "--distance", 2, scene)
+        _, (u, v) = parse_place(f"{match[2]}@{frame}", "--distance", 2, scene)
+        found.append(Hint(f"distance {text}", "distance", frame, (x, y), (u, v)))
+    return found
+
+
+def with_hints(
+    clip: MatchedClip, background: StaticDepth, grounds: Mapping[int, Ground | None], found: SceneMovers, hints: Sequence[Hint]
+) -> SceneMovers:
+    """The movers, those of hints where the hints say.
+
+    Args:
+        grounds: of every piece of the clip.
+
+    Raises:
+        InputError: nothing moves where a hint says, or something does where the still scene is meant.
+    """
+    told: dict[int, list[tuple[str, float]]] = {}
+    for hint in hints:
+        number, offset = _offset(clip, background, grounds, found, hint)
+        told.setdefault(number, []).append((hint.kind, offset))
+    movers = [_placed(mover, told[mover.number]) if mover.number in told else mover for mover in found.movers]
+    return replace(found, movers=movers)
+
+
+def _placed(mover: Mover, told: Sequence[tuple[str, float]]) -> Mover:
+    weights = np.array([1 / SIGMA[kind] ** 2 for kind, _ in told])
+    offsets = np.array([offset for _, offset in told])
+    offset = float(np.average(offsets, weights=weights))
+    # Hints that differ tell that the course between them is off, or a hint.
+    sigma = float(np.hypot(1 / np.sqrt(weights.sum()), np.std(offsets)))
+    cues = {kind: Cue(offset, sigma, WRONG) for kind in sorted({kind for kind, _ in told})}
+    points = replace(mover.points, log_depth=mover.points.log_depth + offset)
+    return replace(mover, log_depth=mover.log_depth + offset, sigma=sigma, cues=cues, points=points)
+
+
+def _offset(
+    clip: MatchedClip, background: StaticDepth, grounds: Mapping[int, Ground | None], found: SceneMovers, hint: Hint
+) -> tuple[int, float]:
+    """Which mover a hint is about, and by how much in ln it is farther away than it was placed."""
+    scene, k = clip.scene, clip.scene.train_frames.index(hint.frame)
+    mask, camera = scene.mask(hint.frame), scene.cameras[hint.frame]
+    x, y = _on_mover(mask, found, k, hint, NEAR * max(scene.width, scene.height))
+    number = int(mask[y, x])
+    mover = next(each for each in found.movers if each.number == number)
+    inside = mask == number
+    depths = np.zeros(mask.shape)
+    depths[inside] = mover.depth(k, inside, scene.frame(hint.frame), camera, found.normal)
+    plate = 1 / np.maximum(background.plate(k), 1e-9)
+
+    def still(u: float, v: float) -> float:
+        row, column = int(v * plate.shape[0] / scene.height), int(u * plate.shape[1] / scene.width)
+        return float(plate[min(row, plate.shape[0] - 1), min(column, plate.shape[1] - 1)])
+
+    if hint.still is not None:
+        u, v = hint.still
+        if mask[min(int(v), mask.shape[0] - 1), min(int(u), mask.shape[1] - 1)]:
+            raise InputError(f"--{hint.text}: something moves at {u:.0f},{v:.0f}; give a place of the still scene behind the =.")
+        depth = still(u, v)
+    else:
+        depth = still(x, y)
+        ground = grounds[int(np.asarray(clip.continuity.pieces)[k])]
+        if ground is not None:
+            at_ground = float(ground.depth(camera, np.array([[x + 0.5, y + 0.5]]))[0][0])
+            if np.isfinite(at_ground) and abs(np.log(at_ground / depth)) < SAME_SURFACE:
+                depth = at_ground
+    return number, float(np.log(depth / depths[y, x]))
+
+
+def _on_mover(mask: np.ndarray, found: SceneMovers, k: int, hint: Hint, reach: float) -> tuple[int, int]:
+    """Column and row of the pixel of a mover that a hint means.
+
+    Raises:
+        InputError: no mover is near.
+    """
+    here = [m.number for m in found.movers if np.isfinite(m.log_depth[k])]
+    y, x = np.nonzero(np.isin(mask, here))
+    if len(x) == 0:
+        raise InputError(f"--{hint.text}: nothing moves in frame {hint.frame}.")
+    away = np.hypot(x + 0.5 - hint.place[0], y + 0.5 - hint.place[1])
+    best = int(away.argmin())
+    if away[best] > max(reach, 1.0):
+        numbers = mask[y, x]
+        places = [f"{n} about {np.median(x[numbers == n]):.0f},{np.median(y[numbers == n]):.0f}" for n in np.unique(numbers)]
+        raise InputError(f"--{hint.text}: nothing moves there; in frame {hint.frame} there are movers {', '.join(places)}.")
+    return int(x[best]), int(y[best])
