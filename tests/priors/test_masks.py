@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from flowsplat.priors.background.matched_clip import MatchedClip
+from flowsplat.priors.background.matched_clip import RESTS, MatchedClip
 from flowsplat.priors.background.static_depth import static_depth
 from flowsplat.priors.flow import flow_stage
 from flowsplat.priors.masks import mask_stage
 from flowsplat.priors.masks.colours import Colours, look_up
+from flowsplat.priors.masks.motion import CALMEST, USUAL, own_evidence, resting_motion
 from flowsplat.priors.masks.numbers import number_objects
 from flowsplat.priors.masks.plate import CleanPlate
 from flowsplat.priors.masks.stage import DIFFERS
@@ -45,6 +47,30 @@ def test_where_nothing_moves_masks_are_empty(tmp_path: Path, step: int):
     mask_stage(scene)
     assert not any(scene.mask(i).any() for i in scene.train_frames)
     assert scene.prior("masks")["verdict"] == "nothing moves"
+
+
+def motions(*values: np.ndarray) -> list[SimpleNamespace]:
+    return [SimpleNamespace(motion=value.astype(np.float32)) for value in values]
+
+
+@pytest.mark.parametrize(("usual", "expected"), [(0.1, CALMEST), (0.5, 0.5 * USUAL), (2.0, RESTS), (0.0, RESTS)])
+def test_what_rests_is_told_by_the_noise_of_the_clip(usual, expected):
+    noise = np.full((30, 40), usual)
+    noise[:5] = 20.0  # what moves is a smaller part
+    noise[20:] = 0.0  # no match
+    assert resting_motion(motions(noise, noise)) == pytest.approx(expected)
+
+
+def test_slow_motion_counts_unless_it_fades_from_a_fast_mover():
+    motion = np.full((90, 160), 0.2)
+    motion[20:40, 20:40] = 2.0
+    motion[20:40, 100:120] = 12.0
+    motion[20:40, 120:123] = 2.0
+    evidence = own_evidence(motions(motion), 0, 1.0)
+    assert (evidence[20:40, 20:40] > 0).all()
+    assert (evidence[22:38, 100:120] > 0).all()
+    assert (evidence[22:38, 120:123] < 0).all()
+    assert (evidence[60:] < 0).all()
 
 
 def test_given_masks_stay(tmp_path: Path):

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flowsplat.priors.objects.movers import rigid_motion
+from flowsplat.geometry import Camera
+from flowsplat.priors.objects.contact import Bound
+from flowsplat.priors.objects.movers import rigid_motions, solve_mover
 from flowsplat.priors.objects.relief import place_points
 from flowsplat.priors.objects.rigid import Observations, longest, solve_rigid, widest_turn
 
@@ -80,14 +82,38 @@ def test_what_is_known_of_a_point_says_how_sure_it_is():
 def test_what_bends_is_not_believed():
     rng = np.random.default_rng(3)
     pixels, seen, _ = seen_body(body(), 60, 0.2)
-    assert rigid_motion(pixels, seen, K) is not None
+    assert rigid_motions(pixels, seen, K)[0] is not None
     wobble = np.cumsum(rng.normal(0, 3, (len(pixels), FRAMES, 2)), 1)
-    assert rigid_motion((pixels + wobble).astype(np.float32), seen, K) is None
+    assert rigid_motions((pixels + wobble).astype(np.float32), seen, K)[0] is None
+
+
+@pytest.mark.parametrize("stands", [True, False])
+def test_a_motion_that_explains_half_of_a_mover_tells_its_course_if_its_feet_keep_to_the_ground(stands):
+    rng = np.random.default_rng(3)
+    pixels, seen, depths = seen_body(body(160), 60, 0.2)
+    pixels[::2] += np.cumsum(rng.normal(0, 3, (80, FRAMES, 2)), 1)
+    motion, found = rigid_motions(pixels, seen, K)
+    assert motion is None
+    assert found
+    cameras = [Camera(np.eye(4), K, 320, 180) for _ in range(FRAMES)]
+    middles = np.median(pixels, 0).astype(float)
+    swing = np.zeros(FRAMES) if stands else 0.4 * np.sin(np.arange(FRAMES) / 2)
+    bounds = [Bound(float(np.log(depth) + off), True, True) for depth, off in zip(depths, swing, strict=True)]
+    cards = 1.2 + 0.3 * np.sin(np.arange(FRAMES) / 3)
+    mover = solve_mover(1, pixels, seen, middles, bounds, cameras, None, cards, np.array([0, -1.0, 0]))
+    assert not mover.rigid
+    if stands:
+        assert set(mover.cues) == {"contact"}
+        np.testing.assert_allclose(mover.log_depth, np.log(depths), atol=0.05)
+    else:
+        # Nothing tells its course, so the cards do.
+        assert not mover.cues
+        np.testing.assert_allclose(np.ptp(mover.log_depth - cards), 0, atol=1e-6)
 
 
 def test_too_little_to_know():
     pixels, seen, _ = seen_body(body(10), 60, 0.2)
-    assert rigid_motion(pixels, seen, K) is None
+    assert rigid_motions(pixels, seen, K) == (None, [])
     assert solve_rigid(Observations.of_tracks(pixels[:0], seen[:0], K)) is None
     assert solve_rigid(Observations.of_tracks(pixels[:4], seen[:4], K)) is None
 

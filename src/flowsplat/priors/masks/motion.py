@@ -19,7 +19,15 @@ from flowsplat.priors.background.matched_clip import RESTS, MatchedClip
 from flowsplat.scenes.layers import TRUSTED
 
 STRONGEST = 1.5
-"""Largest evidence of one frame, for or against motion: the logarithm to base 2 of the motion over ``RESTS``."""
+"""Largest evidence of one frame, for or against motion: the logarithm to base 2 of the motion over ``resting_motion``."""
+
+USUAL, CALMEST = 3.5, 1.0
+"""Multiples of the median motion of all pixels that are neither evidence of motion nor of rest, and the least that may be."""
+SAMPLES = 24
+"""Frames that the median is taken from."""
+SHARE, AROUND = 0.35, 0.04
+"""Flow fades from a mover to what rests beside it, so rest ends at this share of the largest motion around it. So far around, in
+units of the long side."""
 
 MEMORY = 0.9
 """Share of the evidence that a frame takes over from the next and the one before."""
@@ -35,7 +43,8 @@ _SMOOTHNESS, _COLOUR_SIGMA = 10.0, 12.0
 
 def motion_evidence(clip: MatchedClip) -> list[np.ndarray]:
     """Summed evidence [h, w] float16 at working resolution of every training frame: positive where something moves."""
-    sums = propagated(clip, lambda k: _evidence(clip, k), clip.step_flow, MEMORY)
+    rests = resting_motion(clip)
+    sums = propagated(clip, lambda k: own_evidence(clip, k, rests), clip.step_flow, MEMORY)
     return [total.astype(np.float16) for total in track(sums, "What moves", len(clip))][::-1]
 
 
@@ -66,10 +75,27 @@ def propagated(
         backward = backward + own(k)
 
 
-def _evidence(clip: MatchedClip, k: int) -> np.ndarray:
-    """[h, w] float32: positive where a frame's own matches are evidence of motion, negative of rest, 0 without matches."""
+def resting_motion(clip: MatchedClip) -> float:
+    """Multiple of its expected noise at which a pixel's matches are evidence of neither motion nor rest.
+
+    What is expected is the noise of a hard clip. Most pixels rest, so that their median tells how large it really is.
+    """
+    some = [clip[k].motion for k in range(0, len(clip), max(1, len(clip) // SAMPLES))]
+    known = np.concatenate([motion[motion > 0] for motion in some])
+    return float(np.clip(USUAL * np.median(known), CALMEST, RESTS)) if len(known) else RESTS
+
+
+def own_evidence(clip: MatchedClip, k: int, rests: float) -> np.ndarray:
+    """[h, w] float32: positive where a frame's own matches are evidence of motion, negative of rest, 0 without matches.
+
+    Args:
+        rests: where they are neither.
+    """
     motion = clip[k].motion
-    strength = np.log2(np.maximum(motion, 1e-3) / np.float32(RESTS))
+    reach = max(1, round(AROUND * max(motion.shape)))
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
+    largest = cv2.dilate(cv2.medianBlur(motion.astype(np.float32), 5), disc)
+    strength = np.log2(np.maximum(motion, 1e-3) / np.clip(SHARE * largest, rests, RESTS))
     return np.where(motion > 0, np.clip(strength, -STRONGEST, STRONGEST), 0)
 
 

@@ -121,27 +121,30 @@ def tracks_of_movers(
     return found
 
 
-def rigid_motion(positions: np.ndarray, inside: np.ndarray, K: np.ndarray) -> RigidMotion | None:
-    """The motion of a mover from its tracks, if both halves of them tell the same; None where it is not believed."""
+def rigid_motions(positions: np.ndarray, inside: np.ndarray, K: np.ndarray) -> tuple[RigidMotion | None, list[RigidMotion]]:
+    """The motion of a mover from its tracks, if both halves of them tell the same, else None; and all that was found."""
     if len(inside) < FEWEST_TRACKS or inside.any(0).sum() < FEWEST_FRAMES:
-        return None
+        return None, []
 
     def solved(rows: np.ndarray, most: int) -> RigidMotion | None:
         chosen = rows[longest(inside[rows], most)]
         return solve_rigid(Observations.of_tracks(positions[chosen], inside[chosen], K))
 
     every = np.arange(len(inside))
-    found = [(whole, most) for most in PER_FRAME if (whole := solved(every, most)) is not None and whole.inliers >= INLIERS]
+    found = [(whole, most) for most in PER_FRAME if (whole := solved(every, most)) is not None]
+    motions = [whole for whole, _ in found]
     # More tracks make a rigid body surer. In what bends they are limbs that move on their own, and disagree.
     for whole, most in sorted(found, key=lambda each: each[0].noise):
+        if whole.inliers < INLIERS:
+            continue
         halves = [solved(every[start::2], most // 2) for start in (0, 1)]
         if halves[0] is None or halves[1] is None:
             continue
         differences = halves[0].log_depths() - halves[1].log_depths()
         known = np.isfinite(differences)
         if known.sum() >= FEWEST_FRAMES and float(np.std(differences[known])) <= SPLIT_HALF:
-            return whole
-    return None
+            return whole, motions
+    return None, motions
 
 
 def accepted_laws(path: WorldPath, normal: np.ndarray | None) -> tuple[dict[str, Cue], dict[str, Law]]:
@@ -166,6 +169,15 @@ def accepted_laws(path: WorldPath, normal: np.ndarray | None) -> tuple[dict[str,
     return cues, laws
 
 
+def unevenness(bounds: np.ndarray, visible: np.ndarray, frames: int) -> float:
+    """How much the bounds [T] of a mover change over time; inf where its feet are seen in too few of the ``frames``."""
+    seen = bounds[visible & np.isfinite(bounds)]
+    if len(seen) < max(FEWEST_BOUNDS, MOSTLY * frames):
+        return np.inf
+    low, high = np.percentile(seen, [FLAT_LOW, FLAT_HIGH])
+    return float(high - low)
+
+
 def contact_cue(bounds: np.ndarray, visible: np.ndarray, frames: int) -> Cue | None:
     """That a mover stands on the ground: its bounds [T] hardly change over time.
 
@@ -173,12 +185,9 @@ def contact_cue(bounds: np.ndarray, visible: np.ndarray, frames: int) -> Cue | N
         visible: [T] whether its feet are.
         frames: in how many it is seen.
     """
-    seen = np.sort(bounds[visible & np.isfinite(bounds)])
-    if len(seen) < max(FEWEST_BOUNDS, MOSTLY * frames):
+    if unevenness(bounds, visible, frames) > FLAT:
         return None
-    low, middle, high = np.percentile(seen, [FLAT_LOW, 35, FLAT_HIGH])
-    if high - low > FLAT:
-        return None
+    low, middle, high = np.percentile(bounds[visible & np.isfinite(bounds)], [FLAT_LOW, 35, FLAT_HIGH])
     return Cue(float(middle), float(np.hypot(FLOOR["contact"], 0.5 * (high - low))), WRONG["contact"])
 
 
@@ -266,18 +275,18 @@ def solve_mover(
             believed.
         normal: [3] up.
     """
-    K, T = cameras[0].K, len(cameras)
+    K = cameras[0].K
     seen = np.isfinite(log_cards) & np.isfinite(middles).all(1)
-    motion = rigid_motion(positions, inside, K)
+    on_ground = np.array([np.nan if bound is None else bound.log_depth for bound in bounds])
+    visible = np.array([bound is not None and bound.visible for bound in bounds])
+    motion, motions = rigid_motions(positions, inside, K)
     course = np.where(seen, log_cards - np.mean(log_cards[seen]), np.nan)
     points, cues, path = ReliefPoints.none(), {}, None
-    if motion is not None:
-        points, share = place_points(motion, Observations.of_tracks(positions, inside, K), K)
-        found = middle_depths(points, middles, cameras, normal)
-        if not np.isfinite(found).any():
-            motion, points = None, ReliefPoints.none()
-    if motion is not None:
-        course = np.where(seen, np.interp(np.arange(T), np.flatnonzero(np.isfinite(found)), found[np.isfinite(found)]), np.nan)
+
+    placed = None if motion is None else course_of(motion, positions, inside, K, middles, cameras, normal)
+    if placed is not None and motion is not None:
+        course, points, share = placed
+        course = np.where(seen, course, np.nan)
         try:
             path = WorldPath.of(motion, cameras)
             cues = accepted_laws(path, ground.normal if ground else None)[0]
@@ -285,8 +294,15 @@ def solve_mover(
             cues, path = {}, None  # Poses that the tracks hardly tell have no covariance: then no law does either.
         if share < RIGID_SHARE:
             points = ReliefPoints.none()  # Of what bends, limbs are placed wrongly.
-    at_ground = np.array([np.nan if bound is None else bound.log_depth for bound in bounds]) - course
-    visible = np.array([bound is not None and bound.visible for bound in bounds])
+    else:
+        # A motion that explains only part of what bends may still tell its course: if by it the feet keep to the ground.
+        motion = None
+        for weak in motions if unevenness(on_ground - course, visible, int(seen.sum())) > FLAT else []:
+            placed = course_of(weak, positions, inside, K, middles, cameras, normal)
+            if placed is not None and unevenness(on_ground - placed[0], visible, int(seen.sum())) <= FLAT:
+                course = np.where(seen, placed[0], np.nan)
+                break
+    at_ground = on_ground - course
     stands = contact_cue(at_ground, visible, int(seen.sum()))
     touched = np.where(visible, at_ground, np.nan)
     bounces = None
@@ -324,6 +340,20 @@ def solve_mover(
     return Mover(
         number, course + distance.log_scale, middles, distance.sigma, len(points.frame_of) > 0, cues, moved, expected
     )  # fmt: skip
+
+
+def course_of(
+    motion: RigidMotion, positions: np.ndarray, inside: np.ndarray, K: np.ndarray, middles: np.ndarray, cameras: Sequence[Camera],
+    normal: np.ndarray,
+) -> tuple[np.ndarray, ReliefPoints, float] | None:  # fmt: skip
+    """[T] logarithm of the depth of a mover's middle by a motion of its own, but for its distance; its points; ``place_points``'s
+    share. None where it tells of no frame."""
+    points, share = place_points(motion, Observations.of_tracks(positions, inside, K), K)
+    found = middle_depths(points, middles, cameras, normal)
+    known = np.isfinite(found)
+    if not known.any():
+        return None
+    return np.interp(np.arange(len(cameras)), np.flatnonzero(known), found[known]), points, share
 
 
 def middle_depths(
