@@ -5,13 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from flowsplat.common.settings import later, to_plain
+from flowsplat.common.settings import from_plain, later, to_plain
 
 
 @dataclass(frozen=True)
 class Inner:
     old: int = 1
     new: str = later("as before")
+
+
+@dataclass(frozen=True)
+class Changed:
+    old: int = 1
+    new: bool = later(False, default=True)
 
 
 @dataclass(frozen=True)
@@ -29,3 +35,11 @@ def test_what_came_later_is_left_out_at_its_default():
     assert to_plain(Outer())["inner"] == {"old": 1}
     assert Inner().new == "as before"
     assert to_plain(replace(Inner(), new="else"))["new"] == "else"
+
+
+def test_what_came_later_may_have_another_default_now():
+    assert Changed().new
+    assert to_plain(Changed()) == {"old": 1, "new": True}
+    assert to_plain(Changed(new=False)) == {"old": 1}, "as those from before"
+    assert not from_plain(Changed, {"old": 1}).new
+    assert all(from_plain(Changed, to_plain(value)) == value for value in (Changed(), Changed(new=False)))

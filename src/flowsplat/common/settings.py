@@ -22,17 +22,21 @@ Files and options with the earlier name are still read. Keys of stages are made 
 earlier version stays finished."""
 
 
-def later(default: Value) -> Value:
-    """A field for a setting that came when there were runs already, with the default that does what those did.
+def later(before: Value, default: Value | None = None) -> Value:
+    """A field for a setting that came when there were runs already.
 
-    ``to_plain`` leaves it out where it has its default, so that the runs from before keep their keys.
+    Args:
+        before: what those runs did. ``to_plain`` leaves it out and ``from_plain`` puts it where nothing is said, so that the runs
+            from before keep their keys and stay as they are.
+        default: of new configurations; None = ``before``.
     """
-    value: Value = dataclasses.field(default=default, metadata={_LATER: True})
+    chosen = before if default is None else default
+    value: Value = dataclasses.field(default=chosen, metadata={_LATER: before})
     return value
 
 
 def to_plain(config: Any, first_names: bool = False) -> Any:
-    """A configuration as JSON holds it, without what came ``later`` and has its default.
+    """A configuration as JSON holds it, without what came ``later`` and does what was done before.
 
     Args:
         first_names: with the names that its settings had first (``RENAMED``).
@@ -40,7 +44,8 @@ def to_plain(config: Any, first_names: bool = False) -> Any:
     if dataclasses.is_dataclass(config) and not isinstance(config, type):
         renamed = RENAMED.get(type(config).__name__, {}) if first_names else {}
         names = {now: before for before, now in reversed(list(renamed.items()))}
-        kept = [f for f in dataclasses.fields(config) if not (_LATER in f.metadata and getattr(config, f.name) == f.default)]
+        fields = dataclasses.fields(config)
+        kept = [f for f in fields if not (_LATER in f.metadata and getattr(config, f.name) == f.metadata[_LATER])]
         return {names.get(f.name, f.name): to_plain(getattr(config, f.name), first_names) for f in kept}
     if isinstance(config, list | tuple):
         return [to_plain(item, first_names) for item in config]
@@ -66,7 +71,8 @@ def from_plain(kind: type[Config], value: Mapping[str, Any]) -> Config:
 
 def _built(kind: type[Config], value: Mapping[str, Any]) -> Config:
     hints = get_type_hints(kind)
-    arguments: dict[str, Any] = {}
+    fields = dataclasses.fields(cast("Any", kind))
+    arguments: dict[str, Any] = {f.name: f.metadata[_LATER] for f in fields if _LATER in f.metadata}
     for name, item in value.items():
         if name not in hints:
             raise InputError(f"Unknown setting {name!r} in {kind.__name__}.")

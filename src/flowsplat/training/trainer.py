@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time as clock
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -72,6 +72,8 @@ class Trainer:
         record: Record | None = None,
         start: Gaussians4D | None = None,
         device: torch.device | str = "cpu",
+        first_step: int = 0,
+        visits: Sequence[int] | None = None,
     ):
         """Prepare to train; nothing is computed before ``run``.
 
@@ -84,6 +86,8 @@ class Trainer:
             record: called with every new entry of the history.
             start: the Gaussians to start from; None = ``initialize``.
             device: what to train on. Its tensors stay there, ``gaussians`` too.
+            first_step: how many steps ``start`` has behind it: rates and harmonics go on from there.
+            visits: how often each frame is drawn in a round; None = once.
 
         Raises:
             InputError: a setting has a value that makes no sense.
@@ -92,6 +96,8 @@ class Trainer:
         self.observations, self.tracks, self.config = observations, tracks, config
         self._checkpoints, self._preview, self._record = checkpoints, preview, record
         self._start, self._device = start, torch.device(device)
+        self._first_step = first_step
+        self._round = np.repeat(np.arange(len(observations)), 1 if visits is None else visits)
         self._targets = Targets(observations, config.loss.flow > 0, self._device)
         self.step, self.history = 0, []  # type: tuple[int, list[dict[str, float]]]
         self.earlier_seconds, self._started = 0.0, clock.perf_counter()
@@ -119,7 +125,7 @@ class Trainer:
                 self.observations, self.tracks, self.config.model, self.config.init, self.config.seed,
                 self.config.density.max_gaussians,
             )  # fmt: skip
-            self.gaussians = start.to(self._device)
+            self.gaussians, self.step = start.to(self._device), self._first_step
             self._adam = RowAdam(self.gaussians.params)
             self._statistics = DensityStatistics.zeros(len(self.gaussians), self._device)
             moving = int(self.gaussians.dynamic.sum())
@@ -143,7 +149,7 @@ class Trainer:
         chosen = []
         for _ in range(count):
             if not self._queue:
-                self._queue = self._rng.permutation(len(self.observations)).tolist()
+                self._queue = self._rng.permutation(self._round).tolist()
             chosen.append(self._queue.pop())
         return chosen
 
