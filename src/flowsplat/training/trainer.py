@@ -6,7 +6,7 @@ import math
 import time as clock
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import torch
@@ -17,6 +17,7 @@ from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_json, write_json
 from flowsplat.common.progress import progress_bar, say
 from flowsplat.common.settings import present_names, to_plain
+from flowsplat.common.stopping import Stopped, stop_requests
 from flowsplat.gaussians.culling import RowCapacity
 from flowsplat.gaussians.density import DensityResult, DensityStatistics, densify, prune, reset_opacities, revise_dynamic
 from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
@@ -34,6 +35,7 @@ from flowsplat.training.coverage import coverage_loss
 from flowsplat.training.picture_loss import PictureTargets, PictureWeights, picture_loss
 from flowsplat.training.rigidity import Neighbours, find_neighbours, rigid_loss
 from flowsplat.training.targets import Targets
+from flowsplat.training.timing import CheckpointTimes
 
 RECORD_EVERY = 10
 """Steps that one entry of the history averages over."""
@@ -118,7 +120,13 @@ class Trainer:
     # -- the loop
 
     def run(self) -> Gaussians4D:
-        """Train from the last checkpoint, or from the beginning, to the end."""
+        """Train from the last checkpoint, or from the beginning, to the end.
+
+        Ctrl-C, SIGTERM and SIGHUP let the step end, and write a checkpoint.
+
+        Raises:
+            Stopped: one of them came.
+        """
         self._all_rows, self._started = None, clock.perf_counter()
         if not self._load_checkpoint():
             start = self._start or initialize(
@@ -131,18 +139,32 @@ class Trainer:
             moving = int(self.gaussians.dynamic.sum())
             say(f"Starting from {len(self.gaussians) - moving:,} background and {moving:,} moving Gaussians.")
         config = self.config
-        with progress_bar("Training", config.iterations, self.step) as bar:
+        times = CheckpointTimes(config.checkpoint_every, clock.perf_counter())
+        with progress_bar("Training", config.iterations, self.step) as bar, stop_requests() as request:
             while self.step < config.iterations:
                 entry = self._iterate()
                 self._after_step(entry)
+                if request.signal is not None:
+                    self._stop(request.signal)
                 known = entry if isinstance(entry["psnr"], float) else self.history[-1] if self.history else None
                 psnr = "" if known is None else f"PSNR {known['psnr']:.2f}  "
                 bar.advance(1, f"{psnr}{len(self.gaussians):,} Gaussians")
-                due = config.checkpoint_every > 0 and self.step % config.checkpoint_every == 0
+                due = times.is_due(self.step, began := clock.perf_counter())
                 if self._checkpoints is not None and due and self.step < config.iterations:
                     self._save_checkpoint()
+                    now = clock.perf_counter()
+                    times.written(now, now - began)
         self._average.write(self.gaussians.params)
         return self.gaussians
+
+    def _stop(self, signal: int) -> NoReturn:
+        """Keep what was done. The file is written first: the terminal may be gone, and then a line on it is an error."""
+        kept = ""
+        if self._checkpoints is not None:
+            self._save_checkpoint()
+            kept = " They are kept."
+        say(f"Stopped after step {self.step} of {self.config.iterations}.{kept}")
+        raise Stopped(signal)
 
     def _next_frames(self) -> list[int]:
         count = self.config.frames_per_iteration or len(self.observations)
