@@ -111,7 +111,7 @@ def run_edge(name: str, preset: str, out: Path, key: str) -> dict[str, Any]:
     if not video.exists():
         pictures = (spec.render(spec.camera(i), time).picture for i, time in enumerate(spec.timestamps))
         write_mp4(video, pictures, spec.fps, crf=12)
-    config = edge.change(pipeline.preset(preset))
+    config = edge.change(replace(pipeline.preset(preset), final_fit=False))
     if edge.given_cameras:
         cameras = out / "cameras.json"
         write_json(cameras, [spec.camera(i).to_json() for i in range(spec.frames)])
@@ -163,7 +163,7 @@ def main() -> None:
     jobs = []
     for name in options.only:
         slug, edge = f"{re.sub(r'[^a-z0-9]+', '-', name)}_{options.preset}", EDGES[name]
-        key = stage_key(edge.clip, edge.given_cameras, edge.change(pipeline.preset(options.preset)))
+        key = stage_key(edge.clip, edge.given_cameras, edge.change(replace(pipeline.preset(options.preset), final_fit=False)))
         jobs.append(Job(slug, key, partial(in_own_process, run_edge, name, options.preset, out / slug, key)))
 
     def report(failed: Mapping[str, str]) -> Path:

@@ -13,6 +13,7 @@ import tyro
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.progress import console, say
+from flowsplat.common.stopping import Stopped, signals_stop
 
 HOLDOUT_NOTE = "These figures are of frames that were kept back (--holdout); --holdout none trains on all of them."
 
@@ -493,16 +494,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 description="One ordinary video becomes a 4D scene of moving Gaussians.",
                 args=arguments,
             )
-        call.run()
+        with signals_stop():
+            call.run()
     except InputError as error:
         _fail(str(error))
     except SystemExit as error:
         if error.code == 2:
             _fail(_one_line(box.getvalue()) or "The command line cannot be understood: see flowsplat --help.")
         raise
-    except KeyboardInterrupt:
-        say("Stopped. The same command continues from here.")
-        sys.exit(130)
+    except KeyboardInterrupt as error:
+        with contextlib.suppress(OSError):  # of a terminal that is closed
+            say("Stopped. The same command continues from here.")
+        sys.exit(128 + (error.signal if isinstance(error, Stopped) else 2))
     except BrokenPipeError:
         os._exit(0)
     except OSError as error:

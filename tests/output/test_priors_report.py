@@ -30,7 +30,7 @@ FREE = {
     "method": "tracks", "motion": "free", "static": False, "focal": 50.0, "focal_given": False, "focal_sigma": 0.01,
     "parallax_degrees": 7.5, "reprojection_px": 0.08, "unplaced": [], "breaks": [], "blank": [], "verdict": "The camera moves.",
 }  # fmt: skip
-MULTI_VIEW = {"method": "multi-view", "trusted": 0.9, "verdict": "90% of the pixels trusted"}
+MULTI_VIEW = {"method": "multi-view", "trusted": 0.9, "verdict": "90% of the still scene trusted"}
 GUESS = {"method": "guess", "trusted": 1.0, "verdict": "a guess"}
 MOVERS = {"method": "motion", "objects": 2, "share": 0.1, "verdict": "2 moving objects"}
 
@@ -65,7 +65,8 @@ def test_the_page_tells_what_was_found_and_needs_nothing_else(as_found, tmp_path
     for part in (
         "Camera path: good; depth from the camera&#39;s motion; 2 moving objects. Training can work.", "0.08 px",
         "camera error", "field of view", "points followed", "The camera moves.", "12 s", "Frame 7", "movers", "true tracks",
-        "flow matched to the next frame", "Points followed, over the clip", "times the median depth",
+        "flow matched to the next frame", "of the still scene", "still scene, depth with confidence",
+        "Points followed, over the clip", "times the median depth",
     ):  # fmt: skip
         assert part in text, part
     balance = Balance()
@@ -88,7 +89,7 @@ def test_the_page_shows_what_moves_and_how_sure_its_distance_is(as_found, tmp_pa
     try:
         page = page_of(tmp_path, as_found)
         text = words(page)
-        told = ("swings about a fixed point", "sure to 5%", "Largest step aside")
+        told = ("swings about a fixed point", "sure to 5%", "Largest step aside", "5 % distance of movers")
         for part in ("1 moving object. Training", f"Mover {number}", *told):
             assert part in text, part
         assert page.count('class="mover"') == 1
@@ -136,7 +137,7 @@ def test_pictures_are_reduced(tmp_path):
         ({"motion": "rotation"}, GUESS, "Camera: only turns; no parallax: depth is a guess"),
         ({"parallax_degrees": 0.1}, GUESS, "little parallax: depth is a guess; 2 moving objects. Training can work along"),
         ({"parallax_degrees": 0.2}, MULTI_VIEW, "little parallax: depth is rough"),
-        ({}, {**MULTI_VIEW, "trusted": 0.3}, "depth from motion on 30% of the picture, the rest is filled in"),
+        ({}, {**MULTI_VIEW, "trusted": 0.3}, "depth from motion on 30% of the still scene, the rest is filled in"),
         ({"reprojection_px": 0.9}, MULTI_VIEW, "Camera path: poor; "),
         ({"reprojection_px": 0.9}, MULTI_VIEW, "consider cameras from another tool"),
         ({"breaks": [4]}, MULTI_VIEW, "Camera path: good, with a cut before frame 4;"),

@@ -224,5 +224,41 @@ def test_the_verdict_in_plain_words(ours, theirs, says):
     assert says in verdict(metrics)
 
 
+def mover(sigma: float, cues: list[str], step: float = 0.02, depth: float = 2.0) -> dict:
+    return {"number": 1, "sigma": sigma, "cues": cues, "largest_step": step, "depth": depth}
+
+
+@pytest.mark.parametrize(
+    ("known", "says"),
+    [
+        ({}, "From aside: not measured."),
+        (
+            {"heldout_views": scores(16.94, 0.5, 11.2)},
+            "From aside: views by other cameras, which training never saw, are rendered at 16.94 dB, what moves at 11.20 dB.",
+        ),
+        ({"depth_abs_rel": {"moving": {"mean": 0.41}}}, "no view was measured; the depth of what moves is off by 41% (mean)."),
+        (
+            {"movers": [mover(0.07, ["contact"]), mover(0.14, ["smooth"], step=0.01)]},
+            "not measured; the distances of its 2 movers are sure to 7% to 15%, enough for steps aside of up to 0.5% of their",
+        ),
+        ({"movers": [mover(0.5, [])]}, "From aside: not measured; the distance of its mover is a guess."),
+        ({"movers": [mover(0.07, ["contact"]), mover(0.5, [])]}, "2 movers are sure to 7%, 1 of them a guess."),
+    ],
+)
+def test_the_verdict_says_what_is_known_from_aside(known, says):
+    metrics = {"heldout_frames": {"psnr": 30.7, "count": 3}, **known}
+    assert "Along the clip's path: the 3 pictures that training never saw are rendered at 30.70 dB." in verdict(metrics)
+    assert says in verdict(metrics)
+
+
+def test_the_cards_show_the_path_and_what_is_beside_it(tmp_path):
+    cards = re.findall(r'<div class="card">.*?</div><div.*?</div></div>', write(tmp_path, made_up_run()))
+    assert all(text in cards[0] for text in ("29.87", "along the clip"))
+    assert all(text in cards[1] for text in ("21.34", "from aside", "movers: 19.90 dB"))
+    unmeasured = ReportData("bare", {"movers": [mover(0.07, ["contact"])]})
+    cards = re.findall(r'<div class="card">.*?</div><div.*?</div></div>', write(tmp_path, unmeasured))
+    assert all(text in cards[1] for text in ("from aside: not measured", "distance: sure to 7%"))
+
+
 def test_the_same_run_gives_the_same_page(tmp_path):
     assert write(tmp_path / "a", made_up_run()) == write(tmp_path / "b", made_up_run())

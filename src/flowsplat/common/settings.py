@@ -13,7 +13,7 @@ from flowsplat.common.progress import say_once
 Config = TypeVar("Config")
 Value = TypeVar("Value")
 
-_LATER = "later"
+_LATER, _KEYED = "later", "keyed"
 
 RENAMED: Mapping[str, Mapping[str, str]] = {"LossConfig": {"opaque": "coverage"}}
 """By the name of their dataclass: settings that had another name in an earlier version, the oldest first, and their name now.
@@ -22,26 +22,40 @@ Files and options with the earlier name are still read. Keys of stages are made 
 earlier version stays finished."""
 
 
-def later(default: Value) -> Value:
-    """A field for a setting that came when there were runs already, with the default that does what those did.
+def later(before: Value, default: Value | None = None) -> Value:
+    """A field for a setting that came when there were runs already.
 
-    ``to_plain`` leaves it out where it has its default, so that the runs from before keep their keys.
+    Args:
+        before: what those runs did. ``to_plain`` leaves it out and ``from_plain`` puts it where nothing is said, so that the runs
+            from before keep their keys and stay as they are.
+        default: of new configurations; None = ``before``.
     """
-    value: Value = dataclasses.field(default=default, metadata={_LATER: True})
+    chosen = before if default is None else default
+    value: Value = dataclasses.field(default=chosen, metadata={_LATER: before})
+    return value
+
+
+def keyed_as(before: Value, default: Value) -> Value:
+    """A field that changes no result and got another default: keys of stages are made with the earlier one, so that they stay."""
+    value: Value = dataclasses.field(default=default, metadata={_KEYED: before})
     return value
 
 
 def to_plain(config: Any, first_names: bool = False) -> Any:
-    """A configuration as JSON holds it, without what came ``later`` and has its default.
+    """A configuration as JSON holds it, without what came ``later`` and does what was done before.
 
     Args:
-        first_names: with the names that its settings had first (``RENAMED``).
+        first_names: as keys are made, with the names that its settings had first (``RENAMED``).
     """
     if dataclasses.is_dataclass(config) and not isinstance(config, type):
         renamed = RENAMED.get(type(config).__name__, {}) if first_names else {}
         names = {now: before for before, now in reversed(list(renamed.items()))}
-        kept = [f for f in dataclasses.fields(config) if not (_LATER in f.metadata and getattr(config, f.name) == f.default)]
-        return {names.get(f.name, f.name): to_plain(getattr(config, f.name), first_names) for f in kept}
+        fields = dataclasses.fields(config)
+        kept = [f for f in fields if not (_LATER in f.metadata and getattr(config, f.name) == f.metadata[_LATER])]
+        values = {f.name: getattr(config, f.name) for f in kept}
+        if first_names:
+            values |= {f.name: f.metadata[_KEYED] for f in kept if _KEYED in f.metadata and values[f.name] == f.default}
+        return {names.get(name, name): to_plain(value, first_names) for name, value in values.items()}
     if isinstance(config, list | tuple):
         return [to_plain(item, first_names) for item in config]
     return str(config) if isinstance(config, Path) else config
@@ -66,7 +80,8 @@ def from_plain(kind: type[Config], value: Mapping[str, Any]) -> Config:
 
 def _built(kind: type[Config], value: Mapping[str, Any]) -> Config:
     hints = get_type_hints(kind)
-    arguments: dict[str, Any] = {}
+    fields = dataclasses.fields(cast("Any", kind))
+    arguments: dict[str, Any] = {f.name: f.metadata[_LATER] for f in fields if _LATER in f.metadata}
     for name, item in value.items():
         if name not in hints:
             raise InputError(f"Unknown setting {name!r} in {kind.__name__}.")

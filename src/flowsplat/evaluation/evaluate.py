@@ -17,6 +17,7 @@ The keys of ``metrics.json``. Every number is finite; what could not be measured
 - ``flow_prior_epe``: rendered flow against the trusted pixels of the flow prior, on the training frames that were rendered.
 - ``depth_abs_rel``: rendered depth against the truth, relative: ``mean`` and ``median`` in ``all``, ``static`` and
   ``moving``.
+- ``measured``: the folder of the model that every figure is of; ``shown``: of the one that videos and exports show (of a run).
 - ``lpips_reason``: why ``lpips`` is null.
 - ``per_image``: a list of pictures with ``kind``, ``name``, ``frame``, their figures and those of their ``baselines``.
 """

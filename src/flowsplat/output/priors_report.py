@@ -25,7 +25,7 @@ from flowsplat.priors.cameras.checks import LARGE_ERROR, LITTLE_PARALLAX
 from flowsplat.priors.cameras.following import WORKING_SIDE
 from flowsplat.priors.depth.stage import MOSTLY
 from flowsplat.priors.objects import SceneMovers, load_movers
-from flowsplat.priors.objects.description import MoverDescription, describe_movers
+from flowsplat.priors.objects.description import MoverDescription, describe_movers, sureness
 from flowsplat.scenes import Scene, Tracks
 
 NAME = "priors.html"
@@ -69,7 +69,7 @@ def write_priors_report(folder: Path, scene: Scene, seconds: Mapping[str, float]
         title=scene.name,
         verdict=verdict(scene),
         strip=_strip(shown),
-        headline=_headline(scene, shown),
+        headline=_headline(scene, shown, movers),
         paths=list(_paths(scene, movers)),
         movers=list(_movers(scene, movers)),
         stages=table(("", "how", "verdict", "time"), list(_rows(scene, seconds))),
@@ -130,9 +130,15 @@ def _depth_words(cameras: Mapping[str, Any], depth: Mapping[str, Any]) -> str:
         return f"depth: {_source(depth)}"
     if cameras.get("motion") == "free" and cameras["parallax_degrees"] < LITTLE_PARALLAX:
         return "little parallax: depth is rough"
-    if depth["trusted"] < MOSTLY:
-        return f"depth from motion on {depth['trusted']:.0%} of the picture, the rest is filled in"
+    trusted = _trusted_static(depth)
+    if trusted < MOSTLY:
+        return f"depth from motion on {trusted:.0%} of the still scene, the rest is filled in"
     return "depth from the camera's motion"
+
+
+def _trusted_static(depth: Mapping[str, Any]) -> float:
+    """Share of the still scene with trusted depth; of everything in scenes from before that was told apart."""
+    return float(depth.get("trusted_static", depth["trusted"]))
 
 
 def _mask_words(scene: Scene) -> str:
@@ -166,12 +172,12 @@ def _advice(scene: Scene, cameras: Mapping[str, Any], depth: Mapping[str, Any]) 
         return "Training can work along the clip's own path; give --cameras.focal if you know it."
     if depth.get("method") == "guess":
         return "Training can work along the clip's own path; views from aside will be wrong."
-    if depth.get("method") == "multi-view" and depth["trusted"] < MOSTLY:
+    if depth.get("method") == "multi-view" and _trusted_static(depth) < MOSTLY:
         return "Training can work; views far from the clip's own path will show gaps and bends."
     return "Training can work."
 
 
-def _headline(scene: Scene, shown: _Shown) -> list[dict[str, Any]]:
+def _headline(scene: Scene, shown: _Shown, movers: SceneMovers) -> list[dict[str, Any]]:
     cameras, depth, tracks = (scene.prior(name) or {} for name in ("cameras", "depth", "tracks"))
     camera = scene.cameras[scene.train_frames[0]]
     angle = 2 * np.degrees(np.arctan(scene.width / 2 / camera.K[0, 0]))
@@ -182,9 +188,19 @@ def _headline(scene: Scene, shown: _Shown) -> list[dict[str, Any]]:
         card(figure(angle, 0), "°", "field of view", "a guess" if unsure else "across the picture"),
         card(figure(parallax, 1), "°", "parallax", "seen by a point, median"),
         card(figure(100 * float(np.mean(shown.matched)), 0), "%", "matched", "flow that passes there and back"),
-        card(figure(100 * float(np.mean(shown.trusted)), 0), "%", "depth with confidence", str(depth.get("method", ""))),
+        card(figure(100 * float(np.mean(shown.trusted)), 0), "%", "of the still scene", f"known depth, {depth.get('method', '')}"),
+        *_mover_cards(movers),
         card(figure(tracks.get("tracks"), 0), "", "points followed", f"over {tracks.get('median_length', '–')} frames, median"),
     ]
+
+
+def _mover_cards(found: SceneMovers) -> Iterator[dict[str, Any]]:
+    if found.movers:
+        tied = [mover.sigma for mover in found.movers if mover.cues]
+        words = sureness(tied, len(found.movers) - len(tied))
+        worst = max(tied) if len(tied) == len(found.movers) else None
+        value = figure(None if worst is None else 100 * np.expm1(worst), 0, "nothing speaks for the distance of some of them")
+        yield card(value, "%", "distance of movers", words)
 
 
 def _rows(scene: Scene, seconds: Mapping[str, float]) -> Iterator[tuple[str, ...]]:
@@ -214,7 +230,8 @@ class _Shown:
     Attributes:
         frames: their numbers.
         rate: frames a second at which they play at the speed of the clip.
-        matched, trusted: shares of pixels with trusted flow and depth, one a frame (the last one has no flow).
+        matched: share of pixels with trusted flow, one a frame (the last one has none).
+        trusted: share of the pixels of the still scene with trusted depth, one a frame.
     """
 
     def __init__(self, scene: Scene):
@@ -246,7 +263,8 @@ class _Shown:
             trusted = _small(found.trusted.astype(np.float32), self.size) > 0.5
             flow = np.where(trusted[..., None], _small(found.flow, self.size), np.nan)
             self.matched.append(float(found.trusted.mean()))
-        self.trusted.append(float(depth.trusted.mean()))
+        still = mask == 0
+        self.trusted.append(float(depth.trusted[still].mean()) if still.any() else 0.0)
         return _Seen(
             _small(scene.frame(i), self.size), flow, cv2.resize(mask, self.size, interpolation=cv2.INTER_NEAREST),
             cv2.resize(depth.depth, self.size, interpolation=cv2.INTER_NEAREST),
@@ -410,7 +428,7 @@ def _charts(scene: Scene, shown: _Shown) -> Iterator[dict[str, Any]]:
     matched = (frames[: len(shown.matched)], [100 * share for share in shown.matched])
     trusted = (frames, [100 * share for share in shown.trusted])
     title = "What is known, over the clip"
-    series = {"flow matched to the next frame": matched, "depth with confidence": trusted}
+    series = {"flow matched to the next frame": matched, "still scene, depth with confidence": trusted}
     yield {"title": title, "chart": line_chart(series, title=title, x_label="frame", y_label="% of the pixels")}
     if scene.has_tracks:
         tracks, title = scene.tracks, "Points followed, over the clip"

@@ -17,6 +17,7 @@ from flowsplat.output.page import card, picture_row, write_page
 from flowsplat.pictures.charts import Points, line_chart
 from flowsplat.pictures.colors import error_to_color, flow_legend, flow_scale, flow_to_color
 from flowsplat.pictures.html import figure, picture, table
+from flowsplat.priors.objects.description import sureness
 
 NAME = "report.html"
 VIDEO_FOLDER = "renders"
@@ -116,20 +117,21 @@ def write_report(folder: Path, data: ReportData) -> Path:
 
 
 def verdict(metrics: Mapping[str, Any]) -> str:
-    """In plain words: is the scene any good?"""
+    """In plain words: is the scene any good, along the path of the clip, and from aside?"""
+    return f"{_along(metrics)} {_aside(metrics)}"
+
+
+def _along(metrics: Mapping[str, Any]) -> str:
+    """What was measured along the clip's own path."""
     ours, theirs = pick(metrics, "heldout_frames", "psnr"), pick(metrics, "baselines", "flow_interpolation", "psnr")
-    training, views = pick(metrics, "training_frames", "psnr"), pick(metrics, "heldout_views", "psnr")
-    if ours is None and views is not None:
-        warped = pick(metrics, "baselines_views", "warp_by_depth", "psnr")
-        beside = "" if warped is None else f"; warping the frame of the same time by its true depth gives {warped:.2f} dB"
-        return f"Views by other cameras, which training never saw, are rendered at {views:.2f} dB{beside}."
+    training = pick(metrics, "training_frames", "psnr")
     if ours is None:
         known = "" if training is None else f" They are reproduced at {training:.2f} dB."
         return "No frame was held out, so nothing here tells how good the scene is between the training frames." + known
     count = pick(metrics, "heldout_frames", "count")
     pictures = "Pictures" if count is None else "The picture" if count == 1 else f"The {count} pictures"
     are = "is" if count == 1 else "are"
-    seen = f"{pictures} that training never saw {are} rendered at {ours:.2f} dB"
+    seen = f"Along the clip's path: {pictures[0].lower()}{pictures[1:]} that training never saw {are} rendered at {ours:.2f} dB"
     if theirs is None:
         return f"{seen}."
     gain = ours - theirs
@@ -143,22 +145,48 @@ def verdict(metrics: Mapping[str, Any]) -> str:
     )
 
 
+def _aside(metrics: Mapping[str, Any]) -> str:
+    """What was measured from aside, or that nothing was and how sure the distances of movers are."""
+    views = pick(metrics, "heldout_views", "psnr")
+    if views is not None:
+        moving = pick(metrics, "heldout_views", "moving", "psnr")
+        warped = pick(metrics, "baselines_views", "warp_by_depth", "psnr")
+        of_movers = "" if moving is None else f", what moves at {moving:.2f} dB"
+        beside = "" if warped is None else f"; warping the frame of the same time by its true depth gives {warped:.2f} dB"
+        return f"From aside: views by other cameras, which training never saw, are rendered at {views:.2f} dB{of_movers}{beside}."
+    error = pick(metrics, "depth_abs_rel", "moving", "mean")
+    if error is not None:
+        return f"From aside: no view was measured; the depth of what moves is off by {error:.0%} (mean)."
+    movers = metrics.get("movers") or []
+    if not movers:
+        return "From aside: not measured."
+    steps = [mover["largest_step"] / mover["depth"] for mover in movers if mover["cues"]]
+    near = f", enough for steps aside of up to {min(steps):.1%} of their distance" if len(steps) == len(movers) else ""
+    whose = "the distance of its mover is" if len(movers) == 1 else f"the distances of its {len(movers)} movers are"
+    return f"From aside: not measured; {whose} {_sureness(movers)}{near}."
+
+
+def _sureness(movers: Sequence[Mapping[str, Any]]) -> str:
+    tied = [mover["sigma"] for mover in movers if mover["cues"]]
+    return sureness(tied, len(movers) - len(tied))
+
+
 def _headline(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
     """The few figures on top: value, unit, name and a remark."""
-    kinds = {"heldout_frames": "held-out frames", "heldout_views": "held-out views", "training_frames": "training frames"}
-    kind = next((kind for kind in kinds if pick(metrics, kind, "psnr") is not None), "training_frames")
-    name = kinds[kind]
+    kind, name = "heldout_frames", "held-out frames"
+    if pick(metrics, kind, "psnr") is None:
+        kind, name = "training_frames", "training frames"
     theirs = pick(metrics, "baselines", "flow_interpolation", "psnr") if kind == "heldout_frames" else None
-    against = "" if theirs is None else f"interpolation: {theirs:.2f} dB"
-    ssim = pick(metrics, kind, "ssim")
+    against = name if theirs is None else f"{name}; interpolation: {theirs:.2f} dB"
     seconds = sum((metrics.get("seconds") or {}).values())
     flow, flow_name = pick(metrics, "flow_epe", "mean"), "flow error"
     if flow is None:
         flow, flow_name = pick(metrics, "flow_prior_epe", "mean"), "flow against its prior"
     active = pick(metrics, "gaussians", "active_mean")
     return [
-        card(figure(pick(metrics, kind, "psnr")), "dB", f"PSNR, {name}", against),
-        card(figure(ssim, 3), "", f"SSIM, {name}", "1 = equal"),
+        card(figure(pick(metrics, kind, "psnr")), "dB", "PSNR along the clip's path", against),
+        _aside_card(metrics),
+        card(figure(pick(metrics, kind, "ssim"), 3), "", "SSIM along the clip's path", f"{name}; 1 = equal"),
         card(figure(flow, 2), "px", flow_name, "mean end-point error"),
         card(
             figure(pick(metrics, "gaussians", "total"), 0),
@@ -168,6 +196,19 @@ def _headline(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
         ),
         card(Markup(_duration(seconds)) if seconds else figure(None), "", "for everything", _memory(metrics)),
     ]
+
+
+def _aside_card(metrics: Mapping[str, Any]) -> dict[str, Any]:
+    views, error = pick(metrics, "heldout_views", "psnr"), pick(metrics, "depth_abs_rel", "moving", "mean")
+    if views is not None:
+        moving = pick(metrics, "heldout_views", "moving", "psnr")
+        movers = "" if moving is None else f"; movers: {moving:.2f} dB"
+        return card(figure(views), "dB", "PSNR from aside", f"held-out views{movers}")
+    if error is not None:
+        return card(figure(100 * error, 0), "%", "depth error of movers", "from aside: no view was measured")
+    known = metrics.get("movers") or []
+    sure = f"movers' distance: {_sureness(known)}" if known else "neither views nor true depth are known"
+    return card(figure(None, reason=sure), "", "from aside: not measured", sure)
 
 
 def _memory(metrics: Mapping[str, Any]) -> str:

@@ -46,7 +46,9 @@ def _version(package: str) -> str:
 
 def _describe_run(folder: RunFolder) -> Iterator[str]:
     yield f"Run {folder.path} of {folder.record['input']}"
-    for stage in ("prepare", "train", "evaluate", "render"):
+    for stage in ("prepare", "train", "evaluate", "final", "render"):
+        if stage == "final" and not folder.config.final_fit:
+            continue
         entry = folder.record["stages"].get(stage)
         state = "not finished" if entry is None else f"finished in {sum(entry['seconds'].values()):.0f} s"
         yield f"  {stage}: {state}"

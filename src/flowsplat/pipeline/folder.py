@@ -4,7 +4,8 @@
     scene/         the prepared scene
     priors.html    cameras, depth, masks, flow and tracks to look at, with a verdict
     training/      checkpoints (while training), history.json
-    model/         the trained 4D scene
+    model/         the trained 4D scene: what is measured
+    final/         the same scene fitted to the held-out frames, too, with the priors of those: what videos and exports show
     static/        our own static scene to compare with (--baselines all)
     logs/          TensorBoard
     preview.png    a training view beside its target, refreshed while training
@@ -134,8 +135,13 @@ class RunFolder:
 
     @property
     def model_path(self) -> Path:
-        """The trained model."""
+        """The trained model: what is measured."""
         return self.path / "model"
+
+    @property
+    def final_path(self) -> Path:
+        """The model that was fitted to the held-out frames, too: what is shown."""
+        return self.path / "final"
 
 
 def stage_key(*parts: Any) -> str:

@@ -6,7 +6,7 @@ import contextlib
 import os
 import shutil
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -33,15 +33,17 @@ from flowsplat.pictures.sheets import preview_sheet
 from flowsplat.pipeline.config import RunConfig, check
 from flowsplat.pipeline.folder import RunFolder, stage_key
 from flowsplat.pipeline.summary import flow_comparisons, report_data
+from flowsplat.priors.heldout import heldout_flow
 from flowsplat.priors.objects import load_movers
 from flowsplat.priors.objects.description import mover_figures
-from flowsplat.priors.prepare import prepare_priors
+from flowsplat.priors.prepare import flow_estimator, prepare_priors
 from flowsplat.scenes import Scene, Tracks
 from flowsplat.scenes.clip import InputOptions
 from flowsplat.scenes.ingest import fingerprint, ingest, is_ingested, kind_of_input, open_clip
-from flowsplat.scenes.layers import write_image
+from flowsplat.scenes.layers import Layers, write_image
 from flowsplat.training.checkpoint import has_model, load_model, present_figures, save_model
 from flowsplat.training.config import TrainConfig, affecting_result
+from flowsplat.training.final import final_config, final_visits, with_heldout
 from flowsplat.training.static import static_config, static_start
 from flowsplat.training.trainer import Trainer
 
@@ -49,6 +51,7 @@ ASIDE = ".scene.before"
 """Where the scene of other settings waits until that of the new ones is there."""
 
 Begin = Callable[[Observations, Tracks | None, TrainConfig], Gaussians4D]
+Observe = Callable[[Scene], Observations]
 
 
 def run(source: Path, out: Path, config: RunConfig | None = None) -> dict[str, Any]:
@@ -74,15 +77,19 @@ def run(source: Path, out: Path, config: RunConfig | None = None) -> dict[str, A
 def load(path: Path | str, device: str = "cpu") -> SceneModel:
     """The trained scene of a run: ``load("out").render(camera, t)`` gives arrays.
 
+    Where the run was fitted to its held-out frames, too (``final/``), it is that model; the measured one is ``load("out/model")``.
+
     Args:
-        path: of the run, or of its model.
+        path: of the run, or of one of its models.
         device: what renders it: auto, cpu or cuda.
 
     Raises:
         InputError: there is none, it is damaged, or the device does not work.
     """
     path = Path(path)
-    if (path / "model" / "model.json").exists():
+    if (path / "run.json").exists() and has_model(path / "final"):
+        path = path / "final"
+    elif (path / "model" / "model.json").exists():
         path = path / "model"
     elif not (path / "model.json").exists():
         raise InputError(f"{path} holds no trained scene yet: run flowsplat train on it first.")
@@ -238,7 +245,8 @@ def train(folder: RunFolder) -> SceneModel:
         if folder.model_path.exists() or (folder.path / "training").exists():
             say("The settings of training, or the scene, are others than before: it begins anew.")
         folder.forget("train")
-        for old in ("training", "logs", "model"):
+        folder.forget("final")
+        for old in ("training", "logs", "final", "model"):
             shutil.rmtree(folder.path / old, ignore_errors=True)
         forget_videos(folder.path / "renders")
         folder.start("train", key)
@@ -259,17 +267,21 @@ def scene_model(scene: Scene, gaussians: Gaussians4D, config: TrainConfig) -> Sc
 
 
 def _trained(
-    folder: RunFolder, stage: str, key: str, config: TrainConfig, where: str, model_path: Path, begin: Begin | None = None
-) -> SceneModel:
+    folder: RunFolder, stage: str, key: str, config: TrainConfig, where: str, model_path: Path, begin: Begin | None = None,
+    observe: Observe = load_observations, first_step: int = 0, visits: Sequence[int] | None = None,
+) -> SceneModel:  # fmt: skip
     """Train in the folder ``where`` of a run, from the last checkpoint there if there is one, and save the scene.
 
     Args:
         begin: makes the Gaussians to start from; None = as ``initialize``.
+        observe: gives the frames to train on.
+        first_step: how many steps those of ``begin`` have behind them.
+        visits: how often each frame is drawn in a round; None = once.
     """
     from torch.utils.tensorboard import SummaryWriter
 
     started, out, scene = time.perf_counter(), folder.path, Scene(folder.scene_path)
-    tracks, observations = scene.tracks if scene.has_tracks else None, load_observations(scene)
+    tracks, observations = scene.tracks if scene.has_tracks else None, observe(scene)
     writer = SummaryWriter(str(out / "logs" / where))
 
     def record(entry: Mapping[str, float]) -> None:
@@ -283,7 +295,8 @@ def _trained(
 
     start = None if begin is None else begin(observations, tracks, config)
     shown = preview if begin is None else None  # the picture of a run is that of its scene, not of what it is compared with
-    trainer = Trainer(observations, tracks, config, out / where, shown, record, start, pick_device(folder.config.device))
+    device = pick_device(folder.config.device)
+    trainer = Trainer(observations, tracks, config, out / where, shown, record, start, device, first_step, visits)
     try:
         model = scene_model(scene, trainer.run(), config)
     finally:
@@ -311,6 +324,52 @@ def _static_model(folder: RunFolder) -> SceneModel:
     return _trained(folder, "static", key, quarter, "static", path, static_start)
 
 
+# -- the final fit
+
+
+def _wants_final(folder: RunFolder) -> bool:
+    return folder.config.final_fit and bool(Scene(folder.scene_path).heldout_frames)
+
+
+def _final_key(folder: RunFolder) -> str:
+    return stage_key(_train_key(folder), "final")
+
+
+def _fit_heldout(folder: RunFolder) -> None:
+    """Bring ``final/`` to what the run asks for: the measured model, fitted to the held-out frames, too; or nothing.
+
+    It begins when everything was measured, and writes nothing that the measurement, the priors or the training read.
+    """
+    if not _wants_final(folder):
+        if folder.final_path.exists():
+            folder.forget("final")
+            shutil.rmtree(folder.final_path)
+        return
+    key = _final_key(folder)
+    if folder.is_finished("final", key) and has_model(folder.final_path):
+        return
+    if not folder.was_started("final", key):
+        folder.forget("final")
+        shutil.rmtree(folder.final_path, ignore_errors=True)
+        folder.start("final", key)
+    scene, config = Scene(folder.scene_path), folder.config
+    say(f"Fitting the {len(scene.heldout_frames)} held-out frames, too, for what is shown: they are measured already.")
+
+    def observe(scene: Scene) -> Observations:
+        layers = Layers(folder.final_path / "priors", scene.width, scene.height)
+        if config.train.loss.flow > 0:
+            heldout_flow(scene, layers, flow_estimator(config.priors, config.device))
+        return with_heldout(load_observations(scene), scene, layers)
+
+    def begin(observations: Observations, tracks: Tracks | None, train: TrainConfig) -> Gaussians4D:
+        return load_model(folder.model_path).gaussians
+
+    _trained(
+        folder, "final", key, final_config(config.train), "final", folder.final_path, begin,
+        observe, config.train.iterations, final_visits(scene),
+    )  # fmt: skip
+
+
 # -- evaluate
 
 
@@ -322,7 +381,8 @@ class _Result:
 
     @cached_property
     def model(self) -> SceneModel:
-        return load(self._folder.path, self._folder.config.device)
+        """What is measured."""
+        return load(self._folder.model_path, self._folder.config.device)
 
     @cached_property
     def scene(self) -> Scene:
@@ -372,6 +432,8 @@ def _write_metrics(folder: RunFolder, result: _Result, metrics: dict[str, Any], 
     """Complete ``metrics``, and write them and the report. A stage that took ``seconds`` is finished only when that is done."""
     metrics["peak_memory_gib"] = folder.peak_memory
     metrics["seconds"] = {**folder.seconds, **seconds}
+    metrics["measured"] = folder.model_path.name
+    metrics["shown"] = (folder.final_path if has_model(folder.final_path) else folder.model_path).name
     write_json(folder.path / "metrics.json", metrics)
     history_path = folder.path / "training" / "history.json"
     history = present_figures(read_json(history_path)) if history_path.exists() else []
@@ -389,14 +451,17 @@ def _render_key(folder: RunFolder) -> str:
         InputError: the camera file cannot be read.
     """
     options, file = folder.config.render, folder.config.render.camera_file
+    model = _final_key(folder) if _wants_final(folder) else _train_key(folder)
     if file is None:
-        return stage_key(_train_key(folder), options)
+        return stage_key(model, options)
     content = hash_files("", [("camera_file", file)], whole=True)
-    return stage_key(_train_key(folder), replace(options, camera_file=None), content)
+    return stage_key(model, replace(options, camera_file=None), content)
 
 
 def render_run(folder: RunFolder, options: RenderOptions | None = None) -> dict[str, Any]:
     """Render videos of a run and complete its report. Returns the content of ``metrics.json``.
+
+    What is rendered is fitted to the held-out frames, too, after the measurement (``final_fit``).
 
     Args:
         folder: the run.
@@ -407,6 +472,7 @@ def render_run(folder: RunFolder, options: RenderOptions | None = None) -> dict[
     """
     result = _Result(folder)
     metrics = _evaluate(folder, result)
+    _fit_heldout(folder)
     own = options is None or options == folder.config.render
     key = _render_key(folder) if own else ""
     if own and folder.is_finished("render", key) and are_rendered(folder.path / "renders"):
@@ -414,7 +480,8 @@ def render_run(folder: RunFolder, options: RenderOptions | None = None) -> dict[
     started = time.perf_counter()
     if own:
         folder.start("render", key)
-    render_videos(result.model, result.scene, folder.path / "renders", options or folder.config.render)
+    shown = load(folder.path, folder.config.device) if has_model(folder.final_path) else result.model
+    render_videos(shown, result.scene, folder.path / "renders", options or folder.config.render)
     seconds = {"render": time.perf_counter() - started} if own else {}
     _write_metrics(folder, result, metrics, seconds)
     if own:

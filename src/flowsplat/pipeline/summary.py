@@ -21,6 +21,11 @@ from flowsplat.scenes.layers import read_image
 SHOWN = 6
 """Held-out pictures of each kind in the report."""
 
+SHOWN_NOTE = (
+    "Videos, exports and the viewer show the scene after it was fitted to the held-out frames, too (final/). Every figure and "
+    "every comparison here is of the model before that (model/), which has not seen them."
+)
+
 ROWS: tuple[tuple[str, tuple[str, ...], str], ...] = (
     ("held-out frames, PSNR", ("heldout_frames", "psnr"), ".2f"),
     ("held-out frames, SSIM", ("heldout_frames", "ssim"), ".3f"),
@@ -68,6 +73,7 @@ def report_data(
 ) -> ReportData:  # fmt: skip
     """What the report of the run in ``out`` tells, with ``flow_comparisons``."""
     counts = metrics["gaussians"]["active"]
+    notes = [*scene.info["notes"], *([SHOWN_NOTE] if metrics.get("shown") == "final" else [])]
     verdicts = [str((scene.prior(name) or {}).get("verdict", "")) for name in ("cameras", "depth", "masks")]
     return ReportData(
         title=scene.name,
@@ -77,7 +83,7 @@ def report_data(
         flows=flows,
         active=(scene.timestamps.tolist(), counts),
         config=flat(to_plain(config)),
-        notes=[*scene.info["notes"], *(verdict for verdict in verdicts if verdict)],
+        notes=[*notes, *(verdict for verdict in verdicts if verdict)],
         videos=rendered(out / VIDEO_FOLDER),
     )
 

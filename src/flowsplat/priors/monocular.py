@@ -24,7 +24,7 @@ from flowsplat.geometry.interpolation import sample_map
 from flowsplat.priors.background.fill import fill, upsample
 from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.static_depth import SURE, Background, unseen_inverse
-from flowsplat.priors.depth.stage import FURTHEST_DEPTH, MARGIN, NEAREST_DEPTH, TRUSTED_WEIGHT
+from flowsplat.priors.depth.stage import FURTHEST_DEPTH, MARGIN, NEAREST_DEPTH, TRUSTED_WEIGHT, trusted_shares
 from flowsplat.priors.flow import FlowEstimator, dis_estimator
 from flowsplat.scenes import Depth, Scene
 from flowsplat.scenes.layers import TRUSTED
@@ -120,9 +120,11 @@ def monocular_stage(scene: Scene, source: Monocular, estimate: FlowEstimator = d
     maps = _Maps(clip, folder)
     write = _write_measured if clip.has_parallax else _write_free
     figures = write(maps, source)
-    trusted = float(np.mean([scene.depth(i).trusted.mean() for i in scene.train_frames]))
-    verdict = f"{source.source}, {figures.pop('verdict')}, {trusted:.0%} of the pixels trusted"
-    scene.finish_prior("depth", method=source.method, verdict=verdict, trusted=round(trusted, 4), **figures)
+    trusted, still = trusted_shares(scene)
+    verdict = f"{source.source}, {figures.pop('verdict')}, {still:.0%} of the still scene trusted"
+    scene.finish_prior(
+        "depth", method=source.method, verdict=verdict, trusted=round(trusted, 4), trusted_static=round(still, 4), **figures
+    )
     shutil.rmtree(folder, ignore_errors=True)
 
 

@@ -116,7 +116,7 @@ def prepare_priors(scene: Scene, options: PriorsOptions, device: str = "auto") -
         unwanted = _unwanted(scene, options, bool(prompts))
     # Networks are loaded before anything is forgotten or computed: that one is missing is said now, not after minutes of work.
     due = {*_missing(scene), *unwanted}
-    estimate = _flow_estimator(options, device) if {"flow", "masks", "depth"} & due else dis_estimator
+    estimate = flow_estimator(options, device) if {"flow", "masks", "depth"} & due else dis_estimator
     ours = [name for name in _CHOICES if name in due and getattr(options.given, name) is None]
     chosen = {name: _CHOICES[name](scene, options, prompts, hints, estimate, device) for name in ours}
     _forget(scene, unwanted)
@@ -262,7 +262,12 @@ def _forget(scene: Scene, names: set[str]) -> None:
         (scene.folder / "tracks.npz").unlink(missing_ok=True)
 
 
-def _flow_estimator(options: PriorsOptions, device: str) -> FlowEstimator:
+def flow_estimator(options: PriorsOptions, device: str) -> FlowEstimator:
+    """What finds flow under these options.
+
+    Raises:
+        InputError: a network is not there.
+    """
     if options.flow == "dis":
         return dis_estimator
     from flowsplat.priors.learned.raft import raft_estimator

@@ -9,7 +9,8 @@ A scene is a folder. ``scene.json`` says what it is; the layers (see ``layers``)
     truth/cameras.json  truth/depth/ ...
 
 The split is law: what trains or computes a prior calls ``frame``, ``mask``, ``depth`` and ``flow``, which refuse held-out
-frames. Only the camera stage calls ``any_frame``; ``heldout_frame`` is for the evaluation, the report and the viewer.
+frames. Only the camera stage calls ``any_frame``; ``heldout_frame`` is for the evaluation, the report, the viewer, and the final
+fit after all of them.
 """
 
 from __future__ import annotations
@@ -178,7 +179,7 @@ class Scene(Layers):
         return self.any_frame(i)
 
     def heldout_frame(self, i: int) -> np.ndarray:
-        """RGB [H, W, 3] uint8 of a held-out frame. For the evaluation only."""
+        """RGB [H, W, 3] uint8 of a held-out frame. For what comes after the training only."""
         if i in self._train:
             raise SplitError(f"frame {i} is a training frame")
         return self.any_frame(i)

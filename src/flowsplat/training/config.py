@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import tyro
 
 from flowsplat.common.errors import InputError
+from flowsplat.common.settings import keyed_as
 from flowsplat.gaussians.flow import FlowModel
 from flowsplat.gaussians.gaussians4d import ModelConfig
 from flowsplat.gaussians.initialize import InitConfig
@@ -132,8 +133,9 @@ class TrainConfig:
     """The result is the mean over this share of the steps, the last ones; 0 = what the last step led to."""
     seed: Annotated[int, tyro.conf.arg(aliases=("--seed",))] = 0
     """Of every random choice."""
-    checkpoint_every: int = 250
-    """Steps between two checkpoints; 0 = none."""
+    checkpoint_every: int | None = keyed_as(250, default=None)
+    """Steps between two checkpoints; 0 = none, None = by time: after 5 seconds, then every 20 or, where that costs more than 2 % of
+    the time, less often. Stopping writes one in any case."""
     preview_every: int = 100
     """Steps between two preview pictures; 0 = none."""
     model: ModelConfig = field(default_factory=ModelConfig)

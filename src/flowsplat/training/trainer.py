@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 import time as clock
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import torch
@@ -17,6 +17,7 @@ from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_json, write_json
 from flowsplat.common.progress import progress_bar, say
 from flowsplat.common.settings import present_names, to_plain
+from flowsplat.common.stopping import Stopped, stop_requests
 from flowsplat.gaussians.culling import RowCapacity
 from flowsplat.gaussians.density import DensityResult, DensityStatistics, densify, prune, reset_opacities, revise_dynamic
 from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
@@ -34,6 +35,7 @@ from flowsplat.training.coverage import coverage_loss
 from flowsplat.training.picture_loss import PictureTargets, PictureWeights, picture_loss
 from flowsplat.training.rigidity import Neighbours, find_neighbours, rigid_loss
 from flowsplat.training.targets import Targets
+from flowsplat.training.timing import CheckpointTimes
 
 RECORD_EVERY = 10
 """Steps that one entry of the history averages over."""
@@ -72,6 +74,8 @@ class Trainer:
         record: Record | None = None,
         start: Gaussians4D | None = None,
         device: torch.device | str = "cpu",
+        first_step: int = 0,
+        visits: Sequence[int] | None = None,
     ):
         """Prepare to train; nothing is computed before ``run``.
 
@@ -84,6 +88,8 @@ class Trainer:
             record: called with every new entry of the history.
             start: the Gaussians to start from; None = ``initialize``.
             device: what to train on. Its tensors stay there, ``gaussians`` too.
+            first_step: how many steps ``start`` has behind it: rates and harmonics go on from there.
+            visits: how often each frame is drawn in a round; None = once.
 
         Raises:
             InputError: a setting has a value that makes no sense.
@@ -92,6 +98,8 @@ class Trainer:
         self.observations, self.tracks, self.config = observations, tracks, config
         self._checkpoints, self._preview, self._record = checkpoints, preview, record
         self._start, self._device = start, torch.device(device)
+        self._first_step = first_step
+        self._round = np.repeat(np.arange(len(observations)), 1 if visits is None else visits)
         self._targets = Targets(observations, config.loss.flow > 0, self._device)
         self.step, self.history = 0, []  # type: tuple[int, list[dict[str, float]]]
         self.earlier_seconds, self._started = 0.0, clock.perf_counter()
@@ -112,38 +120,58 @@ class Trainer:
     # -- the loop
 
     def run(self) -> Gaussians4D:
-        """Train from the last checkpoint, or from the beginning, to the end."""
+        """Train from the last checkpoint, or from the beginning, to the end.
+
+        Ctrl-C, SIGTERM and SIGHUP let the step end, and write a checkpoint.
+
+        Raises:
+            Stopped: one of them came.
+        """
         self._all_rows, self._started = None, clock.perf_counter()
         if not self._load_checkpoint():
             start = self._start or initialize(
                 self.observations, self.tracks, self.config.model, self.config.init, self.config.seed,
                 self.config.density.max_gaussians,
             )  # fmt: skip
-            self.gaussians = start.to(self._device)
+            self.gaussians, self.step = start.to(self._device), self._first_step
             self._adam = RowAdam(self.gaussians.params)
             self._statistics = DensityStatistics.zeros(len(self.gaussians), self._device)
             moving = int(self.gaussians.dynamic.sum())
             say(f"Starting from {len(self.gaussians) - moving:,} background and {moving:,} moving Gaussians.")
         config = self.config
-        with progress_bar("Training", config.iterations, self.step) as bar:
+        times = CheckpointTimes(config.checkpoint_every, clock.perf_counter())
+        with progress_bar("Training", config.iterations, self.step) as bar, stop_requests() as request:
             while self.step < config.iterations:
                 entry = self._iterate()
                 self._after_step(entry)
+                if request.signal is not None:
+                    self._stop(request.signal)
                 known = entry if isinstance(entry["psnr"], float) else self.history[-1] if self.history else None
                 psnr = "" if known is None else f"PSNR {known['psnr']:.2f}  "
                 bar.advance(1, f"{psnr}{len(self.gaussians):,} Gaussians")
-                due = config.checkpoint_every > 0 and self.step % config.checkpoint_every == 0
+                due = times.is_due(self.step, began := clock.perf_counter())
                 if self._checkpoints is not None and due and self.step < config.iterations:
                     self._save_checkpoint()
+                    now = clock.perf_counter()
+                    times.written(now, now - began)
         self._average.write(self.gaussians.params)
         return self.gaussians
+
+    def _stop(self, signal: int) -> NoReturn:
+        """Keep what was done. The file is written first: the terminal may be gone, and then a line on it is an error."""
+        kept = ""
+        if self._checkpoints is not None:
+            self._save_checkpoint()
+            kept = " They are kept."
+        say(f"Stopped after step {self.step} of {self.config.iterations}.{kept}")
+        raise Stopped(signal)
 
     def _next_frames(self) -> list[int]:
         count = self.config.frames_per_iteration or len(self.observations)
         chosen = []
         for _ in range(count):
             if not self._queue:
-                self._queue = self._rng.permutation(len(self.observations)).tolist()
+                self._queue = self._rng.permutation(self._round).tolist()
             chosen.append(self._queue.pop())
         return chosen
 

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from flowsplat.priors.objects.description import describe_movers, mover_figures
+from flowsplat.priors.objects.description import describe_movers, mover_figures, sureness
 from flowsplat.priors.objects.distance import Cue
 from flowsplat.priors.objects.movers import Mover
 from flowsplat.priors.objects.relief import ReliefPoints
@@ -48,3 +48,10 @@ def test_the_figures_are_json(tmp_path):
     assert figures[0]["number"] == 1
     assert figures[0]["cues"] == []
     assert figures[0]["depth_in_scenes"] == pytest.approx(figures[0]["depth"] * scene.similarity.scale)
+
+
+def test_how_sure_distances_are_in_words():
+    assert sureness([0.07]) == "sure to 7%"
+    assert sureness([0.14, 0.07]) == "sure to 7% to 15%"
+    assert sureness([0.07, 0.07], 2) == "sure to 7%, 2 of them a guess"
+    assert sureness([], 1) == "a guess"

@@ -224,11 +224,14 @@ def test_either_side_of_a_cut_has_numbers_of_its_own(tmp_path: Path):
     visible = clip.visible.copy()
     visible[before, cut:] = False
     scene = scene_of(tmp_path, Clip(clip.true, clip.points, visible, clip.body, clip.flow), clip.true, "motion", [cut])
+    scene.finish_prior("masks", method="motion", objects=5, share=0.125, verdict="5 moving parts on 12.5% of the picture")
     assert identify_movers(scene) == 2
     found = stored(scene)
     assert np.unique(found[:cut]).tolist() == [0, 1]
     assert np.unique(found[cut:]).tolist() == [0, 2]
-    assert scene.prior("masks")["objects"] == 2
+    masks = scene.prior("masks")
+    assert masks["objects"] == 2
+    assert masks["verdict"] == "2 moving objects on 12.5% of the picture", "parts that turned out to be one are one"
 
 
 def test_numbers_that_came_with_masks_stay_and_one_for_all_is_split(tmp_path: Path):

@@ -18,7 +18,7 @@ from flowsplat.geometry.paths import CameraPath
 from flowsplat.output.videos.writing import Scales
 from flowsplat.scenes import Scene
 from flowsplat.scenes.layers import Tracks
-from flowsplat.training.checkpoint import load_checkpoint, load_model
+from flowsplat.training.checkpoint import has_model, load_checkpoint, load_model
 
 
 class Loaded:
@@ -88,13 +88,14 @@ class Source:
 
     def _find(self) -> tuple[tuple[str, int], Callable[[], tuple[SceneModel, str]]] | None:
         """The newest state: what tells it from others, and how to read it."""
+        trained = self.folder / ("final" if has_model(self.folder / "final") else "model")
         choices: list[tuple[int, str, Callable[[], tuple[SceneModel, str]]]] = []
         for path, read in (
             (self.folder / "training" / "latest.json", self._read_checkpoint),
-            (self.folder / "model" / "model.json", lambda: (load_model(self.folder / "model"), "trained")),
+            (trained / "model.json", lambda: (load_model(trained), "trained")),
         ):
             try:
-                choices.append((path.stat().st_mtime_ns, path.name, read))
+                choices.append((path.stat().st_mtime_ns, str(path), read))
             except OSError:
                 continue
         if not choices:

@@ -12,6 +12,7 @@ from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.static_depth import StaticDepth, camera_reach, static_depth
 from flowsplat.priors.flow import FlowEstimator, dis_estimator
 from flowsplat.priors.objects import SceneMovers, load_movers
+from flowsplat.priors.objects.description import sureness
 from flowsplat.scenes import Depth, Scene
 
 NEAREST_DEPTH, FURTHEST_DEPTH = 0.05, 30.0
@@ -49,16 +50,18 @@ def depth_stage(
     background = static[1] if static else static_depth(clip, has_masks)
     movers = load_movers(scene)
     refined = EdgeRefiner(clip, has_masks) if clip.has_parallax else None
-    trusted = []
     for k, i in enumerate(track(scene.train_frames, "Depth")):
         if not scene.has_depth(i):
             scene.write_depth(i, _frame_depth(clip, background, movers, refined, has_masks, k))
-        trusted.append(float(scene.depth(i).trusted.mean()))
-    method, share = ("multi-view" if clip.has_parallax else "guess"), float(np.mean(trusted))
+    method = "multi-view" if clip.has_parallax else "guess"
+    share, static_share = trusted_shares(scene)
     if clip.has_parallax:
-        verdict = f"{share:.0%} of the pixels trusted"
-        if share < MOSTLY:
+        verdict = f"{static_share:.0%} of the still scene trusted"
+        if static_share < MOSTLY:
             verdict += ": the rest is filled in, and new views from aside will show it"
+        if movers.movers:
+            tied = [mover.sigma for mover in movers.movers if mover.cues]
+            verdict += f"; distances of movers: {sureness(tied, len(movers.movers) - len(tied))}"
     else:
         travels = camera_reach(clip) > 1e-9
         little = f"travels too little within {STRIDES[-1]} frames" if travels else "does not travel"
@@ -66,9 +69,20 @@ def depth_stage(
         if travels and len(clip) > 2 * STRIDES[-1]:
             verdict += "; --every takes frames further apart, which may show it"
     scene.finish_prior(
-        "depth", method=method, verdict=verdict, trusted=round(share, 4),
+        "depth", method=method, verdict=verdict, trusted=round(share, 4), trusted_static=round(static_share, 4),
         parallax=round(clip.mean_parallax, 3), objects=len(movers.movers),
     )  # fmt: skip
+
+
+def trusted_shares(scene: Scene) -> tuple[float, float]:
+    """Which share of the pixels of the training frames has trusted depth: of all of them, and of those where nothing moves."""
+    shares = []
+    for i in scene.train_frames:
+        trusted = scene.depth(i).trusted
+        still = trusted[scene.mask(i) == 0] if scene.has_mask(i) else trusted
+        shares.append((trusted.mean(), still.mean() if still.size else 0.0))
+    of_all, of_still = np.mean(shares, axis=0)
+    return float(of_all), float(of_still)
 
 
 def _frame_depth(

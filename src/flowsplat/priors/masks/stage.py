@@ -65,7 +65,9 @@ def mask_stage(scene: Scene, estimate: FlowEstimator = dis_estimator) -> None:
         for k, mask in enumerate(_cut(clip, evidence, motion)):
             scene.write_mask(scene.train_frames[k], mask)
     objects, share = number_objects(scene)
-    verdict = f"{objects} moving object{'s' * (objects > 1)} on {share:.1%} of the picture" if objects else "nothing moves"
+    # That parts are one object is known when points on them were followed (``identify_movers``).
+    things = "1 moving object" if objects == 1 else f"{objects} moving parts"
+    verdict = f"{things} on {share:.1%} of the picture" if objects else "nothing moves"
     scene.finish_prior("masks", method="motion", verdict=verdict, objects=objects, share=round(share, 5))
 
 

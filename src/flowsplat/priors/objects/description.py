@@ -56,6 +56,20 @@ class MoverDescription:
         return " and ".join(WORDS.get(cue, cue) for cue in self.cues) or GUESS
 
 
+def sureness(sigmas: Sequence[float], guesses: int = 0) -> str:
+    """How sure the distances of movers are, behind "the distances of movers are": "sure to 7%", "sure to 7% to 15%, 2 guesses".
+
+    Args:
+        sigmas: of the natural logarithm of the distances that something speaks for.
+        guesses: how many more there are.
+    """
+    least, most = (f"{100 * np.expm1(sigma):.0f}%" for sigma in (min(sigmas), max(sigmas))) if sigmas else ("", "")
+    known = f"sure to {least}" if least == most else f"sure to {least} to {most}"
+    if not guesses:
+        return known
+    return f"{known}, {guesses} of them a guess" if sigmas else "a guess"
+
+
 def describe_movers(scene: Scene, found: SceneMovers) -> list[MoverDescription]:
     """Of every mover that is seen in a training frame, in the order of their numbers."""
     focal = float(scene.cameras[scene.train_frames[0]].K[0, 0])

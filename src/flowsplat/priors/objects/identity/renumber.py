@@ -50,5 +50,7 @@ def identify_movers(scene: Scene) -> int:
     how = scene.prior("masks")
     if how is not None:
         how["objects"] = highest
+        if how.get("method") == "motion" and "share" in how:
+            how["verdict"] = f"{highest} moving object{'s' * (highest > 1)} on {how['share']:.1%} of the picture"
         scene.save_info()
     return highest

@@ -1,0 +1,77 @@
+"""The final fit: a trained scene goes on for a few steps with its held-out frames, after it was measured without them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from flowsplat.gaussians.observations import Observation, Observations
+from flowsplat.scenes import Flow, Scene
+from flowsplat.scenes.layers import Layers
+from flowsplat.training.config import TrainConfig
+
+SHARE = 0.15
+"""Steps of the final fit, as a share of those of the training."""
+AVERAGED = 0.5
+"""Of the steps of the final fit, the share over which its result is the mean, where training has such a mean."""
+NEIGHBOUR_VISITS = 2
+"""How often a training frame beside a held-out one is drawn where others are drawn once: what is fitted to a frame is seen in the
+frames beside it, too, and they would lose what the held-out frame gains."""
+
+
+def final_config(config: TrainConfig) -> TrainConfig:
+    """The settings of a training and its final fit in one: rates go on falling to what they would have ended at.
+
+    Gaussians are neither added nor removed, and none begins to move or comes to rest.
+    """
+    added = math.ceil(SHARE * config.iterations)
+    return replace(
+        config,
+        iterations=config.iterations + added,
+        average=min(config.average, AVERAGED * added / (config.iterations + added)),
+        density=replace(config.density, every=0, reset_every=0, gradient=0.0, revise=False),
+    )
+
+
+def with_heldout(observations: Observations, scene: Scene, layers: Layers) -> Observations:
+    """The observations of all frames in order. Depth and masks of held-out frames are unknown, which is: trusted nowhere, empty.
+
+    Args:
+        observations: of the training frames.
+        scene: of all frames.
+        layers: the flow from and to held-out frames (``priors.heldout``).
+    """
+    known = {frame.frame: frame for frame in observations.frames}
+    size, pairs = (scene.height, scene.width), set(layers.flow_pairs)
+
+    def flow(i: int, j: int) -> Flow | None:
+        if i in known and j in known:
+            near = known[i].forward if j > i else known[i].backward
+            return near if near is not None and near.j == j else None
+        return layers.flow(i, j) if (i, j) in pairs else None
+
+    frames = []
+    for i in range(scene.num_frames):
+        frame = known.get(i) or Observation(
+            frame=i,
+            time=float(scene.times[i]),
+            camera=observations.similarity.camera(scene.cameras[i]),
+            image=scene.heldout_frame(i),
+            depth=np.ones(size, np.float32),
+            depth_trusted=np.zeros(size, bool),
+            movers=np.zeros(size, np.uint8),
+            forward=None,
+            backward=None,
+        )
+        frames.append(replace(frame, forward=flow(i, i + 1), backward=flow(i, i - 1)))
+    return Observations(frames, observations.similarity)
+
+
+def final_visits(scene: Scene) -> list[int]:
+    """How often every frame is drawn in a round of the final fit: the few held-out frames about as often as all others together."""
+    heldout = set(scene.heldout_frames)
+    often = max(1, round(len(scene.train_frames) / max(len(heldout), 1)))
+    beside = {i + side for i in heldout for side in (-1, 1)}
+    return [often if i in heldout else NEIGHBOUR_VISITS if i in beside else 1 for i in range(scene.num_frames)]

@@ -1,0 +1,24 @@
+"""When a training writes its checkpoints."""
+
+from __future__ import annotations
+
+FIRST, INTERVAL = 5.0, 20.0
+"""Seconds until the first checkpoint, so that there is something to look at, and from one to the next."""
+COST = 0.02
+"""Share of the time that checkpoints may take."""
+
+
+class CheckpointTimes:
+    """By steps where their number is given, else by time."""
+
+    def __init__(self, every: int | None, now: float):
+        """``every``: steps between two checkpoints, 0 = none, None = by time; ``now``: in seconds."""
+        self._every, self._next = every, now + FIRST
+
+    def is_due(self, step: int, now: float) -> bool:
+        """Whether one is due after a step."""
+        return now >= self._next if self._every is None else self._every > 0 and step % self._every == 0
+
+    def written(self, now: float, seconds: float) -> None:
+        """Note that one was written, and how long that took."""
+        self._next = now + max(INTERVAL, seconds / COST)
