@@ -111,6 +111,20 @@ def test_a_motion_that_explains_half_of_a_mover_tells_its_course_if_its_feet_kee
         np.testing.assert_allclose(np.ptp(mover.log_depth - cards), 0, atol=1e-6)
 
 
+@pytest.mark.parametrize("stands", [True, False])
+def test_a_motion_that_growth_and_the_ground_contradict_is_dropped(stands):
+    pixels, seen, depths = seen_body(body(160), 60, 0.2)
+    assert rigid_motions(pixels, seen, K)[0] is not None
+    cameras = [Camera(np.eye(4), K, 320, 180) for _ in range(FRAMES)]
+    middles = np.median(pixels, 0).astype(float)
+    growth = 1.2 + 0.4 * np.sin(np.arange(FRAMES) / 3)
+    feet = growth + 0.1 if stands else np.log(depths) + np.linspace(0, 2, FRAMES)
+    bounds = [Bound(float(each), True, True) for each in feet]
+    mover = solve_mover(1, pixels, seen, middles, bounds, cameras, None, growth, np.array([0, -1.0, 0]))
+    assert mover.rigid != stands
+    assert ("contact" in mover.cues) == stands
+
+
 def test_too_little_to_know():
     pixels, seen, _ = seen_body(body(10), 60, 0.2)
     assert rigid_motions(pixels, seen, K) == (None, [])

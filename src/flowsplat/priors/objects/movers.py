@@ -31,6 +31,8 @@ FLOOR = {"pivot": 0.02, "height": 0.03, "smooth": 0.03, "contact": 0.025, "bounc
 WRONG = {"pivot": 0.05, "height": 0.05, "smooth": 0.1, "contact": 0.07, "bounce": 0.1}
 FLAT, FLAT_LOW, FLAT_HIGH = 0.1, 10, 70
 """Range of the bounds between two percentiles over time up to which a mover stands on the ground."""
+CONTRADICTED = 0.15
+"""Standard deviation over time between ln z by motion and by growth from which the ground decides which of them is right."""
 MOSTLY = 0.5
 """Share of the frames in which a mover is seen in which its feet must be seen, too: what swings hides where it is high."""
 FEWEST_BOUNDS = 8
@@ -284,6 +286,10 @@ def solve_mover(
     points, cues, path = ReliefPoints.none(), {}, None
 
     placed = None if motion is None else course_of(motion, positions, inside, K, middles, cameras, normal)
+    if placed is not None and float(np.nanstd(placed[0] - course)) > CONTRADICTED:
+        by_growth, by_motion = (unevenness(on_ground - each, visible, int(seen.sum())) for each in (course, placed[0]))
+        if by_growth <= FLAT < by_motion:
+            placed = None
     if placed is not None and motion is not None:
         course, points, share = placed
         course = np.where(seen, course, np.nan)
