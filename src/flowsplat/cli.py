@@ -156,7 +156,10 @@ def _commands(arguments: Sequence[str]) -> dict[str, Any]:
 
         say(f"Written: {export_scene(pipeline.load(out), Scene(out / 'scene'), to, path, options)}")
 
-    def tracks(out: Run, at: tuple[str, ...] = (), queries: Path | None = None, path: Target = None) -> None:
+    # --at A B, --at A --at B and both together are all understood.
+    Points = Annotated[tuple[tuple[str, ...], ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="U,V,FRAME [...]")]
+
+    def tracks(out: Run, at: Points = (), queries: Path | None = None, path: Target = None) -> None:
         """Follow points through a trained run: where what is seen at a pixel goes in 3D, and when it is visible.
 
         Writes queries, timestamps, points [Q, T, 3] in the coordinates of RUN/scene/cameras.json, visible [Q, T], and movers [Q],
@@ -165,7 +168,7 @@ def _commands(arguments: Sequence[str]) -> dict[str, Any]:
         Args:
             out: Folder of the run.
             at: Points to follow, each u,v,frame: pixels of the prepared frames (the centre of the first is 0.5,0.5), and the
-                number of the frame.
+                number of the frame. Repeat it for more.
             queries: More of them: a .json with a list of [u, v, frame], or a text with u,v,frame on every line.
             path: File to write, .json or .npz; without it RUN/export/tracks.json.
         """
@@ -174,7 +177,7 @@ def _commands(arguments: Sequence[str]) -> dict[str, Any]:
         from flowsplat.scenes import Scene
 
         model, scene = pipeline.load(out), Scene(out / "scene")
-        wanted = read_queries(at, queries, scene)
+        wanted = read_queries([point for some in at for point in some], queries, scene)
         written, found = write_tracks(model, scene, wanted, path or out / "export" / "tracks.json")
         say(f"Written: {written}. {found} of {len(wanted)} points lie on something and were followed.")
 

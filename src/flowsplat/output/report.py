@@ -347,6 +347,8 @@ def _video_title(name: str) -> str:
     rest, slow, times = rest.partition("_slow")
     if slow:
         words.insert(0, f"{times} times slower")
+    if rest.startswith("custom_path_"):
+        rest = f"Along the camera path {rest.removeprefix('custom_path_')}"
     return ", ".join([_VIDEO_TITLES.get(rest, rest), *words])
 
 
