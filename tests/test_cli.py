@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -15,7 +16,8 @@ import cv2
 import numpy as np
 import pytest
 
-from flowsplat.cli import main
+import flowsplat
+from flowsplat.cli import USUAL, main
 from flowsplat.scenes import Depth, Scene
 from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic
 
@@ -61,18 +63,51 @@ def scene(tmp_path_factory) -> Path:
 
 def test_help_explains(capsys):
     with pytest.raises(SystemExit) as end:
-        main(["run", "--help"])
+        main(["run", "--help-all"])
     assert end.value.code == 0
     text = capsys.readouterr().out
     for word in ("--holdout", "--preset", "--train.iterations", "--seed", "video file"):
         assert word in text
 
 
+def test_help_is_short_and_says_where_the_rest_is(capsys):
+    with pytest.raises(SystemExit) as end:
+        main(["run", "--help"])
+    assert end.value.code == 0
+    text = capsys.readouterr().out
+    assert set(USUAL) <= {word.rstrip(",") for word in text.split()}, "every usual option is one"
+    assert "--seed" not in text
+    assert "video file" in text
+    assert re.search(rf"These are {len(USUAL)} of 1\d\d options. All of them: flowsplat run --help-all\n$", text)
+    with pytest.raises(SystemExit):
+        main(["export", "--help"])
+    assert "--flip-axes" in capsys.readouterr().out, "few options are all shown"
+
+
+def test_the_version(capsys):
+    main(["--version"])
+    assert capsys.readouterr().out == f"flowsplat {flowsplat.__version__}\n"
+
+
+def test_out_is_where_to_write_everywhere(capsys):
+    for command in ("run", "prepare", "demo", "export", "tracks", "benchmark rig"):
+        with pytest.raises(SystemExit):
+            main([*command.split(), "--help"])
+        assert re.search(r"-o OUT, (--path OUT, )?--out OUT", capsys.readouterr().out), command
+
+
 def test_a_run_prints_its_figures_and_says_what_was_held_out(capsys, scene, tmp_path):
     code, error = call(capsys, "run", scene, "-o", tmp_path / "out", "--priors", "true", *FAST)
     assert code == 0
     assert "held-out frames, PSNR" in error
-    assert "--holdout none" in error.strip().splitlines()[-1]
+    lines = error.strip().splitlines()
+    assert "--holdout none" in lines[-5]
+    assert "Along the clip's path: the picture that training never saw is rendered at" in lines[-4]
+    assert "From aside: views by other cameras" in lines[-4]
+    told = [line.split(":", 1)[1].strip() for line in lines[-3:]]
+    out = tmp_path / "out"
+    assert told == [str(out / "report.html"), f"flowsplat view {out}", f"flowsplat export {out} --to html"]
+    assert re.search(r"^time +\d+\.\d s$", error, re.M)
     assert json.loads((tmp_path / "out" / "metrics.json").read_text())["heldout_frames"]["count"] == 1
 
 

@@ -27,11 +27,11 @@ def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:
 
 
 def help_of(*words: str) -> str:
-    """What ``flowsplat <words> --help`` prints."""
+    """What ``flowsplat <words> --help-all`` prints."""
     printed = io.StringIO()
     plain = {"COLUMNS": str(WIDTH), "NO_COLOR": "1", "TERM": "dumb"}
     with mock.patch.dict(os.environ, plain), contextlib.redirect_stdout(printed), contextlib.suppress(SystemExit):
-        cli.main([*words, "--help"])
+        cli.main([*words, "--help-all"])
     return printed.getvalue().strip()
 
 
@@ -50,6 +50,6 @@ def _sections() -> Iterator[str]:
         lines = text.splitlines()
         name = " ".join(("flowsplat", *words))
         yield f"\n## {name}\n\n{text.split(chr(10) * 2)[1]}\n"
-        yield f'???{"+" * (len(lines) <= SHORT)} note "{name} --help"\n\n    ```text'
+        yield f'???{"+" * (len(lines) <= SHORT)} note "{name} --help-all"\n\n    ```text'
         yield from (f"    {line}" for line in lines)
         yield "    ```\n"

@@ -3,6 +3,7 @@
 import contextlib
 import io
 import os
+import re
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
@@ -11,6 +12,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
+from flowsplat import __version__
 from flowsplat.common.errors import InputError
 from flowsplat.common.progress import console, say
 from flowsplat.common.stopping import Stopped, signals_stop
@@ -18,6 +20,13 @@ from flowsplat.common.stopping import Stopped, signals_stop
 HOLDOUT_NOTE = "These figures are of frames that were kept back (--holdout); --holdout none trains on all of them."
 
 Preset = Literal["fast", "default", "paper", "high"]
+
+USUAL = (
+    "-h", "-o", "--preset", "--device", "--start", "--end", "--every", "--max-frames", "--resize", "--holdout", "--mask-click",
+    "--touch", "--cameras.focal", "--given.masks", "--train.iterations", "--render.paths",
+)  # fmt: skip
+"""The options that --help shows of a command with more than ``MANY`` of them; --help-all shows all."""
+MANY = 40
 
 
 def _commands(arguments: Sequence[str]) -> dict[str, Any]:
@@ -35,10 +44,11 @@ def _commands(arguments: Sequence[str]) -> dict[str, Any]:
         defaults = replace(stored, train=defaults.train) if named else stored
     Settings = Annotated[RunConfig, tyro.conf.arg(name="")]
     Source = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="INPUT")]
-    Run = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]
+    Run = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
     Viewing = Annotated[ViewOptions, tyro.conf.arg(name="")]
     Exporting = Annotated[ExportOptions, tyro.conf.arg(name="")]
-    Target = Annotated[Path | None, tyro.conf.arg(aliases=("-o",), metavar="PATH")]
+    # Everywhere, -o or --out is where to write, and RUN is the folder that --out of run or prepare named.
+    Target = Annotated[Path | None, tyro.conf.arg(name="out", aliases=("-o", "--path"), metavar="OUT")]
     Out = Annotated[Path, tyro.conf.arg(aliases=("-o",), metavar="OUT")]
 
     def run(input: Source, out: Out, preset: Preset = "default", config: Settings = defaults) -> None:
@@ -137,7 +147,7 @@ def _commands(arguments: Sequence[str]) -> dict[str, Any]:
             to: html (the player), ply (3DGS, at one time), ply-sequence (one ply a frame, as SuperSplat plays it), splat (32 bytes
                 a Gaussian, at one time), spz (compressed, at one time), npz or safetensors (every parameter), colmap or
                 nerfstudio (the cameras).
-            path: File or folder to write; without it, in OUT/export.
+            path: File or folder to write; without it, in RUN/export.
             options: What and how.
         """
         from flowsplat import pipeline
@@ -146,25 +156,28 @@ def _commands(arguments: Sequence[str]) -> dict[str, Any]:
 
         say(f"Written: {export_scene(pipeline.load(out), Scene(out / 'scene'), to, path, options)}")
 
-    def tracks(out: Run, at: tuple[str, ...] = (), queries: Path | None = None, path: Target = None) -> None:
+    # --at A B, --at A --at B and both together are all understood.
+    Points = Annotated[tuple[tuple[str, ...], ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="U,V,FRAME [...]")]
+
+    def tracks(out: Run, at: Points = (), queries: Path | None = None, path: Target = None) -> None:
         """Follow points through a trained run: where what is seen at a pixel goes in 3D, and when it is visible.
 
-        Writes queries, timestamps, points [Q, T, 3] in the coordinates of OUT/scene/cameras.json, visible [Q, T], and movers [Q],
+        Writes queries, timestamps, points [Q, T, 3] in the coordinates of RUN/scene/cameras.json, visible [Q, T], and movers [Q],
         the number of the mover that each point is on.
 
         Args:
             out: Folder of the run.
             at: Points to follow, each u,v,frame: pixels of the prepared frames (the centre of the first is 0.5,0.5), and the
-                number of the frame.
+                number of the frame. Repeat it for more.
             queries: More of them: a .json with a list of [u, v, frame], or a text with u,v,frame on every line.
-            path: File to write, .json or .npz; without it OUT/export/tracks.json.
+            path: File to write, .json or .npz; without it RUN/export/tracks.json.
         """
         from flowsplat import pipeline
         from flowsplat.output.tracks import read_queries, write_tracks
         from flowsplat.scenes import Scene
 
         model, scene = pipeline.load(out), Scene(out / "scene")
-        wanted = read_queries(at, queries, scene)
+        wanted = read_queries([point for some in at for point in some], queries, scene)
         written, found = write_tracks(model, scene, wanted, path or out / "export" / "tracks.json")
         say(f"Written: {written}. {found} of {len(wanted)} points lie on something and were followed.")
 
@@ -448,12 +461,28 @@ def _open(out: Path, **changes: Any) -> Any:
 
 
 def _print_figures(metrics: dict[str, Any], out: Path) -> None:
-    from flowsplat.pipeline.summary import figures_table
+    from flowsplat.output.report import verdict
+    from flowsplat.pipeline.summary import figures_table, next_steps
 
     console.print(figures_table({"": metrics}))
-    say(f"Look at {out / 'report.html'}")
     if metrics["heldout_frames"] is not None:
         say(HOLDOUT_NOTE)
+    for line in (verdict(metrics), *next_steps(out)):
+        say(line)
+
+
+def _short(text: str, command: str) -> str:
+    """The help of a command as tyro prints it into a file, with the usual options only where there are many."""
+    head, *sections = re.split(r"^ (?=\S.*\n -{9})", text, flags=re.M)
+    options, usual, kept = 0, 0, [head]
+    for section in sections:
+        title, *entries = re.split(r"^  (?=-\w|--\w)", section, flags=re.M)
+        chosen = [entry for entry in entries if re.split(r"[ ,\n]", entry, maxsplit=1)[0] in USUAL]
+        options, usual = options + len(entries), usual + len(chosen)
+        if chosen or not entries:
+            kept.append(" " + "  ".join([title, *chosen]).rstrip() + "\n\n")
+    short = f"{''.join(kept)}These are {usual} of {options} options. All of them: {command} --help-all\n"
+    return short if options > MANY else text
 
 
 def _one_line(box: str) -> str:
@@ -477,17 +506,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
             arguments[k] = argument[:-4] + "None"
     if not arguments:
         arguments = ["--help"]
+    if arguments[0] in ("--version", "-V"):
+        print(f"flowsplat {__version__}")
+        return
+    whole = "--help-all" in arguments
+    arguments = ["--help" if argument == "--help-all" else argument for argument in arguments]
     arguments = _with_present_names(arguments)
-    box = io.StringIO()
+    box, told = io.StringIO(), io.StringIO()
     prog, commands = "flowsplat", {}
     try:
         if arguments[0] == "benchmark":
             prog, commands, arguments = "flowsplat benchmark", _benchmarks(arguments), arguments[1:] or ["--help"]
         else:
             commands = _commands(arguments)
-        parsing = contextlib.redirect_stderr(box)
         call = _Deferred()
-        with parsing:
+        with contextlib.redirect_stderr(box), contextlib.nullcontext() if whole else contextlib.redirect_stdout(told):
             tyro.extras.subcommand_cli_from_dict(
                 {name: call.wrap(function) for name, function in commands.items()},
                 prog=prog,
@@ -501,6 +534,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except SystemExit as error:
         if error.code == 2:
             _fail(_one_line(box.getvalue()) or "The command line cannot be understood: see flowsplat --help.")
+        text = told.getvalue()
+        print(_short(text, f"{prog} {arguments[0]}") if prog == "flowsplat" else text, end="")
         raise
     except KeyboardInterrupt as error:
         with contextlib.suppress(OSError):  # of a terminal that is closed

@@ -12,7 +12,7 @@ import pytest
 
 from flowsplat.geometry import Camera
 from flowsplat.output.camera_path import path_at_an_angle, path_from_above
-from flowsplat.output.priors_report import NAME, PANEL, verdict, write_priors_report
+from flowsplat.output.priors_report import NAME, PANEL, _Shown, verdict, write_priors_report
 from flowsplat.pipeline import prepare
 from flowsplat.pipeline.config import RunConfig
 from flowsplat.priors.given import use_truth
@@ -235,3 +235,11 @@ def test_preparing_writes_the_page_and_says_so(scene, tmp_path, capsys):
     folder = prepare(scene.folder, tmp_path / "out", config)
     assert (folder.path / NAME).stat().st_size > 10_000
     assert "Training can work" in capsys.readouterr().err
+
+
+def test_the_last_frame_shows_its_flow_as_it_came(as_found):
+    shown = _Shown(as_found)
+    last, before = (shown.panels(k)["flow"] for k in (-1, -2))
+    assert (last > 0).mean() > 0.5, "it is not black"
+    assert np.abs(last.astype(float) - before).mean() < 40, "nor the other way round"
+    assert len(shown.matched) == len(shown.trusted) - 1

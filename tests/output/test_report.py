@@ -148,13 +148,14 @@ def test_videos_of_every_kind(tmp_path):
         "orbit_background": "orbit_background.mp4", "orbit_background_colour": "orbit_background_colour.mp4",
         "orbit_background_stereo": "orbit_background_stereo.mp4", "input_path_movers": "input_path_movers.webm",
         "wiggle": "wiggle.gif", "orbit_distance_2x1.2_3x0.9_movers_2_3": "o.webm",
-        "stabilised_slow2.5_movers": "stabilised_slow2.5_movers.webm",
+        "stabilised_slow2.5_movers": "stabilised_slow2.5_movers.webm", "custom_path_round-it": "custom_path_round-it.mp4",
     }  # fmt: skip
     page = write(tmp_path, replace(made_up_run(), videos=videos))
     assert "Round the middle of the clip, the background alone: colour, flow, depth." in page
     assert "Round the middle of the clip, the background alone, for two eyes." in page
     assert "the movers alone." in page
     assert "Round the middle of the clip, mover 2 1.2 times as far, mover 3 0.9 times as far, mover 2, 3 alone." in page
+    assert "Along the camera path round-it" in page
     assert "without the shaking, 2.5 times slower, the movers alone." in page
     assert '<img src="renders/wiggle.gif"' in page
     assert '<video controls muted loop playsinline preload="metadata" src="renders/input_path_movers.webm">' in page

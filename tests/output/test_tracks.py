@@ -44,6 +44,11 @@ def test_points_from_the_command_line(run, capsys):
     assert value["movers"] == [2, 0]
 
 
+def test_points_one_by_one(run, tmp_path):
+    call(run, "--at", "19.2,24.0,0", "--at", ON_WALL, "3,3,0", "-o", tmp_path / "tracks.json")
+    assert json.loads((tmp_path / "tracks.json").read_text())["queries"] == [[19.2, 24, 0], [60.5, 5.5, 3], [3, 3, 0]]
+
+
 @pytest.mark.parametrize("name", ["points.json", "points.txt"])
 def test_points_from_a_file(run, tmp_path, name):
     text = "[[19.2, 24, 0], [60.5, 5.5, 3]]" if name.endswith("json") else "# u, v, frame\n19.2, 24, 0\n\n60.5,5.5,3\n"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flowsplat.pictures.sheets import GAP, preview_sheet, side_by_side, stacked
+from flowsplat.pictures.sheets import GAP, preview_sheet, side_by_side, stacked, with_rulers
 
 
 def test_side_by_side_keeps_pictures_and_resizes_to_the_first():
@@ -42,3 +42,17 @@ def test_preview_sheet():
     picture = np.random.default_rng(0).random((30, 40, 3)).astype(np.float32)
     assert preview_sheet(picture, picture).shape == (30, 3 * 40 + 2 * GAP, 3)
     assert preview_sheet((picture * 255).astype(np.uint8), picture).shape == (30, 3 * 40 + 2 * GAP, 3)
+
+
+def test_rulers_name_places_in_pixels():
+    image = np.full((90, 160, 3), 128, np.uint8)
+    sheet = with_rulers(image, (854, 480))
+    margin = sheet.shape[0] - 90
+    assert sheet.shape == (90 + margin, 160 + margin, 3)
+    assert (sheet[margin:, margin:] == 128).all(), "the picture stays as it is"
+    long_ticks = np.flatnonzero((sheet[margin - 8, margin:] == 90).all(-1))
+    np.testing.assert_allclose(long_ticks * 854 / 160, np.arange(0, 854, 500), atol=3)
+    ticks = np.flatnonzero((sheet[margin - 2, margin:] == 90).all(-1))
+    np.testing.assert_allclose(ticks * 854 / 160, np.arange(0, 854, 100), atol=3)
+    down = np.flatnonzero((sheet[margin:, margin - 2] == 90).all(-1))
+    np.testing.assert_allclose(down * 480 / 90, np.arange(0, 480, 100), atol=3)

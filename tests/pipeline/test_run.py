@@ -272,11 +272,12 @@ def test_another_content_of_the_camera_file_is_rendered_again(tiny_scene, finish
     config = small_config()
     config = replace(config, render=replace(config.render, paths=(), camera_file=camera_file(tmp_path / "path.json", 40.0)))
     run(tiny_scene, out, config)
-    before = (out / "renders" / "custom_path.mp4").read_bytes()
+    before = (out / "renders" / "custom_path_path.mp4").read_bytes()
     camera_file(tmp_path / "path.json", 60.0)
     run(tiny_scene, out, config)
-    assert (out / "renders" / "custom_path.mp4").read_bytes() != before
-    moved = replace(config, render=replace(config.render, camera_file=camera_file(tmp_path / "moved.json", 60.0)))
+    assert (out / "renders" / "custom_path_path.mp4").read_bytes() != before
+    (tmp_path / "elsewhere").mkdir()
+    moved = replace(config, render=replace(config.render, camera_file=camera_file(tmp_path / "elsewhere" / "path.json", 60.0)))
     monkeypatch.setattr(stages, "render_videos", lambda *_: pytest.fail("rendered again"))
     run(tiny_scene, out, moved)
 

@@ -19,7 +19,7 @@ from flowsplat.output.page import card, picture_row, write_page
 from flowsplat.pictures.charts import line_chart
 from flowsplat.pictures.colors import depth_range, depth_to_color, flow_legend, flow_scale, flow_to_color, object_color, tinted
 from flowsplat.pictures.html import figure, picture, table
-from flowsplat.pictures.sheets import side_by_side, stacked
+from flowsplat.pictures.sheets import side_by_side, stacked, with_rulers
 from flowsplat.pictures.video import write_mp4
 from flowsplat.priors.cameras.checks import LARGE_ERROR, LITTLE_PARALLAX
 from flowsplat.priors.cameras.following import WORKING_SIDE
@@ -243,26 +243,31 @@ class _Shown:
         guessed = (scene.prior("depth") or {}).get("method") == "guess"
         self._depth_name = "depth (a guess)" if guessed else "depth"
         self._tracks = scene.tracks if scene.has_tracks else None
-        self._train = train
+        self._train, self._pairs = train, set(scene.flow_pairs)
         scale = min(1.0, PANEL / max(scene.width, scene.height))
         self.size = (max(2, round(scene.width * scale)), max(2, round(scene.height * scale)))
         self._scale = np.array(self.size) / [scene.width, scene.height]
         self.matched: list[float] = []
         self.trusted: list[float] = []
         following = dict(pairwise(train))
-        self._seen = [self._read(scene, i, following.get(i)) for i in self.frames]
+        before = train[-2] if len(train) > 1 else None
+        self._seen = [self._read(scene, i, following.get(i), before) for i in self.frames]
         some = [self._seen[k] for k in spread(len(self._seen), 12)]
         self.flow_scale = flow_scale([seen.flow for seen in some])
         self._near, self._far = depth_range([seen.depth for seen in some])
 
-    def _read(self, scene: Scene, i: int, j: int | None) -> _Seen:
+    def _read(self, scene: Scene, i: int, following: int | None, before: int | None) -> _Seen:
         depth, mask = scene.depth(i), scene.mask(i)
         flow = np.full((self.size[1], self.size[0], 2), np.nan, np.float32)
-        if j is not None:
+        j = before if following is None else following
+        if j is not None and (j > i or (i, j) in self._pairs):
             found = scene.flow(i, j)
             trusted = _small(found.trusted.astype(np.float32), self.size) > 0.5
-            flow = np.where(trusted[..., None], _small(found.flow, self.size), np.nan)
-            self.matched.append(float(found.trusted.mean()))
+            # The last frame has no next one: it is taken to go on as it came.
+            forward = found.flow if j > i else -found.flow
+            flow = np.where(trusted[..., None], _small(forward, self.size), np.nan)
+            if j > i:
+                self.matched.append(float(found.trusted.mean()))
         still = mask == 0
         self.trusted.append(float(depth.trusted[still].mean()) if still.any() else 0.0)
         return _Seen(
@@ -282,6 +287,11 @@ class _Shown:
             "movers": tinted(seen.image, seen.mask),
             self._depth_name: np.where(seen.sure[..., None], depth, pale),
         }
+
+    def ruled(self, k: int) -> np.ndarray:
+        """The picture of a frame with rulers in pixels of the prepared frames, which is what clicks are given in."""
+        width, height = np.round(np.array(self.size) / self._scale).astype(int).tolist()
+        return with_rulers(self._seen[k].image, (width, height))
 
     def _with_tracks(self, image: np.ndarray, frame: int) -> np.ndarray:
         result = image.copy()
@@ -308,7 +318,7 @@ def _small(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 def _still(shown: _Shown, k: int) -> dict[str, Any]:
     label = f"Frame {shown.frames[k]}"
-    return {"label": label, "panels": picture_row(shown.panels(k), label)}
+    return {"label": label, "panels": picture_row({"pixels": shown.ruled(k), **shown.panels(k)}, label)}
 
 
 def _strip(shown: _Shown) -> str:

@@ -12,6 +12,7 @@ from urllib.parse import quote
 import numpy as np
 from markupsafe import Markup
 
+from flowsplat.common.durations import duration
 from flowsplat.evaluation.scores import pick
 from flowsplat.output.page import card, picture_row, write_page
 from flowsplat.pictures.charts import Points, line_chart
@@ -194,7 +195,7 @@ def _headline(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
             "Gaussians",
             "" if active is None else f"{active:,.0f} active at a time",
         ),
-        card(Markup(_duration(seconds)) if seconds else figure(None), "", "for everything", _memory(metrics)),
+        card(Markup(duration(seconds)) if seconds else figure(None), "", "for everything", _memory(metrics)),
     ]
 
 
@@ -214,14 +215,6 @@ def _aside_card(metrics: Mapping[str, Any]) -> dict[str, Any]:
 def _memory(metrics: Mapping[str, Any]) -> str:
     peak = metrics.get("peak_memory_gib")
     return "" if peak is None else f"{peak:.1f} GiB of memory at most"
-
-
-def _duration(seconds: float) -> str:
-    """Minutes and seconds for people."""
-    if seconds < 60:
-        return f"{seconds:.1f} s"
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes} min {rest} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
 
 
 def _tables(metrics: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
@@ -254,8 +247,8 @@ def _tables(metrics: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
         yield {"title": "Movers", "remark": remark, "table": rows}
     seconds = metrics.get("seconds") or {}
     if seconds:
-        spent = [(_STAGES.get(stage, stage), _duration(value)) for stage, value in seconds.items()]
-        spent.append(("together", _duration(sum(seconds.values()))))
+        spent = [(_STAGES.get(stage, stage), duration(value)) for stage, value in seconds.items()]
+        spent.append(("together", duration(sum(seconds.values()))))
         yield {"title": "Time", "remark": "", "table": table(("stage", "time"), spent, [len(spent) - 1])}
 
 
@@ -354,6 +347,8 @@ def _video_title(name: str) -> str:
     rest, slow, times = rest.partition("_slow")
     if slow:
         words.insert(0, f"{times} times slower")
+    if rest.startswith("custom_path_"):
+        rest = f"Along the camera path {rest.removeprefix('custom_path_')}"
     return ", ".join([_VIDEO_TITLES.get(rest, rest), *words])
 
 

@@ -12,6 +12,11 @@ from flowsplat.pictures.colors import error_to_color, float_to_bytes
 GAP = 4
 """Pixels between two pictures."""
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
+_RULER = 26
+"""Pixels of a ruler beside a picture."""
+_TICK_ROOM = 40
+"""Pixels between two numbers of a ruler, at least."""
+_STEPS = (5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000)
 
 
 def side_by_side(images: Sequence[np.ndarray], labels: Sequence[str] = (), height: int | None = None) -> np.ndarray:
@@ -38,6 +43,29 @@ def stacked(rows: Sequence[np.ndarray]) -> np.ndarray:
     gap = np.full((GAP, width, 3), 255, np.uint8)
     panels = [_resized(row, max(round(row.shape[0] * width / row.shape[1]), 1), width) for row in rows]
     return np.concatenate([part for panel in panels for part in (gap, panel)][1:])
+
+
+def with_rulers(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """The picture [h, w, 3] uint8 with rulers above and to the left of it, so that a place in it can be named in pixels.
+
+    Args:
+        size: (width, height) in the pixels that the rulers count; their origin is the outer corner of the first pixel.
+    """
+    height, width = image.shape[:2]
+    step = next(step for step in _STEPS if step >= _TICK_ROOM * size[0] / width)
+    sheet = np.full((height + _RULER, width + _RULER, 3), 255, np.uint8)
+    sheet[_RULER:, _RULER:] = image
+    for across, (length, count) in ((True, (width, size[0])), (False, (height, size[1]))):
+        for value in range(0, count, step // 5):
+            at = _RULER + round(value * length / count)
+            whole = value % step == 0
+            tick = _RULER - (8 if whole else 4)
+            ends = ((at, tick), (at, _RULER - 1)) if across else ((tick, at), (_RULER - 1, at))
+            cv2.line(sheet, *ends, (90, 90, 90), 1)
+            if whole:
+                place = (at + 2, 12) if across else (0, at + 10)
+                cv2.putText(sheet, str(value), place, _FONT, 0.32, (60, 60, 60), 1, cv2.LINE_AA)
+    return sheet
 
 
 def preview_sheet(target: np.ndarray, rendering: np.ndarray) -> np.ndarray:

@@ -9,9 +9,11 @@ from pathlib import Path
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import make_folder, read_json, write_json
 from flowsplat.common.progress import console, say
+from flowsplat.output.report import NAME as REPORT
+from flowsplat.output.report import verdict
 from flowsplat.pipeline.config import RunConfig
 from flowsplat.pipeline.stages import prepare, render_run, train
-from flowsplat.pipeline.summary import figures_table
+from flowsplat.pipeline.summary import figures_table, next_steps
 from flowsplat.scenes import Scene
 from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic, write_synthetic_video
 
@@ -47,7 +49,10 @@ def run_demo(out: Path, width: int = 320, frames: int = 40) -> None:
     train(true)
     true_metrics = render_run(true)
     console.print(figures_table({"own priors": own_metrics, "true priors": true_metrics}))
-    say(f"Look at {out / 'own' / 'report.html'} and {out / 'true' / 'report.html'}")
+    say(f"Own priors. {verdict(own_metrics)}")
+    say(f"True priors. {verdict(true_metrics)} {out / 'true' / REPORT}")
+    for line in next_steps(out / "own"):
+        say(line)
 
 
 def _lend_truth(truth: Scene, scene: Path) -> None:

@@ -9,8 +9,10 @@ from pathlib import Path
 
 from flowsplat import __version__
 from flowsplat.common.devices import backends
+from flowsplat.common.durations import duration
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_json
+from flowsplat.output.report import verdict
 from flowsplat.pipeline.folder import RunFolder
 from flowsplat.scenes import Scene
 
@@ -50,11 +52,12 @@ def _describe_run(folder: RunFolder) -> Iterator[str]:
         if stage == "final" and not folder.config.final_fit:
             continue
         entry = folder.record["stages"].get(stage)
-        state = "not finished" if entry is None else f"finished in {sum(entry['seconds'].values()):.0f} s"
+        state = "not finished" if entry is None else f"finished in {duration(sum(entry['seconds'].values()))}"
         yield f"  {stage}: {state}"
     metrics = folder.path / "metrics.json"
     if metrics.exists():
         values = read_json(metrics)
+        yield f"  {verdict(values)}"
         for name in ("heldout_frames", "heldout_views", "training_frames"):
             if values.get(name):
                 yield f"  {name.replace('_', ' ')}: PSNR {values[name]['psnr']:.2f}, SSIM {values[name]['ssim']:.3f}"

@@ -27,7 +27,7 @@ from flowsplat.gaussians.observations import Observation, Observations, load_obs
 from flowsplat.gaussians.render import RenderedFrame
 from flowsplat.output.priors_report import verdict, write_priors_report
 from flowsplat.output.report import FlowComparison, write_report
-from flowsplat.output.videos import RenderOptions, are_rendered, forget_videos, render_videos, settle
+from flowsplat.output.videos import RenderOptions, are_rendered, forget_videos, name_of, render_videos, settle
 from flowsplat.pictures.colors import float_to_bytes
 from flowsplat.pictures.sheets import preview_sheet
 from flowsplat.pipeline.config import RunConfig, check
@@ -445,7 +445,7 @@ def _write_metrics(folder: RunFolder, result: _Result, metrics: dict[str, Any], 
 
 
 def _render_key(folder: RunFolder) -> str:
-    """A camera file counts by what is in it, not by where it lies.
+    """A camera file counts by its name, which that of its video has, and by what is in it, not by where it lies.
 
     Raises:
         InputError: the camera file cannot be read.
@@ -455,7 +455,7 @@ def _render_key(folder: RunFolder) -> str:
     if file is None:
         return stage_key(model, options)
     content = hash_files("", [("camera_file", file)], whole=True)
-    return stage_key(model, replace(options, camera_file=None), content)
+    return stage_key(model, replace(options, camera_file=None), name_of(file), content)
 
 
 def render_run(folder: RunFolder, options: RenderOptions | None = None) -> dict[str, Any]:

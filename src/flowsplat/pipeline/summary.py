@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -10,9 +11,11 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
+from flowsplat.common.durations import duration
 from flowsplat.common.settings import flat, to_plain
 from flowsplat.evaluation.scores import pick
 from flowsplat.gaussians.renderer import Renderer
+from flowsplat.output.report import NAME as REPORT
 from flowsplat.output.report import VIDEO_FOLDER, Comparison, FlowComparison, ReportData
 from flowsplat.output.videos import rendered
 from flowsplat.scenes import Scene
@@ -63,8 +66,16 @@ def figures_table(runs: Mapping[str, Mapping[str, Any]]) -> Table:
         if any(value is not None for value in values):
             table.add_row(label, *("–" if value is None else format(value, style) for value in values))
     totals = [sum(metrics.get("seconds", {}).values()) for metrics in runs.values()]
-    table.add_row("seconds", *(f"{total:.0f}" for total in totals))
+    table.add_row("time", *(duration(total) for total in totals))
     return table
+
+
+def next_steps(out: Path) -> Iterator[str]:
+    """What to do with a run that is finished."""
+    folder = shlex.quote(str(out))
+    yield f"  its report:      {out / REPORT}"
+    yield f"  look around:     flowsplat view {folder}"
+    yield f"  a page to share: flowsplat export {folder} --to html"
 
 
 def report_data(

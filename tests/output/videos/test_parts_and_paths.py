@@ -238,6 +238,17 @@ def test_stereo_pairs_differ_by_the_sign_of_the_parallax(run, tmp_path):
         np.testing.assert_allclose(shifted(camera, side * 0.1, WALL).project(point)[0], camera.project(point)[0], atol=1e-9)
 
 
+def test_stereo_pairs_of_parts(run, tmp_path):
+    render_videos(*run, tmp_path, RenderOptions(paths=("input",), parts=("background", "movers"), stereo=True))
+    assert {file for file in rendered(tmp_path).values() if "stereo" in file} == {
+        "input_path_background_stereo.mp4", "input_path_movers_stereo.mp4"
+    }  # fmt: skip
+    (movers, *_) = frames_of(tmp_path / "input_path_movers_stereo.mp4")
+    for eye in (movers[:, : SIZE[0]], movers[:, SIZE[0] :]):
+        assert red(eye).any()
+        assert np.median(eye) < 20, "all else is black"
+
+
 def test_the_wiggle_swings_round_the_subject(run, tmp_path):
     render_videos(*run, tmp_path, RenderOptions(paths=("wiggle",), eye_distance=0.1))
     assert rendered(tmp_path) == {"wiggle": "wiggle.gif"}

@@ -136,9 +136,12 @@ def test_a_camera_file(scene, tmp_path):
     write_camera_file(tmp_path / "path.json", shots, fps=5)
     options = RenderOptions(paths=(), camera_file=tmp_path / "path.json")
     render_videos(Plane(), scene, tmp_path, options)
-    assert list(rendered(tmp_path)) == ["custom_path", "custom_path_colour"]
-    frames, rate = decode(tmp_path / "custom_path_colour.mp4")
+    assert list(rendered(tmp_path)) == ["custom_path_path", "custom_path_path_colour"]
+    frames, rate = decode(tmp_path / "custom_path_path_colour.mp4")
     assert (len(frames), rate, frames[0].shape) == (2, 5, (24, 32, 3))
+    write_camera_file(tmp_path / "my 2nd.json", shots[::-1], fps=5)
+    render_videos(Plane(), scene, tmp_path, replace(options, camera_file=tmp_path / "my 2nd.json"))
+    assert [name for name in rendered(tmp_path) if not name.endswith("_colour")] == ["custom_path_path", "custom_path_my-2nd"]
 
 
 def test_width_and_rate_can_be_chosen(scene, tmp_path):

@@ -16,11 +16,11 @@ from flowsplat import __version__
 from flowsplat.common.files import read_json, write_json
 from flowsplat.gaussians.renderer import PartedRenderer
 from flowsplat.output.videos.options import RenderOptions, factors_of
-from flowsplat.output.videos.plans import Plan, plan_videos, settle
+from flowsplat.output.videos.plans import Plan, name_of, plan_videos, settle
 from flowsplat.output.videos.writing import Scales, write_plan
 from flowsplat.scenes import Scene
 
-__all__ = ["RenderOptions", "are_rendered", "forget_videos", "render_videos", "rendered", "settle"]
+__all__ = ["RenderOptions", "are_rendered", "forget_videos", "name_of", "render_videos", "rendered", "settle"]
 
 _RECORD = "renders.json"
 
@@ -49,9 +49,10 @@ def render_videos(model: PartedRenderer, scene: Scene, folder: Path, options: Re
 def rendered(folder: Path) -> dict[str, str]:
     """What was rendered into ``folder``, by name, to the file's name in it.
 
-    Names: ``input_path``, ``stabilised``, ``orbit``, ``bullet_time``, ``dolly_zoom``, ``wiggle`` and ``custom_path``, with
-    ``_slow4`` where time plays four times slower, ``_distance_2x1.2`` where mover 2 is that much farther away, ``_background``,
-    ``_movers`` or ``_movers_1_3`` where a part is shown, then ``_stereo`` or ``_colour`` for the other files.
+    Names: ``input_path``, ``stabilised``, ``orbit``, ``bullet_time``, ``dolly_zoom``, ``wiggle`` and ``custom_path_`` with the
+    name of its camera file; behind it ``_slow4`` where time plays four times slower, ``_distance_2x1.2`` where mover 2 is that
+    much farther away, ``_background``, ``_movers`` or ``_movers_1_3`` where a part is shown, then ``_stereo`` or ``_colour`` for
+    the other files.
 
     Raises:
         InputError: ``renders.json`` is damaged.

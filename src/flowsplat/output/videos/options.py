@@ -50,14 +50,15 @@ class RenderOptions:
     dolly: float = 1.5
     """How many times as far from the subject the camera of ``dolly`` goes; below 1 it comes nearer and widens."""
     stereo: bool = False
-    """Every video also as a pair for two eyes, left beside right (``<name>_stereo.mp4``)."""
+    """Every video also as a pair for two eyes, left beside right (``<name>_stereo.mp4``); movers alone stand on black."""
     eye_distance: float = 0.03
     """Between the eyes of ``stereo`` and the ends of ``wiggle``, over the scene's median depth."""
     distances: tuple[str, ...] = later(())
     """Movers farther from the clip's camera than they were trained, or nearer: each ``number=factor``, as in ``2=1.2 3=0.9``. Their
     sizes go with them, so that the clip's own frames stay as they are, but for who hides whom; other cameras see the difference."""
     camera_file: Path | None = None
-    """A camera path of your own: ours, nerfstudio's ``camera_path.json`` or a ``transforms.json``."""
+    """A camera path of your own: ours, nerfstudio's ``camera_path.json`` or a ``transforms.json``. Its video is
+    called ``custom_path_`` and the name of the file."""
 
 
 def factors_of(distances: Sequence[str]) -> dict[int, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -98,16 +99,14 @@ def settle(scene: Scene, options: RenderOptions) -> tuple[float, tuple[int, int]
 
 
 def _versions(plan: Plan, part: Part, scene: Scene, options: RenderOptions) -> Iterator[Plan]:
-    """The video of one part of the scene, and its stereo pair."""
+    """The video of one part of the scene, and its stereo pair (movers alone on black, as players know no alpha beside stereo)."""
     suffix = "" if part == "all" else "_" + part.replace(":", "_").replace(",", "_")
     if options.distances:
         factors = factors_of(options.distances)
         suffix = "_distance" + "".join(f"_{number}x{factor:g}" for number, factor in factors.items()) + suffix
     shown = replace(plan, part=part, name=plan.name + suffix)
-    if part.startswith("movers") and plan.kind == "panels":
-        yield replace(shown, kind="alpha", audio_from=None)
-        return
-    yield shown
+    transparent = part.startswith("movers") and plan.kind == "panels"
+    yield replace(shown, kind="alpha", audio_from=None) if transparent else shown
     if options.stereo and plan.kind == "panels":
         depth = 1 / scene.similarity.scale
         eyes = options.eye_distance * depth
@@ -153,7 +152,13 @@ def _whole(model: PartedRenderer, scene: Scene, options: RenderOptions) -> Itera
         swing = np.sin(np.linspace(0, 2 * np.pi, WIGGLE_FRAMES, endpoint=False)) * options.eye_distance / 2 * distance
         yield Plan("wiggle", [(shifted(path.at(frozen), float(x), subject), frozen) for x in swing], WIGGLE_FPS, kind="gif")
     if given is not None:
-        yield Plan("custom_path", given.shots, options.fps or given.fps or fps)
+        assert options.camera_file is not None
+        yield Plan(f"custom_path_{name_of(options.camera_file)}", given.shots, options.fps or given.fps or fps)
+
+
+def name_of(camera_file: Path) -> str:
+    """What a camera file is called, as a part of the names of its videos."""
+    return re.sub(r"[^\w.-]", "-", camera_file.stem)
 
 
 def subject_distance(model: PartedRenderer, camera: Camera, t: float, otherwise: float) -> float:
