@@ -13,6 +13,7 @@ from typing import Annotated, Any
 
 import msgspec
 from msgspec import Meta
+from typing_extensions import TypedDict
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files.opening import read_bytes
@@ -31,6 +32,12 @@ Number = Annotated[float, Meta(ge=-1e12, le=1e12)]
 Text = Annotated[str, Meta(max_length=10_000)]
 Row3 = tuple[Number, Number, Number]
 Row4 = tuple[Number, Number, Number, Number]
+
+
+class Versioned(TypedDict):
+    """What is asked first of a file: a newer version may hold anything else."""
+
+    version: Count
 
 
 def read_json(path: Path, schema: Any = None, most: int = MOST_BYTES) -> Any:
