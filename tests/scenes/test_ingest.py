@@ -61,7 +61,7 @@ def test_video(tmp_path, picture, write_video):
     assert (scene.name, scene.num_frames, scene.heldout_frames) == ("My clip", 6, [4])
     np.testing.assert_allclose(scene.timestamps, np.arange(6) * 0.08, atol=1e-6)
     assert scene.info["source_fps"] == pytest.approx(25)
-    assert scene.info["audio"] == str(path)
+    assert scene.info["audio"] == "sound.flac"
     assert scene.info["audio_start"] == 0
     assert "one frame in 2" in scene.info["notes"][0]
     assert scene.prior("masks") is None

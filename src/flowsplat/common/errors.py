@@ -1,16 +1,30 @@
 """Errors that are written for the person at the keyboard."""
 
 
+LONGEST = 1000
+"""Characters of a message."""
+
+
 class InputError(Exception):
     """Something the user gave cannot be used.
 
     The message is one line: what was wrong with which input, and what to do about it. The command line prints it
-    without a traceback and exits with code 2.
+    without a traceback and exits with code 2. Names in it may come from anywhere: whatever they hold, it stays one line.
     """
+
+    def __init__(self, message: str):
+        super().__init__(one_line(message))
 
 
 class SplitError(RuntimeError):
     """Code that may only see training frames asked for a held-out one. Always a bug, never the user's fault."""
+
+
+def one_line(text: str) -> str:
+    """``text`` as it can be shown on one line: escapes for what is not printable, and of what is very long both ends."""
+    if len(text) > LONGEST:
+        text = f"{text[: LONGEST * 3 // 4]} ... {text[-LONGEST // 4 :]}"
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 def first_line(error: BaseException) -> str:

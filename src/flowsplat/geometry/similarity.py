@@ -39,8 +39,18 @@ class Similarity:
 
     @staticmethod
     def from_json(value: dict[str, Any]) -> Similarity:
-        """The inverse of ``to_json``."""
-        return Similarity(float(value["scale"]), np.array(value["rotation"], float), np.array(value["translation"], float))
+        """The inverse of ``to_json``.
+
+        Raises:
+            ValueError: it is none.
+            KeyError, TypeError: something is missing or is no number.
+        """
+        scale, rotation = float(value["scale"]), np.array(value["rotation"], float).reshape(3, 3)
+        translation = np.array(value["translation"], float).reshape(3)
+        turns = bool(np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-3) and np.linalg.det(rotation) > 0  # not for NaN
+        if not (0 < scale < np.inf and turns and np.isfinite(translation).all()):
+            raise ValueError("its similarity is none: it needs a scale above 0, a rotation and a translation")
+        return Similarity(scale, rotation, translation)
 
 
 def align_paths(estimated: Sequence[Camera], true: Sequence[Camera]) -> Similarity:

@@ -16,6 +16,11 @@ from flowsplat.common.files import write_text
 from flowsplat.pictures.colors import float_to_bytes
 from flowsplat.pictures.html import picture
 
+POLICY = "; ".join((
+    "default-src 'none'", "img-src 'self' data: file:", "media-src 'self' data: file:", "style-src 'unsafe-inline'",
+    "base-uri 'none'", "form-action 'none'",
+))  # fmt: skip
+"""What a browser lets a page do: show pictures and videos that it holds or that lie beside it, no script, no network."""
 WIDEST = 960
 """Pixels of a picture in a page."""
 
@@ -30,7 +35,7 @@ def write_page(path: Path, template: str, **values: Any) -> None:
     environment = jinja2.Environment(
         loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    write_text(path, environment.get_template(template).render(version=__version__, **values))
+    write_text(path, environment.get_template(template).render(version=__version__, policy=POLICY, **values))
 
 
 def card(value: Markup | str, unit: str, name: str, remark: str) -> dict[str, Any]:

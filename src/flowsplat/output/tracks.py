@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from flowsplat.common.errors import InputError
-from flowsplat.common.files import read_json, write_json, write_npz
+from flowsplat.common.files import read_json, read_text, write_json, write_npz
+from flowsplat.common.files.json_file import MOST_BYTES, Number
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.tracking import follow_points
 from flowsplat.scenes import Scene
@@ -32,14 +33,8 @@ def read_queries(at: Sequence[str], file: Path | None, scene: Scene) -> np.ndarr
 
 def _rows_of(file: Path) -> list[Sequence[object]]:
     if file.suffix.lower() == ".json":
-        values = read_json(file)
-        if not isinstance(values, list) or not all(isinstance(row, list) for row in values):
-            raise InputError(f"{file} must hold a list of [u, v, frame].")
-        return values
-    try:
-        lines = file.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{file} cannot be read as text: {error}.") from error
+        return read_json(file, list[list[Number]])
+    lines = read_text(file, MOST_BYTES).splitlines()
     return [line.split(",") for line in lines if line.strip() and not line.startswith("#")]
 
 

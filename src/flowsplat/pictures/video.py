@@ -17,6 +17,7 @@ import numpy as np
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import atomic_path
 from flowsplat.common.progress import say
+from flowsplat.pictures.media import open_media
 
 SLOWEST, FASTEST = 0.1, 1000.0
 """Frames a second that can be written."""
@@ -27,7 +28,7 @@ _BT709 = 1
 _LIMITED, _FULL = 1, 2
 
 # Sample rates that AAC knows and every player takes; other sources are resampled to the last one.
-_AAC_RATES = (22050, 24000, 32000, 44100, 48000)
+SOUND_RATES = (22050, 24000, 32000, 44100, 48000)
 # Decoders need a few packets before the wanted sample to come up to speed after a seek.
 _AUDIO_PREROLL = 0.2
 
@@ -126,20 +127,19 @@ class _Sound:
         if path is None:
             return
         try:
-            source = self._source.enter_context(av.open(str(path)))
-        except (OSError, av.FFmpegError) as error:
+            source = self._source.enter_context(open_media(path))
+        except (InputError, av.FFmpegError) as error:
             say(f"The sound of {path} cannot be read ({error}): the video stays silent.")
             return
-        # FFmpeg lists tracks, too, that it has no decoder for.
-        audio = next((track for track in source.streams.audio if track.codec_context is not None), None)
+        audio = sound_track(source)
         if audio is None:
             say(f"The sound of {path} cannot be decoded: the video stays silent.")
         else:
-            rate = audio.rate if audio.rate in _AAC_RATES else _AAC_RATES[-1]
+            rate = audio.rate if audio.rate in SOUND_RATES else SOUND_RATES[-1]
             self._stream = container.add_stream("aac", rate=rate)
             self._stream.layout = "mono" if audio.channels == 1 else "stereo"
             self._pending = np.zeros((self._stream.channels, 0), np.float32)
-            self._blocks = _samples(source, audio, start, rate, self._stream.layout.name)
+            self._blocks = sound_blocks(source, audio, start, rate, self._stream.layout.name)
 
     def write_until(self, seconds: float) -> None:
         """Encode the sound up to that second, so that it lies next to its pictures in the file."""
@@ -168,7 +168,12 @@ class _Sound:
         self._source.close()
 
 
-def _samples(
+def sound_track(container: av.container.InputContainer) -> av.audio.AudioStream | None:
+    """The first track of sound that can be decoded: FFmpeg lists others, too."""
+    return next((track for track in container.streams.audio if track.codec_context is not None), None)
+
+
+def sound_blocks(
     container: av.container.InputContainer, audio: av.audio.AudioStream, start: float, rate: int, layout: str
 ) -> Iterator[np.ndarray]:
     """Blocks [channels, samples] float32 at ``rate``, the first sample the one at ``start`` seconds of the file."""

@@ -13,8 +13,9 @@ from flowsplat.common.durations import duration
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_json
 from flowsplat.output.report import verdict
-from flowsplat.pipeline.folder import RunFolder
+from flowsplat.pipeline.folder import MetricsFile, RunFolder
 from flowsplat.scenes import Scene
+from flowsplat.training.checkpoint import ModelFile
 
 PACKAGES = ("torch", "numba", "numpy", "opencv-contrib-python-headless", "av", "torchmetrics")
 
@@ -56,14 +57,14 @@ def _describe_run(folder: RunFolder) -> Iterator[str]:
         yield f"  {stage}: {state}"
     metrics = folder.path / "metrics.json"
     if metrics.exists():
-        values = read_json(metrics)
+        values = read_json(metrics, MetricsFile)
         yield f"  {verdict(values)}"
         for name in ("heldout_frames", "heldout_views", "training_frames"):
             if values.get(name):
                 yield f"  {name.replace('_', ' ')}: PSNR {values[name]['psnr']:.2f}, SSIM {values[name]['ssim']:.3f}"
     model = folder.model_path / "model.json"
     if model.exists():
-        value = read_json(model)
+        value = read_json(model, ModelFile)
         yield f"  model: {value['gaussians']:,} Gaussians, {value['dynamic']:,} of them move"
         if value.get("movers"):
             yield "  Gaussians of the movers: " + ", ".join(f"{count:,} of {number}" for number, count in value["movers"].items())

@@ -25,14 +25,50 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from typing_extensions import NotRequired, TypedDict
+
 from flowsplat import __version__
 from flowsplat.common.errors import InputError
-from flowsplat.common.files import make_folder, read_json, require_keys, write_json
+from flowsplat.common.files import check_json, make_folder, read_json, write_json
+from flowsplat.common.files.json_file import Number, Text, Versioned
 from flowsplat.common.memory import peak_memory
 from flowsplat.common.settings import from_plain, to_plain
 from flowsplat.pipeline.config import RunConfig
 
 VERSION = 1
+
+
+class StageFile(TypedDict):
+    """A finished stage in ``run.json``."""
+
+    key: Text
+    seconds: dict[str, Number]
+    peak_memory_gib: NotRequired[Number | None]
+
+
+class RunFile(TypedDict):
+    """What ``run.json`` holds; more may stand there."""
+
+    input: Text
+    fingerprint: Text
+    config: dict[str, Any]
+    started: dict[str, Text]
+    stages: dict[str, StageFile]
+
+
+class Scores(TypedDict):
+    """The figures of some pictures in ``metrics.json``; more may stand there."""
+
+    psnr: Number
+    ssim: Number
+
+
+class MetricsFile(TypedDict, total=False):
+    """What is shown of ``metrics.json``."""
+
+    heldout_frames: Scores | None
+    heldout_views: Scores | None
+    training_frames: Scores | None
 
 
 class RunFolder:
@@ -47,14 +83,14 @@ class RunFolder:
         self.path = Path(path)
         if not (self.path / "run.json").exists():
             raise InputError(f"{path} is not the folder of a run: it has no run.json. Start with flowsplat run INPUT -o {path}.")
-        self.record: dict[str, Any] = read_json(self.path / "run.json")
+        self.record: dict[str, Any] = read_json(self.path / "run.json", Versioned)
+        if self.record["version"] > VERSION:
+            raise InputError(f"{path} was written by a newer flowsplat. Update flowsplat.")
+        check_json(self.path / "run.json", self.record, RunFile)
+        self.fingerprint: str = self.record["fingerprint"]
         try:
-            if int(self.record["version"]) > VERSION:
-                raise InputError(f"{path} was written by a newer flowsplat. Update flowsplat.")
-            require_keys(self.path / "run.json", self.record, "input", "started", "stages")
-            self.fingerprint: str = self.record["fingerprint"]
             self.config = from_plain(RunConfig, self.record["config"])
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise InputError(f"{self.path / 'run.json'} is damaged: {error}.") from error
 
     @staticmethod

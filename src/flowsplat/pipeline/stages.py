@@ -17,6 +17,7 @@ import numpy as np
 from flowsplat.common.devices import pick_device
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import hash_files, read_json, write_json
+from flowsplat.common.files.json_file import Number
 from flowsplat.common.progress import say
 from flowsplat.common.settings import to_plain
 from flowsplat.evaluation.evaluate import evaluate
@@ -31,7 +32,7 @@ from flowsplat.output.videos import RenderOptions, are_rendered, forget_videos, 
 from flowsplat.pictures.colors import float_to_bytes
 from flowsplat.pictures.sheets import preview_sheet
 from flowsplat.pipeline.config import RunConfig, check
-from flowsplat.pipeline.folder import RunFolder, stage_key
+from flowsplat.pipeline.folder import MetricsFile, RunFolder, stage_key
 from flowsplat.pipeline.summary import flow_comparisons, report_data
 from flowsplat.priors.heldout import heldout_flow
 from flowsplat.priors.objects import load_movers
@@ -47,6 +48,7 @@ from flowsplat.training.final import final_config, final_visits, with_heldout
 from flowsplat.training.static import static_config, static_start
 from flowsplat.training.trainer import Trainer
 
+_MOST_HISTORY = 64 * 2**20
 ASIDE = ".scene.before"
 """Where the scene of other settings waits until that of the new ones is there."""
 
@@ -409,7 +411,7 @@ def _evaluate(folder: RunFolder, result: _Result) -> dict[str, Any]:
     key = stage_key(_train_key(folder), folder.config.baselines, folder.config.refine_poses)
     metrics_path = folder.path / "metrics.json"
     if folder.is_finished("evaluate", key) and metrics_path.exists():
-        return read_json(metrics_path)
+        return read_json(metrics_path, MetricsFile)
     model, scene = result.model, result.scene
     static = _static_model(folder) if folder.config.baselines == "all" else None
     folder.start("evaluate", key)
@@ -436,7 +438,8 @@ def _write_metrics(folder: RunFolder, result: _Result, metrics: dict[str, Any], 
     metrics["shown"] = (folder.final_path if has_model(folder.final_path) else folder.model_path).name
     write_json(folder.path / "metrics.json", metrics)
     history_path = folder.path / "training" / "history.json"
-    history = present_figures(read_json(history_path)) if history_path.exists() else []
+    entries = read_json(history_path, list[dict[str, Number | None]], _MOST_HISTORY) if history_path.exists() else []
+    history = present_figures(entries)
     data = report_data(folder.path, result.scene, result.flows, metrics, history, folder.config)
     write_report(folder.path, data)
 

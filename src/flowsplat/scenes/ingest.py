@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from flowsplat.common.errors import InputError
-from flowsplat.common.files import hash_files
+from flowsplat.common.files import hash_files, ordinary_file
 from flowsplat.common.progress import progress_bar
+from flowsplat.pictures.sound import keep_sound
 from flowsplat.scenes.clip import Clip, InputOptions
 from flowsplat.scenes.formats.davis import PICTURES, open_davis, sequence_folders
 from flowsplat.scenes.formats.images import PICTURE_SUFFIXES, list_pictures, open_images
@@ -26,6 +27,7 @@ CALIBRATED = "calibrated"
 """Method of cameras that came with the input and share the coordinates of its held-out views."""
 INGESTED = "ingested"
 """Key of ``Scene.info`` that is true once everything of the input is in the scene."""
+SOUND = "sound.flac"
 ALREADY = "{} is a prepared scene already: there is nothing to ingest."
 
 
@@ -39,6 +41,7 @@ def kind_of_input(path: Path) -> str:
     if not path.exists():
         raise InputError(f"{path} does not exist.")
     if not path.is_dir():
+        ordinary_file(path)
         if path.suffix.lower() in PICTURE_SUFFIXES:
             raise InputError(f"{path} is a single picture: give a video, or a folder with at least two frames.")
         return "video"
@@ -122,6 +125,7 @@ def ingest(clip: Clip, folder: Path, options: InputOptions) -> Scene:
     for picture in clip.views():
         if picture.view.name not in written:
             scene.write_view(picture.view, picture.image, picture.mask, picture.covisible)
+    _write_sound(clip, scene)
     scene.info[INGESTED] = True
     scene.save_info()
     return scene
@@ -147,8 +151,6 @@ def _open_or_create(clip: Clip, folder: Path, options: InputOptions) -> Scene:
         holdout=holdout,
         source_fps=clip.source_fps,
         notes=clip.notes,
-        audio=None if clip.audio is None else str(Path(clip.audio).resolve()),
-        audio_start=clip.audio_start,
     )
 
 
@@ -158,6 +160,15 @@ def _write_frames(clip: Clip, scene: Scene) -> None:
         for i, image in zip(missing, clip.frames(missing), strict=True):
             scene.write_frame(i, image)
             bar.advance()
+
+
+def _write_sound(clip: Clip, scene: Scene) -> None:
+    """The sound comes into the scene: a scene names no file outside it."""
+    if clip.audio is None:
+        return
+    seconds = float(scene.timestamps[-1] - scene.timestamps[0]) + 1 / clip.source_fps
+    if keep_sound(clip.audio, clip.audio_start, seconds, scene.folder / SOUND):
+        scene.info |= {"audio": SOUND, "audio_start": 0.0}
 
 
 def _write_masks(clip: Clip, scene: Scene) -> None:

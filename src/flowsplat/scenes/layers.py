@@ -13,19 +13,30 @@ One folder holds one such set of layers: the priors of a scene, or its truth. Th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+import os
+import threading
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
+from typing_extensions import TypedDict
 
 from flowsplat.common.errors import InputError
-from flowsplat.common.files import atomic_path, read_json, read_npz, write_json, write_npz
+from flowsplat.common.files import atomic_path, read_bytes, read_json, read_npz, write_json, write_npz
+from flowsplat.common.files.json_file import Pixels, Row3, Row4
 from flowsplat.geometry import Camera
+from flowsplat.pictures.header import MOST_PIXELS, picture_pixels
 
 FLOW_UNIT = 64
 TRUSTED = 0.5
+_MOST_PICTURE = 512 * 2**20
+"""Bytes of the file of a picture."""
+_MOST_A_PIXEL = 32
+"""Bytes of the arrays of a layer for every pixel."""
+_SILENCE = threading.Lock()
 
 
 @dataclass(frozen=True)
@@ -80,6 +91,23 @@ def _to_bytes(confidence: np.ndarray) -> np.ndarray:
     return np.clip(np.asarray(confidence, np.float32) * 255 + 0.5, 0, 255).astype(np.uint8)
 
 
+@contextlib.contextmanager
+def _silent() -> Iterator[None]:
+    """Without what libpng and libjpeg write to the terminal by themselves; what others write meanwhile is lost, too."""
+    with _SILENCE, open(os.devnull, "wb") as nowhere:
+        try:
+            kept = os.dup(2)
+        except OSError:  # there is no stderr
+            yield
+            return
+        try:
+            os.dup2(nowhere.fileno(), 2)
+            yield
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+
+
 def write_image(path: Path, image: np.ndarray) -> None:
     """Write uint8 [H, W] or RGB [H, W, 3] as PNG, atomically."""
     if image.ndim == 3:
@@ -92,16 +120,27 @@ def write_image(path: Path, image: np.ndarray) -> None:
 
 
 def decode_image(path: Path, flags: int) -> np.ndarray | None:
-    """A picture as OpenCV gives it (BGR) under ``cv2.IMREAD_*`` flags; None where it cannot be read.
+    """A picture as OpenCV gives it (BGR) under ``cv2.IMREAD_*`` flags; None where it cannot be decoded.
 
     The file is read here and not by OpenCV, which cannot open every file name on every system.
+
+    Raises:
+        InputError: no ordinary file, or larger than a picture may be.
     """
+    if not os.path.lexists(path):
+        return None
+    data = read_bytes(path, _MOST_PICTURE)
+    size = picture_pixels(data)
+    if size is None or min(size) < 1:
+        return None
+    if size[0] * size[1] > MOST_PIXELS:
+        raise InputError(f"{path} has {size[0]:,} x {size[1]:,} pixels, more than the {MOST_PIXELS / 1e6:g} million that are read.")
     logging = cv2.utils.logging
     level = logging.setLogLevel(logging.LOG_LEVEL_SILENT)
     try:
-        data = np.fromfile(path, np.uint8)
-        return cv2.imdecode(data, flags) if len(data) else None
-    except (OSError, cv2.error):
+        with _silent():
+            return cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    except cv2.error:
         return None
     finally:
         logging.setLogLevel(level)
@@ -119,6 +158,15 @@ def read_image(path: Path) -> np.ndarray:
     if image is None:
         raise InputError(f"{path} is damaged: it cannot be decoded as a picture.")
     return np.ascontiguousarray(image[..., ::-1]) if image.ndim == 3 else image
+
+
+class CameraFile(TypedDict):
+    """A camera in ``cameras.json``."""
+
+    viewmat: tuple[Row4, Row4, Row4, Row4]
+    K: tuple[Row3, Row3, Row3]
+    width: Pixels
+    height: Pixels
 
 
 class Layers:
@@ -144,13 +192,7 @@ class Layers:
         """
         if self._cameras is None:
             path = self.folder / "cameras.json"
-            values = read_json(path)
-            try:
-                if not isinstance(values, list):
-                    raise TypeError("it is no list")
-                cameras = [Camera.from_json(value) for value in values]
-            except (KeyError, TypeError, ValueError, ArithmeticError) as error:
-                raise InputError(f"{path} does not hold cameras: {error}.") from error
+            cameras = [Camera.from_json(value) for value in read_json(path, list[CameraFile])]
             for index, camera in enumerate(cameras):
                 if not camera.is_valid:
                     raise InputError(f"{path}: the camera of frame {index} is not finite or not a rotation.")
@@ -259,12 +301,18 @@ class Layers:
         Raises:
             InputError: missing or damaged.
         """
-        arrays = read_npz(self.folder / "tracks.npz")
-        try:
-            confidence = arrays["confidence"].astype(np.float32) / 255
-            return Tracks(arrays["points"], arrays["visible"], confidence, arrays["moving"])
-        except KeyError as error:
-            raise InputError(f"{self.folder / 'tracks.npz'} has no {error}.") from error
+        path = self.folder / "tracks.npz"
+        arrays = read_npz(path, ("points", "visible", "confidence", "moving"))
+        for name in ("points", "visible", "confidence", "moving"):
+            if name not in arrays:
+                raise InputError(f"{path} has no {name!r}.")
+        points, seen, confidence, moving = (arrays[name] for name in ("points", "visible", "confidence", "moving"))
+        fits = points.ndim == 3 and points.shape[2] in (2, 3) and seen.shape == confidence.shape == points.shape[:2]
+        if not (fits and moving.shape == points.shape[:1] and points.dtype.kind == "f" and seen.dtype == moving.dtype == bool):
+            raise InputError(f"{path} is damaged: its arrays are no tracks, or not of the same ones.")
+        if confidence.dtype != np.uint8 or not np.isfinite(points[seen]).all():
+            raise InputError(f"{path} is damaged: it holds positions that are not finite, or confidences that are none.")
+        return Tracks(points, seen, confidence.astype(np.float32) / 255, moving)
 
     def write_tracks(self, tracks: Tracks) -> None:
         """Write the tracks."""
@@ -277,11 +325,12 @@ class Layers:
         write_npz(self.folder / "tracks.npz", arrays)
 
     def _arrays(self, path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
-        arrays = read_npz(path)
+        arrays = read_npz(path, names, most=_MOST_A_PIXEL * self.width * self.height)
         for name in names:
             if name not in arrays:
                 raise InputError(f"{path} has no array {name!r}.")
-            if arrays[name].shape[:2] != (self.height, self.width):
-                size = arrays[name].shape[1::-1]
-                raise InputError(f"{path}: {name} is {size} pixels, the frames {(self.width, self.height)}.")
+            if arrays[name].dtype.kind not in "biuf":
+                raise InputError(f"{path}: {name} holds no numbers.")
+            if arrays[name].shape != (self.height, self.width) + ((2,) if name == "flow" else ()):
+                raise InputError(f"{path}: {name} has shape {arrays[name].shape}, the frames {(self.height, self.width)}.")
         return arrays

@@ -21,11 +21,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from typing_extensions import NotRequired, TypedDict
 
 from flowsplat.common.errors import InputError, SplitError
-from flowsplat.common.files import make_folder, read_json, require_keys, write_json
+from flowsplat.common.files import check_json, make_folder, plain_name, read_json, write_json
+from flowsplat.common.files.json_file import Count, Number, Pixels, Positive, Text, Versioned
+from flowsplat.common.progress import say_once
 from flowsplat.geometry import Camera, Similarity
-from flowsplat.scenes.layers import Depth, Flow, Layers, Tracks, read_image, write_image
+from flowsplat.scenes.layers import CameraFile, Depth, Flow, Layers, Tracks, read_image, write_image
 
 VERSION = 1
 
@@ -58,6 +61,32 @@ class HeldoutView:
     camera: Camera
 
 
+class SceneFile(TypedDict):
+    """What ``scene.json`` holds; more may stand there."""
+
+    name: Text
+    source: Text
+    width: Pixels
+    height: Pixels
+    source_fps: Positive
+    timestamps: list[Number]
+    train: list[Count]
+    heldout: list[Count]
+    notes: list[Text]
+    priors: dict[str, dict[str, Any]]
+    similarity: dict[str, Any] | None
+    audio: NotRequired[Text | None]
+    audio_start: NotRequired[Number | None]
+
+
+class ViewFile(TypedDict):
+    """One held-out view in ``views.json``."""
+
+    name: Text
+    frame: Count
+    camera: CameraFile
+
+
 class Scene(Layers):
     """A prepared (or half prepared) scene folder. Its own layers are the priors; ``truth`` holds the true ones."""
 
@@ -70,24 +99,24 @@ class Scene(Layers):
         path = Path(folder) / "scene.json"
         if not path.exists():
             raise InputError(f"{folder} is not a prepared scene: it has no scene.json.")
-        self.info: dict[str, Any] = read_json(path)
+        self.info: dict[str, Any] = read_json(path, Versioned)
+        if self.info["version"] > VERSION:
+            raise InputError(
+                f"{folder} was written by a newer flowsplat (scene version {self.info['version']}, this one reads {VERSION}). "
+                "Update flowsplat."
+            )
+        check_json(path, self.info, SceneFile)
         try:
-            version = int(self.info["version"])
-            if version > VERSION:
-                raise InputError(
-                    f"{folder} was written by a newer flowsplat (scene version {version}, this one reads {VERSION}). "
-                    "Update flowsplat."
-                )
-            require_keys(path, self.info, "source", "source_fps", "notes", "priors", "similarity")
-            super().__init__(Path(folder), int(self.info["width"]), int(self.info["height"]))
-            self.name: str = self.info["name"]
-            self.timestamps = np.array(self.info["timestamps"], np.float64)
-            self.train_frames: list[int] = [int(i) for i in self.info["train"]]
-            self.heldout_frames: list[int] = [int(i) for i in self.info["heldout"]]
-        except (KeyError, TypeError, ValueError, ArithmeticError) as error:
+            if self.info["similarity"] is not None:
+                Similarity.from_json(self.info["similarity"])
+        except ValueError as error:
             raise InputError(f"{path} is damaged: {error}.") from error
-        rising = self.timestamps.ndim == 1 and np.isfinite(self.timestamps).all() and (np.diff(self.timestamps) > 0).all()
-        if not rising or len(self.timestamps) < 2:
+        super().__init__(Path(folder), self.info["width"], self.info["height"])
+        self.name: str = self.info["name"]
+        self.timestamps = np.array(self.info["timestamps"], np.float64)
+        self.train_frames: list[int] = self.info["train"]
+        self.heldout_frames: list[int] = self.info["heldout"]
+        if len(self.timestamps) < 2 or not (np.diff(self.timestamps) > 0).all():
             raise InputError(f"{path} is damaged: there must be two timestamps or more, finite and rising.")
         if sorted(self.train_frames + self.heldout_frames) != list(range(len(self.timestamps))):
             raise InputError(f"{path} is damaged: every frame must be either a training or a held-out frame.")
@@ -119,7 +148,7 @@ class Scene(Layers):
             holdout: every how many frames one is held out; None = none.
             source_fps: frames a second of the source, which the final videos keep.
             notes: what was done to the input, in sentences for the user.
-            audio: the file whose sound belongs to the clip, and at which second of it the clip starts.
+            audio: the name of the file in the folder with the sound, and at which second of it the clip starts.
         """
         train, heldout = split_frames(len(timestamps), holdout)
         make_folder(folder)
@@ -134,6 +163,21 @@ class Scene(Layers):
     def save_info(self) -> None:
         """Write ``info`` back to ``scene.json``."""
         write_json(self.folder / "scene.json", self.info)
+
+    @property
+    def sound(self) -> tuple[Path, float] | None:
+        """The file of the clip's sound, and at which second of it the clip starts.
+
+        It lies in the folder of the scene. Scenes of earlier versions name the film itself, wherever it is: a scene may come from
+        anybody, so such a file is left alone.
+        """
+        audio, start = self.info.get("audio"), float(self.info.get("audio_start") or 0.0)
+        if not audio:
+            return None
+        if Path(audio).name != audio or not (self.folder / audio).is_file():
+            say_once(f"The sound of {self.name} does not lie in {self.folder} and is left out: prepare it again to have it.")
+            return None
+        return self.folder / plain_name(audio, "The sound"), start
 
     # -- time and split
 
@@ -279,12 +323,19 @@ class Scene(Layers):
         path = self.folder / "views.json"
         if not path.exists():
             return []
-        return [HeldoutView(v["name"], int(v["frame"]), Camera.from_json(v["camera"])) for v in read_json(path)]
+        found = []
+        for value in read_json(path, list[ViewFile]):
+            view = HeldoutView(plain_name(value["name"], f"{path}: the view"), value["frame"], Camera.from_json(value["camera"]))
+            if view.frame >= self.num_frames or not view.camera.is_valid:
+                raise InputError(f"{path}: the view {view.name} is of no frame of the clip, or has a camera that is none.")
+            found.append(view)
+        return found
 
     def write_view(
         self, view: HeldoutView, image: np.ndarray, mask: np.ndarray | None = None, covisible: np.ndarray | None = None
     ) -> None:
         """Add a held-out view; ``mask`` marks movers in it, ``covisible`` what the clip itself saw ([H, W] bool)."""
+        plain_name(view.name, "The held-out view")
         write_image(self.folder / "views" / f"{view.name}.png", image)
         for suffix, extra in (("mask", mask), ("covisible", covisible)):
             if extra is not None:

@@ -5,18 +5,22 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import torch
+from msgspec import Meta
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
+from typing_extensions import NotRequired, TypedDict
 
-from flowsplat.common.errors import InputError
-from flowsplat.common.files import atomic_path, read_json, write_json
+from flowsplat.common.errors import InputError, first_line
+from flowsplat.common.files import atomic_path, check_json, ordinary_file, plain_name, read_json, write_json
+from flowsplat.common.files.json_file import Count, Number, Text, Versioned
 from flowsplat.common.progress import say_once
 from flowsplat.common.settings import to_plain
-from flowsplat.gaussians.gaussians4d import Gaussians4D, ModelConfig
+from flowsplat.gaussians.flow import FlowModel
+from flowsplat.gaussians.gaussians4d import Gaussians4D, ModelConfig, parameter_shapes
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.geometry import Similarity
 
@@ -37,20 +41,52 @@ def write_tensors(path: Path, tensors: Mapping[str, Tensor], values: Mapping[str
             raise OSError(28 if "No space" in str(error) else 5, str(error)) from error
 
 
-def read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
+def read_tensors(path: Path, rows: int | None = None) -> tuple[dict[str, Tensor], dict[str, Any]]:
     """The inverse of ``write_tensors``.
 
+    Args:
+        rows: how many every tensor must have; looked at before any of them is read.
+
     Raises:
-        InputError: missing, truncated or damaged.
+        InputError: missing, no ordinary file, truncated, damaged, or of another number of rows.
     """
-    if not path.exists():
-        raise InputError(f"{path} does not exist.")
+    ordinary_file(path)
     try:
         with safe_open(path, framework="pt") as file:
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-            return tensors, json.loads((file.metadata() or {}).get("values", "{}"))
-    except (SafetensorError, json.JSONDecodeError, OSError) as error:
-        raise InputError(f"{path} is damaged or truncated ({error}). Delete it to compute it again.") from error
+            names = list(file.keys())
+            for name in names if rows is not None else ():
+                shape = file.get_slice(name).get_shape()
+                if not shape or shape[0] != rows:
+                    raise InputError(f"{path} is damaged: {name} has shape {shape}, and there are {rows:,} Gaussians.")
+            tensors = {name: file.get_tensor(name) for name in names}
+            values = json.loads((file.metadata() or {}).get("values", "{}"))
+    except (SafetensorError, OSError, ValueError, TypeError, RecursionError, RuntimeError) as error:
+        raise InputError(f"{path} is damaged or truncated ({first_line(error)}). Delete it to compute it again.") from error
+    if not isinstance(values, dict):
+        raise InputError(f"{path} is damaged: its values are no object. Delete it to compute it again.")
+    return tensors, values
+
+
+class ModelFile(TypedDict):
+    """What ``model.json`` holds; more may stand there."""
+
+    gaussians: Count
+    dynamic: Count
+    movers: NotRequired[dict[str, Count]]
+    model: ModelConfig
+    sh_degree: Annotated[int, Meta(ge=0, le=3)]
+    similarity: dict[str, Any]
+    first: Number
+    last: Number
+    flow_model: FlowModel
+    fill: bool
+    focal: NotRequired[Number]
+
+
+class LatestFile(TypedDict):
+    """What ``latest.json`` holds."""
+
+    file: Text
 
 
 def stored_movers(tensors: Mapping[str, Tensor]) -> Tensor:
@@ -98,20 +134,57 @@ def load_model(folder: Path) -> SceneModel:
     Raises:
         InputError: missing, damaged, or of a newer version.
     """
-    value = read_json(folder / "model.json")
+    path = folder / "model.json"
+    value = read_json(path, Versioned)
+    if value["version"] > MODEL_VERSION:
+        raise InputError(f"{folder} was written by a newer flowsplat (model version {value['version']}). Update flowsplat.")
+    check_json(path, value, ModelFile)
     try:
-        if int(value["version"]) > MODEL_VERSION:
-            raise InputError(f"{folder} was written by a newer flowsplat (model version {value['version']}). Update flowsplat.")
-        tensors, _ = read_tensors(folder / "gaussians.safetensors")
+        tensors, _ = read_tensors(folder / "gaussians.safetensors", value["gaussians"])
         dynamic, movers = tensors["dynamic"].to(torch.bool), stored_movers(tensors)
         params = {name: tensor for name, tensor in tensors.items() if name not in ("dynamic", "movers")}
-        gaussians = Gaussians4D(params, dynamic, ModelConfig(**value["model"]), int(value["sh_degree"]), movers)
+        gaussians = Gaussians4D(params, dynamic, ModelConfig(**value["model"]), value["sh_degree"], movers)
+        check_model(folder, gaussians)
+        if not value["last"] > value["first"]:
+            raise ValueError("its last frame is not after its first")
         return SceneModel(
             gaussians, Similarity.from_json(value["similarity"]), float(value["first"]), float(value["last"]),
             value["flow_model"], bool(value["fill"]), float(value.get("focal", 0.0)),
         )  # fmt: skip
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, ArithmeticError) as error:
         raise InputError(f"{folder} does not hold a trained model: {error}.") from error
+
+
+def check_model(path: Path, gaussians: Gaussians4D) -> None:
+    """Refuse Gaussians that nothing could be done with: of other parameters than their motion model has, or not finite.
+
+    Raises:
+        InputError: names the parameter.
+    """
+    count, shapes = len(gaussians.dynamic), parameter_shapes(gaussians.config)
+    if not 0 <= gaussians.sh_degree <= gaussians.config.sh_degree:
+        raise InputError(f"{path} is damaged: its harmonics are of degree {gaussians.config.sh_degree}, not {gaussians.sh_degree}.")
+    if set(shapes) != set(gaussians.params):
+        others = ", ".join(sorted(set(shapes) ^ set(gaussians.params)))
+        raise InputError(f"{path} is damaged: its parameters are not those of its settings ({others}).")
+    for name, shape in shapes.items():
+        values = gaussians.params[name]
+        if values.shape != (count, *shape) or values.dtype != torch.float32:
+            raise InputError(f"{path} is damaged: {name} is {values.dtype} {tuple(values.shape)}, expected {(count, *shape)}.")
+        if not bool(torch.isfinite(values).all()):
+            raise InputError(f"{path} is damaged: {name} holds values that are not finite.")
+    if gaussians.dynamic.shape != (count,) or gaussians.movers.shape != (count,):
+        raise InputError(f"{path} is damaged: it does not tell for each Gaussian whether it moves, and of which mover it is.")
+
+
+def latest_checkpoint(folder: Path) -> Path:
+    """The newest checkpoint in a folder of them.
+
+    Raises:
+        InputError: ``latest.json`` is missing or damaged.
+    """
+    path = folder / "latest.json"
+    return folder / plain_name(read_json(path, LatestFile)["file"], f"{path}: the checkpoint")
 
 
 def load_checkpoint(
@@ -132,14 +205,15 @@ def load_checkpoint(
     Raises:
         InputError: there is none, or it is damaged or being replaced at this moment.
     """
-    path = folder / str(read_json(folder / "latest.json").get("file"))
+    path = latest_checkpoint(folder)
     tensors, values = read_tensors(path)
     try:
         config = values["config"]
         params = {name.removeprefix("param."): value for name, value in tensors.items() if name.startswith("param.")}
         dynamic, movers = tensors["dynamic"].bool(), stored_movers(tensors)
         gaussians = Gaussians4D(params, dynamic, ModelConfig(**config["model"]), int(values["sh_degree"]), movers)
+        check_model(path, gaussians)
         model = SceneModel(gaussians, similarity, first, last, config["flow_model"], bool(config["fill"]), focal)
         return model, int(values["step"]), int(config["iterations"])
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
         raise InputError(f"{path} holds no checkpoint that can be shown: {error}.") from error

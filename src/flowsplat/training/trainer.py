@@ -14,7 +14,7 @@ from torch import Tensor
 
 from flowsplat.common.devices import upload
 from flowsplat.common.errors import InputError
-from flowsplat.common.files import read_json, write_json
+from flowsplat.common.files import write_json
 from flowsplat.common.progress import progress_bar, say
 from flowsplat.common.settings import present_names, to_plain
 from flowsplat.common.stopping import Stopped, stop_requests
@@ -29,7 +29,14 @@ from flowsplat.gaussians.slicing import Gradients
 from flowsplat.scenes import Tracks
 from flowsplat.training.adam import RowAdam
 from flowsplat.training.average import EVERY, TailAverage
-from flowsplat.training.checkpoint import present_figures, read_tensors, stored_movers, write_tensors
+from flowsplat.training.checkpoint import (
+    check_model,
+    latest_checkpoint,
+    present_figures,
+    read_tensors,
+    stored_movers,
+    write_tensors,
+)
 from flowsplat.training.config import TrainConfig, affecting_result
 from flowsplat.training.coverage import coverage_loss
 from flowsplat.training.picture_loss import PictureTargets, PictureWeights, picture_loss
@@ -448,7 +455,7 @@ class Trainer:
         """
         if self._checkpoints is None or not (self._checkpoints / "latest.json").exists():
             return False
-        path = self._checkpoints / str(read_json(self._checkpoints / "latest.json").get("file"))
+        path = latest_checkpoint(self._checkpoints)
         if not path.exists():  # a damaged one, which was deleted
             return False
         tensors, values = read_tensors(path)
@@ -457,7 +464,8 @@ class Trainer:
             raise InputError(f"{path} was written with other training settings. Use another output folder, or delete it.")
         try:
             self._restore(tensors, values)
-        except (KeyError, ValueError, RuntimeError) as error:
+            check_model(path, self.gaussians)
+        except (KeyError, ValueError, TypeError, RuntimeError) as error:
             raise InputError(f"{path} is incomplete: {error}. Delete {path.parent} to train from the beginning.") from error
         say(f"Going on from step {self.step} of {self.config.iterations}.")
         return True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from fractions import Fraction
 from itertools import pairwise
@@ -187,11 +188,26 @@ def test_the_sound_of_the_clip_is_kept(scene, tmp_path):
         frame.sample_rate = 44100
         container.mux(stream.encode(frame))
         container.mux(stream.encode())
-    scene.info |= {"audio": str(tmp_path / "tone.wav"), "audio_start": 0.5}
+    shutil.copy(tmp_path / "tone.wav", scene.folder / "tone.wav")
+    scene.info |= {"audio": "tone.wav", "audio_start": 0.5}
     render_videos(Plane(), scene, tmp_path, RenderOptions(paths=("input", "orbit"), max_frames=4))
     for name, streams in (("input_path", 1), ("input_path_colour", 1), ("orbit", 0)):
         with av.open(str(tmp_path / f"{name}.mp4")) as container:
             assert len(container.streams.audio) == streams
+
+
+@pytest.mark.parametrize(
+    "audio", ["http://127.0.0.1:9/x.mp4", "/etc/hostname", "../tone.wav", "tone.wav", "12:30.mp4", "concat:a|b", ".."],
+)
+def test_a_scene_names_no_sound_outside_its_folder(scene, tmp_path, audio, monkeypatch):
+    """And nothing of the network."""
+    opened = []
+    monkeypatch.setattr("flowsplat.pictures.video.open_media", lambda path: opened.append(path))
+    (tmp_path / "tone.wav").write_bytes(b"")
+    scene.info |= {"audio": audio, "audio_start": 0.0}
+    assert scene.sound is None
+    render_videos(Plane(), scene, tmp_path, RenderOptions(paths=("input",), max_frames=2))
+    assert opened == []
 
 
 def test_a_folder_that_cannot_be_written_is_told(scene, tmp_path):

@@ -17,7 +17,7 @@ import zstandard
 from viser import _messages
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
-from websockets.typing import Subprotocol
+from websockets.typing import Origin, Subprotocol
 
 PATIENCE = 150.0
 """Seconds; kernels may have to be compiled."""
@@ -40,8 +40,9 @@ class Browser:
 
     def __init__(self, port: int, size: tuple[int, int] = (96, 72)):
         self._socket = connect(
-            f"ws://127.0.0.1:{port}", subprotocols=[Subprotocol(f"viser-v{viser.__version__}")], max_size=None, compression=None
-        )
+            f"ws://127.0.0.1:{port}", origin=Origin(f"http://127.0.0.1:{port}"), max_size=None, compression=None,
+            subprotocols=[Subprotocol(f"viser-v{viser.__version__}")],
+        )  # fmt: skip
         self.pictures: list[np.ndarray] = []
         self.depths: list[bytes | None] = []
         self.controls: dict[str, dict[str, Any]] = {}

@@ -201,7 +201,7 @@ BROKEN = {
     "a split that is none": ("nerfies", lambda f: (f / "splits/val.json").write_text("[]"), "must hold frame_names"),
     "times do not fit": ("nerfies", lambda f: change_json(f / "splits/train.json", time_ids=[0, 1]), "as many of each"),
     "one time twice": ("nerfies", lambda f: change_json(f / "splits/train.json", time_ids=[0, 1, 1]), "two pictures at one time"),
-    "names outside": ("nerfies", lambda f: change_json(f / "splits/val.json", frame_names=["../x"] * 9), "names no picture"),
+    "names outside": ("nerfies", lambda f: change_json(f / "splits/val.json", frame_names=["../x"] * 9), "cannot name a file"),
     "no camera": ("nerfies", lambda f: (f / "camera/5_00001.json").unlink(), "5_00001.json does not exist"),
     "half a camera": ("nerfies", lambda f: (f / "camera/5_00001.json").write_text("{}"), "does not hold a camera"),
     "distortion": ("nerfies", lambda f: change_json(f / "camera/5_00001.json", radial_distortion=[0.1, 0, 0]), "distortion"),

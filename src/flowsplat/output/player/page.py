@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import hashlib
 import json
 from collections.abc import Sequence
 from importlib.resources import files
@@ -47,16 +48,25 @@ def write_player(path: Path, model: SceneModel, times: Sequence[float], cameras:
     packed = pack(model, times, cameras, title)
     poster = model.render(cameras[0], float(times[0])).colour
     template = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(_asset("player.html"))
+    script = "\n".join(("", '"use strict";', *map(_asset, SCRIPTS), ""))
     page = template.render(
         title=title,
+        policy=_policy(script),
         poster=data_uri(np.ascontiguousarray(poster), _POSTER_QUALITY),
         about=_json({**packed.about, **camera_paths(model, times, cameras)}),
         shaders=_json({name: _asset(name) for name in SHADERS}),
         data=Markup(base64.b64encode(packed.data).decode()),
-        script=Markup("\n".join(_asset(name) for name in SCRIPTS)),
+        script=Markup(script),
     )
     write_text(path, page)
     return Path(path)
+
+
+def _policy(script: str) -> str:
+    """What a browser lets the page do: run this script and its worker, show what the page holds, and fetch nothing."""
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    allowed = (f"script-src 'sha256-{digest}'", "worker-src blob:", "img-src data: blob:", "style-src 'unsafe-inline'")
+    return "; ".join(("default-src 'none'", *allowed, "base-uri 'none'", "form-action 'none'"))
 
 
 def _asset(name: str) -> str:

@@ -66,7 +66,7 @@ class Plan:
         """All that the video depends on, the model excepted."""
         views = [[camera.to_json(), t] for camera, t in self.shots]
         look = [self.kind, self.part, self.eye_distance, self.convergence]
-        return [views, self.fps, look, str(self.audio_from), self.audio_start]
+        return [views, self.fps, look, self.audio_from and self.audio_from.name, self.audio_start]
 
 
 def plan_videos(model: PartedRenderer, scene: Scene, options: RenderOptions) -> list[Plan]:
@@ -122,8 +122,7 @@ def _whole(model: PartedRenderer, scene: Scene, options: RenderOptions) -> Itera
     times = first + np.arange(int((last - first) / step + 1e-6) + 1) * step
     distance = 1 / scene.similarity.scale  # the median depth
     frozen = (first + last) / 2 if options.bullet_time is None else options.bullet_time
-    audio = scene.info.get("audio") if options.slow == 1 else None
-    sound, start = Path(audio) if audio else None, float(scene.info.get("audio_start") or 0.0)
+    sound, start = (scene.sound if options.slow == 1 else None) or (None, 0.0)
     along = [(path.at(t), float(t)) for t in times]
     tempo = "" if options.slow == 1 else f"_slow{options.slow:g}"
 

@@ -12,14 +12,17 @@ import numpy as np
 import viser
 
 from flowsplat.common.errors import InputError
+from flowsplat.common.files import plain_name
 from flowsplat.geometry import Camera
 from flowsplat.output.camera_files import read_camera_file, write_camera_file
 from flowsplat.output.videos.options import PathName, RenderOptions
 from flowsplat.output.videos.plans import plan_videos
 from flowsplat.output.viewer.browser_frame import BrowserFrame
+from flowsplat.output.viewer.controls import Controls
 from flowsplat.output.viewer.drawing import Wish, draw_shot
 from flowsplat.output.viewer.keys import CameraKeys
 from flowsplat.output.viewer.layout import Box, empty, fitted, place
+from flowsplat.output.viewer.messages import MOST_UPLOAD
 from flowsplat.output.viewer.notifications import Notifications
 from flowsplat.output.viewer.recording import RECORDINGS, next_file, record_path, take_screenshot
 from flowsplat.output.viewer.session import Session
@@ -41,16 +44,16 @@ class ExportPanel:
         self._browser = BrowserFrame(source.scene.similarity)
         self._keys = CameraKeys()
         self._fps = float(source.scene.info["source_fps"])
-        gui = client.gui
+        gui, controls = client.gui, Controls(client.gui)
         with gui.add_folder("Export", expand_by_default=False):
             screenshot = gui.add_button("Screenshot", icon=viser.Icon.CAMERA)
             self._count = gui.add_markdown("No keys yet.")
-            self._ready = gui.add_dropdown("Ready-made path", get_args(PathName), initial_value="orbit", hint=_READY_HINT)
+            self._ready = controls.add_dropdown("Ready-made path", get_args(PathName), initial_value="orbit", hint=_READY_HINT)
             ready = gui.add_button("Take this path", icon=viser.Icon.ROUTE)
             add = gui.add_button("Add a key here", icon=viser.Icon.PLUS)
-            self._spacing = gui.add_slider("Seconds a key", min=0.1, max=10.0, step=0.1, initial_value=1.0)
+            self._spacing = controls.add_slider("Seconds a key", min=0.1, max=10.0, step=0.1, initial_value=1.0)
             preview = gui.add_button("Play the path", icon=viser.Icon.PLAYER_PLAY)
-            self._suffix = gui.add_dropdown("Record as", RECORDINGS, initial_value=".mp4", hint=_RECORDINGS_HINT)
+            self._suffix = controls.add_dropdown("Record as", RECORDINGS, initial_value=".mp4", hint=_RECORDINGS_HINT)
             record = gui.add_button("Record it", icon=viser.Icon.VIDEO)
             save = gui.add_button("Save the path", icon=viser.Icon.DEVICE_FLOPPY)
             self._load = gui.add_upload_button("Load a path", mime_type="application/json", icon=viser.Icon.UPLOAD)
@@ -188,9 +191,12 @@ class ExportPanel:
         self._notifications.show("Render it", f"flowsplat render {self._source.folder} {options}")
 
     def _load_path(self) -> None:
+        name, content = plain_name(self._load.value.name, "The file"), self._load.value.content
+        if not content:
+            raise InputError(f"{name} is empty, or has more than the {MOST_UPLOAD / 2**20:g} MiB that can be loaded here.")
         with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / Path(self._load.value.name).name
-            path.write_bytes(self._load.value.content)
+            path = Path(folder) / name
+            path.write_bytes(content)
             found = read_camera_file(path, self._source.size, self._source.clip)
         self._keys = CameraKeys.of_shots(found.shots, found.fps or self._fps)
         self._count_keys()

@@ -7,7 +7,7 @@ from typing import Any
 
 import viser
 
-from flowsplat.common.errors import InputError
+from flowsplat.common.errors import InputError, first_line
 
 
 class Notifications:
@@ -34,5 +34,7 @@ class Notifications:
                 action()
             except InputError as error:
                 self.show_error(error)
+            except Exception as error:  # of ours: the client is told, and the viewer goes on
+                self.show_error(InputError(f"{type(error).__name__}: {first_line(error)}"))
 
         return call

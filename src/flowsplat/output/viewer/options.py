@@ -12,7 +12,8 @@ class ViewOptions:
     """How the viewer is served."""
 
     host: str = "127.0.0.1"
-    """Address to listen on. The default is seen from this machine only; 0.0.0.0 lets every machine on the network connect."""
+    """Address to listen on. The default is seen from this machine only; 0.0.0.0 lets every machine on the network
+    connect that has the address which is printed, with its token."""
     port: int = 8080
     """Port to listen on."""
     device: DeviceName = "auto"

@@ -11,6 +11,7 @@ import viser
 from flowsplat.common.spread import spread
 from flowsplat.gaussians.renderer import PARTS
 from flowsplat.output.viewer.browser_frame import SCENE_DEPTH, BrowserFrame, Pose
+from flowsplat.output.viewer.controls import Control, Controls, as_text
 from flowsplat.output.viewer.drawing import Compare, Drawing, Look, PictureKind
 from flowsplat.output.viewer.export_panel import ExportPanel
 from flowsplat.output.viewer.layout import Box, fitted
@@ -73,36 +74,36 @@ class Panel:
     # -- the controls
 
     def _build(self) -> None:
-        gui, (first, last) = self._client.gui, self._source.clip
+        gui, controls, (first, last) = self._client.gui, Controls(self._client.gui), self._source.clip
         self._status = gui.add_markdown(self._state())
         with gui.add_folder("Time"):
-            self._time = gui.add_slider("Seconds", min=first, max=last, step=_TIME_STEP, initial_value=first)
+            self._time = controls.add_slider("Seconds", min=first, max=last, step=_TIME_STEP, initial_value=first)
             self._play = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY)
-            self._speed = gui.add_dropdown("Speed", tuple(_SPEEDS), initial_value="1")
-            self._loop = gui.add_checkbox("Loop", True)
+            self._speed = controls.add_dropdown("Speed", tuple(_SPEEDS), initial_value="1")
+            self._loop = controls.add_checkbox("Loop", True)
         with gui.add_folder("Camera"):
-            self._mode = gui.add_dropdown("Mode", get_args(Mode), initial_value="orbit", hint=_MODE_HINT)
+            self._mode = controls.add_dropdown("Mode", get_args(Mode), initial_value="orbit", hint=_MODE_HINT)
             home = gui.add_button("To the input camera", icon=viser.Icon.HOME)
         with gui.add_folder("Picture"):
-            self._what = gui.add_dropdown("Show", get_args(PictureKind), initial_value="colour")
-            self._part = gui.add_dropdown("Part", (*PARTS, *(f"movers:{n}" for n in self._movers)), initial_value="all")
-            self._compare = gui.add_dropdown("Input frame", get_args(Compare), initial_value="off")
-            self._wipe = gui.add_slider("Wipe", min=0.0, max=1.0, step=0.01, initial_value=0.5, visible=False)
-            self._stereo = gui.add_checkbox("Stereo pair", False, hint="For two eyes, left beside right.")
-        self._distances: dict[int, viser.GuiSliderHandle] = {}
+            self._what = controls.add_dropdown("Show", get_args(PictureKind), initial_value="colour")
+            self._part = controls.add_dropdown("Part", (*PARTS, *(f"movers:{n}" for n in self._movers)), initial_value="all")
+            self._compare = controls.add_dropdown("Input frame", get_args(Compare), initial_value="off")
+            self._wipe = controls.add_slider("Wipe", min=0.0, max=1.0, step=0.01, initial_value=0.5, visible=False)
+            self._stereo = controls.add_checkbox("Stereo pair", False, hint="For two eyes, left beside right.")
+        self._distances: dict[int, Control] = {}
         if self._movers:
             with gui.add_folder("Distance of movers", expand_by_default=False):
                 gui.add_markdown(_DISTANCE_HINT)
                 for number in self._movers:
                     near, far = _DISTANCES
-                    slider = gui.add_slider(f"Mover {number}", min=near, max=far, step=_DISTANCE_STEP, initial_value=1.0)
+                    slider = controls.add_slider(f"Mover {number}", min=near, max=far, step=_DISTANCE_STEP, initial_value=1.0)
                     self._distances[number] = slider
                 trained = gui.add_button("As trained", icon=viser.Icon.ARROW_BACK)
             trained.on_click(self._notifications.callback(self._reset_distances))
         with gui.add_folder("Drawn into it"):
-            self._cameras = gui.add_checkbox("Cameras", False)
-            self._trails = gui.add_checkbox("Paths of Gaussians", False)
-            self._tracks = gui.add_checkbox("Tracks of the clip", False, hint="Seen from the input camera.",
+            self._cameras = controls.add_checkbox("Cameras", False)
+            self._trails = controls.add_checkbox("Paths of Gaussians", False)
+            self._tracks = controls.add_checkbox("Tracks of the clip", False, hint="Seen from the input camera.",
                                             visible=self._source.scene.has_tracks)  # fmt: skip
         for button, action in ((self._play, self._toggle), (home, self._go_home)):
             button.on_click(self._notifications.callback(action))
@@ -119,7 +120,7 @@ class Panel:
     def _state(self) -> str:
         source = self._source
         count = len(source.loaded.part("all").gaussians)
-        return f"**{source.scene.name}** · {source.loaded.state} · {count:,} Gaussians"
+        return f"**{as_text(source.scene.name)}** · {source.loaded.state} · {count:,} Gaussians"
 
     # -- time
 

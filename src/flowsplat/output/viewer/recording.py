@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from flowsplat.common.errors import InputError
+from flowsplat.common.files import plain_name
 from flowsplat.output.videos.plans import WIGGLE_FPS
 from flowsplat.output.videos.writing import on_transparent
 from flowsplat.output.viewer.browser_frame import BrowserFrame
@@ -35,7 +36,7 @@ def next_file(folder: Path, stem: str, suffix: str) -> Path:
     """``stem_001.suffix``, or the first number that neither exists nor was given away before."""
     with _PROMISING:
         number = 1
-        while (path := folder / f"{stem}_{number:03d}{suffix}").exists() or path in _PROMISED:
+        while (path := folder / plain_name(f"{stem}_{number:03d}{suffix}")).exists() or path in _PROMISED:
             number += 1
         _PROMISED.add(path)
     return path

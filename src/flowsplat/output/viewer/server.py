@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from flowsplat.common.devices import pick_device
 from flowsplat.common.errors import InputError
 from flowsplat.common.progress import say
+from flowsplat.output.viewer.guard import LOOPBACK, WILDCARDS, Guard, guarding, is_guarded
 from flowsplat.output.viewer.options import ViewOptions
 from flowsplat.output.viewer.source import Source
 from flowsplat.output.viewer.worker import Worker
@@ -45,7 +46,8 @@ class Viewer:
         self._options = options
         self.source = Source(folder, pick_device(options.device))
         _check_address(options.host, options.port)
-        self._server = _serve(options)
+        self.guard = Guard.of(options.host, options.port)
+        self._server = _serve(options, self.guard)
         self._panels: dict[int, Panel] = {}
         self._lock = threading.Lock()
         self.worker = Worker(self.source, self._reloaded)
@@ -87,10 +89,11 @@ def view(folder: Path, options: ViewOptions) -> None:
     """
     viewer = Viewer(folder, options)
     try:
-        shown = "localhost" if options.host in ("127.0.0.1", "0.0.0.0", "::1", "::") else options.host
-        say(f"Showing {folder} ({viewer.source.loaded.state}): http://{shown}:{options.port} - Ctrl-C stops.")
-        if options.host in ("0.0.0.0", "::"):
-            say("Every computer that reaches this one can open the viewer.")
+        shown = "localhost" if options.host in LOOPBACK | WILDCARDS else options.host
+        shown = f"[{shown}]" if ":" in shown else shown
+        say(f"Showing {folder} ({viewer.source.loaded.state}): http://{shown}:{options.port}{viewer.guard.query} - Ctrl-C stops.")
+        if viewer.guard.token is not None:
+            say("Every computer that reaches this one can open the viewer, with this whole address; it is new each time.")
         threading.Event().wait()
     except KeyboardInterrupt:
         say("The viewer is stopped.")
@@ -117,16 +120,19 @@ def _check_address(host: str, port: int) -> None:
             raise InputError(f"Cannot listen on {host}, port {port} ({reason}): choose others with --host and --port.") from error
 
 
-def _serve(options: ViewOptions) -> viser.ViserServer:
+def _serve(options: ViewOptions, guard: Guard) -> viser.ViserServer:
     import viser
 
     # A browser may be closed while a picture is on its way to it.
     warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")
-    with _quiet():
+    with _quiet(), guarding(guard):
         server = viser.ViserServer(host=options.host, port=options.port, label="flowsplat", verbose=False)
     if server.get_port() != options.port:
         server.stop()
         raise InputError(f"Port {options.port} is in use: choose another one with --port.")
+    if not is_guarded(options.host, options.port):
+        server.stop()
+        raise InputError(f"viser {viser.__version__} cannot be kept from other pages: install the one that constraints.txt names.")
     server.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
     server.gui.main_panel.dock_right()
     return server

@@ -47,7 +47,7 @@ def _read(path: Path, scene: Scene, allow_pickle: bool) -> tuple[list[Camera], s
             return read_nerfstudio(path, content, scene), "nerfstudio"
         return _own(path, content, scene), "flowsplat"
     if suffix == ".npz":
-        arrays = read_npz(path)
+        arrays = read_npz(path, megasam.ARRAYS, most=megasam.most_bytes(scene))
         if megasam.is_megasam(arrays):
             return megasam.read_cameras(path, arrays, scene), megasam.MAKER
     if suffix == ".npy":

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from flowsplat.common.errors import InputError
+from flowsplat.common.files import read_bytes, read_text
 from flowsplat.geometry import Camera
 from flowsplat.geometry.cameras import rigid
 from flowsplat.geometry.rotations import quats_to_rotations
@@ -18,6 +19,8 @@ from flowsplat.scenes import Scene
 from flowsplat.scenes.formats.images import natural_key
 from flowsplat.scenes.formats.lens import require_pinhole
 
+_MOST_IMAGES = 256 * 2**20
+"""Bytes: the points of all pictures stand beside them."""
 PLACES = ("", "0", "sparse", "sparse/0", "colmap/sparse/0")
 """Where in a given folder the model may lie."""
 
@@ -64,12 +67,12 @@ def read_colmap(model: Path, scene: Scene) -> list[Camera]:
     path = model / f"images{suffix}"
     try:
         if suffix == ".bin":
-            lenses = _binary_cameras((model / "cameras.bin").read_bytes())
-            images = _binary_images(path.read_bytes())
+            lenses = _binary_cameras(read_bytes(model / "cameras.bin"))
+            images = _binary_images(read_bytes(path, _MOST_IMAGES))
         else:
-            lenses = _text_cameras((model / "cameras.txt").read_text())
-            images = _text_images(path.read_text())
-    except (struct.error, ValueError, IndexError, UnicodeDecodeError) as error:
+            lenses = _text_cameras(read_text(model / "cameras.txt"))
+            images = _text_images(read_text(path, _MOST_IMAGES))
+    except (struct.error, ValueError, IndexError, OverflowError) as error:
         raise InputError(f"{model} is no readable COLMAP model (damaged or truncated): {error}.") from error
     require_frames(path, len(images), scene, "registered pictures")
     cameras = []

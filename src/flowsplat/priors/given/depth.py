@@ -108,7 +108,7 @@ def _disparity(path: Path, scene: Scene) -> Depth:
 
 
 def _mosca(path: Path, scene: Scene) -> Depth:
-    arrays = read_npz(path)
+    arrays = read_npz(path, ("dep",))
     if "dep" not in arrays:
         raise InputError(f"{path} has no array 'dep' as MoSca's depth has.")
     values = _map(path, arrays["dep"], scene)

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from flowsplat.common.errors import InputError
+from flowsplat.common.files import ordinary_file
 from flowsplat.geometry import Camera
 from flowsplat.priors.given.fitting import SLAM_MULTIPLE, require_frames, slam_size
 from flowsplat.scenes import Scene
@@ -25,8 +26,7 @@ def read_droid(path: Path, scene: Scene, allow_pickle: bool) -> list[Camera]:
     Raises:
         InputError: pickles are not allowed, or it is damaged or not of this clip.
     """
-    if not path.is_file():
-        raise InputError(f"{path} does not exist.")
+    ordinary_file(path)
     if not allow_pickle:
         raise InputError(
             f"{path} is a pickle, and reading one runs whatever code is in it: "

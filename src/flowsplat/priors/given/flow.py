@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 
 from flowsplat.common.errors import InputError
-from flowsplat.common.files import read_npz
+from flowsplat.common.files import read_bytes, read_npz
+from flowsplat.pictures.header import MOST_PIXELS
 from flowsplat.priors.given import megasam
 from flowsplat.priors.given.fitting import refuse_later_frames, require_frames, require_shape
 from flowsplat.priors.given.truth import consecutive_pairs
@@ -21,6 +22,7 @@ from flowsplat.scenes.layers import FLOW_UNIT, decode_image
 FLO_MAGIC = 202021.25
 """First number of a Middlebury ``.flo`` file (https://vision.middlebury.edu/flow/code/flow-code/README.txt)."""
 
+_MOST_FLO = 12 + 8 * MOST_PIXELS
 KITTI_ZERO, KITTI_UNIT = 32768, 64.0
 """In KITTI's 16-bit PNG (https://www.cvlibs.net/datasets/kitti/eval_flow.php) u = (red - 32768) / 64 pixels."""
 
@@ -79,7 +81,7 @@ def _own(folder: Path, i: int, j: int, scene: Scene) -> Flow:
 
 
 def _read_npz(path: Path) -> Arrays:
-    arrays = read_npz(path)
+    arrays = read_npz(path, ("flow", "confidence"))
     if not {"flow", "confidence"} <= arrays.keys():
         raise InputError(f"{path} needs the arrays 'flow' and 'confidence'.")
     # Whole numbers are 1/64 pixels and 255 is certain, as in a scene folder; floating-point numbers mean themselves.
@@ -90,7 +92,7 @@ def _read_npz(path: Path) -> Arrays:
 
 
 def _read_flo(path: Path) -> Arrays:
-    data = path.read_bytes()
+    data = read_bytes(path, _MOST_FLO)
     if len(data) < 12 or np.frombuffer(data, "<f4", 1)[0] != np.float32(FLO_MAGIC):
         raise InputError(f"{path} is not a Middlebury .flo file.")
     width, height = (int(value) for value in np.frombuffer(data, "<i4", 2, offset=4))
@@ -117,7 +119,7 @@ def _mosca(folder: Path, wanted: list[tuple[int, int]], scene: Scene) -> list[Fl
     for i, j in wanted:
         path = files.get((names[i], names[j]))
         if path is not None:
-            arrays = read_npz(path)
+            arrays = read_npz(path, ("flow", "mask"))
             if not {"flow", "mask"} <= arrays.keys():
                 raise InputError(f"{path} needs the arrays 'flow' and 'mask' as MoSca writes them.")
             values = arrays["flow"].astype(np.float32), arrays["mask"].astype(np.float32)

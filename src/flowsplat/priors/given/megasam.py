@@ -29,9 +29,19 @@ _NO_DEPTH = 1.1e-3
 """Depths up to here are where MegaSaM clips, and mean that it has none."""
 
 
+ARRAYS = ("depths", "intrinsic", "cam_c2w")
+_MOST_A_FRAME = 32 * 2**20
+"""Bytes: six pairs of flow of a picture of 640 x 480."""
+
+
+def most_bytes(scene: Scene) -> int:
+    """Of the arrays in one file."""
+    return _MOST_A_FRAME * scene.num_frames
+
+
 def is_megasam(arrays: dict[str, np.ndarray]) -> bool:
     """Whether an archive has the arrays of MegaSaM's results."""
-    return {"depths", "intrinsic", "cam_c2w"} <= arrays.keys()
+    return set(ARRAYS) <= arrays.keys()
 
 
 def read_cameras(path: Path, arrays: dict[str, np.ndarray], scene: Scene) -> list[Camera]:
@@ -60,7 +70,7 @@ class MegaSamDepth:
         Raises:
             InputError: missing, damaged or not of this clip.
         """
-        arrays = read_npz(path)
+        arrays = read_npz(path, ARRAYS, most=most_bytes(scene))
         if not is_megasam(arrays):
             raise InputError(f"{path} has no depth of MegaSaM: it needs depths, intrinsic and cam_c2w.")
         self._depths, self._scene = arrays["depths"], scene
@@ -90,8 +100,9 @@ def read_flow(folder: Path, wanted: list[tuple[int, int]], scene: Scene) -> list
     Raises:
         InputError: damaged or not of this clip.
     """
-    flows, pairs = read_npy(folder / "flows.npy"), read_npy(folder / "ii-jj.npy")
-    masks = read_npy(folder / "flows_masks.npy")
+    most = most_bytes(scene)
+    flows, pairs = read_npy(folder / "flows.npy", most), read_npy(folder / "ii-jj.npy", most)
+    masks = read_npy(folder / "flows_masks.npy", most)
     if flows.ndim != 4 or flows.shape[1] != 2 or pairs.shape != (2, len(flows)) or masks.size * 2 != flows.size:
         raise InputError(
             f"{folder} is not as MegaSaM writes it: flows {flows.shape}, ii-jj {pairs.shape}, flows_masks {masks.shape}."

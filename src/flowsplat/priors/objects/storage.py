@@ -12,11 +12,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from typing import Annotated
 
 import numpy as np
+from msgspec import Meta
+from typing_extensions import TypedDict
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_json, read_npz, write_json, write_npz
+from flowsplat.common.files.json_file import Number, Row3
 from flowsplat.geometry import Camera
 from flowsplat.priors.objects.distance import Cue
 from flowsplat.priors.objects.movers import Mover
@@ -80,6 +84,24 @@ def save_movers(scene: Scene, found: SceneMovers) -> None:
     write_json(scene.folder / "objects.json", {"normal": found.normal.tolist(), "ground": found.has_ground, "movers": described})
 
 
+class MoverFile(TypedDict):
+    """A mover in ``objects.json``; more may stand there."""
+
+    number: Annotated[int, Meta(ge=1, le=255)]
+    sigma: Number
+    rigid: bool
+    expected: Number
+    cues: dict[str, dict[str, Number]]
+
+
+class ObjectsFile(TypedDict):
+    """What ``objects.json`` holds."""
+
+    normal: Row3
+    ground: bool
+    movers: list[MoverFile]
+
+
 def load_movers(scene: Scene) -> SceneMovers:
     """What ``save_movers`` wrote; no movers where nothing was written.
 
@@ -89,7 +111,7 @@ def load_movers(scene: Scene) -> SceneMovers:
     path = scene.folder / "objects.json"
     if not path.exists():
         return SceneMovers([], np.array([0.0, -1.0, 0.0]))
-    value, arrays = read_json(path), read_npz(scene.folder / "objects.npz")
+    value, arrays = read_json(path, ObjectsFile), read_npz(scene.folder / "objects.npz")
     try:
         movers, (count, frames) = [], (len(value["movers"]), len(scene.train_frames))
         if arrays["log_depth"].shape != (count, frames) or arrays["middles"].shape != (count, frames, 2):

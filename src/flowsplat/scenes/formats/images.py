@@ -15,6 +15,7 @@ from flowsplat.scenes.clip import Clip, InputOptions, resize_picture, select_fra
 from flowsplat.scenes.formats.masks import GivenMasks
 from flowsplat.scenes.layers import decode_image
 
+_EIGHT_BITS = np.rint(np.arange(65536) / 257).astype(np.uint8)
 PICTURE_SUFFIXES = {".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp"}
 
 
@@ -39,7 +40,7 @@ def read_picture(path: Path) -> np.ndarray:
     if image is None:
         raise InputError(f"{path} is missing, empty, damaged or not a picture: replace or remove it.")
     if image.dtype == np.uint16:
-        image = np.rint(image / 257).astype(np.uint8)
+        image = _EIGHT_BITS[image]
     if image.dtype != np.uint8:
         raise InputError(f"{path} has {image.dtype} values: save pictures with 8 or 16 bits a channel.")
     return np.ascontiguousarray(image[..., ::-1])

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from flowsplat.common.errors import InputError
-from flowsplat.common.files import read_json
+from flowsplat.common.files import plain_name, read_json
 from flowsplat.geometry import Camera
 from flowsplat.geometry.cameras import rigid
 from flowsplat.scenes.clip import InputOptions
@@ -59,8 +59,9 @@ def _read_split(folder: Path, split: str) -> list[tuple[str, int, str]]:
     except (KeyError, TypeError, ValueError, ArithmeticError) as error:
         raise InputError(f"{path} must hold frame_names, time_ids and camera_ids, as many of each: {error}.") from error
     for name, time, _ in found:
-        if time < 0 or Path(name).name != name:
-            raise InputError(f"{path}: {name!r} at time {time} names no picture.")
+        plain_name(name, f"{path}: the picture")
+        if not 0 <= time < 10_000_000:
+            raise InputError(f"{path}: {name!r} is at time {time}.")
     return sorted(found, key=lambda row: row[1])
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from flowsplat.common.errors import InputError
+from flowsplat.common.files import plain_name
 from flowsplat.geometry import Camera
 from flowsplat.scenes.clip import (
     Clip,
@@ -126,6 +127,8 @@ def open_posed(
         InputError: too few frames, a picture that does not fit its camera, or a camera that is none.
     """
     numbers = np.arange(len(pictures)) if times is None else np.asarray(times)
+    for view in views:
+        plain_name(view.name, f"{folder}: the held-out view")
     for picture in (*pictures, *(view.picture for view in views)):
         if not picture.camera.is_valid:
             raise InputError(f"The camera of {picture.path} is not finite or not a rotation.")

@@ -24,13 +24,18 @@ from typing import Any
 import numpy as np
 
 from flowsplat.common.errors import InputError
-from flowsplat.common.files import read_json, read_npz
+from flowsplat.common.files import plain_name, read_json, read_npz
+from flowsplat.common.files.arrays import MOST_BYTES
 from flowsplat.geometry import Camera
 from flowsplat.scenes.clip import InputOptions, resize_labels
 from flowsplat.scenes.formats.images import list_pictures
 from flowsplat.scenes.formats.masks import read_labels
 from flowsplat.scenes.formats.posed import PosedClip, PosedPicture, PosedView, open_posed
 from flowsplat.scenes.layers import Depth, Flow, Tracks
+
+_ARRAYS = ("depth", "fwd", "bwd", "fwd_valid", "bwd_valid", "points", "visible", "moving", "birth")
+_MOST_A_PIXEL = 48
+"""Bytes: flow both ways in float64 with where it is valid."""
 
 
 def _cameras(path: Path, values: dict[str, Any], poses: Sequence[Any]) -> list[Camera]:
@@ -64,7 +69,8 @@ class RigTruth:
         path = self._folder / file
         if file not in self._archives:
             # One archive at a time: depth and flow of a long clip are large.
-            self._archives = {file: read_npz(path)}
+            pixels = sum(camera.width * camera.height for camera in self._stored)
+            self._archives = {file: read_npz(path, _ARRAYS, most=max(MOST_BYTES, _MOST_A_PIXEL * pixels))}
         camera = self._stored[0]
         shape = (len(self._stored), *beyond) if file == "tracks.npz" else (len(self._stored), camera.height, camera.width, *beyond)
         return _member(self._archives[file], path, name, shape)
@@ -128,6 +134,7 @@ def _heldout_views(folder: Path) -> list[PosedView]:
     views = []
     try:
         for name, camera in values["cameras"].items():
+            plain_name(name, f"{path}: the camera")
             for time, pose in zip(camera["times"], _cameras(path, values, camera["w2c"]), strict=True):
                 file = f"{int(time):05d}.png"
                 masks = (folder / f"{name}_{kind}" / file for kind in ("masks", "covisible"))

@@ -14,6 +14,7 @@ from av.container import InputContainer
 from av.video.stream import VideoStream
 
 from flowsplat.common.errors import InputError
+from flowsplat.pictures.media import open_media
 from flowsplat.scenes.clip import Clip, InputOptions, resize_picture, select_frames, working_size
 from flowsplat.scenes.formats.video_color import Colors, colors_of, decode_rgb, to_srgb
 
@@ -35,7 +36,7 @@ ones."""
 def _opened(path: Path) -> Iterator[tuple[InputContainer, VideoStream]]:
     """The container and its main video stream; whatever FFmpeg refuses meanwhile becomes an ``InputError``."""
     try:
-        with av.open(str(path), metadata_errors="ignore") as container:
+        with open_media(path, metadata_errors="ignore") as container:
             stream = container.streams.best("video")
             if isinstance(stream, VideoStream) and stream.codec_context is None:
                 raise InputError(f"{path} has a video of a kind that cannot be decoded: convert it to H.264 first.")

@@ -7,7 +7,8 @@ import errno
 import hashlib
 import json
 import os
-import zipfile
+import re
+import stat
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,9 @@ from typing import Any
 import numpy as np
 
 from flowsplat.common.errors import InputError
+from flowsplat.common.files.opening import ordinary_file
 
+_PARTIAL = re.compile(r"\..+\.[0-9]+\.partial(\.[^.]+)?")
 _EDGE = 65536
 """Bytes at both ends of a file that enter its hash."""
 
@@ -31,6 +34,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
     """
     path = Path(path)
     temporary = path.with_name(f".{path.stem}.{os.getpid()}.partial{path.suffix}")
+    _refuse_special(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
@@ -40,6 +44,35 @@ def atomic_path(path: Path) -> Iterator[Path]:
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+def _refuse_special(path: Path) -> None:
+    """Devices and pipes would be replaced by a file, where one may; nobody wants that.
+
+    Raises:
+        InputError: there is one of that name, or no file can be called so.
+    """
+    if "\0" in str(path):
+        raise InputError(f"{path} cannot be the name of a file.")
+    with contextlib.suppress(OSError):
+        kind = stat.S_IFMT(os.stat(path).st_mode)
+        if kind not in (stat.S_IFREG, stat.S_IFDIR):
+            raise InputError(f"{path} is no ordinary file and is left alone: choose another name.")
+
+
+def remove_partials(folder: Path) -> list[Path]:
+    """Delete what killed processes left half-written anywhere under ``folder``, see ``atomic_path``; nobody else may write there.
+
+    Returns:
+        what was deleted.
+    """
+    found = [path for path in Path(folder).rglob(".*.partial*") if _PARTIAL.fullmatch(path.name) and not path.is_symlink()]
+    deleted = []
+    for path in found:
+        with contextlib.suppress(OSError):
+            path.unlink()
+            deleted.append(path)
+    return deleted
 
 
 def _explain(error: OSError, path: Path) -> InputError:
@@ -76,8 +109,8 @@ def hash_files(start: str, files: Iterable[tuple[str, Path]], whole: bool = Fals
     """
     digest = hashlib.sha256(start.encode())
     for name, file in files:
+        size = ordinary_file(file)
         try:
-            size = file.stat().st_size
             digest.update(f"\n{name} {size} ".encode())
             with open(file, "rb") as opened:
                 digest.update(opened.read(size if whole else _EDGE))
@@ -114,22 +147,6 @@ def write_json(path: Path, value: Any) -> None:
     write_text(path, json.dumps(value, indent=1, default=plain, allow_nan=False, ensure_ascii=False) + "\n")
 
 
-def read_json(path: Path) -> Any:
-    """Read a JSON file.
-
-    Raises:
-        InputError: the file is missing or not JSON.
-    """
-    try:
-        return json.loads(Path(path).read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise InputError(f"{path} does not exist.") from error
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror}.") from error
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path} is not readable JSON (damaged or truncated): {error}.") from error
-
-
 def require_keys(path: Path, value: Mapping[str, Any], *keys: str) -> None:
     """Refuse an object of a JSON file that lacks something.
 
@@ -145,35 +162,3 @@ def write_npz(path: Path, arrays: Mapping[str, np.ndarray], *, compressed: bool 
     """Write arrays atomically to one ``.npz``."""
     with atomic_path(path) as temporary, open(temporary, "wb") as file:
         (np.savez_compressed if compressed else np.savez)(file, **arrays)  # type: ignore[arg-type]
-
-
-def read_npz(path: Path) -> dict[str, np.ndarray]:
-    """Read every array of an ``.npz``; pickled objects are refused.
-
-    Raises:
-        InputError: missing, truncated, or not an array archive.
-    """
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files}
-    except FileNotFoundError as error:
-        raise InputError(f"{path} does not exist.") from error
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
-        raise InputError(f"{path} is damaged or truncated: {error}.") from error
-
-
-def read_npy(path: Path) -> np.ndarray:
-    """One array of a ``.npy`` file; pickled objects are refused.
-
-    Raises:
-        InputError: missing or damaged.
-    """
-    try:
-        array = np.load(path, allow_pickle=False)
-    except FileNotFoundError as error:
-        raise InputError(f"{path} does not exist.") from error
-    except (OSError, ValueError, EOFError) as error:
-        raise InputError(f"{path} is no readable .npy file (damaged or truncated): {error}.") from error
-    if not isinstance(array, np.ndarray):
-        raise InputError(f"{path} is no readable .npy file: it is an archive.")
-    return array

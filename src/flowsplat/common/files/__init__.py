@@ -1,0 +1,42 @@
+"""Files, in and out.
+
+What is written is whole or not there (``writing``). What is read comes from anywhere: ``opening`` refuses what is no ordinary file
+or larger than its kind can need, and one reader for each kind understands it (``json_file``, ``arrays``). Names that come out of
+files or from a browser become names of files through ``names`` alone.
+"""
+
+from flowsplat.common.files.arrays import read_npy, read_npz
+from flowsplat.common.files.json_file import check_json, read_json
+from flowsplat.common.files.names import plain_name
+from flowsplat.common.files.opening import ordinary_file, read_bytes, read_text
+from flowsplat.common.files.writing import (
+    atomic_path,
+    hash_files,
+    make_folder,
+    remove_partials,
+    require_keys,
+    write_bytes,
+    write_json,
+    write_npz,
+    write_text,
+)
+
+__all__ = [
+    "atomic_path",
+    "check_json",
+    "hash_files",
+    "make_folder",
+    "ordinary_file",
+    "plain_name",
+    "read_bytes",
+    "read_json",
+    "read_npy",
+    "read_npz",
+    "read_text",
+    "remove_partials",
+    "require_keys",
+    "write_bytes",
+    "write_json",
+    "write_npz",
+    "write_text",
+]

@@ -1,0 +1,136 @@
+"""The one reader of ``.npy`` and ``.npz`` files.
+
+What an array is, its header says. It is looked at before anything of the array is read, so that a file of some bytes cannot ask for
+gigabytes, and no pickle is ever opened.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import os
+import zipfile
+from collections.abc import Collection
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+
+from flowsplat.common.errors import InputError, first_line
+from flowsplat.common.files.opening import ordinary_file
+
+MOST_BYTES = 256 * 2**20
+"""Of the arrays that are read from one file, where the caller does not know better."""
+_KINDS = "biufUS"
+"""Truth values, whole numbers, floats and texts: everything else needs pickle, or is not used by any format."""
+_MOST_MEMBERS = 4096
+_MOST_DIRECTORY = 2**20
+"""Bytes of a zip's directory."""
+_LARGEST_AXIS = 2**31
+_BOM = b"\x93NUMPY"
+
+
+def read_npz(path: Path, names: Collection[str] | None = None, most: int = MOST_BYTES) -> dict[str, np.ndarray]:
+    """The arrays of an ``.npz``.
+
+    Args:
+        names: which of them, as far as they are there; None = all.
+        most: bytes of all of them together.
+
+    Raises:
+        InputError: missing, not an ordinary file, damaged, with objects, or with larger arrays.
+    """
+    ordinary_file(path)
+    try:
+        with open(path, "rb") as file:
+            _check_directory(path, file)
+            with zipfile.ZipFile(file) as archive:
+                return _read_members(path, archive, names, most)
+    except InputError:
+        raise
+    except MemoryError as error:
+        raise InputError(f"There is not enough memory to read {path}.") from error
+    # What damage makes of the zip, of zlib and of NumPy's parser of headers is no list to be kept here.
+    except Exception as error:
+        raise InputError(f"{path} is damaged or truncated: {first_line(error)}.") from error
+
+
+def read_npy(path: Path, most: int = MOST_BYTES) -> np.ndarray:
+    """The array of a ``.npy``, of at most ``most`` bytes.
+
+    Raises:
+        InputError: missing, not an ordinary file, damaged, with objects, or with a larger array.
+    """
+    size = ordinary_file(path)
+    try:
+        with open(path, "rb") as file:
+            return _read_array(f"{path}", file, size, most)
+    except InputError:
+        raise
+    except MemoryError as error:
+        raise InputError(f"There is not enough memory to read {path}.") from error
+    except Exception as error:
+        raise InputError(f"{path} is no readable .npy file (damaged or truncated): {first_line(error)}.") from error
+
+
+def _check_directory(path: Path, file: IO[bytes]) -> None:
+    """Refuse a zip whose directory alone would fill the memory: it is read as a whole when the zip is opened."""
+    size = file.seek(0, os.SEEK_END)
+    file.seek(max(size - 66_000, 0))  # the last record may be followed by a comment of 65,535 bytes
+    tail = file.read()
+    at = tail.rfind(b"PK\x05\x06")
+    if at < 0 or len(tail) < at + 22:
+        raise InputError(f"{path} is damaged or truncated: it is no zip file.")
+    members, bytes_of_directory = (int.from_bytes(tail[at + a : at + b], "little") for a, b in ((10, 12), (12, 16)))
+    if members > _MOST_MEMBERS or bytes_of_directory > _MOST_DIRECTORY or tail[max(at - 20, 0) :][:4] == b"PK\x06\x07":
+        raise InputError(f"{path} is damaged: it lists more arrays than such a file can hold.")
+    file.seek(0)
+
+
+def _read_members(path: Path, archive: zipfile.ZipFile, names: Collection[str] | None, most: int) -> dict[str, np.ndarray]:
+    arrays: dict[str, np.ndarray] = {}
+    for member in archive.infolist():
+        name = member.filename.removesuffix(".npy")
+        if names is not None and name not in names:
+            continue
+        with archive.open(member) as file:
+            arrays[name] = _read_array(f"{path}: {name}", file, member.file_size, most)
+        most -= arrays[name].nbytes
+    return arrays
+
+
+def _read_array(where: str, file: IO[bytes], size: int, most: int) -> np.ndarray:
+    """One array of ``size`` bytes with its header."""
+    head = file.read(8)
+    if head[:6] != _BOM:
+        raise InputError(f"{where} is damaged or no array.")
+    long = head[6] >= 2
+    stored = file.read(4 if long else 2)
+    length = int.from_bytes(stored, "little")
+    if head[6] not in (1, 2) or length > 10_000:
+        raise InputError(f"{where} is damaged: its header is none.")
+    header = io.BytesIO(head + stored + file.read(length))
+    header.seek(8)
+    read = np.lib.format.read_array_header_2_0 if long else np.lib.format.read_array_header_1_0
+    shape, is_fortran, dtype = read(header)
+    if dtype.hasobject or dtype.kind not in _KINDS or dtype.names is not None:
+        raise InputError(f"{where} holds {dtype} and not numbers.")
+    if not all(0 <= axis < _LARGEST_AXIS for axis in shape) or len(shape) > 8:
+        raise InputError(f"{where} is damaged: it has shape {shape!s:.100}.")
+    needed = math.prod(shape) * dtype.itemsize
+    if needed > most:
+        raise InputError(f"{where} has {needed / 2**20:,.1f} MiB, more than the {max(most, 0) / 2**20:,.1f} MiB that fit here.")
+    if needed > size:
+        raise InputError(f"{where} is damaged or truncated: it has {size:,} bytes and its header names {needed:,}.")
+    data = bytearray(needed)
+    view, filled = memoryview(data), 0
+    while filled < needed and (block := file.read(min(needed - filled, 2**20))):
+        view[filled : filled + len(block)] = block
+        filled += len(block)
+    if filled < needed:
+        raise InputError(f"{where} is damaged or truncated: it ends after {filled:,} of {needed:,} bytes.")
+    file.read(1)  # a zip compares its checksum where a member ends
+    if not dtype.itemsize or not needed:
+        return np.zeros(shape, dtype)
+    array = np.frombuffer(data, dtype).reshape(shape, order="F" if is_fortran else "C")
+    return array.astype(dtype.newbyteorder("="), copy=False)

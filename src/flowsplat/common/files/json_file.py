@@ -1,0 +1,93 @@
+"""The one reader of JSON files.
+
+msgspec reads them (https://jcristharif.com/msgspec): it refuses NaN and numbers beyond float64, which Python's own reader lets
+pass, and checks types as they are written in Python: ``TypedDict`` for objects, ``Annotated[int, Meta(ge=1)]`` for ranges. What is
+read stays plain dicts and lists, with whatever else a newer version has put there.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+from msgspec import Meta
+from typing_extensions import TypedDict
+
+from flowsplat.common.errors import InputError
+from flowsplat.common.files.opening import read_bytes
+
+MOST_BYTES = 16 * 2**20
+"""Of a file. ``[[],[],...]`` takes twenty times as much in memory."""
+DEEPEST = 64
+"""Lists and objects within each other; Python recurses where such values are walked through."""
+LARGEST = 2**53
+"""Whole numbers up to which float64 is exact."""
+
+Count = Annotated[int, Meta(ge=0, le=10_000_000)]
+Pixels = Annotated[int, Meta(ge=1, le=65_536)]
+Positive = Annotated[float, Meta(gt=0, le=1e12)]
+Number = Annotated[float, Meta(ge=-1e12, le=1e12)]
+Text = Annotated[str, Meta(max_length=10_000)]
+Row3 = tuple[Number, Number, Number]
+Row4 = tuple[Number, Number, Number, Number]
+
+
+class Versioned(TypedDict):
+    """What is asked first of a file: a newer version may hold anything else."""
+
+    version: Count
+
+
+def read_json(path: Path, schema: Any = None, most: int = MOST_BYTES) -> Any:
+    """What a JSON file holds.
+
+    Args:
+        schema: the type that it must have; None = any JSON.
+        most: bytes of the file.
+
+    Raises:
+        InputError: missing, too large, not JSON, too deep, with numbers that are none, or not as ``schema`` says.
+    """
+    data = read_bytes(path, most)
+    try:
+        value = msgspec.json.decode(data.removeprefix(b"\xef\xbb\xbf"))
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        raise InputError(f"{path} is not readable JSON (damaged or truncated): {error}.") from error
+    _check_plain(path, value)
+    if schema is not None:
+        check_json(path, value, schema)
+    return value
+
+
+def check_json(path: Path, value: Any, schema: Any) -> None:
+    """Refuse what was read from a JSON file and is not as ``schema`` says.
+
+    Raises:
+        InputError: names the file, and where in it what is wrong.
+    """
+    try:
+        msgspec.convert(value, schema)
+    except (msgspec.ValidationError, RecursionError) as error:
+        raise InputError(f"{path} is damaged: {error}.") from error
+
+
+def _check_plain(path: Path, value: Any) -> None:
+    """Refuse what would only fail later: depth at which Python stops, and numbers that no float64 holds."""
+    level = [value]
+    for _ in range(DEEPEST):
+        deeper: list[Any] = []
+        for item in level:
+            if isinstance(item, dict):
+                deeper.extend(item.values())
+            elif isinstance(item, list):
+                deeper.extend(item)
+            elif isinstance(item, int) and not -LARGEST <= item <= LARGEST:
+                raise InputError(f"{path} is damaged: it holds a whole number of {len(str(abs(item)))} digits.")
+            elif isinstance(item, float) and not math.isfinite(item):
+                raise InputError(f"{path} is damaged: it holds a number that is not finite.")
+        level = deeper
+        if not level:
+            return
+    raise InputError(f"{path} is damaged: it nests deeper than {DEEPEST} levels.")

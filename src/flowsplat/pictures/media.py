@@ -1,0 +1,34 @@
+"""Opening films and sounds: what FFmpeg is given is a file, and it may open nothing else.
+
+To FFmpeg a name is an address: ``http://...`` is fetched, ``12:30.mp4`` is of a protocol called 12, and playlists name further
+files.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import av
+from av.container import InputContainer
+
+from flowsplat.common.errors import InputError
+from flowsplat.common.files import ordinary_file
+
+_LISTS = {"hls", "dash", "concat", "concatf", "imf", "rtsp", "sdp", "image2"}
+"""Formats that consist of other files."""
+
+
+def open_media(path: Path, **more: Any) -> InputContainer:
+    """A film or a sound on this machine.
+
+    Raises:
+        InputError: missing, not an ordinary file, or a list of other files.
+        av.FFmpegError: it cannot be read.
+    """
+    ordinary_file(path)
+    container = av.open(f"file:{Path(path).absolute()}", options={"protocol_whitelist": "file"}, **more)
+    if set(container.format.name.split(",")) & _LISTS:
+        container.close()
+        raise InputError(f"{path} is a list of other files: give one of these.")
+    return container
