@@ -73,9 +73,9 @@ def test_points_from_a_file(run, tmp_path, name):
         (("--at", "3,3,9"), "there is no frame 9, they count from 0 to 8"),
         (("--at", "3,3,1.5"), "there is no frame 1.5"),
         (("--at", "3,3,0", "-o", "tracks.csv"), "neither .json nor .npz"),
-        (("--queries", "missing.txt"), "cannot be read"),
+        (("--queries", "missing.txt"), "does not exist"),
         (("--queries", "missing.json"), "does not exist"),
-        (("--queries", "object.json"), "must hold a list"),
+        (("--queries", "object.json"), "Expected `array`"),
         (("--queries", "short.json"), "number 2 is no point"),
     ],
 )

@@ -8,6 +8,7 @@ read stays plain dicts and lists, with whatever else a newer version has put the
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -24,6 +25,9 @@ DEEPEST = 64
 """Lists and objects within each other; Python recurses where such values are walked through."""
 LARGEST = 2**53
 """Whole numbers up to which float64 is exact."""
+
+_NOT_FINITE = re.compile(rb"[\[:,]\s*-?(NaN|Infinity)\b")
+"""As many programs write it, although JSON has no such numbers."""
 
 Count = Annotated[int, Meta(ge=0, le=10_000_000)]
 Pixels = Annotated[int, Meta(ge=1, le=65_536)]
@@ -54,6 +58,8 @@ def read_json(path: Path, schema: Any = None, most: int = MOST_BYTES) -> Any:
     try:
         value = msgspec.json.decode(data.removeprefix(b"\xef\xbb\xbf"))
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        if _NOT_FINITE.search(data):
+            raise InputError(f"{path} is damaged: it holds a number that is not finite (NaN or Infinity).") from error
         raise InputError(f"{path} is not readable JSON (damaged or truncated): {error}.") from error
     _check_plain(path, value)
     if schema is not None:
