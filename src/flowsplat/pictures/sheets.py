@@ -60,8 +60,8 @@ def with_rulers(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
             at = _RULER + round(value * length / count)
             whole = value % step == 0
             tick = _RULER - (8 if whole else 4)
-            start, end = ((at, tick), (at, _RULER - 1)) if across else ((tick, at), (_RULER - 1, at))
-            cv2.line(sheet, start, end, (90, 90, 90), 1)
+            along = slice(tick, _RULER)
+            sheet[(along, at) if across else (at, along)] = 90
             if whole:
                 place = (at + 2, 12) if across else (0, at + 10)
                 cv2.putText(sheet, str(value), place, _FONT, 0.32, (60, 60, 60), 1, cv2.LINE_AA)
