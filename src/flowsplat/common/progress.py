@@ -1,9 +1,12 @@
-"""One way to show progress: rich bars with the time that is left, on stderr, quiet away from a terminal."""
+"""One way to show progress: live bars on a terminal and in a notebook, and a line every half a minute everywhere else."""
 
 from __future__ import annotations
 
 import contextlib
 import functools
+import importlib.util
+import threading
+import time
 from collections.abc import Iterable, Iterator
 from typing import TypeVar
 
@@ -12,13 +15,20 @@ from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
     Progress,
-    TaskID,
+    ProgressColumn,
+    Task,
     TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+from rich.text import Text
+
+from flowsplat.common.durations import duration
 
 Item = TypeVar("Item")
+
+EVERY = 30.0
+"""Seconds between two lines where no bar can move: in pipes, files and CI."""
 
 console = Console(stderr=True, highlight=False)
 
@@ -34,34 +44,135 @@ def say_once(message: str) -> None:
     say(message)
 
 
-class Bar:
-    """A running progress bar: ``advance()`` moves it, ``note`` changes the text behind it."""
+def is_live() -> bool:
+    """Whether bars can move: on a terminal, and in a notebook that can replace what it shows (``ipywidgets``)."""
+    return console.is_terminal or (console.is_jupyter and importlib.util.find_spec("ipywidgets") is not None)
 
-    def __init__(self, progress: Progress, task: TaskID):
-        self._progress, self._task = progress, task
+
+class Bar:
+    """Something that goes on. ``advance()`` moves it; its total is None where nobody knows how much there is to do."""
+
+    def __init__(self, label: str, total: float | None, done: float = 0):
+        self._label, self._total, self._done = label, total, done
+        self._first, self._since, self._note = done, time.monotonic(), ""
 
     def advance(self, steps: float = 1, note: str | None = None) -> None:
         """Move the bar by ``steps``; ``note`` replaces the text at its end."""
+        self._done += steps
+        self._note = self._note if note is None else note
+
+    @property
+    def line(self) -> str:
+        """Where it is, in words."""
+        spent, moved = time.monotonic() - self._since, self._done - self._first
+        if self._total is None:
+            return f"{self._label}: {duration(spent)} so far"
+        left = f", {duration((self._total - self._done) * spent / moved)} left" if moved > 0 else ""
+        return f"{self._label}: {self._done:g} of {self._total:g}{left}  {self._note}".rstrip()
+
+
+class _LiveBar(Bar):
+    """One that is drawn."""
+
+    def __init__(self, progress: Progress, label: str, total: float | None, done: float):
+        super().__init__(label, total, done)
+        self._progress = progress
+        self._task = progress.add_task(label, total=total, completed=done, note="")  # type: ignore[arg-type]
+
+    def advance(self, steps: float = 1, note: str | None = None) -> None:
         fields = {} if note is None else {"note": note}
         self._progress.update(self._task, advance=steps, **fields)  # type: ignore[arg-type]
 
+    def end(self) -> None:
+        """Let it rest: it stays to be seen with the time that it took."""
+        if self._total is None:
+            self._progress.update(self._task, total=0)  # a full bar
+        self._progress.stop_task(self._task)
+
+
+class _Known(ProgressColumn):
+    """Another column where there is a total, and nothing where there is none."""
+
+    def __init__(self, column: ProgressColumn):
+        super().__init__()
+        self._column = column
+
+    def render(self, task: Task) -> Text:
+        return Text() if not task.total else self._column.render(task)  # type: ignore[return-value]
+
+
+class _Lines:
+    """Says every ``EVERY`` seconds where the innermost of the bars is that were begun and have not ended."""
+
+    def __init__(self) -> None:
+        self.bars: list[Bar] = []
+        self._ended = threading.Event()
+
+    def begin(self, bar: Bar) -> None:
+        """Tell of this one from now on."""
+        self.bars.append(bar)
+        if len(self.bars) == 1:
+            self._ended = threading.Event()
+            threading.Thread(target=self._tell, args=(self._ended,), daemon=True).start()
+
+    def end(self, bar: Bar) -> None:
+        """Tell of the one round it again, if there is one."""
+        self.bars.remove(bar)
+        if not self.bars:
+            self._ended.set()
+
+    def _tell(self, ended: threading.Event) -> None:
+        while not ended.wait(EVERY):
+            with contextlib.suppress(IndexError, OSError):  # it has just ended; nobody reads any longer
+                say(self.bars[-1].line)
+
+
+_lines = _Lines()
+_shown: list[Progress] = []
+"""What is drawn now: bars inside others are drawn below them."""
+
 
 @contextlib.contextmanager
-def progress_bar(label: str, total: float, done: float = 0) -> Iterator[Bar]:
-    """A bar with the time left. Away from a terminal a single line tells the start and nothing flickers."""
-    if not console.is_terminal:
+def progress_bar(label: str, total: float | None, done: float = 0) -> Iterator[Bar]:
+    """A bar with the time left. Where nothing can move, a line tells the start, and one every ``EVERY`` seconds how far it is."""
+    if not is_live():
         say(f"{label} ...")
+        bar = Bar(label, total, done)
+        _lines.begin(bar)
+        try:
+            yield bar
+        finally:
+            _lines.end(bar)
+        return
+    with contextlib.nullcontext(_shown[-1]) if _shown else _drawn() as progress:
+        drawn = _LiveBar(progress, label, total, done)
+        try:
+            yield drawn
+        finally:
+            drawn.end()
+
+
+@contextlib.contextmanager
+def _drawn() -> Iterator[Progress]:
     with Progress(
         TextColumn("{task.description}"),
         BarColumn(),
-        MofNCompleteColumn(),
+        _Known(MofNCompleteColumn()),
         TimeElapsedColumn(),
-        TimeRemainingColumn(),
+        _Known(TimeRemainingColumn()),
         TextColumn("{task.fields[note]}"),
         console=console,
-        disable=not console.is_terminal,
     ) as progress:
-        yield Bar(progress, progress.add_task(label, total=total, completed=done, note=""))  # type: ignore[arg-type]
+        _shown.append(progress)
+        try:
+            yield progress
+        finally:
+            _shown.remove(progress)
+
+
+def busy(label: str) -> contextlib.AbstractContextManager[Bar]:
+    """A bar that moves as long as something goes on of which nobody knows how long it takes; bars may be inside."""
+    return progress_bar(label, None)
 
 
 def track(items: Iterable[Item], label: str, total: int | None = None) -> Iterator[Item]:

@@ -15,7 +15,7 @@ from torch import Tensor
 from flowsplat.common.devices import upload
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import write_json
-from flowsplat.common.progress import progress_bar, say
+from flowsplat.common.progress import busy, progress_bar, say
 from flowsplat.common.settings import present_names, to_plain
 from flowsplat.common.stopping import Stopped, stop_requests
 from flowsplat.gaussians.culling import RowCapacity
@@ -136,10 +136,11 @@ class Trainer:
         """
         self._all_rows, self._started = None, clock.perf_counter()
         if not self._load_checkpoint():
-            start = self._start or initialize(
-                self.observations, self.tracks, self.config.model, self.config.init, self.config.seed,
-                self.config.density.max_gaussians,
-            )  # fmt: skip
+            with busy("Placing the first Gaussians"):
+                start = self._start or initialize(
+                    self.observations, self.tracks, self.config.model, self.config.init, self.config.seed,
+                    self.config.density.max_gaussians,
+                )  # fmt: skip
             self.gaussians, self.step = start.to(self._device), self._first_step
             self._adam = RowAdam(self.gaussians.params)
             self._statistics = DensityStatistics.zeros(len(self.gaussians), self._device)
