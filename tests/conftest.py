@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import os
+import tempfile
 
 import torch
+
+# What tests measure of this machine is not for its user.
+os.environ.setdefault("FLOWSPLAT_CACHE", tempfile.mkdtemp(prefix="flowsplat-tests-"))
 
 if not torch.cuda.is_available():
     os.environ.setdefault("TRITON_INTERPRET", "1")

@@ -18,7 +18,7 @@ from flowsplat.common.devices import pick_device
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import hash_files, read_json, write_json
 from flowsplat.common.files.json_file import Number
-from flowsplat.common.progress import say
+from flowsplat.common.progress import busy, say
 from flowsplat.common.settings import to_plain
 from flowsplat.evaluation.evaluate import evaluate
 from flowsplat.evaluation.poses import refine_camera
@@ -33,6 +33,7 @@ from flowsplat.pictures.colors import float_to_bytes
 from flowsplat.pictures.sheets import preview_sheet
 from flowsplat.pipeline.config import RunConfig, check
 from flowsplat.pipeline.folder import MetricsFile, RunFolder, stage_key
+from flowsplat.pipeline.speed import STAGES, Range, Speed, expected, in_words
 from flowsplat.pipeline.summary import flow_comparisons, report_data
 from flowsplat.priors.heldout import heldout_flow
 from flowsplat.priors.objects import load_movers
@@ -71,9 +72,13 @@ def run(source: Path, out: Path, config: RunConfig | None = None) -> dict[str, A
     Raises:
         InputError: the input, a setting or the folder cannot be used.
     """
+    is_new = not (Path(out) / "run.json").exists()
     folder = prepare(source, out, config)
     train(folder)
-    return render_run(folder)
+    metrics = render_run(folder)
+    if is_new:
+        Speed(folder.config.device).remember(folder.seconds, expected(Scene(folder.scene_path), folder.config))
+    return metrics
 
 
 def load(path: Path | str, device: str = "cpu") -> SceneModel:
@@ -164,10 +169,18 @@ def _compute_scene(folder: RunFolder, source: Path, kind: str, key: str, is_new:
         raise
     for note in scene.info["notes"]:
         say(note)
-    _estimate(scene, config.train)
+    speed, reference = Speed(config.device), expected(scene, config)
+    _say_estimate(scene, speed.estimate(reference))
     ingested = time.perf_counter() - started
-    seconds = prepare_priors(scene, config.priors, config.device)
-    page = write_priors_report(folder.path, scene, seconds)
+
+    def after(stage: str, took: float) -> None:
+        if stage == "cameras":
+            speed.seen(took / reference["cameras"])
+            say(f"Left of a whole run: {in_words(speed.estimate(reference, STAGES[1:]))}.")
+
+    seconds = prepare_priors(scene, config.priors, config.device, after)
+    with busy("Writing priors.html"):
+        page = write_priors_report(folder.path, scene, seconds)
     say(f"{verdict(scene)} Look at {page}")
     folder.finish("prepare", key, {"ingest": ingested, **seconds})
 
@@ -210,16 +223,12 @@ def copy_scene(source: Path, target: Path) -> Scene:
     return Scene(target)
 
 
-def _estimate(scene: Scene, config: TrainConfig) -> None:
-    """Say what the run will take, from what was measured on two cores."""
+def _say_estimate(scene: Scene, seconds: Range) -> None:
     megapixels = scene.width * scene.height / 1e6
-    frames = config.frames_per_iteration or len(scene.train_frames)
-    around = 15 + scene.num_frames * 4.2 * megapixels  # priors, evaluation and videos
-    minutes = (around + config.iterations * frames * (0.01 + 0.48 * megapixels)) / 60
     gib = 0.6 + 5.4 * megapixels + len(scene.train_frames) * megapixels * 0.02
     say(
-        f"{scene.num_frames} frames of {scene.width} x {scene.height}, {len(scene.heldout_frames)} of them held out: about "
-        f"{max(round(minutes), 1)} minute{'s' if round(minutes) > 1 else ''} and {gib:.1f} GiB on two cores."
+        f"{scene.num_frames} frames of {scene.width} x {scene.height}, {len(scene.heldout_frames)} of them held out: "
+        f"{in_words(seconds)} and {gib:.1f} GiB for a whole run."
     )
 
 
@@ -440,8 +449,9 @@ def _write_metrics(folder: RunFolder, result: _Result, metrics: dict[str, Any], 
     history_path = folder.path / "training" / "history.json"
     entries = read_json(history_path, list[dict[str, Number | None]], _MOST_HISTORY) if history_path.exists() else []
     history = present_figures(entries)
-    data = report_data(folder.path, result.scene, result.flows, metrics, history, folder.config)
-    write_report(folder.path, data)
+    with busy("Writing report.html"):
+        data = report_data(folder.path, result.scene, result.flows, metrics, history, folder.config)
+        write_report(folder.path, data)
 
 
 # -- render

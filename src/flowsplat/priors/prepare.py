@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 import tyro
 
 from flowsplat.common.errors import InputError
-from flowsplat.common.progress import say
+from flowsplat.common.progress import busy, say
 from flowsplat.common.settings import later
 from flowsplat.priors.background.matched_clip import MatchedClip, forget_solutions
 from flowsplat.priors.background.static_depth import static_depth
@@ -73,7 +73,9 @@ _FOLLOW = {
 _OWN_DEPTH = ("multi-view", "guess")
 
 
-def prepare_priors(scene: Scene, options: PriorsOptions, device: str = "auto") -> dict[str, float]:
+def prepare_priors(
+    scene: Scene, options: PriorsOptions, device: str = "auto", after: Callable[[str, float], None] | None = None
+) -> dict[str, float]:
     """Complete the priors of a scene.
 
     Those that are there are kept, and one line says which. But where an option asks for another method than the one that is
@@ -85,6 +87,7 @@ def prepare_priors(scene: Scene, options: PriorsOptions, device: str = "auto") -
 
     Args:
         device: where networks run: auto, cpu or cuda.
+        after: is told when a prior was computed, and how many seconds that took.
 
     Returns:
         Seconds of every stage that ran.
@@ -135,8 +138,11 @@ def prepare_priors(scene: Scene, options: PriorsOptions, device: str = "auto") -
         **later,
     }
     for name in missing:
-        seconds[name] = _timed(stages.pop(name))
+        with busy(f"Computing {name}"):
+            seconds[name] = _timed(stages.pop(name))
         say(f"{name}: {_verdict(scene, name)} ({seconds[name]:.0f} s)")
+        if after is not None:
+            after(name, seconds[name])
     if (scene.prior("tracks") or {}).get("incomplete"):
         seconds["tracks"] = seconds.get("tracks", 0.0) + _timed(lambda: complete_tracks(scene))
     forget_solutions(scene)

@@ -136,11 +136,7 @@ class Trainer:
         """
         self._all_rows, self._started = None, clock.perf_counter()
         if not self._load_checkpoint():
-            with busy("Placing the first Gaussians"):
-                start = self._start or initialize(
-                    self.observations, self.tracks, self.config.model, self.config.init, self.config.seed,
-                    self.config.density.max_gaussians,
-                )  # fmt: skip
+            start = self._start or self._first()
             self.gaussians, self.step = start.to(self._device), self._first_step
             self._adam = RowAdam(self.gaussians.params)
             self._statistics = DensityStatistics.zeros(len(self.gaussians), self._device)
@@ -164,6 +160,13 @@ class Trainer:
                     times.written(now, now - began)
         self._average.write(self.gaussians.params)
         return self.gaussians
+
+    def _first(self) -> Gaussians4D:
+        with busy("Placing the first Gaussians"):
+            return initialize(
+                self.observations, self.tracks, self.config.model, self.config.init, self.config.seed,
+                self.config.density.max_gaussians,
+            )  # fmt: skip
 
     def _stop(self, signal: int) -> NoReturn:
         """Keep what was done. The file is written first: the terminal may be gone, and then a line on it is an error."""
