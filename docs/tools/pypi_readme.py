@@ -1,0 +1,31 @@
+"""The README with absolute links, as PyPI needs it, where files beside it are not there.
+
+    python docs/tools/pypi_readme.py https://example.org/blob/v0.1.0 https://example.org/raw/v0.1.0 > out/README.md
+
+The first address is that of pages, the second that of pictures.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+README = Path(__file__).parent.parent.parent / "README.md"
+
+
+def with_absolute_links(text: str, pages: str, pictures: str) -> str:
+    """The text with every link to a file of the repository made absolute; links that are absolute, and to places in it, stay."""
+
+    def absolute(match: re.Match[str]) -> str:
+        mark, words, target = match.groups()
+        base = pictures if mark else pages
+        return f"{mark}[{words}]({base.rstrip('/')}/{target})"
+
+    return re.sub(r"(!?)\[([^\]]*)\]\((?!\w+:|#)([^)]+)\)", absolute, text)
+
+
+if __name__ == "__main__":
+    if len(sys.argv) != 3:
+        sys.exit(__doc__)
+    print(with_absolute_links(README.read_text(encoding="utf-8"), *sys.argv[1:]), end="")
