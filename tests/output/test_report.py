@@ -242,6 +242,10 @@ def mover(sigma: float, cues: list[str], step: float = 0.02, depth: float = 2.0)
             {"movers": [mover(0.07, ["contact"]), mover(0.14, ["smooth"], step=0.01)]},
             "not measured; the distances of its 2 movers are sure to 7% to 15%, enough for steps aside of up to 0.5% of their",
         ),
+        (
+            {"movers": [mover(0.07, ["contact"]), {**mover(0.5, []), "small": True}]},
+            "not measured; the distance of its mover is sure to 7%",
+        ),
         ({"movers": [mover(0.5, [])]}, "From aside: not measured; the distance of its mover is a guess."),
         ({"movers": [mover(0.07, ["contact"]), mover(0.5, [])]}, "2 movers are sure to 7%, 1 of them a guess."),
     ],

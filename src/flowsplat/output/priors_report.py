@@ -25,6 +25,7 @@ from flowsplat.priors.cameras.checks import LARGE_ERROR, LITTLE_PARALLAX
 from flowsplat.priors.cameras.following import WORKING_SIDE
 from flowsplat.priors.depth.stage import MOSTLY
 from flowsplat.priors.objects import SceneMovers, load_movers
+from flowsplat.priors.objects.areas import large_movers, moving_objects
 from flowsplat.priors.objects.description import MoverDescription, describe_movers, sureness
 from flowsplat.scenes import Scene, Tracks
 
@@ -147,7 +148,7 @@ def _mask_words(scene: Scene) -> str:
     count = movers.get("movers", masks.get("objects"))
     if count is None:
         count = len({int(number) for i in scene.train_frames for number in np.unique(scene.mask(i))} - {0})
-    words = "nothing moves" if not count else "1 moving object" if count == 1 else f"{count} moving objects"
+    words = moving_objects(count, movers.get("small", 0))
     words = words if masks.get("method") == "motion" else f"{words} ({_source(masks)} masks)"
     guessed = count - movers.get("tied", count) if count else 0
     if guessed and (scene.prior("depth") or {}).get("method") != "guess":
@@ -189,16 +190,18 @@ def _headline(scene: Scene, shown: _Shown, movers: SceneMovers) -> list[dict[str
         card(figure(parallax, 1), "°", "parallax", "seen by a point, median"),
         card(figure(100 * float(np.mean(shown.matched)), 0), "%", "matched", "flow that passes there and back"),
         card(figure(100 * float(np.mean(shown.trusted)), 0), "%", "of the still scene", f"known depth, {depth.get('method', '')}"),
-        *_mover_cards(movers),
+        *_mover_cards(scene, movers),
         card(figure(tracks.get("tracks"), 0), "", "points followed", f"over {tracks.get('median_length', '–')} frames, median"),
     ]
 
 
-def _mover_cards(found: SceneMovers) -> Iterator[dict[str, Any]]:
-    if found.movers:
-        tied = [mover.sigma for mover in found.movers if mover.cues]
-        words = sureness(tied, len(found.movers) - len(tied))
-        worst = max(tied) if len(tied) == len(found.movers) else None
+def _mover_cards(scene: Scene, found: SceneMovers) -> Iterator[dict[str, Any]]:
+    large = large_movers(scene)
+    counted = [mover for mover in found.movers if mover.number in large]
+    if counted:
+        tied = [mover.sigma for mover in counted if mover.cues]
+        words = sureness(tied, len(counted) - len(tied))
+        worst = max(tied) if len(tied) == len(counted) else None
         value = figure(None if worst is None else 100 * np.expm1(worst), 0, "nothing speaks for the distance of some of them")
         yield card(value, "%", "distance of movers", words)
 

@@ -158,13 +158,18 @@ def _aside(metrics: Mapping[str, Any]) -> str:
     error = pick(metrics, "depth_abs_rel", "moving", "mean")
     if error is not None:
         return f"From aside: no view was measured; the depth of what moves is off by {error:.0%} (mean)."
-    movers = metrics.get("movers") or []
+    movers = _counted(metrics)
     if not movers:
         return "From aside: not measured."
     steps = [mover["largest_step"] / mover["depth"] for mover in movers if mover["cues"]]
     near = f", enough for steps aside of up to {min(steps):.1%} of their distance" if len(steps) == len(movers) else ""
     whose = "the distance of its mover is" if len(movers) == 1 else f"the distances of its {len(movers)} movers are"
     return f"From aside: not measured; {whose} {_sureness(movers)}{near}."
+
+
+def _counted(metrics: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """What is known of movers, small parts left out."""
+    return [mover for mover in metrics.get("movers") or [] if not mover.get("small")]
 
 
 def _sureness(movers: Sequence[Mapping[str, Any]]) -> str:
@@ -207,7 +212,7 @@ def _aside_card(metrics: Mapping[str, Any]) -> dict[str, Any]:
         return card(figure(views), "dB", "PSNR from aside", f"held-out views{movers}")
     if error is not None:
         return card(figure(100 * error, 0), "%", "depth error of movers", "from aside: no view was measured")
-    known = metrics.get("movers") or []
+    known = _counted(metrics)
     sure = f"movers' distance: {_sureness(known)}" if known else "neither views nor true depth are known"
     return card(figure(None, reason=sure), "", "from aside: not measured", sure)
 

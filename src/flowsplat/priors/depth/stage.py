@@ -12,6 +12,7 @@ from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.static_depth import StaticDepth, camera_reach, static_depth
 from flowsplat.priors.flow import FlowEstimator, dis_estimator
 from flowsplat.priors.objects import SceneMovers, load_movers
+from flowsplat.priors.objects.areas import large_movers
 from flowsplat.priors.objects.description import sureness
 from flowsplat.scenes import Depth, Scene
 
@@ -59,9 +60,11 @@ def depth_stage(
         verdict = f"{static_share:.0%} of the still scene trusted"
         if static_share < MOSTLY:
             verdict += ": the rest is filled in, and new views from aside will show it"
-        if movers.movers:
-            tied = [mover.sigma for mover in movers.movers if mover.cues]
-            verdict += f"; distances of movers: {sureness(tied, len(movers.movers) - len(tied))}"
+        large = large_movers(scene) if movers.movers else set()
+        counted = [mover for mover in movers.movers if mover.number in large]
+        if counted:
+            tied = [mover.sigma for mover in counted if mover.cues]
+            verdict += f"; distances of movers: {sureness(tied, len(counted) - len(tied))}"
     else:
         travels = camera_reach(clip) > 1e-9
         little = f"travels too little within {STRIDES[-1]} frames" if travels else "does not travel"

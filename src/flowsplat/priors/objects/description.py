@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from flowsplat.priors.objects.areas import large_movers
 from flowsplat.priors.objects.movers import Mover
 from flowsplat.priors.objects.storage import SceneMovers
 from flowsplat.scenes import Scene
@@ -88,11 +89,12 @@ def _described(mover: Mover, focal: float) -> MoverDescription:
 
 
 def mover_figures(scene: Scene, found: SceneMovers) -> list[dict[str, object]]:
-    """The same as JSON: depth and step both in the units of the cameras and in median depths of the scene."""
-    unit = scene.similarity.scale
+    """The same as JSON: depth and step both in the units of the cameras and in median depths of the scene; ``small``: a part."""
+    unit, large = scene.similarity.scale, large_movers(scene)
     return [
         {
-            "number": m.number, "frames": m.frames, "depth": m.depth, "depth_in_scenes": m.depth * unit, "sigma": m.sigma,
+            "number": m.number, "small": m.number not in large, "frames": m.frames,
+            "depth": m.depth, "depth_in_scenes": m.depth * unit, "sigma": m.sigma,
             "cues": list(m.cues), "rigid": m.rigid, "largest_step": m.largest_step, "largest_step_in_scenes": m.largest_step * unit,
         }
         for m in describe_movers(scene, found)

@@ -12,6 +12,7 @@ from flowsplat.priors.background.ground import Ground, find_ground, static_point
 from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.static_depth import Background, StaticDepth, static_depth
 from flowsplat.priors.flow import FlowEstimator, dis_estimator
+from flowsplat.priors.objects.areas import large_movers
 from flowsplat.priors.objects.card import cards_of
 from flowsplat.priors.objects.contact import Bound, ground_bound, middle_of
 from flowsplat.priors.objects.hints import Hint, with_hints
@@ -46,13 +47,17 @@ def objects_stage(
     clip = static[0] if static else MatchedClip(scene, estimate)
     found = find_movers(clip, static[1] if static else static_depth(clip, has_masks=True), hints)
     save_movers(scene, found)
-    rigid = sum(mover.rigid for mover in found.movers)
-    tied = sum(bool(mover.cues) for mover in found.movers)
-    count = len(found.movers)
+    large = large_movers(scene)
+    movers = [mover for mover in found.movers if mover.number in large]
+    rigid, tied = sum(mover.rigid for mover in movers), sum(bool(mover.cues) for mover in movers)
+    count, small = len(movers), len(found.movers) - len(movers)
     verdict = f"{count} mover{'s' if count != 1 else ''}, {rigid} of them rigid, {tied} tied to the still scene"
+    if small:
+        verdict += f"; {small} small part{'s' * (small > 1)}"
     scene.finish_prior(
-        "objects", method="motion", verdict=verdict, movers=count, rigid=rigid, tied=tied, hints=[hint.text for hint in hints]
-    )
+        "objects", method="motion", verdict=verdict, movers=count, small=small, rigid=rigid, tied=tied,
+        hints=[hint.text for hint in hints],
+    )  # fmt: skip
 
 
 def find_movers(clip: MatchedClip, background: StaticDepth, hints: Sequence[Hint] = ()) -> SceneMovers:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from flowsplat.priors.continuity import Continuity
+from flowsplat.priors.objects.areas import large_movers, moving_objects
 from flowsplat.priors.objects.identity.clusters import movers_of_tracks
 from flowsplat.priors.objects.identity.masked_tracks import MaskedTracks
 from flowsplat.priors.objects.identity.painting import paint
@@ -51,6 +52,7 @@ def identify_movers(scene: Scene) -> int:
     if how is not None:
         how["objects"] = highest
         if how.get("method") == "motion" and "share" in how:
-            how["verdict"] = f"{highest} moving object{'s' * (highest > 1)} on {how['share']:.1%} of the picture"
+            count = len(large_movers(scene))
+            how["verdict"] = f"{moving_objects(count, highest - count)} on {how['share']:.1%} of the picture"
         scene.save_info()
     return highest
