@@ -12,11 +12,12 @@ import sys
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
 import cv2
 import numpy as np
 import torch
+from msgspec import Meta
 
 from flowsplat.common.devices import pick_device
 from flowsplat.common.errors import InputError
@@ -28,6 +29,7 @@ from flowsplat.training.final import SHARE
 
 Range = tuple[float, float]
 """The least and the most."""
+Ratio = Annotated[float, Meta(gt=0, le=1e6)]
 
 STAGES = ("cameras", "priors", "train", "rest")
 """Search of the cameras; all other priors; training; measuring, final fit and videos."""
@@ -158,12 +160,7 @@ def in_words(seconds: Range) -> str:
 
 def _read() -> dict[str, dict[str, list[float]]]:
     try:
-        values: Any = read_json(cache_file())
+        values = read_json(cache_file(), dict[str, dict[str, list[Ratio]]], most=100_000)
     except InputError:
         return {}
-    if not isinstance(values, dict):
-        return {}
-    return {
-        key: {stage: [float(r) for r in ratios if isinstance(r, int | float) and 0 < r < 1e6] for stage, ratios in own.items()}
-        for key, own in values.items() if isinstance(own, dict) and all(isinstance(ratios, list) for ratios in own.values())
-    }  # fmt: skip
+    return {key: {stage: [float(ratio) for ratio in ratios] for stage, ratios in own.items()} for key, own in values.items()}
