@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-STEP, NEAR, FAR = 0.005, -1.5, 1.5
+STEP, NEAR, FAR = 0.005, -3.0, 3.0
 """The grid of ln s about the guess."""
-CARD_SIGMA, CARD_TAIL, CARD_WRONG = 0.25, 0.8, 0.4
+CARD_SIGMA, CARD_TAIL, CARD_WRONG = 0.25, 1.2, 0.4
 """Of the guess that every mover has, where the scene behind it ends: its standard deviation, mostly, and that of
 the rest."""
 GROUND_SIGMA = 0.25
