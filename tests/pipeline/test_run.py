@@ -17,6 +17,7 @@ from flowsplat.common.errors import InputError
 from flowsplat.common.settings import from_plain, to_plain
 from flowsplat.pipeline import demo, prepare, run, stages, summary, train
 from flowsplat.pipeline.config import RunConfig, preset
+from flowsplat.pipeline.describe import describe
 from flowsplat.pipeline.folder import RunFolder, stage_key
 from flowsplat.priors.given import GivenPriors
 from flowsplat.scenes import Scene
@@ -207,12 +208,13 @@ def test_a_damaged_checkpoint_is_explained_and_can_be_deleted(tiny_scene, finish
     assert same_model(tmp_path / "out", finished)
 
 
-@pytest.mark.parametrize("lost", ["model/gaussians.safetensors", "renders/input_path.mp4"])
+@pytest.mark.parametrize("lost", ["model/gaussians.safetensors", "renders/input_path.mp4", "renders"])
 def test_what_was_deleted_is_made_again(tiny_scene, finished, tmp_path, lost):
     shutil.copytree(finished, tmp_path / "out")
-    (tmp_path / "out" / lost).unlink()
+    path = tmp_path / "out" / lost
+    shutil.rmtree(path) if path.is_dir() else path.unlink()
     run(tiny_scene, tmp_path / "out", small_config())
-    assert (tmp_path / "out" / lost).exists()
+    assert path.exists()
     assert same_model(tmp_path / "out", finished)
 
 
@@ -374,6 +376,18 @@ def test_runs_from_before_there_were_kinds_of_motion_keep_their_settings():
     other = replace(config, train=replace(config.train, model=replace(config.train.model, kind="linear")))
     assert to_plain(other)["train"]["model"]["kind"] == "linear"
     assert from_plain(RunConfig, to_plain(other)) == other
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("movers", [{"depth": 1}]), ("movers", 3), ("baselines", {"flow_interpolation": 2}), ("depth_abs_rel", {"moving": "much"})],
+)
+def test_damaged_figures_are_refused_in_one_line(finished, tmp_path, name, value):
+    shutil.copytree(finished, tmp_path / "out")
+    path = tmp_path / "out" / "metrics.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), name: value}))
+    with pytest.raises(InputError, match=f"{name}"):
+        list(describe(tmp_path / "out"))
 
 
 def test_a_folder_of_a_newer_version_is_refused(finished, tmp_path):

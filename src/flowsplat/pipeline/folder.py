@@ -30,7 +30,7 @@ from typing_extensions import NotRequired, TypedDict
 from flowsplat import __version__
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import check_json, make_folder, read_json, write_json
-from flowsplat.common.files.json_file import Number, Text, Versioned
+from flowsplat.common.files.json_file import Count, Number, Positive, Text, Versioned
 from flowsplat.common.memory import peak_memory
 from flowsplat.common.settings import from_plain, to_plain
 from flowsplat.pipeline.config import RunConfig
@@ -61,6 +61,18 @@ class Scores(TypedDict):
 
     psnr: Number
     ssim: Number
+    count: NotRequired[Count | None]
+    moving: NotRequired[dict[str, Number | None] | None]
+
+
+class MoverFile(TypedDict):
+    """A mover in ``metrics.json``; more may stand there."""
+
+    depth: Positive
+    sigma: Positive
+    largest_step: Positive
+    cues: list[Text]
+    small: NotRequired[bool]
 
 
 class MetricsFile(TypedDict, total=False):
@@ -69,6 +81,10 @@ class MetricsFile(TypedDict, total=False):
     heldout_frames: Scores | None
     heldout_views: Scores | None
     training_frames: Scores | None
+    baselines: dict[str, Scores | None] | None
+    baselines_views: dict[str, Scores | None] | None
+    depth_abs_rel: dict[str, dict[str, Number] | None] | None
+    movers: list[MoverFile]
 
 
 class RunFolder:

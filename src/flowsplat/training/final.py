@@ -12,7 +12,7 @@ from flowsplat.scenes import Flow, Scene
 from flowsplat.scenes.layers import Layers
 from flowsplat.training.config import TrainConfig
 
-SHARE = 0.15
+SHARE = 0.25
 """Steps of the final fit, as a share of those of the training."""
 AVERAGED = 0.5
 """Of the steps of the final fit, the share over which its result is the mean, where training has such a mean."""

@@ -144,7 +144,8 @@ class Trainer:
             say(f"Starting from {len(self.gaussians) - moving:,} background and {moving:,} moving Gaussians.")
         config = self.config
         times = CheckpointTimes(config.checkpoint_every, clock.perf_counter())
-        with progress_bar("Training", config.iterations, self.step) as bar, stop_requests() as request:
+        label = "Final fit" if self._first_step else "Training"
+        with progress_bar(label, config.iterations, self.step) as bar, stop_requests() as request:
             while self.step < config.iterations:
                 entry = self._iterate()
                 self._after_step(entry)

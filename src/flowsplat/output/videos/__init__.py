@@ -61,8 +61,8 @@ def rendered(folder: Path) -> dict[str, str]:
 
 
 def are_rendered(folder: Path) -> bool:
-    """Whether all files of the videos that were rendered into ``folder`` are still there."""
-    return all((Path(folder) / file).exists() for file in rendered(folder).values())
+    """Whether videos were rendered into ``folder``, and all their files are still there."""
+    return bool(rendered(folder)) and all((Path(folder) / file).exists() for file in rendered(folder).values())
 
 
 def forget_videos(folder: Path) -> None:
