@@ -45,8 +45,9 @@ def run_demo(out: Path, width: int = 320, frames: int = 40) -> None:
     train(own)
     own_metrics = render_run(own)
     say("Running with the true cameras, depth, masks and flow.")
-    # It is there to compare with: nobody takes its videos away.
-    compared = replace(config, final_fit=False, priors=replace(config.priors, priors="true"))
+    # It is there to compare with: one video shows enough.
+    render = replace(config.render, paths=("input",))
+    compared = replace(config, final_fit=False, render=render, priors=replace(config.priors, priors="true"))
     true = prepare(truth, out / "true", compared)
     train(true)
     true_metrics = render_run(true)
