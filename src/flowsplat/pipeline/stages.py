@@ -292,7 +292,8 @@ def _trained(
     from torch.utils.tensorboard import SummaryWriter
 
     started, out, scene = time.perf_counter(), folder.path, Scene(folder.scene_path)
-    tracks, observations = scene.tracks if scene.has_tracks else None, observe(scene)
+    with busy("Loading frames and priors"):
+        tracks, observations = scene.tracks if scene.has_tracks else None, observe(scene)
     writer = SummaryWriter(str(out / "logs" / where))
 
     def record(entry: Mapping[str, float]) -> None:
