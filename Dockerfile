@@ -1,14 +1,15 @@
 # flowsplat on a CPU (not tested: no image has been built of this yet).
-#   docker build -t flowsplat .
+#   docker build -t flowsplat --build-arg TORCH_INDEX=ADDRESS .
 #   docker run --rm -v "$PWD:/data" flowsplat run clip.mp4 -o out/clip
 #   docker run --rm -v "$PWD:/data" -p 8080:8080 flowsplat view out/clip --host 0.0.0.0
 FROM python:3.11-slim
-# Where torch without CUDA comes from.
-ARG TORCH_INDEX=https://download.pytorch.org/whl/cpu
+# Where torch without CUDA comes from: the index for "CPU" that pytorch.org names under "Get started". Without it pip's own index
+# is taken, and CUDA's gigabytes with it.
+ARG TORCH_INDEX=
 WORKDIR /flowsplat
 COPY pyproject.toml constraints.txt README.md LICENSE ./
 COPY src src
-RUN pip install --no-cache-dir --index-url "$TORCH_INDEX" "$(grep '^torch==' constraints.txt)" \
+RUN pip install --no-cache-dir ${TORCH_INDEX:+--index-url "$TORCH_INDEX"} "$(grep '^torch==' constraints.txt)" \
     && pip install --no-cache-dir -c constraints.txt '.[view]'
 # Kernels that were compiled, and how fast the machine is: mount a folder here to keep them.
 ENV NUMBA_CACHE_DIR=/cache/numba FLOWSPLAT_CACHE=/cache/flowsplat

@@ -10,8 +10,9 @@ from flowsplat.geometry.cameras import rigid
 from flowsplat.priors.background.ground import Ground, find_ground, static_points
 from flowsplat.priors.objects.contact import ground_bound, middle_of, upright_ratio
 from flowsplat.priors.objects.distance import Cue, combine
-from flowsplat.priors.objects.movers import accepted_laws, bounce_cue, contact_cue, settled, thrown_cue
+from flowsplat.priors.objects.movers import accepted_laws, bounce_cue, contact_cue, foot_offset, settled, thrown_cue
 from flowsplat.priors.objects.path import WorldPath, bounce_frames, constant_height, pivot
+from flowsplat.priors.objects.relief import roundness
 from flowsplat.priors.objects.rigid import Observations, solve_rigid
 from tests.priors.objects.test_rigid import body, turn
 
@@ -239,12 +240,25 @@ def test_the_nearest_bound_at_a_bounce_speaks():
     bounds[[10, 25]] = 0.31, 0.44
     cue = thrown_cue(bounds, np.array([11, 25]))
     assert cue is not None
-    assert cue.log_scale == pytest.approx(0.3, abs=0.03)
+    assert cue.log_scale == pytest.approx(0.31)
     once = thrown_cue(bounds, np.array([25]))
     assert once is not None
     assert once.sigma > cue.sigma
     assert thrown_cue(bounds, np.zeros(0, int)) is None
     assert thrown_cue(np.full(40, np.nan), np.array([10])) is None
+
+
+def test_a_round_body_touches_the_ground_behind_its_front():
+    y, x = np.mgrid[:60, :80]
+    mask = np.hypot(x - 40, y - 30) < 20
+    front, lowest = roundness(mask, 300.0), np.array([[39, 49], [40, 49], [41, 49]])
+    none = np.zeros((0, 2)), np.zeros(0), np.zeros(0)
+    rim = foot_offset(lowest, front, *none)
+    assert rim == pytest.approx(0.75 / 300 * (20 * 0.71 - np.sqrt(2 * 20 - 1)), abs=0.003)  # less the height of its last pixel
+    # Points of its own near there know better; those far away say nothing.
+    near, far = np.tile([[40.0, 47.0]], (8, 1)), np.tile([[40.0, 11.0]], (8, 1))
+    assert foot_offset(lowest, front, near, np.full(8, -0.02), np.full(8, 0.001)) == pytest.approx(rim - 0.02, abs=1e-6)
+    assert foot_offset(lowest, front, far, np.full(8, -0.02), np.full(8, 0.001)) == pytest.approx(rim)
 
 
 def test_cues_are_combined_by_their_sureness():

@@ -45,6 +45,10 @@ def seen_body(points: np.ndarray, degrees: float, noise: float, seed: int = 1) -
     return pixels, seen, depths
 
 
+def flat(k: int) -> np.ndarray:
+    return np.zeros((180, 320), np.float32)
+
+
 @pytest.mark.parametrize("degrees", [15, 90])
 def test_relative_depth_over_time(degrees):
     pixels, seen, depths = seen_body(body(), degrees, 0.2)
@@ -98,9 +102,10 @@ def test_a_motion_that_explains_half_of_a_mover_tells_its_course_if_its_feet_kee
     cameras = [Camera(np.eye(4), K, 320, 180) for _ in range(FRAMES)]
     middles = np.median(pixels, 0).astype(float)
     swing = np.zeros(FRAMES) if stands else 0.4 * np.sin(np.arange(FRAMES) / 2)
-    bounds = [Bound(float(np.log(depth) + off), True, True) for depth, off in zip(depths, swing, strict=True)]
+    feet = np.log(depths) + swing
+    bounds = [Bound(float(each), True, True, np.zeros((3, 2), int)) for each in feet]
     cards = 1.2 + 0.3 * np.sin(np.arange(FRAMES) / 3)
-    mover = solve_mover(1, pixels, seen, middles, bounds, cameras, None, cards, np.array([0, -1.0, 0]))
+    mover = solve_mover(1, pixels, seen, middles, bounds, cameras, None, cards, np.array([0, -1.0, 0]), flat)
     assert not mover.rigid
     if stands:
         assert set(mover.cues) == {"contact"}
@@ -119,8 +124,8 @@ def test_a_motion_that_growth_and_the_ground_contradict_is_dropped(stands):
     middles = np.median(pixels, 0).astype(float)
     growth = 1.2 + 0.4 * np.sin(np.arange(FRAMES) / 3)
     feet = growth + 0.1 if stands else np.log(depths) + np.linspace(0, 2, FRAMES)
-    bounds = [Bound(float(each), True, True) for each in feet]
-    mover = solve_mover(1, pixels, seen, middles, bounds, cameras, None, growth, np.array([0, -1.0, 0]))
+    bounds = [Bound(float(each), True, True, np.zeros((3, 2), int)) for each in feet]
+    mover = solve_mover(1, pixels, seen, middles, bounds, cameras, None, growth, np.array([0, -1.0, 0]), flat)
     assert mover.rigid != stands
     assert ("contact" in mover.cues) == stands
 

@@ -28,11 +28,13 @@ class Bound:
         log_depth: logarithm of the planar depth of the card's middle at which it would touch the ground.
         visible: whether its lowest pixels are in the picture and nothing stands before them.
         seen: whether the ground was seen there, and is not only supposed to go on.
+        lowest: [n, 2] int, (column, row) of its lowest pixels.
     """
 
     log_depth: float
     visible: bool
     seen: bool
+    lowest: np.ndarray
 
 
 def upright_ratio(camera: Camera, normal: np.ndarray, middle: np.ndarray, pixels: np.ndarray) -> np.ndarray:
@@ -100,4 +102,5 @@ def ground_bound(mask: np.ndarray, camera: Camera, ground: Ground, static: np.nd
         visible = ahead > -HIDDEN
         if not was_seen and np.isfinite(ahead) and ahead > BEYOND:
             return None
-    return Bound(bound, visible, was_seen)
+    touching = np.argsort(np.where(known, log_depth, np.inf), kind="stable")[: min(count, int(known.sum()))]
+    return Bound(bound, visible, was_seen, np.stack([x, y], 1)[touching])

@@ -46,8 +46,10 @@ BOUNCE, BOUNCE_NOISE = 0.1, 4.0
 """Second difference of the bounds from which a minimum may be a bounce, and how many times their usual spread that must be."""
 BOUNCE_WIDTH, BOUNCE_ELSEWHERE = 4, 0.25
 """So many frames from a bounce the second difference is at most this share of that at it: a smooth minimum is wider."""
-THROWN_BIAS, THROWN_SIGMA = 0.02, 0.03
-"""By how much the nearest bound at a bounce is too far, for it lies between two frames; its standard deviation of several."""
+THROWN_SIGMA = 0.03
+"""Standard deviation of the nearest bound at several bounces; of a single one it is half as much more."""
+FOOT = 0.15
+"""Standard deviation of the distance, in the picture, at which points of a mover tell of its foot: of the root of its area."""
 GUESS_PERCENTILE, ABOVE_GROUND = 10, 0.15
 """What does not touch the ground is guessed to be this much nearer, in ln, than where it would."""
 BOUND_PERCENTILE, BOUND_SLACK = 5, 0.03
@@ -219,13 +221,34 @@ def thrown_cue(bounds: np.ndarray, thrown: np.ndarray) -> Cue | None:
     Thin tips of a mask and feet that something hides put a bound too far, so the nearest of them speaks.
 
     Args:
-        bounds: [T], NaN where its feet are not seen.
+        bounds: [T] at its lowest pixels (``foot_offset``), NaN where they are not seen.
         thrown: [B] frames.
     """
     levels = [float(np.nanmin(around)) for k in thrown if np.isfinite(around := bounds[max(k - 1, 0) : k + 2]).any()]
     if not levels:
         return None
-    return Cue(min(levels) - THROWN_BIAS, THROWN_SIGMA if len(levels) > 1 else 1.5 * THROWN_SIGMA, WRONG["bounce"])
+    return Cue(min(levels), THROWN_SIGMA if len(levels) > 1 else 1.5 * THROWN_SIGMA, WRONG["bounce"])
+
+
+def foot_offset(
+    lowest: np.ndarray, front: np.ndarray, pixels: np.ndarray, offsets: np.ndarray, sigma: np.ndarray
+) -> float:
+    """By how much, in ln, the lowest pixels of a mover are farther than its upright card in one frame.
+
+    They lie on its rim, where a round body is farther than its front; its points correct that.
+
+    Args:
+        lowest: [n, 2] int (column, row).
+        front: ``roundness`` [H, W] of its mask.
+        pixels: [N, 2] of points that stand out of card and front by offsets [N], with standard deviation sigma [N].
+    """
+    rim = float(np.median(front[lowest[:, 1], lowest[:, 0]]))
+    reach = max(6.0, FOOT * float(np.sqrt((front != 0).sum())))
+    near = np.exp(-0.5 * ((pixels - lowest.mean(0) - 0.5) ** 2).sum(1) / reach**2)
+    if near.sum() <= 1:
+        return rim
+    weight = near / (sigma**2 + 0.01**2)
+    return rim + float((weight * offsets).sum() / weight.sum())
 
 
 def bounce_cue(bounds: np.ndarray) -> Cue | None:
@@ -265,6 +288,7 @@ def bounce_cue(bounds: np.ndarray) -> Cue | None:
 def solve_mover(
     number: int, positions: np.ndarray, inside: np.ndarray, middles: np.ndarray, bounds: Sequence[Bound | None],
     cameras: Sequence[Camera], ground: Ground | None, log_cards: np.ndarray, normal: np.ndarray,
+    front: Callable[[int], np.ndarray],
 ) -> Mover:  # fmt: skip
     """One mover.
 
@@ -276,6 +300,7 @@ def solve_mover(
         log_cards: [T] logarithm of the depth of its card, NaN where it is not seen: a guess, and a course where its motion is not
             believed.
         normal: [3] up.
+        front: gives the ``roundness`` [H, W] of its mask in training frame k.
     """
     K = cameras[0].K
     seen = np.isfinite(log_cards) & np.isfinite(middles).all(1)
@@ -309,6 +334,19 @@ def solve_mover(
                 course = np.where(seen, placed[0], np.nan)
                 break
     at_ground = on_ground - course
+
+    def at_foot(touched: np.ndarray, thrown: Sequence[int] | np.ndarray) -> np.ndarray:
+        """The bounds [T] of its lowest pixels in the frames about those in which it was thrown up."""
+        result = touched.copy()
+        for k in {int(j) for i in thrown for j in (i - 1, i, i + 1) if 0 <= j < len(touched) and np.isfinite(touched[j])}:
+            bound, here = bounds[k], points.frame_of == k
+            assert bound is not None  # where it touches is finite only there
+            before, pixels = front(k), points.pixels[here]
+            column, row = np.clip(pixels.astype(int), 0, [before.shape[1] - 1, before.shape[0] - 1]).T
+            card = course[k] + np.log(upright_ratio(cameras[k], normal, middles[k], pixels)) + before[row, column]
+            result[k] -= foot_offset(bound.lowest, before, pixels, points.log_depth[here] - card, points.sigma[here])
+        return result
+
     stands = contact_cue(at_ground, visible, int(seen.sum()))
     touched = np.where(visible, at_ground, np.nan)
     bounces = None
@@ -316,7 +354,10 @@ def solve_mover(
         thrown = np.zeros(0, int)
         if path is not None and ground is not None:
             thrown = bounce_frames(path, ground.normal, float(np.exp(np.median((log_cards - course)[seen]))))
-        bounces = thrown_cue(touched, thrown) or bounce_cue(touched)
+        bounces = thrown_cue(at_foot(touched, thrown), thrown) or bounce_cue(touched)
+        if bounces is not None and len(thrown) == 0:
+            lowest = int(np.nanargmin(touched))
+            bounces = replace(bounces, log_scale=bounces.log_scale + float((at_foot(touched, [lowest]) - touched)[lowest]))
     # Ground that is only supposed may drop: it says less, and bounds nothing.
     seen_ground = np.array([bound is not None and bound.seen for bound in bounds])
     supposed = float(seen_ground[np.isfinite(at_ground)].mean()) < 0.5 if np.isfinite(at_ground).any() else False

@@ -18,6 +18,7 @@ from flowsplat.priors.objects.contact import Bound, ground_bound, middle_of
 from flowsplat.priors.objects.hints import Hint, with_hints
 from flowsplat.priors.objects.identity import identify_movers
 from flowsplat.priors.objects.movers import solve_mover, tracks_of_movers
+from flowsplat.priors.objects.relief import roundness
 from flowsplat.priors.objects.storage import SceneMovers, save_movers
 from flowsplat.scenes import Scene
 
@@ -97,8 +98,12 @@ def find_movers(clip: MatchedClip, background: StaticDepth, hints: Sequence[Hint
         log_cards = np.where(seen, -np.log(np.where(seen, values, 1)), np.nan)
         home = int(np.bincount(pieces[seen]).argmax())
         positions = tracks.points[chosen][:, frames]
+
+        def front(k: int, number: int = number) -> np.ndarray:
+            return roundness(scene.mask(frames[k]) == number, float(cameras[k].K[0, 0]))
+
         mover = solve_mover(
-            number, positions, inside, middles[number], bounds[number], cameras, grounds[home], log_cards, normal
+            number, positions, inside, middles[number], bounds[number], cameras, grounds[home], log_cards, normal, front
         )
         movers.append(mover)
     found = SceneMovers(movers, normal, any_ground is not None)
