@@ -39,6 +39,8 @@ AHEAD, EXTRAPOLATED = 3, 0.05
 """Frames over which the motion of two clusters is compared, and the error of one that is extrapolated, as a share of how far."""
 RIGID_TRACKS, RIGID_FRAMES, EXPLAINED = 24, 10, 0.85
 """Needed to ask whether one rigid motion explains two clusters, and the share of the observations that it must explain."""
+EXPLAINED_TOGETHER = 0.6
+"""The same where they are together ``OUTWEIGHS`` times as long as they are apart: tracks on a bare rod slide along it."""
 RIGID_GAP = 0.12
 """Share of the long side between clusters up to which that is asked."""
 RIGID_TURN, RIGID_DEPTH = 15.0, 4.0
@@ -333,7 +335,10 @@ class _Clusters:
     def _one_rigid_motion(self, a: int, b: int, K: np.ndarray) -> bool:
         """Whether the motion of the larger of two clusters explains the points of the other."""
         apart, members = self._apart_frames(a, b), self._larger_first(a, b)
-        if len(members[1]) < RIGID_TRACKS or len(apart) < RIGID_FRAMES:
+        same = (self._home[a] > 0) & (self._home[a] == self._home[b])
+        different = (self._home[a] > 0) & (self._home[b] > 0) & (self._home[a] != self._home[b])
+        together = int(same.sum()) >= OUTWEIGHS * int(different.sum())
+        if len(members[1]) < RIGID_TRACKS or (len(apart) < RIGID_FRAMES and not together):
             return False
         middle = apart[:: max(1, len(apart) // 5)]
         if np.median([self._gap(a, b, int(k))[2][0] for k in middle]) > RIGID_GAP * self._long_side:
@@ -351,7 +356,9 @@ class _Clusters:
         observations = Observations.of_tracks(self._points[other], seen[other], K)
         placed, _ = place_points(motion, observations, K)
         relief = np.abs(np.exp(placed.log_depth) - motion.shifts[placed.frame_of, 2])
-        return int((relief <= RIGID_DEPTH * motion.size).sum()) >= EXPLAINED * len(observations.x)
+        return int((relief <= RIGID_DEPTH * motion.size).sum()) >= (
+            (EXPLAINED_TOGETHER if together else EXPLAINED) * len(observations.x)
+        )
 
     def attach_small(self) -> None:
         """Give tracks of small clusters to the large one that they are tied to, or share a part with and are never apart from."""
