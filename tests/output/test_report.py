@@ -239,7 +239,7 @@ def mover(sigma: float, cues: list[str], step: float = 0.02, depth: float = 2.0)
         ),
         ({"depth_abs_rel": {"moving": {"mean": 0.41}}}, "no view was measured; the depth of what moves is off by 41% (mean)."),
         (
-            {"movers": [mover(0.07, ["contact"]), mover(0.14, ["smooth"], step=0.01)]},
+            {"movers": [mover(0.07, ["contact"]), mover(0.14, ["height"], step=0.01)]},
             "not measured; the distances of its 2 movers are sure to 7% to 15%, enough for steps aside of up to 0.5% of their",
         ),
         (

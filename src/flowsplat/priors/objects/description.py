@@ -20,7 +20,6 @@ WORDS = {
     "bounce": "touches the ground when it bounces",
     "pivot": "swings about a fixed point",
     "height": "keeps its height over the ground",
-    "smooth": "its path is even where the camera shakes",
     "touch": "a hint: it touches what is still",
     "distance": "a hint: as far away as a place of the still scene",
 }

@@ -12,7 +12,7 @@ from flowsplat.geometry import Camera
 from flowsplat.priors.background.ground import Ground
 from flowsplat.priors.objects.contact import Bound, upright_ratio
 from flowsplat.priors.objects.distance import Cue, combine
-from flowsplat.priors.objects.path import Law, WorldPath, bounce_frames, constant_height, pivot, smooth
+from flowsplat.priors.objects.path import Law, WorldPath, bounce_frames, constant_height, pivot
 from flowsplat.priors.objects.relief import DEEPEST, ReliefPoints, place_points, relief, roundness
 from flowsplat.priors.objects.rigid import Observations, RigidMotion, longest, solve_rigid
 
@@ -27,8 +27,8 @@ RIGID_SHARE = 0.85
 """Share of all observations on a mover that its motion explains from which it does not bend, so that its points have one shape."""
 PER_FRAME = (50, 180)
 """Tracks in a frame that the motion is solved from, the longest first; half of them for either half. Both are tried."""
-FLOOR = {"pivot": 0.02, "height": 0.03, "smooth": 0.03, "contact": 0.025, "bounce": 0.03}
-WRONG = {"pivot": 0.05, "height": 0.05, "smooth": 0.1, "contact": 0.07, "bounce": 0.1}
+FLOOR = {"pivot": 0.02, "height": 0.03, "contact": 0.025, "bounce": 0.03}
+WRONG = {"pivot": 0.05, "height": 0.05, "contact": 0.07, "bounce": 0.1}
 FLAT, FLAT_LOW, FLAT_HIGH = 0.1, 10, 70
 """Range of the bounds between two percentiles over time up to which a mover stands on the ground."""
 CONTRADICTED = 0.15
@@ -156,15 +156,11 @@ def accepted_laws(path: WorldPath, normal: np.ndarray | None) -> tuple[dict[str,
     laws: dict[str, Law] = {"pivot": pivot(path)}
     if normal is not None:
         laws["height"] = constant_height(path, normal)
-    even = smooth(path)
-    if even is not None:
-        laws["smooth"] = even
     p, passed = laws["pivot"], {}
     passed["pivot"] = (
         p.fit <= 3 and p.measures["rest"] <= 0.6 and p.measures["turned"] >= 30 and p.measures["lever"] <= 8
     )
     passed["height"] = "height" in laws and laws["height"].measures["explained"] >= 0.3
-    passed["smooth"] = "smooth" in laws and laws["smooth"].measures["gain"] >= 1.5
     cues = {
         name: Cue(-float(np.log(law.nearness)), float(np.hypot(law.sigma, FLOOR[name])), WRONG[name])
         for name, law in laws.items()

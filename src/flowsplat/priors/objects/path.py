@@ -8,7 +8,6 @@ squares with the covariance of all poses: noise along the ray dominates, so vari
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -130,34 +129,6 @@ def constant_height(path: WorldPath, normal: np.ndarray) -> Law:
     own = max(float(np.var(path.relative @ normal)), 1e-12)
     explained = 1 - float(np.var((path.relative + x[0] * path.centers) @ normal)) / own
     return _law(x, variance * (1 + rho) / (1 - rho), fit, explained=explained)
-
-
-def smooth(path: WorldPath, order: int = 3) -> Law | None:
-    """Differences of the path of this order are small; how small is found by restricted likelihood. For cameras that shake.
-
-    Returns:
-        None where the path is too short.
-    """
-    rows = [i for i in range(len(path.frames) - order) if path.frames[i + order] - path.frames[i] == order]
-    if len(rows) < 6:
-        return None
-    differences = np.zeros((len(rows), len(path.frames)))
-    for j in range(order + 1):
-        differences[np.arange(len(rows)), np.array(rows) + j] = (-1) ** (order - j) * math.comb(order, j)
-    D = np.kron(differences, np.eye(3))
-    noise = D @ path.covariance_of(np.zeros(3)) @ D.T
-    A = np.concatenate([(D @ path.centers.ravel())[:, None], D @ path.turns.reshape(-1, 3)], 1)
-    prior = np.array([1e-9, *[1 / path.size**2] * 3])
-    best, law = -np.inf, None
-    for process in np.geomspace(1e-5, 1e-1, 17):
-        covariance = noise + process**2 * np.eye(len(D))
-        x, own, chi, _ = _least_squares(A, -D @ path.relative.ravel(), covariance, prior)
-        likelihood = 0.5 * (np.linalg.slogdet(own)[1] - chi - np.linalg.slogdet(covariance)[1])
-        if likelihood > best:
-            # How much the camera's own unevenness weighs against that of the mover.
-            gain = float(np.sqrt((A[:, 0] ** 2).mean()) * x[0] / process)
-            best, law = likelihood, _law(x, own[0, 0] * max(1.0, chi / len(D)), chi / len(D), gain=gain)
-    return law
 
 
 def bounce_frames(path: WorldPath, normal: np.ndarray, scale: float) -> np.ndarray:
