@@ -4,7 +4,13 @@ from __future__ import annotations
 
 import os
 
+import pytest
 import torch
 
 if not torch.cuda.is_available():
     os.environ.setdefault("TRITON_INTERPRET", "1")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """How many spoiled files are tried, see ``tests/fuzz``."""
+    parser.addoption("--fuzz", type=int, default=None, metavar="COUNT", help="try so many spoiled files in tests/fuzz")

@@ -217,15 +217,15 @@ def test_without_checkpoints_none_is_written(tmp_path):
 @pytest.mark.parametrize(
     ("name", "value", "rule"),
     [
-        ("seed", -1, "0 or more"), ("seed", 10**30, "at most 9.22337e"), ("iterations", -5, "0 or more"), ("average", 1.5, "at most 1"),
-        ("rates.means", math.nan, "0 or more"),
+        ("seed", -1, "0 or more"), ("seed", 10**30, "at most 9.22337e"), ("iterations", -5, "0 or more"),
+        ("average", 1.5, "at most 1"), ("rates.means", math.nan, "0 or more"),
         ("density.max_gaussians", 0, "1 or more"), ("init.opacity", 1.0, "between 0 and 1"), ("density.reset_to", 0.0, "between"),
         ("loss.rigid_neighbours", 0, "1 or more"), ("model.sh_degree", 4, "at most 3"), ("init.samples", 0, "1 or more"),
         ("init.detail", 5.0, "at most 4"), ("init.detail", -1.0, "0 or more"), ("init.sample_gap", -1, "0 or more"),
         ("init.flatness", 0.0, "more than 0"), ("init.size", 0.0, "more than 0"), ("init.precision_factor", 0.0, "more than 0"),
         ("loss.flow", 1e308, "at most 1000"), ("init.edge", 10**6, "at most 256"), ("loss.rigid_neighbours", 10**6, "at most 256"),
-        ("model.mean_fourier", 10**8, "at most 64"), ("density.max_gaussians", 10**12, "at most 1e"), ("init.samples", 10**9, "most"),
-        ("rates.means", 1e30, "at most 1000"), ("iterations", 10**15, "at most 1e"),
+        ("model.mean_fourier", 10**8, "at most 64"), ("density.max_gaussians", 10**12, "at most 1e"),
+        ("init.samples", 10**9, "at most"), ("rates.means", 1e30, "at most 1000"), ("iterations", 10**15, "at most 1e"),
     ],
 )  # fmt: skip
 def test_settings_that_make_no_sense_are_named(name, value, rule):
