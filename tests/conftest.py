@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 
+import pytest
 import torch
 
 # What tests measure of this machine is not for its user.
@@ -12,3 +13,8 @@ os.environ.setdefault("FLOWSPLAT_CACHE", tempfile.mkdtemp(prefix="flowsplat-test
 
 if not torch.cuda.is_available():
     os.environ.setdefault("TRITON_INTERPRET", "1")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """How many spoiled files are tried, see ``tests/fuzz``."""
+    parser.addoption("--fuzz", type=int, default=None, metavar="COUNT", help="try so many spoiled files in tests/fuzz")

@@ -96,6 +96,11 @@ def test_too_few(count, options, words):
         ("holdout", 1),
         ("fps", 0.0),
         ("fps", float("nan")),
+        ("fps", 1e-5),
+        ("fps", 1e6),
+        ("max_frames", 10**9),
+        ("resize", 10**6),
+        ("every", 10**12),
     ],
 )
 def test_senseless_options(name, value):

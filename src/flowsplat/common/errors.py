@@ -22,9 +22,12 @@ class SplitError(RuntimeError):
 
 def one_line(text: str) -> str:
     """``text`` as it can be shown on one line: escapes for what is not printable, and of what is very long both ends."""
-    if len(text) > LONGEST:
-        text = f"{text[: LONGEST * 3 // 4]} ... {text[-LONGEST // 4 :]}"
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+    shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in _both_ends(text))
+    return _both_ends(shown)
+
+
+def _both_ends(text: str) -> str:
+    return text if len(text) <= LONGEST else f"{text[: LONGEST * 3 // 4]} ... {text[5 - LONGEST // 4 :]}"
 
 
 def first_line(error: BaseException) -> str:

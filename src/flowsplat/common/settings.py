@@ -7,7 +7,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar, cast, get_args, get_type_hints
 
-from flowsplat.common.errors import InputError
+import msgspec
+
+from flowsplat.common.errors import InputError, first_line
 from flowsplat.common.progress import say_once
 
 Config = TypeVar("Config")
@@ -73,7 +75,7 @@ def from_plain(kind: type[Config], value: Mapping[str, Any]) -> Config:
     """The inverse of ``to_plain``. Settings that are missing keep their defaults; earlier names are read, with a line.
 
     Raises:
-        InputError: there is a setting that does not exist.
+        InputError: there is a setting that does not exist, or whose value is of another type.
     """
     return _built(kind, present_names(kind, value))
 
@@ -86,6 +88,7 @@ def _built(kind: type[Config], value: Mapping[str, Any]) -> Config:
         if name not in hints:
             raise InputError(f"Unknown setting {name!r} in {kind.__name__}.")
         hint = hints[name]
+        _check_type(kind, name, item, hint)
         if dataclasses.is_dataclass(hint) and isinstance(item, dict):
             item = _built(cast("type[Any]", hint), item)
         elif isinstance(item, list):
@@ -94,6 +97,21 @@ def _built(kind: type[Config], value: Mapping[str, Any]) -> Config:
             item = Path(item)
         arguments[name] = item
     return kind(**arguments)
+
+
+def _check_type(kind: type, name: str, item: Any, hint: Any) -> None:
+    """Refuse a value that is not of the type of its setting.
+
+    Raises:
+        InputError: names the setting.
+    """
+    try:
+        if not dataclasses.is_dataclass(hint):
+            msgspec.convert(item, hint, dec_hook=lambda wanted, value: wanted(value))
+        elif not isinstance(item, (Mapping, cast("type[Any]", hint))):
+            raise TypeError(f"it must be an object of {cast('type[Any]', hint).__name__}")
+    except (msgspec.ValidationError, TypeError, ValueError) as error:
+        raise InputError(f"The setting {name} of {kind.__name__} cannot be {item!r:.60}: {first_line(error)}.") from error
 
 
 def present_names(kind: type, value: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

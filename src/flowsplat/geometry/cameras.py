@@ -12,6 +12,9 @@ from numpy.typing import ArrayLike
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 """From OpenCV's axes of a camera to OpenGL's, with y up and z backward, and back."""
 
+FURTHEST = 1e9
+"""Coordinates and focal lengths beyond which nothing is a camera: their squares have to stay exact enough."""
+
 
 @dataclass(frozen=True)
 class Camera:
@@ -49,11 +52,11 @@ class Camera:
 
     @property
     def is_valid(self) -> bool:
-        """Whether every number is finite, the rotation is one and no mirror, and the picture has pixels."""
+        """Whether every number is finite and not absurd, the rotation is one and no mirror, and the picture has pixels."""
         R = self.viewmat[:3, :3]
         return bool(
-            np.isfinite(self.viewmat).all()
-            and np.isfinite(self.K).all()
+            (np.abs(self.viewmat) <= FURTHEST).all()  # not for NaN
+            and (np.abs(self.K) <= FURTHEST).all()
             and np.abs(R @ R.T - np.eye(3)).max() < 1e-3
             and np.linalg.det(R) > 0
             and min(self.width, self.height) >= 1

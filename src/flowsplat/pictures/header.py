@@ -12,7 +12,7 @@ _STANDALONE = {0x01, *range(0xD0, 0xD9)}
 
 
 def picture_pixels(data: bytes) -> tuple[int, int] | None:
-    """(width, height) that a PNG, JPEG, WebP, TIFF or BMP names; None where it is none of these or ends before."""
+    """(width, height) that a PNG, JPEG, WebP, TIFF or BMP names; None where it is none of these, or is cut off."""
     readers = (
         (b"\x89PNG\r\n\x1a\n", _png), (b"\xff\xd8", _jpeg), (b"RIFF", _webp), (b"II*\0", _tiff), (b"MM\0*", _tiff), (b"BM", _bmp),
     )  # fmt: skip
@@ -28,6 +28,9 @@ def picture_pixels(data: bytes) -> tuple[int, int] | None:
 def _png(data: bytes) -> tuple[int, int]:
     if data[12:16] != b"IHDR":
         raise ValueError("no header")
+    at = 8
+    while data[at + 4 : at + 8] != b"IEND":  # OpenCV makes room for as much as a part says it has
+        at += 12 + int(struct.unpack_from(">I", data, at)[0])
     width, height = struct.unpack_from(">II", data, 16)
     return width, height
 

@@ -7,7 +7,6 @@ files.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import av
 from av.container import InputContainer
@@ -19,7 +18,7 @@ _LISTS = {"hls", "dash", "concat", "concatf", "imf", "rtsp", "sdp", "image2"}
 """Formats that consist of other files."""
 
 
-def open_media(path: Path, **more: Any) -> InputContainer:
+def open_media(path: Path) -> InputContainer:
     """A film or a sound on this machine.
 
     Raises:
@@ -27,7 +26,7 @@ def open_media(path: Path, **more: Any) -> InputContainer:
         av.FFmpegError: it cannot be read.
     """
     ordinary_file(path)
-    container = av.open(f"file:{Path(path).absolute()}", options={"protocol_whitelist": "file"}, **more)
+    container = av.open(f"file:{Path(path).absolute()}", options={"protocol_whitelist": "file"}, metadata_errors="replace")
     if set(container.format.name.split(",")) & _LISTS:
         container.close()
         raise InputError(f"{path} is a list of other files: give one of these.")

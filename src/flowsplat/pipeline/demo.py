@@ -24,8 +24,10 @@ def run_demo(out: Path, width: int = 320, frames: int = 40) -> None:
     """Render the built-in clip to a video, run on that video, run with true priors, and print both results side by side.
 
     Raises:
-        InputError: the folder cannot be written, or holds another clip.
+        InputError: a clip of that size or length is none, or the folder cannot be written, or holds another clip.
     """
+    if not 64 <= width <= 1920 or not 3 <= frames <= 1000:
+        raise InputError(f"A demo of {frames} frames of {width} pixels cannot be made: --size 64 to 1920, --frames 3 to 1000.")
     spec = SyntheticScene(width=width, height=width * 9 // 16, frames=frames)
     make_folder(out)
     video, truth, record = out / "clip.mp4", out / "truth", out / "clip.json"

@@ -12,6 +12,7 @@ from flowsplat.common.devices import backends
 from flowsplat.common.durations import duration
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_json
+from flowsplat.common.files.lease import holder
 from flowsplat.output.report import verdict
 from flowsplat.pipeline.folder import MetricsFile, RunFolder
 from flowsplat.scenes import Scene
@@ -49,6 +50,8 @@ def _version(package: str) -> str:
 
 def _describe_run(folder: RunFolder) -> Iterator[str]:
     yield f"Run {folder.path} of {folder.record['input']}"
+    if (who := holder(folder.path)) is not None:
+        yield f"  is being written by {who}"
     for stage in ("prepare", "train", "evaluate", "final", "render"):
         if stage == "final" and not folder.config.final_fit:
             continue

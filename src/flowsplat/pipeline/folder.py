@@ -31,6 +31,7 @@ from flowsplat import __version__
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import check_json, make_folder, read_json, write_json
 from flowsplat.common.files.json_file import Count, Number, Positive, Text, Versioned
+from flowsplat.common.files.lease import NAME as LOCK
 from flowsplat.common.memory import peak_memory
 from flowsplat.common.settings import from_plain, to_plain
 from flowsplat.pipeline.config import RunConfig
@@ -127,7 +128,7 @@ class RunFolder:
             folder.config = config
         else:
             make_folder(path)
-            if any(path.iterdir()):
+            if any(entry.name != LOCK for entry in path.iterdir()):
                 raise InputError(f"{path} is not empty and not the folder of a run. Choose another folder with -o.")
             write_json(path / "run.json", _new_record(source, fingerprint, config))
             folder = RunFolder(path)

@@ -16,8 +16,9 @@ import numpy as np
 
 from flowsplat.common.devices import pick_device
 from flowsplat.common.errors import InputError
-from flowsplat.common.files import hash_files, read_json, write_json
+from flowsplat.common.files import hash_files, lease, read_json, remove_partials, write_json
 from flowsplat.common.files.json_file import Number
+from flowsplat.common.files.lease import NAME as LOCK
 from flowsplat.common.progress import busy, say
 from flowsplat.common.settings import to_plain
 from flowsplat.evaluation.evaluate import evaluate
@@ -41,7 +42,7 @@ from flowsplat.priors.objects.description import mover_figures
 from flowsplat.priors.prepare import flow_estimator, prepare_priors
 from flowsplat.scenes import Scene, Tracks
 from flowsplat.scenes.clip import InputOptions
-from flowsplat.scenes.ingest import fingerprint, ingest, is_ingested, kind_of_input, open_clip
+from flowsplat.scenes.ingest import CALIBRATED, fingerprint, ingest, is_ingested, kind_of_input, open_clip
 from flowsplat.scenes.layers import Layers, write_image
 from flowsplat.training.checkpoint import has_model, load_model, present_figures, save_model
 from flowsplat.training.config import TrainConfig, affecting_result
@@ -49,6 +50,8 @@ from flowsplat.training.final import final_config, final_visits, with_heldout
 from flowsplat.training.static import static_config, static_start
 from flowsplat.training.trainer import Trainer
 
+_BROUGHT = ("given", "truth", CALIBRATED)
+"""Methods of priors that cost no time."""
 _MOST_HISTORY = 64 * 2**20
 ASIDE = ".scene.before"
 """Where the scene of other settings waits until that of the new ones is there."""
@@ -73,9 +76,10 @@ def run(source: Path, out: Path, config: RunConfig | None = None) -> dict[str, A
         InputError: the input, a setting or the folder cannot be used.
     """
     is_new = not (Path(out) / "run.json").exists()
-    folder = prepare(source, out, config)
-    train(folder)
-    metrics = render_run(folder)
+    with lease(out):
+        folder = prepare(source, out, config)
+        train(folder)
+        metrics = render_run(folder)
     if is_new:
         Speed(folder.config.device).remember(folder.seconds, expected(Scene(folder.scene_path), folder.config))
     return metrics
@@ -107,10 +111,17 @@ def load(path: Path | str, device: str = "cpu") -> SceneModel:
 
 
 def prepare(source: Path, out: Path, config: RunConfig | None = None) -> RunFolder:
-    """Bring the input into a scene folder and compute what is missing of its priors."""
-    config = config or RunConfig()
+    """Bring the input into a scene folder and compute what is missing of its priors.
+
+    Raises:
+        InputError: the input, a setting or a given file cannot be used, and then ``out`` stays as it was; or as ``lease``.
+    """
+    with lease(out):
+        return _prepared(Path(source), out, config or RunConfig())
+
+
+def _prepared(source: Path, out: Path, config: RunConfig) -> RunFolder:
     check(config)
-    source = Path(source)
     kind = kind_of_input(source)
     identity = stage_key(kind, _scene_identity(source) if kind == "scene" else fingerprint(source, config.input))
     is_new = not (Path(out) / "run.json").exists()
@@ -121,6 +132,8 @@ def prepare(source: Path, out: Path, config: RunConfig | None = None) -> RunFold
     elif is_new:
         open_clip(source, config.input)  # Whatever is wrong with it is said before a folder is made.
     before = {} if is_new else RunFolder(out).record
+    if not is_new:
+        remove_partials(out)
     folder = RunFolder.open_or_create(out, str(source), identity, config)
     key = stage_key(identity, config.priors, hash_files("", config.priors.given.files()))
     if folder.is_finished("prepare", key):
@@ -165,7 +178,7 @@ def _compute_scene(folder: RunFolder, source: Path, kind: str, key: str, is_new:
         settle(scene, config.render)  # Whatever is wrong with the videos is said before minutes of other work.
     except InputError:
         if is_new:
-            shutil.rmtree(folder.path, ignore_errors=True)
+            _clear(folder.path)
         raise
     for note in scene.info["notes"]:
         say(note)
@@ -178,11 +191,26 @@ def _compute_scene(folder: RunFolder, source: Path, kind: str, key: str, is_new:
             speed.seen(took / reference["cameras"])
             say(f"Left of a whole run: {in_words(speed.estimate(reference, STAGES[1:]))}.")
 
-    seconds = prepare_priors(scene, config.priors, config.device, after)
+    had = set(scene.info["priors"])
+    try:
+        seconds = prepare_priors(scene, config.priors, config.device, after)
+    except InputError:
+        if is_new and all(name in had or how.get("method") in _BROUGHT for name, how in scene.info["priors"].items()):
+            _clear(folder.path)
+        raise
     with busy("Writing priors.html"):
         page = write_priors_report(folder.path, scene, seconds)
     say(f"{verdict(scene)} Look at {page}")
     folder.finish("prepare", key, {"ingest": ingested, **seconds})
+
+
+def _clear(out: Path) -> None:
+    """Take everything out of a folder of a run that nothing was computed for; it goes with its lease where it was made for it."""
+    for entry in out.iterdir():
+        if entry.is_dir() and not entry.is_symlink():
+            shutil.rmtree(entry, ignore_errors=True)
+        elif entry.name != LOCK:
+            entry.unlink(missing_ok=True)
 
 
 def _read_input(source: Path, kind: str, target: Path, config: RunConfig) -> Scene:
@@ -244,8 +272,14 @@ def train(folder: RunFolder) -> SceneModel:
     """Train the scene of a run, from its last checkpoint if there is one.
 
     Raises:
-        InputError: the scene is not prepared, something in it is damaged, or the device does not work.
+        InputError: the scene is not prepared, something in it is damaged, or the device does not work; or as ``lease``.
     """
+    with lease(folder.path):
+        return _train(folder)
+
+
+def _train(folder: RunFolder) -> SceneModel:
+    remove_partials(folder.path)
     if "prepare" not in folder.record["stages"]:
         raise InputError(f"{folder.path} is not prepared yet: run flowsplat prepare first.")
     check(folder.config)  # before anything is deleted
@@ -411,7 +445,8 @@ def evaluate_run(folder: RunFolder) -> dict[str, Any]:
     Raises:
         InputError: there is no trained scene with the settings of the run, or the device does not work.
     """
-    return _evaluate(folder, _Result(folder))
+    with lease(folder.path):
+        return _evaluate(folder, _Result(folder))
 
 
 def _evaluate(folder: RunFolder, result: _Result) -> dict[str, Any]:
@@ -484,6 +519,11 @@ def render_run(folder: RunFolder, options: RenderOptions | None = None) -> dict[
     Raises:
         InputError: an option or the camera file cannot be used, or as ``evaluate_run``.
     """
+    with lease(folder.path):
+        return _rendered(folder, options)
+
+
+def _rendered(folder: RunFolder, options: RenderOptions | None) -> dict[str, Any]:
     result = _Result(folder)
     metrics = _evaluate(folder, result)
     _fit_heldout(folder)

@@ -23,6 +23,13 @@ LONG_SIDE = 854
 """Pixels of the long side to which larger input is brought unless the user says otherwise (DAVIS 480p)."""
 SHORTEST_SIDE = 32
 """Pixels below which neither flow nor cameras can be estimated."""
+LONGEST_SIDE = 8192
+"""Pixels of a frame, and the most that can be asked for."""
+MOST_FRAMES = 100_000
+"""Their files are numbered with five digits."""
+FEWEST_FPS, MOST_FPS = 0.01, 1000.0
+"""Frames a second that a clip may be said to have."""
+LARGEST_NUMBER = 10_000_000
 WIDEST_STEP = 0.5
 """Seconds between two kept frames above which the user is told that the motion will hardly be followed."""
 
@@ -57,14 +64,16 @@ class InputOptions:
         rules = {
             "start": (self.start is None or 0 <= self.start < np.inf, "must be 0 or more seconds"),
             "end": (self.end is None or (self.start or 0) < self.end < np.inf, "must be later than --start"),
-            "every": (self.every is None or self.every >= 1, "must be 1 or more"),
-            "max-frames": (self.max_frames >= 2, "must be 2 or more"),
+            "every": (self.every is None or 1 <= self.every <= LARGEST_NUMBER, f"must be from 1 to {LARGEST_NUMBER:,}"),
+            "max-frames": (2 <= self.max_frames <= MOST_FRAMES, f"must be from 2 to {MOST_FRAMES:,}"),
             "resize": (
-                self.resize is None or self.resize == 0 or self.resize >= SHORTEST_SIDE,
-                f"must be 0 (keep the size) or {SHORTEST_SIDE} or more pixels",
+                self.resize is None or self.resize == 0 or SHORTEST_SIDE <= self.resize <= LONGEST_SIDE,
+                f"must be 0 (keep the size) or from {SHORTEST_SIDE} to {LONGEST_SIDE:,} pixels",
             ),
-            "holdout": (self.holdout is None or self.holdout >= 2, "must be 2 or more, or none"),
-            "fps": (0 < self.fps < np.inf, "must be more than 0"),
+            "holdout": (
+                self.holdout is None or 2 <= self.holdout <= LARGEST_NUMBER, f"must be from 2 to {LARGEST_NUMBER:,}, or none"
+            ),
+            "fps": (FEWEST_FPS <= self.fps <= MOST_FPS, f"must be from {FEWEST_FPS:g} to {MOST_FPS:g}"),
         }
         for name, (holds, rule) in rules.items():
             if not holds:

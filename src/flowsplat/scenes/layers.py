@@ -28,6 +28,7 @@ from flowsplat.common.errors import InputError
 from flowsplat.common.files import atomic_path, read_bytes, read_json, read_npz, write_json, write_npz
 from flowsplat.common.files.json_file import Pixels, Row3, Row4
 from flowsplat.geometry import Camera
+from flowsplat.geometry.cameras import FURTHEST
 from flowsplat.pictures.header import MOST_PIXELS, picture_pixels
 
 FLOW_UNIT = 64
@@ -36,6 +37,8 @@ _MOST_PICTURE = 512 * 2**20
 """Bytes of the file of a picture."""
 _MOST_A_PIXEL = 32
 """Bytes of the arrays of a layer for every pixel."""
+_MOST_TRACKS = 160 * 2**20
+"""Bytes."""
 _SILENCE = threading.Lock()
 
 
@@ -221,7 +224,7 @@ class Layers:
         """
         path = self._depth_path(i)
         arrays = self._arrays(path, ("depth", "confidence"))
-        if not (np.isfinite(arrays["depth"]).all() and (arrays["depth"] > 0).all()):
+        if not ((arrays["depth"] > 0) & (arrays["depth"] <= FURTHEST)).all():
             raise InputError(f"{path} holds depths that are not finite and positive.")
         return Depth(arrays["depth"].astype(np.float32), arrays["confidence"].astype(np.float32) / 255)
 
@@ -302,7 +305,7 @@ class Layers:
             InputError: missing or damaged.
         """
         path = self.folder / "tracks.npz"
-        arrays = read_npz(path, ("points", "visible", "confidence", "moving"))
+        arrays = read_npz(path, ("points", "visible", "confidence", "moving"), _MOST_TRACKS)
         for name in ("points", "visible", "confidence", "moving"):
             if name not in arrays:
                 raise InputError(f"{path} has no {name!r}.")

@@ -23,9 +23,13 @@ from flowsplat.gaussians.flow import FlowModel
 from flowsplat.gaussians.gaussians4d import Gaussians4D, ModelConfig, parameter_shapes
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.geometry import Similarity
+from flowsplat.geometry.cameras import FURTHEST
+from flowsplat.training.config import most_of
 
 MODEL_VERSION = 2
 """1 had no ``movers``; such models are read."""
+_LARGEST_LOG = 80.0
+"""Logarithm of what still is a float32."""
 RENAMED_FIGURES = {"open": "coverage"}
 """Figures of the history that had another name in an earlier version, and their name now."""
 
@@ -161,6 +165,9 @@ def check_model(path: Path, gaussians: Gaussians4D) -> None:
     Raises:
         InputError: names the parameter.
     """
+    for name, setting in vars(gaussians.config).items():
+        if isinstance(setting, int | float) and not 0 <= setting <= most_of(f"model.{name}"):
+            raise InputError(f"{path} is damaged: its {name} is {setting:g}, and {most_of(f'model.{name}'):g} at most.")
     count, shapes = len(gaussians.dynamic), parameter_shapes(gaussians.config)
     if not 0 <= gaussians.sh_degree <= gaussians.config.sh_degree:
         raise InputError(f"{path} is damaged: its harmonics are of degree {gaussians.config.sh_degree}, not {gaussians.sh_degree}.")
@@ -171,8 +178,9 @@ def check_model(path: Path, gaussians: Gaussians4D) -> None:
         values = gaussians.params[name]
         if values.shape != (count, *shape) or values.dtype != torch.float32:
             raise InputError(f"{path} is damaged: {name} is {values.dtype} {tuple(values.shape)}, expected {(count, *shape)}.")
-        if not bool(torch.isfinite(values).all()):
-            raise InputError(f"{path} is damaged: {name} holds values that are not finite.")
+        most = _LARGEST_LOG if name.startswith("log_") else FURTHEST
+        if not bool((values <= most).all() and (values >= -FURTHEST).all()):  # not for NaN
+            raise InputError(f"{path} is damaged: {name} holds values that are not finite, or beyond {most:g}.")
     if gaussians.dynamic.shape != (count,) or gaussians.movers.shape != (count,):
         raise InputError(f"{path} is damaged: it does not tell for each Gaussian whether it moves, and of which mover it is.")
 

@@ -2,11 +2,13 @@
 
 What is written is whole or not there (``writing``). What is read comes from anywhere: ``opening`` refuses what is no ordinary file
 or larger than its kind can need, and one reader for each kind understands it (``json_file``, ``arrays``). Names that come out of
-files or from a browser become names of files through ``names`` alone.
+files or from a browser become names of files through ``names`` alone. Who writes into a folder that others may want has a
+``lease`` of it.
 """
 
 from flowsplat.common.files.arrays import read_npy, read_npz
 from flowsplat.common.files.json_file import check_json, read_json
+from flowsplat.common.files.lease import lease
 from flowsplat.common.files.names import plain_name
 from flowsplat.common.files.opening import ordinary_file, read_bytes, read_text
 from flowsplat.common.files.writing import (
@@ -25,6 +27,7 @@ __all__ = [
     "atomic_path",
     "check_json",
     "hash_files",
+    "lease",
     "make_folder",
     "ordinary_file",
     "plain_name",

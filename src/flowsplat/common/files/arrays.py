@@ -19,10 +19,12 @@ import numpy as np
 from flowsplat.common.errors import InputError, first_line
 from flowsplat.common.files.opening import ordinary_file
 
-MOST_BYTES = 256 * 2**20
+MOST_BYTES = 96 * 2**20
 """Of the arrays that are read from one file, where the caller does not know better."""
-_KINDS = "biufUS"
-"""Truth values, whole numbers, floats and texts: everything else needs pickle, or is not used by any format."""
+_KINDS = "biuf"
+"""Truth values, whole numbers and floats: everything else needs pickle, or is not used by any format."""
+_PACKED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+"""What NumPy writes; of the others zipfile unpacks all that some bytes hold, however much that is."""
 _MOST_MEMBERS = 4096
 _MOST_DIRECTORY = 2**20
 """Bytes of a zip's directory."""
@@ -93,6 +95,8 @@ def _read_members(path: Path, archive: zipfile.ZipFile, names: Collection[str] |
         name = member.filename.removesuffix(".npy")
         if names is not None and name not in names:
             continue
+        if member.compress_type not in _PACKED:
+            raise InputError(f"{path} is packed in a way that NumPy does not use: write it with numpy.savez.")
         with archive.open(member) as file:
             arrays[name] = _read_array(f"{path}: {name}", file, member.file_size, most)
         most -= arrays[name].nbytes

@@ -18,7 +18,7 @@ import numpy as np
 from flowsplat.common.errors import InputError
 from flowsplat.common.files.opening import ordinary_file
 
-_PARTIAL = re.compile(r"\..+\.[0-9]+\.partial(\.[^.]+)?")
+_PARTIAL = re.compile(r"\..+\.([0-9]{1,9})\.partial(\.[^.]+)?")
 _EDGE = 65536
 """Bytes at both ends of a file that enter its hash."""
 
@@ -40,7 +40,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
         yield temporary
         os.replace(temporary, path)
     except OSError as error:
-        raise _explain(error, path) from error
+        raise writing_error(error, path) from error
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
@@ -61,23 +61,41 @@ def _refuse_special(path: Path) -> None:
 
 
 def remove_partials(folder: Path) -> list[Path]:
-    """Delete what killed processes left half-written anywhere under ``folder``, see ``atomic_path``; nobody else may write there.
+    """Delete what killed processes left half-written anywhere under ``folder``, see ``atomic_path``.
 
     Returns:
         what was deleted.
     """
-    found = [path for path in Path(folder).rglob(".*.partial*") if _PARTIAL.fullmatch(path.name) and not path.is_symlink()]
     deleted = []
-    for path in found:
+    for path in Path(folder).rglob(".*.partial*"):
+        named = _PARTIAL.fullmatch(path.name)
+        if named is None or _is_alive(int(named[1])) or path.is_symlink() or not path.is_file():
+            continue
         with contextlib.suppress(OSError):
             path.unlink()
             deleted.append(path)
     return deleted
 
 
-def _explain(error: OSError, path: Path) -> InputError:
+def _is_alive(process: int) -> bool:
+    """Whether another process of that number lives here: it may still be writing, an export, say."""
+    if process == os.getpid():
+        return False
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        pass
+    return True
+
+
+def writing_error(error: OSError, path: Path) -> InputError:
+    """What to tell about a file that cannot be written."""
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
         return InputError(f"The disk is full: cannot write {path}. Free some space and run the same command again.")
+    if error.errno == errno.EFBIG:
+        return InputError(f"Cannot write {path}: files may not be that large here (ulimit -f).")
     if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
         return InputError(f"No permission to write {path}. Choose another output folder with -o.")
     return InputError(f"Cannot write {path}: {error.strerror or error}.")
@@ -94,7 +112,7 @@ def make_folder(path: Path) -> Path:
     except (FileExistsError, NotADirectoryError) as error:
         raise InputError(f"{path} is a file, not a folder. Choose another output folder with -o.") from error
     except OSError as error:
-        raise _explain(error, Path(path)) from error
+        raise writing_error(error, Path(path)) from error
     return Path(path)
 
 

@@ -18,6 +18,8 @@ PathName = Literal["input", "stabilised", "orbit", "bullet", "dolly", "wiggle"]
 
 _SMALLEST = 16
 """Pixels of width."""
+MOST_FRAMES = 100_000
+"""Of a video."""
 
 
 @dataclass(frozen=True)
@@ -106,8 +108,12 @@ def check_options(options: RenderOptions, fps: float, first: float, last: float)
         raise InputError(f"{fps:g} frames a second cannot be written: give a frame rate from {SLOWEST:g} to {FASTEST:g}.")
     if not 0.01 <= options.slow <= 100:
         raise InputError(f"A video {options.slow:g} times slower cannot be made: give --render.slow from 0.01 to 100.")
-    if options.max_frames < 2:
-        raise InputError(f"A video of at most {options.max_frames} frame(s) shows no motion: give 2 or more.")
+    if not 2 <= options.max_frames <= MOST_FRAMES:
+        raise InputError(f"A video of at most {options.max_frames:,} frame(s) cannot be made: give 2 to {MOST_FRAMES:,}.")
+    if (count := (last - first) * fps * options.slow) > MOST_FRAMES:
+        raise InputError(
+            f"A video of {count:,.0f} frames cannot be made, {MOST_FRAMES:,} at most: give a smaller --render.fps or --render.slow."
+        )
     if not 0 <= options.orbit_angle < 90:
         raise InputError(f"The orbit's angle is {options.orbit_angle:g} degrees: give one from 0 to 90.")
     if options.bullet_time is not None and not first <= options.bullet_time <= last:

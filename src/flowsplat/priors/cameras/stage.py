@@ -31,6 +31,8 @@ OWN = "tracks"
 """Method of cameras that this stage computed."""
 PENDING = "straightening"
 """Key of ``Scene.info``: what is known of the cameras while the pictures are being straightened."""
+LONGEST_LENS = 100
+"""Focal length at most, in longer sides of the picture: an angle of view of half a degree."""
 
 
 @dataclass(frozen=True)
@@ -65,8 +67,9 @@ def camera_stage(scene: Scene, options: CameraOptions) -> None:
             straightened.
     """
     focal = options.focal
-    if focal is not None and not (np.isfinite(focal) and focal > 0):
-        raise InputError(f"The focal length is {focal}: give a positive number of pixels, or leave it out.")
+    longest = LONGEST_LENS * max(scene.width, scene.height)
+    if focal is not None and not 1 <= focal <= longest:
+        raise InputError(f"The focal length is {focal}: give pixels from 1 to {longest:,}, or leave it out.")
     if PENDING in scene.info:
         _straighten(scene)
         return

@@ -77,6 +77,8 @@ def _map(path: Path, values: np.ndarray, scene: Scene) -> np.ndarray:
     if values.ndim != 2 or values.dtype.kind not in "fiu":
         raise InputError(f"{path} does not hold one depth map [height, width] of numbers.")
     require_shape(path, values.shape[1], values.shape[0], scene)
+    if not values.size:
+        raise InputError(f"{path} holds an empty depth map.")
     return values.astype(np.float32)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_bytes, read_npz
+from flowsplat.geometry.cameras import FURTHEST
 from flowsplat.pictures.header import MOST_PIXELS
 from flowsplat.priors.given import megasam
 from flowsplat.priors.given.fitting import refuse_later_frames, require_frames, require_shape
@@ -22,6 +23,8 @@ from flowsplat.scenes.layers import FLOW_UNIT, decode_image
 FLO_MAGIC = 202021.25
 """First number of a Middlebury ``.flo`` file (https://vision.middlebury.edu/flow/code/flow-code/README.txt)."""
 
+_MOST_NPZ = 160 * 2**20
+"""Bytes."""
 _MOST_FLO = 12 + 8 * MOST_PIXELS
 KITTI_ZERO, KITTI_UNIT = 32768, 64.0
 """In KITTI's 16-bit PNG (https://www.cvlibs.net/datasets/kitti/eval_flow.php) u = (red - 32768) / 64 pixels."""
@@ -60,7 +63,12 @@ def _fitted(path: Path, i: int, j: int, arrays: Arrays, scene: Scene) -> Flow:
         raise InputError(f"{path} does not hold flow [height, width, 2] with a confidence [height, width].")
     height, width = flow.shape[:2]
     require_shape(path, width, height, scene)
-    if not (np.isfinite(flow).all() and np.isfinite(confidence).all()):
+    if flow.size == 0:
+        raise InputError(f"{path} holds no pixel.")
+    # Whole numbers are 1/64 pixels and 255 is certain, as in a scene folder; floating-point numbers mean themselves.
+    flow = flow / np.float32(FLOW_UNIT) if flow.dtype.kind in "iu" else flow.astype(np.float32)
+    confidence = confidence / np.float32(255) if confidence.dtype.kind in "iu" else confidence.astype(np.float32)
+    if not ((np.abs(flow) <= FURTHEST).all() and np.isfinite(confidence).all()):
         raise InputError(f"{path} holds values that are not finite: set them to 0 with confidence 0.")
     size = (scene.width, scene.height)
     scale = np.array([scene.width / width, scene.height / height], np.float32)
@@ -81,14 +89,10 @@ def _own(folder: Path, i: int, j: int, scene: Scene) -> Flow:
 
 
 def _read_npz(path: Path) -> Arrays:
-    arrays = read_npz(path, ("flow", "confidence"))
+    arrays = read_npz(path, ("flow", "confidence"), _MOST_NPZ)
     if not {"flow", "confidence"} <= arrays.keys():
         raise InputError(f"{path} needs the arrays 'flow' and 'confidence'.")
-    # Whole numbers are 1/64 pixels and 255 is certain, as in a scene folder; floating-point numbers mean themselves.
-    flow, confidence = arrays["flow"], arrays["confidence"]
-    flow = flow / np.float32(FLOW_UNIT) if flow.dtype.kind in "iu" else flow.astype(np.float32)
-    confidence = confidence / np.float32(255) if confidence.dtype.kind in "iu" else confidence.astype(np.float32)
-    return flow, confidence
+    return arrays["flow"], arrays["confidence"]
 
 
 def _read_flo(path: Path) -> Arrays:
@@ -119,9 +123,9 @@ def _mosca(folder: Path, wanted: list[tuple[int, int]], scene: Scene) -> list[Fl
     for i, j in wanted:
         path = files.get((names[i], names[j]))
         if path is not None:
-            arrays = read_npz(path, ("flow", "mask"))
+            arrays = read_npz(path, ("flow", "mask"), _MOST_NPZ)
             if not {"flow", "mask"} <= arrays.keys():
                 raise InputError(f"{path} needs the arrays 'flow' and 'mask' as MoSca writes them.")
-            values = arrays["flow"].astype(np.float32), arrays["mask"].astype(np.float32)
-            found.append(_fitted(path, i, j, values, scene))
+            known = arrays["mask"] if arrays["mask"].dtype.kind == "f" else arrays["mask"] > 0
+            found.append(_fitted(path, i, j, (arrays["flow"], known), scene))
     return found

@@ -103,7 +103,8 @@ def read_flow(folder: Path, wanted: list[tuple[int, int]], scene: Scene) -> list
     most = most_bytes(scene)
     flows, pairs = read_npy(folder / "flows.npy", most), read_npy(folder / "ii-jj.npy", most)
     masks = read_npy(folder / "flows_masks.npy", most)
-    if flows.ndim != 4 or flows.shape[1] != 2 or pairs.shape != (2, len(flows)) or masks.size * 2 != flows.size:
+    is_flow = flows.ndim == 4 and flows.shape[1] == 2 and flows.size > 0
+    if not is_flow or pairs.shape != (2, len(flows)) or masks.shape != (len(flows), 1, *flows.shape[2:]):
         raise InputError(
             f"{folder} is not as MegaSaM writes it: flows {flows.shape}, ii-jj {pairs.shape}, flows_masks {masks.shape}."
         )

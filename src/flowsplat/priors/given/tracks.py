@@ -30,6 +30,8 @@ from flowsplat.scenes.formats.images import natural_key
 from flowsplat.scenes.layers import TRUSTED
 
 MOST_TRACKS = 20_000
+MOST_BYTES = 160 * 2**20
+"""Of a file, or of the files of the tracks from one frame."""
 
 KNOWN = (
     "a folder of <from>_<to>.npy (TAPIR in Shape of Motion's preprocessing), of track_<frame>.npy (CoTracker) or of "
@@ -40,6 +42,7 @@ _ARCHIVES = {
     "CoTracker": ("pred_tracks", "pred_visibility"), "MoSca": ("tracks", "visibility"), "TAPIR": ("tracks", "visibles"),
 }  # fmt: skip
 """Names of the points and of what is seen in a ``.npz``, by maker."""
+_NAMES = {name for names in _ARCHIVES.values() for name in names}
 
 Found = tuple[np.ndarray, np.ndarray]
 """Pixels [N, T, 2] with whole numbers at pixel centres, and confidence [N, T], below one half where hidden."""
@@ -141,7 +144,7 @@ def _pair_names(files: list[Path]) -> list[str]:
 def _tapir(folder: Path, names: list[str]) -> Iterator[Found]:
     """Followed from every frame. Visible with the probability that it is neither hidden nor badly placed."""
     for start in names:
-        arrays = [read_npy(folder / f"{start}_{end}.npy") for end in names]
+        arrays = [read_npy(folder / f"{start}_{end}.npy", MOST_BYTES // len(names)) for end in names]
         if any(array.ndim != 2 or array.shape[1] != 4 or len(array) != len(arrays[0]) for array in arrays):
             raise InputError(f"{folder}: the tracks from {start} are not [N, 4] in every file.")
         values = np.stack(arrays, 1).astype(np.float32)
@@ -150,7 +153,7 @@ def _tapir(folder: Path, names: list[str]) -> Iterator[Found]:
 
 def _marbles(files: list[Path]) -> Iterator[Found]:
     for file in files:
-        values = read_npy(file)
+        values = read_npy(file, MOST_BYTES)
         if values.ndim != 3 or values.shape[2] != 3:
             raise InputError(f"{file} is not [T, N, 3] (x, y, visible), but {list(values.shape)}.")
         values = values.astype(np.float32).swapaxes(0, 1)
@@ -160,15 +163,15 @@ def _marbles(files: list[Path]) -> Iterator[Found]:
 def _archives(files: list[Path]) -> tuple[Iterator[Found], str]:
     found, maker = [], ""
     for file in files:
-        arrays = read_npz(file)
+        arrays = read_npz(file, _NAMES, MOST_BYTES)
         maker = next((maker for maker, names in _ARCHIVES.items() if set(names) <= arrays.keys()), "")
         if not maker:
             raise InputError(f"{file} holds no tracks of a known layout. Looked for: {KNOWN}.")
         points, seen = (arrays[name] for name in _ARCHIVES[maker])
-        if maker == "CoTracker" and points.ndim == 4:
+        if maker == "CoTracker" and points.ndim == 4 and len(points) == 1:
             points = points[0]
             seen = seen.reshape(points.shape[:2]) if seen.size == points[..., 0].size else seen
-        if points.ndim != 3 or seen.shape != points.shape[:2]:
+        if points.ndim != 3 or points.shape[2] not in (2, 3) or seen.shape != points.shape[:2]:
             raise InputError(f"{file} holds tracks of shape {points.shape} with visibility of shape {seen.shape}.")
         if maker == "MoSca":
             points = points[..., :2]

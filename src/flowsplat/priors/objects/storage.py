@@ -20,6 +20,7 @@ from typing_extensions import TypedDict
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_json, read_npz, write_json, write_npz
+from flowsplat.common.files.arrays import MOST_BYTES
 from flowsplat.common.files.json_file import Number, Row3
 from flowsplat.geometry import Camera
 from flowsplat.priors.objects.distance import Cue
@@ -84,6 +85,14 @@ def save_movers(scene: Scene, found: SceneMovers) -> None:
     write_json(scene.folder / "objects.json", {"normal": found.normal.tolist(), "ground": found.has_ground, "movers": described})
 
 
+_ARRAYS = ("log_depth", "middles", "mover", "frame", "pixels", "point_log_depth", "point_sigma")
+
+
+def _most_bytes(scene: Scene) -> int:
+    """Of the arrays: no more points than every fourth pixel of every frame."""
+    return MOST_BYTES // 4 + 8 * scene.width * scene.height * scene.num_frames
+
+
 class MoverFile(TypedDict):
     """A mover in ``objects.json``; more may stand there."""
 
@@ -111,7 +120,7 @@ def load_movers(scene: Scene) -> SceneMovers:
     path = scene.folder / "objects.json"
     if not path.exists():
         return SceneMovers([], np.array([0.0, -1.0, 0.0]))
-    value, arrays = read_json(path, ObjectsFile), read_npz(scene.folder / "objects.npz")
+    value, arrays = read_json(path, ObjectsFile), read_npz(scene.folder / "objects.npz", _ARRAYS, _most_bytes(scene))
     try:
         movers, (count, frames) = [], (len(value["movers"]), len(scene.train_frames))
         if arrays["log_depth"].shape != (count, frames) or arrays["middles"].shape != (count, frames, 2):

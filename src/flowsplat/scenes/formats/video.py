@@ -36,7 +36,7 @@ ones."""
 def _opened(path: Path) -> Iterator[tuple[InputContainer, VideoStream]]:
     """The container and its main video stream; whatever FFmpeg refuses meanwhile becomes an ``InputError``."""
     try:
-        with open_media(path, metadata_errors="ignore") as container:
+        with open_media(path) as container:
             stream = container.streams.best("video")
             if isinstance(stream, VideoStream) and stream.codec_context is None:
                 raise InputError(f"{path} has a video of a kind that cannot be decoded: convert it to H.264 first.")

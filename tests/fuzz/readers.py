@@ -1,0 +1,370 @@
+"""Every reader of files from outside, each with small files that it can read."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import msgspec
+import numpy as np
+
+from flowsplat.cli import main
+from flowsplat.common.errors import InputError
+from flowsplat.common.files import write_json
+from flowsplat.output.camera_files import read_camera_file, write_camera_file
+from flowsplat.output.export import ExportOptions, export_scene
+from flowsplat.output.tracks import read_queries
+from flowsplat.output.viewer.messages import Gate
+from flowsplat.pictures.sound import keep_sound
+from flowsplat.pictures.video import mp4_writer
+from flowsplat.pipeline.config import RunConfig, check
+from flowsplat.pipeline.describe import describe
+from flowsplat.pipeline.folder import RunFolder
+from flowsplat.priors.given import GivenPriors, use_given
+from flowsplat.priors.given.cameras import read_cameras
+from flowsplat.priors.given.depth import open_depth
+from flowsplat.priors.given.flow import read_flow
+from flowsplat.priors.given.tracks import read_tracks
+from flowsplat.priors.given.truth import consecutive_pairs, use_truth
+from flowsplat.priors.objects import load_movers
+from flowsplat.priors.objects.distance import Cue
+from flowsplat.priors.objects.movers import Mover
+from flowsplat.priors.objects.relief import ReliefPoints
+from flowsplat.priors.objects.storage import SceneMovers, save_movers
+from flowsplat.scenes import Scene
+from flowsplat.scenes.clip import InputOptions
+from flowsplat.scenes.ingest import ingest, open_clip
+from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic
+from flowsplat.training.checkpoint import load_checkpoint, load_model, save_model
+from flowsplat.training.trainer import Trainer
+from tests.output.small import small_model
+from tests.priors.given import test_camera_files as cameras_of_others
+from tests.priors.given import test_map_files as maps_of_others
+from tests.priors.given import test_track_files as tracks_of_others
+from tests.scenes.conftest import picture, write_picture, write_video
+from tests.scenes.formats.nvidia_layouts import write_nerfies, write_raw, write_twelve
+from tests.training.handful import a_few, seen, tiny
+
+SPEC = SyntheticScene(width=64, height=48, frames=4)
+OPTIONS = InputOptions(holdout=3)
+CAMERAS = "cameras"
+
+
+@dataclass(frozen=True)
+class Reader:
+    """One reader.
+
+    Attributes:
+        name: of what it reads.
+        originals: the folder under the root of originals that it is given a copy of.
+        files: patterns of those that are spoiled.
+        read: reads all of it from the copy.
+    """
+
+    name: str
+    originals: str
+    files: tuple[str, ...]
+    read: Callable[[Path], Any]
+
+
+# -- originals
+
+
+def make_originals(root: Path) -> None:
+    """Small files of every kind, each of which can be read as it is."""
+    _run(root / "run")
+    _training(root / "training")
+    for suffix in ("png", "jpg", "webp", "tif", "bmp"):
+        for i in range(3):
+            write_picture(root / suffix / "images" / f"{i}.{suffix}", picture(i))
+            write_picture(root / suffix / "masks" / f"{i}.png", np.full((48, 64), 40 * i, np.uint8))
+    _films(root / "films")
+    _rig(root / "rig")
+    write_raw(root / "raw", replace(SPEC, frames=2))
+    write_twelve(root / "twelve", replace(SPEC, frames=2))
+    write_nerfies(root / "nerfies", replace(SPEC, frames=2))
+    _given(root / "given")
+    _camera_files(root / CAMERAS)
+    _messages(root / "messages")
+
+
+def _run(folder: Path) -> None:
+    RunFolder.open_or_create(folder, "clip.mp4", "0" * 16, RunConfig())
+    scene = write_synthetic(folder / "scene", SPEC, holdout=3)
+    use_truth(scene)
+    frames = len(scene.train_frames)
+    points = ReliefPoints(np.zeros(5, int), np.full((5, 2), 9.0), np.zeros(5), np.full(5, 0.1))
+    cues = {"ground": Cue(0.1, 0.2, 0.3)}
+    mover = Mover(1, np.zeros(frames), np.full((frames, 2), 20.0), 0.1, False, cues, points, 0.05)
+    save_movers(scene, SceneMovers([mover], np.array([0.0, -1.0, 0.0]), True))
+    assert scene.similarity
+    save_model(folder / "model", replace(small_model(resting=60, moving=30), first=0.0, last=float(scene.timestamps[-1])))
+    figures = {"psnr": 20.0, "ssim": 0.8}
+    write_json(folder / "metrics.json", {"heldout_frames": figures, "heldout_views": None, "training_frames": figures})
+
+
+def _training(folder: Path) -> None:
+    config = replace(tiny("default"), checkpoint_every=1)
+    start = a_few(config)
+    Trainer(seen(start), None, config, folder / "training", start=start).run()
+    save_model(folder / "model", small_model(resting=30, moving=20))
+
+
+def _films(folder: Path) -> None:
+    folder.mkdir(parents=True)
+    pictures = [picture(i) for i in range(4)]
+    for name, codec, pixels in (
+        ("a.mp4", "libx264", "yuv420p"), ("b.mkv", "libx264", "yuv420p"), ("c.webm", "libvpx-vp9", "yuv420p"),
+        ("d.avi", "mpeg4", "yuv420p"), ("e.mov", "mjpeg", "yuvj420p"),
+    ):  # fmt: skip
+        write_video(folder / name, pictures, codec=codec, pixels=pixels, sound=name in ("a.mp4", "b.mkv"))
+    with mp4_writer(folder / "f.mp4", 25.0) as write:
+        for image in pictures:
+            write(image)
+
+
+def _rig(folder: Path) -> None:
+    count, shape = 3, (3, 48, 64)
+    K = [[60.0, 0, 32], [0, 60, 24], [0, 0, 1]]
+    for i in range(count):
+        write_picture(folder / "rgb" / f"{i:05d}.png", picture(i))
+        write_picture(folder / "masks" / f"{i:05d}.png", np.full((48, 64), i, np.uint8))
+        write_picture(folder / "heldout" / "left" / f"{i:05d}.png", picture(i + 9))
+    poses = [np.eye(4).tolist()] * count
+    (folder / "cameras.json").write_text(json.dumps({"K": K, "width": 64, "height": 48, "w2c": poses, "fps": 12}))
+    views = {"left": {"times": list(range(count)), "w2c": poses}}
+    (folder / "heldout" / "cameras.json").write_text(json.dumps({"K": K, "width": 64, "height": 48, "cameras": views}))
+    flow, valid = np.ones((*shape, 2), np.float16), np.ones(shape, bool)
+    np.savez(folder / "depth.npz", depth=np.full(shape, 5, np.float16))
+    np.savez_compressed(folder / "flow.npz", fwd=flow, bwd=-flow, fwd_valid=valid, bwd_valid=valid)
+    moving = np.arange(5) > 2
+    points, visible = np.ones((count, 5, 3)), np.ones((count, 5), bool)
+    np.savez(folder / "tracks.npz", points=points, visible=visible, moving=moving, birth=0 * moving)
+
+
+def given_scene(folder: Path, size: tuple[int, int], frames: int) -> Scene:
+    """A scene of those frames without pictures: 2 is held out."""
+    return Scene.create(
+        folder, name="s", source="", width=size[0], height=size[1], timestamps=range(frames), holdout=3, source_fps=1
+    )
+
+
+def _given(folder: Path) -> None:
+    others, maps, tracks = cameras_of_others, maps_of_others, tracks_of_others
+    for name in ("cameras", "depth", "disparity_disp", "mosca_depth", "masks", "flow", "flo", "kitti", "mosca_flow", "megasam"):
+        (folder / name).mkdir(parents=True)
+    (folder / "cameras" / "transforms.json").write_text(json.dumps(others.transforms()))
+    others.colmap_text(folder / "text")
+    others.colmap_binary(folder / "binary")
+    write_json(folder / "own" / "own.json", [camera.to_json() for camera in others.path()])
+    others.megasam(folder / "megasam" / "a.npz")
+    maps.flow_cache(folder / "cache")
+    wide = np.full((48, 85), 2.0, np.float32)
+    for i in range(maps.FRAMES):
+        np.save(folder / "depth" / f"{i:05d}.npy", wide)
+        np.save(folder / "disparity_disp" / f"{i:05d}.npy", wide)
+        np.savez_compressed(folder / "mosca_depth" / f"{i:05d}.npz", dep=wide)
+        write_picture(folder / "masks" / f"{i:05d}.png", np.full((48, 85), i, np.uint8))
+    scene = given_scene(folder / "scene", maps.SIZE, maps.FRAMES)
+    for i, j in [*consecutive_pairs(scene), (1, 2)]:
+        flow = np.ones((48, 85, 2), np.float32)
+        np.savez(folder / "flow" / f"{i:05d}_{j:05d}.npz", flow=flow, confidence=wide / 2)
+        head = np.float32(202021.25).tobytes() + np.array([85, 48], "<i4").tobytes()
+        (folder / "flo" / f"{i:05d}_{j:05d}.flo").write_bytes(head + flow.tobytes())
+        cv2.imwrite(str(folder / "kitti" / f"{i:05d}_{j:05d}.png"), np.full((48, 85, 3), 33_000, np.uint16))
+        np.savez_compressed(folder / "mosca_flow" / f"{i}.jpg_to_{j}.jpg.npz", flow=flow, mask=wide / 2)
+    shutil.rmtree(folder / "scene")
+    for name in tracks.LAYOUTS:
+        target = folder / "tracks" / name.split(",")[0]
+        target.mkdir(parents=True, exist_ok=True)
+        if not any(target.iterdir()):
+            tracks.LAYOUTS[name][0](target)
+
+
+def _camera_files(folder: Path) -> None:
+    folder.mkdir()
+    cameras = cameras_of_others.path((64, 48))
+    write_camera_file(folder / "own.json", [(camera, 0.1 * i) for i, camera in enumerate(cameras)], 24.0)
+    (folder / "transforms.json").write_text(json.dumps(cameras_of_others.transforms()))
+    entries = [{"camera_to_world": np.eye(4).ravel().tolist(), "fov": 50, "render_time": 0.1 * i} for i in range(3)]
+    values = {"camera_type": "perspective", "render_width": 64, "render_height": 48, "fps": 24, "camera_path": entries}
+    (folder / "nerfstudio.json").write_text(json.dumps(values))
+    (folder / "queries.json").write_text("[[1.5, 2.5, 0], [3, 4, 1]]")
+    (folder / "queries.csv").write_text("# u,v,frame\n1.5,2.5,0\n3,4,1\n")
+
+
+def _messages(folder: Path) -> None:
+    from tests.output.viewer.test_messages import CAMERA, UPDATE, UPLOAD
+
+    folder.mkdir()
+    for k, message in enumerate((CAMERA, UPDATE, UPLOAD)):
+        (folder / f"{k}.json").write_text(json.dumps(message))
+
+
+# -- reading
+
+
+def _read_scene(folder: Path) -> None:
+    scene = Scene(folder / "scene")
+    _ = scene.similarity, scene.cameras, scene.views, scene.sound, scene.times
+    for i in scene.train_frames:
+        scene.frame(i), scene.depth(i), scene.mask(i)
+    for i in scene.heldout_frames:
+        scene.heldout_frame(i)
+        if scene.heldout_masks.has_mask(i):
+            scene.heldout_masks.mask(i)
+    for i, j in scene.flow_pairs:
+        with suppress(InputError):
+            scene.flow(i, j)
+    if scene.has_tracks:
+        _ = scene.tracks
+    for view in scene.views:
+        scene.view_image(view), scene.view_mask(view)
+    if scene.truth is not None:
+        _ = scene.truth.cameras, scene.truth.tracks
+    load_movers(scene)
+    list(describe(folder))
+
+
+def _read_flow_of_scene(folder: Path) -> None:
+    scene = Scene(folder / "scene")
+    for i, j in scene.flow_pairs:
+        scene.flow(i, j)
+
+
+def _read_run(folder: Path) -> None:
+    check(RunFolder(folder).config)
+    list(describe(folder))
+
+
+def _read_model(folder: Path) -> None:
+    model = load_model(folder / "model")
+    scene = Scene(folder / "scene")
+    model.render(scene.cameras[0], model.first)
+    for to in ("ply", "npz"):
+        export_scene(model, scene, to, folder / f"out.{to}", ExportOptions())
+
+
+def _read_checkpoint(folder: Path) -> None:
+    model, _, _ = load_checkpoint(folder / "training", small_model(resting=1, moving=1).similarity, 0.0, 1.0, 50.0)
+    model.active_count(0.5)
+
+
+def _train_on(folder: Path) -> None:
+    config = replace(tiny("default"), checkpoint_every=1)
+    Trainer(seen(a_few(config)), None, config, folder / "training", start=a_few(config)).run()
+
+
+def _ingest(folder: Path) -> None:
+    shutil.rmtree(folder.parent / "ingested", ignore_errors=True)
+    ingest(open_clip(folder, OPTIONS), folder.parent / "ingested", OPTIONS)
+
+
+def _ingest_films(folder: Path) -> None:
+    for film in sorted(folder.iterdir()):
+        options = replace(OPTIONS, max_frames=4)
+        list(open_clip(film, options).frames(range(2)))
+        keep_sound(film, 0.0, 0.1, folder.parent / "ingested" / "sound.flac")
+
+
+def _given_of(name: str, place: str) -> Callable[[Path], None]:
+    def read(folder: Path) -> None:
+        tracks = name == "tracks"
+        size = (tracks_of_others.WIDTH, tracks_of_others.HEIGHT) if tracks else maps_of_others.SIZE
+        frames = tracks_of_others.FRAMES if tracks else maps_of_others.FRAMES
+        scene, path = given_scene(folder.parent / "ingested", size, frames), folder / place
+        if name == "cameras":
+            read_cameras(path, scene, False)
+        elif name == "depth":
+            given = open_depth(path, scene)
+            assert all(np.isfinite(given.read(i).depth).all() for i in scene.train_frames)
+        elif name == "flow":
+            read_flow(path, scene)
+        elif name == "tracks":
+            read_tracks(path, scene, None)
+        else:
+            use_given(scene, GivenPriors(masks=path))
+
+    return read
+
+
+def _read_camera_files(folder: Path) -> None:
+    for name in ("own", "transforms", "nerfstudio"):
+        read_camera_file(folder / f"{name}.json", (64, 48), (0.0, 2.0))
+
+
+def _read_queries(folder: Path) -> None:
+    scene = given_scene(folder / "into", (64, 48), 4)
+    for name in ("queries.json", "queries.csv"):
+        read_queries((), folder / name, scene)
+
+
+def _hear(folder: Path) -> None:
+    gate = Gate()
+    for path in sorted(folder.iterdir()):
+        if path.is_file() and path.stat().st_size < 2**20:
+            data = path.read_bytes()
+            gate.admitted(data)
+            with suppress(msgspec.MsgspecError, RecursionError, UnicodeDecodeError, OverflowError):
+                gate.admitted(msgspec.msgpack.encode(msgspec.json.decode(data)))
+
+
+def _command(*arguments: str) -> Callable[[Path], None]:
+    """A whole command: it ends well, or with one line and exit code 2."""
+
+    def read(folder: Path) -> None:
+        try:
+            main([argument.replace("RUN", str(folder)) for argument in arguments])
+        except SystemExit as error:
+            if error.code not in (0, 2, None):
+                raise RuntimeError(f"exit code {error.code}") from error
+            if error.code == 2:
+                raise InputError("refused by the command") from error
+
+    return read
+
+
+RUN_FILES = ("run.json", "metrics.json", "model/*", "scene/*.json", "scene/*.npz", "scene/*/*")
+READERS = (
+    Reader("run.json, metrics.json", "run", ("run.json", "metrics.json"), _read_run),
+    Reader("scene.json, views.json", "run", ("scene/scene.json", "scene/views.json"), _read_scene),
+    Reader("cameras.json", "run", ("scene/cameras.json", "scene/truth/cameras.json"), _read_scene),
+    Reader("objects", "run", ("scene/objects.*",), _read_scene),
+    Reader("tracks of a scene", "run", ("scene/tracks.npz",), _read_scene),
+    Reader("depth of a scene", "run", ("scene/depth/*",), _read_scene),
+    Reader("flow of a scene", "run", ("scene/flow/*",), _read_flow_of_scene),
+    Reader("pictures of a scene", "run", tuple(f"scene/{n}/*" for n in ("frames", "masks", "heldout/*", "views")), _read_scene),
+    Reader("model", "run", ("model/*",), _read_model),
+    Reader("checkpoint to look at", "training", ("training/*",), _read_checkpoint),
+    Reader("checkpoint to go on from", "training", ("training/*",), _train_on),
+    *(Reader(f"pictures, {kind}", kind, ("images/*",), _ingest) for kind in ("png", "jpg", "webp", "tif", "bmp")),
+    Reader("masks beside pictures", "png", ("masks/*",), _ingest),
+    Reader("films", "films", ("*",), _ingest_films),
+    Reader("rig", "rig", ("*.json", "*.npz", "*/*"), _ingest),
+    Reader("rig's arrays", "rig", ("*.npz",), _ingest),
+    Reader("NVIDIA, raw", "raw", ("*.npy", "mv_images/*/*"), _ingest),
+    Reader("NVIDIA, twelve", "twelve", ("*.npy", "*/*"), _ingest),
+    Reader("nerfies", "nerfies", ("splits/*", "camera/*", "*.json"), _ingest),
+    *(
+        Reader(f"given {name}, {Path(place).name}", f"given/{place}", ("*",), _given_of(name, file))
+        for name, place, file in (
+            ("cameras", "own", "own.json"), ("cameras", "cameras", ""), ("cameras", "text", ""), ("cameras", "binary", ""),
+            ("cameras", "megasam", "a.npz"), ("depth", "depth", ""), ("depth", "disparity_disp", ""), ("depth", "mosca_depth", ""),
+            ("depth", "megasam", "a.npz"), ("masks", "masks", ""), ("flow", "flow", ""), ("flow", "flo", ""), ("flow", "kitti", ""),
+            ("flow", "mosca_flow", ""), ("flow", "cache", ""), ("tracks", "tracks/tapir", ""), ("tracks", "tracks/marbles", ""),
+            ("tracks", "tracks/mosca", ""), ("tracks", "tracks/cotracker", "a.npz"), ("tracks", "tracks/tapnet", "a.npz"),
+        )
+    ),
+    Reader("camera paths", CAMERAS, ("own.json", "transforms.json", "nerfstudio.json"), _read_camera_files),
+    Reader("queries", CAMERAS, ("queries.*",), _read_queries),
+    Reader("messages of a browser", "messages", ("*",), _hear),
+    Reader("flowsplat info", "run", RUN_FILES, _command("info", "RUN")),
+    Reader("flowsplat export", "run", RUN_FILES, _command("export", "RUN", "--to", "splat")),
+    Reader("flowsplat tracks", "run", RUN_FILES, _command("tracks", "RUN", "--at", "9,9,0")),
+)  # fmt: skip

@@ -1,0 +1,137 @@
+"""The folder of a run: one writes, others read; what is refused leaves it as it was; whatever stops it is a line."""
+
+from __future__ import annotations
+
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flowsplat.common.errors import InputError
+from flowsplat.common.files import lease
+from flowsplat.pipeline import prepare
+from flowsplat.pipeline.describe import describe
+from flowsplat.priors.given import GivenPriors
+from tests.pipeline.conftest import small_config
+
+COMMAND = [sys.executable, "-m", "flowsplat.cli"]
+SMALL = ["--priors", "true", "--train.iterations", "3000", "--render.paths", "input", "--render.width", "32"]
+
+
+def begun(scene: Path, out: Path, until: str, **more: object) -> subprocess.Popen:
+    """A run in a process of its own that has written the file ``until``."""
+    process = subprocess.Popen([*COMMAND, "run", str(scene), "-o", str(out), *SMALL], stderr=subprocess.PIPE, text=True, **more)
+    deadline = time.monotonic() + 120
+    while process.poll() is None and not (out / until).exists() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    return process
+
+
+def the_line(process: subprocess.Popen, code: int, words: str) -> str:
+    """What a process says in the end, that it ends so, and soon."""
+    _, told = process.communicate(timeout=120)
+    assert process.returncode == code, told
+    assert "Traceback" not in told
+    last = told.strip().splitlines()[-1]
+    assert words in last, told
+    return last
+
+
+@pytest.mark.slow
+def test_one_writes_and_others_read(tiny_scene, tmp_path):
+    out = tmp_path / "out"
+    first = begun(tiny_scene, out, "training/latest.json")
+    try:
+        for command in (["run", str(tiny_scene), "-o"], ["prepare", str(tiny_scene), "-o"], ["train"], ["evaluate"], ["render"]):
+            second = subprocess.Popen([*COMMAND, *command, str(out)], stderr=subprocess.PIPE, text=True)
+            assert f"process {first.pid} on " in the_line(second, 2, "is being written by")
+        assert any(f"process {first.pid}" in line for line in describe(out))
+        shown = subprocess.run([*COMMAND, "info", str(out)], capture_output=True, text=True, check=True, timeout=120)
+        assert "is being written by" in shown.stdout
+        assert first.poll() is None
+    finally:
+        first.kill()
+        first.communicate()
+    with lease(out):  # of a dead one
+        pass
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("number", "times", "code"), [(signal.SIGTERM, 1, 143), (signal.SIGINT, 1, 130), (signal.SIGINT, 2, 130)])
+def test_signals_end_it_with_a_line(tiny_scene, tmp_path, number, times, code):
+    process = begun(tiny_scene, tmp_path / "out", "training/latest.json")
+    for _ in range(times):
+        process.send_signal(number)
+        time.sleep(0.01)
+    the_line(process, code, "continues from here")
+    left = [path for path in (tmp_path / "out").rglob("*") if ".partial" in path.name or path.name == ".lock"]
+    assert left == []
+
+
+@pytest.mark.slow
+def test_a_folder_that_is_removed_ends_it_with_a_line(tiny_scene, tmp_path):
+    process = begun(tiny_scene, tmp_path / "out", "training/latest.json")
+    shutil.rmtree(tmp_path / "out", ignore_errors=True)
+    process.send_signal(signal.SIGINT)
+    _, told = process.communicate(timeout=120)
+    assert process.returncode in (2, 130), told
+    assert "Traceback" not in told
+
+
+@pytest.mark.slow
+def test_files_that_may_not_be_that_large_are_a_line(tiny_scene, tmp_path):
+    def limited() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (3000, 3000))
+
+    command = [*COMMAND, "run", str(tiny_scene), "-o", str(tmp_path / "out"), *SMALL]
+    the_line(subprocess.Popen(command, stderr=subprocess.PIPE, text=True, preexec_fn=limited), 2, "ulimit -f")
+    assert not [path for path in tmp_path.rglob("*") if ".partial" in path.name]
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="whoever is root may write everywhere")
+def test_a_folder_that_cannot_be_written_is_a_line(tiny_scene, tmp_path):
+    (tmp_path / "out").mkdir(mode=0o555)
+    with pytest.raises(InputError, match="No permission"):
+        prepare(tiny_scene, tmp_path / "out", small_config())
+
+
+def _masks_that_do_not_fit(folder: Path) -> GivenPriors:
+    folder.mkdir()
+    return GivenPriors(masks=folder)
+
+
+def _depth_that_does_not_fit(folder: Path) -> GivenPriors:
+    folder.mkdir()
+    np.save(folder / "00000.npy", np.zeros(3))
+    return GivenPriors(depth=folder)
+
+
+@pytest.mark.parametrize("given", [_masks_that_do_not_fit, _depth_that_does_not_fit])
+@pytest.mark.parametrize("there", [True, False])
+def test_given_files_that_are_refused_leave_the_folder_as_it_was(tiny_scene, tmp_path, given: Callable[[Path], GivenPriors], there):
+    config = small_config()
+    config = replace(config, priors=replace(config.priors, priors="own", given=given(tmp_path / "given")))
+    if there:
+        (tmp_path / "out").mkdir()
+    with pytest.raises(InputError, match="given"):
+        prepare(tiny_scene, tmp_path / "out", config)
+    assert (tmp_path / "out").exists() == there
+    assert not there or not any((tmp_path / "out").iterdir())
+
+
+def test_what_a_killed_run_left_half_written_goes(tiny_scene, tmp_path):
+    out, config = tmp_path / "out", small_config()
+    prepare(tiny_scene, out, config)
+    half = out / "scene" / "depth" / ".00000.99999999.partial.npz"
+    half.write_bytes(b"half")
+    prepare(tiny_scene, out, config)
+    assert not half.exists()
