@@ -2,11 +2,12 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: help demo test clean
+.PHONY: help demo test lock clean
 
 help:
 	@echo "make demo   a short rendered clip through all stages: pictures, video and report in out/demo"
 	@echo "make test   lint, types, and all tests, the fast ones first"
+	@echo "make lock   requirements.lock anew, from pyproject.toml and constraints.txt (needs uv)"
 	@echo "make clean  remove .venv and out"
 
 demo: .venv/.installed
@@ -18,14 +19,24 @@ test: .venv/.installed
 	$(BIN)/pytest -m "not slow"
 	$(BIN)/pytest -m slow
 
-# torch comes first and alone: it is by far the largest, and everything else must fit it.
-.venv/.installed: pyproject.toml constraints.txt
+# Everything has the hash that requirements.lock names for it, except for torch and the CUDA libraries that it brings: which build of
+# it is wanted differs from machine to machine.
+.venv/.installed: pyproject.toml constraints.txt requirements.lock
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || \
 		{ echo "flowsplat needs Python 3.10 or newer: make PYTHON=/path/to/python3"; exit 1; }
 	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --no-deps --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install "$$(grep '^torch==' constraints.txt)"
-	$(BIN)/python -m pip install -c constraints.txt -e '.[dev]'
+	$(BIN)/python -m pip install --no-deps --no-build-isolation -e .
 	@touch $@
+
+NOT_LOCKED := torch cuda-bindings cuda-pathfinder cuda-toolkit nvidia-cublas nvidia-cuda-cupti nvidia-cuda-nvrtc nvidia-cuda-runtime \
+	nvidia-cudnn-cu13 nvidia-cufft nvidia-cufile nvidia-curand nvidia-cusolver nvidia-cusparse nvidia-cusparselt-cu13 \
+	nvidia-nccl-cu13 nvidia-nvjitlink nvidia-nvshmem-cu13 nvidia-nvtx
+
+lock:
+	printf 'hatchling\neditables\n' | uv pip compile --quiet --universal --generate-hashes --no-header --no-annotate --extra dev \
+		--python-version 3.10 -c constraints.txt $(NOT_LOCKED:%=--no-emit-package %) pyproject.toml - -o requirements.lock
 
 clean:
 	rm -rf .venv out
