@@ -16,5 +16,7 @@ if not torch.cuda.is_available():
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """How many spoiled files are tried, see ``tests/fuzz``."""
+    """How much is tried where the ordinary run tries a part of it only."""
     parser.addoption("--fuzz", type=int, default=None, metavar="COUNT", help="try so many spoiled files in tests/fuzz")
+    text = "let so many requests come to the viewer in tests/output/viewer/test_a_day.py"
+    parser.addoption("--requests", type=int, default=None, metavar="COUNT", help=text)

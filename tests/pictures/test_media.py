@@ -74,3 +74,14 @@ def test_what_has_no_sound_keeps_none(tmp_path):
     (tmp_path / "text.mp4").write_text("no film")
     assert not keep_sound(tmp_path / "text.mp4", 0, 1, tmp_path / "kept.flac")
     assert not (tmp_path / "kept.flac").exists()
+
+
+def test_films_of_pictures_that_are_too_large_are_refused(tmp_path):
+    with av.open(str(tmp_path / "a.mov"), "w") as container:
+        stream = container.add_stream("png", rate=5)
+        stream.pix_fmt, stream.width, stream.height = "gray", 8000, 7000
+        container.mux(stream.encode(av.VideoFrame.from_ndarray(np.zeros((7000, 8000), np.uint8), format="gray")))
+        container.mux(stream.encode())
+    assert (tmp_path / "a.mov").stat().st_size < 200_000
+    with pytest.raises(InputError, match=r"8,000 x 7,000 pixels, more than the 55 million"):
+        open_media(tmp_path / "a.mov")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from fractions import Fraction
 from pathlib import Path
 
@@ -165,3 +167,49 @@ def test_sound_that_cannot_be_decoded_is_left_out(tmp_path, capsys):
     assert "cannot be decoded: the video stays silent" in capsys.readouterr().err
     with av.open(str(tmp_path / "a.mp4")) as container:
         assert not container.streams.audio
+
+
+ENCODE = """
+import hashlib, sys
+from pathlib import Path
+import numpy as np
+from flowsplat.pictures.gif import write_gif
+from flowsplat.pictures.transparent import webm_writer
+from flowsplat.pictures.video import mp4_writer
+folder = Path(sys.argv[1])
+rng = np.random.default_rng(0)
+used = [rng.integers(0, 255, int(rng.integers(1, 9_000_000)), dtype=np.uint8) for _ in range(40)]  # memory that was something else
+del used
+sound = folder.parent / "sound.flac"
+for width, height in ((427, 241), (864, 480), (1281, 241)):
+    noise = np.kron(rng.integers(0, 255, (height // 8 + 9, width // 8 + 9, 3)), np.ones((8, 8, 1))).astype(np.uint8)
+    frames = [noise[k : k + height, 2 * k : 2 * k + width] for k in range(12)]
+    with mp4_writer(folder / f"{width}.mp4", 24.0, audio_from=sound) as write:
+        for frame in frames:
+            write(frame)
+with webm_writer(folder / "a.webm", 24.0) as write:
+    for frame in frames[:4]:
+        write(np.concatenate([frame, frame[..., :1]], -1))
+write_gif(folder / "a.gif", frames[:4], 12.5)
+for path in sorted(folder.iterdir()):
+    print(path.name, hashlib.sha256(path.read_bytes()).hexdigest())
+"""
+
+
+@pytest.mark.slow
+def test_the_same_pictures_make_the_same_file_in_every_process(tmp_path):
+    tone = (np.sin(np.arange(16000) / 8) * 9000).astype(np.int16)
+    with av.open(str(tmp_path / "sound.flac"), "w") as container:
+        stream = container.add_stream("flac", rate=16000)
+        stream.layout, stream.format = "mono", "s16"
+        frame = av.AudioFrame.from_ndarray(tone[None], "s16", "mono")
+        frame.sample_rate = 16000
+        container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    found = set()
+    for number in range(6):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        done = subprocess.run([sys.executable, "-c", ENCODE, str(folder)], capture_output=True, text=True, check=True, timeout=200)
+        found.add(done.stdout)
+    assert len(found) == 1, found

@@ -13,6 +13,7 @@ from av.container import InputContainer
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import ordinary_file
+from flowsplat.pictures.header import MOST_PIXELS
 
 _LISTS = {"hls", "dash", "concat", "concatf", "imf", "rtsp", "sdp", "image2"}
 """Formats that consist of other files."""
@@ -22,7 +23,7 @@ def open_media(path: Path) -> InputContainer:
     """A film or a sound on this machine.
 
     Raises:
-        InputError: missing, not an ordinary file, or a list of other files.
+        InputError: missing, not an ordinary file, with pictures that are too large, or a list of other files.
         av.FFmpegError: it cannot be read.
     """
     ordinary_file(path)
@@ -30,4 +31,14 @@ def open_media(path: Path) -> InputContainer:
     if set(container.format.name.split(",")) & _LISTS:
         container.close()
         raise InputError(f"{path} is a list of other files: give one of these.")
+    for stream in container.streams.video:
+        context = stream.codec_context
+        if context is None:  # of a kind that is not known
+            continue
+        if context.width * context.height > MOST_PIXELS:
+            container.close()
+            raise InputError(
+                f"{path} has {context.width:,} x {context.height:,} pixels, more than the {MOST_PIXELS / 1e6:g} million that are read."
+            )
+        context.options = {**context.options, "max_pixels": str(MOST_PIXELS)}  # frames may have another size than they are said to
     return container

@@ -17,6 +17,8 @@ from flowsplat.common.files import atomic_path
 _BT709, _LIMITED, _FULL = 1, 1, 2  # as in ``pictures.video``
 _CRF = 24
 """VP9's constant quality, lower is better and larger."""
+_SAME = {"fflags": "+bitexact"}
+"""Without a random number as the name of the file in it: the same pictures make the same file."""
 
 
 @contextlib.contextmanager
@@ -30,7 +32,7 @@ def webm_writer(path: Path, fps: float) -> Iterator[Callable[[np.ndarray], None]
         ValueError: no frames, or frames of different sizes or types.
     """
     rate = Fraction(fps).limit_denominator(1001)
-    with atomic_path(path) as temporary, av.open(str(temporary), "w") as container:
+    with atomic_path(path) as temporary, av.open(str(temporary), "w", options=_SAME) as container:
         try:
             stream = container.add_stream("libvpx-vp9", rate=rate, options={"crf": str(_CRF), "b": "0", "cpu-used": "4"})
         except (ValueError, av.FFmpegError) as error:

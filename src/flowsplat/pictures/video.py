@@ -13,6 +13,7 @@ import av.audio
 import av.container
 import av.video
 import numpy as np
+from llvmlite.binding import get_host_cpu_features
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import atomic_path
@@ -91,8 +92,12 @@ def mp4_writer(
 
 
 def _video_stream(container: av.container.OutputContainer, rate: Fraction, crf: int) -> av.video.VideoStream:
+    options = {"crf": str(crf)}
+    if get_host_cpu_features().get("avx512f"):
+        # x264's code for AVX-512 reads what nobody has written: the same pictures then make other bits from process to process.
+        options["x264-params"] = "asm=avx2"
     try:
-        stream = container.add_stream("libx264", rate=rate, options={"crf": str(crf)})
+        stream = container.add_stream("libx264", rate=rate, options=options)
     except (ValueError, av.FFmpegError) as error:  # UnknownCodecError is a ValueError
         raise InputError("This PyAV cannot encode H.264. Install the one from PyPI: pip install --force av.") from error
     assert isinstance(stream, av.video.VideoStream)

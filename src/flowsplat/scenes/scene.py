@@ -25,7 +25,7 @@ from typing_extensions import NotRequired, TypedDict
 
 from flowsplat.common.errors import InputError, SplitError
 from flowsplat.common.files import check_json, make_folder, plain_name, read_json, write_json
-from flowsplat.common.files.json_file import Count, Number, Pixels, Positive, Text, Versioned
+from flowsplat.common.files.json_file import Count, Number, Pixels, Positive, SimilarityFile, Text, Versioned
 from flowsplat.common.progress import say_once
 from flowsplat.geometry import Camera, Similarity
 from flowsplat.scenes.layers import CameraFile, Depth, Flow, Layers, Tracks, read_image, write_image
@@ -74,7 +74,7 @@ class SceneFile(TypedDict):
     heldout: list[Count]
     notes: list[Text]
     priors: dict[str, dict[str, Any]]
-    similarity: dict[str, Any] | None
+    similarity: SimilarityFile | None
     audio: NotRequired[Text | None]
     audio_start: NotRequired[Number | None]
 

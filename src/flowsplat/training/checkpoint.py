@@ -16,7 +16,7 @@ from typing_extensions import NotRequired, TypedDict
 
 from flowsplat.common.errors import InputError, first_line
 from flowsplat.common.files import atomic_path, check_json, ordinary_file, plain_name, read_json, write_json
-from flowsplat.common.files.json_file import Count, Number, Text, Versioned
+from flowsplat.common.files.json_file import Count, Number, SimilarityFile, Text, Versioned
 from flowsplat.common.progress import say_once
 from flowsplat.common.settings import to_plain
 from flowsplat.gaussians.flow import FlowModel
@@ -79,7 +79,7 @@ class ModelFile(TypedDict):
     movers: NotRequired[dict[str, Count]]
     model: ModelConfig
     sh_degree: Annotated[int, Meta(ge=0, le=3)]
-    similarity: dict[str, Any]
+    similarity: SimilarityFile
     first: Number
     last: Number
     flow_model: FlowModel

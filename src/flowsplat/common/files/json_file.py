@@ -38,6 +38,14 @@ Row3 = tuple[Number, Number, Number]
 Row4 = tuple[Number, Number, Number, Number]
 
 
+class SimilarityFile(TypedDict):
+    """A scale, a rotation and a translation."""
+
+    scale: Positive
+    rotation: tuple[Row3, Row3, Row3]
+    translation: Row3
+
+
 class Versioned(TypedDict):
     """What is asked first of a file: a newer version may hold anything else."""
 

@@ -103,12 +103,12 @@ def read_flow(folder: Path, wanted: list[tuple[int, int]], scene: Scene) -> list
     most = most_bytes(scene)
     flows, pairs = read_npy(folder / "flows.npy", most), read_npy(folder / "ii-jj.npy", most)
     masks = read_npy(folder / "flows_masks.npy", most)
-    is_flow = flows.ndim == 4 and flows.shape[1] == 2 and flows.size > 0
+    is_flow = flows.ndim == 4 and flows.shape[1] == 2 and flows.size > 0 and pairs.dtype.kind in "iu"
     if not is_flow or pairs.shape != (2, len(flows)) or masks.shape != (len(flows), 1, *flows.shape[2:]):
         raise InputError(
             f"{folder} is not as MegaSaM writes it: flows {flows.shape}, ii-jj {pairs.shape}, flows_masks {masks.shape}."
         )
-    require_frames(folder, int(pairs.max(initial=-1)) + 1, scene, "pictures")
+    require_frames(folder, int(pairs.max()) + 1, scene, "pictures")
     height, width = flows.shape[2:]
     whole = slam_size(folder, 2 * width, 2 * height, scene)
     half = (-(-whole[0] // 2), -(-whole[1] // 2))
