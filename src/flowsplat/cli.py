@@ -5,7 +5,7 @@ import io
 import os
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -94,7 +94,8 @@ def _commands(arguments: Sequence[str]) -> dict[str, Any]:
         """
         from flowsplat import pipeline
 
-        pipeline.train(_open(out, train=train, device=device))
+        with _opened(out, train=train, device=device) as folder:
+            pipeline.train(folder)
         say(f"Trained: {out}/model. Next: flowsplat evaluate {out}")
 
     def evaluate(
@@ -111,7 +112,9 @@ def _commands(arguments: Sequence[str]) -> dict[str, Any]:
         """
         from flowsplat import pipeline
 
-        _print_figures(pipeline.evaluate_run(_open(out, baselines=baselines, refine_poses=refine_poses, device=device)), out)
+        with _opened(out, baselines=baselines, refine_poses=refine_poses, device=device) as folder:
+            metrics = pipeline.evaluate_run(folder)
+        _print_figures(metrics, out)
 
     def render(out: Run, render: RenderOptions = defaults.render, device: DeviceName = defaults.device) -> None:
         """Render videos of a trained run: the input path, an orbit, bullet time, or a camera file, beside those it has.
@@ -123,7 +126,8 @@ def _commands(arguments: Sequence[str]) -> dict[str, Any]:
         """
         from flowsplat import pipeline
 
-        pipeline.render_run(_open(out, device=device), render)
+        with _opened(out, device=device) as folder:
+            pipeline.render_run(folder, render)
         say(f"Videos: {out}/renders")
 
     def view(out: Run, options: Viewing = ViewOptions()) -> None:  # noqa: B008 (frozen)
@@ -447,17 +451,19 @@ def _stored_config(arguments: Sequence[str]) -> Any:
     return None
 
 
-def _open(out: Path, **changes: Any) -> Any:
-    """The run in a folder, with some of its settings changed from now on."""
+@contextlib.contextmanager
+def _opened(out: Path, **changes: Any) -> Iterator[Any]:
+    """The run in a folder, with some of its settings changed from now on, and nobody else's meanwhile."""
+    from flowsplat.common.files import lease
     from flowsplat.pipeline.config import check
     from flowsplat.pipeline.folder import RunFolder
 
-    folder = RunFolder(out)
-    config = replace(folder.config, **changes)
-    check(config)  # before it is kept
-    folder.config = config
-    folder.save()
-    return folder
+    check(replace(RunFolder(out).config, **changes))  # before anything is written there
+    with lease(out):
+        folder = RunFolder(out)  # another process may just have ended there
+        folder.config = replace(folder.config, **changes)
+        folder.save()
+        yield folder
 
 
 def _print_figures(metrics: dict[str, Any], out: Path) -> None:

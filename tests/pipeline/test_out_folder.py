@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from flowsplat.cli import main
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import lease
 from flowsplat.pipeline import prepare
@@ -25,6 +26,7 @@ from tests.pipeline.conftest import small_config
 
 COMMAND = [sys.executable, "-m", "flowsplat.cli"]
 SMALL = ["--priors", "true", "--train.iterations", "3000", "--render.paths", "input", "--render.width", "32"]
+HOLD = "import sys; from flowsplat.common.files import lease\nwith lease(sys.argv[1]): print(flush=True); sys.stdin.read()"
 
 
 def begun(scene: Path, out: Path, until: str, **more: object) -> subprocess.Popen:
@@ -135,3 +137,23 @@ def test_what_a_killed_run_left_half_written_goes(tiny_scene, tmp_path):
     half.write_bytes(b"half")
     prepare(tiny_scene, out, config)
     assert not half.exists()
+
+
+def test_commands_that_are_refused_change_nothing_of_a_run_that_another_process_has(tiny_scene, tmp_path, capsys):
+    out = tmp_path / "out"
+    prepare(tiny_scene, out, small_config())
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+    first = subprocess.Popen([sys.executable, "-c", HOLD, out], stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment)
+    try:
+        assert first.stdout is not None
+        first.stdout.readline()
+        before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file() and path.name != ".lock"}
+        for command in (["train", "--train.iterations", "7"], ["evaluate", "--baselines", "all"], ["render", "--device", "cpu"]):
+            with pytest.raises(SystemExit) as error:
+                main([command[0], str(out), *command[1:]])
+            assert error.value.code == 2
+            assert f"is being written by process {first.pid}" in capsys.readouterr().err.strip().splitlines()[-1]
+        assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file() and path.name != ".lock"} == before
+    finally:
+        first.kill()
+        first.communicate()

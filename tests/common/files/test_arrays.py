@@ -171,5 +171,5 @@ def test_encrypted_and_unknown_members_are_refused(tmp_path):
         data[offset] = value
         data[whole.rfind(b"PK\x01\x02") + offset + 2] = value
         path.write_bytes(data)
-        with pytest.raises(InputError, match="damaged or truncated|packed in a way"):
+        with pytest.raises(InputError, match=r"damaged or truncated|packed in a way"):
             read_npz(path)
