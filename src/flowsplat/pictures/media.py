@@ -38,7 +38,9 @@ def open_media(path: Path) -> InputContainer:
         if context.width * context.height > MOST_PIXELS:
             container.close()
             raise InputError(
-                f"{path} has {context.width:,} x {context.height:,} pixels, more than the {MOST_PIXELS / 1e6:g} million that are read."
+                f"{path} has {context.width:,} x {context.height:,} pixels, "
+                f"more than the {MOST_PIXELS / 1e6:g} million that are read."
             )
-        context.options = {**context.options, "max_pixels": str(MOST_PIXELS)}  # frames may have another size than they are said to
+        # Frames may have another size than they are said to have.
+        context.options = {**context.options, "max_pixels": str(MOST_PIXELS)}
     return container
