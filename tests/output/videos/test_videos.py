@@ -223,7 +223,7 @@ def test_a_folder_that_cannot_be_written_is_told(scene, tmp_path):
         ({"width": 4}, "wide"),
         ({"fps": 0.0}, "frames a second"),
         ({"fps": float("nan")}, "frames a second"),
-        ({"max_frames": 1}, "no motion"),
+        ({"max_frames": 1}, "give 2 to"),
         ({"orbit_angle": 120.0}, "angle"),
         ({"bullet_time": 3.0}, "outside the clip"),
         ({"camera_file": Path("/none/at/all.json")}, "does not exist"),
