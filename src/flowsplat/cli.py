@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from flowsplat import __version__
-from flowsplat.common.errors import InputError
+from flowsplat.common.errors import InputError, one_line
 from flowsplat.common.progress import console, say
 from flowsplat.common.stopping import Stopped, signals_stop
 
@@ -578,7 +578,7 @@ class _Deferred:
 
 
 def _fail(message: str) -> None:
-    say(f"Error: {message}")
+    say(f"Error: {one_line(message)}")
     sys.exit(2)
 
 

@@ -157,3 +157,23 @@ def test_commands_that_are_refused_change_nothing_of_a_run_that_another_process_
     finally:
         first.kill()
         first.communicate()
+
+
+@pytest.mark.parametrize("leads_to", ["/", "/dev/zero", "/etc/passwd", "nowhere"])
+def test_what_a_scene_of_others_links_to_does_not_come_along(tiny_scene, tmp_path, leads_to):
+    scene = Path(shutil.copytree(tiny_scene, tmp_path / "scene"))
+    (scene / "frames" / "more").symlink_to(leads_to)
+    with pytest.raises(InputError, match="is a link or no ordinary file"):
+        prepare(scene, tmp_path / "out", small_config())
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_scene_that_does_not_fit_on_the_disk_is_one_line(tiny_scene, tmp_path, monkeypatch):
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device", "x")
+
+    monkeypatch.setattr(os, "link", full)
+    monkeypatch.setattr(shutil, "copy2", full)
+    with pytest.raises(InputError, match=r"^The disk is full: cannot write .{1,200}$"):
+        prepare(tiny_scene, tmp_path / "out", small_config())
+    assert not (tmp_path / "out").exists()

@@ -141,7 +141,7 @@ def _from_transforms(content: Entry, entry: Entry, size: tuple[int, int]) -> tup
 
 
 def _centred_K(fov_y: float, width: int, height: int) -> np.ndarray:
-    if not fov_y < 180:
+    if not 1e-3 <= fov_y < 180:
         raise InputError(f"a field of view of {fov_y:g} degrees is none")
     focal = 0.5 * height / np.tan(np.radians(fov_y) / 2)
     return np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])

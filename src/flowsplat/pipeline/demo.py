@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import asdict, replace
 from pathlib import Path
 
 from flowsplat.common.errors import InputError
-from flowsplat.common.files import make_folder, read_json, write_json
+from flowsplat.common.files import make_folder, read_json, write_bytes, write_json
 from flowsplat.common.progress import console, say
 from flowsplat.output.report import NAME as REPORT
 from flowsplat.output.report import verdict
 from flowsplat.pipeline.config import RunConfig
-from flowsplat.pipeline.stages import prepare, render_run, train
+from flowsplat.pipeline.stages import link_files, prepare, render_run, train
 from flowsplat.pipeline.summary import figures_table, next_steps
 from flowsplat.scenes import Scene
 from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic, write_synthetic_video
@@ -62,8 +61,7 @@ def run_demo(out: Path, width: int = 320, frames: int = 40) -> None:
 
 def _lend_truth(truth: Scene, scene: Path) -> None:
     """Let the evaluation (and nothing else) of the run on the video see the truth of the clip and its held-out views."""
-    for name in ("truth", "views", "views.json"):
-        target = scene / name
-        if not target.exists():
-            target.unlink(missing_ok=True)  # where it pointed to is gone
-            target.symlink_to(os.path.relpath(truth.folder / name, scene))
+    for name in ("truth", "views"):
+        if not (scene / name).exists():
+            link_files(truth.folder / name, scene / name)
+    write_bytes(scene / "views.json", (truth.folder / "views.json").read_bytes())

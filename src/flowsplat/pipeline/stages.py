@@ -19,6 +19,7 @@ from flowsplat.common.errors import InputError
 from flowsplat.common.files import hash_files, lease, read_json, remove_partials, write_json
 from flowsplat.common.files.json_file import Number
 from flowsplat.common.files.lease import NAME as LOCK
+from flowsplat.common.files.writing import writing_error
 from flowsplat.common.progress import busy, say
 from flowsplat.common.settings import to_plain
 from flowsplat.evaluation.evaluate import evaluate
@@ -231,24 +232,42 @@ def copy_scene(source: Path, target: Path) -> Scene:
     """Link a prepared scene's files into another folder: every later write replaces a file, so the original stays as it is.
 
     Raises:
-        InputError: the folder cannot be written.
+        InputError: the folder cannot be written, or the scene holds links.
     """
     if not (target / "scene.json").exists():
-        partial = target.with_name(f".{target.name}.partial")
-        shutil.rmtree(partial, ignore_errors=True)
-
-        def link(origin: str, destination: str) -> None:
-            try:
-                os.link(origin, destination)
-            except OSError:
-                shutil.copy2(origin, destination)
-
-        try:
-            shutil.copytree(source, partial, copy_function=link)
-            partial.rename(target)
-        except OSError as error:
-            raise InputError(f"Cannot copy {source} to {target}: {error.strerror or error}.") from error
+        link_files(source, target)
     return Scene(target)
+
+
+def link_files(source: Path, target: Path) -> None:
+    """A folder with the same files as another one, linked where the file system can; it is there when all of them are.
+
+    Raises:
+        InputError: the folder cannot be written, or the other one holds links: what they lead to would come along.
+    """
+
+    def link(origin: str, destination: str) -> None:
+        try:
+            os.link(origin, destination)
+        except OSError:
+            try:
+                shutil.copy2(origin, destination)
+            except OSError as error:  # the first one says enough
+                raise writing_error(error, Path(destination)) from error
+
+    def refuse_links(folder: str, names: list[str]) -> list[str]:
+        for path in (Path(folder) / name for name in names):
+            if path.is_symlink() or not (path.is_file() or path.is_dir()):
+                raise InputError(f"{path} is a link or no ordinary file: a scene holds its files itself.")
+        return []
+
+    partial = target.with_name(f".{target.name}.partial")
+    shutil.rmtree(partial, ignore_errors=True)
+    try:
+        shutil.copytree(source, partial, copy_function=link, ignore=refuse_links)
+        partial.rename(target)
+    except OSError as error:
+        raise InputError(f"Cannot copy {source} to {target}: {error.strerror or error}.") from error
 
 
 def _say_estimate(scene: Scene, seconds: Range) -> None:

@@ -21,7 +21,9 @@ PICTURE_SUFFIXES = {".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp"}
 
 def natural_key(path: Path) -> list[tuple[int, str]]:
     """Sort key under which ``frame9`` comes before ``frame10``."""
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"([0-9]+)", path.name.casefold())]
+    parts = re.split(r"([0-9]+)", path.name.casefold())
+    # Numbers by their length and their digits: Python refuses to read very long ones.
+    return [(len(part.lstrip("0")), part.lstrip("0")) if k % 2 else (-1, part) for k, part in enumerate(parts)]
 
 
 def list_pictures(folder: Path) -> list[Path]:
