@@ -9,7 +9,7 @@ import pytest
 
 from flowsplat.pipeline import speed
 from flowsplat.pipeline.config import RunConfig
-from flowsplat.pipeline.speed import STAGES, Speed, cache_file, expected, in_words, self_test, stages_of
+from flowsplat.pipeline.speed import SHARE, STAGES, Speed, cache_file, expected, in_words, self_test, stages_of
 
 
 @pytest.fixture(autouse=True)
@@ -68,14 +68,20 @@ def test_a_folder_that_cannot_be_written_is_no_error(tested, tmp_path):
     assert Speed("cpu").estimate(REFERENCE)[0] > 0
 
 
+CONFIGS = {
+    "plain": RunConfig(final_fit=False), "static": RunConfig(baselines="all", final_fit=False), "final": RunConfig(),
+}  # fmt: skip
+
+
 def test_more_work_is_expected_to_take_longer():
     scene = SimpleNamespace(width=640, height=360, num_frames=50, train_frames=range(45), heldout_frames=range(5))
     larger = SimpleNamespace(**{**vars(scene), "width": 1280})
     small, large = (expected(each, RunConfig()) for each in (scene, larger))
     assert set(small) == set(STAGES)
     assert all(large[stage] > small[stage] for stage in STAGES)
-    everything = RunConfig(baselines="all", final_fit=False)
-    assert expected(scene, everything)["rest"] - small["rest"] == pytest.approx(0.1 * small["train"])
+    rest = {name: expected(scene, config)["rest"] for name, config in CONFIGS.items()}
+    assert rest["static"] - rest["plain"] == pytest.approx(0.25 * small["train"])
+    assert rest["final"] - rest["plain"] == pytest.approx(SHARE * small["train"])
 
 
 def test_the_test_itself():

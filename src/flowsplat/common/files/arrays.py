@@ -6,13 +6,15 @@ gigabytes, and no pickle is ever opened.
 
 from __future__ import annotations
 
+import bz2
 import io
 import math
 import os
 import zipfile
+import zlib
 from collections.abc import Collection
 from pathlib import Path
-from typing import IO
+from typing import IO, Protocol
 
 import numpy as np
 
@@ -23,8 +25,8 @@ MOST_BYTES = 96 * 2**20
 """Of the arrays that are read from one file, where the caller does not know better."""
 _KINDS = "biuf"
 """Truth values, whole numbers and floats: everything else needs pickle, or is not used by any format."""
-_PACKED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-"""What NumPy writes; of the others zipfile unpacks all that some bytes hold, however much that is."""
+_PACKED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2)
+"""How NumPy and rig scenes pack."""
 _MOST_MEMBERS = 4096
 _MOST_DIRECTORY = 2**20
 """Bytes of a zip's directory."""
@@ -98,12 +100,47 @@ def _read_members(path: Path, archive: zipfile.ZipFile, names: Collection[str] |
         if member.compress_type not in _PACKED:
             raise InputError(f"{path} is packed in a way that NumPy does not use: write it with numpy.savez.")
         with archive.open(member) as file:
-            arrays[name] = _read_array(f"{path}: {name}", file, member.file_size, most)
+            unpacked = _Bzip2(archive, member) if member.compress_type == zipfile.ZIP_BZIP2 else file
+            arrays[name] = _read_array(f"{path}: {name}", unpacked, member.file_size, most)
         most -= arrays[name].nbytes
     return arrays
 
 
-def _read_array(where: str, file: IO[bytes], size: int, most: int) -> np.ndarray:
+class _Readable(Protocol):
+    def read(self, count: int, /) -> bytes: ...
+
+
+class _Bzip2:
+    """A member that is packed by bzip2, unpacked as far as it is read: ``zipfile`` unpacks all that some bytes hold."""
+
+    def __init__(self, archive: zipfile.ZipFile, member: zipfile.ZipInfo):
+        """Begin where the member's bytes begin, behind the header in front of them."""
+        assert archive.fp is not None
+        self._file, self._member = archive.fp, member
+        self._unpacker, self._left, self._sum = bz2.BZ2Decompressor(), member.compress_size, 0
+        self._file.seek(member.header_offset + 26)
+        lengths = self._file.read(4)
+        self._at = member.header_offset + 30 + int.from_bytes(lengths[:2], "little") + int.from_bytes(lengths[2:], "little")
+
+    def read(self, count: int, /) -> bytes:
+        parts, missing = [], count
+        while missing and not self._unpacker.eof:
+            packed = b""
+            if self._unpacker.needs_input:
+                self._file.seek(self._at)
+                packed = self._file.read(min(2**16, self._left))
+                if not packed:
+                    break
+                self._at, self._left = self._at + len(packed), self._left - len(packed)
+            parts.append(self._unpacker.decompress(packed, missing))
+            self._sum = zlib.crc32(parts[-1], self._sum)
+            missing -= len(parts[-1])
+        if self._unpacker.eof and self._sum != self._member.CRC:
+            raise zipfile.BadZipFile("its checksum is wrong")
+        return b"".join(parts)
+
+
+def _read_array(where: str, file: _Readable, size: int, most: int) -> np.ndarray:
     """One array of ``size`` bytes with its header."""
     head = file.read(8)
     if head[:6] != _BOM:
