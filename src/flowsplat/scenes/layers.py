@@ -224,9 +224,10 @@ class Layers:
         """
         path = self._depth_path(i)
         arrays = self._arrays(path, ("depth", "confidence"))
-        if not ((arrays["depth"] > 0) & (arrays["depth"] <= FURTHEST)).all():
+        depth = arrays["depth"]
+        if not ((depth > 0) & (depth.astype(np.float64) <= FURTHEST)).all():
             raise InputError(f"{path} holds depths that are not finite and positive.")
-        return Depth(arrays["depth"].astype(np.float32), arrays["confidence"].astype(np.float32) / 255)
+        return Depth(depth.astype(np.float32), arrays["confidence"].astype(np.float32) / 255)
 
     def write_depth(self, i: int, depth: Depth) -> None:
         """Write the depth of frame ``i``."""

@@ -83,7 +83,8 @@ def read_tracks(path: Path, scene: Scene, size: tuple[int, int] | None) -> Given
     width, height = size or (scene.width, scene.height)
     if min(width, height) < 1:
         raise InputError(f"--given.tracks-size {width} {height}: give the width and height of pictures.")
-    pixels = (points.astype(np.float32) + np.float32(0.5)) * np.array([scene.width / width, scene.height / height], np.float32)
+    with np.errstate(all="ignore"):  # what is not finite is not seen
+        pixels = (points.astype(np.float32) + np.float32(0.5)) * np.array([scene.width / width, scene.height / height], np.float32)
     confidence = np.where(np.isfinite(pixels).all(-1) & np.isfinite(confidence), confidence, 0)
     pixels = np.nan_to_num(pixels)
     seen = confidence >= TRUSTED
