@@ -19,6 +19,7 @@ from flowsplat.common.errors import InputError
 from flowsplat.common.files import write_json
 from flowsplat.output.camera_files import read_camera_file, write_camera_file
 from flowsplat.output.export import ExportOptions, export_scene
+from flowsplat.output.report import write_report
 from flowsplat.output.tracks import read_queries
 from flowsplat.output.viewer.messages import Gate
 from flowsplat.pictures.sound import keep_sound
@@ -26,6 +27,8 @@ from flowsplat.pictures.video import mp4_writer
 from flowsplat.pipeline.config import RunConfig, check
 from flowsplat.pipeline.describe import describe
 from flowsplat.pipeline.folder import RunFolder
+from flowsplat.pipeline.stages import read_history, read_metrics
+from flowsplat.pipeline.summary import figures_table, report_data
 from flowsplat.priors.given import GivenPriors, use_given
 from flowsplat.priors.given.cameras import read_cameras
 from flowsplat.priors.given.depth import open_depth
@@ -105,8 +108,28 @@ def _run(folder: Path) -> None:
     save_movers(scene, SceneMovers([mover], np.array([0.0, -1.0, 0.0]), True))
     assert scene.similarity
     save_model(folder / "model", replace(small_model(resting=60, moving=30), first=0.0, last=float(scene.timestamps[-1])))
-    figures = {"psnr": 20.0, "ssim": 0.8}
-    write_json(folder / "metrics.json", {"heldout_frames": figures, "heldout_views": None, "training_frames": figures})
+    write_json(folder / "metrics.json", _figures(SPEC.frames))
+    history = [{"step": k, "psnr": 20.0 + k, "loss": 0.1 / k, "flow": 0.1} for k in (1, 2, 3)]
+    write_json(folder / "training" / "history.json", history)
+    video = {"key": "0" * 16, "fps": 24.0, "frames": 9, "files": ["input_path.mp4", "input_path_colour.mp4"]}
+    write_json(folder / "renders" / "renders.json", {"input_path": video, "orbit": {**video, "files": ["orbit.mp4"]}})
+
+
+def _figures(frames: int) -> dict[str, Any]:
+    """What an evaluation may write."""
+    part = {"psnr": 20.0, "ssim": 0.8, "lpips": None, "count": 2}
+    scores = {**part, "moving": part, "covisible": part}
+    error = {"mean": 0.5, "median": 0.2}
+    mover = {"depth": 2.5, "sigma": 0.1, "largest_step": 0.2, "cues": ["ground"], "small": False}
+    kinds = ("heldout_frames", "heldout_frames_refined", "heldout_views", "training_frames")
+    return {
+        **dict.fromkeys(kinds, scores), "baselines": {"copy": scores, "flow_interpolation": scores, "static": None},
+        "baselines_views": {"warp_by_depth": scores}, "lpips_reason": "not installed", "movers": [mover],
+        **{name: {**error, "moving": error} for name in ("flow_epe", "prior_flow_epe", "flow_prior_epe")},
+        "depth_abs_rel": {"all": error, "static": error, "moving": None},
+        "gaussians": {"total": 90, "active_mean": 80.5, "active": [80] * frames, "movers": {"1": 30}},
+        "seconds": {"ingest": 0.1, "train": 20.5}, "peak_memory_gib": 0.5, "measured": "model", "shown": "final",
+    }  # fmt: skip
 
 
 def _training(folder: Path) -> None:
@@ -243,6 +266,13 @@ def _read_run(folder: Path) -> None:
     list(describe(folder))
 
 
+def _read_report(folder: Path) -> None:
+    """As a run whose evaluation is finished shows its figures again."""
+    metrics, history = read_metrics(folder / "metrics.json"), read_history(folder / "training" / "history.json")
+    figures_table({"": metrics})
+    write_report(folder, report_data(folder, Scene(folder / "scene"), [], metrics, history, RunConfig()))
+
+
 def _read_model(folder: Path) -> None:
     model = load_model(folder / "model")
     scene = Scene(folder / "scene")
@@ -333,6 +363,7 @@ def _command(*arguments: str) -> Callable[[Path], None]:
 RUN_FILES = ("run.json", "metrics.json", "model/*", "scene/*.json", "scene/*.npz", "scene/*/*")
 READERS = (
     Reader("run.json, metrics.json", "run", ("run.json", "metrics.json"), _read_run),
+    Reader("report", "run", ("metrics.json", "training/history.json", "renders/renders.json"), _read_report),
     Reader("scene.json, views.json", "run", ("scene/scene.json", "scene/views.json"), _read_scene),
     Reader("cameras.json", "run", ("scene/cameras.json", "scene/truth/cameras.json"), _read_scene),
     Reader("objects", "run", ("scene/objects.*",), _read_scene),

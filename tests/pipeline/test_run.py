@@ -380,14 +380,34 @@ def test_runs_from_before_there_were_kinds_of_motion_keep_their_settings():
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("movers", [{"depth": 1}]), ("movers", 3), ("baselines", {"flow_interpolation": 2}), ("depth_abs_rel", {"moving": "much"})],
-)
+    [
+        ("movers", [{"depth": 1}]), ("movers", 3), ("baselines", {"flow_interpolation": 2}), ("depth_abs_rel", {"moving": "much"}),
+        ("seconds", {"train": "long"}), ("seconds", {"train": -1}), ("flow_epe", {"mean": [1]}), ("gaussians", {"active": 3}),
+    ],
+)  # fmt: skip
 def test_damaged_figures_are_refused_in_one_line(finished, tmp_path, name, value):
     shutil.copytree(finished, tmp_path / "out")
     path = tmp_path / "out" / "metrics.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), name: value}))
     with pytest.raises(InputError, match=f"{name}"):
         list(describe(tmp_path / "out"))
+
+
+@pytest.mark.parametrize("name", ["gaussians", "heldout_frames"])
+def test_figures_that_are_missing_are_named(finished, tmp_path, name):
+    shutil.copytree(finished, tmp_path / "out")
+    path = tmp_path / "out" / "metrics.json"
+    path.write_text(json.dumps({key: value for key, value in json.loads(path.read_text()).items() if key != name}))
+    with pytest.raises(InputError, match=f"metrics.json is damaged: it has no '{name}'"):
+        stages.evaluate_run(RunFolder(tmp_path / "out"))
+
+
+def test_a_history_without_steps_is_refused(tmp_path):
+    assert stages.read_history(tmp_path / "history.json") == []
+    for entries in ([{"psnr": 20.0}], [{"step": None}], [{"step": "1"}], {"step": 1}):
+        (tmp_path / "history.json").write_text(json.dumps(entries))
+        with pytest.raises(InputError, match=r"history\.json is damaged"):
+            stages.read_history(tmp_path / "history.json")
 
 
 def test_a_folder_of_a_newer_version_is_refused(finished, tmp_path):

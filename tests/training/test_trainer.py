@@ -259,3 +259,57 @@ def test_a_training_that_prunes_all_gaussians_says_so():
     start = a_few(config)
     with pytest.raises(InputError, match="No Gaussian is left at step 1"):
         Trainer(seen(start), None, replace(config, density=density), start=start).run()
+
+
+def edited(path, **changed):
+    """Write a checkpoint anew with other tensors."""
+    tensors, values = read_tensors(path)
+    write_tensors(path, {**tensors, **changed}, values)
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda t: {"neighbours.indices": torch.full_like(t["neighbours.indices"], 10**9)},
+        lambda t: {"neighbours.indices": torch.full_like(t["neighbours.indices"], -2)},
+        lambda t: {"neighbours.weights": t["neighbours.weights"][:, :1].clone()},
+        lambda t: {"adam.counts": t["adam.counts"][:-1].clone()},
+        lambda t: {"adam.counts": t["adam.counts"].double()},
+        lambda t: {"adam.mean.means": t["adam.mean.means"][:, :2].clone()},
+        lambda t: {"adam.square.means": torch.full_like(t["adam.square.means"], math.nan)},
+        lambda t: {"adam.mean.other": torch.zeros(1)},
+        lambda t: {"statistics.visits": t["statistics.visits"][:1].clone()},
+    ],
+)
+def test_a_checkpoint_with_what_kernels_would_read_or_write_beside_is_refused(tmp_path, spoil):
+    config = replace(tiny("default"), iterations=4, checkpoint_every=3)
+    start = a_few(config)
+
+    def trainer():
+        return Trainer(seen(start), None, config, tmp_path, start=start.select(torch.arange(len(start))))
+
+    trainer().run()
+    (path,) = tmp_path.glob("*.safetensors")
+    tensors, _ = read_tensors(path)
+    if "neighbours.indices" not in tensors:  # nothing here moves: neighbours as they would be
+        count = len(tensors["dynamic"])
+        tensors |= {"neighbours.indices": torch.zeros(count, 2, dtype=torch.int32), "neighbours.weights": torch.zeros(count, 2)}
+    edited(path, **{name: value for name, value in tensors.items() if name.startswith("neighbours.")})
+    trainer().run()  # that is one to go on from
+    edited(path, **spoil(tensors))
+    with pytest.raises(InputError, match=f"{path.name} is damaged: {next(iter(spoil(tensors)))}"):
+        trainer().run()
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("queue", [0, 10**6]), ("queue", ["a"]), ("step", -1), ("rng", {"state": 1}), ("history", 3)]
+)
+def test_a_checkpoint_with_other_values_than_it_can_have_is_refused(tmp_path, name, value):
+    config = replace(tiny("default"), iterations=4, checkpoint_every=3)
+    start = a_few(config)
+    Trainer(seen(start), None, config, tmp_path, start=start).run()
+    (path,) = tmp_path.glob("*.safetensors")
+    tensors, values = read_tensors(path)
+    write_tensors(path, tensors, {**values, name: value})
+    with pytest.raises(InputError, match=path.name):
+        Trainer(seen(start), None, config, tmp_path, start=start).run()

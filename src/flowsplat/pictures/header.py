@@ -25,6 +25,20 @@ def picture_pixels(data: bytes) -> tuple[int, int] | None:
     return None
 
 
+def can_hold(data: bytes, size: tuple[int, int]) -> bool:
+    """Whether the pixels of a PNG or JPEG may be in its bytes, however well they were compressed; others are not looked at.
+
+    A header that was damaged asks for memory that nothing will ever fill.
+    """
+    width, height = size
+    if data[:8] == b"\x89PNG\r\n\x1a\n" and len(data) > 25:
+        bits = data[24] * {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}.get(data[25], 1)
+        return height * (1 + width * bits // 8) <= 1100 * len(data)  # deflate makes 1032 bytes of one
+    if data[:2] == b"\xff\xd8":
+        return width * height <= 1000 * len(data)  # a block of 64 pixels takes a bit at least
+    return True
+
+
 def _png(data: bytes) -> tuple[int, int]:
     if data[12:16] != b"IHDR":
         raise ValueError("no header")

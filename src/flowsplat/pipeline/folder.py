@@ -23,8 +23,9 @@ import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+from msgspec import Meta
 from typing_extensions import NotRequired, TypedDict
 
 from flowsplat import __version__
@@ -38,12 +39,14 @@ from flowsplat.pipeline.config import RunConfig
 
 VERSION = 1
 
+Seconds = Annotated[float, Meta(ge=0, le=1e9)]
+
 
 class StageFile(TypedDict):
     """A finished stage in ``run.json``."""
 
     key: Text
-    seconds: dict[str, Number]
+    seconds: dict[str, Seconds]
     peak_memory_gib: NotRequired[Number | None]
 
 
@@ -57,13 +60,37 @@ class RunFile(TypedDict):
     stages: dict[str, StageFile]
 
 
-class Scores(TypedDict):
-    """The figures of some pictures in ``metrics.json``; more may stand there."""
+class AreaScores(TypedDict):
+    """The figures of a part of some pictures in ``metrics.json``; more may stand there."""
 
-    psnr: Number
-    ssim: Number
+    psnr: Number | None
+    ssim: Number | None
+    lpips: NotRequired[Number | None]
     count: NotRequired[Count | None]
+
+
+class Scores(AreaScores):
+    """The figures of some pictures, and of parts of them."""
+
+    moving: NotRequired[AreaScores | None]
+    covisible: NotRequired[AreaScores | None]
+
+
+class ErrorFile(TypedDict):
+    """Errors of flow or depth in ``metrics.json``."""
+
+    mean: Number | None
+    median: Number | None
     moving: NotRequired[dict[str, Number | None] | None]
+
+
+class GaussiansFile(TypedDict):
+    """How many Gaussians there are, in all and in every frame."""
+
+    total: Count
+    active_mean: Number
+    active: list[Count]
+    movers: NotRequired[dict[str, Count]]
 
 
 class MoverFile(TypedDict):
@@ -80,12 +107,22 @@ class MetricsFile(TypedDict, total=False):
     """What is shown of ``metrics.json``."""
 
     heldout_frames: Scores | None
+    heldout_frames_refined: Scores | None
     heldout_views: Scores | None
+    heldout_views_refined: Scores | None
     training_frames: Scores | None
     baselines: dict[str, Scores | None] | None
     baselines_views: dict[str, Scores | None] | None
-    depth_abs_rel: dict[str, dict[str, Number] | None] | None
+    flow_epe: ErrorFile | None
+    prior_flow_epe: ErrorFile | None
+    flow_prior_epe: ErrorFile | None
+    depth_abs_rel: dict[str, dict[str, Number | None] | None] | None
+    lpips_reason: Text | None
+    gaussians: GaussiansFile
     movers: list[MoverFile]
+    seconds: dict[str, Seconds]
+    peak_memory_gib: Number | None
+    shown: Text
 
 
 class RunFolder:

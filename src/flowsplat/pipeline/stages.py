@@ -16,7 +16,7 @@ import numpy as np
 
 from flowsplat.common.devices import pick_device
 from flowsplat.common.errors import InputError
-from flowsplat.common.files import hash_files, lease, read_json, remove_partials, write_json
+from flowsplat.common.files import hash_files, lease, read_json, remove_partials, require_keys, write_json
 from flowsplat.common.files.json_file import Number
 from flowsplat.common.files.lease import NAME as LOCK
 from flowsplat.common.files.writing import writing_error
@@ -475,7 +475,7 @@ def _evaluate(folder: RunFolder, result: _Result) -> dict[str, Any]:
     key = stage_key(_train_key(folder), folder.config.baselines, folder.config.refine_poses)
     metrics_path = folder.path / "metrics.json"
     if folder.is_finished("evaluate", key) and metrics_path.exists():
-        return read_json(metrics_path, MetricsFile)
+        return read_metrics(metrics_path)
     model, scene = result.model, result.scene
     static = _static_model(folder) if folder.config.baselines == "all" else None
     folder.start("evaluate", key)
@@ -501,12 +501,33 @@ def _write_metrics(folder: RunFolder, result: _Result, metrics: dict[str, Any], 
     metrics["measured"] = folder.model_path.name
     metrics["shown"] = (folder.final_path if has_model(folder.final_path) else folder.model_path).name
     write_json(folder.path / "metrics.json", metrics)
-    history_path = folder.path / "training" / "history.json"
-    entries = read_json(history_path, list[dict[str, Number | None]], _MOST_HISTORY) if history_path.exists() else []
-    history = present_figures(entries)
+    history = read_history(folder.path / "training" / "history.json")
     with busy("Writing report.html"):
         data = report_data(folder.path, result.scene, result.flows, metrics, history, folder.config)
         write_report(folder.path, data)
+
+
+def read_metrics(path: Path) -> dict[str, Any]:
+    """The figures of an evaluation, as it returned them.
+
+    Raises:
+        InputError: missing or damaged.
+    """
+    metrics: dict[str, Any] = read_json(path, MetricsFile)
+    require_keys(path, metrics, "heldout_frames", "gaussians")
+    return metrics
+
+
+def read_history(path: Path) -> list[dict[str, float]]:
+    """The figures of a training; none where there is no file.
+
+    Raises:
+        InputError: damaged.
+    """
+    entries = read_json(path, list[dict[str, Number | None]], _MOST_HISTORY) if path.exists() else []
+    if any(entry.get("step") is None for entry in entries):
+        raise InputError(f"{path} is damaged: it has figures of no step.")
+    return present_figures(entries)
 
 
 # -- render

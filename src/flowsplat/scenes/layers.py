@@ -29,7 +29,7 @@ from flowsplat.common.files import atomic_path, read_bytes, read_json, read_npz,
 from flowsplat.common.files.json_file import Pixels, Row3, Row4
 from flowsplat.geometry import Camera
 from flowsplat.geometry.cameras import FURTHEST
-from flowsplat.pictures.header import MOST_PIXELS, picture_pixels
+from flowsplat.pictures.header import MOST_PIXELS, can_hold, picture_pixels
 
 FLOW_UNIT = 64
 TRUSTED = 0.5
@@ -122,13 +122,16 @@ def write_image(path: Path, image: np.ndarray) -> None:
         temporary.write_bytes(encoded.tobytes())
 
 
-def decode_image(path: Path, flags: int) -> np.ndarray | None:
+def decode_image(path: Path, flags: int, expected: tuple[int, int] | None = None) -> np.ndarray | None:
     """A picture as OpenCV gives it (BGR) under ``cv2.IMREAD_*`` flags; None where it cannot be decoded.
+
+    Args:
+        expected: width and height that it must have, where they are known.
 
     The file is read here and not by OpenCV, which cannot open every file name on every system.
 
     Raises:
-        InputError: no ordinary file, or larger than a picture may be.
+        InputError: no ordinary file, larger than a picture may be, or of another size; all before it is decoded.
     """
     if not os.path.lexists(path):
         return None
@@ -136,8 +139,12 @@ def decode_image(path: Path, flags: int) -> np.ndarray | None:
     size = picture_pixels(data)
     if size is None or min(size) < 1:
         return None
+    if expected is not None and size != expected:
+        raise InputError(f"{path} has {size[0]:,} x {size[1]:,} pixels, expected {expected[0]:,} x {expected[1]:,}.")
     if size[0] * size[1] > MOST_PIXELS:
         raise InputError(f"{path} has {size[0]:,} x {size[1]:,} pixels, more than the {MOST_PIXELS / 1e6:g} million that are read.")
+    if not can_hold(data, size):
+        return None
     logging = cv2.utils.logging
     level = logging.setLogLevel(logging.LOG_LEVEL_SILENT)
     try:
@@ -149,15 +156,18 @@ def decode_image(path: Path, flags: int) -> np.ndarray | None:
         logging.setLogLevel(level)
 
 
-def read_image(path: Path) -> np.ndarray:
+def read_image(path: Path, expected: tuple[int, int] | None = None) -> np.ndarray:
     """Read a stored picture as uint8: RGB [H, W, 3] or grey [H, W].
 
+    Args:
+        expected: width and height that it must have, where they are known.
+
     Raises:
-        InputError: missing or damaged.
+        InputError: missing, damaged, or of another size.
     """
     if not Path(path).exists():
         raise InputError(f"{path} is missing from the scene.")
-    image = decode_image(path, cv2.IMREAD_UNCHANGED)
+    image = decode_image(path, cv2.IMREAD_UNCHANGED, expected)
     if image is None:
         raise InputError(f"{path} is damaged: it cannot be decoded as a picture.")
     return np.ascontiguousarray(image[..., ::-1]) if image.ndim == 3 else image
@@ -282,7 +292,7 @@ class Layers:
         Raises:
             InputError: missing, damaged or of the wrong size.
         """
-        mask = read_image(self._mask_path(i))
+        mask = read_image(self._mask_path(i), (self.width, self.height))
         if mask.shape != (self.height, self.width):
             raise InputError(f"{self._mask_path(i)} is {mask.shape[1::-1]} pixels, the frames {(self.width, self.height)}.")
         return mask

@@ -212,7 +212,7 @@ class Scene(Layers):
 
     def any_frame(self, i: int) -> np.ndarray:
         """RGB [H, W, 3] uint8 of any frame. For the camera stage only."""
-        image = read_image(self._frame_path(i))
+        image = read_image(self._frame_path(i), (self.width, self.height))
         if image.shape != (self.height, self.width, 3):
             raise InputError(f"{self._frame_path(i)} has shape {image.shape}, expected {(self.height, self.width, 3)}.")
         return image
@@ -346,9 +346,13 @@ class Scene(Layers):
 
     def view_image(self, view: HeldoutView) -> np.ndarray:
         """RGB [H, W, 3] uint8 of a held-out view. For the evaluation only."""
-        return read_image(self.folder / "views" / f"{view.name}.png")
+        path = self.folder / "views" / f"{view.name}.png"
+        image = read_image(path, (view.camera.width, view.camera.height))
+        if image.ndim != 3 or image.shape[2] != 3:
+            raise InputError(f"{path} is no picture in colour.")
+        return image
 
     def view_mask(self, view: HeldoutView, kind: str = "mask") -> np.ndarray | None:
         """[H, W] bool: movers (``mask``) or pixels that the clip saw (``covisible``); None where not given."""
         path = self.folder / "views" / f"{view.name}_{kind}.png"
-        return read_image(path) > 0 if path.exists() else None
+        return read_image(path, (view.camera.width, view.camera.height)) > 0 if path.exists() else None

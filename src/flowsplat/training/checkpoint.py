@@ -93,6 +93,21 @@ class LatestFile(TypedDict):
     file: Text
 
 
+class CheckpointFile(TypedDict):
+    """The plain values of a checkpoint."""
+
+    step: Count
+    sh_degree: Count
+    queue: list[Count]
+    rng: dict[str, Any]
+    neighbours_found: Count
+    recent: list[dict[str, float | None]]
+    averaged: Count
+    seconds: Number
+    history: list[dict[str, float | None]]
+    config: dict[str, Any]
+
+
 def stored_movers(tensors: Mapping[str, Tensor]) -> Tensor:
     """[N] uint8 whose the Gaussians of a model or a checkpoint are; 0 for all where it was written before they had numbers."""
     return tensors.get("movers", torch.zeros_like(tensors["dynamic"])).to(torch.uint8)
@@ -183,6 +198,38 @@ def check_model(path: Path, gaussians: Gaussians4D) -> None:
             raise InputError(f"{path} is damaged: {name} holds values that are not finite, or beyond {most:g}.")
     if gaussians.dynamic.shape != (count,) or gaussians.movers.shape != (count,):
         raise InputError(f"{path} is damaged: it does not tell for each Gaussian whether it moves, and of which mover it is.")
+
+
+def check_training_state(path: Path, tensors: Mapping[str, Tensor], gaussians: Gaussians4D) -> None:
+    """Refuse what a trainer keeps of its Gaussians and could not go on with: its kernels look at no index and no size.
+
+    Args:
+        tensors: of the checkpoint: ``adam.*``, ``average.*``, ``statistics.*`` and ``neighbours.*``.
+
+    Raises:
+        InputError: names the tensor.
+    """
+    count, params = len(gaussians), gaussians.params
+    for name, value in tensors.items():
+        kind, _, what = name.partition(".")
+        shape, dtype = tuple(value.shape), torch.float32
+        if kind == "average" or what.startswith(("mean.", "square.")):
+            of = params.get(what.rpartition(".")[2])
+            shape = (-1,) if of is None else tuple(of.shape)
+        elif kind == "adam":
+            shape, dtype = (count,), torch.int32
+        elif kind == "statistics":
+            shape = (count,)
+        elif kind == "neighbours":
+            shape = (count, *tensors["neighbours.indices"].shape[1:2])
+            dtype = torch.int32 if what == "indices" else torch.float32
+        else:
+            continue
+        if tuple(value.shape) != shape or value.dtype != dtype:
+            raise InputError(f"{path} is damaged: {name} is {value.dtype} {tuple(value.shape)}, expected {dtype} {shape}.")
+        fits = torch.isfinite(value) if what != "indices" else (value >= -1) & (value < count)
+        if not bool(fits.all()):
+            raise InputError(f"{path} is damaged: {name} holds values that cannot be.")
 
 
 def latest_checkpoint(folder: Path) -> Path:

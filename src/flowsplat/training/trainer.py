@@ -14,7 +14,7 @@ from torch import Tensor
 
 from flowsplat.common.devices import upload
 from flowsplat.common.errors import InputError
-from flowsplat.common.files import write_json
+from flowsplat.common.files import check_json, write_json
 from flowsplat.common.progress import busy, progress_bar, say
 from flowsplat.common.settings import present_names, to_plain
 from flowsplat.common.stopping import Stopped, stop_requests
@@ -30,7 +30,9 @@ from flowsplat.scenes import Tracks
 from flowsplat.training.adam import RowAdam
 from flowsplat.training.average import EVERY, TailAverage
 from flowsplat.training.checkpoint import (
+    CheckpointFile,
     check_model,
+    check_training_state,
     latest_checkpoint,
     present_figures,
     read_tensors,
@@ -464,13 +466,17 @@ class Trainer:
         if not path.exists():  # a damaged one, which was deleted
             return False
         tensors, values = read_tensors(path)
-        stored = present_names(TrainConfig, values.get("config", {}), "train.")
+        check_json(path, values, CheckpointFile)
+        stored = present_names(TrainConfig, values["config"], "train.")
         if affecting_result(stored) != affecting_result(to_plain(self.config)):
             raise InputError(f"{path} was written with other training settings. Use another output folder, or delete it.")
         try:
             self._restore(tensors, values)
             check_model(path, self.gaussians)
-        except (KeyError, ValueError, TypeError, RuntimeError) as error:
+            check_training_state(path, tensors, self.gaussians)
+            if any(k >= len(self.observations) for k in self._queue):
+                raise ValueError("it names frames that are not there")
+        except (KeyError, ValueError, TypeError, RuntimeError, AttributeError, ArithmeticError) as error:
             raise InputError(f"{path} is incomplete: {error}. Delete {path.parent} to train from the beginning.") from error
         say(f"Going on from step {self.step} of {self.config.iterations}.")
         return True

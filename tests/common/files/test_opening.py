@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import socket
+import tracemalloc
 from pathlib import Path
 
 import pytest
@@ -74,3 +75,25 @@ def test_text_is_utf_8_with_or_without_a_mark(tmp_path):
     path.write_bytes(b"sea\xf1or")
     with pytest.raises(InputError, match=r"no text in UTF-8 \(byte 3\)"):
         read_text(path)
+
+
+def test_a_small_file_takes_little_memory_however_large_it_might_be(tmp_path):
+    path = tmp_path / "small"
+    path.write_bytes(b"x" * 100)
+    tracemalloc.start()
+    try:
+        assert read_bytes(path, most=2**29) == b"x" * 100
+        assert tracemalloc.get_traced_memory()[1] < 2**20
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_file_that_grows_is_read_to_its_end_and_no_further(tmp_path, monkeypatch):
+    path = tmp_path / "log"
+    path.write_bytes(b"x" * 200_000)
+    told = os.stat(path)
+    monkeypatch.setattr(os, "fstat", lambda file: os.stat_result((*told[:6], 10, *told[7:])))
+    assert read_bytes(path) == b"x" * 200_000
+    monkeypatch.setattr("flowsplat.common.files.opening.ordinary_file", lambda *_: 10)
+    with pytest.raises(InputError, match="more than the 100,000 bytes"):
+        read_bytes(path, most=100_000)

@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from flowsplat.common.errors import InputError
+from flowsplat.common.files import write_json
 from flowsplat.geometry import Camera
 from flowsplat.geometry.paths import CameraPath, dolly_zoom, shifted
 from flowsplat.output.videos import RenderOptions, render_videos, rendered
@@ -274,3 +275,14 @@ def test_the_wiggle_swings_round_the_subject(run, tmp_path):
 def test_bad_options_are_told(run, tmp_path, options, says):
     with pytest.raises(InputError, match=says):
         render_videos(*run, tmp_path, RenderOptions(**options))
+
+
+@pytest.mark.parametrize(
+    "record", [3, [], {"orbit": 3}, {"orbit": {"files": ["orbit.mp4"]}}, {"orbit": [1]}, {"orbit": {"files": ["../../evil.mp4"]}}]
+)
+def test_a_damaged_record_of_videos_is_refused(tmp_path, record):
+    if isinstance(record, dict) and isinstance(record["orbit"], dict) and "evil" in record["orbit"]["files"][0]:
+        record["orbit"] |= {"key": "0", "fps": 24.0, "frames": 3}
+    write_json(tmp_path / "renders.json", record)
+    with pytest.raises(InputError, match=r"renders\.json"):
+        rendered(tmp_path)

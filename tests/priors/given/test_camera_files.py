@@ -263,3 +263,13 @@ def test_bad_files_are_refused_in_one_line(scene: Scene, tmp_path: Path, name: s
     with pytest.raises(InputError, match=message) as caught:
         read_cameras(make(tmp_path), scene, True)
     assert "\n" not in str(caught.value)
+
+
+def test_a_line_of_a_colmap_text_that_is_cut_off_is_no_picture(scene: Scene, tmp_path: Path):
+    colmap_text(tmp_path / "sparse")
+    images = tmp_path / "sparse" / "images.txt"
+    lines = images.read_text().splitlines()
+    lines[2] = "5 1.0 0.0 0.0 0.0 0.1 0.2 1 a.png"
+    images.write_text("\n".join(lines))
+    with pytest.raises(InputError, match=r"the pose of .* has .* numbers, not 7"):
+        read_cameras(tmp_path, scene, False)

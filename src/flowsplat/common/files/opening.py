@@ -47,7 +47,10 @@ def read_bytes(path: Path, most: int = MOST_TEXT) -> bytes:
     ordinary_file(path, most)
     try:
         with open(path, "rb") as file:
-            data = file.read(most + 1)  # it may have grown since
+            # Room for all that is asked for is made at once, so no more is asked for than is there.
+            data = file.read(min(os.fstat(file.fileno()).st_size, most) + 1)
+            while len(data) <= most and (more := file.read(2**16)):  # it has grown since
+                data += more
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}.") from error
     if len(data) > most:

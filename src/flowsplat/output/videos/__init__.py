@@ -12,8 +12,11 @@ import json
 from pathlib import Path
 from typing import Any
 
+from typing_extensions import TypedDict
+
 from flowsplat import __version__
-from flowsplat.common.files import read_json, write_json
+from flowsplat.common.files import plain_name, read_json, write_json
+from flowsplat.common.files.json_file import Count, Positive, Text
 from flowsplat.gaussians.renderer import PartedRenderer
 from flowsplat.output.videos.options import RenderOptions, factors_of
 from flowsplat.output.videos.plans import Plan, name_of, plan_videos, settle
@@ -23,6 +26,15 @@ from flowsplat.scenes import Scene
 __all__ = ["RenderOptions", "are_rendered", "forget_videos", "name_of", "render_videos", "rendered", "settle"]
 
 _RECORD = "renders.json"
+
+
+class RenderedFile(TypedDict):
+    """A video in ``renders.json``."""
+
+    key: Text
+    fps: Positive
+    frames: Count
+    files: list[Text]
 
 
 def render_videos(model: PartedRenderer, scene: Scene, folder: Path, options: RenderOptions) -> None:
@@ -72,7 +84,11 @@ def forget_videos(folder: Path) -> None:
 
 def _record(folder: Path) -> dict[str, Any]:
     path = Path(folder) / _RECORD
-    return read_json(path) if path.exists() else {}
+    record: dict[str, Any] = read_json(path, dict[Text, RenderedFile]) if path.exists() else {}
+    for entry in record.values():
+        for file in entry["files"]:
+            plain_name(file, f"{path}: the video")
+    return record
 
 
 def _key(plan: Plan, scales: Scales) -> str:

@@ -130,6 +130,8 @@ def _text_images(text: str) -> list[_Image]:
     for line in filter(None, _text_lines(text)[::2]):
         _, *pose, camera, name = line.split(maxsplit=9)
         values = tuple(map(float, pose))
+        if len(values) != 7:
+            raise ValueError(f"the pose of {name!r:.50} has {len(values)} numbers, not 7")
         images.append(_Image(name, int(camera), values[:4], values[4:]))
     return images
 
