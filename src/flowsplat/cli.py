@@ -15,7 +15,7 @@ import tyro
 from flowsplat import __version__
 from flowsplat.common.errors import InputError, one_line
 from flowsplat.common.progress import console, say
-from flowsplat.common.stopping import Stopped, signals_stop
+from flowsplat.common.stopping import Stopped, ignore_signals, signals_stop
 
 HOLDOUT_NOTE = "These figures are of frames that were kept back (--holdout); --holdout none trains on all of them."
 
@@ -505,6 +505,7 @@ def _one_line(box: str) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Entry point of the console script. Bad input ends with one line on stderr and exit code 2."""
+    whole_process = arguments is None
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     # tyro spells it None.
     for k, argument in enumerate(arguments):
@@ -544,6 +545,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print(_short(text, f"{prog} {arguments[0]}") if prog == "flowsplat" else text, end="")
         raise
     except KeyboardInterrupt as error:
+        if whole_process:  # a second Ctrl-C would be a traceback of whatever the interpreter is closing
+            ignore_signals()
         with contextlib.suppress(OSError):  # of a terminal that is closed
             say("Stopped. The same command continues from here.")
         sys.exit(128 + (error.signal if isinstance(error, Stopped) else 2))
@@ -552,7 +555,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except OSError as error:
         if error.filename is None:
             raise
-        _fail(f"{error.filename}: {error.strerror}.")
+        _fail(f"{os.fsdecode(error.filename) if isinstance(error.filename, bytes) else error.filename}: {error.strerror}.")
 
 
 class _Deferred:

@@ -42,7 +42,7 @@ def the_line(process: subprocess.Popen, code: int, words: str) -> str:
     """What a process says in the end, that it ends so, and soon."""
     _, told = process.communicate(timeout=120)
     assert process.returncode == code, told
-    assert "Traceback" not in told
+    assert "Traceback" not in told, told
     last = told.strip().splitlines()[-1]
     assert words in last, told
     return last
@@ -86,7 +86,7 @@ def test_a_folder_that_is_removed_ends_it_with_a_line(tiny_scene, tmp_path):
     process.send_signal(signal.SIGINT)
     _, told = process.communicate(timeout=120)
     assert process.returncode in (2, 130), told
-    assert "Traceback" not in told
+    assert "Traceback" not in told, told
 
 
 @pytest.mark.slow

@@ -74,3 +74,11 @@ def signals_stop() -> Iterator[None]:
 
     with _handled(stop, NAMES[1:]):
         yield
+
+
+def ignore_signals() -> None:
+    """From here on none of these signals interrupts this process, which is ending already."""
+    for name in NAMES:
+        number = getattr(signal, name, None)
+        if number is not None and threading.current_thread() is threading.main_thread():
+            signal.signal(number, signal.SIG_IGN)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -342,18 +343,9 @@ def _trained(
         first_step: how many steps those of ``begin`` have behind them.
         visits: how often each frame is drawn in a round; None = once.
     """
-    from torch.utils.tensorboard import SummaryWriter
-
     started, out, scene = time.perf_counter(), folder.path, Scene(folder.scene_path)
     with busy("Loading frames and priors"):
         tracks, observations = scene.tracks if scene.has_tracks else None, observe(scene)
-    writer = SummaryWriter(str(out / "logs" / where))
-
-    def record(entry: Mapping[str, float]) -> None:
-        for figure, value in entry.items():
-            if figure != "step":
-                writer.add_scalar(figure, value, int(entry["step"]))
-
     def preview(step: int, frame: Observation, rendered: RenderedFrame) -> None:
         image = rendered.colour.detach().clamp(0, 1).cpu().numpy()
         write_image(out / "preview.png", preview_sheet(frame.image, float_to_bytes(image)))
@@ -361,16 +353,39 @@ def _trained(
     start = None if begin is None else begin(observations, tracks, config)
     shown = preview if begin is None else None  # the picture of a run is that of its scene, not of what it is compared with
     device = pick_device(folder.config.device)
-    trainer = Trainer(observations, tracks, config, out / where, shown, record, start, device, first_step, visits)
-    try:
+    with _event_log(out / "logs" / where) as record:
+        trainer = Trainer(observations, tracks, config, out / where, shown, record, start, device, first_step, visits)
         model = scene_model(scene, trainer.run(), config)
-    finally:
-        writer.close()
     save_model(model_path, model)
     write_json(out / where / "history.json", trainer.history)
     folder.finish(stage, key, {stage: trainer.earlier_seconds + time.perf_counter() - started})
     _drop_checkpoints(out / where)
     return model
+
+
+@contextlib.contextmanager
+def _event_log(folder: Path) -> Iterator[Callable[[Mapping[str, float]], None]]:
+    """Takes what training records and writes it for TensorBoard.
+
+    Its thread raises what it could not write with the next figure, too: there it is a line, in the thread a traceback.
+    """
+    from torch.utils.tensorboard import SummaryWriter
+
+    def record(entry: Mapping[str, float]) -> None:
+        for figure, value in entry.items():
+            if figure != "step":
+                writer.add_scalar(figure, value, int(entry["step"]))
+
+    def of_thread(failure: threading.ExceptHookArgs) -> None:
+        if not issubclass(failure.exc_type, OSError):
+            before(failure)
+
+    before, threading.excepthook = threading.excepthook, of_thread
+    try:
+        with contextlib.closing(SummaryWriter(str(folder))) as writer:
+            yield record
+    finally:
+        threading.excepthook = before
 
 
 def _static_model(folder: RunFolder) -> SceneModel:
