@@ -274,7 +274,7 @@ def test_layers_that_do_not_fit(scene, write_picture):
     scene.write_flow(Flow(0, 1, np.zeros((*small.shape, 2)), small))
     scene.write_mask(0, small)
     for read in (lambda: scene.depth(0), lambda: scene.flow(0, 1), lambda: scene.mask(0)):
-        with pytest.raises(InputError, match=r"38 x 32"):
+        with pytest.raises(InputError, match=r"38, 32|32, 38|38 x 32"):
             read()
     write_picture(scene.folder / "frames" / "00000.png", np.zeros((HEIGHT, WIDTH - 2, 3), np.uint8))
     with pytest.raises(InputError, match="expected"):
