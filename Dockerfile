@@ -7,10 +7,12 @@ FROM python:3.11-slim
 # is taken, and CUDA's gigabytes with it.
 ARG TORCH_INDEX=
 WORKDIR /flowsplat
-COPY pyproject.toml constraints.txt README.md LICENSE ./
+COPY pyproject.toml constraints.txt requirements.view.lock README.md LICENSE ./
 COPY src src
-RUN pip install --no-cache-dir ${TORCH_INDEX:+--index-url "$TORCH_INDEX"} "$(grep '^torch==' constraints.txt)" \
-    && pip install --no-cache-dir -c constraints.txt '.[view]'
+# Everything has the hash that requirements.view.lock names for it, except for torch, of which the wanted build differs.
+RUN pip install --no-cache-dir --no-deps --require-hashes -r requirements.view.lock \
+    && pip install --no-cache-dir ${TORCH_INDEX:+--index-url "$TORCH_INDEX"} "$(grep '^torch==' constraints.txt)" \
+    && pip install --no-cache-dir --no-deps --no-build-isolation .
 # Kernels that were compiled, and how fast the machine is: mount a folder here to keep them.
 ENV NUMBA_CACHE_DIR=/cache/numba FLOWSPLAT_CACHE=/cache/flowsplat
 WORKDIR /data

@@ -7,7 +7,7 @@ BIN := .venv/bin
 help:
 	@echo "make demo   a short rendered clip through all stages: pictures, video and report in out/demo"
 	@echo "make test   lint, types, and all tests, the fast ones first"
-	@echo "make lock   requirements.lock anew, from pyproject.toml and constraints.txt (needs uv)"
+	@echo "make lock   requirements.lock and requirements.view.lock anew, from pyproject.toml and constraints.txt (needs uv)"
 	@echo "make clean  remove .venv and out"
 
 demo: .venv/.installed
@@ -34,9 +34,12 @@ NOT_LOCKED := torch cuda-bindings cuda-pathfinder cuda-toolkit nvidia-cublas nvi
 	nvidia-cudnn-cu13 nvidia-cufft nvidia-cufile nvidia-curand nvidia-cusolver nvidia-cusparse nvidia-cusparselt-cu13 \
 	nvidia-nccl-cu13 nvidia-nvjitlink nvidia-nvshmem-cu13 nvidia-nvtx
 
+COMPILE := uv pip compile --quiet --universal --generate-hashes --no-header --no-annotate --python-version 3.10 \
+	$(NOT_LOCKED:%=--no-emit-package %)
+
 lock:
-	printf 'hatchling\neditables\n' | uv pip compile --quiet --universal --generate-hashes --no-header --no-annotate --extra dev \
-		--python-version 3.10 -c constraints.txt $(NOT_LOCKED:%=--no-emit-package %) pyproject.toml - -o requirements.lock
+	printf 'hatchling\neditables\n' | $(COMPILE) --extra dev -c constraints.txt pyproject.toml - -o requirements.lock
+	echo hatchling | $(COMPILE) --extra view --no-emit-package triton -c requirements.lock pyproject.toml - -o requirements.view.lock
 
 clean:
 	rm -rf .venv out

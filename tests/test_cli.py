@@ -189,6 +189,8 @@ def test_options_that_do_not_exist(capsys, tmp_path):
     assert "preset" in refuse(capsys, "run", folder, "-o", tmp_path / "out", "--preset", "best")
     assert "--train.itrations" in refuse(capsys, "run", folder, "-o", tmp_path / "out", "--train.itrations", "3")
     assert "--start" in refuse(capsys, "run", folder, "-o", tmp_path / "out", "--start", "soon")
+    told = refuse(capsys, "render", folder, "--paths", "orbit")
+    assert told == "Error: Unrecognized options: --paths, orbit. Perhaps you meant --path or --render.paths."
     assert "holdout" in refuse(capsys, "run", folder, "-o", tmp_path / "out", "--holdout", "1")
     refuse(capsys, "rum", folder)
     assert not (tmp_path / "out").exists()

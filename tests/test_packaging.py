@@ -8,15 +8,37 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 
 
+def locked_in(name: str) -> dict[str, str]:
+    """The lines of a lock file, by the name and version that they begin with."""
+    lock = (ROOT / name).read_text().replace("\\\n", " ")
+    return {line.split()[0]: line for line in lock.splitlines() if line.strip()}
+
+
 def test_the_lock_has_every_pin_and_a_hash_for_each():
-    lock = (ROOT / "requirements.lock").read_text().replace("\\\n", " ")
-    locked = {line.split()[0]: line for line in lock.splitlines() if line.strip()}
+    locked = locked_in("requirements.lock")
     assert all("--hash=sha256:" in line for line in locked.values())
     pins = {line.split(";")[0].strip() for line in (ROOT / "constraints.txt").read_text().splitlines() if line and line[0] != "#"}
     assert {pin for pin in pins if pin not in locked} == {pin for pin in pins if pin.startswith("torch==")}
+
+
+def test_the_lock_of_those_who_only_use_it_names_the_same():
+    whole, part = (
+        {name: set(re.findall(r"sha256:\w+", line)) for name, line in locked_in(file).items()}
+        for file in ("requirements.lock", "requirements.view.lock")
+    )
+    assert {name: whole.get(name) for name in part} == part
+    assert all(part.values())
+    versions = {name.partition("==")[0] for name in part}
+    dependencies = (ROOT / "pyproject.toml").read_text().partition("\ndependencies = [")[2].partition("\n]")[0]
+    wanted = {*re.findall(r'"([\w-]+)>=', dependencies), "viser"}
+    assert wanted - versions == {"torch"}
+    assert not versions & {"pytest", "ruff", "mypy", "playwright"}
 
 
 def test_it_is_what_is_installed():
     makefile = (ROOT / "Makefile").read_text()
     assert "pip install --no-deps --require-hashes -r requirements.lock" in makefile
     assert re.search(r"pip install --no-deps --no-build-isolation -e \.", makefile)
+    image = (ROOT / "Dockerfile").read_text()
+    assert "--no-deps --require-hashes -r requirements.view.lock" in image
+    assert "--no-deps --no-build-isolation ." in image

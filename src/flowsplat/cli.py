@@ -492,15 +492,22 @@ def _short(text: str, command: str) -> str:
 
 
 def _one_line(box: str) -> str:
-    """The message in one of tyro's boxes, as one line."""
-    lines = [line.strip("│╭╮╰╯─ \n") for line in box.splitlines()]
-    text = []
-    for line in lines:
+    """The message in one of tyro's boxes, as one line: of what one may have meant the names only."""
+    text: list[str] = []
+    meant: list[str] | None = None
+    for line in (line.strip("│╭╮╰╯─ \n") for line in box.splitlines()):
         if line.startswith("For full helptext") or line == "Argument helptext:":
             break
-        if line:
+        if not line.strip("-"):  # a rule
+            continue
+        if line == "Perhaps you meant:":
+            meant = []
+        elif meant is None:
             text.append(line)
-    return " ".join(text[1:] if len(text) > 1 else text)
+        elif line.startswith("-"):
+            meant += [name for name in re.findall(r"--[\w.-]+", line)[:1] if name not in meant]
+    told = " ".join(text[1:] if len(text) > 1 else text)
+    return f"{told}. Perhaps you meant {' or '.join(meant)}." if meant else told
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from flowsplat.output.videos import RenderOptions
+from flowsplat.pipeline import run
 from flowsplat.pipeline.config import RunConfig
 from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic
 
@@ -31,3 +32,11 @@ def tiny_scene(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("tiny") / "scene"
     write_synthetic(folder, SPEC, holdout=10)
     return folder
+
+
+@pytest.fixture(scope="session")
+def finished(tiny_scene, tmp_path_factory) -> Path:
+    """The folder of a whole run of ``small_config``."""
+    out = tmp_path_factory.mktemp("finished") / "out"
+    run(tiny_scene, out, small_config())
+    return out

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import re
 import resource
 import shutil
 import signal
@@ -19,19 +21,21 @@ import pytest
 from flowsplat.cli import main
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import lease
-from flowsplat.pipeline import prepare
+from flowsplat.pipeline import prepare, run
 from flowsplat.pipeline.describe import describe
 from flowsplat.priors.given import GivenPriors
+from tests.mounts import needs_mounts, read_only, without_shared_memory
 from tests.pipeline.conftest import small_config
 
 COMMAND = [sys.executable, "-m", "flowsplat.cli"]
-SMALL = ["--priors", "true", "--train.iterations", "3000", "--render.paths", "input", "--render.width", "32"]
+SMALL = ["--priors", "true", "--render.paths", "input", "--render.width", "32"]
 HOLD = "import sys; from flowsplat.common.files import lease\nwith lease(sys.argv[1]): print(flush=True); sys.stdin.read()"
 
 
-def begun(scene: Path, out: Path, until: str, **more: object) -> subprocess.Popen:
+def begun(scene: Path, out: Path, until: str, iterations: int = 3000) -> subprocess.Popen:
     """A run in a process of its own that has written the file ``until``."""
-    process = subprocess.Popen([*COMMAND, "run", str(scene), "-o", str(out), *SMALL], stderr=subprocess.PIPE, text=True, **more)
+    command = [*COMMAND, "run", str(scene), "-o", str(out), *SMALL, "--train.iterations", str(iterations)]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 120
     while process.poll() is None and not (out / until).exists() and time.monotonic() < deadline:
         time.sleep(0.02)
@@ -51,7 +55,7 @@ def the_line(process: subprocess.Popen, code: int, words: str) -> str:
 @pytest.mark.slow
 def test_one_writes_and_others_read(tiny_scene, tmp_path):
     out = tmp_path / "out"
-    first = begun(tiny_scene, out, "training/latest.json")
+    first = begun(tiny_scene, out, "training/latest.json", iterations=100_000)  # others take seconds to be refused
     try:
         for command in (["run", str(tiny_scene), "-o"], ["prepare", str(tiny_scene), "-o"], ["train"], ["evaluate"], ["render"]):
             second = subprocess.Popen([*COMMAND, *command, str(out)], stderr=subprocess.PIPE, text=True)
@@ -94,9 +98,100 @@ def test_files_that_may_not_be_that_large_are_a_line(tiny_scene, tmp_path):
     def limited() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (3000, 3000))
 
-    command = [*COMMAND, "run", str(tiny_scene), "-o", str(tmp_path / "out"), *SMALL]
+    command = [*COMMAND, "run", str(tiny_scene), "-o", str(tmp_path / "out"), *SMALL, "--train.iterations", "3000"]
     the_line(subprocess.Popen(command, stderr=subprocess.PIPE, text=True, preexec_fn=limited), 2, "ulimit -f")
     assert not [path for path in tmp_path.rglob("*") if ".partial" in path.name]
+
+
+def contents(folder: Path) -> dict[Path, bytes]:
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@needs_mounts
+@pytest.mark.slow
+def test_a_folder_that_not_even_root_can_write_is_a_line(tiny_scene, finished, tmp_path):
+    """Where the file system is mounted to be read only: so stands much of what others give."""
+    (tmp_path / "empty").mkdir()
+    before = contents(finished)
+
+    def told(folder: Path, *command: str) -> subprocess.CompletedProcess[str]:
+        words = [*read_only(folder), *COMMAND, *command]
+        return subprocess.run(words, capture_output=True, text=True, timeout=120)
+
+    scene, out = str(tiny_scene), str(finished)
+    for folder, command in (
+        (tmp_path / "empty", ["run", scene, "-o", str(tmp_path / "empty")]),
+        (tmp_path / "empty", ["run", scene, "-o", str(tmp_path / "empty" / "new")]),
+        (tmp_path / "empty", ["demo", "-o", str(tmp_path / "empty" / "new")]),
+        (finished, ["run", scene, "-o", out, "--priors", "true"]),
+        (finished, ["train", out, "--train.iterations", "40"]),
+        (finished, ["evaluate", out]),
+        (finished, ["render", out, "--render.paths", "orbit"]),
+        (finished, ["export", out, "--to", "ply"]),
+        (finished, ["tracks", out, "--at", "9,9,0"]),
+    ):
+        ended = told(folder, *command)
+        assert ended.returncode == 2, (command, ended.stderr)
+        assert "Traceback" not in ended.stderr, ended.stderr
+        last = ended.stderr.strip().splitlines()[-1]
+        assert re.match(r"Error: (No permission to write|Cannot write) .+", last), (command, last)
+    assert list((tmp_path / "empty").iterdir()) == []
+    assert contents(finished) == before
+    shown = told(finished, "info", out)
+    assert (shown.returncode, shown.stderr) == (0, ""), shown.stderr
+    elsewhere = tmp_path / "model.ply"
+    assert told(finished, "export", out, "--to", "ply", "-o", str(elsewhere)).returncode == 0
+    assert elsewhere.exists()
+
+
+def refusal(work: Callable[[], object]) -> str | None:
+    """What work is refused with."""
+    try:
+        work()
+    except InputError as error:
+        return str(error)
+    return None
+
+
+@pytest.mark.slow
+def test_a_file_system_that_turns_read_only_is_a_line(tiny_scene, finished, tmp_path, monkeypatch):
+    """Linux does that with a disk that fails: after every third file of a run, until one is through. Each goes on later."""
+    replace_file, failed = os.replace, 0
+
+    def fails_after(count: int) -> Callable[[Path, Path], None]:
+        left = iter(range(count))
+
+        def replacing(source: Path, target: Path) -> None:
+            if next(left, None) is None:
+                raise OSError(errno.EROFS, "Read-only file system", str(source), None, str(target))
+            replace_file(source, target)
+
+        return replacing
+
+    for count in range(0, 1000, 3):
+        out = tmp_path / str(count)
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "replace", fails_after(count))
+            told = refusal(lambda out=out: run(tiny_scene, out, small_config()))
+        if told is None:
+            break
+        assert re.match(r"No permission to write .+", told)
+        failed += 1
+        assert not [path for path in out.rglob("*") if ".partial" in path.name or path.name == ".lock"]
+        run(tiny_scene, out, small_config())
+        for name in ("model/gaussians.safetensors", "final/gaussians.safetensors", "renders/input_path.mp4"):
+            assert (out / name).read_bytes() == (finished / name).read_bytes(), (count, name)
+    assert failed > 20
+
+
+@needs_mounts
+@pytest.mark.slow
+def test_a_run_needs_no_shared_memory(tiny_scene, finished, tmp_path):
+    command = [*without_shared_memory(), *COMMAND, "run", str(tiny_scene), "-o", str(tmp_path / "out"), "--priors", "true"]
+    settings = ["--train.iterations", "5", "--render.paths", "input", "--render.width", "32"]
+    ended = subprocess.run([*command, *settings], stderr=subprocess.PIPE, text=True, timeout=240)
+    assert ended.returncode == 0, ended.stderr
+    assert (tmp_path / "out" / "report.html").exists()
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="whoever is root may write everywhere")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import multiprocessing.synchronize
 import os
 import subprocess
 import sys
@@ -14,6 +16,7 @@ from flowsplat.common.errors import InputError
 from flowsplat.protocols.process import in_own_process
 from flowsplat.protocols.resume import Job, measure_jobs, results_in
 from flowsplat.protocols.roots import open_root, require_scenes
+from tests.mounts import needs_mounts, without_shared_memory
 
 
 @pytest.fixture
@@ -91,6 +94,24 @@ def test_a_process_of_its_own():
 def test_a_process_that_is_killed_is_told():
     with pytest.raises(InputError, match="killed"):
         in_own_process(os._exit, 9)
+
+
+def test_a_system_without_semaphores_is_a_line(monkeypatch):
+    def none_there(*_: object, **__: object) -> None:
+        raise FileNotFoundError(errno.ENOENT, "No such file or directory")  # as without /dev/shm
+
+    monkeypatch.setattr(multiprocessing.synchronize.SemLock, "__init__", none_there)
+    with pytest.raises(InputError, match=r"^No processes of their own .*No such file or directory.*: is there a /dev/shm"):
+        in_own_process(os.getpid)
+
+
+@needs_mounts
+def test_without_shared_memory_a_benchmark_is_a_line(tmp_path):
+    command = [sys.executable, "-m", "flowsplat.cli", "benchmark", "movers", "--worlds", "1", "-o", str(tmp_path / "out")]
+    ended = subprocess.run([*without_shared_memory(), *command], stderr=subprocess.PIPE, text=True, timeout=120)
+    assert ended.returncode == 2, ended.stderr
+    assert "Traceback" not in ended.stderr
+    assert "No processes of their own" in ended.stderr.strip().splitlines()[-1]
 
 
 def test_a_process_ends_with_the_one_that_asked():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -59,6 +61,17 @@ def test_a_training_can_be_watched(tmp_path, monkeypatch):
     assert source.loaded.state == "trained"
     expected = load_model(tmp_path / "out" / "model").render(camera, 0.5).colour
     np.testing.assert_array_equal(source.loaded.part("all").render(camera, 0.5).colour, expected)
+
+
+def test_the_clock_does_not_tell_what_is_newer(tmp_path):
+    """It was set back by a year after the last checkpoint."""
+    folder = tiny_run(tmp_path / "out")
+    (folder / "training").mkdir()
+    (folder / "training" / "latest.json").write_text("{}")
+    year_ago = time.time() - 365 * 86_400
+    for path in (folder / "model").iterdir():
+        os.utime(path, (year_ago, year_ago))
+    assert Source(folder).loaded.state == "trained"
 
 
 def test_a_model_that_is_being_replaced_is_left_for_later(tmp_path):

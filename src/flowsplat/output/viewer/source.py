@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -87,21 +88,19 @@ class Source:
         return replace(model.to(self._device), graphs=True)
 
     def _find(self) -> tuple[tuple[str, int], Callable[[], tuple[SceneModel, str]]] | None:
-        """The newest state: what tells it from others, and how to read it."""
+        """The newest state: what tells it from others, and how to read it.
+
+        A training that begins removes the model that was there, so a model is never older than a checkpoint beside it; the clock
+        may have been set between the two.
+        """
         trained = self.folder / ("final" if has_model(self.folder / "final") else "model")
-        choices: list[tuple[int, str, Callable[[], tuple[SceneModel, str]]]] = []
         for path, read in (
-            (self.folder / "training" / "latest.json", self._read_checkpoint),
             (trained / "model.json", lambda: (load_model(trained), "trained")),
+            (self.folder / "training" / "latest.json", self._read_checkpoint),
         ):
-            try:
-                choices.append((path.stat().st_mtime_ns, str(path), read))
-            except OSError:
-                continue
-        if not choices:
-            return None
-        written, name, read = max(choices, key=lambda choice: choice[0])
-        return (name, written), read
+            with contextlib.suppress(OSError):
+                return (str(path), path.stat().st_mtime_ns), read
+        return None
 
     def _read_checkpoint(self) -> tuple[SceneModel, str]:
         (first, last), focal = self.clip, float(self.scene.cameras[self.scene.train_frames[0]].K[0, 0])

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Mapping
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import as_completed
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +20,7 @@ from flowsplat.pictures.html import table
 from flowsplat.protocols.movers.measure import measure_scene
 from flowsplat.protocols.movers.preparation import VARIANTS, place_movers, prepare_world
 from flowsplat.protocols.movers.tables import DEFINITIONS, tables
-from flowsplat.protocols.process import end_with_parent
+from flowsplat.protocols.process import end_with_parent, own_processes
 from flowsplat.protocols.tables import made_by, markdown
 from flowsplat.scenes import Scene
 from flowsplat.scenes.synthetic.worlds import read_movers
@@ -65,24 +63,16 @@ def run_movers_benchmark(
     if len(open_seeds) < worlds:
         say(f"{worlds - len(open_seeds)} of {worlds} worlds were measured already.")
     failed: dict[int, str] = {}
-    context = multiprocessing.get_context("spawn")
-    count = min(processes, worlds)
-    with ProcessPoolExecutor(count, context, _start) as pool, progress_bar("Random worlds", len(open_seeds)) as bar:
+    with own_processes(min(processes, worlds), _start) as pool, progress_bar("Random worlds", len(open_seeds)) as bar:
         jobs = {pool.submit(measure_world, each, out / str(each), size, frames, again): each for each in open_seeds}
-        try:
-            for job in as_completed(jobs):
-                try:
-                    job.result()
-                except InputError as error:
-                    failed[jobs[job]] = str(error)
-                    say(f"World {jobs[job]} could not be measured: {error}")
-                bar.advance(note=f"world {jobs[job]}")
-                write_report(out, seeds, failed)
-        except BrokenProcessPool as error:
-            raise InputError("a process was killed, most likely because memory ran out: the same command continues.") from error
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+        for job in as_completed(jobs):
+            try:
+                job.result()
+            except InputError as error:
+                failed[jobs[job]] = str(error)
+                say(f"World {jobs[job]} could not be measured: {error}")
+            bar.advance(note=f"world {jobs[job]}")
+            write_report(out, seeds, failed)
     page = write_report(out, seeds, failed)
     say(f"Look at {page}")
     if failed:
