@@ -27,6 +27,16 @@ def whole(tiny_scene, tmp_path_factory) -> Path:
     return out
 
 
+@pytest.fixture(autouse=True)
+def signals_as_usual():
+    """Also where these tests run under ``nohup`` or in the background of a shell, where some are ignored."""
+    usual = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL, signal.SIGHUP: signal.SIG_DFL}
+    before = {number: signal.signal(number, handler) for number, handler in usual.items()}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
 def test_a_signal_keeps_what_was_done(tiny_scene, whole, tmp_path, monkeypatch, capsys, name):
     out, number, iterate = tmp_path / "out", getattr(signal, name), Trainer._iterate

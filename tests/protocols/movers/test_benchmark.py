@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+from concurrent.futures import Future
+from contextlib import nullcontext
 
 import pytest
 
@@ -82,23 +84,12 @@ def test_a_world_that_cannot_be_measured_is_told(tmp_path, monkeypatch):
     class Pool:
         """In place of processes, which would not see what is patched."""
 
-        def __init__(self, *_):
-            pass
-
-        def __enter__(self):
-            return self
-
-        def __exit__(self, *_):
-            pass
-
         def submit(self, function, seed, *_):
-            from concurrent.futures import Future
-
             job: Future = Future()
             job.set_exception(InputError(f"torn {seed}.")) if seed == 1 else job.set_result(None)
             return job
 
-    monkeypatch.setattr(benchmark, "ProcessPoolExecutor", Pool)
+    monkeypatch.setattr(benchmark, "own_processes", lambda *_: nullcontext(Pool()))
     with pytest.raises(InputError, match="1 of 2 worlds could not be measured, first 1: torn 1"):
         run_movers_benchmark(tmp_path, 2, 0)
     assert "World 1 could not be measured: torn 1." in (tmp_path / "movers.md").read_text()
