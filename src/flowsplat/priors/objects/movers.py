@@ -14,6 +14,7 @@ from flowsplat.priors.objects.contact import Bound, upright_ratio
 from flowsplat.priors.objects.distance import Cue, combine
 from flowsplat.priors.objects.path import Law, WorldPath, bounce_frames, constant_height, pivot
 from flowsplat.priors.objects.relief import DEEPEST, ReliefPoints, place_points, relief, roundness
+from flowsplat.priors.objects.rematch import MoverPictures, rematched
 from flowsplat.priors.objects.rigid import Observations, RigidMotion, longest, solve_rigid
 
 FEWEST_TRACKS, FEWEST_FRAMES = 16, 10
@@ -284,7 +285,7 @@ def bounce_cue(bounds: np.ndarray) -> Cue | None:
 def solve_mover(
     number: int, positions: np.ndarray, inside: np.ndarray, middles: np.ndarray, bounds: Sequence[Bound | None],
     cameras: Sequence[Camera], ground: Ground | None, log_cards: np.ndarray, normal: np.ndarray,
-    front: Callable[[int], np.ndarray],
+    front: Callable[[int], np.ndarray], pictures: MoverPictures | None = None,
 ) -> Mover:  # fmt: skip
     """One mover.
 
@@ -297,6 +298,7 @@ def solve_mover(
             believed.
         normal: [3] up.
         front: gives the ``roundness`` [H, W] of its mask in training frame k.
+        pictures: to match its points anew in; None: tracks are all there is.
     """
     K = cameras[0].K
     seen = np.isfinite(log_cards) & np.isfinite(middles).all(1)
@@ -304,9 +306,17 @@ def solve_mover(
     visible = np.array([bound is not None and bound.visible for bound in bounds])
     motion, motions = rigid_motions(positions, inside, K)
     course = np.where(seen, log_cards - np.mean(log_cards[seen]), np.nan)
-    points, cues, path = ReliefPoints.none(), {}, None
+    points, cues, path, bends = ReliefPoints.none(), {}, None, True
 
     placed = None if motion is None else course_of(motion, positions, inside, K, middles, cameras, normal)
+    again = rematched(motion, positions, inside, pictures) if motion is not None and pictures is not None else None
+    if placed is not None and again is not None:
+        motion, matched, counts = again
+        surer = course_of(
+            motion, np.concatenate([matched, positions]), np.concatenate([counts, inside]), K, middles, cameras, normal
+        )
+        # Points that were chosen because they match say nothing of how much of it bends.
+        placed = None if surer is None else (surer[0], surer[1], placed[2])
     if placed is not None and float(np.nanstd(placed[0] - course)) > CONTRADICTED:
         by_growth, by_motion = (unevenness(on_ground - each, visible, int(seen.sum())) for each in (course, placed[0]))
         if by_growth <= FLAT < by_motion:
@@ -319,8 +329,10 @@ def solve_mover(
             cues = accepted_laws(path, ground.normal if ground else None)[0]
         except np.linalg.LinAlgError:
             cues, path = {}, None  # Poses that the tracks hardly tell have no covariance: then no law does either.
-        if share < RIGID_SHARE:
-            points = ReliefPoints.none()  # Of what bends, limbs are placed wrongly.
+        bends = share < RIGID_SHARE
+        if bends:
+            # Limbs of it are placed wrongly; but what matches over many frames is none.
+            points = place_points(motion, motion.observations, K)[0] if again is not None else ReliefPoints.none()
     else:
         # A motion that explains only part of what bends may still tell its course: if by it the feet keep to the ground.
         motion = None
@@ -381,7 +393,7 @@ def solve_mover(
     moved = replace(points, log_depth=points.log_depth + distance.log_scale)
     expected = DEEPEST * motion.size if motion is not None else 0.0
     return Mover(
-        number, course + distance.log_scale, middles, distance.sigma, len(points.frame_of) > 0, cues, moved, expected
+        number, course + distance.log_scale, middles, distance.sigma, not bends, cues, moved, expected
     )  # fmt: skip
 
 

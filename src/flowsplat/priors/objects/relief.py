@@ -56,10 +56,7 @@ def place_points(motion: RigidMotion, observations: Observations, K: np.ndarray)
         The points, and the share of all observations that lie where the motion puts them: limbs that move on their own do not.
     """
     o = observations
-    points, covariances = _place(
-        motion.turns, motion.shifts, motion.used, o.first, o.frame_of, o.x, o.focal, RESIDUAL_WIDTH,
-        (NOISE_FACTOR * motion.noise / (DEEPEST * motion.size)) ** 2, _ITERATIONS,
-    )  # fmt: skip
+    points, covariances = _placed(motion, o)
     n, t = o.point_of, o.frame_of
     y = np.einsum("mij,mj->mi", motion.turns[t], points[n]) + motion.shifts[t]
     depth = np.maximum(y[:, 2], NEAREST)
@@ -71,6 +68,22 @@ def place_points(motion: RigidMotion, observations: Observations, K: np.ndarray)
     pixels = o.x * [K[0, 0], K[1, 1]] + K[:2, 2]
     share = float((off[motion.used[t]] < INLIER).mean()) if motion.used[t].any() else 0.0
     return ReliefPoints(t[good], pixels[good], np.log(depth[good]), np.maximum(sigma[good], 1e-4)), share
+
+
+def rough_points(motion: RigidMotion, observations: Observations) -> np.ndarray:
+    """[N, 3] of all points in the object's frame, with its poses held; NaN of those that no frame with a pose saw."""
+    points, covariances = _placed(motion, observations)
+    points[~np.isfinite(covariances).all((1, 2))] = np.nan
+    return points
+
+
+def _placed(motion: RigidMotion, o: Observations) -> tuple[np.ndarray, np.ndarray]:
+    """Of ``_place``."""
+    placed: tuple[np.ndarray, np.ndarray] = _place(
+        motion.turns, motion.shifts, motion.used, o.first, o.frame_of, o.x, o.focal, RESIDUAL_WIDTH,
+        (NOISE_FACTOR * motion.noise / (DEEPEST * motion.size)) ** 2, _ITERATIONS,
+    )  # fmt: skip
+    return placed
 
 
 def roundness(mask: np.ndarray, focal: float) -> np.ndarray:
@@ -109,7 +122,7 @@ def relief(
 
     Args:
         mask: bool [H, W] of the mover.
-        picture: RGB [H, W, 3] uint8.
+        picture: uint8, RGB [H, W, 3] or grey [H, W].
         pixels: [N, 2] where offsets [N] with standard deviation sigma [N] are known.
         expected: standard deviation of the relief.
     """

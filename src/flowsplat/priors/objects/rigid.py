@@ -176,6 +176,14 @@ def solve_rigid(observations: Observations) -> RigidMotion | None:
     return other if other.cost < plain.cost else plain
 
 
+def refine_rigid(motion: RigidMotion, observations: Observations, points: np.ndarray) -> RigidMotion:
+    """A motion that is known roughly, from other observations of the same object and their rough points [N, 3]."""
+    solver = _Solver(observations)
+    solver.resume(motion, points)
+    solver.adjust(_FINAL_ITERATIONS, 1e-4)
+    return solver.result()
+
+
 class _Solver:
     def __init__(self, observations: Observations):
         self._o = o = observations
@@ -185,6 +193,16 @@ class _Solver:
         self._size, self._cost, self._reference = 0.1, np.inf, 0
         self._point_of = o.point_of
         self._rows = [np.flatnonzero(o.frame_of == t) for t in range(o.frames)]
+
+    def resume(self, motion: RigidMotion, points: np.ndarray) -> None:
+        """The poses of a motion that was found before, in the frames that still see enough points."""
+        o = self._o
+        self._known = np.isfinite(points).all(1)
+        counts = np.bincount(o.frame_of[self._known[self._point_of]], minlength=o.frames)
+        self._used = motion.used & (counts >= FEWEST_SHARED)
+        self._turns, self._shifts = motion.turns.copy(), motion.shifts.copy()
+        self._points = np.where(self._known[:, None], points, 0)
+        self._size, self._reference = motion.size, int(counts.argmax())
 
     def begin(self) -> bool:
         """A flat card in the frame with the most long tracks; False where no frame sees enough of them."""
