@@ -1,4 +1,4 @@
-"""Points of a ball with a texture that turns and comes nearer, of which everything is known, matched anew from tracks that drift."""
+"""Points of a ball that turns and comes nearer, of which everything is known, matched anew from tracks that drift."""
 
 from __future__ import annotations
 

@@ -311,12 +311,13 @@ def solve_mover(
     placed = None if motion is None else course_of(motion, positions, inside, K, middles, cameras, normal)
     again = rematched(motion, positions, inside, pictures) if motion is not None and pictures is not None else None
     if placed is not None and again is not None:
-        motion, matched, counts = again
-        surer = course_of(
-            motion, np.concatenate([matched, positions]), np.concatenate([counts, inside]), K, middles, cameras, normal
-        )
-        # Points that were chosen because they match say nothing of how much of it bends.
-        placed = None if surer is None else (surer[0], surer[1], placed[2])
+        refined, matched, counts = again
+        every, used = np.concatenate([matched, positions]), np.concatenate([counts, inside])
+        surer = course_of(refined, every, used, K, middles, cameras, normal)
+        # Two solutions that differ by more than two halves of the tracks may are not of one body.
+        if surer is not None and float(np.std((surer[0] - placed[0])[seen])) <= SPLIT_HALF:
+            # Points that were chosen because they match say nothing of how much of it bends.
+            motion, placed = refined, (surer[0], surer[1], placed[2])
     if placed is not None and float(np.nanstd(placed[0] - course)) > CONTRADICTED:
         by_growth, by_motion = (unevenness(on_ground - each, visible, int(seen.sum())) for each in (course, placed[0]))
         if by_growth <= FLAT < by_motion:
@@ -331,8 +332,7 @@ def solve_mover(
             cues, path = {}, None  # Poses that the tracks hardly tell have no covariance: then no law does either.
         bends = share < RIGID_SHARE
         if bends:
-            # Limbs of it are placed wrongly; but what matches over many frames is none.
-            points = place_points(motion, motion.observations, K)[0] if again is not None else ReliefPoints.none()
+            points = ReliefPoints.none()  # Limbs of it are placed wrongly.
     else:
         # A motion that explains only part of what bends may still tell its course: if by it the feet keep to the ground.
         motion = None
