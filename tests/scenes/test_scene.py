@@ -97,6 +97,14 @@ def test_split_is_law(scene, picture):
     assert not scene.has_mask(9)
 
 
+def test_flow_that_is_not_stored_as_flow_is_refused(scene):
+    scene.write_flow(Flow(0, 1, np.zeros((HEIGHT, WIDTH, 2), np.float32), ONES))
+    path = scene.folder / "flow" / "00000_00001.npz"
+    np.savez(path, **{**np.load(path), "flow": np.full((HEIGHT, WIDTH, 2), np.nan, np.float32)})
+    with pytest.raises(InputError, match="int16"):
+        scene.flow(0, 1)
+
+
 # -- round trips
 
 

@@ -313,3 +313,18 @@ def test_a_checkpoint_with_other_values_than_it_can_have_is_refused(tmp_path, na
     write_tensors(path, tensors, {**values, name: value})
     with pytest.raises(InputError, match=path.name):
         Trainer(seen(start), None, config, tmp_path, start=start).run()
+
+
+def test_a_checkpoint_whose_history_lacks_a_figure_goes_on(tmp_path):
+    config = replace(tiny("default"), iterations=4, checkpoint_every=3)
+    start = a_few(config)
+    Trainer(seen(start), None, config, tmp_path, start=start).run()
+    (path,) = tmp_path.glob("*.safetensors")
+    tensors, values = read_tensors(path)
+    assert len(values["recent"]) == 3
+    for entry in values["recent"]:
+        del entry["depth"]
+    write_tensors(path, tensors, values)
+    again = Trainer(seen(start), None, config, tmp_path, start=start)
+    again.run()
+    assert math.isfinite(again.history[-1]["depth"])

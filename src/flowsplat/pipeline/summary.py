@@ -12,6 +12,7 @@ import numpy as np
 from rich.table import Table
 
 from flowsplat.common.durations import duration
+from flowsplat.common.errors import InputError
 from flowsplat.common.settings import flat, to_plain
 from flowsplat.evaluation.scores import pick
 from flowsplat.gaussians.renderer import Renderer
@@ -82,8 +83,14 @@ def report_data(
     out: Path, scene: Scene, flows: Sequence[FlowComparison], metrics: Mapping[str, Any],
     history: Sequence[Mapping[str, float]], config: Any,
 ) -> ReportData:  # fmt: skip
-    """What the report of the run in ``out`` tells, with ``flow_comparisons``."""
+    """What the report of the run in ``out`` tells, with ``flow_comparisons``.
+
+    Raises:
+        InputError: the figures are those of other frames.
+    """
     counts = metrics["gaussians"]["active"]
+    if len(counts) != len(scene.timestamps):
+        raise InputError(f"{out / 'metrics.json'} counts Gaussians in {len(counts)} frames, the scene has {len(scene.timestamps)}.")
     notes = [*scene.info["notes"], *([SHOWN_NOTE] if metrics.get("shown") == "final" else [])]
     verdicts = [str((scene.prior(name) or {}).get("verdict", "")) for name in ("cameras", "depth", "masks")]
     return ReportData(

@@ -263,7 +263,10 @@ class Layers:
         Raises:
             InputError: missing, damaged or of the wrong size.
         """
-        arrays = self._arrays(self._flow_path(i, j), ("flow", "confidence"))
+        path = self._flow_path(i, j)
+        arrays = self._arrays(path, ("flow", "confidence"))
+        if arrays["flow"].dtype != np.int16:
+            raise InputError(f"{path} is damaged: flow is stored as int16, not as {arrays['flow'].dtype}.")
         flow = arrays["flow"].astype(np.float32) / FLOW_UNIT
         return Flow(i, j, flow, arrays["confidence"].astype(np.float32) / 255)
 

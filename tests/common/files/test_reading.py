@@ -6,6 +6,7 @@ import io
 import json
 import os
 import tracemalloc
+import warnings
 import zipfile
 from typing import TypedDict
 
@@ -95,6 +96,14 @@ def test_arrays_come_back_as_they_were(tmp_path):
     np.testing.assert_array_equal(read_npy(tmp_path / "a.npy"), arrays["a"])
     with pytest.raises(InputError, match="MiB that fit here"):
         read_npz(tmp_path / "a.npz", most=50)
+
+
+def test_a_nan_that_warns_is_read_as_one_that_does_not(tmp_path):
+    np.save(tmp_path / "a.npy", np.array([0x7FA00000, 0x3F800000], np.uint32).view(np.float32))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = read_npy(tmp_path / "a.npy") / 2
+    np.testing.assert_array_equal(found, [np.nan, 0.5])
 
 
 def test_archives_that_unpack_without_end_take_no_memory(tmp_path):

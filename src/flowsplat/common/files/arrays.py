@@ -174,4 +174,8 @@ def _read_array(where: str, file: _Readable, size: int, most: int) -> np.ndarray
     if not dtype.itemsize or not needed:
         return np.zeros(shape, dtype)
     array = np.frombuffer(data, dtype).reshape(shape, order="F" if is_fortran else "C")
-    return array.astype(dtype.newbyteorder("="), copy=False)
+    array = array.astype(dtype.newbyteorder("="), copy=False)
+    if dtype.kind in "fc":
+        # A NaN may ask for a warning at the first arithmetic done with it: from here on it is like all others.
+        array[np.isnan(array)] = np.nan
+    return array
