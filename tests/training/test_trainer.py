@@ -22,7 +22,8 @@ from tests.training.handful import a_few, seen, tiny
 def test_the_first_step_is_as_long_as_the_learning_rate_says():
     """Adam's first step has the length of its rate, whatever the gradient."""
     config = tiny("default")
-    config = replace(config, iterations=1, rates=replace(config.rates, moving=3.0, gains=0.01, gains_falloff=0.5))
+    rates = replace(config.rates, along_ray=1.0, moving=3.0, gains=0.01, gains_falloff=0.5)
+    config = replace(config, iterations=1, rates=rates)
     start = a_few(config)
     trained = Trainer(seen(start), None, config, start=start.select(torch.arange(len(start)))).run()
     steps = {name: (value - start.params[name]).abs() for name, value in trained.params.items()}

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import tyro
 
 from flowsplat.common.errors import InputError
-from flowsplat.common.settings import keyed_as
+from flowsplat.common.settings import keyed_as, later
 from flowsplat.gaussians.flow import FlowModel
 from flowsplat.gaussians.gaussians4d import ModelConfig
 from flowsplat.gaussians.initialize import InitConfig
@@ -25,6 +25,9 @@ class RatesConfig:
     means_pixels: float = 0.06
     """Positions at rest move at most this many pixels a step, as seen at the median depth, and ``motion`` is slowed down alike:
     pixels are small in a fine picture and behind a long lens. 0 = as fast as the rates say."""
+    along_ray: float = later(before=1.0, default=15.0)
+    """Positions at rest learn along their ray up to this many times as fast as across it: as much as the camera's travel shows
+    their depth less than their place in the picture. 1 = alike in all directions."""
     times: float = 1.6e-4
     """Centre times; constant."""
     quats: float = 1e-3
@@ -244,8 +247,8 @@ PRESETS: dict[str, TrainConfig] = {
             background_spacing=2.0, foreground_spacing=1.0, detail=0.0, sample_gap=0,
         ),
         rates=RatesConfig(
-            means_pixels=0.0, quats=0.001, scales=0.005, opacities=0.05, colours=0.0025, harmonics=0.0025 / 20, decay=1.0,
-            motion=0.001, moving=1.0, moving_decay=1.0,
+            means_pixels=0.0, along_ray=1.0, quats=0.001, scales=0.005, opacities=0.05, colours=0.0025, harmonics=0.0025 / 20,
+            decay=1.0, motion=0.001, moving=1.0, moving_decay=1.0,
         ),
         loss=LossConfig(depth=0.0, rigid_over_all=True, flow_by_alpha=False),
         density=DensityConfig(revise=False),

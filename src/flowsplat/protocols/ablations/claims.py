@@ -111,6 +111,7 @@ CLAIMS: tuple[Claim, ...] = (
     _ours("even-decay", "the rates of movers fall as those of the background", {"rates.moving_decay": 0.05}),
     _ours("last-step", "the result is the last step, not a mean of many", {"average": 0.0}),
     _ours("lens-rates", "positions learn as fast behind a long lens as behind a short one", {"rates.means_pixels": 0.0}),
+    _ours("even-rays", "positions learn along their ray as fast as across it", {"rates.along_ray": 1.0}),
     _ours("flow-0.01", "a third of the paper's weight of the flow loss", {"loss.flow": 0.01}, 0),
     _ours("rigid-0.5", "the paper's weight of the rigid loss", {"loss.rigid": 0.5}),
     _ours("no-revise", "what moves is not revised", {"density.revise": False}),

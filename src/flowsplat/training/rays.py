@@ -1,0 +1,45 @@
+"""How fast positions at rest learn along their ray.
+
+A step across the ray shifts a Gaussian in every picture, one along it only as far as the camera travelled. Adam takes steps of one
+size in all directions, so depth learns slowest of all, in proportion to parallax; along the ray the steps are therefore longer by
+that.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+FEWEST_PIXELS = 4.0
+"""Parallax, as a standard deviation over the clip, at which half of that counts: below it the pictures hardly tell a depth."""
+
+
+def ray_axes(positions: Tensor, centres: Tensor, focal: float, most: float) -> tuple[Tensor, Tensor]:
+    """Axes to step along, and how many times as long the steps along the last of them are.
+
+    With z the distance from the middle of the camera's path and s the standard deviation of that path across the ray, a step along
+    the ray shifts a Gaussian by s / z of what one across it does. Half of what that asks for is given.
+
+    Args:
+        positions: [A, 3].
+        centres: [F, 3] of the cameras.
+        focal: pixels.
+        most: upper bound of the factor, at least 1.
+
+    Returns:
+        [A, 3, 3] orthonormal rows, the last along the ray, and factors [A] from 1 to ``most``.
+    """
+    middle = centres.mean(0)
+    path = centres - middle
+    spread = path.T @ path / len(centres)
+    rays = positions - middle
+    distance = rays.norm(dim=1).clamp_min(1e-9)
+    along = rays / distance[:, None]
+    across = (spread.trace() - ((along @ spread) * along).sum(1)).clamp_min(0).sqrt()
+    seen = (focal * across / distance).square()
+    factors = (distance / (2 * across).clamp_min(1e-9)).clamp(1, most)
+    factors = 1 + (factors - 1) * seen / (seen + FEWEST_PIXELS**2)
+    # Any two directions across will do: beginning with the world's axis that is least along the ray.
+    least = torch.zeros_like(along).scatter_(1, along.abs().argmin(1, keepdim=True), 1)
+    first = torch.nn.functional.normalize(torch.linalg.cross(along, least), dim=1)
+    return torch.stack([first, torch.linalg.cross(along, first), along], 1), factors

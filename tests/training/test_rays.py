@@ -1,0 +1,70 @@
+"""Steps along rays: their axes, how long they are, and that training takes them for what rests alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from flowsplat.training import rays
+from flowsplat.training.rays import FEWEST_PIXELS, ray_axes
+from flowsplat.training.trainer import Trainer
+from tests.training.handful import a_few, seen, tiny
+
+
+def travel(metres: float, frames: int = 9) -> torch.Tensor:
+    """[F, 3] of a camera that goes sideways."""
+    return torch.stack([torch.linspace(-metres, metres, frames), torch.zeros(frames), torch.zeros(frames)], 1)
+
+
+def test_axes_are_those_of_the_ray():
+    positions = torch.from_numpy(np.random.default_rng(0).normal(0, 3, (200, 3)).astype(np.float32))
+    axes, factors = ray_axes(positions, travel(0.3), 400.0, 15.0)
+    torch.testing.assert_close(axes @ axes.mT, torch.eye(3).expand(200, 3, 3), rtol=0, atol=1e-5)
+    torch.testing.assert_close(axes[:, 2], positions / positions.norm(dim=1, keepdim=True))
+    assert float(factors.min()) >= 1
+    assert float(factors.max()) <= 15
+
+
+@pytest.mark.parametrize("distance", [1.0, 3.0, 20.0])
+def test_factors_are_half_of_what_parallax_lacks(distance):
+    centres = travel(0.3)
+    std = float(centres[:, 0].std(correction=0))
+    _, (factor,) = ray_axes(torch.tensor([[0.0, 0.0, distance]]), centres, 400.0, 15.0)
+    seen_pixels = (400 * std / distance) ** 2
+    share = seen_pixels / (seen_pixels + FEWEST_PIXELS**2)
+    assert float(factor) == pytest.approx(1 + share * (min(max(distance / (2 * std), 1), 15) - 1), rel=1e-4)
+
+
+def test_what_lies_ahead_of_a_camera_that_goes_there_has_no_parallax():
+    forward = travel(0.3)[:, [1, 2, 0]]
+    _, factors = ray_axes(torch.tensor([[0.0, 0.0, 5.0], [5.0, 0.0, 0.0]]), forward, 400.0, 15.0)
+    assert float(factors[0]) == pytest.approx(1, abs=1e-3)
+    assert float(factors[1]) > 5
+
+
+def test_a_camera_that_stands_changes_nothing():
+    axes, factors = ray_axes(torch.randn(50, 3), torch.zeros(5, 3), 400.0, 15.0)
+    assert torch.isfinite(axes).all()
+    assert (factors == 1).all()
+
+
+@pytest.mark.parametrize("resting", [True, False])
+def test_only_what_rests_steps_farther_along_its_ray(resting, monkeypatch):
+    monkeypatch.setattr(rays, "FEWEST_PIXELS", 0.01)  # the pictures are tiny
+    config = replace(tiny("default"), iterations=1)
+    start = a_few(config)
+    chosen = start.select(torch.nonzero(start.dynamic != resting)[:, 0])
+    observations = seen(start)
+    moved = {}
+    for most in (1.0, 15.0):
+        settings, copy = replace(config, rates=replace(config.rates, along_ray=most)), chosen.select(torch.arange(len(chosen)))
+        trained = Trainer(observations, None, settings, start=copy).run()
+        moved[most] = (trained.params["means"] - chosen.params["means"]).norm(dim=1)
+    assert (moved[1.0] > 0).any()
+    if resting:
+        assert float(moved[15.0].max()) > 1.2 * float(moved[1.0].max())
+    else:
+        torch.testing.assert_close(moved[15.0], moved[1.0], rtol=0, atol=0)
