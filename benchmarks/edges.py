@@ -24,12 +24,12 @@ from flowsplat import pipeline
 from flowsplat.cli import Preset
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import make_folder, read_json, write_json, write_text
+from flowsplat.common.processes import in_own_process
 from flowsplat.common.source import source_state
 from flowsplat.geometry import Camera
 from flowsplat.pictures.video import write_mp4
 from flowsplat.pipeline import RunConfig
 from flowsplat.pipeline.folder import stage_key
-from flowsplat.protocols.process import in_own_process
 from flowsplat.protocols.resume import Job, measure_jobs, results_in
 from flowsplat.protocols.tables import made_by
 from flowsplat.scenes import Scene

@@ -20,7 +20,7 @@ MAY_IMPORT = {
     "scenes": FIRST,
     "priors": (*FIRST, "scenes"),
 }
-for name in ("gaussians", "training", "evaluation", "output", "pipeline", "protocols", "cli"):
+for name in ("gaussians", "training", "evaluation", "output", "pipeline", "batch", "protocols", "cli"):
     MAY_IMPORT[name] = tuple(MAY_IMPORT)
 # ``flowsplat`` itself shows what its packages offer; commands are not for importing.
 MAY_IMPORT["__init__"] = tuple(name for name in MAY_IMPORT if name != "cli")

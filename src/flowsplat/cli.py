@@ -22,8 +22,9 @@ HOLDOUT_NOTE = "These figures are of frames that were kept back (--holdout); --h
 Preset = Literal["fast", "default", "paper", "high"]
 
 USUAL = (
-    "-h", "-o", "--preset", "--device", "--start", "--end", "--every", "--max-frames", "--resize", "--holdout", "--mask-click",
-    "--touch", "--cameras.focal", "--given.masks", "--train.iterations", "--render.paths",
+    "-h", "-o", "--preset", "--workers", "--memory", "--shard", "--engine", "--status", "--retry", "--only", "--device", "--start",
+    "--end", "--every", "--max-frames", "--resize", "--holdout", "--mask-click", "--touch", "--cameras.focal", "--given.masks",
+    "--train.iterations", "--render.paths",
 )  # fmt: skip
 """The options that --help shows of a command with more than ``MANY`` of them; --help-all shows all."""
 MANY = 40
@@ -31,6 +32,7 @@ MANY = 40
 
 def _commands(arguments: Sequence[str]) -> dict[str, Any]:
     """Every command, its defaults taken from the preset or the run that the arguments name."""
+    from flowsplat.batch.options import BatchOptions
     from flowsplat.common.devices import DeviceName
     from flowsplat.output.export.options import ExportOptions, Format
     from flowsplat.output.videos import RenderOptions
@@ -42,8 +44,12 @@ def _commands(arguments: Sequence[str]) -> dict[str, Any]:
     defaults = preset(named or "default")
     if arguments and arguments[0] in ("train", "evaluate", "render") and (stored := _stored_config(arguments)):
         defaults = replace(stored, train=defaults.train) if named else stored
+    if arguments and arguments[0] == "batch" and not named and (begun := _stored_batch(arguments)):
+        defaults = begun
     Settings = Annotated[RunConfig, tyro.conf.arg(name="")]
     Source = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="INPUT")]
+    Sources = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="INPUT [...]")]
+    Batch = Annotated[BatchOptions, tyro.conf.arg(name="")]
     Run = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
     Viewing = Annotated[ViewOptions, tyro.conf.arg(name="")]
     Exporting = Annotated[ExportOptions, tyro.conf.arg(name="")]
@@ -66,6 +72,27 @@ def _commands(arguments: Sequence[str]) -> dict[str, Any]:
         from flowsplat import pipeline
 
         _print_figures(pipeline.run(input, out, config), out)
+
+    def batch(
+        inputs: Sources, out: Annotated[Path | None, tyro.conf.arg(aliases=("-o",), metavar="OUT")] = None,
+        preset: Preset = "default", options: Batch = BatchOptions(), config: Settings = defaults,  # noqa: B008 (frozen)
+    ) -> bool:  # fmt: skip
+        """Many clips, each an ordinary run in OUT/<id>: as many at a time as cores and memory allow, on any number of machines.
+
+        The same command again continues; flowsplat batch OUT does, too, with the inputs and settings of before. Any number of
+        processes may work on one OUT. Exit code 0: all clips are done; 1: some are not; 2: the batch itself cannot be done.
+
+        Args:
+            inputs: Clips (all that run takes), folders of clips, and lists: a .txt with a path on every line; a .csv, .tsv or
+                .jsonl with path, perhaps id, and options of run by their names (start, end, mask-click, ...). Or OUT alone.
+            out: Folder for everything that comes out: OUT/<id>, OUT/batch.json and OUT/index.html.
+            preset: As for run.
+            options: How the batch is done.
+            config: All settings of the runs.
+        """
+        from flowsplat.batch import run_batch
+
+        return run_batch(inputs, out, config, options)
 
     def prepare(input: Source, out: Out, preset: Preset = "default", config: Settings = defaults) -> None:
         """Only prepare: frames, cameras, flow, masks, depth and tracks, in OUT/scene.
@@ -211,8 +238,8 @@ def _commands(arguments: Sequence[str]) -> dict[str, Any]:
         """Whole benchmarks over many scenes, to tables: flowsplat benchmark --help lists them."""
 
     return {
-        "run": run, "prepare": prepare, "train": train, "evaluate": evaluate, "render": render, "info": info, "demo": demo,
-        "benchmark": benchmark, "view": view, "export": export, "tracks": tracks,
+        "run": run, "batch": batch, "prepare": prepare, "train": train, "evaluate": evaluate, "render": render, "info": info,
+        "demo": demo, "benchmark": benchmark, "view": view, "export": export, "tracks": tracks,
     }  # fmt: skip
 
 
@@ -451,6 +478,18 @@ def _stored_config(arguments: Sequence[str]) -> Any:
     return None
 
 
+def _stored_batch(arguments: Sequence[str]) -> Any:
+    """The settings of the batch that a command continues, where it names nothing but that."""
+    from flowsplat.batch.command import stored_plan
+
+    if _value_of(arguments, "-o") is not None or _value_of(arguments, "--out") is not None:
+        return None
+    for argument in arguments[1:]:
+        if not argument.startswith("-") and (plan := stored_plan(Path(argument))) is not None:
+            return plan[1]
+    return None
+
+
 @contextlib.contextmanager
 def _opened(out: Path, **changes: Any) -> Iterator[Any]:
     """The run in a folder, with some of its settings changed from now on, and nobody else's meanwhile."""
@@ -542,7 +581,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 args=arguments,
             )
         with signals_stop():
-            call.run()
+            ended_well = call.run()
     except InputError as error:
         _fail(str(error))
     except SystemExit as error:
@@ -563,6 +602,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if error.filename is None:
             raise
         _fail(f"{os.fsdecode(error.filename) if isinstance(error.filename, bytes) else error.filename}: {error.strerror}.")
+    else:
+        if ended_well is False:
+            sys.exit(1)
 
 
 class _Deferred:
@@ -581,10 +623,9 @@ class _Deferred:
 
         return remember
 
-    def run(self) -> None:
-        """Run what was chosen."""
-        if self._chosen is not None:
-            self._chosen()
+    def run(self) -> Any:
+        """Run what was chosen, and return what it does."""
+        return None if self._chosen is None else self._chosen()
 
 
 def _fail(message: str) -> None:

@@ -13,7 +13,7 @@ import threading
 import pytest
 
 from flowsplat.common.errors import InputError
-from flowsplat.protocols.process import in_own_process
+from flowsplat.common.processes import in_own_process
 from flowsplat.protocols.resume import Job, measure_jobs, results_in
 from flowsplat.protocols.roots import open_root, require_scenes
 from tests.mounts import needs_mounts, without_shared_memory
@@ -116,7 +116,7 @@ def test_without_shared_memory_a_benchmark_is_a_line(tmp_path):
 
 def test_a_process_ends_with_the_one_that_asked():
     asked = "import os, time; print('here', flush=True); time.sleep(60)"
-    program = f"from flowsplat.protocols.process import in_own_process; in_own_process(exec, {asked!r})"
+    program = f"from flowsplat.common.processes import in_own_process; in_own_process(exec, {asked!r})"
     with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True) as parent:
         assert parent.stdout is not None
         assert parent.stdout.readline() == "here\n"

@@ -16,6 +16,14 @@ class InputError(Exception):
         super().__init__(one_line(message))
 
 
+class WritingError(InputError):
+    """A file or folder cannot be written: what is wrong is the place to write to, and nothing that was read."""
+
+
+class InUseError(InputError):
+    """Another process has what is wanted; when that has ended, it can be had."""
+
+
 class SplitError(RuntimeError):
     """Code that may only see training frames asked for a held-out one. Always a bug, never the user's fault."""
 

@@ -1,7 +1,8 @@
-"""How much memory a process needed."""
+"""How much memory processes need, and how much there is."""
 
 from __future__ import annotations
 
+import contextlib
 import re
 import sys
 from pathlib import Path
@@ -22,3 +23,33 @@ def peak_memory() -> float | None:
         return None
     unit = 1 if sys.platform == "darwin" else 1024
     return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 2**30, 2)
+
+
+def memory_of(process: int) -> float | None:
+    """GiB that another process holds now; None where it is dead or the system does not tell."""
+    try:
+        found = re.search(r"VmRSS:\s*([0-9]+) kB", Path(f"/proc/{process}/status").read_text())
+    except OSError:
+        return None
+    return int(found.group(1)) / 2**20 if found else None
+
+
+def free_memory() -> float | None:
+    """GiB that processes may still take, here and in the container that this one is in; None where the system does not tell."""
+    free = []
+    with contextlib.suppress(OSError):
+        found = re.search(r"MemAvailable:\s*([0-9]+) kB", Path("/proc/meminfo").read_text())
+        if found:
+            free.append(int(found.group(1)) / 2**20)
+    # A container's own limit: https://docs.kernel.org/admin-guide/cgroup-v2.html and its predecessor.
+    for most, used, folder in (
+        ("memory.max", "memory.current", Path("/sys/fs/cgroup")),
+        ("memory.limit_in_bytes", "memory.usage_in_bytes", Path("/sys/fs/cgroup/memory")),
+    ):
+        with contextlib.suppress(OSError, ValueError):  # "max" is none
+            limit = int((folder / most).read_text())
+            cached = re.search(r"^(?:total_)?inactive_file ([0-9]+)$", (folder / "memory.stat").read_text(), re.M)
+            taken = int((folder / used).read_text()) - (int(cached.group(1)) if cached else 0)
+            if limit < 2**60:
+                free.append(max(limit - taken, 0) / 2**30)
+    return min(free, default=None)

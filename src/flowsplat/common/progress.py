@@ -128,6 +128,14 @@ class _Lines:
 
 
 _lines = _Lines()
+
+
+def going_on() -> str | None:
+    """Where the innermost thing is that goes on, in words; None where nothing does, or bars are drawn."""
+    with contextlib.suppress(IndexError):
+        return _lines.bars[-1].line
+    return None
+
 _shown: list[Progress] = []
 """What is drawn now: bars inside others are drawn below them."""
 

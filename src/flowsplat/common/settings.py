@@ -134,6 +134,33 @@ def present_names(kind: type, value: Mapping[str, Any], prefix: str = "") -> dic
     return found
 
 
+def setting_types(kind: type, prefix: str = "") -> dict[str, Any]:
+    """The type of every setting of a dataclass and of those within it, by dotted name."""
+    found: dict[str, Any] = {}
+    for name, hint in get_type_hints(kind).items():
+        found |= setting_types(cast("type", hint), f"{prefix}{name}.") if dataclasses.is_dataclass(hint) else {prefix + name: hint}
+    return found
+
+
+def with_settings(config: Config, changes: Mapping[str, Any]) -> Config:
+    """A configuration with some settings changed.
+
+    Args:
+        changes: values as JSON holds them, by dotted name.
+
+    Raises:
+        InputError: as ``from_plain``.
+    """
+    plain = to_plain(config)
+    for name, value in changes.items():
+        *within, last = name.split(".")
+        settings = plain
+        for part in within:
+            settings = settings[part]
+        settings[last] = value
+    return from_plain(cast("type[Config]", type(config)), plain)
+
+
 def renamed_settings(kind: type, prefix: str = "") -> dict[str, str]:
     """The dotted names that settings of a dataclass had, and those that they have now."""
     found = {prefix + before: prefix + now for before, now in RENAMED.get(kind.__name__, {}).items()}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -25,8 +27,16 @@ WIDEST = 960
 """Pixels of a picture in a page."""
 
 
-def write_page(path: Path, template: str, **values: Any) -> None:
+def script_policy(script: str) -> str:
+    """``POLICY`` for a page that also runs this one script."""
+    return f"{POLICY}; script-src 'sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}'"
+
+
+def write_page(path: Path, template: str, *, policy: str = POLICY, **values: Any) -> None:
     """Fill a template of this folder and write the page.
+
+    Args:
+        policy: what a browser lets it do.
 
     Raises:
         InputError: it cannot be written.
@@ -35,7 +45,7 @@ def write_page(path: Path, template: str, **values: Any) -> None:
     environment = jinja2.Environment(
         loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    write_text(path, environment.get_template(template).render(version=__version__, policy=POLICY, **values))
+    write_text(path, environment.get_template(template).render(version=__version__, policy=policy, **values))
 
 
 def card(value: Markup | str, unit: str, name: str, remark: str) -> dict[str, Any]:

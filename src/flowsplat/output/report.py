@@ -117,6 +117,14 @@ def write_report(folder: Path, data: ReportData) -> Path:
 # -- figures
 
 
+def grade(metrics: Mapping[str, Any]) -> str:
+    """Along the clip's path, beside interpolating by optical flow: better, even or worse; or unmeasured."""
+    ours, theirs = pick(metrics, "heldout_frames", "psnr"), pick(metrics, "baselines", "flow_interpolation", "psnr")
+    if ours is None or theirs is None:
+        return "unmeasured"
+    return "even" if abs(ours - theirs) < _EVEN else "better" if ours > theirs else "worse"
+
+
 def verdict(metrics: Mapping[str, Any]) -> str:
     """In plain words: is the scene any good, along the path of the clip, and from aside?"""
     return f"{_along(metrics)} {_aside(metrics)}"

@@ -29,7 +29,7 @@ from msgspec import Meta
 from typing_extensions import NotRequired, TypedDict
 
 from flowsplat import __version__
-from flowsplat.common.errors import InputError
+from flowsplat.common.errors import InputError, WritingError
 from flowsplat.common.files import check_json, make_folder, read_json, write_json
 from flowsplat.common.files.json_file import Count, Number, Positive, Text, Versioned
 from flowsplat.common.files.lease import NAME as LOCK
@@ -170,7 +170,7 @@ class RunFolder:
             write_json(path / "run.json", _new_record(source, fingerprint, config))
             folder = RunFolder(path)
         if not os.access(path, os.W_OK):
-            raise InputError(f"No permission to write {path}. Choose another output folder with -o.")
+            raise WritingError(f"No permission to write {path}. Choose another output folder with -o.")
         folder.save()
         return folder
 

@@ -62,6 +62,12 @@ def expected(scene: Scene, config: RunConfig) -> dict[str, float]:
     }  # fmt: skip
 
 
+def expected_memory(width: int, height: int, train_frames: int) -> float:
+    """GiB that a whole run needs."""
+    megapixels = width * height / 1e6
+    return 0.6 + 5.4 * megapixels + train_frames * megapixels * 0.02
+
+
 def stages_of(seconds: Mapping[str, float]) -> dict[str, float]:
     """What a run took, from its seconds by part to those of ``STAGES``; of those that it went through."""
     found: dict[str, float] = {}

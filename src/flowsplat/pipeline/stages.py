@@ -36,7 +36,7 @@ from flowsplat.pictures.colors import float_to_bytes
 from flowsplat.pictures.sheets import preview_sheet
 from flowsplat.pipeline.config import RunConfig, check
 from flowsplat.pipeline.folder import MetricsFile, RunFolder, stage_key
-from flowsplat.pipeline.speed import STAGES, Range, Speed, expected, in_words
+from flowsplat.pipeline.speed import STAGES, Range, Speed, expected, expected_memory, in_words
 from flowsplat.pipeline.summary import flow_comparisons, report_data
 from flowsplat.priors.heldout import heldout_flow
 from flowsplat.priors.objects import load_movers
@@ -272,8 +272,7 @@ def link_files(source: Path, target: Path) -> None:
 
 
 def _say_estimate(scene: Scene, seconds: Range) -> None:
-    megapixels = scene.width * scene.height / 1e6
-    gib = 0.6 + 5.4 * megapixels + len(scene.train_frames) * megapixels * 0.02
+    gib = expected_memory(scene.width, scene.height, len(scene.train_frames))
     say(
         f"{scene.num_frames} frames of {scene.width} x {scene.height}, {len(scene.heldout_frames)} of them held out: "
         f"{in_words(seconds)} and {gib:.1f} GiB for a whole run."

@@ -3,14 +3,15 @@
 What is written is whole or not there (``writing``). What is read comes from anywhere: ``opening`` refuses what is no ordinary file
 or larger than its kind can need, and one reader for each kind understands it (``json_file``, ``arrays``). Names that come out of
 files or from a browser become names of files through ``names`` alone. Who writes into a folder that others may want has a
-``lease`` of it.
+``lease`` of it; who does a piece of a list of work has a claim on it (``Claims``).
 """
 
 from flowsplat.common.files.arrays import read_npy, read_npz
-from flowsplat.common.files.json_file import check_json, read_json
-from flowsplat.common.files.lease import lease
+from flowsplat.common.files.json_file import check_json, read_json, read_json_lines
+from flowsplat.common.files.lease import Claims, lease
 from flowsplat.common.files.names import plain_name
 from flowsplat.common.files.opening import ordinary_file, read_bytes, read_text
+from flowsplat.common.files.rows import read_rows
 from flowsplat.common.files.writing import (
     atomic_path,
     hash_files,
@@ -24,6 +25,7 @@ from flowsplat.common.files.writing import (
 )
 
 __all__ = [
+    "Claims",
     "atomic_path",
     "check_json",
     "hash_files",
@@ -33,8 +35,10 @@ __all__ = [
     "plain_name",
     "read_bytes",
     "read_json",
+    "read_json_lines",
     "read_npy",
     "read_npz",
+    "read_rows",
     "read_text",
     "remove_partials",
     "require_keys",

@@ -62,9 +62,13 @@ def read_json(path: Path, schema: Any = None, most: int = MOST_BYTES) -> Any:
     Raises:
         InputError: missing, too large, not JSON, too deep, with numbers that are none, or not as ``schema`` says.
     """
-    data = read_bytes(path, most)
+    return _checked(path, read_bytes(path, most).removeprefix(b"\xef\xbb\xbf"), schema)
+
+
+def _checked(path: Path | str, data: bytes, schema: Any) -> Any:
+    """What some JSON says, once it is certain that it is as ``schema`` says; ``path`` names it in errors."""
     try:
-        value = msgspec.json.decode(data.removeprefix(b"\xef\xbb\xbf"))
+        value = msgspec.json.decode(data)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         if _NOT_FINITE.search(data):
             raise InputError(f"{path} is damaged: it holds a number that is not finite (NaN or Infinity).") from error
@@ -75,7 +79,24 @@ def read_json(path: Path, schema: Any = None, most: int = MOST_BYTES) -> Any:
     return value
 
 
-def check_json(path: Path, value: Any, schema: Any) -> None:
+def read_json_lines(path: Path, schema: Any = None, most: int = MOST_BYTES) -> list[tuple[int, Any]]:
+    """The values of a file with one JSON on every line, each with the number of its line, from 1 on; empty ones are left out.
+
+    Args:
+        schema: the type that each must have; None = any JSON.
+        most: bytes of the file.
+
+    Raises:
+        InputError: as ``read_json``; it names the line.
+    """
+    found = []
+    for number, line in enumerate(read_bytes(path, most).removeprefix(b"\xef\xbb\xbf").split(b"\n"), 1):
+        if line.strip():
+            found.append((number, _checked(f"{path}, line {number},", line, schema)))
+    return found
+
+
+def check_json(path: Path | str, value: Any, schema: Any) -> None:
     """Refuse what was read from a JSON file and is not as ``schema`` says.
 
     Raises:
@@ -87,7 +108,7 @@ def check_json(path: Path, value: Any, schema: Any) -> None:
         raise InputError(f"{path} is damaged: {error}.") from error
 
 
-def _check_plain(path: Path, value: Any) -> None:
+def _check_plain(path: Path | str, value: Any) -> None:
     """Refuse what would only fail later: depth at which Python stops, and numbers that no float64 holds."""
     level = [value]
     for _ in range(DEEPEST):

@@ -1,9 +1,12 @@
-"""Folders that one process at a time writes into.
+"""What one process at a time may have: folders to write into (``lease``), and pieces of work of a list (``Claims``).
 
-A file in the folder is locked (``flock``) as long as the process lives: the system unlocks it however the process ends, and over
-NFS for the other machines, too. So there is nothing to be renewed, and nothing of a dead holder to be cleaned away; what is written
-in the file only tells others who it is. Who reads the folder takes no notice of it. Windows has no ``flock``; nothing is locked
-there.
+``lease``: a file in the folder is locked (``flock``) as long as the process lives: the system unlocks it however the process
+ends, and over NFS for the other machines, too. So there is nothing to be renewed, and nothing of a dead holder to be cleaned away;
+what is written in the file only tells others who it is. Who reads the folder takes no notice of it. Windows has no ``flock``;
+nothing is locked there.
+
+``Claims``: for machines that share a folder, also one without locks. The right to an attempt of a piece of work is a file that only
+one of them can create; its holder touches it again and again, and where it stays untouched, the next attempt is anybody's.
 """
 
 from __future__ import annotations
@@ -15,10 +18,13 @@ import socket
 import stat
 import threading
 import time
+import uuid
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
+from typing import Any
 
-from flowsplat.common.errors import InputError
+from flowsplat.common.errors import InputError, InUseError
 from flowsplat.common.files.writing import make_folder, writing_error
 
 try:
@@ -29,6 +35,11 @@ except ImportError:  # Windows
 NAME = ".lock"
 _MOST_HOLDER = 1000
 """Bytes of the file."""
+
+BEAT = 15.0
+"""Seconds between two signs of life of who holds a claim."""
+LOST = 120.0
+"""Seconds without one after which a holder on another machine counts as dead; on its own it is asked for by its number."""
 
 _held: dict[tuple[int, int], int] = {}
 """How often this process has taken what it holds, by device and number of the folder."""
@@ -106,7 +117,7 @@ def _take(folder: Path) -> int | None:
         except BlockingIOError as error:
             who = _in_words(os.read(file, _MOST_HOLDER))
             os.close(file)
-            raise InputError(f"{folder} is being written by {who}: wait for it, or stop it.") from error
+            raise InUseError(f"{folder} is being written by {who}: wait for it, or stop it.") from error
         except OSError:  # a file system without locks
             os.close(file)
             with contextlib.suppress(OSError):
@@ -129,3 +140,180 @@ def _in_words(data: bytes) -> str:
         return f"process {int(value['process'])} on {str(value['host'])[:100]} since {since}"
     except (ValueError, KeyError, TypeError, OverflowError, OSError, RecursionError):
         return "another process"
+
+
+class Claims:
+    """Which pieces of work this process has, of those that any number of processes on any number of machines share.
+
+    The right to attempt ``number`` (1, 2, ...) of a piece is the file ``<name>.<number>`` in the folder of the claims, created with
+    ``O_EXCL``: one process can. While it holds it, a thread touches the file every ``beat`` seconds. Where the holder is dead,
+    attempt ``number + 1`` may be taken. So a number is never given twice, and whoever comes back from a long sleep finds a higher
+    one and knows that the work is no longer its own (``has``). Callers record the number with the result of an attempt and look
+    there after ``take``: the files of ended attempts go.
+
+    Clocks of machines are never compared: a claim is dead when it has not changed for ``lost`` seconds by the clock of who looks.
+    """
+
+    def __init__(self, folder: Path, beat: float = BEAT, lost: float = LOST, place: str | None = None):
+        """
+        Args:
+            folder: of the files; it is made.
+            place: where process numbers mean the same; None = this machine since it was started.
+
+        Raises:
+            InputError: it cannot be made.
+        """
+        self._folder, self._beat, self._lost = make_folder(folder), beat, lost
+        self._place = _place() if place is None else place
+        self._token = uuid.uuid4().hex
+        self._mine: dict[str, int] = {}
+        self._known: dict[tuple[str, int], dict[str, Any]] = {}
+        self._seen: dict[tuple[str, int], tuple[int, float]] = {}
+        self._guard, self._closed = threading.Lock(), threading.Event()
+        threading.Thread(target=self._live, daemon=True).start()
+
+    def take(self, name: str, number: int) -> bool:
+        """Try to get an attempt, of whose predecessor the caller knows that it has ended or is dead; False where another has it.
+
+        Raises:
+            WritingError: the file cannot be written.
+        """
+        path = self._path(name, number)
+        value = {"host": socket.gethostname(), "place": self._place, "process": os.getpid(), "started": _started(os.getpid()),
+                 "token": self._token, "since": time.time()}  # fmt: skip
+        try:
+            file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+        except FileExistsError:
+            return False
+        except OSError as error:
+            raise writing_error(error, path) from error
+        try:
+            with os.fdopen(file, "wb") as opened:
+                opened.write(json.dumps(value).encode())
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                path.unlink()
+            raise writing_error(error, path) from error
+        with self._guard:
+            self._mine[name] = number
+        return True
+
+    def release(self, name: str) -> None:
+        """Give back what this process holds of a piece; the files of earlier attempts, whose holders are dead, go, too."""
+        with self._guard:
+            number = self._mine.pop(name)
+        for earlier in range(number, 0, -1):
+            with contextlib.suppress(OSError):
+                self._path(name, earlier).unlink()
+
+    def has(self, name: str) -> bool:
+        """Whether this process still holds a piece: nobody has taken it for dead."""
+        with self._guard:
+            number = self._mine.get(name)
+        return number is not None and self._is_ours(name, number)
+
+    def newest(self) -> dict[str, int]:
+        """The highest attempt of every piece of which there is a file."""
+        found: dict[str, int] = {}
+        try:
+            names = os.listdir(self._folder)
+        except OSError:
+            names = []
+        for file in names:
+            name, _, number = file.rpartition(".")
+            if name and number.isdecimal() and len(number) < 10:
+                found[name] = max(found.get(name, 0), int(number))
+        return found
+
+    def is_dead(self, name: str, number: int) -> bool:
+        """Whether the holder of an attempt of another process is dead, as far as is known by now: ask again."""
+        path = self._path(name, number)
+        try:
+            changed = os.stat(path).st_mtime_ns
+        except OSError:
+            return False  # it has just ended
+        who = self._holder(name, number)
+        if who.get("token") == self._token:
+            return False
+        if who.get("place") == self._place and isinstance(who.get("process"), int):
+            return _started(who["process"]) != who.get("started")
+        now = time.monotonic()
+        before = self._seen.get((name, number))
+        if before is None or before[0] != changed:
+            self._seen[name, number] = (changed, now)
+            return False
+        return now - before[1] > self._lost
+
+    def who(self, name: str, number: int) -> str:
+        """The holder of an attempt, in words."""
+        try:
+            return _in_words(self._path(name, number).read_bytes()[:_MOST_HOLDER])
+        except OSError:
+            return "another process"
+
+    def close(self) -> None:
+        """Give back everything."""
+        self._closed.set()
+        for name in list(self._mine):
+            self.release(name)
+
+    def _path(self, name: str, number: int) -> Path:
+        return self._folder / f"{name}.{number}"
+
+    def _holder(self, name: str, number: int) -> dict[str, Any]:
+        """What stands in the file of an attempt, which does not change once it stands there."""
+        if (name, number) not in self._known:
+            try:
+                value = json.loads(self._path(name, number).read_bytes()[:_MOST_HOLDER])
+            except (OSError, ValueError, RecursionError):
+                return {}
+            if not isinstance(value, dict):
+                return {}
+            self._known[name, number] = value
+        return self._known[name, number]
+
+    def _is_ours(self, name: str, number: int) -> bool:
+        if self._path(name, number + 1).exists():
+            return False
+        try:
+            value = json.loads(self._path(name, number).read_bytes()[:_MOST_HOLDER])
+        except (OSError, ValueError, RecursionError):
+            return False
+        return isinstance(value, dict) and value.get("token") == self._token
+
+    def _live(self) -> None:
+        while not self._closed.wait(self._beat):
+            with self._guard:
+                mine = list(self._mine.items())
+            for name, number in mine:
+                with contextlib.suppress(OSError):  # gone, or the folder is away for now: whoever asks ``has`` is told
+                    os.utime(self._path(name, number))
+
+
+@cache
+def _place() -> str:
+    """This machine since it was started, and, in a container, this container: where process numbers mean the same."""
+    parts = [socket.gethostname()]
+    for read in (lambda: Path("/proc/sys/kernel/random/boot_id").read_text().strip(), lambda: os.readlink("/proc/self/ns/pid")):
+        with contextlib.suppress(OSError):
+            parts.append(read())
+    return " ".join(parts)
+
+
+def _started(process: int) -> str | None:
+    """When a process was started, so that another of its number is not taken for it; None where it is dead."""
+    try:
+        status = Path(f"/proc/{process}/stat").read_text()
+        state, *rest = status.rpartition(")")[2].split()
+        return None if state in "ZX" else rest[18]  # field 22 of proc(5)
+    except OSError:
+        pass
+    if Path("/proc/self/stat").exists():
+        return None
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return None
+    except OSError:
+        pass
+    return "alive"

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from flowsplat.common.errors import InputError
+from flowsplat.common.errors import InputError, WritingError
 from flowsplat.common.files.opening import ordinary_file
 
 _PARTIAL = re.compile(r"\..+\.([0-9]{1,9})\.partial(\.[^.]+)?")
@@ -90,15 +90,15 @@ def _is_alive(process: int) -> bool:
     return True
 
 
-def writing_error(error: OSError, path: Path) -> InputError:
+def writing_error(error: OSError, path: Path) -> WritingError:
     """What to tell about a file that cannot be written."""
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
-        return InputError(f"The disk is full: cannot write {path}. Free some space and run the same command again.")
+        return WritingError(f"The disk is full: cannot write {path}. Free some space and run the same command again.")
     if error.errno == errno.EFBIG:
-        return InputError(f"Cannot write {path}: files may not be that large here (ulimit -f).")
+        return WritingError(f"Cannot write {path}: files may not be that large here (ulimit -f).")
     if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
-        return InputError(f"No permission to write {path}. Choose another output folder with -o.")
-    return InputError(f"Cannot write {path}: {error.strerror or error}.")
+        return WritingError(f"No permission to write {path}. Choose another output folder with -o.")
+    return WritingError(f"Cannot write {path}: {error.strerror or error}.")
 
 
 def make_folder(path: Path) -> Path:
@@ -110,7 +110,7 @@ def make_folder(path: Path) -> Path:
     try:
         Path(path).mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError) as error:
-        raise InputError(f"{path} is a file, not a folder. Choose another output folder with -o.") from error
+        raise WritingError(f"{path} is a file, not a folder. Choose another output folder with -o.") from error
     except OSError as error:
         raise writing_error(error, Path(path)) from error
     return Path(path)

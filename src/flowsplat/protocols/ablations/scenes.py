@@ -8,9 +8,9 @@ from functools import cache, partial
 from pathlib import Path
 
 from flowsplat.common.errors import InputError
+from flowsplat.common.processes import in_own_process
 from flowsplat.pipeline import prepare
 from flowsplat.protocols.datasets.cases import Case, davis_cases, rig_cases
-from flowsplat.protocols.process import in_own_process
 from flowsplat.protocols.roots import open_root, require_scenes
 
 FOLDER = "scenes"

@@ -13,6 +13,7 @@ import numpy as np
 
 from flowsplat.common.devices import pick_device
 from flowsplat.common.memory import peak_memory
+from flowsplat.common.processes import in_own_process
 from flowsplat.common.source import source_state
 from flowsplat.evaluation.evaluate import evaluate
 from flowsplat.evaluation.scores import pick
@@ -23,7 +24,6 @@ from flowsplat.pipeline.stages import scene_model
 from flowsplat.protocols.ablations.scenes import AblationScene
 from flowsplat.protocols.ablations.variants import Variant
 from flowsplat.protocols.ablations.verdicts import Run
-from flowsplat.protocols.process import in_own_process
 from flowsplat.protocols.resume import Job
 from flowsplat.scenes import Scene
 from flowsplat.training.config import TrainConfig

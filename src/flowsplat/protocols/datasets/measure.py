@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from flowsplat.common.processes import in_own_process
 from flowsplat.common.source import source_state
 from flowsplat.evaluation.tracks import track_errors
 from flowsplat.gaussians.model import SceneModel
@@ -15,7 +16,6 @@ from flowsplat.pictures.sheets import stacked
 from flowsplat.pipeline import evaluate_run, load, prepare, train
 from flowsplat.pipeline.folder import RunFolder
 from flowsplat.protocols.datasets.cases import Case
-from flowsplat.protocols.process import in_own_process
 from flowsplat.scenes import Scene
 from flowsplat.scenes.formats.rig import RigTruth
 from flowsplat.scenes.ingest import open_clip

@@ -15,6 +15,7 @@ import torch
 from numba import set_num_threads
 
 from flowsplat.common.errors import InputError
+from flowsplat.common.processes import in_own_process
 from flowsplat.common.source import source_state
 from flowsplat.evaluation.scores import pick
 from flowsplat.pipeline import RunConfig, evaluate_run, prepare, train
@@ -25,7 +26,6 @@ from flowsplat.protocols.oracles.movers import depth_scale, masks_of, mover_erro
 from flowsplat.protocols.oracles.report import write_report
 from flowsplat.protocols.oracles.scenes import ORACLE, ORACLES, make_oracle
 from flowsplat.protocols.priors.measure import pooled_iou
-from flowsplat.protocols.process import in_own_process
 from flowsplat.protocols.resume import Job, measure_jobs, results_in
 from flowsplat.scenes import Scene
 from flowsplat.scenes.clip import InputOptions

@@ -9,10 +9,10 @@ from typing import Any
 
 from flowsplat.common.files import make_folder, read_json, write_json
 from flowsplat.common.memory import peak_memory
+from flowsplat.common.processes import in_own_process
 from flowsplat.pipeline import RunConfig, prepare
 from flowsplat.priors.flow import flow_stage
 from flowsplat.protocols.priors.scenes import BenchmarkScene
-from flowsplat.protocols.process import in_own_process
 from flowsplat.scenes import Scene
 from flowsplat.scenes.clip import InputOptions
 from flowsplat.scenes.ingest import ingest, open_clip

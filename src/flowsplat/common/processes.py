@@ -1,4 +1,4 @@
-"""One process a run: its peak memory is its own, and nothing of it stays behind."""
+"""One process a run: its peak memory is its own, and nothing of it stays behind; and how many cores there are for them."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
 from typing import ParamSpec, TypeVar
 
 from flowsplat.common.errors import InputError, first_line
@@ -66,3 +67,43 @@ def in_own_process(function: Callable[Parameters, Result], *args: Parameters.arg
     """
     with own_processes(1) as processes:
         return processes.submit(function, *args, **kwargs).result()
+
+
+def usable_cores() -> int:
+    """Cores that this process may use: those of the machine, less what it was bound to, or its container is limited to."""
+    affinity = getattr(os, "sched_getaffinity", None)
+    cores = len(affinity(0)) if affinity else os.cpu_count() or 1
+    with contextlib.suppress(OSError, ValueError):  # "max" is no limit
+        quota, period = Path("/sys/fs/cgroup/cpu.max").read_text().split()
+        cores = min(cores, max(1, int(quota) // int(period)))
+    return cores
+
+
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+"""How many threads a process computes with that is started with them; later they are not looked at."""
+
+
+@contextlib.contextmanager
+def threads_of_new_processes(count: int) -> Iterator[None]:
+    """Processes that are started inside compute with so many threads. Results do not depend on it."""
+    before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
+    os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(count)))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+def use_threads(count: int) -> None:
+    """Compute with so many threads from now on, as far as that can still be chosen."""
+    import cv2
+    import numba
+    import torch
+
+    numba.set_num_threads(min(count, numba.config.NUMBA_NUM_THREADS))
+    torch.set_num_threads(count)
+    cv2.setNumThreads(count)

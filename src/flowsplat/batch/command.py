@@ -1,0 +1,227 @@
+"""A whole batch, from what was given to the page."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from typing_extensions import TypedDict
+
+from flowsplat.batch.clips import BatchClip, find_clips, of_shard
+from flowsplat.batch.embedded import Embedded
+from flowsplat.batch.options import BatchOptions
+from flowsplat.batch.page import NAME, summary, write_results
+from flowsplat.batch.records import FOLDER, Records
+from flowsplat.batch.run_clip import clip_job
+from flowsplat.batch.scheduler import Scheduler
+from flowsplat.batch.table import Progress
+from flowsplat.batch.warming import compile_kernels
+from flowsplat.batch.work import Engine
+from flowsplat.common.devices import pick_device
+from flowsplat.common.errors import InputError
+from flowsplat.common.files import Claims, make_folder, read_json, write_json
+from flowsplat.common.files.json_file import Count, Text
+from flowsplat.common.progress import say
+from flowsplat.common.settings import from_plain, to_plain
+from flowsplat.pipeline.config import RunConfig
+
+PLAN = "plan.json"
+PAGE = "page"
+"""The claim of who writes the page."""
+PAGE_EVERY = 60.0
+"""Seconds, at least, between two pages, and at least so many times as long as one takes:"""
+PAGE_SHARE = 20
+
+
+class PlanFile(TypedDict):
+    """What a batch is of: what the last command gave that named inputs."""
+
+    version: Count
+    inputs: list[Text]
+    config: dict[str, Any]
+
+
+def stored_plan(out: Path) -> tuple[list[Path], RunConfig] | None:
+    """The inputs and settings of the batch in a folder; None where there is none.
+
+    Raises:
+        InputError: it is damaged.
+    """
+    path = Path(out) / FOLDER / PLAN
+    if not path.exists():
+        return None
+    value = read_json(path, PlanFile)
+    return [Path(each) for each in value["inputs"]], from_plain(RunConfig, value["config"])
+
+
+def run_batch(
+    inputs: Sequence[Path], out: Path | None, config: RunConfig | None = None, options: BatchOptions | None = None
+) -> bool:
+    """Run every clip of a batch in ``OUT/<id>``; called again, it continues.
+
+    Any number of processes may be called on one OUT at the same time: none is at work on a clip that another one has.
+
+    Args:
+        inputs: as ``find_clips``; or OUT alone, of a batch that was begun before.
+        out: folder of the batch; None = it stands in ``inputs``.
+        config: settings of all runs; None = those that the batch was begun with, or the default preset.
+        options: how.
+
+    Returns:
+        whether all clips (of this shard, or those of ``only``) are done.
+
+    Raises:
+        InputError: inputs or options cannot be used, or nothing can be written.
+    """
+    options = options or BatchOptions()
+    inputs = [Path(source) for source in inputs]
+    if out is None:
+        if len(inputs) != 1 or stored_plan(inputs[0]) is None:
+            raise InputError("Where shall it be written? Give -o OUT; OUT alone continues a batch that was begun there.")
+        out, inputs = inputs[0], []
+    stored = stored_plan(out)
+    if not inputs and stored is None:
+        raise InputError(f"{out} holds no batch: give clips, folders of them, or lists.")
+    config = config or (stored[1] if stored else RunConfig())
+    given = inputs or (stored[0] if stored else [])
+    clips = find_clips(given, config, out)
+    chosen = _chosen(clips, options)
+    if options.status:
+        return _status(out, clips, chosen)
+    records = Records(make_folder(out))
+    plan = {"version": 1, "inputs": [os.path.abspath(each) for each in given], "config": to_plain(config)}
+    write_json(records.folder / PLAN, plan)
+    if options.engine == "embedded":
+        compile_kernels(config.device)
+    return _work(out, clips, chosen, records, _engine(out, config, options), options)
+
+
+def _chosen(clips: Sequence[BatchClip], options: BatchOptions) -> list[BatchClip]:
+    """The clips that this process is to see to."""
+    known = {clip.id for clip in clips}
+    for name in options.only:
+        if name not in known:
+            raise InputError(f"--only {name}: there is no clip of that id; flowsplat batch OUT --status names them.")
+    mine = of_shard([clip.id for clip in clips], options.shard, os.environ)
+    return [clip for clip in clips if clip.id in mine and (not options.only or clip.id in options.only)]
+
+
+def _engine(out: Path, config: RunConfig, options: BatchOptions) -> Engine:
+    workers = options.workers
+    if workers is None and pick_device(config.device).type == "cuda":
+        workers = 1
+    return Embedded(out / FOLDER / "logs", workers, options.memory)
+
+
+def _work(
+    out: Path, clips: Sequence[BatchClip], chosen: Sequence[BatchClip], records: Records, engine: Engine, options: BatchOptions
+) -> bool:
+    names = {clip.id: str(clip.path) for clip in clips}
+    page = _Page(out, records, names)
+    jobs = [clip_job(clip, out) for clip in chosen]
+    if len(chosen) < len(clips):
+        say(f"{len(chosen)} of {len(clips)} clips are this process's.")
+    claims = Claims(records.folder / "claims")
+    with Progress() as progress:
+
+        def shown(scheduler: Scheduler) -> None:
+            progress.show(scheduler)
+            page.refresh()
+
+        scheduler = Scheduler(jobs, engine, records, claims, options.retry, shown)
+        if scheduler.ended:
+            say(f"{len(scheduler.ended)} of {scheduler.total} clips have ended before: {_counted(scheduler.counts)}.")
+        try:
+            ended = scheduler.run()
+        finally:
+            page.finish()
+    for name, state in ended.items():
+        if state != "done":
+            record = records.read(name)
+            say(f"{name} was {state}: {record['reason'] if record else 'its record is gone'}")
+    say(summary(Counter(ended.values())))
+    say(f"Look at {out / NAME}")
+    return all(state == "done" for state in ended.values())
+
+
+def _counted(counts: Mapping[str, int]) -> str:
+    return ", ".join(f"{count} {state}" for state, count in sorted(counts.items()))
+
+
+class _Page:
+    """Keeps ``batch.json`` and ``index.html`` new; of all who work on a batch one writes at a time."""
+
+    def __init__(self, out: Path, records: Records, names: Mapping[str, str]):
+        self._out, self._records, self._names = out, records, names
+        self._next, self._number = time.monotonic() + PAGE_EVERY / 10, 0
+        self._writing = Claims(records.folder / "pages")
+        self._claims = Claims(records.folder / "claims")
+
+    def refresh(self) -> None:
+        """Write them where it is time and nobody else does."""
+        if time.monotonic() < self._next:
+            return
+        began = time.monotonic()
+        if self._take():
+            try:
+                write_results(self._out, self._records, self._names, self._running())
+            except InputError as error:  # the disk is full: who writes a record says so
+                say(str(error))
+            finally:
+                self._writing.release(PAGE)
+        self._next = time.monotonic() + max(PAGE_EVERY, PAGE_SHARE * (time.monotonic() - began))
+
+    def finish(self) -> None:
+        """Write them once more, after whoever writes now."""
+        self._claims.close()
+        ends = time.monotonic() + PAGE_EVERY
+        while not (mine := self._take()) and time.monotonic() < ends:
+            time.sleep(0.2)
+        try:
+            write_results(self._out, self._records, self._names, self._running())
+        except InputError as error:
+            say(str(error))
+        finally:
+            if mine:
+                self._writing.release(PAGE)
+            self._writing.close()
+
+    def _take(self) -> bool:
+        number = self._writing.newest().get(PAGE, 0)
+        if number and not self._writing.is_dead(PAGE, number):
+            return False
+        try:
+            return self._writing.take(PAGE, number + 1)
+        except InputError:
+            return False
+
+    def _running(self) -> dict[str, str]:
+        return running_now(self._claims)
+
+
+def running_now(claims: Claims) -> dict[str, str]:
+    """Who works on what, by id."""
+    return {name: claims.who(name, number) for name, number in claims.newest().items() if not claims.is_dead(name, number)}
+
+
+def _status(out: Path, clips: Sequence[BatchClip], chosen: Collection[BatchClip]) -> bool:
+    """Say how far a batch is, and write its results anew."""
+    records = Records(out)
+    claims = Claims(records.folder / "claims")
+    try:
+        entries = write_results(out, records, {clip.id: str(clip.path) for clip in clips}, running_now(claims))
+    finally:
+        claims.close()
+    names = {clip.id for clip in chosen}
+    found = [entry for entry in entries if entry["id"] in names]
+    for entry in found:
+        if entry["state"] in ("failed", "refused", "open", "running"):
+            why = entry.get("worker") if entry["state"] == "running" else entry["reason"]
+            say(f"{entry['id']}: {entry['state']}" + (f", {why}" if why else ""))
+    say(summary(Counter(entry["state"] for entry in found)))
+    say(f"Look at {out / NAME}")
+    return all(entry["state"] == "done" for entry in found)

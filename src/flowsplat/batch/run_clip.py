@@ -1,0 +1,129 @@
+"""One clip of a batch in its own process: the run, and what the page of the batch shows of it."""
+
+from __future__ import annotations
+
+import os
+import platform
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+
+from flowsplat.batch.clips import BatchClip
+from flowsplat.batch.records import FOLDER
+from flowsplat.batch.work import Attempt, Job
+from flowsplat.common.files import atomic_path
+from flowsplat.common.progress import say
+from flowsplat.common.source import source_state
+from flowsplat.evaluation.scores import pick
+from flowsplat.output.page import fitted
+from flowsplat.output.report import grade, verdict
+from flowsplat.output.videos import rendered
+from flowsplat.pipeline import run
+from flowsplat.pipeline.config import RunConfig
+from flowsplat.pipeline.folder import RunFolder, stage_key
+from flowsplat.pipeline.speed import expected_memory
+from flowsplat.scenes import Scene
+from flowsplat.scenes.clip import InputOptions
+from flowsplat.scenes.ingest import kind_of_input, open_clip
+from flowsplat.scenes.layers import read_image
+from flowsplat.scenes.scene import split_frames
+
+THUMB_WIDTH = 240
+"""Pixels of a picture in the page of a batch."""
+SPARSER = 1.5
+"""Times as far apart Gaussians begin in a run that outgrew its memory; at most half as many are allowed in the end."""
+
+FIGURES = {
+    "psnr": ("heldout_frames", "psnr"), "ssim": ("heldout_frames", "ssim"), "views_psnr": ("heldout_views", "psnr"),
+    "interpolation_psnr": ("baselines", "flow_interpolation", "psnr"), "gaussians": ("gaussians", "total"),
+}  # fmt: skip
+"""Of ``metrics.json``, which a record repeats."""
+
+
+def clip_job(clip: BatchClip, out: Path) -> Job:
+    """The run of a clip in ``OUT/<id>``. It is done again when its settings change, or the file that it is of."""
+    try:
+        found = os.stat(clip.path)
+        stamp = [found.st_size, found.st_mtime_ns]
+    except OSError:  # the run says what is wrong
+        stamp = []
+    return Job(clip.id, stage_key(str(clip.path), stamp, clip.config), partial(run_clip, clip, Path(out)))
+
+
+def run_clip(clip: BatchClip, out: Path, attempt: Attempt) -> Mapping[str, Any]:
+    """Run a clip, or what is missing of that.
+
+    Returns:
+        ``input``, ``fingerprint`` (of its files, as ``run.json`` has it), ``grade`` (better, even, worse, unmeasured), ``verdict``
+        in words, the figures of ``FIGURES``, ``stages`` (seconds of each), ``video`` (to look at, relative to OUT), ``thumb``, and
+        ``versions``.
+
+    Raises:
+        InputError: as ``run``.
+    """
+    config = clip.config
+    say(f"{clip.id}: {clip.path}")
+    attempt.needs(_memory(clip.path, config.input))
+    if attempt.fewer:
+        say("It has outgrown its memory before: fewer Gaussians this time.")
+        config = fewer_gaussians(config)
+    folder = out / clip.id
+    metrics = run(clip.path, folder, config)
+    video = _video(folder)
+    return {
+        "input": str(clip.path), "fingerprint": RunFolder(folder).fingerprint, "grade": grade(metrics), "verdict": verdict(metrics),
+        **{name: pick(metrics, *path) for name, path in FIGURES.items()}, "stages": metrics.get("seconds", {}),
+        "video": None if video is None else video.relative_to(out).as_posix(), "thumb": _write_thumb(clip.id, folder, out),
+        "versions": {"flowsplat": source_state(), "python": platform.python_version(), "torch": torch.__version__},
+    }  # fmt: skip
+
+
+def _memory(path: Path, options: InputOptions) -> float:
+    """GiB that the run of an input needs.
+
+    Raises:
+        InputError: it cannot be used.
+    """
+    if kind_of_input(path) == "scene":
+        scene = Scene(path)
+        return expected_memory(scene.width, scene.height, len(scene.train_frames))
+    clip = open_clip(path, options)
+    train, _ = split_frames(clip.num_frames, None if clip.num_views else options.holdout)
+    return expected_memory(clip.width, clip.height, len(train))
+
+
+def fewer_gaussians(config: RunConfig) -> RunConfig:
+    """The settings of a run that may not take as much memory."""
+    train = config.train
+    init = replace(
+        train.init, background_spacing=SPARSER * train.init.background_spacing,
+        foreground_spacing=SPARSER * train.init.foreground_spacing,
+    )  # fmt: skip
+    density = replace(train.density, max_gaussians=max(1, train.density.max_gaussians // 2))
+    return replace(config, train=replace(train, init=init, density=density))
+
+
+def _video(folder: Path) -> Path | None:
+    """What the page plays: the first video in colour alone, that along the clip's path before others."""
+    renders = folder / "renders"
+    files = sorted(rendered(renders).items(), key=lambda each: (not each[0].startswith("input"), not each[0].endswith("_colour")))
+    found = (renders / file for _, file in files)
+    return next((path for path in found if path.suffix == ".mp4" and path.exists()), None)
+
+
+def _write_thumb(name: str, folder: Path, out: Path) -> str:
+    """A small picture of the result, of a held-out frame where there is one; its place, relative to OUT."""
+    scene = Scene(folder / "scene")
+    shown = sorted((folder / "evaluation" / "heldout").glob("*.png"))
+    image = read_image(shown[len(shown) // 2]) if shown else scene.frame(scene.train_frames[len(scene.train_frames) // 2])
+    path = out / FOLDER / "thumbs" / f"{name}.jpg"
+    with atomic_path(path) as temporary:
+        data = cv2.imencode(".jpg", np.ascontiguousarray(fitted(image, THUMB_WIDTH)[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, 80])[1]
+        temporary.write_bytes(data.tobytes())
+    return path.relative_to(out).as_posix()
