@@ -90,7 +90,7 @@ def _commands(arguments: Sequence[str]) -> dict[str, Any]:
             options: How the batch is done.
             config: All settings of the runs.
         """
-        from flowsplat.batch import run_batch
+        from flowsplat.batch.command import run_batch
 
         return run_batch(inputs, out, config, options)
 

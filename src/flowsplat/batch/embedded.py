@@ -21,7 +21,7 @@ from flowsplat.batch.work import Ended, Job, Running, outcome_of
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import make_folder
 from flowsplat.common.memory import free_memory, memory_of
-from flowsplat.common.processes import end_with_parent, threads_of_new_processes, usable_cores, use_threads
+from flowsplat.common.processes import end_with_parent, threads_of_new_processes, usable_cores
 from flowsplat.common.progress import going_on
 from flowsplat.common.stopping import signals_stop
 
@@ -92,7 +92,7 @@ class Embedded:
         """
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
-        process = context.Process(target=_serve, args=(theirs, job, fewer, self._threads, self._logs / f"{job.id}.log"))
+        process = context.Process(target=_serve, args=(theirs, job, fewer, self._logs / f"{job.id}.log"))
         try:
             with threads_of_new_processes(self._threads):
                 process.start()
@@ -231,7 +231,7 @@ class _Here:
             self._pipe.send((what, value))
 
 
-def _serve(pipe: Connection, job: Job, fewer: bool, threads: int, log: Path) -> None:
+def _serve(pipe: Connection, job: Job, fewer: bool, log: Path) -> None:
     """A process from its beginning to its end: what it says goes into ``log``, from native code, too."""
     end_with_parent()
     with contextlib.suppress(OSError):
@@ -239,7 +239,6 @@ def _serve(pipe: Connection, job: Job, fewer: bool, threads: int, log: Path) -> 
         for number in (1, 2):
             os.dup2(file, number)
         os.close(file)
-    use_threads(threads)
     here, over = _Here(pipe, fewer), threading.Event()
 
     def tell() -> None:

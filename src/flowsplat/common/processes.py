@@ -79,7 +79,7 @@ def usable_cores() -> int:
     return cores
 
 
-THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
 """How many threads a process computes with that is started with them; later they are not looked at."""
 
 
@@ -96,14 +96,3 @@ def threads_of_new_processes(count: int) -> Iterator[None]:
                 os.environ.pop(name, None)
             else:
                 os.environ[name] = value
-
-
-def use_threads(count: int) -> None:
-    """Compute with so many threads from now on, as far as that can still be chosen."""
-    import cv2
-    import numba
-    import torch
-
-    numba.set_num_threads(min(count, numba.config.NUMBA_NUM_THREADS))
-    torch.set_num_threads(count)
-    cv2.setNumThreads(count)

@@ -7,9 +7,13 @@ from concurrent.futures import as_completed
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numba
+import torch
+
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import make_folder, read_json, write_json, write_text
-from flowsplat.common.processes import end_with_parent, own_processes, use_threads
+from flowsplat.common.processes import end_with_parent, own_processes
 from flowsplat.common.progress import console, progress_bar, say
 from flowsplat.common.source import source_state
 from flowsplat.output.page import write_page
@@ -80,7 +84,9 @@ def run_movers_benchmark(
 def _start() -> None:
     """One thread a process, none of which outlives the command, and quiet: the command itself shows how far it is."""
     end_with_parent()
-    use_threads(1)
+    numba.set_num_threads(1)
+    torch.set_num_threads(1)
+    cv2.setNumThreads(1)
     console.quiet = True
 
 
