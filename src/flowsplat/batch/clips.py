@@ -62,6 +62,7 @@ def find_clips(inputs: Sequence[Path], config: RunConfig, out: Path) -> list[Bat
     Raises:
         InputError: an input does not exist, a list is none, an option in it is wrong, an id is given twice, or there is no clip.
     """
+    config.input.check()
     check(config)
     clips: dict[str, BatchClip] = {}
     for source in inputs:

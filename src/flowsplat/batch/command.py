@@ -95,9 +95,10 @@ def run_batch(
     records = Records(make_folder(out))
     plan = {"version": 1, "inputs": [os.path.abspath(each) for each in given], "config": to_plain(config)}
     write_json(records.folder / PLAN, plan)
+    engine = _engine(out, config, options)
     if options.engine == "embedded":
         compile_kernels(config.device)
-    return _work(out, clips, chosen, records, _engine(out, config, options), options)
+    return _work(out, clips, chosen, records, engine, options)
 
 
 def _chosen(clips: Sequence[BatchClip], options: BatchOptions) -> list[BatchClip]:
