@@ -120,7 +120,7 @@ def _video(folder: Path) -> Path | None:
 def _write_thumb(name: str, folder: Path, out: Path) -> str:
     """A small picture of the result, of a held-out frame where there is one; its place, relative to OUT."""
     scene = Scene(folder / "scene")
-    shown = sorted((folder / "evaluation" / "heldout").glob("*.png"))
+    shown = sorted((folder / "evaluation" / "heldout").glob("[0-9][0-9][0-9][0-9][0-9].png"))
     image = read_image(shown[len(shown) // 2]) if shown else scene.frame(scene.train_frames[len(scene.train_frames) // 2])
     path = out / FOLDER / "thumbs" / f"{name}.jpg"
     with atomic_path(path) as temporary:

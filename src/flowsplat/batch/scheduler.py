@@ -12,12 +12,13 @@ from flowsplat.batch.work import Engine, Job
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import Claims
 
-POLL = 2.0
+POLL = 10.0
 """Seconds, at least, between two lists while others have what is left."""
 LISTED = 20
 """Times as long as listing takes the folders are left alone, so that many who wait do no harm."""
-FRESH = 30.0
-"""Seconds after which folders are listed anew although jobs are known that were open then."""
+FRESH = 300.0
+"""Seconds after which folders are listed anew although jobs are known that were open then: meanwhile others take a few of them,
+which is found out one by one."""
 BUSY = 5.0
 """Seconds after which work is tried again that somebody else's run was in the way of."""
 
@@ -91,11 +92,11 @@ class Scheduler:
         self._shown(self)
         for each in self._engine.wait(0.5 if self._engine.running() else min(self._poll, 0.5)):
             self._note(each.job, each.outcome)
-        for running in self._engine.running():
-            if not self._claims.has(running.id):  # this process slept so long that another one took it
-                self._engine.drop(running.id)
-                self._claims.release(running.id)
-                del self._mine[running.id]
+        for name in self._claims.lost():  # this process slept so long that another one took it
+            if name in self._mine:
+                self._engine.drop(name)
+                self._claims.release(name)
+                del self._mine[name]
         self._shown(self)
 
     def _first_look(self, retry: set[str]) -> None:

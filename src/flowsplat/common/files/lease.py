@@ -163,10 +163,11 @@ class Claims:
         Raises:
             InputError: it cannot be made.
         """
-        self._folder, self._beat, self._lost = make_folder(folder), beat, lost
+        self._folder, self._beat, self._patience = make_folder(folder), beat, lost
         self._place = _place() if place is None else place
         self._token = uuid.uuid4().hex
         self._mine: dict[str, int] = {}
+        self._lost_ones: set[str] = set()
         self._known: dict[tuple[str, int], dict[str, Any]] = {}
         self._seen: dict[tuple[str, int], tuple[int, float]] = {}
         self._guard, self._closed = threading.Lock(), threading.Event()
@@ -202,6 +203,7 @@ class Claims:
         """Give back what this process holds of a piece; the files of earlier attempts, whose holders are dead, go, too."""
         with self._guard:
             number = self._mine.pop(name)
+            self._lost_ones.discard(name)
         for earlier in range(number, 0, -1):
             with contextlib.suppress(OSError):
                 self._path(name, earlier).unlink()
@@ -211,6 +213,11 @@ class Claims:
         with self._guard:
             number = self._mine.get(name)
         return number is not None and self._is_ours(name, number)
+
+    def lost(self) -> list[str]:
+        """What somebody else has taken meanwhile, as far as the last beat told."""
+        with self._guard:
+            return list(self._lost_ones)
 
     def newest(self) -> dict[str, int]:
         """The highest attempt of every piece of which there is a file."""
@@ -242,7 +249,7 @@ class Claims:
         if before is None or before[0] != changed:
             self._seen[name, number] = (changed, now)
             return False
-        return now - before[1] > self._lost
+        return now - before[1] > self._patience
 
     def who(self, name: str, number: int) -> str:
         """The holder of an attempt, in words."""
@@ -286,8 +293,12 @@ class Claims:
             with self._guard:
                 mine = list(self._mine.items())
             for name, number in mine:
-                with contextlib.suppress(OSError):  # gone, or the folder is away for now: whoever asks ``has`` is told
+                with contextlib.suppress(OSError):  # gone, or the folder is away for now
                     os.utime(self._path(name, number))
+                if not self._is_ours(name, number):
+                    with self._guard:
+                        if self._mine.get(name) == number:
+                            self._lost_ones.add(name)
 
 
 @cache
