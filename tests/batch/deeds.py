@@ -71,6 +71,10 @@ class Deed:
         time.sleep(60)
         return {}
 
+    def dozes(self, attempt: Any) -> dict[str, Any]:
+        time.sleep(6)
+        return {}
+
     def naps(self, attempt: Any) -> dict[str, Any]:
         time.sleep(0.5)
         return {"process": os.getpid()}

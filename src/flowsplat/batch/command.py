@@ -13,12 +13,14 @@ from typing_extensions import TypedDict
 
 from flowsplat.batch.clips import BatchClip, find_clips, of_shard
 from flowsplat.batch.embedded import Embedded
+from flowsplat.batch.on_ray import OnRay
 from flowsplat.batch.options import BatchOptions
 from flowsplat.batch.page import NAME, summary, write_results
 from flowsplat.batch.records import FOLDER, Records
 from flowsplat.batch.run_clip import clip_job
 from flowsplat.batch.scheduler import Scheduler
 from flowsplat.batch.table import Progress
+from flowsplat.batch.upload import opened
 from flowsplat.batch.warming import compile_kernels
 from flowsplat.batch.work import Engine
 from flowsplat.common.devices import pick_device
@@ -95,6 +97,8 @@ def run_batch(
     records = Records(make_folder(out))
     plan = {"version": 1, "inputs": [os.path.abspath(each) for each in given], "config": to_plain(config)}
     write_json(records.folder / PLAN, plan)
+    if options.upload is not None:
+        opened(options.upload)  # what is wrong with it is said now
     engine = _engine(out, config, options)
     if options.engine == "embedded":
         compile_kernels(config.device)
@@ -112,10 +116,14 @@ def _chosen(clips: Sequence[BatchClip], options: BatchOptions) -> list[BatchClip
 
 
 def _engine(out: Path, config: RunConfig, options: BatchOptions) -> Engine:
-    workers = options.workers
+    logs, workers = make_folder(out / FOLDER / "logs"), options.workers
+    if options.engine == "ray":
+        if options.memory is not None:
+            raise InputError("--memory is for --engine embedded: Ray knows the memory of its machines.")
+        return OnRay(logs.absolute(), workers, options.ray_address, 1 if config.device == "cuda" else 0)
     if workers is None and pick_device(config.device).type == "cuda":
         workers = 1
-    return Embedded(out / FOLDER / "logs", workers, options.memory)
+    return Embedded(logs, workers, options.memory)
 
 
 def _work(
@@ -123,7 +131,7 @@ def _work(
 ) -> bool:
     names = {clip.id: str(clip.path) for clip in clips}
     page = _Page(out, records, names)
-    jobs = [clip_job(clip, out) for clip in chosen]
+    jobs = [clip_job(clip, out.absolute(), options.upload) for clip in chosen]
     if len(chosen) < len(clips):
         say(f"{len(chosen)} of {len(clips)} clips are this process's.")
     claims = Claims(records.folder / "claims")

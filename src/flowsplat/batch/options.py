@@ -28,7 +28,8 @@ class BatchOptions:
     status: bool = False
     """Only show how far it is, and write OUT/batch.json and OUT/index.html anew."""
     ray_address: str | None = None
-    """Of a Ray cluster to join, as ``ray.init`` takes it (auto, or ray://host:10001); the default is one that is started here."""
+    """With --engine ray: the cluster to join, as ``ray.init`` takes it (auto, or host:6379); the default is one that is started
+    here."""
     upload: str | None = None
     """Copy every run that is done to this folder, too: a URL as fsspec takes it (s3://bucket/folder, gs://..., file:///...), which
     needs the extra ``upload``. The last file of a run is manifest.json: where it is, all of it is there."""

@@ -16,6 +16,7 @@ import torch
 
 from flowsplat.batch.clips import BatchClip
 from flowsplat.batch.records import FOLDER
+from flowsplat.batch.upload import upload
 from flowsplat.batch.work import Attempt, Job
 from flowsplat.common.files import atomic_path
 from flowsplat.common.progress import say
@@ -46,23 +47,27 @@ FIGURES = {
 """Of ``metrics.json``, which a record repeats."""
 
 
-def clip_job(clip: BatchClip, out: Path) -> Job:
-    """The run of a clip in ``OUT/<id>``. It is done again when its settings change, or the file that it is of."""
+def clip_job(clip: BatchClip, out: Path, copies: str | None = None) -> Job:
+    """The run of a clip in ``OUT/<id>``. It is done again when its settings change, or the file that it is of.
+
+    Args:
+        copies: a URL that its folder is copied to when it is done.
+    """
     try:
         found = os.stat(clip.path)
         stamp = [found.st_size, found.st_mtime_ns]
     except OSError:  # the run says what is wrong
         stamp = []
-    return Job(clip.id, stage_key(str(clip.path), stamp, clip.config), partial(run_clip, clip, Path(out)))
+    return Job(clip.id, stage_key(str(clip.path), stamp, clip.config, copies), partial(run_clip, clip, Path(out), copies))
 
 
-def run_clip(clip: BatchClip, out: Path, attempt: Attempt) -> Mapping[str, Any]:
+def run_clip(clip: BatchClip, out: Path, copies: str | None, attempt: Attempt) -> Mapping[str, Any]:
     """Run a clip, or what is missing of that.
 
     Returns:
         ``input``, ``fingerprint`` (of its files, as ``run.json`` has it), ``grade`` (better, even, worse, unmeasured), ``verdict``
-        in words, the figures of ``FIGURES``, ``stages`` (seconds of each), ``video`` (to look at, relative to OUT), ``thumb``, and
-        ``versions``.
+        in words, the figures of ``FIGURES``, ``stages`` (seconds of each), ``video`` (to look at, relative to OUT), ``thumb``,
+        ``versions``, and ``uploaded`` (its copy, where there is one).
 
     Raises:
         InputError: as ``run``.
@@ -81,6 +86,7 @@ def run_clip(clip: BatchClip, out: Path, attempt: Attempt) -> Mapping[str, Any]:
         **{name: pick(metrics, *path) for name, path in FIGURES.items()}, "stages": metrics.get("seconds", {}),
         "video": None if video is None else video.relative_to(out).as_posix(), "thumb": _write_thumb(clip.id, folder, out),
         "versions": {"flowsplat": source_state(), "python": platform.python_version(), "torch": torch.__version__},
+        "uploaded": None if copies is None else upload(folder, copies),
     }  # fmt: skip
 
 
