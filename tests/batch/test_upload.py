@@ -75,3 +75,12 @@ def test_addresses_that_are_none():
     for url in ("nonsense://x", "s3n+x://y"):
         with pytest.raises(InputError, match="--upload"):
             opened(url)
+
+
+def test_a_manifest_that_leads_elsewhere_deletes_nothing(run, tmp_path):
+    (tmp_path / "mine.txt").write_text("mine")
+    target = tmp_path / "bucket" / "clip-1"
+    target.mkdir(parents=True)
+    (target / "manifest.json").write_text(json.dumps({"files": {"../../mine.txt": {}, str(tmp_path / "mine.txt"): {}}}))
+    upload(run, f"file://{tmp_path}/bucket")
+    assert (tmp_path / "mine.txt").read_text() == "mine"

@@ -52,7 +52,7 @@ def upload(folder: Path, url: str) -> str:
     manifest, there = f"{target}/{MANIFEST}", {}
     if system.exists(manifest):
         try:
-            there = json.loads(system.cat_file(manifest))["files"]
+            there = dict(json.loads(system.cat_file(manifest))["files"])
         except (ValueError, KeyError, TypeError):
             there = {}
         if there == wanted:
@@ -62,9 +62,9 @@ def upload(folder: Path, url: str) -> str:
         if there.get(name) != wanted[name]:
             system.makedirs(f"{target}/{name}".rpartition("/")[0], exist_ok=True)
             system.put_file(os.fspath(path), f"{target}/{name}")
-    for name in set(there) - set(wanted):
-        if system.exists(f"{target}/{name}"):
-            system.rm_file(f"{target}/{name}")
+    for place in system.find(target):  # what lies there, not what the manifest names, which could lead anywhere
+        if place.startswith(f"{target}/") and place.removeprefix(f"{target}/") not in wanted:
+            system.rm_file(place)
     partial = f"{target}/.{MANIFEST}.partial"
     system.pipe_file(partial, json.dumps({"version": 1, "files": wanted}, indent=1).encode())
     system.mv(partial, manifest)
