@@ -249,6 +249,7 @@ def _benchmarks(arguments: Sequence[str] = ()) -> dict[str, Any]:
     from flowsplat.pipeline.config import RunConfig, preset
     from flowsplat.protocols.ablations import benchmark as ablating
     from flowsplat.protocols.ablations import caps as capping
+    from flowsplat.protocols.resume import BenchmarkOptions
     from flowsplat.training.config import TrainConfig
 
     defaults = preset(_value_of(arguments, "--preset") or "default")
@@ -260,9 +261,11 @@ def _benchmarks(arguments: Sequence[str] = ()) -> dict[str, Any]:
         return replace(defaults, train=train, device=device)
 
     Root = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATA_ROOT")]
+    Options = Annotated[BenchmarkOptions, tyro.conf.arg(name="")]
+    options = BenchmarkOptions()
     Out = Annotated[Path, tyro.conf.arg(aliases=("-o",), metavar="OUT")]
 
-    def priors(root: Root, out: Out, scenes: tuple[str, ...] = (), again: bool = False) -> None:
+    def priors(root: Root, out: Out, scenes: tuple[str, ...] = (), again: bool = False, work: Options = options) -> None:
         """Cameras, flow, masks, depth and tracks of many scenes against the truth.
 
         Prepares every scene as flowsplat prepare does, in OUT/<scene>, and measures it: figures in OUT/<scene>.json, the table
@@ -275,14 +278,15 @@ def _benchmarks(arguments: Sequence[str] = ()) -> dict[str, Any]:
             out: Folder for everything that comes out.
             scenes: Names of the scenes to run; the default is all of them.
             again: Prepare and measure again what is there already; leave it out to go on from where that was stopped.
+            work: How the benchmark is done.
         """
         from flowsplat.protocols.priors import run_priors_benchmark
 
-        run_priors_benchmark(root, out, scenes, again)
+        run_priors_benchmark(root, out, scenes, again, work)
 
     def davis(
         root: Root, out: Out, scenes: Names = (), masks: Literal["given", "own"] = "given", preset: Preset = "default",
-        train: TrainConfig = defaults.train, device: DeviceName = "auto", again: bool = False,
+        train: TrainConfig = defaults.train, device: DeviceName = "auto", again: bool = False, work: Options = options,
     ) -> None:  # fmt: skip
         """Whole runs on clips of DAVIS: every tenth frame is predicted; beside the paper's figures.
 
@@ -298,14 +302,15 @@ def _benchmarks(arguments: Sequence[str] = ()) -> dict[str, Any]:
             train: Settings of training that differ from the preset's; the tables name them.
             device: What to compute on.
             again: Forget what is in OUT of these clips; leave it out to go on from where that was stopped.
+            work: How the benchmark is done.
         """
         from flowsplat.protocols.datasets import davis_cases, run_benchmark
 
-        run_benchmark("davis", davis_cases(root, scenes, masks, preset, changed(train, device)), out, again)
+        run_benchmark("davis", davis_cases(root, scenes, masks, preset, changed(train, device)), out, again, work)
 
     def rig(
         root: Root, out: Out, scenes: Names = (), priors: Literal["true", "own"] = "own", preset: Preset = "default",
-        train: TrainConfig = defaults.train, device: DeviceName = "auto", again: bool = False,
+        train: TrainConfig = defaults.train, device: DeviceName = "auto", again: bool = False, work: Options = options,
     ) -> None:  # fmt: skip
         """Whole runs on rendered scenes: held-out cameras, and the errors of flow, depth and tracks in 3D.
 
@@ -320,14 +325,15 @@ def _benchmarks(arguments: Sequence[str] = ()) -> dict[str, Any]:
             train: Settings of training that differ from the preset's; the tables name them.
             device: What to compute on.
             again: Forget what is in OUT of these scenes; leave it out to go on from where that was stopped.
+            work: How the benchmark is done.
         """
         from flowsplat.protocols.datasets import rig_cases, run_benchmark
 
-        run_benchmark("rig", rig_cases(root, scenes, priors, preset, changed(train, device)), out, again)
+        run_benchmark("rig", rig_cases(root, scenes, priors, preset, changed(train, device)), out, again, work)
 
     def nvidia(
         root: Root, out: Out, scenes: Names = (), preset: Preset = "default", train: TrainConfig = defaults.train,
-        device: DeviceName = "auto", again: bool = False,
+        device: DeviceName = "auto", again: bool = False, work: Options = options,
     ) -> None:  # fmt: skip
         """Whole runs on the NVIDIA Dynamic Scenes: the other cameras of the rig; beside published figures.
 
@@ -342,14 +348,15 @@ def _benchmarks(arguments: Sequence[str] = ()) -> dict[str, Any]:
             train: Settings of training that differ from the preset's; the tables name them.
             device: What to compute on.
             again: Forget what is in OUT of these scenes; leave it out to go on from where that was stopped.
+            work: How the benchmark is done.
         """
         from flowsplat.protocols.datasets import nvidia_cases, run_benchmark
 
-        run_benchmark("nvidia", nvidia_cases(root, scenes, preset, changed(train, device)), out, again)
+        run_benchmark("nvidia", nvidia_cases(root, scenes, preset, changed(train, device)), out, again, work)
 
     def ablations(
         root: Root, out: Out, rows: Names = (), scenes: Names = ablating.SCENES, seeds: Numbers = ablating.SEEDS,
-        iterations: int = ablating.ITERATIONS, again: bool = False,
+        iterations: int = ablating.ITERATIONS, again: bool = False, work: Options = options,
     ) -> None:  # fmt: skip
         """What every part of the method is worth: short trainings without it, beside the paper's three ablation tables.
 
@@ -367,12 +374,13 @@ def _benchmarks(arguments: Sequence[str] = ()) -> dict[str, Any]:
             iterations: Frame-steps of every run.
             again: Train and measure again what is in OUT already; prepared scenes stay. Leave it out to go on from where that was
                 stopped.
+            work: How the benchmark is done.
         """
-        ablating.run_ablations(root, out, rows, scenes, seeds, iterations, again)
+        ablating.run_ablations(root, out, rows, scenes, seeds, iterations, again, work)
 
     def caps(
         root: Root, out: Out, scenes: Names = capping.SCENES, caps: Numbers = capping.CAPS, steps: Numbers = capping.STEPS,
-        seeds: Numbers = capping.SEEDS, size: int = capping.SIZE, again: bool = False,
+        seeds: Numbers = capping.SEEDS, size: int = capping.SIZE, again: bool = False, work: Options = options,
     ) -> None:  # fmt: skip
         """What more Gaussians and more frame-steps bring: PSNR against both, as pictures.
 
@@ -388,12 +396,13 @@ def _benchmarks(arguments: Sequence[str] = ()) -> dict[str, Any]:
             size: Long side in pixels to which clips are brought, 0 = as they are; rendered scenes keep their size.
             again: Train and measure again what is in OUT already; prepared scenes stay. Leave it out to go on from where that was
                 stopped.
+            work: How the benchmark is done.
         """
-        capping.run_caps(root, out, scenes, caps, steps, seeds, size, again)
+        capping.run_caps(root, out, scenes, caps, steps, seeds, size, again, work)
 
     def oracles(
         root: Root, out: Out, scenes: Names = (), oracles: Names = (), preset: Preset = "default",
-        train: TrainConfig = defaults.train, device: DeviceName = "auto", at_once: Literal[1, 2] = 1, again: bool = False,
+        train: TrainConfig = defaults.train, device: DeviceName = "auto", again: bool = False, work: Options = options,
     ) -> None:  # fmt: skip
         """What every prior costs: rendered scenes trained with one prior after the other replaced by the truth.
 
@@ -411,15 +420,15 @@ def _benchmarks(arguments: Sequence[str] = ()) -> dict[str, Any]:
             preset: How they are trained: fast, default, paper or high. Frames and their size are the protocol's.
             train: Settings of training that differ from the preset's; the tables name them.
             device: What to compute on.
-            at_once: How many trainings run at a time, each in a process of its own with one thread.
             again: Forget oracle scenes, runs and figures that are in OUT of these; prepared scenes stay. Leave it out to go on from
                 where that was stopped.
+            work: How the benchmark is done.
         """
         from flowsplat.protocols.oracles import run_oracles
 
-        run_oracles(root, out, scenes, oracles, preset, changed(train, device), at_once, again)
+        run_oracles(root, out, scenes, oracles, preset, changed(train, device), again, work)
 
-    def movers(out: Out, worlds: int = 40, seed: int = 0, again: bool = False) -> None:
+    def movers(out: Out, worlds: int = 40, seed: int = 0, again: bool = False, work: Options = options) -> None:
         """How far away moving objects are estimated to be, in random worlds with exact truth.
 
         Every world is rendered and prepared once, in OUT/<seed>, with our own cameras, flow and masks and with true ones. The
@@ -432,10 +441,11 @@ def _benchmarks(arguments: Sequence[str] = ()) -> dict[str, Any]:
             worlds: How many worlds.
             seed: That of the first one; the others follow.
             again: Place the movers anew in worlds that are prepared already: what to call after that step was changed.
+            work: How the benchmark is done.
         """
         from flowsplat.protocols.movers import run_movers_benchmark
 
-        run_movers_benchmark(out, worlds, seed, again)
+        run_movers_benchmark(out, worlds, seed, again, options=work)
 
     return {
         "priors": priors, "davis": davis, "rig": rig, "nvidia": nvidia, "ablations": ablations, "caps": caps, "oracles": oracles,

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 
 from flowsplat.batch.records import Outcome
-from flowsplat.batch.work import Ended, Job, Running
+from flowsplat.batch.work import Ended, Job, Running, outcome_of
 
 Act = Callable[[Job, bool], Outcome]
 
@@ -53,3 +53,34 @@ class Sleepers:
 
 def jobs(count: int, key: str = "k") -> list[Job]:
     return [Job(f"clip-{k}", key, dict) for k in range(count)]
+
+
+class Inline:
+    """An engine that does work in this process, one piece at a time, when it is waited for."""
+
+    fewer = False
+
+    def __init__(self) -> None:
+        self._jobs: list[Job] = []
+
+    def has_room(self) -> bool:
+        return not self._jobs
+
+    def start(self, job: Job, fewer: bool) -> None:
+        self._jobs.append(job)
+
+    def wait(self, seconds: float) -> Sequence[Ended]:
+        return [Ended(job, outcome_of(job.call, self)) for job in (self._jobs.pop(),)] if self._jobs else []
+
+    def running(self) -> Sequence[Running]:
+        return [Running(job.id, "at work", 0.0, None) for job in self._jobs]
+
+    def drop(self, name: str) -> None:
+        self._jobs.clear()
+
+    def stop(self) -> Sequence[Ended]:
+        self._jobs.clear()
+        return []
+
+    def needs(self, gib: float) -> None:
+        """Of the attempt: there is enough."""

@@ -9,8 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
+from flowsplat.protocols import resume
 from flowsplat.scenes.layers import write_image
 from flowsplat.scenes.synthetic import SyntheticScene
+from tests.batch.fakes import Inline
 
 SPEC = SyntheticScene(width=96, height=64, frames=8, fps=12.0)
 STEP = (2.0, -1.0)
@@ -53,6 +55,12 @@ def write_pair(folder: Path, size: tuple[int, int] = (120, 80)) -> None:
     flow = np.broadcast_to(np.float32(STEP), (height, width, 2)).copy()
     flow[:, 0] = 1e10
     cv2.writeOpticalFlow(str(folder / "flow10.flo"), flow)
+
+
+@pytest.fixture
+def in_this_process(monkeypatch) -> None:
+    """Measurements are made here, one after the other: other processes would not see what is patched."""
+    monkeypatch.setattr(resume, "engine_of", lambda *_, **__: Inline())
 
 
 @pytest.fixture(scope="session")

@@ -8,13 +8,16 @@ import multiprocessing.synchronize
 import os
 import subprocess
 import sys
-import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 from flowsplat.common.errors import InputError
-from flowsplat.common.processes import in_own_process
-from flowsplat.protocols.resume import Job, measure_jobs, results_in
+from flowsplat.common.processes import in_own_process, usable_cores
+from flowsplat.protocols.resume import BenchmarkOptions, Job, measure_jobs, results_in
 from flowsplat.protocols.roots import open_root, require_scenes
 from tests.mounts import needs_mounts, without_shared_memory
 
@@ -34,7 +37,7 @@ def job(calls, name: str, key: str = "k", reason: str | None = None) -> Job:
     return Job(name, key, measure)
 
 
-def test_what_is_measured_is_kept(calls, tmp_path):
+def test_what_is_measured_is_kept(calls, tmp_path, in_this_process):
     seen = []
 
     def report(failed):
@@ -42,7 +45,7 @@ def test_what_is_measured_is_kept(calls, tmp_path):
         return tmp_path / "page.html"
 
     assert measure_jobs([job(calls, "a"), job(calls, "b")], tmp_path, report) == tmp_path / "page.html"
-    assert seen == [({}, ["a"]), ({}, ["a", "b"])], "the page is written after each"
+    assert seen[:2] == [({}, ["a"]), ({}, ["a", "b"])], "the page is written after each"
     measure_jobs([job(calls, "a"), job(calls, "b", key="other")], tmp_path, report)
     assert calls == ["a", "b", "b"]
     measure_jobs([job(calls, "a")], tmp_path, report, again=True)
@@ -53,7 +56,7 @@ def test_what_is_measured_is_kept(calls, tmp_path):
     assert len(results_in("test", tmp_path)) == 2
 
 
-def test_one_that_fails_does_not_stop_the_others(calls, tmp_path):
+def test_one_that_fails_does_not_stop_the_others(calls, tmp_path, in_this_process):
     reported = []
 
     def report(failed):
@@ -68,21 +71,47 @@ def test_one_that_fails_does_not_stop_the_others(calls, tmp_path):
     assert not (tmp_path / "a.json").exists()
 
 
-def test_two_at_once(tmp_path):
-    """Each waits for the other, which one after the other never could."""
-    both = threading.Barrier(2, timeout=20)
-    reported = []
+@dataclass(frozen=True)
+class Meeting:
+    """Leaves its name and waits until another one has, which one after the other never could."""
 
-    def measure():
-        both.wait()
-        return {"protocol": "test"}
+    folder: Path
+    name: str
+
+    def __call__(self) -> dict[str, Any]:
+        (self.folder / self.name).write_text("")
+        ends = time.monotonic() + 30
+        while len(list(self.folder.iterdir())) < 2:
+            if time.monotonic() > ends:
+                raise InputError("nobody came.")
+            time.sleep(0.02)
+        return {"protocol": "test", "threads": os.environ["OMP_NUM_THREADS"], "process": os.getpid()}
+
+
+def test_two_at_a_time_in_processes_of_their_own(tmp_path):
+    meeting, reported = tmp_path / "meeting", []
+    meeting.mkdir()
 
     def report(failed):
         reported.append(len(results_in("test", tmp_path)))
         return tmp_path
 
-    measure_jobs([Job(name, "k", measure) for name in "abcd"], tmp_path, report, at_once=2)
-    assert reported[-1] == 4
+    jobs = [Job(name, "k", Meeting(meeting, name)) for name in "abc"]
+    measure_jobs(jobs, tmp_path, report, options=BenchmarkOptions(workers=2))
+    assert reported[-1] == 3
+    found = results_in("test", tmp_path)
+    assert len({os.getpid(), *(each["process"] for each in found)}) == 4
+    assert {each["threads"] for each in found} == {str(max(1, usable_cores() // 2))}
+
+
+def test_parts_of_a_benchmark(calls, tmp_path, in_this_process):
+    jobs = [job(calls, name) for name in "abcdefgh"]
+    for part in ("1/2", "2/2"):
+        measure_jobs(jobs, tmp_path, lambda _: tmp_path, options=BenchmarkOptions(shard=part))
+        assert 0 < len(calls) < 8 or part == "2/2"
+    assert sorted(calls) == list("abcdefgh")
+    with pytest.raises(InputError, match="--shard 3/2"):
+        measure_jobs(jobs, tmp_path, lambda _: tmp_path, options=BenchmarkOptions(shard="3/2"))
 
 
 def test_a_process_of_its_own():

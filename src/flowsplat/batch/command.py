@@ -12,8 +12,7 @@ from typing import Any
 from typing_extensions import TypedDict
 
 from flowsplat.batch.clips import BatchClip, find_clips, of_shard
-from flowsplat.batch.embedded import Embedded
-from flowsplat.batch.on_ray import OnRay
+from flowsplat.batch.engines import engine_of
 from flowsplat.batch.options import BatchOptions
 from flowsplat.batch.page import NAME, summary, write_results
 from flowsplat.batch.records import FOLDER, Records
@@ -23,7 +22,6 @@ from flowsplat.batch.table import Progress
 from flowsplat.batch.upload import opened
 from flowsplat.batch.warming import compile_kernels
 from flowsplat.batch.work import Engine
-from flowsplat.common.devices import pick_device
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import Claims, make_folder, read_json, write_json
 from flowsplat.common.files.json_file import Count, Text
@@ -99,7 +97,9 @@ def run_batch(
     write_json(records.folder / PLAN, plan)
     if options.upload is not None:
         opened(options.upload)  # what is wrong with it is said now
-    engine = _engine(out, config, options)
+    if options.engine == "ray" and options.memory is not None:
+        raise InputError("--memory is for --engine embedded: Ray knows the memory of its machines.")
+    engine = engine_of(options, out / FOLDER / "logs", config.device, options.workers, options.memory)
     if options.engine == "embedded":
         compile_kernels(config.device)
     return _work(out, clips, chosen, records, engine, options)
@@ -113,17 +113,6 @@ def _chosen(clips: Sequence[BatchClip], options: BatchOptions) -> list[BatchClip
             raise InputError(f"--only {name}: there is no clip of that id; flowsplat batch OUT --status names them.")
     mine = of_shard([clip.id for clip in clips], options.shard, os.environ)
     return [clip for clip in clips if clip.id in mine and (not options.only or clip.id in options.only)]
-
-
-def _engine(out: Path, config: RunConfig, options: BatchOptions) -> Engine:
-    logs, workers = make_folder(out / FOLDER / "logs"), options.workers
-    if options.engine == "ray":
-        if options.memory is not None:
-            raise InputError("--memory is for --engine embedded: Ray knows the memory of its machines.")
-        return OnRay(logs.absolute(), workers, options.ray_address, 1 if config.device == "cuda" else 0)
-    if workers is None and pick_device(config.device).type == "cuda":
-        workers = 1
-    return Embedded(logs, workers, options.memory)
 
 
 def _work(

@@ -20,7 +20,9 @@ MOST_ROWS = 32
 class Progress:
     """Shows a scheduler. A context manager; ``show`` may be called as often as one likes."""
 
-    def __init__(self) -> None:
+    def __init__(self, noun: str = "clips") -> None:
+        """``noun`` says what is worked on."""
+        self._noun = noun
         self._began = self._said = time.monotonic()
         self._first: int | None = None
         self._live = Live(console=console, refresh_per_second=2, transient=True) if is_live() else None
@@ -48,7 +50,8 @@ class Progress:
         """How far it is, in words."""
         spent, ended = time.monotonic() - self._began, len(scheduler.ended) - (self._first or 0)
         wrong = [f"{count} {state}" for state, count in sorted(scheduler.counts.items()) if state != "done"]
-        parts = [f"{len(scheduler.ended)} of {scheduler.total} clips have ended" + (f" ({', '.join(wrong)})" if wrong else "")]
+        counted = f" ({', '.join(wrong)})" if wrong else ""
+        parts = [f"{len(scheduler.ended)} of {scheduler.total} {self._noun} have ended{counted}"]
         parts.append(f"{len(scheduler.engine.running())} run here")
         if scheduler.elsewhere:
             parts.append(f"{scheduler.elsewhere} elsewhere")
@@ -59,7 +62,7 @@ class Progress:
 
     def _table(self, scheduler: Scheduler) -> Table:
         table = Table(box=None, pad_edge=False, title=self.line(scheduler), title_justify="left")
-        for name in ("clip", "for", "GiB", ""):
+        for name in (self._noun, "for", "GiB", ""):
             table.add_column(name, justify="right" if name in ("for", "GiB") else "left", no_wrap=True)
         for each in list(scheduler.engine.running())[:MOST_ROWS]:
             held = "" if each.gib is None else f"{each.gib:.1f}"

@@ -42,20 +42,17 @@ def test_scenes_of_both_kinds(runs_root):
 
 
 @pytest.fixture
-def measured(monkeypatch):
+def measured(monkeypatch, in_this_process):
     """Stands in for trainings."""
     done = []
 
-    def in_own_process(function, *arguments):
-        if function is scenes._prepare:
-            return arguments[1]
-        run, _ = arguments
+    def measure(run, _):
         done.append((run.scene.name, run.variant.name, run.config.seed))
         figures = result(run.variant.name, 30.0 + len(done), run.scene.case.scene, run.config.seed)
         return {**figures, "protocol": run.protocol, "cap": run.config.density.max_gaussians, "iterations": run.config.iterations}
 
-    for module in (training_runs, scenes):
-        monkeypatch.setattr(module, "in_own_process", in_own_process)
+    monkeypatch.setattr(scenes, "prepared_scene", lambda _, folder: folder)
+    monkeypatch.setattr(training_runs, "measure", measure)
     return done
 
 

@@ -30,7 +30,7 @@ def refuse(capsys, *arguments: object) -> str:
 
 
 @pytest.fixture
-def measured(monkeypatch):
+def measured(monkeypatch, in_this_process):
     """Stands in for runs: notes the cases, fails on a scene called plain."""
     calls = []
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-from concurrent.futures import Future
-from contextlib import nullcontext
 
 import pytest
 
@@ -17,11 +15,12 @@ from flowsplat.protocols.movers.preparation import prepare_world
 from flowsplat.scenes import Scene
 
 SEED, SIZE, FRAMES = 1, (96, 54), 12
+PART = {"movers": [], "idf1": 0.5}
 
 
 @pytest.mark.slow
 def test_a_world_is_prepared_once_and_placed_again(tmp_path):
-    page = run_movers_benchmark(tmp_path, 1, SEED, size=SIZE, frames=FRAMES, processes=1)
+    page = run_movers_benchmark(tmp_path, 1, SEED, size=SIZE, frames=FRAMES)
     folder = tmp_path / str(SEED)
     figures = json.loads((folder / FIGURES).read_text())
     assert [mover["kind"] for mover in figures["true"]["movers"]] == ["bouncing", "pendulum"]
@@ -43,7 +42,7 @@ def test_a_world_is_prepared_once_and_placed_again(tmp_path):
     depth = folder / "true" / "depth" / "00003.npz"
     depth.write_bytes(b"damaged")
     (folder / FIGURES).write_text("{}")
-    run_movers_benchmark(tmp_path, 1, SEED, again=True, size=SIZE, frames=FRAMES, processes=1)
+    run_movers_benchmark(tmp_path, 1, SEED, again=True, size=SIZE, frames=FRAMES)
     assert json.loads((folder / FIGURES).read_text()) == figures
     assert [path.stat().st_mtime_ns for path in kept] == before
     with pytest.raises(InputError, match="holds a world of 12 frames of 96x54"):
@@ -60,15 +59,13 @@ def test_a_killed_preparation_goes_on(tmp_path, monkeypatch):
             prepare_world(SEED, tmp_path / "1", *SIZE, FRAMES)
     cameras = (tmp_path / "1" / "own" / "cameras.json").stat().st_mtime_ns
     assert not (tmp_path / "1" / FIGURES).exists()
-    measure_world(SEED, tmp_path / "1", SIZE, FRAMES, False)
+    assert measure_world(SEED, tmp_path / "1", SIZE, FRAMES, False)["seed"] == SEED
     assert (tmp_path / "1" / "own" / "cameras.json").stat().st_mtime_ns == cameras
-    assert (tmp_path / "1" / FIGURES).exists()
 
 
 def test_what_is_measured_is_not_measured_again(tmp_path, capsys):
-    part = {"movers": [], "idf1": 0.5}
     for seed in (3, 4):
-        facts = {"seed": seed, "ground": "flat", "camera": "arc", "flowsplat": "0", "own": part, "true": part}
+        facts = {"seed": seed, "ground": "flat", "camera": "arc", "flowsplat": "0", "own": PART, "true": PART}
         (tmp_path / str(seed)).mkdir()
         (tmp_path / str(seed) / FIGURES).write_text(json.dumps(facts))
     main(["benchmark", "movers", "--worlds", "2", "--seed", "3", "-o", str(tmp_path)])
@@ -80,16 +77,14 @@ def test_what_is_measured_is_not_measured_again(tmp_path, capsys):
     assert "one world or more" in capsys.readouterr().err
 
 
-def test_a_world_that_cannot_be_measured_is_told(tmp_path, monkeypatch):
-    class Pool:
-        """In place of processes, which would not see what is patched."""
+def test_a_world_that_cannot_be_measured_is_told(tmp_path, monkeypatch, in_this_process):
+    def measure(seed, *_):
+        if seed == 1:
+            raise InputError("torn 1.")
+        return {"seed": 0, "ground": "flat", "camera": "arc", "flowsplat": "0", "own": PART, "true": PART}
 
-        def submit(self, function, seed, *_):
-            job: Future = Future()
-            job.set_exception(InputError(f"torn {seed}.")) if seed == 1 else job.set_result(None)
-            return job
-
-    monkeypatch.setattr(benchmark, "own_processes", lambda *_: nullcontext(Pool()))
-    with pytest.raises(InputError, match="1 of 2 worlds could not be measured, first 1: torn 1"):
+    monkeypatch.setattr(benchmark, "measure_world", measure)
+    with pytest.raises(InputError, match="1 of 2 worlds could not be run, first world-1: torn 1"):
         run_movers_benchmark(tmp_path, 2, 0)
-    assert "World 1 could not be measured: torn 1." in (tmp_path / "movers.md").read_text()
+    assert "1 worlds, seeds 0 to 1." in (tmp_path / "movers.md").read_text()
+    assert "world-1 could not be measured: torn 1." in (tmp_path / "movers.md").read_text()

@@ -45,19 +45,16 @@ def result(run) -> dict:
 
 
 @pytest.fixture
-def measured(monkeypatch):
+def measured(monkeypatch, in_this_process):
     """Stands in for preparing and training."""
     done = []
 
-    def in_own_process(function, *arguments):
-        if function is benchmark._prepare:
-            return arguments[1]
-        run, _, _ = arguments
+    def measure(run, *_):
         done.append(run.name)
         return result(run)
 
-    monkeypatch.setattr(benchmark, "in_own_process", in_own_process)
-    benchmark._prepared.cache_clear()
+    monkeypatch.setattr(benchmark, "prepared_scene", lambda _, folder: folder)
+    monkeypatch.setattr(benchmark, "measure_oracle", measure)
     return done
 
 
@@ -88,14 +85,14 @@ def test_tables(runs_root, tmp_path, measured):
 def test_it_continues(runs_root, tmp_path, measured):
     arguments = (runs_root, "-o", tmp_path, "--oracles", "own", "flow")
     call(*arguments)
-    call(*arguments, "--at-once", "2")
+    call(*arguments, "--workers", "2")
     assert len(measured) == 2
     call(*arguments, "--train.iterations", "7")
     assert len(measured) == 4
     text = (tmp_path / "oracles.md").read_text()
     assert "left out here: 2." in text, "those of other settings stay, and are not mixed in"
     assert "26.00 / –" in text, "movers too small to be measured"
-    call(*arguments, "--again", "--at-once", "2")
+    call(*arguments, "--again", "--workers", "2")
     assert len(measured) == 6
 
 
@@ -106,14 +103,14 @@ def test_bad_input_is_one_line(runs_root, tmp_path, capsys):
     assert "no oracle 'x': choose from own, constant" in refuse(capsys, runs_root, "-o", out, "--oracles", "x")
     assert "Unknown preset" in refuse(capsys, runs_root, "-o", out, "--preset", "best")
     assert "--train.iterations" in refuse(capsys, runs_root, "-o", out, "--train.iterations", "-1")
-    assert "3" in refuse(capsys, runs_root, "-o", out, "--at-once", "3")
+    assert "x" in refuse(capsys, runs_root, "-o", out, "--workers", "x")
     assert not out.exists()
 
 
 @pytest.mark.slow
 def test_two_oracles_are_trained_and_kept(runs_root, tmp_path):
     out = tmp_path / "out"
-    arguments = (runs_root, "-o", out, "--oracles", "own", "background", "--at-once", "2", *QUICK)
+    arguments = (runs_root, "-o", out, "--oracles", "own", "background", "--workers", "2", *QUICK)
     call(*arguments)
     values = {}
     for name in ("own", "background"):

@@ -40,7 +40,7 @@ def test_a_pair_is_measured_once(data_root, tmp_path, capsys):
     assert json.loads(path.read_text())["figures"]["flow.epe"] < 0.2
 
 
-def test_a_scene_that_cannot_be_measured_does_not_stop_the_others(data_root, tmp_path, monkeypatch, capsys):
+def test_a_scene_that_cannot_be_measured_does_not_stop_the_others(data_root, tmp_path, monkeypatch, capsys, in_this_process):
     def measure(scene, folder):
         if scene.name == "clip":
             raise InputError("it is torn.")

@@ -15,7 +15,7 @@ from flowsplat.protocols.ablations.claims import CLAIMS, RENAMED_ROWS, chosen_cl
 from flowsplat.protocols.ablations.report import write_report
 from flowsplat.protocols.ablations.scenes import ablation_scenes, chosen_scenes
 from flowsplat.protocols.ablations.training_runs import comparable, training_runs
-from flowsplat.protocols.resume import measure_jobs, results_in
+from flowsplat.protocols.resume import BenchmarkOptions, measure_jobs, results_in
 
 PROTOCOL = "ablations"
 SCENES = ("train", "bear", "workshop")
@@ -35,6 +35,7 @@ def run_ablations(
     seeds: Sequence[int] = SEEDS,
     iterations: int = ITERATIONS,
     again: bool = False,
+    options: BenchmarkOptions | None = None,
 ) -> Path:
     """Run or resume the ablations: one JSON a run, ``OUT/ablations.md`` and ``.html``, and a picture of each table.
 
@@ -42,6 +43,7 @@ def run_ablations(
         root: the data root.
         rows: names of rows or tables; none = all.
         again: forget the figures of these runs that are in OUT; prepared scenes stay.
+        options: how many at a time, and by what.
 
     Returns:
         path of the page, which shows all runs in OUT with these settings and steps.
@@ -58,7 +60,7 @@ def run_ablations(
         found, others = comparable(results_in(PROTOCOL, out), PROTOCOL, known, needed_variants(CLAIMS), iterations, CAP)
         return write_report(out, found, failed, others)
 
-    return measure_jobs(jobs, out, report, "runs", again)
+    return measure_jobs(jobs, out, report, "runs", again, options)
 
 
 def _rename_results(out: Path) -> None:

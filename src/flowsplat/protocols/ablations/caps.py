@@ -14,7 +14,7 @@ from flowsplat.protocols.ablations.page import Section, how_measured, scene_name
 from flowsplat.protocols.ablations.scenes import ablation_scenes, chosen_scenes
 from flowsplat.protocols.ablations.training_runs import Result, comparable, training_runs
 from flowsplat.protocols.ablations.variants import Variant
-from flowsplat.protocols.resume import measure_jobs, results_in
+from flowsplat.protocols.resume import BenchmarkOptions, measure_jobs, results_in
 from flowsplat.protocols.tables import Table, text
 
 PROTOCOL = "caps"
@@ -55,6 +55,7 @@ def run_caps(
     seeds: Sequence[int] = SEEDS,
     size: int = SIZE,
     again: bool = False,
+    options: BenchmarkOptions | None = None,
 ) -> Path:
     """Run or resume the runs with different caps and steps: one JSON a run, ``OUT/caps.md`` and ``.html``, and both pictures.
 
@@ -64,6 +65,7 @@ def run_caps(
         steps: numbers of frame-steps, each with ``CAP`` Gaussians.
         size: long side of clips of DAVIS in pixels; 0 = as they are.
         again: forget the figures of these runs that are in OUT; prepared scenes stay.
+        options: how many at a time, and by what.
 
     Returns:
         path of the page, which shows all runs in OUT with these settings and of this size.
@@ -84,7 +86,7 @@ def run_caps(
         found, others = comparable(results, PROTOCOL, known, [capped(*each) for each in there], ITERATIONS, CAP)
         return write_report(out, found, failed, others)
 
-    return measure_jobs(jobs, out, report, "runs", again)
+    return measure_jobs(jobs, out, report, "runs", again, options)
 
 
 def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str], others: int = 0) -> Path:

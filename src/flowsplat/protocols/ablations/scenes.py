@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 
 from flowsplat.common.errors import InputError
-from flowsplat.common.processes import in_own_process
-from flowsplat.pipeline import prepare
 from flowsplat.protocols.datasets.cases import Case, davis_cases, rig_cases
 from flowsplat.protocols.roots import open_root, require_scenes
+from flowsplat.protocols.shared_scenes import prepared_scene
 
 FOLDER = "scenes"
 """In OUT, where the prepared scenes are."""
@@ -35,21 +34,12 @@ class AblationScene:
         return self.case.scene if self.size is None else f"{self.case.scene}_{self.size}"
 
     def prepared(self, out: Path) -> Path:
-        """The prepared scene in ``out``; what is missing of it is computed, and looked for only once.
+        """The prepared scene in ``out``; what is missing of it is computed.
 
         Raises:
             InputError: the input cannot be used.
         """
-        return _prepared(self.case, out / FOLDER / self.name)
-
-
-@cache
-def _prepared(case: Case, folder: Path) -> Path:
-    return in_own_process(_prepare, case, folder)
-
-
-def _prepare(case: Case, folder: Path) -> Path:
-    return prepare(case.source, folder, case.config).scene_path
+        return prepared_scene(self.case, out / FOLDER / self.name)
 
 
 def chosen_scenes(root: Path, known: Sequence[AblationScene], names: Sequence[str]) -> list[AblationScene]:

@@ -1,4 +1,4 @@
-"""One training run of an ablation: a variant trained on a prepared scene with one seed, in a process of its own, to one JSON."""
+"""One training run of an ablation: a variant trained on a prepared scene with one seed, to one JSON."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ import numpy as np
 
 from flowsplat.common.devices import pick_device
 from flowsplat.common.memory import peak_memory
-from flowsplat.common.processes import in_own_process
 from flowsplat.common.source import source_state
 from flowsplat.evaluation.evaluate import evaluate
 from flowsplat.evaluation.scores import pick
@@ -63,7 +62,7 @@ class TrainingRun:
         return stage_key(case.scene, case.config.input, case.config.priors, self.variant.kind, self.config)
 
     def _measure(self, out: Path) -> dict[str, Any]:
-        return in_own_process(measure, self, self.scene.prepared(out))
+        return measure(self, self.scene.prepared(out))
 
 
 def training_runs(

@@ -1,4 +1,4 @@
-"""All cases of a protocol, one after the other; called again, it continues."""
+"""All cases of a protocol; called again, it continues."""
 
 from __future__ import annotations
 
@@ -13,16 +13,19 @@ from flowsplat.pipeline.folder import stage_key
 from flowsplat.protocols.datasets.cases import Case, ProtocolName
 from flowsplat.protocols.datasets.measure import measure_case
 from flowsplat.protocols.datasets.report import STRIP, write_report
-from flowsplat.protocols.resume import Job, measure_jobs, results_in
+from flowsplat.protocols.resume import BenchmarkOptions, Job, measure_jobs, results_in
 
 
-def run_benchmark(protocol: ProtocolName, cases: Sequence[Case], out: Path, again: bool = False) -> Path:
+def run_benchmark(
+    protocol: ProtocolName, cases: Sequence[Case], out: Path, again: bool = False, options: BenchmarkOptions | None = None
+) -> Path:
     """Run and measure cases: ``OUT/<case>/`` is a run, ``OUT/<case>.json`` its figures, ``OUT/<protocol>.md`` and ``.html`` tables.
 
     A case that cannot be run is told and left out, and the others go on. The tables show all cases that are in OUT.
 
     Args:
         again: forget what is in OUT of these cases.
+        options: how many at a time, and by what.
 
     Returns:
         path of the page.
@@ -39,7 +42,7 @@ def run_benchmark(protocol: ProtocolName, cases: Sequence[Case], out: Path, agai
     def report(failed: Mapping[str, str]) -> Path:
         return write_report(protocol, out, results_in(protocol, out), failed)
 
-    return measure_jobs(jobs, out, report)
+    return measure_jobs(jobs, out, report, options=options, device=cases[0].config.device if cases else "cpu")
 
 
 def _measure(case: Case, out: Path) -> dict[str, Any]:

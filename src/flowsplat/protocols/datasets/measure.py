@@ -1,4 +1,4 @@
-"""One case: an ordinary run in a process of its own, and what it reached as one JSON."""
+"""One case: an ordinary run, and what it reached as one JSON."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from flowsplat.common.processes import in_own_process
 from flowsplat.common.source import source_state
 from flowsplat.evaluation.tracks import track_errors
 from flowsplat.gaussians.model import SceneModel
@@ -40,10 +39,6 @@ def measure_case(case: Case, folder: Path, strip: Path) -> dict[str, Any]:
     Raises:
         InputError: the input cannot be used.
     """
-    return in_own_process(_measure_here, case, folder, strip)
-
-
-def _measure_here(case: Case, folder: Path, strip: Path) -> dict[str, Any]:
     run = prepare(case.source, folder, case.config)
     _lend_masks(case, Scene(run.scene_path))
     train(run)

@@ -1,32 +1,27 @@
-"""Many random worlds, two at a time; called again, it continues."""
+"""Many random worlds; called again, it continues."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from concurrent.futures import as_completed
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-import cv2
-import numba
-import torch
-
 from flowsplat.common.errors import InputError
-from flowsplat.common.files import make_folder, read_json, write_json, write_text
-from flowsplat.common.processes import end_with_parent, own_processes
-from flowsplat.common.progress import console, progress_bar, say
+from flowsplat.common.files import read_json, write_json, write_text
 from flowsplat.common.source import source_state
 from flowsplat.output.page import write_page
 from flowsplat.pictures.html import table
 from flowsplat.protocols.movers.measure import measure_scene
 from flowsplat.protocols.movers.preparation import VARIANTS, place_movers, prepare_world
 from flowsplat.protocols.movers.tables import DEFINITIONS, tables
+from flowsplat.protocols.resume import BenchmarkOptions, Job, measure_jobs
 from flowsplat.protocols.tables import made_by, markdown
 from flowsplat.scenes import Scene
 from flowsplat.scenes.synthetic.worlds import read_movers
 
 PROCESSES = 2
-"""Worlds that are worked on at a time, each by one thread."""
+"""Worlds that are worked on at a time where the options do not say it."""
 
 FIGURES = "figures.json"
 """In the folder of a world."""
@@ -37,7 +32,7 @@ WIDTH, HEIGHT, FRAMES = 320, 180, 40
 
 def run_movers_benchmark(
     out: Path, worlds: int, seed: int, again: bool = False, size: tuple[int, int] = (WIDTH, HEIGHT), frames: int = FRAMES,
-    processes: int = PROCESSES,
+    options: BenchmarkOptions | None = None,
 ) -> Path:  # fmt: skip
     """Measure the worlds of ``worlds`` seeds from ``seed`` on: ``OUT/results.json``, ``OUT/movers.md`` and ``OUT/movers.html``.
 
@@ -47,7 +42,7 @@ def run_movers_benchmark(
     Args:
         again: place the movers anew in what is prepared already, and measure them.
         size: pixels of the pictures, frames: how many.
-        processes: how many worlds are worked on at a time.
+        options: how many at a time, and by what.
 
     Returns:
         path of the page.
@@ -57,41 +52,22 @@ def run_movers_benchmark(
     """
     if worlds < 1 or seed < 0:
         raise InputError(f"--worlds {worlds} --seed {seed}: give one world or more, and a seed of 0 or more.")
-    make_folder(out)
     seeds = range(seed, seed + worlds)
-    open_seeds = [each for each in seeds if again or not (out / str(each) / FIGURES).exists()]
-    if len(open_seeds) < worlds:
-        say(f"{worlds - len(open_seeds)} of {worlds} worlds were measured already.")
-    failed: dict[int, str] = {}
-    with own_processes(min(processes, worlds), _start) as pool, progress_bar("Random worlds", len(open_seeds)) as bar:
-        jobs = {pool.submit(measure_world, each, out / str(each), size, frames, again): each for each in open_seeds}
-        for job in as_completed(jobs):
-            try:
-                job.result()
-            except InputError as error:
-                failed[jobs[job]] = str(error)
-                say(f"World {jobs[job]} could not be measured: {error}")
-            bar.advance(note=f"world {jobs[job]}")
-            write_report(out, seeds, failed)
-    page = write_report(out, seeds, failed)
-    say(f"Look at {page}")
-    if failed:
-        first = next(iter(failed))
-        raise InputError(f"{len(failed)} of {worlds} worlds could not be measured, first {first}: {failed[first]}")
-    return page
+    jobs = [_job(each, out, size, frames, again) for each in seeds]
+
+    def report(failed: Mapping[str, str]) -> Path:
+        return write_report(out, seeds, failed)
+
+    return measure_jobs(jobs, out, report, "worlds", again, options, workers=PROCESSES)
 
 
-def _start() -> None:
-    """One thread a process, none of which outlives the command, and quiet: the command itself shows how far it is."""
-    end_with_parent()
-    numba.set_num_threads(1)
-    torch.set_num_threads(1)
-    cv2.setNumThreads(1)
-    console.quiet = True
+def _job(seed: int, out: Path, size: tuple[int, int], frames: int, again: bool) -> Job:
+    folder = out.absolute() / str(seed)
+    return Job(f"world-{seed}", "", partial(measure_world, seed, folder, size, frames, again), folder / FIGURES)
 
 
-def measure_world(seed: int, folder: Path, size: tuple[int, int], frames: int, again: bool) -> None:
-    """Prepare what is missing of a world, place its movers and write ``FIGURES`` into its folder.
+def measure_world(seed: int, folder: Path, size: tuple[int, int], frames: int, again: bool) -> dict[str, Any]:
+    """Prepare what is missing of a world, place its movers and return what ``FIGURES`` in its folder says.
 
     Raises:
         InputError: as ``prepare_world``.
@@ -106,7 +82,7 @@ def measure_world(seed: int, folder: Path, size: tuple[int, int], frames: int, a
         assert truth is not None
         known = read_movers(truth)
     facts = {"seed": seed, "ground": known["ground"], "camera": known["camera"], "size": size, "frames": frames}
-    write_json(folder / FIGURES, {**facts, "flowsplat": source_state(), **figures})
+    return {**facts, "flowsplat": source_state(), **figures}
 
 
 def _rounded(value: Any) -> Any:
@@ -117,18 +93,18 @@ def _rounded(value: Any) -> Any:
     return [_rounded(each) for each in value] if isinstance(value, list) else value
 
 
-def write_report(out: Path, seeds: range, failed: Mapping[int, str]) -> Path:
+def write_report(out: Path, seeds: range, failed: Mapping[str, str]) -> Path:
     """Write the tables of all seeds that are measured, and return the path of the page.
 
     Raises:
         InputError: the folder cannot be written.
     """
-    paths = [out / str(each) / FIGURES for each in seeds if each not in failed]
+    paths = [out / str(each) / FIGURES for each in seeds if f"world-{each}" not in failed]
     results = [read_json(path) for path in paths if path.exists()]
     write_json(out / "results.json", results)
     verdict = f"{len(results)} worlds, seeds {seeds.start} to {seeds.stop - 1}."
     remarks = [*DEFINITIONS, *([made_by(results)] if results else [])]
-    remarks += [f"World {each} could not be measured: {reason}" for each, reason in failed.items()]
+    remarks += [f"{each} could not be measured: {reason}" for each, reason in failed.items()]
     found = tables(results)
     write_text(out / "movers.md", markdown(TITLE, [verdict, *remarks], found))
     shown = [{"title": each.title, "note": each.note, "table": table(each.header, each.rows, each.strong)} for each in found]

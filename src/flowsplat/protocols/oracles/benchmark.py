@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 import shutil
-import threading
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
-from typing import Any, Literal
-
-import cv2
-import torch
-from numba import set_num_threads
+from typing import Any
 
 from flowsplat.common.errors import InputError
-from flowsplat.common.processes import in_own_process
 from flowsplat.common.source import source_state
 from flowsplat.evaluation.scores import pick
 from flowsplat.pipeline import RunConfig, evaluate_run, prepare, train
@@ -26,17 +20,14 @@ from flowsplat.protocols.oracles.movers import depth_scale, masks_of, mover_erro
 from flowsplat.protocols.oracles.report import write_report
 from flowsplat.protocols.oracles.scenes import ORACLE, ORACLES, make_oracle
 from flowsplat.protocols.priors.measure import pooled_iou
-from flowsplat.protocols.resume import Job, measure_jobs, results_in
+from flowsplat.protocols.resume import BenchmarkOptions, Job, measure_jobs, results_in
+from flowsplat.protocols.shared_scenes import prepared_scene
 from flowsplat.scenes import Scene
 from flowsplat.scenes.clip import InputOptions
 
 PROTOCOL = "oracles"
 FOLDER = "scenes"
 """In OUT, where the prepared scenes and their oracles are."""
-
-AtOnce = Literal[1, 2]
-
-_turn = threading.Lock()
 
 
 @dataclass(frozen=True)
@@ -65,9 +56,7 @@ class OracleRun:
         return Job(f"{PROTOCOL}_{self.name}", key, partial(self._measure, out))
 
     def _measure(self, out: Path) -> dict[str, Any]:
-        with _turn:  # Two oracles of a scene may be made at a time.
-            prepared = _prepared(self.case, out / FOLDER / self.case.scene)
-        return in_own_process(measure_oracle, self, prepared, out)
+        return measure_oracle(self, prepared_scene(self.case, out / FOLDER / self.case.scene), out)
 
     def forget(self, out: Path) -> None:
         """Remove the run and the oracle scene that it was made from; the prepared scene stays."""
@@ -80,15 +69,6 @@ class OracleRun:
         return out / FOLDER / f"{self.case.scene}_{self.oracle}"
 
 
-@cache
-def _prepared(case: Case, folder: Path) -> Path:
-    return in_own_process(_prepare, case, folder)
-
-
-def _prepare(case: Case, folder: Path) -> Path:
-    return prepare(case.source, folder, case.config).scene_path
-
-
 def run_oracles(
     root: Path,
     out: Path,
@@ -96,8 +76,8 @@ def run_oracles(
     oracles: Sequence[str] = (),
     preset_name: str = "default",
     config: RunConfig | None = None,
-    at_once: AtOnce = 1,
     again: bool = False,
+    options: BenchmarkOptions | None = None,
 ) -> Path:
     """Run or resume the oracles: one JSON and one run each, ``OUT/oracles.md`` and ``.html``.
 
@@ -110,8 +90,8 @@ def run_oracles(
         oracles: names from ``ORACLES``; none = all.
         preset_name: the name of the settings of training.
         config: with the training and the device to use; None = the preset's.
-        at_once: how many trainings run at a time, each in a process of its own with one thread.
         again: forget runs, figures and oracle scenes that are in OUT of these; prepared scenes stay.
+        options: how many at a time, and by what.
 
     Returns:
         path of the page, which shows all runs in OUT with these settings.
@@ -130,7 +110,7 @@ def run_oracles(
         same = [result for result in results if result["settings"] == settings]
         return write_report(out, same, failed, len(results) - len(same))
 
-    return measure_jobs([run.job(out) for run in runs], out, report, "runs", again, at_once)
+    return measure_jobs([run.job(out) for run in runs], out, report, "runs", again, options, device=runs[0].case.config.device)
 
 
 def oracle_runs(
@@ -164,7 +144,6 @@ def measure_oracle(run: OracleRun, prepared: Path, out: Path) -> dict[str, Any]:
     Raises:
         InputError: the scene has no truth, or the folder cannot be written.
     """
-    _use_one_thread()
     config = replace(run.case.config, input=InputOptions())
     scene = make_oracle(prepared, run.scene_path(out), run.oracle, config.device)
     folder = out / run.name
@@ -186,10 +165,3 @@ def measure_oracle(run: OracleRun, prepared: Path, out: Path) -> dict[str, Any]:
         "movers": [asdict(error) for error in mover_errors(scene)],
         "gaussians": metrics["gaussians"]["total"], "seconds": trained.seconds,
     }  # fmt: skip
-
-
-def _use_one_thread() -> None:
-    """So that two trainings at a time do not get in each other's way."""
-    torch.set_num_threads(1)
-    cv2.setNumThreads(1)
-    set_num_threads(1)

@@ -14,10 +14,12 @@ from flowsplat.protocols.priors.measure import measure
 from flowsplat.protocols.priors.preparation import forget, prepare_scene, scene_config
 from flowsplat.protocols.priors.report import write_report, write_strip
 from flowsplat.protocols.priors.scenes import BenchmarkScene, choose_scenes
-from flowsplat.protocols.resume import Job, measure_jobs
+from flowsplat.protocols.resume import BenchmarkOptions, Job, measure_jobs
 
 
-def run_priors_benchmark(root: Path, out: Path, names: Sequence[str] = (), again: bool = False) -> Path:
+def run_priors_benchmark(
+    root: Path, out: Path, names: Sequence[str] = (), again: bool = False, options: BenchmarkOptions | None = None
+) -> Path:
     """Prepare scenes in ``OUT/<scene>/`` and measure them: ``OUT/<scene>.json``, ``OUT/priors.md`` and ``OUT/priors.html``.
 
     The JSON of a scene holds ``scene``, ``kind``, ``tuned``, ``frames``, ``size``, ``flowsplat`` (``source_state``), ``figures`` by
@@ -28,6 +30,7 @@ def run_priors_benchmark(root: Path, out: Path, names: Sequence[str] = (), again
         root: the data root (see ``scenes``).
         names: the scenes to run; none = all. The report shows them and all others that were measured before.
         again: forget what is in OUT of these scenes.
+        options: how many at a time, and by what.
 
     Returns:
         path of the page.
@@ -46,7 +49,7 @@ def run_priors_benchmark(root: Path, out: Path, names: Sequence[str] = (), again
     def report(failed: Mapping[str, str]) -> Path:
         return write_report(out, _results(root, out), failed)
 
-    return measure_jobs(jobs, out, report)
+    return measure_jobs(jobs, out, report, options=options)
 
 
 def _job(benchmark: BenchmarkScene, folder: Path) -> Job:
