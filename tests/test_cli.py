@@ -75,10 +75,14 @@ def test_help_is_short_and_says_where_the_rest_is(capsys):
         main(["run", "--help"])
     assert end.value.code == 0
     text = capsys.readouterr().out
-    assert set(USUAL) <= {word.rstrip(",") for word in text.split()}, "every usual option is one"
+    words = {word.rstrip(",") for word in text.split()}
+    usual = set(USUAL) & words
+    with pytest.raises(SystemExit):
+        main(["batch", "--help"])
+    assert set(USUAL) <= words | {word.rstrip(",") for word in capsys.readouterr().out.split()}, "every usual option is one"
     assert "--seed" not in text
     assert "video file" in text
-    assert re.search(rf"These are {len(USUAL)} of 1\d\d options. All of them: flowsplat run --help-all\n$", text)
+    assert re.search(rf"These are {len(usual)} of 1\d\d options. All of them: flowsplat run --help-all\n$", text)
     with pytest.raises(SystemExit):
         main(["export", "--help"])
     assert "--flip-axes" in capsys.readouterr().out, "few options are all shown"
