@@ -562,6 +562,8 @@ def _one_line(box: str) -> str:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Entry point of the console script. Bad input ends with one line on stderr and exit code 2."""
     whole_process = arguments is None
+    if whole_process:  # Our matrices are small: two threads of BLAS take twice as long for the cameras, and give other last digits.
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     # tyro spells it None.
     for k, argument in enumerate(arguments):
