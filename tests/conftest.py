@@ -9,6 +9,8 @@ import tempfile
 import pytest
 import torch
 
+from tests.browser import chromium  # noqa: F401 (a fixture, of which there can be only one)
+
 # What tests measure of this machine is not for its user.
 os.environ.setdefault("FLOWSPLAT_CACHE", tempfile.mkdtemp(prefix="flowsplat-tests-"))
 

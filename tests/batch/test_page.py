@@ -11,7 +11,7 @@ from flowsplat.batch.page import write_results
 from flowsplat.batch.records import Outcome, Records, after_attempt
 from flowsplat.pictures.video import write_mp4
 from flowsplat.scenes.layers import write_image
-from tests.output.conftest import Complaints
+from tests.browser import Complaints
 
 NASTY = "<b onclick=\"x\">&'"
 

@@ -14,7 +14,7 @@ import pytest
 from flowsplat.output.page import write_page
 from flowsplat.output.report import write_report
 from flowsplat.pictures.video import write_mp4
-from tests.output.conftest import Complaints
+from tests.browser import Complaints
 from tests.output.small import small_model, small_player
 from tests.output.test_report import made_up_run
 

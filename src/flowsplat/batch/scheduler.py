@@ -18,7 +18,9 @@ LISTED = 20
 """Times as long as listing takes the folders are left alone, so that many who wait do no harm."""
 FRESH = 300.0
 """Seconds after which folders are listed anew although jobs are known that were open then: meanwhile others take a few of them,
-which is found out one by one."""
+which is found out one by one,"""
+MISSES = 8
+"""or, when so many one after the other were no longer open, from a new list."""
 BUSY = 5.0
 """Seconds after which work is tried again that somebody else's run was in the way of."""
 
@@ -151,13 +153,19 @@ class Scheduler:
         if time.monotonic() - self._listed > max(FRESH if self._open else self._poll, LISTED * self._list_took):
             self._list()
         skipped: list[str] = []
-        found = None
+        found, missed = None, 0
         while self._open and found is None:
+            if missed >= MISSES and time.monotonic() - self._listed > LISTED * self._list_took:
+                self._list()
+                skipped, missed = [], 0
+                continue
             name = self._open.popleft()
             if self._later.get(name, 0.0) > time.monotonic():
                 skipped.append(name)
             elif self._take(name):
                 found = name
+            else:
+                missed += 1
         self._open.extend(skipped)
         return found
 

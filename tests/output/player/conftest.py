@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from tests.output.conftest import Complaints
+from tests.browser import Complaints
 from tests.output.small import small_model, small_player
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from flowsplat.output.viewer.options import ViewOptions
-from tests.output.conftest import FLAGS, NAMES, Complaints
+from tests.browser import FLAGS, NAMES, Complaints
 from tests.output.tiny import tiny_run
 
 pytest.importorskip("viser", reason="viser is not installed: pip install 'flowsplat[view]'")

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.output.conftest import Complaints
+from tests.browser import Complaints
 from tests.output.tiny import red
 from tests.output.viewer.browser import free_port, heed_ctrl_c
 
