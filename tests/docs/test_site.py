@@ -142,7 +142,7 @@ def test_the_same_browsers_are_looked_for_everywhere():
         assigned = (node for node in tree.body if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == variable)
         return ast.literal_eval(next(assigned).value)
 
-    wanted = names("tests/output/conftest.py", "NAMES")
+    wanted = names("tests/browser.py", "NAMES")
     assert names("docs/tools/pictures.py", "PROGRAMS") == wanted
-    assert names("docs/tools/pictures.py", "FLAGS") == names("tests/output/conftest.py", "FLAGS")
+    assert names("docs/tools/pictures.py", "FLAGS") == names("tests/browser.py", "FLAGS")
     assert f"command -v {' '.join(wanted)} " in (TOP / ".ci" / "run").read_text()
