@@ -5,6 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from flowsplat.pictures.edge_smoothing import EdgeSmoother
+
 SMOOTHNESS = 30.0
 
 HELP = 50.0
@@ -37,8 +39,8 @@ def fill(
         Values [h, w] float32 and the smoothed weights [h, w] float32 that support them. Without any weight all values
         are the mean of the input.
     """
-    smoother = cv2.ximgproc.createFastGlobalSmootherFilter(np.ascontiguousarray(guide), smoothness, COLOUR_SIGMA)
-    broad = cv2.ximgproc.createFastGlobalSmootherFilter(np.zeros_like(guide), BROAD_SMOOTHNESS, COLOUR_SIGMA)
+    smoother = EdgeSmoother(guide, smoothness, COLOUR_SIGMA)
+    broad = EdgeSmoother(np.zeros_like(guide), BROAD_SMOOTHNESS, COLOUR_SIGMA)
     known = weights > 0
     center = float(np.average(values[known], weights=weights[known])) if known.any() else float(values.mean())
     # Smoothed about the mean, so that the floor of the weights pulls nowhere but to it.
@@ -55,4 +57,4 @@ def fill(
 def upsample(values: np.ndarray, guide: np.ndarray, width: int, height: int) -> np.ndarray:
     """Half resolution [h, w] to [height, width]: bilinear, then pulled to the edges of the guide [height, width, 3]."""
     large = cv2.resize(values, (width, height), interpolation=cv2.INTER_LINEAR)
-    return cv2.ximgproc.fastGlobalSmootherFilter(np.ascontiguousarray(guide), large, 4.0, COLOUR_SIGMA)
+    return EdgeSmoother(guide, 4.0, COLOUR_SIGMA).filter(large)

@@ -15,6 +15,7 @@ import numpy as np
 from flowsplat.common.progress import track
 from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.geometry.interpolation import sample_map
+from flowsplat.pictures.edge_smoothing import EdgeSmoother
 from flowsplat.priors.background.matched_clip import RESTS, MatchedClip
 from flowsplat.scenes.layers import TRUSTED
 
@@ -109,8 +110,7 @@ def _warped(evidence: np.ndarray, flow: np.ndarray, confidence: np.ndarray) -> n
 
 def rough_cut(evidence: np.ndarray, frame: np.ndarray) -> np.ndarray:
     """Evidence at working resolution and its frame [H, W, 3] to a mask [H, W] uint8 of 0 and 1."""
-    guide = np.ascontiguousarray(frame)
-    smooth = cv2.ximgproc.fastGlobalSmootherFilter(guide, enlarged(evidence, frame), _SMOOTHNESS, _COLOUR_SIGMA)
+    smooth = EdgeSmoother(frame, _SMOOTHNESS, _COLOUR_SIGMA).filter(enlarged(evidence, frame))
     moving: np.ndarray = (smooth > 0).astype(np.uint8)
     # Slivers, above all along the border where matches are few.
     moving = cv2.morphologyEx(moving, cv2.MORPH_OPEN, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7)))

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from flowsplat.common.progress import track
+from flowsplat.pictures.edge_smoothing import EdgeSmoother
 from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.static_depth import static_depth
 from flowsplat.priors.flow import FlowEstimator, dis_estimator
@@ -114,6 +115,5 @@ def _cut(clip: MatchedClip, evidence: list[np.ndarray], motion: list[np.ndarray]
 
 def _outline(evidence: np.ndarray, frame: np.ndarray, motion: np.ndarray) -> np.ndarray:
     """The mask [H, W] uint8 along the edges of the frame, of parts that were found by their motion."""
-    guide, values = np.ascontiguousarray(frame), evidence.astype(np.float32)
-    smooth = cv2.ximgproc.fastGlobalSmootherFilter(guide, values, _SMOOTHNESS, _COLOUR_SIGMA)
+    smooth = EdgeSmoother(frame, _SMOOTHNESS, _COLOUR_SIGMA).filter(evidence.astype(np.float32))
     return parts((smooth > 0).astype(np.uint8), enlarged(motion, frame) > 0, MOVES)

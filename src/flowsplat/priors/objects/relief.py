@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numba import njit
 
+from flowsplat.pictures.edge_smoothing import EdgeSmoother
 from flowsplat.priors.objects.rigid import INLIER, NEAREST, RESIDUAL_WIDTH, Observations, RigidMotion, derivatives
 
 ROUND = 0.75
@@ -137,8 +138,7 @@ def relief(
     weight = 1 / (sigma**2 + (0.1 * expected) ** 2)
     np.add.at(weights, (row, column), weight)
     np.add.at(sums, (row, column), weight * offsets)
-    guide = np.ascontiguousarray(picture[y0:y1, x0:x1])
-    smoother = cv2.ximgproc.createFastGlobalSmootherFilter(guide, SMOOTHNESS, COLOUR_SIGMA)
+    smoother = EdgeSmoother(picture[y0:y1, x0:x1], SMOOTHNESS, COLOUR_SIGMA)
     # One expectation for each patch as wide as a quarter of the mover.
     patch = max(1.0, len(y) / 16)
     held = 1 / (expected**2 * patch)
