@@ -52,18 +52,22 @@ def smooth_path(cameras: Sequence[Camera], sigma: float) -> list[Camera]:
     return [_camera_at(x, R, c) for x, R, c in zip(centers, rotations, cameras, strict=True)]
 
 
-def orbit(camera: Camera, distance: float, steps: int, angle: float = 6.0) -> list[Camera]:
+def orbit(camera: Camera | Sequence[Camera], distance: float, steps: int, angle: float = 6.0) -> list[Camera]:
     """A closed loop around ``camera`` that keeps looking at the point ``distance`` in front of it.
 
-    ``angle`` (degrees) is the half-width of the loop seen from that point; half as much up and down.
+    ``angle`` (degrees) is the half-width of the loop seen from that point; half as much up and down. Of ``steps`` cameras the loop
+    goes round each for its step, so that it follows them.
     """
+    cameras = [camera] * steps if isinstance(camera, Camera) else camera
+    phases = np.linspace(0, 2 * np.pi, steps, endpoint=False)
+    return [_on_orbit(each, distance, phase, angle) for each, phase in zip(cameras, phases, strict=True)]
+
+
+def _on_orbit(camera: Camera, distance: float, phase: float, angle: float) -> Camera:
+    yaw, pitch = np.radians(angle) * np.sin(phase), np.radians(angle / 2) * (1 - np.cos(phase)) / 2
     R, target = camera.viewmat[:3, :3], camera.center + camera.viewmat[2, :3] * distance
-    result = []
-    for phase in np.linspace(0, 2 * np.pi, steps, endpoint=False):
-        yaw, pitch = np.radians(angle) * np.sin(phase), np.radians(angle / 2) * (1 - np.cos(phase)) / 2
-        turned = Rotation.from_euler("yx", [-yaw, pitch]).as_matrix() @ R
-        result.append(_camera_at(target - turned[2] * distance, turned, camera))
-    return result
+    turned = Rotation.from_euler("yx", [-yaw, pitch]).as_matrix() @ R
+    return _camera_at(target - turned[2] * distance, turned, camera)
 
 
 def shifted(camera: Camera, offset: float, distance: float) -> Camera:

@@ -118,8 +118,8 @@ def test_orbit_plays_the_middle_and_bullet_time_stands_still(scene, tmp_path):
     np.testing.assert_allclose([t for _, t, _ in orbit], np.arange(5, 12) / 20)
     assert {t for _, t, _ in bullet} == {0.4}
     assert len(bullet) == 7
-    for camera, _, _ in orbit + bullet:
-        uv, depth = camera.project(np.array([0.4, 0, DEPTH]))
+    for camera, t, _ in orbit + bullet:
+        uv, depth = camera.project(np.array([t, 0, DEPTH]))  # what the clip's own camera has in its middle then
         np.testing.assert_allclose(uv, [32, 24], atol=1e-6)
         assert depth == pytest.approx(DEPTH)
     assert len({round(camera.center[0], 6) for camera, _, _ in bullet}) > 3
@@ -129,7 +129,7 @@ def test_orbit_plays_the_middle_and_bullet_time_stands_still(scene, tmp_path):
 def test_bullet_time_can_be_chosen(scene, tmp_path):
     model = Plane()
     render_videos(model, scene, tmp_path, RenderOptions(paths=("bullet",), max_frames=3, bullet_time=0.0))
-    assert {t for _, t, _ in model.calls} == {0.0}
+    assert {t for _, t, _ in model.full_size()} == {0.0}
 
 
 def test_a_camera_file(scene, tmp_path):

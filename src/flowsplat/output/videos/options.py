@@ -27,8 +27,8 @@ class RenderOptions:
     """Which videos are made, and how."""
 
     paths: tuple[PathName, ...] = ("input", "orbit", "bullet")
-    """``input``: along the clip's cameras. ``stabilised``: the same without the shaking. ``orbit``: a loop round the middle
-    camera while time plays. ``bullet``: the same loop while time stands still. ``dolly``: time stands still, the camera
+    """``input``: along the clip's cameras. ``stabilised``: the same without the shaking. ``orbit``: a loop round the
+    clip's camera while time plays. ``bullet``: the same loop while time stands still. ``dolly``: time stands still, the camera
     moves back and zooms in, so that the subject stays as large. ``wiggle``: a GIF that shows depth by a small swing."""
     parts: tuple[Part, ...] = ("all",)
     """What is shown: ``all``. ``background``: without what moves. ``movers``: what moves, alone, on transparent: a WebM (VP9
@@ -43,8 +43,9 @@ class RenderOptions:
     """How many times slower than it was time plays; the frames between those of the source are rendered. Without sound."""
     max_frames: int = 120
     """Frames of ``orbit``, ``bullet`` and ``dolly`` at most."""
-    orbit_angle: float = 6.0
-    """Half-width in degrees of the loop of ``orbit`` and ``bullet``, seen from the middle of the scene."""
+    orbit_angle: float | None = None
+    """Half-width in degrees of the loop of ``orbit`` and ``bullet``, seen from the middle of the scene. None = as far as the clip
+    has seen enough, 2 to 12."""
     bullet_time: float | None = None
     """Seconds of the clip at which time stands still in ``bullet``, ``dolly`` and ``wiggle``. None = the middle."""
     stabilise: float = 0.5
@@ -114,7 +115,7 @@ def check_options(options: RenderOptions, fps: float, first: float, last: float)
         raise InputError(
             f"A video of {count:,.0f} frames cannot be made, {MOST_FRAMES:,} at most: give a smaller --render.fps or --render.slow."
         )
-    if not 0 <= options.orbit_angle < 90:
+    if options.orbit_angle is not None and not 0 <= options.orbit_angle < 90:
         raise InputError(f"The orbit's angle is {options.orbit_angle:g} degrees: give one from 0 to 90.")
     if options.bullet_time is not None and not first <= options.bullet_time <= last:
         raise InputError(f"The bullet time {options.bullet_time:g} s is outside the clip ({first:g} to {last:g} s).")

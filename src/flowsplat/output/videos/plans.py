@@ -17,6 +17,7 @@ from flowsplat.gaussians.renderer import Part, PartedRenderer
 from flowsplat.geometry import Camera
 from flowsplat.geometry.paths import CameraPath, dolly_zoom, orbit, shifted
 from flowsplat.output.camera_files import CameraShots, read_camera_file
+from flowsplat.output.videos.loops import Loops
 from flowsplat.output.videos.options import RenderOptions, check_options, factors_of
 from flowsplat.output.videos.shots import COVERED, Shot, small
 from flowsplat.output.videos.stabilised import stabilise
@@ -125,6 +126,7 @@ def _whole(model: PartedRenderer, scene: Scene, options: RenderOptions) -> Itera
     sound, start = (scene.sound if options.slow == 1 else None) or (None, 0.0)
     along = [(path.at(t), float(t)) for t in times]
     tempo = "" if options.slow == 1 else f"_slow{options.slow:g}"
+    loops = Loops(model, scene, options.orbit_angle)
 
     if "input" in options.paths:
         yield Plan(f"input_path{tempo}", along, fps, audio_from=sound, audio_start=start)
@@ -133,13 +135,14 @@ def _whole(model: PartedRenderer, scene: Scene, options: RenderOptions) -> Itera
         say(f"The stabilised path shows {share:.0%} of the width and height of the clip.")
         yield Plan(f"stabilised{tempo}", shots, fps, audio_from=sound, audio_start=start)
     if "orbit" in options.paths:
-        # The middle of the clip in real time: what the middle camera has seen.
+        # The middle of the clip in real time.
         spare = max(len(times) - options.max_frames, 0)
         played = times[spare // 2 : len(times) - (spare - spare // 2)]
-        loop = orbit(path.at((first + last) / 2), distance, len(played), options.orbit_angle)
+        angle = loops.angle([float(played[k]) for k in spread(len(played), 3)], "orbit")
+        loop = orbit([path.at(t) for t in played], distance, len(played), angle)
         yield Plan(f"orbit{tempo}", [(camera, float(t)) for camera, t in zip(loop, played, strict=True)], fps)
     if "bullet" in options.paths:
-        loop = orbit(path.at(frozen), distance, options.max_frames, options.orbit_angle)
+        loop = orbit(path.at(frozen), distance, options.max_frames, loops.angle([frozen], "bullet time"))
         yield Plan("bullet_time", [(camera, frozen) for camera in loop], fps)
     if "dolly" in options.paths:
         subject = subject_distance(model, path.at(frozen), frozen, distance)

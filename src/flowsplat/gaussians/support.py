@@ -1,0 +1,127 @@
+"""How much of a view the clip has seen: by how many of its frames, and from how wide a range of places.
+
+A point of the still scene that few frames saw is filled in by guess. How far away a point is that many saw is known as well as
+their directions differ: with noise n in pixels of each, and directions that differ by s (root mean square) from their mean, it is
+wrong by n / s pixels for each unit by which a new direction differs. So what counts is how many times s a new direction is off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from flowsplat.common.spread import spread
+from flowsplat.gaussians.renderer import PartedRenderer
+from flowsplat.geometry import Camera
+
+FRAMES = 32
+"""Frames of the clip that are asked, evenly over it."""
+FEWEST = 3
+"""Frames that must have seen a point."""
+FURTHEST = 12.0
+"""Times the spread of the directions from which a point was seen is the furthest from which it is shown as it is."""
+SMALL = 160
+"""Pixels of width of the pictures that are looked at."""
+_COVERED = 0.5
+"""Alpha from which something is there."""
+_SAME = 0.05
+"""Share of its distance by which a point may lie behind the surface that a frame sees."""
+_LEAST_SPREAD = 1e-6
+_NEAREST = 0.5
+"""Share of the distance of the nearest mover from the clip's camera, below which a camera is too close to one."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What the clip has seen of a view, each [h, w] of a small picture of it.
+
+    Attributes:
+        there: whether anything is rendered there.
+        moves: whether a mover is: it is there in its own frame, and not asked about.
+        frames: how many of the frames that were asked saw the point of the still scene.
+        off: by how many times the spread of their directions the view's differs from their mean; huge where
+            no two differ, but for a view from there.
+    """
+
+    there: np.ndarray
+    moves: np.ndarray
+    frames: np.ndarray
+    off: np.ndarray
+
+    @property
+    def is_known(self) -> np.ndarray:
+        """[h, w] bool: the clip tells what is seen there."""
+        still = (self.frames >= FEWEST) & (self.off <= FURTHEST)
+        return self.there & (self.moves | still)
+
+
+class Support:
+    """The frames of a clip as witnesses of a trained scene."""
+
+    def __init__(self, model: PartedRenderer, cameras: Sequence[Camera], times: Sequence[float]):
+        """
+        Args:
+            model: the scene.
+            cameras: [T] of the clip.
+            times: [T] seconds of its frames.
+        """
+        self._background, self._movers = model.part("background"), model.part("movers")
+        self._witnesses = []
+        for k in spread(len(cameras), FRAMES):
+            camera = _small(cameras[k])
+            still, hidden = self._background.render(camera, times[k]), self._movers.render(camera, times[k]).alpha >= _COVERED
+            # At edges a point may be seen on either side: the farther surface around a pixel counts.
+            surface = cv2.dilate(np.where(still.alpha >= _COVERED, still.depth, 0).astype(np.float32), np.ones((3, 3), np.uint8))
+            self._witnesses.append((camera, np.where(hidden, 0, surface)))
+
+    def seen(self, camera: Camera, t: float) -> Seen:
+        """What the clip has seen of the view of a camera, in the scene's coordinates, at ``t`` seconds."""
+        camera = _small(camera)
+        still, movers = self._background.render(camera, t), self._movers.render(camera, t)
+        there, height, width = still.alpha >= _COVERED, camera.height, camera.width
+        y, x = np.mgrid[:height, :width]
+        points = camera.unproject(np.stack([x + 0.5, y + 0.5], -1).reshape(-1, 2), still.depth.reshape(-1))
+        total, count = np.zeros((len(points), 3)), np.zeros(len(points), int)
+        for witness, surface in self._witnesses:
+            pixels, depth = witness.project(points)
+            column, row = np.floor(np.nan_to_num(pixels, nan=-1)).astype(int).T
+            inside = (depth > 0) & (column >= 0) & (row >= 0) & (column < witness.width) & (row < witness.height)
+            saw = np.zeros(len(points), bool)
+            saw[inside] = depth[inside] <= (1 + _SAME) * surface[row[inside], column[inside]]
+            ray = _unit(witness.center - points)
+            total[saw] += ray[saw]
+            count[saw] += 1
+        mean = total / np.maximum(count, 1)[:, None]
+        # Of unit vectors the mean square distance from their mean is one less the square of its length.
+        spread_of = np.sqrt(np.maximum(1 - (mean**2).sum(1), _LEAST_SPREAD**2))
+        away = np.linalg.norm(_unit(camera.center - points) - _unit(mean), axis=1)
+        off = away / spread_of
+        moves = movers.alpha >= _COVERED
+        return Seen(there | moves, moves, count.reshape(there.shape), off.reshape(there.shape))
+
+    def share(self, camera: Camera, t: float) -> float:
+        """Share of a view that the clip does not tell, 0 to 1."""
+        return float(1 - self.seen(camera, t).is_known.mean())
+
+    def keeps_clear(self, camera: Camera, own: Camera, t: float) -> bool:
+        """Whether a camera is not much nearer to any mover than the clip's ``own`` at that time."""
+        there, here = (self._nearest_mover(each, t) for each in (camera, own))
+        return there >= _NEAREST * here
+
+    def _nearest_mover(self, camera: Camera, t: float) -> float:
+        shown = self._movers.render(_small(camera), t)
+        depth = shown.depth[shown.alpha >= _COVERED]
+        return float(np.percentile(depth, 5)) if depth.size else np.inf
+
+
+def _small(camera: Camera) -> Camera:
+    width = max(min(SMALL, camera.width // 2), 1)
+    return camera.resized(width, max(round(camera.height * width / camera.width), 1))
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    unit: np.ndarray = vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
+    return unit
