@@ -13,7 +13,7 @@ from flowsplat.gaussians.support import Support
 from flowsplat.geometry.paths import CameraPath, orbit
 from flowsplat.scenes import Scene
 
-ANGLES = (2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0)
+ANGLES = (3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0)
 """Degrees to choose from; the first where none is good."""
 MOST_UNKNOWN = 0.06
 """Share of the picture, on average over a loop, that the clip does not tell, beyond what it does not tell of its own views."""
@@ -45,8 +45,9 @@ class Loops:
             best, beyond = (middle, beyond) if is_clear and unknown <= MOST_UNKNOWN else (best, middle)
         unknown, is_clear = self._unknown(ANGLES[best], times)
         close = "" if is_clear else ", close to what moves"
-        say(f"{name.capitalize()}: {ANGLES[best]:g} degrees to either side{close}; {unknown:.0%} of what it shows there is a guess.")
-        return ANGLES[best]
+        angle = ANGLES[best]
+        say(f"{name.capitalize()}: {angle:g} degrees to either side{close}; {unknown:.0%} of what it shows there is a guess.")
+        return angle
 
     def _unknown(self, angle: float, times: Sequence[float]) -> tuple[float, bool]:
         """Share of the pictures of a loop that the clip does not tell, and whether it stays away from movers."""

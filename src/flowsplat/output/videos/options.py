@@ -45,7 +45,7 @@ class RenderOptions:
     """Frames of ``orbit``, ``bullet`` and ``dolly`` at most."""
     orbit_angle: float | None = None
     """Half-width in degrees of the loop of ``orbit`` and ``bullet``, seen from the middle of the scene. None = as far as the clip
-    has seen enough, 2 to 12."""
+    has seen enough, 3 to 12."""
     bullet_time: float | None = None
     """Seconds of the clip at which time stands still in ``bullet``, ``dolly`` and ``wiggle``. None = the middle."""
     stabilise: float = 0.5
