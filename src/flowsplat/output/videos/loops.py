@@ -1,8 +1,8 @@
-"""How wide loops round the clip's camera may be: as far as the clip has seen what they show."""
+"""How far videos leave the clip's path: as far as the clip has seen what they show, and knows where movers are."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -10,19 +10,30 @@ import numpy as np
 from flowsplat.common.progress import say
 from flowsplat.gaussians.renderer import PartedRenderer
 from flowsplat.gaussians.support import Support
-from flowsplat.geometry.paths import CameraPath, orbit
+from flowsplat.geometry import Camera
+from flowsplat.geometry.paths import CameraPath, dolly_zoom, orbit
+from flowsplat.priors.objects import load_movers
+from flowsplat.priors.objects.areas import large_movers
 from flowsplat.scenes import Scene
 
 ANGLES = (3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0)
 """Degrees to choose from; the first where none is good."""
+DOLLIES = (1.1, 1.2, 1.3, 1.4, 1.5)
+"""Factors of the distance to choose from, likewise."""
+MOST_ASTRAY = 0.02
+"""Share of the width of the picture by which the largest movers may stand beside their place, by one standard deviation."""
 MOST_UNKNOWN = 0.06
 """Share of the picture, on average over a loop, that the clip does not tell, beyond what it does not tell of its own views."""
 _PROBES = 4
 """Cameras of a loop that are looked at: where it turns."""
 
 
+_Look = tuple[Camera, Camera, float]
+"""The clip's camera, the one that is looked by, and the seconds."""
+
+
 class Loops:
-    """The loops round the cameras of a clip."""
+    """Loops round the cameras of a clip, and dolly zooms."""
 
     def __init__(self, model: PartedRenderer, scene: Scene, given: float | None):
         """
@@ -37,28 +48,47 @@ class Loops:
         """Half-width in degrees of a loop at these seconds of the clip; ``name`` is what the user is told that it is for."""
         if self._given is not None:
             return self._given
-        # The wider, the less is known: halving finds the widest that is good.
-        best, beyond = 0, len(ANGLES)
-        while beyond - best > 1:
-            middle = (best + beyond) // 2
-            unknown, is_clear = self._unknown(ANGLES[middle], times)
-            best, beyond = (middle, beyond) if is_clear and unknown <= MOST_UNKNOWN else (best, middle)
-        unknown, is_clear = self._unknown(ANGLES[best], times)
-        close = "" if is_clear else ", close to what moves"
-        angle = ANGLES[best]
-        say(f"{name.capitalize()}: {angle:g} degrees to either side{close}; {unknown:.0%} of what it shows there is a guess.")
+        distance = 1 / self._scene.similarity.scale
+
+        def looks(angle: float) -> list[_Look]:
+            return [(own, each, t) for t in times for own in [self._path.at(t)] for each in orbit(own, distance, _PROBES, angle)]
+
+        angles = [angle for angle in ANGLES if np.radians(angle) * self._astray <= MOST_ASTRAY] or list(ANGLES[:1])
+        angle, told = self._furthest(angles, looks)
+        say(f"{name.capitalize()}: {angle:g} degrees to either side{told}.")
         return angle
 
-    def _unknown(self, angle: float, times: Sequence[float]) -> tuple[float, bool]:
-        """Share of the pictures of a loop that the clip does not tell, and whether it stays away from movers."""
-        distance, shares, is_clear = 1 / self._scene.similarity.scale, [], True
-        for t in times:
-            own = self._path.at(t)
-            least = self._support.share(own, t)
-            for camera in orbit(own, distance, _PROBES, angle):
-                shares.append(max(self._support.share(camera, t) - least, 0.0))
-                is_clear = is_clear and self._support.keeps_clear(camera, own, t)
-        return float(np.mean(shares)), is_clear
+    def dolly(self, t: float, distance: float) -> float:
+        """How many times as far from what is at a planar ``distance`` a dolly zoom goes at ``t`` seconds."""
+        own = self._path.at(t)
+        factor, told = self._furthest(DOLLIES, lambda factor: [(own, dolly_zoom(own, distance, factor), t)])
+        say(f"Dolly zoom: {factor:g} times as far{told}.")
+        return factor
+
+    def _furthest(self, values: Sequence[float], looks: Callable[[float], list[_Look]]) -> tuple[float, str]:
+        """The last of ascending values whose views the clip has seen well enough, the first if none; and what to tell of it."""
+        # The farther, the less is known: halving finds the last that is good.
+        best, beyond = 0, len(values)
+        while beyond - best > 1:
+            middle = (best + beyond) // 2
+            unknown, is_clear = self._unknown(looks(values[middle]))
+            best, beyond = (middle, beyond) if is_clear and unknown <= MOST_UNKNOWN else (best, middle)
+        unknown, is_clear = self._unknown(looks(values[best]))
+        return values[best], f"{'' if is_clear else ', close to what moves'}; {unknown:.0%} of what it shows there is a guess"
+
+    def _unknown(self, looks: Sequence[_Look]) -> tuple[float, bool]:
+        """Share of views that the clip does not tell, beyond that of its own, and whether they stay away from movers."""
+        least = {t: self._support.share(own, t) for own, _, t in looks}
+        shares = [max(self._support.share(camera, t) - least[t], 0.0) for _, camera, t in looks]
+        return float(np.mean(shares)), all(self._support.keeps_clear(camera, own, t) for own, camera, t in looks)
+
+    @cached_property
+    def _astray(self) -> float:
+        """Share of the width of the picture by which the least known of the large movers is astray for each radian."""
+        movers = load_movers(self._scene).movers
+        large = large_movers(self._scene) if movers else set()
+        camera = self._scene.cameras[0]
+        return max((mover.sigma for mover in movers if mover.number in large), default=0.0) * camera.K[0, 0] / camera.width
 
     @cached_property
     def _path(self) -> CameraPath:

@@ -45,13 +45,14 @@ class RenderOptions:
     """Frames of ``orbit``, ``bullet`` and ``dolly`` at most."""
     orbit_angle: float | None = None
     """Half-width in degrees of the loop of ``orbit`` and ``bullet``, seen from the middle of the scene. None = as far as the clip
-    has seen enough, 3 to 12."""
+    has seen enough and knows where movers are, 3 to 12."""
     bullet_time: float | None = None
     """Seconds of the clip at which time stands still in ``bullet``, ``dolly`` and ``wiggle``. None = the middle."""
     stabilise: float = 0.5
     """Seconds over which ``stabilised`` smooths the path (standard deviation); less where too little picture would be left."""
-    dolly: float = 1.5
-    """How many times as far from the subject the camera of ``dolly`` goes; below 1 it comes nearer and widens."""
+    dolly: float | None = None
+    """How many times as far from the subject the camera of ``dolly`` goes; below 1 it comes nearer and widens. None = as far as the
+    clip has seen enough, 1.1 to 1.5."""
     stereo: bool = False
     """Every video also as a pair for two eyes, left beside right (``<name>_stereo.mp4``); movers alone stand on black."""
     eye_distance: float = 0.03
@@ -121,7 +122,7 @@ def check_options(options: RenderOptions, fps: float, first: float, last: float)
         raise InputError(f"The bullet time {options.bullet_time:g} s is outside the clip ({first:g} to {last:g} s).")
     if not 0 <= options.stabilise <= 60:
         raise InputError(f"A path cannot be smoothed over {options.stabilise:g} s: give --render.stabilise from 0 to 60.")
-    if not 0.25 <= options.dolly <= 4:
+    if options.dolly is not None and not 0.25 <= options.dolly <= 4:
         raise InputError(f"A dolly zoom to {options.dolly:g} times the distance cannot be shown: give one from 0.25 to 4.")
     if not 0 < options.eye_distance <= 0.5:
         raise InputError(f"Eyes {options.eye_distance:g} of the depth apart see no depth: give more than 0 and at most 0.5.")

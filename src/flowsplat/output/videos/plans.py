@@ -147,7 +147,8 @@ def _whole(model: PartedRenderer, scene: Scene, options: RenderOptions) -> Itera
     if "dolly" in options.paths:
         subject = subject_distance(model, path.at(frozen), frozen, distance)
         there_and_back = (1 - np.cos(np.linspace(0, 2 * np.pi, options.max_frames, endpoint=False))) / 2
-        factors = options.dolly**there_and_back
+        dolly = loops.dolly(frozen, subject) if options.dolly is None else options.dolly
+        factors = dolly**there_and_back
         yield Plan("dolly_zoom", [(dolly_zoom(path.at(frozen), subject, float(f)), frozen) for f in factors], fps)
     if "wiggle" in options.paths:
         subject = subject_distance(model, path.at(frozen), frozen, distance)
