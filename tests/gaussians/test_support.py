@@ -38,7 +38,7 @@ class WallAndCard:
         return WallAndCard(self.card_depth, part)
 
     def at_distances(self, factors: object, times: Sequence[float], cameras: Sequence[Camera]) -> WallAndCard:
-        raise NotImplementedError
+        return self
 
 
 def camera_at(x: float, z: float = 0.0) -> Camera:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 from urllib.parse import quote
 
@@ -141,7 +141,9 @@ def _row(out: Path, clip: Mapping[str, Any]) -> dict[str, Any]:
 
     name, is_done = clip["id"], clip["state"] == "done"
     return {
-        **{key: clip.get(key) for key in ("id", "input", "state", "psnr", "ssim", "gaussians", "seconds", "peak_memory_gib")},
+        # Without the folders of this machine: a page is made to be shown.
+        "input": PurePath(clip["input"] or "").name,
+        **{key: clip.get(key) for key in ("id", "state", "psnr", "ssim", "gaussians", "seconds", "peak_memory_gib")},
         "grade": clip.get("grade") or "", "word": WORDS[clip["state"]], "fewer": clip["fewer_gaussians"],
         "text": clip.get("verdict") if is_done else clip["reason"], "attempts": clip["attempts"],
         "time": duration(clip["seconds"]) if clip["seconds"] else "",

@@ -17,7 +17,7 @@ from flowsplat.gaussians.renderer import Part, PartedRenderer
 from flowsplat.geometry import Camera
 from flowsplat.geometry.paths import CameraPath, dolly_zoom, orbit, shifted
 from flowsplat.output.camera_files import CameraShots, read_camera_file
-from flowsplat.output.videos.loops import Loops
+from flowsplat.output.videos.amplitudes import Amplitudes
 from flowsplat.output.videos.options import RenderOptions, check_options, factors_of
 from flowsplat.output.videos.shots import COVERED, Shot, small
 from flowsplat.output.videos.stabilised import stabilise
@@ -126,7 +126,7 @@ def _whole(model: PartedRenderer, scene: Scene, options: RenderOptions) -> Itera
     sound, start = (scene.sound if options.slow == 1 else None) or (None, 0.0)
     along = [(path.at(t), float(t)) for t in times]
     tempo = "" if options.slow == 1 else f"_slow{options.slow:g}"
-    loops = Loops(model, scene, options.orbit_angle)
+    amplitudes = Amplitudes(model, scene, options.orbit_angle)
 
     if "input" in options.paths:
         yield Plan(f"input_path{tempo}", along, fps, audio_from=sound, audio_start=start)
@@ -138,16 +138,16 @@ def _whole(model: PartedRenderer, scene: Scene, options: RenderOptions) -> Itera
         # The middle of the clip in real time.
         spare = max(len(times) - options.max_frames, 0)
         played = times[spare // 2 : len(times) - (spare - spare // 2)]
-        angle = loops.angle([float(played[k]) for k in spread(len(played), 3)], "orbit")
+        angle = amplitudes.angle([float(played[k]) for k in spread(len(played), 3)], "orbit")
         loop = orbit([path.at(t) for t in played], distance, len(played), angle)
         yield Plan(f"orbit{tempo}", [(camera, float(t)) for camera, t in zip(loop, played, strict=True)], fps)
     if "bullet" in options.paths:
-        loop = orbit(path.at(frozen), distance, options.max_frames, loops.angle([frozen], "bullet time"))
+        loop = orbit(path.at(frozen), distance, options.max_frames, amplitudes.angle([frozen], "bullet time"))
         yield Plan("bullet_time", [(camera, frozen) for camera in loop], fps)
     if "dolly" in options.paths:
         subject = subject_distance(model, path.at(frozen), frozen, distance)
         there_and_back = (1 - np.cos(np.linspace(0, 2 * np.pi, options.max_frames, endpoint=False))) / 2
-        dolly = loops.dolly(frozen, subject) if options.dolly is None else options.dolly
+        dolly = amplitudes.dolly(frozen, subject) if options.dolly is None else options.dolly
         factors = dolly**there_and_back
         yield Plan("dolly_zoom", [(dolly_zoom(path.at(frozen), subject, float(f)), frozen) for f in factors], fps)
     if "wiggle" in options.paths:

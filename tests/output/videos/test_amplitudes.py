@@ -1,4 +1,4 @@
-"""Loops go as far as the clip has seen."""
+"""Loops and dolly zooms go as far as the clip has seen."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ import pytest
 
 from flowsplat.gaussians.support import Support
 from flowsplat.geometry import Camera, Similarity
-from flowsplat.output.videos import loops
-from flowsplat.output.videos.loops import ANGLES, DOLLIES, Loops
+from flowsplat.output.videos import amplitudes
+from flowsplat.output.videos.amplitudes import ANGLES, DOLLIES, Amplitudes
 from tests.gaussians.test_support import WALL, WallAndCard, camera_at
 
 
 def scene_of(reach: float) -> Any:
     """A clip whose camera goes that far to either side."""
     cameras = [camera_at(x) for x in np.linspace(-reach, reach, 9)]
-    return SimpleNamespace(
-        folder=Path("nowhere"), cameras=cameras, timestamps=np.linspace(0, 1, 9), similarity=Similarity(1 / WALL),
-    )  # fmt: skip
+    similarity = Similarity(1 / WALL)
+    return SimpleNamespace(folder=Path("no-priors"), cameras=cameras, timestamps=np.linspace(0, 1, 9), similarity=similarity)
 
 
 def test_the_farther_the_camera_went_the_wider_the_loop():
-    found = [Loops(WallAndCard(card_depth=3.5), scene_of(reach), None).angle([0.5], "orbit") for reach in (0.0, 0.01, 0.05, 1.0)]
+    reaches = (0.0, 0.01, 0.05, 1.0)
+    found = [Amplitudes(WallAndCard(card_depth=3.5), scene_of(reach), None).angle([0.5], "orbit") for reach in reaches]
     assert found[0] == found[1] == min(ANGLES)
     assert min(ANGLES) < found[2] < found[3]
 
@@ -35,25 +35,25 @@ def test_loops_stay_away_from_what_moves(monkeypatch: pytest.MonkeyPatch):
         return float(np.linalg.norm(camera.center - own.center)) < 0.45
 
     monkeypatch.setattr(Support, "keeps_clear", is_near)
-    angle = Loops(WallAndCard(card_depth=3.5), scene_of(1.0), None).angle([0.5], "orbit")
+    angle = Amplitudes(WallAndCard(card_depth=3.5), scene_of(1.0), None).angle([0.5], "orbit")
     assert angle == 6.0, "6 degrees of 4 are .42, 7 are .49"
 
 
 def test_what_the_user_gave_is_taken():
-    assert Loops(WallAndCard(), scene_of(0.0), 25.0).angle([0.5], "orbit") == 25.0
+    assert Amplitudes(WallAndCard(), scene_of(0.0), 25.0).angle([0.5], "orbit") == 25.0
 
 
 @pytest.mark.parametrize(("sigma", "widest"), [(0.05, 12.0), (0.24, 6.0), (1.0, min(ANGLES))])
 def test_movers_whose_distance_is_not_known_keep_loops_narrow(monkeypatch: pytest.MonkeyPatch, sigma: float, widest: float):
     """With a focal length of .78 widths 6 degrees move a mover with sigma .24 by 2 % of the width."""
     movers = [SimpleNamespace(number=1, sigma=sigma), SimpleNamespace(number=2, sigma=9.0)]
-    monkeypatch.setattr(loops, "load_movers", lambda scene: SimpleNamespace(movers=movers))
-    monkeypatch.setattr(loops, "large_movers", lambda scene: {1})
-    monkeypatch.setattr(loops, "MOST_UNKNOWN", 1.0)
-    assert Loops(WallAndCard(card_depth=3.5), scene_of(1.0), None).angle([0.5], "orbit") == widest
+    monkeypatch.setattr(amplitudes, "load_movers", lambda scene: SimpleNamespace(movers=movers))
+    monkeypatch.setattr(amplitudes, "large_movers", lambda scene: {1})
+    monkeypatch.setattr(amplitudes, "MOST_UNKNOWN", 1.0)
+    assert Amplitudes(WallAndCard(card_depth=3.5), scene_of(1.0), None).angle([0.5], "orbit") == widest
 
 
 def test_dolly_zooms_go_as_far_as_the_clip_saw():
-    far, still = (Loops(WallAndCard(card_depth=3.5), scene_of(reach), None).dolly(0.5, 3.5) for reach in (1.0, 0.0))
+    far, still = (Amplitudes(WallAndCard(card_depth=3.5), scene_of(reach), None).dolly(0.5, 3.5) for reach in (1.0, 0.0))
     assert far == max(DOLLIES)
     assert still == min(DOLLIES)

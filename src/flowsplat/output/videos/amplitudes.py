@@ -27,13 +27,12 @@ MOST_UNKNOWN = 0.06
 _PROBES = 4
 """Cameras of a loop that are looked at: where it turns."""
 
-
 _Look = tuple[Camera, Camera, float]
 """The clip's camera, the one that is looked by, and the seconds."""
 
 
-class Loops:
-    """Loops round the cameras of a clip, and dolly zooms."""
+class Amplitudes:
+    """How far loops round the cameras of a clip and dolly zooms go."""
 
     def __init__(self, model: PartedRenderer, scene: Scene, given: float | None):
         """
