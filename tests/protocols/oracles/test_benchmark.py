@@ -9,6 +9,7 @@ import pytest
 from flowsplat.cli import main
 from flowsplat.protocols.oracles import benchmark
 from flowsplat.protocols.oracles.benchmark import oracle_runs
+from flowsplat.protocols.oracles.classes import CLASSES
 from flowsplat.protocols.oracles.scenes import ORACLES
 from flowsplat.scenes import Scene
 
@@ -41,6 +42,8 @@ def result(run) -> dict:
         "iterations": run.case.config.train.iterations, "flowsplat": "0", "run": run.name, "views": 6, "psnr": psnr, "ssim": 0.9,
         "moving": moving, "covisible": psnr, "training_psnr": 30.0, "mask_iou": 0.9, "scale": 0.5, "static": -0.006,
         "movers": [mover], "gaussians": 1000, "seconds": {"train": 3.0},
+        "classes": {"views": ["a"], "pixels": [[10] * len(CLASSES)], "squared": [[10 ** (-psnr / 10)] * len(CLASSES)]},
+        "static_classes": [{"pixels": 9, "median": 0.0123, "p90": 0.0456}] * (len(CLASSES) + 1),
     }  # fmt: skip
 
 
@@ -77,6 +80,8 @@ def test_tables(runs_root, tmp_path, measured):
     assert "| tiny | 2 | 1, 3 | 12 | 12,345 | +0.400 | – | 0.020 |" in text
     assert "Trained with default, iterations 7, seed 3. Pictures by held-out cameras: tiny 6." in text
     assert "-0.006 (tiny)" in text
+    assert "| tiny | own | share of the error, % | 10.0 | 10.0 |" in text
+    assert "| tiny | own | 90th percentile, % | 4.56 | 4.56 |" in text
     page = (tmp_path / "oracles.html").read_text()
     assert "tiny: relief" in page
     assert "*" not in page.split("<main")[-1]

@@ -16,14 +16,16 @@ from flowsplat.pipeline import RunConfig, evaluate_run, prepare, train
 from flowsplat.pipeline.config import check
 from flowsplat.pipeline.folder import stage_key
 from flowsplat.protocols.datasets.cases import Case, rig_cases
+from flowsplat.protocols.oracles.classes import error_sheet, static_depth_errors, view_errors
 from flowsplat.protocols.oracles.movers import depth_scale, masks_of, mover_errors, static_error
-from flowsplat.protocols.oracles.report import write_report
+from flowsplat.protocols.oracles.report import SHEET, write_report
 from flowsplat.protocols.oracles.scenes import ORACLE, ORACLES, make_oracle
 from flowsplat.protocols.priors.measure import pooled_iou
 from flowsplat.protocols.resume import BenchmarkOptions, Job, measure_jobs, results_in
 from flowsplat.protocols.shared_scenes import prepared_scene
 from flowsplat.scenes import Scene
 from flowsplat.scenes.clip import InputOptions
+from flowsplat.scenes.layers import write_image
 
 PROTOCOL = "oracles"
 FOLDER = "scenes"
@@ -139,7 +141,8 @@ def measure_oracle(run: OracleRun, prepared: Path, out: Path) -> dict[str, Any]:
         ``protocol``, ``scene``, ``size``, ``frames``, ``tuned``, ``oracle``, ``settings``, ``seed``, ``iterations``, ``flowsplat``
         (``source_state``), ``run`` (name of its folder); ``views`` (how many), ``psnr``, ``ssim``, ``moving``, ``covisible`` (PSNR)
         of the held-out cameras and ``training_psnr``; ``mask_iou``, ``scale`` (units of the scene per unit of the truth),
-        ``static`` (``static_error``) and ``movers`` (``mover_errors``) of its priors; ``gaussians`` and ``seconds`` by stage.
+        ``static`` (``static_error``), ``static_classes`` (``static_depth_errors``) and ``movers`` (``mover_errors``) of its
+        priors; ``classes`` (``view_errors``) of the held-out views; ``gaussians`` and ``seconds`` by stage.
 
     Raises:
         InputError: the scene has no truth, or the folder cannot be written.
@@ -152,7 +155,8 @@ def measure_oracle(run: OracleRun, prepared: Path, out: Path) -> dict[str, Any]:
     trained = prepare(scene.folder, folder, config)
     train(trained)
     metrics = evaluate_run(trained)
-    tested = metrics["heldout_views"]
+    tested, renders = metrics["heldout_views"], trained.path / "evaluation" / "views"
+    _write_sheet(scene, renders, metrics, trained.path / SHEET)
     return {
         "protocol": PROTOCOL, "scene": run.case.scene, "size": [scene.width, scene.height], "frames": scene.num_frames,
         "tuned": run.case.is_tuned, "oracle": run.oracle, "settings": run.case.settings, "seed": config.train.seed,
@@ -161,7 +165,17 @@ def measure_oracle(run: OracleRun, prepared: Path, out: Path) -> dict[str, Any]:
         **{region: pick(tested, region, "psnr") for region in ("moving", "covisible")},
         "training_psnr": pick(metrics, "training_frames", "psnr"),
         "mask_iou": pooled_iou((own, true) for _, own, true in masks_of(scene)),
-        "scale": depth_scale(scene), "static": static_error(scene),
+        "scale": depth_scale(scene), "static": static_error(scene), "static_classes": static_depth_errors(scene),
+        "classes": view_errors(scene, renders),
         "movers": [asdict(error) for error in mover_errors(scene)],
         "gaussians": metrics["gaussians"]["total"], "seconds": trained.seconds,
     }  # fmt: skip
+
+
+def _write_sheet(scene: Scene, renders: Path, metrics: dict[str, Any], path: Path) -> None:
+    """The view of median PSNR, and under it the worst one."""
+    tested = sorted((p for p in metrics["per_image"] if p["kind"] == "heldout_view"), key=lambda p: float(p["psnr"]))
+    chosen = [tested[k]["name"] for k in sorted({len(tested) // 2, 0}, reverse=True)] if tested else []
+    sheet = error_sheet(scene, renders, chosen)
+    if sheet is not None:
+        write_image(path, sheet)

@@ -6,15 +6,26 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from markupsafe import Markup
+
 from flowsplat.common.files import write_text
-from flowsplat.output.page import write_page
-from flowsplat.pictures.html import NOTHING, table
+from flowsplat.output.page import fitted, write_page
+from flowsplat.pictures.html import NOTHING, picture, table
+from flowsplat.protocols.oracles.classes import CLASSES, gains, legend, psnr_by_class
 from flowsplat.protocols.oracles.scenes import ORACLES
 from flowsplat.protocols.tables import Table, label, made_by, markdown, text
+from flowsplat.scenes.layers import read_image
 
 Result = Mapping[str, Any]
 """The JSON of a run (``benchmark.measure_oracle``)."""
 
+BACKGROUND = "background"
+OWN_BACKGROUND = ("own", "outline")
+"""Oracles with our own depth of what rests: with our masks, and with true ones."""
+SHEET = "evaluation/classes.png"
+"""In a run: held-out views with their errors and classes of pixels."""
+WIDEST = 1600
+"""Pixels of a sheet in the page, at most."""
 TITLE = "One prior after the other replaced by the truth"
 MEANINGS = {
     "own": "own priors as they are",
@@ -52,7 +63,7 @@ def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str]
     if others:
         remarks.append(f"Results in this folder that have other settings, and are left out here: {others}.")
     remarks += [f"{name} could not be run: {reason}" for name, reason in failed.items()]
-    found = [each for each in (_gains(results), _movers(results)) if each.rows]
+    found = [each for each in (_gains(results), _views(results), _static_depth(results), _movers(results)) if each.rows]
     write_text(out / "oracles.md", markdown(TITLE, remarks, found))
     page = out / "oracles.html"
     write_page(
@@ -80,11 +91,12 @@ def _plain(cells: Sequence[str]) -> tuple[str, ...]:
 
 
 def _scene(out: Path, result: Result) -> dict[str, Any]:
-    page = f"{result['run']}/report.html"
+    page, sheet = f"{result['run']}/report.html", out / result["run"] / SHEET
+    shown = [(fitted(read_image(sheet), WIDEST), "held-out views"), (legend(), "classes")] if sheet.exists() else []
     return {
         "title": _plain([f"{label(result)}: {result['oracle']}"])[0],
         "facts": f"{result['settings']}; {result['gaussians']:,} Gaussians",
-        "strip": None,
+        "strip": Markup().join(picture(image, f"{_plain([label(result)])[0]}: {what}") for image, what in shown) or None,
         "page": page if (out / page).exists() else None,
     }
 
@@ -141,6 +153,52 @@ def _movers(results: Sequence[Result]) -> Table:
         f"Relief: median of |e - median of the frame|. Trusted static depth has a median e of {_static(results)}."
     )
     return Table("Depth of movers, own priors", note, header, rows)
+
+
+def _views(results: Sequence[Result]) -> Table:
+    """What each class of pixel of the held-out views holds of the error, and what true static depth would bring there."""
+    rows: list[tuple[str, ...]] = []
+    measured = sorted((result for result in results if result.get("classes")), key=_place)
+    for scene in dict.fromkeys(result["scene"] for result in measured):
+        of_scene = {result["oracle"]: result for result in measured if result["scene"] == scene}
+        first = next(iter(of_scene.values()))
+        rows.append((label(first), "", "share of the pixels, %", *_percent(_shares(first["classes"]["pixels"]))))
+        true = of_scene.get(BACKGROUND)
+        for oracle, result in of_scene.items():
+            name, errors = (label(result), oracle), result["classes"]
+            rows.append((*name, "PSNR, dB", *(text(x, 2) for x in psnr_by_class(errors))))
+            rows.append((*name, "share of the error, %", *_percent(_shares(errors["squared"]))))
+            if true is not None and _place(result) < _place(true):
+                gained = (text(x, 2, sign=True) for x in gains(errors, true["classes"]))
+                rows.append((*name, f"gain with the error of {BACKGROUND}, dB", *gained))
+    note = (
+        "A pixel is of the first class that it is, by the truth. Gain: of the whole picture, mean of the views, were the error of "
+        "this class alone that of the run with true depth of what rests."
+    )
+    return Table("Held-out views by class of pixel", note, ("scene", "true", "figure", *CLASSES), rows)
+
+
+def _percent(shares: Sequence[float]) -> list[str]:
+    return [text(100 * share, 1) for share in shares]
+
+
+def _shares(values: Sequence[Sequence[float]]) -> list[float]:
+    sums = [sum(column) for column in zip(*values, strict=True)]
+    return [x / max(sum(sums), 1e-12) for x in sums]
+
+
+def _static_depth(results: Sequence[Result]) -> Table:
+    """How wrong static depth is in the training frames, for those oracles that use our own."""
+    rows = []
+    for result in sorted((r for r in results if r["oracle"] in OWN_BACKGROUND and r.get("static_classes")), key=_place):
+        *classes, all_of_them = result["static_classes"][CLASSES.index("moves") + 1 :]
+        for figure in ("median", "p90"):
+            shown = {"median": "median, %", "p90": "90th percentile, %"}[figure]
+            values = (None if each[figure] is None else 100 * each[figure] for each in (all_of_them, *classes))
+            rows.append((label(result), result["oracle"], shown, *(text(x, 2) for x in values)))
+    header = ("scene", "true", "figure", "all", *(name for name in CLASSES if name != "moves"))
+    note = "Of |estimated / true - 1| over all static pixels of the training frames outside the masks, filled ones included."
+    return Table("Depth of what rests by class of pixel", note, header, rows)
 
 
 def _static(results: Sequence[Result]) -> str:
