@@ -40,6 +40,9 @@ class WallAndCard:
     def at_distances(self, factors: object, times: Sequence[float], cameras: Sequence[Camera]) -> WallAndCard:
         return self
 
+    def fading_guesses(self, times: Sequence[float], cameras: Sequence[Camera]) -> WallAndCard:
+        return self
+
 
 def camera_at(x: float, z: float = 0.0) -> Camera:
     viewmat = np.eye(4)

@@ -71,6 +71,7 @@ def test_what_is_measured_is_the_same_to_the_bit(with_final, without):
 def test_what_is_shown_has_seen_the_heldout_frames(with_final, without):
     scene = Scene(with_final / "scene")
     measured, shown = flowsplat.load(with_final / "model"), flowsplat.load(with_final)
+    assert all((model.gaussians.seen[:, 0] > 0).any() for model in (measured, shown)), "what the clip has seen is known"
     (i,) = scene.heldout_frames
     assert psnr(shown, scene, i) > psnr(measured, scene, i) + 0.3
     others = [np.mean([psnr(model, scene, k) for k in scene.train_frames]) for model in (shown, measured)]

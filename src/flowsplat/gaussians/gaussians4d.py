@@ -114,6 +114,9 @@ class Gaussians4D:
             is computed in training depends on it. Left out it is 0 for all. It is not the same as ``dynamic``: a part of an
             object that turns out to rest is background and still belongs to it, and background that turns out to move belongs
             to none.
+        seen: [N, 2] float32, what the clip has seen of each (``support.seen_of``): how many of the frames that were asked, and how
+            far apart the directions are from which they did (root mean square, length of the difference of unit vectors). Known
+            after training; None = not known.
     """
 
     params: dict[str, Tensor]
@@ -121,6 +124,7 @@ class Gaussians4D:
     config: ModelConfig
     sh_degree: int = 0
     movers: Tensor = field(default_factory=lambda: torch.zeros(0, dtype=torch.uint8))
+    seen: Tensor | None = None
     motion: MotionModel = field(init=False)
 
     def __post_init__(self) -> None:
@@ -135,6 +139,8 @@ class Gaussians4D:
             self.movers = torch.zeros(len(self), dtype=torch.uint8, device=self.device)
         if self.movers.shape != self.dynamic.shape:
             raise ValueError(f"movers must be {[len(self)]}, not {list(self.movers.shape)}")
+        if self.seen is not None and self.seen.shape != (len(self), 2):
+            raise ValueError(f"seen must be {[len(self), 2]}, not {list(self.seen.shape)}")
 
     def __len__(self) -> int:
         return len(self.dynamic)
@@ -207,7 +213,8 @@ class Gaussians4D:
         if self.device == torch.device(device):
             return self
         params = {name: value.to(device) for name, value in self.params.items()}
-        return Gaussians4D(params, self.dynamic.to(device), self.config, self.sh_degree, self.movers.to(device))
+        seen = None if self.seen is None else self.seen.to(device)
+        return Gaussians4D(params, self.dynamic.to(device), self.config, self.sh_degree, self.movers.to(device), seen)
 
     @property
     def mover_counts(self) -> dict[int, int]:
@@ -223,7 +230,8 @@ class Gaussians4D:
     def select(self, rows: Tensor) -> Gaussians4D:
         """A model of some of the Gaussians."""
         params = {name: value[rows] for name, value in self.params.items()}
-        return Gaussians4D(params, self.dynamic[rows], self.config, self.sh_degree, self.movers[rows])
+        seen = None if self.seen is None else self.seen[rows]
+        return Gaussians4D(params, self.dynamic[rows], self.config, self.sh_degree, self.movers[rows], seen)
 
 
 def parameter_shapes(config: ModelConfig) -> dict[str, tuple[int, ...]]:

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from flowsplat.common.errors import InputError
 from flowsplat.gaussians.distances import Distances, check_factors
+from flowsplat.gaussians.fading import faded
 from flowsplat.gaussians.flow import FlowModel
 from flowsplat.gaussians.gaussians4d import Gaussians4D
 from flowsplat.gaussians.render import fill_uncovered, render
@@ -43,6 +44,8 @@ class SceneModel:
         backend: of the rasterizer.
         graphs: whether a GPU draws by CUDA graphs, one for every size of picture: for many frames one after the other.
         distances: of movers that are shown elsewhere than they were trained (``at_distances``). Rendering knows them, nothing else.
+        fading: the clip's cameras by clip time, in normalised coordinates, where what they tell too little of fades
+            (``fading_guesses``); None = nothing does.
     """
 
     gaussians: Gaussians4D
@@ -55,6 +58,7 @@ class SceneModel:
     backend: BackendName = "auto"
     graphs: bool = False
     distances: Distances | None = None
+    fading: CameraPath | None = None
     _drawn_by: dict[tuple[int, int, bool, float], Any] = field(init=False, default_factory=dict, repr=False, compare=False)
 
     def to(self, device: torch.device | str) -> SceneModel:
@@ -97,9 +101,9 @@ class SceneModel:
 
     def _draw(self, camera: Camera, t: float, other: tuple[Camera, float] | None) -> tuple[Tensor, Tensor, Tensor | None]:
         """Image with colour and depth, alpha and flow, premultiplied; cameras in normalised coordinates, ``t`` in seconds."""
-        g = self.gaussians
+        g = self.gaussians_for(camera, self.clip_time(t))
         if (
-            self.graphs and g.sliced_by == "triton" and self.distances is None
+            self.graphs and g is self.gaussians and g.sliced_by == "triton" and self.distances is None
             and (other is None or self.flow_model == "displacement")
         ):  # fmt: skip
             from flowsplat.gaussians.cuda_graph import FixedRenderer
@@ -116,6 +120,12 @@ class SceneModel:
             distances=self.distances,
         )  # fmt: skip
         return frame.image, frame.alpha, frame.flow
+
+    def gaussians_for(self, camera: Camera, t: float) -> Gaussians4D:
+        """The Gaussians as ``camera`` is shown them at clip time ``t``: all of them, unless guesses fade."""
+        if self.fading is None:
+            return self.gaussians
+        return faded(self.gaussians, camera.center, self.fading.at(t).center)
 
     def part(self, part: Part) -> SceneModel:
         """A model of movers alone or of the background alone: see ``PartedRenderer.part``.
@@ -138,8 +148,17 @@ class SceneModel:
         self.require_movers(factors)
         check_factors(factors)
         changed = {number: float(factor) for number, factor in factors.items() if factor != 1}
-        path = CameraPath([self.clip_time(t) for t in times], [self.similarity.camera(camera) for camera in cameras])
-        return replace(self, distances=Distances(changed, path) if changed else None)
+        return replace(self, distances=Distances(changed, self.clip_path(times, cameras)) if changed else None)
+
+    def fading_guesses(self, times: Sequence[float], cameras: Sequence[Camera]) -> SceneModel:
+        """The same scene without what the clip tells too little of: see ``PartedRenderer.fading_guesses``. Nothing is filled in."""
+        if self.gaussians.seen is None:
+            raise InputError("It is not known what the clip has seen of this scene: it was trained by an earlier flowsplat.")
+        return replace(self, fading=self.clip_path(times, cameras), fill=False)
+
+    def clip_path(self, times: Sequence[float], cameras: Sequence[Camera]) -> CameraPath:
+        """The clip's cameras [T] at seconds [T] as a path in clip time and normalised coordinates."""
+        return CameraPath([self.clip_time(t) for t in times], [self.similarity.camera(camera) for camera in cameras])
 
     def require_movers(self, numbers: Iterable[int]) -> None:
         """Refuse numbers that no mover has.

@@ -88,3 +88,15 @@ class PartedRenderer(Renderer, Protocol):
             InputError: there is no such mover, or a factor is none.
         """
         ...
+
+    def fading_guesses(self, times: Sequence[float], cameras: Sequence[Camera]) -> PartedRenderer:
+        """The same scene in which what the clip tells too little of fades, the further a view is from the clip's own.
+
+        Args:
+            times: [T] seconds of the clip's frames.
+            cameras: [T] its cameras, in the coordinates of the scene.
+
+        Raises:
+            InputError: it is not known what the clip has seen.
+        """
+        ...

@@ -8,21 +8,21 @@ wrong by n / s pixels for each unit by which a new direction differs. So what co
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+import torch
 
 from flowsplat.common.spread import spread
+from flowsplat.gaussians.fading import ALL_AROUND, FEWEST, FURTHEST
+from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.renderer import PartedRenderer
 from flowsplat.geometry import Camera
+from flowsplat.geometry.cameras import unproject_depth
 
 FRAMES = 32
 """Frames of the clip that are asked, evenly over it."""
-FEWEST = 3
-"""Frames that must have seen a point."""
-FURTHEST = 12.0
-"""Times the spread of the directions from which a point was seen is the furthest from which it is shown as it is."""
 SMALL = 160
 """Pixels of width of the pictures that are looked at."""
 _COVERED = 0.5
@@ -81,9 +81,20 @@ class Support:
         """What the clip has seen of the view of a camera, in the scene's coordinates, at ``t`` seconds."""
         camera = _small(camera)
         still, movers = self._background.render(camera, t), self._movers.render(camera, t)
-        there, height, width = still.alpha >= _COVERED, camera.height, camera.width
-        y, x = np.mgrid[:height, :width]
-        points = camera.unproject(np.stack([x + 0.5, y + 0.5], -1).reshape(-1, 2), still.depth.reshape(-1))
+        there, moves = still.alpha >= _COVERED, movers.alpha >= _COVERED
+        points = unproject_depth(still.depth, camera).reshape(-1, 3)
+        count, mean, spread_of = self.directions(points)
+        away = np.linalg.norm(_unit(camera.center - points) - mean, axis=1)
+        off = away / spread_of
+        return Seen(there | moves, moves, count.reshape(there.shape), off.reshape(there.shape))
+
+    def directions(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """From where the clip has seen points [N, 3] of the still scene, in its coordinates.
+
+        Returns:
+            how many of the frames that were asked saw each [N], the mean direction [N, 3] from the point to them, of length 1, and
+            the root mean square of the differences from it [N], next to nothing where none saw it.
+        """
         total, count = np.zeros((len(points), 3)), np.zeros(len(points), int)
         for witness, surface in self._witnesses:
             pixels, depth = witness.project(points)
@@ -96,11 +107,8 @@ class Support:
             count[saw] += 1
         mean = total / np.maximum(count, 1)[:, None]
         # Of unit vectors the mean square distance from their mean is one less the square of its length.
-        spread_of = np.sqrt(np.maximum(1 - (mean**2).sum(1), _LEAST_SPREAD**2))
-        away = np.linalg.norm(_unit(camera.center - points) - _unit(mean), axis=1)
-        off = away / spread_of
-        moves = movers.alpha >= _COVERED
-        return Seen(there | moves, moves, count.reshape(there.shape), off.reshape(there.shape))
+        squared = np.where(count > 0, 1 - (mean**2).sum(1), 0)
+        return count, _unit(mean), np.sqrt(np.maximum(squared, _LEAST_SPREAD**2))
 
     def share(self, camera: Camera, t: float) -> float:
         """Share of a view that the clip does not tell, 0 to 1."""
@@ -115,6 +123,28 @@ class Support:
         shown = self._movers.render(_small(camera), t)
         depth = shown.depth[shown.alpha >= _COVERED]
         return float(np.percentile(depth, 5)) if depth.size else np.inf
+
+
+def with_seen(model: SceneModel, cameras: Sequence[Camera], times: Sequence[float]) -> SceneModel:
+    """The scene with what the clip has seen of each of its Gaussians (``Gaussians4D.seen``).
+
+    What moves is seen from wherever it turns to: it has the frames in which it is there, and directions from all around.
+
+    Args:
+        model: the trained scene.
+        cameras: [T] of the clip.
+        times: [T] seconds of its frames.
+    """
+    gaussians = model.gaussians
+    background = torch.nonzero(~gaussians.dynamic).squeeze(1)
+    points = model.similarity.inverse().points(gaussians.params["means"][background].double().cpu().numpy())
+    count, _, spread_of = Support(model, cameras, times).directions(points)
+    seen = torch.zeros(len(gaussians), 2, device=gaussians.device)
+    for k in spread(len(cameras), FRAMES):
+        seen[gaussians.active(model.clip_time(times[k])).rows, 0] += 1
+    seen[:, 1] = ALL_AROUND
+    seen[background] = torch.from_numpy(np.stack([count, spread_of], 1)).to(seen)
+    return replace(model, gaussians=replace(gaussians, seen=seen))
 
 
 def _small(camera: Camera) -> Camera:

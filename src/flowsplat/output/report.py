@@ -357,6 +357,9 @@ def _video_title(name: str) -> str:
     rest, moved, distances = rest.partition("_distance_")
     if moved:
         words.insert(0, ", ".join("mover {} {} times as far".format(*entry.split("x")) for entry in distances.split("_")))
+    if rest.endswith("_fading"):
+        rest = rest.removesuffix("_fading")
+        words.insert(0, "without guesses")
     rest, slow, times = rest.partition("_slow")
     if slow:
         words.insert(0, f"{times} times slower")

@@ -29,6 +29,7 @@ from flowsplat.gaussians.gaussians4d import Gaussians4D
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.observations import Observation, Observations, load_observations
 from flowsplat.gaussians.render import RenderedFrame
+from flowsplat.gaussians.support import with_seen
 from flowsplat.output.priors_report import verdict, write_priors_report
 from flowsplat.output.report import FlowComparison, write_report
 from flowsplat.output.videos import RenderOptions, are_rendered, forget_videos, name_of, render_videos, settle
@@ -355,6 +356,9 @@ def _trained(
     with _event_log(out / "logs" / where) as record:
         trainer = Trainer(observations, tracks, config, out / where, shown, record, start, device, first_step, visits)
         model = scene_model(scene, trainer.run(), config)
+    if begin is not static_start:
+        with busy("Finding what the clip has seen of the scene"):
+            model = with_seen(model, scene.cameras, scene.timestamps.tolist())
     save_model(model_path, model)
     write_json(out / where / "history.json", trainer.history)
     folder.finish(stage, key, {stage: trainer.earlier_seconds + time.perf_counter() - started})

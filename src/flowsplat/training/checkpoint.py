@@ -26,8 +26,8 @@ from flowsplat.geometry import Similarity
 from flowsplat.geometry.cameras import FURTHEST
 from flowsplat.training.config import most_of
 
-MODEL_VERSION = 2
-"""1 had no ``movers``; such models are read."""
+MODEL_VERSION = 3
+"""1 had no ``movers``, 2 no ``seen``; such models are read."""
 _LARGEST_LOG = 80.0
 """Logarithm of what still is a float32."""
 RENAMED_FIGURES = {"open": "coverage"}
@@ -124,7 +124,8 @@ def present_figures(history: Sequence[Mapping[str, float]]) -> list[dict[str, fl
 def save_model(folder: Path, model: SceneModel) -> None:
     """Write a trained model: ``gaussians.safetensors`` and a ``model.json`` that a person can read."""
     g = model.gaussians
-    write_tensors(folder / "gaussians.safetensors", {**g.params, "dynamic": g.dynamic, "movers": g.movers}, {})
+    seen = {} if g.seen is None else {"seen": g.seen}
+    write_tensors(folder / "gaussians.safetensors", {**g.params, "dynamic": g.dynamic, "movers": g.movers, **seen}, {})
     value = {
         "version": MODEL_VERSION,
         "gaussians": len(g),
@@ -160,9 +161,9 @@ def load_model(folder: Path) -> SceneModel:
     check_json(path, value, ModelFile)
     try:
         tensors, _ = read_tensors(folder / "gaussians.safetensors", value["gaussians"])
-        dynamic, movers = tensors["dynamic"].to(torch.bool), stored_movers(tensors)
-        params = {name: tensor for name, tensor in tensors.items() if name not in ("dynamic", "movers")}
-        gaussians = Gaussians4D(params, dynamic, ModelConfig(**value["model"]), value["sh_degree"], movers)
+        dynamic, movers, seen = tensors["dynamic"].to(torch.bool), stored_movers(tensors), tensors.get("seen")
+        params = {name: tensor for name, tensor in tensors.items() if name not in ("dynamic", "movers", "seen")}
+        gaussians = Gaussians4D(params, dynamic, ModelConfig(**value["model"]), value["sh_degree"], movers, seen)
         check_model(folder, gaussians)
         if not value["last"] > value["first"]:
             raise ValueError("its last frame is not after its first")
@@ -198,6 +199,9 @@ def check_model(path: Path, gaussians: Gaussians4D) -> None:
             raise InputError(f"{path} is damaged: {name} holds values that are not finite, or beyond {most:g}.")
     if gaussians.dynamic.shape != (count,) or gaussians.movers.shape != (count,):
         raise InputError(f"{path} is damaged: it does not tell for each Gaussian whether it moves, and of which mover it is.")
+    seen = gaussians.seen
+    if seen is not None and (seen.dtype != torch.float32 or not bool(((seen >= 0) & (seen < torch.inf)).all())):
+        raise InputError(f"{path} is damaged: what the clip has seen of a Gaussian is no number, or negative.")
 
 
 def check_training_state(path: Path, tensors: Mapping[str, Tensor], gaussians: Gaussians4D) -> None:

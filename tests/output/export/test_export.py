@@ -17,6 +17,7 @@ from flowsplat.common.errors import InputError
 from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Gaussians4D, ModelConfig
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.render import render
+from flowsplat.gaussians.support import with_seen
 from flowsplat.geometry import Camera, Similarity
 from flowsplat.output.camera_files import read_camera_file
 from flowsplat.output.export import FORMATS, ExportOptions, export_scene
@@ -195,6 +196,23 @@ def test_ply_tells_whose_a_gaussian_is(tmp_path):
     model.gaussians.movers[:] = 0
     plain = export_scene(model, scene, "ply", tmp_path / "plain.ply", ExportOptions(time=seconds))
     assert "mover" not in {p.name for p in PlyData.read(plain)["vertex"].properties}
+
+
+def test_ply_tells_what_the_clip_has_seen(tmp_path):
+    model = small_model()
+    small_run(tmp_path, model)
+    scene, seconds = Scene(tmp_path / "scene"), small_times()[4]
+    plain = export_scene(model, scene, "ply", tmp_path / "plain.ply", ExportOptions(time=seconds))
+    assert not {"seen_frames", "seen_spread"} & {p.name for p in PlyData.read(plain)["vertex"].properties}
+    known = with_seen(model, scene.cameras, small_times())
+    size = estimated_size(known, scene, "ply", ExportOptions(time=seconds))
+    path = export_scene(known, scene, "ply", tmp_path / "scene.ply", ExportOptions(time=seconds))
+    vertices = PlyData.read(path)["vertex"]
+    expected = known.gaussians.seen[known.gaussians.active(known.clip_time(seconds)).rows]
+    np.testing.assert_array_equal(np.stack([vertices["seen_frames"], vertices["seen_spread"]], 1), expected)
+    assert 0 <= path.stat().st_size - size < 2000
+    tensors = load_file(export_scene(known, scene, "safetensors", tmp_path / "g.safetensors", DEFAULT))
+    assert torch.equal(tensors["seen"], known.gaussians.seen)
 
 
 def test_all_parameters_come_back_from_both_containers(tmp_path, run):

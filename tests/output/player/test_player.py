@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import base64
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
 from flowsplat.common.errors import InputError
+from flowsplat.gaussians.support import with_seen
 from flowsplat.geometry.paths import CameraPath, dolly_zoom, orbit, shifted
 from flowsplat.output.player import write_player
 from flowsplat.output.videos.options import RenderOptions
@@ -80,6 +82,28 @@ def test_pictures_are_those_of_our_own_renderer(open_page, tmp_path, config, opt
     large = five_pairs(model)[3][0].resized(2 * WIDTH + 1, 2 * HEIGHT - 1)
     assert psnr(picture_of(page, large, 1.3), model.render(large, 1.3).colour) > 37
     assert page.complaints == []
+
+
+def test_guesses_fade_as_in_our_own_renderer(open_page, tmp_path):
+    """Along the clip's path nothing does; from aside it is our own picture without guesses, as far as 8 bits tell reaches."""
+    model = small_model(fill=True)
+    known = with_seen(model, small_cameras(model), small_times())
+    known.gaussians.seen[~known.gaussians.dynamic, 1] *= 0.1
+    fading = known.fading_guesses(small_times(), small_cameras(model))
+    page = open_page(small_player(tmp_path / "player.html", known))
+    page.page.locator("#fading").check()
+    own, seconds = small_cameras(model)[4], small_times()[4]
+    away = replace(own, viewmat=own.viewmat + np.array([[0, 0, 0, 0.5], *np.zeros((3, 4))]))
+    for camera in (own, away):
+        assert psnr(picture_of(page, camera, seconds), fading.render(camera, seconds).colour) > 34
+    assert psnr(picture_of(page, away, seconds), known.render(away, seconds).colour) < 25
+    page.page.locator("#fading").uncheck()
+    assert psnr(picture_of(page, away, seconds), known.render(away, seconds).colour) > 34
+    assert page.complaints == []
+
+
+def test_pages_of_scenes_that_do_not_know_do_not_offer_to_fade(open_page, player_file):
+    assert open_page(player_file).page.locator("#fading").is_hidden()
 
 
 def test_a_portrait_clip_fits_the_page(open_page, tmp_path):

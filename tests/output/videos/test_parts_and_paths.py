@@ -10,6 +10,7 @@ import torch
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import write_json
+from flowsplat.gaussians.support import with_seen
 from flowsplat.geometry import Camera
 from flowsplat.geometry.paths import CameraPath, dolly_zoom, shifted
 from flowsplat.output.videos import RenderOptions, render_videos, rendered
@@ -107,6 +108,20 @@ def test_movers_farther_away(run, tmp_path):
     ]
     assert np.ptp(expected) > 4
     np.testing.assert_allclose(places("orbit_distance_2x1.5") - places("orbit"), expected, atol=1)
+
+
+def test_guesses_fade_where_that_is_asked_for(run, tmp_path):
+    model, scene = run
+    options = RenderOptions(paths=("orbit",), max_frames=8, fading=True, orbit_angle=20.0)
+    with pytest.raises(InputError, match="earlier flowsplat"):
+        render_videos(model, scene, tmp_path, options)
+    known = with_seen(model, scene.cameras, scene.timestamps.tolist())
+    known.gaussians.seen[:, 1] = 0
+    render_videos(known, scene, tmp_path, options)
+    render_videos(known, scene, tmp_path, replace(options, fading=False))
+    assert set(rendered(tmp_path)) == {"orbit", "orbit_colour", "orbit_fading", "orbit_fading_colour"}
+    fading, whole = (frames_of(tmp_path / f"{name}_colour.mp4") for name in ("orbit_fading", "orbit"))
+    assert fading[2].mean() < 0.7 * whole[2].mean(), "to one side"
 
 
 @pytest.mark.parametrize(

@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from flowsplat.geometry import Camera
 from flowsplat.output.videos.options import RenderOptions
 from flowsplat.output.viewer.browser_frame import SCENE_DEPTH, BrowserFrame
 from flowsplat.output.viewer.drawing import Look, Wish, draw, draw_points
 from flowsplat.output.viewer.layout import BAR
-from flowsplat.output.viewer.source import Source
+from flowsplat.output.viewer.source import Loaded, Source
 from flowsplat.output.viewer.trails import trails
 from flowsplat.scenes.layers import Tracks
 from tests.output.tiny import FPS, FRAMES, MOVER, WALL, red, tiny_cameras, tiny_model, tiny_run
@@ -135,6 +136,23 @@ def test_a_mover_farther_away_looks_the_same_to_the_clips_camera_alone(source):
     assert places[1] - places[0] == pytest.approx(64 * 0.4 / MOVER * (1 - 1 / 1.5), abs=0.5)
     dots = draw(source, frame, Wish((64, 48), 0.5, Look("Gaussians", distances=((2, 1.5),)), frame.pose(camera))).image
     assert np.argwhere(red(dots))[:, 1].mean() == pytest.approx(places[1], abs=1)
+
+
+def test_guesses_fade_when_seen_from_aside(source):
+    """A wall that no two frames saw from different places is gone from aside, and there from the clip's own camera."""
+    before, whole = source.loaded, source.loaded.part("all")
+    known = replace(whole.gaussians, seen=torch.zeros(len(whole.gaussians), 2))
+    source.loaded = Loaded(replace(whole, gaussians=known), "trained", before.number)
+    frame, own = BrowserFrame(source.scene.similarity), source.path.at(0.5).resized(64, 48)
+    aside = Camera(own.viewmat - np.array([[0, 0, 0, 0.8], *np.zeros((3, 4))]), own.K, own.width, own.height)
+    try:
+        for camera, is_there in ((own, True), (aside, False)):
+            for kind in ("colour", "Gaussians"):
+                wishes = [Wish((64, 48), 0.5, Look(kind, fading=fading), frame.pose(camera)) for fading in (True, False)]
+                found, plain = (draw(source, frame, wish).image.astype(float) for wish in wishes)
+                assert (np.abs(found - plain).mean() < 1) == is_there, (is_there, kind)
+    finally:
+        source.loaded = before
 
 
 def test_trails_go_with_the_distance():

@@ -22,6 +22,7 @@ from flowsplat.output.export.spz import bytes_per_gaussian, write_spz
 from flowsplat.output.export.still import still_at
 from flowsplat.output.player.pack import estimated_bytes
 from flowsplat.output.player.page import write_player
+from flowsplat.output.videos.plans import loop_widths
 from flowsplat.scenes import Scene
 from flowsplat.splatting.harmonics import harmonics_count
 
@@ -73,7 +74,7 @@ def estimated_size(model: SceneModel, scene: Scene, to: str, options: ExportOpti
     """About how many bytes an export will have; exact for ply, ply-sequence and splat but for their headers."""
     gaussians = model.gaussians
     harmonics = harmonics_count(gaussians.sh_degree)
-    record = 4 * len(property_names(harmonics, _has_movers(model)))
+    record = 4 * len(property_names(harmonics, _has_movers(model), gaussians.seen is not None))
     active = model.active_count(_seconds(model, options))
     sizes = {
         "html": lambda: _PAGE_BYTES + estimated_bytes(gaussians),
@@ -116,7 +117,7 @@ def _default_name(to: str) -> str:
 def _write(model: SceneModel, scene: Scene, to: str, path: Path, options: ExportOptions) -> None:
     seconds = _seconds(model, options)
     if to == "html":
-        write_player(path, model, scene.timestamps.tolist(), scene.cameras, scene.name)
+        write_player(path, model, scene.timestamps.tolist(), scene.cameras, scene.name, loop_widths(model, scene))
     elif to == "ply":
         write_ply(path, still_at(model, seconds, flip_axes=options.flip_axes), _has_movers(model), _comments(scene, seconds))
     elif to == "ply-sequence":

@@ -53,4 +53,5 @@ def write_parameters_safetensors(path: Path, model: SceneModel) -> None:
 
 def _tensors(model: SceneModel) -> dict[str, Tensor]:
     gaussians = model.gaussians
-    return {**gaussians.params, "dynamic": gaussians.dynamic, "movers": gaussians.movers}
+    seen = {} if gaussians.seen is None else {"seen": gaussians.seen}
+    return {**gaussians.params, "dynamic": gaussians.dynamic, "movers": gaussians.movers, **seen}

@@ -32,6 +32,7 @@ class Still:
         opacities: [A] presence at the time included.
         sh: [A, K, 3] harmonics, brightness at the time included.
         movers: [A] uint8 number of the mover that each belongs to; 0 = of none.
+        seen: [A, 2] what the clip has seen of each (``Gaussians4D.seen``); None = not known.
     """
 
     means: Tensor
@@ -40,6 +41,7 @@ class Still:
     opacities: Tensor
     sh: Tensor
     movers: Tensor
+    seen: Tensor | None
 
     @property
     def logit_opacities(self) -> Tensor:
@@ -89,6 +91,7 @@ def still_at(model: SceneModel, seconds: float, *, flip_axes: bool = False) -> S
         sliced.opacities,
         turned_harmonics(sh, rotation),
         gaussians.movers[active.rows],
+        None if gaussians.seen is None else gaussians.seen[active.rows],
     )
 
 

@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
+from flowsplat.gaussians.fading import ALL_AROUND, LEAST_REACH, reach
 from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Gaussians4D
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.render import FILLED_FROM, FILLED_TO
@@ -38,6 +39,8 @@ PIXEL_TOLERANCE = 1 / 32
 """Pixels of the clip by which rounding may move a Gaussian."""
 QUAT_TOLERANCE = 0.004
 """Largest error of the series of a unit quaternion: half a degree."""
+SWING, DOLLY = 6.0, 1.5
+"""Where it is not known how far the clip tells."""
 _SMALLEST_SCALE, _LARGEST_SCALE = 1e-5, 1e2
 _STEEPEST = 18.0
 """Log precision beyond which a Gaussian is seen for less than a ten-thousandth of the clip."""
@@ -56,7 +59,9 @@ class Packed:
     data: bytes
 
 
-def pack(model: SceneModel, times: Sequence[float], cameras: Sequence[Camera], title: str) -> Packed:
+def pack(
+    model: SceneModel, times: Sequence[float], cameras: Sequence[Camera], title: str, widths: tuple[float, float] = (SWING, DOLLY)
+) -> Packed:
     """Round and compress a scene.
 
     Args:
@@ -64,6 +69,7 @@ def pack(model: SceneModel, times: Sequence[float], cameras: Sequence[Camera], t
         times: [T] seconds of the clip's frames.
         cameras: [T] its cameras, in the coordinates of the scene.
         title: name of the clip.
+        widths: degrees to either side of the swinging camera, and how many times as far the dolly zoom goes.
     """
     inner = [model.similarity.camera(camera) for camera in cameras]
     gaussians = model.gaussians.select(torch.nonzero(seen_in_clip(model.gaussians)).squeeze(1))
@@ -76,7 +82,7 @@ def pack(model: SceneModel, times: Sequence[float], cameras: Sequence[Camera], t
         "version": VERSION, "title": title, "width": cameras[0].width, "height": cameras[0].height,
         "first": model.first, "last": model.last, "frames": len(times), "fill": model.fill,
         "resting": len(resting), "moving": len(moving), "movers": [list(pair) for pair in gaussians.mover_counts.items()],
-        "shDegree": gaussians.sh_degree, "gains": gaussians.config.gains,
+        "swing": widths[0], "dolly": widths[1], "shDegree": gaussians.sh_degree, "gains": gaussians.config.gains,
         "pMin": gaussians.config.p_min, "near": NEAR_PLANE, "eps2d": EPS2D, "focal": model.focal,
         "alphaMin": ALPHA_MIN, "alphaMax": ALPHA_MAX, "filledFrom": FILLED_FROM, "filledTo": FILLED_TO,
         "similarity": model.similarity.to_json(), "arrays": [header for header, _ in encoded],
@@ -125,6 +131,9 @@ def _arrays(gaussians: Gaussians4D, resting: int, resolution: np.ndarray) -> lis
         arrays.append(quantized_to_range("gains", params["log_gains"][:resting].numpy(), 8))
     if gaussians.movers.any():
         arrays.append(quantized("movers", _column(gaussians.movers), 8, 0.0, 255.0))
+    if gaussians.seen is not None:
+        reaches = torch.log(reach(gaussians.seen[:resting])).clamp(np.log(LEAST_REACH), np.log(ALL_AROUND))
+        arrays.append(quantized("logReaches", _column(reaches), 8, np.log(LEAST_REACH), np.log(ALL_AROUND)))
     return [*arrays, times, log_lambdas, *_motion_arrays(motion, step)]
 
 

@@ -19,7 +19,7 @@ from flowsplat.common.files import write_text
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.geometry import Camera
 from flowsplat.output.player.camera_paths import camera_paths
-from flowsplat.output.player.pack import pack
+from flowsplat.output.player.pack import DOLLY, SWING, pack
 from flowsplat.pictures.html import data_uri
 
 SCRIPTS = ("scene.js", "cameras.js", "camera_loops.js", "sorter.js", "renderer.js", "controls.js", "main.js")
@@ -30,7 +30,10 @@ SHADERS = (
 _POSTER_QUALITY = 80
 
 
-def write_player(path: Path, model: SceneModel, times: Sequence[float], cameras: Sequence[Camera], title: str) -> Path:
+def write_player(
+    path: Path, model: SceneModel, times: Sequence[float], cameras: Sequence[Camera], title: str,
+    widths: tuple[float, float] = (SWING, DOLLY),
+) -> Path:  # fmt: skip
     """Write the page.
 
     Args:
@@ -39,13 +42,14 @@ def write_player(path: Path, model: SceneModel, times: Sequence[float], cameras:
         times: [T] seconds of the clip's frames, two or more.
         cameras: [T] its cameras, in the coordinates of the scene: the path that the player follows.
         title: name of the clip.
+        widths: degrees to either side of the swinging camera, and how many times as far the dolly zoom goes.
 
     Raises:
         InputError: there is nothing to show, or the file cannot be written.
     """
     if not len(model.gaussians):
         raise InputError("The scene has no Gaussians: there is nothing to show.")
-    packed = pack(model, times, cameras, title)
+    packed = pack(model, times, cameras, title, widths)
     poster = model.render(cameras[0], float(times[0])).colour
     template = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(_asset("player.html"))
     script = "\n".join(("", '"use strict";', *map(_asset, SCRIPTS), ""))

@@ -47,6 +47,8 @@ def render_videos(model: PartedRenderer, scene: Scene, folder: Path, options: Re
     if options.distances:
         model = model.at_distances(factors_of(options.distances), scene.timestamps.tolist(), scene.cameras)
     plans = plan_videos(model, scene, options)
+    if options.fading:
+        model = model.fading_guesses(scene.timestamps.tolist(), scene.cameras)
     parts = {part: model.part(part) for part in options.parts}
     for plan in plans:
         shown = parts[plan.part]
@@ -62,9 +64,9 @@ def rendered(folder: Path) -> dict[str, str]:
     """What was rendered into ``folder``, by name, to the file's name in it.
 
     Names: ``input_path``, ``stabilised``, ``orbit``, ``bullet_time``, ``dolly_zoom``, ``wiggle`` and ``custom_path_`` with the
-    name of its camera file; behind it ``_slow4`` where time plays four times slower, ``_distance_2x1.2`` where mover 2 is that
-    much farther away, ``_background``, ``_movers`` or ``_movers_1_3`` where a part is shown, then ``_stereo`` or ``_colour`` for
-    the other files.
+    name of its camera file; behind it ``_slow4`` where time plays four times slower, ``_fading`` where guesses fade,
+    ``_distance_2x1.2`` where mover 2 is that much farther away, ``_background``, ``_movers`` or ``_movers_1_3`` where a part is
+    shown, then ``_stereo`` or ``_colour`` for the other files.
 
     Raises:
         InputError: ``renders.json`` is damaged.

@@ -50,7 +50,7 @@ class Amplitudes:
         distance = 1 / self._scene.similarity.scale
 
         def looks(angle: float) -> list[_Look]:
-            return [(own, each, t) for t in times for own in [self._path.at(t)] for each in orbit(own, distance, _PROBES, angle)]
+            return [(own, each, t) for t in times for own in [self.path.at(t)] for each in orbit(own, distance, _PROBES, angle)]
 
         angles = [angle for angle in ANGLES if np.radians(angle) * self._astray <= MOST_ASTRAY] or list(ANGLES[:1])
         angle, told = self._furthest(angles, looks)
@@ -59,7 +59,7 @@ class Amplitudes:
 
     def dolly(self, t: float, distance: float) -> float:
         """How many times as far from what is at a planar ``distance`` a dolly zoom goes at ``t`` seconds."""
-        own = self._path.at(t)
+        own = self.path.at(t)
         factor, told = self._furthest(DOLLIES, lambda factor: [(own, dolly_zoom(own, distance, factor), t)])
         say(f"Dolly zoom: {factor:g} times as far{told}.")
         return factor
@@ -90,7 +90,8 @@ class Amplitudes:
         return max((mover.sigma for mover in movers if mover.number in large), default=0.0) * camera.K[0, 0] / camera.width
 
     @cached_property
-    def _path(self) -> CameraPath:
+    def path(self) -> CameraPath:
+        """The clip's cameras."""
         return CameraPath(self._scene.timestamps.tolist(), self._scene.cameras)
 
     @cached_property

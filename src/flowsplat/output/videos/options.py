@@ -60,6 +60,9 @@ class RenderOptions:
     distances: tuple[str, ...] = later(())
     """Movers farther from the clip's camera than they were trained, or nearer: each ``number=factor``, as in ``2=1.2 3=0.9``. Their
     sizes go with them, so that the clip's own frames stay as they are, but for who hides whom; other cameras see the difference."""
+    fading: bool = False
+    """What the clip has not seen well enough to tell what it looks like from where the camera stands fades to black, instead of
+    being shown as a guess."""
     camera_file: Path | None = None
     """A camera path of your own: ours, nerfstudio's ``camera_path.json`` or a ``transforms.json``. Its video is
     called ``custom_path_`` and the name of the file."""

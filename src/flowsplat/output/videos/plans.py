@@ -105,6 +105,8 @@ def _versions(plan: Plan, part: Part, scene: Scene, options: RenderOptions) -> I
     if options.distances:
         factors = factors_of(options.distances)
         suffix = "_distance" + "".join(f"_{number}x{factor:g}" for number, factor in factors.items()) + suffix
+    if options.fading:
+        suffix = "_fading" + suffix
     shown = replace(plan, part=part, name=plan.name + suffix)
     transparent = part.startswith("movers") and plan.kind == "panels"
     yield replace(shown, kind="alpha", audio_from=None) if transparent else shown
@@ -163,6 +165,14 @@ def name_of(camera_file: Path) -> str:
     """What a camera file is called, as a part of the names of its videos."""
     return re.sub(r"[^\w.-]", "-", camera_file.stem)
 
+
+def loop_widths(model: PartedRenderer, scene: Scene) -> tuple[float, float]:
+    """For loops at any time of the clip: degrees to either side, and how many times as far a dolly zoom goes."""
+    amplitudes, times = Amplitudes(model, scene, None), scene.timestamps
+    probes = [float(times[k]) for k in spread(len(times), 3)]
+    middle = probes[len(probes) // 2]
+    subject = subject_distance(model, amplitudes.path.at(middle), middle, 1 / scene.similarity.scale)
+    return amplitudes.angle(probes, "swinging camera"), amplitudes.dolly(middle, subject)
 
 def subject_distance(model: PartedRenderer, camera: Camera, t: float, otherwise: float) -> float:
     """Planar depth of the movers that the camera sees, their median; ``otherwise`` where there are none."""

@@ -20,6 +20,7 @@ from flowsplat.output.viewer.browser_frame import BrowserFrame, Pose
 from flowsplat.output.viewer.layout import Box, empty, fitted, halves, place, wipe
 from flowsplat.output.viewer.source import Source
 from flowsplat.pictures.colors import depth_to_color, float_to_bytes, flow_to_color
+from flowsplat.splatting.rules import ALPHA_MIN
 
 PictureKind = Literal["colour", "flow", "depth", "alpha", "Gaussians"]
 Compare = Literal["off", "beside", "wipe"]
@@ -48,6 +49,7 @@ class Look:
         tracks: the tracks of the clip, drawn where the picture is seen from the input camera.
         stereo: a pair for two eyes, left beside right, in place of what ``compare`` says.
         distances: of movers, by number, how many times as far away they are as they were trained.
+        fading: without what the clip tells too little of, from where it is seen.
     """
 
     show: PictureKind = "colour"
@@ -57,6 +59,7 @@ class Look:
     tracks: bool = False
     stereo: bool = False
     distances: tuple[tuple[int, float], ...] = ()
+    fading: bool = False
 
 
 @dataclass(frozen=True)
@@ -142,7 +145,7 @@ def render_look(source: Source, camera: Camera, wish: Wish, side: int = 0) -> tu
     look, t = wish.look, wish.t
     flow_to = _next_shot(source, camera, wish, side) if look.show == "flow" else None
     camera = _eye(source, camera, side)
-    model = source.model(look.part, look.distances)
+    model = source.model(look.part, look.distances, look.fading)
     if look.show == "Gaussians":
         return draw_points(model, camera, t), np.full((camera.height, camera.width), np.inf, np.float32)
     seen = model.render(camera, t, flow_to)
@@ -181,11 +184,13 @@ def draw_points(model: SceneModel, camera: Camera, t: float) -> np.ndarray:
     """[H, W, 3] uint8: every active Gaussian as a dot in its colour at its centre, near ones over far ones."""
     image = np.full((camera.height, camera.width, 3), _BACKGROUND, np.uint8)
     there = model.similarity.camera(camera)
-    sliced = slice_view(model.gaussians, there, model.clip_time(t), distances=model.distances)
+    gaussians = model.gaussians_for(there, model.clip_time(t))
+    sliced = slice_view(gaussians, there, model.clip_time(t), distances=model.distances)
     if not len(sliced.means):
         return image
     uv, depth = there.project(sliced.means.cpu().numpy().astype(np.float64))
-    inside = (depth > 1e-3) & np.isfinite(uv).all(-1) & (uv >= 0).all(-1) & (uv < [camera.width, camera.height]).all(-1)
+    shown = np.ones(len(uv), bool) if model.fading is None else sliced.opacities.cpu().numpy() > ALPHA_MIN
+    inside = shown & (depth > 1e-3) & np.isfinite(uv).all(-1) & (uv >= 0).all(-1) & (uv < [camera.width, camera.height]).all(-1)
     order = np.nonzero(inside)[0][np.argsort(-depth[inside], kind="stable")]
     dot = np.arange(2 if camera.width >= 480 else 1)
     x = np.minimum(uv[order, 0].astype(np.int64)[:, None, None] + dot, camera.width - 1)

@@ -188,6 +188,7 @@ class ExportPanel:
         self._finished(path)
         distances = [f"{number}={factor:g}" for number, factor in self._session.look.distances]
         options = f"--render.camera-file {path}" + "".join(f" {word}" for word in ("--render.distances", *distances) if distances)
+        options += " --render.fading" if self._session.look.fading else ""
         self._notifications.show("Render it", f"flowsplat render {self._source.folder} {options}")
 
     def _load_path(self) -> None:

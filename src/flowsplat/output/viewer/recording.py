@@ -86,7 +86,7 @@ def record_path(
     Raises:
         InputError: it cannot be written, or a WebM is asked for where nothing moves.
     """
-    suffix, movers = path.suffix, source.model("movers", look.distances)
+    suffix, movers = path.suffix, source.model("movers", look.distances, look.fading)
     if suffix == ".webm" and not len(movers.gaussians):
         raise InputError("Nothing moves in this scene: record it as mp4 or gif.")
     fps = WIGGLE_FPS if suffix == ".gif" else fps

@@ -62,13 +62,15 @@ class Source:
         model, state = read()
         self.loaded = Loaded(self._ready(model), state, 0)
 
-    def model(self, part: Part, distances: Sequence[tuple[int, float]] = ()) -> SceneModel:
+    def model(self, part: Part, distances: Sequence[tuple[int, float]] = (), fading: bool = False) -> SceneModel:
         """The newest model of a part of the scene, with movers so many times as far away as they were trained.
 
-        Numbers that no mover has do nothing: in training they may come and go.
+        Numbers that no mover has do nothing: in training they may come and go. ``fading``: without what the clip tells too little
+        of; nothing as long as that is not known.
         """
         model, factors = self.loaded.part(part), {number: factor for number, factor in distances if factor != 1}
-        return replace(model, distances=Distances(factors, self._inner_path)) if factors else model
+        model = replace(model, distances=Distances(factors, self._inner_path)) if factors else model
+        return replace(model, fading=self._inner_path, fill=False) if fading else model
 
     def refresh(self) -> bool:
         """Read the newest state again if it changed; whether it did."""

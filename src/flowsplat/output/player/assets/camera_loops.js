@@ -1,8 +1,6 @@
 // Cameras that move by themselves beside the clip's own: in a loop of so many seconds, while time stands still or plays.
 
 const LOOPS = { swing: 5, dolly: 6, wiggle: 1.28 };
-const SWING = { yaw: Math.PI / 30, pitch: Math.PI / 60 };  // half-widths: 6 and 3 degrees
-const DOLLY = 1.5;  // times as far from the subject
 const EYES = 0.03;  // between two eyes, over the median depth of the clip
 
 /** `camera` moved to its right, so that what is at planar depth `distance` stays in its place. */
@@ -43,12 +41,13 @@ class CameraLoops {
   camera(mode, time) {
     const base = cameraOnPath(this.about.clipPath, time);
     if (mode === "swing") {
+      const width = (this.about.swing * Math.PI) / 180;  // half of it to either side; half as high
       this.turning.startFrom(base);
-      this.turning.orbit(SWING.yaw * Math.sin(this.phase), (-SWING.pitch * (1 - Math.cos(this.phase))) / 2);
+      this.turning.orbit(width * Math.sin(this.phase), (-width * (1 - Math.cos(this.phase))) / 4);
       return this.turning.camera;
     }
     const subject = subjectAt(this.about.subjectDepths, time);
-    if (mode === "dolly") return dollied(base, subject, DOLLY ** ((1 - Math.cos(this.phase)) / 2));
+    if (mode === "dolly") return dollied(base, subject, this.about.dolly ** ((1 - Math.cos(this.phase)) / 2));
     return shifted(base, (EYES / 2) * Math.sin(this.phase), subject);
   }
 }

@@ -18,6 +18,7 @@ class State {
     this.mode = "clip";
     this.part = "all";
     this.isStereo = false;
+    this.isFading = false;
     this.factors = [1, ...about.movers.map(() => 1)];  // by the place of the mover; the first is of what belongs to none
     this.isHeld = false;  // a picture that a program asked for stays until a person does something
     this.free = new FreeCamera(about.clipPath);
@@ -73,6 +74,11 @@ class State {
   setStereo(isStereo) {
     this.isHeld = false;
     this.isStereo = isStereo;
+  }
+
+  setFading(isFading) {
+    this.isHeld = false;
+    this.isFading = isFading;
   }
 
   setPlaying(isPlaying) {
@@ -145,6 +151,8 @@ class Player {
     element("part").onchange = () => state.setPart(element("part").value);
     element("part").parentElement.hidden = (!scene.about.resting || !scene.about.moving) && scene.about.movers.length < 2;
     offerMovers(state);
+    element("fading").parentElement.hidden = !scene.arrays.logReaches;
+    element("fading").onchange = () => state.setFading(element("fading").checked);
     element("stereo").onchange = () => {
       state.setStereo(element("stereo").checked);
       this.fit();
@@ -161,9 +169,9 @@ class Player {
     return this.sorter.sort([...rotation.slice(6), translation[2]], time, shown, distances);
   }
 
-  draw({ cameras, time, shown, distances, width, height }, order) {
+  draw({ cameras, time, shown, distances, isFading, width, height }, order) {
     this.renderer.resize(width, height, cameras.length);
-    this.renderer.draw(order, cameras, time, shown.part, distances);
+    this.renderer.draw(order, cameras, time, shown.part, distances, isFading);
     document.body.classList.add("shown");
   }
 
@@ -174,8 +182,9 @@ class Player {
     const [x, y] = [width / this.about.width, height / this.about.height];
     const [fx, fy, cx, cy] = camera.lens;
     const sized = { ...camera, lens: [fx * x, fy * y, cx * x, cy * y] };
-    const { time, shown, isStereo } = this.state;
-    return { cameras: isStereo ? eyesOf(sized) : [sized], time, shown, distances: this.state.distances(), width, height };
+    const { time, shown, isStereo, isFading } = this.state;
+    const cameras = isStereo ? eyesOf(sized) : [sized];
+    return { cameras, time, shown, distances: this.state.distances(), isFading, width, height };
   }
 
   frame(now) {
@@ -194,8 +203,8 @@ class Player {
 
   /** Have the next picture sorted, if it differs from the last: while the one before is drawn, the next is sorted. */
   prepare(seconds) {
-    const { time, part, factors, isStereo } = this.state;
-    const what = JSON.stringify([this.state.camera(), time, part, factors, isStereo, this.size, devicePixelRatio]);
+    const { time, part, factors, isStereo, isFading } = this.state;
+    const what = JSON.stringify([this.state.camera(), time, part, factors, isStereo, isFading, this.size, devicePixelRatio]);
     const isSame = what === this.last;
     if (isSame && (this.detail === 1 || this.isSharp)) return;
     if (!isSame) this.adapt(seconds);
@@ -236,7 +245,8 @@ async function start() {
       player.last = "";
       const clipTime = (time - about.first) / (about.last - about.first);
       const distances = state.distances(clipTime);
-      const view = { cameras: [cameraOfScene(about, viewmat, K)], time: clipTime, shown: state.shown, distances, width, height };
+      const { shown, isFading } = state;
+      const view = { cameras: [cameraOfScene(about, viewmat, K)], time: clipTime, shown, distances, isFading, width, height };
       player.draw(view, await player.order(view));
       return player.canvas.toDataURL("image/png");
     },

@@ -121,7 +121,7 @@ class Renderer {
     const count = about.resting + about.moving;
     const stride = 4 * (3 + this.harmonics);
     const texels = new Float32Array(count * stride);
-    const { means, quats, logScales, opacities, colours, harmonics } = arrays;
+    const { means, quats, logScales, opacities, colours, harmonics, logReaches } = arrays;
     for (let i = 0; i < count; i++) {
       const at = i * stride;
       for (let c = 0; c < 3; c++) {
@@ -131,6 +131,7 @@ class Renderer {
       }
       texels[at + 3] = opacities.values[i];
       texels[at + 11] = movers[i];
+      texels[at + 15] = logReaches && i < about.resting ? Math.exp(logReaches.values[i]) : 2;  // directions differ by 2 at most
       for (let c = 0; c < 4; c++) texels[at + 4 + c] = quats.values[4 * i + c];
       for (let k = 1; k < this.harmonics; k++) {
         for (let c = 0; c < 3; c++) texels[at + 12 + 4 * k + c] = harmonics.values[i * harmonics.components + 3 * (k - 1) + c];
@@ -216,24 +217,24 @@ class Renderer {
 
   /**
    * Draw the Gaussians of `order` (farthest first) as each of `cameras` sees them at clip time `time`, beside each other.
-   * `distances`: the pivot, and how many times as far from there every mover is.
+   * `distances`: the pivot, and how many times as far from there every mover is. `isFading`: without what is a guess.
    */
-  draw(order, cameras, time, part, distances) {
+  draw(order, cameras, time, part, distances, isFading) {
     this.upload(order);
-    cameras.forEach((camera, eye) => this.drawEye(order, camera, time, part, distances, eye));
+    cameras.forEach((camera, eye) => this.drawEye(order, camera, time, part, distances, isFading, eye));
   }
 
-  drawEye(order, camera, time, part, distances, eye) {
+  drawEye(order, camera, time, part, distances, isFading, eye) {
     const gl = this.gl;
     const [top] = this.levels;
     const scene = { order: this.order, states: this.states, motions: this.motions, gains: this.gains };
     if (this.isDirect) {
       this.use(this.splat, top.own, scene);
-      this.lookAt(this.splat, camera, time, distances);
+      this.lookAt(this.splat, camera, time, distances, isFading);
     } else {
       const lines = Math.ceil(order.length / SLICE_WIDTH);
       this.use(this.slice, { ...this.slicing, height: lines }, scene);
-      this.lookAt(this.slice, camera, time, distances);
+      this.lookAt(this.slice, camera, time, distances, isFading);
       gl.uniform1i(this.slice.at.count, order.length);
       gl.drawArrays(gl.TRIANGLES, 0, 3);
       const [slicedAxes, slicedPlaces, slicedColours] = this.sliced;
@@ -248,7 +249,7 @@ class Renderer {
     gl.drawElements(gl.TRIANGLES, 6 * order.length, gl.UNSIGNED_INT, 0);
     gl.disable(gl.BLEND);
     gl.bindVertexArray(this.nothing);
-    const isFilled = this.about.fill && part !== "movers";
+    const isFilled = this.about.fill && part !== "movers" && !isFading;
     if (isFilled) this.fill();
     this.use(this.present, null, { source: top.own.texture, filled: (top.filled ?? top.own).texture });
     gl.viewport(eye * top.own.width, 0, top.own.width, top.own.height);
@@ -267,7 +268,7 @@ class Renderer {
   }
 
   /** Tell the program that slices what is to be seen. */
-  lookAt({ at }, camera, time, { pivot, factors }) {
+  lookAt({ at }, camera, time, { pivot, factors }, isFading) {
     const gl = this.gl;
     gl.uniform1i(at.resting, this.about.resting);
     gl.uniform1f(at.time, time);
@@ -283,6 +284,7 @@ class Renderer {
     gl.uniform2f(at.size, this.levels[0].own.width, this.levels[0].own.height);
     gl.uniform1f(at.near, this.about.near);
     gl.uniform3fv(at.pivot, pivot);
+    gl.uniform1i(at.isFading, isFading ? 1 : 0);
     const padded = new Float32Array(4 * this.moverTexels).fill(1);
     padded.set(factors);
     gl.uniform4fv(at.factors, padded);

@@ -6,7 +6,7 @@ precision highp sampler2D;
 precision highp usampler2D;
 
 uniform usampler2D order;   // rows of the active Gaussians, farthest first
-uniform sampler2D states;   // 3 + SH_COUNT texels a Gaussian: mean and opacity, quaternion, scales and place of the mover, harmonics
+uniform sampler2D states;   // 3 + SH_COUNT texels a Gaussian: mean and opacity, quaternion, scales and place of the mover, colour and reach, other harmonics
 uniform sampler2D motions;  // 1 + MEAN_DEGREE + QUAT_DEGREE texels a moving one: middle, 1 / half length, centre, precision; coefficients
 uniform sampler2D gains;    // GAIN_TEXELS texels a resting one
 uniform int resting;        // how many do not move: the first ones
@@ -19,6 +19,7 @@ uniform vec4 lens;          // fx, fy, cx, cy in pixels
 uniform vec2 size;          // of the picture in pixels
 uniform float near;
 uniform vec3 pivot;         // where the clip's camera is at the time
+uniform bool isFading;      // whether Gaussians fade beyond their reach
 uniform vec4 factors[MOVER_TEXELS];  // by the place of the mover, how many times as far from there it is as it was trained
 
 vec4 texel(sampler2D source, int at) {
@@ -94,6 +95,11 @@ void slice(int rank, out vec4 axes, out vec4 place, out vec4 colour) {
 #endif
 
   mean = pivot + factor * (mean - pivot);
+  if (isFading) {
+    // As fading.py: by how much the direction to the viewer differs from that to the clip's camera.
+    float off = distance(normalize(center - mean), normalize(pivot - mean));
+    opacity *= clamp(2.0 - off / texel(states, at + 3).w, 0.0, 1.0);
+  }
   vec3 p = rotation * mean + translation;
   if (p.z <= near || opacity <= ALPHA_MIN) return;
   float inverse = 1.0 / p.z;

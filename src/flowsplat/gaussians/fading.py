@@ -1,0 +1,50 @@
+"""Gaussians fade where they would be a guess: seen by too few frames, or from too far beside the directions of those that did.
+
+How much that is, and why, is told in ``support``, which finds what the clip has seen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from flowsplat.gaussians.gaussians4d import Gaussians4D
+
+FEWEST = 3
+"""Frames that must have seen a point."""
+FURTHEST = 12.0
+"""Times the spread of the directions from which a point was seen is the furthest from which it is shown as it is."""
+LEAST_REACH = 0.02
+"""What a Gaussian that too few saw may be off all the same, a degree: small swings stay whole."""
+ALL_AROUND = 2.0
+"""Directions cannot differ by more: the length of the difference of opposite ones."""
+_FAINTEST = 1e-7
+
+
+def reach(seen: Tensor) -> Tensor:
+    """[N] how far the direction from which a Gaussian is looked at may be from that of the clip's camera.
+
+    As the length of the difference of unit vectors; of ``Gaussians4D.seen`` [N, 2].
+    """
+    frames, spread_of = seen.unbind(1)
+    return torch.where(frames >= FEWEST, FURTHEST * spread_of, torch.zeros_like(spread_of)).clamp(min=LEAST_REACH)
+
+
+def faded(gaussians: Gaussians4D, viewer: np.ndarray, own: np.ndarray) -> Gaussians4D:
+    """The Gaussians as far as the clip tells what they look like: beyond its ``reach`` each fades, and is gone at twice that.
+
+    Args:
+        gaussians: with ``seen``; without, all stay.
+        viewer: [3] where the camera stands, in their coordinates.
+        own: [3] where the clip's camera stood at that time. From there all stay.
+    """
+    if gaussians.seen is None:
+        return gaussians
+    means, logits = gaussians.params["means"], gaussians.params["logit_opacities"]
+    towards = [torch.nn.functional.normalize(torch.as_tensor(centre).to(means) - means, dim=1) for centre in (viewer, own)]
+    kept = (2 - (towards[0] - towards[1]).norm(dim=1) / reach(gaussians.seen)).clamp(0, 1)
+    opacities = (torch.sigmoid(logits) * kept).clamp(_FAINTEST, 1 - _FAINTEST)
+    return replace(gaussians, params={**gaussians.params, "logit_opacities": torch.where(kept < 1, torch.logit(opacities), logits)})
