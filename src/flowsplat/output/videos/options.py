@@ -60,7 +60,7 @@ class RenderOptions:
     distances: tuple[str, ...] = later(())
     """Movers farther from the clip's camera than they were trained, or nearer: each ``number=factor``, as in ``2=1.2 3=0.9``. Their
     sizes go with them, so that the clip's own frames stay as they are, but for who hides whom; other cameras see the difference."""
-    fading: bool = False
+    fading: bool = later(False)
     """What the clip has not seen well enough to tell what it looks like from where the camera stands fades to black, instead of
     being shown as a guess."""
     camera_file: Path | None = None
