@@ -63,3 +63,29 @@ def test_frames_that_show_only_what_moves_say_nothing():
 def test_an_even_slope_has_no_jump():
     slope = np.tile(np.linspace(0.2, 0.21, WIDTH, dtype=np.float32), (HEIGHT, 1))
     np.testing.assert_array_equal(refined(slope, np.ones(slope.shape, bool)), slope)
+
+
+def test_only_what_is_doubted_is_asked_about():
+    true, everywhere = still_square(0)[1], np.ones((HEIGHT, WIDTH), bool)
+    wrong = cv2.dilate(true, np.ones((9, 9), np.uint8))
+    doubted = everywhere.copy()
+    doubted[:, WIDTH // 2 :] = False
+    pictures = np.stack([features(still_square(shift)[0]) for shift in SHIFTS])
+    cameras, moving = [camera_at(shift) for shift in SHIFTS], np.zeros(pictures.shape[:3], bool)
+    result = refine_edges(wrong, everywhere, features(still_square(0)[0]), camera_at(0), pictures, moving, cameras, doubted)
+    np.testing.assert_array_equal(result[~doubted], wrong[~doubted])
+    assert (result != wrong)[doubted].any()
+
+
+def test_frames_whose_picture_ends_before_the_place_do_not_count_against_it():
+    # Three of six cameras do not see the left half of the wall any more; depth there is as right as elsewhere.
+    shifts = (-12, -8, -4, 70, 72, 74)
+    wall = texture(0, WIDTH + 120, HEIGHT)
+    views = {shift: np.ascontiguousarray(wall[:, 20 + shift : 20 + shift + WIDTH]) for shift in (0, *shifts)}
+    true = np.full((HEIGHT, WIDTH), 1 / WALL, np.float32)
+    wrong = true.copy()
+    wrong[20:60, 20:36] *= 0.6  # Farther off: there the cameras to the right would see it, too.
+    pictures = np.stack([features(views[shift]) for shift in shifts])
+    moving, cameras = np.zeros(pictures.shape[:3], bool), [camera_at(shift) for shift in shifts]
+    result = refine_edges(wrong, np.ones(true.shape, bool), features(views[0]), camera_at(0), pictures, moving, cameras)
+    assert (np.abs(result / true - 1) > 0.05).sum() < 0.1 * (wrong != true).sum()

@@ -2,7 +2,8 @@
 
 A pixel near a jump of depth belongs to one of the surfaces around it. Each of them proposes its depth; other frames show the
 pixel's surroundings where the right one leads (a vote of colours, weighed by likeness to the pixel, as in
-https://doi.org/10.1109/TPAMI.2006.70). What another frame hides speaks for nothing: the better half of the frames counts.
+https://doi.org/10.1109/TPAMI.2006.70). What another frame hides speaks for nothing: the better half of the frames counts, of those
+whose picture holds the place.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ WINDOW = 4
 LIKENESS = 20.0
 """Sum of the differences in red, green and blue at which a pixel's vote counts half."""
 _COLOUR, _GRADIENT, _WORST = 60.0, 20.0, 60.0
-"""Largest difference of colours and of gradients that counts; cost of a frame that says nothing."""
+"""Largest difference of colours and of gradients that counts; cost where no frame says anything."""
 
 
 def features(picture: np.ndarray) -> np.ndarray:
@@ -44,7 +45,7 @@ def features(picture: np.ndarray) -> np.ndarray:
 
 def refine_edges(
     inverse: np.ndarray, still: np.ndarray, picture: np.ndarray, camera: Camera, pictures: np.ndarray, moving: np.ndarray,
-    cameras: Sequence[Camera],
+    cameras: Sequence[Camera], doubted: np.ndarray | None = None,
 ) -> np.ndarray:  # fmt: skip
     """Inverse depth [H, W] float32 with its jumps where the pictures have them.
 
@@ -55,6 +56,7 @@ def refine_edges(
         pictures: [J, H, W, 4] those of other frames.
         moving: [J, H, W] bool, where these show something that moves, which says nothing of the still scene.
         cameras: [J] of these, at least one.
+        doubted: [H, W] bool, the only pixels that are asked about; None = all near a jump.
     """
     poses = np.array([other.pose_from(camera) for other in cameras], np.float32).reshape(-1, 3, 4)
     intrinsics = np.array([c.intrinsics for c in [camera, *cameras]], np.float32)
@@ -63,6 +65,8 @@ def refine_edges(
         far, close = [cv2.erode(inverse, each) for each in around], [cv2.dilate(inverse, each) for each in around]
         proposed = [inverse, *far, *close]  # Equal ones are neighbours, and are tried once.
         asked = still & (close[-1] - far[-1] > JUMP * inverse)
+        if doubted is not None:
+            asked &= doubted
         near = cv2.dilate(asked.astype(np.uint8), np.ones((2 * WINDOW + 1, 2 * WINDOW + 1), np.uint8)) > 0
         every = np.stack(proposed, -1)
         costs = _costs(every, near, picture, pictures, moving, intrinsics, poses)
@@ -77,8 +81,11 @@ class EdgeRefiner:
         self._clip, self._has_masks = clip, has_masks
         self._seen = lru_cache(maxsize=2 * OFFSETS[-1] + 2)(self._see)
 
-    def __call__(self, k: int, inverse: np.ndarray) -> np.ndarray:
-        """Inverse depth [H, W] float32 of training frame k at full size, with its jumps where the pictures have them."""
+    def __call__(self, k: int, inverse: np.ndarray, doubted: np.ndarray | None = None) -> np.ndarray:
+        """Inverse depth [H, W] float32 of training frame k at full size, with its jumps where the pictures have them.
+
+        ``doubted`` as in ``refine_edges``.
+        """
         scene, same = self._clip.scene, self._clip.continuity.same_piece
         others = [j for j in (k + offset for offset in OFFSETS) if 0 <= j < len(self._clip) and same(k, j)]
         if not others:
@@ -87,7 +94,7 @@ class EdgeRefiner:
         (picture, _, moving), seen = self._seen(k), [self._seen(j) for j in others]
         return refine_edges(
             inverse, ~moving, picture, cameras[0], np.stack([each[0] for each in seen]), np.stack([each[1] for each in seen]),
-            cameras[1:],
+            cameras[1:], doubted,
         )  # fmt: skip
 
     def _see(self, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -129,6 +136,7 @@ def _costs(
                     result[y, x, n] = result[y, x, n - 1]
                     continue
                 best[:] = worst
+                said = 0
                 for j in range(J):
                     z = rays[j, 2] + w * poses[j, 2, 3]
                     if z <= np.float32(1e-6):
@@ -141,6 +149,7 @@ def _costs(
                     c, row = int(u), int(v)
                     if moving[j, row, c]:
                         continue
+                    said += 1
                     a, b = u - np.float32(c), v - np.float32(row)
                     a00, a01, a10, a11 = (one - a) * (one - b), a * (one - b), (one - a) * b, a * b
                     p, q = pictures[j, row, c], pictures[j, row, c + 1]
@@ -157,10 +166,11 @@ def _costs(
                             best[k] = best[k - 1]
                             k -= 1
                         best[k] = total
+                counted = min(max((said + 1) // 2, 1), kept)
                 total = np.float32(0)
-                for k in range(kept):
+                for k in range(counted):
                     total += best[k]
-                result[y, x, n] = total / np.float32(kept)
+                result[y, x, n] = total / np.float32(counted)
     return result
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from flowsplat.common.progress import track
-from flowsplat.priors.background.edges import EdgeRefiner
 from flowsplat.priors.background.fill import upsample
 from flowsplat.priors.background.longflow import STRIDES
 from flowsplat.priors.background.matched_clip import MatchedClip
+from flowsplat.priors.background.refined import RefinedDepth
 from flowsplat.priors.background.static_depth import StaticDepth, camera_reach, static_depth
 from flowsplat.priors.flow import FlowEstimator, dis_estimator
 from flowsplat.priors.objects import SceneMovers, load_movers
@@ -50,7 +50,7 @@ def depth_stage(
     clip = static[0] if static else MatchedClip(scene, estimate)
     background = static[1] if static else static_depth(clip, has_masks)
     movers = load_movers(scene)
-    refined = EdgeRefiner(clip, has_masks) if clip.has_parallax else None
+    refined = RefinedDepth(clip, background, has_masks)
     for k, i in enumerate(track(scene.train_frames, "Depth")):
         if not scene.has_depth(i):
             scene.write_depth(i, _frame_depth(clip, background, movers, refined, has_masks, k))
@@ -89,19 +89,15 @@ def trusted_shares(scene: Scene) -> tuple[float, float]:
 
 
 def _frame_depth(
-    clip: MatchedClip, background: StaticDepth, movers: SceneMovers, refined: EdgeRefiner | None, has_masks: bool, k: int
+    clip: MatchedClip, background: StaticDepth, movers: SceneMovers, refined: RefinedDepth, has_masks: bool, k: int
 ) -> Depth:
     scene = clip.scene
     frame = scene.frame(scene.train_frames[k])
-    inverse, weight = background.filled(k)
     mask = scene.mask(scene.train_frames[k]) if has_masks else np.zeros((scene.height, scene.width), np.uint8)
     size = (scene.width, scene.height)
     moving = mask > 0
+    static, weight, share = refined(k)
     if moving.any():
-        plate = background.plate(k)
-        inverse = np.where(clip.mask(k) > 0, plate, inverse)
-        static = upsample(inverse, frame, *size)
-        static = static if refined is None else refined(k, static)
         front = upsample(background.foremost(k), np.zeros_like(frame), *size)
         sure = upsample(background.witnessed(k), np.zeros_like(frame), *size)
         known = movers.depth(k, mask, frame, scene.cameras[scene.train_frames[k]])
@@ -109,11 +105,7 @@ def _frame_depth(
         # Nothing lies behind what other frames are sure of; what nothing ties stays just in front of what is filled in, too.
         tied = np.isin(mask, [mover.number for mover in movers.movers if mover.sigma <= TIED or not PLACES.isdisjoint(mover.cues)])
         static = np.where(moving, np.maximum(nearness, np.where(tied, KNOWN_MARGIN * sure, MARGIN * front)), static)
-    else:
-        static = upsample(inverse, frame, *size)
-        static = static if refined is None else refined(k, static)
     limits = background.median / FURTHEST_DEPTH, background.median / NEAREST_DEPTH
     depth = 1 / np.clip(static, *limits)
-    large_weight = np.maximum(upsample(weight.astype(np.float32), np.zeros_like(frame), *size), 0)
-    confidence = np.where(moving, MOVER_CONFIDENCE, large_weight / (large_weight + TRUSTED_WEIGHT))
+    confidence = np.where(moving, MOVER_CONFIDENCE, share * weight / (weight + TRUSTED_WEIGHT))
     return Depth(depth.astype(np.float32), confidence.astype(np.float32))

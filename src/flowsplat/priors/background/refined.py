@@ -1,0 +1,89 @@
+"""Depth of the still scene at full size: from half of it, its edges from the pictures, and what frames agree on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+
+import cv2
+import numpy as np
+
+from flowsplat.geometry import Camera
+from flowsplat.priors.background.agreement import agreed
+from flowsplat.priors.background.edges import EdgeRefiner
+from flowsplat.priors.background.fill import upsample
+from flowsplat.priors.background.matched_clip import MatchedClip
+from flowsplat.priors.background.static_depth import StaticDepth
+
+VOTERS = (2, 4, 8, 16)
+"""Training frames before and after, which vote on the depth of a frame's pixels."""
+ROUNDS = 2
+"""Of both: edges are found again from what frames agreed on, and what is found is agreed on again."""
+AGREED = 0.9
+"""Share of the votes from which a pixel is not asked about once more, unless one that is lies within ``BESIDE`` pixels."""
+BESIDE = 4
+
+Planes = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Inverse depth of a training frame, the weight of its matches, and the share of the frames that agree, each [H, W] float32."""
+
+
+class RefinedDepth:
+    """That of the frames of a clip. It is fastest if these are asked for one after the other."""
+
+    def __init__(self, clip: MatchedClip, background: StaticDepth, has_masks: bool):
+        self._clip, self._background, self._has_masks = clip, background, has_masks
+        self._edges = EdgeRefiner(clip, has_masks)
+        self._moving = lru_cache(maxsize=2 * VOTERS[-1] + 2)(self._find_moving)
+        depth: Callable[[int], Planes] = self._coarse
+        for n in range(ROUNDS if clip.has_parallax else 0):
+            # The first frame of a later round asks for frames ahead that ask for frames ahead of theirs.
+            kept = 2 * (ROUNDS - n) * VOTERS[-1] + 2
+            depth = lru_cache(maxsize=kept)(self._agreed(lru_cache(maxsize=kept)(self._sharpened(depth, first=n == 0))))
+        self._depth = depth
+
+    def __call__(self, k: int) -> Planes:
+        """Inverse depth of the still scene in training frame ``k``, behind movers, too, and how sure it is: see ``Planes``."""
+        return self._depth(k)
+
+    def _coarse(self, k: int) -> Planes:
+        scene = self._clip.scene
+        frame, (inverse, weight) = scene.frame(scene.train_frames[k]), self._background.filled(k)
+        if self._has_masks:
+            hidden = self._clip.mask(k) > 0
+            inverse = np.where(hidden, self._background.plate(k), inverse) if hidden.any() else inverse
+        size = (scene.width, scene.height)
+        smooth = upsample(weight.astype(np.float32), np.zeros_like(frame), *size)
+        return upsample(inverse, frame, *size), np.maximum(smooth, 0), np.ones_like(smooth)
+
+    def _sharpened(self, depth: Callable[[int], Planes], first: bool) -> Callable[[int], Planes]:
+        around = np.ones((2 * BESIDE + 1, 2 * BESIDE + 1), np.uint8)
+
+        def doubted(share: np.ndarray) -> np.ndarray | None:
+            return None if first else cv2.dilate((share < AGREED).astype(np.uint8), around) > 0
+
+        def sharpened(k: int) -> Planes:
+            inverse, weight, share = depth(k)
+            return self._edges(k, inverse, doubted(share)), weight, share
+
+        return sharpened
+
+    def _agreed(self, depth: Callable[[int], Planes]) -> Callable[[int], Planes]:
+        def agreed_upon(k: int) -> Planes:
+            clip, (inverse, weight, _) = self._clip, depth(k)
+            near = [j for offset in VOTERS for j in (k - offset, k + offset) if 0 <= j < len(clip)]
+            others = [(depth(j)[0], ~self._moving(j)[1], self._camera(j)) for j in near if clip.continuity.same_piece(k, j)]
+            inverse, share = agreed(inverse, ~self._moving(k)[0], self._camera(k), others)
+            return inverse, weight, share
+
+        return agreed_upon
+
+    def _camera(self, k: int) -> Camera:
+        return self._clip.scene.cameras[self._clip.scene.train_frames[k]]
+
+    def _find_moving(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """Movers, and these with what is beside them, each [H, W] bool."""
+        scene = self._clip.scene
+        if not self._has_masks:
+            return (np.zeros((scene.height, scene.width), bool),) * 2
+        moving = scene.mask(scene.train_frames[k]) > 0
+        return moving, cv2.dilate(moving.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
