@@ -65,6 +65,21 @@ def test_the_truth_has_no_errors(scene):
     assert depth_scale(scene) == pytest.approx(2, rel=1e-5)
 
 
+def test_what_rests_is_measured_everywhere_and_at_feet(scene):
+    assert measure_scene(scene)["static"]["p90"] == pytest.approx(0, abs=1e-5)
+
+    def wrong(depth, mask, i):
+        # The lower half lies 5 % too far; feet are there.
+        depth[60:] *= np.exp(0.05)
+        return depth, mask
+
+    change(scene, wrong)
+    figures = measure_scene(scene)
+    assert figures["static"]["median"] == pytest.approx(0, abs=1e-5)
+    assert figures["feet"]["median"] in (pytest.approx(0, abs=1e-5), pytest.approx(0.05, abs=1e-5))
+    assert figures["feet"]["p90"] == pytest.approx(0.05, abs=1e-5)
+
+
 def test_distance_course_and_relief_are_told_apart(scene):
     def wrong(depth, mask, i):
         depth[mask == 1] *= np.exp(0.2)

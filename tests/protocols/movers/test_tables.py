@@ -13,7 +13,7 @@ def mover(kind: str = "walker", error: float | None = 0.1, **more) -> dict:
 
 
 def result(*movers: dict) -> dict:
-    part = {"movers": list(movers), "idf1": 0.7}
+    part = {"movers": list(movers), "idf1": 0.7, "parallax": True, "static": {"median": 0.01, "p90": 0.05}, "feet": None}
     return {"camera": "arc", "ground": "flat", "own": part, "true": part}
 
 
@@ -32,7 +32,7 @@ def test_what_was_never_found_is_infinitely_wrong():
 
 def test_rows_by_kind_and_camera():
     bird = mover("flier", None, contact=[])
-    own, true = tables([result(mover(), mover("door", -0.3, contact=[], swings=True), bird)])
+    own, true, static = tables([result(mover(), mover("door", -0.3, contact=[], swings=True), bird)])
     assert own.rows == true.rows
     rows = {row[0]: row[1:] for row in own.rows}
     assert rows["all"][:4] == ("3", "1", "0.300", "not found")
@@ -43,11 +43,12 @@ def test_rows_by_kind_and_camera():
     assert "camera: still" not in rows
     assert "0.70" in own.note
     assert own.header == HEADER
+    assert [row[1:] for row in static.rows] == [("1", "0.010", "0.050", "–", "–")] * 2
     assert is_anchored(mover())
     assert not is_anchored(bird)
 
 
 def test_coverage_is_told_where_errors_are_believed():
-    own, _ = tables([result(mover(error=0.1, sigma=0.2), mover(error=-0.1, sigma=0.07), mover(error=0.5, sigma=0.1), mover())])
+    own, _, _ = tables([result(mover(error=0.1, sigma=0.2), mover(error=-0.1, sigma=0.07), mover(error=0.5, sigma=0.1), mover())])
     assert own.header[-2:] == ("within 1 sigma", "within 2 sigma")
     assert own.rows[0][-2:] == ("33 %", "67 %")

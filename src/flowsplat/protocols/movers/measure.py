@@ -1,4 +1,4 @@
-"""How far every mover of a scene is from the truth: its distance, course and relief, its masks and its number.
+"""How far every mover of a scene is from the truth: its distance, course and relief, its masks and its number; and what rests.
 
 Errors of depth are natural logarithms of estimated over true planar depth: .02 is 2 %, too far.
 """
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import cv2
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
@@ -20,6 +21,9 @@ without any such frame was never found."""
 
 FEWEST = 20
 """Pixels of an object in a frame below which it does not count there."""
+
+AT_FEET = 6
+"""Pixels from the lowest pixels of a mover that touches the ground, within which what rests is called the ground at its feet."""
 
 CENTRAL = (15.87, 84.13)
 """Percentiles whose half distance is the standard deviation of a normal distribution."""
@@ -41,7 +45,11 @@ def measure_scene(scene: Scene) -> Record:
           deviation within a frame; None where it was not found;
         - ``iou``: with the object that overlaps it most in a frame, intersections and unions summed over frames;
         - ``idf1``: of the object that stands for it over the clip, one object for one mover;
-        - ``object``: the number of that object, or None; and its ``sigma`` and ``cues``, where the object stage tells them.
+        - ``object``: the number of that object, or None; and its ``sigma`` and ``cues``, where the object stage tells them;
+
+        and of what rests, by the true and by our masks, in all frames, pixels that were filled in included: ``static`` and
+        ``feet`` (those at the feet of movers that touch the ground), each with the ``median`` and ``p90``, the 90th percentile,
+        of |ln(estimated / true)|, None where there are none.
 
     Raises:
         InputError: something of the scene is missing or damaged.
@@ -67,7 +75,12 @@ def measure_scene(scene: Scene) -> Record:
         record |= {"iou": _pooled_iou(inside, ours), "idf1": idf1[index], "object": assigned[index]}
         record |= told.get(str(assigned[index]), {})
         records.append(record)
-    return {"scale": scale, "parallax": has_parallax(scene), "idf1": total, "movers": records}
+    rests = (true == 0) & (ours == 0)
+    feet = rests & _at_feet(true, known, [scene.timestamps[i] for i in frames])
+    return {
+        "scale": scale, "parallax": has_parallax(scene), "idf1": total, "movers": records,
+        "static": _percentiles(log[rests]), "feet": _percentiles(log[feet]),
+    }  # fmt: skip
 
 
 def has_parallax(scene: Scene) -> bool:
@@ -143,6 +156,28 @@ def _depth_errors(log: np.ndarray, inside: np.ndarray) -> Record:
         "ln_distance": float(np.median(np.concatenate(frames))), "course": _spread(np.array(medians)),
         "relief": float(np.median([_spread(values) for values in frames])),
     }  # fmt: skip
+
+
+def _at_feet(true: np.ndarray, known: list[Record], seconds: list[float]) -> np.ndarray:
+    """[T, H, W] bool: near the lowest pixels of movers, in frames at whose time these touch the ground."""
+    near, around = np.zeros(true.shape, bool), np.ones((2 * AT_FEET + 1, 2 * AT_FEET + 1), np.uint8)
+    half = np.diff(seconds).mean() / 2 if len(seconds) > 1 else np.inf
+    for mover in known:
+        for t, second in enumerate(seconds):
+            if any(abs(second - contact) <= half for contact in mover["contact"]):
+                inside = true[t] == mover["number"]
+                rows = np.flatnonzero(inside.any(1))
+                if inside.sum() >= FEWEST:
+                    inside[: rows[-1]] = False
+                    near[t] |= cv2.dilate(inside.astype(np.uint8), around) > 0
+    return near
+
+
+def _percentiles(log: np.ndarray) -> dict[str, float] | None:
+    if not log.size:
+        return None
+    median, upper = np.percentile(np.abs(log), [50, 90])
+    return {"median": float(median), "p90": float(upper)}
 
 
 def _spread(values: np.ndarray) -> float:

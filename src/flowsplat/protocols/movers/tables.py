@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from flowsplat.pictures.html import NOTHING
-from flowsplat.protocols.movers.measure import OVERLAP, Record
+from flowsplat.protocols.movers.measure import AT_FEET, OVERLAP, Record
 from flowsplat.protocols.movers.preparation import VARIANTS, Variant
 from flowsplat.protocols.tables import Table, text
 from flowsplat.scenes.synthetic.worlds.cameras import CAMERAS
@@ -21,6 +21,9 @@ HEADER = (
     "", "movers", "never found", "distance: median", "90th percentile", "within 5 %", "signed median", "course", "relief",
     "IDF1", "mask IoU",
 )  # fmt: skip
+
+STATIC = ("median", "p90")
+"""Figures of what rests."""
 
 SIGMAS = (1, 2)
 """Multiples of what is believed of an error whose coverage is told."""
@@ -52,8 +55,24 @@ def is_anchored(mover: Record) -> bool:
 
 
 def tables(results: Sequence[Result]) -> list[Table]:
-    """One table for own priors and one for true ones."""
-    return [_table(results, variant) for variant in VARIANTS]
+    """One table for own priors, one for true ones, and one of what rests."""
+    return [*(_table(results, variant) for variant in VARIANTS), _static(results)]
+
+
+def _static(results: Sequence[Result]) -> Table:
+    rows = []
+    for variant in VARIANTS:
+        for name, parallax in (("depth from the camera's motion", True), ("depth guessed", False)):
+            of_them = [r[variant] for r in results if r[variant]["parallax"] == parallax and "static" in r[variant]]
+            if of_them:
+                figures = [_median(r[part][figure] for r in of_them if r[part]) for part in ("static", "feet") for figure in STATIC]
+                rows.append((f"{TITLES[variant]}: {name}", str(len(of_them)), *(text(x, 3) for x in figures)))
+    header = ("", "worlds", "median", "90th percentile", "at feet: median", "90th percentile")
+    note = (
+        f"|ln(estimated / true depth)| over all pixels that rest by the true and by our masks, and over those within {AT_FEET} "
+        "pixels of the lowest pixels of movers that touch the ground. Each figure is the median over the worlds."
+    )
+    return Table("What rests", note, header, rows)
 
 
 def _table(results: Sequence[Result], variant: Variant) -> Table:
