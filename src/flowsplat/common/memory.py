@@ -7,9 +7,26 @@ import re
 import sys
 from pathlib import Path
 
+_before = 0.0
+"""GiB: the peak up to when ``begin_peak`` was last called."""
+
 
 def peak_memory() -> float | None:
     """GiB that this process needed at most; None where the system does not tell."""
+    recent = recent_peak()
+    return None if recent is None else max(recent, _before)
+
+
+def begin_peak() -> None:
+    """Count ``recent_peak`` anew from here on, where the system can (Linux: https://docs.kernel.org/filesystems/proc.html)."""
+    global _before
+    _before = peak_memory() or _before
+    with contextlib.suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5")
+
+
+def recent_peak() -> float | None:
+    """GiB that this process needed at most since ``begin_peak``, or since it began; None where the system does not tell."""
     try:
         # Of this program alone: what getrusage says includes the process that started it.
         found = re.search(r"VmHWM:\s*([0-9]+) kB", Path("/proc/self/status").read_text())

@@ -21,6 +21,7 @@ from flowsplat.common.files import hash_files, lease, read_json, remove_partials
 from flowsplat.common.files.json_file import Number
 from flowsplat.common.files.lease import NAME as LOCK
 from flowsplat.common.files.writing import writing_error
+from flowsplat.common.memory import recent_peak
 from flowsplat.common.progress import busy, say
 from flowsplat.common.settings import to_plain
 from flowsplat.evaluation.evaluate import evaluate
@@ -515,6 +516,7 @@ def _evaluate(folder: RunFolder, result: _Result) -> dict[str, Any]:
 def _write_metrics(folder: RunFolder, result: _Result, metrics: dict[str, Any], seconds: Mapping[str, float]) -> None:
     """Complete ``metrics``, and write them and the report. A stage that took ``seconds`` is finished only when that is done."""
     metrics["peak_memory_gib"] = folder.peak_memory
+    metrics["memory_gib"] = {**folder.memory, **dict.fromkeys(seconds, recent_peak())}
     metrics["seconds"] = {**folder.seconds, **seconds}
     metrics["measured"] = folder.model_path.name
     metrics["shown"] = (folder.final_path if has_model(folder.final_path) else folder.model_path).name
