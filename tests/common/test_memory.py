@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import ctypes
 import subprocess
 import sys
 from pathlib import Path
@@ -33,3 +34,30 @@ def test_the_peak_of_a_stage_does_not_hold_what_was_before_it_and_that_of_the_pr
     less, same = map(float, told.split())
     assert 0.15 < less < 0.25
     assert same == 0
+
+
+FAULTS = """
+import resource
+import numpy as np
+from flowsplat.common.memory import freed_memory_kept
+
+def faults():
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    for _ in range(4):
+        np.ones(64 << 20, np.uint8)
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+
+before = faults()
+with freed_memory_kept():
+    faults()
+    inside = faults()
+print(before, inside, faults())
+"""
+
+
+@pytest.mark.skipif(not hasattr(ctypes.CDLL(None), "mallopt"), reason="no glibc")
+def test_what_was_freed_is_used_again_without_asking_the_system():
+    told = subprocess.run([sys.executable, "-c", FAULTS], check=True, capture_output=True, text=True, timeout=60).stdout
+    before, inside, after = map(int, told.split())
+    assert inside < 0.05 * before
+    assert after > 0.5 * before

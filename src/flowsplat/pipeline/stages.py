@@ -36,6 +36,7 @@ from flowsplat.output.report import FlowComparison, write_report
 from flowsplat.output.videos import RenderOptions, are_rendered, forget_videos, name_of, render_videos, settle
 from flowsplat.pictures.colors import float_to_bytes
 from flowsplat.pictures.sheets import preview_sheet
+from flowsplat.pipeline.compiling import compiling_ahead
 from flowsplat.pipeline.config import RunConfig, check
 from flowsplat.pipeline.folder import MetricsFile, RunFolder, stage_key
 from flowsplat.pipeline.speed import STAGES, Range, Speed, expected, expected_memory, in_words
@@ -81,7 +82,10 @@ def run(source: Path, out: Path, config: RunConfig | None = None) -> dict[str, A
     """
     is_new = not (Path(out) / "run.json").exists()
     with lease(out):
-        folder = prepare(source, out, config)
+        device = pick_device((config or RunConfig()).device).type
+        with compiling_ahead(device) as ahead:
+            folder = prepare(source, out, config)
+            ahead.wait()
         train(folder)
         metrics = render_run(folder)
     if is_new:

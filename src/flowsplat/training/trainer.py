@@ -15,6 +15,7 @@ from torch import Tensor
 from flowsplat.common.devices import upload
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import check_json, write_json
+from flowsplat.common.memory import freed_memory_kept
 from flowsplat.common.progress import busy, progress_bar, say
 from flowsplat.common.settings import present_names, to_plain
 from flowsplat.common.stopping import Stopped, stop_requests
@@ -150,7 +151,7 @@ class Trainer:
         config = self.config
         times = CheckpointTimes(config.checkpoint_every, clock.perf_counter())
         label = "Final fit" if self._first_step else "Training"
-        with progress_bar(label, config.iterations, self.step) as bar, stop_requests() as request:
+        with progress_bar(label, config.iterations, self.step) as bar, stop_requests() as request, freed_memory_kept():
             while self.step < config.iterations:
                 entry = self._iterate()
                 self._after_step(entry)
