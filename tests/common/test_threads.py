@@ -8,6 +8,9 @@ import numba
 import pytest
 
 from flowsplat.common.threads import in_threads
+from flowsplat.gaussians.model import SceneModel
+from flowsplat.geometry import Similarity
+from tests.training.handful import a_few, seen, tiny
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3])
@@ -41,3 +44,19 @@ def test_an_error_arrives_where_the_result_is_asked_for_and_ends_the_rest(thread
     with pytest.raises(RuntimeError, match="spoilt"):
         next(results)
     assert len(begun) < 20
+
+
+def test_pictures_are_the_same_however_many_are_rendered_at_once():
+    config = tiny("default")
+    gaussians = a_few(config)
+    model = SceneModel(gaussians, Similarity(), 0.0, 1.0)
+    camera = seen(gaussians)[0].camera
+
+    def picture(k: int) -> bytes:
+        shown = model.render(camera, k / 8, (camera, (k + 1) / 8))
+        assert shown.flow is not None
+        return shown.colour.tobytes() + shown.flow.tobytes()
+
+    alone, together = (list(in_threads(picture, range(8), threads)) for threads in (1, 3))
+    assert alone == together
+    assert len(set(alone)) == 8

@@ -18,6 +18,7 @@ The keys of ``metrics.json``. Every number is finite; what could not be measured
 - ``depth_abs_rel``: rendered depth against the truth, relative: ``mean`` and ``median`` in ``all``, ``static`` and
   ``moving``.
 - ``measured``: the folder of the model that every figure is of; ``shown``: of the one that videos and exports show (of a run).
+- ``seconds``, ``memory_gib``: what each stage of a run took, and the GiB that it needed at most; ``peak_memory_gib``: all of it.
 - ``lpips_reason``: why ``lpips`` is null.
 - ``per_image``: a list of pictures with ``kind``, ``name``, ``frame``, their figures and those of their ``baselines``.
 """
