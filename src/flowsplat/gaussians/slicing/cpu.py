@@ -42,7 +42,7 @@ def _basis(tau, poly, fourier, base, values, rates, accelerations):
         accelerations[c], accelerations[s] = -rate * rate * cos, -rate * rate * sin
 
 
-@njit(inline="always", **OPTIONS)
+@njit(**OPTIONS)
 def _sum3(basis, poly, cos, sin, j):
     """The series of a mean, or of a derivative of it: all three numbers in one sweep over the terms."""
     x, y, z = ZERO, ZERO, ZERO
@@ -60,7 +60,7 @@ def _sum3(basis, poly, cos, sin, j):
     return x, y, z
 
 
-@njit(inline="always", **OPTIONS)
+@njit(**OPTIONS)
 def _sum4(basis, poly, cos, sin, j):
     """The same of a quaternion."""
     w, x, y, z = ZERO, ZERO, ZERO, ZERO
@@ -80,7 +80,7 @@ def _sum4(basis, poly, cos, sin, j):
     return w, x, y, z
 
 
-@njit(inline="always", **OPTIONS)
+@njit(**OPTIONS)
 def _spread3(now, rate, later, g, v, w, poly, cos, sin, j):
     """Gradients of the coefficients of a mean, from those of its value now (g), its velocity (v) and its value later (w)."""
     orders, frequencies = poly.shape[1], cos.shape[1]
@@ -102,7 +102,7 @@ def _spread3(now, rate, later, g, v, w, poly, cos, sin, j):
         sin[j, k, 2] = a * g[2] + b * v[2] + c * w[2]
 
 
-@njit(inline="always", **OPTIONS)
+@njit(**OPTIONS)
 def _spread4(now, later, g, w, poly, cos, sin, j):
     """The same of a quaternion, whose velocity nothing depends on."""
     orders, frequencies = poly.shape[1], cos.shape[1]
