@@ -1,7 +1,9 @@
 from __future__ import annotations
 
+import ctypes
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -14,3 +16,48 @@ PROGRAM = "from flowsplat.common.memory import peak_memory as peak; a = peak(); 
 def test_what_was_freed_counts():
     told = subprocess.run([sys.executable, "-c", PROGRAM], check=True, capture_output=True, text=True, timeout=60).stdout
     assert 0.15 < float(told) < 0.25
+
+
+STAGES = """
+from flowsplat.common.memory import begin_peak, peak_memory, recent_peak
+b = bytearray(300 << 20); del b
+first = peak_memory()
+begin_peak()
+b = bytearray(100 << 20)
+print(first - recent_peak(), first - peak_memory())
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="this system cannot count the peak anew")
+def test_the_peak_of_a_stage_does_not_hold_what_was_before_it_and_that_of_the_process_does():
+    told = subprocess.run([sys.executable, "-c", STAGES], check=True, capture_output=True, text=True, timeout=60).stdout
+    less, same = map(float, told.split())
+    assert 0.15 < less < 0.25
+    assert same == 0
+
+
+FAULTS = """
+import resource
+import numpy as np
+from flowsplat.common.memory import freed_memory_kept
+
+def faults():
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    for _ in range(4):
+        np.ones(64 << 20, np.uint8)
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+
+before = faults()
+with freed_memory_kept():
+    faults()
+    inside = faults()
+print(before, inside, faults())
+"""
+
+
+@pytest.mark.skipif(not hasattr(ctypes.CDLL(None), "mallopt"), reason="no glibc")
+def test_what_was_freed_is_used_again_without_asking_the_system():
+    told = subprocess.run([sys.executable, "-c", FAULTS], check=True, capture_output=True, text=True, timeout=60).stdout
+    before, inside, after = map(int, told.split())
+    assert inside < 0.05 * before
+    assert after > 0.5 * before

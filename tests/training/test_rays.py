@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from flowsplat.training import rays
-from flowsplat.training.rays import FEWEST_PIXELS, ray_axes
+from flowsplat.training.adam import RowAdam
+from flowsplat.training.rays import FEWEST_PIXELS, ray_axes, reference, step_along_rays
 from flowsplat.training.trainer import Trainer
 from tests.training.handful import a_few, seen, tiny
 
@@ -53,7 +53,7 @@ def test_a_camera_that_stands_changes_nothing():
 
 @pytest.mark.parametrize("resting", [True, False])
 def test_only_what_rests_steps_farther_along_its_ray(resting, monkeypatch):
-    monkeypatch.setattr(rays, "FEWEST_PIXELS", 0.01)  # the pictures are tiny
+    monkeypatch.setattr(reference, "FEWEST_PIXELS", 0.01)  # the pictures are tiny
     config = replace(tiny("default"), iterations=1)
     start = a_few(config)
     chosen = start.select(torch.nonzero(start.dynamic != resting)[:, 0])
@@ -68,3 +68,24 @@ def test_only_what_rests_steps_farther_along_its_ray(resting, monkeypatch):
         assert float(moved[15.0].max()) > 1.2 * float(moved[1.0].max())
     else:
         torch.testing.assert_close(moved[15.0], moved[1.0], rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("metres", [0.3, 0.0])
+def test_the_kernel_matches_its_oracle(metres):
+    g = torch.Generator().manual_seed(0)
+    start, rows = 3 * torch.randn(300, 3, generator=g), torch.arange(20, 280)
+    start[30], start[40] = torch.tensor([0.0, 0.0, 2.0]), torch.zeros(3)  # along an axis, and in the middle of the path
+    found = []
+    for step in (step_along_rays, reference.step_along_rays):
+        value, adam = start.clone(), RowAdam({"means": start})
+        g.manual_seed(1)
+        for _ in range(3):
+            stepped = torch.rand(len(rows), generator=g) < 0.7
+            adam.begin_step(rows, stepped)
+            gradient = torch.randn(len(rows), 3, generator=g)
+            step(adam, "means", value, rows, stepped, gradient, torch.tensor([0.1, 0.2, 0.3]), travel(metres), 400.0, 15.0)
+        found.append((value, *adam.moments("means")))
+    for ours, oracle in zip(*found, strict=True):
+        torch.testing.assert_close(ours, oracle, atol=2e-4, rtol=2e-4)
+    assert torch.equal(found[0][0][280:], start[280:])
+    assert float((found[0][0][20:280] - start[20:280]).abs().max()) > 0.1

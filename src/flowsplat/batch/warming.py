@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import contextlib
 import tempfile
 import threading
 from dataclasses import replace
 from pathlib import Path
 
-import numba
-
 from flowsplat.batch.embedded import Embedded
 from flowsplat.batch.work import Attempt, Job
-from flowsplat.common.errors import InputError
-from flowsplat.common.files import read_json, write_json
 from flowsplat.common.progress import busy, say
-from flowsplat.common.source import PACKAGE, source_state
 from flowsplat.output.videos import RenderOptions
 from flowsplat.pipeline import run
+from flowsplat.pipeline.compiling import code_state, is_noted, note
 from flowsplat.pipeline.config import RunConfig
 from flowsplat.pipeline.speed import cache_file
 from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic_video
@@ -31,14 +26,9 @@ def compile_kernels(device: str) -> None:
 
     Where that does not work it is said, and the clips compile what they need.
     """
-    marker = cache_file().with_name("compiled.json")
-    state = {
-        "source": source_state(), "package": str(PACKAGE), "numba": numba.__version__, "cpu": numba.config.CPU_NAME or "native",
-        "cache": numba.config.CACHE_DIR, "device": device,
-    }  # fmt: skip
-    with contextlib.suppress(InputError):
-        if read_json(marker) == state:
-            return
+    marker, state = cache_file().with_name("compiled.json"), code_state(device)
+    if is_noted(marker, state):
+        return
     with tempfile.TemporaryDirectory(prefix="flowsplat-") as folder, busy("Compiling the kernels, once"):
         engine = Embedded(Path(folder), 1)
         engine.start(Job("compile", "", _Tiny(device)), fewer=False)
@@ -49,8 +39,7 @@ def compile_kernels(device: str) -> None:
         if ended.outcome.how != "done":
             say(f"The kernels could not be compiled in advance: {ended.outcome.reason}.")
             return
-    with contextlib.suppress(InputError):  # then the next batch tries again
-        write_json(marker, state)
+    note(marker, state)
 
 
 class _Tiny:

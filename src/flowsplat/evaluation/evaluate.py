@@ -18,6 +18,7 @@ The keys of ``metrics.json``. Every number is finite; what could not be measured
 - ``depth_abs_rel``: rendered depth against the truth, relative: ``mean`` and ``median`` in ``all``, ``static`` and
   ``moving``.
 - ``measured``: the folder of the model that every figure is of; ``shown``: of the one that videos and exports show (of a run).
+- ``seconds``, ``memory_gib``: what each stage of a run took, and the GiB that it needed at most; ``peak_memory_gib``: all of it.
 - ``lpips_reason``: why ``lpips`` is null.
 - ``per_image``: a list of pictures with ``kind``, ``name``, ``frame``, their figures and those of their ``baselines``.
 """
@@ -32,11 +33,13 @@ from pathlib import Path
 import numpy as np
 
 from flowsplat.common.progress import track
+from flowsplat.common.threads import in_threads
 from flowsplat.evaluation.baselines import copy_to_view, predict_frame, to_float, warp_by_depth
 from flowsplat.evaluation.motion import MotionErrors, moving_mask
 from flowsplat.evaluation.perceptual import lpips_metric
 from flowsplat.evaluation.placement import view_camera
 from flowsplat.evaluation.scores import Figures, score_picture, summarize
+from flowsplat.gaussians.model import at_once
 from flowsplat.gaussians.renderer import Renderer, Rendering
 from flowsplat.geometry import Camera
 from flowsplat.pictures.colors import float_to_bytes
@@ -81,21 +84,25 @@ def evaluate(
         InputError: the scene is damaged or incomplete, or the folder cannot be written.
     """
     evaluator = _Evaluator(model, static_model, scene, folder, baselines, refine)
-    frames, views = [], []
+    frames, views, threads = [], [], at_once(model)
     if scene.heldout_frames:
-        frames = [evaluator.heldout_frame(i) for i in track(scene.heldout_frames, "Held-out frames")]
+        frames = list(in_threads(evaluator.heldout_frame, track(scene.heldout_frames, "Held-out frames"), threads))
     if scene.views:
-        views = [evaluator.heldout_view(view) for view in track(scene.views, "Held-out views")]
+        views = list(in_threads(evaluator.heldout_view, track(scene.views, "Held-out views"), threads))
     stride = training_stride(scene)
     # Only truth makes more than a sample worth its time: it is the one thing that says where motion is wrong.
     measured = scene.train_frames[:: 1 if scene.truth else stride]
     next_frame = dict(zip_longest(scene.train_frames, scene.train_frames[1:]))
     sampled, training, errors = set(scene.train_frames[::stride]), [], MotionErrors(scene)
-    for i in track(measured, "Training frames"):
+
+    def training_frame(i: int) -> tuple[int, Rendering, Figures | None]:
         rendering = evaluator.rendering_with_flow(i, next_frame[i])
+        return i, rendering, evaluator.training_frame(i, rendering) if i in sampled else None
+
+    for i, rendering, figures in in_threads(training_frame, track(measured, "Training frames"), threads):
         errors.add(i, next_frame[i], rendering)
-        if i in sampled:
-            training.append(evaluator.training_frame(i, rendering))
+        if figures is not None:
+            training.append(figures)
     return {
         "heldout_frames": summarize(frames, FRAME_REGIONS),
         "heldout_frames_refined": summarize([frame.get("refined") for frame in frames], FRAME_REGIONS),

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numba
 import numpy as np
 import torch
 from torch import Tensor
@@ -16,7 +17,7 @@ from flowsplat.gaussians.fading import faded
 from flowsplat.gaussians.flow import FlowModel
 from flowsplat.gaussians.gaussians4d import Gaussians4D
 from flowsplat.gaussians.render import fill_uncovered, render
-from flowsplat.gaussians.renderer import Part, Rendering, numbers_of
+from flowsplat.gaussians.renderer import Part, Renderer, Rendering, numbers_of
 from flowsplat.geometry import Camera, Similarity
 from flowsplat.geometry.paths import CameraPath
 from flowsplat.splatting.api import BackendName
@@ -24,6 +25,8 @@ from flowsplat.splatting.rules import EPS2D
 
 _BLUR_STEPS = 16
 """Steps of the blur's width between pixels as in training and twice as fine."""
+MOST_AT_ONCE = 4
+"""Pictures that are rendered at the same time at most: each holds memory of its own."""
 _MOST_GRAPHS = 4
 """Sizes of pictures whose graphs are kept; each has buffers of its own."""
 
@@ -175,3 +178,9 @@ class SceneModel:
     def active_count(self, t: float) -> int:
         """How many Gaussians are there at ``t`` seconds, whether a camera sees them or not."""
         return len(self.gaussians.active(self.clip_time(t)).rows)
+
+
+def at_once(renderer: Renderer) -> int:
+    """How many pictures of a scene may be rendered at the same time, by as many Python threads (``common.threads``)."""
+    on_cpu = isinstance(renderer, SceneModel) and renderer.gaussians.device.type == "cpu"
+    return min(numba.get_num_threads(), MOST_AT_ONCE) if on_cpu else 1

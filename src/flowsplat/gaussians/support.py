@@ -15,8 +15,9 @@ import numpy as np
 import torch
 
 from flowsplat.common.spread import spread
+from flowsplat.common.threads import in_threads
 from flowsplat.gaussians.fading import ALL_AROUND, FEWEST, FURTHEST
-from flowsplat.gaussians.model import SceneModel
+from flowsplat.gaussians.model import SceneModel, at_once
 from flowsplat.gaussians.renderer import PartedRenderer
 from flowsplat.geometry import Camera
 from flowsplat.geometry.cameras import unproject_depth
@@ -69,13 +70,16 @@ class Support:
             times: [T] seconds of its frames.
         """
         self._background, self._movers = model.part("background"), model.part("movers")
-        self._witnesses = []
-        for k in spread(len(cameras), FRAMES):
+        self.threads = at_once(model)
+
+        def witness(k: int) -> tuple[Camera, np.ndarray]:
             camera = _small(cameras[k])
             still, hidden = self._background.render(camera, times[k]), self._movers.render(camera, times[k]).alpha >= _COVERED
             # At edges a point may be seen on either side: the farther surface around a pixel counts.
             surface = cv2.dilate(np.where(still.alpha >= _COVERED, still.depth, 0).astype(np.float32), np.ones((3, 3), np.uint8))
-            self._witnesses.append((camera, np.where(hidden, 0, surface)))
+            return camera, np.where(hidden, 0, surface)
+
+        self._witnesses = list(in_threads(witness, spread(len(cameras), FRAMES), self.threads))
 
     def seen(self, camera: Camera, t: float) -> Seen:
         """What the clip has seen of the view of a camera, in the scene's coordinates, at ``t`` seconds."""

@@ -59,14 +59,26 @@ def flow_to_color(flow: np.ndarray, scale: float | None = None) -> np.ndarray:
     Returns:
         [H, W, 3] uint8 RGB.
     """
-    finite = np.isfinite(flow).all(-1)
-    x, y = np.moveaxis(np.where(finite[..., None], flow, 0).astype(np.float32), -1, 0)
-    length = np.hypot(x, y)[..., None] / np.float32(flow_scale([flow]) if scale is None else scale)
-    hue = (np.arctan2(y, x) * (_HUES / (2 * np.pi))).astype(np.int32) % _HUES
-    color = _WHEEL[hue]
-    color = np.where(length <= 1, 1 - length * (1 - color), _OUTSIDE * color)
-    color[~finite] = 0
-    return float_to_bytes(color)
+    x, y = (np.ascontiguousarray(flow[..., d], np.float32) for d in range(2))
+    lost = ~(np.isfinite(x) & np.isfinite(y))
+    if lost.any():
+        x, y = np.where(lost, 0, x), np.where(lost, 0, y)
+    length = np.sqrt(x * x + y * y)
+    length /= np.float32(flow_scale([flow]) if scale is None else scale)
+    hue = (np.arctan2(y, x) * np.float32(_HUES / (2 * np.pi))).astype(np.int32)
+    hue[hue < 0] += _HUES
+    hue[hue >= _HUES] = 0
+    color = _WHEEL.take(hue, 0)
+    far = length > 1
+    beyond = _OUTSIDE * color[far]
+    color -= 1
+    color *= length[..., None]
+    color += 1
+    color[far] = beyond
+    color[lost] = 0
+    color *= 255
+    color += np.float32(0.5)
+    return color.astype(np.uint8)
 
 
 def flow_legend(size: int = 96) -> np.ndarray:

@@ -23,6 +23,10 @@ from flowsplat.pictures.media import open_media
 SLOWEST, FASTEST = 0.1, 1000.0
 """Frames a second that can be written."""
 
+PRESET, CRF = "veryfast", 15
+"""Of x264. Half the time of its own, medium and 18, for frames that are as close to what they show (39.5 dB instead of 39.8 on one
+clip), and a third more bytes."""
+
 # https://www.itu.int/rec/T-REC-H.273: code point 1 is BT.709 for primaries, transfer and matrix. FFmpeg numbers the
 # ranges 1 = limited ("MPEG") and 2 = full ("JPEG"), and its RGB matrix is 0.
 _BT709 = 1
@@ -36,7 +40,7 @@ _AUDIO_PREROLL = 0.2
 
 def write_mp4(path: Path, frames: Iterable[np.ndarray], fps: float, *, crf: int = 18) -> None:
     """Write RGB frames [H, W, 3] uint8 as an mp4 without sound: see ``mp4_writer``."""
-    with mp4_writer(path, fps, crf=crf) as write:
+    with mp4_writer(path, fps, crf=crf, preset="medium") as write:
         for frame in frames:
             write(frame)
 
@@ -48,7 +52,8 @@ def mp4_writer(
     *,
     audio_from: Path | None = None,
     audio_start: float = 0.0,
-    crf: int = 18,
+    crf: int = CRF,
+    preset: str = PRESET,
 ) -> Iterator[Callable[[np.ndarray], None]]:
     """Yield a function that appends one RGB frame [H, W, 3] uint8; the mp4 is there, whole, when the block ends.
 
@@ -60,6 +65,7 @@ def mp4_writer(
         audio_from: a file whose sound goes with the frames, re-encoded as AAC. Without sound in it the video is silent.
         audio_start: the second of ``audio_from`` that belongs to the first frame.
         crf: x264's constant quality, lower is better and larger.
+        preset: x264's, how much time it takes.
 
     Raises:
         InputError: the file cannot be written, or this PyAV cannot encode H.264.
@@ -68,7 +74,7 @@ def mp4_writer(
     rate = Fraction(fps).limit_denominator(1001)
     with atomic_path(path) as temporary, contextlib.ExitStack() as stack:
         container = stack.enter_context(av.open(str(temporary), "w", options={"movflags": "+faststart"}))
-        stream = _video_stream(container, rate, crf)
+        stream = _video_stream(container, rate, crf, preset)
         sound = stack.enter_context(_Sound(container, audio_from, audio_start))
         shape: tuple[int, ...] = ()
         count = 0
@@ -91,8 +97,8 @@ def mp4_writer(
         sound.finish()
 
 
-def _video_stream(container: av.container.OutputContainer, rate: Fraction, crf: int) -> av.video.VideoStream:
-    options = {"crf": str(crf)}
+def _video_stream(container: av.container.OutputContainer, rate: Fraction, crf: int, preset: str) -> av.video.VideoStream:
+    options = {"crf": str(crf), "preset": preset}
     if get_host_cpu_features().get("avx512f"):
         # x264's code for AVX-512 reads what nobody has written: the same pictures then make other bits from process to process.
         options["x264-params"] = "asm=avx2"

@@ -33,7 +33,7 @@ from flowsplat.common.errors import InputError, WritingError
 from flowsplat.common.files import check_json, make_folder, read_json, write_json
 from flowsplat.common.files.json_file import Count, Number, Positive, Text, Versioned
 from flowsplat.common.files.lease import NAME as LOCK
-from flowsplat.common.memory import peak_memory
+from flowsplat.common.memory import begin_peak, peak_memory, recent_peak
 from flowsplat.common.settings import from_plain, to_plain
 from flowsplat.pipeline.config import RunConfig
 
@@ -122,6 +122,7 @@ class MetricsFile(TypedDict, total=False):
     movers: list[MoverFile]
     seconds: dict[str, Seconds]
     peak_memory_gib: Number | None
+    memory_gib: dict[str, Number | None]
     shown: Text
 
 
@@ -196,21 +197,27 @@ class RunFolder:
         self.save()
 
     def start(self, stage: str, key: str) -> None:
-        """Note that a stage begins; what was finished of it before no longer is."""
+        """Note that a stage begins; what was finished of it before no longer is. Its memory counts from here."""
+        begin_peak()
         self.record["stages"].pop(stage, None)
         self.record["started"][stage] = key
         self.save()
 
     def finish(self, stage: str, key: str, seconds: Mapping[str, float]) -> None:
-        """Note that a stage is finished, how long its parts took, and how much memory this process has needed."""
+        """Note that a stage is finished, how long its parts took, and how much memory it needed."""
         took = {name: round(value, 2) for name, value in seconds.items()}
-        self.record["stages"][stage] = {"key": key, "seconds": took, "peak_memory_gib": peak_memory()}
+        self.record["stages"][stage] = {"key": key, "seconds": took, "peak_memory_gib": recent_peak()}
         self.save()
 
     @property
     def seconds(self) -> dict[str, float]:
         """Seconds of all finished parts of all finished stages."""
         return {name: value for stage in self.record["stages"].values() for name, value in stage["seconds"].items()}
+
+    @property
+    def memory(self) -> dict[str, float | None]:
+        """GiB that each finished stage needed at most; None where the system did not tell."""
+        return {name: stage.get("peak_memory_gib") for name, stage in self.record["stages"].items()}
 
     @property
     def peak_memory(self) -> float | None:

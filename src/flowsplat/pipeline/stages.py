@@ -21,6 +21,7 @@ from flowsplat.common.files import hash_files, lease, read_json, remove_partials
 from flowsplat.common.files.json_file import Number
 from flowsplat.common.files.lease import NAME as LOCK
 from flowsplat.common.files.writing import writing_error
+from flowsplat.common.memory import recent_peak
 from flowsplat.common.progress import busy, say
 from flowsplat.common.settings import to_plain
 from flowsplat.evaluation.evaluate import evaluate
@@ -35,6 +36,7 @@ from flowsplat.output.report import FlowComparison, write_report
 from flowsplat.output.videos import RenderOptions, are_rendered, forget_videos, name_of, render_videos, settle
 from flowsplat.pictures.colors import float_to_bytes
 from flowsplat.pictures.sheets import preview_sheet
+from flowsplat.pipeline.compiling import compiling_ahead
 from flowsplat.pipeline.config import RunConfig, check
 from flowsplat.pipeline.folder import MetricsFile, RunFolder, stage_key
 from flowsplat.pipeline.speed import STAGES, Range, Speed, expected, expected_memory, in_words
@@ -80,7 +82,10 @@ def run(source: Path, out: Path, config: RunConfig | None = None) -> dict[str, A
     """
     is_new = not (Path(out) / "run.json").exists()
     with lease(out):
-        folder = prepare(source, out, config)
+        device = pick_device((config or RunConfig()).device).type
+        with compiling_ahead(device) as ahead:
+            folder = prepare(source, out, config)
+            ahead.wait()
         train(folder)
         metrics = render_run(folder)
     if is_new:
@@ -515,6 +520,7 @@ def _evaluate(folder: RunFolder, result: _Result) -> dict[str, Any]:
 def _write_metrics(folder: RunFolder, result: _Result, metrics: dict[str, Any], seconds: Mapping[str, float]) -> None:
     """Complete ``metrics``, and write them and the report. A stage that took ``seconds`` is finished only when that is done."""
     metrics["peak_memory_gib"] = folder.peak_memory
+    metrics["memory_gib"] = {**folder.memory, **dict.fromkeys(seconds, recent_peak())}
     metrics["seconds"] = {**folder.seconds, **seconds}
     metrics["measured"] = folder.model_path.name
     metrics["shown"] = (folder.final_path if has_model(folder.final_path) else folder.model_path).name

@@ -171,11 +171,13 @@ def rasterization(
     sizes = [len(ids) if packed else count for ids in chosen]
 
     def pick(value: Tensor, i: int) -> Tensor:
-        return value.index_select(0, chosen[i]) if packed else value
+        return value.index_select(0, chosen[i]) if packed and sizes[i] < count else value
 
     def join(values: list[Tensor]) -> Tensor:
         picked = [pick(value, i) for i, value in enumerate(values)]
-        return torch.cat(picked) if packed else torch.stack(picked).reshape(*batch, cameras, *picked[0].shape)
+        if packed:
+            return picked[0] if len(picked) == 1 else torch.cat(picked)
+        return _stacked(picked).reshape(*batch, cameras, *picked[0].shape)
 
     meta: dict[str, Any] = {
         name: join([getattr(p, name) for p in projections]) for name in ("means2d", "conics", "depths", "radii")
@@ -214,11 +216,21 @@ def rasterization(
 
     meta |= dict.fromkeys(("batch_ids", "camera_ids", "gaussian_ids"))
     if packed:
-        image_ids = torch.repeat_interleave(torch.tensor(sizes, device=means.device))
-        meta |= {"batch_ids": image_ids // cameras, "camera_ids": image_ids % cameras, "gaussian_ids": torch.cat(chosen)}
+        number, counts = torch.arange(len(images), device=means.device), torch.tensor(sizes, device=means.device)
+        total = sum(sizes)
+        meta |= {
+            "batch_ids": torch.repeat_interleave(number // cameras, counts, output_size=total),
+            "camera_ids": torch.repeat_interleave(number % cameras, counts, output_size=total),
+            "gaussian_ids": chosen[0] if len(chosen) == 1 else torch.cat(chosen),
+        }
     meta |= {"width": width, "height": height, "n_batches": batches, "n_cameras": cameras}
     shape = (*batch, cameras, height, width)
-    return torch.stack(pictures).reshape(*shape, -1), torch.stack(alphas).reshape(*shape, 1), meta
+    return _stacked(pictures).reshape(*shape, -1), _stacked(alphas).reshape(*shape, 1), meta
+
+
+def _stacked(values: list[Tensor]) -> Tensor:
+    """``torch.stack``, without a copy where there is but one."""
+    return values[0][None] if len(values) == 1 else torch.stack(values)
 
 
 def _shapes(

@@ -15,6 +15,7 @@ from torch import Tensor
 from flowsplat.common.devices import upload
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import check_json, write_json
+from flowsplat.common.memory import freed_memory_kept
 from flowsplat.common.progress import busy, progress_bar, say
 from flowsplat.common.settings import present_names, to_plain
 from flowsplat.common.stopping import Stopped, stop_requests
@@ -42,7 +43,7 @@ from flowsplat.training.checkpoint import (
 from flowsplat.training.config import TrainConfig, affecting_result
 from flowsplat.training.coverage import coverage_loss
 from flowsplat.training.picture_loss import PictureTargets, PictureWeights, picture_loss
-from flowsplat.training.rays import ray_axes
+from flowsplat.training.rays import step_along_rays
 from flowsplat.training.rigidity import Neighbours, find_neighbours, rigid_loss
 from flowsplat.training.targets import Targets
 from flowsplat.training.timing import CheckpointTimes
@@ -150,7 +151,7 @@ class Trainer:
         config = self.config
         times = CheckpointTimes(config.checkpoint_every, clock.perf_counter())
         label = "Final fit" if self._first_step else "Training"
-        with progress_bar(label, config.iterations, self.step) as bar, stop_requests() as request:
+        with progress_bar(label, config.iterations, self.step) as bar, stop_requests() as request, freed_memory_kept():
             while self.step < config.iterations:
                 entry = self._iterate()
                 self._after_step(entry)
@@ -239,19 +240,12 @@ class Trainer:
         for name, gradient in gradients.items():
             value, having = self.gaussians.params[name], self.gaussians.part(name, active)
             rows, stepped, at_rest = active.rows[having], drawn[having], active.num_static - (having.start or 0)
-            along_rays = name == "means" and self.config.rates.along_ray > 1
-            step_at_rest = self._step_along_rays if along_rays else self._adam.step
-            step_at_rest(name, value, rows[:at_rest], stepped[:at_rest], gradient[:at_rest], rates_at_rest[name])
+            given = self._adam, name, value, rows[:at_rest], stepped[:at_rest], gradient[:at_rest], rates_at_rest[name]
+            if name == "means" and self.config.rates.along_ray > 1:
+                step_along_rays(*given, self._centres, self._focal, self.config.rates.along_ray)
+            else:
+                RowAdam.step(*given)
             self._adam.step(name, value, rows[at_rest:], stepped[at_rest:], gradient[at_rest:], rates_moving[name])
-
-    def _step_along_rays(self, name: str, value: Tensor, rows: Tensor, stepped: Tensor, gradient: Tensor, rates: Tensor) -> None:
-        """``RowAdam.step`` of positions, in the axes of their rays, in which moments are kept."""
-        axes, factors = ray_axes(value[rows], self._centres, self._focal, self.config.rates.along_ray)
-        moved = torch.zeros_like(value)
-        self._adam.step(name, moved, rows, stepped, (axes @ gradient[:, :, None])[:, :, 0], rates)
-        steps = moved[rows]
-        steps[:, 2] *= factors
-        value[rows] += (steps[:, None] @ axes)[:, 0]
 
     def rates(self, moving: bool = False) -> dict[str, Tensor]:
         """Learning rates now of Gaussians at rest, or of those that move: one for every number of a row, by parameter."""

@@ -42,28 +42,89 @@ def _basis(tau, poly, fourier, base, values, rates, accelerations):
         accelerations[c], accelerations[s] = -rate * rate * cos, -rate * rate * sin
 
 
-@njit(inline="always", **OPTIONS)
-def _combine(basis, poly, cos, sin, j, d):
-    total = ZERO
+@njit(**OPTIONS)
+def _sum3(basis, poly, cos, sin, j):
+    """The series of a mean, or of a derivative of it: all three numbers in one sweep over the terms."""
+    x, y, z = ZERO, ZERO, ZERO
     orders, frequencies = poly.shape[1], cos.shape[1]
     for n in range(orders):
-        total += basis[n] * poly[j, n, d]
+        b = basis[n]
+        x += b * poly[j, n, 0]
+        y += b * poly[j, n, 1]
+        z += b * poly[j, n, 2]
     for k in range(frequencies):
-        total += basis[orders + k] * cos[j, k, d] + basis[orders + frequencies + k] * sin[j, k, d]
-    return total
+        b, c = basis[orders + k], basis[orders + frequencies + k]
+        x += b * cos[j, k, 0] + c * sin[j, k, 0]
+        y += b * cos[j, k, 1] + c * sin[j, k, 1]
+        z += b * cos[j, k, 2] + c * sin[j, k, 2]
+    return x, y, z
 
 
-@njit(inline="always", **OPTIONS)
-def _spread(now, rate, later, g, v, w, poly, cos, sin, j, d):
-    """The coefficients' gradients, from those of the value now (g), of its velocity (v) and of the value later (w)."""
+@njit(**OPTIONS)
+def _sum4(basis, poly, cos, sin, j):
+    """The same of a quaternion."""
+    w, x, y, z = ZERO, ZERO, ZERO, ZERO
     orders, frequencies = poly.shape[1], cos.shape[1]
     for n in range(orders):
-        poly[j, n, d] = now[n] * g + rate[n] * v + later[n] * w
+        b = basis[n]
+        w += b * poly[j, n, 0]
+        x += b * poly[j, n, 1]
+        y += b * poly[j, n, 2]
+        z += b * poly[j, n, 3]
+    for k in range(frequencies):
+        b, c = basis[orders + k], basis[orders + frequencies + k]
+        w += b * cos[j, k, 0] + c * sin[j, k, 0]
+        x += b * cos[j, k, 1] + c * sin[j, k, 1]
+        y += b * cos[j, k, 2] + c * sin[j, k, 2]
+        z += b * cos[j, k, 3] + c * sin[j, k, 3]
+    return w, x, y, z
+
+
+@njit(**OPTIONS)
+def _spread3(now, rate, later, g, v, w, poly, cos, sin, j):
+    """Gradients of the coefficients of a mean, from those of its value now (g), its velocity (v) and its value later (w)."""
+    orders, frequencies = poly.shape[1], cos.shape[1]
+    for n in range(orders):
+        a, b, c = now[n], rate[n], later[n]
+        poly[j, n, 0] = a * g[0] + b * v[0] + c * w[0]
+        poly[j, n, 1] = a * g[1] + b * v[1] + c * w[1]
+        poly[j, n, 2] = a * g[2] + b * v[2] + c * w[2]
     for k in range(frequencies):
         m = orders + k
-        cos[j, k, d] = now[m] * g + rate[m] * v + later[m] * w
-        m = orders + frequencies + k
-        sin[j, k, d] = now[m] * g + rate[m] * v + later[m] * w
+        a, b, c = now[m], rate[m], later[m]
+        cos[j, k, 0] = a * g[0] + b * v[0] + c * w[0]
+        cos[j, k, 1] = a * g[1] + b * v[1] + c * w[1]
+        cos[j, k, 2] = a * g[2] + b * v[2] + c * w[2]
+        m += frequencies
+        a, b, c = now[m], rate[m], later[m]
+        sin[j, k, 0] = a * g[0] + b * v[0] + c * w[0]
+        sin[j, k, 1] = a * g[1] + b * v[1] + c * w[1]
+        sin[j, k, 2] = a * g[2] + b * v[2] + c * w[2]
+
+
+@njit(**OPTIONS)
+def _spread4(now, later, g, w, poly, cos, sin, j):
+    """The same of a quaternion, whose velocity nothing depends on."""
+    orders, frequencies = poly.shape[1], cos.shape[1]
+    for n in range(orders):
+        a, c = now[n], later[n]
+        poly[j, n, 0] = a * g[0] + c * w[0]
+        poly[j, n, 1] = a * g[1] + c * w[1]
+        poly[j, n, 2] = a * g[2] + c * w[2]
+        poly[j, n, 3] = a * g[3] + c * w[3]
+    for k in range(frequencies):
+        m = orders + k
+        a, c = now[m], later[m]
+        cos[j, k, 0] = a * g[0] + c * w[0]
+        cos[j, k, 1] = a * g[1] + c * w[1]
+        cos[j, k, 2] = a * g[2] + c * w[2]
+        cos[j, k, 3] = a * g[3] + c * w[3]
+        m += frequencies
+        a, c = now[m], later[m]
+        sin[j, k, 0] = a * g[0] + c * w[0]
+        sin[j, k, 1] = a * g[1] + c * w[1]
+        sin[j, k, 2] = a * g[2] + c * w[2]
+        sin[j, k, 3] = a * g[3] + c * w[3]
 
 
 @njit(inline="always", **OPTIONS)
@@ -87,8 +148,9 @@ def _forward(
     count = len(rows)
     mean_size, quat_size = mean_poly.shape[1] + 2 * mean_cos.shape[1], quat_poly.shape[1] + 2 * quat_cos.shape[1]
     for chunk in prange(CHUNKS):
-        basis = np.empty((3, mean_size), np.float32)
-        quat_basis = np.empty((3, quat_size), np.float32)
+        # Arrays of their own: a view that is made for every Gaussian is counted, which costs more than what is read through it.
+        now, rate, bend = np.empty(mean_size, np.float32), np.empty(mean_size, np.float32), np.empty(mean_size, np.float32)
+        turn, turning, bending = np.empty(quat_size, np.float32), np.empty(quat_size, np.float32), np.empty(quat_size, np.float32)
         directions = np.empty(16, np.float32)
         for a in range(count * chunk // CHUNKS, count * (chunk + 1) // CHUNKS):
             i, m = rows[a], a - resting
@@ -101,13 +163,18 @@ def _forward(
             if m >= 0:
                 tau = t - times[i]
                 opacity *= exp(-HALF * exp(log_lambdas[i]) * tau * tau)
-                _basis(tau, mean_poly.shape[1], mean_cos.shape[1], base, basis[0], basis[1], basis[2])
-                for d in range(3):
-                    out_means[a, d] += _combine(basis[0], mean_poly, mean_cos, mean_sin, i, d)
-                    out_velocities[m, d] = _combine(basis[1], mean_poly, mean_cos, mean_sin, i, d)
-                _basis(tau, quat_poly.shape[1], quat_cos.shape[1], base, quat_basis[0], quat_basis[1], quat_basis[2])
-                for d in range(4):
-                    out_quats[a, d] += _combine(quat_basis[0], quat_poly, quat_cos, quat_sin, i, d)
+                _basis(tau, mean_poly.shape[1], mean_cos.shape[1], base, now, rate, bend)
+                x, y, z = _sum3(now, mean_poly, mean_cos, mean_sin, i)
+                out_means[a, 0] += x
+                out_means[a, 1] += y
+                out_means[a, 2] += z
+                out_velocities[m, 0], out_velocities[m, 1], out_velocities[m, 2] = _sum3(rate, mean_poly, mean_cos, mean_sin, i)
+                _basis(tau, quat_poly.shape[1], quat_cos.shape[1], base, turn, turning, bending)
+                w, x, y, z = _sum4(turn, quat_poly, quat_cos, quat_sin, i)
+                out_quats[a, 0] += w
+                out_quats[a, 1] += x
+                out_quats[a, 2] += y
+                out_quats[a, 3] += z
             elif log_gains.shape[1] > 0:
                 gain = _gain(log_gains, cosines, i)
             if has_next:
@@ -117,12 +184,17 @@ def _forward(
                     next_quats[a, d] = quats[i, d]
                 if m >= 0:
                     tau = next_t - times[i]
-                    _basis(tau, mean_poly.shape[1], mean_cos.shape[1], base, basis[0], basis[1], basis[2])
-                    for d in range(3):
-                        next_means[a, d] += _combine(basis[0], mean_poly, mean_cos, mean_sin, i, d)
-                    _basis(tau, quat_poly.shape[1], quat_cos.shape[1], base, quat_basis[0], quat_basis[1], quat_basis[2])
-                    for d in range(4):
-                        next_quats[a, d] += _combine(quat_basis[0], quat_poly, quat_cos, quat_sin, i, d)
+                    _basis(tau, mean_poly.shape[1], mean_cos.shape[1], base, now, rate, bend)
+                    x, y, z = _sum3(now, mean_poly, mean_cos, mean_sin, i)
+                    next_means[a, 0] += x
+                    next_means[a, 1] += y
+                    next_means[a, 2] += z
+                    _basis(tau, quat_poly.shape[1], quat_cos.shape[1], base, turn, turning, bending)
+                    w, x, y, z = _sum4(turn, quat_poly, quat_cos, quat_sin, i)
+                    next_quats[a, 0] += w
+                    next_quats[a, 1] += x
+                    next_quats[a, 2] += y
+                    next_quats[a, 3] += z
             out_opacities[a] = opacity
             x, y, z = out_means[a, 0] - center[0], out_means[a, 1] - center[1], out_means[a, 2] - center[2]
             basis_of(x, y, z, harmonics, directions)
@@ -144,8 +216,14 @@ def _backward(
     count = len(rows)
     mean_size, quat_size = mean_poly.shape[1] + 2 * mean_cos.shape[1], quat_poly.shape[1] + 2 * quat_cos.shape[1]
     for chunk in prange(CHUNKS):
-        now, later = np.zeros((3, mean_size), np.float32), np.zeros((3, mean_size), np.float32)
-        quat_now, quat_later = np.zeros((3, quat_size), np.float32), np.zeros((3, quat_size), np.float32)
+        now, rate, bend = np.zeros(mean_size, np.float32), np.zeros(mean_size, np.float32), np.zeros(mean_size, np.float32)
+        later, later_rate, later_bend = (
+            np.zeros(mean_size, np.float32), np.zeros(mean_size, np.float32), np.zeros(mean_size, np.float32),
+        )
+        turn, turning, bending = np.zeros(quat_size, np.float32), np.zeros(quat_size, np.float32), np.zeros(quat_size, np.float32)
+        turn_later, turning_later, later_bending = (
+            np.zeros(quat_size, np.float32), np.zeros(quat_size, np.float32), np.zeros(quat_size, np.float32),
+        )
         directions = np.empty(16, np.float32)
         for a in range(count * chunk // CHUNKS, count * (chunk + 1) // CHUNKS):
             i, m, gain = rows[a], a - resting, ONE
@@ -163,23 +241,33 @@ def _backward(
                 toward_opacity *= present
                 d_lambdas[m] = -HALF * toward_presence * precision * tau * tau
                 toward_time = toward_presence * precision * tau
-                _basis(tau, mean_poly.shape[1], mean_cos.shape[1], base, now[0], now[1], now[2])
-                _basis(tau, quat_poly.shape[1], quat_cos.shape[1], base, quat_now[0], quat_now[1], quat_now[2])
+                _basis(tau, mean_poly.shape[1], mean_cos.shape[1], base, now, rate, bend)
+                _basis(tau, quat_poly.shape[1], quat_cos.shape[1], base, turn, turning, bending)
                 if has_next:
                     tau = next_t - times[i]
-                    _basis(tau, mean_poly.shape[1], mean_cos.shape[1], base, later[0], later[1], later[2])
-                    _basis(tau, quat_poly.shape[1], quat_cos.shape[1], base, quat_later[0], quat_later[1], quat_later[2])
-                for d in range(3):
-                    g, v, w = grad_means[a, d], grad_velocities[m, d], grad_next_means[a, d] if has_next else ZERO
-                    _spread(now[0], now[1], later[0], g, v, w, d_mean_poly, d_mean_cos, d_mean_sin, m, d)
-                    toward_time -= g * _combine(now[1], mean_poly, mean_cos, mean_sin, i, d)
-                    toward_time -= v * _combine(now[2], mean_poly, mean_cos, mean_sin, i, d)
-                    toward_time -= w * _combine(later[1], mean_poly, mean_cos, mean_sin, i, d)
-                for d in range(4):
-                    g, w = grad_quats[a, d], grad_next_quats[a, d] if has_next else ZERO
-                    _spread(quat_now[0], quat_now[1], quat_later[0], g, ZERO, w, d_quat_poly, d_quat_cos, d_quat_sin, m, d)
-                    toward_time -= g * _combine(quat_now[1], quat_poly, quat_cos, quat_sin, i, d)
-                    toward_time -= w * _combine(quat_later[1], quat_poly, quat_cos, quat_sin, i, d)
+                    _basis(tau, mean_poly.shape[1], mean_cos.shape[1], base, later, later_rate, later_bend)
+                    _basis(tau, quat_poly.shape[1], quat_cos.shape[1], base, turn_later, turning_later, later_bending)
+                g = grad_means[a, 0], grad_means[a, 1], grad_means[a, 2]
+                v = grad_velocities[m, 0], grad_velocities[m, 1], grad_velocities[m, 2]
+                turned = grad_quats[a, 0], grad_quats[a, 1], grad_quats[a, 2], grad_quats[a, 3]
+                w, turned_later = (ZERO, ZERO, ZERO), (ZERO, ZERO, ZERO, ZERO)
+                if has_next:
+                    w = grad_next_means[a, 0], grad_next_means[a, 1], grad_next_means[a, 2]
+                    turned_later = grad_next_quats[a, 0], grad_next_quats[a, 1], grad_next_quats[a, 2], grad_next_quats[a, 3]
+                _spread3(now, rate, later, g, v, w, d_mean_poly, d_mean_cos, d_mean_sin, m)
+                _spread4(turn, turn_later, turned, turned_later, d_quat_poly, d_quat_cos, d_quat_sin, m)
+                x, y, z = _sum3(rate, mean_poly, mean_cos, mean_sin, i)
+                toward_time -= grad_means[a, 0] * x + grad_means[a, 1] * y + grad_means[a, 2] * z
+                x, y, z = _sum3(bend, mean_poly, mean_cos, mean_sin, i)
+                toward_time -= grad_velocities[m, 0] * x + grad_velocities[m, 1] * y + grad_velocities[m, 2] * z
+                q, x, y, z = _sum4(turning, quat_poly, quat_cos, quat_sin, i)
+                toward_time -= grad_quats[a, 0] * q + grad_quats[a, 1] * x + grad_quats[a, 2] * y + grad_quats[a, 3] * z
+                if has_next:
+                    x, y, z = _sum3(later_rate, mean_poly, mean_cos, mean_sin, i)
+                    toward_time -= grad_next_means[a, 0] * x + grad_next_means[a, 1] * y + grad_next_means[a, 2] * z
+                    q, x, y, z = _sum4(turning_later, quat_poly, quat_cos, quat_sin, i)
+                    toward_time -= grad_next_quats[a, 0] * q + grad_next_quats[a, 1] * x
+                    toward_time -= grad_next_quats[a, 2] * y + grad_next_quats[a, 3] * z
                 d_times[m] = toward_time
             elif log_gains.shape[1] > 0:
                 gain = _gain(log_gains, cosines, i)

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from flowsplat.common.progress import say
+from flowsplat.common.threads import in_threads
 from flowsplat.gaussians.renderer import PartedRenderer
 from flowsplat.gaussians.support import Support
 from flowsplat.geometry import Camera
@@ -77,9 +78,13 @@ class Amplitudes:
 
     def _unknown(self, looks: Sequence[_Look]) -> tuple[float, bool]:
         """Share of views that the clip does not tell, beyond that of its own, and whether they stay away from movers."""
-        least = {t: self._support.share(own, t) for own, _, t in looks}
-        shares = [max(self._support.share(camera, t) - least[t], 0.0) for _, camera, t in looks]
-        return float(np.mean(shares)), all(self._support.keeps_clear(camera, own, t) for own, camera, t in looks)
+        support = self._support
+        owns = {t: own for own, _, t in looks}
+        views = [*((own, t) for t, own in owns.items()), *((camera, t) for _, camera, t in looks)]
+        found = list(in_threads(lambda view: support.share(*view), views, support.threads))
+        least, shares = dict(zip(owns, found, strict=False)), found[len(owns) :]
+        beyond = [max(share - least[t], 0.0) for share, (_, _, t) in zip(shares, looks, strict=True)]
+        return float(np.mean(beyond)), all(support.keeps_clear(camera, own, t) for own, camera, t in looks)
 
     @cached_property
     def _astray(self) -> float:

@@ -11,6 +11,8 @@ import numpy as np
 
 from flowsplat.common.progress import track
 from flowsplat.common.spread import spread
+from flowsplat.common.threads import in_threads
+from flowsplat.gaussians.model import at_once
 from flowsplat.gaussians.renderer import Renderer, Rendering
 from flowsplat.geometry.paths import shifted
 from flowsplat.output.videos.plans import Plan
@@ -52,7 +54,7 @@ class Scales:
         """Look at a few shots, smaller."""
         smaller = [(small(camera), t) for camera, t in shots]
         ratio = shots[0][0].width / smaller[0][0].width
-        seen = [look(model, smaller, k) for k in spread(len(shots), _PROBES)]
+        seen = list(in_threads(lambda k: look(model, smaller, k), spread(len(shots), _PROBES), at_once(model)))
         looks = hashlib.sha256()
         for arrays in seen:
             for array in arrays:
@@ -77,35 +79,45 @@ def write_plan(model: Renderer, plan: Plan, scales: Scales, folder: Path) -> Non
         _write_alpha(model, plan, *paths)
     else:
         shots = track(plan.shots, f"Rendering {plan.name}")
-        write_gif(paths[0], [float_to_bytes(model.render(*shot).colour) for shot in shots], plan.fps)
+        pictures = in_threads(lambda shot: float_to_bytes(model.render(*shot).colour), shots, at_once(model))
+        write_gif(paths[0], list(pictures), plan.fps)
 
 
 def _write_panels(model: Renderer, plan: Plan, scales: Scales, panels_path: Path, colour_path: Path) -> None:
     camera = plan.shots[0][0]
     height = min(camera.height, max(round(camera.height * _WIDEST_PANEL / camera.width), 1))
+
+    def sheet(k: int) -> tuple[np.ndarray, np.ndarray]:
+        picture, flow, depth = look(model, plan.shots, k)
+        colour = float_to_bytes(picture)
+        panels = [colour, flow_to_color(flow, scales.flow), depth_to_color(depth, scales.near, scales.far)]
+        return side_by_side(panels, ["colour", "flow", "depth"], height), colour
+
     with (
         mp4_writer(panels_path, plan.fps, audio_from=plan.audio_from, audio_start=plan.audio_start) as write_panels,
         mp4_writer(colour_path, plan.fps, audio_from=plan.audio_from, audio_start=plan.audio_start) as write_colour,
     ):
-        for k in track(range(len(plan.shots)), f"Rendering {plan.name}"):
-            picture, flow, depth = look(model, plan.shots, k)
-            colour = float_to_bytes(picture)
-            panels = [colour, flow_to_color(flow, scales.flow), depth_to_color(depth, scales.near, scales.far)]
-            write_panels(side_by_side(panels, ["colour", "flow", "depth"], height))
+        shots = track(range(len(plan.shots)), f"Rendering {plan.name}")
+        for panels, colour in in_threads(sheet, shots, at_once(model)):
+            write_panels(panels)
             write_colour(colour)
 
 
 def _write_stereo(model: Renderer, plan: Plan, path: Path) -> None:
+    def pair(shot: Shot) -> np.ndarray:
+        eyes = [shifted(shot[0], side * plan.eye_distance / 2, plan.convergence) for side in (-1, 1)]
+        return np.concatenate([float_to_bytes(model.render(eye, shot[1]).colour) for eye in eyes], axis=1)
+
     with mp4_writer(path, plan.fps, audio_from=plan.audio_from, audio_start=plan.audio_start) as write:
-        for camera, t in track(plan.shots, f"Rendering {plan.name}"):
-            eyes = [shifted(camera, side * plan.eye_distance / 2, plan.convergence) for side in (-1, 1)]
-            write(np.concatenate([float_to_bytes(model.render(eye, t).colour) for eye in eyes], axis=1))
+        for both in in_threads(pair, track(plan.shots, f"Rendering {plan.name}"), at_once(model)):
+            write(both)
 
 
 def _write_alpha(model: Renderer, plan: Plan, path: Path) -> None:
     with webm_writer(path, plan.fps) as write:
-        for camera, t in track(plan.shots, f"Rendering {plan.name}"):
-            write(on_transparent(model.render(camera, t)))
+        shots = track(plan.shots, f"Rendering {plan.name}")
+        for picture in in_threads(lambda shot: on_transparent(model.render(*shot)), shots, at_once(model)):
+            write(picture)
 
 
 def on_transparent(seen: Rendering) -> np.ndarray:

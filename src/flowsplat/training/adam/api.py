@@ -53,13 +53,16 @@ class RowAdam:
         """
         if len(rows) == 0 or value[0].numel() == 0:
             return
-        count = len(value)
-        counts = self.counts - self._restarted[name] if name in self._restarted else self.counts
         twin = import_module(f"flowsplat.training.adam.{devices.kernels_for(value)}")
         twin.step_rows(
-            value.view(count, -1), self.means[name].view(count, -1), self.squares[name].view(count, -1), counts,
-            rows, stepped, gradient.reshape(len(rows), -1), rates,
-        )  # fmt: skip
+            value.view(len(value), -1), *self.moments(name), rows, stepped, gradient.reshape(len(rows), -1), rates
+        )
+
+    def moments(self, name: str) -> tuple[Tensor, Tensor, Tensor]:
+        """Of a parameter, [N, D] first and second moments, themselves, and the steps [N] that each row has taken."""
+        count = len(self.counts)
+        counts = self.counts - self._restarted[name] if name in self._restarted else self.counts
+        return self.means[name].view(count, -1), self.squares[name].view(count, -1), counts
 
     def reindex(self, index: Tensor, is_new: Tensor) -> None:
         """After density control: row k comes from old row ``index[k]``; new rows [M] bool start with empty moments."""

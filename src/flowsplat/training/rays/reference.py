@@ -1,4 +1,4 @@
-"""How fast positions at rest learn along their ray.
+"""The oracle, in plain torch: how fast positions at rest learn along their ray.
 
 A step across the ray shifts a Gaussian in every picture, one along it only as far as the camera travelled. Adam takes steps of one
 size in all directions, so depth learns slowest of all, in proportion to parallax; along the ray the steps are therefore longer by
@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
+
+from flowsplat.training.adam import RowAdam
 
 FEWEST_PIXELS = 4.0
 """Parallax, as a standard deviation over the clip, at which half of that counts: below it the pictures hardly tell a depth."""
@@ -43,3 +45,16 @@ def ray_axes(positions: Tensor, centres: Tensor, focal: float, most: float) -> t
     least = torch.zeros_like(along).scatter_(1, along.abs().argmin(1, keepdim=True), 1)
     first = torch.nn.functional.normalize(torch.linalg.cross(along, least), dim=1)
     return torch.stack([first, torch.linalg.cross(along, first), along], 1), factors
+
+
+def step_along_rays(
+    adam: RowAdam, name: str, value: Tensor, rows: Tensor, stepped: Tensor, gradient: Tensor, rates: Tensor,
+    centres: Tensor, focal: float, most: float,
+) -> None:  # fmt: skip
+    """See ``api.step_along_rays``."""
+    axes, factors = ray_axes(value[rows], centres, focal, most)
+    moved = torch.zeros_like(value)
+    adam.step(name, moved, rows, stepped, (axes @ gradient[:, :, None])[:, :, 0], rates)
+    steps = moved[rows]
+    steps[:, 2] *= factors
+    value[rows] += (steps[:, None] @ axes)[:, 0]
