@@ -93,7 +93,7 @@ def errors(image: np.ndarray, target: np.ndarray, kinds: Kinds) -> dict[str, tup
 
 
 def measure(scene: Scene, world: World, config: TrainConfig, pictures: Path | None = None) -> dict[str, Any]:
-    """Train a scene and return the errors of held-out frames, of ``flow_interpolation`` there, and of training frames beside them."""
+    """Train a scene; errors of its held-out frames, of ``flow_interpolation`` there, and of the training frames before them."""
     trainer = Trainer(load_observations(scene), scene.tracks, config)
     model = scene_model(scene, trainer.run(), config)
     found: dict[str, list[dict[str, tuple[float, int]]]] = {"held out": [], "flow interpolation": [], "trained": []}
