@@ -244,7 +244,7 @@ PRESETS: dict[str, TrainConfig] = {
         model=ModelConfig(),
         init=InitConfig(
             foreground="tracks", samples=7, precision_factor=49 / 36, opacity=0.1, surface_aligned=False,
-            background_spacing=2.0, foreground_spacing=1.0, detail=0.0, sample_gap=0,
+            background_spacing=2.0, foreground_spacing=1.0, detail=0.0, sample_gap=0, motion_order=2,
         ),
         rates=RatesConfig(
             means_pixels=0.0, along_ray=1.0, quats=0.001, scales=0.005, opacities=0.05, colours=0.0025, harmonics=0.0025 / 20,

@@ -120,8 +120,9 @@ def draw_plan(seed: int, dancers: bool = False) -> Plan:
             kinds = list(TOUCHING[int(rng.integers(len(TOUCHING)))])
     raised = bool(rng.random() < 0.5) or bool({"rolling", "bouncing"} & set(kinds))
     if dancers:
-        level = "flat" if GROUNDS[ground] == "steps" else GROUNDS[ground]
-        return Plan(level, CAMERAS[camera], ("dancer",) * min(count, 2), None, raised)
+        level: GroundKind = "flat" if GROUNDS[ground] == "steps" else GROUNDS[ground]
+        danced: list[Kind] = ["dancer"] * min(count, 2)
+        return Plan(level, CAMERAS[camera], tuple(danced), None, raised)
     return Plan(GROUNDS[ground], CAMERAS[camera], tuple(kinds), pair, raised)
 
 
