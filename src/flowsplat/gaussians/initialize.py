@@ -40,8 +40,8 @@ class InitConfig:
     """Over how many training frames the movers' Gaussians are sampled (the paper's T-hat)."""
     sample_gap: int = 4
     """More of them where two would be further apart than so many training frames; 0 = however far (the paper)."""
-    precision_factor: float = 0.25
-    """Temporal precision in units of (pi / spacing of the samples)^2: a quarter lets neighbouring samples overlap."""
+    precision_factor: float = 0.15
+    """Temporal precision in units of (pi / spacing of the samples)^2: so little lets neighbouring samples overlap."""
     background_spacing: float = 1.5
     """Pixels between two background Gaussians on average, 1 or more; a cap makes it larger."""
     foreground_spacing: float = 1.5
@@ -60,7 +60,7 @@ class InitConfig:
     """Start as discs aligned to the surface; off: as spheres as large as the mean distance of three neighbours (as 4DGS)."""
     flatness: float = 0.2
     """Thickness of a disc relative to its radius."""
-    motion_order: int = 3
+    motion_order: int = 4
     """Order of the polynomial that is fitted to the movers' points (``first_motion``)."""
     motion_reach: int = 3
     """Over how many training frames to either side a mover's pixel is followed for that fit."""

@@ -42,7 +42,7 @@ class RatesConfig:
     """Harmonics beyond degree 0."""
     log_lambdas: float = 0.01
     """Log temporal precision."""
-    motion: float = 1e-3
+    motion: float = 3e-3
     """Polynomial and Fourier coefficients."""
     gains: float = 0.015
     """Brightness in time: its slowest wave."""
@@ -117,6 +117,8 @@ class DensityConfig:
     where background is no other than what moves (``model.freeze_background`` off, as in the paper)."""
     revise_flow: float = 1.5
     """Mean flow residual in pixels from which background counts as moving."""
+    revise_colour: float = later(before=0.0, default=0.04)
+    """Mean difference of colours, 0 to 1, from which it does: where nothing is to be seen flow is a guess."""
     revise_rest: float = 0.3
     """Dynamic Gaussians that would move less than this many pixels over the whole clip, seen at the median depth, and explain the
     flow where they are seen, come to rest."""
@@ -220,7 +222,7 @@ _OURS = TrainConfig(
     iterations=2000,
     loss=LossConfig(rigid=0.1, coverage=0.1, rigid_neighbours=10),
     model=ModelConfig(
-        mean_poly=3, mean_fourier=1, quat_poly=1, quat_fourier=0, sh_degree=1, gains=16, freeze_background=True
+        mean_poly=4, mean_fourier=0, quat_poly=1, quat_fourier=0, p_min=0.15, sh_degree=1, gains=16, freeze_background=True
     ),
     density=DensityConfig(every=250, start=250, stop=0.8, gradient=0.0, prune_scale=0.0, reset_every=0),
 )
