@@ -42,7 +42,7 @@ class RatesConfig:
     """Harmonics beyond degree 0."""
     log_lambdas: float = 0.01
     """Log temporal precision."""
-    motion: float = 3e-3
+    motion: float = 1e-3
     """Polynomial and Fourier coefficients."""
     gains: float = 0.015
     """Brightness in time: its slowest wave."""
