@@ -22,12 +22,14 @@ import numpy as np
 from flowsplat.common.files import read_json, write_json, write_text
 from flowsplat.evaluation.baselines import predict_frame, to_float
 from flowsplat.gaussians.observations import load_observations
+from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.pictures.colors import float_to_bytes
 from flowsplat.pipeline.stages import scene_model
 from flowsplat.priors.prepare import PriorsOptions, prepare_priors
 from flowsplat.scenes import Scene
 from flowsplat.scenes.layers import write_image
 from flowsplat.scenes.synthetic.worlds import World, draw_world, write_world
+from flowsplat.scenes.synthetic.worlds.casting import CAPSULE
 from flowsplat.training.config import PRESETS, TrainConfig
 from flowsplat.training.trainer import Trainer
 
@@ -49,10 +51,11 @@ class Kinds:
 def kinds_of(world: World, i: int) -> Kinds:
     """What the pixels of frame ``i`` show of movers; ``inside`` is their mask [H, W]."""
     inside = world.geometry(i)[1] > 0
-    hits = world._frame_hits(i)
+    grid = pixel_grid(world.width, world.height).astype(np.float64).reshape(-1, 2)
+    hits = world.cast(world.camera(i), float(world.timestamps[i]), grid)
     speed = np.linalg.norm(world.flow(i, i + 1).flow, axis=-1)[inside]
-    # Of what is round or flat across: twice its second largest half extent, but of a tube its radius.
-    halves = np.array([part.size[0] if part.shape == 2 else np.sort(part.size)[1] for part in world.parts])
+    # Of a tube twice its radius, of all else twice the second largest half extent.
+    halves = np.array([part.size[0] if part.shape == CAPSULE else np.sort(part.size)[1] for part in world.parts])
     across = 2 * halves[hits.part] * world.camera(i).K[0, 0] / hits.depth
     return Kinds(inside, speed, across.reshape(inside.shape)[inside], speed * world.shutter)
 
