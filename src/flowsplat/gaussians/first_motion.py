@@ -37,7 +37,9 @@ ROUNDS = 4
 """Of reweighting."""
 FADING = 0.8
 """Standard deviation, in those of the presence, of how much a time counts that is so far off."""
-RIDGE, GRADIENT_RIDGE = 1e-3, 1e-1
+LEAST_SURE = 0.01
+"""Confidence of flow below which a pixel is lost. Flow that does not come back is often right all the same, and the others judge."""
+RIDGE, GRADIENT_RIDGE = 1e-4, 3e-2
 """Of the first order in time, in shares of what the observations weigh: ten times as much for every further order."""
 HELD = 0.5
 """Of the pixels around a place, by their weight, what share must belong to the mover."""
@@ -89,11 +91,10 @@ def fit_motion(observations: Observations, k: int, wanted: np.ndarray, sigma: fl
     axes = np.array([1, 1, ALONG_RAY])[:, None] * frame.camera.viewmat[:3, :3]
     normal, right = np.zeros((len(points), order, order)), np.zeros((len(points), order, 3))
     square, total = np.zeros(len(points)), np.zeros(len(points))
-    for time, world in follow(observations, k, points, reach).items():
+    for time, (world, sure) in follow(observations, k, points, reach).items():
         tau = (time - frame.time) / sigma
-        basis, seen = tau ** np.arange(1, order + 1), np.isfinite(world[:, 0])
-        weight = np.exp(-0.5 * (tau / FADING) ** 2) * seen
-        moved = np.where(seen[:, None], world - start, 0) @ axes.T / unit[:, None]
+        basis, weight = tau ** np.arange(1, order + 1), np.exp(-0.5 * (tau / FADING) ** 2) * sure
+        moved = np.where(sure[:, None] > 0, world - start, 0) @ axes.T / unit[:, None]
         normal += weight[:, None, None] * np.outer(basis, basis)
         right += (weight[:, None] * moved)[:, None] * basis[:, None]
         square += weight * (moved**2).sum(1)
@@ -112,31 +113,33 @@ def fit_motion(observations: Observations, k: int, wanted: np.ndarray, sigma: fl
     return np.asarray((coefficients[asked] * scale) @ np.linalg.inv(axes).T)
 
 
-def follow(observations: Observations, k: int, points: np.ndarray, reach: int) -> dict[float, np.ndarray]:
-    """3D positions [N, 3] of pixels of frame k at the times of its neighbours, along flow and depth; NaN where lost.
+def follow(
+    observations: Observations, k: int, points: np.ndarray, reach: int
+) -> dict[float, tuple[np.ndarray, np.ndarray]]:
+    """3D positions [N, 3] of pixels of frame k at the times of its neighbours, along flow and depth, and how sure they are [N].
 
-    Between pixels, flow and depth are those of the mover's pixels around, never mixed with those of what is behind it.
+    Sure as the least sure flow on the way, 0 where lost. Between pixels, flow and depth are those of the mover's pixels around,
+    never mixed with those of what is behind it.
     """
-    found: dict[float, np.ndarray] = {}
+    found: dict[float, tuple[np.ndarray, np.ndarray]] = {}
     for step in (1, -1):
-        here, alive, current = points.astype(np.float32), np.ones(len(points), bool), k
+        here, sure, current = points.astype(np.float32), np.ones(len(points)), k
         for _ in range(reach):
             frame = observations[current]
             flow = frame.forward if step > 0 else frame.backward
             if flow is None:
                 break
-            moved, share = _inside(flow.flow, flow.trusted & frame.mask, here)
-            alive &= share > HELD
-            here = np.where(alive[:, None], here + moved, here)
+            moved, share = _inside(np.dstack([flow.flow, flow.confidence]), frame.mask, here)
+            sure = np.where(share > HELD, np.minimum(sure, moved[:, 2]), 0)
+            here = np.where(sure[:, None] > 0, here + moved[:, :2], here)
             current += step
             frame = observations[current]
             depth, share = _inside(frame.depth[..., None], frame.mask, here)
-            alive &= share > HELD
-            if not alive.any():
+            sure = np.where((share > HELD) & (sure > LEAST_SURE), sure, 0)
+            if not sure.any():
                 break
-            world = frame.camera.unproject(here, np.where(alive, depth[:, 0], 1).astype(np.float64))
-            world[~alive] = np.nan
-            found[frame.time] = world
+            world = frame.camera.unproject(here, np.where(sure > 0, depth[:, 0], 1).astype(np.float64))
+            found[frame.time] = world, sure
     return found
 
 
