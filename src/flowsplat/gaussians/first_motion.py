@@ -38,7 +38,7 @@ ROUNDS = 4
 FADING = 0.8
 """Standard deviation, in those of the presence, of how much a time counts that is so far off."""
 LEAST_SURE = 0.01
-"""Confidence of flow below which a pixel is lost. Flow that does not come back is often right all the same, and the others judge."""
+"""Confidence of flow below which a pixel is lost. Flow that does not come back is often right, and the neighbours judge."""
 RIDGE, GRADIENT_RIDGE = 1e-4, 3e-2
 """Of the first order in time, in shares of what the observations weigh: ten times as much for every further order."""
 HELD = 0.5
