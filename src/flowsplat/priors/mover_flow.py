@@ -17,6 +17,8 @@ from flowsplat.priors.continuity import Continuity
 from flowsplat.priors.flow import dis_flow, forward_backward_confidence, grey, lengths
 from flowsplat.scenes import Flow, Scene
 
+GOOD = 0.95
+"""Share of the movers' pixels with trusted flow, both ways, from which it is good enough."""
 AROUND = 48
 """Pixels around the movers of two frames that are searched with them."""
 GREY = 127
@@ -39,6 +41,8 @@ def mover_flow_stage(scene: Scene) -> None:
         if not (masks[0].any() and masks[1].any() and continuity.joined(k, k + 1)):
             continue
         flows = scene.flow(i, j), scene.flow(j, i)
+        if min(float(flow.trusted[mask].mean()) for flow, mask in zip(flows, masks, strict=True)) >= GOOD:
+            continue
         better = _searched((scene.frame(i), scene.frame(j)), masks, (flows[0].flow, flows[1].flow))
         for flow, found, back, mask in zip(flows, better, better[::-1], masks, strict=True):
             sure = np.where(mask, forward_backward_confidence(found, back), flow.confidence)
