@@ -27,8 +27,8 @@ NEIGHBOURS = 48
 """Pixels that are asked at a node."""
 DENSITY = 3
 """As many pixels in a gap between two nodes are followed, beside those whose motion is wanted."""
-CHOICE = 8
-"""Nodes among which a pixel chooses."""
+CHOICE, AT_A_TIME = 8, 20_000
+"""Nodes among which a pixel chooses, and how many pixels do so at a time, for the memory."""
 COLOURS, LEAST_ALIKE = 30.0, 9.0
 """Grey levels by which colours of one part differ, and the square, in these, beyond which it makes no difference."""
 LIKE, LEAST_LIKE = 0.5, 50.0
@@ -159,7 +159,16 @@ def _joint(paths: _Paths, mine: np.ndarray, sources: np.ndarray, queries: np.nda
     nodes = _nodes(paths.points, mine, gap)
     away, index = _nearest(cKDTree(paths.points[sources]), paths.points[nodes], min(NEIGHBOURS, len(sources)))
     motion = _fit(paths, nodes, sources[index], away, gap)
-    away, index = _nearest(cKDTree(paths.points[nodes]), paths.points[queries], min(CHOICE, len(nodes)))
+    tree = cKDTree(paths.points[nodes])
+    parts = [queries[first : first + AT_A_TIME] for first in range(0, len(queries), AT_A_TIME)]
+    return np.concatenate([_chosen(paths, nodes, motion, tree, part, gap) for part in parts])
+
+
+def _chosen(
+    paths: _Paths, nodes: np.ndarray, motion: np.ndarray, tree: cKDTree, queries: np.ndarray, gap: float
+) -> np.ndarray:
+    """Motion [Q, order, 3] of pixels from that of the nodes: of those around that explain their own paths and have their colour."""
+    away, index = _nearest(tree, paths.points[queries], min(CHOICE, len(nodes)))
     place = _placed(paths.points[queries][:, None], paths.points[nodes[index]], gap)
     models = (place[..., None, None] * motion[index]).sum(-3)
     cost = (away / gap) ** 2 + np.minimum(_unlike(paths, queries[:, None], nodes[index]), LEAST_ALIKE)
