@@ -37,8 +37,9 @@ ROUNDS = 4
 """Of reweighting."""
 FADING = 0.8
 """Standard deviation, in those of the presence, of how much a time counts that is so far off."""
-LEAST_SURE = 0.01
-"""Confidence of flow below which a pixel is lost. Flow that does not come back is often right, and the neighbours judge."""
+UNSURE, LEAST_SURE = 2.0, 1e-3
+"""Flow that does not come back counts this power of its confidence, where that is not less than the second number: it is often
+right, and the neighbours judge."""
 RIDGE, GRADIENT_RIDGE = 1e-4, 3e-2
 """Of the first order in time, in shares of what the observations weigh: ten times as much for every further order."""
 HELD = 0.5
@@ -129,7 +130,8 @@ def follow(
             flow = frame.forward if step > 0 else frame.backward
             if flow is None:
                 break
-            moved, share = _inside(np.dstack([flow.flow, flow.confidence]), frame.mask, here)
+            weight = np.where(flow.trusted, 1, flow.confidence**UNSURE)
+            moved, share = _inside(np.dstack([flow.flow, weight.astype(np.float32)]), frame.mask, here)
             sure = np.where(share > HELD, np.minimum(sure, moved[:, 2]), 0)
             here = np.where(sure[:, None] > 0, here + moved[:, :2], here)
             current += step
