@@ -40,7 +40,7 @@ FADING = 0.8
 UNSURE, LEAST_SURE = 2.0, 1e-3
 """Flow that does not come back counts this power of its confidence, where that is not less than the second number: it is often
 right, and the neighbours judge."""
-RIDGE, GRADIENT_RIDGE = 1e-4, 3e-2
+RIDGE, GRADIENT_RIDGE = 1e-3, 1e-1
 """Of the first order in time, in shares of what the observations weigh: ten times as much for every further order."""
 HELD = 0.5
 """Of the pixels around a place, by their weight, what share must belong to the mover."""
