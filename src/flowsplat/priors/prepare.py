@@ -262,8 +262,6 @@ def _forget(scene: Scene, names: set[str]) -> None:
         scene.info["priors"].pop("objects", None)
         for path in ("objects.json", "objects.npz"):
             (scene.folder / path).unlink(missing_ok=True)
-    if "masks" in names:
-        (scene.prior("flow") or {}).pop("movers", None)
     if "depth" in names:
         scene.info["similarity"] = None  # It made the old depth's median 1.
     scene.save_info()
