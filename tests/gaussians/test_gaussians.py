@@ -156,7 +156,9 @@ def test_background_that_moves_becomes_dynamic_and_the_resting_comes_to_rest():
     statistics.flow_visits[:] = 3
     statistics.flow_residual[[1, 3]] = 3 * 5.0
     statistics.flow_residual[5], statistics.flow_visits[5] = 50.0, 1  # seen once only
-    moved, rested = revise_dynamic(gaussians, statistics, 1.5, 0.5, 100.0, 6.0)
+    statistics.flow_residual[7] = 3 * 5.0  # it has the right colour
+    statistics.colour_residual[[1, 3, 5]] = 3 * 0.1
+    moved, rested = revise_dynamic(gaussians, statistics, 1.5, 0.05, 0.5, 100.0, 6.0)
     assert (moved, rested) == (2, 5)  # dynamic 2, 4, 6, 8 and 10 do not move; 0 does
     assert gaussians.dynamic.tolist() == [k in (0, 1, 3) for k in range(12)]
     assert gaussians.params["log_lambdas"][[1, 3]].tolist() == [6.0, 6.0]
@@ -171,7 +173,7 @@ def test_linear_background_that_moves_becomes_dynamic_too():
     statistics = DensityStatistics.zeros(4)
     statistics.flow_visits[:] = 3
     statistics.flow_residual[[1, 3]] = 3 * 5.0
-    assert revise_dynamic(gaussians, statistics, 1.5, 0.5, 100.0, 6.0) == (2, 0)
+    assert revise_dynamic(gaussians, statistics, 1.5, 0.0, 0.5, 100.0, 6.0) == (2, 0)
     precision = gaussians.motion.log_precision(gaussians.params)
     torch.testing.assert_close(precision[[1, 3]], torch.full((2,), 6.0), rtol=1e-3, atol=1e-3)
     torch.testing.assert_close(gaussians.motion.state(gaussians.params, 0.0).covars, still, rtol=1e-2, atol=1e-3)

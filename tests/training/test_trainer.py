@@ -200,6 +200,7 @@ def test_who_turns_out_to_move_gets_neighbours_at_once():
         def _control_density(self):
             before = self.gaussians.dynamic.clone()
             self._statistics.flow_visits[:2], self._statistics.flow_residual[:2] = 2.0, 200.0
+            self._statistics.colour_residual[:2] = 2.0
             super()._control_density()
             moved.append(torch.nonzero(self.gaussians.dynamic & ~before).squeeze(1).tolist())
 

@@ -24,17 +24,19 @@ class DensityStatistics:
         visits: in how many pictures it was drawn.
         flow_residual: sum of |rendered - prior flow| in pixels where it was on the visible surface.
         flow_visits: how often that was.
+        colour_residual: sum of |rendered - true colour|, 0 to 1, at the same times.
     """
 
     gradient: Tensor
     visits: Tensor
     flow_residual: Tensor
     flow_visits: Tensor
+    colour_residual: Tensor
 
     @staticmethod
     def zeros(count: int, device: torch.device | str = "cpu") -> DensityStatistics:
         """Nothing seen yet."""
-        return DensityStatistics(*(torch.zeros(count, device=device) for _ in range(4)))
+        return DensityStatistics(*(torch.zeros(count, device=device) for _ in range(5)))
 
 
 @dataclass(frozen=True)
@@ -152,6 +154,7 @@ def revise_dynamic(
     gaussians: Gaussians4D,
     statistics: DensityStatistics,
     moving_residual: float,
+    moving_colour: float,
     resting_pixels: float,
     focal: float,
     log_lambda: float,
@@ -160,7 +163,8 @@ def revise_dynamic(
 
     Args:
         moving_residual: background whose flow residual stays above this many pixels, over at least two visits, is dynamic from
-            now on, about the time of the frame that it was made from.
+            now on, about the time of the frame that it was made from, if its colour is wrong, too:
+        moving_colour: from this mean difference on, 0 to 1. Where nothing is to be seen flow is a guess.
         resting_pixels: dynamic Gaussians that would move less than this many pixels over the whole clip, and explain the flow
             where they are seen, are background.
         focal: pixels, to tell the size of motion at the median depth.
@@ -171,7 +175,8 @@ def revise_dynamic(
     """
     visited = statistics.flow_visits >= 2
     residual = statistics.flow_residual / statistics.flow_visits.clamp(min=1)
-    to_dynamic = ~gaussians.dynamic & visited & (residual > moving_residual)
+    colour = statistics.colour_residual / statistics.flow_visits.clamp(min=1)
+    to_dynamic = ~gaussians.dynamic & visited & (residual > moving_residual) & (colour >= moving_colour)
     speed = torch.zeros(len(gaussians), device=gaussians.device)
     rows = torch.nonzero(gaussians.dynamic).squeeze(1)
     if len(rows):

@@ -11,11 +11,11 @@ import torch
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.spread import spread
+from flowsplat.gaussians.first_motion import fit_motion
 from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Gaussians4D, ModelConfig, concatenate, parameter_shapes
 from flowsplat.gaussians.observations import Observation, Observations
 from flowsplat.gaussians.sampling import detail, grid, spacings
 from flowsplat.gaussians.surfaces import SurfaceSamples, sample_surface
-from flowsplat.geometry.interpolation import sample_map
 from flowsplat.scenes import Tracks
 from flowsplat.splatting.harmonics import harmonics_from_colours
 
@@ -40,8 +40,8 @@ class InitConfig:
     """Over how many training frames the movers' Gaussians are sampled (the paper's T-hat)."""
     sample_gap: int = 4
     """More of them where two would be further apart than so many training frames; 0 = however far (the paper)."""
-    precision_factor: float = 0.25
-    """Temporal precision in units of (pi / spacing of the samples)^2: a quarter lets neighbouring samples overlap."""
+    precision_factor: float = 0.15
+    """Temporal precision in units of (pi / spacing of the samples)^2: so little lets neighbouring samples overlap."""
     background_spacing: float = 1.5
     """Pixels between two background Gaussians on average, 1 or more; a cap makes it larger."""
     foreground_spacing: float = 1.5
@@ -60,8 +60,8 @@ class InitConfig:
     """Start as discs aligned to the surface; off: as spheres as large as the mean distance of three neighbours (as 4DGS)."""
     flatness: float = 0.2
     """Thickness of a disc relative to its radius."""
-    motion_order: int = 2
-    """Order of the polynomial that is fitted to each mover's points."""
+    motion_order: int = 4
+    """Order of the polynomial that is fitted to the movers' points (``first_motion``)."""
     motion_reach: int = 3
     """Over how many training frames to either side a mover's pixel is followed for that fit."""
     random_count: int = 300_000
@@ -262,7 +262,7 @@ def _foreground(
             continue
         samples.append(sample_surface(frame, wanted, spacing * config.size, config.flatness))
         times.append(np.full(len(samples[-1].means), frame.time))
-        motions.append(_fit_motion(observations, k, wanted, sigma, config.motion_order, config.motion_reach))
+        motions.append(fit_motion(observations, k, wanted, sigma, config.motion_order, config.motion_reach))
         movers.append(frame.movers[wanted])
     if not samples:
         samples, times, motions = [SurfaceSamples.empty()], [np.zeros(0)], [np.zeros((0, config.motion_order, 3))]
@@ -286,60 +286,6 @@ def _track_pixels(tracks: Tracks | None, frame: Observation, usable: np.ndarray)
     y, x = np.mgrid[:height, :width]
     sparse = cv2.dilate(wanted & usable, np.ones((9, 9), np.uint8)) == 0
     return (wanted > 0) | (sparse & (x % 4 == 2) & (y % 4 == 2))
-
-
-def _follow(observations: Observations, k: int, points: np.ndarray, reach: int) -> dict[float, np.ndarray]:
-    """3D positions [N, 3] of pixels of frame k at the times of its neighbours, along flow and depth; NaN where lost."""
-    width, height = observations.size
-    found: dict[float, np.ndarray] = {}
-    for step in (1, -1):
-        here, alive, current = points.astype(np.float32), np.ones(len(points), bool), k
-        for _ in range(reach):
-            flow = observations[current].forward if step > 0 else observations[current].backward
-            if flow is None:
-                break
-            alive &= sample_map(flow.trusted.astype(np.float32), here)[:, 0] > 0.99
-            here = here + sample_map(flow.flow, here)
-            current += step
-            frame = observations[current]
-            alive &= ((here > 0.5) & (here < [width - 0.5, height - 0.5])).all(1)
-            alive &= sample_map(frame.mask.astype(np.float32), here)[:, 0] > 0.99
-            alive &= sample_map(frame.depth_jump, here)[:, 0] < 0.06
-            if not alive.any():
-                break
-            world = frame.camera.unproject(here, sample_map(frame.depth, here)[:, 0].astype(np.float64))
-            world[~alive] = np.nan
-            found[frame.time] = world
-    return found
-
-
-def _fit_motion(
-    observations: Observations, k: int, wanted: np.ndarray, sigma: float, order: int, reach: int
-) -> np.ndarray:
-    """Polynomial coefficients [N, order, 3] of each pixel's path about its own time: ridge, weighted by the presence.
-
-    Pixels that could not be followed take the motion of the nearest one that could.
-    """
-    frame = observations[k]
-    y, x = np.nonzero(wanted)
-    points = np.stack([x, y], 1) + 0.5
-    start = frame.camera.unproject(points, frame.depth[y, x].astype(np.float64))
-    normal, right = np.zeros((len(x), order, order)), np.zeros((len(x), order, 3))
-    links = np.zeros(len(x), int)
-    for time, world in _follow(observations, k, points, reach).items():
-        tau = time - frame.time
-        weight, seen = np.exp(-(tau**2) / (4 * sigma**2)), np.isfinite(world[:, 0])
-        basis = (tau / sigma) ** np.arange(1, order + 1)
-        moved = np.where(seen[:, None], world - start, 0)
-        normal += (weight * seen)[:, None, None] * np.outer(basis, basis)
-        right += weight * basis[:, None] * moved[:, None]
-        links += seen
-    ridge = np.diag(1e-3 * 10.0 ** np.arange(order))
-    coefficients = np.linalg.solve(normal + ridge, right) / (sigma ** np.arange(1, order + 1))[:, None]
-    lost = links == 0
-    if lost.any() and not lost.all():
-        coefficients[lost] = coefficients[~lost][_nearest(start[~lost], start[lost], 1)[1]]
-    return coefficients
 
 
 # -- random

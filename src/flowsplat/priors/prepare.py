@@ -24,6 +24,7 @@ from flowsplat.priors.given import GivenPriors, true_layers, use_given, use_trut
 from flowsplat.priors.learned.weights import ModelOptions, network_device
 from flowsplat.priors.masks import mask_stage
 from flowsplat.priors.monocular import monocular_stage
+from flowsplat.priors.mover_flow import mover_flow_stage
 from flowsplat.priors.objects import objects_stage
 from flowsplat.priors.objects.hints import Hint, parse_hints
 from flowsplat.priors.prompts import Prompt, parse_prompts, prompt_stage
@@ -145,6 +146,8 @@ def prepare_priors(
             after(name, seconds[name])
     if (scene.prior("tracks") or {}).get("incomplete"):
         seconds["tracks"] = seconds.get("tracks", 0.0) + _timed(lambda: complete_tracks(scene))
+    if _method(scene, "flow") == "dis" and not (scene.prior("flow") or {}).get("movers"):
+        seconds["flow"] = seconds.get("flow", 0.0) + _timed(lambda: mover_flow_stage(scene))
     forget_solutions(scene)
     _ = scene.similarity  # Computed and stored here, so that training and evaluation share it.
     return seconds

@@ -117,6 +117,8 @@ class DensityConfig:
     where background is no other than what moves (``model.freeze_background`` off, as in the paper)."""
     revise_flow: float = 1.5
     """Mean flow residual in pixels from which background counts as moving."""
+    revise_colour: float = later(before=0.0, default=0.04)
+    """Mean difference of colours, 0 to 1, from which it does: where nothing is to be seen flow is a guess."""
     revise_rest: float = 0.3
     """Dynamic Gaussians that would move less than this many pixels over the whole clip, seen at the median depth, and explain the
     flow where they are seen, come to rest."""
@@ -220,7 +222,7 @@ _OURS = TrainConfig(
     iterations=2000,
     loss=LossConfig(rigid=0.1, coverage=0.1, rigid_neighbours=10),
     model=ModelConfig(
-        mean_poly=3, mean_fourier=1, quat_poly=1, quat_fourier=0, sh_degree=1, gains=16, freeze_background=True
+        mean_poly=4, mean_fourier=0, quat_poly=1, quat_fourier=0, p_min=0.15, sh_degree=1, gains=16, freeze_background=True
     ),
     density=DensityConfig(every=250, start=250, stop=0.8, gradient=0.0, prune_scale=0.0, reset_every=0),
 )
@@ -244,7 +246,7 @@ PRESETS: dict[str, TrainConfig] = {
         model=ModelConfig(),
         init=InitConfig(
             foreground="tracks", samples=7, precision_factor=49 / 36, opacity=0.1, surface_aligned=False,
-            background_spacing=2.0, foreground_spacing=1.0, detail=0.0, sample_gap=0,
+            background_spacing=2.0, foreground_spacing=1.0, detail=0.0, sample_gap=0, motion_order=2,
         ),
         rates=RatesConfig(
             means_pixels=0.0, along_ray=1.0, quats=0.001, scales=0.005, opacities=0.05, colours=0.0025, harmonics=0.0025 / 20,

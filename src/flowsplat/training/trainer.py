@@ -371,9 +371,10 @@ class Trainer:
         # Every fourth step is enough evidence, and saves a twentieth of the time.
         sampled = self._revises and self.step % 4 == 0
         if sampled and rendered.flow is not None and targets.flow is not None:
-            seen, residual = _flow_residual(targets, rendered)
+            seen, residual, colour = _residuals(targets, rendered)
             seen &= visible
             statistics.flow_residual[rows] += active.valid(torch.where(seen, residual, 0))
+            statistics.colour_residual[rows] += active.valid(torch.where(seen, colour, 0))
             statistics.flow_visits[rows] += active.valid(seen)
 
     # -- after a step
@@ -406,8 +407,9 @@ class Trainer:
         if self._revises:
             _, log_lambda = sampled_frames(len(self.observations), self.config.init)
             moved, rested = revise_dynamic(
-                self.gaussians, self._statistics, config.revise_flow, config.revise_rest, self._focal, log_lambda
-            )
+                self.gaussians, self._statistics, config.revise_flow, config.revise_colour, config.revise_rest, self._focal,
+                log_lambda,
+            )  # fmt: skip
             if moved or rested:
                 self._average.restart()
                 self._neighbours = None  # Those that became dynamic have none yet, and are the neighbours of none.
@@ -499,7 +501,10 @@ class Trainer:
         self.gaussians = Gaussians4D(group("param"), dynamic, self.config.model, int(values["sh_degree"]), movers)
         self._adam = RowAdam(self.gaussians.params)
         self._adam.load_state(group("adam"))
-        self._statistics = DensityStatistics(**group("statistics"))
+        statistics = group("statistics")
+        # Those that an earlier version kept in a checkpoint lack what it did not ask for.
+        statistics.setdefault("colour_residual", torch.zeros_like(statistics["flow_residual"]))
+        self._statistics = DensityStatistics(**statistics)
         self._average.load_state(int(values["averaged"]), group("average"))
         self._generator.set_state(tensors["generator"])
         self._rng.bit_generator.state = values["rng"]
@@ -541,8 +546,8 @@ def _read(entries: list[Entry]) -> list[dict[str, float]]:
     return [{name: next(numbers) if isinstance(value, Tensor) else value for name, value in e.items()} for e in entries]
 
 
-def _flow_residual(targets: PictureTargets, rendered: RenderedFrame) -> tuple[Tensor, Tensor]:
-    """Which Gaussians, if drawn, lie on the visible surface at a pixel with trusted flow; and the flow error there, [A] each."""
+def _residuals(targets: PictureTargets, rendered: RenderedFrame) -> tuple[Tensor, Tensor, Tensor]:
+    """Which Gaussians, if drawn, lie on the visible surface where flow is trusted; errors of flow and colour there, [A] each."""
     assert rendered.flow is not None
     height, width = rendered.alpha.shape
     uv = rendered.projected.means2d.detach()
@@ -554,4 +559,6 @@ def _flow_residual(targets: PictureTargets, rendered: RenderedFrame) -> tuple[Te
     trusted = torch.as_tensor(targets.flow_trusted, device=uv.device)[y, x]
     seen = inside & trusted & (alpha > 0.5) & ((depths - surface).abs() < 0.05 * surface)
     flow = rendered.flow.detach()[y, x] / alpha.clamp(min=1e-6)[:, None]
-    return seen, (flow - torch.as_tensor(targets.flow, device=uv.device)[y, x]).norm(dim=1)
+    wrong = (flow - torch.as_tensor(targets.flow, device=uv.device)[y, x]).norm(dim=1)
+    true = torch.as_tensor(targets.colour, device=uv.device)[y, x].float() / 255
+    return seen, wrong, (rendered.image.detach()[y, x, :3] - true).abs().mean(1)

@@ -63,6 +63,25 @@ def test_kinds_grounds_and_cameras_are_mixed():
     assert counts.min() > 0.6 * counts.mean()
 
 
+def test_dancers_are_fast_and_stand_on_the_ground():
+    plans = [draw_plan(seed, dancers=True) for seed in range(20)]
+    assert {kind for plan in plans for kind in plan.kinds} == {"dancer"}
+    assert {len(plan.kinds) for plan in plans} == {1, 2}
+    world = draw_world(4, 160, 90, 24, dancers=True)
+    speeds = []
+    for i in (3, 9, 15):
+        inside = world.geometry(i)[1] > 0
+        speeds.append(np.linalg.norm(world.flow(i, i + 1).flow[inside], axis=1))
+    assert np.percentile(np.concatenate(speeds), 95) > 4  # pixels of a picture that is 160 wide
+    times = np.linspace(0, world.duration, 60)
+    for mover in world.movers:
+        soles, touching = mover.touching(times)
+        above = soles[..., 2] - world.ground.height(soles[..., :2])
+        assert touching.any(1).all()
+        assert np.abs(above[touching]).max() < 1e-6
+        assert above.min() > -1e-6
+
+
 def test_depth_and_flow_agree_where_nothing_moves(world):
     for i, j in ((0, 1), (9, 8)):
         depth, mask = world.geometry(i)

@@ -2,7 +2,7 @@
 
 What a world is about (ground, camera, kinds of movers) comes from the seed alone; where everything is gets drawn again
 until all of it is in sight. So no kind is rarer because it is hard to place. Of twenty seeds that begin at a multiple of
-twenty each has another pair of ground and camera.
+twenty each has another pair of ground and camera. Worlds of dancers are drawn apart, with the same seeds.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from flowsplat.common.errors import InputError
 from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.scenes.synthetic.worlds.cameras import CAMERAS, CameraKind, Stand, draw_path
 from flowsplat.scenes.synthetic.worlds.casting import ROOM
+from flowsplat.scenes.synthetic.worlds.dancers import dancer
 from flowsplat.scenes.synthetic.worlds.ground import Ground, GroundKind, draw_ground
 from flowsplat.scenes.synthetic.worlds.machines import (
     STOPS,
@@ -52,6 +53,9 @@ ATTEMPTS = 4000
 
 APPARENT = (0.08, 0.7)
 """Shares of the picture's height between which movers are drawn."""
+
+DANCING = (0.5, 0.9)
+"""The same of dancers."""
 
 NEAREST, FURTHEST = 1.4, 24.0
 """Metres between which movers are drawn."""
@@ -94,8 +98,8 @@ class Plan:
     raised: bool
 
 
-def draw_plan(seed: int) -> Plan:
-    """What the world of a seed is about."""
+def draw_plan(seed: int, dancers: bool = False) -> Plan:
+    """What the world of a seed is about; ``dancers``: one or two of them, instead of all other movers, and no steps."""
     block, place = divmod(seed, len(GROUNDS) * len(CAMERAS))
     order = np.random.default_rng([block, 1]).permutation(len(GROUNDS) * len(CAMERAS))
     ground, camera = divmod(int(order[place]), len(CAMERAS))
@@ -115,13 +119,22 @@ def draw_plan(seed: int) -> Plan:
         else:
             kinds = list(TOUCHING[int(rng.integers(len(TOUCHING)))])
     raised = bool(rng.random() < 0.5) or bool({"rolling", "bouncing"} & set(kinds))
+    if dancers:
+        level: GroundKind = "flat" if GROUNDS[ground] == "steps" else GROUNDS[ground]
+        danced: list[Kind] = ["dancer"] * min(count, 2)
+        return Plan(level, CAMERAS[camera], tuple(danced), None, raised)
     return Plan(GROUNDS[ground], CAMERAS[camera], tuple(kinds), pair, raised)
 
 
-def draw_world(seed: int, width: int = 320, height: int = 180, frames: int = 40, fps: float = 24.0) -> World:
+def draw_world(
+    seed: int, width: int = 320, height: int = 180, frames: int = 40, fps: float = 24.0, dancers: bool = False
+) -> World:
     """The world of a seed, the same bits for the same arguments.
 
     Its geometry does not depend on the number of pixels, as long as their ratio stays.
+
+    Args:
+        dancers: people who swing their limbs as fast as people do, and nothing else that moves.
 
     Raises:
         InputError: the arguments make no clip, or nothing could be placed in sight.
@@ -131,7 +144,7 @@ def draw_world(seed: int, width: int = 320, height: int = 180, frames: int = 40,
             f"A random world of seed {seed} with {frames} frames of {width}x{height} pixels at {fps} frames a second cannot be "
             "made: use a seed of 0 or more, 10 frames or more of 32x32 pixels or more, and a finite rate above 0."
         )
-    plan = draw_plan(seed)
+    plan = draw_plan(seed, dancers)
     for attempt in range(ATTEMPTS):
         world = _place(np.random.default_rng([seed, 2, attempt]), seed, plan, (width, height), frames, fps)
         if world is not None and _is_in_sight(world, plan):
@@ -147,9 +160,9 @@ class _Scale:
     focal: float
     aspect: float
 
-    def distance(self, rng: np.random.Generator, size: float) -> float:
+    def distance(self, rng: np.random.Generator, size: float, apparent: tuple[float, float] = APPARENT) -> float:
         """Metres at which something ``size`` metres tall has a random size in the picture."""
-        share = np.exp(rng.uniform(*np.log(APPARENT)))
+        share = np.exp(rng.uniform(*np.log(apparent)))
         return float(np.clip(size * self.focal * self.aspect / share, NEAREST, FURTHEST))
 
     def wide(self, distance: float) -> float:
@@ -242,6 +255,10 @@ def _draw_mover(
         distance = max(scale.distance(rng, body * HEIGHT), 2.2)
         speed = rng.uniform(0.7, 1.7) * np.sqrt(body)
         return walker(rng, ground, _spot(scale, place, distance), heading, body, speed, duration, rich, kind == "carrier")
+    if kind == "dancer":
+        size = rng.uniform(0.7, 1.1)
+        distance = max(scale.distance(rng, size * HEIGHT, DANCING), 2.2)
+        return dancer(rng, ground, _spot(scale, place, distance), rng.uniform(0, 2 * np.pi), size, rich)
     if kind == "vehicle":
         length = float(np.exp(rng.uniform(np.log(0.5), np.log(3.5))))
         distance = max(scale.distance(rng, 0.45 * length), 1.2 * length + 0.8)

@@ -135,7 +135,7 @@ def walker(
     hips = _hips(gait, speed, duration)
     bag = bool(rng.random() < 0.4) and carries
     held: Arms = "forward" if carries and not bag else arms
-    parts = _body(rng, scale, rich)
+    parts = body(rng, scale, rich)
     if carries:
         parts += _carried(rng, scale, bag)
 
@@ -178,7 +178,8 @@ def _ankle(gait: Gait, s: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray
     return heel + ANKLE * gait.scale * turned[..., 2], turned, heel + turned @ middle
 
 
-def _body(rng: np.random.Generator, scale: float, rich: bool) -> list[Part]:
+def body(rng: np.random.Generator, scale: float, rich: bool) -> list[Part]:
+    """The parts of a person: hips, trunk, neck, head and hair, then thigh, shin and foot of both legs, then both arms."""
     shirt, trousers = draw_material(rng, 0.5 * scale, rich), draw_material(rng, 0.5 * scale, rich and bool(rng.random() < 0.5))
     shoe, sleeve = draw_material(rng, 0.3, False), shirt if rng.random() < 0.6 else draw_material(rng, 0.3, rich)
     skin = draw_material(rng, 0.3, False)
@@ -207,7 +208,7 @@ def _carried(rng: np.random.Generator, scale: float, bag: bool) -> list[Part]:
 
 
 def _stand(gait: Gait, s: np.ndarray, hips: np.ndarray, arms: Arms, parts: list[Part], bag: bool | None) -> list[Poses]:
-    """Poses of the parts of ``_body``, and of what is carried unless ``bag`` is None."""
+    """Poses of the parts of ``body``, and of what is carried unless ``bag`` is None."""
     scale = gait.scale
     place, heading = gait.place(s)
     level = frame(np.stack([np.cos(heading), np.sin(heading), 0 * s], -1), UP)

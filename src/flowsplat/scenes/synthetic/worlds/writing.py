@@ -16,10 +16,14 @@ MOVERS = "movers.json"
 """In the folder of the truth: ``movers`` (see ``World.describe``) and the mover of every true track, ``tracks`` [P]."""
 
 
-def write_world(folder: Path, world: World) -> Scene:
-    """Render a world into a scene folder, without any prior; all frames are training frames.
+def write_world(folder: Path, world: World, holdout: int | None = None) -> Scene:
+    """Render a world into a scene folder, without any prior.
 
-    The truth has cameras, depth, masks, tracks, flow both ways between neighbouring frames, and ``MOVERS``.
+    The truth has cameras, depth, masks, tracks, flow both ways between neighbouring frames and neighbouring training frames, and
+    ``MOVERS``.
+
+    Args:
+        holdout: every how many frames one is held out; None = none.
 
     Raises:
         InputError: the folder cannot be written.
@@ -31,7 +35,7 @@ def write_world(folder: Path, world: World) -> Scene:
         width=world.width,
         height=world.height,
         timestamps=world.timestamps.tolist(),
-        holdout=None,
+        holdout=holdout,
         source_fps=world.fps,
     )
     truth = scene.create_truth()
@@ -40,10 +44,12 @@ def write_world(folder: Path, world: World) -> Scene:
         depth, mask = world.geometry(i)
         truth.write_depth(i, Depth(depth, depth * 0 + 1))
         truth.write_mask(i, mask)
+        if i in scene.heldout_frames:
+            scene.heldout_masks.write_mask(i, mask)
     truth.write_cameras([world.camera(i) for i in range(world.frames)])
     tracks, owners = world.tracks()
     truth.write_tracks(tracks)
-    for i, j in pairwise(range(world.frames)):
+    for i, j in sorted({*pairwise(range(world.frames)), *pairwise(scene.train_frames)}):
         truth.write_flow(world.flow(i, j))
         truth.write_flow(world.flow(j, i))
     movers = [world.describe(number + 1) for number in range(len(world.movers))]

@@ -1,0 +1,242 @@
+"""How the pixels of movers move around one frame: followed along flow and depth, and fitted together with their neighbours. Ours.
+
+A pixel alone is followed badly: for a frame or two on a fast limb, with depth that jumps from frame to frame. Its neighbours on the
+same part share one motion, and where the part turns it is an affine function of the place at every time (to first order
+omega x r, to second omega x (omega x r)). So at nodes all over a mover a path that is a polynomial in time and affine in the
+picture is fitted to all pixels around that move alike, and every pixel takes the motion of the nodes that explain its own path.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from flowsplat.gaussians.observations import Observations
+from flowsplat.geometry.interpolation import sample_map
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
+
+NODES, SMALLEST_GAP = 0.0125, 4.5
+"""Widths of the picture between two nodes, and pixels at least."""
+REACH = 1.5
+"""Standard deviation, in gaps between nodes, of how far around a node pixels count."""
+NEIGHBOURS = 48
+"""Pixels that are asked at a node."""
+DENSITY = 3
+"""As many pixels in a gap between two nodes are followed, beside those whose motion is wanted."""
+CHOICE, AT_A_TIME = 8, 20_000
+"""Nodes among which a pixel chooses, and how many pixels do so at a time, for the memory."""
+COLOURS, LEAST_ALIKE = 30.0, 9.0
+"""Grey levels by which colours of one part differ, and the square, in these, beyond which it makes no difference."""
+LIKE, LEAST_LIKE = 0.5, 50.0
+"""The same of paths, in pixels."""
+ROUNDS = 4
+"""Of reweighting."""
+FADING = 0.8
+"""Standard deviation, in those of the presence, of how much a time counts that is so far off."""
+UNSURE, LEAST_SURE = 2.0, 1e-3
+"""Flow that does not come back counts this power of its confidence, where that is not less than the second number: it is often
+right, and the neighbours judge."""
+RIDGE, GRADIENT_RIDGE = 1e-3, 1e-1
+"""Of the first order in time, in shares of what the observations weigh: ten times as much for every further order."""
+HELD = 0.5
+"""Of the pixels around a place, by their weight, what share must belong to the mover."""
+ALONG_RAY = 0.1
+"""What a pixel along the ray counts, relative to one across it."""
+
+
+@dataclass(frozen=True)
+class _Paths:
+    """Pixels [N] of a frame and where they went, in pixels along its camera's axes: sums over the times at which each was seen.
+
+    Attributes:
+        points: [N, 2] pixels.
+        colours: [N, 3] grey levels.
+        normal: [N, order, order] of w b b^T, with b the powers of time.
+        right: [N, order, 3] of w b d^T, with d the way from the start; along the ray it counts ``ALONG_RAY``.
+        square: [N] of w d^T d.
+        weight: [N] of w; 0 where a pixel was never found again.
+    """
+
+    points: np.ndarray
+    colours: np.ndarray
+    normal: np.ndarray
+    right: np.ndarray
+    square: np.ndarray
+    weight: np.ndarray
+
+
+def fit_motion(observations: Observations, k: int, wanted: np.ndarray, sigma: float, order: int, reach: int) -> np.ndarray:
+    """Polynomial coefficients [N, order, 3] of the paths of some pixels of frame ``k`` about its time; 0 where nothing is known.
+
+    Args:
+        wanted: [H, W] bool, which pixels of movers.
+        sigma: clip time for which they are present.
+        order: of the polynomial.
+        reach: training frames to either side in which they are followed.
+    """
+    frame = observations[k]
+    gap = max(SMALLEST_GAP, NODES * observations.size[0])
+    step = max(1, round(gap / DENSITY))
+    y, x = np.mgrid[: wanted.shape[0], : wanted.shape[1]]
+    evenly = (x % step == step // 2) & (y % step == step // 2)
+    rows, columns = np.nonzero(frame.mask & (wanted | evenly))
+    asked, evenly = wanted[rows, columns], evenly[rows, columns]
+    points = np.stack([columns, rows], 1) + 0.5
+    start = frame.camera.unproject(points, frame.depth[rows, columns].astype(np.float64))
+    # Metres that a pixel spans at the place of each.
+    unit = frame.depth[rows, columns].astype(np.float64) / frame.camera.K[0, 0]
+    axes = np.array([1, 1, ALONG_RAY])[:, None] * frame.camera.viewmat[:3, :3]
+    normal, right = np.zeros((len(points), order, order)), np.zeros((len(points), order, 3))
+    square, total = np.zeros(len(points)), np.zeros(len(points))
+    for time, (world, sure) in follow(observations, k, points, reach).items():
+        tau = (time - frame.time) / sigma
+        basis, weight = tau ** np.arange(1, order + 1), np.exp(-0.5 * (tau / FADING) ** 2) * sure
+        moved = np.where(sure[:, None] > 0, world - start, 0) @ axes.T / unit[:, None]
+        normal += weight[:, None, None] * np.outer(basis, basis)
+        right += (weight[:, None] * moved)[:, None] * basis[:, None]
+        square += weight * (moved**2).sum(1)
+        total += weight
+    paths = _Paths(points, frame.image[rows, columns].astype(np.float64), normal, right, square, total)
+    coefficients, owners = np.zeros((len(points), order, 3)), frame.movers[rows, columns]
+    for number in np.unique(owners[asked]):
+        mine = owners == number
+        sources = np.flatnonzero(mine & evenly & (total > 0))
+        if len(sources) == 0:  # The nearest ones, whosever they are, are the best guess.
+            sources = np.flatnonzero(total > 0)
+        if len(sources):
+            queries = np.flatnonzero(mine & asked)
+            coefficients[queries] = _joint(paths, np.flatnonzero(mine), sources, queries, gap)
+    scale = unit[asked, None, None] / sigma ** np.arange(1, order + 1)[:, None]
+    return np.asarray((coefficients[asked] * scale) @ np.linalg.inv(axes).T)
+
+
+def follow(
+    observations: Observations, k: int, points: np.ndarray, reach: int
+) -> dict[float, tuple[np.ndarray, np.ndarray]]:
+    """3D positions [N, 3] of pixels of frame k at the times of its neighbours, along flow and depth, and how sure they are [N].
+
+    Sure as the least sure flow on the way, 0 where lost. Between pixels, flow and depth are those of the mover's pixels around,
+    never mixed with those of what is behind it.
+    """
+    found: dict[float, tuple[np.ndarray, np.ndarray]] = {}
+    for step in (1, -1):
+        here, sure, current = points.astype(np.float32), np.ones(len(points)), k
+        for _ in range(reach):
+            frame = observations[current]
+            flow = frame.forward if step > 0 else frame.backward
+            if flow is None:
+                break
+            weight = np.where(flow.trusted, 1, flow.confidence**UNSURE)
+            moved, share = _inside(np.dstack([flow.flow, weight.astype(np.float32)]), frame.mask, here)
+            sure = np.where(share > HELD, np.minimum(sure, moved[:, 2]), 0)
+            here = np.where(sure[:, None] > 0, here + moved[:, :2], here)
+            current += step
+            frame = observations[current]
+            depth, share = _inside(frame.depth[..., None], frame.mask, here)
+            sure = np.where((share > HELD) & (sure > LEAST_SURE), sure, 0)
+            if not sure.any():
+                break
+            world = frame.camera.unproject(here, np.where(sure > 0, depth[:, 0], 1).astype(np.float64))
+            found[frame.time] = world, sure
+    return found
+
+
+def _inside(values: np.ndarray, mask: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Values [N, C] of a map [H, W, C] at points [N, 2], of the pixels in a mask alone, and their share of those around [N]."""
+    weight = mask.astype(np.float32)
+    share = sample_map(weight, points)[:, 0]
+    height, width = mask.shape
+    share[~((points > 0) & (points < [width, height])).all(1)] = 0
+    return sample_map(values * weight[..., None], points) / np.maximum(share, 1e-6)[:, None], share
+
+
+def _joint(paths: _Paths, mine: np.ndarray, sources: np.ndarray, queries: np.ndarray, gap: float) -> np.ndarray:
+    """Motion [Q, order, 3] of the pixels ``queries`` of a mover that has the pixels ``mine``, from its pixels ``sources``."""
+    from scipy.spatial import cKDTree  # A quarter of a second, which those who only look at a scene need not wait.
+
+    nodes = _nodes(paths.points, mine, gap)
+    away, index = _nearest(cKDTree(paths.points[sources]), paths.points[nodes], min(NEIGHBOURS, len(sources)))
+    motion = _fit(paths, nodes, sources[index], away, gap)
+    tree = cKDTree(paths.points[nodes])
+    parts = [queries[first : first + AT_A_TIME] for first in range(0, len(queries), AT_A_TIME)]
+    return np.concatenate([_chosen(paths, nodes, motion, tree, part, gap) for part in parts])
+
+
+def _chosen(
+    paths: _Paths, nodes: np.ndarray, motion: np.ndarray, tree: cKDTree, queries: np.ndarray, gap: float
+) -> np.ndarray:
+    """Motion [Q, order, 3] of pixels from that of the nodes: of those around that explain their own paths and have their colour."""
+    away, index = _nearest(tree, paths.points[queries], min(CHOICE, len(nodes)))
+    place = _placed(paths.points[queries][:, None], paths.points[nodes[index]], gap)
+    models = (place[..., None, None] * motion[index]).sum(-3)
+    cost = (away / gap) ** 2 + np.minimum(_unlike(paths, queries[:, None], nodes[index]), LEAST_ALIKE)
+    cost += np.minimum(_misfit(paths, queries[:, None], models) / LIKE**2, LEAST_LIKE)
+    share = np.exp(-0.5 * (cost - cost.min(1, keepdims=True)))
+    share /= share.sum(1, keepdims=True)
+    return np.asarray((share[..., None, None] * models).sum(1))
+
+
+def _fit(paths: _Paths, nodes: np.ndarray, index: np.ndarray, away: np.ndarray, gap: float) -> np.ndarray:
+    """Motion [M, 3 (constant, across, down), order, 3] at the nodes, of the pixels ``index`` [M, K] around that move alike."""
+    place = _placed(paths.points[index], paths.points[nodes][:, None], gap)
+    prior = np.exp(-0.5 * np.minimum(away / (REACH * gap), 4) ** 2) / (1 + _unlike(paths, index, nodes[:, None])) + 1e-6
+    (count, around), order = index.shape, paths.normal.shape[-1]
+    ridges = np.concatenate([RIDGE * 10.0 ** np.arange(order), np.tile(GRADIENT_RIDGE * 10.0 ** np.arange(order), 2)])
+    normal, right = paths.normal[index].reshape(count, around, -1), paths.right[index].reshape(count, around, -1)
+    squares = (place[..., :, None] * place[..., None, :]).reshape(count, around, 9)
+    factor = np.ones(index.shape)
+    for _ in range(ROUNDS):
+        w = (prior * factor)[..., None]
+        A = ((w * squares).transpose(0, 2, 1) @ normal).reshape(count, 3, 3, order, order).transpose(0, 1, 3, 2, 4)
+        b = ((w * place).transpose(0, 2, 1) @ right).reshape(count, 3 * order, 3)
+        ridge = (w[..., 0] * paths.weight[index]).sum(1)[:, None] * ridges
+        C = np.linalg.solve(A.reshape(count, 3 * order, -1) + ridge[:, None] * np.eye(3 * order), b).reshape(count, 3, order, 3)
+        rest = _misfit(paths, index, (place[..., None, None] * C[:, None]).sum(-3))
+        factor = 1 / (1 + rest / np.maximum(_weighted_median(rest, prior), LIKE**2)[:, None])
+    return np.asarray(C)
+
+
+def _nodes(points: np.ndarray, mine: np.ndarray, gap: float) -> np.ndarray:
+    """Of pixels ``mine``, those nearest to the middle of every cell that is ``gap`` wide."""
+    cell = np.floor(points[mine] / gap)
+    off = np.linalg.norm(points[mine] / gap - cell - 0.5, axis=1)
+    order = np.lexsort((off, cell[:, 0], cell[:, 1]))
+    first = np.ones(len(order), bool)
+    first[1:] = (cell[order][1:] != cell[order][:-1]).any(1)
+    return np.asarray(mine[order[first]])
+
+
+def _nearest(tree: cKDTree, points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Distances and indices [N, count]."""
+    away, index = tree.query(points, k=count)
+    return away.reshape(-1, count), index.reshape(-1, count)
+
+
+def _placed(points: np.ndarray, nodes: np.ndarray, gap: float) -> np.ndarray:
+    """[..., 3]: 1, and how far points are from nodes, across and down."""
+    offsets = (points - nodes) / (REACH * gap)
+    return np.concatenate([np.ones((*offsets.shape[:-1], 1)), offsets], -1)
+
+
+def _unlike(paths: _Paths, pixels: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """[...] squares of how much colours differ."""
+    return np.asarray(((paths.colours[pixels] - paths.colours[others]) ** 2).sum(-1) / COLOURS**2)
+
+
+def _misfit(paths: _Paths, pixels: np.ndarray, models: np.ndarray) -> np.ndarray:
+    """[...] mean squares in pixels of what motions [..., order, 3] leave of the paths of pixels [...]; 0 for one without any."""
+    left = paths.square[pixels] - 2 * (models * paths.right[pixels]).sum((-2, -1))
+    left = left + (models * (paths.normal[pixels] @ models)).sum((-2, -1))
+    return np.asarray(np.maximum(left, 0) / np.maximum(paths.weight[pixels], 1e-9))
+
+
+def _weighted_median(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """[M] of values [M, K]."""
+    order = np.argsort(values, 1)
+    summed = np.cumsum(np.take_along_axis(weights, order, 1), 1)
+    middle = (summed < 0.5 * summed[:, -1:]).sum(1)
+    return np.take_along_axis(values, np.take_along_axis(order, middle[:, None], 1), 1)[:, 0]
