@@ -63,7 +63,7 @@ class CleanPlate:
             frame, depth.astype(np.float32), *_poses(self._cameras[k], [self._cameras[j] for j in others]),
             np.stack([self._frame(j) for j in others]), self._blocked[others],
         )  # fmt: skip
-        return np.where(count >= ENOUGH, _difference(frame, plate), -1)
+        return np.where(count >= ENOUGH, difference(frame, plate), -1)
 
 
 def _poses(camera: Camera, others: list[Camera]) -> tuple[np.ndarray, np.ndarray]:
@@ -117,8 +117,12 @@ def _plate(
     return plate, count
 
 
-def _difference(frame: np.ndarray, plate: np.ndarray) -> np.ndarray:
-    """[H, W] float32: how far a frame is off its plate, whose brightness may change, over its noise there."""
+def difference(frame: np.ndarray, plate: np.ndarray, spread: np.ndarray | float = 0.0) -> np.ndarray:
+    """[H, W] float32: how far a frame is off its plate, whose brightness may change, over its noise there.
+
+    Args:
+        spread: mean squared difference [H, W] of what it is made from.
+    """
     image = frame.astype(np.float32)
     size = (SHADE, SHADE)
     shade = cv2.boxFilter((image * plate).sum(-1), -1, size) / np.maximum(cv2.boxFilter((plate * plate).sum(-1), -1, size), 1)
@@ -127,4 +131,4 @@ def _difference(frame: np.ndarray, plate: np.ndarray) -> np.ndarray:
     smooth = cv2.GaussianBlur(image, (0, 0), 1.0)
     slope = sum((cv2.Sobel(smooth, cv2.CV_32F, *axes, scale=1 / 8) ** 2).mean(-1) for axes in ((1, 0), (0, 1)))
     steepest = cv2.dilate(slope, np.ones((3, 3), np.uint8))
-    return np.sqrt(squared / (NOISE**2 + SHIFT**2 * steepest)).astype(np.float32)
+    return np.sqrt(squared / (NOISE**2 + SHIFT**2 * steepest + spread)).astype(np.float32)

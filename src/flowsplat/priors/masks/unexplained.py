@@ -1,0 +1,214 @@
+"""What the still scene does not explain, in colour, over all frames: evidence that needs no flow in the frame itself.
+
+Other frames that are sure of the static depth are carried to a frame, and vote on what it should see at each of its pixels: a
+surface on which enough of them agree is there, and not hidden by anything still. Where the frame looks like none of these
+surfaces, something stands before them that does not rest.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numba import prange
+
+from flowsplat.common.kernels import parallel_kernel
+from flowsplat.common.spread import spread
+from flowsplat.priors.background.matched_clip import MatchedClip
+from flowsplat.priors.background.reprojection import carried
+from flowsplat.priors.background.static_depth import Background, StaticDepth
+from flowsplat.priors.masks.plate import difference
+
+WITNESSES = 16
+"""Other frames that are asked, evenly over a piece of the clip."""
+
+SAME = 0.04
+"""Share of the inverse depth by which two values of one surface differ at most."""
+
+ENOUGH, LEAST = 0.25, 2
+"""Share of the frames that see anything at a pixel, and number of them, that must agree on a surface."""
+
+SURFACES = 3
+"""That are compared with a pixel at most, those of the most votes."""
+
+AGREEING = 0.33
+"""Share of the frames that look most like the pixel, whose last one is compared with it."""
+
+
+DOUBTED = 1.2
+"""Multiples of its noise by which a pixel must differ from every surface to be looked for at other depths."""
+
+NEAR = 6.0
+"""Largest inverse depth at which it is looked for, in those of the clip's median."""
+
+ALIKE, FEWEST = 12.0, 4
+"""Mean difference of 3 x 3 pixels in grey levels up to which another frame shows the same, and frames that must see a place."""
+
+
+class Unexplained:
+    """Compares the training frames of a clip with what others know of the still scene, at working resolution."""
+
+    def __init__(self, clip: MatchedClip, background: StaticDepth):
+        self._clip, self._background = clip, background
+        self._image = lru_cache(maxsize=None)(clip.image)
+        self._sure = lru_cache(maxsize=None)(self._known)
+
+    def residual(self, k: int) -> np.ndarray:
+        """How many times its noise a frame differs from all surfaces that others see there, [h, w] float32; -1 is unknown."""
+        clip, image = self._clip, self._image(k)
+        piece = [j for j in range(len(clip)) if clip.continuity.joined(k, j) and j != k]
+        others = [piece[n] for n in spread(len(piece), min(WITNESSES, len(piece)))] if piece else []
+        if len(others) < LEAST:
+            return np.full(image.shape[:2], -1, np.float32)
+        cameras = [clip.cameras[j] for j in others]
+        values = np.stack([self._carried(j, k) for j in others])
+        intrinsics = np.array([c.intrinsics for c in (clip.cameras[k], *cameras)], np.float32)
+        poses = np.array([camera.pose_from(clip.cameras[k]) for camera in cameras], np.float32)
+        frames = np.stack([self._image(j) for j in others])
+        plates, scatter, counts = _plates(image, values, intrinsics, poses, frames)
+        off = np.stack([np.where(counts[s] > 0, difference(image, plates[s], scatter[s]), np.inf) for s in range(SURFACES)]).min(0)
+        off = np.where(np.isfinite(off), off, -1).astype(np.float32)
+        self.support = np.zeros_like(off)
+        if clip.has_parallax:
+            self.support = _support(image, off > DOUBTED, np.float32(NEAR * clip.median), intrinsics, poses, frames)
+        return off
+
+    def _known(self, j: int) -> tuple[np.ndarray, np.ndarray]:
+        if isinstance(self._background, Background):
+            inverse, weight, _ = self._background.sure(j)
+            return inverse, weight
+        return self._background.filled(j)
+
+    def _carried(self, j: int, k: int) -> np.ndarray:
+        """Inverse depth that frame j is sure of, at the pixels of frame k; 0 where it knows none."""
+        if not self._clip.has_parallax:
+            return self._background.plate(k)
+        seen, _ = carried(*self._sure(j), self._clip.cameras[j], self._clip.cameras[k])
+        # Nearer cameras see the same surface with gaps between its pixels.
+        closed = cv2.morphologyEx(seen, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+        return np.where(seen > 0, seen, closed)
+
+
+@parallel_kernel
+def _plates(
+    frame: np.ndarray, values: np.ndarray, intrinsics: np.ndarray, poses: np.ndarray, frames: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(colours [S, h, w, 3], their mean squared differences [S, h, w], number of frames) of surfaces that frames agree on."""
+    J, H, W = values.shape
+    half, one, same = np.float32(0.5), np.float32(1), np.float32(SAME)
+    plates, counts = np.zeros((SURFACES, H, W, 3), np.float32), np.zeros((SURFACES, H, W), np.uint8)
+    spread = np.zeros((SURFACES, H, W), np.float32)
+    K = intrinsics[0]
+    for y in prange(H):
+        votes, used = np.empty(J, np.int64), np.empty(J, np.bool_)
+        seen, apart = np.empty((J, 3), np.float32), np.empty(J, np.float32)
+        for x in range(W):
+            said = 0
+            for a in range(J):
+                used[a] = values[a, y, x] <= 0
+                said += not used[a]
+            needed = max(LEAST, int(np.ceil(ENOUGH * said)))
+            for s in range(SURFACES):
+                best, most = -1, 0
+                for a in range(J):
+                    votes[a] = 0
+                    if used[a]:
+                        continue
+                    for b in range(J):
+                        if not used[b] and abs(values[b, y, x] - values[a, y, x]) <= same * values[a, y, x]:
+                            votes[a] += 1
+                    if votes[a] > most:
+                        best, most = a, votes[a]
+                if most < needed:
+                    break
+                centre, total, n = values[best, y, x], np.float32(0), 0
+                for b in range(J):
+                    if not used[b] and abs(values[b, y, x] - centre) <= same * centre:
+                        total += values[b, y, x]
+                z = one / (total / np.float32(most))
+                px, py = (x + half - K[2]) / K[0] * z, (y + half - K[3]) / K[1] * z
+                for j in range(J):
+                    if used[j] or abs(values[j, y, x] - centre) > same * centre:
+                        continue
+                    used[j] = True
+                    P, L = poses[j], intrinsics[j + 1]
+                    qz = P[2, 0] * px + P[2, 1] * py + P[2, 2] * z + P[2, 3]
+                    if qz <= np.float32(1e-6) * z:
+                        continue
+                    u = L[0] * (P[0, 0] * px + P[0, 1] * py + P[0, 2] * z + P[0, 3]) / qz + L[2] - half
+                    v = L[1] * (P[1, 0] * px + P[1, 1] * py + P[1, 2] * z + P[1, 3]) / qz + L[3] - half
+                    if not (u >= 0 and v >= 0 and u <= W - 1 and v <= H - 1):
+                        continue
+                    c, r = min(int(u), W - 2), min(int(v), H - 2)
+                    a0, b0 = u - np.float32(c), v - np.float32(r)
+                    distance = np.float32(0)
+                    for q in range(3):
+                        above = (one - a0) * frames[j, r, c, q] + a0 * frames[j, r, c + 1, q]
+                        below = (one - a0) * frames[j, r + 1, c, q] + a0 * frames[j, r + 1, c + 1, q]
+                        seen[n, q] = (one - b0) * above + b0 * below
+                        distance += (seen[n, q] - frame[y, x, q]) ** 2
+                    apart[n] = distance
+                    n += 1
+                counts[s, y, x] = n
+                if n > 0:
+                    chosen = np.argsort(apart[:n])[int(np.float32(AGREEING) * (n - 1) + half)]
+                    for q in range(3):
+                        plates[s, y, x, q] = seen[chosen, q]
+                    for j in range(n):
+                        apart[j] = np.float32(0)
+                        for q in range(3):
+                            apart[j] += (seen[j, q] - plates[s, y, x, q]) ** 2
+                    # Half of the frames agree so well.
+                    spread[s, y, x] = np.sort(apart[:n])[n // 2] / np.float32(3)
+    return plates, spread, counts
+
+
+@parallel_kernel
+def _support(
+    frame: np.ndarray, asked: np.ndarray, near: np.float32, intrinsics: np.ndarray, poses: np.ndarray, frames: np.ndarray
+) -> np.ndarray:
+    """[h, w] float32: the largest share of the frames that look like a pixel at one depth, nearer than far; 0 where not asked."""
+    J, H, W = frames.shape[:3]
+    half = np.float32(0.5)
+    result = np.zeros((H, W), np.float32)
+    K = intrinsics[0]
+    for y in prange(H):
+        rays = np.empty((J, 3), np.float32)
+        for x in range(W):
+            if not asked[y, x] or y < 1 or x < 1 or y > H - 2 or x > W - 2:
+                continue
+            dx, dy = (x + half - K[2]) / K[0], (y + half - K[3]) / K[1]
+            longest = np.float32(0)
+            for j in range(J):
+                for r in range(3):
+                    rays[j, r] = poses[j, r, 0] * dx + poses[j, r, 1] * dy + poses[j, r, 2]
+                reach = np.float32(0)
+                for r in range(2):
+                    reach += (poses[j, r, 3]) ** 2
+                longest = max(longest, np.sqrt(reach) * near * K[0])
+            steps = min(max(int(longest), 8), 200)
+            best = np.float32(0)
+            for n in range(steps):
+                w = near * np.float32(n + 1) / np.float32(steps)
+                agree, said = 0, 0
+                for j in range(J):
+                    z = rays[j, 2] + w * poses[j, 2, 3]
+                    if z <= np.float32(1e-6):
+                        continue
+                    u = intrinsics[j + 1, 0] * (rays[j, 0] + w * poses[j, 0, 3]) / z + intrinsics[j + 1, 2]
+                    v = intrinsics[j + 1, 1] * (rays[j, 1] + w * poses[j, 1, 3]) / z + intrinsics[j + 1, 3]
+                    c, r = int(np.floor(u)), int(np.floor(v))
+                    if c < 1 or r < 1 or c > W - 2 or r > H - 2:
+                        continue
+                    said += 1
+                    total = np.float32(0)
+                    for b in range(-1, 2):
+                        for a in range(-1, 2):
+                            for q in range(3):
+                                total += abs(np.float32(frame[y + b, x + a, q]) - np.float32(frames[j, r + b, c + a, q]))
+                    agree += total < np.float32(27 * ALIKE)
+                if said >= FEWEST:
+                    best = max(best, np.float32(agree) / np.float32(said))
+            result[y, x] = best
+    return result
