@@ -17,6 +17,8 @@ from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.geometry.interpolation import sample_map
 from flowsplat.pictures.edge_smoothing import EdgeSmoother
 from flowsplat.priors.background.matched_clip import RESTS, MatchedClip
+from flowsplat.priors.background.static_depth import StaticDepth
+from flowsplat.priors.masks.unexplained import Unexplained
 from flowsplat.scenes.layers import TRUSTED
 
 STRONGEST = 1.5
@@ -24,6 +26,8 @@ STRONGEST = 1.5
 
 USUAL, CALMEST = 3.5, 1.0
 """Multiples of the median motion of all pixels that are neither evidence of motion nor of rest, and the least that may be."""
+OF_COLOUR = 0.4
+"""Weight of what the still scene does not explain: evidence of matches counts 2.5 times as much as it says."""
 SAMPLES = 24
 """Frames that the median is taken from."""
 SHARE, AROUND = 0.35, 0.04
@@ -42,10 +46,18 @@ SMALLEST = 0.001
 _SMOOTHNESS, _COLOUR_SIGMA = 10.0, 12.0
 
 
-def motion_evidence(clip: MatchedClip) -> list[np.ndarray]:
-    """Summed evidence [h, w] float16 at working resolution of every training frame: positive where something moves."""
-    rests = resting_motion(clip)
-    sums = propagated(clip, lambda k: own_evidence(clip, k, rests), clip.step_flow, MEMORY)
+def motion_evidence(clip: MatchedClip, background: StaticDepth) -> list[np.ndarray]:
+    """Summed evidence [h, w] float16 at working resolution of every training frame: positive where something moves.
+
+    Args:
+        background: the still scene, as far as it is known without masks.
+    """
+    rests, unexplained = resting_motion(clip), Unexplained(clip, background)
+    own = [
+        (own_evidence(clip, k, rests) + np.float32(OF_COLOUR) * unexplained.evidence(k)).astype(np.float16)
+        for k in track(range(len(clip)), "What the still scene explains")
+    ]
+    sums = propagated(clip, own.__getitem__, clip.step_flow, MEMORY)
     return [total.astype(np.float16) for total in track(sums, "What moves", len(clip))][::-1]
 
 

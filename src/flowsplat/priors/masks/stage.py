@@ -57,7 +57,7 @@ def mask_stage(scene: Scene, estimate: FlowEstimator = dis_estimator) -> None:
     if scene.prior("masks") is not None:
         return
     clip = MatchedClip(scene, estimate)
-    motion = motion_evidence(clip)
+    motion = motion_evidence(clip, static_depth(clip, False))
     for k, i in enumerate(scene.train_frames):
         scene.write_mask(i, rough_cut(motion[k], scene.frame(i)))
     if any(scene.mask(i).any() for i in scene.train_frames):

@@ -17,7 +17,7 @@ from flowsplat.common.kernels import parallel_kernel
 from flowsplat.common.spread import spread
 from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.reprojection import carried
-from flowsplat.priors.background.static_depth import Background, StaticDepth
+from flowsplat.priors.background.static_depth import StaticDepth
 from flowsplat.priors.masks.plate import difference
 
 WITNESSES = 16
@@ -46,6 +46,16 @@ ALIKE, FEWEST = 12.0, 4
 """Mean difference of 3 x 3 pixels in grey levels up to which another frame shows the same, and frames that must see a place."""
 
 
+ODDS = (0.0, 0.5, 0.7, 1.05, 1.35, 2.0, 2.5, 3.4), (-2.0, -1.5, 1.0, 2.0, 4.0, 5.0, 5.7, 6.5)
+"""Multiples of the noise, and the logarithm to base 2 of how much more often movers differ so much than what rests."""
+
+EXPLAINED = (0.3, 2.0), (0.7, 0.0)
+"""Shares of frames that look like a pixel at another depth, from which that logarithm is at most so much."""
+
+SUPPORTED = 1.0
+"""Weight from which static depth of another frame counts: less than alone, because frames must agree."""
+
+
 class Unexplained:
     """Compares the training frames of a clip with what others know of the still scene, at working resolution."""
 
@@ -54,13 +64,30 @@ class Unexplained:
         self._image = lru_cache(maxsize=None)(clip.image)
         self._sure = lru_cache(maxsize=None)(self._known)
 
-    def residual(self, k: int) -> np.ndarray:
-        """How many times its noise a frame differs from all surfaces that others see there, [h, w] float32; -1 is unknown."""
+    def evidence(self, k: int) -> np.ndarray:
+        """Logarithm to base 2 [h, w] float32 of how much more often movers look like this; 0 is unknown.
+
+        As counted in ten random worlds of 40 pictures and ten of 12 wide ones: it was the same in both.
+        """
+        off, support = self.residual(k)
+        found = np.interp(off, *ODDS)
+        for share, most in EXPLAINED:
+            found = np.where(support >= share, np.minimum(found, most), found)
+        return np.where(off >= 0, found, 0).astype(np.float32)
+
+    def residual(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """How far a frame is from what others see there.
+
+        Returns:
+            multiples of its noise by which it differs from all surfaces that others agree on, -1 where there are none; and the
+            largest share of other frames that look like the pixel at one depth, 0 where it differs from no surface. Both
+            [h, w] float32.
+        """
         clip, image = self._clip, self._image(k)
         piece = [j for j in range(len(clip)) if clip.continuity.joined(k, j) and j != k]
         others = [piece[n] for n in spread(len(piece), min(WITNESSES, len(piece)))] if piece else []
         if len(others) < LEAST:
-            return np.full(image.shape[:2], -1, np.float32)
+            return np.full(image.shape[:2], -1, np.float32), np.zeros(image.shape[:2], np.float32)
         cameras = [clip.cameras[j] for j in others]
         values = np.stack([self._carried(j, k) for j in others])
         intrinsics = np.array([c.intrinsics for c in (clip.cameras[k], *cameras)], np.float32)
@@ -69,16 +96,13 @@ class Unexplained:
         plates, scatter, counts = _plates(image, values, intrinsics, poses, frames)
         off = np.stack([np.where(counts[s] > 0, difference(image, plates[s], scatter[s]), np.inf) for s in range(SURFACES)]).min(0)
         off = np.where(np.isfinite(off), off, -1).astype(np.float32)
-        self.support = np.zeros_like(off)
-        if clip.has_parallax:
-            self.support = _support(image, off > DOUBTED, np.float32(NEAR * clip.median), intrinsics, poses, frames)
-        return off
+        if not clip.has_parallax:
+            return off, np.zeros_like(off)
+        return off, _support(image, off > DOUBTED, np.float32(NEAR * clip.median), intrinsics, poses, frames)
 
     def _known(self, j: int) -> tuple[np.ndarray, np.ndarray]:
-        if isinstance(self._background, Background):
-            inverse, weight, _ = self._background.sure(j)
-            return inverse, weight
-        return self._background.filled(j)
+        inverse, weight = self._background.filled(j)
+        return inverse, np.where(weight > SUPPORTED, weight, 0).astype(np.float32)
 
     def _carried(self, j: int, k: int) -> np.ndarray:
         """Inverse depth that frame j is sure of, at the pixels of frame k; 0 where it knows none."""
