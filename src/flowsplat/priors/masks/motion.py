@@ -26,7 +26,7 @@ STRONGEST = 1.5
 
 USUAL, CALMEST = 3.5, 1.0
 """Multiples of the median motion of all pixels that are neither evidence of motion nor of rest, and the least that may be."""
-OF_COLOUR = 0.4
+OF_COLOUR = float(__import__("os").environ.get("OFC", "0.55"))
 """Weight of what the still scene does not explain: evidence of matches counts 2.5 times as much as it says."""
 SAMPLES = 24
 """Frames that the median is taken from."""

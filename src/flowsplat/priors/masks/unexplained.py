@@ -12,6 +12,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 from numba import prange
+from scipy.ndimage import map_coordinates
 
 from flowsplat.common.kernels import parallel_kernel
 from flowsplat.common.spread import spread
@@ -36,21 +37,40 @@ AGREEING = 0.33
 """Share of the frames that look most like the pixel, whose last one is compared with it."""
 
 
-DOUBTED = 1.2
+SIDE = 15.0
+"""Mean difference in grey levels from the pixel itself from which one beside it belongs to something else."""
+
+AROUND = np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
+"""Pixels that are compared, right and down."""
+
+DOUBTED = 0.5
 """Multiples of its noise by which a pixel must differ from every surface to be looked for at other depths."""
 
 NEAR = 6.0
 """Largest inverse depth at which it is looked for, in those of the clip's median."""
 
-ALIKE, FEWEST = 12.0, 4
+ALIKE, FEWEST = 10.0, 4
 """Mean difference of 3 x 3 pixels in grey levels up to which another frame shows the same, and frames that must see a place."""
 
 
-ODDS = (0.0, 0.5, 0.7, 1.05, 1.35, 2.0, 2.5, 3.4), (-2.0, -1.5, 1.0, 2.0, 4.0, 5.0, 5.7, 6.5)
-"""Multiples of the noise, and the logarithm to base 2 of how much more often movers differ so much than what rests."""
+DIFFERENCES = (0.7, 1.1, 1.6, 2.5, 3.5)
+SHARES = (0.05, 0.22, 0.37, 0.52, 0.67, 0.82, 0.97)
+ODDS = np.array([
+    [0.5, 3.0, 2.4, 2.5, 2.4, 1.2, -1.0],
+    [2.2, 3.8, 3.2, 3.0, 2.7, 1.8, -0.1],
+    [3.7, 4.5, 3.6, 3.2, 2.7, 1.9, 0.6],
+    [6.0, 5.9, 4.2, 3.5, 3.2, 2.0, 0.9],
+    [6.8, 5.8, 4.3, 4.0, 2.4, 1.8, 0.5],
+])  # fmt: skip
+"""Logarithms to base 2 of how much more often movers than still things differ so many times their noise from every surface that
+others see (rows), and look like so large a share of other frames at one depth (columns). Counted in ten random worlds of 12
+wide pictures and seven of 40 frames; both said nearly the same."""
 
-EXPLAINED = (0.3, 2.0), (0.7, 0.0)
-"""Shares of frames that look like a pixel at another depth, from which that logarithm is at most so much."""
+UNKNOWN = (1.5, 3.0, 2.1, 1.0, -0.2, -2.1, -4.0)
+"""The same where no surface is known."""
+
+LIKE = -1.75
+"""The same for what looks like a surface that others see."""
 
 SUPPORTED = 1.0
 """Weight from which static depth of another frame counts: less than alone, because frames must agree."""
@@ -65,15 +85,15 @@ class Unexplained:
         self._sure = lru_cache(maxsize=None)(self._known)
 
     def evidence(self, k: int) -> np.ndarray:
-        """Logarithm to base 2 [h, w] float32 of how much more often movers look like this; 0 is unknown.
-
-        As counted in ten random worlds of 40 pictures and ten of 12 wide ones: it was the same in both.
-        """
-        off, support = self.residual(k)
-        found = np.interp(off, *ODDS)
-        for share, most in EXPLAINED:
-            found = np.where(support >= share, np.minimum(found, most), found)
-        return np.where(off >= 0, found, 0).astype(np.float32)
+        """Logarithm to base 2 [h, w] float32 of how much more often movers than still things look like this."""
+        off, share = self.residual(k)
+        if (off < 0).all():
+            return np.zeros_like(off)
+        column = np.interp(share, SHARES, np.arange(len(SHARES)))
+        row = np.interp(off, DIFFERENCES, np.arange(len(DIFFERENCES)))
+        known = map_coordinates(ODDS, [row, column], order=1)
+        found = np.where(off < 0, np.interp(share, SHARES, UNKNOWN), np.where(off <= DOUBTED, LIKE, known))
+        return found.astype(np.float32)
 
     def residual(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         """How far a frame is from what others see there.
@@ -98,7 +118,8 @@ class Unexplained:
         off = np.where(np.isfinite(off), off, -1).astype(np.float32)
         if not clip.has_parallax:
             return off, np.zeros_like(off)
-        return off, _support(image, off > DOUBTED, np.float32(NEAR * clip.median), intrinsics, poses, frames)
+        asked = (off < 0) | (off > DOUBTED)
+        return off, np.where(asked, _support(image, asked, limits(image), np.float32(NEAR * clip.median), intrinsics, poses, frames), 1)
 
     def _known(self, j: int) -> tuple[np.ndarray, np.ndarray]:
         inverse, weight = self._background.filled(j)
@@ -188,21 +209,37 @@ def _plates(
     return plates, spread, counts
 
 
+def limits(image: np.ndarray) -> np.ndarray:
+    """[h, w] float32: mean difference in grey levels up to which another frame shows the same."""
+    smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 0.7)
+    slope = sum((cv2.Sobel(smooth, cv2.CV_32F, *axes, scale=1 / 8) ** 2).mean(-1) for axes in ((1, 0), (0, 1)))
+    return (np.float32(ALIKE) + np.float32(0.5) * np.sqrt(slope)).astype(np.float32)
+
+
 @parallel_kernel
 def _support(
-    frame: np.ndarray, asked: np.ndarray, near: np.float32, intrinsics: np.ndarray, poses: np.ndarray, frames: np.ndarray
+    frame: np.ndarray, asked: np.ndarray, limit: np.ndarray, near: np.float32, intrinsics: np.ndarray, poses: np.ndarray, frames: np.ndarray
 ) -> np.ndarray:
     """[h, w] float32: the largest share of the frames that look like a pixel at one depth, nearer than far; 0 where not asked."""
     J, H, W = frames.shape[:3]
-    half = np.float32(0.5)
+    half, one = np.float32(0.5), np.float32(1)
     result = np.zeros((H, W), np.float32)
     K = intrinsics[0]
     for y in prange(H):
-        rays = np.empty((J, 3), np.float32)
+        rays, like, here = np.empty((J, 3), np.float32), np.empty(5, np.bool_), np.empty((5, 3), np.float32)
         for x in range(W):
             if not asked[y, x] or y < 1 or x < 1 or y > H - 2 or x > W - 2:
                 continue
             dx, dy = (x + half - K[2]) / K[0], (y + half - K[3]) / K[1]
+            n_like = 0
+            for m in range(5):
+                total = np.float32(0)
+                for q in range(3):
+                    here[m, q] = np.float32(frame[y + AROUND[m, 1], x + AROUND[m, 0], q])
+                    total += abs(here[m, q] - np.float32(frame[y, x, q]))
+                like[m] = total < np.float32(3 * SIDE)
+                n_like += like[m]
+            most = np.float32(3 * n_like) * limit[y, x]
             longest = np.float32(0)
             for j in range(J):
                 for r in range(3):
@@ -220,18 +257,24 @@ def _support(
                     z = rays[j, 2] + w * poses[j, 2, 3]
                     if z <= np.float32(1e-6):
                         continue
-                    u = intrinsics[j + 1, 0] * (rays[j, 0] + w * poses[j, 0, 3]) / z + intrinsics[j + 1, 2]
-                    v = intrinsics[j + 1, 1] * (rays[j, 1] + w * poses[j, 1, 3]) / z + intrinsics[j + 1, 3]
+                    u = intrinsics[j + 1, 0] * (rays[j, 0] + w * poses[j, 0, 3]) / z + intrinsics[j + 1, 2] - half
+                    v = intrinsics[j + 1, 1] * (rays[j, 1] + w * poses[j, 1, 3]) / z + intrinsics[j + 1, 3] - half
                     c, r = int(np.floor(u)), int(np.floor(v))
-                    if c < 1 or r < 1 or c > W - 2 or r > H - 2:
+                    if c < 1 or r < 1 or c > W - 3 or r > H - 3:
                         continue
                     said += 1
+                    a1, b1 = u - np.float32(c), v - np.float32(r)
+                    a0, b0 = one - a1, one - b1
                     total = np.float32(0)
-                    for b in range(-1, 2):
-                        for a in range(-1, 2):
-                            for q in range(3):
-                                total += abs(np.float32(frame[y + b, x + a, q]) - np.float32(frames[j, r + b, c + a, q]))
-                    agree += total < np.float32(27 * ALIKE)
+                    for m in range(5):
+                        if not like[m]:
+                            continue
+                        xx, yy = c + AROUND[m, 0], r + AROUND[m, 1]
+                        for q in range(3):
+                            above = a0 * frames[j, yy, xx, q] + a1 * frames[j, yy, xx + 1, q]
+                            below = a0 * frames[j, yy + 1, xx, q] + a1 * frames[j, yy + 1, xx + 1, q]
+                            total += abs(here[m, q] - (b0 * above + b1 * below))
+                    agree += total < most
                 if said >= FEWEST:
                     best = max(best, np.float32(agree) / np.float32(said))
             result[y, x] = best
