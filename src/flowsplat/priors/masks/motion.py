@@ -26,7 +26,7 @@ STRONGEST = 1.5
 
 USUAL, CALMEST = 3.5, 1.0
 """Multiples of the median motion of all pixels that are neither evidence of motion nor of rest, and the least that may be."""
-OF_COLOUR = float(__import__("os").environ.get("OFC", "0.55"))
+OF_COLOUR = 0.7
 """Weight of what the still scene does not explain: evidence of matches counts 2.5 times as much as it says."""
 SAMPLES = 24
 """Frames that the median is taken from."""
@@ -37,8 +37,11 @@ units of the long side."""
 MEMORY = 0.9
 """Share of the evidence that a frame takes over from the next and the one before."""
 
-CERTAIN = 2.0
-"""Mean evidence that an object needs: more than one frame can give."""
+RARE = 1.5
+"""Evidence that a pixel needs, because most pixels rest."""
+
+CERTAIN = 1.0
+"""Mean evidence that an object needs."""
 
 SMALLEST = 0.001
 """Share of the picture below which an object is dropped; a hole is closed below a quarter of it."""
@@ -58,7 +61,7 @@ def motion_evidence(clip: MatchedClip, background: StaticDepth) -> list[np.ndarr
         for k in track(range(len(clip)), "What the still scene explains")
     ]
     sums = propagated(clip, own.__getitem__, clip.step_flow, MEMORY)
-    return [total.astype(np.float16) for total in track(sums, "What moves", len(clip))][::-1]
+    return [(total - RARE).astype(np.float16) for total in track(sums, "What moves", len(clip))][::-1]
 
 
 def propagated(
@@ -125,7 +128,7 @@ def rough_cut(evidence: np.ndarray, frame: np.ndarray) -> np.ndarray:
     smooth = EdgeSmoother(frame, _SMOOTHNESS, _COLOUR_SIGMA).filter(enlarged(evidence, frame))
     moving: np.ndarray = (smooth > 0).astype(np.uint8)
     # Slivers, above all along the border where matches are few.
-    moving = cv2.morphologyEx(moving, cv2.MORPH_OPEN, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7)))
+    moving = cv2.morphologyEx(moving, cv2.MORPH_OPEN, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5)))
     return parts(moving, smooth, CERTAIN)
 
 

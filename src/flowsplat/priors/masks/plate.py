@@ -59,11 +59,11 @@ class CleanPlate:
             return np.full(frame.shape[:2], -1, np.float32)
         inverse = self._background.behind(k)
         depth = 1 / np.maximum(upsample(inverse, frame, clip.scene.width, clip.scene.height), 1e-3 * float(np.median(inverse)))
-        plate, count = _plate(
+        plate, spread, count = _plate(
             frame, depth.astype(np.float32), *_poses(self._cameras[k], [self._cameras[j] for j in others]),
             np.stack([self._frame(j) for j in others]), self._blocked[others],
         )  # fmt: skip
-        return np.where(count >= ENOUGH, difference(frame, plate), -1)
+        return np.where(count >= ENOUGH, difference(frame, plate, spread), -1)
 
 
 def _poses(camera: Camera, others: list[Camera]) -> tuple[np.ndarray, np.ndarray]:
@@ -75,12 +75,18 @@ def _poses(camera: Camera, others: list[Camera]) -> tuple[np.ndarray, np.ndarray
 @parallel_kernel
 def _plate(
     frame: np.ndarray, depth: np.ndarray, intrinsics: np.ndarray, poses: np.ndarray, frames: np.ndarray, blocked: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """(colours [H, W, 3] float32, number of frames that see them [H, W]) of the static scene at the pixels of ``frame``."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The static scene at the pixels of ``frame``.
+
+    Returns:
+        colours [H, W, 3] float32, how far half of the frames that see them are from them (mean squared difference [H, W]), and
+        how many frames see them [H, W].
+    """
     H, W = depth.shape
     J = len(poses)
     half, one = np.float32(0.5), np.float32(1)
     plate, count = np.zeros((H, W, 3), np.float32), np.zeros((H, W), np.uint8)
+    spread = np.zeros((H, W), np.float32)
     K = intrinsics[0]
     for y in prange(H):
         seen, apart = np.empty((J, 3), np.float32), np.empty(J, np.float32)
@@ -114,7 +120,12 @@ def _plate(
                 chosen = np.argsort(apart[:n])[int(np.float32(AGREEING) * (n - 1) + half)]
                 for q in range(3):
                     plate[y, x, q] = seen[chosen, q]
-    return plate, count
+                for j in range(n):
+                    apart[j] = np.float32(0)
+                    for q in range(3):
+                        apart[j] += (seen[j, q] - plate[y, x, q]) ** 2
+                spread[y, x] = np.sort(apart[:n])[n // 2] / np.float32(3)
+    return plate, spread, count
 
 
 def difference(frame: np.ndarray, plate: np.ndarray, spread: np.ndarray | float = 0.0) -> np.ndarray:

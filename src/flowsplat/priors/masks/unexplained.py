@@ -40,9 +40,6 @@ AGREEING = 0.33
 SIDE = 15.0
 """Mean difference in grey levels from the pixel itself from which one beside it belongs to something else."""
 
-AROUND = np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
-"""Pixels that are compared, right and down."""
-
 DOUBTED = 0.5
 """Multiples of its noise by which a pixel must differ from every surface to be looked for at other depths."""
 
@@ -213,7 +210,7 @@ def limits(image: np.ndarray) -> np.ndarray:
     """[h, w] float32: mean difference in grey levels up to which another frame shows the same."""
     smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 0.7)
     slope = sum((cv2.Sobel(smooth, cv2.CV_32F, *axes, scale=1 / 8) ** 2).mean(-1) for axes in ((1, 0), (0, 1)))
-    return (np.float32(ALIKE) + np.float32(0.5) * np.sqrt(slope)).astype(np.float32)
+    return np.minimum(np.float32(ALIKE) + np.float32(0.5) * np.sqrt(slope), np.float32(2 * ALIKE)).astype(np.float32)
 
 
 @parallel_kernel
@@ -222,23 +219,24 @@ def _support(
 ) -> np.ndarray:
     """[h, w] float32: the largest share of the frames that look like a pixel at one depth, nearer than far; 0 where not asked."""
     J, H, W = frames.shape[:3]
-    half, one = np.float32(0.5), np.float32(1)
+    half = np.float32(0.5)
     result = np.zeros((H, W), np.float32)
     K = intrinsics[0]
     for y in prange(H):
-        rays, like, here = np.empty((J, 3), np.float32), np.empty(5, np.bool_), np.empty((5, 3), np.float32)
+        rays, like, here = np.empty((J, 3), np.float32), np.empty((3, 3), np.bool_), np.empty((3, 3, 3), np.float32)
         for x in range(W):
             if not asked[y, x] or y < 1 or x < 1 or y > H - 2 or x > W - 2:
                 continue
             dx, dy = (x + half - K[2]) / K[0], (y + half - K[3]) / K[1]
             n_like = 0
-            for m in range(5):
-                total = np.float32(0)
-                for q in range(3):
-                    here[m, q] = np.float32(frame[y + AROUND[m, 1], x + AROUND[m, 0], q])
-                    total += abs(here[m, q] - np.float32(frame[y, x, q]))
-                like[m] = total < np.float32(3 * SIDE)
-                n_like += like[m]
+            for b in range(3):
+                for a in range(3):
+                    total = np.float32(0)
+                    for q in range(3):
+                        here[b, a, q] = np.float32(frame[y + b - 1, x + a - 1, q])
+                        total += abs(here[b, a, q] - np.float32(frame[y, x, q]))
+                    like[b, a] = total < np.float32(3 * SIDE)
+                    n_like += like[b, a]
             most = np.float32(3 * n_like) * limit[y, x]
             longest = np.float32(0)
             for j in range(J):
@@ -257,23 +255,18 @@ def _support(
                     z = rays[j, 2] + w * poses[j, 2, 3]
                     if z <= np.float32(1e-6):
                         continue
-                    u = intrinsics[j + 1, 0] * (rays[j, 0] + w * poses[j, 0, 3]) / z + intrinsics[j + 1, 2] - half
-                    v = intrinsics[j + 1, 1] * (rays[j, 1] + w * poses[j, 1, 3]) / z + intrinsics[j + 1, 3] - half
+                    u = intrinsics[j + 1, 0] * (rays[j, 0] + w * poses[j, 0, 3]) / z + intrinsics[j + 1, 2]
+                    v = intrinsics[j + 1, 1] * (rays[j, 1] + w * poses[j, 1, 3]) / z + intrinsics[j + 1, 3]
                     c, r = int(np.floor(u)), int(np.floor(v))
-                    if c < 1 or r < 1 or c > W - 3 or r > H - 3:
+                    if c < 1 or r < 1 or c > W - 2 or r > H - 2:
                         continue
                     said += 1
-                    a1, b1 = u - np.float32(c), v - np.float32(r)
-                    a0, b0 = one - a1, one - b1
                     total = np.float32(0)
-                    for m in range(5):
-                        if not like[m]:
-                            continue
-                        xx, yy = c + AROUND[m, 0], r + AROUND[m, 1]
-                        for q in range(3):
-                            above = a0 * frames[j, yy, xx, q] + a1 * frames[j, yy, xx + 1, q]
-                            below = a0 * frames[j, yy + 1, xx, q] + a1 * frames[j, yy + 1, xx + 1, q]
-                            total += abs(here[m, q] - (b0 * above + b1 * below))
+                    for b in range(3):
+                        for a in range(3):
+                            if like[b, a]:
+                                for q in range(3):
+                                    total += abs(here[b, a, q] - np.float32(frames[j, r + b - 1, c + a - 1, q]))
                     agree += total < most
                 if said >= FEWEST:
                     best = max(best, np.float32(agree) / np.float32(said))
