@@ -43,8 +43,11 @@ SIDE = 15.0
 DOUBTED = 0.5
 """Multiples of its noise by which a pixel must differ from every surface to be looked for at other depths."""
 
-NEAR = 6.0
+NEAR = 20.0
 """Largest inverse depth at which it is looked for, in those of the clip's median."""
+
+MOST = 400
+"""Depths that are tried at most, a working pixel apart in the frame that sees them shift most."""
 
 ALIKE, FEWEST = 10.0, 4
 """Mean difference of 3 x 3 pixels in grey levels up to which another frame shows the same, and frames that must see a place."""
@@ -246,7 +249,7 @@ def _support(
                 for r in range(2):
                     reach += (poses[j, r, 3]) ** 2
                 longest = max(longest, np.sqrt(reach) * near * K[0])
-            steps = min(max(int(longest), 8), 200)
+            steps = min(max(int(longest), 8), MOST)
             best = np.float32(0)
             for n in range(steps):
                 w = near * np.float32(n + 1) / np.float32(steps)
