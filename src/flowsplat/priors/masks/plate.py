@@ -22,6 +22,9 @@ from flowsplat.priors.background.static_depth import StaticDepth
 SEEN_FROM = (4, 8, 12, 16, 24, 32, 48)
 """Training frames before and after, whose pictures are compared."""
 
+FEW = 16
+"""Training frames of a clip up to which all others are compared: few pictures lie far apart."""
+
 ENOUGH = 2
 """Frames that must see a pixel's static point for its picture to count."""
 
@@ -53,7 +56,8 @@ class CleanPlate:
     def residual(self, k: int) -> np.ndarray:
         """How many times its noise a frame differs from its plate, [H, W] float32; 1 or less is rest, -1 is unknown."""
         clip, frame = self._clip, self._frame(k)
-        around = [k + sign * offset for offset in SEEN_FROM for sign in (-1, 1)]
+        offsets = SEEN_FROM if len(clip) > FEW else range(1, FEW)
+        around = [k + sign * offset for offset in offsets for sign in (-1, 1)]
         others = [j for j in around if 0 <= j < len(clip) and clip.continuity.joined(k, j)]
         if len(others) < ENOUGH:
             return np.full(frame.shape[:2], -1, np.float32)
