@@ -132,7 +132,7 @@ def _plate(
     return plate, spread, count
 
 
-def difference(frame: np.ndarray, plate: np.ndarray, spread: np.ndarray | float = 0.0) -> np.ndarray:
+def difference(frame: np.ndarray, plate: np.ndarray, spread: np.ndarray) -> np.ndarray:
     """[H, W] float32: how far a frame is off its plate, whose brightness may change, over its noise there.
 
     Args:

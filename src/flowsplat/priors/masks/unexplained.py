@@ -20,6 +20,7 @@ from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.reprojection import carried
 from flowsplat.priors.background.static_depth import StaticDepth
 from flowsplat.priors.masks.plate import difference
+from flowsplat.priors.masks.sweep import largest_share
 
 WITNESSES = 16
 """Other frames that are asked, evenly over a piece of the clip."""
@@ -36,22 +37,14 @@ SURFACES = 3
 AGREEING = 0.33
 """Share of the frames that look most like the pixel, whose last one is compared with it."""
 
-
-SIDE = 15.0
-"""Mean difference in grey levels from the pixel itself from which one beside it belongs to something else."""
-
 DOUBTED = 0.5
 """Multiples of its noise by which a pixel must differ from every surface to be looked for at other depths."""
 
 NEAR = 20.0
 """Largest inverse depth at which it is looked for, in those of the clip's median."""
 
-MOST = 400
-"""Depths that are tried at most, a working pixel apart in the frame that sees them shift most."""
-
-ALIKE, FEWEST = 10.0, 4
-"""Mean difference of 3 x 3 pixels in grey levels up to which another frame shows the same, and frames that must see a place."""
-
+UNTOLD = 0.6
+"""Share that a pixel has which too few other frames could see at any depth."""
 
 DIFFERENCES = (0.7, 1.1, 1.6, 2.5, 3.5)
 SHARES = (0.05, 0.22, 0.37, 0.52, 0.67, 0.82, 0.97)
@@ -89,19 +82,20 @@ class Unexplained:
         off, share = self.residual(k)
         if (off < 0).all():
             return np.zeros_like(off)
-        column = np.interp(share, SHARES, np.arange(len(SHARES)))
+        told = np.where(share < 0, np.float32(UNTOLD), share)
+        column = np.interp(told, SHARES, np.arange(len(SHARES)))
         row = np.interp(off, DIFFERENCES, np.arange(len(DIFFERENCES)))
         known = map_coordinates(ODDS, [row, column], order=1)
-        found = np.where(off < 0, np.interp(share, SHARES, UNKNOWN), np.where(off <= DOUBTED, LIKE, known))
-        return found.astype(np.float32)
+        found = np.where(off < 0, np.interp(told, SHARES, UNKNOWN), np.where(off <= DOUBTED, LIKE, known))
+        return np.where((off < 0) & (share < 0), 0, found).astype(np.float32)
 
     def residual(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         """How far a frame is from what others see there.
 
         Returns:
             multiples of its noise by which it differs from all surfaces that others agree on, -1 where there are none; and the
-            largest share of other frames that look like the pixel at one depth, 0 where it differs from no surface. Both
-            [h, w] float32.
+            largest share of other frames that look like the pixel at one depth, -1 where too few could see it, 1 where it
+            differs from no surface, 0 everywhere without parallax. Both [h, w] float32.
         """
         clip, image = self._clip, self._image(k)
         piece = [j for j in range(len(clip)) if clip.continuity.joined(k, j) and j != k]
@@ -119,7 +113,7 @@ class Unexplained:
         if not clip.has_parallax:
             return off, np.zeros_like(off)
         asked = (off < 0) | (off > DOUBTED)
-        return off, np.where(asked, _support(image, asked, limits(image), np.float32(NEAR * clip.median), intrinsics, poses, frames), 1)
+        return off, np.where(asked, largest_share(image, asked, NEAR * clip.median, intrinsics, poses, frames), 1)
 
     def _known(self, j: int) -> tuple[np.ndarray, np.ndarray]:
         inverse, weight = self._background.filled(j)
@@ -143,7 +137,7 @@ def _plates(
     J, H, W = values.shape
     half, one, same = np.float32(0.5), np.float32(1), np.float32(SAME)
     plates, counts = np.zeros((SURFACES, H, W, 3), np.float32), np.zeros((SURFACES, H, W), np.uint8)
-    spread = np.zeros((SURFACES, H, W), np.float32)
+    scatter = np.zeros((SURFACES, H, W), np.float32)
     K = intrinsics[0]
     for y in prange(H):
         votes, used = np.empty(J, np.int64), np.empty(J, np.bool_)
@@ -205,73 +199,5 @@ def _plates(
                         for q in range(3):
                             apart[j] += (seen[j, q] - plates[s, y, x, q]) ** 2
                     # Half of the frames agree so well.
-                    spread[s, y, x] = np.sort(apart[:n])[n // 2] / np.float32(3)
-    return plates, spread, counts
-
-
-def limits(image: np.ndarray) -> np.ndarray:
-    """[h, w] float32: mean difference in grey levels up to which another frame shows the same."""
-    smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 0.7)
-    slope = sum((cv2.Sobel(smooth, cv2.CV_32F, *axes, scale=1 / 8) ** 2).mean(-1) for axes in ((1, 0), (0, 1)))
-    return np.minimum(np.float32(ALIKE) + np.float32(0.5) * np.sqrt(slope), np.float32(2 * ALIKE)).astype(np.float32)
-
-
-@parallel_kernel
-def _support(
-    frame: np.ndarray, asked: np.ndarray, limit: np.ndarray, near: np.float32, intrinsics: np.ndarray, poses: np.ndarray, frames: np.ndarray
-) -> np.ndarray:
-    """[h, w] float32: the largest share of the frames that look like a pixel at one depth, nearer than far; 0 where not asked."""
-    J, H, W = frames.shape[:3]
-    half = np.float32(0.5)
-    result = np.zeros((H, W), np.float32)
-    K = intrinsics[0]
-    for y in prange(H):
-        rays, like, here = np.empty((J, 3), np.float32), np.empty((3, 3), np.bool_), np.empty((3, 3, 3), np.float32)
-        for x in range(W):
-            if not asked[y, x] or y < 1 or x < 1 or y > H - 2 or x > W - 2:
-                continue
-            dx, dy = (x + half - K[2]) / K[0], (y + half - K[3]) / K[1]
-            n_like = 0
-            for b in range(3):
-                for a in range(3):
-                    total = np.float32(0)
-                    for q in range(3):
-                        here[b, a, q] = np.float32(frame[y + b - 1, x + a - 1, q])
-                        total += abs(here[b, a, q] - np.float32(frame[y, x, q]))
-                    like[b, a] = total < np.float32(3 * SIDE)
-                    n_like += like[b, a]
-            most = np.float32(3 * n_like) * limit[y, x]
-            longest = np.float32(0)
-            for j in range(J):
-                for r in range(3):
-                    rays[j, r] = poses[j, r, 0] * dx + poses[j, r, 1] * dy + poses[j, r, 2]
-                reach = np.float32(0)
-                for r in range(2):
-                    reach += (poses[j, r, 3]) ** 2
-                longest = max(longest, np.sqrt(reach) * near * K[0])
-            steps = min(max(int(longest), 8), MOST)
-            best = np.float32(0)
-            for n in range(steps):
-                w = near * np.float32(n + 1) / np.float32(steps)
-                agree, said = 0, 0
-                for j in range(J):
-                    z = rays[j, 2] + w * poses[j, 2, 3]
-                    if z <= np.float32(1e-6):
-                        continue
-                    u = intrinsics[j + 1, 0] * (rays[j, 0] + w * poses[j, 0, 3]) / z + intrinsics[j + 1, 2]
-                    v = intrinsics[j + 1, 1] * (rays[j, 1] + w * poses[j, 1, 3]) / z + intrinsics[j + 1, 3]
-                    c, r = int(np.floor(u)), int(np.floor(v))
-                    if c < 1 or r < 1 or c > W - 2 or r > H - 2:
-                        continue
-                    said += 1
-                    total = np.float32(0)
-                    for b in range(3):
-                        for a in range(3):
-                            if like[b, a]:
-                                for q in range(3):
-                                    total += abs(here[b, a, q] - np.float32(frames[j, r + b - 1, c + a - 1, q]))
-                    agree += total < most
-                if said >= FEWEST:
-                    best = max(best, np.float32(agree) / np.float32(said))
-            result[y, x] = best
-    return result
+                    scatter[s, y, x] = np.sort(apart[:n])[n // 2] / np.float32(3)
+    return plates, scatter, counts
