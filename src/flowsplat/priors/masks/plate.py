@@ -23,7 +23,8 @@ SEEN_FROM = (4, 8, 12, 16, 24, 32, 48)
 """Training frames before and after, whose pictures are compared."""
 
 FEW = 16
-"""Training frames of a clip up to which all others are compared: few pictures lie far apart."""
+"""Training frames of a clip up to which its pictures are few and lie far apart: all others are compared, and the flow hardly
+joins them."""
 
 ENOUGH = 2
 """Frames that must see a pixel's static point for its picture to count."""
@@ -67,6 +68,8 @@ class CleanPlate:
             frame, depth.astype(np.float32), *_poses(self._cameras[k], [self._cameras[j] for j in others]),
             np.stack([self._frame(j) for j in others]), self._blocked[others],
         )  # fmt: skip
+        # Of many frames those that look most like the pixel decide, and others may be of a mover; few pictures must all agree.
+        spread *= len(clip) <= FEW
         return np.where(count >= ENOUGH, difference(frame, plate, spread), -1)
 
 
