@@ -99,8 +99,16 @@ def _largest_share(
                             if like[b, a]:
                                 for q in range(3):
                                     total += abs(here[b, a, q] - np.float32(frames[j, r + b - 1, c + a - 1, q]))
+                        if total >= most:
+                            break
                     agree += total < most
+                    # Were all that are left alike, it would still be no more.
+                    left = J - 1 - j
+                    if np.float32(agree + left) <= best * np.float32(said + left):
+                        break
                 if said >= FEWEST:
                     best = max(best, np.float32(agree) / np.float32(said))
+                if best >= 1:
+                    break
             result[y, x] = best
     return result
