@@ -119,7 +119,9 @@ class Unexplained:
         asked = (off < 0) | (off > DOUBTED)
         return off, np.where(asked, self._share(image, asked, intrinsics, poses, frames), 1)
 
-    def _share(self, image: np.ndarray, asked: np.ndarray, intrinsics: np.ndarray, poses: np.ndarray, frames: np.ndarray) -> np.ndarray:
+    def _share(
+        self, image: np.ndarray, asked: np.ndarray, intrinsics: np.ndarray, poses: np.ndarray, frames: np.ndarray
+    ) -> np.ndarray:
         """``largest_share`` of every ``EVERY``th pixel in both directions, which speaks for those beside it, too."""
         height, width = asked.shape
         near = cv2.dilate(asked.astype(np.uint8), np.ones((EVERY, EVERY), np.uint8)) > 0
