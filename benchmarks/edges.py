@@ -14,11 +14,13 @@ import argparse
 import re
 import shutil
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, get_args
+
+import numpy as np
 
 from flowsplat import pipeline
 from flowsplat.cli import Preset
@@ -27,9 +29,11 @@ from flowsplat.common.files import make_folder, read_json, write_json, write_tex
 from flowsplat.common.processes import in_own_process
 from flowsplat.common.source import source_state
 from flowsplat.geometry import Camera
+from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.pictures.video import write_mp4
 from flowsplat.pipeline import RunConfig
 from flowsplat.pipeline.folder import stage_key
+from flowsplat.protocols.priors.measure import pooled_iou
 from flowsplat.protocols.resume import Job, measure_jobs, results_in
 from flowsplat.protocols.tables import made_by
 from flowsplat.scenes import Scene
@@ -93,13 +97,28 @@ EDGES = {
 }
 
 
+def mask_overlap(spec: SyntheticScene, scene: Scene) -> float:
+    """Intersection over union of the scene's masks with the true ones, any mover, pooled over the training frames."""
+    numbers = np.array([body.number for body in spec.bodies])
+    grid = pixel_grid(scene.width, scene.height).astype(np.float64).reshape(-1, 2)
+
+    def pairs() -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        for i in scene.train_frames:
+            k = round(scene.timestamps[i] * spec.fps)
+            hits = spec.cast(spec.camera(k).resized(scene.width, scene.height), spec.timestamps[k], grid)
+            yield scene.mask(i), numbers[hits.body].reshape(scene.height, scene.width)
+
+    return pooled_iou(pairs())
+
+
 def run_edge(name: str, preset: str, out: Path, key: str) -> dict[str, Any]:
     """Film, run and measure; what is in ``out`` of another ``key`` is forgotten.
 
     Returns:
         ``name``, ``protocol``, ``preset``, ``flowsplat`` (``source_state``), ``frames``, ``size``, ``test`` (count), ``ours``,
-        ``interpolation``, ``training_frames`` (each ``psnr``, ``ssim``, and ``moving``), ``flow_prior_epe``, ``gaussians``,
-        ``verdicts``, and ``seconds`` and ``peak_memory_gib``, which are None where the run was begun by an earlier process.
+        ``interpolation``, ``training_frames`` (each ``psnr``, ``ssim``, and ``moving``), ``flow_prior_epe``, ``masks_iou``
+        (``mask_overlap``), ``gaussians``, ``verdicts``, and ``seconds`` and ``peak_memory_gib``, which are None where the run was
+        begun by an earlier process.
     """
     mark = out / "key.json"
     if (out / "clip.mp4").exists() and not (mark.exists() and read_json(mark) == key):
@@ -126,6 +145,7 @@ def run_edge(name: str, preset: str, out: Path, key: str) -> dict[str, Any]:
         "test": metrics["heldout_frames"]["count"], "ours": metrics["heldout_frames"],
         "interpolation": metrics["baselines"]["flow_interpolation"],
         **{key: metrics[key] for key in ("training_frames", "flow_prior_epe")},
+        "masks_iou": round(mask_overlap(spec, scene), 4),
         "gaussians": {key: metrics["gaussians"][key] for key in ("total", "active_mean")},
         "verdicts": {name: (scene.prior(name) or {}).get("verdict", "") for name in ("cameras", "depth", "masks")},
         "seconds": run.seconds if is_new else None, "peak_memory_gib": metrics["peak_memory_gib"] if is_new else None,
@@ -135,8 +155,9 @@ def run_edge(name: str, preset: str, out: Path, key: str) -> dict[str, Any]:
 def table(results: Sequence[Mapping[str, Any]]) -> str:
     """Markdown, for the docs."""
     lines = [
-        "| clip | held out: PSNR / SSIM | flow interpolation | training frames | Gaussians (active) | time, peak memory | depth |",
-        "| --- | --- | --- | --- | --- | --- | --- |",
+        "| clip | held out: PSNR / SSIM | flow interpolation | training frames | masks: IoU | Gaussians (active) | time, memory "
+        "| depth |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for r in results:
         ours, flow = r["ours"], r["interpolation"]
@@ -145,7 +166,7 @@ def table(results: Sequence[Mapping[str, Any]]) -> str:
         lines.append(
             f"| {r['name']}: {r['frames']} frames of {r['size'][0]}x{r['size'][1]}, {r['preset']} | "
             f"{ours['psnr']:.2f} / {ours['ssim']:.3f} | {flow['psnr']:.2f} / {flow['ssim']:.3f} | "
-            f"{r['training_frames']['psnr']:.2f} | "
+            f"{r['training_frames']['psnr']:.2f} | {r['masks_iou']:.3f} | "
             f"{r['gaussians']['total'] / 1e3:.0f}k ({r['gaussians']['active_mean'] / 1e3:.0f}k) | {cost} | "
             f"{trusted.group() + ' trusted' if trusted else 'a guess'} |"
         )

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from flowsplat.scenes.synthetic import SyntheticScene
+from flowsplat.scenes.synthetic.writing import write_synthetic
 
 
 def sizes(name: str) -> tuple[int, int, int]:
@@ -29,6 +30,19 @@ def test_the_clips_are_what_they_are_called():
     assert min(steps) > 0.05, "metres, where the scene is five away"
 
 
+def test_masks_are_compared_with_the_true_ones(tmp_path):
+    spec = SyntheticScene(96, 64, 3)
+    scene = write_synthetic(tmp_path / "scene", spec)
+    truth = scene.truth
+    for i in scene.train_frames:
+        scene.write_mask(i, truth.mask(i))
+    assert edges.mask_overlap(spec, scene) == 1
+    mask = truth.mask(0).copy()
+    mask[:, :48] = 0
+    scene.write_mask(0, mask)
+    assert 0.3 < edges.mask_overlap(spec, scene) < 1
+
+
 @pytest.mark.slow
 def test_a_clip_is_run_and_told(tmp_path, monkeypatch):
     def brief(config):
@@ -43,6 +57,7 @@ def test_a_clip_is_run_and_told(tmp_path, monkeypatch):
     row = edges.table([figures]).splitlines()[-1]
     assert row.startswith("| tiny: 8 frames of 96x64, fast | ")
     assert f"{figures['ours']['psnr']:.2f}" in row
+    assert f"| {figures['masks_iou']:.3f} |" in row
     again = edges.run_edge("tiny", "fast", tmp_path / "tiny", "some key")
     assert again["seconds"] is None, "it is there, and nothing was filmed anew"
     assert again["ours"] == figures["ours"]

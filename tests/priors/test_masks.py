@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -17,6 +18,8 @@ from flowsplat.priors.masks.motion import CALMEST, USUAL, own_evidence, resting_
 from flowsplat.priors.masks.numbers import number_objects
 from flowsplat.priors.masks.plate import CleanPlate
 from flowsplat.priors.masks.stage import DIFFERS
+from flowsplat.priors.masks.sweep import largest_share
+from flowsplat.priors.masks.unexplained import Unexplained
 from flowsplat.scenes import Flow, Scene
 
 from .planes import HEIGHT, WIDTH, write_planes
@@ -161,6 +164,38 @@ def test_a_shadow_is_no_mover(tmp_path: Path):
     clip = MatchedClip(scene)
     residual = CleanPlate(clip, static_depth(clip, False), np.zeros((len(clip), HEIGHT, WIDTH), bool)).residual(5)
     assert np.median(residual[25:45, 25:55]) < DIFFERS
+
+
+def test_the_still_scene_explains_all_but_what_moves(tmp_path: Path):
+    scene = write_planes(tmp_path, step=3, square=True)
+    flow_stage(scene)
+    clip = MatchedClip(scene)
+    evidence = Unexplained(clip, static_depth(clip, False)).evidence(6)
+    assert evidence.shape == (clip.height, clip.width)
+    moving = cv2.resize(scene.truth.mask(6), (clip.width, clip.height), interpolation=cv2.INTER_AREA) > 0
+    inside = cv2.erode(moving.astype(np.uint8), np.ones((5, 5))) > 0
+    outside = cv2.dilate(moving.astype(np.uint8), np.ones((5, 5))) == 0
+    assert np.median(evidence[inside]) > 2
+    assert (evidence[outside] < 0).mean() > 0.85
+
+
+def test_what_rests_looks_the_same_at_its_depth_and_what_moves_at_none(tmp_path: Path):
+    scene = write_planes(tmp_path, step=4, square=True)
+    cameras = scene.cameras
+    others = [i for i in range(scene.num_frames) if i != 6]
+    intrinsics = np.array([cameras[i].intrinsics for i in (6, *others)], np.float32)
+    poses = np.array([cameras[i].pose_from(cameras[6]) for i in others], np.float32)
+    asked = np.ones((HEIGHT, WIDTH), bool)
+    asked[:20] = False
+    share = largest_share(scene.frame(6), asked, 1.0, intrinsics, poses, np.stack([scene.frame(i) for i in others]))
+    assert (share[:20] == -1).all()
+    inside = cv2.erode(scene.truth.mask(6), np.ones((7, 7))) > 0
+    outside = cv2.dilate(scene.truth.mask(6), np.ones((7, 7))) == 0
+    outside &= asked
+    outside[:, :2] = outside[:, -2:] = outside[-2:] = False
+    assert np.median(share[inside & asked]) < 0.4
+    # The square hides the wall in some of the frames.
+    assert np.median(share[outside]) > 0.8
 
 
 def test_colours_tell_movers_from_what_is_round_them():

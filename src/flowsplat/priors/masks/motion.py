@@ -7,7 +7,8 @@ moving: the evidence is added up along the flow, pulled to the edges of the pict
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sized
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -17,6 +18,9 @@ from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.geometry.interpolation import sample_map
 from flowsplat.pictures.edge_smoothing import EdgeSmoother
 from flowsplat.priors.background.matched_clip import RESTS, MatchedClip
+from flowsplat.priors.background.static_depth import StaticDepth
+from flowsplat.priors.masks.plate import FEW
+from flowsplat.priors.masks.unexplained import Unexplained
 from flowsplat.scenes.layers import TRUSTED
 
 STRONGEST = 1.5
@@ -33,20 +37,48 @@ units of the long side."""
 MEMORY = 0.9
 """Share of the evidence that a frame takes over from the next and the one before."""
 
-CERTAIN = 2.0
-"""Mean evidence that an object needs: more than one frame can give."""
-
 SMALLEST = 0.001
 """Share of the picture below which an object is dropped; a hole is closed below a quarter of it."""
 
 _SMOOTHNESS, _COLOUR_SIGMA = 10.0, 12.0
 
 
-def motion_evidence(clip: MatchedClip) -> list[np.ndarray]:
-    """Summed evidence [h, w] float16 at working resolution of every training frame: positive where something moves."""
-    rests = resting_motion(clip)
-    sums = propagated(clip, lambda k: own_evidence(clip, k, rests), clip.step_flow, MEMORY)
-    return [total.astype(np.float16) for total in track(sums, "What moves", len(clip))][::-1]
+@dataclass(frozen=True)
+class Weighing:
+    """How evidence is weighed.
+
+    Attributes:
+        colour: of what the still scene does not explain, against that of matches.
+        rare: summed evidence that a pixel needs, because most pixels rest.
+        certain: mean evidence beyond that which an object needs.
+    """
+
+    colour: float
+    rare: float
+    certain: float
+
+
+MANY_FRAMES, FEW_PICTURES = Weighing(0.35, 4.0, 2.0), Weighing(0.7, 1.5, 1.0)
+
+
+def weighing(clip: Sized) -> Weighing:
+    """That of a clip: of many frames errors of depth are the same from frame to frame, and add up along the flow as motion does."""
+    return FEW_PICTURES if len(clip) <= FEW else MANY_FRAMES
+
+
+def motion_evidence(clip: MatchedClip, background: StaticDepth) -> list[np.ndarray]:
+    """Summed evidence [h, w] float16 at working resolution of every training frame: positive where something moves.
+
+    Args:
+        background: the still scene, as far as it is known without masks.
+    """
+    rests, unexplained, how = resting_motion(clip), Unexplained(clip, background), weighing(clip)
+    own = [
+        (own_evidence(clip, k, rests) + np.float32(how.colour) * unexplained.evidence(k)).astype(np.float16)
+        for k in track(range(len(clip)), "What the still scene explains")
+    ]
+    sums = propagated(clip, own.__getitem__, clip.step_flow, MEMORY)
+    return [(total - how.rare).astype(np.float16) for total in track(sums, "What moves", len(clip))][::-1]
 
 
 def propagated(
@@ -108,13 +140,17 @@ def _warped(evidence: np.ndarray, flow: np.ndarray, confidence: np.ndarray) -> n
     return np.where(confidence >= TRUSTED, there, 0)
 
 
-def rough_cut(evidence: np.ndarray, frame: np.ndarray) -> np.ndarray:
-    """Evidence at working resolution and its frame [H, W, 3] to a mask [H, W] uint8 of 0 and 1."""
+def rough_cut(evidence: np.ndarray, frame: np.ndarray, certain: float) -> np.ndarray:
+    """Evidence at working resolution and its frame [H, W, 3] to a mask [H, W] uint8 of 0 and 1.
+
+    Args:
+        certain: mean evidence that an object needs.
+    """
     smooth = EdgeSmoother(frame, _SMOOTHNESS, _COLOUR_SIGMA).filter(enlarged(evidence, frame))
     moving: np.ndarray = (smooth > 0).astype(np.uint8)
     # Slivers, above all along the border where matches are few.
-    moving = cv2.morphologyEx(moving, cv2.MORPH_OPEN, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7)))
-    return parts(moving, smooth, CERTAIN)
+    moving = cv2.morphologyEx(moving, cv2.MORPH_OPEN, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5)))
+    return parts(moving, smooth, certain)
 
 
 def enlarged(evidence: np.ndarray, like: np.ndarray) -> np.ndarray:

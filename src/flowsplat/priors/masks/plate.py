@@ -22,6 +22,10 @@ from flowsplat.priors.background.static_depth import StaticDepth
 SEEN_FROM = (4, 8, 12, 16, 24, 32, 48)
 """Training frames before and after, whose pictures are compared."""
 
+FEW = 16
+"""Training frames of a clip up to which its pictures are few and lie far apart: all others are compared, and the flow hardly
+joins them."""
+
 ENOUGH = 2
 """Frames that must see a pixel's static point for its picture to count."""
 
@@ -53,17 +57,20 @@ class CleanPlate:
     def residual(self, k: int) -> np.ndarray:
         """How many times its noise a frame differs from its plate, [H, W] float32; 1 or less is rest, -1 is unknown."""
         clip, frame = self._clip, self._frame(k)
-        around = [k + sign * offset for offset in SEEN_FROM for sign in (-1, 1)]
+        offsets = SEEN_FROM if len(clip) > FEW else range(1, FEW)
+        around = [k + sign * offset for offset in offsets for sign in (-1, 1)]
         others = [j for j in around if 0 <= j < len(clip) and clip.continuity.joined(k, j)]
         if len(others) < ENOUGH:
             return np.full(frame.shape[:2], -1, np.float32)
         inverse = self._background.behind(k)
         depth = 1 / np.maximum(upsample(inverse, frame, clip.scene.width, clip.scene.height), 1e-3 * float(np.median(inverse)))
-        plate, count = _plate(
+        plate, spread, count = _plate(
             frame, depth.astype(np.float32), *_poses(self._cameras[k], [self._cameras[j] for j in others]),
             np.stack([self._frame(j) for j in others]), self._blocked[others],
         )  # fmt: skip
-        return np.where(count >= ENOUGH, _difference(frame, plate), -1)
+        # Of many frames those that look most like the pixel decide, and others may be of a mover; few pictures must all agree.
+        spread *= len(clip) <= FEW
+        return np.where(count >= ENOUGH, difference(frame, plate, spread), -1)
 
 
 def _poses(camera: Camera, others: list[Camera]) -> tuple[np.ndarray, np.ndarray]:
@@ -75,12 +82,18 @@ def _poses(camera: Camera, others: list[Camera]) -> tuple[np.ndarray, np.ndarray
 @parallel_kernel
 def _plate(
     frame: np.ndarray, depth: np.ndarray, intrinsics: np.ndarray, poses: np.ndarray, frames: np.ndarray, blocked: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """(colours [H, W, 3] float32, number of frames that see them [H, W]) of the static scene at the pixels of ``frame``."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The static scene at the pixels of ``frame``.
+
+    Returns:
+        colours [H, W, 3] float32, how far half of the frames that see them are from them (mean squared difference [H, W]), and
+        how many frames see them [H, W].
+    """
     H, W = depth.shape
     J = len(poses)
     half, one = np.float32(0.5), np.float32(1)
     plate, count = np.zeros((H, W, 3), np.float32), np.zeros((H, W), np.uint8)
+    spread = np.zeros((H, W), np.float32)
     K = intrinsics[0]
     for y in prange(H):
         seen, apart = np.empty((J, 3), np.float32), np.empty(J, np.float32)
@@ -114,11 +127,20 @@ def _plate(
                 chosen = np.argsort(apart[:n])[int(np.float32(AGREEING) * (n - 1) + half)]
                 for q in range(3):
                     plate[y, x, q] = seen[chosen, q]
-    return plate, count
+                for j in range(n):
+                    apart[j] = np.float32(0)
+                    for q in range(3):
+                        apart[j] += (seen[j, q] - plate[y, x, q]) ** 2
+                spread[y, x] = np.sort(apart[:n])[n // 2] / np.float32(3)
+    return plate, spread, count
 
 
-def _difference(frame: np.ndarray, plate: np.ndarray) -> np.ndarray:
-    """[H, W] float32: how far a frame is off its plate, whose brightness may change, over its noise there."""
+def difference(frame: np.ndarray, plate: np.ndarray, spread: np.ndarray) -> np.ndarray:
+    """[H, W] float32: how far a frame is off its plate, whose brightness may change, over its noise there.
+
+    Args:
+        spread: mean squared difference [H, W] of what it is made from.
+    """
     image = frame.astype(np.float32)
     size = (SHADE, SHADE)
     shade = cv2.boxFilter((image * plate).sum(-1), -1, size) / np.maximum(cv2.boxFilter((plate * plate).sum(-1), -1, size), 1)
@@ -127,4 +149,4 @@ def _difference(frame: np.ndarray, plate: np.ndarray) -> np.ndarray:
     smooth = cv2.GaussianBlur(image, (0, 0), 1.0)
     slope = sum((cv2.Sobel(smooth, cv2.CV_32F, *axes, scale=1 / 8) ** 2).mean(-1) for axes in ((1, 0), (0, 1)))
     steepest = cv2.dilate(slope, np.ones((3, 3), np.uint8))
-    return np.sqrt(squared / (NOISE**2 + SHIFT**2 * steepest)).astype(np.float32)
+    return np.sqrt(squared / (NOISE**2 + SHIFT**2 * steepest + spread)).astype(np.float32)

@@ -16,7 +16,7 @@ from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.static_depth import static_depth
 from flowsplat.priors.flow import FlowEstimator, dis_estimator
 from flowsplat.priors.masks.colours import Colours, look_up
-from flowsplat.priors.masks.motion import enlarged, motion_evidence, parts, propagated, rough_cut
+from flowsplat.priors.masks.motion import enlarged, motion_evidence, parts, propagated, rough_cut, weighing
 from flowsplat.priors.masks.numbers import number_objects
 from flowsplat.priors.masks.plate import CleanPlate
 from flowsplat.scenes import Scene
@@ -57,9 +57,9 @@ def mask_stage(scene: Scene, estimate: FlowEstimator = dis_estimator) -> None:
     if scene.prior("masks") is not None:
         return
     clip = MatchedClip(scene, estimate)
-    motion = motion_evidence(clip)
+    motion = motion_evidence(clip, static_depth(clip, False))
     for k, i in enumerate(scene.train_frames):
-        scene.write_mask(i, rough_cut(motion[k], scene.frame(i)))
+        scene.write_mask(i, rough_cut(motion[k], scene.frame(i), weighing(clip).certain))
     if any(scene.mask(i).any() for i in scene.train_frames):
         evidence = _plate_evidence(clip, motion)
         _add_colours(clip, evidence, motion)

@@ -1,0 +1,114 @@
+"""Is there a depth at which other frames look like a pixel? What rests has one; what moves looks like itself in few of them."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numba import prange
+
+from flowsplat.common.kernels import parallel_kernel
+
+SIDE = 15.0
+"""Mean difference in grey levels from the pixel itself from which one beside it belongs to something else."""
+
+MOST = 400
+"""Depths that are tried at most, a working pixel apart in the frame that sees them shift most."""
+
+ALIKE, FEWEST = 10.0, 4
+"""Mean difference of 3 x 3 pixels in grey levels up to which another frame shows the same, and frames that must see a place."""
+
+
+def largest_share(
+    frame: np.ndarray, asked: np.ndarray, nearest: float, intrinsics: np.ndarray, poses: np.ndarray, frames: np.ndarray
+) -> np.ndarray:
+    """The largest share of the frames that look like a pixel at one depth, of those that would see it there, [h, w] float32.
+
+    Args:
+        frame: RGB [h, w, 3] uint8.
+        asked: [h, w] bool, the pixels of interest.
+        nearest: largest inverse depth that is tried.
+        intrinsics: fx, fy, cx, cy [1 + J, 4] float32 of the frame and of others.
+        poses: [J, 3, 4] float32 of the others, from the axes of the frame's camera.
+        frames: RGB [J, h, w, 3] uint8 of the others.
+
+    Returns:
+        0 to 1; -1 where not asked, along the border, and where fewer than ``FEWEST`` would see it at any depth.
+    """
+    return _largest_share(frame, asked, _limits(frame), np.float32(nearest), intrinsics, poses, frames)
+
+
+def _limits(image: np.ndarray) -> np.ndarray:
+    """[h, w] float32: mean difference in grey levels up to which another frame shows the same."""
+    smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 0.7)
+    slope = sum((cv2.Sobel(smooth, cv2.CV_32F, *axes, scale=1 / 8) ** 2).mean(-1) for axes in ((1, 0), (0, 1)))
+    return np.minimum(np.float32(ALIKE) + np.float32(0.5) * np.sqrt(slope), np.float32(2 * ALIKE)).astype(np.float32)
+
+
+@parallel_kernel
+def _largest_share(
+    frame: np.ndarray, asked: np.ndarray, limit: np.ndarray, near: np.float32, intrinsics: np.ndarray, poses: np.ndarray,
+    frames: np.ndarray,
+) -> np.ndarray:  # fmt: skip
+    """As ``largest_share``, with the mean difference ``limit`` [h, w] up to which another frame shows the same."""
+    J, H, W = frames.shape[:3]
+    half = np.float32(0.5)
+    result = np.full((H, W), np.float32(-1), np.float32)
+    K = intrinsics[0]
+    for y in prange(H):
+        rays, like, here = np.empty((J, 3), np.float32), np.empty((3, 3), np.bool_), np.empty((3, 3, 3), np.float32)
+        for x in range(W):
+            if not asked[y, x] or y < 1 or x < 1 or y > H - 2 or x > W - 2:
+                continue
+            dx, dy = (x + half - K[2]) / K[0], (y + half - K[3]) / K[1]
+            n_like = 0
+            for b in range(3):
+                for a in range(3):
+                    total = np.float32(0)
+                    for q in range(3):
+                        here[b, a, q] = np.float32(frame[y + b - 1, x + a - 1, q])
+                        total += abs(here[b, a, q] - np.float32(frame[y, x, q]))
+                    like[b, a] = total < np.float32(3 * SIDE)
+                    n_like += like[b, a]
+            most = np.float32(3 * n_like) * limit[y, x]
+            longest = np.float32(0)
+            for j in range(J):
+                for r in range(3):
+                    rays[j, r] = poses[j, r, 0] * dx + poses[j, r, 1] * dy + poses[j, r, 2]
+                reach = np.float32(0)
+                for r in range(2):
+                    reach += (poses[j, r, 3]) ** 2
+                longest = max(longest, np.sqrt(reach) * near * K[0])
+            steps = min(max(int(longest), 8), MOST)
+            best = np.float32(-1)
+            for n in range(steps):
+                w = near * np.float32(n + 1) / np.float32(steps)
+                agree, said = 0, 0
+                for j in range(J):
+                    z = rays[j, 2] + w * poses[j, 2, 3]
+                    if z <= np.float32(1e-6):
+                        continue
+                    u = intrinsics[j + 1, 0] * (rays[j, 0] + w * poses[j, 0, 3]) / z + intrinsics[j + 1, 2]
+                    v = intrinsics[j + 1, 1] * (rays[j, 1] + w * poses[j, 1, 3]) / z + intrinsics[j + 1, 3]
+                    c, r = int(np.floor(u)), int(np.floor(v))
+                    if c < 1 or r < 1 or c > W - 2 or r > H - 2:
+                        continue
+                    said += 1
+                    total = np.float32(0)
+                    for b in range(3):
+                        for a in range(3):
+                            if like[b, a]:
+                                for q in range(3):
+                                    total += abs(here[b, a, q] - np.float32(frames[j, r + b - 1, c + a - 1, q]))
+                        if total >= most:
+                            break
+                    agree += total < most
+                    # Were all that are left alike, it would still be no more.
+                    left = J - 1 - j
+                    if np.float32(agree + left) <= best * np.float32(said + left):
+                        break
+                if said >= FEWEST:
+                    best = max(best, np.float32(agree) / np.float32(said))
+                if best >= 1:
+                    break
+            result[y, x] = best
+    return result
