@@ -49,6 +49,7 @@ class MatchedClip:
     Attributes:
         continuity: which frames can be matched with each other.
         has_parallax: whether the camera travels enough for depth to be seen.
+        has_sure_depth: whether it travels enough for depth to be seen well.
         median: inverse depth of the clip where it is sure; 0 without parallax.
         mean_parallax: mean over frames of the median parallax, in working pixels.
     """
@@ -69,10 +70,11 @@ class MatchedClip:
         self._folder = _folder(scene) / digest
         self._solve(estimate)
         samples = [self[k] for k in range(0, len(self), max(1, len(self) // 24))]
-        self.median, self.has_parallax = _median(samples, PARALLAX, ENOUGH), True
-        if not self.median:
+        self.median = _median(samples, PARALLAX, ENOUGH)
+        self.has_sure_depth = self.median > 0
+        if not self.has_sure_depth:
             self.median = _median(samples, LITTLE_PARALLAX, MANY)
-            self.has_parallax = self.median > 0
+        self.has_parallax = self.median > 0
         self.mean_parallax = float(np.mean([np.sqrt(np.median(s.information)) for s in samples]))
 
     def __len__(self) -> int:

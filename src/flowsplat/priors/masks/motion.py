@@ -7,7 +7,7 @@ moving: the evidence is added up along the flow, pulled to the edges of the pict
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sized
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import cv2
@@ -58,11 +58,17 @@ class Weighing:
     certain: float
 
 
-MANY_FRAMES, FEW_PICTURES = Weighing(0.35, 4.0, 2.0), Weighing(0.7, 1.5, 1.0)
+MANY_FRAMES, FEW_PICTURES, MATCHES_ALONE = Weighing(0.35, 4.0, 2.0), Weighing(0.7, 1.5, 1.0), Weighing(0.0, 0.0, 2.0)
 
 
-def weighing(clip: Sized) -> Weighing:
-    """That of a clip: of many frames errors of depth are the same from frame to frame, and add up along the flow as motion does."""
+def weighing(clip: MatchedClip) -> Weighing:
+    """That of a clip: of many frames errors of depth are the same from frame to frame, and add up along the flow as motion does.
+
+    Where depth is not seen well, it does not tell where else a pixel is to be seen: a bear that the camera follows has so little
+    parallax that its own fur, carried from frame to frame, explained a part of it (IoU .90 became .80).
+    """
+    if not clip.has_sure_depth:
+        return MATCHES_ALONE
     return FEW_PICTURES if len(clip) <= FEW else MANY_FRAMES
 
 
@@ -72,11 +78,12 @@ def motion_evidence(clip: MatchedClip, background: StaticDepth) -> list[np.ndarr
     Args:
         background: the still scene, as far as it is known without masks.
     """
-    rests, unexplained, how = resting_motion(clip), Unexplained(clip, background), weighing(clip)
-    own = [
-        (own_evidence(clip, k, rests) + np.float32(how.colour) * unexplained.evidence(k)).astype(np.float16)
-        for k in track(range(len(clip)), "What the still scene explains")
-    ]
+    rests, how = resting_motion(clip), weighing(clip)
+    own = [own_evidence(clip, k, rests).astype(np.float16) for k in range(len(clip))]
+    if how.colour:
+        unexplained = Unexplained(clip, background)
+        for k in track(range(len(clip)), "What the still scene explains"):
+            own[k] = (own[k] + np.float32(how.colour) * unexplained.evidence(k)).astype(np.float16)
     sums = propagated(clip, own.__getitem__, clip.step_flow, MEMORY)
     return [(total - how.rare).astype(np.float16) for total in track(sums, "What moves", len(clip))][::-1]
 

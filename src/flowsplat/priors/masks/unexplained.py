@@ -74,7 +74,7 @@ SUPPORTED = 1.0
 
 
 class Unexplained:
-    """Compares the training frames of a clip with what others know of the still scene, at working resolution."""
+    """Compares the frames of a clip whose depth is seen well with what others know of the still scene, at working resolution."""
 
     def __init__(self, clip: MatchedClip, background: StaticDepth):
         self._clip, self._background = clip, background
@@ -99,7 +99,7 @@ class Unexplained:
         Returns:
             multiples of its noise by which it differs from all surfaces that others agree on, -1 where there are none; and the
             largest share of other frames that look like the pixel at one depth, -1 where too few could see it, 1 where it
-            differs from no surface, 0 everywhere without parallax. Both [h, w] float32.
+            differs from no surface. Both [h, w] float32.
         """
         clip, image = self._clip, self._image(k)
         piece = [j for j in range(len(clip)) if clip.continuity.joined(k, j) and j != k]
@@ -114,8 +114,6 @@ class Unexplained:
         plates, scatter, counts = _plates(image, values, intrinsics, poses, frames)
         off = np.stack([np.where(counts[s] > 0, difference(image, plates[s], scatter[s]), np.inf) for s in range(SURFACES)]).min(0)
         off = np.where(np.isfinite(off), off, -1).astype(np.float32)
-        if not clip.has_parallax:
-            return off, np.zeros_like(off)
         asked = (off < 0) | (off > DOUBTED)
         return off, np.where(asked, self._share(image, asked, intrinsics, poses, frames), 1)
 
@@ -138,8 +136,6 @@ class Unexplained:
 
     def _carried(self, j: int, k: int) -> np.ndarray:
         """Inverse depth that frame j is sure of, at the pixels of frame k; 0 where it knows none."""
-        if not self._clip.has_parallax:
-            return self._background.plate(k)
         seen, _ = carried(*self._sure(j), self._clip.cameras[j], self._clip.cameras[k])
         # Nearer cameras see the same surface with gaps between its pixels.
         closed = cv2.morphologyEx(seen, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))

@@ -63,7 +63,7 @@ def _static(results: Sequence[Result]) -> Table:
     rows = []
     for variant in VARIANTS:
         for name, parallax in (("depth from the camera's motion", True), ("depth guessed", False)):
-            of_them = [r[variant] for r in results if r[variant]["parallax"] == parallax and "static" in r[variant]]
+            of_them = [r[variant] for r in results if "static" in r[variant] and r[variant]["parallax"] == parallax]
             if of_them:
                 figures = [_median(r[part][figure] for r in of_them if r[part]) for part in ("static", "feet") for figure in STATIC]
                 rows.append((f"{TITLES[variant]}: {name}", str(len(of_them)), *(text(x, 3) for x in figures)))
