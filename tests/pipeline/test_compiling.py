@@ -64,11 +64,20 @@ def test_a_process_is_begun_until_it_is_noted_that_one_ended(begun):
     assert begun == []
     with compiling_ahead("cpu") as ahead:
         ahead.wait()
-    assert [command[-1] for command in begun] == ["flowsplat.pipeline.compiling"]
+    assert begun == [[sys.executable, "-c", compiling._COMMAND]]
     note(compiling._marker(), code_state("cpu"))
     with compiling_ahead("cpu"):
         pass
     assert len(begun) == 1
+
+
+def test_what_lies_beside_a_clip_does_not_run(tmp_path):
+    for name in ("numba", "flowsplat", "numpy"):
+        (tmp_path / f"{name}.py").write_text("open('ran', 'w').close()")
+    command = compiling._COMMAND.replace("main()", "print(main)")
+    ended = subprocess.run([sys.executable, "-c", command], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert "function main" in ended.stdout
+    assert not (tmp_path / "ran").exists()
 
 
 def test_who_no_longer_waits_ends_it():

@@ -87,7 +87,7 @@ def fit_motion(observations: Observations, k: int, wanted: np.ndarray, sigma: fl
     asked, evenly = wanted[rows, columns], evenly[rows, columns]
     points = np.stack([columns, rows], 1) + 0.5
     start = frame.camera.unproject(points, frame.depth[rows, columns].astype(np.float64))
-    # Metres that a pixel spans at the place of each.
+    # How far a pixel spans at the place of each, in units of the scene.
     unit = frame.depth[rows, columns].astype(np.float64) / frame.camera.K[0, 0]
     axes = np.array([1, 1, ALONG_RAY])[:, None] * frame.camera.viewmat[:3, :3]
     normal, right = np.zeros((len(points), order, order)), np.zeros((len(points), order, 3))

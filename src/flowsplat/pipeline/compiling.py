@@ -36,6 +36,8 @@ from flowsplat.training.trainer import Trainer
 NICE = 10
 """By how much the process gives way to the run."""
 _SIZE = 96, 72
+_COMMAND = "import sys; sys.path[:] = [path for path in sys.path if path]; from flowsplat.pipeline.compiling import main; main()"
+"""Without the folder that the process begins in, which Python would search first: what lies beside a clip must not run."""
 
 
 def code_state(device: str) -> dict[str, Any]:
@@ -90,7 +92,7 @@ def compiling_ahead(device: str) -> Iterator[Ahead]:
     if device == "cpu" and not is_noted(_marker(), code_state(device)):
         with contextlib.suppress(OSError):  # then the run compiles
             quiet = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-            process = subprocess.Popen([sys.executable, "-m", __name__], **quiet)  # type: ignore[call-overload]
+            process = subprocess.Popen([sys.executable, "-c", _COMMAND], **quiet)  # type: ignore[call-overload]
     ahead = Ahead(process)
     try:
         yield ahead
@@ -134,12 +136,9 @@ def _handful(count: int = 200) -> tuple[Gaussians4D, Observations]:
     return gaussians, Observations(frames, Similarity())
 
 
-def _main() -> None:
+def main() -> None:
+    """What the process does."""
     with contextlib.suppress(AttributeError, OSError):  # not on Windows
         os.nice(NICE)
     compile_training()
     note(_marker(), code_state("cpu"))
-
-
-if __name__ == "__main__":
-    _main()
