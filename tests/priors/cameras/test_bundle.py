@@ -77,3 +77,27 @@ def test_derivatives_of_the_distorted_projection():
     )  # fmt: skip
     after, _ = residuals(done.reconstruction, observations)
     assert np.median(after) < 0.05 * np.median(before)
+
+
+def test_far_points_do_not_hold_up_the_focal_length():
+    """A long way along a narrow valley: points a hundred times as far as others, whose distance hardly shows, and a bent path."""
+    rng = np.random.default_rng(5)
+    turns = np.linspace(-0.25, 0.25, 20)
+    rotations = Rotation.from_rotvec(turns[:, None] * [0, 1, 0]).as_matrix()
+    middles = 6 * np.stack([-np.sin(turns), 0 * turns, 1 - np.cos(turns)], 1)
+    near = rng.uniform([-2, -1.5, 5], [2, 1.5, 8], (200, 3))
+    z = rng.uniform(500, 900, 200)
+    far = np.stack([rng.uniform(-0.4, 0.4, 200) * z, rng.uniform(-0.3, 0.3, 200) * z, z], 1)
+    points = np.concatenate([near, far])
+    places = np.einsum("tij,tnj->nti", rotations, points[None] - middles[:, None])
+    positions = FOCAL * places[..., :2] / places[..., 2:] + rng.normal(0, 0.03, (400, 20, 2))
+    true = Reconstruction(rotations, -np.einsum("tij,tj->ti", rotations, middles), FOCAL, points)
+    # What a focal length that is 3 % off looks like once all else is adjusted to it.
+    since = rng.integers(0, 11, (400, 1))
+    observations = Observations.of(positions, (np.arange(20) >= since) & (np.arange(20) < since + 10))
+    wrong = adjust(
+        Reconstruction(true.rotations, true.translations, 0.97 * FOCAL, points), observations, iterations=60, scale=0.2,
+        fixed_camera=6, free_focal=False, tolerance=1e-9,
+    )  # fmt: skip
+    done = adjust(wrong.reconstruction, observations, iterations=40, scale=0.2, fixed_camera=6, tolerance=1e-5)
+    assert done.reconstruction.focal == pytest.approx(FOCAL, rel=1e-3)

@@ -19,6 +19,8 @@ GROUP = 256
 """Points that are eliminated together."""
 LENS = 2
 """Parameters that all cameras share: the distortion, then the logarithm of the focal length."""
+LEAST_INVERSE = 0.1
+"""Share of a point's inverse distance that a step leaves at least."""
 USUAL_DISTORTION = 0.3
 """Distortion that costs as much as a focal length that is wrong by a factor of e."""
 
@@ -153,7 +155,13 @@ def adjust(
             except scipy.linalg.LinAlgError:
                 damping *= 10
                 continue
-            trial = _moved(state, step, _point_steps(first, seen.camera, cross, cross_lens, inverse, gp, step))
+            point_steps = _point_steps(first, seen.camera, cross, cross_lens, inverse, gp, step)
+            if free_translations:
+                step, point_steps = _unscaled(state, step, point_steps, fixed_camera)
+                points = _stepped(state.points, point_steps, state.centers.mean(0))
+            else:
+                points = state.points + point_steps
+            trial = _moved(state, step, points)
             trial_cost = _total(trial, seen, scale, prior)
             if trial_cost <= cost:
                 precisions = _precisions(factor[0], free_focal, free_distortion)
@@ -209,16 +217,42 @@ def _total(state: Reconstruction, seen: Observations, scale: float, prior: LensP
     return cost if np.isfinite(cost) else np.inf
 
 
-def _moved(state: Reconstruction, step: np.ndarray, point_steps: np.ndarray) -> Reconstruction:
+def _moved(state: Reconstruction, step: np.ndarray, points: np.ndarray) -> Reconstruction:
     poses = step[:-LENS].reshape(-1, 6)
     return replace(
         state,
         rotations=Rotation.from_rotvec(poses[:, :3]).as_matrix() @ state.rotations,
         translations=state.translations + poses[:, 3:],
         focal=state.focal * float(np.exp(np.clip(step[-1], -0.5, 0.5))),
-        points=state.points + point_steps,
+        points=points,
         distortion=state.distortion + float(np.clip(step[-2], -0.1, 0.1)),
     )
+
+
+def _unscaled(
+    state: Reconstruction, step: np.ndarray, point_steps: np.ndarray, fixed_camera: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """A step without its share of a change of scale about the fixed camera, which no picture tells: it is small where all is."""
+    middle = state.centers[fixed_camera]
+    travel = np.einsum("tij,tj->ti", state.rotations, middle - state.centers)
+    poses = step[:-LENS].reshape(-1, 6)
+    scale = float((travel * poses[:, 3:]).sum()) / max(float((travel**2).sum()), 1e-18)
+    kept = step.copy()
+    kept[:-LENS].reshape(-1, 6)[:, 3:] -= scale * travel
+    return kept, point_steps - scale * (state.points - middle)
+
+
+def _stepped(points: np.ndarray, steps: np.ndarray, center: np.ndarray) -> np.ndarray:
+    """Points [N, 3] after steps [N, 3] that are linear in the inverse of their distance from the cameras, as pictures nearly are.
+
+    The same to first order as adding the steps, but a far point, whose distance the pictures hardly tell, is neither sent behind
+    the cameras nor does it hold up all others.
+    """
+    offset = points - center
+    square = np.maximum((offset**2).sum(1, keepdims=True), 1e-24)
+    outwards = (offset * steps).sum(1, keepdims=True) / square
+    aside = steps - outwards * offset
+    return center + (offset + aside) / np.maximum(1 - outwards, LEAST_INVERSE)
 
 
 def _damped_inverses(Hp: np.ndarray, damping: float) -> np.ndarray:

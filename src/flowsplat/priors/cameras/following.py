@@ -10,6 +10,7 @@ from flowsplat.geometry.interpolation import sample_map
 from flowsplat.priors.continuity import is_blank
 from flowsplat.priors.flow import dis_flow, grey
 from flowsplat.priors.tracks import TrackTable, corner_strength, new_points, oldest_of_crowds, refine_points
+from flowsplat.priors.tracks.patches import Patches, align
 from flowsplat.scenes import Scene
 
 WORKING_SIDE = 854
@@ -20,6 +21,51 @@ SMALLEST_SIDE = 100
 """Pixels of the shorter side down to which pictures are halved for the flow that predicts where points went."""
 WINDOW = 15
 """Side of the square of pixels that is compared round a point: large, because precision decides."""
+ALIKE = 0.6
+"""Structural similarity from which a point's surroundings are still those of the frame that they were cut from."""
+SAME_PLACE = 1.0
+"""Pixels between both answers, from frame to frame and from those surroundings, up to which they are the same."""
+RENEWED = 20
+"""Frames after which a point's surroundings are cut anew."""
+
+
+class _Surroundings:
+    """What is round each point in the frame in which it was first seen, or in one of the last ``RENEWED`` frames.
+
+    Errors of a point that is followed from frame to frame add up: on rendered clips its median error grows from .03 pixels after
+    one frame to .24 after thirty. Compared with the same picture each time it stays below .1, and the focal length, which small
+    and smooth errors look like, is right.
+    """
+
+    def __init__(self) -> None:
+        self._patches = _cut(np.zeros((1, 1), np.float32), np.zeros((0, 2), np.float32))
+        self._shapes, self._since = np.zeros((0, 2, 2), np.float32), np.zeros(0, int)
+
+    def keep(self, rows: np.ndarray) -> None:
+        """Forget all points but those of ``rows``."""
+        self._patches, self._shapes, self._since = self._patches[rows], self._shapes[rows], self._since[rows]
+
+    def add(self, image: np.ndarray, points: np.ndarray, t: int) -> None:
+        """Remember new points [N, 2] of frame ``t``, grey [H, W] float32."""
+        self._patches = self._patches.joined(_cut(image, points))
+        self._shapes = np.concatenate([self._shapes, np.tile(np.eye(2, dtype=np.float32), (len(points), 1, 1))])
+        self._since = np.concatenate([self._since, np.full(len(points), t)])
+
+    def find(self, image: np.ndarray, points: np.ndarray, t: int) -> np.ndarray:
+        """Points [N, 2] of frame ``t`` where their surroundings are the same as before, else where they were."""
+        found, shapes, alike = align(self._patches, image, points - np.float32(0.5), self._shapes)
+        found += np.float32(0.5)
+        same = (alike > ALIKE) & (np.linalg.norm(found - points, axis=1) < SAME_PLACE)
+        points = np.where(same[:, None], found, points)
+        self._shapes[same] = shapes[same]
+        old = np.flatnonzero(~same | (t - self._since >= RENEWED))
+        self._patches.put(old, _cut(image, points[old]))
+        self._shapes[old], self._since[old] = np.eye(2), t
+        return points
+
+
+def _cut(image: np.ndarray, points: np.ndarray) -> Patches:
+    return Patches.cut(image, np.zeros(image.shape, np.uint8), points - np.float32(0.5))
 
 
 def follow_points(scene: Scene) -> tuple[np.ndarray, list[int]]:
@@ -34,6 +80,7 @@ def follow_points(scene: Scene) -> tuple[np.ndarray, list[int]]:
     spacing = max(4, round((size[0] * size[1] / CELLS) ** 0.5))
     table = TrackTable()
     numbers, points = np.zeros(0, int), np.zeros((0, 2), np.float32)
+    around = _Surroundings()
     before: np.ndarray | None = None
     blank = []
     for t in track(range(scene.num_frames), "Following points"):
@@ -49,8 +96,11 @@ def follow_points(scene: Scene) -> tuple[np.ndarray, list[int]]:
             numbers, points = numbers[ok], points[ok]
             oldest = oldest_of_crowds(points, 0.6 * spacing)
             numbers, points = numbers[oldest], points[oldest]
+            around.keep(np.flatnonzero(ok)[oldest])
+            points = around.find(image.astype(np.float32), points, t)
         fresh = new_points(corner_strength(image), points, spacing)
         numbers, points = np.concatenate([numbers, table.start(len(fresh))]), np.concatenate([points, fresh])
+        around.add(image.astype(np.float32), fresh, t)
         table.add(t, numbers, points)
         before = image
     return table.values(scene.num_frames) * to_frame, blank

@@ -19,6 +19,9 @@ FINE = 1e-5
 """An adjustment ends when an iteration lowers its cost by less than this fraction."""
 ROUGH = 1e-4
 """The same of all rounds before the last."""
+ITERATIONS, BENT_ITERATIONS = 40, 150
+"""Of an adjustment at most, and of one that finds the distortion of the lens: with a longer lens in its place nearly all of it can
+be explained, and the way back is narrow."""
 UNIT = 0.5
 """Pixels; errors well beyond it add little to the robust cost by which cameras are compared."""
 WORST = 20 * UNIT
@@ -163,8 +166,9 @@ def refine(
         observed = Observations.of(positions[tracks], seen[tracks])
         prior = LensPrior(expected_focal, _prior_weight(replace(state, points=state.points[tracks]), observed, scale))
         done = adjust(
-            replace(state, points=state.points[tracks]), observed, iterations=40, scale=scale, fixed_camera=fixed_camera,
-            free_focal=free_focal, free_translations=free_translations, free_distortion=free_distortion, prior=prior,
+            replace(state, points=state.points[tracks]), observed, scale=scale, fixed_camera=fixed_camera,
+            iterations=BENT_ITERATIONS if free_distortion else ITERATIONS, free_focal=free_focal,
+            free_translations=free_translations, free_distortion=free_distortion, prior=prior,
             tolerance=FINE if scale == ROUNDS[-1] else ROUGH,
         )  # fmt: skip
         points = state.points.copy()
