@@ -19,21 +19,25 @@ from flowsplat.scenes.layers import write_image
 PICTURE = "clicks.png"
 """In the folder of a scene."""
 
+NEXT, FARTHER = 1, 3
+"""Training frames to the one that a box is matched with, and a click alone, whose own motion must be told from all else."""
+
 _ON, _BESIDE, _BOX = (60, 230, 60), (240, 50, 50), (255, 220, 0)
 
 
 def cut_at_once(scene: Scene, prompts: Sequence[Prompt], estimate: FlowEstimator) -> list[np.ndarray]:
     """The object of every prompt on its frame, bool [H, W]; nothing of a prompt without clicks on it or a box round it."""
-    flows: dict[int, Flow] = {}
+    flows: dict[tuple[int, int], Flow] = {}
     found = []
     for prompt in prompts:
         image = scene.frame(prompt.frame)
         if not prompt.clicks and prompt.box is None:
             found.append(np.zeros(image.shape[:2], bool))
             continue
-        if prompt.frame not in flows:
-            flows[prompt.frame] = _one_flow(scene, prompt.frame, estimate)
-        found.append(cut_out(image, flows[prompt.frame], prompt))
+        pair = prompt.frame, _near(scene, prompt.frame, FARTHER if prompt.box is None else NEXT)
+        if pair not in flows:
+            flows[pair] = _one_flow(scene, *pair, estimate)
+        found.append(cut_out(image, flows[pair], prompt))
     return found
 
 
@@ -49,18 +53,22 @@ def show_at_once(scene: Scene, prompts: Sequence[Prompt], estimate: FlowEstimato
         picture = tinted(scene.frame(i), numbers)
         for prompt, _ in here:
             _draw(picture, prompt)
-        cv2.putText(picture, f"frame {i}", (6, picture.shape[0] - 8), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (255, 255, 255), 1, cv2.LINE_AA)
+        _write(picture, f"frame {i}", (6, picture.shape[0] - 8))
         rows.append(picture)
     path = scene.folder / PICTURE
     write_image(path, stacked(rows))
     return path
 
 
-def _one_flow(scene: Scene, i: int, estimate: FlowEstimator) -> Flow:
-    """The flow to the next training frame, or from the last to the one before, and how sure it is."""
+def _near(scene: Scene, i: int, steps: int) -> int:
+    """The training frame that is so many after another one, or before it near the end; the last or first in the shortest clips."""
     frames = scene.train_frames
     k = frames.index(i)
-    j = frames[k + 1] if k + 1 < len(frames) else frames[k - 1]
+    return frames[k + steps if k + steps < len(frames) else max(k - steps, 0) or (0 if k else 1)]
+
+
+def _one_flow(scene: Scene, i: int, j: int, estimate: FlowEstimator) -> Flow:
+    """The flow from one frame to another, and how sure it is."""
     a, b = scene.frame(i), scene.frame(j)
     forth = estimate(a, b)
     return Flow(i, j, forth, forward_backward_confidence(forth, estimate(b, a)))
@@ -78,5 +86,8 @@ def _draw(picture: np.ndarray, prompt: Prompt) -> None:
         cv2.rectangle(picture, (x0, y0), (x1 - 1, y1 - 1), _BOX, 1)
     corner = prompt.box[:2] if prompt.box is not None else prompt.clicks[0] if prompt.clicks else None
     if corner is not None:
-        where = (int(corner[0]) + radius + 2, int(corner[1]) + 12)
-        cv2.putText(picture, str(prompt.number), where, cv2.FONT_HERSHEY_SIMPLEX, 0.4, (255, 255, 255), 1, cv2.LINE_AA)
+        _write(picture, str(prompt.number), (int(corner[0]) + radius + 2, int(corner[1]) + 12))
+
+
+def _write(picture: np.ndarray, text: str, where: tuple[int, int]) -> None:
+    cv2.putText(picture, text, where, cv2.FONT_HERSHEY_SIMPLEX, 0.4, (255, 255, 255), 1, cv2.LINE_AA)

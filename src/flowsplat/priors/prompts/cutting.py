@@ -126,9 +126,8 @@ def _unlike_around(flow: Flow, seeds: np.ndarray, possible: np.ndarray, prompt: 
 
     Without a box, how much more it is like that of the click.
     """
-    height, width = possible.shape
     if prompt.box is None:
-        ring = _disc(list(prompt.clicks), possible.shape, 2 * REACH * width)
+        ring = _disc(list(prompt.clicks), possible.shape, 2 * REACH * max(possible.shape))
     else:
         x, y, w, h = cv2.boundingRect(possible.astype(np.uint8))
         margin = max(8, round(AROUND * max(w, h)))

@@ -112,7 +112,8 @@ class _Place:
         """The number, which must be one of ``count`` objects."""
         assert self.number is not None
         if self.number > count:
-            raise InputError(f"{self.option} {self.text}: there is no object {self.number}; clicks and boxes show {count or 'none'}.")
+            shown = f"{self.option} {self.text}: there is no object {self.number}"
+            raise InputError(f"{shown}; clicks and boxes show {count or 'none'}.")
         return self.number
 
 

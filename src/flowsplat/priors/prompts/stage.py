@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
+from dataclasses import asdict
 from itertools import groupby
+from typing import Any
 
 import numpy as np
 
@@ -46,8 +49,19 @@ def prompt_stage(scene: Scene, prompts: Sequence[Prompt], estimate: FlowEstimato
     share = pixels / (len(frames) * scene.width * scene.height)
     scene.finish_prior(
         "masks", method="clicks", verdict=f"{max(numbers)} object(s) from clicks and boxes on {share:.1%} of the picture",
-        objects=max(numbers), share=round(share, 5), confidence=round(float(np.mean(sure)), 4),
+        objects=max(numbers), share=round(share, 5), confidence=round(float(np.mean(sure)), 4), prompts=_plain(prompts),
     )  # fmt: skip
+
+
+def shows(scene: Scene, prompts: Sequence[Prompt]) -> bool:
+    """Whether the masks that are there are of these prompts, as far as that was written down."""
+    return (scene.prior("masks") or {}).get("prompts", _plain(prompts)) == _plain(prompts)
+
+
+def _plain(prompts: Sequence[Prompt]) -> list[dict[str, Any]]:
+    """Prompts as JSON holds them."""
+    plain: list[dict[str, Any]] = json.loads(json.dumps([asdict(prompt) for prompt in prompts]))
+    return plain
 
 
 def _numbers(walks: list[list[Part]], starts: list[int]) -> list[int]:

@@ -32,6 +32,9 @@ FURTHEST = 3.0
 OF_MOTION, MOST = 0.5, 3.0
 """Weight of the evidence of what moves, and the most that it counts."""
 
+ANOTHER, FAR = 1.0, 1.0
+"""Evidence of motion that belongs to something else where it is not found to be the object, and bands from it beyond which."""
+
 OF_COLOUR, FULL_COLOUR = 0.7, 1.5
 """Weight of the colours' logarithm to base 2, and the most that it counts."""
 
@@ -45,7 +48,7 @@ class Part:
     Attributes:
         mask: bool [H, W].
         sure: how sure the flow was along which it came, 0 to 1.
-        doubted: bool [H, W], where the user contradicts the evidence of what moves; None = nowhere.
+        doubted: bool [H, W], where the evidence of what moves is not that of the object; None = it is not known.
     """
 
     mask: np.ndarray
@@ -136,13 +139,18 @@ class Walk:
         if not moved.any():
             return Part(moved, 0.0)
         doubted = None if part.doubted is None else carried(part.doubted)
-        return Part(self._outline(image, moved, evidence, doubted), _mean(back.confidence, moved), doubted)
+        found = self._outline(image, moved, evidence, doubted)
+        if doubted is not None:
+            # What moves beside the object now is not a part of it later.
+            away = cv2.distanceTransform((~found).astype(np.uint8), cv2.DIST_L2, 5)
+            doubted |= (evidence > ANOTHER) & (away > FAR * _band(found))
+        return Part(found, _mean(back.confidence, moved), doubted)
 
     def _outline(self, image: np.ndarray, moved: np.ndarray, evidence: np.ndarray, doubted: np.ndarray | None) -> np.ndarray:
-        band = max(2.0, BAND * max(moved.shape))
+        band = _band(moved)
         inner = cv2.distanceTransform(moved.astype(np.uint8), cv2.DIST_L2, 5)
         outer = cv2.distanceTransform((~moved).astype(np.uint8), cv2.DIST_L2, 5)
-        held = HELD * np.clip((inner - outer) / band, -1, 1)
+        held = np.float32(HELD) * np.clip((inner - outer) / band, -1, 1)
         moves = np.clip(OF_MOTION * evidence, 0 if self._rests else -MOST, MOST)
         if doubted is not None:
             moves = np.where(doubted, 0, moves)
@@ -154,6 +162,11 @@ class Walk:
         _, labels = cv2.connectedComponents(found.astype(np.uint8))
         kept = np.isin(labels, np.unique(labels[found & moved])) & found
         return kept if kept.any() else moved
+
+
+def _band(mask: np.ndarray) -> float:
+    """``BAND`` in pixels."""
+    return max(2.0, BAND * max(mask.shape))
 
 
 def _mean(confidence: np.ndarray, mask: np.ndarray) -> float:
