@@ -14,6 +14,9 @@ from flowsplat.scenes import Flow
 REACH = 0.25
 """Share of the picture's long side within which the object under a click is looked for."""
 
+MENDED = 0.08
+"""The same of what a click adds to an object that was carried, or takes from it."""
+
 MOVES = 1.0
 """Pixels a frame by which an object's motion must differ from its surroundings' to be told by it."""
 
@@ -80,11 +83,13 @@ def corrected(
     guess = carried.copy()
     for click in prompt.clicks:
         if not carried[_pixel(click, shape)]:
-            guess |= cut_out(image, flow, Prompt(prompt.frame, (click,), None, prompt.beside), evidence)
+            near = _disc([click], shape, MENDED * max(shape))
+            added = cut_out(image, flow, Prompt(prompt.frame, (click,), None, prompt.beside), evidence)
+            guess |= added & near if (carried & near).any() else added
     for click in prompt.beside:
         if guess[_pixel(click, shape)]:
             spot = _disc([click], shape)
-            near = _disc([click], shape, REACH * max(shape)) & guess
+            near = _disc([click], shape, MENDED * max(shape)) & guess
             guess &= ~(_like_the_click(image, flow.flow, spot, near) & near)
     guess = (guess | seeds) & ~beside
     trimap = np.full(shape, cv2.GC_BGD, np.uint8)
