@@ -122,7 +122,7 @@ def test_a_plain_picture_gives_what_was_shown():
 
 
 def posters(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Two frames [2, 160, 280, 3] of a wall of posters, before which something of its colours goes by, and its mask in the first."""
+    """Two frames [160, 280, 3] of a wall of posters, before which something of its colours goes by, and its mask in the first."""
     rng = np.random.default_rng(seed)
     colours = np.array([[200, 60, 50], [60, 90, 190], [230, 200, 70], [70, 150, 80], [225, 225, 220]])
     grain = rng.normal(0, 9, (2, 160, 300, 1))
