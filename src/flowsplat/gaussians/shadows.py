@@ -19,7 +19,7 @@ from flowsplat.common.threads import in_threads
 from flowsplat.gaussians.model import SceneModel, at_once
 from flowsplat.geometry import Camera
 
-NEAR = 1.5
+NEAR = 3.0
 """Sizes of a mover (square root of its area in the picture) from its mask within which its shadow may fall."""
 
 FEWEST = 3
@@ -27,6 +27,12 @@ FEWEST = 3
 
 SHARE = 0.5
 """Of these frames' brightness the share below that which a surface has by itself."""
+
+MANY, BRIGHTEST = 8, 0.8
+"""Where there are fewer: frames that must show it, and the share of their brightness below that which it has by itself."""
+
+MUCH_DARKER = 0.15
+"""As ``DARKER``, there."""
 
 DARKER = 0.03
 """Logarithm of the brightness by which a surface must be darker beside movers, or it is left as it is."""
@@ -65,18 +71,21 @@ def with_lit(model: SceneModel, cameras: Sequence[Camera], times: Sequence[float
     curve = (gains @ cosines.T).numpy()
     alone = seen & far
     told = alone.sum(1) >= FEWEST
+    # Beside a mover that never leaves, a shadow still comes and goes.
+    beside_only = ~told & (seen.sum(1) >= MANY)
     level = np.full(len(points), np.nan)
-    level[told] = _quantile(curve[told], alone[told])
+    level[told] = _quantile(curve[told], alone[told], SHARE)
     # How bright a whole frame is belongs to no shadow.
     exposure = _exposure(curve - level[:, None], alone & told[:, None])
-    level[told] = _quantile(curve[told] - exposure, alone[told])
-    beside = seen & ~far
-    shade = np.where(beside, curve - exposure - level[:, None], 0)
-    darkest = np.where(told, np.nanmin(np.where(beside, shade, 0), 1, initial=0), 0)
-    changed = np.flatnonzero(darkest < -DARKER)
+    level[told] = _quantile(curve[told] - exposure, alone[told], SHARE)
+    level[beside_only] = _quantile(curve[beside_only] - exposure, seen[beside_only], BRIGHTEST)
+    shade = np.where(seen & ~far, curve - exposure - level[:, None], 0)
+    darkest = np.where(told | beside_only, shade.min(1), 0)
+    changed = np.flatnonzero(darkest < -np.where(told, DARKER, MUCH_DARKER))
+    kept = np.where(told[:, None], alone, seen & (shade > -DARKER))
     lit = torch.cat([torch.zeros(len(g), 1), g.params["log_gains"].detach().float().cpu()], 1)
     if len(changed):
-        target = np.where(alone[changed], curve[changed], level[changed, None] + exposure)
+        target = np.where(kept[changed], curve[changed], level[changed, None] + exposure)
         weight = np.where(seen[changed], 1.0, UNSEEN)
         lit[rests.cpu()[changed]] = _fitted(target, weight, cosines).float()
     return replace(model, gaussians=replace(g, lit=lit.to(g.device)))
@@ -111,10 +120,10 @@ def _witnessed(
     return np.stack([saw for saw, _ in found], 1), np.stack([far for _, far in found], 1)
 
 
-def _quantile(values: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-    """The quantile ``SHARE`` [N] of the chosen ones of values [N, T]; of each at least one is."""
+def _quantile(values: np.ndarray, chosen: np.ndarray, share: float) -> np.ndarray:
+    """The quantile [N] of the chosen ones of values [N, T]; of each at least one is."""
     ordered = np.sort(np.where(chosen, values, np.inf), 1)
-    index = np.floor(SHARE * (chosen.sum(1) - 1) + 0.5).astype(int)
+    index = np.floor(share * (chosen.sum(1) - 1) + 0.5).astype(int)
     return np.take_along_axis(ordered, index[:, None], 1)[:, 0]
 
 
