@@ -14,6 +14,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import torch
+from scipy.spatial import cKDTree
 
 from flowsplat.common.threads import in_threads
 from flowsplat.gaussians.model import SceneModel, at_once
@@ -36,6 +37,13 @@ MUCH_DARKER = 0.15
 
 DARKER = 0.03
 """Logarithm of the brightness by which a surface must be darker beside movers, or it is left as it is."""
+
+AROUND, AGREE = 16, 1.0
+"""Nearest Gaussians at rest, most of which must be darker by so many limits, too."""
+
+JUMP, EDGES = 0.05, 0.5
+"""Share of its depth by which a pixel is off the plane around at an edge, and of the frames that see a surface there, from which
+nothing is told of it."""
 
 STIFFNESS = 1e-4
 """Weight of the squared gains, times that of their wave, against the squared errors of brightness."""
@@ -64,15 +72,17 @@ def with_lit(model: SceneModel, cameras: Sequence[Camera], times: Sequence[float
     if not waves or not len(rests) or not any(mask.any() for mask in masks):
         return model
     points = model.similarity.inverse().points(g.params["means"][rests].double().cpu().numpy())
-    seen, far = _witnessed(model, points, cameras, times, masks)
+    seen, far, edge = _witnessed(model, points, cameras, times, masks)
     t = torch.tensor([model.clip_time(each) for each in times], dtype=torch.float64)
     cosines = torch.cos(math.pi * t[:, None] * torch.arange(1, waves + 1))
     gains = g.params["log_gains"][rests].double().cpu()
     curve = (gains @ cosines.T).numpy()
     alone = seen & far
-    told = alone.sum(1) >= FEWEST
+    # Brightness in time of what is thin or ends makes up for all that is wrong with it.
+    flat = (seen & edge).sum(1) <= EDGES * seen.sum(1)
+    told = flat & (alone.sum(1) >= FEWEST)
     # Beside a mover that never leaves, a shadow still comes and goes.
-    beside_only = ~told & (seen.sum(1) >= MANY)
+    beside_only = flat & ~told & (seen.sum(1) >= MANY)
     level = np.full(len(points), np.nan)
     level[told] = _quantile(curve[told], alone[told], SHARE)
     # How bright a whole frame is belongs to no shadow.
@@ -81,7 +91,10 @@ def with_lit(model: SceneModel, cameras: Sequence[Camera], times: Sequence[float
     level[beside_only] = _quantile(curve[beside_only] - exposure, seen[beside_only], BRIGHTEST)
     shade = np.where(seen & ~far, curve - exposure - level[:, None], 0)
     darkest = np.where(told | beside_only, shade.min(1), 0)
-    changed = np.flatnonzero(darkest < -np.where(told, DARKER, MUCH_DARKER))
+    limit = np.where(told, DARKER, MUCH_DARKER)
+    around = cKDTree(points).query(points, min(AROUND, len(points)))[1].reshape(len(points), -1)
+    # A shadow is no matter of single Gaussians: most around must be as dark.
+    changed = np.flatnonzero((darkest < -limit) & (np.median((darkest / limit)[around], 1) < -AGREE))
     kept = np.where(told[:, None], alone, seen & (shade > -DARKER))
     lit = torch.cat([torch.zeros(len(g), 1), g.params["log_gains"].detach().float().cpu()], 1)
     if len(changed):
@@ -93,17 +106,21 @@ def with_lit(model: SceneModel, cameras: Sequence[Camera], times: Sequence[float
 
 def _witnessed(
     model: SceneModel, points: np.ndarray, cameras: Sequence[Camera], times: Sequence[float], masks: Sequence[np.ndarray]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Whether each frame sees points [N, 3] of the still scene, and whether no mover is near them there; both bool [N, T]."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of points [N, 3] of the still scene and frames, bool [N, T]: is it seen there, is no mover near it, does depth jump there."""
     background, movers = model.part("background"), model.part("movers")
 
-    def look(k: int) -> tuple[np.ndarray, np.ndarray]:
+    def look(k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         camera = cameras[k].resized(max(cameras[k].width // 2, 1), max(cameras[k].height // 2, 1))
         still = background.render(camera, times[k])
         mask = cv2.resize(masks[k], (camera.width, camera.height), interpolation=cv2.INTER_NEAREST)
         hidden = (movers.render(camera, times[k]).alpha >= _COVERED) | (cv2.dilate(mask, np.ones((3, 3), np.uint8)) > 0)
         surface = cv2.dilate(np.where(still.alpha >= _COVERED, still.depth, 0).astype(np.float32), np.ones((3, 3), np.uint8))
         surface = np.where(hidden, 0, surface)
+        # Inverse depth is linear in the picture on a plane, however slanted.
+        inverse = 1 / np.maximum(still.depth, 1e-9)
+        jumps = np.abs(inverse - cv2.blur(inverse, (5, 5))) > JUMP * inverse
+        jumps = cv2.dilate(jumps.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
         beside = np.zeros(mask.shape, bool)
         for number in np.unique(mask[mask > 0]):
             own = (mask == number).astype(np.uint8)
@@ -111,13 +128,14 @@ def _witnessed(
         pixels, depth = camera.project(points)
         column, row = np.floor(np.nan_to_num(pixels, nan=-1)).astype(int).T
         inside = (depth > 0) & (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)
-        saw, near = np.zeros((2, len(points)), bool)
+        saw, near, edge = np.zeros((3, len(points)), bool)
         saw[inside] = depth[inside] <= (1 + _SAME) * surface[row[inside], column[inside]]
-        near[inside] = beside[row[inside], column[inside]]
-        return saw, ~near
+        near[inside], edge[inside] = (values[row[inside], column[inside]] for values in (beside, jumps))
+        return saw, ~near, edge
 
     found = list(in_threads(look, list(range(len(cameras))), at_once(model)))
-    return np.stack([saw for saw, _ in found], 1), np.stack([far for _, far in found], 1)
+    saw, far, edge = (np.stack(values, 1) for values in zip(*found, strict=True))
+    return saw, far, edge
 
 
 def _quantile(values: np.ndarray, chosen: np.ndarray, share: float) -> np.ndarray:
