@@ -76,14 +76,14 @@ def with_lit(model: SceneModel, cameras: Sequence[Camera], times: Sequence[float
     t = torch.tensor([model.clip_time(each) for each in times], dtype=torch.float64)
     cosines = torch.cos(math.pi * t[:, None] * torch.arange(1, waves + 1))
     gains = g.params["log_gains"][rests].double().cpu()
-    curve = (gains @ cosines.T).numpy()
+    curve = (gains @ cosines.T).float().numpy()
     alone = seen & far
     # Brightness in time of what is thin or ends makes up for all that is wrong with it.
     flat = (seen & edge).sum(1) <= EDGES * seen.sum(1)
     told = flat & (alone.sum(1) >= FEWEST)
     # Beside a mover that never leaves, a shadow still comes and goes.
     beside_only = flat & ~told & (seen.sum(1) >= MANY)
-    level = np.full(len(points), np.nan)
+    level = np.full(len(points), np.nan, np.float32)
     level[told] = _quantile(curve[told], alone[told], SHARE)
     # How bright a whole frame is belongs to no shadow.
     exposure = _exposure(curve - level[:, None], alone & told[:, None])
@@ -95,10 +95,10 @@ def with_lit(model: SceneModel, cameras: Sequence[Camera], times: Sequence[float
     around = cKDTree(points).query(points, min(AROUND, len(points)))[1].reshape(len(points), -1)
     # A shadow is no matter of single Gaussians: most around must be as dark.
     changed = np.flatnonzero((darkest < -limit) & (np.median((darkest / limit)[around], 1) < -AGREE))
-    kept = np.where(told[:, None], alone, seen & (shade > -DARKER))
+    kept = np.where(told[:, None], alone, seen & (shade > -DARKER))[changed]
     lit = torch.cat([torch.zeros(len(g), 1), g.params["log_gains"].detach().float().cpu()], 1)
     if len(changed):
-        target = np.where(kept[changed], curve[changed], level[changed, None] + exposure)
+        target = np.where(kept, curve[changed], level[changed, None] + exposure)
         weight = np.where(seen[changed], 1.0, UNSEEN)
         lit[rests.cpu()[changed]] = _fitted(target, weight, cosines).float()
     return replace(model, gaussians=replace(g, lit=lit.to(g.device)))
@@ -147,7 +147,7 @@ def _quantile(values: np.ndarray, chosen: np.ndarray, share: float) -> np.ndarra
 
 def _exposure(values: np.ndarray, chosen: np.ndarray) -> np.ndarray:
     """The median [T] of the chosen ones of values [N, T] in every frame; 0 where there are hardly any."""
-    found = np.zeros(values.shape[1])
+    found = np.zeros(values.shape[1], np.float32)
     for k in range(len(found)):
         if chosen[:, k].sum() >= 50:
             found[k] = np.median(values[chosen[:, k], k])
