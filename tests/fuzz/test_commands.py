@@ -82,7 +82,7 @@ def test_senseless_commands(tmp_path, monkeypatch, capfd):
         config.input.check()
         scene = Scene(Path(source))
         settle(scene, config.render)
-        parse_prompts(config.priors.mask_click, config.priors.mask_box, scene)
+        parse_prompts(config.priors.mask_click, config.priors.mask_box, scene, config.priors.mask_not)
         parse_hints(config.priors.touch, config.priors.distance, scene)
         raise SystemExit(0)
 

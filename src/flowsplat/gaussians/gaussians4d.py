@@ -117,6 +117,8 @@ class Gaussians4D:
         seen: [N, 2] float32, what the clip has seen of each (``support.seen_of``): how many of the frames that were asked, and how
             far apart the directions are from which they did (root mean square, length of the difference of unit vectors). Known
             after training; None = not known.
+        lit: [N, 1 + G] float32, how bright each is without the shadows of what moves (``shadows.with_lit``): the logarithm of a
+            factor of its colour, and gains in place of ``log_gains``. Known after training; None = not known.
     """
 
     params: dict[str, Tensor]
@@ -125,6 +127,7 @@ class Gaussians4D:
     sh_degree: int = 0
     movers: Tensor = field(default_factory=lambda: torch.zeros(0, dtype=torch.uint8))
     seen: Tensor | None = None
+    lit: Tensor | None = None
     motion: MotionModel = field(init=False)
 
     def __post_init__(self) -> None:
@@ -141,6 +144,8 @@ class Gaussians4D:
             raise ValueError(f"movers must be {[len(self)]}, not {list(self.movers.shape)}")
         if self.seen is not None and self.seen.shape != (len(self), 2):
             raise ValueError(f"seen must be {[len(self), 2]}, not {list(self.seen.shape)}")
+        if self.lit is not None and self.lit.shape != (len(self), 1 + self.config.gains):
+            raise ValueError(f"lit must be {[len(self), 1 + self.config.gains]}, not {list(self.lit.shape)}")
 
     def __len__(self) -> int:
         return len(self.dynamic)
@@ -213,8 +218,8 @@ class Gaussians4D:
         if self.device == torch.device(device):
             return self
         params = {name: value.to(device) for name, value in self.params.items()}
-        seen = None if self.seen is None else self.seen.to(device)
-        return Gaussians4D(params, self.dynamic.to(device), self.config, self.sh_degree, self.movers.to(device), seen)
+        seen, lit = (None if values is None else values.to(device) for values in (self.seen, self.lit))
+        return Gaussians4D(params, self.dynamic.to(device), self.config, self.sh_degree, self.movers.to(device), seen, lit)
 
     @property
     def mover_counts(self) -> dict[int, int]:
@@ -230,8 +235,8 @@ class Gaussians4D:
     def select(self, rows: Tensor) -> Gaussians4D:
         """A model of some of the Gaussians."""
         params = {name: value[rows] for name, value in self.params.items()}
-        seen = None if self.seen is None else self.seen[rows]
-        return Gaussians4D(params, self.dynamic[rows], self.config, self.sh_degree, self.movers[rows], seen)
+        seen, lit = (None if values is None else values[rows] for values in (self.seen, self.lit))
+        return Gaussians4D(params, self.dynamic[rows], self.config, self.sh_degree, self.movers[rows], seen, lit)
 
 
 def parameter_shapes(config: ModelConfig) -> dict[str, tuple[int, ...]]:

@@ -16,6 +16,7 @@ from flowsplat.gaussians.distances import Distances, check_factors
 from flowsplat.gaussians.fading import faded
 from flowsplat.gaussians.flow import FlowModel
 from flowsplat.gaussians.gaussians4d import Gaussians4D
+from flowsplat.gaussians.lit import without_shadows
 from flowsplat.gaussians.render import fill_uncovered, render
 from flowsplat.gaussians.renderer import Part, Renderer, Rendering, numbers_of
 from flowsplat.geometry import Camera, Similarity
@@ -133,7 +134,8 @@ class SceneModel:
     def part(self, part: Part) -> SceneModel:
         """A model of movers alone or of the background alone: see ``PartedRenderer.part``.
 
-        ``movers`` is what moves. A mover that is named by its number has all that belongs to it, what of it rests as well.
+        ``movers`` is what moves; ``background`` is as bright as it is without the shadows that these throw. A mover that is named
+        by its number has all that belongs to it, what of it rests as well.
         """
         if part == "all":
             return self
@@ -144,7 +146,10 @@ class SceneModel:
         else:
             chosen = dynamic if part == "movers" else ~dynamic
         rows = torch.nonzero(chosen).squeeze(1)
-        return replace(self, gaussians=self.gaussians.select(rows), fill=self.fill and part == "background")
+        gaussians = self.gaussians.select(rows)
+        if part == "background":
+            gaussians = without_shadows(gaussians)
+        return replace(self, gaussians=gaussians, fill=self.fill and part == "background")
 
     def at_distances(self, factors: Mapping[int, float], times: Sequence[float], cameras: Sequence[Camera]) -> SceneModel:
         """The same scene with some movers farther away, or nearer: see ``PartedRenderer.at_distances``."""

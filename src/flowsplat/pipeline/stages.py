@@ -30,6 +30,7 @@ from flowsplat.gaussians.gaussians4d import Gaussians4D
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.observations import Observation, Observations, load_observations
 from flowsplat.gaussians.render import RenderedFrame
+from flowsplat.gaussians.shadows import with_lit
 from flowsplat.gaussians.support import with_seen
 from flowsplat.output.priors_report import verdict, write_priors_report
 from flowsplat.output.report import FlowComparison, write_report
@@ -364,6 +365,9 @@ def _trained(
     if begin is not static_start:
         with busy("Finding what the clip has seen of the scene"):
             model = with_seen(model, scene.cameras, scene.timestamps.tolist())
+            of = scene.train_frames
+            seconds = [float(scene.timestamps[i]) for i in of]
+            model = with_lit(model, [scene.cameras[i] for i in of], seconds, [scene.mask(i) for i in of])
     save_model(model_path, model)
     write_json(out / where / "history.json", trainer.history)
     folder.finish(stage, key, {stage: trainer.earlier_seconds + time.perf_counter() - started})

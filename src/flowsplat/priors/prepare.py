@@ -27,7 +27,7 @@ from flowsplat.priors.monocular import monocular_stage
 from flowsplat.priors.mover_flow import mover_flow_stage
 from flowsplat.priors.objects import objects_stage
 from flowsplat.priors.objects.hints import Hint, parse_hints
-from flowsplat.priors.prompts import Prompt, parse_prompts, prompt_stage
+from flowsplat.priors.prompts import Prompt, parse_prompts, prompt_stage, show_at_once, shows
 from flowsplat.priors.tracks import complete_tracks, tracks_stage
 from flowsplat.scenes import Scene
 
@@ -44,9 +44,13 @@ class PriorsOptions:
     """Masks of what moves: motion (no weights), or what the motion or your clicks and boxes show, followed by a network of the
     extra ``learned``."""
     mask_click: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    """A moving object: x,y@frame, in pixels of the prepared frames or as shares of the picture (0.5,0.4@0). Repeat it for more."""
+    """A moving object: x,y@frame, in pixels of the prepared frames or as shares of the picture (0.5,0.4@0). Repeat it for more.
+    With the number of an object behind it (x,y@frame=1) it corrects that one, on another frame, say: they count from 1, boxes
+    first."""
     mask_box: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """A box round a moving object: x0,y0,x1,y1@frame. A click inside it on the same frame belongs to it."""
+    mask_not: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = later(())
+    """What is none of these objects, or not the one of a number: x,y@frame or x,y@frame=1. Any frame will do."""
     touch: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = later(())
     """Where something that moves touches what is still, the ground, say: x,y@frame, as for --mask-click. One such place tells how
     far away it is over the whole clip. Repeat it for more."""
@@ -98,14 +102,14 @@ def prepare_priors(
             there, a click is no click, or no cameras can be found; or the scene has depth that belongs to its cameras and
             cannot be made anew for others.
     """
-    prompts = parse_prompts(options.mask_click, options.mask_box, scene)
+    prompts = parse_prompts(options.mask_click, options.mask_box, scene, options.mask_not)
     hints = parse_hints(options.touch, options.distance, scene)
     if hints and (options.priors == "true" or options.depth != "multiview" or options.given.depth is not None):
         raise InputError("--touch and --distance place movers in depth of our own: leave out what takes other depth.")
     if prompts and options.given.masks is not None:
         raise InputError("--given.masks and --mask-click or --mask-box both say what moves: give one of them.")
     _require_pictures_as_they_are(options)
-    unwanted = _unwanted(scene, options, bool(prompts))
+    unwanted = _unwanted(scene, options, prompts)
     depth = _method(scene, "depth")
     if hints and depth is not None and not _has_hints(scene, hints):
         if depth not in _OWN_DEPTH:
@@ -117,7 +121,7 @@ def prepare_priors(
         true_layers(scene)
         _forget(scene, unwanted)
         seconds["truth"] = _timed(lambda: use_truth(scene))
-        unwanted = _unwanted(scene, options, bool(prompts))
+        unwanted = _unwanted(scene, options, prompts)
     # Networks are loaded before anything is forgotten or computed: that one is missing is said now, not after minutes of work.
     due = {*_missing(scene), *unwanted}
     estimate = flow_estimator(options, device) if {"flow", "masks", "depth"} & due else dis_estimator
@@ -125,6 +129,10 @@ def prepare_priors(
     chosen = {name: _CHOICES[name](scene, options, prompts, hints, estimate, device) for name in ours}
     _forget(scene, unwanted)
     missing = _missing(scene)
+    if prompts and "masks" in missing:
+        with busy("Looking at clicks and boxes"):
+            path = show_at_once(scene, prompts, estimate)
+        say(f"What clicks and boxes mean at first sight, before the clip is known: {path}")
     later: dict[str, Stage] = {}
     if options.given != GivenPriors() and missing:
         start = time.perf_counter()
@@ -190,7 +198,7 @@ def _asked(options: PriorsOptions, has_prompts: bool) -> dict[str, str]:
     return asked | {name: "given" for name in _PRIORS if getattr(options.given, name) is not None}
 
 
-def _unwanted(scene: Scene, options: PriorsOptions, has_prompts: bool) -> set[str]:
+def _unwanted(scene: Scene, options: PriorsOptions, prompts: list[Prompt]) -> set[str]:
     """The priors that are there and must be computed anew: the user asks for other ones, or they follow from such.
 
     Raises:
@@ -200,10 +208,12 @@ def _unwanted(scene: Scene, options: PriorsOptions, has_prompts: bool) -> set[st
         method = _method(scene, name)
         if getattr(options.given, name) is not None and method not in (None, "given"):
             raise InputError(f"The scene has {name} already ({method}), which --given.{name} cannot replace. Start from the clip.")
-    asked = _asked(options, has_prompts)
+    asked = _asked(options, bool(prompts))
     if options.priors == "true" and _method(scene, "flow") == "truth":
         asked.pop("flow", None)
     found = {name for name, method in asked.items() if _method(scene, name) not in (None, method)}
+    if prompts and _method(scene, "masks") == asked.get("masks") and not shows(scene, prompts):
+        found.add("masks")
     are_own_other = "cameras" not in asked and _are_other_cameras_asked(scene, options.cameras)
     if are_own_other:
         found.add("cameras")
@@ -288,7 +298,7 @@ def _choose_masks(
     scene: Scene, options: PriorsOptions, prompts: list[Prompt], hints: list[Hint], estimate: FlowEstimator, device: str
 ) -> Stage:
     if options.masks == "motion":
-        return partial(prompt_stage, scene, prompts) if prompts else partial(mask_stage, scene, estimate)
+        return partial(prompt_stage, scene, prompts, estimate) if prompts else partial(mask_stage, scene, estimate)
     from flowsplat.priors.learned.sam import load_segmenter, prompts_from_masks, sam_stage
 
     segmenter = load_segmenter(options.masks, options.models, network_device(device))

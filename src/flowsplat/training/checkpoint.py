@@ -26,8 +26,10 @@ from flowsplat.geometry import Similarity
 from flowsplat.geometry.cameras import FURTHEST
 from flowsplat.training.config import most_of
 
-MODEL_VERSION = 3
-"""1 had no ``movers``, 2 no ``seen``; such models are read."""
+MODEL_VERSION = 4
+"""1 had no ``movers``, 2 no ``seen``, 3 no ``lit``; such models are read."""
+_FOUND = ("seen", "lit")
+"""What is found when training ends, where it was."""
 _LARGEST_LOG = 80.0
 """Logarithm of what still is a float32."""
 RENAMED_FIGURES = {"open": "coverage"}
@@ -124,8 +126,8 @@ def present_figures(history: Sequence[Mapping[str, float]]) -> list[dict[str, fl
 def save_model(folder: Path, model: SceneModel) -> None:
     """Write a trained model: ``gaussians.safetensors`` and a ``model.json`` that a person can read."""
     g = model.gaussians
-    seen = {} if g.seen is None else {"seen": g.seen}
-    write_tensors(folder / "gaussians.safetensors", {**g.params, "dynamic": g.dynamic, "movers": g.movers, **seen}, {})
+    known = {name: value for name in _FOUND if (value := getattr(g, name)) is not None}
+    write_tensors(folder / "gaussians.safetensors", {**g.params, "dynamic": g.dynamic, "movers": g.movers, **known}, {})
     value = {
         "version": MODEL_VERSION,
         "gaussians": len(g),
@@ -161,9 +163,10 @@ def load_model(folder: Path) -> SceneModel:
     check_json(path, value, ModelFile)
     try:
         tensors, _ = read_tensors(folder / "gaussians.safetensors", value["gaussians"])
-        dynamic, movers, seen = tensors["dynamic"].to(torch.bool), stored_movers(tensors), tensors.get("seen")
-        params = {name: tensor for name, tensor in tensors.items() if name not in ("dynamic", "movers", "seen")}
-        gaussians = Gaussians4D(params, dynamic, ModelConfig(**value["model"]), value["sh_degree"], movers, seen)
+        dynamic, movers = tensors["dynamic"].to(torch.bool), stored_movers(tensors)
+        params = {name: tensor for name, tensor in tensors.items() if name not in ("dynamic", "movers", *_FOUND)}
+        found = {name: tensors.get(name) for name in _FOUND}
+        gaussians = Gaussians4D(params, dynamic, ModelConfig(**value["model"]), value["sh_degree"], movers, **found)
         check_model(folder, gaussians)
         if not value["last"] > value["first"]:
             raise ValueError("its last frame is not after its first")
@@ -202,6 +205,9 @@ def check_model(path: Path, gaussians: Gaussians4D) -> None:
     seen = gaussians.seen
     if seen is not None and (seen.dtype != torch.float32 or not bool(((seen >= 0) & (seen < torch.inf)).all())):
         raise InputError(f"{path} is damaged: what the clip has seen of a Gaussian is no number, or negative.")
+    lit = gaussians.lit
+    if lit is not None and (lit.dtype != torch.float32 or not bool((lit.abs() <= _LARGEST_LOG).all())):
+        raise InputError(f"{path} is damaged: how bright a Gaussian is without shadows is no number, or beyond {_LARGEST_LOG:g}.")
 
 
 def check_training_state(path: Path, tensors: Mapping[str, Tensor], gaussians: Gaussians4D) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Any
 
 import cv2
@@ -58,13 +59,14 @@ def prompts_from_masks(scene: Scene) -> list[Prompt]:
         for number, area in enumerate(np.bincount(scene.mask(i).ravel())[1:], start=1):
             if area > best.get(number, (0, 0))[0]:
                 best[number] = int(area), i
-    prompts = []
+    prompts: list[Prompt] = []
     for number, (_, i) in sorted(best.items()):
         inside = (scene.mask(i) == number).astype(np.uint8)
         x, y, width, height = cv2.boundingRect(inside)
         depth_inside = cv2.distanceTransform(np.pad(inside, 1), cv2.DIST_L2, 3)[1:-1, 1:-1]
         row, column = np.unravel_index(depth_inside.argmax(), inside.shape)
-        prompts.append(Prompt(i, ((column + 0.5, row + 0.5),), (x, y, x + width, y + height)))
+        click, box = (column + 0.5, row + 0.5), (x, y, x + width, y + height)
+        prompts.append(Prompt(i, (click,), box, number=len(prompts) + 1))
     return prompts
 
 
@@ -72,7 +74,7 @@ def sam_stage(scene: Scene, segmenter: Segmenter, prompts: Sequence[Prompt], sho
     """Masks with object numbers for the training frames; nothing else of the clip is seen.
 
     Args:
-        prompts: one an object, in the order of their numbers.
+        prompts: by the numbers of their objects, of each the one first that shows it.
         shown_by: where the prompts come from, for the verdict.
     """
     labels = _followed(scene, segmenter, prompts) if prompts else {}
@@ -83,8 +85,9 @@ def sam_stage(scene: Scene, segmenter: Segmenter, prompts: Sequence[Prompt], sho
         pixels += int((mask > 0).sum())
     share = pixels / (len(scene.train_frames) * scene.width * scene.height)
     how = f"shown by {shown_by}, followed by {segmenter.name} ({segmenter.source})"
-    verdict = f"{len(prompts)} object(s) on {share:.1%} of the picture, {how}"
-    scene.finish_prior("masks", method=segmenter.name, verdict=verdict, objects=len(prompts), share=round(share, 5))
+    objects = len({prompt.number for prompt in prompts})
+    verdict = f"{objects} object(s) on {share:.1%} of the picture, {how}"
+    scene.finish_prior("masks", method=segmenter.name, verdict=verdict, objects=objects, share=round(share, 5))
 
 
 @torch.inference_mode()
@@ -94,7 +97,9 @@ def _followed(scene: Scene, segmenter: Segmenter, prompts: Sequence[Prompt]) -> 
     size = scene.height, scene.width
     best = {i: np.zeros(size, np.float16) for i in frames}
     labels = {i: np.zeros(size, np.uint8) for i in frames}
-    starts = sorted({frames.index(prompt.frame) for prompt in prompts})
+    objects = {number: list(group) for number, group in groupby(prompts, lambda prompt: prompt.number)}
+    begins = {number: frames.index(group[0].frame) for number, group in objects.items()}
+    starts = sorted(set(begins.values()))
     with progress_bar("Masks", len(frames) * len(starts)) as bar:
         for start in starts:
             # One walk for each frame with prompts: the network wants all objects to be known when it sets out.
@@ -102,11 +107,12 @@ def _followed(scene: Scene, segmenter: Segmenter, prompts: Sequence[Prompt]) -> 
                 video=[scene.frame(i) for i in frames], inference_device=segmenter.device, video_storage_device="cpu",
                 dtype=network.dtype,
             )  # fmt: skip
-            for number, prompt in enumerate(prompts, start=1):
-                if frames.index(prompt.frame) == start:
-                    processor.add_inputs_to_inference_session(session, start, number, **_inputs(prompt))
+            for number, group in objects.items():
+                for prompt in group if begins[number] == start else []:
+                    at = frames.index(prompt.frame)
+                    processor.add_inputs_to_inference_session(session, at, number, **_inputs(prompt))
                     # Taken in before the next one comes, which would replace it.
-                    network(inference_session=session, frame_idx=start)
+                    network(inference_session=session, frame_idx=at)
             for backwards in (False, True):
                 for found in network.propagate_in_video_iterator(session, start_frame_idx=start, reverse=backwards):
                     i = frames[found.frame_idx]
@@ -121,9 +127,9 @@ def _followed(scene: Scene, segmenter: Segmenter, prompts: Sequence[Prompt]) -> 
 
 def _inputs(prompt: Prompt) -> dict[str, Any]:
     inputs: dict[str, Any] = {}
-    if prompt.clicks:
-        inputs["input_points"] = [[[list(click) for click in prompt.clicks]]]
-        inputs["input_labels"] = [[[1] * len(prompt.clicks)]]
+    if prompt.clicks or prompt.beside:
+        inputs["input_points"] = [[[list(click) for click in (*prompt.clicks, *prompt.beside)]]]
+        inputs["input_labels"] = [[[1] * len(prompt.clicks) + [0] * len(prompt.beside)]]
     if prompt.box is not None:
         inputs["input_boxes"] = [[list(prompt.box)]]
     return inputs

@@ -7,6 +7,8 @@ colours of movers, moves; motion decides where no frame sees past it.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+
 import cv2
 import numpy as np
 
@@ -58,11 +60,8 @@ def mask_stage(scene: Scene, estimate: FlowEstimator = dis_estimator) -> None:
         return
     clip = MatchedClip(scene, estimate)
     motion = motion_evidence(clip, static_depth(clip, False))
-    for k, i in enumerate(scene.train_frames):
-        scene.write_mask(i, rough_cut(motion[k], scene.frame(i), weighing(clip).certain))
-    if any(scene.mask(i).any() for i in scene.train_frames):
-        evidence = _plate_evidence(clip, motion)
-        _add_colours(clip, evidence, motion)
+    if _rough_masks(clip, motion):
+        evidence = _own_evidence(clip, motion)
         for k, mask in enumerate(_cut(clip, evidence, motion)):
             scene.write_mask(scene.train_frames[k], mask)
     objects, share = number_objects(scene)
@@ -70,6 +69,39 @@ def mask_stage(scene: Scene, estimate: FlowEstimator = dis_estimator) -> None:
     things = "1 moving object" if objects == 1 else f"{objects} moving parts"
     verdict = f"{things} on {share:.1%} of the picture" if objects else "nothing moves"
     scene.finish_prior("masks", method="motion", verdict=verdict, objects=objects, share=round(share, 5))
+
+
+def moving_evidence(clip: MatchedClip, shown: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Evidence [H, W] float16 of every training frame, a logarithm to base 2, positive where something moves.
+
+    Overwrites the masks of the training frames.
+
+    Args:
+        shown: bool [H, W] of every training frame, what is known to be a mover.
+    """
+    motion = motion_evidence(clip, static_depth(clip, False))
+    _rough_masks(clip, motion, shown)
+    sums = _propagated(clip, _own_evidence(clip, motion))
+    return [total.astype(np.float16) for total in track(sums, "What moves", len(clip))][::-1]
+
+
+def _rough_masks(clip: MatchedClip, motion: list[np.ndarray], shown: Sequence[np.ndarray] | None = None) -> bool:
+    """Write what moves by its motion, and what is known to, as masks of 0 and 1; whether anything does."""
+    scene, certain, found = clip.scene, weighing(clip).certain, False
+    for k, i in enumerate(scene.train_frames):
+        mask = rough_cut(motion[k], scene.frame(i), certain)
+        if shown is not None:
+            mask = mask | shown[k].astype(np.uint8)
+        scene.write_mask(i, mask)
+        found = found or bool(mask.any())
+    return found
+
+
+def _own_evidence(clip: MatchedClip, motion: list[np.ndarray]) -> list[np.ndarray]:
+    """[H, W] float16 of every training frame by itself: its plate, matches and colours."""
+    evidence = _plate_evidence(clip, motion)
+    _add_colours(clip, evidence, motion)
+    return evidence
 
 
 def _plate_evidence(clip: MatchedClip, motion: list[np.ndarray]) -> list[np.ndarray]:
@@ -104,13 +136,19 @@ def _add_colours(clip: MatchedClip, evidence: list[np.ndarray], motion: list[np.
 def _cut(clip: MatchedClip, evidence: list[np.ndarray], motion: list[np.ndarray]) -> list[np.ndarray]:
     """The masks [H, W] uint8 of 0 and 1, from evidence that is propagated between frames."""
     scene, numbers = clip.scene, clip.scene.train_frames
+    sums = zip(numbers[::-1], motion[::-1], _propagated(clip, evidence), strict=True)
+    return [_outline(total, scene.frame(i), moving) for i, moving, total in track(sums, "Masks", len(clip))][::-1]
+
+
+def _propagated(clip: MatchedClip, evidence: list[np.ndarray]) -> Iterator[np.ndarray]:
+    """The evidence [H, W] of each training frame and its neighbours, from the last to the first."""
+    scene, numbers = clip.scene, clip.scene.train_frames
 
     def flow(k: int, j: int) -> tuple[np.ndarray, np.ndarray]:
         found = scene.flow(numbers[k], numbers[j])
         return found.flow, found.confidence
 
-    sums = zip(numbers[::-1], motion[::-1], propagated(clip, evidence.__getitem__, flow, MEMORY), strict=True)
-    return [_outline(total, scene.frame(i), moving) for i, moving, total in track(sums, "Masks", len(clip))][::-1]
+    return propagated(clip, evidence.__getitem__, flow, MEMORY)
 
 
 def _outline(evidence: np.ndarray, frame: np.ndarray, motion: np.ndarray) -> np.ndarray:

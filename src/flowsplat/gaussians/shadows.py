@@ -1,0 +1,168 @@
+"""The background as it looks without the movers' shadows (METHOD 7).
+
+A shadow moves with what throws it and belongs to no mask. In a trained scene it is brightness in time of the background
+(``log_gains``). Where a still surface is seen in some frames with a mover near it and in others without, the others tell how
+bright it is by itself. A shadow that never leaves cannot be told from a dark surface, and stays.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+
+from flowsplat.common.threads import in_threads
+from flowsplat.gaussians.model import SceneModel, at_once
+from flowsplat.geometry import Camera
+
+NEAR = 3.0
+"""Sizes of a mover (square root of its area in the picture) from its mask within which its shadow may fall."""
+
+FEWEST = 3
+"""Frames without a mover near that must show a surface."""
+
+SHARE = 0.5
+"""Of these frames' brightness the share below that which a surface has by itself."""
+
+MANY, BRIGHTEST = 8, 0.8
+"""Where there are fewer: frames that must show it, and the share of their brightness below that which it has by itself."""
+
+MUCH_DARKER = 0.15
+"""As ``DARKER``, there."""
+
+DARKER = 0.03
+"""Logarithm of the brightness by which a surface must be darker beside movers, or it is left as it is."""
+
+AROUND, AGREE = 16, 1.0
+"""Nearest Gaussians at rest, most of which must be darker by so many limits, too."""
+
+JUMP, EDGES = 0.05, 0.5
+"""Share of its depth by which a pixel is off the plane around at an edge, and of the frames that see a surface there, from which
+nothing is told of it."""
+
+STIFFNESS = 1e-4
+"""Weight of the squared gains, times that of their wave, against the squared errors of brightness."""
+
+UNSEEN = 0.3
+"""Weight of times at which a surface is not seen."""
+
+_SAME = 0.05
+"""Share of its distance by which a point may lie behind the surface that a frame sees."""
+_COVERED = 0.5
+_ROWS = 8192
+
+
+def with_lit(model: SceneModel, cameras: Sequence[Camera], times: Sequence[float], masks: Sequence[np.ndarray]) -> SceneModel:
+    """The scene with how bright its background is without what moves (``Gaussians4D.lit``).
+
+    Args:
+        model: the trained scene.
+        cameras: [T] of the training frames.
+        times: [T] seconds of them.
+        masks: [T] numbers of movers [H, W] in them.
+    """
+    g = model.gaussians
+    waves = g.config.gains
+    rests = torch.nonzero(g.at_rest).squeeze(1)
+    if not waves or not len(rests) or not any(mask.any() for mask in masks):
+        return model
+    points = model.similarity.inverse().points(g.params["means"][rests].double().cpu().numpy())
+    seen, far, edge = _witnessed(model, points, cameras, times, masks)
+    t = torch.tensor([model.clip_time(each) for each in times], dtype=torch.float64)
+    cosines = torch.cos(math.pi * t[:, None] * torch.arange(1, waves + 1))
+    gains = g.params["log_gains"][rests].double().cpu()
+    curve = (gains @ cosines.T).float().numpy()
+    alone = seen & far
+    # Brightness in time of what is thin or ends makes up for all that is wrong with it.
+    flat = (seen & edge).sum(1) <= EDGES * seen.sum(1)
+    told = flat & (alone.sum(1) >= FEWEST)
+    # Beside a mover that never leaves, a shadow still comes and goes.
+    beside_only = flat & ~told & (seen.sum(1) >= MANY)
+    level = np.full(len(points), np.nan, np.float32)
+    level[told] = _quantile(curve[told], alone[told], SHARE)
+    # How bright a whole frame is belongs to no shadow.
+    exposure = _exposure(curve - level[:, None], alone & told[:, None])
+    level[told] = _quantile(curve[told] - exposure, alone[told], SHARE)
+    level[beside_only] = _quantile(curve[beside_only] - exposure, seen[beside_only], BRIGHTEST)
+    shade = np.where(seen & ~far, curve - exposure - level[:, None], 0)
+    darkest = np.where(told | beside_only, shade.min(1), 0)
+    limit = np.where(told, DARKER, MUCH_DARKER)
+    around = cKDTree(points).query(points, min(AROUND, len(points)))[1].reshape(len(points), -1)
+    # A shadow is no matter of single Gaussians: most around must be as dark.
+    changed = np.flatnonzero((darkest < -limit) & (np.median((darkest / limit)[around], 1) < -AGREE))
+    kept = np.where(told[:, None], alone, seen & (shade > -DARKER))[changed]
+    lit = torch.cat([torch.zeros(len(g), 1), g.params["log_gains"].detach().float().cpu()], 1)
+    if len(changed):
+        target = np.where(kept, curve[changed], level[changed, None] + exposure)
+        weight = np.where(seen[changed], 1.0, UNSEEN)
+        lit[rests.cpu()[changed]] = _fitted(target, weight, cosines).float()
+    return replace(model, gaussians=replace(g, lit=lit.to(g.device)))
+
+
+def _witnessed(
+    model: SceneModel, points: np.ndarray, cameras: Sequence[Camera], times: Sequence[float], masks: Sequence[np.ndarray]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of points [N, 3] of the still scene and frames, bool [N, T]: is it seen there, is no mover near it, does depth jump there."""
+    background, movers = model.part("background"), model.part("movers")
+
+    def look(k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        camera = cameras[k].resized(max(cameras[k].width // 2, 1), max(cameras[k].height // 2, 1))
+        still = background.render(camera, times[k])
+        mask = cv2.resize(masks[k], (camera.width, camera.height), interpolation=cv2.INTER_NEAREST)
+        hidden = (movers.render(camera, times[k]).alpha >= _COVERED) | (cv2.dilate(mask, np.ones((3, 3), np.uint8)) > 0)
+        surface = cv2.dilate(np.where(still.alpha >= _COVERED, still.depth, 0).astype(np.float32), np.ones((3, 3), np.uint8))
+        surface = np.where(hidden, 0, surface)
+        # Inverse depth is linear in the picture on a plane, however slanted.
+        inverse = 1 / np.maximum(still.depth, 1e-9)
+        jumps = np.abs(inverse - cv2.blur(inverse, (5, 5))) > JUMP * inverse
+        jumps = cv2.dilate(jumps.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+        beside = np.zeros(mask.shape, bool)
+        for number in np.unique(mask[mask > 0]):
+            own = (mask == number).astype(np.uint8)
+            beside |= cv2.distanceTransform(1 - own, cv2.DIST_L2, 3) <= NEAR * math.sqrt(own.sum())
+        pixels, depth = camera.project(points)
+        column, row = np.floor(np.nan_to_num(pixels, nan=-1)).astype(int).T
+        inside = (depth > 0) & (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)
+        saw, near, edge = np.zeros((3, len(points)), bool)
+        saw[inside] = depth[inside] <= (1 + _SAME) * surface[row[inside], column[inside]]
+        near[inside], edge[inside] = (values[row[inside], column[inside]] for values in (beside, jumps))
+        return saw, ~near, edge
+
+    found = list(in_threads(look, list(range(len(cameras))), at_once(model)))
+    saw, far, edge = (np.stack(values, 1) for values in zip(*found, strict=True))
+    return saw, far, edge
+
+
+def _quantile(values: np.ndarray, chosen: np.ndarray, share: float) -> np.ndarray:
+    """The quantile [N] of the chosen ones of values [N, T]; of each at least one is."""
+    ordered = np.sort(np.where(chosen, values, np.inf), 1)
+    index = np.floor(share * (chosen.sum(1) - 1) + 0.5).astype(int)
+    return np.take_along_axis(ordered, index[:, None], 1)[:, 0]
+
+
+def _exposure(values: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """The median [T] of the chosen ones of values [N, T] in every frame; 0 where there are hardly any."""
+    found = np.zeros(values.shape[1], np.float32)
+    for k in range(len(found)):
+        if chosen[:, k].sum() >= 50:
+            found[k] = np.median(values[chosen[:, k], k])
+    return found
+
+
+def _fitted(target: np.ndarray, weight: np.ndarray, cosines: torch.Tensor) -> torch.Tensor:
+    """A constant and gains [N, 1 + G] whose curves are nearest to ``target`` [N, T], by its ``weight``."""
+    T, G = cosines.shape
+    A = torch.cat([torch.ones(T, 1, dtype=torch.float64), cosines], 1)
+    held = STIFFNESS * T * torch.diag(torch.cat([torch.zeros(1), torch.arange(1.0, G + 1)]).double())
+    parts = []
+    for start in range(0, len(target), _ROWS):
+        w = torch.from_numpy(weight[start : start + _ROWS])
+        b = torch.from_numpy(target[start : start + _ROWS])
+        normal = torch.einsum("tp,nt,tq->npq", A, w, A) + held + 1e-9 * torch.eye(G + 1, dtype=torch.float64)
+        parts.append(torch.linalg.solve(normal, torch.einsum("tp,nt->np", A, w * b)))
+    return torch.cat(parts)
