@@ -2,6 +2,7 @@
 
     run.json       input, its fingerprint, all settings, and which stages are finished with which key
     scene/         the prepared scene
+    first/         a coarse scene of few small frames, shown until training has a checkpoint
     priors.html    cameras, depth, masks, flow and tracks to look at, with a verdict
     training/      checkpoints (while training), history.json
     model/         the trained 4D scene: what is measured
