@@ -21,7 +21,7 @@ from flowsplat.common.files import hash_files, lease, read_json, remove_partials
 from flowsplat.common.files.json_file import Number
 from flowsplat.common.files.lease import NAME as LOCK
 from flowsplat.common.files.writing import writing_error
-from flowsplat.common.memory import recent_peak
+from flowsplat.common.memory import begin_peak, recent_peak
 from flowsplat.common.progress import busy, say
 from flowsplat.common.settings import to_plain
 from flowsplat.evaluation.evaluate import evaluate
@@ -205,7 +205,11 @@ def _compute_scene(folder: RunFolder, source: Path, kind: str, key: str, is_new:
     _say_estimate(scene, speed.estimate(reference))
     ingested = time.perf_counter() - started
 
+    memory: dict[str, float | None] = {}
+
     def after(stage: str, took: float) -> None:
+        memory[stage] = recent_peak()
+        begin_peak()
         if stage == "cameras":
             speed.seen(took / reference["cameras"])
             say(f"Left of a whole run: {in_words(speed.estimate(reference, STAGES[1:]))}.")
@@ -220,7 +224,7 @@ def _compute_scene(folder: RunFolder, source: Path, kind: str, key: str, is_new:
     with busy("Writing priors.html"):
         page = write_priors_report(folder.path, scene, seconds)
     say(f"{verdict(scene)} Look at {page}")
-    folder.finish("prepare", key, {"ingest": ingested, **seconds})
+    folder.finish("prepare", key, {"ingest": ingested, **seconds}, memory)
 
 
 def _clear(out: Path) -> None:

@@ -33,6 +33,7 @@ from flowsplat.common.simd import (
     whole,
 )
 from flowsplat.geometry import Camera
+from flowsplat.priors.background.bits import packed
 from flowsplat.priors.background.matched_clip import MatchedClip
 
 OFFSETS = (-16, -8, -4, 4, 8, 16)
@@ -78,7 +79,7 @@ def refine_edges(
     """
     poses = np.array([other.pose_from(camera) for other in cameras], np.float32).reshape(-1, 3, 4)
     intrinsics = np.array([c.intrinsics for c in [camera, *cameras]], np.float32)
-    words, slopes = _packed(pictures, moving)
+    words, slopes = packed(pictures, moving), np.ascontiguousarray(pictures[..., 3])
     for _ in range(ROUNDS):
         around = [cv2.getStructuringElement(cv2.MORPH_RECT, (2 * reach + 1, 2 * reach + 1)) for reach in REACHES]
         far, close = [cv2.erode(inverse, each) for each in around], [cv2.dilate(inverse, each) for each in around]
@@ -123,22 +124,6 @@ class EdgeRefiner:
         return features(scene.frame(i)), cv2.dilate(moving.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0, moving
 
 
-@parallel_kernel
-def _packed(pictures: np.ndarray, moving: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Features [J, H, W, 4] in half the memory: bytes red, green, blue and "moves" as the bits of a float32, and the gradient."""
-    J, H, W = moving.shape
-    words, slopes = np.empty((J, H, W), np.uint32), np.empty((J, H, W), np.float32)
-    for y in prange(H):
-        for j in range(J):
-            for x in range(W):
-                word = np.uint32(moving[j, y, x])
-                for n in range(2, -1, -1):
-                    word = word << np.uint32(8) | np.uint32(pictures[j, y, x, n])
-                words[j, y, x] = word
-                slopes[j, y, x] = pictures[j, y, x, 3]
-    return words.view(np.float32), slopes
-
-
 @njit(inline="always", **OPTIONS)
 def _mixed(corners, shift, a00, a01, a10, a11):
     """A byte of four words, bilinear."""
@@ -154,7 +139,8 @@ def _costs(
     """[L, H, S] float32: how much the better half of the frames differs from a pixel at each proposed inverse depth [L, H, W].
 
     Of every other pixel, as on a chessboard: they vote as well as all, in half the time. A row holds its columns y % 2, y % 2 + 2,
-    ... from ``_MARGIN`` on, and 0 beside them. ``words`` and ``slopes`` as from ``_packed``.
+    ... from ``_MARGIN`` on, and 0 beside them. ``words``: colours and movers of the others as from ``packed``,
+    ``slopes``: the sizes of their gradients, each [J, H, W].
     """
     L, H, W = proposed.shape
     J = len(poses)

@@ -21,6 +21,7 @@ from flowsplat.common.simd import (
     where_at_least,
     whole,
 )
+from flowsplat.priors.background.bits import packed
 
 SIDE = 15.0
 """Mean difference in grey levels from the pixel itself from which one beside it belongs to something else."""
@@ -48,7 +49,8 @@ def largest_share(
     Returns:
         0 to 1; -1 where not asked, along the border, and where fewer than ``FEWEST`` would see it at any depth.
     """
-    return _largest_share(frame, asked, _limits(frame), np.float32(nearest), intrinsics, poses, _packed(frames))
+    words = packed(frames, np.zeros(frames.shape[:3], np.bool_))
+    return _largest_share(frame, asked, _limits(frame), np.float32(nearest), intrinsics, poses, words)
 
 
 def _limits(image: np.ndarray) -> np.ndarray:
@@ -56,21 +58,6 @@ def _limits(image: np.ndarray) -> np.ndarray:
     smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 0.7)
     slope = sum((cv2.Sobel(smooth, cv2.CV_32F, *axes, scale=1 / 8) ** 2).mean(-1) for axes in ((1, 0), (0, 1)))
     return np.minimum(np.float32(ALIKE) + np.float32(0.5) * np.sqrt(slope), np.float32(2 * ALIKE)).astype(np.float32)
-
-
-@parallel_kernel
-def _packed(frames: np.ndarray) -> np.ndarray:
-    """Red, green and blue [J, h, w, 3] uint8 as the bits of one float32 [J, h, w]."""
-    J, H, W = frames.shape[:3]
-    words = np.empty((J, H, W), np.uint32)
-    for y in prange(H):
-        for j in range(J):
-            for x in range(W):
-                word = np.uint32(0)
-                for q in range(2, -1, -1):
-                    word = word << np.uint32(8) | np.uint32(frames[j, y, x, q])
-                words[j, y, x] = word
-    return words.view(np.float32)
 
 
 @parallel_kernel
