@@ -59,6 +59,10 @@ NOISE, SHIFT = 6.0, 0.5
 """Grey levels and pixels by which a plate is off where nothing moves."""
 
 
+UNSEEN = 1e30
+"""Squared difference of what is not seen."""
+
+
 class CleanPlate:
     """Compares the training frames of a clip with their static scene.
 
@@ -108,7 +112,7 @@ def _plate(
     """
     H, W = depth.shape
     J = len(poses)
-    half, one, nothing, far = np.float32(0.5), np.float32(1), np.float32(0), np.float32(1e30)
+    half, one, nothing, far = np.float32(0.5), np.float32(1), np.float32(0), np.float32(UNSEEN)
     width, height, agreeing = np.float32(W), np.float32(H), np.float32(AGREEING)
     plate, count = np.zeros((H, W, 3), np.float32), np.zeros((H, W), np.uint8)
     spread = np.zeros((H, W), np.float32)
@@ -147,47 +151,74 @@ def _plate(
                 nearest = gather(words, start, W, whole(u + half), whole(v + half))
                 holds = where_above(byte_of(nearest, 24), nothing, broadcast(nothing), holds)
                 u, v = maximum(u, broadcast(nothing)), maximum(v, broadcast(nothing))
-                c, r = minimum(whole(u), broadcast(width - one - one)), minimum(whole(v), broadcast(height - one - one))
-                a, b = u - c, v - r
-                p, q = gather(words, start, W, c, r), gather(words, start + 1, W, c, r)
-                s, t = gather(words, start + W, W, c, r), gather(words, start + W + 1, W, c, r)
-                distance = broadcast(nothing)
-                for k in range(3):
-                    above = (one - a) * byte_of(p, 8 * k) + a * byte_of(q, 8 * k)
-                    below = (one - a) * byte_of(s, 8 * k) + a * byte_of(t, 8 * k)
-                    value = (one - b) * above + b * below
-                    store(seen, (3 * j + k) * LANES, value)
-                    off = value - load(row, (1 + k) * room + first)
-                    distance = distance + off * off
+                value0, value1, value2 = bilinear(words, start, W, H, u, v)
+                off0, off1 = value0 - load(row, room + first), value1 - load(row, 2 * room + first)
+                off2 = value2 - load(row, 3 * room + first)
+                distance = off0 * off0 + off1 * off1 + off2 * off2
+                store(seen, 3 * j * LANES, value0)
+                store(seen, (3 * j + 1) * LANES, value1)
+                store(seen, (3 * j + 2) * LANES, value2)
                 n = n + holds
                 store(apart, j * LANES, where_above(holds, nothing, distance, broadcast(far)))
-            wanted = whole(maximum(agreeing * (n - one) + half, broadcast(nothing)))
-            red, green, blue = broadcast(nothing), broadcast(nothing), broadcast(nothing)
-            for j in range(J):
-                here = _has_rank(apart, J, j, wanted)
-                red = where_above(here, nothing, load(seen, 3 * j * LANES), red)
-                green = where_above(here, nothing, load(seen, (3 * j + 1) * LANES), green)
-                blue = where_above(here, nothing, load(seen, (3 * j + 2) * LANES), blue)
-            for j in range(J):
-                off0, off1 = load(seen, 3 * j * LANES) - red, load(seen, (3 * j + 1) * LANES) - green
-                off2 = load(seen, (3 * j + 2) * LANES) - blue
-                distance = off0 * off0 + off1 * off1 + off2 * off2
-                store(apart, j * LANES, where_at_least(load(apart, j * LANES), far, broadcast(far), distance))
-            # Half of the frames agree so well.
-            wanted, scatter = whole(n * half), broadcast(nothing)
-            for j in range(J):
-                scatter = where_above(_has_rank(apart, J, j, wanted), nothing, load(apart, j * LANES), scatter)
+            red, green, blue, scatter = agreed_colour(seen, apart, J, n, agreeing)
             none = broadcast(nothing)
             store(found, first, where_above(n, nothing, red, none))
             store(found, room + first, where_above(n, nothing, green, none))
             store(found, 2 * room + first, where_above(n, nothing, blue, none))
-            store(found, 3 * room + first, where_above(n, nothing, scatter / np.float32(3), none))
+            store(found, 3 * room + first, where_above(n, nothing, scatter, none))
             store(found, 4 * room + first, n)
         for x in range(W):
             for q in range(3):
                 plate[y, x, q] = found[q * room + x]
             spread[y, x], count[y, x] = found[3 * room + x], np.uint8(found[4 * room + x])
     return plate, spread, count
+
+
+@njit(inline="always", **OPTIONS)
+def bilinear(words, start, W, H, u, v):
+    """Red, green and blue (lanes) at u, v of the picture that begins at words[start], with pixel centres at whole numbers."""
+    one = np.float32(1)
+    c, r = minimum(whole(u), broadcast(np.float32(W - 2))), minimum(whole(v), broadcast(np.float32(H - 2)))
+    a, b = u - c, v - r
+    a00, a01, a10, a11 = (one - a) * (one - b), a * (one - b), (one - a) * b, a * b
+    p, q = gather(words, start, W, c, r), gather(words, start + 1, W, c, r)
+    s, t = gather(words, start + W, W, c, r), gather(words, start + W + 1, W, c, r)
+    red = a00 * byte_of(p, 0) + a01 * byte_of(q, 0) + a10 * byte_of(s, 0) + a11 * byte_of(t, 0)
+    green = a00 * byte_of(p, 8) + a01 * byte_of(q, 8) + a10 * byte_of(s, 8) + a11 * byte_of(t, 8)
+    blue = a00 * byte_of(p, 16) + a01 * byte_of(q, 16) + a10 * byte_of(s, 16) + a11 * byte_of(t, 16)
+    return red, green, blue
+
+
+@njit(inline="always", **OPTIONS)
+def agreed_colour(seen, apart, count, n, share):
+    """Of the colours that frames see, lane by lane that of the last of the ``share`` which look most like the pixel.
+
+    Args:
+        seen: [3 count lanes] of every frame, red, green and blue.
+        apart: [count lanes] how far each is from the pixel, squared; ``UNSEEN`` where it sees nothing. Spoiled.
+        n: how many see something.
+
+    Returns:
+        red, green, blue, and how far half of them are from these, a mean squared difference.
+    """
+    half, one, nothing, far = np.float32(0.5), np.float32(1), np.float32(0), np.float32(UNSEEN)
+    wanted = whole(maximum(share * (n - one) + half, broadcast(nothing)))
+    red, green, blue = broadcast(nothing), broadcast(nothing), broadcast(nothing)
+    for j in range(count):
+        here = _has_rank(apart, count, j, wanted)
+        red = where_above(here, nothing, load(seen, 3 * j * LANES), red)
+        green = where_above(here, nothing, load(seen, (3 * j + 1) * LANES), green)
+        blue = where_above(here, nothing, load(seen, (3 * j + 2) * LANES), blue)
+    for j in range(count):
+        off0, off1 = load(seen, 3 * j * LANES) - red, load(seen, (3 * j + 1) * LANES) - green
+        off2 = load(seen, (3 * j + 2) * LANES) - blue
+        distance = off0 * off0 + off1 * off1 + off2 * off2
+        store(apart, j * LANES, where_at_least(load(apart, j * LANES), far, broadcast(far), distance))
+    # Half of the frames agree so well.
+    wanted, scatter = whole(n * half), broadcast(nothing)
+    for j in range(count):
+        scatter = where_above(_has_rank(apart, count, j, wanted), nothing, load(apart, j * LANES), scatter)
+    return red, green, blue, scatter / np.float32(3)
 
 
 @njit(inline="always", **OPTIONS)
