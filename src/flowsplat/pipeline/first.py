@@ -14,10 +14,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import torch
 
 from flowsplat.common.devices import pick_device
 from flowsplat.common.errors import InputError
-from flowsplat.common.progress import say
+from flowsplat.common.progress import as_one, say
 from flowsplat.gaussians.observations import load_observations
 from flowsplat.output.videos import RenderOptions, render_videos
 from flowsplat.pictures.colors import float_to_bytes
@@ -121,9 +122,11 @@ def first_scene(folder: RunFolder, clip: Clip) -> None:
     folder.start(STAGE, key)
     started = time.perf_counter()
     coarse = CoarseClip.of(clip, folder.config.input.holdout)
+    device = pick_device(folder.config.device)
     say(f"First a coarse scene of {coarse.num_frames} small frames, to look at meanwhile (--no-first-scene leaves it out).")
     try:
-        _make(folder, coarse, where, settings)
+        with as_one("A first scene"):
+            _make(folder, coarse, where, settings, device)
     except InputError as error:
         say(f"There is no first scene: {error}")
         return
@@ -131,13 +134,13 @@ def first_scene(folder: RunFolder, clip: Clip) -> None:
     say(f"Look at it: flowsplat view {folder.path}, or {where / 'renders'}. It is coarse: the scene proper takes its place.")
 
 
-def _make(folder: RunFolder, coarse: CoarseClip, where: Path, settings: TrainConfig) -> None:
-    device, focal = folder.config.device, folder.config.priors.cameras.focal
+def _make(folder: RunFolder, coarse: CoarseClip, where: Path, settings: TrainConfig, device: torch.device) -> None:
+    focal = folder.config.priors.cameras.focal
     scene = ingest(coarse, where / "scene", InputOptions(holdout=None))
     cameras = CameraOptions(focal=None if focal is None else focal * coarse.width / coarse.whole.width)
-    prepare_priors(scene, PriorsOptions(cameras=cameras), device)
+    prepare_priors(scene, PriorsOptions(cameras=cameras))
     tracks = scene.tracks if scene.has_tracks else None
-    trainer = Trainer(load_observations(scene), tracks, settings, device=pick_device(device))
+    trainer = Trainer(load_observations(scene), tracks, settings, device=device)
     model = scene_model(scene, trainer.run(), settings)
     save_model(where / "model", model)
     middle = scene.num_frames // 2
