@@ -39,7 +39,7 @@ class RunConfig:
     """After the measurement, fit the held-out frames, too, and make videos, exports and the viewer's pictures of the result. The
     figures stay those of the model that has not seen them."""
     first_scene: bool = later(True)
-    """Begin a run of more than some six minutes with a coarse scene of few small frames (``first/``), to look at meanwhile."""
+    """Begin a run of more than some four minutes with a coarse scene of few small frames (``first/``), to look at meanwhile."""
     device: DeviceName = "auto"
     """What to train and render on: ``auto`` is the GPU where it works."""
 
