@@ -51,13 +51,16 @@ def _vote(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     count, height, width = values.shape
     chosen, share = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
     same, enough, nothing, one = np.float32(SAME), np.float32(ENOUGH), np.float32(0), np.float32(1)
-    weights = np.ones(count, np.float32)
-    weights[0] = OWN
+    weights = np.empty(count, np.float32)
+    for a in range(count):
+        weights[a] = OWN if a == 0 else one
     room = max(width, LANES)
     for y in prange(height):
-        row, votes = np.zeros((count, room), np.float32), np.empty(count * LANES, np.float32)
-        row[:, :width] = values[:, y]
-        row, found, agree = row.reshape(-1), np.empty(room, np.float32), np.empty(room, np.float32)
+        row, votes = np.empty(count * room, np.float32), np.empty(count * LANES, np.float32)
+        for a in range(count):
+            for x in range(room):
+                row[a * room + x] = values[a, y, x] if x < width else nothing
+        found, agree = np.empty(room, np.float32), np.empty(room, np.float32)
         for block in range(0, room, LANES):
             x = min(block, room - LANES)  # The last block overlaps the one before.
             most, said = broadcast(nothing), broadcast(nothing)
@@ -84,5 +87,6 @@ def _vote(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
                 total, sum_of = total + weight, sum_of + weight * other
             store(found, x, sum_of / total)
             store(agree, x, best / said)
-        chosen[y], share[y] = found[:width], agree[:width]
+        for x in range(width):
+            chosen[y, x], share[y, x] = found[x], agree[x]
     return chosen, share

@@ -151,29 +151,37 @@ def _costs(
     most, steepest, nothing = np.float32(_COLOUR), np.float32(_GRADIENT), np.float32(0)
     right, bottom = np.float32(W - 1), np.float32(H - 1)
     K0 = intrinsics[0]
-    words, slopes = words.reshape(-1), slopes.reshape(-1)
+    words, slopes, flat = words.reshape(-1), slopes.reshape(-1), result.reshape(-1)
     for y in prange(H):
-        depths, seen = np.ones((L, S), np.float32), np.zeros((4, S), np.float32)
-        wanted, flat = np.zeros(S, np.bool_), result.reshape(-1)
+        depths, seen, wanted = np.empty(L * S, np.float32), np.empty(4 * S, np.float32), np.empty(S, np.bool_)
+        for i in range(S):
+            wanted[i] = False
+            for n in range(4):
+                seen[n * S + i] = nothing
+            for n in range(L):
+                depths[n * S + i] = one
         for i in range((W - y % 2 + 1) // 2):
             x = 2 * i + y % 2
             wanted[i] = near[y, x]
             for n in range(L):
-                depths[n, i] = proposed[n, y, x]
-                result[n, y, _MARGIN + i] = worst
+                depths[n * S + i] = proposed[n, y, x]
+                flat[(n * H + y) * S + _MARGIN + i] = worst
             for n in range(4):
-                seen[n, i] = picture[y, x, n]
-        depths, seen, best = depths.reshape(-1), seen.reshape(-1), np.empty(kept * LANES, np.float32)
+                seen[n * S + i] = picture[y, x, n]
+        best = np.empty(kept * LANES, np.float32)
         dy = (np.float32(y) + half - K0[3]) / K0[1]
         for first in range(0, (W + 1) // 2, LANES):
-            if not wanted[first : first + LANES].any():
+            if not _any(wanted, first):
                 continue
             x = np.float32(2) * lane_numbers() + np.float32(2 * first + y % 2)
             dx = (x + (half - K0[2])) / K0[0]
             red, green, blue, slope = load(seen, first), load(seen, S + first), load(seen, 2 * S + first), load(seen, 3 * S + first)
             for n in range(L):
                 out = (n * H + y) * S + _MARGIN + first
-                if n > 0 and (depths[n * S + first :][:LANES] == depths[(n - 1) * S + first :][:LANES]).all():
+                same = n > 0
+                for i in range(first, first + LANES):
+                    same = same and depths[n * S + i] == depths[(n - 1) * S + i]
+                if same:
                     store(flat, out, load(flat, out - H * S))
                     continue
                 w = load(depths, n * S + first)
@@ -220,8 +228,17 @@ def _costs(
                     counted = counted + where_at_least(said, np.float32(2 * k + 1), broadcast(one), broadcast(nothing))
                 store(flat, out, total / counted)
             for i in range(max((W - y % 2 + 1) // 2, first), first + LANES):
-                result[:, y, _MARGIN + i] = 0
+                for n in range(L):
+                    flat[(n * H + y) * S + _MARGIN + i] = nothing
     return result
+
+
+@njit(**OPTIONS)
+def _any(wanted: np.ndarray, first: int) -> bool:
+    found = False
+    for i in range(first, first + LANES):
+        found |= wanted[i]
+    return found
 
 
 @njit(**OPTIONS)
@@ -237,31 +254,32 @@ def _chosen(proposed: np.ndarray, costs: np.ndarray, asked: np.ndarray, picture:
     S = costs.shape[2]
     result = proposed[0].copy()
     scale, one = np.float32(1 / LIKENESS), np.float32(1)
-    colours = np.zeros((3, H, S), np.float32)  # of the pixels that vote, as their costs lie
+    votes, voters = costs.reshape(-1), np.empty(3 * H * S, np.float32)  # the colours of the pixels that vote, as their costs lie
     for y in prange(H):
+        for n in range(3):
+            for i in range(S):
+                voters[(n * H + y) * S + i] = np.float32(0)
         for i in range((W - y % 2 + 1) // 2):
             for n in range(3):
-                colours[n, y, _MARGIN + i] = picture[y, 2 * i + y % 2, n]
+                voters[(n * H + y) * S + _MARGIN + i] = picture[y, 2 * i + y % 2, n]
     for y in prange(H):
-        votes, voters, totals = costs.reshape(-1), colours.reshape(-1), np.empty(L * LANES, np.float32)
-        depths, seen, wanted = np.ones((L, S), np.float32), np.zeros((3, S), np.float32), np.zeros(S, np.bool_)
-        found = np.empty(LANES, np.float32)
+        totals, found = np.empty(L * LANES, np.float32), np.empty(LANES, np.float32)
+        near, mine, wanted = np.empty(L * S, np.float32), np.empty(3 * S, np.float32), np.empty(S, np.bool_)
         for parity in range(2):
             columns = (W - parity + 1) // 2
-            wanted[:] = False
-            for i in range(columns):
-                x = 2 * i + parity
-                wanted[i] = asked[y, x]
+            for i in range(S):
+                x = min(2 * i + parity, W - 1)
+                wanted[i] = i < columns and asked[y, x]
                 for n in range(L):
-                    depths[n, i] = proposed[n, y, x]
+                    near[n * S + i] = proposed[n, y, x]
                 for n in range(3):
-                    seen[n, i] = picture[y, x, n]
-            near, mine = depths.reshape(-1), seen.reshape(-1)
+                    mine[n * S + i] = picture[y, x, n]
             for first in range(0, columns, LANES):
-                if not wanted[first : first + LANES].any():
+                if not _any(wanted, first):
                     continue
                 red, green, blue = load(mine, first), load(mine, S + first), load(mine, 2 * S + first)
-                totals[:] = 0
+                for n in range(L):
+                    store(totals, n * LANES, broadcast(np.float32(0)))
                 for r in range(max(y - WINDOW, 0), min(y + WINDOW + 1, H)):
                     for aside in range(-WINDOW + (parity + r + WINDOW) % 2, WINDOW + 1, 2):
                         at = r * S + _MARGIN + first + (parity + aside - r % 2) // 2

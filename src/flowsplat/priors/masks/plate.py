@@ -114,18 +114,17 @@ def _plate(
     J = len(poses)
     half, one, nothing, far = np.float32(0.5), np.float32(1), np.float32(0), np.float32(UNSEEN)
     width, height, agreeing = np.float32(W), np.float32(H), np.float32(AGREEING)
-    plate, count = np.zeros((H, W, 3), np.float32), np.zeros((H, W), np.uint8)
-    spread = np.zeros((H, W), np.float32)
+    plate, spread, count = np.empty((H, W, 3), np.float32), np.empty((H, W), np.float32), np.empty((H, W), np.uint8)
     K, words = intrinsics[0], packed(frames, blocked).reshape(-1)
     room = max(W, LANES)
     for y in prange(H):
-        row = np.zeros((4, room), np.float32)  # depth and colours
-        row[0, :W] = depth[y]
-        for x in range(W):
+        row = np.empty(4 * room, np.float32)  # depth and colours
+        for x in range(room):
+            row[x] = depth[y, min(x, W - 1)]
             for q in range(3):
-                row[1 + q, x] = np.float32(frame[y, x, q])
-        row, seen, apart = row.reshape(-1), np.empty(3 * J * LANES, np.float32), np.empty(J * LANES, np.float32)
-        found = np.zeros((5, room), np.float32).reshape(-1)  # colours, spread and count
+                row[(1 + q) * room + x] = np.float32(frame[y, min(x, W - 1), q])
+        seen, apart = np.empty(3 * J * LANES, np.float32), np.empty(J * LANES, np.float32)
+        found = np.empty(5 * room, np.float32)  # colours, spread and count
         dy = (np.float32(y) + half - K[3]) / K[1]
         for block in range(0, room, LANES):
             first = min(block, room - LANES)  # The last block overlaps the one before.
@@ -174,7 +173,7 @@ def _plate(
     return plate, spread, count
 
 
-@njit(inline="always", **OPTIONS)
+@njit(**OPTIONS)
 def bilinear(words, start, W, H, u, v):
     """Red, green and blue (lanes) at u, v of the picture that begins at words[start], with pixel centres at whole numbers."""
     one = np.float32(1)
@@ -189,7 +188,7 @@ def bilinear(words, start, W, H, u, v):
     return red, green, blue
 
 
-@njit(inline="always", **OPTIONS)
+@njit(**OPTIONS)
 def agreed_colour(seen, apart, count, n, share):
     """Of the colours that frames see, lane by lane that of the last of the ``share`` which look most like the pixel.
 
@@ -221,7 +220,7 @@ def agreed_colour(seen, apart, count, n, share):
     return red, green, blue, scatter / np.float32(3)
 
 
-@njit(inline="always", **OPTIONS)
+@njit(**OPTIONS)
 def _has_rank(values, count, j, wanted):
     """Lanes: 1 where just so many of ``count`` vectors are below vector j, of equal ones the earlier; 0 elsewhere."""
     one, nothing = np.float32(1), np.float32(0)

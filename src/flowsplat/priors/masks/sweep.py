@@ -21,7 +21,6 @@ from flowsplat.common.simd import (
     where_at_least,
     whole,
 )
-from flowsplat.priors.background.bits import packed
 
 SIDE = 15.0
 """Mean difference in grey levels from the pixel itself from which one beside it belongs to something else."""
@@ -34,7 +33,7 @@ ALIKE, FEWEST = 10.0, 4
 
 
 def largest_share(
-    frame: np.ndarray, asked: np.ndarray, nearest: float, intrinsics: np.ndarray, poses: np.ndarray, frames: np.ndarray
+    frame: np.ndarray, asked: np.ndarray, nearest: float, intrinsics: np.ndarray, poses: np.ndarray, words: np.ndarray
 ) -> np.ndarray:
     """The largest share of the frames that look like a pixel at one depth, of those that would see it there, [h, w] float32.
 
@@ -44,12 +43,11 @@ def largest_share(
         nearest: largest inverse depth that is tried.
         intrinsics: fx, fy, cx, cy [1 + J, 4] float32 of the frame and of others.
         poses: [J, 3, 4] float32 of the others, from the axes of the frame's camera.
-        frames: RGB [J, h, w, 3] uint8 of the others.
+        words: [J, h, w] the others, as from ``packed``.
 
     Returns:
         0 to 1; -1 where not asked, along the border, and where fewer than ``FEWEST`` would see it at any depth.
     """
-    words = packed(frames, np.zeros(frames.shape[:3], np.bool_))
     return _largest_share(frame, asked, _limits(frame), np.float32(nearest), intrinsics, poses, words)
 
 

@@ -126,14 +126,15 @@ class Unexplained:
         intrinsics = np.array([c.intrinsics for c in (clip.cameras[k], *cameras)], np.float32)
         poses = np.array([camera.pose_from(clip.cameras[k]) for camera in cameras], np.float32)
         frames = np.stack([self._image(j) for j in others])
-        plates, scatter, counts = _plates(image, values, intrinsics, poses, frames)
+        words = packed(frames, np.zeros(frames.shape[:3], np.bool_))
+        plates, scatter, counts = _plates(image, values, intrinsics, poses, words)
         off = np.stack([np.where(counts[s] > 0, difference(image, plates[s], scatter[s]), np.inf) for s in range(SURFACES)]).min(0)
         off = np.where(np.isfinite(off), off, -1).astype(np.float32)
         asked = (off < 0) | (off > DOUBTED)
-        return off, np.where(asked, self._share(image, asked, intrinsics, poses, frames), 1)
+        return off, np.where(asked, self._share(image, asked, intrinsics, poses, words), 1)
 
     def _share(
-        self, image: np.ndarray, asked: np.ndarray, intrinsics: np.ndarray, poses: np.ndarray, frames: np.ndarray
+        self, image: np.ndarray, asked: np.ndarray, intrinsics: np.ndarray, poses: np.ndarray, words: np.ndarray
     ) -> np.ndarray:
         """``largest_share`` of every ``EVERY``th pixel in both directions, which speaks for those beside it, too."""
         height, width = asked.shape
@@ -141,7 +142,7 @@ class Unexplained:
         few = np.zeros_like(asked)
         middle = slice(EVERY // 2, None, EVERY)
         few[middle, middle] = near[middle, middle]
-        share = largest_share(image, few, NEAR * self._clip.median, intrinsics, poses, frames)[middle, middle]
+        share = largest_share(image, few, NEAR * self._clip.median, intrinsics, poses, words)[middle, middle]
         y, x = (np.minimum(np.arange(size) // EVERY, known - 1) for size, known in zip((height, width), share.shape, strict=True))
         return share[np.ix_(y, x)]
 
@@ -159,26 +160,28 @@ class Unexplained:
 
 @parallel_kernel
 def _plates(
-    frame: np.ndarray, values: np.ndarray, intrinsics: np.ndarray, poses: np.ndarray, frames: np.ndarray
+    frame: np.ndarray, values: np.ndarray, intrinsics: np.ndarray, poses: np.ndarray, words: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(colours [S, h, w, 3], their mean squared differences [S, h, w], number of frames) of surfaces that frames agree on."""
     J, H, W = values.shape
     half, one, nothing, far = np.float32(0.5), np.float32(1), np.float32(0), np.float32(UNSEEN)
     same, quarter, least = np.float32(SAME), np.float32(ENOUGH), np.float32(LEAST)
     right, bottom, agreeing = np.float32(W - 1), np.float32(H - 1), np.float32(AGREEING)
-    plates, counts = np.zeros((SURFACES, H, W, 3), np.float32), np.zeros((SURFACES, H, W), np.uint8)
-    scatter = np.zeros((SURFACES, H, W), np.float32)
-    K, words = intrinsics[0], packed(frames, np.zeros((J, H, W), np.bool_)).reshape(-1)
+    plates, counts = np.empty((SURFACES, H, W, 3), np.float32), np.empty((SURFACES, H, W), np.uint8)
+    scatter = np.empty((SURFACES, H, W), np.float32)
+    K, words = intrinsics[0], words.reshape(-1)
     room = max(W, LANES)
     for y in prange(H):
-        rows = np.zeros((J + 3, room), np.float32)  # inverse depths, and the colours of the frame
-        rows[:J, :W] = values[:, y]
-        for x in range(W):
+        rows, left = np.empty((J + 3) * room, np.float32), np.empty(J * LANES, np.float32)
+        for x in range(room):  # inverse depths, and the colours of the frame
+            for a in range(J):
+                rows[a * room + x] = values[a, y, min(x, W - 1)]
             for q in range(3):
-                rows[J + q, x] = np.float32(frame[y, x, q])
-        rows, left = rows.reshape(-1), np.empty(J * LANES, np.float32)
+                rows[(J + q) * room + x] = np.float32(frame[y, min(x, W - 1), q])
         seen, apart = np.empty(3 * J * LANES, np.float32), np.empty(J * LANES, np.float32)
-        found = np.zeros((SURFACES * 5, room), np.float32).reshape(-1)
+        found = np.empty(SURFACES * 5 * room, np.float32)
+        for x in range(SURFACES * 5 * room):
+            found[x] = nothing
         dy = (np.float32(y) + half - K[3]) / K[1]
         for block in range(0, room, LANES):
             first = min(block, room - LANES)  # The last block overlaps the one before.
