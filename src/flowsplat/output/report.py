@@ -43,7 +43,7 @@ _METHODS = {
     "warp_by_depth": "warped by true depth",
     "static": "static scene",
 }
-_STAGES = {"train": "training", "static": "static scene", "evaluate": "measuring", "render": "videos"}
+_STAGES = {"first": "first coarse scene", "train": "training", "static": "static scene", "evaluate": "measuring", "render": "videos"}
 
 
 class Comparison(NamedTuple):
