@@ -43,7 +43,7 @@ APART = 0.2
 show the beginning."""
 LONG_SIDE = 284
 """Pixels of their long side."""
-STEPS = 240
+STEPS = 200
 SECONDS = 30.0
 """What it takes on the reference machine, two cores, with a margin."""
 SHARE = 0.08
@@ -137,7 +137,7 @@ def first_scene(folder: RunFolder, clip: Clip) -> None:
 def _make(folder: RunFolder, coarse: CoarseClip, where: Path, settings: TrainConfig, device: torch.device) -> None:
     focal = folder.config.priors.cameras.focal
     scene = ingest(coarse, where / "scene", InputOptions(holdout=None))
-    cameras = CameraOptions(focal=None if focal is None else focal * coarse.width / coarse.whole.width)
+    cameras = CameraOptions(focal=None if focal is None else focal * coarse.width / coarse.whole.width, solver="own")
     prepare_priors(scene, PriorsOptions(cameras=cameras))
     tracks = scene.tracks if scene.has_tracks else None
     trainer = Trainer(load_observations(scene), tracks, settings, device=device)
