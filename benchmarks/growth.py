@@ -1,7 +1,7 @@
 """How the cost of a run grows: ``python benchmarks/growth.py`` with frames, pixels and Gaussians, on the built-in clip.
 
-Every run is a process of its own, with few steps of training: a step costs the same at any time of it. Says, as Markdown, what
-every stage took and how much memory it needed, and the power of the number of frames with which it grew; ``--svg FILE`` draws it.
+Every run is a process of its own, with few steps of training, whose time holds that of loading and beginning. Says, as Markdown,
+what every stage took and how much memory it needed, and the power of the number of frames with which it grew. ``--svg`` draws it.
 ``--clip FOLDER`` adds runs of clips of your own, ``--only frames`` leaves the others out, ``--json FILE`` keeps the figures.
 """
 
@@ -68,7 +68,7 @@ class Case:
 
 
 def measure(case: Case) -> dict[str, Any]:
-    """Seconds and GiB of every stage of a run, milliseconds of a step, and how large it was."""
+    """Seconds and GiB of every stage of a run, and how large it was."""
     config = RunConfig()
     init = config.train.init if case.spacing is None else replace(config.train.init, background_spacing=case.spacing)
     config = replace(
@@ -123,15 +123,14 @@ def growth(rows: Sequence[dict[str, Any]], stage: str, by: str = "frames") -> fl
 
 
 def table(rows: Sequence[dict[str, Any]]) -> str:
-    """Every run a line: its size, seconds of its stages, milliseconds of a step, GiB."""
-    lines = ["| | frames | size | Gaussians (active) | " + " | ".join(STAGES) + " | a step, ms | GiB: priors | train | whole |"]
+    """Every run a line: its size, seconds of its stages, GiB."""
+    lines = ["| | frames | size | Gaussians (active) | " + " | ".join(STAGES) + " | GiB: priors | train | whole |"]
     lines.append("| --- " * (lines[0].count("|") - 1) + "|")
     for row in rows:
         seconds = row["seconds"]
         cells = [row["kind"] if row["kind"] != "clip" else Path(row["clip"]).name, str(row["frames"])]
         cells += [f"{row['width']}x{row['height']}", f"{row['gaussians']:,} ({row['active']:,})"]
         cells += [f"{seconds[stage]:.1f}" if stage in seconds else "" for stage in STAGES]
-        cells += [f"{1e3 * seconds['train'] / STEPS:.0f}"]
         cells += [f"{gib:.1f}" for gib in (row["memory"]["prepare"], row["memory"]["train"], row["peak"])]
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines)
@@ -151,7 +150,7 @@ def figure(rows: Sequence[dict[str, Any]]) -> str:
             series = {stage: (places, [row["seconds"][stage] for row in some]) for stage in PRIORS}
             charts.append(line_chart(series, title=f"Seconds of the priors by {kind}", x_label=label, y_label="seconds", dots=True))
             series = {
-                "a step, 10 ms": (places, [100 * row["seconds"]["train"] / STEPS for row in some]),
+                f"{STEPS} steps, s": (places, [row["seconds"]["train"] for row in some]),
                 "evaluation, s": (places, [row["seconds"]["evaluate"] for row in some]),
                 "videos, s": (places, [row["seconds"]["render"] for row in some]),
                 "memory of the priors, GiB": (places, [row["memory"]["prepare"] for row in some]),
@@ -162,7 +161,7 @@ def figure(rows: Sequence[dict[str, Any]]) -> str:
         some = sorted(kinds["gaussians"], key=lambda row: row["active"])
         places = [row["active"] / 1e3 for row in some]
         series = {
-            "a step, 100 ms": (places, [10 * row["seconds"]["train"] / STEPS for row in some]),
+            f"{STEPS} steps, s": (places, [row["seconds"]["train"] for row in some]),
             "memory of training, GiB": (places, [row["memory"]["train"] for row in some]),
         }
         label = "thousand Gaussians active at a time, 854x480"
