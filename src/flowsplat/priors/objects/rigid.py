@@ -316,7 +316,10 @@ def _solved(H: np.ndarray, b: np.ndarray, band: int) -> np.ndarray:
     lower = np.zeros((band, len(H)))
     for k in range(band):
         lower[k, : len(H) - k] = H.reshape(-1)[k * len(H) :: len(H) + 1][: len(H) - k]
-    return solveh_banded(lower, b, lower=True, overwrite_ab=True, check_finite=False)
+    try:
+        return np.asarray(solveh_banded(lower, b, lower=True, overwrite_ab=True, check_finite=False))
+    except np.linalg.LinAlgError:  # It is positive but for rounding.
+        return np.linalg.solve(H, b)
 
 
 def _radius(x: np.ndarray) -> float:
