@@ -153,8 +153,8 @@ def figure(rows: Sequence[dict[str, Any]]) -> str:
                 f"{STEPS} steps, s": (places, [row["seconds"]["train"] for row in some]),
                 "evaluation, s": (places, [row["seconds"]["evaluate"] for row in some]),
                 "videos, s": (places, [row["seconds"]["render"] for row in some]),
-                "memory of the priors, GiB": (places, [row["memory"]["prepare"] for row in some]),
-                "memory of training, GiB": (places, [row["memory"]["train"] for row in some]),
+                "GiB, priors": (places, [row["memory"]["prepare"] for row in some]),
+                "GiB, training": (places, [row["memory"]["train"] for row in some]),
             }
             charts.append(line_chart(series, title=f"The rest by {kind}", x_label=label, y_label="", dots=True))
     if kinds["gaussians"]:
@@ -162,7 +162,7 @@ def figure(rows: Sequence[dict[str, Any]]) -> str:
         places = [row["active"] / 1e3 for row in some]
         series = {
             f"{STEPS} steps, s": (places, [row["seconds"]["train"] for row in some]),
-            "memory of training, GiB": (places, [row["memory"]["train"] for row in some]),
+            "GiB, training": (places, [row["memory"]["train"] for row in some]),
         }
         label = "thousand Gaussians active at a time, 854x480"
         charts.append(line_chart(series, title="Training by Gaussians", x_label=label, y_label="", dots=True))
