@@ -24,13 +24,13 @@ from flowsplat.evaluation.baselines import predict_frame, to_float
 from flowsplat.gaussians.observations import load_observations
 from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.pictures.colors import float_to_bytes
-from flowsplat.pipeline.stages import scene_model
 from flowsplat.priors.prepare import PriorsOptions, prepare_priors
 from flowsplat.scenes import Scene
 from flowsplat.scenes.layers import write_image
 from flowsplat.scenes.synthetic.worlds import World, draw_world, write_world
 from flowsplat.scenes.synthetic.worlds.casting import CAPSULE
 from flowsplat.training.config import PRESETS, TrainConfig
+from flowsplat.training.scene_model import scene_model
 from flowsplat.training.trainer import Trainer
 
 WIDTH, HEIGHT, FRAMES, EVERY, STEPS = 320, 180, 40, 5, 300

@@ -25,9 +25,9 @@ from flowsplat.evaluation.placement import view_camera
 from flowsplat.evaluation.scores import score_picture
 from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
 from flowsplat.gaussians.observations import load_observations
-from flowsplat.pipeline.stages import scene_model
 from flowsplat.scenes import Scene
 from flowsplat.training.config import PRESETS, TrainConfig
+from flowsplat.training.scene_model import scene_model
 from flowsplat.training.trainer import Trainer
 
 PROFILED = 12

@@ -18,7 +18,7 @@ import torch
 from numba import config, njit, prange
 
 from cpu_parts.timing import Job, significant, use_threads
-from flowsplat.splatting.cpu.simd import LANES, broadcast, largest_lane, maximum
+from flowsplat.common.simd import LANES, broadcast, largest_lane, maximum
 
 ROUNDS = 200_000
 TRIAD_SIZE = 1 << 25  # floats in each of three arrays of 128 MiB: far beyond any cache

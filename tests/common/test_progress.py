@@ -29,6 +29,15 @@ for _ in progress.track(range(3), "Frames"):
 """
 
 
+def test_what_goes_on_as_one_shows_no_parts(capsys):
+    with progress.as_one("Whole"):
+        progress.say("Part.")
+        for _ in track(range(2), "Parts"):
+            pass
+    progress.say("After.")
+    assert capsys.readouterr().err.splitlines() == ["Whole ...", "After."]
+
+
 def test_a_pipe_gets_a_line_now_and_then():
     done = subprocess.run([sys.executable, "-c", WORK], capture_output=True, text=True, check=True)
     assert done.stdout == ""

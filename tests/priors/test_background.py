@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from flowsplat.common.threads import in_threads
 from flowsplat.geometry import Camera
 from flowsplat.priors.background.fill import fill, upsample
 from flowsplat.priors.background.fuse import fuse
@@ -17,7 +18,7 @@ from flowsplat.priors.background.multiview import solve_multiview
 from flowsplat.priors.background.reprojection import uncover
 from flowsplat.priors.background.static_depth import Background
 from flowsplat.priors.continuity import Continuity
-from flowsplat.priors.flow import flow_stage
+from flowsplat.priors.flow import dis_estimator, flow_stage
 from flowsplat.priors.given import consecutive_pairs
 from flowsplat.scenes import Flow
 from tests.geometry.still import camera_flow
@@ -200,6 +201,24 @@ def test_long_flows_reach_far(tmp_path: Path):
     assert np.median(confidence[inside]) > 0.8
     flows.forget(12)
     np.testing.assert_array_equal(flows.matches(1, 9)[0], flow)
+
+
+def test_threads_that_ask_together_find_the_same_long_flows(tmp_path: Path):
+    """And none is computed twice."""
+    scene = write_planes(tmp_path, step=2, square=True)
+    flow_stage(scene)
+    asked: list[tuple[int, int]] = []
+
+    def estimate(a, b, guess=None):
+        asked.append((int(a.sum()), int(b.sum())))
+        return dis_estimator(a, b, guess)
+
+    together, alone = LongFlows(scene, Continuity(scene), estimate), LongFlows(scene, Continuity(scene))
+    others = [4 + step for stride in (1, 2, 4) for step in (-stride, stride)]
+    for found, j in zip(in_threads(lambda j: together.matches(4, j), others, 3), others, strict=True):
+        for mine, theirs in zip(found, alone.matches(4, j), strict=True):
+            np.testing.assert_array_equal(mine, theirs)
+    assert len(set(asked)) == len(asked)
 
 
 def test_long_flows_are_those_of_the_chosen_method(tmp_path: Path):

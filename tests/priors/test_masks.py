@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from flowsplat.priors.background.bits import packed
 from flowsplat.priors.background.matched_clip import RESTS, MatchedClip
 from flowsplat.priors.background.static_depth import static_depth
 from flowsplat.priors.flow import flow_stage
@@ -187,7 +188,8 @@ def test_what_rests_looks_the_same_at_its_depth_and_what_moves_at_none(tmp_path:
     poses = np.array([cameras[i].pose_from(cameras[6]) for i in others], np.float32)
     asked = np.ones((HEIGHT, WIDTH), bool)
     asked[:20] = False
-    share = largest_share(scene.frame(6), asked, 1.0, intrinsics, poses, np.stack([scene.frame(i) for i in others]))
+    words = packed(np.stack([scene.frame(i) for i in others]), np.zeros((len(others), HEIGHT, WIDTH), np.bool_))
+    share = largest_share(scene.frame(6), asked, 1.0, intrinsics, poses, words)
     assert (share[:20] == -1).all()
     inside = cv2.erode(scene.truth.mask(6), np.ones((7, 7))) > 0
     outside = cv2.dilate(scene.truth.mask(6), np.ones((7, 7))) == 0

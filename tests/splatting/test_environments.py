@@ -13,7 +13,7 @@ SCRIPT = """
 import sys, threading
 import numba, torch
 from flowsplat.splatting import rasterize
-from flowsplat.splatting.cpu.simd import LANES
+from flowsplat.common.simd import LANES
 
 g = torch.Generator().manual_seed(0)
 count = 400

@@ -79,7 +79,7 @@ def run_clip(clip: BatchClip, out: Path, copies: str | None, attempt: Attempt) -
         say("It has outgrown its memory before: fewer Gaussians this time.")
         config = fewer_gaussians(config)
     folder = out / clip.id
-    metrics = run(clip.path, folder, config)
+    metrics = run(clip.path, folder, replace(config, first_scene=False))  # nobody looks meanwhile
     video = _video(folder)
     return {
         "input": str(clip.path), "fingerprint": RunFolder(folder).fingerprint, "grade": grade(metrics), "verdict": verdict(metrics),

@@ -33,9 +33,29 @@ EVERY = 30.0
 console = Console(stderr=True, highlight=False)
 
 
+_parts: list[str] = []
+"""What goes on as a whole, of whose parts nothing is shown."""
+
+
 def say(message: str) -> None:
     """Print one line on stderr."""
+    if not _parts:
+        _print(message)
+
+
+def _print(message: str) -> None:
     console.print(message, markup=False, soft_wrap=True)
+
+
+@contextlib.contextmanager
+def as_one(label: str) -> Iterator[None]:
+    """One bar for all that goes on inside: its own bars and lines are not shown."""
+    with busy(label):
+        _parts.append(label)
+        try:
+            yield
+        finally:
+            _parts.remove(label)
 
 
 @functools.cache
@@ -124,7 +144,7 @@ class _Lines:
     def _tell(self, ended: threading.Event) -> None:
         while not ended.wait(EVERY):
             with contextlib.suppress(IndexError, OSError):  # it has just ended; nobody reads any longer
-                say(self.bars[-1].line)
+                _print(self.bars[-1].line)
 
 
 _lines = _Lines()
@@ -143,6 +163,9 @@ _shown: list[Progress] = []
 @contextlib.contextmanager
 def progress_bar(label: str, total: float | None, done: float = 0) -> Iterator[Bar]:
     """A bar with the time left. Where nothing can move, a line tells the start, and one every ``EVERY`` seconds how far it is."""
+    if _parts:
+        yield Bar(label, total, done)
+        return
     if not is_live():
         say(f"{label} ...")
         bar = Bar(label, total, done)

@@ -43,7 +43,9 @@ _METHODS = {
     "warp_by_depth": "warped by true depth",
     "static": "static scene",
 }
-_STAGES = {"train": "training", "static": "static scene", "evaluate": "measuring", "render": "videos"}
+_STAGES = {
+    "first": "first coarse scene", "train": "training", "static": "static scene", "evaluate": "measuring", "render": "videos",
+}  # fmt: skip
 
 
 class Comparison(NamedTuple):

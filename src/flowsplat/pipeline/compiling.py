@@ -68,15 +68,20 @@ class Ahead:
     def __init__(self, process: subprocess.Popen[bytes] | None):
         self._process = process
 
+    @property
+    def is_busy(self) -> bool:
+        """Whether it compiles."""
+        return self._process is not None and self._process.poll() is None
+
     def wait(self) -> None:
         """Wait until it has ended: it began earlier than whoever would compile the same now."""
-        if self._process is not None and self._process.poll() is None:
+        if self._process is not None and self.is_busy:
             with busy("Compiling the kernels, once"):
                 self._process.wait()
 
     def stop(self) -> None:
         """End it."""
-        if self._process is not None and self._process.poll() is None:
+        if self._process is not None and self.is_busy:
             self._process.terminate()
             self._process.wait()
 

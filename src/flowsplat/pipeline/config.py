@@ -38,6 +38,8 @@ class RunConfig:
     final_fit: bool = later(False, default=True)
     """After the measurement, fit the held-out frames, too, and make videos, exports and the viewer's pictures of the result. The
     figures stay those of the model that has not seen them."""
+    first_scene: bool = later(True)
+    """Begin a run of more than some four minutes with a coarse scene of few small frames (``first/``), to look at meanwhile."""
     device: DeviceName = "auto"
     """What to train and render on: ``auto`` is the GPU where it works."""
 
@@ -45,9 +47,9 @@ class RunConfig:
 def preset(name: str) -> RunConfig:
     """The settings called ``name``.
 
-    ``fast``: half size and 400 steps, about two minutes: does this clip work at all? ``default``: the best within minutes.
-    ``paper``: the paper's settings (METHOD 5). ``high``: a denser background and four times as many steps, which is about five
-    times the training of ``default``.
+    ``fast``: half size, 400 steps and no final fit, about two minutes: does this clip work at all? ``default``: the best
+    within minutes. ``paper``: the paper's settings (METHOD 5). ``high``: a denser background and four times as many steps, which
+    is about five times the training of ``default``.
 
     Raises:
         InputError: there is no such preset.
@@ -59,6 +61,7 @@ def preset(name: str) -> RunConfig:
             input=InputOptions(resize=427),
             train=replace(ours, iterations=400, density=replace(ours.density, every=100, start=100)),
             render=RenderOptions(max_frames=48),
+            final_fit=False,
         ),
         "paper": RunConfig(train=PRESETS["paper"]),
         "high": RunConfig(

@@ -52,10 +52,10 @@ def _describe_run(folder: RunFolder) -> Iterator[str]:
     yield f"Run {folder.path} of {folder.record['input']}"
     if (who := holder(folder.path)) is not None:
         yield f"  is being written by {who}"
-    for stage in ("prepare", "train", "evaluate", "final", "render"):
-        if stage == "final" and not folder.config.final_fit:
-            continue
+    for stage in ("first", "prepare", "train", "evaluate", "final", "render"):
         entry = folder.record["stages"].get(stage)
+        if (stage == "final" and not folder.config.final_fit) or (stage == "first" and entry is None):
+            continue
         state = "not finished" if entry is None else f"finished in {duration(sum(entry['seconds'].values()))}"
         yield f"  {stage}: {state}"
     metrics = folder.path / "metrics.json"

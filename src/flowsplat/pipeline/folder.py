@@ -2,6 +2,7 @@
 
     run.json       input, its fingerprint, all settings, and which stages are finished with which key
     scene/         the prepared scene
+    first/         a coarse scene of few small frames, shown until training has a checkpoint
     priors.html    cameras, depth, masks, flow and tracks to look at, with a verdict
     training/      checkpoints (while training), history.json
     model/         the trained 4D scene: what is measured
@@ -48,6 +49,7 @@ class StageFile(TypedDict):
     key: Text
     seconds: dict[str, Seconds]
     peak_memory_gib: NotRequired[Number | None]
+    parts_memory_gib: NotRequired[dict[str, Number | None]]
 
 
 class RunFile(TypedDict):
@@ -203,10 +205,17 @@ class RunFolder:
         self.record["started"][stage] = key
         self.save()
 
-    def finish(self, stage: str, key: str, seconds: Mapping[str, float]) -> None:
-        """Note that a stage is finished, how long its parts took, and how much memory it needed."""
+    def finish(self, stage: str, key: str, seconds: Mapping[str, float], parts: Mapping[str, float | None] | None = None) -> None:
+        """Note that a stage is finished, how long its parts took, and how much memory it needed.
+
+        Args:
+            parts: GiB that parts of it needed, where its memory was counted anew for each.
+        """
         took = {name: round(value, 2) for name, value in seconds.items()}
-        self.record["stages"][stage] = {"key": key, "seconds": took, "peak_memory_gib": recent_peak()}
+        peak = max((gib for gib in (recent_peak(), *(parts or {}).values()) if gib is not None), default=None)
+        self.record["stages"][stage] = {"key": key, "seconds": took, "peak_memory_gib": peak}
+        if parts:
+            self.record["stages"][stage]["parts_memory_gib"] = dict(parts)
         self.save()
 
     @property
@@ -216,8 +225,10 @@ class RunFolder:
 
     @property
     def memory(self) -> dict[str, float | None]:
-        """GiB that each finished stage needed at most; None where the system did not tell."""
-        return {name: stage.get("peak_memory_gib") for name, stage in self.record["stages"].items()}
+        """GiB that each finished stage needed at most, and parts of it; None where the system did not tell."""
+        stages = self.record["stages"].items()
+        parts = {name: gib for _, stage in stages for name, gib in stage.get("parts_memory_gib", {}).items()}
+        return {name: stage.get("peak_memory_gib") for name, stage in stages} | parts
 
     @property
     def peak_memory(self) -> float | None:

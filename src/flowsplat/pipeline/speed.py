@@ -25,6 +25,8 @@ from flowsplat.common.files import make_folder, read_json, write_json
 from flowsplat.common.progress import busy
 from flowsplat.pipeline.config import RunConfig
 from flowsplat.scenes import Scene
+from flowsplat.scenes.clip import Clip
+from flowsplat.scenes.scene import split_frames
 from flowsplat.training.final import SHARE
 
 Range = tuple[float, float]
@@ -50,11 +52,21 @@ TEST_SECONDS, REFERENCE_ROUND = 2.0, 0.018
 
 def expected(scene: Scene, config: RunConfig) -> dict[str, float]:
     """Seconds of every stage on the reference machine."""
-    megapixels = scene.width * scene.height / 1e6
-    all_frames = scene.num_frames * megapixels
-    frames = config.train.frames_per_iteration or len(scene.train_frames)
+    return _expected(config, scene.width, scene.height, len(scene.train_frames), len(scene.heldout_frames))
+
+
+def expected_of(clip: Clip, config: RunConfig) -> dict[str, float]:
+    """The same of a clip that is no scene yet."""
+    train, heldout = split_frames(clip.num_frames, None if clip.num_views else config.input.holdout)
+    return _expected(config, clip.width, clip.height, len(train), len(heldout))
+
+
+def _expected(config: RunConfig, width: int, height: int, train_frames: int, heldout: int) -> dict[str, float]:
+    megapixels = width * height / 1e6
+    all_frames = (train_frames + heldout) * megapixels
+    frames = config.train.frames_per_iteration or train_frames
     train = config.train.iterations * frames * (0.01 + 0.48 * megapixels)
-    final = SHARE * train if config.final_fit and scene.heldout_frames else 0.0
+    final = SHARE * train if config.final_fit and heldout else 0.0
     static = 0.25 * train if config.baselines == "all" else 0.0
     return {
         "cameras": 3 + 0.17 * all_frames, "priors": 15 + 4.2 * all_frames, "train": train,
@@ -72,6 +84,8 @@ def stages_of(seconds: Mapping[str, float]) -> dict[str, float]:
     """What a run took, from its seconds by part to those of ``STAGES``; of those that it went through."""
     found: dict[str, float] = {}
     for name, value in seconds.items():
+        if name == "first":  # as long in every run
+            continue
         stage = name if name in STAGES else "rest" if name in ("static", "evaluate", "final", "render") else "priors"
         found[stage] = found.get(stage, 0.0) + value
     return found

@@ -21,7 +21,7 @@ from flowsplat.common.files import hash_files, lease, read_json, remove_partials
 from flowsplat.common.files.json_file import Number
 from flowsplat.common.files.lease import NAME as LOCK
 from flowsplat.common.files.writing import writing_error
-from flowsplat.common.memory import recent_peak
+from flowsplat.common.memory import begin_peak, recent_peak
 from flowsplat.common.progress import busy, say
 from flowsplat.common.settings import to_plain
 from flowsplat.evaluation.evaluate import evaluate
@@ -39,20 +39,22 @@ from flowsplat.pictures.colors import float_to_bytes
 from flowsplat.pictures.sheets import preview_sheet
 from flowsplat.pipeline.compiling import compiling_ahead
 from flowsplat.pipeline.config import RunConfig, check
+from flowsplat.pipeline.first import first_scene, is_worth_it
 from flowsplat.pipeline.folder import MetricsFile, RunFolder, stage_key
-from flowsplat.pipeline.speed import STAGES, Range, Speed, expected, expected_memory, in_words
+from flowsplat.pipeline.speed import STAGES, Range, Speed, expected, expected_memory, expected_of, in_words
 from flowsplat.pipeline.summary import flow_comparisons, report_data
 from flowsplat.priors.heldout import heldout_flow
 from flowsplat.priors.objects import load_movers
 from flowsplat.priors.objects.description import mover_figures
 from flowsplat.priors.prepare import flow_estimator, prepare_priors
 from flowsplat.scenes import Scene, Tracks
-from flowsplat.scenes.clip import InputOptions
+from flowsplat.scenes.clip import Clip, InputOptions
 from flowsplat.scenes.ingest import CALIBRATED, fingerprint, ingest, is_ingested, kind_of_input, open_clip
 from flowsplat.scenes.layers import Layers, write_image
 from flowsplat.training.checkpoint import has_model, load_model, present_figures, save_model
 from flowsplat.training.config import TrainConfig, affecting_result
 from flowsplat.training.final import final_config, final_visits, with_heldout
+from flowsplat.training.scene_model import scene_model
 from flowsplat.training.static import static_config, static_start
 from flowsplat.training.trainer import Trainer
 
@@ -85,7 +87,13 @@ def run(source: Path, out: Path, config: RunConfig | None = None) -> dict[str, A
     with lease(out):
         device = pick_device((config or RunConfig()).device).type
         with compiling_ahead(device) as ahead:
-            folder = prepare(source, out, config)
+
+            def first(folder: RunFolder, clip: Clip) -> None:
+                # Kernels that are still being compiled are waited for once, after the priors.
+                if folder.config.first_scene and not ahead.is_busy and is_worth_it(sum(expected_of(clip, folder.config).values())):
+                    first_scene(folder, clip)
+
+            folder = _prepared(Path(source), out, config or RunConfig(), first)
             ahead.wait()
         train(folder)
         metrics = render_run(folder)
@@ -129,17 +137,18 @@ def prepare(source: Path, out: Path, config: RunConfig | None = None) -> RunFold
         return _prepared(Path(source), out, config or RunConfig())
 
 
-def _prepared(source: Path, out: Path, config: RunConfig) -> RunFolder:
+def _prepared(source: Path, out: Path, config: RunConfig, first: Callable[[RunFolder, Clip], None] | None = None) -> RunFolder:
+    """As ``prepare``; ``first`` is called with the opened clip before anything is computed of it."""
     check(config)
     kind = kind_of_input(source)
     identity = stage_key(kind, _scene_identity(source) if kind == "scene" else fingerprint(source, config.input))
-    is_new = not (Path(out) / "run.json").exists()
+    is_new, clip = not (Path(out) / "run.json").exists(), None
     if kind == "scene":
         Scene(source)
         if config.input != InputOptions():
             say(f"{source} is prepared already: what options or the preset take from a clip has no effect on it.")
     elif is_new:
-        open_clip(source, config.input)  # Whatever is wrong with it is said before a folder is made.
+        clip = open_clip(source, config.input)  # Whatever is wrong with it is said before a folder is made.
     before = {} if is_new else RunFolder(out).record
     if not is_new:
         remove_partials(out)
@@ -147,6 +156,8 @@ def _prepared(source: Path, out: Path, config: RunConfig) -> RunFolder:
     key = stage_key(identity, config.priors, hash_files("", config.priors.given.files()))
     if folder.is_finished("prepare", key):
         return folder
+    if first is not None and kind != "scene":
+        first(folder, clip or open_clip(source, config.input))
     goes_on = is_new or folder.was_started("prepare", key)
     with contextlib.nullcontext() if goes_on else _put_aside(folder, before):
         folder.start("prepare", key)
@@ -195,7 +206,11 @@ def _compute_scene(folder: RunFolder, source: Path, kind: str, key: str, is_new:
     _say_estimate(scene, speed.estimate(reference))
     ingested = time.perf_counter() - started
 
+    memory: dict[str, float | None] = {}
+
     def after(stage: str, took: float) -> None:
+        memory[stage] = recent_peak()
+        begin_peak()
         if stage == "cameras":
             speed.seen(took / reference["cameras"])
             say(f"Left of a whole run: {in_words(speed.estimate(reference, STAGES[1:]))}.")
@@ -210,7 +225,7 @@ def _compute_scene(folder: RunFolder, source: Path, kind: str, key: str, is_new:
     with busy("Writing priors.html"):
         page = write_priors_report(folder.path, scene, seconds)
     say(f"{verdict(scene)} Look at {page}")
-    folder.finish("prepare", key, {"ingest": ingested, **seconds})
+    folder.finish("prepare", key, {"ingest": ingested, **seconds}, memory)
 
 
 def _clear(out: Path) -> None:
@@ -328,13 +343,6 @@ def _drop_checkpoints(path: Path) -> None:
     for checkpoint in path.glob("*step_*.safetensors"):  # those that were never finished, too
         checkpoint.unlink()
     (path / "latest.json").unlink(missing_ok=True)
-
-
-def scene_model(scene: Scene, gaussians: Gaussians4D, config: TrainConfig) -> SceneModel:
-    """Gaussians with the space and time of their scene."""
-    first, last = float(scene.timestamps[0]), float(scene.timestamps[-1])
-    focal = float(scene.cameras[scene.train_frames[0]].K[0, 0])
-    return SceneModel(gaussians, scene.similarity, first, last, config.flow_model, config.fill, focal)
 
 
 def _trained(

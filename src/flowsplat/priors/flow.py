@@ -6,9 +6,11 @@ from itertools import pairwise
 from typing import Protocol
 
 import cv2
+import numba
 import numpy as np
 
 from flowsplat.common.progress import track
+from flowsplat.common.threads import in_threads
 from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.geometry.interpolation import sample_map
 from flowsplat.priors.continuity import Continuity
@@ -112,9 +114,11 @@ def flow_stage(scene: Scene, method: str = "dis", estimate: FlowEstimator = dis_
     Args:
         method: what ``estimate`` is called, for provenance.
     """
-    done, continuity = set(scene.flow_pairs), Continuity(scene)
-    shares, computed = [], 0
-    for k, (i, j) in enumerate(track(list(pairwise(scene.train_frames)), "Flow")):
+    done, continuity, pairs = set(scene.flow_pairs), Continuity(scene), list(pairwise(scene.train_frames))
+
+    def between(k: int) -> tuple[int, float]:
+        """How many were missing between training frames k and k + 1, and the share of pixels that is trusted."""
+        i, j = pairs[k]
         missing = [pair for pair in ((i, j), (j, i)) if pair not in done]
         if missing:
             a, b = scene.frame(i), scene.frame(j)
@@ -124,8 +128,12 @@ def flow_stage(scene: Scene, method: str = "dis", estimate: FlowEstimator = dis_
                 if not continuity.joined(k, k + 1):
                     confidence = np.zeros_like(confidence)  # what agrees across a cut agrees by chance
                 scene.write_flow(Flow(s, t, flows[s, t], confidence))
-            computed += len(missing)
-        shares.append(float(scene.flow(i, j).trusted.mean()))
+        return len(missing), float(scene.flow(i, j).trusted.mean())
+
+    # Networks have all threads for one pair.
+    threads = numba.get_num_threads() if estimate is dis_estimator else 1
+    found = list(in_threads(between, track(range(len(pairs)), "Flow"), threads))
+    computed, shares = sum(count for count, _ in found), [share for _, share in found]
     share = float(np.mean(shares))
     verdict = f"{share:.0%} of the pixels match there and back"
     scene.finish_prior("flow", method=method, verdict=verdict, pairs=computed, trusted=round(share, 4))

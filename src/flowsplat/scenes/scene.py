@@ -40,7 +40,8 @@ def split_frames(count: int, holdout: int | None) -> tuple[list[int], list[int]]
         InputError: too few frames remain for training.
     """
     heldout = [i for i in range(count - 1) if holdout and i % holdout == holdout - 1]
-    train = [i for i in range(count) if i not in set(heldout)]
+    kept_back = set(heldout)
+    train = [i for i in range(count) if i not in kept_back]
     if len(train) < 2:
         raise InputError(f"{len(train)} training frame(s): a moving scene needs at least two frames.")
     return train, heldout

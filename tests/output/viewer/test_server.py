@@ -354,6 +354,28 @@ def test_a_newer_model_is_shown(tmp_path):
         viewer.stop()
 
 
+def test_the_first_scene_makes_room_for_the_trained_one(tmp_path):
+    """What was set in the controls belonged to the first one; the new ones work."""
+    folder, port = tmp_path / "out", free_port()
+    tiny_run(folder / "first", size=(32, 24))
+    (folder / "first" / "run.json").rename(folder / "run.json")
+    other = tiny_run(tmp_path / "other")
+    viewer = Viewer(folder, ViewOptions(port=port))
+    try:
+        with Browser(port) as browser:
+            assert red(browser.settled()).any()
+            assert any("a coarse first scene" in str(c.get("_markdown")) for c in browser.controls.values())
+            before = browser.controls["Seconds"]["uuid"]
+            for name in ("scene", "model"):
+                (other / name).rename(folder / name)
+            browser.wait(lambda: browser.controls["Seconds"]["uuid"] != before)
+            start = place(browser.settled())
+            browser.set("Seconds", 1.0)
+            browser.wait(lambda: place(browser.pictures[-1]) > start + 0.1)
+    finally:
+        viewer.stop()
+
+
 def test_ctrl_c_stops_it_and_the_port_is_free_again(run_folder):
     port = free_port()
     command = [sys.executable, "-m", "flowsplat.cli", "view", str(run_folder), "--port", str(port), "--device", "cpu"]

@@ -63,6 +63,25 @@ def test_a_training_can_be_watched(tmp_path, monkeypatch):
     np.testing.assert_array_equal(source.loaded.part("all").render(camera, 0.5).colour, expected)
 
 
+def test_the_first_scene_is_shown_until_there_is_another(tmp_path):
+    """It has a size, cameras and times of its own."""
+    folder = tmp_path / "out"
+    tiny_run(folder / "first", size=(32, 24))
+    (folder / "first" / "run.json").rename(folder / "run.json")
+    source = Source(folder)  # before the run has frames of its own
+    assert (source.loaded.state, source.size) == ("a coarse first scene", (32, 24))
+    assert source.path.at(0.5).width == 32
+    assert not source.refresh()
+    other = tiny_run(tmp_path / "other")
+    (other / "scene").rename(folder / "scene")
+    assert not source.refresh()
+    (other / "model").rename(folder / "model")
+    assert source.refresh()
+    assert (source.loaded.state, source.size) == ("trained", (64, 48))
+    assert source.path.at(0.5).width == 64
+    assert source.frame(0.5).shape == (48, 64, 3)
+
+
 def test_the_clock_does_not_tell_what_is_newer(tmp_path):
     """It was set back by a year after the last checkpoint."""
     folder = tiny_run(tmp_path / "out")

@@ -9,7 +9,7 @@ from flowsplat.geometry import Camera
 from flowsplat.priors.objects.contact import Bound
 from flowsplat.priors.objects.movers import rigid_motions, solve_mover
 from flowsplat.priors.objects.relief import place_points
-from flowsplat.priors.objects.rigid import Observations, longest, solve_rigid, widest_turn
+from flowsplat.priors.objects.rigid import Observations, _solved, longest, solve_rigid, widest_turn
 
 K = np.array([[300.0, 0, 160], [0, 300.0, 90], [0, 0, 1]])
 FRAMES = 24
@@ -151,3 +151,33 @@ def test_widest_turn():
     turns = np.stack([turn(a) for a in (0.0, 0.3, 1.0)])
     assert widest_turn(turns) == pytest.approx(np.degrees(1.0), abs=1e-6)
     assert widest_turn(turns[:1]) == 0
+
+
+def test_a_long_clip_is_solved_as_well():
+    """Points live for 12 of 160 frames: its system is a band, and it is adjusted less and less often while it grows."""
+    rng = np.random.default_rng(0)
+    frames, life = 160, 12
+    points, starts = rng.normal(size=(frames, 3)) * [0.3, 0.2, 0.25], np.arange(frames) - life // 2
+    depths = 3 + 0.5 * np.sin(np.arange(frames) / 30)
+    pixels, seen = np.zeros((frames, frames, 2)), np.zeros((frames, frames), bool)
+    for t in range(frames):
+        turn = 0.02 * t
+        R = np.array([[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]])
+        placed = points @ R.T + [0.3 * np.sin(t / 20), 0, depths[t]]
+        pixels[:, t] = placed[:, :2] / placed[:, 2:] * K[0, 0] + K[:2, 2] + 0.2 * rng.normal(size=(frames, 2))
+        seen[:, t] = (t >= starts) & (t < starts + life)
+    motion = solve_rigid(Observations.of_tracks(pixels, seen, K))
+    assert motion is not None
+    assert motion.inliers > 0.99
+    course = motion.log_depths()[10:-10] - np.log(depths)[10:-10]
+    assert np.std(course) < 0.08
+
+
+def test_a_band_is_solved_as_the_whole_matrix():
+    rng = np.random.default_rng(0)
+    size, band = 60, 12
+    H = np.triu(np.tril(rng.normal(size=(size, size)), band - 1), 1 - band)
+    H = H + H.T + 40 * np.eye(size)
+    b = rng.normal(size=size)
+    np.testing.assert_allclose(_solved(H, b, band), np.linalg.solve(H, b), atol=1e-9)
+    np.testing.assert_allclose(_solved(H, b, size), np.linalg.solve(H, b), atol=1e-9)

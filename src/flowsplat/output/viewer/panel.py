@@ -47,7 +47,10 @@ class Panel:
 
     def __init__(self, client: viser.ClientHandle, source: Source, worker: Worker, largest: int):
         """``largest``: pixels of the longer side of a still picture."""
-        self._client, self._source, self._worker = client, source, worker
+        self.client = client
+        self._source, self._worker = source, worker
+        self.scene = source.scene
+        self._is_over = False
         self._browser = BrowserFrame(source.scene.similarity)
         self._session = Session(source.clip, min(largest, _MOST_ENLARGED * max(source.size)))
         self._session.mode = "orbit"
@@ -62,9 +65,15 @@ class Panel:
     def begin(self) -> None:
         """Stand where the clip begins, and get pictures from now on."""
         self._stand(self._input_pose(), _REACH["orbit"])
-        self._client.camera.on_update(self._moved)
-        self._worker.add(self._client.client_id, self._session, self._show)
-        self._moved(self._client.camera)
+        self.client.camera.on_update(self._moved)
+        self._worker.add(self.client.client_id, self._session, self._show)
+        self._moved(self.client.camera)
+
+    def end(self) -> None:
+        """Take away what was made for the client: another scene is shown to it."""
+        self._is_over = True
+        self.client.gui.reset()
+        self.client.scene.reset()
 
     def reloaded(self) -> None:
         """There is a newer model."""
@@ -75,7 +84,7 @@ class Panel:
     # -- the controls
 
     def _build(self) -> None:
-        gui, controls, (first, last) = self._client.gui, Controls(self._client.gui), self._source.clip
+        gui, controls, (first, last) = self.client.gui, Controls(self.client.gui), self._source.clip
         self._status = gui.add_markdown(self._state())
         with gui.add_folder("Time"):
             self._time = controls.add_slider("Seconds", min=first, max=last, step=_TIME_STEP, initial_value=first)
@@ -155,6 +164,8 @@ class Panel:
     # -- camera
 
     def _moved(self, camera: viser.CameraHandle) -> None:
+        if self._is_over:
+            return
         pose = Pose(np.array(camera.wxyz), np.array(camera.position), float(camera.fov))
         stood = self._stood
         with self._worker.changed():
@@ -166,9 +177,9 @@ class Panel:
     def _stand(self, pose: Pose, reach: float) -> None:
         """Bring the browser's camera to a pose, turning about a point ``reach`` ahead of it."""
         self._stood = pose
-        camera = self._client.camera
+        camera = self.client.camera
         up = -self._browser.from_scene.camera(self._browser.camera(pose, 2, 2)).viewmat[1, :3]
-        with self._client.atomic():
+        with self.client.atomic():
             camera.position = pose.position
             camera.up_direction = up
             camera.look_at = pose.position + pose.forward * reach
@@ -177,7 +188,7 @@ class Panel:
     def _input_pose(self) -> Pose:
         """The input camera at this time, all of its picture inside the window."""
         shown = self._source.path.at(self._session.clock.at(time.monotonic()))
-        canvas = (self._client.camera.image_width, self._client.camera.image_height)
+        canvas = (self.client.camera.image_width, self.client.camera.image_height)
         box = fitted(self._source.size, Box(0, 0, *canvas))
         pose = self._browser.pose(shown)
         return Pose(pose.wxyz, pose.position, 2 * float(np.arctan(np.tan(pose.fov / 2) * canvas[1] / box.height)))
@@ -191,7 +202,7 @@ class Panel:
             self._session.mode = mode
             self._session.change(time.monotonic())
         if mode != "input camera":
-            camera = self._client.camera
+            camera = self.client.camera
             here = Pose(np.array(camera.wxyz), np.array(camera.position), float(camera.fov))
             self._stand(here, _REACH[mode])
             if self._session.look.compare == "wipe":
@@ -228,7 +239,7 @@ class Panel:
         drawn_into = self._cameras.value or self._trails.value
         quality = _STILL_QUALITY if job.is_still else _MOVING_QUALITY
         depth = drawing.depth if drawn_into else None
-        self._client.scene.set_background_image(drawing.image, format="jpeg", jpeg_quality=quality, depth=depth)
+        self.client.scene.set_background_image(drawing.image, format="jpeg", jpeg_quality=quality, depth=depth)
         if job.wish.pose is None:
             self._stand(drawing.pose, _REACH["orbit"])
         _put(self._time, float(np.clip(round(job.wish.t, 3), *self._source.clip)))
@@ -244,7 +255,7 @@ class Panel:
         self._redraw()
 
     def _add_cameras(self) -> viser.FrameHandle:
-        scene, cameras = self._client.scene, self._source.path.cameras
+        scene, cameras = self.client.scene, self._source.path.cameras
         parent = scene.add_frame("/cameras", show_axes=False)
         heldout = set(self._source.scene.heldout_frames)
         for i in spread(len(cameras), _MOST_FRUSTA):
@@ -268,7 +279,7 @@ class Panel:
                 self._notifications.show("Nothing to draw", "No Gaussian of this scene moves.")
             else:
                 there = self._browser.from_scene.points(ends.astype(np.float64))
-                self._overlays["trails"] = self._client.scene.add_line_segments(
+                self._overlays["trails"] = self.client.scene.add_line_segments(
                     "/trails", there, colours, thickness=1.5, thickness_units="screen"
                 )
         self._redraw()

@@ -69,6 +69,12 @@ class Viewer:
             self._panels[client.client_id] = panel
         panel.begin()
 
+    def _begin_anew(self, panel: Panel) -> None:
+        """Give a client the controls of another scene."""
+        self.worker.remove(panel.client.client_id)
+        panel.end()
+        self._connect(panel.client)
+
     def _disconnect(self, client: viser.ClientHandle) -> None:
         with self._lock:
             self._panels.pop(client.client_id, None)
@@ -78,7 +84,10 @@ class Viewer:
         with self._lock:
             panels = list(self._panels.values())
         for panel in panels:
-            panel.reloaded()
+            if panel.scene is self.source.scene:
+                panel.reloaded()
+            else:
+                self._begin_anew(panel)
 
 
 def view(folder: Path, options: ViewOptions) -> None:

@@ -1,11 +1,15 @@
-"""What is looked at: the newest model of a run, trained or still in training, and the scene that it was trained on."""
+"""What is looked at: the newest model of a run, trained or still in training, and the scene that it was trained on.
+
+Until training has a checkpoint this is the coarse first scene of the run, where there is one: another scene, with cameras and times
+of its own.
+"""
 
 from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -37,6 +41,12 @@ class Loaded:
         return self._parts[part]
 
 
+FIRST = "first"
+"""Folder of the coarse scene in that of a run."""
+_OF_SCENE = ("path", "_inner_path", "step", "tracks", "scales")
+"""What is kept of a scene."""
+
+
 class Source:
     """The folder of a run as the viewer reads it. Only one thread may call ``refresh``."""
 
@@ -44,22 +54,22 @@ class Source:
         """Open a run; ``device``: where its models are rendered.
 
         Raises:
-            InputError: it is none, is not prepared, or has neither a model nor a checkpoint yet.
+            InputError: it is none, or has neither a model nor a checkpoint nor a first scene yet.
         """
         self.folder, self._device = Path(folder), device
         if not (self.folder / "run.json").exists():
             raise InputError(f"{folder} is not the folder of a run: start with flowsplat run INPUT -o {folder}.")
-        if not (self.folder / "scene" / "scene.json").exists():
-            raise InputError(f"{folder} is not prepared yet: run flowsplat prepare or flowsplat run first.")
-        self.scene = Scene(self.folder / "scene")
         found = self._find()
         if found is None:
+            if not (self.folder / "scene" / "scene.json").exists():
+                raise InputError(f"{folder} is not prepared yet: run flowsplat prepare or flowsplat run first.")
             raise InputError(
                 f"{folder} holds neither a trained scene nor a checkpoint yet: run flowsplat train {folder}; "
                 "its first checkpoint can be looked at while it trains."
             )
-        self._stamp, read = found
-        model, state = read()
+        self._stamp, place, read = found
+        self.scene = Scene(place)
+        model, state = read(self.scene)
         self.loaded = Loaded(self._ready(model), state, 0)
 
     def model(self, part: Part, distances: Sequence[tuple[int, float]] = (), fading: bool = False) -> SceneModel:
@@ -77,11 +87,17 @@ class Source:
         found = self._find()
         if found is None or found[0] == self._stamp:
             return False
+        stamp, place, read = found
         try:
-            model, state = found[1]()
+            scene = self.scene if place == self.scene.folder else Scene(place)
+            model, state = read(scene)
         except InputError:
             return False  # It is being replaced at this moment: the next call finds it whole.
-        self._stamp = found[0]
+        if scene is not self.scene:
+            self.scene = scene
+            for name in _OF_SCENE:
+                self.__dict__.pop(name, None)
+        self._stamp = stamp
         self.loaded = Loaded(self._ready(model), state, self.loaded.number + 1)
         return True
 
@@ -89,24 +105,26 @@ class Source:
         """On the device that renders, prepared for many frames."""
         return replace(model.to(self._device), graphs=True)
 
-    def _find(self) -> tuple[tuple[str, int], Callable[[], tuple[SceneModel, str]]] | None:
-        """The newest state: what tells it from others, and how to read it.
+    def _find(self) -> tuple[tuple[str, int], Path, Callable[[Scene], tuple[SceneModel, str]]] | None:
+        """The newest state: what tells it from others, the folder of its scene, and how to read it.
 
         A training that begins removes the model that was there, so a model is never older than a checkpoint beside it; the clock
         may have been set between the two.
         """
-        trained = self.folder / ("final" if has_model(self.folder / "final") else "model")
-        for path, read in (
-            (trained / "model.json", lambda: (load_model(trained), "trained")),
-            (self.folder / "training" / "latest.json", self._read_checkpoint),
+        trained, first = self.folder / ("final" if has_model(self.folder / "final") else "model"), self.folder / FIRST
+        for path, place, read in (
+            (trained / "model.json", self.folder / "scene", partial(_read_model, trained, "trained")),
+            (self.folder / "training" / "latest.json", self.folder / "scene", self._read_checkpoint),
+            (first / "model" / "model.json", first / "scene", partial(_read_model, first / "model", "a coarse first scene")),
         ):
             with contextlib.suppress(OSError):
-                return (str(path), path.stat().st_mtime_ns), read
+                return (str(path), path.stat().st_mtime_ns), place, read
         return None
 
-    def _read_checkpoint(self) -> tuple[SceneModel, str]:
-        (first, last), focal = self.clip, float(self.scene.cameras[self.scene.train_frames[0]].K[0, 0])
-        model, step, steps = load_checkpoint(self.folder / "training", self.scene.similarity, first, last, focal)
+    def _read_checkpoint(self, scene: Scene) -> tuple[SceneModel, str]:
+        first, last = float(scene.timestamps[0]), float(scene.timestamps[-1])
+        focal = float(scene.cameras[scene.train_frames[0]].K[0, 0])
+        model, step, steps = load_checkpoint(self.folder / "training", scene.similarity, first, last, focal)
         return model, f"in training, step {step} of {steps}"
 
     @property
@@ -155,3 +173,7 @@ class Source:
         """[H, W, 3] uint8 the input frame nearest to a time, held-out frames included: nothing learns from what is shown."""
         i = self.frame_number(t)
         return self.scene.frame(i) if i in self.scene.train_frames else self.scene.heldout_frame(i)
+
+
+def _read_model(path: Path, state: str, scene: Scene) -> tuple[SceneModel, str]:
+    return load_model(path), state

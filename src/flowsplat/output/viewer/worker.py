@@ -33,7 +33,8 @@ class Worker:
 
     def __init__(self, source: Source, reloaded: Callable[[], None] = lambda: None):
         """``reloaded`` is called after a newer model was read."""
-        self._source, self._browser, self._reloaded = source, BrowserFrame(source.scene.similarity), reloaded
+        self._source, self._reloaded = source, reloaded
+        self._scene, self._browser = source.scene, BrowserFrame(source.scene.similarity)
         self._sessions: dict[int, tuple[Session, SendPicture]] = {}
         self._turns: deque[int] = deque()
         self._tasks: deque[tuple[int, Iterator[None]]] = deque()
@@ -106,6 +107,8 @@ class Worker:
             return
         self._watched = now
         if self._source.refresh():
+            if self._source.scene is not self._scene:
+                self._scene, self._browser = self._source.scene, BrowserFrame(self._source.scene.similarity)
             say(f"Showing a newer model: {self._source.loaded.state}.")
             self._reloaded()
 

@@ -12,6 +12,7 @@ import numpy as np
 from numba import prange
 
 from flowsplat.common.kernels import parallel_kernel
+from flowsplat.common.simd import LANES, broadcast, load, magnitude, maximum, store, where_above, where_at_least
 from flowsplat.geometry import Camera
 from flowsplat.priors.background.reprojection import carried
 
@@ -48,31 +49,44 @@ def agreed(
 @parallel_kernel
 def _vote(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     count, height, width = values.shape
-    chosen, share = values[0].copy(), np.ones((height, width), np.float32)
-    same, enough, own = np.float32(SAME), np.float32(ENOUGH), np.float32(OWN)
+    chosen, share = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
+    same, enough, nothing, one = np.float32(SAME), np.float32(ENOUGH), np.float32(0), np.float32(1)
+    weights = np.empty(count, np.float32)
+    for a in range(count):
+        weights[a] = OWN if a == 0 else one
+    room = max(width, LANES)
     for y in prange(height):
-        votes = np.empty(count, np.float32)
+        row, votes = np.empty(count * room, np.float32), np.empty(count * LANES, np.float32)
+        for a in range(count):
+            for x in range(room):
+                row[a * room + x] = values[a, y, x] if x < width else nothing
+        found, agree = np.empty(room, np.float32), np.empty(room, np.float32)
+        for block in range(0, room, LANES):
+            x = min(block, room - LANES)  # The last block overlaps the one before.
+            most, said = broadcast(nothing), broadcast(nothing)
+            for a in range(count):
+                value, total = load(row, a * room + x), broadcast(nothing)
+                for b in range(count):
+                    apart = magnitude(load(row, b * room + x) - value)
+                    total = total + where_at_least(same * value, apart, broadcast(weights[b]), broadcast(nothing))
+                total = where_above(value, nothing, total, broadcast(nothing))
+                said = said + where_above(value, nothing, broadcast(weights[a]), broadcast(nothing))
+                store(votes, a * LANES, total)
+                most = maximum(most, total)
+            limit, best, value = enough * most, load(votes, 0), load(row, x)
+            for a in range(1, count):
+                total, other = load(votes, a * LANES), load(row, a * room + x)
+                better = where_at_least(best, limit, where_above(value, other, broadcast(one), broadcast(nothing)), broadcast(one))
+                better = where_at_least(total, limit, better, broadcast(nothing))
+                best, value = where_above(better, nothing, total, best), where_above(better, nothing, other, value)
+            total, sum_of = broadcast(nothing), broadcast(nothing)
+            for a in range(count):
+                other = load(row, a * room + x)
+                apart = magnitude(other - value)
+                weight = where_at_least(same * value, apart, broadcast(weights[a]), broadcast(nothing))
+                total, sum_of = total + weight, sum_of + weight * other
+            store(found, x, sum_of / total)
+            store(agree, x, best / said)
         for x in range(width):
-            most, said = np.float32(0), np.float32(0)
-            for a in range(count):
-                value = values[a, y, x]
-                votes[a] = np.float32(0)
-                if value > 0:
-                    said += own if a == 0 else np.float32(1)
-                    for b in range(count):
-                        if abs(values[b, y, x] - value) <= same * value:
-                            votes[a] += own if b == 0 else np.float32(1)
-                most = max(most, votes[a])
-            best = 0
-            for a in range(count):
-                if votes[a] >= enough * most and (votes[best] < enough * most or values[a, y, x] < values[best, y, x]):
-                    best = a
-            value, total, sum_of = values[best, y, x], np.float32(0), np.float32(0)
-            for a in range(count):
-                if abs(values[a, y, x] - value) <= same * value:
-                    weight = own if a == 0 else np.float32(1)
-                    total += weight
-                    sum_of += weight * values[a, y, x]
-            chosen[y, x] = sum_of / total
-            share[y, x] = votes[best] / said
+            chosen[y, x], share[y, x] = found[x], agree[x]
     return chosen, share

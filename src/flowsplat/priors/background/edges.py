@@ -13,10 +13,27 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-from numba import prange
+from numba import njit, prange
 
-from flowsplat.common.kernels import parallel_kernel
+from flowsplat.common.kernels import OPTIONS, parallel_kernel
+from flowsplat.common.simd import (
+    LANES,
+    broadcast,
+    byte_of,
+    gather,
+    lane_numbers,
+    largest_lane,
+    load,
+    magnitude,
+    maximum,
+    minimum,
+    store,
+    where_above,
+    where_at_least,
+    whole,
+)
 from flowsplat.geometry import Camera
+from flowsplat.priors.background.bits import packed
 from flowsplat.priors.background.matched_clip import MatchedClip
 
 OFFSETS = (-16, -8, -4, 4, 8, 16)
@@ -34,6 +51,8 @@ LIKENESS = 20.0
 """Sum of the differences in red, green and blue at which a pixel's vote counts half."""
 _COLOUR, _GRADIENT, _WORST = 60.0, 20.0, 60.0
 """Largest difference of colours and of gradients that counts; cost where no frame says anything."""
+_MARGIN = WINDOW
+"""Numbers before and after a row, so that what lies beside the picture can be loaded; of costs they are 0: no vote."""
 
 
 def features(picture: np.ndarray) -> np.ndarray:
@@ -60,6 +79,7 @@ def refine_edges(
     """
     poses = np.array([other.pose_from(camera) for other in cameras], np.float32).reshape(-1, 3, 4)
     intrinsics = np.array([c.intrinsics for c in [camera, *cameras]], np.float32)
+    words, slopes = packed(pictures, moving), np.ascontiguousarray(pictures[..., 3])
     for _ in range(ROUNDS):
         around = [cv2.getStructuringElement(cv2.MORPH_RECT, (2 * reach + 1, 2 * reach + 1)) for reach in REACHES]
         far, close = [cv2.erode(inverse, each) for each in around], [cv2.dilate(inverse, each) for each in around]
@@ -68,8 +88,8 @@ def refine_edges(
         if doubted is not None:
             asked &= doubted
         near = cv2.dilate(asked.astype(np.uint8), np.ones((2 * WINDOW + 1, 2 * WINDOW + 1), np.uint8)) > 0
-        every = np.stack(proposed, -1)
-        costs = _costs(every, near, picture, pictures, moving, intrinsics, poses)
+        every = np.stack(proposed)
+        costs = _costs(every, near, picture, words, slopes, intrinsics, poses)
         inverse = _chosen(every, costs, asked, picture)
     return inverse
 
@@ -104,96 +124,177 @@ class EdgeRefiner:
         return features(scene.frame(i)), cv2.dilate(moving.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0, moving
 
 
+@njit(inline="always", **OPTIONS)
+def _mixed(corners, shift, a00, a01, a10, a11):
+    """A byte of four words, bilinear."""
+    p, q, s, t = corners
+    return a00 * byte_of(p, shift) + a01 * byte_of(q, shift) + a10 * byte_of(s, shift) + a11 * byte_of(t, shift)
+
+
 @parallel_kernel
 def _costs(
-    proposed: np.ndarray, near: np.ndarray, picture: np.ndarray, pictures: np.ndarray, moving: np.ndarray,
-    intrinsics: np.ndarray, poses: np.ndarray,
+    proposed: np.ndarray, near: np.ndarray, picture: np.ndarray, words: np.ndarray, slopes: np.ndarray, intrinsics: np.ndarray,
+    poses: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
-    """[H, W, L] float32: how much the better half of the frames differs from each pixel at each proposed inverse depth.
+    """[L, H, S] float32: how much the better half of the frames differs from a pixel at each proposed inverse depth [L, H, W].
 
-    Of every other pixel, as on a chessboard: they vote as well as all, in half the time.
+    Of every other pixel, as on a chessboard: they vote as well as all, in half the time. A row holds its columns y % 2, y % 2 + 2,
+    ... from ``_MARGIN`` on, and 0 beside them. ``words``: colours and movers of the others as from ``packed``,
+    ``slopes``: the sizes of their gradients, each [J, H, W].
     """
-    H, W, L = proposed.shape
+    L, H, W = proposed.shape
     J = len(poses)
     kept = max(J // 2, 1)
-    result = np.full((H, W, L), np.float32(_WORST), np.float32)
+    S = _row_size(W)
+    result = np.zeros((L, H, S), np.float32)
     half, one, worst = np.float32(0.5), np.float32(1), np.float32(_WORST)
-    most, steepest = np.float32(_COLOUR), np.float32(_GRADIENT)
+    most, steepest, nothing = np.float32(_COLOUR), np.float32(_GRADIENT), np.float32(0)
+    right, bottom = np.float32(W - 1), np.float32(H - 1)
     K0 = intrinsics[0]
+    words, slopes, flat = words.reshape(-1), slopes.reshape(-1), result.reshape(-1)
     for y in prange(H):
-        best, rays = np.empty(kept, np.float32), np.empty((J, 3), np.float32)
-        for x in range(W):
-            if not near[y, x] or (x + y) % 2:
-                continue
-            dx, dy = (x + half - K0[2]) / K0[0], (y + half - K0[3]) / K0[1]
-            red, green, blue, slope = picture[y, x, 0], picture[y, x, 1], picture[y, x, 2], picture[y, x, 3]
-            for j in range(J):
-                for r in range(3):
-                    rays[j, r] = poses[j, r, 0] * dx + poses[j, r, 1] * dy + poses[j, r, 2]
+        depths, seen, wanted = np.empty(L * S, np.float32), np.empty(4 * S, np.float32), np.empty(S, np.bool_)
+        for i in range(S):
+            wanted[i] = False
+            for n in range(4):
+                seen[n * S + i] = nothing
             for n in range(L):
-                w = proposed[y, x, n]
-                if n > 0 and w == proposed[y, x, n - 1]:
-                    result[y, x, n] = result[y, x, n - 1]
+                depths[n * S + i] = one
+        for i in range((W - y % 2 + 1) // 2):
+            x = 2 * i + y % 2
+            wanted[i] = near[y, x]
+            for n in range(L):
+                depths[n * S + i] = proposed[n, y, x]
+                flat[(n * H + y) * S + _MARGIN + i] = worst
+            for n in range(4):
+                seen[n * S + i] = picture[y, x, n]
+        best = np.empty(kept * LANES, np.float32)
+        dy = (np.float32(y) + half - K0[3]) / K0[1]
+        for first in range(0, (W + 1) // 2, LANES):
+            if not _any(wanted, first):
+                continue
+            x = np.float32(2) * lane_numbers() + np.float32(2 * first + y % 2)
+            dx = (x + (half - K0[2])) / K0[0]
+            red, green, blue, slope = load(seen, first), load(seen, S + first), load(seen, 2 * S + first), load(seen, 3 * S + first)
+            for n in range(L):
+                out = (n * H + y) * S + _MARGIN + first
+                same = n > 0
+                for i in range(first, first + LANES):
+                    same = same and depths[n * S + i] == depths[(n - 1) * S + i]
+                if same:
+                    store(flat, out, load(flat, out - H * S))
                     continue
-                best[:] = worst
-                said = 0
+                w = load(depths, n * S + first)
+                for k in range(kept):
+                    store(best, k * LANES, broadcast(worst))
+                said = broadcast(nothing)
                 for j in range(J):
-                    z = rays[j, 2] + w * poses[j, 2, 3]
-                    if z <= np.float32(1e-6):
-                        continue
+                    P, K = poses[j], intrinsics[j + 1]
+                    z = P[2, 0] * dx + (P[2, 1] * dy + P[2, 2]) + w * P[2, 3]
                     nearer = one / z
-                    u = intrinsics[j + 1, 0] * (rays[j, 0] + w * poses[j, 0, 3]) * nearer + intrinsics[j + 1, 2] - half
-                    v = intrinsics[j + 1, 1] * (rays[j, 1] + w * poses[j, 1, 3]) * nearer + intrinsics[j + 1, 3] - half
-                    if not (u >= 0 and v >= 0 and u < W - 1 and v < H - 1):
+                    u = K[0] * (P[0, 0] * dx + (P[0, 1] * dy + P[0, 2]) + w * P[0, 3]) * nearer + (K[2] - half)
+                    v = K[1] * (P[1, 0] * dx + (P[1, 1] * dy + P[1, 2]) + w * P[1, 3]) * nearer + (K[3] - half)
+                    holds = where_above(z, np.float32(1e-6), broadcast(one), broadcast(nothing))
+                    holds = where_at_least(u, nothing, where_at_least(u, right, broadcast(nothing), holds), broadcast(nothing))
+                    holds = where_at_least(v, nothing, where_at_least(v, bottom, broadcast(nothing), holds), broadcast(nothing))
+                    if largest_lane(holds) == nothing:
                         continue
-                    c, row = int(u), int(v)
-                    if moving[j, row, c]:
-                        continue
-                    said += 1
-                    a, b = u - np.float32(c), v - np.float32(row)
+                    u = minimum(maximum(u, broadcast(nothing)), broadcast(right - half))
+                    v = minimum(maximum(v, broadcast(nothing)), broadcast(bottom - half))
+                    c, row = whole(u), whole(v)
+                    start, below = j * H * W, (j * H + 1) * W
+                    corners = (
+                        gather(words, start, W, c, row), gather(words, start + 1, W, c, row),
+                        gather(words, below, W, c, row), gather(words, below + 1, W, c, row),
+                    )  # fmt: skip
+                    holds = where_above(byte_of(corners[0], 24), nothing, broadcast(nothing), holds)
+                    said = said + holds
+                    a, b = u - c, v - row
                     a00, a01, a10, a11 = (one - a) * (one - b), a * (one - b), (one - a) * b, a * b
-                    p, q = pictures[j, row, c], pictures[j, row, c + 1]
-                    s, t = pictures[j, row + 1, c], pictures[j, row + 1, c + 1]
-                    off0 = abs(a00 * p[0] + a01 * q[0] + a10 * s[0] + a11 * t[0] - red)
-                    off1 = abs(a00 * p[1] + a01 * q[1] + a10 * s[1] + a11 * t[1] - green)
-                    off2 = abs(a00 * p[2] + a01 * q[2] + a10 * s[2] + a11 * t[2] - blue)
-                    off3 = abs(a00 * p[3] + a01 * q[3] + a10 * s[3] + a11 * t[3] - slope)
-                    total = half * min(off0 + off1 + off2, most) + min(off3, steepest)
-                    # The smallest ones stay in order.
-                    k = kept - 1
-                    if total < best[k]:
-                        while k > 0 and best[k - 1] > total:
-                            best[k] = best[k - 1]
-                            k -= 1
-                        best[k] = total
-                counted = min(max((said + 1) // 2, 1), kept)
-                total = np.float32(0)
-                for k in range(counted):
-                    total += best[k]
-                result[y, x, n] = total / np.float32(counted)
+                    off = magnitude(_mixed(corners, 0, a00, a01, a10, a11) - red)
+                    off = off + magnitude(_mixed(corners, 8, a00, a01, a10, a11) - green)
+                    off = off + magnitude(_mixed(corners, 16, a00, a01, a10, a11) - blue)
+                    there = a00 * gather(slopes, start, W, c, row) + a01 * gather(slopes, start + 1, W, c, row)
+                    there = there + a10 * gather(slopes, below, W, c, row) + a11 * gather(slopes, below + 1, W, c, row)
+                    total = half * minimum(off, broadcast(most)) + minimum(magnitude(there - slope), broadcast(steepest))
+                    total = where_above(holds, nothing, total, broadcast(worst))
+                    for k in range(kept):  # The smallest ones stay in order.
+                        before = load(best, k * LANES)
+                        store(best, k * LANES, minimum(before, total))
+                        total = maximum(before, total)
+                total, counted = load(best, 0), broadcast(one)
+                for k in range(1, kept):
+                    total = total + where_at_least(said, np.float32(2 * k + 1), load(best, k * LANES), broadcast(nothing))
+                    counted = counted + where_at_least(said, np.float32(2 * k + 1), broadcast(one), broadcast(nothing))
+                store(flat, out, total / counted)
+            for i in range(max((W - y % 2 + 1) // 2, first), first + LANES):
+                for n in range(L):
+                    flat[(n * H + y) * S + _MARGIN + i] = nothing
     return result
+
+
+@njit(**OPTIONS)
+def _any(wanted: np.ndarray, first: int) -> bool:
+    found = False
+    for i in range(first, first + LANES):
+        found |= wanted[i]
+    return found
+
+
+@njit(**OPTIONS)
+def _row_size(width: int) -> int:
+    """Numbers in a row of every other pixel, with room beside them."""
+    return (width + 1) // 2 + LANES + 2 * _MARGIN
 
 
 @parallel_kernel
 def _chosen(proposed: np.ndarray, costs: np.ndarray, asked: np.ndarray, picture: np.ndarray) -> np.ndarray:
     """[H, W] the proposal of the least cost around each pixel, by pixels that look like it; the first where none is asked for."""
-    H, W, L = costs.shape
-    result = proposed[:, :, 0].copy()
-    scale = np.float32(1 / LIKENESS)
+    L, H, W = proposed.shape
+    S = costs.shape[2]
+    result = proposed[0].copy()
+    scale, one = np.float32(1 / LIKENESS), np.float32(1)
+    votes, voters = costs.reshape(-1), np.empty(3 * H * S, np.float32)  # the colours of the pixels that vote, as their costs lie
     for y in prange(H):
-        total = np.empty(L, np.float32)
-        for x in range(W):
-            if not asked[y, x]:
-                continue
-            total[:] = 0
-            red, green, blue = picture[y, x, 0], picture[y, x, 1], picture[y, x, 2]
-            for r in range(max(y - WINDOW, 0), min(y + WINDOW + 1, H)):
-                first = max(x - WINDOW, 0)
-                for c in range(first + (first + r) % 2, min(x + WINDOW + 1, W), 2):
-                    off = abs(picture[r, c, 0] - red) + abs(picture[r, c, 1] - green) + abs(picture[r, c, 2] - blue)
-                    weight = np.float32(1) / (np.float32(1) + (off * scale) * (off * scale))
-                    for n in range(L):
-                        total[n] += weight * costs[r, c, n]
-            total[0] *= np.float32(KEEP)
-            result[y, x] = proposed[y, x, total.argmin()]
+        for n in range(3):
+            for i in range(S):
+                voters[(n * H + y) * S + i] = np.float32(0)
+        for i in range((W - y % 2 + 1) // 2):
+            for n in range(3):
+                voters[(n * H + y) * S + _MARGIN + i] = picture[y, 2 * i + y % 2, n]
+    for y in prange(H):
+        totals, found = np.empty(L * LANES, np.float32), np.empty(LANES, np.float32)
+        near, mine, wanted = np.empty(L * S, np.float32), np.empty(3 * S, np.float32), np.empty(S, np.bool_)
+        for parity in range(2):
+            columns = (W - parity + 1) // 2
+            for i in range(S):
+                x = min(2 * i + parity, W - 1)
+                wanted[i] = i < columns and asked[y, x]
+                for n in range(L):
+                    near[n * S + i] = proposed[n, y, x]
+                for n in range(3):
+                    mine[n * S + i] = picture[y, x, n]
+            for first in range(0, columns, LANES):
+                if not _any(wanted, first):
+                    continue
+                red, green, blue = load(mine, first), load(mine, S + first), load(mine, 2 * S + first)
+                for n in range(L):
+                    store(totals, n * LANES, broadcast(np.float32(0)))
+                for r in range(max(y - WINDOW, 0), min(y + WINDOW + 1, H)):
+                    for aside in range(-WINDOW + (parity + r + WINDOW) % 2, WINDOW + 1, 2):
+                        at = r * S + _MARGIN + first + (parity + aside - r % 2) // 2
+                        off = magnitude(load(voters, at) - red) + magnitude(load(voters, H * S + at) - green)
+                        off = (off + magnitude(load(voters, 2 * H * S + at) - blue)) * scale
+                        weight = one / (one + off * off)
+                        for n in range(L):
+                            store(totals, n * LANES, load(totals, n * LANES) + weight * load(votes, n * H * S + at))
+                best, chosen = load(totals, 0) * np.float32(KEEP), load(near, first)
+                for n in range(1, L):
+                    total = load(totals, n * LANES)
+                    chosen = where_above(best, total, load(near, n * S + first), chosen)
+                    best = minimum(best, total)
+                store(found, 0, chosen)
+                for i in range(first, min(first + LANES, columns)):
+                    if wanted[i]:
+                        result[y, 2 * i + parity] = found[i - first]
     return result

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import threading
+from collections import defaultdict
+
 import cv2
 import numpy as np
 
@@ -21,7 +24,8 @@ def working_size(scene: Scene) -> tuple[int, int]:
 class LongFlows:
     """Flows in working pixels between training frames, by their position in ``scene.train_frames``.
 
-    Computed when asked for and kept until ``forget``; a walk over the clip keeps about 8 strides x 16 frames.
+    Computed when asked for and kept until ``forget``; a walk over the clip keeps about 8 strides x 16 frames. Threads may ask
+    together.
     """
 
     def __init__(self, scene: Scene, continuity: Continuity, estimate: FlowEstimator = dis_estimator):
@@ -29,6 +33,7 @@ class LongFlows:
         self._width, self._height = working_size(scene)
         self._flows: dict[tuple[int, int], np.ndarray] = {}
         self._frames: dict[int, np.ndarray] = {}
+        self._turns: defaultdict[tuple[int, int], threading.Lock] = defaultdict(threading.Lock)
 
     def neighbours(self, k: int) -> list[int]:
         """The positions one, two, four, eight and sixteen steps before and after ``k`` that can be matched with it."""
@@ -40,6 +45,7 @@ class LongFlows:
         """Drop what no frame from position ``before`` on needs."""
         self._flows = {pair: flow for pair, flow in self._flows.items() if max(pair) >= before}
         self._frames = {k: image for k, image in self._frames.items() if k >= before - STRIDES[-1]}
+        self._turns.clear()
 
     def matches(self, a: int, b: int) -> tuple[np.ndarray, np.ndarray]:
         """(flow [h, w, 2], confidence [h, w]) from ``a`` to ``b``, which are a stride apart, in working pixels."""
@@ -53,16 +59,20 @@ class LongFlows:
         return forward, confidence
 
     def _flow(self, a: int, b: int) -> np.ndarray:
-        if (a, b) not in self._flows:
-            if abs(a - b) == 1:
-                frames = self._scene.train_frames
-                flow = self._scene.flow(frames[a], frames[b]).flow
-            else:
-                half = (a + b) // 2
-                guess = self._resized(compose(self._flow(a, half), self._flow(half, b)), self._scene.width, self._scene.height)
-                flow = self._estimate(self._frame(a), self._frame(b), guess)
-            self._flows[a, b] = self._resized(flow, self._width, self._height)
-        return self._flows[a, b]
+        with self._turns[a, b]:  # What another thread computes is waited for. Halves are shorter, so none waits for itself.
+            if (a, b) not in self._flows:
+                self._flows[a, b] = self._found(a, b)
+            return self._flows[a, b]
+
+    def _found(self, a: int, b: int) -> np.ndarray:
+        if abs(a - b) == 1:
+            frames = self._scene.train_frames
+            flow = self._scene.flow(frames[a], frames[b]).flow
+        else:
+            half = (a + b) // 2
+            guess = self._resized(compose(self._flow(a, half), self._flow(half, b)), self._scene.width, self._scene.height)
+            flow = self._estimate(self._frame(a), self._frame(b), guess)
+        return self._resized(flow, self._width, self._height)
 
     def _frame(self, k: int) -> np.ndarray:
         if k not in self._frames:

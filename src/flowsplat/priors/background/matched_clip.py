@@ -6,13 +6,16 @@ import hashlib
 import shutil
 from collections.abc import Sequence
 from dataclasses import asdict, fields
+from functools import partial
 from pathlib import Path
 
 import cv2
+import numba
 import numpy as np
 
 from flowsplat.common.files import read_npz, write_npz
 from flowsplat.common.progress import track
+from flowsplat.common.threads import in_threads
 from flowsplat.geometry import Camera
 from flowsplat.priors.background.longflow import LongFlows, working_size
 from flowsplat.priors.background.multiview import MultiView, solve_multiview
@@ -110,10 +113,11 @@ class MatchedClip:
         if not missing:
             return
         flows = LongFlows(self.scene, self.continuity, estimate)
+        threads = numba.get_num_threads() if estimate is dis_estimator else 1  # Networks have all threads for one pair.
         for k in track(missing, "Matching frames"):
             others = flows.neighbours(k)
             if others:
-                matches = [flows.matches(k, j) for j in others]
+                matches = list(in_threads(partial(flows.matches, k), others, threads))
                 solution = solve_multiview(
                     self.cameras[k], [self.cameras[j] for j in others],
                     np.stack([flow for flow, _ in matches]), np.stack([confidence for _, confidence in matches]),

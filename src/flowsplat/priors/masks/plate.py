@@ -11,10 +11,27 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-from numba import prange
+from numba import njit, prange
 
-from flowsplat.common.kernels import parallel_kernel
+from flowsplat.common.kernels import OPTIONS, parallel_kernel
+from flowsplat.common.simd import (
+    LANES,
+    broadcast,
+    byte_of,
+    gather,
+    lane_numbers,
+    largest_lane,
+    load,
+    magnitude,
+    maximum,
+    minimum,
+    store,
+    where_above,
+    where_at_least,
+    whole,
+)
 from flowsplat.geometry import Camera
+from flowsplat.priors.background.bits import packed
 from flowsplat.priors.background.fill import upsample
 from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.static_depth import StaticDepth
@@ -40,6 +57,10 @@ SHADE_COST = 0.25
 
 NOISE, SHIFT = 6.0, 0.5
 """Grey levels and pixels by which a plate is off where nothing moves."""
+
+
+UNSEEN = 1e30
+"""Squared difference of what is not seen."""
 
 
 class CleanPlate:
@@ -91,48 +112,124 @@ def _plate(
     """
     H, W = depth.shape
     J = len(poses)
-    half, one = np.float32(0.5), np.float32(1)
-    plate, count = np.zeros((H, W, 3), np.float32), np.zeros((H, W), np.uint8)
-    spread = np.zeros((H, W), np.float32)
-    K = intrinsics[0]
+    half, one, nothing, far = np.float32(0.5), np.float32(1), np.float32(0), np.float32(UNSEEN)
+    width, height, agreeing = np.float32(W), np.float32(H), np.float32(AGREEING)
+    plate, spread, count = np.empty((H, W, 3), np.float32), np.empty((H, W), np.float32), np.empty((H, W), np.uint8)
+    K, words = intrinsics[0], packed(frames, blocked).reshape(-1)
+    room = max(W, LANES)
     for y in prange(H):
-        seen, apart = np.empty((J, 3), np.float32), np.empty(J, np.float32)
-        for x in range(W):
-            n, z = 0, depth[y, x]
-            px, py = (x + half - K[2]) / K[0] * z, (y + half - K[3]) / K[1] * z
+        row = np.empty(4 * room, np.float32)  # depth and colours
+        for x in range(room):
+            row[x] = depth[y, min(x, W - 1)]
+            for q in range(3):
+                row[(1 + q) * room + x] = np.float32(frame[y, min(x, W - 1), q])
+        seen, apart = np.empty(3 * J * LANES, np.float32), np.empty(J * LANES, np.float32)
+        found = np.empty(5 * room, np.float32)  # colours, spread and count
+        dy = (np.float32(y) + half - K[3]) / K[1]
+        for block in range(0, room, LANES):
+            first = min(block, room - LANES)  # The last block overlaps the one before.
+            z = load(row, first)
+            px, py = (lane_numbers() + (np.float32(first) + half - K[2])) / K[0] * z, dy * z
+            n = broadcast(nothing)
             for j in range(J):
                 P, L = poses[j], intrinsics[j + 1]
                 qz = P[2, 0] * px + P[2, 1] * py + P[2, 2] * z + P[2, 3]
-                if qz <= np.float32(1e-6) * z:
+                u = L[0] * (P[0, 0] * px + P[0, 1] * py + P[0, 2] * z + P[0, 3]) / qz + (L[2] - half)
+                v = L[1] * (P[1, 0] * px + P[1, 1] * py + P[1, 2] * z + P[1, 3]) / qz + (L[3] - half)
+                holds = where_above(qz, np.float32(1e-6) * z, broadcast(one), broadcast(nothing))
+                inside = where_at_least(u, width - half, broadcast(nothing), holds)
+                holds = where_at_least(u, -half, inside, broadcast(nothing))
+                inside = where_at_least(v, height - half, broadcast(nothing), holds)
+                holds = where_at_least(v, -half, inside, broadcast(nothing))
+                store(apart, j * LANES, broadcast(far))
+                if largest_lane(holds) == nothing:
                     continue
-                u = L[0] * (P[0, 0] * px + P[0, 1] * py + P[0, 2] * z + P[0, 3]) / qz + L[2] - half
-                v = L[1] * (P[1, 0] * px + P[1, 1] * py + P[1, 2] * z + P[1, 3]) / qz + L[3] - half
-                if not (u >= -half and v >= -half and u < W - half and v < H - half):
-                    continue
-                if blocked[j, int(v + half), int(u + half)]:
-                    continue
-                u, v = min(max(u, np.float32(0)), np.float32(W - 1)), min(max(v, np.float32(0)), np.float32(H - 1))
-                c, r = min(int(u), W - 2), min(int(v), H - 2)
-                a, b = u - c, v - r
-                distance = np.float32(0)
-                for q in range(3):
-                    above = (one - a) * frames[j, r, c, q] + a * frames[j, r, c + 1, q]
-                    below = (one - a) * frames[j, r + 1, c, q] + a * frames[j, r + 1, c + 1, q]
-                    seen[n, q] = (one - b) * above + b * below
-                    distance += (seen[n, q] - frame[y, x, q]) ** 2
-                apart[n] = distance
-                n += 1
-            count[y, x] = n
-            if n > 0:
-                chosen = np.argsort(apart[:n])[int(np.float32(AGREEING) * (n - 1) + half)]
-                for q in range(3):
-                    plate[y, x, q] = seen[chosen, q]
-                for j in range(n):
-                    apart[j] = np.float32(0)
-                    for q in range(3):
-                        apart[j] += (seen[j, q] - plate[y, x, q]) ** 2
-                spread[y, x] = np.sort(apart[:n])[n // 2] / np.float32(3)
+                u = minimum(maximum(u, broadcast(-half)), broadcast(width - one))
+                v = minimum(maximum(v, broadcast(-half)), broadcast(height - one))
+                start = j * H * W
+                nearest = gather(words, start, W, whole(u + half), whole(v + half))
+                holds = where_above(byte_of(nearest, 24), nothing, broadcast(nothing), holds)
+                u, v = maximum(u, broadcast(nothing)), maximum(v, broadcast(nothing))
+                value0, value1, value2 = bilinear(words, start, W, H, u, v)
+                off0, off1 = value0 - load(row, room + first), value1 - load(row, 2 * room + first)
+                off2 = value2 - load(row, 3 * room + first)
+                distance = off0 * off0 + off1 * off1 + off2 * off2
+                store(seen, 3 * j * LANES, value0)
+                store(seen, (3 * j + 1) * LANES, value1)
+                store(seen, (3 * j + 2) * LANES, value2)
+                n = n + holds
+                store(apart, j * LANES, where_above(holds, nothing, distance, broadcast(far)))
+            red, green, blue, scatter = agreed_colour(seen, apart, J, n, agreeing)
+            none = broadcast(nothing)
+            store(found, first, where_above(n, nothing, red, none))
+            store(found, room + first, where_above(n, nothing, green, none))
+            store(found, 2 * room + first, where_above(n, nothing, blue, none))
+            store(found, 3 * room + first, where_above(n, nothing, scatter, none))
+            store(found, 4 * room + first, n)
+        for x in range(W):
+            for q in range(3):
+                plate[y, x, q] = found[q * room + x]
+            spread[y, x], count[y, x] = found[3 * room + x], np.uint8(found[4 * room + x])
     return plate, spread, count
+
+
+@njit(**OPTIONS)
+def bilinear(words, start, W, H, u, v):
+    """Red, green and blue (lanes) at u, v of the picture that begins at words[start], with pixel centres at whole numbers."""
+    one = np.float32(1)
+    c, r = minimum(whole(u), broadcast(np.float32(W - 2))), minimum(whole(v), broadcast(np.float32(H - 2)))
+    a, b = u - c, v - r
+    a00, a01, a10, a11 = (one - a) * (one - b), a * (one - b), (one - a) * b, a * b
+    p, q = gather(words, start, W, c, r), gather(words, start + 1, W, c, r)
+    s, t = gather(words, start + W, W, c, r), gather(words, start + W + 1, W, c, r)
+    red = a00 * byte_of(p, 0) + a01 * byte_of(q, 0) + a10 * byte_of(s, 0) + a11 * byte_of(t, 0)
+    green = a00 * byte_of(p, 8) + a01 * byte_of(q, 8) + a10 * byte_of(s, 8) + a11 * byte_of(t, 8)
+    blue = a00 * byte_of(p, 16) + a01 * byte_of(q, 16) + a10 * byte_of(s, 16) + a11 * byte_of(t, 16)
+    return red, green, blue
+
+
+@njit(**OPTIONS)
+def agreed_colour(seen, apart, count, n, share):
+    """Of the colours that frames see, lane by lane that of the last of the ``share`` which look most like the pixel.
+
+    Args:
+        seen: [3 count lanes] of every frame, red, green and blue.
+        apart: [count lanes] how far each is from the pixel, squared; ``UNSEEN`` where it sees nothing. Spoiled.
+        n: how many see something.
+
+    Returns:
+        red, green, blue, and how far half of them are from these, a mean squared difference.
+    """
+    half, one, nothing, far = np.float32(0.5), np.float32(1), np.float32(0), np.float32(UNSEEN)
+    wanted = whole(maximum(share * (n - one) + half, broadcast(nothing)))
+    red, green, blue = broadcast(nothing), broadcast(nothing), broadcast(nothing)
+    for j in range(count):
+        here = _has_rank(apart, count, j, wanted)
+        red = where_above(here, nothing, load(seen, 3 * j * LANES), red)
+        green = where_above(here, nothing, load(seen, (3 * j + 1) * LANES), green)
+        blue = where_above(here, nothing, load(seen, (3 * j + 2) * LANES), blue)
+    for j in range(count):
+        off0, off1 = load(seen, 3 * j * LANES) - red, load(seen, (3 * j + 1) * LANES) - green
+        off2 = load(seen, (3 * j + 2) * LANES) - blue
+        distance = off0 * off0 + off1 * off1 + off2 * off2
+        store(apart, j * LANES, where_at_least(load(apart, j * LANES), far, broadcast(far), distance))
+    # Half of the frames agree so well.
+    wanted, scatter = whole(n * half), broadcast(nothing)
+    for j in range(count):
+        scatter = where_above(_has_rank(apart, count, j, wanted), nothing, load(apart, j * LANES), scatter)
+    return red, green, blue, scatter / np.float32(3)
+
+
+@njit(**OPTIONS)
+def _has_rank(values, count, j, wanted):
+    """Lanes: 1 where just so many of ``count`` vectors are below vector j, of equal ones the earlier; 0 elsewhere."""
+    one, nothing = np.float32(1), np.float32(0)
+    mine, below = load(values, j * LANES), broadcast(nothing)
+    for k in range(j):
+        below = below + where_at_least(mine, load(values, k * LANES), broadcast(one), broadcast(nothing))
+    for k in range(j + 1, count):
+        below = below + where_above(mine, load(values, k * LANES), broadcast(one), broadcast(nothing))
+    return where_at_least(magnitude(below - wanted), np.float32(0.5), broadcast(nothing), broadcast(one))
 
 
 def difference(frame: np.ndarray, plate: np.ndarray, spread: np.ndarray) -> np.ndarray:

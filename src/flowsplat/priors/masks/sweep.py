@@ -7,6 +7,20 @@ import numpy as np
 from numba import prange
 
 from flowsplat.common.kernels import parallel_kernel
+from flowsplat.common.simd import (
+    LANES,
+    broadcast,
+    byte_of,
+    gather,
+    lane_numbers,
+    largest_lane,
+    magnitude,
+    maximum,
+    minimum,
+    where_above,
+    where_at_least,
+    whole,
+)
 
 SIDE = 15.0
 """Mean difference in grey levels from the pixel itself from which one beside it belongs to something else."""
@@ -19,7 +33,7 @@ ALIKE, FEWEST = 10.0, 4
 
 
 def largest_share(
-    frame: np.ndarray, asked: np.ndarray, nearest: float, intrinsics: np.ndarray, poses: np.ndarray, frames: np.ndarray
+    frame: np.ndarray, asked: np.ndarray, nearest: float, intrinsics: np.ndarray, poses: np.ndarray, words: np.ndarray
 ) -> np.ndarray:
     """The largest share of the frames that look like a pixel at one depth, of those that would see it there, [h, w] float32.
 
@@ -29,12 +43,12 @@ def largest_share(
         nearest: largest inverse depth that is tried.
         intrinsics: fx, fy, cx, cy [1 + J, 4] float32 of the frame and of others.
         poses: [J, 3, 4] float32 of the others, from the axes of the frame's camera.
-        frames: RGB [J, h, w, 3] uint8 of the others.
+        words: [J, h, w] the others, as from ``packed``.
 
     Returns:
         0 to 1; -1 where not asked, along the border, and where fewer than ``FEWEST`` would see it at any depth.
     """
-    return _largest_share(frame, asked, _limits(frame), np.float32(nearest), intrinsics, poses, frames)
+    return _largest_share(frame, asked, _limits(frame), np.float32(nearest), intrinsics, poses, words)
 
 
 def _limits(image: np.ndarray) -> np.ndarray:
@@ -47,13 +61,17 @@ def _limits(image: np.ndarray) -> np.ndarray:
 @parallel_kernel
 def _largest_share(
     frame: np.ndarray, asked: np.ndarray, limit: np.ndarray, near: np.float32, intrinsics: np.ndarray, poses: np.ndarray,
-    frames: np.ndarray,
+    words: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
-    """As ``largest_share``, with the mean difference ``limit`` [h, w] up to which another frame shows the same."""
-    J, H, W = frames.shape[:3]
-    half = np.float32(0.5)
+    """As ``largest_share``, with the mean difference ``limit`` [h, w] up to which another frame shows the same.
+
+    As many depths at a time as there are lanes.
+    """
+    J, H, W = words.shape
+    half, one, nothing = np.float32(0.5), np.float32(1), np.float32(0)
+    right, bottom, fewest = np.float32(W - 1), np.float32(H - 1), np.float32(FEWEST)
     result = np.full((H, W), np.float32(-1), np.float32)
-    K = intrinsics[0]
+    K, words = intrinsics[0], words.reshape(-1)
     for y in prange(H):
         rays, like, here = np.empty((J, 3), np.float32), np.empty((3, 3), np.bool_), np.empty((3, 3, 3), np.float32)
         for x in range(W):
@@ -80,34 +98,39 @@ def _largest_share(
                 longest = max(longest, np.sqrt(reach) * near * K[0])
             steps = min(max(int(longest), 8), MOST)
             best = np.float32(-1)
-            for n in range(steps):
-                w = near * np.float32(n + 1) / np.float32(steps)
-                agree, said = 0, 0
+            for n in range(0, steps, LANES):
+                # Those beyond the last one are it once more.
+                w = near * minimum(lane_numbers() + np.float32(n + 1), broadcast(np.float32(steps))) / np.float32(steps)
+                agree, said = broadcast(nothing), broadcast(nothing)
                 for j in range(J):
                     z = rays[j, 2] + w * poses[j, 2, 3]
-                    if z <= np.float32(1e-6):
-                        continue
                     u = intrinsics[j + 1, 0] * (rays[j, 0] + w * poses[j, 0, 3]) / z + intrinsics[j + 1, 2]
                     v = intrinsics[j + 1, 1] * (rays[j, 1] + w * poses[j, 1, 3]) / z + intrinsics[j + 1, 3]
-                    c, r = int(np.floor(u)), int(np.floor(v))
-                    if c < 1 or r < 1 or c > W - 2 or r > H - 2:
-                        continue
-                    said += 1
-                    total = np.float32(0)
-                    for b in range(3):
-                        for a in range(3):
-                            if like[b, a]:
-                                for q in range(3):
-                                    total += abs(here[b, a, q] - np.float32(frames[j, r + b - 1, c + a - 1, q]))
-                        if total >= most:
-                            break
-                    agree += total < most
+                    holds = where_above(z, np.float32(1e-6), broadcast(one), broadcast(nothing))
+                    holds = where_at_least(u, one, where_at_least(u, right, broadcast(nothing), holds), broadcast(nothing))
+                    holds = where_at_least(v, one, where_at_least(v, bottom, broadcast(nothing), holds), broadcast(nothing))
+                    said = said + holds
+                    alike = holds
+                    if largest_lane(holds) > nothing:
+                        c = whole(minimum(maximum(u, broadcast(one)), broadcast(right - half)))
+                        row = whole(minimum(maximum(v, broadcast(one)), broadcast(bottom - half)))
+                        total = broadcast(nothing)
+                        for b in range(3):
+                            for a in range(3):
+                                if like[b, a]:
+                                    there = gather(words, (j * H + b - 1) * W + a - 1, W, c, row)
+                                    total = total + magnitude(byte_of(there, 0) - here[b, a, 0])
+                                    total = total + magnitude(byte_of(there, 8) - here[b, a, 1])
+                                    total = total + magnitude(byte_of(there, 16) - here[b, a, 2])
+                            alike = where_at_least(total, most, broadcast(nothing), holds)
+                            if largest_lane(alike) == nothing:
+                                break
+                    agree = agree + alike
                     # Were all that are left alike, it would still be no more.
-                    left = J - 1 - j
-                    if np.float32(agree + left) <= best * np.float32(said + left):
+                    left = np.float32(J - 1 - j)
+                    if largest_lane((agree + left) - best * (said + left)) <= nothing:
                         break
-                if said >= FEWEST:
-                    best = max(best, np.float32(agree) / np.float32(said))
+                best = max(best, largest_lane(where_at_least(said, fewest, agree / said, broadcast(np.float32(-1)))))
                 if best >= 1:
                     break
             result[y, x] = best

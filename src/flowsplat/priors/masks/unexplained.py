@@ -15,11 +15,26 @@ from numba import prange
 from scipy.ndimage import map_coordinates
 
 from flowsplat.common.kernels import parallel_kernel
+from flowsplat.common.simd import (
+    LANES,
+    broadcast,
+    lane_numbers,
+    largest_lane,
+    load,
+    magnitude,
+    maximum,
+    minimum,
+    store,
+    where_above,
+    where_at_least,
+    whole,
+)
 from flowsplat.common.spread import spread
+from flowsplat.priors.background.bits import packed
 from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.reprojection import carried
 from flowsplat.priors.background.static_depth import StaticDepth
-from flowsplat.priors.masks.plate import difference
+from flowsplat.priors.masks.plate import UNSEEN, agreed_colour, bilinear, difference
 from flowsplat.priors.masks.sweep import largest_share
 
 WITNESSES = 16
@@ -111,14 +126,15 @@ class Unexplained:
         intrinsics = np.array([c.intrinsics for c in (clip.cameras[k], *cameras)], np.float32)
         poses = np.array([camera.pose_from(clip.cameras[k]) for camera in cameras], np.float32)
         frames = np.stack([self._image(j) for j in others])
-        plates, scatter, counts = _plates(image, values, intrinsics, poses, frames)
+        words = packed(frames, np.zeros(frames.shape[:3], np.bool_))
+        plates, scatter, counts = _plates(image, values, intrinsics, poses, words)
         off = np.stack([np.where(counts[s] > 0, difference(image, plates[s], scatter[s]), np.inf) for s in range(SURFACES)]).min(0)
         off = np.where(np.isfinite(off), off, -1).astype(np.float32)
         asked = (off < 0) | (off > DOUBTED)
-        return off, np.where(asked, self._share(image, asked, intrinsics, poses, frames), 1)
+        return off, np.where(asked, self._share(image, asked, intrinsics, poses, words), 1)
 
     def _share(
-        self, image: np.ndarray, asked: np.ndarray, intrinsics: np.ndarray, poses: np.ndarray, frames: np.ndarray
+        self, image: np.ndarray, asked: np.ndarray, intrinsics: np.ndarray, poses: np.ndarray, words: np.ndarray
     ) -> np.ndarray:
         """``largest_share`` of every ``EVERY``th pixel in both directions, which speaks for those beside it, too."""
         height, width = asked.shape
@@ -126,7 +142,7 @@ class Unexplained:
         few = np.zeros_like(asked)
         middle = slice(EVERY // 2, None, EVERY)
         few[middle, middle] = near[middle, middle]
-        share = largest_share(image, few, NEAR * self._clip.median, intrinsics, poses, frames)[middle, middle]
+        share = largest_share(image, few, NEAR * self._clip.median, intrinsics, poses, words)[middle, middle]
         y, x = (np.minimum(np.arange(size) // EVERY, known - 1) for size, known in zip((height, width), share.shape, strict=True))
         return share[np.ix_(y, x)]
 
@@ -144,73 +160,95 @@ class Unexplained:
 
 @parallel_kernel
 def _plates(
-    frame: np.ndarray, values: np.ndarray, intrinsics: np.ndarray, poses: np.ndarray, frames: np.ndarray
+    frame: np.ndarray, values: np.ndarray, intrinsics: np.ndarray, poses: np.ndarray, words: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(colours [S, h, w, 3], their mean squared differences [S, h, w], number of frames) of surfaces that frames agree on."""
     J, H, W = values.shape
-    half, one, same = np.float32(0.5), np.float32(1), np.float32(SAME)
-    plates, counts = np.zeros((SURFACES, H, W, 3), np.float32), np.zeros((SURFACES, H, W), np.uint8)
-    scatter = np.zeros((SURFACES, H, W), np.float32)
-    K = intrinsics[0]
+    half, one, nothing, far = np.float32(0.5), np.float32(1), np.float32(0), np.float32(UNSEEN)
+    same, quarter, least = np.float32(SAME), np.float32(ENOUGH), np.float32(LEAST)
+    right, bottom, agreeing = np.float32(W - 1), np.float32(H - 1), np.float32(AGREEING)
+    plates, counts = np.empty((SURFACES, H, W, 3), np.float32), np.empty((SURFACES, H, W), np.uint8)
+    scatter = np.empty((SURFACES, H, W), np.float32)
+    K, words = intrinsics[0], words.reshape(-1)
+    room = max(W, LANES)
     for y in prange(H):
-        votes, used = np.empty(J, np.int64), np.empty(J, np.bool_)
-        seen, apart = np.empty((J, 3), np.float32), np.empty(J, np.float32)
-        for x in range(W):
-            said = 0
+        rows, left = np.empty((J + 3) * room, np.float32), np.empty(J * LANES, np.float32)
+        for x in range(room):  # inverse depths, and the colours of the frame
             for a in range(J):
-                used[a] = values[a, y, x] <= 0
-                said += not used[a]
-            needed = max(LEAST, int(np.ceil(ENOUGH * said)))
+                rows[a * room + x] = values[a, y, min(x, W - 1)]
+            for q in range(3):
+                rows[(J + q) * room + x] = np.float32(frame[y, min(x, W - 1), q])
+        seen, apart = np.empty(3 * J * LANES, np.float32), np.empty(J * LANES, np.float32)
+        found = np.empty(SURFACES * 5 * room, np.float32)
+        for x in range(SURFACES * 5 * room):
+            found[x] = nothing
+        dy = (np.float32(y) + half - K[3]) / K[1]
+        for block in range(0, room, LANES):
+            first = min(block, room - LANES)  # The last block overlaps the one before.
+            dx = (lane_numbers() + (np.float32(first) + half - K[2])) / K[0]
+            said = broadcast(nothing)
+            for a in range(J):
+                here = where_above(load(rows, a * room + first), nothing, broadcast(one), broadcast(nothing))
+                store(left, a * LANES, here)
+                said = said + here
+            needed = maximum(broadcast(least), whole(quarter * said + np.float32(0.999)))
             for s in range(SURFACES):
-                best, most = -1, 0
+                most, centre = broadcast(nothing), broadcast(nothing)
                 for a in range(J):
-                    votes[a] = 0
-                    if used[a]:
-                        continue
+                    value, votes = load(rows, a * room + first), broadcast(nothing)
                     for b in range(J):
-                        if not used[b] and abs(values[b, y, x] - values[a, y, x]) <= same * values[a, y, x]:
-                            votes[a] += 1
-                    if votes[a] > most:
-                        best, most = a, votes[a]
-                if most < needed:
+                        off = magnitude(load(rows, b * room + first) - value)
+                        votes = votes + where_at_least(same * value, off, load(left, b * LANES), broadcast(nothing))
+                    votes = votes * load(left, a * LANES)
+                    centre = where_above(votes, most, value, centre)
+                    most = maximum(most, votes)
+                most = where_at_least(most, needed, most, broadcast(nothing))
+                if largest_lane(most) == nothing:
                     break
-                centre, total, n = values[best, y, x], np.float32(0), 0
+                total = broadcast(nothing)
                 for b in range(J):
-                    if not used[b] and abs(values[b, y, x] - centre) <= same * centre:
-                        total += values[b, y, x]
-                z = one / (total / np.float32(most))
-                px, py = (x + half - K[2]) / K[0] * z, (y + half - K[3]) / K[1] * z
+                    value = load(rows, b * room + first)
+                    off = magnitude(value - centre)
+                    total = total + where_at_least(same * centre, off, load(left, b * LANES), broadcast(nothing)) * value
+                z = where_above(most, nothing, most / total, broadcast(one))
+                px, py, n = dx * z, dy * z, broadcast(nothing)
                 for j in range(J):
-                    if used[j] or abs(values[j, y, x] - centre) > same * centre:
-                        continue
-                    used[j] = True
+                    off, here = magnitude(load(rows, j * room + first) - centre), load(left, j * LANES)
+                    holds = where_at_least(same * centre, off, here, broadcast(nothing))
+                    holds = where_above(most, nothing, holds, broadcast(nothing))
+                    store(left, j * LANES, here - holds)
                     P, L = poses[j], intrinsics[j + 1]
                     qz = P[2, 0] * px + P[2, 1] * py + P[2, 2] * z + P[2, 3]
-                    if qz <= np.float32(1e-6) * z:
+                    u = L[0] * (P[0, 0] * px + P[0, 1] * py + P[0, 2] * z + P[0, 3]) / qz + (L[2] - half)
+                    v = L[1] * (P[1, 0] * px + P[1, 1] * py + P[1, 2] * z + P[1, 3]) / qz + (L[3] - half)
+                    holds = where_above(qz, np.float32(1e-6) * z, holds, broadcast(nothing))
+                    inside = where_above(u, right, broadcast(nothing), holds)
+                    holds = where_at_least(u, nothing, inside, broadcast(nothing))
+                    inside = where_above(v, bottom, broadcast(nothing), holds)
+                    holds = where_at_least(v, nothing, inside, broadcast(nothing))
+                    store(apart, j * LANES, broadcast(far))
+                    if largest_lane(holds) == nothing:
                         continue
-                    u = L[0] * (P[0, 0] * px + P[0, 1] * py + P[0, 2] * z + P[0, 3]) / qz + L[2] - half
-                    v = L[1] * (P[1, 0] * px + P[1, 1] * py + P[1, 2] * z + P[1, 3]) / qz + L[3] - half
-                    if not (u >= 0 and v >= 0 and u <= W - 1 and v <= H - 1):
-                        continue
-                    c, r = min(int(u), W - 2), min(int(v), H - 2)
-                    a0, b0 = u - np.float32(c), v - np.float32(r)
-                    distance = np.float32(0)
-                    for q in range(3):
-                        above = (one - a0) * frames[j, r, c, q] + a0 * frames[j, r, c + 1, q]
-                        below = (one - a0) * frames[j, r + 1, c, q] + a0 * frames[j, r + 1, c + 1, q]
-                        seen[n, q] = (one - b0) * above + b0 * below
-                        distance += (seen[n, q] - frame[y, x, q]) ** 2
-                    apart[n] = distance
-                    n += 1
-                counts[s, y, x] = n
-                if n > 0:
-                    chosen = np.argsort(apart[:n])[int(np.float32(AGREEING) * (n - 1) + half)]
-                    for q in range(3):
-                        plates[s, y, x, q] = seen[chosen, q]
-                    for j in range(n):
-                        apart[j] = np.float32(0)
-                        for q in range(3):
-                            apart[j] += (seen[j, q] - plates[s, y, x, q]) ** 2
-                    # Half of the frames agree so well.
-                    scatter[s, y, x] = np.sort(apart[:n])[n // 2] / np.float32(3)
+                    u = minimum(maximum(u, broadcast(nothing)), broadcast(right))
+                    v = minimum(maximum(v, broadcast(nothing)), broadcast(bottom))
+                    red, green, blue = bilinear(words, j * H * W, W, H, u, v)
+                    off0, off1 = red - load(rows, J * room + first), green - load(rows, (J + 1) * room + first)
+                    off2 = blue - load(rows, (J + 2) * room + first)
+                    store(seen, 3 * j * LANES, red)
+                    store(seen, (3 * j + 1) * LANES, green)
+                    store(seen, (3 * j + 2) * LANES, blue)
+                    store(apart, j * LANES, where_above(holds, nothing, off0 * off0 + off1 * off1 + off2 * off2, broadcast(far)))
+                    n = n + holds
+                red, green, blue, off = agreed_colour(seen, apart, J, n, agreeing)
+                at, none = 5 * s * room + first, broadcast(nothing)
+                store(found, at, where_above(n, nothing, red, none))
+                store(found, at + room, where_above(n, nothing, green, none))
+                store(found, at + 2 * room, where_above(n, nothing, blue, none))
+                store(found, at + 3 * room, where_above(n, nothing, off, none))
+                store(found, at + 4 * room, n)
+        for s in range(SURFACES):
+            for x in range(W):
+                for q in range(3):
+                    plates[s, y, x, q] = found[(5 * s + q) * room + x]
+                scatter[s, y, x], counts[s, y, x] = found[(5 * s + 3) * room + x], np.uint8(found[(5 * s + 4) * room + x])
     return plates, scatter, counts

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from scipy.linalg import solveh_banded
 
 RESIDUAL_WIDTH = 1.0
 """Pixels: an observation this far off has half its weight (Cauchy)."""
@@ -28,8 +29,11 @@ INLIER = 1.5
 """Pixels up to which an observation agrees with the solution."""
 
 _GROW_ITERATIONS, _FINAL_ITERATIONS, _POSE_ITERATIONS = 4, 30, 8
-_ADJUST_EVERY = 4
+_ADJUST_EVERY, _ADJUST_SHARE = 4, 0.05
+"""While it grows, a solution is adjusted when it has so many more frames, or this share more: all of it each time."""
 _DAMPING_TRIES = 5
+_BANDED = 3
+"""Times the width of its band that a system is large at least to be solved as one."""
 
 
 @dataclass(frozen=True)
@@ -221,7 +225,7 @@ class _Solver:
 
     def grow(self) -> None:
         """Add frame after frame outwards: its pose from known points, then the points that are new in it."""
-        o = self._o
+        o, adjusted = self._o, 1
         for t in sorted(set(range(o.frames)) - {self._reference}, key=lambda t: abs(t - self._reference)):
             rows = self._rows[t]
             known = self._known[self._point_of[rows]]
@@ -233,8 +237,10 @@ class _Solver:
             rays = np.concatenate([o.x[new], np.ones((len(new), 1))], 1)
             self._points[self._point_of[new]] = (rays * self._shifts[t, 2] - self._shifts[t]) @ self._turns[t]
             self._known[self._point_of[new]] = True
-            if self._used.sum() % _ADJUST_EVERY == 1:
+            used = int(self._used.sum())
+            if used - adjusted >= max(_ADJUST_EVERY, _ADJUST_SHARE * used) or used == 1:
                 self.adjust(_GROW_ITERATIONS, 1e-3)
+                adjusted = used
 
     def _place(self, t: int, near: int, rows: np.ndarray) -> None:
         """The pose of frame t, begun from that of frame ``near`` by how the points grew and shifted."""
@@ -257,14 +263,16 @@ class _Solver:
         turns, shifts, points = self._turns[frames], self._shifts[frames], self._points
         ridge = RELIEF_RIDGE / self._size**2
         fixed = o.first, place[o.frame_of], o.x, self._known, o.focal, RESIDUAL_WIDTH, ridge
+        band = 6 * (_reach(o.first, place[o.frame_of], self._known) + 1)
         damping, cost = 1e-3, _cost(turns, shifts, points, *fixed) + _unevenness(turns, shifts)[2]
         for _ in range(iterations):
             prior, pull, _ = _unevenness(turns, shifts)
             after = np.inf
             for _ in range(_DAMPING_TRIES):
                 H, b, own, inverses, gradients, links = _reduced_system(turns, shifts, points, *fixed, damping)
-                H += prior + np.diag(damping * (own + np.diag(prior)) + 1e-9)
-                step = np.linalg.solve(H, b + pull)
+                H += prior
+                H.reshape(-1)[:: len(H) + 1] += damping * (own + np.diag(prior)) + 1e-9
+                step = _solved(H, b + pull, band)
                 moved = _moved_points(points, step, o.first, fixed[1], inverses, gradients, links, self._known)
                 new_turns = _turned(turns, step)
                 new_shifts = shifts + step.reshape(-1, 6)[:, 3:]
@@ -299,6 +307,19 @@ class _Solver:
         return RigidMotion(
             self._turns, self._shifts, self._points, self._used, self._known, self._size, float(self._cost), self._o
         )
+
+
+def _solved(H: np.ndarray, b: np.ndarray, band: int) -> np.ndarray:
+    """The solution of H x = b, H symmetric and positive, 0 where column and row are ``band`` or more apart."""
+    if _BANDED * band > len(H):
+        return np.linalg.solve(H, b)
+    lower = np.zeros((band, len(H)))
+    for k in range(band):
+        lower[k, : len(H) - k] = H.reshape(-1)[k * len(H) :: len(H) + 1][: len(H) - k]
+    try:
+        return np.asarray(solveh_banded(lower, b, lower=True, overwrite_ab=True, check_finite=False))
+    except np.linalg.LinAlgError:  # It is positive but for rounding.
+        return np.linalg.solve(H, b)
 
 
 def _radius(x: np.ndarray) -> float:
@@ -404,11 +425,11 @@ def _reduced_system(
 
     Returns:
         H [6F, 6F], b [6F]; the diagonal [6F] of the poses' own block; and to get the points' steps: inverse [N, 3, 3] of
-        each point's block, its right side [N, 3], and the block [M, 6, 3] between the pose and the point of an observation.
+        each point's block, its right side [N, 3], and the block [M, 3, 6] between the point and the pose of an observation.
     """
     F, N, M = len(turns), len(points), len(x)
     H, b, own = np.zeros((6 * F, 6 * F)), np.zeros(6 * F), np.zeros(6 * F)
-    inverses, gradients, links = np.zeros((N, 3, 3)), np.zeros((N, 3)), np.zeros((M, 6, 3))
+    inverses, gradients, links = np.zeros((N, 3, 3)), np.zeros((N, 3)), np.zeros((M, 3, 6))
     r, J, B = np.zeros(2), np.zeros((2, 6)), np.zeros((2, 3))
     V, WV = np.zeros((3, 3)), np.zeros((6, 3))
     for n in range(N):
@@ -429,7 +450,7 @@ def _reduced_system(
                 for j in range(6):
                     H[6 * t + i, 6 * t + j] += u * (J[0, i] * J[0, j] + J[1, i] * J[1, j])
                 for j in range(3):
-                    links[m, i, j] = u * (J[0, i] * B[0, j] + J[1, i] * B[1, j])
+                    links[m, j, i] = u * (J[0, i] * B[0, j] + J[1, i] * B[1, j])
             for i in range(3):
                 gradients[n, i] -= u * (B[0, i] * r[0] + B[1, i] * r[1])
                 for j in range(3):
@@ -449,18 +470,34 @@ def _reduced_system(
                 continue
             for i in range(6):
                 for j in range(3):
-                    WV[i, j] = links[m, i, 0] * P[0, j] + links[m, i, 1] * P[1, j] + links[m, i, 2] * P[2, j]
+                    WV[i, j] = links[m, 0, i] * P[0, j] + links[m, 1, i] * P[1, j] + links[m, 2, i] * P[2, j]
                 b[6 * t + i] -= WV[i, 0] * gradients[n, 0] + WV[i, 1] * gradients[n, 1] + WV[i, 2] * gradients[n, 2]
-            for k in range(first[n], first[n + 1]):
+            for k in range(m, first[n + 1]):  # Frames rise, so this is the upper half.
                 s = frame_of[k]
                 if s < 0:
                     continue
                 for i in range(6):
+                    w0, w1, w2 = WV[i, 0], WV[i, 1], WV[i, 2]
                     for j in range(6):
-                        H[6 * t + i, 6 * s + j] -= (
-                            WV[i, 0] * links[k, j, 0] + WV[i, 1] * links[k, j, 1] + WV[i, 2] * links[k, j, 2]
-                        )
+                        H[6 * t + i, 6 * s + j] -= w0 * links[k, 0, j] + w1 * links[k, 1, j] + w2 * links[k, 2, j]
+    for i in range(6 * F):
+        for j in range(i):
+            H[i, j] = H[j, i]
     return H, b, own, inverses, gradients, links
+
+
+@njit(cache=True)
+def _reach(first: np.ndarray, frame_of: np.ndarray, known: np.ndarray) -> int:
+    """How many frames apart poses are at most that one equation joins: those of a point, and the next but one."""
+    most = 2
+    for n in range(len(known)):
+        low, high = -1, -1
+        for m in range(first[n], first[n + 1]):
+            t = frame_of[m]
+            if known[n] and t >= 0:
+                low, high = t if low < 0 else min(low, t), max(high, t)
+        most = max(most, high - low)
+    return most
 
 
 @njit(cache=True)
@@ -479,7 +516,7 @@ def _moved_points(
                 continue
             for j in range(3):
                 for i in range(6):
-                    g[j] -= links[m, i, j] * step[6 * t + i]
+                    g[j] -= links[m, j, i] * step[6 * t + i]
         result[n] += inverses[n] @ g
     return result
 

@@ -19,7 +19,6 @@ from flowsplat.evaluation.scores import pick
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.observations import load_observations
 from flowsplat.pipeline.folder import stage_key
-from flowsplat.pipeline.stages import scene_model
 from flowsplat.protocols.ablations.scenes import AblationScene
 from flowsplat.protocols.ablations.variants import Variant
 from flowsplat.protocols.ablations.verdicts import Run
@@ -27,6 +26,7 @@ from flowsplat.protocols.resume import Job
 from flowsplat.scenes import Scene
 from flowsplat.training.config import TrainConfig
 from flowsplat.training.per_frame import PerFrameModel, train_per_frame
+from flowsplat.training.scene_model import scene_model
 from flowsplat.training.static import static_config, static_start
 from flowsplat.training.trainer import Trainer
 

@@ -15,30 +15,32 @@ import numpy as np
 from numba import float32, int64, njit, prange
 
 from flowsplat.common.kernels import OPTIONS, parallel_kernel
+from flowsplat.common.simd import (
+    LANES,
+    broadcast,
+    largest_lane,
+    load,
+    maximum,
+    minimum,
+    minus_magnitude,
+    store,
+    where_above,
+    where_at_least,
+)
 from flowsplat.splatting.cpu.projection import HALF, ONE, ZERO
 from flowsplat.splatting.cpu.simd import (
     BLOCK_HEIGHT,
     BLOCK_WIDTH,
-    LANES,
     add_features,
     add_weighted,
     align_stack,
     block_columns,
     block_rows,
-    broadcast,
     dot_features,
-    largest_lane,
-    load,
     load_features,
-    maximum,
-    minimum,
-    minus_magnitude,
     no_sums,
     prefetch,
-    store,
     store_sums,
-    where_above,
-    where_at_least,
 )
 from flowsplat.splatting.cpu.tiles import CUT, EXPONENT, GEOMETRY, TILE_HEIGHT, TILE_WIDTH
 from flowsplat.splatting.rules import ALPHA_MAX, TRANSMITTANCE_MIN

@@ -1,0 +1,149 @@
+"""A first coarse scene of a clip: something to turn about while the priors of the real one are computed.
+
+It is an ordinary scene, prepared and trained as any other, of few and small frames: what it costs does not depend on the length and
+size of the clip. It takes frames that the run trains on, lies in a folder of its own that nothing else reads, and is shown until
+training has a checkpoint.
+"""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from flowsplat.common.devices import pick_device
+from flowsplat.common.errors import InputError
+from flowsplat.common.progress import as_one, say
+from flowsplat.gaussians.observations import load_observations
+from flowsplat.output.videos import RenderOptions, render_videos
+from flowsplat.pictures.colors import float_to_bytes
+from flowsplat.pictures.sheets import preview_sheet
+from flowsplat.pipeline.folder import RunFolder, stage_key
+from flowsplat.priors.cameras import CameraOptions
+from flowsplat.priors.prepare import PriorsOptions, prepare_priors
+from flowsplat.scenes.clip import Clip, InputOptions, resize_labels, resize_picture
+from flowsplat.scenes.ingest import ingest
+from flowsplat.scenes.layers import write_image
+from flowsplat.scenes.scene import split_frames
+from flowsplat.training.checkpoint import has_model, save_model
+from flowsplat.training.config import PRESETS, TrainConfig
+from flowsplat.training.scene_model import scene_model
+from flowsplat.training.trainer import Trainer
+
+STAGE = "first"
+FRAMES = 24
+"""Frames that it is made from, at most."""
+APART = 0.2
+"""Seconds between two of them at most, unless the run's own are farther apart: motion has to be followed. Of a longer clip they
+show the beginning."""
+LONG_SIDE = 284
+"""Pixels of their long side."""
+STEPS = 200
+SECONDS = 30.0
+"""What it takes on the reference machine, two cores, with a margin."""
+SHARE = 0.08
+"""Of a whole run, which it may take at most: a shorter run has something to show soon enough."""
+VIDEOS = RenderOptions(paths=("input", "orbit"), width=427, max_frames=48)
+
+
+def is_worth_it(whole: float) -> bool:
+    """Whether a run that takes ``whole`` seconds on the reference machine begins with it."""
+    return SHARE * whole >= SECONDS
+
+
+def chosen_frames(timestamps: np.ndarray, train: Sequence[int]) -> list[int]:
+    """Frames that the first scene is made from: evenly over the training frames of the clip, or over its beginning."""
+    times = timestamps[list(train)]
+    over_all = -(-len(train) // FRAMES)
+    followed = int(APART / float(np.median(np.diff(times))) + 1e-6)
+    return list(train)[:: max(1, min(over_all, followed))][:FRAMES]
+
+
+@dataclass(kw_only=True)
+class CoarseClip(Clip):
+    """Few frames of a clip, made small.
+
+    Attributes:
+        whole: the clip.
+        numbers: [T] which of its frames.
+    """
+
+    whole: Clip
+    numbers: list[int]
+
+    @staticmethod
+    def of(clip: Clip, holdout: int | None) -> CoarseClip:
+        """That of a clip, without the frames that a run holds out."""
+        train, _ = split_frames(clip.num_frames, None if clip.num_views else holdout)
+        numbers = chosen_frames(clip.timestamps, train)
+        scale = min(1.0, LONG_SIDE / max(clip.width, clip.height))
+        width, height = (max(32, round(side * scale)) for side in (clip.width, clip.height))
+        cameras = clip.cameras and [clip.cameras[i].resized(width, height) for i in numbers]
+        return CoarseClip(
+            name=clip.name, source=clip.source, width=width, height=height, timestamps=clip.timestamps[numbers],
+            source_fps=clip.source_fps, has_masks=clip.has_masks, cameras=cameras, whole=clip, numbers=numbers,
+        )  # fmt: skip
+
+    def frames(self, numbers: Sequence[int]) -> Iterator[np.ndarray]:
+        for image in self.whole.frames([self.numbers[i] for i in numbers]):
+            yield resize_picture(image, (self.width, self.height))
+
+    def mask(self, i: int) -> np.ndarray:
+        return resize_labels(self.whole.mask(self.numbers[i]), (self.width, self.height))
+
+
+def first_settings() -> TrainConfig:
+    """How it is trained."""
+    ours = PRESETS["default"]
+    return replace(
+        ours, iterations=STEPS, checkpoint_every=0, preview_every=0,
+        density=replace(ours.density, every=STEPS // 3, start=STEPS // 3),
+    )  # fmt: skip
+
+
+def first_scene(folder: RunFolder, clip: Clip) -> None:
+    """Make the first scene of a run from its clip, or what is missing of it; where that is impossible a line says so.
+
+    Writes ``first/scene``, ``first/model``, ``first/renders`` and the run's ``preview.png``.
+    """
+    where = folder.path / STAGE
+    settings = first_settings()
+    key = stage_key(folder.fingerprint, FRAMES, APART, LONG_SIDE, settings)
+    if folder.is_finished(STAGE, key) and has_model(where / "model"):
+        return
+    if not folder.was_started(STAGE, key):
+        folder.forget(STAGE)
+        shutil.rmtree(where, ignore_errors=True)
+    folder.start(STAGE, key)
+    started = time.perf_counter()
+    coarse = CoarseClip.of(clip, folder.config.input.holdout)
+    device = pick_device(folder.config.device)
+    say(f"First a coarse scene of {coarse.num_frames} small frames, to look at meanwhile (--no-first-scene leaves it out).")
+    try:
+        with as_one("A first scene"):
+            _make(folder, coarse, where, settings, device)
+    except InputError as error:
+        say(f"There is no first scene: {error}")
+        return
+    folder.finish(STAGE, key, {STAGE: time.perf_counter() - started})
+    say(f"Look at it: flowsplat view {folder.path}, or {where / 'renders'}. It is coarse: the scene proper takes its place.")
+
+
+def _make(folder: RunFolder, coarse: CoarseClip, where: Path, settings: TrainConfig, device: torch.device) -> None:
+    focal = folder.config.priors.cameras.focal
+    scene = ingest(coarse, where / "scene", InputOptions(holdout=None))
+    cameras = CameraOptions(focal=None if focal is None else focal * coarse.width / coarse.whole.width, solver="own")
+    prepare_priors(scene, PriorsOptions(cameras=cameras))
+    tracks = scene.tracks if scene.has_tracks else None
+    trainer = Trainer(load_observations(scene), tracks, settings, device=device)
+    model = scene_model(scene, trainer.run(), settings)
+    save_model(where / "model", model)
+    middle = scene.num_frames // 2
+    rendered = model.render(scene.cameras[middle], float(scene.timestamps[middle]))
+    write_image(folder.path / "preview.png", preview_sheet(scene.frame(middle), float_to_bytes(rendered.colour)))
+    render_videos(model, scene, where / "renders", VIDEOS)

@@ -1,0 +1,112 @@
+"""A coarse scene to look at while the run goes on: few frames, none of those that are held out, and nothing of it in the run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+
+from flowsplat.common.errors import InputError
+from flowsplat.output.videos import RenderOptions, rendered
+from flowsplat.pipeline import first, run, stages
+from flowsplat.pipeline.compiling import Ahead
+from flowsplat.pipeline.config import RunConfig, preset
+from flowsplat.pipeline.first import APART, FRAMES, LONG_SIDE, CoarseClip, chosen_frames, is_worth_it
+from flowsplat.pipeline.folder import RunFolder
+from flowsplat.pipeline.speed import expected_of
+from flowsplat.scenes.clip import Clip
+from flowsplat.scenes.scene import split_frames
+from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic_video
+from flowsplat.training.checkpoint import load_model
+
+
+@dataclass(kw_only=True)
+class _Recorded(Clip):
+    """Tells which of its frames were read."""
+
+    read: list[int] = field(default_factory=list)
+
+    def frames(self, numbers: Sequence[int]) -> Iterator[np.ndarray]:
+        for i in numbers:
+            self.read.append(i)
+            yield np.full((self.height, self.width, 3), i % 256, np.uint8)
+
+
+def clip_of(frames: int, fps: float, size: tuple[int, int] = (854, 480)) -> _Recorded:
+    width, height = size
+    return _Recorded(name="c", source="c", width=width, height=height, timestamps=np.arange(frames) / fps, source_fps=fps)
+
+
+@pytest.mark.parametrize(
+    ("frames", "fps", "last"), [(12, 24.0, 11), (80, 24.0, 79), (100, 10.0, 51), (100_000, 30.0, 153), (30, 1.0, 25)]
+)
+def test_frames_are_spread_over_the_clip_or_its_beginning(frames, fps, last):
+    """As far as motion can be followed; frames that the run holds out are not among them."""
+    train, heldout = split_frames(frames, 10)
+    numbers = chosen_frames(np.arange(frames) / fps, train)
+    assert len(numbers) <= FRAMES
+    assert not set(numbers) & set(heldout)
+    assert abs(numbers[-1] - last) <= 3
+    assert np.diff(numbers).max() <= max(2, APART * fps + 1)
+
+
+def test_few_small_frames_are_read():
+    clip = clip_of(100, 24.0, (1920, 1080))
+    coarse = CoarseClip.of(clip, 10)
+    images = list(coarse.frames(range(coarse.num_frames)))
+    assert images[0].shape == (coarse.height, coarse.width, 3)
+    assert max(coarse.width, coarse.height) == LONG_SIDE
+    assert clip.read == coarse.numbers
+    np.testing.assert_allclose(coarse.timestamps, clip.timestamps[coarse.numbers])
+
+
+def test_short_runs_do_without():
+    clip = clip_of(80, 24.0)
+    assert is_worth_it(sum(expected_of(clip, RunConfig()).values()))
+    small = clip_of(80, 24.0, (427, 240))
+    assert not is_worth_it(sum(expected_of(small, preset("fast")).values()))
+
+
+@pytest.fixture
+def config(monkeypatch) -> RunConfig:
+    settings = replace(first.first_settings(), iterations=6)
+    monkeypatch.setattr(first, "first_settings", lambda: settings)
+    monkeypatch.setattr(stages, "is_worth_it", lambda whole: True)
+    monkeypatch.setattr(stages, "compiling_ahead", lambda device: nullcontext(Ahead(None)))
+    ours = RunConfig()
+    render = RenderOptions(paths=("input",), width=32)
+    return replace(ours, train=replace(ours.train, iterations=6), render=render, refine_poses=False)
+
+
+@pytest.mark.slow
+def test_the_run_is_the_same_to_the_bit(tmp_path, config, monkeypatch):
+    write_synthetic_video(tmp_path / "clip.mp4", SyntheticScene(width=96, height=64, frames=12))
+    run(tmp_path / "clip.mp4", tmp_path / "with", config)
+    run(tmp_path / "clip.mp4", tmp_path / "without", replace(config, first_scene=False))
+    assert not (tmp_path / "without" / "first").exists()
+    for folder in ("scene", "model", "final"):
+        files = sorted(path for path in (tmp_path / "without" / folder).rglob("*") if path.is_file())
+        assert files
+        for path in files:
+            same = tmp_path / "with" / path.relative_to(tmp_path / "without")
+            assert same.read_bytes() == path.read_bytes(), path
+    where = tmp_path / "with" / "first"
+    assert len(load_model(where / "model").gaussians) > 0
+    assert {"input_path", "orbit"} <= set(rendered(where / "renders"))
+    monkeypatch.setattr(first, "ingest", lambda *_: pytest.fail("made again"))
+    folder = RunFolder(tmp_path / "with")
+    first.first_scene(folder, clip_of(12, 24.0, (96, 64)))
+
+
+def test_what_cannot_be_made_is_told_and_left_out(tmp_path, config, monkeypatch, capsys):
+    def refuse(*arguments):
+        raise InputError("No cameras.")
+
+    monkeypatch.setattr(first, "prepare_priors", refuse)
+    folder = RunFolder.open_or_create(tmp_path / "out", "c", "c", config)
+    first.first_scene(folder, clip_of(12, 24.0, (96, 64)))
+    assert "There is no first scene: No cameras." in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "out" / "first" / "model").exists()
