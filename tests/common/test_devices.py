@@ -12,7 +12,7 @@ from flowsplat.common.errors import InputError
 @pytest.fixture
 def without_gpu(monkeypatch):
     monkeypatch.setattr(devices, "gpu_problem", lambda: "nobody plugged it in")
-    progress.say_once.cache_clear()
+    progress.forget_said()
 
 
 @pytest.fixture

@@ -19,7 +19,7 @@ import pytest
 
 import flowsplat
 from flowsplat.cli import main
-from flowsplat.common.progress import say_once
+from flowsplat.common.progress import forget_said
 from flowsplat.pipeline import run
 from flowsplat.pipeline.folder import RunFolder
 from flowsplat.training.trainer import Trainer
@@ -35,7 +35,7 @@ def earlier(tmp_path) -> Path:
         archive.extractall(tmp_path)
     for name in ("finished", "stopped"):
         shutil.copytree(tmp_path / "scene", tmp_path / name / "scene")
-    say_once.cache_clear()
+    forget_said()
     return tmp_path
 
 

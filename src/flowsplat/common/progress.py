@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import functools
 import importlib.util
 import threading
 import time
@@ -34,6 +33,7 @@ console = Console(stderr=True, highlight=False)
 
 
 _parts: list[str] = []
+_said: set[str] = set()
 """What goes on as a whole, of whose parts nothing is shown."""
 
 
@@ -58,10 +58,16 @@ def as_one(label: str) -> Iterator[None]:
             _parts.remove(label)
 
 
-@functools.cache
 def say_once(message: str) -> None:
     """Print one line, the first time only that it is to be said."""
-    say(message)
+    if not _parts and message not in _said:
+        _said.add(message)
+        say(message)
+
+
+def forget_said() -> None:
+    """What was said counts as not said."""
+    _said.clear()
 
 
 def is_live() -> bool:

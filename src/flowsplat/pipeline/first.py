@@ -17,7 +17,6 @@ import numpy as np
 import torch
 
 from flowsplat.common.devices import pick_device
-from flowsplat.common.errors import InputError
 from flowsplat.common.progress import as_one, say
 from flowsplat.gaussians.observations import load_observations
 from flowsplat.output.videos import RenderOptions, render_videos
@@ -127,8 +126,8 @@ def first_scene(folder: RunFolder, clip: Clip) -> None:
     try:
         with as_one("A first scene"):
             _make(folder, coarse, where, settings, device)
-    except InputError as error:
-        say(f"There is no first scene: {error}")
+    except Exception as error:  # Nothing depends on it: whatever it fails of, memory too, the run goes on.
+        say(f"There is no first scene: {error or type(error).__name__}")
         return
     folder.finish(STAGE, key, {STAGE: time.perf_counter() - started})
     say(f"Look at it: flowsplat view {folder.path}, or {where / 'renders'}. It is coarse: the scene proper takes its place.")

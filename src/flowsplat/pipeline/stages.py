@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
 import shutil
 import threading
@@ -46,7 +47,7 @@ from flowsplat.pipeline.summary import flow_comparisons, report_data
 from flowsplat.priors.heldout import heldout_flow
 from flowsplat.priors.objects import load_movers
 from flowsplat.priors.objects.description import mover_figures
-from flowsplat.priors.prepare import flow_estimator, prepare_priors
+from flowsplat.priors.prepare import check_places, flow_estimator, names_places, prepare_priors
 from flowsplat.scenes import Scene, Tracks
 from flowsplat.scenes.clip import Clip, InputOptions
 from flowsplat.scenes.ingest import CALIBRATED, fingerprint, ingest, is_ingested, kind_of_input, open_clip
@@ -156,12 +157,14 @@ def _prepared(source: Path, out: Path, config: RunConfig, first: Callable[[RunFo
     key = stage_key(identity, config.priors, hash_files("", config.priors.given.files()))
     if folder.is_finished("prepare", key):
         return folder
-    if first is not None and kind != "scene":
-        first(folder, clip or open_clip(source, config.input))
+    show: Callable[[], None] | None = None
+    if first is not None and kind != "scene" and not has_model(folder.path / "model"):
+        opened = clip or open_clip(source, config.input)
+        show = functools.partial(first, folder, opened)
     goes_on = is_new or folder.was_started("prepare", key)
     with contextlib.nullcontext() if goes_on else _put_aside(folder, before):
         folder.start("prepare", key)
-        _compute_scene(folder, source, kind, key, is_new)
+        _compute_scene(folder, source, kind, key, is_new, show)
     shutil.rmtree(folder.path / ASIDE, ignore_errors=True)
     return folder
 
@@ -190,12 +193,24 @@ def _put_aside(folder: RunFolder, before: Mapping[str, Any]) -> Iterator[None]:
         raise
 
 
-def _compute_scene(folder: RunFolder, source: Path, kind: str, key: str, is_new: bool) -> None:
-    """Fill the scene of a run: what the input holds, then the priors that it lacks."""
-    started, config = time.perf_counter(), folder.config
+def _compute_scene(
+    folder: RunFolder, source: Path, kind: str, key: str, is_new: bool, show: Callable[[], None] | None = None
+) -> None:
+    """Fill the scene of a run: what the input holds, then the priors that it lacks.
+
+    Args:
+        show: makes a first scene: before the clip is read, which takes long where that is long, unless a setting can be wrong that
+            only the read clip tells; that is said first.
+    """
+    config = folder.config
+    tells = config.render != RenderOptions() or names_places(config.priors)
+    if show is not None and not tells:
+        show()
+    started = time.perf_counter()
     try:
         scene = _read_input(source, kind, folder.scene_path, config)
         settle(scene, config.render)  # Whatever is wrong with the videos is said before minutes of other work.
+        check_places(scene, config.priors)
     except InputError:
         if is_new:
             _clear(folder.path)
@@ -205,6 +220,8 @@ def _compute_scene(folder: RunFolder, source: Path, kind: str, key: str, is_new:
     speed, reference = Speed(config.device), expected(scene, config)
     _say_estimate(scene, speed.estimate(reference))
     ingested = time.perf_counter() - started
+    if show is not None and tells:
+        show()
 
     memory: dict[str, float | None] = {}
 

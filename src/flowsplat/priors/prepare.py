@@ -102,8 +102,7 @@ def prepare_priors(
             there, a click is no click, or no cameras can be found; or the scene has depth that belongs to its cameras and
             cannot be made anew for others.
     """
-    prompts = parse_prompts(options.mask_click, options.mask_box, scene, options.mask_not)
-    hints = parse_hints(options.touch, options.distance, scene)
+    prompts, hints = check_places(scene, options)
     if hints and (options.priors == "true" or options.depth != "multiview" or options.given.depth is not None):
         raise InputError("--touch and --distance place movers in depth of our own: leave out what takes other depth.")
     if prompts and options.given.masks is not None:
@@ -159,6 +158,21 @@ def prepare_priors(
     forget_solutions(scene)
     _ = scene.similarity  # Computed and stored here, so that training and evaluation share it.
     return seconds
+
+
+def names_places(options: PriorsOptions) -> bool:
+    """Whether clicks, boxes or distances are given, which a clip has to be read for."""
+    return bool(options.mask_click or options.mask_box or options.mask_not or options.touch or options.distance)
+
+
+def check_places(scene: Scene, options: PriorsOptions) -> tuple[list[Prompt], list[Hint]]:
+    """Clicks and boxes, and what is said of movers' distances.
+
+    Raises:
+        InputError: one of them is none, or not of this clip.
+    """
+    prompts = parse_prompts(options.mask_click, options.mask_box, scene, options.mask_not)
+    return prompts, parse_hints(options.touch, options.distance, scene)
 
 
 def _require_pictures_as_they_are(options: PriorsOptions) -> None:

@@ -7,7 +7,7 @@ from dataclasses import asdict
 import pytest
 
 from flowsplat.common.errors import InputError
-from flowsplat.common.progress import say_once
+from flowsplat.common.progress import forget_said
 from flowsplat.protocols.ablations.claims import CLAIMS, FULL, PAPER_ORDERS, TITLES, chosen_claims, needed_variants
 from flowsplat.protocols.ablations.variants import Variant, changed
 from flowsplat.training.config import PRESETS, TrainConfig
@@ -72,6 +72,6 @@ def test_changing_settings():
 
 
 def test_a_row_is_found_by_its_earlier_name(capsys):
-    say_once.cache_clear()
+    forget_said()
     assert [claim.variant.name for claim in chosen_claims(["no-opaque"])] == ["no-coverage"]
     assert "no-opaque is called no-coverage now" in capsys.readouterr().err

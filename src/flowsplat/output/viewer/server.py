@@ -86,7 +86,7 @@ class Viewer:
         for panel in panels:
             if panel.scene is self.source.scene:
                 panel.reloaded()
-            else:
+            elif self._panels.get(panel.client.client_id) is panel:  # Others have left meanwhile.
                 self._begin_anew(panel)
 
 

@@ -17,7 +17,7 @@ import torch
 
 from flowsplat.common.progress import progress_bar
 from flowsplat.priors.learned.weights import ModelOptions, from_hub, require_package
-from flowsplat.priors.prompts import Prompt
+from flowsplat.priors.prompts import Prompt, plain
 from flowsplat.scenes import Scene
 
 INSTEAD = "--masks motion"
@@ -87,7 +87,8 @@ def sam_stage(scene: Scene, segmenter: Segmenter, prompts: Sequence[Prompt], sho
     how = f"shown by {shown_by}, followed by {segmenter.name} ({segmenter.source})"
     objects = len({prompt.number for prompt in prompts})
     verdict = f"{objects} object(s) on {share:.1%} of the picture, {how}"
-    scene.finish_prior("masks", method=segmenter.name, verdict=verdict, objects=objects, share=round(share, 5))
+    figures = {"objects": objects, "share": round(share, 5), "prompts": plain(prompts)}
+    scene.finish_prior("masks", method=segmenter.name, verdict=verdict, **figures)
 
 
 @torch.inference_mode()

@@ -238,7 +238,7 @@ class _Solver:
             self._points[self._point_of[new]] = (rays * self._shifts[t, 2] - self._shifts[t]) @ self._turns[t]
             self._known[self._point_of[new]] = True
             used = int(self._used.sum())
-            if used - adjusted >= max(_ADJUST_EVERY, _ADJUST_SHARE * used) or used == 1:
+            if used - adjusted >= max(_ADJUST_EVERY, _ADJUST_SHARE * used):
                 self.adjust(_GROW_ITERATIONS, 1e-3)
                 adjusted = used
 

@@ -2,6 +2,6 @@
 
 from flowsplat.priors.prompts.at_once import cut_at_once, show_at_once
 from flowsplat.priors.prompts.parsing import Prompt, parse_place, parse_prompts
-from flowsplat.priors.prompts.stage import prompt_stage, shows
+from flowsplat.priors.prompts.stage import plain, prompt_stage, shows
 
-__all__ = ["Prompt", "cut_at_once", "parse_place", "parse_prompts", "prompt_stage", "show_at_once", "shows"]
+__all__ = ["Prompt", "cut_at_once", "parse_place", "parse_prompts", "plain", "prompt_stage", "show_at_once", "shows"]

@@ -36,6 +36,10 @@ class Prompt:
     number: int = 1
 
 
+SAME_PLACE = 0.006
+"""Share of the longer side within which two clicks are on one place."""
+
+
 def parse_prompts(clicks: Sequence[str], boxes: Sequence[str], scene: Scene, beside: Sequence[str] = ()) -> list[Prompt]:
     """Prompts as they are typed: ``x,y@frame`` and ``x0,y0,x1,y1@frame``, and ``=number`` of the object behind it if need be.
 
@@ -84,6 +88,10 @@ def parse_prompts(clicks: Sequence[str], boxes: Sequence[str], scene: Scene, bes
         for number in numbers:
             before = shown.get((number, place.frame), Prompt(place.frame, number=number))
             shown[number, place.frame] = replace(before, beside=(*before.beside, place.point))
+    near = SAME_PLACE * max(scene.width, scene.height)
+    for prompt in shown.values():
+        if any(np.hypot(x - u, y - v) < near for x, y in prompt.clicks for u, v in prompt.beside):
+            raise InputError(f"A click and --mask-not say the opposite of one place on frame {prompt.frame}: leave one out.")
     first = {number: next(frame for n, frame in shown if n == number) for number in range(1, count + 1)}
     return [shown[key] for key in sorted(shown, key=lambda key: (key[0], key[1] != first[key[0]], key[1]))]
 
@@ -127,7 +135,7 @@ def parse_place(text: str, option: str, count: int, scene: Scene) -> tuple[int, 
         InputError: as ``parse_prompts``.
     """
     form = ("x,y" if count == 2 else "x0,y0,x1,y1") + "@frame"
-    match = re.fullmatch(rf"\s*({_NUMBER}(?:\s*,\s*{_NUMBER}){{{count - 1}}})\s*@\s*(\d+)\s*", text)
+    match = re.fullmatch(rf"\s*({_NUMBER}(?:\s*,\s*{_NUMBER}){{{count - 1}}})\s*@\s*(\d{1,9})\s*", text)
     if match is None:
         raise InputError(f"{option} {text} cannot be understood: give {form}, for example {option} {_EXAMPLES[count]}.")
     values, frame = np.array([float(value) for value in match[1].split(",")]), int(match[2])

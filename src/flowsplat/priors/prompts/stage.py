@@ -34,6 +34,7 @@ def prompt_stage(scene: Scene, prompts: Sequence[Prompt], estimate: FlowEstimato
     # Along the flow alone first: what a clip shows behind what moves is only known where that is known.
     rough = [Walk(scene, each).parts() for each in objects]
     shown = [np.any([walk[k].mask for walk in rough], axis=0) for k in range(len(frames))]
+    del rough
     evidence = moving_evidence(MatchedClip(scene, estimate), shown)
     walks = [Walk(scene, each, evidence).parts() for each in track(objects, "Masks")]
     numbers = _numbers(walks, [frames.index(each[0].frame) for each in objects])
@@ -49,16 +50,16 @@ def prompt_stage(scene: Scene, prompts: Sequence[Prompt], estimate: FlowEstimato
     share = pixels / (len(frames) * scene.width * scene.height)
     scene.finish_prior(
         "masks", method="clicks", verdict=f"{max(numbers)} object(s) from clicks and boxes on {share:.1%} of the picture",
-        objects=max(numbers), share=round(share, 5), confidence=round(float(np.mean(sure)), 4), prompts=_plain(prompts),
+        objects=max(numbers), share=round(share, 5), confidence=round(float(np.mean(sure)), 4), prompts=plain(prompts),
     )  # fmt: skip
 
 
 def shows(scene: Scene, prompts: Sequence[Prompt]) -> bool:
     """Whether the masks that are there are of these prompts, as far as that was written down."""
-    return (scene.prior("masks") or {}).get("prompts", _plain(prompts)) == _plain(prompts)
+    return (scene.prior("masks") or {}).get("prompts", plain(prompts)) == plain(prompts)
 
 
-def _plain(prompts: Sequence[Prompt]) -> list[dict[str, Any]]:
+def plain(prompts: Sequence[Prompt]) -> list[dict[str, Any]]:
     """Prompts as JSON holds them."""
     plain: list[dict[str, Any]] = json.loads(json.dumps([asdict(prompt) for prompt in prompts]))
     return plain
