@@ -131,14 +131,18 @@ def at_a_cut(values, size) -> torch.Tensor:
     return jumps
 
 
-def moved_gradients(values, size, weights):
-    """The float64 gradients after a change in the seventh digit."""
-    g = torch.Generator().manual_seed(77)
-    moved = {
-        name: value.double() * (1 + 1e-7 * torch.randn(value.shape, generator=g, dtype=torch.float64))
-        for name, value in values.items()
-    }
-    return draw(moved, size, weights, torch.float64)[1]
+def sensitivity(values, size, weights, exact):
+    """How far the float64 gradients get from the ``exact`` ones by a change in the seventh digit: of six changes, the most."""
+    farthest = [0.0] * len(exact)
+    for seed in range(77, 83):
+        g = torch.Generator().manual_seed(seed)
+        moved = {
+            name: value.double() * (1 + 1e-7 * torch.randn(value.shape, generator=g, dtype=torch.float64))
+            for name, value in values.items()
+        }
+        gradients = draw(moved, size, weights, torch.float64)[1]
+        farthest = [max(most, float((a - b).norm())) for most, a, b in zip(farthest, gradients, exact, strict=True)]
+    return farthest
 
 
 @given(st.integers(0, 2**31), st.lists(st.sampled_from(sorted(FINITE)), min_size=1, max_size=20))
@@ -150,9 +154,9 @@ def test_gradients_agree_wherever_the_answer_is_well_conditioned(seed, kinds):
     picture, expected, _ = draw(values, size, keep, torch.float64)
     found_picture, found, _ = draw(values, size, keep)
     assert float(((found_picture.double() - picture) * keep[..., None]).abs().max()) < 1e-3
-    for name, exact, moved, ours in zip(INPUTS, expected, moved_gradients(values, size, keep), found, strict=True):
+    for name, exact, change, ours in zip(INPUTS, expected, sensitivity(values, size, keep, expected), found, strict=True):
         norm = float(exact.norm())
-        if norm > 0 and float((moved - exact).norm()) < 1e-5 * norm:
+        if norm > 0 and change < 1e-5 * norm:
             assert float((ours.double() - exact).norm()) <= 1e-3 * norm, name
 
 
