@@ -61,6 +61,7 @@ def test_corrections_belong_to_the_object_of_their_number(scene: Scene):
         (["10,20@3=1"], [], "--mask-click 10,20@3=1: there is no object 1; clicks and boxes show none"),
         (["10,20@3=one"], [], "behind = stands the number of an object, 1 or more"),
         (["10,20@3"], ["10,20"], "--mask-not 10,20 cannot be understood"),
+        (["10,20@3"], ["10,20@3"], "say the opposite of one place on frame 3"),
     ],
 )
 def test_a_correction_of_nothing_is_refused_in_one_line(scene: Scene, clicks, beside, message: str):
@@ -76,6 +77,7 @@ def test_a_correction_of_nothing_is_refused_in_one_line(scene: Scene, clicks, be
         (["10@3"], [], "cannot be understood"),
         (["a,b@3"], [], "cannot be understood"),
         (["10,20@-1"], [], "cannot be understood"),
+        (["10,20@" + 5000 * "1"], [], "cannot be understood"),
         (["500,20@3"], [], "outside the frames, which have 128x80 pixels"),
         (["-5,20@3"], [], "outside"),
         (["10,20@4"], [], "frame 4 is held out for the figures; choose another, for example 3"),

@@ -48,6 +48,9 @@ nothing is told of it."""
 STIFFNESS = 1e-4
 """Weight of the squared gains, times that of their wave, against the squared errors of brightness."""
 
+OTHERS = 20_000
+"""About how many points that are never beside a mover tell how bright whole frames are."""
+
 UNSEEN = 0.3
 """Weight of times at which a surface is not seen."""
 
@@ -72,18 +75,23 @@ def with_lit(model: SceneModel, cameras: Sequence[Camera], times: Sequence[float
     if not waves or not len(rests) or not any(mask.any() for mask in masks):
         return model
     points = model.similarity.inverse().points(g.params["means"][rests].double().cpu().numpy())
-    seen, far, edge = _witnessed(model, points, cameras, times, masks)
+    seen, far, edge = _seen_beside_movers(model, points, cameras, times, masks)
+    # Only what is ever beside a mover can be in its shadow; of all else some tell how bright whole frames are.
+    beside = (seen & ~far).any(1)
+    others = np.flatnonzero(~beside)
+    chosen = np.sort(np.concatenate([np.flatnonzero(beside), others[:: max(1, len(others) // OTHERS)]]))
+    seen, far, edge = seen[chosen], far[chosen], edge[chosen]
     t = torch.tensor([model.clip_time(each) for each in times], dtype=torch.float64)
     cosines = torch.cos(math.pi * t[:, None] * torch.arange(1, waves + 1))
-    gains = g.params["log_gains"][rests].double().cpu()
-    curve = (gains @ cosines.T).float().numpy()
+    gains = g.params["log_gains"][rests].float().cpu()[torch.from_numpy(chosen)]
+    curve = (gains @ cosines.float().T).numpy()
     alone = seen & far
     # Brightness in time of what is thin or ends makes up for all that is wrong with it.
     flat = (seen & edge).sum(1) <= EDGES * seen.sum(1)
     told = flat & (alone.sum(1) >= FEWEST)
     # Beside a mover that never leaves, a shadow still comes and goes.
     beside_only = flat & ~told & (seen.sum(1) >= MANY)
-    level = np.full(len(points), np.nan, np.float32)
+    level = np.full(len(chosen), np.nan, np.float32)
     level[told] = _quantile(curve[told], alone[told], SHARE)
     # How bright a whole frame is belongs to no shadow.
     exposure = _exposure(curve - level[:, None], alone & told[:, None])
@@ -92,19 +100,23 @@ def with_lit(model: SceneModel, cameras: Sequence[Camera], times: Sequence[float
     shade = np.where(seen & ~far, curve - exposure - level[:, None], 0)
     darkest = np.where(told | beside_only, shade.min(1), 0)
     limit = np.where(told, DARKER, MUCH_DARKER)
-    around = cKDTree(points).query(points, min(AROUND, len(points)))[1].reshape(len(points), -1)
+    times_limit = np.zeros(len(points), np.float32)
+    times_limit[chosen] = darkest / limit
     # A shadow is no matter of single Gaussians: most around must be as dark.
-    changed = np.flatnonzero((darkest < -limit) & (np.median((darkest / limit)[around], 1) < -AGREE))
+    nearest = min(AROUND, len(points))
+    dark = np.flatnonzero(darkest < -limit)
+    around = cKDTree(points).query(points[chosen[dark]], nearest)[1].reshape(len(dark), nearest)
+    changed = dark[np.median(times_limit[around], 1) < -AGREE]
     kept = np.where(told[:, None], alone, seen & (shade > -DARKER))[changed]
     lit = torch.cat([torch.zeros(len(g), 1), g.params["log_gains"].detach().float().cpu()], 1)
     if len(changed):
         target = np.where(kept, curve[changed], level[changed, None] + exposure)
         weight = np.where(seen[changed], 1.0, UNSEEN)
-        lit[rests.cpu()[changed]] = _fitted(target, weight, cosines).float()
+        lit[rests.cpu()[torch.from_numpy(chosen[changed])]] = _fitted(target, weight, cosines).float()
     return replace(model, gaussians=replace(g, lit=lit.to(g.device)))
 
 
-def _witnessed(
+def _seen_beside_movers(
     model: SceneModel, points: np.ndarray, cameras: Sequence[Camera], times: Sequence[float], masks: Sequence[np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of points [N, 3] of the still scene and frames, bool [N, T]: is it seen there, is no mover near it, does depth jump there."""

@@ -387,6 +387,9 @@ def _trained(
     with _event_log(out / "logs" / where) as record:
         trainer = Trainer(observations, tracks, config, out / where, shown, record, start, device, first_step, visits)
         model = scene_model(scene, trainer.run(), config)
+        earlier = trainer.earlier_seconds
+        history = trainer.history
+        del trainer  # What it trained with is as large as the model.
     if begin is not static_start:
         with busy("Finding what the clip has seen of the scene"):
             model = with_seen(model, scene.cameras, scene.timestamps.tolist())
@@ -394,8 +397,8 @@ def _trained(
             seconds = [float(scene.timestamps[i]) for i in of]
             model = with_lit(model, [scene.cameras[i] for i in of], seconds, [scene.mask(i) for i in of])
     save_model(model_path, model)
-    write_json(out / where / "history.json", trainer.history)
-    folder.finish(stage, key, {stage: trainer.earlier_seconds + time.perf_counter() - started})
+    write_json(out / where / "history.json", history)
+    folder.finish(stage, key, {stage: earlier + time.perf_counter() - started})
     _drop_checkpoints(out / where)
     return model
 

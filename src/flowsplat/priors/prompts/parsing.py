@@ -135,7 +135,7 @@ def parse_place(text: str, option: str, count: int, scene: Scene) -> tuple[int, 
         InputError: as ``parse_prompts``.
     """
     form = ("x,y" if count == 2 else "x0,y0,x1,y1") + "@frame"
-    match = re.fullmatch(rf"\s*({_NUMBER}(?:\s*,\s*{_NUMBER}){{{count - 1}}})\s*@\s*(\d{1,9})\s*", text)
+    match = re.fullmatch(rf"\s*({_NUMBER}(?:\s*,\s*{_NUMBER}){{{count - 1}}})\s*@\s*(\d{{1,9}})\s*", text)
     if match is None:
         raise InputError(f"{option} {text} cannot be understood: give {form}, for example {option} {_EXAMPLES[count]}.")
     values, frame = np.array([float(value) for value in match[1].split(",")]), int(match[2])
