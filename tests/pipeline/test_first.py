@@ -110,3 +110,36 @@ def test_what_cannot_be_made_is_told_and_left_out(tmp_path, config, monkeypatch,
     first.first_scene(folder, clip_of(12, 24.0, (96, 64)))
     assert "There is no first scene: No cameras." in " ".join(capsys.readouterr().err.split())
     assert not (tmp_path / "out" / "first" / "model").exists()
+
+
+@pytest.mark.parametrize("error", [InputError("No cameras."), MemoryError(), np.linalg.LinAlgError("Singular matrix")])
+def test_it_stops_no_run(tmp_path, config, monkeypatch, capsys, error):
+    def fail(*arguments):
+        raise error
+
+    monkeypatch.setattr(first, "prepare_priors", fail)
+    first.first_scene(RunFolder.open_or_create(tmp_path / "out", "c", "c", config), clip_of(12, 24.0, (96, 64)))
+    assert "There is no first scene" in capsys.readouterr().err
+
+
+def test_what_can_be_wrong_is_said_first(tmp_path, config):
+    """A click that is none, and a camera file that cannot be read; without either it comes before all else."""
+    write_synthetic_video(tmp_path / "clip.mp4", SyntheticScene(width=96, height=64, frames=12))
+    made: list[str] = []
+
+    def show(folder, clip):
+        made.append(folder.path.name)
+        raise KeyboardInterrupt
+
+    plain = replace(config, render=RenderOptions())
+    clicked = replace(plain, priors=replace(plain.priors, mask_click=("500,5@0",)))
+    with pytest.raises(InputError, match="outside the frames"):
+        stages._prepared(tmp_path / "clip.mp4", tmp_path / "clicked", clicked, show)
+    filed = replace(plain, render=replace(plain.render, camera_file=tmp_path / "none.json"))
+    with pytest.raises(InputError):
+        stages._prepared(tmp_path / "clip.mp4", tmp_path / "filed", filed, show)
+    assert not made
+    with pytest.raises(KeyboardInterrupt):
+        stages._prepared(tmp_path / "clip.mp4", tmp_path / "plain", plain, show)
+    assert made == ["plain"]
+    assert not (tmp_path / "plain" / "scene").exists()
