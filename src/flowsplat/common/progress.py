@@ -33,8 +33,9 @@ console = Console(stderr=True, highlight=False)
 
 
 _parts: list[str] = []
-_said: set[str] = set()
 """What goes on as a whole, of whose parts nothing is shown."""
+_said: set[str] = set()
+"""What ``say_once`` has printed."""
 
 
 def say(message: str) -> None:

@@ -12,7 +12,7 @@ from flowsplat.pictures.colors import tinted
 from flowsplat.pictures.sheets import stacked
 from flowsplat.priors.flow import FlowEstimator, forward_backward_confidence
 from flowsplat.priors.prompts.cutting import cut_out
-from flowsplat.priors.prompts.parsing import Prompt
+from flowsplat.priors.prompts.parsing import CLICK_RADIUS, Prompt
 from flowsplat.scenes import Flow, Scene
 from flowsplat.scenes.layers import write_image
 
@@ -76,7 +76,7 @@ def _one_flow(scene: Scene, i: int, j: int, estimate: FlowEstimator) -> Flow:
 
 def _draw(picture: np.ndarray, prompt: Prompt) -> None:
     """Box, clicks, and the number of the object, on a picture [H, W, 3] uint8."""
-    radius = max(2, round(0.006 * max(picture.shape)))
+    radius = max(2, round(CLICK_RADIUS * max(picture.shape)))
     for points, colour in ((prompt.clicks, _ON), (prompt.beside, _BESIDE)):
         for x, y in points:
             cv2.circle(picture, (int(x), int(y)), radius + 1, (0, 0, 0), -1, cv2.LINE_AA)

@@ -8,7 +8,7 @@ import numpy as np
 from flowsplat.pictures.edge_smoothing import EdgeSmoother
 from flowsplat.priors.masks.colours import Colours, look_up
 from flowsplat.priors.prompts.grabcut import ROUNDS, grab, snapped, touching
-from flowsplat.priors.prompts.parsing import Point, Prompt
+from flowsplat.priors.prompts.parsing import CLICK_RADIUS, Point, Prompt
 from flowsplat.scenes import Flow
 
 REACH = 0.25
@@ -35,7 +35,7 @@ SAMPLES, FEWEST = 4000, 50
 OF_EVIDENCE, MOST, SURE = 0.5, 3.0, 1.5
 """Weight of what all frames say, the most that evidence counts (a logarithm to base 2), and what is sure of it."""
 
-SPEAKS = 0.08
+MOVING_SHARE = 0.08
 """Share of a box that must surely move for evidence to decide in it."""
 
 OF_COLOUR, FULL_COLOUR = 0.7, 1.5
@@ -43,7 +43,8 @@ OF_COLOUR, FULL_COLOUR = 0.7, 1.5
 
 _MODELS = 3
 """How often the colours are taken anew."""
-_SMOOTHNESS, _COLOUR_SIGMA = 20.0, 10.0
+SMOOTHNESS, COLOUR_SIGMA = 20.0, 10.0
+"""Of the smoother along the edges of the picture, and grey levels across which it no longer reaches."""
 
 
 def cut_out(image: np.ndarray, flow: Flow, prompt: Prompt, evidence: np.ndarray | None = None) -> np.ndarray:
@@ -110,7 +111,7 @@ def _disc(points: list[Point], shape: tuple[int, ...], radius: float = 0.0) -> n
     drawn = np.zeros(shape, np.uint8)
     for point in points:
         row, column = _pixel(point, shape)
-        cv2.circle(drawn, (column, row), round(radius) or max(2, round(0.006 * max(shape))), 1, -1)
+        cv2.circle(drawn, (column, row), round(radius) or max(2, round(CLICK_RADIUS * max(shape))), 1, -1)
     return drawn > 0
 
 
@@ -178,7 +179,7 @@ def _chosen(bits: np.ndarray, prompt: Prompt, seeds: np.ndarray, possible: np.nd
         own = np.isin(np.arange(count), labels[seeds])
         own[0] = False
         return np.where(own[labels], bits, np.minimum(bits, -1))
-    if ((bits > SURE) & possible).sum() < SPEAKS * possible.sum():
+    if ((bits > SURE) & possible).sum() < MOVING_SHARE * possible.sum():
         return None
     within, total = (np.bincount(labels[where], minlength=count) for where in (possible, np.ones_like(possible)))
     # What reaches far out of the box is something else.
@@ -193,7 +194,7 @@ def _by_evidence(
     image: np.ndarray, bits: np.ndarray, seeds: np.ndarray, beside: np.ndarray, possible: np.ndarray
 ) -> np.ndarray:
     """Evidence and colours, which are learned from it, added up and smoothed along the edges of the picture: bool [H, W]."""
-    smoother = EdgeSmoother(image, _SMOOTHNESS, _COLOUR_SIGMA)
+    smoother = EdgeSmoother(image, SMOOTHNESS, COLOUR_SIGMA)
     bits = bits.astype(np.float32)
     bits[seeds], bits[beside] = 2 * MOST, -2 * MOST
     total = smoother.filter(bits)

@@ -36,8 +36,8 @@ class Prompt:
     number: int = 1
 
 
-SAME_PLACE = 0.006
-"""Share of the longer side within which two clicks are on one place."""
+CLICK_RADIUS = 0.006
+"""Share of the long side of the picture: of what is clicked, of what is drawn, and within which two clicks are on one place."""
 
 
 def parse_prompts(clicks: Sequence[str], boxes: Sequence[str], scene: Scene, beside: Sequence[str] = ()) -> list[Prompt]:
@@ -88,7 +88,7 @@ def parse_prompts(clicks: Sequence[str], boxes: Sequence[str], scene: Scene, bes
         for number in numbers:
             before = shown.get((number, place.frame), Prompt(place.frame, number=number))
             shown[number, place.frame] = replace(before, beside=(*before.beside, place.point))
-    near = SAME_PLACE * max(scene.width, scene.height)
+    near = CLICK_RADIUS * max(scene.width, scene.height)
     for prompt in shown.values():
         if any(np.hypot(x - u, y - v) < near for x, y in prompt.clicks for u, v in prompt.beside):
             raise InputError(f"A click and --mask-not say the opposite of one place on frame {prompt.frame}: leave one out.")

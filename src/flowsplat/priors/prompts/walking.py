@@ -12,7 +12,7 @@ from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.geometry.interpolation import sample_map
 from flowsplat.pictures.edge_smoothing import EdgeSmoother
 from flowsplat.priors.masks.colours import Colours, look_up
-from flowsplat.priors.prompts.cutting import corrected, cut_out
+from flowsplat.priors.prompts.cutting import COLOUR_SIGMA, FULL_COLOUR, OF_COLOUR, SMOOTHNESS, corrected, cut_out
 from flowsplat.priors.prompts.grabcut import BAND, snapped
 from flowsplat.priors.prompts.parsing import Prompt
 from flowsplat.scenes import Scene
@@ -34,11 +34,6 @@ OF_MOTION, MOST = 0.5, 3.0
 
 ANOTHER, FAR = 1.0, 1.0
 """Evidence of motion that belongs to something else where it is not found to be the object, and bands from it beyond which."""
-
-OF_COLOUR, FULL_COLOUR = 0.7, 1.5
-"""Weight of the colours' logarithm to base 2, and the most that it counts."""
-
-_SMOOTHNESS, _COLOUR_SIGMA = 20.0, 10.0
 
 
 @dataclass
@@ -158,7 +153,7 @@ class Walk:
         if self._table is not None:
             total = total + look_up(self._table, image)
         total = np.where(outer > FURTHEST * band, -MOST, total).astype(np.float32)
-        found = EdgeSmoother(image, _SMOOTHNESS, _COLOUR_SIGMA).filter(total) > 0
+        found = EdgeSmoother(image, SMOOTHNESS, COLOUR_SIGMA).filter(total) > 0
         _, labels = cv2.connectedComponents(found.astype(np.uint8))
         kept = np.isin(labels, np.unique(labels[found & moved])) & found
         return kept if kept.any() else moved
