@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -109,3 +111,18 @@ def test_pixels_that_no_flow_tells_move_with_the_part_of_their_colour():
 def test_without_any_flow_nothing_moves(disc):
     observed = observations(turned, disc, lambda flow, confidence: (flow, 0 * confidence))
     assert (fit_motion(observed, MIDDLE, disc, SIGMA, 3, 3) == 0).all()
+
+
+def test_what_hides_a_mover_does_not_tell_how_far_away_it_is():
+    """Flow at an occlusion goes on over the nearer mover, whose depth would make a path dart along the ray."""
+    grid = pixel_grid(WIDTH, HEIGHT)
+    movers = np.where(grid[..., 0] < 40, 1, 2).astype(np.uint8)
+    observed = observations(lambda points, steps: points + [2.0 * steps, 0], movers > 0)
+    depth = np.where(movers == 1, 0.4, 1).astype(np.float32)
+    frames = [replace(frame, depth=depth, movers=movers) for frame in observed.frames]
+    wanted = (grid[..., 0] > 40) & (grid[..., 0] < 50) & (grid[..., 1] > 30) & (grid[..., 1] < 40)
+    motion = fit_motion(Observations(frames, Similarity()), MIDDLE, wanted, SIGMA, 3, 3)
+    steps = np.array([-3, -1, 1, 3]) * STEP
+    ahead = np.einsum("nok,to->tnk", motion, steps[:, None] ** np.arange(1, 4))
+    assert np.abs(ahead[..., 2]).max() < 0.01
+    np.testing.assert_allclose(ahead[2, :, 0], 2 / 80, atol=0.005)

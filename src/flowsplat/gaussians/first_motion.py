@@ -92,7 +92,8 @@ def fit_motion(observations: Observations, k: int, wanted: np.ndarray, sigma: fl
     axes = np.array([1, 1, ALONG_RAY])[:, None] * frame.camera.viewmat[:3, :3]
     normal, right = np.zeros((len(points), order, order)), np.zeros((len(points), order, 3))
     square, total = np.zeros(len(points)), np.zeros(len(points))
-    for time, (world, sure) in follow(observations, k, points, reach).items():
+    owners = frame.movers[rows, columns]
+    for time, (world, sure) in follow(observations, k, points, owners, reach).items():
         tau = (time - frame.time) / sigma
         basis, weight = tau ** np.arange(1, order + 1), np.exp(-0.5 * (tau / FADING) ** 2) * sure
         moved = np.where(sure[:, None] > 0, world - start, 0) @ axes.T / unit[:, None]
@@ -101,7 +102,7 @@ def fit_motion(observations: Observations, k: int, wanted: np.ndarray, sigma: fl
         square += weight * (moved**2).sum(1)
         total += weight
     paths = _Paths(points, frame.image[rows, columns].astype(np.float64), normal, right, square, total)
-    coefficients, owners = np.zeros((len(points), order, 3)), frame.movers[rows, columns]
+    coefficients = np.zeros((len(points), order, 3))
     for number in np.unique(owners[asked]):
         mine = owners == number
         sources = np.flatnonzero(mine & evenly & (total > 0))
@@ -115,12 +116,17 @@ def fit_motion(observations: Observations, k: int, wanted: np.ndarray, sigma: fl
 
 
 def follow(
-    observations: Observations, k: int, points: np.ndarray, reach: int
+    observations: Observations, k: int, points: np.ndarray, owners: np.ndarray, reach: int
 ) -> dict[float, tuple[np.ndarray, np.ndarray]]:
     """3D positions [N, 3] of pixels of frame k at the times of its neighbours, along flow and depth, and how sure they are [N].
 
     Sure as the least sure flow on the way, 0 where lost. Between pixels, flow and depth are those of the mover's pixels around,
-    never mixed with those of what is behind it.
+    never mixed with those of what is behind it, or before it: a pixel that would go on on another mover is hidden by that one,
+    and the depth there is not its own.
+
+    Args:
+        points: [N, 2] pixels.
+        owners: [N] whose they are.
     """
     found: dict[float, tuple[np.ndarray, np.ndarray]] = {}
     for step in (1, -1):
@@ -131,12 +137,12 @@ def follow(
             if flow is None:
                 break
             weight = np.where(flow.trusted, 1, flow.confidence**UNSURE)
-            moved, share = _inside(np.dstack([flow.flow, weight.astype(np.float32)]), frame.mask, here)
+            moved, share = _inside(np.dstack([flow.flow, weight.astype(np.float32)]), frame.movers, here, owners)
             sure = np.where(share > HELD, np.minimum(sure, moved[:, 2]), 0)
             here = np.where(sure[:, None] > 0, here + moved[:, :2], here)
             current += step
             frame = observations[current]
-            depth, share = _inside(frame.depth[..., None], frame.mask, here)
+            depth, share = _inside(frame.depth[..., None], frame.movers, here, owners)
             sure = np.where((share > HELD) & (sure > LEAST_SURE), sure, 0)
             if not sure.any():
                 break
@@ -145,13 +151,20 @@ def follow(
     return found
 
 
-def _inside(values: np.ndarray, mask: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Values [N, C] of a map [H, W, C] at points [N, 2], of the pixels in a mask alone, and their share of those around [N]."""
-    weight = mask.astype(np.float32)
-    share = sample_map(weight, points)[:, 0]
-    height, width = mask.shape
-    share[~((points > 0) & (points < [width, height])).all(1)] = 0
-    return sample_map(values * weight[..., None], points) / np.maximum(share, 1e-6)[:, None], share
+def _inside(
+    values: np.ndarray, movers: np.ndarray, points: np.ndarray, owners: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Values [N, C] of a map [H, W, C] at points [N, 2], of the pixels of their owner alone, and the share of those around [N]."""
+    found, shares = np.zeros((len(points), values.shape[2]), np.float32), np.zeros(len(points), np.float32)
+    height, width = movers.shape
+    for number in np.unique(owners):
+        mine = np.flatnonzero(owners == number)
+        weight = (movers == number).astype(np.float32)
+        share = sample_map(weight, points[mine])[:, 0]
+        share[~((points[mine] > 0) & (points[mine] < [width, height])).all(1)] = 0
+        found[mine] = sample_map(values * weight[..., None], points[mine]) / np.maximum(share, 1e-6)[:, None]
+        shares[mine] = share
+    return found, shares
 
 
 def _joint(paths: _Paths, mine: np.ndarray, sources: np.ndarray, queries: np.ndarray, gap: float) -> np.ndarray:
