@@ -9,7 +9,6 @@ whose picture holds the place.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -32,6 +31,7 @@ from flowsplat.common.simd import (
     where_at_least,
     whole,
 )
+from flowsplat.common.threads import computed_once
 from flowsplat.geometry import Camera
 from flowsplat.priors.background.bits import packed
 from flowsplat.priors.background.matched_clip import MatchedClip
@@ -95,11 +95,11 @@ def refine_edges(
 
 
 class EdgeRefiner:
-    """Refines the frames of a clip one after the other."""
+    """Refines the frames of a clip one after the other, or a few at once."""
 
     def __init__(self, clip: MatchedClip, has_masks: bool):
         self._clip, self._has_masks = clip, has_masks
-        self._seen = lru_cache(maxsize=2 * OFFSETS[-1] + 2)(self._see)
+        self._seen = computed_once(self._see, 2 * OFFSETS[-1] + 4)
 
     def __call__(self, k: int, inverse: np.ndarray, doubted: np.ndarray | None = None) -> np.ndarray:
         """Inverse depth [H, W] float32 of training frame k at full size, with its jumps where the pictures have them.

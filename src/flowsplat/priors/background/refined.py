@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import lru_cache
+from collections.abc import Callable, Iterator
+from functools import partial
 
 import cv2
 import numpy as np
 
+from flowsplat.common.threads import computed_once
 from flowsplat.geometry import Camera
 from flowsplat.priors.background.agreement import agreed
 from flowsplat.priors.background.edges import EdgeRefiner
@@ -28,22 +29,32 @@ Planes = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 class RefinedDepth:
-    """That of the frames of a clip. It is fastest if these are asked for one after the other."""
+    """That of the frames of a clip. It is fastest if these are asked for one after the other (``walk``)."""
 
     def __init__(self, clip: MatchedClip, background: StaticDepth, has_masks: bool):
         self._clip, self._background, self._has_masks = clip, background, has_masks
         self._edges = EdgeRefiner(clip, has_masks)
-        self._moving = lru_cache(maxsize=2 * VOTERS[-1] + 2)(self._find_moving)
+        self._moving = computed_once(self._find_moving, 2 * VOTERS[-1] + 4)
         depth: Callable[[int], Planes] = self._coarse
+        self._rounds: list[Callable[[int], Planes]] = []
         for n in range(ROUNDS if clip.has_parallax else 0):
             # The first frame of a later round asks for frames ahead that ask for frames ahead of theirs.
-            kept = 2 * (ROUNDS - n) * VOTERS[-1] + 2
-            depth = lru_cache(maxsize=kept)(self._agreed(lru_cache(maxsize=kept)(self._sharpened(depth, first=n == 0))))
+            kept = 2 * (ROUNDS - n) * VOTERS[-1] + 4
+            self._rounds.append(computed_once(self._sharpened(depth, first=n == 0), kept))
+            depth = computed_once(self._agreed(self._rounds[n]), kept)
         self._depth = depth
 
     def __call__(self, k: int) -> Planes:
         """Inverse depth of the still scene in training frame ``k``, behind movers, too, and how sure it is: see ``Planes``."""
         return self._depth(k)
+
+    def walk(self, then: Callable[[int], None]) -> Iterator[Callable[[], object]]:
+        """What to do, one after the other or a few at once, to do ``then`` with every frame: first what others ask of it."""
+        count, ahead = len(self._clip), VOTERS[-1] + 1
+        for step in range(count + ahead * len(self._rounds)):
+            for n, work in enumerate([*self._rounds, then]):
+                if 0 <= step - n * ahead < count:
+                    yield partial(work, step - n * ahead)
 
     def _coarse(self, k: int) -> Planes:
         scene = self._clip.scene

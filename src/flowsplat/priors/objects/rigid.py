@@ -7,11 +7,11 @@ points eliminated (Schur complement), grown frame by frame from the one with the
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
-from scipy.linalg import solveh_banded
+from scipy.linalg import cho_factor, cho_solve, solveh_banded
 
 RESIDUAL_WIDTH = 1.0
 """Pixels: an observation this far off has half its weight (Cauchy)."""
@@ -32,8 +32,11 @@ _GROW_ITERATIONS, _FINAL_ITERATIONS, _POSE_ITERATIONS = 4, 30, 8
 _ADJUST_EVERY, _ADJUST_SHARE = 4, 0.05
 """While it grows, a solution is adjusted when it has so many more frames, or this share more: all of it each time."""
 _DAMPING_TRIES = 5
-_BANDED = 3
+_BANDED = 1.5
 """Times the width of its band that a system is large at least to be solved as one."""
+_LONGEST = 100
+"""Frames over which a track counts as one point; a longer one is two or more. One that lasts for all of a long clip would join
+all of its poses, and time grow with the cube of their number."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +74,12 @@ class Observations:
         first = np.searchsorted(point, np.arange(len(seen) + 1))
         x = (positions[point, frame].astype(np.float64) - K[:2, 2]) / [K[0, 0], K[1, 1]]
         return Observations(first, frame, np.ascontiguousarray(x), seen.shape[1], float(K[0, 0]))
+
+    def in_pieces(self) -> Observations:
+        """The same, with points that were seen over more than ``_LONGEST`` frames as several."""
+        piece = (self.frame_of - self.frame_of[self.first[self.point_of]]) // _LONGEST
+        starts = np.flatnonzero(np.diff(self.point_of, prepend=-1) | np.diff(piece, prepend=0))
+        return replace(self, first=np.append(starts, len(self.x)))
 
 
 @dataclass(frozen=True)
@@ -311,12 +320,12 @@ class _Solver:
 
 def _solved(H: np.ndarray, b: np.ndarray, band: int) -> np.ndarray:
     """The solution of H x = b, H symmetric and positive, 0 where column and row are ``band`` or more apart."""
-    if _BANDED * band > len(H):
-        return np.linalg.solve(H, b)
-    lower = np.zeros((band, len(H)))
-    for k in range(band):
-        lower[k, : len(H) - k] = H.reshape(-1)[k * len(H) :: len(H) + 1][: len(H) - k]
     try:
+        if _BANDED * band > len(H):
+            return np.asarray(cho_solve(cho_factor(H, lower=True, check_finite=False), b, check_finite=False))
+        lower = np.zeros((band, len(H)))
+        for k in range(band):
+            lower[k, : len(H) - k] = H.reshape(-1)[k * len(H) :: len(H) + 1][: len(H) - k]
         return np.asarray(solveh_banded(lower, b, lower=True, overwrite_ab=True, check_finite=False))
     except np.linalg.LinAlgError:  # It is positive but for rounding.
         return np.linalg.solve(H, b)
