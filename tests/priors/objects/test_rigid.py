@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from flowsplat.geometry import Camera
+from flowsplat.priors.objects import rigid
 from flowsplat.priors.objects.contact import Bound
 from flowsplat.priors.objects.movers import rigid_motions, solve_mover
 from flowsplat.priors.objects.relief import place_points
@@ -171,6 +172,26 @@ def test_a_long_clip_is_solved_as_well():
     assert motion.inliers > 0.99
     course = motion.log_depths()[10:-10] - np.log(depths)[10:-10]
     assert np.std(course) < 0.08
+
+
+def test_points_that_last_for_long_are_several(monkeypatch):
+    pixels, seen, depths = seen_body(body(), 60, 0.2)
+    observations = Observations.of_tracks(pixels, seen, K)
+    whole = observations.in_pieces()
+    np.testing.assert_array_equal(whole.first, observations.first)
+    monkeypatch.setattr(rigid, "_LONGEST", 12)
+    cut = observations.in_pieces()
+    assert observations.points < cut.points <= 4 * observations.points
+    np.testing.assert_array_equal(cut.x, observations.x)
+    for first, last in zip(cut.first, cut.first[1:], strict=False):
+        assert 0 < cut.frame_of[last - 1] - cut.frame_of[first] + 1 <= 12
+        assert (np.diff(cut.frame_of[first:last]) > 0).all()
+    crossed = {t for first, last in zip(cut.first, cut.first[1:], strict=False) for t in cut.frame_of[first + 1 : last]}
+    assert crossed == set(range(1, FRAMES)), "no frame at which all are cut"
+    motion = solve_rigid(cut)
+    assert motion is not None
+    assert motion.inliers > 0.95
+    assert np.std(motion.log_depths() - np.log(depths)) < 0.03
 
 
 def test_a_band_is_solved_as_the_whole_matrix():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
 import cv2
@@ -48,13 +48,17 @@ class RefinedDepth:
         """Inverse depth of the still scene in training frame ``k``, behind movers, too, and how sure it is: see ``Planes``."""
         return self._depth(k)
 
-    def walk(self, then: Callable[[int], None]) -> Iterator[Callable[[], object]]:
-        """What to do, one after the other or a few at once, to do ``then`` with every frame: first what others ask of it."""
-        count, ahead = len(self._clip), VOTERS[-1] + 1
-        for step in range(count + ahead * len(self._rounds)):
-            for n, work in enumerate([*self._rounds, then]):
-                if 0 <= step - n * ahead < count:
-                    yield partial(work, step - n * ahead)
+    def walk(self, then: Callable[[int], None], frames: Sequence[int]) -> Iterator[Callable[[], object]]:
+        """What to do, one after the other or a few at once, to do ``then`` with these frames: first what others ask of it."""
+        ahead, rounds = VOTERS[-1] + 1, len(self._rounds)
+        first, last = frames[0], frames[-1]
+        for step in range(first - 2 * rounds * ahead, last + 1):
+            for n, work in enumerate(self._rounds):
+                reach, k = (rounds - n) * VOTERS[-1], step + (rounds - n) * ahead
+                if max(first - reach, 0) <= k <= min(last + reach, len(self._clip) - 1):
+                    yield partial(work, k)
+            if step in frames:
+                yield partial(then, step)
 
     def _coarse(self, k: int) -> Planes:
         scene = self._clip.scene

@@ -56,11 +56,11 @@ def depth_stage(
     refined = RefinedDepth(clip, background, has_masks)
 
     def written(k: int) -> None:
-        if not scene.has_depth(scene.train_frames[k]):
-            scene.write_depth(scene.train_frames[k], _frame_depth(clip, background, movers, refined, has_masks, k))
+        scene.write_depth(scene.train_frames[k], _frame_depth(clip, background, movers, refined, has_masks, k))
 
-    if not all(scene.has_depth(i) for i in scene.train_frames):
-        work = list(refined.walk(written))
+    missing = [k for k, i in enumerate(scene.train_frames) if not scene.has_depth(i)]
+    if missing:
+        work = list(refined.walk(written, missing))
         with one_thread():
             for _ in in_threads(lambda do: do(), track(work, "Depth"), numba.get_num_threads()):
                 pass

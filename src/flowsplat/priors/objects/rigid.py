@@ -34,9 +34,9 @@ _ADJUST_EVERY, _ADJUST_SHARE = 4, 0.05
 _DAMPING_TRIES = 5
 _BANDED = 1.5
 """Times the width of its band that a system is large at least to be solved as one."""
-_LONGEST = 100
+_LONGEST, _STAGGER = 100, 61
 """Frames over which a track counts as one point; a longer one is two or more. One that lasts for all of a long clip would join
-all of its poses, and time grow with the cube of their number."""
+all of its poses, and time grow with the cube of their number. Where one is cut, and by how many frames later the next one."""
 
 
 @dataclass(frozen=True)
@@ -76,8 +76,16 @@ class Observations:
         return Observations(first, frame, np.ascontiguousarray(x), seen.shape[1], float(K[0, 0]))
 
     def in_pieces(self) -> Observations:
-        """The same, with points that were seen over more than ``_LONGEST`` frames as several."""
-        piece = (self.frame_of - self.frame_of[self.first[self.point_of]]) // _LONGEST
+        """The same, with points that were seen over more than ``_LONGEST`` frames as several.
+
+        Each is cut at frames of its own: poses on either side of a cut are known relative to each other by all others.
+        """
+        point = self.point_of
+        since = self.frame_of - self.frame_of[self.first[point]]
+        cut_from = np.zeros(self.points, np.int64)
+        late = point[since >= _LONGEST]
+        cut_from[late] = _STAGGER * late % _LONGEST
+        piece = (since + cut_from[point]) // _LONGEST
         starts = np.flatnonzero(np.diff(self.point_of, prepend=-1) | np.diff(piece, prepend=0))
         return replace(self, first=np.append(starts, len(self.x)))
 
