@@ -33,7 +33,7 @@ class RefinedDepth:
 
     def __init__(self, clip: MatchedClip, background: StaticDepth, has_masks: bool):
         self._clip, self._background, self._has_masks = clip, background, has_masks
-        self._edges = EdgeRefiner(clip, has_masks)
+        self._edges = EdgeRefiner(clip, has_masks, ROUNDS * (VOTERS[-1] + 4))
         self._moving = computed_once(self._find_moving, 2 * VOTERS[-1] + 4)
         depth: Callable[[int], Planes] = self._coarse
         self._rounds: list[Callable[[int], Planes]] = []
