@@ -188,7 +188,7 @@ def test_who_turns_out_to_move_gets_neighbours_at_once_unless_they_are_few(monke
     monkeypatch.setattr(trainer, "ALONE", alone)
     config = tiny("default")
     config = replace(
-        config, iterations=4, loss=replace(config.loss, rigid_refresh=1000, motion_every=1),
+        config, iterations=4, loss=replace(config.loss, rigid_refresh=1000),
         density=replace(config.density, every=2, start=2, revise_rest=0.0),
     )  # fmt: skip
     start, had, moved = a_few(config), [], []
@@ -211,38 +211,6 @@ def test_who_turns_out_to_move_gets_neighbours_at_once_unless_they_are_few(monke
     assert moved == [[0, 1]]
     assert not had[1][:2].any()
     assert had[2][:2].all() == (alone < 1)
-
-
-def test_flow_and_rigidity_are_asked_for_in_every_second_step_and_count_twice():
-    config = tiny("default")
-    observations, losses = seen(a_few(config)), {}
-    for every in (1, 2):
-        chosen = replace(config, iterations=4, loss=replace(config.loss, motion_every=every))
-        trained = Trainer(observations, None, chosen, start=a_few(config))
-        trained.gaussians = a_few(config)
-        for step in (0, 1):
-            trained.step = step
-            active = trained.gaussians.active(observations[0].time, observations[0].camera)
-            rendered, _, entry = trained._backpropagate(0, active, trained._targets[0])
-            losses[every, step] = entry
-            assert (rendered.flow is not None) == ("flow" in entry) == ("rigid" in entry) == (step % every == 0)
-    assert losses[1, 0] == losses[1, 1]
-    asked, twice, unasked = losses[1, 0], losses[2, 0], losses[2, 1]
-    motion = config.loss.flow * asked["flow"] + config.loss.rigid * asked["rigid"]
-    assert motion > 1e-4
-    assert twice["loss"] - asked["loss"] == pytest.approx(motion, rel=1e-3)
-    assert asked["loss"] - unasked["loss"] == pytest.approx(motion, rel=1e-3)
-
-
-def test_figures_that_few_steps_have_are_means_of_those(tmp_path):
-    config = replace(tiny("default"), iterations=3)
-    trained = Trainer(seen(a_few(config)), None, config, start=a_few(config))
-    figures = []
-    before = trained._after_step
-    trained._after_step = lambda entry: (figures.append(entry), before(entry))
-    trained.run()
-    assert ["flow" in each for each in figures] == [True, False, True]
-    assert trained.history[-1]["flow"] == pytest.approx((figures[0]["flow"] + figures[2]["flow"]) / 2)
 
 
 def test_without_checkpoints_none_is_written(tmp_path):

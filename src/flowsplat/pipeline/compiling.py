@@ -112,8 +112,7 @@ def _marker() -> Path:
 def compile_training() -> None:
     """Train, render and refine a pose on a handful of Gaussians: every kernel of preset ``default`` runs."""
     gaussians, observations = _handful()
-    ours = PRESETS["default"]
-    config = replace(ours, iterations=len(observations), preview_every=0, loss=replace(ours.loss, motion_every=1))
+    config = replace(PRESETS["default"], iterations=len(observations), preview_every=0)
     trained = Trainer(observations, None, config, start=gaussians).run()
     model = SceneModel(trained, Similarity(), 0.0, 1.0)
     first, last = observations[0], observations[len(observations) - 1]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import tyro
 
@@ -70,8 +70,6 @@ class LossConfig:
     """gamma_2: weight of the flow loss, pixels."""
     rigid: float = 0.5
     """gamma_3: weight of the rigid loss."""
-    motion_every: Literal[1, 2, 4] = later(before=1, default=2)
-    """Steps from one that asks for flow and rigidity to the next; both count as many times as much then."""
     depth: float = 0.05
     """Weight of the depth loss (ours; 0 in the paper)."""
     coverage: float = 0.0
@@ -254,7 +252,7 @@ PRESETS: dict[str, TrainConfig] = {
             means_pixels=0.0, along_ray=1.0, quats=0.001, scales=0.005, opacities=0.05, colours=0.0025, harmonics=0.0025 / 20,
             decay=1.0, motion=0.001, moving=1.0, moving_decay=1.0,
         ),
-        loss=LossConfig(motion_every=1, depth=0.0, rigid_over_all=True, flow_by_alpha=False),
+        loss=LossConfig(depth=0.0, rigid_over_all=True, flow_by_alpha=False),
         density=DensityConfig(revise=False),
         fill=False,
     ),

@@ -51,9 +51,6 @@ from flowsplat.training.timing import CheckpointTimes
 RECORD_EVERY = 10
 """Steps that one entry of the history averages over."""
 
-_UNASKED = {"flow": 0.0, "rigid": 0.0}
-"""Figures of steps that do not ask for them."""
-
 ALONE = 0.01
 """Share of the dynamic Gaussians that may be without neighbours until the next search, which takes as long as tens of steps."""
 
@@ -308,10 +305,8 @@ class Trainer:
     def _backpropagate(self, k: int, active: Active, targets: PictureTargets) -> tuple[RenderedFrame, Gradients, Entry]:
         """Render training frame k and differentiate its loss."""
         frame, config = self.observations[k], self.config
-        # Both ask only what is moving; that needs Gaussians at a second time, and more channels.
-        every, flow_to = config.loss.motion_every, None
-        asks = self.step % every == 0
-        if asks and frame.forward is not None and config.loss.flow > 0:
+        flow_to = None
+        if frame.forward is not None and config.loss.flow > 0:
             following = self.observations[k + 1]
             flow_to = following.camera, following.time
         gradients: Gradients = {}
@@ -321,22 +316,22 @@ class Trainer:
         if config.density.gradient > 0:
             rendered.projected.means2d.retain_grad()
         total, figures = picture_loss(rendered.image, rendered.alpha, rendered.flow_channels, targets, self._weights)
-        rigid = self._rigid(active, rendered) if asks and config.loss.rigid > 0 else None
+        rigid = self._rigid(active, rendered) if config.loss.rigid > 0 else None
         if rigid is not None:
-            total = total + every * config.loss.rigid * rigid
+            total = total + config.loss.rigid * rigid
         coverage = coverage_loss(rendered.alpha) if config.loss.coverage > 0 else None
         if coverage is not None:
             total = total + config.loss.coverage * coverage
         total.backward()
         entry = {
             "colour": figures.colour,
+            "flow": figures.flow,
             "depth": figures.depth,
+            "rigid": _number(rigid) if rigid is not None else 0.0,
             "coverage": _number(coverage) if coverage is not None else 0.0,
             "loss": _number(total),
             "psnr": _psnr(figures.squared_error),
         }
-        if asks:
-            entry |= {"flow": figures.flow, "rigid": _number(rigid) if rigid is not None else 0.0}
         return rendered, gradients, entry
 
     @property
@@ -347,7 +342,7 @@ class Trainer:
     @property
     def _weights(self) -> PictureWeights:
         loss = self.config.loss
-        return PictureWeights(loss.ssim, loss.motion_every * loss.flow, loss.depth, loss.flow_by_alpha)
+        return PictureWeights(loss.ssim, loss.flow, loss.depth, loss.flow_by_alpha)
 
     def _rigid(self, active: Active, rendered: RenderedFrame) -> Tensor | None:
         """The rigid loss among dynamic Gaussians; with ``rigid_over_all`` among all that may move."""
@@ -391,9 +386,8 @@ class Trainer:
         self._recent.append(entry)
         if self.step % RECORD_EVERY == 0 or self.step == self.config.iterations:
             recent = _read(self._recent)
-            # Not every step asks for everything, and those that an earlier version kept may lack a figure of today.
-            names = {name: None for each in [*recent, _UNASKED] for name in each}
-            mean = {name: float(np.mean([e[name] for e in recent if name in e] or _UNASKED[name])) for name in names}
+            # Those that an earlier version kept in a checkpoint may lack a figure of today.
+            mean = {name: float(np.mean([e[name] for e in recent if name in e])) for name in entry}
             self.history.append({"step": float(self.step), **mean, "gaussians": float(len(self.gaussians))})
             self._recent = []
             if self._record is not None:
