@@ -10,7 +10,7 @@ from flowsplat.priors.objects import rigid
 from flowsplat.priors.objects.contact import Bound
 from flowsplat.priors.objects.movers import rigid_motions, solve_mover
 from flowsplat.priors.objects.relief import place_points
-from flowsplat.priors.objects.rigid import Observations, _solved, longest, solve_rigid, widest_turn
+from flowsplat.priors.objects.rigid import Observations, _solved, _unpacked, longest, solve_rigid, widest_turn
 
 K = np.array([[300.0, 0, 160], [0, 300.0, 90], [0, 0, 1]])
 FRAMES = 24
@@ -194,11 +194,14 @@ def test_points_that_last_for_long_are_several(monkeypatch):
     assert np.std(motion.log_depths() - np.log(depths)) < 0.03
 
 
-def test_a_band_is_solved_as_the_whole_matrix():
+@pytest.mark.parametrize("band", [12, 24, 50])
+def test_a_band_is_solved_as_the_whole_matrix(band):
     rng = np.random.default_rng(0)
-    size, band = 60, 12
+    size = 60
     H = np.triu(np.tril(rng.normal(size=(size, size)), band - 1), 1 - band)
-    H = H + H.T + 40 * np.eye(size)
-    b = rng.normal(size=size)
-    np.testing.assert_allclose(_solved(H, b, band), np.linalg.solve(H, b), atol=1e-9)
-    np.testing.assert_allclose(_solved(H, b, size), np.linalg.solve(H, b), atol=1e-9)
+    H = H + H.T + 60 * np.eye(size)
+    packed, b = np.zeros((size, band)), rng.normal(size=size)
+    for d in range(band):
+        packed[: size - d, d] = np.diag(H, d)
+    np.testing.assert_array_equal(_unpacked(packed), H)
+    np.testing.assert_allclose(_solved(packed, b), np.linalg.solve(H, b), atol=1e-9)

@@ -163,11 +163,13 @@ def pose_information(motion: RigidMotion) -> tuple[np.ndarray, np.ndarray]:
     place = np.full(o.frames, -1)
     place[frames] = np.arange(len(frames))
     turns, shifts = motion.turns[frames], motion.shifts[frames]
+    prior = _unevenness(turns, shifts)[0]
     H = _reduced_system(
         turns, shifts, motion.points, o.first, place[o.frame_of], o.x, motion.known, o.focal, RESIDUAL_WIDTH,
-        RELIEF_RIDGE / motion.size**2, 0.0,
+        RELIEF_RIDGE / motion.size**2, 0.0, _reach(o.first, place[o.frame_of], motion.known),
     )[0]  # fmt: skip
-    return frames, H + _unevenness(turns, shifts)[0]
+    H[:, : prior.shape[1]] += prior
+    return frames, _unpacked(H)
 
 
 def longest(seen: np.ndarray, most: int = PER_FRAME) -> np.ndarray:
@@ -280,16 +282,16 @@ class _Solver:
         turns, shifts, points = self._turns[frames], self._shifts[frames], self._points
         ridge = RELIEF_RIDGE / self._size**2
         fixed = o.first, place[o.frame_of], o.x, self._known, o.focal, RESIDUAL_WIDTH, ridge
-        band = 6 * (_reach(o.first, place[o.frame_of], self._known) + 1)
+        reach = _reach(o.first, place[o.frame_of], self._known)
         damping, cost = 1e-3, _cost(turns, shifts, points, *fixed) + _unevenness(turns, shifts)[2]
         for _ in range(iterations):
             prior, pull, _ = _unevenness(turns, shifts)
             after = np.inf
             for _ in range(_DAMPING_TRIES):
-                H, b, own, inverses, gradients, links = _reduced_system(turns, shifts, points, *fixed, damping)
-                H += prior
-                H.reshape(-1)[:: len(H) + 1] += damping * (own + np.diag(prior)) + 1e-9
-                step = _solved(H, b + pull, band)
+                H, b, own, inverses, gradients, links = _reduced_system(turns, shifts, points, *fixed, damping, reach)
+                H[:, : prior.shape[1]] += prior
+                H[:, 0] += damping * (own + prior[:, 0]) + 1e-9
+                step = _solved(H, b + pull)
                 moved = _moved_points(points, step, o.first, fixed[1], inverses, gradients, links, self._known)
                 new_turns = _turned(turns, step)
                 new_shifts = shifts + step.reshape(-1, 6)[:, 3:]
@@ -326,17 +328,15 @@ class _Solver:
         )
 
 
-def _solved(H: np.ndarray, b: np.ndarray, band: int) -> np.ndarray:
-    """The solution of H x = b, H symmetric and positive, 0 where column and row are ``band`` or more apart."""
+def _solved(H: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The solution of H x = b, H symmetric and positive, as a band: [n, w] holds its entries (i, i + d)."""
+    n, band = H.shape
     try:
-        if _BANDED * band > len(H):
-            return np.asarray(cho_solve(cho_factor(H, lower=True, check_finite=False), b, check_finite=False))
-        lower = np.zeros((band, len(H)))
-        for k in range(band):
-            lower[k, : len(H) - k] = H.reshape(-1)[k * len(H) :: len(H) + 1][: len(H) - k]
-        return np.asarray(solveh_banded(lower, b, lower=True, overwrite_ab=True, check_finite=False))
+        if _BANDED * band > n:
+            return np.asarray(cho_solve(cho_factor(_unpacked(H), overwrite_a=True, check_finite=False), b, check_finite=False))
+        return np.asarray(solveh_banded(H.T, b, lower=True, check_finite=False))
     except np.linalg.LinAlgError:  # It is positive but for rounding.
-        return np.linalg.solve(H, b)
+        return np.linalg.solve(_unpacked(H), b)
 
 
 def _radius(x: np.ndarray) -> float:
@@ -344,7 +344,7 @@ def _radius(x: np.ndarray) -> float:
 
 
 def _unevenness(turns: np.ndarray, shifts: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """Prior of even motion as normal equations [6F, 6F], [6F] and cost: second differences of poses, weighed ``SMOOTHNESS``."""
+    """Prior of even motion as normal equations, a band [6F, 13] and [6F], and cost: second differences, weighed ``SMOOTHNESS``."""
     return _second_differences(turns, shifts, SMOOTHNESS)
 
 
@@ -372,7 +372,7 @@ def _turned(turns: np.ndarray, step: np.ndarray) -> np.ndarray:
 @njit(cache=True)
 def _second_differences(turns: np.ndarray, shifts: np.ndarray, weight: float) -> tuple[np.ndarray, np.ndarray, float]:
     F = len(turns)
-    A, b, cost = np.zeros((6 * F, 6 * F)), np.zeros(6 * F), 0.0
+    A, b, cost = np.zeros((6 * F, 13)), np.zeros(6 * F), 0.0
     c, r = np.array([1.0, -2.0, 1.0]), np.zeros(6)
     for i in range(1, F - 1):
         D = (turns[i + 1] @ turns[i].T) @ (turns[i] @ turns[i - 1].T).T
@@ -383,8 +383,8 @@ def _second_differences(turns: np.ndarray, shifts: np.ndarray, weight: float) ->
             cost += weight * r[d] * r[d]
             for p in range(3):
                 b[6 * (i + p - 1) + d] -= weight * c[p] * r[d]
-                for q in range(3):
-                    A[6 * (i + p - 1) + d, 6 * (i + q - 1) + d] += weight * c[p] * c[q]
+                for q in range(p, 3):
+                    A[6 * (i + p - 1) + d, 6 * (q - p)] += weight * c[p] * c[q]
     return A, b, cost
 
 
@@ -436,16 +436,17 @@ def _cost(
 @njit(cache=True)
 def _reduced_system(
     turns: np.ndarray, shifts: np.ndarray, points: np.ndarray, first: np.ndarray, frame_of: np.ndarray, x: np.ndarray,
-    known: np.ndarray, focal: float, width: float, ridge: float, damping: float,
+    known: np.ndarray, focal: float, width: float, ridge: float, damping: float, reach: int,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
-    """Normal equations of the poses with the points eliminated.
+    """Normal equations of the poses with the points eliminated. ``reach``: as from ``_reach``.
 
     Returns:
-        H [6F, 6F], b [6F]; the diagonal [6F] of the poses' own block; and to get the points' steps: inverse [N, 3, 3] of
-        each point's block, its right side [N, 3], and the block [M, 3, 6] between the point and the pose of an observation.
+        H, of whose row i [6F, 6 (reach + 1)] holds the columns from i on, b [6F]; the diagonal [6F] of the poses' own block;
+        and to get the points' steps: inverse [N, 3, 3] of each point's block, its right side [N, 3], and the block [M, 3, 6]
+        between the point and the pose of an observation.
     """
     F, N, M = len(turns), len(points), len(x)
-    H, b, own = np.zeros((6 * F, 6 * F)), np.zeros(6 * F), np.zeros(6 * F)
+    H, b, own = np.zeros((6 * F, 6 * (reach + 1))), np.zeros(6 * F), np.zeros(6 * F)
     inverses, gradients, links = np.zeros((N, 3, 3)), np.zeros((N, 3)), np.zeros((M, 3, 6))
     r, J, B = np.zeros(2), np.zeros((2, 6)), np.zeros((2, 3))
     V, WV = np.zeros((3, 3)), np.zeros((6, 3))
@@ -464,8 +465,8 @@ def _reduced_system(
             u = 1.0 / (1.0 + (r[0] * r[0] + r[1] * r[1]) / width**2)
             for i in range(6):
                 b[6 * t + i] -= u * (J[0, i] * r[0] + J[1, i] * r[1])
-                for j in range(6):
-                    H[6 * t + i, 6 * t + j] += u * (J[0, i] * J[0, j] + J[1, i] * J[1, j])
+                for j in range(i, 6):
+                    H[6 * t + i, j - i] += u * (J[0, i] * J[0, j] + J[1, i] * J[1, j])
                 for j in range(3):
                     links[m, j, i] = u * (J[0, i] * B[0, j] + J[1, i] * B[1, j])
             for i in range(3):
@@ -476,7 +477,7 @@ def _reduced_system(
             V[d, d] *= 1 + damping
         inverses[n] = np.linalg.inv(V)
     for d in range(6 * F):
-        own[d] = H[d, d]
+        own[d] = H[d, 0]
     for n in range(N):
         if not known[n]:
             continue
@@ -495,12 +496,20 @@ def _reduced_system(
                     continue
                 for i in range(6):
                     w0, w1, w2 = WV[i, 0], WV[i, 1], WV[i, 2]
-                    for j in range(6):
-                        H[6 * t + i, 6 * s + j] -= w0 * links[k, 0, j] + w1 * links[k, 1, j] + w2 * links[k, 2, j]
-    for i in range(6 * F):
-        for j in range(i):
-            H[i, j] = H[j, i]
+                    for j in range(i if s == t else 0, 6):
+                        H[6 * t + i, 6 * (s - t) + j - i] -= w0 * links[k, 0, j] + w1 * links[k, 1, j] + w2 * links[k, 2, j]
     return H, b, own, inverses, gradients, links
+
+
+@njit(cache=True)
+def _unpacked(H: np.ndarray) -> np.ndarray:
+    """The whole symmetric matrix [n, n] of a band [n, w]."""
+    n, band = H.shape
+    whole = np.zeros((n, n))
+    for i in range(n):
+        for d in range(min(band, n - i)):
+            whole[i, i + d] = whole[i + d, i] = H[i, d]
+    return whole
 
 
 @njit(cache=True)
