@@ -7,7 +7,7 @@ import threading
 import numba
 import pytest
 
-from flowsplat.common.threads import in_threads
+from flowsplat.common.threads import computed_once, in_threads
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.geometry import Similarity
 from tests.training.handful import a_few, seen, tiny
@@ -44,6 +44,41 @@ def test_an_error_arrives_where_the_result_is_asked_for_and_ends_the_rest(thread
     with pytest.raises(RuntimeError, match="spoilt"):
         next(results)
     assert len(begun) < 20
+
+
+def test_what_several_threads_ask_for_is_computed_once_and_kept_while_there_is_room():
+    asked, together = [], threading.Barrier(2, timeout=10)
+
+    def slow(k: int) -> int:
+        asked.append(k)
+        return k * k
+
+    kept = computed_once(slow, 2)
+
+    def work(_: int) -> list[int]:
+        together.wait()
+        return [kept(k) for k in (1, 2)]
+
+    assert list(in_threads(work, range(2), 2)) == [[1, 4], [1, 4]]
+    assert sorted(asked) == [1, 2]
+    assert [kept(3), kept(2), kept(1)] == [9, 4, 1]
+    assert sorted(asked) == [1, 1, 2, 3], "the one not asked for longest is forgotten"
+
+
+def test_what_failed_is_computed_again():
+    asked = []
+
+    def work(k: int) -> int:
+        asked.append(k)
+        if len(asked) == 1:
+            raise RuntimeError("spoilt")
+        return k
+
+    kept = computed_once(work, 2)
+    with pytest.raises(RuntimeError, match="spoilt"):
+        kept(5)
+    assert kept(5) == 5
+    assert asked == [5, 5]
 
 
 def test_pictures_are_the_same_however_many_are_rendered_at_once():

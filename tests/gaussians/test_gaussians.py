@@ -137,6 +137,9 @@ def test_pruning_removes_the_transparent_the_broken_and_the_never_seen():
     result = prune(gaussians, times, 0.005, 0.0)
     assert sorted(set(range(12)) - set(result.index.tolist())) == [1, 3, 4, 6]
     assert not result.is_new.any()
+    again = prune(result.gaussians, times, 0.005, 0.0)
+    assert again.gaussians is result.gaussians, "where none is removed, nothing is copied"
+    assert again.index.tolist() == list(range(8))
 
 
 def test_opacity_reset():

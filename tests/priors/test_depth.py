@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
 
@@ -54,6 +55,19 @@ def test_the_stage_resumes_where_it_stopped(moving: Scene):
     depth_stage(moving)
     assert [path.read_bytes() for path in files] == before
     assert [path.stat().st_mtime_ns for path in files if path != files[3]] == times
+
+
+def test_with_one_thread_it_is_the_same(moving: Scene):
+    files, threads = sorted((moving.folder / "depth").glob("*.npz")), numba.get_num_threads()
+    before = [path.read_bytes() for path in files]
+    for path in files:
+        path.unlink()
+    try:
+        numba.set_num_threads(1 if threads > 1 else threads)
+        depth_stage(moving)
+    finally:
+        numba.set_num_threads(threads)
+    assert [path.read_bytes() for path in files] == before
 
 
 def test_other_cameras_are_solved_anew(moving: Scene):

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from flowsplat.priors.background.edges import features, refine_edges
+from flowsplat.priors.background.edges import View, refine_edges
 
 from .planes import FOCAL, HEIGHT, SIDE, WALL, WIDTH, camera_at, texture
 
@@ -25,11 +25,21 @@ def still_square(shift: int) -> tuple[np.ndarray, np.ndarray]:
     return picture, inverse
 
 
-def refined(inverse: np.ndarray, still: np.ndarray, moving: np.ndarray | None = None) -> np.ndarray:
-    pictures = np.stack([features(still_square(shift)[0]) for shift in SHIFTS])
-    moving = np.zeros(pictures.shape[:3], bool) if moving is None else moving
-    cameras = [camera_at(shift) for shift in SHIFTS]
-    return refine_edges(inverse, still, features(still_square(0)[0]), camera_at(0), pictures, moving, cameras)
+def refined(inverse: np.ndarray, still: np.ndarray, moving: bool = False, doubted: np.ndarray | None = None) -> np.ndarray:
+    views = seen({shift: still_square(shift)[0] for shift in (0, *SHIFTS)}, moving)
+    return refine_edges(inverse, still, views[0], camera_at(0), views[1:], [camera_at(shift) for shift in SHIFTS], doubted)
+
+
+def seen(pictures: dict[int, np.ndarray], moving: bool = False) -> list[View]:
+    return [View.of(np.ascontiguousarray(each), np.full(each.shape[:2], moving)) for each in pictures.values()]
+
+
+def test_a_view_has_the_colours_of_its_picture():
+    picture = still_square(0)[0]
+    view = seen({0: picture})[0]
+    np.testing.assert_array_equal(view.features[..., :3], picture)
+    np.testing.assert_array_equal(view.features[..., 3], view.slopes)
+    assert view.slopes.max() > 10
 
 
 def test_the_camera_is_that_of_the_pictures():
@@ -57,7 +67,7 @@ def test_what_is_right_stays_and_what_moves_is_left_alone():
 
 def test_frames_that_show_only_what_moves_say_nothing():
     wrong, everywhere = cv2.dilate(still_square(0)[1], np.ones((9, 9), np.uint8)), np.ones((HEIGHT, WIDTH), bool)
-    np.testing.assert_array_equal(refined(wrong, everywhere, np.ones((len(SHIFTS), HEIGHT, WIDTH), bool)), wrong)
+    np.testing.assert_array_equal(refined(wrong, everywhere, moving=True), wrong)
 
 
 def test_an_even_slope_has_no_jump():
@@ -70,9 +80,7 @@ def test_only_what_is_doubted_is_asked_about():
     wrong = cv2.dilate(true, np.ones((9, 9), np.uint8))
     doubted = everywhere.copy()
     doubted[:, WIDTH // 2 :] = False
-    pictures = np.stack([features(still_square(shift)[0]) for shift in SHIFTS])
-    cameras, moving = [camera_at(shift) for shift in SHIFTS], np.zeros(pictures.shape[:3], bool)
-    result = refine_edges(wrong, everywhere, features(still_square(0)[0]), camera_at(0), pictures, moving, cameras, doubted)
+    result = refined(wrong, everywhere, doubted=doubted)
     np.testing.assert_array_equal(result[~doubted], wrong[~doubted])
     assert (result != wrong)[doubted].any()
 
@@ -81,11 +89,10 @@ def test_frames_whose_picture_ends_before_the_place_do_not_count_against_it():
     # One camera of six still sees the left of the wall; were it farther off, all of them would.
     shifts = (-8, 40, 44, 48, 52, 56)
     wall = texture(0, WIDTH + 120, HEIGHT)
-    views = {shift: np.ascontiguousarray(wall[:, 20 + shift : 20 + shift + WIDTH]) for shift in (0, *shifts)}
+    views = seen({shift: wall[:, 20 + shift : 20 + shift + WIDTH] for shift in (0, *shifts)})
     true = np.full((HEIGHT, WIDTH), 1 / WALL, np.float32)
     wrong = true.copy()
     wrong[20:60, 24:36] *= 0.4
-    pictures = np.stack([features(views[shift]) for shift in shifts])
-    moving, cameras = np.zeros(pictures.shape[:3], bool), [camera_at(shift) for shift in shifts]
-    result = refine_edges(wrong, np.ones(true.shape, bool), features(views[0]), camera_at(0), pictures, moving, cameras)
+    cameras = [camera_at(shift) for shift in shifts]
+    result = refine_edges(wrong, np.ones(true.shape, bool), views[0], camera_at(0), views[1:], cameras)
     assert (np.abs(result / true - 1) > 0.05).sum() < 0.1 * (wrong != true).sum()

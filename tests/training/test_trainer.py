@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
@@ -12,10 +14,11 @@ from flowsplat.common.errors import InputError
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.geometry import Similarity
 from flowsplat.protocols.ablations.variants import changed
+from flowsplat.training import trainer
 from flowsplat.training.average import EVERY, TailAverage
 from flowsplat.training.checkpoint import load_checkpoint, load_model, read_tensors, save_model, write_tensors
 from flowsplat.training.config import PRESETS, TrainConfig, _numbers, most_of
-from flowsplat.training.trainer import Trainer
+from flowsplat.training.trainer import Trainer, _spread_order
 from tests.training.handful import a_few, seen, tiny
 
 
@@ -182,7 +185,9 @@ def test_after_a_reset_the_next_gradient_alone_says_where_opacities_go(tmp_path)
     assert torch.equal(again.run().params["logit_opacities"], whole.params["logit_opacities"])
 
 
-def test_who_turns_out_to_move_gets_neighbours_at_once():
+@pytest.mark.parametrize("alone", [0.01, 1.0])
+def test_who_turns_out_to_move_gets_neighbours_at_once_unless_they_are_few(monkeypatch, alone):
+    monkeypatch.setattr(trainer, "ALONE", alone)
     config = tiny("default")
     config = replace(
         config, iterations=4, loss=replace(config.loss, rigid_refresh=1000),
@@ -207,7 +212,24 @@ def test_who_turns_out_to_move_gets_neighbours_at_once():
     Watched(seen(a_few(config)), None, config, start=start).run()
     assert moved == [[0, 1]]
     assert not had[1][:2].any()
-    assert had[2][:2].all()
+    assert had[2][:2].all() == (alone < 1)
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 74])
+def test_frames_of_steps_in_a_row_lie_far_apart(count):
+    rng = np.random.default_rng(0)
+    rounds = [_spread_order(count, rng).tolist() for _ in range(2)]
+    for each in rounds:
+        assert sorted(each) == list(range(count))
+        assert all(abs(a - b) > count // 4 for a, b in itertools.pairwise(each))
+    if count == 74:
+        assert rounds[0] != rounds[1]
+        assert all(min(abs(a - b) for b in each[k + 1 : k + 5]) >= 8 for each in rounds for k, a in enumerate(each[:-4]))
+
+
+def test_the_paper_draws_frames_at_random():
+    assert PRESETS["default"].order == "spread"
+    assert PRESETS["paper"].order == "random"
 
 
 def test_without_checkpoints_none_is_written(tmp_path):

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections import deque
+import threading
+from collections import OrderedDict, deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TypeVar
@@ -46,3 +47,33 @@ def in_threads(function: Callable[[Item], Result], items: Iterable[Item], thread
         finally:
             for future in waiting:
                 future.cancel()
+
+
+def computed_once(function: Callable[[int], Result], most: int) -> Callable[[int], Result]:
+    """As ``functools.lru_cache``, for threads that ask together: who asks for what another computes waits for it.
+
+    Args:
+        function: of frames, say. What it asks of itself through others must not lead back to the same.
+        most: results that are kept, those that were last asked for.
+    """
+    kept: OrderedDict[int, Future[Result]] = OrderedDict()
+    lock = threading.Lock()
+
+    def result(k: int) -> Result:
+        with lock:
+            known = kept.get(k)
+            future = kept[k] = known or Future()
+            kept.move_to_end(k)
+            if len(kept) > most:
+                kept.popitem(last=False)
+        if known is None:
+            try:
+                future.set_result(function(k))
+            except BaseException as error:
+                with lock:
+                    if kept.get(k) is future:
+                        del kept[k]
+                future.set_exception(error)
+        return future.result()
+
+    return result

@@ -119,6 +119,8 @@ def _drawn_from(shape: Shape, noise: Tensor) -> Tensor:
 def prune(gaussians: Gaussians4D, times: np.ndarray, min_opacity: float, max_scale: float) -> DensityResult:
     """Remove the transparent, the oversized (``max_scale`` 0 = none is) and those that no training time ever shows.
 
+    Where none is, the result holds ``gaussians`` themselves.
+
     Args:
         times: [T] clip times of the training frames, rising.
     """
@@ -129,7 +131,9 @@ def prune(gaussians: Gaussians4D, times: np.ndarray, min_opacity: float, max_sca
     for value in gaussians.params.values():
         keep &= torch.isfinite(value.reshape(len(value), -1)).all(1)
     index = torch.nonzero(keep).squeeze(1)
-    return DensityResult(gaussians.select(index), index, torch.zeros(len(index), dtype=torch.bool, device=index.device))
+    # Most rounds remove none, and what is kept beside Gaussians is several times as large as they are.
+    kept = gaussians if len(index) == len(gaussians) else gaussians.select(index)
+    return DensityResult(kept, index, torch.zeros(len(index), dtype=torch.bool, device=index.device))
 
 
 def _best_presence(gaussians: Gaussians4D, times: np.ndarray) -> Tensor:

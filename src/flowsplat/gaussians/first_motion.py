@@ -133,7 +133,7 @@ def follow(
         here, sure, current = points.astype(np.float32), np.ones(len(points)), k
         for _ in range(reach):
             frame = observations[current]
-            flow = frame.forward if step > 0 else frame.backward
+            flow = frame.flow(step)
             if flow is None:
                 break
             weight = np.where(flow.trusted, 1, flow.confidence**UNSURE)

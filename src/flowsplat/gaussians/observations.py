@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import partial
 
 import cv2
 import numpy as np
 
 from flowsplat.common.errors import InputError
 from flowsplat.geometry import Camera, Similarity
-from flowsplat.scenes import Flow, Scene
+from flowsplat.scenes import Flow, Scene, StoredFlow
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,7 @@ class Observation:
         depth_trusted: [H, W] bool.
         movers: [H, W] uint8 number of the moving object in a pixel, 0 = background.
         forward: flow to the next training frame; None in the last.
-        backward: flow to the previous training frame; None in the first.
+        backward: flow to the previous training frame, or what reads it: only the start asks for it. None in the first.
     """
 
     frame: int
@@ -36,15 +37,20 @@ class Observation:
     depth: np.ndarray
     depth_trusted: np.ndarray
     movers: np.ndarray
-    forward: Flow | None
-    backward: Flow | None
+    forward: Flow | StoredFlow | None
+    backward: Flow | StoredFlow | Callable[[], StoredFlow] | None
 
-    @cached_property
+    def flow(self, step: int) -> Flow | StoredFlow | None:
+        """The flow to the next training frame (1) or to the previous one (-1)."""
+        found = self.forward if step > 0 else self.backward
+        return found() if callable(found) else found
+
+    @property
     def mask(self) -> np.ndarray:
         """[H, W] bool: moving objects."""
         return self.movers > 0
 
-    @cached_property
+    @property
     def depth_jump(self) -> np.ndarray:
         """[H, W] float32: relative difference between the farthest and the nearest depth around a pixel."""
         kernel = np.ones((3, 3), np.uint8)
@@ -83,12 +89,10 @@ def load_observations(scene: Scene) -> Observations:
     similarity, times, train = scene.similarity, scene.times, scene.train_frames
     pairs = set(scene.flow_pairs)
 
-    def flow(i: int, j: int) -> Flow | None:
-        return scene.flow(i, j) if (i, j) in pairs else None
-
     frames = []
     for k, i in enumerate(train):
         depth = scene.depth(i)
+        after, before = train[k + 1] if k + 1 < len(train) else -1, train[k - 1] if k > 0 else -1
         frames.append(
             Observation(
                 frame=i,
@@ -98,8 +102,8 @@ def load_observations(scene: Scene) -> Observations:
                 depth=depth.depth * np.float32(similarity.scale),
                 depth_trusted=depth.trusted,
                 movers=scene.mask(i),
-                forward=flow(i, train[k + 1]) if k + 1 < len(train) else None,
-                backward=flow(i, train[k - 1]) if k > 0 else None,
+                forward=scene.stored_flow(i, after) if (i, after) in pairs else None,
+                backward=partial(scene.stored_flow, i, before) if (i, before) in pairs else None,
             )
         )
     return Observations(frames, similarity)

@@ -23,18 +23,19 @@ class EdgeSmoother:
             smoothness: lambda of the paper.
             colour_sigma: grey levels across which it no longer reaches.
         """
-        with _one_thread():
+        with one_thread():
             self._filter = cv2.ximgproc.createFastGlobalSmootherFilter(np.ascontiguousarray(guide), smoothness, colour_sigma)
 
     def filter(self, values: np.ndarray) -> np.ndarray:
         """Values [H, W] float32, smoothed."""
-        with _one_thread():
+        with one_thread():
             smooth: np.ndarray = self._filter.filter(values)
         return smooth
 
 
 @contextmanager
-def _one_thread() -> Iterator[None]:
+def one_thread() -> Iterator[None]:
+    """Inside, OpenCV has one thread, in all of the program: who has threads of their own that smooth is inside of it, too."""
     before = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:

@@ -77,7 +77,7 @@ def _expected(config: RunConfig, width: int, height: int, train_frames: int, hel
 def expected_memory(width: int, height: int, train_frames: int) -> float:
     """GiB that a whole run needs."""
     megapixels = width * height / 1e6
-    return 0.6 + 5.4 * megapixels + train_frames * megapixels * 0.02
+    return 0.6 + 3.4 * megapixels + train_frames * megapixels * 0.02
 
 
 def stages_of(seconds: Mapping[str, float]) -> dict[str, float]:

@@ -74,6 +74,36 @@ class Flow:
 
 
 @dataclass(frozen=True)
+class StoredFlow:
+    """The same as a ``Flow``, but as its file holds it, in less than half of the memory: what is asked for is made each time.
+
+    Attributes:
+        units: [H, W, 2] int16, displacement in 1/64 pixel.
+        certainty: [H, W] uint8, 255 = certain.
+    """
+
+    i: int
+    j: int
+    units: np.ndarray
+    certainty: np.ndarray
+
+    @property
+    def flow(self) -> np.ndarray:
+        """[H, W, 2] float32, pixels."""
+        return self.units.astype(np.float32) / FLOW_UNIT
+
+    @property
+    def confidence(self) -> np.ndarray:
+        """[H, W] float32 between 0 and 1."""
+        return self.certainty.astype(np.float32) / 255
+
+    @property
+    def trusted(self) -> np.ndarray:
+        """[H, W] bool."""
+        return self.certainty >= TRUSTED * 255
+
+
+@dataclass(frozen=True)
 class Tracks:
     """Points followed over the clip.
 
@@ -257,8 +287,8 @@ class Layers:
         found = sorted((self.folder / "flow").glob("[0-9]*_[0-9]*.npz"))
         return [(int(path.stem.split("_")[0]), int(path.stem.split("_")[1])) for path in found]
 
-    def flow(self, i: int, j: int) -> Flow:
-        """The flow from frame ``i`` to frame ``j``.
+    def stored_flow(self, i: int, j: int) -> StoredFlow:
+        """The flow from frame ``i`` to frame ``j``, as it is stored.
 
         Raises:
             InputError: missing, damaged or of the wrong size.
@@ -267,8 +297,16 @@ class Layers:
         arrays = self._arrays(path, ("flow", "confidence"))
         if arrays["flow"].dtype != np.int16:
             raise InputError(f"{path} is damaged: flow is stored as int16, not as {arrays['flow'].dtype}.")
-        flow = arrays["flow"].astype(np.float32) / FLOW_UNIT
-        return Flow(i, j, flow, arrays["confidence"].astype(np.float32) / 255)
+        return StoredFlow(i, j, arrays["flow"], arrays["confidence"])
+
+    def flow(self, i: int, j: int) -> Flow:
+        """The flow from frame ``i`` to frame ``j``.
+
+        Raises:
+            InputError: missing, damaged or of the wrong size.
+        """
+        stored = self.stored_flow(i, j)
+        return Flow(i, j, stored.flow, stored.confidence)
 
     def write_flow(self, flow: Flow) -> None:
         """Write one pair; displacements beyond 511 px cannot be stored and lose their confidence."""

@@ -28,7 +28,7 @@ from flowsplat.common.files import check_json, make_folder, plain_name, read_jso
 from flowsplat.common.files.json_file import Count, Number, Pixels, Positive, SimilarityFile, Text, Versioned
 from flowsplat.common.progress import say_once
 from flowsplat.geometry import Camera, Similarity
-from flowsplat.scenes.layers import CameraFile, Depth, Flow, Layers, Tracks, read_image, write_image
+from flowsplat.scenes.layers import CameraFile, Depth, Flow, Layers, StoredFlow, Tracks, read_image, write_image
 
 VERSION = 1
 
@@ -247,9 +247,9 @@ class Scene(Layers):
         self._require_training(i)
         return super().depth(i)
 
-    def flow(self, i: int, j: int) -> Flow:
+    def stored_flow(self, i: int, j: int) -> StoredFlow:
         self._require_training(i, j)
-        return super().flow(i, j)
+        return super().stored_flow(i, j)
 
     def mask(self, i: int) -> np.ndarray:
         self._require_training(i)

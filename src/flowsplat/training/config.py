@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import tyro
 
@@ -132,6 +132,9 @@ class TrainConfig:
     """Optimizer steps."""
     frames_per_iteration: int = 1
     """Frames rendered in a step; their losses are averaged. 0 = all (the paper, read literally)."""
+    order: Literal["random", "spread"] = later(before="random", default="spread")
+    """Of the frames in a round: random, or so that those of steps that follow each other lie far apart. What moves is seen in a few
+    neighbouring frames, and so is stepped at even intervals."""
     flow_model: FlowModel = "displacement"
     """How flow is splatted: ``mean`` (the paper), ``displacement`` or ``affine`` (docs/method.md, section 3)."""
     average: float = 0.2
@@ -241,6 +244,7 @@ PRESETS: dict[str, TrainConfig] = {
     "paper": TrainConfig(
         iterations=1500,
         frames_per_iteration=4,
+        order="random",
         flow_model="mean",
         average=0.0,
         model=ModelConfig(),

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from flowsplat.gaussians.observations import Observation, Observations
-from flowsplat.scenes import Flow, Scene
+from flowsplat.scenes import Flow, Scene, StoredFlow
 from flowsplat.scenes.layers import Layers
 from flowsplat.training.config import TrainConfig
 
@@ -37,6 +37,7 @@ def final_config(config: TrainConfig) -> TrainConfig:
 
 def with_heldout(observations: Observations, scene: Scene, layers: Layers) -> Observations:
     """The observations of all frames in order. Depth and masks of held-out frames are unknown, which is: trusted nowhere, empty.
+    Flow leads forwards only: backwards it is of use to a start alone, and here one is there.
 
     Args:
         observations: of the training frames.
@@ -46,11 +47,11 @@ def with_heldout(observations: Observations, scene: Scene, layers: Layers) -> Ob
     known = {frame.frame: frame for frame in observations.frames}
     size, pairs = (scene.height, scene.width), set(layers.flow_pairs)
 
-    def flow(i: int, j: int) -> Flow | None:
+    def flow(i: int, j: int) -> Flow | StoredFlow | None:
         if i in known and j in known:
-            near = known[i].forward if j > i else known[i].backward
+            near = known[i].forward
             return near if near is not None and near.j == j else None
-        return layers.flow(i, j) if (i, j) in pairs else None
+        return layers.stored_flow(i, j) if (i, j) in pairs else None
 
     frames = []
     for i in range(scene.num_frames):
@@ -65,7 +66,7 @@ def with_heldout(observations: Observations, scene: Scene, layers: Layers) -> Ob
             forward=None,
             backward=None,
         )
-        frames.append(replace(frame, forward=flow(i, i + 1), backward=flow(i, i - 1)))
+        frames.append(replace(frame, forward=flow(i, i + 1), backward=None))
     return Observations(frames, observations.similarity)
 
 

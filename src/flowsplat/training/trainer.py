@@ -51,6 +51,12 @@ from flowsplat.training.timing import CheckpointTimes
 RECORD_EVERY = 10
 """Steps that one entry of the history averages over."""
 
+ALONE = 0.01
+"""Share of the dynamic Gaussians that may be without neighbours until the next search, which takes as long as tens of steps."""
+
+GOLDEN = (5**0.5 - 1) / 2
+"""Its multiples, without what is whole of them, are spread most evenly (Knuth, The Art of Computer Programming 3, 6.4)."""
+
 Preview = Callable[[int, Observation, RenderedFrame], None]
 Record = Callable[[dict[str, float]], None]
 Entry = dict[str, float | Tensor]
@@ -189,7 +195,9 @@ class Trainer:
         chosen = []
         for _ in range(count):
             if not self._queue:
-                self._queue = self._rng.permutation(self._round).tolist()
+                count = len(self._round)
+                order = _spread_order(count, self._rng) if self.config.order == "spread" else self._rng.permutation(count)
+                self._queue = self._round[order].tolist()
             chosen.append(self._queue.pop())
         return chosen
 
@@ -412,7 +420,10 @@ class Trainer:
             )  # fmt: skip
             if moved or rested:
                 self._average.restart()
-                self._neighbours = None  # Those that became dynamic have none yet, and are the neighbours of none.
+                # Those that became dynamic have no neighbours yet, and are those of none. A few can wait for the next search.
+                dynamic = self.gaussians.dynamic
+                if self._neighbours is not None and float(self._neighbours.alone[dynamic].float().mean()) > ALONE:
+                    self._neighbours = None
                 say(f"Step {self.step}: {moved:,} background Gaussians turned out to move, {rested:,} moving ones rest.")
         if config.gradient > 0:
             self._adopt(
@@ -428,6 +439,8 @@ class Trainer:
         self._all_rows = None
 
     def _adopt(self, result: DensityResult) -> None:
+        if result.gaussians is self.gaussians:
+            return
         self._adam.reindex(result.index, result.is_new)
         if self._neighbours is not None:
             self._neighbours = self._neighbours.reindex(result.index)
@@ -514,6 +527,11 @@ class Trainer:
         self._neighbours_found = int(values["neighbours_found"])
         self.earlier_seconds = float(values["seconds"])
         self._neighbours = Neighbours(**group("neighbours")) if "neighbours.indices" in tensors else None
+
+
+def _spread_order(count: int, rng: np.random.Generator) -> np.ndarray:
+    """A permutation [count] of which any few in a row lie far apart: multiples of the golden ratio, from a random one on."""
+    return np.argsort(np.argsort((rng.random() + GOLDEN * np.arange(count)) % 1))
 
 
 def _all_rows(gaussians: Gaussians4D) -> Active:

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from flowsplat.geometry import Camera
+from flowsplat.priors.objects import rigid
 from flowsplat.priors.objects.contact import Bound
 from flowsplat.priors.objects.movers import rigid_motions, solve_mover
 from flowsplat.priors.objects.relief import place_points
-from flowsplat.priors.objects.rigid import Observations, _solved, longest, solve_rigid, widest_turn
+from flowsplat.priors.objects.rigid import Observations, _solved, _unpacked, longest, solve_rigid, widest_turn
 
 K = np.array([[300.0, 0, 160], [0, 300.0, 90], [0, 0, 1]])
 FRAMES = 24
@@ -173,11 +174,34 @@ def test_a_long_clip_is_solved_as_well():
     assert np.std(course) < 0.08
 
 
-def test_a_band_is_solved_as_the_whole_matrix():
+def test_points_that_last_for_long_are_several(monkeypatch):
+    pixels, seen, depths = seen_body(body(), 60, 0.2)
+    observations = Observations.of_tracks(pixels, seen, K)
+    whole = observations.in_pieces()
+    np.testing.assert_array_equal(whole.first, observations.first)
+    monkeypatch.setattr(rigid, "_LONGEST", 12)
+    cut = observations.in_pieces()
+    assert observations.points < cut.points <= 4 * observations.points
+    np.testing.assert_array_equal(cut.x, observations.x)
+    for first, last in zip(cut.first, cut.first[1:], strict=False):
+        assert 0 < cut.frame_of[last - 1] - cut.frame_of[first] + 1 <= 12
+        assert (np.diff(cut.frame_of[first:last]) > 0).all()
+    crossed = {t for first, last in zip(cut.first, cut.first[1:], strict=False) for t in cut.frame_of[first + 1 : last]}
+    assert crossed == set(range(1, FRAMES)), "no frame at which all are cut"
+    motion = solve_rigid(cut)
+    assert motion is not None
+    assert motion.inliers > 0.95
+    assert np.std(motion.log_depths() - np.log(depths)) < 0.03
+
+
+@pytest.mark.parametrize("band", [12, 24, 50])
+def test_a_band_is_solved_as_the_whole_matrix(band):
     rng = np.random.default_rng(0)
-    size, band = 60, 12
+    size = 60
     H = np.triu(np.tril(rng.normal(size=(size, size)), band - 1), 1 - band)
-    H = H + H.T + 40 * np.eye(size)
-    b = rng.normal(size=size)
-    np.testing.assert_allclose(_solved(H, b, band), np.linalg.solve(H, b), atol=1e-9)
-    np.testing.assert_allclose(_solved(H, b, size), np.linalg.solve(H, b), atol=1e-9)
+    H = H + H.T + 60 * np.eye(size)
+    packed, b = np.zeros((size, band)), rng.normal(size=size)
+    for d in range(band):
+        packed[: size - d, d] = np.diag(H, d)
+    np.testing.assert_array_equal(_unpacked(packed), H)
+    np.testing.assert_allclose(_solved(packed, b), np.linalg.solve(H, b), atol=1e-9)

@@ -9,7 +9,7 @@ whose picture holds the place.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -32,6 +32,7 @@ from flowsplat.common.simd import (
     where_at_least,
     whole,
 )
+from flowsplat.common.threads import computed_once
 from flowsplat.geometry import Camera
 from flowsplat.priors.background.bits import packed
 from flowsplat.priors.background.matched_clip import MatchedClip
@@ -55,31 +56,51 @@ _MARGIN = WINDOW
 """Numbers before and after a row, so that what lies beside the picture can be loaded; of costs they are 0: no vote."""
 
 
-def features(picture: np.ndarray) -> np.ndarray:
-    """Red, green, blue and size of the gradient [H, W, 4] float32 of a picture [H, W, 3] uint8."""
-    grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY).astype(np.float32)
-    across, down = cv2.Sobel(grey, cv2.CV_32F, 1, 0) / 4, cv2.Sobel(grey, cv2.CV_32F, 0, 1) / 4
-    return np.dstack([picture.astype(np.float32), np.hypot(across, down)])
+@dataclass(frozen=True)
+class View:
+    """What a frame shows, in eight bytes a pixel.
+
+    Attributes:
+        words: [H, W] red, green, blue, and whether something moves there, which says nothing of the still scene (``packed``).
+        slopes: [H, W] float32, size of the gradient of its grey.
+    """
+
+    words: np.ndarray
+    slopes: np.ndarray
+
+    @staticmethod
+    def of(picture: np.ndarray, moving: np.ndarray) -> View:
+        """Of a picture [H, W, 3] uint8 and what moves in it [H, W] bool."""
+        grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY).astype(np.float32)
+        across, down = cv2.Sobel(grey, cv2.CV_32F, 1, 0) / 4, cv2.Sobel(grey, cv2.CV_32F, 0, 1) / 4
+        return View(packed(picture[None], moving[None])[0], np.hypot(across, down))
+
+    @property
+    def features(self) -> np.ndarray:
+        """Red, green, blue and size of the gradient [H, W, 4] float32."""
+        bits = self.words.view(np.uint32)
+        return np.dstack([*((bits >> shift & 255).astype(np.float32) for shift in (0, 8, 16)), self.slopes])
 
 
 def refine_edges(
-    inverse: np.ndarray, still: np.ndarray, picture: np.ndarray, camera: Camera, pictures: np.ndarray, moving: np.ndarray,
-    cameras: Sequence[Camera], doubted: np.ndarray | None = None,
+    inverse: np.ndarray, still: np.ndarray, view: View, camera: Camera, others: Sequence[View], cameras: Sequence[Camera],
+    doubted: np.ndarray | None = None,
 ) -> np.ndarray:  # fmt: skip
     """Inverse depth [H, W] float32 with its jumps where the pictures have them.
 
     Args:
         inverse: [H, W] float32, positive.
         still: [H, W] bool, pixels that may change.
-        picture: features [H, W, 4] of the frame.
-        pictures: [J, H, W, 4] those of other frames.
-        moving: [J, H, W] bool, where these show something that moves, which says nothing of the still scene.
-        cameras: [J] of these, at least one.
+        view: the frame.
+        camera: of the frame.
+        others: other frames, at least one.
+        cameras: of these.
         doubted: [H, W] bool, the only pixels that are asked about; None = all near a jump.
     """
     poses = np.array([other.pose_from(camera) for other in cameras], np.float32).reshape(-1, 3, 4)
     intrinsics = np.array([c.intrinsics for c in [camera, *cameras]], np.float32)
-    words, slopes = packed(pictures, moving), np.ascontiguousarray(pictures[..., 3])
+    words, slopes = np.stack([other.words for other in others]), np.stack([other.slopes for other in others])
+    picture = view.features
     for _ in range(ROUNDS):
         around = [cv2.getStructuringElement(cv2.MORPH_RECT, (2 * reach + 1, 2 * reach + 1)) for reach in REACHES]
         far, close = [cv2.erode(inverse, each) for each in around], [cv2.dilate(inverse, each) for each in around]
@@ -87,6 +108,8 @@ def refine_edges(
         asked = still & (close[-1] - far[-1] > JUMP * inverse)
         if doubted is not None:
             asked &= doubted
+        if not asked.any():
+            break
         near = cv2.dilate(asked.astype(np.uint8), np.ones((2 * WINDOW + 1, 2 * WINDOW + 1), np.uint8)) > 0
         every = np.stack(proposed)
         costs = _costs(every, near, picture, words, slopes, intrinsics, poses)
@@ -95,11 +118,11 @@ def refine_edges(
 
 
 class EdgeRefiner:
-    """Refines the frames of a clip one after the other."""
+    """Refines the frames of a clip one after the other, or a few at once; those it is asked for lie up to ``room`` apart."""
 
-    def __init__(self, clip: MatchedClip, has_masks: bool):
+    def __init__(self, clip: MatchedClip, has_masks: bool, room: int):
         self._clip, self._has_masks = clip, has_masks
-        self._seen = lru_cache(maxsize=2 * OFFSETS[-1] + 2)(self._see)
+        self._seen = computed_once(self._see, 2 * OFFSETS[-1] + room)
 
     def __call__(self, k: int, inverse: np.ndarray, doubted: np.ndarray | None = None) -> np.ndarray:
         """Inverse depth [H, W] float32 of training frame k at full size, with its jumps where the pictures have them.
@@ -111,17 +134,15 @@ class EdgeRefiner:
         if not others:
             return inverse
         cameras = [scene.cameras[scene.train_frames[j]] for j in (k, *others)]
-        (picture, _, moving), seen = self._seen(k), [self._seen(j) for j in others]
-        return refine_edges(
-            inverse, ~moving, picture, cameras[0], np.stack([each[0] for each in seen]), np.stack([each[1] for each in seen]),
-            cameras[1:], doubted,
-        )  # fmt: skip
+        (view, moving), seen = self._seen(k), [self._seen(j)[0] for j in others]
+        return refine_edges(inverse, ~moving, view, cameras[0], seen, cameras[1:], doubted)
 
-    def _see(self, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Features of a frame, movers and what is close to them, and movers."""
+    def _see(self, k: int) -> tuple[View, np.ndarray]:
+        """A frame, where movers and what is close to them say nothing, and movers [H, W] bool."""
         scene, i = self._clip.scene, self._clip.scene.train_frames[k]
         moving = scene.mask(i) > 0 if self._has_masks else np.zeros((scene.height, scene.width), bool)
-        return features(scene.frame(i)), cv2.dilate(moving.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0, moving
+        near = cv2.dilate(moving.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+        return View.of(scene.frame(i), near), moving
 
 
 @njit(inline="always", **OPTIONS)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import lru_cache
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 
 import cv2
 import numpy as np
 
+from flowsplat.common.threads import computed_once
 from flowsplat.geometry import Camera
 from flowsplat.priors.background.agreement import agreed
 from flowsplat.priors.background.edges import EdgeRefiner
@@ -28,22 +29,36 @@ Planes = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 class RefinedDepth:
-    """That of the frames of a clip. It is fastest if these are asked for one after the other."""
+    """That of the frames of a clip. It is fastest if these are asked for one after the other (``walk``)."""
 
     def __init__(self, clip: MatchedClip, background: StaticDepth, has_masks: bool):
         self._clip, self._background, self._has_masks = clip, background, has_masks
-        self._edges = EdgeRefiner(clip, has_masks)
-        self._moving = lru_cache(maxsize=2 * VOTERS[-1] + 2)(self._find_moving)
+        self._edges = EdgeRefiner(clip, has_masks, ROUNDS * (VOTERS[-1] + 4))
+        self._moving = computed_once(self._find_moving, 2 * VOTERS[-1] + 4)
         depth: Callable[[int], Planes] = self._coarse
+        self._rounds: list[Callable[[int], Planes]] = []
         for n in range(ROUNDS if clip.has_parallax else 0):
             # The first frame of a later round asks for frames ahead that ask for frames ahead of theirs.
-            kept = 2 * (ROUNDS - n) * VOTERS[-1] + 2
-            depth = lru_cache(maxsize=kept)(self._agreed(lru_cache(maxsize=kept)(self._sharpened(depth, first=n == 0))))
+            kept = 2 * (ROUNDS - n) * VOTERS[-1] + 4
+            self._rounds.append(computed_once(self._sharpened(depth, first=n == 0), kept))
+            depth = computed_once(self._agreed(self._rounds[n]), kept)
         self._depth = depth
 
     def __call__(self, k: int) -> Planes:
         """Inverse depth of the still scene in training frame ``k``, behind movers, too, and how sure it is: see ``Planes``."""
         return self._depth(k)
+
+    def walk(self, then: Callable[[int], None], frames: Sequence[int]) -> Iterator[Callable[[], object]]:
+        """What to do, one after the other or a few at once, to do ``then`` with these frames: first what others ask of it."""
+        ahead, rounds = VOTERS[-1] + 1, len(self._rounds)
+        first, last = frames[0], frames[-1]
+        for step in range(first - 2 * rounds * ahead, last + 1):
+            for n, work in enumerate(self._rounds):
+                reach, k = (rounds - n) * VOTERS[-1], step + (rounds - n) * ahead
+                if max(first - reach, 0) <= k <= min(last + reach, len(self._clip) - 1):
+                    yield partial(work, k)
+            if step in frames:
+                yield partial(then, step)
 
     def _coarse(self, k: int) -> Planes:
         scene = self._clip.scene

@@ -46,7 +46,7 @@ def _carry(
     _splat(inverse_depth, weight, np.array([camera.intrinsics, to.intrinsics]), to.pose_from(camera), out, out_weight)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _splat(
     inverse: np.ndarray, weight: np.ndarray, intrinsics: np.ndarray, pose: np.ndarray, out: np.ndarray, out_weight: np.ndarray
 ) -> None:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import Protocol
 
 import cv2
 import numpy as np
 
 from flowsplat.common.spread import spread
+from flowsplat.common.threads import computed_once
 from flowsplat.geometry import Camera
 from flowsplat.priors.background.fill import fill
 from flowsplat.priors.background.fuse import fuse
@@ -123,12 +123,12 @@ class Background:
     def __init__(self, clip: MatchedClip, has_masks: bool):
         self.median = clip.median
         self._clip, self._has_masks = clip, has_masks
-        self._own = lru_cache(maxsize=2 * FUSED_WITH[-1] + 2)(self._weighed)
-        self._uncovered = lru_cache(maxsize=1)(self._uncover)
+        self._own = computed_once(self._weighed, 2 * FUSED_WITH[-1] + 4)
+        self._uncovered = computed_once(self._uncover, 8)
         # Movers are placed, and then drawn, on two walks over the clip.
-        self._plates = lru_cache(maxsize=len(clip))(self._plate)
-        self._witnessed = lru_cache(maxsize=len(clip))(self._witness)
-        self._fused = lru_cache(maxsize=_KEPT)(self._fuse)
+        self._plates = computed_once(self._plate, len(clip))
+        self._witnessed = computed_once(self._witness, len(clip))
+        self._fused = computed_once(self._fuse, _KEPT)
 
     def mask(self, k: int) -> np.ndarray:
         """Object numbers [h, w]; all 0 where there are no masks yet."""

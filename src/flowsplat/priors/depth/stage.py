@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 
 from flowsplat.common.progress import track
+from flowsplat.common.threads import in_threads
+from flowsplat.pictures.edge_smoothing import one_thread
 from flowsplat.priors.background.fill import upsample
 from flowsplat.priors.background.longflow import STRIDES
 from flowsplat.priors.background.matched_clip import MatchedClip
@@ -51,9 +54,16 @@ def depth_stage(
     background = static[1] if static else static_depth(clip, has_masks)
     movers = load_movers(scene)
     refined = RefinedDepth(clip, background, has_masks)
-    for k, i in enumerate(track(scene.train_frames, "Depth")):
-        if not scene.has_depth(i):
-            scene.write_depth(i, _frame_depth(clip, background, movers, refined, has_masks, k))
+
+    def written(k: int) -> None:
+        scene.write_depth(scene.train_frames[k], _frame_depth(clip, background, movers, refined, has_masks, k))
+
+    missing = [k for k, i in enumerate(scene.train_frames) if not scene.has_depth(i)]
+    if missing:
+        work = list(refined.walk(written, missing))
+        with one_thread():
+            for _ in in_threads(lambda do: do(), track(work, "Depth"), numba.get_num_threads()):
+                pass
     method = "multi-view" if clip.has_parallax else "guess"
     share, static_share = trusted_shares(scene)
     if clip.has_parallax:

@@ -11,10 +11,13 @@ nearest plate speak for all.
 from __future__ import annotations
 
 import cv2
+import numba
 import numpy as np
 from scipy.ndimage import gaussian_filter1d, percentile_filter
 
 from flowsplat.common.progress import track
+from flowsplat.common.threads import in_threads
+from flowsplat.pictures.edge_smoothing import one_thread
 from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.static_depth import StaticDepth
 from flowsplat.scenes.layers import TRUSTED
@@ -100,28 +103,32 @@ def _smooth_piece(cards: np.ndarray, growths: np.ndarray) -> np.ndarray:
 
 def cards_of(clip: MatchedClip, background: StaticDepth) -> dict[int, np.ndarray]:
     """Smoothed inverse depth [T] of every object over the training frames."""
+    def seen(k: int) -> tuple[dict[int, float], dict[int, float], dict[int, float]]:
+        """The card of every object in a frame, and how much larger it is in the frame before and in the next one."""
+        mask = clip.mask(k)
+        numbers = [int(number) for number in np.unique(mask[mask > 0])]
+        here = {number: card(mask == number, background.foremost(k)) for number in numbers}
+        return here, _growths(clip, k, k - 1, mask), _growths(clip, k, k + 1, mask)
+
+    with one_thread():
+        found = list(in_threads(seen, track(range(len(clip)), "Depth of movers"), numba.get_num_threads()))
     cards: dict[int, np.ndarray] = {}
     growths: dict[int, np.ndarray] = {}
-    ahead: dict[int, float] = {}
-    for k in track(range(len(clip)), "Depth of movers"):
-        mask = clip.mask(k)
-        if not mask.any():
-            ahead = {}
-            continue
-        front, back, before = background.foremost(k), _growths(clip, k, k - 1, mask), ahead
-        ahead = _growths(clip, k, k + 1, mask)
-        for number in map(int, np.unique(mask[mask > 0])):
-            cards.setdefault(number, np.full(len(clip), np.nan))[k] = card(mask == number, front)
+    before: dict[int, float] = {}
+    for k, (here, back, ahead) in enumerate(found):
+        for number, value in here.items():
+            cards.setdefault(number, np.full(len(clip), np.nan))[k] = value
             both = growths.setdefault(number, np.zeros(len(clip)))
             if number in before and number in back:
                 both[k] = (before[number] - back[number]) / 2
+        before = ahead
     pieces = np.asarray(clip.continuity.pieces)
     return {number: smooth_cards(values, growths[number], pieces) for number, values in cards.items()}
 
 
 def _growths(clip: MatchedClip, k: int, j: int, mask: np.ndarray) -> dict[int, float]:
     """Logarithm of how much larger the objects of training frame ``k`` are in its neighbour ``j``."""
-    if not 0 <= j < len(clip) or not clip.continuity.joined(k, j):
+    if not mask.any() or not 0 <= j < len(clip) or not clip.continuity.joined(k, j):
         return {}
     flow, confidence = clip.step_flow(k, j)
     return {int(number): growth(mask == number, flow, confidence) for number in np.unique(mask[mask > 0])}

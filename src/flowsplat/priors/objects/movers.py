@@ -133,7 +133,7 @@ def rigid_motions(positions: np.ndarray, inside: np.ndarray, K: np.ndarray) -> t
 
     def solved(rows: np.ndarray, most: int) -> RigidMotion | None:
         chosen = rows[longest(inside[rows], most)]
-        return solve_rigid(Observations.of_tracks(positions[chosen], inside[chosen], K))
+        return solve_rigid(Observations.of_tracks(positions[chosen], inside[chosen], K).in_pieces())
 
     every = np.arange(len(inside))
     found = [(whole, most) for most in PER_FRAME if (whole := solved(every, most)) is not None]

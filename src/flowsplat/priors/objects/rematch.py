@@ -119,7 +119,7 @@ def rematched(
         # Frames in which few are found keep their tracks, and those link them to the others.
         helping = (inside & (counts.sum(0) < ENOUGH)).any(1)
         found, counts = np.concatenate([found, positions[helping]]), np.concatenate([counts, inside[helping]])
-        observations = Observations.of_tracks(found, counts, K)
+        observations = Observations.of_tracks(found, counts, K).in_pieces()
         motion = refine_rigid(motion, observations, rough_points(motion, observations))
         result = motion, found, counts
     return result

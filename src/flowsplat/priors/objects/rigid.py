@@ -7,11 +7,11 @@ points eliminated (Schur complement), grown frame by frame from the one with the
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
-from scipy.linalg import solveh_banded
+from scipy.linalg import cho_factor, cho_solve, solveh_banded
 
 RESIDUAL_WIDTH = 1.0
 """Pixels: an observation this far off has half its weight (Cauchy)."""
@@ -32,8 +32,11 @@ _GROW_ITERATIONS, _FINAL_ITERATIONS, _POSE_ITERATIONS = 4, 30, 8
 _ADJUST_EVERY, _ADJUST_SHARE = 4, 0.05
 """While it grows, a solution is adjusted when it has so many more frames, or this share more: all of it each time."""
 _DAMPING_TRIES = 5
-_BANDED = 3
+_BANDED = 1.5
 """Times the width of its band that a system is large at least to be solved as one."""
+_LONGEST, _STAGGER = 100, 61
+"""Frames over which a track counts as one point; a longer one is two or more. One that lasts for all of a long clip would join
+all of its poses, and time grow with the cube of their number. Where one is cut, and by how many frames later the next one."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +74,20 @@ class Observations:
         first = np.searchsorted(point, np.arange(len(seen) + 1))
         x = (positions[point, frame].astype(np.float64) - K[:2, 2]) / [K[0, 0], K[1, 1]]
         return Observations(first, frame, np.ascontiguousarray(x), seen.shape[1], float(K[0, 0]))
+
+    def in_pieces(self) -> Observations:
+        """The same, with points that were seen over more than ``_LONGEST`` frames as several.
+
+        Each is cut at frames of its own: poses on either side of a cut are known relative to each other by all others.
+        """
+        point = self.point_of
+        since = self.frame_of - self.frame_of[self.first[point]]
+        cut_from = np.zeros(self.points, np.int64)
+        late = point[since >= _LONGEST]
+        cut_from[late] = _STAGGER * late % _LONGEST
+        piece = (since + cut_from[point]) // _LONGEST
+        starts = np.flatnonzero(np.diff(self.point_of, prepend=-1) | np.diff(piece, prepend=0))
+        return replace(self, first=np.append(starts, len(self.x)))
 
 
 @dataclass(frozen=True)
@@ -146,11 +163,13 @@ def pose_information(motion: RigidMotion) -> tuple[np.ndarray, np.ndarray]:
     place = np.full(o.frames, -1)
     place[frames] = np.arange(len(frames))
     turns, shifts = motion.turns[frames], motion.shifts[frames]
+    prior = _unevenness(turns, shifts)[0]
     H = _reduced_system(
         turns, shifts, motion.points, o.first, place[o.frame_of], o.x, motion.known, o.focal, RESIDUAL_WIDTH,
-        RELIEF_RIDGE / motion.size**2, 0.0,
+        RELIEF_RIDGE / motion.size**2, 0.0, _reach(o.first, place[o.frame_of], motion.known),
     )[0]  # fmt: skip
-    return frames, H + _unevenness(turns, shifts)[0]
+    H[:, : prior.shape[1]] += prior
+    return frames, _unpacked(H)
 
 
 def longest(seen: np.ndarray, most: int = PER_FRAME) -> np.ndarray:
@@ -263,16 +282,16 @@ class _Solver:
         turns, shifts, points = self._turns[frames], self._shifts[frames], self._points
         ridge = RELIEF_RIDGE / self._size**2
         fixed = o.first, place[o.frame_of], o.x, self._known, o.focal, RESIDUAL_WIDTH, ridge
-        band = 6 * (_reach(o.first, place[o.frame_of], self._known) + 1)
+        reach = _reach(o.first, place[o.frame_of], self._known)
         damping, cost = 1e-3, _cost(turns, shifts, points, *fixed) + _unevenness(turns, shifts)[2]
         for _ in range(iterations):
             prior, pull, _ = _unevenness(turns, shifts)
             after = np.inf
             for _ in range(_DAMPING_TRIES):
-                H, b, own, inverses, gradients, links = _reduced_system(turns, shifts, points, *fixed, damping)
-                H += prior
-                H.reshape(-1)[:: len(H) + 1] += damping * (own + np.diag(prior)) + 1e-9
-                step = _solved(H, b + pull, band)
+                H, b, own, inverses, gradients, links = _reduced_system(turns, shifts, points, *fixed, damping, reach)
+                H[:, : prior.shape[1]] += prior
+                H[:, 0] += damping * (own + prior[:, 0]) + 1e-9
+                step = _solved(H, b + pull)
                 moved = _moved_points(points, step, o.first, fixed[1], inverses, gradients, links, self._known)
                 new_turns = _turned(turns, step)
                 new_shifts = shifts + step.reshape(-1, 6)[:, 3:]
@@ -309,17 +328,15 @@ class _Solver:
         )
 
 
-def _solved(H: np.ndarray, b: np.ndarray, band: int) -> np.ndarray:
-    """The solution of H x = b, H symmetric and positive, 0 where column and row are ``band`` or more apart."""
-    if _BANDED * band > len(H):
-        return np.linalg.solve(H, b)
-    lower = np.zeros((band, len(H)))
-    for k in range(band):
-        lower[k, : len(H) - k] = H.reshape(-1)[k * len(H) :: len(H) + 1][: len(H) - k]
+def _solved(H: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The solution of H x = b, H symmetric and positive, as a band: [n, w] holds its entries (i, i + d)."""
+    n, band = H.shape
     try:
-        return np.asarray(solveh_banded(lower, b, lower=True, overwrite_ab=True, check_finite=False))
+        if _BANDED * band > n:
+            return np.asarray(cho_solve(cho_factor(_unpacked(H), overwrite_a=True, check_finite=False), b, check_finite=False))
+        return np.asarray(solveh_banded(H.T, b, lower=True, check_finite=False))
     except np.linalg.LinAlgError:  # It is positive but for rounding.
-        return np.linalg.solve(H, b)
+        return np.linalg.solve(_unpacked(H), b)
 
 
 def _radius(x: np.ndarray) -> float:
@@ -327,7 +344,7 @@ def _radius(x: np.ndarray) -> float:
 
 
 def _unevenness(turns: np.ndarray, shifts: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """Prior of even motion as normal equations [6F, 6F], [6F] and cost: second differences of poses, weighed ``SMOOTHNESS``."""
+    """Prior of even motion as normal equations, a band [6F, 13] and [6F], and cost: second differences, weighed ``SMOOTHNESS``."""
     return _second_differences(turns, shifts, SMOOTHNESS)
 
 
@@ -355,7 +372,7 @@ def _turned(turns: np.ndarray, step: np.ndarray) -> np.ndarray:
 @njit(cache=True)
 def _second_differences(turns: np.ndarray, shifts: np.ndarray, weight: float) -> tuple[np.ndarray, np.ndarray, float]:
     F = len(turns)
-    A, b, cost = np.zeros((6 * F, 6 * F)), np.zeros(6 * F), 0.0
+    A, b, cost = np.zeros((6 * F, 13)), np.zeros(6 * F), 0.0
     c, r = np.array([1.0, -2.0, 1.0]), np.zeros(6)
     for i in range(1, F - 1):
         D = (turns[i + 1] @ turns[i].T) @ (turns[i] @ turns[i - 1].T).T
@@ -366,8 +383,8 @@ def _second_differences(turns: np.ndarray, shifts: np.ndarray, weight: float) ->
             cost += weight * r[d] * r[d]
             for p in range(3):
                 b[6 * (i + p - 1) + d] -= weight * c[p] * r[d]
-                for q in range(3):
-                    A[6 * (i + p - 1) + d, 6 * (i + q - 1) + d] += weight * c[p] * c[q]
+                for q in range(p, 3):
+                    A[6 * (i + p - 1) + d, 6 * (q - p)] += weight * c[p] * c[q]
     return A, b, cost
 
 
@@ -419,16 +436,17 @@ def _cost(
 @njit(cache=True)
 def _reduced_system(
     turns: np.ndarray, shifts: np.ndarray, points: np.ndarray, first: np.ndarray, frame_of: np.ndarray, x: np.ndarray,
-    known: np.ndarray, focal: float, width: float, ridge: float, damping: float,
+    known: np.ndarray, focal: float, width: float, ridge: float, damping: float, reach: int,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
-    """Normal equations of the poses with the points eliminated.
+    """Normal equations of the poses with the points eliminated. ``reach``: as from ``_reach``.
 
     Returns:
-        H [6F, 6F], b [6F]; the diagonal [6F] of the poses' own block; and to get the points' steps: inverse [N, 3, 3] of
-        each point's block, its right side [N, 3], and the block [M, 3, 6] between the point and the pose of an observation.
+        H, of whose row i [6F, 6 (reach + 1)] holds the columns from i on, b [6F]; the diagonal [6F] of the poses' own block;
+        and to get the points' steps: inverse [N, 3, 3] of each point's block, its right side [N, 3], and the block [M, 3, 6]
+        between the point and the pose of an observation.
     """
     F, N, M = len(turns), len(points), len(x)
-    H, b, own = np.zeros((6 * F, 6 * F)), np.zeros(6 * F), np.zeros(6 * F)
+    H, b, own = np.zeros((6 * F, 6 * (reach + 1))), np.zeros(6 * F), np.zeros(6 * F)
     inverses, gradients, links = np.zeros((N, 3, 3)), np.zeros((N, 3)), np.zeros((M, 3, 6))
     r, J, B = np.zeros(2), np.zeros((2, 6)), np.zeros((2, 3))
     V, WV = np.zeros((3, 3)), np.zeros((6, 3))
@@ -447,8 +465,8 @@ def _reduced_system(
             u = 1.0 / (1.0 + (r[0] * r[0] + r[1] * r[1]) / width**2)
             for i in range(6):
                 b[6 * t + i] -= u * (J[0, i] * r[0] + J[1, i] * r[1])
-                for j in range(6):
-                    H[6 * t + i, 6 * t + j] += u * (J[0, i] * J[0, j] + J[1, i] * J[1, j])
+                for j in range(i, 6):
+                    H[6 * t + i, j - i] += u * (J[0, i] * J[0, j] + J[1, i] * J[1, j])
                 for j in range(3):
                     links[m, j, i] = u * (J[0, i] * B[0, j] + J[1, i] * B[1, j])
             for i in range(3):
@@ -459,7 +477,7 @@ def _reduced_system(
             V[d, d] *= 1 + damping
         inverses[n] = np.linalg.inv(V)
     for d in range(6 * F):
-        own[d] = H[d, d]
+        own[d] = H[d, 0]
     for n in range(N):
         if not known[n]:
             continue
@@ -478,12 +496,20 @@ def _reduced_system(
                     continue
                 for i in range(6):
                     w0, w1, w2 = WV[i, 0], WV[i, 1], WV[i, 2]
-                    for j in range(6):
-                        H[6 * t + i, 6 * s + j] -= w0 * links[k, 0, j] + w1 * links[k, 1, j] + w2 * links[k, 2, j]
-    for i in range(6 * F):
-        for j in range(i):
-            H[i, j] = H[j, i]
+                    for j in range(i if s == t else 0, 6):
+                        H[6 * t + i, 6 * (s - t) + j - i] -= w0 * links[k, 0, j] + w1 * links[k, 1, j] + w2 * links[k, 2, j]
     return H, b, own, inverses, gradients, links
+
+
+@njit(cache=True)
+def _unpacked(H: np.ndarray) -> np.ndarray:
+    """The whole symmetric matrix [n, n] of a band [n, w]."""
+    n, band = H.shape
+    whole = np.zeros((n, n))
+    for i in range(n):
+        for d in range(min(band, n - i)):
+            whole[i, i + d] = whole[i + d, i] = H[i, d]
+    return whole
 
 
 @njit(cache=True)

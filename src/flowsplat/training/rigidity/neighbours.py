@@ -32,6 +32,11 @@ class Neighbours:
     def __len__(self) -> int:
         return len(self.indices)
 
+    @property
+    def alone(self) -> Tensor:
+        """[N] bool: they have none."""
+        return (self.indices < 0).all(1)
+
     @cached_property
     def incoming(self) -> tuple[Tensor, Tensor]:
         """The pairs the other way round: offsets [N + 1] int64 into pairs int32, which number the entries of ``indices``.
@@ -72,6 +77,7 @@ def find_neighbours(
     frames = torch.as_tensor(np.asarray(times, np.float32), device=device)
     middles = 0.5 * (frames[1:] + frames[:-1])
     nearest = torch.bucketize(gaussians.params["times"], middles)
+    needed = ["means", "times", *gaussians.motion.parameters]  # What they look like, which is half of what they are, is no matter.
     for frame, t in enumerate(times):
         active = gaussians.active(t)
         rows = active.rows[active.num_static :]
@@ -80,7 +86,7 @@ def find_neighbours(
         wanted = nearest[rows] == frame
         if len(rows) < 2 or not bool(wanted.any()):
             continue
-        chosen = {name: value[rows] for name, value in gaussians.params.items()}
+        chosen = {name: gaussians.params[name][rows] for name in needed}
         means = gaussians.motion.state(chosen, t).means.cpu().numpy()
         found = min(k, len(rows) - 1)
         distances, others = cKDTree(means).query(means[wanted.cpu().numpy()], k=found + 1, workers=-1)

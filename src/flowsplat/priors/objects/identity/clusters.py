@@ -345,7 +345,7 @@ class _Clusters:
             return False
         seen = self._part > 0
         larger = members[0][longest(seen[members[0]])]
-        motion = solve_rigid(Observations.of_tracks(self._points[larger], seen[larger], K))
+        motion = solve_rigid(Observations.of_tracks(self._points[larger], seen[larger], K).in_pieces())
         # What only shifts explains all that shifts alike, at some depth.
         if motion is None or motion.inliers < EXPLAINED or motion.widest_turn() < RIGID_TURN:
             return False
