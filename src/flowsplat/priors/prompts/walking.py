@@ -12,7 +12,7 @@ from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.geometry.interpolation import sample_map
 from flowsplat.pictures.edge_smoothing import EdgeSmoother
 from flowsplat.priors.masks.colours import Colours, look_up
-from flowsplat.priors.prompts.cutting import COLOUR_SIGMA, FULL_COLOUR, OF_COLOUR, SMOOTHNESS, corrected, cut_out
+from flowsplat.priors.prompts.cutting import COLOUR_SIGMA, FULL_COLOUR, OF_COLOUR, SMOOTHNESS, corrected, cut_out, taken_away
 from flowsplat.priors.prompts.grabcut import BAND, snapped
 from flowsplat.priors.prompts.parsing import Prompt
 from flowsplat.scenes import Scene
@@ -74,6 +74,8 @@ class Walk:
         shown: list[int] = []
         for prompt in self.prompts:
             start = frames.index(prompt.frame)
+            if not (prompt.clicks or prompt.box or taken_away(prompt, parts[start].mask)):
+                continue  # It was meant of another object: this one stays as it is, to the bit.
             parts[start] = self._shown(prompt, start, parts[start].mask if shown else None)
             for steps in (range(start + 1, len(frames)), range(start - 1, -1, -1)):
                 before = start
