@@ -226,6 +226,22 @@ def test_the_same_prompts_give_the_same_masks(scene: Scene):
     assert first[0].shape == (HEIGHT, WIDTH)
 
 
+def test_what_is_beside_one_object_leaves_the_others_as_they_are(scene: Scene):
+    evidence = [np.where(scene.truth.mask(i) > 0, 4, -4).astype(np.float32) for i in scene.train_frames]
+    for e in evidence:
+        e[60:78, 100:124] = 4  # moves, where the picture has no edge: cut out anew it would be another
+    click, far, on = (112.0, 69.0), (20.0, 8.0), (112.0, 69.0)
+
+    def masks(*prompts: Prompt) -> np.ndarray:
+        return np.stack([part.mask for part in Walk(scene, prompts, evidence).parts()])
+
+    alone = masks(Prompt(0, (click,)))
+    np.testing.assert_array_equal(alone, masks(Prompt(0, (click,), None, (far,)), Prompt(8, (), None, (far,))))
+    k = scene.train_frames.index(8)
+    assert alone[k, 69, 112]
+    assert not masks(Prompt(0, (click,)), Prompt(8, (), None, (on,)))[k, 69, 112]
+
+
 def test_what_leaves_the_picture_is_gone(tmp_path: Path):
     scene = Scene.create(tmp_path, name="s", source="", width=96, height=64, timestamps=range(6), holdout=None, source_fps=1)
     wall, body = texture(0, 96, 64), texture(1, 30, 30)

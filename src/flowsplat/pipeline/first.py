@@ -20,6 +20,7 @@ from flowsplat.common.devices import pick_device
 from flowsplat.common.progress import as_one, say
 from flowsplat.gaussians.observations import load_observations
 from flowsplat.output.videos import RenderOptions, render_videos
+from flowsplat.output.viewer.source import FIRST
 from flowsplat.pictures.colors import float_to_bytes
 from flowsplat.pictures.sheets import preview_sheet
 from flowsplat.pipeline.folder import RunFolder, stage_key
@@ -34,7 +35,6 @@ from flowsplat.training.config import PRESETS, TrainConfig
 from flowsplat.training.scene_model import scene_model
 from flowsplat.training.trainer import Trainer
 
-STAGE = "first"
 FRAMES = 24
 """Frames that it is made from, at most."""
 APART = 0.2
@@ -110,15 +110,15 @@ def first_scene(folder: RunFolder, clip: Clip) -> None:
 
     Writes ``first/scene``, ``first/model``, ``first/renders`` and the run's ``preview.png``.
     """
-    where = folder.path / STAGE
+    where = folder.path / FIRST
     settings = first_settings()
     key = stage_key(folder.fingerprint, FRAMES, APART, LONG_SIDE, settings)
-    if folder.is_finished(STAGE, key) and has_model(where / "model"):
+    if folder.is_finished(FIRST, key) and has_model(where / "model"):
         return
-    if not folder.was_started(STAGE, key):
-        folder.forget(STAGE)
+    if not folder.was_started(FIRST, key):
+        folder.forget(FIRST)
         shutil.rmtree(where, ignore_errors=True)
-    folder.start(STAGE, key)
+    folder.start(FIRST, key)
     started = time.perf_counter()
     coarse = CoarseClip.of(clip, folder.config.input.holdout)
     device = pick_device(folder.config.device)
@@ -129,7 +129,7 @@ def first_scene(folder: RunFolder, clip: Clip) -> None:
     except Exception as error:  # Nothing depends on it: whatever it fails of, memory too, the run goes on.
         say(f"There is no first scene: {error or type(error).__name__}")
         return
-    folder.finish(STAGE, key, {STAGE: time.perf_counter() - started})
+    folder.finish(FIRST, key, {FIRST: time.perf_counter() - started})
     say(f"Look at it: flowsplat view {folder.path}, or {where / 'renders'}. It is coarse: the scene proper takes its place.")
 
 

@@ -42,7 +42,7 @@ class Loaded:
 
 
 FIRST = "first"
-"""Folder of the coarse scene in that of a run."""
+"""Folder of the coarse scene in that of a run, and the stage that makes it."""
 _OF_SCENE = ("path", "_inner_path", "step", "tracks", "scales")
 """What is kept of a scene."""
 

@@ -23,7 +23,7 @@ from flowsplat.priors.masks.numbers import number_objects
 from flowsplat.priors.masks.plate import CleanPlate
 from flowsplat.scenes import Scene
 
-DIFFERS = 1.8
+DIFFERS = 1.7
 """Multiples of its noise at which a difference from the plate is evidence of neither motion nor rest."""
 
 STRONGEST = 2.5
@@ -32,7 +32,7 @@ STRONGEST = 2.5
 OF_MOTION, FULL_MOTION = 0.6, 8.0
 """Largest evidence of rest that motion gives, and the summed motion evidence at which it does; of motion half as much more."""
 
-OF_COLOUR, FULL_COLOUR = 0.7, 1.5
+OF_COLOUR, FULL_COLOUR = 0.7, 1.8
 """Weight of the colours' logarithm to base 2, and the most that it counts."""
 
 MEMORY = 0.5

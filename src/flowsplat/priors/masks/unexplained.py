@@ -34,7 +34,7 @@ from flowsplat.priors.background.bits import packed
 from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.reprojection import carried
 from flowsplat.priors.background.static_depth import StaticDepth
-from flowsplat.priors.masks.plate import UNSEEN, agreed_colour, bilinear, difference
+from flowsplat.priors.masks.plate import AGREEING, UNSEEN, agreed_colour, bilinear, difference
 from flowsplat.priors.masks.sweep import largest_share
 
 WITNESSES = 16
@@ -48,9 +48,6 @@ ENOUGH, LEAST = 0.25, 2
 
 SURFACES = 3
 """That are compared with a pixel at most, those of the most votes."""
-
-AGREEING = 0.33
-"""Share of the frames that look most like the pixel, whose last one is compared with it."""
 
 DOUBTED = 0.5
 """Multiples of its noise by which a pixel must differ from every surface to be looked for at other depths."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 
@@ -48,13 +50,28 @@ SMOOTHNESS, COLOUR_SIGMA = 20.0, 10.0
 
 
 def cut_out(image: np.ndarray, flow: Flow, prompt: Prompt, evidence: np.ndarray | None = None) -> np.ndarray:
-    """The object of a prompt, bool [H, W].
+    """The object of a prompt, bool [H, W]; what is beside it changes nothing where it is no part of it anyway.
 
     Args:
         image: RGB [H, W, 3] uint8.
         flow: to a near frame.
         evidence: [H, W] float32, a logarithm to base 2, positive where something moves; None = what the flow says.
     """
+    if prompt.beside:
+        alone = _cut(image, flow, replace(prompt, beside=()), evidence)
+        prompt = replace(prompt, beside=taken_away(prompt, alone))
+        if not prompt.beside:
+            return alone
+    return _cut(image, flow, prompt, evidence)
+
+
+def taken_away(prompt: Prompt, found: np.ndarray) -> tuple[Point, ...]:
+    """Those places that are said to be beside an object which touch what was found of it, bool [H, W]."""
+    return tuple(place for place in prompt.beside if (_disc([place], found.shape) & found).any())
+
+
+def _cut(image: np.ndarray, flow: Flow, prompt: Prompt, evidence: np.ndarray | None) -> np.ndarray:
+    """As ``cut_out``, away from all that is said to be beside."""
     seeds, beside, possible = _places(prompt, flow.confidence.shape)
     bits = _unlike_around(flow, seeds, possible, prompt) if evidence is None else np.float32(OF_EVIDENCE) * evidence
     bits = cv2.medianBlur(np.clip(bits, -MOST, MOST).astype(np.float32), 5)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from itertools import groupby
 from typing import Any
 
@@ -31,8 +31,10 @@ def prompt_stage(scene: Scene, prompts: Sequence[Prompt], estimate: FlowEstimato
     """
     frames = scene.train_frames
     objects = [list(group) for _, group in groupby(prompts, lambda prompt: prompt.number)]
-    # Along the flow alone first: what a clip shows behind what moves is only known where that is known.
-    rough = [Walk(scene, each).parts() for each in objects]
+    # Along the flow alone first: what a clip shows behind what moves is only known where that is known. What was said to be beside
+    # one object must not change the evidence of the others.
+    positive = [[replace(prompt, beside=()) for prompt in each if prompt.clicks or prompt.box] for each in objects]
+    rough = [Walk(scene, each).parts() for each in positive]
     shown = [np.any([walk[k].mask for walk in rough], axis=0) for k in range(len(frames))]
     del rough
     evidence = moving_evidence(MatchedClip(scene, estimate), shown)

@@ -12,7 +12,17 @@ from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.geometry.interpolation import sample_map
 from flowsplat.pictures.edge_smoothing import EdgeSmoother
 from flowsplat.priors.masks.colours import Colours, look_up
-from flowsplat.priors.prompts.cutting import COLOUR_SIGMA, FULL_COLOUR, OF_COLOUR, SMOOTHNESS, corrected, cut_out
+from flowsplat.priors.prompts.cutting import (
+    COLOUR_SIGMA,
+    FULL_COLOUR,
+    MOST,
+    OF_COLOUR,
+    OF_EVIDENCE,
+    SMOOTHNESS,
+    corrected,
+    cut_out,
+    taken_away,
+)
 from flowsplat.priors.prompts.grabcut import BAND, snapped
 from flowsplat.priors.prompts.parsing import Prompt
 from flowsplat.scenes import Scene
@@ -28,9 +38,6 @@ HELD = 2.0
 
 FURTHEST = 3.0
 """Bands round what was carried within which the object may be."""
-
-OF_MOTION, MOST = 0.5, 3.0
-"""Weight of the evidence of what moves, and the most that it counts."""
 
 ANOTHER, FAR = 1.0, 1.0
 """Evidence of motion that belongs to something else where it is not found to be the object, and bands from it beyond which."""
@@ -74,6 +81,8 @@ class Walk:
         shown: list[int] = []
         for prompt in self.prompts:
             start = frames.index(prompt.frame)
+            if not (prompt.clicks or prompt.box or taken_away(prompt, parts[start].mask)):
+                continue  # It was meant of another object: this one stays as it is, to the bit.
             parts[start] = self._shown(prompt, start, parts[start].mask if shown else None)
             for steps in (range(start + 1, len(frames)), range(start - 1, -1, -1)):
                 before = start
@@ -146,7 +155,7 @@ class Walk:
         inner = cv2.distanceTransform(moved.astype(np.uint8), cv2.DIST_L2, 5)
         outer = cv2.distanceTransform((~moved).astype(np.uint8), cv2.DIST_L2, 5)
         held = np.float32(HELD) * np.clip((inner - outer) / band, -1, 1)
-        moves = np.clip(OF_MOTION * evidence, 0 if self._rests else -MOST, MOST)
+        moves = np.clip(OF_EVIDENCE * evidence, 0 if self._rests else -MOST, MOST)
         if doubted is not None:
             moves = np.where(doubted, 0, moves)
         total = held + moves
