@@ -1,8 +1,6 @@
 # Everything on a machine with Python 3.10 or newer and make. Both commands set up .venv first, when it is not up to date.
 PYTHON ?= python3
 BIN := .venv/bin
-# Two test files at a time: most tests are busy with one core.
-TWO := -n 2 --dist loadfile
 
 .PHONY: help demo test lock clean
 
@@ -18,8 +16,8 @@ demo: .venv/.installed
 test: .venv/.installed
 	$(BIN)/ruff check
 	$(BIN)/mypy
-	$(BIN)/pytest $(TWO) -m "not slow"
-	$(BIN)/pytest $(TWO) -m slow
+	$(BIN)/pytest -m "not slow"
+	$(BIN)/pytest -m slow
 
 # Everything has the hash that requirements.lock names for it, except for torch and the CUDA libraries that it brings: which build of
 # it is wanted differs from machine to machine.
