@@ -9,7 +9,7 @@ from flowsplat.priors.cameras.pieces import find_breaks
 from tests.priors.cameras.worlds import FOCAL, HEIGHT, WIDTH, cameras_of, observed, path, world
 
 
-@pytest.mark.parametrize(("movers", "solver"), [(0, "own"), (120, "own"), (0, "global"), (120, "global")])
+@pytest.mark.parametrize(("movers", "solver"), [(0, "own"), (120, "own"), (120, "global")])
 def test_a_moving_camera_is_recovered_although_some_points_move(movers, solver):
     cameras, rng = path(24), np.random.default_rng(7)
     points = np.repeat(world(400)[None], 24, 0)
