@@ -23,7 +23,7 @@ from typing import Any, get_args
 import numpy as np
 
 from flowsplat import pipeline
-from flowsplat.cli import Preset
+from flowsplat.cli.commands import Preset
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import make_folder, read_json, write_json, write_text
 from flowsplat.common.processes import in_own_process

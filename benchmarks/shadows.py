@@ -22,12 +22,12 @@ from flowsplat.evaluation.baselines import to_float
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.observations import load_observations
 from flowsplat.gaussians.shadows import with_lit
-from flowsplat.pipeline.stages import scene_model
 from flowsplat.priors.prepare import PriorsOptions, prepare_priors
 from flowsplat.scenes import Scene
 from flowsplat.scenes.synthetic.worlds import World, draw_world, write_world
 from flowsplat.training.checkpoint import has_model, load_model, save_model
 from flowsplat.training.config import PRESETS
+from flowsplat.training.scene_model import scene_model
 from flowsplat.training.trainer import Trainer
 
 WIDTH, HEIGHT, FRAMES, STEPS, EVERY = 320, 180, 40, 500, 3

@@ -15,7 +15,7 @@ from flowsplat.common.files import read_json
 from flowsplat.gaussians.gaussians4d import ModelConfig
 from flowsplat.gaussians.motion import MotionState, Parameter, Params, RigidMotion, presence, register
 from flowsplat.output.export import ExportOptions, export_scene
-from flowsplat.pipeline.stages import prepare, train
+from flowsplat.pipeline import prepare, train
 from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic
 
 

@@ -17,7 +17,8 @@ import numpy as np
 import pytest
 
 import flowsplat
-from flowsplat.cli import USUAL, main
+from flowsplat.cli import main
+from flowsplat.cli.help import USUAL
 from flowsplat.scenes import Depth, Scene
 from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic
 

@@ -14,7 +14,7 @@ import pytest
 import flowsplat
 from flowsplat.common.settings import from_plain, to_plain
 from flowsplat.output.viewer.source import Source
-from flowsplat.pipeline import RunConfig, evaluate_run, prepare, run, stages, train
+from flowsplat.pipeline import RunConfig, evaluate_run, fitting, prepare, run, stages, train
 from flowsplat.pipeline.folder import RunFolder
 from flowsplat.protocols.datasets.cases import protocol_config
 from flowsplat.scenes import Scene
@@ -88,7 +88,7 @@ def test_nothing_is_fitted_before_everything_is_measured(tiny_scene, tmp_path, m
         raise RuntimeError("stopped in the evaluation")
 
     monkeypatch.setattr(stages, "evaluate", stop)
-    monkeypatch.setattr(stages, "heldout_flow", lambda *arguments: pytest.fail("too early"))
+    monkeypatch.setattr(fitting, "heldout_flow", lambda *arguments: pytest.fail("too early"))
     with pytest.raises(RuntimeError, match="in the evaluation"):
         run(tiny_scene, tmp_path / "out", small_config())
     assert not (tmp_path / "out" / "final").exists()

@@ -11,7 +11,7 @@ import pytest
 
 from flowsplat.common.errors import InputError
 from flowsplat.output.videos import RenderOptions, rendered
-from flowsplat.pipeline import first, run, stages
+from flowsplat.pipeline import first, preparing, run, stages
 from flowsplat.pipeline.compiling import Ahead
 from flowsplat.pipeline.config import RunConfig, preset
 from flowsplat.pipeline.first import APART, FRAMES, LONG_SIDE, CoarseClip, chosen_frames, is_worth_it
@@ -134,12 +134,12 @@ def test_what_can_be_wrong_is_said_first(tmp_path, config):
     plain = replace(config, render=RenderOptions())
     clicked = replace(plain, priors=replace(plain.priors, mask_click=("500,5@0",)))
     with pytest.raises(InputError, match="outside the frames"):
-        stages._prepared(tmp_path / "clip.mp4", tmp_path / "clicked", clicked, show)
+        preparing.prepared(tmp_path / "clip.mp4", tmp_path / "clicked", clicked, show)
     filed = replace(plain, render=replace(plain.render, camera_file=tmp_path / "none.json"))
     with pytest.raises(InputError):
-        stages._prepared(tmp_path / "clip.mp4", tmp_path / "filed", filed, show)
+        preparing.prepared(tmp_path / "clip.mp4", tmp_path / "filed", filed, show)
     assert not made
     with pytest.raises(KeyboardInterrupt):
-        stages._prepared(tmp_path / "clip.mp4", tmp_path / "plain", plain, show)
+        preparing.prepared(tmp_path / "clip.mp4", tmp_path / "plain", plain, show)
     assert made == ["plain"]
     assert not (tmp_path / "plain" / "scene").exists()

@@ -15,7 +15,7 @@ import torch
 import flowsplat
 from flowsplat.common.errors import InputError
 from flowsplat.common.settings import from_plain, to_plain
-from flowsplat.pipeline import demo, prepare, run, stages, summary, train
+from flowsplat.pipeline import demo, fitting, prepare, preparing, run, stages, summary, train
 from flowsplat.pipeline.config import RunConfig, preset
 from flowsplat.pipeline.describe import describe
 from flowsplat.pipeline.folder import RunFolder, stage_key
@@ -298,7 +298,7 @@ def test_the_middle_of_a_long_camera_file_counts(finished, tmp_path):
 def test_videos_without_a_camera_file_have_the_key_that_they_always_had(finished):
     folder = RunFolder(finished)
     folder.config = replace(folder.config, final_fit=False)
-    assert stages._render_key(folder) == stage_key(stages._train_key(folder), to_plain(folder.config.render))
+    assert stages._render_key(folder) == stage_key(fitting.train_key(folder), to_plain(folder.config.render))
 
 
 def test_the_model_is_read_once_and_flows_of_the_report_are_rendered_once(finished, tmp_path, monkeypatch):
@@ -445,7 +445,7 @@ def interrupt(monkeypatch, thing, name, *arguments):
             run(*arguments)
 
 
-@pytest.mark.parametrize(("module", "where"), [(Trainer, "run"), (stages, "prepare_priors"), (stages, "write_priors_report")])
+@pytest.mark.parametrize(("module", "where"), [(Trainer, "run"), (preparing, "prepare_priors"), (preparing, "write_priors_report")])
 def test_back_to_the_first_settings_after_others_were_interrupted(tiny_scene, finished, tmp_path, monkeypatch, module, where):
     out, first = tmp_path / "out", small_config()
     shutil.copytree(finished, out)
@@ -516,7 +516,7 @@ def test_an_option_that_cannot_be_used_costs_nothing(tiny_scene, finished, tmp_p
     with pytest.raises(InputError):
         run(tiny_scene, out, replace(first, priors=replace(first.priors, **wrong)))
     assert RunFolder(out).config == first
-    monkeypatch.setattr(stages, "prepare_priors", lambda *_: pytest.fail("prepared again"))
+    monkeypatch.setattr(preparing, "prepare_priors", lambda *_: pytest.fail("prepared again"))
     monkeypatch.setattr(Trainer, "run", lambda self: pytest.fail("trained again"))
     run(tiny_scene, out, first)
 
@@ -526,24 +526,24 @@ def test_a_scene_that_was_put_aside_is_not_taken_for_a_later_one(tiny_scene, fin
     out, first = tmp_path / "out", small_config()
     shutil.copytree(finished, out)
     others = replace(first, priors=replace(first.priors, mask_click=("10,10@0",)))
-    interrupt(monkeypatch, stages, "prepare_priors", tiny_scene, out, others)
+    interrupt(monkeypatch, preparing, "prepare_priors", tiny_scene, out, others)
 
     def refuse(*_args):
         raise InputError("cannot be used")
 
     with monkeypatch.context() as patch:
-        patch.setattr(stages, "prepare_priors", refuse)
+        patch.setattr(preparing, "prepare_priors", refuse)
         with pytest.raises(InputError, match="cannot be used"):
             run(tiny_scene, out, others)
     metrics = run(tiny_scene, out, others)
     assert RunFolder(out).config == others
     shutil.rmtree(out)
     assert comparable(run(tiny_scene, out, others)) == comparable(metrics)
-    assert not (out / stages.ASIDE).exists()
+    assert not (out / preparing.ASIDE).exists()
 
 
 def test_what_is_wrong_with_the_videos_is_said_first(tiny_scene, tmp_path, monkeypatch):
-    monkeypatch.setattr(stages, "prepare_priors", lambda *_: pytest.fail("prepared before the videos were looked at"))
+    monkeypatch.setattr(preparing, "prepare_priors", lambda *_: pytest.fail("prepared before the videos were looked at"))
     config = small_config()
     with pytest.raises(InputError, match=r"nope\.json"):
         run(tiny_scene, tmp_path / "out", replace(config, render=replace(config.render, camera_file=tmp_path / "nope.json")))

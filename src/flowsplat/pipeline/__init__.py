@@ -1,6 +1,8 @@
 """The run folder and its stages: prepare, train, evaluate, render; what is done, and what to resume."""
 
 from flowsplat.pipeline.config import RunConfig, preset
-from flowsplat.pipeline.stages import evaluate_run, load, prepare, render_run, run, train
+from flowsplat.pipeline.fitting import train
+from flowsplat.pipeline.preparing import prepare
+from flowsplat.pipeline.stages import evaluate_run, load, render_run, run
 
 __all__ = ["RunConfig", "evaluate_run", "load", "prepare", "preset", "render_run", "run", "train"]

@@ -11,7 +11,9 @@ from flowsplat.common.progress import console, say
 from flowsplat.output.report import NAME as REPORT
 from flowsplat.output.report import verdict
 from flowsplat.pipeline.config import RunConfig
-from flowsplat.pipeline.stages import link_files, prepare, render_run, train
+from flowsplat.pipeline.fitting import train
+from flowsplat.pipeline.preparing import link_files, prepare
+from flowsplat.pipeline.stages import render_run
 from flowsplat.pipeline.summary import figures_table, next_steps
 from flowsplat.scenes import Scene
 from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic, write_synthetic_video

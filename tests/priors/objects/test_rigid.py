@@ -10,7 +10,8 @@ from flowsplat.priors.objects import rigid
 from flowsplat.priors.objects.contact import Bound
 from flowsplat.priors.objects.movers import rigid_motions, solve_mover
 from flowsplat.priors.objects.relief import place_points
-from flowsplat.priors.objects.rigid import Observations, _solved, _unpacked, longest, solve_rigid, widest_turn
+from flowsplat.priors.objects.rigid import Observations, longest, solve_rigid, widest_turn
+from flowsplat.priors.objects.rigid_equations import solved, unpacked
 
 K = np.array([[300.0, 0, 160], [0, 300.0, 90], [0, 0, 1]])
 FRAMES = 24
@@ -203,5 +204,5 @@ def test_a_band_is_solved_as_the_whole_matrix(band):
     packed, b = np.zeros((size, band)), rng.normal(size=size)
     for d in range(band):
         packed[: size - d, d] = np.diag(H, d)
-    np.testing.assert_array_equal(_unpacked(packed), H)
-    np.testing.assert_allclose(_solved(packed, b), np.linalg.solve(H, b), atol=1e-9)
+    np.testing.assert_array_equal(unpacked(packed), H)
+    np.testing.assert_allclose(solved(packed, b), np.linalg.solve(H, b), atol=1e-9)

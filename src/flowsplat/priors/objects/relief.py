@@ -9,7 +9,8 @@ import numpy as np
 from numba import njit
 
 from flowsplat.pictures.edge_smoothing import EdgeSmoother
-from flowsplat.priors.objects.rigid import INLIER, NEAREST, RESIDUAL_WIDTH, Observations, RigidMotion, derivatives
+from flowsplat.priors.objects.rigid import INLIER, NEAREST, RESIDUAL_WIDTH, Observations, RigidMotion
+from flowsplat.priors.objects.rigid_equations import derivatives
 
 ROUND = 0.75
 """How deep the front of a mover is expected to be, in units of a ball's of its width."""

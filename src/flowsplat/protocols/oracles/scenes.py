@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from flowsplat.common.errors import InputError
-from flowsplat.pipeline.stages import copy_scene
+from flowsplat.pipeline.preparing import copy_scene
 from flowsplat.priors.given import use_truth
 from flowsplat.priors.given.truth import consecutive_pairs
 from flowsplat.priors.prepare import PriorsOptions, prepare_priors

@@ -1,0 +1,5 @@
+"""``python -m flowsplat.cli``."""
+
+from flowsplat.cli.entry import main
+
+main()

@@ -1,0 +1,105 @@
+"""Entry point of ``flowsplat``."""
+
+import contextlib
+import io
+import os
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+import tyro
+
+from flowsplat import __version__
+from flowsplat.cli.arguments import with_present_names
+from flowsplat.cli.benchmarks import benchmark_commands
+from flowsplat.cli.commands import all_commands
+from flowsplat.cli.help import message_of, short_help
+from flowsplat.common.errors import InputError, one_line
+from flowsplat.common.progress import say
+from flowsplat.common.stopping import Stopped, ignore_signals, signals_stop
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Entry point of the console script. Bad input ends with one line on stderr and exit code 2."""
+    whole_process = arguments is None
+    if whole_process:  # Our matrices are small: two threads of BLAS take twice as long for the cameras, and give other last digits.
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    # tyro spells it None.
+    for k, argument in enumerate(arguments):
+        if argument == "--holdout=none" or (argument == "none" and k and arguments[k - 1] == "--holdout"):
+            arguments[k] = argument[:-4] + "None"
+    if not arguments:
+        arguments = ["--help"]
+    if arguments[0] in ("--version", "-V"):
+        print(f"flowsplat {__version__}")
+        return
+    whole = "--help-all" in arguments
+    arguments = ["--help" if argument == "--help-all" else argument for argument in arguments]
+    arguments = with_present_names(arguments)
+    box, told = io.StringIO(), io.StringIO()
+    prog, commands = "flowsplat", {}
+    try:
+        if arguments[0] == "benchmark":
+            prog, commands, arguments = "flowsplat benchmark", benchmark_commands(arguments), arguments[1:] or ["--help"]
+        else:
+            commands = all_commands(arguments)
+        call = _Deferred()
+        with contextlib.redirect_stderr(box), contextlib.nullcontext() if whole else contextlib.redirect_stdout(told):
+            tyro.extras.subcommand_cli_from_dict(
+                {name: call.wrap(function) for name, function in commands.items()},
+                prog=prog,
+                description="One ordinary video becomes a 4D scene of moving Gaussians.",
+                args=arguments,
+            )
+        with signals_stop():
+            ended_well = call.run()
+    except InputError as error:
+        _fail(str(error))
+    except SystemExit as error:
+        if error.code == 2:
+            _fail(message_of(box.getvalue()) or "The command line cannot be understood: see flowsplat --help.")
+        text = told.getvalue()
+        print(short_help(text, f"{prog} {arguments[0]}") if prog == "flowsplat" else text, end="")
+        raise
+    except KeyboardInterrupt as error:
+        if whole_process:  # a second Ctrl-C would be a traceback of whatever the interpreter is closing
+            ignore_signals()
+        with contextlib.suppress(OSError):  # of a terminal that is closed
+            say("Stopped. The same command continues from here.")
+        sys.exit(128 + (error.signal if isinstance(error, Stopped) else 2))
+    except BrokenPipeError:
+        os._exit(0)
+    except OSError as error:
+        if error.filename is None:
+            raise
+        _fail(f"{os.fsdecode(error.filename) if isinstance(error.filename, bytes) else error.filename}: {error.strerror}.")
+    else:
+        if ended_well is False:
+            sys.exit(1)
+
+
+class _Deferred:
+    """Runs the chosen command only after parsing, so that parsing errors can be told from its own output."""
+
+    def __init__(self) -> None:
+        self._chosen: Any = None
+
+    def wrap(self, function: Any) -> Any:
+        """The function with the same signature, which only remembers its arguments."""
+        import functools
+
+        @functools.wraps(function)
+        def remember(*args: Any, **kwargs: Any) -> None:
+            self._chosen = functools.partial(function, *args, **kwargs)
+
+        return remember
+
+    def run(self) -> Any:
+        """Run what was chosen, and return what it does."""
+        return None if self._chosen is None else self._chosen()
+
+
+def _fail(message: str) -> None:
+    say(f"Error: {one_line(message)}")
+    sys.exit(2)

@@ -1,0 +1,210 @@
+"""The stages of a run that fit Gaussians to its scene: training, the static scene that it is compared with, and the final fit."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from flowsplat.common.devices import pick_device
+from flowsplat.common.errors import InputError
+from flowsplat.common.files import lease, remove_partials, write_json
+from flowsplat.common.progress import busy, say
+from flowsplat.common.settings import to_plain
+from flowsplat.gaussians.gaussians4d import Gaussians4D
+from flowsplat.gaussians.model import SceneModel
+from flowsplat.gaussians.observations import Observation, Observations, load_observations
+from flowsplat.gaussians.render import RenderedFrame
+from flowsplat.gaussians.shadows import with_lit
+from flowsplat.gaussians.support import with_seen
+from flowsplat.output.videos import forget_videos
+from flowsplat.pictures.colors import float_to_bytes
+from flowsplat.pictures.sheets import preview_sheet
+from flowsplat.pipeline.config import check
+from flowsplat.pipeline.folder import RunFolder, stage_key
+from flowsplat.priors.heldout import heldout_flow
+from flowsplat.priors.prepare import flow_estimator
+from flowsplat.scenes import Scene, Tracks
+from flowsplat.scenes.layers import Layers, write_image
+from flowsplat.training.checkpoint import has_model, load_model, save_model
+from flowsplat.training.config import TrainConfig, affecting_result
+from flowsplat.training.final import final_config, final_visits, with_heldout
+from flowsplat.training.scene_model import scene_model
+from flowsplat.training.static import static_config, static_start
+from flowsplat.training.trainer import Trainer
+
+Begin = Callable[[Observations, Tracks | None, TrainConfig], Gaussians4D]
+Observe = Callable[[Scene], Observations]
+
+
+def train_key(folder: RunFolder) -> str:
+    settings = to_plain(folder.config.train, first_names=True)
+    return stage_key(folder.record["stages"].get("prepare", {}).get("key"), affecting_result(settings))
+
+
+def train(folder: RunFolder) -> SceneModel:
+    """Train the scene of a run, from its last checkpoint if there is one.
+
+    Raises:
+        InputError: the scene is not prepared, something in it is damaged, or the device does not work; or as ``lease``.
+    """
+    with lease(folder.path):
+        return _train(folder)
+
+
+def _train(folder: RunFolder) -> SceneModel:
+    remove_partials(folder.path)
+    if "prepare" not in folder.record["stages"]:
+        raise InputError(f"{folder.path} is not prepared yet: run flowsplat prepare first.")
+    check(folder.config)  # before anything is deleted
+    key = train_key(folder)
+    if folder.is_finished("train", key) and has_model(folder.model_path):
+        return load_model(folder.model_path).to(pick_device(folder.config.device))
+    if not folder.was_started("train", key):
+        if folder.model_path.exists() or (folder.path / "training").exists():
+            say("The settings of training, or the scene, are others than before: it begins anew.")
+        folder.forget("train")
+        folder.forget("final")
+        for old in ("training", "logs", "final", "model"):
+            shutil.rmtree(folder.path / old, ignore_errors=True)
+        forget_videos(folder.path / "renders")
+        folder.start("train", key)
+    return _trained(folder, "train", key, folder.config.train, "training", folder.model_path)
+
+
+def _drop_checkpoints(path: Path) -> None:
+    for checkpoint in path.glob("*step_*.safetensors"):  # those that were never finished, too
+        checkpoint.unlink()
+    (path / "latest.json").unlink(missing_ok=True)
+
+
+def _trained(
+    folder: RunFolder, stage: str, key: str, config: TrainConfig, where: str, model_path: Path, begin: Begin | None = None,
+    observe: Observe = load_observations, first_step: int = 0, visits: Sequence[int] | None = None,
+) -> SceneModel:  # fmt: skip
+    """Train in the folder ``where`` of a run, from the last checkpoint there if there is one, and save the scene.
+
+    Args:
+        begin: makes the Gaussians to start from; None = as ``initialize``.
+        observe: gives the frames to train on.
+        first_step: how many steps those of ``begin`` have behind them.
+        visits: how often each frame is drawn in a round; None = once.
+    """
+    started, out, scene = time.perf_counter(), folder.path, Scene(folder.scene_path)
+    with busy("Loading frames and priors"):
+        tracks, observations = scene.tracks if scene.has_tracks else None, observe(scene)
+    def preview(step: int, frame: Observation, rendered: RenderedFrame) -> None:
+        image = rendered.colour.detach().clamp(0, 1).cpu().numpy()
+        write_image(out / "preview.png", preview_sheet(frame.image, float_to_bytes(image)))
+
+    start = None if begin is None else begin(observations, tracks, config)
+    shown = preview if begin is None else None  # the picture of a run is that of its scene, not of what it is compared with
+    device = pick_device(folder.config.device)
+    with _event_log(out / "logs" / where) as record:
+        trainer = Trainer(observations, tracks, config, out / where, shown, record, start, device, first_step, visits)
+        model = scene_model(scene, trainer.run(), config)
+        earlier = trainer.earlier_seconds
+        history = trainer.history
+        del trainer  # What it trained with is as large as the model.
+    if begin is not static_start:
+        with busy("Finding what the clip has seen of the scene"):
+            model = with_seen(model, scene.cameras, scene.timestamps.tolist())
+            of = scene.train_frames
+            seconds = [float(scene.timestamps[i]) for i in of]
+            model = with_lit(model, [scene.cameras[i] for i in of], seconds, [scene.mask(i) for i in of])
+    save_model(model_path, model)
+    write_json(out / where / "history.json", history)
+    folder.finish(stage, key, {stage: earlier + time.perf_counter() - started})
+    _drop_checkpoints(out / where)
+    return model
+
+
+@contextlib.contextmanager
+def _event_log(folder: Path) -> Iterator[Callable[[Mapping[str, float]], None]]:
+    """Takes what training records and writes it for TensorBoard.
+
+    Its thread raises what it could not write with the next figure, too: there it is a line, in the thread a traceback.
+    """
+    from torch.utils.tensorboard import SummaryWriter
+
+    def record(entry: Mapping[str, float]) -> None:
+        for figure, value in entry.items():
+            if figure != "step":
+                writer.add_scalar(figure, value, int(entry["step"]))
+
+    def of_thread(failure: threading.ExceptHookArgs) -> None:
+        if not issubclass(failure.exc_type, OSError):
+            before(failure)
+
+    before, threading.excepthook = threading.excepthook, of_thread
+    try:
+        with contextlib.closing(SummaryWriter(str(folder))) as writer:
+            yield record
+    finally:
+        threading.excepthook = before
+
+
+def static_model(folder: RunFolder) -> SceneModel:
+    """Our own static scene: the same initial Gaussians, movers as in their middle frame, no motion, a quarter of the steps."""
+    path = folder.path / "static"
+    key = stage_key(train_key(folder), "static")
+    if folder.is_finished("static", key) and has_model(path):
+        return load_model(path).to(pick_device(folder.config.device))
+    if not folder.was_started("static", key):
+        folder.forget("static")
+        shutil.rmtree(path, ignore_errors=True)
+        folder.start("static", key)
+    config = static_config(folder.config.train)
+    say("Training the static scene for comparison.")
+    quarter = replace(config, iterations=max(1, config.iterations // 4))
+    return _trained(folder, "static", key, quarter, "static", path, static_start)
+
+
+# -- the final fit
+
+
+def wants_final(folder: RunFolder) -> bool:
+    return folder.config.final_fit and bool(Scene(folder.scene_path).heldout_frames)
+
+
+def final_key(folder: RunFolder) -> str:
+    return stage_key(train_key(folder), "final")
+
+
+def fit_heldout(folder: RunFolder) -> None:
+    """Bring ``final/`` to what the run asks for: the measured model, fitted to the held-out frames, too; or nothing.
+
+    It begins when everything was measured, and writes nothing that the measurement, the priors or the training read.
+    """
+    if not wants_final(folder):
+        if folder.final_path.exists():
+            folder.forget("final")
+            shutil.rmtree(folder.final_path)
+        return
+    key = final_key(folder)
+    if folder.is_finished("final", key) and has_model(folder.final_path):
+        return
+    if not folder.was_started("final", key):
+        folder.forget("final")
+        shutil.rmtree(folder.final_path, ignore_errors=True)
+        folder.start("final", key)
+    scene, config = Scene(folder.scene_path), folder.config
+    say(f"Fitting the {len(scene.heldout_frames)} held-out frames, too, for what is shown: they are measured already.")
+
+    def observe(scene: Scene) -> Observations:
+        layers = Layers(folder.final_path / "priors", scene.width, scene.height)
+        if config.train.loss.flow > 0:
+            heldout_flow(scene, layers, flow_estimator(config.priors, config.device))
+        return with_heldout(load_observations(scene), scene, layers)
+
+    def begin(observations: Observations, tracks: Tracks | None, train: TrainConfig) -> Gaussians4D:
+        return load_model(folder.model_path).gaussians
+
+    _trained(
+        folder, "final", key, final_config(config.train), "final", folder.final_path, begin,
+        observe, config.train.iterations, final_visits(scene),
+    )  # fmt: skip

@@ -1,0 +1,224 @@
+"""The first stage of a run: a clip is brought into a scene folder, and its priors are computed."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from flowsplat.common.errors import InputError
+from flowsplat.common.files import hash_files, lease, remove_partials, write_json
+from flowsplat.common.files.lease import NAME as LOCK
+from flowsplat.common.files.writing import writing_error
+from flowsplat.common.memory import begin_peak, recent_peak
+from flowsplat.common.progress import busy, say
+from flowsplat.output.priors_report import verdict, write_priors_report
+from flowsplat.output.videos import RenderOptions, settle
+from flowsplat.pipeline.config import RunConfig, check
+from flowsplat.pipeline.folder import RunFolder, stage_key
+from flowsplat.pipeline.speed import STAGES, Range, Speed, expected, expected_memory, in_words
+from flowsplat.priors.prepare import check_places, names_places, prepare_priors
+from flowsplat.scenes import Scene
+from flowsplat.scenes.clip import Clip, InputOptions
+from flowsplat.scenes.ingest import CALIBRATED, fingerprint, ingest, is_ingested, kind_of_input, open_clip
+from flowsplat.training.checkpoint import has_model
+
+_BROUGHT = ("given", "truth", CALIBRATED)
+"""Methods of priors that cost no time."""
+ASIDE = ".scene.before"
+"""Where the scene of other settings waits until that of the new ones is there."""
+
+
+def prepare(source: Path, out: Path, config: RunConfig | None = None) -> RunFolder:
+    """Bring the input into a scene folder and compute what is missing of its priors.
+
+    Raises:
+        InputError: the input, a setting or a given file cannot be used, and then ``out`` stays as it was; or as ``lease``.
+    """
+    with lease(out):
+        return prepared(Path(source), out, config or RunConfig())
+
+
+def prepared(source: Path, out: Path, config: RunConfig, first: Callable[[RunFolder, Clip], None] | None = None) -> RunFolder:
+    """As ``prepare``; ``first`` is called with the opened clip before anything is computed of it."""
+    check(config)
+    kind = kind_of_input(source)
+    identity = stage_key(kind, _scene_identity(source) if kind == "scene" else fingerprint(source, config.input))
+    is_new, clip = not (Path(out) / "run.json").exists(), None
+    if kind == "scene":
+        Scene(source)
+        if config.input != InputOptions():
+            say(f"{source} is prepared already: what options or the preset take from a clip has no effect on it.")
+    elif is_new:
+        clip = open_clip(source, config.input)  # Whatever is wrong with it is said before a folder is made.
+    before = {} if is_new else RunFolder(out).record
+    if not is_new:
+        remove_partials(out)
+    folder = RunFolder.open_or_create(out, str(source), identity, config)
+    key = stage_key(identity, config.priors, hash_files("", config.priors.given.files()))
+    if folder.is_finished("prepare", key):
+        return folder
+    show: Callable[[], None] | None = None
+    if first is not None and kind != "scene" and not has_model(folder.path / "model"):
+        opened = clip or open_clip(source, config.input)
+        show = functools.partial(first, folder, opened)
+    goes_on = is_new or folder.was_started("prepare", key)
+    with contextlib.nullcontext() if goes_on else _put_aside(folder, before):
+        folder.start("prepare", key)
+        _compute_scene(folder, source, kind, key, is_new, show)
+    shutil.rmtree(folder.path / ASIDE, ignore_errors=True)
+    return folder
+
+
+@contextlib.contextmanager
+def _put_aside(folder: RunFolder, before: Mapping[str, Any]) -> Iterator[None]:
+    """The scene of other settings makes room for a new one, and comes back where that turns out to be impossible.
+
+    Args:
+        before: the record of the run with those settings.
+    """
+    if "prepare" in before["started"]:
+        say("The settings of the priors, or the files given for them, changed: they are computed again.")
+    aside = folder.path / ASIDE
+    folder.forget("prepare")
+    shutil.rmtree(aside, ignore_errors=True)
+    if folder.scene_path.exists():
+        folder.scene_path.rename(aside)
+    try:
+        yield
+    except InputError:
+        if aside.exists():
+            shutil.rmtree(folder.scene_path, ignore_errors=True)
+            aside.rename(folder.scene_path)
+            write_json(folder.path / "run.json", before)
+        raise
+
+
+def _compute_scene(
+    folder: RunFolder, source: Path, kind: str, key: str, is_new: bool, show: Callable[[], None] | None = None
+) -> None:
+    """Fill the scene of a run: what the input holds, then the priors that it lacks.
+
+    Args:
+        show: makes a first scene: before the clip is read, which takes long where that is long, unless a setting can be wrong that
+            only the read clip tells; that is said first.
+    """
+    config = folder.config
+    tells = config.render != RenderOptions() or names_places(config.priors)
+    if show is not None and not tells:
+        show()
+    started = time.perf_counter()
+    try:
+        scene = _read_input(source, kind, folder.scene_path, config)
+        settle(scene, config.render)  # Whatever is wrong with the videos is said before minutes of other work.
+        check_places(scene, config.priors)
+    except InputError:
+        if is_new:
+            _clear(folder.path)
+        raise
+    for note in scene.info["notes"]:
+        say(note)
+    speed, reference = Speed(config.device), expected(scene, config)
+    _say_estimate(scene, speed.estimate(reference))
+    ingested = time.perf_counter() - started
+    if show is not None and tells:
+        show()
+
+    memory: dict[str, float | None] = {}
+
+    def after(stage: str, took: float) -> None:
+        memory[stage] = recent_peak()
+        begin_peak()
+        if stage == "cameras":
+            speed.seen(took / reference["cameras"])
+            say(f"Left of a whole run: {in_words(speed.estimate(reference, STAGES[1:]))}.")
+
+    had = set(scene.info["priors"])
+    try:
+        seconds = prepare_priors(scene, config.priors, config.device, after)
+    except InputError:
+        if is_new and all(name in had or how.get("method") in _BROUGHT for name, how in scene.info["priors"].items()):
+            _clear(folder.path)
+        raise
+    with busy("Writing priors.html"):
+        page = write_priors_report(folder.path, scene, seconds)
+    say(f"{verdict(scene)} Look at {page}")
+    folder.finish("prepare", key, {"ingest": ingested, **seconds}, memory)
+
+
+def _clear(out: Path) -> None:
+    """Take everything out of a folder of a run that nothing was computed for; it goes with its lease where it was made for it."""
+    for entry in out.iterdir():
+        if entry.is_dir() and not entry.is_symlink():
+            shutil.rmtree(entry, ignore_errors=True)
+        elif entry.name != LOCK:
+            entry.unlink(missing_ok=True)
+
+
+def _read_input(source: Path, kind: str, target: Path, config: RunConfig) -> Scene:
+    """The scene folder with everything of the input in it, as far as it is not there yet."""
+    if kind == "scene":
+        return copy_scene(source, target)
+    if (target / "scene.json").exists() and is_ingested(Scene(target)):
+        return Scene(target)
+    return ingest(open_clip(source, config.input), target, config.input)
+
+
+def _scene_identity(source: Path) -> str:
+    info = Scene(source).info
+    return stage_key({name: info[name] for name in ("name", "source", "width", "height", "timestamps", "train")})
+
+
+def copy_scene(source: Path, target: Path) -> Scene:
+    """Link a prepared scene's files into another folder: every later write replaces a file, so the original stays as it is.
+
+    Raises:
+        InputError: the folder cannot be written, or the scene holds links.
+    """
+    if not (target / "scene.json").exists():
+        link_files(source, target)
+    return Scene(target)
+
+
+def link_files(source: Path, target: Path) -> None:
+    """A folder with the same files as another one, linked where the file system can; it is there when all of them are.
+
+    Raises:
+        InputError: the folder cannot be written, or the other one holds links: what they lead to would come along.
+    """
+
+    def link(origin: str, destination: str) -> None:
+        try:
+            os.link(origin, destination)
+        except OSError:
+            try:
+                shutil.copy2(origin, destination)
+            except OSError as error:  # the first one says enough
+                raise writing_error(error, Path(destination)) from error
+
+    def refuse_links(folder: str, names: list[str]) -> list[str]:
+        for path in (Path(folder) / name for name in names):
+            if path.is_symlink() or not (path.is_file() or path.is_dir()):
+                raise InputError(f"{path} is a link or no ordinary file: a scene holds its files itself.")
+        return []
+
+    partial = target.with_name(f".{target.name}.partial")
+    shutil.rmtree(partial, ignore_errors=True)
+    try:
+        shutil.copytree(source, partial, copy_function=link, ignore=refuse_links)
+        partial.rename(target)
+    except OSError as error:
+        raise InputError(f"Cannot copy {source} to {target}: {error.strerror or error}.") from error
+
+
+def _say_estimate(scene: Scene, seconds: Range) -> None:
+    gib = expected_memory(scene.width, scene.height, len(scene.train_frames))
+    say(
+        f"{scene.num_frames} frames of {scene.width} x {scene.height}, {len(scene.heldout_frames)} of them held out: "
+        f"{in_words(seconds)} and {gib:.1f} GiB for a whole run."
+    )
