@@ -13,6 +13,7 @@ from pathlib import Path
 from flowsplat.common.devices import pick_device
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import lease, remove_partials, write_json
+from flowsplat.common.memory import give_back_memory
 from flowsplat.common.progress import busy, say
 from flowsplat.common.settings import to_plain
 from flowsplat.gaussians.gaussians4d import Gaussians4D
@@ -109,7 +110,8 @@ def _trained(
         model = scene_model(scene, trainer.run(), config)
         earlier = trainer.earlier_seconds
         history = trainer.history
-        del trainer  # What it trained with is as large as the model.
+    del trainer, observations, tracks, start  # What it was trained with is larger than the model.
+    give_back_memory()
     if begin is not static_start:
         with busy("Finding what the clip has seen of the scene"):
             model = with_seen(model, scene.cameras, scene.timestamps.tolist())

@@ -34,7 +34,7 @@ from flowsplat.common.errors import InputError, WritingError
 from flowsplat.common.files import check_json, make_folder, read_json, write_json
 from flowsplat.common.files.json_file import Count, Number, Positive, Text, Versioned
 from flowsplat.common.files.lease import NAME as LOCK
-from flowsplat.common.memory import begin_peak, peak_memory, recent_peak
+from flowsplat.common.memory import begin_peak, give_back_memory, peak_memory, recent_peak
 from flowsplat.common.settings import from_plain, to_plain
 from flowsplat.pipeline.config import RunConfig
 
@@ -200,6 +200,7 @@ class RunFolder:
 
     def start(self, stage: str, key: str) -> None:
         """Note that a stage begins; what was finished of it before no longer is. Its memory counts from here."""
+        give_back_memory()
         begin_peak()
         self.record["stages"].pop(stage, None)
         self.record["started"][stage] = key

@@ -15,7 +15,7 @@ from flowsplat.common.errors import InputError
 from flowsplat.common.files import hash_files, lease, remove_partials, write_json
 from flowsplat.common.files.lease import NAME as LOCK
 from flowsplat.common.files.writing import writing_error
-from flowsplat.common.memory import begin_peak, recent_peak
+from flowsplat.common.memory import begin_peak, give_back_memory, recent_peak
 from flowsplat.common.progress import busy, say
 from flowsplat.output.priors_report import verdict, write_priors_report
 from flowsplat.output.videos import RenderOptions, settle
@@ -133,6 +133,7 @@ def _compute_scene(
 
     def after(stage: str, took: float) -> None:
         memory[stage] = recent_peak()
+        give_back_memory()
         begin_peak()
         if stage == "cameras":
             speed.seen(took / reference["cameras"])
