@@ -19,7 +19,7 @@ REACH, BLUR, MARGIN = np.float32(reference.REACH), np.float32(reference.BLUR), n
 ZERO, ONE, HALF = np.float32(0), np.float32(1), np.float32(0.5)
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _outside(position, size, center, limit, focal, inverse, picture):
     """Whether a Gaussian ends before the picture on one axis; its 2D sigma is at most focal / z |(1, t)| size + blur."""
     tangent = position * inverse

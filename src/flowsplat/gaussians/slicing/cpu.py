@@ -127,7 +127,7 @@ def _spread4(now, later, g, w, poly, cos, sin, j):
         sin[j, k, 3] = a * g[3] + c * w[3]
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _gain(log_gains, cosines, i):
     even, odd = ZERO, ZERO  # Two sums, because each waits for its last addition.
     count = log_gains.shape[1]

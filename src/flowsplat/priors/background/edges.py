@@ -145,7 +145,7 @@ class EdgeRefiner:
         return View.of(scene.frame(i), near), moving
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _mixed(corners, shift, a00, a01, a10, a11):
     """A byte of four words, bilinear."""
     p, q, s, t = corners

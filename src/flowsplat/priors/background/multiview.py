@@ -93,7 +93,7 @@ def _motion(errors: np.ndarray, weights: np.ndarray, lengths: np.ndarray) -> np.
     return total / count
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _project(A: np.ndarray, B: np.ndarray, w: np.float32, K: np.ndarray) -> tuple[np.float32, np.float32, np.float32]:
     """Pixel (u, v) and depth of A + w B in a camera with fx, fy, cx, cy = K."""
     z = max(A[2] + w * B[2], np.float32(1e-4))

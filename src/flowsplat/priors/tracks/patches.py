@@ -81,7 +81,7 @@ def align(patches: Patches, image: np.ndarray, points: np.ndarray, shapes: np.nd
     return points, shapes, likeness
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _sample_inside(image, x, y):
     """Bilinear, for places that have four pixels round them."""
     j, i = np.int32(x), np.int32(y)
@@ -91,7 +91,7 @@ def _sample_inside(image, x, y):
     return top + v * (bottom - top)
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _sample(image, x, y):
     """Bilinear; the border continues."""
     height, width = image.shape

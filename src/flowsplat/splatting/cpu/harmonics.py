@@ -44,7 +44,7 @@ def basis_of(x, y, z, count, basis):
             basis[14], basis[15] = S3[5] * z * (xx - yy), S3[6] * x * (xx - THREE * yy)
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def colour_of(basis, sh, i, count):
     """Red, green and blue of Gaussian i in the direction of the basis, before negative ones become 0."""
     red, green, blue = HALF, HALF, HALF
@@ -55,7 +55,7 @@ def colour_of(basis, sh, i, count):
     return red, green, blue
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _basis_gradient(x, y, z, count, d):
     """Gradient of the direction, of any length, from that of the basis d [16]."""
     inverse = ONE / max(math.sqrt(x * x + y * y + z * z), float32(1e-12))

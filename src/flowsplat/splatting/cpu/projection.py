@@ -21,7 +21,7 @@ LEAST_OPACITY, MOST_RADIUS = np.float32(OPACITY_FLOOR), np.float32(RADIUS_MAX)
 MOST_DETERMINANT = np.float32(DETERMINANT_MAX)
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def rotation(quats, i):
     """Entries of the rotation of quats[i], row by row, then the unit quaternion and the inverse of the length."""
     w, x, y, z = quats[i, 0], quats[i, 1], quats[i, 2], quats[i, 3]
@@ -38,7 +38,7 @@ def rotation(quats, i):
     )  # fmt: skip
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _given(covars, i):
     """Upper half xx, xy, xz, yy, yz, zz of a given covariance."""
     return (
@@ -47,12 +47,12 @@ def _given(covars, i):
     )  # fmt: skip
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _cross(x0, y0, x1, y1):
     return x0 * y1 - y0 * x1
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _flatten_given(covars, i, a0, a1, a2, b0, b1, b2, eps2d):
     """2D covariance (xx, xy, yy) and its determinant, of a given 3D covariance."""
     xx, xy, xz, yy, yz, zz = _given(covars, i)
@@ -62,7 +62,7 @@ def _flatten_given(covars, i, a0, a1, a2, b0, b1, b2, eps2d):
     return a, b, c, a * c - b * b
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _flatten(quats, scales, i, a0, a1, a2, b0, b1, b2, eps2d):
     """2D covariance (xx, xy, yy) and its determinant, of a rotation and scales."""
     r00, r01, r02, r10, r11, r12, r20, r21, r22, _, _, _, _, _ = rotation(quats, i)
@@ -75,7 +75,7 @@ def _flatten(quats, scales, i, a0, a1, a2, b0, b1, b2, eps2d):
     return a, b, c, n01 * n01 + n02 * n02 + n12 * n12 + eps2d * (a + c - eps2d)
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def clamped(tangent, low, high):
     return min(max(tangent, low), high)
 
@@ -206,7 +206,7 @@ def project_backward(
             grad_camera[chunk, k] = camera[k]
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _given_gradient(covars, conics, i, a0, a1, a2, b0, b1, b2, ga, gb, gc, grad_covars):
     """Gradient of the rows a and b of T; fills that of the covariance. ga, gb, gc: of the conic, off-diagonal halved."""
     xx, xy, xz, yy, yz, zz = _given(covars, i)
@@ -226,7 +226,7 @@ def _given_gradient(covars, conics, i, a0, a1, a2, b0, b1, b2, ga, gb, gc, grad_
     )  # fmt: skip
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _arrow_gradient(ux, uy, s, crosses_x, crosses_y, eps2d, inverse_determinant, ca, cb, cc, ga, gb, gc):
     """Of one arrow m = s u: the gradient of m, and of s.
 
@@ -237,7 +237,7 @@ def _arrow_gradient(ux, uy, s, crosses_x, crosses_y, eps2d, inverse_determinant,
     return -TWO * s * (ca * wx + cb * wy), -TWO * s * (cb * wx + cc * wy), -TWO * s * (vx * wx + vy * wy)
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _rotation_and_scales_gradient(
     quats, scales, conics, i, a0, a1, a2, b0, b1, b2, eps2d, ga, gb, gc, grad_quats, grad_scales
 ):
@@ -276,7 +276,7 @@ def _rotation_and_scales_gradient(
     )  # fmt: skip
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def rotation_gradient(d00, d01, d02, d10, d11, d12, d20, d21, d22, w, x, y, z, inverse):
     """Gradient of a quaternion from that of the entries of its rotation; the other arguments are what ``rotation`` gives."""
     gw = TWO * (-z * d01 + y * d02 + z * d10 - x * d12 - y * d20 + x * d21)

@@ -63,7 +63,7 @@ def sort_by_depth(depth_bits, extents, order, keys_a, keys_b, values):
     return visible
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _pack(i, means2d, conics, opacities, features, last_column, records, o, ellipse):
     """The record of Gaussian i at records[o:], and the ellipse in which it is drawn.
 

@@ -66,13 +66,13 @@ def _sum(values, count):
     return values[0]
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _sign(x):
     """-1, 0 or 1, without a branch, which could not be predicted."""
     return float32((x > ZERO) - (x < ZERO))
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _rows(image, target, h, width, row_x, row_y):
     """Row h of the picture and of what it should be, as numbers between 0 and 1."""
     for w in range(width):
@@ -81,7 +81,7 @@ def _rows(image, target, h, width, row_x, row_y):
             row_y[w * CHANNELS + c] = BYTE * float32(target[h, w, c])
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _flow_at(image, h, w, flow_channels, half_width, half_height):
     """What ``gaussians.flow.flow_image`` makes of a pixel's features, and the pixel from the centre of the picture."""
     u, v = image[h, w, 4], image[h, w, 5]
@@ -92,7 +92,7 @@ def _flow_at(image, h, w, flow_channels, half_width, half_height):
     return u, v, x, y
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _flow_counts(image, alpha, flow_trusted, h, w, end, by_alpha):
     held = image[h, w, end] if image.shape[2] > end else ZERO
     return flow_trusted[h, w] and held <= UNSEEN * alpha[h, w] and (alpha[h, w] >= OPAQUE or not by_alpha)

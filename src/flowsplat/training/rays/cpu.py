@@ -16,7 +16,7 @@ from flowsplat.training.rays import reference
 TWO, ZERO = np.float32(2), np.float32(0)
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _across(x, y, z):
     """A unit vector across the unit vector (x, y, z): its product with the world's axis that is least along it."""
     ax, ay, az = abs(x), abs(y), abs(z)
@@ -30,7 +30,7 @@ def _across(x, y, z):
     return a * inverse, b * inverse, c * inverse
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _moved(mean, square, i, d, g, rate, correct_m, correct_v):
     """Adam's step of one number, whose moments are changed."""
     m = B1 * mean[i, d] + (ONE - B1) * g

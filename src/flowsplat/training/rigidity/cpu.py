@@ -19,7 +19,7 @@ CHUNKS = 64
 TINY, ZERO, ONE = np.float32(reference.TINY), np.float32(0), np.float32(1)
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _difference(velocities, a, b):
     """v_a - v_b and the inverse of its safe norm."""
     x, y, z = velocities[a, 0] - velocities[b, 0], velocities[a, 1] - velocities[b, 1], velocities[a, 2] - velocities[b, 2]

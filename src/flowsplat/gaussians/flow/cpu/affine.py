@@ -27,7 +27,7 @@ CHUNKS = 64
 CLIP, BLUR = np.float32(NEAR), np.float32(EPS2D)
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _footprint(means, quats, scales, i, view, K, limits, turned, L, seen):
     """Fill turned [3, 3] = R S, L [2, 3] = J R S and seen: the point in camera axes, its clamped tangents, 1 / z and J's rows."""
     r00, r01, r02, r10, r11, r12, r20, r21, r22, _, _, _, _, _ = rotation(quats, i)
@@ -51,7 +51,7 @@ def _footprint(means, quats, scales, i, view, K, limits, turned, L, seen):
         L[1, k] = seen[9] * turned[0, k] + seen[10] * turned[1, k] + seen[11] * turned[2, k]
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _footprint_gradient(quats, scales, i, view, K, turned, seen, d_L, gu, gv, d_mean, d_quat, d_scale):
     """Fill d_mean [3] and d_quat [4] and add to d_scale [3], from d_L [2, 3] and the gradient gu, gv of the pixel."""
     fx, fy = K[0, 0], K[1, 1]
@@ -86,7 +86,7 @@ def _footprint_gradient(quats, scales, i, view, K, turned, seen, d_L, gu, gv, d_
     )
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _products(L, later):
     """(L' - L) L^T by rows, and the inverse of L L^T + eps (xx, xy, yy)."""
     a = L[0, 0] * L[0, 0] + L[0, 1] * L[0, 1] + L[0, 2] * L[0, 2]

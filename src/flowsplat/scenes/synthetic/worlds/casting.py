@@ -22,7 +22,7 @@ _NEAREST = 1e-3
 """Smallest multiple of a ray's direction that counts: a point does not shade itself."""
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _ball(x, y, z, r, dx, dy, dz):
     """Where a ray from (x, y, z) enters the ball of radius r round the origin; infinite where it does not."""
     a = dx * dx + dy * dy + dz * dz

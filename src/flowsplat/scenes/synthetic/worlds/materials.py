@@ -23,7 +23,7 @@ COLUMNS = (
 PLAIN, STRIPES, CHECKERS, BRICKS, SPOTS, SEGMENTS = range(6)
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _scatter(x, y, z, phase):
     """A fixed pseudo-random number between 0 and 1 for whole numbers."""
     mixed = (x * 374761393 + y * 668265263 + z * 1274126177 + phase * 362437) & 0xFFFFFFFF
@@ -47,13 +47,13 @@ def _noise(x, y, z, phase):
     return 2 * total - 1
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _inside(distance, footprint):
     """1 where a signed distance in metres is negative, 0 where positive, with an edge 1.5 pixels wide."""
     return min(max(0.5 - distance / (1.5 * footprint), 0.0), 1.0)
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _to_line(x, period):
     """Distance to the nearest multiple of ``period``."""
     return abs(x - period * math.floor(x / period + 0.5))
