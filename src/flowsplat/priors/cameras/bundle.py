@@ -6,7 +6,9 @@ modern synthesis", https://doi.org/10.1007/3-540-44480-7_21). The sums over obse
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 import scipy.linalg
@@ -70,6 +72,16 @@ class Observations:
         return Observations(camera, point, np.asarray(positions[point, camera], np.float64))
 
 
+class Prior(Protocol):
+    """What is expected of cameras before tracks are looked at."""
+
+    def cost(self, state: Reconstruction) -> float:
+        """Square pixels."""
+
+    def add_to(self, H: np.ndarray, g: np.ndarray, state: Reconstruction) -> None:
+        """Add the gradient and the curvature to the normal equations [6T + LENS], in place."""
+
+
 @dataclass(frozen=True)
 class LensPrior:
     """Pulls the lens to an expected focal length and to no distortion.
@@ -119,7 +131,8 @@ def adjust(
     free_focal: bool = True,
     free_translations: bool = True,
     free_distortion: bool = False,
-    prior: LensPrior | None = None,
+    prior: Prior | None = None,
+    path: Prior | None = None,
     tolerance: float = 1e-4,
 ) -> Adjusted:
     """Minimise the sum of scale^2 log(1 + |residual|^2 / scale^2) over poses, points, focal length and distortion.
@@ -128,6 +141,8 @@ def adjust(
         scale: pixels; residuals beyond it lose their influence.
         fixed_camera: the camera whose pose defines the world.
         free_translations: off, cameras only rotate.
+        prior: of the lens.
+        path: of the cameras' places.
         tolerance: stop when an iteration lowers the cost by less than this fraction.
     """
     count = len(start.rotations)
@@ -139,11 +154,12 @@ def adjust(
     free[-LENS:] = free_distortion, free_focal
     index = np.flatnonzero(free)
     state, damping, precisions = start, 1e-4, (0.0, 0.0)
-    cost = _total(state, seen, scale, prior)
+    priors = tuple(each for each in (prior, path) if each is not None)
+    cost = _total(state, seen, scale, priors)
     for _ in range(iterations):
         H, g, Hp, gp, cross, cross_lens = _linearise(*_plain(state, seen), scale)
-        if prior is not None:
-            prior.add_to(H, g, state)
+        for each in priors:
+            each.add_to(H, g, state)
         for _attempt in range(8):
             inverse = _damped_inverses(Hp, damping)
             S, b = H + np.diag(np.diag(H) * damping + 1e-9), g.copy()
@@ -162,7 +178,7 @@ def adjust(
             else:
                 points = state.points + point_steps
             trial = _moved(state, step, points)
-            trial_cost = _total(trial, seen, scale, prior)
+            trial_cost = _total(trial, seen, scale, priors)
             if trial_cost <= cost:
                 precisions = _precisions(factor[0], free_focal, free_distortion)
                 break
@@ -173,7 +189,18 @@ def adjust(
         state, cost, damping = trial, trial_cost, max(damping / 6, 1e-8)
         if converged:
             break
-    return Adjusted(state, _total(state, seen, scale, None), *precisions)
+    return Adjusted(state, _total(state, seen, scale, ()), *precisions)
+
+
+def information(state: Reconstruction, seen: Observations, scale: float, priors: Sequence[Prior]) -> np.ndarray:
+    """Curvature [6T + LENS, 6T + LENS] of the cost along poses and lens, once all points have adapted."""
+    first = np.searchsorted(seen.point, np.arange(len(state.points) + 1))
+    H, g, Hp, gp, cross, cross_lens = _linearise(*_plain(state, seen), scale)
+    for each in priors:
+        each.add_to(H, g, state)
+    _eliminate_points(first, seen.camera, cross, cross_lens, _damped_inverses(Hp, 0.0), gp, H, g)
+    lower = np.tril(H)
+    return lower + np.tril(lower, -1).T
 
 
 def _precisions(L: np.ndarray, focal: bool, distortion: bool) -> tuple[float, float]:
@@ -209,11 +236,9 @@ def _plain(state: Reconstruction, seen: Observations) -> tuple:
     return (state.rotations, state.translations, *lens, state.points, seen.camera, seen.point, seen.uv)
 
 
-def _total(state: Reconstruction, seen: Observations, scale: float, prior: LensPrior | None) -> float:
+def _total(state: Reconstruction, seen: Observations, scale: float, priors: Sequence[Prior]) -> float:
     errors, _ = residuals(state, seen)
-    cost = scale**2 * float(np.log1p((errors / scale) ** 2).sum())
-    if prior is not None:
-        cost += prior.cost(state)
+    cost = scale**2 * float(np.log1p((errors / scale) ** 2).sum()) + sum(prior.cost(state) for prior in priors)
     return cost if np.isfinite(cost) else np.inf
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flowsplat.priors.cameras.bundle import USUAL_DISTORTION, LensPrior, Observations, Reconstruction, adjust, rays, residuals
+from flowsplat.priors.cameras.evenness import evened
 from flowsplat.priors.cameras.growth import triangulate
 
 FAR = 100.0
@@ -141,6 +142,7 @@ def refine(
     free_distortion: bool = False,
     keep_points: bool = False,
     rough: bool = False,
+    even: bool = False,
 ) -> Refined:
     """Alternate between picking static tracks and adjusting everything to them.
 
@@ -152,6 +154,7 @@ def refine(
         free_distortion: estimate the distortion of the lens, too.
         keep_points: start from the points of ``state`` instead of triangulating them.
         rough: from a first guess, only as far as is needed to compare these cameras with others.
+        even: the frames follow each other, so that how evenly the camera travels counts at the end.
     """
     static = np.zeros(len(seen), bool)
     precision = bend_precision = 0.0
@@ -177,6 +180,14 @@ def refine(
         bend_precision = max(done.distortion_precision - prior.weight / USUAL_DISTORTION**2, 0.0)
     tracks = np.flatnonzero(static)
     observed = Observations.of(positions[tracks], seen[tracks])
+    if even and free_translations and len(tracks):
+        done_evenly = evened(
+            replace(state, points=state.points[tracks]), observed, scale=rounds[-1], fixed_camera=fixed_camera, lens=prior,
+            free_focal=free_focal, free_distortion=free_distortion,
+        )  # fmt: skip
+        points = state.points.copy()
+        points[tracks] = done_evenly.points
+        state = replace(done_evenly, points=points)
     error, _ = residuals(replace(state, points=state.points[tracks]), observed)
     # The errors of one track are alike from frame to frame: a track counts as one observation, not as its length.
     variance = float(np.median(error) ** 2) * len(error) / max(len(tracks), 1)
