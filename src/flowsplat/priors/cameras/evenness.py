@@ -21,6 +21,8 @@ FEWEST = 8
 """Frames below which there is no telling how evenly a camera travels."""
 DEGREES = 4.0
 """Of freedom of the Student distribution: a jolt now and then is no sign of a camera that shakes."""
+ALIKE = 0.25
+"""Share of a track over which its errors, and those of its neighbours, are alike, so that they tell as much as one observation."""
 _ROUNDS, _ITERATIONS, _LAST_ITERATIONS = 8, 2, 10
 _SETTLED = 0.03
 """Change of the logarithm of the squared scale below which it is found."""
@@ -65,9 +67,9 @@ def evened(
     squared = (differences(state) ** 2).sum(1)
     if count < FEWEST or not np.median(squared) > 0:
         return state
-    # Errors of one track are alike from frame to frame, and those of its neighbours, too: it counts as one observation.
     error, _ = residuals(state, seen)
-    variance = float(np.median(error)) ** 2 / (2 * np.log(2)) * len(error) / len(np.unique(seen.point))
+    alike = max(1.0, ALIKE * len(error) / len(np.unique(seen.point)))
+    variance = alike * float(np.median(error)) ** 2 / (2 * np.log(2))
     spread, weights = float(np.median(squared)) / 3, np.ones(count - len(DIFFERENCES) + 1)
 
     def step(iterations: int) -> tuple[Reconstruction, PathPrior]:
