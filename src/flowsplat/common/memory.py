@@ -58,7 +58,7 @@ def freed_memory_kept() -> Iterator[None]:
     """
     try:
         library = ctypes.CDLL(None)
-        choose, trim = library.mallopt, library.malloc_trim
+        choose = library.mallopt
     except (AttributeError, OSError, TypeError):
         yield
         return
@@ -71,7 +71,7 @@ def freed_memory_kept() -> Iterator[None]:
         choose(_M_MMAP_MAX, 65536)
         choose(_M_MMAP_THRESHOLD, 32 << 20)
         choose(_M_TRIM_THRESHOLD, 64 << 20)
-        trim(0)
+        give_back_memory()
 
 
 def give_back_memory() -> None:

@@ -131,8 +131,7 @@ def adjust(
     free_focal: bool = True,
     free_translations: bool = True,
     free_distortion: bool = False,
-    prior: Prior | None = None,
-    path: Prior | None = None,
+    priors: Sequence[Prior] = (),
     tolerance: float = 1e-4,
 ) -> Adjusted:
     """Minimise the sum of scale^2 log(1 + |residual|^2 / scale^2) over poses, points, focal length and distortion.
@@ -141,20 +140,13 @@ def adjust(
         scale: pixels; residuals beyond it lose their influence.
         fixed_camera: the camera whose pose defines the world.
         free_translations: off, cameras only rotate.
-        prior: of the lens.
-        path: of the cameras' places.
+        priors: what is expected of lens and path; their costs are added.
         tolerance: stop when an iteration lowers the cost by less than this fraction.
     """
     count = len(start.rotations)
     first = np.searchsorted(seen.point, np.arange(len(start.points) + 1))
-    free = np.ones(6 * count + LENS, bool)
-    free[6 * fixed_camera : 6 * fixed_camera + 6] = False
-    if not free_translations:
-        free[:-LENS].reshape(count, 6)[:, 3:] = False
-    free[-LENS:] = free_distortion, free_focal
-    index = np.flatnonzero(free)
+    index = free_parameters(count, fixed_camera, free_focal, free_distortion, free_translations)
     state, damping, precisions = start, 1e-4, (0.0, 0.0)
-    priors = tuple(each for each in (prior, path) if each is not None)
     cost = _total(state, seen, scale, priors)
     for _ in range(iterations):
         H, g, Hp, gp, cross, cross_lens = _linearise(*_plain(state, seen), scale)
@@ -190,6 +182,23 @@ def adjust(
         if converged:
             break
     return Adjusted(state, _total(state, seen, scale, ()), *precisions)
+
+
+def free_parameters(
+    count: int, fixed_camera: int, focal: bool, distortion: bool, translations: bool = True
+) -> np.ndarray:
+    """Indices of the parameters [6 count + LENS] of poses and lens that may change."""
+    free = np.ones(6 * count + LENS, bool)
+    free[6 * fixed_camera : 6 * fixed_camera + 6] = False
+    if not translations:
+        free[:-LENS].reshape(count, 6)[:, 3:] = False
+    free[-LENS:] = distortion, focal
+    return np.flatnonzero(free)
+
+
+def scaling(state: Reconstruction, fixed_camera: int) -> np.ndarray:
+    """[T, 3] by how much translations change where all becomes larger about the fixed camera, which no picture tells."""
+    return np.einsum("tij,tj->ti", state.rotations, state.centers[fixed_camera] - state.centers)
 
 
 def information(state: Reconstruction, seen: Observations, scale: float, priors: Sequence[Prior]) -> np.ndarray:
@@ -258,8 +267,7 @@ def _unscaled(
     state: Reconstruction, step: np.ndarray, point_steps: np.ndarray, fixed_camera: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """A step without its share of a change of scale about the fixed camera, which no picture tells: it is small where all is."""
-    middle = state.centers[fixed_camera]
-    travel = np.einsum("tij,tj->ti", state.rotations, middle - state.centers)
+    middle, travel = state.centers[fixed_camera], scaling(state, fixed_camera)
     poses = step[:-LENS].reshape(-1, 6)
     scale = float((travel * poses[:, 3:]).sum()) / max(float((travel**2).sum()), 1e-18)
     kept = step.copy()

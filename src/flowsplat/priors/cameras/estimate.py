@@ -110,7 +110,7 @@ def _of_all_frames(
     """The cameras most tracks agree on; those of a long clip by way of its keyframes."""
     keys = choose_keyframes(seen)
     if len(keys) == seen.shape[1]:
-        return _of_keyframes(positions, seen, width, height, focal, solver, even=True)
+        return _of_keyframes(positions, seen, width, height, focal, solver, consecutive=True)
     found = _of_keyframes(positions[:, keys], seen[:, keys], width, height, focal, solver)
     fit = replace(found.fit, frames=keys[found.fit.frames])
     if found.motion in ("static", "unknown"):
@@ -124,8 +124,9 @@ def _of_all_frames(
 
 
 def _of_keyframes(
-    positions: np.ndarray, seen: np.ndarray, width: float, height: float, focal: float | None, solver: str, even: bool = False
-) -> Estimate:
+    positions: np.ndarray, seen: np.ndarray, width: float, height: float, focal: float | None, solver: str,
+    consecutive: bool = False,
+) -> Estimate:  # fmt: skip
     centred = from_middle(positions, seen, width, height)
     few = choose_tracks(positions, seen, width, height, per_cell=4, shortest=2)
     expected, free_focal = focal or USUAL_FOCAL * width, focal is None
@@ -165,7 +166,7 @@ def _of_keyframes(
     many = many if len(many) > len(few) else few
     fit = refine(
         start.state, centred[many], seen[many], fixed_camera=start.origin, expected_focal=expected,
-        free_focal=free_focal, free_translations=motion == "free", even=even,
+        free_focal=free_focal, free_translations=motion == "free", consecutive=consecutive,
     )  # fmt: skip
     parallax = _parallax(fit, seen[many]) if motion == "free" else 0.0
     flat = motion == "free" and _is_flat(fit, centred[many], seen[many])

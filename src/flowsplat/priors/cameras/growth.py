@@ -105,7 +105,7 @@ def adjust_model(
         scale=scale,
         fixed_camera=int(np.searchsorted(frames, model.origin)),
         free_focal=free_focal,
-        prior=prior,
+        priors=() if prior is None else (prior,),
     )
     rotations, translations, points = (x.copy() for x in (state.rotations, state.translations, state.points))
     found = done.reconstruction

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flowsplat.priors.cameras.bundle import USUAL_DISTORTION, LensPrior, Observations, Reconstruction, adjust, rays, residuals
-from flowsplat.priors.cameras.evenness import evened
 from flowsplat.priors.cameras.growth import triangulate
+from flowsplat.priors.cameras.smoothness import smooth_path
 
 FAR = 100.0
 """Points are kept within this many median depths: a ray without parallax then fixes rotations, not depths."""
@@ -104,6 +104,13 @@ def ray_points(state: Reconstruction, positions: np.ndarray, seen: np.ndarray) -
     return points / np.maximum(np.linalg.norm(points, axis=1, keepdims=True), 1e-12)
 
 
+def _with_others(state: Reconstruction, tracks: np.ndarray, points: np.ndarray) -> Reconstruction:
+    """A reconstruction of the tracks with these indices alone, with the points [N, 3] of the others as they were."""
+    result = points.copy()
+    result[tracks] = state.points
+    return replace(state, points=result)
+
+
 def robust_errors(state: Reconstruction, observed: Observations) -> tuple[np.ndarray, np.ndarray]:
     """Errors [M] in pixels, ``WORST`` at most, and their cost [M] without unit."""
     error, depth = residuals(state, observed)
@@ -142,7 +149,7 @@ def refine(
     free_distortion: bool = False,
     keep_points: bool = False,
     rough: bool = False,
-    even: bool = False,
+    consecutive: bool = False,
 ) -> Refined:
     """Alternate between picking static tracks and adjusting everything to them.
 
@@ -154,7 +161,7 @@ def refine(
         free_distortion: estimate the distortion of the lens, too.
         keep_points: start from the points of ``state`` instead of triangulating them.
         rough: from a first guess, only as far as is needed to compare these cameras with others.
-        even: the frames follow each other, so that how evenly the camera travels counts at the end.
+        consecutive: the frames follow each other, so that the path is smoothed at the end, as far as the tracks leave it open.
     """
     static = np.zeros(len(seen), bool)
     precision = bend_precision = 0.0
@@ -171,23 +178,20 @@ def refine(
         done = adjust(
             replace(state, points=state.points[tracks]), observed, scale=scale, fixed_camera=fixed_camera,
             iterations=BENT_ITERATIONS if free_distortion else ITERATIONS, free_focal=free_focal,
-            free_translations=free_translations, free_distortion=free_distortion, prior=prior,
+            free_translations=free_translations, free_distortion=free_distortion, priors=(prior,),
             tolerance=FINE if scale == ROUNDS[-1] else ROUGH,
         )  # fmt: skip
-        points = state.points.copy()
-        points[tracks] = done.reconstruction.points
-        state, precision = replace(done.reconstruction, points=points), max(done.focal_precision - prior.weight, 0.0)
+        state = _with_others(done.reconstruction, tracks, state.points)
+        precision = max(done.focal_precision - prior.weight, 0.0)
         bend_precision = max(done.distortion_precision - prior.weight / USUAL_DISTORTION**2, 0.0)
     tracks = np.flatnonzero(static)
     observed = Observations.of(positions[tracks], seen[tracks])
-    if even and free_translations and len(tracks):
-        done_evenly = evened(
+    if consecutive and free_translations and len(tracks):
+        smooth = smooth_path(
             replace(state, points=state.points[tracks]), observed, scale=rounds[-1], fixed_camera=fixed_camera, lens=prior,
             free_focal=free_focal, free_distortion=free_distortion,
         )  # fmt: skip
-        points = state.points.copy()
-        points[tracks] = done_evenly.points
-        state = replace(done_evenly, points=points)
+        state = _with_others(smooth, tracks, state.points)
     error, _ = residuals(replace(state, points=state.points[tracks]), observed)
     # The errors of one track are alike from frame to frame: a track counts as one observation, not as its length.
     variance = float(np.median(error) ** 2) * len(error) / max(len(tracks), 1)

@@ -1,4 +1,4 @@
-"""How evenly a camera travels counts where tracks do not tell its places, and only there."""
+"""The path of a camera is smoothed where tracks do not tell its places, and only there."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from flowsplat.geometry import Camera
-from flowsplat.priors.cameras import evenness
+from flowsplat.priors.cameras import smoothness
 from flowsplat.priors.cameras.bundle import LENS, LensPrior, Observations, Reconstruction, adjust, residuals
-from flowsplat.priors.cameras.evenness import FEWEST, PathPrior, differences, evened
 from flowsplat.priors.cameras.refinement import refine
+from flowsplat.priors.cameras.smoothness import FEWEST, SmoothnessPrior, differences, smooth_path
 from tests.priors.cameras.worlds import FOCAL, HEIGHT, WIDTH, centred, observed, path, state_of, world
 
 
@@ -35,9 +35,9 @@ def solved(cameras: list[Camera], points: np.ndarray, noise: float) -> tuple[Rec
     return done.reconstruction, observations
 
 
-def even(state: Reconstruction, observations: Observations) -> Reconstruction:
+def smooth(state: Reconstruction, observations: Observations) -> Reconstruction:
     lens = LensPrior(FOCAL, 1.0)
-    return evened(state, observations, scale=1.0, fixed_camera=0, lens=lens, free_focal=False, free_distortion=False)
+    return smooth_path(state, observations, scale=1.0, fixed_camera=0, lens=lens, free_focal=False, free_distortion=False)
 
 
 def off(state: Reconstruction, cameras: list[Camera]) -> float:
@@ -49,7 +49,7 @@ def off(state: Reconstruction, cameras: list[Camera]) -> float:
 
 def test_derivatives_are_those_of_the_differences():
     state, rng = state_of(shaken(path(6), 0.1), world(4)), np.random.default_rng(0)
-    J, step = evenness._derivatives(state), rng.normal(0, 1e-6, 36)
+    J, step = smoothness._derivatives(state), rng.normal(0, 1e-6, 36)
     turns = np.array([[[0, -c, b], [c, 0, -a], [-b, a, 0]] for a, b, c in step.reshape(6, 6)[:, :3]]) + np.eye(3)
     moved = replace(state, rotations=turns @ state.rotations, translations=state.translations + step.reshape(6, 6)[:, 3:])
     np.testing.assert_allclose((differences(moved) - differences(state)).ravel(), J @ step, atol=1e-10)
@@ -57,7 +57,7 @@ def test_derivatives_are_those_of_the_differences():
 
 def test_the_prior_adds_the_gradient_of_its_cost():
     state, rng = state_of(shaken(path(6), 0.1), world(4)), np.random.default_rng(1)
-    prior, shift = PathPrior(rng.uniform(1, 3, 3)), rng.normal(0, 1e-6, (6, 3))
+    prior, shift = SmoothnessPrior(rng.uniform(1, 3, 3)), rng.normal(0, 1e-6, (6, 3))
     H, g = np.zeros((36 + LENS, 36 + LENS)), np.zeros(36 + LENS)
     prior.add_to(H, g, state)
     there, back = (prior.cost(replace(state, translations=state.translations + sign * shift)) for sign in (1, -1))
@@ -70,11 +70,11 @@ def test_the_prior_adds_the_gradient_of_its_cost():
     assert not g[36:].any()
 
 
-def test_a_path_that_tracks_hardly_tell_becomes_even():
+def test_a_path_that_tracks_hardly_tell_becomes_smooth():
     """A hand's breadth on 25 frames before a landscape: one frame's shift is within the noise of its tracks."""
     cameras, points = path(25, travel=0.15), world(150)
     state, observations = solved(cameras, points, 0.2)
-    found = even(state, observations)
+    found = smooth(state, observations)
     assert off(found, cameras) < 0.25 * off(state, cameras)
     before, after = (np.median(residuals(each, observations)[0]) for each in (state, found))
     assert after < 1.05 * before
@@ -83,7 +83,7 @@ def test_a_path_that_tracks_hardly_tell_becomes_even():
 def test_a_camera_that_shakes_keeps_its_shake():
     cameras, points = shaken(path(25), 0.05), world(150)
     state, observations = solved(cameras, points, 0.2)
-    found = even(state, observations)
+    found = smooth(state, observations)
     assert off(found, cameras) < 1.02 * off(state, cameras)
     true = np.median(np.abs(differences(state_of(cameras, points))))
     assert np.median(np.abs(differences(found))) == pytest.approx(true, rel=0.1)
@@ -94,7 +94,7 @@ def test_a_jolt_is_kept():
     for camera in cameras[12:]:
         camera.viewmat[:3, 3] -= camera.viewmat[:3, :3] @ [0.4, 0.0, 0.0]
     state, observations = solved(cameras, points, 0.2)
-    found, true = even(state, observations), state_of(cameras, points)
+    found, true = smooth(state, observations), state_of(cameras, points)
     jolts = [np.linalg.norm(np.diff(each.centers, axis=0), axis=1).max() for each in (found, true)]
     assert jolts[0] == pytest.approx(jolts[1], rel=0.1)
     calm = np.r_[0:9, 14:22]
@@ -103,30 +103,30 @@ def test_a_jolt_is_kept():
 
 
 def test_the_extent_of_the_path_stays():
-    """A shorter path would be a more even one; what is small must not become smaller still."""
+    """A shorter path would be a smoother one; what is small must not become smaller still."""
     cameras, points = path(20, travel=0.3), world(150)
     state, observations = solved(cameras, points, 0.1)
-    found = even(state, observations)
+    found = smooth(state, observations)
     extents = [np.linalg.norm(each.centers[-1] - each.centers[0]) for each in (state, found)]
     assert extents[1] == pytest.approx(extents[0], rel=0.1)
 
 
 def test_few_frames_and_a_standing_camera_are_left_alone():
     state, observations = solved(path(FEWEST - 1), world(80), 0.2)
-    assert even(state, observations) is state
+    assert smooth(state, observations) is state
     still = replace(state_of(path(12, travel=0.0), world(80)), translations=np.zeros((12, 3)))
     positions, seen = centred(observed(path(12, travel=0.0), world(80), 0.1))
-    assert even(still, Observations.of(positions, seen)) is still
+    assert smooth(still, Observations.of(positions, seen)) is still
 
 
-def test_the_last_refinement_of_frames_that_follow_each_other_is_even():
+def test_the_last_refinement_of_frames_that_follow_each_other_is_smooth():
     cameras, points = path(25, travel=0.15), world(150)
     positions, seen = centred(observed(cameras, points, 0.2))
     keep = seen.sum(1) >= 2
     found = [
         refine(
             state_of(cameras, points[keep]), positions[keep], seen[keep], fixed_camera=0, expected_focal=FOCAL,
-            free_focal=False, even=each,
+            free_focal=False, consecutive=each,
         ).state
         for each in (False, True)
     ]  # fmt: skip

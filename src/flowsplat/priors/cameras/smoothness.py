@@ -1,4 +1,4 @@
-"""How evenly a camera travels: a prior on its path, as strong as the clip itself tells.
+"""A smoothness prior on the path of a camera, as strong as the clip itself tells.
 
 Where a camera hardly travels, a shift of it in one frame looks almost like a small turn. Tracks leave that shift open, and what is
 fitted to them alone jumps to and fro from frame to frame. Most of the scene does not show it, as the turn makes up for it; what
@@ -13,12 +13,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flowsplat.priors.cameras.bundle import LENS, LensPrior, Observations, Reconstruction, adjust, information, residuals
+from flowsplat.priors.cameras.bundle import (
+    LENS,
+    LensPrior,
+    Observations,
+    Reconstruction,
+    adjust,
+    free_parameters,
+    information,
+    residuals,
+    scaling,
+)
 
 DIFFERENCES = np.array([-1.0, 3.0, -3.0, 1.0])
 """Third ones over time, of the camera's places: a steady curve, as round something, has none to speak of."""
 FEWEST = 8
-"""Frames below which there is no telling how evenly a camera travels."""
+"""Frames below which there is no telling how smoothly a camera travels."""
 DEGREES = 4.0
 """Of freedom of the Student distribution: a jolt now and then is no sign of a camera that shakes."""
 ALIKE = 0.25
@@ -31,7 +41,7 @@ _HELD = 1e3
 
 
 @dataclass(frozen=True)
-class PathPrior:
+class SmoothnessPrior:
     """Pulls third differences of the camera's places to zero.
 
     Attributes:
@@ -52,7 +62,7 @@ class PathPrior:
         g[poses] -= J.T @ (weights * differences(state).ravel())
 
 
-def evened(
+def smooth_path(
     state: Reconstruction, seen: Observations, *, scale: float, fixed_camera: int, lens: LensPrior, free_focal: bool,
     free_distortion: bool,
 ) -> Reconstruction:  # fmt: skip
@@ -72,17 +82,19 @@ def evened(
     variance = alike * float(np.median(error)) ** 2 / (2 * np.log(2))
     spread, weights = float(np.median(squared)) / 3, np.ones(count - len(DIFFERENCES) + 1)
 
-    def step(iterations: int) -> tuple[Reconstruction, PathPrior]:
-        path = PathPrior(variance / spread * weights)
+    index = free_parameters(count, fixed_camera, free_focal, free_distortion)
+
+    def step(iterations: int) -> tuple[Reconstruction, SmoothnessPrior]:
+        path = SmoothnessPrior(variance / spread * weights)
         done = adjust(
             state, seen, iterations=iterations, scale=scale, fixed_camera=fixed_camera, free_focal=free_focal,
-            free_distortion=free_distortion, prior=lens, path=path,
+            free_distortion=free_distortion, priors=(lens, path),
         )  # fmt: skip
         return done.reconstruction, path
 
     for _ in range(_ROUNDS):
         state, path = step(_ITERATIONS)
-        left = _uncertainty(state, seen, scale, lens, path, fixed_camera, free_focal, free_distortion) * variance
+        left = _uncertainty(state, information(state, seen, scale, (lens, path)), index, fixed_camera) * variance
         squares = differences(state) ** 2
         # Of each difference the share that the tracks tell, not the prior.
         told = float(np.clip(1 - left * weights[:, None] / spread, 1e-3, 1).sum())
@@ -113,22 +125,16 @@ def _derivatives(state: Reconstruction) -> np.ndarray:
     return J.reshape(3 * rows, 6 * count)
 
 
-def _uncertainty(
-    state: Reconstruction, seen: Observations, scale: float, lens: LensPrior, path: PathPrior, fixed_camera: int,
-    free_focal: bool, free_distortion: bool,
-) -> np.ndarray:  # fmt: skip
-    """[T - 3, 3] variance of the differences where observations have a variance of one square pixel."""
-    S = information(state, seen, scale, (lens, path))
-    free = np.ones(len(S), bool)
-    free[6 * fixed_camera : 6 * fixed_camera + 6] = False
-    free[-LENS:] = free_distortion, free_focal
-    index = np.flatnonzero(free)
-    travel = np.zeros(len(S))
-    travel[:-LENS].reshape(-1, 6)[:, 3:] = np.einsum(
-        "tij,tj->ti", state.rotations, state.centers[fixed_camera] - state.centers
-    )
-    travel, S = travel[index], S[np.ix_(index, index)]
-    usual = float(np.median(np.diag(S)))
-    S += _HELD * usual * np.outer(travel, travel) / max(float(travel @ travel), 1e-30) + 1e-9 * usual * np.eye(len(S))
+def _uncertainty(state: Reconstruction, curvature: np.ndarray, index: np.ndarray, fixed_camera: int) -> np.ndarray:
+    """[T - 3, 3] variance of the differences where observations have a variance of one square pixel.
+
+    Args:
+        curvature: [6T + LENS, 6T + LENS] as from ``information``.
+        index: of the parameters that may change.
+    """
+    larger, S = np.zeros(len(curvature)), curvature[np.ix_(index, index)]
+    larger[:-LENS].reshape(-1, 6)[:, 3:] = scaling(state, fixed_camera)
+    larger, usual = larger[index], float(np.median(np.diag(S)))
+    S = S + _HELD * usual * np.outer(larger, larger) / max(float(larger @ larger), 1e-30) + 1e-9 * usual * np.eye(len(S))
     J = np.pad(_derivatives(state), ((0, 0), (0, LENS)))[:, index]
     return np.einsum("ij,ji->i", J, np.linalg.solve(S, J.T)).reshape(-1, 3)
