@@ -22,6 +22,7 @@ def with_present_names(arguments: Sequence[str]) -> list[str]:
 
 
 def value_of(arguments: Sequence[str], option: str) -> str | None:
+    """What follows an option, behind a space or =; None where it is not among them."""
     for k, argument in enumerate(arguments):
         if argument == option and k + 1 < len(arguments):
             return arguments[k + 1]

@@ -43,6 +43,7 @@ Observe = Callable[[Scene], Observations]
 
 
 def train_key(folder: RunFolder) -> str:
+    """What a trained scene belongs to: the prepared scene, and the settings of training that change the result."""
     settings = to_plain(folder.config.train, first_names=True)
     return stage_key(folder.record["stages"].get("prepare", {}).get("key"), affecting_result(settings))
 
@@ -98,6 +99,7 @@ def _trained(
     started, out, scene = time.perf_counter(), folder.path, Scene(folder.scene_path)
     with busy("Loading frames and priors"):
         tracks, observations = scene.tracks if scene.has_tracks else None, observe(scene)
+
     def preview(step: int, frame: Observation, rendered: RenderedFrame) -> None:
         image = rendered.colour.detach().clamp(0, 1).cpu().numpy()
         write_image(out / "preview.png", preview_sheet(frame.image, float_to_bytes(image)))
@@ -170,10 +172,12 @@ def static_model(folder: RunFolder) -> SceneModel:
 
 
 def wants_final(folder: RunFolder) -> bool:
+    """Whether the run asks for a fit to the held-out frames, and has any."""
     return folder.config.final_fit and bool(Scene(folder.scene_path).heldout_frames)
 
 
 def final_key(folder: RunFolder) -> str:
+    """What the final fit belongs to."""
     return stage_key(train_key(folder), "final")
 
 

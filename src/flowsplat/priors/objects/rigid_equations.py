@@ -36,6 +36,7 @@ def rotation(v: np.ndarray) -> np.ndarray:
 
 @njit(cache=True)
 def turned(turns: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """Turns [F, 3, 3] after a step [6F] of the poses."""
     result = np.empty_like(turns)
     for f in range(len(turns)):
         result[f] = rotation(step[6 * f : 6 * f + 3]) @ turns[f]
@@ -44,6 +45,7 @@ def turned(turns: np.ndarray, step: np.ndarray) -> np.ndarray:
 
 @njit(cache=True)
 def second_differences(turns: np.ndarray, shifts: np.ndarray, weight: float) -> tuple[np.ndarray, np.ndarray, float]:
+    """Squared second differences of the poses over time, times ``weight``: a band [6F, 13], the right side [6F], and the cost."""
     F = len(turns)
     A, b, cost = np.zeros((6 * F, 13)), np.zeros(6 * F), 0.0
     c, r = np.array([1.0, -2.0, 1.0]), np.zeros(6)
@@ -87,6 +89,7 @@ def robust_cost(
     turns: np.ndarray, shifts: np.ndarray, points: np.ndarray, first: np.ndarray, frame_of: np.ndarray, x: np.ndarray,
     known: np.ndarray, focal: float, width: float, ridge: float,
 ) -> float:  # fmt: skip
+    """Cauchy cost of all observations, in square pixels, and of points far from the middle."""
     total = 0.0
     for n in range(len(points)):
         if not known[n]:
@@ -204,6 +207,7 @@ def moved_points(
     points: np.ndarray, step: np.ndarray, first: np.ndarray, frame_of: np.ndarray, inverses: np.ndarray, gradients: np.ndarray,
     links: np.ndarray, known: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
+    """Points [N, 3] after the step [6F] of the poses, by what ``reduced_system`` returned."""
     result, g = points.copy(), np.zeros(3)
     for n in range(len(points)):
         if not known[n]:
