@@ -6,11 +6,13 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import cv2
+import numba
 import numpy as np
 import torch
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.spread import spread
+from flowsplat.common.threads import in_threads
 from flowsplat.gaussians.first_motion import fit_motion
 from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Gaussians4D, ModelConfig, concatenate, parameter_shapes
 from flowsplat.gaussians.observations import Observation, Observations
@@ -106,10 +108,11 @@ def initialize(
 def _from_priors(
     observations: Observations, tracks: Tracks | None, model: ModelConfig, config: InitConfig, rng: np.random.Generator
 ) -> Gaussians4D:
-    parts = [_background(observations, model, config, rng)]
+    at_rest, moving = rng.spawn(2)
+    kinds = [lambda: _background(observations, model, config, at_rest)]
     if any(frame.mask.any() for frame in observations.frames):
-        parts.append(_foreground(observations, tracks, model, config, rng))
-    return concatenate(parts)
+        kinds.append(lambda: _foreground(observations, tracks, model, config, moving))
+    return concatenate(list(in_threads(lambda make: make(), kinds, min(len(kinds), numba.get_num_threads()))))
 
 
 # -- building
@@ -214,10 +217,10 @@ def _background(
 def _covered(points: np.ndarray, frame: Observation, tolerance: float, spacing: float | np.ndarray) -> np.ndarray:
     """[H, W] bool: pixels within whose spacing one of the points [N, 3] lies on the visible surface."""
     height, width = frame.depth.shape
-    uv, depth = frame.camera.project(points)
-    inside = (depth > NEAR_PLANE) & (uv >= 0).all(1) & (uv[:, 0] < width) & (uv[:, 1] < height)
-    x, y = uv[inside].astype(np.int64).T
-    on_surface = np.abs(depth[inside] - frame.depth[y, x]) < tolerance * frame.depth[y, x]
+    (u, v), depth = (values.T for values in frame.camera.project(points))
+    inside = (depth > NEAR_PLANE) & (u >= 0) & (v >= 0) & (u < width) & (v < height)
+    x, y, surface = u[inside].astype(np.int64), v[inside].astype(np.int64), frame.depth
+    on_surface = np.abs(depth[inside] - surface[y, x]) < tolerance * surface[y, x]
     hit = np.zeros((height, width), np.uint8)
     hit[y[on_surface], x[on_surface]] = 1
     reach = np.broadcast_to(np.maximum(1, np.round(spacing)), hit.shape)

@@ -26,7 +26,8 @@ def detail(image: np.ndarray) -> np.ndarray:
     """
     colours = image.astype(np.float32) / 255
     lost = colours - cv2.GaussianBlur(colours, (0, 0), _FINE)
-    return np.sqrt(cv2.GaussianBlur((lost**2).mean(-1), (0, 0), _AROUND)) + np.float32(_QUIET)
+    square = np.einsum("hwc,hwc->hw", lost, lost) / np.float32(3)
+    return np.sqrt(cv2.GaussianBlur(square, (0, 0), _AROUND)) + np.float32(_QUIET)
 
 
 def spacings(weight: np.ndarray, region: np.ndarray, spacing: float) -> np.ndarray:
@@ -65,6 +66,6 @@ def grid(width: int, height: int, spacing: float | np.ndarray, rng: np.random.Ge
         spacing: 1 or more: one number, or [H, W] one at every pixel.
         rng: for where the pattern begins.
     """
-    y, x = np.mgrid[:height, :width]
     # Sums of multiples of these two numbers (powers of 1 / 1.3247, the plastic ratio) are spread evenly, without clumps.
-    return (0.7548776662466927 * x + 0.5698402909980532 * y + rng.random()) % 1 < 1 / spacing**2
+    sums = 0.7548776662466927 * np.arange(width) + (0.5698402909980532 * np.arange(height) + rng.random())[:, None]
+    return sums - np.floor(sums) < 1 / spacing**2

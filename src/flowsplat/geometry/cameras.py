@@ -76,10 +76,11 @@ class Camera:
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """World points [..., 3] to pixels [..., 2] and planar depth [...]. Points behind the camera keep their sign of depth."""
-        p = points @ self.viewmat[:3, :3].T + self.viewmat[:3, 3]
-        z = p[..., 2]
+        x, y, z = (points @ row[:3] + row[3] for row in self.viewmat[:3])
         safe = np.where(np.abs(z) < 1e-9, 1e-9, z)
-        uv = p[..., :2] / safe[..., None] * [self.K[0, 0], self.K[1, 1]] + self.K[:2, 2]
+        uv = np.empty((*np.shape(z), 2))
+        uv[..., 0] = x / safe * self.K[0, 0] + self.K[0, 2]
+        uv[..., 1] = y / safe * self.K[1, 1] + self.K[1, 2]
         return uv, z
 
     def unproject(self, uv: np.ndarray, depth: np.ndarray) -> np.ndarray:

@@ -44,6 +44,7 @@ from flowsplat.training.config import TrainConfig, affecting_result
 from flowsplat.training.coverage import coverage_loss
 from flowsplat.training.picture_loss import PictureTargets, PictureWeights, picture_loss
 from flowsplat.training.rays import step_along_rays
+from flowsplat.training.residuals import add_residuals
 from flowsplat.training.rigidity import Neighbours, find_neighbours, rigid_loss
 from flowsplat.training.targets import Targets
 from flowsplat.training.timing import CheckpointTimes
@@ -368,22 +369,18 @@ class Trainer:
 
     def _count(self, targets: PictureTargets, active: Active, rendered: RenderedFrame, visible: Tensor) -> None:
         """Add this picture to the statistics of density control."""
-        statistics, rows = self._statistics, active.valid(active.rows)
+        statistics = self._statistics
         if self.config.density.gradient > 0:
-            gradient = rendered.projected.means2d.grad
+            rows, gradient = active.valid(active.rows), rendered.projected.means2d.grad
             assert gradient is not None
             width, height = self.observations.size
             scaled = gradient * upload(torch.tensor([width / 2, height / 2], dtype=gradient.dtype), gradient.device)
             statistics.gradient[rows] += active.valid(torch.where(visible, scaled.norm(dim=1), 0))
             statistics.visits[rows] += active.valid(visible)
-        # Every fourth step is enough evidence, and saves a twentieth of the time.
+        # Every fourth step is enough evidence.
         sampled = self._revises and self.step % 4 == 0
         if sampled and rendered.flow is not None and targets.flow is not None:
-            seen, residual, colour = _residuals(targets, rendered)
-            seen &= visible
-            statistics.flow_residual[rows] += active.valid(torch.where(seen, residual, 0))
-            statistics.colour_residual[rows] += active.valid(torch.where(seen, colour, 0))
-            statistics.flow_visits[rows] += active.valid(seen)
+            add_residuals(statistics, active, visible, rendered, targets)
 
     # -- after a step
 
@@ -562,21 +559,3 @@ def _read(entries: list[Entry]) -> list[dict[str, float]]:
     tensors = [value.double() for entry in entries for value in entry.values() if isinstance(value, Tensor)]
     numbers = iter(torch.stack(tensors).tolist() if tensors else [])
     return [{name: next(numbers) if isinstance(value, Tensor) else value for name, value in e.items()} for e in entries]
-
-
-def _residuals(targets: PictureTargets, rendered: RenderedFrame) -> tuple[Tensor, Tensor, Tensor]:
-    """Which Gaussians, if drawn, lie on the visible surface where flow is trusted; errors of flow and colour there, [A] each."""
-    assert rendered.flow is not None
-    height, width = rendered.alpha.shape
-    uv = rendered.projected.means2d.detach()
-    x, y = uv[:, 0].long().clamp(0, width - 1), uv[:, 1].long().clamp(0, height - 1)
-    inside = (uv[:, 0] >= 0) & (uv[:, 1] >= 0) & (uv[:, 0] < width) & (uv[:, 1] < height)
-    alpha = rendered.alpha.detach()[y, x]
-    surface = rendered.depth.detach()[y, x] / alpha.clamp(min=1e-6)
-    depths = rendered.projected.depths.detach()
-    trusted = torch.as_tensor(targets.flow_trusted, device=uv.device)[y, x]
-    seen = inside & trusted & (alpha > 0.5) & ((depths - surface).abs() < 0.05 * surface)
-    flow = rendered.flow.detach()[y, x] / alpha.clamp(min=1e-6)[:, None]
-    wrong = (flow - torch.as_tensor(targets.flow, device=uv.device)[y, x]).norm(dim=1)
-    true = torch.as_tensor(targets.colour, device=uv.device)[y, x].float() / 255
-    return seen, wrong, (rendered.image.detach()[y, x, :3] - true).abs().mean(1)

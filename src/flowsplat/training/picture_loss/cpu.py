@@ -82,7 +82,7 @@ def _rows(image, target, h, width, row_x, row_y):
 
 
 @njit(forceinline=True, **OPTIONS)
-def _flow_at(image, h, w, flow_channels, half_width, half_height):
+def flow_at(image, h, w, flow_channels, half_width, half_height):
     """What ``gaussians.flow.flow_image`` makes of a pixel's features, and the pixel from the centre of the picture."""
     u, v = image[h, w, 4], image[h, w, 5]
     x, y = float32(w) + HALF - half_width, float32(h) + HALF - half_height
@@ -186,7 +186,7 @@ def _loss_and_gradient(
                 gradient[h, w, 3] = sign * inverse
                 toward_alpha -= sign
             if flow_weight > ZERO and _flow_counts(image, alpha, flow_trusted, h, w, end, by_alpha):
-                u, v, x, y = _flow_at(image, h, w, flow_channels, half_width, half_height)
+                u, v, x, y = flow_at(image, h, w, flow_channels, half_width, half_height)
                 factor = alpha[h, w] if by_alpha else ONE
                 du, dv = u - factor * flow[h, w, 0], v - factor * flow[h, w, 1]
                 flow_sum += abs(du) + abs(dv)

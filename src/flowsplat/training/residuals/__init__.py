@@ -1,0 +1,5 @@
+"""How far flow and colour of a picture are off where single Gaussians are seen."""
+
+from flowsplat.training.residuals.api import add_residuals
+
+__all__ = ["add_residuals"]

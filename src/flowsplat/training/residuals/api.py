@@ -1,0 +1,35 @@
+"""The one place that picks who computes residuals."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from flowsplat.common import devices
+from flowsplat.gaussians.density import DensityStatistics
+from flowsplat.gaussians.gaussians4d import Active
+from flowsplat.gaussians.render import RenderedFrame
+from flowsplat.training.picture_loss import PictureTargets
+from flowsplat.training.residuals import reference
+
+
+def add_residuals(
+    statistics: DensityStatistics, active: Active, visible: Tensor, rendered: RenderedFrame, targets: PictureTargets
+) -> None:
+    """Add what a picture says about the Gaussians on its visible surface, where flow is trusted.
+
+    Those are the ones whose centre lies in the picture, on a pixel of alpha above ``reference.OPAQUE``, at the depth that is
+    rendered there to within ``reference.ON_SURFACE`` of it.
+
+    Args:
+        statistics: ``flow_residual`` (pixels), ``colour_residual`` (0 to 1) and ``flow_visits`` [N] are added to, in place.
+        active: who was rendered.
+        visible: [A] bool, who of them was drawn.
+        rendered: the picture, with flow.
+        targets: what it should show, with flow.
+    """
+    if devices.kernels_for(rendered.image) == "cpu":
+        from flowsplat.training.residuals.cpu import add_residuals as add
+
+        add(statistics, active, visible, rendered, targets)
+    else:
+        reference.add_residuals(statistics, active, visible, rendered, targets)

@@ -1,0 +1,57 @@
+"""Residuals of all Gaussians in one sweep, of which most end at the first question. Oracle: ``reference``."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import float32, prange
+from torch import Tensor
+
+from flowsplat.common.kernels import parallel_kernel
+from flowsplat.gaussians.density import DensityStatistics
+from flowsplat.gaussians.gaussians4d import Active
+from flowsplat.gaussians.render import RenderedFrame
+from flowsplat.training.picture_loss import PictureTargets
+from flowsplat.training.picture_loss.cpu import BYTE, HALF, ONE, ZERO, flow_at
+from flowsplat.training.residuals import reference
+
+OPAQUE, ON_SURFACE, THIRD = np.float32(reference.OPAQUE), np.float32(reference.ON_SURFACE), np.float32(1 / 3)
+
+
+@parallel_kernel
+def _add(
+    rows, visible, means2d, depths, image, alpha, flow_channels, colour, flow, trusted, flow_residual, colour_residual, visits
+):
+    height, width = alpha.shape
+    half_width, half_height = HALF * float32(width), HALF * float32(height)
+    for a in prange(len(rows)):
+        u, v = means2d[a, 0], means2d[a, 1]
+        if visible[a] and u >= ZERO and v >= ZERO and u < float32(width) and v < float32(height):
+            w, h = int(u), int(v)
+            if trusted[h, w] and alpha[h, w] > OPAQUE:
+                share = ONE / alpha[h, w]
+                surface = image[h, w, 3] * share
+                if abs(depths[a] - surface) < ON_SURFACE * surface:
+                    du, dv, _, _ = flow_at(image, h, w, flow_channels, half_width, half_height)
+                    du, dv = du * share - flow[h, w, 0], dv * share - flow[h, w, 1]
+                    wrong = ZERO
+                    for c in range(3):
+                        wrong += abs(image[h, w, c] - BYTE * float32(colour[h, w, c]))
+                    i = rows[a]
+                    flow_residual[i] += math.sqrt(du * du + dv * dv)
+                    colour_residual[i] += THIRD * wrong
+                    visits[i] += ONE
+
+
+def add_residuals(
+    statistics: DensityStatistics, active: Active, visible: Tensor, rendered: RenderedFrame, targets: PictureTargets
+) -> None:
+    """See ``api.add_residuals``."""
+    projected = rendered.projected
+    shown = (active.rows, visible, projected.means2d, projected.depths, rendered.image, rendered.alpha)
+    sums = statistics.flow_residual, statistics.colour_residual, statistics.flow_visits
+    _add(
+        *(tensor.detach().contiguous().numpy() for tensor in shown), rendered.flow_channels, targets.colour, targets.flow,
+        targets.flow_trusted, *(tensor.numpy() for tensor in sums),
+    )  # fmt: skip
