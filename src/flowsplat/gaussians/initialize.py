@@ -6,13 +6,11 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import cv2
-import numba
 import numpy as np
 import torch
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.spread import spread
-from flowsplat.common.threads import in_threads
 from flowsplat.gaussians.first_motion import fit_motion
 from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Gaussians4D, ModelConfig, concatenate, parameter_shapes
 from flowsplat.gaussians.observations import Observation, Observations
@@ -108,11 +106,10 @@ def initialize(
 def _from_priors(
     observations: Observations, tracks: Tracks | None, model: ModelConfig, config: InitConfig, rng: np.random.Generator
 ) -> Gaussians4D:
-    at_rest, moving = rng.spawn(2)
-    kinds = [lambda: _background(observations, model, config, at_rest)]
+    parts = [_background(observations, model, config, rng)]
     if any(frame.mask.any() for frame in observations.frames):
-        kinds.append(lambda: _foreground(observations, tracks, model, config, moving))
-    return concatenate(list(in_threads(lambda make: make(), kinds, min(len(kinds), numba.get_num_threads()))))
+        parts.append(_foreground(observations, tracks, model, config, rng))
+    return concatenate(parts)
 
 
 # -- building

@@ -216,7 +216,7 @@ def rasterization(
 
     meta |= dict.fromkeys(("batch_ids", "camera_ids", "gaussian_ids"))
     if packed:
-        if len(images) == 1:  # numbers for each would take 2 % of the time
+        if len(images) == 1:  # numbering each would take 1 % of the time
             batch_ids, camera_ids = (chosen[0].new_zeros(sizes[0]) for _ in range(2))
         else:
             number, counts = torch.arange(len(images), device=means.device), torch.tensor(sizes, device=means.device)
