@@ -14,6 +14,6 @@ RUN pip install --no-cache-dir --no-deps --require-hashes -r requirements.view.l
     && pip install --no-cache-dir ${TORCH_INDEX:+--index-url "$TORCH_INDEX"} "$(grep '^torch==' constraints.txt)" \
     && pip install --no-cache-dir --no-deps --no-build-isolation .
 # Kernels that were compiled, and how fast the machine is: mount a folder here to keep them.
-ENV NUMBA_CACHE_DIR=/cache/numba FLOWSPLAT_CACHE=/cache/flowsplat
+ENV FLOWSPLAT_CACHE=/cache/flowsplat
 WORKDIR /data
 ENTRYPOINT ["flowsplat"]

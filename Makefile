@@ -2,32 +2,50 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: help demo test lock clean
+.PHONY: help demo test test-all lock clean
 
 help:
-	@echo "make demo   a short rendered clip through all stages: pictures, video and report in out/demo"
-	@echo "make test   lint, types, and all tests, the fast ones first"
-	@echo "make lock   requirements.lock and requirements.view.lock anew, from pyproject.toml and constraints.txt (needs uv)"
-	@echo "make clean  remove .venv and out"
+	@echo "make demo      a short rendered clip through all stages: pictures, video and report in out/demo"
+	@echo "make test      lint, format, types, and every guarantee once: about ten minutes"
+	@echo "make test-all  the same and all that takes longer"
+	@echo "make lock      requirements.lock and requirements.view.lock anew, from pyproject.toml and constraints.txt (needs uv)"
+	@echo "make clean     remove .venv and out"
 
-demo: .venv/.installed
+demo: .venv/.run
 	$(BIN)/flowsplat demo -o out/demo
 
-test: .venv/.installed
-	$(BIN)/ruff check
-	$(BIN)/mypy
-	$(BIN)/pytest -m "not slow"
-	$(BIN)/pytest -m slow
+test: .venv/.dev
+	$(BIN)/python tests/run.py
 
-# Everything has the hash that requirements.lock names for it, except for torch and the CUDA libraries that it brings: which build of
-# it is wanted differs from machine to machine.
-.venv/.installed: pyproject.toml constraints.txt requirements.lock
+test-all: .venv/.dev
+	$(BIN)/python tests/run.py --all
+
+# uv installs in a quarter of the time. Where it cannot be had, or does not get to where packages come from, pip does the same.
+# Folders with wheels that pip is told of are told to uv, too.
+define install
+	if [ -x $(BIN)/uv ] && $(BIN)/uv pip install --python $(BIN)/python --compile-bytecode $(addprefix --find-links ,$(PIP_FIND_LINKS)) $(1); \
+	then :; else $(BIN)/python -m pip install $(1); fi
+endef
+
+.venv/.created:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || \
 		{ echo "flowsplat needs Python 3.10 or newer: make PYTHON=/path/to/python3"; exit 1; }
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --no-deps --require-hashes -r requirements.lock
-	$(BIN)/python -m pip install "$$(grep '^torch==' constraints.txt)"
-	$(BIN)/python -m pip install --no-deps --no-build-isolation -e .
+	[ -n "$(WITHOUT_UV)" ] || $(BIN)/python -m pip install --quiet --require-hashes -r requirements.uv.lock || \
+		echo "uv cannot be installed; pip will do."
+	@touch $@
+
+# What running and viewing need. Everything has the hash that the file names for it, except for torch and the CUDA libraries that it
+# brings: which build of it is wanted differs from machine to machine.
+.venv/.run: .venv/.created pyproject.toml constraints.txt requirements.view.lock
+	$(call install,--no-deps --require-hashes -r requirements.view.lock)
+	$(call install,"$$(grep '^torch==' constraints.txt)")
+	$(call install,--no-deps --no-build-isolation -e .)
+	@touch $@
+
+# What tests and documentation need beside that.
+.venv/.dev: .venv/.run requirements.lock
+	$(call install,--no-deps --require-hashes -r requirements.lock)
 	@touch $@
 
 NOT_LOCKED := torch cuda-bindings cuda-pathfinder cuda-toolkit nvidia-cublas nvidia-cuda-cupti nvidia-cuda-nvrtc nvidia-cuda-runtime \
@@ -38,8 +56,9 @@ COMPILE := uv pip compile --quiet --universal --generate-hashes --no-header --no
 	$(NOT_LOCKED:%=--no-emit-package %)
 
 lock:
-	printf 'hatchling\neditables\n' | $(COMPILE) --extra dev -c constraints.txt pyproject.toml - -o requirements.lock
-	echo hatchling | $(COMPILE) --extra view --no-emit-package triton -c requirements.lock pyproject.toml - -o requirements.view.lock
+	printf 'hatchling\neditables\nuv\n' | $(COMPILE) --extra dev -c constraints.txt pyproject.toml - -o requirements.lock
+	printf 'hatchling\neditables\n' | $(COMPILE) --extra view --no-emit-package triton -c requirements.lock pyproject.toml - -o requirements.view.lock
+	echo uv | $(COMPILE) -c requirements.lock - -o requirements.uv.lock
 
 clean:
 	rm -rf .venv out

@@ -21,12 +21,12 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-import numba
 from cpu_parts import large, machine, rasterizer, scaling, startup, step, variants
 from cpu_parts.report import comparison, markdown
 from cpu_parts.timing import tell
 
 from flowsplat.common.files import write_json, write_text
+from flowsplat.common.threads import most_threads
 
 RESULTS = Path(__file__).parent / "results"
 
@@ -58,7 +58,7 @@ QUICK = Effort(
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """Everything that was asked for, as it goes into the file."""
     effort = QUICK if options.quick else Effort()
-    available = numba.config.NUMBA_NUM_THREADS
+    available = most_threads()
     threads = sorted({min(count, available) for count in options.threads})
     most, limits = threads[-1], machine.Limits()
     sizes = scaling.SIZES["480p"], scaling.SIZES["240p"]
@@ -78,10 +78,9 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     for name in parts if options.only is None else options.only:
         tell(f"{name} ...")
         result[name] = parts[name]()
-    if options.isa or options.layer:
+    if options.isa:
         tell("variants ...")
-        chosen = [name for name in (options.isa, options.layer) if name]
-        result["variants"] = variants.measure(chosen, threads, effort.turns, options.quick)
+        result["variants"] = variants.measure([options.isa], threads, effort.turns, options.quick)
     result |= {"load_after": machine.load(), "limits": limits.to_json()}
     return _added(json.loads(options.add_to.read_text(encoding="utf-8")), result) if options.add_to else result
 
@@ -101,7 +100,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--only", nargs="*", choices=parts, help="only these parts")
     parser.add_argument("--threads", nargs="+", type=int, default=[1, 2], help="numbers of threads; the most is used where one is")
     parser.add_argument("--isa", choices=["avx2"], help="the rasterizer once more, compiled for this instruction set")
-    parser.add_argument("--layer", choices=["workqueue"], help="the rasterizer once more, with this threading layer of Numba")
     parser.add_argument("--read", type=Path, metavar="JSON", help="measure nothing, show this result")
     parser.add_argument("--add-to", type=Path, metavar="JSON", help="put what is measured into this result of the same commit")
     parser.add_argument("--compare", type=Path, metavar="JSON", help="print the ratios to an earlier result")

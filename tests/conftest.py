@@ -9,9 +9,11 @@ import tempfile
 import pytest
 import torch
 
+from flowsplat.common.kernel_cache import kernels_folder
 from tests.browser import chromium  # noqa: F401 (a fixture, of which there can be only one)
 
-# What tests measure of this machine is not for its user.
+# What tests measure of this machine is not for its user; kernels that are compiled are.
+os.environ.setdefault("NUMBA_CACHE_DIR", str(kernels_folder()))
 os.environ.setdefault("FLOWSPLAT_CACHE", tempfile.mkdtemp(prefix="flowsplat-tests-"))
 
 if not torch.cuda.is_available():

@@ -65,9 +65,7 @@ def test_imports_run_with_the_data():
     modules = sorted(PACKAGE.rglob("*.py"))
     assert modules
     found = [
-        line
-        for path in modules
-        for line in violations(path.relative_to(PACKAGE).as_posix(), path.read_text(encoding="utf-8"))
+        line for path in modules for line in violations(path.relative_to(PACKAGE).as_posix(), path.read_text(encoding="utf-8"))
     ]
     assert not found, "\n" + "\n".join(found)
 

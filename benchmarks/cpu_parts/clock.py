@@ -18,6 +18,7 @@ from numba.core.dispatcher import Dispatcher
 
 import flowsplat
 from cpu_parts.timing import replaced
+from flowsplat.common.threads import parallel_for
 
 PACKAGE = Path(flowsplat.__file__).parent
 
@@ -37,12 +38,14 @@ class KernelClock:
             names: what to call a kernel; one that is not in it keeps its own name.
         """
         modules = [module for name, module in sys.modules.items() if name == package or name.startswith(package + ".")]
+        self._names = names
         self._kernels = [
             (names.get(attribute, attribute), module, attribute)
             for module in modules
             for attribute, value in vars(module).items()
-            if isinstance(getattr(value, "compiled", value), Dispatcher)
+            if isinstance(value, Dispatcher) and not _takes_a_range(value)
         ]
+        self._launches = [module for module in modules if vars(module).get("parallel_for") is parallel_for]
         self._seconds: dict[str, float] = {}
 
     @contextlib.contextmanager
@@ -51,6 +54,8 @@ class KernelClock:
         with contextlib.ExitStack() as stack:
             for name, module, attribute in self._kernels:
                 stack.enter_context(replaced(module, attribute, self._timed(name, getattr(module, attribute))))
+            for module in self._launches:
+                stack.enter_context(replaced(module, "parallel_for", self._launch))
             yield
 
     def take(self) -> dict[str, float]:
@@ -58,15 +63,24 @@ class KernelClock:
         seconds, self._seconds = self._seconds, {}
         return seconds
 
+    def _launch(self, kernel: Callable[..., Any], *args: Any, **how: Any) -> None:
+        name = kernel.__name__
+        self._timed(self._names.get(name, name), parallel_for)(kernel, *args, **how)
+
     def _timed(self, name: str, kernel: Callable[..., Any]) -> Callable[..., Any]:
         @functools.wraps(kernel)
-        def call(*args: Any) -> Any:
+        def call(*args: Any, **how: Any) -> Any:
             start = time.perf_counter()
-            result = kernel(*args)
+            result = kernel(*args, **how)
             self._seconds[name] = self._seconds.get(name, 0.0) + time.perf_counter() - start
             return result
 
         return call
+
+
+def _takes_a_range(kernel: Any) -> bool:
+    """Whether it is ``parallel_for`` that calls it."""
+    return str(kernel.py_func.__code__.co_varnames[0]).startswith("begin")
 
 
 def profile(action: Callable[[], object], directors: Sequence[str]) -> dict[str, float]:

@@ -26,8 +26,9 @@ import math
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from numba import njit, prange
 
+from flowsplat.common.kernels import kernel
+from flowsplat.common.threads import parallel_for
 from flowsplat.splatting import Projected
 
 TILE = 16
@@ -65,11 +66,11 @@ class Counts:
         return {**asdict(self), "pairs_per_pixel": self.pairs / self.pixels}
 
 
-@njit(parallel=True, cache=True)
-def _count(means2d, conics, extents, width, height, totals):
+@kernel
+def _count(begin, end, means2d, conics, extents, width, height, totals):
     """totals [chunks, 3]: visible, pairs, instances."""
     count, chunks = len(means2d), len(totals)
-    for chunk in prange(chunks):
+    for chunk in range(begin, end):
         visible, pairs, instances = 0, 0, 0
         for i in range(count * chunk // chunks, count * (chunk + 1) // chunks):
             if not extents[i] > 0:
@@ -108,7 +109,7 @@ def count_pairs(projected: Projected, opacities: np.ndarray, width: int, height:
     extents[~projected.visible.numpy()] = 0
     totals = np.zeros((_CHUNKS, 3), np.int64)
     means2d, conics = (tensor.detach().numpy().astype(np.float64) for tensor in (projected.means2d, projected.conics))
-    _count(means2d, conics, extents, width, height, totals)
+    parallel_for(_count, _CHUNKS, means2d, conics, extents, width, height, totals)
     visible, pairs, instances = map(int, totals.sum(0))
     return Counts(width * height, visible, pairs, instances)
 

@@ -15,14 +15,15 @@ import llvmlite.binding as llvm
 import numba
 import numpy as np
 import torch
-from numba import config, njit, prange
+from numba import config, njit
 
 from cpu_parts.timing import Job, significant, use_threads
 from flowsplat.common.simd import LANES, broadcast, largest_lane, maximum
+from flowsplat.common.threads import kind_of_threads, parallel_for, thread_count
 
 ROUNDS = 200_000
 TRIAD_SIZE = 1 << 25  # floats in each of three arrays of 128 MiB: far beyond any cache
-OPTIONS = {"error_model": "numpy"}
+OPTIONS = {"error_model": "numpy", "nogil": True}
 """Not cached on disk: the cache does not notice when ``simd`` changes the width of a vector."""
 
 
@@ -39,7 +40,7 @@ def describe() -> dict[str, Any]:
         "torch": torch.__version__,
         "numba": numba.__version__,
         "llvmlite": llvmlite.__version__,
-        "threading_layer": config.THREADING_LAYER,
+        "threading_layer": kind_of_threads(),
         "compiled_for": config.CPU_NAME or llvm.get_host_cpu_name(),
     }
 
@@ -120,18 +121,18 @@ def _twelve_chains(rounds, factor, summand):
     return largest_lane(maximum(first, maximum(maximum(maximum(h, i), maximum(j, k)), maximum(l, m))))
 
 
-@njit(parallel=True, **OPTIONS)
-def _multiply_add(threads, rounds, twelve, factor, summand, out):
-    for thread in prange(threads):
+@njit(**OPTIONS)
+def _multiply_add(begin, end, rounds, twelve, factor, summand, out):
+    for thread in range(begin, end):
         if twelve:
             out[thread] = _twelve_chains(rounds, factor, summand)
         else:
             out[thread] = _six_chains(rounds, factor, summand)
 
 
-@njit(parallel=True, fastmath=True, **OPTIONS)
-def _triad(a, b, c, factor):
-    for i in prange(len(a)):
+@njit(fastmath=True, **OPTIONS)
+def _triad(begin, end, a, b, c, factor):
+    for i in range(begin, end):
         a[i] = b[i] + factor * c[i]
 
 
@@ -142,8 +143,8 @@ class Limits:
         self._peaks: dict[int, list[float]] = {}
         self._bandwidths: dict[int, list[float]] = {}
         self._arrays: list[np.ndarray] = []
-        _measure_peak(numba.get_num_threads(), True, 1)  # compiles
-        _measure_peak(numba.get_num_threads(), False, 1)
+        _measure_peak(thread_count(), True, 1)  # compiles
+        _measure_peak(thread_count(), False, 1)
 
     def jobs(self, threads: Sequence[int], bandwidth: bool = False) -> dict[str, Job]:
         """Jobs for ``interleave`` that measure the peak, and the bandwidth too if asked for."""
@@ -179,9 +180,9 @@ class Limits:
         use_threads(threads)
         if not self._arrays:
             self._arrays = [np.ones(TRIAD_SIZE, np.float32) for _ in range(3)]
-            _triad(*self._arrays, np.float32(2))
+            parallel_for(_triad, TRIAD_SIZE, *self._arrays, np.float32(2), pieces=1)
         start = time.perf_counter()
-        _triad(*self._arrays, np.float32(2))
+        parallel_for(_triad, TRIAD_SIZE, *self._arrays, np.float32(2), pieces=1)
         seconds = time.perf_counter() - start
         self._bandwidths.setdefault(threads, []).append(3 * 4 * TRIAD_SIZE / seconds)
         return {}
@@ -190,7 +191,7 @@ class Limits:
 def _measure_peak(threads: int, twelve: bool, rounds: int) -> float:
     out = np.zeros(threads, np.float32)
     start = time.perf_counter()
-    _multiply_add(threads, rounds, twelve, np.float32(0.999), np.float32(0.001), out)
+    parallel_for(_multiply_add, threads, rounds, twelve, np.float32(0.999), np.float32(0.001), out)
     return threads * rounds * (12 if twelve else 6) * 2 * LANES / (time.perf_counter() - start)
 
 

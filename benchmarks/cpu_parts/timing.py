@@ -8,8 +8,9 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-import numba
 import torch
+
+from flowsplat.common.threads import set_thread_count
 
 Job = Callable[[], Mapping[str, float]]
 """Does something once and returns the seconds of its parts by name."""
@@ -47,7 +48,7 @@ def interleave(jobs: Mapping[str, Job], repeat: int, warm_up: int = 1) -> dict[s
 
 def use_threads(count: int) -> None:
     """Let the kernels and torch use this many threads from now on."""
-    numba.set_num_threads(count)
+    set_thread_count(count)
     torch.set_num_threads(count)
 
 

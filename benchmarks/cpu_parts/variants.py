@@ -1,4 +1,4 @@
-"""The rasterizer in processes with other settings of the compiler: narrower vectors, or Numba's fallback threads."""
+"""The rasterizer in processes with other settings of the compiler: narrower vectors."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from cpu_parts.timing import significant
 COMMAND = Path(__file__).parent.parent / "cpu.py"
 VARIANTS = {
     "avx2": {"NUMBA_CPU_NAME": "haswell", "NUMBA_CPU_FEATURES": "+avx2,+fma", "ATEN_CPU_CAPABILITY": "avx2"},
-    "workqueue": {"NUMBA_THREADING_LAYER": "workqueue"},
 }
 """Environment variables by name."""
 

@@ -13,7 +13,7 @@ from flowsplat.pictures.video import write_mp4
 from flowsplat.scenes.layers import write_image
 from tests.browser import Complaints
 
-NASTY = "<b onclick=\"x\">&'"
+NASTY = '<b onclick="x">&\''
 
 
 @pytest.fixture

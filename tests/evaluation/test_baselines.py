@@ -21,9 +21,7 @@ def textured(height: int, width: int, shift: float = 0.0) -> np.ndarray:
 
 
 def sliding_scene(folder: Path, timestamps: list[float], shifts: list[float]) -> Scene:
-    scene = Scene.create(
-        folder, name="slide", source="test", width=96, height=80, timestamps=timestamps, holdout=2, source_fps=1.0
-    )
+    scene = Scene.create(folder, name="slide", source="test", width=96, height=80, timestamps=timestamps, holdout=2, source_fps=1.0)
     for i, shift in enumerate(shifts):
         scene.write_frame(i, textured(80, 96, shift))
     return scene
@@ -96,9 +94,7 @@ def test_the_nearest_surface_wins_whatever_the_order():
         image[:, 28:36], depth[:, 28:36] = [255, 0, 0], 1.0
         warped = warp_by_depth(image, depth, camera(), camera(x))
         start = 28 - round(60 * x)
-        np.testing.assert_allclose(
-            warped[:, start + 1 : start + 7], np.broadcast_to([1.0, 0, 0], (48, 6, 3)), atol=0.01
-        )
+        np.testing.assert_allclose(warped[:, start + 1 : start + 7], np.broadcast_to([1.0, 0, 0], (48, 6, 3)), atol=0.01)
         np.testing.assert_allclose(warped[:, :10, 2], 1)
 
 

@@ -18,9 +18,7 @@ from flowsplat.training.checkpoint import save_model
 WIDTH, HEIGHT, FRAMES = 96, 64, 9
 FIRST, LAST = 0.5, 2.5
 
-OURS = ModelConfig(
-    mean_poly=3, mean_fourier=1, quat_poly=1, quat_fourier=0, sh_degree=1, gains=5, freeze_background=True
-)
+OURS = ModelConfig(mean_poly=3, mean_fourier=1, quat_poly=1, quat_fourier=0, sh_degree=1, gains=5, freeze_background=True)
 PAPER = ModelConfig()
 LINEAR = ModelConfig(move_means=False, move_quats=False, sh_degree=2)
 

@@ -24,9 +24,8 @@ def compiled() -> dict[str, int]:
     for name, module in list(sys.modules.items()):
         if name.startswith("flowsplat."):
             for attribute, value in vars(module).items():
-                kernel = getattr(value, "compiled", value)
-                if isinstance(kernel, Dispatcher):
-                    found[f"{name}.{attribute}"] = len(kernel.signatures)
+                if isinstance(value, Dispatcher):
+                    found[f"{name}.{attribute}"] = len(value.signatures)
     return found
 
 

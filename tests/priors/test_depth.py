@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numba
 import numpy as np
 import pytest
 
+from flowsplat.common.threads import set_thread_count, thread_count
 from flowsplat.geometry import Similarity
 from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.depth import depth_stage
@@ -58,15 +58,15 @@ def test_the_stage_resumes_where_it_stopped(moving: Scene):
 
 
 def test_with_one_thread_it_is_the_same(moving: Scene):
-    files, threads = sorted((moving.folder / "depth").glob("*.npz")), numba.get_num_threads()
+    files, threads = sorted((moving.folder / "depth").glob("*.npz")), thread_count()
     before = [path.read_bytes() for path in files]
     for path in files:
         path.unlink()
     try:
-        numba.set_num_threads(1 if threads > 1 else threads)
+        set_thread_count(1 if threads > 1 else threads)
         depth_stage(moving)
     finally:
-        numba.set_num_threads(threads)
+        set_thread_count(threads)
     assert [path.read_bytes() for path in files] == before
 
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import threading
 
-import numba
 import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from flowsplat.common.threads import set_thread_count, thread_count
 from flowsplat.geometry.rotations import covariances
 from flowsplat.splatting import rasterize
 from flowsplat.splatting.cpu import functions
@@ -154,9 +154,7 @@ def test_equal_depths_are_ordered_by_index(backend):
 def test_background_shows_where_nothing_covers():
     values = random_gaussians(1, 2)
     values["means"][0] = torch.tensor([50.0, 0, 3])
-    image, alphas, info = rasterize(
-        *(v.float() for v in values.values()), WIDTH, HEIGHT, background=torch.tensor([0.25, 0.75])
-    )
+    image, alphas, info = rasterize(*(v.float() for v in values.values()), WIDTH, HEIGHT, background=torch.tensor([0.25, 0.75]))
     assert float(alphas.abs().max()) == 0
     assert torch.equal(image, torch.tensor([0.25, 0.75]).expand(HEIGHT, WIDTH, 2))
     assert info["radii"].abs().sum() == 0
@@ -184,15 +182,15 @@ def test_no_gaussian_at_all():
 
 def test_same_bits_with_any_number_of_threads():
     values = random_gaussians(2000, 6, seed=13, spread=1.0, size=-3.0)
-    threads = numba.get_num_threads()
+    threads = thread_count()
     results = []
     try:
         for count in (1, threads, 1):
-            numba.set_num_threads(count)
+            set_thread_count(count)
             image, alphas, _, gradients = run(values, "cpu")
             results.append([image, alphas, *gradients.values()])
     finally:
-        numba.set_num_threads(threads)
+        set_thread_count(threads)
     for other in results[1:]:
         for a, b in zip(results[0], other, strict=True):
             assert torch.equal(a, b)

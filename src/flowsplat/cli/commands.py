@@ -155,7 +155,10 @@ def all_commands(arguments: Sequence[str]) -> dict[str, Any]:
         serve(out, options)
 
     def export(
-        out: Run, to: Format, path: Target = None, options: Exporting = ExportOptions()  # noqa: B008 (frozen)
+        out: Run,
+        to: Format,
+        path: Target = None,
+        options: Exporting = ExportOptions(),  # noqa: B008 (frozen)
     ) -> None:
         """A trained run in the format of other programs, or as a page that plays it: one .html, no network, no server.
 

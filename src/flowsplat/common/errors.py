@@ -1,6 +1,5 @@
 """Errors that are written for the person at the keyboard."""
 
-
 LONGEST = 1000
 """Characters of a message."""
 

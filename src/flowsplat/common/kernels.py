@@ -6,18 +6,17 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
-from functools import wraps
 from typing import Any
 
-import numba
 import numpy as np
 from llvmlite import ir
 from numba import float32, int32, njit
 from numba.extending import intrinsic
 
-OPTIONS = {"cache": True, "error_model": "numpy", "nogil": True}
+from flowsplat.common.kernel_cache import KernelCache
+
+OPTIONS = {"error_model": "numpy", "nogil": True}
 """Other Python threads run beside a kernel (``nogil``).
 
 No "fastmath": what Numba runs right after compiling and what it later loads from its cache may be two compilations of the
@@ -25,33 +24,25 @@ same code, and where LLVM may reorder or contract sums they round differently: a
 in the cache would not continue to the same bits. Where speed needs it, ``common.simd`` says so operation by operation.
 """
 
-_turn = threading.RLock()
 
+def kernel(function: Callable[..., Any]) -> Any:
+    """``njit`` for a function that Python calls, from any of its threads; what is compiled is kept on disk.
 
-def parallel_kernel(function: Callable[..., Any]) -> Callable[..., Any]:
-    """``njit`` with parallel loops, for functions that Python calls, from any of its threads.
-
-    Numba's fallback threads (the layer "workqueue", where there is no OpenMP) abort the process when two Python threads use
-    them at once: there, and until it is known which layer it is, calls take turns.
+    A kernel that works on many things takes as its first two arguments from which to which: ``common.threads.parallel_for``.
     """
-    compiled = njit(parallel=True, **OPTIONS)(function)
-
-    @wraps(function)
-    def call(*arguments: Any) -> Any:
-        if _threads_share_layer():
-            return compiled(*arguments)
-        with _turn:
-            return compiled(*arguments)
-
-    call.compiled = compiled  # type: ignore[attr-defined]
-    return call
+    compiled = njit(**OPTIONS)(function)
+    compiled._cache = KernelCache(function)
+    return compiled
 
 
-def _threads_share_layer() -> bool:
-    try:
-        return bool(numba.threading_layer() != "workqueue")
-    except ValueError:  # Numba chooses at the first call.
-        return False
+def helper(function: Callable[..., Any]) -> Any:
+    """``njit`` for a function that only kernels call. It is part of their machine code, and is not kept by itself."""
+    return njit(**OPTIONS)(function)
+
+
+def inlined(function: Callable[..., Any]) -> Any:
+    """As ``helper``, for small ones that LLVM puts into whoever calls them."""
+    return njit(forceinline=True, **OPTIONS)(function)
 
 
 @intrinsic
@@ -88,7 +79,7 @@ _EXPONENT_BITS = np.int32(23)
 _ONE_BITS = np.int32(127 << 23)
 
 
-@njit(forceinline=True, **OPTIONS)
+@inlined
 def exp(x):
     """e^x in float32 to within 3e-7 of itself; never below 1e-38, never above 3.4029e38, the largest float32."""
     x = min(max(float32(x), _SMALLEST), _LARGEST)
@@ -99,7 +90,7 @@ def exp(x):
     return float_of(bits_of(series) + (int32(n) << _EXPONENT_BITS))
 
 
-@njit(forceinline=True, **OPTIONS)
+@inlined
 def log(x):
     """The natural logarithm of a positive, normal float32, to within 2e-7 of the larger of itself and 1."""
     bits = bits_of(x)

@@ -163,6 +163,7 @@ def going_on() -> str | None:
         return _lines.bars[-1].line
     return None
 
+
 _shown: list[Progress] = []
 """What is drawn now: bars inside others are drawn below them."""
 

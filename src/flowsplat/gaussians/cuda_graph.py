@@ -104,7 +104,16 @@ class FixedRenderer:
         means, quats, scales, opacities, colours, _, next_means, _ = slice_rows(g, rows, resting, self._moment, self._with_flow)
         viewmat, K = camera_tensors(self._widened)
         projected: Projected = project(
-            means, quats, scales, opacities, viewmat, K - self._inside, width, height, near_plane=NEAR_PLANE, eps2d=self._eps2d,
+            means,
+            quats,
+            scales,
+            opacities,
+            viewmat,
+            K - self._inside,
+            width,
+            height,
+            near_plane=NEAR_PLANE,
+            eps2d=self._eps2d,
             backend="triton",
         )
         if self._with_flow:

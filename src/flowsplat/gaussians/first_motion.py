@@ -151,9 +151,7 @@ def follow(
     return found
 
 
-def _inside(
-    values: np.ndarray, movers: np.ndarray, points: np.ndarray, owners: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _inside(values: np.ndarray, movers: np.ndarray, points: np.ndarray, owners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Values [N, C] of a map [H, W, C] at points [N, 2], of the pixels of their owner alone, and the share of those around [N]."""
     found, shares = np.zeros((len(points), values.shape[2]), np.float32), np.zeros(len(points), np.float32)
     height, width = movers.shape
@@ -179,9 +177,7 @@ def _joint(paths: _Paths, mine: np.ndarray, sources: np.ndarray, queries: np.nda
     return np.concatenate([_chosen(paths, nodes, motion, tree, part, gap) for part in parts])
 
 
-def _chosen(
-    paths: _Paths, nodes: np.ndarray, motion: np.ndarray, tree: cKDTree, queries: np.ndarray, gap: float
-) -> np.ndarray:
+def _chosen(paths: _Paths, nodes: np.ndarray, motion: np.ndarray, tree: cKDTree, queries: np.ndarray, gap: float) -> np.ndarray:
     """Motion [Q, order, 3] of pixels from that of the nodes: of those around that explain their own paths and have their colour."""
     away, index = _nearest(tree, paths.points[queries], min(CHOICE, len(nodes)))
     place = _placed(paths.points[queries][:, None], paths.points[nodes[index]], gap)

@@ -163,9 +163,7 @@ class Gaussians4D:
         return torch.where(self.at_rest[rows], torch.ones_like(value), value)
 
     @torch.no_grad()
-    def active(
-        self, t: float, camera: Camera | None = None, eps2d: float = EPS2D, capacity: RowCapacity | None = None
-    ) -> Active:
+    def active(self, t: float, camera: Camera | None = None, eps2d: float = EPS2D, capacity: RowCapacity | None = None) -> Active:
         """Those with p(t) >= p_min, and of those at rest only what ``camera`` may show (all of them without one).
 
         Args:

@@ -177,9 +177,7 @@ def _middle_out(count: int) -> list[int]:
     return order
 
 
-def _background(
-    observations: Observations, model: ModelConfig, config: InitConfig, rng: np.random.Generator
-) -> Gaussians4D:
+def _background(observations: Observations, model: ModelConfig, config: InitConfig, rng: np.random.Generator) -> Gaussians4D:
     """Unproject what lies outside the masks, every surface once: first what has trusted depth, then what is still missing.
 
     Borders that few frames saw have no trusted depth, and a guess renders far better there than a hole.
@@ -291,9 +289,7 @@ def _track_pixels(tracks: Tracks | None, frame: Observation, usable: np.ndarray)
 # -- random
 
 
-def _random(
-    observations: Observations, model: ModelConfig, rng: np.random.Generator, count: int
-) -> Gaussians4D:
+def _random(observations: Observations, model: ModelConfig, rng: np.random.Generator, count: int) -> Gaussians4D:
     """Uniform in the box of the training frusta between 0.3 and 3 median depths, at uniform times (METHOD 4)."""
     corners = []
     for frame in observations.frames:

@@ -6,12 +6,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import numba
 import numpy as np
 import torch
 from torch import Tensor
 
 from flowsplat.common.errors import InputError
+from flowsplat.common.threads import thread_count
 from flowsplat.gaussians.distances import Distances, check_factors
 from flowsplat.gaussians.fading import faded
 from flowsplat.gaussians.flow import FlowModel
@@ -188,4 +188,4 @@ class SceneModel:
 def at_once(renderer: Renderer) -> int:
     """How many pictures of a scene may be rendered at the same time, by as many Python threads (``common.threads``)."""
     on_cpu = isinstance(renderer, SceneModel) and renderer.gaussians.device.type == "cpu"
-    return min(numba.get_num_threads(), MOST_AT_ONCE) if on_cpu else 1
+    return min(thread_count(), MOST_AT_ONCE) if on_cpu else 1

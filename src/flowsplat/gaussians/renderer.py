@@ -74,9 +74,7 @@ class PartedRenderer(Renderer, Protocol):
         """
         ...
 
-    def at_distances(
-        self, factors: Mapping[int, float], times: Sequence[float], cameras: Sequence[Camera]
-    ) -> PartedRenderer:
+    def at_distances(self, factors: Mapping[int, float], times: Sequence[float], cameras: Sequence[Camera]) -> PartedRenderer:
         """The same scene with some movers farther away, or nearer: see ``gaussians.distances``.
 
         Args:

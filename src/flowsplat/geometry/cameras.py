@@ -91,9 +91,7 @@ class Camera:
         p[..., 2] = depth
         return (p - self.viewmat[:3, 3]) @ self.viewmat[:3, :3]
 
-    def tensors(
-        self, dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu"
-    ) -> tuple[torch.Tensor, torch.Tensor]:
+    def tensors(self, dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu") -> tuple[torch.Tensor, torch.Tensor]:
         """(viewmat [4, 4], K [3, 3]) as torch tensors."""
         viewmat, K = torch.as_tensor(self.viewmat, dtype=dtype), torch.as_tensor(self.K, dtype=dtype)
         # Such small copies have left the host's memory when the call returns: the host does not wait for the device.

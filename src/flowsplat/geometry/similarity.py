@@ -83,9 +83,7 @@ def path_errors(estimated: Sequence[Camera], true: Sequence[Camera]) -> dict[str
     t = np.array([c.center for c in true])
     distance = np.linalg.norm(np.array([c.center for c in moved]) - t, axis=1).mean()
     length = np.linalg.norm(np.diff(t, axis=0), axis=1).sum()
-    cosines = [
-        (np.trace(m.viewmat[:3, :3] @ c.viewmat[:3, :3].T) - 1) / 2 for m, c in zip(moved, true, strict=True)
-    ]
+    cosines = [(np.trace(m.viewmat[:3, :3] @ c.viewmat[:3, :3].T) - 1) / 2 for m, c in zip(moved, true, strict=True)]
     return {
         "path": float(distance / max(length, 1e-12)),
         "rotation": float(np.degrees(np.arccos(np.clip(cosines, -1, 1))).mean()),

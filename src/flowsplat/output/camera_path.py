@@ -41,9 +41,7 @@ class MoverPath:
     far: np.ndarray
 
 
-def path_from_above(
-    cameras: Sequence[Camera], points: np.ndarray, colours: np.ndarray, movers: Sequence[MoverPath] = ()
-) -> Markup:
+def path_from_above(cameras: Sequence[Camera], points: np.ndarray, colours: np.ndarray, movers: Sequence[MoverPath] = ()) -> Markup:
     """An SVG of the path, the outer rays of some cameras, points of the scene and paths of movers, seen from above.
 
     Args:

@@ -356,7 +356,8 @@ def _paths(scene: Scene, movers: SceneMovers) -> Iterator[dict[str, Any]]:
             "label": f"Frames {start} to {end - 1}" if len(starts) > 1 else "",
             "length": f"{length * scene.similarity.scale:.2g}",
             "views": [
-                path_from_above(cameras, points, colours, list(_mover_paths(scene, movers, start, end))), path_at_an_angle(cameras),
+                path_from_above(cameras, points, colours, list(_mover_paths(scene, movers, start, end))),
+                path_at_an_angle(cameras),
             ],
         }
 

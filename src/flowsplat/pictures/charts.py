@@ -180,9 +180,9 @@ def bar_chart(
     parts.append(Markup('<path class="axis" d="M{:.1f} {}V{}"/>').format(zero, top, bottom))
     label = Markup('<text x="{:.1f}" y="{}" class="middle name">{}</text>')
     parts.append(label.format(0.5 * (x_axis.start + x_axis.end), bottom + 36, x_label))
-    return Markup(
-        '<svg class="chart" viewBox="0 0 {} {}" role="img" aria-label="{}"><title>{}</title>{}{}</svg>'
-    ).format(_WIDTH, bottom + _BOTTOM, title, title, Markup().join(parts), _legend(names))
+    return Markup('<svg class="chart" viewBox="0 0 {} {}" role="img" aria-label="{}"><title>{}</title>{}{}</svg>').format(
+        _WIDTH, bottom + _BOTTOM, title, title, Markup().join(parts), _legend(names)
+    )
 
 
 def _axes(x_axis: _Axis, y_axis: _Axis, x_label: str, y_label: str) -> Markup:

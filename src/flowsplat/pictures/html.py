@@ -17,6 +17,7 @@ from flowsplat.pictures.colors import float_to_bytes
 NOTHING = "–"
 """What stands in place of a figure that was not measured."""
 
+
 def data_uri(image: np.ndarray, quality: int | None = 88) -> str:
     """A picture [H, W, 3] RGB, uint8 or float between 0 and 1, as a ``data:`` address; JPEG, or PNG for quality None."""
     suffix, kind = (".png", "png") if quality is None else (".jpg", "jpeg")

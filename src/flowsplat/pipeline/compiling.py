@@ -1,6 +1,6 @@
 """Kernels of training and rendering are compiled by a process of their own while the priors of a first run are computed.
 
-Numba keeps what it compiles on disk, where the run then finds it. Once the kernels of this code are compiled there is no such
+What is compiled is kept on disk, where the run then finds it. Once the kernels of this code are compiled there is no such
 process.
 """
 
@@ -22,6 +22,7 @@ import torch
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import make_folder, read_json, write_json
+from flowsplat.common.kernel_cache import kernels_folder
 from flowsplat.common.progress import busy
 from flowsplat.common.source import PACKAGE, source_state
 from flowsplat.evaluation.poses import refine_camera
@@ -45,7 +46,7 @@ def code_state(device: str) -> dict[str, Any]:
     """What compiled kernels belong to: the code, the compiler and the processor, and where they are kept."""
     return {
         "source": source_state(), "package": str(PACKAGE), "numba": numba.__version__, "cpu": numba.config.CPU_NAME or "native",
-        "cache": numba.config.CACHE_DIR, "device": device,
+        "cache": str(kernels_folder()), "device": device,
     }  # fmt: skip
 
 
@@ -136,9 +137,7 @@ def _handful(count: int = 200) -> tuple[Gaussians4D, Observations]:
     everywhere, flat = np.ones((height, width), bool), np.ones((height, width), np.float32)
     image = np.random.default_rng(0).integers(0, 256, (height, width, 3), dtype=np.uint8)
     flow, nothing = Flow(0, 1, np.zeros((height, width, 2), np.float32), flat), np.zeros((height, width), np.uint8)
-    frames = [
-        Observation(k, float(k), camera, image, flat, everywhere, nothing, flow if k == 0 else None, None) for k in range(2)
-    ]
+    frames = [Observation(k, float(k), camera, image, flat, everywhere, nothing, flow if k == 0 else None, None) for k in range(2)]
     return gaussians, Observations(frames, Similarity())
 
 

@@ -64,9 +64,7 @@ def preset(name: str) -> RunConfig:
             final_fit=False,
         ),
         "paper": RunConfig(train=PRESETS["paper"]),
-        "high": RunConfig(
-            train=replace(ours, iterations=4 * ours.iterations, init=replace(ours.init, background_spacing=1.2))
-        ),
+        "high": RunConfig(train=replace(ours, iterations=4 * ours.iterations, init=replace(ours.init, background_spacing=1.2))),
     }
     if name not in presets:
         raise InputError(f"Unknown preset {name!r}: choose one of {', '.join(presets)}.")

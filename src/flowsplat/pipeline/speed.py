@@ -7,8 +7,6 @@ many times as long as on the reference machine (two cores) the latest runs took.
 from __future__ import annotations
 
 import contextlib
-import os
-import sys
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -23,6 +21,7 @@ from flowsplat.common.devices import pick_device
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import make_folder, read_json, write_json
 from flowsplat.common.progress import busy
+from flowsplat.common.user_cache import cache_folder
 from flowsplat.pipeline.config import RunConfig
 from flowsplat.scenes import Scene
 from flowsplat.scenes.clip import Clip
@@ -92,16 +91,8 @@ def stages_of(seconds: Mapping[str, float]) -> dict[str, float]:
 
 
 def cache_file() -> Path:
-    """``speed.json`` in the folder for caches that the system has; in ``FLOWSPLAT_CACHE`` where that is set."""
-    if own := os.environ.get("FLOWSPLAT_CACHE"):
-        return Path(own) / "speed.json"
-    if sys.platform == "win32":
-        base = os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local"
-    elif sys.platform == "darwin":
-        base = Path.home() / "Library" / "Caches"
-    else:
-        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "flowsplat" / "speed.json"
+    """``speed.json`` in the user's folder for caches."""
+    return cache_folder() / "speed.json"
 
 
 class Speed:

@@ -6,11 +6,10 @@ from itertools import pairwise
 from typing import Protocol
 
 import cv2
-import numba
 import numpy as np
 
 from flowsplat.common.progress import track
-from flowsplat.common.threads import in_threads
+from flowsplat.common.threads import in_threads, thread_count
 from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.geometry.interpolation import sample_map
 from flowsplat.priors.continuity import Continuity
@@ -131,7 +130,7 @@ def flow_stage(scene: Scene, method: str = "dis", estimate: FlowEstimator = dis_
         return len(missing), float(scene.flow(i, j).trusted.mean())
 
     # Networks have all threads for one pair.
-    threads = numba.get_num_threads() if estimate is dis_estimator else 1
+    threads = thread_count() if estimate is dis_estimator else 1
     found = list(in_threads(between, track(range(len(pairs)), "Flow"), threads))
     computed, shares = sum(count for count, _ in found), [share for _, share in found]
     share = float(np.mean(shares))

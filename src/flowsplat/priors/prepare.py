@@ -249,9 +249,7 @@ def _are_other_cameras_asked(scene: Scene, options: CameraOptions) -> bool:
     """Whether our own cameras are there, but were computed with other settings than those that differ from the defaults."""
     prior, usual = scene.prior("cameras") or {}, asdict(CameraOptions())
     used = prior.get("options", {})
-    return prior.get("method") == OWN and any(
-        value not in (usual[name], used.get(name)) for name, value in asdict(options).items()
-    )
+    return prior.get("method") == OWN and any(value not in (usual[name], used.get(name)) for name, value in asdict(options).items())
 
 
 def _require_new_cameras(scene: Scene, options: CameraOptions, unwanted: set[str]) -> None:

@@ -71,7 +71,8 @@ class InputOptions:
                 f"must be 0 (keep the size) or from {SHORTEST_SIDE} to {LONGEST_SIDE:,} pixels",
             ),
             "holdout": (
-                self.holdout is None or 2 <= self.holdout <= LARGEST_NUMBER, f"must be from 2 to {LARGEST_NUMBER:,}, or none"
+                self.holdout is None or 2 <= self.holdout <= LARGEST_NUMBER,
+                f"must be from 2 to {LARGEST_NUMBER:,}, or none",
             ),
             "fps": (FEWEST_FPS <= self.fps <= MOST_FPS, f"must be from {FEWEST_FPS:g} to {MOST_FPS:g}"),
         }
@@ -127,9 +128,7 @@ def select_frames(seconds: np.ndarray, options: InputOptions, source: str) -> Se
         notes.append(f"Kept one frame in {every}, {len(thinned)} of {len(inside)}: change with {change}.")
     if len(numbers) < len(thinned):
         dropped = elapsed[inside[-1]] - elapsed[numbers[-1]]
-        notes.append(
-            f"Cut off the last {dropped:.1f} seconds, to {len(numbers)} frames: change with --every or --max-frames."
-        )
+        notes.append(f"Cut off the last {dropped:.1f} seconds, to {len(numbers)} frames: change with --every or --max-frames.")
     if len(numbers) < 2:
         raise InputError(
             f"{source}: {len(numbers)} of {len(seconds)} frames over {elapsed[-1]:.3g} seconds remain, but a moving scene needs "

@@ -252,9 +252,7 @@ def latest_checkpoint(folder: Path) -> Path:
     return folder / plain_name(read_json(path, LatestFile)["file"], f"{path}: the checkpoint")
 
 
-def load_checkpoint(
-    folder: Path, similarity: Similarity, first: float, last: float, focal: float
-) -> tuple[SceneModel, int, int]:
+def load_checkpoint(folder: Path, similarity: Similarity, first: float, last: float, focal: float) -> tuple[SceneModel, int, int]:
     """Read the newest checkpoint that a trainer left, to look at it: a training that is still running is not disturbed.
 
     Args:

@@ -60,9 +60,7 @@ def per_frame_config(config: TrainConfig, frames: int) -> TrainConfig:
     )
 
 
-def train_per_frame(
-    observations: Observations, config: TrainConfig, device: torch.device | str = "cpu"
-) -> list[Gaussians4D]:
+def train_per_frame(observations: Observations, config: TrainConfig, device: torch.device | str = "cpu") -> list[Gaussians4D]:
     """Train one set of static Gaussians on every training frame, movers and background alike."""
     share = per_frame_config(config, len(observations))
     found = []

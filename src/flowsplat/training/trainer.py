@@ -19,6 +19,7 @@ from flowsplat.common.memory import freed_memory_kept
 from flowsplat.common.progress import busy, progress_bar, say
 from flowsplat.common.settings import present_names, to_plain
 from flowsplat.common.stopping import Stopped, stop_requests
+from flowsplat.common.threads import in_one_launch
 from flowsplat.gaussians.culling import RowCapacity
 from flowsplat.gaussians.density import DensityResult, DensityStatistics, densify, prune, reset_opacities, revise_dynamic
 from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
@@ -204,9 +205,7 @@ class Trainer:
 
     def _iterate(self) -> Entry:
         """One optimizer step over the next frames."""
-        self.gaussians.sh_degree = min(
-            self.gaussians.config.sh_degree, 4 * self.step // max(self.config.iterations, 1)
-        )
+        self.gaussians.sh_degree = min(self.gaussians.config.sh_degree, 4 * self.step // max(self.config.iterations, 1))
         frames = self._next_frames()
         for k in (*frames[1:2], *self._queue[-1:]):
             self._targets.prefetch(k)
@@ -246,15 +245,16 @@ class Trainer:
     def _apply(self, active: Active, drawn: Tensor, gradients: Gradients) -> None:
         self._adam.begin_step(active.valid(active.rows), active.valid(drawn))
         rates_at_rest, rates_moving = self.rates(), self.rates(moving=True)
-        for name, gradient in gradients.items():
-            value, having = self.gaussians.params[name], self.gaussians.part(name, active)
-            rows, stepped, at_rest = active.rows[having], drawn[having], active.num_static - (having.start or 0)
-            given = self._adam, name, value, rows[:at_rest], stepped[:at_rest], gradient[:at_rest], rates_at_rest[name]
-            if name == "means" and self.config.rates.along_ray > 1:
-                step_along_rays(*given, self._centres, self._focal, self.config.rates.along_ray)
-            else:
-                RowAdam.step(*given)
-            self._adam.step(name, value, rows[at_rest:], stepped[at_rest:], gradient[at_rest:], rates_moving[name])
+        with in_one_launch():
+            for name, gradient in gradients.items():
+                value, having = self.gaussians.params[name], self.gaussians.part(name, active)
+                rows, stepped, at_rest = active.rows[having], drawn[having], active.num_static - (having.start or 0)
+                given = self._adam, name, value, rows[:at_rest], stepped[:at_rest], gradient[:at_rest], rates_at_rest[name]
+                if name == "means" and self.config.rates.along_ray > 1:
+                    step_along_rays(*given, self._centres, self._focal, self.config.rates.along_ray)
+                else:
+                    RowAdam.step(*given)
+                self._adam.step(name, value, rows[at_rest:], stepped[at_rest:], gradient[at_rest:], rates_moving[name])
 
     def rates(self, moving: bool = False) -> dict[str, Tensor]:
         """Learning rates now of Gaussians at rest, or of those that move: one for every number of a row, by parameter."""

@@ -197,7 +197,8 @@ def test_the_sound_of_the_clip_is_kept(scene, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "audio", ["http://127.0.0.1:9/x.mp4", "/etc/hostname", "../tone.wav", "tone.wav", "12:30.mp4", "concat:a|b", ".."],
+    "audio",
+    ["http://127.0.0.1:9/x.mp4", "/etc/hostname", "../tone.wav", "tone.wav", "12:30.mp4", "concat:a|b", ".."],
 )
 def test_a_scene_names_no_sound_outside_its_folder(scene, tmp_path, audio, monkeypatch):
     """And nothing of the network."""

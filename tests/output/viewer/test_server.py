@@ -177,7 +177,7 @@ def test_the_wipe_looks_through_the_input_camera(run_folder, browser):
     browser.wait(lambda: browser.value("Mode") == "input camera")
     image = browser.settled()
     frame = read_image(run_folder / "scene" / "heldout" / "frames" / "00004.png")
-    left = image[: 72, :40].astype(int)
+    left = image[:72, :40].astype(int)
     assert left.std() > 20, "the input frame"
     assert image[20:50, 60:90].mean() > 240, "the alpha of the rendering"
     assert abs(left.mean() - frame[:, :26].mean()) < 10

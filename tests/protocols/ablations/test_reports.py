@@ -93,7 +93,7 @@ def test_caps(tmp_path):
     assert "49,991" in text
     for name in ("cap", "iterations"):
         drawing = (tmp_path / f"caps_{name}.svg").read_text()
-        assert drawing.count("<path class=\"line\"") == 2
+        assert drawing.count('<path class="line"') == 2
         assert drawing.count("<circle") == (6 if name == "cap" else 4)
 
 
@@ -113,7 +113,7 @@ def test_one_run_tells_nothing(tmp_path):
 def test_many_scenes_are_not_all_in_the_picture(tmp_path):
     found = [result("x", 30.0, scene, cap=cap) for scene in "abcdefg" for cap in (50_000, 200_000)]
     caps.write_report(tmp_path, found, {})
-    assert (tmp_path / "caps_cap.svg").read_text().count("<path class=\"line\"") == 5
+    assert (tmp_path / "caps_cap.svg").read_text().count('<path class="line"') == 5
     text = (tmp_path / "caps.md").read_text()
     assert "The picture shows 5 of 7 scenes." in text
     assert "| g, tuned | 50,000 |" in text

@@ -223,7 +223,10 @@ def test_workshop(data):
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
-        ("fps", None, "fps is None"), ("fps", "abc", "fps is 'abc'"), ("fps", 0, "fps is 0"), ("width", 0, "is not"),
+        ("fps", None, "fps is None"),
+        ("fps", "abc", "fps is 'abc'"),
+        ("fps", 0, "fps is 0"),
+        ("width", 0, "is not"),
         ("width", 1e400, "cameras"),
     ],
 )

@@ -6,10 +6,11 @@ import math
 
 import numpy as np
 import torch
-from numba import float32, njit, prange
+from numba import float32
 from torch import Tensor
 
-from flowsplat.common.kernels import OPTIONS, exp, parallel_kernel
+from flowsplat.common.kernels import exp, inlined, kernel
+from flowsplat.common.threads import parallel_for
 from flowsplat.gaussians.culling import reference
 from flowsplat.geometry import Camera
 from flowsplat.splatting.rules import TANGENT_MARGIN
@@ -19,7 +20,7 @@ REACH, BLUR, MARGIN = np.float32(reference.REACH), np.float32(reference.BLUR), n
 ZERO, ONE, HALF = np.float32(0), np.float32(1), np.float32(0.5)
 
 
-@njit(forceinline=True, **OPTIONS)
+@inlined
 def _outside(position, size, center, limit, focal, inverse, picture):
     """Whether a Gaussian ends before the picture on one axis; its 2D sigma is at most focal / z |(1, t)| size + blur."""
     tangent = position * inverse
@@ -29,14 +30,16 @@ def _outside(position, size, center, limit, focal, inverse, picture):
     return (pixel + reach < ZERO) or (pixel - reach > picture)
 
 
-@parallel_kernel
-def _cull(at_rest, means, log_sizes, times, log_lambdas, t, p_min, use_camera, view, K, width, height, near, keep, counts):
+@kernel
+def _cull(
+    begin, end, at_rest, means, log_sizes, times, log_lambdas, t, p_min, use_camera, view, K, width, height, near, keep, counts
+):
     """Fill keep [N] uint8 (1 = seen at rest, 2 = seen moving) and counts [CHUNKS, 2]."""
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
     w, h = float32(width), float32(height)
     limit_x, limit_y = max(w - cx, cx) / fx + MARGIN * w / fx, max(h - cy, cy) / fy + MARGIN * h / fy
     count = len(at_rest)
-    for chunk in prange(CHUNKS):
+    for chunk in range(begin, end):
         resting, moving = 0, 0
         for i in range(count * chunk // CHUNKS, count * (chunk + 1) // CHUNKS):
             keep[i] = 0
@@ -66,17 +69,11 @@ def _cull(at_rest, means, log_sizes, times, log_lambdas, t, p_min, use_camera, v
         counts[chunk, 1] = moving
 
 
-@parallel_kernel
-def _collect(keep, counts, rows):
-    """Write the kept rows in order, those at rest first."""
+@kernel
+def _collect(begin, end, keep, starts, rows):
+    """Write the kept rows in order, those at rest first; starts [CHUNKS, 2] is where those of a chunk begin."""
     count = len(keep)
-    starts = np.empty((CHUNKS, 2), np.int64)
-    total = 0
-    for kind in range(2):
-        for chunk in range(CHUNKS):
-            starts[chunk, kind] = total
-            total += counts[chunk, kind]
-    for chunk in prange(CHUNKS):
+    for chunk in range(begin, end):
         resting, moving = starts[chunk, 0], starts[chunk, 1]
         for i in range(count * chunk // CHUNKS, count * (chunk + 1) // CHUNKS):
             if keep[i] == 1:
@@ -100,10 +97,12 @@ def active_rows(
     viewmat, K = camera.tensors()
     sizes = means if log_scales is None else log_scales
     keep, counts = np.empty(len(means), np.uint8), np.empty((CHUNKS, 2), np.int64)
-    _cull(
-        at_rest.numpy(), means.numpy(), sizes.numpy(), times.numpy(), log_lambdas.numpy(), np.float32(t), np.float32(p_min),
+    parallel_for(
+        _cull, CHUNKS, at_rest.numpy(), means.numpy(), sizes.numpy(), times.numpy(), log_lambdas.numpy(), np.float32(t),
+        np.float32(p_min),
         use_camera, viewmat.numpy(), K.numpy(), camera.width, camera.height, np.float32(near), keep, counts,
     )  # fmt: skip
     rows = torch.empty(int(counts.sum()), dtype=torch.int64)
-    _collect(keep, counts, rows.numpy())
+    ends = counts.T.cumsum().reshape(2, CHUNKS).T
+    parallel_for(_collect, CHUNKS, keep, ends - counts, rows.numpy())
     return rows, int(counts[:, 0].sum())

@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 import torch
-from numba import float32, njit, prange
+from numba import float32
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from flowsplat.common.kernels import OPTIONS, exp, parallel_kernel
+from flowsplat.common.kernels import exp, helper, inlined, kernel
+from flowsplat.common.threads import parallel_for
 from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
 from flowsplat.gaussians.motion import SeriesMotion
 from flowsplat.gaussians.slicing.api import NAMES, Gradients, Slice
@@ -21,7 +22,7 @@ ONE, ZERO, HALF = np.float32(1), np.float32(0), np.float32(0.5)
 CHUNKS = 64
 
 
-@njit(**OPTIONS)
+@helper
 def _basis(tau, poly, fourier, base, values, rates, accelerations):
     """tau^n, cos(w l tau) - 1 and sin(w l tau), with their first and second derivatives."""
     power, before, twice = tau, ONE, ZERO  # tau^n, tau^(n-1), tau^(n-2)
@@ -42,7 +43,7 @@ def _basis(tau, poly, fourier, base, values, rates, accelerations):
         accelerations[c], accelerations[s] = -rate * rate * cos, -rate * rate * sin
 
 
-@njit(**OPTIONS)
+@helper
 def _sum3(basis, poly, cos, sin, j):
     """The series of a mean, or of a derivative of it: all three numbers in one sweep over the terms."""
     x, y, z = ZERO, ZERO, ZERO
@@ -60,7 +61,7 @@ def _sum3(basis, poly, cos, sin, j):
     return x, y, z
 
 
-@njit(**OPTIONS)
+@helper
 def _sum4(basis, poly, cos, sin, j):
     """The same of a quaternion."""
     w, x, y, z = ZERO, ZERO, ZERO, ZERO
@@ -80,7 +81,7 @@ def _sum4(basis, poly, cos, sin, j):
     return w, x, y, z
 
 
-@njit(**OPTIONS)
+@helper
 def _spread3(now, rate, later, g, v, w, poly, cos, sin, j):
     """Gradients of the coefficients of a mean, from those of its value now (g), its velocity (v) and its value later (w)."""
     orders, frequencies = poly.shape[1], cos.shape[1]
@@ -102,7 +103,7 @@ def _spread3(now, rate, later, g, v, w, poly, cos, sin, j):
         sin[j, k, 2] = a * g[2] + b * v[2] + c * w[2]
 
 
-@njit(**OPTIONS)
+@helper
 def _spread4(now, later, g, w, poly, cos, sin, j):
     """The same of a quaternion, whose velocity nothing depends on."""
     orders, frequencies = poly.shape[1], cos.shape[1]
@@ -127,7 +128,7 @@ def _spread4(now, later, g, w, poly, cos, sin, j):
         sin[j, k, 3] = a * g[3] + c * w[3]
 
 
-@njit(forceinline=True, **OPTIONS)
+@inlined
 def _gain(log_gains, cosines, i):
     even, odd = ZERO, ZERO  # Two sums, because each waits for its last addition.
     count = log_gains.shape[1]
@@ -139,15 +140,15 @@ def _gain(log_gains, cosines, i):
     return exp(even + odd)
 
 
-@parallel_kernel
+@kernel
 def _forward(
-    rows, means, logits, sh, log_gains, quats, log_scales, times, log_lambdas, mean_poly, mean_cos, mean_sin, quat_poly,
+    begin, end, rows, means, logits, sh, log_gains, quats, log_scales, times, log_lambdas, mean_poly, mean_cos, mean_sin, quat_poly,
     quat_cos, quat_sin, resting, t, next_t, has_next, base, center, cosines, harmonics,
     out_means, out_quats, out_scales, out_opacities, out_colours, out_velocities, next_means, next_quats,
 ):  # fmt: skip
     count = len(rows)
     mean_size, quat_size = mean_poly.shape[1] + 2 * mean_cos.shape[1], quat_poly.shape[1] + 2 * quat_cos.shape[1]
-    for chunk in prange(CHUNKS):
+    for chunk in range(begin, end):
         # Arrays of their own: a view that is made for every Gaussian is counted, which costs more than what is read through it.
         now, rate, bend = np.empty(mean_size, np.float32), np.empty(mean_size, np.float32), np.empty(mean_size, np.float32)
         turn, turning, bending = np.empty(quat_size, np.float32), np.empty(quat_size, np.float32), np.empty(quat_size, np.float32)
@@ -204,9 +205,9 @@ def _forward(
             out_colours[a, 2] = max(blue, ZERO) * gain
 
 
-@parallel_kernel
+@kernel
 def _backward(
-    rows, means, logits, sh, log_gains, quats, log_scales, times, log_lambdas, mean_poly, mean_cos, mean_sin, quat_poly,
+    begin, end, rows, means, logits, sh, log_gains, quats, log_scales, times, log_lambdas, mean_poly, mean_cos, mean_sin, quat_poly,
     quat_cos, quat_sin, resting, t, next_t, has_next, base, center, cosines, harmonics,
     out_means, grad_means, grad_quats, grad_scales, grad_opacities, grad_colours, grad_velocities, grad_next_means,
     grad_next_quats, d_means, d_logits, d_sh, d_gains, d_quats, d_scales, d_times, d_lambdas, d_mean_poly, d_mean_cos,
@@ -215,14 +216,18 @@ def _backward(
     """Every number of every d_... is written, so that they need not be cleared before."""
     count = len(rows)
     mean_size, quat_size = mean_poly.shape[1] + 2 * mean_cos.shape[1], quat_poly.shape[1] + 2 * quat_cos.shape[1]
-    for chunk in prange(CHUNKS):
+    for chunk in range(begin, end):
         now, rate, bend = np.zeros(mean_size, np.float32), np.zeros(mean_size, np.float32), np.zeros(mean_size, np.float32)
         later, later_rate, later_bend = (
-            np.zeros(mean_size, np.float32), np.zeros(mean_size, np.float32), np.zeros(mean_size, np.float32),
+            np.zeros(mean_size, np.float32),
+            np.zeros(mean_size, np.float32),
+            np.zeros(mean_size, np.float32),
         )
         turn, turning, bending = np.zeros(quat_size, np.float32), np.zeros(quat_size, np.float32), np.zeros(quat_size, np.float32)
         turn_later, turning_later, later_bending = (
-            np.zeros(quat_size, np.float32), np.zeros(quat_size, np.float32), np.zeros(quat_size, np.float32),
+            np.zeros(quat_size, np.float32),
+            np.zeros(quat_size, np.float32),
+            np.zeros(quat_size, np.float32),
         )
         directions = np.empty(16, np.float32)
         for a in range(count * chunk // CHUNKS, count * (chunk + 1) // CHUNKS):
@@ -300,7 +305,7 @@ class _SliceFunction(torch.autograd.Function):
         moving, later = count - active.num_static, count if settings[3] else 0
         shapes = ((count, 3), (count, 4), (count, 3), (count,), (count, 3), (moving, 3), (later, 3), (later, 4))
         outputs = tuple(torch.empty(shape) for shape in shapes)
-        _forward(*inputs, *settings, *(output.numpy() for output in outputs))
+        parallel_for(_forward, CHUNKS, *inputs, *settings, *(output.numpy() for output in outputs))
         ctx.inputs, ctx.settings, ctx.shapes, ctx.means = inputs, settings, shapes, outputs[0].detach().numpy()
         ctx.gaussians, ctx.active, ctx.gradients = gaussians, active, gradients
         ctx.set_materialize_grads(False)
@@ -315,7 +320,9 @@ class _SliceFunction(torch.autograd.Function):
         ]
         counts = {name: len(ctx.gaussians.rows_of(name, ctx.active)) for name in NAMES}
         results = {name: torch.empty(counts[name], *ctx.gaussians.params[name].shape[1:]) for name in NAMES}
-        _backward(*ctx.inputs, *ctx.settings, ctx.means, *arriving, *(result.numpy() for result in results.values()))
+        parallel_for(
+            _backward, CHUNKS, *ctx.inputs, *ctx.settings, ctx.means, *arriving, *(result.numpy() for result in results.values())
+        )
         ctx.gradients.update(results)
         return None, None, None, None, None
 

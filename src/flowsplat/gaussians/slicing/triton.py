@@ -262,9 +262,7 @@ def _backward(
             if HAS_NEXT:
                 _, rate, _ = _series(mean_poly, mean_cos, mean_sin, i, moving, d, later, base, MEAN_POLY, MEAN_FOURIER, 3)
                 toward_time -= w * rate
-            _spread(
-                d_mean_poly, d_mean_cos, d_mean_sin, m, moves, d, tau, later, base, g, v, w, MEAN_POLY, MEAN_FOURIER, 3
-            )
+            _spread(d_mean_poly, d_mean_cos, d_mean_sin, m, moves, d, tau, later, base, g, v, w, MEAN_POLY, MEAN_FOURIER, 3)
     for d in tl.static_range(4):
         g = tl.load(grad_quats + a * 4 + d, mask=there, other=0.0)
         w = tl.zeros_like(g)

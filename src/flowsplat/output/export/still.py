@@ -105,4 +105,3 @@ def turned_harmonics(sh: Tensor, rotation: Tensor) -> Tensor:
     before, after = harmonics_basis(directions, degree), harmonics_basis(directions @ rotation.double().T, degree)
     change = torch.linalg.lstsq(after, before).solution  # exact: a turn mixes harmonics of one degree among themselves
     return torch.einsum("kj,njc->nkc", change.to(sh), sh)
-

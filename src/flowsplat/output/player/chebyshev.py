@@ -76,9 +76,7 @@ def fit_motion(
     middle, half = visible_interval(times, log_lambdas, gaussians.config.p_min)
     nodes = torch.cos(math.pi * (torch.arange(NODES, dtype=torch.float64) + 0.5) / NODES)
     # Any model can be asked for one time only: every Gaussian is moved so that its own time becomes 0.
-    states = [
-        gaussians.motion.state({**params, "times": params["times"] - (middle + half * float(node))}, 0.0) for node in nodes
-    ]
+    states = [gaussians.motion.state({**params, "times": params["times"] - (middle + half * float(node))}, 0.0) for node in nodes]
     means = torch.stack([state.means for state in states], 1)
     if states[0].covars is not None:
         covars = torch.stack([state.covars for state in states if state.covars is not None], 1)
@@ -117,4 +115,3 @@ def _fitted(values: Tensor, nodes: Tensor, tolerance: float) -> Tensor:
         if float(worst.kthvalue(max(math.ceil(_SHARE * len(worst)), 1)).values) <= tolerance:
             break
     return coefficients[:, : degree + 1]
-

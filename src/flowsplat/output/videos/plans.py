@@ -174,6 +174,7 @@ def loop_widths(model: PartedRenderer, scene: Scene) -> tuple[float, float]:
     subject = subject_distance(model, amplitudes.path.at(middle), middle, 1 / scene.similarity.scale)
     return amplitudes.angle(probes, "swinging camera"), amplitudes.dolly(middle, subject)
 
+
 def subject_distance(model: PartedRenderer, camera: Camera, t: float, otherwise: float) -> float:
     """Planar depth of the movers that the camera sees, their median; ``otherwise`` where there are none."""
     seen = model.part("movers").render(small(camera), t)

@@ -39,9 +39,7 @@ class BrowserFrame:
 
     def __init__(self, similarity: Similarity):
         """``similarity``: scene to normalised coordinates (median depth 1)."""
-        self.from_scene = Similarity(
-            similarity.scale * SCENE_DEPTH, similarity.rotation, similarity.translation * SCENE_DEPTH
-        )
+        self.from_scene = Similarity(similarity.scale * SCENE_DEPTH, similarity.rotation, similarity.translation * SCENE_DEPTH)
         self.to_scene = self.from_scene.inverse()
 
     def camera(self, pose: Pose, width: int, height: int) -> Camera:

@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numba import prange
 
-from flowsplat.common.kernels import parallel_kernel
+from flowsplat.common.kernels import kernel
 from flowsplat.common.simd import LANES, broadcast, load, magnitude, maximum, store, where_above, where_at_least
+from flowsplat.common.threads import parallel_for
 from flowsplat.geometry import Camera
 from flowsplat.priors.background.reprojection import carried
 
@@ -42,20 +42,20 @@ def agreed(
     values = [inverse]
     for other, asked, there in others:
         values.append(carried(other, asked.astype(np.float32), there, camera)[0])
-    voted, share = _vote(np.stack(values))
+    stacked, voted, share = np.stack(values), np.empty(inverse.shape, np.float32), np.empty(inverse.shape, np.float32)
+    parallel_for(_vote, len(inverse), stacked, voted, share)
     return np.where(still, voted, inverse), np.where(still, share, np.float32(1))
 
 
-@parallel_kernel
-def _vote(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    count, height, width = values.shape
-    chosen, share = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
+@kernel
+def _vote(begin: int, end: int, values: np.ndarray, chosen: np.ndarray, share: np.ndarray) -> None:
+    count, _, width = values.shape
     same, enough, nothing, one = np.float32(SAME), np.float32(ENOUGH), np.float32(0), np.float32(1)
     weights = np.empty(count, np.float32)
     for a in range(count):
         weights[a] = OWN if a == 0 else one
     room = max(width, LANES)
-    for y in prange(height):
+    for y in range(begin, end):
         row, votes = np.empty(count * room, np.float32), np.empty(count * LANES, np.float32)
         for a in range(count):
             for x in range(room):
@@ -89,4 +89,3 @@ def _vote(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             store(agree, x, best / said)
         for x in range(width):
             chosen[y, x], share[y, x] = found[x], agree[x]
-    return chosen, share

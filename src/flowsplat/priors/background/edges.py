@@ -13,9 +13,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numba import njit, prange
 
-from flowsplat.common.kernels import OPTIONS, parallel_kernel
+from flowsplat.common.kernels import helper, inlined, kernel
 from flowsplat.common.simd import (
     LANES,
     broadcast,
@@ -32,7 +31,7 @@ from flowsplat.common.simd import (
     where_at_least,
     whole,
 )
-from flowsplat.common.threads import computed_once
+from flowsplat.common.threads import computed_once, parallel_for
 from flowsplat.geometry import Camera
 from flowsplat.priors.background.bits import packed
 from flowsplat.priors.background.matched_clip import MatchedClip
@@ -145,14 +144,13 @@ class EdgeRefiner:
         return View.of(scene.frame(i), near), moving
 
 
-@njit(forceinline=True, **OPTIONS)
+@inlined
 def _mixed(corners, shift, a00, a01, a10, a11):
     """A byte of four words, bilinear."""
     p, q, s, t = corners
     return a00 * byte_of(p, shift) + a01 * byte_of(q, shift) + a10 * byte_of(s, shift) + a11 * byte_of(t, shift)
 
 
-@parallel_kernel
 def _costs(
     proposed: np.ndarray, near: np.ndarray, picture: np.ndarray, words: np.ndarray, slopes: np.ndarray, intrinsics: np.ndarray,
     poses: np.ndarray,
@@ -164,16 +162,27 @@ def _costs(
     ``slopes``: the sizes of their gradients, each [J, H, W].
     """
     L, H, W = proposed.shape
+    result = np.zeros((L, H, _row_size(W)), np.float32)
+    parallel_for(
+        _costs_of_rows, H, proposed, near, picture, words.reshape(-1), slopes.reshape(-1), intrinsics, poses, result.reshape(-1)
+    )
+    return result
+
+
+@kernel
+def _costs_of_rows(
+    begin: int, end: int, proposed: np.ndarray, near: np.ndarray, picture: np.ndarray, words: np.ndarray, slopes: np.ndarray,
+    intrinsics: np.ndarray, poses: np.ndarray, flat: np.ndarray,
+) -> None:  # fmt: skip
+    L, H, W = proposed.shape
     J = len(poses)
     kept = max(J // 2, 1)
     S = _row_size(W)
-    result = np.zeros((L, H, S), np.float32)
     half, one, worst = np.float32(0.5), np.float32(1), np.float32(_WORST)
     most, steepest, nothing = np.float32(_COLOUR), np.float32(_GRADIENT), np.float32(0)
     right, bottom = np.float32(W - 1), np.float32(H - 1)
     K0 = intrinsics[0]
-    words, slopes, flat = words.reshape(-1), slopes.reshape(-1), result.reshape(-1)
-    for y in prange(H):
+    for y in range(begin, end):
         depths, seen, wanted = np.empty(L * S, np.float32), np.empty(4 * S, np.float32), np.empty(S, np.bool_)
         for i in range(S):
             wanted[i] = False
@@ -251,10 +260,9 @@ def _costs(
             for i in range(max((W - y % 2 + 1) // 2, first), first + LANES):
                 for n in range(L):
                     flat[(n * H + y) * S + _MARGIN + i] = nothing
-    return result
 
 
-@njit(**OPTIONS)
+@helper
 def _any(wanted: np.ndarray, first: int) -> bool:
     found = False
     for i in range(first, first + LANES):
@@ -262,28 +270,32 @@ def _any(wanted: np.ndarray, first: int) -> bool:
     return found
 
 
-@njit(**OPTIONS)
+@helper
 def _row_size(width: int) -> int:
     """Numbers in a row of every other pixel, with room beside them."""
     return (width + 1) // 2 + LANES + 2 * _MARGIN
 
 
-@parallel_kernel
 def _chosen(proposed: np.ndarray, costs: np.ndarray, asked: np.ndarray, picture: np.ndarray) -> np.ndarray:
     """[H, W] the proposal of the least cost around each pixel, by pixels that look like it; the first where none is asked for."""
-    L, H, W = proposed.shape
-    S = costs.shape[2]
+    voters = np.zeros((3, *costs.shape[1:]), np.float32)  # the colours of the pixels that vote, as their costs lie
+    for parity in range(2):
+        row = picture[parity::2, parity::2, :3]
+        voters[:, parity::2, _MARGIN : _MARGIN + row.shape[1]] = row.transpose(2, 0, 1)
     result = proposed[0].copy()
+    parallel_for(_choose_rows, len(result), proposed, costs.reshape(-1), voters.reshape(-1), asked, picture, result)
+    return result
+
+
+@kernel
+def _choose_rows(
+    begin: int, end: int, proposed: np.ndarray, votes: np.ndarray, voters: np.ndarray, asked: np.ndarray, picture: np.ndarray,
+    result: np.ndarray,
+) -> None:  # fmt: skip
+    L, H, W = proposed.shape
+    S = len(votes) // (L * H)
     scale, one = np.float32(1 / LIKENESS), np.float32(1)
-    votes, voters = costs.reshape(-1), np.empty(3 * H * S, np.float32)  # the colours of the pixels that vote, as their costs lie
-    for y in prange(H):
-        for n in range(3):
-            for i in range(S):
-                voters[(n * H + y) * S + i] = np.float32(0)
-        for i in range((W - y % 2 + 1) // 2):
-            for n in range(3):
-                voters[(n * H + y) * S + _MARGIN + i] = picture[y, 2 * i + y % 2, n]
-    for y in prange(H):
+    for y in range(begin, end):
         totals, found = np.empty(L * LANES, np.float32), np.empty(LANES, np.float32)
         near, mine, wanted = np.empty(L * S, np.float32), np.empty(3 * S, np.float32), np.empty(S, np.bool_)
         for parity in range(2):
@@ -318,4 +330,3 @@ def _chosen(proposed: np.ndarray, costs: np.ndarray, asked: np.ndarray, picture:
                 for i in range(first, min(first + LANES, columns)):
                     if wanted[i]:
                         result[y, 2 * i + parity] = found[i - first]
-    return result

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numba import prange
 
-from flowsplat.common.kernels import parallel_kernel
+from flowsplat.common.kernels import kernel
+from flowsplat.common.threads import parallel_for
 from flowsplat.geometry import Camera
 
 AGREEMENT = 1.5
@@ -38,18 +38,19 @@ def fuse(
     intrinsics = np.array([c.intrinsics for c in cameras])
     there = np.array([c.pose_from(camera) for c in cameras])
     back = np.array([camera.pose_from(c) for c in cameras])
-    return _fuse(inverses, weights, intrinsics, there, back)
+    fused, mass, votes = inverses[0].copy(), weights[0].copy(), np.zeros_like(inverses[0])
+    parallel_for(_fuse, len(fused), inverses, weights, intrinsics, there, back, fused, mass, votes)
+    return fused, mass, votes
 
 
-@parallel_kernel
+@kernel
 def _fuse(
-    inverses: np.ndarray, weights: np.ndarray, intrinsics: np.ndarray, there: np.ndarray, back: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    begin: int, end: int, inverses: np.ndarray, weights: np.ndarray, intrinsics: np.ndarray, there: np.ndarray, back: np.ndarray,
+    fused: np.ndarray, mass: np.ndarray, votes: np.ndarray,
+) -> None:  # fmt: skip
     count, h, w = inverses.shape
-    fused, mass = inverses[0].copy(), weights[0].copy()
-    votes = np.zeros((h, w), np.float32)
     K0 = intrinsics[0]
-    for y in prange(h):
+    for y in range(begin, end):
         for x in range(w):
             own = weights[0, y, x]
             if own <= 0:
@@ -87,4 +88,3 @@ def _fuse(
             fused[y, x] = sum_inverse / total
             mass[y, x] = total
             votes[y, x] = vote
-    return fused, mass, votes

@@ -10,12 +10,11 @@ from functools import partial
 from pathlib import Path
 
 import cv2
-import numba
 import numpy as np
 
 from flowsplat.common.files import read_npz, write_npz
 from flowsplat.common.progress import track
-from flowsplat.common.threads import in_threads
+from flowsplat.common.threads import in_threads, thread_count
 from flowsplat.geometry import Camera
 from flowsplat.priors.background.longflow import LongFlows, working_size
 from flowsplat.priors.background.multiview import MultiView, solve_multiview
@@ -113,7 +112,7 @@ class MatchedClip:
         if not missing:
             return
         flows = LongFlows(self.scene, self.continuity, estimate)
-        threads = numba.get_num_threads() if estimate is dis_estimator else 1  # Networks have all threads for one pair.
+        threads = thread_count() if estimate is dis_estimator else 1  # Networks have all threads for one pair.
         for k in track(missing, "Matching frames"):
             others = flows.neighbours(k)
             if others:

@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
 
-from flowsplat.common.kernels import OPTIONS, parallel_kernel
+from flowsplat.common.kernels import inlined, kernel
+from flowsplat.common.threads import parallel_for
 from flowsplat.geometry import Camera
 from flowsplat.priors.flow import lengths
 
@@ -67,7 +67,19 @@ def solve_multiview(camera: Camera, others: Sequence[Camera], flows: np.ndarray,
     # Along the last axis the matches of a pixel lie side by side.
     targets = np.ascontiguousarray(np.moveaxis(flows, 0, 2), dtype=np.float32)
     weights = np.ascontiguousarray(np.moveaxis(np.where(confidences >= 0.5, confidences, 0), 0, 2), dtype=np.float32)
-    inverse_depth, information, errors = _solve(intrinsics.astype(np.float32), poses.astype(np.float32), targets, weights)
+    inverse_depth, information = np.zeros((height, width), np.float32), np.zeros((height, width), np.float32)
+    errors = np.zeros(weights.shape, np.float32)
+    parallel_for(
+        _solve,
+        height,
+        intrinsics.astype(np.float32),
+        poses.astype(np.float32),
+        targets,
+        weights,
+        inverse_depth,
+        information,
+        errors,
+    )
     motion = _motion(errors, weights, lengths(targets))
     return MultiView(inverse_depth / np.float32(reach), information, motion.reshape(height, width))
 
@@ -93,27 +105,25 @@ def _motion(errors: np.ndarray, weights: np.ndarray, lengths: np.ndarray) -> np.
     return total / count
 
 
-@njit(forceinline=True, **OPTIONS)
+@inlined
 def _project(A: np.ndarray, B: np.ndarray, w: np.float32, K: np.ndarray) -> tuple[np.float32, np.float32, np.float32]:
     """Pixel (u, v) and depth of A + w B in a camera with fx, fy, cx, cy = K."""
     z = max(A[2] + w * B[2], np.float32(1e-4))
     return K[0] * (A[0] + w * B[0]) / z + K[2], K[1] * (A[1] + w * B[1]) / z + K[3], z
 
 
-@parallel_kernel
+@kernel
 def _solve(
-    intrinsics: np.ndarray, poses: np.ndarray, flows: np.ndarray, weights: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(inverse depth, information [h, w]; error of each match [h, w, J]) of the problem with reach 1."""
-    h, w, J = weights.shape
+    begin: int, end: int, intrinsics: np.ndarray, poses: np.ndarray, flows: np.ndarray, weights: np.ndarray,
+    inverse_depth: np.ndarray, information: np.ndarray, errors: np.ndarray,
+) -> None:  # fmt: skip
+    """Inverse depth and information [h, w] and the error of each match [h, w, J], all 0 before, of the problem with reach 1."""
+    _, w, J = weights.shape
     one, tiny = np.float32(1), np.float32(1e-12)
-    inverse_depth = np.zeros((h, w), np.float32)
-    information = np.zeros((h, w), np.float32)
-    errors = np.zeros((h, w, J), np.float32)
     scale2 = np.float32(ROBUST_SCALE * ROBUST_SCALE)
     lowest, highest = np.float32(1e-4), np.float32(1e2)
     K0 = intrinsics[0]
-    for y in prange(h):
+    for y in range(begin, end):
         A = np.empty((J, 3), np.float32)
         target = np.empty((J, 2), np.float32)
         for x in range(w):
@@ -177,4 +187,3 @@ def _solve(
             if known:
                 inverse_depth[y, x] = inverse
                 information[y, x] = info * inverse * inverse
-    return inverse_depth, information, errors

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 
+from flowsplat.common.kernels import kernel
 from flowsplat.geometry import Camera
 
 
@@ -31,9 +31,7 @@ def uncover(
     return np.where(better, found, inverse_depth), np.where(better, found_weight, weight)
 
 
-def carried(
-    inverse_depth: np.ndarray, weight: np.ndarray, camera: Camera, to: Camera
-) -> tuple[np.ndarray, np.ndarray]:
+def carried(inverse_depth: np.ndarray, weight: np.ndarray, camera: Camera, to: Camera) -> tuple[np.ndarray, np.ndarray]:
     """Inverse depth and weight, each [h, w], as another camera sees them, 0 where it sees none; the nearest point wins."""
     found, found_weight = np.zeros_like(inverse_depth), np.zeros_like(weight)
     _carry(inverse_depth, weight, camera, to, found, found_weight)
@@ -46,7 +44,7 @@ def _carry(
     _splat(inverse_depth, weight, np.array([camera.intrinsics, to.intrinsics]), to.pose_from(camera), out, out_weight)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _splat(
     inverse: np.ndarray, weight: np.ndarray, intrinsics: np.ndarray, pose: np.ndarray, out: np.ndarray, out_weight: np.ndarray
 ) -> None:

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import scipy.linalg
-from numba import njit
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 from scipy.spatial.transform import Rotation
 
+from flowsplat.common.kernels import kernel
 from flowsplat.priors.cameras.bundle import Observations, Reconstruction, adjust
 from flowsplat.priors.cameras.refinement import place_points, track_errors
 from flowsplat.priors.cameras.twoview import LEAST_COMMON, essential, intrinsics
@@ -208,7 +208,7 @@ def position_cameras(rotations: np.ndarray, positions: np.ndarray, seen: np.ndar
     return centers
 
 
-@njit(cache=True)
+@kernel
 def _ray_equations(rays, weights, camera, point, cameras, points):
     """The quadratic form [3 T, 3 T] of the centres with the points eliminated, and the inverses [N, 3, 3] of the latter."""
     A = np.zeros((3 * cameras, 3 * cameras))
@@ -243,7 +243,7 @@ def _ray_equations(rays, weights, camera, point, cameras, points):
     return A, inverse
 
 
-@njit(cache=True)
+@kernel
 def _nearest_to_rays(inverse, rays, weights, camera, point, centers):
     """Points [N, 3] with the least weighted distance to their rays."""
     right = np.zeros((len(inverse), 3))

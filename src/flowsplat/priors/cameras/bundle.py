@@ -12,8 +12,9 @@ from typing import Protocol
 
 import numpy as np
 import scipy.linalg
-from numba import njit
 from scipy.spatial.transform import Rotation
+
+from flowsplat.common.kernels import kernel
 
 NEAR = 1e-4
 """Depths below this are replaced by it: such an observation is an outlier and only has to stay finite."""
@@ -184,9 +185,7 @@ def adjust(
     return Adjusted(state, _total(state, seen, scale, ()), *precisions)
 
 
-def free_parameters(
-    count: int, fixed_camera: int, focal: bool, distortion: bool, translations: bool = True
-) -> np.ndarray:
+def free_parameters(count: int, fixed_camera: int, focal: bool, distortion: bool, translations: bool = True) -> np.ndarray:
     """Indices of the parameters [6 count + LENS] of poses and lens that may change."""
     free = np.ones(6 * count + LENS, bool)
     free[6 * fixed_camera : 6 * fixed_camera + 6] = False
@@ -263,9 +262,7 @@ def _moved(state: Reconstruction, step: np.ndarray, points: np.ndarray) -> Recon
     )
 
 
-def _unscaled(
-    state: Reconstruction, step: np.ndarray, point_steps: np.ndarray, fixed_camera: int
-) -> tuple[np.ndarray, np.ndarray]:
+def _unscaled(state: Reconstruction, step: np.ndarray, point_steps: np.ndarray, fixed_camera: int) -> tuple[np.ndarray, np.ndarray]:
     """A step without its share of a change of scale about the fixed camera, which no picture tells: it is small where all is."""
     middle, travel = state.centers[fixed_camera], scaling(state, fixed_camera)
     poses = step[:-LENS].reshape(-1, 6)
@@ -297,7 +294,7 @@ def _damped_inverses(Hp: np.ndarray, damping: float) -> np.ndarray:
     return np.linalg.inv(damped)
 
 
-@njit(cache=True)
+@kernel
 def _linearise(R, t, focal, k1, X, camera, point, uv, scale):
     """Normal equations: cameras and lens H, g; points Hp, gp; and the blocks between them.
 
@@ -388,7 +385,7 @@ def _eliminate_points(
         b[-LENS:] -= right[-LENS:]
 
 
-@njit(cache=True)
+@kernel
 def _group_factor(first, camera, cross, cross_lens, roots, cameras):
     """[6 cameras + 2, 3 points]: the blocks between cameras with lens and points, times the roots of the inverses."""
     count = len(roots)
@@ -410,7 +407,7 @@ def _group_factor(first, camera, cross, cross_lens, roots, cameras):
     return result
 
 
-@njit(cache=True)
+@kernel
 def _reproject(R, t, focal, k1, X, camera, point, uv):
     errors, depths = np.empty(len(camera)), np.empty(len(camera))
     for m in range(len(camera)):
@@ -425,7 +422,7 @@ def _reproject(R, t, focal, k1, X, camera, point, uv):
     return errors, depths
 
 
-@njit(cache=True)
+@kernel
 def _point_steps(first, camera, cross, cross_lens, inverse, gp, step):
     """Steps [N, 3] of the points, given the step of the cameras and the lens."""
     result = np.zeros_like(gp)

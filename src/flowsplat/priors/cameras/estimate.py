@@ -276,9 +276,7 @@ def _search(
     return min(found, key=lambda candidate: candidate.misfit)
 
 
-def _search_at_once(
-    centred: np.ndarray, seen: np.ndarray, width: float, expected: float, free_focal: bool
-) -> _Candidate | None:
+def _search_at_once(centred: np.ndarray, seen: np.ndarray, width: float, expected: float, free_focal: bool) -> _Candidate | None:
     """The best of the reconstructions that place all frames at once, each from another focal length; None where none can."""
     known = partial(refine, expected_focal=expected, free_focal=free_focal, rough=True)
     focals = [factor * width for factor in START_FOCALS] if free_focal else [expected]

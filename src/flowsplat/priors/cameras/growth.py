@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numba import njit
 
+from flowsplat.common.kernels import kernel
 from flowsplat.priors.cameras.bundle import LensPrior, Observations, Reconstruction, adjust, rays, residuals
 from flowsplat.priors.cameras.twoview import Pair, intrinsics, relative_pose
 
@@ -41,7 +41,7 @@ def triangulate(state: Reconstruction, positions: np.ndarray, seen: np.ndarray) 
     return h[:, :3] / np.where(np.abs(h[:, 3:]) < 1e-9, 1e-9, h[:, 3:])
 
 
-@njit(cache=True)
+@kernel
 def _normal_equations(matrices, directions, camera, point, count):
     """[count, 4, 4] of the homogeneous points, from projections [T, 3, 4] and directions [M, 2]."""
     normal = np.zeros((count, 4, 4))

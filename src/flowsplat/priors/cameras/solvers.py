@@ -125,9 +125,7 @@ def solve(
     second = estimate(positions[used], width, height, focal, "global")
     # Where something in front fills the picture, what is seen along the rim judges either.
     judges = rim if first.surrounds or second.surrounds else judges
-    found = {
-        name: judge(name, cameras, judges, width, height, frames) for name, cameras in (("own", first), ("global", second))
-    }
+    found = {name: judge(name, cameras, judges, width, height, frames) for name, cameras in (("own", first), ("global", second))}
     if prefer(found["global"], found["own"]):
         return Solved(second, [found["global"], found["own"]])
     return Solved(first, [found["own"], found["global"]])

@@ -162,14 +162,10 @@ class _Tracks:
         if lens is not None:
             straight = _Tracks(lens.straightened(self.positions), self.pieces, self.width, self.height)
             return straight.solve(solver, None if focal is None else lens.pinhole)
-        return [
-            solve(self.of_piece(k), self.width, self.height, focal, solver, frames) for k, frames in enumerate(self.pieces)
-        ]
+        return [solve(self.of_piece(k), self.width, self.height, focal, solver, frames) for k, frames in enumerate(self.pieces)]
 
 
-def _find_lens(
-    tracks: _Tracks, solved: list[Solved], solver: str, focal: float | None
-) -> tuple[Lens | None, list[Solved]]:
+def _find_lens(tracks: _Tracks, solved: list[Solved], solver: str, focal: float | None) -> tuple[Lens | None, list[Solved]]:
     """The lens that the longest piece shows, and the cameras of all pieces behind it."""
     lens, positions = None, tracks.of_piece(tracks.longest)
     for _ in range(LENS_ROUNDS):

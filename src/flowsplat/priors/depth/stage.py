@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
 from flowsplat.common.progress import track
-from flowsplat.common.threads import in_threads
+from flowsplat.common.threads import in_threads, thread_count
 from flowsplat.pictures.edge_smoothing import one_thread
 from flowsplat.priors.background.fill import upsample
 from flowsplat.priors.background.longflow import STRIDES
@@ -62,7 +61,7 @@ def depth_stage(
     if missing:
         work = list(refined.walk(written, missing))
         with one_thread():
-            for _ in in_threads(lambda do: do(), track(work, "Depth"), numba.get_num_threads()):
+            for _ in in_threads(lambda do: do(), track(work, "Depth"), thread_count()):
                 pass
     method = "multi-view" if clip.has_parallax else "guess"
     share, static_share = trusted_shares(scene)

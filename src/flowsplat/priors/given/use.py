@@ -59,9 +59,7 @@ class GivenPriors:
         return found
 
 
-def use_given(
-    scene: Scene, given: GivenPriors, estimate: FlowEstimator = dis_estimator
-) -> dict[str, Callable[[], None]]:
+def use_given(scene: Scene, given: GivenPriors, estimate: FlowEstimator = dis_estimator) -> dict[str, Callable[[], None]]:
     """Read the user's files into the scene, those that are named.
 
     Args:

@@ -11,9 +11,8 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-from numba import njit, prange
 
-from flowsplat.common.kernels import OPTIONS, parallel_kernel
+from flowsplat.common.kernels import helper, kernel
 from flowsplat.common.simd import (
     LANES,
     broadcast,
@@ -30,6 +29,7 @@ from flowsplat.common.simd import (
     where_at_least,
     whole,
 )
+from flowsplat.common.threads import parallel_for
 from flowsplat.geometry import Camera
 from flowsplat.priors.background.bits import packed
 from flowsplat.priors.background.fill import upsample
@@ -85,9 +85,12 @@ class CleanPlate:
             return np.full(frame.shape[:2], -1, np.float32)
         inverse = self._background.behind(k)
         depth = 1 / np.maximum(upsample(inverse, frame, clip.scene.width, clip.scene.height), 1e-3 * float(np.median(inverse)))
-        plate, spread, count = _plate(
-            frame, depth.astype(np.float32), *_poses(self._cameras[k], [self._cameras[j] for j in others]),
-            np.stack([self._frame(j) for j in others]), self._blocked[others],
+        plate, spread = np.empty(frame.shape, np.float32), np.empty(depth.shape, np.float32)
+        count = np.empty(depth.shape, np.uint8)
+        words = packed(np.stack([self._frame(j) for j in others]), self._blocked[others])
+        parallel_for(
+            _plate, len(frame), frame, depth.astype(np.float32), *_poses(self._cameras[k], [self._cameras[j] for j in others]),
+            words.reshape(-1), plate, spread, count,
         )  # fmt: skip
         # Of many frames those that look most like the pixel decide, and others may be of a mover; few pictures must all agree.
         spread *= len(clip) <= FEW
@@ -100,24 +103,23 @@ def _poses(camera: Camera, others: list[Camera]) -> tuple[np.ndarray, np.ndarray
     return intrinsics, np.array([other.pose_from(camera) for other in others], np.float32)
 
 
-@parallel_kernel
+@kernel
 def _plate(
-    frame: np.ndarray, depth: np.ndarray, intrinsics: np.ndarray, poses: np.ndarray, frames: np.ndarray, blocked: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    begin: int, end: int, frame: np.ndarray, depth: np.ndarray, intrinsics: np.ndarray, poses: np.ndarray, words: np.ndarray,
+    plate: np.ndarray, spread: np.ndarray, count: np.ndarray,
+) -> None:  # fmt: skip
     """The static scene at the pixels of ``frame``.
 
-    Returns:
-        colours [H, W, 3] float32, how far half of the frames that see them are from them (mean squared difference [H, W]), and
-        how many frames see them [H, W].
+    Fills colours [H, W, 3] float32, how far half of the frames that see them are from them (mean squared difference [H, W]), and
+    how many frames see them [H, W] uint8.
     """
     H, W = depth.shape
     J = len(poses)
     half, one, nothing, far = np.float32(0.5), np.float32(1), np.float32(0), np.float32(UNSEEN)
     width, height, agreeing = np.float32(W), np.float32(H), np.float32(AGREEING)
-    plate, spread, count = np.empty((H, W, 3), np.float32), np.empty((H, W), np.float32), np.empty((H, W), np.uint8)
-    K, words = intrinsics[0], packed(frames, blocked).reshape(-1)
+    K = intrinsics[0]
     room = max(W, LANES)
-    for y in prange(H):
+    for y in range(begin, end):
         row = np.empty(4 * room, np.float32)  # depth and colours
         for x in range(room):
             row[x] = depth[y, min(x, W - 1)]
@@ -170,10 +172,9 @@ def _plate(
             for q in range(3):
                 plate[y, x, q] = found[q * room + x]
             spread[y, x], count[y, x] = found[3 * room + x], np.uint8(found[4 * room + x])
-    return plate, spread, count
 
 
-@njit(**OPTIONS)
+@helper
 def bilinear(words, start, W, H, u, v):
     """Red, green and blue (lanes) at u, v of the picture that begins at words[start], with pixel centres at whole numbers."""
     one = np.float32(1)
@@ -188,7 +189,7 @@ def bilinear(words, start, W, H, u, v):
     return red, green, blue
 
 
-@njit(**OPTIONS)
+@helper
 def agreed_colour(seen, apart, count, n, share):
     """Of the colours that frames see, lane by lane that of the last of the ``share`` which look most like the pixel.
 
@@ -220,7 +221,7 @@ def agreed_colour(seen, apart, count, n, share):
     return red, green, blue, scatter / np.float32(3)
 
 
-@njit(**OPTIONS)
+@helper
 def _has_rank(values, count, j, wanted):
     """Lanes: 1 where just so many of ``count`` vectors are below vector j, of equal ones the earlier; 0 elsewhere."""
     one, nothing = np.float32(1), np.float32(0)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numba import prange
 
-from flowsplat.common.kernels import parallel_kernel
+from flowsplat.common.kernels import kernel
 from flowsplat.common.simd import (
     LANES,
     broadcast,
@@ -21,6 +20,7 @@ from flowsplat.common.simd import (
     where_at_least,
     whole,
 )
+from flowsplat.common.threads import parallel_for
 
 SIDE = 15.0
 """Mean difference in grey levels from the pixel itself from which one beside it belongs to something else."""
@@ -48,7 +48,11 @@ def largest_share(
     Returns:
         0 to 1; -1 where not asked, along the border, and where fewer than ``FEWEST`` would see it at any depth.
     """
-    return _largest_share(frame, asked, _limits(frame), np.float32(nearest), intrinsics, poses, words)
+    result = np.full(asked.shape, -1, np.float32)
+    parallel_for(
+        _largest_share, len(frame), frame, asked, _limits(frame), np.float32(nearest), intrinsics, poses, words.reshape(-1), result
+    )
+    return result
 
 
 def _limits(image: np.ndarray) -> np.ndarray:
@@ -58,21 +62,20 @@ def _limits(image: np.ndarray) -> np.ndarray:
     return np.minimum(np.float32(ALIKE) + np.float32(0.5) * np.sqrt(slope), np.float32(2 * ALIKE)).astype(np.float32)
 
 
-@parallel_kernel
+@kernel
 def _largest_share(
-    frame: np.ndarray, asked: np.ndarray, limit: np.ndarray, near: np.float32, intrinsics: np.ndarray, poses: np.ndarray,
-    words: np.ndarray,
-) -> np.ndarray:  # fmt: skip
+    begin: int, end: int, frame: np.ndarray, asked: np.ndarray, limit: np.ndarray, near: np.float32, intrinsics: np.ndarray,
+    poses: np.ndarray, words: np.ndarray, result: np.ndarray,
+) -> None:  # fmt: skip
     """As ``largest_share``, with the mean difference ``limit`` [h, w] up to which another frame shows the same.
 
     As many depths at a time as there are lanes.
     """
-    J, H, W = words.shape
+    (H, W), J = asked.shape, len(poses)
     half, one, nothing = np.float32(0.5), np.float32(1), np.float32(0)
     right, bottom, fewest = np.float32(W - 1), np.float32(H - 1), np.float32(FEWEST)
-    result = np.full((H, W), np.float32(-1), np.float32)
-    K, words = intrinsics[0], words.reshape(-1)
-    for y in prange(H):
+    K = intrinsics[0]
+    for y in range(begin, end):
         rays, like, here = np.empty((J, 3), np.float32), np.empty((3, 3), np.bool_), np.empty((3, 3, 3), np.float32)
         for x in range(W):
             if not asked[y, x] or y < 1 or x < 1 or y > H - 2 or x > W - 2:
@@ -134,4 +137,3 @@ def _largest_share(
                 if best >= 1:
                     break
             result[y, x] = best
-    return result

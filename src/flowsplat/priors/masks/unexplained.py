@@ -11,10 +11,9 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-from numba import prange
 from scipy.ndimage import map_coordinates
 
-from flowsplat.common.kernels import parallel_kernel
+from flowsplat.common.kernels import kernel
 from flowsplat.common.simd import (
     LANES,
     broadcast,
@@ -30,6 +29,7 @@ from flowsplat.common.simd import (
     whole,
 )
 from flowsplat.common.spread import spread
+from flowsplat.common.threads import parallel_for
 from flowsplat.priors.background.bits import packed
 from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.reprojection import carried
@@ -124,7 +124,9 @@ class Unexplained:
         poses = np.array([camera.pose_from(clip.cameras[k]) for camera in cameras], np.float32)
         frames = np.stack([self._image(j) for j in others])
         words = packed(frames, np.zeros(frames.shape[:3], np.bool_))
-        plates, scatter, counts = _plates(image, values, intrinsics, poses, words)
+        plates, scatter = np.empty((SURFACES, *image.shape), np.float32), np.empty((SURFACES, *image.shape[:2]), np.float32)
+        counts = np.empty(scatter.shape, np.uint8)
+        parallel_for(_plates, len(image), image, values, intrinsics, poses, words.reshape(-1), plates, scatter, counts)
         off = np.stack([np.where(counts[s] > 0, difference(image, plates[s], scatter[s]), np.inf) for s in range(SURFACES)]).min(0)
         off = np.where(np.isfinite(off), off, -1).astype(np.float32)
         asked = (off < 0) | (off > DOUBTED)
@@ -155,20 +157,19 @@ class Unexplained:
         return np.where(seen > 0, seen, closed)
 
 
-@parallel_kernel
+@kernel
 def _plates(
-    frame: np.ndarray, values: np.ndarray, intrinsics: np.ndarray, poses: np.ndarray, words: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(colours [S, h, w, 3], their mean squared differences [S, h, w], number of frames) of surfaces that frames agree on."""
+    begin: int, end: int, frame: np.ndarray, values: np.ndarray, intrinsics: np.ndarray, poses: np.ndarray, words: np.ndarray,
+    plates: np.ndarray, scatter: np.ndarray, counts: np.ndarray,
+) -> None:  # fmt: skip
+    """Colours [S, h, w, 3], their mean squared differences [S, h, w] and number of frames of surfaces that frames agree on."""
     J, H, W = values.shape
     half, one, nothing, far = np.float32(0.5), np.float32(1), np.float32(0), np.float32(UNSEEN)
     same, quarter, least = np.float32(SAME), np.float32(ENOUGH), np.float32(LEAST)
     right, bottom, agreeing = np.float32(W - 1), np.float32(H - 1), np.float32(AGREEING)
-    plates, counts = np.empty((SURFACES, H, W, 3), np.float32), np.empty((SURFACES, H, W), np.uint8)
-    scatter = np.empty((SURFACES, H, W), np.float32)
-    K, words = intrinsics[0], words.reshape(-1)
+    K = intrinsics[0]
     room = max(W, LANES)
-    for y in prange(H):
+    for y in range(begin, end):
         rows, left = np.empty((J + 3) * room, np.float32), np.empty(J * LANES, np.float32)
         for x in range(room):  # inverse depths, and the colours of the frame
             for a in range(J):
@@ -248,4 +249,3 @@ def _plates(
                 for q in range(3):
                     plates[s, y, x, q] = found[(5 * s + q) * room + x]
                 scatter[s, y, x], counts[s, y, x] = found[(5 * s + 3) * room + x], np.uint8(found[(5 * s + 4) * room + x])
-    return plates, scatter, counts

@@ -11,12 +11,11 @@ nearest plate speak for all.
 from __future__ import annotations
 
 import cv2
-import numba
 import numpy as np
 from scipy.ndimage import gaussian_filter1d, percentile_filter
 
 from flowsplat.common.progress import track
-from flowsplat.common.threads import in_threads
+from flowsplat.common.threads import in_threads, thread_count
 from flowsplat.pictures.edge_smoothing import one_thread
 from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.static_depth import StaticDepth
@@ -103,6 +102,7 @@ def _smooth_piece(cards: np.ndarray, growths: np.ndarray) -> np.ndarray:
 
 def cards_of(clip: MatchedClip, background: StaticDepth) -> dict[int, np.ndarray]:
     """Smoothed inverse depth [T] of every object over the training frames."""
+
     def seen(k: int) -> tuple[dict[int, float], dict[int, float], dict[int, float]]:
         """The card of every object in a frame, and how much larger it is in the frame before and in the next one."""
         mask = clip.mask(k)
@@ -111,7 +111,7 @@ def cards_of(clip: MatchedClip, background: StaticDepth) -> dict[int, np.ndarray
         return here, _growths(clip, k, k - 1, mask), _growths(clip, k, k + 1, mask)
 
     with one_thread():
-        found = list(in_threads(seen, track(range(len(clip)), "Depth of movers"), numba.get_num_threads()))
+        found = list(in_threads(seen, track(range(len(clip)), "Depth of movers"), thread_count()))
     cards: dict[int, np.ndarray] = {}
     growths: dict[int, np.ndarray] = {}
     before: dict[int, float] = {}

@@ -50,9 +50,7 @@ class Distance:
     sigma: float
 
 
-def combine(
-    guess: float, cues: Mapping[str, Cue], bounds: Sequence[float], near_ground: float | None = None
-) -> Distance:
+def combine(guess: float, cues: Mapping[str, Cue], bounds: Sequence[float], near_ground: float | None = None) -> Distance:
     """Median and standard deviation of the whole posterior of ln s.
 
     Args:

@@ -158,9 +158,7 @@ def accepted_laws(path: WorldPath, normal: np.ndarray | None) -> tuple[dict[str,
     if normal is not None:
         laws["height"] = constant_height(path, normal)
     p, passed = laws["pivot"], {}
-    passed["pivot"] = (
-        p.fit <= 3 and p.measures["rest"] <= 0.6 and p.measures["turned"] >= 30 and p.measures["lever"] <= 8
-    )
+    passed["pivot"] = p.fit <= 3 and p.measures["rest"] <= 0.6 and p.measures["turned"] >= 30 and p.measures["lever"] <= 8
     passed["height"] = "height" in laws and laws["height"].measures["explained"] >= 0.3
     cues = {
         name: Cue(-float(np.log(law.nearness)), float(np.hypot(law.sigma, FLOOR[name])), WRONG[name])
@@ -227,9 +225,7 @@ def thrown_cue(bounds: np.ndarray, thrown: np.ndarray) -> Cue | None:
     return Cue(min(levels), THROWN_SIGMA if len(levels) > 1 else 1.5 * THROWN_SIGMA, WRONG["bounce"])
 
 
-def foot_offset(
-    lowest: np.ndarray, front: np.ndarray, pixels: np.ndarray, offsets: np.ndarray, sigma: np.ndarray
-) -> float:
+def foot_offset(lowest: np.ndarray, front: np.ndarray, pixels: np.ndarray, offsets: np.ndarray, sigma: np.ndarray) -> float:
     """By how much, in ln, the lowest pixels of a mover are farther than its upright card in one frame.
 
     They lie on its rim, where a round body is farther than its front; its points correct that.
@@ -411,9 +407,7 @@ def course_of(
     return np.interp(np.arange(len(cameras)), np.flatnonzero(known), found[known]), points, share
 
 
-def middle_depths(
-    points: ReliefPoints, middles: np.ndarray, cameras: Sequence[Camera], normal: np.ndarray
-) -> np.ndarray:
+def middle_depths(points: ReliefPoints, middles: np.ndarray, cameras: Sequence[Camera], normal: np.ndarray) -> np.ndarray:
     """[T] logarithm of the depth of a mover's middle: of an upright card through its points; NaN of fewer than three."""
     result = np.full(len(cameras), np.nan)
     for t in range(len(cameras)):

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numba import njit
 
+from flowsplat.common.kernels import kernel
 from flowsplat.pictures.edge_smoothing import EdgeSmoother
 from flowsplat.priors.objects.rigid import INLIER, NEAREST, RESIDUAL_WIDTH, Observations, RigidMotion
 from flowsplat.priors.objects.rigid_equations import derivatives
@@ -148,7 +148,7 @@ def relief(
     return result
 
 
-@njit(cache=True)
+@kernel
 def _place(
     turns: np.ndarray, shifts: np.ndarray, used: np.ndarray, first: np.ndarray, frame_of: np.ndarray, x: np.ndarray, focal: float,
     width: float, ridge: float, iterations: int,

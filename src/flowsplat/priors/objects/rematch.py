@@ -14,9 +14,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numba import njit, prange
 
-from flowsplat.common.kernels import OPTIONS, parallel_kernel
+from flowsplat.common.kernels import helper, kernel
+from flowsplat.common.threads import parallel_for
 from flowsplat.geometry import Camera
 from flowsplat.priors.objects.contact import upright_ratio
 from flowsplat.priors.objects.relief import DEEPEST, ReliefPoints, place_points, relief, rough_points, roundness
@@ -149,17 +149,17 @@ def rematch(
         return np.zeros((0, T, 2)), np.zeros((0, T), bool)
     start = positions[chosen, anchors].astype(np.float64)
     shapes, normals = _shapes(anchors, start, surface, K)
-    found, counts = _match(
-        motion.turns, motion.shifts, motion.used, points[chosen], normals, anchors, start, shapes, pictures, masks,
-        K.astype(np.float64), GATES,
+    found, counts = np.zeros((len(start), T, 2)), np.zeros((len(start), T), np.bool_)
+    parallel_for(
+        _match, len(start), motion.turns, motion.shifts, motion.used, points[chosen], normals, anchors, start, shapes, pictures,
+        masks,
+        K.astype(np.float64), GATES, found, counts,
     )  # fmt: skip
     kept = counts.sum(1) >= FEWEST_MATCHES
     return found[kept], counts[kept]
 
 
-def _anchors(
-    motion: RigidMotion, points: np.ndarray, positions: np.ndarray, inside: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _anchors(motion: RigidMotion, points: np.ndarray, positions: np.ndarray, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Indices [M] of the points to match, spread over frames and surface, and the frame [M] that each is taken from."""
     seen = inside & motion.used
     usable = np.flatnonzero(np.isfinite(points).all(1) & seen.any(1))
@@ -207,7 +207,7 @@ def grey(picture: np.ndarray) -> np.ndarray:
     return cv2.GaussianBlur(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), (0, 0), SMOOTHED)
 
 
-@njit(**OPTIONS)
+@helper
 def _read(picture: np.ndarray, x: float, y: float) -> float:
     """Bilinear, pixel centres at .5."""
     x, y = x - 0.5, y - 0.5
@@ -217,20 +217,21 @@ def _read(picture: np.ndarray, x: float, y: float) -> float:
     return (1 - b) * upper + b * ((1 - a) * picture[j + 1, i] + a * picture[j + 1, i + 1])
 
 
-@parallel_kernel
+@kernel
 def _match(
-    turns: np.ndarray, shifts: np.ndarray, used: np.ndarray, points: np.ndarray, normals: np.ndarray, anchors: np.ndarray,
+    begin: int, end: int, turns: np.ndarray, shifts: np.ndarray, used: np.ndarray, points: np.ndarray, normals: np.ndarray,
+    anchors: np.ndarray,
     start: np.ndarray, shapes: np.ndarray, pictures: np.ndarray, masks: np.ndarray, K: np.ndarray, gates: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Kernel of ``rematch``; shapes [M, D, D] with D odd."""
+    found: np.ndarray, counts: np.ndarray,
+) -> None:  # fmt: skip
+    """Kernel of ``rematch``; shapes [M, D, D] with D odd; found [M, T, 2] and counts [M, T], zeros where nothing is found."""
     likest, farthest, surest, steepest, covered = gates
-    M, T = len(points), len(turns)
+    T = len(turns)
     H, W = pictures.shape[1:]
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
-    found, counts = np.zeros((M, T, 2)), np.zeros((M, T), np.bool_)
     side = shapes.shape[1]
     radius = side // 2
-    for m in prange(M):
+    for m in range(begin, end):
         a = anchors[m]
         p = np.ascontiguousarray(turns[a]) @ points[m] + shifts[a]
         n = normals[m]
@@ -359,4 +360,3 @@ def _match(
             if good and likeness >= likest and spread_ <= surest and dx * dx + dy * dy <= farthest**2:
                 found[m, t, 0], found[m, t, 1] = x0 + dx, y0 + dy
                 counts[m, t] = int(y0 + dy) >= 0 and int(x0 + dx) >= 0 and masks[t, int(y0 + dy), int(x0 + dx)]
-    return found, counts

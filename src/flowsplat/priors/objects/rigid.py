@@ -331,9 +331,7 @@ class _Solver:
         return other
 
     def result(self) -> RigidMotion:
-        return RigidMotion(
-            self._turns, self._shifts, self._points, self._used, self._known, self._size, float(self._cost), self._o
-        )
+        return RigidMotion(self._turns, self._shifts, self._points, self._used, self._known, self._size, float(self._cost), self._o)
 
 
 def _radius(x: np.ndarray) -> float:

@@ -6,8 +6,9 @@ A pose is six numbers: a small turn from the left in the object's axes of the ca
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from scipy.linalg import cho_factor, cho_solve, solveh_banded
+
+from flowsplat.common.kernels import helper, kernel
 
 _BANDED = 1.5
 """Times the width of its band that a system is large at least to be solved as one."""
@@ -24,7 +25,7 @@ def solved(H: np.ndarray, b: np.ndarray) -> np.ndarray:
         return np.linalg.solve(unpacked(H), b)
 
 
-@njit(cache=True)
+@helper
 def rotation(v: np.ndarray) -> np.ndarray:
     """Rodrigues' formula."""
     angle = np.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
@@ -34,7 +35,7 @@ def rotation(v: np.ndarray) -> np.ndarray:
     return np.eye(3) + np.sin(angle) / angle * K + (1 - np.cos(angle)) / angle**2 * (K @ K)
 
 
-@njit(cache=True)
+@kernel
 def turned(turns: np.ndarray, step: np.ndarray) -> np.ndarray:
     """Turns [F, 3, 3] after a step [6F] of the poses."""
     result = np.empty_like(turns)
@@ -43,7 +44,7 @@ def turned(turns: np.ndarray, step: np.ndarray) -> np.ndarray:
     return result
 
 
-@njit(cache=True)
+@kernel
 def second_differences(turns: np.ndarray, shifts: np.ndarray, weight: float) -> tuple[np.ndarray, np.ndarray, float]:
     """Squared second differences of the poses over time, times ``weight``: a band [6F, 13], the right side [6F], and the cost."""
     F = len(turns)
@@ -63,7 +64,7 @@ def second_differences(turns: np.ndarray, shifts: np.ndarray, weight: float) -> 
     return A, b, cost
 
 
-@njit(cache=True)
+@helper
 def derivatives(
     Q: np.ndarray, tau: np.ndarray, S: np.ndarray, x: np.ndarray, focal: float, r: np.ndarray, J: np.ndarray, B: np.ndarray
 ) -> None:
@@ -84,7 +85,7 @@ def derivatives(
         B[1, d] = f * (Q[1, d] - v * Q[2, d])
 
 
-@njit(cache=True)
+@kernel
 def robust_cost(
     turns: np.ndarray, shifts: np.ndarray, points: np.ndarray, first: np.ndarray, frame_of: np.ndarray, x: np.ndarray,
     known: np.ndarray, focal: float, width: float, ridge: float,
@@ -109,7 +110,7 @@ def robust_cost(
     return total
 
 
-@njit(cache=True)
+@kernel
 def reduced_system(
     turns: np.ndarray, shifts: np.ndarray, points: np.ndarray, first: np.ndarray, frame_of: np.ndarray, x: np.ndarray,
     known: np.ndarray, focal: float, width: float, ridge: float, damping: float, reach: int,
@@ -177,7 +178,7 @@ def reduced_system(
     return H, b, own, inverses, gradients, links
 
 
-@njit(cache=True)
+@kernel
 def unpacked(H: np.ndarray) -> np.ndarray:
     """The whole symmetric matrix [n, n] of a band [n, w]."""
     n, band = H.shape
@@ -188,7 +189,7 @@ def unpacked(H: np.ndarray) -> np.ndarray:
     return whole
 
 
-@njit(cache=True)
+@kernel
 def widest_link(first: np.ndarray, frame_of: np.ndarray, known: np.ndarray) -> int:
     """How many frames apart poses are at most that one equation joins: those of a point, and the next but one."""
     most = 2
@@ -202,7 +203,7 @@ def widest_link(first: np.ndarray, frame_of: np.ndarray, known: np.ndarray) -> i
     return most
 
 
-@njit(cache=True)
+@kernel
 def moved_points(
     points: np.ndarray, step: np.ndarray, first: np.ndarray, frame_of: np.ndarray, inverses: np.ndarray, gradients: np.ndarray,
     links: np.ndarray, known: np.ndarray,
@@ -224,7 +225,7 @@ def moved_points(
     return result
 
 
-@njit(cache=True)
+@kernel
 def refine_pose(
     Q: np.ndarray, tau: np.ndarray, points: np.ndarray, x: np.ndarray, focal: float, width: float, iterations: int
 ) -> tuple[np.ndarray, np.ndarray]:

@@ -84,9 +84,7 @@ def _cut(image: np.ndarray, flow: Flow, prompt: Prompt, evidence: np.ndarray | N
     return touching(found, seeds) if prompt.clicks else found
 
 
-def corrected(
-    image: np.ndarray, flow: Flow, prompt: Prompt, carried: np.ndarray, evidence: np.ndarray | None = None
-) -> np.ndarray:
+def corrected(image: np.ndarray, flow: Flow, prompt: Prompt, carried: np.ndarray, evidence: np.ndarray | None = None) -> np.ndarray:
     """An object that was carried to a frame, bool [H, W], with clicks on what it misses and beside it.
 
     Args:
@@ -207,9 +205,7 @@ def _chosen(bits: np.ndarray, prompt: Prompt, seeds: np.ndarray, possible: np.nd
     return np.where(others[labels], -MOST, bits)
 
 
-def _by_evidence(
-    image: np.ndarray, bits: np.ndarray, seeds: np.ndarray, beside: np.ndarray, possible: np.ndarray
-) -> np.ndarray:
+def _by_evidence(image: np.ndarray, bits: np.ndarray, seeds: np.ndarray, beside: np.ndarray, possible: np.ndarray) -> np.ndarray:
     """Evidence and colours, which are learned from it, added up and smoothed along the edges of the picture: bool [H, W]."""
     smoother = EdgeSmoother(image, SMOOTHNESS, COLOUR_SIGMA)
     bits = bits.astype(np.float32)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import float32, prange
+from numba import float32
 from scipy.spatial import cKDTree
 
-from flowsplat.common.kernels import parallel_kernel
+from flowsplat.common.kernels import kernel
+from flowsplat.common.threads import parallel_for
 
 NEIGHBOURS = 12
 FEWEST = 4
@@ -48,14 +49,14 @@ def agreed_motion(
         count = min(NEIGHBOURS + 1, len(sources))
         _, found = cKDTree(points[sources]).query(points[here], k=count, distance_upper_bound=reach)
         index = np.append(sources, -1)[found.reshape(len(here), count)]
-        _fit(here, index, *arrays, float32(reach), motion, gradient, spread)
+        parallel_for(_fit, len(here), here, index, *arrays, float32(reach), motion, gradient, spread)
     return motion, gradient, spread
 
 
-@parallel_kernel
-def _fit(here, index, points, motions, weights, reach, motion, gradient, spread):
+@kernel
+def _fit(begin, end, here, index, points, motions, weights, reach, motion, gradient, spread):
     one = float32(1)
-    for row in prange(len(here)):
+    for row in range(begin, end):
         n = here[row]
         count = 0
         chosen = np.empty(index.shape[1], np.int64)

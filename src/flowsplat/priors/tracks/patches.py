@@ -11,9 +11,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import float32, njit, prange
+from numba import float32
 
-from flowsplat.common.kernels import OPTIONS, parallel_kernel
+from flowsplat.common.kernels import helper, inlined, kernel
+from flowsplat.common.threads import parallel_for
 
 RADIUS = 6
 """Pixels from the centre of a patch to its border."""
@@ -49,7 +50,7 @@ class Patches:
         """Patches of float32 grey [H, W] round ``points`` [N, 2]; pixels of another label [H, W] than the centre do not count."""
         count = len(points)
         arrays = [np.empty((count, SIDE * SIDE), np.float32) for _ in range(4)]
-        _cut(image, labels, np.asarray(points, np.float32), *arrays)
+        parallel_for(_cut, len(points), image, labels, np.asarray(points, np.float32), *arrays)
         return Patches(*arrays)
 
     def put(self, rows: np.ndarray, other: Patches) -> None:
@@ -77,11 +78,11 @@ def align(patches: Patches, image: np.ndarray, points: np.ndarray, shapes: np.nd
     """
     points, shapes = np.array(points, np.float32), np.array(shapes, np.float32)
     likeness = np.empty(len(points), np.float32)
-    _align(patches.grey, patches.right, patches.down, patches.weights, image, points, shapes, likeness)
+    parallel_for(_align, len(points), patches.grey, patches.right, patches.down, patches.weights, image, points, shapes, likeness)
     return points, shapes, likeness
 
 
-@njit(forceinline=True, **OPTIONS)
+@inlined
 def _sample_inside(image, x, y):
     """Bilinear, for places that have four pixels round them."""
     j, i = np.int32(x), np.int32(y)
@@ -91,20 +92,18 @@ def _sample_inside(image, x, y):
     return top + v * (bottom - top)
 
 
-@njit(forceinline=True, **OPTIONS)
+@inlined
 def _sample(image, x, y):
     """Bilinear; the border continues."""
     height, width = image.shape
-    return _sample_inside(
-        image, min(max(x, float32(0)), float32(width - 1.001)), min(max(y, float32(0)), float32(height - 1.001))
-    )
+    return _sample_inside(image, min(max(x, float32(0)), float32(width - 1.001)), min(max(y, float32(0)), float32(height - 1.001)))
 
 
-@parallel_kernel
-def _cut(image, labels, points, grey, right, down, weights):
+@kernel
+def _cut(begin, end, image, labels, points, grey, right, down, weights):
     height, width = image.shape
     half = float32(0.5)
-    for n in prange(len(points)):
+    for n in range(begin, end):
         x, y = points[n, 0], points[n, 1]
         own = labels[min(max(int(y + half), 0), height - 1), min(max(int(x + half), 0), width - 1)]
         total = float32(0)
@@ -121,7 +120,7 @@ def _cut(image, labels, points, grey, right, down, weights):
             weights[n, k] /= max(total, float32(1e-6))
 
 
-@njit(**OPTIONS)
+@helper
 def _solve(H, b):
     """Solve the positive definite H x = b in place (Gauss); b becomes x."""
     n = len(b)
@@ -137,12 +136,12 @@ def _solve(H, b):
         b[i] /= H[i, i]
 
 
-@parallel_kernel
-def _align(grey, right, down, weights, image, points, shapes, likeness):
+@kernel
+def _align(begin, end, grey, right, down, weights, image, points, shapes, likeness):
     height, width = image.shape
     pixels = len(_OFFSETS)
     unit = float32(1.0 / RADIUS)
-    for n in prange(len(points)):
+    for n in range(begin, end):
         mean, variance = float32(0), float32(0)
         for k in range(pixels):
             mean += weights[n, k] * grey[n, k]

@@ -57,9 +57,7 @@ class _Rays:
         return at * focal + middle, (B[:, :2] - at * B[:, 2:]) / z * focal
 
 
-def complete_resting(
-    scene: Scene, points: np.ndarray, confidence: np.ndarray, births: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def complete_resting(scene: Scene, points: np.ndarray, confidence: np.ndarray, births: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Give points of the background the paths of resting points; those without one are given up, but for their births.
 
     Without cameras, masks and depth, or where hardly anything rests by them, all stays as it is.

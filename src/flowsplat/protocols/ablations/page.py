@@ -73,9 +73,7 @@ def write_ablation_page(
 def scene_names(results: Sequence[Result]) -> dict[str, str]:
     """The scenes of some results, with what to call them."""
     found = {result["scene"]: result for result in results}
-    return {
-        name: f"{name}, {TUNED_MARK.strip('*')}" if result["tuned"] else name for name, result in sorted(found.items())
-    }
+    return {name: f"{name}, {TUNED_MARK.strip('*')}" if result["tuned"] else name for name, result in sorted(found.items())}
 
 
 def how_measured(results: Sequence[Result]) -> str:

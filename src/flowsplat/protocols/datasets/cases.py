@@ -94,9 +94,7 @@ def protocol_config(name: str, config: RunConfig | None, holdout: int | None) ->
     base, wanted = flat(to_plain(start.train)), affecting_result(flat(to_plain(config.train)))
     changed = [f"{key} {value}" for key, value in wanted.items() if base.get(key) != value]
     options = replace(ALL_FRAMES, holdout=holdout)
-    fixed = replace(
-        config, input=options, priors=RunConfig().priors, baselines="all", refine_poses=True, final_fit=False
-    )
+    fixed = replace(config, input=options, priors=RunConfig().priors, baselines="all", refine_poses=True, final_fit=False)
     return fixed, ", ".join([name, *changed])
 
 

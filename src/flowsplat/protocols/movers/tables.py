@@ -29,7 +29,8 @@ SIGMAS = (1, 2)
 """Multiples of what is believed of an error whose coverage is told."""
 
 TITLES: dict[Variant, str] = {
-    "own": "Cameras, flow and masks from the pictures", "true": "True cameras, flow and masks",
+    "own": "Cameras, flow and masks from the pictures",
+    "true": "True cameras, flow and masks",
 }
 
 NOTE = (

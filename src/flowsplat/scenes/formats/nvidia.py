@@ -107,9 +107,7 @@ def _open_twelve(folder: Path, options: InputOptions, cameras: list[Camera]) -> 
         raise InputError(f"{folder} has {len(paths)} pictures in images/ but {len(cameras)} cameras in {POSES}.")
     targets = target_folder(folder)
     pictures = [PosedPicture(path, camera) for path, camera in zip(paths, cameras, strict=True)]
-    views = [
-        PosedView(f"v000_t{t:03d}", t, PosedPicture(targets / f"v000_t{t:03d}.png", cameras[0])) for t in range(len(pictures))
-    ]
+    views = [PosedView(f"v000_t{t:03d}", t, PosedPicture(targets / f"v000_t{t:03d}.png", cameras[0])) for t in range(len(pictures))]
     return open_posed(folder, options, pictures, views, notes=["Image i is camera i at time i; camera 0 is the test."])
 
 

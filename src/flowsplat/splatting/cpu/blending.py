@@ -12,9 +12,9 @@ e >= -0.9993. Relative error 1e-6. Within a block it is e = P + Q dy + c dy^2 wi
 from __future__ import annotations
 
 import numpy as np
-from numba import float32, int64, njit, prange
+from numba import float32, int64
 
-from flowsplat.common.kernels import OPTIONS, parallel_kernel
+from flowsplat.common.kernels import helper, inlined, kernel
 from flowsplat.common.simd import (
     LANES,
     broadcast,
@@ -58,7 +58,7 @@ E0, E1, E2 = np.float32(0.99999994), np.float32(0.69314224), np.float32(0.240172
 E3, E4, E5 = np.float32(0.055279724), np.float32(0.009188612), np.float32(0.00093878835)
 
 
-@njit(forceinline=True, **OPTIONS)
+@inlined
 def _alpha(exponent):
     """Unclamped alpha, zero below the cut."""
     value = ((((exponent * E5 + E4) * exponent + E3) * exponent + E2) * exponent + E1) * exponent + E0
@@ -68,13 +68,13 @@ def _alpha(exponent):
     return where_at_least(exponent, CUT, value, broadcast(ZERO))
 
 
-@njit(forceinline=True, **OPTIONS)
+@inlined
 def _lane(x, y):
     """Where pixel (x, y) of a tile lies: number of its block, lane in it."""
     return y // BLOCK_HEIGHT, y % BLOCK_HEIGHT * BLOCK_WIDTH + x
 
 
-@njit(**OPTIONS)
+@helper
 def _blend_tile(pixels, left, top, records, stride, instances, begin, end, channels):
     """Blend instances begin..end over one tile. Returns where it stopped."""
     align_stack()
@@ -113,14 +113,12 @@ def _blend_tile(pixels, left, top, records, stride, instances, begin, end, chann
     return p
 
 
-@parallel_kernel
-def blend_forward(
-    width, height, records, stride, instances, tile_offsets, image, transmittance, tile_stops, channels
-):
+@kernel
+def blend_forward(begin, end, width, height, records, stride, instances, tile_offsets, image, transmittance, tile_stops, channels):
     """Fill image [H, W, C] and transmittance [H, W]; tile_stops[t] is where backward may stop."""
     tile_columns = (width + TILE_WIDTH - 1) // TILE_WIDTH
     size = LANES * (len(channels) + 1)
-    for tile in prange(tile_stops.shape[0]):
+    for tile in range(begin, end):
         tile_y, tile_x = tile // tile_columns, tile % tile_columns
         y0, x0 = tile_y * TILE_HEIGHT, tile_x * TILE_WIDTH
         pixels = np.zeros(BLOCKS * size, np.float32)
@@ -142,7 +140,7 @@ def blend_forward(
                     image[y0 + y, x0 + x, c] = pixels[base + LANES * (c + 1)]
 
 
-@njit(**OPTIONS)
+@helper
 def _tile_gradient(pixels, left, top, records, stride, instances, begin, stop, end, out, absolute, channels):
     """Replay one tile front to back; every instance writes one record of sums to its slot.
 
@@ -208,15 +206,16 @@ def _tile_gradient(pixels, left, top, records, stride, instances, begin, stop, e
             out[o + k] = ZERO
 
 
-@parallel_kernel
+@kernel
 def blend_backward(
-    width, height, records, stride, instances, tile_offsets, tile_stops, image, transmittance, grad_image, grad_alphas, out,
+    begin, end, width, height, records, stride, instances, tile_offsets, tile_stops, image, transmittance, grad_image, grad_alphas,
+    out,
     absolute, channels,
 ):  # fmt: skip
     """Fill out [I, stride]: what every instance contributes to the gradient of its Gaussian."""
     tile_columns = (width + TILE_WIDTH - 1) // TILE_WIDTH
     size = LANES * (len(channels) + 2)
-    for tile in prange(tile_stops.shape[0]):
+    for tile in range(begin, end):
         tile_y, tile_x = tile // tile_columns, tile % tile_columns
         y0, x0 = tile_y * TILE_HEIGHT, tile_x * TILE_WIDTH
         pixels = np.zeros(BLOCKS * size, np.float32)
@@ -237,9 +236,9 @@ def blend_backward(
         )  # fmt: skip
 
 
-@parallel_kernel
+@kernel
 def gather_gradients(
-    visible, order, instance_offsets, out, stride, conics, opacities, grad_means2d, grad_conics,
+    begin, end, order, instance_offsets, out, stride, conics, opacities, grad_means2d, grad_conics,
     grad_opacities, grad_features, absolute,
 ):  # fmt: skip
     """Sum the slots of every Gaussian, in order: no atomics, the same bits with any number of threads.
@@ -248,7 +247,7 @@ def gather_gradients(
     """
     channels, with_absolute = grad_features.shape[1], absolute.shape[0] > 0
     first_channel = GEOMETRY + ABSOLUTE if with_absolute else GEOMETRY
-    for s in prange(visible):
+    for s in range(begin, end):
         i = int64(order[s])
         g, gx, gxx, gy, gxy, gyy = ZERO, ZERO, ZERO, ZERO, ZERO, ZERO
         for slot in range(instance_offsets[s], instance_offsets[s + 1]):

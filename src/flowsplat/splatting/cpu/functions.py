@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba
 import numpy as np
 import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from flowsplat.common.threads import parallel_for, thread_count
 from flowsplat.splatting.cpu import blending, tiles
 from flowsplat.splatting.cpu import projection as kernels
 from flowsplat.splatting.cpu.workspace import Lease
@@ -18,6 +18,7 @@ MOST_INSTANCES = 2**31 - 1
 MOST_CHANNELS = 64
 """Of one blending: of more, each piece is blended by itself."""
 _CHUNKS = 16  # fixed, so that sums over chunks do not depend on the number of threads
+_BLEND_PIECES = 16  # for each thread: some tiles are far fuller than others
 
 
 def _array(tensor: Tensor) -> np.ndarray:
@@ -46,8 +47,9 @@ class _Project(torch.autograd.Function):
         means2d, conics = torch.empty(count, 2), torch.empty(count, 3)
         depths, extents = torch.empty(count), torch.empty(count)
         radii = torch.empty(count, 2, dtype=torch.int32)
-        kernels.project_forward(
-            *inputs, _array(opacities), view, K_array, width, height, np.float32(near), np.float32(far),
+        parallel_for(
+            kernels.project_forward, count, *inputs, _array(opacities), view, K_array, width, height, np.float32(near),
+            np.float32(far),
             np.float32(eps2d), means2d.numpy(), conics.numpy(), depths.numpy(), radii.numpy(), extents.numpy(),
         )  # fmt: skip
         ctx.mark_non_differentiable(radii, extents)
@@ -70,8 +72,9 @@ class _Project(torch.autograd.Function):
         grad_means, grad_quats = torch.empty(count, 3), torch.empty(len(quats), 4)
         grad_scales, grad_covars = torch.empty(len(scales), 3), torch.empty(len(covars), 3, 3)
         grad_camera = np.zeros((_CHUNKS, 16))
-        kernels.project_backward(
-            means, quats, scales, covars, has_covars, *ctx.camera, *ctx.size, ctx.radii, ctx.conics,
+        parallel_for(
+            kernels.project_backward, _CHUNKS, means, quats, scales, covars, has_covars, *ctx.camera, *ctx.size, ctx.radii,
+            ctx.conics,
             *(_array(gradient) for gradient in zeros), grad_means.numpy(), grad_quats.numpy(), grad_scales.numpy(),
             grad_covars.numpy(), wants_camera, grad_camera,
         )  # fmt: skip
@@ -104,7 +107,7 @@ class _Blend(torch.autograd.Function):
         sums = tiles.GEOMETRY + (0 if absolute is None else blending.ABSOLUTE)
         stride = -(-(sums + channels) // 16) * 16
         records = space.array("records", visible * stride, np.float32)
-        chunks, tile_count = numba.get_num_threads(), -(-width // tiles.TILE_WIDTH) * -(-height // tiles.TILE_HEIGHT)
+        chunks, tile_count = thread_count(), -(-width // tiles.TILE_WIDTH) * -(-height // tiles.TILE_HEIGHT)
         chunk_counts = space.array("chunk_counts", chunks * tile_count, np.int32).reshape(chunks, tile_count)
         columns, strip_counts = space.array("columns", visible, np.int32), np.empty(chunks, np.int64)
         instance_offsets = space.array("instance_offsets", visible + 2, np.int64)
@@ -112,9 +115,9 @@ class _Blend(torch.autograd.Function):
         while True:
             strips = space.array("strips", 3 * chunks * room, np.int32).reshape(chunks, room, 3)
             chunk_counts[:] = 0
-            tiles.pack_and_cut(
-                visible, order, xy, conic, opacity, feature, width, height, records, stride, strips, strip_counts, columns,
-                chunk_counts, instance_offsets,
+            parallel_for(
+                tiles.pack_and_cut, chunks, visible, order, xy, conic, opacity, feature, width, height, records, stride, strips,
+                strip_counts, columns, chunk_counts, instance_offsets,
             )  # fmt: skip
             if strip_counts.max() <= room:
                 break
@@ -126,15 +129,14 @@ class _Blend(torch.autograd.Function):
         tile_offsets = space.array("tile_offsets", tile_count + 1, np.int64)
         tiles.tile_ranges(chunk_counts, tile_offsets)
         instances = space.array("instances", 3 * total, np.int32).reshape(-1, 3)
-        tiles.fill_tiles(visible, width, strips, columns, chunk_counts, instance_offsets, instances)
+        parallel_for(tiles.fill_tiles, chunks, visible, width, strips, columns, chunk_counts, instance_offsets, instances)
 
         image, transmittance = torch.empty(height, width, channels), torch.empty(height, width)
         tile_stops = space.array("tile_stops", tile_count, np.int64)
-        with numba.parallel_chunksize(8):
-            blending.blend_forward(
-                width, height, records, stride, instances, tile_offsets, image.numpy(), transmittance.numpy(), tile_stops,
-                (0,) * channels,
-            )  # fmt: skip
+        parallel_for(
+            blending.blend_forward, tile_count, width, height, records, stride, instances, tile_offsets, image.numpy(),
+            transmittance.numpy(), tile_stops, (0,) * channels, pieces=_BLEND_PIECES,
+        )  # fmt: skip
         ctx.lease, ctx.size, ctx.stride, ctx.visible, ctx.total = lease, (width, height), stride, visible, total
         ctx.tiles = records, instances, tile_offsets, tile_stops, order, instance_offsets
         ctx.save_for_backward(image, transmittance)
@@ -152,17 +154,16 @@ class _Blend(torch.autograd.Function):
         grad_image = torch.zeros_like(image) if grad_image is None else grad_image
         grad_alphas = torch.zeros_like(transmittance) if grad_alphas is None else grad_alphas
         out = ctx.lease.workspace.array("out", max(ctx.total, 1) * ctx.stride, np.float32)
-        with numba.parallel_chunksize(8):
-            blending.blend_backward(
-                width, height, records, ctx.stride, instances, tile_offsets, tile_stops, image.detach().numpy(),
-                transmittance.numpy(), _array(grad_image), _array(grad_alphas), out,
-                (0,) * (0 if ctx.absolute is None else blending.ABSOLUTE), (0,) * channels,
-            )  # fmt: skip
+        parallel_for(
+            blending.blend_backward, len(tile_stops), width, height, records, ctx.stride, instances, tile_offsets, tile_stops,
+            image.detach().numpy(), transmittance.numpy(), _array(grad_image), _array(grad_alphas), out,
+            (0,) * (0 if ctx.absolute is None else blending.ABSOLUTE), (0,) * channels, pieces=_BLEND_PIECES,
+        )  # fmt: skip
         grad_means2d, grad_conics = torch.zeros(count, 2), torch.zeros(count, 3)
         grad_opacities, grad_features = torch.zeros(count), torch.zeros(count, channels)
-        blending.gather_gradients(
-            ctx.visible, order, instance_offsets, out, ctx.stride, conic, opacity, grad_means2d.numpy(),
-            grad_conics.numpy(), grad_opacities.numpy(), grad_features.numpy(),
+        parallel_for(
+            blending.gather_gradients, ctx.visible, order, instance_offsets, out, ctx.stride, conic, opacity,
+            grad_means2d.numpy(), grad_conics.numpy(), grad_opacities.numpy(), grad_features.numpy(),
             _NO_ABSOLUTE if ctx.absolute is None else ctx.absolute.numpy(),
         )  # fmt: skip
         return grad_means2d, grad_conics, grad_opacities, grad_features, None, None, None, None, None

@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 import torch
-from numba import float32, njit, prange
+from numba import float32
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from flowsplat.common.kernels import OPTIONS, parallel_kernel
+from flowsplat.common.kernels import helper, inlined, kernel
+from flowsplat.common.threads import parallel_for
 from flowsplat.splatting.cpu.projection import HALF, ONE, TWO, ZERO
 from flowsplat.splatting.rules import C0, C1, C2, C3
 
@@ -21,7 +22,7 @@ S2, S3 = np.array(C2, np.float32), np.array(C3, np.float32)
 THREE, FOUR, SIX, EIGHT = np.float32(3), np.float32(4), np.float32(6), np.float32(8)
 
 
-@njit(**OPTIONS)
+@helper
 def basis_of(x, y, z, count, basis):
     """The first ``count`` (1, 4, 9 or 16) basis functions of a direction of any length."""
     length = math.sqrt(x * x + y * y + z * z)
@@ -44,7 +45,7 @@ def basis_of(x, y, z, count, basis):
             basis[14], basis[15] = S3[5] * z * (xx - yy), S3[6] * x * (xx - THREE * yy)
 
 
-@njit(forceinline=True, **OPTIONS)
+@inlined
 def colour_of(basis, sh, i, count):
     """Red, green and blue of Gaussian i in the direction of the basis, before negative ones become 0."""
     red, green, blue = HALF, HALF, HALF
@@ -55,7 +56,7 @@ def colour_of(basis, sh, i, count):
     return red, green, blue
 
 
-@njit(forceinline=True, **OPTIONS)
+@inlined
 def _basis_gradient(x, y, z, count, d):
     """Gradient of the direction, of any length, from that of the basis d [16]."""
     inverse = ONE / max(math.sqrt(x * x + y * y + z * z), float32(1e-12))
@@ -81,10 +82,10 @@ def _basis_gradient(x, y, z, count, d):
     return (gx - along * x) * inverse, (gy - along * y) * inverse, (gz - along * z) * inverse
 
 
-@parallel_kernel
-def _forward(sh, directions, count, colours):
+@kernel
+def _forward(begin, end, sh, directions, count, colours):
     number = len(sh)
-    for chunk in prange(CHUNKS):
+    for chunk in range(begin, end):
         basis = np.empty(16, np.float32)
         for i in range(number * chunk // CHUNKS, number * (chunk + 1) // CHUNKS):
             basis_of(directions[i, 0], directions[i, 1], directions[i, 2], count, basis)
@@ -92,10 +93,10 @@ def _forward(sh, directions, count, colours):
             colours[i, 0], colours[i, 1], colours[i, 2] = max(red, ZERO), max(green, ZERO), max(blue, ZERO)
 
 
-@parallel_kernel
-def _backward(sh, directions, count, colours, gradient, wants_directions, d_sh, d_directions):
+@kernel
+def _backward(begin, end, sh, directions, count, colours, gradient, wants_directions, d_sh, d_directions):
     number = len(sh)
-    for chunk in prange(CHUNKS):
+    for chunk in range(begin, end):
         basis, d_basis = np.empty(16, np.float32), np.empty(16, np.float32)
         for i in range(number * chunk // CHUNKS, number * (chunk + 1) // CHUNKS):
             x, y, z = directions[i, 0], directions[i, 1], directions[i, 2]
@@ -117,7 +118,7 @@ class _Colours(torch.autograd.Function):
     def forward(ctx: Any, sh: Tensor, directions: Tensor, count: int) -> Tensor:
         inputs = sh.detach().contiguous().numpy(), directions.detach().contiguous().numpy(), count
         colours = torch.empty(len(sh), 3)
-        _forward(*inputs, colours.numpy())
+        parallel_for(_forward, CHUNKS, *inputs, colours.numpy())
         ctx.inputs, ctx.colours = inputs, colours.detach().numpy()
         return colours
 
@@ -127,8 +128,15 @@ class _Colours(torch.autograd.Function):
         wants_directions = ctx.needs_input_grad[1]
         d_sh = torch.empty(ctx.inputs[0].shape)
         d_directions = torch.empty(len(d_sh) if wants_directions else 0, 3)
-        _backward(
-            *ctx.inputs, ctx.colours, gradient.contiguous().numpy(), wants_directions, d_sh.numpy(), d_directions.numpy()
+        parallel_for(
+            _backward,
+            CHUNKS,
+            *ctx.inputs,
+            ctx.colours,
+            gradient.contiguous().numpy(),
+            wants_directions,
+            d_sh.numpy(),
+            d_directions.numpy(),
         )
         return d_sh, d_directions if wants_directions else None, None
 

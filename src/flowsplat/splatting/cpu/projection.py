@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import float32, njit, prange
+from numba import float32
 
-from flowsplat.common.kernels import OPTIONS, log, parallel_kernel
+from flowsplat.common.kernels import inlined, kernel, log
 from flowsplat.splatting.rules import ALPHA_MIN, DETERMINANT_MAX, OPACITY_FLOOR, RADIUS_MAX, TANGENT_MARGIN
 
 ONE, TWO, HALF, ZERO = np.float32(1), np.float32(2), np.float32(0.5), np.float32(0)
@@ -21,7 +21,7 @@ LEAST_OPACITY, MOST_RADIUS = np.float32(OPACITY_FLOOR), np.float32(RADIUS_MAX)
 MOST_DETERMINANT = np.float32(DETERMINANT_MAX)
 
 
-@njit(forceinline=True, **OPTIONS)
+@inlined
 def rotation(quats, i):
     """Entries of the rotation of quats[i], row by row, then the unit quaternion and the inverse of the length."""
     w, x, y, z = quats[i, 0], quats[i, 1], quats[i, 2], quats[i, 3]
@@ -38,7 +38,7 @@ def rotation(quats, i):
     )  # fmt: skip
 
 
-@njit(forceinline=True, **OPTIONS)
+@inlined
 def _given(covars, i):
     """Upper half xx, xy, xz, yy, yz, zz of a given covariance."""
     return (
@@ -47,12 +47,12 @@ def _given(covars, i):
     )  # fmt: skip
 
 
-@njit(forceinline=True, **OPTIONS)
+@inlined
 def _cross(x0, y0, x1, y1):
     return x0 * y1 - y0 * x1
 
 
-@njit(forceinline=True, **OPTIONS)
+@inlined
 def _flatten_given(covars, i, a0, a1, a2, b0, b1, b2, eps2d):
     """2D covariance (xx, xy, yy) and its determinant, of a given 3D covariance."""
     xx, xy, xz, yy, yz, zz = _given(covars, i)
@@ -62,7 +62,7 @@ def _flatten_given(covars, i, a0, a1, a2, b0, b1, b2, eps2d):
     return a, b, c, a * c - b * b
 
 
-@njit(forceinline=True, **OPTIONS)
+@inlined
 def _flatten(quats, scales, i, a0, a1, a2, b0, b1, b2, eps2d):
     """2D covariance (xx, xy, yy) and its determinant, of a rotation and scales."""
     r00, r01, r02, r10, r11, r12, r20, r21, r22, _, _, _, _, _ = rotation(quats, i)
@@ -75,14 +75,14 @@ def _flatten(quats, scales, i, a0, a1, a2, b0, b1, b2, eps2d):
     return a, b, c, n01 * n01 + n02 * n02 + n12 * n12 + eps2d * (a + c - eps2d)
 
 
-@njit(forceinline=True, **OPTIONS)
+@inlined
 def clamped(tangent, low, high):
     return min(max(tangent, low), high)
 
 
-@parallel_kernel
+@kernel
 def project_forward(
-    means, quats, scales, covars, has_covars, opacities, view, K, width, height, near, far, eps2d,
+    begin, end, means, quats, scales, covars, has_covars, opacities, view, K, width, height, near, far, eps2d,
     means2d, conics, depths, radii, extents,
 ):  # fmt: skip
     """Fill means2d [N, 2], conics [N, 3], depths [N], radii [N, 2] and extents [N] (squared sigmas that are drawn; 0 = culled)."""
@@ -90,7 +90,7 @@ def project_forward(
     w, h = float32(width), float32(height)
     left, right = (-MARGIN * w - cx) / fx, (w + MARGIN * w - cx) / fx
     top, bottom = (-MARGIN * h - cy) / fy, (h + MARGIN * h - cy) / fy
-    for i in prange(means.shape[0]):
+    for i in range(begin, end):
         px, py, pz = means[i, 0], means[i, 1], means[i, 2]
         x = view[0, 0] * px + view[0, 1] * py + view[0, 2] * pz + view[0, 3]
         y = view[1, 0] * px + view[1, 1] * py + view[1, 2] * pz + view[1, 3]
@@ -126,9 +126,10 @@ def project_forward(
                 radii[i, 1] = int(min(max(np.ceil(half_y), ONE), MOST_RADIUS))
 
 
-@parallel_kernel
+@kernel
 def project_backward(
-    means, quats, scales, covars, has_covars, view, K, width, height, eps2d, radii, conics, grad_means2d, grad_conics, grad_depths,
+    begin, end, means, quats, scales, covars, has_covars, view, K, width, height, eps2d, radii, conics, grad_means2d, grad_conics,
+    grad_depths,
     grad_means, grad_quats, grad_scales, grad_covars, wants_camera, grad_camera,
 ):  # fmt: skip
     """Gradients of everything; culled Gaussians get zeros. grad_camera is [chunks, 16], summed by the caller in order."""
@@ -139,7 +140,7 @@ def project_backward(
     v00, v01, v02, v10, v11, v12 = view[0, 0], view[0, 1], view[0, 2], view[1, 0], view[1, 1], view[1, 2]
     v20, v21, v22 = view[2, 0], view[2, 1], view[2, 2]
     count, chunks = means.shape[0], grad_camera.shape[0]
-    for chunk in prange(chunks):
+    for chunk in range(begin, end):
         camera = np.zeros(16, np.float64)
         for i in range(count * chunk // chunks, count * (chunk + 1) // chunks):
             if radii[i, 0] == 0:
@@ -206,7 +207,7 @@ def project_backward(
             grad_camera[chunk, k] = camera[k]
 
 
-@njit(forceinline=True, **OPTIONS)
+@inlined
 def _given_gradient(covars, conics, i, a0, a1, a2, b0, b1, b2, ga, gb, gc, grad_covars):
     """Gradient of the rows a and b of T; fills that of the covariance. ga, gb, gc: of the conic, off-diagonal halved."""
     xx, xy, xz, yy, yz, zz = _given(covars, i)
@@ -226,7 +227,7 @@ def _given_gradient(covars, conics, i, a0, a1, a2, b0, b1, b2, ga, gb, gc, grad_
     )  # fmt: skip
 
 
-@njit(forceinline=True, **OPTIONS)
+@inlined
 def _arrow_gradient(ux, uy, s, crosses_x, crosses_y, eps2d, inverse_determinant, ca, cb, cc, ga, gb, gc):
     """Of one arrow m = s u: the gradient of m, and of s.
 
@@ -237,10 +238,8 @@ def _arrow_gradient(ux, uy, s, crosses_x, crosses_y, eps2d, inverse_determinant,
     return -TWO * s * (ca * wx + cb * wy), -TWO * s * (cb * wx + cc * wy), -TWO * s * (vx * wx + vy * wy)
 
 
-@njit(forceinline=True, **OPTIONS)
-def _rotation_and_scales_gradient(
-    quats, scales, conics, i, a0, a1, a2, b0, b1, b2, eps2d, ga, gb, gc, grad_quats, grad_scales
-):
+@inlined
+def _rotation_and_scales_gradient(quats, scales, conics, i, a0, a1, a2, b0, b1, b2, eps2d, ga, gb, gc, grad_quats, grad_scales):
     """Gradient of the rows a and b of T; fills those of quats and scales. ga, gb, gc: of the conic, off-diagonal halved."""
     r00, r01, r02, r10, r11, r12, r20, r21, r22, w, x, y, z, inverse = rotation(quats, i)
     s0, s1, s2 = scales[i, 0], scales[i, 1], scales[i, 2]
@@ -276,7 +275,7 @@ def _rotation_and_scales_gradient(
     )  # fmt: skip
 
 
-@njit(forceinline=True, **OPTIONS)
+@inlined
 def rotation_gradient(d00, d01, d02, d10, d11, d12, d20, d21, d22, w, x, y, z, inverse):
     """Gradient of a quaternion from that of the entries of its rotation; the other arguments are what ``rotation`` gives."""
     gw = TWO * (-z * d01 + y * d02 + z * d10 - x * d12 - y * d20 + x * d21)

@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import float32, int64, njit, prange, uint32
+from numba import float32, int64, uint32
 
-from flowsplat.common.kernels import OPTIONS, log, parallel_kernel
+from flowsplat.common.kernels import inlined, kernel, log
 from flowsplat.splatting.cpu.projection import HALF, ONE, TWO, ZERO
 from flowsplat.splatting.cpu.simd import BLOCK_HEIGHT, BLOCK_WIDTH, prefetch
 from flowsplat.splatting.rules import ALPHA_MIN
@@ -28,7 +28,7 @@ BATCH = 64  # Gaussians that are packed before they are cut
 AHEAD = 8  # Gaussians ahead whose scattered inputs are asked for
 
 
-@njit(**OPTIONS)
+@kernel
 def sort_by_depth(depth_bits, extents, order, keys_a, keys_b, values):
     """Radix sort of the visible Gaussians by the bits of their (positive) depth; ties keep index order. Returns their number."""
     histogram = np.zeros((3, 2048), np.uint32)
@@ -63,7 +63,7 @@ def sort_by_depth(depth_bits, extents, order, keys_a, keys_b, values):
     return visible
 
 
-@njit(forceinline=True, **OPTIONS)
+@inlined
 def _pack(i, means2d, conics, opacities, features, last_column, records, o, ellipse):
     """The record of Gaussian i at records[o:], and the ellipse in which it is drawn.
 
@@ -95,9 +95,10 @@ def _pack(i, means2d, conics, opacities, features, last_column, records, o, elli
     ellipse[7] = -b * math.sqrt(limit * inverse_determinant / a)
 
 
-@parallel_kernel
+@kernel
 def pack_and_cut(
-    visible, order, means2d, conics, opacities, features, width, height, records, stride, strips, strip_counts, columns,
+    begin_chunk, end_chunk, visible, order, means2d, conics, opacities, features, width, height, records, stride, strips,
+    strip_counts, columns,
     chunk_counts, instance_offsets,
 ):  # fmt: skip
     """One record a Gaussian in depth order, and for every tile column the image rows that its ellipse covers there.
@@ -110,7 +111,7 @@ def pack_and_cut(
     tile_columns = (width + TILE_WIDTH - 1) // TILE_WIDTH
     chunks, capacity = strips.shape[0], strips.shape[1]
     w, h = float32(width - 1), float32(height - 1)
-    for chunk in prange(chunks):
+    for chunk in range(begin_chunk, end_chunk):
         k = 0
         end = visible * (chunk + 1) // chunks
         ellipses = np.empty((BATCH, 8), np.float32)
@@ -150,15 +151,15 @@ def pack_and_cut(
         strip_counts[chunk] = k
 
 
-@parallel_kernel
-def fill_tiles(visible, width, strips, columns, chunk_counts, instance_offsets, instances):
+@kernel
+def fill_tiles(begin, stop, visible, width, strips, columns, chunk_counts, instance_offsets, instances):
     """instances [I, 3]: Gaussian (depth order), first | last << 8 row of blocks within the tile, slot (grouped by Gaussian).
 
     chunk_counts holds where each chunk writes in each tile, so the result does not depend on the number of chunks.
     """
     tile_columns = (width + TILE_WIDTH - 1) // TILE_WIDTH
     chunks = chunk_counts.shape[0]
-    for chunk in prange(chunks):
+    for chunk in range(begin, stop):
         k = 0
         for s in range(visible * chunk // chunks, visible * (chunk + 1) // chunks):
             slot = instance_offsets[s]
@@ -178,7 +179,7 @@ def fill_tiles(visible, width, strips, columns, chunk_counts, instance_offsets, 
                 k += 1
 
 
-@njit(**OPTIONS)
+@kernel
 def prefix_sum(values, count):
     """values[k] becomes the sum of the first k entries, for k = 0 .. count."""
     total = 0
@@ -190,7 +191,7 @@ def prefix_sum(values, count):
     return total
 
 
-@njit(**OPTIONS)
+@kernel
 def tile_ranges(chunk_counts, tile_offsets):
     """Turn counts into write positions (tile by tile, chunk by chunk) and tile_offsets [tiles + 1]."""
     total = 0

@@ -54,9 +54,7 @@ class RowAdam:
         if len(rows) == 0 or value[0].numel() == 0:
             return
         twin = import_module(f"flowsplat.training.adam.{devices.kernels_for(value)}")
-        twin.step_rows(
-            value.view(len(value), -1), *self.moments(name), rows, stepped, gradient.reshape(len(rows), -1), rates
-        )
+        twin.step_rows(value.view(len(value), -1), *self.moments(name), rows, stepped, gradient.reshape(len(rows), -1), rates)
 
     def moments(self, name: str) -> tuple[Tensor, Tensor, Tensor]:
         """Of a parameter, [N, D] first and second moments, themselves, and the steps [N] that each row has taken."""

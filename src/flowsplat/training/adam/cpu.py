@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
 from torch import Tensor
 
-from flowsplat.common.kernels import parallel_kernel
+from flowsplat.common.kernels import kernel
+from flowsplat.common.threads import parallel_for
 from flowsplat.training.adam.reference import BETA1, BETA2, EPSILON, correction_table
 
 B1, B2, EPS, ONE = np.float32(BETA1), np.float32(BETA2), np.float32(EPSILON), np.float32(1)
 
 
-@parallel_kernel
-def _step(value, mean, square, counts, rows, stepped, gradient, rates, corrections):
+@kernel
+def _step(begin, end, value, mean, square, counts, rows, stepped, gradient, rates, corrections):
     last = len(corrections) - 1
-    for a in prange(len(rows)):
+    for a in range(begin, end):
         if stepped[a]:
             i = rows[a]
             step = min(counts[i], last)
@@ -34,4 +34,4 @@ def step_rows(
 ) -> None:
     """See ``reference.step_rows``."""
     arrays = (t.numpy() for t in (value, mean, square, counts, rows, stepped, gradient.contiguous(), rates))
-    _step(*arrays, correction_table())
+    parallel_for(_step, len(rows), *arrays, correction_table())

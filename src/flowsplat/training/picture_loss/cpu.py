@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 import torch
-from numba import float32, njit, prange
+from numba import float32
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from flowsplat.common.kernels import OPTIONS, parallel_kernel
+from flowsplat.common.kernels import helper, inlined, kernel
+from flowsplat.common.threads import parallel_for
 from flowsplat.splatting.cpu.workspace import Workspace
 from flowsplat.training.picture_loss import reference
 from flowsplat.training.picture_loss.api import PictureFigures, PictureTargets, PictureWeights
@@ -27,7 +28,7 @@ ONE, TWO, ZERO, HALF = np.float32(1), np.float32(2), np.float32(0), np.float32(0
 BYTE, OPAQUE, UNSEEN = np.float32(1 / 255), np.float32(reference.OPAQUE), np.float32(reference.UNSEEN)
 
 
-@njit(**OPTIONS)
+@helper
 def _blur_along(source, out, count):
     """out[i] from a row with PAD zeros on both sides."""
     for i in range(count):
@@ -41,7 +42,7 @@ def _blur_along(source, out, count):
         )
 
 
-@njit(**OPTIONS)
+@helper
 def _blur_down(rows, y, out, count):
     """out from rows y .. y + 10 of a plane with RADIUS zero rows above and below."""
     for i in range(count):
@@ -55,7 +56,7 @@ def _blur_down(rows, y, out, count):
         )
 
 
-@njit(**OPTIONS)
+@helper
 def _sum(values, count):
     """Sum of the first entries, which are spoilt: halves are added to halves, many at once."""
     while count > 1:
@@ -66,13 +67,13 @@ def _sum(values, count):
     return values[0]
 
 
-@njit(forceinline=True, **OPTIONS)
+@inlined
 def _sign(x):
     """-1, 0 or 1, without a branch, which could not be predicted."""
     return float32((x > ZERO) - (x < ZERO))
 
 
-@njit(forceinline=True, **OPTIONS)
+@inlined
 def _rows(image, target, h, width, row_x, row_y):
     """Row h of the picture and of what it should be, as numbers between 0 and 1."""
     for w in range(width):
@@ -81,7 +82,7 @@ def _rows(image, target, h, width, row_x, row_y):
             row_y[w * CHANNELS + c] = BYTE * float32(target[h, w, c])
 
 
-@njit(forceinline=True, **OPTIONS)
+@inlined
 def flow_at(image, h, w, flow_channels, half_width, half_height):
     """What ``gaussians.flow.flow_image`` makes of a pixel's features, and the pixel from the centre of the picture."""
     u, v = image[h, w, 4], image[h, w, 5]
@@ -92,23 +93,21 @@ def flow_at(image, h, w, flow_channels, half_width, half_height):
     return u, v, x, y
 
 
-@njit(forceinline=True, **OPTIONS)
+@inlined
 def _flow_counts(image, alpha, flow_trusted, h, w, end, by_alpha):
     held = image[h, w, end] if image.shape[2] > end else ZERO
     return flow_trusted[h, w] and held <= UNSEEN * alpha[h, w] and (alpha[h, w] >= OPAQUE or not by_alpha)
 
 
-@parallel_kernel
-def _loss_and_gradient(
-    image, alpha, target, flow, flow_trusted, depth, depth_trusted, flow_channels, ssim_weight, flow_weight, depth_weight,
-    by_alpha, blurred, derivatives, sums, counts, gradient, alpha_gradient,
-):  # fmt: skip
-    """Fill the gradients and, row by row, sums [H, 4] of colour, flow, depth and squared error, not yet divided."""
-    height, width, channels = image.shape
-    count, end = width * CHANNELS, 4 + flow_channels
-    half_width, half_height = HALF * float32(width), HALF * float32(height)
-    share = ONE / float32(height * count)
-    for h in prange(height):
+@kernel
+def _blur_rows(begin, end, image, alpha, target, flow_trusted, flow_channels, flow_weight, by_alpha, blurred, counts):
+    """Along rows blurred [4, H + 2 RADIUS, 3 W]: the picture x, its target y, x^2 + y^2 and x y.
+
+    counts [H]: how many pixels have a flow that counts.
+    """
+    width = image.shape[1]
+    count, held = width * CHANNELS, 4 + flow_channels
+    for h in range(begin, end):
         row_x, row_y = np.empty(count, np.float32), np.empty(count, np.float32)
         padded = np.zeros(count + 2 * PAD, np.float32)
         _rows(image, target, h, width, row_x, row_y)
@@ -127,12 +126,15 @@ def _loss_and_gradient(
         valid = 0
         if flow_weight > ZERO:
             for w in range(width):
-                valid += _flow_counts(image, alpha, flow_trusted, h, w, end, by_alpha)
+                valid += _flow_counts(image, alpha, flow_trusted, h, w, held, by_alpha)
         counts[h] = valid
-    valid = counts.sum()
-    flow_share = flow_weight / float32(2 * max(valid, 1))
-    depth_share = depth_weight / float32(height * width)
-    for h in prange(height):
+
+
+@kernel
+def _similarity_rows(begin, end, blurred, derivatives, sums):
+    """SSIM summed over rows into sums [H, 0], and along rows blurred its derivatives [3, H + 2 RADIUS, 3 W]."""
+    count = blurred.shape[2]
+    for h in range(begin, end):
         mx, my = np.empty(count, np.float32), np.empty(count, np.float32)
         squares, product = np.empty(count, np.float32), np.empty(count, np.float32)
         padded = np.zeros((3, count + 2 * PAD), np.float32)
@@ -157,7 +159,20 @@ def _loss_and_gradient(
         sums[h, 0] = _sum(product, count)
         for k in range(3):
             _blur_along(padded[k], derivatives[k, h + RADIUS], count)
-    for h in prange(height):
+
+
+@kernel
+def _gradient_rows(
+    begin, end, image, alpha, target, flow, flow_trusted, depth, depth_trusted, flow_channels, ssim_weight, flow_weight,
+    depth_weight, flow_share, by_alpha, derivatives, sums, gradient, alpha_gradient,
+):  # fmt: skip
+    """Fill the gradients and, row by row, sums [H, 4] of colour, flow, depth and squared error, not yet divided."""
+    height, width, channels = image.shape
+    count, held = width * CHANNELS, 4 + flow_channels
+    half_width, half_height = HALF * float32(width), HALF * float32(height)
+    share = ONE / float32(height * count)
+    depth_share = depth_weight / float32(height * width)
+    for h in range(begin, end):
         d_mean, d_square, d_product = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
         _blur_down(derivatives[0], h, d_mean, count)
         _blur_down(derivatives[1], h, d_square, count)
@@ -185,7 +200,7 @@ def _loss_and_gradient(
                 sign = depth_share * _sign(difference)
                 gradient[h, w, 3] = sign * inverse
                 toward_alpha -= sign
-            if flow_weight > ZERO and _flow_counts(image, alpha, flow_trusted, h, w, end, by_alpha):
+            if flow_weight > ZERO and _flow_counts(image, alpha, flow_trusted, h, w, held, by_alpha):
                 u, v, x, y = flow_at(image, h, w, flow_channels, half_width, half_height)
                 factor = alpha[h, w] if by_alpha else ONE
                 du, dv = u - factor * flow[h, w, 0], v - factor * flow[h, w, 1]
@@ -205,7 +220,6 @@ def _loss_and_gradient(
         sums[h, 1] = flow_sum
         sums[h, 2] = depth_sum
         sums[h, 3] = squared
-    return valid
 
 
 _NO_PLANE, _NO_FLOW, _NO_TRUST = np.zeros((0, 0), np.float32), np.zeros((0, 0, 2), np.float32), np.zeros((0, 0), np.bool_)
@@ -231,10 +245,17 @@ class _PictureLoss(torch.autograd.Function):
             planes[:, -RADIUS:] = 0
         gradient, alpha_gradient = torch.empty(image.shape), torch.empty(alpha.shape)
         sums, counts = np.empty((height, 4)), np.empty(height, np.int64)
-        valid = _loss_and_gradient(
-            image.detach().contiguous().numpy(), alpha.detach().contiguous().numpy(), targets.colour, flow, flow_trusted, depth,
-            depth_trusted, flow_channels, np.float32(weights.ssim), np.float32(flow_weight), np.float32(depth_weight),
-            weights.flow_by_alpha, blurred, derivatives, sums, counts, gradient.numpy(), alpha_gradient.numpy(),
+        shown = image.detach().contiguous().numpy(), alpha.detach().contiguous().numpy(), targets.colour
+        by_alpha, flow_weight_32 = weights.flow_by_alpha, np.float32(flow_weight)
+        parallel_for(
+            _blur_rows, height, *shown, flow_trusted, flow_channels, flow_weight_32, by_alpha, blurred, counts,
+        )  # fmt: skip
+        parallel_for(_similarity_rows, height, blurred, derivatives, sums)
+        valid = int(counts.sum())
+        parallel_for(
+            _gradient_rows, height, *shown, flow, flow_trusted, depth, depth_trusted, flow_channels, np.float32(weights.ssim),
+            flow_weight_32, np.float32(depth_weight), flow_weight_32 / np.float32(2 * max(valid, 1)), by_alpha, derivatives, sums,
+            gradient.numpy(), alpha_gradient.numpy(),
         )  # fmt: skip
         space.release()
         ctx.save_for_backward(gradient, alpha_gradient)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import float32, njit, prange
+from numba import float32
 from torch import Tensor
 
-from flowsplat.common.kernels import OPTIONS, parallel_kernel
+from flowsplat.common.kernels import inlined, kernel
+from flowsplat.common.threads import parallel_for
 from flowsplat.training.adam.cpu import B1, B2, EPS, ONE
 from flowsplat.training.adam.reference import correction_table
 from flowsplat.training.rays import reference
@@ -16,7 +17,7 @@ from flowsplat.training.rays import reference
 TWO, ZERO = np.float32(2), np.float32(0)
 
 
-@njit(forceinline=True, **OPTIONS)
+@inlined
 def _across(x, y, z):
     """A unit vector across the unit vector (x, y, z): its product with the world's axis that is least along it."""
     ax, ay, az = abs(x), abs(y), abs(z)
@@ -30,7 +31,7 @@ def _across(x, y, z):
     return a * inverse, b * inverse, c * inverse
 
 
-@njit(forceinline=True, **OPTIONS)
+@inlined
 def _moved(mean, square, i, d, g, rate, correct_m, correct_v):
     """Adam's step of one number, whose moments are changed."""
     m = B1 * mean[i, d] + (ONE - B1) * g
@@ -40,11 +41,13 @@ def _moved(mean, square, i, d, g, rate, correct_m, correct_v):
     return -rate * (m * correct_m) / (np.sqrt(v) * correct_v + EPS)
 
 
-@parallel_kernel
-def _step(value, mean, square, counts, rows, stepped, gradient, rates, corrections, middle, spread, focal, most, fewest):
+@kernel
+def _step(
+    begin, end, value, mean, square, counts, rows, stepped, gradient, rates, corrections, middle, spread, focal, most, fewest
+):
     last = len(corrections) - 1
     trace = spread[0, 0] + spread[1, 1] + spread[2, 2]
-    for a in prange(len(rows)):
+    for a in range(begin, end):
         if stepped[a]:
             i = rows[a]
             x, y, z = value[i, 0] - middle[0], value[i, 1] - middle[1], value[i, 2] - middle[2]
@@ -82,7 +85,8 @@ def step_rows(
     middle = centres.mean(0)
     path = centres - middle
     arrays = (t.numpy() for t in (value, mean, square, counts, rows, stepped, gradient.contiguous(), rates))
-    _step(
-        *arrays, correction_table(), middle.numpy(), (path.T @ path / len(centres)).numpy(), np.float32(focal), np.float32(most),
+    parallel_for(
+        _step, len(rows), *arrays, correction_table(),
+        middle.numpy(), (path.T @ path / len(centres)).numpy(), np.float32(focal), np.float32(most),
         np.float32(reference.FEWEST_PIXELS),
     )  # fmt: skip

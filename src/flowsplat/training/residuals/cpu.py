@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import float32, prange
+from numba import float32
 from torch import Tensor
 
-from flowsplat.common.kernels import parallel_kernel
+from flowsplat.common.kernels import kernel
+from flowsplat.common.threads import parallel_for
 from flowsplat.gaussians.density import DensityStatistics
 from flowsplat.gaussians.gaussians4d import Active
 from flowsplat.gaussians.render import RenderedFrame
@@ -19,13 +20,14 @@ from flowsplat.training.residuals import reference
 OPAQUE, ON_SURFACE, THIRD = np.float32(reference.OPAQUE), np.float32(reference.ON_SURFACE), np.float32(1 / 3)
 
 
-@parallel_kernel
+@kernel
 def _add(
-    rows, visible, means2d, depths, image, alpha, flow_channels, colour, flow, trusted, flow_residual, colour_residual, visits
-):
+    begin, end, rows, visible, means2d, depths, image, alpha, flow_channels, colour, flow, trusted, flow_residual,
+    colour_residual, visits,
+):  # fmt: skip
     height, width = alpha.shape
     half_width, half_height = HALF * float32(width), HALF * float32(height)
-    for a in prange(len(rows)):
+    for a in range(begin, end):
         u, v = means2d[a, 0], means2d[a, 1]
         if visible[a] and u >= ZERO and v >= ZERO and u < float32(width) and v < float32(height):
             w, h = int(u), int(v)
@@ -51,7 +53,8 @@ def add_residuals(
     projected = rendered.projected
     shown = (active.rows, visible, projected.means2d, projected.depths, rendered.image, rendered.alpha)
     sums = statistics.flow_residual, statistics.colour_residual, statistics.flow_visits
-    _add(
-        *(tensor.detach().contiguous().numpy() for tensor in shown), rendered.flow_channels, targets.colour, targets.flow,
+    parallel_for(
+        _add, len(active.rows), *(tensor.detach().contiguous().numpy() for tensor in shown), rendered.flow_channels,
+        targets.colour, targets.flow,
         targets.flow_trusted, *(tensor.numpy() for tensor in sums),
     )  # fmt: skip

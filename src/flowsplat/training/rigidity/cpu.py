@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 import torch
-from numba import float32, njit, prange
+from numba import float32
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from flowsplat.common.kernels import OPTIONS, parallel_kernel
+from flowsplat.common.kernels import inlined, kernel
+from flowsplat.common.threads import parallel_for
 from flowsplat.training.rigidity import reference
 from flowsplat.training.rigidity.neighbours import Neighbours
 
@@ -19,20 +20,18 @@ CHUNKS = 64
 TINY, ZERO, ONE = np.float32(reference.TINY), np.float32(0), np.float32(1)
 
 
-@njit(forceinline=True, **OPTIONS)
+@inlined
 def _difference(velocities, a, b):
     """v_a - v_b and the inverse of its safe norm."""
     x, y, z = velocities[a, 0] - velocities[b, 0], velocities[a, 1] - velocities[b, 1], velocities[a, 2] - velocities[b, 2]
     return x, y, z, ONE / math.sqrt(x * x + y * y + z * z + TINY)
 
 
-@parallel_kernel
-def _loss_and_gradient(velocities, rows, place, indices, weights, offsets, pairs, sums, gradient):
+@kernel
+def _loss_and_gradient(begin, end, velocities, rows, place, indices, weights, offsets, pairs, sums, gradient):
     """sums [CHUNKS] and gradient [M, 3], not yet divided; place [N] is the position of a Gaussian among the rows, or -1."""
     count, k = len(rows), indices.shape[1]
-    for a in prange(count):
-        place[rows[a]] = a
-    for chunk in prange(CHUNKS):
+    for chunk in range(begin, end):
         total = 0.0
         for a in range(count * chunk // CHUNKS, count * (chunk + 1) // CHUNKS):
             i = rows[a]
@@ -66,9 +65,10 @@ class _RigidLoss(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, velocities: Tensor, rows: Tensor, neighbours: Neighbours, count: int | Tensor) -> Tensor:
         place = np.full(len(neighbours), -1, np.int32)
+        place[rows.numpy()] = np.arange(len(rows), dtype=np.int32)
         sums, gradient = np.empty(CHUNKS), torch.empty(len(rows), 3)
-        _loss_and_gradient(
-            velocities.detach().contiguous().numpy(), rows.numpy(), place, neighbours.indices.numpy(),
+        parallel_for(
+            _loss_and_gradient, CHUNKS, velocities.detach().contiguous().numpy(), rows.numpy(), place, neighbours.indices.numpy(),
             neighbours.weights.numpy(), *(t.numpy() for t in neighbours.incoming), sums, gradient.numpy(),
         )  # fmt: skip
         ctx.share = float(1 / (neighbours.indices.shape[1] * count))

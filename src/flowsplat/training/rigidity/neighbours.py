@@ -60,9 +60,7 @@ class Neighbours:
 
 
 @torch.no_grad()
-def find_neighbours(
-    gaussians: Gaussians4D, times: Sequence[float], k: int, beta: float, dynamic_only: bool
-) -> Neighbours:
+def find_neighbours(gaussians: Gaussians4D, times: Sequence[float], k: int, beta: float, dynamic_only: bool) -> Neighbours:
     """The k nearest neighbours of every Gaussian that moves, among those active in the frame nearest to its centre time.
 
     Args:

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from numba import njit, prange
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from flowsplat.common.kernels import OPTIONS, parallel_kernel
+from flowsplat.common.kernels import inlined, kernel
+from flowsplat.common.threads import parallel_for
 from flowsplat.gaussians.flow.reference import NEAR
 from flowsplat.gaussians.slicing import Slice
 from flowsplat.geometry import Camera
@@ -27,7 +27,7 @@ CHUNKS = 64
 CLIP, BLUR = np.float32(NEAR), np.float32(EPS2D)
 
 
-@njit(forceinline=True, **OPTIONS)
+@inlined
 def _footprint(means, quats, scales, i, view, K, limits, turned, L, seen):
     """Fill turned [3, 3] = R S, L [2, 3] = J R S and seen: the point in camera axes, its clamped tangents, 1 / z and J's rows."""
     r00, r01, r02, r10, r11, r12, r20, r21, r22, _, _, _, _, _ = rotation(quats, i)
@@ -51,7 +51,7 @@ def _footprint(means, quats, scales, i, view, K, limits, turned, L, seen):
         L[1, k] = seen[9] * turned[0, k] + seen[10] * turned[1, k] + seen[11] * turned[2, k]
 
 
-@njit(forceinline=True, **OPTIONS)
+@inlined
 def _footprint_gradient(quats, scales, i, view, K, turned, seen, d_L, gu, gv, d_mean, d_quat, d_scale):
     """Fill d_mean [3] and d_quat [4] and add to d_scale [3], from d_L [2, 3] and the gradient gu, gv of the pixel."""
     fx, fy = K[0, 0], K[1, 1]
@@ -86,7 +86,7 @@ def _footprint_gradient(quats, scales, i, view, K, turned, seen, d_L, gu, gv, d_
     )
 
 
-@njit(forceinline=True, **OPTIONS)
+@inlined
 def _products(L, later):
     """(L' - L) L^T by rows, and the inverse of L L^T + eps (xx, xy, yy)."""
     a = L[0, 0] * L[0, 0] + L[0, 1] * L[0, 1] + L[0, 2] * L[0, 2]
@@ -102,14 +102,14 @@ def _products(L, later):
     return z00, z01, z10, z11, c * inverse, -b * inverse, a * inverse
 
 
-@parallel_kernel
+@kernel
 def _forward(
-    colours, depths, means2d, means, quats, scales, next_means, next_quats, drawn, views, Ks, limits, centre, features
+    begin, end, colours, depths, means2d, means, quats, scales, next_means, next_quats, drawn, views, Ks, limits, centre, features,
+    hidden,
 ):  # fmt: skip
-    """Fill features [A, 10 or 11]; returns how many drawn Gaussians the other camera does not see."""
+    """Fill features [A, 10 or 11]; hidden [1] becomes 1 where the other camera does not see a Gaussian that is drawn."""
     count = len(colours)
-    hidden = 0
-    for chunk in prange(CHUNKS):
+    for chunk in range(begin, end):
         turned, seen = np.empty((3, 3), np.float32), np.empty(12, np.float32)
         L, later = np.empty((2, 3), np.float32), np.empty((2, 3), np.float32)
         for i in range(count * chunk // CHUNKS, count * (chunk + 1) // CHUNKS):
@@ -130,19 +130,19 @@ def _forward(
                 for c in range(4, CHANNELS):
                     features[i, c] = ZERO
                 if drawn[i, 0] > 0:
-                    hidden += 1
+                    hidden[0] = 1
             if features.shape[1] > CHANNELS:
                 features[i, CHANNELS] = ZERO if front else ONE
-    return hidden
 
 
-@parallel_kernel
+@kernel
 def _backward(
-    gradient, means2d, means, quats, scales, next_means, next_quats, views, Ks, limits, centre, d_colours, d_depths, d_means2d,
+    begin, end, gradient, means2d, means, quats, scales, next_means, next_quats, views, Ks, limits, centre, d_colours, d_depths,
+    d_means2d,
     d_means, d_quats, d_scales, d_next_means, d_next_quats,
 ):  # fmt: skip
     count = len(gradient)
-    for chunk in prange(CHUNKS):
+    for chunk in range(begin, end):
         turned, next_turned = np.empty((3, 3), np.float32), np.empty((3, 3), np.float32)
         L, later = np.empty((2, 3), np.float32), np.empty((2, 3), np.float32)
         seen, next_seen = np.empty(12, np.float32), np.empty(12, np.float32)
@@ -207,10 +207,11 @@ class _Features(torch.autograd.Function):
         ], np.float32)  # fmt: skip
         lens = views, Ks, limits, np.array([width / 2, height / 2], np.float32)
         drawn = radii.contiguous().numpy()
-        features = torch.empty(len(colours), CHANNELS)
-        if _forward(*inputs, drawn, *lens, features.numpy()) > 0:
+        features, hidden = torch.empty(len(colours), CHANNELS), np.zeros(1, np.uint8)
+        parallel_for(_forward, CHUNKS, *inputs, drawn, *lens, features.numpy(), hidden)
+        if hidden[0]:
             features = torch.empty(len(colours), CHANNELS + 1)
-            _forward(*inputs, drawn, *lens, features.numpy())
+            parallel_for(_forward, CHUNKS, *inputs, drawn, *lens, features.numpy(), hidden)
         ctx.inputs = *inputs[2:], *lens
         return features
 
@@ -219,7 +220,7 @@ class _Features(torch.autograd.Function):
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         count = len(gradient)
         results = [torch.empty(count, size) if size > 1 else torch.empty(count) for size in (3, 1, 2, 3, 4, 3, 3, 4)]
-        _backward(gradient.contiguous().numpy(), *ctx.inputs, *(result.numpy() for result in results))
+        parallel_for(_backward, CHUNKS, gradient.contiguous().numpy(), *ctx.inputs, *(result.numpy() for result in results))
         return *results, None, None
 
 

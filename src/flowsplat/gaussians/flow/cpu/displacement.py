@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from numba import prange
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from flowsplat.common.kernels import parallel_kernel
+from flowsplat.common.kernels import kernel
+from flowsplat.common.threads import parallel_for
 from flowsplat.gaussians.flow.reference import NEAR
 from flowsplat.gaussians.slicing import Slice
 from flowsplat.geometry import Camera
@@ -20,11 +20,10 @@ CHANNELS = 6
 ONE, ZERO, CLIP = np.float32(1), np.float32(0), np.float32(NEAR)
 
 
-@parallel_kernel
-def _forward(colours, depths, means2d, next_means, drawn, view, K, features):
-    """Fill features [A, 6 or 7]; returns how many drawn Gaussians the other camera does not see."""
-    hidden = 0
-    for i in prange(len(colours)):
+@kernel
+def _forward(begin, end, colours, depths, means2d, next_means, drawn, view, K, features, hidden):
+    """Fill features [A, 6 or 7]; hidden [1] becomes 1 where the other camera does not see a Gaussian that is drawn."""
+    for i in range(begin, end):
         for c in range(3):
             features[i, c] = colours[i, c]
         features[i, 3] = depths[i]
@@ -40,16 +39,15 @@ def _forward(colours, depths, means2d, next_means, drawn, view, K, features):
             features[i, 4] = K[0, 0] * x * inverse + K[0, 2] - means2d[i, 0]
             features[i, 5] = K[1, 1] * y * inverse + K[1, 2] - means2d[i, 1]
         elif drawn[i, 0] > 0:
-            hidden += 1
+            hidden[0] = 1
         if features.shape[1] > CHANNELS:
             features[i, CHANNELS] = ZERO if front else ONE
-    return hidden
 
 
-@parallel_kernel
-def _backward(gradient, next_means, view, K, d_colours, d_depths, d_means2d, d_next_means):
+@kernel
+def _backward(begin, end, gradient, next_means, view, K, d_colours, d_depths, d_means2d, d_next_means):
     fx, fy = K[0, 0], K[1, 1]
-    for i in prange(len(gradient)):
+    for i in range(begin, end):
         for c in range(3):
             d_colours[i, c] = gradient[i, c]
         d_depths[i] = gradient[i, 3]
@@ -75,10 +73,11 @@ class _Features(torch.autograd.Function):
     ) -> Tensor:
         view, K = (tensor.numpy() for tensor in camera.tensors())
         inputs = [t.detach().contiguous().numpy() for t in (colours, depths, means2d, next_means, radii)]
-        features = torch.empty(len(colours), CHANNELS)
-        if _forward(*inputs, view, K, features.numpy()) > 0:
+        features, hidden = torch.empty(len(colours), CHANNELS), np.zeros(1, np.uint8)
+        parallel_for(_forward, len(colours), *inputs, view, K, features.numpy(), hidden)
+        if hidden[0]:
             features = torch.empty(len(colours), CHANNELS + 1)
-            _forward(*inputs, view, K, features.numpy())
+            parallel_for(_forward, len(colours), *inputs, view, K, features.numpy(), hidden)
         ctx.inputs = inputs[3], view, K
         return features
 
@@ -87,14 +86,12 @@ class _Features(torch.autograd.Function):
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         count = len(gradient)
         results = torch.empty(count, 3), torch.empty(count), torch.empty(count, 2), torch.empty(count, 3)
-        _backward(gradient.contiguous().numpy(), *ctx.inputs, *(result.numpy() for result in results))
+        parallel_for(_backward, count, gradient.contiguous().numpy(), *ctx.inputs, *(result.numpy() for result in results))
         return *results, None, None
 
 
 def blend_displacement(sliced: Slice, projected: Projected, other: Camera) -> Tensor:
     """See ``api.blend_features``; flow goes to the Gaussians' ``next_means`` in the ``other`` camera."""
     assert sliced.next_means is not None
-    result: Tensor = _Features.apply(
-        sliced.colours, projected.depths, projected.means2d, sliced.next_means, projected.radii, other
-    )
+    result: Tensor = _Features.apply(sliced.colours, projected.depths, projected.means2d, sliced.next_means, projected.radii, other)
     return result

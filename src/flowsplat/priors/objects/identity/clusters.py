@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numba import njit
 from scipy.spatial import cKDTree
 
+from flowsplat.common.kernels import kernel
 from flowsplat.priors.objects.identity.masked_tracks import MaskedTracks
 from flowsplat.priors.objects.relief import place_points
 from flowsplat.priors.objects.rigid import Observations, longest, solve_rigid
@@ -407,7 +407,7 @@ def _clustered(part: np.ndarray, ties: _Ties) -> np.ndarray:
     return _union(home, held, ties.a[: ties.strong], ties.b[: ties.strong], LASTING, STRAY)
 
 
-@njit(cache=True)
+@kernel
 def _union(home: np.ndarray, held: np.ndarray, a: np.ndarray, b: np.ndarray, lasting: int, stray: float) -> np.ndarray:
     """Union of tracks along ties, but for those between sets that were in different parts for ``lasting`` frames.
 

@@ -9,9 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from flowsplat.common.kernels import OPTIONS
+from flowsplat.common.kernels import helper, inlined, kernel
 from flowsplat.scenes.synthetic.worlds.materials import albedo
 
 ELLIPSOID, BOX, CAPSULE, CYLINDER, ROOM = range(5)
@@ -22,7 +21,7 @@ _NEAREST = 1e-3
 """Smallest multiple of a ray's direction that counts: a point does not shade itself."""
 
 
-@njit(forceinline=True, **OPTIONS)
+@inlined
 def _ball(x, y, z, r, dx, dy, dz):
     """Where a ray from (x, y, z) enters the ball of radius r round the origin; infinite where it does not."""
     a = dx * dx + dy * dy + dz * dz
@@ -34,7 +33,7 @@ def _ball(x, y, z, r, dx, dy, dz):
     return t if t > _NEAREST else math.inf
 
 
-@njit(**OPTIONS)
+@helper
 def _slabs(s, x, y, z, dx, dy, dz):
     """Where a ray enters and leaves a box of half extents s."""
     near, far = -math.inf, math.inf
@@ -48,7 +47,7 @@ def _slabs(s, x, y, z, dx, dy, dz):
     return near, far
 
 
-@njit(**OPTIONS)
+@helper
 def _tube(s, x, y, z, dx, dy, dz, is_round):
     """Where a ray enters a cylinder or, ``is_round``, a capsule."""
     r, h = s[0], s[2]
@@ -70,7 +69,7 @@ def _tube(s, x, y, z, dx, dy, dz, is_round):
     return best
 
 
-@njit(**OPTIONS)
+@helper
 def _meet(shape, s, x, y, z, dx, dy, dz):
     """Smallest multiple of the direction at which a ray, in the part's axes, meets the part; infinite where it does not."""
     if shape == ELLIPSOID:
@@ -83,7 +82,7 @@ def _meet(shape, s, x, y, z, dx, dy, dz):
     return _tube(s, x, y, z, dx, dy, dz, shape == CAPSULE)
 
 
-@njit(**OPTIONS)
+@helper
 def _first(shapes, sizes, turns, origins, bounds, chosen, count, u, v, dx, dy, dz):
     """(multiple, part) of the first surface on a ray through pixel (u, v), of the first ``count`` parts in ``chosen``.
 
@@ -106,7 +105,7 @@ def _first(shapes, sizes, turns, origins, bounds, chosen, count, u, v, dx, dy, d
     return best, part
 
 
-@njit(**OPTIONS)
+@helper
 def _normal(shape, s, x, y, z):
     """Unit normal, in the part's axes, that points to where the part is seen from."""
     if shape in (BOX, ROOM):
@@ -129,7 +128,7 @@ def _normal(shape, s, x, y, z):
     return nx / length, ny / length, nz / length
 
 
-@njit(**OPTIONS)
+@helper
 def _shaded(shapes, sizes, turns, centres, radii, throwing, x, y, z, lx, ly, lz):
     """Whether one of the parts ``throwing`` stands between a point and the distant light in direction (lx, ly, lz)."""
     for k in throwing:
@@ -153,7 +152,7 @@ def _shaded(shapes, sizes, turns, centres, radii, throwing, x, y, z, lx, ly, lz)
     return False
 
 
-@njit(**OPTIONS)
+@kernel
 def cast(
     shapes: np.ndarray, sizes: np.ndarray, turns: np.ndarray, origins: np.ndarray, bounds: np.ndarray,
     R: np.ndarray, K: np.ndarray, uv: np.ndarray,
@@ -182,7 +181,7 @@ def cast(
     return depth, index, local
 
 
-@njit(**OPTIONS)
+@kernel
 def render(
     shapes: np.ndarray, sizes: np.ndarray, turns: np.ndarray, centres: np.ndarray, origins: np.ndarray, bounds: np.ndarray,
     radii: np.ndarray, casts: np.ndarray, materials: np.ndarray, R: np.ndarray, K: np.ndarray, centre: np.ndarray,

@@ -51,9 +51,7 @@ class Limb:
     bent: Swing
 
 
-def dancer(
-    rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: float, scale: float, rich: bool
-) -> Mover:
+def dancer(rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: float, scale: float, rich: bool) -> Mover:
     """A person who dances about a place ``at`` [2]; ``heading``, ``scale`` and ``rich`` as of a walker."""
     parts = body(rng, scale, rich)
     turn = Swing(heading, rng.uniform(0.2, 1.2), rng.uniform(0.3, 0.9), rng.uniform(0, 2 * np.pi))

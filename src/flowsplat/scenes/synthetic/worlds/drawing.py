@@ -126,9 +126,7 @@ def draw_plan(seed: int, dancers: bool = False) -> Plan:
     return Plan(GROUNDS[ground], CAMERAS[camera], tuple(kinds), pair, raised)
 
 
-def draw_world(
-    seed: int, width: int = 320, height: int = 180, frames: int = 40, fps: float = 24.0, dancers: bool = False
-) -> World:
+def draw_world(seed: int, width: int = 320, height: int = 180, frames: int = 40, fps: float = 24.0, dancers: bool = False) -> World:
     """The world of a seed, the same bits for the same arguments.
 
     Its geometry does not depend on the number of pixels, as long as their ratio stays.
@@ -170,9 +168,7 @@ class _Scale:
         return distance / self.focal
 
 
-def _place(
-    rng: np.random.Generator, seed: int, plan: Plan, size: tuple[int, int], frames: int, fps: float
-) -> World | None:
+def _place(rng: np.random.Generator, seed: int, plan: Plan, size: tuple[int, int], frames: int, fps: float) -> World | None:
     """One attempt; None where things are inside each other."""
     duration = (frames - 1) / fps
     scale = _Scale(rng.uniform(1.0, 2.2), float(np.exp(rng.uniform(np.log(0.75), np.log(1.7)))), size[0] / size[1])
@@ -358,9 +354,7 @@ def _repainted(rng: np.random.Generator, mover: Mover, rich: bool) -> Mover:
 # -- camera and scenery
 
 
-def _draw_stand(
-    rng: np.random.Generator, plan: Plan, scale: _Scale, ground: Ground, centres: np.ndarray, furthest: float
-) -> Stand:
+def _draw_stand(rng: np.random.Generator, plan: Plan, scale: _Scale, ground: Ground, centres: np.ndarray, furthest: float) -> Stand:
     place = np.array([rng.normal() * 0.2, rng.normal() * 0.2, 0.0])
     target = centres.mean((0, 1)) + rng.normal(size=3) * [0.1, 0, 0.08] * np.linalg.norm(centres.mean((0, 1)))
     if plan.ground == "none" and plan.raised:
@@ -514,4 +508,3 @@ def _is_in_sight(world: World, plan: Plan) -> bool:
     if plan.ground == "none":
         return bool(treads.sum() <= GROUND_UNSEEN)
     return bool(treads.sum() >= GROUND_SEEN and (plan.ground != "steps" or treads[-2] >= OTHER_STEPS * treads.sum()))
-

@@ -110,9 +110,7 @@ def vehicle(
     return Mover("vehicle", tuple(parts), poses, touching, rolls=True)
 
 
-def rolling(
-    rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: float, radius: float, way: Way, rich: bool
-) -> Mover:
+def rolling(rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: float, radius: float, way: Way, rich: bool) -> Mover:
     """A ball that rolls without slip."""
     heading = straight(rng, ground, heading)
     at = ground.middle_of_tread(at, 1.2 * radius)

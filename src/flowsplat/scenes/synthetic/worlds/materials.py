@@ -10,9 +10,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from flowsplat.common.kernels import OPTIONS
+from flowsplat.common.kernels import helper, inlined
 
 COLUMNS = (
     "pattern", "period", "red", "green", "blue", "other_red", "other_green", "other_blue", "x", "y", "z", "amplitude",
@@ -23,7 +22,7 @@ COLUMNS = (
 PLAIN, STRIPES, CHECKERS, BRICKS, SPOTS, SEGMENTS = range(6)
 
 
-@njit(forceinline=True, **OPTIONS)
+@inlined
 def _scatter(x, y, z, phase):
     """A fixed pseudo-random number between 0 and 1 for whole numbers."""
     mixed = (x * 374761393 + y * 668265263 + z * 1274126177 + phase * 362437) & 0xFFFFFFFF
@@ -31,7 +30,7 @@ def _scatter(x, y, z, phase):
     return ((mixed ^ (mixed >> 16)) & 0xFFFFFF) / 16777216.0
 
 
-@njit(**OPTIONS)
+@helper
 def _noise(x, y, z, phase):
     """Smooth random values between -1 and 1, one lattice cell a unit."""
     fx, fy, fz = math.floor(x), math.floor(y), math.floor(z)
@@ -47,19 +46,19 @@ def _noise(x, y, z, phase):
     return 2 * total - 1
 
 
-@njit(forceinline=True, **OPTIONS)
+@inlined
 def _inside(distance, footprint):
     """1 where a signed distance in metres is negative, 0 where positive, with an edge 1.5 pixels wide."""
     return min(max(0.5 - distance / (1.5 * footprint), 0.0), 1.0)
 
 
-@njit(forceinline=True, **OPTIONS)
+@inlined
 def _to_line(x, period):
     """Distance to the nearest multiple of ``period``."""
     return abs(x - period * math.floor(x / period + 0.5))
 
 
-@njit(**OPTIONS)
+@helper
 def _share(m, x, y, z, nx, ny, nz, footprint):
     """How much of the other colour is at a point, 0 to 1."""
     pattern, period = int(m[0]), m[1]
@@ -99,7 +98,7 @@ def _share(m, x, y, z, nx, ny, nz, footprint):
     return mean + fade * (share - mean)
 
 
-@njit(**OPTIONS)
+@helper
 def albedo(
     m: np.ndarray, x: float, y: float, z: float, nx: float, ny: float, nz: float, footprint: float
 ) -> tuple[float, float, float]:

@@ -54,8 +54,10 @@ def write_world(folder: Path, world: World, holdout: int | None = None) -> Scene
         truth.write_flow(world.flow(j, i))
     movers = [world.describe(number + 1) for number in range(len(world.movers))]
     # Written last: where it is, the truth is whole.
-    write_json(truth.folder / MOVERS, {"seed": world.seed, "ground": world.ground.kind, "camera": world.camera_kind,
-                                       "movers": movers, "tracks": owners})
+    write_json(
+        truth.folder / MOVERS,
+        {"seed": world.seed, "ground": world.ground.kind, "camera": world.camera_kind, "movers": movers, "tracks": owners},
+    )
     return scene
 
 
