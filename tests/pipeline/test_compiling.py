@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from dataclasses import replace
@@ -9,10 +10,19 @@ from dataclasses import replace
 import pytest
 from numba.core.dispatcher import Dispatcher
 
+from flowsplat.common.files import write_json
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.geometry import Similarity
 from flowsplat.pipeline import compiling
-from flowsplat.pipeline.compiling import Ahead, code_state, compile_training, compiling_ahead, note
+from flowsplat.pipeline.compiling import (
+    Ahead,
+    code_state,
+    compile_kernel,
+    compile_kernels,
+    compiling_ahead,
+    note,
+    read_signatures,
+)
 from flowsplat.training.config import PRESETS
 from flowsplat.training.trainer import Trainer
 from tests.training.handful import a_few, seen
@@ -29,8 +39,22 @@ def compiled() -> dict[str, int]:
     return found
 
 
+def test_every_kernel_of_the_list_takes_these_arguments():
+    listed = read_signatures()
+    assert len(listed) == len(set(listed)) > 40
+    for name, arguments in listed:
+        compile_kernel(name, arguments)
+
+
+def test_a_list_that_no_longer_fits_stops_nothing(monkeypatch, tmp_path):
+    monkeypatch.setattr(compiling, "SIGNATURES", tmp_path / "signatures.json")
+    entries = [["splatting.cpu.tiles.no_such", "int64"], ["no.such.module", "int64"], ["splatting.cpu.tiles.prefix_sum", "int64"]]
+    write_json(compiling.SIGNATURES, entries)
+    compile_kernels()
+
+
 def test_what_a_training_needs_is_compiled_then():
-    compile_training()
+    compile_kernels()
     before = compiled()
     config = replace(PRESETS["default"], iterations=4, preview_every=0)
     start = a_few(config)
@@ -41,6 +65,43 @@ def test_what_a_training_needs_is_compiled_then():
     model.render(camera, 0.0, (observations[1].camera, 0.5))
     assert sum(before.values()) > 10
     assert compiled() == before
+
+
+RUN = """
+import json, sys
+from dataclasses import replace
+from pathlib import Path
+from numba.core.dispatcher import Dispatcher
+from flowsplat.pipeline import RunConfig, run
+from flowsplat.pipeline.compiling import SIGNATURES, compile_kernel, read_signatures
+from flowsplat.common.kernel_cache import KernelCache
+from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic_video
+
+for name, arguments in read_signatures():
+    compile_kernel(name, arguments)
+
+def signatures():
+    return {
+        (name, attribute, str(signature))
+        for name, module in sys.modules.items() if name.startswith("flowsplat.")
+        for attribute, value in vars(module).items() if isinstance(value, Dispatcher) and isinstance(value._cache, KernelCache)
+        for signature in value.signatures
+    }
+
+before = signatures()
+clip = Path(sys.argv[1]) / "clip.mp4"
+write_synthetic_video(clip, SyntheticScene(width=160, height=90, frames=24))
+config = RunConfig()
+run(clip, Path(sys.argv[1]) / "out", replace(config, train=replace(config.train, iterations=60)))
+print(json.dumps(sorted(signatures() - before)))
+"""
+
+
+@pytest.mark.slow
+def test_a_run_compiles_nothing_that_is_not_in_the_list(tmp_path):
+    """Where this fails, ``python benchmarks/compiling.py --write`` makes the list anew."""
+    done = subprocess.run([sys.executable, "-c", RUN, str(tmp_path)], capture_output=True, text=True, check=True)
+    assert json.loads(done.stdout.splitlines()[-1]) == []
 
 
 @pytest.fixture

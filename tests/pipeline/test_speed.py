@@ -3,18 +3,35 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
+from flowsplat.common.kernels import kernel
 from flowsplat.pipeline import speed
 from flowsplat.pipeline.config import RunConfig
-from flowsplat.pipeline.speed import SHARE, STAGES, Speed, cache_file, expected, in_words, self_test, stages_of
+from flowsplat.pipeline.speed import (
+    MARGIN,
+    SETTLED,
+    SHARE,
+    STAGES,
+    UNTRIED,
+    Estimate,
+    Speed,
+    Watch,
+    cache_file,
+    expected,
+    self_test,
+    stages_of,
+)
 
 
 @pytest.fixture(autouse=True)
 def own_cache(tmp_path, monkeypatch):
     monkeypatch.setenv("FLOWSPLAT_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "kernels"))
 
 
 @pytest.fixture
@@ -24,21 +41,31 @@ def tested(monkeypatch):
     return calls
 
 
-REFERENCE = {"cameras": 10.0, "priors": 100.0, "train": 400.0, "rest": 50.0}
+REFERENCE = {"compiling": 0.0, "cameras": 10.0, "priors": 100.0, "train": 400.0, "rest": 50.0}
 
 
 def test_a_test_comes_first_and_only_once(tested):
-    least, most = Speed("cpu").estimate(REFERENCE)
-    assert (least, most) == (pytest.approx(0.6 * 3 * 560), pytest.approx(2 * 3 * 560))
+    assert Speed("cpu").estimate(REFERENCE) == Estimate(pytest.approx(3 * 560), UNTRIED)
     Speed("cpu").estimate(REFERENCE)
     assert len(tested) == 1
     assert list(json.loads(cache_file().read_text()).values()) == [{"test": [3.0]}]
 
 
-def test_the_cameras_of_this_run_say_more(tested):
+def test_a_stage_of_this_run_says_more(tested):
     machine = Speed("cpu")
     machine.seen(12.0)
-    assert machine.estimate(REFERENCE, ["train"]) == (pytest.approx(0.6 * 6 * 400), pytest.approx(2 * 6 * 400))
+    assert machine.estimate(REFERENCE, ["train"]) == Estimate(pytest.approx(6 * 400), MARGIN)
+
+
+def test_after_a_minute_it_commits_itself(tested):
+    assert MARGIN**2 <= 2, "from when to when it may be: at most twice as long"
+    assert Speed("cpu").estimate(REFERENCE, passed=SETTLED).factor == MARGIN
+    assert Speed("cpu").estimate(REFERENCE, passed=SETTLED - 1).factor == UNTRIED
+
+
+def test_kernels_that_have_to_be_compiled_take_their_time(tested):
+    cold, warm = (Speed("cpu").estimate({**REFERENCE, "compiling": seconds}).expected for seconds in (25.0, 0.0))
+    assert cold - warm == pytest.approx(3 * 25)
 
 
 def test_what_runs_took_is_remembered(tested):
@@ -47,25 +74,26 @@ def test_what_runs_took_is_remembered(tested):
     Speed("cpu").remember(took, REFERENCE)
     Speed("cpu").remember({"cameras": 2.0, "flow": 300.0, "train": 1200.0}, REFERENCE)
     machine = Speed("cpu")
-    assert machine.factors("cameras") == (pytest.approx(0.75 * 1.2), pytest.approx(1.25 * 1.2)), "two seconds tell nothing"
-    assert machine.factors("priors") == (pytest.approx(0.75 * 2), pytest.approx(1.25 * 2)), "nor does a part of the priors"
-    assert machine.factors("train") == (pytest.approx(0.75 * 2), pytest.approx(1.25 * 3))
+    assert machine.factor("cameras") == pytest.approx(1.2), "two seconds tell nothing"
+    assert machine.factor("priors") == pytest.approx(2), "nor does a part of the priors"
+    assert machine.factor("train") == pytest.approx(2.5)
+    assert machine.estimate(REFERENCE, ["train"]).factor == MARGIN
     assert tested == []
     for _ in range(9):
         machine.remember({"train": 4000.0}, REFERENCE)
-    assert machine.factors("train") == (pytest.approx(7.5), pytest.approx(12.5)), "of the latest runs"
+    assert machine.factor("train") == pytest.approx(10), "of the latest runs"
 
 
 @pytest.mark.parametrize("content", ["", "[1]", '{"cpu, 1 threads": 3}', '{"cpu, 1 threads": {"train": ["x", -1]}}', "\x00"])
 def test_a_damaged_file_is_no_error(tested, content):
     cache_file().parent.mkdir()
     cache_file().write_text(content)
-    assert Speed("cpu").estimate(REFERENCE)[0] > 0
+    assert Speed("cpu").estimate(REFERENCE).expected > 0
 
 
 def test_a_folder_that_cannot_be_written_is_no_error(tested, tmp_path):
     (tmp_path / "cache").write_text("in the way")
-    assert Speed("cpu").estimate(REFERENCE)[0] > 0
+    assert Speed("cpu").estimate(REFERENCE).expected > 0
 
 
 CONFIGS = {
@@ -78,7 +106,7 @@ def test_more_work_is_expected_to_take_longer():
     larger = SimpleNamespace(**{**vars(scene), "width": 1280})
     small, large = (expected(each, RunConfig()) for each in (scene, larger))
     assert set(small) == set(STAGES)
-    assert all(large[stage] > small[stage] for stage in STAGES)
+    assert all(large[stage] > small[stage] for stage in STAGES[1:])
     rest = {name: expected(scene, config)["rest"] for name, config in CONFIGS.items()}
     assert rest["static"] - rest["plain"] == pytest.approx(0.25 * small["train"])
     assert rest["final"] - rest["plain"] == pytest.approx(SHARE * small["train"])
@@ -89,12 +117,47 @@ def test_the_test_itself():
 
 
 @pytest.mark.parametrize(
-    ("seconds", "words"),
+    ("seconds", "factor", "words"),
     [
-        ((0.2, 0.4), "about 1 second"), ((31, 58), "30 to 60 seconds"), ((61, 185), "1 to 3 minutes"),
-        ((100, 119), "about 2 minutes"),
-        ((1800, 5900), "30 to 98 minutes"), ((5000, 9000), "1.4 to 2.5 hours"), ((100, 101), "about 2 minutes"),
+        (0.4, 1.5, "about 10 seconds"), (47, 1.35, "about 50 seconds (30 to 60)"), (61, 1.8, "about 60 seconds (30 to 110)"),
+        (100, 1.35, "about 2 minutes (1 to 2)"), (240, 1.35, "about 4 minutes (3 to 5)"), (61, 1.01, "about 60 seconds"),
+        (7500, 1.35, "about 2.1 hours (1.5 to 2.8)"),
     ],
 )  # fmt: skip
-def test_ranges_in_words(seconds, words):
-    assert in_words(seconds) == words
+def test_estimates_in_words(seconds, factor, words):
+    assert str(Estimate(seconds, factor)) == words
+
+
+def doubled(values):
+    """A kernel."""
+    return values * 2
+
+
+def test_what_compiles_or_shares_the_machine_tells_nothing(monkeypatch):
+    used = speed._Used(100.0, 10.0, 0.0)
+    monkeypatch.setattr(speed, "_used", lambda: used)
+    monkeypatch.setattr(speed.os, "cpu_count", lambda: 2)
+    watch = Watch()
+    used = speed._Used(118.0, 28.0, 10.0)
+    assert watch.was_quiet(), "all of it is its own"
+    used = speed._Used(138.0, 42.0, 20.0)
+    assert not watch.was_quiet(), "six of twenty seconds are not"
+    used = speed._Used(140.0, 43.0, 30.0)
+    assert watch.was_quiet(), "each question is about the time since the last"
+    kernel(doubled)(np.ones(3, np.float32))
+    assert not watch.was_quiet()
+    assert watch.was_quiet()
+
+
+def test_a_system_that_tells_nothing_is_believed(monkeypatch):
+    monkeypatch.setattr(speed, "_used", lambda: None)
+    assert Watch().was_quiet()
+
+
+@pytest.mark.skipif(not Path("/proc/stat").exists(), reason="only Linux tells what others use")
+def test_what_this_process_uses_is_part_of_all_that_is_used():
+    before = speed._used()
+    sum(k * k for k in range(3_000_000))
+    after = speed._used()
+    assert after.own - before.own > 0.05
+    assert after.all - before.all >= after.own - before.own - 0.1

@@ -4,6 +4,7 @@ import contextlib
 import io
 import os
 import sys
+import time
 from collections.abc import Sequence
 from typing import Any
 
@@ -14,6 +15,7 @@ from flowsplat.cli.arguments import with_present_names
 from flowsplat.cli.benchmarks import benchmark_commands
 from flowsplat.cli.commands import all_commands
 from flowsplat.cli.help import message_of, short_help
+from flowsplat.common.durations import IMPORTED, command_begins
 from flowsplat.common.errors import InputError, one_line
 from flowsplat.common.progress import say
 from flowsplat.common.stopping import Stopped, ignore_signals, signals_stop
@@ -22,6 +24,7 @@ from flowsplat.common.stopping import Stopped, ignore_signals, signals_stop
 def main(arguments: Sequence[str] | None = None) -> None:
     """Entry point of the console script. Bad input ends with one line on stderr and exit code 2."""
     whole_process = arguments is None
+    command_begins(IMPORTED if whole_process else time.perf_counter())
     if whole_process:  # Our matrices are small: two threads of BLAS take twice as long for the cameras, and give other last digits.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     arguments = list(sys.argv[1:] if arguments is None else arguments)

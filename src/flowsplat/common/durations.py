@@ -2,6 +2,25 @@
 
 from __future__ import annotations
 
+import time
+
+IMPORTED = time.perf_counter()
+"""Of a command about when its process began: what takes long to import is imported later."""
+_begun: float | None = None
+
+
+def command_begins(at: float) -> None:
+    """Tell at which ``time.perf_counter()`` the command began that this process carries out."""
+    global _begun
+    _begun = at
+
+
+def beginning() -> float:
+    """When that was, for the first who asks; now for all others, and where this process is no command."""
+    global _begun
+    at, _begun = _begun, None
+    return time.perf_counter() if at is None else at
+
 
 def duration(seconds: float) -> str:
     """``"12.3 s"``, ``"4 min 5 s"`` or ``"1 h 20 min"``."""

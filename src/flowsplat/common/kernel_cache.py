@@ -107,6 +107,14 @@ def key_of(file: Path) -> str:
     return digest.hexdigest()[:16]
 
 
+_compiled = 0
+
+
+def compiled_kernels() -> int:
+    """How many kernels this process has compiled, and not loaded."""
+    return _compiled
+
+
 class KernelCache(_Cache):
     """What a function of Numba loads machine code from and saves it to. Nothing that is wrong with its files is an error."""
 
@@ -161,6 +169,8 @@ class KernelCache(_Cache):
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
         """Write it, where that is possible."""
+        global _compiled
+        _compiled += 1
         path = self._path(signature)
         if path is None or compiled.lifted or compiled.library.has_dynamic_globals:
             return

@@ -1,4 +1,4 @@
-"""Kernels of training and rendering are compiled by a process of their own while the priors of a first run are computed.
+"""Kernels are compiled by a process of their own while a first run is at work.
 
 What is compiled is kept on disk, where the run then finds it. Once the kernels of this code are compiled there is no such
 process.
@@ -12,32 +12,23 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numba
-import numpy as np
-import torch
+from numba.core.sigutils import normalize_signature
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import make_folder, read_json, write_json
 from flowsplat.common.kernel_cache import kernels_folder
 from flowsplat.common.progress import busy
 from flowsplat.common.source import PACKAGE, source_state
-from flowsplat.evaluation.poses import refine_camera
-from flowsplat.gaussians.gaussians4d import Gaussians4D, parameter_shapes
-from flowsplat.gaussians.model import SceneModel
-from flowsplat.gaussians.observations import Observation, Observations
-from flowsplat.geometry import Camera, Similarity
-from flowsplat.pipeline.speed import cache_file
-from flowsplat.scenes import Flow
-from flowsplat.training.config import PRESETS
-from flowsplat.training.trainer import Trainer
+from flowsplat.common.user_cache import cache_folder
 
+SIGNATURES = Path(__file__).with_name("signatures.json")
 NICE = 10
 """By how much the process gives way to the run."""
-_SIZE = 96, 72
 _COMMAND = "import sys; sys.path[:] = [path for path in sys.path if path]; from flowsplat.pipeline.compiling import main; main()"
 """Without the folder that the process begins in, which Python would search first: what lies beside a clip must not run."""
 
@@ -71,6 +62,11 @@ class Ahead:
         self._process = process
 
     @property
+    def compiled(self) -> bool:
+        """Whether there was such a process."""
+        return self._process is not None
+
+    @property
     def is_busy(self) -> bool:
         """Whether it compiles."""
         return self._process is not None and self._process.poll() is None
@@ -88,6 +84,11 @@ class Ahead:
             self._process.wait()
 
 
+def are_missing(device: str) -> bool:
+    """Whether kernels for this device are not compiled yet: ``cpu``, or another, for which nothing is compiled here."""
+    return device == "cpu" and not is_noted(_marker(), code_state(device))
+
+
 @contextlib.contextmanager
 def compiling_ahead(device: str) -> Iterator[Ahead]:
     """Let kernels be compiled beside what is done inside, where they are not compiled yet.
@@ -96,7 +97,7 @@ def compiling_ahead(device: str) -> Iterator[Ahead]:
         device: what will train: ``cpu``, or another, for which nothing is compiled here.
     """
     process = None
-    if device == "cpu" and not is_noted(_marker(), code_state(device)):
+    if are_missing(device):
         with contextlib.suppress(OSError):  # then the run compiles
             quiet = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
             process = subprocess.Popen([sys.executable, "-c", _COMMAND], **quiet)  # type: ignore[call-overload]
@@ -108,37 +109,35 @@ def compiling_ahead(device: str) -> Iterator[Ahead]:
 
 
 def _marker() -> Path:
-    return cache_file().with_name("compiled_training.json")
+    return cache_folder() / "compiled_kernels.json"
 
 
-def compile_training() -> None:
-    """Train, render and refine a pose on a handful of Gaussians: every kernel of preset ``default`` runs."""
-    gaussians, observations = _handful()
-    config = replace(PRESETS["default"], iterations=len(observations), preview_every=0)
-    trained = Trainer(observations, None, config, start=gaussians).run()
-    model = SceneModel(trained, Similarity(), 0.0, 1.0)
-    first, last = observations[0], observations[len(observations) - 1]
-    model.render(first.camera, 0.0, (last.camera, 1.0))
-    refine_camera(model, first.camera, 0.5, first.image / np.float32(255))
+def read_signatures() -> list[tuple[str, str]]:
+    """Every kernel of a run with preset ``default`` and priors of its own, in the order in which it needs them.
+
+    Returns:
+        names (``splatting.cpu.tiles.prefix_sum``) and types of arguments in Numba's notation (``int64[::1], int64``).
+        ``python benchmarks/compiling.py --write`` makes the list anew.
+    """
+    return [(name, types) for name, types in read_json(SIGNATURES, list[tuple[str, str]])]
 
 
-def _handful(count: int = 200) -> tuple[Gaussians4D, Observations]:
-    """Gaussians before a camera, half of them moving, and two frames of noise."""
-    model, (width, height) = PRESETS["default"].model, _SIZE
-    generator = torch.Generator().manual_seed(0)
-    params = {name: torch.zeros(count, *shape) for name, shape in parameter_shapes(model).items()}
-    params["means"] = torch.rand(count, 3, generator=generator) - 0.5
-    params["log_scales"].fill_(-3.0)
-    params["quats"][:, 0] = 1
-    gaussians = Gaussians4D(params, torch.arange(count) >= count // 2, model, model.sh_degree)
-    viewmat = np.eye(4)
-    viewmat[2, 3] = 1
-    camera = Camera(viewmat, np.array([[width, 0, width / 2], [0, width, height / 2], [0, 0, 1]]), width, height)
-    everywhere, flat = np.ones((height, width), bool), np.ones((height, width), np.float32)
-    image = np.random.default_rng(0).integers(0, 256, (height, width, 3), dtype=np.uint8)
-    flow, nothing = Flow(0, 1, np.zeros((height, width, 2), np.float32), flat), np.zeros((height, width), np.uint8)
-    frames = [Observation(k, float(k), camera, image, flat, everywhere, nothing, flow if k == 0 else None, None) for k in range(2)]
-    return gaussians, Observations(frames, Similarity())
+def compile_kernel(name: str, arguments: str) -> None:
+    """Compile one kernel for arguments of these types, unless it is kept on disk.
+
+    Raises:
+        Exception: there is no such kernel, or it takes other arguments.
+    """
+    module, _, function = name.rpartition(".")
+    kernel = getattr(import_module(f"{PACKAGE.name}.{module}"), function)
+    kernel.compile(normalize_signature(f"void({arguments})")[0])
+
+
+def compile_kernels() -> None:
+    """Compile all of ``read_signatures``, one after the other."""
+    for name, arguments in read_signatures():
+        with contextlib.suppress(Exception):  # The run compiles what it needs, and then says what is wrong.
+            compile_kernel(name, arguments)
 
 
 def main() -> None:
@@ -147,5 +146,5 @@ def main() -> None:
         os.nice(NICE)
     # The compiler makes millions of small objects: looking among them for what nothing uses any more takes a twentieth of its time.
     gc.disable()
-    compile_training()
+    compile_kernels()
     note(_marker(), code_state("cpu"))

@@ -22,6 +22,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -60,6 +61,7 @@ class RunFile(TypedDict):
     config: dict[str, Any]
     started: dict[str, Text]
     stages: dict[str, StageFile]
+    wall_seconds: NotRequired[Seconds]
 
 
 class AreaScores(TypedDict):
@@ -123,6 +125,7 @@ class MetricsFile(TypedDict, total=False):
     gaussians: GaussiansFile
     movers: list[MoverFile]
     seconds: dict[str, Seconds]
+    wall_seconds: Seconds
     peak_memory_gib: Number | None
     memory_gib: dict[str, Number | None]
     shown: Text
@@ -137,7 +140,7 @@ class RunFolder:
         Raises:
             InputError: it is none, is damaged, or belongs to a newer version.
         """
-        self.path = Path(path)
+        self.path, self._begun = Path(path), time.perf_counter()
         if not (self.path / "run.json").exists():
             raise InputError(f"{path} is not the folder of a run: it has no run.json. Start with flowsplat run INPUT -o {path}.")
         self.record: dict[str, Any] = read_json(self.path / "run.json", Versioned)
@@ -145,6 +148,7 @@ class RunFolder:
             raise InputError(f"{path} was written by a newer flowsplat. Update flowsplat.")
         check_json(self.path / "run.json", self.record, RunFile)
         self.fingerprint: str = self.record["fingerprint"]
+        self._earlier: float = self.record.get("wall_seconds", 0.0)
         try:
             self.config = from_plain(RunConfig, self.record["config"])
         except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -179,7 +183,7 @@ class RunFolder:
 
     def save(self) -> None:
         """Write the record."""
-        self.record["config"] = to_plain(self.config)
+        self.record["config"], self.record["wall_seconds"] = to_plain(self.config), round(self.wall_seconds, 2)
         write_json(self.path / "run.json", self.record)
 
     # -- stages
@@ -218,6 +222,15 @@ class RunFolder:
         if parts:
             self.record["stages"][stage]["parts_memory_gib"] = dict(parts)
         self.save()
+
+    @property
+    def wall_seconds(self) -> float:
+        """Seconds that passed while commands worked on this run, this one included, whatever they did in them."""
+        return self._earlier + time.perf_counter() - self._begun
+
+    def count_from(self, begun: float) -> None:
+        """Let the time of this command count from an earlier ``time.perf_counter()``."""
+        self._begun = begun
 
     @property
     def seconds(self) -> dict[str, float]:
@@ -262,5 +275,5 @@ def stage_key(*parts: Any) -> str:
 def _new_record(source: str, fingerprint: str, config: RunConfig) -> dict[str, Any]:
     return {
         "version": VERSION, "flowsplat": __version__, "input": source, "fingerprint": fingerprint,
-        "config": to_plain(config), "started": {}, "stages": {},
+        "config": to_plain(config), "started": {}, "stages": {}, "wall_seconds": 0.0,
     }  # fmt: skip

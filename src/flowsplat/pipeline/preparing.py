@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from flowsplat.common.devices import pick_device
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import hash_files, lease, remove_partials, write_json
 from flowsplat.common.files.lease import NAME as LOCK
@@ -19,9 +20,10 @@ from flowsplat.common.memory import begin_peak, give_back_memory, recent_peak
 from flowsplat.common.progress import busy, say
 from flowsplat.output.priors_report import verdict, write_priors_report
 from flowsplat.output.videos import RenderOptions, settle
+from flowsplat.pipeline.compiling import are_missing
 from flowsplat.pipeline.config import RunConfig, check
 from flowsplat.pipeline.folder import RunFolder, stage_key
-from flowsplat.pipeline.speed import STAGES, Range, Speed, expected, expected_memory, in_words
+from flowsplat.pipeline.speed import STAGES, TELLING, Estimate, Speed, Watch, expected, expected_memory
 from flowsplat.priors.prepare import check_places, names_places, prepare_priors
 from flowsplat.scenes import Scene
 from flowsplat.scenes.clip import Clip, InputOptions
@@ -123,21 +125,25 @@ def _compute_scene(
         raise
     for note in scene.info["notes"]:
         say(note)
-    speed, reference = Speed(config.device), expected(scene, config)
-    _say_estimate(scene, speed.estimate(reference))
+    compiling = are_missing(pick_device(config.device).type)
+    speed, reference = Speed(config.device), expected(scene, config, compiling)
+    _say_estimate(scene, speed.estimate(reference), compiling)
     ingested = time.perf_counter() - started
     if show is not None and tells:
         show()
 
     memory: dict[str, float | None] = {}
+    watch = Watch()
 
     def after(stage: str, took: float) -> None:
         memory[stage] = recent_peak()
         give_back_memory()
         begin_peak()
+        folder.save()
         if stage == "cameras":
-            speed.seen(took / reference["cameras"])
-            say(f"Left of a whole run: {in_words(speed.estimate(reference, STAGES[1:]))}.")
+            if took >= TELLING and watch.was_quiet() and not compiling:
+                speed.seen(took / reference["cameras"])
+            say(f"Left of a whole run: {speed.estimate(reference, STAGES[2:], folder.wall_seconds)}.")
 
     had = set(scene.info["priors"])
     try:
@@ -149,6 +155,8 @@ def _compute_scene(
     with busy("Writing priors.html"):
         page = write_priors_report(folder.path, scene, seconds)
     say(f"{verdict(scene)} Look at {page}")
+    if "depth" in seconds:
+        say(f"Left of a whole run: {speed.estimate(reference, STAGES[3:], folder.wall_seconds)}.")
     folder.finish("prepare", key, {"ingest": ingested, **seconds}, memory)
 
 
@@ -217,9 +225,9 @@ def link_files(source: Path, target: Path) -> None:
         raise InputError(f"Cannot copy {source} to {target}: {error.strerror or error}.") from error
 
 
-def _say_estimate(scene: Scene, seconds: Range) -> None:
+def _say_estimate(scene: Scene, estimate: Estimate, compiling: bool) -> None:
     gib = expected_memory(scene.width, scene.height, len(scene.train_frames))
     say(
         f"{scene.num_frames} frames of {scene.width} x {scene.height}, {len(scene.heldout_frames)} of them held out: "
-        f"{in_words(seconds)} and {gib:.1f} GiB for a whole run."
+        f"{estimate} and {gib:.1f} GiB for a whole run{', which compiles the kernels this once' if compiling else ''}."
     )

@@ -1,14 +1,17 @@
 """How long a run takes on this machine: from what it took before, or from a test of two seconds.
 
 What was measured is kept in ``speed.json`` in the user's cache folder: by device and number of threads, and in it by stage, how
-many times as long as on the reference machine (two cores) the latest runs took. It may be deleted at any time.
+many times as long as on the reference machine (two cores) the latest runs took. It may be deleted at any time. Runs during which
+kernels were compiled, or other programs needed the machine, are not among them.
 """
 
 from __future__ import annotations
 
 import contextlib
+import os
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -20,6 +23,7 @@ from msgspec import Meta
 from flowsplat.common.devices import pick_device
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import make_folder, read_json, write_json
+from flowsplat.common.kernel_cache import compiled_kernels
 from flowsplat.common.progress import busy
 from flowsplat.common.user_cache import cache_folder
 from flowsplat.pipeline.config import RunConfig
@@ -28,30 +32,58 @@ from flowsplat.scenes.clip import Clip
 from flowsplat.scenes.scene import split_frames
 from flowsplat.training.final import SHARE
 
-Range = tuple[float, float]
-"""The least and the most."""
 Ratio = Annotated[float, Meta(gt=0, le=1e6)]
 
-STAGES = ("cameras", "priors", "train", "rest")
-"""Search of the cameras; all other priors; training; measuring, final fit and videos."""
+STAGES = ("compiling", "cameras", "priors", "train", "rest")
+"""Kernels, in the first run only; search of the cameras; all other priors; training; measuring, final fit and videos."""
+COMPILING = 25.0
+"""Seconds by which a run is longer on the reference machine when all its kernels have to be compiled beside it."""
 
-SHORTEST = 10.0
-"""Seconds from which the time of a stage tells something."""
+SHORTEST, TELLING = 10.0, 2.0
+"""Seconds from which the time of a stage tells something of other runs, and of the one that goes on."""
 KEPT = 5
 """Runs whose times are remembered."""
-MARGIN = 0.25
-"""Relative; by how much clips differ that are as large."""
-UNTRIED = (0.6, 2.0)
-"""What a test of two seconds leaves open, as factors."""
-UNTRIED_GPU = (0.05, 1.0)
+UNTRIED = 1.8
+"""A test of two seconds leaves open by what factor a run takes longer, or shorter, than it says."""
+UNTRIED_GPU = 4.0
 """The same on a GPU, which it does not test."""
+MARGIN = 1.35
+"""The same where something tells: earlier runs, or the first stage of this one. Clips that are as large differ by as much."""
+SETTLED = 60.0
+"""Seconds of a run after which an estimate has to commit itself to ``MARGIN``."""
+BUSY = 0.15
+"""Share of the machine from which on what other programs take makes the time of a stage tell nothing."""
 TEST_SECONDS, REFERENCE_ROUND = 2.0, 0.018
 """How long the test is, and the seconds of one round on the reference machine."""
 
 
-def expected(scene: Scene, config: RunConfig) -> dict[str, float]:
-    """Seconds of every stage on the reference machine."""
-    return _expected(config, scene.width, scene.height, len(scene.train_frames), len(scene.heldout_frames))
+@dataclass(frozen=True)
+class Estimate:
+    """How long something will take.
+
+    Attributes:
+        expected: seconds.
+        factor: by which it may take longer, or shorter.
+    """
+
+    expected: float
+    factor: float
+
+    def __str__(self) -> str:
+        """``"about 50 seconds (40 to 70)"``, ``"about 4 minutes (3 to 5)"``, ``"about 2.1 hours (1.6 to 2.8)"``."""
+        size, unit, digits = 1, "second", -1
+        if self.expected >= 100:
+            size, unit, digits = (60, "minute", 0) if self.expected < 100 * 60 else (3600, "hour", 1)
+        least = 10.0**-digits
+        low, middle, high = (max(round(self.expected * by / size, digits), least) for by in (1 / self.factor, 1, self.factor))
+        between = "" if low == high else f" ({low:g} to {high:g})"
+        return f"about {middle:g} {unit}{'s' * (middle != 1)}{between}"
+
+
+def expected(scene: Scene, config: RunConfig, compiling: bool = False) -> dict[str, float]:
+    """Seconds of every stage on the reference machine; ``compiling``: with kernels that are not compiled yet."""
+    found = _expected(config, scene.width, scene.height, len(scene.train_frames), len(scene.heldout_frames))
+    return {"compiling": COMPILING if compiling else 0.0, **found}
 
 
 def expected_of(clip: Clip, config: RunConfig) -> dict[str, float]:
@@ -104,11 +136,11 @@ class Speed:
         self._untried = UNTRIED if chosen == "cpu" else UNTRIED_GPU
         self._all = _read()
         self._known = self._all.setdefault(f"{chosen}, {torch.get_num_threads()} threads", {})
-        self._now: float | None = None
+        self._now: list[float] = []
 
     def seen(self, ratio: float) -> None:
-        """Note how many times as long as on the reference machine the cameras of the run that goes on took."""
-        self._now = ratio
+        """Note how many times as long as on the reference machine a stage of the run that goes on took."""
+        self._now.append(ratio)
 
     def remember(self, seconds: Mapping[str, float], reference: Mapping[str, float]) -> None:
         """Keep what the stages of a whole run took; what was short, or not all of its work, tells nothing."""
@@ -117,28 +149,65 @@ class Speed:
                 self._known[stage] = [*self._known.get(stage, []), round(took / reference[stage], 3)][-KEPT:]
         self._write()
 
-    def factors(self, stage: str) -> Range:
-        """How many times as long as on the reference machine a stage takes."""
-        known = self._known.get(stage)
-        if known:
-            return min(known) * (1 - MARGIN), max(known) * (1 + MARGIN)
+    def factor(self, stage: str) -> float:
+        """How many times as long as on the reference machine a stage takes: as in earlier runs, or by what is known now."""
+        if known := self._known.get(stage):
+            return float(np.median(known))
         if not self._known.get("test"):
             self._known["test"] = [round(self_test(), 3)]
             self._write()
-        tested = self._known["test"][0]
-        # The time of the cameras depends on the clip, too.
-        factor = tested if self._now is None else (tested * self._now) ** 0.5
-        return factor * self._untried[0], factor * self._untried[1]
+        # The time of a stage depends on the clip, too.
+        return float(np.exp(np.mean(np.log([self._known["test"][0], *self._now]))))
 
-    def estimate(self, reference: Mapping[str, float], stages: Sequence[str] = STAGES) -> Range:
-        """Seconds that the stages take together."""
-        ranges = [(reference[stage] * least, reference[stage] * most) for stage in stages for least, most in [self.factors(stage)]]
-        return sum(least for least, _ in ranges), sum(most for _, most in ranges)
+    def estimate(self, reference: Mapping[str, float], stages: Sequence[str] = STAGES, passed: float = 0.0) -> Estimate:
+        """What the stages take together; ``passed``: seconds since the run began. After a minute who waits wants to know."""
+        seconds = {stage: reference[stage] * self.factor(stage) for stage in stages if reference[stage] > 0}
+        tried = passed >= SETTLED or bool(self._now) or all(self._known.get(stage) for stage in seconds if stage != "compiling")
+        return Estimate(sum(seconds.values()), MARGIN if tried else self._untried)
 
     def _write(self) -> None:
         with contextlib.suppress(InputError):  # then the next run tests again
             make_folder(cache_file().parent)
             write_json(cache_file(), self._all)
+
+
+@dataclass(frozen=True)
+class _Used:
+    """Processor seconds since the machine started, of all programs, and of this one and those that it waited for; the time."""
+
+    all: float
+    own: float
+    now: float
+
+
+class Watch:
+    """What happens on this machine beside a run, from one question to the next."""
+
+    def __init__(self) -> None:
+        self._compiled, self._used = compiled_kernels(), _used()
+
+    def was_quiet(self) -> bool:
+        """Whether, since the last time, this process compiled nothing and other programs left the machine alone."""
+        compiled, before = self._compiled, self._used
+        self._compiled, self._used = compiled_kernels(), _used()
+        if compiled != self._compiled:
+            return False
+        if before is None or self._used is None:
+            return True
+        others = self._used.all - before.all - (self._used.own - before.own)
+        return others < BUSY * (os.cpu_count() or 1) * max(self._used.now - before.now, 1e-3)
+
+
+def _used() -> _Used | None:
+    """None where the system does not tell."""
+    try:
+        fields = Path("/proc/stat").read_text().split("\n", 1)[0].split()[1:]
+        user, nice, system, _, _, irq, softirq = (int(field) for field in fields[:7])
+    except (OSError, ValueError):
+        return None
+    times = os.times()
+    seconds = (user + nice + system + irq + softirq) / os.sysconf("SC_CLK_TCK")
+    return _Used(seconds, times.user + times.system + times.children_user + times.children_system, time.monotonic())
 
 
 def self_test(seconds: float = TEST_SECONDS) -> float:
@@ -158,15 +227,6 @@ def self_test(seconds: float = TEST_SECONDS) -> float:
                 values = torch.exp(-values * values)
             took.append(time.perf_counter() - began)
     return float(np.median(took)) / REFERENCE_ROUND
-
-
-def in_words(seconds: Range) -> str:
-    """``"40 to 70 seconds"``, ``"3 to 5 minutes"``, ``"1.5 to 3 hours"``; ``"about 4 minutes"`` where both round to the same."""
-    least, most = seconds
-    size, unit, digits = (1, "second", -1) if most < 100 else (60, "minute", 0) if most < 100 * 60 else (3600, "hour", 1)
-    low, high = (max(round(value / size, digits), 0.1 if digits > 0 else 1) for value in (least, most))
-    plural = "s" * (high != 1)
-    return f"about {high:g} {unit}{plural}" if low == high else f"{low:g} to {high:g} {unit}{plural}"
 
 
 def _read() -> dict[str, dict[str, list[float]]]:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from flowsplat.common.devices import pick_device
+from flowsplat.common.durations import beginning
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import hash_files, lease, read_json, require_keys, write_json
 from flowsplat.common.files.json_file import Number
@@ -28,7 +29,7 @@ from flowsplat.pipeline.first import first_scene, is_worth_it
 from flowsplat.pipeline.fitting import final_key, fit_heldout, static_model, train, train_key, wants_final
 from flowsplat.pipeline.folder import MetricsFile, RunFolder, stage_key
 from flowsplat.pipeline.preparing import prepared
-from flowsplat.pipeline.speed import Speed, expected, expected_of
+from flowsplat.pipeline.speed import Speed, Watch, expected, expected_of
 from flowsplat.pipeline.summary import flow_comparisons, report_data
 from flowsplat.priors.objects import load_movers
 from flowsplat.priors.objects.description import mover_figures
@@ -54,7 +55,7 @@ def run(source: Path, out: Path, config: RunConfig | None = None) -> dict[str, A
     Raises:
         InputError: the input, a setting or the folder cannot be used.
     """
-    is_new = not (Path(out) / "run.json").exists()
+    begun, is_new, watch = beginning(), not (Path(out) / "run.json").exists(), Watch()
     with lease(out):
         device = pick_device((config or RunConfig()).device).type
         with compiling_ahead(device) as ahead:
@@ -66,9 +67,13 @@ def run(source: Path, out: Path, config: RunConfig | None = None) -> dict[str, A
 
             folder = prepared(Path(source), out, config or RunConfig(), first)
             ahead.wait()
-        train(folder)
-        metrics = render_run(folder)
-    if is_new:
+        folder.count_from(begun)
+        try:
+            train(folder)
+            metrics = render_run(folder)
+        finally:
+            folder.save()
+    if is_new and not ahead.compiled and watch.was_quiet():
         Speed(folder.config.device).remember(folder.seconds, expected(Scene(folder.scene_path), folder.config))
     return metrics
 
@@ -158,7 +163,7 @@ def _write_metrics(folder: RunFolder, result: _Result, metrics: dict[str, Any], 
     """Complete ``metrics``, and write them and the report. A stage that took ``seconds`` is finished only when that is done."""
     metrics["peak_memory_gib"] = folder.peak_memory
     metrics["memory_gib"] = {**folder.memory, **dict.fromkeys(seconds, recent_peak())}
-    metrics["seconds"] = {**folder.seconds, **seconds}
+    metrics["seconds"], metrics["wall_seconds"] = {**folder.seconds, **seconds}, folder.wall_seconds
     metrics["measured"] = folder.model_path.name
     metrics["shown"] = (folder.final_path if has_model(folder.final_path) else folder.model_path).name
     write_json(folder.path / "metrics.json", metrics)

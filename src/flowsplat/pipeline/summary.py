@@ -66,8 +66,7 @@ def figures_table(runs: Mapping[str, Mapping[str, Any]]) -> Table:
         values = [pick(metrics, *path) for metrics in runs.values()]
         if any(value is not None for value in values):
             table.add_row(label, *("–" if value is None else format(value, style) for value in values))
-    totals = [sum(metrics.get("seconds", {}).values()) for metrics in runs.values()]
-    table.add_row("time", *(duration(total) for total in totals))
+    table.add_row("time", *(duration(metrics.get("wall_seconds", 0.0)) for metrics in runs.values()))
     return table
 
 

@@ -184,7 +184,7 @@ def position_cameras(rotations: np.ndarray, positions: np.ndarray, seen: np.ndar
     The sum over all observations of the squared distance between a point and its ray, divided by the squared depth, is
     smallest for them. Every track counts the same for its length, and what stays far from its rays loses its weight.
     """
-    point, camera = np.nonzero(seen)
+    point, camera = map(np.ascontiguousarray, np.nonzero(seen))
     rays = np.concatenate([positions[point, camera] / focal, np.ones((len(point), 1))], 1)
     rays = np.einsum("mji,mj->mi", rotations[camera], rays / np.linalg.norm(rays, axis=1, keepdims=True))
     weights = np.ones(len(point))

@@ -69,7 +69,7 @@ class Observations:
     @staticmethod
     def of(positions: np.ndarray, seen: np.ndarray) -> Observations:
         """From positions [N, T, 2] and which of them count [N, T]."""
-        point, camera = np.nonzero(seen)
+        point, camera = map(np.ascontiguousarray, np.nonzero(seen))
         return Observations(camera, point, np.asarray(positions[point, camera], np.float64))
 
 

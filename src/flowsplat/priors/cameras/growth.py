@@ -35,7 +35,7 @@ class Model:
 def triangulate(state: Reconstruction, positions: np.ndarray, seen: np.ndarray) -> np.ndarray:
     """Points [N, 3] by linear triangulation from all views in ``seen`` [N, T]; positions from the principal point."""
     matrices = np.concatenate([state.rotations, state.translations[:, :, None]], 2)
-    point, camera = np.nonzero(seen)
+    point, camera = map(np.ascontiguousarray, np.nonzero(seen))
     directions = rays(positions[point, camera], state.focal, state.distortion)
     h = np.linalg.eigh(_normal_equations(matrices, directions, camera, point, len(seen)))[1][:, :, 0]
     return h[:, :3] / np.where(np.abs(h[:, 3:]) < 1e-9, 1e-9, h[:, 3:])

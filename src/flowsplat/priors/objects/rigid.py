@@ -78,7 +78,7 @@ class Observations:
     @staticmethod
     def of_tracks(positions: np.ndarray, seen: np.ndarray, K: np.ndarray) -> Observations:
         """From tracks: positions [N, T, 2] in pixels, and where they count, seen [N, T]."""
-        point, frame = np.nonzero(seen)
+        point, frame = map(np.ascontiguousarray, np.nonzero(seen))
         first = np.searchsorted(point, np.arange(len(seen) + 1))
         x = (positions[point, frame].astype(np.float64) - K[:2, 2]) / [K[0, 0], K[1, 1]]
         return Observations(first, frame, np.ascontiguousarray(x), seen.shape[1], float(K[0, 0]))

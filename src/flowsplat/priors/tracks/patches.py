@@ -50,7 +50,7 @@ class Patches:
         """Patches of float32 grey [H, W] round ``points`` [N, 2]; pixels of another label [H, W] than the centre do not count."""
         count = len(points)
         arrays = [np.empty((count, SIDE * SIDE), np.float32) for _ in range(4)]
-        parallel_for(_cut, len(points), image, labels, np.asarray(points, np.float32), *arrays)
+        parallel_for(_cut, len(points), image, labels.astype(np.int32, copy=False), np.asarray(points, np.float32), *arrays)
         return Patches(*arrays)
 
     def put(self, rows: np.ndarray, other: Patches) -> None:
