@@ -12,7 +12,7 @@ from torch import Tensor
 
 import flowsplat
 from flowsplat.common.files import read_json
-from flowsplat.gaussians.gaussians4d import ModelConfig
+from flowsplat.gaussians.model_config import ModelConfig
 from flowsplat.gaussians.motion import MotionState, Parameter, Params, RigidMotion, presence, register
 from flowsplat.output.export import ExportOptions, export_scene
 from flowsplat.pipeline import prepare, train

@@ -6,7 +6,8 @@ import numpy as np
 import torch
 
 from cpu_parts.work_load import WorkLoad, work_load
-from flowsplat.gaussians.gaussians4d import Gaussians4D, ModelConfig, parameter_shapes
+from flowsplat.gaussians.gaussians4d import Gaussians4D, parameter_shapes
+from flowsplat.gaussians.model_config import ModelConfig
 from flowsplat.gaussians.observations import Observation, Observations
 from flowsplat.gaussians.render import render
 from flowsplat.geometry import Camera, Similarity

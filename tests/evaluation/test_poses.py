@@ -9,8 +9,9 @@ import torch
 from flowsplat.evaluation import poses
 from flowsplat.evaluation.metrics import psnr
 from flowsplat.evaluation.poses import refine_camera
-from flowsplat.gaussians.gaussians4d import Gaussians4D, ModelConfig, parameter_shapes
+from flowsplat.gaussians.gaussians4d import Gaussians4D, parameter_shapes
 from flowsplat.gaussians.model import SceneModel
+from flowsplat.gaussians.model_config import ModelConfig
 from flowsplat.geometry import Camera, Similarity
 
 WIDTH, HEIGHT, FOCAL = 120, 90, 100.0

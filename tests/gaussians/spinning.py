@@ -7,8 +7,9 @@ import math
 import numpy as np
 import torch
 
-from flowsplat.gaussians.gaussians4d import Gaussians4D, ModelConfig, concatenate, parameter_shapes
+from flowsplat.gaussians.gaussians4d import Gaussians4D, concatenate, parameter_shapes
 from flowsplat.gaussians.model import SceneModel
+from flowsplat.gaussians.model_config import ModelConfig
 from flowsplat.geometry import Camera, Similarity
 
 W, SWING = 2.0, 0.3

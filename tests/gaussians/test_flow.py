@@ -8,7 +8,8 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from flowsplat.gaussians.flow import FlowView, affine_gradient, blend_features, flow_features, flow_image
-from flowsplat.gaussians.gaussians4d import Gaussians4D, ModelConfig, parameter_shapes
+from flowsplat.gaussians.gaussians4d import Gaussians4D, parameter_shapes
+from flowsplat.gaussians.model_config import ModelConfig
 from flowsplat.gaussians.render import render, render_active
 from flowsplat.gaussians.slicing import Slice
 from flowsplat.geometry import Camera

@@ -11,8 +11,9 @@ import torch
 from flowsplat.gaussians.culling import cpu as culling_cpu
 from flowsplat.gaussians.culling import reference as culling_reference
 from flowsplat.gaussians.density import DensityStatistics, densify, prune, reset_opacities, revise_dynamic
-from flowsplat.gaussians.gaussians4d import Gaussians4D, ModelConfig, concatenate, parameter_shapes
+from flowsplat.gaussians.gaussians4d import Gaussians4D, concatenate, parameter_shapes
 from flowsplat.gaussians.model import SceneModel
+from flowsplat.gaussians.model_config import ModelConfig
 from flowsplat.gaussians.render import fill_uncovered, render, render_active
 from flowsplat.gaussians.slicing.reference import time_gains
 from flowsplat.geometry import Camera, Similarity

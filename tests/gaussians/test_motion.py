@@ -7,7 +7,7 @@ import math
 import pytest
 import torch
 
-from flowsplat.gaussians.gaussians4d import ModelConfig
+from flowsplat.gaussians.model_config import ModelConfig
 from flowsplat.gaussians.motion import LinearMotion, Parameter, SeriesMotion, covariances_4d, motion_model, presence
 from tests.gaussians.balls import Balls
 
@@ -101,12 +101,12 @@ def test_what_is_shrunk_is_smaller_in_space_and_where_asked_in_time(motion):
 
 
 def test_the_settings_name_the_model():
-    assert ModelConfig().motion() == SeriesMotion()
-    assert ModelConfig(move_means=False).motion() == SeriesMotion(1, 0, 3, 3)
-    assert ModelConfig(move_quats=False).motion() == SeriesMotion(6, 6, 0, 0)
+    assert motion_model(ModelConfig()) == SeriesMotion()
+    assert motion_model(ModelConfig(move_means=False)) == SeriesMotion(1, 0, 3, 3)
+    assert motion_model(ModelConfig(move_quats=False)) == SeriesMotion(6, 6, 0, 0)
     for config in (ModelConfig(move_means=False, move_quats=False), ModelConfig(kind="linear")):
-        assert config.motion() == LinearMotion()
-    assert isinstance(motion_model("balls", ModelConfig()), Balls)
+        assert motion_model(config) == LinearMotion()
+    assert isinstance(motion_model(ModelConfig(kind="balls")), Balls)
 
 
 @pytest.mark.parametrize("motion", MOTIONS)

@@ -9,8 +9,9 @@ import pytest
 import torch
 
 from flowsplat.common.errors import InputError
-from flowsplat.gaussians.gaussians4d import Gaussians4D, ModelConfig, parameter_shapes
+from flowsplat.gaussians.gaussians4d import Gaussians4D, parameter_shapes
 from flowsplat.gaussians.model import SceneModel
+from flowsplat.gaussians.model_config import ModelConfig
 from flowsplat.gaussians.shadows import with_lit
 from flowsplat.geometry import Camera, Similarity
 from flowsplat.splatting.harmonics import harmonics_from_colours

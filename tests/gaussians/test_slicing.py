@@ -7,7 +7,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from flowsplat.gaussians.gaussians4d import Gaussians4D, ModelConfig, parameter_shapes
+from flowsplat.gaussians.gaussians4d import Gaussians4D, parameter_shapes
+from flowsplat.gaussians.model_config import ModelConfig
 from flowsplat.gaussians.slicing import cpu, reference
 
 OUTPUTS = ("means", "quats", "scales", "opacities", "colours", "velocities", "next_means", "next_quats")

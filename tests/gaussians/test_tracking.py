@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from flowsplat.gaussians.gaussians4d import Gaussians4D, ModelConfig, parameter_shapes
+from flowsplat.gaussians.gaussians4d import Gaussians4D, parameter_shapes
 from flowsplat.gaussians.model import SceneModel
+from flowsplat.gaussians.model_config import ModelConfig
 from flowsplat.gaussians.motion import LinearMotion
 from flowsplat.gaussians.render import render_active
 from flowsplat.gaussians.tracking import follow_points, pixel_weights

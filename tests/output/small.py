@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from flowsplat.gaussians.gaussians4d import Gaussians4D, ModelConfig, parameter_shapes
+from flowsplat.gaussians.gaussians4d import Gaussians4D, parameter_shapes
 from flowsplat.gaussians.model import SceneModel
+from flowsplat.gaussians.model_config import ModelConfig
 from flowsplat.gaussians.render import render
 from flowsplat.geometry import Camera, Similarity
 from flowsplat.output.player import write_player

@@ -9,8 +9,9 @@ import numpy as np
 import torch
 
 from flowsplat.common.files import write_json
-from flowsplat.gaussians.gaussians4d import Gaussians4D, ModelConfig, parameter_shapes
+from flowsplat.gaussians.gaussians4d import Gaussians4D, parameter_shapes
 from flowsplat.gaussians.model import SceneModel
+from flowsplat.gaussians.model_config import ModelConfig
 from flowsplat.geometry import Camera, Similarity
 from flowsplat.scenes import Scene
 from flowsplat.splatting.rules import C0

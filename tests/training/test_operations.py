@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from flowsplat.gaussians.gaussians4d import Gaussians4D, ModelConfig, parameter_shapes
+from flowsplat.gaussians.gaussians4d import Gaussians4D, parameter_shapes
+from flowsplat.gaussians.model_config import ModelConfig
 from flowsplat.training.adam import RowAdam, cpu, reference
 from flowsplat.training.picture_loss import PictureTargets, PictureWeights, picture_loss
 from flowsplat.training.picture_loss import cpu as picture_cpu

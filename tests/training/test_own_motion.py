@@ -11,9 +11,9 @@ import torch
 
 from flowsplat.common.errors import InputError
 from flowsplat.gaussians.density import DensityStatistics, densify
-from flowsplat.gaussians.gaussians4d import ModelConfig
 from flowsplat.gaussians.initialize import initialize
 from flowsplat.gaussians.model import SceneModel
+from flowsplat.gaussians.model_config import ModelConfig
 from flowsplat.geometry import Similarity
 from flowsplat.output.export.still import still_at
 from flowsplat.output.player.pack import pack

@@ -66,11 +66,14 @@ def pick_device(name: str) -> torch.device:
 
 def kernels_for(value: Tensor) -> Kernels:
     """Whose kernels compute with tensors like this one; what is not float32 goes through the oracles, on any device."""
-    if value.dtype != torch.float32:
-        return "reference"
-    if value.device.type == "cpu":
+    return "reference" if value.dtype != torch.float32 else kernels_on(value.device)
+
+
+def kernels_on(device: torch.device) -> Kernels:
+    """Whose kernels compute on a device."""
+    if device.type == "cpu":
         return "cpu"
-    return "triton" if value.device.type == "cuda" and gpu_problem() is None else "reference"
+    return "triton" if device.type == "cuda" and gpu_problem() is None else "reference"
 
 
 class Later:

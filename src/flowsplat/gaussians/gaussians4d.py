@@ -10,8 +10,8 @@ from torch import Tensor
 
 from flowsplat.common import devices
 from flowsplat.common.devices import Kernels, Later
-from flowsplat.common.settings import later
 from flowsplat.gaussians.culling import RowCapacity, active_rows, border, padded_rows
+from flowsplat.gaussians.model_config import ModelConfig
 from flowsplat.gaussians.motion import MotionModel, motion_model, presence
 from flowsplat.geometry import Camera
 from flowsplat.splatting.harmonics import harmonics_count
@@ -19,46 +19,6 @@ from flowsplat.splatting.rules import EPS2D
 
 NEAR_PLANE = 0.02
 """Planar depth (median depth = 1) below which nothing is rendered."""
-
-
-@dataclass(frozen=True)
-class ModelConfig:
-    """What one Gaussian is made of (METHOD 1)."""
-
-    kind: str = later("series")
-    """Motion model: ``series``, which the next settings describe, ``linear`` (the linear 4D Gaussian of 4DGS), or one of your own
-    (CONTRIBUTING.md)."""
-    move_means: bool = True
-    """Means move along polynomial + Fourier series. Off: the vanilla term, a straight line (the paper's ablation)."""
-    move_quats: bool = True
-    """Quaternions move likewise. Off: constant rotation; with ``move_means`` off too, the linear 4D Gaussian of 4DGS."""
-    mean_poly: int = 6
-    """Order of the polynomial of the mean."""
-    mean_fourier: int = 6
-    """Order of the Fourier series of the mean."""
-    quat_poly: int = 3
-    """Order of the polynomial of the quaternion."""
-    quat_fourier: int = 3
-    """Order of the Fourier series of the quaternion."""
-    fourier_base: float = 1.0
-    """Lowest frequency of the Fourier series, radians per clip length."""
-    sh_degree: int = 3
-    """Degree of the spherical harmonics of colour, 0 to 3."""
-    gains: int = 0
-    """Cosines of the brightness in time of the background; 0 = off (the paper)."""
-    freeze_background: bool = False
-    """The background neither moves nor fades in time (as long as it is background)."""
-    p_min: float = 0.05
-    """A Gaussian is rendered where its presence p(t) is at least this."""
-
-    def motion(self) -> MotionModel:
-        """The motion model that these settings describe.
-
-        Raises:
-            InputError: there is none of that kind.
-        """
-        neither = self.kind == "series" and not self.move_means and not self.move_quats
-        return motion_model("linear" if neither else self.kind, self)
 
 
 @dataclass(frozen=True)
@@ -131,7 +91,7 @@ class Gaussians4D:
     motion: MotionModel = field(init=False)
 
     def __post_init__(self) -> None:
-        self.motion = self.config.motion()
+        self.motion = motion_model(self.config)
         expected = parameter_shapes(self.config)
         if set(expected) != set(self.params):
             raise ValueError(f"parameters {sorted(self.params)} do not fit the model {sorted(expected)}")
@@ -245,7 +205,7 @@ def parameter_shapes(config: ModelConfig) -> dict[str, tuple[int, ...]]:
         "logit_opacities": (),
         "sh": (harmonics_count(config.sh_degree), 3),
         "log_gains": (config.gains,),
-        **{name: parameter.shape for name, parameter in config.motion().parameters.items()},
+        **{name: parameter.shape for name, parameter in motion_model(config).parameters.items()},
     }
 
 

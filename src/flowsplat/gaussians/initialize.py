@@ -12,7 +12,9 @@ import torch
 from flowsplat.common.errors import InputError
 from flowsplat.common.spread import spread
 from flowsplat.gaussians.first_motion import fit_motion
-from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Gaussians4D, ModelConfig, concatenate, parameter_shapes
+from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Gaussians4D, concatenate, parameter_shapes
+from flowsplat.gaussians.model_config import ModelConfig
+from flowsplat.gaussians.motion import motion_model
 from flowsplat.gaussians.observations import Observation, Observations
 from flowsplat.gaussians.sampling import detail, grid, spacings
 from flowsplat.gaussians.surfaces import SurfaceSamples, sample_surface
@@ -136,7 +138,7 @@ def _build(
     params["logit_opacities"] = torch.full((count,), float(np.log(opacity / (1 - opacity))))
     params["sh"][:, 0] = harmonics_from_colours(torch.from_numpy(samples.colours.astype(np.float32)))
     given = (torch.from_numpy(values.astype(np.float32)) for values in (samples.quats, samples.scales, log_lambdas, motion))
-    params.update(model.motion().start(*given))
+    params.update(motion_model(model).start(*given))
     numbers = np.zeros(count, np.uint8) if movers is None else movers.astype(np.uint8)
     return Gaussians4D(params, torch.full((count,), dynamic), model, movers=torch.from_numpy(numbers))
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib import import_module
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import torch
 from torch import Tensor
 
-from flowsplat.common.triton import check_runs, triton_works
+from flowsplat.common.devices import Kernels, kernels_on
+from flowsplat.common.triton import check_runs
 from flowsplat.splatting import reference
 from flowsplat.splatting.rules import EPS2D, FAR, NEAR
 
@@ -42,13 +42,9 @@ class Projected:
         return self.radii[:, 0] > 0
 
 
-def _pick(backend: str, means: Tensor) -> str:
+def _pick(backend: str, means: Tensor) -> Kernels:
     if backend == "auto":
-        if means.dtype == torch.float64:
-            return "reference"
-        if means.device.type == "cpu":
-            return "cpu"
-        return "triton" if means.device.type == "cuda" and triton_works() is None else "reference"
+        return "reference" if means.dtype == torch.float64 else kernels_on(means.device)
     if backend not in ("cpu", "triton", "reference"):
         raise ValueError(f"unknown backend {backend!r}: use auto, cpu, triton or reference")
     if backend != "reference" and means.dtype != torch.float32:
@@ -57,12 +53,31 @@ def _pick(backend: str, means: Tensor) -> str:
         raise ValueError(f"the cpu backend needs tensors on the CPU, not on {means.device}")
     if backend == "triton":
         check_runs(means)
-    return backend
+    return backend  # type: ignore[return-value]
 
 
-def _kernels(backend: str) -> Any:
-    """The differentiable functions of a backend that has kernels; imported only where they are needed."""
-    return import_module(f"flowsplat.splatting.{backend}.functions")
+class SplattingKernels(Protocol):
+    """The differentiable functions of a backend that has kernels."""
+
+    def project(self, *args: Any) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        """As ``reference.project``, and the squared sigmas [N] within which each Gaussian is drawn."""
+
+    def blend(
+        self, means2d: Tensor, conics: Tensor, opacities: Tensor, features: Tensor, depths: Tensor, extents: Tensor, width: int,
+        height: int, absolute: Tensor | None,
+    ) -> tuple[Tensor, Tensor]:  # fmt: skip
+        """As ``reference.blend``, with the extents of ``project`` in place of the radii."""
+
+
+def _kernels(backend: str) -> SplattingKernels:
+    """Those of a backend, imported only where they are needed."""
+    if backend == "cpu":
+        from flowsplat.splatting.cpu import functions
+
+        return functions
+    from flowsplat.splatting.triton import functions as on_gpu
+
+    return on_gpu
 
 
 def check_finite(**values: Tensor | None) -> None:
@@ -141,10 +156,8 @@ def blend(
             absolute = p.means2d.absgrad = torch.zeros_like(p.means2d)  # type: ignore[attr-defined]
     if p.backend == "reference":
         return reference.blend(p.means2d, p.conics, opacities, features, p.depths, p.radii, width, height, absolute)
-    result: tuple[Tensor, Tensor] = _kernels(p.backend).blend(
-        p.means2d, p.conics, opacities, features, p.depths, p.extents, width, height, absolute
-    )
-    return result
+    assert p.extents is not None
+    return _kernels(p.backend).blend(p.means2d, p.conics, opacities, features, p.depths, p.extents, width, height, absolute)
 
 
 def rasterize(

@@ -20,8 +20,9 @@ from flowsplat.common.files.json_file import Count, Number, SimilarityFile, Text
 from flowsplat.common.progress import say_once
 from flowsplat.common.settings import to_plain
 from flowsplat.gaussians.flow import FlowModel
-from flowsplat.gaussians.gaussians4d import Gaussians4D, ModelConfig, parameter_shapes
+from flowsplat.gaussians.gaussians4d import Gaussians4D, parameter_shapes
 from flowsplat.gaussians.model import SceneModel
+from flowsplat.gaussians.model_config import ModelConfig
 from flowsplat.geometry import Similarity
 from flowsplat.geometry.cameras import FURTHEST
 from flowsplat.training.config import most_of

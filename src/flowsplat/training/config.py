@@ -12,8 +12,9 @@ import tyro
 from flowsplat.common.errors import InputError
 from flowsplat.common.settings import keyed_as, later
 from flowsplat.gaussians.flow import FlowModel
-from flowsplat.gaussians.gaussians4d import ModelConfig
 from flowsplat.gaussians.initialize import InitConfig
+from flowsplat.gaussians.model_config import ModelConfig
+from flowsplat.gaussians.motion import motion_model
 
 
 @dataclass(frozen=True)
@@ -179,7 +180,7 @@ class TrainConfig:
             for name in names:
                 if not holds(values[name]):
                     raise InputError(f"--train.{name} {values[name]:g} {rule}.")
-        self.model.motion()
+        motion_model(self.model)
 
 
 _ONE_OR_MORE = (

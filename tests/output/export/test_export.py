@@ -14,8 +14,9 @@ from safetensors.torch import load_file
 
 from flowsplat.cli import main
 from flowsplat.common.errors import InputError
-from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Gaussians4D, ModelConfig
+from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Gaussians4D
 from flowsplat.gaussians.model import SceneModel
+from flowsplat.gaussians.model_config import ModelConfig
 from flowsplat.gaussians.render import render
 from flowsplat.gaussians.support import with_seen
 from flowsplat.geometry import Camera, Similarity

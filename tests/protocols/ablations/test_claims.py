@@ -8,6 +8,7 @@ import pytest
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.progress import forget_said
+from flowsplat.gaussians.motion import motion_model
 from flowsplat.protocols.ablations.claims import CLAIMS, FULL, PAPER_ORDERS, TITLES, chosen_claims, needed_variants
 from flowsplat.protocols.ablations.variants import Variant, changed
 from flowsplat.training.config import PRESETS, TrainConfig
@@ -43,7 +44,7 @@ def test_names_are_unique_and_settings_exist():
 def test_the_baseline_of_the_paper():
     variant = next(claim.variant for claim in CLAIMS if claim.variant.name == "4dgs")
     config = variant.config(1500, 5000, 0)
-    assert type(config.model.motion()).__name__ == "LinearMotion"
+    assert type(motion_model(config.model)).__name__ == "LinearMotion"
     assert not config.init.from_priors
     assert config.loss.flow == config.loss.rigid == config.loss.depth == 0
     assert config.density.gradient == PRESETS["paper"].density.gradient

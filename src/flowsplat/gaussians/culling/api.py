@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from importlib import import_module
+from typing import Protocol
 
 from torch import Tensor
 
-from flowsplat.common import devices
-from flowsplat.common.devices import Later
+from flowsplat.common.devices import Kernels, Later, kernels_for
 from flowsplat.gaussians.culling.capacity import RowCapacity
 from flowsplat.gaussians.culling.reference import REACH
 from flowsplat.geometry import Camera
@@ -21,6 +20,31 @@ def border(eps2d: float) -> int:
     The cull itself reckons with the usual blur, and a stronger one reaches farther into the picture.
     """
     return max(math.ceil(REACH * (math.sqrt(eps2d) - math.sqrt(EPS2D))), 0)
+
+
+class CullKernels(Protocol):
+    """What each of the twins has."""
+
+    def active_rows(
+        self, at_rest: Tensor, means: Tensor, log_scales: Tensor | None, times: Tensor, log_lambdas: Tensor, t: float, p_min: float,
+        camera: Camera | None, near: float,
+    ) -> tuple[Tensor, int]:  # fmt: skip
+        """As below."""
+
+
+def _twin(kernels: Kernels) -> CullKernels:
+    """Who computes it, imported only where that is needed."""
+    if kernels == "cpu":
+        from flowsplat.gaussians.culling import cpu
+
+        return cpu
+    if kernels == "triton":
+        from flowsplat.gaussians.culling import triton
+
+        return triton
+    from flowsplat.gaussians.culling import reference
+
+    return reference
 
 
 def active_rows(
@@ -52,11 +76,10 @@ def active_rows(
     Returns:
         rows [A] int64 on the device of the Gaussians, and the number of those at rest. The host waits for a GPU to count them.
     """
-    kernels = devices.kernels_for(means)
+    kernels = kernels_for(means)
     if kernels == "reference" and means.device.type == "cpu":
         kernels = "cpu"  # which culls in any float type
-    twin = import_module(f"flowsplat.gaussians.culling.{kernels}")
-    return twin.active_rows(at_rest, means, log_scales, times, log_lambdas, t, p_min, camera, near)
+    return _twin(kernels).active_rows(at_rest, means, log_scales, times, log_lambdas, t, p_min, camera, near)
 
 
 def padded_rows(
@@ -77,5 +100,6 @@ def padded_rows(
         rows [A] int64, those at rest from the first one, moving ones from ``capacity.at_rest``; -1 = padding. Those for
         which there is no row are left out. And how many at rest and moving there are.
     """
-    twin = import_module("flowsplat.gaussians.culling.triton")
-    return twin.padded_rows(at_rest, means, log_scales, times, log_lambdas, t, p_min, camera, near, capacity)
+    from flowsplat.gaussians.culling import triton
+
+    return triton.padded_rows(at_rest, means, log_scales, times, log_lambdas, t, p_min, camera, near, capacity)

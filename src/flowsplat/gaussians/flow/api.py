@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib import import_module
+from typing import Protocol
 
 import torch
 from torch import Tensor
 
-from flowsplat.common import devices
+from flowsplat.common.devices import Kernels, kernels_for
 from flowsplat.gaussians.flow.reference import FlowModel, flow_features
 from flowsplat.gaussians.slicing import Slice
 from flowsplat.geometry import Camera
@@ -30,6 +30,27 @@ class FlowView:
     dt: float
 
 
+class FlowKernels(Protocol):
+    """What each of the twins has."""
+
+    def blend_displacement(self, sliced: Slice, projected: Projected, other: Camera) -> Tensor:
+        """Flow goes to the Gaussians' ``next_means`` in the ``other`` camera."""
+
+    def blend_affine(self, sliced: Slice, projected: Projected, camera: Camera, other: Camera) -> Tensor:
+        """From the Gaussians in ``camera`` to where they are next in the ``other`` one."""
+
+
+def _twin(kernels: Kernels) -> FlowKernels:
+    """Who computes it, imported only where that is needed."""
+    if kernels == "cpu":
+        from flowsplat.gaussians.flow import cpu
+
+        return cpu
+    from flowsplat.gaussians.flow import triton
+
+    return triton
+
+
 def blend_features(sliced: Slice, projected: Projected, camera: Camera, flow: FlowView | None) -> Tensor:
     """Features [A, C] of the Gaussians: colour, depth, 2 or 6 of flow, and 1 where the other camera does not see the Gaussian.
 
@@ -39,9 +60,9 @@ def blend_features(sliced: Slice, projected: Projected, camera: Camera, flow: Fl
     if flow is None:
         return torch.cat([sliced.colours, projected.depths[:, None]], 1)
     dtype, device = sliced.means.dtype, sliced.means.device
-    kernels = devices.kernels_for(sliced.means)
+    kernels = kernels_for(sliced.means)
     if kernels != "reference" and (flow.model == "displacement" or (flow.model == "affine" and sliced.covars is None)):
-        twin = import_module(f"flowsplat.gaussians.flow.{kernels}")
+        twin = _twin(kernels)
         if flow.model == "displacement":
             return twin.blend_displacement(sliced, projected, flow.camera)
         return twin.blend_affine(sliced, projected, camera, flow.camera)

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
+from flowsplat.gaussians.model_config import ModelConfig
 from flowsplat.gaussians.motion.protocol import FusedKernels, MotionState, Parameter, Params, Shape, register
 from flowsplat.geometry.rotations import covariances, normalize_quats
-
-if TYPE_CHECKING:
-    from flowsplat.gaussians.gaussians4d import ModelConfig
 
 
 def _left_matrix(q: Tensor) -> Tensor:

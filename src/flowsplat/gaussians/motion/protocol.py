@@ -8,15 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, Protocol
+from typing import Literal, Protocol
 
 import torch
 from torch import Tensor
 
 from flowsplat.common.errors import InputError
-
-if TYPE_CHECKING:
-    from flowsplat.gaussians.gaussians4d import ModelConfig
+from flowsplat.gaussians.model_config import ModelConfig
 
 Params = Mapping[str, Tensor]
 RateGroup = Literal["rotation", "scale", "precision", "motion"]
@@ -129,7 +127,7 @@ class MotionModel(Protocol):
         ...
 
 
-Maker = Callable[["ModelConfig"], MotionModel]
+Maker = Callable[[ModelConfig], MotionModel]
 
 _makers: dict[str, Maker] = {}
 
@@ -144,12 +142,14 @@ def register(kind: str) -> Callable[[Maker], Maker]:
     return keep
 
 
-def motion_model(kind: str, settings: ModelConfig) -> MotionModel:
-    """The model of that name.
+def motion_model(settings: ModelConfig) -> MotionModel:
+    """The motion model that these settings describe; a series of which neither means nor rotations are left is the linear one.
 
     Raises:
-        InputError: there is none.
+        InputError: there is none of that kind.
     """
+    neither = settings.kind == "series" and not settings.move_means and not settings.move_quats
+    kind = "linear" if neither else settings.kind
     if kind not in _makers:
         raise InputError(f"Unknown motion model {kind!r}: choose one of {', '.join(sorted(_makers))}.")
     return _makers[kind](settings)

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
+from flowsplat.gaussians.model_config import ModelConfig
 from flowsplat.gaussians.motion.protocol import FusedKernels, MotionState, Parameter, Params, presence, register
 from flowsplat.gaussians.motion.rigid import RigidMotion
-
-if TYPE_CHECKING:
-    from flowsplat.gaussians.gaussians4d import ModelConfig
 
 
 def series_basis(tau: Tensor, poly_order: int, fourier_order: int, fourier_base: float) -> Tensor:

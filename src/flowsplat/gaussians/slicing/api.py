@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib import import_module
+from typing import Protocol
 
 from torch import Tensor
 
+from flowsplat.common.devices import Kernels
 from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
 
 Gradients = dict[str, Tensor]
@@ -46,6 +47,30 @@ class Slice:
     next_quats: Tensor | None
 
 
+class SliceKernels(Protocol):
+    """What each of the twins has."""
+
+    def slice_gaussians(
+        self, gaussians: Gaussians4D, active: Active, camera_center: Tensor, next_time: float | None, gradients: Gradients | None
+    ) -> Slice:
+        """As below."""
+
+
+def _twin(kernels: Kernels) -> SliceKernels:
+    """Who computes it, imported only where that is needed."""
+    if kernels == "cpu":
+        from flowsplat.gaussians.slicing import cpu
+
+        return cpu
+    if kernels == "triton":
+        from flowsplat.gaussians.slicing import triton
+
+        return triton
+    from flowsplat.gaussians.slicing import reference
+
+    return reference
+
+
 def slice_gaussians(
     gaussians: Gaussians4D,
     active: Active,
@@ -66,5 +91,4 @@ def slice_gaussians(
         gradients: where the gradients of the parameters go in the backward pass (a parameter that nothing depends on may be
             missing then); None = the slice is not differentiable.
     """
-    twin = import_module(f"flowsplat.gaussians.slicing.{gaussians.sliced_by}")
-    return twin.slice_gaussians(gaussians, active, camera_center, next_time, gradients)
+    return _twin(gaussians.sliced_by).slice_gaussians(gaussians, active, camera_center, next_time, gradients)

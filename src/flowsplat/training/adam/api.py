@@ -3,12 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib import import_module
+from typing import Protocol
 
 import torch
 from torch import Tensor
 
-from flowsplat.common import devices
+from flowsplat.common.devices import Kernels, kernels_for
+
+
+class AdamKernels(Protocol):
+    """What each of the twins has."""
+
+    def step_rows(
+        self, value: Tensor, mean: Tensor, square: Tensor, counts: Tensor, rows: Tensor, stepped: Tensor, gradient: Tensor,
+        rates: Tensor,
+    ) -> None:  # fmt: skip
+        """As in ``reference``."""
+
+
+def _twin(kernels: Kernels) -> AdamKernels:
+    """Who computes it, imported only where that is needed."""
+    if kernels == "cpu":
+        from flowsplat.training.adam import cpu
+
+        return cpu
+    if kernels == "triton":
+        from flowsplat.training.adam import triton
+
+        return triton
+    from flowsplat.training.adam import reference
+
+    return reference
 
 
 class RowAdam:
@@ -53,8 +78,9 @@ class RowAdam:
         """
         if len(rows) == 0 or value[0].numel() == 0:
             return
-        twin = import_module(f"flowsplat.training.adam.{devices.kernels_for(value)}")
-        twin.step_rows(value.view(len(value), -1), *self.moments(name), rows, stepped, gradient.reshape(len(rows), -1), rates)
+        _twin(kernels_for(value)).step_rows(
+            value.view(len(value), -1), *self.moments(name), rows, stepped, gradient.reshape(len(rows), -1), rates
+        )
 
     def moments(self, name: str) -> tuple[Tensor, Tensor, Tensor]:
         """Of a parameter, [N, D] first and second moments, themselves, and the steps [N] that each row has taken."""

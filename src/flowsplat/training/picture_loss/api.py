@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib import import_module
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from flowsplat.common import devices
+from flowsplat.common.devices import Kernels
 
 Plane = np.ndarray | Tensor
 """A picture in the memory of the host, or on a device."""
@@ -76,6 +76,30 @@ class PictureFigures:
     squared_error: float | Tensor
 
 
+class PictureLossKernels(Protocol):
+    """What each of the twins has."""
+
+    def picture_loss(
+        self, image: Tensor, alpha: Tensor, flow_channels: int, targets: PictureTargets, weights: PictureWeights
+    ) -> tuple[Tensor, PictureFigures]:
+        """As below."""
+
+
+def _twin(kernels: Kernels) -> PictureLossKernels:
+    """Who computes it, imported only where that is needed."""
+    if kernels == "cpu":
+        from flowsplat.training.picture_loss import cpu
+
+        return cpu
+    if kernels == "triton":
+        from flowsplat.training.picture_loss import triton
+
+        return triton
+    from flowsplat.training.picture_loss import reference
+
+    return reference
+
+
 def picture_loss(
     image: Tensor, alpha: Tensor, flow_channels: int, targets: PictureTargets, weights: PictureWeights
 ) -> tuple[Tensor, PictureFigures]:
@@ -97,5 +121,4 @@ def picture_loss(
     Returns:
         the loss, a scalar, and its parts.
     """
-    twin = import_module(f"flowsplat.training.picture_loss.{devices.kernels_for(image)}")
-    return twin.picture_loss(image, alpha, flow_channels, targets, weights)
+    return _twin(devices.kernels_for(image)).picture_loss(image, alpha, flow_channels, targets, weights)

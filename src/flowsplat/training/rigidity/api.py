@@ -2,12 +2,34 @@
 
 from __future__ import annotations
 
-from importlib import import_module
+from typing import Protocol
 
 from torch import Tensor
 
-from flowsplat.common import devices
+from flowsplat.common.devices import Kernels, kernels_for
 from flowsplat.training.rigidity.neighbours import Neighbours
+
+
+class RigidLossKernels(Protocol):
+    """What each of the twins has."""
+
+    def rigid_loss(self, velocities: Tensor, rows: Tensor, neighbours: Neighbours, count: int | Tensor) -> Tensor:
+        """As below."""
+
+
+def _twin(kernels: Kernels) -> RigidLossKernels:
+    """Who computes it, imported only where that is needed."""
+    if kernels == "cpu":
+        from flowsplat.training.rigidity import cpu
+
+        return cpu
+    if kernels == "triton":
+        from flowsplat.training.rigidity import triton
+
+        return triton
+    from flowsplat.training.rigidity import reference
+
+    return reference
 
 
 def rigid_loss(velocities: Tensor, rows: Tensor, neighbours: Neighbours, count: int | Tensor) -> Tensor:
@@ -20,5 +42,4 @@ def rigid_loss(velocities: Tensor, rows: Tensor, neighbours: Neighbours, count: 
         count: how many of the rows are not padding for ours; the number of all Gaussians for the paper's. A tensor where only the
             device knows it.
     """
-    twin = import_module(f"flowsplat.training.rigidity.{devices.kernels_for(velocities)}")
-    return twin.rigid_loss(velocities, rows, neighbours, count)
+    return _twin(kernels_for(velocities)).rigid_loss(velocities, rows, neighbours, count)
