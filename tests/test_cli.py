@@ -228,6 +228,18 @@ def test_folders_that_cannot_be_used(capsys, tmp_path, scene):
     assert "different input" in refuse(capsys, "run", folder, "-o", tmp_path / "out")
 
 
+def test_what_an_earlier_version_wrote_is_refused_in_one_line(capsys, tmp_path, scene):
+    out = tmp_path / "run"
+    call(capsys, "run", scene, "-o", out, "--priors", "true", *FAST)
+    for name, content in (("run.json", {"version": 1}), ("model/model.json", {"version": 4})):
+        record = json.loads((out / name).read_text())
+        (out / name).write_text(json.dumps({**record, **content}))
+        for command in (("view", out), ("export", out, "--to", "ply"), ("render", out)):
+            if name == "run.json" or command[0] != "view":
+                assert "earlier flowsplat" in refuse(capsys, *command)
+        (out / name).write_text(json.dumps(record))
+
+
 def test_scenes_that_are_damaged(capsys, tmp_path, scene):
     def damaged(name: str) -> Scene:
         shutil.copytree(scene, tmp_path / name)

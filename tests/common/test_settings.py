@@ -1,23 +1,20 @@
-"""Settings as plain values, and those that came when there were runs already."""
+"""Settings as plain values."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
-from flowsplat.common.settings import from_plain, keyed_as, later, to_plain
+import pytest
+
+from flowsplat.common.errors import InputError
+from flowsplat.common.settings import from_plain, to_plain
 
 
 @dataclass(frozen=True)
 class Inner:
     old: int = 1
-    new: str = later("as before")
-
-
-@dataclass(frozen=True)
-class Changed:
-    old: int = 1
-    new: bool = later(False, default=True)
+    new: str = "as before"
 
 
 @dataclass(frozen=True)
@@ -28,28 +25,16 @@ class Outer:
 
 
 def test_settings_become_what_json_holds():
-    assert to_plain(Outer(Inner(2, "else"))) == {"inner": {"old": 2, "new": "else"}, "names": ["a", "b"], "file": "x/y"}
+    value = {"inner": {"old": 2, "new": "else"}, "names": ["a", "b"], "file": "x/y"}
+    assert to_plain(Outer(Inner(2, "else"))) == value
+    assert from_plain(Outer, value) == Outer(Inner(2, "else"))
 
 
-def test_what_came_later_is_left_out_at_its_default():
-    assert to_plain(Outer())["inner"] == {"old": 1}
-    assert Inner().new == "as before"
-    assert to_plain(replace(Inner(), new="else"))["new"] == "else"
+def test_what_is_missing_has_its_default():
+    assert from_plain(Outer, {"inner": {"old": 3}}) == Outer(Inner(3))
 
 
-def test_what_came_later_may_have_another_default_now():
-    assert Changed().new
-    assert to_plain(Changed()) == {"old": 1, "new": True}
-    assert to_plain(Changed(new=False)) == {"old": 1}, "as those from before"
-    assert not from_plain(Changed, {"old": 1}).new
-    assert all(from_plain(Changed, to_plain(value)) == value for value in (Changed(), Changed(new=False)))
-
-
-def test_keys_keep_an_earlier_default_that_changes_no_result():
-    @dataclass(frozen=True)
-    class Settings:
-        every: int | None = keyed_as(250, default=None)
-
-    assert to_plain(Settings()) == {"every": None}
-    assert to_plain(Settings(), first_names=True) == {"every": 250}
-    assert to_plain(Settings(10), first_names=True) == {"every": 10}
+@pytest.mark.parametrize("value", [{"nothing": 1}, {"inner": {"nothing": 1}}, {"inner": {"old": "x"}}, {"inner": 3}, {"names": 3}])
+def test_what_is_no_setting_is_refused(value):
+    with pytest.raises(InputError):
+        from_plain(Outer, value)

@@ -11,7 +11,6 @@ from typing import Any
 import tyro
 
 from flowsplat import __version__
-from flowsplat.cli.arguments import with_present_names
 from flowsplat.cli.benchmarks import benchmark_commands
 from flowsplat.cli.commands import all_commands
 from flowsplat.cli.help import message_of, short_help
@@ -39,7 +38,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
         return
     whole = "--help-all" in arguments
     arguments = ["--help" if argument == "--help-all" else argument for argument in arguments]
-    arguments = with_present_names(arguments)
     box, told = io.StringIO(), io.StringIO()
     prog, commands = "flowsplat", {}
     try:

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from flowsplat.common.settings import later
-
 
 @dataclass(frozen=True)
 class ModelConfig:
     """What one Gaussian is made of (METHOD 1)."""
 
-    kind: str = later("series")
+    kind: str = "series"
     """Motion model: ``series``, which the next settings describe, ``linear`` (the linear 4D Gaussian of 4DGS), or one of your own
     (CONTRIBUTING.md)."""
     move_means: bool = True

@@ -10,7 +10,7 @@ import tyro
 
 from flowsplat.common.devices import DeviceName, pick_device
 from flowsplat.common.errors import InputError
-from flowsplat.common.settings import flat, later, to_plain
+from flowsplat.common.settings import flat, to_plain
 from flowsplat.output.videos import RenderOptions
 from flowsplat.priors.prepare import PriorsOptions
 from flowsplat.scenes.clip import InputOptions
@@ -35,10 +35,10 @@ class RunConfig:
     """What the result is compared with; ``all`` also trains our own static scene (a quarter of the training time)."""
     refine_poses: bool = True
     """Also measure held-out frames with their poses refined on their own pictures: beside the strict figures, never instead."""
-    final_fit: bool = later(False, default=True)
+    final_fit: bool = True
     """After the measurement, fit the held-out frames, too, and make videos, exports and the viewer's pictures of the result. The
     figures stay those of the model that has not seen them."""
-    first_scene: bool = later(True)
+    first_scene: bool = True
     """Begin a run of more than some four minutes with a coarse scene of few small frames (``first/``), to look at meanwhile."""
     device: DeviceName = "auto"
     """What to train and render on: ``auto`` is the GPU where it works."""

@@ -44,7 +44,7 @@ Observe = Callable[[Scene], Observations]
 
 def train_key(folder: RunFolder) -> str:
     """What a trained scene belongs to: the prepared scene, and the settings of training that change the result."""
-    settings = to_plain(folder.config.train, first_names=True)
+    settings = to_plain(folder.config.train)
     return stage_key(folder.record["stages"].get("prepare", {}).get("key"), affecting_result(settings))
 
 

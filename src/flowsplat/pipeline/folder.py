@@ -39,7 +39,7 @@ from flowsplat.common.memory import begin_peak, give_back_memory, peak_memory, r
 from flowsplat.common.settings import from_plain, to_plain
 from flowsplat.pipeline.config import RunConfig
 
-VERSION = 1
+VERSION = 2
 
 Seconds = Annotated[float, Meta(ge=0, le=1e9)]
 
@@ -61,7 +61,7 @@ class RunFile(TypedDict):
     config: dict[str, Any]
     started: dict[str, Text]
     stages: dict[str, StageFile]
-    wall_seconds: NotRequired[Seconds]
+    wall_seconds: Seconds
 
 
 class AreaScores(TypedDict):
@@ -138,7 +138,7 @@ class RunFolder:
         """Open the folder of a run that was started before.
 
         Raises:
-            InputError: it is none, is damaged, or belongs to a newer version.
+            InputError: it is none, is damaged, or of another version.
         """
         self.path, self._begun = Path(path), time.perf_counter()
         if not (self.path / "run.json").exists():
@@ -146,9 +146,11 @@ class RunFolder:
         self.record: dict[str, Any] = read_json(self.path / "run.json", Versioned)
         if self.record["version"] > VERSION:
             raise InputError(f"{path} was written by a newer flowsplat. Update flowsplat.")
+        if self.record["version"] < VERSION:
+            raise InputError(f"{path} is a run of an earlier flowsplat, which this one does not go on with: choose another folder.")
         check_json(self.path / "run.json", self.record, RunFile)
         self.fingerprint: str = self.record["fingerprint"]
-        self._earlier: float = self.record.get("wall_seconds", 0.0)
+        self._earlier: float = self.record["wall_seconds"]
         try:
             self.config = from_plain(RunConfig, self.record["config"])
         except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -267,8 +269,8 @@ class RunFolder:
 
 
 def stage_key(*parts: Any) -> str:
-    """A short hash of everything that a stage depends on; settings count by the names that they had first."""
-    text = json.dumps([to_plain(part, first_names=True) for part in parts], sort_keys=True)
+    """A short hash of everything that a stage depends on."""
+    text = json.dumps([to_plain(part) for part in parts], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 

@@ -35,7 +35,7 @@ from flowsplat.priors.objects import load_movers
 from flowsplat.priors.objects.description import mover_figures
 from flowsplat.scenes import Scene
 from flowsplat.scenes.clip import Clip
-from flowsplat.training.checkpoint import has_model, load_model, present_figures
+from flowsplat.training.checkpoint import has_model, load_model
 
 _MOST_HISTORY = 64 * 2**20
 
@@ -193,7 +193,7 @@ def read_history(path: Path) -> list[dict[str, float]]:
     entries = read_json(path, list[dict[str, Number | None]], _MOST_HISTORY) if path.exists() else []
     if any(entry.get("step") is None for entry in entries):
         raise InputError(f"{path} is damaged: it has figures of no step.")
-    return present_figures(entries)
+    return entries
 
 
 # -- render

@@ -13,7 +13,6 @@ import tyro
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.progress import busy, say
-from flowsplat.common.settings import later
 from flowsplat.priors.background.matched_clip import MatchedClip, forget_solutions
 from flowsplat.priors.background.static_depth import static_depth
 from flowsplat.priors.cameras import CameraOptions, camera_stage
@@ -49,12 +48,12 @@ class PriorsOptions:
     first."""
     mask_box: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """A box round a moving object: x0,y0,x1,y1@frame. A click inside it on the same frame belongs to it."""
-    mask_not: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = later(())
+    mask_not: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """What is none of these objects, or not the one of a number: x,y@frame or x,y@frame=1. Any frame will do."""
-    touch: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = later(())
+    touch: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """Where something that moves touches what is still, the ground, say: x,y@frame, as for --mask-click. One such place tells how
     far away it is over the whole clip. Repeat it for more."""
-    distance: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = later(())
+    distance: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """What something that moves is as far away as: x,y@frame=x2,y2, where x2,y2 shows something still in that frame."""
     depth: Literal["multiview", "depth-anything", "depth-pro"] = "multiview"
     """Depth: multiview (no weights), or a monocular network of the extra ``learned``, fitted to the cameras frame by frame."""

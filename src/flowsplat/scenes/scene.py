@@ -169,8 +169,7 @@ class Scene(Layers):
     def sound(self) -> tuple[Path, float] | None:
         """The file of the clip's sound, and at which second of it the clip starts.
 
-        It lies in the folder of the scene. Scenes of earlier versions name the film itself, wherever it is: a scene may come from
-        anybody, so such a file is left alone.
+        It lies in the folder of the scene: a scene may come from anybody, so a file elsewhere is left alone.
         """
         audio, start = self.info.get("audio"), float(self.info.get("audio_start") or 0.0)
         if not audio:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,7 +17,6 @@ from typing_extensions import NotRequired, TypedDict
 from flowsplat.common.errors import InputError, first_line
 from flowsplat.common.files import atomic_path, check_json, ordinary_file, plain_name, read_json, write_json
 from flowsplat.common.files.json_file import Count, Number, SimilarityFile, Text, Versioned
-from flowsplat.common.progress import say_once
 from flowsplat.common.settings import to_plain
 from flowsplat.gaussians.flow import FlowModel
 from flowsplat.gaussians.gaussians4d import Gaussians4D, parameter_shapes
@@ -27,14 +26,11 @@ from flowsplat.geometry import Similarity
 from flowsplat.geometry.cameras import FURTHEST
 from flowsplat.training.config import most_of
 
-MODEL_VERSION = 4
-"""1 had no ``movers``, 2 no ``seen``, 3 no ``lit``; such models are read."""
+MODEL_VERSION = 5
 _FOUND = ("seen", "lit")
 """What is found when training ends, where it was."""
 _LARGEST_LOG = 80.0
 """Logarithm of what still is a float32."""
-RENAMED_FIGURES = {"open": "coverage"}
-"""Figures of the history that had another name in an earlier version, and their name now."""
 
 
 def write_tensors(path: Path, tensors: Mapping[str, Tensor], values: Mapping[str, Any]) -> None:
@@ -111,19 +107,6 @@ class CheckpointFile(TypedDict):
     config: dict[str, Any]
 
 
-def stored_movers(tensors: Mapping[str, Tensor]) -> Tensor:
-    """[N] uint8 whose the Gaussians of a model or a checkpoint are; 0 for all where it was written before they had numbers."""
-    return tensors.get("movers", torch.zeros_like(tensors["dynamic"])).to(torch.uint8)
-
-
-def present_figures(history: Sequence[Mapping[str, float]]) -> list[dict[str, float]]:
-    """Entries of a history with the names that figures have now; a line says which had another one."""
-    found = [{RENAMED_FIGURES.get(name, name): value for name, value in entry.items()} for entry in history]
-    for before in {name for entry in history for name in entry if name in RENAMED_FIGURES}:
-        say_once(f"The figure {before} of the history of training is called {RENAMED_FIGURES[before]} now.")
-    return found
-
-
 def save_model(folder: Path, model: SceneModel) -> None:
     """Write a trained model: ``gaussians.safetensors`` and a ``model.json`` that a person can read."""
     g = model.gaussians
@@ -155,16 +138,18 @@ def load_model(folder: Path) -> SceneModel:
     """Read what ``save_model`` wrote.
 
     Raises:
-        InputError: missing, damaged, or of a newer version.
+        InputError: missing, damaged, or of another version.
     """
     path = folder / "model.json"
     value = read_json(path, Versioned)
     if value["version"] > MODEL_VERSION:
         raise InputError(f"{folder} was written by a newer flowsplat (model version {value['version']}). Update flowsplat.")
+    if value["version"] < MODEL_VERSION:
+        raise InputError(f"{folder} was written by an earlier flowsplat (model version {value['version']}): train it anew.")
     check_json(path, value, ModelFile)
     try:
         tensors, _ = read_tensors(folder / "gaussians.safetensors", value["gaussians"])
-        dynamic, movers = tensors["dynamic"].to(torch.bool), stored_movers(tensors)
+        dynamic, movers = tensors["dynamic"].to(torch.bool), tensors["movers"].to(torch.uint8)
         params = {name: tensor for name, tensor in tensors.items() if name not in ("dynamic", "movers", *_FOUND)}
         found = {name: tensors.get(name) for name in _FOUND}
         gaussians = Gaussians4D(params, dynamic, ModelConfig(**value["model"]), value["sh_degree"], movers, **found)
@@ -274,7 +259,7 @@ def load_checkpoint(folder: Path, similarity: Similarity, first: float, last: fl
     try:
         config = values["config"]
         params = {name.removeprefix("param."): value for name, value in tensors.items() if name.startswith("param.")}
-        dynamic, movers = tensors["dynamic"].bool(), stored_movers(tensors)
+        dynamic, movers = tensors["dynamic"].bool(), tensors["movers"].to(torch.uint8)
         gaussians = Gaussians4D(params, dynamic, ModelConfig(**config["model"]), int(values["sh_degree"]), movers)
         check_model(path, gaussians)
         model = SceneModel(gaussians, similarity, first, last, config["flow_model"], bool(config["fill"]), focal)

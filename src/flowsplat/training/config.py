@@ -10,7 +10,6 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from flowsplat.common.errors import InputError
-from flowsplat.common.settings import keyed_as, later
 from flowsplat.gaussians.flow import FlowModel
 from flowsplat.gaussians.initialize import InitConfig
 from flowsplat.gaussians.model_config import ModelConfig
@@ -26,7 +25,7 @@ class RatesConfig:
     means_pixels: float = 0.06
     """Positions at rest move at most this many pixels a step, as seen at the median depth, and ``motion`` is slowed down alike:
     pixels are small in a fine picture and behind a long lens. 0 = as fast as the rates say."""
-    along_ray: float = later(before=1.0, default=15.0)
+    along_ray: float = 15.0
     """Positions at rest learn along their ray up to this many times as fast as across it: as much as the camera's travel shows
     their depth less than their place in the picture. 1 = alike in all directions."""
     times: float = 1.6e-4
@@ -118,7 +117,7 @@ class DensityConfig:
     where background is no other than what moves (``model.freeze_background`` off, as in the paper)."""
     revise_flow: float = 1.5
     """Mean flow residual in pixels from which background counts as moving."""
-    revise_colour: float = later(before=0.0, default=0.04)
+    revise_colour: float = 0.04
     """Mean difference of colours, 0 to 1, from which it does: where nothing is to be seen flow is a guess."""
     revise_rest: float = 0.3
     """Dynamic Gaussians that would move less than this many pixels over the whole clip, seen at the median depth, and explain the
@@ -133,7 +132,7 @@ class TrainConfig:
     """Optimizer steps."""
     frames_per_iteration: int = 1
     """Frames rendered in a step; their losses are averaged. 0 = all (the paper, read literally)."""
-    order: Literal["random", "spread"] = later(before="random", default="spread")
+    order: Literal["random", "spread"] = "spread"
     """Of the frames in a round: random, or so that those of steps that follow each other lie far apart. What moves is seen in a few
     neighbouring frames, and so is stepped at even intervals."""
     flow_model: FlowModel = "displacement"
@@ -142,7 +141,7 @@ class TrainConfig:
     """The result is the mean over this share of the steps, the last ones; 0 = what the last step led to."""
     seed: Annotated[int, tyro.conf.arg(aliases=("--seed",))] = 0
     """Of every random choice."""
-    checkpoint_every: int | None = keyed_as(250, default=None)
+    checkpoint_every: int | None = None
     """Steps between two checkpoints; 0 = none, None = by time: after 5 seconds, then every 20 or, where that costs more than 2 % of
     the time, less often. Stopping writes one in any case."""
     preview_every: int = 100

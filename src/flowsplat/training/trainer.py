@@ -17,7 +17,7 @@ from flowsplat.common.errors import InputError
 from flowsplat.common.files import check_json, write_json
 from flowsplat.common.memory import freed_memory_kept
 from flowsplat.common.progress import busy, progress_bar, say
-from flowsplat.common.settings import present_names, to_plain
+from flowsplat.common.settings import to_plain
 from flowsplat.common.stopping import Stopped, stop_requests
 from flowsplat.common.threads import in_one_launch
 from flowsplat.gaussians.culling import RowCapacity
@@ -36,9 +36,7 @@ from flowsplat.training.checkpoint import (
     check_model,
     check_training_state,
     latest_checkpoint,
-    present_figures,
     read_tensors,
-    stored_movers,
     write_tensors,
 )
 from flowsplat.training.config import TrainConfig, affecting_result
@@ -388,8 +386,7 @@ class Trainer:
         self._recent.append(entry)
         if self.step % RECORD_EVERY == 0 or self.step == self.config.iterations:
             recent = _read(self._recent)
-            # Those that an earlier version kept in a checkpoint may lack a figure of today.
-            mean = {name: float(np.mean([e[name] for e in recent if name in e])) for name in entry}
+            mean = {name: float(np.mean([e[name] for e in recent])) for name in entry}
             self.history.append({"step": float(self.step), **mean, "gaussians": float(len(self.gaussians))})
             self._recent = []
             if self._record is not None:
@@ -488,8 +485,7 @@ class Trainer:
             return False
         tensors, values = read_tensors(path)
         check_json(path, values, CheckpointFile)
-        stored = present_names(TrainConfig, values["config"], "train.")
-        if affecting_result(stored) != affecting_result(to_plain(self.config)):
+        if affecting_result(values["config"]) != affecting_result(to_plain(self.config)):
             raise InputError(f"{path} was written with other training settings. Use another output folder, or delete it.")
         try:
             self._restore(tensors, values)
@@ -507,20 +503,18 @@ class Trainer:
             chosen = {name[len(prefix) + 1 :]: value for name, value in tensors.items() if name.startswith(prefix + ".")}
             return {name: value.to(self._device) for name, value in chosen.items()}
 
-        dynamic, movers = tensors["dynamic"].to(self._device), stored_movers(tensors).to(self._device)
+        dynamic, movers = tensors["dynamic"].to(self._device), tensors["movers"].to(torch.uint8).to(self._device)
         self.gaussians = Gaussians4D(group("param"), dynamic, self.config.model, int(values["sh_degree"]), movers)
         self._adam = RowAdam(self.gaussians.params)
         self._adam.load_state(group("adam"))
         statistics = group("statistics")
-        # Those that an earlier version kept in a checkpoint lack what it did not ask for.
-        statistics.setdefault("colour_residual", torch.zeros_like(statistics["flow_residual"]))
         self._statistics = DensityStatistics(**statistics)
         self._average.load_state(int(values["averaged"]), group("average"))
         self._generator.set_state(tensors["generator"])
         self._rng.bit_generator.state = values["rng"]
         self._queue, self.step = list(values["queue"]), int(values["step"])
-        self._recent = [{**entry} for entry in present_figures(values["recent"])]
-        self.history = present_figures(values["history"])
+        self._recent = [{**entry} for entry in values["recent"]]
+        self.history = values["history"]
         self._neighbours_found = int(values["neighbours_found"])
         self.earlier_seconds = float(values["seconds"])
         self._neighbours = Neighbours(**group("neighbours")) if "neighbours.indices" in tensors else None

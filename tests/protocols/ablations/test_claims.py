@@ -7,7 +7,6 @@ from dataclasses import asdict
 import pytest
 
 from flowsplat.common.errors import InputError
-from flowsplat.common.progress import forget_said
 from flowsplat.gaussians.motion import motion_model
 from flowsplat.protocols.ablations.claims import CLAIMS, FULL, PAPER_ORDERS, TITLES, chosen_claims, needed_variants
 from flowsplat.protocols.ablations.variants import Variant, changed
@@ -70,9 +69,3 @@ def test_changing_settings():
         with pytest.raises(ValueError, match="no setting"):
             changed(TrainConfig(), {path: 1})
     assert Variant("full", "all").settings == ""
-
-
-def test_a_row_is_found_by_its_earlier_name(capsys):
-    forget_said()
-    assert [claim.variant.name for claim in chosen_claims(["no-opaque"])] == ["no-coverage"]
-    assert "no-opaque is called no-coverage now" in capsys.readouterr().err

@@ -128,12 +128,3 @@ def test_every_kind_of_row_is_trained(runs_root, tmp_path):
     text = (tmp_path / "ablations.md").read_text()
     assert "one static scene" in text
     assert "one run" in text, "one seed on one scene has no spread"
-
-
-def test_results_of_an_earlier_version_get_the_names_of_today(tmp_path, capsys):
-    before, after = (tmp_path / f"ablations_bear_32_{name}_4-steps_seed0.json" for name in ("no-opaque", "no-coverage"))
-    before.write_text(json.dumps({"variant": "no-opaque", "psnr": 30.0}))
-    benchmark._rename_results(tmp_path)
-    assert json.loads(after.read_text()) == {"variant": "no-coverage", "psnr": 30.0}
-    assert not before.exists()
-    assert f"{before.name} is called {after.name} now" in capsys.readouterr().err.replace("\n", "")

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from flowsplat.common.errors import InputError
-from flowsplat.common.settings import later
 from flowsplat.gaussians.distances import check_factors
 from flowsplat.gaussians.renderer import Part, numbers_of
 from flowsplat.output.camera_files import LARGEST
@@ -57,10 +56,10 @@ class RenderOptions:
     """Every video also as a pair for two eyes, left beside right (``<name>_stereo.mp4``); movers alone stand on black."""
     eye_distance: float = 0.03
     """Between the eyes of ``stereo`` and the ends of ``wiggle``, over the scene's median depth."""
-    distances: tuple[str, ...] = later(())
+    distances: tuple[str, ...] = ()
     """Movers farther from the clip's camera than they were trained, or nearer: each ``number=factor``, as in ``2=1.2 3=0.9``. Their
     sizes go with them, so that the clip's own frames stay as they are, but for who hides whom; other cameras see the difference."""
-    fading: bool = later(False)
+    fading: bool = False
     """What the clip has not seen well enough to tell what it looks like from where the camera stands fades to black, instead of
     being shown as a guess."""
     camera_file: Path | None = None

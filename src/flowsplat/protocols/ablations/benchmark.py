@@ -9,9 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from flowsplat.common.files import read_json, write_json
-from flowsplat.common.progress import say
-from flowsplat.protocols.ablations.claims import CLAIMS, RENAMED_ROWS, chosen_claims, needed_variants
+from flowsplat.protocols.ablations.claims import CLAIMS, chosen_claims, needed_variants
 from flowsplat.protocols.ablations.report import write_report
 from flowsplat.protocols.ablations.scenes import ablation_scenes, chosen_scenes
 from flowsplat.protocols.ablations.training_runs import comparable, training_runs
@@ -51,7 +49,6 @@ def run_ablations(
     Raises:
         InputError: a name is not known, an input cannot be used, or the folder cannot be written.
     """
-    _rename_results(out)
     claims, known = chosen_claims(rows), ablation_scenes(root, SIZE)
     wanted = chosen_scenes(root, known, scenes)
     jobs = [run.job(out) for run in training_runs(PROTOCOL, wanted, needed_variants(claims), seeds, iterations, CAP)]
@@ -61,13 +58,3 @@ def run_ablations(
         return write_report(out, found, failed, others)
 
     return measure_jobs(jobs, out, report, "runs", again, options)
-
-
-def _rename_results(out: Path) -> None:
-    """Give results of an earlier version the names that their rows have now, so that they are not measured again."""
-    for before, now in RENAMED_ROWS.items():
-        for path in sorted(out.glob(f"{PROTOCOL}_*_{before}_*.json")):
-            renamed = path.with_name(path.name.replace(f"_{before}_", f"_{now}_"))
-            say(f"{path.name} is called {renamed.name} now.")
-            write_json(renamed, {**read_json(path), "variant": now})
-            path.unlink()

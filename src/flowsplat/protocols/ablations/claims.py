@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from flowsplat.common.errors import InputError
-from flowsplat.common.progress import say_once
 from flowsplat.protocols.ablations.variants import Variant
 
 Group = Literal["representation", "training", "orders", "ours", "baselines"]
@@ -71,9 +70,6 @@ def _orders(mean_poly: int, mean_fourier: int, quat_poly: int, quat_fourier: int
 def _ours(name: str, label: str, changes: Mapping[str, Any], expected: int = -1) -> Claim:
     return Claim("ours", Variant(name, label, changes), expected)
 
-
-RENAMED_ROWS = {"no-opaque": "no-coverage"}
-"""Rows that had another name in an earlier version, and their name now."""
 
 CLAIMS: tuple[Claim, ...] = (
     _from_paper(
@@ -150,9 +146,6 @@ def chosen_claims(names: Sequence[str]) -> list[Claim]:
     Raises:
         InputError: there is no such row.
     """
-    for name in RENAMED_ROWS.keys() & set(names):
-        say_once(f"The row {name} is called {RENAMED_ROWS[name]} now.")
-    names = [RENAMED_ROWS.get(name, name) for name in names]
     known = dict.fromkeys([*TITLES, *(claim.variant.name for claim in CLAIMS)])
     for name in names:
         if name not in known:
