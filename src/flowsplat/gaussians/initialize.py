@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Annotated, Literal
 
 import cv2
 import numpy as np
 import torch
+from msgspec import Meta
 
+from flowsplat.common.bounds import Amount, AtLeastOne, Fraction, Positive, bounds_in_help
 from flowsplat.common.errors import InputError
 from flowsplat.common.spread import spread
 from flowsplat.gaussians.first_motion import fit_motion
@@ -30,6 +32,7 @@ FITTING_MARGIN = 1.01
 """By how much coarser than the count says."""
 
 
+@bounds_in_help
 @dataclass(frozen=True)
 class InitConfig:
     """How the Gaussians start."""
@@ -38,35 +41,35 @@ class InitConfig:
     """Start from depth, masks and motion. Off: at random (the paper's ablation, and the baseline 4DGS)."""
     foreground: Literal["pixels", "tracks"] = "pixels"
     """What becomes a mover's Gaussian: every pixel of its mask in the sampled frames, or every track (the paper)."""
-    samples: int = 24
+    samples: Annotated[int, Meta(ge=1, le=10_000)] = 24
     """Over how many training frames the movers' Gaussians are sampled (the paper's T-hat)."""
-    sample_gap: int = 4
+    sample_gap: Annotated[int, Meta(ge=0, le=10_000)] = 4
     """More of them where two would be further apart than so many training frames; 0 = however far (the paper)."""
-    precision_factor: float = 0.15
+    precision_factor: Positive = 0.15
     """Temporal precision in units of (pi / spacing of the samples)^2: so little lets neighbouring samples overlap."""
-    background_spacing: float = 1.5
+    background_spacing: Annotated[float, Meta(ge=1, le=1_000)] = 1.5
     """Pixels between two background Gaussians on average, 1 or more; a cap makes it larger."""
-    foreground_spacing: float = 1.5
+    foreground_spacing: Annotated[float, Meta(ge=1, le=1_000)] = 1.5
     """The same for movers, in every sampled frame."""
-    detail: float = 1.0
+    detail: Annotated[float, Meta(ge=0, le=4)] = 1.0
     """How much more of them there are where the picture has detail: their density follows its power of this; 0 = evenly."""
-    merge_tolerance: float = 0.1
+    merge_tolerance: Amount = 0.1
     """Relative depth difference within which a background pixel counts as stored already."""
-    edge: int = 2
+    edge: Annotated[int, Meta(ge=0, le=256)] = 2
     """Pixels around the movers' masks from which no background Gaussian is made."""
-    opacity: float = 0.9
+    opacity: Fraction = 0.9
     """Opacity at the start."""
-    size: float = 0.45
+    size: Positive = 0.45
     """Standard deviation at the start, in spacings."""
     surface_aligned: bool = True
     """Start as discs aligned to the surface; off: as spheres as large as the mean distance of three neighbours (as 4DGS)."""
-    flatness: float = 0.2
+    flatness: Positive = 0.2
     """Thickness of a disc relative to its radius."""
-    motion_order: int = 4
+    motion_order: Annotated[int, Meta(ge=1, le=16)] = 4
     """Order of the polynomial that is fitted to the movers' points (``first_motion``)."""
-    motion_reach: int = 3
+    motion_reach: Annotated[int, Meta(ge=0, le=10_000)] = 3
     """Over how many training frames to either side a mover's pixel is followed for that fit."""
-    random_count: int = 300_000
+    random_count: AtLeastOne = 300_000
     """How many Gaussians a random start has (never more than the run's cap)."""
 
 

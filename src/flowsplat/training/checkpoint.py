@@ -14,6 +14,7 @@ from safetensors.torch import save_file
 from torch import Tensor
 from typing_extensions import NotRequired, TypedDict
 
+from flowsplat.common.bounds import bounds_of, problem
 from flowsplat.common.errors import InputError, first_line
 from flowsplat.common.files import atomic_path, check_json, ordinary_file, plain_name, read_json, write_json
 from flowsplat.common.files.json_file import Count, Number, SimilarityFile, Text, Versioned
@@ -24,7 +25,6 @@ from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.model_config import ModelConfig
 from flowsplat.geometry import Similarity
 from flowsplat.geometry.cameras import FURTHEST
-from flowsplat.training.config import most_of
 
 MODEL_VERSION = 5
 _FOUND = ("seen", "lit")
@@ -170,9 +170,9 @@ def check_model(path: Path, gaussians: Gaussians4D) -> None:
     Raises:
         InputError: names the parameter.
     """
-    for name, setting in vars(gaussians.config).items():
-        if isinstance(setting, int | float) and not 0 <= setting <= most_of(f"model.{name}"):
-            raise InputError(f"{path} is damaged: its {name} is {setting:g}, and {most_of(f'model.{name}'):g} at most.")
+    for name, bounds in bounds_of(ModelConfig).items():
+        if wrong := problem(getattr(gaussians.config, name), bounds):
+            raise InputError(f"{path} is damaged: its {name} {wrong}.")
     count, shapes = len(gaussians.dynamic), parameter_shapes(gaussians.config)
     if not 0 <= gaussians.sh_degree <= gaussians.config.sh_degree:
         raise InputError(f"{path} is damaged: its harmonics are of degree {gaussians.config.sh_degree}, not {gaussians.sh_degree}.")

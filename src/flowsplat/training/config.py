@@ -2,83 +2,85 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, fields, is_dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
 import tyro
+from msgspec import Meta
 
-from flowsplat.common.errors import InputError
+from flowsplat.common.bounds import Amount, AtLeastOne, Count, Fraction, Share, bounds_in_help, check_bounds
 from flowsplat.gaussians.flow import FlowModel
 from flowsplat.gaussians.initialize import InitConfig
 from flowsplat.gaussians.model_config import ModelConfig
 from flowsplat.gaussians.motion import motion_model
 
 
+@bounds_in_help
 @dataclass(frozen=True)
 class RatesConfig:
     """Adam's learning rates at the start. Lengths are in median depths, times in clip lengths."""
 
-    means: float = 1.6e-4
+    means: Amount = 1.6e-4
     """Positions; falls to ``means_decay`` of this, exponentially."""
-    means_pixels: float = 0.06
+    means_pixels: Amount = 0.06
     """Positions at rest move at most this many pixels a step, as seen at the median depth, and ``motion`` is slowed down alike:
     pixels are small in a fine picture and behind a long lens. 0 = as fast as the rates say."""
-    along_ray: float = 15.0
+    along_ray: Amount = 15.0
     """Positions at rest learn along their ray up to this many times as fast as across it: as much as the camera's travel shows
     their depth less than their place in the picture. 1 = alike in all directions."""
-    times: float = 1.6e-4
+    times: Amount = 1.6e-4
     """Centre times; constant."""
-    quats: float = 1e-3
+    quats: Amount = 1e-3
     """Rotations."""
-    scales: float = 0.02
+    scales: Amount = 0.02
     """Log scales."""
-    opacities: float = 0.05
+    opacities: Amount = 0.05
     """Logit opacities."""
-    colours: float = 0.02
+    colours: Amount = 0.02
     """Harmonics of degree 0."""
-    harmonics: float = 1e-3
+    harmonics: Amount = 1e-3
     """Harmonics beyond degree 0."""
-    log_lambdas: float = 0.01
+    log_lambdas: Amount = 0.01
     """Log temporal precision."""
-    motion: float = 1e-3
+    motion: Amount = 1e-3
     """Polynomial and Fourier coefficients."""
-    gains: float = 0.015
+    gains: Amount = 0.015
     """Brightness in time: its slowest wave."""
-    gains_falloff: float = 0.5
+    gains_falloff: Amount = 0.5
     """The k-th wave of brightness learns at k to the power of minus this of that rate."""
-    moving: float = 3.0
+    moving: Amount = 3.0
     """Factor for Gaussians that move: each is seen in a few frames only, so it is stepped less often."""
-    means_decay: float = 0.01
+    means_decay: Amount = 0.01
     """What remains of the rate of ``means`` at the end."""
-    motion_decay: float = 0.1
+    motion_decay: Amount = 0.1
     """What remains of the rate of ``motion`` at the end."""
-    decay: float = 0.05
+    decay: Amount = 0.05
     """What remains of all other rates at the end, ``times`` excepted."""
-    moving_decay: float = 0.6
+    moving_decay: Amount = 0.6
     """The same of Gaussians that move."""
 
 
+@bounds_in_help
 @dataclass(frozen=True)
 class LossConfig:
     """Weights of the losses (METHOD 5)."""
 
-    ssim: float = 0.2
+    ssim: Share = 0.2
     """gamma_1: share of SSIM in the colour loss."""
-    flow: float = 0.03
+    flow: Amount = 0.03
     """gamma_2: weight of the flow loss, pixels."""
-    rigid: float = 0.5
+    rigid: Amount = 0.5
     """gamma_3: weight of the rigid loss."""
-    depth: float = 0.05
+    depth: Amount = 0.05
     """Weight of the depth loss (ours; 0 in the paper)."""
-    coverage: float = 0.0
+    coverage: Amount = 0.0
     """Weight of the loss on training pixels that are not covered (ours; 0 in the paper)."""
-    rigid_neighbours: int = 20
+    rigid_neighbours: Annotated[int, Meta(ge=1, le=256)] = 20
     """k: neighbours of every Gaussian in the rigid loss."""
-    rigid_beta: float = 100.0
+    rigid_beta: Annotated[float, Meta(ge=0, le=1_000_000)] = 100.0
     """How fast the weight of a neighbour falls with distance, per median depth."""
-    rigid_refresh: int = 1000
+    rigid_refresh: AtLeastOne = 1000
     """Steps for which the neighbours once found are used."""
     rigid_over_all: bool = False
     """The rigid loss is among all Gaussians that may move, divided by the number of all (the paper); off: among dynamic ones
@@ -88,63 +90,65 @@ class LossConfig:
     which is biased where alpha < 1."""
 
 
+@bounds_in_help
 @dataclass(frozen=True)
 class DensityConfig:
     """When Gaussians are added, removed, reset, and when background becomes dynamic (METHOD 5)."""
 
-    every: int = 100
+    every: Count = 100
     """Steps between two rounds."""
-    start: int = 500
+    start: Count = 500
     """First round."""
-    stop: float = 1.0
+    stop: Share = 1.0
     """Last round, as a share of all iterations."""
-    gradient: float = 0.0002
+    gradient: Amount = 0.0002
     """Clone or split above this mean gradient of the 2D mean, in normalised device coordinates; 0 = never."""
-    clone_below: float = 0.01
+    clone_below: Amount = 0.01
     """Gaussians whose largest scale is below this are cloned, the others split. Median depths."""
-    prune_opacity: float = 0.005
+    prune_opacity: Amount = 0.005
     """Remove below this opacity."""
-    prune_scale: float = 0.1
+    prune_scale: Amount = 0.1
     """Remove above this scale, once the first opacity reset is past; 0 = never. Median depths."""
-    reset_every: int = 600
+    reset_every: Count = 600
     """Steps between two opacity resets; 0 = never."""
-    reset_to: float = 0.01
+    reset_to: Fraction = 0.01
     """Opacity after a reset."""
-    max_gaussians: int = 1_500_000
+    max_gaussians: AtLeastOne = 1_500_000
     """Never more than this."""
     revise: bool = True
     """Background that keeps a large residual becomes dynamic, dynamic Gaussians that rest become background (ours). Without effect
     where background is no other than what moves (``model.freeze_background`` off, as in the paper)."""
-    revise_flow: float = 1.5
+    revise_flow: Amount = 1.5
     """Mean flow residual in pixels from which background counts as moving."""
-    revise_colour: float = 0.04
+    revise_colour: Amount = 0.04
     """Mean difference of colours, 0 to 1, from which it does: where nothing is to be seen flow is a guess."""
-    revise_rest: float = 0.3
+    revise_rest: Amount = 0.3
     """Dynamic Gaussians that would move less than this many pixels over the whole clip, seen at the median depth, and explain the
     flow where they are seen, come to rest."""
 
 
+@bounds_in_help
 @dataclass(frozen=True)
 class TrainConfig:
     """How a scene is trained."""
 
-    iterations: int = 1500
+    iterations: Count = 1500
     """Optimizer steps."""
-    frames_per_iteration: int = 1
+    frames_per_iteration: Annotated[int, Meta(ge=0, le=10_000)] = 1
     """Frames rendered in a step; their losses are averaged. 0 = all (the paper, read literally)."""
     order: Literal["random", "spread"] = "spread"
     """Of the frames in a round: random, or so that those of steps that follow each other lie far apart. What moves is seen in a few
     neighbouring frames, and so is stepped at even intervals."""
     flow_model: FlowModel = "displacement"
     """How flow is splatted: ``mean`` (the paper), ``displacement`` or ``affine`` (docs/method.md, section 3)."""
-    average: float = 0.2
+    average: Share = 0.2
     """The result is the mean over this share of the steps, the last ones; 0 = what the last step led to."""
-    seed: Annotated[int, tyro.conf.arg(aliases=("--seed",))] = 0
+    seed: Annotated[int, Meta(ge=0, le=2**63 - 1), tyro.conf.arg(aliases=("--seed",))] = 0
     """Of every random choice."""
-    checkpoint_every: int | None = None
+    checkpoint_every: Annotated[int | None, Meta(ge=0, le=10_000_000)] = None
     """Steps between two checkpoints; 0 = none, None = by time: after 5 seconds, then every 20 or, where that costs more than 2 % of
     the time, less often. Stopping writes one in any case."""
-    preview_every: int = 100
+    preview_every: Count = 100
     """Steps between two preview pictures; 0 = none."""
     model: ModelConfig = field(default_factory=ModelConfig)
     """What a Gaussian is made of."""
@@ -165,60 +169,8 @@ class TrainConfig:
         Raises:
             InputError: names the option.
         """
-        values = dict(_numbers(self))
-        for name, value in values.items():
-            if not 0 <= value < math.inf:
-                raise InputError(f"--train.{name} {value:g} must be 0 or more.")
-            if value > most_of(name):
-                raise InputError(f"--train.{name} {value:g} must be at most {most_of(name):g}.")
-        for rule, holds, names in (
-            ("must be 1 or more", lambda value: value >= 1, _ONE_OR_MORE),
-            ("must be more than 0", lambda value: value > 0, _POSITIVE),
-            ("must be between 0 and 1", lambda value: 0 < value < 1, _BETWEEN),
-        ):
-            for name in names:
-                if not holds(values[name]):
-                    raise InputError(f"--train.{name} {values[name]:g} {rule}.")
+        check_bounds(self, "--train.")
         motion_model(self.model)
-
-
-_ONE_OR_MORE = (
-    "init.samples", "init.background_spacing", "init.foreground_spacing", "init.random_count", "init.motion_order",
-    "loss.rigid_neighbours", "loss.rigid_refresh", "density.max_gaussians",
-)  # fmt: skip
-_POSITIVE = ("init.precision_factor", "init.size", "init.flatness")
-_BETWEEN = ("init.opacity", "density.reset_to", "model.p_min")
-_MOST: Mapping[str, float] = {
-    **dict.fromkeys(("average", "loss.ssim", "density.stop", "init.opacity", "density.reset_to", "model.p_min"), 1),
-    "model.sh_degree": 3,
-    "init.detail": 4,
-    "init.motion_order": 16,
-    **dict.fromkeys(("model.mean_poly", "model.mean_fourier", "model.quat_poly", "model.quat_fourier"), 64),
-    **dict.fromkeys(("model.gains", "loss.rigid_neighbours", "init.edge"), 256),
-    **dict.fromkeys(("frames_per_iteration", "init.samples", "init.sample_gap", "init.motion_reach"), 10_000),
-    "loss.rigid_beta": 1e6,
-    **dict.fromkeys(("iterations", "checkpoint_every", "preview_every", "loss.rigid_refresh"), 10_000_000),
-    **dict.fromkeys(("density.every", "density.start", "density.reset_every", "init.random_count", "density.max_gaussians"), 10**7),
-    "seed": 2**63 - 1,
-}
-"""What makes sense at most of numbers, by dotted name: beyond it they are slips that would overflow or fill the memory."""
-_MOST_OF_OTHERS = 1000.0
-"""Rates, weights, lengths in median depths or pixels."""
-
-
-def most_of(name: str) -> float:
-    """The largest value that a number of the settings of training may have, by its dotted name."""
-    return _MOST.get(name, _MOST_OF_OTHERS)
-
-
-def _numbers(config: Any, prefix: str = "") -> Iterator[tuple[str, float]]:
-    """Every number of a dataclass of settings by its dotted name."""
-    for each in fields(config):
-        value = getattr(config, each.name)
-        if is_dataclass(value):
-            yield from _numbers(value, f"{prefix}{each.name}.")
-        elif isinstance(value, int | float) and not isinstance(value, bool):
-            yield f"{prefix}{each.name}", value
 
 
 _OURS = TrainConfig(
