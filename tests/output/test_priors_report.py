@@ -12,7 +12,7 @@ import pytest
 
 from flowsplat.geometry import Camera
 from flowsplat.output.camera_path import path_at_an_angle, path_from_above
-from flowsplat.output.priors_report import NAME, PANEL, _Shown, verdict, write_priors_report
+from flowsplat.output.priors_report import PANEL, _Shown, verdict, write_priors_report
 from flowsplat.pipeline import prepare
 from flowsplat.pipeline.config import RunConfig
 from flowsplat.priors.given import use_truth
@@ -55,7 +55,7 @@ def as_found(scene: Scene) -> Scene:
 
 def page_of(folder: Path, scene: Scene) -> str:
     path = write_priors_report(folder, scene, {"cameras": 12.4})
-    assert path == folder / NAME
+    assert path == folder / "priors.html"
     return path.read_text(encoding="utf-8")
 
 
@@ -233,7 +233,7 @@ def test_cameras_in_one_place_and_cameras_that_look_every_way_can_be_drawn():
 def test_preparing_writes_the_page_and_says_so(scene, tmp_path, capsys):
     config = RunConfig()
     folder = prepare(scene.folder, tmp_path / "out", config)
-    assert (folder.path / NAME).stat().st_size > 10_000
+    assert (folder.path / "priors.html").stat().st_size > 10_000
     assert "Training can work" in capsys.readouterr().err
 
 

@@ -16,6 +16,7 @@ import msgspec
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import plain_name, read_json_lines, read_rows, read_text
 from flowsplat.common.files.json_file import Text
+from flowsplat.common.run_paths import RunPaths
 from flowsplat.common.settings import setting_types, with_settings
 from flowsplat.pipeline.config import RunConfig, check, option_of
 from flowsplat.scenes.ingest import kind_of_input
@@ -103,7 +104,7 @@ def _is_folder_of_clips(folder: Path) -> bool:
 def _within(folder: Path, out: Path, depth: int = 0) -> Iterator[Path]:
     """The clips in a folder, by name; what is hidden, or a run, is none."""
     for path in sorted(folder.iterdir()):
-        if path.name.startswith(".") or Path(os.path.abspath(path)) == out or (path / "run.json").exists():
+        if path.name.startswith(".") or Path(os.path.abspath(path)) == out or RunPaths(path).record_path.exists():
             continue
         if path.is_file():
             if path.suffix.lower() in VIDEO_SUFFIXES:

@@ -20,6 +20,7 @@ from flowsplat.batch.upload import upload
 from flowsplat.batch.work import Attempt, Job
 from flowsplat.common.files import atomic_path
 from flowsplat.common.progress import say
+from flowsplat.common.run_paths import RunPaths
 from flowsplat.common.source import source_state
 from flowsplat.evaluation.scores import pick
 from flowsplat.output.page import fitted
@@ -117,7 +118,7 @@ def fewer_gaussians(config: RunConfig) -> RunConfig:
 
 def _video(folder: Path) -> Path | None:
     """What the page plays: the first video in colour alone, that along the clip's path before others."""
-    renders = folder / "renders"
+    renders = RunPaths(folder).renders_path
     files = sorted(rendered(renders).items(), key=lambda each: (not each[0].startswith("input"), not each[0].endswith("_colour")))
     found = (renders / file for _, file in files)
     return next((path for path in found if path.suffix == ".mp4" and path.exists()), None)
@@ -125,8 +126,9 @@ def _video(folder: Path) -> Path | None:
 
 def _write_thumb(name: str, folder: Path, out: Path) -> str:
     """A small picture of the result, of a held-out frame where there is one; its place, relative to OUT."""
-    scene = Scene(folder / "scene")
-    shown = sorted((folder / "evaluation" / "heldout").glob("[0-9][0-9][0-9][0-9][0-9].png"))
+    run = RunPaths(folder)
+    scene = Scene(run.scene_path)
+    shown = sorted((run.evaluation_path / "heldout").glob("[0-9][0-9][0-9][0-9][0-9].png"))
     image = read_image(shown[len(shown) // 2]) if shown else scene.frame(scene.train_frames[len(scene.train_frames) // 2])
     path = out / FOLDER / "thumbs" / f"{name}.jpg"
     with atomic_path(path) as temporary:

@@ -10,6 +10,7 @@ import tyro
 
 from flowsplat.cli.arguments import value_of
 from flowsplat.common.progress import console, say
+from flowsplat.common.run_paths import RunPaths
 
 HOLDOUT_NOTE = "These figures are of frames that were kept back (--holdout); --holdout none trains on all of them."
 
@@ -196,7 +197,7 @@ def all_commands(arguments: Sequence[str]) -> dict[str, Any]:
         from flowsplat.output.tracks import read_queries, write_tracks
         from flowsplat.scenes import Scene
 
-        model, scene = pipeline.load(out), Scene(out / "scene")
+        model, scene = pipeline.load(out), Scene(RunPaths(out).scene_path)
         wanted = read_queries([point for some in at for point in some], queries, scene)
         written, found = write_tracks(model, scene, wanted, path or out / "export" / "tracks.json")
         say(f"Written: {written}. {found} of {len(wanted)} points lie on something and were followed.")
@@ -237,7 +238,7 @@ def _stored_config(arguments: Sequence[str]) -> Any:
     from flowsplat.pipeline.folder import RunFolder
 
     for argument in arguments[1:]:
-        if not argument.startswith("-") and (Path(argument) / "run.json").exists():
+        if not argument.startswith("-") and RunPaths(Path(argument)).record_path.exists():
             return RunFolder(Path(argument)).config
     return None
 

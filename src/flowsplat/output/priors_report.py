@@ -13,6 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from flowsplat.common.run_paths import RunPaths
 from flowsplat.common.spread import spread
 from flowsplat.output.camera_path import MoverPath, path_at_an_angle, path_from_above
 from flowsplat.output.page import card, picture_row, write_page
@@ -28,8 +29,6 @@ from flowsplat.priors.objects import SceneMovers, load_movers
 from flowsplat.priors.objects.areas import large_movers, moving_objects
 from flowsplat.priors.objects.description import MoverDescription, describe_movers, sureness
 from flowsplat.scenes import Scene, Tracks
-
-NAME = "priors.html"
 
 PANEL = 400
 """Pixels of the longer side of a picture in the strip."""
@@ -63,7 +62,7 @@ def write_priors_report(folder: Path, scene: Scene, seconds: Mapping[str, float]
         InputError: a prior is missing or damaged, or the folder cannot be written.
     """
     shown, movers = _Shown(scene), load_movers(scene)
-    path = Path(folder) / NAME
+    path = RunPaths(folder).priors_report_path
     write_page(
         path,
         "priors.html.jinja",

@@ -13,6 +13,7 @@ import numpy as np
 from markupsafe import Markup
 
 from flowsplat.common.durations import duration
+from flowsplat.common.run_paths import RunPaths
 from flowsplat.evaluation.scores import pick
 from flowsplat.output.page import card, picture_row, write_page
 from flowsplat.pictures.charts import Points, line_chart
@@ -20,8 +21,6 @@ from flowsplat.pictures.colors import error_to_color, flow_legend, flow_scale, f
 from flowsplat.pictures.html import figure, picture, table
 from flowsplat.priors.objects.description import sureness
 
-NAME = "report.html"
-VIDEO_FOLDER = "renders"
 """Where the videos lie, seen from the report."""
 
 _EVEN = 0.1
@@ -97,7 +96,7 @@ def write_report(folder: Path, data: ReportData) -> Path:
     Raises:
         InputError: the folder cannot be written.
     """
-    path = Path(folder) / NAME
+    path = RunPaths(folder).report_path
     write_page(
         path,
         "report.html.jinja",
@@ -335,15 +334,16 @@ def _flows(flows: Sequence[FlowComparison]) -> list[dict[str, Any]]:
 
 def _videos(videos: Mapping[str, str]) -> Iterator[dict[str, Any]]:
     """The videos with three panels, each with a link to the one with colour alone."""
+    folder = RunPaths(Path()).renders_path.name
     for name, file in videos.items():
         if not name.endswith("_colour"):
             colour = videos.get(f"{name}_colour")
             yield {
                 "title": _video_title(name),
-                "file": f"{VIDEO_FOLDER}/{quote(file)}",
+                "file": f"{folder}/{quote(file)}",
                 "panels": file.endswith(".mp4") and not name.endswith("_stereo"),
                 "picture": file.endswith(".gif"),
-                "colour": None if colour is None else f"{VIDEO_FOLDER}/{quote(colour)}",
+                "colour": None if colour is None else f"{folder}/{quote(colour)}",
             }
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import make_folder, read_json, write_bytes, write_json
 from flowsplat.common.progress import console, say
-from flowsplat.output.report import NAME as REPORT
+from flowsplat.common.run_paths import RunPaths
 from flowsplat.output.report import verdict
 from flowsplat.pipeline.config import RunConfig
 from flowsplat.pipeline.fitting import train
@@ -56,7 +56,7 @@ def run_demo(out: Path, width: int = 320, frames: int = 40) -> None:
     true_metrics = render_run(true)
     console.print(figures_table({"own priors": own_metrics, "true priors": true_metrics}))
     say(f"Own priors. {verdict(own_metrics)}")
-    say(f"True priors. {verdict(true_metrics)} {out / 'true' / REPORT}")
+    say(f"True priors. {verdict(true_metrics)} {RunPaths(out / 'true').report_path}")
     for line in next_steps(out / "own"):
         say(line)
 

@@ -13,6 +13,7 @@ from flowsplat.common.durations import duration
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_json
 from flowsplat.common.files.lease import holder
+from flowsplat.common.run_paths import RunPaths
 from flowsplat.output.report import verdict
 from flowsplat.pipeline.folder import MetricsFile, RunFolder
 from flowsplat.scenes import Scene
@@ -28,7 +29,7 @@ def describe(path: Path | None) -> Iterator[str]:
         InputError: the folder is neither a run nor a scene.
     """
     if path is not None:
-        if (path / "run.json").exists():
+        if RunPaths(path).record_path.exists():
             yield from _describe_run(RunFolder(path))
         elif (path / "scene.json").exists():
             yield from _describe_scene(Scene(path))
@@ -58,7 +59,7 @@ def _describe_run(folder: RunFolder) -> Iterator[str]:
             continue
         state = "not finished" if entry is None else f"finished in {duration(sum(entry['seconds'].values()))}"
         yield f"  {stage}: {state}"
-    metrics = folder.path / "metrics.json"
+    metrics = folder.metrics_path
     if metrics.exists():
         values = read_json(metrics, MetricsFile)
         yield f"  {verdict(values)}"

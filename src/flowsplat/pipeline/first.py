@@ -7,23 +7,20 @@ training has a checkpoint.
 
 from __future__ import annotations
 
-import shutil
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import torch
 
 from flowsplat.common.devices import pick_device
 from flowsplat.common.progress import as_one, say
+from flowsplat.common.run_paths import RunPaths
 from flowsplat.gaussians.observations import load_observations
 from flowsplat.output.videos import RenderOptions, render_videos
-from flowsplat.output.viewer.source import FIRST
 from flowsplat.pictures.colors import float_to_bytes
 from flowsplat.pictures.sheets import preview_sheet
-from flowsplat.pipeline.folder import RunFolder, stage_key
+from flowsplat.pipeline.folder import RunFolder, Stage, stage_key
 from flowsplat.priors.cameras import CameraOptions
 from flowsplat.priors.prepare import PriorsOptions, prepare_priors
 from flowsplat.scenes.clip import Clip, InputOptions, resize_labels, resize_picture
@@ -35,6 +32,8 @@ from flowsplat.training.config import PRESETS, TrainConfig
 from flowsplat.training.scene_model import scene_model
 from flowsplat.training.trainer import Trainer
 
+FIRST = "first"
+"""The stage that makes it."""
 FRAMES = 24
 """Frames that it is made from, at most."""
 APART = 0.2
@@ -110,16 +109,15 @@ def first_scene(folder: RunFolder, clip: Clip) -> None:
 
     Writes ``first/scene``, ``first/model``, ``first/renders`` and the run's ``preview.png``.
     """
-    where = folder.path / FIRST
+    where = folder.first
     settings = first_settings()
     key = stage_key(folder.fingerprint, FRAMES, APART, LONG_SIDE, settings)
-    if folder.is_finished(FIRST, key) and has_model(where / "model"):
-        return
-    if not folder.was_started(FIRST, key):
-        folder.forget(FIRST)
-        shutil.rmtree(where, ignore_errors=True)
-    folder.start(FIRST, key)
-    started = time.perf_counter()
+    with folder.stage(FIRST, key, (where.path,), made=has_model(where.model_path)) as stage:
+        if not stage.is_done:
+            _make_first(folder, stage, clip, where, settings)
+
+
+def _make_first(folder: RunFolder, stage: Stage, clip: Clip, where: RunPaths, settings: TrainConfig) -> None:
     coarse = CoarseClip.of(clip, folder.config.input.holdout)
     device = pick_device(folder.config.device)
     say(f"First a coarse scene of {coarse.num_frames} small frames, to look at meanwhile (--no-first-scene leaves it out).")
@@ -129,20 +127,20 @@ def first_scene(folder: RunFolder, clip: Clip) -> None:
     except Exception as error:  # Nothing depends on it: whatever it fails of, memory too, the run goes on.
         say(f"There is no first scene: {error or type(error).__name__}")
         return
-    folder.finish(FIRST, key, {FIRST: time.perf_counter() - started})
-    say(f"Look at it: flowsplat view {folder.path}, or {where / 'renders'}. It is coarse: the scene proper takes its place.")
+    stage.finish()
+    say(f"Look at it: flowsplat view {folder.path}, or {where.renders_path}. It is coarse: the scene proper takes its place.")
 
 
-def _make(folder: RunFolder, coarse: CoarseClip, where: Path, settings: TrainConfig, device: torch.device) -> None:
+def _make(folder: RunFolder, coarse: CoarseClip, where: RunPaths, settings: TrainConfig, device: torch.device) -> None:
     focal = folder.config.priors.cameras.focal
-    scene = ingest(coarse, where / "scene", InputOptions(holdout=None))
+    scene = ingest(coarse, where.scene_path, InputOptions(holdout=None))
     cameras = CameraOptions(focal=None if focal is None else focal * coarse.width / coarse.whole.width, solver="own")
     prepare_priors(scene, PriorsOptions(cameras=cameras))
     tracks = scene.tracks if scene.has_tracks else None
     trainer = Trainer(load_observations(scene), tracks, settings, device=device)
     model = scene_model(scene, trainer.run(), settings)
-    save_model(where / "model", model)
+    save_model(where.model_path, model)
     middle = scene.num_frames // 2
     rendered = model.render(scene.cameras[middle], float(scene.timestamps[middle]))
-    write_image(folder.path / "preview.png", preview_sheet(scene.frame(middle), float_to_bytes(rendered.colour)))
-    render_videos(model, scene, where / "renders", VIDEOS)
+    write_image(folder.preview_path, preview_sheet(scene.frame(middle), float_to_bytes(rendered.colour)))
+    render_videos(model, scene, where.renders_path, VIDEOS)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import shutil
 import threading
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -26,7 +25,7 @@ from flowsplat.output.videos import forget_videos
 from flowsplat.pictures.colors import float_to_bytes
 from flowsplat.pictures.sheets import preview_sheet
 from flowsplat.pipeline.config import check
-from flowsplat.pipeline.folder import RunFolder, stage_key
+from flowsplat.pipeline.folder import RunFolder, Stage, stage_key
 from flowsplat.priors.heldout import heldout_flow
 from flowsplat.priors.prepare import flow_estimator
 from flowsplat.scenes import Scene, Tracks
@@ -40,6 +39,10 @@ from flowsplat.training.trainer import Trainer
 
 Begin = Callable[[Observations, Tracks | None, TrainConfig], Gaussians4D]
 Observe = Callable[[Scene], Observations]
+
+
+HISTORY = "history.json"
+"""Of a training, beside its checkpoints."""
 
 
 def train_key(folder: RunFolder) -> str:
@@ -64,18 +67,15 @@ def _train(folder: RunFolder) -> SceneModel:
         raise InputError(f"{folder.path} is not prepared yet: run flowsplat prepare first.")
     check(folder.config)  # before anything is deleted
     key = train_key(folder)
-    if folder.is_finished("train", key) and has_model(folder.model_path):
-        return load_model(folder.model_path).to(pick_device(folder.config.device))
-    if not folder.was_started("train", key):
-        if folder.model_path.exists() or (folder.path / "training").exists():
+    if not folder.is_finished("train", key) and not folder.was_started("train", key):
+        if folder.model_path.exists() or folder.training_path.exists():
             say("The settings of training, or the scene, are others than before: it begins anew.")
-        folder.forget("train")
-        folder.forget("final")
-        for old in ("training", "logs", "final", "model"):
-            shutil.rmtree(folder.path / old, ignore_errors=True)
-        forget_videos(folder.path / "renders")
-        folder.start("train", key)
-    return _trained(folder, "train", key, folder.config.train, "training", folder.model_path)
+        forget_videos(folder.renders_path)
+    owns = folder.training_path, folder.logs_path, folder.final_path, folder.model_path
+    with folder.stage("train", key, owns, drops=("final",), made=has_model(folder.model_path)) as stage:
+        if stage.is_done:
+            return load_model(folder.model_path).to(pick_device(folder.config.device))
+        return _trained(folder, stage, "train", folder.config.train, folder.training_path, folder.model_path)
 
 
 def _drop_checkpoints(path: Path) -> None:
@@ -85,30 +85,31 @@ def _drop_checkpoints(path: Path) -> None:
 
 
 def _trained(
-    folder: RunFolder, stage: str, key: str, config: TrainConfig, where: str, model_path: Path, begin: Begin | None = None,
+    folder: RunFolder, stage: Stage, name: str, config: TrainConfig, where: Path, model_path: Path, begin: Begin | None = None,
     observe: Observe = load_observations, first_step: int = 0, visits: Sequence[int] | None = None,
 ) -> SceneModel:  # fmt: skip
-    """Train in the folder ``where`` of a run, from the last checkpoint there if there is one, and save the scene.
+    """Train in the folder ``where``, from the last checkpoint there if there is one, save the scene, and finish the stage.
 
     Args:
+        name: of the stage.
         begin: makes the Gaussians to start from; None = as ``initialize``.
         observe: gives the frames to train on.
         first_step: how many steps those of ``begin`` have behind them.
         visits: how often each frame is drawn in a round; None = once.
     """
-    started, out, scene = time.perf_counter(), folder.path, Scene(folder.scene_path)
+    scene = Scene(folder.scene_path)
     with busy("Loading frames and priors"):
         tracks, observations = scene.tracks if scene.has_tracks else None, observe(scene)
 
     def preview(step: int, frame: Observation, rendered: RenderedFrame) -> None:
         image = rendered.colour.detach().clamp(0, 1).cpu().numpy()
-        write_image(out / "preview.png", preview_sheet(frame.image, float_to_bytes(image)))
+        write_image(folder.preview_path, preview_sheet(frame.image, float_to_bytes(image)))
 
     start = None if begin is None else begin(observations, tracks, config)
     shown = preview if begin is None else None  # the picture of a run is that of its scene, not of what it is compared with
     device = pick_device(folder.config.device)
-    with _event_log(out / "logs" / where) as record:
-        trainer = Trainer(observations, tracks, config, out / where, shown, record, start, device, first_step, visits)
+    with _event_log(folder.logs_path / where.name) as record:
+        trainer = Trainer(observations, tracks, config, where, shown, record, start, device, first_step, visits)
         model = scene_model(scene, trainer.run(), config)
         earlier = trainer.earlier_seconds
         history = trainer.history
@@ -121,9 +122,9 @@ def _trained(
             seconds = [float(scene.timestamps[i]) for i in of]
             model = with_lit(model, [scene.cameras[i] for i in of], seconds, [scene.mask(i) for i in of])
     save_model(model_path, model)
-    write_json(out / where / "history.json", history)
-    folder.finish(stage, key, {stage: earlier + time.perf_counter() - started})
-    _drop_checkpoints(out / where)
+    write_json(where / HISTORY, history)
+    stage.finish({name: earlier + stage.seconds[name]})
+    _drop_checkpoints(where)
     return model
 
 
@@ -154,18 +155,14 @@ def _event_log(folder: Path) -> Iterator[Callable[[Mapping[str, float]], None]]:
 
 def static_model(folder: RunFolder) -> SceneModel:
     """Our own static scene: the same initial Gaussians, movers as in their middle frame, no motion, a quarter of the steps."""
-    path = folder.path / "static"
-    key = stage_key(train_key(folder), "static")
-    if folder.is_finished("static", key) and has_model(path):
-        return load_model(path).to(pick_device(folder.config.device))
-    if not folder.was_started("static", key):
-        folder.forget("static")
-        shutil.rmtree(path, ignore_errors=True)
-        folder.start("static", key)
-    config = static_config(folder.config.train)
-    say("Training the static scene for comparison.")
-    quarter = replace(config, iterations=max(1, config.iterations // 4))
-    return _trained(folder, "static", key, quarter, "static", path, static_start)
+    path, key = folder.static_path, stage_key(train_key(folder), "static")
+    with folder.stage("static", key, (path,), made=has_model(path)) as stage:
+        if stage.is_done:
+            return load_model(path).to(pick_device(folder.config.device))
+        config = static_config(folder.config.train)
+        say("Training the static scene for comparison.")
+        quarter = replace(config, iterations=max(1, config.iterations // 4))
+        return _trained(folder, stage, "static", quarter, path, path, static_start)
 
 
 # -- the final fit
@@ -191,13 +188,13 @@ def fit_heldout(folder: RunFolder) -> None:
             folder.forget("final")
             shutil.rmtree(folder.final_path)
         return
-    key = final_key(folder)
-    if folder.is_finished("final", key) and has_model(folder.final_path):
-        return
-    if not folder.was_started("final", key):
-        folder.forget("final")
-        shutil.rmtree(folder.final_path, ignore_errors=True)
-        folder.start("final", key)
+    path = folder.final_path
+    with folder.stage("final", final_key(folder), (path,), made=has_model(path)) as stage:
+        if not stage.is_done:
+            _fit_heldout(folder, stage)
+
+
+def _fit_heldout(folder: RunFolder, stage: Stage) -> None:
     scene, config = Scene(folder.scene_path), folder.config
     say(f"Fitting the {len(scene.heldout_frames)} held-out frames, too, for what is shown: they are measured already.")
 
@@ -211,6 +208,6 @@ def fit_heldout(folder: RunFolder) -> None:
         return load_model(folder.model_path).gaussians
 
     _trained(
-        folder, "final", key, final_config(config.train), "final", folder.final_path, begin,
-        observe, config.train.iterations, final_visits(scene),
+        folder, stage, "final", final_config(config.train), folder.final_path, folder.final_path, begin, observe,
+        config.train.iterations, final_visits(scene),
     )  # fmt: skip

@@ -19,11 +19,13 @@ report.html    all of it to look at
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import os
+import shutil
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -36,6 +38,7 @@ from flowsplat.common.files import check_json, make_folder, read_json, write_jso
 from flowsplat.common.files.json_file import Count, Number, Positive, Text, Versioned
 from flowsplat.common.files.lease import NAME as LOCK
 from flowsplat.common.memory import begin_peak, give_back_memory, peak_memory, recent_peak
+from flowsplat.common.run_paths import RunPaths
 from flowsplat.common.settings import from_plain, to_plain
 from flowsplat.pipeline.config import RunConfig
 
@@ -131,7 +134,33 @@ class MetricsFile(TypedDict, total=False):
     shown: Text
 
 
-class RunFolder:
+class Stage:
+    """A stage of a run that is at work, see ``RunFolder.stage``.
+
+    Attributes:
+        is_done: nothing is left to do: it was finished with this key, and what it made is there.
+    """
+
+    def __init__(self, folder: RunFolder, name: str, key: str, is_done: bool):
+        self.is_done, self._folder, self._name, self._key = is_done, folder, name, key
+        self._started = time.perf_counter()
+
+    @property
+    def seconds(self) -> dict[str, float]:
+        """Seconds since it began, by its name."""
+        return {self._name: time.perf_counter() - self._started}
+
+    def finish(self, seconds: Mapping[str, float] | None = None, memory: Mapping[str, float | None] | None = None) -> None:
+        """Note that it is finished.
+
+        Args:
+            seconds: of its parts; None = all since it began.
+            memory: GiB that parts of it needed, where its memory was counted anew for each.
+        """
+        self._folder._finish(self._name, self._key, self.seconds if seconds is None else seconds, memory)
+
+
+class RunFolder(RunPaths):
     """One run: where its parts are, what is finished, and with which settings."""
 
     def __init__(self, path: Path):
@@ -140,21 +169,22 @@ class RunFolder:
         Raises:
             InputError: it is none, is damaged, or of another version.
         """
-        self.path, self._begun = Path(path), time.perf_counter()
-        if not (self.path / "run.json").exists():
+        super().__init__(path)
+        self._begun = time.perf_counter()
+        if not self.record_path.exists():
             raise InputError(f"{path} is not the folder of a run: it has no run.json. Start with flowsplat run INPUT -o {path}.")
-        self.record: dict[str, Any] = read_json(self.path / "run.json", Versioned)
+        self.record: dict[str, Any] = read_json(self.record_path, Versioned)
         if self.record["version"] > VERSION:
             raise InputError(f"{path} was written by a newer flowsplat. Update flowsplat.")
         if self.record["version"] < VERSION:
             raise InputError(f"{path} is a run of an earlier flowsplat, which this one does not go on with: choose another folder.")
-        check_json(self.path / "run.json", self.record, RunFile)
+        check_json(self.record_path, self.record, RunFile)
         self.fingerprint: str = self.record["fingerprint"]
         self._earlier: float = self.record["wall_seconds"]
         try:
             self.config = from_plain(RunConfig, self.record["config"])
         except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise InputError(f"{self.path / 'run.json'} is damaged: {error}.") from error
+            raise InputError(f"{self.record_path} is damaged: {error}.") from error
 
     @staticmethod
     def open_or_create(path: Path, source: str, fingerprint: str, config: RunConfig) -> RunFolder:
@@ -163,8 +193,8 @@ class RunFolder:
         Raises:
             InputError: the folder cannot be written, holds something else, or belongs to a different input.
         """
-        path = Path(path)
-        if (path / "run.json").exists():
+        path, record = Path(path), RunPaths(path).record_path
+        if record.exists():
             folder = RunFolder(path)
             if folder.fingerprint != fingerprint:
                 raise InputError(
@@ -176,7 +206,7 @@ class RunFolder:
             make_folder(path)
             if any(entry.name != LOCK for entry in path.iterdir()):
                 raise InputError(f"{path} is not empty and not the folder of a run. Choose another folder with -o.")
-            write_json(path / "run.json", _new_record(source, fingerprint, config))
+            write_json(record, _new_record(source, fingerprint, config))
             folder = RunFolder(path)
         if not os.access(path, os.W_OK):
             raise WritingError(f"No permission to write {path}. Choose another output folder with -o.")
@@ -186,7 +216,7 @@ class RunFolder:
     def save(self) -> None:
         """Write the record."""
         self.record["config"], self.record["wall_seconds"] = to_plain(self.config), round(self.wall_seconds, 2)
-        write_json(self.path / "run.json", self.record)
+        write_json(self.record_path, self.record)
 
     # -- stages
 
@@ -204,20 +234,35 @@ class RunFolder:
         self.record["started"].pop(stage, None)
         self.save()
 
-    def start(self, stage: str, key: str) -> None:
-        """Note that a stage begins; what was finished of it before no longer is. Its memory counts from here."""
-        give_back_memory()
-        begin_peak()
-        self.record["stages"].pop(stage, None)
-        self.record["started"][stage] = key
-        self.save()
+    @contextlib.contextmanager
+    def stage(
+        self, name: str, key: str, owns: Sequence[Path] = (), drops: Sequence[str] = (), made: bool = True
+    ) -> Iterator[Stage]:
+        """Do a stage: not where it is finished with this key, from where it stopped if it was begun with it, else from nothing.
 
-    def finish(self, stage: str, key: str, seconds: Mapping[str, float], parts: Mapping[str, float | None] | None = None) -> None:
-        """Note that a stage is finished, how long its parts took, and how much memory it needed.
+        Whoever works calls ``finish`` of what this gives; left without that, by an error or an interrupt, it goes on next time.
 
         Args:
-            parts: GiB that parts of it needed, where its memory was counted anew for each.
+            key: everything that what it makes depends on (``stage_key``).
+            owns: what lies in the folder of it alone, and is deleted where it begins from nothing.
+            drops: stages whose results belong to those of this one: they are forgotten then, too.
+            made: whether what it makes is there, if it was finished.
         """
+        is_done = self.is_finished(name, key) and made
+        if not is_done:
+            if not self.was_started(name, key):
+                for stage in (name, *drops):
+                    self.forget(stage)
+                for path in owns:
+                    shutil.rmtree(path, ignore_errors=True)
+            give_back_memory()
+            begin_peak()
+            self.record["stages"].pop(name, None)
+            self.record["started"][name] = key
+            self.save()
+        yield Stage(self, name, key, is_done)
+
+    def _finish(self, stage: str, key: str, seconds: Mapping[str, float], parts: Mapping[str, float | None] | None) -> None:
         took = {name: round(value, 2) for name, value in seconds.items()}
         peak = max((gib for gib in (recent_peak(), *(parts or {}).values()) if gib is not None), default=None)
         self.record["stages"][stage] = {"key": key, "seconds": took, "peak_memory_gib": peak}
@@ -251,21 +296,6 @@ class RunFolder:
         """GiB that this process and those that finished a stage needed at most; None where the system does not tell."""
         peaks = [peak_memory(), *(stage.get("peak_memory_gib") for stage in self.record["stages"].values())]
         return max((peak for peak in peaks if peak is not None), default=None)
-
-    @property
-    def scene_path(self) -> Path:
-        """The prepared scene."""
-        return self.path / "scene"
-
-    @property
-    def model_path(self) -> Path:
-        """The trained model: what is measured."""
-        return self.path / "model"
-
-    @property
-    def final_path(self) -> Path:
-        """The model that was fitted to the held-out frames, too: what is shown."""
-        return self.path / "final"
 
 
 def stage_key(*parts: Any) -> str:

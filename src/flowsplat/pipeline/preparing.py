@@ -18,11 +18,12 @@ from flowsplat.common.files.lease import NAME as LOCK
 from flowsplat.common.files.writing import writing_error
 from flowsplat.common.memory import begin_peak, give_back_memory, recent_peak
 from flowsplat.common.progress import busy, say
+from flowsplat.common.run_paths import RunPaths
 from flowsplat.output.priors_report import verdict, write_priors_report
 from flowsplat.output.videos import RenderOptions, settle
 from flowsplat.pipeline.compiling import are_missing
 from flowsplat.pipeline.config import RunConfig, check
-from flowsplat.pipeline.folder import RunFolder, stage_key
+from flowsplat.pipeline.folder import RunFolder, Stage, stage_key
 from flowsplat.pipeline.speed import STAGES, TELLING, Estimate, Speed, Watch, expected, expected_memory
 from flowsplat.priors.prepare import check_places, names_places, prepare_priors
 from flowsplat.scenes import Scene
@@ -51,7 +52,7 @@ def prepared(source: Path, out: Path, config: RunConfig, first: Callable[[RunFol
     check(config)
     kind = kind_of_input(source)
     identity = stage_key(kind, _scene_identity(source) if kind == "scene" else fingerprint(source, config.input))
-    is_new, clip = not (Path(out) / "run.json").exists(), None
+    is_new, clip = not RunPaths(out).record_path.exists(), None
     if kind == "scene":
         Scene(source)
         if config.input != InputOptions():
@@ -66,13 +67,12 @@ def prepared(source: Path, out: Path, config: RunConfig, first: Callable[[RunFol
     if folder.is_finished("prepare", key):
         return folder
     show: Callable[[], None] | None = None
-    if first is not None and kind != "scene" and not has_model(folder.path / "model"):
+    if first is not None and kind != "scene" and not has_model(folder.model_path):
         opened = clip or open_clip(source, config.input)
         show = functools.partial(first, folder, opened)
     goes_on = is_new or folder.was_started("prepare", key)
-    with contextlib.nullcontext() if goes_on else _put_aside(folder, before):
-        folder.start("prepare", key)
-        _compute_scene(folder, source, kind, key, is_new, show)
+    with contextlib.nullcontext() if goes_on else _put_aside(folder, before), folder.stage("prepare", key, made=False) as stage:
+        _compute_scene(folder, stage, source, kind, is_new, show)
     shutil.rmtree(folder.path / ASIDE, ignore_errors=True)
     return folder
 
@@ -97,12 +97,12 @@ def _put_aside(folder: RunFolder, before: Mapping[str, Any]) -> Iterator[None]:
         if aside.exists():
             shutil.rmtree(folder.scene_path, ignore_errors=True)
             aside.rename(folder.scene_path)
-            write_json(folder.path / "run.json", before)
+            write_json(folder.record_path, before)
         raise
 
 
 def _compute_scene(
-    folder: RunFolder, source: Path, kind: str, key: str, is_new: bool, show: Callable[[], None] | None = None
+    folder: RunFolder, stage: Stage, source: Path, kind: str, is_new: bool, show: Callable[[], None] | None = None
 ) -> None:
     """Fill the scene of a run: what the input holds, then the priors that it lacks.
 
@@ -135,12 +135,12 @@ def _compute_scene(
     memory: dict[str, float | None] = {}
     watch = Watch()
 
-    def after(stage: str, took: float) -> None:
-        memory[stage] = recent_peak()
+    def after(prior: str, took: float) -> None:
+        memory[prior] = recent_peak()
         give_back_memory()
         begin_peak()
         folder.save()
-        if stage == "cameras":
+        if prior == "cameras":
             if took >= TELLING and watch.was_quiet() and not compiling:
                 speed.seen(took / reference["cameras"])
             say(f"Left of a whole run: {speed.estimate(reference, STAGES[2:], folder.wall_seconds)}.")
@@ -157,7 +157,7 @@ def _compute_scene(
     say(f"{verdict(scene)} Look at {page}")
     if "depth" in seconds:
         say(f"Left of a whole run: {speed.estimate(reference, STAGES[3:], folder.wall_seconds)}.")
-    folder.finish("prepare", key, {"ingest": ingested, **seconds}, memory)
+    stage.finish({"ingest": ingested, **seconds}, memory)
 
 
 def _clear(out: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property, partial
@@ -18,6 +17,7 @@ from flowsplat.common.files import hash_files, lease, read_json, require_keys, w
 from flowsplat.common.files.json_file import Number
 from flowsplat.common.memory import recent_peak
 from flowsplat.common.progress import busy
+from flowsplat.common.run_paths import RunPaths
 from flowsplat.evaluation.evaluate import evaluate
 from flowsplat.evaluation.poses import refine_camera
 from flowsplat.gaussians.model import SceneModel
@@ -26,7 +26,7 @@ from flowsplat.output.videos import RenderOptions, are_rendered, name_of, render
 from flowsplat.pipeline.compiling import compiling_ahead
 from flowsplat.pipeline.config import RunConfig
 from flowsplat.pipeline.first import first_scene, is_worth_it
-from flowsplat.pipeline.fitting import final_key, fit_heldout, static_model, train, train_key, wants_final
+from flowsplat.pipeline.fitting import HISTORY, final_key, fit_heldout, static_model, train, train_key, wants_final
 from flowsplat.pipeline.folder import MetricsFile, RunFolder, stage_key
 from flowsplat.pipeline.preparing import prepared
 from flowsplat.pipeline.speed import Speed, Watch, expected, expected_of
@@ -55,7 +55,7 @@ def run(source: Path, out: Path, config: RunConfig | None = None) -> dict[str, A
     Raises:
         InputError: the input, a setting or the folder cannot be used.
     """
-    begun, is_new, watch = beginning(), not (Path(out) / "run.json").exists(), Watch()
+    begun, is_new, watch = beginning(), not RunPaths(out).record_path.exists(), Watch()
     with lease(out):
         device = pick_device((config or RunConfig()).device).type
         with compiling_ahead(device) as ahead:
@@ -90,11 +90,11 @@ def load(path: Path | str, device: str = "cpu") -> SceneModel:
     Raises:
         InputError: there is none, it is damaged, or the device does not work.
     """
-    path = Path(path)
-    if (path / "run.json").exists() and has_model(path / "final"):
-        path = path / "final"
-    elif (path / "model" / "model.json").exists():
-        path = path / "model"
+    path, run = Path(path), RunPaths(path)
+    if run.record_path.exists() and has_model(run.final_path):
+        path = run.final_path
+    elif (run.model_path / "model.json").exists():
+        path = run.model_path
     elif not (path / "model.json").exists():
         raise InputError(f"{path} holds no trained scene yet: run flowsplat train on it first.")
     return load_model(path).to(pick_device(device))
@@ -138,24 +138,26 @@ def _evaluate(folder: RunFolder, result: _Result) -> dict[str, Any]:
     if folder.model_path.exists() and not folder.is_finished("train", train_key(folder)):
         raise InputError(f"{folder.model_path} was trained with other settings than those of the run: run flowsplat train first.")
     key = stage_key(train_key(folder), folder.config.baselines, folder.config.refine_poses)
-    metrics_path = folder.path / "metrics.json"
-    if folder.is_finished("evaluate", key) and metrics_path.exists():
-        return read_metrics(metrics_path)
-    model, scene = result.model, result.scene
+    if folder.is_finished("evaluate", key) and folder.metrics_path.exists():
+        return read_metrics(folder.metrics_path)
     static = static_model(folder) if folder.config.baselines == "all" else None
-    folder.start("evaluate", key)
-    started = time.perf_counter()
+    with folder.stage("evaluate", key, made=False) as stage:
+        metrics = _measure(folder, result, static)
+        _write_metrics(folder, result, metrics, stage.seconds)
+        stage.finish()
+    return metrics
+
+
+def _measure(folder: RunFolder, result: _Result, static: SceneModel | None) -> dict[str, Any]:
+    model, scene = result.model, result.scene
     refine = partial(refine_camera, model) if folder.config.refine_poses else None
-    metrics = evaluate(model, scene, folder=folder.path / "evaluation", static_model=static, refine=refine)
+    metrics = evaluate(model, scene, folder=folder.evaluation_path, static_model=static, refine=refine)
     counts = [model.active_count(float(t)) for t in scene.timestamps]
     metrics["gaussians"] = {
         "total": len(model.gaussians), "active_mean": float(np.mean(counts)), "active": counts,
         "movers": {str(number): count for number, count in model.gaussians.mover_counts.items()},
     }  # fmt: skip
     metrics["movers"] = mover_figures(scene, load_movers(scene))
-    seconds = {"evaluate": time.perf_counter() - started}
-    _write_metrics(folder, result, metrics, seconds)
-    folder.finish("evaluate", key, seconds)
     return metrics
 
 
@@ -166,8 +168,8 @@ def _write_metrics(folder: RunFolder, result: _Result, metrics: dict[str, Any], 
     metrics["seconds"], metrics["wall_seconds"] = {**folder.seconds, **seconds}, folder.wall_seconds
     metrics["measured"] = folder.model_path.name
     metrics["shown"] = (folder.final_path if has_model(folder.final_path) else folder.model_path).name
-    write_json(folder.path / "metrics.json", metrics)
-    history = read_history(folder.path / "training" / "history.json")
+    write_json(folder.metrics_path, metrics)
+    history = read_history(folder.training_path / HISTORY)
     with busy("Writing report.html"):
         data = report_data(folder.path, result.scene, result.flows, metrics, history, folder.config)
         write_report(folder.path, data)
@@ -233,17 +235,18 @@ def _rendered(folder: RunFolder, options: RenderOptions | None) -> dict[str, Any
     result = _Result(folder)
     metrics = _evaluate(folder, result)
     fit_heldout(folder)
-    own = options is None or options == folder.config.render
-    key = _render_key(folder) if own else ""
-    if own and folder.is_finished("render", key) and are_rendered(folder.path / "renders"):
+    if options is not None and options != folder.config.render:
+        _render_videos(folder, result, options)
+        _write_metrics(folder, result, metrics, {})
         return metrics
-    started = time.perf_counter()
-    if own:
-        folder.start("render", key)
-    shown = load(folder.path, folder.config.device) if has_model(folder.final_path) else result.model
-    render_videos(shown, result.scene, folder.path / "renders", options or folder.config.render)
-    seconds = {"render": time.perf_counter() - started} if own else {}
-    _write_metrics(folder, result, metrics, seconds)
-    if own:
-        folder.finish("render", key, seconds)
+    with folder.stage("render", _render_key(folder), made=are_rendered(folder.renders_path)) as stage:
+        if not stage.is_done:
+            _render_videos(folder, result, folder.config.render)
+            _write_metrics(folder, result, metrics, stage.seconds)
+            stage.finish()
     return metrics
+
+
+def _render_videos(folder: RunFolder, result: _Result, options: RenderOptions) -> None:
+    shown = load(folder.path, folder.config.device) if has_model(folder.final_path) else result.model
+    render_videos(shown, result.scene, folder.renders_path, options)

@@ -13,11 +13,11 @@ from rich.table import Table
 
 from flowsplat.common.durations import duration
 from flowsplat.common.errors import InputError
+from flowsplat.common.run_paths import RunPaths
 from flowsplat.common.settings import flat, to_plain
 from flowsplat.evaluation.scores import pick
 from flowsplat.gaussians.renderer import Renderer
-from flowsplat.output.report import NAME as REPORT
-from flowsplat.output.report import VIDEO_FOLDER, Comparison, FlowComparison, ReportData
+from flowsplat.output.report import Comparison, FlowComparison, ReportData
 from flowsplat.output.videos import rendered
 from flowsplat.scenes import Scene
 from flowsplat.scenes.layers import read_image
@@ -73,7 +73,7 @@ def figures_table(runs: Mapping[str, Mapping[str, Any]]) -> Table:
 def next_steps(out: Path) -> Iterator[str]:
     """What to do with a run that is finished."""
     folder = shlex.quote(str(out))
-    yield f"  its report:      {out / REPORT}"
+    yield f"  its report:      {RunPaths(out).report_path}"
     yield f"  look around:     flowsplat view {folder}"
     yield f"  a page to share: flowsplat export {folder} --to html"
 
@@ -101,7 +101,7 @@ def report_data(
         active=(scene.timestamps.tolist(), counts),
         config=flat(to_plain(config)),
         notes=[*notes, *(verdict for verdict in verdicts if verdict)],
-        videos=rendered(out / VIDEO_FOLDER),
+        videos=rendered(RunPaths(out).renders_path),
     )
 
 
@@ -115,11 +115,11 @@ def _spread(items: Sequence[Any], count: int) -> list[Any]:
 def _comparisons(out: Path, scene: Scene) -> Iterator[Comparison]:
     """Held-out pictures beside their renderings, as the evaluation wrote them."""
     for i in _spread(scene.heldout_frames, SHOWN):
-        rendering = out / "evaluation" / "heldout" / f"{i:05d}.png"
+        rendering = RunPaths(out).evaluation_path / "heldout" / f"{i:05d}.png"
         if rendering.exists():
             yield Comparison(f"Held-out frame {i}", scene.heldout_frame(i), read_image(rendering))
     for view in _spread(scene.views, SHOWN):
-        rendering = out / "evaluation" / "views" / f"{view.name}.png"
+        rendering = RunPaths(out).evaluation_path / "views" / f"{view.name}.png"
         if rendering.exists():
             yield Comparison(f"Held-out view {view.name}", scene.view_image(view), read_image(rendering))
 

@@ -11,6 +11,7 @@ import numpy as np
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import hash_files, ordinary_file
 from flowsplat.common.progress import progress_bar
+from flowsplat.common.run_paths import RunPaths
 from flowsplat.pictures.sound import keep_sound
 from flowsplat.scenes.clip import Clip, InputOptions
 from flowsplat.scenes.formats.davis import PICTURES, open_davis, sequence_folders
@@ -212,7 +213,7 @@ def _input_files(path: Path, options: InputOptions) -> list[tuple[str, Path]]:
     if kind == "video":
         return [(path.name, path)]
     if kind in ("rig", "nvidia", "nerfies"):
-        runs = [record.parent for record in path.rglob("run.json")]  # what was made of this input may lie within
+        runs = [record.parent for record in path.rglob(RunPaths(path).record_path.name)]
         inside = (file for file in path.rglob("*") if not any(run in file.parents for run in runs))
         found = sorted(file for file in inside if file.is_file() and not file.name.startswith("."))
         named = [(file.relative_to(path).as_posix(), file) for file in found]

@@ -16,6 +16,7 @@ import numpy as np
 import torch
 
 from flowsplat.common.errors import InputError
+from flowsplat.common.run_paths import RunPaths
 from flowsplat.gaussians.distances import Distances
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.renderer import Part
@@ -41,8 +42,6 @@ class Loaded:
         return self._parts[part]
 
 
-FIRST = "first"
-"""Folder of the coarse scene in that of a run, and the stage that makes it."""
 _OF_SCENE = ("path", "_inner_path", "step", "tracks", "scales")
 """What is kept of a scene."""
 
@@ -56,12 +55,12 @@ class Source:
         Raises:
             InputError: it is none, or has neither a model nor a checkpoint nor a first scene yet.
         """
-        self.folder, self._device = Path(folder), device
-        if not (self.folder / "run.json").exists():
+        self.folder, self._device, self._run = Path(folder), device, RunPaths(folder)
+        if not self._run.record_path.exists():
             raise InputError(f"{folder} is not the folder of a run: start with flowsplat run INPUT -o {folder}.")
         found = self._find()
         if found is None:
-            if not (self.folder / "scene" / "scene.json").exists():
+            if not (self._run.scene_path / "scene.json").exists():
                 raise InputError(f"{folder} is not prepared yet: run flowsplat prepare or flowsplat run first.")
             raise InputError(
                 f"{folder} holds neither a trained scene nor a checkpoint yet: run flowsplat train {folder}; "
@@ -111,11 +110,12 @@ class Source:
         A training that begins removes the model that was there, so a model is never older than a checkpoint beside it; the clock
         may have been set between the two.
         """
-        trained, first = self.folder / ("final" if has_model(self.folder / "final") else "model"), self.folder / FIRST
+        run, first = self._run, self._run.first
+        trained = run.final_path if has_model(run.final_path) else run.model_path
         for path, place, read in (
-            (trained / "model.json", self.folder / "scene", partial(_read_model, trained, "trained")),
-            (self.folder / "training" / "latest.json", self.folder / "scene", self._read_checkpoint),
-            (first / "model" / "model.json", first / "scene", partial(_read_model, first / "model", "a coarse first scene")),
+            (trained / "model.json", run.scene_path, partial(_read_model, trained, "trained")),
+            (run.training_path / "latest.json", run.scene_path, self._read_checkpoint),
+            (first.model_path / "model.json", first.scene_path, partial(_read_model, first.model_path, "a coarse first scene")),
         ):
             with contextlib.suppress(OSError):
                 return (str(path), path.stat().st_mtime_ns), place, read
@@ -124,7 +124,7 @@ class Source:
     def _read_checkpoint(self, scene: Scene) -> tuple[SceneModel, str]:
         first, last = float(scene.timestamps[0]), float(scene.timestamps[-1])
         focal = float(scene.cameras[scene.train_frames[0]].K[0, 0])
-        model, step, steps = load_checkpoint(self.folder / "training", scene.similarity, first, last, focal)
+        model, step, steps = load_checkpoint(self._run.training_path, scene.similarity, first, last, focal)
         return model, f"in training, step {step} of {steps}"
 
     @property
