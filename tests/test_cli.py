@@ -309,7 +309,7 @@ def test_killed_in_every_stage_it_ends_with_the_same_figures(tmp_path, scene):
 
     def metrics(out: Path) -> dict:
         value = json.loads((out / "metrics.json").read_text())
-        return {name: v for name, v in value.items() if name not in ("seconds", "peak_memory_gib", "memory_gib")}
+        return {name: v for name, v in value.items() if name not in ("seconds", "wall_seconds", "peak_memory_gib", "memory_gib")}
 
     subprocess.run([*command, "-o", str(tmp_path / "whole")], check=True, capture_output=True, timeout=1200, env=environment)
     out = tmp_path / "killed"
