@@ -24,6 +24,14 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Whoever asks for the browser is a test in a browser."""
+    for item in items:
+        if "chromium" in getattr(item, "fixturenames", ()):
+            item.add_marker("browser")
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     """How much is tried where the ordinary run tries a part of it only."""
     parser.addoption("--fuzz", type=int, default=None, metavar="COUNT", help="try so many spoiled files in tests/fuzz")

@@ -27,6 +27,9 @@ from flowsplat.geometry import Similarity
 from tests.training.handful import a_few, seen, tiny
 
 
+pytestmark = pytest.mark.all_cores
+
+
 @kernel
 def _add_one(begin, end, values, counts):
     for i in range(begin, end):

@@ -13,7 +13,7 @@ from flowsplat.common.files.lease import NAME, holder
 from flowsplat.common.progress import Bar
 from flowsplat.pipeline import run, train
 from flowsplat.pipeline.folder import RunFolder
-from tests.pipeline.conftest import small_config
+from tests.shared import small_config
 
 DAY, YEAR = 86_400.0, 365 * 86_400.0
 

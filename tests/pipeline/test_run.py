@@ -24,19 +24,11 @@ from flowsplat.scenes import Scene
 from flowsplat.scenes.clip import InputOptions
 from flowsplat.scenes.layers import write_image
 from flowsplat.training.trainer import Trainer
-
-from .conftest import small_config
+from tests.shared import small_config
 
 
 def comparable(metrics):
     return {name: value for name, value in metrics.items() if name not in ("seconds", "peak_memory_gib", "memory_gib")}
-
-
-@pytest.fixture(scope="module")
-def finished(tiny_scene, tmp_path_factory) -> Path:
-    out = tmp_path_factory.mktemp("finished") / "out"
-    run(tiny_scene, out, small_config())
-    return out
 
 
 def test_everything_comes_out(finished):
@@ -58,11 +50,12 @@ def test_everything_comes_out(finished):
     assert not list(finished.rglob("*.partial*"))
 
 
-def test_a_finished_run_is_not_computed_again(finished, tiny_scene, monkeypatch):
+def test_a_finished_run_is_not_computed_again(finished, tiny_scene, tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    shutil.copytree(finished, out)
     monkeypatch.setattr(Trainer, "run", lambda self: pytest.fail("trained again"))
-    before = (finished / "metrics.json").read_bytes()
-    run(tiny_scene, finished, small_config())
-    assert (finished / "metrics.json").read_bytes() == before
+    run(tiny_scene, out, small_config())
+    assert (out / "metrics.json").read_bytes() == (finished / "metrics.json").read_bytes()
 
 
 def test_the_python_api_renders_arrays(finished):
@@ -121,12 +114,10 @@ def test_heldout_pixels_of_a_prepared_scene_do_not_reach_the_model(tiny_scene, f
 def test_heldout_pixels_of_the_input_do_not_reach_the_model_when_cameras_are_given(tiny_scene, tmp_path):
     from flowsplat.scenes.layers import write_image
 
-    truth = Scene(tiny_scene)
+    truth = Scene(shutil.copytree(tiny_scene, tmp_path / "scene"))
     config = small_config()
-    cameras = tmp_path / "cameras.json"
     truth.write_cameras(truth.truth.cameras)
-    shutil.copy(truth.folder / "cameras.json", cameras)
-    (truth.folder / "cameras.json").unlink()
+    cameras = truth.folder / "cameras.json"
     config = replace(config, priors=replace(config.priors, priors="own", given=replace(config.priors.given, cameras=cameras)))
     for name in ("clean", "corrupt"):
         for i in range(truth.num_frames):
