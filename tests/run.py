@@ -62,7 +62,7 @@ class Tally:
     tests: dict[str, Test] = field(default_factory=dict)
 
     def add(self, lines: Iterable[str]) -> None:
-        """Read what ``tests/measured.py`` wrote: a line for each of the phases of each test. The worst of them is its outcome."""
+        """Read what ``tests/plugin.py`` wrote: a line for each of the phases of each test. The worst of them is its outcome."""
         order = ("passed", "skipped", "failed")
         for line in lines:
             found = json.loads(line)
@@ -101,12 +101,17 @@ class Group:
     def command(self, everything: bool, measured: Path) -> list[str]:
         """What runs it."""
         marked = self.marked if everything else f"{self.marked} and not slow"
-        plugin = ["-p", "tests.measured", "--measured", str(measured)]
+        plugin = ["-p", "tests.plugin", "--measured", str(measured)]
         return [sys.executable, "-m", "pytest", *plugin, "-m", marked, *self.options]
 
 
 GROUPS = (
-    Group("two at a time", "not browser and not all_cores", ("-n", str(WORKERS), "--dist", "loadfile"), ONE_THREAD),
+    Group(
+        "two at a time",
+        "not browser and not all_cores",
+        ("-n", str(WORKERS), "--dist", "loadfile", "--no-loadscope-reorder"),
+        ONE_THREAD,
+    ),
     Group("with all cores", "all_cores and not browser"),
     Group("in a browser", "browser"),
 )

@@ -15,6 +15,7 @@ from flowsplat.pipeline import prepare, run
 from flowsplat.pipeline.compiling import main as compile_and_note
 from flowsplat.pipeline.config import RunConfig
 from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic
+from flowsplat.scenes.synthetic.worlds import draw_world
 
 SPEC = SyntheticScene(width=64, height=48, frames=12, fps=6.0)
 SCENE, OUT = "scene", "out"
@@ -54,7 +55,7 @@ def made_before(name: str) -> Path | None:
 
 
 def main(part: str, folder: Path) -> None:
-    """Make the clip and the run, or let every kernel of the priors be compiled."""
+    """Make the clip and the run, or let the kernels of the priors and of drawn worlds be compiled."""
     if part == "finished":
         compile_and_note()
         make_finished(folder, make_scene(folder))
@@ -62,6 +63,7 @@ def main(part: str, folder: Path) -> None:
         scene = make_scene(folder / part)
         config = small_config()
         prepare(scene, folder / part / OUT, replace(config, priors=replace(config.priors, priors="own")))
+        draw_world(0, 32, 24, 4).picture(0)
 
 
 if __name__ == "__main__":

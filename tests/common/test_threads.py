@@ -26,7 +26,6 @@ from flowsplat.gaussians.model import SceneModel
 from flowsplat.geometry import Similarity
 from tests.training.handful import a_few, seen, tiny
 
-
 pytestmark = pytest.mark.all_cores
 
 

@@ -21,6 +21,7 @@ from flowsplat.pipeline.config import RunConfig, check, option_of
 from flowsplat.priors.objects.hints import parse_hints
 from flowsplat.priors.prompts import parse_prompts
 from flowsplat.scenes import Scene
+from tests.marks import slow
 from tests.output.small import small_model, small_run
 
 FEW, MANY = 60, 510
@@ -72,7 +73,7 @@ def commands(run: Path) -> Iterator[list[str]]:
         yield command
 
 
-@pytest.mark.parametrize(("first", "count"), [(0, FEW), pytest.param(FEW, MANY - FEW, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("first", "count"), [(0, FEW), slow(FEW, MANY - FEW)])
 def test_senseless_commands(tmp_path, monkeypatch, capfd, first, count):
     run = small_run(tmp_path / "run", small_model(resting=60, moving=30))
     (run / "run.json").write_text("{}")

@@ -1,6 +1,6 @@
 """Spoiled files of every kind: each is read or refused in one line, soon, in little memory, and nothing else happens.
 
-The first 200 mutations in ``make test``, 2,000 in ``make test-all``; ``pytest tests/fuzz --fuzz 100000`` tries as many, and writes the
+200 mutations in ``make test``, 2,000 in ``make test-all``; ``pytest tests/fuzz --fuzz 100000`` tries as many, and writes the
 figures by reader into ``fuzz.json`` where it was called.
 """
 
@@ -19,6 +19,7 @@ from typing import Any
 import pytest
 
 from tests.fuzz.readers import make_originals
+from tests.marks import slow
 
 FEW, MANY = 200, 2000
 PATIENCE = 90.0
@@ -85,7 +86,7 @@ def figures(found: list[dict[str, Any]]) -> dict[str, dict[str, float]]:
     return table
 
 
-@pytest.mark.parametrize(("first", "count"), [(0, FEW), pytest.param(FEW, MANY - FEW, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("first", "count"), [(0, FEW), slow(FEW, MANY - FEW)])
 def test_spoiled_files(tmp_path, request, first, count):
     wanted = request.config.getoption("--fuzz")
     if wanted:

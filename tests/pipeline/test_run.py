@@ -24,6 +24,7 @@ from flowsplat.scenes import Scene
 from flowsplat.scenes.clip import InputOptions
 from flowsplat.scenes.layers import write_image
 from flowsplat.training.trainer import Trainer
+from tests.marks import slow
 from tests.shared import small_config
 
 
@@ -75,7 +76,7 @@ class Stopped(Exception):
     pass
 
 
-@pytest.mark.parametrize("at", [5, 17])
+@pytest.mark.parametrize("at", [slow(5), 17])
 def test_interrupted_training_ends_at_the_same_bits(tiny_scene, finished, tmp_path, monkeypatch, at):
     iterate = Trainer._iterate
 
@@ -409,8 +410,13 @@ def test_a_folder_of_a_newer_version_is_refused(finished, tmp_path):
         RunFolder(tmp_path / "out")
 
 
-@pytest.mark.parametrize("name", ["paper", "default"])
-@pytest.mark.parametrize(("means", "quats"), [(True, True), (False, True), (False, False)])
+@pytest.mark.parametrize(
+    ("name", "means", "quats"),
+    [
+        ("paper", True, True), ("default", False, True), ("paper", False, False),
+        slow("default", True, True), slow("paper", False, True), slow("default", False, False),
+    ],
+)  # fmt: skip
 def test_every_representation_trains(tiny_scene, tmp_path, name, means, quats):
     config = preset(name).train
     config = replace(config, iterations=4, model=replace(config.model, move_means=means, move_quats=quats))
@@ -436,7 +442,10 @@ def interrupt(monkeypatch, thing, name, *arguments):
             run(*arguments)
 
 
-@pytest.mark.parametrize(("module", "where"), [(Trainer, "run"), (preparing, "prepare_priors"), (preparing, "write_priors_report")])
+@pytest.mark.parametrize(
+    ("module", "where"),
+    [(preparing, "prepare_priors"), slow(Trainer, "run"), slow(preparing, "write_priors_report")],
+)  # fmt: skip
 def test_back_to_the_first_settings_after_others_were_interrupted(tiny_scene, finished, tmp_path, monkeypatch, module, where):
     out, first = tmp_path / "out", small_config()
     shutil.copytree(finished, out)
@@ -447,7 +456,7 @@ def test_back_to_the_first_settings_after_others_were_interrupted(tiny_scene, fi
     assert same_model(out, finished)
 
 
-@pytest.mark.parametrize("where", ["write_json", "write_report"])
+@pytest.mark.parametrize("where", ["write_json", slow("write_report")])
 def test_a_stage_is_finished_when_its_results_are_written(tiny_scene, finished, tmp_path, monkeypatch, where):
     out = tmp_path / "out"
     shutil.copytree(finished, out)
