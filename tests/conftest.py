@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import atexit
 import gc
 import os
+import shutil
 import signal
 import tempfile
 
@@ -15,7 +17,9 @@ from tests.browser import chromium  # noqa: F401 (a fixture, of which there can 
 
 # What tests measure of this machine is not for its user; kernels that are compiled are.
 os.environ.setdefault("NUMBA_CACHE_DIR", str(kernels_folder()))
-os.environ.setdefault("FLOWSPLAT_CACHE", tempfile.mkdtemp(prefix="flowsplat-tests-"))
+if "FLOWSPLAT_CACHE" not in os.environ:
+    os.environ["FLOWSPLAT_CACHE"] = tempfile.mkdtemp(prefix="flowsplat-tests-")
+    atexit.register(shutil.rmtree, os.environ["FLOWSPLAT_CACHE"], ignore_errors=True)
 
 if not torch.cuda.is_available():
     os.environ.setdefault("TRITON_INTERPRET", "1")
