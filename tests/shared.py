@@ -63,7 +63,7 @@ def main(part: str, folder: Path) -> None:
         scene = make_scene(folder / part)
         config = small_config()
         prepare(scene, folder / part / OUT, replace(config, priors=replace(config.priors, priors="own")))
-        draw_world(0, 32, 24, 4).picture(0)
+        draw_world(0, 64, 48, 10).picture(0)
 
 
 if __name__ == "__main__":
