@@ -37,8 +37,11 @@ def test_the_lock_of_those_who_only_use_it_names_the_same():
 
 def test_it_is_what_is_installed():
     makefile = (ROOT / "Makefile").read_text()
-    assert "pip install --no-deps --require-hashes -r requirements.lock" in makefile
-    assert re.search(r"pip install --no-deps --no-build-isolation -e \.", makefile)
+    install = makefile.partition("define install")[2].partition("endef")[0]
+    assert all(f"{program} install" in install for program in ("uv pip", "python -m pip"))
+    for packages in ("--no-deps --require-hashes -r requirements.lock", "--no-deps --no-build-isolation -e ."):
+        assert f"$(call install,{packages})" in makefile
+    assert "pip install --quiet --require-hashes -r requirements.uv.lock" in makefile
     image = (ROOT / "Dockerfile").read_text()
     assert "--no-deps --require-hashes -r requirements.view.lock" in image
     assert "--no-deps --no-build-isolation ." in image

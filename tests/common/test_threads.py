@@ -26,6 +26,8 @@ from flowsplat.gaussians.model import SceneModel
 from flowsplat.geometry import Similarity
 from tests.training.handful import a_few, seen, tiny
 
+pytestmark = pytest.mark.all_cores
+
 
 @kernel
 def _add_one(begin, end, values, counts):

@@ -17,6 +17,7 @@ from flowsplat.splatting import Projected, blend, project
 from tests.common.compiling import compiled
 from tests.gaussians.test_flow import assert_alike, camera, feature_inputs, feature_views, slice_of
 from tests.gaussians.test_slicing import BASE, CASES, OUTPUTS, random_model
+from tests.marks import slow
 
 pytest.importorskip("triton", reason="Triton is not installed")
 from flowsplat.gaussians.camera_buffer import CAMERA, moment_numbers
@@ -40,7 +41,7 @@ def on_device(values):
     return [value.to(DEVICE) if isinstance(value, torch.Tensor) else value for value in values]
 
 
-@pytest.mark.parametrize("count", [0, 1, 1000, 2500])
+@pytest.mark.parametrize("count", [0, 1, 1000, slow(2500)])
 @pytest.mark.parametrize("view", [None, Camera(np.eye(4), np.array([[40.0, 0, 20], [0, 40, 15], [0, 0, 1]]), 40, 30)])
 def test_the_cull_keeps_what_its_oracle_and_the_cpu_keep(count, view):
     given = cull_arguments(count, view)
@@ -99,7 +100,7 @@ def differentiated(module, model, active, next_time, dtype, device):
     return values, {name: gradient.cpu().double() for name, gradient in gradients.items()}
 
 
-@pytest.mark.parametrize(("config", "degree", "next_time"), CASES)
+@pytest.mark.parametrize(("config", "degree", "next_time"), [*CASES[:2], *(slow(*case) for case in CASES[2:])])
 def test_slicing_matches_its_oracle(config, degree, next_time):
     gaussians = random_model(config, 150)  # more than a block, so that one rests, one is mixed
     gaussians.sh_degree = degree

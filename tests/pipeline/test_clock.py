@@ -13,12 +13,16 @@ from flowsplat.common.files.lease import NAME, holder
 from flowsplat.common.progress import Bar
 from flowsplat.pipeline import run, train
 from flowsplat.pipeline.folder import RunFolder
-from tests.pipeline.conftest import small_config
+from tests.marks import slow
+from tests.shared import small_config
 
 DAY, YEAR = 86_400.0, 365 * 86_400.0
 
 
-@pytest.fixture(params=[-DAY, DAY, -YEAR, YEAR, -80 * YEAR], ids=["day back", "day on", "year back", "year on", "before 1970"])
+SHIFTS = {"day back": -DAY, "day on": DAY, "year back": -YEAR, "year on": YEAR, "before 1970": -80 * YEAR}
+
+
+@pytest.fixture(params=SHIFTS.values(), ids=SHIFTS)
 def set_again_and_again(request, monkeypatch) -> list[float]:
     """Every second look at the clock finds it set; what was seen."""
     clock, seen = time.time, list[float]()
@@ -32,6 +36,11 @@ def set_again_and_again(request, monkeypatch) -> list[float]:
     return seen
 
 
+@pytest.mark.parametrize(
+    "set_again_and_again",
+    [(pytest.param if name == "year back" else slow)(shift, id=name) for name, shift in SHIFTS.items()],
+    indirect=True,
+)
 def test_a_run_is_the_same(tiny_scene, finished, tmp_path, set_again_and_again):
     began = time.perf_counter()
     run(tiny_scene, tmp_path / "out", small_config())

@@ -20,15 +20,7 @@ from flowsplat.protocols.datasets.cases import protocol_config
 from flowsplat.scenes import Scene
 from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic
 from flowsplat.training.trainer import Trainer
-
-from .conftest import small_config
-
-
-@pytest.fixture(scope="module")
-def with_final(tiny_scene, tmp_path_factory) -> Path:
-    out = tmp_path_factory.mktemp("with") / "out"
-    run(tiny_scene, out, small_config())
-    return out
+from tests.shared import small_config
 
 
 @pytest.fixture(scope="module")
@@ -58,28 +50,28 @@ def video_of(out: Path) -> np.ndarray:
         return np.stack([frame.to_ndarray(format="rgb24") for frame in opened.decode(video=0)]).astype(float)
 
 
-def test_what_is_measured_is_the_same_to_the_bit(with_final, without):
-    assert figures_of(with_final) == figures_of(without)
+def test_what_is_measured_is_the_same_to_the_bit(finished, without):
+    assert figures_of(finished) == figures_of(without)
     for part in ("model", "scene", "evaluation", "training"):
-        assert files_of(with_final / part) == files_of(without / part), part
+        assert files_of(finished / part) == files_of(without / part), part
     assert not (without / "final").exists()
-    shown = [json.loads((out / "metrics.json").read_text())["shown"] for out in (with_final, without)]
+    shown = [json.loads((out / "metrics.json").read_text())["shown"] for out in (finished, without)]
     assert shown == ["final", "model"]
-    assert figures_of(with_final)["measured"] == "model"
+    assert figures_of(finished)["measured"] == "model"
 
 
-def test_what_is_shown_has_seen_the_heldout_frames(with_final, without):
-    scene = Scene(with_final / "scene")
-    measured, shown = flowsplat.load(with_final / "model"), flowsplat.load(with_final)
+def test_what_is_shown_has_seen_the_heldout_frames(finished, without):
+    scene = Scene(finished / "scene")
+    measured, shown = flowsplat.load(finished / "model"), flowsplat.load(finished)
     assert all((model.gaussians.seen[:, 0] > 0).any() for model in (measured, shown)), "what the clip has seen is known"
     (i,) = scene.heldout_frames
     assert psnr(shown, scene, i) > psnr(measured, scene, i) + 0.3
     others = [np.mean([psnr(model, scene, k) for k in scene.train_frames]) for model in (shown, measured)]
     assert others[0] > others[1] - 0.3
-    assert (with_final / "renders" / "input_path.mp4").read_bytes() != (without / "renders" / "input_path.mp4").read_bytes()
-    assert "which has not seen them" in (with_final / "report.html").read_text()
+    assert (finished / "renders" / "input_path.mp4").read_bytes() != (without / "renders" / "input_path.mp4").read_bytes()
+    assert "which has not seen them" in (finished / "report.html").read_text()
     assert "which has not seen them" not in (without / "report.html").read_text()
-    viewed = Source(with_final).loaded.part("all").gaussians.params
+    viewed = Source(finished).loaded.part("all").gaussians.params
     assert all((viewed[name] == value).all() for name, value in shown.gaussians.params.items())
 
 
@@ -94,18 +86,18 @@ def test_nothing_is_fitted_before_everything_is_measured(tiny_scene, tmp_path, m
     assert not (tmp_path / "out" / "final").exists()
 
 
-def test_heldout_pixels_reach_what_is_shown_and_nothing_else(tiny_scene, with_final, tmp_path):
+def test_heldout_pixels_reach_what_is_shown_and_nothing_else(tiny_scene, finished, tmp_path):
     other = tmp_path / "scene"
     shutil.copytree(tiny_scene, other)
     Scene(other).write_frame(9, np.zeros((48, 64, 3), np.uint8))
     run(other, tmp_path / "out", small_config())
-    assert files_of(tmp_path / "out" / "model") == files_of(with_final / "model")
-    assert files_of(tmp_path / "out" / "final") != files_of(with_final / "final")
+    assert files_of(tmp_path / "out" / "model") == files_of(finished / "model")
+    assert files_of(tmp_path / "out" / "final") != files_of(finished / "final")
     for prior in ("depth", "flow", "masks"):
-        assert files_of(tmp_path / "out" / "scene" / prior) == files_of(with_final / "scene" / prior)
+        assert files_of(tmp_path / "out" / "scene" / prior) == files_of(finished / "scene" / prior)
 
 
-def test_a_final_fit_that_was_stopped_ends_at_the_same_bits(tiny_scene, with_final, tmp_path, monkeypatch):
+def test_a_final_fit_that_was_stopped_ends_at_the_same_bits(tiny_scene, finished, tmp_path, monkeypatch):
     iterate, config = Trainer._iterate, small_config()
     config = replace(config, train=replace(config.train, checkpoint_every=2))
 
@@ -122,22 +114,22 @@ def test_a_final_fit_that_was_stopped_ends_at_the_same_bits(tiny_scene, with_fin
     monkeypatch.setattr(Trainer, "_iterate", iterate)
     run(tiny_scene, tmp_path / "out", config)
     name = "final/gaussians.safetensors"
-    assert (tmp_path / "out" / name).read_bytes() == (with_final / name).read_bytes()
+    assert (tmp_path / "out" / name).read_bytes() == (finished / name).read_bytes()
 
 
-def test_it_can_be_left_out_afterwards(tiny_scene, with_final, without, tmp_path, monkeypatch):
-    shutil.copytree(with_final, tmp_path / "out")
+def test_it_can_be_left_out_afterwards(tiny_scene, finished, without, tmp_path, monkeypatch):
+    shutil.copytree(finished, tmp_path / "out")
     monkeypatch.setattr(Trainer, "run", lambda self: pytest.fail("trained again"))
     run(tiny_scene, tmp_path / "out", replace(small_config(), final_fit=False))
     assert not (tmp_path / "out" / "final").exists()
-    again, first, final = (video_of(out) for out in (tmp_path / "out", without, with_final))
+    again, first, final = (video_of(out) for out in (tmp_path / "out", without, finished))
     # The encoder does not give the same bits twice.
     assert np.abs(again - first).mean() < 0.6 * np.abs(again - final).mean()
     assert json.loads((tmp_path / "out" / "metrics.json").read_text())["shown"] == "model"
 
 
-def test_another_training_forgets_it(tiny_scene, with_final, tmp_path):
-    shutil.copytree(with_final, tmp_path / "out")
+def test_another_training_forgets_it(tiny_scene, finished, tmp_path):
+    shutil.copytree(finished, tmp_path / "out")
     folder = prepare(tiny_scene, tmp_path / "out", small_config(seed=5))
     train(folder)
     assert not (tmp_path / "out" / "final").exists()
@@ -151,10 +143,10 @@ def test_without_heldout_frames_there_is_nothing_to_do(tmp_path):
     assert not (tmp_path / "out" / "final").exists()
 
 
-def test_runs_from_before_stay_without_it_and_benchmarks_never_do_it(with_final):
+def test_runs_from_before_stay_without_it_and_benchmarks_never_do_it(finished):
     assert RunConfig().final_fit
     assert not from_plain(RunConfig, {}).final_fit
-    assert RunFolder(with_final).config.final_fit
+    assert RunFolder(finished).config.final_fit
     assert from_plain(RunConfig, to_plain(replace(RunConfig(), final_fit=False))) == replace(RunConfig(), final_fit=False)
     config, _ = protocol_config("fast", None, 10)
     assert not config.final_fit

@@ -25,7 +25,7 @@ from flowsplat.pipeline import prepare, run
 from flowsplat.pipeline.describe import describe
 from flowsplat.priors.given import GivenPriors
 from tests.mounts import needs_mounts, read_only, without_shared_memory
-from tests.pipeline.conftest import small_config
+from tests.shared import small_config
 
 COMMAND = [sys.executable, "-m", "flowsplat.cli"]
 SMALL = ["--priors", "true", "--render.paths", "input", "--render.width", "32"]

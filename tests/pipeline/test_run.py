@@ -24,19 +24,12 @@ from flowsplat.scenes import Scene
 from flowsplat.scenes.clip import InputOptions
 from flowsplat.scenes.layers import write_image
 from flowsplat.training.trainer import Trainer
-
-from .conftest import small_config
+from tests.marks import slow
+from tests.shared import small_config
 
 
 def comparable(metrics):
     return {name: value for name, value in metrics.items() if name not in ("seconds", "wall_seconds", "peak_memory_gib", "memory_gib")}
-
-
-@pytest.fixture(scope="module")
-def finished(tiny_scene, tmp_path_factory) -> Path:
-    out = tmp_path_factory.mktemp("finished") / "out"
-    run(tiny_scene, out, small_config())
-    return out
 
 
 def test_everything_comes_out(finished):
@@ -58,11 +51,12 @@ def test_everything_comes_out(finished):
     assert not list(finished.rglob("*.partial*"))
 
 
-def test_a_finished_run_is_not_computed_again(finished, tiny_scene, monkeypatch):
+def test_a_finished_run_is_not_computed_again(finished, tiny_scene, tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    shutil.copytree(finished, out)
     monkeypatch.setattr(Trainer, "run", lambda self: pytest.fail("trained again"))
-    before = (finished / "metrics.json").read_bytes()
-    run(tiny_scene, finished, small_config())
-    assert (finished / "metrics.json").read_bytes() == before
+    run(tiny_scene, out, small_config())
+    assert (out / "metrics.json").read_bytes() == (finished / "metrics.json").read_bytes()
 
 
 def test_the_python_api_renders_arrays(finished):
@@ -82,7 +76,7 @@ class Stopped(Exception):
     pass
 
 
-@pytest.mark.parametrize("at", [5, 17])
+@pytest.mark.parametrize("at", [slow(5), 17])
 def test_interrupted_training_ends_at_the_same_bits(tiny_scene, finished, tmp_path, monkeypatch, at):
     iterate = Trainer._iterate
 
@@ -121,12 +115,10 @@ def test_heldout_pixels_of_a_prepared_scene_do_not_reach_the_model(tiny_scene, f
 def test_heldout_pixels_of_the_input_do_not_reach_the_model_when_cameras_are_given(tiny_scene, tmp_path):
     from flowsplat.scenes.layers import write_image
 
-    truth = Scene(tiny_scene)
+    truth = Scene(shutil.copytree(tiny_scene, tmp_path / "scene"))
     config = small_config()
-    cameras = tmp_path / "cameras.json"
     truth.write_cameras(truth.truth.cameras)
-    shutil.copy(truth.folder / "cameras.json", cameras)
-    (truth.folder / "cameras.json").unlink()
+    cameras = truth.folder / "cameras.json"
     config = replace(config, priors=replace(config.priors, priors="own", given=replace(config.priors.given, cameras=cameras)))
     for name in ("clean", "corrupt"):
         for i in range(truth.num_frames):
@@ -418,8 +410,13 @@ def test_a_folder_of_a_newer_version_is_refused(finished, tmp_path):
         RunFolder(tmp_path / "out")
 
 
-@pytest.mark.parametrize("name", ["paper", "default"])
-@pytest.mark.parametrize(("means", "quats"), [(True, True), (False, True), (False, False)])
+@pytest.mark.parametrize(
+    ("name", "means", "quats"),
+    [
+        ("paper", True, True), ("default", False, True), ("paper", False, False),
+        slow("default", True, True), slow("paper", False, True), slow("default", False, False),
+    ],
+)  # fmt: skip
 def test_every_representation_trains(tiny_scene, tmp_path, name, means, quats):
     config = preset(name).train
     config = replace(config, iterations=4, model=replace(config.model, move_means=means, move_quats=quats))
@@ -445,7 +442,10 @@ def interrupt(monkeypatch, thing, name, *arguments):
             run(*arguments)
 
 
-@pytest.mark.parametrize(("module", "where"), [(Trainer, "run"), (preparing, "prepare_priors"), (preparing, "write_priors_report")])
+@pytest.mark.parametrize(
+    ("module", "where"),
+    [(preparing, "prepare_priors"), slow(Trainer, "run"), slow(preparing, "write_priors_report")],
+)  # fmt: skip
 def test_back_to_the_first_settings_after_others_were_interrupted(tiny_scene, finished, tmp_path, monkeypatch, module, where):
     out, first = tmp_path / "out", small_config()
     shutil.copytree(finished, out)
@@ -456,7 +456,7 @@ def test_back_to_the_first_settings_after_others_were_interrupted(tiny_scene, fi
     assert same_model(out, finished)
 
 
-@pytest.mark.parametrize("where", ["write_json", "write_report"])
+@pytest.mark.parametrize("where", ["write_json", slow("write_report")])
 def test_a_stage_is_finished_when_its_results_are_written(tiny_scene, finished, tmp_path, monkeypatch, where):
     out = tmp_path / "out"
     shutil.copytree(finished, out)

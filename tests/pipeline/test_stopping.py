@@ -8,23 +8,13 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
 
 from flowsplat.cli import main
-from flowsplat.pipeline import prepare, run, stages
+from flowsplat.pipeline import prepare, run
 from flowsplat.training.trainer import Trainer
-
-from .conftest import small_config
-
-
-@pytest.fixture(scope="module")
-def whole(tiny_scene, tmp_path_factory) -> Path:
-    """A prepared and trained run that was never stopped."""
-    out = tmp_path_factory.mktemp("whole") / "out"
-    stages.train(prepare(tiny_scene, out, small_config()))
-    return out
+from tests.shared import small_config
 
 
 @pytest.fixture(autouse=True)
@@ -38,7 +28,7 @@ def signals_as_usual():
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
-def test_a_signal_keeps_what_was_done(tiny_scene, whole, tmp_path, monkeypatch, capsys, name):
+def test_a_signal_keeps_what_was_done(tiny_scene, finished, tmp_path, monkeypatch, capsys, name):
     out, number, iterate = tmp_path / "out", getattr(signal, name), Trainer._iterate
     before = signal.getsignal(number)
     prepare(tiny_scene, out, small_config())
@@ -61,7 +51,7 @@ def test_a_signal_keeps_what_was_done(tiny_scene, whole, tmp_path, monkeypatch, 
     main(["train", str(out)])
     assert "Going on from step 17 of 30." in capsys.readouterr().err
     model = "model/gaussians.safetensors"
-    assert (out / model).read_bytes() == (whole / model).read_bytes()
+    assert (out / model).read_bytes() == (finished / model).read_bytes()
 
 
 def test_a_second_signal_stops_at_once(tiny_scene, tmp_path, monkeypatch):

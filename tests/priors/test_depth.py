@@ -57,6 +57,7 @@ def test_the_stage_resumes_where_it_stopped(moving: Scene):
     assert [path.stat().st_mtime_ns for path in files if path != files[3]] == times
 
 
+@pytest.mark.all_cores
 def test_with_one_thread_it_is_the_same(moving: Scene):
     files, threads = sorted((moving.folder / "depth").glob("*.npz")), thread_count()
     before = [path.read_bytes() for path in files]

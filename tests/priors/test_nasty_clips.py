@@ -24,6 +24,7 @@ from flowsplat.priors.continuity import Continuity, is_blank
 from flowsplat.priors.prepare import PriorsOptions, prepare_priors
 from flowsplat.scenes import Scene
 from flowsplat.training.config import PRESETS
+from tests.marks import slow
 
 WIDTH, HEIGHT = 128, 80
 WALL = (-14.0, -9.0, 14.0, 9.0, 8.0)
@@ -141,8 +142,9 @@ def test_a_mover_on_70_percent_of_the_picture(tmp_path):
     assert 0.5 < scene.prior("masks")["share"] < 0.85
 
 
-def test_a_moving_camera_behind_a_large_mover_follows_the_rim(tmp_path):
-    cameras = travel(10, 0.6, size=(320, 180))
+@pytest.mark.parametrize("count", [8, slow(10)])
+def test_a_moving_camera_behind_a_large_mover_follows_the_rim(tmp_path, count):
+    cameras = travel(count, 0.6, size=(320, 180))
     world = World([*ROOM, (-1.4, -0.78, 1.4, 0.78, 3.0)], width=320)
     frames = [
         world.picture(c, (c.center[0] + 0.05 * np.sin(0.9 * i), c.center[1] + 0.04 * np.cos(1.7 * i), 0.15 * np.sin(0.8 * i)))

@@ -19,6 +19,7 @@ from flowsplat.common.errors import InputError
 from flowsplat.common.processes import in_own_process, usable_cores
 from flowsplat.protocols.resume import BenchmarkOptions, Job, measure_jobs, results_in
 from flowsplat.protocols.roots import open_root, require_scenes
+from tests.marks import slow
 from tests.mounts import needs_mounts, without_shared_memory
 
 
@@ -88,7 +89,8 @@ class Meeting:
         return {"protocol": "test", "threads": os.environ["OMP_NUM_THREADS"], "process": os.getpid()}
 
 
-def test_two_at_a_time_in_processes_of_their_own(tmp_path):
+@pytest.mark.parametrize("names", ["ab", slow("abc")])
+def test_two_at_a_time_in_processes_of_their_own(tmp_path, names):
     meeting, reported = tmp_path / "meeting", []
     meeting.mkdir()
 
@@ -96,11 +98,11 @@ def test_two_at_a_time_in_processes_of_their_own(tmp_path):
         reported.append(len(results_in("test", tmp_path)))
         return tmp_path
 
-    jobs = [Job(name, "k", Meeting(meeting, name)) for name in "abc"]
+    jobs = [Job(name, "k", Meeting(meeting, name)) for name in names]
     measure_jobs(jobs, tmp_path, report, options=BenchmarkOptions(workers=2))
-    assert reported[-1] == 3
+    assert reported[-1] == len(names)
     found = results_in("test", tmp_path)
-    assert len({os.getpid(), *(each["process"] for each in found)}) == 4
+    assert len({os.getpid(), *(each["process"] for each in found)}) == len(names) + 1
     assert {each["threads"] for each in found} == {str(max(1, usable_cores() // 2))}
 
 
@@ -135,6 +137,7 @@ def test_a_system_without_semaphores_is_a_line(monkeypatch):
 
 
 @needs_mounts
+@pytest.mark.slow
 def test_a_benchmark_needs_no_shared_memory(tmp_path):
     """Its engine has pipes, not semaphores."""
     program = (

@@ -9,6 +9,8 @@ import sys
 
 import pytest
 
+pytestmark = pytest.mark.all_cores
+
 SCRIPT = """
 import os, sys, threading
 import torch

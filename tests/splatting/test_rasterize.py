@@ -180,6 +180,7 @@ def test_no_gaussian_at_all():
         assert float(alphas.abs().max()) == 0
 
 
+@pytest.mark.all_cores
 def test_same_bits_with_any_number_of_threads():
     values = random_gaussians(2000, 6, seed=13, spread=1.0, size=-3.0)
     threads = thread_count()

@@ -12,6 +12,7 @@ from flowsplat.gaussians.culling import capacity
 from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
 from flowsplat.splatting import api as splatting
 from flowsplat.training.trainer import Trainer
+from tests.marks import slow
 from tests.training.handful import FRAMES, a_few, seen, tiny
 
 pytest.importorskip("triton", reason="Triton is not installed")
@@ -50,7 +51,7 @@ def without_padding(gaussians: Gaussians4D, name: str, active: Active, gradient:
     return ours
 
 
-@pytest.mark.parametrize(("preset", "flow_model"), [("default", "displacement"), ("default", "affine"), ("paper", "mean")])
+@pytest.mark.parametrize(("preset", "flow_model"), [("default", "displacement"), slow("default", "affine"), slow("paper", "mean")])
 def test_the_loss_and_its_gradients_are_those_of_the_cpu(preset, flow_model, by_triton):
     config = tiny(preset, flow_model=flow_model)
     observations = seen(a_few(config))
@@ -132,7 +133,7 @@ def state_of(trainer: Trainer) -> dict[str, torch.Tensor]:
 
 @pytest.mark.parametrize(
     ("preset", "frames", "gains", "frozen", "granules"),
-    [("default", 1, 2, True, (8, 48)), ("default", 2, 2, True, (8,)), ("paper", 1, 0, False, (8,))],
+    [slow("default", 1, 2, True, (8, 48)), slow("default", 2, 2, True, (8,)), ("paper", 1, 0, False, (8,))],
 )
 def test_padding_changes_nothing_and_where_there_are_too_few_rows_there_are_more(
     preset, frames, gains, frozen, granules, by_triton, monkeypatch

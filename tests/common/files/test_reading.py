@@ -112,7 +112,7 @@ def test_archives_that_unpack_without_end_take_no_memory(tmp_path):
     for packed in (zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA):
         with zipfile.ZipFile(tmp_path / f"{packed}.npz", "w", packed) as archive, archive.open("a.npy", "w") as member:
             member.write(file.getvalue())
-            for _ in range(300):
+            for _ in range(300 if packed == zipfile.ZIP_BZIP2 else 3):  # the other is refused whatever its size
                 member.write(bytes(2**20))
     assert (tmp_path / f"{zipfile.ZIP_BZIP2}.npz").stat().st_size < 30_000
     tracemalloc.start()

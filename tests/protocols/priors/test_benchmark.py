@@ -8,15 +8,20 @@ import pytest
 
 from flowsplat.cli import main
 from flowsplat.common.errors import InputError
-from flowsplat.protocols.priors import benchmark
+from flowsplat.protocols.priors import benchmark, preparation
 from flowsplat.scenes import Scene
+from tests.marks import slow
 
 
 def call(*arguments: object) -> None:
     main(["benchmark", "priors", *(str(argument) for argument in arguments)])
 
 
-def test_a_pair_is_measured_once(data_root, tmp_path, capsys):
+@pytest.mark.parametrize("in_processes", [False, slow(True)])
+def test_a_pair_is_measured_once(data_root, tmp_path, capsys, request, monkeypatch, in_processes):
+    if not in_processes:
+        request.getfixturevalue("in_this_process")
+        monkeypatch.setattr(preparation, "in_own_process", lambda work, *arguments: work(*arguments))
     out = tmp_path / "out"
     call(data_root, "-o", out, "--scenes", "pair")
     path = out / "pair.json"

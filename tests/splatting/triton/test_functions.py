@@ -9,6 +9,7 @@ import torch
 
 from flowsplat.geometry.rotations import covariances
 from flowsplat.splatting import blend, project, rasterization
+from tests.marks import slow
 from tests.splatting.test_hostile import BROKEN, FINITE, scene
 from tests.splatting.test_rasterize import in_float32, random_gaussians, relative
 
@@ -95,7 +96,7 @@ def at_a_cut(values, size=(WIDTH, HEIGHT)) -> torch.Tensor:
 
 @pytest.mark.parametrize(
     ("channels", "covars", "size"),
-    [(1, False, (40, 28)), (3, False, (33, 17)), (3, True, (40, 28)), (6, False, (16, 32)), (10, True, (37, 19))],
+    [(3, False, (33, 17)), slow(1, False, (40, 28)), slow(3, True, (40, 28)), slow(6, False, (16, 32)), (10, True, (37, 19))],
 )
 def test_values_and_gradients_are_those_of_the_oracle(channels, covars, size):
     values = in_float32(random_gaussians(60, channels, seed=channels))
@@ -111,7 +112,7 @@ def test_values_and_gradients_are_those_of_the_oracle(channels, covars, size):
         assert relative(found.gradients[name], gradient) < 1e-4, name
 
 
-@pytest.mark.parametrize("covars", [False, True])
+@pytest.mark.parametrize("covars", [False, slow(True)])
 def test_values_and_gradients_are_those_of_the_cpu(covars):
     values = {name: value.float() for name, value in random_gaussians(60, 6, seed=21).items()}
     keep = ~at_a_cut(values)
@@ -125,8 +126,8 @@ def test_values_and_gradients_are_those_of_the_cpu(covars):
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")  # NumPy's, of the interpreter, about what is NaN on purpose
-@pytest.mark.parametrize("seed", range(2))
-@pytest.mark.parametrize("size", [(31, 17), (1, 40), (70, 1)])
+@pytest.mark.parametrize("seed", [0, slow(1)])
+@pytest.mark.parametrize("size", [(31, 17), slow((1, 40)), slow((70, 1))])
 def test_hostile_gaussians_do_no_harm(seed, size):
     kinds = sorted({**FINITE, **BROKEN}) * 2 + ["plain"] * 10
     values = with_camera(scene(seed, kinds))
@@ -287,7 +288,7 @@ def test_more_pairs_than_can_be_numbered_are_refused():
         tiles.PairCapacity("cpu").grow(2**31)
 
 
-@pytest.mark.parametrize("packed", [True, False])
+@pytest.mark.parametrize("packed", [True, slow(False)])
 def test_the_interface_of_gsplat_draws_with_it(packed):
     values = {name: value.float() for name, value in random_gaussians(30, 3, seed=6).items()}
 

@@ -14,9 +14,12 @@ from flowsplat.scenes.synthetic.worlds.cameras import CAMERAS
 from flowsplat.scenes.synthetic.worlds.casting import BOX, CAPSULE, ELLIPSOID
 from flowsplat.scenes.synthetic.worlds.drawing import GROUND_SEEN, GROUNDS
 from flowsplat.scenes.synthetic.worlds.parts import KINDS, Mover
+from tests.marks import slow
 
 SEEDS = (1, 3, 10, 17, 54)
 """A bouncing ball and a pendulum; walkers and a vehicle on steps, blurred; walkers arm in arm; crossing walkers; vehicles."""
+
+MANY_SEEDS = [*range(8), *map(slow, range(8, 24))]
 
 
 @pytest.fixture(scope="module", params=SEEDS)
@@ -121,7 +124,7 @@ def test_flow_carries_the_tracks(world):
         np.testing.assert_allclose(seen.depth, depth, rtol=1e-3)
 
 
-@pytest.mark.parametrize("seed", range(24))
+@pytest.mark.parametrize("seed", MANY_SEEDS)
 def test_what_touches_the_ground_stands_on_it(seed):
     world = draw_world(seed, 96, 54, 40)
     times = np.linspace(0, world.duration, 120)
@@ -185,7 +188,7 @@ def test_pairs_touch_each_other(seed, kinds):
         assert np.linalg.norm(away[..., :2].min(1), axis=-1).max() < 0.35
 
 
-@pytest.mark.parametrize("seed", range(24))
+@pytest.mark.parametrize("seed", MANY_SEEDS)
 def test_movers_and_ground_are_in_sight_and_the_camera_is_free(seed):
     world, plan = draw_world(seed), draw_plan(seed)
     assert [mover.kind for mover in world.movers] == list(plan.kinds)
