@@ -29,7 +29,9 @@ def command(scene: Path, out: Path) -> list[str]:
 def result(out: Path) -> tuple[object, bytes]:
     """Figures without times and memory, and the model."""
     metrics = json.loads((out / "metrics.json").read_text())
-    figures = {name: value for name, value in metrics.items() if name not in ("seconds", "wall_seconds", "memory_gib", "peak_memory_gib")}
+    figures = {
+        name: value for name, value in metrics.items() if name not in ("seconds", "wall_seconds", "memory_gib", "peak_memory_gib")
+    }
     return figures, (out / "model" / "gaussians.safetensors").read_bytes() + (out / "final" / "gaussians.safetensors").read_bytes()
 
 

@@ -33,7 +33,7 @@ def made_up_metrics() -> dict:
         "flow_prior_epe": {"mean": 0.43, "median": 0.17, "moving": {"mean": 1.12, "median": 0.6}},
         "depth_abs_rel": {"all": {"mean": 0.041, "median": 0.02}, "static": {"mean": 0.03, "median": 0.02}, "moving": None},
         "lpips_reason": "LPIPS needs pip install flowsplat[metrics]",
-        "seconds": {"prepare": 92.0, "train": 251.0, "evaluate": 31.5, "render": 44.0},
+        "seconds": {"prepare": 92.0, "train": 251.0, "evaluate": 31.5, "render": 44.0}, "wall_seconds": 431.0,
         "peak_memory_gib": 2.31,
         "gaussians": {"total": 184_201, "active_mean": 63_410.5, "movers": {"2": 9_021, "7": 314}},
     }  # fmt: skip

@@ -36,7 +36,11 @@ def files_of(folder: Path) -> dict[str, bytes]:
 
 def figures_of(out: Path) -> dict:
     metrics = json.loads((out / "metrics.json").read_text())
-    return {name: value for name, value in metrics.items() if name not in ("seconds", "wall_seconds", "peak_memory_gib", "memory_gib", "shown")}
+    return {
+        name: value
+        for name, value in metrics.items()
+        if name not in ("seconds", "wall_seconds", "peak_memory_gib", "memory_gib", "shown")
+    }
 
 
 def psnr(model, scene: Scene, i: int) -> float:

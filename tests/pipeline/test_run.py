@@ -29,7 +29,9 @@ from tests.shared import small_config
 
 
 def comparable(metrics):
-    return {name: value for name, value in metrics.items() if name not in ("seconds", "wall_seconds", "peak_memory_gib", "memory_gib")}
+    return {
+        name: value for name, value in metrics.items() if name not in ("seconds", "wall_seconds", "peak_memory_gib", "memory_gib")
+    }
 
 
 def test_everything_comes_out(finished):
