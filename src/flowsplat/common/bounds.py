@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Iterator
 from functools import partial
 from typing import Annotated, Any, TypeVar, get_type_hints
 
@@ -61,13 +62,20 @@ def check_bounds(config: Any, prefix: str) -> None:
     Raises:
         InputError: names the first one.
     """
+    for name, value, bounds in numbers(config):
+        if wrong := problem(value, bounds):
+            raise InputError(f"{prefix}{name} {value:g} {wrong}.")
+
+
+def numbers(config: Any, prefix: str = "") -> Iterator[tuple[str, float, Meta]]:
+    """The dotted name, value and bounds of every setting that has some and is a number, also of dataclasses within this one."""
     bounds = bounds_of(type(config))
     for field in dataclasses.fields(config):
         value = getattr(config, field.name)
         if dataclasses.is_dataclass(value):
-            check_bounds(value, f"{prefix}{field.name}.")
-        elif field.name in bounds and value is not None and (wrong := problem(value, bounds[field.name])):
-            raise InputError(f"{prefix}{field.name} {value:g} {wrong}.")
+            yield from numbers(value, f"{prefix}{field.name}.")
+        elif field.name in bounds and value is not None:
+            yield f"{prefix}{field.name}", value, bounds[field.name]
 
 
 def in_words(bounds: Meta) -> str:
