@@ -41,6 +41,8 @@ MIDDLE = np.array([0.0, 6.0, 0.95])
 ATTEMPTS = 1000
 _ENOUGH_PIXELS = 0.004
 """Share of the picture in which each mover has to be seen, at times spread over ``SEEN``: 230 of 57,600 pixels."""
+_STILL = 0.1
+"""Seconds before the end of ``SEEN`` from which the ball may have no bounce left."""
 _CHECK_SIZE, _CHECKS = (80, 45), 6
 
 Colour = tuple[float, float, float]
@@ -126,7 +128,16 @@ def _draw_movers(rng: np.random.Generator, ground: Ground) -> tuple[Mover, ...]:
         rng, ground, at(1.0, (6.7, 7.3)), heading(), rng.uniform(1.2, 1.6), lambda times: speed * (times - LASTS / 2), True
     )
     thrown = in_the_air(
-        rng, ground, at(1.2, (3.6, 4.2)), heading(), rng.uniform(0.13, 0.18), rng.uniform(0.4, 0.9), LASTS, True, bounces=True
+        rng,
+        ground,
+        at(1.2, (3.6, 4.2)),
+        heading(),
+        rng.uniform(0.13, 0.18),
+        rng.uniform(0.4, 0.9),
+        LASTS,
+        True,
+        bounces=True,
+        rolls_on=True,
     )
     return person, cart, thrown
 
@@ -148,7 +159,9 @@ def _carried_past(rng: np.random.Generator) -> Callable[[np.ndarray], Views]:
 
 
 def _is_in_sight(world: World) -> bool:
-    """Whether everything that moves is well in the picture for the seconds that matter."""
+    """Whether everything that moves is well in the picture for the seconds that matter, and the ball bounces in them."""
+    if world.movers[-1].instants[-1] < (LASTS + SEEN) / 2 - _STILL:
+        return False
     grid = pixel_grid(*_CHECK_SIZE).astype(np.float64).reshape(-1, 2)
     for time in LASTS / 2 + np.linspace(-0.5, 0.5, _CHECKS) * SEEN:
         camera = world.camera_at(time, *_CHECK_SIZE)
