@@ -15,7 +15,8 @@ from flowsplat.scenes.synthetic.drawn_clip import View, views_aside
 from flowsplat.scenes.synthetic.worlds.street import MIDDLE, draw_street, frame_rate
 from flowsplat.scenes.synthetic.worlds.world import World
 
-SEED = 0
+SEED = 3
+"""Of ten, 0 to 9, the median by the PSNR of held-out views with priors of our own (the lower of the two in the middle)."""
 
 
 @dataclass(frozen=True)
