@@ -1,8 +1,9 @@
-"""Make the pictures of the tutorial and of "Why does my clip fail?" anew, with the commands that a reader would use.
+"""Make the pictures of the README, of the tutorial and of "Why does my clip fail?" anew, with the commands that a reader would use.
 
-    python docs/tools/pictures.py WORK_FOLDER [--only tutorial|clips]
+    python docs/tools/pictures.py WORK_FOLDER [--only result|tutorial|clips]
 
-Needs chromium or chrome, and playwright and viser (extra ``dev``). What is in the work folder already is used again.
+All but ``result`` need chromium or chrome, and playwright and viser (extra ``dev``). What is in the work folder already is used
+again.
 """
 
 from __future__ import annotations
@@ -22,8 +23,12 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from flowsplat import load
 from flowsplat.geometry import Camera
-from flowsplat.pictures.sheets import side_by_side
+from flowsplat.pictures.colors import depth_range, depth_to_color, flow_to_color
+from flowsplat.pictures.sheets import side_by_side, stacked
+from flowsplat.scenes import Scene
+from flowsplat.scenes.layers import read_image
 from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic_video
 from flowsplat.scenes.synthetic.bodies import Body
 from flowsplat.scenes.synthetic.textures import patchwork
@@ -39,6 +44,8 @@ PORT = 8137
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 FLAGS = ("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 QUALITY = 82
+TALL = 225
+"""Pixels of a picture of the result."""
 
 Picture = np.ndarray
 
@@ -149,11 +156,36 @@ def picture_clips(work: Path, browser: Any) -> None:
             _shoot(page, f"clip_{name}", until="video.strip")
 
 
+# -- the README
+
+
+def picture_result(work: Path) -> None:
+    """What the demo makes, in one held-out frame: the frame, and what the scene that has not seen it renders."""
+    out = work / "demo"
+    if not (out / "true" / "report.html").exists():
+        _flowsplat("demo", "-o", out)
+    scene, model = Scene(out / "own" / "scene"), load(out / "own" / "model")
+    i = scene.heldout_frames[len(scene.heldout_frames) // 2]
+    (camera, following), (time, later) = scene.cameras[i : i + 2], map(float, scene.timestamps[i : i + 2])
+    seen = model.render(camera, time, (following, later))
+    assert seen.flow is not None
+    rendered = read_image(out / "own" / "evaluation" / "heldout" / f"{i:05d}.png")
+    rows = [
+        side_by_side([scene.heldout_frame(i), rendered], ["held-out frame", "rendered"], TALL),
+        side_by_side(
+            [flow_to_color(seen.flow), depth_to_color(seen.depth, *depth_range([seen.depth]))],
+            ["rendered flow", "rendered depth"],
+            TALL,
+        ),
+    ]
+    cv2.imwrite(str(IMAGES / "result.png"), stacked(rows)[..., ::-1])
+
+
 # -- the tutorial
 
 
 def picture_tutorial(work: Path, browser: Any) -> None:
-    """The tutorial's commands on the built-in clip, and what a reader sees after each."""
+    """The tutorial's commands on the clip of ``demo --world floating``, and what a reader sees after each."""
     clip, out, export = work / "clip.mp4", work / "run", work / "clip.html"
     if not clip.exists():
         write_synthetic_video(clip, SyntheticScene(*SIZE))
@@ -255,9 +287,13 @@ def main() -> None:
     """Make the pictures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("work", type=Path)
-    parser.add_argument("--only", choices=("tutorial", "clips"))
+    parser.add_argument("--only", choices=("result", "tutorial", "clips"))
     arguments = parser.parse_args()
     work = arguments.work.resolve()
+    if arguments.only in (None, "result"):
+        picture_result(work)
+    if arguments.only == "result":
+        return
     from playwright.sync_api import sync_playwright
 
     program = next(filter(None, map(shutil.which, PROGRAMS)), None)

@@ -57,7 +57,7 @@ def commands(run: Path) -> Iterator[list[str]]:
         "view": [f"--{name.replace('_', '-')}" for name in options(ViewOptions) if name != "host"],
         "tracks": ["--at", "--queries"],
         "info": ["--help-all"],
-        "demo": ["--size", "--frames"],
+        "demo": ["--size", "--frames", "--world"],
     }
     while True:
         which = of(["run", "run", "run", "prepare", *others])
@@ -91,7 +91,7 @@ def test_senseless_commands(tmp_path, monkeypatch, capfd, first, count):
     monkeypatch.setattr(pipeline, "run", looked_at)
     monkeypatch.setattr(pipeline, "prepare", looked_at)
     monkeypatch.setattr("flowsplat.output.viewer.server.view", lambda folder, options: None)
-    monkeypatch.setattr("flowsplat.pipeline.demo.write_synthetic_video", lambda path, spec: (_ for _ in ()).throw(SystemExit(0)))
+    monkeypatch.setattr("flowsplat.pipeline.demo.write_synthetic", lambda *_, **__: (_ for _ in ()).throw(SystemExit(0)))
     monkeypatch.chdir(tmp_path)
     failed, refused = [], 0
     for _, command in zip(range(count), itertools.islice(commands(run), first, None), strict=False):

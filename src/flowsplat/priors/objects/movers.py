@@ -158,12 +158,12 @@ def accepted_laws(path: WorldPath, normal: np.ndarray | None) -> tuple[dict[str,
     if normal is not None:
         laws["height"] = constant_height(path, normal)
     p, passed = laws["pivot"], {}
-    passed["pivot"] = p.fit <= 3 and p.measures["rest"] <= 0.6 and p.measures["turned"] >= 30 and p.measures["lever"] <= 8
+    passed["pivot"] = p.measures["rest"] <= 0.6 and p.measures["turned"] >= 30 and p.measures["lever"] <= 8
     passed["height"] = "height" in laws and laws["height"].measures["explained"] >= 0.3
     cues = {
         name: Cue(-float(np.log(law.nearness)), float(np.hypot(law.sigma, FLOOR[name])), WRONG[name])
         for name, law in laws.items()
-        if law.usable and passed[name]
+        if law.usable and law.holds and passed[name]
     }
     return cues, laws
 

@@ -20,6 +20,9 @@ INFLATE = 4.0
 """Factor on the variance of tracks: their errors last for frames, so that they average out less than white noise."""
 MODEL_ERROR = 0.01
 """Share of an object's size by which any law of motion is off."""
+LARGEST_FIT = 3.0
+"""chi^2 per degree of freedom above which a path does not obey a law. As errors last for ``INFLATE`` frames, 40 frames are worth
+ten independent ones, and where the law holds their chi^2 is above 3 a degree less than once in a thousand."""
 BOUNCE_SPAN = 2
 """Frames to either side over which the second difference of a height is taken."""
 BOUNCE, BOUNCE_WIDTH = 1.5, 4
@@ -110,6 +113,11 @@ class Law:
     def usable(self) -> bool:
         """Whether w is positive and known to 20 %."""
         return bool(np.isfinite(self.nearness) and self.nearness > 0 and self.sigma <= 0.2)
+
+    @property
+    def holds(self) -> bool:
+        """Whether the path is off the law by no more than its noise: else no w is right, however well one is known."""
+        return bool(self.fit <= LARGEST_FIT)
 
 
 def pivot(path: WorldPath) -> Law:

@@ -1,6 +1,12 @@
-"""The built-in clip: a small moving world with exact cameras, depth, flow, masks, tracks and held-out views."""
+"""Drawn clips with exact cameras, depth, flow, masks, tracks and held-out views.
 
-from flowsplat.scenes.synthetic.synthetic_scene import SyntheticScene, View
-from flowsplat.scenes.synthetic.writing import write_synthetic, write_synthetic_video
+``StreetScene`` is what people film, and what the demo shows. In ``SyntheticScene`` three things float in a room, and no camera
+can tell how far away they are: it tests whether that is known.
+"""
 
-__all__ = ["SyntheticScene", "View", "write_synthetic", "write_synthetic_video"]
+from flowsplat.scenes.synthetic.drawn_clip import DrawnClip, View
+from flowsplat.scenes.synthetic.street_scene import StreetScene
+from flowsplat.scenes.synthetic.synthetic_scene import SyntheticScene
+from flowsplat.scenes.synthetic.writing import encode_frames, write_synthetic, write_synthetic_video
+
+__all__ = ["DrawnClip", "StreetScene", "SyntheticScene", "View", "encode_frames", "write_synthetic", "write_synthetic_video"]

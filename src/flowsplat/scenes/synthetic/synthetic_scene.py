@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.spread import spread
@@ -15,6 +14,7 @@ from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.scenes.layers import Flow, Tracks
 from flowsplat.scenes.scene import HeldoutView
 from flowsplat.scenes.synthetic.bodies import Body
+from flowsplat.scenes.synthetic.drawn_clip import View, views_aside
 from flowsplat.scenes.synthetic.textures import Surface, in_chunks
 from flowsplat.scenes.synthetic.world import SCENE_DEPTH, build_world, camera_at
 
@@ -29,27 +29,6 @@ VISIBLE = 1e-6
 
 TRACKS_PER_BODY = 100
 """True tracks on each mover; the static world gets twice as many."""
-
-VIEW_STEP = 4
-"""Held-out views exist at every fourth time."""
-
-BASELINE = 0.06
-"""Held-out cameras stand this share of the scene's depth to the left and to the right, and turn in by as much."""
-
-
-@dataclass(frozen=True)
-class View:
-    """One rendered view.
-
-    Attributes:
-        picture: [H, W, 3] uint8 RGB, antialiased.
-        depth: [H, W] float64 planar depth in metres at the pixel centres.
-        mask: [H, W] uint8, number of the mover at the pixel centre, 0 = static.
-    """
-
-    picture: np.ndarray
-    depth: np.ndarray
-    mask: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -233,18 +212,8 @@ class SyntheticScene:
     # -- held-out views
 
     def heldout_views(self) -> list[HeldoutView]:
-        """A camera to the left and one to the right of the clip's own, at every ``VIEW_STEP``-th frame."""
-        views = []
-        for i in range(0, self.frames, VIEW_STEP):
-            camera = self.camera(i)
-            for name, side in (("left", -BASELINE), ("right", BASELINE)):
-                step = np.eye(4)
-                step[0, 3] = -side * SCENE_DEPTH
-                turn = np.eye(4)
-                turn[:3, :3] = Rotation.from_euler("y", np.arctan(side)).as_matrix()
-                aside = Camera(turn @ step @ camera.viewmat, camera.K, self.width, self.height)
-                views.append(HeldoutView(f"{name}_{i:05d}", i, aside))
-        return views
+        """A camera to the left and one to the right of the clip's own, at every fourth frame."""
+        return views_aside(self.camera, self.frames, SCENE_DEPTH)
 
     def covisible(self, view: HeldoutView) -> np.ndarray:
         """[H, W] bool: pixels of a held-out view whose point the clip's frame of the same time sees, too."""

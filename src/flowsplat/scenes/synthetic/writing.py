@@ -1,20 +1,25 @@
-"""The synthetic clip as a scene folder, and as a video."""
+"""A drawn clip as a scene folder, and as a video."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from flowsplat.common.progress import track
+from flowsplat.common.threads import in_threads, most_threads
 from flowsplat.pictures.video import write_mp4
 from flowsplat.scenes.layers import Depth
 from flowsplat.scenes.scene import Scene
-from flowsplat.scenes.synthetic.synthetic_scene import SyntheticScene
+from flowsplat.scenes.synthetic.drawn_clip import DrawnClip
+
+CRF = 12
+"""Of x264: nearly lossless."""
 
 
-def write_synthetic(folder: Path, spec: SyntheticScene, *, holdout: int | None = None, with_truth: bool = True) -> Scene:
+def write_synthetic(folder: Path, spec: DrawnClip, *, holdout: int | None = None, with_truth: bool = True) -> Scene:
     """Render the clip into a scene folder, without any prior.
 
     Args:
@@ -35,34 +40,46 @@ def write_synthetic(folder: Path, spec: SyntheticScene, *, holdout: int | None =
         holdout=holdout,
         source_fps=spec.fps,
     )
-    truth = scene.create_truth() if with_truth else None
-    for i in track(range(spec.frames), "Rendering the synthetic clip"):
-        view = spec.render(spec.camera(i), spec.timestamps[i])
+    truth, threads = scene.create_truth() if with_truth else None, most_threads()
+    cameras = [spec.camera(i) for i in range(spec.frames)]
+    frames = in_threads(lambda i: spec.render(cameras[i], spec.timestamps[i]), range(spec.frames), threads)
+    for i, view in enumerate(track(frames, "Rendering the synthetic clip", spec.frames)):
         scene.write_frame(i, view.picture)
         if truth:
             truth.write_depth(i, Depth(view.depth, np.ones_like(view.depth)))
             truth.write_mask(i, view.mask)
     if not truth:
         return scene
-    truth.write_cameras([spec.camera(i) for i in range(spec.frames)])
+    truth.write_cameras(cameras)
     truth.write_tracks(spec.tracks())
-    neighbours = {*pairwise(range(spec.frames)), *pairwise(scene.train_frames)}
-    for i, j in track(sorted(neighbours), "Writing its true flow"):
-        truth.write_flow(spec.flow(i, j))
-        truth.write_flow(spec.flow(j, i))
-    for heldout in track(spec.heldout_views(), "Rendering its held-out views"):
-        view = spec.render(heldout.camera, spec.timestamps[heldout.frame])
-        scene.write_view(heldout, view.picture, view.mask, spec.covisible(heldout))
+    neighbours = sorted({*pairwise(range(spec.frames)), *pairwise(scene.train_frames)})
+    flows = in_threads(lambda pair: (spec.flow(*pair), spec.flow(*pair[::-1])), neighbours, threads)
+    for forward, backward in track(flows, "Writing its true flow", len(neighbours)):
+        truth.write_flow(forward)
+        truth.write_flow(backward)
+    heldout = spec.heldout_views()
+    views = in_threads(lambda each: (spec.render(each.camera, spec.timestamps[each.frame]), spec.covisible(each)), heldout, threads)
+    for each, (view, seen) in zip(heldout, track(views, "Rendering its held-out views", len(heldout)), strict=True):
+        scene.write_view(each, view.picture, view.mask, seen)
     return scene
 
 
-def write_synthetic_video(path: Path, spec: SyntheticScene) -> None:
+def write_synthetic_video(path: Path, spec: DrawnClip) -> None:
     """Render the clip and encode it as a nearly lossless mp4.
 
     Raises:
         InputError: the file cannot be written.
     """
-    frames = (
-        spec.render(spec.camera(i), spec.timestamps[i]).picture for i in track(range(spec.frames), "Rendering the synthetic clip")
-    )
-    write_mp4(path, frames, spec.fps, crf=12)
+    frames = in_threads(lambda i: spec.render(spec.camera(i), spec.timestamps[i]).picture, range(spec.frames), most_threads())
+    write_mp4(path, track(frames, "Rendering the synthetic clip", spec.frames), spec.fps, crf=CRF)
+
+
+def encode_frames(path: Path, scene: Scene) -> None:
+    """The video that ``write_synthetic_video`` writes, of the frames that a scene folder holds already.
+
+    Raises:
+        InputError: a frame is missing, or the file cannot be written.
+    """
+    heldout = set(scene.heldout_frames)
+    frames: Iterable[np.ndarray] = (scene.heldout_frame(i) if i in heldout else scene.frame(i) for i in range(scene.num_frames))
+    write_mp4(path, frames, float(scene.info["source_fps"]), crf=CRF)

@@ -7,7 +7,6 @@ twenty each has another pair of ground and camera. Worlds of dancers are drawn a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,6 +31,7 @@ from flowsplat.scenes.synthetic.worlds.machines import (
 from flowsplat.scenes.synthetic.worlds.materials import draw_material
 from flowsplat.scenes.synthetic.worlds.parts import KINDS, UP, Kind, Mover, Part, Placed, ball, box, cylinder, frame
 from flowsplat.scenes.synthetic.worlds.people import HEIGHT, walker
+from flowsplat.scenes.synthetic.worlds.placing import apart, are_apart, is_free, reach
 from flowsplat.scenes.synthetic.worlds.world import Light, World
 
 GROUNDS: tuple[GroundKind, ...] = ("flat", "slope", "steps", "none")
@@ -182,7 +182,7 @@ def _place(rng: np.random.Generator, seed: int, plan: Plan, size: tuple[int, int
         return None
     nearest, furthest = float(np.linalg.norm(centres, axis=-1).min()), float(centres[..., 1].max())
     if plan.ground == "none" and plan.raised:
-        front = float(centres[..., 1].min()) - rng.uniform(0.6, 1.0) - max(_reach(mover, times) for mover in movers)
+        front = float(centres[..., 1].min()) - rng.uniform(0.6, 1.0) - max(reach(mover, times) for mover in movers)
         if front < 1.2:
             return None
         ground = Ground(ground.kind, ground.gradient, ground.direction, front=front)
@@ -191,9 +191,8 @@ def _place(rng: np.random.Generator, seed: int, plan: Plan, size: tuple[int, int
     path = draw_path(rng, plan.camera, stand, nearest, duration, leader)
     surface = draw_material(rng, 1.5, rich and bool(rng.random() < 0.8))
     static = [_draw_sky(rng), *ground.parts(surface), *(placed for mover in movers for placed in mover.support)]
-    held = len(static)
     for placed in _draw_scenery(rng, plan, ground, centres, scale, furthest, rich):
-        if all(_apart(placed, mover, times) for mover in movers):
+        if all(apart(placed, mover, times) for mover in movers):
             static.append(placed)
     up = np.radians(rng.uniform(30, 65))
     around = rng.uniform(0, 2 * np.pi)
@@ -204,9 +203,9 @@ def _place(rng: np.random.Generator, seed: int, plan: Plan, size: tuple[int, int
         Light(direction, sun, 1.0 - 0.55 * sun), rng.uniform(0.3, 0.6) if rng.random() < BLURRED else 0.0,
         rng.uniform(1.0, 4.0) if rng.random() < NOISY else 0.4, (1, 2) if plan.pair == "touching" else None,
     )  # fmt: skip
-    if not _are_apart(movers, times, plan.pair == "touching"):
+    if not are_apart(movers, times, plan.pair == "touching"):
         return None
-    return world if _is_free(world, path(np.linspace(0, duration, frames))[0], held) else None
+    return world if is_free(world, path(np.linspace(0, duration, frames))[0]) else None
 
 
 # -- movers
@@ -432,55 +431,6 @@ def _draw_scenery(
 
 
 # -- what is refused
-
-
-def _balls(mover: Mover, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(centres [T, P, 3], radii [P]) of balls round the parts."""
-    return mover.poses(times)[1], np.array([part.radius for part in mover.parts])
-
-
-def _reach(mover: Mover, times: np.ndarray) -> float:
-    """Metres from a mover's centre to its furthest end."""
-    centres, radii = _balls(mover, times)
-    return float((np.linalg.norm(centres - mover.centre(times)[:, None], axis=-1) + radii).max())
-
-
-def _apart(placed: Placed, mover: Mover, times: np.ndarray) -> bool:
-    """Whether something static is nowhere near the way of a mover."""
-    centres, radii = _balls(mover, times)
-    local = np.abs((centres - placed.centre) @ placed.turn)
-    gap = np.linalg.norm(np.maximum(local - placed.part.size, 0), axis=-1)
-    return bool((gap > radii + 0.05).all())
-
-
-def _are_apart(movers: Sequence[Mover], times: np.ndarray, first_two_touch: bool) -> bool:
-    found = [_balls(mover, times) for mover in movers]
-    for a in range(len(found)):
-        for b in range(a + 1, len(found)):
-            if (a, b) == (0, 1) and first_two_touch:
-                continue
-            away = np.linalg.norm(found[a][0][:, :, None] - found[b][0][:, None], axis=-1)
-            if (away < found[a][1][:, None] + found[b][1]).any():
-                return False
-    for a, mover in enumerate(movers):
-        for b, other in enumerate(movers):
-            if a != b and not all(_apart(placed, other, times) for placed in mover.support):
-                return False
-    return True
-
-
-def _is_free(world: World, centres: np.ndarray, held: int) -> bool:
-    """Whether the camera is inside or next to nothing."""
-    for placed in world.static[1:]:
-        local = np.abs((centres - placed.centre) @ placed.turn)
-        if (np.linalg.norm(np.maximum(local - placed.part.size, 0), axis=-1) < 0.3).any():
-            return False
-    times = np.linspace(0, world.duration, len(centres))
-    for mover in world.movers:
-        places, radii = _balls(mover, times)
-        if (np.linalg.norm(places - centres[:, None], axis=-1) < radii + 0.5).any():
-            return False
-    return True
 
 
 def _is_in_sight(world: World, plan: Plan) -> bool:

@@ -132,11 +132,14 @@ def rolling(rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: f
 
 def in_the_air(
     rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: float, radius: float, speed: float, duration: float,
-    rich: bool, bounces: bool,
+    rich: bool, bounces: bool, rolls_on: bool = False,
 ) -> Mover:  # fmt: skip
     """A ball that falls freely: thrown so that it does not come down during the clip, or bouncing.
 
     Bounces turn the vertical speed about, whatever the slope of the ground.
+
+    Args:
+        rolls_on: whether it stays on the ground once its bounces are too low to be seen, as it must where a clip outlasts them.
     """
     heading = straight(rng, ground, heading)
     at = ground.middle_of_tread(at, 1.2 * radius)
@@ -164,6 +167,7 @@ def in_the_air(
         k = np.clip(np.searchsorted(begin, times, "right") - 1, 0, None)
         since = times - begin[k]
         over = height[k] + rise[k] * since - 0.5 * GRAVITY * since**2
+        over = np.maximum(over, 0) if rolls_on else over
         place = at + (speed * (times - duration / 2))[:, None] * along
         centre = np.concatenate([place, (ground.height(place) + lift + over)[:, None]], 1)
         return together([(np.asarray(Rotation.from_rotvec(times[:, None] * axis).as_matrix()), centre)])

@@ -174,13 +174,22 @@ class World:
 
     def picture(self, i: int) -> np.ndarray:
         """[H, W, 3] uint8 RGB of frame ``i``: antialiased, blurred by motion and noisy as the world says."""
-        time = self.timestamps[i]
+        return self.photograph(self.camera_at, self.timestamps[i], np.random.default_rng([self.seed, 3, i]))
+
+    def photograph(self, camera_at: Callable[[float], Camera], time: float, rng: np.random.Generator) -> np.ndarray:
+        """[H, W, 3] uint8 RGB at a time in seconds, as ``picture``.
+
+        Args:
+            camera_at: from seconds to the camera, which moves while a picture is exposed.
+            rng: of the noise.
+        """
         shares = (np.arange(_EXPOSURES) + 0.5) / _EXPOSURES - 0.5 if self.shutter else np.zeros(1)
-        total = np.zeros((self.height, self.width, 3))
         lights = self._suns()
         for k, share in enumerate(shares):
             moment = time + share * self.shutter / self.fps
-            camera = self.camera_at(moment)
+            camera = camera_at(moment)
+            if k == 0:
+                total = np.zeros((camera.height, camera.width, 3))
             turns, centres = self.poses(moment)
             origins, bounds = self._seen_from(camera, turns, centres)
             c = self._constants
@@ -191,7 +200,6 @@ class World:
                 np.ascontiguousarray(camera.viewmat[:3, :3]), camera.intrinsics, camera.center, _SAMPLES[chosen], lights[chosen],
                 self.light.ambient, self.light.sun, total,
             )  # fmt: skip
-        rng = np.random.default_rng([self.seed, 3, i])
         levels = total * (255 / len(shares)) + self.noise * rng.normal(size=total.shape)
         return np.clip(levels + 0.5, 0, 255).astype(np.uint8)
 
@@ -207,13 +215,25 @@ class World:
 
     def geometry(self, i: int) -> tuple[np.ndarray, np.ndarray]:
         """(planar depth [H, W] in metres at the pixel centres, number of the mover [H, W] uint8) of frame ``i``."""
-        hits = self._frame_hits(i)
-        shape = (self.height, self.width)
+        return self.seen_by(self.camera(i), self.timestamps[i])
+
+    def seen_by(self, camera: Camera, time: float) -> tuple[np.ndarray, np.ndarray]:
+        """As ``geometry``, by any camera at a time in seconds."""
+        hits = self._pixel_hits(camera, time)
+        shape = (camera.height, camera.width)
         return hits.depth.reshape(shape), self.numbers[hits.part].reshape(shape)
 
+    def covisible(self, camera: Camera, i: int) -> np.ndarray:
+        """[H, W] bool: pixels of a camera at the time of frame ``i`` whose point that frame sees, too."""
+        time = self.timestamps[i]
+        points = self._carry(self._pixel_hits(camera, time), time)
+        return self.sees(self.camera(i), time, points)[1].reshape(camera.height, camera.width)
+
+    def _pixel_hits(self, camera: Camera, time: float) -> Hits:
+        return self.cast(camera, time, pixel_grid(camera.width, camera.height).astype(np.float64).reshape(-1, 2))
+
     def _frame_hits(self, i: int) -> Hits:
-        grid = pixel_grid(self.width, self.height).astype(np.float64).reshape(-1, 2)
-        return self.cast(self.camera(i), self.timestamps[i], grid)
+        return self._pixel_hits(self.camera(i), self.timestamps[i])
 
     def _carry(self, hits: Hits, time: float) -> np.ndarray:
         """[N, 3] where the points that were hit are at ``time``."""
