@@ -14,6 +14,8 @@ from pathlib import Path
 import pytest
 
 PROPERTY = "seconds of the processor"
+ALONE = ("browser", "all_cores")
+"""Marks of tests that are run one after the other."""
 SLOW_WEIGHT = 50
 """Of a slow test, where an ordinary one has 1."""
 _BEFORE = pytest.StashKey[float]()
@@ -32,6 +34,15 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         for item in items:
             weights[item.path] += SLOW_WEIGHT if item.get_closest_marker("slow") else 1
         items.sort(key=lambda item: -weights[item.path])
+
+
+def pytest_deselected(items: list[pytest.Item]) -> None:
+    """Write which files have tests of the other groups: reading all files takes long, and those groups have few."""
+    config = items[0].config
+    file = config.getoption("--measured")
+    if file is not None and getattr(config, "workerinput", {}).get("workerid", "gw0") == "gw0":
+        found = {str(item.path) for item in items if any(item.get_closest_marker(name) for name in ALONE)}
+        file.with_suffix(".alone").write_text(json.dumps(sorted(found)), encoding="utf-8")
 
 
 def processor_seconds() -> float:

@@ -98,11 +98,11 @@ class Group:
     options: tuple[str, ...] = ()
     environment: dict[str, str] = field(default_factory=dict)
 
-    def command(self, everything: bool, measured: Path) -> list[str]:
-        """What runs it."""
+    def command(self, everything: bool, measured: Path, files: Sequence[str] = ()) -> list[str]:
+        """What runs it, in all files or in these."""
         marked = self.marked if everything else f"{self.marked} and not slow"
         plugin = ["-p", "tests.plugin", "--measured", str(measured)]
-        return [sys.executable, "-m", "pytest", *plugin, "-m", marked, *self.options]
+        return [sys.executable, "-m", "pytest", *plugin, "-m", marked, *self.options, *files]
 
 
 GROUPS = (
@@ -191,16 +191,18 @@ def run(everything: bool, work: Path, running: Run, tally: Tally) -> int:
     if failed := running.at_once({**checks, **before}, shared):
         print(f"Failed: {', '.join(failed)}. No test was run.")
         return 1
-    codes = []
+    codes, files = [], list[str]()
     for number, group in enumerate(GROUPS):
         say(f"tests, {group.name}", began)
         measured = work / f"{number}.jsonl"
         try:
-            process = running.begin(group.command(everything, measured), {**shared, **group.environment})
+            process = running.begin(group.command(everything, measured, files), {**shared, **group.environment})
             codes.append(process.wait())
         finally:
             if measured.exists():
                 tally.add(measured.read_text(encoding="utf-8").splitlines())
+        if number == 0 and measured.with_suffix(".alone").exists():
+            files = json.loads(measured.with_suffix(".alone").read_text(encoding="utf-8"))
         if codes[-1] not in (0, 1, NOTHING):
             print(f"Pytest ended with code {codes[-1]}: not all of these tests were run.")
     say("the slowest", began)

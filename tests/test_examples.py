@@ -38,6 +38,7 @@ def test_training_and_rendering_from_python(tmp_path):
     assert (tmp_path / "03_rendered.png").exists()
 
 
+@pytest.mark.slow
 def test_a_motion_model_of_ones_own(tmp_path):
     output = run_example("04_add_a_motion_model.py", tmp_path, 40)
     losses = next(line for line in output.splitlines() if line.startswith("loss")).split()
@@ -45,6 +46,7 @@ def test_a_motion_model_of_ones_own(tmp_path):
     assert (tmp_path / "04_player.html").stat().st_size > 100_000
 
 
+@pytest.mark.slow
 def test_code_of_gsplat_users(tmp_path):
     output = run_example("05_gsplat_users.py", tmp_path, 80)
     steps = [line.split() for line in output.splitlines() if line.startswith("step")]

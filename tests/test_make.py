@@ -87,6 +87,7 @@ def test_every_test_is_counted_once(tmp_path, workers):
     group = GROUPS[0] if workers else Group("alone", GROUPS[0].marked)
     code, tally = measured(tmp_path, group, everything=True)
     assert code == 1
+    assert json.loads((tmp_path / "measured.alone").read_text()) == [str(tmp_path / "test_a_few.py")]
     assert tally.line() == "2 passed, 2 failed, 2 skipped"
     times = {name.split("::")[-1]: test for name, test in tally.tests.items()}
     assert times["test_works"].slow
