@@ -231,13 +231,14 @@ def test_folders_that_cannot_be_used(capsys, tmp_path, scene):
 def test_what_an_earlier_version_wrote_is_refused_in_one_line(capsys, tmp_path, scene):
     out = tmp_path / "run"
     call(capsys, "run", scene, "-o", out, "--priors", "true", *FAST)
-    for name, content in (("run.json", {"version": 1}), ("model/model.json", {"version": 4})):
-        record = json.loads((out / name).read_text())
-        (out / name).write_text(json.dumps({**record, **content}))
-        for command in (("view", out), ("export", out, "--to", "ply"), ("render", out)):
-            if name == "run.json" or command[0] != "view":
-                assert "earlier flowsplat" in refuse(capsys, *command)
-        (out / name).write_text(json.dumps(record))
+    for names, version in ((("run.json",), 1), (("model/model.json", "final/model.json"), 4)):
+        before = {name: (out / name).read_text() for name in names if (out / name).exists()}
+        for name, text in before.items():
+            (out / name).write_text(json.dumps({**json.loads(text), "version": version}))
+        for command in (("export", out, "--to", "ply"), ("render", out, "--render.paths", "orbit")):
+            assert "earlier flowsplat" in refuse(capsys, *command)
+        for name, text in before.items():
+            (out / name).write_text(text)
 
 
 def test_scenes_that_are_damaged(capsys, tmp_path, scene):

@@ -113,7 +113,7 @@ def test_the_report_holds_the_figures(tmp_path):
     page = words(write(tmp_path, made_up_run()))
     for text in (
         "29.87 dB", "3.79 dB better than interpolating", "interpolation: 26.08 dB", "0.912", "24.41", "21.34", "22.08",
-        "25.76", "0.43 px", "1.12", "0.041", "184,201", "63,410 active at a time", "6 min 58 s", "2.3 GiB", "31.02",
+        "25.76", "0.43 px", "1.12", "0.041", "184,201", "63,410 active at a time", "7 min 11 s", "2.3 GiB", "31.02",
         "thinned from 240", "9,021", "train.model.mean_poly", "1500", "Parts of the loss", "Gaussians active over the clip",
         "Round the middle of the clip", "frame 29", "full colour =",
     ):  # fmt: skip

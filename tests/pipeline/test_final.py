@@ -147,11 +147,9 @@ def test_without_heldout_frames_there_is_nothing_to_do(tmp_path):
     assert not (tmp_path / "out" / "final").exists()
 
 
-def test_runs_from_before_stay_without_it_and_benchmarks_never_do_it(finished):
+def test_runs_do_it_and_benchmarks_never(finished):
     assert RunConfig().final_fit
-    assert not from_plain(RunConfig, {}).final_fit
     assert RunFolder(finished).config.final_fit
     assert from_plain(RunConfig, to_plain(replace(RunConfig(), final_fit=False))) == replace(RunConfig(), final_fit=False)
     config, _ = protocol_config("fast", None, 10)
     assert not config.final_fit
-    assert "final_fit" not in to_plain(config), "keys of their earlier results stay"

@@ -360,18 +360,6 @@ def test_settings_survive_their_file(tmp_path):
         preset("best")
 
 
-def test_runs_from_before_there_were_kinds_of_motion_keep_their_settings():
-    """Their keys are made of what ``to_plain`` gives."""
-    for name in ("default", "paper"):
-        plain = to_plain(preset(name))
-        assert "kind" not in plain["train"]["model"]
-        assert from_plain(RunConfig, plain).train.model.kind == "series"
-    config = preset("default")
-    other = replace(config, train=replace(config.train, model=replace(config.train.model, kind="linear")))
-    assert to_plain(other)["train"]["model"]["kind"] == "linear"
-    assert from_plain(RunConfig, to_plain(other)) == other
-
-
 @pytest.mark.parametrize(
     ("name", "value"),
     [

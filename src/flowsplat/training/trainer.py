@@ -386,7 +386,8 @@ class Trainer:
         self._recent.append(entry)
         if self.step % RECORD_EVERY == 0 or self.step == self.config.iterations:
             recent = _read(self._recent)
-            mean = {name: float(np.mean([e[name] for e in recent])) for name in entry}
+            # Those of a checkpoint that somebody changed may lack one.
+            mean = {name: float(np.mean([e[name] for e in recent if name in e])) for name in entry}
             self.history.append({"step": float(self.step), **mean, "gaussians": float(len(self.gaussians))})
             self._recent = []
             if self._record is not None:

@@ -7,7 +7,8 @@ from typing import Protocol
 
 from torch import Tensor
 
-from flowsplat.common.devices import Kernels, Later, kernels_for
+from flowsplat.common import devices
+from flowsplat.common.devices import Kernels, Later
 from flowsplat.gaussians.culling.capacity import RowCapacity
 from flowsplat.gaussians.culling.reference import REACH
 from flowsplat.geometry import Camera
@@ -76,7 +77,7 @@ def active_rows(
     Returns:
         rows [A] int64 on the device of the Gaussians, and the number of those at rest. The host waits for a GPU to count them.
     """
-    kernels = kernels_for(means)
+    kernels = devices.kernels_for(means)
     if kernels == "reference" and means.device.type == "cpu":
         kernels = "cpu"  # which culls in any float type
     return _twin(kernels).active_rows(at_rest, means, log_scales, times, log_lambdas, t, p_min, camera, near)

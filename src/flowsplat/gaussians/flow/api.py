@@ -8,7 +8,8 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from flowsplat.common.devices import Kernels, kernels_for
+from flowsplat.common import devices
+from flowsplat.common.devices import Kernels
 from flowsplat.gaussians.flow.reference import FlowModel, flow_features
 from flowsplat.gaussians.slicing import Slice
 from flowsplat.geometry import Camera
@@ -60,7 +61,7 @@ def blend_features(sliced: Slice, projected: Projected, camera: Camera, flow: Fl
     if flow is None:
         return torch.cat([sliced.colours, projected.depths[:, None]], 1)
     dtype, device = sliced.means.dtype, sliced.means.device
-    kernels = kernels_for(sliced.means)
+    kernels = devices.kernels_for(sliced.means)
     if kernels != "reference" and (flow.model == "displacement" or (flow.model == "affine" and sliced.covars is None)):
         twin = _twin(kernels)
         if flow.model == "displacement":

@@ -8,7 +8,8 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from flowsplat.common.devices import Kernels, kernels_for
+from flowsplat.common import devices
+from flowsplat.common.devices import Kernels
 
 
 class AdamKernels(Protocol):
@@ -78,7 +79,7 @@ class RowAdam:
         """
         if len(rows) == 0 or value[0].numel() == 0:
             return
-        _twin(kernels_for(value)).step_rows(
+        _twin(devices.kernels_for(value)).step_rows(
             value.view(len(value), -1), *self.moments(name), rows, stepped, gradient.reshape(len(rows), -1), rates
         )
 

@@ -6,7 +6,8 @@ from typing import Protocol
 
 from torch import Tensor
 
-from flowsplat.common.devices import Kernels, kernels_for
+from flowsplat.common import devices
+from flowsplat.common.devices import Kernels
 from flowsplat.training.rigidity.neighbours import Neighbours
 
 
@@ -42,4 +43,4 @@ def rigid_loss(velocities: Tensor, rows: Tensor, neighbours: Neighbours, count: 
         count: how many of the rows are not padding for ours; the number of all Gaussians for the paper's. A tensor where only the
             device knows it.
     """
-    return _twin(kernels_for(velocities)).rigid_loss(velocities, rows, neighbours, count)
+    return _twin(devices.kernels_for(velocities)).rigid_loss(velocities, rows, neighbours, count)
