@@ -231,11 +231,15 @@ def test_folders_that_cannot_be_used(capsys, tmp_path, scene):
 def test_what_an_earlier_version_wrote_is_refused_in_one_line(capsys, tmp_path, scene):
     out = tmp_path / "run"
     call(capsys, "run", scene, "-o", out, "--priors", "true", *FAST)
-    for names, version in ((("run.json",), 1), (("model/model.json", "final/model.json"), 4)):
+    render, export = ("render", out, "--render.paths", "orbit"), ("export", out, "--to", "ply")
+    for names, version, commands in (
+        (("run.json",), 1, (render, ("train", out), ("run", scene, "-o", out, "--priors", "true", *FAST))),
+        (("model/model.json", "final/model.json"), 4, (render, export)),
+    ):
         before = {name: (out / name).read_text() for name in names if (out / name).exists()}
         for name, text in before.items():
             (out / name).write_text(json.dumps({**json.loads(text), "version": version}))
-        for command in (("export", out, "--to", "ply"), ("render", out, "--render.paths", "orbit")):
+        for command in commands:
             assert "earlier flowsplat" in refuse(capsys, *command)
         for name, text in before.items():
             (out / name).write_text(text)
