@@ -1,6 +1,6 @@
 """Spoiled files of every kind: each is read or refused in one line, soon, in little memory, and nothing else happens.
 
-200 mutations in ``make test``, 2,000 in ``make test-all``; ``pytest tests/fuzz --fuzz 100000`` tries as many, and writes the
+200 mutations in ``make test``, 3,000 in ``make test-all``; ``pytest tests/fuzz --fuzz 100000`` tries as many, and writes the
 figures by reader into ``fuzz.json`` where it was called.
 """
 
@@ -21,7 +21,7 @@ import pytest
 from tests.fuzz.readers import make_originals
 from tests.marks import slow
 
-FEW, MANY = 200, 2000
+FEW, MANY = 200, 3000
 PATIENCE = 90.0
 """Seconds without a word after which a process hangs; slower ones than ``SLOWEST`` are failures of their own."""
 pytestmark = pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="the peak of memory is measured on Linux only")
