@@ -187,8 +187,11 @@ def run(everything: bool, work: Path, running: Run, tally: Tally) -> int:
         "NUMBA_CACHE_DIR": str(kernels_folder()),
     }  # fmt: skip
     say("lint, format, types; kernels are compiled, and a small run is trained", began)
-    before = {part: [sys.executable, "-m", "tests.shared", part, str(work / "shared")] for part in ("finished", "kernels")}
-    if failed := running.at_once({**checks, **before}, shared):
+    before = {
+        part: [sys.executable, "-m", "tests.shared", part, str(work / "shared")] for part in ("kernels", "others", "finished")
+    }
+    finished = {"finished": before.pop("finished")}
+    if failed := [*running.at_once({**checks, **before}, shared), *running.at_once(finished, shared)]:
         print(f"Failed: {', '.join(failed)}. No test was run.")
         return 1
     codes, files = [], list[str]()

@@ -11,8 +11,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from flowsplat.output.videos import RenderOptions
-from flowsplat.pipeline import prepare, run
-from flowsplat.pipeline.compiling import main as compile_and_note
+from flowsplat.pipeline import run
+from flowsplat.pipeline.compiling import compile_kernels, note_compiled
 from flowsplat.pipeline.config import RunConfig
 from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic
 from flowsplat.scenes.synthetic.worlds import draw_world
@@ -55,14 +55,14 @@ def made_before(name: str) -> Path | None:
 
 
 def main(part: str, folder: Path) -> None:
-    """Make the clip and the run, or let the kernels of the priors and of drawn worlds be compiled."""
+    """Compile one half of the kernels, or the other and those that draw worlds; or make the clip and the run."""
     if part == "finished":
-        compile_and_note()
+        note_compiled()
         make_finished(folder, make_scene(folder))
+    elif part == "kernels":
+        compile_kernels(slice(0, None, 2))
     else:
-        scene = make_scene(folder / part)
-        config = small_config()
-        prepare(scene, folder / part / OUT, replace(config, priors=replace(config.priors, priors="own")))
+        compile_kernels(slice(1, None, 2))
         draw_world(0, 64, 48, 10).picture(0)
 
 

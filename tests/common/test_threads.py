@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 
+import cv2
 import numpy as np
 import pytest
 
@@ -15,6 +18,7 @@ from flowsplat.common import threads
 from flowsplat.common.kernels import kernel
 from flowsplat.common.threads import (
     computed_once,
+    core_left_to,
     in_one_launch,
     in_threads,
     most_threads,
@@ -131,6 +135,28 @@ def test_an_interrupt_is_not_held_up(kind):
         parallel_for(_slow, len(values), values, pieces=1000)
     assert (values[0] > 1, values[-1]) == (True, 1)
     timer.join()
+
+
+def test_a_core_is_left_to_a_process_as_long_as_it_lives():
+    before = thread_count(), cv2.getNumThreads()
+    process = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
+    try:
+        with core_left_to(process):
+            assert (thread_count(), cv2.getNumThreads()) == tuple(max(count - 1, 1) for count in before)
+            process.terminate()
+            deadline = time.monotonic() + 30
+            while thread_count() < before[0] and time.monotonic() < deadline:
+                time.sleep(0.01)
+            assert (thread_count(), cv2.getNumThreads()) == before
+        assert thread_count() == before[0], "it is given back once"
+    finally:
+        process.kill()
+        process.wait()
+    with subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"]) as other:
+        with core_left_to(other):
+            pass
+        assert thread_count() == before[0], "at the end of the block at the latest"
+        other.kill()
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no processes are forked here")

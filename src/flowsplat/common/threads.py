@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import os
+import subprocess
 import threading
 from collections import OrderedDict, deque
 from collections.abc import Callable, Iterable, Iterator
@@ -13,6 +14,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
+import cv2
 from numba import config
 
 Item = TypeVar("Item")
@@ -26,6 +28,9 @@ PIECES = 4
 _own = threading.local()
 
 
+_left_to_others = 0
+
+
 def most_threads() -> int:
     """``NUMBA_NUM_THREADS``, or as many as this process has cores."""
     return int(config.NUMBA_NUM_THREADS)
@@ -33,7 +38,38 @@ def most_threads() -> int:
 
 def thread_count() -> int:
     """How many threads the kernels have that the calling thread starts."""
-    return getattr(_own, "count", None) or most_threads()
+    return max((getattr(_own, "count", None) or most_threads()) - _left_to_others, 1)
+
+
+@contextlib.contextmanager
+def core_left_to(process: subprocess.Popen[Any]) -> Iterator[None]:
+    """Compute with one thread less for as long as another process needs a core, at most until the end of this.
+
+    Threads that wait for each other would wait for the core that it has; what is computed does not depend on it.
+    """
+    global _left_to_others
+    threads, lock, open_cv = 1, threading.Lock(), cv2.getNumThreads()
+
+    def give_back() -> None:
+        global _left_to_others
+        nonlocal threads
+        with lock:
+            _left_to_others -= threads
+            if threads:
+                cv2.setNumThreads(open_cv)
+            threads = 0
+
+    def wait() -> None:
+        process.wait()
+        give_back()
+
+    _left_to_others += threads
+    cv2.setNumThreads(max(open_cv - 1, 1))
+    threading.Thread(target=wait, daemon=True, name="flowsplat waits").start()
+    try:
+        yield
+    finally:
+        give_back()
 
 
 def set_thread_count(count: int) -> None:

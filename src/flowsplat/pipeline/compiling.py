@@ -24,6 +24,7 @@ from flowsplat.common.files import make_folder, read_json, write_json
 from flowsplat.common.kernel_cache import kernels_folder
 from flowsplat.common.progress import busy
 from flowsplat.common.source import PACKAGE, source_state
+from flowsplat.common.threads import core_left_to
 from flowsplat.common.user_cache import cache_folder
 
 SIGNATURES = Path(__file__).with_name("signatures.json")
@@ -103,7 +104,8 @@ def compiling_ahead(device: str) -> Iterator[Ahead]:
             process = subprocess.Popen([sys.executable, "-c", _COMMAND], **quiet)  # type: ignore[call-overload]
     ahead = Ahead(process)
     try:
-        yield ahead
+        with contextlib.nullcontext() if process is None else core_left_to(process):
+            yield ahead
     finally:
         ahead.stop()
 
@@ -133,18 +135,28 @@ def compile_kernel(name: str, arguments: str) -> None:
     kernel.compile(normalize_signature(f"void({arguments})")[0])
 
 
-def compile_kernels() -> None:
-    """Compile all of ``read_signatures``, one after the other."""
-    for name, arguments in read_signatures():
-        with contextlib.suppress(Exception):  # The run compiles what it needs, and then says what is wrong.
-            compile_kernel(name, arguments)
+def compile_kernels(part: slice = slice(None)) -> None:
+    """Compile what ``read_signatures`` lists, or a part of it, one after the other."""
+    # The compiler makes millions of small objects: looking among them for what nothing uses any more takes a twentieth of its time.
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        for name, arguments in read_signatures()[part]:
+            with contextlib.suppress(Exception):  # The run compiles what it needs, and then says what is wrong.
+                compile_kernel(name, arguments)
+    finally:
+        if collects:
+            gc.enable()
+
+
+def note_compiled() -> None:
+    """Write that all kernels of the list are compiled."""
+    note(_marker(), code_state("cpu"))
 
 
 def main() -> None:
     """What the process does."""
     with contextlib.suppress(AttributeError, OSError):  # not on Windows
         os.nice(NICE)
-    # The compiler makes millions of small objects: looking among them for what nothing uses any more takes a twentieth of its time.
-    gc.disable()
     compile_kernels()
-    note(_marker(), code_state("cpu"))
+    note_compiled()
