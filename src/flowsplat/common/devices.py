@@ -12,7 +12,6 @@ import torch
 from torch import Tensor
 
 from flowsplat.common.errors import InputError
-from flowsplat.common.progress import say_once
 from flowsplat.common.triton import triton_works
 
 DeviceName = Literal["auto", "cpu", "cuda"]
@@ -60,6 +59,8 @@ def pick_device(name: str) -> torch.device:
         return torch.device("cuda")
     if name == "cuda":
         raise InputError(f"--device cuda does not work here: {problem}. Use --device cpu.")
+    from flowsplat.common.progress import say_once  # which a rasterizer alone does not need
+
     say_once(f"Computing on the CPU: {problem}.")
     return torch.device("cpu")
 

@@ -14,7 +14,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
-import cv2
 from numba import config
 
 Item = TypeVar("Item")
@@ -47,6 +46,8 @@ def core_left_to(process: subprocess.Popen[Any]) -> Iterator[None]:
 
     Threads that wait for each other would wait for the core that it has; what is computed does not depend on it.
     """
+    import cv2  # which a rasterizer alone does not need
+
     global _left_to_others
     threads, lock, open_cv = 1, threading.Lock(), cv2.getNumThreads()
 
