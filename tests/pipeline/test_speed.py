@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -110,6 +111,15 @@ def test_more_work_is_expected_to_take_longer():
     rest = {name: expected(scene, config)["rest"] for name, config in CONFIGS.items()}
     assert rest["static"] - rest["plain"] == pytest.approx(0.25 * small["train"])
     assert rest["final"] - rest["plain"] == pytest.approx(SHARE * small["train"])
+
+
+def test_what_is_true_costs_nothing(tested):
+    scene = SimpleNamespace(width=640, height=360, num_frames=50, train_frames=range(45), heldout_frames=range(5))
+    config = RunConfig()
+    reference = expected(scene, replace(config, priors=replace(config.priors, priors="true")))
+    assert (reference["cameras"], reference["priors"]) == (0, 0)
+    Speed("cpu").remember({"cameras": 20.0, "flow": 30.0, "depth": 30.0, "train": 30.0}, reference)
+    assert Speed("cpu").factor("train") == pytest.approx(30 / reference["train"], abs=1e-3)
 
 
 def test_the_test_itself():

@@ -141,7 +141,7 @@ def _compute_scene(
         begin_peak()
         folder.save()
         if prior == "cameras":
-            if took >= TELLING and watch.was_quiet() and not compiling:
+            if took >= TELLING and reference["cameras"] > 0 and watch.was_quiet() and not compiling:
                 speed.seen(took / reference["cameras"])
             say(f"Left of a whole run: {speed.estimate(reference, STAGES[2:], folder.wall_seconds)}.")
 

@@ -99,8 +99,9 @@ def _expected(config: RunConfig, width: int, height: int, train_frames: int, hel
     train = config.train.iterations * frames * (0.01 + 0.48 * megapixels)
     final = SHARE * train if config.final_fit and heldout else 0.0
     static = 0.25 * train if config.baselines == "all" else 0.0
+    own = config.priors.priors != "true"  # what is true is there
     return {
-        "cameras": 3 + 0.17 * all_frames, "priors": 15 + 4.2 * all_frames, "train": train,
+        "cameras": own * (3 + 0.17 * all_frames), "priors": own * (15 + 4.2 * all_frames), "train": train,
         "rest": 5 + 1.5 * all_frames + final + static,
     }  # fmt: skip
 
@@ -145,7 +146,7 @@ class Speed:
     def remember(self, seconds: Mapping[str, float], reference: Mapping[str, float]) -> None:
         """Keep what the stages of a whole run took; what was short, or not all of its work, tells nothing."""
         for stage, took in stages_of(seconds).items():
-            if took >= SHORTEST and (stage != "priors" or {"flow", "depth"} <= set(seconds)):
+            if took >= SHORTEST and reference[stage] > 0 and (stage != "priors" or {"flow", "depth"} <= set(seconds)):
                 self._known[stage] = [*self._known.get(stage, []), round(took / reference[stage], 3)][-KEPT:]
         self._write()
 
