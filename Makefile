@@ -6,7 +6,7 @@ BIN := .venv/bin
 
 help:
 	@echo "make demo      a short rendered clip through all stages: pictures, video and report in out/demo"
-	@echo "make test      lint, format, types, and every guarantee once: about ten minutes"
+	@echo "make test      lint, format, types, and every guarantee once"
 	@echo "make test-all  the same and all that takes longer"
 	@echo "make lock      requirements.lock and requirements.view.lock anew, from pyproject.toml and constraints.txt (needs uv)"
 	@echo "make clean     remove .venv and out"

@@ -22,7 +22,7 @@ ITERATIONS = 12
 
 
 def compile_kernels(device: str) -> None:
-    """Run a tiny clip, once for every state of the code on a machine: Numba keeps what it compiles beside the code.
+    """Run a tiny clip, once for every state of the code on a machine: what is compiled is kept on disk.
 
     Where that does not work it is said, and the clips compile what they need.
     """

@@ -25,9 +25,9 @@ PIECES = 4
 """Ranges for each thread into which a loop is cut: where others need the processor, too, threads are not equally fast."""
 
 _own = threading.local()
-
-
 _left_to_others = 0
+"""Cores that other processes need for now."""
+_counting = threading.Lock()
 
 
 def most_threads() -> int:
@@ -46,31 +46,45 @@ def core_left_to(process: subprocess.Popen[Any]) -> Iterator[None]:
 
     Threads that wait for each other would wait for the core that it has; what is computed does not depend on it.
     """
-    import cv2  # which a rasterizer alone does not need
-
-    global _left_to_others
-    threads, lock, open_cv = 1, threading.Lock(), cv2.getNumThreads()
+    taken = [1]
 
     def give_back() -> None:
-        global _left_to_others
-        nonlocal threads
-        with lock:
-            _left_to_others -= threads
-            if threads:
-                cv2.setNumThreads(open_cv)
-            threads = 0
+        with _counting:
+            _leave(-taken.pop() if taken else 0)
 
     def wait() -> None:
         process.wait()
         give_back()
 
-    _left_to_others += threads
-    cv2.setNumThreads(max(open_cv - 1, 1))
+    with _counting:
+        _leave(taken[0])
     threading.Thread(target=wait, daemon=True, name="flowsplat waits").start()
     try:
         yield
     finally:
         give_back()
+
+
+def _leave(cores: int) -> None:
+    global _left_to_others
+    open_cv_threads()  # before they are changed for the first time
+    _left_to_others += cores
+    restore_open_cv()
+
+
+@cache
+def open_cv_threads() -> int:
+    """How many threads OpenCV has in this process where it need not leave any to others."""
+    import cv2  # which a rasterizer alone does not need
+
+    return int(cv2.getNumThreads())
+
+
+def restore_open_cv() -> None:
+    """Give OpenCV the threads that it may have now."""
+    import cv2
+
+    cv2.setNumThreads(max(open_cv_threads() - _left_to_others, 1))
 
 
 def set_thread_count(count: int) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from flowsplat.common.devices import pick_device
-from flowsplat.common.durations import duration
+from flowsplat.common.durations import beginning, duration
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import make_folder, read_json, write_bytes, write_json
 from flowsplat.common.progress import say
@@ -45,7 +45,7 @@ def run_demo(out: Path, width: int = 320, frames: int = 40, world: World = "stre
     Raises:
         InputError: a clip of that size or length is none, or the folder cannot be written, or holds another clip.
     """
-    started = time.monotonic()
+    begun = beginning()
     if not 64 <= width <= 1920 or not 3 <= frames <= 1000:
         raise InputError(f"A demo of {frames} frames of {width} pixels cannot be made: --size 64 to 1920, --frames 3 to 1000.")
     spec, record = _clip_of(world, width, frames)
@@ -69,7 +69,7 @@ def run_demo(out: Path, width: int = 320, frames: int = 40, world: World = "stre
     true = prepare(truth.folder, out / "true", _to_compare(config, TRUE_ITERATIONS[world]))
     train(true)
     true_metrics = render_run(true)
-    for line in _screen(out, world, spec, own, own_metrics, true_metrics, time.monotonic() - started):
+    for line in _screen(out, world, spec, own, own_metrics, true_metrics, time.perf_counter() - begun):
         say(line)
 
 

@@ -25,6 +25,7 @@ from flowsplat.common.errors import InputError
 from flowsplat.common.files import make_folder, read_json, write_json
 from flowsplat.common.kernel_cache import compiled_kernels
 from flowsplat.common.progress import busy
+from flowsplat.common.threads import open_cv_threads, restore_open_cv
 from flowsplat.common.user_cache import cache_folder
 from flowsplat.pipeline.config import RunConfig
 from flowsplat.scenes import Scene
@@ -212,13 +213,14 @@ def _used() -> _Used | None:
 
 
 def self_test(seconds: float = TEST_SECONDS) -> float:
-    """How many times as long as the reference machine this one takes for flow and for arithmetic, which is most of a run."""
+    """How many times as long as the reference machine one core of this one takes for flow and arithmetic, most of a run."""
     noise = np.random.default_rng(0).integers(0, 255, (260, 440), dtype=np.uint8)
     picture = cv2.GaussianBlur(noise, (0, 0), 2)
     a, b = np.ascontiguousarray(picture[:240, :426]), np.ascontiguousarray(picture[3:243, 5:431])
     flow, numbers = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM), torch.rand(1_000_000)
     took: list[float] = []
-    threads, open_cv = torch.get_num_threads(), cv2.getNumThreads()
+    threads = torch.get_num_threads()
+    open_cv_threads()  # before they are changed
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     try:
@@ -233,7 +235,7 @@ def self_test(seconds: float = TEST_SECONDS) -> float:
                 took.append(time.thread_time() - began)
     finally:
         torch.set_num_threads(threads)
-        cv2.setNumThreads(open_cv)
+        restore_open_cv()
     return float(np.median(took)) / REFERENCE_ROUND
 
 
