@@ -3,6 +3,10 @@
     python benchmarks/gpu.py                      # everything; the result goes to benchmarks/results/
     python benchmarks/gpu.py --quick              # fewer repetitions, nothing is written
     python benchmarks/gpu.py --scene out/bear/scene   # and the seconds from this prepared scene to a trained model
+    python benchmarks/gpu.py --everything --minutes 8 # all there is to do with a card: kernels tested, measured, whole runs
+    python benchmarks/gpu.py --everything --rehearse  # the same, tiny, in Triton's interpreter: without a card
+    python benchmarks/gpu.py --everything --plan      # what would be done in which second
+    python benchmarks/gpu.py --page benchmarks/results/gpu-nvidia-h200.json   # what it found, as a page
 
 Milliseconds are the card's own. Without a GPU that works it says so and ends with code 2.
 """
@@ -10,6 +14,7 @@ Milliseconds are the card's own. Without a GPU that works it says so and ends wi
 from __future__ import annotations
 
 import argparse
+import json
 import re
 import sys
 import tempfile
@@ -50,9 +55,9 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     result["training"] = frames.training_step(repeat)
     tell("growth ...")
     result["growth"] = frames.growth(COUNTS[:2] if options.quick else COUNTS, repeat)
-    if options.scene:
+    for scene in options.scene[:1]:
         tell("a whole training ...")
-        result["whole_training"] = _train(options.scene)
+        result["whole_training"] = _train(scene)
     return result
 
 
@@ -105,17 +110,74 @@ def lines(result: dict[str, Any]) -> list[str]:
     return page
 
 
+def _everything(options: argparse.Namespace) -> None:
+    """All parts, or what they would be."""
+    from gpu_parts import everything
+
+    parts = tuple(part for part in everything.PARTS if not options.only or part.name in options.only)
+    if options.plan:
+        second = 0.0
+        for part, limit in everything.plan(options.minutes, parts):
+            print(f"{second:5.0f} to {second + limit:4.0f} s  {part.name:10} {part.what}")
+            second += limit
+        return
+    out = options.out or RESULTS / ("gpu-rehearsal.json" if options.rehearse else "gpu-everything.json")
+    out.parent.mkdir(parents=True, exist_ok=True)
+    result = everything.everything(
+        out,
+        options.minutes,
+        options.scene,
+        options.rehearse,
+        options.broken,
+        [part.name for part in parts],
+        None if options.keep is None else options.keep.resolve(),
+    )
+    tell(f"wrote {out}")
+    # A part that failed has its figures missing: whoever calls this from a script should know.
+    sys.exit(0 if all(part["outcome"] == "done" for part in result["parts"].values()) else 1)
+
+
+def _part(options: argparse.Namespace) -> None:
+    """One of them, in this process."""
+    from gpu_parts import parts
+
+    scenes = tuple(scene.resolve() for scene in options.scene)
+    parts.run(options.part, parts.Record(options.out, options.work, options.seconds, options.rehearse, options.broken, scenes))
+
+
 def main() -> None:
     """Measure, print, write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="few repetitions")
-    parser.add_argument("--scene", type=Path, metavar="FOLDER", help="also train this prepared scene")
+    parser.add_argument("--scene", type=Path, metavar="FOLDER", action="append", default=[], help="also train this prepared scene")
     parser.add_argument("-o", "--out", type=Path, metavar="JSON", help="write the result here")
+    parser.add_argument("--everything", action="store_true", help="all there is to do, each part in a process of its own")
+    parser.add_argument("--minutes", type=float, default=8.0, help="for everything together")
+    parser.add_argument("--only", nargs="+", default=[], metavar="PART", help="these parts of everything")
+    parser.add_argument("--page", type=Path, metavar="JSON", help="print what --everything wrote there as a page")
+    parser.add_argument("--plan", action="store_true", help="only say which part would run when")
+    parser.add_argument("--rehearse", action="store_true", help="tiny, in Triton's interpreter")
+    parser.add_argument("--broken", action="store_true", help="with a kernel that fails on purpose: what still comes?")
+    parser.add_argument("--keep", type=Path, metavar="FOLDER", help="what the parts print, and their runs, stay there")
+    parser.add_argument("--part", help=argparse.SUPPRESS)
+    parser.add_argument("--work", type=Path, help=argparse.SUPPRESS)
+    parser.add_argument("--seconds", type=float, help=argparse.SUPPRESS)
     options = parser.parse_args()
-    problem = gpu_problem()
+    if options.part:
+        _part(options)
+        return
+    if options.page:
+        from gpu_parts.page import page
+
+        print(*page(json.loads(options.page.read_text(encoding="utf-8"))), sep="\n")
+        return
+    problem = None if options.rehearse or options.plan else gpu_problem()
     if problem is not None:
         tell(f"There is no GPU to measure: {problem}.")
         sys.exit(2)
+    if options.everything:
+        _everything(options)
+        return
     result = measure(options)
     print(*lines(result), sep="\n")
     name = re.sub(r"[^a-z0-9]+", "-", result["machine"]["card"].lower()).strip("-")

@@ -21,9 +21,9 @@ from flowsplat.gaussians.slicing import slice_gaussians
 from flowsplat.splatting import Projected, blend, project
 from flowsplat.training.config import PRESETS
 from flowsplat.training.trainer import Trainer
-from gpu_parts.machine import forget_peak, milliseconds, peak_gib
+from gpu_parts.machine import device, forget_peak, milliseconds, peak_gib
 
-DEVICE, TOTAL = "cuda", 196_000
+TOTAL = 196_000
 SHARE_AT_REST = 0.3571
 """Of the Gaussians; with it 91,000 of 196,000 are active in a frame."""
 SIZES = {"480x270": (480, 270), "854x480": (854, 480), "1920x1080": (1920, 1080)}
@@ -34,7 +34,7 @@ WAYS = {3: None, 6: "displacement", 10: "affine"}
 def gaussians(count: int, width: int, height: int) -> Gaussians4D:
     """The scene on the GPU."""
     with replaced(scene, "BACKGROUND", SHARE_AT_REST):
-        return scene.gaussians(PRESETS["default"].model, count, width, height).to(DEVICE)
+        return scene.gaussians(PRESETS["default"].model, count, width, height).to(device())
 
 
 class Frames:
@@ -45,7 +45,7 @@ class Frames:
         self.camera, self.other = scene.cameras(work_load(1, width, height))[:2]
         self.active = model.active(0.0, self.camera)
         self.center = torch.as_tensor(self.camera.center, dtype=torch.float32)
-        self.view = self.camera.tensors(device=DEVICE)
+        self.view = self.camera.tensors(device=device())
         flow = WAYS[channels]
         self.flow = None if flow is None else FlowView(flow, self.other, 1 / (scene.FRAMES - 1))  # type: ignore[arg-type]
         self.sliced = self._slice()
@@ -166,12 +166,12 @@ class Frames:
         return {**result, "ratio": {way: significant(value) for way, value in ratios.items()}}
 
 
-def growth(counts: tuple[int, ...], repeat: int) -> dict[str, Any]:
-    """Frames of 854 x 480 with six channels, of ever more Gaussians, ever smaller in the picture's area."""
+def growth(counts: tuple[int, ...], repeat: int, size: tuple[int, int] = (854, 480)) -> dict[str, Any]:
+    """Frames with six channels, of ever more Gaussians, ever smaller in the picture's area."""
     result = {}
     for count in counts:
         forget_peak()
-        frames = Frames(gaussians(count, 854, 480), 854, 480, 6)
+        frames = Frames(gaussians(count, *size), *size, 6)
         both = milliseconds(frames.forward_and_backward, repeat)
         result[f"{count:,}"] = {
             "active": len(frames.active.rows), "forward": milliseconds(frames.forward, repeat), "forward_and_backward": both,
@@ -187,7 +187,7 @@ def training_step(repeat: int) -> dict[str, Any]:
         config = replace(PRESETS[preset], iterations=2 * scene.FRAMES, frames_per_iteration=1, preview_every=0)
         with replaced(scene, "BACKGROUND", SHARE_AT_REST):
             start = scene.gaussians(config.model, TOTAL, 854, 480)
-        trainer = Trainer(scene.observations(start, 854, 480), None, config, start=start, device=DEVICE)
+        trainer = Trainer(scene.observations(start, 854, 480), None, config, start=start, device=device())
         forget_peak()
         trainer.run()
         step = milliseconds(trainer._iterate, repeat)

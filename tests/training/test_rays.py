@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from flowsplat.training.adam import RowAdam
-from flowsplat.training.rays import FEWEST_PIXELS, ray_axes, reference, step_along_rays
+from flowsplat.training.rays import FEWEST_PIXELS, PathSpread, ray_axes, reference, step_along_rays
 from flowsplat.training.trainer import Trainer
 from tests.training.handful import a_few, seen, tiny
 
@@ -21,7 +21,7 @@ def travel(metres: float, frames: int = 9) -> torch.Tensor:
 
 def test_axes_are_those_of_the_ray():
     positions = torch.from_numpy(np.random.default_rng(0).normal(0, 3, (200, 3)).astype(np.float32))
-    axes, factors = ray_axes(positions, travel(0.3), 400.0, 15.0)
+    axes, factors = ray_axes(positions, PathSpread.of(travel(0.3)), 400.0, 15.0)
     torch.testing.assert_close(axes @ axes.mT, torch.eye(3).expand(200, 3, 3), rtol=0, atol=1e-5)
     torch.testing.assert_close(axes[:, 2], positions / positions.norm(dim=1, keepdim=True))
     assert float(factors.min()) >= 1
@@ -32,7 +32,7 @@ def test_axes_are_those_of_the_ray():
 def test_factors_are_half_of_what_parallax_lacks(distance):
     centres = travel(0.3)
     std = float(centres[:, 0].std(correction=0))
-    _, (factor,) = ray_axes(torch.tensor([[0.0, 0.0, distance]]), centres, 400.0, 15.0)
+    _, (factor,) = ray_axes(torch.tensor([[0.0, 0.0, distance]]), PathSpread.of(centres), 400.0, 15.0)
     seen_pixels = (400 * std / distance) ** 2
     share = seen_pixels / (seen_pixels + FEWEST_PIXELS**2)
     assert float(factor) == pytest.approx(1 + share * (min(max(distance / (2 * std), 1), 15) - 1), rel=1e-4)
@@ -40,13 +40,13 @@ def test_factors_are_half_of_what_parallax_lacks(distance):
 
 def test_what_lies_ahead_of_a_camera_that_goes_there_has_no_parallax():
     forward = travel(0.3)[:, [1, 2, 0]]
-    _, factors = ray_axes(torch.tensor([[0.0, 0.0, 5.0], [5.0, 0.0, 0.0]]), forward, 400.0, 15.0)
+    _, factors = ray_axes(torch.tensor([[0.0, 0.0, 5.0], [5.0, 0.0, 0.0]]), PathSpread.of(forward), 400.0, 15.0)
     assert float(factors[0]) == pytest.approx(1, abs=1e-3)
     assert float(factors[1]) > 5
 
 
 def test_a_camera_that_stands_changes_nothing():
-    axes, factors = ray_axes(torch.randn(50, 3), torch.zeros(5, 3), 400.0, 15.0)
+    axes, factors = ray_axes(torch.randn(50, 3), PathSpread.of(torch.zeros(5, 3)), 400.0, 15.0)
     assert torch.isfinite(axes).all()
     assert (factors == 1).all()
 
@@ -83,7 +83,18 @@ def test_the_kernel_matches_its_oracle(metres):
             stepped = torch.rand(len(rows), generator=g) < 0.7
             adam.begin_step(rows, stepped)
             gradient = torch.randn(len(rows), 3, generator=g)
-            step(adam, "means", value, rows, stepped, gradient, torch.tensor([0.1, 0.2, 0.3]), travel(metres), 400.0, 15.0)
+            step(
+                adam,
+                "means",
+                value,
+                rows,
+                stepped,
+                gradient,
+                torch.tensor([0.1, 0.2, 0.3]),
+                PathSpread.of(travel(metres)),
+                400.0,
+                15.0,
+            )
         found.append((value, *adam.moments("means")))
     for ours, oracle in zip(*found, strict=True):
         torch.testing.assert_close(ours, oracle, atol=2e-4, rtol=2e-4)

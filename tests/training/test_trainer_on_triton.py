@@ -94,16 +94,20 @@ def test_every_kernel_of_a_step_is_launched_on_the_device_of_its_tensors(flow_mo
     """Not on the one that happens to be the current one. The interpreter knows no devices, so the guard is counted instead."""
     runs = type(_squares)
     guarded, launched = [], []
+    device_of = torch.cuda.device_of
 
     class Guard:
         def __init__(self, tensor):
             assert isinstance(tensor, torch.Tensor)
+            self._real = device_of(tensor)
 
         def __enter__(self):
+            self._real.__enter__()
             guarded.append(self)
 
-        def __exit__(self, *_):
+        def __exit__(self, *error):
             guarded.pop()
+            self._real.__exit__(*error)
 
     run = runs.run
 
@@ -113,13 +117,14 @@ def test_every_kernel_of_a_step_is_launched_on_the_device_of_its_tensors(flow_mo
 
     monkeypatch.setattr(torch.cuda, "device_of", Guard)
     monkeypatch.setattr(runs, "run", launch)
-    by_triton()
     config = tiny("default", flow_model=flow_model)
-    Trainer(seen(a_few(config)), None, config, start=a_few(config), device="cuda" if ON_GPU else "cpu").run()
+    observations, start = seen(a_few(config)), a_few(config)  # on the CPU, by its kernels
+    by_triton()
+    Trainer(observations, None, config, start=start, device="cuda" if ON_GPU else "cpu").run()
     assert {module.split(".triton")[0] for module, _, _ in launched} >= {
         f"flowsplat.{part}" for part in (
             "gaussians.culling", "gaussians.slicing", "gaussians.flow", "splatting", "training.picture_loss",
-            "training.rigidity", "training.adam",
+            "training.rigidity", "training.adam", "training.rays",
         )
     }  # fmt: skip
     assert {(module, name) for module, name, is_guarded in launched if not is_guarded} == set()

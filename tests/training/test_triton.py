@@ -7,9 +7,12 @@ from dataclasses import asdict, replace
 import pytest
 import torch
 
+from flowsplat.training.adam import RowAdam
 from flowsplat.training.adam import reference as adam_reference
 from flowsplat.training.picture_loss import PictureTargets, PictureWeights
 from flowsplat.training.picture_loss import reference as picture_reference
+from flowsplat.training.rays import PathSpread
+from flowsplat.training.rays import reference as rays_reference
 from flowsplat.training.rigidity import Neighbours, find_neighbours
 from flowsplat.training.rigidity import reference as rigid_reference
 from tests.common.compiling import compiled
@@ -18,6 +21,7 @@ from tests.training.test_operations import moving_model, picture_case
 pytest.importorskip("triton", reason="Triton is not installed")
 from flowsplat.training.adam import triton as adam_triton
 from flowsplat.training.picture_loss import triton as picture_triton
+from flowsplat.training.rays import triton as rays_triton
 from flowsplat.training.rigidity import triton as rigid_triton
 
 DEVICE = torch.device("cuda", 0) if torch.cuda.is_available() else torch.device("cpu")
@@ -154,12 +158,36 @@ def test_no_gaussians_have_no_rigid_loss():
         assert velocities.grad is None or float(velocities.grad.abs().sum()) == 0
 
 
+@pytest.mark.parametrize("metres", [0.3, 0.0])
+def test_steps_along_rays_match_their_oracle(metres):
+    g = torch.Generator().manual_seed(0)
+    start, rows = 3 * torch.randn(60, 3, generator=g), torch.arange(5, 55)
+    start[10], start[20] = torch.tensor([0.0, 0.0, 2.0]), torch.zeros(3)  # along an axis, and in the middle of the path
+    centres = torch.outer(torch.linspace(-1, 1, 9), torch.tensor([metres, 0.0, 0.02]))
+    path, rates = PathSpread.of(centres), torch.tensor([0.1, 0.2, 0.3])
+    values = {device: start.clone().to(device) for device in ("cpu", DEVICE)}
+    ours, adam = (RowAdam({"means": values[device].clone()}) for device in (DEVICE, "cpu"))
+    expected, value = values["cpu"].clone(), values[DEVICE].clone()
+    for _ in range(3):
+        stepped, gradient = torch.rand(len(rows), generator=g) < 0.7, torch.randn(len(rows), 3, generator=g)
+        for each, device in ((ours, DEVICE), (adam, "cpu")):
+            each.begin_step(rows.to(device), stepped.to(device))
+        rays_reference.step_along_rays(adam, "means", expected, rows, stepped, gradient, rates, path, 400.0, 15.0)
+        on_device = (rows, stepped, gradient, rates)
+        there = PathSpread.of(centres, DEVICE)
+        rays_triton.step_rows(value, *ours.moments("means"), *(t.to(DEVICE) for t in on_device), there, 400.0, 15.0)
+    for found, oracle in zip((value, *ours.moments("means")), (expected, *adam.moments("means")), strict=True):
+        torch.testing.assert_close(found.cpu(), oracle, atol=2e-4, rtol=2e-4)
+    assert float((expected - start).abs().max()) > 0.1
+
+
 @pytest.mark.slow
 def test_every_kernel_compiles_for_gpus_that_are_not_there():
     kernels = compiled("""
 from dataclasses import replace
 from flowsplat.training.adam import triton as adam
 from flowsplat.training.picture_loss import PictureWeights, triton as picture_loss
+from flowsplat.training.rays import PathSpread, triton as rays
 from flowsplat.training.rigidity import find_neighbours, triton as rigidity
 from tests.common.compiling import compiled
 from tests.training.test_operations import moving_model, picture_case
@@ -174,6 +202,9 @@ rows = torch.arange(20)
 for size in (1, 4, 48):
     state = torch.zeros(20, size), torch.zeros(20, size), torch.zeros(20, size), torch.zeros(20, dtype=torch.int32)
     adam.step_rows(*state, rows, rows > 3, torch.zeros(20, size), torch.zeros(size))
+path = PathSpread.of(torch.rand(5, 3))
+state = torch.zeros(20, 3), torch.zeros(20, 3), torch.zeros(20, 3), torch.zeros(20, dtype=torch.int32)
+rays.step_rows(*state, rows, rows > 3, torch.zeros(20, 3), torch.zeros(3), path, 400.0, 15.0)
 model, times = moving_model()
 rows = model.active(times[1]).rows
 velocities = torch.zeros(len(rows), 3, requires_grad=True)

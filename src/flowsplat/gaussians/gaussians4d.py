@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -59,6 +60,12 @@ class Active:
             return values
         resting, moving = self.counts()
         return torch.cat([values[:resting], values[self.num_static : self.num_static + moving]])
+
+
+@functools.cache
+def _moving_names(config: ModelConfig) -> tuple[str, ...]:
+    parameters = motion_model(config).parameters
+    return ("times", *(name for name, parameter in parameters.items() if parameter.moves))
 
 
 @dataclass
@@ -159,7 +166,7 @@ class Gaussians4D:
     @property
     def moving_names(self) -> tuple[str, ...]:
         """Parameters that only moving Gaussians have in ``gather``."""
-        return ("times", *(name for name, parameter in self.motion.parameters.items() if parameter.moves))
+        return _moving_names(self.config)
 
     def rows_of(self, name: str, active: Active) -> Tensor:
         """The rows that ``gather`` took for parameter ``name``."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import time as clock
 from collections.abc import Callable, Sequence
@@ -42,7 +43,7 @@ from flowsplat.training.checkpoint import (
 from flowsplat.training.config import TrainConfig, affecting_result
 from flowsplat.training.coverage import coverage_loss
 from flowsplat.training.picture_loss import PictureTargets, PictureWeights, picture_loss
-from flowsplat.training.rays import step_along_rays
+from flowsplat.training.rays import PathSpread, step_along_rays
 from flowsplat.training.residuals import add_residuals
 from flowsplat.training.rigidity import Neighbours, find_neighbours, rigid_loss
 from flowsplat.training.targets import Targets
@@ -131,7 +132,7 @@ class Trainer:
         self._average = TailAverage()
         self._times = np.array([frame.time for frame in observations.frames])
         centres = np.array([frame.camera.center for frame in observations.frames], np.float32)
-        self._centres = torch.from_numpy(centres).to(self._device)
+        self._path = PathSpread.of(torch.from_numpy(centres), self._device)
         self.gaussians: Gaussians4D
         self._adam: RowAdam
         self._statistics: DensityStatistics
@@ -249,7 +250,7 @@ class Trainer:
                 rows, stepped, at_rest = active.rows[having], drawn[having], active.num_static - (having.start or 0)
                 given = self._adam, name, value, rows[:at_rest], stepped[:at_rest], gradient[:at_rest], rates_at_rest[name]
                 if name == "means" and self.config.rates.along_ray > 1:
-                    step_along_rays(*given, self._centres, self._focal, self.config.rates.along_ray)
+                    step_along_rays(*given, self._path, self._focal, self.config.rates.along_ray)
                 else:
                     RowAdam.step(*given)
                 self._adam.step(name, value, rows[at_rest:], stepped[at_rest:], gradient[at_rest:], rates_moving[name])
@@ -270,18 +271,16 @@ class Trainer:
             "motion": slowed * r.motion * motion,
         }  # fmt: skip
         rates |= {name: groups[parameter.rate] for name, parameter in self.gaussians.motion.parameters.items()}
-        result = {}
+        result: dict[str, np.ndarray] = {}
         for name, value in self.gaussians.params.items():
-            size = value[0].numel()
+            size = math.prod(value.shape[1:])
+            result[name] = np.full(size, r.harmonics * rest if name == "sh" else rates[name], np.float32)
             if name == "sh":
-                result[name] = torch.full((size,), r.harmonics * rest)
                 result[name][:3] = r.colours * rest
-            else:
-                result[name] = torch.full((size,), rates[name])
             if name == "log_gains":
-                result[name] *= torch.arange(1.0, size + 1) ** -r.gains_falloff
+                result[name] *= _falloff(size, r.gains_falloff)
         # One copy to the device for all of them.
-        together = upload(torch.cat(list(result.values())) * (r.moving if moving else 1), self._device)
+        together = upload(np.concatenate(list(result.values())) * np.float32(r.moving if moving else 1), self._device)
         return dict(zip(result, together.split([len(rate) for rate in result.values()]), strict=True))
 
     # -- one frame
@@ -524,6 +523,12 @@ class Trainer:
 def _spread_order(count: int, rng: np.random.Generator) -> np.ndarray:
     """A permutation [count] of which any few in a row lie far apart: multiples of the golden ratio, from a random one on."""
     return np.argsort(np.argsort((rng.random() + GOLDEN * np.arange(count)) % 1))
+
+
+@functools.cache
+def _falloff(count: int, power: float) -> np.ndarray:
+    """[count] factors by which the gains' frequencies learn more slowly."""
+    return (torch.arange(1.0, count + 1) ** -power).numpy()
 
 
 def _all_rows(gaussians: Gaussians4D) -> Active:

@@ -274,7 +274,7 @@ def test_the_shared_capacity_of_a_picture_grows_by_itself(monkeypatch):
     monkeypatch.setattr(tiles, "_shared", {})
     values = {name: value.float() for name, value in random_gaussians(40, 3, seed=4).items()}
     expected = draw(values, "triton")
-    small = tiles.shared_capacity(DEVICE, WIDTH, HEIGHT)
+    small = tiles.shared_capacity(torch.empty(0, device=DEVICE).device, WIDTH, HEIGHT)
     small.pairs = 32
     found = draw(values, "triton")
     assert small.pairs > 32

@@ -34,7 +34,7 @@ def _reaches(position, size, center, focal, inverse, picture):
     return (pixel + reach >= 0.0) & (pixel - reach <= picture)
 
 
-@triton.jit
+@triton.jit(do_not_specialize=["count", "blocks"])
 def _mark(
     at_rest, means, log_scales, times, log_lambdas, camera, moment, p_min, near, width, height, count, blocks, keep, counts,
     USE_CAMERA: tl.constexpr, BLOCK: tl.constexpr,
@@ -68,7 +68,7 @@ def _mark(
     tl.store(counts + blocks + block, tl.sum(tl.where(moving, 1, 0), 0))
 
 
-@triton.jit
+@triton.jit(do_not_specialize=["rows_at_rest", "capacity", "count", "blocks"])
 def _collect(keep, counts, ends, rows, rows_at_rest, capacity, count, blocks, BLOCK: tl.constexpr):
     """Write the kept rows in order: those at rest from 0 to rows_at_rest, those that move from there to capacity.
 

@@ -77,15 +77,18 @@ def _direction(x, y, z, moment):
 
 
 @triton.jit
-def _colour(sh, i, mask, x, y, z, HARMONICS: tl.constexpr, STORED: tl.constexpr):
-    """Red, green and blue in a direction, before negative ones become 0."""
+def _colour(sh, i, mask, x, y, z, harmonics, STORED: tl.constexpr):
+    """Red, green and blue in a direction by the first harmonics, before negative ones become 0.
+
+    How many they are grows in training: it is no constant, so that the kernel is compiled once.
+    """
     red, green, blue = tl.zeros_like(x) + 0.5, tl.zeros_like(x) + 0.5, tl.zeros_like(x) + 0.5
-    for k in tl.static_range(HARMONICS):
+    for k in tl.static_range(STORED):
         basis = _harmonic(k, x, y, z)
-        at = sh + (i * STORED + k) * 3
-        red += basis * tl.load(at, mask=mask, other=0.0)
-        green += basis * tl.load(at + 1, mask=mask, other=0.0)
-        blue += basis * tl.load(at + 2, mask=mask, other=0.0)
+        at, used = sh + (i * STORED + k) * 3, mask & (k < harmonics)
+        red += basis * tl.load(at, mask=used, other=0.0)
+        green += basis * tl.load(at + 1, mask=used, other=0.0)
+        blue += basis * tl.load(at + 2, mask=used, other=0.0)
     return red, green, blue
 
 
@@ -93,19 +96,30 @@ def _colour(sh, i, mask, x, y, z, HARMONICS: tl.constexpr, STORED: tl.constexpr)
 def _gain(log_gains, i, mask, moment, GAINS: tl.constexpr):
     """Brightness in time, 1 where masked."""
     total = tl.zeros_like(mask.to(tl.float32))
-    for k in tl.static_range(GAINS):
+    for k in range(GAINS):
         total += tl.load(log_gains + i * GAINS + k, mask=mask, other=0.0) * tl.load(moment + COSINES + k)
     return tl.exp(total)
 
 
 @triton.jit
+def _wave(tau, base, FOURIER: tl.constexpr):
+    """Cosine and sine of the first frequency, of which the others follow; 1 and 0 where there is none."""
+    if FOURIER > 0:
+        c, s = tl.cos(base * tau), tl.sin(base * tau)
+    else:
+        c, s = tl.zeros_like(tau) + 1.0, tl.zeros_like(tau)
+    return c, s
+
+
+@triton.jit
 def _series(
-    poly, cos, sin, i, mask, d: tl.constexpr, tau, base, POLY: tl.constexpr, FOURIER: tl.constexpr, DIM: tl.constexpr
+    poly, cos, sin, i, mask, d: tl.constexpr, tau, first_c, first_s, base, POLY: tl.constexpr, FOURIER: tl.constexpr,
+    DIM: tl.constexpr,
 ):  # fmt: skip
-    """Coordinate d of a series, with its first and second derivative with respect to tau."""
+    """Coordinate d of a series, with its first and second derivative with respect to tau. first_c, first_s: ``_wave``."""
     value, rate, acceleration = tl.zeros_like(tau), tl.zeros_like(tau), tl.zeros_like(tau)
     power, before, twice = tau, tl.zeros_like(tau) + 1.0, tl.zeros_like(tau)  # tau^n, tau^(n-1), tau^(n-2)
-    for n in tl.static_range(POLY):
+    for n in range(POLY):
         coefficient = tl.load(poly + (i * POLY + n) * DIM + d, mask=mask, other=0.0)
         value += coefficient * power
         rate += coefficient * (before * (n + 1))
@@ -113,46 +127,48 @@ def _series(
         twice = before
         before = power
         power = power * tau
-    for k in tl.static_range(FOURIER):
+    c, s = first_c, first_s
+    for k in range(FOURIER):
         speed = base * (k + 1)
-        c, s = tl.cos(speed * tau), tl.sin(speed * tau)
         of_cos = tl.load(cos + (i * FOURIER + k) * DIM + d, mask=mask, other=0.0)
         of_sin = tl.load(sin + (i * FOURIER + k) * DIM + d, mask=mask, other=0.0)
         value += of_cos * (c - 1.0) + of_sin * s
         rate += speed * (of_sin * c - of_cos * s)
         acceleration -= speed * speed * (of_cos * c + of_sin * s)
+        c, s = c * first_c - s * first_s, s * first_c + c * first_s
     return value, rate, acceleration
 
 
 @triton.jit
 def _spread(
-    d_poly, d_cos, d_sin, m, mask, d: tl.constexpr, tau, later, base, g, v, w, POLY: tl.constexpr, FOURIER: tl.constexpr,
-    DIM: tl.constexpr,
+    d_poly, d_cos, d_sin, m, mask, d: tl.constexpr, tau, later, first_c, first_s, later_c, later_s, base, g, v, w,
+    POLY: tl.constexpr, FOURIER: tl.constexpr, DIM: tl.constexpr,
 ):  # fmt: skip
     """The coefficients' gradients, from those of the value now (g), of its velocity (v) and of the value later (w)."""
     power, before, power_later = tau, tl.zeros_like(tau) + 1.0, later
-    for n in tl.static_range(POLY):
+    for n in range(POLY):
         gradient = power * g + before * (n + 1) * v + power_later * w
         tl.store(d_poly + (m * POLY + n) * DIM + d, gradient, mask=mask)
         before = power
         power = power * tau
         power_later = power_later * later
-    for k in tl.static_range(FOURIER):
+    c, s, c_later, s_later = first_c, first_s, later_c, later_s
+    for k in range(FOURIER):
         speed = base * (k + 1)
-        c, s = tl.cos(speed * tau), tl.sin(speed * tau)
-        c_later, s_later = tl.cos(speed * later), tl.sin(speed * later)
         at = (m * FOURIER + k) * DIM + d
         tl.store(d_cos + at, (c - 1.0) * g - speed * s * v + (c_later - 1.0) * w, mask=mask)
         tl.store(d_sin + at, s * g + speed * c * v + s_later * w, mask=mask)
+        c, s = c * first_c - s * first_s, s * first_c + c * first_s
+        c_later, s_later = c_later * later_c - s_later * later_s, s_later * later_c + c_later * later_s
 
 
-@triton.jit(do_not_specialize=["count", "resting"])
+@triton.jit(do_not_specialize=["count", "resting", "harmonics"], do_not_specialize_on_alignment=["out_velocities"])
 def _forward(
     rows, moment, means, logits, sh, log_gains, quats, log_scales, times, log_lambdas, mean_poly, mean_cos, mean_sin, quat_poly,
     quat_cos, quat_sin, out_means, out_quats, out_scales, out_opacities, out_colours, out_velocities, next_means, next_quats,
-    count, resting, base,
+    count, resting, harmonics, base,
     HAS_NEXT: tl.constexpr, MEAN_POLY: tl.constexpr, MEAN_FOURIER: tl.constexpr, QUAT_POLY: tl.constexpr,
-    QUAT_FOURIER: tl.constexpr, GAINS: tl.constexpr, HARMONICS: tl.constexpr, STORED: tl.constexpr, BLOCK: tl.constexpr,
+    QUAT_FOURIER: tl.constexpr, GAINS: tl.constexpr, STORED: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
     block = tl.program_id(0)
     a = block * BLOCK + tl.arange(0, BLOCK)
@@ -170,15 +186,19 @@ def _forward(
     if some_move:
         precision = tl.exp(tl.load(log_lambdas + i, mask=moving, other=0.0))
         opacity *= tl.where(moving, tl.exp(-0.5 * precision * tau * tau), 1.0)
+    c, s = _wave(tau, base, MEAN_FOURIER + QUAT_FOURIER)
+    c_later, s_later = _wave(later, base, MEAN_FOURIER + QUAT_FOURIER)
     x, y, z = tl.zeros_like(tau), tl.zeros_like(tau), tl.zeros_like(tau)
     for d in tl.static_range(3):
         mean = tl.load(means + i * 3 + d, mask=there, other=0.0)
         mean_later = mean
         if some_move:
-            value, rate, _ = _series(mean_poly, mean_cos, mean_sin, i, moving, d, tau, base, MEAN_POLY, MEAN_FOURIER, 3)
+            value, rate, _ = _series(mean_poly, mean_cos, mean_sin, i, moving, d, tau, c, s, base, MEAN_POLY, MEAN_FOURIER, 3)
             tl.store(out_velocities + m * 3 + d, rate, mask=moves)
             if HAS_NEXT:
-                moved, _, _ = _series(mean_poly, mean_cos, mean_sin, i, moving, d, later, base, MEAN_POLY, MEAN_FOURIER, 3)
+                moved, _, _ = _series(
+                    mean_poly, mean_cos, mean_sin, i, moving, d, later, c_later, s_later, base, MEAN_POLY, MEAN_FOURIER, 3
+                )
                 mean_later += moved
             mean += value
         tl.store(out_means + a * 3 + d, mean, mask=inside)
@@ -196,9 +216,11 @@ def _forward(
         quat = tl.load(quats + i * 4 + d, mask=there, other=1.0)
         quat_later = quat
         if some_move:
-            value, _, _ = _series(quat_poly, quat_cos, quat_sin, i, moving, d, tau, base, QUAT_POLY, QUAT_FOURIER, 4)
+            value, _, _ = _series(quat_poly, quat_cos, quat_sin, i, moving, d, tau, c, s, base, QUAT_POLY, QUAT_FOURIER, 4)
             if HAS_NEXT:
-                moved, _, _ = _series(quat_poly, quat_cos, quat_sin, i, moving, d, later, base, QUAT_POLY, QUAT_FOURIER, 4)
+                moved, _, _ = _series(
+                    quat_poly, quat_cos, quat_sin, i, moving, d, later, c_later, s_later, base, QUAT_POLY, QUAT_FOURIER, 4
+                )
                 quat_later += moved
             quat += value
         tl.store(out_quats + a * 4 + d, quat, mask=inside)
@@ -206,22 +228,22 @@ def _forward(
             tl.store(next_quats + a * 4 + d, quat_later, mask=inside)
     tl.store(out_opacities + a, opacity, mask=inside)
     x, y, z = _direction(x, y, z, moment)
-    red, green, blue = _colour(sh, i, there, x, y, z, HARMONICS, STORED)
+    red, green, blue = _colour(sh, i, there, x, y, z, harmonics, STORED)
     gain = _gain(log_gains, i, there & (a < resting), moment, GAINS)
     tl.store(out_colours + a * 3, tl.maximum(red, 0.0) * gain, mask=inside)
     tl.store(out_colours + a * 3 + 1, tl.maximum(green, 0.0) * gain, mask=inside)
     tl.store(out_colours + a * 3 + 2, tl.maximum(blue, 0.0) * gain, mask=inside)
 
 
-@triton.jit(do_not_specialize=["count", "resting"])
+@triton.jit(do_not_specialize=["count", "resting", "harmonics"])
 def _backward(
     rows, moment, means, logits, sh, log_gains, quats, log_scales, times, log_lambdas, mean_poly, mean_cos, mean_sin, quat_poly,
     quat_cos, quat_sin, out_means, grad_means, grad_quats, grad_scales, grad_opacities, grad_colours, grad_velocities,
     grad_next_means, grad_next_quats, d_means, d_logits, d_sh, d_gains, d_quats, d_scales, d_times, d_lambdas, d_mean_poly,
     d_mean_cos, d_mean_sin, d_quat_poly, d_quat_cos, d_quat_sin,
-    count, resting, base,
+    count, resting, harmonics, base,
     HAS_NEXT: tl.constexpr, MEAN_POLY: tl.constexpr, MEAN_FOURIER: tl.constexpr, QUAT_POLY: tl.constexpr,
-    QUAT_FOURIER: tl.constexpr, GAINS: tl.constexpr, HARMONICS: tl.constexpr, STORED: tl.constexpr, BLOCK: tl.constexpr,
+    QUAT_FOURIER: tl.constexpr, GAINS: tl.constexpr, STORED: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
     """Every number of every d_... is written, so that they need not be cleared before; that of padding is 0, whatever arrives."""
     block = tl.program_id(0)
@@ -239,6 +261,8 @@ def _backward(
     tau = tl.load(moment + TIME) - tl.load(times + i, mask=moving, other=0.0)
     later = tl.load(moment + NEXT_TIME) - tl.load(times + i, mask=moving, other=0.0)
     toward_time = tl.zeros_like(tau)
+    c, s = _wave(tau, base, MEAN_FOURIER + QUAT_FOURIER)
+    c_later, s_later = _wave(later, base, MEAN_FOURIER + QUAT_FOURIER)
     if some_move:
         precision = tl.exp(tl.load(log_lambdas + i, mask=moving, other=0.0))
         presence = tl.where(moving, tl.exp(-0.5 * precision * tau * tau), 1.0)
@@ -257,12 +281,19 @@ def _backward(
         tl.store(d_scales + a * 3 + d, tl.load(grad_scales + a * 3 + d, mask=there, other=0.0) * scale, mask=inside)
         if some_move:
             v = tl.load(grad_velocities + m * 3 + d, mask=moving, other=0.0)
-            _, rate, acceleration = _series(mean_poly, mean_cos, mean_sin, i, moving, d, tau, base, MEAN_POLY, MEAN_FOURIER, 3)
+            _, rate, acceleration = _series(
+                mean_poly, mean_cos, mean_sin, i, moving, d, tau, c, s, base, MEAN_POLY, MEAN_FOURIER, 3
+            )
             toward_time -= g * rate + v * acceleration
             if HAS_NEXT:
-                _, rate, _ = _series(mean_poly, mean_cos, mean_sin, i, moving, d, later, base, MEAN_POLY, MEAN_FOURIER, 3)
+                _, rate, _ = _series(
+                    mean_poly, mean_cos, mean_sin, i, moving, d, later, c_later, s_later, base, MEAN_POLY, MEAN_FOURIER, 3
+                )
                 toward_time -= w * rate
-            _spread(d_mean_poly, d_mean_cos, d_mean_sin, m, moves, d, tau, later, base, g, v, w, MEAN_POLY, MEAN_FOURIER, 3)
+            _spread(
+                d_mean_poly, d_mean_cos, d_mean_sin, m, moves, d, tau, later, c, s, c_later, s_later, base, g, v, w, MEAN_POLY,
+                MEAN_FOURIER, 3,
+            )  # fmt: skip
     for d in tl.static_range(4):
         g = tl.load(grad_quats + a * 4 + d, mask=there, other=0.0)
         w = tl.zeros_like(g)
@@ -270,38 +301,35 @@ def _backward(
             w = tl.load(grad_next_quats + a * 4 + d, mask=there, other=0.0)
         tl.store(d_quats + a * 4 + d, g + w, mask=inside)
         if some_move:
-            _, rate, _ = _series(quat_poly, quat_cos, quat_sin, i, moving, d, tau, base, QUAT_POLY, QUAT_FOURIER, 4)
+            _, rate, _ = _series(quat_poly, quat_cos, quat_sin, i, moving, d, tau, c, s, base, QUAT_POLY, QUAT_FOURIER, 4)
             toward_time -= g * rate
             if HAS_NEXT:
-                _, rate, _ = _series(quat_poly, quat_cos, quat_sin, i, moving, d, later, base, QUAT_POLY, QUAT_FOURIER, 4)
+                _, rate, _ = _series(
+                    quat_poly, quat_cos, quat_sin, i, moving, d, later, c_later, s_later, base, QUAT_POLY, QUAT_FOURIER, 4
+                )
                 toward_time -= w * rate
             _spread(
-                d_quat_poly, d_quat_cos, d_quat_sin, m, moves, d, tau, later, base, g, tl.zeros_like(g), w, QUAT_POLY,
-                QUAT_FOURIER, 4,
+                d_quat_poly, d_quat_cos, d_quat_sin, m, moves, d, tau, later, c, s, c_later, s_later, base, g, tl.zeros_like(g),
+                w, QUAT_POLY, QUAT_FOURIER, 4,
             )  # fmt: skip
     tl.store(d_times + m, toward_time, mask=moves)
     x = tl.load(out_means + a * 3, mask=there, other=0.0)
     y = tl.load(out_means + a * 3 + 1, mask=there, other=0.0)
     z = tl.load(out_means + a * 3 + 2, mask=there, other=0.0)
     x, y, z = _direction(x, y, z, moment)
-    red, green, blue = _colour(sh, i, there, x, y, z, HARMONICS, STORED)
+    red, green, blue = _colour(sh, i, there, x, y, z, harmonics, STORED)
     gain = _gain(log_gains, i, still, moment, GAINS)
     toward_red = tl.where(red > 0.0, tl.load(grad_colours + a * 3, mask=there, other=0.0) * gain, 0.0)
     toward_green = tl.where(green > 0.0, tl.load(grad_colours + a * 3 + 1, mask=there, other=0.0) * gain, 0.0)
     toward_blue = tl.where(blue > 0.0, tl.load(grad_colours + a * 3 + 2, mask=there, other=0.0) * gain, 0.0)
     for k in tl.static_range(STORED):
         at = d_sh + (a * STORED + k) * 3
-        if k < HARMONICS:
-            basis = _harmonic(k, x, y, z)
-            tl.store(at, basis * toward_red, mask=inside)
-            tl.store(at + 1, basis * toward_green, mask=inside)
-            tl.store(at + 2, basis * toward_blue, mask=inside)
-        else:
-            tl.store(at, tl.zeros_like(x), mask=inside)
-            tl.store(at + 1, tl.zeros_like(x), mask=inside)
-            tl.store(at + 2, tl.zeros_like(x), mask=inside)
+        basis = tl.where(k < harmonics, _harmonic(k, x, y, z), 0.0)
+        tl.store(at, basis * toward_red, mask=inside)
+        tl.store(at + 1, basis * toward_green, mask=inside)
+        tl.store(at + 2, basis * toward_blue, mask=inside)
     toward_gain = toward_red * red + toward_green * green + toward_blue * blue
-    for k in tl.static_range(GAINS):
+    for k in range(GAINS):
         tl.store(d_gains + a * GAINS + k, toward_gain * tl.load(moment + COSINES + k), mask=stays)
 
 
@@ -313,7 +341,7 @@ def _constants(gaussians: Gaussians4D, has_next: bool) -> dict[str, Any]:
         "base": float(motion.fourier_base), "HAS_NEXT": has_next, "MEAN_POLY": params["mean_poly"].shape[1],
         "MEAN_FOURIER": params["mean_cos"].shape[1], "QUAT_POLY": params["quat_poly"].shape[1],
         "QUAT_FOURIER": params["quat_cos"].shape[1], "GAINS": gaussians.config.gains,
-        "HARMONICS": (gaussians.sh_degree + 1) ** 2, "STORED": params["sh"].shape[1], "BLOCK": BLOCK,
+        "harmonics": (gaussians.sh_degree + 1) ** 2, "STORED": params["sh"].shape[1], "BLOCK": BLOCK,
     }  # fmt: skip
 
 

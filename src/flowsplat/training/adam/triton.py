@@ -16,7 +16,8 @@ B1, B2, EPS = tl.constexpr(BETA1), tl.constexpr(BETA2), tl.constexpr(EPSILON)
 C1, C2 = tl.constexpr(1 - BETA1), tl.constexpr(1 - BETA2)
 
 
-@triton.jit(do_not_specialize=["count", "last"])
+# Parts of tensors begin at any place: compiled for each alignment of each of them, a run would compile for minutes.
+@triton.jit(do_not_specialize=["count", "last"], do_not_specialize_on_alignment=["rows", "stepped", "gradient", "rates"])
 def _step(
     value, mean, square, counts, rows, stepped, gradient, rates, corrections, count, last, D: tl.constexpr, BLOCK: tl.constexpr
 ):  # fmt: skip
@@ -39,7 +40,8 @@ def _step(
 
 
 @functools.cache
-def _corrections(device: torch.device) -> Tensor:
+def corrections_on(device: torch.device) -> Tensor:
+    """``correction_table`` on a device."""
     return torch.from_numpy(correction_table()).to(device)
 
 
@@ -48,7 +50,7 @@ def step_rows(
 ) -> None:
     """See ``reference.step_rows``."""
     count, size = gradient.shape
-    table = _corrections(value.device)
+    table = corrections_on(value.device)
     block = rows_per_program(count * size)
     with device_of(value):
         _step[(triton.cdiv(count * size, block),)](

@@ -7,11 +7,12 @@ from torch import Tensor
 from flowsplat.common import devices
 from flowsplat.training.adam import RowAdam
 from flowsplat.training.rays import reference
+from flowsplat.training.rays.reference import PathSpread
 
 
 def step_along_rays(
     adam: RowAdam, name: str, value: Tensor, rows: Tensor, stepped: Tensor, gradient: Tensor, rates: Tensor,
-    centres: Tensor, focal: float, most: float,
+    path: PathSpread, focal: float, most: float,
 ) -> None:  # fmt: skip
     """``RowAdam.step`` of positions, in the axes of their rays, in which moments are kept; steps along the ray are longer.
 
@@ -23,15 +24,22 @@ def step_along_rays(
         stepped: [A] bool.
         gradient: [A, 3] in world axes.
         rates: [3].
-        centres: [F, 3] of the cameras.
+        path: of the cameras.
         focal: pixels.
         most: upper bound of how many times as long, at least 1 (``reference.ray_axes``).
     """
     if len(rows) == 0:
         return
-    if devices.kernels_for(value) == "cpu":
-        from flowsplat.training.rays.cpu import step_rows
+    kernels = devices.kernels_for(value)
+    if kernels == "reference":
+        reference.step_along_rays(adam, name, value, rows, stepped, gradient, rates, path, focal, most)
+        return
+    mean, square, counts = adam.moments(name)
+    if kernels == "cpu":
+        from flowsplat.training.rays import cpu
 
-        step_rows(value, *adam.moments(name), rows, stepped, gradient, rates, centres, focal, most)
+        cpu.step_rows(value, mean, square, counts, rows, stepped, gradient, rates, path, focal, most)
     else:
-        reference.step_along_rays(adam, name, value, rows, stepped, gradient, rates, centres, focal, most)
+        from flowsplat.training.rays import triton
+
+        triton.step_rows(value, mean, square, counts, rows, stepped, gradient, rates, path, focal, most)

@@ -13,6 +13,7 @@ from flowsplat.common.threads import parallel_for
 from flowsplat.training.adam.cpu import B1, B2, EPS, ONE
 from flowsplat.training.adam.reference import correction_table
 from flowsplat.training.rays import reference
+from flowsplat.training.rays.reference import PathSpread
 
 TWO, ZERO = np.float32(2), np.float32(0)
 
@@ -79,14 +80,12 @@ def _step(
 
 def step_rows(
     value: Tensor, mean: Tensor, square: Tensor, counts: Tensor, rows: Tensor, stepped: Tensor, gradient: Tensor, rates: Tensor,
-    centres: Tensor, focal: float, most: float,
+    path: PathSpread, focal: float, most: float,
 ) -> None:  # fmt: skip
     """``adam.cpu.step_rows`` in the axes of the rays; the rest as in ``api.step_along_rays``."""
-    middle = centres.mean(0)
-    path = centres - middle
     arrays = (t.numpy() for t in (value, mean, square, counts, rows, stepped, gradient.contiguous(), rates))
     parallel_for(
         _step, len(rows), *arrays, correction_table(),
-        middle.numpy(), (path.T @ path / len(centres)).numpy(), np.float32(focal), np.float32(most),
+        path.middle.numpy(), path.covariance.numpy(), np.float32(focal), np.float32(most),
         np.float32(reference.FEWEST_PIXELS),
     )  # fmt: skip

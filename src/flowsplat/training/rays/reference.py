@@ -7,6 +7,8 @@ that.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor
 
@@ -16,7 +18,31 @@ FEWEST_PIXELS = 4.0
 """Parallax, as a standard deviation over the clip, at which half of that counts: below it the pictures hardly tell a depth."""
 
 
-def ray_axes(positions: Tensor, centres: Tensor, focal: float, most: float) -> tuple[Tensor, Tensor]:
+@dataclass(frozen=True)
+class PathSpread:
+    """How far the cameras of a clip travelled, and where.
+
+    Attributes:
+        middle: [3] of their centres.
+        covariance: [3, 3] of them.
+        numbers: [12] both, one after the other, for kernels.
+    """
+
+    middle: Tensor
+    covariance: Tensor
+    numbers: Tensor
+
+    @staticmethod
+    def of(centres: Tensor, device: torch.device | str = "cpu") -> PathSpread:
+        """Of centres [F, 3], on a device."""
+        middle = centres.mean(0)
+        path = centres - middle
+        covariance = path.T @ path / len(centres)
+        parts = middle, covariance, torch.cat([middle, covariance.reshape(-1)])
+        return PathSpread(*(part.to(device) for part in parts))
+
+
+def ray_axes(positions: Tensor, path: PathSpread, focal: float, most: float) -> tuple[Tensor, Tensor]:
     """Axes to step along, and how many times as long the steps along the last of them are.
 
     With z the distance from the middle of the camera's path and s the standard deviation of that path across the ray, a step along
@@ -24,17 +50,15 @@ def ray_axes(positions: Tensor, centres: Tensor, focal: float, most: float) -> t
 
     Args:
         positions: [A, 3].
-        centres: [F, 3] of the cameras.
+        path: of the cameras.
         focal: pixels.
         most: upper bound of the factor, at least 1.
 
     Returns:
         [A, 3, 3] orthonormal rows, the last along the ray, and factors [A] from 1 to ``most``.
     """
-    middle = centres.mean(0)
-    path = centres - middle
-    spread = path.T @ path / len(centres)
-    rays = positions - middle
+    spread = path.covariance
+    rays = positions - path.middle
     distance = rays.norm(dim=1).clamp_min(1e-9)
     along = rays / distance[:, None]
     across = (spread.trace() - ((along @ spread) * along).sum(1)).clamp_min(0).sqrt()
@@ -49,10 +73,10 @@ def ray_axes(positions: Tensor, centres: Tensor, focal: float, most: float) -> t
 
 def step_along_rays(
     adam: RowAdam, name: str, value: Tensor, rows: Tensor, stepped: Tensor, gradient: Tensor, rates: Tensor,
-    centres: Tensor, focal: float, most: float,
+    path: PathSpread, focal: float, most: float,
 ) -> None:  # fmt: skip
     """See ``api.step_along_rays``."""
-    axes, factors = ray_axes(value[rows], centres, focal, most)
+    axes, factors = ray_axes(value[rows], path, focal, most)
     moved = torch.zeros_like(value)
     adam.step(name, moved, rows, stepped, (axes @ gradient[:, :, None])[:, :, 0], rates)
     steps = moved[rows]
