@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import os
 import re
@@ -18,7 +19,9 @@ import pytest
 
 import flowsplat
 from flowsplat.cli import main
+from flowsplat.cli.command import functions_of
 from flowsplat.cli.help import USUAL
+from flowsplat.pipeline.config import preset
 from flowsplat.scenes import Depth, Scene
 from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic
 
@@ -92,6 +95,33 @@ def test_help_is_short_and_says_where_the_rest_is(capsys):
 def test_the_version(capsys):
     main(["--version"])
     assert capsys.readouterr().out == f"flowsplat {flowsplat.__version__}\n"
+
+
+def test_a_file_in_the_folder_is_a_command(tmp_path, monkeypatch):
+    package = tmp_path / "some_commands"
+    package.mkdir()
+    (package / "__init__.py").touch()
+    for name, place in (("apples", ""), ("figs", ", place=2"), ("pears", ", place=1"), ("dates", ", place=2"), ("all", "")):
+        text = f"from flowsplat.cli.command import Command\nCOMMAND = Command(lambda defaults: (defaults, {name!r}){place})\n"
+        (package / f"{name}.py").write_text(text)
+    monkeypatch.syspath_prepend(tmp_path)
+    functions = functions_of("some_commands", ["figs", "--preset", "paper"])
+    assert list(functions) == ["pears", "dates", "figs", "all", "apples"]
+    assert functions["figs"] == (preset("paper"), "figs")
+
+
+def test_defaults_are_those_of_the_command_that_is_named(tmp_path, scene, capsys):
+    out = tmp_path / "out"
+    assert call(capsys, "prepare", scene, "-o", out, "--priors", "true", *FAST)[0] == 0
+    for arguments, iterations in (
+        (["train", str(out)], 6),
+        (["train", str(out), "--preset", "paper"], 1500),
+        (["render", str(out)], 6),
+        (["run", str(out)], 2000),
+        (["export", str(out)], 2000),
+    ):
+        train = inspect.signature(functions_of("flowsplat.cli.commands", arguments)["train"]).parameters["train"]
+        assert train.default.iterations == iterations, arguments
 
 
 def test_out_is_where_to_write_everywhere(capsys):

@@ -1,6 +1,21 @@
-"""What is read of a command line before it is parsed: the defaults of options depend on it."""
+"""Arguments that several commands have, and what is read of a command line before it is parsed: defaults depend on it."""
+
+from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+Preset = Literal["fast", "default", "paper", "high"]
+# Everywhere, -o or --out is where to write, and RUN is the folder that --out of run or prepare named.
+Source = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="INPUT")]
+Run = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
+Out = Annotated[Path, tyro.conf.arg(aliases=("-o",), metavar="OUT")]
+Target = Annotated[Path | None, tyro.conf.arg(name="out", aliases=("-o", "--path"), metavar="OUT")]
+NO_PREFIX = tyro.conf.arg(name="")
+"""Annotation of options in a dataclass: their names do not begin with that of the argument."""
 
 
 def value_of(arguments: Sequence[str], option: str) -> str | None:

@@ -11,8 +11,7 @@ from typing import Any
 import tyro
 
 from flowsplat import __version__
-from flowsplat.cli.benchmarks import benchmark_commands
-from flowsplat.cli.commands import all_commands
+from flowsplat.cli.command import functions_of
 from flowsplat.cli.help import message_of, short_help
 from flowsplat.common.durations import IMPORTED, command_begins
 from flowsplat.common.errors import InputError, one_line
@@ -39,16 +38,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     whole = "--help-all" in arguments
     arguments = ["--help" if argument == "--help-all" else argument for argument in arguments]
     box, told = io.StringIO(), io.StringIO()
-    prog, commands = "flowsplat", {}
+    prog, package = "flowsplat", "flowsplat.cli.commands"
     try:
         if arguments[0] == "benchmark":
-            prog, commands, arguments = "flowsplat benchmark", benchmark_commands(arguments), arguments[1:] or ["--help"]
-        else:
-            commands = all_commands(arguments)
+            prog, package, arguments = "flowsplat benchmark", "flowsplat.cli.benchmarks", arguments[1:] or ["--help"]
+        functions = functions_of(package, arguments)
         call = _Deferred()
         with contextlib.redirect_stderr(box), contextlib.nullcontext() if whole else contextlib.redirect_stdout(told):
             tyro.extras.subcommand_cli_from_dict(
-                {name: call.wrap(function) for name, function in commands.items()},
+                {name: call.wrap(function) for name, function in functions.items()},
                 prog=prog,
                 description="One ordinary video becomes a 4D scene of moving Gaussians.",
                 args=arguments,

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
-import cv2
 import numpy as np
 
 from flowsplat.common.errors import InputError
@@ -49,13 +48,6 @@ class Observation:
     def mask(self) -> np.ndarray:
         """[H, W] bool: moving objects."""
         return self.movers > 0
-
-    @property
-    def depth_jump(self) -> np.ndarray:
-        """[H, W] float32: relative difference between the farthest and the nearest depth around a pixel."""
-        kernel = np.ones((3, 3), np.uint8)
-        nearest = cv2.erode(self.depth, kernel)
-        return (cv2.dilate(self.depth, kernel) - nearest) / nearest
 
 
 @dataclass(frozen=True)

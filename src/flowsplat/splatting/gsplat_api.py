@@ -8,7 +8,9 @@ argument.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Literal
 
 import torch
@@ -20,6 +22,8 @@ from flowsplat.splatting.rules import EPS2D, FAR, NEAR
 
 RenderMode = Literal["RGB", "D", "ED", "RGB+D", "RGB+ED"]
 MAX_DEGREE = 3
+_GEOMETRY = ("means2d", "conics", "depths", "radii")
+"""Of a projection, what is in meta."""
 # Below this the compensated opacity is under 1/255 whatever it was: nothing is drawn, and a root has no slope at 0.
 _MIN_RATIO = 1e-8
 
@@ -112,22 +116,19 @@ def rasterization(
     Raises:
         ValueError: a shape does not fit, a value is not finite, or an argument asks for what is not covered.
     """
-    uncovered = {
-        "sparse_grad": sparse_grad,
-        "distributed": distributed,
-        "camera_model": camera_model != "pinhole",
-        "with_ut": with_ut,
-        "with_eval3d": with_eval3d,
-        "radial_coeffs": radial_coeffs is not None,
-        "tangential_coeffs": tangential_coeffs is not None,
-        "thin_prism_coeffs": thin_prism_coeffs is not None,
-        "ftheta_coeffs": ftheta_coeffs is not None,
-        "rolling_shutter": rolling_shutter is not None and getattr(rolling_shutter, "name", "") != "GLOBAL",
-        "viewmats_rs": viewmats_rs is not None,
-    }
-    for name, asked_for in uncovered.items():
-        if asked_for:
-            raise ValueError(f"{name} is not covered by flowsplat's rasterization: leave it at its default")
+    _refuse_uncovered(
+        sparse_grad=sparse_grad,
+        distributed=distributed,
+        camera_model=camera_model != "pinhole",
+        with_ut=with_ut,
+        with_eval3d=with_eval3d,
+        radial_coeffs=radial_coeffs is not None,
+        tangential_coeffs=tangential_coeffs is not None,
+        thin_prism_coeffs=thin_prism_coeffs is not None,
+        ftheta_coeffs=ftheta_coeffs is not None,
+        rolling_shutter=rolling_shutter is not None and getattr(rolling_shutter, "name", "") != "GLOBAL",
+        viewmats_rs=viewmats_rs is not None,
+    )
     if render_mode not in ("RGB", "D", "ED", "RGB+D", "RGB+ED"):
         raise ValueError(f"render_mode must be RGB, D, ED, RGB+D or RGB+ED, not {render_mode!r}")
     if rasterize_mode not in ("classic", "antialiased"):
@@ -135,102 +136,167 @@ def rasterization(
     if covars is not None:
         quats = scales = None
     batch, count, cameras, tail = _shapes(means, quats, scales, opacities, colors, viewmats, Ks, covars, backgrounds, sh_degree)
-
     check_finite(
         means=means, quats=quats, scales=scales, opacities=opacities, colors=colors, viewmats=viewmats, Ks=Ks, covars=covars,
         backgrounds=backgrounds,
     )  # fmt: skip
-    # From here on everything is a list with one entry an image, which is one camera of one batch entry.
+    settings = _Settings(
+        width, height, near_plane, far_plane, eps2d, radius_clip, rasterize_mode == "antialiased", backend, sh_degree, render_mode,
+        absgrad,
+    )  # fmt: skip
+    images = _images(
+        batch, count, cameras, tail, means, quats, scales, covars, opacities, colors, viewmats, Ks, backgrounds, sh_degree
+    )
+    projections, drawn = zip(*[_project_image(image, settings) for image in images], strict=True)
+    rows = _Rows.of(projections, count, (*batch, cameras), packed)
+    meta: dict[str, Any] = {name: rows.join([getattr(p, name) for p in projections]) for name in _GEOMETRY}
+    meta["opacities"] = rows.join(drawn)
+    # What is drawn comes from the tensors in meta, so that their gradients can be read there.
+    parts = {
+        name: value.reshape(sum(rows.sizes), *value.shape[meta["depths"].ndim :]).split(rows.sizes) for name, value in meta.items()
+    }
+    if absgrad:
+        absolute = meta["means2d"].absgrad = torch.zeros_like(meta["means2d"])
+        for part, target in zip(parts["means2d"], absolute.reshape(-1, 2).split(rows.sizes), strict=True):
+            part.absgrad = target
+    pictures, alphas = [], []
+    for i, image in enumerate(images):
+        extents = projections[i].extents
+        projected = replace(
+            projections[i],
+            extents=None if extents is None else rows.pick(extents, i),
+            **{name: parts[name][i] for name in _GEOMETRY},
+        )
+        picture, alpha = _blend_image(image, projected, parts["opacities"][i], partial(rows.pick, i=i), settings)
+        pictures.append(picture)
+        alphas.append(alpha)
+    meta |= rows.ids() | {"width": width, "height": height, "n_batches": math.prod(batch), "n_cameras": cameras}
+    shape = (*batch, cameras, height, width)
+    return _stacked(pictures).reshape(*shape, -1), _stacked(alphas).reshape(*shape, 1), meta
+
+
+def _refuse_uncovered(**asked_for: bool) -> None:
+    """Raise a ValueError that names the first argument that asks for what is not covered."""
+    for name, asked in asked_for.items():
+        if asked:
+            raise ValueError(f"{name} is not covered by flowsplat's rasterization: leave it at its default")
+
+
+@dataclass(frozen=True)
+class _Settings:
+    """What is the same for all images, named as the arguments of ``rasterization``."""
+
+    width: int
+    height: int
+    near_plane: float
+    far_plane: float
+    eps2d: float
+    radius_clip: float
+    antialiased: bool
+    backend: BackendName
+    sh_degree: int | None
+    render_mode: RenderMode
+    absgrad: bool
+
+
+@dataclass(frozen=True)
+class _Image:
+    """What one camera of one batch entry sees."""
+
+    means: Tensor  # [N, 3]
+    quats: Tensor | None  # [N, 4]
+    scales: Tensor | None  # [N, 3]
+    covars: Tensor | None  # [N, 3, 3]
+    opacities: Tensor  # [N]
+    colors: Tensor  # [N, D] or [N, K, 3]
+    viewmat: Tensor  # [4, 4]
+    K: Tensor  # [3, 3]
+    center: Tensor | None  # [3] of the camera in the world; only harmonics beyond degree 0 need it
+    background: Tensor | None  # [D]
+
+
+def _images(
+    batch: tuple[int, ...],
+    count: int,
+    cameras: int,
+    tail: tuple[int, ...],
+    means: Tensor,
+    quats: Tensor | None,
+    scales: Tensor | None,
+    covars: Tensor | None,
+    opacities: Tensor,
+    colors: Tensor,
+    viewmats: Tensor,
+    Ks: Tensor,
+    backgrounds: Tensor | None,
+    sh_degree: int | None,
+) -> list[_Image]:
+    """The tensors of every camera of every batch entry, one camera after the other. Shapes are as ``_shapes`` gives them."""
     batches = math.prod(batch)
-    images = range(batches * cameras)
 
     def of_entry(value: Tensor | None, *shape: int) -> list[Any]:
         entries: Any = [None] * batches if value is None else value.reshape(batches, *shape).unbind(0)
         return [entry for entry in entries for _ in range(cameras)]
 
-    def of_image(value: Tensor, *shape: int) -> Any:
-        return value.reshape(len(images), *shape).unbind(0)
+    def of_image(value: Tensor | None, *shape: int) -> Any:
+        return [None] * (batches * cameras) if value is None else value.reshape(batches * cameras, *shape).unbind(0)
 
-    all_means, all_opacities = of_entry(means, count, 3), of_entry(opacities, count)
-    all_quats, all_scales, all_covars = of_entry(quats, count, 4), of_entry(scales, count, 3), of_entry(covars, count, 3, 3)
-    all_viewmats, all_Ks = of_image(viewmats, 4, 4), of_image(Ks, 3, 3)
     per_camera = colors.ndim > len(batch) + 1 + len(tail)
-    all_colors = of_image(colors, count, *tail) if per_camera else of_entry(colors, count, *tail)
-    centres = of_image(torch.linalg.inv(viewmats)[..., :3, 3], 3) if sh_degree else None
-    behind = None if backgrounds is None else of_image(backgrounds, tail[-1])
-
-    projections, drawn, chosen = [], [], []
-    for i in images:
-        projected, compensated = _project_image(
-            all_means[i], all_quats[i], all_scales[i], all_covars[i], all_opacities[i], all_viewmats[i], all_Ks[i], width,
-            height, near_plane, far_plane, eps2d, radius_clip, rasterize_mode == "antialiased", backend,
-        )  # fmt: skip
-        projections.append(projected)
-        drawn.append(compensated)
-        chosen.append(torch.nonzero(projected.visible).squeeze(1))
-    sizes = [len(ids) if packed else count for ids in chosen]
-
-    def pick(value: Tensor, i: int) -> Tensor:
-        return value.index_select(0, chosen[i]) if packed and sizes[i] < count else value
-
-    def join(values: list[Tensor]) -> Tensor:
-        picked = [pick(value, i) for i, value in enumerate(values)]
-        if packed:
-            return picked[0] if len(picked) == 1 else torch.cat(picked)
-        return _stacked(picked).reshape(*batch, cameras, *picked[0].shape)
-
-    meta: dict[str, Any] = {
-        name: join([getattr(p, name) for p in projections]) for name in ("means2d", "conics", "depths", "radii")
+    columns = {
+        "means": of_entry(means, count, 3),
+        "opacities": of_entry(opacities, count),
+        "quats": of_entry(quats, count, 4),
+        "scales": of_entry(scales, count, 3),
+        "covars": of_entry(covars, count, 3, 3),
+        "viewmat": of_image(viewmats, 4, 4),
+        "K": of_image(Ks, 3, 3),
+        "colors": (of_image if per_camera else of_entry)(colors, count, *tail),
+        "center": of_image(torch.linalg.inv(viewmats)[..., :3, 3] if sh_degree else None, 3),
+        "background": of_image(backgrounds, tail[-1]),
     }
-    meta["opacities"] = join(drawn)
-    # What is drawn comes from the tensors in meta, so that their gradients can be read there.
-    parts = {name: value.reshape(sum(sizes), *value.shape[meta["depths"].ndim :]).split(sizes) for name, value in meta.items()}
-    if absgrad:
-        absolute = meta["means2d"].absgrad = torch.zeros_like(meta["means2d"])
-        for part, target in zip(parts["means2d"], absolute.reshape(-1, 2).split(sizes), strict=True):
-            part.absgrad = target
+    return [_Image(**{name: values[i] for name, values in columns.items()}) for i in range(batches * cameras)]
 
-    pictures, alphas = [], []
-    for i in images:
-        geometry = {name: parts[name][i] for name in ("means2d", "conics", "depths", "radii")}
-        extents = projections[i].extents
-        projected = replace(projections[i], extents=None if extents is None else pick(extents, i), **geometry)
-        features = []
-        if "RGB" in render_mode:
-            colour = pick(all_colors[i], i)
-            if sh_degree is not None:
-                directions = None if centres is None else pick(all_means[i], i) - centres[i]
-                colour = colours_from_harmonics(colour, directions, sh_degree)
-            features.append(colour)
-        if "D" in render_mode:
-            features.append(geometry["depths"][:, None])
-        picture, alpha = blend(projected, parts["opacities"][i], torch.cat(features, 1), width, height, absgrad=absgrad)
-        alpha = alpha[..., None]
-        if "ED" in render_mode:
-            picture = torch.cat([picture[..., :-1], picture[..., -1:] / alpha.clamp(min=1e-10)], -1)
-        if behind is not None and "RGB" in render_mode:
-            zeros = picture.shape[-1] - tail[-1]  # nothing is behind depth
-            picture = picture + (1 - alpha) * torch.nn.functional.pad(behind[i], (0, zeros))
-        pictures.append(picture)
-        alphas.append(alpha)
 
-    meta |= dict.fromkeys(("batch_ids", "camera_ids", "gaussian_ids"))
-    if packed:
-        if len(images) == 1:  # numbering each would take 1 % of the time
-            batch_ids, camera_ids = (chosen[0].new_zeros(sizes[0]) for _ in range(2))
-        else:
-            number, counts = torch.arange(len(images), device=means.device), torch.tensor(sizes, device=means.device)
-            batch_ids, camera_ids = (
-                torch.repeat_interleave(each, counts, output_size=sum(sizes)) for each in (number // cameras, number % cameras)
-            )
-        meta |= {
-            "batch_ids": batch_ids,
-            "camera_ids": camera_ids,
-            "gaussian_ids": chosen[0] if len(chosen) == 1 else torch.cat(chosen),
-        }
-    meta |= {"width": width, "height": height, "n_batches": batches, "n_cameras": cameras}
-    shape = (*batch, cameras, height, width)
-    return _stacked(pictures).reshape(*shape, -1), _stacked(alphas).reshape(*shape, 1), meta
+@dataclass(frozen=True)
+class _Rows:
+    """Which Gaussians of each image have a row in meta: those that are visible (``packed``), or all N."""
+
+    chosen: list[Tensor]  # int64 [nnz of the image] each: what is visible
+    sizes: list[int]  # rows of each image
+    count: int  # N
+    shape: tuple[int, ...]  # (..., C)
+    packed: bool
+
+    @classmethod
+    def of(cls, projections: Sequence[Projected], count: int, shape: tuple[int, ...], packed: bool) -> _Rows:
+        """Those of what was projected."""
+        chosen = [torch.nonzero(each.visible).squeeze(1) for each in projections]
+        return cls(chosen, [len(ids) if packed else count for ids in chosen], count, shape, packed)
+
+    def pick(self, value: Tensor, i: int) -> Tensor:
+        """The rows [n_i, ...] of image i, of a value [N, ...]."""
+        return value.index_select(0, self.chosen[i]) if self.packed and self.sizes[i] < self.count else value
+
+    def join(self, values: Sequence[Tensor]) -> Tensor:
+        """[nnz, ...] if packed, else [..., C, N, ...], of a value [N, ...] of every image."""
+        picked = [self.pick(value, i) for i, value in enumerate(values)]
+        if self.packed:
+            return picked[0] if len(picked) == 1 else torch.cat(picked)
+        return _stacked(picked).reshape(*self.shape, *picked[0].shape)
+
+    def ids(self) -> dict[str, Tensor | None]:
+        """``batch_ids``, ``camera_ids`` and ``gaussian_ids`` [nnz] int64; None unless packed."""
+        if not self.packed:
+            return dict.fromkeys(("batch_ids", "camera_ids", "gaussian_ids"))
+        if len(self.chosen) == 1:  # numbering each would take 1 % of the time
+            batch_ids, camera_ids = (self.chosen[0].new_zeros(self.sizes[0]) for _ in range(2))
+            return {"batch_ids": batch_ids, "camera_ids": camera_ids, "gaussian_ids": self.chosen[0]}
+        device, cameras = self.chosen[0].device, self.shape[-1]
+        number, counts = torch.arange(len(self.chosen), device=device), torch.tensor(self.sizes, device=device)
+        batch_ids, camera_ids = (
+            torch.repeat_interleave(each, counts, output_size=sum(self.sizes)) for each in (number // cameras, number % cameras)
+        )
+        return {"batch_ids": batch_ids, "camera_ids": camera_ids, "gaussian_ids": torch.cat(self.chosen)}
 
 
 def _stacked(values: list[Tensor]) -> Tensor:
@@ -284,33 +350,19 @@ def _shapes(
     return batch, count, cameras, tail
 
 
-def _project_image(
-    means: Tensor,
-    quats: Tensor | None,
-    scales: Tensor | None,
-    covars: Tensor | None,
-    opacities: Tensor,
-    viewmat: Tensor,
-    K: Tensor,
-    width: int,
-    height: int,
-    near_plane: float,
-    far_plane: float,
-    eps2d: float,
-    radius_clip: float,
-    antialiased: bool,
-    backend: BackendName,
-) -> tuple[Projected, Tensor]:
+def _project_image(image: _Image, settings: _Settings) -> tuple[Projected, Tensor]:
     """Project into one camera, compensate and clip: what is visible, and the opacities [N] to draw it with."""
+    eps2d, opacities = settings.eps2d, image.opacities
 
     def with_opacities(values: Tensor) -> Projected:
         return project(
-            means, quats, scales, values, viewmat, K, width, height, covars=covars, near_plane=near_plane,
-            far_plane=far_plane, eps2d=eps2d, backend=backend,
+            image.means, image.quats, image.scales, values, image.viewmat, image.K, settings.width, settings.height,
+            covars=image.covars, near_plane=settings.near_plane, far_plane=settings.far_plane, eps2d=eps2d,
+            backend=settings.backend,
         )  # fmt: skip
 
     projected = with_opacities(opacities)
-    if antialiased:
+    if settings.antialiased:
         a, b, c = torch.where(projected.visible[:, None], projected.conics, torch.zeros_like(projected.conics)).unbind(1)
         # The conic is the inverse of cov + eps2d I, so det(cov) / det(cov + eps2d I) = det(I - eps2d conic).
         ratio = 1 - eps2d * (a + c) + eps2d * eps2d * (a * c - b * b)
@@ -318,8 +370,37 @@ def _project_image(
         with torch.no_grad():
             smaller = with_opacities(opacities)  # fainter Gaussians cover fewer pixels, or none
         projected = replace(projected, radii=smaller.radii, extents=smaller.extents)
-    if radius_clip > 0:
-        kept = (projected.radii > radius_clip).any(1)
+    if settings.radius_clip > 0:
+        kept = (projected.radii > settings.radius_clip).any(1)
         extents = projected.extents
         projected = replace(projected, radii=projected.radii * kept[:, None], extents=None if extents is None else extents * kept)
     return projected, opacities
+
+
+def _blend_image(
+    image: _Image, projected: Projected, opacities: Tensor, pick: Callable[[Tensor], Tensor], settings: _Settings
+) -> tuple[Tensor, Tensor]:
+    """Draw one image: what ``render_mode`` asks for [H, W, D, D + 1 or 1], and alpha [H, W, 1].
+
+    Args:
+        projected: of the n Gaussians that are drawn.
+        opacities: [n] of them.
+        pick: takes their rows [n, ...] from a value [N, ...].
+    """
+    features = []
+    if "RGB" in settings.render_mode:
+        colour = pick(image.colors)
+        if settings.sh_degree is not None:
+            directions = None if image.center is None else pick(image.means) - image.center
+            colour = colours_from_harmonics(colour, directions, settings.sh_degree)
+        features.append(colour)
+    if "D" in settings.render_mode:
+        features.append(projected.depths[:, None])
+    picture, alpha = blend(projected, opacities, torch.cat(features, 1), settings.width, settings.height, absgrad=settings.absgrad)
+    alpha = alpha[..., None]
+    if "ED" in settings.render_mode:
+        picture = torch.cat([picture[..., :-1], picture[..., -1:] / alpha.clamp(min=1e-10)], -1)
+    if image.background is not None and "RGB" in settings.render_mode:
+        zeros = picture.shape[-1] - len(image.background)  # nothing is behind depth
+        picture = picture + (1 - alpha) * torch.nn.functional.pad(image.background, (0, zeros))
+    return picture, alpha

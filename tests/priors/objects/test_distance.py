@@ -9,8 +9,9 @@ from flowsplat.geometry import Camera
 from flowsplat.geometry.cameras import rigid
 from flowsplat.priors.background.ground import Ground, find_ground, static_points
 from flowsplat.priors.objects.contact import ground_bound, middle_of, upright_ratio
+from flowsplat.priors.objects.contact_cues import bounce_cue, contact_cue, foot_offset, settled, thrown_cue
+from flowsplat.priors.objects.course import accepted_laws
 from flowsplat.priors.objects.distance import Cue, combine
-from flowsplat.priors.objects.movers import accepted_laws, bounce_cue, contact_cue, foot_offset, settled, thrown_cue
 from flowsplat.priors.objects.path import WorldPath, bounce_frames, constant_height, pivot
 from flowsplat.priors.objects.relief import roundness
 from flowsplat.priors.objects.rigid import Observations, solve_rigid

@@ -8,7 +8,8 @@ import pytest
 from flowsplat.geometry import Camera
 from flowsplat.priors.objects import rigid
 from flowsplat.priors.objects.contact import Bound
-from flowsplat.priors.objects.movers import rigid_motions, solve_mover
+from flowsplat.priors.objects.course import rigid_motions
+from flowsplat.priors.objects.movers import solve_mover
 from flowsplat.priors.objects.relief import place_points
 from flowsplat.priors.objects.rigid import Observations, longest, solve_rigid, widest_turn
 from flowsplat.priors.objects.rigid_equations import solved, unpacked

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import asdict, dataclass
-from typing import Literal
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -66,73 +66,27 @@ def camera_stage(scene: Scene, options: CameraOptions) -> None:
         InputError: the given focal length is not a positive number, or something was made for pictures that are to be
             straightened.
     """
-    focal = options.focal
     longest = LONGEST_LENS * max(scene.width, scene.height)
-    if focal is not None and not 1 <= focal <= longest:
-        raise InputError(f"The focal length is {focal}: give pixels from 1 to {longest:,}, or leave it out.")
+    if options.focal is not None and not 1 <= options.focal <= longest:
+        raise InputError(f"The focal length is {options.focal}: give pixels from 1 to {longest:,}, or leave it out.")
     if PENDING in scene.info:
         _straighten(scene)
         return
     radial = options.distortion == "radial" and LENS not in scene.info
     if radial:
         require_lens_in_pictures(scene)
-    # Thresholds are in pixels of the size at which points are followed.
-    unit = max(1.0, max(scene.width, scene.height) / WORKING_SIDE)
-    followed, blank = follow_points(scene)
-    shown = [t for t in range(scene.num_frames) if t not in set(blank)]
-    pieces = split(shown, find_breaks(followed / unit, shown))
-    positions = _off_movers(scene, followed) / unit
-    if not pieces:
-        pieces, positions = [list(range(scene.num_frames))], positions[:0]
-    del followed
-    tracks = _Tracks(positions, pieces, scene.width / unit, scene.height / unit)
-    known = None if focal is None else focal / unit
-    solved = tracks.solve(options.solver, known)
-    lens = None
+    tracks = _follow(scene)
+    known = None if options.focal is None else options.focal / tracks.unit
+    lens, solved = None, tracks.solve(options.solver, known)
     if radial:
         lens, solved = _find_lens(tracks, solved, options.solver, known)
-    found = [each.found for each in solved]
-    parts = [_cameras(each, unit, scene.width, scene.height) for each in found]
-    cameras = join(pieces, parts, scene.num_frames)
-    scene.write_cameras(cameras)
-    main = solved[tracks.longest]
-    errors = np.concatenate([each.fit.errors for each in found]) * unit
-    numbers = np.concatenate([np.array(frames)[each.fit.frames] for frames, each in zip(pieces, found, strict=True)])
-    heldout = np.isin(numbers, scene.heldout_frames)
-    unplaced = [frames[t] for frames, each in zip(pieces, found, strict=True) for t in each.unplaced]
-    jumps = [t for each in solved for t in each.judgements[0].jumps]
-    breaks = [frames[0] for frames in pieces[1:]]
-    fit = main.found.fit
-    gaps = Gaps(unplaced, breaks, blank, jumps, scene.timestamps)
-    more = [main.reason(unit), _about_lens(lens, unit) if radial else ""]
-    prior = {
-        "method": OWN,
-        "options": asdict(options),
-        "solver": main.judgements[0].solver,
-        "solvers": [judgement.to_json(unit) for judgement in main.judgements],
-        "motion": main.found.motion,
-        "static": len(pieces) == 1 and main.found.motion in ("static", "unknown"),
-        "flat": main.found.flat,
-        "surrounds": main.found.surrounds,
-        "focal": round(fit.state.focal * unit, 3),
-        "focal_given": focal is not None,
-        "focal_sigma": round(fit.focal_sigma, 5) if np.isfinite(fit.focal_sigma) else None,
-        "distortion": round(lens.distortion, 6) if lens else 0.0,
-        "parallax_degrees": round(float(np.degrees(main.found.parallax)), 3),
-        "reprojection_px": round(float(np.median(errors)), 4),
-        "reprojection_p90_px": round(float(np.quantile(errors, 0.9)), 4),
-        "reprojection_heldout_px": round(float(np.median(errors[heldout])), 4) if heldout.any() else None,
-        "tracks": sum(int(each.fit.static.sum()) for each in found),
-        "unplaced": unplaced,
-        "breaks": breaks,
-        "blank": blank,
-        "jumps": jumps,
-        "verdict": verdict(main.found, unit, scene.width, focal is not None, gaps, more),
-    }
+    parts = [_cameras(each.found, tracks.unit, scene.width, scene.height) for each in solved]
+    scene.write_cameras(join(tracks.pieces, parts, scene.num_frames))
+    prior = _description(scene, options, tracks, solved, lens, _about_lens(lens, tracks.unit) if radial else "")
     if lens is None:
         scene.finish_prior("cameras", **prior)
         return
-    scene.info[LENS] = lens.scaled(unit).to_json()
+    scene.info[LENS] = lens.scaled(tracks.unit).to_json()
     scene.info[PENDING] = prior
     scene.save_info()
     _straighten(scene)
@@ -140,12 +94,22 @@ def camera_stage(scene: Scene, options: CameraOptions) -> None:
 
 @dataclass(frozen=True)
 class _Tracks:
-    """What was followed: positions [N, T, 2] in pixels of the working size, and the frames of every piece."""
+    """What was followed.
+
+    Attributes:
+        positions: [N, T, 2] in pixels of the working size; NaN where a point was not seen.
+        pieces: the frames of every piece.
+        blank: frames in which nothing can be followed.
+        width: of the pictures, in pixels of the working size; ``height`` alike.
+        unit: pixels of the prepared frames in one of the working size. Thresholds are in pixels of the latter.
+    """
 
     positions: np.ndarray
     pieces: list[list[int]]
+    blank: list[int]
     width: float
     height: float
+    unit: float
 
     @property
     def longest(self) -> int:
@@ -160,9 +124,61 @@ class _Tracks:
     def solve(self, solver: str, focal: float | None, lens: Lens | None = None) -> list[Solved]:
         """The cameras of every piece, once the lens is taken out."""
         if lens is not None:
-            straight = _Tracks(lens.straightened(self.positions), self.pieces, self.width, self.height)
+            straight = replace(self, positions=lens.straightened(self.positions))
             return straight.solve(solver, None if focal is None else lens.pinhole)
         return [solve(self.of_piece(k), self.width, self.height, focal, solver, frames) for k, frames in enumerate(self.pieces)]
+
+
+def _follow(scene: Scene) -> _Tracks:
+    """Follow points through the clip, and cut it where nothing joins its frames."""
+    unit = max(1.0, max(scene.width, scene.height) / WORKING_SIDE)
+    followed, blank = follow_points(scene)
+    shown = [t for t in range(scene.num_frames) if t not in set(blank)]
+    pieces = split(shown, find_breaks(followed / unit, shown))
+    positions = _off_movers(scene, followed) / unit
+    if not pieces:
+        pieces, positions = [list(range(scene.num_frames))], positions[:0]
+    return _Tracks(positions, pieces, blank, scene.width / unit, scene.height / unit, unit)
+
+
+def _description(
+    scene: Scene, options: CameraOptions, tracks: _Tracks, solved: list[Solved], lens: Lens | None, about_lens: str
+) -> dict[str, Any]:
+    """What is noted of the cameras in the scene: how they were found, how well they fit (errors in pixels), and a verdict."""
+    unit, pieces, main = tracks.unit, tracks.pieces, solved[tracks.longest]
+    found, fit = [each.found for each in solved], main.found.fit
+    errors = np.concatenate([each.fit.errors for each in found]) * unit
+    numbers = np.concatenate([np.array(frames)[each.fit.frames] for frames, each in zip(pieces, found, strict=True)])
+    heldout = np.isin(numbers, scene.heldout_frames)
+    unplaced = [frames[t] for frames, each in zip(pieces, found, strict=True) for t in each.unplaced]
+    jumps = [t for each in solved for t in each.judgements[0].jumps]
+    breaks = [frames[0] for frames in pieces[1:]]
+    gaps = Gaps(unplaced, breaks, tracks.blank, jumps, scene.timestamps)
+    given = options.focal is not None
+    return {
+        "method": OWN,
+        "options": asdict(options),
+        "solver": main.judgements[0].solver,
+        "solvers": [judgement.to_json(unit) for judgement in main.judgements],
+        "motion": main.found.motion,
+        "static": len(pieces) == 1 and main.found.motion in ("static", "unknown"),
+        "flat": main.found.flat,
+        "surrounds": main.found.surrounds,
+        "focal": round(fit.state.focal * unit, 3),
+        "focal_given": given,
+        "focal_sigma": round(fit.focal_sigma, 5) if np.isfinite(fit.focal_sigma) else None,
+        "distortion": round(lens.distortion, 6) if lens else 0.0,
+        "parallax_degrees": round(float(np.degrees(main.found.parallax)), 3),
+        "reprojection_px": round(float(np.median(errors)), 4),
+        "reprojection_p90_px": round(float(np.quantile(errors, 0.9)), 4),
+        "reprojection_heldout_px": round(float(np.median(errors[heldout])), 4) if heldout.any() else None,
+        "tracks": sum(int(each.fit.static.sum()) for each in found),
+        "unplaced": unplaced,
+        "breaks": breaks,
+        "blank": tracks.blank,
+        "jumps": jumps,
+        "verdict": verdict(main.found, unit, scene.width, given, gaps, [main.reason(unit), about_lens]),
+    }
 
 
 def _find_lens(tracks: _Tracks, solved: list[Solved], solver: str, focal: float | None) -> tuple[Lens | None, list[Solved]]:

@@ -1,0 +1,38 @@
+"""``flowsplat evaluate``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from flowsplat.cli.arguments import Run
+from flowsplat.cli.command import Command
+from flowsplat.cli.runs import changed_run, print_figures, run_defaults
+from flowsplat.common.devices import DeviceName
+from flowsplat.pipeline.config import Baselines, RunConfig
+
+
+def build(defaults: RunConfig) -> Callable[..., None]:
+    """The command with these settings by default."""
+
+    def evaluate(
+        out: Run, baselines: Baselines = defaults.baselines, refine_poses: bool = defaults.refine_poses,
+        device: DeviceName = defaults.device,
+    ) -> None:  # fmt: skip
+        """Measure a trained run on what was held out; writes metrics.json and report.html.
+
+        Args:
+            out: Folder of the run.
+            baselines: What the result is compared with; all also trains our own static scene (a quarter of the training time).
+            refine_poses: Also measure held-out frames with their poses refined on their own pictures.
+            device: What to compute on.
+        """
+        from flowsplat import pipeline
+
+        with changed_run(out, baselines=baselines, refine_poses=refine_poses, device=device) as folder:
+            metrics = pipeline.evaluate_run(folder)
+        print_figures(metrics, out)
+
+    return evaluate
+
+
+COMMAND = Command(build, run_defaults, place=50)

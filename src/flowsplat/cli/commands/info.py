@@ -1,0 +1,24 @@
+"""``flowsplat info``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from flowsplat.cli.command import Command
+
+
+def info(path: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="PATH")] = None) -> None:
+    """What is in a run or a scene; versions; which backends work here, and why the others do not.
+
+    Args:
+        path: Folder of a run or a scene; without it only versions and backends are shown.
+    """
+    from flowsplat.pipeline.describe import describe
+
+    print(*describe(path), sep="\n")
+
+
+COMMAND = Command(lambda _: info, place=70)

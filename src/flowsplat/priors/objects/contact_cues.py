@@ -1,0 +1,185 @@
+"""What contact with the ground says of a mover's distance: that it stands there, or that it touched it for moments."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from flowsplat.priors.objects.contact import Bound
+from flowsplat.priors.objects.distance import Cue
+
+FLOOR = {"contact": 0.025, "bounce": 0.03}
+"""Standard deviation of ln distance that each has at least."""
+WRONG = {"contact": 0.07, "bounce": 0.1}
+"""Chance that it has nothing to do with the truth."""
+FLAT, FLAT_LOW, FLAT_HIGH = 0.1, 10, 70
+"""Range of the bounds between two percentiles over time up to which a mover stands on the ground."""
+MOSTLY = 0.5
+"""Share of the frames in which a mover is seen in which its feet must be seen, too: what swings hides where it is high."""
+FEWEST_BOUNDS = 8
+STEPS = 5.0
+"""Frames: standard deviation over time of what feet say about a course; steps are shorter."""
+SUPPOSED_SIGMA, SUPPOSED_WRONG = 0.06, 0.25
+"""What is added to the error of a contact with ground that was not seen, and its chance to be wrong."""
+BOUNCE_SPAN = 2
+"""Frames to either side over which the second difference of the bounds is taken."""
+BOUNCE, BOUNCE_NOISE = 0.1, 4.0
+"""Second difference of the bounds from which a minimum may be a bounce, and how many times their usual spread that must be."""
+BOUNCE_WIDTH, BOUNCE_ELSEWHERE = 4, 0.25
+"""So many frames from a bounce the second difference is at most this share of that at it: a smooth minimum is wider."""
+THROWN_SIGMA = 0.03
+"""Standard deviation of the nearest bound at several bounces; of a single one it is half as much more."""
+FOOT = 0.15
+"""Standard deviation of the distance, in the picture, at which points of a mover tell of its foot: of the root of its area."""
+
+
+@dataclass(frozen=True)
+class Feet:
+    """Where a mover would touch the ground in the T frames of a clip.
+
+    Attributes:
+        bounds: [T] what each frame says of it.
+        log_depth: [T] logarithm of the depth of the mover's middle there; NaN where a frame says nothing.
+        visible: [T] bool: its lowest pixels are seen.
+        ground_seen: [T] bool: the ground is seen there, and not only supposed to go on.
+        frames: in how many frames the mover is seen.
+    """
+
+    bounds: Sequence[Bound | None]
+    log_depth: np.ndarray
+    visible: np.ndarray
+    ground_seen: np.ndarray
+    frames: int
+
+    @classmethod
+    def of(cls, bounds: Sequence[Bound | None], frames: int) -> Feet:
+        """Those of a mover that is seen in so many ``frames``."""
+        return cls(
+            bounds,
+            np.array([np.nan if bound is None else bound.log_depth for bound in bounds]),
+            np.array([bound is not None and bound.visible for bound in bounds]),
+            np.array([bound is not None and bound.seen for bound in bounds]),
+            frames,
+        )
+
+    def unevenness(self, course: np.ndarray) -> float:
+        """How much its height above the ground would change over time by a course [T]: see ``unevenness``."""
+        return unevenness(self.log_depth - course, self.visible, self.frames)
+
+    def supposed(self, course: np.ndarray) -> bool:
+        """Whether the ground under a course [T] is supposed rather than seen."""
+        known = np.isfinite(self.log_depth - course)
+        return bool(known.any()) and float(self.ground_seen[known].mean()) < 0.5
+
+
+def unevenness(bounds: np.ndarray, visible: np.ndarray, frames: int) -> float:
+    """How much the bounds [T] of a mover change over time; inf where its feet are seen in too few of the ``frames``."""
+    seen = bounds[visible & np.isfinite(bounds)]
+    if len(seen) < max(FEWEST_BOUNDS, MOSTLY * frames):
+        return np.inf
+    low, high = np.percentile(seen, [FLAT_LOW, FLAT_HIGH])
+    return float(high - low)
+
+
+def contact_cue(bounds: np.ndarray, visible: np.ndarray, frames: int) -> Cue | None:
+    """That a mover stands on the ground: its bounds [T] hardly change over time.
+
+    Args:
+        visible: [T] whether its feet are.
+        frames: in how many it is seen.
+    """
+    if unevenness(bounds, visible, frames) > FLAT:
+        return None
+    low, middle, high = np.percentile(bounds[visible & np.isfinite(bounds)], [FLAT_LOW, 35, FLAT_HIGH])
+    return Cue(float(middle), float(np.hypot(FLOOR["contact"], 0.5 * (high - low))), WRONG["contact"])
+
+
+def settled(above: np.ndarray, visible: np.ndarray) -> np.ndarray:
+    """[T] what brings the course of a mover that stands to the ground over time.
+
+    A course that only its size tells is some percent off over time, where feet are seen to one or two.
+
+    Args:
+        above: [T] in ln, how much farther than its course each frame's feet would be on the ground.
+        visible: [T] whether they are seen.
+    """
+    seen = visible & np.isfinite(above)
+    weight = gaussian_filter1d(seen.astype(float), STEPS, mode="nearest")
+    value = gaussian_filter1d(np.where(seen, np.clip(above, -FLAT, FLAT), 0), STEPS, mode="nearest")
+    return np.where(weight > 1e-3, value / np.maximum(weight, 1e-3), 0)
+
+
+def unsurer(cue: Cue) -> Cue:
+    """The same on ground that was not seen."""
+    return Cue(cue.log_scale, float(np.hypot(cue.sigma, SUPPOSED_SIGMA)), SUPPOSED_WRONG)
+
+
+def thrown_cue(bounds: np.ndarray, thrown: np.ndarray) -> Cue | None:
+    """That a mover touched the ground in the frames in which its own path was thrown up.
+
+    Thin tips of a mask and feet that something hides put a bound too far, so the nearest of them speaks.
+
+    Args:
+        bounds: [T] at its lowest pixels (``foot_offset``), NaN where they are not seen.
+        thrown: [B] frames.
+    """
+    levels = [float(np.nanmin(around)) for k in thrown if np.isfinite(around := bounds[max(k - 1, 0) : k + 2]).any()]
+    if not levels:
+        return None
+    return Cue(min(levels), THROWN_SIGMA if len(levels) > 1 else 1.5 * THROWN_SIGMA, WRONG["bounce"])
+
+
+def foot_offset(lowest: np.ndarray, front: np.ndarray, pixels: np.ndarray, offsets: np.ndarray, sigma: np.ndarray) -> float:
+    """By how much, in ln, the lowest pixels of a mover are farther than its upright card in one frame.
+
+    They lie on its rim, where a round body is farther than its front; its points correct that.
+
+    Args:
+        lowest: [n, 2] int (column, row).
+        front: ``roundness`` [H, W] of its mask.
+        pixels: [N, 2] of points that stand out of card and front by offsets [N], with standard deviation sigma [N].
+    """
+    rim = float(np.median(front[lowest[:, 1], lowest[:, 0]]))
+    reach = max(6.0, FOOT * float(np.sqrt((front != 0).sum())))
+    near = np.exp(-0.5 * ((pixels - lowest.mean(0) - 0.5) ** 2).sum(1) / reach**2)
+    if near.sum() <= 1:
+        return rim
+    weight = near / (sigma**2 + 0.01**2)
+    return rim + float((weight * offsets).sum() / weight.sum())
+
+
+def bounce_cue(bounds: np.ndarray) -> Cue | None:
+    """That a mover touched the ground for moments: its bounds [T] have sharp minima, where it bounced.
+
+    Between bounces what is thrown falls towards the ground ever faster, so the bounds are concave there. What swings or flies
+    past has a smooth minimum.
+    """
+    n, levels = BOUNCE_SPAN, []
+    curved = np.full(len(bounds), np.nan)
+    curved[n:-n] = bounds[2 * n :] - 2 * bounds[n:-n] + bounds[: -2 * n]
+    known = curved[np.isfinite(curved)]
+    if len(known) < FEWEST_BOUNDS:
+        return None
+    least = max(BOUNCE, BOUNCE_NOISE * 1.5 * float(np.median(np.abs(known - np.median(known)))))
+    for k in range(2 * n, len(bounds) - 2 * n):
+        around = curved[max(k - BOUNCE_WIDTH, 0) : k + BOUNCE_WIDTH + 1]
+        if not (np.isfinite(curved[k - n : k + n + 1]).all() and curved[k] >= least and curved[k] >= np.nanmax(around)):
+            continue
+        beyond = np.array([curved[j] for j in (k - BOUNCE_WIDTH, k + BOUNCE_WIDTH) if 0 <= j < len(curved)])
+        if np.isfinite(beyond).any() and np.nanmax(beyond) <= BOUNCE_ELSEWHERE * curved[k]:
+            # It touched between two frames: where the lines through both flanks meet.
+            left, right = bounds[k - 1] - bounds[k - 2], bounds[k + 2] - bounds[k + 1]
+            if left < 0 < right:
+                meet = np.clip((bounds[k + 1] - right - bounds[k - 1] - left) / (left - right), -1, 1)
+                level = min(bounds[k - 1] + left * (meet + 1), float(bounds[k - 1 : k + 2].min()))
+                levels.append(max(level, float(bounds[k - 1 : k + 2].min()) - 0.05))
+    if not levels:
+        return None
+    middle, spread = float(np.median(levels)), float(np.ptp(levels))
+    if spread > FLAT:
+        return None  # It is the same ground each time.
+    few = len(levels) == 1
+    return Cue(middle, float(np.hypot(0.05 if few else FLOOR["bounce"], 0.5 * spread)), 0.2 if few else WRONG["bounce"])

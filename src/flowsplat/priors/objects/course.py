@@ -1,0 +1,217 @@
+"""How the distance of a mover changes over time, but for a constant: by the motion of its points or by its size in the pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from flowsplat.geometry import Camera
+from flowsplat.priors.background.ground import Ground
+from flowsplat.priors.objects.contact import upright_ratio
+from flowsplat.priors.objects.contact_cues import FLAT, Feet
+from flowsplat.priors.objects.distance import Cue
+from flowsplat.priors.objects.path import Law, WorldPath, constant_height, pivot
+from flowsplat.priors.objects.relief import ReliefPoints, place_points
+from flowsplat.priors.objects.rematch import MoverPictures, rematched
+from flowsplat.priors.objects.rigid import Observations, RigidMotion, longest, solve_rigid
+
+FEWEST_TRACKS, FEWEST_FRAMES = 16, 10
+SPLIT_HALF = 0.04
+"""Standard deviation over time between ln z of two solutions from halves of the tracks, above which none is believed."""
+INLIERS = 0.7
+RIGID_SHARE = 0.85
+"""Share of all observations on a mover that its motion explains from which it does not bend, so that its points have one shape."""
+PER_FRAME = (50, 180)
+"""Tracks in a frame that the motion is solved from, the longest first; half of them for either half. Both are tried."""
+FLOOR = {"pivot": 0.02, "height": 0.03}
+"""Standard deviation of ln distance that a law of motion leaves at least."""
+WRONG = {"pivot": 0.05, "height": 0.05}
+"""Chance that it has nothing to do with the truth."""
+CONTRADICTED = 0.15
+"""Standard deviation over time between ln z by motion and by growth from which the ground decides which of them is right."""
+
+
+@dataclass(frozen=True)
+class MoverTracks:
+    """What is seen of one mover in the T training frames.
+
+    Attributes:
+        positions: [N, T, 2] pixels of its tracks, where ``inside`` [N, T].
+        middles: [T, 2] its middle pixels, NaN where it is not seen.
+        cameras: [T].
+        normal: [3] up.
+    """
+
+    positions: np.ndarray
+    inside: np.ndarray
+    middles: np.ndarray
+    cameras: Sequence[Camera]
+    normal: np.ndarray
+
+    @property
+    def K(self) -> np.ndarray:
+        """[3, 3] of all cameras."""
+        return self.cameras[0].K
+
+
+class PlacedMotion(NamedTuple):
+    """A motion of a mover's own, as a course.
+
+    ``log_depth`` [T]: logarithm of the depth of its middle, but for its distance; ``points``: of it; ``share``: of all observations
+    on it that the motion explains.
+    """
+
+    log_depth: np.ndarray
+    points: ReliefPoints
+    share: float
+
+
+@dataclass(frozen=True)
+class Course:
+    """How a mover goes.
+
+    Attributes:
+        log_depth: [T] logarithm of the depth of its middle, but for a constant; NaN where it is not seen.
+        motion: that all of this is by; None: the course is by its size, or by a motion that explains only part of it.
+        points: depth of points on it, with the same constant; none of what bends.
+        path: of the motion, in the world; None where there is none or its poses are not known well enough.
+        cues: what laws of motion say about the constant.
+        share: of all observations on it that the motion explains.
+    """
+
+    log_depth: np.ndarray
+    motion: RigidMotion | None
+    points: ReliefPoints
+    path: WorldPath | None
+    cues: dict[str, Cue]
+    share: float = 0.0
+
+    @property
+    def bends(self) -> bool:
+        """Whether its motion is not known or does not explain all of it."""
+        return self.share < RIGID_SHARE
+
+
+def solve_course(
+    tracks: MoverTracks, log_cards: np.ndarray, feet: Feet, ground: Ground | None, pictures: MoverPictures | None
+) -> Course:
+    """The course of one mover.
+
+    Args:
+        log_cards: [T] logarithm of the depth of its card, NaN where it is not seen: the course where no motion is believed.
+        pictures: to match its points anew in; None: tracks are all there is.
+    """
+    seen = np.isfinite(log_cards) & np.isfinite(tracks.middles).all(1)
+    by_growth = np.where(seen, log_cards - np.mean(log_cards[seen]), np.nan)
+    motion, motions = rigid_motions(tracks.positions, tracks.inside, tracks.K)
+    placed = None if motion is None else placed_motion(motion, tracks)
+    if motion is not None and placed is not None and pictures is not None:
+        motion, placed = _refined(motion, placed, tracks, seen, pictures)
+    contradicted = placed is not None and float(np.nanstd(placed.log_depth - by_growth)) > CONTRADICTED
+    if placed is not None and contradicted and feet.unevenness(by_growth) <= FLAT < feet.unevenness(placed.log_depth):
+        placed = None
+    if motion is None or placed is None:
+        return Course(_weak_course(motions, tracks, by_growth, seen, feet), None, ReliefPoints.none(), None, {})
+    try:
+        path = WorldPath.of(motion, tracks.cameras)
+        cues = accepted_laws(path, ground.normal if ground else None)[0]
+    except np.linalg.LinAlgError:
+        cues, path = {}, None  # Poses that the tracks hardly tell have no covariance: then no law does either.
+    # Limbs of what bends are placed wrongly.
+    points = placed.points if placed.share >= RIGID_SHARE else ReliefPoints.none()
+    return Course(np.where(seen, placed.log_depth, np.nan), motion, points, path, cues, placed.share)
+
+
+def _refined(
+    motion: RigidMotion, placed: PlacedMotion, tracks: MoverTracks, seen: np.ndarray, pictures: MoverPictures
+) -> tuple[RigidMotion, PlacedMotion]:
+    """The motion by points that are matched anew in the pictures, where that is of the same body; else the same as before."""
+    again = rematched(motion, tracks.positions, tracks.inside, pictures)
+    if again is None:
+        return motion, placed
+    refined, matched, counts = again
+    every, used = np.concatenate([matched, tracks.positions]), np.concatenate([counts, tracks.inside])
+    surer = placed_motion(refined, replace(tracks, positions=every, inside=used))
+    # Two solutions that differ by more than two halves of the tracks may are not of one body.
+    if surer is None or not float(np.std((surer.log_depth - placed.log_depth)[seen])) <= SPLIT_HALF:
+        return motion, placed
+    # Points that were chosen because they match say nothing of how much of it bends.
+    return refined, surer._replace(share=placed.share)
+
+
+def _weak_course(
+    motions: Sequence[RigidMotion], tracks: MoverTracks, by_growth: np.ndarray, seen: np.ndarray, feet: Feet
+) -> np.ndarray:
+    """[T] the course of what bends: by its growth, or by a motion that explains part of it, if only by that its feet keep to the
+    ground."""
+    for weak in motions if feet.unevenness(by_growth) > FLAT else []:
+        placed = placed_motion(weak, tracks)
+        if placed is not None and feet.unevenness(placed.log_depth) <= FLAT:
+            return np.where(seen, placed.log_depth, np.nan)
+    return by_growth
+
+
+def rigid_motions(positions: np.ndarray, inside: np.ndarray, K: np.ndarray) -> tuple[RigidMotion | None, list[RigidMotion]]:
+    """The motion of a mover from its tracks, if both halves of them tell the same, else None; and all that was found."""
+    if len(inside) < FEWEST_TRACKS or inside.any(0).sum() < FEWEST_FRAMES:
+        return None, []
+
+    def solved(rows: np.ndarray, most: int) -> RigidMotion | None:
+        chosen = rows[longest(inside[rows], most)]
+        return solve_rigid(Observations.of_tracks(positions[chosen], inside[chosen], K).in_pieces())
+
+    every = np.arange(len(inside))
+    found = [(whole, most) for most in PER_FRAME if (whole := solved(every, most)) is not None]
+    motions = [whole for whole, _ in found]
+    # More tracks make a rigid body surer. In what bends they are limbs that move on their own, and disagree.
+    for whole, most in sorted(found, key=lambda each: each[0].noise):
+        if whole.inliers < INLIERS:
+            continue
+        halves = [solved(every[start::2], most // 2) for start in (0, 1)]
+        if halves[0] is None or halves[1] is None:
+            continue
+        differences = halves[0].log_depths() - halves[1].log_depths()
+        known = np.isfinite(differences)
+        if known.sum() >= FEWEST_FRAMES and float(np.std(differences[known])) <= SPLIT_HALF:
+            return whole, motions
+    return None, motions
+
+
+def accepted_laws(path: WorldPath, normal: np.ndarray | None) -> tuple[dict[str, Cue], dict[str, Law]]:
+    """The laws of motion that pass their gates, as cues; and what every law said."""
+    laws: dict[str, Law] = {"pivot": pivot(path)}
+    if normal is not None:
+        laws["height"] = constant_height(path, normal)
+    p, passed = laws["pivot"], {}
+    passed["pivot"] = p.measures["rest"] <= 0.6 and p.measures["turned"] >= 30 and p.measures["lever"] <= 8
+    passed["height"] = "height" in laws and laws["height"].measures["explained"] >= 0.3
+    cues = {
+        name: Cue(-float(np.log(law.nearness)), float(np.hypot(law.sigma, FLOOR[name])), WRONG[name])
+        for name, law in laws.items()
+        if law.usable and law.holds and passed[name]
+    }
+    return cues, laws
+
+
+def placed_motion(motion: RigidMotion, tracks: MoverTracks) -> PlacedMotion | None:
+    """The course by a motion of a mover's own; None where it tells of no frame."""
+    points, share = place_points(motion, Observations.of_tracks(tracks.positions, tracks.inside, tracks.K), tracks.K)
+    found = middle_depths(points, tracks.middles, tracks.cameras, tracks.normal)
+    known = np.isfinite(found)
+    if not known.any():
+        return None
+    return PlacedMotion(np.interp(np.arange(len(tracks.cameras)), np.flatnonzero(known), found[known]), points, share)
+
+
+def middle_depths(points: ReliefPoints, middles: np.ndarray, cameras: Sequence[Camera], normal: np.ndarray) -> np.ndarray:
+    """[T] logarithm of the depth of a mover's middle: of an upright card through its points; NaN of fewer than three."""
+    result = np.full(len(cameras), np.nan)
+    for t in range(len(cameras)):
+        here = points.frame_of == t
+        if here.sum() >= 3 and np.isfinite(middles[t]).all():
+            card = np.log(upright_ratio(cameras[t], normal, middles[t], points.pixels[here]))
+            result[t] = np.median(points.log_depth[here] - card)
+    return result
