@@ -100,7 +100,7 @@ def prepared(folder: Path, frames: Sequence[np.ndarray]) -> Scene:
     scene = write(folder, frames)
     prepare_priors(scene, PriorsOptions())
     scene = Scene(folder)
-    json.dumps(scene.info, allow_nan=False)
+    json.dumps(scene.info.to_json(), allow_nan=False)
     assert all(camera.is_valid for camera in scene.cameras)
     for i in scene.train_frames:
         assert np.isfinite(scene.depth(i).depth).all()

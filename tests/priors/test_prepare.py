@@ -29,8 +29,7 @@ STAGES = ("cameras", "flow", "masks", "depth", "tracks")
 
 def forget_cameras(scene: Scene) -> Scene:
     (scene.folder / "cameras.json").unlink()
-    del scene.info["priors"]["cameras"]
-    scene.save_info()
+    scene.forget_priors(["cameras"])
     return Scene(scene.folder)
 
 
@@ -63,7 +62,7 @@ def test_finished_priors_are_kept_and_scratch_is_removed(tmp_path: Path):
     scene = write_planes(tmp_path, step=2, square=True)
     prepare_priors(scene, PriorsOptions())
     assert all(scene.prior(name) is not None for name in STAGES)
-    assert scene.info["similarity"] is not None
+    assert scene.info.similarity is not None
     assert not (tmp_path / "multiview").exists()
     before = prior_files(scene)
     assert prepare_priors(Scene(tmp_path), PriorsOptions()) == {}

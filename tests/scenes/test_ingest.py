@@ -60,10 +60,10 @@ def test_video(tmp_path, picture, write_video):
     scene = run(path, tmp_path / "scene", options)
     assert (scene.name, scene.num_frames, scene.heldout_frames) == ("My clip", 6, [4])
     np.testing.assert_allclose(scene.timestamps, np.arange(6) * 0.08, atol=1e-6)
-    assert scene.info["source_fps"] == pytest.approx(25)
-    assert scene.info["audio"] == "sound.flac"
-    assert scene.info["audio_start"] == 0
-    assert "one frame in 2" in scene.info["notes"][0]
+    assert scene.info.source_fps == pytest.approx(25)
+    assert scene.info.audio == "sound.flac"
+    assert scene.info.audio_start == 0
+    assert "one frame in 2" in scene.info.notes[0]
     assert scene.prior("masks") is None
     assert np.abs(scene.frame(3).astype(int) - picture(6)).mean() < 4
 
@@ -219,7 +219,7 @@ def test_davis(data, tmp_path, name, count, heldout):
     scene = run(data / "davis" / name, tmp_path / "scene", InputOptions())
     assert (scene.name, scene.width, scene.height) == (name, 854, 480)
     assert (scene.num_frames, len(scene.heldout_frames)) == (count, heldout)
-    assert scene.info["notes"] == []
+    assert scene.info.notes == []
     for i in (0, count - 1):
         assert set(np.unique(scene.mask(i))) == {0, 1}
         assert 0.01 < scene.mask(i).mean() < 0.6

@@ -77,7 +77,7 @@ def write_priors_report(folder: Path, scene: Scene, seconds: Mapping[str, float]
         legend=picture(flow_legend(), "The colour of every direction of flow", None),
         flow_scale=f"{shown.flow_scale:.1f}",
         charts=list(_charts(scene, shown)),
-        notes=scene.info["notes"],
+        notes=scene.info.notes,
     )
     return path
 

@@ -78,7 +78,7 @@ def _describe_run(folder: RunFolder) -> Iterator[str]:
 
 def _describe_scene(scene: Scene) -> Iterator[str]:
     seconds = scene.timestamps[-1] - scene.timestamps[0]
-    yield f"Scene {scene.folder}: {scene.name}, from {scene.info['source']}"
+    yield f"Scene {scene.folder}: {scene.name}, from {scene.info.source}"
     yield (
         f"  {scene.num_frames} frames of {scene.width} x {scene.height} over {seconds:.2f} s, "
         f"{len(scene.train_frames)} for training, {len(scene.heldout_frames)} held out"

@@ -123,7 +123,7 @@ def _compute_scene(
         if is_new:
             _clear(folder.path)
         raise
-    for note in scene.info["notes"]:
+    for note in scene.info.notes:
         say(note)
     compiling = are_missing(pick_device(config.device).type)
     speed, reference = Speed(config.device), expected(scene, config, compiling)
@@ -145,11 +145,11 @@ def _compute_scene(
                 speed.seen(took / reference["cameras"])
             say(f"Left of a whole run: {speed.estimate(reference, STAGES[2:], folder.wall_seconds)}.")
 
-    had = set(scene.info["priors"])
+    had = set(scene.info.priors)
     try:
         seconds = prepare_priors(scene, config.priors, config.device, after)
     except InputError:
-        if is_new and all(name in had or how.get("method") in _BROUGHT for name, how in scene.info["priors"].items()):
+        if is_new and all(name in had or how.get("method") in _BROUGHT for name, how in scene.info.priors.items()):
             _clear(folder.path)
         raise
     with busy("Writing priors.html"):
@@ -180,7 +180,7 @@ def _read_input(source: Path, kind: str, target: Path, config: RunConfig) -> Sce
 
 def _scene_identity(source: Path) -> str:
     info = Scene(source).info
-    return stage_key({name: info[name] for name in ("name", "source", "width", "height", "timestamps", "train")})
+    return stage_key({name: getattr(info, name) for name in ("name", "source", "width", "height", "timestamps", "train")})
 
 
 def copy_scene(source: Path, target: Path) -> Scene:

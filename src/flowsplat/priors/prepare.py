@@ -16,7 +16,7 @@ from flowsplat.common.progress import busy, say
 from flowsplat.priors.background.matched_clip import MatchedClip, forget_solutions
 from flowsplat.priors.background.static_depth import static_depth
 from flowsplat.priors.cameras import CameraOptions, camera_stage
-from flowsplat.priors.cameras.stage import LENS, OWN, require_lens_in_pictures
+from flowsplat.priors.cameras.stage import OWN, require_lens_in_pictures
 from flowsplat.priors.depth import depth_stage
 from flowsplat.priors.flow import FlowEstimator, dis_estimator, flow_stage
 from flowsplat.priors.given import GivenPriors, true_layers, use_given, use_truth
@@ -231,7 +231,7 @@ def _unwanted(scene: Scene, options: PriorsOptions, prompts: list[Prompt]) -> se
     if are_own_other:
         found.add("cameras")
     follow = dict(_FOLLOW)
-    if options.cameras.distortion == "radial" and LENS not in scene.info:
+    if options.cameras.distortion == "radial" and scene.info.lens is None:
         follow["cameras"] = ("flow", *follow["cameras"])
     # What follows is only computed anew where that is done as it was; the result of clicks, say, is kept without new clicks.
     usual = {"flow": ("dis",), "masks": ("motion",), "depth": ("multi-view", "guess"), "tracks": ("patches",)}
@@ -259,7 +259,7 @@ def _require_new_cameras(scene: Scene, options: CameraOptions, unwanted: set[str
             f"The depth of {scene.name} ({method}) belongs to the cameras that are there, and these options would not make it "
             "anew: start from the clip, or leave out what asks for other cameras."
         )
-    if options.distortion == "radial" and LENS not in scene.info:
+    if options.distortion == "radial" and scene.info.lens is None:
         require_lens_in_pictures(scene, unwanted)
 
 
@@ -277,15 +277,9 @@ def _forget(scene: Scene, names: set[str]) -> None:
     """Note that priors are not there, and delete those of their files that would be taken for what is being computed."""
     if not names:
         return
-    for name in names:
-        scene.info["priors"].pop(name, None)
-    if names & {"cameras", "flow", "masks", "tracks", "depth"}:
-        scene.info["priors"].pop("objects", None)
-        for path in ("objects.json", "objects.npz"):
-            (scene.folder / path).unlink(missing_ok=True)
-    if "depth" in names:
-        scene.info["similarity"] = None  # It made the old depth's median 1.
-    scene.save_info()
+    scene.forget_priors({*names, "objects"})
+    for path in ("objects.json", "objects.npz"):
+        (scene.folder / path).unlink(missing_ok=True)
     for name in names & {"flow", "depth"}:
         shutil.rmtree(scene.folder / name, ignore_errors=True)
     if "tracks" in names:

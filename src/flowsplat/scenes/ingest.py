@@ -26,8 +26,6 @@ __all__ = ["InputOptions", "fingerprint", "ingest", "is_ingested", "kind_of_inpu
 
 CALIBRATED = "calibrated"
 """Method of cameras that came with the input and share the coordinates of its held-out views."""
-INGESTED = "ingested"
-"""Key of ``Scene.info`` that is true once everything of the input is in the scene."""
 SOUND = "sound.flac"
 ALREADY = "{} is a prepared scene already: there is nothing to ingest."
 
@@ -99,14 +97,14 @@ def open_clip(path: Path, options: InputOptions) -> Clip:
 
 def is_ingested(scene: Scene) -> bool:
     """Whether everything of the input is in the scene."""
-    return bool(scene.info.get(INGESTED))
+    return scene.info.ingested
 
 
 def ingest(clip: Clip, folder: Path, options: InputOptions) -> Scene:
     """Write a clip into a scene folder: frames, split, given masks, calibrated cameras, truth and held-out views.
 
-    ``scene.json`` comes first and ``info["ingested"]`` last, so an interrupted run is recognised; called again, it keeps every
-    file that is there (files are written atomically, so they are whole) and adds what is missing.
+    ``scene.json`` comes first and its ``ingested`` last, so an interrupted run is recognised; called again, it keeps every file
+    that is there (files are written atomically, so they are whole) and adds what is missing.
 
     Raises:
         InputError: the input cannot be read, or the folder holds a scene of another input.
@@ -126,9 +124,7 @@ def ingest(clip: Clip, folder: Path, options: InputOptions) -> Scene:
     for picture in clip.views():
         if picture.view.name not in written:
             scene.write_view(picture.view, picture.image, picture.mask, picture.covisible)
-    _write_sound(clip, scene)
-    scene.info[INGESTED] = True
-    scene.save_info()
+    scene.mark_ingested(_write_sound(clip, scene))
     return scene
 
 
@@ -163,13 +159,12 @@ def _write_frames(clip: Clip, scene: Scene) -> None:
             bar.advance()
 
 
-def _write_sound(clip: Clip, scene: Scene) -> None:
-    """The sound comes into the scene: a scene names no file outside it."""
+def _write_sound(clip: Clip, scene: Scene) -> str | None:
+    """The name of the sound's file, which comes into the scene: a scene names no file outside it. None where there is no sound."""
     if clip.audio is None:
-        return
+        return None
     seconds = float(scene.timestamps[-1] - scene.timestamps[0]) + 1 / clip.source_fps
-    if keep_sound(clip.audio, clip.audio_start, seconds, scene.folder / SOUND):
-        scene.info |= {"audio": SOUND, "audio_start": 0.0}
+    return SOUND if keep_sound(clip.audio, clip.audio_start, seconds, scene.folder / SOUND) else None
 
 
 def _write_masks(clip: Clip, scene: Scene) -> None:

@@ -25,12 +25,8 @@ LENS_ROUNDS = 2
 """How often the lens is estimated, each time with the cameras that the one before allowed."""
 SETTLED = 0.1
 """Pixels of the border by which a lens may change and count as found."""
-LENS = "lens"
-"""Key of ``Scene.info``: the lens that was, or is being, taken out of the pictures."""
 OWN = "tracks"
 """Method of cameras that this stage computed."""
-PENDING = "straightening"
-"""Key of ``Scene.info``: what is known of the cameras while the pictures are being straightened."""
 LONGEST_LENS = 100
 """Focal length at most, in longer sides of the picture: an angle of view of half a degree."""
 
@@ -70,10 +66,10 @@ def camera_stage(scene: Scene, options: CameraOptions) -> None:
     longest = LONGEST_LENS * max(scene.width, scene.height)
     if focal is not None and not 1 <= focal <= longest:
         raise InputError(f"The focal length is {focal}: give pixels from 1 to {longest:,}, or leave it out.")
-    if PENDING in scene.info:
+    if scene.info.straightening is not None:
         _straighten(scene)
         return
-    radial = options.distortion == "radial" and LENS not in scene.info
+    radial = options.distortion == "radial" and scene.info.lens is None
     if radial:
         require_lens_in_pictures(scene)
     # Thresholds are in pixels of the size at which points are followed.
@@ -132,9 +128,7 @@ def camera_stage(scene: Scene, options: CameraOptions) -> None:
     if lens is None:
         scene.finish_prior("cameras", **prior)
         return
-    scene.info[LENS] = lens.scaled(unit).to_json()
-    scene.info[PENDING] = prior
-    scene.save_info()
+    scene.begin_straightening(lens.scaled(unit).to_json(), prior)
     _straighten(scene)
 
 
@@ -206,11 +200,10 @@ def require_lens_in_pictures(scene: Scene, unwanted: Collection[str] = ()) -> No
 
 def _straighten(scene: Scene) -> None:
     """Replace frames and masks by those that a pinhole sees, and note that the cameras are finished."""
-    lens = Lens(**scene.info[LENS])
+    assert scene.info.lens is not None
+    lens = Lens(**scene.info.lens)
     replace_pictures(scene, lens.straighten)
-    prior = scene.info.pop(PENDING)
-    scene.info["notes"].append(_about_lens(lens, 1.0))
-    scene.finish_prior("cameras", **prior)
+    scene.finish_straightening(_about_lens(lens, 1.0))
 
 
 def _off_movers(scene: Scene, positions: np.ndarray) -> np.ndarray:
