@@ -16,12 +16,12 @@ from flowsplat.output.camera_path import path_at_an_angle, path_from_above
 from flowsplat.output.priors_report import PANEL, _Shown, verdict, write_priors_report
 from flowsplat.pipeline import prepare
 from flowsplat.pipeline.config import RunConfig
-from flowsplat.priors.given import use_truth
 from flowsplat.priors.objects import SceneMovers
 from flowsplat.priors.objects.distance import Cue
 from flowsplat.priors.objects.movers import Mover
 from flowsplat.priors.objects.relief import ReliefPoints
 from flowsplat.priors.objects.storage import save_movers
+from flowsplat.priors.prepare import use_truth
 from flowsplat.scenes import Scene
 from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic
 from tests.scene_files import edited

@@ -21,7 +21,8 @@ from flowsplat.priors.cameras.bundle import Reconstruction
 from flowsplat.priors.cameras.keyframes import choose_keyframes, place_between
 from flowsplat.priors.cameras.pieces import APART, find_breaks, join, split
 from flowsplat.priors.continuity import Continuity, is_blank
-from flowsplat.priors.prepare import PriorsOptions, prepare_priors
+from flowsplat.priors.options import PriorsOptions
+from flowsplat.priors.prepare import prepare_priors
 from flowsplat.scenes import Scene
 from flowsplat.training.config import PRESETS
 from tests.marks import slow

@@ -15,7 +15,8 @@ from flowsplat.geometry.similarity import path_errors
 from flowsplat.priors.cameras import CameraOptions, camera_stage, stage
 from flowsplat.priors.cameras.bundle import rays
 from flowsplat.priors.given import GivenPriors
-from flowsplat.priors.prepare import PriorsOptions, prepare_priors
+from flowsplat.priors.options import PriorsOptions
+from flowsplat.priors.prepare import prepare_priors
 from flowsplat.scenes import Scene
 from tests.priors.test_nasty_clips import ROOM, World, travel
 

@@ -27,6 +27,8 @@ SETTLED = 0.1
 """Pixels of the border by which a lens may change and count as found."""
 OWN = "tracks"
 """Method of cameras that this stage computed."""
+_FOLLOWS_PICTURES = ("cameras", "masks", "objects")
+"""Priors that may be there when pictures are straightened: cameras are found anew, masks straightened, objects go with depth."""
 LONGEST_LENS = 100
 """Focal length at most, in longer sides of the picture: an angle of view of half a degree."""
 
@@ -190,7 +192,7 @@ def require_lens_in_pictures(scene: Scene, unwanted: Collection[str] = ()) -> No
     """
     if scene.truth is not None or scene.views:
         raise InputError(f"{scene.name} is rendered by pinholes: leave out --cameras.distortion radial.")
-    made = [name for name in ("flow", "depth", "tracks") if scene.prior(name) is not None and name not in unwanted]
+    made = [name for name in scene.info.priors if name not in _FOLLOWS_PICTURES and name not in unwanted]
     if made:
         raise InputError(
             f"{' and '.join(made).capitalize()} of {scene.name} were made for the pictures as they came: "

@@ -26,9 +26,10 @@ import numpy as np
 
 from flowsplat.common.errors import InputError
 from flowsplat.pipeline.preparing import copy_scene
-from flowsplat.priors.given import use_truth
-from flowsplat.priors.given.truth import consecutive_pairs
-from flowsplat.priors.prepare import PriorsOptions, prepare_priors
+from flowsplat.priors.given import consecutive_pairs
+from flowsplat.priors.graph import PRIORS
+from flowsplat.priors.options import PriorsOptions
+from flowsplat.priors.prepare import prepare_priors, use_truth
 from flowsplat.protocols.oracles.movers import depth_scale, masks_of, match_movers, mover_errors, truth_of
 from flowsplat.scenes import Depth, Scene
 
@@ -111,7 +112,7 @@ def _write_true_depth_of_movers(scene: Scene, scale: float) -> None:
 def _outline(scene: Scene, device: str) -> None:
     scale = depth_scale(scene)
     _write_true_masks(scene)
-    _forget(scene, "depth", "tracks")
+    PRIORS.erase(scene, ["depth", "tracks"])
     _finish(scene, device)
     _write_true_depth_of_movers(scene, scale)
     _finish(scene, device, depth="true depth of movers")
@@ -119,7 +120,7 @@ def _outline(scene: Scene, device: str) -> None:
 
 def _background(scene: Scene, device: str) -> None:
     _write_true_depth(scene)
-    _forget(scene, "tracks")
+    PRIORS.erase(scene, ["tracks"])
     _finish(scene, device)
 
 
@@ -131,7 +132,7 @@ def _flow(scene: Scene, device: str) -> None:
         if pair in known:
             scene.write_flow(truth.flow(*pair))
     scene.finish_prior("flow", method="truth", verdict="true flow")
-    _forget(scene, "tracks")
+    PRIORS.erase(scene, ["tracks"])
     _finish(scene, device)
 
 
@@ -158,15 +159,6 @@ def _write_true_depth(scene: Scene) -> None:
 
 
 # -- what the scene records
-
-
-def _forget(scene: Scene, *priors: str) -> None:
-    for name in priors:
-        path = scene.folder / name
-        if path.is_dir():
-            shutil.rmtree(path)
-        path.with_suffix(".npz").unlink(missing_ok=True)
-    scene.forget_priors(priors)
 
 
 def _finish(scene: Scene, device: str, **verdicts: str) -> None:
