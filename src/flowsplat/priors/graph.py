@@ -138,10 +138,8 @@ class Graph:
 
     def depending_on(self, options: Collection[str]) -> list[str]:
         """The priors that some settings (fields of ``PriorsOptions``) decide on, and those that follow from them."""
-        found = {prior.whole for prior in self if not set(options).isdisjoint(prior.kind.options)}
-        for name in self.names:
-            if name in found:
-                found |= self.followers(name, outlasting=False)
+        chosen = [prior for prior in self if not set(options).isdisjoint(prior.kind.options)]
+        found = {name for prior in chosen for name in (prior.whole, *self.followers(prior.name))}
         return [name for name in self.names if name in found]
 
     # -- the record and the files

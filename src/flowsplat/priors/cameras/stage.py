@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import asdict, dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -71,7 +71,7 @@ def camera_stage(scene: Scene, options: CameraOptions) -> None:
     if scene.info.straightening is not None:
         _straighten(scene)
         return
-    radial = options.distortion == "radial" and scene.info.lens is None
+    radial = straightens(scene, options)
     if radial:
         require_lens_in_pictures(scene)
     # Thresholds are in pixels of the size at which points are followed.
@@ -89,21 +89,43 @@ def camera_stage(scene: Scene, options: CameraOptions) -> None:
     lens = None
     if radial:
         lens, solved = _find_lens(tracks, solved, options.solver, known)
-    found = [each.found for each in solved]
-    parts = [_cameras(each, unit, scene.width, scene.height) for each in found]
-    cameras = join(pieces, parts, scene.num_frames)
-    scene.write_cameras(cameras)
-    main = solved[tracks.longest]
+    parts = [_cameras(each.found, unit, scene.width, scene.height) for each in solved]
+    scene.write_cameras(join(pieces, parts, scene.num_frames))
+    prior = _how(scene, options, tracks, solved, blank, lens, unit)
+    if lens is None:
+        scene.finish_prior("cameras", **prior)
+        return
+    scene.begin_straightening(lens.scaled(unit).to_json(), prior)
+    _straighten(scene)
+
+
+def straightens(scene: Scene, options: CameraOptions) -> bool:
+    """Whether these options have a lens taken out of the pictures: it was not taken out before."""
+    return options.distortion == "radial" and scene.info.lens is None
+
+
+def _how(
+    scene: Scene, options: CameraOptions, tracks: _Tracks, solved: list[Solved], blank: list[int], lens: Lens | None, unit: float
+) -> dict[str, Any]:
+    """How the cameras were found, for the record of the scene.
+
+    Args:
+        solved: the cameras of every piece.
+        blank: frames that show nothing.
+        lens: as it was found, where it was searched for.
+        unit: pixels of the frames in a pixel of ``tracks``.
+    """
+    pieces, main, found = tracks.pieces, solved[tracks.longest], [each.found for each in solved]
     errors = np.concatenate([each.fit.errors for each in found]) * unit
     numbers = np.concatenate([np.array(frames)[each.fit.frames] for frames, each in zip(pieces, found, strict=True)])
     heldout = np.isin(numbers, scene.heldout_frames)
     unplaced = [frames[t] for frames, each in zip(pieces, found, strict=True) for t in each.unplaced]
     jumps = [t for each in solved for t in each.judgements[0].jumps]
     breaks = [frames[0] for frames in pieces[1:]]
-    fit = main.found.fit
+    fit, focal_given = main.found.fit, options.focal is not None
     gaps = Gaps(unplaced, breaks, blank, jumps, scene.timestamps)
-    more = [main.reason(unit), _about_lens(lens, unit) if radial else ""]
-    prior = {
+    more = [main.reason(unit), _about_lens(lens, unit) if straightens(scene, options) else ""]
+    return {
         "method": OWN,
         "options": asdict(options),
         "solver": main.judgements[0].solver,
@@ -113,7 +135,7 @@ def camera_stage(scene: Scene, options: CameraOptions) -> None:
         "flat": main.found.flat,
         "surrounds": main.found.surrounds,
         "focal": round(fit.state.focal * unit, 3),
-        "focal_given": focal is not None,
+        "focal_given": focal_given,
         "focal_sigma": round(fit.focal_sigma, 5) if np.isfinite(fit.focal_sigma) else None,
         "distortion": round(lens.distortion, 6) if lens else 0.0,
         "parallax_degrees": round(float(np.degrees(main.found.parallax)), 3),
@@ -125,13 +147,8 @@ def camera_stage(scene: Scene, options: CameraOptions) -> None:
         "breaks": breaks,
         "blank": blank,
         "jumps": jumps,
-        "verdict": verdict(main.found, unit, scene.width, focal is not None, gaps, more),
+        "verdict": verdict(main.found, unit, scene.width, focal_given, gaps, more),
     }
-    if lens is None:
-        scene.finish_prior("cameras", **prior)
-        return
-    scene.begin_straightening(lens.scaled(unit).to_json(), prior)
-    _straighten(scene)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from flowsplat.common.errors import InputError
 from flowsplat.priors.cameras import CameraOptions, camera_stage
-from flowsplat.priors.cameras.stage import OWN, require_lens_in_pictures
+from flowsplat.priors.cameras.stage import OWN, require_lens_in_pictures, straightens
 from flowsplat.priors.given.cameras import read_cameras
 from flowsplat.priors.given.fitting import verdict_of
 from flowsplat.priors.prior import GIVEN, Kind, Request
@@ -39,12 +39,8 @@ def _check_renewal(request: Request, stale: Collection[str]) -> None:
             f"The depth of {request.scene.name} ({method}) belongs to the cameras that are there, and these options would not make "
             "it anew: start from the clip, or leave out what asks for other cameras."
         )
-    if _straightens(request):
+    if straightens(request.scene, request.options.cameras):
         require_lens_in_pictures(request.scene, stale)
-
-
-def _straightens(request: Request) -> bool:
-    return request.options.cameras.distortion == "radial" and request.scene.info.lens is None
 
 
 def _read_true(scene: Scene, truth: Layers) -> bool:
@@ -66,7 +62,7 @@ CAMERAS = Kind(
     own=(OWN,),
     differs=_differs,
     check_renewal=_check_renewal,
-    replaces_pictures=_straightens,
+    replaces_pictures=lambda request: straightens(request.scene, request.options.cameras),
     overwrites=True,
     read_true=_read_true,
     asks_truth=lambda request: True,
