@@ -11,7 +11,7 @@ import pytest
 
 from flowsplat.common.errors import InputError
 from flowsplat.scenes import Scene
-from flowsplat.scenes.ingest import InputOptions, fingerprint, ingest, is_ingested, kind_of_input, open_clip
+from flowsplat.scenes.ingest import InputOptions, fingerprint, ingest, kind_of_input, open_clip
 
 OPTIONS = InputOptions(holdout=5)
 COUNT = 12
@@ -40,7 +40,7 @@ def run(path: Path, out: Path, options: InputOptions = OPTIONS) -> Scene:
 def test_pictures_with_masks(folder, tmp_path, picture):
     run(folder, tmp_path / "scene")
     scene = Scene(tmp_path / "scene")
-    assert is_ingested(scene)
+    assert scene.info.ingested
     assert (scene.name, scene.width, scene.height, scene.heldout_frames) == ("input", 64, 48, [4, 9])
     assert scene.prior("masks") == {"method": "given"}
     assert scene.prior("depth") is None
@@ -88,10 +88,10 @@ def test_resumed_where_it_was_interrupted(folder, tmp_path, picture, monkeypatch
     monkeypatch.setattr(clip, "frames", frames)
     with pytest.raises(Interruption):
         ingest(clip, out, OPTIONS)
-    assert not is_ingested(Scene(out))
+    assert not Scene(out).info.ingested
     scene = ingest(clip, out, OPTIONS)
     assert asked == [list(range(COUNT)), list(range(5, COUNT))]
-    assert is_ingested(scene)
+    assert scene.info.ingested
     for i in range(COUNT):
         np.testing.assert_array_equal(scene.any_frame(i), picture(i))
     # A finished one is not touched again.

@@ -207,9 +207,8 @@ def _mover_cards(scene: Scene, found: SceneMovers) -> Iterator[dict[str, Any]]:
 
 def _rows(scene: Scene, seconds: Mapping[str, float]) -> Iterator[tuple[str, ...]]:
     for name in PRIORS.recorded:
-        prior = scene.prior(name) or {}
-        spent = f"{seconds[name]:.0f} s" if name in seconds else ""
-        yield name, str(prior.get("method", "missing")), str(prior.get("verdict", "")), spent
+        prior, spent = scene.prior(name) or {}, seconds.get(name)
+        yield name, str(prior.get("method", "missing")), str(prior.get("verdict", "")), "" if spent is None else f"{spent:.0f} s"
 
 
 # -- pictures

@@ -32,7 +32,7 @@ from flowsplat.priors.prepare import check_places, prepare_priors
 from flowsplat.priors.prior import BROUGHT
 from flowsplat.scenes import Scene
 from flowsplat.scenes.clip import Clip, InputOptions
-from flowsplat.scenes.ingest import fingerprint, ingest, is_ingested, kind_of_input, open_clip
+from flowsplat.scenes.ingest import fingerprint, ingest, kind_of_input, open_clip
 from flowsplat.training.checkpoint import has_model
 
 ASIDE = ".scene.before"
@@ -178,7 +178,7 @@ def _read_input(source: Path, kind: str, target: Path, config: RunConfig) -> Sce
     """The scene folder with everything of the input in it, as far as it is not there yet."""
     if kind == "scene":
         return copy_scene(source, target)
-    if (target / "scene.json").exists() and is_ingested(Scene(target)):
+    if (target / "scene.json").exists() and Scene(target).info.ingested:
         return Scene(target)
     return ingest(open_clip(source, config.input), target, config.input)
 

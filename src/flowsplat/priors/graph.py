@@ -227,6 +227,7 @@ PRIORS = Graph(
     Prior("masks", MASKS, needs=("cameras", "flow", "static_depth")),
     Prior("tracks", TRACKS, needs=("flow", "masks")),
     _step("masked_static_depth", MASKED_STATIC_DEPTH, "depth", needs=("cameras", "flow", "masks")),
+    # Also gives the parts in masks the numbers of objects, which nothing before it asks for.
     Prior("objects", OBJECTS, needs=("cameras", "flow", "masks", "tracks", "masked_static_depth"), part_of="depth"),
     # Tracks are completed by depth: if depth followed from them in turn, there were no end.
     Prior("depth", DEPTH, needs=("cameras", "flow", "masks", "masked_static_depth", "objects"), outlasts=("tracks",)),

@@ -79,7 +79,7 @@ class Kind:
         compute: gets what it needs ready (networks, say) and returns what computes it. None: what needs it solves it by itself.
         options: the settings (fields of ``PriorsOptions``) that decide how it is made.
         files: what it owns in the folder of the scene: files, and folders with a file a frame.
-        own: the methods that are recorded where it was computed as the defaults say.
+        own: the methods that are recorded where it was computed as the defaults say; others are those of ``asked``.
         asked: the method that settings other than the defaults ask for; None where they ask for nothing.
         differs: whether it is there, but was made with other settings than those asked for, though its method is right. Also gets
             the method that is asked for.

@@ -22,7 +22,7 @@ from flowsplat.scenes.formats.rig import open_rig
 from flowsplat.scenes.formats.video import open_video
 from flowsplat.scenes.scene import Scene, split_frames
 
-__all__ = ["InputOptions", "fingerprint", "ingest", "is_ingested", "kind_of_input", "open_clip"]
+__all__ = ["InputOptions", "fingerprint", "ingest", "kind_of_input", "open_clip"]
 
 CALIBRATED = "calibrated"
 """Method of cameras that came with the input and share the coordinates of its held-out views."""
@@ -95,11 +95,6 @@ def open_clip(path: Path, options: InputOptions) -> Clip:
     raise InputError(ALREADY.format(path))
 
 
-def is_ingested(scene: Scene) -> bool:
-    """Whether everything of the input is in the scene."""
-    return scene.info.ingested
-
-
 def ingest(clip: Clip, folder: Path, options: InputOptions) -> Scene:
     """Write a clip into a scene folder: frames, split, given masks, calibrated cameras, truth and held-out views.
 
@@ -110,7 +105,7 @@ def ingest(clip: Clip, folder: Path, options: InputOptions) -> Scene:
         InputError: the input cannot be read, or the folder holds a scene of another input.
     """
     scene = _open_or_create(clip, Path(folder), options)
-    if is_ingested(scene):
+    if scene.info.ingested:
         return scene
     _write_frames(clip, scene)
     if clip.has_masks:
