@@ -24,7 +24,8 @@ from flowsplat.evaluation.baselines import predict_frame, to_float
 from flowsplat.gaussians.observations import load_observations
 from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.pictures.colors import float_to_bytes
-from flowsplat.priors.prepare import PriorsOptions, prepare_priors
+from flowsplat.priors.options import PriorsOptions
+from flowsplat.priors.prepare import prepare_priors
 from flowsplat.scenes import Scene
 from flowsplat.scenes.layers import write_image
 from flowsplat.scenes.synthetic.worlds import World, draw_world, write_world

@@ -26,6 +26,7 @@ from flowsplat.pictures.charts import line_chart, svg_file
 from flowsplat.pictures.video import write_mp4
 from flowsplat.pipeline import run
 from flowsplat.pipeline.config import RunConfig
+from flowsplat.priors.graph import PRIORS
 from flowsplat.scenes.clip import InputOptions
 from flowsplat.scenes.synthetic import SyntheticScene
 
@@ -42,8 +43,7 @@ DRAWN = 960
 """Pixels of the pictures that those are made of; larger ones are enlarged."""
 SPACINGS = (3.0, 2.0, 1.5, 1.0, 0.75)
 """Pixels between Gaussians of the background at the start."""
-PRIORS = ("cameras", "flow", "masks", "tracks", "depth")
-STAGES = ("ingest", *PRIORS, "train", "evaluate", "render")
+STAGES = ("ingest", *PRIORS.names, "train", "evaluate", "render")
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ def figure(rows: Sequence[dict[str, Any]]) -> str:
         some = kinds[kind]
         if some:
             places = [x(row) for row in some]
-            series = {stage: (places, [row["seconds"][stage] for row in some]) for stage in PRIORS}
+            series = {stage: (places, [row["seconds"][stage] for row in some]) for stage in PRIORS.names}
             charts.append(line_chart(series, title=f"Seconds of the priors by {kind}", x_label=label, y_label="seconds", dots=True))
             series = {
                 f"{STEPS} steps, s": (places, [row["seconds"]["train"] for row in some]),

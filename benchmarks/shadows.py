@@ -22,7 +22,8 @@ from flowsplat.evaluation.baselines import to_float
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.observations import load_observations
 from flowsplat.gaussians.shadows import with_lit
-from flowsplat.priors.prepare import PriorsOptions, prepare_priors
+from flowsplat.priors.options import PriorsOptions
+from flowsplat.priors.prepare import prepare_priors
 from flowsplat.scenes import Scene
 from flowsplat.scenes.synthetic.worlds import World, draw_world, write_world
 from flowsplat.training.checkpoint import has_model, load_model, save_model

@@ -281,8 +281,7 @@ def test_scenes_that_are_damaged(capsys, tmp_path, scene):
         return Scene(tmp_path / name)
 
     newer = damaged("newer")
-    newer.info["version"] = 99
-    newer.save_info()
+    (newer.folder / "scene.json").write_text(json.dumps({**newer.info.to_json(), "version": 99}))
     assert "newer" in refuse(capsys, "run", newer.folder, "-o", tmp_path / "a")
     camera = damaged("camera")
     truth = camera.truth

@@ -11,6 +11,7 @@ from flowsplat.evaluation.metrics import psnr
 from flowsplat.evaluation.scores import score_picture, summarize
 from flowsplat.geometry import Camera
 from flowsplat.scenes import Scene
+from tests.scene_files import edited
 
 
 def textured(height: int, width: int, shift: float = 0.0) -> np.ndarray:
@@ -48,10 +49,7 @@ def test_the_held_out_time_sets_the_weights(tmp_path):
 def hold_out(scene: Scene, frames: list[int]) -> Scene:
     """The same scene with another split, as other tools may have made it."""
     pictures = [scene.any_frame(i) for i in range(scene.num_frames)]
-    scene.info["heldout"] = frames
-    scene.info["train"] = [i for i in range(scene.num_frames) if i not in frames]
-    scene.save_info()
-    scene = Scene(scene.folder)
+    scene = edited(scene, heldout=frames, train=[i for i in range(scene.num_frames) if i not in frames])
     for i, picture in enumerate(pictures):
         scene.write_frame(i, picture)
     return scene

@@ -29,17 +29,18 @@ from flowsplat.pipeline.describe import describe
 from flowsplat.pipeline.folder import RunFolder
 from flowsplat.pipeline.stages import read_history, read_metrics
 from flowsplat.pipeline.summary import figures_table, report_data
-from flowsplat.priors.given import GivenPriors, use_given
+from flowsplat.priors.given import GivenPriors
 from flowsplat.priors.given.cameras import read_cameras
 from flowsplat.priors.given.depth import open_depth
 from flowsplat.priors.given.flow import read_flow
 from flowsplat.priors.given.tracks import read_tracks
-from flowsplat.priors.given.truth import consecutive_pairs, use_truth
+from flowsplat.priors.given.truth import consecutive_pairs
 from flowsplat.priors.objects import load_movers
 from flowsplat.priors.objects.distance import Cue
 from flowsplat.priors.objects.movers import Mover
 from flowsplat.priors.objects.relief import ReliefPoints
 from flowsplat.priors.objects.storage import SceneMovers, save_movers
+from flowsplat.priors.prepare import use_given, use_truth
 from flowsplat.scenes import Scene
 from flowsplat.scenes.clip import InputOptions
 from flowsplat.scenes.ingest import ingest, open_clip

@@ -13,7 +13,8 @@ from flowsplat.gaussians.initialize import initialize, sampled_frames
 from flowsplat.gaussians.observations import load_observations
 from flowsplat.gaussians.render import render
 from flowsplat.gaussians.sampling import detail, grid, spacings
-from flowsplat.priors.prepare import PriorsOptions, prepare_priors
+from flowsplat.priors.options import PriorsOptions
+from flowsplat.priors.prepare import prepare_priors
 from flowsplat.scenes import Scene
 from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic
 from flowsplat.training.config import PRESETS

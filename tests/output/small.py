@@ -94,8 +94,7 @@ def small_run(folder: Path, model: SceneModel) -> Path:
         source_fps=4.0,
     )  # fmt: skip
     scene.write_cameras(small_cameras(model))
-    scene.info["similarity"] = model.similarity.to_json()
-    scene.save_info()
+    scene.write_similarity(model.similarity)
     save_model(folder / "model", model)
     return folder
 

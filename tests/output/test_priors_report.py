@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import av
@@ -15,14 +16,15 @@ from flowsplat.output.camera_path import path_at_an_angle, path_from_above
 from flowsplat.output.priors_report import PANEL, _Shown, verdict, write_priors_report
 from flowsplat.pipeline import prepare
 from flowsplat.pipeline.config import RunConfig
-from flowsplat.priors.given import use_truth
 from flowsplat.priors.objects import SceneMovers
 from flowsplat.priors.objects.distance import Cue
 from flowsplat.priors.objects.movers import Mover
 from flowsplat.priors.objects.relief import ReliefPoints
 from flowsplat.priors.objects.storage import save_movers
+from flowsplat.priors.prepare import use_truth
 from flowsplat.scenes import Scene
 from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic
+from tests.scene_files import edited
 
 from .test_report import NASTY, Balance, words
 
@@ -45,12 +47,12 @@ def scene(tmp_path_factory) -> Scene:
 
 
 @pytest.fixture
-def as_found(scene: Scene) -> Scene:
+def as_found(scene: Scene) -> Iterator[Scene]:
     """The scene as if its priors had been computed; what a test changes is undone."""
-    fresh = Scene(scene.folder)
-    fresh.info["priors"].update(cameras=dict(FREE), depth=dict(MULTI_VIEW), masks=dict(MOVERS))
-    fresh.info["name"] = fresh.name = NASTY
-    return fresh
+    path = scene.folder / "scene.json"
+    before = path.read_bytes()
+    yield edited(scene, {"cameras": FREE, "depth": MULTI_VIEW, "masks": MOVERS}, name=NASTY)
+    path.write_bytes(before)
 
 
 def page_of(folder: Path, scene: Scene) -> str:
@@ -85,7 +87,7 @@ def test_the_page_shows_what_moves_and_how_sure_its_distance_is(as_found, tmp_pa
     number = int(next(n for i in as_found.train_frames for n in np.unique(as_found.mask(i)) if n))
     tied = Mover(number, depth, middles, 0.05, True, {"pivot": Cue(0.0, 0.02, 0.05)}, ReliefPoints.none(), 0.0)
     save_movers(as_found, SceneMovers([tied], np.array([0.0, -1.0, 0.0])))
-    as_found.info["priors"]["objects"] = {"method": "motion", "movers": 1, "rigid": 1, "tied": 1, "verdict": "1 mover"}
+    as_found.finish_prior("objects", method="motion", movers=1, rigid=1, tied=1, verdict="1 mover")
     try:
         page = page_of(tmp_path, as_found)
         text = words(page)
@@ -93,9 +95,9 @@ def test_the_page_shows_what_moves_and_how_sure_its_distance_is(as_found, tmp_pa
         for part in ("1 moving object. Training", f"Mover {number}", *told):
             assert part in text, part
         assert page.count('class="mover"') == 1
-        as_found.info["priors"]["objects"].update(movers=3, tied=1)
+        as_found.amend_prior("objects", movers=3, tied=1)
         assert "3 moving objects, how far away 2 of them are is a guess." in verdict(as_found)
-        as_found.info["priors"]["objects"].update(tied=0)
+        as_found.amend_prior("objects", tied=0)
         assert "3 moving objects, how far away is a guess." in verdict(as_found)
     finally:
         for name in ("objects.json", "objects.npz"):
@@ -152,7 +154,8 @@ def test_pictures_are_reduced(tmp_path):
     ],
 )
 def test_the_verdict_in_plain_words(as_found, cameras, depth, expected):
-    as_found.info["priors"].update(cameras={**FREE, **cameras}, depth=dict(depth))
+    as_found.amend_prior("cameras", **cameras)
+    as_found.finish_prior("depth", **depth)
     assert expected in verdict(as_found)
 
 
@@ -161,12 +164,12 @@ def test_priors_that_were_brought_along_are_named(scene):
 
 
 def test_a_guessed_depth_is_called_one_in_the_pictures(as_found, tmp_path):
-    as_found.info["priors"].update(depth=dict(GUESS))
+    as_found.finish_prior("depth", **GUESS)
     assert "depth (a guess)" in page_of(tmp_path, as_found)
 
 
 def test_every_piece_of_a_cut_clip_has_its_own_drawings(as_found, tmp_path):
-    as_found.info["priors"].update(cameras={**FREE, "breaks": [3]})
+    as_found.amend_prior("cameras", breaks=[3])
     page = page_of(tmp_path, as_found)
     assert page.count('class="chart cameras"') == 4
     assert "Frames 0 to 2." in words(page)

@@ -66,8 +66,7 @@ def tiny_run(folder: Path, movers: int = 1, size: tuple[int, int] = (64, 48), tr
         source_fps=FPS,
     )  # fmt: skip
     scene.write_cameras(cameras)
-    scene.info["similarity"] = SIMILARITY.to_json()
-    scene.save_info()
+    scene.write_similarity(SIMILARITY)
     for i in range(FRAMES):
         scene.write_frame(i, (model.render(cameras[i], float(times[i])).colour * 255).astype(np.uint8))
     write_json(folder / "run.json", {})

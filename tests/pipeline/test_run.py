@@ -25,6 +25,7 @@ from flowsplat.scenes.clip import InputOptions
 from flowsplat.scenes.layers import write_image
 from flowsplat.training.trainer import Trainer
 from tests.marks import slow
+from tests.scene_files import edited
 from tests.shared import small_config
 
 
@@ -159,9 +160,7 @@ def test_a_prepared_scene_may_hold_out_its_first_and_last_frame(tiny_scene, tmp_
     shutil.copytree(tiny_scene, tmp_path / "scene")
     scene = Scene(tmp_path / "scene")
     pictures = [scene.any_frame(i) for i in range(scene.num_frames)]
-    scene.info |= {"train": list(range(1, 11)), "heldout": [0, 11]}
-    scene.save_info()
-    scene = Scene(tmp_path / "scene")
+    scene = edited(scene, train=list(range(1, 11)), heldout=[0, 11])
     for i, picture in enumerate(pictures):
         scene.write_frame(i, picture)
     metrics = run(tmp_path / "scene", tmp_path / "out", small_config())

@@ -21,7 +21,8 @@ from flowsplat.priors.cameras.bundle import Reconstruction
 from flowsplat.priors.cameras.keyframes import choose_keyframes, place_between
 from flowsplat.priors.cameras.pieces import APART, find_breaks, join, split
 from flowsplat.priors.continuity import Continuity, is_blank
-from flowsplat.priors.prepare import PriorsOptions, prepare_priors
+from flowsplat.priors.options import PriorsOptions
+from flowsplat.priors.prepare import prepare_priors
 from flowsplat.scenes import Scene
 from flowsplat.training.config import PRESETS
 from tests.marks import slow
@@ -100,7 +101,7 @@ def prepared(folder: Path, frames: Sequence[np.ndarray]) -> Scene:
     scene = write(folder, frames)
     prepare_priors(scene, PriorsOptions())
     scene = Scene(folder)
-    json.dumps(scene.info, allow_nan=False)
+    json.dumps(scene.info.to_json(), allow_nan=False)
     assert all(camera.is_valid for camera in scene.cameras)
     for i in scene.train_frames:
         assert np.isfinite(scene.depth(i).depth).all()

@@ -17,9 +17,11 @@ import pytest
 from flowsplat.common.errors import InputError
 from flowsplat.priors.cameras import CameraOptions
 from flowsplat.priors.flow import dis_estimator, flow_stage
-from flowsplat.priors.given import GivenPriors, use_given, use_truth
+from flowsplat.priors.given import GivenPriors
+from flowsplat.priors.graph import PRIORS
 from flowsplat.priors.monocular import Monocular
-from flowsplat.priors.prepare import PriorsOptions, _unwanted, prepare_priors
+from flowsplat.priors.options import PriorsOptions
+from flowsplat.priors.prepare import prepare_priors, request_of, use_given, use_truth
 from flowsplat.scenes import Flow, Scene
 
 from .planes import FRAMES, HEIGHT, WALL, WIDTH, square_at, write_planes
@@ -29,8 +31,7 @@ STAGES = ("cameras", "flow", "masks", "depth", "tracks")
 
 def forget_cameras(scene: Scene) -> Scene:
     (scene.folder / "cameras.json").unlink()
-    del scene.info["priors"]["cameras"]
-    scene.save_info()
+    scene.forget_priors(["cameras"])
     return Scene(scene.folder)
 
 
@@ -63,7 +64,7 @@ def test_finished_priors_are_kept_and_scratch_is_removed(tmp_path: Path):
     scene = write_planes(tmp_path, step=2, square=True)
     prepare_priors(scene, PriorsOptions())
     assert all(scene.prior(name) is not None for name in STAGES)
-    assert scene.info["similarity"] is not None
+    assert scene.info.similarity is not None
     assert not (tmp_path / "multiview").exists()
     before = prior_files(scene)
     assert prepare_priors(Scene(tmp_path), PriorsOptions()) == {}
@@ -168,7 +169,7 @@ def test_other_camera_options_compute_the_cameras_anew(prepared: Scene, monkeypa
         scene.write_cameras(scene.truth.cameras)
         scene.finish_prior("cameras", method="tracks", options=asdict(options))
 
-    monkeypatch.setattr("flowsplat.priors.prepare.camera_stage", camera_stage)
+    monkeypatch.setattr("flowsplat.priors.kinds.cameras.camera_stage", camera_stage)
     options = PriorsOptions(cameras=CameraOptions(solver="global"))
     assert set(prepare_priors(prepared, options)) == {"cameras", "masks", "depth", "tracks"}
     assert prepare_priors(prepared, options) == {}
@@ -187,7 +188,7 @@ def test_straightened_pictures_need_new_flow(prepared: Scene):
     with pytest.raises(InputError, match="rendered by pinholes"):
         prepare_priors(prepared, options)
     (prepared.folder / "truth").rename(prepared.folder / "other")
-    assert _unwanted(prepared, options, False) == set(STAGES)
+    assert PRIORS.stale(request_of(prepared, options)) == set(STAGES)
     prepared.finish_prior("flow", method="given")
     with pytest.raises(InputError, match="Flow of planes were made for the pictures as they came"):
         prepare_priors(prepared, options)

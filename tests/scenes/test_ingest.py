@@ -11,7 +11,7 @@ import pytest
 
 from flowsplat.common.errors import InputError
 from flowsplat.scenes import Scene
-from flowsplat.scenes.ingest import InputOptions, fingerprint, ingest, is_ingested, kind_of_input, open_clip
+from flowsplat.scenes.ingest import InputOptions, fingerprint, ingest, kind_of_input, open_clip
 
 OPTIONS = InputOptions(holdout=5)
 COUNT = 12
@@ -40,7 +40,7 @@ def run(path: Path, out: Path, options: InputOptions = OPTIONS) -> Scene:
 def test_pictures_with_masks(folder, tmp_path, picture):
     run(folder, tmp_path / "scene")
     scene = Scene(tmp_path / "scene")
-    assert is_ingested(scene)
+    assert scene.info.ingested
     assert (scene.name, scene.width, scene.height, scene.heldout_frames) == ("input", 64, 48, [4, 9])
     assert scene.prior("masks") == {"method": "given"}
     assert scene.prior("depth") is None
@@ -60,10 +60,10 @@ def test_video(tmp_path, picture, write_video):
     scene = run(path, tmp_path / "scene", options)
     assert (scene.name, scene.num_frames, scene.heldout_frames) == ("My clip", 6, [4])
     np.testing.assert_allclose(scene.timestamps, np.arange(6) * 0.08, atol=1e-6)
-    assert scene.info["source_fps"] == pytest.approx(25)
-    assert scene.info["audio"] == "sound.flac"
-    assert scene.info["audio_start"] == 0
-    assert "one frame in 2" in scene.info["notes"][0]
+    assert scene.info.source_fps == pytest.approx(25)
+    assert scene.info.audio == "sound.flac"
+    assert scene.info.audio_start == 0
+    assert "one frame in 2" in scene.info.notes[0]
     assert scene.prior("masks") is None
     assert np.abs(scene.frame(3).astype(int) - picture(6)).mean() < 4
 
@@ -88,10 +88,10 @@ def test_resumed_where_it_was_interrupted(folder, tmp_path, picture, monkeypatch
     monkeypatch.setattr(clip, "frames", frames)
     with pytest.raises(Interruption):
         ingest(clip, out, OPTIONS)
-    assert not is_ingested(Scene(out))
+    assert not Scene(out).info.ingested
     scene = ingest(clip, out, OPTIONS)
     assert asked == [list(range(COUNT)), list(range(5, COUNT))]
-    assert is_ingested(scene)
+    assert scene.info.ingested
     for i in range(COUNT):
         np.testing.assert_array_equal(scene.any_frame(i), picture(i))
     # A finished one is not touched again.
@@ -219,7 +219,7 @@ def test_davis(data, tmp_path, name, count, heldout):
     scene = run(data / "davis" / name, tmp_path / "scene", InputOptions())
     assert (scene.name, scene.width, scene.height) == (name, 854, 480)
     assert (scene.num_frames, len(scene.heldout_frames)) == (count, heldout)
-    assert scene.info["notes"] == []
+    assert scene.info.notes == []
     for i in (0, count - 1):
         assert set(np.unique(scene.mask(i))) == {0, 1}
         assert 0.01 < scene.mask(i).mean() < 0.6

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from flowsplat.common.errors import InputError, SplitError
-from flowsplat.geometry import Camera
+from flowsplat.geometry import Camera, Similarity
 from flowsplat.scenes import Depth, Flow, HeldoutView, Scene, Tracks
 from flowsplat.scenes.scene import split_frames
 
@@ -314,3 +314,44 @@ def test_folder_that_cannot_be_made(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(InputError, match="is a file, not a folder"):
         create(tmp_path / "file")
+
+
+# -- the record
+
+
+def test_the_record_is_written_as_it_was_read(scene):
+    path = scene.folder / "scene.json"
+    values = json.loads(path.read_text())
+    values |= {"source_fps": 10, "later": [1, 2]}  # a whole number, and a key of a newer version
+    path.write_text(json.dumps(values))
+    opened = Scene(scene.folder)
+    assert opened.info.to_json() == values
+    opened.finish_prior("flow", method="test")
+    assert json.loads(path.read_text()) == values | {"priors": {"flow": {"method": "test"}}}
+    assert list(json.loads(path.read_text())) == list(values)
+
+
+def test_marks_are_in_the_file_only_while_they_hold(scene):
+    before = set(scene.info.to_json())
+    scene.begin_straightening({"focal": 1.0}, {"method": "tracks"})
+    scene.mark_pictures_complete()
+    assert set(scene.info.to_json()) == before | {"lens", "straightening", "pictures_replaced"}
+    scene.finish_straightening("They are straight.")
+    scene.mark_ingested()
+    again = Scene(scene.folder)
+    assert set(again.info.to_json()) == before | {"lens", "ingested"}
+    assert again.prior("cameras") == {"method": "tracks"}
+    assert again.info.notes == ["They are straight."]
+
+
+def test_forgotten_depth_takes_the_scale_along(scene):
+    scene.write_similarity(Similarity(2.0))
+    for name in ("flow", "depth", "tracks"):
+        scene.finish_prior(name, method="test")
+    scene.amend_prior("flow", movers=True)
+    assert scene.prior("flow") == {"method": "test", "movers": True}
+    scene.forget_priors(["tracks"])
+    assert scene.similarity.scale == 2
+    scene.forget_priors(["depth"])
+    assert Scene(scene.folder).info.similarity is None
+    assert list(scene.info.priors) == ["flow"]

@@ -35,7 +35,7 @@ def test_heldout_frames_are_drawn_as_often_as_all_others_together(scene):
 
 
 def test_frames_are_in_order_and_flow_leads_to_the_next_one(scene, tmp_path):
-    from flowsplat.priors.given import use_truth
+    from flowsplat.priors.prepare import use_truth
 
     use_truth(scene)
     layers = Layers(tmp_path / "priors", scene.width, scene.height)

@@ -10,7 +10,8 @@ import torch
 
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.observations import load_observations
-from flowsplat.priors.prepare import PriorsOptions, prepare_priors
+from flowsplat.priors.options import PriorsOptions
+from flowsplat.priors.prepare import prepare_priors
 from flowsplat.scenes import Scene
 from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic
 from flowsplat.training.config import PRESETS

@@ -64,7 +64,7 @@ def check_bounds(config: Any, prefix: str) -> None:
     """
     for name, value, bounds in numbers(config):
         if wrong := problem(value, bounds):
-            raise InputError(f"{prefix}{name} {value:g} {wrong}.")
+            raise InputError(f"{prefix}{name.replace('_', '-')} {value:g} {wrong}.")
 
 
 def numbers(config: Any, prefix: str = "") -> Iterator[tuple[str, float, Meta]]:

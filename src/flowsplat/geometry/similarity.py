@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -38,7 +38,7 @@ class Similarity:
         return {"scale": self.scale, "rotation": self.rotation.tolist(), "translation": self.translation.tolist()}
 
     @staticmethod
-    def from_json(value: dict[str, Any]) -> Similarity:
+    def from_json(value: Mapping[str, Any]) -> Similarity:
         """The inverse of ``to_json``.
 
         Raises:

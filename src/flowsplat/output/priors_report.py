@@ -25,6 +25,7 @@ from flowsplat.pictures.video import write_mp4
 from flowsplat.priors.cameras.checks import LARGE_ERROR, LITTLE_PARALLAX
 from flowsplat.priors.cameras.following import WORKING_SIDE
 from flowsplat.priors.depth.stage import MOSTLY
+from flowsplat.priors.graph import PRIORS
 from flowsplat.priors.objects import SceneMovers, load_movers
 from flowsplat.priors.objects.areas import large_movers, moving_objects
 from flowsplat.priors.objects.description import MoverDescription, describe_movers, sureness
@@ -48,7 +49,6 @@ MOST_PIECES = 3
 """Pieces of a clip with cuts whose paths are drawn."""
 
 _STATIC_TRACK, _MOVING_TRACK = (80, 220, 255), (255, 140, 0)
-_STAGES = ("cameras", "flow", "masks", "tracks", "objects", "depth")
 
 
 def write_priors_report(folder: Path, scene: Scene, seconds: Mapping[str, float]) -> Path:
@@ -77,7 +77,7 @@ def write_priors_report(folder: Path, scene: Scene, seconds: Mapping[str, float]
         legend=picture(flow_legend(), "The colour of every direction of flow", None),
         flow_scale=f"{shown.flow_scale:.1f}",
         charts=list(_charts(scene, shown)),
-        notes=scene.info["notes"],
+        notes=scene.info.notes,
     )
     return path
 
@@ -206,10 +206,9 @@ def _mover_cards(scene: Scene, found: SceneMovers) -> Iterator[dict[str, Any]]:
 
 
 def _rows(scene: Scene, seconds: Mapping[str, float]) -> Iterator[tuple[str, ...]]:
-    for name in _STAGES:
-        prior = scene.prior(name) or {}
-        spent = f"{seconds[name]:.0f} s" if name in seconds else ""
-        yield name, str(prior.get("method", "missing")), str(prior.get("verdict", "")), spent
+    for name in PRIORS.recorded:
+        prior, spent = scene.prior(name) or {}, seconds.get(name)
+        yield name, str(prior.get("method", "missing")), str(prior.get("verdict", "")), "" if spent is None else f"{spent:.0f} s"
 
 
 # -- pictures

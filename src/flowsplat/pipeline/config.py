@@ -12,7 +12,7 @@ from flowsplat.common.devices import DeviceName, pick_device
 from flowsplat.common.errors import InputError
 from flowsplat.common.settings import flat, to_plain
 from flowsplat.output.videos import RenderOptions
-from flowsplat.priors.prepare import PriorsOptions
+from flowsplat.priors.options import PriorsOptions
 from flowsplat.scenes.clip import InputOptions
 from flowsplat.training.config import PRESETS, TrainConfig
 

@@ -16,6 +16,7 @@ from flowsplat.common.files.lease import holder
 from flowsplat.common.run_paths import RunPaths
 from flowsplat.output.report import verdict
 from flowsplat.pipeline.folder import MetricsFile, RunFolder
+from flowsplat.priors.graph import PRIORS
 from flowsplat.scenes import Scene
 from flowsplat.training.checkpoint import ModelFile
 
@@ -78,12 +79,12 @@ def _describe_run(folder: RunFolder) -> Iterator[str]:
 
 def _describe_scene(scene: Scene) -> Iterator[str]:
     seconds = scene.timestamps[-1] - scene.timestamps[0]
-    yield f"Scene {scene.folder}: {scene.name}, from {scene.info['source']}"
+    yield f"Scene {scene.folder}: {scene.name}, from {scene.info.source}"
     yield (
         f"  {scene.num_frames} frames of {scene.width} x {scene.height} over {seconds:.2f} s, "
         f"{len(scene.train_frames)} for training, {len(scene.heldout_frames)} held out"
     )
-    for name in ("cameras", "flow", "masks", "depth", "tracks"):
+    for name in PRIORS.names:
         how = scene.prior(name)
         yield f"  {name}: " + ("missing" if how is None else str(how.get("verdict", how.get("method"))))
     if scene.truth is not None:

@@ -22,7 +22,8 @@ from flowsplat.pictures.colors import float_to_bytes
 from flowsplat.pictures.sheets import preview_sheet
 from flowsplat.pipeline.folder import RunFolder, Stage, stage_key
 from flowsplat.priors.cameras import CameraOptions
-from flowsplat.priors.prepare import PriorsOptions, prepare_priors
+from flowsplat.priors.options import PriorsOptions
+from flowsplat.priors.prepare import prepare_priors
 from flowsplat.scenes.clip import Clip, InputOptions, resize_labels, resize_picture
 from flowsplat.scenes.ingest import ingest
 from flowsplat.scenes.layers import write_image

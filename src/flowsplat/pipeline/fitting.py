@@ -27,7 +27,7 @@ from flowsplat.pictures.sheets import preview_sheet
 from flowsplat.pipeline.config import check
 from flowsplat.pipeline.folder import RunFolder, Stage, stage_key
 from flowsplat.priors.heldout import heldout_flow
-from flowsplat.priors.prepare import flow_estimator
+from flowsplat.priors.kinds.flow import flow_estimator
 from flowsplat.scenes import Scene, Tracks
 from flowsplat.scenes.layers import Layers, write_image
 from flowsplat.training.checkpoint import has_model, load_model, save_model

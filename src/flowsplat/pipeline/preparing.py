@@ -13,26 +13,28 @@ from typing import Any
 
 from flowsplat.common.devices import pick_device
 from flowsplat.common.errors import InputError
-from flowsplat.common.files import hash_files, lease, remove_partials, write_json
+from flowsplat.common.files import lease, remove_partials, write_json
 from flowsplat.common.files.lease import NAME as LOCK
 from flowsplat.common.files.writing import writing_error
 from flowsplat.common.memory import begin_peak, give_back_memory, recent_peak
 from flowsplat.common.progress import busy, say
 from flowsplat.common.run_paths import RunPaths
+from flowsplat.common.settings import to_plain
 from flowsplat.output.priors_report import verdict, write_priors_report
 from flowsplat.output.videos import RenderOptions, settle
 from flowsplat.pipeline.compiling import are_missing
 from flowsplat.pipeline.config import RunConfig, check
 from flowsplat.pipeline.folder import RunFolder, Stage, stage_key
 from flowsplat.pipeline.speed import STAGES, TELLING, Estimate, Speed, Watch, expected, expected_memory
-from flowsplat.priors.prepare import check_places, names_places, prepare_priors
+from flowsplat.priors.graph import PRIORS
+from flowsplat.priors.options import names_places
+from flowsplat.priors.prepare import check_places, prepare_priors
+from flowsplat.priors.prior import BROUGHT
 from flowsplat.scenes import Scene
 from flowsplat.scenes.clip import Clip, InputOptions
-from flowsplat.scenes.ingest import CALIBRATED, fingerprint, ingest, is_ingested, kind_of_input, open_clip
+from flowsplat.scenes.ingest import fingerprint, ingest, kind_of_input, open_clip
 from flowsplat.training.checkpoint import has_model
 
-_BROUGHT = ("given", "truth", CALIBRATED)
-"""Methods of priors that cost no time."""
 ASIDE = ".scene.before"
 """Where the scene of other settings waits until that of the new ones is there."""
 
@@ -63,7 +65,7 @@ def prepared(source: Path, out: Path, config: RunConfig, first: Callable[[RunFol
     if not is_new:
         remove_partials(out)
     folder = RunFolder.open_or_create(out, str(source), identity, config)
-    key = stage_key(identity, config.priors, hash_files("", config.priors.given.files()))
+    key = stage_key(identity, *PRIORS.inputs(config.priors))
     if folder.is_finished("prepare", key):
         return folder
     show: Callable[[], None] | None = None
@@ -85,7 +87,10 @@ def _put_aside(folder: RunFolder, before: Mapping[str, Any]) -> Iterator[None]:
         before: the record of the run with those settings.
     """
     if "prepare" in before["started"]:
-        say("The settings of the priors, or the files given for them, changed: they are computed again.")
+        old, new = before["config"].get("priors", {}), to_plain(folder.config.priors)
+        other = PRIORS.depending_on([name for name in new if old.get(name) != new[name]])
+        which = f" ({', '.join(other)})" if other else ""
+        say(f"The settings of the priors, or the files given for them, changed{which}: they are computed again.")
     aside = folder.path / ASIDE
     folder.forget("prepare")
     shutil.rmtree(aside, ignore_errors=True)
@@ -123,7 +128,7 @@ def _compute_scene(
         if is_new:
             _clear(folder.path)
         raise
-    for note in scene.info["notes"]:
+    for note in scene.info.notes:
         say(note)
     compiling = are_missing(pick_device(config.device).type)
     speed, reference = Speed(config.device), expected(scene, config, compiling)
@@ -145,11 +150,11 @@ def _compute_scene(
                 speed.seen(took / reference["cameras"])
             say(f"Left of a whole run: {speed.estimate(reference, STAGES[2:], folder.wall_seconds)}.")
 
-    had = set(scene.info["priors"])
+    had = set(scene.info.priors)
     try:
         seconds = prepare_priors(scene, config.priors, config.device, after)
     except InputError:
-        if is_new and all(name in had or how.get("method") in _BROUGHT for name, how in scene.info["priors"].items()):
+        if is_new and all(name in had or how.get("method") in BROUGHT for name, how in scene.info.priors.items()):
             _clear(folder.path)
         raise
     with busy("Writing priors.html"):
@@ -173,14 +178,14 @@ def _read_input(source: Path, kind: str, target: Path, config: RunConfig) -> Sce
     """The scene folder with everything of the input in it, as far as it is not there yet."""
     if kind == "scene":
         return copy_scene(source, target)
-    if (target / "scene.json").exists() and is_ingested(Scene(target)):
+    if (target / "scene.json").exists() and Scene(target).info.ingested:
         return Scene(target)
     return ingest(open_clip(source, config.input), target, config.input)
 
 
 def _scene_identity(source: Path) -> str:
     info = Scene(source).info
-    return stage_key({name: info[name] for name in ("name", "source", "width", "height", "timestamps", "train")})
+    return stage_key({name: getattr(info, name) for name in ("name", "source", "width", "height", "timestamps", "train")})
 
 
 def copy_scene(source: Path, target: Path) -> Scene:

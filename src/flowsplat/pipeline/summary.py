@@ -90,7 +90,7 @@ def report_data(
     counts = metrics["gaussians"]["active"]
     if len(counts) != len(scene.timestamps):
         raise InputError(f"{out / 'metrics.json'} counts Gaussians in {len(counts)} frames, the scene has {len(scene.timestamps)}.")
-    notes = [*scene.info["notes"], *([SHOWN_NOTE] if metrics.get("shown") == "final" else [])]
+    notes = [*scene.info.notes, *([SHOWN_NOTE] if metrics.get("shown") == "final" else [])]
     verdicts = [str((scene.prior(name) or {}).get("verdict", "")) for name in ("cameras", "depth", "masks")]
     return ReportData(
         title=scene.name,

@@ -47,7 +47,7 @@ def mover_flow_stage(scene: Scene) -> None:
         for flow, found, back, mask in zip(flows, better, better[::-1], masks, strict=True):
             sure = np.where(mask, forward_backward_confidence(found, back), flow.confidence)
             scene.write_flow(Flow(flow.i, flow.j, found, sure))
-    scene.finish_prior("flow", **{**(scene.prior("flow") or {}), "movers": True})
+    scene.amend_prior("flow", movers=True)
 
 
 Pair = tuple[np.ndarray, np.ndarray]

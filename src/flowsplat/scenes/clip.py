@@ -9,11 +9,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Annotated, Protocol
 
 import cv2
 import numpy as np
+from msgspec import Meta
 
+from flowsplat.common.bounds import bounds_in_help, check_bounds
 from flowsplat.common.errors import InputError
 from flowsplat.geometry import Camera
 from flowsplat.scenes.layers import Depth, Flow, Tracks
@@ -34,25 +36,26 @@ WIDEST_STEP = 0.5
 """Seconds between two kept frames above which the user is told that the motion will hardly be followed."""
 
 
+@bounds_in_help
 @dataclass(frozen=True)
 class InputOptions:
     """What to take from the input, and what to hold out."""
 
-    start: float | None = None
+    start: Annotated[float | None, Meta(ge=0)] = None
     """First second of the input to use; the default is its beginning."""
-    end: float | None = None
+    end: Annotated[float | None, Meta(gt=0)] = None
     """Last second of the input to use; the default is its end."""
-    every: int | None = None
+    every: Annotated[int | None, Meta(ge=1, le=LARGEST_NUMBER)] = None
     """Use one frame in so many; the default is the smallest number that leaves at most max_frames frames."""
-    max_frames: int = 100
+    max_frames: Annotated[int, Meta(ge=2, le=MOST_FRAMES)] = 100
     """Use at most so many frames."""
-    resize: int | None = None
+    resize: Annotated[int | None, Meta(ge=0, le=LONGEST_SIDE)] = None
     """Long side of the frames in pixels, 0 to keep their size; the default is at most 854. Frames are never enlarged."""
-    holdout: int | None = 10
+    holdout: Annotated[int | None, Meta(ge=2, le=LARGEST_NUMBER)] = 10
     """Hold one frame in so many out of training, to measure with; none trains on all. Input with held-out cameras trains on all."""
     sequence: str | None = None
     """Name of the sequence, where the input is the root folder of the DAVIS data set."""
-    fps: float = 24.0
+    fps: Annotated[float, Meta(ge=FEWEST_FPS, le=MOST_FPS)] = 24.0
     """Frames a second of a folder of pictures."""
 
     def check(self) -> None:
@@ -61,24 +64,13 @@ class InputOptions:
         Raises:
             InputError: names the option.
         """
-        rules = {
-            "start": (self.start is None or 0 <= self.start < np.inf, "must be 0 or more seconds"),
-            "end": (self.end is None or (self.start or 0) < self.end < np.inf, "must be later than --start"),
-            "every": (self.every is None or 1 <= self.every <= LARGEST_NUMBER, f"must be from 1 to {LARGEST_NUMBER:,}"),
-            "max-frames": (2 <= self.max_frames <= MOST_FRAMES, f"must be from 2 to {MOST_FRAMES:,}"),
-            "resize": (
-                self.resize is None or self.resize == 0 or SHORTEST_SIDE <= self.resize <= LONGEST_SIDE,
-                f"must be 0 (keep the size) or from {SHORTEST_SIDE} to {LONGEST_SIDE:,} pixels",
-            ),
-            "holdout": (
-                self.holdout is None or 2 <= self.holdout <= LARGEST_NUMBER,
-                f"must be from 2 to {LARGEST_NUMBER:,}, or none",
-            ),
-            "fps": (FEWEST_FPS <= self.fps <= MOST_FPS, f"must be from {FEWEST_FPS:g} to {MOST_FPS:g}"),
-        }
-        for name, (holds, rule) in rules.items():
-            if not holds:
-                raise InputError(f"--{name} {getattr(self, name.replace('-', '_'))} {rule}.")
+        check_bounds(self, "--")
+        if self.end is not None and self.end <= (self.start or 0):
+            raise InputError(f"--end {self.end:g} must be later than --start.")
+        if self.resize is not None and 0 < self.resize < SHORTEST_SIDE:
+            raise InputError(
+                f"--resize {self.resize} must be 0 (keep the size) or from {SHORTEST_SIDE} to {LONGEST_SIDE:,} pixels."
+            )
 
 
 @dataclass(frozen=True)

@@ -22,12 +22,10 @@ from flowsplat.scenes.formats.rig import open_rig
 from flowsplat.scenes.formats.video import open_video
 from flowsplat.scenes.scene import Scene, split_frames
 
-__all__ = ["InputOptions", "fingerprint", "ingest", "is_ingested", "kind_of_input", "open_clip"]
+__all__ = ["InputOptions", "fingerprint", "ingest", "kind_of_input", "open_clip"]
 
 CALIBRATED = "calibrated"
 """Method of cameras that came with the input and share the coordinates of its held-out views."""
-INGESTED = "ingested"
-"""Key of ``Scene.info`` that is true once everything of the input is in the scene."""
 SOUND = "sound.flac"
 ALREADY = "{} is a prepared scene already: there is nothing to ingest."
 
@@ -97,22 +95,17 @@ def open_clip(path: Path, options: InputOptions) -> Clip:
     raise InputError(ALREADY.format(path))
 
 
-def is_ingested(scene: Scene) -> bool:
-    """Whether everything of the input is in the scene."""
-    return bool(scene.info.get(INGESTED))
-
-
 def ingest(clip: Clip, folder: Path, options: InputOptions) -> Scene:
     """Write a clip into a scene folder: frames, split, given masks, calibrated cameras, truth and held-out views.
 
-    ``scene.json`` comes first and ``info["ingested"]`` last, so an interrupted run is recognised; called again, it keeps every
-    file that is there (files are written atomically, so they are whole) and adds what is missing.
+    ``scene.json`` comes first and its ``ingested`` last, so an interrupted run is recognised; called again, it keeps every file
+    that is there (files are written atomically, so they are whole) and adds what is missing.
 
     Raises:
         InputError: the input cannot be read, or the folder holds a scene of another input.
     """
     scene = _open_or_create(clip, Path(folder), options)
-    if is_ingested(scene):
+    if scene.info.ingested:
         return scene
     _write_frames(clip, scene)
     if clip.has_masks:
@@ -126,9 +119,7 @@ def ingest(clip: Clip, folder: Path, options: InputOptions) -> Scene:
     for picture in clip.views():
         if picture.view.name not in written:
             scene.write_view(picture.view, picture.image, picture.mask, picture.covisible)
-    _write_sound(clip, scene)
-    scene.info[INGESTED] = True
-    scene.save_info()
+    scene.mark_ingested(_write_sound(clip, scene))
     return scene
 
 
@@ -163,13 +154,12 @@ def _write_frames(clip: Clip, scene: Scene) -> None:
             bar.advance()
 
 
-def _write_sound(clip: Clip, scene: Scene) -> None:
-    """The sound comes into the scene: a scene names no file outside it."""
+def _write_sound(clip: Clip, scene: Scene) -> str | None:
+    """The name of the sound's file, which comes into the scene: a scene names no file outside it. None where there is no sound."""
     if clip.audio is None:
-        return
+        return None
     seconds = float(scene.timestamps[-1] - scene.timestamps[0]) + 1 / clip.source_fps
-    if keep_sound(clip.audio, clip.audio_start, seconds, scene.folder / SOUND):
-        scene.info |= {"audio": SOUND, "audio_start": 0.0}
+    return SOUND if keep_sound(clip.audio, clip.audio_start, seconds, scene.folder / SOUND) else None
 
 
 def _write_masks(clip: Clip, scene: Scene) -> None:

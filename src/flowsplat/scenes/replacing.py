@@ -17,16 +17,14 @@ from flowsplat.scenes.scene import Scene
 FOLDERS = ("frames", "heldout/frames", "masks", "heldout/masks")
 ASIDE = "replaced"
 """Folder of the new pictures until all of them are there."""
-COMPLETE = "pictures_replaced"
-"""Key of ``Scene.info`` that is there while the new pictures are being moved to their places."""
 
 
 def replace_pictures(scene: Scene, change: Callable[[np.ndarray], np.ndarray]) -> None:
     """Replace all frames and masks, held-out ones included. For the camera stage only.
 
-    The new pictures are written aside first; once ``info`` says that they are complete, they are moved. Called again after
-    a kill, with the same ``change``, it goes on. The caller saves ``info`` at the end, together with what says that it need
-    not be called again.
+    The new pictures are written aside first; once the scene says that they are complete, they are moved. Called again after
+    a kill, with the same ``change``, it goes on. The caller notes the end (``Scene.finish_straightening``), together with what
+    says that it need not be called again.
 
     Args:
         change: from a frame [H, W, 3] or object numbers [H, W] to another one of the same size.
@@ -35,13 +33,12 @@ def replace_pictures(scene: Scene, change: Callable[[np.ndarray], np.ndarray]) -
         InputError: a picture is missing or damaged, or the disk is full.
     """
     aside = scene.folder / ASIDE
-    if not scene.info.get(COMPLETE):
+    if not scene.info.pictures_replaced:
         old = [Path(folder) / path.name for folder in FOLDERS for path in sorted((scene.folder / folder).glob("[!.]*.png"))]
         for path in track(old, "Straightening pictures"):
             if not (aside / path).exists():
                 write_image(aside / path, change(read_image(scene.folder / path)))
-        scene.info[COMPLETE] = True
-        scene.save_info()
+        scene.mark_pictures_complete()
     for folder in FOLDERS:
         make_folder(scene.folder / folder)
         for path in sorted((aside / folder).glob("[!.]*.png")):
@@ -49,4 +46,3 @@ def replace_pictures(scene: Scene, change: Callable[[np.ndarray], np.ndarray]) -
         if not any((scene.folder / folder).iterdir()):
             (scene.folder / folder).rmdir()
     shutil.rmtree(aside, ignore_errors=True)
-    del scene.info[COMPLETE]

@@ -15,19 +15,20 @@ fit after all of them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from typing_extensions import NotRequired, TypedDict
+from typing_extensions import TypedDict
 
 from flowsplat.common.errors import InputError, SplitError
 from flowsplat.common.files import check_json, make_folder, plain_name, read_json, write_json
-from flowsplat.common.files.json_file import Count, Number, Pixels, Positive, SimilarityFile, Text, Versioned
+from flowsplat.common.files.json_file import Count, Text, Versioned
 from flowsplat.common.progress import say_once
 from flowsplat.geometry import Camera, Similarity
+from flowsplat.scenes.info import SceneInfo
 from flowsplat.scenes.layers import CameraFile, Depth, Flow, Layers, StoredFlow, Tracks, read_image, write_image
 
 VERSION = 1
@@ -62,24 +63,6 @@ class HeldoutView:
     camera: Camera
 
 
-class SceneFile(TypedDict):
-    """What ``scene.json`` holds; more may stand there."""
-
-    name: Text
-    source: Text
-    width: Pixels
-    height: Pixels
-    source_fps: Positive
-    timestamps: list[Number]
-    train: list[Count]
-    heldout: list[Count]
-    notes: list[Text]
-    priors: dict[str, dict[str, Any]]
-    similarity: SimilarityFile | None
-    audio: NotRequired[Text | None]
-    audio_start: NotRequired[Number | None]
-
-
 class ViewFile(TypedDict):
     """One held-out view in ``views.json``."""
 
@@ -100,23 +83,22 @@ class Scene(Layers):
         path = Path(folder) / "scene.json"
         if not path.exists():
             raise InputError(f"{folder} is not a prepared scene: it has no scene.json.")
-        self.info: dict[str, Any] = read_json(path, Versioned)
-        if self.info["version"] > VERSION:
+        values: dict[str, Any] = read_json(path, Versioned)
+        if values["version"] > VERSION:
             raise InputError(
-                f"{folder} was written by a newer flowsplat (scene version {self.info['version']}, this one reads {VERSION}). "
+                f"{folder} was written by a newer flowsplat (scene version {values['version']}, this one reads {VERSION}). "
                 "Update flowsplat."
             )
-        check_json(path, self.info, SceneFile)
+        check_json(path, values, SceneInfo)
+        self._info = info = SceneInfo.from_json(values)
         try:
-            if self.info["similarity"] is not None:
-                Similarity.from_json(self.info["similarity"])
+            if info.similarity is not None:
+                Similarity.from_json(info.similarity)
         except ValueError as error:
             raise InputError(f"{path} is damaged: {error}.") from error
-        super().__init__(Path(folder), self.info["width"], self.info["height"])
-        self.name: str = self.info["name"]
-        self.timestamps = np.array(self.info["timestamps"], np.float64)
-        self.train_frames: list[int] = self.info["train"]
-        self.heldout_frames: list[int] = self.info["heldout"]
+        super().__init__(Path(folder), info.width, info.height)
+        self.timestamps = np.array(info.timestamps, np.float64)
+        self.train_frames, self.heldout_frames = list(info.train), list(info.heldout)
         if len(self.timestamps) < 2 or not (np.diff(self.timestamps) > 0).all():
             raise InputError(f"{path} is damaged: there must be two timestamps or more, finite and rising.")
         if sorted(self.train_frames + self.heldout_frames) != list(range(len(self.timestamps))):
@@ -153,17 +135,68 @@ class Scene(Layers):
         """
         train, heldout = split_frames(len(timestamps), holdout)
         make_folder(folder)
-        info = {
-            "version": VERSION, "name": name, "source": source, "width": width, "height": height,
-            "source_fps": source_fps, "timestamps": list(map(float, timestamps)), "train": train, "heldout": heldout,
-            "notes": list(notes), "audio": audio, "audio_start": audio_start, "priors": {}, "similarity": None,
-        }  # fmt: skip
-        write_json(Path(folder) / "scene.json", info)
+        info = SceneInfo(
+            version=VERSION, name=name, source=source, width=width, height=height,
+            source_fps=source_fps, timestamps=list(map(float, timestamps)), train=train, heldout=heldout,
+            notes=list(notes), audio=audio, audio_start=audio_start, priors={}, similarity=None,
+        )  # fmt: skip
+        write_json(Path(folder) / "scene.json", info.to_json())
         return Scene(folder)
 
-    def save_info(self) -> None:
-        """Write ``info`` back to ``scene.json``."""
-        write_json(self.folder / "scene.json", self.info)
+    # -- the record
+
+    @property
+    def info(self) -> SceneInfo:
+        """What ``scene.json`` says; the methods of this class change it."""
+        return self._info
+
+    @property
+    def name(self) -> str:
+        """What the scene is called."""
+        return self._info.name
+
+    def _change(self, **changes: Any) -> None:
+        """Set fields of the record, all at once: a kill leaves the file with all of them or with none."""
+        self._info = replace(self._info, **changes)
+        write_json(self.folder / "scene.json", self._info.to_json())
+
+    def mark_ingested(self, sound: str | None = None) -> None:
+        """Note that everything of the input is here.
+
+        Args:
+            sound: the name of the file in the folder with the sound of the clip, from its first frame on.
+        """
+        self._change(ingested=True, **({} if sound is None else {"audio": sound, "audio_start": 0.0}))
+
+    def mark_oracle(self, name: str, identity: Mapping[str, Any]) -> None:
+        """Note that this copy of a scene gets true priors in the place of some of its own.
+
+        Args:
+            name: what it is called from now on.
+            identity: which oracle of which scene it is.
+        """
+        self._change(name=name, oracle=identity)
+
+    def begin_straightening(self, lens: Mapping[str, float], cameras: Mapping[str, Any]) -> None:
+        """Note that a lens is being taken out of the pictures.
+
+        Args:
+            cameras: how the cameras were made, which are complete once the pictures are straight.
+        """
+        self._change(lens=lens, straightening=cameras)
+
+    def mark_pictures_complete(self) -> None:
+        """Note that all straightened pictures are there, and take the places of the others from now on."""
+        self._change(pictures_replaced=True)
+
+    def finish_straightening(self, note: str) -> None:
+        """Note that the pictures are straight and the cameras complete; ``note`` tells the user."""
+        pending = self._info.straightening
+        assert pending is not None
+        self._change(
+            straightening=None, pictures_replaced=False, notes=[*self._info.notes, note],
+            priors={**self._info.priors, "cameras": pending},
+        )  # fmt: skip
 
     @property
     def sound(self) -> tuple[Path, float] | None:
@@ -171,7 +204,7 @@ class Scene(Layers):
 
         It lies in the folder of the scene: a scene may come from anybody, so a file elsewhere is left alone.
         """
-        audio, start = self.info.get("audio"), float(self.info.get("audio_start") or 0.0)
+        audio, start = self._info.audio, float(self._info.audio_start or 0.0)
         if not audio:
             return None
         if Path(audio).name != audio or not (self.folder / audio).is_file():
@@ -278,14 +311,22 @@ class Scene(Layers):
 
     # -- priors as a whole
 
-    def prior(self, name: str) -> dict[str, Any] | None:
-        """How the prior ``name`` (cameras, flow, depth, masks, tracks) was made; None while it is missing or unfinished."""
-        return self.info["priors"].get(name)
+    def prior(self, name: str) -> Mapping[str, Any] | None:
+        """How a prior was made; None while it is missing or unfinished. ``priors/graph.py`` lists their names."""
+        return self._info.priors.get(name)
 
     def finish_prior(self, name: str, **how: Any) -> None:
         """Note that a prior is complete, and how it was made (at least ``method``)."""
-        self.info["priors"][name] = how
-        self.save_info()
+        self._change(priors={**self._info.priors, name: how})
+
+    def amend_prior(self, name: str, **how: Any) -> None:
+        """Note more, or other things, of how a prior was made."""
+        self.finish_prior(name, **{**(self.prior(name) or {}), **how})
+
+    def forget_priors(self, names: Collection[str]) -> None:
+        """Note that priors are not there; their files stay. Without depth nothing says how large the scene is, either."""
+        priors = {name: how for name, how in self._info.priors.items() if name not in names}
+        self._change(priors=priors, similarity=None if "depth" in names else self._info.similarity)
 
     # -- scale
 
@@ -296,14 +337,18 @@ class Scene(Layers):
         Raises:
             InputError: the scene has no depth yet.
         """
-        if self.info["similarity"] is None:
+        if self._info.similarity is None:
             samples = [self.depth(i) for i in self.train_frames[:: max(1, len(self.train_frames) // 16)]]
             trusted = np.concatenate([d.depth[d.trusted][::17] for d in samples])
             median = float(np.median(trusted if len(trusted) else np.concatenate([d.depth.ravel() for d in samples])))
             centers = np.array([self.cameras[i].center for i in self.train_frames])
-            self.info["similarity"] = Similarity(1 / median, np.eye(3), -centers.mean(0) / median).to_json()
-            self.save_info()
-        return Similarity.from_json(self.info["similarity"])
+            self.write_similarity(Similarity(1 / median, np.eye(3), -centers.mean(0) / median))
+        assert self._info.similarity is not None
+        return Similarity.from_json(self._info.similarity)
+
+    def write_similarity(self, similarity: Similarity | None) -> None:
+        """Set it; None = it is computed again when it is asked for, from depth that changed."""
+        self._change(similarity=None if similarity is None else similarity.to_json())
 
     # -- truth and held-out views
 

@@ -20,6 +20,7 @@ from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.output.camera_files import write_camera_file
 from flowsplat.output.videos import RenderOptions, render_videos, rendered
 from flowsplat.scenes import Scene
+from tests.scene_files import edited
 
 WIDTH, HEIGHT, DEPTH = 64, 48, 4.0
 
@@ -69,8 +70,7 @@ def scene(tmp_path) -> Scene:
         viewmat[0, 3] = -t
         cameras.append(Camera(viewmat, np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]]), WIDTH, HEIGHT))
     scene.write_cameras(cameras)
-    scene.info["similarity"] = Similarity(1 / DEPTH).to_json()
-    scene.save_info()
+    scene.write_similarity(Similarity(1 / DEPTH))
     return scene
 
 
@@ -189,7 +189,7 @@ def test_the_sound_of_the_clip_is_kept(scene, tmp_path):
         container.mux(stream.encode(frame))
         container.mux(stream.encode())
     shutil.copy(tmp_path / "tone.wav", scene.folder / "tone.wav")
-    scene.info |= {"audio": "tone.wav", "audio_start": 0.5}
+    scene = edited(scene, audio="tone.wav", audio_start=0.5)
     render_videos(Plane(), scene, tmp_path, RenderOptions(paths=("input", "orbit"), max_frames=4))
     for name, streams in (("input_path", 1), ("input_path_colour", 1), ("orbit", 0)):
         with av.open(str(tmp_path / f"{name}.mp4")) as container:
@@ -205,7 +205,7 @@ def test_a_scene_names_no_sound_outside_its_folder(scene, tmp_path, audio, monke
     opened = []
     monkeypatch.setattr("flowsplat.pictures.video.open_media", lambda path: opened.append(path))
     (tmp_path / "tone.wav").write_bytes(b"")
-    scene.info |= {"audio": audio, "audio_start": 0.0}
+    scene = edited(scene, audio=audio, audio_start=0.0)
     assert scene.sound is None
     render_videos(Plane(), scene, tmp_path, RenderOptions(paths=("input",), max_frames=2))
     assert opened == []

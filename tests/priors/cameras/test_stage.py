@@ -15,7 +15,8 @@ from flowsplat.geometry.similarity import path_errors
 from flowsplat.priors.cameras import CameraOptions, camera_stage, stage
 from flowsplat.priors.cameras.bundle import rays
 from flowsplat.priors.given import GivenPriors
-from flowsplat.priors.prepare import PriorsOptions, prepare_priors
+from flowsplat.priors.options import PriorsOptions
+from flowsplat.priors.prepare import prepare_priors
 from flowsplat.scenes import Scene
 from tests.priors.test_nasty_clips import ROOM, World, travel
 
@@ -130,13 +131,13 @@ def test_a_bent_clip_is_straightened(tmp_path, through_a_lens):
     assert prior["distortion"] == pytest.approx(-0.15, rel=0.1)
     assert prior["reprojection_px"] < 0.9 * pinhole
     assert "frames and given masks were straightened" in prior["verdict"]
-    assert "straightened" in scene.info["notes"][-1]
+    assert "straightened" in scene.info.notes[-1]
     errors = path_errors(scene.cameras, cameras)
     assert errors["path"] < 0.02
     assert errors["rotation"] < 0.3
     # What the pinhole at that place would have seen, but for the wider or narrower view: how a lens bends a picture is known better
     # than its focal length, which is compared apart.
-    lens = scene.info["lens"]
+    lens = scene.info.lens
     assert lens["focal"] == pytest.approx(cameras[0].K[0, 0], rel=0.02)
     zoom = lens["pinhole"] / lens["focal"]
     grid = ((pixel_grid(320, 200) - [160, 100]) / zoom + [160, 100] - 0.5).astype(np.float32)
@@ -167,7 +168,7 @@ def test_straightening_goes_on_after_a_kill_and_is_not_done_twice(tmp_path, thro
     assert scene.info == whole.info
     for i in range(scene.num_frames):
         np.testing.assert_array_equal(scene.any_frame(i), whole.any_frame(i))
-    del scene.info["priors"]["cameras"]
+    scene.forget_priors(["cameras"])
     camera_stage(scene, CameraOptions(distortion="radial"))
     assert scene.prior("cameras")["distortion"] == 0
     np.testing.assert_array_equal(scene.any_frame(2), whole.any_frame(2))
@@ -189,7 +190,7 @@ def test_a_camera_that_stands_still_shows_no_lens(tmp_path):
     camera_stage(scene, CameraOptions(distortion="radial"))
     assert "No distortion of the lens shows" in scene.prior("cameras")["verdict"]
     assert scene.prior("cameras")["options"] == {"focal": None, "solver": "auto", "distortion": "radial"}
-    assert "lens" not in scene.info
+    assert scene.info.lens is None
 
 
 @pytest.mark.parametrize(

@@ -13,8 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from flowsplat.common.errors import InputError
 from flowsplat.geometry import Camera
-from flowsplat.priors.given import GivenPriors, use_given
+from flowsplat.priors.given import GivenPriors
 from flowsplat.priors.given.cameras import read_cameras
+from flowsplat.priors.prepare import use_given
 from flowsplat.scenes import Scene
 
 SIZE = (854, 480)

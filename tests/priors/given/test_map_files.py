@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from flowsplat.common.errors import InputError
-from flowsplat.priors.given import GivenPriors, use_given
+from flowsplat.priors.given import GivenPriors
 from flowsplat.priors.given.depth import open_depth
 from flowsplat.priors.given.flow import read_flow
 from flowsplat.priors.given.truth import consecutive_pairs
+from flowsplat.priors.prepare import use_given
 from flowsplat.scenes import Scene
 
 from .test_camera_files import droid, megasam, slam_intrinsics

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from flowsplat.common.errors import InputError
-from flowsplat.priors.given import GivenPriors, use_given
+from flowsplat.priors.given import GivenPriors
 from flowsplat.priors.given.tracks import read_tracks
+from flowsplat.priors.prepare import use_given
 from flowsplat.scenes import Scene
 
 WIDTH, HEIGHT, FRAMES, POINTS = 128, 80, 6, 9

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from flowsplat.priors.learned.weights import ModelOptions
-from flowsplat.priors.prepare import PriorsOptions, prepare_priors
+from flowsplat.priors.options import PriorsOptions
+from flowsplat.priors.prepare import prepare_priors
 
 from ..planes import HEIGHT, WIDTH, write_planes
 

@@ -14,7 +14,8 @@ from flowsplat.common.errors import InputError
 from flowsplat.priors.flow import flow_stage
 from flowsplat.priors.learned.raft import raft_estimator
 from flowsplat.priors.learned.weights import ModelOptions
-from flowsplat.priors.prepare import PriorsOptions, prepare_priors
+from flowsplat.priors.options import PriorsOptions
+from flowsplat.priors.prepare import prepare_priors
 from flowsplat.scenes import Scene
 
 from ..planes import write_planes

@@ -8,7 +8,8 @@ import pytest
 from flowsplat.common.errors import InputError
 from flowsplat.priors.objects import load_movers
 from flowsplat.priors.objects.hints import parse_hints
-from flowsplat.priors.prepare import PriorsOptions, prepare_priors
+from flowsplat.priors.options import PriorsOptions
+from flowsplat.priors.prepare import prepare_priors
 from flowsplat.scenes import Scene
 from tests.priors.planes import WALL, square_at, write_planes
 

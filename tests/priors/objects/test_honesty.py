@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from flowsplat.priors.objects import load_movers
-from flowsplat.priors.prepare import PriorsOptions, prepare_priors
+from flowsplat.priors.options import PriorsOptions
+from flowsplat.priors.prepare import prepare_priors
 from flowsplat.protocols.movers.measure import depth_scale, identities, overlaps
 from flowsplat.scenes import Scene
 from flowsplat.scenes.clip import InputOptions

@@ -11,12 +11,12 @@ import pytest
 from flowsplat.common.errors import InputError
 from flowsplat.priors.depth import depth_stage
 from flowsplat.priors.flow import flow_stage
+from flowsplat.priors.graph import PRIORS
 from flowsplat.priors.objects import SceneMovers, load_movers, objects_stage
 from flowsplat.priors.objects.distance import Cue
 from flowsplat.priors.objects.movers import Mover
 from flowsplat.priors.objects.relief import ReliefPoints, relief
 from flowsplat.priors.objects.storage import save_movers
-from flowsplat.priors.prepare import _forget
 from flowsplat.priors.tracks import tracks_stage
 from flowsplat.scenes import Scene
 from tests.priors.planes import HEIGHT, WIDTH, write_planes
@@ -126,9 +126,9 @@ def test_objects_go_with_what_they_follow_from(tmp_path: Path):
     scene = write_planes(tmp_path, step=2, square=False)
     save_movers(scene, SceneMovers([], np.array([0, -1.0, 0])))
     scene.finish_prior("objects", method="motion")
-    _forget(scene, set())
+    PRIORS.forget(scene, set())
     assert scene.prior("objects") is not None
-    _forget(scene, {"masks"})
+    PRIORS.forget(scene, {"masks"})
     assert scene.prior("objects") is None
     assert not (scene.folder / "objects.json").exists()
     assert not (scene.folder / "objects.npz").exists()

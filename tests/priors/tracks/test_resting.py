@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flowsplat.priors.given import use_truth
+from flowsplat.priors.prepare import use_truth
 from flowsplat.priors.tracks.resting import SUPPOSED, complete_resting
 from flowsplat.scenes import Scene
 

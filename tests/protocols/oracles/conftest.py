@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from flowsplat.geometry import Similarity
-from flowsplat.priors.given import use_truth
+from flowsplat.priors.prepare import use_truth
 from flowsplat.scenes import Depth, Flow
 from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic
 from tests.protocols.datasets.conftest import runs_root

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from flowsplat.common.errors import InputError
-from flowsplat.priors.given import use_truth
+from flowsplat.priors.prepare import use_truth
 from flowsplat.protocols.oracles.movers import Mover, depth_scale, match_movers, mover_errors, static_error
 from flowsplat.scenes import Scene
 from tests.protocols.oracles.conftest import CONSTANT, COURSE, RELIEF, SCALE, SHADOW, STATIC

@@ -11,7 +11,7 @@ import pytest
 
 from flowsplat.common.errors import InputError
 from flowsplat.protocols.oracles.movers import match_movers, mover_errors
-from flowsplat.protocols.oracles.scenes import ORACLE, ORACLES, make_oracle
+from flowsplat.protocols.oracles.scenes import ORACLES, make_oracle
 from flowsplat.scenes import Scene
 from tests.protocols.oracles.conftest import SCALE
 
@@ -63,7 +63,7 @@ def test_which_layers_are_replaced(oracles, wrong_scene):
 def test_names_and_scale_of_training(oracles, wrong_scene):
     for name, scene in oracles.items():
         assert scene.name == f"synthetic, {name}"
-        assert scene.info[ORACLE]["name"] == name
+        assert scene.info.oracle["name"] == name
         trusted = np.concatenate([scene.depth(i).depth[scene.depth(i).trusted] for i in scene.train_frames])
         assert np.median(trusted) * scene.similarity.scale == pytest.approx(1, abs=0.05)
         assert not (scene.folder / "multiview").exists()

@@ -7,7 +7,7 @@ import pytest
 
 from flowsplat.common.errors import InputError
 from flowsplat.geometry import Similarity
-from flowsplat.priors.given import use_truth
+from flowsplat.priors.prepare import use_truth
 from flowsplat.protocols.priors import measure as measuring
 from flowsplat.protocols.priors.measure import (
     camera_figures,

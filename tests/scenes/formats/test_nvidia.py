@@ -73,7 +73,7 @@ def test_raw(originals, tmp_path):
         np.testing.assert_array_equal(scene.view_mask(view), rendered.mask > 0)
     assert not scene.has_mask(0)
     assert scene.truth is None
-    assert any("t % 12" in note for note in scene.info["notes"])
+    assert any("t % 12" in note for note in scene.info.notes)
 
 
 def test_raw_with_a_row_for_every_time(tmp_path):
@@ -125,7 +125,7 @@ def test_nerfies(originals, tmp_path):
         assert view.frame == time
         same(view.camera, rig_camera(SPEC, camera))
         close(scene.view_image(view), picture(SPEC, rig_camera(SPEC, camera), time), 0)
-    assert "Camera 4 makes the clip, 3, 5, 6 the test." in scene.info["notes"]
+    assert "Camera 4 makes the clip, 3, 5, 6 the test." in scene.info.notes
 
 
 @pytest.mark.parametrize("layout", WRITERS)

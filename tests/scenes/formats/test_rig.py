@@ -59,7 +59,7 @@ def test_everything_arrives(rig, tmp_path, picture):
     scene = ingest(open_rig(rig, InputOptions()), tmp_path / "scene", InputOptions())
     assert scene.train_frames == list(range(COUNT))
     assert scene.heldout_frames == []
-    assert scene.info["source_fps"] == 12
+    assert scene.info.source_fps == 12
     assert scene.prior("masks") is None
     assert not scene.has_mask(0)
     np.testing.assert_array_equal(scene.frame(3), picture(3))

@@ -92,7 +92,7 @@ def settle(scene: Scene, options: RenderOptions) -> tuple[float, tuple[int, int]
         InputError: an option or the camera file cannot be used.
     """
     first, last = float(scene.timestamps[0]), float(scene.timestamps[-1])
-    fps = min(max(float(scene.info["source_fps"]), SLOWEST), FASTEST) if options.fps is None else options.fps
+    fps = min(max(float(scene.info.source_fps), SLOWEST), FASTEST) if options.fps is None else options.fps
     check_options(options, fps, first, last)
     width = scene.width if options.width is None else options.width
     size = (width, max(round(scene.height * width / scene.width), 1))

@@ -43,7 +43,7 @@ class ExportPanel:
         self._source, self._worker, self._session = source, worker, session
         self._browser = BrowserFrame(source.scene.similarity)
         self._keys = CameraKeys()
-        self._fps = float(source.scene.info["source_fps"])
+        self._fps = float(source.scene.info.source_fps)
         gui, controls = client.gui, Controls(client.gui)
         with gui.add_folder("Export", expand_by_default=False):
             screenshot = gui.add_button("Screenshot", icon=viser.Icon.CAMERA)

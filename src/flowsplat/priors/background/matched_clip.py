@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import shutil
 from collections.abc import Sequence
 from dataclasses import asdict, fields
 from functools import partial
@@ -35,14 +34,8 @@ LITTLE_PARALLAX, MANY = 2.0, 0.3
 """The same where all is less sure: 14 % per 0.2 pixels of noise, but known of so many pixels. Still far better than a guess:
 on a rendered room a camera that turns and travels by 0.6 degrees of parallax gives depth that is 4 % off, guessed 28 %."""
 
-
-def _folder(scene: Scene) -> Path:
-    return scene.folder / "multiview"
-
-
-def forget_solutions(scene: Scene) -> None:
-    """Delete the stored solutions, of no use once masks and depth exist."""
-    shutil.rmtree(_folder(scene), ignore_errors=True)
+SOLUTIONS = "multiview"
+"""Folder of the scene with the solutions, of no use once masks and depth exist."""
 
 
 class MatchedClip:
@@ -69,7 +62,7 @@ class MatchedClip:
         # Other cameras or other flow make another solution, which must not be mixed with this one.
         flow = str((scene.prior("flow") or {}).get("method"))
         digest = hashlib.sha256((scene.folder / "cameras.json").read_bytes() + flow.encode()).hexdigest()[:12]
-        self._folder = _folder(scene) / digest
+        self._folder = scene.folder / SOLUTIONS / digest
         self._solve(estimate)
         samples = [self[k] for k in range(0, len(self), max(1, len(self) // 24))]
         self.median = _median(samples, PARALLAX, ENOUGH)

@@ -25,12 +25,10 @@ LENS_ROUNDS = 2
 """How often the lens is estimated, each time with the cameras that the one before allowed."""
 SETTLED = 0.1
 """Pixels of the border by which a lens may change and count as found."""
-LENS = "lens"
-"""Key of ``Scene.info``: the lens that was, or is being, taken out of the pictures."""
 OWN = "tracks"
 """Method of cameras that this stage computed."""
-PENDING = "straightening"
-"""Key of ``Scene.info``: what is known of the cameras while the pictures are being straightened."""
+_FOLLOWS_PICTURES = ("cameras", "masks", "objects")
+"""Priors that may be there when pictures are straightened: cameras are found anew, masks straightened, objects go with depth."""
 LONGEST_LENS = 100
 """Focal length at most, in longer sides of the picture: an angle of view of half a degree."""
 
@@ -69,10 +67,10 @@ def camera_stage(scene: Scene, options: CameraOptions) -> None:
     longest = LONGEST_LENS * max(scene.width, scene.height)
     if options.focal is not None and not 1 <= options.focal <= longest:
         raise InputError(f"The focal length is {options.focal}: give pixels from 1 to {longest:,}, or leave it out.")
-    if PENDING in scene.info:
+    if scene.info.straightening is not None:
         _straighten(scene)
         return
-    radial = options.distortion == "radial" and LENS not in scene.info
+    radial = straightens(scene, options)
     if radial:
         require_lens_in_pictures(scene)
     tracks = _follow(scene)
@@ -86,10 +84,13 @@ def camera_stage(scene: Scene, options: CameraOptions) -> None:
     if lens is None:
         scene.finish_prior("cameras", **prior)
         return
-    scene.info[LENS] = lens.scaled(tracks.unit).to_json()
-    scene.info[PENDING] = prior
-    scene.save_info()
+    scene.begin_straightening(lens.scaled(tracks.unit).to_json(), prior)
     _straighten(scene)
+
+
+def straightens(scene: Scene, options: CameraOptions) -> bool:
+    """Whether these options have a lens taken out of the pictures: it was not taken out before."""
+    return options.distortion == "radial" and scene.info.lens is None
 
 
 @dataclass(frozen=True)
@@ -212,7 +213,7 @@ def require_lens_in_pictures(scene: Scene, unwanted: Collection[str] = ()) -> No
     """
     if scene.truth is not None or scene.views:
         raise InputError(f"{scene.name} is rendered by pinholes: leave out --cameras.distortion radial.")
-    made = [name for name in ("flow", "depth", "tracks") if scene.prior(name) is not None and name not in unwanted]
+    made = [name for name in scene.info.priors if name not in _FOLLOWS_PICTURES and name not in unwanted]
     if made:
         raise InputError(
             f"{' and '.join(made).capitalize()} of {scene.name} were made for the pictures as they came: "
@@ -222,11 +223,10 @@ def require_lens_in_pictures(scene: Scene, unwanted: Collection[str] = ()) -> No
 
 def _straighten(scene: Scene) -> None:
     """Replace frames and masks by those that a pinhole sees, and note that the cameras are finished."""
-    lens = Lens(**scene.info[LENS])
+    assert scene.info.lens is not None
+    lens = Lens(**scene.info.lens)
     replace_pictures(scene, lens.straighten)
-    prior = scene.info.pop(PENDING)
-    scene.info["notes"].append(_about_lens(lens, 1.0))
-    scene.finish_prior("cameras", **prior)
+    scene.finish_straightening(_about_lens(lens, 1.0))
 
 
 def _off_movers(scene: Scene, positions: np.ndarray) -> np.ndarray:

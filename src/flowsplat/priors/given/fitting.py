@@ -109,3 +109,8 @@ def pad_to(values: np.ndarray, size: tuple[int, int], **how: Any) -> np.ndarray:
     """[H, W, ...] continued at the right and at the bottom to ``size`` (width, height)."""
     border = [(0, size[1] - values.shape[0]), (0, size[0] - values.shape[1])] + [(0, 0)] * (values.ndim - 2)
     return np.pad(values, border, **how)
+
+
+def verdict_of(path: Path, maker: str) -> str:
+    """Where a given prior comes from, in words; ``flowsplat`` is not named."""
+    return f"from {path}" if maker == "flowsplat" else f"from {path} ({maker})"

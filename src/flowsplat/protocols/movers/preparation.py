@@ -69,9 +69,7 @@ def place_movers(scene: Scene, again: bool = False) -> None:
         again: forget the depth that is there.
     """
     if again:
-        scene.info["priors"].pop("depth", None)
-        scene.info["similarity"] = None
-        scene.save_info()
+        scene.forget_priors(["depth"])
     # The step gives objects other numbers: it always begins with those that the mask stage gave.
     found, masks = scene.folder / FOUND, scene.folder / "masks"
     if not found.exists():
@@ -94,8 +92,8 @@ def _share(own: Path, true: Path) -> None:
         shutil.copytree(own / name, partial / name, copy_function=_link)
     info = Scene(own).info
     Scene.create(
-        partial, name=info["name"], source=info["source"], width=info["width"], height=info["height"],
-        timestamps=info["timestamps"], holdout=None, source_fps=info["source_fps"],
+        partial, name=info.name, source=info.source, width=info.width, height=info.height,
+        timestamps=info.timestamps, holdout=None, source_fps=info.source_fps,
     )  # fmt: skip
     os.replace(partial, true)
 

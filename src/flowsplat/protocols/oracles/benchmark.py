@@ -19,7 +19,7 @@ from flowsplat.protocols.datasets.cases import Case, rig_cases
 from flowsplat.protocols.oracles.classes import error_sheet, static_depth_errors, view_errors
 from flowsplat.protocols.oracles.movers import depth_scale, masks_of, mover_errors, static_error
 from flowsplat.protocols.oracles.report import SHEET, write_report
-from flowsplat.protocols.oracles.scenes import ORACLE, ORACLES, make_oracle
+from flowsplat.protocols.oracles.scenes import ORACLES, make_oracle
 from flowsplat.protocols.priors.measure import pooled_iou
 from flowsplat.protocols.resume import BenchmarkOptions, Job, measure_jobs, results_in
 from flowsplat.protocols.shared_scenes import prepared_scene
@@ -150,7 +150,7 @@ def measure_oracle(run: OracleRun, prepared: Path, out: Path) -> dict[str, Any]:
     config = replace(run.case.config, input=InputOptions())
     scene = make_oracle(prepared, run.scene_path(out), run.oracle, config.device)
     folder = out / run.name
-    if (folder / "scene" / "scene.json").exists() and Scene(folder / "scene").info.get(ORACLE) != scene.info[ORACLE]:
+    if (folder / "scene" / "scene.json").exists() and Scene(folder / "scene").info.oracle != scene.info.oracle:
         shutil.rmtree(folder)
     trained = prepare(scene.folder, folder, config)
     train(trained)

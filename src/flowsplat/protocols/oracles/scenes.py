@@ -19,22 +19,19 @@ masks, tracks from true static depth and from true flow.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from flowsplat.common.errors import InputError
 from flowsplat.pipeline.preparing import copy_scene
-from flowsplat.priors.given import use_truth
-from flowsplat.priors.given.truth import consecutive_pairs
-from flowsplat.priors.prepare import PriorsOptions, prepare_priors
+from flowsplat.priors.given import consecutive_pairs
+from flowsplat.priors.graph import PRIORS
+from flowsplat.priors.options import PriorsOptions
+from flowsplat.priors.prepare import prepare_priors, use_truth
 from flowsplat.protocols.oracles.movers import depth_scale, masks_of, match_movers, mover_errors, truth_of
 from flowsplat.scenes import Depth, Scene
-
-ORACLE = "oracle"
-"""Key of ``Scene.info``: which oracle of which scene it is."""
 
 
 def make_oracle(prepared: Path, folder: Path, oracle: str, device: str = "auto") -> Scene:
@@ -51,17 +48,15 @@ def make_oracle(prepared: Path, folder: Path, oracle: str, device: str = "auto")
         raise InputError(f"There is no oracle {oracle!r}: choose from {', '.join(ORACLES)}.")
     source = Scene(prepared)
     truth_of(source)
-    identity = {"name": oracle, "of": source.name, "priors": source.info["priors"], "similarity": source.info["similarity"]}
+    identity = {"name": oracle, "of": source.name, "priors": source.info.priors, "similarity": source.info.similarity}
     if (folder / "scene.json").exists():
-        if Scene(folder).info.get(ORACLE) == identity:
+        if Scene(folder).info.oracle == identity:
             return Scene(folder)
         shutil.rmtree(folder)
     making = folder.with_name(f".{folder.name}.making")
     shutil.rmtree(making, ignore_errors=True)
     scene = copy_scene(prepared, making)
-    scene.info["name"] = f"{source.name}, {oracle}"
-    scene.info[ORACLE] = identity
-    scene.save_info()
+    scene.mark_oracle(f"{source.name}, {oracle}", identity)
     ORACLES[oracle](scene, device)
     making.rename(folder)
     return Scene(folder)
@@ -117,7 +112,7 @@ def _write_true_depth_of_movers(scene: Scene, scale: float) -> None:
 def _outline(scene: Scene, device: str) -> None:
     scale = depth_scale(scene)
     _write_true_masks(scene)
-    _forget(scene, "depth", "tracks")
+    PRIORS.erase(scene, ["depth", "tracks"])
     _finish(scene, device)
     _write_true_depth_of_movers(scene, scale)
     _finish(scene, device, depth="true depth of movers")
@@ -125,7 +120,7 @@ def _outline(scene: Scene, device: str) -> None:
 
 def _background(scene: Scene, device: str) -> None:
     _write_true_depth(scene)
-    _forget(scene, "tracks")
+    PRIORS.erase(scene, ["tracks"])
     _finish(scene, device)
 
 
@@ -137,7 +132,7 @@ def _flow(scene: Scene, device: str) -> None:
         if pair in known:
             scene.write_flow(truth.flow(*pair))
     scene.finish_prior("flow", method="truth", verdict="true flow")
-    _forget(scene, "tracks")
+    PRIORS.erase(scene, ["tracks"])
     _finish(scene, device)
 
 
@@ -166,22 +161,11 @@ def _write_true_depth(scene: Scene) -> None:
 # -- what the scene records
 
 
-def _forget(scene: Scene, *priors: str) -> None:
-    for name in priors:
-        path = scene.folder / name
-        if path.is_dir():
-            shutil.rmtree(path)
-        path.with_suffix(".npz").unlink(missing_ok=True)
-        scene.info["priors"].pop(name, None)
-    scene.save_info()
-
-
 def _finish(scene: Scene, device: str, **verdicts: str) -> None:
     """Note what is true in a prior that was replaced in part, compute those that are missing, and the scale of training."""
     for name, verdict in verdicts.items():
-        how: Mapping[str, Any] = scene.prior(name) or {}
-        scene.finish_prior(name, **{**how, "verdict": verdict})
-    scene.info["similarity"] = None
+        scene.amend_prior(name, verdict=verdict)
+    scene.write_similarity(None)
     prepare_priors(scene, PriorsOptions(), device)
 
 

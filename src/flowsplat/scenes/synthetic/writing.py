@@ -82,4 +82,4 @@ def encode_frames(path: Path, scene: Scene) -> None:
     """
     heldout = set(scene.heldout_frames)
     frames: Iterable[np.ndarray] = (scene.heldout_frame(i) if i in heldout else scene.frame(i) for i in range(scene.num_frames))
-    write_mp4(path, frames, float(scene.info["source_fps"]), crf=CRF)
+    write_mp4(path, frames, float(scene.info.source_fps), crf=CRF)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from flowsplat.priors.continuity import Continuity
@@ -50,9 +52,9 @@ def identify_movers(scene: Scene) -> int:
         highest = paint(clip, owners, motion, write, highest)
     how = scene.prior("masks")
     if how is not None:
-        how["objects"] = highest
+        counted: dict[str, Any] = {"objects": highest}
         if how.get("method") == "motion" and "share" in how:
             count = len(large_movers(scene))
-            how["verdict"] = f"{moving_objects(count, highest - count)} on {how['share']:.1%} of the picture"
-        scene.save_info()
+            counted["verdict"] = f"{moving_objects(count, highest - count)} on {how['share']:.1%} of the picture"
+        scene.amend_prior("masks", **counted)
     return highest

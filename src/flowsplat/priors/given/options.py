@@ -1,0 +1,57 @@
+"""Which files of the user's take the place of what would be computed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class GivenPriors:
+    """Files that replace what would be computed, for the frames of the clip in their order. What each file is shows in its
+    layout. Pictures may have another size than the frames, but not another shape."""
+
+    cameras: Path | None = None
+    """Our JSON list (one camera a frame: viewmat [4, 4] world to camera with OpenCV axes, K [3, 3], width, height), or the
+    cameras of nerfstudio (transforms.json), COLMAP (a sparse model), MegaSaM (.npz) or DROID-SLAM (droid_recon .npy)."""
+    depth: Path | None = None
+    """A folder of 00000.npy ... [H, W], planar depth for every training frame, in the units of the cameras where these are given;
+    or the depth of MegaSaM (.npz), Shape of Motion (aligned_depth_anything) or MoSca. It is fitted to cameras that are not its
+    own."""
+    masks: Path | None = None
+    """A folder of pictures, 00000.png ... or one a frame: object numbers or colours, black = background. Masks of held-out
+    frames are kept for the evaluation."""
+    flow: Path | None = None
+    """A folder of 00000_00001.npz (as in a scene folder), .flo or KITTI .png, in pixels, both ways between consecutive
+    training frames; or the flow of MegaSaM (cache_flow) or MoSca (flow_raft), of which missing pairs are computed."""
+    tracks: Path | None = None
+    """Tracks of TAPIR or BootsTAPIR, CoTracker, or MoSca: a folder of .npy, or .npz files."""
+    tracks_size: tuple[int, int] | None = None
+    """Width and height of the pictures in which the given tracks were made, where it is not that of the frames."""
+    allow_pickle: bool = False
+    """Read pickled files (DROID-SLAM's droid_recon), which can run any code: only for files that you trust."""
+
+    @staticmethod
+    def names() -> list[str]:
+        """The priors that files can be given for, in the order in which they are read."""
+        return [each.name for each in fields(GivenPriors) if each.name not in _HOW_TO_READ]
+
+    @property
+    def named(self) -> dict[str, Path]:
+        """The files that are named, by the prior that they replace, in the order in which they are read."""
+        return {name: path for name in self.names() if (path := getattr(self, name)) is not None}
+
+    def files(self) -> list[tuple[str, Path]]:
+        """All files that are named, or lie in folders that are named, with names that do not depend on where they lie."""
+        found = []
+        for name, path in self.named.items():
+            if path.is_dir():
+                inside = sorted(file for file in path.rglob("*") if file.is_file() and not file.name.startswith("."))
+                found += [(f"{name}/{file.relative_to(path).as_posix()}", file) for file in inside]
+            elif path.exists():
+                found.append((name, path))
+        return found
+
+
+_HOW_TO_READ = ("tracks_size", "allow_pickle")
+"""Settings that are no files."""

@@ -1,0 +1,70 @@
+"""Cameras: structure from motion, the user's, or true ones."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+
+from flowsplat.common.errors import InputError
+from flowsplat.priors.cameras import CameraOptions, camera_stage
+from flowsplat.priors.cameras.stage import OWN, require_lens_in_pictures, straightens
+from flowsplat.priors.given.cameras import read_cameras
+from flowsplat.priors.given.fitting import verdict_of
+from flowsplat.priors.prior import GIVEN, Kind, Request
+from flowsplat.scenes import Scene
+from flowsplat.scenes.layers import Layers
+
+MAKER = "maker of the cameras"
+"""Key of ``Request.memory``: whose the given cameras are."""
+
+
+def _differs(request: Request, asked: str | None) -> bool:
+    """Whether our own cameras are there, but were computed with other settings than those that differ from the defaults.
+
+    Given, true or calibrated cameras are not replaced: the options say how cameras are computed, and not whether.
+    """
+    if asked is not None or request.method("cameras") != OWN:
+        return False
+    used, usual = (request.scene.prior("cameras") or {}).get("options", {}), asdict(CameraOptions())
+    return any(value not in (usual[name], used.get(name)) for name, value in asdict(request.options.cameras).items())
+
+
+def _check_renewal(request: Request, stale: Collection[str]) -> None:
+    """Refuse to replace cameras under what was made for them and stays."""
+    method = request.method("depth")
+    if method is not None and "depth" not in stale:
+        raise InputError(
+            f"The depth of {request.scene.name} ({method}) belongs to the cameras that are there, and these options would not make "
+            "it anew: start from the clip, or leave out what asks for other cameras."
+        )
+    if straightens(request.scene, request.options.cameras):
+        require_lens_in_pictures(request.scene, stale)
+
+
+def _read_true(scene: Scene, truth: Layers) -> bool:
+    scene.write_cameras(truth.cameras)
+    return True
+
+
+def _read_given(request: Request, path: Path) -> None:
+    cameras, maker = read_cameras(path, request.scene, request.options.given.allow_pickle)
+    request.scene.write_cameras(cameras)
+    request.scene.finish_prior("cameras", method=GIVEN, verdict=verdict_of(path, maker))
+    request.memory[MAKER] = maker
+
+
+CAMERAS = Kind(
+    compute=lambda request: partial(camera_stage, request.scene, request.options.cameras),
+    options=("cameras",),
+    files=("cameras.json",),
+    own=(OWN,),
+    differs=_differs,
+    check_renewal=_check_renewal,
+    replaces_pictures=lambda request: straightens(request.scene, request.options.cameras),
+    overwrites=True,
+    read_true=_read_true,
+    asks_truth=lambda request: True,
+    read_given=_read_given,
+)

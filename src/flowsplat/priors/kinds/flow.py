@@ -1,0 +1,76 @@
+"""Optical flow: of whole pictures, and once more inside what moves."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+from flowsplat.priors.flow import FlowEstimator, dis_estimator, flow_stage
+from flowsplat.priors.given import consecutive_pairs
+from flowsplat.priors.given.fitting import verdict_of
+from flowsplat.priors.given.flow import read_flow
+from flowsplat.priors.learned.weights import network_device
+from flowsplat.priors.mover_flow import mover_flow_stage
+from flowsplat.priors.options import PriorsOptions
+from flowsplat.priors.prior import GIVEN, TRUTH, Kind, Request
+from flowsplat.scenes import Scene
+from flowsplat.scenes.layers import Layers
+
+OWN = "dis"
+
+
+def flow_estimator(options: PriorsOptions, device: str) -> FlowEstimator:
+    """What finds flow under these options.
+
+    Raises:
+        InputError: a network is not there.
+    """
+    if options.flow == OWN:
+        return dis_estimator
+    from flowsplat.priors.learned.raft import raft_estimator
+
+    return raft_estimator(options.models.raft, network_device(device))
+
+
+def _asked(request: Request) -> str | None:
+    """A network, unless the flow is true and is to be: the truth may lack flow, so nothing else asks for it."""
+    is_true = request.wants_truth and request.method("flow") == TRUTH
+    return None if request.options.flow == OWN or is_true else request.options.flow
+
+
+def _read_true(scene: Scene, truth: Layers) -> bool:
+    """Pairs that the truth does not have (across a held-out frame) are left to the flow stage."""
+    known, wanted = set(truth.flow_pairs), consecutive_pairs(scene)
+    for pair in wanted:
+        if pair in known:
+            scene.write_flow(truth.flow(*pair))
+    return known.issuperset(wanted)
+
+
+def _read_given(request: Request, path: Path) -> None:
+    """Pairs that the files do not have are left to the flow stage."""
+    flows, maker = read_flow(path, request.scene)
+    for flow in flows:
+        request.scene.write_flow(flow)
+    if len(flows) == len(consecutive_pairs(request.scene)):
+        request.scene.finish_prior("flow", method=GIVEN, verdict=verdict_of(path, maker))
+
+
+FLOW = Kind(
+    compute=lambda request: partial(flow_stage, request.scene, request.options.flow, request.estimate),
+    options=("flow", "models"),
+    files=("flow",),
+    own=(OWN,),
+    asked=_asked,
+    finds_flow=True,
+    read_true=_read_true,
+    read_given=_read_given,
+)
+
+
+def _lacks_movers(request: Request) -> bool:
+    flow = request.scene.prior("flow") or {}
+    return flow.get("method") == OWN and not flow.get("movers")
+
+
+MOVER_FLOW = Kind(compute=lambda request: partial(mover_flow_stage, request.scene), is_due=_lacks_movers)

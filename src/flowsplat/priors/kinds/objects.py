@@ -1,0 +1,49 @@
+"""Movers: how each moves and how far away it is. A step of depth of our own; other depth knows where movers are."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+from flowsplat.common.errors import InputError
+from flowsplat.priors.kinds.static_depth import STATIC, computes_own_depth, has_masks
+from flowsplat.priors.objects import objects_stage
+from flowsplat.priors.prior import Kind, Request, Stage
+
+
+def _compute(request: Request) -> Stage:
+    return lambda: objects_stage(request.scene, request.estimate, request.memory[STATIC], request.hints)
+
+
+def _is_due(request: Request) -> bool:
+    """Not where depth is half done: that belongs to the objects that were found for it."""
+    scene = request.scene
+    if not (computes_own_depth(request) and has_masks(scene) and scene.has_tracks):
+        return False
+    fits = scene.prior("objects") is not None and (not request.hints or _has_hints(request))
+    return not (fits and any(scene.has_depth(i) for i in scene.train_frames))
+
+
+def _has_hints(request: Request) -> bool:
+    """Whether the movers that are there were placed with these hints."""
+    return (request.scene.prior("objects") or {}).get("hints", []) == [hint.text for hint in request.hints]
+
+
+def _differs(request: Request, asked: str | None) -> bool:
+    return bool(request.hints) and request.method("depth") is not None and not _has_hints(request)
+
+
+def _check_renewal(request: Request, stale: Collection[str]) -> None:
+    if "depth" not in stale:
+        depth = request.method("depth")
+        raise InputError(f"The scene has depth already ({depth}), in which --touch and --distance place nothing.")
+
+
+OBJECTS = Kind(
+    compute=_compute,
+    options=("touch", "distance"),
+    files=("objects.json", "objects.npz"),
+    own=("motion",),
+    differs=_differs,
+    check_renewal=_check_renewal,
+    is_due=_is_due,
+)
