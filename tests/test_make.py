@@ -13,6 +13,7 @@ import pytest
 from _pytest.mark.expression import Expression
 
 from tests import run
+from tests.marks import slow
 from tests.run import GROUPS, NOTHING, ROOT, Group, Run, Tally, code_of
 
 A_FEW = """
@@ -82,7 +83,7 @@ def measured(folder: Path, group: Group, *, everything: bool, tests: str = A_FEW
     return code, tally
 
 
-@pytest.mark.parametrize("workers", [False, True])
+@pytest.mark.parametrize("workers", [slow(False), True])
 def test_every_test_is_counted_once(tmp_path, workers):
     group = GROUPS[0] if workers else Group("alone", GROUPS[0].marked)
     code, tally = measured(tmp_path, group, everything=True)
@@ -145,7 +146,7 @@ def test_what_fails_is_shown(capfd):
     assert "\nwell" not in f"\n{told}"
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, slow(signal.SIGTERM)])
 def test_asked_to_stop_it_ends_what_it_began(tmp_path, number):
     waits = f"import time; open({str(tmp_path / 'began')!r}, 'w').close(); time.sleep(60)"
     code = f"from tests import run; run.CHECKS = {{'waits': ['python', '-c', {waits!r}]}}; run._PATIENCE = 1.0; exit(run.main())"

@@ -20,12 +20,13 @@ from tests.gaussians.test_gaussians import FROZEN, random_model
 pytest.importorskip("triton", reason="Triton is not installed")
 from flowsplat.gaussians.cuda_graph import FixedRenderer
 from flowsplat.gaussians.culling import capacity
+from tests.marks import slow
 
 DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
 SIZE = 40, 24
 
 
-@pytest.mark.parametrize(("with_flow", "eps2d"), [(False, EPS2D), (True, EPS2D), (False, 30.0)])
+@pytest.mark.parametrize(("with_flow", "eps2d"), [slow(False, EPS2D), (True, EPS2D), (False, 30.0)])
 def test_frames_are_those_of_the_ordinary_way_whatever_came_before(with_flow, eps2d, monkeypatch):
     monkeypatch.setattr(capacity, "GRANULE", 8)
     gaussians = random_model(40, replace(FROZEN, freeze_background=True))

@@ -14,6 +14,7 @@ import pytest
 from flowsplat.cli import main
 from flowsplat.pipeline import prepare, run
 from flowsplat.training.trainer import Trainer
+from tests.marks import slow
 from tests.shared import small_config
 
 
@@ -27,7 +28,7 @@ def signals_as_usual():
         signal.signal(number, handler)
 
 
-@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+@pytest.mark.parametrize("name", ["SIGINT", slow("SIGTERM"), slow("SIGHUP")])
 def test_a_signal_keeps_what_was_done(tiny_scene, finished, tmp_path, monkeypatch, capsys, name):
     out, number, iterate = tmp_path / "out", getattr(signal, name), Trainer._iterate
     before = signal.getsignal(number)

@@ -134,6 +134,7 @@ def test_a_static_camera_with_a_mover(tmp_path):
     assert "1 moving object on" in scene.prior("masks")["verdict"]
 
 
+@pytest.mark.slow
 def test_a_mover_on_70_percent_of_the_picture(tmp_path):
     world, camera = World([*ROOM, (-1.4, -0.78, 1.4, 0.78, 3.0)], width=320), camera_at(size=(320, 180))
     shifts = [(0.05 * np.sin(0.9 * i), 0.03 * np.cos(0.7 * i), 0.05 * np.sin(0.5 * i)) for i in range(8)]

@@ -89,7 +89,7 @@ def test_steps_lead_where_those_of_the_cpu_lead(by_triton):
         close(ours.params[name].cpu() - first[name], value - first[name], name, 0.02)  # Adam's first steps are signs
 
 
-@pytest.mark.parametrize("flow_model", ["displacement", "affine"])
+@pytest.mark.parametrize("flow_model", ["displacement", slow("affine")])
 def test_every_kernel_of_a_step_is_launched_on_the_device_of_its_tensors(flow_model, by_triton, monkeypatch):
     """Not on the one that happens to be the current one. The interpreter knows no devices, so the guard is counted instead."""
     runs = type(_squares)
@@ -175,7 +175,7 @@ def test_padding_changes_nothing_and_where_there_are_too_few_rows_there_are_more
             assert torch.equal(state[name], value), name
 
 
-@pytest.mark.parametrize("resting", [True, False])
+@pytest.mark.parametrize("resting", [slow(True), False])
 def test_a_frame_without_moving_gaussians_or_without_any(resting, by_triton):
     config = tiny("default")
     observations = seen(a_few(config))

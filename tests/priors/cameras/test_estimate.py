@@ -6,10 +6,11 @@ import pytest
 from flowsplat.geometry.similarity import path_errors
 from flowsplat.priors.cameras.estimate import estimate
 from flowsplat.priors.cameras.pieces import find_breaks
+from tests.marks import slow
 from tests.priors.cameras.worlds import FOCAL, HEIGHT, WIDTH, cameras_of, observed, path, world
 
 
-@pytest.mark.parametrize(("movers", "solver"), [(0, "own"), (120, "own"), (120, "global")])
+@pytest.mark.parametrize(("movers", "solver"), [slow(0, "own"), slow(120, "own"), (120, "global")])
 def test_a_moving_camera_is_recovered_although_some_points_move(movers, solver):
     cameras, rng = path(24), np.random.default_rng(7)
     points = np.repeat(world(400)[None], 24, 0)

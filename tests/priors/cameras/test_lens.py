@@ -7,10 +7,11 @@ import pytest
 from flowsplat.geometry.similarity import path_errors
 from flowsplat.priors.cameras.lens import Lens, find_lens
 from flowsplat.priors.cameras.solvers import solve
+from tests.marks import slow
 from tests.priors.cameras.worlds import FOCAL, HEIGHT, WIDTH, bend, cameras_of, observed, path, world
 
 
-@pytest.mark.parametrize(("distortion", "travel"), [(-0.2, 1.5), (0.12, 1.5), (-0.25, 0.0)])
+@pytest.mark.parametrize(("distortion", "travel"), [(-0.2, 1.5), slow(0.12, 1.5), slow(-0.25, 0.0)])
 def test_a_known_distortion_is_recovered(distortion, travel):
     cameras = path(16, travel)
     positions = bend(observed(cameras, world(400), 0.1), distortion)

@@ -18,7 +18,7 @@ pytest.importorskip("triton", reason="Triton is not installed")
 from flowsplat.splatting.triton import tiles
 
 DEVICE = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-WIDTH, HEIGHT = 40, 28
+WIDTH, HEIGHT = 30, 20
 
 
 @dataclass
