@@ -117,9 +117,13 @@ def test_the_priors_do_not_import_each_other_in_circles(package, others):
 
 
 def files_at_import(path: Path) -> set[Path]:
-    """Files of the package that importing this one imports, those under TYPE_CHECKING among them; not what its functions import."""
+    """Files of the package that importing this one imports, those under TYPE_CHECKING among them; not what its functions import.
+
+    What the package as a whole offers (its ``__init__``) is named there for type checkers only.
+    """
     body = list(ast.parse(path.read_text(encoding="utf-8")).body)
-    body += [inner for node in body if isinstance(node, ast.If) for inner in node.body]
+    if path != PACKAGE / "__init__.py":
+        body += [inner for node in body if isinstance(node, ast.If) for inner in node.body]
     names = []
     for node in body:
         if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "flowsplat":

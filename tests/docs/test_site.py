@@ -89,7 +89,7 @@ def test_the_site_shows_the_real_help(site, capsys):
 
 def test_the_site_shows_docstrings(site):
     page = (site / "api.html").read_text(encoding="utf-8")
-    for name in ("splatting.api.rasterize", "gaussians.gaussians4d.Gaussians4D", "scenes.scene.Scene", "pipeline.stages.run"):
+    for name in ("splatting.api.rasterize", "gaussians.gaussians4d.Gaussians4D", "scenes.scene.Scene", "pipeline.python_run.run"):
         assert f'id="flowsplat.{name}"' in page
 
 

@@ -65,6 +65,11 @@ class SceneModel:
     fading: CameraPath | None = None
     _drawn_by: dict[tuple[int, int, bool, float], Any] = field(init=False, default_factory=dict, repr=False, compare=False)
 
+    def __repr__(self) -> str:
+        g, moving = self.gaussians, int(self.gaussians.dynamic.sum())
+        seconds = f"{self.first:.3g} to {self.last:.3g} s"
+        return f"SceneModel({len(g):,} Gaussians, {moving:,} of them moving, {seconds}, on {g.device})"
+
     def to(self, device: torch.device | str) -> SceneModel:
         """The same scene on a device, where it is rendered from then on; pictures are arrays as before."""
         return replace(self, gaussians=self.gaussians.to(device))

@@ -48,6 +48,18 @@ class Rendering:
     depth: np.ndarray
     flow: np.ndarray | None
 
+    def __repr__(self) -> str:
+        height, width = self.alpha.shape
+        return f"Rendering({width}x{height}{', with flow' if self.flow is not None else ''})"
+
+    def _repr_png_(self) -> bytes:
+        """The colours, for notebooks."""
+        import cv2  # which rendering alone does not need
+
+        pixels = (self.colour.clip(0, 1) * 255).round().astype(np.uint8)
+        encoded: np.ndarray = cv2.imencode(".png", np.ascontiguousarray(pixels[..., ::-1]))[1]
+        return encoded.tobytes()
+
 
 class Renderer(Protocol):
     """Anything that can show a 4D scene."""
