@@ -1,31 +1,19 @@
-"""Camera paths of random worlds."""
+"""How a camera of a drawn world looks and moves."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from flowsplat.scenes.synthetic.worlds.parts import UP, Mover
+from flowsplat.scenes.synthetic.worlds.parts import UP
 
 CameraKind = Literal["arc", "walking", "shaking", "following", "still"]
 
-CAMERAS: tuple[CameraKind, ...] = ("arc", "walking", "shaking", "following", "still")
-
 Views = tuple[np.ndarray, np.ndarray]
 """Centres [T, 3], and rotations [T, 3, 3] from the world to the cameras."""
-
-
-@dataclass(frozen=True)
-class Stand:
-    """Where a camera is in the middle of the clip: ``place`` [3], the point it looks at [3], and its roll in radians."""
-
-    place: np.ndarray
-    target: np.ndarray
-    roll: float
 
 
 def look(places: np.ndarray, targets: np.ndarray, roll: np.ndarray | float, turns: np.ndarray | None = None) -> Views:
@@ -47,78 +35,3 @@ def waves(rng: np.random.Generator, low: float, high: float, count: int = 4) -> 
     weights = 1 / rates
     weights = weights * np.sqrt(2 / (weights**2).sum(0))
     return lambda times: np.asarray((weights * np.sin(rates * times[:, None, None] + phases)).sum(1))
-
-
-def draw_path(
-    rng: np.random.Generator, kind: CameraKind, stand: Stand, distance: float, duration: float, leader: Mover
-) -> Callable[[np.ndarray], Views]:
-    """A random path of a kind.
-
-    Args:
-        distance: metres to what is nearest of what matters.
-        leader: the mover that ``following`` follows.
-    """
-    middle, target = stand.place, stand.target
-    ahead = target - middle
-    ahead = ahead * [1, 1, 0] / np.linalg.norm(ahead[:2])
-    right = np.cross(ahead, UP)
-    jitter, tremble = waves(rng, 1.0, 5.0), waves(rng, 1.0, 6.0)
-    sign = rng.choice([-1.0, 1.0])
-    if kind == "arc":
-        sweep, rises = sign * np.radians(rng.uniform(8, 28)), rng.uniform(-0.08, 0.08) * distance
-        reach = np.linalg.norm((target - middle)[:2])
-        # Not about the target but a point nearer, so that far targets do not make it run.
-        pivot = middle + min(reach, 8.0) * ahead
-
-        def arc(times: np.ndarray) -> Views:
-            w = times / duration - 0.5
-            turned = np.asarray(Rotation.from_rotvec(UP * (sweep * w)[:, None]).apply(middle - pivot))
-            return look(pivot + turned + rises * w[:, None] * UP, np.broadcast_to(target, turned.shape), stand.roll)
-
-        return arc
-    if kind == "walking":
-        speed = rng.uniform(0.6, 1.4)
-        # Not more than a quarter of the way to what is nearest.
-        angle = rng.uniform(0, 2 * np.pi)
-        towards = np.cos(angle) * ahead + np.sin(angle) * right
-        speed = min(speed, 0.25 * distance / duration / max(abs(np.cos(angle)), 0.2))
-        bob, sway, phase = rng.uniform(0.015, 0.035), rng.uniform(0.01, 0.025), rng.uniform(0, 2 * np.pi)
-        rate = 2 * np.pi * rng.uniform(1.7, 2.1)
-        gaze = rng.uniform(0, 0.8)
-
-        def walking(times: np.ndarray) -> Views:
-            went = (speed * (times - duration / 2))[:, None] * towards
-            places = middle + went + (bob * np.sin(rate * times + phase))[:, None] * UP
-            places = places + (sway * np.sin(0.5 * rate * times + phase))[:, None] * right
-            turns = np.radians(0.25) * tremble(times)
-            turns[:, 2] += np.radians(0.5) * np.sin(0.5 * rate * times + phase)
-            return look(places, target + gaze * went, stand.roll, turns)
-
-        return walking
-    if kind == "shaking":
-        drift = rng.uniform(0, 0.12) * (np.cos(a := rng.uniform(0, 2 * np.pi)) * ahead + np.sin(a) * right)
-        strong, shift = np.radians(rng.uniform(0.25, 0.9)), rng.uniform(0.008, 0.03)
-
-        def shaking(times: np.ndarray) -> Views:
-            places = middle + (times - duration / 2)[:, None] * drift + shift * jitter(times)
-            return look(places, np.broadcast_to(target, places.shape), stand.roll, strong * tremble(times))
-
-        return shaking
-    if kind == "following":
-        share = rng.uniform(0.4, 1.0)
-        # What swings or flaps is followed only as far as it travels.
-        ends = leader.centre(np.array([0.0, duration]))
-        travel = (ends[1] - ends[0]) * [1, 1, 0] / duration
-
-        def following(times: np.ndarray) -> Views:
-            went = (times - duration / 2)[:, None] * travel
-            places = middle + share * went + 0.006 * jitter(times)
-            return look(places, target + 0.9 * went, stand.roll, np.radians(0.15) * tremble(times))
-
-        return following
-
-    def fixed(times: np.ndarray) -> Views:
-        ones = np.ones((len(times), 1))
-        return look(middle * ones, target * ones, stand.roll)
-
-    return fixed
