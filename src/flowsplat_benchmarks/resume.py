@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -138,7 +138,12 @@ def _measured(job: Job, out: Path, again: bool, attempt: Attempt) -> Mapping[str
     return {}
 
 
+def results_at(paths: Iterable[Path]) -> list[dict[str, Any]]:
+    """The figures in those of the files that are there, in order."""
+    return [read_json(path) for path in paths if path.exists()]
+
+
 def results_in(protocol: str, out: Path) -> list[dict[str, Any]]:
     """The figures of a protocol that are in a folder, by name."""
-    found = [read_json(path) for path in sorted(out.glob("[!.]*.json"))]
+    found: list[Any] = [*results_at(sorted(out.glob("[!.]*.json")))]
     return [value for value in found if isinstance(value, dict) and value.get("protocol") == protocol]

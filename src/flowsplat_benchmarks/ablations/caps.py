@@ -10,12 +10,12 @@ from markupsafe import Markup
 from flowsplat.common.errors import InputError
 from flowsplat.evaluation.scores import mean_of
 from flowsplat.pictures.charts import MOST_SERIES, Points, line_chart
-from flowsplat_benchmarks.ablations.page import Section, how_measured, scene_names, write_ablation_page
+from flowsplat_benchmarks.ablations.page import how_measured, scene_names, write_ablation_report
 from flowsplat_benchmarks.ablations.scenes import ablation_scenes, chosen_scenes
-from flowsplat_benchmarks.ablations.training_runs import Result, comparable, training_runs
+from flowsplat_benchmarks.ablations.training_runs import comparable, training_runs
 from flowsplat_benchmarks.ablations.variants import Variant
 from flowsplat_benchmarks.resume import BenchmarkOptions, measure_jobs, results_in
-from flowsplat_benchmarks.tables import Table, text
+from flowsplat_benchmarks.tables import Chart, Column, Result, Table
 
 PROTOCOL = "caps"
 SCENES = ("bear", "train")
@@ -36,8 +36,12 @@ REMARKS = (
     "The first Gaussians are placed as far apart as the cap asks, and are as much larger; their number falls a little while "
     "those that no camera sees are removed.",
 )
-COLUMNS = {"psnr": "PSNR", "moving": "PSNR of movers", "ssim": "SSIM", "training_psnr": "PSNR of training frames"}
-DIGITS = {"ssim": 3}
+COLUMNS = (
+    Column("PSNR", ("psnr",), 2), Column("PSNR of movers", ("moving",), 2), Column("SSIM", ("ssim",), 3),
+    Column("PSNR of training frames", ("training_psnr",), 2), Column("Gaussians at the end", ("gaussians", "total"), 0),
+    Column("active, mean", ("gaussians", "active_mean"), 0), Column("seconds of training", ("seconds", "train"), 0),
+    Column("peak memory, GiB", ("peak_memory_gib",), 1),
+)  # fmt: skip
 
 
 def capped(cap: int, steps: int) -> Variant:
@@ -104,18 +108,17 @@ def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str]
         ("cap", "iterations", ITERATIONS, "Gaussians", "Gaussians at most"),
         ("iterations", "cap", CAP, "frame-steps", "frame-steps"),
     )
-    sections = []
+    tables = []
     for axis, fixed, value, name, label in plans:
         chosen = [result for result in results if result[fixed] == value]
         if len({result[axis] for result in chosen}) > 1:
             scenes = scene_names(chosen)
             more = f" The picture shows {MOST_SERIES} of {len(scenes)} scenes." if len(scenes) > MOST_SERIES else ""
             note = f"Each with {value:,} {'frame-steps' if fixed == 'iterations' else 'Gaussians at most'}. Means over seeds.{more}"
-            table = _table(f"PSNR against {name}", note, label, axis, chosen)
-            sections.append(Section(axis, table, _chart(table.title, label, axis, chosen)))
+            tables.append(_table(f"PSNR against {name}", note, label, axis, chosen))
     verdict = f"Runs measured: {len(results)}."
     remarks = [*REMARKS, how_measured(results)] if results else []
-    return write_ablation_page(out, PROTOCOL, "Gaussians and steps", verdict, remarks, sections, failed, others)
+    return write_ablation_report(out, PROTOCOL, "Gaussians and steps", verdict, remarks, tables, failed, others)
 
 
 def _mean(results: Sequence[Result], scene: str, axis: str, value: int, figure: str) -> float | None:
@@ -137,9 +140,6 @@ def _table(title: str, note: str, label: str, axis: str, results: Sequence[Resul
     for scene, name in scene_names(results).items():
         for value in sorted({result[axis] for result in results if result["scene"] == scene}):
             group = [result for result in results if result["scene"] == scene and result[axis] == value]
-            figures = [text(mean_of(result[key] for result in group), DIGITS.get(key, 2)) for key in COLUMNS]
-            total, active = (mean_of(result["gaussians"][key] for result in group) for key in ("total", "active_mean"))
-            seconds, memory = mean_of(r["seconds"]["train"] for r in group), mean_of(r["peak_memory_gib"] for r in group)
-            rows.append((name, f"{value:,}", *figures, text(total, 0), text(active, 0), text(seconds, 0), text(memory, 1)))
-    header = ("scene", label, *COLUMNS.values(), "Gaussians at the end", "active, mean", "seconds of training", "peak memory, GiB")
-    return Table(title, note, header, rows)
+            rows.append((name, f"{value:,}", *(column.cell(*group) for column in COLUMNS)))
+    header = ("scene", label, *(column.header for column in COLUMNS))
+    return Table(title, note, header, rows, chart=Chart(f"{PROTOCOL}_{axis}.svg", _chart(title, label, axis, results)))

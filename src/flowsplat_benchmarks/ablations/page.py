@@ -1,47 +1,19 @@
-"""The page of an ablation: tables with a picture under each, as HTML, as Markdown, and the pictures as files."""
+"""What the reports of the ablations and of the caps have in common: how they name scenes, and what they say of the runs."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
-from markupsafe import Markup
-
-from flowsplat.common.files import write_text
-from flowsplat.output.page import write_page
-from flowsplat.pictures.charts import svg_file
-from flowsplat.pictures.html import table
-from flowsplat_benchmarks.ablations.training_runs import Result
-from flowsplat_benchmarks.tables import TUNED_MARK, Table, made_by, markdown
+from flowsplat_benchmarks.reports import Report, failures
+from flowsplat_benchmarks.tables import Result, Table, label, made_by, plain
 
 
-@dataclass(frozen=True)
-class Section:
-    """A table and the drawing that belongs to it.
-
-    Attributes:
-        name: short, for the file of the drawing.
-        table: its texts.
-        chart: an SVG drawing.
-    """
-
-    name: str
-    table: Table
-    chart: Markup
-
-
-def write_ablation_page(
-    out: Path,
-    name: str,
-    title: str,
-    verdict: str,
-    remarks: Sequence[str],
-    sections: Sequence[Section],
-    failed: Mapping[str, str],
+def write_ablation_report(
+    out: Path, name: str, title: str, verdict: str, remarks: Sequence[str], tables: Sequence[Table], failed: Mapping[str, str],
     others: int = 0,
-) -> Path:
-    """Write ``OUT/<name>.md``, ``.html`` and a ``<name>_<section>.svg`` for every section, and return the path of the page.
+) -> Path:  # fmt: skip
+    """Write ``OUT/<name>.md``, ``.html`` and the charts of the tables, and return the path of the page.
 
     Args:
         verdict: the result in a sentence.
@@ -53,27 +25,14 @@ def write_ablation_page(
     """
     if others:
         remarks = [*remarks, f"Results in this folder that have other settings or scenes, and are left out here: {others}."]
-    remarks = [verdict, *remarks, *(f"{run} could not be run: {reason}" for run, reason in failed.items())]
-    pictures = {section.table.title: out / f"{name}_{section.name}.svg" for section in sections}
-    for section in sections:
-        write_text(pictures[section.table.title], svg_file(section.chart))
-    write_text(out / f"{name}.md", markdown(title, remarks, [section.table for section in sections], pictures))
-    page = out / f"{name}.html"
-    shown = [
-        {
-            "title": section.table.title, "note": section.table.note, "chart": section.chart,
-            "table": table(section.table.header, section.table.rows, section.table.strong),
-        }
-        for section in sections
-    ]  # fmt: skip
-    write_page(page, "ablations.html.jinja", title=title, verdict=verdict, remarks=remarks[1:], sections=shown)
-    return page
+    remarks = [*remarks, *failures(failed)]
+    return Report(name, title, verdict, remarks, tables, template="ablations.html.jinja", verdict_is_remark=True).write(out)
 
 
 def scene_names(results: Sequence[Result]) -> dict[str, str]:
     """The scenes of some results, with what to call them."""
     found = {result["scene"]: result for result in results}
-    return {name: f"{name}, {TUNED_MARK.strip('*')}" if result["tuned"] else name for name, result in sorted(found.items())}
+    return {name: plain(label(result)) for name, result in sorted(found.items())}
 
 
 def how_measured(results: Sequence[Result]) -> str:

@@ -10,11 +10,11 @@ from flowsplat.evaluation.scores import mean_of
 from flowsplat.pictures.charts import bar_chart
 from flowsplat.pictures.html import NOTHING
 from flowsplat_benchmarks.ablations.claims import CLAIMS, TITLES, Claim, Group
-from flowsplat_benchmarks.ablations.page import Section, how_measured, scene_names, write_ablation_page
-from flowsplat_benchmarks.ablations.training_runs import Result, by_run
+from flowsplat_benchmarks.ablations.page import how_measured, scene_names, write_ablation_report
+from flowsplat_benchmarks.ablations.training_runs import by_run
 from flowsplat_benchmarks.ablations.variants import Variant
 from flowsplat_benchmarks.ablations.verdicts import EVEN, Effect, Verdict, counts, effect, verdict
-from flowsplat_benchmarks.tables import Table, scaled_mean, text
+from flowsplat_benchmarks.tables import Chart, Result, Table, scaled_mean, text
 
 TITLE = "Ablations"
 REMARKS = (
@@ -40,13 +40,13 @@ def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str]
     Raises:
         InputError: the folder cannot be written.
     """
-    sections = [section for group in TITLES if (section := _section(group, results)) is not None]
+    tables = [table for group in TITLES if (table := _table(group, results)) is not None]
     verdicts = [judged.verdict for claim in CLAIMS if (judged := judge(claim, results)) is not None]
     seeds = sorted({result["seed"] for result in results})
     steps = ", ".join(f"{count:,}" for count in sorted({result["iterations"] for result in results}))
     remarks = [*REMARKS, how_measured(results), f"Seeds {', '.join(map(str, seeds))}; {steps} frame-steps."] if results else []
     said = f"{len(verdicts)} rows: {counts(verdicts)}." if verdicts else "Nothing is measured yet."
-    return write_ablation_page(out, "ablations", TITLE, said, remarks, sections, failed, others)
+    return write_ablation_report(out, "ablations", TITLE, said, remarks, tables, failed, others)
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ def _effect(claim: Claim, results: Sequence[Result], figure: str) -> Effect | No
     return effect(by_run(results, claim.variant.name, (figure,)), by_run(results, claim.base.name, (figure,)))
 
 
-def _section(group: Group, results: Sequence[Result]) -> Section | None:
+def _table(group: Group, results: Sequence[Result]) -> Table | None:
     judged = [found for claim in CLAIMS if claim.group == group and (found := judge(claim, results)) is not None]
     if not judged:
         return None
@@ -111,7 +111,7 @@ def _section(group: Group, results: Sequence[Result]) -> Section | None:
         x_label="difference in PSNR, dB",
         spreads={found.claim.variant.label: found.psnr.spread for found in judged if found.psnr.spread is not None},
     )
-    return Section(group, Table(TITLES[group], note, header, rows, (0,)), chart)
+    return Table(TITLES[group], note, header, rows, (0,), Chart(f"ablations_{group}.svg", chart))
 
 
 def _base_row(base: Variant, scenes: Mapping[str, str], results: Sequence[Result]) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -29,9 +29,7 @@ from flowsplat_benchmarks.ablations.scenes import AblationScene
 from flowsplat_benchmarks.ablations.variants import Variant
 from flowsplat_benchmarks.ablations.verdicts import Run
 from flowsplat_benchmarks.resume import Job
-
-Result = Mapping[str, Any]
-"""The JSON of a run (``measure``)."""
+from flowsplat_benchmarks.tables import Result
 
 
 @dataclass(frozen=True)

@@ -6,13 +6,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from flowsplat.common.files import write_text
-from flowsplat.output.page import fitted, write_page
-from flowsplat.pictures.html import picture, table
 from flowsplat.scenes.layers import read_image
 from flowsplat_benchmarks.datasets.cases import ProtocolName
-from flowsplat_benchmarks.datasets.tables import Result, tables
-from flowsplat_benchmarks.tables import TUNED_MARK, Table, label, made_by, markdown
+from flowsplat_benchmarks.datasets.tables import tables
+from flowsplat_benchmarks.reports import Report, failures, runs_measured, scene_section
+from flowsplat_benchmarks.tables import Result, label, made_by, plain
 
 TITLES = {"davis": "DAVIS", "rig": "Rendered scenes with truth", "nvidia": "NVIDIA Dynamic Scenes"}
 RULES = {
@@ -31,8 +29,6 @@ RULES = {
 }
 MARKS = "Scenes on which settings were chosen are marked tuned. Predictions without a model stand beside ours, from the same runs."
 STRIP = ".png"
-WIDEST = 1600
-"""Pixels of a strip in the page, at most."""
 
 
 def write_report(protocol: ProtocolName, out: Path, results: Sequence[Result], failed: Mapping[str, str]) -> Path:
@@ -48,35 +44,16 @@ def write_report(protocol: ProtocolName, out: Path, results: Sequence[Result], f
     remarks = [RULES[protocol], MARKS]
     remarks += [made_by(results)] if results else []
     remarks += sorted({str(result["lpips_reason"]) for result in results if result["lpips_reason"]})
-    remarks += [f"{name} could not be run: {reason}" for name, reason in failed.items()]
-    found = tables(protocol, results)
-    write_text(out / f"{protocol}.md", markdown(TITLES[protocol], remarks, found))
-    page = out / f"{protocol}.html"
-    write_page(
-        page,
-        "protocol.html.jinja",
-        title=TITLES[protocol],
-        verdict=f"Runs measured: {len(results)}" + (f"; that could not be run: {len(failed)}." if failed else "."),
-        remarks=remarks,
-        tables=[_shown(each) for each in found],
-        scenes=[_scene(out, result) for result in results],
-    )
-    return page
-
-
-def _shown(each: Table) -> dict[str, Any]:
-    plain = [[cell.replace(TUNED_MARK, "tuned") for cell in row] for row in (each.header, *each.rows)]
-    return {"title": each.title, "note": each.note, "table": table(plain[0], plain[1:], each.strong)}
+    remarks += failures(failed)
+    scenes = [_scene(out, result) for result in results]
+    verdict = runs_measured(results, failed)
+    return Report(protocol, TITLES[protocol], verdict, remarks, tables(protocol, results), scenes).write(out)
 
 
 def _scene(out: Path, result: Result) -> dict[str, Any]:
     name = str(result["name"])
-    path, report = out / f"{name}{STRIP}", out / name / "report.html"
-    shown = picture(fitted(read_image(path), WIDEST), f"{name}: test pictures") if path.exists() else None
+    path = out / f"{name}{STRIP}"
+    pictures = [(read_image(path), f"{name}: test pictures")] if path.exists() else []
     verdicts = [f"{prior}: {verdict}" for prior, verdict in result["verdicts"].items() if verdict]
-    return {
-        "title": label(result).replace(TUNED_MARK, "tuned"),
-        "facts": "; ".join([result["variant"], result["settings"], *verdicts]),
-        "strip": shown,
-        "page": f"{name}/report.html" if report.exists() else None,
-    }
+    facts = "; ".join([result["variant"], result["settings"], *verdicts])
+    return scene_section(out, plain(label(result)), facts, f"{name}/report.html", pictures)

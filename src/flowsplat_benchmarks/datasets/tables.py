@@ -10,10 +10,7 @@ from typing import Any
 from flowsplat.evaluation.scores import mean_of, pick
 from flowsplat.pictures.html import NOTHING
 from flowsplat_benchmarks.datasets.cases import FORMS
-from flowsplat_benchmarks.tables import Table, label, scaled_mean, text
-
-Result = Mapping[str, Any]
-"""The JSON of a case (``measure.measure_case``)."""
+from flowsplat_benchmarks.tables import Column, Result, Table, label, scaled_mean, text
 
 BASELINES = {
     "copy": "copy of the clip's frame",
@@ -32,7 +29,7 @@ def published() -> dict[str, Any]:
 
 
 def tables(protocol: str, results: Sequence[Result]) -> list[Table]:
-    """All tables of a protocol."""
+    """All tables of a protocol, from the JSON of its cases (``measure.measure_case``)."""
     found = list(_beside_published(protocol, results))
     return [*found, _pictures(results), *_truth(results), _cost(results)] if results else []
 
@@ -172,36 +169,42 @@ def _form_of(result: Result) -> str:
     return FORMS.get(result["form"], "held-out frames" if result["test"]["kind"] == "frames" else "held-out cameras")
 
 
-_ERRORS: tuple[tuple[str, tuple[str, ...], float, int], ...] = (
-    ("flow, mean px", ("flow_epe", "mean"), 1, 3),
-    ("flow, median px", ("flow_epe", "median"), 1, 3),
-    ("flow of movers, mean px", ("flow_epe", "moving", "mean"), 1, 3),
-    ("flow of the prior, mean px", ("prior_flow_epe", "mean"), 1, 3),
-    ("flow of the prior on movers, mean px", ("prior_flow_epe", "moving", "mean"), 1, 3),
-    ("flow against its prior, median px", ("flow_prior_epe", "median"), 1, 3),
-    ("depth of static, mean %", ("depth_abs_rel", "static", "mean"), 100, 2),
-    ("depth of movers, mean %", ("depth_abs_rel", "moving", "mean"), 100, 2),
-    ("tracks on movers, median %", ("tracks", "moving", "median"), 1, 2),
-    ("tracks on movers after 12 frames, median %", ("tracks", "moving", "last"), 1, 2),
-    ("tracks on movers within 5 %, %", ("tracks", "moving", "within_5"), 1, 1),
-    ("tracks on static, median %", ("tracks", "static", "median"), 1, 2),
+_ERRORS = (
+    Column("flow, mean px", ("flow_epe", "mean"), 3),
+    Column("flow, median px", ("flow_epe", "median"), 3),
+    Column("flow of movers, mean px", ("flow_epe", "moving", "mean"), 3),
+    Column("flow of the prior, mean px", ("prior_flow_epe", "mean"), 3),
+    Column("flow of the prior on movers, mean px", ("prior_flow_epe", "moving", "mean"), 3),
+    Column("flow against its prior, median px", ("flow_prior_epe", "median"), 3),
+    Column("depth of static, mean %", ("depth_abs_rel", "static", "mean"), 2, factor=100),
+    Column("depth of movers, mean %", ("depth_abs_rel", "moving", "mean"), 2, factor=100),
+    Column("tracks on movers, median %", ("tracks", "moving", "median"), 2),
+    Column("tracks on movers after 12 frames, median %", ("tracks", "moving", "last"), 2),
+    Column("tracks on movers within 5 %, %", ("tracks", "moving", "within_5"), 1),
+    Column("tracks on static, median %", ("tracks", "static", "median"), 2),
 )
 
 
 def _truth(results: Sequence[Result]) -> Iterator[Table]:
     """How far flow, depth and tracks are from the truth, where there is one; and rendered flow from its prior."""
-    used = [error for error in _ERRORS if any(pick(result, *error[1]) is not None for result in results)]
+    used = [column for column in _ERRORS if column.is_in(results)]
     if not used:
         return
-    rows = [
-        (label(result), _how(result), *(text(scaled_mean([pick(result, *path)], factor), d) for _, path, factor, d in used))
-        for result in results
-    ]
+    rows = [(label(result), _how(result), *(column.cell(result) for column in used)) for result in results]
     note = (
         "Rendered flow and depth on training frames. Tracks: true points are asked for at their pixel and followed through the "
         "model over 12 frames; their distance from the truth is in percent of their depth. Estimated cameras get one scale a clip."
     )
-    yield Table("Flow, depth and tracks", note, ("scene", "run", *(name for name, *_ in used)), rows)
+    yield Table("Flow, depth and tracks", note, ("scene", "run", *(column.header for column in used)), rows)
+
+
+_SIZES = (
+    Column("peak memory, GiB", ("peak_memory_gib",), 2),
+    Column("Gaussians active, mean", ("gaussians", "active_mean"), 0),
+    Column("Gaussians", ("gaussians", "total"), 0),
+    Column("pictures a second", ("pictures_a_second",), 1),
+    Column("PSNR of training frames", ("training_frames", "psnr"), 2),
+)
 
 
 def _cost(results: Sequence[Result]) -> Table:
@@ -213,13 +216,10 @@ def _cost(results: Sequence[Result]) -> Table:
         test = result["test"]
         rows.append((
             label(result), _how(result), f"{result['frames']} of {width}x{height}", f"{test['count']} {test['kind']}", stages,
-            text(sum(value for name, value in seconds.items() if name != "static"), 0), text(result["peak_memory_gib"], 2),
-            text(result["gaussians"]["active_mean"], 0), text(result["gaussians"]["total"], 0),
-            text(result["pictures_a_second"], 1), text(pick(result, "training_frames", "psnr"), 2),
+            text(sum(value for name, value in seconds.items() if name != "static"), 0), *(each.cell(result) for each in _SIZES),
         ))  # fmt: skip
     header = (
-        "scene", "run", "frames", "test pictures", "seconds by stage", "seconds", "peak memory, GiB", "Gaussians active, mean",
-        "Gaussians", "pictures a second", "PSNR of training frames",
+        "scene", "run", "frames", "test pictures", "seconds by stage", "seconds", *(each.header for each in _SIZES),
     )  # fmt: skip
     note = "By the clock, on this machine; the sum leaves out the static scene, which is there for comparison only."
     return Table("Time, memory and size", note, header, rows)

@@ -8,16 +8,15 @@ from pathlib import Path
 from typing import Any
 
 from flowsplat.common.errors import InputError
-from flowsplat.common.files import read_json, write_json, write_text
+from flowsplat.common.files import write_json
 from flowsplat.common.source import source_state
-from flowsplat.output.page import write_page
-from flowsplat.pictures.html import table
 from flowsplat.scenes import Scene
 from flowsplat_benchmarks.movers.measure import measure_scene
 from flowsplat_benchmarks.movers.preparation import VARIANTS, place_movers, prepare_world
 from flowsplat_benchmarks.movers.tables import DEFINITIONS, tables
-from flowsplat_benchmarks.resume import BenchmarkOptions, Job, measure_jobs
-from flowsplat_benchmarks.tables import made_by, markdown
+from flowsplat_benchmarks.reports import Report, failures
+from flowsplat_benchmarks.resume import BenchmarkOptions, Job, measure_jobs, results_at
+from flowsplat_benchmarks.tables import made_by
 from flowsplat_benchmarks.worlds import read_movers
 
 PROCESSES = 2
@@ -99,15 +98,8 @@ def write_report(out: Path, seeds: range, failed: Mapping[str, str]) -> Path:
     Raises:
         InputError: the folder cannot be written.
     """
-    paths = [out / str(each) / FIGURES for each in seeds if f"world-{each}" not in failed]
-    results = [read_json(path) for path in paths if path.exists()]
+    results = results_at(out / str(each) / FIGURES for each in seeds if f"world-{each}" not in failed)
     write_json(out / "results.json", results)
     verdict = f"{len(results)} worlds, seeds {seeds.start} to {seeds.stop - 1}."
-    remarks = [*DEFINITIONS, *([made_by(results)] if results else [])]
-    remarks += [f"{each} could not be measured: {reason}" for each, reason in failed.items()]
-    found = tables(results)
-    write_text(out / "movers.md", markdown(TITLE, [verdict, *remarks], found))
-    shown = [{"title": each.title, "note": each.note, "table": table(each.header, each.rows, each.strong)} for each in found]
-    page = out / "movers.html"
-    write_page(page, "protocol.html.jinja", title=TITLE, verdict=verdict, remarks=remarks, tables=shown, scenes=[])
-    return page
+    remarks = [*DEFINITIONS, *([made_by(results)] if results else []), *failures(failed, "measured")]
+    return Report("movers", TITLE, verdict, remarks, tables(results), verdict_is_remark=True).write(out)

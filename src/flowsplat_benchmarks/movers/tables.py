@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -11,15 +10,18 @@ from flowsplat.pictures.html import NOTHING
 from flowsplat.scenes.synthetic.worlds.parts import KINDS
 from flowsplat_benchmarks.movers.measure import AT_FEET, OVERLAP, Record
 from flowsplat_benchmarks.movers.preparation import VARIANTS, Variant
-from flowsplat_benchmarks.tables import Table, text
+from flowsplat_benchmarks.tables import Column, Result, Table, text
 from flowsplat_benchmarks.worlds.cameras import CAMERAS
 from flowsplat_benchmarks.worlds.plan import GROUNDS
 
-Result = Mapping[str, Any]
+FOUND = (
+    Column("signed median", ("signed",), 3, sign=True), Column("course", ("course",), 3), Column("relief", ("relief",), 3),
+    Column("IDF1", ("idf1",), 2), Column("mask IoU", ("iou",), 2),
+)  # fmt: skip
+"""Of the summary of some movers."""
 
 HEADER = (
-    "", "movers", "never found", "distance: median", "90th percentile", "within 5 %", "signed median", "course", "relief",
-    "IDF1", "mask IoU",
+    "", "movers", "never found", "distance: median", "90th percentile", "within 5 %", *(column.header for column in FOUND),
 )  # fmt: skip
 
 STATIC = ("median", "p90")
@@ -122,8 +124,7 @@ def _cells(movers: Sequence[Record]) -> tuple[str, ...]:
     assert share is not None
     return (
         str(len(movers)), text(row["lost"], 0), _error(row["median"]), _error(row["high"]), f"{100 * share:.0f} %",
-        text(row["signed"], 3, sign=True), *(text(row[name], 3) for name in ("course", "relief")),
-        *(text(row[name], 2) for name in ("idf1", "iou")),
+        *(column.cell(row) for column in FOUND),
     )  # fmt: skip
 
 

@@ -6,26 +6,18 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from markupsafe import Markup
-
-from flowsplat.common.files import write_text
-from flowsplat.output.page import fitted, write_page
-from flowsplat.pictures.html import NOTHING, picture, table
+from flowsplat.pictures.html import NOTHING
 from flowsplat.scenes.layers import read_image
 from flowsplat_benchmarks.oracles.classes import CLASSES, gains, legend, psnr_by_class
 from flowsplat_benchmarks.oracles.scenes import ORACLES
-from flowsplat_benchmarks.tables import Table, label, made_by, markdown, text
-
-Result = Mapping[str, Any]
-"""The JSON of a run (``benchmark.measure_oracle``)."""
+from flowsplat_benchmarks.reports import Report, failures, runs_measured, scene_section
+from flowsplat_benchmarks.tables import Column, Result, Table, label, made_by, plain, text
 
 BACKGROUND = "background"
 OWN_BACKGROUND = ("own", "outline")
 """Oracles with our own depth of what rests: with our masks, and with true ones."""
 SHEET = "evaluation/classes.png"
 """In a run: held-out views with their errors and classes of pixels."""
-WIDEST = 1600
-"""Pixels of a sheet in the page, at most."""
 TITLE = "One prior after the other replaced by the truth"
 MEANINGS = {
     "own": "own priors as they are",
@@ -37,6 +29,8 @@ MEANINGS = {
     "flow": "*flow*: true flow, too",
     "cameras": "*cameras*: all true",
 }
+ERRORS = (Column("constant", ("constant",), 3, sign=True), Column("course", ("course",), 3), Column("relief", ("relief",), 3))
+"""Of the depth of a mover (``movers.mover_errors``)."""
 REMARKS = (
     "Each row holds what is true in those above it. True depth is brought to the scale of the estimated cameras by one factor for "
     "the clip, from the camera paths.",
@@ -49,7 +43,7 @@ def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str]
     """Write ``OUT/oracles.md`` and ``.html`` and return the path of the page.
 
     Args:
-        results: with the same settings.
+        results: the JSON of runs (``benchmark.measure_oracle``) with the same settings.
         failed: runs that could not be made, and why.
         others: how many results in ``out`` have other settings.
 
@@ -62,43 +56,21 @@ def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str]
         remarks.append(f"Trained with {results[0]['settings']}. Pictures by held-out cameras: {views}. {made_by(results)}")
     if others:
         remarks.append(f"Results in this folder that have other settings, and are left out here: {others}.")
-    remarks += [f"{name} could not be run: {reason}" for name, reason in failed.items()]
+    remarks += failures(failed)
     found = [each for each in (_gains(results), _views(results), _static_depth(results), _movers(results)) if each.rows]
-    write_text(out / "oracles.md", markdown(TITLE, remarks, found))
-    page = out / "oracles.html"
-    write_page(
-        page, "protocol.html.jinja", title=TITLE,
-        verdict=f"Runs measured: {len(results)}" + (f"; that could not be run: {len(failed)}." if failed else "."),
-        remarks=remarks,
-        tables=[_shown(each) for each in found],
-        scenes=[_scene(out, result) for result in sorted(results, key=_place)],
-    )  # fmt: skip
-    return page
+    scenes = [_scene(out, result) for result in sorted(results, key=_place)]
+    return Report("oracles", TITLE, runs_measured(results, failed), remarks, found, scenes).write(out)
 
 
 def _place(result: Result) -> tuple[str, int]:
     return result["scene"], list(ORACLES).index(result["oracle"])
 
 
-def _shown(each: Table) -> dict[str, Any]:
-    rows = [_plain(row) for row in each.rows]
-    return {"title": each.title, "note": each.note, "table": table(_plain(each.header), rows, each.strong)}
-
-
-def _plain(cells: Sequence[str]) -> tuple[str, ...]:
-    """Without Markdown's emphasis."""
-    return tuple(cell.replace("*", "") for cell in cells)
-
-
 def _scene(out: Path, result: Result) -> dict[str, Any]:
-    page, sheet = f"{result['run']}/report.html", out / result["run"] / SHEET
-    shown = [(fitted(read_image(sheet), WIDEST), "held-out views"), (legend(), "classes")] if sheet.exists() else []
-    return {
-        "title": _plain([f"{label(result)}: {result['oracle']}"])[0],
-        "facts": f"{result['settings']}; {result['gaussians']:,} Gaussians",
-        "strip": Markup().join(picture(image, f"{_plain([label(result)])[0]}: {what}") for image, what in shown) or None,
-        "page": page if (out / page).exists() else None,
-    }
+    scene, sheet = plain(label(result)), out / result["run"] / SHEET
+    shown = [(read_image(sheet), f"{scene}: held-out views"), (legend(), f"{scene}: classes")] if sheet.exists() else []
+    facts = f"{result['settings']}; {result['gaussians']:,} Gaussians"
+    return scene_section(out, f"{scene}: {result['oracle']}", facts, f"{result['run']}/report.html", shown)
 
 
 def _gains(results: Sequence[Result]) -> Table:
@@ -142,11 +114,10 @@ def _movers(results: Sequence[Result]) -> Table:
             rows.append(
                 (
                     label(result), str(mover["true"] or NOTHING), ", ".join(map(str, mover["objects"])), f"{error['frames']}",
-                    f"{error['pixels']:,}", text(error["constant"], 3, sign=True), text(error["course"], 3),
-                    text(error["relief"], 3),
+                    f"{error['pixels']:,}", *(column.cell(error) for column in ERRORS),
                 )
             )  # fmt: skip
-    header = ("scene", "true mover", "our objects", "frames", "pixels", "constant", "course", "relief")
+    header = ("scene", "true mover", "our objects", "frames", "pixels", *(column.header for column in ERRORS))
     note = (
         "e = ln(estimated / true) depth of own priors, over the pixels that our masks and the true ones share. Constant: median "
         "over pixels and frames (+.01: one percent too far). Course: standard deviation over time of the median of a frame. "

@@ -7,14 +7,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from flowsplat.common.files import make_folder, read_json
+from flowsplat.common.files import make_folder
 from flowsplat.common.source import source_state
 from flowsplat.pipeline.folder import stage_key
 from flowsplat_benchmarks.priors.measure import measure
 from flowsplat_benchmarks.priors.preparation import forget, prepare_scene, scene_config
 from flowsplat_benchmarks.priors.report import write_report, write_strip
 from flowsplat_benchmarks.priors.scenes import BenchmarkScene, choose_scenes
-from flowsplat_benchmarks.resume import BenchmarkOptions, Job, measure_jobs
+from flowsplat_benchmarks.resume import BenchmarkOptions, Job, measure_jobs, results_at
 
 
 def run_priors_benchmark(
@@ -74,5 +74,4 @@ def _measure_scene(benchmark: BenchmarkScene, folder: Path) -> dict[str, Any]:
 
 def _results(root: Path, out: Path) -> list[dict[str, Any]]:
     """Of all scenes that were measured, in the order of the data root."""
-    paths = [out / f"{benchmark.name}.json" for benchmark in choose_scenes(root, ())]
-    return [read_json(path) for path in paths if path.exists()]
+    return results_at(out / f"{benchmark.name}.json" for benchmark in choose_scenes(root, ()))

@@ -12,16 +12,16 @@ import numpy as np
 from flowsplat.common.files import write_text
 from flowsplat.common.spread import spread
 from flowsplat.evaluation.placement import true_scale
-from flowsplat.output.page import fitted, write_page
 from flowsplat.pictures.colors import depth_range, depth_to_color, flow_scale, flow_to_color, tinted
-from flowsplat.pictures.html import picture, table
+from flowsplat.pictures.html import table
 from flowsplat.pictures.sheets import side_by_side, stacked
 from flowsplat.scenes import Flow, Layers, Scene
 from flowsplat.scenes.layers import read_image, write_image
 from flowsplat_benchmarks.priors.measure import read_true_flow, true_mask
 from flowsplat_benchmarks.priors.rows import DEFINITIONS, HEADER, Row, table_rows
 from flowsplat_benchmarks.priors.scenes import BenchmarkScene
-from flowsplat_benchmarks.tables import TUNED_MARK, made_by, markdown_table
+from flowsplat_benchmarks.reports import failures, scene_section, write_benchmark_page
+from flowsplat_benchmarks.tables import Result, made_by, markdown_table, plain
 
 TITLE = "Priors, measured"
 PAGE, TABLE = "priors.html", "priors.md"
@@ -33,7 +33,7 @@ STRIP_WIDTH = 2000
 """Pixels of a strip in the page, at most."""
 
 
-def write_report(out: Path, results: Sequence[Mapping[str, Any]], failed: Mapping[str, str]) -> Path:
+def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str]) -> Path:
     """Write ``priors.md`` and ``priors.html`` and return the path of the page.
 
     Args:
@@ -44,19 +44,18 @@ def write_report(out: Path, results: Sequence[Mapping[str, Any]], failed: Mappin
         InputError: the folder cannot be written.
     """
     rows = list(table_rows(results))
-    remarks = [*DEFINITIONS, *([made_by(results)] if results else [])]
-    remarks += [f"{name} could not be measured: {reason}" for name, reason in failed.items()]
+    remarks = [*DEFINITIONS, *([made_by(results)] if results else []), *failures(failed, "measured")]
     write_text(out / TABLE, _markdown(rows, remarks, results))
     marks = {"met": "✓ met", "not met": "✗ not met"}
-    cells = [tuple(marks.get(cell, cell.replace(TUNED_MARK, "tuned")) for cell in row.cells) for row in rows]
-    write_page(
+    cells = [tuple(marks.get(cell, plain(cell)) for cell in row.cells) for row in rows]
+    write_benchmark_page(
         out / PAGE,
-        "benchmark.html.jinja",
+        "priors.html.jinja",
         title=TITLE,
         verdict=verdict(rows),
         table=table(HEADER, cells, [k for k, row in enumerate(rows) if row.met is False]),
         remarks=remarks,
-        scenes=[_shown(out, result) for result in results],
+        scenes=[_scene(out, result) for result in results],
     )
     return out / PAGE
 
@@ -67,13 +66,13 @@ def verdict(rows: Sequence[Row]) -> str:
     return f"{sum(judged)} of {len(judged)} targets met."
 
 
-def _markdown(rows: Sequence[Row], remarks: Sequence[str], results: Sequence[Mapping[str, Any]]) -> str:
+def _markdown(rows: Sequence[Row], remarks: Sequence[str], results: Sequence[Result]) -> str:
     lines = [f"# {TITLE}", "", verdict(rows), "", *markdown_table(HEADER, [row.cells for row in rows])]
     lines += ["", *(f"- {line}" for line in remarks), "", *(f"- {_facts(result)}" for result in results)]
     return "\n".join(lines) + "\n"
 
 
-def _facts(result: Mapping[str, Any]) -> str:
+def _facts(result: Result) -> str:
     width, height = result["size"]
     version = result.get("flowsplat", "of unknown version")
     facts = f"{result['scene']}: {result['frames']} frames of {width}x{height}, flowsplat {version}"
@@ -81,11 +80,10 @@ def _facts(result: Mapping[str, Any]) -> str:
     return f"{facts}; {seconds or 'prepared in several goes, so without times'}"
 
 
-def _shown(out: Path, result: Mapping[str, Any]) -> dict[str, Any]:
+def _scene(out: Path, result: Result) -> dict[str, Any]:
     name, path = str(result["scene"]), out / str(result["scene"]) / STRIP
-    strip = picture(fitted(read_image(path), STRIP_WIDTH), f"{name}: frames, ours and the truth") if path.exists() else None
-    page = f"{name}/{PAGE}" if (out / name / PAGE).exists() else None
-    return {"name": name, "facts": _facts(result), "strip": strip, "page": page}
+    pictures = [(read_image(path), f"{name}: frames, ours and the truth")] if path.exists() else []
+    return scene_section(out, name, _facts(result), f"{name}/{PAGE}", pictures, STRIP_WIDTH)
 
 
 # -- pictures

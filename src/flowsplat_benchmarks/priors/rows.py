@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
-from flowsplat_benchmarks.tables import label
+from flowsplat_benchmarks.tables import Result, label
 
 HEADER = ("prior", "figure", "scene", "", "target", "")
 
@@ -111,7 +110,7 @@ class Row:
         return self.prior, self.figure, self.scene, self.value, self.target, verdict
 
 
-def table_rows(results: Sequence[Mapping[str, Any]]) -> Iterator[Row]:
+def table_rows(results: Sequence[Result]) -> Iterator[Row]:
     """One row for every figure of every scene, sorted by figure.
 
     Args:
@@ -131,7 +130,7 @@ def table_rows(results: Sequence[Mapping[str, Any]]) -> Iterator[Row]:
             yield from _mean_of_clips(results, figure)
 
 
-def _mean_of_clips(results: Sequence[Mapping[str, Any]], figure: Figure) -> Iterator[Row]:
+def _mean_of_clips(results: Sequence[Result], figure: Figure) -> Iterator[Row]:
     values = [result["figures"][figure.key] for result in results if result["kind"] == "davis" and figure.key in result["figures"]]
     if len(values) < MEAN_CLIPS:
         return
