@@ -29,7 +29,6 @@ from flowsplat.common.files import make_folder, read_json, write_json, write_tex
 from flowsplat.common.processes import in_own_process
 from flowsplat.common.source import source_state
 from flowsplat.geometry import Camera
-from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.pictures.video import write_mp4
 from flowsplat.pipeline import RunConfig
 from flowsplat.pipeline.folder import stage_key
@@ -99,14 +98,11 @@ EDGES = {
 
 def mask_overlap(spec: SyntheticScene, scene: Scene) -> float:
     """Intersection over union of the scene's masks with the true ones, any mover, pooled over the training frames."""
-    numbers = np.array([body.number for body in spec.bodies])
-    grid = pixel_grid(scene.width, scene.height).astype(np.float64).reshape(-1, 2)
 
     def pairs() -> Iterator[tuple[np.ndarray, np.ndarray]]:
         for i in scene.train_frames:
             k = round(scene.timestamps[i] * spec.fps)
-            hits = spec.cast(spec.camera(k).resized(scene.width, scene.height), spec.timestamps[k], grid)
-            yield scene.mask(i), numbers[hits.body].reshape(scene.height, scene.width)
+            yield scene.mask(i), spec.seen_by(spec.camera(k).resized(scene.width, scene.height), spec.timestamps[k])[1]
 
     return pooled_iou(pairs())
 

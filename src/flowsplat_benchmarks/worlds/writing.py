@@ -47,7 +47,7 @@ def write_world(folder: Path, world: World, holdout: int | None = None) -> Scene
         if i in scene.heldout_frames:
             scene.heldout_masks.write_mask(i, mask)
     truth.write_cameras([world.camera(i) for i in range(world.frames)])
-    tracks, owners = world.tracks()
+    tracks, owners = world.tracks_and_owners()
     truth.write_tracks(tracks)
     for i, j in sorted({*pairwise(range(world.frames)), *pairwise(scene.train_frames)}):
         truth.write_flow(world.flow(i, j))
