@@ -15,7 +15,7 @@ from flowsplat.pipeline import run
 from flowsplat.pipeline.compiling import compile_kernels, note_compiled
 from flowsplat.pipeline.config import RunConfig
 from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic
-from flowsplat.scenes.synthetic.worlds import draw_world
+from flowsplat_benchmarks.worlds import draw_world
 
 SPEC = SyntheticScene(width=64, height=48, frames=12, fps=6.0)
 SCENE, OUT = "scene", "out"

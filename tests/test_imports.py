@@ -10,6 +10,8 @@ import pytest
 import flowsplat
 
 PACKAGE = Path(flowsplat.__file__).parent
+BENCHMARKS = "flowsplat_benchmarks"
+"""The package beside it, which may import it, but never the other way round."""
 
 FIRST = ("common", "pictures", "geometry")
 MAY_IMPORT = {
@@ -21,14 +23,14 @@ MAY_IMPORT = {
     "scenes": FIRST,
     "priors": (*FIRST, "scenes"),
 }
-for name in ("gaussians", "training", "evaluation", "output", "pipeline", "batch", "protocols", "cli"):
+for name in ("gaussians", "training", "evaluation", "output", "pipeline", "batch", "cli"):
     MAY_IMPORT[name] = tuple(MAY_IMPORT)
 # ``flowsplat`` itself shows what its packages offer; commands are not for importing.
 MAY_IMPORT["__init__"] = tuple(name for name in MAY_IMPORT if name != "cli")
 
 
 def imported_packages(source: str, package: str) -> Iterator[tuple[int, str]]:
-    """(line, package) of every import of flowsplat in ``source``, wherever in the file it stands.
+    """(line, package) of every import of flowsplat in ``source``, wherever in the file it stands; of its benchmarks, too.
 
     Args:
         package: the dotted package that the module is in, to resolve relative imports.
@@ -45,6 +47,8 @@ def imported_packages(source: str, package: str) -> Iterator[tuple[int, str]]:
         for target in targets:
             if target.split(".")[0] == "flowsplat":
                 yield node.lineno, (target.split(".") + ["__init__"])[1]
+            elif target.split(".")[0] == BENCHMARKS:
+                yield node.lineno, BENCHMARKS
 
 
 def violations(name: str, source: str) -> list[str]:
@@ -86,6 +90,8 @@ def test_imports_run_with_the_data():
         ("geometry/cameras.py", "import flowsplat"),
         ("__init__.py", "from flowsplat.cli import main"),
         ("extras/new.py", ""),
+        ("cli/command.py", "from flowsplat_benchmarks.commands import davis"),
+        ("cli/entry.py", "def f():\n    import flowsplat_benchmarks"),
     ],
 )
 def test_a_step_against_the_order_is_found(name, source):
@@ -99,7 +105,7 @@ def test_a_step_against_the_order_is_found(name, source):
         ("gaussians/render.py", "from flowsplat.splatting.api import rasterize\nfrom flowsplat.scenes import Scene"),
         ("training/picture_loss/cpu.py", "from ...splatting.cpu import simd\nfrom . import reference\nfrom .. import losses"),
         ("output/report.py", "from flowsplat import __version__, evaluation"),
-        ("cli.py", "import flowsplat.protocols.davis\nimport numpy"),
+        ("cli.py", "import flowsplat.batch.work\nimport numpy"),
     ],
 )
 def test_a_step_along_the_order_is_fine(name, source):
@@ -117,7 +123,7 @@ def test_the_priors_do_not_import_each_other_in_circles(package, others):
 
 
 def files_at_import(path: Path) -> set[Path]:
-    """Files of the package that importing this one imports, those under TYPE_CHECKING among them; not what its functions import.
+    """Files of both packages that importing this one imports, those under TYPE_CHECKING, too; not what its functions import.
 
     What the package as a whole offers (its ``__init__``) is named there for type checkers only.
     """
@@ -126,22 +132,22 @@ def files_at_import(path: Path) -> set[Path]:
         body += [inner for node in body if isinstance(node, ast.If) for inner in node.body]
     names = []
     for node in body:
-        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "flowsplat":
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] in ("flowsplat", BENCHMARKS):
             for alias in node.names:
                 inner = f"{node.module}.{alias.name}"
                 names.append(inner if file_of(inner) else node.module)
         elif isinstance(node, ast.Import):
-            names += [alias.name for alias in node.names if alias.name.split(".")[0] == "flowsplat"]
+            names += [alias.name for alias in node.names if alias.name.split(".")[0] in ("flowsplat", BENCHMARKS)]
     return {file for name in names if (file := file_of(name)) and file != path}
 
 
 def file_of(module: str) -> Path | None:
-    """The file of a module of the package."""
+    """The file of a module of one of them."""
     base = PACKAGE.parent.joinpath(*module.split("."))
     return next((file for file in (base.with_suffix(".py"), base / "__init__.py") if file.is_file()), None)
 
 
 def test_no_files_import_each_other_in_circles():
-    graph = {path: files_at_import(path) for path in PACKAGE.rglob("*.py")}
+    graph = {path: files_at_import(path) for package in (PACKAGE, PACKAGE.parent / BENCHMARKS) for path in package.rglob("*.py")}
     assert sum(map(len, graph.values())) > 1000
     graphlib.TopologicalSorter(graph).prepare()

@@ -45,3 +45,10 @@ def test_it_is_what_is_installed():
     image = (ROOT / "Dockerfile").read_text()
     assert "--no-deps --require-hashes -r requirements.view.lock" in image
     assert "--no-deps --no-build-isolation ." in image
+
+
+def test_both_packages_are_installed():
+    """``pip install`` installs the benchmarks beside flowsplat."""
+    pyproject = (ROOT / "pyproject.toml").read_text()
+    packages = re.findall(r'"([^"]+)"', pyproject.partition("\npackages = [")[2].partition("]")[0])
+    assert packages == sorted(path.parent.relative_to(ROOT).as_posix() for path in (ROOT / "src").glob("*/__init__.py"))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -13,10 +12,8 @@ import torch
 from flowsplat.gaussians.render import render, render_active
 from flowsplat.training.config import PRESETS
 from flowsplat.training.trainer import Trainer
-from tests.benchmarks.conftest import BENCHMARKS
+from flowsplat_benchmarks.scripts.cpu_parts import scene
 
-sys.path.insert(0, str(BENCHMARKS))
-scene = pytest.importorskip("cpu_parts.scene")
 WIDTH, HEIGHT, COUNT = 854, 480, 100_000
 
 

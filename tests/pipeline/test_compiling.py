@@ -99,7 +99,7 @@ print(json.dumps(sorted(signatures() - before)))
 
 @pytest.mark.slow
 def test_a_run_compiles_nothing_that_is_not_in_the_list(tmp_path):
-    """Where this fails, ``python benchmarks/compiling.py --write`` makes the list anew."""
+    """Where this fails, ``python -m flowsplat_benchmarks.scripts.compiling --write`` makes the list anew."""
     done = subprocess.run([sys.executable, "-c", RUN, str(tmp_path)], capture_output=True, text=True, check=True)
     assert json.loads(done.stdout.splitlines()[-1]) == []
 

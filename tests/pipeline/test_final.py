@@ -16,10 +16,10 @@ from flowsplat.common.settings import from_plain, to_plain
 from flowsplat.output.viewer.source import Source
 from flowsplat.pipeline import RunConfig, evaluate_run, fitting, prepare, run, stages, train
 from flowsplat.pipeline.folder import RunFolder
-from flowsplat.protocols.datasets.cases import protocol_config
 from flowsplat.scenes import Scene
 from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic
 from flowsplat.training.trainer import Trainer
+from flowsplat_benchmarks.datasets.cases import protocol_config
 from tests.shared import small_config
 
 

@@ -118,7 +118,7 @@ def test_movers_cover_a_tenth_to_a_fifth_and_the_picture_moves_a_few_pixels_a_fr
     for i in range(0, WIDE.frames - 1, 3):
         grid = pixel_grid(WIDE.width, WIDE.height).reshape(-1, 2).astype(float)
         hits = WIDE.cast(WIDE.camera(i), WIDE.timestamps[i], grid)
-        numbers = np.array([body.number for body in WIDE.bodies])[hits.body]
+        numbers = WIDE.numbers[hits.part]
         length = np.linalg.norm(WIDE.flow(i, i + 1).flow, axis=-1).ravel() * scale
         cover.append(np.mean(numbers > 0))
         background.append(length[numbers == 0].mean())

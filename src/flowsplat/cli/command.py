@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import pkgutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from flowsplat.cli.arguments import value_of
+from flowsplat.common.errors import InputError
 
 if TYPE_CHECKING:
     from flowsplat.pipeline.config import RunConfig
@@ -35,6 +37,20 @@ class Command:
     build: Callable[[RunConfig], Callable[..., Any]]
     defaults: Callable[[Sequence[str]], RunConfig] = preset_defaults
     place: int = 1000
+
+
+def benchmark_commands() -> str:
+    """The package of the commands of ``flowsplat benchmark``, which are none of flowsplat's own.
+
+    Raises:
+        InputError: it is not installed.
+    """
+    if importlib.util.find_spec("flowsplat_benchmarks") is None:
+        raise InputError(
+            "The benchmarks are a package beside flowsplat, flowsplat_benchmarks, which is not installed here: pip install -e . in "
+            "flowsplat's repository installs both."
+        )
+    return "flowsplat_benchmarks.commands"
 
 
 def commands_of(package: str) -> dict[str, Command]:

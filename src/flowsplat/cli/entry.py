@@ -11,7 +11,7 @@ from typing import Any
 import tyro
 
 from flowsplat import __version__
-from flowsplat.cli.command import functions_of
+from flowsplat.cli.command import benchmark_commands, functions_of
 from flowsplat.cli.help import message_of, short_help
 from flowsplat.common.durations import IMPORTED, command_begins
 from flowsplat.common.errors import InputError, one_line
@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     prog, package = "flowsplat", "flowsplat.cli.commands"
     try:
         if arguments[0] == "benchmark":
-            prog, package, arguments = "flowsplat benchmark", "flowsplat.cli.benchmarks", arguments[1:] or ["--help"]
+            prog, package, arguments = "flowsplat benchmark", benchmark_commands(), arguments[1:] or ["--help"]
         functions = functions_of(package, arguments)
         call = _Deferred()
         with contextlib.redirect_stderr(box), contextlib.nullcontext() if whole else contextlib.redirect_stdout(told):

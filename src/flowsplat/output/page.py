@@ -32,16 +32,17 @@ def script_policy(script: str) -> str:
     return f"{POLICY}; script-src 'sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}'"
 
 
-def write_page(path: Path, template: str, *, policy: str = POLICY, **values: Any) -> None:
-    """Fill a template of this folder and write the page.
+def write_page(path: Path, template: str, *, policy: str = POLICY, package: str = "flowsplat.output", **values: Any) -> None:
+    """Fill a template and write the page.
 
     Args:
+        template: its name in the folder ``templates`` of ``package``; it may extend those of this folder.
         policy: what a browser lets it do.
 
     Raises:
         InputError: it cannot be written.
     """
-    loader = jinja2.PackageLoader("flowsplat.output", "templates")
+    loader = jinja2.ChoiceLoader([jinja2.PackageLoader(each, "templates") for each in dict.fromkeys((package, "flowsplat.output"))])
     environment = jinja2.Environment(
         loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )

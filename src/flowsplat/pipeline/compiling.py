@@ -119,7 +119,7 @@ def read_signatures() -> list[tuple[str, str]]:
 
     Returns:
         names (``splatting.cpu.tiles.prefix_sum``) and types of arguments in Numba's notation (``int64[::1], int64``).
-        ``python benchmarks/compiling.py --write`` makes the list anew.
+        ``python -m flowsplat_benchmarks.scripts.compiling --write`` makes the list anew.
     """
     return [(name, types) for name, types in read_json(SIGNATURES, list[tuple[str, str]])]
 

@@ -8,11 +8,11 @@ import pytest
 from flowsplat.priors.objects import load_movers
 from flowsplat.priors.options import PriorsOptions
 from flowsplat.priors.prepare import prepare_priors
-from flowsplat.protocols.movers.measure import depth_scale, identities, overlaps
 from flowsplat.scenes import Scene
 from flowsplat.scenes.clip import InputOptions
 from flowsplat.scenes.ingest import ingest, open_clip
 from flowsplat.scenes.synthetic import SyntheticScene, encode_frames, write_synthetic
+from flowsplat_benchmarks.movers.measure import depth_scale, identities, overlaps
 
 SIGMAS = 3.0
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from flowsplat.priors.objects import movers
-from flowsplat.priors.objects.movers import accepted_laws
+from flowsplat.priors.objects.course import accepted_laws
 from flowsplat.priors.objects.path import LARGEST_FIT, Law, constant_height, pivot
 from tests.priors.objects.test_distance import UP, moving_scene
 

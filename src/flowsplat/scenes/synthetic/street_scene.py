@@ -81,7 +81,7 @@ class StreetScene:
 
     def tracks(self) -> Tracks:
         """World points over the whole clip, a hundred on each mover and twice as many on what rests."""
-        return self.world.tracks()[0]
+        return self.world.tracks()
 
     def heldout_views(self) -> list[HeldoutView]:
         """A camera to the left and one to the right of the clip's own, at every fourth frame."""
@@ -89,4 +89,4 @@ class StreetScene:
 
     def covisible(self, view: HeldoutView) -> np.ndarray:
         """[H, W] bool: pixels of a held-out view whose point the clip's frame of the same time sees, too."""
-        return self.world.covisible(view.camera, view.frame)
+        return self.world.covisible(view)

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
 from flowsplat.common.errors import InputError
-from flowsplat.common.spread import spread
 from flowsplat.geometry import Camera
 from flowsplat.geometry.cameras import pixel_grid
-from flowsplat.scenes.layers import Flow, Tracks
 from flowsplat.scenes.scene import HeldoutView
 from flowsplat.scenes.synthetic.bodies import Body
 from flowsplat.scenes.synthetic.drawn_clip import View, views_aside
+from flowsplat.scenes.synthetic.ray_cast import Hits, RayCastWorld
 from flowsplat.scenes.synthetic.textures import Surface, in_chunks
 from flowsplat.scenes.synthetic.world import SCENE_DEPTH, build_world, camera_at
 
@@ -24,24 +24,9 @@ SAMPLES = 2
 LIGHT = np.array([-0.45, -0.65, 0.62])
 """Direction to the light, of length 1 within rounding."""
 
-VISIBLE = 1e-6
-"""A point is seen when the first surface on its ray is not nearer than it by more than this share of its depth."""
-
-TRACKS_PER_BODY = 100
-"""True tracks on each mover; the static world gets twice as many."""
-
 
 @dataclass(frozen=True)
-class Hits:
-    """What rays meet first: planar ``depth`` [N], ``body`` [N] (index), and ``local`` [N, 3], unit coordinates on it."""
-
-    depth: np.ndarray
-    body: np.ndarray
-    local: np.ndarray
-
-
-@dataclass(frozen=True)
-class SyntheticScene:
+class SyntheticScene(RayCastWorld):
     """A room with three movers: 1 = a spinning block, 2 = a ball on a circle, 3 = an ellipsoid that deforms.
 
     Everything moves in seconds: fewer or more frames show less or more of the same motion. Same parameters, same bits.
@@ -63,6 +48,8 @@ class SyntheticScene:
     fps: float = 24.0
     seed: int = 0
 
+    VISIBLE: ClassVar[float] = 1e-6
+
     def __post_init__(self) -> None:
         if min(self.width, self.height) < 16:
             raise InputError(f"A synthetic clip of {self.width}x{self.height} pixels is too small: use at least 16x16.")
@@ -77,10 +64,19 @@ class SyntheticScene:
         """Everything there is, the room first."""
         return build_world(self.seed)
 
+    @cached_property
+    def numbers(self) -> np.ndarray:
+        """[P] uint8 which mover each body is, 0 = static."""
+        return np.array([body.number for body in self.bodies], np.uint8)
+
     @property
-    def timestamps(self) -> np.ndarray:
-        """[T] float64 seconds."""
-        return np.arange(self.frames) / self.fps
+    def mover_count(self) -> int:
+        """How many movers there are."""
+        return int(self.numbers.max())
+
+    def track_rng(self) -> np.random.Generator:
+        """A new generator, always the same, that decides which points are tracked."""
+        return np.random.default_rng(self.seed)
 
     def camera(self, i: int) -> Camera:
         """The camera of frame ``i``, metres, world z up."""
@@ -116,17 +112,14 @@ class SyntheticScene:
         for x in offsets:
             for y in offsets:
                 colour += self._shade(camera, time, self.cast(camera, time, grid + [x, y]))
-        hits = self.cast(camera, time, grid)
-        shape = (camera.height, camera.width)
-        numbers = np.array([body.number for body in self.bodies], np.uint8)
         picture = np.clip(colour * (255 / SAMPLES**2) + 0.5, 0, 255).astype(np.uint8)
-        return View(picture.reshape(*shape, 3), hits.depth.reshape(shape), numbers[hits.body].reshape(shape))
+        return View(picture.reshape(camera.height, camera.width, 3), *self.seen_by(camera, time))
 
     def _shade(self, camera: Camera, time: float, hits: Hits) -> np.ndarray:
         """[N, 3] display values between 0 and 1: texture, one distant light, and fixed shade where static things meet."""
         colour = np.empty((len(hits.depth), 3))
         for k, body in enumerate(self.bodies):
-            chosen = hits.body == k
+            chosen = hits.part == k
             if not chosen.any():
                 continue
             local, points = hits.local[chosen], body.carry(hits.local[chosen], time)
@@ -159,65 +152,13 @@ class SyntheticScene:
             open_share *= 1 - facing * np.minimum((1.2 * body.size.mean()) ** 2 / squared, 0.9)
         return open_share
 
-    # -- truth
-
-    def _carry(self, hits: Hits, time: float) -> np.ndarray:
+    def carry(self, hits: Hits, time: float) -> np.ndarray:
         """[N, 3] where the points that were hit are at ``time``."""
         points = np.empty_like(hits.local)
         for k, body in enumerate(self.bodies):
-            points[hits.body == k] = body.carry(hits.local[hits.body == k], time)
+            points[hits.part == k] = body.carry(hits.local[hits.part == k], time)
         return points
-
-    def _sees(self, camera: Camera, time: float, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Pixels [N, 2] of world points [N, 3], and whether the camera sees them [N]: in the picture and not hidden."""
-        uv, depth = camera.project(points)
-        inside = (depth > 0) & (uv >= 0).all(1) & (uv < [camera.width, camera.height]).all(1)
-        visible = inside.copy()
-        visible[inside] = self.cast(camera, time, uv[inside]).depth >= depth[inside] * (1 - VISIBLE)
-        return uv, visible
-
-    def flow(self, i: int, j: int) -> Flow:
-        """The flow from frame ``i`` to frame ``j``; its confidence is 1 where the point is visible in ``j``, else 0."""
-        grid = pixel_grid(self.width, self.height).astype(np.float64)
-        hits = self.cast(self.camera(i), self.timestamps[i], grid.reshape(-1, 2))
-        uv, visible = self._sees(self.camera(j), self.timestamps[j], self._carry(hits, self.timestamps[j]))
-        flow = uv.reshape(grid.shape) - grid
-        return Flow(i, j, flow.astype(np.float32), visible.reshape(grid.shape[:2]).astype(np.float32))
-
-    def tracks(self) -> Tracks:
-        """World points over the whole clip, ``TRACKS_PER_BODY`` on each mover and twice as many on the static world.
-
-        They are random pixels of five frames, so that each is visible at least once.
-        """
-        rng = np.random.default_rng(self.seed)
-        grid = pixel_grid(self.width, self.height).astype(np.float64).reshape(-1, 2)
-        births = spread(self.frames, 5)
-        seen = [self.cast(self.camera(i), self.timestamps[i], grid) for i in births]
-        body, local = np.concatenate([h.body for h in seen]), np.concatenate([h.local for h in seen])
-        numbers = np.array([b.number for b in self.bodies])[body]
-        chosen = []
-        for number in range(numbers.max() + 1):
-            candidates = np.flatnonzero(numbers == number)
-            count = min(len(candidates), TRACKS_PER_BODY * (1 if number else 2))
-            chosen.append(rng.choice(candidates, count, replace=False))
-        pick = np.concatenate(chosen)
-        points = np.empty((len(pick), self.frames, 3), np.float32)
-        visible = np.empty((len(pick), self.frames), bool)
-        start = Hits(np.empty(0), body[pick], local[pick])
-        for i, time in enumerate(self.timestamps):
-            points[:, i] = world = self._carry(start, time)
-            visible[:, i] = self._sees(self.camera(i), time, world)[1]
-        return Tracks(points, visible, visible.astype(np.float32), numbers[pick] > 0)
-
-    # -- held-out views
 
     def heldout_views(self) -> list[HeldoutView]:
         """A camera to the left and one to the right of the clip's own, at every fourth frame."""
         return views_aside(self.camera, self.frames, SCENE_DEPTH)
-
-    def covisible(self, view: HeldoutView) -> np.ndarray:
-        """[H, W] bool: pixels of a held-out view whose point the clip's frame of the same time sees, too."""
-        time = self.timestamps[view.frame]
-        grid = pixel_grid(self.width, self.height).astype(np.float64).reshape(-1, 2)
-        points = self._carry(self.cast(view.camera, time, grid), time)
-        return self._sees(self.camera(view.frame), time, points)[1].reshape(self.height, self.width)

@@ -1,11 +1,4 @@
-"""Random worlds: moving things of many kinds before one camera, drawn from a seed, with exact truth.
+"""Worlds of moving things on a ground before one camera, cast ray by ray, with exact truth: that of the demo is the street.
 
-Seeds below 900 are for tuning. Seeds 900 to 999 decide between versions and are never looked at one by one. Seeds 1000 to
-1199 are only reported.
+``flowsplat_benchmarks.worlds`` draws random ones.
 """
-
-from flowsplat.scenes.synthetic.worlds.drawing import draw_plan, draw_world
-from flowsplat.scenes.synthetic.worlds.world import World
-from flowsplat.scenes.synthetic.worlds.writing import read_movers, write_world
-
-__all__ = ["World", "draw_plan", "draw_world", "read_movers", "write_world"]

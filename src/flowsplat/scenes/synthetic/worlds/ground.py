@@ -97,17 +97,3 @@ class Ground:
             centre = np.append(0.5 * (start + end) * self.direction, k * self.rise - THICKNESS)
             placed.append(Placed(box([0.5 * (end - start), REACH, THICKNESS], material), turn, centre))
         return placed
-
-
-def draw_ground(rng: np.random.Generator, kind: GroundKind, distance: float) -> Ground:
-    """A random ground of a kind; ``distance``: metres at which most happens."""
-    still, forward = np.zeros(2), np.array([0.0, 1.0])
-    if kind == "slope":
-        angle, steep = rng.uniform(0, 2 * np.pi), rng.uniform(0.05, 0.18)
-        return Ground(kind, steep * np.array([np.cos(angle), np.sin(angle)]), forward)
-    if kind == "steps":
-        angle = np.pi / 2 + rng.uniform(-0.5, 0.5)
-        direction, tread, count = np.array([np.cos(angle), np.sin(angle)]), rng.uniform(1.3, 2.8), int(rng.integers(2, 6))
-        first = distance - rng.uniform(0.2, 0.8) * count * tread
-        return Ground(kind, still, direction, tread, rng.uniform(0.1, 0.22), first, count)
-    return Ground(kind, still, forward)

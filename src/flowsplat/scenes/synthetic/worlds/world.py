@@ -1,26 +1,21 @@
-"""A random world: everything that a clip of it shows, and the truth of it."""
+"""A world of movers on a ground: everything that a clip of it shows, and what is true of it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
 from flowsplat.geometry import Camera
-from flowsplat.geometry.cameras import pixel_grid, rigid
-from flowsplat.scenes.layers import Flow, Tracks
+from flowsplat.geometry.cameras import rigid
+from flowsplat.scenes.synthetic.ray_cast import Hits, RayCastWorld
 from flowsplat.scenes.synthetic.worlds.cameras import CameraKind, Views
 from flowsplat.scenes.synthetic.worlds.casting import ROOM, cast, render
 from flowsplat.scenes.synthetic.worlds.ground import Ground
 from flowsplat.scenes.synthetic.worlds.parts import Mover, Part, Placed
-
-VISIBLE = 1e-5
-"""A point is seen when the first surface on its ray is not nearer than it by more than this share of its depth."""
-
-TRACKS_PER_MOVER = 100
-"""True tracks on each mover; the static world gets twice as many."""
 
 RESTING = 9
 """Frames for which nothing of a mover may move for it to count as resting."""
@@ -50,17 +45,8 @@ class Light:
 
 
 @dataclass(frozen=True)
-class Hits:
-    """What rays meet first: planar ``depth`` [N], ``part`` [N], and ``local`` [N, 3], metres in the part's axes."""
-
-    depth: np.ndarray
-    part: np.ndarray
-    local: np.ndarray
-
-
-@dataclass(frozen=True)
-class World:
-    """A random world (see ``drawing.draw_world``). Same description, same bits.
+class World(RayCastWorld):
+    """A world of movers on a ground, before one camera. Same description, same bits.
 
     Attributes:
         seed: which world it is.
@@ -96,10 +82,8 @@ class World:
     noise: float = 0.0
     touching: tuple[int, int] | None = None
 
-    @property
-    def timestamps(self) -> np.ndarray:
-        """[T] float64 seconds."""
-        return np.arange(self.frames) / self.fps
+    VISIBLE: ClassVar[float] = 1e-5
+    LONGEST_FLOW: ClassVar[float] = 500.0
 
     @property
     def duration(self) -> float:
@@ -116,6 +100,15 @@ class World:
         """[P] uint8 to which mover each part belongs, 0 = static."""
         counts = [len(self.static), *(len(mover.parts) for mover in self.movers)]
         return np.repeat(np.arange(len(counts)), counts).astype(np.uint8)
+
+    @property
+    def mover_count(self) -> int:
+        """How many movers there are."""
+        return len(self.movers)
+
+    def track_rng(self) -> np.random.Generator:
+        """A new generator, always the same, that decides which points are tracked."""
+        return np.random.default_rng([self.seed, 4])
 
     @cached_property
     def _constants(self) -> dict[str, np.ndarray]:
@@ -217,68 +210,10 @@ class World:
         """(planar depth [H, W] in metres at the pixel centres, number of the mover [H, W] uint8) of frame ``i``."""
         return self.seen_by(self.camera(i), self.timestamps[i])
 
-    def seen_by(self, camera: Camera, time: float) -> tuple[np.ndarray, np.ndarray]:
-        """As ``geometry``, by any camera at a time in seconds."""
-        hits = self._pixel_hits(camera, time)
-        shape = (camera.height, camera.width)
-        return hits.depth.reshape(shape), self.numbers[hits.part].reshape(shape)
-
-    def covisible(self, camera: Camera, i: int) -> np.ndarray:
-        """[H, W] bool: pixels of a camera at the time of frame ``i`` whose point that frame sees, too."""
-        time = self.timestamps[i]
-        points = self._carry(self._pixel_hits(camera, time), time)
-        return self.sees(self.camera(i), time, points)[1].reshape(camera.height, camera.width)
-
-    def _pixel_hits(self, camera: Camera, time: float) -> Hits:
-        return self.cast(camera, time, pixel_grid(camera.width, camera.height).astype(np.float64).reshape(-1, 2))
-
-    def _frame_hits(self, i: int) -> Hits:
-        return self._pixel_hits(self.camera(i), self.timestamps[i])
-
-    def _carry(self, hits: Hits, time: float) -> np.ndarray:
+    def carry(self, hits: Hits, time: float) -> np.ndarray:
         """[N, 3] where the points that were hit are at ``time``."""
         turns, centres = self.poses(time)
         return np.asarray(np.einsum("nkq,nq->nk", turns[hits.part], hits.local) + centres[hits.part])
-
-    def sees(self, camera: Camera, time: float, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Pixels [N, 2] of world points [N, 3], and whether the camera sees them [N]: in the picture and not hidden."""
-        uv, depth = camera.project(points)
-        inside = (depth > 0) & (uv >= 0).all(1) & (uv < [camera.width, camera.height]).all(1)
-        visible = inside.copy()
-        visible[inside] = self.cast(camera, time, uv[inside]).depth >= depth[inside] * (1 - VISIBLE)
-        return uv, visible
-
-    def flow(self, i: int, j: int) -> Flow:
-        """The flow from frame ``i`` to frame ``j``; its confidence is 1 where the point is visible in ``j``, else 0."""
-        grid = pixel_grid(self.width, self.height).astype(np.float64)
-        time = self.timestamps[j]
-        uv, visible = self.sees(self.camera(j), time, self._carry(self._frame_hits(i), time))
-        flow = np.clip(uv.reshape(grid.shape) - grid, -500, 500)
-        return Flow(i, j, flow.astype(np.float32), visible.reshape(grid.shape[:2]).astype(np.float32))
-
-    def tracks(self) -> tuple[Tracks, np.ndarray]:
-        """World points over the whole clip, and the mover of each [P]; random pixels of five frames.
-
-        ``TRACKS_PER_MOVER`` on each mover, fewer where it hardly shows, and twice as many on the static world.
-        """
-        rng = np.random.default_rng([self.seed, 4])
-        births = sorted(set(np.linspace(0, self.frames - 1, 5).round().astype(int)))
-        seen = [self._frame_hits(i) for i in births]
-        part, local = np.concatenate([h.part for h in seen]), np.concatenate([h.local for h in seen])
-        owners = self.numbers[part]
-        chosen = []
-        for number in range(len(self.movers) + 1):
-            candidates = np.flatnonzero(owners == number)
-            count = min(len(candidates), TRACKS_PER_MOVER * (1 if number else 2))
-            chosen.append(rng.choice(candidates, count, replace=False))
-        pick = np.concatenate(chosen)
-        points = np.empty((len(pick), self.frames, 3), np.float32)
-        visible = np.empty((len(pick), self.frames), bool)
-        start = Hits(np.empty(0), part[pick], local[pick])
-        for i, time in enumerate(self.timestamps):
-            points[:, i] = world = self._carry(start, time)
-            visible[:, i] = self.sees(self.camera(i), time, world)[1]
-        return Tracks(points, visible, visible.astype(np.float32), owners[pick] > 0), owners[pick]
 
     def describe(self, number: int) -> dict[str, object]:
         """What is true of a mover, to be written as JSON.

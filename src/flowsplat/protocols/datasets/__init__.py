@@ -1,6 +1,0 @@
-"""Whole runs over many scenes under a fixed protocol (METHOD 6): DAVIS, rendered rig scenes, NVIDIA Dynamic Scenes."""
-
-from flowsplat.protocols.datasets.benchmark import run_benchmark
-from flowsplat.protocols.datasets.cases import davis_cases, nvidia_cases, rig_cases
-
-__all__ = ["davis_cases", "nvidia_cases", "rig_cases", "run_benchmark"]

@@ -1,0 +1,60 @@
+"""The ablations: what every part of the method is worth.
+
+All rows train equally long, with one frame in every step and at most the same number of Gaussians. The paper's rows are run at our
+own settings; compared are differences, not values.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from flowsplat_benchmarks.ablations.claims import CLAIMS, chosen_claims, needed_variants
+from flowsplat_benchmarks.ablations.report import write_report
+from flowsplat_benchmarks.ablations.scenes import ablation_scenes, chosen_scenes
+from flowsplat_benchmarks.ablations.training_runs import comparable, training_runs
+from flowsplat_benchmarks.resume import BenchmarkOptions, measure_jobs, results_in
+
+PROTOCOL = "ablations"
+SCENES = ("train", "bear", "workshop")
+SEEDS = (0, 1)
+ITERATIONS = 1500
+SIZE = 427
+"""Long side of the clips, pixels; a rendered scene keeps its own."""
+CAP = 240_000
+"""Gaussians of every run, at most."""
+
+
+def run_ablations(
+    root: Path,
+    out: Path,
+    rows: Sequence[str] = (),
+    scenes: Sequence[str] = SCENES,
+    seeds: Sequence[int] = SEEDS,
+    iterations: int = ITERATIONS,
+    again: bool = False,
+    options: BenchmarkOptions | None = None,
+) -> Path:
+    """Run or resume the ablations: one JSON a run, ``OUT/ablations.md`` and ``.html``, and a picture of each table.
+
+    Args:
+        root: the data root.
+        rows: names of rows or tables; none = all.
+        again: forget the figures of these runs that are in OUT; prepared scenes stay.
+        options: how many at a time, and by what.
+
+    Returns:
+        path of the page, which shows all runs in OUT with these settings and steps.
+
+    Raises:
+        InputError: a name is not known, an input cannot be used, or the folder cannot be written.
+    """
+    claims, known = chosen_claims(rows), ablation_scenes(root, SIZE)
+    wanted = chosen_scenes(root, known, scenes)
+    jobs = [run.job(out) for run in training_runs(PROTOCOL, wanted, needed_variants(claims), seeds, iterations, CAP)]
+
+    def report(failed: Mapping[str, str]) -> Path:
+        found, others = comparable(results_in(PROTOCOL, out), PROTOCOL, known, needed_variants(CLAIMS), iterations, CAP)
+        return write_report(out, found, failed, others)
+
+    return measure_jobs(jobs, out, report, "runs", again, options)

@@ -1,0 +1,144 @@
+"""One training run of an ablation: a variant trained on a prepared scene with one seed, to one JSON."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from flowsplat.common.devices import pick_device
+from flowsplat.common.memory import peak_memory
+from flowsplat.common.source import source_state
+from flowsplat.evaluation.evaluate import evaluate
+from flowsplat.evaluation.scores import pick
+from flowsplat.gaussians.model import SceneModel
+from flowsplat.gaussians.observations import load_observations
+from flowsplat.pipeline.folder import stage_key
+from flowsplat.scenes import Scene
+from flowsplat.training.config import TrainConfig
+from flowsplat.training.per_frame import PerFrameModel, train_per_frame
+from flowsplat.training.scene_model import scene_model
+from flowsplat.training.static import static_config, static_start
+from flowsplat.training.trainer import Trainer
+from flowsplat_benchmarks.ablations.scenes import AblationScene
+from flowsplat_benchmarks.ablations.variants import Variant
+from flowsplat_benchmarks.ablations.verdicts import Run
+from flowsplat_benchmarks.resume import Job
+from flowsplat_benchmarks.tables import Result
+
+
+@dataclass(frozen=True)
+class TrainingRun:
+    """A variant on a scene with a seed.
+
+    Attributes:
+        protocol: ablations or caps.
+        scene: prepared or to be prepared.
+        variant: how it is trained.
+        config: all settings of the training, the seed among them.
+    """
+
+    protocol: str
+    scene: AblationScene
+    variant: Variant
+    config: TrainConfig
+
+    def job(self, out: Path) -> Job:
+        """Prepare the scene in ``out`` where it is not yet, train and measure."""
+        name = f"{self.scene.name}_{self.variant.name}_{self.config.iterations}-steps_seed{self.config.seed}"
+        return Job(f"{self.protocol}_{name}", self.key, partial(self._measure, out))
+
+    @property
+    def key(self) -> str:
+        """A short name of all its settings."""
+        case = self.scene.case
+        return stage_key(case.scene, case.config.input, case.config.priors, self.variant.kind, self.config)
+
+    def _measure(self, out: Path) -> dict[str, Any]:
+        return measure(self, self.scene.prepared(out))
+
+
+def training_runs(
+    protocol: str, scenes: Sequence[AblationScene], variants: Sequence[Variant], seeds: Sequence[int], iterations: int, cap: int
+) -> Iterator[TrainingRun]:
+    """All of them, seed by seed and variant by variant, so that an early look at the results is an even one."""
+    for seed in seeds:
+        for variant in variants:
+            for scene in scenes:
+                yield TrainingRun(protocol, scene, variant, variant.config(iterations, cap, seed))
+
+
+def measure(run: TrainingRun, path: Path) -> dict[str, Any]:
+    """Train and measure on the prepared scene in ``path``.
+
+    Returns:
+        ``protocol``, ``scene``, ``size``, ``tuned``, ``variant``, ``settings``, ``seed``, ``iterations``, ``cap``, ``flowsplat``
+        (``source_state``), ``test`` (``kind``, ``count``), ``psnr``, ``ssim``, ``lpips`` and ``moving`` (PSNR) of the held-out
+        pictures with strict cameras, ``training_psnr``, ``flow_epe`` and ``flow_prior_epe`` (mean, pixels), ``gaussians``
+        (``total``, ``active_mean``), ``seconds`` (``train`` by the clock, ``train_cpu`` of all cores, ``evaluate``) and
+        ``peak_memory_gib``.
+    """
+    scene = Scene(path)
+    started, processor = time.perf_counter(), time.process_time()
+    model, total = _train(run, scene)
+    trained, used = time.perf_counter(), time.process_time() - processor
+    metrics = evaluate(model, scene, baselines=False)
+    kind = "views" if scene.views else "frames"
+    tested = metrics[f"heldout_{kind}"]
+    counts = [model.active_count(float(t)) for t in scene.timestamps]
+    return {
+        "protocol": run.protocol, "scene": run.scene.case.scene, "size": [scene.width, scene.height],
+        "tuned": run.scene.case.is_tuned, "variant": run.variant.name, "settings": run.variant.settings, "seed": run.config.seed,
+        "iterations": run.config.iterations, "cap": run.config.density.max_gaussians, "flowsplat": source_state(),
+        "test": {"kind": kind, "count": pick(tested, "count") or 0},
+        **{name: pick(tested, name) for name in ("psnr", "ssim", "lpips")}, "moving": pick(tested, "moving", "psnr"),
+        "training_psnr": pick(metrics, "training_frames", "psnr"),
+        **{name: pick(metrics, name, "mean") for name in ("flow_epe", "flow_prior_epe")},
+        "gaussians": {"total": total, "active_mean": float(np.mean(counts))},
+        "seconds": {
+            "train": round(trained - started, 2), "train_cpu": round(used, 2), "evaluate": round(time.perf_counter() - trained, 2),
+        },
+        "peak_memory_gib": peak_memory(),
+    }  # fmt: skip
+
+
+def _train(run: TrainingRun, scene: Scene) -> tuple[SceneModel | PerFrameModel, int]:
+    """The trained scene, and how many Gaussians it has."""
+    observations, config = load_observations(scene), run.config
+    device = pick_device(run.scene.case.config.device)
+    tracks = scene.tracks if scene.has_tracks else None
+    if run.variant.kind == "per_frame":
+        sets = train_per_frame(observations, config, device)
+        seconds = scene.timestamps[[frame.frame for frame in observations.frames]]
+        return PerFrameModel([scene_model(scene, each, config) for each in sets], seconds), sum(len(each) for each in sets)
+    start = None
+    if run.variant.kind == "static":
+        config = static_config(config)
+        start = static_start(observations, tracks, config)
+    gaussians = Trainer(observations, tracks, config, start=start, device=device).run()
+    return scene_model(scene, gaussians, config), len(gaussians)
+
+
+def comparable(
+    results: Sequence[Result], protocol: str, scenes: Sequence[AblationScene], variants: Sequence[Variant], iterations: int,
+    cap: int,
+) -> tuple[list[Result], int]:  # fmt: skip
+    """The results of these scenes and variants that were made with the settings of today, and how many others there are."""
+    seeds = {result["seed"] for result in results}
+    names = {result["scene"] for result in results}
+    there = [scene for scene in scenes if scene.case.scene in names]
+    keys = {run.key for run in training_runs(protocol, there, variants, sorted(seeds), iterations, cap)}
+    found = [result for result in results if result["key"] in keys]
+    return found, len(results) - len(found)
+
+
+def by_run(results: Sequence[Result], variant: str, figure: tuple[str, ...]) -> dict[Run, float]:
+    """A figure of all runs of a variant that have it."""
+    runs = [result for result in results if result["variant"] == variant]
+    found = {(result["scene"], result["seed"]): pick(result, *figure) for result in runs}
+    return {run: float(value) for run, value in found.items() if value is not None}

@@ -1,0 +1,30 @@
+"""``flowsplat benchmark movers``."""
+
+from __future__ import annotations
+
+from flowsplat.cli.arguments import Out
+from flowsplat.cli.command import Command
+from flowsplat_benchmarks.commands import WORK, Work
+
+
+def movers(out: Out, worlds: int = 40, seed: int = 0, again: bool = False, work: Work = WORK) -> None:
+    """How far away moving objects are estimated to be, in random worlds with exact truth.
+
+    Every world is rendered and prepared once, in OUT/<seed>, with our own cameras, flow and masks and with true ones. The
+    tables are in OUT/movers.md and OUT/movers.html, the figures in OUT/results.json. The same command again continues where
+    it was stopped. Seeds below 900 are for tuning, 900 to 999 decide between versions and are never looked at one by one,
+    1000 to 1199 are only reported.
+
+    Args:
+        out: Folder for everything that comes out.
+        worlds: How many worlds.
+        seed: That of the first one; the others follow.
+        again: Place the movers anew in worlds that are prepared already: what to call after that step was changed.
+        work: How the benchmark is done.
+    """
+    from flowsplat_benchmarks.movers import run_movers_benchmark
+
+    run_movers_benchmark(out, worlds, seed, again, options=work)
+
+
+COMMAND = Command(lambda _: movers, place=80)

@@ -1,0 +1,6 @@
+"""Whole runs over many scenes under a fixed protocol (METHOD 6): DAVIS, rendered rig scenes, NVIDIA Dynamic Scenes."""
+
+from flowsplat_benchmarks.datasets.benchmark import run_benchmark
+from flowsplat_benchmarks.datasets.cases import davis_cases, nvidia_cases, rig_cases
+
+__all__ = ["davis_cases", "nvidia_cases", "rig_cases", "run_benchmark"]

@@ -1,0 +1,105 @@
+"""Many random worlds; called again, it continues."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from flowsplat.common.errors import InputError
+from flowsplat.common.files import write_json
+from flowsplat.common.source import source_state
+from flowsplat.scenes import Scene
+from flowsplat_benchmarks.movers.measure import measure_scene
+from flowsplat_benchmarks.movers.preparation import VARIANTS, place_movers, prepare_world
+from flowsplat_benchmarks.movers.tables import DEFINITIONS, tables
+from flowsplat_benchmarks.reports import Report, failures
+from flowsplat_benchmarks.resume import BenchmarkOptions, Job, measure_jobs, results_at
+from flowsplat_benchmarks.tables import made_by
+from flowsplat_benchmarks.worlds import read_movers
+
+PROCESSES = 2
+"""Worlds that are worked on at a time where the options do not say it."""
+
+FIGURES = "figures.json"
+"""In the folder of a world."""
+
+TITLE = "Movers of random worlds"
+WIDTH, HEIGHT, FRAMES = 320, 180, 40
+
+
+def run_movers_benchmark(
+    out: Path, worlds: int, seed: int, again: bool = False, size: tuple[int, int] = (WIDTH, HEIGHT), frames: int = FRAMES,
+    options: BenchmarkOptions | None = None,
+) -> Path:  # fmt: skip
+    """Measure the worlds of ``worlds`` seeds from ``seed`` on: ``OUT/results.json``, ``OUT/movers.md`` and ``OUT/movers.html``.
+
+    Of each, ``OUT/<seed>/own`` and ``OUT/<seed>/true`` are its scenes and ``OUT/<seed>/figures.json`` its figures (see
+    ``measure_scene``). A world that cannot be prepared is told and left out, and the others go on.
+
+    Args:
+        again: place the movers anew in what is prepared already, and measure them.
+        size: pixels of the pictures, frames: how many.
+        options: how many at a time, and by what.
+
+    Returns:
+        path of the page.
+
+    Raises:
+        InputError: the folder cannot be written, or, at the end, which worlds could not be measured.
+    """
+    if worlds < 1 or seed < 0:
+        raise InputError(f"--worlds {worlds} --seed {seed}: give one world or more, and a seed of 0 or more.")
+    seeds = range(seed, seed + worlds)
+    jobs = [_job(each, out, size, frames, again) for each in seeds]
+
+    def report(failed: Mapping[str, str]) -> Path:
+        return write_report(out, seeds, failed)
+
+    return measure_jobs(jobs, out, report, "worlds", again, options, workers=PROCESSES)
+
+
+def _job(seed: int, out: Path, size: tuple[int, int], frames: int, again: bool) -> Job:
+    folder = out.absolute() / str(seed)
+    return Job(f"world-{seed}", "", partial(measure_world, seed, folder, size, frames, again), folder / FIGURES)
+
+
+def measure_world(seed: int, folder: Path, size: tuple[int, int], frames: int, again: bool) -> dict[str, Any]:
+    """Prepare what is missing of a world, place its movers and return what ``FIGURES`` in its folder says.
+
+    Raises:
+        InputError: as ``prepare_world``.
+    """
+    prepare_world(seed, folder, *size, frames)
+    figures: dict[str, Any] = {}
+    for variant in VARIANTS:
+        scene = Scene(folder / variant)
+        place_movers(scene, again)
+        figures[variant] = _rounded(measure_scene(scene))
+        truth = scene.truth
+        assert truth is not None
+        known = read_movers(truth)
+    facts = {"seed": seed, "ground": known["ground"], "camera": known["camera"], "size": size, "frames": frames}
+    return {**facts, "flowsplat": source_state(), **figures}
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, float):
+        return round(value, 5)
+    if isinstance(value, dict):
+        return {key: _rounded(each) for key, each in value.items()}
+    return [_rounded(each) for each in value] if isinstance(value, list) else value
+
+
+def write_report(out: Path, seeds: range, failed: Mapping[str, str]) -> Path:
+    """Write the tables of all seeds that are measured, and return the path of the page.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    results = results_at(out / str(each) / FIGURES for each in seeds if f"world-{each}" not in failed)
+    write_json(out / "results.json", results)
+    verdict = f"{len(results)} worlds, seeds {seeds.start} to {seeds.stop - 1}."
+    remarks = [*DEFINITIONS, *([made_by(results)] if results else []), *failures(failed, "measured")]
+    return Report("movers", TITLE, verdict, remarks, tables(results), verdict_is_remark=True).write(out)

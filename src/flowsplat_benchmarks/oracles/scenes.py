@@ -1,0 +1,176 @@
+"""Oracle scenes: copies of a prepared scene in which one prior after the other is replaced by the truth.
+
+| oracle | what is true in it |
+| --- | --- |
+| own | nothing: the priors as they are |
+| constant | the depth of every mover is multiplied by one number, so that its median over the clip is right |
+| course | movers are flat cards at the median of their true depth in every frame |
+| relief | true depth inside the scene's masks |
+| outline | true masks, too |
+| background | the depth of what rests, too |
+| flow | true flow, too |
+| cameras | everything, tracks included |
+
+Each holds what is true in those before it. True depth comes at the scale of the estimated cameras (``movers.depth_scale``) as long
+as these are used. What the pipeline makes from something that was replaced is made anew: static depth and tracks from the true
+masks, tracks from true static depth and from true flow.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from flowsplat.common.errors import InputError
+from flowsplat.pipeline.preparing import copy_scene
+from flowsplat.priors.given import consecutive_pairs
+from flowsplat.priors.graph import PRIORS
+from flowsplat.priors.options import PriorsOptions
+from flowsplat.priors.prepare import prepare_priors, use_truth
+from flowsplat.scenes import Depth, Scene
+from flowsplat_benchmarks.oracles.movers import depth_scale, masks_of, match_movers, mover_errors, truth_of
+
+
+def make_oracle(prepared: Path, folder: Path, oracle: str, device: str = "auto") -> Scene:
+    """The oracle of a prepared scene in ``folder``; made anew where it is one of another scene. ``prepared`` stays as it is.
+
+    Args:
+        oracle: a name from ``ORACLES``.
+        device: where the priors that have to be made anew are computed.
+
+    Raises:
+        InputError: there is no such oracle, the scene is not prepared or has no truth, or the folder cannot be written.
+    """
+    if oracle not in ORACLES:
+        raise InputError(f"There is no oracle {oracle!r}: choose from {', '.join(ORACLES)}.")
+    source = Scene(prepared)
+    truth_of(source)
+    identity = {"name": oracle, "of": source.name, "priors": source.info.priors, "similarity": source.info.similarity}
+    if (folder / "scene.json").exists():
+        if Scene(folder).info.oracle == identity:
+            return Scene(folder)
+        shutil.rmtree(folder)
+    making = folder.with_name(f".{folder.name}.making")
+    shutil.rmtree(making, ignore_errors=True)
+    scene = copy_scene(prepared, making)
+    scene.mark_oracle(f"{source.name}, {oracle}", identity)
+    ORACLES[oracle](scene, device)
+    making.rename(folder)
+    return Scene(folder)
+
+
+# -- depth inside the scene's own masks
+
+
+def _as_it_is(scene: Scene, device: str) -> None:
+    pass
+
+
+def _constant(scene: Scene, device: str) -> None:
+    errors = mover_errors(scene)
+    for i, mask, _ in masks_of(scene):
+        depth = scene.depth(i)
+        values = depth.depth.copy()
+        for error in errors:
+            values[error.mover.region(mask)] *= np.float32(np.exp(-error.constant))
+        scene.write_depth(i, Depth(values, depth.confidence))
+    _finish(scene, device, depth="the depth of each mover times one number")
+
+
+def _course(scene: Scene, device: str) -> None:
+    movers, scale, truth = match_movers(scene), depth_scale(scene), truth_of(scene)
+    for i, mask, true_mask in masks_of(scene):
+        depth, true = scene.depth(i), truth.depth(i).depth
+        values = depth.depth.copy()
+        for mover in movers:
+            region, compared = mover.region(mask), mover.compared(mask, true_mask)
+            if region.any():
+                values[region] = scale * np.median(true[compared if compared.any() else region])
+        scene.write_depth(i, Depth(values, depth.confidence))
+    _finish(scene, device, depth="movers are cards at their true distance")
+
+
+def _relief(scene: Scene, device: str) -> None:
+    _write_true_depth_of_movers(scene, depth_scale(scene))
+    _finish(scene, device, depth="true depth of movers")
+
+
+def _write_true_depth_of_movers(scene: Scene, scale: float) -> None:
+    truth = truth_of(scene)
+    for i in scene.train_frames:
+        depth, moving = scene.depth(i), scene.mask(i) > 0
+        true = np.float32(scale) * truth.depth(i).depth
+        scene.write_depth(i, Depth(np.where(moving, true, depth.depth), np.where(moving, np.float32(1), depth.confidence)))
+
+
+# -- what is replaced beside it
+
+
+def _outline(scene: Scene, device: str) -> None:
+    scale = depth_scale(scene)
+    _write_true_masks(scene)
+    PRIORS.erase(scene, ["depth", "tracks"])
+    _finish(scene, device)
+    _write_true_depth_of_movers(scene, scale)
+    _finish(scene, device, depth="true depth of movers")
+
+
+def _background(scene: Scene, device: str) -> None:
+    _write_true_depth(scene)
+    PRIORS.erase(scene, ["tracks"])
+    _finish(scene, device)
+
+
+def _flow(scene: Scene, device: str) -> None:
+    _write_true_depth(scene)
+    truth = truth_of(scene)
+    known = set(truth.flow_pairs)
+    for pair in consecutive_pairs(scene):
+        if pair in known:
+            scene.write_flow(truth.flow(*pair))
+    scene.finish_prior("flow", method="truth", verdict="true flow")
+    PRIORS.erase(scene, ["tracks"])
+    _finish(scene, device)
+
+
+def _cameras(scene: Scene, device: str) -> None:
+    use_truth(scene)
+    _finish(scene, device)
+
+
+def _write_true_masks(scene: Scene) -> None:
+    truth = truth_of(scene)
+    for i in scene.train_frames:
+        scene.write_mask(i, truth.mask(i))
+    scene.finish_prior("masks", method="truth", verdict="true masks")
+
+
+def _write_true_depth(scene: Scene) -> None:
+    """And true masks."""
+    scale, truth = depth_scale(scene), truth_of(scene)
+    _write_true_masks(scene)
+    for i in scene.train_frames:
+        true = truth.depth(i)
+        scene.write_depth(i, Depth(np.float32(scale) * true.depth, true.confidence))
+    scene.finish_prior("depth", method="truth", verdict="true depth")
+
+
+# -- what the scene records
+
+
+def _finish(scene: Scene, device: str, **verdicts: str) -> None:
+    """Note what is true in a prior that was replaced in part, compute those that are missing, and the scale of training."""
+    for name, verdict in verdicts.items():
+        scene.amend_prior(name, verdict=verdict)
+    scene.write_similarity(None)
+    prepare_priors(scene, PriorsOptions(), device)
+
+
+ORACLES: dict[str, Callable[[Scene, str], None]] = {
+    "own": _as_it_is, "constant": _constant, "course": _course, "relief": _relief, "outline": _outline,
+    "background": _background, "flow": _flow, "cameras": _cameras,
+}  # fmt: skip
+"""What makes each oracle of a copy of the prepared scene, in the order in which they add to each other."""

@@ -1,0 +1,108 @@
+"""The report of a benchmark: its tables, remarks and scenes, as Markdown and as a page that needs no network."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+
+from flowsplat.common.files import write_text
+from flowsplat.output.page import fitted, write_page
+from flowsplat.pictures.charts import svg_file
+from flowsplat.pictures.html import picture, table
+from flowsplat_benchmarks.tables import Result, Table, markdown, plain
+
+WIDEST = 1600
+"""Pixels of a picture of a scene in the page, at most."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a benchmark found.
+
+    Attributes:
+        name: of its files, ``OUT/<name>.md`` and ``OUT/<name>.html``.
+        title: of both.
+        verdict: the result in a sentence; it stands on top of the page.
+        remarks: what has to be known of the tables.
+        tables: in order; the chart of one is a file of its own, too.
+        scenes: what became of each, under the tables of the page (``scene_section``).
+        template: of the page, in ``templates``.
+        verdict_is_remark: whether the Markdown has the verdict, as its first remark.
+    """
+
+    name: str
+    title: str
+    verdict: str
+    remarks: Sequence[str]
+    tables: Sequence[Table]
+    scenes: Sequence[Mapping[str, Any]] = ()
+    template: str = "report.html.jinja"
+    verdict_is_remark: bool = False
+
+    def write(self, out: Path) -> Path:
+        """Write it into the folder ``out`` and return the path of the page.
+
+        Raises:
+            InputError: the folder cannot be written.
+        """
+        for each in self.tables:
+            if each.chart is not None:
+                write_text(out / each.chart.file, svg_file(each.chart.drawing))
+        remarks = [self.verdict, *self.remarks] if self.verdict_is_remark else self.remarks
+        write_text(out / f"{self.name}.md", markdown(self.title, remarks, self.tables))
+        page = out / f"{self.name}.html"
+        write_benchmark_page(
+            page, self.template, title=self.title, verdict=self.verdict, remarks=self.remarks,
+            tables=[_on_page(each) for each in self.tables], scenes=self.scenes,
+        )  # fmt: skip
+        return page
+
+
+def write_benchmark_page(page: Path, template: str, **values: Any) -> None:
+    """Fill a template of this package (``templates``) and write the page.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    write_page(page, template, package="flowsplat_benchmarks", **values)
+
+
+def _on_page(each: Table) -> dict[str, Any]:
+    rows = [[plain(cell) for cell in row] for row in (each.header, *each.rows)]
+    return {
+        "title": each.title, "note": each.note, "chart": each.chart and each.chart.drawing,
+        "table": table(rows[0], rows[1:], each.strong),
+    }  # fmt: skip
+
+
+def failures(failed: Mapping[str, str], done: str = "run") -> list[str]:
+    """A remark on each of those that failed, from their names and why; ``done``: what could not be done with them."""
+    return [f"{name} could not be {done}: {reason}" for name, reason in failed.items()]
+
+
+def runs_measured(results: Sequence[Result], failed: Mapping[str, str]) -> str:
+    """How many runs there are and how many are missing, in a sentence.
+
+    >>> runs_measured([{}, {}], {}), runs_measured([], {"bear": "it is torn"})
+    ('Runs measured: 2.', 'Runs measured: 0; that could not be run: 1.')
+    """
+    return f"Runs measured: {len(results)}" + (f"; that could not be run: {len(failed)}." if failed else ".")
+
+
+def scene_section(
+    out: Path, title: str, facts: str, page: str, pictures: Sequence[tuple[np.ndarray, str]] = (), widest: int = WIDEST
+) -> dict[str, Any]:
+    """What the page says of a scene.
+
+    Args:
+        page: of the scene, in ``out``; there is a link to it where it is there.
+        pictures: [H, W, 3] each, with what it shows.
+        widest: pixels of one in the page, at most.
+    """
+    strip = Markup().join(picture(fitted(image, widest), what) for image, what in pictures)
+    return {"title": title, "facts": facts, "strip": strip or None, "page": page if (out / page).exists() else None}

@@ -1,0 +1,183 @@
+"""All there is to do on a machine with a card, within a few minutes: each part in a process of its own, with a limit of its own.
+
+What a part has found is in the result's file at once, so a part that fails, hangs or is killed costs its own figures and no
+others. ``rehearse`` runs the same parts with tiny sizes in Triton's interpreter, on a machine without a card.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+from flowsplat.common.files import make_folder, write_json
+from flowsplat_benchmarks.scripts.cpu_parts.machine import commit
+from flowsplat_benchmarks.scripts.cpu_parts.timing import tell
+
+FOLDER = Path(__file__).parent
+COMMAND = ("-m", "flowsplat_benchmarks.scripts.gpu")
+"""What runs a part, behind the name of Python."""
+SHOWN = 15
+"""Lines of a failed part's output that are kept."""
+GRACE = 3.0
+"""Seconds for writing the last result, and for a part that is asked to stop."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """One thing to do.
+
+    Attributes:
+        name: by which it is chosen.
+        weight: its share of the time, beside those of the parts that come after it.
+        what: for the person who waits, and for the plan.
+    """
+
+    name: str
+    weight: float
+    what: str
+
+
+PARTS = (
+    Part("kernels", 26, "every kernel against its oracle, values and gradients"),
+    Part("step", 12, "a training step, its kernels, and what other numbers of warps would make of it"),
+    Part("frames", 14, "frames a second of drawn Gaussians, stage by stage, with and without flow"),
+    Part("agreement", 10, "the same model after 200 steps on the CPU and on the card"),
+    Part("memory", 6, "milliseconds and memory of ever more Gaussians"),
+    Part("gsplat", 10, "the same pictures by gsplat's own kernels"),
+    Part("training", 20, "whole runs on the card, their quality beside the CPU's"),
+    Part("viewing", 6, "frames a second of what was trained, as a viewer draws it"),
+)
+
+
+def plan(minutes: float, parts: Sequence[Part] = PARTS) -> list[tuple[Part, float]]:
+    """Each part and the seconds that it may take if all before it take theirs; what one leaves over, the others share."""
+    total = sum(part.weight for part in parts)
+    return [(part, 60 * minutes * part.weight / total) for part in parts]
+
+
+def limit_of(index: int, left: float, parts: Sequence[Part] = PARTS) -> float:
+    """Seconds for a part when so many are left for it and for all that come after it."""
+    return max(left - GRACE, 0.0) * parts[index].weight / sum(part.weight for part in parts[index:])
+
+
+def everything(out: Path, minutes: float, scenes: Sequence[Path] = (), rehearse: bool = False, broken: bool = False,
+               only: Sequence[str] = (), keep: Path | None = None) -> dict[str, Any]:  # fmt: skip
+    """Run all parts (or ``only`` some, beside those that ``out`` has), write ``out`` after each.
+
+    Args:
+        out: a JSON file.
+        minutes: for everything together.
+        scenes: prepared scenes that are trained, too.
+        rehearse: tiny, in Triton's interpreter.
+        broken: the kernel that blends raises an error: to see that the rest still comes.
+        only: names of parts; none = all of them.
+        keep: a folder for what the parts print, and for their runs; None = they are deleted.
+    """
+    parts = tuple(part for part in PARTS if not only or part.name in only)
+    began = time.monotonic()
+    # What was done before stays, so that the parts can be done one after the other.
+    before = json.loads(out.read_text(encoding="utf-8"))["parts"] if only and out.exists() else {}
+    result: dict[str, Any] = {
+        "format": 2, "date": datetime.now(timezone.utc).isoformat(timespec="seconds"), **commit(FOLDER),
+        "minutes": minutes, "rehearsal": rehearse, "broken": broken, "parts": before,
+    }  # fmt: skip
+    with tempfile.TemporaryDirectory(prefix="flowsplat-gpu-") as temporary, _Compiler(not rehearse) as compiler:
+        folder = temporary if keep is None else make_folder(keep)
+        for index, part in enumerate(parts):
+            compiler.go_on(part)
+            limit = limit_of(index, 60 * minutes - (time.monotonic() - began), parts)
+            tell(f"{time.monotonic() - began:5.0f} s  {part.name}: {part.what} (at most {limit:.0f} s)")
+            result["parts"][part.name] = found = _run(part, Path(folder), limit, scenes, rehearse, broken)
+            if "machine" in found["figures"]:
+                result["machine"] = found["figures"].pop("machine")
+            result["seconds"] = round(time.monotonic() - began, 1)
+            write_json(out, result)
+            tell(f"         {found['outcome']} after {found['seconds']} s")
+    return result
+
+
+class _Compiler:
+    """gsplat compiles its kernels when it is first imported, for minutes: beside what is not timed, and before it is needed."""
+
+    def __init__(self, wanted: bool) -> None:
+        self._process: subprocess.Popen[bytes] | None = None
+        if not wanted or importlib.util.find_spec("gsplat") is None:
+            return
+        import torch
+
+        os.environ.setdefault("TORCH_CUDA_ARCH_LIST", ".".join(map(str, torch.cuda.get_device_capability())))
+        command = [sys.executable, "-c", "import os; os.nice(15); import gsplat.cuda._backend"]
+        quiet = subprocess.DEVNULL
+        self._process = subprocess.Popen(command, stdout=quiet, stderr=quiet, start_new_session=True)
+
+    def go_on(self, part: Part) -> None:
+        """It runs beside the tests, stands still while something is timed, and ends before what it is for."""
+        if self._process is not None and self._process.poll() is None:
+            os.killpg(self._process.pid, signal.SIGCONT if part.name in ("kernels", "gsplat") else signal.SIGSTOP)
+
+    def __enter__(self) -> _Compiler:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._process is not None:
+            _end(self._process)
+
+
+def _run(part: Part, folder: Path, limit: float, scenes: Sequence[Path], rehearse: bool, broken: bool) -> dict[str, Any]:
+    """One part in its process; what it found until it ended or was ended."""
+    figures, log = folder / f"{part.name}.json", folder / f"{part.name}.log"
+    command = [
+        sys.executable,
+        *COMMAND,
+        "--part",
+        part.name,
+        "--out",
+        str(figures),
+        "--work",
+        str(folder),
+    ]
+    command += ["--seconds", f"{limit:.0f}", *(word for scene in scenes for word in ("--scene", str(scene)))]
+    command += ["--rehearse"] * rehearse + ["--broken"] * broken
+    environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
+    if rehearse:
+        # The interpreter has one state for all threads of a process.
+        environment |= {"TRITON_INTERPRET": "1", "CUDA_VISIBLE_DEVICES": "", "NUMBA_NUM_THREADS": "1"}
+    began = time.monotonic()
+    with log.open("wb") as output:
+        process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, env=environment, start_new_session=True)
+        try:
+            outcome = "done" if process.wait(limit) == 0 else f"failed with code {process.returncode}"
+        except subprocess.TimeoutExpired:
+            outcome = f"stopped: it took longer than {limit:.0f} s"
+        finally:
+            _end(process)
+    found = json.loads(figures.read_text(encoding="utf-8")) if figures.exists() else {}
+    result: dict[str, Any] = {"outcome": outcome, "seconds": round(time.monotonic() - began, 1), "figures": found}
+    if outcome != "done":
+        result["output"] = log.read_text(encoding="utf-8", errors="replace").splitlines()[-SHOWN:]
+        tell("\n".join(f"         | {line}" for line in result["output"]))
+    return result
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """End a part and whatever it began; a compiler that it started may still run when it is done."""
+    for number in (signal.SIGTERM, signal.SIGKILL):
+        try:
+            os.killpg(process.pid, number)
+        except ProcessLookupError:
+            break
+        try:
+            process.wait(GRACE)
+        except subprocess.TimeoutExpired:
+            continue

@@ -1,0 +1,115 @@
+"""The background alone of random worlds under a strong sun, against pictures of the same worlds without their movers.
+
+    python -m flowsplat_benchmarks.scripts.shadows OUT --seed 200 --worlds 10         # a strong sun
+    python -m flowsplat_benchmarks.scripts.shadows OUT --seed 200 --worlds 10 --sky   # no sun, no shadows
+
+Worlds are 40 frames of 320 x 180 with true priors and 500 frame-steps. Every third frame counts: all pixels; those of shadows,
+which are darker by 4 % without being a mover; those behind movers; all else. ``OUT/shadows.md`` is the table. The same command
+again does not train again.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from flowsplat.common.files import write_text
+from flowsplat.evaluation.baselines import to_float
+from flowsplat.gaussians.model import SceneModel
+from flowsplat.gaussians.observations import load_observations
+from flowsplat.gaussians.shadows import with_lit
+from flowsplat.priors.options import PriorsOptions
+from flowsplat.priors.prepare import prepare_priors
+from flowsplat.scenes import Scene
+from flowsplat.scenes.synthetic.worlds.world import World
+from flowsplat.training.checkpoint import has_model, load_model, save_model
+from flowsplat.training.config import PRESETS
+from flowsplat.training.scene_model import scene_model
+from flowsplat.training.trainer import Trainer
+from flowsplat_benchmarks.worlds import draw_world, write_world
+
+WIDTH, HEIGHT, FRAMES, STEPS, EVERY = 320, 180, 40, 500, 3
+SUN, AMBIENT, RISE = 0.6, 0.5, 0.88
+"""Light of the sun and of the sky, and how much higher than wide the direction to the sun is."""
+DARKER, FEWEST = 0.04, 500
+"""Of a shadow, 0 to 1; and pixels of a kind that make a figure."""
+KINDS = ("all", "shadow", "hidden", "all else")
+
+
+def drawn(seed: int, sky: bool) -> World:
+    """A world under a sun that is always there, or under the sky alone."""
+    world = draw_world(seed, WIDTH, HEIGHT, FRAMES)
+    if sky:
+        return replace(world, light=replace(world.light, sun=0.0, ambient=world.light.ambient + world.light.sun))
+    across = world.light.direction[:2] / np.linalg.norm(world.light.direction[:2])
+    direction = np.array([*across, RISE]) / np.hypot(1, RISE)
+    return replace(world, light=replace(world.light, direction=direction, sun=SUN, ambient=AMBIENT))
+
+
+def trained(folder: Path, world: World) -> tuple[Scene, SceneModel]:
+    """The scene of a world, and it trained, without what is known of shadows."""
+    is_new = not (folder / "scene" / "truth" / "movers.json").exists()
+    scene = write_world(folder / "scene", world) if is_new else Scene(folder / "scene")
+    prepare_priors(scene, PriorsOptions(priors="true"), "cpu")
+    if not has_model(folder / "model"):
+        config = PRESETS["default"]
+        density = replace(config.density, every=100, start=100)
+        init = replace(config.init, background_spacing=2.0, foreground_spacing=2.0)
+        config = replace(config, iterations=STEPS, preview_every=0, density=density, init=init)
+        trainer = Trainer(load_observations(scene), scene.tracks, config)
+        save_model(folder / "model", scene_model(scene, trainer.run(), config))
+    return scene, load_model(folder / "model")
+
+
+def measure(scene: Scene, model: SceneModel, world: World) -> dict[str, tuple[float, float]]:
+    """PSNR by kind of pixel as trained and without shadows; of the kinds that there are."""
+    frames = scene.train_frames
+    times = [float(scene.timestamps[i]) for i in frames]
+    lit = with_lit(model, [scene.cameras[i] for i in frames], times, [scene.mask(i) for i in frames])
+    empty = replace(world, movers=(), touching=None, noise=0.0)
+    sums = {kind: np.zeros(3) for kind in KINDS}
+    for i in frames[::EVERY]:
+        target, seen = to_float(empty.picture(i)), to_float(scene.frame(i))
+        hidden = cv2.dilate(scene.mask(i), np.ones((5, 5), np.uint8)) > 0
+        shadow = (cv2.blur((target - seen).mean(-1), (3, 3)) > DARKER) & ~hidden
+        kinds = dict(zip(KINDS, (np.ones_like(hidden), shadow, hidden, ~hidden & ~shadow), strict=True))
+        pictures = [each.part("background").render(scene.cameras[i], float(scene.timestamps[i])).colour for each in (model, lit)]
+        for kind, where in kinds.items():
+            sums[kind] += [*(((picture - target) ** 2).mean(-1)[where].sum() for picture in pictures), where.sum()]
+    found = {}
+    for kind, (before, now, count) in sums.items():
+        if count > FEWEST:
+            found[kind] = (-10 * float(np.log10(before / count)), -10 * float(np.log10(now / count)))
+    return found
+
+
+def table(results: list[dict[str, tuple[float, float]]]) -> str:
+    """Markdown: means over the worlds that have a kind of pixel, as trained and now."""
+    cells = []
+    for kind in KINDS:
+        figures = [each[kind] for each in results if kind in each]
+        cells.append("{:.2f}, {:.2f}".format(*np.mean(figures, 0)) if figures else "")
+    return f"| {' | '.join(KINDS)} |\n{'| --- ' * len(KINDS)}|\n| {' | '.join(cells)} |\n"
+
+
+def main() -> None:
+    """See the module."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--seed", type=int, default=200)
+    parser.add_argument("--worlds", type=int, default=10)
+    parser.add_argument("--sky", action="store_true")
+    chosen = parser.parse_args()
+    results = []
+    for seed in range(chosen.seed, chosen.seed + chosen.worlds):
+        world = drawn(seed, chosen.sky)
+        results.append(measure(*trained(chosen.out / f"{'sky' if chosen.sky else 'sun'}-{seed}", world), world))
+    write_text(chosen.out / "shadows.md", table(results))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,31 @@
+"""Scenes that several measurements of a benchmark share: prepared once, by whoever needs them first."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from flowsplat.common.errors import InUseError
+from flowsplat.common.processes import in_own_process
+from flowsplat.pipeline import prepare
+from flowsplat_benchmarks.datasets.cases import Case
+
+WAIT = 2.0
+"""Seconds between two looks whether another process has prepared a scene."""
+
+
+def prepared_scene(case: Case, folder: Path) -> Path:
+    """The prepared scene of a case in ``folder``, a run; what is missing of it is computed, in a process of its own.
+
+    Raises:
+        InputError: the input cannot be used.
+    """
+    while True:
+        try:
+            return in_own_process(_prepare, case, folder)
+        except InUseError:
+            time.sleep(WAIT)
+
+
+def _prepare(case: Case, folder: Path) -> Path:
+    return prepare(case.source, folder, case.config).scene_path

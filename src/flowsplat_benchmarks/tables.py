@@ -1,0 +1,129 @@
+"""Tables of figures, as data and as Markdown."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from markupsafe import Markup
+
+from flowsplat.evaluation.scores import mean_of, pick
+from flowsplat.pictures.html import NOTHING
+
+Result = Mapping[str, Any]
+"""The JSON of what was measured: of a run, a scene or a world."""
+
+TUNED_MARK = "*tuned*"
+"""Behind the name of a scene on which settings were chosen."""
+
+
+@dataclass(frozen=True)
+class Chart:
+    """A drawing that belongs to a table: the name of its file, and the SVG."""
+
+    file: str
+    drawing: Markup
+
+
+@dataclass(frozen=True)
+class Table:
+    """A title, a note below it, a header, rows of texts in Markdown, the indices of the rows that stand out, and a drawing."""
+
+    title: str
+    note: str
+    header: tuple[str, ...]
+    rows: list[tuple[str, ...]]
+    strong: tuple[int, ...] = ()
+    chart: Chart | None = None
+
+
+@dataclass(frozen=True)
+class Column:
+    """A figure that a table has of its results.
+
+    Attributes:
+        header: what stands over it.
+        path: its keys in a result.
+        digits: behind the point.
+        factor: by which it is multiplied before it is written.
+        sign: whether it is written with one.
+    """
+
+    header: str
+    path: tuple[str, ...]
+    digits: int = 2
+    factor: float = 1.0
+    sign: bool = False
+
+    def is_in(self, results: Iterable[Result]) -> bool:
+        """Whether any of the results has it."""
+        return any(pick(result, *self.path) is not None for result in results)
+
+    def cell(self, *results: Result) -> str:
+        """The mean of the results that have it; a dash where none has."""
+        return text(scaled_mean((pick(result, *self.path) for result in results), self.factor), self.digits, self.sign)
+
+
+def label(result: Result) -> str:
+    """Name of a result's scene, with a mark where settings were chosen on it."""
+    return f"{result['scene']}, {TUNED_MARK}" if result["tuned"] else str(result["scene"])
+
+
+def made_by(results: Iterable[Result]) -> str:
+    """Which state of flowsplat made some results, in a sentence; several are told, because figures may differ for that alone.
+
+    >>> made_by([{"flowsplat": "1.0+a"}, {"flowsplat": "1.0+b"}, {"flowsplat": "1.0+b"}])
+    'Made by 2 different states of flowsplat, of which figures may differ for that alone: 1.0+a (1 run), 1.0+b (2 runs).'
+    """
+    states = Counter(str(result.get("flowsplat", "of unknown version")) for result in results)
+    if len(states) == 1:
+        return f"Made by flowsplat {next(iter(states))}."
+    told = ", ".join(f"{state} ({count} run{'' if count == 1 else 's'})" for state, count in sorted(states.items()))
+    return f"Made by {len(states)} different states of flowsplat, of which figures may differ for that alone: {told}."
+
+
+def text(value: float | None, digits: int, sign: bool = False) -> str:
+    """A number, with its sign where that is asked for (zero has none but +); a dash for None.
+
+    >>> text(1234.5, 1), text(0.25, 2, sign=True), text(None, 2)
+    ('1,234.5', '+0.25', '–')
+    """
+    if value is None:
+        return NOTHING
+    return f"{round(value, digits) + 0.0:{'+' if sign else ''},.{digits}f}"
+
+
+def scaled_mean(values: Iterable[float | None], factor: float = 1.0) -> float | None:
+    """The mean of the values that are there times ``factor``, None if none is."""
+    mean = mean_of(values)
+    return None if mean is None else factor * mean
+
+
+def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]], strong: Sequence[int] = ()) -> list[str]:
+    """The lines of a table; rows with the indices ``strong`` are bold."""
+    lines = ["| " + " | ".join(header) + " |", "|" + " --- |" * len(header)]
+    for k, row in enumerate(rows):
+        lines.append("| " + " | ".join(f"**{cell}**" if k in strong else cell for cell in row) + " |")
+    return lines
+
+
+def plain(cell: str) -> str:
+    """A cell without Markdown's emphasis.
+
+    >>> plain("bear, *tuned*"), plain("2 * 3")
+    ('bear, tuned', '2 * 3')
+    """
+    return re.sub(r"\*(\w[^*]*)\*", r"\1", cell)
+
+
+def markdown(title: str, remarks: Sequence[str], found: Sequence[Table]) -> str:
+    """A page with all tables; the chart of one stands under it, by the name of its file."""
+    lines = [f"# {title}", "", *(f"- {remark}" for remark in remarks)]
+    for each in found:
+        lines += ["", f"## {each.title}", "", *markdown_table(each.header, each.rows, each.strong), "", each.note]
+        if each.chart is not None:
+            lines += ["", f"![{each.title}]({each.chart.file})"]
+    return "\n".join(lines) + "\n"

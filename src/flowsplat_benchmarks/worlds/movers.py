@@ -1,0 +1,189 @@
+"""Random movers of a plan, each where it is seen as large as it is to be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from flowsplat.scenes.synthetic.worlds.ground import Ground
+from flowsplat.scenes.synthetic.worlds.machines import (
+    STOPS,
+    door,
+    draw_way,
+    flier,
+    in_the_air,
+    pendulum,
+    rolling,
+    straight,
+    vehicle,
+)
+from flowsplat.scenes.synthetic.worlds.materials import draw_material
+from flowsplat.scenes.synthetic.worlds.parts import Kind, Mover, Part
+from flowsplat.scenes.synthetic.worlds.people import HEIGHT, walker
+from flowsplat_benchmarks.worlds.dancers import dancer
+from flowsplat_benchmarks.worlds.plan import Plan
+
+APPARENT = (0.08, 0.7)
+"""Shares of the picture's height between which movers are drawn."""
+
+DANCING = (0.5, 0.9)
+"""The same of dancers."""
+
+NEAREST, FURTHEST = 1.4, 24.0
+"""Metres between which movers are drawn."""
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Where things have to be to be seen: the camera before it is moved looks along y from (0, 0, ``eye``)."""
+
+    eye: float
+    focal: float
+    aspect: float
+
+    def distance(self, rng: np.random.Generator, size: float, apparent: tuple[float, float] = APPARENT) -> float:
+        """Metres at which something ``size`` metres tall has a random size in the picture."""
+        share = np.exp(rng.uniform(*np.log(apparent)))
+        return float(np.clip(size * self.focal * self.aspect / share, NEAREST, FURTHEST))
+
+    def wide(self, distance: float) -> float:
+        """Metres across the picture there."""
+        return distance / self.focal
+
+
+def draw_movers(rng: np.random.Generator, plan: Plan, scale: Scale, ground: Ground, duration: float) -> list[Mover]:
+    movers: list[Mover] = []
+    if plan.pair == "touching":
+        movers = _draw_touching(rng, plan.kinds[:2], scale, ground, duration)
+    elif plan.pair == "crossing":
+        # Both are at the same place of the picture in the middle of the clip, one behind the other, and go opposite ways.
+        place, side = rng.uniform(-0.25, 0.25), rng.choice([0.0, np.pi])
+        for kind, towards in zip(plan.kinds[:2], (side, side + np.pi), strict=True):
+            movers.append(_draw_mover(rng, kind, scale, ground, duration, place, towards + rng.uniform(-0.3, 0.3)))
+    for kind in plan.kinds[len(movers) :]:
+        movers.append(_draw_mover(rng, kind, scale, ground, duration, rng.uniform(-0.36, 0.36), _draw_heading(rng)))
+    return movers
+
+
+def _draw_heading(rng: np.random.Generator) -> float:
+    """Mostly across the picture, now and then along the view."""
+    across = rng.choice([0.0, np.pi])
+    return float(across + rng.normal() * 0.4 if rng.random() < 0.65 else rng.uniform(0, 2 * np.pi))
+
+
+def _spot(scale: Scale, place: float, distance: float) -> np.ndarray:
+    """[2] at a distance, ``place`` widths of the picture beside its middle."""
+    return np.array([place * scale.wide(distance), distance])
+
+
+def _speed(rng: np.random.Generator, low: float, high: float, scale: Scale, distance: float, duration: float) -> float:
+    """Metres a second, so that at most 0.7 widths of the picture are crossed."""
+    return float(min(rng.uniform(low, high), 0.7 * scale.wide(distance) / duration))
+
+
+def _draw_mover(
+    rng: np.random.Generator, kind: Kind, scale: Scale, ground: Ground, duration: float, place: float, heading: float
+) -> Mover:
+    rich = bool(rng.random() < 0.6)
+    if kind in ("walker", "carrier"):
+        body = rng.uniform(0.6, 1.1)
+        distance = max(scale.distance(rng, body * HEIGHT), 2.2)
+        speed = rng.uniform(0.7, 1.7) * np.sqrt(body)
+        return walker(rng, ground, _spot(scale, place, distance), heading, body, speed, duration, rich, kind == "carrier")
+    if kind == "dancer":
+        size = rng.uniform(0.7, 1.1)
+        distance = max(scale.distance(rng, size * HEIGHT, DANCING), 2.2)
+        return dancer(rng, ground, _spot(scale, place, distance), rng.uniform(0, 2 * np.pi), size, rich)
+    if kind == "vehicle":
+        length = float(np.exp(rng.uniform(np.log(0.5), np.log(3.5))))
+        distance = max(scale.distance(rng, 0.45 * length), 1.2 * length + 0.8)
+        speed = _speed(rng, 0.5 * length, 2 * length, scale, distance, duration)
+        way = draw_way(rng, speed, duration, bool(rng.random() < STOPS))
+        return vehicle(rng, ground, _spot(scale, place, distance), heading, length, way, rich)
+    if kind == "door":
+        size = rng.uniform(0.5, 1.05)
+        distance = max(scale.distance(rng, 2 * size), 2.0)
+        return door(rng, ground, _spot(scale, place, distance), rng.uniform(0, 2 * np.pi), size, duration, rich)
+    if kind == "flier":
+        span = float(np.exp(rng.uniform(np.log(0.4), np.log(1.6))))
+        distance = max(scale.distance(rng, 0.4 * span), 2.0)
+        speed = _speed(rng, 0.6, 3.5, scale, distance, duration)
+        return flier(rng, ground, _spot(scale, place, distance), heading, span, speed, duration, rich)
+    radius = float(np.exp(rng.uniform(np.log(0.1), np.log(0.4))))
+    distance = scale.distance(rng, 2 * radius)
+    if kind == "rolling":
+        speed = _speed(rng, 0.4, 2.5, scale, distance, duration)
+        way = draw_way(rng, speed, duration, bool(rng.random() < STOPS))
+        return rolling(rng, ground, _spot(scale, place, distance), heading, radius, way, rich)
+    if kind == "pendulum":
+        return pendulum(rng, ground, _spot(scale, place, max(distance, 2.0)), rng.uniform(0, 2 * np.pi), radius, duration, rich)
+    thrown = kind == "thrown"
+    if thrown:
+        # It rises three metres and more: the picture has to be that high where it flies.
+        distance = max(distance, rng.uniform(3.2, 5.0) * scale.focal * scale.aspect)
+    speed = _speed(rng, 0.3, 3.0, scale, distance, duration)
+    return in_the_air(rng, ground, _spot(scale, place, distance), heading, radius, speed, duration, rich, not thrown)
+
+
+def _draw_touching(rng: np.random.Generator, kinds: tuple[Kind, ...], scale: Scale, ground: Ground, duration: float) -> list[Mover]:
+    """Two who walk arm in arm, one who pushes a cart, or a ball that hits another one."""
+    rich, other_rich = bool(rng.random() < 0.6), bool(rng.random() < 0.6)
+    beside, heading = rng.uniform(-0.2, 0.2), _draw_heading(rng)
+    if kinds == ("rolling", "rolling"):
+        radius = float(np.exp(rng.uniform(np.log(0.12), np.log(0.4))))
+        distance = scale.distance(rng, 2 * radius)
+        heading = straight(rng, ground, heading)
+        speed = _speed(rng, 0.8, 2.5, scale, distance, duration)
+        hit = rng.uniform(0.35, 0.65) * duration
+        at = ground.middle_of_tread(_spot(scale, beside, distance), 1.2 * radius)
+        gap = 2 * radius / float(np.linalg.norm(ground.tangent(np.array(heading))))
+        ahead = np.array([np.cos(heading), np.sin(heading)])
+
+        # The first one hands all of its speed to the second one.
+        def first(times: np.ndarray) -> np.ndarray:
+            return np.asarray(speed * np.minimum(times - hit, 0))
+
+        def second(times: np.ndarray) -> np.ndarray:
+            return np.asarray(speed * np.maximum(times - hit, 0))
+
+        return [
+            rolling(rng, ground, at, heading, radius, first, rich),
+            rolling(rng, ground, at + gap * ahead, heading, radius, second, other_rich),
+        ]
+    body = rng.uniform(0.75, 1.1)
+    distance = max(scale.distance(rng, body * HEIGHT), 2.4)
+    at, speed = _spot(scale, beside, distance), rng.uniform(0.7, 1.4)
+    if kinds[1] == "walker":
+        state = int(rng.integers(2**31))
+        aside = 0.52 * body * np.array([np.sin(heading), -np.cos(heading)])
+        # Both bend as much and step together; clothes are drawn apart.
+        pair = []
+        for side, clothes in ((-0.5, rich), (0.5, other_rich)):
+            mover = walker(np.random.default_rng(state), ground, at + side * aside, heading, body, speed, duration, clothes)
+            pair.append(_repainted(rng, mover, clothes))
+        return pair
+    heading = straight(rng, ground, heading)
+    length = rng.uniform(0.6, 1.1) * body
+    at = ground.middle_of_tread(at, 0.3)
+    ahead = np.array([np.cos(heading), np.sin(heading)])
+    pusher = walker(rng, ground, at, heading, body, speed, duration, rich, arms="forward")
+
+    def way(times: np.ndarray) -> np.ndarray:
+        return np.asarray(speed * (times - duration / 2))
+
+    # The hands are 0.4 of the body's scale before the hips, and the feet reach as far.
+    place, handle = at + (0.62 * body + length / 2) * ahead, (1.09 * body, 0.22 * body)
+    return [pusher, vehicle(rng, ground, place, heading, length, way, other_rich, handle)]
+
+
+def _repainted(rng: np.random.Generator, mover: Mover, rich: bool) -> Mover:
+    """The same with other colours, parts that shared one still sharing it."""
+    new: dict[bytes, np.ndarray] = {}
+    parts = []
+    for part in mover.parts:
+        key = part.material.tobytes()
+        if key not in new:
+            new[key] = draw_material(rng, 0.5, rich)
+        parts.append(Part(part.shape, part.size, new[key]))
+    return Mover(mover.kind, tuple(parts), mover.poses, mover.touching)

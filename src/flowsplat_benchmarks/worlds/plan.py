@@ -1,0 +1,67 @@
+"""What a random world is about: its ground, its camera and the kinds of its movers, from the seed alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from flowsplat.scenes.synthetic.worlds.cameras import CameraKind
+from flowsplat.scenes.synthetic.worlds.ground import GroundKind
+from flowsplat.scenes.synthetic.worlds.parts import KINDS, Kind
+from flowsplat_benchmarks.worlds.cameras import CAMERAS
+
+GROUNDS: tuple[GroundKind, ...] = ("flat", "slope", "steps", "none")
+
+PAIRS = ("crossing", "touching")
+"""Pairs of movers, as frequent as single ones of each kind where a world has two or more."""
+
+CROSSING: tuple[Kind, ...] = ("walker", "carrier", "vehicle", "rolling")
+TOUCHING: tuple[tuple[Kind, Kind], ...] = (("walker", "walker"), ("walker", "vehicle"), ("rolling", "rolling"))
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a world is about.
+
+    Attributes:
+        ground: what is seen of the ground.
+        camera: how the camera moves.
+        kinds: of the movers, in order.
+        pair: ``crossing`` or ``touching`` where the first two movers are such a pair.
+        raised: where no ground is in sight: whether it lies above the eye, or below the picture.
+    """
+
+    ground: GroundKind
+    camera: CameraKind
+    kinds: tuple[Kind, ...]
+    pair: str | None
+    raised: bool
+
+
+def draw_plan(seed: int, dancers: bool = False) -> Plan:
+    """What the world of a seed is about; ``dancers``: one or two of them, instead of all other movers, and no steps."""
+    block, place = divmod(seed, len(GROUNDS) * len(CAMERAS))
+    order = np.random.default_rng([block, 1]).permutation(len(GROUNDS) * len(CAMERAS))
+    ground, camera = divmod(int(order[place]), len(CAMERAS))
+    rng = np.random.default_rng([seed, 0])
+    count = int(rng.integers(1, 5))
+    kinds: list[Kind] = []
+    pair: str | None = None
+    while len(kinds) < count:
+        # A pair comes first, and only where there is room for it.
+        chosen = int(rng.integers(len(KINDS) + (len(PAIRS) if not kinds and count > 1 else 0)))
+        if chosen < len(KINDS):
+            kinds.append(KINDS[chosen])
+            continue
+        pair = PAIRS[chosen - len(KINDS)]
+        if pair == "crossing":
+            kinds = [CROSSING[k] for k in rng.integers(0, len(CROSSING), 2)]
+        else:
+            kinds = list(TOUCHING[int(rng.integers(len(TOUCHING)))])
+    raised = bool(rng.random() < 0.5) or bool({"rolling", "bouncing"} & set(kinds))
+    if dancers:
+        level: GroundKind = "flat" if GROUNDS[ground] == "steps" else GROUNDS[ground]
+        danced: list[Kind] = ["dancer"] * min(count, 2)
+        return Plan(level, CAMERAS[camera], tuple(danced), None, raised)
+    return Plan(GROUNDS[ground], CAMERAS[camera], tuple(kinds), pair, raised)

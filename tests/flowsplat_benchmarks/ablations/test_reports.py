@@ -1,0 +1,125 @@
+"""The pages of the ablations, from figures as runs leave them."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+
+import pytest
+
+from flowsplat.pictures.html import NOTHING
+from flowsplat_benchmarks.ablations import caps, report
+from flowsplat_benchmarks.ablations.claims import CLAIMS
+from flowsplat_benchmarks.tables import made_by
+
+
+def result(variant: str, psnr: float, scene: str = "bear", seed: int = 0, **changes) -> dict:
+    value = {
+        "protocol": "ablations", "scene": scene, "size": [427, 240], "tuned": True, "variant": variant, "settings": "",
+        "seed": seed, "iterations": 1500, "cap": 240_000, "flowsplat": "0", "test": {"kind": "frames", "count": 8},
+        "psnr": psnr, "ssim": 0.9,
+        "lpips": None, "moving": psnr - 2, "training_psnr": psnr + 2, "flow_epe": None, "flow_prior_epe": 0.2,
+        "gaussians": {"total": 200_000, "active_mean": 90_000.0}, "seconds": {"train": 61.0, "train_cpu": 110.0, "evaluate": 5.0},
+        "peak_memory_gib": 1.5,
+    }  # fmt: skip
+    return {**value, **changes}
+
+
+def ablations() -> list[dict]:
+    found = []
+    for scene, offset in (("bear", 0.0), ("train", -1.0)):
+        for seed in (0, 1):
+            more = {"scene": scene, "seed": seed}
+            found.append(result("full", 31.0 + offset + 0.1 * seed, **more))
+            found.append(result("linear", 30.0 + offset, **more))
+            found.append(result("no-q", 31.0 + offset + 0.1 * (1 - seed), moving=None, **more))
+            found.append(result("no-mu", 31.5 + offset + 0.1 * seed, moving=28.0 + offset, **more))
+    return found
+
+
+def test_ablations(tmp_path):
+    page = report.write_report(tmp_path, ablations(), {"ablations_x": "it is broken"})
+    text = (tmp_path / "ablations.md").read_text()
+    assert "3 rows: 1 confirmed, 1 contradicted, 1 not separable, 0 no difference, 0 one run." in text
+    assert "ablations_x could not be run: it is broken" in text
+    rows = {line.split(" | ")[0].strip("| *"): line.strip("| ").split(" | ") for line in text.splitlines() if line.startswith("| ")}
+    base = [cell.strip("*") for cell in rows["all of it"]]
+    assert base[1:6] == ["31.05 (29.05)", "30.05 (28.05)", "30.55 (28.55)", NOTHING, "0.900"]
+    linear = rows["neither mu(t) nor q(t): the linear 4D Gaussian"]
+    assert linear[1:5] == ["-1.05 (-1.05)", "-1.05 (-1.05)", "-1.05 (-1.05)", "0.06 (0.06)"]
+    assert linear[6:9] == ["-0.85", "worse", "confirmed"]
+    assert linear[-3:] == ["61", "110", "200"]
+    unmoved = rows["without q(t): constant rotation"]
+    assert unmoved[3] == "+0.00", "movers are not measured, and zero is not negative"
+    assert unmoved[8] == "not separable"
+    assert rows["without mu(t): a straight line"][8] == "contradicted (confirmed)"
+    assert "## Orders" not in text, "nothing of it is measured"
+    assert "bear at 427x240: 8 held-out frames" in text
+    assert "Made by flowsplat 0." in text
+    assert "left out" not in text
+    assert page.name == "ablations.html"
+    html = page.read_text()
+    assert html.count('class="chart"') == 1
+    assert html.count('class="bar"') == 6
+    svg = ElementTree.parse(tmp_path / "ablations_representation.svg").getroot()
+    assert svg.tag.endswith("svg")
+
+
+def test_every_row_has_its_place(tmp_path):
+    names = {claim.variant.name for claim in CLAIMS} | {claim.base.name for claim in CLAIMS}
+    report.write_report(tmp_path, [result(name, 30.0, seed=seed) for name in names for seed in (0, 1)], {})
+    text = (tmp_path / "ablations.md").read_text()
+    assert f"{len(CLAIMS)} rows" in text
+    for claim in CLAIMS:
+        assert f"| {claim.variant.label} |" in text
+
+
+@pytest.mark.parametrize("write", [report.write_report, caps.write_report])
+def test_without_results_the_page_is_empty(tmp_path, write):
+    assert write(tmp_path, [], {}).exists()
+
+
+def test_caps(tmp_path):
+    found = []
+    for scene in ("bear", "train"):
+        for cap, psnr in ((50_000, 28.0), (200_000, 30.0), (400_000, 31.0)):
+            more = {"protocol": "caps", "cap": cap, "gaussians": {"total": cap - 9, "active_mean": 0.5 * cap}}
+            found.append(result(f"cap{cap}-steps1500", psnr, scene, **more))
+        found.append(result("cap200000-steps250", 27.0, scene, protocol="caps", cap=200_000, iterations=250))
+    caps.write_report(tmp_path, found, {})
+    text = (tmp_path / "caps.md").read_text()
+    assert "| bear, tuned | 50,000 | 28.00 | 26.00 |" in text
+    assert "| train, tuned | 250 | 27.00 |" in text
+    assert text.count("| bear, tuned | 1,500 |") == 1
+    assert "49,991" in text
+    for name in ("cap", "iterations"):
+        drawing = (tmp_path / f"caps_{name}.svg").read_text()
+        assert drawing.count('<path class="line"') == 2
+        assert drawing.count("<circle") == (6 if name == "cap" else 4)
+
+
+def test_what_is_left_out_is_told(tmp_path):
+    for module in (report, caps):
+        path = module.write_report(tmp_path, ablations(), {}, 3).with_suffix(".md")
+        assert "left out here: 3." in path.read_text()
+
+
+def test_one_run_tells_nothing(tmp_path):
+    report.write_report(tmp_path, [result("full", 31.0), result("sh-0", 29.0)], {})
+    text = (tmp_path / "ablations.md").read_text()
+    (row,) = [line for line in text.splitlines() if line.startswith("| colours of degree 0")]
+    assert "| one run |" in row
+
+
+def test_many_scenes_are_not_all_in_the_picture(tmp_path):
+    found = [result("x", 30.0, scene, cap=cap) for scene in "abcdefg" for cap in (50_000, 200_000)]
+    caps.write_report(tmp_path, found, {})
+    assert (tmp_path / "caps_cap.svg").read_text().count('<path class="line"') == 5
+    text = (tmp_path / "caps.md").read_text()
+    assert "The picture shows 5 of 7 scenes." in text
+    assert "| g, tuned | 50,000 |" in text
+
+
+def test_states_of_the_code_are_told():
+    assert made_by([{"flowsplat": "0.1.0+a"}] * 2) == "Made by flowsplat 0.1.0+a."
+    assert "of unknown version (1 run)" in made_by([{}, {"flowsplat": "0.1.0+b"}]), "figures from before it was recorded"
+    assert "2 different states" in made_by([{"flowsplat": "0.1.0+a"}, {"flowsplat": "0.1.0+b"}])

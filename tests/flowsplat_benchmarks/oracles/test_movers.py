@@ -1,0 +1,64 @@
+"""Objects are found on their true movers, and the errors of their depth are those that were put in."""
+
+from __future__ import annotations
+
+import shutil
+
+import numpy as np
+import pytest
+
+from flowsplat.common.errors import InputError
+from flowsplat.priors.prepare import use_truth
+from flowsplat.scenes import Scene
+from flowsplat_benchmarks.oracles.movers import Mover, depth_scale, match_movers, mover_errors, static_error
+from tests.flowsplat_benchmarks.oracles.conftest import CONSTANT, COURSE, RELIEF, SCALE, SHADOW, STATIC
+
+
+def test_scale_comes_from_the_paths(wrong_scene):
+    scene = Scene(wrong_scene)
+    assert depth_scale(scene) == pytest.approx(SCALE, rel=1e-6)
+    assert static_error(scene) == pytest.approx(STATIC, abs=1e-3)
+
+
+def test_objects_are_on_their_movers(wrong_scene):
+    assert match_movers(Scene(wrong_scene)) == [Mover(1, (4,)), Mover(2, (5, 6)), Mover(3, (7,)), Mover(0, (SHADOW,))]
+
+
+def test_what_is_compared():
+    mask, true = np.array([[4, 5, 5, 0]]), np.array([[1, 2, 0, 2]])
+    mover = Mover(2, (5, 6))
+    assert mover.region(mask).tolist() == [[False, True, True, False]]
+    assert mover.compared(mask, true).tolist() == [[False, True, False, False]]
+    assert Mover(0, (5,)).compared(mask, true).tolist() == [[False, True, True, False]]
+
+
+def test_errors_are_those_that_were_put_in(wrong_scene):
+    first, *others = mover_errors(Scene(wrong_scene))
+    assert first.mover == Mover(1, (4,))
+    assert first.frames == 8
+    assert first.constant == pytest.approx(CONSTANT, abs=RELIEF)
+    assert first.course == pytest.approx(COURSE, rel=0.05)
+    assert first.relief == pytest.approx(RELIEF, rel=0.05)
+    for error in others:
+        assert error.constant == pytest.approx(-0.2, abs=1e-3)
+        assert error.relief < 1e-3
+        assert error.course is not None
+        assert error.course < 1e-3
+
+
+def test_true_priors_have_no_error(wrong_scene, tmp_path):
+    shutil.copytree(wrong_scene, tmp_path / "scene")
+    scene = Scene(tmp_path / "scene")
+    use_truth(scene)
+    assert depth_scale(scene) == 1
+    assert static_error(scene) == 0
+    errors = mover_errors(scene)
+    assert [error.mover for error in errors] == [Mover(n, (n,)) for n in (1, 2, 3)]
+    assert all((error.constant, error.course, error.relief) == (0, 0, 0) for error in errors)
+
+
+def test_a_scene_without_truth_is_refused(wrong_scene, tmp_path):
+    shutil.copytree(wrong_scene, tmp_path / "scene")
+    shutil.rmtree(tmp_path / "scene" / "truth")
+    with pytest.raises(InputError, match="only rendered scenes do"):
+        mover_errors(Scene(tmp_path / "scene"))

@@ -1,5 +1,0 @@
-"""The tiny data root of the runs."""
-
-from tests.protocols.datasets.conftest import runs_root
-
-__all__ = ["runs_root"]
