@@ -17,9 +17,9 @@ width, height, count = 128, 96, 800
 # The target: two soft discs on a gradient.
 y, x = torch.meshgrid(torch.arange(height) + 0.5, torch.arange(width) + 0.5, indexing="ij")
 target = torch.stack([x / width, y / height, torch.full_like(x, 0.3)], -1)
-for cx, cy, radius, colour in ((45, 40, 22, (1.0, 0.8, 0.1)), (85, 60, 18, (0.1, 0.3, 0.9))):
+for cx, cy, radius, color in ((45, 40, 22, (1.0, 0.8, 0.1)), (85, 60, 18, (0.1, 0.3, 0.9))):
     inside = torch.sigmoid(radius - torch.hypot(x - cx, y - cy))[..., None]
-    target = inside * torch.tensor(colour) + (1 - inside) * target
+    target = inside * torch.tensor(color) + (1 - inside) * target
 
 viewmat = torch.eye(4)
 K = torch.tensor([[100.0, 0, width / 2], [0, 100, height / 2], [0, 0, 1]])
@@ -29,13 +29,13 @@ parameters = {
     "quats": torch.randn(count, 4),
     "log_scales": torch.full((count, 3), -3.5),
     "logits": torch.zeros(count),
-    "colours": torch.rand(count, 3),
+    "colors": torch.rand(count, 3),
 }
 leaves = {name: value.requires_grad_() for name, value in parameters.items()}
 optimizer = torch.optim.Adam(leaves.values(), lr=0.02)
 for step in range(steps):
     image, alphas, info = rasterize(
-        leaves["means"], leaves["quats"], leaves["log_scales"].exp(), leaves["logits"].sigmoid(), leaves["colours"],
+        leaves["means"], leaves["quats"], leaves["log_scales"].exp(), leaves["logits"].sigmoid(), leaves["colors"],
         viewmat, K, width, height,
     )  # fmt: skip
     loss = (image - target).abs().mean()

@@ -20,9 +20,9 @@ camera = orbit(scene.cameras[middle], distance, steps=8, angle=5)[1]
 rendering = model.render(camera, time, flow_to=(camera, scene.timestamps[middle + 1]))
 assert rendering.flow is not None
 panels = [
-    float_to_bytes(rendering.colour),
+    float_to_bytes(rendering.color),
     flow_to_color(rendering.flow),
     depth_to_color(rendering.depth, *depth_range([rendering.depth])),
 ]
-write_image(out / "03_rendered.png", side_by_side(panels, ["colour", "flow", "depth"]))
-print(f"colour | flow | depth at {time:.3f} s: {out / '03_rendered.png'}")
+write_image(out / "03_rendered.png", side_by_side(panels, ["color", "flow", "depth"]))
+print(f"color | flow | depth at {time:.3f} s: {out / '03_rendered.png'}")

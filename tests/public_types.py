@@ -23,6 +23,6 @@ def a_user() -> None:
     assert_type(run.scene.cameras, list[flowsplat.Camera])
     rendering = flowsplat.load("out").render(run.scene.cameras[0], 0.5)
     assert_type(rendering, flowsplat.Rendering)
-    assert_type(rendering.colour, np.ndarray)
+    assert_type(rendering.color, np.ndarray)
     assert_type(flowsplat.preset("default"), flowsplat.RunConfig)
     assert_type(flowsplat.__version__, str)

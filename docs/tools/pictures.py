@@ -73,14 +73,14 @@ def _turned(t: float) -> Camera:
 
 
 def _hardly(t: float) -> Camera:
-    """Turning, and travelling a few centimetres in front of things that are metres away."""
+    """Turning, and traveling a few centimeters in front of things that are meters away."""
     turned, step = _turned(t), np.eye(4)
     step[:3, 3] = [-0.03 * t, 0.005 * np.sin(4 * t), 0]
     return Camera(step @ turned.viewmat, turned.K, *SIZE)
 
 
 def _before_a_wall(t: float) -> Camera:
-    """Sideways along the wall behind everything, a metre and a half from it."""
+    """Sideways along the wall behind everything, a meter and a half from it."""
     viewmat = np.eye(4)
     viewmat[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
     viewmat[:3, 3] = -viewmat[:3, :3] @ [-2.2 + t, 2.0 + 0.05 * np.sin(3 * t), 3.1]

@@ -254,7 +254,7 @@ def test_pictures_are_the_same_however_many_are_rendered_at_once():
     def picture(k: int) -> bytes:
         shown = model.render(camera, k / 8, (camera, (k + 1) / 8))
         assert shown.flow is not None
-        return shown.colour.tobytes() + shown.flow.tobytes()
+        return shown.color.tobytes() + shown.flow.tobytes()
 
     alone, together = (list(in_threads(picture, range(8), threads)) for threads in (1, 3))
     assert alone == together

@@ -57,7 +57,7 @@ class World:
         points, on_card = self._hits(camera, t)
         own = points - on_card[..., None] * card_position(t)
         phases = own[..., :1] * [7, 9, 11] + own[..., 1:2] * [8, -6, 5] + on_card[..., None] * [1.0, 2.0, 3.0]
-        colour = np.round((0.5 + 0.4 * np.sin(phases)) * 255) / 255
+        color = np.round((0.5 + 0.4 * np.sin(phases)) * 255) / 255
         _, depth = camera.project(points)
         flow = None
         if flow_to is not None:
@@ -65,7 +65,7 @@ class World:
             flow = back.camera(flow_to[0]).project(moved)[0] - pixel_grid(camera.width, camera.height)
         depth = depth * self.similarity.scale
         alpha = np.ones(depth.shape, np.float32)
-        return Rendering(colour.astype(np.float32), alpha, depth.astype(np.float32), flow)
+        return Rendering(color.astype(np.float32), alpha, depth.astype(np.float32), flow)
 
 
 def build(
@@ -102,7 +102,7 @@ def build(
     for i in range(COUNT):
         j = pairs.get(i)
         shown = world.render(true[i], times[i], None if j is None else (true[j], times[j]))
-        scene.write_frame(i, (shown.colour * 255 + 0.5).astype(np.uint8))
+        scene.write_frame(i, (shown.color * 255 + 0.5).astype(np.uint8))
         mask = np.ones((HEIGHT, WIDTH), np.uint8) if full_masks else world.mask(true[i], times[i])
         if masks:
             (scene if i in scene.train_frames else scene.heldout_masks).write_mask(i, mask)
@@ -116,9 +116,9 @@ def build(
                 true_layers.write_flow(Flow(i, j, shown.flow, certain))
     if views:
         for name, frame, camera in (("left", 0, camera_at(-0.2)), ("right", 4, camera_at(0.35, 0.05, 0.06))):
-            colour = world.render(camera, times[frame]).colour
+            color = world.render(camera, times[frame]).color
             mask = np.ones((HEIGHT, WIDTH), bool) if full_masks else world.mask(camera, times[frame])
-            image = (colour * 255 + 0.5).astype(np.uint8)
+            image = (color * 255 + 0.5).astype(np.uint8)
             scene.write_view(HeldoutView(name, frame, camera), image, mask if masks else None)
     return Scene(folder)
 

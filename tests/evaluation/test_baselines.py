@@ -55,14 +55,14 @@ def hold_out(scene: Scene, frames: list[int]) -> Scene:
     return scene
 
 
-def test_a_held_out_frame_at_either_end_is_predicted_from_its_only_neighbour(tmp_path):
+def test_a_held_out_frame_at_either_end_is_predicted_from_its_only_neighbor(tmp_path):
     scene = sliding_scene(tmp_path / "scene", [0.0, 1.0, 2.0, 3.0, 4.0, 5.0], [0.0, 2.0, 4.0, 6.0, 8.0, 10.0])
     scene = hold_out(scene, [0, 1, 5])
-    for i, neighbour in ((0, 2), (1, 2), (5, 4)):
+    for i, neighbor in ((0, 2), (1, 2), (5, 4)):
         predictions = predict_frame(scene, i)
         assert set(predictions) == {"copy", "blend", "flow_interpolation"}
         for image in predictions.values():
-            np.testing.assert_array_equal(image, to_float(scene.frame(neighbour)))
+            np.testing.assert_array_equal(image, to_float(scene.frame(neighbor)))
 
 
 def camera(x: float = 0.0, width: int = 64, height: int = 48) -> Camera:

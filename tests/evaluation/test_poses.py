@@ -26,14 +26,14 @@ def textured(size: int = 70) -> SceneModel:
     near = (x > 0.2) & (np.abs(y) < 0.5)
     # Rough walls: where all depths are equal, the smallest turn of the camera changes which Gaussian is in front.
     z = np.where(near, 1.2, 2.0) + rng.uniform(-0.1, 0.1, len(x))
-    colours = 0.5 + 0.2 * np.sin(5 * x[:, None] * [1, 1.3, 0.8] + 6 * y[:, None] * [1, -0.7, 1.2] + 2 * near[:, None])
-    colours += 0.08 * rng.normal(size=colours.shape)
+    colors = 0.5 + 0.2 * np.sin(5 * x[:, None] * [1, 1.3, 0.8] + 6 * y[:, None] * [1, -0.7, 1.2] + 2 * near[:, None])
+    colors += 0.08 * rng.normal(size=colors.shape)
     params = {name: torch.zeros(len(x), *shape) for name, shape in parameter_shapes(CONFIG).items()}
     params["means"] = torch.from_numpy(np.stack([x * z / 2, y * z / 2, z], 1).astype(np.float32))
     params["quats"][:, 0] = 1
     params["log_scales"][:] = torch.log(torch.tensor([0.022, 0.022, 0.004]))
     params["logit_opacities"][:] = 3.0
-    params["sh"][:, 0] = torch.from_numpy(((colours - 0.5) / 0.2820948).astype(np.float32))
+    params["sh"][:, 0] = torch.from_numpy(((colors - 0.5) / 0.2820948).astype(np.float32))
     params["sh"][:, 1:] = 0.02 * torch.from_numpy(rng.normal(size=(len(x), 3, 3)).astype(np.float32))
     gaussians = Gaussians4D(params, torch.zeros(len(x), dtype=torch.bool), CONFIG, sh_degree=1)
     return SceneModel(gaussians, SIMILARITY, 0.0, 1.0)
@@ -61,10 +61,10 @@ def model() -> SceneModel:
     ],
 )
 def test_a_wrong_pose_is_found(model, wrong):
-    target = model.render(camera(), 0.5).colour
-    before = psnr(model.render(camera(**wrong), 0.5).colour, target)
+    target = model.render(camera(), 0.5).color
+    before = psnr(model.render(camera(**wrong), 0.5).color, target)
     refined = refine_camera(model, camera(**wrong), 0.5, target)
-    after = psnr(model.render(refined, 0.5).colour, target)
+    after = psnr(model.render(refined, 0.5).color, target)
     assert after > before + 3
     assert after > 45
     assert refined.is_valid
@@ -75,24 +75,24 @@ def test_a_wrong_pose_is_found(model, wrong):
 
 def test_a_right_pose_is_not_made_worse(model):
     """The picture has what the model lacks: noise, and a thing that is not there."""
-    target = model.render(camera(), 0.5).colour + 0.03 * np.random.default_rng(1).normal(size=(HEIGHT, WIDTH, 3)).astype(np.float32)
+    target = model.render(camera(), 0.5).color + 0.03 * np.random.default_rng(1).normal(size=(HEIGHT, WIDTH, 3)).astype(np.float32)
     target[30:50, 40:60] = [1, 0, 0]
-    before = psnr(model.render(camera(), 0.5).colour, target)
+    before = psnr(model.render(camera(), 0.5).color, target)
     refined = refine_camera(model, camera(), 0.5, target)
-    assert psnr(model.render(refined, 0.5).colour, target) >= before - 0.05
+    assert psnr(model.render(refined, 0.5).color, target) >= before - 0.05
     assert np.abs(refined.center - camera().center).max() < 0.05
 
 
 def test_where_nothing_can_be_gained_the_camera_itself_comes_back(model):
     start = camera()
-    assert refine_camera(model, start, 0.5, model.render(start, 0.5).colour) is start
+    assert refine_camera(model, start, 0.5, model.render(start, 0.5).color) is start
     away = camera(angles=(0.0, np.pi, 0.0))  # sees nothing
     assert refine_camera(model, away, 0.5, np.full((HEIGHT, WIDTH, 3), 0.5, np.float32)) is away
 
 
 def test_the_model_stays_as_it_is(model):
     before = {name: value.clone() for name, value in model.gaussians.params.items()}
-    refine_camera(model, camera(shift=(0.02, 0, 0)), 0.5, model.render(camera(), 0.5).colour)
+    refine_camera(model, camera(shift=(0.02, 0, 0)), 0.5, model.render(camera(), 0.5).color)
     for name, value in model.gaussians.params.items():
         assert torch.equal(value, before[name])
         assert not value.requires_grad
@@ -101,7 +101,7 @@ def test_the_model_stays_as_it_is(model):
 
 def test_gradient_and_curvature_belong_to_the_error(model):
     """Against finite differences along every twist; the curvature to its order of magnitude, as it leaves terms out."""
-    target = model.render(camera(shift=(0.01, 0.005, 0.0)), 0.5).colour
+    target = model.render(camera(shift=(0.01, 0.005, 0.0)), 0.5).color
     inner = SIMILARITY.camera(camera())
     look = poses._look(model.gaussians, inner, 0.5, target)
     for k in range(6):

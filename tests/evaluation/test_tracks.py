@@ -60,7 +60,7 @@ def test_a_scale_of_the_cameras_does_not_count(tmp_path):
 
 
 def test_a_model_that_rests_is_wrong_by_the_way_of_the_points(tmp_path):
-    model = spinning.model(centres=2, life=5.0)
+    model = spinning.model(centers=2, life=5.0)
     for name in ("mean_cos", "mean_sin", "quat_cos", "quat_sin"):
         model.gaussians.params[name] = torch.zeros_like(model.gaussians.params[name])
     # Only those of the beginning: asked for there, they stay where they are.

@@ -257,7 +257,7 @@ def _change_tensors(rng: np.random.Generator, data: bytes) -> bytes:
 
 
 def _change_png(rng: np.random.Generator, data: bytes) -> bytes:
-    """Another header with a checksum that fits it: its size asks for gigabytes, or its colours are others."""
+    """Another header with a checksum that fits it: its size asks for gigabytes, or its colors are others."""
     if data[12:16] != b"IHDR":
         return _change_bytes(rng, data)
     head = bytearray(data[16:29])

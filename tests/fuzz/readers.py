@@ -112,7 +112,7 @@ def _run(folder: Path) -> None:
     write_json(folder / "metrics.json", _figures(SPEC.frames))
     history = [{"step": k, "psnr": 20.0 + k, "loss": 0.1 / k, "flow": 0.1} for k in (1, 2, 3)]
     write_json(folder / "training" / "history.json", history)
-    video = {"key": "0" * 16, "fps": 24.0, "frames": 9, "files": ["input_path.mp4", "input_path_colour.mp4"]}
+    video = {"key": "0" * 16, "fps": 24.0, "frames": 9, "files": ["input_path.mp4", "input_path_color.mp4"]}
     write_json(folder / "renders" / "renders.json", {"input_path": video, "orbit": {**video, "files": ["orbit.mp4"]}})
 
 

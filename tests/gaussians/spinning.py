@@ -95,8 +95,8 @@ def _alive_around(mu: float, life: float) -> Gaussians4D:
     return Gaussians4D(params, torch.ones(len(offset), dtype=torch.bool), CONFIG)
 
 
-def model(centres: int = 7, life: float = 0.08, screen: bool = False, until: float = 1.0) -> SceneModel:
-    """The scene: ``centres`` sets of Gaussians on the plate with a temporal deviation of ``life``, none after ``until``.
+def model(centers: int = 7, life: float = 0.08, screen: bool = False, until: float = 1.0) -> SceneModel:
+    """The scene: ``centers`` sets of Gaussians on the plate with a temporal deviation of ``life``, none after ``until``.
 
     ``screen``: something at rest in front, left of the middle.
     """
@@ -105,5 +105,5 @@ def model(centres: int = 7, life: float = 0.08, screen: bool = False, until: flo
     if screen:
         x, y = _grid(0.3, 0.08).T
         parts.append(_resting(np.stack([x - 0.22, 3 * y, np.full_like(x, SCREEN)], -1), 0.06))
-    parts += [_alive_around(mu, life) for mu in np.linspace(0, 1, centres) if mu <= until]
+    parts += [_alive_around(mu, life) for mu in np.linspace(0, 1, centers) if mu <= until]
     return SceneModel(concatenate(parts), SIMILARITY, 0.0, LAST)

@@ -57,7 +57,7 @@ def test_a_scene_that_is_looked_at_is_drawn_so(monkeypatch):
         assert list(fast._drawn_by) == [(width, 16, True, EPS2D)]
     monkeypatch.undo()
     expected = plain.render(view, 0.5, (other, 0.7))
-    for name in ("colour", "alpha", "depth", "flow"):
+    for name in ("color", "alpha", "depth", "flow"):
         np.testing.assert_allclose(getattr(ours, name), getattr(expected, name), atol=1e-3, err_msg=name)
     assert not fast.part("movers")._drawn_by
 

@@ -50,7 +50,7 @@ def test_the_clips_own_camera_sees_no_difference(config, factor, flow_model: Flo
         camera, other = path.at(t), (path.at(t + 0.01), t + 0.01)
         before, after = model.render(camera, t, other), moved.render(camera, t, other)
         assert before.alpha.max() > 0.5
-        close(after.colour, before.colour)
+        close(after.color, before.color)
         close(after.alpha, before.alpha)
         close(after.depth, factor * before.depth, 1e-3)
         assert before.flow is not None
@@ -72,7 +72,7 @@ def test_from_aside_movers_are_seen_as_one_who_stands_elsewhere_sees_them(config
         there[:3, 3] = -there[:3, :3] @ (C + (O - C) / 1.4)
         expected = model.render(Camera(there, camera.K, camera.width, camera.height), t)
         found = moved.render(camera, t)
-        close(found.colour, expected.colour)
+        close(found.color, expected.color)
         close(found.alpha, expected.alpha)
         close(found.depth, 1.4 * expected.depth, 1e-3)
     assert np.abs(model.render(*five_pairs(model)[3]).alpha - moved.render(*five_pairs(model)[3]).alpha).mean() > 0.02
@@ -89,7 +89,7 @@ def test_only_the_mover_that_is_named_goes_and_what_of_it_rests_goes_with_it():
     inner, clip_time = model.similarity.camera(camera), model.clip_time(t)
     plain = slice_view(gaussians, inner, clip_time)
     found = slice_view(gaussians, inner, clip_time, distances=moved.distances)
-    C = torch.as_tensor(moved.distances.centre(clip_time), dtype=torch.float32)
+    C = torch.as_tensor(moved.distances.center(clip_time), dtype=torch.float32)
     active = gaussians.active(clip_time)
     own = gaussians.movers[active.rows] == 1
     kept = len(found.means) - int(own.sum())
@@ -145,8 +145,8 @@ def test_a_mover_goes_behind_what_it_stood_before():
     wall = model.part("background").render(camera, t)
     opaque = (wall.alpha > 0.98) & (model.part("movers").render(camera, t).alpha > 0.5)
     assert opaque.sum() > 20
-    assert np.abs(near.colour - wall.colour)[opaque].mean() > 0.1
-    assert np.abs(far.colour - wall.colour)[opaque].mean() < 0.02
+    assert np.abs(near.color - wall.color)[opaque].mean() > 0.1
+    assert np.abs(far.color - wall.color)[opaque].mean() < 0.02
 
 
 def test_a_factor_of_one_changes_no_bit():
@@ -154,14 +154,14 @@ def test_a_factor_of_one_changes_no_bit():
     same = at(model, m1=1.0)
     assert same.distances is None
     camera, t = five_pairs(model)[0]
-    np.testing.assert_array_equal(same.render(camera, t).colour, model.render(camera, t).colour)
+    np.testing.assert_array_equal(same.render(camera, t).color, model.render(camera, t).color)
 
 
 def test_a_camera_that_stands_still_and_a_mover_that_is_not_there_yet():
     model = small_model(OURS).part("movers:1")
     t = small_times()[2]
     still = model.at_distances({1: 2.0}, [t], [small_cameras(model)[2]])
-    close(still.render(small_cameras(model)[2], t).colour, model.render(small_cameras(model)[2], t).colour)
+    close(still.render(small_cameras(model)[2], t).color, model.render(small_cameras(model)[2], t).color)
     model.gaussians.params["times"][:] = 5.0
     gone = at(model, m1=2.0).render(small_cameras(model)[2], t)
     assert gone.alpha.max() == 0

@@ -37,7 +37,7 @@ def test_opacities_fall_between_the_reach_and_twice_that():
     assert torch.equal(faded(gaussians, own, own).params["logit_opacities"], gaussians.params["logit_opacities"])
     after = torch.sigmoid(faded(gaussians, viewer, own).params["logit_opacities"]).double()
     for k, mean in enumerate(means.numpy()):
-        rays = [(centre - mean) / np.linalg.norm(centre - mean) for centre in (viewer, own)]
+        rays = [(center - mean) / np.linalg.norm(center - mean) for center in (viewer, own)]
         kept = np.clip(2 - np.linalg.norm(rays[0] - rays[1]) / (FURTHEST * SPREADS[k % len(SPREADS)]), 0, 1)
         assert float(after[k]) == pytest.approx(float(before[k]) * kept, abs=2e-6)
     assert (after < 1e-6).any()

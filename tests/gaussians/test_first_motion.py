@@ -15,7 +15,7 @@ from flowsplat.scenes import Flow
 
 WIDTH, HEIGHT, FRAMES, MIDDLE = 96, 72, 9, 4
 K = np.array([[80.0, 0, WIDTH / 2], [0, 80.0, HEIGHT / 2], [0, 0, 1]])
-CENTRE, TURN = np.array([WIDTH / 2, HEIGHT / 2]), 0.3
+CENTER, TURN = np.array([WIDTH / 2, HEIGHT / 2]), 0.3
 """Of a disc that turns by so many radians a frame; frame 5 is held out."""
 TIMES = np.array([0, 1, 2, 3, 4, 6, 7, 8, 9]) / 9
 SIGMA, STEP = 1.1 / 9, 1 / 9
@@ -23,7 +23,7 @@ SIGMA, STEP = 1.1 / 9, 1 / 9
 
 def turned(points: np.ndarray, steps: float) -> np.ndarray:
     c, s = np.cos(TURN * steps), np.sin(TURN * steps)
-    return (points - CENTRE) @ np.array([[c, s], [-s, c]]) + CENTRE
+    return (points - CENTER) @ np.array([[c, s], [-s, c]]) + CENTER
 
 
 def observations(move, mask: np.ndarray, spoil=None, image: np.ndarray | None = None) -> Observations:
@@ -58,7 +58,7 @@ def place(observed: Observations, wanted: np.ndarray, steps: float) -> np.ndarra
 
 @pytest.fixture(scope="module")
 def disc() -> np.ndarray:
-    return np.linalg.norm(pixel_grid(WIDTH, HEIGHT) - CENTRE, axis=-1) < 30
+    return np.linalg.norm(pixel_grid(WIDTH, HEIGHT) - CENTER, axis=-1) < 30
 
 
 def test_between_frames_paths_lie_on_the_arc(disc):
@@ -67,12 +67,12 @@ def test_between_frames_paths_lie_on_the_arc(disc):
     true = turned(points, 1.0)
     chord = 0.5 * (points + turned(points, 2.0))
     error = np.linalg.norm(place(observations(turned, disc), disc, 1.0) - true, axis=1)
-    inner = np.linalg.norm(points - CENTRE, axis=1) < 27
+    inner = np.linalg.norm(points - CENTER, axis=1) < 27
     assert np.linalg.norm(chord - true, axis=1)[inner].max() > 1.1
     assert error[inner].max() < 0.4
 
 
-def test_single_pixels_with_bad_flow_go_with_their_neighbours(disc):
+def test_single_pixels_with_bad_flow_go_with_their_neighbors(disc):
     rng = np.random.default_rng(0)
 
     def spoil(flow, confidence):
@@ -86,7 +86,7 @@ def test_single_pixels_with_bad_flow_go_with_their_neighbours(disc):
     assert np.percentile(error, 95) < 1.5
 
 
-def test_pixels_that_no_flow_tells_move_with_the_part_of_their_colour():
+def test_pixels_that_no_flow_tells_move_with_the_part_of_their_color():
     mask = np.zeros((HEIGHT, WIDTH), bool)
     mask[20:50, 20:76] = True
     left = np.zeros_like(mask)

@@ -102,9 +102,9 @@ def test_affine_flow_matches_monte_carlo_of_a_rotating_gaussian(angle):
     second = other.project(sliced.next_means.numpy() + local @ R_next.T)[0]
     # The rasterizer draws with a blur: what it shows at a pixel is the mean over points that the blur may have brought there.
     seen = first + rng.normal(size=first.shape) * np.sqrt(EPS2D)
-    centred = seen - seen.mean(0)
+    centered = seen - seen.mean(0)
     flow = second - first
-    slope = np.linalg.solve(centred.T @ centred, centred.T @ (flow - flow.mean(0))).T
+    slope = np.linalg.solve(centered.T @ centered, centered.T @ (flow - flow.mean(0))).T
     np.testing.assert_allclose(B, slope, atol=0.012)
     assert np.abs(B).max() > 0.04
 
@@ -172,7 +172,7 @@ def feature_inputs(count: int = 60) -> dict[str, torch.Tensor]:
     depths[:2] = 0.03  # nearer than where Jacobians are held
     means = torch.cat([0.6 * torch.randn(count, 2, generator=g), depths[:, None]], 1)  # some beyond the border
     inputs = {
-        "colours": torch.rand(count, 3, generator=g), "depths": depths, "means2d": 30 * torch.rand(count, 2, generator=g),
+        "colors": torch.rand(count, 3, generator=g), "depths": depths, "means2d": 30 * torch.rand(count, 2, generator=g),
         "means": means, "quats": torch.randn(count, 4, generator=g), "scales": 0.2 * torch.rand(count, 3, generator=g) + 0.01,
         "next_means": means + 0.1 * torch.randn(count, 3, generator=g), "next_quats": torch.randn(count, 4, generator=g),
     }  # fmt: skip
@@ -183,7 +183,7 @@ def feature_inputs(count: int = 60) -> dict[str, torch.Tensor]:
 def slice_of(leaves: dict[str, torch.Tensor]) -> Slice:
     """The slice whose features these are."""
     return Slice(
-        leaves["means"], leaves["quats"], leaves["scales"], None, leaves["depths"], leaves["colours"],
+        leaves["means"], leaves["quats"], leaves["scales"], None, leaves["depths"], leaves["colors"],
         leaves["next_means"][:0], leaves["next_means"], leaves["next_quats"],
     )  # fmt: skip
 

@@ -56,7 +56,7 @@ def test_culling_against_the_camera_changes_no_picture():
     whole = render_active(gaussians, everything, view)
     assert len(culled.sliced.means) < 0.7 * len(everything.rows)
     assert culled.projected.visible.sum() == whole.projected.visible.sum()
-    assert torch.equal(culled.colour, whole.colour)
+    assert torch.equal(culled.color, whole.color)
     assert torch.equal(culled.depth, whole.depth)
 
 
@@ -96,8 +96,8 @@ def test_gains_change_the_brightness_of_the_background_only():
     bright = render(gaussians, view, 0.25)
     active = gaussians.active(0.25)
     n = active.num_static
-    torch.testing.assert_close(bright.sliced.colours[:n], plain.sliced.colours[:n] * math.exp(0.3 * math.cos(math.pi * 0.25)))
-    assert torch.equal(bright.sliced.colours[n:], plain.sliced.colours[n:])
+    torch.testing.assert_close(bright.sliced.colors[:n], plain.sliced.colors[:n] * math.exp(0.3 * math.cos(math.pi * 0.25)))
+    assert torch.equal(bright.sliced.colors[n:], plain.sliced.colors[n:])
     assert float(time_gains(torch.zeros(3, 4), 0.7).sub(1).abs().max()) == 0
 
 
@@ -160,8 +160,8 @@ def test_background_that_moves_becomes_dynamic_and_the_resting_comes_to_rest():
     statistics.flow_visits[:] = 3
     statistics.flow_residual[[1, 3]] = 3 * 5.0
     statistics.flow_residual[5], statistics.flow_visits[5] = 50.0, 1  # seen once only
-    statistics.flow_residual[7] = 3 * 5.0  # it has the right colour
-    statistics.colour_residual[[1, 3, 5]] = 3 * 0.1
+    statistics.flow_residual[7] = 3 * 5.0  # it has the right color
+    statistics.color_residual[[1, 3, 5]] = 3 * 0.1
     moved, rested = revise_dynamic(gaussians, statistics, 1.5, 0.05, 0.5, 100.0, 6.0)
     assert (moved, rested) == (2, 5)  # dynamic 2, 4, 6, 8 and 10 do not move; 0 does
     assert gaussians.dynamic.tolist() == [k in (0, 1, 3) for k in range(12)]
@@ -201,32 +201,32 @@ def test_without_numbers_all_belong_to_none():
     assert plain.mover_counts == {}
 
 
-def test_filling_spreads_colour_into_holes_and_leaves_the_covered_alone():
-    colour, alpha = np.full((32, 48, 3), 0.5, np.float32), np.ones((32, 48), np.float32)
-    alpha[:, 30:], colour[:, 30:] = 0, 0
-    filled = fill_uncovered(colour, alpha)
+def test_filling_spreads_color_into_holes_and_leaves_the_covered_alone():
+    color, alpha = np.full((32, 48, 3), 0.5, np.float32), np.ones((32, 48), np.float32)
+    alpha[:, 30:], color[:, 30:] = 0, 0
+    filled = fill_uncovered(color, alpha)
     assert np.abs(filled[:, :30] - 0.5).max() < 1e-6
     assert np.abs(filled[:, 32:] - 0.5).max() < 0.02
-    assert fill_uncovered(colour * 0 + 0.3, np.ones((32, 48), np.float32)).max() == pytest.approx(0.3)
+    assert fill_uncovered(color * 0 + 0.3, np.ones((32, 48), np.float32)).max() == pytest.approx(0.3)
 
 
 def test_filling_does_not_brighten_dark_surfaces_that_the_background_shows_through():
-    colour, alpha = np.full((32, 48, 3), 0.5, np.float32), np.ones((32, 48), np.float32)
-    alpha[:, 8:10], colour[:, 8:10] = 0.55, 0.02  # what training makes of something black
-    alpha[:, 30:], colour[:, 30:] = 0, 0
-    filled = fill_uncovered(colour, alpha)
-    np.testing.assert_array_equal(filled[:, 8:10], colour[:, 8:10])
+    color, alpha = np.full((32, 48, 3), 0.5, np.float32), np.ones((32, 48), np.float32)
+    alpha[:, 8:10], color[:, 8:10] = 0.55, 0.02  # what training makes of something black
+    alpha[:, 30:], color[:, 30:] = 0, 0
+    filled = fill_uncovered(color, alpha)
+    np.testing.assert_array_equal(filled[:, 8:10], color[:, 8:10])
     assert filled[:, 32:].min() > 0.4
 
 
-def test_the_scene_model_hides_the_normalisation():
+def test_the_scene_model_hides_the_normalization():
     gaussians = random_model()
     camera = Camera(np.eye(4), np.array([[40.0, 0, 20], [0, 40, 15], [0, 0, 1]]), 40, 30)
     similarity = Similarity(0.25, np.eye(3), np.array([0.1, 0, 0]))
     outside = similarity.inverse().camera(camera)
     plain = SceneModel(gaussians, Similarity(), 0.0, 1.0).render(camera, 0.5, (camera, 0.6))
     scaled = SceneModel(gaussians, similarity, 10.0, 14.0).render(outside, 12.0, (outside, 12.4))
-    np.testing.assert_allclose(scaled.colour, plain.colour, atol=1e-4)
+    np.testing.assert_allclose(scaled.color, plain.color, atol=1e-4)
     np.testing.assert_allclose(scaled.flow, plain.flow, atol=1e-2)
     np.testing.assert_allclose(scaled.depth, 4 * plain.depth, atol=1e-3)
     assert SceneModel(gaussians, similarity, 10.0, 14.0).active_count(12.0) == len(gaussians.active(0.5).rows)
@@ -249,7 +249,7 @@ def test_finer_pixels_show_the_same_picture():
     camera = Camera(np.eye(4), np.array([[40.0, 0, 12], [0, 40, 12], [0, 0, 1]]), 24, 24)
     fine = camera.resized(72, 72)
     known, seen = model.render(camera, 0.5), model.render(fine, 0.5)
-    np.testing.assert_allclose(seen.colour[1::3, 1::3], known.colour, atol=2e-3)
+    np.testing.assert_allclose(seen.color[1::3, 1::3], known.color, atol=2e-3)
     np.testing.assert_allclose(seen.alpha[1::3, 1::3], known.alpha, atol=2e-3)
     # The cull knows how far the blur reaches: with a camera nothing is missing that is there without one.
     eps2d, everything = model.blur(fine), gaussians.active(0.5)

@@ -1,4 +1,4 @@
-"""Motion models: derivatives, recentring, and the linear model against the conditional of a 4D normal distribution."""
+"""Motion models: derivatives, recentering, and the linear model against the conditional of a 4D normal distribution."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ def test_at_its_own_time_a_gaussian_is_where_its_mean_says():
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
-def test_recentring_does_not_change_the_motion(motion):
+def test_recentering_does_not_change_the_motion(motion):
     params = random_params(motion)
     shift = torch.linspace(-0.5, 0.5, 7, dtype=torch.float64)
-    moved = motion.recentred(params, shift)
+    moved = motion.recentered(params, shift)
     torch.testing.assert_close(moved["times"], params["times"] + shift)
     for t in (-0.2, 0.3, 0.9):
         a, b = motion.state(params, t), motion.state(moved, t)
@@ -66,7 +66,7 @@ def test_gradients_are_those_of_the_values(motion):
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
-def test_at_their_centre_times_gaussians_have_the_shape_of_those_at_rest(motion):
+def test_at_their_center_times_gaussians_have_the_shape_of_those_at_rest(motion):
     """Which takes nothing of what moves."""
     params = random_params(motion)
     moving = ("times", *(name for name, parameter in motion.parameters.items() if parameter.moves))

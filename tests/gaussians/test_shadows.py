@@ -14,7 +14,7 @@ from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.model_config import ModelConfig
 from flowsplat.gaussians.shadows import with_lit
 from flowsplat.geometry import Camera, Similarity
-from flowsplat.splatting.harmonics import harmonics_from_colours
+from flowsplat.splatting.harmonics import harmonics_from_colors
 from flowsplat.training.checkpoint import load_model, save_model
 
 WIDTH, HEIGHT, FRAMES = 96, 48, 25
@@ -25,7 +25,7 @@ CAMERA = Camera(np.eye(4), np.array([[96.0, 0, WIDTH / 2], [0, 96.0, HEIGHT / 2]
 
 
 def wall(middles: np.ndarray) -> tuple[SceneModel, list[np.ndarray]]:
-    """A grey wall, darker where columns are near those of ``middles`` [T], and masks of a mover there that is not drawn."""
+    """A gray wall, darker where columns are near those of ``middles`` [T], and masks of a mover there that is not drawn."""
     config = ModelConfig(mean_poly=1, mean_fourier=0, quat_poly=0, quat_fourier=0, sh_degree=0, gains=16, freeze_background=True)
     u, v = np.meshgrid(np.arange(-1.0, WIDTH + 1, 1.5), np.arange(-1.0, HEIGHT + 1, 1.5))
     count = u.size
@@ -41,7 +41,7 @@ def wall(middles: np.ndarray) -> tuple[SceneModel, list[np.ndarray]]:
     waves = np.cos(np.pi * np.outer(TIMES, np.arange(17)))
     fitted = np.linalg.solve(waves.T @ waves + 0.01 * np.eye(17), waves.T @ shade.T).T
     params["log_gains"] = torch.from_numpy(fitted[:, 1:].astype(np.float32))
-    params["sh"][:, 0] = harmonics_from_colours(0.5 * torch.from_numpy(np.exp(fitted[:, :1]).astype(np.float32)).expand(-1, 3))
+    params["sh"][:, 0] = harmonics_from_colors(0.5 * torch.from_numpy(np.exp(fitted[:, :1]).astype(np.float32)).expand(-1, 3))
     masks = [np.zeros((HEIGHT, WIDTH), np.uint8) for _ in TIMES]
     for mask, middle in zip(masks, middles, strict=True):
         mask[16:32, max(int(middle) - 6, 0) : int(middle) + 6] = 1
@@ -55,18 +55,18 @@ def test_a_shadow_that_goes_by_is_gone_from_the_background_alone():
     lit = with_lit(model, [CAMERA] * FRAMES, TIMES, masks)
     for k in (6, 12, 18):
         shaded = slice(int(middles[k]) - 5, int(middles[k]) + 5)
-        before = model.render(CAMERA, TIMES[k]).colour[:, shaded]
-        after = lit.part("background").render(CAMERA, TIMES[k]).colour[:, shaded]
-        elsewhere = model.render(CAMERA, TIMES[(k + 12) % FRAMES]).colour[:, shaded]
+        before = model.render(CAMERA, TIMES[k]).color[:, shaded]
+        after = lit.part("background").render(CAMERA, TIMES[k]).color[:, shaded]
+        elsewhere = model.render(CAMERA, TIMES[(k + 12) % FRAMES]).color[:, shaded]
         assert before.mean() < 0.8 * elsewhere.mean()
         assert after.mean() == pytest.approx(elsewhere.mean(), rel=0.05)
-        np.testing.assert_array_equal(lit.render(CAMERA, TIMES[k]).colour, model.render(CAMERA, TIMES[k]).colour)
+        np.testing.assert_array_equal(lit.render(CAMERA, TIMES[k]).color, model.render(CAMERA, TIMES[k]).color)
 
 
 def test_a_shadow_that_stays_cannot_be_told():
     model, masks = wall(np.full(FRAMES, 48.0))
     lit = with_lit(model, [CAMERA] * FRAMES, TIMES, masks)
-    before, after = (each.part("background").render(CAMERA, 0.5).colour for each in (model, lit))
+    before, after = (each.part("background").render(CAMERA, 0.5).color for each in (model, lit))
     np.testing.assert_allclose(before, after, atol=1e-6)
 
 

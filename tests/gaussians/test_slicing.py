@@ -11,7 +11,7 @@ from flowsplat.gaussians.gaussians4d import Gaussians4D, parameter_shapes
 from flowsplat.gaussians.model_config import ModelConfig
 from flowsplat.gaussians.slicing import cpu, reference
 
-OUTPUTS = ("means", "quats", "scales", "opacities", "colours", "velocities", "next_means", "next_quats")
+OUTPUTS = ("means", "quats", "scales", "opacities", "colors", "velocities", "next_means", "next_quats")
 
 
 def random_model(config: ModelConfig, count: int = 40) -> Gaussians4D:
@@ -72,7 +72,7 @@ def test_nothing_moving_and_nothing_resting():
         active = gaussians.active(0.5)
         gradients = {}
         sliced = cpu.slice_gaussians(gaussians, active, torch.zeros(3), 0.6, gradients)
-        sliced.colours.sum().backward()
+        sliced.colors.sum().backward()
         assert len(sliced.velocities) == (len(active.rows) if dynamic else 0)
         assert {name: len(g) for name, g in gradients.items()} == {
             name: len(gaussians.rows_of(name, active)) for name in gaussians.params

@@ -29,12 +29,12 @@ def truth_of(u: float, v: float, frame: int) -> np.ndarray:
 
 
 def test_weights_are_those_of_the_picture():
-    """Blending with them gives the rendered pixel: depth and colour."""
+    """Blending with them gives the rendered pixel: depth and color."""
     model = spinning.model()
     camera = model.similarity.camera(spinning.camera_at(3))
     active = model.gaussians.active(0.25, camera)
     frame = render_active(model.gaussians, active, camera)
-    features = torch.cat([frame.sliced.colours, frame.projected.depths[:, None]], 1).numpy()
+    features = torch.cat([frame.sliced.colors, frame.projected.depths[:, None]], 1).numpy()
     for x, y in ((10, 12), (48, 36), (61, 40), (95, 71)):
         index, weights = pixel_weights(frame, np.array([x + 0.5, y + 0.5]))
         np.testing.assert_allclose(weights @ features[index], frame.image[y, x, :4].numpy(), atol=2e-4)
@@ -49,14 +49,14 @@ def test_a_point_goes_with_the_plate_both_ways(frame):
     for query, path in zip(queries, paths.points, strict=True):
         error = np.linalg.norm(path - truth_of(*query), axis=1)
         assert error.max() < 0.005 * spinning.PLATE
-    travelled = np.linalg.norm(np.diff(truth_of(*queries[1]), axis=0), axis=1).sum()
-    assert travelled > 0.5
+    traveled = np.linalg.norm(np.diff(truth_of(*queries[1]), axis=0), axis=1).sum()
+    assert traveled > 0.5
     assert paths.visible.all()
 
 
 def test_one_generation_is_exact():
     """Carriers that never fade: their rigid motion, to rounding."""
-    paths = follow(spinning.model(centres=2, life=5.0), [(57.0, 30.0, 4)])
+    paths = follow(spinning.model(centers=2, life=5.0), [(57.0, 30.0, 4)])
     assert np.abs(paths.points[0] - truth_of(57.0, 30.0, 4)).max() < 0.004
 
 

@@ -123,7 +123,7 @@ def test_slicing_where_all_move_or_all_rest_or_there_are_none(dynamic):
     for active in (gaussians.active(0.5), Active(torch.empty(0, dtype=torch.int64, device=DEVICE), 0, 0.5)):
         gradients = {}
         sliced = triton.slice_gaussians(gaussians, active, torch.zeros(3), 0.6, gradients)
-        sliced.colours.sum().backward()
+        sliced.colors.sum().backward()
         assert len(sliced.velocities) == (len(active.rows) if dynamic else 0)
         assert {name: len(g) for name, g in gradients.items()} == {
             name: len(gaussians.rows_of(name, active)) for name in gaussians.params
@@ -197,7 +197,7 @@ def test_hostile_gaussians_are_sliced_as_the_oracle_does():
     params["quats"][0] = 0
     params["log_lambdas"][1], params["times"][1] = 60.0, 0.4
     params["logit_opacities"][2], params["logit_opacities"][3] = 80.0, -80.0
-    params["means"][4] = torch.tensor([0.1, 0.2, -3.0])  # in the camera's centre
+    params["means"][4] = torch.tensor([0.1, 0.2, -3.0])  # in the camera's center
     params["sh"][5] = -5.0
     active = gaussians.active(0.4)
     expected, expected_gradients = differentiated(reference, gaussians, active, 0.5, torch.float32, "cpu")
@@ -227,7 +227,7 @@ def test_the_features_match_their_oracle(model, behind):
             cameras = *view.tensors(dtype), *other.tensors(dtype)
             features, front = flow_features(model, sliced, projected, flow.dt, *cameras, view.width, view.height)
             unseen = (~front).to(dtype)[:, None]
-            features = torch.cat([sliced.colours, projected.depths[:, None], features, unseen], 1)
+            features = torch.cat([sliced.colors, projected.depths[:, None], features, unseen], 1)
         elif model == "displacement":
             features = flow_triton.blend_displacement(sliced, projected, other)
         else:
@@ -277,8 +277,8 @@ for config, degree, next_time, size in ((small, 0, None, None), (small, 2, 0.7, 
     sliced = slicing.slice_gaussians(gaussians, gaussians.active(0.5), torch.zeros(3), next_time, {})
     (sliced.means.sum() + sliced.quats.sum()).backward()
 leaves = [torch.rand(50, size, requires_grad=True) for size in (3, 4, 3, 3, 3, 4, 2)]
-means, quats, scales, colours, next_means, next_quats, means2d = leaves
-sliced = Slice(means, quats, scales, None, means[:, 0], colours, means, next_means, next_quats)
+means, quats, scales, colors, next_means, next_quats, means2d = leaves
+sliced = Slice(means, quats, scales, None, means[:, 0], colors, means, next_means, next_quats)
 projected = Projected(means2d, means, means[:, 0], means2d, None, "triton")
 flow.blend_displacement(sliced, projected, camera()).sum().backward()
 flow.blend_affine(sliced, projected, camera(), camera()).sum().backward()

@@ -47,7 +47,7 @@ def test_torch_and_numpy_project_alike():
     np.testing.assert_allclose(z.numpy(), depth, atol=1e-12)
 
 
-def test_first_pixel_centre_is_half():
+def test_first_pixel_center_is_half():
     assert pixel_grid(3, 2)[0, 0].tolist() == [0.5, 0.5]
     camera = Camera(np.eye(4), np.array([[10.0, 0, 1.5], [0, 10, 1], [0, 0, 1]]), 3, 2)
     np.testing.assert_allclose(unproject_depth(np.ones((2, 3)), camera)[0, 0], [-0.1, -0.05, 1])

@@ -35,7 +35,7 @@ def test_pictures_are_the_same(flow_model):
         render(model, cameras[1], 0.2, flow_to=(cameras[2], 0.4), flow_model=flow_model) for model in (on_cpu, on_gpu)
     )
     # At the edge of a support a rounding decides: a few pixels of 400,000 differ by up to 1/255.
-    for name in ("colour", "depth", "alpha", "flow"):
+    for name in ("color", "depth", "alpha", "flow"):
         assert difference(getattr(ours, name), getattr(expected, name)) < 1e-3, name
     assert torch.equal(render(on_gpu, cameras[1], 0.2).image, render(on_gpu, cameras[1], 0.2).image)
 
@@ -73,7 +73,7 @@ def test_a_step_asks_the_gpu_only_for_what_it_counted_before_the_rest_was_queued
     config = replace(PRESETS["default"], iterations=12, preview_every=0, flow_model=flow_model, frames_per_iteration=frames)
     start = scene.gaussians(config.model, COUNT, WIDTH, HEIGHT)
     trainer = Trainer(scene.observations(start, WIDTH, HEIGHT), None, config, start=start, device="cuda")
-    trainer.run()  # which finds neighbours, and room for every frame
+    trainer.run()  # which finds neighbors, and room for every frame
     with waiting_is_an_error():
         for _ in range(4):  # in one of them the flow of every Gaussian is looked at
             trainer._iterate()

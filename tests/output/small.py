@@ -25,7 +25,7 @@ LINEAR = ModelConfig(move_means=False, move_quats=False, sh_degree=2)
 
 
 def small_gaussians(config: ModelConfig = OURS, resting: int = 400, moving: int = 250, seed: int = 0) -> Gaussians4D:
-    """A wall at depth 1 and movers between 0.5 and 0.9 in front of the normalised origin."""
+    """A wall at depth 1 and movers between 0.5 and 0.9 in front of the normalized origin."""
     generator = torch.Generator().manual_seed(seed)
     count = resting + moving
     dynamic = torch.arange(count) >= resting
@@ -106,7 +106,7 @@ def small_player(path: Path, model: SceneModel, title: str = "small") -> Path:
 
 def rendered(model: SceneModel, camera: Camera, seconds: float) -> np.ndarray:
     """[H, W, 3] our picture, uncovered pixels black."""
-    return render(model.gaussians, model.similarity.camera(camera), model.clip_time(seconds)).colour.numpy()
+    return render(model.gaussians, model.similarity.camera(camera), model.clip_time(seconds)).color.numpy()
 
 
 def psnr(image: np.ndarray, reference: np.ndarray) -> float:

@@ -24,7 +24,7 @@ def some_camera(seed: int, width: int = 80, height: int = 60) -> Camera:
 
 
 def opengl_pose(camera: Camera) -> np.ndarray:
-    """Camera to world, columns right, up, back, centre."""
+    """Camera to world, columns right, up, back, center."""
     R = camera.viewmat[:3, :3]
     pose = np.eye(4)
     pose[:3] = np.stack([R[0], -R[1], -R[2], camera.center], axis=1)
@@ -76,7 +76,7 @@ def test_nerfstudio_camera_path(tmp_path):
     focal = 30 / np.tan(np.radians(30))
     expected = Camera(camera.viewmat, np.array([[focal, 0, 40], [0, focal, 30], [0, 0, 1]]), 80, 60)
     assert_same(found.shots[0][0], expected)
-    # A point straight ahead and a little above lands above the centre.
+    # A point straight ahead and a little above lands above the center.
     R = camera.viewmat[:3, :3]
     uv, depth = found.shots[0][0].project(camera.center + 2 * R[2] - 0.1 * R[1])
     assert depth == pytest.approx(2)

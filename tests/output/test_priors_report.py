@@ -213,7 +213,7 @@ def test_from_above_right_is_right_and_ahead_is_up(turned):
         assert wedge[0, 0] < wedge[1, 0] < wedge[2, 0]
 
 
-def test_scene_points_are_drawn_in_their_colours_and_stray_ones_left_out():
+def test_scene_points_are_drawn_in_their_colors_and_stray_ones_left_out():
     rng = np.random.default_rng(0)
     points = np.concatenate([rng.uniform([-1, -1, 3], [1, 1, 4], (100, 3)), [[900.0, 0, 900]]])
     drawing = path_from_above(cameras_on(np.zeros((4, 3))), points, np.full((101, 3), (255, 0, 16), np.uint8))

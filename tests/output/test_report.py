@@ -58,7 +58,7 @@ def made_up_run() -> ReportData:
     loss = 0.02 + 0.2 * np.exp(-steps / 200) + random.random(len(steps)) * 0.004
     history = [
         {
-            "step": float(s), "loss": float(v), "colour": float(v * 0.7), "flow": float(v * 8), "rigid": float(v / 50),
+            "step": float(s), "loss": float(v), "color": float(v * 0.7), "flow": float(v * 8), "rigid": float(v / 50),
             "coverage": float(v / 99), "depth": 0.0, "psnr": 31 - 60 * float(v), "gaussians": 120_000.0 + 43 * int(s),
             "active": 60_000.0 + 3 * int(s),
         }
@@ -75,7 +75,7 @@ def made_up_run() -> ReportData:
         active=(times.tolist(), (60_000 + 4_000 * np.sin(times * 3)).tolist()),
         config={"train.iterations": 1500, "train.model.mean_poly": 3, "render.width": None, "render.paths": ("input",)},
         notes=["The clip was thinned from 240 to 80 frames.", "The camera hardly moves: depth is a guess."],
-        videos={"input_path": "input_path.mp4", "input_path_colour": "input_path_colour.mp4", "orbit": "orbit.mp4"},
+        videos={"input_path": "input_path.mp4", "input_path_color": "input_path_color.mp4", "orbit": "orbit.mp4"},
     )
 
 
@@ -115,7 +115,7 @@ def test_the_report_holds_the_figures(tmp_path):
         "29.87 dB", "3.79 dB better than interpolating", "interpolation: 26.08 dB", "0.912", "24.41", "21.34", "22.08",
         "25.76", "0.43 px", "1.12", "0.041", "184,201", "63,410 active at a time", "7 min 11 s", "2.3 GiB", "31.02",
         "thinned from 240", "9,021", "train.model.mean_poly", "1500", "Parts of the loss", "Gaussians active over the clip",
-        "Round the middle of the clip", "frame 29", "full colour =",
+        "Round the middle of the clip", "frame 29", "full color =",
     ):  # fmt: skip
         assert text in page, text
     assert "static scene" not in page, "what was not measured has no row"
@@ -145,13 +145,13 @@ def test_null_figures_are_dashes_with_their_reason(tmp_path):
 
 def test_videos_of_every_kind(tmp_path):
     videos = {
-        "orbit_background": "orbit_background.mp4", "orbit_background_colour": "orbit_background_colour.mp4",
+        "orbit_background": "orbit_background.mp4", "orbit_background_color": "orbit_background_color.mp4",
         "orbit_background_stereo": "orbit_background_stereo.mp4", "input_path_movers": "input_path_movers.webm",
         "wiggle": "wiggle.gif", "orbit_distance_2x1.2_3x0.9_movers_2_3": "o.webm",
-        "stabilised_slow2.5_movers": "stabilised_slow2.5_movers.webm", "custom_path_round-it": "custom_path_round-it.mp4",
+        "stabilized_slow2.5_movers": "stabilized_slow2.5_movers.webm", "custom_path_round-it": "custom_path_round-it.mp4",
     }  # fmt: skip
     page = write(tmp_path, replace(made_up_run(), videos=videos))
-    assert "Round the middle of the clip, the background alone: colour, flow, depth." in page
+    assert "Round the middle of the clip, the background alone: color, flow, depth." in page
     assert "Round the middle of the clip, the background alone, for two eyes." in page
     assert "the movers alone." in page
     assert "Round the middle of the clip, mover 2 1.2 times as far, mover 3 0.9 times as far, mover 2, 3 alone." in page
@@ -166,7 +166,7 @@ def test_it_is_whole_without_a_network(tmp_path):
     parser = Balance()
     parser.feed(page)
     assert not parser.open
-    videos = {"renders/input_path.mp4", "renders/input_path_colour.mp4", "renders/orbit.mp4"}
+    videos = {"renders/input_path.mp4", "renders/input_path_color.mp4", "renders/orbit.mp4"}
     assert {source for source in parser.sources if not source.startswith("data:")} == videos
     assert "//" not in re.sub(r"data:[^\"]*", "", page), "no address of another machine"
     assert "<script" not in page

@@ -46,8 +46,8 @@ def tiny_model(movers: int = 1, half_width: float = 4.0) -> SceneModel:
     count = len(wall) + len(ball)
     params = {name: torch.zeros(count, *shape) for name, shape in parameter_shapes(CONFIG).items()}
     params["means"] = torch.tensor(np.concatenate([wall, ball]) / WALL, dtype=torch.float32)
-    colours = np.concatenate([np.stack([0.1 + 0 * waves, waves, 0.9 - waves / 2], -1), np.tile([0.9, 0.1, 0.1], (len(ball), 1))])
-    params["sh"][:, 0] = torch.tensor((colours - 0.5) / C0, dtype=torch.float32)
+    colors = np.concatenate([np.stack([0.1 + 0 * waves, waves, 0.9 - waves / 2], -1), np.tile([0.9, 0.1, 0.1], (len(ball), 1))])
+    params["sh"][:, 0] = torch.tensor((colors - 0.5) / C0, dtype=torch.float32)
     params["logit_opacities"][:] = 5.0
     params["log_lambdas"][:] = -8.0
     params["quats"][:, 0] = 1.0
@@ -68,7 +68,7 @@ def tiny_run(folder: Path, movers: int = 1, size: tuple[int, int] = (64, 48), tr
     scene.write_cameras(cameras)
     scene.write_similarity(SIMILARITY)
     for i in range(FRAMES):
-        scene.write_frame(i, (model.render(cameras[i], float(times[i])).colour * 255).astype(np.uint8))
+        scene.write_frame(i, (model.render(cameras[i], float(times[i])).color * 255).astype(np.uint8))
     write_json(folder / "run.json", {})
     if trained:
         save_model(folder / "model", model)

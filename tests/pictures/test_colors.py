@@ -1,4 +1,4 @@
-"""Colours of flow, depth and error."""
+"""Colors of flow, depth and error."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_a_clip_at_rest_stays_pale():
     assert flow_to_color(noise).min() > 220
 
 
-def test_legend_shows_where_colours_lead_to():
+def test_legend_shows_where_colors_lead_to():
     legend = flow_legend(65)
     assert legend.shape == (65, 65, 3)
     assert (legend[32, 32] > 245).all()

@@ -9,7 +9,7 @@ import pytest
 from flowsplat.pictures.gif import write_gif
 
 
-def test_frames_come_back_in_their_colours(tmp_path):
+def test_frames_come_back_in_their_colors(tmp_path):
     ramp = np.add.outer(np.arange(30), np.arange(45))[..., None]
     frames = [np.clip(ramp * [1, 2, 3] + [40 * k, 0, 0], 0, 255).astype(np.uint8) for k in range(4)]
     write_gif(tmp_path / "a.gif", frames, 12.0)

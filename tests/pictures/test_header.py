@@ -21,14 +21,14 @@ def chunk(name: bytes, data: bytes) -> bytes:
 
 
 def png(width: int, height: int, pixels: bytes) -> bytes:
-    """A grey picture that says it has that size."""
+    """A gray picture that says it has that size."""
     head = width.to_bytes(4, "big") + height.to_bytes(4, "big") + bytes([8, 0, 0, 0, 0])
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", zlib.compress(pixels)) + chunk(b"IEND", b"")
 
 
 @pytest.mark.parametrize("suffix", KINDS)
 @pytest.mark.parametrize("size", [(64, 48), (1, 1), (300, 2), (4000, 3000)])
-def test_sizes_are_read_and_pictures_of_one_colour_are_held(suffix, size):
+def test_sizes_are_read_and_pictures_of_one_color_are_held(suffix, size):
     ok, data = cv2.imencode(suffix, np.full((size[1], size[0], 3), 255, np.uint8))
     assert ok
     assert picture_pixels(data.tobytes()) == size

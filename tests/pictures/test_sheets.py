@@ -11,8 +11,8 @@ from flowsplat.pictures.sheets import GAP, preview_sheet, side_by_side, stacked,
 def test_side_by_side_keeps_pictures_and_resizes_to_the_first():
     a = np.full((40, 60, 3), 200, np.uint8)
     b = np.full((20, 10, 3), 0.2, np.float32)
-    grey = np.full((40, 30), 90, np.uint8)
-    sheet = side_by_side([a, b, grey])
+    gray = np.full((40, 30), 90, np.uint8)
+    sheet = side_by_side([a, b, gray])
     assert sheet.shape == (40, 60 + 20 + 30 + 2 * GAP, 3)
     assert sheet.dtype == np.uint8
     assert (sheet[:, :60] == 200).all()

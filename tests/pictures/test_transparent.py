@@ -17,7 +17,7 @@ def decoded(path) -> list[np.ndarray]:
         return [f.to_ndarray(format="rgba") for packet in container.demux(stream) if packet.size for f in decoder.decode(packet)]
 
 
-def test_colour_and_alpha_come_back(tmp_path):
+def test_color_and_alpha_come_back(tmp_path):
     frames = []
     for k in range(5):
         frame = np.zeros((40, 61, 4), np.uint8)

@@ -14,14 +14,14 @@ import pytest
 from flowsplat.common.errors import InputError
 from flowsplat.pictures.video import mp4_writer, write_mp4
 
-COLOURS = [(255, 0, 0), (0, 255, 0), (0, 0, 255), (255, 255, 255), (0, 0, 0), (200, 120, 40)]
+COLORS = [(255, 0, 0), (0, 255, 0), (0, 0, 255), (255, 255, 255), (0, 0, 0), (200, 120, 40)]
 
 # Said explicitly, because older PyAV do not read the tags of a file: BT.709, limited range in, full range out.
 AS_TAGGED = {"src_colorspace": 1, "src_color_range": 1, "dst_color_range": 2}
 
 
 def plain_frames(count: int = 6, height: int = 48, width: int = 64) -> list[np.ndarray]:
-    return [np.full((height, width, 3), COLOURS[k % len(COLOURS)], np.uint8) for k in range(count)]
+    return [np.full((height, width, 3), COLORS[k % len(COLORS)], np.uint8) for k in range(count)]
 
 
 def decode(path: Path) -> list[np.ndarray]:
@@ -59,7 +59,7 @@ def read_sound(path: Path) -> tuple[np.ndarray, int]:
         return samples[:, max(round(-(first.time or 0.0) * first.sample_rate), 0) :], first.sample_rate
 
 
-def test_round_trip_keeps_size_count_rate_and_colours(tmp_path):
+def test_round_trip_keeps_size_count_rate_and_colors(tmp_path):
     frames = plain_frames()
     write_mp4(tmp_path / "new folder" / "clip.mp4", iter(frames), 24)
     decoded = decode(tmp_path / "new folder" / "clip.mp4")
@@ -76,7 +76,7 @@ def test_a_picture_survives(tmp_path):
     write_mp4(tmp_path / "a.mp4", [picture] * 3, 10)
     error = decode(tmp_path / "a.mp4")[1].astype(float) - picture
     assert np.abs(error).mean() < 2
-    assert np.abs(error.mean((0, 1))).max() < 2, "a colour cast: the matrix and its tag disagree"
+    assert np.abs(error.mean((0, 1))).max() < 2, "a color cast: the matrix and its tag disagree"
 
 
 @pytest.mark.parametrize(("fps", "expected"), [(24, 24), (29.97002997, Fraction(30000, 1001)), (12.5, Fraction(25, 2))])

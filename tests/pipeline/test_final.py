@@ -44,13 +44,13 @@ def figures_of(out: Path) -> dict:
 
 
 def psnr(model, scene: Scene, i: int) -> float:
-    rendered = model.render(scene.cameras[i], float(scene.timestamps[i])).colour
+    rendered = model.render(scene.cameras[i], float(scene.timestamps[i])).color
     return float(-10 * np.log10(np.mean((rendered - scene.any_frame(i) / 255) ** 2)))
 
 
 def video_of(out: Path) -> np.ndarray:
     """[T, H, W, 3] float: the pictures of the video along the clip's path."""
-    with av.open(str(out / "renders" / "input_path_colour.mp4")) as opened:
+    with av.open(str(out / "renders" / "input_path_color.mp4")) as opened:
         return np.stack([frame.to_ndarray(format="rgb24") for frame in opened.decode(video=0)]).astype(float)
 
 

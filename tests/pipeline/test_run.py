@@ -66,10 +66,10 @@ def test_the_python_api_renders_arrays(finished):
     scene = flowsplat.Scene(finished / "scene")
     model = flowsplat.load(finished)
     rendering = model.render(scene.cameras[3], scene.timestamps[3], (scene.cameras[4], scene.timestamps[4]))
-    assert rendering.colour.shape == (48, 64, 3)
+    assert rendering.color.shape == (48, 64, 3)
     assert rendering.flow.shape == (48, 64, 2)
-    assert rendering.colour.dtype == np.float32
-    error = np.abs(rendering.colour - scene.frame(3) / 255).mean()
+    assert rendering.color.dtype == np.float32
+    error = np.abs(rendering.color - scene.frame(3) / 255).mean()
     assert error < 0.1
     true_depth = scene.truth.depth(3).depth
     assert np.median(np.abs(rendering.depth / true_depth - 1)) < 0.1  # in the units of the scene's cameras
@@ -354,7 +354,7 @@ def test_settings_survive_their_file(tmp_path):
     for name in ("fast", "default", "paper", "high"):
         assert from_plain(RunConfig, json.loads(json.dumps(to_plain(preset(name))))) == preset(name)
     with pytest.raises(InputError, match="Unknown setting"):
-        from_plain(RunConfig, {"colour": 3})
+        from_plain(RunConfig, {"color": 3})
     with pytest.raises(InputError, match="Unknown preset"):
         preset("best")
 

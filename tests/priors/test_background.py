@@ -1,4 +1,4 @@
-"""The static scene: exact matches give exact depth, neighbours help, what is hidden comes from other frames."""
+"""The static scene: exact matches give exact depth, neighbors help, what is hidden comes from other frames."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def test_untrusted_matches_are_not_used():
     assert solution.motion.max() == 0
 
 
-def test_neighbours_that_agree_are_averaged_and_those_that_do_not_vote_against():
+def test_neighbors_that_agree_are_averaged_and_those_that_do_not_vote_against():
     one = np.ones(SIZE[::-1], np.float32)
     inverse, weight, votes = fuse(one / 3, one, camera(), [(one / 3.05, 3 * one, camera(0.1)), (one / 3, one, camera(-0.1))])
     assert 3.02 < 1 / inverse[16, 24] < 3.04
@@ -194,7 +194,7 @@ def test_long_flows_reach_far(tmp_path: Path):
     scene = write_planes(tmp_path, step=2, square=False)
     flow_stage(scene)
     flows = LongFlows(scene, Continuity(scene))
-    assert flows.neighbours(1) == [0, 2, 3, 5, 9]
+    assert flows.neighbors(1) == [0, 2, 3, 5, 9]
     flow, confidence = flows.matches(1, 9)
     inside = (slice(5, -5), slice(20, -5))
     assert np.median(np.abs(flow[inside] - [-8, 0])) < 0.1
@@ -233,7 +233,7 @@ def test_long_flows_are_those_of_the_chosen_method(tmp_path: Path):
 
     flows = LongFlows(scene, Continuity(scene), estimate)
     np.testing.assert_allclose(flows.matches(1, 3)[0], 3)
-    assert [guess.shape for guess in guesses] == [(HEIGHT, WIDTH, 2)] * 2  # there and back, from neighbours' flow
+    assert [guess.shape for guess in guesses] == [(HEIGHT, WIDTH, 2)] * 2  # there and back, from neighbors' flow
     assert np.median(np.abs(guesses[0] - [-4, 0])) < 0.1
     assert np.median(np.abs(flows.matches(3, 4)[0] - [-1, 0])) < 0.1
 

@@ -34,7 +34,7 @@ def seen(pictures: dict[int, np.ndarray], moving: bool = False) -> list[View]:
     return [View.of(np.ascontiguousarray(each), np.full(each.shape[:2], moving)) for each in pictures.values()]
 
 
-def test_a_view_has_the_colours_of_its_picture():
+def test_a_view_has_the_colors_of_its_picture():
     picture = still_square(0)[0]
     view = seen({0: picture})[0]
     np.testing.assert_array_equal(view.features[..., :3], picture)

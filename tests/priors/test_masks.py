@@ -14,7 +14,7 @@ from flowsplat.priors.background.matched_clip import RESTS, MatchedClip
 from flowsplat.priors.background.static_depth import static_depth
 from flowsplat.priors.flow import flow_stage
 from flowsplat.priors.masks import mask_stage
-from flowsplat.priors.masks.colours import Colours, look_up
+from flowsplat.priors.masks.colors import Colors, look_up
 from flowsplat.priors.masks.motion import CALMEST, USUAL, own_evidence, resting_motion
 from flowsplat.priors.masks.numbers import number_objects
 from flowsplat.priors.masks.plate import CleanPlate
@@ -200,14 +200,14 @@ def test_what_rests_looks_the_same_at_its_depth_and_what_moves_at_none(tmp_path:
     assert np.median(share[outside]) > 0.8
 
 
-def test_colours_tell_movers_from_what_is_round_them():
+def test_colors_tell_movers_from_what_is_round_them():
     frame = np.full((60, 80, 3), (90, 100, 110), np.uint8)
     moving = np.zeros((60, 80), bool)
     moving[20:40, 30:50] = True
     frame[moving] = (200, 40, 30)
-    colours = Colours()
-    assert colours.table() is None
-    colours.add(frame, moving)
-    values = look_up(colours.table(), frame)
+    colors = Colors()
+    assert colors.table() is None
+    colors.add(frame, moving)
+    values = look_up(colors.table(), frame)
     assert (values[moving] > 2).all()
     assert (values[~moving] < -2).all()

@@ -148,7 +148,7 @@ def test_what_comes_after_a_cut_is_as_far_away_as_what_came_before(tmp_path: Pat
     np.testing.assert_allclose(medians, medians[0], rtol=0.01)
 
 
-def test_frames_with_nothing_to_fit_borrow_from_their_neighbours(moving: Scene):
+def test_frames_with_nothing_to_fit_borrow_from_their_neighbors(moving: Scene):
     def inverse(i: int) -> tuple[np.ndarray, np.ndarray]:
         known = np.ones((HEIGHT, WIDTH), np.float32)
         if i == moving.train_frames[4]:

@@ -31,7 +31,7 @@ WIDTH, HEIGHT = 128, 80
 WALL = (-14.0, -9.0, 14.0, 9.0, 8.0)
 ROOM = [WALL, (-9.0, -1.0, -3.0, 4.0, 6.0), (1.5, -2.0, 3.5, 3.0, 5.0), (-2.0, 0.8, 0.2, 3.0, 4.0)]
 Rectangle = tuple[float, float, float, float, float]
-"""Left, top, right, bottom and depth of an upright textured rectangle, in metres."""
+"""Left, top, right, bottom and depth of an upright textured rectangle, in meters."""
 
 
 def texture(height: int, width: int, seed: int) -> np.ndarray:
@@ -56,14 +56,14 @@ class World:
         """RGB with a little noise; ``shift`` moves the last rectangle."""
         image = np.zeros((camera.height, camera.width, 3), np.uint8)
         half = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
-        for k, ((x0, y0, x1, y1, z), colours) in enumerate(self._parts):
+        for k, ((x0, y0, x1, y1, z), colors) in enumerate(self._parts):
             dx, dy, dz = shift if k == len(self._parts) - 1 else (0, 0, 0)
-            h, w = colours.shape[:2]
+            h, w = colors.shape[:2]
             to_world = np.array([[(x1 - x0) / w, 0, x0 + dx], [0, (y1 - y0) / h, y0 + dy], [0, 0, z + dz], [0, 0, 1]])
             H = np.linalg.inv(half) @ camera.K @ camera.viewmat[:3] @ to_world @ half
             size = (camera.width, camera.height)
             there = cv2.warpPerspective(np.ones((h, w), np.uint8), H, size, flags=cv2.INTER_NEAREST) > 0
-            image[there] = cv2.warpPerspective(colours, H, size)[there]
+            image[there] = cv2.warpPerspective(colors, H, size)[there]
         noise = np.random.default_rng(int(image.sum()) % 2**31).normal(0, 1.5, image.shape)
         return np.clip(image + noise, 0, 255).astype(np.uint8)
 

@@ -388,7 +388,7 @@ BAD = {
     ),
     "depth: zero": ("depth", lambda f: np.save(f / "depth" / "00003.npy", np.zeros((HEIGHT, WIDTH))), "not finite and positive"),
     "depth: other shape": ("depth", lambda f: np.save(f / "depth" / "00003.npy", np.ones((40, 40))), "another shape"),
-    "depth: colours": ("depth", lambda f: np.save(f / "depth" / "00003.npy", np.ones((HEIGHT, WIDTH, 3))), "one depth map"),
+    "depth: colors": ("depth", lambda f: np.save(f / "depth" / "00003.npy", np.ones((HEIGHT, WIDTH, 3))), "one depth map"),
     "depth: truncated": ("depth", lambda f: (f / "depth" / "00003.npy").write_bytes(b"\x93NUMPY"), "no readable .npy"),
     "masks: missing": ("masks", lambda f: (f / "masks" / "00003.png").unlink(), "00003.png does not exist"),
     "masks: damaged": ("masks", lambda f: (f / "masks" / "00003.png").write_bytes(b"no"), "00003.png"),

@@ -104,7 +104,7 @@ def test_an_object_is_cut_out(scene: Scene, prompt: Prompt):
     assert overlap(found, scene.truth.mask(5) > 0) > 0.75
 
 
-def test_an_object_at_rest_is_cut_out_by_its_colours():
+def test_an_object_at_rest_is_cut_out_by_its_colors():
     image = np.full((80, 120, 3), 60, np.uint8)
     image[20:50, 30:70] = [200, 90, 40]
     image = np.clip(image + np.random.default_rng(0).normal(0, 4, image.shape), 0, 255).astype(np.uint8)
@@ -124,33 +124,33 @@ def test_a_plain_picture_gives_what_was_shown():
 
 
 def posters(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Two frames [160, 280, 3] of a wall of posters, before which something of its colours goes by, and its mask in the first."""
+    """Two frames [160, 280, 3] of a wall of posters, before which something of its colors goes by, and its mask in the first."""
     rng = np.random.default_rng(seed)
-    colours = np.array([[200, 60, 50], [60, 90, 190], [230, 200, 70], [70, 150, 80], [225, 225, 220]])
+    colors = np.array([[200, 60, 50], [60, 90, 190], [230, 200, 70], [70, 150, 80], [225, 225, 220]])
     grain = rng.normal(0, 9, (2, 160, 300, 1))
-    wall = np.kron(colours[rng.integers(5, size=(8, 15))], np.ones((20, 20, 1))) + grain[0]
+    wall = np.kron(colors[rng.integers(5, size=(8, 15))], np.ones((20, 20, 1))) + grain[0]
     frames, mask = [], np.zeros((160, 280), bool)
     parts = [(slice(46, 100), slice(110, 140), 1), (slice(100, 150), slice(110, 140), 0), (slice(10, 50), slice(138, 178), 2)]
     for i in range(2):
         frame = wall[:, 3 * i : 3 * i + 280].copy()
-        for rows, columns, colour in parts:  # shirt, trousers, balloon
+        for rows, columns, color in parts:  # shirt, trousers, balloon
             moved = slice(columns.start + 2 * i, columns.stop + 2 * i)
-            frame[rows, moved] = colours[colour] + grain[1, rows, columns]
+            frame[rows, moved] = colors[color] + grain[1, rows, columns]
             mask[rows, columns] = True
         frames.append(np.clip(frame, 0, 255).astype(np.uint8))
     return frames[0], frames[1], mask
 
 
-def test_what_moves_apart_is_told_from_posters_in_its_colours():
-    box, told, by_colours = Prompt(0, (), (100, 5, 186, 156)), [], []
+def test_what_moves_apart_is_told_from_posters_in_its_colors():
+    box, told, by_colors = Prompt(0, (), (100, 5, 186, 156)), [], []
     for seed in range(3):
         first, second, mask = posters(seed)
         flow = Flow(0, 1, dis_estimator(first, second), np.ones(mask.shape, np.float32))
         still = Flow(0, 1, np.zeros_like(flow.flow), flow.confidence)
         told.append(overlap(cut_out(first, flow, box), mask))
-        by_colours.append(overlap(cut_out(first, still, box), mask))
+        by_colors.append(overlap(cut_out(first, still, box), mask))
     assert min(told) > 0.75
-    assert np.mean(told) > np.mean(by_colours) + 0.1
+    assert np.mean(told) > np.mean(by_colors) + 0.1
 
 
 def test_what_they_mean_is_drawn_at_once(scene: Scene):
@@ -159,8 +159,8 @@ def test_what_they_mean_is_drawn_at_once(scene: Scene):
     picture = read_image(path)
     assert picture.shape == (2 * HEIGHT + 4, WIDTH, 3)
     row = picture[HEIGHT + 4 :]
-    coloured = np.ptp(row[Y + 4 : Y + SIDE - 4, X + 4 : X + SIDE - 4].astype(int), axis=-1).mean()
-    assert coloured > 3 * np.ptp(row[60:, :20].astype(int), axis=-1).mean()
+    colored = np.ptp(row[Y + 4 : Y + SIDE - 4, X + 4 : X + SIDE - 4].astype(int), axis=-1).mean()
+    assert colored > 3 * np.ptp(row[60:, :20].astype(int), axis=-1).mean()
     assert (row[3:8, 3:8] == [240, 50, 50]).all(-1).any()
 
 

@@ -32,7 +32,7 @@ def picture(i: int, width: int = 64, height: int = 48) -> np.ndarray:
 
 
 def write_picture(path: Path, image: np.ndarray) -> Path:
-    """Write grey, RGB or RGBA by the suffix of ``path``, whatever characters it has."""
+    """Write gray, RGB or RGBA by the suffix of ``path``, whatever characters it has."""
     path.parent.mkdir(parents=True, exist_ok=True)
     if image.ndim == 3:
         image = image[..., [2, 1, 0, *range(3, image.shape[2])]]

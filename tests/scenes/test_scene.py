@@ -49,7 +49,7 @@ def test_split():
     train, heldout = split_frames(50, 10)
     assert heldout == [9, 19, 29, 39]
     assert sorted(train + heldout) == list(range(50))
-    # The last frame has no later neighbour to be predicted from.
+    # The last frame has no later neighbor to be predicted from.
     assert split_frames(20, 10)[1] == [9]
     assert split_frames(21, 10)[1] == [9, 19]
     assert split_frames(9, 10)[1] == []

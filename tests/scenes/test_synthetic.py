@@ -82,7 +82,7 @@ def test_valid_flow_lands_on_the_same_body_and_invalid_flow_does_not_return(pair
     world_depth = FULL.camera(21).project(unproject_depth(first.depth, FULL.camera(20)))[1]
     static = hidden & (first.mask == 0)
     x, y = np.floor(landing(flow)).astype(int)[static].T
-    # Something nearer stands before hidden static points (at the centre of the pixel, so not at every edge).
+    # Something nearer stands before hidden static points (at the center of the pixel, so not at every edge).
     assert np.mean(second.depth[y, x] < world_depth[static] - 0.02) > 0.85
 
 
@@ -166,7 +166,7 @@ def test_tracks_lie_on_the_surface_that_is_seen():
         difference = z / depth[y, x] - 1
         relative.append(np.abs(difference[tracks.visible[:, i]]))
         hidden.append(difference[inside & ~tracks.visible[:, i]])
-    # The depth map is known at the centres of pixels, tracks fall between them.
+    # The depth map is known at the centers of pixels, tracks fall between them.
     assert np.median(np.concatenate(relative)) < 0.01
     assert np.percentile(np.concatenate(relative), 90) < 0.06
     assert np.median(np.concatenate(hidden)) > 0.02
@@ -212,8 +212,8 @@ def test_written_scene_reads_back(tmp_path: Path):
 
     truth = scene.truth
     assert truth is not None
-    neighbours = {(i, i + 1) for i in range(7)} | {(2, 4)}
-    assert set(truth.flow_pairs) == neighbours | {(j, i) for i, j in neighbours}
+    neighbors = {(i, i + 1) for i in range(7)} | {(2, 4)}
+    assert set(truth.flow_pairs) == neighbors | {(j, i) for i, j in neighbors}
     exact = SMALL.flow(2, 4)
     np.testing.assert_allclose(truth.flow(2, 4).flow, exact.flow, atol=1 / 128 + 1e-6)
     np.testing.assert_array_equal(truth.flow(2, 4).trusted, exact.trusted)

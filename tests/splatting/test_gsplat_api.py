@@ -13,7 +13,7 @@ import flowsplat
 from flowsplat.geometry.rotations import covariances
 from flowsplat.splatting import blend, project, rasterization, rasterize
 from flowsplat.splatting.cpu import functions
-from flowsplat.splatting.harmonics import colours_from_harmonics
+from flowsplat.splatting.harmonics import colors_from_harmonics
 
 WIDTH, HEIGHT = 40, 27
 MODES = ("RGB", "D", "ED", "RGB+D", "RGB+ED")
@@ -69,19 +69,19 @@ def by_hand(values, mode="RGB", degree=None, backgrounds=None):
     for c, (viewmat, K) in enumerate(zip(values["viewmats"], values["Ks"], strict=True)):
         means = values["means"]
         depths = (means @ viewmat[:3, :3].T + viewmat[:3, 3])[:, 2]
-        colours = values["colors"]
+        colors = values["colors"]
         if degree is not None:
-            colours = colours_from_harmonics(colours, means - torch.linalg.inv(viewmat)[:3, 3], degree)
+            colors = colors_from_harmonics(colors, means - torch.linalg.inv(viewmat)[:3, 3], degree)
         picture, alpha, _ = rasterize(
-            means, values["quats"], values["scales"], values["opacities"], torch.cat([colours, depths[:, None]], 1),
+            means, values["quats"], values["scales"], values["opacities"], torch.cat([colors, depths[:, None]], 1),
             viewmat, K, WIDTH, HEIGHT, backend="reference",
         )  # fmt: skip
-        colour, depth = picture[..., :-1], picture[..., -1:]
+        color, depth = picture[..., :-1], picture[..., -1:]
         if backgrounds is not None:
-            colour = colour + (1 - alpha)[..., None] * backgrounds[c]
+            color = color + (1 - alpha)[..., None] * backgrounds[c]
         if "ED" in mode:
             depth = depth / alpha[..., None].clamp(min=1e-10)
-        pictures.append({"RGB": colour, "D": depth, "ED": depth}.get(mode, torch.cat([colour, depth], -1)))
+        pictures.append({"RGB": color, "D": depth, "ED": depth}.get(mode, torch.cat([color, depth], -1)))
         alphas.append(alpha[..., None])
     return torch.stack(pictures), torch.stack(alphas)
 
@@ -122,7 +122,7 @@ def test_harmonics_are_seen_from_each_camera(degree):
         assert relative(found_leaves[name].grad, expected_leaves[name].grad) < 5e-5, name
 
 
-def test_many_channels_and_colours_of_each_camera():
+def test_many_channels_and_colors_of_each_camera():
     values = make(channels=40)
     values["colors"] = torch.stack([values["colors"], values["colors"].flip(0)])
     single = {name: value.float() for name, value in values.items()}
@@ -336,7 +336,7 @@ def test_nothing_to_see(packed):
         ("render_mode", "Depth"),
         ("rasterize_mode", "sharp"),
         ("sh_degree", 4),
-        ("sh_degree", 1),  # colours are no coefficients
+        ("sh_degree", 1),  # colors are no coefficients
         ("means", torch.zeros(60, 2)),
         ("means", torch.zeros(3)),
         ("quats", torch.zeros(60, 3)),
@@ -436,12 +436,12 @@ def test_harmonics_are_those_of_gsplat(gsplat, degree):
     results = []
     for function in (
         lambda s, d: torch.clamp_min(_spherical_harmonics(degree, d, s) + 0.5, 0.0),
-        lambda s, d: colours_from_harmonics(s, d, degree),
+        lambda s, d: colors_from_harmonics(s, d, degree),
     ):
         leaves = sh.clone().requires_grad_(), directions.clone().requires_grad_()
-        colours = function(*leaves)
-        functional(colours).backward()
+        colors = function(*leaves)
+        functional(colors).backward()
         slope = leaves[1].grad
-        results.append((colours, leaves[0].grad, torch.zeros(50, 3) if slope is None else slope))
+        results.append((colors, leaves[0].grad, torch.zeros(50, 3) if slope is None else slope))
     for a, b in zip(*results, strict=True):
         torch.testing.assert_close(a.double(), b.double(), rtol=1e-6, atol=1e-7)

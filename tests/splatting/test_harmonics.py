@@ -1,11 +1,11 @@
-"""The kernel of the colours against the oracle, and the oracle against its own derivative."""
+"""The kernel of the colors against the oracle, and the oracle against its own derivative."""
 
 from __future__ import annotations
 
 import pytest
 import torch
 
-from flowsplat.splatting.harmonics import colours_from_harmonics, colours_in_torch, harmonics_basis
+from flowsplat.splatting.harmonics import colors_from_harmonics, colors_in_torch, harmonics_basis
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3])
@@ -16,11 +16,11 @@ def test_the_kernel_matches_the_oracle(degree, stored):
     directions = torch.randn(300, 3, generator=g) * torch.rand(300, 1, generator=g) * 5
     weights = torch.randn(300, 3, generator=g)
     results = []
-    for function, dtype in ((colours_in_torch, torch.float64), (colours_from_harmonics, torch.float32)):
+    for function, dtype in ((colors_in_torch, torch.float64), (colors_from_harmonics, torch.float32)):
         leaves = [value.to(dtype).requires_grad_() for value in (sh.clone(), directions.clone())]
-        colours = function(*leaves, degree)
-        (colours * weights.to(dtype)).sum().backward()
-        results.append([colours.detach(), *(leaf.grad for leaf in leaves)])
+        colors = function(*leaves, degree)
+        (colors * weights.to(dtype)).sum().backward()
+        results.append([colors.detach(), *(leaf.grad for leaf in leaves)])
     assert 0.05 < float((results[0][0] == 0).double().mean()) < 0.6  # some are clamped
     for exact, ours in zip(*results, strict=True):
         assert float((ours.double() - exact).norm()) < 2e-6 * float(exact.norm())
@@ -28,7 +28,7 @@ def test_the_kernel_matches_the_oracle(degree, stored):
 
 def test_coefficients_alone_may_want_a_gradient():
     sh = torch.randn(5, 4, 3, requires_grad=True)
-    colours_from_harmonics(sh, torch.randn(5, 3), 1).sum().backward()
+    colors_from_harmonics(sh, torch.randn(5, 3), 1).sum().backward()
     assert torch.isfinite(sh.grad).all()
 
 

@@ -44,7 +44,7 @@ def seen(gaussians: Gaussians4D) -> Observations:
         frames.append(
             Observation(
                 frame=k, time=k / (FRAMES - 1), camera=camera,
-                image=(255 * np.clip(shown.colour.numpy() + rng.normal(0, 0.1, (HEIGHT, WIDTH, 3)), 0, 1)).astype(np.uint8),
+                image=(255 * np.clip(shown.color.numpy() + rng.normal(0, 0.1, (HEIGHT, WIDTH, 3)), 0, 1)).astype(np.uint8),
                 depth=rng.uniform(0.8, 1.2, (HEIGHT, WIDTH)).astype(np.float32), depth_trusted=rng.random((HEIGHT, WIDTH)) < 0.8,
                 movers=np.zeros((HEIGHT, WIDTH), np.uint8), forward=flow if k + 1 < FRAMES else None, backward=None,
             )
@@ -56,6 +56,6 @@ def tiny(preset: str, **changes) -> TrainConfig:
     config = PRESETS[preset]
     model = replace(config.model, mean_poly=2, mean_fourier=1, quat_poly=1, quat_fourier=1, sh_degree=1)
     return replace(
-        config, iterations=2, preview_every=0, model=model, loss=replace(config.loss, rigid_neighbours=4),
+        config, iterations=2, preview_every=0, model=model, loss=replace(config.loss, rigid_neighbors=4),
         density=replace(config.density, every=0, reset_every=0), **changes,
     )  # fmt: skip

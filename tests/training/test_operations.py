@@ -15,7 +15,7 @@ from flowsplat.training.picture_loss import PictureTargets, PictureWeights, pict
 from flowsplat.training.picture_loss import cpu as picture_cpu
 from flowsplat.training.picture_loss import reference as picture_reference
 from flowsplat.training.rigidity import cpu as rigid_cpu
-from flowsplat.training.rigidity import find_neighbours, rigid_loss
+from flowsplat.training.rigidity import find_neighbors, rigid_loss
 from flowsplat.training.rigidity import reference as rigid_reference
 
 
@@ -27,7 +27,7 @@ def picture_case(height, width, channels, seed=0):
     if channels in (7, 11):
         image[..., -1] = alpha * torch.from_numpy(rng.choice([0.0, 0.04, 0.2], (height, width)).astype(np.float32))
     targets = PictureTargets(
-        colour=rng.integers(0, 256, (height, width, 3), dtype=np.uint8),
+        color=rng.integers(0, 256, (height, width, 3), dtype=np.uint8),
         depth=rng.uniform(0.5, 2, (height, width)).astype(np.float32),
         depth_trusted=rng.random((height, width)) < 0.7,
         flow=rng.normal(0, 3, (height, width, 2)).astype(np.float32),
@@ -68,16 +68,16 @@ def test_a_part_of_weight_zero_is_not_computed():
 def test_a_perfect_picture_costs_nothing():
     targets = picture_case(20, 20, 6)[2]
     image = torch.cat(
-        [torch.from_numpy(targets.colour) / 255, torch.from_numpy(targets.depth)[..., None], torch.from_numpy(targets.flow)], -1
+        [torch.from_numpy(targets.color) / 255, torch.from_numpy(targets.depth)[..., None], torch.from_numpy(targets.flow)], -1
     )
     loss, figures = picture_loss(image, torch.ones(20, 20), 2, targets, PictureWeights(0.2, 1.0, 1.0))
     assert abs(float(loss)) < 1e-5
     assert figures.squared_error < 1e-12
 
 
-def test_the_oracle_of_the_colour_loss_differentiates():
+def test_the_oracle_of_the_color_loss_differentiates():
     image, target = torch.rand(4, 5, 3, dtype=torch.float64, requires_grad=True), torch.rand(4, 5, 3, dtype=torch.float64)
-    assert torch.autograd.gradcheck(lambda x: picture_reference.colour_loss(x, target, 0.3), image)
+    assert torch.autograd.gradcheck(lambda x: picture_reference.color_loss(x, target, 0.3), image)
 
 
 def test_with_all_rows_active_it_is_torchs_adam():
@@ -153,26 +153,26 @@ def moving_model(count=60, frames=4):
     return Gaussians4D(params, torch.arange(count) % 3 > 0, config), [k / (frames - 1) for k in range(frames)]
 
 
-def test_neighbours_are_the_nearest_of_those_alive_at_the_centre_time():
+def test_neighbors_are_the_nearest_of_those_alive_at_the_center_time():
     gaussians, times = moving_model()
-    neighbours = find_neighbours(gaussians, times, 5, 10.0, dynamic_only=True)
-    assert (neighbours.indices[~gaussians.dynamic] == -1).all()
+    neighbors = find_neighbors(gaussians, times, 5, 10.0, dynamic_only=True)
+    assert (neighbors.indices[~gaussians.dynamic] == -1).all()
     for i in torch.nonzero(gaussians.dynamic).squeeze(1).tolist():
         alive = gaussians.active(float(gaussians.params["times"][i])).rows
         alive = alive[gaussians.dynamic[alive] & (alive != i)]
         distance = (gaussians.params["means"][alive] - gaussians.params["means"][i]).norm(dim=1)
         order = distance.argsort()[:5]
-        assert neighbours.indices[i].tolist() == alive[order].tolist()
-        torch.testing.assert_close(neighbours.weights[i], torch.exp(-10 * distance[order]))
+        assert neighbors.indices[i].tolist() == alive[order].tolist()
+        torch.testing.assert_close(neighbors.weights[i], torch.exp(-10 * distance[order]))
 
 
-def test_neighbours_follow_density_control():
+def test_neighbors_follow_density_control():
     gaussians, times = moving_model()
-    neighbours = find_neighbours(gaussians, times, 5, 10.0, dynamic_only=True)
+    neighbors = find_neighbors(gaussians, times, 5, 10.0, dynamic_only=True)
     index = torch.tensor([*range(10, 60), 20, 20])  # ten are removed, one is cloned twice
-    reindexed = neighbours.reindex(index)
+    reindexed = neighbors.reindex(index)
     for i in range(52):
-        expected = [j - 10 if j >= 10 else -1 for j in neighbours.indices[index[i]].tolist()]
+        expected = [j - 10 if j >= 10 else -1 for j in neighbors.indices[index[i]].tolist()]
         assert reindexed.indices[i].tolist() == expected
     assert (reindexed.weights[reindexed.indices < 0] == 0).all()
 
@@ -180,14 +180,14 @@ def test_neighbours_follow_density_control():
 @pytest.mark.parametrize("dynamic_only", [True, False])
 def test_the_rigid_loss_matches_its_oracle(dynamic_only):
     gaussians, times = moving_model()
-    neighbours = find_neighbours(gaussians, times, 5, 10.0, dynamic_only)
+    neighbors = find_neighbors(gaussians, times, 5, 10.0, dynamic_only)
     active = gaussians.active(times[1])
     rows = active.rows[active.num_static :]
     start = torch.randn(len(rows), 3, generator=torch.Generator().manual_seed(1))
     found = []
     for module, dtype in ((rigid_reference, torch.float64), (rigid_cpu, torch.float32)):
         velocities = start.to(dtype).requires_grad_()
-        loss = module.rigid_loss(velocities, rows, neighbours, 17)
+        loss = module.rigid_loss(velocities, rows, neighbors, 17)
         (3 * loss).backward()
         found.append((float(loss.detach()), velocities.grad))
     assert found[1][0] == pytest.approx(found[0][0], rel=1e-5)
@@ -197,21 +197,21 @@ def test_the_rigid_loss_matches_its_oracle(dynamic_only):
 
 def test_the_rigid_loss_is_zero_for_a_common_motion_and_safe_at_rest():
     gaussians, times = moving_model()
-    neighbours = find_neighbours(gaussians, times, 5, 10.0, dynamic_only=True)
+    neighbors = find_neighbors(gaussians, times, 5, 10.0, dynamic_only=True)
     rows = gaussians.active(times[1]).rows
     for value in (0.0, 1.0):
         velocities = torch.full((len(rows), 3), value, requires_grad=True)
-        loss = rigid_loss(velocities, rows, neighbours, len(rows))
+        loss = rigid_loss(velocities, rows, neighbors, len(rows))
         loss.backward()
         assert float(loss.detach()) < 1e-5
         assert torch.isfinite(velocities.grad).all()
 
 
-def test_who_lies_where_its_twin_does_has_the_twin_as_neighbour():
+def test_who_lies_where_its_twin_does_has_the_twin_as_neighbor():
     gaussians, times = moving_model()
     twice = gaussians.select(torch.cat([torch.arange(60), torch.arange(60)]))
-    neighbours = find_neighbours(twice, times, 5, 10.0, dynamic_only=True)
+    neighbors = find_neighbors(twice, times, 5, 10.0, dynamic_only=True)
     own = torch.arange(120)
     moving = torch.nonzero(twice.dynamic).squeeze(1)
-    assert not (neighbours.indices == own[:, None]).any()
-    assert (neighbours.indices[moving] == ((own + 60) % 120)[moving, None]).any(1).all()
+    assert not (neighbors.indices == own[:, None]).any()
+    assert (neighbors.indices[moving] == ((own + 60) % 120)[moving, None]).any(1).all()

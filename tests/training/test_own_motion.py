@@ -48,7 +48,7 @@ def test_it_learns_under_density_control_and_goes_on_from_a_checkpoint_to_the_sa
     assert set(whole.params) == {
         "means", "times", "logit_opacities", "sh", "log_gains", "drifts", "log_radii", "log_lives"
     }  # fmt: skip
-    assert trainer.history[-1]["colour"] < 0.8 * trainer.history[0]["colour"]
+    assert trainer.history[-1]["color"] < 0.8 * trainer.history[0]["color"]
     assert trainer.history[-1]["gaussians"] != trainer.history[0]["gaussians"]
     kept, step, _ = load_checkpoint(tmp_path, Similarity(), 0.0, 1.0, 20.0)
     assert step == 20

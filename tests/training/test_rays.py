@@ -14,9 +14,9 @@ from flowsplat.training.trainer import Trainer
 from tests.training.handful import a_few, seen, tiny
 
 
-def travel(metres: float, frames: int = 9) -> torch.Tensor:
+def travel(meters: float, frames: int = 9) -> torch.Tensor:
     """[F, 3] of a camera that goes sideways."""
-    return torch.stack([torch.linspace(-metres, metres, frames), torch.zeros(frames), torch.zeros(frames)], 1)
+    return torch.stack([torch.linspace(-meters, meters, frames), torch.zeros(frames), torch.zeros(frames)], 1)
 
 
 def test_axes_are_those_of_the_ray():
@@ -30,9 +30,9 @@ def test_axes_are_those_of_the_ray():
 
 @pytest.mark.parametrize("distance", [1.0, 3.0, 20.0])
 def test_factors_are_half_of_what_parallax_lacks(distance):
-    centres = travel(0.3)
-    std = float(centres[:, 0].std(correction=0))
-    _, (factor,) = ray_axes(torch.tensor([[0.0, 0.0, distance]]), PathSpread.of(centres), 400.0, 15.0)
+    centers = travel(0.3)
+    std = float(centers[:, 0].std(correction=0))
+    _, (factor,) = ray_axes(torch.tensor([[0.0, 0.0, distance]]), PathSpread.of(centers), 400.0, 15.0)
     seen_pixels = (400 * std / distance) ** 2
     share = seen_pixels / (seen_pixels + FEWEST_PIXELS**2)
     assert float(factor) == pytest.approx(1 + share * (min(max(distance / (2 * std), 1), 15) - 1), rel=1e-4)
@@ -70,8 +70,8 @@ def test_only_what_rests_steps_farther_along_its_ray(resting, monkeypatch):
         torch.testing.assert_close(moved[15.0], moved[1.0], rtol=0, atol=0)
 
 
-@pytest.mark.parametrize("metres", [0.3, 0.0])
-def test_the_kernel_matches_its_oracle(metres):
+@pytest.mark.parametrize("meters", [0.3, 0.0])
+def test_the_kernel_matches_its_oracle(meters):
     g = torch.Generator().manual_seed(0)
     start, rows = 3 * torch.randn(300, 3, generator=g), torch.arange(20, 280)
     start[30], start[40] = torch.tensor([0.0, 0.0, 2.0]), torch.zeros(3)  # along an axis, and in the middle of the path
@@ -91,7 +91,7 @@ def test_the_kernel_matches_its_oracle(metres):
                 stepped,
                 gradient,
                 torch.tensor([0.1, 0.2, 0.3]),
-                PathSpread.of(travel(metres)),
+                PathSpread.of(travel(meters)),
                 400.0,
                 15.0,
             )

@@ -49,13 +49,13 @@ def test_residuals_match_their_oracle(flow_model):
 def test_residuals_are_what_the_picture_is_off():
     gaussians, active, rendered, _ = rendered_frame("displacement")
     alpha = rendered.alpha.detach()
-    colour = (255 * rendered.colour.detach()).round().clamp(0, 205).to(torch.uint8).numpy()
+    color = (255 * rendered.color.detach()).round().clamp(0, 205).to(torch.uint8).numpy()
     flow = (rendered.flow.detach() / alpha[..., None]).numpy() + np.float32([3, -4])
-    targets = PictureTargets(colour, flow=flow, flow_trusted=np.ones((HEIGHT, WIDTH), bool))
-    rendered = replace(rendered, image=torch.cat([torch.from_numpy(colour) / 255 + 0.2, rendered.image[..., 3:]], -1))
+    targets = PictureTargets(color, flow=flow, flow_trusted=np.ones((HEIGHT, WIDTH), bool))
+    rendered = replace(rendered, image=torch.cat([torch.from_numpy(color) / 255 + 0.2, rendered.image[..., 3:]], -1))
     statistics = DensityStatistics.zeros(len(gaussians))
     add_residuals(statistics, active, rendered.projected.visible, rendered, targets)
     visits = statistics.flow_visits
     assert visits.any()
     torch.testing.assert_close(statistics.flow_residual, 5 * visits, rtol=1e-4, atol=0)
-    torch.testing.assert_close(statistics.colour_residual, 0.2 * visits, rtol=1e-4, atol=0)
+    torch.testing.assert_close(statistics.color_residual, 0.2 * visits, rtol=1e-4, atol=0)

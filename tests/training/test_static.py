@@ -66,7 +66,7 @@ def test_one_scene_for_every_frame_shares_gaussians_and_steps(scene, config, mon
     for i in (0, 3):
         t = float(scene.timestamps[i])
         assert model.nearest(t + 0.09) is model.models[i]
-        shown = model.render(scene.cameras[i], t).colour
+        shown = model.render(scene.cameras[i], t).color
         error = [np.abs(shown - scene.frame(j) / 255).mean() for j in range(FRAMES)]
         assert int(np.argmin(error)) == i, "it looks most like its own frame"
         assert model.active_count(t) == len(sets[i])

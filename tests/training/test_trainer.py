@@ -118,7 +118,7 @@ def test_movers_keep_their_numbers_and_change_no_training(tmp_path):
     config = replace(config, density=replace(config.density, every=1, start=1, gradient=1e-9, max_gaussians=60))
     start = a_few(config)
     start.movers = (torch.arange(len(start)) % 4).to(torch.uint8)
-    # Whoever descends from a Gaussian has its colour nearly still: four steps change it less than they differ.
+    # Whoever descends from a Gaussian has its color nearly still: four steps change it less than they differ.
     kinds = torch.linspace(-3, 3, 4)
     start.params["sh"][:, 0, 0] = kinds[start.movers.long()]
     unnumbered = start.select(torch.arange(len(start)))
@@ -191,7 +191,7 @@ def test_after_a_reset_the_next_gradient_alone_says_where_opacities_go(tmp_path)
 
 
 @pytest.mark.parametrize("alone", [0.01, 1.0])
-def test_who_turns_out_to_move_gets_neighbours_at_once_unless_they_are_few(monkeypatch, alone):
+def test_who_turns_out_to_move_gets_neighbors_at_once_unless_they_are_few(monkeypatch, alone):
     monkeypatch.setattr(trainer, "ALONE", alone)
     config = tiny("default")
     config = replace(
@@ -204,13 +204,13 @@ def test_who_turns_out_to_move_gets_neighbours_at_once_unless_they_are_few(monke
     class Watched(Trainer):
         def _rigid(self, active, rendered):
             result = super()._rigid(active, rendered)
-            had.append((self._neighbours.indices >= 0).any(1))
+            had.append((self._neighbors.indices >= 0).any(1))
             return result
 
         def _control_density(self):
             before = self.gaussians.dynamic.clone()
             self._statistics.flow_visits[:2], self._statistics.flow_residual[:2] = 2.0, 200.0
-            self._statistics.colour_residual[:2] = 2.0
+            self._statistics.color_residual[:2] = 2.0
             super()._control_density()
             moved.append(torch.nonzero(self.gaussians.dynamic & ~before).squeeze(1).tolist())
 
@@ -249,10 +249,10 @@ def test_without_checkpoints_none_is_written(tmp_path):
         ("seed", -1, "0 or more"), ("seed", 10**30, "at most 9.22337e"), ("iterations", -5, "0 or more"),
         ("average", 1.5, "at most 1"), ("rates.means", math.nan, "0 or more"),
         ("density.max_gaussians", 0, "1 or more"), ("init.opacity", 1.0, "between 0 and 1"), ("density.reset_to", 0.0, "between"),
-        ("loss.rigid_neighbours", 0, "1 or more"), ("model.sh_degree", 4, "at most 3"), ("init.samples", 0, "1 or more"),
+        ("loss.rigid_neighbors", 0, "1 or more"), ("model.sh_degree", 4, "at most 3"), ("init.samples", 0, "1 or more"),
         ("init.detail", 5.0, "at most 4"), ("init.detail", -1.0, "0 or more"), ("init.sample_gap", -1, "0 or more"),
         ("init.flatness", 0.0, "more than 0"), ("init.size", 0.0, "more than 0"), ("init.precision_factor", 0.0, "more than 0"),
-        ("loss.flow", 1e308, "at most 1000"), ("init.edge", 10**6, "at most 256"), ("loss.rigid_neighbours", 10**6, "at most 256"),
+        ("loss.flow", 1e308, "at most 1000"), ("init.edge", 10**6, "at most 256"), ("loss.rigid_neighbors", 10**6, "at most 256"),
         ("model.mean_fourier", 10**8, "at most 64"), ("density.max_gaussians", 10**12, "at most 1e"),
         ("init.samples", 10**9, "at most"), ("rates.means", 1e30, "at most 1000"), ("iterations", 10**15, "at most 1e"),
     ],
@@ -299,9 +299,9 @@ def edited(path, **changed):
 @pytest.mark.parametrize(
     "spoil",
     [
-        lambda t: {"neighbours.indices": torch.full_like(t["neighbours.indices"], 10**9)},
-        lambda t: {"neighbours.indices": torch.full_like(t["neighbours.indices"], -2)},
-        lambda t: {"neighbours.weights": t["neighbours.weights"][:, :1].clone()},
+        lambda t: {"neighbors.indices": torch.full_like(t["neighbors.indices"], 10**9)},
+        lambda t: {"neighbors.indices": torch.full_like(t["neighbors.indices"], -2)},
+        lambda t: {"neighbors.weights": t["neighbors.weights"][:, :1].clone()},
         lambda t: {"adam.counts": t["adam.counts"][:-1].clone()},
         lambda t: {"adam.counts": t["adam.counts"].double()},
         lambda t: {"adam.mean.means": t["adam.mean.means"][:, :2].clone()},
@@ -320,10 +320,10 @@ def test_a_checkpoint_with_what_kernels_would_read_or_write_beside_is_refused(tm
     trainer().run()
     (path,) = tmp_path.glob("*.safetensors")
     tensors, _ = read_tensors(path)
-    if "neighbours.indices" not in tensors:  # nothing here moves: neighbours as they would be
+    if "neighbors.indices" not in tensors:  # nothing here moves: neighbors as they would be
         count = len(tensors["dynamic"])
-        tensors |= {"neighbours.indices": torch.zeros(count, 2, dtype=torch.int32), "neighbours.weights": torch.zeros(count, 2)}
-    edited(path, **{name: value for name, value in tensors.items() if name.startswith("neighbours.")})
+        tensors |= {"neighbors.indices": torch.zeros(count, 2, dtype=torch.int32), "neighbors.weights": torch.zeros(count, 2)}
+    edited(path, **{name: value for name, value in tensors.items() if name.startswith("neighbors.")})
     trainer().run()  # that is one to go on from
     edited(path, **spoil(tensors))
     with pytest.raises(InputError, match=f"{path.name} is damaged: {next(iter(spoil(tensors)))}"):

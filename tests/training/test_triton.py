@@ -13,7 +13,7 @@ from flowsplat.training.picture_loss import PictureTargets, PictureWeights
 from flowsplat.training.picture_loss import reference as picture_reference
 from flowsplat.training.rays import PathSpread
 from flowsplat.training.rays import reference as rays_reference
-from flowsplat.training.rigidity import Neighbours, find_neighbours
+from flowsplat.training.rigidity import Neighbors, find_neighbors
 from flowsplat.training.rigidity import reference as rigid_reference
 from tests.common.compiling import compiled
 from tests.training.test_operations import moving_model, picture_case
@@ -61,7 +61,7 @@ def test_the_picture_loss_of_targets_without_anything_to_trust():
     image, alpha, targets = picture_case(9, 8, 6)
     image, alpha = image.to(DEVICE).requires_grad_(), alpha.to(DEVICE)
     nothing = replace(targets, flow_trusted=targets.flow_trusted & False, depth_trusted=targets.depth_trusted & False).to(DEVICE)
-    for case, weights in ((nothing, PictureWeights(0.2, 1.0, 1.0)), (PictureTargets(targets.colour), PictureWeights(0.2, 1.0, 1.0)),
+    for case, weights in ((nothing, PictureWeights(0.2, 1.0, 1.0)), (PictureTargets(targets.color), PictureWeights(0.2, 1.0, 1.0)),
                           (targets, PictureWeights())):  # fmt: skip
         loss, figures = picture_triton.picture_loss(image, alpha, 2, case, weights)
         image.grad = None
@@ -107,7 +107,7 @@ def test_adam_leaves_padding_rows_out():
 @pytest.mark.parametrize("dynamic_only", [True, False])
 def test_the_rigid_loss_matches_its_oracle(dynamic_only):
     gaussians, times = moving_model()
-    neighbours = find_neighbours(gaussians, times, 5, 10.0, dynamic_only)
+    neighbors = find_neighbors(gaussians, times, 5, 10.0, dynamic_only)
     active = gaussians.active(times[1])
     rows = active.rows[active.num_static :]
     start = torch.randn(len(rows), 3, generator=torch.Generator().manual_seed(1))
@@ -115,7 +115,7 @@ def test_the_rigid_loss_matches_its_oracle(dynamic_only):
     found = []
     for module, dtype, device in ((rigid_reference, torch.float64, "cpu"), (rigid_triton, torch.float32, DEVICE)):
         velocities = start.to(device, dtype).requires_grad_()
-        there = Neighbours(neighbours.indices.to(device), neighbours.weights.to(device))
+        there = Neighbors(neighbors.indices.to(device), neighbors.weights.to(device))
         loss = module.rigid_loss(velocities, rows.to(device), there, 17)
         (3 * loss).backward()
         found.append((float(loss.detach()), velocities.grad.cpu().double()))
@@ -126,11 +126,11 @@ def test_the_rigid_loss_matches_its_oracle(dynamic_only):
 
 def test_padding_rows_pull_no_gaussian():
     gaussians, times = moving_model()
-    neighbours = find_neighbours(gaussians, times, 5, 10.0, True)
+    neighbors = find_neighbors(gaussians, times, 5, 10.0, True)
     active = gaussians.active(times[1])
     rows = active.rows[active.num_static :].to(DEVICE)
     velocities = torch.randn(len(rows), 3, generator=torch.Generator().manual_seed(1)).to(DEVICE)
-    there = Neighbours(neighbours.indices.to(DEVICE), neighbours.weights.to(DEVICE))
+    there = Neighbors(neighbors.indices.to(DEVICE), neighbors.weights.to(DEVICE))
     there.indices[0], there.weights[0] = rows[1:6].to(torch.int32), 1.0  # which padding might be taken for
     padding = torch.full((9,), -1, device=DEVICE)
     found = []
@@ -149,22 +149,22 @@ def test_padding_rows_pull_no_gaussian():
 
 
 def test_no_gaussians_have_no_rigid_loss():
-    neighbours = Neighbours(torch.full((4, 3), -1, dtype=torch.int32, device=DEVICE), torch.zeros(4, 3, device=DEVICE))
+    neighbors = Neighbors(torch.full((4, 3), -1, dtype=torch.int32, device=DEVICE), torch.zeros(4, 3, device=DEVICE))
     for rows in ([], [0, 2]):
         velocities = torch.ones(len(rows), 3, device=DEVICE, requires_grad=True)
-        loss = rigid_triton.rigid_loss(velocities, torch.tensor(rows, dtype=torch.int64, device=DEVICE), neighbours, 1)
+        loss = rigid_triton.rigid_loss(velocities, torch.tensor(rows, dtype=torch.int64, device=DEVICE), neighbors, 1)
         loss.backward()
         assert float(loss.detach()) == 0
         assert velocities.grad is None or float(velocities.grad.abs().sum()) == 0
 
 
-@pytest.mark.parametrize("metres", [0.3, 0.0])
-def test_steps_along_rays_match_their_oracle(metres):
+@pytest.mark.parametrize("meters", [0.3, 0.0])
+def test_steps_along_rays_match_their_oracle(meters):
     g = torch.Generator().manual_seed(0)
     start, rows = 3 * torch.randn(60, 3, generator=g), torch.arange(5, 55)
     start[10], start[20] = torch.tensor([0.0, 0.0, 2.0]), torch.zeros(3)  # along an axis, and in the middle of the path
-    centres = torch.outer(torch.linspace(-1, 1, 9), torch.tensor([metres, 0.0, 0.02]))
-    path, rates = PathSpread.of(centres), torch.tensor([0.1, 0.2, 0.3])
+    centers = torch.outer(torch.linspace(-1, 1, 9), torch.tensor([meters, 0.0, 0.02]))
+    path, rates = PathSpread.of(centers), torch.tensor([0.1, 0.2, 0.3])
     values = {device: start.clone().to(device) for device in ("cpu", DEVICE)}
     ours, adam = (RowAdam({"means": values[device].clone()}) for device in (DEVICE, "cpu"))
     expected, value = values["cpu"].clone(), values[DEVICE].clone()
@@ -174,7 +174,7 @@ def test_steps_along_rays_match_their_oracle(metres):
             each.begin_step(rows.to(device), stepped.to(device))
         rays_reference.step_along_rays(adam, "means", expected, rows, stepped, gradient, rates, path, 400.0, 15.0)
         on_device = (rows, stepped, gradient, rates)
-        there = PathSpread.of(centres, DEVICE)
+        there = PathSpread.of(centers, DEVICE)
         rays_triton.step_rows(value, *ours.moments("means"), *(t.to(DEVICE) for t in on_device), there, 400.0, 15.0)
     for found, oracle in zip((value, *ours.moments("means")), (expected, *adam.moments("means")), strict=True):
         torch.testing.assert_close(found.cpu(), oracle, atol=2e-4, rtol=2e-4)
@@ -188,7 +188,7 @@ from dataclasses import replace
 from flowsplat.training.adam import triton as adam
 from flowsplat.training.picture_loss import PictureWeights, triton as picture_loss
 from flowsplat.training.rays import PathSpread, triton as rays
-from flowsplat.training.rigidity import find_neighbours, triton as rigidity
+from flowsplat.training.rigidity import find_neighbors, triton as rigidity
 from tests.common.compiling import compiled
 from tests.training.test_operations import moving_model, picture_case
 
@@ -208,8 +208,8 @@ rays.step_rows(*state, rows, rows > 3, torch.zeros(20, 3), torch.zeros(3), path,
 model, times = moving_model()
 rows = model.active(times[1]).rows
 velocities = torch.zeros(len(rows), 3, requires_grad=True)
-rigidity.rigid_loss(velocities, rows, find_neighbours(model, times, 5, 10.0, True), 3).backward()
+rigidity.rigid_loss(velocities, rows, find_neighbors(model, times, 5, 10.0, True), 3).backward()
 """)
-    assert {"_step", "_loss_and_gradient", "_blur_products", "_derivatives", "_blur_derivatives", "_colour_gradient", "_count_flow",
+    assert {"_step", "_loss_and_gradient", "_blur_products", "_derivatives", "_blur_derivatives", "_color_gradient", "_count_flow",
             "_other_gradients"} == set(kernels)  # fmt: skip
     assert all({"80", "90"} <= targets for targets in kernels.values())

@@ -117,9 +117,9 @@ def fewer_gaussians(config: RunConfig) -> RunConfig:
 
 
 def _video(folder: Path) -> Path | None:
-    """What the page plays: the first video in colour alone, that along the clip's path before others."""
+    """What the page plays: the first video in color alone, that along the clip's path before others."""
     renders = RunPaths(folder).renders_path
-    files = sorted(rendered(renders).items(), key=lambda each: (not each[0].startswith("input"), not each[0].endswith("_colour")))
+    files = sorted(rendered(renders).items(), key=lambda each: (not each[0].startswith("input"), not each[0].endswith("_color")))
     found = (renders / file for _, file in files)
     return next((path for path in found if path.suffix == ".mp4" and path.exists()), None)
 

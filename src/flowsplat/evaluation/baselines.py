@@ -14,7 +14,7 @@ import numpy as np
 from flowsplat.geometry import Camera
 from flowsplat.geometry.cameras import pixel_grid, unproject_depth
 from flowsplat.geometry.interpolation import sample_map
-from flowsplat.priors.flow import dis_flow, grey
+from flowsplat.priors.flow import dis_flow, gray
 from flowsplat.scenes import Scene
 
 SAME_SURFACE = 1.02
@@ -32,12 +32,12 @@ def to_float(image: np.ndarray) -> np.ndarray:
 
 
 def predict_frame(scene: Scene, i: int) -> dict[str, np.ndarray]:
-    """Held-out frame ``i`` predicted from its two neighbouring training frames.
+    """Held-out frame ``i`` predicted from its two neighboring training frames.
 
     Returns:
         ``copy`` (the previous one), ``blend`` (both, weighted by time) and ``flow_interpolation`` (both warped to the
         time between them by the flow from one to the other, then blended). Before the first training frame and after the
-        last there is one neighbour only, and each of the three is that.
+        last there is one neighbor only, and each of the three is that.
     """
     following = bisect.bisect(scene.train_frames, i)
     if following in (0, len(scene.train_frames)):
@@ -49,8 +49,8 @@ def predict_frame(scene: Scene, i: int) -> dict[str, np.ndarray]:
     first, second = scene.frame(before), scene.frame(after)
     a, b = to_float(first), to_float(second)
     # Looked up at the target's pixels, not carried there: right to first order in the flow's gradient.
-    moved_a = _look_up(a, -fraction * dis_flow(grey(first), grey(second)))
-    moved_b = _look_up(b, -(1 - fraction) * dis_flow(grey(second), grey(first)))
+    moved_a = _look_up(a, -fraction * dis_flow(gray(first), gray(second)))
+    moved_b = _look_up(b, -(1 - fraction) * dis_flow(gray(second), gray(first)))
     return {
         "copy": a,
         "blend": (1 - fraction) * a + fraction * b,
@@ -91,14 +91,14 @@ def warp_by_depth(image: np.ndarray, depth: np.ndarray, camera: Camera, view: Ca
         substantial = weight > 0.1
         np.minimum.at(nearest, target[substantial], distance[substantial])
         splats.append((target, weight, distance, image[lands]))
-    colour, cover = np.zeros((count, 3)), np.zeros(count)
+    color, cover = np.zeros((count, 3)), np.zeros(count)
     for target, weight, distance, pixels in splats:
         front = distance <= nearest[target] * SAME_SURFACE
         target, weight = target[front], weight[front]
         cover += np.bincount(target, weight, count)
         for channel in range(3):
-            colour[:, channel] += np.bincount(target, weight * pixels[front, channel], count)
+            color[:, channel] += np.bincount(target, weight * pixels[front, channel], count)
     shape = (view.height, view.width)
-    warped = np.round(colour / np.maximum(cover, 1e-9)[:, None]).clip(0, 255).astype(np.uint8).reshape(*shape, 3)
+    warped = np.round(color / np.maximum(cover, 1e-9)[:, None]).clip(0, 255).astype(np.uint8).reshape(*shape, 3)
     holes = (cover < MIN_COVER).astype(np.uint8).reshape(shape)
     return to_float(cv2.inpaint(warped, holes, INPAINT_RADIUS, cv2.INPAINT_TELEA))

@@ -155,7 +155,7 @@ class _Evaluator:
         figures = self._heldout_picture(what, "heldout", camera, target, regions, predictions)
         if self._refine is not None:
             seconds = float(scene.timestamps[i])
-            image = _finite(self._model.render(self._refine(camera, seconds, target), seconds)).colour
+            image = _finite(self._model.render(self._refine(camera, seconds, target), seconds)).color
             figures["refined"] = score_picture(image, target, regions, self._lpips)
         return figures
 
@@ -183,7 +183,7 @@ class _Evaluator:
     def training_frame(self, i: int, rendering: Rendering) -> Figures:
         """Score a training frame that was rendered already."""
         target = to_float(self._scene.frame(i))
-        figures = score_picture(rendering.colour, target, {"moving": moving_mask(self._scene, i)}, self._lpips)
+        figures = score_picture(rendering.color, target, {"moving": moving_mask(self._scene, i)}, self._lpips)
         return {"kind": "training_frame", "name": f"{i:05d}", "frame": i, **figures, "baselines": {}}
 
     def rendering_with_flow(self, i: int, j: int | None) -> Rendering:
@@ -202,9 +202,9 @@ class _Evaluator:
         predictions: dict[str, np.ndarray],
     ) -> Figures:
         seconds = float(self._scene.timestamps[what["frame"]])
-        image = _finite(self._model.render(camera, seconds)).colour
+        image = _finite(self._model.render(camera, seconds)).color
         if self._static_model is not None:
-            predictions = {**predictions, "static": _finite(self._static_model.render(camera, seconds)).colour}
+            predictions = {**predictions, "static": _finite(self._static_model.render(camera, seconds)).color}
         if self._folder is not None:
             self._write(self._folder / subfolder, what["name"], image, target)
         scores = {name: score_picture(picture, target, regions, self._lpips) for name, picture in predictions.items()}
@@ -218,5 +218,5 @@ class _Evaluator:
 def _finite(rendering: Rendering) -> Rendering:
     """Numbers that are not finite become 0, so that a broken model scores badly instead of breaking its figures."""
     flow = rendering.flow if rendering.flow is None else np.nan_to_num(rendering.flow, posinf=0, neginf=0)
-    colour, depth = (np.nan_to_num(x, posinf=0, neginf=0) for x in (rendering.colour, rendering.depth))
-    return replace(rendering, colour=colour, depth=depth, flow=flow)
+    color, depth = (np.nan_to_num(x, posinf=0, neginf=0) for x in (rendering.color, rendering.depth))
+    return replace(rendering, color=color, depth=depth, flow=flow)

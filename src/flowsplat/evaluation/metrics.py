@@ -43,8 +43,8 @@ def psnr(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None = None) -> float 
     Returns:
         At most ``MAX_PSNR``; None for fewer than ``MIN_PIXELS`` pixels.
 
-    >>> grey = np.full((8, 8, 3), 0.5)
-    >>> round(psnr(grey, grey + 0.1), 3), psnr(grey, grey), psnr(grey, grey, np.zeros((8, 8), bool))
+    >>> gray = np.full((8, 8, 3), 0.5)
+    >>> round(psnr(gray, gray + 0.1), 3), psnr(gray, gray), psnr(gray, gray, np.zeros((8, 8), bool))
     (20.0, 100.0, None)
     """
     squared = mean_inside((_clipped(a) - _clipped(b)) ** 2, mask)

@@ -58,7 +58,7 @@ def refine_camera(model: SceneModel, camera: Camera, t: float, target: np.ndarra
             moved = _descend(model.gaussians, starts, clip_time, picture, steps)
             found = Camera(moved.viewmat, start.K, camera.width, camera.height)
     refined = model.similarity.inverse().camera(found)
-    before, after = (psnr(model.render(each, t).colour, target) for each in (camera, refined))
+    before, after = (psnr(model.render(each, t).color, target) for each in (camera, refined))
     return refined if before is not None and after is not None and after > before else camera
 
 
@@ -75,7 +75,7 @@ def _descend(gaussians: Gaussians4D, starts: Sequence[Camera], t: float, target:
     """At most ``steps`` steps from the best of some cameras, none of which makes the error larger.
 
     Args:
-        starts: in normalised coordinates.
+        starts: in normalized coordinates.
         t: in clip units.
     """
     looks = [_look(gaussians, camera, t, target) for camera in starts]
@@ -122,7 +122,7 @@ def _look(gaussians: Gaussians4D, camera: Camera, t: float, target: np.ndarray) 
     projected = project(
         sliced.means, sliced.quats, sliced.scales, sliced.opacities, viewmat, K, *size, covars=sliced.covars, near_plane=NEAR_PLANE
     )
-    features = torch.cat([sliced.colours, projected.depths.detach()[:, None]], 1)
+    features = torch.cat([sliced.colors, projected.depths.detach()[:, None]], 1)
     image, alpha = blend(projected, sliced.opacities, features, *size)
     # Where the model covers nothing there is nothing to compare: premultiplied like the picture, the target fades out there too.
     wanted = torch.as_tensor(target, dtype=image.dtype, device=image.device) * alpha[..., None]
@@ -139,16 +139,16 @@ def _look(gaussians: Gaussians4D, camera: Camera, t: float, target: np.ndarray) 
     return _Look(float(error.detach()), gradient, _curvature(shown[..., :3], shown[..., 3], covered, camera))
 
 
-def _curvature(colour: np.ndarray, depth: np.ndarray, alpha: np.ndarray, camera: Camera) -> np.ndarray:
+def _curvature(color: np.ndarray, depth: np.ndarray, alpha: np.ndarray, camera: Camera) -> np.ndarray:
     """[6, 6] Gauss-Newton curvature of the mean squared error by the twist, from what the picture's gradients and depth tell.
 
     Args:
-        colour: [H, W, 3] premultiplied by alpha.
+        color: [H, W, 3] premultiplied by alpha.
         depth: [H, W] premultiplied by alpha.
         alpha: [H, W].
     """
     z = depth / np.maximum(alpha, 1e-6)
-    along_y, along_x = np.gradient(colour, axis=(0, 1))
+    along_y, along_x = np.gradient(color, axis=(0, 1))
     known = (alpha > 0.5) & (z > NEAR_PLANE)
     ix, iy, inverse = along_x[known], along_y[known], 1 / z[known]
     K = camera.K.astype(np.float32)
@@ -158,4 +158,4 @@ def _curvature(colour: np.ndarray, depth: np.ndarray, alpha: np.ndarray, camera:
     dv = K[1, 1] * np.stack([-1 - y * y, x * y, x, zero, inverse, -y * inverse], 1)
     xx, xy, yy = (ix * ix).sum(1)[:, None], (ix * iy).sum(1)[:, None], (iy * iy).sum(1)[:, None]
     total = du.T @ (xx * du + xy * dv) + dv.T @ (xy * du + yy * dv)
-    return (2 / colour.size * total).astype(np.float64)
+    return (2 / color.size * total).astype(np.float64)

@@ -1,7 +1,7 @@
 """Cameras and times as numbers in a buffer, as the Triton kernels of culling, slicing and flow read them.
 
 A *camera* is ``CAMERA`` numbers: the view matrix [4, 4] by rows, then from ``INTRINSICS`` on K [3, 3] by rows. A *moment* is
-``moment_size`` numbers: the time, another time, the camera's centre, and cosines for the brightness in time.
+``moment_size`` numbers: the time, another time, the camera's center, and cosines for the brightness in time.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ FX, CX, FY, CY = (tl.constexpr(INTRINSICS.value + place) for place in (0, 2, 4, 
 CAMERA = tl.constexpr(16 + 9)
 
 # Of a moment.
-TIME, NEXT_TIME, CENTRE, COSINES = tl.constexpr(0), tl.constexpr(1), tl.constexpr(2), tl.constexpr(5)
+TIME, NEXT_TIME, CENTER, COSINES = tl.constexpr(0), tl.constexpr(1), tl.constexpr(2), tl.constexpr(5)
 
 
 def camera_numbers(*cameras: Camera) -> np.ndarray:

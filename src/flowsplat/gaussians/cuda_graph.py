@@ -47,12 +47,12 @@ class FixedRenderer:
 
     @torch.no_grad()
     def render(self, camera: Camera, t: float, flow_to: tuple[Camera, float] | None = None) -> tuple[Tensor, Tensor]:
-        """Image [H, W, 4] of colour and depth, or [H, W, 7] with flow and what the other camera does not see; alpha [H, W].
+        """Image [H, W, 4] of color and depth, or [H, W, 7] with flow and what the other camera does not see; alpha [H, W].
 
         Premultiplied; both are drawn over by the next frame.
 
         Args:
-            camera: of the size of the pictures, in normalised coordinates.
+            camera: of the size of the pictures, in normalized coordinates.
             t: clip time.
             flow_to: the other camera and clip time, if there is to be flow.
         """
@@ -101,7 +101,7 @@ class FixedRenderer:
         widened = width + 2 * self._border, height + 2 * self._border
         marked = Marked(*given, g.config.p_min, widened, NEAR_PLANE)
         rows, resting = marked.padded(self._rows), self._rows.at_rest
-        means, quats, scales, opacities, colours, _, next_means, _ = slice_rows(g, rows, resting, self._moment, self._with_flow)
+        means, quats, scales, opacities, colors, _, next_means, _ = slice_rows(g, rows, resting, self._moment, self._with_flow)
         viewmat, K = camera_tensors(self._widened)
         projected: Projected = project(
             means,
@@ -117,9 +117,9 @@ class FixedRenderer:
             backend="triton",
         )
         if self._with_flow:
-            features = displacement_features(colours, projected.depths, projected.means2d, next_means, self._other)
+            features = displacement_features(colors, projected.depths, projected.means2d, next_means, self._other)
         else:
-            features = torch.cat([colours, projected.depths[:, None]], 1)
+            features = torch.cat([colors, projected.depths[:, None]], 1)
         with self._pairs.fixed():
             image, alpha = blend(projected, opacities, features, width, height)
         return image, alpha, marked.ends[:, -1]

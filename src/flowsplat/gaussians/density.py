@@ -19,19 +19,19 @@ class DensityStatistics:
     """What training saw of every Gaussian since the last round, [N] float32 each.
 
     Attributes:
-        gradient: sum of the norms of the gradient of one picture's loss with respect to the 2D mean in normalised device
+        gradient: sum of the norms of the gradient of one picture's loss with respect to the 2D mean in normalized device
             coordinates (both losses count).
         visits: in how many pictures it was drawn.
         flow_residual: sum of |rendered - prior flow| in pixels where it was on the visible surface.
         flow_visits: how often that was.
-        colour_residual: sum of |rendered - true colour|, 0 to 1, at the same times.
+        color_residual: sum of |rendered - true color|, 0 to 1, at the same times.
     """
 
     gradient: Tensor
     visits: Tensor
     flow_residual: Tensor
     flow_visits: Tensor
-    colour_residual: Tensor
+    color_residual: Tensor
 
     @staticmethod
     def zeros(count: int, device: torch.device | str = "cpu") -> DensityStatistics:
@@ -69,7 +69,7 @@ def densify(
     """Clone small Gaussians and split large ones where the mean gradient exceeds ``threshold``, as 3DGS does.
 
     Children inherit everything. A split samples two children from the Gaussian, in space and (where it fades within the clip)
-    in time, re-expands their motion about the new centre time and shrinks them by 1.6.
+    in time, re-expands their motion about the new center time and shrinks them by 1.6.
     """
     count = len(gaussians)
     keep = torch.ones(count, dtype=torch.bool, device=gaussians.device)
@@ -97,7 +97,7 @@ def _split(parents: Gaussians4D, generator: torch.Generator) -> Gaussians4D:
     sigma_t = torch.exp(-0.5 * parents.motion.log_precision(params))
     in_time = ~parents.at_rest & parents.dynamic & (sigma_t <= 1)
     shift = torch.where(in_time, sigma_t * torch.randn(count, generator=generator).to(device), torch.zeros_like(sigma_t))
-    params = parents.motion.recentred(params, shift)
+    params = parents.motion.recentered(params, shift)
     noise = torch.randn(count, 3, generator=generator).to(device)
     offset = _drawn_from(parents.motion.at_rest(params), noise)
     params = parents.motion.shrunk(params, math.log(1.6), in_time)
@@ -137,12 +137,12 @@ def prune(gaussians: Gaussians4D, times: np.ndarray, min_opacity: float, max_sca
 
 
 def _best_presence(gaussians: Gaussians4D, times: np.ndarray) -> Tensor:
-    """[N] p at the training time nearest to each Gaussian's centre time."""
+    """[N] p at the training time nearest to each Gaussian's center time."""
     sorted_times = torch.as_tensor(times, dtype=torch.float32, device=gaussians.device)
-    centre = gaussians.params["times"].contiguous()
-    after = torch.searchsorted(sorted_times, centre).clamp(max=len(sorted_times) - 1)
+    center = gaussians.params["times"].contiguous()
+    after = torch.searchsorted(sorted_times, center).clamp(max=len(sorted_times) - 1)
     before = (after - 1).clamp(min=0)
-    distance = torch.minimum((sorted_times[after] - centre).abs(), (sorted_times[before] - centre).abs())
+    distance = torch.minimum((sorted_times[after] - center).abs(), (sorted_times[before] - center).abs())
     return torch.exp(-0.5 * torch.exp(gaussians.motion.log_precision(gaussians.params)) * distance**2)
 
 
@@ -158,7 +158,7 @@ def revise_dynamic(
     gaussians: Gaussians4D,
     statistics: DensityStatistics,
     moving_residual: float,
-    moving_colour: float,
+    moving_color: float,
     resting_pixels: float,
     focal: float,
     log_lambda: float,
@@ -167,8 +167,8 @@ def revise_dynamic(
 
     Args:
         moving_residual: background whose flow residual stays above this many pixels, over at least two visits, is dynamic from
-            now on, about the time of the frame that it was made from, if its colour is wrong, too:
-        moving_colour: from this mean difference on, 0 to 1. Where nothing is to be seen flow is a guess.
+            now on, about the time of the frame that it was made from, if its color is wrong, too:
+        moving_color: from this mean difference on, 0 to 1. Where nothing is to be seen flow is a guess.
         resting_pixels: dynamic Gaussians that would move less than this many pixels over the whole clip, and explain the flow
             where they are seen, are background.
         focal: pixels, to tell the size of motion at the median depth.
@@ -179,17 +179,17 @@ def revise_dynamic(
     """
     visited = statistics.flow_visits >= 2
     residual = statistics.flow_residual / statistics.flow_visits.clamp(min=1)
-    colour = statistics.colour_residual / statistics.flow_visits.clamp(min=1)
-    to_dynamic = ~gaussians.dynamic & visited & (residual > moving_residual) & (colour >= moving_colour)
+    color = statistics.color_residual / statistics.flow_visits.clamp(min=1)
+    to_dynamic = ~gaussians.dynamic & visited & (residual > moving_residual) & (color >= moving_color)
     speed = torch.zeros(len(gaussians), device=gaussians.device)
     rows = torch.nonzero(gaussians.dynamic).squeeze(1)
     if len(rows):
         chosen = gaussians.select(rows)
         sigma = torch.exp(-0.5 * chosen.motion.log_precision(chosen.params))
-        centre = chosen.motion.state({**chosen.params, "times": torch.zeros_like(sigma)}, 0.0)
+        center = chosen.motion.state({**chosen.params, "times": torch.zeros_like(sigma)}, 0.0)
         side = chosen.motion.state({**chosen.params, "times": -sigma}, 0.0)
-        travelled = torch.maximum((side.means - centre.means).norm(dim=1) / sigma.clamp(min=1e-6), centre.velocities.norm(dim=1))
-        speed[rows] = focal * travelled
+        traveled = torch.maximum((side.means - center.means).norm(dim=1) / sigma.clamp(min=1e-6), center.velocities.norm(dim=1))
+        speed[rows] = focal * traveled
     to_rest = gaussians.dynamic & visited & (speed < resting_pixels) & (residual < 0.5 * moving_residual)
     moved = torch.nonzero(to_dynamic).squeeze(1)
     if len(moved):

@@ -1,6 +1,6 @@
 """Movers nearer or farther than they were trained: the one thing about a mover that no picture of the clip tells.
 
-A mover whose places and sizes are multiplied by one number k about the centre of the clip's camera, at every time about where the
+A mover whose places and sizes are multiplied by one number k about the center of the clip's camera, at every time about where the
 camera is at that time, looks the same in all of the clip's own frames but for who hides whom:
 
     X' = C(t) + k (X - C(t))
@@ -37,28 +37,28 @@ class Distances:
 
     Attributes:
         factors: the number k of each of them.
-        path: the clip's cameras by clip time, in the normalised coordinates of the Gaussians.
+        path: the clip's cameras by clip time, in the normalized coordinates of the Gaussians.
     """
 
     factors: Mapping[int, float]
     path: CameraPath
 
-    def centre(self, t: float) -> np.ndarray:
+    def center(self, t: float) -> np.ndarray:
         """[3] C(t), where the clip's camera is at clip time ``t``."""
         return self.path.at(t).center
 
     def speed(self, t: float) -> np.ndarray:
         """[3] how far C(t) goes per clip length; 0 before and after the clip, where it stands."""
         before, after = np.clip([t - _STEP, t + _STEP], self.path.times[0], self.path.times[-1])
-        return (self.centre(after) - self.centre(before)) / (after - before) if after > before else np.zeros(3)
+        return (self.center(after) - self.center(before)) / (after - before) if after > before else np.zeros(3)
 
     def moved(self, points: Tensor, movers: Tensor, t: float) -> Tensor:
         """Where points [N, 3] of the movers with these numbers [N] are at clip time ``t``."""
         scale = torch.ones(len(points), dtype=points.dtype, device=points.device)
         for number, factor in self.factors.items():
             scale[movers == number] = factor
-        centre = torch.as_tensor(self.centre(t), dtype=points.dtype, device=points.device)
-        return centre + scale[:, None] * (points - centre)
+        center = torch.as_tensor(self.center(t), dtype=points.dtype, device=points.device)
+        return center + scale[:, None] * (points - center)
 
 
 def check_factors(factors: Mapping[int, float]) -> None:
@@ -87,7 +87,7 @@ def slice_view(
 
     Args:
         gaussians: the model.
-        camera: in normalised coordinates.
+        camera: in normalized coordinates.
         t: clip time.
         next_time: the other time of a flow pair.
         distances: of movers that are not where they were trained.
@@ -122,21 +122,21 @@ def _moved_slice(
         return torch.as_tensor(values, dtype=viewer.dtype, device=gaussians.device)
 
     # Seen from the viewer the moved Gaussian is where its original is for one who stands so much nearer to C(t), or farther.
-    here = torch.as_tensor(distances.centre(active.t), dtype=viewer.dtype)
+    here = torch.as_tensor(distances.center(active.t), dtype=viewer.dtype)
     found = slice_gaussians(gaussians, active, here + (viewer - here) / factor, next_time)
     resting = found.velocities.new_zeros(active.num_static, 3)
-    centre, next_means = like(distances.centre(active.t)), None
+    center, next_means = like(distances.center(active.t)), None
     if next_time is not None:
         assert found.next_means is not None
-        next_centre = like(distances.centre(next_time))
-        next_means = next_centre + factor * (found.next_means - next_centre)
+        next_center = like(distances.center(next_time))
+        next_means = next_center + factor * (found.next_means - next_center)
     return Slice(
-        means=centre + factor * (found.means - centre),
+        means=center + factor * (found.means - center),
         quats=found.quats,
         scales=None if found.scales is None else factor * found.scales,
         covars=None if found.covars is None else factor**2 * found.covars,
         opacities=found.opacities,
-        colours=found.colours,
+        colors=found.colors,
         velocities=factor * torch.cat([resting, found.velocities]) + (1 - factor) * like(distances.speed(active.t)),
         next_means=next_means,
         next_quats=found.next_quats,
@@ -159,7 +159,7 @@ def _joined(parts: list[Slice]) -> Slice:
         scales=joined([part.scales for part in parts]),
         covars=joined([part.covars for part in parts]),
         opacities=all_of("opacities"),
-        colours=all_of("colours"),
+        colors=all_of("colors"),
         velocities=all_of("velocities"),
         next_means=joined([part.next_means for part in parts]),
         next_quats=joined([part.next_quats for part in parts]),

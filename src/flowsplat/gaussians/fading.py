@@ -44,7 +44,7 @@ def faded(gaussians: Gaussians4D, viewer: np.ndarray, own: np.ndarray) -> Gaussi
     if gaussians.seen is None:
         return gaussians
     means, logits = gaussians.params["means"], gaussians.params["logit_opacities"]
-    towards = [torch.nn.functional.normalize(torch.as_tensor(centre).to(means) - means, dim=1) for centre in (viewer, own)]
+    towards = [torch.nn.functional.normalize(torch.as_tensor(center).to(means) - means, dim=1) for center in (viewer, own)]
     kept = (2 - (towards[0] - towards[1]).norm(dim=1) / reach(gaussians.seen)).clamp(0, 1)
     opacities = (torch.sigmoid(logits) * kept).clamp(_FAINTEST, 1 - _FAINTEST)
     return replace(gaussians, params={**gaussians.params, "logit_opacities": torch.where(kept < 1, torch.logit(opacities), logits)})

@@ -1,6 +1,6 @@
-"""How the pixels of movers move around one frame: followed along flow and depth, and fitted together with their neighbours. Ours.
+"""How the pixels of movers move around one frame: followed along flow and depth, and fitted together with their neighbors. Ours.
 
-A pixel alone is followed badly: for a frame or two on a fast limb, with depth that jumps from frame to frame. Its neighbours on the
+A pixel alone is followed badly: for a frame or two on a fast limb, with depth that jumps from frame to frame. Its neighbors on the
 same part share one motion, and where the part turns it is an affine function of the place at every time (to first order
 omega x r, to second omega x (omega x r)). So at nodes all over a mover a path that is a polynomial in time and affine in the
 picture is fitted to all pixels around that move alike, and every pixel takes the motion of the nodes that explain its own path.
@@ -23,14 +23,14 @@ NODES, SMALLEST_GAP = 0.0125, 4.5
 """Widths of the picture between two nodes, and pixels at least."""
 REACH = 1.5
 """Standard deviation, in gaps between nodes, of how far around a node pixels count."""
-NEIGHBOURS = 48
+NEIGHBORS = 48
 """Pixels that are asked at a node."""
 DENSITY = 3
 """As many pixels in a gap between two nodes are followed, beside those whose motion is wanted."""
 CHOICE, AT_A_TIME = 8, 20_000
 """Nodes among which a pixel chooses, and how many pixels do so at a time, for the memory."""
-COLOURS, LEAST_ALIKE = 30.0, 9.0
-"""Grey levels by which colours of one part differ, and the square, in these, beyond which it makes no difference."""
+COLORS, LEAST_ALIKE = 30.0, 9.0
+"""Gray levels by which colors of one part differ, and the square, in these, beyond which it makes no difference."""
 LIKE, LEAST_LIKE = 0.5, 50.0
 """The same of paths, in pixels."""
 ROUNDS = 4
@@ -39,7 +39,7 @@ FADING = 0.8
 """Standard deviation, in those of the presence, of how much a time counts that is so far off."""
 UNSURE, LEAST_SURE = 2.0, 1e-3
 """Flow that does not come back counts this power of its confidence, where that is not less than the second number: it is often
-right, and the neighbours judge."""
+right, and the neighbors judge."""
 RIDGE, GRADIENT_RIDGE = 1e-3, 1e-1
 """Of the first order in time, in shares of what the observations weigh: ten times as much for every further order."""
 HELD = 0.5
@@ -54,7 +54,7 @@ class _Paths:
 
     Attributes:
         points: [N, 2] pixels.
-        colours: [N, 3] grey levels.
+        colors: [N, 3] gray levels.
         normal: [N, order, order] of w b b^T, with b the powers of time.
         right: [N, order, 3] of w b d^T, with d the way from the start; along the ray it counts ``ALONG_RAY``.
         square: [N] of w d^T d.
@@ -62,7 +62,7 @@ class _Paths:
     """
 
     points: np.ndarray
-    colours: np.ndarray
+    colors: np.ndarray
     normal: np.ndarray
     right: np.ndarray
     square: np.ndarray
@@ -118,7 +118,7 @@ def fit_motion(observations: Observations, k: int, wanted: np.ndarray, sigma: fl
 def follow(
     observations: Observations, k: int, points: np.ndarray, owners: np.ndarray, reach: int
 ) -> dict[float, tuple[np.ndarray, np.ndarray]]:
-    """3D positions [N, 3] of pixels of frame k at the times of its neighbours, along flow and depth, and how sure they are [N].
+    """3D positions [N, 3] of pixels of frame k at the times of its neighbors, along flow and depth, and how sure they are [N].
 
     Sure as the least sure flow on the way, 0 where lost. Between pixels, flow and depth are those of the mover's pixels around,
     never mixed with those of what is behind it, or before it: a pixel that would go on on another mover is hidden by that one,
@@ -170,7 +170,7 @@ def _joint(paths: _Paths, mine: np.ndarray, sources: np.ndarray, queries: np.nda
     from scipy.spatial import cKDTree  # A quarter of a second, which those who only look at a scene need not wait.
 
     nodes = _nodes(paths.points, mine, gap)
-    away, index = _nearest(cKDTree(paths.points[sources]), paths.points[nodes], min(NEIGHBOURS, len(sources)))
+    away, index = _nearest(cKDTree(paths.points[sources]), paths.points[nodes], min(NEIGHBORS, len(sources)))
     motion = _fit(paths, nodes, sources[index], away, gap)
     tree = cKDTree(paths.points[nodes])
     parts = [queries[first : first + AT_A_TIME] for first in range(0, len(queries), AT_A_TIME)]
@@ -178,7 +178,7 @@ def _joint(paths: _Paths, mine: np.ndarray, sources: np.ndarray, queries: np.nda
 
 
 def _chosen(paths: _Paths, nodes: np.ndarray, motion: np.ndarray, tree: cKDTree, queries: np.ndarray, gap: float) -> np.ndarray:
-    """Motion [Q, order, 3] of pixels from that of the nodes: of those around that explain their own paths and have their colour."""
+    """Motion [Q, order, 3] of pixels from that of the nodes: of those around that explain their own paths and have their color."""
     away, index = _nearest(tree, paths.points[queries], min(CHOICE, len(nodes)))
     place = _placed(paths.points[queries][:, None], paths.points[nodes[index]], gap)
     models = (place[..., None, None] * motion[index]).sum(-3)
@@ -232,8 +232,8 @@ def _placed(points: np.ndarray, nodes: np.ndarray, gap: float) -> np.ndarray:
 
 
 def _unlike(paths: _Paths, pixels: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """[...] squares of how much colours differ."""
-    return np.asarray(((paths.colours[pixels] - paths.colours[others]) ** 2).sum(-1) / COLOURS**2)
+    """[...] squares of how much colors differ."""
+    return np.asarray(((paths.colors[pixels] - paths.colors[others]) ** 2).sum(-1) / COLORS**2)
 
 
 def _misfit(paths: _Paths, pixels: np.ndarray, models: np.ndarray) -> np.ndarray:

@@ -85,7 +85,7 @@ class Gaussians4D:
             far apart the directions are from which they did (root mean square, length of the difference of unit vectors). Known
             after training; None = not known.
         lit: [N, 1 + G] float32, how bright each is without the shadows of what moves (``shadows.with_lit``): the logarithm of a
-            factor of its colour, and gains in place of ``log_gains``. Known after training; None = not known.
+            factor of its color, and gains in place of ``log_gains``. Known after training; None = not known.
     """
 
     params: dict[str, Tensor]

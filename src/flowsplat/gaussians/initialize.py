@@ -21,7 +21,7 @@ from flowsplat.gaussians.observations import Observation, Observations
 from flowsplat.gaussians.sampling import detail, grid, spacings
 from flowsplat.gaussians.surfaces import SurfaceSamples, sample_surface
 from flowsplat.scenes import Tracks
-from flowsplat.splatting.harmonics import harmonics_from_colours
+from flowsplat.splatting.harmonics import harmonics_from_colors
 
 BACKGROUND_LOG_LAMBDA = float(np.log(1e-6))
 HARDLY_ANY = 0.05
@@ -46,7 +46,7 @@ class InitConfig:
     sample_gap: Annotated[int, Meta(ge=0, le=10_000)] = 4
     """More of them where two would be further apart than so many training frames; 0 = however far (the paper)."""
     precision_factor: Positive = 0.15
-    """Temporal precision in units of (pi / spacing of the samples)^2: so little lets neighbouring samples overlap."""
+    """Temporal precision in units of (pi / spacing of the samples)^2: so little lets neighboring samples overlap."""
     background_spacing: Annotated[float, Meta(ge=1, le=1_000)] = 1.5
     """Pixels between two background Gaussians on average, 1 or more; a cap makes it larger."""
     foreground_spacing: Annotated[float, Meta(ge=1, le=1_000)] = 1.5
@@ -62,7 +62,7 @@ class InitConfig:
     size: Positive = 0.45
     """Standard deviation at the start, in spacings."""
     surface_aligned: bool = True
-    """Start as discs aligned to the surface; off: as spheres as large as the mean distance of three neighbours (as 4DGS)."""
+    """Start as discs aligned to the surface; off: as spheres as large as the mean distance of three neighbors (as 4DGS)."""
     flatness: Positive = 0.2
     """Thickness of a disc relative to its radius."""
     motion_order: Annotated[int, Meta(ge=1, le=16)] = 4
@@ -139,7 +139,7 @@ def _build(
     params["means"] = torch.from_numpy(samples.means.astype(np.float32))
     params["times"] = torch.from_numpy(times.astype(np.float32))
     params["logit_opacities"] = torch.full((count,), float(np.log(opacity / (1 - opacity))))
-    params["sh"][:, 0] = harmonics_from_colours(torch.from_numpy(samples.colours.astype(np.float32)))
+    params["sh"][:, 0] = harmonics_from_colors(torch.from_numpy(samples.colors.astype(np.float32)))
     given = (torch.from_numpy(values.astype(np.float32)) for values in (samples.quats, samples.scales, log_lambdas, motion))
     params.update(motion_model(model).start(*given))
     numbers = np.zeros(count, np.uint8) if movers is None else movers.astype(np.uint8)
@@ -147,13 +147,13 @@ def _build(
 
 
 def _spheres(samples: SurfaceSamples) -> SurfaceSamples:
-    """The same points as spheres, as large as the mean distance of their three nearest neighbours (fudan)."""
+    """The same points as spheres, as large as the mean distance of their three nearest neighbors (fudan)."""
     if len(samples.means) < 2:
         return samples
     distances = _nearest(samples.means, samples.means, min(4, len(samples.means)))[0]
     radius = np.clip(distances[:, 1:].mean(1), 1e-5, None)
     quats = np.tile([1.0, 0, 0, 0], (len(radius), 1))
-    return SurfaceSamples(samples.means, quats, np.repeat(radius[:, None], 3, 1), samples.colours)
+    return SurfaceSamples(samples.means, quats, np.repeat(radius[:, None], 3, 1), samples.colors)
 
 
 def _chosen(
@@ -200,7 +200,7 @@ def _background(observations: Observations, model: ModelConfig, config: InitConf
             wanted &= ~_covered(stored, frame, config.merge_tolerance, spacing)
         if wanted.any():
             parts.append(sample_surface(frame, wanted, spacing * config.size, config.flatness))
-            # A frozen background has no use for its centre time, so it remembers the frame that it was seen in: that is where
+            # A frozen background has no use for its center time, so it remembers the frame that it was seen in: that is where
             # it starts to move if it turns out not to be background.
             times.append(np.full(len(parts[-1].means), frame.time if model.freeze_background else 0.5))
     if not parts:
@@ -270,12 +270,12 @@ def _foreground(
     if not samples:
         samples, times, motions = [SurfaceSamples.empty()], [np.zeros(0)], [np.zeros((0, config.motion_order, 3))]
         movers = [np.zeros(0, np.uint8)]
-    merged, centre_times = SurfaceSamples.concatenate(samples), np.concatenate(times)
+    merged, center_times = SurfaceSamples.concatenate(samples), np.concatenate(times)
     if not config.surface_aligned:
         merged = _spheres(merged)
-    precision = np.full(len(centre_times), log_lambda)
+    precision = np.full(len(center_times), log_lambda)
     motion, numbers = np.concatenate(motions), np.concatenate(movers)
-    return _build(merged, centre_times, precision, motion, True, model, config.opacity, numbers)
+    return _build(merged, center_times, precision, motion, True, model, config.opacity, numbers)
 
 
 def _track_pixels(tracks: Tracks | None, frame: Observation, usable: np.ndarray) -> np.ndarray:

@@ -34,21 +34,21 @@ _MOST_GRAPHS = 4
 
 @dataclass
 class SceneModel:
-    """Gaussians together with where and when they are: the internal normalisation of space and time is hidden.
+    """Gaussians together with where and when they are: the internal normalization of space and time is hidden.
 
     Attributes:
-        gaussians: in normalised coordinates.
-        similarity: scene to normalised coordinates.
+        gaussians: in normalized coordinates.
+        similarity: scene to normalized coordinates.
         first: seconds of the first frame.
         last: seconds of the last frame.
         flow_model: how flow is splatted.
-        fill: whether uncovered pixels are filled from their neighbours.
+        fill: whether uncovered pixels are filled from their neighbors.
         focal: focal length in pixels of the pictures that it was trained on; 0 = not known. Where pixels are finer than those
             were, the rasterizer's blur grows with the picture (``blur``).
         backend: of the rasterizer.
         graphs: whether a GPU draws by CUDA graphs, one for every size of picture: for many frames one after the other.
         distances: of movers that are shown elsewhere than they were trained (``at_distances``). Rendering knows them, nothing else.
-        fading: the clip's cameras by clip time, in normalised coordinates, where what they tell too little of fades
+        fading: the clip's cameras by clip time, in normalized coordinates, where what they tell too little of fades
             (``fading_guesses``); None = nothing does.
     """
 
@@ -97,19 +97,19 @@ class SceneModel:
         )
         assert image is not None
         assert alpha is not None
-        colour = np.ascontiguousarray(image[..., :3])
+        color = np.ascontiguousarray(image[..., :3])
         if self.fill:
-            colour = fill_uncovered(colour, alpha)
+            color = fill_uncovered(color, alpha)
         divisor = np.maximum(alpha, 1e-6)
         return Rendering(
-            colour=np.clip(colour, 0, 1),
+            color=np.clip(color, 0, 1),
             alpha=alpha,
             depth=image[..., 3] / divisor / np.float32(self.similarity.scale),
             flow=None if flow is None else flow / divisor[..., None],
         )
 
     def _draw(self, camera: Camera, t: float, other: tuple[Camera, float] | None) -> tuple[Tensor, Tensor, Tensor | None]:
-        """Image with colour and depth, alpha and flow, premultiplied; cameras in normalised coordinates, ``t`` in seconds."""
+        """Image with color and depth, alpha and flow, premultiplied; cameras in normalized coordinates, ``t`` in seconds."""
         g = self.gaussians_for(camera, self.clip_time(t))
         if (
             self.graphs and g is self.gaussians and g.sliced_by == "triton" and self.distances is None
@@ -170,7 +170,7 @@ class SceneModel:
         return replace(self, fading=self.clip_path(times, cameras), fill=False)
 
     def clip_path(self, times: Sequence[float], cameras: Sequence[Camera]) -> CameraPath:
-        """The clip's cameras [T] at seconds [T] as a path in clip time and normalised coordinates."""
+        """The clip's cameras [T] at seconds [T] as a path in clip time and normalized coordinates."""
         return CameraPath([self.clip_time(t) for t in times], [self.similarity.camera(camera) for camera in cameras])
 
     def require_movers(self, numbers: Iterable[int]) -> None:

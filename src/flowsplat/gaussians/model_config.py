@@ -33,7 +33,7 @@ class ModelConfig:
     fourier_base: Amount = 1.0
     """Lowest frequency of the Fourier series, radians per clip length."""
     sh_degree: Annotated[int, Meta(ge=0, le=3)] = 3
-    """Degree of the spherical harmonics of colour, 0 to 3."""
+    """Degree of the spherical harmonics of color, 0 to 3."""
     gains: Annotated[int, Meta(ge=0, le=256)] = 0
     """Cosines of the brightness in time of the background; 0 = off (the paper)."""
     freeze_background: bool = False

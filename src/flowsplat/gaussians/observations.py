@@ -1,4 +1,4 @@
-"""The training frames of a scene in memory, in the normalised coordinates of the model."""
+"""The training frames of a scene in memory, in the normalized coordinates of the model."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Observation:
     Attributes:
         frame: its number in the clip.
         time: clip time.
-        camera: in normalised coordinates.
+        camera: in normalized coordinates.
         image: [H, W, 3] uint8 sRGB.
         depth: [H, W] float32, median of all frames 1.
         depth_trusted: [H, W] bool.
@@ -52,7 +52,7 @@ class Observation:
 
 @dataclass(frozen=True)
 class Observations:
-    """All training frames, in order; and the similarity that normalised them."""
+    """All training frames, in order; and the similarity that normalized them."""
 
     frames: list[Observation]
     similarity: Similarity

@@ -1,4 +1,4 @@
-"""Render 4D Gaussians from a camera at a time: colour, alpha, depth and flow in one rasterization."""
+"""Render 4D Gaussians from a camera at a time: color, alpha, depth and flow in one rasterization."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from flowsplat.splatting.api import BackendName
 from flowsplat.splatting.rules import EPS2D
 
 FILLED_FROM, FILLED_TO = 0.5, 0.9
-"""Transmittance from which the colour of the neighbours is added to a pixel, and from which on all of it."""
+"""Transmittance from which the color of the neighbors is added to a pixel, and from which on all of it."""
 
 
 @dataclass(frozen=True)
 class RenderedFrame:
-    """Differentiable pictures of one frame, premultiplied by alpha, in the normalised coordinates of the model.
+    """Differentiable pictures of one frame, premultiplied by alpha, in the normalized coordinates of the model.
 
     Attributes:
-        image: [H, W, C] all of them together: colour, depth, flow and, if there are any, how much of a pixel Gaussians behind the
+        image: [H, W, C] all of them together: color, depth, flow and, if there are any, how much of a pixel Gaussians behind the
             other camera hold.
         alpha: [H, W]
         flow_model: how flow was splatted; None = there is none.
@@ -47,7 +47,7 @@ class RenderedFrame:
         return flow_channels(self.flow_model) if self.flow_model else 0
 
     @property
-    def colour(self) -> Tensor:
+    def color(self) -> Tensor:
         """[H, W, 3]"""
         return self.image[..., :3]
 
@@ -78,7 +78,7 @@ def render_active(
     Args:
         gaussians: the model.
         active: which of them.
-        camera: in normalised coordinates.
+        camera: in normalized coordinates.
         flow_to: the other camera and clip time that flow goes to.
         flow_model: METHOD 3.
         gradients: where the gradients of the parameters go (``slice_gaussians``); None = not differentiable.
@@ -115,7 +115,7 @@ def render(
     backend: BackendName = "auto",
     distances: Distances | None = None,
 ) -> RenderedFrame:
-    """Render the Gaussians at clip time ``t``, without gradients; camera in normalised coordinates.
+    """Render the Gaussians at clip time ``t``, without gradients; camera in normalized coordinates.
 
     ``distances``: of movers that are not where they were trained.
     """
@@ -124,21 +124,21 @@ def render(
     return _blended(sliced, camera, flow, eps2d, backend)
 
 
-def fill_uncovered(colour: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-    """Give uncovered pixels the colour of their nearest covered neighbours, by push-pull over a pyramid. Ours.
+def fill_uncovered(color: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    """Give uncovered pixels the color of their nearest covered neighbors, by push-pull over a pyramid. Ours.
 
     Borders that no training frame saw would be black otherwise (1.8 dB on the views of a rendered scene). Training has a black
     background and shows it through whatever is dark: such pixels are covered and must not get brighter, which cost .5 dB on
     a clip of a dark bear. So filling only begins at a transmittance that hardly any dark surface has (METHOD 7).
 
     Args:
-        colour: [H, W, 3] float32 premultiplied.
+        color: [H, W, 3] float32 premultiplied.
         alpha: [H, W] float32.
     """
     transmittance = 1 - alpha
     if transmittance.max() < FILLED_FROM:
-        return colour
-    levels = [(colour, alpha)]
+        return color
+    levels = [(color, alpha)]
     while max(levels[-1][1].shape) > 1:
         c, a = levels[-1]
         size = (max(a.shape[1] // 2, 1), max(a.shape[0] // 2, 1))
@@ -149,4 +149,4 @@ def fill_uncovered(colour: np.ndarray, alpha: np.ndarray) -> np.ndarray:
         upsampled = cv2.resize(filled, a.shape[::-1], interpolation=cv2.INTER_LINEAR)
         filled = c + (1 - np.clip(a, 0, 1))[..., None] * upsampled
     ramp = np.clip((transmittance - FILLED_FROM) / (FILLED_TO - FILLED_FROM), 0, 1) * transmittance
-    return colour + ramp[..., None] * filled
+    return color + ramp[..., None] * filled

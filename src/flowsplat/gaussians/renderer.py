@@ -37,13 +37,13 @@ class Rendering:
     """One rendered view, as NumPy float32 arrays.
 
     Attributes:
-        colour: [H, W, 3] sRGB between 0 and 1, uncovered pixels filled from their neighbours.
+        color: [H, W, 3] sRGB between 0 and 1, uncovered pixels filled from their neighbors.
         alpha: [H, W] how much of the pixel is covered, 0 to 1.
         depth: [H, W] planar depth in the units of the scene's cameras, divided by alpha; 0 where alpha is 0.
         flow: [H, W, 2] pixels, divided by alpha, from this view to the one asked for; None if none was asked for.
     """
 
-    colour: np.ndarray
+    color: np.ndarray
     alpha: np.ndarray
     depth: np.ndarray
     flow: np.ndarray | None
@@ -53,10 +53,10 @@ class Rendering:
         return f"Rendering({width}x{height}{', with flow' if self.flow is not None else ''})"
 
     def _repr_png_(self) -> bytes:
-        """The colours, for notebooks."""
+        """The colors, for notebooks."""
         import cv2  # which rendering alone does not need
 
-        pixels = (self.colour.clip(0, 1) * 255).round().astype(np.uint8)
+        pixels = (self.color.clip(0, 1) * 255).round().astype(np.uint8)
         encoded: np.ndarray = cv2.imencode(".png", np.ascontiguousarray(pixels[..., ::-1]))[1]
         return encoded.tobytes()
 

@@ -22,10 +22,10 @@ def detail(image: np.ndarray) -> np.ndarray:
         image: [H, W, 3] uint8.
 
     Returns:
-        [H, W] float32, root mean square over the channels, above 0; colours in 0..1.
+        [H, W] float32, root mean square over the channels, above 0; colors in 0..1.
     """
-    colours = image.astype(np.float32) / 255
-    lost = colours - cv2.GaussianBlur(colours, (0, 0), _FINE)
+    colors = image.astype(np.float32) / 255
+    lost = colors - cv2.GaussianBlur(colors, (0, 0), _FINE)
     square = np.einsum("hwc,hwc->hw", lost, lost) / np.float32(3)
     return np.sqrt(cv2.GaussianBlur(square, (0, 0), _AROUND)) + np.float32(_QUIET)
 

@@ -15,12 +15,12 @@ from flowsplat.geometry.rotations import rotations_to_quats
 
 @dataclass(frozen=True)
 class SurfaceSamples:
-    """Points with a shape: means [N, 3], quats [N, 4], scales [N, 3] and colours [N, 3] in 0..1."""
+    """Points with a shape: means [N, 3], quats [N, 4], scales [N, 3] and colors [N, 3] in 0..1."""
 
     means: np.ndarray
     quats: np.ndarray
     scales: np.ndarray
-    colours: np.ndarray
+    colors: np.ndarray
 
     @staticmethod
     def empty() -> SurfaceSamples:
@@ -30,7 +30,7 @@ class SurfaceSamples:
     @staticmethod
     def concatenate(parts: Sequence[SurfaceSamples]) -> SurfaceSamples:
         """All samples of several."""
-        names = ("means", "quats", "scales", "colours")
+        names = ("means", "quats", "scales", "colors")
         return SurfaceSamples(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 

@@ -58,7 +58,7 @@ def follow_points(model: SceneModel, cameras: Sequence[Camera], timestamps: np.n
     Args:
         cameras: [T] of the scene.
         timestamps: [T] seconds, rising.
-        queries: [Q, 3]: u, v in pixels (the centre of the top-left pixel is 0.5, 0.5) and the number of the frame.
+        queries: [Q, 3]: u, v in pixels (the center of the top-left pixel is 0.5, 0.5) and the number of the frame.
 
     Raises:
         ValueError: the shapes do not fit.
@@ -67,15 +67,15 @@ def follow_points(model: SceneModel, cameras: Sequence[Camera], timestamps: np.n
     if queries.ndim != 2 or queries.shape[1] != 3 or len(cameras) != len(timestamps):
         raise ValueError(f"queries must be [Q, 3], not {list(queries.shape)}, and there must be one camera a time")
     model = model.to("cpu")
-    normalised = [model.similarity.camera(camera) for camera in cameras]
+    normalized = [model.similarity.camera(camera) for camera in cameras]
     times = [model.clip_time(float(t)) for t in timestamps]
     starts = queries[:, 2].astype(np.int64)
     points = np.full((len(queries), len(times), 3), np.nan)
     chosen: dict[int, _Carriers] = {}
     for frame in np.unique(starts).tolist():
         here = np.flatnonzero(starts == frame)
-        rendered = _render(model, normalised[frame], times[frame])
-        found = [_seen_at(model.gaussians, rendered, normalised[frame], queries[q, :2]) for q in here]
+        rendered = _render(model, normalized[frame], times[frame])
+        found = [_seen_at(model.gaussians, rendered, normalized[frame], queries[q, :2]) for q in here]
         for q, (point, carriers) in zip(here.tolist(), found, strict=True):
             if carriers is not None:
                 points[q, frame], chosen[q] = point, carriers
@@ -84,9 +84,9 @@ def follow_points(model: SceneModel, cameras: Sequence[Camera], timestamps: np.n
         numbers = model.gaussians.movers[torch.from_numpy(carriers.rows)].numpy()
         movers[q] = np.bincount(numbers, carriers.weights).argmax()
     for order in (range(len(times)), range(len(times) - 1, -1, -1)):
-        _carry_along(model.gaussians, normalised, times, list(order), starts, dict(chosen), points)
+        _carry_along(model.gaussians, normalized, times, list(order), starts, dict(chosen), points)
     visible = np.zeros(points.shape[:2], bool)
-    for i, (camera, t) in enumerate(zip(normalised, times, strict=True)):
+    for i, (camera, t) in enumerate(zip(normalized, times, strict=True)):
         visible[:, i] = _is_seen(points[:, i], camera, _render(model, camera, t))
     return Paths(model.similarity.inverse().points(points), visible, movers)
 

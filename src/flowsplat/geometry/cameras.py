@@ -18,7 +18,7 @@ FURTHEST = 1e9
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera: OpenCV axes (x right, y down, z forward), centre of the top-left pixel at (0.5, 0.5).
+    """A pinhole camera: OpenCV axes (x right, y down, z forward), center of the top-left pixel at (0.5, 0.5).
 
     Attributes:
         viewmat: [4, 4] float64, world to camera.
@@ -115,7 +115,7 @@ def rigid(rotation: np.ndarray, translation: ArrayLike) -> np.ndarray:
 
 
 def pixel_grid(width: int, height: int) -> np.ndarray:
-    """[H, W, 2] float32: the pixel centres (x, y), the first one (0.5, 0.5)."""
+    """[H, W, 2] float32: the pixel centers (x, y), the first one (0.5, 0.5)."""
     x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
     return np.stack([x, y], -1) + np.float32(0.5)
 

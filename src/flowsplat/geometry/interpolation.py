@@ -10,7 +10,7 @@ _ROW = 16384
 
 
 def sample_map(values: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Bilinear samples [N, C] of a map [H, W] or [H, W, C <= 4] at pixel positions [N, 2] (centres at +0.5).
+    """Bilinear samples [N, C] of a map [H, W] or [H, W, C <= 4] at pixel positions [N, 2] (centers at +0.5).
 
     Outside the map its border continues. The precision of a position is 1/32 pixel.
     """

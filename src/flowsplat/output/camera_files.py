@@ -9,7 +9,7 @@ Ours is a JSON object:
 | ``frames`` | a list, in the order of the video, of objects with the keys below |
 | ``t`` | seconds of the clip; optional, but for all frames or for none: then the clip plays once |
 | ``viewmat`` | 4 x 4 rows, world to camera: x right, y down, z forward, in the coordinates of the scene's ``cameras.json`` |
-| ``K`` or ``fov_y`` | 3 x 3 rows in pixels (skew is not used), or the vertical field of view in degrees with a centred axis |
+| ``K`` or ``fov_y`` | 3 x 3 rows in pixels (skew is not used), or the vertical field of view in degrees with a centered axis |
 
 The other two hold camera to world with y up and z backward (OpenGL), which is turned into ours, in the same world as
 above; their times (``render_time``, ``time``) run from 0 to 1 over the clip. Lenses must be pinholes.
@@ -121,7 +121,7 @@ def _from_ours(content: Entry, entry: Entry, size: tuple[int, int]) -> tuple[Cam
         if abs(K[0, 1]) > 1e-6 * abs(K[0, 0]) or not np.allclose(K[[1, 2, 2, 2], [0, 0, 1, 2]], (0, 0, 0, 1)):
             raise InputError("its K is not of the form fx 0 cx, 0 fy cy, 0 0 1")
     else:
-        K = _centred_K(positive(entry["fov_y"], "fov_y"), width, height)
+        K = _centered_K(positive(entry["fov_y"], "fov_y"), width, height)
     time = entry.get("t")
     return Camera(_matrix(entry["viewmat"], (4, 4), "viewmat"), K, width, height), None if time is None else float(time)
 
@@ -130,7 +130,7 @@ def _from_camera_path(content: Entry, entry: Entry, size: tuple[int, int]) -> tu
     width, height = picture_size(content, ("render_width", "render_height"), size)
     viewmat = from_opengl(entry["camera_to_world"], "camera_to_world")
     time = entry.get("render_time")
-    K = _centred_K(positive(entry["fov"], "fov"), width, height)
+    K = _centered_K(positive(entry["fov"], "fov"), width, height)
     return Camera(viewmat, K, width, height), None if time is None else float(time)
 
 
@@ -140,7 +140,7 @@ def _from_transforms(content: Entry, entry: Entry, size: tuple[int, int]) -> tup
     return camera, None if time is None else float(time)
 
 
-def _centred_K(fov_y: float, width: int, height: int) -> np.ndarray:
+def _centered_K(fov_y: float, width: int, height: int) -> np.ndarray:
     if not 1e-3 <= fov_y < 180:
         raise InputError(f"a field of view of {fov_y:g} degrees is none")
     focal = 0.5 * height / np.tan(np.radians(fov_y) / 2)

@@ -30,24 +30,24 @@ class MoverPath:
 
     Attributes:
         number: that it is called by.
-        colour: red, green and blue, 0 to 255.
+        color: red, green and blue, 0 to 255.
         places: [T, 3] over the frames that see it; ``near`` and ``far`` [T, 3] the same.
     """
 
     number: int
-    colour: tuple[int, int, int]
+    color: tuple[int, int, int]
     places: np.ndarray
     near: np.ndarray
     far: np.ndarray
 
 
-def path_from_above(cameras: Sequence[Camera], points: np.ndarray, colours: np.ndarray, movers: Sequence[MoverPath] = ()) -> Markup:
+def path_from_above(cameras: Sequence[Camera], points: np.ndarray, colors: np.ndarray, movers: Sequence[MoverPath] = ()) -> Markup:
     """An SVG of the path, the outer rays of some cameras, points of the scene and paths of movers, seen from above.
 
     Args:
         cameras: in the order of time.
         points: [N, 3] of the scene, in the world of the cameras; may be empty.
-        colours: [N, 3] uint8.
+        colors: [N, 3] uint8.
         movers: their paths, each with a band of one standard deviation along the rays.
     """
     axes = _level_axes(cameras)[[0, 2]]
@@ -59,7 +59,7 @@ def path_from_above(cameras: Sequence[Camera], points: np.ndarray, colours: np.n
     length = _REACH * _extent(around)
     wedges = [_corners(camera, length)[[0, 1]] @ axes.T for camera in _some(cameras)]
     page = _Page(np.concatenate([around, *wedges]))
-    parts = [page.dot(place, colour) for place, colour in zip(dots, colours, strict=True) if page.shows(place)]
+    parts = [page.dot(place, color) for place, color in zip(dots, colors, strict=True) if page.shows(place)]
     for camera, wedge in zip(_some(cameras), wedges, strict=True):
         parts.append(page.line(np.array([wedge[0], camera.center @ axes.T, wedge[1]]), "frustum"))
     parts += [page.mover(mover, axes) for mover in movers]
@@ -129,21 +129,21 @@ class _Page:
         x, y = self.place(place)
         return bool(0 <= x <= _WIDTH and 0 <= y <= _HEIGHT)
 
-    def dot(self, place: np.ndarray, colour: np.ndarray) -> Markup:
+    def dot(self, place: np.ndarray, color: np.ndarray) -> Markup:
         x, y = self.place(place) - _DOT / 2
-        fill = "#" + "".join(f"{int(c):02x}" for c in colour)
+        fill = "#" + "".join(f"{int(c):02x}" for c in color)
         return Markup('<rect x="{:.0f}" y="{:.0f}" width="{}" height="{}" fill="{}"/>').format(x, y, _DOT, _DOT, fill)
 
     def mover(self, mover: MoverPath, axes: np.ndarray) -> Markup:
         """The path of a mover with its band, its number where it begins."""
-        colour = "#{:02x}{:02x}{:02x}".format(*mover.colour)
+        color = "#{:02x}{:02x}{:02x}".format(*mover.color)
         band = self.place(np.concatenate([mover.near, mover.far[::-1]]) @ axes.T)
         path = self.place(mover.places @ axes.T)
         around, along = ("L".join(f"{x:.1f} {y:.1f}" for x, y in line) for line in (band, path))
         return Markup(
             '<g class="mover" fill="{c}" stroke="{c}"><path class="band" d="M{}Z"/><path class="way" d="M{}"/>'
             '<text x="{:.1f}" y="{:.1f}">{}</text></g>'
-        ).format(around, along, path[0, 0] + 5, path[0, 1] - 5, mover.number, c=colour)
+        ).format(around, along, path[0, 0] + 5, path[0, 1] - 5, mover.number, c=color)
 
     def line(self, places: np.ndarray, kind: str) -> Markup:
         path = "L".join(f"{x:.1f} {y:.1f}" for x, y in self.place(places))

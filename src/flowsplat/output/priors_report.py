@@ -74,7 +74,7 @@ def write_priors_report(folder: Path, scene: Scene, seconds: Mapping[str, float]
         movers=list(_movers(scene, movers)),
         stages=table(("", "how", "verdict", "time"), list(_rows(scene, seconds))),
         stills=[_still(shown, k) for k in spread(len(shown.frames), STILLS)],
-        legend=picture(flow_legend(), "The colour of every direction of flow", None),
+        legend=picture(flow_legend(), "The color of every direction of flow", None),
         flow_scale=f"{shown.flow_scale:.1f}",
         charts=list(_charts(scene, shown)),
         notes=scene.info.notes,
@@ -226,7 +226,7 @@ class _Seen:
 
 
 class _Shown:
-    """Training frames with their priors at the size of a panel, and figures that colour them all alike.
+    """Training frames with their priors at the size of a panel, and figures that color them all alike.
 
     Attributes:
         frames: their numbers.
@@ -298,11 +298,11 @@ class _Shown:
         result = image.copy()
         if self._tracks is None:
             return result
-        for moving, colour in ((False, _STATIC_TRACK), (True, _MOVING_TRACK)):
+        for moving, color in ((False, _STATIC_TRACK), (True, _MOVING_TRACK)):
             for line in self._tails(self._tracks, frame, moving):
                 fixed = np.round((line * self._scale - 0.5) * 16).astype(np.int32)
-                cv2.polylines(result, [fixed], False, colour, 1, cv2.LINE_AA, 4)
-                cv2.circle(result, fixed[-1].tolist(), 20, colour, -1, cv2.LINE_AA, 4)
+                cv2.polylines(result, [fixed], False, color, 1, cv2.LINE_AA, 4)
+                cv2.circle(result, fixed[-1].tolist(), 20, color, -1, cv2.LINE_AA, 4)
         return result
 
     def _tails(self, tracks: Tracks, frame: int, moving: bool) -> Iterator[np.ndarray]:
@@ -347,14 +347,14 @@ def _paths(scene: Scene, movers: SceneMovers) -> Iterator[dict[str, Any]]:
     ends = [*starts[1:], scene.num_frames]
     for start, end in list(zip(starts, ends, strict=True))[:MOST_PIECES]:
         cameras = scene.cameras[start:end]
-        points, colours = _scene_points(scene, [i for i in scene.train_frames if start <= i < end])
+        points, colors = _scene_points(scene, [i for i in scene.train_frames if start <= i < end])
         centers = np.array([camera.center for camera in cameras])
         length = float(np.linalg.norm(np.diff(centers, axis=0), axis=1).sum())
         yield {
             "label": f"Frames {start} to {end - 1}" if len(starts) > 1 else "",
             "length": f"{length * scene.similarity.scale:.2g}",
             "views": [
-                path_from_above(cameras, points, colours, list(_mover_paths(scene, movers, start, end))),
+                path_from_above(cameras, points, colors, list(_mover_paths(scene, movers, start, end))),
                 path_at_an_angle(cameras),
             ],
         }
@@ -403,27 +403,27 @@ def _words(scene: Scene, mover: MoverDescription) -> dict[str, str]:
 
 
 def _travel(scene: Scene) -> float:
-    """How far apart the camera's centres are, at most along any axis."""
+    """How far apart the camera's centers are, at most along any axis."""
     return float(np.ptp([camera.center for camera in scene.cameras], axis=0).max())
 
 
 def _cut_out(scene: Scene, i: int, number: int) -> np.ndarray:
-    """The surroundings of a mover, it in colour and all else in grey."""
+    """The surroundings of a mover, it in color and all else in gray."""
     mask = scene.mask(i)
     y, x = np.nonzero(mask == number)
     room = max(8, int(0.15 * max(np.ptp(x), np.ptp(y))))
     rows, columns = slice(max(y.min() - room, 0), y.max() + room + 1), slice(max(x.min() - room, 0), x.max() + room + 1)
     image, own = scene.frame(i)[rows, columns], (mask[rows, columns] == number).astype(np.uint8)
-    grey = np.repeat(image.mean(-1, keepdims=True) * 0.6, 3, -1)
-    cut = np.where(own[..., None] > 0, image, grey).astype(np.uint8)
+    gray = np.repeat(image.mean(-1, keepdims=True) * 0.6, 3, -1)
+    cut = np.where(own[..., None] > 0, image, gray).astype(np.uint8)
     cv2.drawContours(cut, cv2.findContours(own, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0], -1, object_color(number), 1)
     scale = min(1.0, THUMBNAIL / max(cut.shape[:2]))
     return _small(cut, (max(1, round(cut.shape[1] * scale)), max(1, round(cut.shape[0] * scale))))
 
 
 def _scene_points(scene: Scene, frames: list[int]) -> tuple[np.ndarray, np.ndarray]:
-    """Static points [N, 3] with their colours [N, 3], from a few of these frames."""
-    points, colours = [np.zeros((0, 3))], [np.zeros((0, 3), np.uint8)]
+    """Static points [N, 3] with their colors [N, 3], from a few of these frames."""
+    points, colors = [np.zeros((0, 3))], [np.zeros((0, 3), np.uint8)]
     chosen = [frames[k] for k in spread(len(frames), 3)] if frames else []
     step = max(1, round((len(chosen) * scene.width * scene.height / SCENE_POINTS) ** 0.5))
     for i in chosen:
@@ -431,8 +431,8 @@ def _scene_points(scene: Scene, frames: list[int]) -> tuple[np.ndarray, np.ndarr
         still = scene.mask(i)[y, x] == 0
         y, x = y[still], x[still]
         points.append(scene.cameras[i].unproject(np.stack([x, y], -1) + 0.5, scene.depth(i).depth[y, x].astype(np.float64)))
-        colours.append(scene.frame(i)[y, x])
-    return np.concatenate(points), np.concatenate(colours)
+        colors.append(scene.frame(i)[y, x])
+    return np.concatenate(points), np.concatenate(colors)
 
 
 def _charts(scene: Scene, shown: _Shown) -> Iterator[dict[str, Any]]:

@@ -28,7 +28,7 @@ _EVEN = 0.1
 
 _VIDEO_TITLES = {
     "input_path": "Along the clip's own cameras",
-    "stabilised": "Along the clip's own cameras, without the shaking",
+    "stabilized": "Along the clip's own cameras, without the shaking",
     "orbit": "Round the middle of the clip",
     "bullet_time": "Time standing still",
     "dolly_zoom": "Back and zoomed in, the subject as large",
@@ -37,7 +37,7 @@ _VIDEO_TITLES = {
 }
 _METHODS = {
     "flow_interpolation": "interpolated by flow",
-    "blend": "both neighbours, blended",
+    "blend": "both neighbors, blended",
     "copy": "frame before, copied",
     "warp_by_depth": "warped by true depth",
     "static": "static scene",
@@ -106,7 +106,7 @@ def write_report(folder: Path, data: ReportData) -> Path:
         videos=list(_videos(data.videos)),
         comparisons=[_comparison(*comparison) for comparison in data.comparisons],
         flows=_flows(data.flows),
-        legend=picture(flow_legend(), "The colour of every direction of flow", None),
+        legend=picture(flow_legend(), "The color of every direction of flow", None),
         tables=list(_tables(data.metrics)),
         charts=list(_charts(data)),
         notes=data.notes,
@@ -146,11 +146,11 @@ def _along(metrics: Mapping[str, Any]) -> str:
         return f"{seen}."
     gain = ours - theirs
     if abs(gain) < _EVEN:
-        return f"{seen}, as good as interpolating between the neighbouring frames by optical flow ({theirs:.2f} dB)."
+        return f"{seen}, as good as interpolating between the neighboring frames by optical flow ({theirs:.2f} dB)."
     if gain > 0:
-        return f"{seen}, {gain:.2f} dB better than interpolating between the neighbouring frames by optical flow."
+        return f"{seen}, {gain:.2f} dB better than interpolating between the neighboring frames by optical flow."
     return (
-        f"{seen}, {-gain:.2f} dB worse than interpolating between the neighbouring frames by optical flow: "
+        f"{seen}, {-gain:.2f} dB worse than interpolating between the neighboring frames by optical flow: "
         "the scene has not learned all of the motion."
     )
 
@@ -323,27 +323,27 @@ def _comparison(label: str, image: np.ndarray, rendering: np.ndarray) -> dict[st
 
 
 def _flows(flows: Sequence[FlowComparison]) -> list[dict[str, Any]]:
-    """Every pair in one colour scale."""
+    """Every pair in one color scale."""
     shown = []
     for label, rendered, prior in flows:
         scale = flow_scale([rendered, prior])
         panels = {name: flow_to_color(flow, scale) for name, flow in (("rendered", rendered), ("prior", prior))}
-        shown.append({"label": f"{label}; full colour = {scale:.1f} px", "panels": picture_row(panels, label)})
+        shown.append({"label": f"{label}; full color = {scale:.1f} px", "panels": picture_row(panels, label)})
     return shown
 
 
 def _videos(videos: Mapping[str, str]) -> Iterator[dict[str, Any]]:
-    """The videos with three panels, each with a link to the one with colour alone."""
+    """The videos with three panels, each with a link to the one with color alone."""
     folder = RunPaths(Path()).renders_path.name
     for name, file in videos.items():
-        if not name.endswith("_colour"):
-            colour = videos.get(f"{name}_colour")
+        if not name.endswith("_color"):
+            color = videos.get(f"{name}_color")
             yield {
                 "title": _video_title(name),
                 "file": f"{folder}/{quote(file)}",
                 "panels": file.endswith(".mp4") and not name.endswith("_stereo"),
                 "picture": file.endswith(".gif"),
-                "colour": None if colour is None else f"{folder}/{quote(colour)}",
+                "color": None if color is None else f"{folder}/{quote(color)}",
             }
 
 
@@ -386,7 +386,7 @@ def _charts(data: ReportData) -> Iterator[dict[str, Any]]:
         ("Loss", over_steps({"loss": "loss"}), "loss", True),
         (
             "Parts of the loss",
-            over_steps({key: key for key in ("colour", "flow", "rigid", "depth", "coverage")}),
+            over_steps({key: key for key in ("color", "flow", "rigid", "depth", "coverage")}),
             "loss",
             True,
         ),

@@ -1,6 +1,6 @@
 """Charts as SVG, inside a page or as a file of their own.
 
-Inside a page they are ``Markup``, with every text escaped, and take their colours from it (``--ink``, ``--soft``, ``--line``, and
+Inside a page they are ``Markup``, with every text escaped, and take their colors from it (``--ink``, ``--soft``, ``--line``, and
 ``--series-1`` to ``--series-5`` for what is drawn), so they follow its light or dark mode.
 """
 
@@ -15,7 +15,7 @@ Points = tuple[Sequence[float | None], Sequence[float | None]]
 """(x, y) of a line; None or what is not finite leaves a gap."""
 
 MOST_SERIES = 5
-"""Of a chart: each has a colour of its own."""
+"""Of a chart: each has a color of its own."""
 
 _WIDTH, _HEIGHT = 640, 260
 _LEFT, _RIGHT, _TOP, _BOTTOM = 58, 20, 12, 44
@@ -76,7 +76,7 @@ def line_chart(
 
 
 def _clean(points: Points, log: bool) -> tuple[np.ndarray, np.ndarray]:
-    """At most ``_MOST_POINTS`` means of neighbouring points; gaps are NaN, y is log10 for a logarithmic axis."""
+    """At most ``_MOST_POINTS`` means of neighboring points; gaps are NaN, y is log10 for a logarithmic axis."""
     x, y = (np.array([np.nan if value is None else value for value in part], np.float64) for part in points)
     y[~np.isfinite(y) | (y <= 0 if log else False)] = np.nan
     keep = np.isfinite(x)

@@ -1,4 +1,4 @@
-"""Numbers to colours: the optical flow wheel, depth, error. Pictures in and out are RGB."""
+"""Numbers to colors: the optical flow wheel, depth, error. Pictures in and out are RGB."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ _CORNERS = np.array([[255, 0, 0], [255, 255, 0], [0, 255, 0], [0, 255, 255], [0,
 _HUES = 3600
 _OUTSIDE = 0.75
 _OBJECTS = np.array([(255, 128, 0), (0, 190, 255), (255, 60, 160), (120, 220, 40), (180, 110, 255), (255, 220, 0)], np.uint8)
-"""Colours of moving objects, by their numbers."""
+"""Colors of moving objects, by their numbers."""
 """How much displacements beyond the scale are darkened."""
 
 SMALLEST_FLOW_SCALE = 0.5
-"""Pixels. Below this, a clip at rest would show nothing but noise in bright colours."""
+"""Pixels. Below this, a clip at rest would show nothing but noise in bright colors."""
 
 
 def _wheel() -> np.ndarray:
-    """[_HUES, 3] float32 colours between 0 and 1 round the wheel, starting at the right and going down."""
+    """[_HUES, 3] float32 colors between 0 and 1 round the wheel, starting at the right and going down."""
     places = np.cumsum(_ARCS) / _ARCS.sum()
     turn = np.arange(_HUES) / _HUES
     return np.stack([np.interp(turn, places, _CORNERS[:, c]) for c in range(3)], -1).astype(np.float32) / 255
@@ -40,7 +40,7 @@ def float_to_bytes(image: np.ndarray) -> np.ndarray:
 
 
 def flow_scale(flows: Iterable[np.ndarray]) -> float:
-    """Pixels: a scale under which nearly all of the given flows [H, W, 2] keep their full colour."""
+    """Pixels: a scale under which nearly all of the given flows [H, W, 2] keep their full color."""
     scale = SMALLEST_FLOW_SCALE
     for flow in flows:
         length = np.linalg.norm(flow, axis=-1)
@@ -50,11 +50,11 @@ def flow_scale(flows: Iterable[np.ndarray]) -> float:
 
 
 def flow_to_color(flow: np.ndarray, scale: float | None = None) -> np.ndarray:
-    """Flow to the usual colours: hue is direction (right red, down yellow, left cyan, up violet), white is rest.
+    """Flow to the usual colors: hue is direction (right red, down yellow, left cyan, up violet), white is rest.
 
     Args:
         flow: [H, W, 2] pixels. What is not finite becomes black.
-        scale: the length in pixels that gets the full colour, longer ones are darker; None = ``flow_scale`` of this flow.
+        scale: the length in pixels that gets the full color, longer ones are darker; None = ``flow_scale`` of this flow.
 
     Returns:
         [H, W, 3] uint8 RGB.
@@ -102,7 +102,7 @@ def depth_range(depths: Iterable[np.ndarray]) -> tuple[float, float]:
 
 
 def depth_to_color(depth: np.ndarray, near: float, far: float) -> np.ndarray:
-    """Planar depth [H, W] to [H, W, 3] uint8: the turbo colours on inverse depth, near red, far blue.
+    """Planar depth [H, W] to [H, W, 3] uint8: the turbo colors on inverse depth, near red, far blue.
 
     Black where depth is not positive and finite.
     """
@@ -130,7 +130,7 @@ def object_color(number: int) -> tuple[int, int, int]:
 
 
 def tinted(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """The picture [H, W, 3] uint8 in grey, moving objects tinted by their numbers in ``mask`` [H, W] (0 = background)."""
-    grey = np.repeat(image.mean(-1, keepdims=True) * 0.8, 3, -1)
-    coloured = 0.45 * image + 0.55 * _OBJECTS[(mask.astype(int) - 1) % len(_OBJECTS)]
-    return np.where(mask[..., None] > 0, coloured, grey).astype(np.uint8)
+    """The picture [H, W, 3] uint8 in gray, moving objects tinted by their numbers in ``mask`` [H, W] (0 = background)."""
+    gray = np.repeat(image.mean(-1, keepdims=True) * 0.8, 3, -1)
+    colored = 0.45 * image + 0.55 * _OBJECTS[(mask.astype(int) - 1) % len(_OBJECTS)]
+    return np.where(mask[..., None] > 0, colored, gray).astype(np.uint8)

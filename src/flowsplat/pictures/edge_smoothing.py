@@ -16,15 +16,15 @@ class EdgeSmoother:
     last digits would depend on the number of cores. It is one of few filters where they do, and cheap, so it has one thread.
     """
 
-    def __init__(self, guide: np.ndarray, smoothness: float, colour_sigma: float):
+    def __init__(self, guide: np.ndarray, smoothness: float, color_sigma: float):
         """
         Args:
             guide: RGB [H, W, 3] uint8.
             smoothness: lambda of the paper.
-            colour_sigma: grey levels across which it no longer reaches.
+            color_sigma: gray levels across which it no longer reaches.
         """
         with one_thread():
-            self._filter = cv2.ximgproc.createFastGlobalSmootherFilter(np.ascontiguousarray(guide), smoothness, colour_sigma)
+            self._filter = cv2.ximgproc.createFastGlobalSmootherFilter(np.ascontiguousarray(guide), smoothness, color_sigma)
 
     def filter(self, values: np.ndarray) -> np.ndarray:
         """Values [H, W] float32, smoothed."""

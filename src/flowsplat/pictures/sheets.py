@@ -20,7 +20,7 @@ _STEPS = (5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000)
 
 
 def side_by_side(images: Sequence[np.ndarray], labels: Sequence[str] = (), height: int | None = None) -> np.ndarray:
-    """One row of pictures [h, w, 3], grey or colour, uint8 or float between 0 and 1.
+    """One row of pictures [h, w, 3], gray or color, uint8 or float between 0 and 1.
 
     Args:
         labels: one for every picture, or none at all. Plain ASCII.

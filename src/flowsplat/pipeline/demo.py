@@ -120,7 +120,7 @@ def _screen(
     yield f"became a 4D scene by its pictures alone, as your own clip would: {own.path}."
     frames, between = (pick(metrics, *path, "psnr") for path in (("heldout_frames",), ("baselines", "flow_interpolation")))
     if frames is not None:
-        beside = "" if between is None else f"; interpolating their neighbours by optical flow gives {between:.1f}"
+        beside = "" if between is None else f"; interpolating their neighbors by optical flow gives {between:.1f}"
         yield f"  Along the path: frames that it never saw are rendered at {frames:.1f} dB{beside}."
     (views, moving), (best, best_moving) = (
         (pick(of, "heldout_views", "psnr"), pick(of, "heldout_views", "moving", "psnr")) for of in (metrics, true)

@@ -143,5 +143,5 @@ def _make(folder: RunFolder, coarse: CoarseClip, where: RunPaths, settings: Trai
     save_model(where.model_path, model)
     middle = scene.num_frames // 2
     rendered = model.render(scene.cameras[middle], float(scene.timestamps[middle]))
-    write_image(folder.preview_path, preview_sheet(scene.frame(middle), float_to_bytes(rendered.colour)))
+    write_image(folder.preview_path, preview_sheet(scene.frame(middle), float_to_bytes(rendered.color)))
     render_videos(model, scene, where.renders_path, VIDEOS)

@@ -102,7 +102,7 @@ def _trained(
         tracks, observations = scene.tracks if scene.has_tracks else None, observe(scene)
 
     def preview(step: int, frame: Observation, rendered: RenderedFrame) -> None:
-        image = rendered.colour.detach().clamp(0, 1).cpu().numpy()
+        image = rendered.color.detach().clamp(0, 1).cpu().numpy()
         write_image(folder.preview_path, preview_sheet(frame.image, float_to_bytes(image)))
 
     start = None if begin is None else begin(observations, tracks, config)

@@ -42,7 +42,7 @@ from flowsplat.common.run_paths import RunPaths
 from flowsplat.common.settings import from_plain, to_plain
 from flowsplat.pipeline.config import RunConfig
 
-VERSION = 2
+VERSION = 3
 
 Seconds = Annotated[float, Meta(ge=0, le=1e9)]
 

@@ -87,7 +87,7 @@ class Run:
             camera = self.scene.cameras[middle]
             factor = min(1.0, THUMBNAIL / max(camera.width, camera.height))
             camera = camera.resized(max(round(camera.width * factor), 1), max(round(camera.height * factor), 1))
-            shown = self.model.render(camera, float(self.scene.timestamps[middle])).colour
+            shown = self.model.render(camera, float(self.scene.timestamps[middle])).color
             picture = f'<img alt="frame {middle}" src="{data_uri(shown)}"><br>'
         return f"<div><b>{escape(str(self.folder))}</b><br>{picture}<table>{rows}</table></div>"
 

@@ -8,13 +8,13 @@ import numpy as np
 from flowsplat.scenes import Scene
 
 BLANK = 3.0
-"""Standard deviation in grey levels below which a picture is called blank: black, white, or the noise of a dark sensor."""
+"""Standard deviation in gray levels below which a picture is called blank: black, white, or the noise of a dark sensor."""
 
 
 def is_blank(image: np.ndarray) -> bool:
-    """Whether grey [H, W] or RGB [H, W, 3] uint8 shows nothing that could be matched."""
-    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-    return float(grey.std()) < BLANK
+    """Whether gray [H, W] or RGB [H, W, 3] uint8 shows nothing that could be matched."""
+    gray = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    return float(gray.std()) < BLANK
 
 
 def piece_numbers(count: int, breaks: list[int]) -> np.ndarray:

@@ -23,13 +23,13 @@ FINE_PATCH, FINE_STEP, FINE_DESCENTS, FINE_ROUNDS = 5, 2, 24, 3
 variational refinement."""
 
 
-def grey(image: np.ndarray) -> np.ndarray:
-    """RGB [H, W, 3] uint8 to grey [H, W] uint8."""
+def gray(image: np.ndarray) -> np.ndarray:
+    """RGB [H, W, 3] uint8 to gray [H, W] uint8."""
     return cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
 
 
 def dis_flow(a: np.ndarray, b: np.ndarray, initial: np.ndarray | None = None, fine: bool = False) -> np.ndarray:
-    """Flow [H, W, 2] float32 in pixels from grey ``a`` to grey ``b`` (both [H, W] uint8).
+    """Flow [H, W, 2] float32 in pixels from gray ``a`` to gray ``b`` (both [H, W] uint8).
 
     Args:
         initial: a first guess [H, W, 2], for large displacements.
@@ -103,8 +103,8 @@ class FlowEstimator(Protocol):
 
 
 def dis_estimator(a: np.ndarray, b: np.ndarray, guess: np.ndarray | None = None) -> np.ndarray:
-    """As ``FlowEstimator``, without weights: fine between neighbours, and from a guess at half resolution."""
-    return dis_flow(grey(a), grey(b), guess, fine=guess is None)
+    """As ``FlowEstimator``, without weights: fine between neighbors, and from a guess at half resolution."""
+    return dis_flow(gray(a), gray(b), guess, fine=guess is None)
 
 
 def flow_stage(scene: Scene, method: str = "dis", estimate: FlowEstimator = dis_estimator) -> None:

@@ -14,7 +14,7 @@ from flowsplat.scenes.layers import Layers
 
 
 def heldout_flow(scene: Scene, layers: Layers, estimate: FlowEstimator = dis_estimator) -> None:
-    """Flow between every held-out frame and its neighbours in time, both ways; existing pairs are kept.
+    """Flow between every held-out frame and its neighbors in time, both ways; existing pairs are kept.
 
     Args:
         scene: is read and not written.

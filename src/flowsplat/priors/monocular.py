@@ -30,7 +30,7 @@ from flowsplat.scenes import Depth, Scene
 from flowsplat.scenes.layers import TRUSTED
 
 FEWEST = 200
-"""Trusted static working pixels that a frame's own scale and shift need; with fewer it borrows those of its neighbours."""
+"""Trusted static working pixels that a frame's own scale and shift need; with fewer it borrows those of its neighbors."""
 
 MISFIT = 0.2
 """Median relative error of the fitted depth at which it is half trusted."""
@@ -69,7 +69,7 @@ def fit_line(x: np.ndarray, y: np.ndarray, weights: np.ndarray, loose: float) ->
     """Scale a > 0 and shift b with y ~ a x + b: Cauchy-weighted least squares, its width the median residual.
 
     The shift is expected to be small: where the values hardly differ (a wall), scale and shift cannot be told apart, and
-    the shift stays near 0. Neighbouring pixels err together, so all samples count as ``WORTH`` independent ones.
+    the shift stays near 0. Neighboring pixels err together, so all samples count as ``WORTH`` independent ones.
 
     Args:
         x: [N] monocular inverse depths.
@@ -109,7 +109,7 @@ def monocular_stage(scene: Scene, source: Monocular, estimate: FlowEstimator = d
     arbitrary scale, and the verdict says so.
 
     Args:
-        estimate: finds the flow between frames that are no neighbours.
+        estimate: finds the flow between frames that are no neighbors.
     """
     folder = scene.folder / "monocular"
     clip = MatchedClip(scene, estimate)

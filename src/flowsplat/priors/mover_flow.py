@@ -1,7 +1,7 @@
 """Flow of what moves, once it is known what moves: searched again without what is behind it.
 
-A fast or thin limb has little room in the windows of a search among what rests, and that wins. With all that rests in one grey the
-outline is the strongest thing in the picture. Of both flows every pixel takes that which leads to its colour, into a mask and back.
+A fast or thin limb has little room in the windows of a search among what rests, and that wins. With all that rests in one gray the
+outline is the strongest thing in the picture. Of both flows every pixel takes that which leads to its color, into a mask and back.
 """
 
 from __future__ import annotations
@@ -14,19 +14,19 @@ import numpy as np
 from flowsplat.common.progress import track
 from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.priors.continuity import Continuity
-from flowsplat.priors.flow import dis_flow, forward_backward_confidence, grey, lengths
+from flowsplat.priors.flow import dis_flow, forward_backward_confidence, gray, lengths
 from flowsplat.scenes import Flow, Scene
 
 GOOD = 0.95
 """Share of the movers' pixels with trusted flow, both ways, from which it is good enough."""
 AROUND = 48
 """Pixels around the movers of two frames that are searched with them."""
-GREY = 127
+GRAY = 127
 """What rests is painted in it."""
 MOST_UNLIKE = 60.0
-"""Grey levels beyond which it makes no difference how much colours differ."""
+"""Gray levels beyond which it makes no difference how much colors differ."""
 OUTSIDE = 20.0
-"""Grey levels that a place outside the masks counts as."""
+"""Gray levels that a place outside the masks counts as."""
 RETURN, MOST_RETURNS = 3.0, 4.0
 """The same of a round trip that misses by its limit (``forward_backward_confidence``), and by how many limits it counts at most."""
 WINDOW = 2.0
@@ -59,7 +59,7 @@ def _searched(images: Pair, masks: Pair, flows: Pair) -> Pair:
     rows, columns = (np.flatnonzero((masks[0] | masks[1]).any(axis)) for axis in (1, 0))
     top, left = max(rows[0] - AROUND, 0), max(columns[0] - AROUND, 0)
     box = slice(top, rows[-1] + 1 + AROUND), slice(left, columns[-1] + 1 + AROUND)
-    a, b = (np.where(mask, grey(image), GREY).astype(np.uint8)[box] for image, mask in zip(images, masks, strict=True))
+    a, b = (np.where(mask, gray(image), GRAY).astype(np.uint8)[box] for image, mask in zip(images, masks, strict=True))
     # The same box in both frames, so that flows need no shift.
     there = [flow[box] for flow in flows]
     found = [dis_flow(a, b, fine=True), dis_flow(b, a, fine=True)]
@@ -75,7 +75,7 @@ def _searched(images: Pair, masks: Pair, flows: Pair) -> Pair:
 
 
 def _cost(a: np.ndarray, b: np.ndarray, mask_a: np.ndarray, mask_b: np.ndarray, flow: np.ndarray, back: np.ndarray) -> np.ndarray:
-    """[H, W] what speaks against a flow from ``a`` to ``b`` around each pixel of a mover, in grey levels."""
+    """[H, W] what speaks against a flow from ``a`` to ``b`` around each pixel of a mover, in gray levels."""
     unlike = np.minimum(np.abs(a - _carried(b, flow)).mean(-1), MOST_UNLIKE)
     misses = lengths(flow + _carried(back, flow)) / (0.5 + 0.05 * lengths(flow))
     cost = unlike + OUTSIDE * (1 - _carried(mask_b, flow)) + RETURN * np.minimum(misses, MOST_RETURNS)

@@ -101,7 +101,7 @@ def use_given(scene: Scene, given: GivenPriors, estimate: FlowEstimator = dis_es
     """Read the user's files into the scene, as ``Graph.read_given`` does.
 
     Args:
-        estimate: finds the flow between frames that are no neighbours, where depth must be fitted.
+        estimate: finds the flow between frames that are no neighbors, where depth must be fitted.
 
     Raises:
         InputError: a file cannot be used.

@@ -162,7 +162,7 @@ def resize_picture(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 
 def resize_labels(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Bring masks, depth or flow [H, W] or [H, W, C] to (width, height) without mixing values of neighbours."""
+    """Bring masks, depth or flow [H, W] or [H, W, C] to (width, height) without mixing values of neighbors."""
     if image.shape[1::-1] == size:
         return image
     return cv2.resize(image, size, interpolation=cv2.INTER_NEAREST_EXACT)

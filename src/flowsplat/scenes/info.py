@@ -41,7 +41,7 @@ class SceneInfo:
     priors: Mapping[str, Mapping[str, Any]]
     """How each prior that is complete was made (at least ``method``)."""
     similarity: SimilarityFile | None
-    """World to the normalised coordinates of training; None until it is asked for, or after the depth changed."""
+    """World to the normalized coordinates of training; None until it is asked for, or after the depth changed."""
     ingested: bool = False
     """Whether everything of the input is in the folder."""
     lens: Mapping[str, Number] | None = None

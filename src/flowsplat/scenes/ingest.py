@@ -98,7 +98,7 @@ def open_clip(path: Path, options: InputOptions) -> Clip:
 def ingest(clip: Clip, folder: Path, options: InputOptions) -> Scene:
     """Write a clip into a scene folder: frames, split, given masks, calibrated cameras, truth and held-out views.
 
-    ``scene.json`` comes first and its ``ingested`` last, so an interrupted run is recognised; called again, it keeps every file
+    ``scene.json`` comes first and its ``ingested`` last, so an interrupted run is recognized; called again, it keeps every file
     that is there (files are written atomically, so they are whole) and adds what is missing.
 
     Raises:
@@ -124,7 +124,7 @@ def ingest(clip: Clip, folder: Path, options: InputOptions) -> Scene:
 
 
 def _open_or_create(clip: Clip, folder: Path, options: InputOptions) -> Scene:
-    # Pictures by other cameras are a better test than held-out frames, and truth has flow between neighbours only.
+    # Pictures by other cameras are a better test than held-out frames, and truth has flow between neighbors only.
     holdout = None if clip.num_views else options.holdout
     train, heldout = split_frames(clip.num_frames, holdout)
     if (folder / "scene.json").exists():

@@ -1,4 +1,4 @@
-"""What is known about the frames of a clip besides their colours: cameras, depth, flow, masks, tracks.
+"""What is known about the frames of a clip besides their colors: cameras, depth, flow, masks, tracks.
 
 One folder holds one such set of layers: the priors of a scene, or its truth. The files:
 
@@ -187,7 +187,7 @@ def decode_image(path: Path, flags: int, expected: tuple[int, int] | None = None
 
 
 def read_image(path: Path, expected: tuple[int, int] | None = None) -> np.ndarray:
-    """Read a stored picture as uint8: RGB [H, W, 3] or grey [H, W].
+    """Read a stored picture as uint8: RGB [H, W, 3] or gray [H, W].
 
     Args:
         expected: width and height that it must have, where they are known.

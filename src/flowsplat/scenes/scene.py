@@ -332,7 +332,7 @@ class Scene(Layers):
 
     @property
     def similarity(self) -> Similarity:
-        """World to the normalised coordinates of training: median depth of the training pixels 1, first camera near the origin.
+        """World to the normalized coordinates of training: median depth of the training pixels 1, first camera near the origin.
 
         Raises:
             InputError: the scene has no depth yet.
@@ -394,7 +394,7 @@ class Scene(Layers):
         path = self.folder / "views" / f"{view.name}.png"
         image = read_image(path, (view.camera.width, view.camera.height))
         if image.ndim != 3 or image.shape[2] != 3:
-            raise InputError(f"{path} is no picture in colour.")
+            raise InputError(f"{path} is no picture in color.")
         return image
 
     def view_mask(self, view: HeldoutView, kind: str = "mask") -> np.ndarray | None:

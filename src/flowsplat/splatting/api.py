@@ -185,9 +185,9 @@ def rasterize(
         quats: [N, 4] wxyz, any length; ignored with ``covars``.
         scales: [N, 3] standard deviations; ignored with ``covars``.
         opacities: [N] between 0 and 1.
-        features: [N, C] colours or anything else.
+        features: [N, C] colors or anything else.
         viewmat: [4, 4] world to camera, OpenCV axes.
-        K: [3, 3] pixels; the centre of the top-left pixel is (0.5, 0.5).
+        K: [3, 3] pixels; the center of the top-left pixel is (0.5, 0.5).
         width: pixels.
         height: pixels.
         covars: [N, 3, 3] general covariances in place of quats and scales.

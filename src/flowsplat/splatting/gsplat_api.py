@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from flowsplat.splatting.api import BackendName, Projected, blend, check_finite, project
-from flowsplat.splatting.harmonics import colours_from_harmonics, harmonics_count
+from flowsplat.splatting.harmonics import colors_from_harmonics, harmonics_count
 from flowsplat.splatting.rules import EPS2D, FAR, NEAR
 
 RenderMode = Literal["RGB", "D", "ED", "RGB+D", "RGB+ED"]
@@ -73,16 +73,16 @@ def rasterization(
         quats: [..., N, 4] wxyz, any length; ignored with ``covars``.
         scales: [..., N, 3] standard deviations; ignored with ``covars``.
         opacities: [..., N] between 0 and 1.
-        colors: [..., (C,) N, D] colours or any features; with ``sh_degree`` [..., (C,) N, K, 3] harmonics coefficients.
+        colors: [..., (C,) N, D] colors or any features; with ``sh_degree`` [..., (C,) N, K, 3] harmonics coefficients.
         viewmats: [..., C, 4, 4] world to camera, OpenCV axes.
-        Ks: [..., C, 3, 3] pixels; the centre of the top-left pixel is (0.5, 0.5).
+        Ks: [..., C, 3, 3] pixels; the center of the top-left pixel is (0.5, 0.5).
         width: pixels.
         height: pixels.
         near_plane: Gaussians nearer are culled.
         far_plane: Gaussians farther are culled.
         radius_clip: Gaussians whose half width and half height in pixels are both at most this are culled.
         eps2d: px^2 added to every 2D covariance.
-        sh_degree: 0 to 3: how many bands of ``colors`` count. None: ``colors`` are colours.
+        sh_degree: 0 to 3: how many bands of ``colors`` count. None: ``colors`` are colors.
         packed: meta holds what is visible, as [nnz, ...], and not [..., C, N, ...].
         tile_size: accepted, without effect.
         backgrounds: [..., C, D] seen where alpha < 1; depth has none. None = zeros.
@@ -108,7 +108,7 @@ def rasterization(
             gsplat.
 
     Returns:
-        colours [..., C, H, W, D, D + 1 or 1]; alphas [..., C, H, W, 1]; and meta, a dict with ``means2d`` (call
+        colors [..., C, H, W, D, D + 1 or 1]; alphas [..., C, H, W, 1]; and meta, a dict with ``means2d`` (call
         ``retain_grad()`` on it before backward), ``conics``, ``depths``, ``radii`` (0 where culled), ``opacities`` (as drawn),
         ``batch_ids``, ``camera_ids`` and ``gaussian_ids`` [nnz] int64 (None unless packed), ``width``, ``height``,
         ``n_cameras`` and ``n_batches``. gsplat's lists of tiles are not there.
@@ -389,11 +389,11 @@ def _blend_image(
     """
     features = []
     if "RGB" in settings.render_mode:
-        colour = pick(image.colors)
+        color = pick(image.colors)
         if settings.sh_degree is not None:
             directions = None if image.center is None else pick(image.means) - image.center
-            colour = colours_from_harmonics(colour, directions, settings.sh_degree)
-        features.append(colour)
+            color = colors_from_harmonics(color, directions, settings.sh_degree)
+        features.append(color)
     if "D" in settings.render_mode:
         features.append(projected.depths[:, None])
     picture, alpha = blend(projected, opacities, torch.cat(features, 1), settings.width, settings.height, absgrad=settings.absgrad)

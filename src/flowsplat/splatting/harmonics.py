@@ -1,4 +1,4 @@
-"""Real spherical harmonics as colours, with the constants and the sign convention of 3D Gaussian Splatting."""
+"""Real spherical harmonics as colors, with the constants and the sign convention of 3D Gaussian Splatting."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ def harmonics_basis(directions: Tensor, degree: int) -> Tensor:
     return torch.stack(basis, -1)
 
 
-def colours_from_harmonics(sh: Tensor, directions: Tensor | None, degree: int) -> Tensor:
-    """Coefficients [N, K, 3] seen along directions [N, 3] to colours [N, 3] >= 0; only coefficients up to ``degree`` count.
+def colors_from_harmonics(sh: Tensor, directions: Tensor | None, degree: int) -> Tensor:
+    """Coefficients [N, K, 3] seen along directions [N, 3] to colors [N, 3] >= 0; only coefficients up to ``degree`` count.
 
     Directions may have any length; at degree 0 they are not needed.
     """
@@ -41,16 +41,16 @@ def colours_from_harmonics(sh: Tensor, directions: Tensor | None, degree: int) -
     if sh.device.type == "cpu" and sh.dtype == directions.dtype == torch.float32:
         from flowsplat.splatting.cpu import harmonics
 
-        return harmonics.colours(sh, directions, degree)
-    return colours_in_torch(sh, directions, degree)
+        return harmonics.colors(sh, directions, degree)
+    return colors_in_torch(sh, directions, degree)
 
 
-def colours_in_torch(sh: Tensor, directions: Tensor, degree: int) -> Tensor:
-    """The oracle of the kernel behind ``colours_from_harmonics``."""
+def colors_in_torch(sh: Tensor, directions: Tensor, degree: int) -> Tensor:
+    """The oracle of the kernel behind ``colors_from_harmonics``."""
     basis = harmonics_basis(torch.nn.functional.normalize(directions, dim=-1), degree)
     return ((basis[..., None] * sh[:, : basis.shape[-1]]).sum(1) + 0.5).clamp(min=0)
 
 
-def harmonics_from_colours(colours: Tensor) -> Tensor:
-    """The degree-0 coefficient of a colour."""
-    return (colours - 0.5) / C0
+def harmonics_from_colors(colors: Tensor) -> Tensor:
+    """The degree-0 coefficient of a color."""
+    return (colors - 0.5) / C0

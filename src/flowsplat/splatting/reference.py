@@ -107,14 +107,14 @@ def _blend_rows(
     x = torch.arange(width, dtype=means2d.dtype, device=means2d.device) + 0.5
     y = rows.to(means2d) + 0.5
     pixels = torch.stack(torch.meshgrid(x, y, indexing="xy"), -1).reshape(-1, 1, 2)
-    centres = means2d[order].expand(len(pixels), -1, -1)  # one copy a pixel, so that each pixel's gradient can be seen
-    if absolute is not None and centres.requires_grad:
+    centers = means2d[order].expand(len(pixels), -1, -1)  # one copy a pixel, so that each pixel's gradient can be seen
+    if absolute is not None and centers.requires_grad:
 
         def add_absolute(gradient: Tensor) -> None:
             absolute.index_add_(0, order, gradient.abs().sum(0))
 
-        centres.register_hook(add_absolute)
-    dx, dy = (pixels - centres).unbind(-1)
+        centers.register_hook(add_absolute)
+    dx, dy = (pixels - centers).unbind(-1)
     a, b, c = conics[order].unbind(-1)
     raw = opacities[order] * torch.exp(-0.5 * (a * dx * dx + c * dy * dy) - b * dx * dy)
     alpha = torch.where(raw >= ALPHA_MIN, raw.clamp(max=ALPHA_MAX), torch.zeros_like(raw))

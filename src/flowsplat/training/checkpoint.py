@@ -99,7 +99,7 @@ class CheckpointFile(TypedDict):
     sh_degree: Count
     queue: list[Count]
     rng: dict[str, Any]
-    neighbours_found: Count
+    neighbors_found: Count
     recent: list[dict[str, float | None]]
     averaged: Count
     seconds: Number
@@ -200,7 +200,7 @@ def check_training_state(path: Path, tensors: Mapping[str, Tensor], gaussians: G
     """Refuse what a trainer keeps of its Gaussians and could not go on with: its kernels look at no index and no size.
 
     Args:
-        tensors: of the checkpoint: ``adam.*``, ``average.*``, ``statistics.*`` and ``neighbours.*``.
+        tensors: of the checkpoint: ``adam.*``, ``average.*``, ``statistics.*`` and ``neighbors.*``.
 
     Raises:
         InputError: names the tensor.
@@ -216,8 +216,8 @@ def check_training_state(path: Path, tensors: Mapping[str, Tensor], gaussians: G
             shape, dtype = (count,), torch.int32
         elif kind == "statistics":
             shape = (count,)
-        elif kind == "neighbours":
-            shape = (count, *tensors["neighbours.indices"].shape[1:2])
+        elif kind == "neighbors":
+            shape = (count, *tensors["neighbors.indices"].shape[1:2])
             dtype = torch.int32 if what == "indices" else torch.float32
         else:
             continue
@@ -243,7 +243,7 @@ def load_checkpoint(folder: Path, similarity: Similarity, first: float, last: fl
 
     Args:
         folder: of the checkpoints.
-        similarity: scene to normalised coordinates.
+        similarity: scene to normalized coordinates.
         first: seconds of the first frame.
         last: seconds of the last frame.
         focal: focal length in pixels of the training frames.

@@ -30,14 +30,14 @@ class RatesConfig:
     """Positions at rest learn along their ray up to this many times as fast as across it: as much as the camera's travel shows
     their depth less than their place in the picture. 1 = alike in all directions."""
     times: Amount = 1.6e-4
-    """Centre times; constant."""
+    """Center times; constant."""
     quats: Amount = 1e-3
     """Rotations."""
     scales: Amount = 0.02
     """Log scales."""
     opacities: Amount = 0.05
     """Logit opacities."""
-    colours: Amount = 0.02
+    colors: Amount = 0.02
     """Harmonics of degree 0."""
     harmonics: Amount = 1e-3
     """Harmonics beyond degree 0."""
@@ -67,7 +67,7 @@ class LossConfig:
     """Weights of the losses (METHOD 5)."""
 
     ssim: Share = 0.2
-    """gamma_1: share of SSIM in the colour loss."""
+    """gamma_1: share of SSIM in the color loss."""
     flow: Amount = 0.03
     """gamma_2: weight of the flow loss, pixels."""
     rigid: Amount = 0.5
@@ -76,12 +76,12 @@ class LossConfig:
     """Weight of the depth loss (ours; 0 in the paper)."""
     coverage: Amount = 0.0
     """Weight of the loss on training pixels that are not covered (ours; 0 in the paper)."""
-    rigid_neighbours: Annotated[int, Meta(ge=1, le=256)] = 20
-    """k: neighbours of every Gaussian in the rigid loss."""
+    rigid_neighbors: Annotated[int, Meta(ge=1, le=256)] = 20
+    """k: neighbors of every Gaussian in the rigid loss."""
     rigid_beta: Annotated[float, Meta(ge=0, le=1_000_000)] = 100.0
-    """How fast the weight of a neighbour falls with distance, per median depth."""
+    """How fast the weight of a neighbor falls with distance, per median depth."""
     rigid_refresh: AtLeastOne = 1000
-    """Steps for which the neighbours once found are used."""
+    """Steps for which the neighbors once found are used."""
     rigid_over_all: bool = False
     """The rigid loss is among all Gaussians that may move, divided by the number of all (the paper); off: among dynamic ones
     alone, divided by those active."""
@@ -102,7 +102,7 @@ class DensityConfig:
     stop: Share = 1.0
     """Last round, as a share of all iterations."""
     gradient: Amount = 0.0002
-    """Clone or split above this mean gradient of the 2D mean, in normalised device coordinates; 0 = never."""
+    """Clone or split above this mean gradient of the 2D mean, in normalized device coordinates; 0 = never."""
     clone_below: Amount = 0.01
     """Gaussians whose largest scale is below this are cloned, the others split. Median depths."""
     prune_opacity: Amount = 0.005
@@ -120,8 +120,8 @@ class DensityConfig:
     where background is no other than what moves (``model.freeze_background`` off, as in the paper)."""
     revise_flow: Amount = 1.5
     """Mean flow residual in pixels from which background counts as moving."""
-    revise_colour: Amount = 0.04
-    """Mean difference of colours, 0 to 1, from which it does: where nothing is to be seen flow is a guess."""
+    revise_color: Amount = 0.04
+    """Mean difference of colors, 0 to 1, from which it does: where nothing is to be seen flow is a guess."""
     revise_rest: Amount = 0.3
     """Dynamic Gaussians that would move less than this many pixels over the whole clip, seen at the median depth, and explain the
     flow where they are seen, come to rest."""
@@ -138,7 +138,7 @@ class TrainConfig:
     """Frames rendered in a step; their losses are averaged. 0 = all (the paper, read literally)."""
     order: Literal["random", "spread"] = "spread"
     """Of the frames in a round: random, or so that those of steps that follow each other lie far apart. What moves is seen in a few
-    neighbouring frames, and so is stepped at even intervals."""
+    neighboring frames, and so is stepped at even intervals."""
     flow_model: FlowModel = "displacement"
     """How flow is splatted: ``mean`` (the paper), ``displacement`` or ``affine`` (docs/method.md, section 3)."""
     average: Share = 0.2
@@ -161,7 +161,7 @@ class TrainConfig:
     density: DensityConfig = field(default_factory=DensityConfig)
     """Density control."""
     fill: bool = True
-    """Fill uncovered pixels of rendered pictures from their neighbours (ours)."""
+    """Fill uncovered pixels of rendered pictures from their neighbors (ours)."""
 
     def check(self) -> None:
         """Refuse values that make no sense.
@@ -175,7 +175,7 @@ class TrainConfig:
 
 _OURS = TrainConfig(
     iterations=2000,
-    loss=LossConfig(rigid=0.1, coverage=0.1, rigid_neighbours=10),
+    loss=LossConfig(rigid=0.1, coverage=0.1, rigid_neighbors=10),
     model=ModelConfig(
         mean_poly=4, mean_fourier=0, quat_poly=1, quat_fourier=0, p_min=0.15, sh_degree=1, gains=16, freeze_background=True
     ),
@@ -205,7 +205,7 @@ PRESETS: dict[str, TrainConfig] = {
             background_spacing=2.0, foreground_spacing=1.0, detail=0.0, sample_gap=0, motion_order=2,
         ),
         rates=RatesConfig(
-            means_pixels=0.0, along_ray=1.0, quats=0.001, scales=0.005, opacities=0.05, colours=0.0025, harmonics=0.0025 / 20,
+            means_pixels=0.0, along_ray=1.0, quats=0.001, scales=0.005, opacities=0.05, colors=0.0025, harmonics=0.0025 / 20,
             decay=1.0, motion=0.001, moving=1.0, moving_decay=1.0,
         ),
         loss=LossConfig(depth=0.0, rigid_over_all=True, flow_by_alpha=False),

@@ -16,7 +16,7 @@ SHARE = 0.25
 """Steps of the final fit, as a share of those of the training."""
 AVERAGED = 0.5
 """Of the steps of the final fit, the share over which its result is the mean, where training has such a mean."""
-NEIGHBOUR_VISITS = 2
+NEIGHBOR_VISITS = 2
 """How often a training frame beside a held-out one is drawn where others are drawn once: what is fitted to a frame is seen in the
 frames beside it, too, and they would lose what the held-out frame gains."""
 
@@ -75,4 +75,4 @@ def final_visits(scene: Scene) -> list[int]:
     heldout = set(scene.heldout_frames)
     often = max(1, round(len(scene.train_frames) / max(len(heldout), 1)))
     beside = {i + side for i in heldout for side in (-1, 1)}
-    return [often if i in heldout else NEIGHBOUR_VISITS if i in beside else 1 for i in range(scene.num_frames)]
+    return [often if i in heldout else NEIGHBOR_VISITS if i in beside else 1 for i in range(scene.num_frames)]

@@ -28,7 +28,7 @@ def static_start(observations: Observations, tracks: Tracks | None, config: Trai
 
     Args:
         observations: the training frames.
-        tracks: for an initialisation from tracks.
+        tracks: for an initialization from tracks.
         config: from ``static_config``.
     """
     start = initialize(observations, tracks, config.model, config.init, config.seed, config.density.max_gaussians)

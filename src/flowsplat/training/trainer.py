@@ -45,7 +45,7 @@ from flowsplat.training.coverage import coverage_loss
 from flowsplat.training.picture_loss import PictureTargets, PictureWeights, picture_loss
 from flowsplat.training.rays import PathSpread, step_along_rays
 from flowsplat.training.residuals import add_residuals
-from flowsplat.training.rigidity import Neighbours, find_neighbours, rigid_loss
+from flowsplat.training.rigidity import Neighbors, find_neighbors, rigid_loss
 from flowsplat.training.targets import Targets
 from flowsplat.training.timing import CheckpointTimes
 
@@ -53,7 +53,7 @@ RECORD_EVERY = 10
 """Steps that one entry of the history averages over."""
 
 ALONE = 0.01
-"""Share of the dynamic Gaussians that may be without neighbours until the next search, which takes as long as tens of steps."""
+"""Share of the dynamic Gaussians that may be without neighbors until the next search, which takes as long as tens of steps."""
 
 GOLDEN = (5**0.5 - 1) / 2
 """Its multiples, without what is whole of them, are spread most evenly (Knuth, The Art of Computer Programming 3, 6.4)."""
@@ -71,14 +71,14 @@ class Trainer:
     (``RowCapacity``) and enough slots for their pairs with a tile (``splatting.triton.tiles.PairCapacity``). Both are counted
     before the Gaussians are blended, and read when there is more than that in the GPU's queue: the pairs after the forward pass,
     the Gaussians after the backward pass. Where there were too few, there are more from then on, and the frame is computed again
-    before anything is changed. It does wait every ``RECORD_EVERY`` steps for the history, and where neighbours are searched,
+    before anything is changed. It does wait every ``RECORD_EVERY`` steps for the history, and where neighbors are searched,
     density is controlled, or a preview or a checkpoint is written.
 
     Attributes:
         gaussians: the model so far.
         step: steps done.
         earlier_seconds: what earlier processes took for the steps that this one went on from.
-        history: one entry every ``RECORD_EVERY`` steps: step, loss, colour, flow, rigid, depth, coverage, psnr,
+        history: one entry every ``RECORD_EVERY`` steps: step, loss, color, flow, rigid, depth, coverage, psnr,
             gaussians, active.
     """
 
@@ -99,7 +99,7 @@ class Trainer:
 
         Args:
             observations: training frames.
-            tracks: for an initialisation from tracks.
+            tracks: for an initialization from tracks.
             config: every setting.
             checkpoints: folder to keep the last checkpoint in; None = none.
             preview: called every ``preview_every`` steps with a rendered frame.
@@ -126,13 +126,13 @@ class Trainer:
         self._queue: list[int] = []
         self._capacity = RowCapacity()
         self._all_rows: Active | None = None
-        self._neighbours: Neighbours | None = None
-        self._neighbours_found = 0
+        self._neighbors: Neighbors | None = None
+        self._neighbors_found = 0
         self._recent: list[Entry] = []
         self._average = TailAverage()
         self._times = np.array([frame.time for frame in observations.frames])
-        centres = np.array([frame.camera.center for frame in observations.frames], np.float32)
-        self._path = PathSpread.of(torch.from_numpy(centres), self._device)
+        centers = np.array([frame.camera.center for frame in observations.frames], np.float32)
+        self._path = PathSpread.of(torch.from_numpy(centers), self._device)
         self.gaussians: Gaussians4D
         self._adam: RowAdam
         self._statistics: DensityStatistics
@@ -276,7 +276,7 @@ class Trainer:
             size = math.prod(value.shape[1:])
             result[name] = np.full(size, r.harmonics * rest if name == "sh" else rates[name], np.float32)
             if name == "sh":
-                result[name][:3] = r.colours * rest
+                result[name][:3] = r.colors * rest
             if name == "log_gains":
                 result[name] *= _falloff(size, r.gains_falloff)
         # One copy to the device for all of them.
@@ -327,7 +327,7 @@ class Trainer:
             total = total + config.loss.coverage * coverage
         total.backward()
         entry = {
-            "colour": figures.colour,
+            "color": figures.color,
             "flow": figures.flow,
             "depth": figures.depth,
             "rigid": _number(rigid) if rigid is not None else 0.0,
@@ -353,16 +353,16 @@ class Trainer:
         if min(len(moving), len(self.gaussians)) < 2:
             return None
         dynamic_only = not config.rigid_over_all
-        if self._neighbours is None or self.step >= self._neighbours_found + config.rigid_refresh:
-            self._neighbours = find_neighbours(
-                self.gaussians, self._times.tolist(), config.rigid_neighbours, config.rigid_beta, dynamic_only
+        if self._neighbors is None or self.step >= self._neighbors_found + config.rigid_refresh:
+            self._neighbors = find_neighbors(
+                self.gaussians, self._times.tolist(), config.rigid_neighbors, config.rigid_beta, dynamic_only
             )
-            self._neighbours_found = self.step
+            self._neighbors_found = self.step
         count: int | Tensor = len(self.gaussians)
         if not config.rigid_over_all:
             dynamic = (self.gaussians.dynamic[moving] & (moving >= 0)).sum().clamp(min=1)
             count = dynamic if dynamic.is_cuda else int(dynamic)
-        return rigid_loss(velocities, moving, self._neighbours, count)
+        return rigid_loss(velocities, moving, self._neighbors, count)
 
     def _count(self, targets: PictureTargets, active: Active, rendered: RenderedFrame, visible: Tensor) -> None:
         """Add this picture to the statistics of density control."""
@@ -409,15 +409,15 @@ class Trainer:
         if self._revises:
             _, log_lambda = sampled_frames(len(self.observations), self.config.init)
             moved, rested = revise_dynamic(
-                self.gaussians, self._statistics, config.revise_flow, config.revise_colour, config.revise_rest, self._focal,
+                self.gaussians, self._statistics, config.revise_flow, config.revise_color, config.revise_rest, self._focal,
                 log_lambda,
             )  # fmt: skip
             if moved or rested:
                 self._average.restart()
-                # Those that became dynamic have no neighbours yet, and are those of none. A few can wait for the next search.
+                # Those that became dynamic have no neighbors yet, and are those of none. A few can wait for the next search.
                 dynamic = self.gaussians.dynamic
-                if self._neighbours is not None and float(self._neighbours.alone[dynamic].float().mean()) > ALONE:
-                    self._neighbours = None
+                if self._neighbors is not None and float(self._neighbors.alone[dynamic].float().mean()) > ALONE:
+                    self._neighbors = None
                 say(f"Step {self.step}: {moved:,} background Gaussians turned out to move, {rested:,} moving ones rest.")
         if config.gradient > 0:
             self._adopt(
@@ -436,8 +436,8 @@ class Trainer:
         if result.gaussians is self.gaussians:
             return
         self._adam.reindex(result.index, result.is_new)
-        if self._neighbours is not None:
-            self._neighbours = self._neighbours.reindex(result.index)
+        if self._neighbors is not None:
+            self._neighbors = self._neighbors.reindex(result.index)
         self._average.reindex(result.index, result.is_new)
         self.gaussians = result.gaussians
 
@@ -451,14 +451,14 @@ class Trainer:
         tensors |= {f"average.{name}": value for name, value in self._average.state().items()}
         tensors |= {"dynamic": self.gaussians.dynamic, "movers": self.gaussians.movers}
         tensors |= {"generator": self._generator.get_state()}
-        if self._neighbours is not None:
-            tensors |= {"neighbours.indices": self._neighbours.indices, "neighbours.weights": self._neighbours.weights}
+        if self._neighbors is not None:
+            tensors |= {"neighbors.indices": self._neighbors.indices, "neighbors.weights": self._neighbors.weights}
         values = {
             "step": self.step,
             "sh_degree": self.gaussians.sh_degree,
             "queue": self._queue,
             "rng": self._rng.bit_generator.state,
-            "neighbours_found": self._neighbours_found,
+            "neighbors_found": self._neighbors_found,
             "recent": _read(self._recent),
             "averaged": self._average.count,
             "seconds": self.earlier_seconds + clock.perf_counter() - self._started,
@@ -515,9 +515,9 @@ class Trainer:
         self._queue, self.step = list(values["queue"]), int(values["step"])
         self._recent = [{**entry} for entry in values["recent"]]
         self.history = values["history"]
-        self._neighbours_found = int(values["neighbours_found"])
+        self._neighbors_found = int(values["neighbors_found"])
         self.earlier_seconds = float(values["seconds"])
-        self._neighbours = Neighbours(**group("neighbours")) if "neighbours.indices" in tensors else None
+        self._neighbors = Neighbors(**group("neighbors")) if "neighbors.indices" in tensors else None
 
 
 def _spread_order(count: int, rng: np.random.Generator) -> np.ndarray:

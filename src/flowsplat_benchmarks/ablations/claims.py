@@ -79,7 +79,7 @@ CLAIMS: tuple[Claim, ...] = (
     _from_paper("representation", "no-q", "without q(t): constant rotation", {"model.move_quats": False}, 27.31),
     _from_paper("representation", "no-mu", "without mu(t): a straight line", {"model.move_means": False}, 27.24),
     _from_paper(
-        "training", "random", "without initialisation: random", {"init.from_priors": False}, 25.97,
+        "training", "random", "without initialization: random", {"init.from_priors": False}, 25.97,
         "our settings neither clone nor split, so a random start stays as coarse as it began",
     ),
     _from_paper("training", "no-velocity", "without flow and rigid loss", {"loss.flow": 0.0, "loss.rigid": 0.0}, 24.89),
@@ -119,8 +119,8 @@ CLAIMS: tuple[Claim, ...] = (
     ),
     _ours("no-coverage", "dark surfaces need not cover their pixels", {"loss.coverage": 0.0}),
     _ours("no-depth", "without depth loss", {"loss.depth": 0.0}),
-    _ours("sh-0", "colours of degree 0", {"model.sh_degree": 0}),
-    _ours("sh-2", "colours of degree 2", {"model.sh_degree": 2}, 0),
+    _ours("sh-0", "colors of degree 0", {"model.sh_degree": 0}),
+    _ours("sh-2", "colors of degree 2", {"model.sh_degree": 2}, 0),
     _ours("no-fill", "uncovered pixels stay black", {"fill": False}),
     Claim(
         "baselines",
@@ -137,7 +137,7 @@ CLAIMS: tuple[Claim, ...] = (
     Claim("baselines", Variant("static", "one static scene", kind="static"), -1),
     Claim("baselines", Variant("per-frame", "a static scene for every frame", kind="per_frame"), -1),
 )  # fmt: skip
-"""All rows. ``linear`` is also the baseline with everything else ours. The authors' 4DGS has colours that vary with time."""
+"""All rows. ``linear`` is also the baseline with everything else ours. The authors' 4DGS has colors that vary with time."""
 
 
 def chosen_claims(names: Sequence[str]) -> list[Claim]:

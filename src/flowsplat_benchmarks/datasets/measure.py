@@ -82,7 +82,7 @@ def _births(case: Case) -> np.ndarray | None:
 
 
 def _pictures_a_second(model: SceneModel, scene: Scene) -> float:
-    """Of the clip's size, in colour and depth, from cameras of the clip; the median after a first one, which may compile."""
+    """Of the clip's size, in color and depth, from cameras of the clip; the median after a first one, which may compile."""
     seconds = []
     model.render(scene.cameras[scene.train_frames[0]], float(scene.timestamps[scene.train_frames[0]]))
     for i in scene.train_frames[:: max(1, len(scene.train_frames) // TIMED)]:

@@ -14,7 +14,7 @@ from flowsplat_benchmarks.tables import Column, Result, Table, label, scaled_mea
 
 BASELINES = {
     "copy": "copy of the clip's frame",
-    "blend": "blend of both neighbours",
+    "blend": "blend of both neighbors",
     "flow_interpolation": "flow interpolation (DIS)",
     "warp_by_depth": "warped by true depth",
     "static": "our static scene",

@@ -89,7 +89,7 @@ def has_parallax(scene: Scene) -> bool:
 
 
 def depth_scale(scene: Scene) -> float:
-    """Metres per unit of the scene's depth: 1 where the cameras are true and tell depth.
+    """Meters per unit of the scene's depth: 1 where the cameras are true and tell depth.
 
     Else the median of true over estimated depth over the pixels of all training frames that are static, by the true and by our
     masks, and whose depth is trusted; over all static ones where none is.

@@ -40,9 +40,9 @@ AT_MOVER = 8
 AT_BORDER = 0.04
 """Share of the picture's size from its border."""
 DULL = 4.0
-"""Grey levels of 255: standard deviation in a window of seven pixels."""
+"""Gray levels of 255: standard deviation in a window of seven pixels."""
 
-_COLOURS = np.array(
+_COLORS = np.array(
     [(90, 90, 90), (255, 60, 60), (255, 150, 0), (255, 230, 0), (180, 110, 255), (0, 190, 255), (60, 90, 255), (120, 220, 160),
      (200, 200, 200), (20, 20, 20)], np.uint8,
 )  # fmt: skip
@@ -122,8 +122,8 @@ def _near_border(shape: tuple[int, ...]) -> np.ndarray:
 def _classes(image: np.ndarray, depth: np.ndarray, moves: np.ndarray, seen: np.ndarray, near_border: np.ndarray) -> np.ndarray:
     nearness = np.where(depth > 0, 1 / np.maximum(depth, 1e-9), 0).astype(np.float32)
     around = np.ones((2 * AT_EDGE + 1, 2 * AT_EDGE + 1), np.uint8)
-    grey = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY).astype(np.float32)
-    variance = cv2.blur(grey**2, (7, 7)) - cv2.blur(grey, (7, 7)) ** 2
+    gray = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY).astype(np.float32)
+    variance = cv2.blur(gray**2, (7, 7)) - cv2.blur(gray, (7, 7)) ** 2
     beyond = np.pad(nearness, THIN, mode="reflect", reflect_type="odd")  # slopes go on beyond the border
     opened = cv2.morphologyEx(beyond, cv2.MORPH_OPEN, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (THIN, THIN)))
     wide = opened[THIN:-THIN, THIN:-THIN]
@@ -146,7 +146,7 @@ def _classes(image: np.ndarray, depth: np.ndarray, moves: np.ndarray, seen: np.n
 
 
 def _jumps(nearness: np.ndarray) -> np.ndarray:
-    """[H, W] bool: the nearer of two neighbouring pixels between which depth jumps; second differences, so that slopes do not."""
+    """[H, W] bool: the nearer of two neighboring pixels between which depth jumps; second differences, so that slopes do not."""
     jumps = np.zeros(nearness.shape, bool)
     for axis in (0, 1):
         moved = np.moveaxis(nearness, axis, 0)
@@ -168,7 +168,7 @@ def view_errors(scene: Scene, renders: Path) -> dict[str, Any] | None:
 
     Returns:
         ``views`` their names, ``pixels`` and ``squared`` a list for each view with a number for each of ``CLASSES``; squared
-        is the sum over pixels of the mean square over the colours, these between 0 and 1. None without views.
+        is the sum over pixels of the mean square over the colors, these between 0 and 1. None without views.
     """
     classes = PixelClasses(scene)
     names, pixels, squared = [], [], []
@@ -236,13 +236,13 @@ def error_sheet(scene: Scene, renders: Path, views: Sequence[str]) -> np.ndarray
         path = renders / f"{view.name}.png"
         if view.name in views and path.exists():
             target, image = scene.view_image(view), read_image(path)
-            kinds = (0.3 * target + 0.7 * _COLOURS[classes.of_view(view)]) / 255
+            kinds = (0.3 * target + 0.7 * _COLORS[classes.of_view(view)]) / 255
             panels = (target, image, error_to_color(target, image), float_to_bytes(kinds))
             rows.append(side_by_side(panels, ("truth", "rendered", "error", "classes")))
     return stacked(rows) if rows else None
 
 
 def legend() -> np.ndarray:
-    """The colours of the classes in ``error_sheet`` with their names, [24, W, 3] uint8."""
-    swatches = [np.full((24, 110, 3), colour, np.uint8) for colour in _COLOURS]
+    """The colors of the classes in ``error_sheet`` with their names, [24, W, 3] uint8."""
+    swatches = [np.full((24, 110, 3), color, np.uint8) for color in _COLORS]
     return side_by_side(swatches, CLASSES)

@@ -79,7 +79,7 @@ MEAN_CLIPS, MEAN_TARGET = 4, 0.7
 DEFINITIONS = (
     "Everything is computed from the pictures alone: no focal length, no masks. Rig scenes train on all frames; DAVIS clips hold "
     "out every tenth, and their masks are seen by the measurement only.",
-    "Flow: pooled over the pixels of all pairs of neighbours, both ways (of the pair: one way). On a rig scene the flow of hidden "
+    "Flow: pooled over the pixels of all pairs of neighbors, both ways (of the pair: one way). On a rig scene the flow of hidden "
     "pixels is known and counts. A pixel is kept when its confidence is one half or more; on the pair every pixel with known flow "
     "counts as having a match.",
     "Cameras: rotations are aligned first, then scale and translation. Depth: at the scale that aligns the camera path; every "

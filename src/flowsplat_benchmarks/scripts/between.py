@@ -105,13 +105,13 @@ def measure(scene: Scene, world: World, config: TrainConfig, pictures: Path | No
     found: dict[str, list[dict[str, tuple[float, int]]]] = {"held out": [], "flow interpolation": [], "trained": []}
     for i in scene.heldout_frames:
         target, kinds = to_float(scene.heldout_frame(i)), kinds_of(world, i)
-        image = model.render(scene.cameras[i], float(scene.timestamps[i])).colour
+        image = model.render(scene.cameras[i], float(scene.timestamps[i])).color
         found["held out"].append(errors(image, target, kinds))
         found["flow interpolation"].append(errors(predict_frame(scene, i)["flow_interpolation"], target, kinds))
         if pictures is not None:
             write_image(pictures / f"{scene.name}_{i:05d}.png", float_to_bytes(np.concatenate([target, image], 1)))
         k = i - 1
-        image = model.render(scene.cameras[k], float(scene.timestamps[k])).colour
+        image = model.render(scene.cameras[k], float(scene.timestamps[k])).color
         found["trained"].append(errors(image, to_float(scene.frame(k)), kinds_of(world, k)))
     return {what: _added(frames) for what, frames in found.items()}
 

@@ -3,7 +3,7 @@
     python -m flowsplat_benchmarks.scripts.edges OUT --preset fast                  # all of them, about an hour on two cores
     python -m flowsplat_benchmarks.scripts.edges OUT --only portrait "static camera"
 
-Every tenth frame is held out and compared with what flow interpolation makes of its neighbours; of the wide pictures, a sixth of
+Every tenth frame is held out and compared with what flow interpolation makes of its neighbors; of the wide pictures, a sixth of
 a second apart, every fourth. ``OUT/<edge>_<preset>/run/`` is the run, ``OUT/<edge>_<preset>.json`` its figures, ``OUT/edges.md``
 the table of all presets; the same command again goes on where it was stopped.
 """

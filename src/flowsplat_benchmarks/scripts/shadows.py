@@ -77,7 +77,7 @@ def measure(scene: Scene, model: SceneModel, world: World) -> dict[str, tuple[fl
         hidden = cv2.dilate(scene.mask(i), np.ones((5, 5), np.uint8)) > 0
         shadow = (cv2.blur((target - seen).mean(-1), (3, 3)) > DARKER) & ~hidden
         kinds = dict(zip(KINDS, (np.ones_like(hidden), shadow, hidden, ~hidden & ~shadow), strict=True))
-        pictures = [each.part("background").render(scene.cameras[i], float(scene.timestamps[i])).colour for each in (model, lit)]
+        pictures = [each.part("background").render(scene.cameras[i], float(scene.timestamps[i])).color for each in (model, lit)]
         for kind, where in kinds.items():
             sums[kind] += [*(((picture - target) ** 2).mean(-1)[where].sum() for picture in pictures), where.sum()]
     found = {}

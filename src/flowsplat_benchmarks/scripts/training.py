@@ -68,7 +68,7 @@ class Pictures:
         model = scene_model(self._scene, gaussians, config)
         found: dict[str, list[float]] = {"all": [], "moving": []}
         for camera, seconds, target, mask in self._tests:
-            scores = score_picture(model.render(camera, seconds).colour, target / np.float32(255), {"moving": mask}, None)
+            scores = score_picture(model.render(camera, seconds).color, target / np.float32(255), {"moving": mask}, None)
             found["all"].append(scores["psnr"])
             if scores["moving"] is not None:
                 found["moving"].append(scores["moving"]["psnr"])

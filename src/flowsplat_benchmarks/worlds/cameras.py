@@ -41,7 +41,7 @@ def draw_path(rng: np.random.Generator, kind: CameraKind, stand: Stand, distance
     """A random path of a kind.
 
     Args:
-        distance: metres to what is nearest of what matters.
+        distance: meters to what is nearest of what matters.
         leader: the mover that ``following`` follows.
     """
     ahead = stand.target - stand.place
@@ -123,7 +123,7 @@ def _following(
     middle, target, duration = around.stand.place, around.stand.target, around.duration
     share = rng.uniform(0.4, 1.0)
     # What swings or flaps is followed only as far as it travels.
-    ends = leader.centre(np.array([0.0, duration]))
+    ends = leader.center(np.array([0.0, duration]))
     travel = (ends[1] - ends[0]) * [1, 1, 0] / duration
 
     def following(times: np.ndarray) -> Views:

@@ -78,21 +78,21 @@ def _place(rng: np.random.Generator, seed: int, plan: Plan, size: tuple[int, int
     rich = bool(rng.random() < 0.6)
     movers = draw_movers(rng, plan, scale, ground, duration)
     times = np.linspace(0, duration, _CHECK_FRAMES)
-    centres = np.stack([mover.centre(times) for mover in movers])
-    if centres[..., 1].min() < 0.8:
+    centers = np.stack([mover.center(times) for mover in movers])
+    if centers[..., 1].min() < 0.8:
         return None
-    nearest, furthest = float(np.linalg.norm(centres, axis=-1).min()), float(centres[..., 1].max())
+    nearest, furthest = float(np.linalg.norm(centers, axis=-1).min()), float(centers[..., 1].max())
     if plan.ground == "none" and plan.raised:
-        front = float(centres[..., 1].min()) - rng.uniform(0.6, 1.0) - max(reach(mover, times) for mover in movers)
+        front = float(centers[..., 1].min()) - rng.uniform(0.6, 1.0) - max(reach(mover, times) for mover in movers)
         if front < 1.2:
             return None
         ground = Ground(ground.kind, ground.gradient, ground.direction, front=front)
-    stand = draw_stand(rng, plan, scale, ground, centres, furthest)
+    stand = draw_stand(rng, plan, scale, ground, centers, furthest)
     leader = movers[int(rng.integers(len(movers)))]
     path = draw_path(rng, plan.camera, stand, nearest, duration, leader)
     surface = draw_material(rng, 1.5, rich and bool(rng.random() < 0.8))
     static = [draw_sky(rng), *ground.parts(surface), *(placed for mover in movers for placed in mover.support)]
-    for placed in draw_scenery(rng, plan, ground, centres, scale, furthest, rich):
+    for placed in draw_scenery(rng, plan, ground, centers, scale, furthest, rich):
         if all(apart(placed, mover, times) for mover in movers):
             static.append(placed)
     up = np.radians(rng.uniform(30, 65))
@@ -120,7 +120,7 @@ def _is_in_sight(world: World, plan: Plan) -> bool:
     for time in np.linspace(0, world.duration, _CHECK_FRAMES):
         camera = world.camera_at(time, width, height)
         hits = world.cast(camera, time, grid)
-        uv = camera.project(np.concatenate([mover.centre(np.array([time])) for mover in world.movers]))[0]
+        uv = camera.project(np.concatenate([mover.center(np.array([time])) for mover in world.movers]))[0]
         inside.append(((uv >= 0) & (uv <= [width, height])).all(1))
         shares.append(np.bincount(world.numbers[hits.part], minlength=len(world.movers) + 1)[1:] / len(grid))
         boxes = np.array([part.size[2] for part in world.parts[1 : count + 1]])

@@ -31,7 +31,7 @@ DANCING = (0.5, 0.9)
 """The same of dancers."""
 
 NEAREST, FURTHEST = 1.4, 24.0
-"""Metres between which movers are drawn."""
+"""Meters between which movers are drawn."""
 
 
 @dataclass(frozen=True)
@@ -43,12 +43,12 @@ class Scale:
     aspect: float
 
     def distance(self, rng: np.random.Generator, size: float, apparent: tuple[float, float] = APPARENT) -> float:
-        """Metres at which something ``size`` metres tall has a random size in the picture."""
+        """Meters at which something ``size`` meters tall has a random size in the picture."""
         share = np.exp(rng.uniform(*np.log(apparent)))
         return float(np.clip(size * self.focal * self.aspect / share, NEAREST, FURTHEST))
 
     def wide(self, distance: float) -> float:
-        """Metres across the picture there."""
+        """Meters across the picture there."""
         return distance / self.focal
 
 
@@ -78,7 +78,7 @@ def _spot(scale: Scale, place: float, distance: float) -> np.ndarray:
 
 
 def _speed(rng: np.random.Generator, low: float, high: float, scale: Scale, distance: float, duration: float) -> float:
-    """Metres a second, so that at most 0.7 widths of the picture are crossed."""
+    """Meters a second, so that at most 0.7 widths of the picture are crossed."""
     return float(min(rng.uniform(low, high), 0.7 * scale.wide(distance) / duration))
 
 
@@ -120,7 +120,7 @@ def _draw_mover(
         return pendulum(rng, ground, _spot(scale, place, max(distance, 2.0)), rng.uniform(0, 2 * np.pi), radius, duration, rich)
     thrown = kind == "thrown"
     if thrown:
-        # It rises three metres and more: the picture has to be that high where it flies.
+        # It rises three meters and more: the picture has to be that high where it flies.
         distance = max(distance, rng.uniform(3.2, 5.0) * scale.focal * scale.aspect)
     speed = _speed(rng, 0.3, 3.0, scale, distance, duration)
     return in_the_air(rng, ground, _spot(scale, place, distance), heading, radius, speed, duration, rich, not thrown)
@@ -178,7 +178,7 @@ def _draw_touching(rng: np.random.Generator, kinds: tuple[Kind, ...], scale: Sca
 
 
 def _repainted(rng: np.random.Generator, mover: Mover, rich: bool) -> Mover:
-    """The same with other colours, parts that shared one still sharing it."""
+    """The same with other colors, parts that shared one still sharing it."""
     new: dict[bytes, np.ndarray] = {}
     parts = []
     for part in mover.parts:

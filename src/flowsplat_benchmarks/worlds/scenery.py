@@ -13,11 +13,11 @@ from flowsplat_benchmarks.worlds.movers import Scale
 from flowsplat_benchmarks.worlds.plan import Plan
 
 SKY = 90.0
-"""Metres to where the sky is painted."""
+"""Meters to where the sky is painted."""
 
 
 def draw_ground(rng: np.random.Generator, kind: GroundKind, distance: float) -> Ground:
-    """A random ground of a kind; ``distance``: metres at which most happens."""
+    """A random ground of a kind; ``distance``: meters at which most happens."""
     still, forward = np.zeros(2), np.array([0.0, 1.0])
     if kind == "slope":
         angle, steep = rng.uniform(0, 2 * np.pi), rng.uniform(0.05, 0.18)
@@ -30,9 +30,9 @@ def draw_ground(rng: np.random.Generator, kind: GroundKind, distance: float) -> 
     return Ground(kind, still, forward)
 
 
-def draw_stand(rng: np.random.Generator, plan: Plan, scale: Scale, ground: Ground, centres: np.ndarray, furthest: float) -> Stand:
+def draw_stand(rng: np.random.Generator, plan: Plan, scale: Scale, ground: Ground, centers: np.ndarray, furthest: float) -> Stand:
     place = np.array([rng.normal() * 0.2, rng.normal() * 0.2, 0.0])
-    target = centres.mean((0, 1)) + rng.normal(size=3) * [0.1, 0, 0.08] * np.linalg.norm(centres.mean((0, 1)))
+    target = centers.mean((0, 1)) + rng.normal(size=3) * [0.1, 0, 0.08] * np.linalg.norm(centers.mean((0, 1)))
     if plan.ground == "none" and plan.raised:
         place[2] = -rng.uniform(0.05, 0.35)
     else:
@@ -56,7 +56,7 @@ def draw_sky(rng: np.random.Generator) -> Placed:
 
 
 def draw_scenery(
-    rng: np.random.Generator, plan: Plan, ground: Ground, centres: np.ndarray, scale: Scale, furthest: float, rich: bool
+    rng: np.random.Generator, plan: Plan, ground: Ground, centers: np.ndarray, scale: Scale, furthest: float, rich: bool
 ) -> list[Placed]:
     """Walls behind, and boxes, pillars and balls beside, behind and before the movers."""
     found = []
@@ -80,7 +80,7 @@ def draw_scenery(
         at = np.array([rng.uniform(-0.5, 0.5) * scale.wide(far), far + 0.3])
         put(box(half, material(2.0)), at, half[2], rng.uniform(-0.4, 0.4))
     for _ in range(int(rng.integers(4, 12))):
-        far = rng.uniform(0.7, 1.5) * float(rng.choice(centres.mean(1)[:, 1]))
+        far = rng.uniform(0.7, 1.5) * float(rng.choice(centers.mean(1)[:, 1]))
         at = np.array([rng.uniform(-0.6, 0.6) * scale.wide(far), far])
         size = rng.uniform(0.03, 0.14) * scale.wide(far)
         if ground.front > 0 and at[1] - 1.5 * size < ground.front:
@@ -97,7 +97,7 @@ def draw_scenery(
             put(cylinder(0.8 * size, 0.8 * size, material(2 * size)), at, 0.8 * size, 0.0)
     for _ in range(int(rng.integers(0, 3))):
         # Posts before the movers; thin, so that these are hidden for a while only.
-        far = rng.uniform(0.4, 0.85) * float(rng.choice(centres.mean(1)[:, 1]))
+        far = rng.uniform(0.4, 0.85) * float(rng.choice(centers.mean(1)[:, 1]))
         if far < 1.2 or (ground.front > 0 and far < ground.front + 0.2):
             continue
         thick = rng.uniform(0.008, 0.025) * scale.wide(far)

@@ -19,7 +19,7 @@ MOVERS = "movers.json"
 def write_world(folder: Path, world: World, holdout: int | None = None) -> Scene:
     """Render a world into a scene folder, without any prior.
 
-    The truth has cameras, depth, masks, tracks, flow both ways between neighbouring frames and neighbouring training frames, and
+    The truth has cameras, depth, masks, tracks, flow both ways between neighboring frames and neighboring training frames, and
     ``MOVERS``.
 
     Args:

@@ -106,7 +106,7 @@ def test_what_is_left_out_is_told(tmp_path):
 def test_one_run_tells_nothing(tmp_path):
     report.write_report(tmp_path, [result("full", 31.0), result("sh-0", 29.0)], {})
     text = (tmp_path / "ablations.md").read_text()
-    (row,) = [line for line in text.splitlines() if line.startswith("| colours of degree 0")]
+    (row,) = [line for line in text.splitlines() if line.startswith("| colors of degree 0")]
     assert "| one run |" in row
 
 

@@ -75,7 +75,7 @@ def test_ablations_continue(runs_root, tmp_path, measured, capsys):
     call(*arguments)
     assert len(measured) == 16
     assert "Seeds 0, 1; 1,500 frame-steps." in (tmp_path / "ablations.md").read_text()
-    assert "colours of degree 0" in (tmp_path / "ablations.md").read_text()
+    assert "colors of degree 0" in (tmp_path / "ablations.md").read_text()
     assert "no row 'x'" in refuse(capsys, "ablations", runs_root, "-o", tmp_path, "--rows", "x")
     assert "no scene 'train'" in refuse(capsys, "ablations", runs_root, "-o", tmp_path)
 
@@ -95,8 +95,8 @@ def test_results_of_other_settings_are_not_compared(runs_root, tmp_path, measure
     call(*arguments, "sh-2")
     text = (tmp_path / "ablations.md").read_text()
     assert len(measured) == 8, "the first row of the table is measured anew"
-    assert "colours of degree 2" in text
-    assert "colours of degree 0" not in text
+    assert "colors of degree 2" in text
+    assert "colors of degree 0" not in text
     assert "left out here: 2." in text
 
 

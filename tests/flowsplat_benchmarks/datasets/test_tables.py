@@ -47,7 +47,7 @@ def test_davis_beside_the_paper():
     assert own["bear, *tuned*"] == "30.00"
     assert own["lucia"] == NOTHING
     assert rows["flow interpolation (DIS)"]["bear, *tuned*"] == "30.75"
-    assert "blend of both neighbours" not in rows  # nothing was measured
+    assert "blend of both neighbors" not in rows  # nothing was measured
     assert [psnr.rows[k][0][:9] for k in psnr.strong] == ["flowsplat"] * 2
     lpips = rows_of(found[2])
     assert lpips["flowsplat, given masks, default"]["bear, *tuned*"] == NOTHING

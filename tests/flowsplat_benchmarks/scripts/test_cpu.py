@@ -204,7 +204,7 @@ def test_a_step_has_its_parts(result):
     for preset in result["training"]["presets"].values():
         assert {"slicing: slice_gaussians", "splatting: blend", "gradient of blend", "adam: step"} <= set(preset["parts"])
         assert preset["active"] <= preset["gaussians"] / 2
-        assert preset["neighbours_ms"] > 0
+        assert preset["neighbors_ms"] > 0
 
 
 def test_the_page_shows_every_part(result):
@@ -254,7 +254,7 @@ def test_what_fresh_processes_do(monkeypatch):
     for name in ("picture_loss", "rigid_loss", "coverage_loss"):
         counted(name)
     exec(startup.ACTIONS["import flowsplat, one picture"])
-    assert [picture.colour.shape for picture in pictures] == [(480, 854, 3)]
+    assert [picture.color.shape for picture in pictures] == [(480, 854, 3)]
     assert (pictures[0].alpha > 0.5).mean() > 0.05
     assert not trained
     exec(startup.ACTIONS["import flowsplat, one training step"])

@@ -27,7 +27,7 @@ def test_the_clips_are_what_they_are_called():
     wide = edges.EDGES["12 wide pictures"].clip
     steps = [np.linalg.norm(wide.camera(i + 1).center - wide.camera(i).center) for i in range(11)]
     assert wide.frames == 12
-    assert min(steps) > 0.05, "metres, where the scene is five away"
+    assert min(steps) > 0.05, "meters, where the scene is five away"
 
 
 def test_masks_are_compared_with_the_true_ones(tmp_path):

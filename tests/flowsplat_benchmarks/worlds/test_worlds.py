@@ -151,9 +151,9 @@ def test_what_touches_the_ground_stands_on_it(seed):
             # No slip: the point that touches the ground does not move.
             part = 0 if mover.kind == "rolling" else 2
             R, c = mover.poses(times)
-            turns, centres = mover.poses(times[60] + np.array([-1e-5, 1e-5]))
+            turns, centers = mover.poses(times[60] + np.array([-1e-5, 1e-5]))
             local = R[60, part].T @ (points[60, 0] - c[60, part])
-            way = np.diff(turns[:, part] @ local + centres[:, part], axis=0)
+            way = np.diff(turns[:, part] @ local + centers[:, part], axis=0)
             assert np.linalg.norm(way) / 2e-5 < 1e-2
         if mover.kind == "bouncing":
             assert mover.instants

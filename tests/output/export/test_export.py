@@ -30,7 +30,7 @@ from flowsplat.output.export.still import still_at, turned_harmonics
 from flowsplat.priors.given.colmap import read_colmap
 from flowsplat.scenes import Scene
 from flowsplat.splatting import rasterize
-from flowsplat.splatting.harmonics import colours_from_harmonics
+from flowsplat.splatting.harmonics import colors_from_harmonics
 from flowsplat.splatting.rules import C0
 from tests.output.small import (
     FIRST,
@@ -66,9 +66,9 @@ def drawn(
     camera: Camera, near: float,
 ) -> np.ndarray:  # fmt: skip
     """[H, W, 3] what was read from a file, drawn by the oracle."""
-    colours = colours_from_harmonics(sh, means - torch.as_tensor(camera.center), int(sh.shape[1] ** 0.5) - 1)
+    colors = colors_from_harmonics(sh, means - torch.as_tensor(camera.center), int(sh.shape[1] ** 0.5) - 1)
     return rasterize(
-        means, quats, log_scales.exp(), logit_opacities.sigmoid(), colours, *camera.tensors(torch.float64), camera.width,
+        means, quats, log_scales.exp(), logit_opacities.sigmoid(), colors, *camera.tensors(torch.float64), camera.width,
         camera.height, near_plane=near, backend="reference",
     )[0].numpy()  # fmt: skip
 
@@ -144,8 +144,8 @@ def test_turned_harmonics_look_the_same_along_turned_directions():
     generator = torch.Generator().manual_seed(1)
     sh, directions = torch.randn(50, 16, 3, generator=generator), torch.randn(50, 3, generator=generator)
     R = torch.from_numpy(TURNED)
-    found = colours_from_harmonics(turned_harmonics(sh, R), directions @ R.float().T, 3)
-    torch.testing.assert_close(found, colours_from_harmonics(sh, directions, 3), atol=1e-5, rtol=1e-5)
+    found = colors_from_harmonics(turned_harmonics(sh, R), directions @ R.float().T, 3)
+    torch.testing.assert_close(found, colors_from_harmonics(sh, directions, 3), atol=1e-5, rtol=1e-5)
 
 
 def test_a_sequence_has_a_file_a_frame_and_replaces_an_older_one(tmp_path, run):
@@ -170,14 +170,14 @@ def test_splat_holds_32_bytes_a_gaussian_largest_first(tmp_path, run):
     still = still_at(model, (FIRST + LAST) / 2)
     assert RECORD.itemsize == 32
     assert len(records) == len(still.means)
-    volume = records["scale"].prod(1) * records["colour"][:, 3]
+    volume = records["scale"].prod(1) * records["color"][:, 3]
     assert volume[:50].mean() > volume[-50:].mean()
     nearest = np.abs(records["position"][:, None] - still.means.numpy()[None]).sum(2).argmin(1)
     assert sorted(nearest) == list(range(len(records)))
     np.testing.assert_allclose(records["scale"], np.exp(still.log_scales.numpy()[nearest]), rtol=1e-5)
-    np.testing.assert_allclose(records["colour"][:, 3] / 255, still.opacities.numpy()[nearest], atol=0.003)
-    colours = np.clip(0.5 + C0 * still.sh[:, 0].numpy()[nearest], 0, 1)
-    np.testing.assert_allclose(records["colour"][:, :3] / 255, colours, atol=0.003)
+    np.testing.assert_allclose(records["color"][:, 3] / 255, still.opacities.numpy()[nearest], atol=0.003)
+    colors = np.clip(0.5 + C0 * still.sh[:, 0].numpy()[nearest], 0, 1)
+    np.testing.assert_allclose(records["color"][:, :3] / 255, colors, atol=0.003)
     np.testing.assert_allclose((records["rotation"] - 128.0) / 128, still.quats.numpy()[nearest], atol=0.009)
 
 
@@ -233,7 +233,7 @@ def test_all_parameters_come_back_from_both_containers(tmp_path, run):
         Similarity.from_json(about["similarity"]), about["first"], about["last"], fill=False,
     )  # fmt: skip
     camera, seconds = five_pairs(model)[0]
-    np.testing.assert_array_equal(again.render(camera, seconds).colour, model.render(camera, seconds).colour)
+    np.testing.assert_array_equal(again.render(camera, seconds).color, model.render(camera, seconds).color)
 
 
 def test_cameras_come_back_from_colmap_and_nerfstudio(tmp_path, run):

@@ -45,7 +45,7 @@ def read_back(array: QuantizedArray) -> np.ndarray:
 
 @pytest.mark.parametrize("bits", [8, 16])
 def test_quantized_arrays_round_trip_within_half_a_step(bits):
-    values = np.random.default_rng(0).normal(size=(1000, 3)).cumsum(0)  # neighbours are alike: delta-coded
+    values = np.random.default_rng(0).normal(size=(1000, 3)).cumsum(0)  # neighbors are alike: delta-coded
     array = quantized_to_range("x", values, bits, tail=0)
     assert array.encoded()[0]["delta"]
     np.testing.assert_array_equal(read_back(array), array.values)

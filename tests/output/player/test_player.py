@@ -78,9 +78,9 @@ def test_pictures_are_those_of_our_own_renderer(open_page, tmp_path, config, opt
     model = small_model(config, **options)
     page = open_page(small_player(tmp_path / "player.html", model))
     for camera, seconds in five_pairs(model):
-        assert psnr(picture_of(page, camera, seconds), model.render(camera, seconds).colour) > 37
+        assert psnr(picture_of(page, camera, seconds), model.render(camera, seconds).color) > 37
     large = five_pairs(model)[3][0].resized(2 * WIDTH + 1, 2 * HEIGHT - 1)
-    assert psnr(picture_of(page, large, 1.3), model.render(large, 1.3).colour) > 37
+    assert psnr(picture_of(page, large, 1.3), model.render(large, 1.3).color) > 37
     assert page.complaints == []
 
 
@@ -95,10 +95,10 @@ def test_guesses_fade_as_in_our_own_renderer(open_page, tmp_path):
     own, seconds = small_cameras(model)[4], small_times()[4]
     away = replace(own, viewmat=own.viewmat + np.array([[0, 0, 0, 0.5], *np.zeros((3, 4))]))
     for camera in (own, away):
-        assert psnr(picture_of(page, camera, seconds), fading.render(camera, seconds).colour) > 34
-    assert psnr(picture_of(page, away, seconds), known.render(away, seconds).colour) < 25
+        assert psnr(picture_of(page, camera, seconds), fading.render(camera, seconds).color) > 34
+    assert psnr(picture_of(page, away, seconds), known.render(away, seconds).color) < 25
     page.page.locator("#fading").uncheck()
-    assert psnr(picture_of(page, away, seconds), known.render(away, seconds).colour) > 34
+    assert psnr(picture_of(page, away, seconds), known.render(away, seconds).color) > 34
     assert page.complaints == []
 
 
@@ -115,14 +115,14 @@ def test_a_portrait_clip_fits_the_page(open_page, tmp_path):
     stage = page.page.locator("#stage").bounding_box()
     assert box["width"] / box["height"] == pytest.approx(HEIGHT / WIDTH, abs=0.01)
     assert box["height"] == pytest.approx(stage["height"], abs=2)
-    assert psnr(picture_of(page, cameras[4], 1.5), model.render(cameras[4], 1.5).colour) > 37
+    assert psnr(picture_of(page, cameras[4], 1.5), model.render(cameras[4], 1.5).color) > 37
 
 
 def test_pictures_without_float_targets_and_without_workers(open_page, player_file):
     model = small_model()
     page = open_page(player_file, NO_FLOATS + "window.Worker = class { constructor() { throw new Error('none'); } };")
     for camera, seconds in five_pairs(model):
-        assert psnr(picture_of(page, camera, seconds), model.render(camera, seconds).colour) > 30
+        assert psnr(picture_of(page, camera, seconds), model.render(camera, seconds).color) > 30
     assert page.complaints == []
 
 
@@ -131,7 +131,7 @@ def test_a_worker_that_does_not_start_is_not_waited_for(open_page, player_file):
     page = open_page(player_file, silent)
     model = small_model()
     camera, seconds = five_pairs(model)[0]
-    assert psnr(picture_of(page, camera, seconds), model.render(camera, seconds).colour) > 30
+    assert psnr(picture_of(page, camera, seconds), model.render(camera, seconds).color) > 30
     assert page.complaints == []
 
 
@@ -211,7 +211,7 @@ def test_an_orbit_keeps_its_target_in_the_middle(open_page, player_file):
     shown = page.page.evaluate("""() => {
       const free = flowsplat.state.free;
       flowsplat.state.setMode("orbit");
-      const target = plus(free.centre, rowsOf(free.rotation)[2], free.distance);
+      const target = plus(free.center, rowsOf(free.rotation)[2], free.distance);
       free.orbit(0.4, 5);  // more than the poles allow
       free.zoom(0.5);
       const { rotation, translation } = free.camera;
@@ -253,7 +253,7 @@ def test_parts_are_those_of_our_own_renderer(open_page, tmp_path, part):
     page = open_page(small_player(tmp_path / "player.html", model))
     page.page.locator("#part").select_option(part)
     for camera, seconds in five_pairs(model)[1:4]:
-        assert psnr(picture_of(page, camera, seconds), model.part(part).render(camera, seconds).colour) > 37
+        assert psnr(picture_of(page, camera, seconds), model.part(part).render(camera, seconds).color) > 37
     assert page.complaints == []
 
 
@@ -269,8 +269,8 @@ def test_movers_farther_away_and_nearer_are_those_of_our_own_renderer(open_page,
     moved = model.at_distances(factors, small_times(), small_cameras(model))
     for camera, seconds in five_pairs(model):
         found = picture_of(page, camera, seconds)
-        assert psnr(found, moved.render(camera, seconds).colour) > (30 if init else 37)
-        assert psnr(found, model.render(camera, seconds).colour) < 28
+        assert psnr(found, moved.render(camera, seconds).color) > (30 if init else 37)
+        assert psnr(found, model.render(camera, seconds).color) < 28
     assert page.complaints == []
 
 
@@ -280,7 +280,7 @@ def test_one_mover_alone_looks_the_same_to_the_clips_camera_however_far_it_is(op
     page.page.locator("#part").select_option("movers:2")
     clip, aside = five_pairs(model)[1], five_pairs(model)[3]
     before = [picture_of(page, *pair) for pair in (clip, aside)]
-    assert psnr(before[0], model.part("movers:2").render(*clip).colour) > 37
+    assert psnr(before[0], model.part("movers:2").render(*clip).color) > 37
     page.page.evaluate("flowsplat.state.setDistance(1, 2.0); flowsplat.state.setDistance(9, 2.0)")
     assert psnr(picture_of(page, *aside), before[1]) > 60, "the other one, and one that is not there"
     page.page.evaluate("flowsplat.state.setDistance(2, 1.8)")
@@ -340,7 +340,7 @@ def test_two_eyes_see_the_scene_from_their_own_places(open_page, player_file):
     for k, side in enumerate((-1, 1)):
         eye = shifted(camera, side * RenderOptions.eye_distance / 2 * depth, depth)
         half = found[top : top + height, left + k * width : left + (k + 1) * width, ::-1] / 255
-        assert psnr(half, model.render(eye, (FIRST + LAST) / 2).colour) > 35
+        assert psnr(half, model.render(eye, (FIRST + LAST) / 2).color) > 35
     assert page.complaints == []
 
 
@@ -370,7 +370,7 @@ def test_cameras_that_move_by_themselves(open_page, player_file):
     page.page.locator("#camera").select_option("steady")
     row = page.page.evaluate("flowsplat.about.steadyPath[flowsplat.about.steadyPath.length - 1]")
     page.page.locator("#time").fill("1")
-    np.testing.assert_allclose(page.page.evaluate("centreOf(flowsplat.state.camera())"), row[1:4], atol=1e-5)
+    np.testing.assert_allclose(page.page.evaluate("centerOf(flowsplat.state.camera())"), row[1:4], atol=1e-5)
     assert page.complaints == []
 
 

@@ -10,7 +10,7 @@ import torch
 
 from flowsplat.geometry import Camera, Similarity
 from flowsplat.splatting import rasterize
-from flowsplat.splatting.harmonics import colours_from_harmonics
+from flowsplat.splatting.harmonics import colors_from_harmonics
 
 
 def unpack(about: dict[str, Any], data: bytes) -> dict[str, np.ndarray]:
@@ -64,16 +64,16 @@ def show(about: dict[str, Any], arrays: dict[str, np.ndarray], camera: Camera, s
     opacities = arrays["opacities"][:, 0].copy()
     opacities[resting:] *= np.where(presence >= about["pMin"], presence, 0)
     degree = about["shDegree"]
-    sh = arrays["colours"]
+    sh = arrays["colors"]
     if degree:
         sh = np.concatenate([sh, arrays["harmonics"]], 1)
     moved = Similarity.from_json(about["similarity"]).camera(camera)
     directions = torch.from_numpy(means) - torch.as_tensor(moved.center, dtype=torch.float32)
-    colours = colours_from_harmonics(torch.from_numpy(sh.reshape(len(means), -1, 3)), directions, degree).numpy()
+    colors = colors_from_harmonics(torch.from_numpy(sh.reshape(len(means), -1, 3)), directions, degree).numpy()
     if about["gains"]:
         cosines = np.cos(np.pi * t * np.arange(1, about["gains"] + 1))
-        colours[:resting] *= np.exp(arrays["gains"] @ cosines)[:, None]
-    inputs = [means, quats, np.exp(arrays["logScales"]), opacities, colours]
+        colors[:resting] *= np.exp(arrays["gains"] @ cosines)[:, None]
+    inputs = [means, quats, np.exp(arrays["logScales"]), opacities, colors]
     tensors = [torch.from_numpy(np.ascontiguousarray(a, np.float32)) for a in inputs]
     size = moved.width, moved.height
     return rasterize(*tensors, *moved.tensors(), *size, near_plane=about["near"], eps2d=about["eps2d"], backend=backend)[0].numpy()

@@ -1,4 +1,4 @@
-"""What only a 4D scene can do: parts, slow motion, stabilised paths, dolly zooms, stereo pairs and wiggles, on a made scene."""
+"""What only a 4D scene can do: parts, slow motion, stabilized paths, dolly zooms, stereo pairs and wiggles, on a made scene."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from flowsplat.geometry import Camera
 from flowsplat.geometry.paths import CameraPath, dolly_zoom, shifted
 from flowsplat.output.videos import RenderOptions, render_videos, rendered
 from flowsplat.output.videos.plans import plan_videos, subject_distance
-from flowsplat.output.videos.stabilised import covered_share, stabilise
+from flowsplat.output.videos.stabilized import covered_share, stabilize
 from flowsplat.scenes import Scene
 from flowsplat.training.checkpoint import load_model
 from tests.output.tiny import FPS, FRAMES, MOVER, WALL, frames_of, red, tiny_cameras, tiny_model, tiny_run
@@ -31,9 +31,9 @@ def run(tmp_path_factory):
 
 def test_background_alone_has_no_movers(run, tmp_path):
     render_videos(*run, tmp_path, RenderOptions(paths=("input",), parts=("all", "background")))
-    assert set(rendered(tmp_path)) == {"input_path", "input_path_colour", "input_path_background", "input_path_background_colour"}
-    whole = [red(frame).sum() for frame in frames_of(tmp_path / "input_path_colour.mp4")]
-    without = [red(frame).sum() for frame in frames_of(tmp_path / "input_path_background_colour.mp4")]
+    assert set(rendered(tmp_path)) == {"input_path", "input_path_color", "input_path_background", "input_path_background_color"}
+    whole = [red(frame).sum() for frame in frames_of(tmp_path / "input_path_color.mp4")]
+    without = [red(frame).sum() for frame in frames_of(tmp_path / "input_path_background_color.mp4")]
     assert min(whole) > 10
     assert max(without) == 0
 
@@ -47,7 +47,7 @@ def test_movers_alone_are_on_transparent(run, tmp_path):
         alpha = frame[..., 3]
         assert alpha.max() > 230
         assert (alpha < 10).mean() > 0.5
-        assert red(frame[alpha > 200][None]).all(), "full colour where it is opaque"
+        assert red(frame[alpha > 200][None]).all(), "full color where it is opaque"
     places = [np.argwhere(frame[..., 3] > 128)[:, 1].mean() for frame in frames]
     assert places[-1] > places[0] + 5, "it moves to the right"
 
@@ -91,20 +91,20 @@ def test_movers_farther_away(run, tmp_path):
     render_videos(model, scene, tmp_path, options)
     render_videos(model, scene, tmp_path, replace(options, distances=("2=1.5",)))
     names = {"input_path", "orbit", "input_path_distance_2x1.5", "orbit_distance_2x1.5"}
-    assert set(rendered(tmp_path)) == names | {f"{name}_colour" for name in names}
+    assert set(rendered(tmp_path)) == names | {f"{name}_color" for name in names}
 
     def places(name: str) -> np.ndarray:
-        frames = frames_of(tmp_path / f"{name}_colour.mp4")
+        frames = frames_of(tmp_path / f"{name}_color.mp4")
         return np.array([np.argwhere(red(frame))[:, 1].mean() for frame in frames])
 
     np.testing.assert_allclose(places("input_path_distance_2x1.5"), places("input_path"), atol=0.7)
     plan = next(plan for plan in plan_videos(model, scene, options) if plan.name == "orbit")
     t = np.array([t for _, t in plan.shots])
-    centres = np.array([CameraPath(scene.timestamps.tolist(), scene.cameras).at(s).center for s in t])
+    centers = np.array([CameraPath(scene.timestamps.tolist(), scene.cameras).at(s).center for s in t])
     mover = np.stack([-0.5 + t / model.last, np.zeros_like(t), np.full_like(t, MOVER)], 1)
     expected = [
         camera.project(x)[0][0] - camera.project(y)[0][0]
-        for (camera, _), x, y in zip(plan.shots, centres + 1.5 * (mover - centres), mover, strict=True)
+        for (camera, _), x, y in zip(plan.shots, centers + 1.5 * (mover - centers), mover, strict=True)
     ]
     assert np.ptp(expected) > 4
     np.testing.assert_allclose(places("orbit_distance_2x1.5") - places("orbit"), expected, atol=1)
@@ -119,8 +119,8 @@ def test_guesses_fade_where_that_is_asked_for(run, tmp_path):
     known.gaussians.seen[:, 1] = 0
     render_videos(known, scene, tmp_path, options)
     render_videos(known, scene, tmp_path, replace(options, fading=False))
-    assert set(rendered(tmp_path)) == {"orbit", "orbit_colour", "orbit_fading", "orbit_fading_colour"}
-    fading, whole = (frames_of(tmp_path / f"{name}_colour.mp4") for name in ("orbit_fading", "orbit"))
+    assert set(rendered(tmp_path)) == {"orbit", "orbit_color", "orbit_fading", "orbit_fading_color"}
+    fading, whole = (frames_of(tmp_path / f"{name}_color.mp4") for name in ("orbit_fading", "orbit"))
     assert fading[2].mean() < 0.7 * whole[2].mean(), "to one side"
 
 
@@ -169,14 +169,14 @@ def shakiness(cameras) -> float:
     return float(np.abs(np.diff([camera.center for camera in cameras], n=2, axis=0)).mean())
 
 
-def test_the_stabilised_path_is_smoother_and_shows_no_uncovered_border():
+def test_the_stabilized_path_is_smoother_and_shows_no_uncovered_border():
     """A wall that ends where the shaking cameras still just see it: without the crop its end would be seen."""
     cameras = tiny_cameras(SIZE, shake=0.1)
     model = tiny_model(1, half_width=1.8)
     shots = [(camera, i / FPS) for i, camera in enumerate(cameras)]
     # At the end of its way the camera sees past the right end of the wall.
     assert covered_share(model, shots) < 1
-    smooth, share = stabilise(model, shots, 2.0)
+    smooth, share = stabilize(model, shots, 2.0)
     assert shakiness(camera for camera, _ in smooth) < 0.2 * shakiness(cameras)
     assert 0.7 <= share < 1
     assert smooth[0][0].K[0, 0] == pytest.approx(cameras[0].K[0, 0] / share)
@@ -195,7 +195,7 @@ def test_less_is_smoothed_where_too_much_would_be_cropped():
     shots = [(camera, i / FPS) for i, camera in enumerate(cameras)]
     model = tiny_model(1, half_width=5.5)
     assert covered_share(model, shots) == 1
-    smooth, share = stabilise(model, shots, 1.0)
+    smooth, share = stabilize(model, shots, 1.0)
     assert share >= 0.7
     assert all((model.render(*shot).alpha > 0.5).all() for shot in smooth)
 
@@ -282,7 +282,7 @@ def test_the_wiggle_swings_round_the_subject(run, tmp_path):
     [
         ({"parts": ("sky",)}, "sky"),
         ({"slow": 0.0}, "slower"),
-        ({"stabilise": -1.0}, "smoothed"),
+        ({"stabilize": -1.0}, "smoothed"),
         ({"dolly": 9.0}, "dolly"),
         ({"eye_distance": 0.0}, "Eyes"),
     ],

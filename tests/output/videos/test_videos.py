@@ -41,18 +41,18 @@ class Plane:
         rays = camera.unproject(grid, np.ones(grid.shape[:2])) - camera.center
         distance = (DEPTH - camera.center[2]) / rays[..., 2]
         points = camera.center + rays * distance[..., None]
-        colour = np.stack([np.full(grid.shape[:2], 0.3 + 0.5 * t), np.sin(points[..., 0]) ** 2, 0 * distance + self.blue], -1)
+        color = np.stack([np.full(grid.shape[:2], 0.3 + 0.5 * t), np.sin(points[..., 0]) ** 2, 0 * distance + self.blue], -1)
         flow = None if flow_to is None else (flow_to[0].project(points)[0] - grid).astype(np.float32)
         alpha = np.ones(grid.shape[:2], np.float32)
         alpha[:4] = 0
-        return Rendering(colour.astype(np.float32), alpha, camera.project(points)[1].astype(np.float32), flow)
+        return Rendering(color.astype(np.float32), alpha, camera.project(points)[1].astype(np.float32), flow)
 
     def part(self, part: str) -> Plane:
         """Nothing moves: the whole plane is background."""
         return self
 
     def full_size(self, width: int = WIDTH) -> list[tuple[Camera, float, tuple[Camera, float] | None]]:
-        """The calls that made frames, without those that looked for the colour scales."""
+        """The calls that made frames, without those that looked for the color scales."""
         return [call for call in self.calls if call[0].width == width]
 
 
@@ -85,8 +85,8 @@ def decode(path: Path) -> tuple[list[np.ndarray], Fraction]:
 def test_the_input_path_runs_at_the_rate_of_the_source(scene, tmp_path):
     model = Plane()
     render_videos(model, scene, tmp_path / "renders", RenderOptions(paths=("input",)))
-    assert rendered(tmp_path / "renders") == {"input_path": "input_path.mp4", "input_path_colour": "input_path_colour.mp4"}
-    frames, rate = decode(tmp_path / "renders" / "input_path_colour.mp4")
+    assert rendered(tmp_path / "renders") == {"input_path": "input_path.mp4", "input_path_color": "input_path_color.mp4"}
+    frames, rate = decode(tmp_path / "renders" / "input_path_color.mp4")
     assert (len(frames), rate, frames[0].shape) == (17, 20, (HEIGHT, WIDTH, 3))
     assert frames[-1][20, 20, 0] / 255 == pytest.approx(0.3 + 0.5 * 0.8, abs=0.03)
     calls = model.full_size()
@@ -97,7 +97,7 @@ def test_the_input_path_runs_at_the_rate_of_the_source(scene, tmp_path):
         assert call[2][1] == following[1], "flow leads to the next frame"
 
 
-def test_panels_show_colour_flow_and_depth_to_the_end(scene, tmp_path):
+def test_panels_show_color_flow_and_depth_to_the_end(scene, tmp_path):
     render_videos(Plane(), scene, tmp_path / "r", RenderOptions(paths=("input",)))
     frames, _ = decode(tmp_path / "r" / "input_path.mp4")
     assert frames[0].shape == (HEIGHT, 3 * WIDTH + 8, 3)
@@ -112,7 +112,7 @@ def test_panels_show_colour_flow_and_depth_to_the_end(scene, tmp_path):
 def test_orbit_plays_the_middle_and_bullet_time_stands_still(scene, tmp_path):
     model = Plane()
     render_videos(model, scene, tmp_path, RenderOptions(paths=("orbit", "bullet"), max_frames=7))
-    assert list(rendered(tmp_path)) == ["orbit", "orbit_colour", "bullet_time", "bullet_time_colour"]
+    assert list(rendered(tmp_path)) == ["orbit", "orbit_color", "bullet_time", "bullet_time_color"]
     calls = model.full_size()
     orbit, bullet = calls[:7], calls[7:]
     np.testing.assert_allclose([t for _, t, _ in orbit], np.arange(5, 12) / 20)
@@ -137,18 +137,18 @@ def test_a_camera_file(scene, tmp_path):
     write_camera_file(tmp_path / "path.json", shots, fps=5)
     options = RenderOptions(paths=(), camera_file=tmp_path / "path.json")
     render_videos(Plane(), scene, tmp_path, options)
-    assert list(rendered(tmp_path)) == ["custom_path_path", "custom_path_path_colour"]
-    frames, rate = decode(tmp_path / "custom_path_path_colour.mp4")
+    assert list(rendered(tmp_path)) == ["custom_path_path", "custom_path_path_color"]
+    frames, rate = decode(tmp_path / "custom_path_path_color.mp4")
     assert (len(frames), rate, frames[0].shape) == (2, 5, (24, 32, 3))
     write_camera_file(tmp_path / "my 2nd.json", shots[::-1], fps=5)
     render_videos(Plane(), scene, tmp_path, replace(options, camera_file=tmp_path / "my 2nd.json"))
-    assert [name for name in rendered(tmp_path) if not name.endswith("_colour")] == ["custom_path_path", "custom_path_my-2nd"]
+    assert [name for name in rendered(tmp_path) if not name.endswith("_color")] == ["custom_path_path", "custom_path_my-2nd"]
 
 
 def test_width_and_rate_can_be_chosen(scene, tmp_path):
     model = Plane()
     render_videos(model, scene, tmp_path, RenderOptions(paths=("input",), width=33, fps=5))
-    frames, rate = decode(tmp_path / "input_path_colour.mp4")
+    frames, rate = decode(tmp_path / "input_path_color.mp4")
     assert (len(frames), rate, frames[0].shape) == (5, 5, (26, 34, 3))
     camera = model.full_size(33)[0][0]
     assert (camera.width, camera.height) == (33, 25)
@@ -168,7 +168,7 @@ def test_only_what_changed_is_rendered_again(scene, tmp_path):
     render_videos(turned, scene, tmp_path, replace(options, orbit_angle=9.0))
     assert len(turned.full_size()) == 4, "only bullet time depends on the angle"
 
-    (tmp_path / "input_path_colour.mp4").unlink()
+    (tmp_path / "input_path_color.mp4").unlink()
     lost = Plane()
     render_videos(lost, scene, tmp_path, replace(options, orbit_angle=9.0))
     assert len(lost.full_size()) == 17
@@ -191,7 +191,7 @@ def test_the_sound_of_the_clip_is_kept(scene, tmp_path):
     shutil.copy(tmp_path / "tone.wav", scene.folder / "tone.wav")
     scene = edited(scene, audio="tone.wav", audio_start=0.5)
     render_videos(Plane(), scene, tmp_path, RenderOptions(paths=("input", "orbit"), max_frames=4))
-    for name, streams in (("input_path", 1), ("input_path_colour", 1), ("orbit", 0)):
+    for name, streams in (("input_path", 1), ("input_path_color", 1), ("orbit", 0)):
         with av.open(str(tmp_path / f"{name}.mp4")) as container:
             assert len(container.streams.audio) == streams
 

@@ -147,7 +147,7 @@ def test_guesses_fade_when_seen_from_aside(source):
     aside = Camera(own.viewmat - np.array([[0, 0, 0, 0.8], *np.zeros((3, 4))]), own.K, own.width, own.height)
     try:
         for camera, is_there in ((own, True), (aside, False)):
-            for kind in ("colour", "Gaussians"):
+            for kind in ("color", "Gaussians"):
                 wishes = [Wish((64, 48), 0.5, Look(kind, fading=fading), frame.pose(camera)) for fading in (True, False)]
                 found, plain = (draw(source, frame, wish).image.astype(float) for wish in wishes)
                 assert (np.abs(found - plain).mean() < 1) == is_there, (is_there, kind)
@@ -164,13 +164,13 @@ def test_trails_go_with_the_distance():
 
 
 def test_trails_go_where_the_mover_goes(tmp_path):
-    ends, colours = trails(tiny_model(1))
-    assert ends.shape == colours.shape == (39, 2, 3)
+    ends, colors = trails(tiny_model(1))
+    assert ends.shape == colors.shape == (39, 2, 3)
     np.testing.assert_allclose(ends[0, 0], [-0.5, 0, MOVER], atol=1e-5)
     np.testing.assert_allclose(ends[-1, 1], [0.5, 0, MOVER], atol=1e-5)
     np.testing.assert_allclose(ends[1:, 0], ends[:-1, 1])
-    assert colours[0, 0, 2] > colours[0, 0, 0]
-    assert colours[-1, 1, 0] > colours[-1, 1, 2]
+    assert colors[0, 0, 2] > colors[0, 0, 0]
+    assert colors[-1, 1, 0] > colors[-1, 1, 2]
     assert len(trails(tiny_model(0))[0]) == 0
     many, _ = trails(tiny_model(900))
     assert len(many) == 300 * 39

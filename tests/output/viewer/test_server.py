@@ -129,14 +129,14 @@ def test_two_clients_have_their_own_camera_and_time(port, browser):
 
 
 def test_every_drawing_is_different_and_what_it_should_be(browser):
-    seen = {"colour": browser.settled()}
+    seen = {"color": browser.settled()}
     for show in ("flow", "depth", "alpha", "Gaussians"):
         browser.set("Show", show)
         seen[show] = browser.settled()
     assert seen["alpha"][20:50, 30:60].mean() > 240
     assert len(np.unique(seen["Gaussians"].reshape(-1, 3), axis=0)) > 20
     # A free camera stands still, so only the mover flows, to the right: red on white.
-    y, x = np.argwhere(red(seen["colour"])).mean(0).astype(int)
+    y, x = np.argwhere(red(seen["color"])).mean(0).astype(int)
     assert seen["flow"][y, x, 0] > seen["flow"][y, x, 2] + 50
     assert seen["flow"][5, 5].min() > 230
     names = list(seen)
@@ -265,7 +265,7 @@ def test_ready_made_paths_are_taken_and_recorded(tmp_path):
         with Browser(port) as browser:
             browser.settled()
             for name, says in (
-                ("stabilised", "9 keys, 1.0 s"), ("bullet", "120 keys"), ("dolly", "120 keys"), ("wiggle", "16 keys, 1.2 s"),
+                ("stabilized", "9 keys, 1.0 s"), ("bullet", "120 keys"), ("dolly", "120 keys"), ("wiggle", "16 keys, 1.2 s"),
             ):  # fmt: skip
                 browser.set("Ready-made path", name)
                 browser.click("Take this path")
@@ -326,7 +326,7 @@ def test_unusual_scenes(tmp_path, movers, size):
                 browser.settled(0.4)
                 browser.set("Show", "flow")
                 browser.settled(0.4)
-            browser.set("Show", "colour")
+            browser.set("Show", "color")
             browser.set("Part", "all")
             browser.set("Paths of Gaussians", True)
             browser.wait(lambda: "/trails" in browser.nodes or any("No Gaussian" in note for note in browser.notes))

@@ -48,19 +48,19 @@ def test_a_training_can_be_watched(tmp_path, monkeypatch):
     assert source.loaded.state == "in training, step 3 of 9"
     assert not source.refresh()
     camera = source.path.at(0.5)
-    before = source.loaded.part("all").render(camera, 0.5).colour
+    before = source.loaded.part("all").render(camera, 0.5).color
     assert np.abs(before - source.frame(0.5) / 255).mean() < 0.2
 
     until(7)
     assert source.refresh()
     assert (source.loaded.state, source.loaded.number) == ("in training, step 6 of 9", 1)
-    assert np.abs(source.loaded.part("all").render(camera, 0.5).colour - before).max() > 0
+    assert np.abs(source.loaded.part("all").render(camera, 0.5).color - before).max() > 0
 
     train(folder)
     assert source.refresh()
     assert source.loaded.state == "trained"
-    expected = load_model(tmp_path / "out" / "model").render(camera, 0.5).colour
-    np.testing.assert_array_equal(source.loaded.part("all").render(camera, 0.5).colour, expected)
+    expected = load_model(tmp_path / "out" / "model").render(camera, 0.5).color
+    np.testing.assert_array_equal(source.loaded.part("all").render(camera, 0.5).color, expected)
 
 
 def test_the_first_scene_is_shown_until_there_is_another(tmp_path):

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 from flowsplat.geometry.similarity import path_errors
 from flowsplat.priors.cameras.averaging import Turn, average_rotations, averaged_start, pair_rotations, position_cameras
 from flowsplat.priors.cameras.bundle import Reconstruction
-from tests.priors.cameras.worlds import FOCAL, cameras_of, centred, observed, path, world
+from tests.priors.cameras.worlds import FOCAL, cameras_of, centered, observed, path, world
 
 
 def angles(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -37,7 +37,7 @@ def test_frames_that_no_pair_joins_are_left_out():
 
 def test_positions_follow_from_rotations():
     cameras = path(12)
-    positions, seen = centred(observed(cameras, world(300), 0.0))
+    positions, seen = centered(observed(cameras, world(300), 0.0))
     rotations = np.array([camera.viewmat[:3, :3] for camera in cameras])
     centers = position_cameras(rotations, positions, seen, FOCAL)
     translations = -np.einsum("tij,tj->ti", rotations, centers)
@@ -47,7 +47,7 @@ def test_positions_follow_from_rotations():
 
 def test_the_start_is_near_although_the_focal_length_is_not():
     cameras = path(20)
-    positions, seen = centred(observed(cameras, world(400), 0.1))
+    positions, seen = centered(observed(cameras, world(400), 0.1))
     state, reached = averaged_start(positions, seen, 1.15 * FOCAL)
     assert reached.all()
     errors = path_errors(cameras_of(state), cameras)
@@ -57,7 +57,7 @@ def test_the_start_is_near_although_the_focal_length_is_not():
 
 def test_a_turning_camera_has_its_pairs_turned():
     cameras = path(10, travel=0.0)
-    positions, seen = centred(observed(cameras, world(300), 0.1))
+    positions, seen = centered(observed(cameras, world(300), 0.1))
     true = np.array([camera.viewmat[:3, :3] for camera in cameras])
     for turn in pair_rotations(positions, seen, FOCAL):
         error = Rotation.from_matrix(turn.rotation @ true[turn.i] @ true[turn.j].T).magnitude()
@@ -65,5 +65,5 @@ def test_a_turning_camera_has_its_pairs_turned():
 
 
 def test_too_little_to_go_on():
-    positions, seen = centred(observed(path(5), world(6), 0.1))
+    positions, seen = centered(observed(path(5), world(6), 0.1))
     assert averaged_start(positions, seen, FOCAL) is None

@@ -5,12 +5,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from flowsplat.priors.cameras.bundle import Observations, Reconstruction, adjust, rays, residuals
-from tests.priors.cameras.worlds import FOCAL, bend, centred, observed, path, state_of, world
+from tests.priors.cameras.worlds import FOCAL, bend, centered, observed, path, state_of, world
 
 
 def test_bundle_adjustment_undoes_a_perturbation():
     cameras, points, rng = path(8), world(300), np.random.default_rng(3)
-    positions, seen = centred(observed(cameras, points, 0.0))
+    positions, seen = centered(observed(cameras, points, 0.0))
     true = state_of(cameras, points)
     turned = Rotation.from_rotvec(rng.normal(0, 0.01, (8, 3))).as_matrix() @ true.rotations
     shifted = true.translations + rng.normal(0, 0.02, (8, 3))
@@ -30,7 +30,7 @@ def test_bundle_adjustment_undoes_a_perturbation():
 
 def test_bundle_adjustment_holds_what_is_fixed():
     cameras, points = path(5), world(100)
-    positions, seen = centred(observed(cameras, points, 0.3))
+    positions, seen = centered(observed(cameras, points, 0.3))
     start = state_of(cameras, points)
     done = adjust(
         start, Observations.of(positions, seen), iterations=5, scale=1.0, fixed_camera=2, free_focal=False,
@@ -45,7 +45,7 @@ def test_bundle_adjustment_finds_the_distortion():
     cameras, points = path(10), world(300)
     positions = bend(observed(cameras, points, 0.05), -0.12)
     start = state_of(cameras, points)
-    flat, seen = centred(positions)
+    flat, seen = centered(positions)
     done = adjust(
         start, Observations.of(flat, seen), iterations=50, scale=1.0, fixed_camera=0, free_distortion=True, tolerance=1e-9,
     )  # fmt: skip
@@ -67,7 +67,7 @@ def test_derivatives_of_the_distorted_projection():
     """One Gauss-Newton step from nearby must fall much nearer: it does so only with the right derivatives."""
     cameras, points = path(6), world(80)
     uv = bend(observed(cameras, points, 0.0), 0.2)
-    flat, seen = centred(uv)
+    flat, seen = centered(uv)
     true = state_of(cameras, points)
     observations = Observations.of(flat, seen)
     start = Reconstruction(true.rotations, true.translations, 1.001 * FOCAL, points, distortion=0.201)

@@ -38,7 +38,7 @@ def test_a_given_focal_length_is_kept():
     assert path_errors(cameras_of(found.fit.state), cameras)["path"] < 0.005
 
 
-def test_a_turning_camera_is_recognised_with_its_focal_length():
+def test_a_turning_camera_is_recognized_with_its_focal_length():
     cameras = path(16, travel=0.0)
     found = estimate(observed(cameras, world(500), 0.08), WIDTH, HEIGHT, None)
     assert found.motion == "rotation"

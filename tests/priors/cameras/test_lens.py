@@ -23,7 +23,7 @@ def test_a_known_distortion_is_recovered(distortion, travel):
     errors = path_errors(cameras_of(straight.found.fit.state), cameras)
     assert errors["rotation"] < 0.3
     if travel:
-        assert straight.judgements[0].pixels < 0.9 * pinhole.judgements[0].pixels
+        assert straight.judgments[0].pixels < 0.9 * pinhole.judgments[0].pixels
         assert errors["path"] < 0.005
         again = find_lens(positions, WIDTH, HEIGHT, None, straight.found, lens)
         assert again.distortion == pytest.approx(lens.distortion, rel=0.05)

@@ -6,13 +6,13 @@ import numpy as np
 
 from flowsplat.priors.cameras.bundle import Observations, residuals
 from flowsplat.priors.cameras.refinement import place_points, ray_points
-from tests.priors.cameras.worlds import centred, observed, path, state_of, world
+from tests.priors.cameras.worlds import centered, observed, path, state_of, world
 
 
 def test_far_points_stay_in_front():
     cameras, points = path(6), world(50)
     far = np.concatenate([points, [[0.0, 0, 1e7], [1e6, 0, 2e7]]])
-    positions, seen = centred(observed(cameras, far, 0.3))
+    positions, seen = centered(observed(cameras, far, 0.3))
     state = state_of(cameras, points)
     placed = place_points(state, positions, seen)
     _, depth = residuals(replace(state, points=placed), Observations.of(positions, seen))
@@ -22,7 +22,7 @@ def test_far_points_stay_in_front():
 
 def test_rays_of_a_turning_camera_meet_on_the_sphere():
     cameras, points = path(6, travel=0.0), world(80)
-    positions, seen = centred(observed(cameras, points, 0.0))
+    positions, seen = centered(observed(cameras, points, 0.0))
     often = seen.any(1)
     rays = ray_points(state_of(cameras, points), positions, seen)
     np.testing.assert_allclose(rays[often], (points / np.linalg.norm(points, axis=1, keepdims=True))[often], atol=1e-9)

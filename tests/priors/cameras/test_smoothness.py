@@ -12,7 +12,7 @@ from flowsplat.priors.cameras import smoothness
 from flowsplat.priors.cameras.bundle import LENS, LensPrior, Observations, Reconstruction, adjust, residuals
 from flowsplat.priors.cameras.refinement import refine
 from flowsplat.priors.cameras.smoothness import FEWEST, SmoothnessPrior, differences, smooth_path
-from tests.priors.cameras.worlds import FOCAL, HEIGHT, WIDTH, centred, observed, path, state_of, world
+from tests.priors.cameras.worlds import FOCAL, HEIGHT, WIDTH, centered, observed, path, state_of, world
 
 
 def shaken(cameras: list[Camera], amount: float, seed: int = 5) -> list[Camera]:
@@ -27,7 +27,7 @@ def shaken(cameras: list[Camera], amount: float, seed: int = 5) -> list[Camera]:
 
 def solved(cameras: list[Camera], points: np.ndarray, noise: float) -> tuple[Reconstruction, Observations]:
     """What the tracks alone say."""
-    positions, seen = centred(observed(cameras, points, noise))
+    positions, seen = centered(observed(cameras, points, noise))
     tracks = seen.sum(1) >= 2
     observations = Observations.of(positions[tracks], seen[tracks])
     start = state_of(cameras, points[tracks])
@@ -115,13 +115,13 @@ def test_few_frames_and_a_standing_camera_are_left_alone():
     state, observations = solved(path(FEWEST - 1), world(80), 0.2)
     assert smooth(state, observations) is state
     still = replace(state_of(path(12, travel=0.0), world(80)), translations=np.zeros((12, 3)))
-    positions, seen = centred(observed(path(12, travel=0.0), world(80), 0.1))
+    positions, seen = centered(observed(path(12, travel=0.0), world(80), 0.1))
     assert smooth(still, Observations.of(positions, seen)) is still
 
 
 def test_the_last_refinement_of_frames_that_follow_each_other_is_smooth():
     cameras, points = path(25, travel=0.15), world(150)
-    positions, seen = centred(observed(cameras, points, 0.2))
+    positions, seen = centered(observed(cameras, points, 0.2))
     keep = seen.sum(1) >= 2
     found = [
         refine(

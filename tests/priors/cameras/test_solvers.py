@@ -34,7 +34,7 @@ def bent(found: Estimate) -> Estimate:
     return replace(found, fit=replace(found.fit, state=replace(found.fit.state, focal=1.4 * found.fit.state.focal)))
 
 
-def judged(found: Estimate, tracks: np.ndarray) -> solvers.Judgement:
+def judged(found: Estimate, tracks: np.ndarray) -> solvers.Judgment:
     return judge("own", found, tracks[keep_back(np.isfinite(tracks[..., 0]))[1]], WIDTH, HEIGHT)
 
 
@@ -49,17 +49,17 @@ def test_judges_are_no_tracks_of_the_adjustment_and_few_are_left_alone():
 
 
 def test_good_cameras_are_not_poor(tracks, good):
-    judgement = judged(good, tracks)
-    assert judgement.sane
-    assert not judgement.poor
-    assert judgement.pixels < 0.2
+    judgment = judged(good, tracks)
+    assert judgment.sane
+    assert not judgment.poor
+    assert judgment.pixels < 0.2
 
 
 def test_wrong_cameras_are_poor_although_all_frames_have_one(tracks, good):
-    judgement = judged(bent(good), tracks)
+    judgment = judged(bent(good), tracks)
     assert bent(good).unplaced == []
-    assert judgement.poor
-    assert judgement.pixels > 1
+    assert judgment.poor
+    assert judgment.pixels > 1
 
 
 @pytest.mark.parametrize("frame", [0, 7, 19])
@@ -116,10 +116,10 @@ def test_the_second_solver_is_asked_where_the_first_one_fails(tracks, good, monk
     solved = solve(tracks, WIDTH, HEIGHT, None, "auto")
     assert asked == ["own", "global"]
     assert solved.found is good
-    assert [judgement.solver for judgement in solved.judgements] == ["global", "own"]
+    assert [judgment.solver for judgment in solved.judgments] == ["global", "own"]
     assert "the global one was taken: it misses kept-back tracks by 0.1" in solved.reason(1.0)
     solved = solve(tracks, WIDTH, HEIGHT, None, "own")
-    assert solved.judgements[0].poor
+    assert solved.judgments[0].poor
     assert solved.reason(1.0) == ""
 
 
@@ -131,5 +131,5 @@ def test_the_second_solver_is_not_asked_where_the_first_one_does(tracks, monkeyp
         return estimate(positions, width, height, focal, solver)
 
     monkeypatch.setattr(solvers, "estimate", noted)
-    assert solve(tracks, WIDTH, HEIGHT, None, "auto").judgements[0].solver == "own"
+    assert solve(tracks, WIDTH, HEIGHT, None, "auto").judgments[0].solver == "own"
     assert asked == ["own"]

@@ -56,7 +56,7 @@ def cameras_of(state: Reconstruction) -> list[Camera]:
     return cameras
 
 
-def centred(positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def centered(positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     seen = np.isfinite(positions[..., 0])
     return np.where(seen[..., None], positions, 0) - [WIDTH / 2, HEIGHT / 2], seen
 

@@ -31,7 +31,7 @@ def scene(tmp_path: Path) -> Scene:
 
 
 def pixels(start: int = 0) -> np.ndarray:
-    """[N, T, 2] with whole numbers at pixel centres."""
+    """[N, T, 2] with whole numbers at pixel centers."""
     points = np.zeros((POINTS, FRAMES, 2), np.float32)
     points[..., 0] = 10 + 12 * np.arange(POINTS)[:, None] + np.arange(FRAMES) + start
     points[..., 1] = 20 + 2 * np.arange(FRAMES)

@@ -176,7 +176,7 @@ def test_fragments_of_different_motion_are_not_joined():
     assert found[1][1] == found[2][1] == 1
 
 
-def test_what_has_no_tracks_goes_to_its_neighbour_or_stays():
+def test_what_has_no_tracks_goes_to_its_neighbor_or_stays():
     main = along((50, 60), (2, 0))
     near = disc(3, lambda t: (main(t)[0] + [0, -26], 0.0), follow=False)
     far = disc(6, along((140, 20), (-1, 0)), follow=False)

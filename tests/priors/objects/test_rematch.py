@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from flowsplat.geometry import Camera
-from flowsplat.priors.objects.rematch import FARTHEST, MoverPictures, grey, rematched
+from flowsplat.priors.objects.rematch import FARTHEST, MoverPictures, gray, rematched
 from flowsplat.priors.objects.rigid import Observations, RigidMotion, longest, solve_rigid
 
 FRAMES, WIDTH, HEIGHT, FOCAL, RADII = 20, 160, 120, 220.0, np.array([0.16, 0.2, 0.13])
@@ -150,7 +150,7 @@ def test_a_mover_that_is_not_seen_has_no_surface(ball, by_tracks):
     assert rematched(by_tracks, ball.positions, ball.inside, hidden) is None
 
 
-def test_grey_is_brightness():
+def test_gray_is_brightness():
     picture = np.zeros((9, 9, 3), np.uint8)
     picture[...] = [200, 100, 50]
-    assert np.abs(grey(picture).astype(int) - 124).max() <= 1
+    assert np.abs(gray(picture).astype(int) - 124).max() <= 1

@@ -33,7 +33,7 @@ def test_a_point_is_not_its_own_witness():
     assert np.linalg.norm(motion[17] - motions[17]) > 10
 
 
-def test_only_believed_neighbours_of_the_same_kind_are_asked():
+def test_only_believed_neighbors_of_the_same_kind_are_asked():
     points, motions = points_and_motions()
     labels = (np.arange(200) % 2).astype(int)
     motions[labels == 1] = 7

@@ -59,7 +59,7 @@ def test_what_never_comes_back_is_given_up():
     follower = Follower()
     follower.add(np.array([7]), np.array([[50.5, 40.5]]), picture(0), labels)
     follower.step(COVER[: SIZE[0], : SIZE[1]], labels, flow)
-    assert len(follower.ids) == 0  # no velocity yet, and no neighbour to follow
+    assert len(follower.ids) == 0  # no velocity yet, and no neighbor to follow
     y, x = np.mgrid[20:60:8, 20:80:8]
     start = np.stack([x.ravel(), y.ravel()], -1) + 0.5
     follower.add(np.arange(len(start)), start, picture(0), labels)

@@ -9,19 +9,19 @@ from flowsplat.priors.tracks.patches import SIDE, Patches, align
 
 from .textures import texture
 
-CENTRE = np.array([75.0, 55.0])
+CENTER = np.array([75.0, 55.0])
 
 
 def turned(image: np.ndarray, degrees: float, scale: float, shift: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """The picture turned round ``CENTRE`` and moved, and how: offsets there = shape @ offsets here."""
+    """The picture turned round ``CENTER`` and moved, and how: offsets there = shape @ offsets here."""
     c, s = scale * np.cos(np.radians(degrees)), scale * np.sin(np.radians(degrees))
     shape = np.array([[c, -s], [s, c]])
-    matrix = np.concatenate([shape, (CENTRE - shape @ CENTRE + shift)[:, None]], 1)
+    matrix = np.concatenate([shape, (CENTER - shape @ CENTER + shift)[:, None]], 1)
     return cv2.warpAffine(image, matrix, image.shape[::-1], flags=cv2.INTER_CUBIC).astype(np.float32), shape
 
 
 def some_patches(image: np.ndarray, labels: np.ndarray | None = None) -> tuple[Patches, np.ndarray]:
-    points = CENTRE + np.stack(np.meshgrid([-20.0, 0, 20], [-20.0, 0, 20]), -1).reshape(-1, 2)
+    points = CENTER + np.stack(np.meshgrid([-20.0, 0, 20], [-20.0, 0, 20]), -1).reshape(-1, 2)
     labels = np.zeros(image.shape, np.int32) if labels is None else labels
     return Patches.cut(image.astype(np.float32), labels, points), points
 
@@ -30,7 +30,7 @@ def test_a_turned_and_brighter_patch_is_found():
     image = texture(110, 150)
     patches, points = some_patches(image)
     picture, shape = turned(image, 8, 1.05, (1.3, -0.7))
-    true = (points - CENTRE) @ shape.T + CENTRE + [1.3, -0.7]
+    true = (points - CENTER) @ shape.T + CENTER + [1.3, -0.7]
     found, shapes, likeness = align(patches, 0.9 * picture + 5, true + [0.8, 0.6], np.tile(np.eye(2), (9, 1, 1)))
     assert np.linalg.norm(found - true, axis=1).max() < 0.1
     assert np.abs(shapes - shape).max() < 0.08
@@ -53,8 +53,8 @@ def test_the_background_of_a_patch_does_not_count():
     assert edge.weights[0].reshape(SIDE, SIDE)[:, : SIDE // 2 - 2].sum() == 0
     assert abs(edge.weights[0].sum() - 1) < 1e-5
     hidden = np.where(labels > 0, image, behind).astype(np.float32)
-    found, _, likeness = align(edge, hidden, CENTRE[None] + 0.5, np.eye(2)[None])
-    assert np.abs(found - CENTRE).max() < 0.1
+    found, _, likeness = align(edge, hidden, CENTER[None] + 0.5, np.eye(2)[None])
+    assert np.abs(found - CENTER).max() < 0.1
     assert likeness[0] > 0.95
 
 

@@ -21,8 +21,8 @@ def test_tracks_follow_both_motions_and_leave_held_out_frames_alone(scene):
     for moving, velocity in ((True, (-2, 1)), (False, (1.5, 0.5))):
         chosen = np.flatnonzero((tracks.moving == moving) & tracks.visible[:, frames].all(1))
         assert len(chosen) > 10
-        travelled = tracks.points[chosen, 7] - tracks.points[chosen, 0]
-        assert np.median(np.linalg.norm(travelled - 7 * np.array(velocity), axis=1)) < 0.3
+        traveled = tracks.points[chosen, 7] - tracks.points[chosen, 0]
+        assert np.median(np.linalg.norm(traveled - 7 * np.array(velocity), axis=1)) < 0.3
     assert scene.prior("tracks")["moving"] == tracks.moving.sum()
 
 
@@ -60,5 +60,5 @@ def test_wrong_flow_between_two_frames_is_survived(scene):
     tracks = scene.tracks
     chosen = np.flatnonzero(tracks.visible[:, [1, 2, 4, 5, 6, 7]].all(1) & ~tracks.moving)
     assert len(chosen) > 30
-    travelled = tracks.points[chosen, 7] - tracks.points[chosen, 1]
-    assert np.median(np.linalg.norm(travelled - 6 * np.array([1.5, 0.5]), axis=1)) < 0.3
+    traveled = tracks.points[chosen, 7] - tracks.points[chosen, 1]
+    assert np.median(np.linalg.norm(traveled - 6 * np.array([1.5, 0.5]), axis=1)) < 0.3

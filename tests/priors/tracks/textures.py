@@ -7,7 +7,7 @@ import numpy as np
 
 
 def texture(height: int, width: int, seed: int = 0, blobs: float = 2.0) -> np.ndarray:
-    """Grey [H, W] uint8 with blobs of about that many pixels."""
+    """Gray [H, W] uint8 with blobs of about that many pixels."""
     noise = np.random.default_rng(seed).uniform(0, 255, (height, width)).astype(np.float32)
     smooth = cv2.GaussianBlur(noise, (0, 0), blobs)
     return cv2.normalize(smooth, None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)

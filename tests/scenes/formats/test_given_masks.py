@@ -20,7 +20,7 @@ DAVIS_PALETTE = [(0, 0, 0), (128, 0, 0), (0, 128, 0), (128, 128, 0), (0, 0, 128)
 
 
 def write_palette(path: Path, indices: np.ndarray, palette: list[tuple[int, int, int]]) -> None:
-    """A palette PNG, as DAVIS has them (OpenCV only writes colours)."""
+    """A palette PNG, as DAVIS has them (OpenCV only writes colors)."""
 
     def chunk(kind: bytes, data: bytes) -> bytes:
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
@@ -28,12 +28,12 @@ def write_palette(path: Path, indices: np.ndarray, palette: list[tuple[int, int,
     height, width = indices.shape
     rows = b"".join(b"\0" + row.tobytes() for row in indices.astype(np.uint8))
     header = struct.pack(">IIBBBBB", width, height, 8, 3, 0, 0, 0)
-    colours = bytes(value for colour in palette for value in colour)
+    colors = bytes(value for color in palette for value in color)
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(
         b"\x89PNG\r\n\x1a\n"
         + chunk(b"IHDR", header)
-        + chunk(b"PLTE", colours)
+        + chunk(b"PLTE", colors)
         + chunk(b"IDAT", zlib.compress(rows))
         + chunk(b"IEND", b"")
     )
@@ -58,13 +58,13 @@ def open_with_masks(folder: Path, **options) -> ImagesClip:
     return open_images(folder / "images", InputOptions(**options), folder / "masks")
 
 
-@pytest.mark.parametrize("kind", ["grey", "grey and alpha", "colour", "half"])
+@pytest.mark.parametrize("kind", ["gray", "gray and alpha", "color", "half"])
 def test_black_and_white(folder, write_picture, kind):
     mask = blocks(255)
     image = {
-        "grey": mask,
-        "grey and alpha": np.dstack([mask, mask, mask, np.full(SHAPE, 255, np.uint8)]),
-        "colour": np.dstack([mask] * 3),
+        "gray": mask,
+        "gray and alpha": np.dstack([mask, mask, mask, np.full(SHAPE, 255, np.uint8)]),
+        "color": np.dstack([mask] * 3),
         "half": mask // 2,
     }[kind]
     for i in range(3):
@@ -100,12 +100,12 @@ def test_palette(folder):
         np.testing.assert_array_equal(clip.mask(i), blocks(*values))
 
 
-def test_a_colour_is_the_same_object_whatever_else_is_seen(folder, write_picture):
+def test_a_color_is_the_same_object_whatever_else_is_seen(folder, write_picture):
     """White is no shade of red where the red object has left."""
-    for i, colours in enumerate([((255, 0, 0), (255, 255, 255)), ((255, 255, 255),), ((255, 0, 0),)]):
+    for i, colors in enumerate([((255, 0, 0), (255, 255, 255)), ((255, 255, 255),), ((255, 0, 0),)]):
         image = np.zeros((*SHAPE, 3), np.uint8)
-        for k, colour in enumerate(colours):
-            image[:, 10 * (k + 1) : 10 * (k + 2)] = colour
+        for k, color in enumerate(colors):
+            image[:, 10 * (k + 1) : 10 * (k + 2)] = color
         write_picture(folder / "masks" / f"{i:05d}.png", image)
     clip = open_with_masks(folder)
     np.testing.assert_array_equal(clip.mask(0), blocks(1, 2))
@@ -217,9 +217,9 @@ def test_no_davis(tmp_path):
         open_davis(tmp_path, InputOptions(sequence="bear"))
 
 
-def test_colours_of_16_bits_are_as_many_objects(folder, write_picture):
-    colours = np.array([[0, 0, 0], [65535, 0, 0], [0, 0, 65535]], np.uint16)[blocks(1, 2)]
+def test_colors_of_16_bits_are_as_many_objects(folder, write_picture):
+    colors = np.array([[0, 0, 0], [65535, 0, 0], [0, 0, 65535]], np.uint16)[blocks(1, 2)]
     for i in range(3):
-        write_picture(folder / "masks" / f"{i:05d}.png", colours)
+        write_picture(folder / "masks" / f"{i:05d}.png", colors)
     clip = open_with_masks(folder)
     assert np.unique(clip.mask(0)).tolist() == [0, 1, 2]

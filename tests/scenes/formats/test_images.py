@@ -27,16 +27,16 @@ def test_suffixes(tmp_path, picture, write_picture, suffix):
         assert np.abs(frame.astype(int) - picture(i)).mean() < 3
 
 
-def test_grey_alpha_and_16_bits(tmp_path, picture, write_picture):
+def test_gray_alpha_and_16_bits(tmp_path, picture, write_picture):
     rgb = picture(0)
     alpha = write_picture(tmp_path / "alpha.png", np.dstack([rgb, np.zeros(rgb.shape[:2], np.uint8)]))
     np.testing.assert_array_equal(read_picture(alpha), rgb)
-    grey = write_picture(tmp_path / "grey.png", rgb[..., 0])
-    np.testing.assert_array_equal(read_picture(grey), np.repeat(rgb[..., :1], 3, -1))
+    gray = write_picture(tmp_path / "gray.png", rgb[..., 0])
+    np.testing.assert_array_equal(read_picture(gray), np.repeat(rgb[..., :1], 3, -1))
     deep = write_picture(tmp_path / "deep.png", rgb.astype(np.uint16) * 257 + 100)
     np.testing.assert_array_equal(read_picture(deep), rgb)
-    deep_grey = write_picture(tmp_path / "deep_grey.tiff", rgb[..., 0].astype(np.uint16) * 257)
-    np.testing.assert_array_equal(read_picture(deep_grey), np.repeat(rgb[..., :1], 3, -1))
+    deep_gray = write_picture(tmp_path / "deep_gray.tiff", rgb[..., 0].astype(np.uint16) * 257)
+    np.testing.assert_array_equal(read_picture(deep_gray), np.repeat(rgb[..., :1], 3, -1))
 
 
 @pytest.mark.parametrize(("orientation", "turns"), [(1, 0), (3, 2), (6, -1), (8, 1)])

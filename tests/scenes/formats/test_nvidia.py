@@ -141,7 +141,7 @@ def test_cameras_are_the_scenes_own(originals, tmp_path, layout):
         same(view_camera(scene, view), view.camera)
 
 
-def test_a_pinhole_that_is_not_centred(tmp_path, originals):
+def test_a_pinhole_that_is_not_centered(tmp_path, originals):
     """What Nerfies has and LLFF has not: a principal point, and pixels that are not square."""
     folder = Path(shutil.copytree(originals / "nerfies", tmp_path / "nerfies"))
     path = folder / "camera" / "4_00000.json"

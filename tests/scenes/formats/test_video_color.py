@@ -1,4 +1,4 @@
-"""Colours of every encoding come out as the colours that went in."""
+"""Colors of every encoding come out as the colors that went in."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_lossless_rgb(tmp_path, write_video):
     np.testing.assert_array_equal(patches(path), PATCHES)
 
 
-def test_grey(tmp_path, write_video):
+def test_gray(tmp_path, write_video):
     path = write_video(tmp_path / "a.mkv", [chart()] * 2, codec="ffv1", pixels="gray", matrix=5, tags={}, full_range=True)
     got = patches(path)
     assert np.ptp(got, axis=1).max() == 0
@@ -93,7 +93,7 @@ def hdr(transfer: int, primaries: int = 9) -> Colors:
 
 
 def test_pq_of_known_light():
-    """Below the knee light is kept: 10 % and 50 % of the 203 cd/m2 of white; grey stays grey."""
+    """Below the knee light is kept: 10 % and 50 % of the 203 cd/m2 of white; gray stays gray."""
     nits = np.array([0, 20.3, 101.5])
     got = to_srgb(codes(np.repeat(pq(nits)[:, None], 3, 1)), hdr(PQ))
     np.testing.assert_allclose(got, np.repeat(srgb([0, 0.1, 0.5])[:, None], 3, 1), atol=1)
@@ -127,7 +127,7 @@ def test_gamuts():
 @pytest.mark.parametrize("full_range", [False, True])
 @pytest.mark.parametrize(("transfer", "name"), [(PQ, "PQ"), (HLG, "HLG")])
 def test_hdr_video(tmp_path, write_video, transfer, name, full_range):
-    """BT.709 colours of known light, written as HDR in BT.2020, come back as sRGB."""
+    """BT.709 colors of known light, written as HDR in BT.2020, come back as sRGB."""
     light = np.array([[0.7, 0.05, 0.05], [0.1, 0.6, 0.1], [0.05, 0.1, 0.5], [0.5, 0.5, 0.5], [0.02, 0.02, 0.02]])
     wide = light @ np.linalg.inv(gamut_matrix(9)).T * 203
     if transfer == PQ:
@@ -170,7 +170,7 @@ def test_hdr_tags_are_enough(tmp_path, write_video):
 
 
 def test_wide_gamut_video(tmp_path, write_video):
-    """Grey stays as it is, Display P3 colours become stronger BT.709 ones."""
+    """Gray stays as it is, Display P3 colors become stronger BT.709 ones."""
     tags = {"colorspace": 1, "color_range": 1, "color_trc": 1, "color_primaries": P3}
     path = write_video(tmp_path / "a.mp4", [chart()] * 2, tags=tags)
     got = patches(path)

@@ -177,7 +177,7 @@ def test_rotation(tmp_path, pictures, write_video, angle, hflip):
     with av.open(str(path)) as container:
         data = next(container.decode(video=0)).side_data.get("DISPLAYMATRIX")
     m = np.frombuffer(data, np.int32).reshape(3, 3) / 65536 if data is not None else np.eye(3)
-    # Where FFmpeg's row-vector matrix sends each corner, relative to the centre.
+    # Where FFmpeg's row-vector matrix sends each corner, relative to the center.
     for x, y in itertools.product((-1, 1), (-1, 1)):
         to_x, to_y = np.rint(np.array([x, y, 0]) @ m)[:2].astype(int)
         from_pixel = pictures[0][-1 if y > 0 else 0, -1 if x > 0 else 0].astype(float)

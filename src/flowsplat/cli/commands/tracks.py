@@ -24,7 +24,7 @@ def tracks(out: Run, at: Points = (), queries: Path | None = None, path: Target 
 
     Args:
         out: Folder of the run.
-        at: Points to follow, each u,v,frame: pixels of the prepared frames (the centre of the first is 0.5,0.5), and the
+        at: Points to follow, each u,v,frame: pixels of the prepared frames (the center of the first is 0.5,0.5), and the
             number of the frame. Repeat it for more.
         queries: More of them: a .json with a list of [u, v, frame], or a text with u,v,frame on every line.
         path: File to write, .json or .npz; without it RUN/export/tracks.json.

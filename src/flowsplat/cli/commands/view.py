@@ -10,7 +10,7 @@ from flowsplat.output.viewer.options import ViewOptions
 
 
 def view(out: Run, options: Annotated[ViewOptions, NO_PREFIX] = ViewOptions()) -> None:  # noqa: B008 (frozen)
-    """Look at a run in the browser, also while it trains: any place, any time, colour, flow and depth.
+    """Look at a run in the browser, also while it trains: any place, any time, color, flow and depth.
 
     Args:
         out: Folder of the run.

@@ -35,11 +35,11 @@ def _may_be_seen(means: Tensor, sizes: Tensor, camera: Camera, near: float) -> T
     depth = points[:, 2]
     seen = depth > near
     for axis, picture in ((0, camera.width), (1, camera.height)):
-        focal, centre = K[axis, axis], K[axis, 2]
-        limit = torch.maximum(picture - centre, centre) / focal + TANGENT_MARGIN * picture / focal
+        focal, center = K[axis, axis], K[axis, 2]
+        limit = torch.maximum(picture - center, center) / focal + TANGENT_MARGIN * picture / focal
         tangent = points[:, axis] / depth
         held = torch.minimum(torch.maximum(tangent, -limit), limit)
         reach = REACH * (focal / depth * sizes * torch.sqrt(1 + held * held) + BLUR)
-        pixel = focal * tangent + centre
+        pixel = focal * tangent + center
         seen = seen & (pixel + reach >= 0) & (pixel - reach <= picture)
     return seen

@@ -1,4 +1,4 @@
-"""What is blended into one picture: colour, depth and flow; and the one place that picks who computes it."""
+"""What is blended into one picture: color, depth and flow; and the one place that picks who computes it."""
 
 from __future__ import annotations
 
@@ -53,13 +53,13 @@ def _twin(kernels: Kernels) -> FlowKernels:
 
 
 def blend_features(sliced: Slice, projected: Projected, camera: Camera, flow: FlowView | None) -> Tensor:
-    """Features [A, C] of the Gaussians: colour, depth, 2 or 6 of flow, and 1 where the other camera does not see the Gaussian.
+    """Features [A, C] of the Gaussians: color, depth, 2 or 6 of flow, and 1 where the other camera does not see the Gaussian.
 
     On the CPU the last one exists only if a Gaussian that is drawn lies behind the other camera; on a GPU it always does,
     because the host would have to wait to learn that.
     """
     if flow is None:
-        return torch.cat([sliced.colours, projected.depths[:, None]], 1)
+        return torch.cat([sliced.colors, projected.depths[:, None]], 1)
     dtype, device = sliced.means.dtype, sliced.means.device
     kernels = devices.kernels_for(sliced.means)
     if kernels != "reference" and (flow.model == "displacement" or (flow.model == "affine" and sliced.covars is None)):
@@ -69,7 +69,7 @@ def blend_features(sliced: Slice, projected: Projected, camera: Camera, flow: Fl
         return twin.blend_affine(sliced, projected, camera, flow.camera)
     views = *camera.tensors(dtype, device), *flow.camera.tensors(dtype, device)
     features, front = flow_features(flow.model, sliced, projected, flow.dt, *views, camera.width, camera.height)
-    parts = [sliced.colours, projected.depths[:, None], features]
+    parts = [sliced.colors, projected.depths[:, None], features]
     if device.type != "cpu" or not bool((front | ~projected.visible).all()):
         parts.append((~front).to(dtype)[:, None])
     return torch.cat(parts, 1)

@@ -40,7 +40,7 @@ def flow_features(
 
     Args:
         model: ``mean``, the paper's, from the velocity (*Repairs:* through the Jacobian, times dt); ``displacement``, exact for
-            the centre; ``affine``, ours, with the rotation inside each Gaussian.
+            the center; ``affine``, ours, with the rotation inside each Gaussian.
         sliced: the Gaussians, with ``next_means`` (and ``next_quats`` for affine).
         projected: their projection into the first camera.
         dt: time from the first to the second frame, in clip units.
@@ -69,8 +69,8 @@ def flow_features(
         return flow, front
     B = affine_gradient(sliced, viewmat, K, next_viewmat, next_K, width, height)
     B = torch.where(front[:, None, None], B, torch.zeros_like(B))
-    centre = projected.means2d - flow.new_tensor([width / 2, height / 2])
-    offset = flow - (B @ centre[..., None])[..., 0]
+    center = projected.means2d - flow.new_tensor([width / 2, height / 2])
+    offset = flow - (B @ center[..., None])[..., 0]
     return torch.cat([offset, B.flatten(1)], 1), front
 
 

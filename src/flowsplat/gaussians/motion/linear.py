@@ -107,7 +107,7 @@ class LinearMotion:
         velocities = coefficients[:, 0] if coefficients.shape[1] else torch.zeros(len(quats), 3)
         return self.from_moments(covariances(quats, scales), velocities, log_lambdas)
 
-    def recentred(self, params: Params, shift: Tensor) -> dict[str, Tensor]:
+    def recentered(self, params: Params, shift: Tensor) -> dict[str, Tensor]:
         """See ``MotionModel``."""
         _, V, W = covariances_4d(params["log_scales4"], params["quats_left"], params["quats_right"])
         moved = params["means"] + shift[:, None] * V / W[:, None]

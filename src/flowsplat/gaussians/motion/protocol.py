@@ -43,7 +43,7 @@ class Shape:
     """What Gaussians at rest look like. Either ``quats`` and ``scales`` are given, or ``covars``.
 
     Attributes:
-        quats: [N, 4] not normalised.
+        quats: [N, 4] not normalized.
         scales: [N, 3]
         covars: [N, 3, 3]
     """
@@ -61,7 +61,7 @@ class MotionState:
         means: [N, 3]
         velocities: [N, 3] d mean / dt, per clip length.
         presence: [N] p(t), between 0 and 1.
-        quats: [N, 4] not normalised.
+        quats: [N, 4] not normalized.
         scales: [N, 3]
         covars: [N, 3, 3]
     """
@@ -79,7 +79,7 @@ class MotionModel(Protocol):
 
     @property
     def parameters(self) -> dict[str, Parameter]:
-        """The parameters that the model needs besides ``means`` [N, 3] and ``times`` [N], the centre times."""
+        """The parameters that the model needs besides ``means`` [N, 3] and ``times`` [N], the center times."""
         ...
 
     @property
@@ -96,7 +96,7 @@ class MotionModel(Protocol):
         ...
 
     def at_rest(self, params: Params) -> Shape:
-        """The shapes at the centre times, from ``means`` and the parameters that do not move, in the form that ``state`` gives."""
+        """The shapes at the center times, from ``means`` and the parameters that do not move, in the form that ``state`` gives."""
         ...
 
     def log_scales(self, params: Params) -> Tensor | None:
@@ -114,8 +114,8 @@ class MotionModel(Protocol):
         """
         ...
 
-    def recentred(self, params: Params, shift: Tensor) -> dict[str, Tensor]:
-        """The parameters that describe the same motion about the centre times moved by ``shift`` [N]."""
+    def recentered(self, params: Params, shift: Tensor) -> dict[str, Tensor]:
+        """The parameters that describe the same motion about the center times moved by ``shift`` [N]."""
         ...
 
     def with_precision(self, params: Params, log_lambda: float) -> dict[str, Tensor]:

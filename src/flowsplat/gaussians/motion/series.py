@@ -14,7 +14,7 @@ from flowsplat.gaussians.motion.rigid import RigidMotion
 
 
 def series_basis(tau: Tensor, poly_order: int, fourier_order: int, fourier_base: float) -> Tensor:
-    """[N] times since the centre to [N, poly + 2 fourier] basis values: tau^n, cos(w l tau) - 1, sin(w l tau)."""
+    """[N] times since the center to [N, poly + 2 fourier] basis values: tau^n, cos(w l tau) - 1, sin(w l tau)."""
     phases = [fourier_base * k * tau for k in range(1, fourier_order + 1)]
     columns = [tau**n for n in range(1, poly_order + 1)]
     columns += [torch.cos(phase) - 1 for phase in phases] + [torch.sin(phase) for phase in phases]
@@ -88,7 +88,7 @@ class SeriesMotion(RigidMotion):
             scales=torch.exp(params["log_scales"]),
         )
 
-    def recentred(self, params: Params, shift: Tensor) -> dict[str, Tensor]:
+    def recentered(self, params: Params, shift: Tensor) -> dict[str, Tensor]:
         """See ``MotionModel``."""
         result = dict(params)
         moved = self.state({**params, "times": torch.zeros_like(shift) - shift}, 0.0)

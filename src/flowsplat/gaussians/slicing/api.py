@@ -26,11 +26,11 @@ class Slice:
 
     Attributes:
         means: [A, 3]
-        quats: [A, 4] not normalised, or None with ``covars``.
+        quats: [A, 4] not normalized, or None with ``covars``.
         scales: [A, 3], or None with ``covars``.
         covars: [A, 3, 3] of a model with general covariances, else None.
         opacities: [A], presence included.
-        colours: [A, 3] as seen from the camera, >= 0.
+        colors: [A, 3] as seen from the camera, >= 0.
         velocities: [M, 3] of the moving ones, per clip length.
         next_means: [A, 3] at the other time; None if none was asked for.
         next_quats: [A, 4] likewise.
@@ -41,7 +41,7 @@ class Slice:
     scales: Tensor | None
     covars: Tensor | None
     opacities: Tensor
-    colours: Tensor
+    colors: Tensor
     velocities: Tensor
     next_means: Tensor | None
     next_quats: Tensor | None

@@ -16,7 +16,7 @@ from flowsplat.common.threads import parallel_for
 from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
 from flowsplat.gaussians.motion import SeriesMotion
 from flowsplat.gaussians.slicing.api import NAMES, Gradients, Slice
-from flowsplat.splatting.cpu.harmonics import basis_of, colour_of
+from flowsplat.splatting.cpu.harmonics import basis_of, color_of
 
 ONE, ZERO, HALF = np.float32(1), np.float32(0), np.float32(0.5)
 CHUNKS = 64
@@ -144,7 +144,7 @@ def _gain(log_gains, cosines, i):
 def _forward(
     begin, end, rows, means, logits, sh, log_gains, quats, log_scales, times, log_lambdas, mean_poly, mean_cos, mean_sin, quat_poly,
     quat_cos, quat_sin, resting, t, next_t, has_next, base, center, cosines, harmonics,
-    out_means, out_quats, out_scales, out_opacities, out_colours, out_velocities, next_means, next_quats,
+    out_means, out_quats, out_scales, out_opacities, out_colors, out_velocities, next_means, next_quats,
 ):  # fmt: skip
     count = len(rows)
     mean_size, quat_size = mean_poly.shape[1] + 2 * mean_cos.shape[1], quat_poly.shape[1] + 2 * quat_cos.shape[1]
@@ -199,17 +199,17 @@ def _forward(
             out_opacities[a] = opacity
             x, y, z = out_means[a, 0] - center[0], out_means[a, 1] - center[1], out_means[a, 2] - center[2]
             basis_of(x, y, z, harmonics, directions)
-            red, green, blue = colour_of(directions, sh, i, harmonics)
-            out_colours[a, 0] = max(red, ZERO) * gain
-            out_colours[a, 1] = max(green, ZERO) * gain
-            out_colours[a, 2] = max(blue, ZERO) * gain
+            red, green, blue = color_of(directions, sh, i, harmonics)
+            out_colors[a, 0] = max(red, ZERO) * gain
+            out_colors[a, 1] = max(green, ZERO) * gain
+            out_colors[a, 2] = max(blue, ZERO) * gain
 
 
 @kernel
 def _backward(
     begin, end, rows, means, logits, sh, log_gains, quats, log_scales, times, log_lambdas, mean_poly, mean_cos, mean_sin, quat_poly,
     quat_cos, quat_sin, resting, t, next_t, has_next, base, center, cosines, harmonics,
-    out_means, grad_means, grad_quats, grad_scales, grad_opacities, grad_colours, grad_velocities, grad_next_means,
+    out_means, grad_means, grad_quats, grad_scales, grad_opacities, grad_colors, grad_velocities, grad_next_means,
     grad_next_quats, d_means, d_logits, d_sh, d_gains, d_quats, d_scales, d_times, d_lambdas, d_mean_poly, d_mean_cos,
     d_mean_sin, d_quat_poly, d_quat_cos, d_quat_sin,
 ):  # fmt: skip
@@ -279,10 +279,10 @@ def _backward(
             d_logits[a] = toward_opacity * sigmoid * (ONE - sigmoid)
             x, y, z = out_means[a, 0] - center[0], out_means[a, 1] - center[1], out_means[a, 2] - center[2]
             basis_of(x, y, z, harmonics, directions)
-            red, green, blue = colour_of(directions, sh, i, harmonics)
-            toward_red = grad_colours[a, 0] * gain if red > ZERO else ZERO
-            toward_green = grad_colours[a, 1] * gain if green > ZERO else ZERO
-            toward_blue = grad_colours[a, 2] * gain if blue > ZERO else ZERO
+            red, green, blue = color_of(directions, sh, i, harmonics)
+            toward_red = grad_colors[a, 0] * gain if red > ZERO else ZERO
+            toward_green = grad_colors[a, 1] * gain if green > ZERO else ZERO
+            toward_blue = grad_colors[a, 2] * gain if blue > ZERO else ZERO
             toward_gain = toward_red * red + toward_green * green + toward_blue * blue
             for k in range(harmonics):
                 d_sh[a, k, 0] = directions[k] * toward_red
@@ -341,7 +341,7 @@ def slice_gaussians(
     # The parameters are not inputs of the function, because their gradients would have their full size: it has one in name.
     anchor = torch.zeros((), requires_grad=gradients is not None)
     outputs = _SliceFunction.apply(anchor, gaussians, active, settings, gradients)
-    means, quats, scales, opacities, colours, velocities, next_means, next_quats = outputs
+    means, quats, scales, opacities, colors, velocities, next_means, next_quats = outputs
     if next_time is None:
         next_means = next_quats = None
-    return Slice(means, quats, scales, None, opacities, colours, velocities, next_means, next_quats)
+    return Slice(means, quats, scales, None, opacities, colors, velocities, next_means, next_quats)

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
 from flowsplat.gaussians.slicing.api import Gradients, Slice
-from flowsplat.splatting.harmonics import colours_from_harmonics
+from flowsplat.splatting.harmonics import colors_from_harmonics
 
 
 def time_gains(log_gains: Tensor, t: float) -> Tensor:
@@ -35,9 +35,9 @@ def slice_gaussians(
     opacities = torch.sigmoid(leaves["logit_opacities"])
     opacities = torch.cat([opacities[:n], opacities[n:] * state.presence])
     directions = means.detach() - camera_center.to(means.device) if gaussians.sh_degree > 0 else None
-    colours = colours_from_harmonics(leaves["sh"], directions, gaussians.sh_degree)
+    colors = colors_from_harmonics(leaves["sh"], directions, gaussians.sh_degree)
     if config.gains and n:
-        colours = torch.cat([colours[:n] * time_gains(leaves["log_gains"], active.t)[:, None], colours[n:]])
+        colors = torch.cat([colors[:n] * time_gains(leaves["log_gains"], active.t)[:, None], colors[n:]])
     quats = scales = covars = next_means = next_quats = None
     if state.covars is not None:
         covars = _together(shape.covars, state.covars)
@@ -48,7 +48,7 @@ def slice_gaussians(
         next_means = torch.cat([leaves["means"][:n], later.means])
         if later.quats is not None:
             next_quats = _together(shape.quats, later.quats)
-    return Slice(means, quats, scales, covars, opacities, colours, state.velocities, next_means, next_quats)
+    return Slice(means, quats, scales, covars, opacities, colors, state.velocities, next_means, next_quats)
 
 
 def _together(resting: Tensor | None, moving: Tensor | None) -> Tensor:

@@ -16,7 +16,7 @@ from torch.autograd.function import once_differentiable
 
 from flowsplat.common.devices import upload
 from flowsplat.common.triton import device_of
-from flowsplat.gaussians.camera_buffer import CENTRE, COSINES, NEXT_TIME, TIME, moment_numbers
+from flowsplat.gaussians.camera_buffer import CENTER, COSINES, NEXT_TIME, TIME, moment_numbers
 from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
 from flowsplat.gaussians.motion import SeriesMotion
 from flowsplat.gaussians.slicing.api import NAMES, Gradients, Slice
@@ -70,14 +70,14 @@ def _harmonic(k: tl.constexpr, x, y, z):
 
 @triton.jit
 def _direction(x, y, z, moment):
-    """Unit vector from the camera's centre."""
-    x, y, z = x - tl.load(moment + CENTRE), y - tl.load(moment + CENTRE + 1), z - tl.load(moment + CENTRE + 2)
+    """Unit vector from the camera's center."""
+    x, y, z = x - tl.load(moment + CENTER), y - tl.load(moment + CENTER + 1), z - tl.load(moment + CENTER + 2)
     inverse = 1.0 / tl.maximum(tl.sqrt(x * x + y * y + z * z), 1e-12)
     return x * inverse, y * inverse, z * inverse
 
 
 @triton.jit
-def _colour(sh, i, mask, x, y, z, harmonics, STORED: tl.constexpr):
+def _color(sh, i, mask, x, y, z, harmonics, STORED: tl.constexpr):
     """Red, green and blue in a direction by the first harmonics, before negative ones become 0.
 
     How many they are grows in training: it is no constant, so that the kernel is compiled once.
@@ -165,7 +165,7 @@ def _spread(
 @triton.jit(do_not_specialize=["count", "resting", "harmonics"], do_not_specialize_on_alignment=["out_velocities"])
 def _forward(
     rows, moment, means, logits, sh, log_gains, quats, log_scales, times, log_lambdas, mean_poly, mean_cos, mean_sin, quat_poly,
-    quat_cos, quat_sin, out_means, out_quats, out_scales, out_opacities, out_colours, out_velocities, next_means, next_quats,
+    quat_cos, quat_sin, out_means, out_quats, out_scales, out_opacities, out_colors, out_velocities, next_means, next_quats,
     count, resting, harmonics, base,
     HAS_NEXT: tl.constexpr, MEAN_POLY: tl.constexpr, MEAN_FOURIER: tl.constexpr, QUAT_POLY: tl.constexpr,
     QUAT_FOURIER: tl.constexpr, GAINS: tl.constexpr, STORED: tl.constexpr, BLOCK: tl.constexpr,
@@ -228,17 +228,17 @@ def _forward(
             tl.store(next_quats + a * 4 + d, quat_later, mask=inside)
     tl.store(out_opacities + a, opacity, mask=inside)
     x, y, z = _direction(x, y, z, moment)
-    red, green, blue = _colour(sh, i, there, x, y, z, harmonics, STORED)
+    red, green, blue = _color(sh, i, there, x, y, z, harmonics, STORED)
     gain = _gain(log_gains, i, there & (a < resting), moment, GAINS)
-    tl.store(out_colours + a * 3, tl.maximum(red, 0.0) * gain, mask=inside)
-    tl.store(out_colours + a * 3 + 1, tl.maximum(green, 0.0) * gain, mask=inside)
-    tl.store(out_colours + a * 3 + 2, tl.maximum(blue, 0.0) * gain, mask=inside)
+    tl.store(out_colors + a * 3, tl.maximum(red, 0.0) * gain, mask=inside)
+    tl.store(out_colors + a * 3 + 1, tl.maximum(green, 0.0) * gain, mask=inside)
+    tl.store(out_colors + a * 3 + 2, tl.maximum(blue, 0.0) * gain, mask=inside)
 
 
 @triton.jit(do_not_specialize=["count", "resting", "harmonics"])
 def _backward(
     rows, moment, means, logits, sh, log_gains, quats, log_scales, times, log_lambdas, mean_poly, mean_cos, mean_sin, quat_poly,
-    quat_cos, quat_sin, out_means, grad_means, grad_quats, grad_scales, grad_opacities, grad_colours, grad_velocities,
+    quat_cos, quat_sin, out_means, grad_means, grad_quats, grad_scales, grad_opacities, grad_colors, grad_velocities,
     grad_next_means, grad_next_quats, d_means, d_logits, d_sh, d_gains, d_quats, d_scales, d_times, d_lambdas, d_mean_poly,
     d_mean_cos, d_mean_sin, d_quat_poly, d_quat_cos, d_quat_sin,
     count, resting, harmonics, base,
@@ -317,11 +317,11 @@ def _backward(
     y = tl.load(out_means + a * 3 + 1, mask=there, other=0.0)
     z = tl.load(out_means + a * 3 + 2, mask=there, other=0.0)
     x, y, z = _direction(x, y, z, moment)
-    red, green, blue = _colour(sh, i, there, x, y, z, harmonics, STORED)
+    red, green, blue = _color(sh, i, there, x, y, z, harmonics, STORED)
     gain = _gain(log_gains, i, still, moment, GAINS)
-    toward_red = tl.where(red > 0.0, tl.load(grad_colours + a * 3, mask=there, other=0.0) * gain, 0.0)
-    toward_green = tl.where(green > 0.0, tl.load(grad_colours + a * 3 + 1, mask=there, other=0.0) * gain, 0.0)
-    toward_blue = tl.where(blue > 0.0, tl.load(grad_colours + a * 3 + 2, mask=there, other=0.0) * gain, 0.0)
+    toward_red = tl.where(red > 0.0, tl.load(grad_colors + a * 3, mask=there, other=0.0) * gain, 0.0)
+    toward_green = tl.where(green > 0.0, tl.load(grad_colors + a * 3 + 1, mask=there, other=0.0) * gain, 0.0)
+    toward_blue = tl.where(blue > 0.0, tl.load(grad_colors + a * 3 + 2, mask=there, other=0.0) * gain, 0.0)
     for k in tl.static_range(STORED):
         at = d_sh + (a * STORED + k) * 3
         basis = tl.where(k < harmonics, _harmonic(k, x, y, z), 0.0)
@@ -356,7 +356,7 @@ def slice_rows(gaussians: Gaussians4D, rows: Tensor, resting: int, moment: Tenso
         has_next: whether means and quats at the other time are wanted.
 
     Returns:
-        means, quats, scales, opacities, colours, velocities, next_means and next_quats; see ``Slice``.
+        means, quats, scales, opacities, colors, velocities, next_means and next_quats; see ``Slice``.
     """
     count = len(rows)
     later = count if has_next else 0
@@ -413,7 +413,7 @@ def slice_gaussians(
     anchor = torch.zeros((), requires_grad=gradients is not None)
     has_next = next_time is not None
     outputs = _SliceFunction.apply(anchor, gaussians, active, upload(moment, active.rows.device), has_next, gradients)
-    means, quats, scales, opacities, colours, velocities, next_means, next_quats = outputs
+    means, quats, scales, opacities, colors, velocities, next_means, next_quats = outputs
     if not has_next:
         next_means = next_quats = None
-    return Slice(means, quats, scales, None, opacities, colours, velocities, next_means, next_quats)
+    return Slice(means, quats, scales, None, opacities, colors, velocities, next_means, next_quats)

@@ -33,7 +33,7 @@ def write_colmap(folder: Path, scene: Scene, points: Still) -> None:
     Args:
         folder: gets the three files.
         scene: with cameras.
-        points: their centres and colours become points without tracks, to start a training from.
+        points: their centers and colors become points without tracks, to start a training from.
 
     Raises:
         InputError: the scene has no cameras, or the folder cannot be written.
@@ -49,10 +49,10 @@ def write_colmap(folder: Path, scene: Scene, points: Still) -> None:
     write_text(folder / "cameras.txt", "".join(f"{number} {lens}\n" for lens, number in lenses.items()))
     write_text(folder / "images.txt", "".join(images))
     chosen = slice(None, None, -(-len(points.means) // MOST_POINTS) or 1)
-    means, colours = points.means[chosen].numpy(), np.rint(255 * points.colours[chosen].numpy()).astype(int)
+    means, colors = points.means[chosen].numpy(), np.rint(255 * points.colors[chosen].numpy()).astype(int)
     lines = [
         f"{k} {x:.6g} {y:.6g} {z:.6g} {r} {g} {b} 0\n"
-        for k, ((x, y, z), (r, g, b)) in enumerate(zip(means.tolist(), colours.tolist(), strict=True), 1)
+        for k, ((x, y, z), (r, g, b)) in enumerate(zip(means.tolist(), colors.tolist(), strict=True), 1)
     ]
     write_text(folder / "points3D.txt", "".join(lines))
 

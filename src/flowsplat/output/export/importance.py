@@ -44,7 +44,7 @@ def blending_weights(gaussians: Gaussians4D, views: Sequence[tuple[Camera, float
 
     Args:
         gaussians: the model.
-        views: (camera in normalised coordinates, clip time).
+        views: (camera in normalized coordinates, clip time).
     """
     total = torch.zeros(len(gaussians))
     for camera, t in track(views, "Weighing the Gaussians"):

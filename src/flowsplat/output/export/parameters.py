@@ -19,7 +19,7 @@ VERSION = 1
 
 
 def about_parameters(model: SceneModel) -> dict[str, Any]:
-    """What the arrays mean: settings of the motion model, and how scene and clip are normalised."""
+    """What the arrays mean: settings of the motion model, and how scene and clip are normalized."""
     return {
         "format": "flowsplat parameters",
         "version": VERSION,

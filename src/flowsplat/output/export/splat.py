@@ -1,6 +1,6 @@
 """3D Gaussians as the .splat of https://github.com/antimatter15/splat: 32 bytes each, without view dependence.
 
-Position and scales as float32, then colour and opacity, then the quaternion (wxyz, 128 + 128 q), as bytes. What is large
+Position and scales as float32, then color and opacity, then the quaternion (wxyz, 128 + 128 q), as bytes. What is large
 and opaque comes first, so that a viewer shows it first.
 """
 
@@ -13,7 +13,7 @@ import numpy as np
 from flowsplat.common.files import write_bytes
 from flowsplat.output.export.still import Still
 
-RECORD = np.dtype([("position", "<f4", 3), ("scale", "<f4", 3), ("colour", "u1", 4), ("rotation", "u1", 4)])
+RECORD = np.dtype([("position", "<f4", 3), ("scale", "<f4", 3), ("color", "u1", 4), ("rotation", "u1", 4)])
 
 
 def write_splat(path: Path, still: Still) -> None:
@@ -25,8 +25,8 @@ def write_splat(path: Path, still: Still) -> None:
     records = np.empty(len(still.means), RECORD)
     records["position"] = still.means.numpy()
     records["scale"] = np.exp(still.log_scales.numpy())
-    rgba = np.concatenate([still.colours.numpy(), still.opacities.numpy()[:, None]], 1)
-    records["colour"] = np.rint(255 * rgba)
+    rgba = np.concatenate([still.colors.numpy(), still.opacities.numpy()[:, None]], 1)
+    records["color"] = np.rint(255 * rgba)
     records["rotation"] = np.clip(np.rint(still.quats.numpy() * 128 + 128), 0, 255)
     size = still.log_scales.sum(1).numpy() + np.log(np.maximum(still.opacities.numpy(), 1e-12))
     write_bytes(path, records[np.argsort(-size, kind="stable")].tobytes())

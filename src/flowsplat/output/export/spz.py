@@ -6,7 +6,7 @@ A header of 16 bytes, then for all Gaussians one after the other:
 | --- | --- | --- |
 | position | 9 | 24 bits each, fixed point, as many bits behind the point as the scene's size leaves |
 | opacity | 1 | after the sigmoid, 0 to 255 |
-| colour | 3 | harmonics of degree 0, 0.15 of them, from -0.5 to 0.5 |
+| color | 3 | harmonics of degree 0, 0.15 of them, from -0.5 to 0.5 |
 | scales | 3 | logarithm, from -10 in steps of 1/16 |
 | rotation | 4 | place of the largest of x, y, z, w in 2 bits, sign and size of the other three in 10 each |
 | harmonics | 0, 9, 24, 45 | of degrees 1 to 3, from -1 to 1, channel by channel for each |
@@ -28,7 +28,7 @@ from flowsplat.output.export.still import Still
 _MAGIC, _VERSION = 0x5053474E, 3
 _FRACTION_BITS = 16
 """Bits behind the point of a position at most: a step of 1/65536 of a unit, within 128 units of the middle."""
-_COLOUR_SCALE = 0.15
+_COLOR_SCALE = 0.15
 
 
 def bytes_per_gaussian(harmonics: int) -> int:
@@ -49,7 +49,7 @@ def write_spz(path: Path, still: Still) -> None:
     parts = [
         positions,
         _bytes(255 * still.opacities.numpy()),
-        _bytes(255 * (_COLOUR_SCALE * sh[:, 0] + 0.5)),
+        _bytes(255 * (_COLOR_SCALE * sh[:, 0] + 0.5)),
         _bytes(16 * (still.log_scales.numpy() + 10)),
         _smallest_three(still.quats.numpy()),
         # All 8 bits; Niantic's own writer rounds to 5 and 4 of them, which saves a tenth of the file and costs 3 dB.

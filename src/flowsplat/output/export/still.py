@@ -49,7 +49,7 @@ class Still:
         return torch.logit(self.opacities.clamp(_FAINTEST, 1 - _FAINTEST))
 
     @property
-    def colours(self) -> Tensor:
+    def colors(self) -> Tensor:
         """[A, 3] of degree 0, between 0 and 1."""
         return (C0 * self.sh[:, 0] + 0.5).clamp(0, 1)
 

@@ -14,7 +14,7 @@ from flowsplat.geometry.paths import CameraPath
 from flowsplat.geometry.rotations import rotations_to_quats
 from flowsplat.output.videos.options import RenderOptions
 from flowsplat.output.videos.plans import subject_distance
-from flowsplat.output.videos.stabilised import stabilise
+from flowsplat.output.videos.stabilized import stabilize
 
 PATH_SAMPLES = 4
 """Cameras a frame of a path; the player interpolates linearly between them."""
@@ -23,7 +23,7 @@ _SUBJECTS = 17
 
 
 def camera_paths(model: SceneModel, times: Sequence[float], cameras: Sequence[Camera]) -> dict[str, Any]:
-    """What the header of the page says about cameras, in the coordinates of the player (normalised).
+    """What the header of the page says about cameras, in the coordinates of the player (normalized).
 
     Args:
         model: the scene.
@@ -31,12 +31,12 @@ def camera_paths(model: SceneModel, times: Sequence[float], cameras: Sequence[Ca
         cameras: [T] its cameras, in the coordinates of the scene.
 
     Returns:
-        ``clipPath`` and ``steadyPath``: rows of clip time, centre, rotation world to camera (wxyz), fx, fy, cx, cy.
+        ``clipPath`` and ``steadyPath``: rows of clip time, center, rotation world to camera (wxyz), fx, fy, cx, cy.
         ``subjectDepths``: planar depth of the movers at even steps of the clip, the median depth of the clip where none are seen.
     """
     step = (times[-1] - times[0]) / (len(times) - 1)
     even, clip = np.linspace(times[0], times[-1], len(times)).tolist(), CameraPath(times, cameras)
-    steady, _ = stabilise(model, [(clip.at(t), t) for t in even], RenderOptions.stabilise / step)
+    steady, _ = stabilize(model, [(clip.at(t), t) for t in even], RenderOptions.stabilize / step)
     return {
         "clipPath": sampled_path(model, times, cameras),
         "steadyPath": sampled_path(model, even, [camera for camera, _ in steady]),

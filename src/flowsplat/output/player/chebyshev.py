@@ -31,7 +31,7 @@ class ChebyshevMotion:
     """M moving Gaussians over their visible intervals.
 
     Attributes:
-        times: [M] centre time of p(t).
+        times: [M] center time of p(t).
         log_lambdas: [M] log of its precision.
         means: [M, D + 1, 3] Chebyshev coefficients of the mean on the interval of ``visible_interval``.
         quats: [M, E + 1, 4] likewise of the quaternion, which has about unit length.
@@ -67,7 +67,7 @@ def fit_motion(
     Args:
         gaussians: of any motion model.
         rows: which of them.
-        times: [M] their centre times as the reader of the series knows them (rounded).
+        times: [M] their center times as the reader of the series knows them (rounded).
         log_lambdas: [M] likewise.
         mean_tolerance: largest error of the mean, in the units of the model, for nearly all Gaussians.
         quat_tolerance: likewise of the unit quaternion.

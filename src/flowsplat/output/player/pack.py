@@ -1,6 +1,6 @@
 """A trained scene as the few megabytes that the player unpacks: a header that says what is there, and quantized arrays.
 
-Gaussians at rest come first, then those that move, each part along a space-filling curve, so that neighbours in the file
+Gaussians at rest come first, then those that move, each part along a space-filling curve, so that neighbors in the file
 look alike. Which bits each parameter gets was chosen by the PSNR of the pictures (docs/formats.md).
 """
 
@@ -123,7 +123,7 @@ def _arrays(gaussians: Gaussians4D, resting: int, resolution: np.ndarray) -> lis
         quantized("quats", quats.numpy(), 8, -1.0, 1.0),
         quantized_to_range("logScales", log_scales.numpy(), 8, tail=0),
         quantized("opacities", _column(torch.sigmoid(params["logit_opacities"])), 8, 0.0, 1.0),
-        quantized_to_range("colours", sh[:, 0], 8),
+        quantized_to_range("colors", sh[:, 0], 8),
     ]
     if degree:
         arrays.append(quantized_to_range("harmonics", sh[:, 1:].reshape(len(sh), -1), 8))

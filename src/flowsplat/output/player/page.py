@@ -50,7 +50,7 @@ def write_player(
     if not len(model.gaussians):
         raise InputError("The scene has no Gaussians: there is nothing to show.")
     packed = pack(model, times, cameras, title, widths)
-    poster = model.render(cameras[0], float(times[0])).colour
+    poster = model.render(cameras[0], float(times[0])).color
     template = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(_asset("player.html"))
     script = "\n".join(("", '"use strict";', *map(_asset, SCRIPTS), ""))
     page = template.render(

@@ -13,7 +13,7 @@ from flowsplat.gaussians.renderer import Part, numbers_of
 from flowsplat.output.camera_files import LARGEST
 from flowsplat.pictures.video import FASTEST, SLOWEST
 
-PathName = Literal["input", "stabilised", "orbit", "bullet", "dolly", "wiggle"]
+PathName = Literal["input", "stabilized", "orbit", "bullet", "dolly", "wiggle"]
 
 _SMALLEST = 16
 """Pixels of width."""
@@ -26,12 +26,12 @@ class RenderOptions:
     """Which videos are made, and how."""
 
     paths: tuple[PathName, ...] = ("input", "orbit", "bullet")
-    """``input``: along the clip's cameras. ``stabilised``: the same without the shaking. ``orbit``: a loop round the
+    """``input``: along the clip's cameras. ``stabilized``: the same without the shaking. ``orbit``: a loop round the
     clip's camera while time plays. ``bullet``: the same loop while time stands still. ``dolly``: time stands still, the camera
     moves back and zooms in, so that the subject stays as large. ``wiggle``: a GIF that shows depth by a small swing."""
     parts: tuple[Part, ...] = ("all",)
     """What is shown: ``all``. ``background``: without what moves. ``movers``: what moves, alone, on transparent: a WebM (VP9
-    with alpha) in colour; ``wiggle`` shows them on black. ``movers:2`` or ``movers:1,3``: likewise the movers of these numbers
+    with alpha) in color; ``wiggle`` shows them on black. ``movers:2`` or ``movers:1,3``: likewise the movers of these numbers
     alone, as they have them in the masks; the report and ``flowsplat info`` tell which there are."""
     width: int | None = None
     """Pixels; the height follows. None = as the clip was trained."""
@@ -47,8 +47,8 @@ class RenderOptions:
     has seen enough and knows where movers are, 3 to 12."""
     bullet_time: float | None = None
     """Seconds of the clip at which time stands still in ``bullet``, ``dolly`` and ``wiggle``. None = the middle."""
-    stabilise: float = 0.5
-    """Seconds over which ``stabilised`` smooths the path (standard deviation); less where too little picture would be left."""
+    stabilize: float = 0.5
+    """Seconds over which ``stabilized`` smooths the path (standard deviation); less where too little picture would be left."""
     dolly: float | None = None
     """How many times as far from the subject the camera of ``dolly`` goes; below 1 it comes nearer and widens. None = as far as the
     clip has seen enough, 1.1 to 1.5."""
@@ -122,8 +122,8 @@ def check_options(options: RenderOptions, fps: float, first: float, last: float)
         raise InputError(f"The orbit's angle is {options.orbit_angle:g} degrees: give one from 0 to 90.")
     if options.bullet_time is not None and not first <= options.bullet_time <= last:
         raise InputError(f"The bullet time {options.bullet_time:g} s is outside the clip ({first:g} to {last:g} s).")
-    if not 0 <= options.stabilise <= 60:
-        raise InputError(f"A path cannot be smoothed over {options.stabilise:g} s: give --render.stabilise from 0 to 60.")
+    if not 0 <= options.stabilize <= 60:
+        raise InputError(f"A path cannot be smoothed over {options.stabilize:g} s: give --render.stabilize from 0 to 60.")
     if options.dolly is not None and not 0.25 <= options.dolly <= 4:
         raise InputError(f"A dolly zoom to {options.dolly:g} times the distance cannot be shown: give one from 0.25 to 4.")
     if not 0 < options.eye_distance <= 0.5:

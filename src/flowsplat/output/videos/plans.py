@@ -20,7 +20,7 @@ from flowsplat.output.camera_files import CameraShots, read_camera_file
 from flowsplat.output.videos.amplitudes import Amplitudes
 from flowsplat.output.videos.options import RenderOptions, check_options, factors_of
 from flowsplat.output.videos.shots import COVERED, Shot, small
-from flowsplat.output.videos.stabilised import stabilise
+from flowsplat.output.videos.stabilized import stabilize
 from flowsplat.pictures.video import FASTEST, SLOWEST
 from flowsplat.scenes import Scene
 
@@ -38,7 +38,7 @@ class Plan:
         name: of its files.
         shots: (camera, seconds of the clip), one a frame.
         fps: frames a second.
-        kind: colour, flow and depth beside each other and colour alone; two eyes; colour with alpha; an animated GIF.
+        kind: color, flow and depth beside each other and color alone; two eyes; color with alpha; an animated GIF.
         part: what of the scene is shown.
         eye_distance: between the eyes of a stereo pair, in the units of the scene's cameras.
         convergence: planar depth that both eyes see in the same place.
@@ -60,7 +60,7 @@ class Plan:
     def files(self) -> list[str]:
         """Names of what it is written to."""
         if self.kind == "panels":
-            return [f"{self.name}.mp4", f"{self.name}_colour.mp4"]
+            return [f"{self.name}.mp4", f"{self.name}_color.mp4"]
         return [f"{self.name}.{_SUFFIXES[self.kind]}"]
 
     def to_json(self) -> list[Any]:
@@ -132,10 +132,10 @@ def _whole(model: PartedRenderer, scene: Scene, options: RenderOptions) -> Itera
 
     if "input" in options.paths:
         yield Plan(f"input_path{tempo}", along, fps, audio_from=sound, audio_start=start)
-    if "stabilised" in options.paths:
-        shots, share = stabilise(model, along, options.stabilise / step)
-        say(f"The stabilised path shows {share:.0%} of the width and height of the clip.")
-        yield Plan(f"stabilised{tempo}", shots, fps, audio_from=sound, audio_start=start)
+    if "stabilized" in options.paths:
+        shots, share = stabilize(model, along, options.stabilize / step)
+        say(f"The stabilized path shows {share:.0%} of the width and height of the clip.")
+        yield Plan(f"stabilized{tempo}", shots, fps, audio_from=sound, audio_start=start)
     if "orbit" in options.paths:
         # The middle of the clip in real time.
         spare = max(len(times) - options.max_frames, 0)

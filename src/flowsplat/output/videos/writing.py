@@ -1,4 +1,4 @@
-"""Plans to files: panels with colour, flow and depth, pairs for two eyes, colour with alpha, GIFs."""
+"""Plans to files: panels with color, flow and depth, pairs for two eyes, color with alpha, GIFs."""
 
 from __future__ import annotations
 
@@ -24,25 +24,25 @@ from flowsplat.pictures.transparent import webm_writer
 from flowsplat.pictures.video import mp4_writer
 
 _PROBES = 5
-"""Shots that are looked at before a video is made, to fix its colour scales."""
+"""Shots that are looked at before a video is made, to fix its color scales."""
 _WIDEST_PANEL = 1280
 """Pixels. Three panels beside each other then stay below what hardware decoders take."""
 
 
 def look(model: Renderer, shots: Sequence[Shot], k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Colour, flow to the next shot and depth of shot ``k``; flow NaN and depth 0 where there is hardly anything."""
-    neighbour = k + 1 if k + 1 < len(shots) else max(k - 1, 0)
-    rendering = model.render(*shots[k], shots[neighbour])
+    """Color, flow to the next shot and depth of shot ``k``; flow NaN and depth 0 where there is hardly anything."""
+    neighbor = k + 1 if k + 1 < len(shots) else max(k - 1, 0)
+    rendering = model.render(*shots[k], shots[neighbor])
     assert rendering.flow is not None
     covered = rendering.alpha >= COVERED
     # The last shot has no next one: it is taken to go on as it came.
-    flow = rendering.flow if neighbour >= k else -rendering.flow
-    return rendering.colour, np.where(covered[..., None], flow, np.nan), np.where(covered, rendering.depth, 0)
+    flow = rendering.flow if neighbor >= k else -rendering.flow
+    return rendering.color, np.where(covered[..., None], flow, np.nan), np.where(covered, rendering.depth, 0)
 
 
 @dataclass(frozen=True)
 class Scales:
-    """Colour scales that one video keeps: flow in pixels, depth, and a hash of the shots that they were taken from."""
+    """Color scales that one video keeps: flow in pixels, depth, and a hash of the shots that they were taken from."""
 
     flow: float
     near: float
@@ -79,34 +79,34 @@ def write_plan(model: Renderer, plan: Plan, scales: Scales, folder: Path) -> Non
         _write_alpha(model, plan, *paths)
     else:
         shots = track(plan.shots, f"Rendering {plan.name}")
-        pictures = in_threads(lambda shot: float_to_bytes(model.render(*shot).colour), shots, at_once(model))
+        pictures = in_threads(lambda shot: float_to_bytes(model.render(*shot).color), shots, at_once(model))
         write_gif(paths[0], list(pictures), plan.fps)
 
 
-def _write_panels(model: Renderer, plan: Plan, scales: Scales, panels_path: Path, colour_path: Path) -> None:
+def _write_panels(model: Renderer, plan: Plan, scales: Scales, panels_path: Path, color_path: Path) -> None:
     camera = plan.shots[0][0]
     height = min(camera.height, max(round(camera.height * _WIDEST_PANEL / camera.width), 1))
 
     def sheet(k: int) -> tuple[np.ndarray, np.ndarray]:
         picture, flow, depth = look(model, plan.shots, k)
-        colour = float_to_bytes(picture)
-        panels = [colour, flow_to_color(flow, scales.flow), depth_to_color(depth, scales.near, scales.far)]
-        return side_by_side(panels, ["colour", "flow", "depth"], height), colour
+        color = float_to_bytes(picture)
+        panels = [color, flow_to_color(flow, scales.flow), depth_to_color(depth, scales.near, scales.far)]
+        return side_by_side(panels, ["color", "flow", "depth"], height), color
 
     with (
         mp4_writer(panels_path, plan.fps, audio_from=plan.audio_from, audio_start=plan.audio_start) as write_panels,
-        mp4_writer(colour_path, plan.fps, audio_from=plan.audio_from, audio_start=plan.audio_start) as write_colour,
+        mp4_writer(color_path, plan.fps, audio_from=plan.audio_from, audio_start=plan.audio_start) as write_color,
     ):
         shots = track(range(len(plan.shots)), f"Rendering {plan.name}")
-        for panels, colour in in_threads(sheet, shots, at_once(model)):
+        for panels, color in in_threads(sheet, shots, at_once(model)):
             write_panels(panels)
-            write_colour(colour)
+            write_color(color)
 
 
 def _write_stereo(model: Renderer, plan: Plan, path: Path) -> None:
     def pair(shot: Shot) -> np.ndarray:
         eyes = [shifted(shot[0], side * plan.eye_distance / 2, plan.convergence) for side in (-1, 1)]
-        return np.concatenate([float_to_bytes(model.render(eye, shot[1]).colour) for eye in eyes], axis=1)
+        return np.concatenate([float_to_bytes(model.render(eye, shot[1]).color) for eye in eyes], axis=1)
 
     with mp4_writer(path, plan.fps, audio_from=plan.audio_from, audio_start=plan.audio_start) as write:
         for both in in_threads(pair, track(plan.shots, f"Rendering {plan.name}"), at_once(model)):
@@ -121,6 +121,6 @@ def _write_alpha(model: Renderer, plan: Plan, path: Path) -> None:
 
 
 def on_transparent(seen: Rendering) -> np.ndarray:
-    """[H, W, 4] uint8 RGBA of what was rendered without filling; colour is not multiplied by alpha, as WebM wants it."""
-    colour = seen.colour / np.maximum(seen.alpha, 1e-6)[..., None]
-    return float_to_bytes(np.concatenate([colour, seen.alpha[..., None]], axis=-1))
+    """[H, W, 4] uint8 RGBA of what was rendered without filling; color is not multiplied by alpha, as WebM wants it."""
+    color = seen.color / np.maximum(seen.alpha, 1e-6)[..., None]
+    return float_to_bytes(np.concatenate([color, seen.alpha[..., None]], axis=-1))

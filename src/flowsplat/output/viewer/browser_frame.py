@@ -38,7 +38,7 @@ class BrowserFrame:
     """The browser's coordinates: the scene, moved and scaled to a median depth of ``SCENE_DEPTH``."""
 
     def __init__(self, similarity: Similarity):
-        """``similarity``: scene to normalised coordinates (median depth 1)."""
+        """``similarity``: scene to normalized coordinates (median depth 1)."""
         self.from_scene = Similarity(similarity.scale * SCENE_DEPTH, similarity.rotation, similarity.translation * SCENE_DEPTH)
         self.to_scene = self.from_scene.inverse()
 

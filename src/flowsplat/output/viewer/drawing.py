@@ -22,7 +22,7 @@ from flowsplat.output.viewer.source import Source
 from flowsplat.pictures.colors import depth_to_color, float_to_bytes, flow_to_color
 from flowsplat.splatting.rules import ALPHA_MIN
 
-PictureKind = Literal["colour", "flow", "depth", "alpha", "Gaussians"]
+PictureKind = Literal["color", "flow", "depth", "alpha", "Gaussians"]
 Compare = Literal["off", "beside", "wipe"]
 
 _TRACK_TAIL = 8
@@ -30,7 +30,7 @@ _TRACK_TAIL = 8
 _MOST_TRACKS = 250
 """Of movers, and of the background; more hide the picture."""
 _BACKGROUND = 24
-"""Grey value behind Gaussians that are shown as points."""
+"""Gray value behind Gaussians that are shown as points."""
 _FAR = 150.0
 """What viser can say of a depth ends at 167."""
 _BOTH_EYES = (-1, 1)
@@ -52,7 +52,7 @@ class Look:
         fading: without what the clip tells too little of, from where it is seen.
     """
 
-    show: PictureKind = "colour"
+    show: PictureKind = "color"
     part: Part = "all"
     compare: Compare = "off"
     wipe: float = 0.5
@@ -150,8 +150,8 @@ def render_look(source: Source, camera: Camera, wish: Wish, side: int = 0) -> tu
         return draw_points(model, camera, t), np.full((camera.height, camera.width), np.inf, np.float32)
     seen = model.render(camera, t, flow_to)
     covered = seen.alpha >= COVERED
-    if look.show == "colour":
-        image = float_to_bytes(seen.colour)
+    if look.show == "color":
+        image = float_to_bytes(seen.color)
     elif look.show == "alpha":
         image = np.repeat(float_to_bytes(seen.alpha)[..., None], 3, axis=-1)
     elif look.show == "depth":
@@ -181,7 +181,7 @@ def _next_shot(source: Source, camera: Camera, wish: Wish, side: int) -> tuple[C
 
 @torch.no_grad()
 def draw_points(model: SceneModel, camera: Camera, t: float) -> np.ndarray:
-    """[H, W, 3] uint8: every active Gaussian as a dot in its colour at its centre, near ones over far ones."""
+    """[H, W, 3] uint8: every active Gaussian as a dot in its color at its center, near ones over far ones."""
     image = np.full((camera.height, camera.width, 3), _BACKGROUND, np.uint8)
     there = model.similarity.camera(camera)
     gaussians = model.gaussians_for(there, model.clip_time(t))
@@ -195,9 +195,9 @@ def draw_points(model: SceneModel, camera: Camera, t: float) -> np.ndarray:
     dot = np.arange(2 if camera.width >= 480 else 1)
     x = np.minimum(uv[order, 0].astype(np.int64)[:, None, None] + dot, camera.width - 1)
     y = np.minimum(uv[order, 1].astype(np.int64)[:, None, None] + dot[:, None], camera.height - 1)
-    colours = float_to_bytes(sliced.colours.cpu().numpy()[order])
+    colors = float_to_bytes(sliced.colors.cpu().numpy()[order])
     # Where an index comes twice, NumPy keeps what is written last: the nearest.
-    image[y, x] = colours[:, None, None]
+    image[y, x] = colors[:, None, None]
     return image
 
 
@@ -212,10 +212,10 @@ def draw_tracks(image: np.ndarray, source: Source, t: float) -> None:
     tail = [i for i in frames if now - _TRACK_TAIL <= i <= now]
     scale = np.array([image.shape[1] / source.size[0], image.shape[0] / source.size[1]])
     width = max(round(image.shape[1] / 640), 1)
-    for moving, colour in ((False, (80, 170, 255)), (True, (255, 140, 0))):
+    for moving, color in ((False, (80, 170, 255)), (True, (255, 140, 0))):
         chosen = np.nonzero(tracks.visible[:, now] & (tracks.moving == moving))[0]
         chosen = chosen[:: max(len(chosen) // _MOST_TRACKS, 1)]
         lines = [np.round(tracks.points[p, tail][tracks.visible[p, tail]] * scale).astype(np.int32) for p in chosen]
-        cv2.polylines(image, lines, False, colour, width, cv2.LINE_AA)
+        cv2.polylines(image, lines, False, color, width, cv2.LINE_AA)
         for line in lines:
-            cv2.circle(image, tuple(map(int, line[-1])), width, colour, -1, cv2.LINE_AA)
+            cv2.circle(image, tuple(map(int, line[-1])), width, color, -1, cv2.LINE_AA)

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 BAR = 20
-"""Grey value of what is beside a picture."""
+"""Gray value of what is beside a picture."""
 
 
 @dataclass(frozen=True)

@@ -95,7 +95,7 @@ class Panel:
             self._mode = controls.add_dropdown("Mode", get_args(Mode), initial_value="orbit", hint=_MODE_HINT)
             home = gui.add_button("To the input camera", icon=viser.Icon.HOME)
         with gui.add_folder("Picture"):
-            self._what = controls.add_dropdown("Show", get_args(PictureKind), initial_value="colour")
+            self._what = controls.add_dropdown("Show", get_args(PictureKind), initial_value="color")
             self._part = controls.add_dropdown("Part", (*PARTS, *(f"movers:{n}" for n in self._movers)), initial_value="all")
             self._compare = controls.add_dropdown("Input frame", get_args(Compare), initial_value="off")
             self._wipe = controls.add_slider("Wipe", min=0.0, max=1.0, step=0.01, initial_value=0.5, visible=False)
@@ -274,13 +274,13 @@ class Panel:
         if (old := self._overlays.pop("trails", None)) is not None:
             old.remove()
         if self._trails.value:
-            ends, colours = trails(self._source.model("all", self._session.look.distances))
+            ends, colors = trails(self._source.model("all", self._session.look.distances))
             if not len(ends):
                 self._notifications.show("Nothing to draw", "No Gaussian of this scene moves.")
             else:
                 there = self._browser.from_scene.points(ends.astype(np.float64))
                 self._overlays["trails"] = self.client.scene.add_line_segments(
-                    "/trails", there, colours, thickness=1.5, thickness_units="screen"
+                    "/trails", there, colors, thickness=1.5, thickness_units="screen"
                 )
         self._redraw()
 

@@ -78,7 +78,7 @@ def record_path(
         browser: its coordinates.
         keys: the path.
         fps: frames a second; a GIF has those of the wiggle.
-        look: what is shown; a WebM shows the movers in colour on transparent, whatever it says.
+        look: what is shown; a WebM shows the movers in color on transparent, whatever it says.
         path: ``.mp4``, ``.gif`` or ``.webm``.
         tell: shows how far it is.
         finished: called with the path in the end.

@@ -144,7 +144,7 @@ class Source:
 
     @cached_property
     def _inner_path(self) -> CameraPath:
-        """The same in the normalised coordinates and the clip time of the models."""
+        """The same in the normalized coordinates and the clip time of the models."""
         first, last = self.clip
         times = (self.path.times - first) / (last - first)
         return CameraPath(times.tolist(), [self.scene.similarity.camera(camera) for camera in self.path.cameras])
@@ -161,7 +161,7 @@ class Source:
 
     @cached_property
     def scales(self) -> Scales:
-        """Colour scales of flow and depth, which no picture of the viewer changes."""
+        """Color scales of flow and depth, which no picture of the viewer changes."""
         shots = [(camera, float(t)) for camera, t in zip(self.path.cameras, self.scene.timestamps, strict=True)]
         return Scales.of(self.loaded.part("all"), shots)
 

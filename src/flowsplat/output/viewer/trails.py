@@ -18,7 +18,7 @@ def trails(model: SceneModel) -> tuple[np.ndarray, np.ndarray]:
     """Paths of some moving Gaussians, as far as they are present.
 
     Returns:
-        ends [S, 2, 3] in the units of the scene's cameras and colours [S, 2, 3] uint8 by time, from blue to red; both empty
+        ends [S, 2, 3] in the units of the scene's cameras and colors [S, 2, 3] uint8 by time, from blue to red; both empty
         where nothing moves.
     """
     gaussians = model.gaussians
@@ -39,5 +39,5 @@ def trails(model: SceneModel) -> tuple[np.ndarray, np.ndarray]:
     ends = model.similarity.inverse().points(np.stack([places[:-1], places[1:]], axis=2))
     kept = present[:-1] & present[1:] & np.isfinite(ends).all((2, 3))
     ramp = cv2.applyColorMap(np.linspace(30, 225, _STEPS).astype(np.uint8)[:, None], cv2.COLORMAP_TURBO)[:, 0, ::-1]
-    colours = np.broadcast_to(np.stack([ramp[:-1], ramp[1:]], axis=1)[:, None], ends.shape)
-    return ends[kept].astype(np.float32), colours[kept].astype(np.uint8)
+    colors = np.broadcast_to(np.stack([ramp[:-1], ramp[1:]], axis=1)[:, None], ends.shape)
+    return ends[kept].astype(np.float32), colors[kept].astype(np.uint8)

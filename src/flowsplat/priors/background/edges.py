@@ -1,7 +1,7 @@
 """Depth near its jumps: flow lets near surfaces swell by several pixels, and the pictures tell where they end.
 
 A pixel near a jump of depth belongs to one of the surfaces around it. Each of them proposes its depth; other frames show the
-pixel's surroundings where the right one leads (a vote of colours, weighed by likeness to the pixel, as in
+pixel's surroundings where the right one leads (a vote of colors, weighed by likeness to the pixel, as in
 https://doi.org/10.1109/TPAMI.2006.70). What another frame hides speaks for nothing: the better half of the frames counts, of those
 whose picture holds the place.
 """
@@ -49,8 +49,8 @@ WINDOW = 4
 """Pixels to either side that vote."""
 LIKENESS = 20.0
 """Sum of the differences in red, green and blue at which a pixel's vote counts half."""
-_COLOUR, _GRADIENT, _WORST = 60.0, 20.0, 60.0
-"""Largest difference of colours and of gradients that counts; cost where no frame says anything."""
+_COLOR, _GRADIENT, _WORST = 60.0, 20.0, 60.0
+"""Largest difference of colors and of gradients that counts; cost where no frame says anything."""
 _MARGIN = WINDOW
 """Numbers before and after a row, so that what lies beside the picture can be loaded; of costs they are 0: no vote."""
 
@@ -61,7 +61,7 @@ class View:
 
     Attributes:
         words: [H, W] red, green, blue, and whether something moves there, which says nothing of the still scene (``packed``).
-        slopes: [H, W] float32, size of the gradient of its grey.
+        slopes: [H, W] float32, size of the gradient of its gray.
     """
 
     words: np.ndarray
@@ -70,8 +70,8 @@ class View:
     @staticmethod
     def of(picture: np.ndarray, moving: np.ndarray) -> View:
         """Of a picture [H, W, 3] uint8 and what moves in it [H, W] bool."""
-        grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY).astype(np.float32)
-        across, down = cv2.Sobel(grey, cv2.CV_32F, 1, 0) / 4, cv2.Sobel(grey, cv2.CV_32F, 0, 1) / 4
+        gray = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY).astype(np.float32)
+        across, down = cv2.Sobel(gray, cv2.CV_32F, 1, 0) / 4, cv2.Sobel(gray, cv2.CV_32F, 0, 1) / 4
         return View(packed(picture[None], moving[None])[0], np.hypot(across, down))
 
     @property
@@ -103,7 +103,7 @@ def refine_edges(
     for _ in range(ROUNDS):
         around = [cv2.getStructuringElement(cv2.MORPH_RECT, (2 * reach + 1, 2 * reach + 1)) for reach in REACHES]
         far, close = [cv2.erode(inverse, each) for each in around], [cv2.dilate(inverse, each) for each in around]
-        proposed = [inverse, *far, *close]  # Equal ones are neighbours, and are tried once.
+        proposed = [inverse, *far, *close]  # Equal ones are neighbors, and are tried once.
         asked = still & (close[-1] - far[-1] > JUMP * inverse)
         if doubted is not None:
             asked &= doubted
@@ -158,7 +158,7 @@ def _costs(
     """[L, H, S] float32: how much the better half of the frames differs from a pixel at each proposed inverse depth [L, H, W].
 
     Of every other pixel, as on a chessboard: they vote as well as all, in half the time. A row holds its columns y % 2, y % 2 + 2,
-    ... from ``_MARGIN`` on, and 0 beside them. ``words``: colours and movers of the others as from ``packed``,
+    ... from ``_MARGIN`` on, and 0 beside them. ``words``: colors and movers of the others as from ``packed``,
     ``slopes``: the sizes of their gradients, each [J, H, W].
     """
     L, H, W = proposed.shape
@@ -179,7 +179,7 @@ def _costs_of_rows(
     kept = max(J // 2, 1)
     S = _row_size(W)
     half, one, worst = np.float32(0.5), np.float32(1), np.float32(_WORST)
-    most, steepest, nothing = np.float32(_COLOUR), np.float32(_GRADIENT), np.float32(0)
+    most, steepest, nothing = np.float32(_COLOR), np.float32(_GRADIENT), np.float32(0)
     right, bottom = np.float32(W - 1), np.float32(H - 1)
     K0 = intrinsics[0]
     for y in range(begin, end):
@@ -278,7 +278,7 @@ def _row_size(width: int) -> int:
 
 def _chosen(proposed: np.ndarray, costs: np.ndarray, asked: np.ndarray, picture: np.ndarray) -> np.ndarray:
     """[H, W] the proposal of the least cost around each pixel, by pixels that look like it; the first where none is asked for."""
-    voters = np.zeros((3, *costs.shape[1:]), np.float32)  # the colours of the pixels that vote, as their costs lie
+    voters = np.zeros((3, *costs.shape[1:]), np.float32)  # the colors of the pixels that vote, as their costs lie
     for parity in range(2):
         row = picture[parity::2, parity::2, :3]
         voters[:, parity::2, _MARGIN : _MARGIN + row.shape[1]] = row.transpose(2, 0, 1)

@@ -18,8 +18,8 @@ BROAD_SMOOTHNESS = 10_000.0
 DOUBT = 0.1
 """Weight of the trend."""
 
-COLOUR_SIGMA = 8.0
-"""Grey levels across which the smoother no longer reaches."""
+COLOR_SIGMA = 8.0
+"""Gray levels across which the smoother no longer reaches."""
 
 
 def fill(
@@ -39,8 +39,8 @@ def fill(
         Values [h, w] float32 and the smoothed weights [h, w] float32 that support them. Without any weight all values
         are the mean of the input.
     """
-    smoother = EdgeSmoother(guide, smoothness, COLOUR_SIGMA)
-    broad = EdgeSmoother(np.zeros_like(guide), BROAD_SMOOTHNESS, COLOUR_SIGMA)
+    smoother = EdgeSmoother(guide, smoothness, COLOR_SIGMA)
+    broad = EdgeSmoother(np.zeros_like(guide), BROAD_SMOOTHNESS, COLOR_SIGMA)
     known = weights > 0
     center = float(np.average(values[known], weights=weights[known])) if known.any() else float(values.mean())
     # Smoothed about the mean, so that the floor of the weights pulls nowhere but to it.
@@ -57,4 +57,4 @@ def fill(
 def upsample(values: np.ndarray, guide: np.ndarray, width: int, height: int) -> np.ndarray:
     """Half resolution [h, w] to [height, width]: bilinear, then pulled to the edges of the guide [height, width, 3]."""
     large = cv2.resize(values, (width, height), interpolation=cv2.INTER_LINEAR)
-    return EdgeSmoother(guide, 4.0, COLOUR_SIGMA).filter(large)
+    return EdgeSmoother(guide, 4.0, COLOR_SIGMA).filter(large)

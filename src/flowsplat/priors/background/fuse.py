@@ -1,4 +1,4 @@
-"""Depth maps of neighbouring frames that agree make each other better; what no neighbour confirms loses its weight."""
+"""Depth maps of neighboring frames that agree make each other better; what no neighbor confirms loses its weight."""
 
 from __future__ import annotations
 
@@ -11,30 +11,30 @@ from flowsplat.common.threads import parallel_for
 from flowsplat.geometry import Camera
 
 AGREEMENT = 1.5
-"""Working pixels: a neighbour agrees if its point lands this close to where the pixel's own point lands."""
+"""Working pixels: a neighbor agrees if its point lands this close to where the pixel's own point lands."""
 
 
 def fuse(
     inverse_depth: np.ndarray,
     weight: np.ndarray,
     camera: Camera,
-    neighbours: Sequence[tuple[np.ndarray, np.ndarray, Camera]],
+    neighbors: Sequence[tuple[np.ndarray, np.ndarray, Camera]],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Average a frame's inverse depth with that of its neighbours where they see the same point.
+    """Average a frame's inverse depth with that of its neighbors where they see the same point.
 
     Args:
         inverse_depth: [h, w] float32, positive where ``weight`` is.
         weight: [h, w] float32, 0 = unknown.
         camera: of the frame, at the size of the arrays.
-        neighbours: inverse depth, weight and camera of each other frame.
+        neighbors: inverse depth, weight and camera of each other frame.
 
     Returns:
-        Inverse depth, weight (summed over those that agree), and how many neighbours agree less how many disagree,
+        Inverse depth, weight (summed over those that agree), and how many neighbors agree less how many disagree,
         each [h, w] float32.
     """
-    inverses = np.stack([inverse_depth, *(n[0] for n in neighbours)]).astype(np.float32)
-    weights = np.stack([weight, *(n[1] for n in neighbours)]).astype(np.float32)
-    cameras = [camera, *(n[2] for n in neighbours)]
+    inverses = np.stack([inverse_depth, *(n[0] for n in neighbors)]).astype(np.float32)
+    weights = np.stack([weight, *(n[1] for n in neighbors)]).astype(np.float32)
+    cameras = [camera, *(n[2] for n in neighbors)]
     intrinsics = np.array([c.intrinsics for c in cameras])
     there = np.array([c.pose_from(camera) for c in cameras])
     back = np.array([camera.pose_from(c) for c in cameras])

@@ -195,7 +195,7 @@ def _mapped(
 
 
 def _evened(grid: np.ndarray) -> np.ndarray:
-    """The median of each known cell and its known neighbours; a cell alone is dropped."""
+    """The median of each known cell and its known neighbors; a cell alone is dropped."""
     padded = np.pad(grid, 1, constant_values=np.nan)
     around = np.stack([padded[y : y + grid.shape[0], x : x + grid.shape[1]] for y in range(3) for x in range(3)])
     enough = np.isfinite(around).sum(0) >= 3
@@ -250,7 +250,7 @@ def static_points(
     """
     points, normals, found = [], [], []
     for depth, trusted, camera in zip(depths, sure, cameras, strict=True):
-        # Normals of a window: those of neighbouring pixels are lost in the noise.
+        # Normals of a window: those of neighboring pixels are lost in the noise.
         world = unproject_depth(cv2.blur(depth.astype(np.float64), (3, 3)), camera)
         right, down = np.zeros_like(world), np.zeros_like(world)
         right[:, 2:-2], down[2:-2] = world[:, 4:] - world[:, :-4], world[4:] - world[:-4]

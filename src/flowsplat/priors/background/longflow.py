@@ -35,7 +35,7 @@ class LongFlows:
         self._frames: dict[int, np.ndarray] = {}
         self._turns: defaultdict[tuple[int, int], threading.Lock] = defaultdict(threading.Lock)
 
-    def neighbours(self, k: int) -> list[int]:
+    def neighbors(self, k: int) -> list[int]:
         """The positions one, two, four, eight and sixteen steps before and after ``k`` that can be matched with it."""
         count = len(self._scene.train_frames)
         around = [j for stride in STRIDES for j in (k - stride, k + stride) if 0 <= j < count]

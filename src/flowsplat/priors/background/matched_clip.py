@@ -53,7 +53,7 @@ class MatchedClip:
         """Solve what is not solved yet. Needs cameras and flow.
 
         Args:
-            estimate: finds the flow between frames that are no neighbours.
+            estimate: finds the flow between frames that are no neighbors.
         """
         self.scene = scene
         self.width, self.height = working_size(scene)
@@ -107,7 +107,7 @@ class MatchedClip:
         flows = LongFlows(self.scene, self.continuity, estimate)
         threads = thread_count() if estimate is dis_estimator else 1  # Networks have all threads for one pair.
         for k in track(missing, "Matching frames"):
-            others = flows.neighbours(k)
+            others = flows.neighbors(k)
             if others:
                 matches = list(in_threads(partial(flows.matches, k), others, threads))
                 solution = solve_multiview(

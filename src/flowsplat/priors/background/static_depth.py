@@ -1,4 +1,4 @@
-"""Depth of the static scene in every frame: weighed, fused with the neighbours, filled."""
+"""Depth of the static scene in every frame: weighed, fused with the neighbors, filled."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ GUESS_WEIGHT = 6.0
 """Weight of a guess: little more than what is trusted."""
 
 _REJECTED = 0.02
-"""What remains of a weight that more neighbours contradict than confirm."""
+"""What remains of a weight that more neighbors contradict than confirm."""
 
 _PLATE_SMOOTHNESS = 100.0
 
@@ -43,7 +43,7 @@ WITNESSES = 24
 some percent, and where a mover were behind what one of them saw, it would make that vanish."""
 
 _KEPT = 2 * PLATE_FROM[-1] + 16 + WITNESSES
-"""Frames in memory: on a walk over the clip every one is asked for again until it lies behind the furthest neighbour."""
+"""Frames in memory: on a walk over the clip every one is asked for again until it lies behind the furthest neighbor."""
 
 
 class StaticDepth(Protocol):

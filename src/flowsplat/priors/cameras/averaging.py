@@ -179,7 +179,7 @@ def average_rotations(turns: list[Turn], count: int) -> tuple[np.ndarray, np.nda
 
 
 def position_cameras(rotations: np.ndarray, positions: np.ndarray, seen: np.ndarray, focal: float) -> np.ndarray:
-    """Centres [T, 3] of cameras with known rotations, their mean at the origin and their spread 1.
+    """Centers [T, 3] of cameras with known rotations, their mean at the origin and their spread 1.
 
     The sum over all observations of the squared distance between a point and its ray, divided by the squared depth, is
     smallest for them. Every track counts the same for its length, and what stays far from its rays loses its weight.
@@ -210,7 +210,7 @@ def position_cameras(rotations: np.ndarray, positions: np.ndarray, seen: np.ndar
 
 @kernel
 def _ray_equations(rays, weights, camera, point, cameras, points):
-    """The quadratic form [3 T, 3 T] of the centres with the points eliminated, and the inverses [N, 3, 3] of the latter."""
+    """The quadratic form [3 T, 3 T] of the centers with the points eliminated, and the inverses [N, 3, 3] of the latter."""
     A = np.zeros((3 * cameras, 3 * cameras))
     sums = np.zeros((points, 3, 3))
     blocks = np.zeros((len(point), 3, 3))
@@ -259,7 +259,7 @@ def _nearest_to_rays(inverse, rays, weights, camera, point, centers):
 
 
 def _without_mean(vectors: np.ndarray) -> np.ndarray:
-    """Centres [T, 3] of spread 1: of the four lowest vibrations [3 T, 4] the one that is no common translation."""
+    """Centers [T, 3] of spread 1: of the four lowest vibrations [3 T, 4] the one that is no common translation."""
     paths = vectors.T.reshape(4, -1, 3)
     paths = paths - paths.mean(1, keepdims=True)
     # The lowest four span the translations and the path; without their means only the path is left.

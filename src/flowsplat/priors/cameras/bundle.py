@@ -135,7 +135,7 @@ def adjust(
     priors: Sequence[Prior] = (),
     tolerance: float = 1e-4,
 ) -> Adjusted:
-    """Minimise the sum of scale^2 log(1 + |residual|^2 / scale^2) over poses, points, focal length and distortion.
+    """Minimize the sum of scale^2 log(1 + |residual|^2 / scale^2) over poses, points, focal length and distortion.
 
     Args:
         scale: pixels; residuals beyond it lose their influence.
@@ -150,7 +150,7 @@ def adjust(
     state, damping, precisions = start, 1e-4, (0.0, 0.0)
     cost = _total(state, seen, scale, priors)
     for _ in range(iterations):
-        H, g, Hp, gp, cross, cross_lens = _linearise(*_plain(state, seen), scale)
+        H, g, Hp, gp, cross, cross_lens = _linearize(*_plain(state, seen), scale)
         for each in priors:
             each.add_to(H, g, state)
         for _attempt in range(8):
@@ -203,7 +203,7 @@ def scaling(state: Reconstruction, fixed_camera: int) -> np.ndarray:
 def information(state: Reconstruction, seen: Observations, scale: float, priors: Sequence[Prior]) -> np.ndarray:
     """Curvature [6T + LENS, 6T + LENS] of the cost along poses and lens, once all points have adapted."""
     first = np.searchsorted(seen.point, np.arange(len(state.points) + 1))
-    H, g, Hp, gp, cross, cross_lens = _linearise(*_plain(state, seen), scale)
+    H, g, Hp, gp, cross, cross_lens = _linearize(*_plain(state, seen), scale)
     for each in priors:
         each.add_to(H, g, state)
     _eliminate_points(first, seen.camera, cross, cross_lens, _damped_inverses(Hp, 0.0), gp, H, g)
@@ -295,7 +295,7 @@ def _damped_inverses(Hp: np.ndarray, damping: float) -> np.ndarray:
 
 
 @kernel
-def _linearise(R, t, focal, k1, X, camera, point, uv, scale):
+def _linearize(R, t, focal, k1, X, camera, point, uv, scale):
     """Normal equations: cameras and lens H, g; points Hp, gp; and the blocks between them.
 
     Those between cameras and points are one an observation [M, 6, 3], those between lens and points one a point [N, 3, 2].

@@ -98,10 +98,10 @@ def _share(follows: np.ndarray, rim: np.ndarray) -> float:
 
 def _follows(found: Estimate, positions: np.ndarray, seen: np.ndarray, width: float, height: float) -> np.ndarray:
     """[N] the tracks that stand still under the cameras that were found."""
-    centred = from_middle(positions, seen, width, height)
-    state = with_points(found.fit.state, centred, seen, free_translations=found.motion == "free")
+    centered = from_middle(positions, seen, width, height)
+    state = with_points(found.fit.state, centered, seen, free_translations=found.motion == "free")
     limit = max(FOLLOWS, 4 * float(np.median(found.fit.errors)))
-    return (track_errors(state, centred, seen) < limit) & (seen.sum(1) >= 2)
+    return (track_errors(state, centered, seen) < limit) & (seen.sum(1) >= 2)
 
 
 def _of_all_frames(
@@ -117,8 +117,8 @@ def _of_all_frames(
         count = seen.shape[1]
         state = replace(fit.state, rotations=np.tile(np.eye(3), (count, 1, 1)), translations=np.zeros((count, 3)))
         return replace(found, fit=replace(fit, state=state))
-    centred = from_middle(positions, seen, width, height)
-    state, lost = place_between(keys, fit.state, centred, seen, free_translations=found.motion == "free")
+    centered = from_middle(positions, seen, width, height)
+    state, lost = place_between(keys, fit.state, centered, seen, free_translations=found.motion == "free")
     state = replace(state, points=fit.state.points)
     return replace(found, fit=replace(fit, state=state), unplaced=sorted(keys[found.unplaced].tolist() + lost))
 
@@ -127,17 +127,17 @@ def _of_keyframes(
     positions: np.ndarray, seen: np.ndarray, width: float, height: float, focal: float | None, solver: str,
     consecutive: bool = False,
 ) -> Estimate:  # fmt: skip
-    centred = from_middle(positions, seen, width, height)
+    centered = from_middle(positions, seen, width, height)
     few = choose_tracks(positions, seen, width, height, per_cell=4, shortest=2)
     expected, free_focal = focal or USUAL_FOCAL * width, focal is None
-    tracks, views = centred[few], seen[few]
-    standing = _standing(centred, seen, expected)
+    tracks, views = centered[few], seen[few]
+    standing = _standing(centered, seen, expected)
     if len(few) < LEAST_TRACKS:
         return Estimate("unknown", standing, [], 0.0)
     judges = _judges(seen)
 
     def judged(kind: str, state: Reconstruction, judges: np.ndarray = judges) -> float:
-        return misfit(state, centred[judges], seen[judges], free_translations=kind == "free")
+        return misfit(state, centered[judges], seen[judges], free_translations=kind == "free")
 
     rests = judged("static", standing.state) <= NEGLIGIBLE
     if not rests:
@@ -165,11 +165,11 @@ def _of_keyframes(
     many = choose_tracks(positions, seen, width, height, per_cell=20)
     many = many if len(many) > len(few) else few
     fit = refine(
-        start.state, centred[many], seen[many], fixed_camera=start.origin, expected_focal=expected,
+        start.state, centered[many], seen[many], fixed_camera=start.origin, expected_focal=expected,
         free_focal=free_focal, free_translations=motion == "free", consecutive=consecutive,
     )  # fmt: skip
     parallax = _parallax(fit, seen[many]) if motion == "free" else 0.0
-    flat = motion == "free" and _is_flat(fit, centred[many], seen[many])
+    flat = motion == "free" and _is_flat(fit, centered[many], seen[many])
     return Estimate(motion, fit, start.unplaced, parallax, flat)
 
 
@@ -190,7 +190,7 @@ def _parallax(fit: Refined, seen: np.ndarray) -> float:
     return float(np.median(ray_angles(fit.state, fit.state.points[longer], seen[longer])))
 
 
-def _is_flat(fit: Refined, centred: np.ndarray, seen: np.ndarray) -> bool:
+def _is_flat(fit: Refined, centered: np.ndarray, seen: np.ndarray) -> bool:
     """Whether one homography explains what two distant frames share, whichever frame comes first.
 
     Told by the pictures and not by the points: without relief the focal length may be far off, and the points bent.
@@ -203,19 +203,19 @@ def _is_flat(fit: Refined, centred: np.ndarray, seen: np.ndarray) -> bool:
         enough = np.flatnonzero(common >= max(LEAST_COMMON, 0.5 * (seen[:, i] & fit.static).sum()))
         if len(enough):
             both = seen[:, i] & seen[:, i + 1 + enough[-1]] & fit.static
-            _, fits = cv2.findHomography(centred[both, i], centred[both, i + 1 + enough[-1]], cv2.RANSAC, limit)
+            _, fits = cv2.findHomography(centered[both, i], centered[both, i + 1 + enough[-1]], cv2.RANSAC, limit)
             judged = True
             if fits is None or fits.mean() < ON_PLANE:
                 return False
     return judged
 
 
-def _standing(centred: np.ndarray, seen: np.ndarray, focal: float) -> Refined:
+def _standing(centered: np.ndarray, seen: np.ndarray, focal: float) -> Refined:
     """All cameras at the origin, every track at its mean position; static are those that hardly leave it."""
     count = seen.shape[1]
     state = Reconstruction(np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3)), focal, np.zeros((len(seen), 3)))
     weights = seen[..., None] / np.maximum(seen.sum(1), 1)[:, None, None]
-    distance = np.linalg.norm(centred - (centred * weights).sum(1, keepdims=True), axis=-1)
+    distance = np.linalg.norm(centered - (centered * weights).sum(1, keepdims=True), axis=-1)
     static = (np.where(seen, distance, 0).max(1, initial=0) < FOLLOWS) & (seen.sum(1) >= 2)
     resting = seen & static[:, None]
     errors = distance[resting] if resting.any() else np.zeros(1)
@@ -233,19 +233,19 @@ class _Candidate:
     origin: int
 
 
-def _turning(centred: np.ndarray, seen: np.ndarray, expected: float, free_focal: bool) -> _Candidate:
+def _turning(centered: np.ndarray, seen: np.ndarray, expected: float, free_focal: bool) -> _Candidate:
     """Cameras in one place that only turn."""
     count = seen.shape[1]
-    rotations = chained_rotations(centred, seen, expected)
+    rotations = chained_rotations(centered, seen, expected)
     state = Reconstruction(rotations, np.zeros((count, 3)), expected, np.zeros((len(seen), 3)))
     fit = refine(
-        state, centred, seen, fixed_camera=0, expected_focal=expected, free_focal=free_focal, free_translations=False, rough=True,
+        state, centered, seen, fixed_camera=0, expected_focal=expected, free_focal=free_focal, free_translations=False, rough=True,
     )  # fmt: skip
-    return _Candidate(misfit(fit.state, centred, seen, free_translations=False), fit.state, [], 0)
+    return _Candidate(misfit(fit.state, centered, seen, free_translations=False), fit.state, [], 0)
 
 
 def _search(
-    centred: np.ndarray, seen: np.ndarray, width: float, expected: float, free_focal: bool, turning: Reconstruction
+    centered: np.ndarray, seen: np.ndarray, width: float, expected: float, free_focal: bool, turning: Reconstruction
 ) -> _Candidate:
     """The best of several reconstructions from different pairs of frames and focal lengths.
 
@@ -255,28 +255,28 @@ def _search(
     """
     focals = [factor * width for factor in START_FOCALS] if free_focal else [expected]
     known = partial(refine, expected_focal=expected, free_focal=free_focal, rough=True)
-    on_sphere = with_points(turning, centred, seen, free_translations=False)
-    fit = known(on_sphere, centred, seen, fixed_camera=0, keep_points=True)
-    found = [_Candidate(misfit(fit.state, centred, seen), fit.state, [], 0)]
-    starts = list(product(rank_pairs(centred, seen, expected), focals))[:MOST_STARTS]
+    on_sphere = with_points(turning, centered, seen, free_translations=False)
+    fit = known(on_sphere, centered, seen, fixed_camera=0, keep_points=True)
+    found = [_Candidate(misfit(fit.state, centered, seen), fit.state, [], 0)]
+    starts = list(product(rank_pairs(centered, seen, expected), focals))[:MOST_STARTS]
     prior = LensPrior(expected, 20.0) if free_focal else None
     grown: list[float] = []
     with progress_bar("Camera search", len(starts)) as bar:
         for pair, focal in starts:
             bar.advance()
-            model = grow(centred, seen, pair, focal, prior=prior, free_focal=free_focal)
+            model = grow(centered, seen, pair, focal, prior=prior, free_focal=free_focal)
             if model is not None and model.solid.sum() >= 0.3 * len(seen):
                 if model.placed.all():
                     again = any(abs(np.log(model.state.focal / other)) < SAME_FOCAL for other in grown)
                     grown.append(model.state.focal)
                 if not (model.placed.all() and again):
-                    found.append(_candidate(model.state, model.placed, model.origin, centred, seen, known))
+                    found.append(_candidate(model.state, model.placed, model.origin, centered, seen, known))
                 if len(grown) >= SUCCESSES:
                     break
     return min(found, key=lambda candidate: candidate.misfit)
 
 
-def _search_at_once(centred: np.ndarray, seen: np.ndarray, width: float, expected: float, free_focal: bool) -> _Candidate | None:
+def _search_at_once(centered: np.ndarray, seen: np.ndarray, width: float, expected: float, free_focal: bool) -> _Candidate | None:
     """The best of the reconstructions that place all frames at once, each from another focal length; None where none can."""
     known = partial(refine, expected_focal=expected, free_focal=free_focal, rough=True)
     focals = [factor * width for factor in START_FOCALS] if free_focal else [expected]
@@ -284,19 +284,19 @@ def _search_at_once(centred: np.ndarray, seen: np.ndarray, width: float, expecte
     with progress_bar("Camera search, all frames at once", len(focals)) as bar:
         for focal in focals:
             bar.advance()
-            start = averaged_start(centred, seen, focal)
+            start = averaged_start(centered, seen, focal)
             if start is not None:
                 state, reached = start
-                found.append(_candidate(state, reached, int(reached.argmax()), centred, seen, known))
+                found.append(_candidate(state, reached, int(reached.argmax()), centered, seen, known))
     return min(found, key=lambda candidate: candidate.misfit) if found else None
 
 
 def _candidate(
-    state: Reconstruction, placed: np.ndarray, origin: int, centred: np.ndarray, seen: np.ndarray, refined: Callable[..., Refined]
+    state: Reconstruction, placed: np.ndarray, origin: int, centered: np.ndarray, seen: np.ndarray, refined: Callable[..., Refined]
 ) -> _Candidate:
     """The reconstruction after a refinement of all frames, those that were not ``placed`` [T] included."""
-    fit = refined(_with_all_frames(state, placed), centred, seen, fixed_camera=origin)
-    return _Candidate(misfit(fit.state, centred, seen), fit.state, np.flatnonzero(~placed).tolist(), origin)
+    fit = refined(_with_all_frames(state, placed), centered, seen, fixed_camera=origin)
+    return _Candidate(misfit(fit.state, centered, seen), fit.state, np.flatnonzero(~placed).tolist(), origin)
 
 
 def _with_all_frames(state: Reconstruction, placed: np.ndarray) -> Reconstruction:
@@ -307,9 +307,9 @@ def _with_all_frames(state: Reconstruction, placed: np.ndarray) -> Reconstructio
     return replace(state, rotations=viewmats[:, :3, :3], translations=viewmats[:, :3, 3])
 
 
-def _on_all_frames(start: _Candidate, kind: str, keys: np.ndarray, centred: np.ndarray, seen: np.ndarray) -> _Candidate:
+def _on_all_frames(start: _Candidate, kind: str, keys: np.ndarray, centered: np.ndarray, seen: np.ndarray) -> _Candidate:
     """A start that was found on keyframes, with poses for all frames."""
     if len(keys) == seen.shape[1]:
         return start
-    state, lost = place_between(keys, start.state, centred, seen, free_translations=kind == "free")
+    state, lost = place_between(keys, start.state, centered, seen, free_translations=kind == "free")
     return _Candidate(start.misfit, state, sorted(keys[start.unplaced].tolist() + lost), int(keys[start.origin]))

@@ -8,7 +8,7 @@ import numpy as np
 from flowsplat.common.progress import track
 from flowsplat.geometry.interpolation import sample_map
 from flowsplat.priors.continuity import is_blank
-from flowsplat.priors.flow import dis_flow, grey
+from flowsplat.priors.flow import dis_flow, gray
 from flowsplat.priors.tracks import TrackTable, corner_strength, new_points, oldest_of_crowds, refine_points
 from flowsplat.priors.tracks.patches import Patches, align
 from flowsplat.scenes import Scene
@@ -46,7 +46,7 @@ class _Surroundings:
         self._patches, self._shapes, self._since = self._patches[rows], self._shapes[rows], self._since[rows]
 
     def add(self, image: np.ndarray, points: np.ndarray, t: int) -> None:
-        """Remember new points [N, 2] of frame ``t``, grey [H, W] float32."""
+        """Remember new points [N, 2] of frame ``t``, gray [H, W] float32."""
         self._patches = self._patches.joined(_cut(image, points))
         self._shapes = np.concatenate([self._shapes, np.tile(np.eye(2, dtype=np.float32), (len(points), 1, 1))])
         self._since = np.concatenate([self._since, np.full(len(points), t)])
@@ -72,7 +72,7 @@ def follow_points(scene: Scene) -> tuple[np.ndarray, list[int]]:
     """Follow points from frame to frame, across frames that show nothing.
 
     Returns:
-        positions [P, T, 2] float32 in pixels of the frames (centres at +0.5), NaN where not seen; and the blank frames.
+        positions [P, T, 2] float32 in pixels of the frames (centers at +0.5), NaN where not seen; and the blank frames.
     """
     factor = min(1.0, WORKING_SIDE / max(scene.width, scene.height))
     size = (max(1, round(scene.width * factor)), max(1, round(scene.height * factor)))
@@ -84,7 +84,7 @@ def follow_points(scene: Scene) -> tuple[np.ndarray, list[int]]:
     before: np.ndarray | None = None
     blank = []
     for t in track(range(scene.num_frames), "Following points"):
-        image = grey(scene.any_frame(t))
+        image = gray(scene.any_frame(t))
         if is_blank(image):
             blank.append(t)
             continue

@@ -113,17 +113,17 @@ def find_lens(
     if len(chosen) == 0:
         return None
     seen = seen[chosen]
-    centred = from_middle(positions[chosen], seen, width, height)
+    centered = from_middle(positions[chosen], seen, width, height)
     state = found.fit.state
     if start is not None:
         state = replace(state, focal=state.focal * start.focal / start.pinhole, distortion=start.distortion)
     known = partial(refine, fixed_camera=0, expected_focal=focal or state.focal, free_focal=focal is None, free_distortion=True)
     # A lens that bends a turning camera's pictures looks like a camera that moves, so both are asked.
     turned = replace(state, translations=np.zeros_like(state.translations))
-    fit = known(turned, centred, seen, free_translations=False)
+    fit = known(turned, centered, seen, free_translations=False)
     if found.motion == "free":
-        moved = known(state, centred, seen)
-        turning, moving = misfit(fit.state, centred, seen, free_translations=False), misfit(moved.state, centred, seen)
+        moved = known(state, centered, seen)
+        turning, moving = misfit(fit.state, centered, seen, free_translations=False), misfit(moved.state, centered, seen)
         fit = fit if turning + NEGLIGIBLE <= SIMPLER * (moving + NEGLIGIBLE) else moved
     lens = Lens.of(fit.state.focal, fit.state.distortion, width, height)
     clear = abs(lens.distortion) > SURE * fit.distortion_sigma and lens.shift > NOTICEABLE

@@ -95,7 +95,7 @@ def track_errors(state: Reconstruction, positions: np.ndarray, seen: np.ndarray)
 
 
 def ray_points(state: Reconstruction, positions: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """Points [N, 3] at distance 1 in the mean direction of each track's rays, for cameras that share one centre."""
+    """Points [N, 3] at distance 1 in the mean direction of each track's rays, for cameras that share one center."""
     observed = Observations.of(positions, seen)
     flat = rays(observed.uv, state.focal, state.distortion)
     unit = np.concatenate([flat, np.ones((len(flat), 1))], 1) / np.sqrt(1 + (flat**2).sum(1, keepdims=True))

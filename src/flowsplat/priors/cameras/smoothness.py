@@ -32,7 +32,7 @@ FEWEST = 8
 DEGREES = 4.0
 """Of freedom of the Student distribution: a jolt now and then is no sign of a camera that shakes."""
 ALIKE = 0.25
-"""Share of a track over which its errors, and those of its neighbours, are alike, so that they tell as much as one observation."""
+"""Share of a track over which its errors, and those of its neighbors, are alike, so that they tell as much as one observation."""
 _ROUNDS, _ITERATIONS, _LAST_ITERATIONS = 8, 2, 10
 _SETTLED = 0.03
 """Change of the logarithm of the squared scale below which it is found."""

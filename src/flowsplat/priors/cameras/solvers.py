@@ -40,7 +40,7 @@ BETTER = 0.9
 
 
 @dataclass(frozen=True)
-class Judgement:
+class Judgment:
     """What speaks for and against the cameras of one solver.
 
     Attributes:
@@ -84,7 +84,7 @@ class Solved:
     """The cameras that were taken, and what was found about all that were tried, the taken ones first."""
 
     found: Estimate
-    judgements: list[Judgement]
+    judgments: list[Judgment]
 
     def reason(self, unit: float) -> str:
         """Why these were taken, in a sentence; empty where there was no choice.
@@ -92,9 +92,9 @@ class Solved:
         Args:
             unit: pixels of the frames in a pixel of the tracks.
         """
-        if len(self.judgements) < 2:
+        if len(self.judgments) < 2:
             return ""
-        taken, other = self.judgements
+        taken, other = self.judgments
         return (
             f"Two solvers were tried, and the {taken.solver} one was taken: it {taken.in_words(unit)}, "
             f"the {other.solver} one {other.in_words(unit)}."
@@ -119,9 +119,9 @@ def solve(
     rim = judges[on_rim(judges, width, height).sum(1) > 0.5 * np.isfinite(judges[..., 0]).sum(1)]
     name = "own" if solver == "auto" else solver
     first = estimate(positions[used], width, height, focal, name)
-    judgement = judge(name, first, rim if first.surrounds else judges, width, height, frames)
-    if solver != "auto" or not judgement.poor:
-        return Solved(first, [judgement])
+    judgment = judge(name, first, rim if first.surrounds else judges, width, height, frames)
+    if solver != "auto" or not judgment.poor:
+        return Solved(first, [judgment])
     second = estimate(positions[used], width, height, focal, "global")
     # Where something in front fills the picture, what is seen along the rim judges either.
     judges = rim if first.surrounds or second.surrounds else judges
@@ -131,7 +131,7 @@ def solve(
     return Solved(first, [found["own"], found["global"]])
 
 
-def prefer(second: Judgement, first: Judgement) -> bool:
+def prefer(second: Judgment, first: Judgment) -> bool:
     """Whether the second solver's cameras are to be taken."""
     if second.sane != first.sane:
         return second.sane
@@ -153,7 +153,7 @@ def keep_back(seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def judge(
     name: str, found: Estimate, positions: np.ndarray, width: float, height: float, frames: Sequence[int] | None = None
-) -> Judgement:
+) -> Judgment:
     """What tracks that no adjustment has seen say about cameras, and whether the path is possible.
 
     A track's point is placed from every second frame that saw it and judged in the others.
@@ -168,7 +168,7 @@ def judge(
     faults = _faults(found, width)
     lost = found.motion == "free" and (bool(found.unplaced) or found.fit.static.mean() < FEW_STATIC)
     poor = bool(jumps or faults or lost or (pixels is not None and pixels > LARGE_ERROR))
-    return Judgement(name, pixels, cost, jumps, faults, poor and found.motion != "unknown")
+    return Judgment(name, pixels, cost, jumps, faults, poor and found.motion != "unknown")
 
 
 def _heldout_errors(found: Estimate, positions: np.ndarray, width: float, height: float) -> tuple[float | None, float]:
@@ -176,10 +176,10 @@ def _heldout_errors(found: Estimate, positions: np.ndarray, width: float, height
     seen = np.isfinite(positions[..., 0])
     if len(seen) < LEAST_TRACKS:
         return None, 0.0
-    centred = from_middle(positions, seen, width, height)
+    centered = from_middle(positions, seen, width, height)
     odd = np.cumsum(seen, 1) % 2 == 1
-    state = with_points(found.fit.state, centred, seen & odd, free_translations=found.motion == "free")
-    observed = Observations.of(centred, seen & ~odd)
+    state = with_points(found.fit.state, centered, seen & odd, free_translations=found.motion == "free")
+    observed = Observations.of(centered, seen & ~odd)
     error, cost = robust_errors(state, observed)
     best = best_tracks(np.bincount(observed.point, cost, len(seen)), (seen & ~odd).sum(1))
     judged = np.isin(observed.point, best)

@@ -53,7 +53,7 @@ class CameraOptions:
 def camera_stage(scene: Scene, options: CameraOptions) -> None:
     """Estimate a pose for every frame and one focal length, and write them to ``scene``.
 
-    The principal point is taken to be the centre of the picture and pixels to be square. Held-out frames are seen here
+    The principal point is taken to be the center of the picture and pixels to be square. Held-out frames are seen here
     (METHOD 6), but nothing other than their poses and their lens leaves this stage. The first camera is the identity and the
     median distance of the points is 1. Pieces that nothing joins (there is a cut between them) are solved one by one, each in
     these units, and set side by side so far apart that none sees the other: the path jumps there.
@@ -152,15 +152,15 @@ def _description(
     numbers = np.concatenate([np.array(frames)[each.fit.frames] for frames, each in zip(pieces, found, strict=True)])
     heldout = np.isin(numbers, scene.heldout_frames)
     unplaced = [frames[t] for frames, each in zip(pieces, found, strict=True) for t in each.unplaced]
-    jumps = [t for each in solved for t in each.judgements[0].jumps]
+    jumps = [t for each in solved for t in each.judgments[0].jumps]
     breaks = [frames[0] for frames in pieces[1:]]
     gaps = Gaps(unplaced, breaks, tracks.blank, jumps, scene.timestamps)
     given = options.focal is not None
     return {
         "method": OWN,
         "options": asdict(options),
-        "solver": main.judgements[0].solver,
-        "solvers": [judgement.to_json(unit) for judgement in main.judgements],
+        "solver": main.judgments[0].solver,
+        "solvers": [judgment.to_json(unit) for judgment in main.judgments],
         "motion": main.found.motion,
         "static": len(pieces) == 1 and main.found.motion in ("static", "unknown"),
         "flat": main.found.flat,

@@ -45,7 +45,7 @@ def depth_stage(
     verdict says so.
 
     Args:
-        estimate: finds the flow between frames that are no neighbours.
+        estimate: finds the flow between frames that are no neighbors.
         static: the clip and its static scene, where they are at hand.
     """
     has_masks = all(scene.has_mask(i) for i in scene.train_frames)

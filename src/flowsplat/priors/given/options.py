@@ -19,7 +19,7 @@ class GivenPriors:
     or the depth of MegaSaM (.npz), Shape of Motion (aligned_depth_anything) or MoSca. It is fitted to cameras that are not its
     own."""
     masks: Path | None = None
-    """A folder of pictures, 00000.png ... or one a frame: object numbers or colours, black = background. Masks of held-out
+    """A folder of pictures, 00000.png ... or one a frame: object numbers or colors, black = background. Masks of held-out
     frames are kept for the evaluation."""
     flow: Path | None = None
     """A folder of 00000_00001.npz (as in a scene folder), .flo or KITTI .png, in pixels, both ways between consecutive

@@ -8,7 +8,7 @@
 | CoTracker | ``.npz`` | ``pred_tracks`` [1, T, N, 2], ``pred_visibility`` [1, T, N] |
 | TAPIR | ``.npz`` | ``tracks`` [N, T, 2], ``visibles`` [N, T] |
 
-All count pixels from 0 at the centre of the first one. A track that is followed from every frame comes many times;
+All count pixels from 0 at the center of the first one. A track that is followed from every frame comes many times;
 ``MOST_TRACKS`` of them, evenly chosen, are kept.
 """
 
@@ -45,7 +45,7 @@ _ARCHIVES = {
 _NAMES = {name for names in _ARCHIVES.values() for name in names}
 
 Found = tuple[np.ndarray, np.ndarray]
-"""Pixels [N, T, 2] with whole numbers at pixel centres, and confidence [N, T], below one half where hidden."""
+"""Pixels [N, T, 2] with whole numbers at pixel centers, and confidence [N, T], below one half where hidden."""
 
 
 @dataclass(frozen=True)

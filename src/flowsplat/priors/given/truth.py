@@ -10,7 +10,7 @@ from flowsplat.scenes.layers import Layers
 
 
 def consecutive_pairs(scene: Scene) -> list[tuple[int, int]]:
-    """Both directions between neighbouring training frames."""
+    """Both directions between neighboring training frames."""
     return [pair for i, j in pairwise(scene.train_frames) for pair in ((i, j), (j, i))]
 
 

@@ -40,7 +40,7 @@ MEMORY = 0.9
 SMALLEST = 0.001
 """Share of the picture below which an object is dropped; a hole is closed below a quarter of it."""
 
-_SMOOTHNESS, _COLOUR_SIGMA = 10.0, 12.0
+_SMOOTHNESS, _COLOR_SIGMA = 10.0, 12.0
 
 
 @dataclass(frozen=True)
@@ -48,12 +48,12 @@ class Weighing:
     """How evidence is weighed.
 
     Attributes:
-        colour: of what the still scene does not explain, against that of matches.
+        color: of what the still scene does not explain, against that of matches.
         rare: summed evidence that a pixel needs, because most pixels rest.
         certain: mean evidence beyond that which an object needs.
     """
 
-    colour: float
+    color: float
     rare: float
     certain: float
 
@@ -80,10 +80,10 @@ def motion_evidence(clip: MatchedClip, background: StaticDepth) -> list[np.ndarr
     """
     rests, how = resting_motion(clip), weighing(clip)
     own = [own_evidence(clip, k, rests).astype(np.float16) for k in range(len(clip))]
-    if how.colour:
+    if how.color:
         unexplained = Unexplained(clip, background)
         for k in track(range(len(clip)), "What the still scene explains"):
-            own[k] = (own[k] + np.float32(how.colour) * unexplained.evidence(k)).astype(np.float16)
+            own[k] = (own[k] + np.float32(how.color) * unexplained.evidence(k)).astype(np.float16)
     sums = propagated(clip, own.__getitem__, clip.step_flow, MEMORY)
     return [(total - how.rare).astype(np.float16) for total in track(sums, "What moves", len(clip))][::-1]
 
@@ -95,22 +95,22 @@ def propagated(
 
     Args:
         own: the evidence of a frame by itself, [h, w]; asked for twice.
-        flow: from a training frame and its neighbour to the flow [h, w, 2] between them and its confidence [h, w].
-        memory: share that a frame takes over from each neighbour that it is joined with.
+        flow: from a training frame and its neighbor to the flow [h, w, 2] between them and its confidence [h, w].
+        memory: share that a frame takes over from each neighbor that it is joined with.
     """
 
-    def from_neighbour(evidence: np.ndarray, k: int, j: int) -> np.ndarray:
+    def from_neighbor(evidence: np.ndarray, k: int, j: int) -> np.ndarray:
         if not clip.continuity.joined(k, j):
             return np.zeros_like(evidence, np.float32)
         return memory * _warped(evidence, *flow(k, j))
 
     forward = [own(0).astype(np.float16)]
     for k in range(1, len(clip)):
-        forward.append((own(k) + from_neighbour(forward[-1], k, k - 1)).astype(np.float16))
+        forward.append((own(k) + from_neighbor(forward[-1], k, k - 1)).astype(np.float16))
     backward: np.ndarray = np.zeros_like(forward[-1], np.float32)
     for k in range(len(clip) - 1, -1, -1):
         if k + 1 < len(clip):
-            backward = from_neighbour(backward, k, k + 1)
+            backward = from_neighbor(backward, k, k + 1)
         yield forward.pop() + backward
         backward = backward + own(k)
 
@@ -153,7 +153,7 @@ def rough_cut(evidence: np.ndarray, frame: np.ndarray, certain: float) -> np.nda
     Args:
         certain: mean evidence that an object needs.
     """
-    smooth = EdgeSmoother(frame, _SMOOTHNESS, _COLOUR_SIGMA).filter(enlarged(evidence, frame))
+    smooth = EdgeSmoother(frame, _SMOOTHNESS, _COLOR_SIGMA).filter(enlarged(evidence, frame))
     moving: np.ndarray = (smooth > 0).astype(np.uint8)
     # Slivers, above all along the border where matches are few.
     moving = cv2.morphologyEx(moving, cv2.MORPH_OPEN, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5)))

@@ -56,7 +56,7 @@ SHADE_COST = 0.25
 """How much a brightness other than 1 counts, as a share of the brightness."""
 
 NOISE, SHIFT = 6.0, 0.5
-"""Grey levels and pixels by which a plate is off where nothing moves."""
+"""Gray levels and pixels by which a plate is off where nothing moves."""
 
 
 UNSEEN = 1e30
@@ -110,7 +110,7 @@ def _plate(
 ) -> None:  # fmt: skip
     """The static scene at the pixels of ``frame``.
 
-    Fills colours [H, W, 3] float32, how far half of the frames that see them are from them (mean squared difference [H, W]), and
+    Fills colors [H, W, 3] float32, how far half of the frames that see them are from them (mean squared difference [H, W]), and
     how many frames see them [H, W] uint8.
     """
     H, W = depth.shape
@@ -120,13 +120,13 @@ def _plate(
     K = intrinsics[0]
     room = max(W, LANES)
     for y in range(begin, end):
-        row = np.empty(4 * room, np.float32)  # depth and colours
+        row = np.empty(4 * room, np.float32)  # depth and colors
         for x in range(room):
             row[x] = depth[y, min(x, W - 1)]
             for q in range(3):
                 row[(1 + q) * room + x] = np.float32(frame[y, min(x, W - 1), q])
         seen, apart = np.empty(3 * J * LANES, np.float32), np.empty(J * LANES, np.float32)
-        found = np.empty(5 * room, np.float32)  # colours, spread and count
+        found = np.empty(5 * room, np.float32)  # colors, spread and count
         dy = (np.float32(y) + half - K[3]) / K[1]
         for block in range(0, room, LANES):
             first = min(block, room - LANES)  # The last block overlaps the one before.
@@ -161,7 +161,7 @@ def _plate(
                 store(seen, (3 * j + 2) * LANES, value2)
                 n = n + holds
                 store(apart, j * LANES, where_above(holds, nothing, distance, broadcast(far)))
-            red, green, blue, scatter = agreed_colour(seen, apart, J, n, agreeing)
+            red, green, blue, scatter = agreed_color(seen, apart, J, n, agreeing)
             none = broadcast(nothing)
             store(found, first, where_above(n, nothing, red, none))
             store(found, room + first, where_above(n, nothing, green, none))
@@ -176,7 +176,7 @@ def _plate(
 
 @helper
 def bilinear(words, start, W, H, u, v):
-    """Red, green and blue (lanes) at u, v of the picture that begins at words[start], with pixel centres at whole numbers."""
+    """Red, green and blue (lanes) at u, v of the picture that begins at words[start], with pixel centers at whole numbers."""
     one = np.float32(1)
     c, r = minimum(whole(u), broadcast(np.float32(W - 2))), minimum(whole(v), broadcast(np.float32(H - 2)))
     a, b = u - c, v - r
@@ -190,8 +190,8 @@ def bilinear(words, start, W, H, u, v):
 
 
 @helper
-def agreed_colour(seen, apart, count, n, share):
-    """Of the colours that frames see, lane by lane that of the last of the ``share`` which look most like the pixel.
+def agreed_color(seen, apart, count, n, share):
+    """Of the colors that frames see, lane by lane that of the last of the ``share`` which look most like the pixel.
 
     Args:
         seen: [3 count lanes] of every frame, red, green and blue.

@@ -2,7 +2,7 @@
 
 Matches find what moves, but not its outline: flow takes along what is near a mover, and misses what is thin. So the
 pictures decide on the outline: a pixel that differs from the static scene as other frames show it, and that has the
-colours of movers, moves; motion decides where no frame sees past it.
+colors of movers, moves; motion decides where no frame sees past it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from flowsplat.pictures.edge_smoothing import EdgeSmoother
 from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.static_depth import static_depth
 from flowsplat.priors.flow import FlowEstimator, dis_estimator
-from flowsplat.priors.masks.colours import Colours, look_up
+from flowsplat.priors.masks.colors import Colors, look_up
 from flowsplat.priors.masks.motion import enlarged, motion_evidence, parts, propagated, rough_cut, weighing
 from flowsplat.priors.masks.numbers import number_objects
 from flowsplat.priors.masks.plate import CleanPlate
@@ -32,8 +32,8 @@ STRONGEST = 2.5
 OF_MOTION, FULL_MOTION = 0.6, 8.0
 """Largest evidence of rest that motion gives, and the summed motion evidence at which it does; of motion half as much more."""
 
-OF_COLOUR, FULL_COLOUR = 0.7, 1.8
-"""Weight of the colours' logarithm to base 2, and the most that it counts."""
+OF_COLOR, FULL_COLOR = 0.7, 1.8
+"""Weight of the colors' logarithm to base 2, and the most that it counts."""
 
 MEMORY = 0.5
 """Share of the evidence that a frame takes over from the next and the one before."""
@@ -45,16 +45,16 @@ MARGIN = 0.01
 """Share of the long side by which a mover may be larger than its motion shows."""
 
 MODEL_FRAMES = 16
-"""Frames from which the colours are taken."""
+"""Frames from which the colors are taken."""
 
-_SMOOTHNESS, _COLOUR_SIGMA = 20.0, 10.0
+_SMOOTHNESS, _COLOR_SIGMA = 20.0, 10.0
 
 
 def mask_stage(scene: Scene, estimate: FlowEstimator = dis_estimator) -> None:
     """Masks with object numbers for the training frames, if there are none. Needs cameras and flow.
 
     Args:
-        estimate: finds the flow between frames that are no neighbours.
+        estimate: finds the flow between frames that are no neighbors.
     """
     if scene.prior("masks") is not None:
         return
@@ -98,9 +98,9 @@ def _rough_masks(clip: MatchedClip, motion: list[np.ndarray], shown: Sequence[np
 
 
 def _own_evidence(clip: MatchedClip, motion: list[np.ndarray]) -> list[np.ndarray]:
-    """[H, W] float16 of every training frame by itself: its plate, matches and colours."""
+    """[H, W] float16 of every training frame by itself: its plate, matches and colors."""
     evidence = _plate_evidence(clip, motion)
-    _add_colours(clip, evidence, motion)
+    _add_colors(clip, evidence, motion)
     return evidence
 
 
@@ -119,16 +119,16 @@ def _plate_evidence(clip: MatchedClip, motion: list[np.ndarray]) -> list[np.ndar
     return evidence
 
 
-def _add_colours(clip: MatchedClip, evidence: list[np.ndarray], motion: list[np.ndarray]) -> None:
-    """Add to the evidence how much the colours are those of movers."""
-    scene, colours = clip.scene, Colours()
+def _add_colors(clip: MatchedClip, evidence: list[np.ndarray], motion: list[np.ndarray]) -> None:
+    """Add to the evidence how much the colors are those of movers."""
+    scene, colors = clip.scene, Colors()
     for k in range(0, len(clip), -(-len(clip) // MODEL_FRAMES)):
         frame = scene.frame(scene.train_frames[k])
-        colours.add(frame, _outline(evidence[k], frame, motion[k]) > 0)
-    table = colours.table()
+        colors.add(frame, _outline(evidence[k], frame, motion[k]) > 0)
+    table = colors.table()
     if table is None:
         return
-    table = np.float32(OF_COLOUR) * np.clip(table, -FULL_COLOUR, FULL_COLOUR)
+    table = np.float32(OF_COLOR) * np.clip(table, -FULL_COLOR, FULL_COLOR)
     for k, i in enumerate(scene.train_frames):
         evidence[k] = (evidence[k] + look_up(table, scene.frame(i))).astype(np.float16)
 
@@ -141,7 +141,7 @@ def _cut(clip: MatchedClip, evidence: list[np.ndarray], motion: list[np.ndarray]
 
 
 def _propagated(clip: MatchedClip, evidence: list[np.ndarray]) -> Iterator[np.ndarray]:
-    """The evidence [H, W] of each training frame and its neighbours, from the last to the first."""
+    """The evidence [H, W] of each training frame and its neighbors, from the last to the first."""
     scene, numbers = clip.scene, clip.scene.train_frames
 
     def flow(k: int, j: int) -> tuple[np.ndarray, np.ndarray]:
@@ -153,5 +153,5 @@ def _propagated(clip: MatchedClip, evidence: list[np.ndarray]) -> Iterator[np.nd
 
 def _outline(evidence: np.ndarray, frame: np.ndarray, motion: np.ndarray) -> np.ndarray:
     """The mask [H, W] uint8 along the edges of the frame, of parts that were found by their motion."""
-    smooth = EdgeSmoother(frame, _SMOOTHNESS, _COLOUR_SIGMA).filter(evidence.astype(np.float32))
+    smooth = EdgeSmoother(frame, _SMOOTHNESS, _COLOR_SIGMA).filter(evidence.astype(np.float32))
     return parts((smooth > 0).astype(np.uint8), enlarged(motion, frame) > 0, MOVES)

@@ -23,13 +23,13 @@ from flowsplat.common.simd import (
 from flowsplat.common.threads import parallel_for
 
 SIDE = 15.0
-"""Mean difference in grey levels from the pixel itself from which one beside it belongs to something else."""
+"""Mean difference in gray levels from the pixel itself from which one beside it belongs to something else."""
 
 MOST = 400
 """Depths that are tried at most, a working pixel apart in the frame that sees them shift most."""
 
 ALIKE, FEWEST = 10.0, 4
-"""Mean difference of 3 x 3 pixels in grey levels up to which another frame shows the same, and frames that must see a place."""
+"""Mean difference of 3 x 3 pixels in gray levels up to which another frame shows the same, and frames that must see a place."""
 
 
 def largest_share(
@@ -56,7 +56,7 @@ def largest_share(
 
 
 def _limits(image: np.ndarray) -> np.ndarray:
-    """[h, w] float32: mean difference in grey levels up to which another frame shows the same."""
+    """[h, w] float32: mean difference in gray levels up to which another frame shows the same."""
     smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 0.7)
     slope = sum((cv2.Sobel(smooth, cv2.CV_32F, *axes, scale=1 / 8) ** 2).mean(-1) for axes in ((1, 0), (0, 1)))
     return np.minimum(np.float32(ALIKE) + np.float32(0.5) * np.sqrt(slope), np.float32(2 * ALIKE)).astype(np.float32)

@@ -1,4 +1,4 @@
-"""What the still scene does not explain, in colour, over all frames: evidence that needs no flow in the frame itself.
+"""What the still scene does not explain, in color, over all frames: evidence that needs no flow in the frame itself.
 
 Other frames that are sure of the static depth are carried to a frame, and vote on what it should see at each of its pixels: a
 surface on which enough of them agree is there, and not hidden by anything still. Where the frame looks like none of these
@@ -34,7 +34,7 @@ from flowsplat.priors.background.bits import packed
 from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.reprojection import carried
 from flowsplat.priors.background.static_depth import StaticDepth
-from flowsplat.priors.masks.plate import AGREEING, UNSEEN, agreed_colour, bilinear, difference
+from flowsplat.priors.masks.plate import AGREEING, UNSEEN, agreed_color, bilinear, difference
 from flowsplat.priors.masks.sweep import largest_share
 
 WITNESSES = 16
@@ -162,7 +162,7 @@ def _plates(
     begin: int, end: int, frame: np.ndarray, values: np.ndarray, intrinsics: np.ndarray, poses: np.ndarray, words: np.ndarray,
     plates: np.ndarray, scatter: np.ndarray, counts: np.ndarray,
 ) -> None:  # fmt: skip
-    """Colours [S, h, w, 3], their mean squared differences [S, h, w] and number of frames of surfaces that frames agree on."""
+    """Colors [S, h, w, 3], their mean squared differences [S, h, w] and number of frames of surfaces that frames agree on."""
     J, H, W = values.shape
     half, one, nothing, far = np.float32(0.5), np.float32(1), np.float32(0), np.float32(UNSEEN)
     same, quarter, least = np.float32(SAME), np.float32(ENOUGH), np.float32(LEAST)
@@ -171,7 +171,7 @@ def _plates(
     room = max(W, LANES)
     for y in range(begin, end):
         rows, left = np.empty((J + 3) * room, np.float32), np.empty(J * LANES, np.float32)
-        for x in range(room):  # inverse depths, and the colours of the frame
+        for x in range(room):  # inverse depths, and the colors of the frame
             for a in range(J):
                 rows[a * room + x] = values[a, y, min(x, W - 1)]
             for q in range(3):
@@ -191,14 +191,14 @@ def _plates(
                 said = said + here
             needed = maximum(broadcast(least), whole(quarter * said + np.float32(0.999)))
             for s in range(SURFACES):
-                most, centre = broadcast(nothing), broadcast(nothing)
+                most, center = broadcast(nothing), broadcast(nothing)
                 for a in range(J):
                     value, votes = load(rows, a * room + first), broadcast(nothing)
                     for b in range(J):
                         off = magnitude(load(rows, b * room + first) - value)
                         votes = votes + where_at_least(same * value, off, load(left, b * LANES), broadcast(nothing))
                     votes = votes * load(left, a * LANES)
-                    centre = where_above(votes, most, value, centre)
+                    center = where_above(votes, most, value, center)
                     most = maximum(most, votes)
                 most = where_at_least(most, needed, most, broadcast(nothing))
                 if largest_lane(most) == nothing:
@@ -206,13 +206,13 @@ def _plates(
                 total = broadcast(nothing)
                 for b in range(J):
                     value = load(rows, b * room + first)
-                    off = magnitude(value - centre)
-                    total = total + where_at_least(same * centre, off, load(left, b * LANES), broadcast(nothing)) * value
+                    off = magnitude(value - center)
+                    total = total + where_at_least(same * center, off, load(left, b * LANES), broadcast(nothing)) * value
                 z = where_above(most, nothing, most / total, broadcast(one))
                 px, py, n = dx * z, dy * z, broadcast(nothing)
                 for j in range(J):
-                    off, here = magnitude(load(rows, j * room + first) - centre), load(left, j * LANES)
-                    holds = where_at_least(same * centre, off, here, broadcast(nothing))
+                    off, here = magnitude(load(rows, j * room + first) - center), load(left, j * LANES)
+                    holds = where_at_least(same * center, off, here, broadcast(nothing))
                     holds = where_above(most, nothing, holds, broadcast(nothing))
                     store(left, j * LANES, here - holds)
                     P, L = poses[j], intrinsics[j + 1]
@@ -237,7 +237,7 @@ def _plates(
                     store(seen, (3 * j + 2) * LANES, blue)
                     store(apart, j * LANES, where_above(holds, nothing, off0 * off0 + off1 * off1 + off2 * off2, broadcast(far)))
                     n = n + holds
-                red, green, blue, off = agreed_colour(seen, apart, J, n, agreeing)
+                red, green, blue, off = agreed_color(seen, apart, J, n, agreeing)
                 at, none = 5 * s * room + first, broadcast(nothing)
                 store(found, at, where_above(n, nothing, red, none))
                 store(found, at + room, where_above(n, nothing, green, none))

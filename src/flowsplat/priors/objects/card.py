@@ -127,7 +127,7 @@ def cards_of(clip: MatchedClip, background: StaticDepth) -> dict[int, np.ndarray
 
 
 def _growths(clip: MatchedClip, k: int, j: int, mask: np.ndarray) -> dict[int, float]:
-    """Logarithm of how much larger the objects of training frame ``k`` are in its neighbour ``j``."""
+    """Logarithm of how much larger the objects of training frame ``k`` are in its neighbor ``j``."""
     if not mask.any() or not 0 <= j < len(clip) or not clip.continuity.joined(k, j):
         return {}
     flow, confidence = clip.step_flow(k, j)

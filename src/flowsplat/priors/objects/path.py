@@ -2,7 +2,7 @@
 
 In world axes r_t = W_t^T tau_t and R_t = W_t^T Q_t (W_t: the camera's rotation), and a body point q is at
 X_t = C_t + s (r_t + R_t q). Only s is unknown. With w = 1 / s every statement that some point of the body obeys a law in
-the world is linear in (w, q) and the law's own parameters: N (r + R q + w C) = B p. It is solved by generalised least
+the world is linear in (w, q) and the law's own parameters: N (r + R q + w C) = B p. It is solved by generalized least
 squares with the covariance of all poses: noise along the ray dominates, so variances alone would not do.
 """
 
@@ -197,7 +197,7 @@ def _fit(path: WorldPath, N: np.ndarray, B: np.ndarray, lever: float) -> tuple[n
 def _least_squares(
     A: np.ndarray, y: np.ndarray, covariance: np.ndarray, prior: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
-    """Generalised least squares with prior precisions: parameters, their covariance, chi^2, whitened residuals."""
+    """Generalized least squares with prior precisions: parameters, their covariance, chi^2, whitened residuals."""
     L = np.linalg.cholesky(covariance + 1e-12 * np.trace(covariance) / len(covariance) * np.eye(len(covariance)))
     a, b = np.linalg.solve(L, A), np.linalg.solve(L, y)
     H = a.T @ a + np.diag(prior)

@@ -20,8 +20,8 @@ DEEPEST = 0.6
 """Standard deviation of the relief that is expected, in units of the object's half width."""
 SMOOTHNESS = 60.0
 """Of the relief, as in the fast global smoother."""
-COLOUR_SIGMA = 12.0
-"""Grey levels across which it is less smooth."""
+COLOR_SIGMA = 12.0
+"""Gray levels across which it is less smooth."""
 NOISE_FACTOR = 2.0
 """Errors of tracks last for frames: standard deviation of a point's depth over that of white noise."""
 OFF_LIMIT = 2.0
@@ -124,7 +124,7 @@ def relief(
 
     Args:
         mask: bool [H, W] of the mover.
-        picture: uint8, RGB [H, W, 3] or grey [H, W].
+        picture: uint8, RGB [H, W, 3] or gray [H, W].
         pixels: [N, 2] where offsets [N] with standard deviation sigma [N] are known.
         expected: standard deviation of the relief.
     """
@@ -139,7 +139,7 @@ def relief(
     weight = 1 / (sigma**2 + (0.1 * expected) ** 2)
     np.add.at(weights, (row, column), weight)
     np.add.at(sums, (row, column), weight * offsets)
-    smoother = EdgeSmoother(picture[y0:y1, x0:x1], SMOOTHNESS, COLOUR_SIGMA)
+    smoother = EdgeSmoother(picture[y0:y1, x0:x1], SMOOTHNESS, COLOR_SIGMA)
     # One expectation for each patch as wide as a quarter of the mover.
     patch = max(1.0, len(y) / 16)
     held = 1 / (expected**2 * patch)

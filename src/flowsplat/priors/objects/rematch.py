@@ -49,7 +49,7 @@ GATES = np.array([LIKENESS, FARTHEST, SUREST, STEEPEST, COVERED])
 
 _ITERATIONS = 12
 _FRAME_NOISE = 2.0
-"""Grey levels: noise of a pixel below which no match is surer."""
+"""Gray levels: noise of a pixel below which no match is surer."""
 
 
 @dataclass(frozen=True)
@@ -57,14 +57,14 @@ class MoverPictures:
     """What the training frames show of one mover.
 
     Attributes:
-        grey: [T, H, W] uint8 of ``grey``.
+        gray: [T, H, W] uint8 of ``gray``.
         masks: [T, H, W] bool.
         middles: [T, 2] its middle pixels, NaN where it is not seen.
         cameras: [T], all with one K.
         normal: [3] up.
     """
 
-    grey: np.ndarray
+    gray: np.ndarray
     masks: np.ndarray
     middles: np.ndarray
     cameras: Sequence[Camera]
@@ -87,7 +87,7 @@ class MoverPictures:
             pixels = points.pixels[here]
             column, row = np.clip(pixels.astype(int), 0, [mask.shape[1] - 1, mask.shape[0] - 1]).T
             offsets = points.log_depth[here] - result[row, column]
-            result += relief(mask, self.grey[k], pixels, offsets - np.median(offsets), points.sigma[here], expected)
+            result += relief(mask, self.gray[k], pixels, offsets - np.median(offsets), points.sigma[here], expected)
         # What is read between the last pixels of the mover and those beside it belongs to the mover.
         result[~mask] = result[mask].max()
         return result
@@ -111,7 +111,7 @@ def rematched(
     for _ in range(ROUNDS):
         points, expected = place_points(motion, tracks, K)[0], DEEPEST * motion.size
         found, counts = rematch(
-            motion, rough_points(motion, tracks), positions, inside, pictures.grey, pictures.masks,
+            motion, rough_points(motion, tracks), positions, inside, pictures.gray, pictures.masks,
             lambda k, points=points, expected=expected: pictures.surface(k, points, expected), K,  # type: ignore[misc]
         )  # fmt: skip
         if len(found) < FEWEST_POINTS:
@@ -135,7 +135,7 @@ def rematch(
         motion: of the mover, as far as it is known.
         points: [N, 3] of the tracks in the object's frame, NaN where there is none.
         positions: [N, T, 2] pixels of the tracks, where ``inside`` [N, T].
-        pictures: [T, H, W] of ``grey``.
+        pictures: [T, H, W] of ``gray``.
         masks: [T, H, W] bool, of the mover.
         surface: gives ln depth [H, W] float32 of the mover in training frame k, up to a constant.
         K: [3, 3] of all frames.
@@ -202,14 +202,14 @@ def _shapes(
     return shapes, normals
 
 
-def grey(picture: np.ndarray) -> np.ndarray:
+def gray(picture: np.ndarray) -> np.ndarray:
     """[H, W] uint8 of a picture [H, W, 3] uint8, a little smoothed, so that it can be read between pixels."""
     return cv2.GaussianBlur(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), (0, 0), SMOOTHED)
 
 
 @helper
 def _read(picture: np.ndarray, x: float, y: float) -> float:
-    """Bilinear, pixel centres at .5."""
+    """Bilinear, pixel centers at .5."""
     x, y = x - 0.5, y - 0.5
     i, j = int(np.floor(x)), int(np.floor(y))
     a, b = x - i, y - j
@@ -343,7 +343,7 @@ def _match(
                     good = False
                     break
                 least = 0.5 * (a00 + a11) - np.sqrt(0.25 * (a00 - a11) ** 2 + a01 * a01)
-                # Pixels are weighed from 0 to 1, and neighbours share their noise.
+                # Pixels are weighed from 0 to 1, and neighbors share their noise.
                 spread_ = np.sqrt((rest / sw + _FRAME_NOISE**2) / max(least, 1e-9))
                 mx = (a11 * b0 - a01 * b1) / determinant
                 my = (a00 * b1 - a01 * b0) / determinant

@@ -19,7 +19,7 @@ from flowsplat.priors.objects.hints import Hint, with_hints
 from flowsplat.priors.objects.identity import identify_movers
 from flowsplat.priors.objects.movers import solve_mover, tracks_of_movers
 from flowsplat.priors.objects.relief import roundness
-from flowsplat.priors.objects.rematch import MoverPictures, grey
+from flowsplat.priors.objects.rematch import MoverPictures, gray
 from flowsplat.priors.objects.storage import SceneMovers, save_movers
 from flowsplat.scenes import Scene
 
@@ -38,7 +38,7 @@ def objects_stage(
     The numbers of masks of our own are rewritten first, by common motion.
 
     Args:
-        estimate: finds the flow between frames that are no neighbours.
+        estimate: finds the flow between frames that are no neighbors.
         static: the clip and its static scene, where they are at hand.
         hints: what the user knows of distances.
 
@@ -90,7 +90,7 @@ def find_movers(clip: MatchedClip, background: StaticDepth, hints: Sequence[Hint
                 bounds[number][k] = ground_bound(inside, cameras[k], ground, static)
     tracks = scene.tracks
     on_movers = tracks_of_movers(tracks.points, tracks.visible, scene.mask, frames)
-    greys = np.stack([grey(scene.frame(i)) for i in track(frames, "Pictures of movers")])
+    grays = np.stack([gray(scene.frame(i)) for i in track(frames, "Pictures of movers")])
     movers = []
     for number, values in track(list(cards.items()), "Motion of movers"):
         seen = np.isfinite(values) & np.isfinite(middles[number]).all(1)
@@ -104,7 +104,7 @@ def find_movers(clip: MatchedClip, background: StaticDepth, hints: Sequence[Hint
         def front(k: int, number: int = number) -> np.ndarray:
             return roundness(scene.mask(frames[k]) == number, float(cameras[k].K[0, 0]))
 
-        shown = MoverPictures(greys, np.stack([scene.mask(i) == number for i in frames]), middles[number], cameras, normal)
+        shown = MoverPictures(grays, np.stack([scene.mask(i) == number for i in frames]), middles[number], cameras, normal)
         mover = solve_mover(
             number, positions, inside, middles[number], bounds[number], cameras, grounds[home], log_cards, normal, front, shown
         )

@@ -1,4 +1,4 @@
-"""What clicks and boxes mean at first sight, before anything is known of the clip: told by colours and one flow, and shown."""
+"""What clicks and boxes mean at first sight, before anything is known of the clip: told by colors and one flow, and shown."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def cut_at_once(scene: Scene, prompts: Sequence[Prompt], estimate: FlowEstimator
 
 
 def show_at_once(scene: Scene, prompts: Sequence[Prompt], estimate: FlowEstimator) -> Path:
-    """Draw every frame with prompts, what they mean in colour, into ``PICTURE`` in the folder of the scene; its path."""
+    """Draw every frame with prompts, what they mean in color, into ``PICTURE`` in the folder of the scene; its path."""
     found = cut_at_once(scene, prompts, estimate)
     rows = []
     for i in sorted({prompt.frame for prompt in prompts}):
@@ -77,10 +77,10 @@ def _one_flow(scene: Scene, i: int, j: int, estimate: FlowEstimator) -> Flow:
 def _draw(picture: np.ndarray, prompt: Prompt) -> None:
     """Box, clicks, and the number of the object, on a picture [H, W, 3] uint8."""
     radius = max(2, round(CLICK_RADIUS * max(picture.shape)))
-    for points, colour in ((prompt.clicks, _ON), (prompt.beside, _BESIDE)):
+    for points, color in ((prompt.clicks, _ON), (prompt.beside, _BESIDE)):
         for x, y in points:
             cv2.circle(picture, (int(x), int(y)), radius + 1, (0, 0, 0), -1, cv2.LINE_AA)
-            cv2.circle(picture, (int(x), int(y)), radius, colour, -1, cv2.LINE_AA)
+            cv2.circle(picture, (int(x), int(y)), radius, color, -1, cv2.LINE_AA)
     if prompt.box is not None:
         x0, y0, x1, y1 = (round(value) for value in prompt.box)
         cv2.rectangle(picture, (x0, y0), (x1 - 1, y1 - 1), _BOX, 1)

@@ -1,4 +1,4 @@
-"""An object cut out on the frame on which it was shown: by what moves where that is sure, by its colours where it is not."""
+"""An object cut out on the frame on which it was shown: by what moves where that is sure, by its colors where it is not."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from flowsplat.pictures.edge_smoothing import EdgeSmoother
-from flowsplat.priors.masks.colours import Colours, look_up
+from flowsplat.priors.masks.colors import Colors, look_up
 from flowsplat.priors.prompts.grabcut import ROUNDS, grab, snapped, touching
 from flowsplat.priors.prompts.parsing import CLICK_RADIUS, Point, Prompt
 from flowsplat.scenes import Flow
@@ -40,13 +40,13 @@ OF_EVIDENCE, MOST, SURE = 0.5, 3.0, 1.5
 MOVING_SHARE = 0.08
 """Share of a box that must surely move for evidence to decide in it."""
 
-OF_COLOUR, FULL_COLOUR = 0.7, 1.5
-"""Weight of the colours' logarithm to base 2, and the most that it counts."""
+OF_COLOR, FULL_COLOR = 0.7, 1.5
+"""Weight of the colors' logarithm to base 2, and the most that it counts."""
 
 _MODELS = 3
-"""How often the colours are taken anew."""
-SMOOTHNESS, COLOUR_SIGMA = 20.0, 10.0
-"""Of the smoother along the edges of the picture, and grey levels across which it no longer reaches."""
+"""How often the colors are taken anew."""
+SMOOTHNESS, COLOR_SIGMA = 20.0, 10.0
+"""Of the smoother along the edges of the picture, and gray levels across which it no longer reaches."""
 
 
 def cut_out(image: np.ndarray, flow: Flow, prompt: Prompt, evidence: np.ndarray | None = None) -> np.ndarray:
@@ -77,7 +77,7 @@ def _cut(image: np.ndarray, flow: Flow, prompt: Prompt, evidence: np.ndarray | N
     bits = cv2.medianBlur(np.clip(bits, -MOST, MOST).astype(np.float32), 5)
     chosen = _chosen(bits, prompt, seeds, possible)
     if chosen is None:
-        found = _by_colours(image, flow.flow, prompt, seeds, beside, possible)
+        found = _by_colors(image, flow.flow, prompt, seeds, beside, possible)
     else:
         found = _by_evidence(image, np.where(possible, chosen, -MOST), seeds, beside, possible)
     found &= ~beside
@@ -206,28 +206,28 @@ def _chosen(bits: np.ndarray, prompt: Prompt, seeds: np.ndarray, possible: np.nd
 
 
 def _by_evidence(image: np.ndarray, bits: np.ndarray, seeds: np.ndarray, beside: np.ndarray, possible: np.ndarray) -> np.ndarray:
-    """Evidence and colours, which are learned from it, added up and smoothed along the edges of the picture: bool [H, W]."""
-    smoother = EdgeSmoother(image, SMOOTHNESS, COLOUR_SIGMA)
+    """Evidence and colors, which are learned from it, added up and smoothed along the edges of the picture: bool [H, W]."""
+    smoother = EdgeSmoother(image, SMOOTHNESS, COLOR_SIGMA)
     bits = bits.astype(np.float32)
     bits[seeds], bits[beside] = 2 * MOST, -2 * MOST
     total = smoother.filter(bits)
     for _ in range(_MODELS):
-        colours = Colours()
-        colours.add(image, possible & (total > 0) & ~beside)
-        table = colours.table()
+        colors = Colors()
+        colors.add(image, possible & (total > 0) & ~beside)
+        table = colors.table()
         if table is None:
             break
-        like = np.float32(OF_COLOUR) * np.clip(look_up(table, image), -FULL_COLOUR, FULL_COLOUR)
+        like = np.float32(OF_COLOR) * np.clip(look_up(table, image), -FULL_COLOR, FULL_COLOR)
         total = smoother.filter(np.where(possible, bits + like, -2 * MOST).astype(np.float32))
     found = possible & (total > 0)
     return snapped(image, found) if found.any() else seeds.copy()
 
 
-def _by_colours(
+def _by_colors(
     image: np.ndarray, flow: np.ndarray, prompt: Prompt, seeds: np.ndarray, beside: np.ndarray, possible: np.ndarray
 ) -> np.ndarray:
     """GrabCut from the box, or from what looks or moves like the click, bool [H, W]."""
-    # The colours of a box decide best; where they fail, its motion does.
+    # The colors of a box decide best; where they fail, its motion does.
     guesses = [_like_the_click(image, flow, seeds, possible)] if prompt.box is None else [possible, _unlike_outside(flow, possible)]
     for guess in guesses:
         trimap = np.full(possible.shape, cv2.GC_BGD, np.uint8)
@@ -260,6 +260,6 @@ def _like_the_click(image: np.ndarray, flow: np.ndarray, seeds: np.ndarray, poss
         if moves.sum() > 4 * seeds.sum():
             return moves
     lab = cv2.cvtColor(cv2.bilateralFilter(np.ascontiguousarray(image), 7, 30, 5), cv2.COLOR_RGB2LAB).astype(np.float32)
-    colour = np.median(lab[seeds], axis=0)
-    distance = np.linalg.norm(lab - colour, axis=-1)
+    color = np.median(lab[seeds], axis=0)
+    distance = np.linalg.norm(lab - color, axis=-1)
     return touching(possible & (distance < 12 + 2 * float(np.median(distance[seeds]))), seeds)

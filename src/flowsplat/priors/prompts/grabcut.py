@@ -20,7 +20,7 @@ def grab(image: np.ndarray, trimap: np.ndarray, rounds: int) -> np.ndarray:
     """
     probable = (trimap == cv2.GC_FGD) | (trimap == cv2.GC_PR_FGD)
     x, y, width, height = cv2.boundingRect((trimap != cv2.GC_BGD).astype(np.uint8))
-    # Wide enough that the background's colours are seen.
+    # Wide enough that the background's colors are seen.
     pad = max(8, max(width, height) // 4)
     window = (slice(max(y - pad, 0), y + height + pad), slice(max(x - pad, 0), x + width + pad))
     inner = trimap[window].copy()
@@ -28,7 +28,7 @@ def grab(image: np.ndarray, trimap: np.ndarray, rounds: int) -> np.ndarray:
     found = probable.copy()
     if background.any() and not background.all():
         picture = np.ascontiguousarray(image[window][..., ::-1])
-        cv2.setRNGSeed(0)  # Its colour models start from random samples.
+        cv2.setRNGSeed(0)  # Its color models start from random samples.
         cv2.grabCut(picture, inner, None, np.zeros((1, 65)), np.zeros((1, 65)), rounds, cv2.GC_INIT_WITH_MASK)
         cut = (inner == cv2.GC_FGD) | (inner == cv2.GC_PR_FGD)
         if cut.any():

@@ -27,7 +27,7 @@ def prompt_stage(scene: Scene, prompts: Sequence[Prompt], estimate: FlowEstimato
 
     Args:
         prompts: as ``parse_prompts`` gives them.
-        estimate: finds the flow between frames that are no neighbours.
+        estimate: finds the flow between frames that are no neighbors.
     """
     frames = scene.train_frames
     objects = [list(group) for _, group in groupby(prompts, lambda prompt: prompt.number)]

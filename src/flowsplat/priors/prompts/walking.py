@@ -11,12 +11,12 @@ import numpy as np
 from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.geometry.interpolation import sample_map
 from flowsplat.pictures.edge_smoothing import EdgeSmoother
-from flowsplat.priors.masks.colours import Colours, look_up
+from flowsplat.priors.masks.colors import Colors, look_up
 from flowsplat.priors.prompts.cutting import (
-    COLOUR_SIGMA,
-    FULL_COLOUR,
+    COLOR_SIGMA,
+    FULL_COLOR,
     MOST,
-    OF_COLOUR,
+    OF_COLOR,
     OF_EVIDENCE,
     SMOOTHNESS,
     corrected,
@@ -31,7 +31,7 @@ LOST = 0.3
 """Mean confidence of the flow below which a carried part of a mask is dropped."""
 
 ALIKE = 30.0
-"""Grey levels beyond which a pixel is not the one that the flow says it was."""
+"""Gray levels beyond which a pixel is not the one that the flow says it was."""
 
 HELD = 2.0
 """Evidence, a logarithm to base 2, that what was carried is the object; it falls to its negative within ``BAND`` of the edge."""
@@ -110,11 +110,11 @@ class Walk:
         if carried is None:
             # What a user shows and nothing says moves may move later, but that it rests is no reason to drop it.
             self._rests = evidence is not None and float(np.median(evidence[mask])) <= 0
-        colours = Colours()
-        colours.add(image, mask)
-        table = colours.table()
+        colors = Colors()
+        colors.add(image, mask)
+        table = colors.table()
         if table is not None:
-            self._table = np.float32(OF_COLOUR) * np.clip(table, -FULL_COLOUR, FULL_COLOUR)
+            self._table = np.float32(OF_COLOR) * np.clip(table, -FULL_COLOR, FULL_COLOR)
         doubted = None if evidence is None else (evidence > 0) != mask
         return Part(mask, 1.0, doubted)
 
@@ -162,7 +162,7 @@ class Walk:
         if self._table is not None:
             total = total + look_up(self._table, image)
         total = np.where(outer > FURTHEST * band, -MOST, total).astype(np.float32)
-        found = EdgeSmoother(image, SMOOTHNESS, COLOUR_SIGMA).filter(total) > 0
+        found = EdgeSmoother(image, SMOOTHNESS, COLOR_SIGMA).filter(total) > 0
         _, labels = cv2.connectedComponents(found.astype(np.uint8))
         kept = np.isin(labels, np.unique(labels[found & moved])) & found
         return kept if kept.any() else moved

@@ -1,4 +1,4 @@
-"""How the neighbours of a point move: the affine motion that most of them agree on."""
+"""How the neighbors of a point move: the affine motion that most of them agree on."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from scipy.spatial import cKDTree
 from flowsplat.common.kernels import kernel
 from flowsplat.common.threads import parallel_for
 
-NEIGHBOURS = 12
+NEIGHBORS = 12
 FEWEST = 4
-"""Neighbours without which nothing is said."""
+"""Neighbors without which nothing is said."""
 ROUNDS = 4
 STIFFNESS = np.float32(0.05)
-"""Weight against differences between neighbours, beside the sum of their own weights."""
+"""Weight against differences between neighbors, beside the sum of their own weights."""
 SMALLEST_SPREAD = np.float32(0.15)
 """Pixels."""
 
@@ -22,7 +22,7 @@ SMALLEST_SPREAD = np.float32(0.15)
 def agreed_motion(
     points: np.ndarray, motions: np.ndarray, weights: np.ndarray, labels: np.ndarray, reach: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What the neighbours of every point, itself left out, say about its motion.
+    """What the neighbors of every point, itself left out, say about its motion.
 
     A weighted affine fit to the nearest ones, reweighted by Cauchy's function of what remains; it starts at their median.
 
@@ -30,12 +30,12 @@ def agreed_motion(
         points: [N, 2] pixels.
         motions: [N, 2] pixels to where each point has moved.
         weights: [N] how far each is believed; 0 = not at all.
-        labels: [N] only points of the same label are neighbours.
-        reach: pixels within which neighbours are.
+        labels: [N] only points of the same label are neighbors.
+        reach: pixels within which neighbors are.
 
     Returns:
         motion [N, 2], its gradient [N, 2, 2], and its spread [N]: the median of what remains, in pixels; infinite where
-        there are too few neighbours.
+        there are too few neighbors.
     """
     motion, gradient = np.zeros((len(points), 2), np.float32), np.zeros((len(points), 2, 2), np.float32)
     spread = np.full(len(points), np.inf, np.float32)
@@ -46,7 +46,7 @@ def agreed_motion(
         if len(sources) < FEWEST:
             continue
         # One more than needed: a source finds itself first.
-        count = min(NEIGHBOURS + 1, len(sources))
+        count = min(NEIGHBORS + 1, len(sources))
         _, found = cKDTree(points[sources]).query(points[here], k=count, distance_upper_bound=reach)
         index = np.append(sources, -1)[found.reshape(len(here), count)]
         parallel_for(_fit, len(here), here, index, *arrays, float32(reach), motion, gradient, spread)

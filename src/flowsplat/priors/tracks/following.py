@@ -1,7 +1,7 @@
-"""Points that are followed from frame to frame by their own texture, and by what their neighbours do.
+"""Points that are followed from frame to frame by their own texture, and by what their neighbors do.
 
 A point is expected where its velocity, or else the flow, leads; the patch of its first frame is aligned there. One that moves
-unlike its neighbours, or no longer looks like itself, goes with its neighbours, unseen, until it is found again. So a point
+unlike its neighbors, or no longer looks like itself, goes with its neighbors, unseen, until it is found again. So a point
 survives short occlusions and wrong flow, and does not drift: it is its first patch that has to be there, or a later one that
 was taken while that was so.
 """
@@ -21,7 +21,7 @@ from flowsplat.scenes.layers import TRUSTED
 LIKE = 0.6
 """Likeness (structural similarity) to its patch from which a point counts as found."""
 PENALTY = 0.1
-"""Of likeness for every pixel from where the neighbours lead, and for every pixel by which they disagree."""
+"""Of likeness for every pixel from where the neighbors lead, and for every pixel by which they disagree."""
 FADING = 0.75
 """Likeness below which a patch is taken anew."""
 STILL_LIKE = 0.6
@@ -35,11 +35,11 @@ BETTER = 0.15
 CLEAR = 0.85
 """Likeness from which the flow is not asked at all."""
 ALLOWED = 1.0
-"""Pixels from its neighbours' motion, beside twice their spread, from which a point is taken back to them."""
+"""Pixels from its neighbors' motion, beside twice their spread, from which a point is taken back to them."""
 LONGEST_GAP = 12
 """Frames after which a point that was not seen is given up."""
 REACH, SHORTEST_REACH = 0.07, 32.0
-"""Share of the picture's diagonal, and pixels at least, within which neighbours are asked."""
+"""Share of the picture's diagonal, and pixels at least, within which neighbors are asked."""
 ELDER = 2
 """Frames from which a point has a velocity."""
 OUTSIDE = 20
@@ -48,7 +48,7 @@ OUTSIDE = 20
 
 @dataclass
 class _Living:
-    """The points that are followed; arrays [N, ...]. Places count pixels from 0 at the centre of the first one."""
+    """The points that are followed; arrays [N, ...]. Places count pixels from 0 at the center of the first one."""
 
     ids: np.ndarray
     places: np.ndarray
@@ -73,7 +73,7 @@ class _Living:
 
 
 class Follower:
-    """Follows points through pictures that are given one after the other. Points are pixels with centres at +0.5."""
+    """Follows points through pictures that are given one after the other. Points are pixels with centers at +0.5."""
 
     def __init__(self) -> None:
         zero, pair = np.zeros(0, np.float32), np.zeros((0, 2), np.float32)
@@ -110,7 +110,7 @@ class Follower:
         self._older = None if self._older is None else self._older[rows]
 
     def add(self, ids: np.ndarray, points: np.ndarray, image: np.ndarray, labels: np.ndarray) -> None:
-        """Follow more points [N, 2], from grey ``image`` [H, W] on; ``labels`` [H, W] tells objects apart."""
+        """Follow more points [N, 2], from gray ``image`` [H, W] on; ``labels`` [H, W] tells objects apart."""
         count, (height, width) = len(points), image.shape
         if count == 0:
             return
@@ -129,7 +129,7 @@ class Follower:
         """Go to the next picture.
 
         Args:
-            image: [H, W] grey.
+            image: [H, W] gray.
             labels: [H, W] of its objects.
             flow: from the picture before.
             pace: how long this step takes, relative to the one before.

@@ -2,7 +2,7 @@
 
 The inverse compositional form (Baker and Matthews, "Lucas-Kanade 20 Years On", IJCV 2004) with a Gaussian window, a patch's own
 mean and contrast removed, and damping, so that what texture does not tell stays as it was predicted. Positions count pixels
-from 0 at the centre of the first one.
+from 0 at the center of the first one.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from flowsplat.common.kernels import helper, inlined, kernel
 from flowsplat.common.threads import parallel_for
 
 RADIUS = 6
-"""Pixels from the centre of a patch to its border."""
+"""Pixels from the center of a patch to its border."""
 SIDE = 2 * RADIUS + 1
 ITERATIONS = 8
 STILL = np.float32(0.01)
 """Pixels; a smaller step ends the search."""
 DAMPING = np.float32(2.0)
-"""Added to the mean square gradient (grey levels a pixel): noise."""
+"""Added to the mean square gradient (gray levels a pixel): noise."""
 STIFFNESS = np.float32(6.0)
 """The same for the affine part, whose unit is a shift of the patch's border by a pixel."""
 LONGEST = np.float32(4.0)
@@ -40,14 +40,14 @@ _WINDOW = np.exp(-0.5 * (_OFFSETS**2).sum(1) / (0.6 * RADIUS) ** 2).astype(np.fl
 class Patches:
     """Textures [N, SIDE^2] with their gradients along x and y, and the weights (sum 1) of their pixels; all float32."""
 
-    grey: np.ndarray
+    gray: np.ndarray
     right: np.ndarray
     down: np.ndarray
     weights: np.ndarray
 
     @staticmethod
     def cut(image: np.ndarray, labels: np.ndarray, points: np.ndarray) -> Patches:
-        """Patches of float32 grey [H, W] round ``points`` [N, 2]; pixels of another label [H, W] than the centre do not count."""
+        """Patches of float32 gray [H, W] round ``points`` [N, 2]; pixels of another label [H, W] than the center do not count."""
         count = len(points)
         arrays = [np.empty((count, SIDE * SIDE), np.float32) for _ in range(4)]
         parallel_for(_cut, len(points), image, labels.astype(np.int32, copy=False), np.asarray(points, np.float32), *arrays)
@@ -67,7 +67,7 @@ class Patches:
 
 
 def align(patches: Patches, image: np.ndarray, points: np.ndarray, shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Where patches are in float32 grey ``image`` [H, W].
+    """Where patches are in float32 gray ``image`` [H, W].
 
     Args:
         points: [N, 2] where they are expected.
@@ -78,7 +78,7 @@ def align(patches: Patches, image: np.ndarray, points: np.ndarray, shapes: np.nd
     """
     points, shapes = np.array(points, np.float32), np.array(shapes, np.float32)
     likeness = np.empty(len(points), np.float32)
-    parallel_for(_align, len(points), patches.grey, patches.right, patches.down, patches.weights, image, points, shapes, likeness)
+    parallel_for(_align, len(points), patches.gray, patches.right, patches.down, patches.weights, image, points, shapes, likeness)
     return points, shapes, likeness
 
 
@@ -100,7 +100,7 @@ def _sample(image, x, y):
 
 
 @kernel
-def _cut(begin, end, image, labels, points, grey, right, down, weights):
+def _cut(begin, end, image, labels, points, gray, right, down, weights):
     height, width = image.shape
     half = float32(0.5)
     for n in range(begin, end):
@@ -109,7 +109,7 @@ def _cut(begin, end, image, labels, points, grey, right, down, weights):
         total = float32(0)
         for k in range(len(_OFFSETS)):
             a, b = x + _OFFSETS[k, 0], y + _OFFSETS[k, 1]
-            grey[n, k] = _sample(image, a, b)
+            gray[n, k] = _sample(image, a, b)
             right[n, k] = half * (_sample(image, a + float32(1), b) - _sample(image, a - float32(1), b))
             down[n, k] = half * (_sample(image, a, b + float32(1)) - _sample(image, a, b - float32(1)))
             i, j = int(b + half), int(a + half)
@@ -137,16 +137,16 @@ def _solve(H, b):
 
 
 @kernel
-def _align(begin, end, grey, right, down, weights, image, points, shapes, likeness):
+def _align(begin, end, gray, right, down, weights, image, points, shapes, likeness):
     height, width = image.shape
     pixels = len(_OFFSETS)
     unit = float32(1.0 / RADIUS)
     for n in range(begin, end):
         mean, variance = float32(0), float32(0)
         for k in range(pixels):
-            mean += weights[n, k] * grey[n, k]
+            mean += weights[n, k] * gray[n, k]
         for k in range(pixels):
-            variance += weights[n, k] * (grey[n, k] - mean) ** 2
+            variance += weights[n, k] * (gray[n, k] - mean) ** 2
         H0 = np.zeros((6, 6), np.float32)
         row = np.empty(6, np.float32)
         for k in range(pixels):
@@ -181,7 +181,7 @@ def _align(begin, end, grey, right, down, weights, image, points, shapes, likene
             for k in range(pixels):
                 e = values[k] - now
                 spread += weights[n, k] * e * e
-                both += weights[n, k] * e * (grey[n, k] - mean)
+                both += weights[n, k] * e * (gray[n, k] - mean)
             alike = (float32(2) * both + CONTRAST) / (spread + variance + CONTRAST)
             alike *= (float32(2) * now * mean + BRIGHTNESS) / (now * now + mean * mean + BRIGHTNESS)
             if alike > best:
@@ -194,7 +194,7 @@ def _align(begin, end, grey, right, down, weights, image, points, shapes, likene
             step = np.zeros(6, np.float32)
             for k in range(pixels):
                 u, v = _OFFSETS[k, 0] * unit, _OFFSETS[k, 1] * unit
-                e = weights[n, k] * (gain * (values[k] - now) - (grey[n, k] - mean))
+                e = weights[n, k] * (gain * (values[k] - now) - (gray[n, k] - mean))
                 gx, gy = e * right[n, k], e * down[n, k]
                 step[0] += gx
                 step[1] += gy

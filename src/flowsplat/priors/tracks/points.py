@@ -14,7 +14,7 @@ BLUR, MUTED = 3.0, 0.7
 
 
 def detail(image: np.ndarray) -> np.ndarray:
-    """Grey [H, W] uint8 with its brightness muted, float32.
+    """Gray [H, W] uint8 with its brightness muted, float32.
 
     Light and shade stay where they are while a surface turns under them, and would hold its texture back.
     """
@@ -25,12 +25,12 @@ def detail(image: np.ndarray) -> np.ndarray:
 def refine_points(
     a: np.ndarray, b: np.ndarray, points: np.ndarray, guess: np.ndarray, window: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where ``points`` of grey ``a`` lie in grey ``b``, to a fraction of a pixel.
+    """Where ``points`` of gray ``a`` lie in gray ``b``, to a fraction of a pixel.
 
     Pyramidal Lucas-Kanade (Bouguet 2001) from ``guess`` and back again.
 
     Args:
-        points: [N, 2] pixels (centres at +0.5) in ``a``.
+        points: [N, 2] pixels (centers at +0.5) in ``a``.
         guess: [N, 2] where they are expected in ``b``, right to within a few pixels.
         window: side of the square of pixels that is compared.
 
@@ -59,7 +59,7 @@ def refine_points(
 
 
 def corner_strength(image: np.ndarray) -> np.ndarray:
-    """[H, W] float32: the smaller eigenvalue of the structure tensor of grey ``image``; 0 where too weak to follow."""
+    """[H, W] float32: the smaller eigenvalue of the structure tensor of gray ``image``; 0 where too weak to follow."""
     strength = cv2.cornerMinEigenVal(image, 7, ksize=3)
     weakest = max(1e-6, 1e-3 * float(np.quantile(strength, 0.98)))
     return np.where(strength > weakest, strength, 0)

@@ -9,7 +9,7 @@ import numpy as np
 from flowsplat.common.progress import track
 from flowsplat.geometry.interpolation import sample_map
 from flowsplat.priors.continuity import Continuity
-from flowsplat.priors.flow import grey
+from flowsplat.priors.flow import gray
 from flowsplat.priors.tracks.following import Follower
 from flowsplat.priors.tracks.points import TrackTable, corner_strength, detail, new_points, oldest_of_crowds
 from flowsplat.priors.tracks.resting import complete_resting
@@ -22,7 +22,7 @@ SHORTEST = 3
 """Frames that a kept track was seen in."""
 
 Start = Callable[[int, np.ndarray, np.ndarray, Follower], None]
-"""Given a training frame, its grey picture, its labels and the follower: adds the points that start there."""
+"""Given a training frame, its gray picture, its labels and the follower: adds the points that start there."""
 
 
 def tracks_stage(scene: Scene) -> None:
@@ -75,7 +75,7 @@ def follow_queries(scene: Scene, frames: np.ndarray, points: np.ndarray) -> Trac
 
     Args:
         frames: [N] the training frame in which each point is given.
-        points: [N, 2] pixels (centres at +0.5) in that frame.
+        points: [N, 2] pixels (centers at +0.5) in that frame.
 
     Returns:
         one track for each, visible at least in the frame it is given in; none of them is called moving.
@@ -109,7 +109,7 @@ def _follow(scene: Scene, order: list[int], start: Start, label: str) -> Iterato
         if continuity.is_blank(k):
             before = -1
             continue
-        image = detail(grey(scene.frame(t)))
+        image = detail(gray(scene.frame(t)))
         labels = scene.mask(t).astype(np.int32) if has_masks else np.zeros(image.shape, np.int32)
         if before < 0 or not continuity.joined(k, scene.train_frames.index(before)):
             follower, took = Follower(), 0.0
@@ -135,7 +135,7 @@ class _Seeds:
         self._asked = self.count = asked
 
     def add(self, t: int, image: np.ndarray, labels: np.ndarray, follower: Follower) -> None:
-        """Start points in grey ``image`` of frame ``t``. Numbers below the first ones of this never go."""
+        """Start points in gray ``image`` of frame ``t``. Numbers below the first ones of this never go."""
         height, width = image.shape
         own = np.flatnonzero(follower.ids >= self._asked)
         kept = own[oldest_of_crowds(follower.points[own], 0.5 * self._fine)]

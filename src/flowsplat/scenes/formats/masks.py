@@ -1,7 +1,7 @@
-"""Masks that come with pictures: black is background, and every other colour is a moving object.
+"""Masks that come with pictures: black is background, and every other color is a moving object.
 
-Black and white, grey object numbers, colours and palettes (DAVIS) all work; alpha is ignored. The colours of a clip become the
-numbers 1, 2, ... in one order for all frames, which for the palette of DAVIS is its own. Where a clip has more colours than
+Black and white, gray object numbers, colors and palettes (DAVIS) all work; alpha is ignored. The colors of a clip become the
+numbers 1, 2, ... in one order for all frames, which for the palette of DAVIS is its own. Where a clip has more colors than
 objects can be (soft edges, JPEG), all that is not black is one object.
 """
 
@@ -19,13 +19,13 @@ from flowsplat.scenes.clip import resize_labels
 from flowsplat.scenes.layers import decode_image
 
 MOST_OBJECTS = 32
-"""Colours above which they are taken for shades of one object."""
+"""Colors above which they are taken for shades of one object."""
 JPEG_BLACK = 127
 """Up to this value a pixel of a JPEG mask is background: compression smears its edges."""
 
 
 def read_labels(path: Path) -> np.ndarray:
-    """[H, W] int32: the colour of each pixel, packed, of grey pictures too; 0 = background. 16-bit grey is a number as it is.
+    """[H, W] int32: the color of each pixel, packed, of gray pictures too; 0 = background. 16-bit gray is a number as it is.
 
     A label means the same in every picture of a clip, whatever else is seen in it.
 
@@ -40,7 +40,7 @@ def read_labels(path: Path) -> np.ndarray:
         labels = labels * 0x010101 if image.dtype == np.uint8 else labels
     else:
         image = image if image.dtype == np.uint8 else (image >> 8).astype(np.uint8)  # three numbers have to fit in one
-        # In this order the colours of DAVIS rank as its object numbers.
+        # In this order the colors of DAVIS rank as its object numbers.
         labels = image[..., 0].astype(np.int32) << 16 | image[..., 1].astype(np.int32) << 8 | image[..., 2]
     if path.suffix.lower() in (".jpg", ".jpeg"):
         brightest = image if image.ndim == 2 else image[..., :3].max(-1)

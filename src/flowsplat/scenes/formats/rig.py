@@ -3,7 +3,7 @@
 | file | content |
 | --- | --- |
 | ``rgb/00000.png`` | the clip |
-| ``cameras.json`` | ``K`` [3, 3], ``width``, ``height``, ``w2c`` [T, 4, 4] (OpenCV axes, pixel centres at +0.5), ``fps`` |
+| ``cameras.json`` | ``K`` [3, 3], ``width``, ``height``, ``w2c`` [T, 4, 4] (OpenCV axes, pixel centers at +0.5), ``fps`` |
 | ``depth.npz`` | ``depth`` [T, H, W], planar |
 | ``flow.npz`` | ``fwd``, ``bwd`` [T, H, W, 2] pixels to the next and the previous frame, ``fwd_valid``, ``bwd_valid`` [T, H, W] |
 | ``masks/00000.png`` | object numbers, 0 = static |
@@ -83,8 +83,8 @@ class RigTruth:
     @property
     def flow_pairs(self) -> list[tuple[int, int]]:
         """Both directions between chosen frames that follow each other in the rig's own clip."""
-        neighbours = np.flatnonzero(np.diff(self._numbers) == 1).tolist()
-        return [pair for i in neighbours for pair in ((i, i + 1), (i + 1, i))]
+        neighbors = np.flatnonzero(np.diff(self._numbers) == 1).tolist()
+        return [pair for i in neighbors for pair in ((i, i + 1), (i + 1, i))]
 
     @property
     def tracks(self) -> Tracks:
@@ -109,7 +109,7 @@ class RigTruth:
         return Depth(depth, np.ones_like(depth))
 
     def flow(self, i: int, j: int) -> Flow:
-        """Flow between chosen neighbours; its confidence is 1 where the point is visible in both frames."""
+        """Flow between chosen neighbors; its confidence is 1 where the point is visible in both frames."""
         direction = "fwd" if j > i else "bwd"
         n = self._numbers[i]
         flow = resize_labels(self._array("flow.npz", direction, 2)[n].astype(np.float32), self._size)
@@ -123,7 +123,7 @@ class RigTruth:
         labels, camera = read_labels(path), self._stored[0]
         if labels.shape != (camera.height, camera.width):
             raise InputError(f"{path} is {labels.shape[1]}x{labels.shape[0]} pixels, its camera {camera.width}x{camera.height}.")
-        return resize_labels((labels & 255).astype(np.uint8), self._size)  # of packed grey, the grey value
+        return resize_labels((labels & 255).astype(np.uint8), self._size)  # of packed gray, the gray value
 
 
 def _heldout_views(folder: Path) -> list[PosedView]:

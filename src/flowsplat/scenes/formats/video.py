@@ -156,7 +156,7 @@ class VideoClip(Clip):
         index: all its frames.
         numbers: [T] which of them were chosen.
         coded_size: (width, height) in pixels as stored.
-        colors: how colours are stored.
+        colors: how colors are stored.
         matrix: how pictures are turned, see ``display_matrix``.
     """
 

@@ -47,7 +47,7 @@ _SCALING = 0x2 | 0x2000 | 0x4000 | 0x40000 | 0x80000
 
 @dataclass(frozen=True)
 class Colors:
-    """How the colours of a video are encoded (H.273 numbers), with what the file leaves open filled in."""
+    """How the colors of a video are encoded (H.273 numbers), with what the file leaves open filled in."""
 
     matrix: int
     full_range: bool
@@ -70,14 +70,14 @@ class Colors:
         """What is converted that the user may not expect."""
         if self.is_hdr:
             name = "PQ" if self.transfer == PQ else "HLG"
-            return [f"High dynamic range ({name}, {self.bits} bits) was tone-mapped to ordinary 8-bit colours."]
+            return [f"High dynamic range ({name}, {self.bits} bits) was tone-mapped to ordinary 8-bit colors."]
         if not self.is_plain:
-            return [f"Wide-gamut colours ({GAMUTS[self.primaries]}) were converted to BT.709."]
-        return [f"{self.bits}-bit colours were reduced to 8 bits."] if self.bits > 8 else []
+            return [f"Wide-gamut colors ({GAMUTS[self.primaries]}) were converted to BT.709."]
+        return [f"{self.bits}-bit colors were reduced to 8 bits."] if self.bits > 8 else []
 
 
 def colors_of(frame: av.VideoFrame, source: str) -> Colors:
-    """Read the colour tags of a decoded frame.
+    """Read the color tags of a decoded frame.
 
     Raises:
         InputError: the matrix is none that can be undone.
@@ -94,7 +94,7 @@ def colors_of(frame: av.VideoFrame, source: str) -> Colors:
         full_range = frame.color_range == FULL or (frame.color_range != LIMITED and range_is_implied)
     if matrix not in MATRICES:
         raise InputError(
-            f"{source} encodes its colours in a rare way (matrix {matrix} of H.273): convert it to ordinary H.264 video first."
+            f"{source} encodes its colors in a rare way (matrix {matrix} of H.273): convert it to ordinary H.264 video first."
         )
     if is_hdr and primaries not in CHROMATICITIES:
         primaries = BT2020
@@ -103,7 +103,7 @@ def colors_of(frame: av.VideoFrame, source: str) -> Colors:
 
 
 def decode_rgb(frame: av.VideoFrame, colors: Colors) -> np.ndarray:
-    """Undo matrix and range: [H, W, 3] uint8 where the colours are plain, else uint16 code values for ``to_srgb``."""
+    """Undo matrix and range: [H, W, 3] uint8 where the colors are plain, else uint16 code values for ``to_srgb``."""
     # As tags of the frame and not as arguments, because older PyAV takes no BT.2020 there.
     frame.colorspace, frame.color_range = colors.matrix, FULL if colors.full_range else LIMITED
     # Planar for 16 bits: swscale's packed rgb48 is wrong with chroma at full resolution.

@@ -19,7 +19,7 @@ from flowsplat.scenes.synthetic.textures import Material
 Shape = Literal["ellipsoid", "box", "room"]
 
 Motion = Callable[[float], tuple[np.ndarray, np.ndarray]]
-"""Seconds to (A [3, 3], c [3]), in metres."""
+"""Seconds to (A [3, 3], c [3]), in meters."""
 
 
 @dataclass(frozen=True)
@@ -28,9 +28,9 @@ class Body:
 
     Attributes:
         shape: an ellipsoid or a box seen from outside, or a room: a box seen from inside.
-        size: [3] half extents at rest, in metres; they scale the texture.
+        size: [3] half extents at rest, in meters; they scale the texture.
         motion: where the body is.
-        material: its colours.
+        material: its colors.
         number: its number in the masks; 0 = part of the static world.
     """
 

@@ -26,8 +26,8 @@ class View:
 
     Attributes:
         picture: [H, W, 3] uint8 RGB, antialiased.
-        depth: [H, W] float64 planar depth in metres at the pixel centres.
-        mask: [H, W] uint8, number of the mover at the pixel centre, 0 = static.
+        depth: [H, W] float64 planar depth in meters at the pixel centers.
+        mask: [H, W] uint8, number of the mover at the pixel center, 0 = static.
     """
 
     picture: np.ndarray
@@ -36,7 +36,7 @@ class View:
 
 
 class DrawnClip(Protocol):
-    """A clip of a world in which everything is known exactly. Same parameters, same bits; metres, seconds, world z up."""
+    """A clip of a world in which everything is known exactly. Same parameters, same bits; meters, seconds, world z up."""
 
     @property
     def width(self) -> int:
@@ -83,7 +83,7 @@ def views_aside(camera: Callable[[int], Camera], frames: int, depth: float) -> l
     Args:
         camera: of a frame.
         frames: how many.
-        depth: metres from the camera to the middle of the scene, about.
+        depth: meters from the camera to the middle of the scene, about.
     """
     views = []
     for i in range(0, frames, VIEW_STEP):

@@ -31,7 +31,7 @@ class Hits:
 
 
 class RayCastWorld(ABC):
-    """A clip of a world that casts rays; what is true of it follows from that. Metres, seconds, world z up.
+    """A clip of a world that casts rays; what is true of it follows from that. Meters, seconds, world z up.
 
     Attributes:
         width: pixels.
@@ -83,11 +83,11 @@ class RayCastWorld(ABC):
         """A new generator, always the same, that decides which points are tracked."""
 
     def cast_pixels(self, camera: Camera, time: float) -> Hits:
-        """What a camera sees at the centres of its pixels, row by row."""
+        """What a camera sees at the centers of its pixels, row by row."""
         return self.cast(camera, time, pixel_grid(camera.width, camera.height).astype(np.float64).reshape(-1, 2))
 
     def seen_by(self, camera: Camera, time: float) -> tuple[np.ndarray, np.ndarray]:
-        """(planar depth [H, W] in metres, number of the mover [H, W] uint8) at the pixel centres of any camera."""
+        """(planar depth [H, W] in meters, number of the mover [H, W] uint8) at the pixel centers of any camera."""
         hits = self.cast_pixels(camera, time)
         shape = (camera.height, camera.width)
         return hits.depth.reshape(shape), self.numbers[hits.part].reshape(shape)

@@ -30,7 +30,7 @@ class StreetScene:
         width: pixels.
         height: pixels.
         frames: how many.
-        seed: decides where everything is, how it moves and its colours.
+        seed: decides where everything is, how it moves and its colors.
 
     Raises:
         InputError: a parameter that makes no clip.
@@ -66,7 +66,7 @@ class StreetScene:
         return np.arange(self.frames) / self.fps
 
     def camera(self, i: int) -> Camera:
-        """The camera of frame ``i``, metres, world z up."""
+        """The camera of frame ``i``, meters, world z up."""
         return self.world.camera(i)
 
     def render(self, camera: Camera, time: float) -> View:

@@ -19,7 +19,7 @@ from flowsplat.scenes.synthetic.textures import Surface, in_chunks
 from flowsplat.scenes.synthetic.world import SCENE_DEPTH, build_world, camera_at
 
 SAMPLES = 2
-"""Colour samples along each side of a pixel."""
+"""Color samples along each side of a pixel."""
 
 LIGHT = np.array([-0.45, -0.65, 0.62])
 """Direction to the light, of length 1 within rounding."""
@@ -79,7 +79,7 @@ class SyntheticScene(RayCastWorld):
         return np.random.default_rng(self.seed)
 
     def camera(self, i: int) -> Camera:
-        """The camera of frame ``i``, metres, world z up."""
+        """The camera of frame ``i``, meters, world z up."""
         return camera_at(self.timestamps[i], self.width, self.height)
 
     # -- pictures
@@ -108,16 +108,16 @@ class SyntheticScene(RayCastWorld):
         """The world at ``time`` (seconds) from any camera inside the room."""
         offsets = (np.arange(SAMPLES) - (SAMPLES - 1) / 2) / SAMPLES
         grid = pixel_grid(camera.width, camera.height).astype(np.float64).reshape(-1, 2)
-        colour = np.zeros((len(grid), 3))
+        color = np.zeros((len(grid), 3))
         for x in offsets:
             for y in offsets:
-                colour += self._shade(camera, time, self.cast(camera, time, grid + [x, y]))
-        picture = np.clip(colour * (255 / SAMPLES**2) + 0.5, 0, 255).astype(np.uint8)
+                color += self._shade(camera, time, self.cast(camera, time, grid + [x, y]))
+        picture = np.clip(color * (255 / SAMPLES**2) + 0.5, 0, 255).astype(np.uint8)
         return View(picture.reshape(camera.height, camera.width, 3), *self.seen_by(camera, time))
 
     def _shade(self, camera: Camera, time: float, hits: Hits) -> np.ndarray:
         """[N, 3] display values between 0 and 1: texture, one distant light, and fixed shade where static things meet."""
-        colour = np.empty((len(hits.depth), 3))
+        color = np.empty((len(hits.depth), 3))
         for k, body in enumerate(self.bodies):
             chosen = hits.part == k
             if not chosen.any():
@@ -131,8 +131,8 @@ class SyntheticScene(RayCastWorld):
             light = 0.84 + 0.26 * normals @ LIGHT
             if body.number == 0:
                 light *= self._openness(points, normals, k)
-            colour[chosen] = np.clip(albedo * light[:, None], 0, 1)
-        return colour
+            color[chosen] = np.clip(albedo * light[:, None], 0, 1)
+        return color
 
     def _openness(self, points: np.ndarray, normals: np.ndarray, own: int) -> np.ndarray:
         """[N] how much of the sky static bodies leave to points [N, 3] of body ``own``, 0 to 1.

@@ -1,6 +1,6 @@
-"""Procedural colours: sums of plane waves and soft-edged patterns, filtered to what a pixel can show.
+"""Procedural colors: sums of plane waves and soft-edged patterns, filtered to what a pixel can show.
 
-A texture lives in the metres of its body, so that it moves, turns and stretches with it. Nothing in it is finer than
+A texture lives in the meters of its body, so that it moves, turns and stretches with it. Nothing in it is finer than
 the pixel that looks at it: each octave of waves fades out before its wavelength reaches two pixels, and every edge is
 one and a half pixels wide (the "clamping" of Norton, Rockwood and Skolmoski, SIGGRAPH 1982).
 """
@@ -19,12 +19,12 @@ CHUNK = 8192
 
 @dataclass(frozen=True)
 class Surface:
-    """Points on a body that want a colour.
+    """Points on a body that want a color.
 
     Attributes:
-        points: [N, 3] metres in the axes of the body at rest.
+        points: [N, 3] meters in the axes of the body at rest.
         face: [N] which face of a box: 2 * axis + (1 on the positive side); 0 everywhere on an ellipsoid.
-        footprint: [N] metres that a pixel covers on the surface.
+        footprint: [N] meters that a pixel covers on the surface.
     """
 
     points: np.ndarray
@@ -44,7 +44,7 @@ class Surface:
 
 
 Material = Callable[[Surface], np.ndarray]
-"""Gives a surface its colours [N, 3], display values between 0 and 1 (a little outside is clipped by the renderer)."""
+"""Gives a surface its colors [N, 3], display values between 0 and 1 (a little outside is clipped by the renderer)."""
 
 
 def spiral(count: int) -> np.ndarray:
@@ -59,7 +59,7 @@ class Waves:
     """A smooth random field: several octaves of plane waves with evenly spread directions and random phases.
 
     Args:
-        wavelength: metres, of the longest octave; each further octave halves it.
+        wavelength: meters, of the longest octave; each further octave halves it.
         octaves: how many.
         channels: fields that are made of the same waves with weights of their own.
         stretch: scale of the field along each axis; 4 makes it four times as long.
@@ -88,7 +88,7 @@ class Waves:
 
     def __call__(self, surface: Surface) -> np.ndarray:
         """[N, channels] with a mean of 0 and a standard deviation of about 1."""
-        # Single precision: NumPy's cosine is twenty times faster there, and 1e-4 rad are far below a grey level.
+        # Single precision: NumPy's cosine is twenty times faster there, and 1e-4 rad are far below a gray level.
         points, footprint = surface.points.T.astype(np.float32), surface.footprint.astype(np.float32)
         field = np.zeros((self.channels, len(footprint)), np.float32)
         for length, vectors, phases, weights in self._bands:
@@ -100,20 +100,20 @@ class Waves:
 
 def in_chunks(material: Material, surface: Surface) -> np.ndarray:
     """``material(surface)``, a part at a time."""
-    colours = np.empty_like(surface.points)
-    for start in range(0, len(colours), CHUNK):
-        colours[start : start + CHUNK] = material(surface.where(slice(start, start + CHUNK)))
-    return colours
+    colors = np.empty_like(surface.points)
+    for start in range(0, len(colors), CHUNK):
+        colors[start : start + CHUNK] = material(surface.where(slice(start, start + CHUNK)))
+    return colors
 
 
-def gradient(value: np.ndarray, colours: Sequence[Sequence[float]]) -> np.ndarray:
-    """[N, 3]: the colours, evenly spread over values from -2 to 2."""
-    stops = np.linspace(-2, 2, len(colours))
-    return np.stack([np.interp(value, stops, channel) for channel in np.array(colours, float).T], -1)
+def gradient(value: np.ndarray, colors: Sequence[Sequence[float]]) -> np.ndarray:
+    """[N, 3]: the colors, evenly spread over values from -2 to 2."""
+    stops = np.linspace(-2, 2, len(colors))
+    return np.stack([np.interp(value, stops, channel) for channel in np.array(colors, float).T], -1)
 
 
 def inside(distance: np.ndarray, footprint: np.ndarray) -> np.ndarray:
-    """[N] 1 where the signed distance (metres) is negative, 0 where positive, with an edge 1.5 pixels wide."""
+    """[N] 1 where the signed distance (meters) is negative, 0 where positive, with an edge 1.5 pixels wide."""
     return np.clip(0.5 - distance / (1.5 * footprint), 0, 1)
 
 
@@ -136,19 +136,19 @@ def scatter(*cells: np.ndarray) -> np.ndarray:
 # -- materials
 
 
-def stone(rng: np.random.Generator, wavelength: float, colours: Sequence[Sequence[float]]) -> Material:
+def stone(rng: np.random.Generator, wavelength: float, colors: Sequence[Sequence[float]]) -> Material:
     """Veined and speckled, solid (the same pattern goes through the body)."""
     waves = Waves(rng, wavelength, octaves=5)
 
     def material(surface: Surface) -> np.ndarray:
         field = waves(surface)
-        return gradient(1.3 * field[:, 0], colours) * (1 + 0.1 * np.tanh(3 * field[:, 1:2]))
+        return gradient(1.3 * field[:, 0], colors) * (1 + 0.1 * np.tanh(3 * field[:, 1:2]))
 
     return material
 
 
 def planks(
-    rng: np.random.Generator, width: float, length: float, colours: Sequence[Sequence[float]], grain: float = 0.8
+    rng: np.random.Generator, width: float, length: float, colors: Sequence[Sequence[float]], grain: float = 0.8
 ) -> Material:
     """Boards along the first coordinate of each face, every one with a tone of its own."""
     waves = Waves(rng, grain, octaves=5, stretch=(3, 1, 1))
@@ -159,15 +159,15 @@ def planks(
         a = a + scatter(row) * length
         field = waves(surface)
         tone = 3 * scatter(row, np.floor(a / length), surface.face) - 1.5
-        wood = gradient(0.6 * tone + 0.9 * field[:, 0], colours) * (1 + 0.1 * np.tanh(3 * field[:, 1:2]))
+        wood = gradient(0.6 * tone + 0.9 * field[:, 0], colors) * (1 + 0.1 * np.tanh(3 * field[:, 1:2]))
         gap = np.minimum(to_line(b, width), to_line(a, length)) - 0.012
-        return blend(wood, np.multiply(colours[0], 0.45), inside(gap, surface.footprint))
+        return blend(wood, np.multiply(colors[0], 0.45), inside(gap, surface.footprint))
 
     return material
 
 
 def blocks(
-    rng: np.random.Generator, width: float, height: float, colours: Sequence[Sequence[float]], mortar: Sequence[float]
+    rng: np.random.Generator, width: float, height: float, colors: Sequence[Sequence[float]], mortar: Sequence[float]
 ) -> Material:
     """Rough masonry in shifted rows."""
     waves = Waves(rng, 0.9, octaves=5)
@@ -178,17 +178,17 @@ def blocks(
         row = np.floor(b / height)
         a = a + 0.5 * width * (row % 2)
         tone = 2.4 * scatter(row, np.floor(a / width), surface.face) - 1.2
-        face = gradient(0.8 * tone + 0.8 * field[:, 0], colours) * (1 + 0.09 * np.tanh(3 * field[:, 1:2]))
+        face = gradient(0.8 * tone + 0.8 * field[:, 0], colors) * (1 + 0.09 * np.tanh(3 * field[:, 1:2]))
         joint = np.minimum(to_line(a, width), to_line(b, height)) - 0.02 - 0.006 * field[:, 2]
         return blend(face, mortar, inside(joint, surface.footprint))
 
     return material
 
 
-def patchwork(rng: np.random.Generator, cell: float, colours: Sequence[Sequence[float]]) -> Material:
-    """Square fields in many colours, each with a spot or a diamond in another one."""
+def patchwork(rng: np.random.Generator, cell: float, colors: Sequence[Sequence[float]]) -> Material:
+    """Square fields in many colors, each with a spot or a diamond in another one."""
     waves = Waves(rng, 0.5, octaves=4, channels=1)
-    palette = np.array(colours, float)
+    palette = np.array(colors, float)
 
     def pick(number: np.ndarray) -> np.ndarray:
         return palette[(number * len(palette)).astype(int)]
@@ -212,11 +212,11 @@ def patchwork(rng: np.random.Generator, cell: float, colours: Sequence[Sequence[
 
 
 def segments(
-    rng: np.random.Generator, count: int, radius: float, colours: Sequence[Sequence[float]], dot: Sequence[float]
+    rng: np.random.Generator, count: int, radius: float, colors: Sequence[Sequence[float]], dot: Sequence[float]
 ) -> Material:
-    """A beach ball: coloured segments from pole to pole, and dots all over."""
+    """A beach ball: colored segments from pole to pole, and dots all over."""
     waves = Waves(rng, 0.5, octaves=4, channels=1)
-    palette = np.array(colours, float)
+    palette = np.array(colors, float)
     dots = spiral(40).T
 
     def material(surface: Surface) -> np.ndarray:
@@ -232,10 +232,10 @@ def segments(
     return material
 
 
-def swirls(rng: np.random.Generator, wavelength: float, colours: Sequence[Sequence[float]], edge: float) -> Material:
+def swirls(rng: np.random.Generator, wavelength: float, colors: Sequence[Sequence[float]], edge: float) -> Material:
     """Bands that wind round the body: the level lines of one smooth field, with speckles of another."""
     slow, fast = Waves(rng, wavelength, octaves=2, channels=1), Waves(rng, 0.3, octaves=3, channels=1)
-    palette = np.array(colours, float)
+    palette = np.array(colors, float)
 
     def material(surface: Surface) -> np.ndarray:
         level = 2.2 * slow(surface)[:, 0]

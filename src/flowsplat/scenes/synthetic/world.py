@@ -1,4 +1,4 @@
-"""What is in the synthetic world, how it moves and where the camera goes. World z is up; metres and seconds."""
+"""What is in the synthetic world, how it moves and where the camera goes. World z is up; meters and seconds."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from flowsplat.scenes.synthetic.textures import (
 )
 
 SCENE_DEPTH = 5.0
-"""Metres from the camera to the middle of the scene, about."""
+"""Meters from the camera to the middle of the scene, about."""
 
 FOCAL = 0.75
 """Focal length over the width of the picture."""
@@ -97,7 +97,7 @@ def room_material(rng: np.random.Generator) -> Material:
     floor, ceiling = planks(rng, 0.36, 2.2, OAK), planks(rng, 0.5, 3.0, CRATE, grain=1.2)
     wall, side = blocks(rng, 0.9, 0.45, MASONRY, (0.26, 0.27, 0.27)), stone(rng, 1.0, PLASTER)
     weave = patchwork(rng, 0.42, CLOTH)
-    # Centre and half extents on the wall, in the axes of the room.
+    # Center and half extents on the wall, in the axes of the room.
     paintings = [
         (-2.9, 0.25, 0.85, 0.62, swirls(rng, 1.6, SEA, 0.01)),
         (-0.55, 0.35, 0.75, 0.75, stone(rng, 0.9, SUNSET)),
@@ -115,8 +115,8 @@ def room_material(rng: np.random.Generator) -> Material:
     def wall_with_paintings(surface: Surface) -> np.ndarray:
         x, _, z = surface.points.T
         result = wall(surface)
-        for centre_x, centre_z, half_width, half_height, canvas in paintings:
-            edge = np.maximum(np.abs(x - centre_x) - half_width, np.abs(z - centre_z) - half_height)
+        for center_x, center_z, half_width, half_height, canvas in paintings:
+            edge = np.maximum(np.abs(x - center_x) - half_width, np.abs(z - center_z) - half_height)
             near = edge < 0.3
             part = surface.where(near)
             framed = blend(np.array([FRAME]), canvas(part), inside(edge[near] + 0.09, part.footprint))
@@ -126,12 +126,12 @@ def room_material(rng: np.random.Generator) -> Material:
     materials = {0: side, 1: side, 2: wall, 3: wall_with_paintings, 4: floor_with_rug, 5: ceiling}
 
     def material(surface: Surface) -> np.ndarray:
-        colours = np.empty_like(surface.points)
+        colors = np.empty_like(surface.points)
         for face, part in materials.items():
             chosen = surface.face == face
             if chosen.any():
-                colours[chosen] = part(surface.where(chosen))
-        return colours
+                colors[chosen] = part(surface.where(chosen))
+        return colors
 
     return material
 

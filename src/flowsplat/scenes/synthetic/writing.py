@@ -25,7 +25,7 @@ def write_synthetic(folder: Path, spec: DrawnClip, *, holdout: int | None = None
     Args:
         holdout: every how many frames one is held out; None = none.
         with_truth: also write the truth (cameras, depth, masks and tracks of all frames; flow both ways between
-            neighbouring frames, and between neighbouring training frames) and the held-out views.
+            neighboring frames, and between neighboring training frames) and the held-out views.
 
     Raises:
         InputError: the folder cannot be written, or too few training frames remain.
@@ -52,9 +52,9 @@ def write_synthetic(folder: Path, spec: DrawnClip, *, holdout: int | None = None
         return scene
     truth.write_cameras(cameras)
     truth.write_tracks(spec.tracks())
-    neighbours = sorted({*pairwise(range(spec.frames)), *pairwise(scene.train_frames)})
-    flows = in_threads(lambda pair: (spec.flow(*pair), spec.flow(*pair[::-1])), neighbours, threads)
-    for forward, backward in track(flows, "Writing its true flow", len(neighbours)):
+    neighbors = sorted({*pairwise(range(spec.frames)), *pairwise(scene.train_frames)})
+    flows = in_threads(lambda pair: (spec.flow(*pair), spec.flow(*pair[::-1])), neighbors, threads)
+    for forward, backward in track(flows, "Writing its true flow", len(neighbors)):
         truth.write_flow(forward)
         truth.write_flow(backward)
     heldout = spec.heldout_views()

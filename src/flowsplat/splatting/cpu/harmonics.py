@@ -1,4 +1,4 @@
-"""Colours from spherical harmonics and their gradient, one Gaussian at a time. Oracle: ``harmonics.colours_in_torch``."""
+"""Colors from spherical harmonics and their gradient, one Gaussian at a time. Oracle: ``harmonics.colors_in_torch``."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def basis_of(x, y, z, count, basis):
 
 
 @inlined
-def colour_of(basis, sh, i, count):
+def color_of(basis, sh, i, count):
     """Red, green and blue of Gaussian i in the direction of the basis, before negative ones become 0."""
     red, green, blue = HALF, HALF, HALF
     for k in range(count):
@@ -83,27 +83,27 @@ def _basis_gradient(x, y, z, count, d):
 
 
 @kernel
-def _forward(begin, end, sh, directions, count, colours):
+def _forward(begin, end, sh, directions, count, colors):
     number = len(sh)
     for chunk in range(begin, end):
         basis = np.empty(16, np.float32)
         for i in range(number * chunk // CHUNKS, number * (chunk + 1) // CHUNKS):
             basis_of(directions[i, 0], directions[i, 1], directions[i, 2], count, basis)
-            red, green, blue = colour_of(basis, sh, i, count)
-            colours[i, 0], colours[i, 1], colours[i, 2] = max(red, ZERO), max(green, ZERO), max(blue, ZERO)
+            red, green, blue = color_of(basis, sh, i, count)
+            colors[i, 0], colors[i, 1], colors[i, 2] = max(red, ZERO), max(green, ZERO), max(blue, ZERO)
 
 
 @kernel
-def _backward(begin, end, sh, directions, count, colours, gradient, wants_directions, d_sh, d_directions):
+def _backward(begin, end, sh, directions, count, colors, gradient, wants_directions, d_sh, d_directions):
     number = len(sh)
     for chunk in range(begin, end):
         basis, d_basis = np.empty(16, np.float32), np.empty(16, np.float32)
         for i in range(number * chunk // CHUNKS, number * (chunk + 1) // CHUNKS):
             x, y, z = directions[i, 0], directions[i, 1], directions[i, 2]
             basis_of(x, y, z, count, basis)
-            red = gradient[i, 0] if colours[i, 0] > ZERO else ZERO
-            green = gradient[i, 1] if colours[i, 1] > ZERO else ZERO
-            blue = gradient[i, 2] if colours[i, 2] > ZERO else ZERO
+            red = gradient[i, 0] if colors[i, 0] > ZERO else ZERO
+            green = gradient[i, 1] if colors[i, 1] > ZERO else ZERO
+            blue = gradient[i, 2] if colors[i, 2] > ZERO else ZERO
             for k in range(count):
                 d_sh[i, k, 0], d_sh[i, k, 1], d_sh[i, k, 2] = basis[k] * red, basis[k] * green, basis[k] * blue
                 d_basis[k] = red * sh[i, k, 0] + green * sh[i, k, 1] + blue * sh[i, k, 2]
@@ -113,14 +113,14 @@ def _backward(begin, end, sh, directions, count, colours, gradient, wants_direct
                 d_directions[i, 0], d_directions[i, 1], d_directions[i, 2] = _basis_gradient(x, y, z, count, d_basis)
 
 
-class _Colours(torch.autograd.Function):
+class _Colors(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, sh: Tensor, directions: Tensor, count: int) -> Tensor:
         inputs = sh.detach().contiguous().numpy(), directions.detach().contiguous().numpy(), count
-        colours = torch.empty(len(sh), 3)
-        parallel_for(_forward, CHUNKS, *inputs, colours.numpy())
-        ctx.inputs, ctx.colours = inputs, colours.detach().numpy()
-        return colours
+        colors = torch.empty(len(sh), 3)
+        parallel_for(_forward, CHUNKS, *inputs, colors.numpy())
+        ctx.inputs, ctx.colors = inputs, colors.detach().numpy()
+        return colors
 
     @staticmethod
     @once_differentiable
@@ -132,7 +132,7 @@ class _Colours(torch.autograd.Function):
             _backward,
             CHUNKS,
             *ctx.inputs,
-            ctx.colours,
+            ctx.colors,
             gradient.contiguous().numpy(),
             wants_directions,
             d_sh.numpy(),
@@ -141,7 +141,7 @@ class _Colours(torch.autograd.Function):
         return d_sh, d_directions if wants_directions else None, None
 
 
-def colours(sh: Tensor, directions: Tensor, degree: int) -> Tensor:
-    """See ``harmonics.colours_from_harmonics``; float32, degree 1 to 3."""
-    result: Tensor = _Colours.apply(sh, directions, (degree + 1) ** 2)
+def colors(sh: Tensor, directions: Tensor, degree: int) -> Tensor:
+    """See ``harmonics.colors_from_harmonics``; float32, degree 1 to 3."""
+    result: Tensor = _Colors.apply(sh, directions, (degree + 1) ** 2)
     return result

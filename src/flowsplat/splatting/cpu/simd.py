@@ -24,7 +24,7 @@ _I32 = ir.IntType(32)
 
 @intrinsic
 def block_columns(typingctx):
-    """The x of every pixel centre of a block: 0.5 ... 7.5, once a row."""
+    """The x of every pixel center of a block: 0.5 ... 7.5, once a row."""
 
     def codegen(context, builder, sig, args):
         return ir.Constant(VECTOR, [lane % BLOCK_WIDTH + 0.5 for lane in range(LANES)])
@@ -121,7 +121,7 @@ def _transposed_sums(builder: Any, vectors: list[Any]) -> Any:
     order = [[vector] * LANES for vector in range(LANES)]  # which vector's sum a lane holds a part of
 
     def add_halves(picks: list[int], step: int) -> None:
-        """Of the joined lanes of two neighbours, add those of ``picks`` and those ``step`` further."""
+        """Of the joined lanes of two neighbors, add those of ``picks`` and those ``step`` further."""
         nonlocal vectors, order
         others = [lane + step for lane in picks]
         merged, places = [], []

@@ -67,7 +67,7 @@ def sort_by_depth(depth_bits, extents, order, keys_a, keys_b, values):
 def _pack(i, means2d, conics, opacities, features, last_column, records, o, ellipse):
     """The record of Gaussian i at records[o:], and the ellipse in which it is drawn.
 
-    ellipse: centre; the first and last column of pixels that it covers (first > last: none); then slope, top, bend and lowest:
+    ellipse: center; the first and last column of pixels that it covers (first > last: none); then slope, top, bend and lowest:
     at an offset dx it reaches over y - slope dx +- sqrt(top - bend dx^2), and its lowest point in the image is at dx = lowest.
     """
     x, y, a, b, c = means2d[i, 0], means2d[i, 1], conics[i, 0], conics[i, 1], conics[i, 2]

@@ -28,7 +28,7 @@ class Workspace:
             Workspace._free.append(self)
 
     def array(self, name: str, count: int, dtype: type) -> np.ndarray:
-        """[count] uninitialised, 64-byte aligned, valid until the next call with this name or ``release``."""
+        """[count] uninitialized, 64-byte aligned, valid until the next call with this name or ``release``."""
         size = count * np.dtype(dtype).itemsize
         buffer = self._arrays.get(name)
         if buffer is None or len(buffer) < size:

@@ -109,7 +109,7 @@ def blend_backward(
     in_image = pixel.to(tl.int64) * CHANNELS
     last = tl.load(transmittance + pixel, mask=inside, other=0.0)
     behind = -last * tl.load(grad_alphas + pixel, mask=inside, other=0.0)
-    # One channel after the other: loaded all at once, neighbouring threads would hold neighbouring channels, not pixels, from
+    # One channel after the other: loaded all at once, neighboring threads would hold neighboring channels, not pixels, from
     # here to the end, and every sum over channels would go from thread to thread.
     gradient = tl.zeros([PADDED, _TILE * _TILE], tl.float32)
     for n in tl.static_range(CHANNELS):

@@ -112,7 +112,7 @@ class Counted:
         order: [N] int64, Gaussians by depth, then index; the culled ones last.
         counts: [N] int32, tiles of each, in this order.
         ends: [N] int64, where the slots of each end.
-        records: [N, 8] geometry, by index: centre, three of the exponent in base 2, log2 opacity. Not of culled ones.
+        records: [N, 8] geometry, by index: center, three of the exponent in base 2, log2 opacity. Not of culled ones.
         needed: [1] int64, slots in all.
     """
 

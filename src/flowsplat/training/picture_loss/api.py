@@ -21,14 +21,14 @@ class PictureTargets:
     """What a picture should show.
 
     Attributes:
-        colour: [H, W, 3] uint8.
+        color: [H, W, 3] uint8.
         depth: [H, W] float32, or None.
         depth_trusted: [H, W] bool, where it counts.
         flow: [H, W, 2] float32 pixels, or None.
         flow_trusted: [H, W] bool, where it counts.
     """
 
-    colour: Plane
+    color: Plane
     depth: Plane | None = None
     depth_trusted: Plane | None = None
     flow: Plane | None = None
@@ -41,7 +41,7 @@ class PictureTargets:
             return None if plane is None else devices.upload(plane, device)
 
         return PictureTargets(
-            moved(self.colour), moved(self.depth), moved(self.depth_trusted), moved(self.flow), moved(self.flow_trusted)
+            moved(self.color), moved(self.depth), moved(self.depth_trusted), moved(self.flow), moved(self.flow_trusted)
         )
 
 
@@ -50,7 +50,7 @@ class PictureWeights:
     """Weights of the parts (METHOD 5).
 
     Attributes:
-        ssim: gamma_1, the share of SSIM in the colour loss.
+        ssim: gamma_1, the share of SSIM in the color loss.
         flow: gamma_2.
         depth: of the relative depth error (ours).
         flow_by_alpha: compare the flow V with alpha F where alpha >= 0.5, which is |V / alpha - F| weighted by alpha and has no
@@ -65,12 +65,12 @@ class PictureWeights:
 
 @dataclass(frozen=True)
 class PictureFigures:
-    """The parts before their weights, and the mean squared error of the colours clamped to 0..1.
+    """The parts before their weights, and the mean squared error of the colors clamped to 0..1.
 
     Tensors where they were computed on a GPU, so that the host need not wait for them.
     """
 
-    colour: float | Tensor
+    color: float | Tensor
     flow: float | Tensor
     depth: float | Tensor
     squared_error: float | Tensor
@@ -110,7 +110,7 @@ def picture_loss(
     L_depth the relative error |D - alpha d| / d of trusted pixels, its mean over all pixels.
 
     Args:
-        image: [H, W, C] blended features: colour, depth, then ``flow_channels`` of flow (``gaussians.flow``) and, if there is
+        image: [H, W, C] blended features: color, depth, then ``flow_channels`` of flow (``gaussians.flow``) and, if there is
             one more, how much of a pixel is held by what the other camera cannot see; where that is over 5 %, flow is not
             trusted.
         alpha: [H, W].

@@ -1,6 +1,6 @@
 """The picture loss and its gradient in three sweeps over rows. Oracle: ``reference``.
 
-Colours stay interleaved: a row is 3 W numbers and a horizontal tap is three numbers wide, so no plane is ever rearranged.
+Colors stay interleaved: a row is 3 W numbers and a horizontal tap is three numbers wide, so no plane is ever rearranged.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ def _rows(image, target, h, width, row_x, row_y):
 
 @inlined
 def flow_at(image, h, w, flow_channels, half_width, half_height):
-    """What ``gaussians.flow.flow_image`` makes of a pixel's features, and the pixel from the centre of the picture."""
+    """What ``gaussians.flow.flow_image`` makes of a pixel's features, and the pixel from the center of the picture."""
     u, v = image[h, w, 4], image[h, w, 5]
     x, y = float32(w) + HALF - half_width, float32(h) + HALF - half_height
     if flow_channels == 6:
@@ -166,7 +166,7 @@ def _gradient_rows(
     begin, end, image, alpha, target, flow, flow_trusted, depth, depth_trusted, flow_channels, ssim_weight, flow_weight,
     depth_weight, flow_share, by_alpha, derivatives, sums, gradient, alpha_gradient,
 ):  # fmt: skip
-    """Fill the gradients and, row by row, sums [H, 4] of colour, flow, depth and squared error, not yet divided."""
+    """Fill the gradients and, row by row, sums [H, 4] of color, flow, depth and squared error, not yet divided."""
     height, width, channels = image.shape
     count, held = width * CHANNELS, 4 + flow_channels
     half_width, half_height = HALF * float32(width), HALF * float32(height)
@@ -245,7 +245,7 @@ class _PictureLoss(torch.autograd.Function):
             planes[:, -RADIUS:] = 0
         gradient, alpha_gradient = torch.empty(image.shape), torch.empty(alpha.shape)
         sums, counts = np.empty((height, 4)), np.empty(height, np.int64)
-        shown = image.detach().contiguous().numpy(), alpha.detach().contiguous().numpy(), targets.colour
+        shown = image.detach().contiguous().numpy(), alpha.detach().contiguous().numpy(), targets.color
         by_alpha, flow_weight_32 = weights.flow_by_alpha, np.float32(flow_weight)
         parallel_for(
             _blur_rows, height, *shown, flow_trusted, flow_channels, flow_weight_32, by_alpha, blurred, counts,
@@ -259,14 +259,14 @@ class _PictureLoss(torch.autograd.Function):
         )  # fmt: skip
         space.release()
         ctx.save_for_backward(gradient, alpha_gradient)
-        colour, flow_error, depth_error, squared = sums.sum(0)
+        color, flow_error, depth_error, squared = sums.sum(0)
         figures = PictureFigures(
-            colour=float(colour) / (height * count) + weights.ssim,
+            color=float(color) / (height * count) + weights.ssim,
             flow=float(flow_error) / (2 * max(valid, 1)),
             depth=float(depth_error) / (height * width),
             squared_error=float(squared) / (height * count),
         )
-        total = figures.colour + flow_weight * figures.flow + depth_weight * figures.depth
+        total = figures.color + flow_weight * figures.flow + depth_weight * figures.depth
         return image.new_tensor(total), figures
 
     @staticmethod

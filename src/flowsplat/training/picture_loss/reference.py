@@ -36,7 +36,7 @@ def ssim_map(image: Tensor, target: Tensor) -> Tensor:
     return ((2 * mx * my + C1) * (2 * cov + C2)) / ((mx * mx + my * my + C1) * (vx + vy + C2))
 
 
-def colour_loss(image: Tensor, target: Tensor, ssim_weight: float) -> Tensor:
+def color_loss(image: Tensor, target: Tensor, ssim_weight: float) -> Tensor:
     """(1 - gamma_1) L1 + gamma_1 (1 - SSIM) of two pictures [H, W, 3] between 0 and 1."""
     l1 = (image - target).abs().mean()
     return (1 - ssim_weight) * l1 + ssim_weight * (1 - ssim_map(image, target).mean())
@@ -66,10 +66,10 @@ def picture_loss(
         value = torch.as_tensor(plane, device=image.device)
         return value if value.dtype == torch.bool else value.to(image.dtype)
 
-    target = tensor(targets.colour) / 255
-    colour, end = image[..., :3], 4 + flow_channels
-    parts = {"colour": colour_loss(colour, target, weights.ssim)}
-    total = parts["colour"]
+    target = tensor(targets.color) / 255
+    color, end = image[..., :3], 4 + flow_channels
+    parts = {"color": color_loss(color, target, weights.ssim)}
+    total = parts["color"]
     if targets.flow is not None and weights.flow > 0:
         assert targets.flow_trusted is not None
         valid = tensor(targets.flow_trusted)
@@ -81,6 +81,6 @@ def picture_loss(
         assert targets.depth_trusted is not None
         parts["depth"] = depth_loss(image[..., 3], alpha, tensor(targets.depth), tensor(targets.depth_trusted))
         total = total + weights.depth * parts["depth"]
-    squared = ((colour.detach().clamp(0, 1) - target) ** 2).mean()
+    squared = ((color.detach().clamp(0, 1) - target) ** 2).mean()
     figures = {name: float(part.detach()) for name, part in parts.items()}
-    return total, PictureFigures(figures["colour"], figures.get("flow", 0.0), figures.get("depth", 0.0), float(squared))
+    return total, PictureFigures(figures["color"], figures.get("flow", 0.0), figures.get("depth", 0.0), float(squared))

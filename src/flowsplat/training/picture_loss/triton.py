@@ -1,6 +1,6 @@
 """The picture loss and its gradient as Triton kernels, a lane a number of the picture. Oracle: ``reference``.
 
-Colours stay interleaved, as in ``cpu``: a row is 3 W numbers and a horizontal tap is three numbers wide. Nothing is read back: the
+Colors stay interleaved, as in ``cpu``: a row is 3 W numbers and a horizontal tap is three numbers wide. Nothing is read back: the
 loss and its parts are tensors of the device.
 """
 
@@ -42,7 +42,7 @@ def _tap(k: tl.constexpr):
 
 
 @triton.jit
-def _colours(image, target, h, j, width, channels, mask):
+def _colors(image, target, h, j, width, channels, mask):
     """Number j of row h of the picture and of what it should be, between 0 and 1; 0 where masked."""
     pixel = h * width + j // 3
     x = tl.load(image + pixel * channels + j % 3, mask=mask, other=0.0)
@@ -66,7 +66,7 @@ def _blur_products(image, target, blurred, width, height, channels, BLOCK: tl.co
     squares, product = tl.zeros((BLOCK,), tl.float32), tl.zeros((BLOCK,), tl.float32)
     for k in tl.static_range(2 * RADIUS + 1):
         there = j + 3 * (k - RADIUS)
-        x, y = _colours(image, target, h, there, width, channels, (at < size) & (there >= 0) & (there < row))
+        x, y = _colors(image, target, h, there, width, channels, (at < size) & (there >= 0) & (there < row))
         tap = _tap(k)
         a += tap * x
         b += tap * y
@@ -126,8 +126,8 @@ def _blur_derivatives(derivatives, blurred, width, height, BLOCK: tl.constexpr):
 
 
 @triton.jit
-def _colour_gradient(image, target, blurred, gradient, sums, ssim_weight, width, height, channels, BLOCK: tl.constexpr):
-    """Finish the blur; the gradient of the colours, and sums [2, programs] of |x - y| and of the squared error."""
+def _color_gradient(image, target, blurred, gradient, sums, ssim_weight, width, height, channels, BLOCK: tl.constexpr):
+    """Finish the blur; the gradient of the colors, and sums [2, programs] of |x - y| and of the squared error."""
     at = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     row, size = width * 3, width * 3 * height
     h, j = at // row, at % row
@@ -140,7 +140,7 @@ def _colour_gradient(image, target, blurred, gradient, sums, ssim_weight, width,
         d_mean += tap * tl.load(blurred + there, mask=mask, other=0.0)
         d_square += tap * tl.load(blurred + size + there, mask=mask, other=0.0)
         d_product += tap * tl.load(blurred + 2 * size + there, mask=mask, other=0.0)
-    x, y = _colours(image, target, h, j, width, channels, at < size)
+    x, y = _colors(image, target, h, j, width, channels, at < size)
     share = 1.0 / (size * 1.0)
     toward = (1.0 - ssim_weight) * _sign(x - y) - ssim_weight * (d_mean + 2.0 * x * d_square + y * d_product)
     tl.store(gradient + (h * width + j // 3) * channels + j % 3, share * toward, mask=at < size)
@@ -177,7 +177,7 @@ def _other_gradients(
     width, height, channels, CHANNELS: tl.constexpr, FLOW: tl.constexpr, HELD: tl.constexpr, BY_ALPHA: tl.constexpr,
     HAS_FLOW: tl.constexpr, HAS_DEPTH: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """The gradient of every channel but colour and of alpha, and sums [2, programs] of the errors of flow and depth."""
+    """The gradient of every channel but color and of alpha, and sums [2, programs] of the errors of flow and depth."""
     pixel = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     inside = pixel < width * height
     at = pixel * channels
@@ -242,19 +242,19 @@ class _PictureLoss(torch.autograd.Function):
         targets = targets.to(image.device)
         image, alpha = image.detach().contiguous(), alpha.detach().contiguous()
         height, width, channels = image.shape
-        colours, pixels, device = height * width * 3, height * width, image.device
+        colors, pixels, device = height * width * 3, height * width, image.device
         gradient, alpha_gradient = torch.empty_like(image), torch.empty_like(alpha)
-        block, pixel_block = rows_per_program(colours), rows_per_program(pixels)
-        programs, pixel_programs = triton.cdiv(colours, block), triton.cdiv(pixels, pixel_block)
-        blurred, derivatives = torch.empty(4, colours, device=device), torch.empty(3, colours, device=device)
-        similarity, colour_sums = torch.empty(programs, device=device), torch.empty(2, programs, device=device)
+        block, pixel_block = rows_per_program(colors), rows_per_program(pixels)
+        programs, pixel_programs = triton.cdiv(colors, block), triton.cdiv(pixels, pixel_block)
+        blurred, derivatives = torch.empty(4, colors, device=device), torch.empty(3, colors, device=device)
+        similarity, color_sums = torch.empty(programs, device=device), torch.empty(2, programs, device=device)
         with device_of(image):
             grid = (programs,)
-            _blur_products[grid](image, targets.colour, blurred, width, height, channels, BLOCK=block)
+            _blur_products[grid](image, targets.color, blurred, width, height, channels, BLOCK=block)
             _derivatives[grid](blurred, derivatives, similarity, width, height, BLOCK=block)
             _blur_derivatives[grid](derivatives, blurred, width, height, BLOCK=block)
-            _colour_gradient[grid](
-                image, targets.colour, blurred, gradient, colour_sums, float(weights.ssim), width, height, channels, BLOCK=block
+            _color_gradient[grid](
+                image, targets.color, blurred, gradient, color_sums, float(weights.ssim), width, height, channels, BLOCK=block
             )
         has_flow = targets.flow is not None and weights.flow > 0
         has_depth = targets.depth is not None and weights.depth > 0
@@ -274,16 +274,16 @@ class _PictureLoss(torch.autograd.Function):
                 HAS_FLOW=has_flow, HAS_DEPTH=has_depth, BLOCK=pixel_block,
             )  # fmt: skip
         ctx.save_for_backward(gradient, alpha_gradient)
-        ssim = similarity.sum(dtype=torch.float64) / colours
-        absolute, squared = colour_sums.sum(1, dtype=torch.float64) / colours
+        ssim = similarity.sum(dtype=torch.float64) / colors
+        absolute, squared = color_sums.sum(1, dtype=torch.float64) / colors
         flow_sum, depth_sum = others.sum(1, dtype=torch.float64)
         figures = PictureFigures(
-            colour=(1 - weights.ssim) * absolute + weights.ssim * (1 - ssim),
+            color=(1 - weights.ssim) * absolute + weights.ssim * (1 - ssim),
             flow=flow_sum / (2 * counted.clamp(min=1)),
             depth=depth_sum / pixels,
             squared_error=squared,
         )
-        total = figures.colour + flow_weight * figures.flow + depth_weight * figures.depth
+        total = figures.color + flow_weight * figures.flow + depth_weight * figures.depth
         assert isinstance(total, Tensor)
         return total.to(image.dtype), figures
 

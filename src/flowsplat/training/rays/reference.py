@@ -1,6 +1,6 @@
 """The oracle, in plain torch: how fast positions at rest learn along their ray.
 
-A step across the ray shifts a Gaussian in every picture, one along it only as far as the camera travelled. Adam takes steps of one
+A step across the ray shifts a Gaussian in every picture, one along it only as far as the camera traveled. Adam takes steps of one
 size in all directions, so depth learns slowest of all, in proportion to parallax; along the ray the steps are therefore longer by
 that.
 """
@@ -20,10 +20,10 @@ FEWEST_PIXELS = 4.0
 
 @dataclass(frozen=True)
 class PathSpread:
-    """How far the cameras of a clip travelled, and where.
+    """How far the cameras of a clip traveled, and where.
 
     Attributes:
-        middle: [3] of their centres.
+        middle: [3] of their centers.
         covariance: [3, 3] of them.
         numbers: [12] both, one after the other, for kernels.
     """
@@ -33,11 +33,11 @@ class PathSpread:
     numbers: Tensor
 
     @staticmethod
-    def of(centres: Tensor, device: torch.device | str = "cpu") -> PathSpread:
-        """Of centres [F, 3], on a device."""
-        middle = centres.mean(0)
-        path = centres - middle
-        covariance = path.T @ path / len(centres)
+    def of(centers: Tensor, device: torch.device | str = "cpu") -> PathSpread:
+        """Of centers [F, 3], on a device."""
+        middle = centers.mean(0)
+        path = centers - middle
+        covariance = path.T @ path / len(centers)
         parts = middle, covariance, torch.cat([middle, covariance.reshape(-1)])
         return PathSpread(*(part.to(device) for part in parts))
 

@@ -1,4 +1,4 @@
-"""How far flow and colour of a picture are off where single Gaussians are seen."""
+"""How far flow and color of a picture are off where single Gaussians are seen."""
 
 from flowsplat.training.residuals.api import add_residuals
 

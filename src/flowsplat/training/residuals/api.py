@@ -17,11 +17,11 @@ def add_residuals(
 ) -> None:
     """Add what a picture says about the Gaussians on its visible surface, where flow is trusted.
 
-    Those are the ones whose centre lies in the picture, on a pixel of alpha above ``reference.OPAQUE``, at the depth that is
+    Those are the ones whose center lies in the picture, on a pixel of alpha above ``reference.OPAQUE``, at the depth that is
     rendered there to within ``reference.ON_SURFACE`` of it.
 
     Args:
-        statistics: ``flow_residual`` (pixels), ``colour_residual`` (0 to 1) and ``flow_visits`` [N] are added to, in place.
+        statistics: ``flow_residual`` (pixels), ``color_residual`` (0 to 1) and ``flow_visits`` [N] are added to, in place.
         active: who was rendered.
         visible: [A] bool, who of them was drawn.
         rendered: the picture, with flow.

@@ -22,8 +22,8 @@ OPAQUE, ON_SURFACE, THIRD = np.float32(reference.OPAQUE), np.float32(reference.O
 
 @kernel
 def _add(
-    begin, end, rows, visible, means2d, depths, image, alpha, flow_channels, colour, flow, trusted, flow_residual,
-    colour_residual, visits,
+    begin, end, rows, visible, means2d, depths, image, alpha, flow_channels, color, flow, trusted, flow_residual,
+    color_residual, visits,
 ):  # fmt: skip
     height, width = alpha.shape
     half_width, half_height = HALF * float32(width), HALF * float32(height)
@@ -39,10 +39,10 @@ def _add(
                     du, dv = du * share - flow[h, w, 0], dv * share - flow[h, w, 1]
                     wrong = ZERO
                     for c in range(3):
-                        wrong += abs(image[h, w, c] - BYTE * float32(colour[h, w, c]))
+                        wrong += abs(image[h, w, c] - BYTE * float32(color[h, w, c]))
                     i = rows[a]
                     flow_residual[i] += math.sqrt(du * du + dv * dv)
-                    colour_residual[i] += THIRD * wrong
+                    color_residual[i] += THIRD * wrong
                     visits[i] += ONE
 
 
@@ -52,9 +52,9 @@ def add_residuals(
     """See ``api.add_residuals``."""
     projected = rendered.projected
     shown = (active.rows, visible, projected.means2d, projected.depths, rendered.image, rendered.alpha)
-    sums = statistics.flow_residual, statistics.colour_residual, statistics.flow_visits
+    sums = statistics.flow_residual, statistics.color_residual, statistics.flow_visits
     parallel_for(
         _add, len(active.rows), *(tensor.detach().contiguous().numpy() for tensor in shown), rendered.flow_channels,
-        targets.colour, targets.flow,
+        targets.color, targets.flow,
         targets.flow_trusted, *(tensor.numpy() for tensor in sums),
     )  # fmt: skip

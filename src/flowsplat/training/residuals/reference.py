@@ -20,16 +20,16 @@ def add_residuals(
     statistics: DensityStatistics, active: Active, visible: Tensor, rendered: RenderedFrame, targets: PictureTargets
 ) -> None:
     """See ``api.add_residuals``."""
-    seen, flow, colour = residuals(rendered, targets)
+    seen, flow, color = residuals(rendered, targets)
     seen &= visible
     rows = active.valid(active.rows)
     statistics.flow_residual[rows] += active.valid(torch.where(seen, flow, 0))
-    statistics.colour_residual[rows] += active.valid(torch.where(seen, colour, 0))
+    statistics.color_residual[rows] += active.valid(torch.where(seen, color, 0))
     statistics.flow_visits[rows] += active.valid(seen)
 
 
 def residuals(rendered: RenderedFrame, targets: PictureTargets) -> tuple[Tensor, Tensor, Tensor]:
-    """Which Gaussians, if drawn, lie on the visible surface where flow is trusted; errors of flow and colour there, [A] each."""
+    """Which Gaussians, if drawn, lie on the visible surface where flow is trusted; errors of flow and color there, [A] each."""
     assert rendered.flow is not None
     height, width = rendered.alpha.shape
     uv = rendered.projected.means2d.detach()
@@ -42,5 +42,5 @@ def residuals(rendered: RenderedFrame, targets: PictureTargets) -> tuple[Tensor,
     seen = inside & trusted & (alpha > OPAQUE) & ((depths - surface).abs() < ON_SURFACE * surface)
     flow = rendered.flow.detach()[y, x] / alpha.clamp(min=1e-6)[:, None]
     wrong = (flow - torch.as_tensor(targets.flow, device=uv.device)[y, x]).norm(dim=1)
-    true = torch.as_tensor(targets.colour, device=uv.device)[y, x].float() / 255
+    true = torch.as_tensor(targets.color, device=uv.device)[y, x].float() / 255
     return seen, wrong, (rendered.image.detach()[y, x, :3] - true).abs().mean(1)

@@ -1,6 +1,6 @@
-"""Neighbours move alike: the rigid loss, and who neighbours whom."""
+"""Neighbors move alike: the rigid loss, and who neighbors whom."""
 
 from flowsplat.training.rigidity.api import rigid_loss
-from flowsplat.training.rigidity.neighbours import Neighbours, find_neighbours
+from flowsplat.training.rigidity.neighbors import Neighbors, find_neighbors
 
-__all__ = ["Neighbours", "find_neighbours", "rigid_loss"]
+__all__ = ["Neighbors", "find_neighbors", "rigid_loss"]

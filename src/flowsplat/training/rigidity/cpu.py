@@ -14,7 +14,7 @@ from torch.autograd.function import once_differentiable
 from flowsplat.common.kernels import inlined, kernel
 from flowsplat.common.threads import parallel_for
 from flowsplat.training.rigidity import reference
-from flowsplat.training.rigidity.neighbours import Neighbours
+from flowsplat.training.rigidity.neighbors import Neighbors
 
 CHUNKS = 64
 TINY, ZERO, ONE = np.float32(reference.TINY), np.float32(0), np.float32(1)
@@ -63,15 +63,15 @@ def _loss_and_gradient(begin, end, velocities, rows, place, indices, weights, of
 
 class _RigidLoss(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, velocities: Tensor, rows: Tensor, neighbours: Neighbours, count: int | Tensor) -> Tensor:
-        place = np.full(len(neighbours), -1, np.int32)
+    def forward(ctx: Any, velocities: Tensor, rows: Tensor, neighbors: Neighbors, count: int | Tensor) -> Tensor:
+        place = np.full(len(neighbors), -1, np.int32)
         place[rows.numpy()] = np.arange(len(rows), dtype=np.int32)
         sums, gradient = np.empty(CHUNKS), torch.empty(len(rows), 3)
         parallel_for(
-            _loss_and_gradient, CHUNKS, velocities.detach().contiguous().numpy(), rows.numpy(), place, neighbours.indices.numpy(),
-            neighbours.weights.numpy(), *(t.numpy() for t in neighbours.incoming), sums, gradient.numpy(),
+            _loss_and_gradient, CHUNKS, velocities.detach().contiguous().numpy(), rows.numpy(), place, neighbors.indices.numpy(),
+            neighbors.weights.numpy(), *(t.numpy() for t in neighbors.incoming), sums, gradient.numpy(),
         )  # fmt: skip
-        ctx.share = float(1 / (neighbours.indices.shape[1] * count))
+        ctx.share = float(1 / (neighbors.indices.shape[1] * count))
         ctx.save_for_backward(gradient)
         return velocities.new_tensor(ctx.share * sums.sum())
 
@@ -81,7 +81,7 @@ class _RigidLoss(torch.autograd.Function):
         return grad * ctx.share * ctx.saved_tensors[0], None, None, None
 
 
-def rigid_loss(velocities: Tensor, rows: Tensor, neighbours: Neighbours, count: int | Tensor) -> Tensor:
+def rigid_loss(velocities: Tensor, rows: Tensor, neighbors: Neighbors, count: int | Tensor) -> Tensor:
     """See ``api.rigid_loss``."""
-    result: Tensor = _RigidLoss.apply(velocities, rows, neighbours, count)
+    result: Tensor = _RigidLoss.apply(velocities, rows, neighbors, count)
     return result

@@ -1,7 +1,7 @@
 """The rigid loss and its gradient as one Triton kernel, a lane a Gaussian. Oracle: ``reference``.
 
 As in ``cpu`` a Gaussian's gradient is a sum over its own pairs and over those that name it, in a fixed order: there are no atomic
-additions, and the same input gives the same bits. A row of -1 is padding, without neighbours and with a gradient of 0.
+additions, and the same input gives the same bits. A row of -1 is padding, without neighbors and with a gradient of 0.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from torch.autograd.function import once_differentiable
 
 from flowsplat.common.triton import device_of, rows_per_program
 from flowsplat.training.rigidity import reference
-from flowsplat.training.rigidity.neighbours import Neighbours
+from flowsplat.training.rigidity.neighbors import Neighbors
 
 TINY = tl.constexpr(reference.TINY)
 
@@ -79,10 +79,10 @@ def _loss_and_gradient(
 
 class _RigidLoss(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, velocities: Tensor, rows: Tensor, neighbours: Neighbours, count: int | Tensor) -> Tensor:
+    def forward(ctx: Any, velocities: Tensor, rows: Tensor, neighbors: Neighbors, count: int | Tensor) -> Tensor:
         moving, device = len(rows), rows.device
-        # The last one is where padding, -1, points to; as a neighbour it is not looked up.
-        place = torch.full((len(neighbours) + 1,), -1, dtype=torch.int32, device=device)
+        # The last one is where padding, -1, points to; as a neighbor it is not looked up.
+        place = torch.full((len(neighbors) + 1,), -1, dtype=torch.int32, device=device)
         place[rows] = torch.arange(moving, dtype=torch.int32, device=device)
         block = rows_per_program(moving)
         programs = triton.cdiv(moving, block)
@@ -90,10 +90,10 @@ class _RigidLoss(torch.autograd.Function):
         if moving:
             with device_of(velocities):
                 _loss_and_gradient[(programs,)](
-                    velocities.detach().contiguous(), rows, place, neighbours.indices, neighbours.weights, *neighbours.incoming,
-                    sums, gradient, moving, SIZE=neighbours.indices.shape[1], BLOCK=block,
+                    velocities.detach().contiguous(), rows, place, neighbors.indices, neighbors.weights, *neighbors.incoming,
+                    sums, gradient, moving, SIZE=neighbors.indices.shape[1], BLOCK=block,
                 )  # fmt: skip
-        share = 1 / (neighbours.indices.shape[1] * count)
+        share = 1 / (neighbors.indices.shape[1] * count)
         ctx.save_for_backward(share * gradient)
         return (share * sums.sum(dtype=torch.float64)).to(torch.float32)
 
@@ -103,7 +103,7 @@ class _RigidLoss(torch.autograd.Function):
         return grad * ctx.saved_tensors[0], None, None, None
 
 
-def rigid_loss(velocities: Tensor, rows: Tensor, neighbours: Neighbours, count: int | Tensor) -> Tensor:
+def rigid_loss(velocities: Tensor, rows: Tensor, neighbors: Neighbors, count: int | Tensor) -> Tensor:
     """See ``reference.rigid_loss``."""
-    result: Tensor = _RigidLoss.apply(velocities, rows, neighbours, count)
+    result: Tensor = _RigidLoss.apply(velocities, rows, neighbors, count)
     return result

@@ -1,6 +1,6 @@
 """The floor: what blending must compute at least, counted in pixel-Gaussian pairs.
 
-A pair is a pixel centre inside the alpha >= 1/255 ellipse of a Gaussian (METHOD 3.4). All of them count, also those that lie
+A pair is a pixel center inside the alpha >= 1/255 ellipse of a Gaussian (METHOD 3.4). All of them count, also those that lie
 behind a pixel that has stopped. A pair costs these floating-point operations (an FMA counts two; comparisons, selections,
 conversions, loads and stores count nothing, and neither do projecting, sorting and tiling):
 
@@ -52,7 +52,7 @@ class Counts:
     Attributes:
         pixels: of the picture.
         visible: Gaussians with at least one pair.
-        pairs: pixel centres inside the support of a Gaussian, summed over the Gaussians.
+        pairs: pixel centers inside the support of a Gaussian, summed over the Gaussians.
         instances: pairs of a Gaussian and a tile of 16 x 16 pixels in which it has a pair.
     """
 

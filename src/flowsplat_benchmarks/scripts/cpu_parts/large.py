@@ -27,7 +27,7 @@ def measure(threads: int, repeat: int, count: int = 1_000_000, width: int = 3840
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "load.npz"
         # Made here, so that making it does not count as memory of the rendering.
-        np.savez(path, viewmat=load.camera.viewmat, K=load.camera.K, **{name: getattr(load, name) for name in (*FIELDS, "colours")})
+        np.savez(path, viewmat=load.camera.viewmat, K=load.camera.K, **{name: getattr(load, name) for name in (*FIELDS, "colors")})
         command = [sys.executable, "-m", MODULE, str(path), *map(str, (width, height, threads, repeat))]
         output = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
     result: dict[str, Any] = json.loads(output)
@@ -59,11 +59,11 @@ def main(path: str, width: int, height: int, threads: int, repeat: int) -> dict[
     with np.load(path) as saved:
         arrays = {name: torch.from_numpy(saved[name]) for name in saved.files}
     view = arrays["viewmat"].float(), arrays["K"].float()
-    leaves = [arrays[name] for name in (*FIELDS, "colours")]
+    leaves = [arrays[name] for name in (*FIELDS, "colors")]
 
     def drawn(given: Sequence[torch.Tensor], size: tuple[int, int]) -> torch.Tensor:
-        means, quats, scales, opacities, colours = given
-        return flowsplat.rasterize(means, quats, scales, opacities, colours, *view, *size)[0]
+        means, quats, scales, opacities, colors = given
+        return flowsplat.rasterize(means, quats, scales, opacities, colors, *view, *size)[0]
 
     drawn([leaf[:100] for leaf in leaves], (64, 64))  # loads the kernels
     before = peak_mib()

@@ -111,7 +111,7 @@ def _training(part: Json) -> str:
 
 One frame rendered, differentiated and stepped at {_size(part)} with {_threads(part)}: `Trainer` on a synthetic clip of six frames.
 Of the Gaussians, 40 % are background, always active; 60 % are movers, a sixth of them active in each frame. All losses of the
-preset take part. Neighbours of the rigid loss are found already, which has to be done again after some hundred steps.
+preset take part. Neighbors of the rigid loss are found already, which has to be done again after some hundred steps.
 
 """
     columns = (
@@ -122,15 +122,15 @@ preset take part. Neighbours of the rigid loss are found already, which has to b
         "numbers each",
         "SH",
         "flow",
-        "neighbours",
+        "neighbors",
         "to find them",
         "depth loss",
         "step",
     )
     rows = [
         (name, f"{p['gaussians']:,}", f"{p['active']:,}", f"{p['active_moving']:,}", p["numbers_per_gaussian"], p["sh_degree"],
-         p["flow_model"], p["rigid_neighbours"],
-         f"{p['neighbours_ms']:,.0f}, every {p['neighbours_every']:,} steps", "yes" if p["depth_loss"] else "no", _time(p["step"]))
+         p["flow_model"], p["rigid_neighbors"],
+         f"{p['neighbors_ms']:,.0f}, every {p['neighbors_every']:,} steps", "yes" if p["depth_loss"] else "no", _time(p["step"]))
         for name, p in part["presets"].items()
     ]  # fmt: skip
     text += _table(columns, rows)
@@ -147,7 +147,7 @@ def _viewing(part: Json) -> str:
     return f"""## Rendering to look at
 
 A 4D scene, {part["active"]:,} active of {part["gaussians"]:,} Gaussians, {_size(part)}, {_threads(part)}, without gradients:
-colours alone (C = 3); `render`, with depth; `SceneModel.render`, with holes filled and arrays to take away.
+colors alone (C = 3); `render`, with depth; `SceneModel.render`, with holes filled and arrays to take away.
 
 {_table(("", "a frame", "frames a second (median)"), rows)}"""
 

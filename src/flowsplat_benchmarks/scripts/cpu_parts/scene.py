@@ -11,7 +11,7 @@ from flowsplat.gaussians.observations import Observation, Observations
 from flowsplat.gaussians.render import render
 from flowsplat.geometry import Camera, Similarity
 from flowsplat.scenes import Flow
-from flowsplat.splatting.harmonics import harmonics_from_colours
+from flowsplat.splatting.harmonics import harmonics_from_colors
 from flowsplat_benchmarks.scripts.cpu_parts.work_load import WorkLoad, work_load
 
 FRAMES = 6
@@ -19,7 +19,7 @@ BACKGROUND = 0.4
 """Share of the Gaussians that is background, always active. The others are movers, each active around one of the frames: with six
 frames 0.4 + 0.6 / 6 = one half is active in every frame."""
 REACH = 0.1
-"""How long before and after its centre time a mover is active: half the distance of two frames."""
+"""How long before and after its center time a mover is active: half the distance of two frames."""
 
 
 def gaussians(config: ModelConfig, count: int, width: int, height: int) -> Gaussians4D:
@@ -41,7 +41,7 @@ def gaussians(config: ModelConfig, count: int, width: int, height: int) -> Gauss
     params = {name: torch.zeros(len(times), *shape) for name, shape in parameter_shapes(config).items()}
     params["means"], params["log_scales"] = gathered("means") / unit, torch.log(gathered("scales") / unit)
     params["quats"], params["logit_opacities"] = gathered("quats"), torch.log(opacities / (1 - opacities))
-    params["sh"][:, 0] = harmonics_from_colours(gathered("colours"))
+    params["sh"][:, 0] = harmonics_from_colors(gathered("colors"))
     params["times"] = torch.from_numpy(times.astype(np.float32))
     params["log_lambdas"] = torch.where(dynamic, log_lambda, float(np.log(1e-6)))
     # Two pixels to the right and one down from frame to frame.
@@ -70,7 +70,7 @@ def observations(scene: Gaussians4D, width: int, height: int) -> Observations:
         seen = render(scene, camera, k / (FRAMES - 1), flow_to=following)
         alpha = seen.alpha.numpy()
         covered, divisor = alpha > 0.5, np.maximum(alpha, 1e-6)
-        noisy = seen.colour.numpy() + rng.normal(0, 0.05, (height, width, 3))
+        noisy = seen.color.numpy() + rng.normal(0, 0.05, (height, width, 3))
         flow = None
         if seen.flow is not None:
             flow = Flow(k, k + 1, seen.flow.numpy() / divisor[..., None], covered.astype(np.float32))

@@ -27,10 +27,10 @@ DIRECTORS = ("training/trainer.py", "gaussians/render.py")
 
 
 class Training:
-    """A trainer on the synthetic scene, past its warm-up: every frame was visited, neighbours are found, harmonics are full.
+    """A trainer on the synthetic scene, past its warm-up: every frame was visited, neighbors are found, harmonics are full.
 
     Attributes:
-        neighbours: seconds that finding them took.
+        neighbors: seconds that finding them took.
     """
 
     def __init__(self, preset: str, count: int, width: int, height: int):
@@ -40,7 +40,7 @@ class Training:
         self.config = replace(config, iterations=2 * scene.FRAMES, frames_per_iteration=1, preview_every=0)
         self.trainer = Trainer(self.observations, None, self.config, start=gaussians)
         parts = profile(self.trainer.run, DIRECTORS)
-        self.neighbours = sum(seconds for part, seconds in parts.items() if part.endswith("find_neighbours"))
+        self.neighbors = sum(seconds for part, seconds in parts.items() if part.endswith("find_neighbors"))
 
     def job(self) -> dict[str, float]:
         """Seconds of a step."""
@@ -71,9 +71,9 @@ class Training:
         return {
             "gaussians": len(model), "active": len(active.rows), "active_moving": len(active.rows) - active.num_static,
             "numbers_per_gaussian": sum(value[0].numel() for value in model.params.values()), "sh_degree": model.sh_degree,
-            "flow_model": self.config.flow_model, "rigid_neighbours": self.config.loss.rigid_neighbours,
-            "depth_loss": self.config.loss.depth > 0, "neighbours_ms": significant(self.neighbours * 1e3),
-            "neighbours_every": self.config.loss.rigid_refresh,
+            "flow_model": self.config.flow_model, "rigid_neighbors": self.config.loss.rigid_neighbors,
+            "depth_loss": self.config.loss.depth > 0, "neighbors_ms": significant(self.neighbors * 1e3),
+            "neighbors_every": self.config.loss.rigid_refresh,
         }  # fmt: skip
 
 
@@ -93,7 +93,7 @@ def measure_training(threads: int, repeat: int, count: int = COUNT, width: int =
 
 
 def measure_viewing(threads: int, repeat: int, count: int = COUNT, width: int = WIDTH, height: int = HEIGHT) -> dict[str, Any]:
-    """Frames without gradients, three ways: colours alone (C = 3); ``render``, which adds depth; ``SceneModel.render``, which also
+    """Frames without gradients, three ways: colors alone (C = 3); ``render``, which adds depth; ``SceneModel.render``, which also
     fills holes and gives arrays."""
     use_threads(threads)
     model = scene.gaussians(PRESETS["default"].model, count, width, height)
@@ -101,15 +101,15 @@ def measure_viewing(threads: int, repeat: int, count: int = COUNT, width: int = 
     shown = SceneModel(model, Similarity(), 0.0, 1.0)
     frame = 0
 
-    def colours(t: float) -> None:
+    def colors(t: float) -> None:
         camera = path[frame]
         center = torch.as_tensor(camera.center, dtype=torch.float32)
         g = slice_gaussians(model, model.active(t, camera), center)
         projected = project(g.means, g.quats, g.scales, g.opacities, *camera.tensors(), width, height)
-        blend(projected, g.opacities, g.colours, width, height)
+        blend(projected, g.opacities, g.colors, width, height)
 
     ways: dict[str, Callable[[float], object]] = {
-        "colours": colours,
+        "colors": colors,
         "render": lambda t: render(model, path[frame], t),
         "SceneModel.render": lambda t: shown.render(path[frame], t),
     }

@@ -1,6 +1,6 @@
 """Rasterizers in plain torch: tiles of 16 x 16 pixels under autograd, by the same rules, on the oracle's projection.
 
-Each tile is a handful of vectorised operations on [256 pixels, Gaussians of the tile]; autograd does the rest. There are two: the
+Each tile is a handful of vectorized operations on [256 pixels, Gaussians of the tile]; autograd does the rest. There are two: the
 one that anyone would write first (every tile looks for its Gaussians among all that are visible and takes them from the whole
 scene, as small public implementations do), and one made as fast as plain torch allowed.
 """

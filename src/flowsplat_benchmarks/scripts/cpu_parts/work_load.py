@@ -12,7 +12,7 @@ from flowsplat.geometry import Camera
 COUNT, WIDTH, HEIGHT = 100_000, 854, 480
 FIELDS = ("means", "quats", "scales", "opacities")
 OBJECTS = ((-0.2, 0.05, 0.12, 3.0), (0.15, -0.05, 0.17, 3.8), (0.3, 0.12, 0.08, 2.5), (0.0, 0.15, 0.1, 2.8))
-"""Balls: centre x, y and radius in widths of the picture, and the depth of their rim."""
+"""Balls: center x, y and radius in widths of the picture, and the depth of their rim."""
 
 
 @dataclass(frozen=True)
@@ -21,10 +21,10 @@ class WorkLoad:
 
     Attributes:
         means: [N, 3] float32.
-        quats: [N, 4] float32, not normalised.
+        quats: [N, 4] float32, not normalized.
         scales: [N, 3] float32.
         opacities: [N] float32 between 0.1 and 0.99.
-        colours: [N, 3] float32.
+        colors: [N, 3] float32.
         camera: who sees them.
     """
 
@@ -32,7 +32,7 @@ class WorkLoad:
     quats: np.ndarray
     scales: np.ndarray
     opacities: np.ndarray
-    colours: np.ndarray
+    colors: np.ndarray
     camera: Camera
 
     def leaves(self) -> dict[str, torch.Tensor]:
@@ -69,12 +69,12 @@ def work_load(count: int = COUNT, width: int = WIDTH, height: int = HEIGHT, foot
     scales = (sigma * depth / focal)[:, None] * np.exp(0.35 * rng.standard_normal((count, 3)))
     means = np.stack([(u - width / 2) / focal * depth, (v - height / 2) / focal * depth, depth], 1)
     phases = np.arange(3)
-    colours = 0.5 + 0.5 * np.sin(17 * u[:, None] / width + phases) * np.cos(25 * v[:, None] / width + 2 * phases)
+    colors = 0.5 + 0.5 * np.sin(17 * u[:, None] / width + phases) * np.cos(25 * v[:, None] / width + 2 * phases)
     quats, opacities = rng.standard_normal((count, 4)), rng.uniform(0.1, 0.99, count)
     K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
     camera = Camera(np.eye(4), K, width, height)
-    means, quats, scales, opacities, colours = map(_single, (means, quats, scales, opacities, colours))
-    return WorkLoad(means, quats, scales, opacities, colours, camera)
+    means, quats, scales, opacities, colors = map(_single, (means, quats, scales, opacities, colors))
+    return WorkLoad(means, quats, scales, opacities, colors, camera)
 
 
 def _single(values: np.ndarray) -> np.ndarray:

@@ -28,7 +28,7 @@ SHARE_AT_REST = 0.3571
 """Of the Gaussians; with it 91,000 of 196,000 are active in a frame."""
 SIZES = {"480x270": (480, 270), "854x480": (854, 480), "1920x1080": (1920, 1080)}
 WAYS = {3: None, 6: "displacement", 10: "affine"}
-"""By channels: colours alone, with depth and displacement flow, with depth and affine flow."""
+"""By channels: colors alone, with depth and displacement flow, with depth and affine flow."""
 
 
 def gaussians(count: int, width: int, height: int) -> Gaussians4D:
@@ -61,7 +61,7 @@ class Frames:
 
     def _features(self) -> Tensor:
         if self.flow is None:
-            return self.sliced.colours
+            return self.sliced.colors
         return blend_features(self.sliced, self.projected, self.camera, self.flow)
 
     def _blend(self) -> tuple[Tensor, Tensor]:

@@ -386,7 +386,7 @@ def _pictures(states: Any, truth: Gaussians4D, width: int, height: int) -> dict[
 
     def picture(params: dict[str, torch.Tensor]) -> torch.Tensor:
         g = Gaussians4D(params, truth.dynamic, truth.config, truth.sh_degree, truth.movers)
-        return render(g, camera, 0.2).colour
+        return render(g, camera, 0.2).color
 
     def psnr(one: torch.Tensor, other: torch.Tensor) -> float:
         return significant(float(-10 * torch.log10((one - other).square().mean().clamp(min=1e-12))))

@@ -1,4 +1,4 @@
-"""The features of colour, depth and affine flow, and their gradient, in one sweep. Oracle: ``reference``.
+"""The features of color, depth and affine flow, and their gradient, in one sweep. Oracle: ``reference``.
 
 With L = J R S of a Gaussian (J of the camera, R its rotation, S its scales; L' likewise at the other time), the matrix of
 METHOD 3.3 is B = (L' - L) L^T (L L^T + eps)^-1, because M Sigma = R' S S R^T.
@@ -22,7 +22,7 @@ from flowsplat.splatting import Projected
 from flowsplat.splatting.cpu.projection import MARGIN, ONE, ZERO, clamped, rotation, rotation_gradient
 from flowsplat.splatting.rules import EPS2D
 
-CHANNELS = 10  # colour 3, depth, flow at the centre of the picture 2, B by rows 4
+CHANNELS = 10  # color 3, depth, flow at the center of the picture 2, B by rows 4
 CHUNKS = 64
 CLIP, BLUR = np.float32(NEAR), np.float32(EPS2D)
 
@@ -104,17 +104,17 @@ def _products(L, later):
 
 @kernel
 def _forward(
-    begin, end, colours, depths, means2d, means, quats, scales, next_means, next_quats, drawn, views, Ks, limits, centre, features,
+    begin, end, colors, depths, means2d, means, quats, scales, next_means, next_quats, drawn, views, Ks, limits, center, features,
     hidden,
 ):  # fmt: skip
     """Fill features [A, 10 or 11]; hidden [1] becomes 1 where the other camera does not see a Gaussian that is drawn."""
-    count = len(colours)
+    count = len(colors)
     for chunk in range(begin, end):
         turned, seen = np.empty((3, 3), np.float32), np.empty(12, np.float32)
         L, later = np.empty((2, 3), np.float32), np.empty((2, 3), np.float32)
         for i in range(count * chunk // CHUNKS, count * (chunk + 1) // CHUNKS):
             for c in range(3):
-                features[i, c] = colours[i, c]
+                features[i, c] = colors[i, c]
             features[i, 3] = depths[i]
             _footprint(means, quats, scales, i, views[0], Ks[0], limits[0], turned, L, seen)
             _footprint(next_means, next_quats, scales, i, views[1], Ks[1], limits[1], turned, later, seen)
@@ -122,7 +122,7 @@ def _forward(
             if front:
                 z00, z01, z10, z11, xx, xy, yy = _products(L, later)
                 b00, b01, b10, b11 = z00 * xx + z01 * xy, z00 * xy + z01 * yy, z10 * xx + z11 * xy, z10 * xy + z11 * yy
-                cx, cy = means2d[i, 0] - centre[0], means2d[i, 1] - centre[1]
+                cx, cy = means2d[i, 0] - center[0], means2d[i, 1] - center[1]
                 features[i, 4] = Ks[1, 0, 0] * seen[0] * seen[5] + Ks[1, 0, 2] - means2d[i, 0] - b00 * cx - b01 * cy
                 features[i, 5] = Ks[1, 1, 1] * seen[1] * seen[5] + Ks[1, 1, 2] - means2d[i, 1] - b10 * cx - b11 * cy
                 features[i, 6], features[i, 7], features[i, 8], features[i, 9] = b00, b01, b10, b11
@@ -137,7 +137,7 @@ def _forward(
 
 @kernel
 def _backward(
-    begin, end, gradient, means2d, means, quats, scales, next_means, next_quats, views, Ks, limits, centre, d_colours, d_depths,
+    begin, end, gradient, means2d, means, quats, scales, next_means, next_quats, views, Ks, limits, center, d_colors, d_depths,
     d_means2d,
     d_means, d_quats, d_scales, d_next_means, d_next_quats,
 ):  # fmt: skip
@@ -149,7 +149,7 @@ def _backward(
         d_L, d_later = np.empty((2, 3), np.float32), np.empty((2, 3), np.float32)
         for i in range(count * chunk // CHUNKS, count * (chunk + 1) // CHUNKS):
             for c in range(3):
-                d_colours[i, c] = gradient[i, c]
+                d_colors[i, c] = gradient[i, c]
                 d_means[i, c] = ZERO
                 d_next_means[i, c] = ZERO
                 d_scales[i, c] = ZERO
@@ -166,7 +166,7 @@ def _backward(
             z00, z01, z10, z11, xx, xy, yy = _products(L, later)
             b00, b01, b10, b11 = z00 * xx + z01 * xy, z00 * xy + z01 * yy, z10 * xx + z11 * xy, z10 * xy + z11 * yy
             gu, gv = gradient[i, 4], gradient[i, 5]
-            cx, cy = means2d[i, 0] - centre[0], means2d[i, 1] - centre[1]
+            cx, cy = means2d[i, 0] - center[0], means2d[i, 1] - center[1]
             g00, g01 = gradient[i, 6] - gu * cx, gradient[i, 7] - gu * cy
             g10, g11 = gradient[i, 8] - gv * cx, gradient[i, 9] - gv * cy
             d_means2d[i, 0] = -gu - b00 * gu - b10 * gv
@@ -193,10 +193,10 @@ def _backward(
 class _Features(torch.autograd.Function):
     @staticmethod
     def forward(
-        ctx: Any, colours: Tensor, depths: Tensor, means2d: Tensor, means: Tensor, quats: Tensor, scales: Tensor,
+        ctx: Any, colors: Tensor, depths: Tensor, means2d: Tensor, means: Tensor, quats: Tensor, scales: Tensor,
         next_means: Tensor, next_quats: Tensor, radii: Tensor, cameras: tuple[Camera, Camera],
     ) -> Tensor:  # fmt: skip
-        given = (colours, depths, means2d, means, quats, scales, next_means, next_quats)
+        given = (colors, depths, means2d, means, quats, scales, next_means, next_quats)
         inputs = [tensor.detach().contiguous().numpy() for tensor in given]
         views, Ks = (np.stack(matrices).astype(np.float32) for matrices in zip(*((c.viewmat, c.K) for c in cameras), strict=True))
         width, height = float(cameras[0].width), float(cameras[0].height)
@@ -207,10 +207,10 @@ class _Features(torch.autograd.Function):
         ], np.float32)  # fmt: skip
         lens = views, Ks, limits, np.array([width / 2, height / 2], np.float32)
         drawn = radii.contiguous().numpy()
-        features, hidden = torch.empty(len(colours), CHANNELS), np.zeros(1, np.uint8)
+        features, hidden = torch.empty(len(colors), CHANNELS), np.zeros(1, np.uint8)
         parallel_for(_forward, CHUNKS, *inputs, drawn, *lens, features.numpy(), hidden)
         if hidden[0]:
-            features = torch.empty(len(colours), CHANNELS + 1)
+            features = torch.empty(len(colors), CHANNELS + 1)
             parallel_for(_forward, CHUNKS, *inputs, drawn, *lens, features.numpy(), hidden)
         ctx.inputs = *inputs[2:], *lens
         return features
@@ -227,7 +227,7 @@ class _Features(torch.autograd.Function):
 def blend_affine(sliced: Slice, projected: Projected, camera: Camera, other: Camera) -> Tensor:
     """See ``api.blend_features``; from the Gaussians in ``camera`` to where they are next in the ``other`` one."""
     result: Tensor = _Features.apply(
-        sliced.colours, projected.depths, projected.means2d, sliced.means, sliced.quats, sliced.scales, sliced.next_means,
+        sliced.colors, projected.depths, projected.means2d, sliced.means, sliced.quats, sliced.scales, sliced.next_means,
         sliced.next_quats, projected.radii, (camera, other),
     )  # fmt: skip
     return result

@@ -1,4 +1,4 @@
-"""The features of colour, depth and displacement flow, and their gradient, in one sweep. Oracle: ``reference``."""
+"""The features of color, depth and displacement flow, and their gradient, in one sweep. Oracle: ``reference``."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ ONE, ZERO, CLIP = np.float32(1), np.float32(0), np.float32(NEAR)
 
 
 @kernel
-def _forward(begin, end, colours, depths, means2d, next_means, drawn, view, K, features, hidden):
+def _forward(begin, end, colors, depths, means2d, next_means, drawn, view, K, features, hidden):
     """Fill features [A, 6 or 7]; hidden [1] becomes 1 where the other camera does not see a Gaussian that is drawn."""
     for i in range(begin, end):
         for c in range(3):
-            features[i, c] = colours[i, c]
+            features[i, c] = colors[i, c]
         features[i, 3] = depths[i]
         px, py, pz = next_means[i, 0], next_means[i, 1], next_means[i, 2]
         z = view[2, 0] * px + view[2, 1] * py + view[2, 2] * pz + view[2, 3]
@@ -45,11 +45,11 @@ def _forward(begin, end, colours, depths, means2d, next_means, drawn, view, K, f
 
 
 @kernel
-def _backward(begin, end, gradient, next_means, view, K, d_colours, d_depths, d_means2d, d_next_means):
+def _backward(begin, end, gradient, next_means, view, K, d_colors, d_depths, d_means2d, d_next_means):
     fx, fy = K[0, 0], K[1, 1]
     for i in range(begin, end):
         for c in range(3):
-            d_colours[i, c] = gradient[i, c]
+            d_colors[i, c] = gradient[i, c]
         d_depths[i] = gradient[i, 3]
         px, py, pz = next_means[i, 0], next_means[i, 1], next_means[i, 2]
         z = view[2, 0] * px + view[2, 1] * py + view[2, 2] * pz + view[2, 3]
@@ -69,15 +69,15 @@ def _backward(begin, end, gradient, next_means, view, K, d_colours, d_depths, d_
 class _Features(torch.autograd.Function):
     @staticmethod
     def forward(
-        ctx: Any, colours: Tensor, depths: Tensor, means2d: Tensor, next_means: Tensor, radii: Tensor, camera: Camera
+        ctx: Any, colors: Tensor, depths: Tensor, means2d: Tensor, next_means: Tensor, radii: Tensor, camera: Camera
     ) -> Tensor:
         view, K = (tensor.numpy() for tensor in camera.tensors())
-        inputs = [t.detach().contiguous().numpy() for t in (colours, depths, means2d, next_means, radii)]
-        features, hidden = torch.empty(len(colours), CHANNELS), np.zeros(1, np.uint8)
-        parallel_for(_forward, len(colours), *inputs, view, K, features.numpy(), hidden)
+        inputs = [t.detach().contiguous().numpy() for t in (colors, depths, means2d, next_means, radii)]
+        features, hidden = torch.empty(len(colors), CHANNELS), np.zeros(1, np.uint8)
+        parallel_for(_forward, len(colors), *inputs, view, K, features.numpy(), hidden)
         if hidden[0]:
-            features = torch.empty(len(colours), CHANNELS + 1)
-            parallel_for(_forward, len(colours), *inputs, view, K, features.numpy(), hidden)
+            features = torch.empty(len(colors), CHANNELS + 1)
+            parallel_for(_forward, len(colors), *inputs, view, K, features.numpy(), hidden)
         ctx.inputs = inputs[3], view, K
         return features
 
@@ -93,5 +93,5 @@ class _Features(torch.autograd.Function):
 def blend_displacement(sliced: Slice, projected: Projected, other: Camera) -> Tensor:
     """See ``api.blend_features``; flow goes to the Gaussians' ``next_means`` in the ``other`` camera."""
     assert sliced.next_means is not None
-    result: Tensor = _Features.apply(sliced.colours, projected.depths, projected.means2d, sliced.next_means, projected.radii, other)
+    result: Tensor = _Features.apply(sliced.colors, projected.depths, projected.means2d, sliced.next_means, projected.radii, other)
     return result

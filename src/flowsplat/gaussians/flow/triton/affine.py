@@ -1,4 +1,4 @@
-"""The features of colour, depth and affine flow, and their gradient, in one Triton kernel each. Oracle: ``reference``.
+"""The features of color, depth and affine flow, and their gradient, in one Triton kernel each. Oracle: ``reference``.
 
 The formulas are those of ``cpu.affine``: with L = J R S of a Gaussian now and L' at the other time, the matrix of METHOD 3.3 is
 B = (L' - L) L^T (L L^T + eps)^-1. As in ``displacement`` there is always a last channel.
@@ -25,7 +25,7 @@ from flowsplat.splatting import Projected
 from flowsplat.splatting.rules import EPS2D
 from flowsplat.splatting.triton.projection import MARGIN, rotation, rotation_gradient
 
-CHANNELS = 11  # colour 3, depth, flow at the centre of the picture 2, B by rows 4, unseen
+CHANNELS = 11  # color 3, depth, flow at the center of the picture 2, B by rows 4, unseen
 CLIP, BLUR = tl.constexpr(NEAR), tl.constexpr(EPS2D)
 
 
@@ -85,7 +85,7 @@ def _products(p0, p1, p2, q0, q1, q2, n0, n1, n2, m0, m1, m2):
 
 @triton.jit(do_not_specialize=["count"])
 def _forward(
-    colours, depths, means2d, means, quats, scales, next_means, next_quats, cameras, features, width, height, count,
+    colors, depths, means2d, means, quats, scales, next_means, next_quats, cameras, features, width, height, count,
     BLOCK: tl.constexpr,
 ):  # fmt: skip
     i = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
@@ -101,7 +101,7 @@ def _forward(
     cx, cy = u - 0.5 * width, v - 0.5 * height
     du = tl.load(later + FX) * x * inverse + tl.load(later + CX) - u - (b00 * cx + b01 * cy)
     dv = tl.load(later + FY) * y * inverse + tl.load(later + CY) - v - (b10 * cx + b11 * cy)
-    red, green, blue = load_vector(colours, i, inside)
+    red, green, blue = load_vector(colors, i, inside)
     row = features + i * 11
     tl.store(row, red, mask=inside)
     tl.store(row + 1, green, mask=inside)
@@ -162,14 +162,14 @@ def _footprint_gradient(
 
 @triton.jit(do_not_specialize=["count"])
 def _backward(
-    gradient, means2d, means, quats, scales, next_means, next_quats, cameras, d_colours, d_depths, d_means2d, d_means, d_quats,
+    gradient, means2d, means, quats, scales, next_means, next_quats, cameras, d_colors, d_depths, d_means2d, d_means, d_quats,
     d_scales, d_next_means, d_next_quats, width, height, count, BLOCK: tl.constexpr,
 ):  # fmt: skip
     i = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     inside = i < count
     row = gradient + i * 11
     red, green = tl.load(row, mask=inside, other=0.0), tl.load(row + 1, mask=inside, other=0.0)
-    store_vector(d_colours, i, red, green, tl.load(row + 2, mask=inside, other=0.0), inside)
+    store_vector(d_colors, i, red, green, tl.load(row + 2, mask=inside, other=0.0), inside)
     tl.store(d_depths + i, tl.load(row + 3, mask=inside, other=0.0), mask=inside)
     s0, s1, s2 = load_vector(scales, i, inside)
     later = cameras + CAMERA
@@ -208,16 +208,16 @@ def _backward(
 class _Features(torch.autograd.Function):
     @staticmethod
     def forward(
-        ctx: Any, colours: Tensor, depths: Tensor, means2d: Tensor, means: Tensor, quats: Tensor, scales: Tensor,
+        ctx: Any, colors: Tensor, depths: Tensor, means2d: Tensor, means: Tensor, quats: Tensor, scales: Tensor,
         next_means: Tensor, next_quats: Tensor, cameras: Tensor, width: int, height: int,
     ) -> Tensor:  # fmt: skip
-        given = (colours, depths, means2d, means, quats, scales, next_means, next_quats)
+        given = (colors, depths, means2d, means, quats, scales, next_means, next_quats)
         inputs = [tensor.detach().contiguous() for tensor in given]
-        count, size = len(colours), (float(width), float(height))
-        features = torch.empty(count, CHANNELS, device=colours.device)
+        count, size = len(colors), (float(width), float(height))
+        features = torch.empty(count, CHANNELS, device=colors.device)
         if count:
             block = rows_per_program(count)
-            with device_of(colours):
+            with device_of(colors):
                 _forward[(triton.cdiv(count, block),)](*inputs, cameras, features, *size, count, BLOCK=block)
         ctx.inputs, ctx.size = (*inputs[2:], cameras), size
         return features
@@ -239,7 +239,7 @@ def blend_affine(sliced: Slice, projected: Projected, camera: Camera, other: Cam
     """See ``api.blend_features``; from the Gaussians in ``camera`` to where they are next in the ``other`` one."""
     cameras = upload(camera_numbers(camera, other), sliced.means.device)
     result: Tensor = _Features.apply(
-        sliced.colours, projected.depths, projected.means2d, sliced.means, sliced.quats, sliced.scales, sliced.next_means,
+        sliced.colors, projected.depths, projected.means2d, sliced.means, sliced.quats, sliced.scales, sliced.next_means,
         sliced.next_quats, cameras, camera.width, camera.height,
     )  # fmt: skip
     return result

@@ -1,4 +1,4 @@
-"""The features of colour, depth and displacement flow, and their gradient, in one Triton kernel each. Oracle: ``reference``.
+"""The features of color, depth and displacement flow, and their gradient, in one Triton kernel each. Oracle: ``reference``.
 
 There is always a last channel for what the other camera does not see, so that the host need not wait to learn whether it is needed.
 """
@@ -22,15 +22,15 @@ from flowsplat.gaussians.slicing import Slice
 from flowsplat.geometry import Camera
 from flowsplat.splatting import Projected
 
-CHANNELS = 7  # colour 3, depth, flow 2, unseen
+CHANNELS = 7  # color 3, depth, flow 2, unseen
 CLIP = tl.constexpr(NEAR)
 
 
 @triton.jit(do_not_specialize=["count"])
-def _forward(colours, depths, means2d, next_means, camera, features, count, BLOCK: tl.constexpr):
+def _forward(colors, depths, means2d, next_means, camera, features, count, BLOCK: tl.constexpr):
     i = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     inside = i < count
-    red, green, blue = load_vector(colours, i, inside)
+    red, green, blue = load_vector(colors, i, inside)
     x, y, z = load_vector(next_means, i, inside)
     x, y, z = to_camera(camera, x, y, z)
     front = z > CLIP
@@ -48,7 +48,7 @@ def _forward(colours, depths, means2d, next_means, camera, features, count, BLOC
 
 
 @triton.jit(do_not_specialize=["count"])
-def _backward(gradient, next_means, camera, d_colours, d_depths, d_means2d, d_next_means, count, BLOCK: tl.constexpr):
+def _backward(gradient, next_means, camera, d_colors, d_depths, d_means2d, d_next_means, count, BLOCK: tl.constexpr):
     i = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     inside = i < count
     row = gradient + i * 7
@@ -66,27 +66,27 @@ def _backward(gradient, next_means, camera, d_colours, d_depths, d_means2d, d_ne
     tl.store(d_means2d + i * 2 + 1, -gv, mask=inside)
     tl.store(d_depths + i, tl.load(row + 3, mask=inside, other=0.0), mask=inside)
     red, green = tl.load(row, mask=inside, other=0.0), tl.load(row + 1, mask=inside, other=0.0)
-    store_vector(d_colours, i, red, green, tl.load(row + 2, mask=inside, other=0.0), inside)
+    store_vector(d_colors, i, red, green, tl.load(row + 2, mask=inside, other=0.0), inside)
 
 
-def displacement_features(colours: Tensor, depths: Tensor, means2d: Tensor, next_means: Tensor, camera: Tensor) -> Tensor:
+def displacement_features(colors: Tensor, depths: Tensor, means2d: Tensor, next_means: Tensor, camera: Tensor) -> Tensor:
     """[A, 7] without gradients; ``camera``: ``camera_numbers`` of the other camera on the device."""
-    count = len(colours)
-    features = torch.empty(count, CHANNELS, device=colours.device)
+    count = len(colors)
+    features = torch.empty(count, CHANNELS, device=colors.device)
     if count:
         block = rows_per_program(count)
-        with device_of(colours):
-            _forward[(triton.cdiv(count, block),)](colours, depths, means2d, next_means, camera, features, count, BLOCK=block)
+        with device_of(colors):
+            _forward[(triton.cdiv(count, block),)](colors, depths, means2d, next_means, camera, features, count, BLOCK=block)
     return features
 
 
 class _Features(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, colours: Tensor, depths: Tensor, means2d: Tensor, next_means: Tensor, camera: Tensor) -> Tensor:
-        given = (colours, depths, means2d, next_means)
-        colours, depths, means2d, next_means = (tensor.detach().contiguous() for tensor in given)
+    def forward(ctx: Any, colors: Tensor, depths: Tensor, means2d: Tensor, next_means: Tensor, camera: Tensor) -> Tensor:
+        given = (colors, depths, means2d, next_means)
+        colors, depths, means2d, next_means = (tensor.detach().contiguous() for tensor in given)
         ctx.inputs = next_means, camera
-        return displacement_features(colours, depths, means2d, next_means, camera)
+        return displacement_features(colors, depths, means2d, next_means, camera)
 
     @staticmethod
     @once_differentiable
@@ -104,5 +104,5 @@ def blend_displacement(sliced: Slice, projected: Projected, other: Camera) -> Te
     """See ``api.blend_features``; flow goes to the Gaussians' ``next_means`` in the ``other`` camera."""
     assert sliced.next_means is not None
     camera = upload(camera_numbers(other), sliced.means.device)
-    result: Tensor = _Features.apply(sliced.colours, projected.depths, projected.means2d, sliced.next_means, camera)
+    result: Tensor = _Features.apply(sliced.colors, projected.depths, projected.means2d, sliced.next_means, camera)
     return result

@@ -7,12 +7,12 @@ const unit = (a) => a.map((x) => x / Math.max(Math.hypot(...a), 1e-12));
 const rowsOf = (R) => [R.slice(0, 3), R.slice(3, 6), R.slice(6, 9)];
 
 /** Position of a camera in the world. */
-function centreOf({ rotation: R, translation: T }) {
+function centerOf({ rotation: R, translation: T }) {
   return [0, 1, 2].map((c) => -(R[c] * T[0] + R[3 + c] * T[1] + R[6 + c] * T[2]));
 }
 
-function cameraAt(centre, rotation, lens) {
-  return { rotation, translation: rowsOf(rotation).map((row) => -dot(row, centre)), lens };
+function cameraAt(center, rotation, lens) {
+  return { rotation, translation: rowsOf(rotation).map((row) => -dot(row, center)), lens };
 }
 
 function rotationOf(quat) {
@@ -34,7 +34,7 @@ function turned(v, axis, angle) {
   return v.map((value, k) => value * cos + across[k] * sin + axis[k] * along);
 }
 
-/** The clip's own camera at a clip time; rows of `path`: time, centre, quaternion, lens. */
+/** The clip's own camera at a clip time; rows of `path`: time, center, quaternion, lens. */
 function cameraOnPath(path, time) {
   let k = 0;
   while (k < path.length - 2 && path[k + 1][0] <= time) k++;
@@ -67,14 +67,14 @@ class FreeCamera {
   }
 
   startFrom(camera) {
-    this.centre = centreOf(camera);
+    this.center = centerOf(camera);
     this.rotation = camera.rotation;
     this.lens = camera.lens;
     this.distance = 1;  // the median depth of the clip
   }
 
   get camera() {
-    return cameraAt(this.centre, this.rotation, this.lens);
+    return cameraAt(this.center, this.rotation, this.lens);
   }
 
   turn(yaw, pitch) {
@@ -86,14 +86,14 @@ class FreeCamera {
   }
 
   orbit(yaw, pitch) {
-    const target = plus(this.centre, rowsOf(this.rotation)[2], this.distance);
+    const target = plus(this.center, rowsOf(this.rotation)[2], this.distance);
     this.turn(yaw, pitch);
-    this.centre = plus(target, rowsOf(this.rotation)[2], -this.distance);
+    this.center = plus(target, rowsOf(this.rotation)[2], -this.distance);
   }
 
   /** Along right, down and forward. */
   move(steps) {
-    rowsOf(this.rotation).forEach((axis, k) => (this.centre = plus(this.centre, axis, steps[k])));
+    rowsOf(this.rotation).forEach((axis, k) => (this.center = plus(this.center, axis, steps[k])));
   }
 
   /** Nearer to the point that orbits go round, or farther. */

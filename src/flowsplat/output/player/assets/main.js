@@ -61,7 +61,7 @@ class State {
 
   /** Where the clip's camera is at this time, and how many times as far from there every mover is. */
   distances(time = this.time) {
-    return { pivot: centreOf(cameraOnPath(this.about.clipPath, time)), factors: [...this.factors] };
+    return { pivot: centerOf(cameraOnPath(this.about.clipPath, time)), factors: [...this.factors] };
   }
 
   /** Put the mover of a number so many times as far from the clip's camera as it was trained; where there is none, nothing happens. */

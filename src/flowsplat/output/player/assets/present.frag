@@ -1,4 +1,4 @@
-// The picture on the page; what no Gaussian covers takes its colour from the neighbours.
+// The picture on the page; what no Gaussian covers takes its color from the neighbors.
 // Defined in front of this: FILLED_FROM and FILLED_TO (transmittances).
 precision highp float;
 precision highp sampler2D;

@@ -121,13 +121,13 @@ class Renderer {
     const count = about.resting + about.moving;
     const stride = 4 * (3 + this.harmonics);
     const texels = new Float32Array(count * stride);
-    const { means, quats, logScales, opacities, colours, harmonics, logReaches } = arrays;
+    const { means, quats, logScales, opacities, colors, harmonics, logReaches } = arrays;
     for (let i = 0; i < count; i++) {
       const at = i * stride;
       for (let c = 0; c < 3; c++) {
         texels[at + c] = means.values[3 * i + c];
         texels[at + 8 + c] = Math.exp(logScales.values[3 * i + c]);
-        texels[at + 12 + c] = colours.values[3 * i + c];
+        texels[at + 12 + c] = colors.values[3 * i + c];
       }
       texels[at + 3] = opacities.values[i];
       texels[at + 11] = movers[i];
@@ -237,8 +237,8 @@ class Renderer {
       this.lookAt(this.slice, camera, time, distances, isFading);
       gl.uniform1i(this.slice.at.count, order.length);
       gl.drawArrays(gl.TRIANGLES, 0, 3);
-      const [slicedAxes, slicedPlaces, slicedColours] = this.sliced;
-      this.use(this.splat, top.own, { slicedAxes, slicedPlaces, slicedColours });
+      const [slicedAxes, slicedPlaces, slicedColors] = this.sliced;
+      this.use(this.splat, top.own, { slicedAxes, slicedPlaces, slicedColors });
     }
     gl.uniform2f(this.splat.at.size, top.own.width, top.own.height);
     gl.clearColor(0, 0, 0, 0);
@@ -279,7 +279,7 @@ class Renderer {
     }
     gl.uniformMatrix3fv(at.rotation, true, camera.rotation);
     gl.uniform3fv(at.translation, camera.translation);
-    gl.uniform3fv(at.center, centreOf(camera));
+    gl.uniform3fv(at.center, centerOf(camera));
     gl.uniform4fv(at.lens, camera.lens);
     gl.uniform2f(at.size, this.levels[0].own.width, this.levels[0].own.height);
     gl.uniform1f(at.near, this.about.near);
@@ -290,7 +290,7 @@ class Renderer {
     gl.uniform4fv(at.factors, padded);
   }
 
-  /** Push-pull: shrink the picture level by level, then carry colours back into what is uncovered. */
+  /** Push-pull: shrink the picture level by level, then carry colors back into what is uncovered. */
   fill() {
     const gl = this.gl;
     for (let k = 1; k < this.levels.length; k++) {

@@ -40,16 +40,16 @@ function readArrays(about, bytes) {
   return arrays;
 }
 
-/** Per moving Gaussian: middle and 1 / half length of its visible interval, centre time, precision (as chebyshev.py). */
+/** Per moving Gaussian: middle and 1 / half length of its visible interval, center time, precision (as chebyshev.py). */
 function visibleIntervals(about, arrays) {
   const intervals = new Float32Array(4 * about.moving);
   for (let i = 0; i < about.moving; i++) {
-    const centre = arrays.times.values[i];
+    const center = arrays.times.values[i];
     const precision = Math.exp(arrays.logLambdas.values[i]);
     const reach = Math.sqrt((-2 * Math.log(about.pMin)) / precision);
-    const start = Math.max(centre - reach, 0);
-    const end = Math.min(centre + reach, 1);
-    intervals.set([(start + end) / 2, 1 / Math.max((end - start) / 2, 1e-6), centre, precision], 4 * i);
+    const start = Math.max(center - reach, 0);
+    const end = Math.min(center + reach, 1);
+    intervals.set([(start + end) / 2, 1 / Math.max((end - start) / 2, 1e-6), center, precision], 4 * i);
   }
   return intervals;
 }

@@ -1,4 +1,4 @@
-// The slice: one Gaussian at the time, projected (EWA), with its colour as seen from the camera.
+// The slice: one Gaussian at the time, projected (EWA), with its color as seen from the camera.
 // Defined in front of this: MOVER_TEXELS, WIDTH and SLICE_WIDTH (texels and rows of `order` in a line of a texture), SH_COUNT, GAIN_TEXELS, MEAN_DEGREE, QUAT_DEGREE, EPS2D, FOCAL, ALPHA_MIN, P_MIN.
 precision highp float;
 precision highp int;
@@ -6,8 +6,8 @@ precision highp sampler2D;
 precision highp usampler2D;
 
 uniform usampler2D order;   // rows of the active Gaussians, farthest first
-uniform sampler2D states;   // 3 + SH_COUNT texels a Gaussian: mean and opacity, quaternion, scales and place of the mover, colour and reach, other harmonics
-uniform sampler2D motions;  // 1 + MEAN_DEGREE + QUAT_DEGREE texels a moving one: middle, 1 / half length, centre, precision; coefficients
+uniform sampler2D states;   // 3 + SH_COUNT texels a Gaussian: mean and opacity, quaternion, scales and place of the mover, color and reach, other harmonics
+uniform sampler2D motions;  // 1 + MEAN_DEGREE + QUAT_DEGREE texels a moving one: middle, 1 / half length, center, precision; coefficients
 uniform sampler2D gains;    // GAIN_TEXELS texels a resting one
 uniform int resting;        // how many do not move: the first ones
 uniform float time;
@@ -51,12 +51,12 @@ vec3 harmonics(int at, vec3 d) {
 
 // The Gaussian in place `rank` of the order.
 // axes: of its ellipse in pixels, one standard deviation long: the long one, the short one
-// place: its centre in pixels, how many standard deviations are drawn (0: none), unused
-// colour: rgb and opacity
-void slice(int rank, out vec4 axes, out vec4 place, out vec4 colour) {
+// place: its center in pixels, how many standard deviations are drawn (0: none), unused
+// color: rgb and opacity
+void slice(int rank, out vec4 axes, out vec4 place, out vec4 color) {
   axes = vec4(0.0);
   place = vec4(0.0);
-  colour = vec4(0.0);
+  color = vec4(0.0);
   int i = int(texelFetch(order, ivec2(rank % SLICE_WIDTH, rank / SLICE_WIDTH), 0).r);
   int at = i * (3 + SH_COUNT);
   vec4 state = texel(states, at);
@@ -129,5 +129,5 @@ void slice(int rank, out vec4 axes, out vec4 place, out vec4 colour) {
 
   axes = vec4(sqrt(large) * axis, sqrt(small) * vec2(-axis.y, axis.x));
   place = vec4(pixel, sqrt(2.0 * log(opacity / ALPHA_MIN)), 0.0);
-  colour = vec4(gain * harmonics(at + 3, normalize(mean - center)), opacity);
+  color = vec4(gain * harmonics(at + 3, normalize(mean - center)), opacity);
 }

@@ -1,11 +1,11 @@
 precision highp float;
 in vec2 offset;
-flat in vec4 colour;
+flat in vec4 color;
 out vec4 result;
 
 void main() {
-  float alpha = colour.a * exp(-0.5 * dot(offset, offset));
+  float alpha = color.a * exp(-0.5 * dot(offset, offset));
   if (alpha < ALPHA_MIN) discard;
   alpha = min(alpha, ALPHA_MAX);
-  result = vec4(colour.rgb * alpha, alpha);
+  result = vec4(color.rgb * alpha, alpha);
 }

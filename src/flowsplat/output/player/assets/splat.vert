@@ -4,22 +4,22 @@ precision highp float;
 precision highp int;
 precision highp sampler2D;
 #ifndef DIRECT
-uniform sampler2D slicedAxes, slicedPlaces, slicedColours;
+uniform sampler2D slicedAxes, slicedPlaces, slicedColors;
 uniform vec2 size;     // of the picture in pixels
 #endif
-out vec2 offset;       // from the centre, in standard deviations
-flat out vec4 colour;  // rgb and opacity
+out vec2 offset;       // from the center, in standard deviations
+flat out vec4 color;  // rgb and opacity
 
 void main() {
   int rank = gl_VertexID >> 2;
   vec4 axes, place;
 #ifdef DIRECT
-  slice(rank, axes, place, colour);
+  slice(rank, axes, place, color);
 #else
   ivec2 at = ivec2(rank % SLICE_WIDTH, rank / SLICE_WIDTH);
   axes = texelFetch(slicedAxes, at, 0);
   place = texelFetch(slicedPlaces, at, 0);
-  colour = texelFetch(slicedColours, at, 0);
+  color = texelFetch(slicedColors, at, 0);
 #endif
   offset = place.z * (vec2(gl_VertexID & 1, (gl_VertexID >> 1) & 1) * 2.0 - 1.0);
   vec2 pixel = place.xy + offset.x * axes.xy + offset.y * axes.zw;

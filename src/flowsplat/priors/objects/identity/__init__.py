@@ -2,7 +2,7 @@
 
 Parts of a mask that are connected may be several movers that touch, and a mover may be several parts. Tracks that were in
 different parts for several frames are on different movers, unless they move as one; tracks that are never apart are on one.
-So tracks are clustered: strong ties first, between neighbours whose distance hardly changes over all frames that they share
+So tracks are clustered: strong ties first, between neighbors whose distance hardly changes over all frames that they share
 (Brox and Malik, ECCV 2010), and no tie between clusters that were apart, unless most frames speak for it (in the spirit of
 Keuper et al., ICCV 2015). Legs and arms belong to a body that they are never apart from, though they move in ways of their own.
 """

@@ -13,7 +13,7 @@ from flowsplat.priors.objects.identity.masked_tracks import MaskedTracks
 from flowsplat.priors.objects.relief import place_points
 from flowsplat.priors.objects.rigid import Observations, longest, solve_rigid
 
-NEIGHBOURS, REACH = 8, 0.04
+NEIGHBORS, REACH = 8, 0.04
 """Nearest tracks that a track is compared with, and how far they may be, as a share of the long side."""
 LAGS = ((1, 0.2), (3, 0.45), (8, 0.6))
 """Frames over which the change of a distance is looked at, and the share of the distance that turning and bending may take."""
@@ -32,7 +32,7 @@ FEWEST_TRACKS, FEWEST_FRAMES = 12, 5
 OUTWEIGHS = 3.0
 """Frames of contact in agreement that one frame apart outweighs."""
 BRIDGE, BRIDGED = 0.75, 0.7
-"""Share of the neighbours across a gap that must agree in a frame, and of the frames apart in which they do, in one mover."""
+"""Share of the neighbors across a gap that must agree in a frame, and of the frames apart in which they do, in one mover."""
 APART_FRAMES = 24
 """Frames, evenly chosen, in which two clusters that are apart are compared."""
 AHEAD, EXTRAPOLATED = 3, 0.05
@@ -78,7 +78,7 @@ def movers_of_tracks(clip: MaskedTracks, K: np.ndarray | None = None) -> np.ndar
 
 @dataclass(frozen=True)
 class _Ties:
-    """Pairs of neighbours, the strongest first.
+    """Pairs of neighbors, the strongest first.
 
     Attributes:
         a, b: [E] indices of tracks.
@@ -98,7 +98,7 @@ class _Ties:
         found = []
         for k in range(part.shape[1]):
             here = np.flatnonzero(part[:, k])
-            count = min(NEIGHBOURS + 1, len(here))
+            count = min(NEIGHBORS + 1, len(here))
             if count < 2:
                 continue
             _, near = cKDTree(points[here, k]).query(points[here, k], k=count, distance_upper_bound=REACH * long_side)
@@ -234,7 +234,7 @@ class _Clusters:
         return np.bincount(self._of[self._of >= 0], minlength=len(self._home))
 
     def _contact(self) -> np.ndarray:
-        """Frames [C, C] in which two clusters touch, and most of their neighbours agree."""
+        """Frames [C, C] in which two clusters touch, and most of their neighbors agree."""
         return ((self._agree >= 2) & (2 * self._agree >= self._touch)).sum(2)
 
     @staticmethod
@@ -252,7 +252,7 @@ class _Clusters:
         return True
 
     def join_across_gaps(self, K: np.ndarray | None) -> None:
-        """Join clusters that were apart but move as one: near ones by their neighbours, others by one rigid motion."""
+        """Join clusters that were apart but move as one: near ones by their neighbors, others by one rigid motion."""
         refused: set[tuple[frozenset[int], frozenset[int]]] = set()
         while len(self._home) > 1:
             joined, (_, apart) = False, self._together()
@@ -298,7 +298,7 @@ class _Clusters:
         return self._bridged(a, b) or self._moves_as_one(a, b) or (K is not None and self._one_rigid_motion(a, b, K))
 
     def _bridged(self, a: int, b: int) -> bool:
-        """Whether neighbours across the gap between two clusters agree in most frames in which there is one."""
+        """Whether neighbors across the gap between two clusters agree in most frames in which there is one."""
         apart, agree = self._apart_frames(a, b), 0
         for k in apart:
             i, j, away = self._gap(a, b, int(k))

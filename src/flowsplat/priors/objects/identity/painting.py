@@ -41,7 +41,7 @@ def paint(
     painted = [_painted(clip, owners, k, motion) for k in range(len(clip.masks))]
     most = int(owners.max(initial=0))
     _fill_unknown(clip, painted, most)
-    _give_to_neighbours(clip, painted, most)
+    _give_to_neighbors(clip, painted, most)
     numbers: dict[int, int] = {0: 0}
     for k, labels in enumerate(painted):
         present, area = np.unique(labels, return_counts=True)
@@ -104,7 +104,7 @@ def _fill_unknown(clip: MaskedTracks, painted: list[np.ndarray], most: int) -> N
         labels[unknown] = goes[clip.masks[k][unknown]]
 
 
-def _give_to_neighbours(clip: MaskedTracks, painted: list[np.ndarray], most: int) -> None:
+def _give_to_neighbors(clip: MaskedTracks, painted: list[np.ndarray], most: int) -> None:
     """Give what no track is on, numbers above ``most``, to the mover that it is mostly close to, in place."""
     nearest: dict[int, list[tuple[int, float]]] = {}
     for labels in painted:

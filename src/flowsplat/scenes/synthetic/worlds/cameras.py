@@ -13,7 +13,7 @@ from flowsplat.scenes.synthetic.worlds.parts import UP
 CameraKind = Literal["arc", "walking", "shaking", "following", "still"]
 
 Views = tuple[np.ndarray, np.ndarray]
-"""Centres [T, 3], and rotations [T, 3, 3] from the world to the cameras."""
+"""Centers [T, 3], and rotations [T, 3, 3] from the world to the cameras."""
 
 
 def look(places: np.ndarray, targets: np.ndarray, roll: np.ndarray | float, turns: np.ndarray | None = None) -> Views:

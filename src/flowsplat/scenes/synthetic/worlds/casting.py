@@ -1,7 +1,7 @@
 """Kernels that cast rays at rigid parts and shade what they meet.
 
 A part is an ellipsoid, a box, a capsule, a cylinder or a room (a box seen from inside) under a rigid motion. What a ray
-hits is told by the part and the point in the part's own axes, in metres, so that flow and tracks are exact.
+hits is told by the part and the point in the part's own axes, in meters, so that flow and tracks are exact.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from flowsplat.common.kernels import helper, inlined, kernel
 from flowsplat.scenes.synthetic.worlds.materials import albedo
 
 ELLIPSOID, BOX, CAPSULE, CYLINDER, ROOM = range(5)
-"""Shapes. ``size`` [3] is: half axes; half extents; (radius, radius, half length between the centres of the round ends); (radius,
+"""Shapes. ``size`` [3] is: half axes; half extents; (radius, radius, half length between the centers of the round ends); (radius,
 radius, half length); half extents. Capsules and cylinders lie along their z."""
 
 _NEAREST = 1e-3
@@ -129,10 +129,10 @@ def _normal(shape, s, x, y, z):
 
 
 @helper
-def _shaded(shapes, sizes, turns, centres, radii, throwing, x, y, z, lx, ly, lz):
+def _shaded(shapes, sizes, turns, centers, radii, throwing, x, y, z, lx, ly, lz):
     """Whether one of the parts ``throwing`` stands between a point and the distant light in direction (lx, ly, lz)."""
     for k in throwing:
-        px, py, pz = x - centres[k, 0], y - centres[k, 1], z - centres[k, 2]
+        px, py, pz = x - centers[k, 0], y - centers[k, 1], z - centers[k, 2]
         along = px * lx + py * ly + pz * lz
         squared = px * px + py * py + pz * pz
         if squared - along * along > radii[k] ** 2 or (along > 0 and squared > radii[k] ** 2):
@@ -163,7 +163,7 @@ def cast(
         shapes: [P] of the parts.
         sizes: [P, 3].
         turns: [P, 3, 3] from the parts' axes to the world's.
-        origins: [P, 3] the camera's centre in the parts' axes.
+        origins: [P, 3] the camera's center in the parts' axes.
         bounds: [P, 4] left, top, right and bottom pixel beyond which a part is never seen.
         R: [3, 3] world to camera.
         K: [4] fx, fy, cx, cy.
@@ -183,18 +183,18 @@ def cast(
 
 @kernel
 def render(
-    shapes: np.ndarray, sizes: np.ndarray, turns: np.ndarray, centres: np.ndarray, origins: np.ndarray, bounds: np.ndarray,
-    radii: np.ndarray, casts: np.ndarray, materials: np.ndarray, R: np.ndarray, K: np.ndarray, centre: np.ndarray,
+    shapes: np.ndarray, sizes: np.ndarray, turns: np.ndarray, centers: np.ndarray, origins: np.ndarray, bounds: np.ndarray,
+    radii: np.ndarray, casts: np.ndarray, materials: np.ndarray, R: np.ndarray, K: np.ndarray, center: np.ndarray,
     offsets: np.ndarray, lights: np.ndarray, ambient: float, sun: float, picture: np.ndarray,
 ) -> None:  # fmt: skip
-    """Add the colours that a camera sees, the mean over some samples in every pixel, to ``picture`` [H, W, 3].
+    """Add the colors that a camera sees, the mean over some samples in every pixel, to ``picture`` [H, W, 3].
 
     Args (those that ``cast`` does not have):
-        centres: [P, 3] of the parts in the world.
+        centers: [P, 3] of the parts in the world.
         radii: [P] of balls round the parts.
         casts: [P] whether a part throws a shadow.
         materials: [P, M] (see ``materials``).
-        centre: [3] of the camera.
+        center: [3] of the camera.
         offsets: [S, 2] of the samples from the middle of a pixel, in pixels.
         lights: [S, 3] unit directions to the sun; they differ a little, so that shadows have soft edges.
         ambient: light of the sky.
@@ -234,10 +234,10 @@ def render(
                     facing = nx * L[0] + ny * L[1] + nz * L[2]
                     light = ambient * (0.7 + 0.3 * nz)
                     if facing > 0 and sun > 0:
-                        px = centre[0] + t * dx + 2e-3 * nx
-                        py = centre[1] + t * dy + 2e-3 * ny
-                        pz = centre[2] + t * dz + 2e-3 * nz
-                        if not _shaded(shapes, sizes, turns, centres, radii, throwing, px, py, pz, L[0], L[1], L[2]):
+                        px = center[0] + t * dx + 2e-3 * nx
+                        py = center[1] + t * dy + 2e-3 * ny
+                        pz = center[2] + t * dz + 2e-3 * nz
+                        if not _shaded(shapes, sizes, turns, centers, radii, throwing, px, py, pz, L[0], L[1], L[2]):
                             light += sun * facing
                 picture[row, column, 0] += min(red * light, 1.0) / S
                 picture[row, column, 1] += min(green * light, 1.0) / S

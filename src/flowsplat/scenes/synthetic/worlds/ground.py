@@ -13,10 +13,10 @@ GroundKind = Literal["flat", "slope", "steps", "none"]
 """``none``: there is one, but it is not in sight."""
 
 REACH, THICKNESS = 60.0, 1.5
-"""Metres to either side, and half the height of its boxes."""
+"""Meters to either side, and half the height of its boxes."""
 
 ROOM_FOR_FOOT = 0.2
-"""Metres that a foot keeps from the edge of a step."""
+"""Meters that a foot keeps from the edge of a step."""
 
 
 @dataclass(frozen=True)
@@ -27,8 +27,8 @@ class Ground:
         kind: what is seen of it.
         gradient: [2] of the plane.
         direction: [2] unit vector in which steps rise.
-        tread: metres from step to step.
-        rise: metres by which each step is higher.
+        tread: meters from step to step.
+        rise: meters by which each step is higher.
         first: place of the first edge along ``direction``.
         count: how many steps.
         front: y before which there is no ground at all.
@@ -60,7 +60,7 @@ class Ground:
         return np.clip(np.floor(along / self.tread) + 1, 0, self.count)
 
     def height(self, places: np.ndarray) -> np.ndarray:
-        """[...] metres at places [..., 2]."""
+        """[...] meters at places [..., 2]."""
         return places @ self.gradient + self.rise * self.step(places)
 
     def off_edges(self, places: np.ndarray, distance: float = ROOM_FOR_FOOT) -> np.ndarray:
@@ -73,7 +73,7 @@ class Ground:
         return places + (np.clip(along, low, high) - along)[..., None] * self.direction
 
     def middle_of_tread(self, place: np.ndarray, half: float) -> np.ndarray:
-        """Place [2] moved to where ``half`` metres to both sides along ``direction`` have one height, as far as treads allow."""
+        """Place [2] moved to where ``half`` meters to both sides along ``direction`` have one height, as far as treads allow."""
         return self.off_edges(place, min(half, 0.499 * self.tread))
 
     def tangent(self, heading: np.ndarray) -> np.ndarray:
@@ -94,6 +94,6 @@ class Ground:
         for k in range(self.count + 1):
             start = self.first + (k - 1) * self.tread if k else -REACH
             end = self.first + k * self.tread if k < self.count else REACH
-            centre = np.append(0.5 * (start + end) * self.direction, k * self.rise - THICKNESS)
-            placed.append(Placed(box([0.5 * (end - start), REACH, THICKNESS], material), turn, centre))
+            center = np.append(0.5 * (start + end) * self.direction, k * self.rise - THICKNESS)
+            placed.append(Placed(box([0.5 * (end - start), REACH, THICKNESS], material), turn, center))
         return placed

@@ -33,7 +33,7 @@ STOPS = 0.3
 """Share of vehicles and rolling balls that come to rest."""
 
 Way = Callable[[np.ndarray], np.ndarray]
-"""Seconds [T] to metres [T], 0 in the middle of the clip."""
+"""Seconds [T] to meters [T], 0 in the middle of the clip."""
 
 
 def draw_way(rng: np.random.Generator, speed: float, duration: float, stops: bool) -> Way:
@@ -61,21 +61,21 @@ def vehicle(
     rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: float, length: float, way: Way, rich: bool,
     handle: tuple[float, float] | None = None,
 ) -> Mover:  # fmt: skip
-    """A box on four wheels that roll without slip, in the middle of the clip at ``at`` [2], ``length`` metres long.
+    """A box on four wheels that roll without slip, in the middle of the clip at ``at`` [2], ``length`` meters long.
 
     Args:
-        handle: of a cart that is pushed: metres above the ground and behind the box.
+        handle: of a cart that is pushed: meters above the ground and behind the box.
     """
     heading = straight(rng, ground, heading)
     width, high = length * rng.uniform(0.4, 0.5), length * rng.uniform(0.16, 0.3)
     radius, base = length * rng.uniform(0.08, 0.11), 0.31 * length
     at = ground.middle_of_tread(at, 0.55 * width)
     paint, glass = draw_material(rng, 0.6 * length, rich), draw_material(rng, length, False)
-    tyre = draw_material(rng, radius, True, (SEGMENTS,))
-    tyre[2:5], tyre[5:8] = rng.uniform(0.06, 0.15), rng.uniform(0.4, 0.9)
+    tire = draw_material(rng, radius, True, (SEGMENTS,))
+    tire[2:5], tire[5:8] = rng.uniform(0.06, 0.15), rng.uniform(0.4, 0.9)
     cabin = np.array([rng.uniform(0.2, 0.32) * length, 0.46 * width, rng.uniform(0.1, 0.16) * length])
     shift = rng.uniform(-0.12, 0.05) * length
-    wheels = [cylinder(radius, 0.06 * length, tyre) for _ in range(4)]
+    wheels = [cylinder(radius, 0.06 * length, tire) for _ in range(4)]
     parts = [box([length / 2, width / 2, high / 2], paint), box(cabin, glass), *wheels]
     axes = frame(ground.tangent(np.array(heading)), ground.normal)[0]
     stretch = float(np.linalg.norm(ground.tangent(np.array(heading))))
@@ -144,7 +144,7 @@ def in_the_air(
     heading = straight(rng, ground, heading)
     at = ground.middle_of_tread(at, 1.2 * radius)
     along = np.array([np.cos(heading), np.sin(heading)])
-    lift = radius / float(ground.normal[2])  # Height of the centre over the ground below it where the ball touches.
+    lift = radius / float(ground.normal[2])  # Height of the center over the ground below it where the ball touches.
     starts, heights, speeds = [0.0], [], []
     if bounces:
         left, spring = rng.uniform(0.5, 1.6), rng.uniform(0.6, 0.85)
@@ -169,13 +169,13 @@ def in_the_air(
         over = height[k] + rise[k] * since - 0.5 * GRAVITY * since**2
         over = np.maximum(over, 0) if rolls_on else over
         place = at + (speed * (times - duration / 2))[:, None] * along
-        centre = np.concatenate([place, (ground.height(place) + lift + over)[:, None]], 1)
-        return together([(np.asarray(Rotation.from_rotvec(times[:, None] * axis).as_matrix()), centre)])
+        center = np.concatenate([place, (ground.height(place) + lift + over)[:, None]], 1)
+        return together([(np.asarray(Rotation.from_rotvec(times[:, None] * axis).as_matrix()), center)])
 
     def touching(times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        centre = poses(times)[1][:, 0]
-        gap = centre[:, 2] - ground.height(centre[:, :2]) - lift
-        return (centre - radius * ground.normal)[:, None], (np.abs(gap) < 1e-6)[:, None] & bounces
+        center = poses(times)[1][:, 0]
+        gap = center[:, 2] - ground.height(center[:, :2]) - lift
+        return (center - radius * ground.normal)[:, None], (np.abs(gap) < 1e-6)[:, None] & bounces
 
     instants = tuple(float(t) for t in starts[1:] if t <= duration)
     return Mover("bouncing" if bounces else "thrown", (part,), poses, touching, instants)
@@ -272,7 +272,7 @@ def door(
 def flier(
     rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: float, size: float, speed: float, duration: float, rich: bool
 ) -> Mover:
-    """A bird, ``size`` metres from tip to tip of its wings, that flaps or glides."""
+    """A bird, ``size`` meters from tip to tip of its wings, that flaps or glides."""
     high = float(ground.height(at)) + rng.uniform(0.8, 3.0) + size
     bend, climb = rng.uniform(-0.4, 0.4), rng.uniform(-0.3, 0.3)
     swing, rate, phase = rng.uniform(0, 0.15, 3), rng.uniform(2, 5, 3), rng.uniform(0, 2 * np.pi, 3)
@@ -291,14 +291,14 @@ def flier(
         return np.asarray(flat + swing * np.sin(rate * times[:, None] + phase))
 
     def poses(times: np.ndarray) -> Poses:
-        centre = path(times)
+        center = path(times)
         axes = frame(path(times + 1e-3) - path(times - 1e-3), UP)
         angle = 0.15 + flaps * np.sin(2 * np.pi * beat * times + phase[0])
-        found: list[Poses] = [(axes, centre), (axes, centre + axes @ [0.27 * size, 0, 0.03 * size])]
+        found: list[Poses] = [(axes, center), (axes, center + axes @ [0.27 * size, 0, 0.03 * size])]
         for side in (-1, 1):
             turned = axes @ about(np.array([1.0, 0.0, 0.0]), side * angle)
-            joint = centre + axes @ [0.03 * size, side * 0.05 * size, 0.04 * size]
+            joint = center + axes @ [0.03 * size, side * 0.05 * size, 0.04 * size]
             found.append((turned, joint + turned @ [0, side * wing[1], 0]))
-        return together([*found, (axes, centre + axes @ [-0.3 * size, 0, 0])])
+        return together([*found, (axes, center + axes @ [-0.3 * size, 0, 0])])
 
     return Mover("flier", parts, poses, nothing_touches)

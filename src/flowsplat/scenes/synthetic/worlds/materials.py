@@ -1,6 +1,6 @@
-"""Procedural colours of random worlds: two colours in a pattern, and noise, filtered to what a pixel can show.
+"""Procedural colors of random worlds: two colors in a pattern, and noise, filtered to what a pixel can show.
 
-A material is a row of numbers, so that kernels can read it; ``COLUMNS`` names them. Its pattern lies in the metres of its
+A material is a row of numbers, so that kernels can read it; ``COLUMNS`` names them. Its pattern lies in the meters of its
 part. Nothing in it is finer than the pixel that looks at it: edges are as wide as a pixel, a pattern whose period is
 smaller becomes its mean, and an octave of noise fades out before its wavelength reaches two pixels.
 """
@@ -17,7 +17,7 @@ COLUMNS = (
     "pattern", "period", "red", "green", "blue", "other_red", "other_green", "other_blue", "x", "y", "z", "amplitude",
     "wavelength", "octaves", "phase",
 )  # fmt: skip
-"""``x``, ``y``, ``z``: unit direction of stripes; ``amplitude`` and ``wavelength`` (metres) of the noise."""
+"""``x``, ``y``, ``z``: unit direction of stripes; ``amplitude`` and ``wavelength`` (meters) of the noise."""
 
 PLAIN, STRIPES, CHECKERS, BRICKS, SPOTS, SEGMENTS = range(6)
 
@@ -48,7 +48,7 @@ def _noise(x, y, z, phase):
 
 @inlined
 def _inside(distance, footprint):
-    """1 where a signed distance in metres is negative, 0 where positive, with an edge 1.5 pixels wide."""
+    """1 where a signed distance in meters is negative, 0 where positive, with an edge 1.5 pixels wide."""
     return min(max(0.5 - distance / (1.5 * footprint), 0.0), 1.0)
 
 
@@ -60,7 +60,7 @@ def _to_line(x, period):
 
 @helper
 def _share(m, x, y, z, nx, ny, nz, footprint):
-    """How much of the other colour is at a point, 0 to 1."""
+    """How much of the other color is at a point, 0 to 1."""
     pattern, period = int(m[0]), m[1]
     if pattern == PLAIN:
         return 0.0
@@ -102,11 +102,11 @@ def _share(m, x, y, z, nx, ny, nz, footprint):
 def albedo(
     m: np.ndarray, x: float, y: float, z: float, nx: float, ny: float, nz: float, footprint: float
 ) -> tuple[float, float, float]:
-    """Colour of the point (x, y, z) with unit normal (nx, ny, nz), in a part's axes and metres.
+    """Color of the point (x, y, z) with unit normal (nx, ny, nz), in a part's axes and meters.
 
     Args:
         m: [M] the material.
-        footprint: metres that a pixel covers there.
+        footprint: meters that a pixel covers there.
     """
     share = _share(m, x, y, z, nx, ny, nz, footprint)
     field, tint, weight = 0.0, 0.0, 1.0
@@ -134,13 +134,13 @@ def draw_material(rng: np.random.Generator, scale: float, rich: bool, patterns: 
     """[M] a random material.
 
     Args:
-        scale: metres of what it covers: pattern and noise fit into it.
+        scale: meters of what it covers: pattern and noise fit into it.
         rich: whether it has a pattern and strong noise, or hardly any.
         patterns: those to choose from; none = all but segments.
     """
     chosen = int(rng.choice(patterns or (PLAIN, STRIPES, CHECKERS, BRICKS, SPOTS))) if rich else PLAIN
-    base = _draw_colour(rng)
-    other = _draw_colour(rng)
+    base = _draw_color(rng)
+    other = _draw_color(rng)
     if np.abs(base - other).sum() < 0.45:
         other = np.clip(base + (0.4 if base.mean() < 0.5 else -0.4), 0.03, 0.95)
     direction = rng.normal(size=3)
@@ -152,7 +152,7 @@ def draw_material(rng: np.random.Generator, scale: float, rich: bool, patterns: 
     ])  # fmt: skip
 
 
-def _draw_colour(rng: np.random.Generator) -> np.ndarray:
+def _draw_color(rng: np.random.Generator) -> np.ndarray:
     """[3] anything between earth and paint, not too dark."""
-    grey = rng.uniform(0.2, 0.85)
-    return np.clip(grey + rng.choice([0.05, 0.1, 0.2]) * rng.normal(size=3), 0.06, 0.95)
+    gray = rng.uniform(0.2, 0.85)
+    return np.clip(gray + rng.choice([0.05, 0.1, 0.2]) * rng.normal(size=3), 0.06, 0.95)

@@ -1,4 +1,4 @@
-"""Parts and movers of random worlds, and what all motions are made of. World z is up; metres, seconds, radians."""
+"""Parts and movers of random worlds, and what all motions are made of. World z is up; meters, seconds, radians."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ KINDS: tuple[Kind, ...] = ("walker", "carrier", "vehicle", "rolling", "thrown", 
 """Those that are drawn; dancers only where they are asked for."""
 
 Poses = tuple[np.ndarray, np.ndarray]
-"""Rotations [T, P, 3, 3] from the parts' axes to the world's, and centres [T, P, 3]."""
+"""Rotations [T, P, 3, 3] from the parts' axes to the world's, and centers [T, P, 3]."""
 
 UP = np.array([0.0, 0.0, 1.0])
 GRAVITY = 9.81
@@ -30,7 +30,7 @@ class Part:
 
     Attributes:
         shape: one of ``casting``'s.
-        size: [3] as ``casting`` tells, in metres.
+        size: [3] as ``casting`` tells, in meters.
         material: [M] (see ``materials``).
     """
 
@@ -40,7 +40,7 @@ class Part:
 
     @property
     def radius(self) -> float:
-        """Of a ball round its centre that holds it."""
+        """Of a ball round its center that holds it."""
         if self.shape == ELLIPSOID:
             return float(max(self.size))
         if self.shape == CAPSULE:
@@ -52,11 +52,11 @@ class Part:
 
 @dataclass(frozen=True)
 class Placed:
-    """A part of the static world: ``turn`` [3, 3] from its axes to the world's, ``centre`` [3]."""
+    """A part of the static world: ``turn`` [3, 3] from its axes to the world's, ``center`` [3]."""
 
     part: Part
     turn: np.ndarray
-    centre: np.ndarray
+    center: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -85,8 +85,8 @@ class Mover:
     pivot: np.ndarray | None = None
     support: tuple[Placed, ...] = ()
 
-    def centre(self, times: np.ndarray) -> np.ndarray:
-        """[T, 3] mean of the centres of its parts, the larger ones counting more."""
+    def center(self, times: np.ndarray) -> np.ndarray:
+        """[T, 3] mean of the centers of its parts, the larger ones counting more."""
         weights = np.array([part.radius for part in self.parts])
         return np.asarray(np.einsum("tpk,p->tk", self.poses(np.atleast_1d(times))[1], weights / weights.sum()))
 
@@ -115,7 +115,7 @@ def box(half: ArrayLike, material: np.ndarray) -> Part:
 
 
 def capsule(radius: float, length: float, material: np.ndarray) -> Part:
-    """A tube with round ends, ``length`` between their centres."""
+    """A tube with round ends, ``length`` between their centers."""
     return Part(CAPSULE, np.array([radius, radius, length / 2]), material)
 
 
@@ -142,7 +142,7 @@ def frame(forward: np.ndarray, up: np.ndarray) -> np.ndarray:
 
 
 def rod(start: np.ndarray, end: np.ndarray, aside: np.ndarray) -> Poses:
-    """(rotations [T, 3, 3], centres [T, 3]) of a capsule between two points [T, 3], its x as near to ``aside`` as may be."""
+    """(rotations [T, 3, 3], centers [T, 3]) of a capsule between two points [T, 3], its x as near to ``aside`` as may be."""
     z = end - start
     z = z / np.maximum(np.linalg.norm(z, axis=1, keepdims=True), 1e-9)
     aside = np.broadcast_to(aside, z.shape)

@@ -27,7 +27,7 @@ from flowsplat.scenes.synthetic.worlds.parts import (
 )
 
 HEIGHT = 1.75
-"""Metres of a walker of scale 1."""
+"""Meters of a walker of scale 1."""
 
 THIGH, SHIN, ANKLE = 0.43, 0.43, 0.08
 UPPER_ARM, LOWER_ARM = 0.29, 0.27
@@ -54,14 +54,14 @@ Arms = Literal["swing", "forward"]
 
 @dataclass(frozen=True)
 class Gait:
-    """Where a walker is and puts the feet, by the way s in metres that the hips went since the middle of the clip.
+    """Where a walker is and puts the feet, by the way s in meters that the hips went since the middle of the clip.
 
     Attributes:
         ground: what it walks on.
         at: [2] where it is at s = 0.
         heading: radians, there.
-        bend: radians by which it turns in a metre.
-        step: metres from one foot to the other.
+        bend: radians by which it turns in a meter.
+        step: meters from one foot to the other.
         first: s at which the hips pass over a left foot.
         scale: of the body.
     """
@@ -124,7 +124,7 @@ def walker(
 
     Args:
         scale: 1 = as tall as ``HEIGHT``.
-        speed: metres a second.
+        speed: meters a second.
         duration: seconds of the clip.
         rich: whether the clothes have patterns.
         carries: a box, a ball or a bag.
@@ -168,7 +168,7 @@ def _hips(gait: Gait, speed: float, duration: float) -> Callable[[np.ndarray], n
 
 
 def _ankle(gait: Gait, s: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(ankle [T, 3], rotation of the foot [T, 3, 3], its centre [T, 3])."""
+    """(ankle [T, 3], rotation of the foot [T, 3, 3], its center [T, 3])."""
     sole, heading, pitch, _ = gait.foot(s, side)
     level = frame(gait.ground.tangent(heading), gait.ground.normal)
     joint = np.array([-0.3 * HALF_FOOT[0], 0, 0]) * gait.scale

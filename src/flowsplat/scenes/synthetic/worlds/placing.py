@@ -11,20 +11,20 @@ from flowsplat.scenes.synthetic.worlds.world import World
 
 
 def balls(mover: Mover, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(centres [T, P, 3], radii [P]) of balls round the parts."""
+    """(centers [T, P, 3], radii [P]) of balls round the parts."""
     return mover.poses(times)[1], np.array([part.radius for part in mover.parts])
 
 
 def reach(mover: Mover, times: np.ndarray) -> float:
-    """Metres from a mover's centre to its furthest end."""
-    centres, radii = balls(mover, times)
-    return float((np.linalg.norm(centres - mover.centre(times)[:, None], axis=-1) + radii).max())
+    """Meters from a mover's center to its furthest end."""
+    centers, radii = balls(mover, times)
+    return float((np.linalg.norm(centers - mover.center(times)[:, None], axis=-1) + radii).max())
 
 
 def apart(placed: Placed, mover: Mover, times: np.ndarray) -> bool:
     """Whether something static is nowhere near the way of a mover."""
-    centres, radii = balls(mover, times)
-    local = np.abs((centres - placed.centre) @ placed.turn)
+    centers, radii = balls(mover, times)
+    local = np.abs((centers - placed.center) @ placed.turn)
     gap = np.linalg.norm(np.maximum(local - placed.part.size, 0), axis=-1)
     return bool((gap > radii + 0.05).all())
 
@@ -46,15 +46,15 @@ def are_apart(movers: Sequence[Mover], times: np.ndarray, first_two_touch: bool)
     return True
 
 
-def is_free(world: World, centres: np.ndarray) -> bool:
-    """Whether a camera at ``centres`` [T, 3], at times spread over the world's, is inside or next to nothing."""
+def is_free(world: World, centers: np.ndarray) -> bool:
+    """Whether a camera at ``centers`` [T, 3], at times spread over the world's, is inside or next to nothing."""
     for placed in world.static[1:]:
-        local = np.abs((centres - placed.centre) @ placed.turn)
+        local = np.abs((centers - placed.center) @ placed.turn)
         if (np.linalg.norm(np.maximum(local - placed.part.size, 0), axis=-1) < 0.3).any():
             return False
-    times = np.linspace(0, world.duration, len(centres))
+    times = np.linspace(0, world.duration, len(centers))
     for mover in world.movers:
         places, radii = balls(mover, times)
-        if (np.linalg.norm(places - centres[:, None], axis=-1) < radii + 0.5).any():
+        if (np.linalg.norm(places - centers[:, None], axis=-1) < radii + 0.5).any():
             return False
     return True

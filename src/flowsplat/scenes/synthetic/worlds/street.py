@@ -31,7 +31,7 @@ SEEN = 39 / FPS
 """Seconds in the middle for which everything that moves has to be in the picture."""
 
 EYE = 1.6
-"""Metres above the ground at which the camera is carried."""
+"""Meters above the ground at which the camera is carried."""
 FOCAL = 0.85
 """Focal length over the width of the picture."""
 
@@ -45,12 +45,12 @@ _STILL = 0.1
 """Seconds before the end of ``SEEN`` from which the ball may have no bounce left."""
 _CHECK_SIZE, _CHECKS = (80, 45), 6
 
-Colour = tuple[float, float, float]
+Color = tuple[float, float, float]
 
-BRICK: tuple[Colour, ...] = ((0.62, 0.33, 0.25), (0.70, 0.52, 0.38), (0.55, 0.42, 0.36))
-PLASTER: tuple[Colour, ...] = ((0.86, 0.78, 0.62), (0.66, 0.76, 0.78), (0.84, 0.66, 0.56), (0.78, 0.80, 0.68))
-DOORS: tuple[Colour, ...] = ((0.16, 0.36, 0.30), (0.20, 0.28, 0.50), (0.50, 0.16, 0.14))
-LEAVES: tuple[Colour, ...] = ((0.22, 0.40, 0.14), (0.32, 0.44, 0.16), (0.46, 0.40, 0.14))
+BRICK: tuple[Color, ...] = ((0.62, 0.33, 0.25), (0.70, 0.52, 0.38), (0.55, 0.42, 0.36))
+PLASTER: tuple[Color, ...] = ((0.86, 0.78, 0.62), (0.66, 0.76, 0.78), (0.84, 0.66, 0.56), (0.78, 0.80, 0.68))
+DOORS: tuple[Color, ...] = ((0.16, 0.36, 0.30), (0.20, 0.28, 0.50), (0.50, 0.16, 0.14))
+LEAVES: tuple[Color, ...] = ((0.22, 0.40, 0.14), (0.32, 0.44, 0.16), (0.46, 0.40, 0.14))
 MORTAR, PAVING, STONE, WOOD, IRON = (
     (0.80, 0.76, 0.70),
     (0.60, 0.56, 0.52),
@@ -165,7 +165,7 @@ def _is_in_sight(world: World) -> bool:
     grid = pixel_grid(*_CHECK_SIZE).astype(np.float64).reshape(-1, 2)
     for time in LASTS / 2 + np.linspace(-0.5, 0.5, _CHECKS) * SEEN:
         camera = world.camera_at(time, *_CHECK_SIZE)
-        uv = camera.project(np.concatenate([mover.centre(np.array([time])) for mover in world.movers]))[0]
+        uv = camera.project(np.concatenate([mover.center(np.array([time])) for mover in world.movers]))[0]
         share = np.bincount(world.numbers[world.cast(camera, time, grid).part], minlength=4)[1:] / len(grid)
         if (uv < 0.06 * np.array(_CHECK_SIZE)).any() or (uv > 0.94 * np.array(_CHECK_SIZE)).any() or (share < _ENOUGH_PIXELS).any():
             return False
@@ -176,16 +176,16 @@ def _is_in_sight(world: World) -> bool:
 
 
 def _material(
-    rng: np.random.Generator, colour: Colour, pattern: int = PLAIN, period: float = 1.0, other: Colour = WHITE,
+    rng: np.random.Generator, color: Color, pattern: int = PLAIN, period: float = 1.0, other: Color = WHITE,
     amplitude: float = 0.12, wavelength: float = 0.5,
 ) -> np.ndarray:  # fmt: skip
-    """[M] (see ``materials``): two colours in a pattern, and noise; the first colour is drawn a little darker or lighter."""
-    tone = np.clip(np.array(colour) * rng.uniform(0.9, 1.1), 0.03, 0.95)
+    """[M] (see ``materials``): two colors in a pattern, and noise; the first color is drawn a little darker or lighter."""
+    tone = np.clip(np.array(color) * rng.uniform(0.9, 1.1), 0.03, 0.95)
     return np.array([pattern, period, *tone, *other, 1.0, 0.0, 0.0, amplitude, wavelength, 5, rng.integers(1, 10000)])
 
 
-def _pick(rng: np.random.Generator, colours: tuple[Colour, ...]) -> Colour:
-    return colours[int(rng.integers(len(colours)))]
+def _pick(rng: np.random.Generator, colors: tuple[Color, ...]) -> Color:
+    return colors[int(rng.integers(len(colors)))]
 
 
 def _sky(rng: np.random.Generator) -> Placed:
@@ -194,7 +194,7 @@ def _sky(rng: np.random.Generator) -> Placed:
 
 
 def _put(part: Part, x: float, y: float, low: float, half: float, yaw: float = 0.0) -> Placed:
-    """A part turned by ``yaw`` about the vertical, its lower end ``low`` metres above the ground, ``half`` of its height."""
+    """A part turned by ``yaw`` about the vertical, its lower end ``low`` meters above the ground, ``half`` of its height."""
     turn = frame(np.array([np.cos(yaw), np.sin(yaw), 0.0]), UP)[0]
     return Placed(part, turn, np.array([x, y, low + half]))
 
@@ -223,11 +223,11 @@ def _scenery(rng: np.random.Generator) -> list[Placed]:
 
 
 def _house(
-    rng: np.random.Generator, left: float, right: float, front: float, high: float, colour: Colour, bricks: bool
+    rng: np.random.Generator, left: float, right: float, front: float, high: float, color: Color, bricks: bool
 ) -> list[Placed]:
-    """A front with windows, a door and a plinth that stand out of it by centimetres."""
+    """A front with windows, a door and a plinth that stand out of it by centimeters."""
     wall = (
-        _material(rng, colour, BRICKS, 0.46, MORTAR, 0.2, 0.8) if bricks else _material(rng, colour, amplitude=0.16, wavelength=0.9)
+        _material(rng, color, BRICKS, 0.46, MORTAR, 0.2, 0.8) if bricks else _material(rng, color, amplitude=0.16, wavelength=0.9)
     )
     middle, half = 0.5 * (left + right), 0.5 * (right - left)
     found = [_put(box([half, 2.0, high / 2], wall), middle, front + 2.0, -0.05, high / 2)]

@@ -21,7 +21,7 @@ RESTING = 9
 """Frames for which nothing of a mover may move for it to count as resting."""
 
 _STILL = 1e-4
-"""Metres a frame below which a part does not move."""
+"""Meters a frame below which a part does not move."""
 
 _EXPOSURES = 6
 """Times over which a blurred picture is averaged."""
@@ -37,7 +37,7 @@ _FAR = 1e9
 
 @dataclass(frozen=True)
 class Light:
-    """``direction`` [3] to the sun, its strength, the strength of the sky, both as factors of the colours."""
+    """``direction`` [3] to the sun, its strength, the strength of the sky, both as factors of the colors."""
 
     direction: np.ndarray
     sun: float
@@ -62,7 +62,7 @@ class World(RayCastWorld):
         movers: what moves; the first has number 1 in the masks.
         light: sun and sky.
         shutter: share of the time between frames that a picture is exposed; 0 = no blur.
-        noise: standard deviation of the pictures' noise in grey levels.
+        noise: standard deviation of the pictures' noise in gray levels.
         touching: numbers of two movers that touch each other, if any.
     """
 
@@ -121,35 +121,35 @@ class World(RayCastWorld):
         }  # fmt: skip
 
     def poses(self, time: float) -> tuple[np.ndarray, np.ndarray]:
-        """(rotations [P, 3, 3] from the parts' axes to the world's, centres [P, 3])."""
+        """(rotations [P, 3, 3] from the parts' axes to the world's, centers [P, 3])."""
         times = np.array([time])
         moved = [mover.poses(times) for mover in self.movers]
         turns = [np.stack([placed.turn for placed in self.static]), *(R[0] for R, _ in moved)]
-        centres = [np.stack([placed.centre for placed in self.static]), *(c[0] for _, c in moved)]
-        return np.concatenate(turns), np.concatenate(centres)
+        centers = [np.stack([placed.center for placed in self.static]), *(c[0] for _, c in moved)]
+        return np.concatenate(turns), np.concatenate(centers)
 
     def camera_at(self, time: float, width: int | None = None, height: int | None = None) -> Camera:
         """The camera at a time in seconds, with another number of pixels if asked for."""
         width, height = width or self.width, height or self.height
-        (centre,), (R,) = self.path(np.array([time]))
+        (center,), (R,) = self.path(np.array([time]))
         focal = self.focal * width
-        return Camera(rigid(R, -R @ centre), np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]]), width, height)
+        return Camera(rigid(R, -R @ center), np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]]), width, height)
 
     def camera(self, i: int) -> Camera:
-        """The camera of frame ``i``, metres, world z up."""
+        """The camera of frame ``i``, meters, world z up."""
         return self.camera_at(self.timestamps[i])
 
     # -- rays
 
-    def _seen_from(self, camera: Camera, turns: np.ndarray, centres: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(the camera's centre in the parts' axes [P, 3], rectangles [P, 4] outside of which parts are never seen)."""
-        origins = np.einsum("pkq,pk->pq", turns, camera.center - centres)
+    def _seen_from(self, camera: Camera, turns: np.ndarray, centers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(the camera's center in the parts' axes [P, 3], rectangles [P, 4] outside of which parts are never seen)."""
+        origins = np.einsum("pkq,pk->pq", turns, camera.center - centers)
         # Corners of a box round every part in its own axes.
         sizes = self._constants["sizes"].copy()
         tubes = np.isin(self._constants["shapes"], (2,))
         sizes[tubes, 2] += sizes[tubes, 0]
         signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), -1).reshape(-1, 3)
-        corners = centres[:, None] + np.einsum("pkq,psq->psk", turns, signs * sizes[:, None])
+        corners = centers[:, None] + np.einsum("pkq,psq->psk", turns, signs * sizes[:, None])
         uv, depth = camera.project(corners)
         bounds = np.concatenate([uv.min(1) - 0.01, uv.max(1) + 0.01], 1)
         behind = (depth < 1e-2).any(1) | (self._constants["shapes"] == ROOM)
@@ -158,8 +158,8 @@ class World(RayCastWorld):
 
     def cast(self, camera: Camera, time: float, uv: np.ndarray) -> Hits:
         """What a camera sees at ``time`` at positions ``uv`` [N, 2] (pixels)."""
-        turns, centres = self.poses(time)
-        origins, bounds = self._seen_from(camera, turns, centres)
+        turns, centers = self.poses(time)
+        origins, bounds = self._seen_from(camera, turns, centers)
         c = self._constants
         uv = np.ascontiguousarray(uv, np.float64)
         R = np.ascontiguousarray(camera.viewmat[:3, :3])
@@ -183,13 +183,13 @@ class World(RayCastWorld):
             camera = camera_at(moment)
             if k == 0:
                 total = np.zeros((camera.height, camera.width, 3))
-            turns, centres = self.poses(moment)
-            origins, bounds = self._seen_from(camera, turns, centres)
+            turns, centers = self.poses(moment)
+            origins, bounds = self._seen_from(camera, turns, centers)
             c = self._constants
             # Of several exposures each takes two of the samples in turn.
             chosen = slice(None) if len(shares) == 1 else slice(k % 2, None, 2)
             render(
-                c["shapes"], c["sizes"], turns, centres, origins, bounds, c["radii"], c["casts"], c["materials"],
+                c["shapes"], c["sizes"], turns, centers, origins, bounds, c["radii"], c["casts"], c["materials"],
                 np.ascontiguousarray(camera.viewmat[:3, :3]), camera.intrinsics, camera.center, _SAMPLES[chosen], lights[chosen],
                 self.light.ambient, self.light.sun, total,
             )  # fmt: skip
@@ -207,13 +207,13 @@ class World(RayCastWorld):
     # -- truth
 
     def geometry(self, i: int) -> tuple[np.ndarray, np.ndarray]:
-        """(planar depth [H, W] in metres at the pixel centres, number of the mover [H, W] uint8) of frame ``i``."""
+        """(planar depth [H, W] in meters at the pixel centers, number of the mover [H, W] uint8) of frame ``i``."""
         return self.seen_by(self.camera(i), self.timestamps[i])
 
     def carry(self, hits: Hits, time: float) -> np.ndarray:
         """[N, 3] where the points that were hit are at ``time``."""
-        turns, centres = self.poses(time)
-        return np.asarray(np.einsum("nkq,nq->nk", turns[hits.part], hits.local) + centres[hits.part])
+        turns, centers = self.poses(time)
+        return np.asarray(np.einsum("nkq,nq->nk", turns[hits.part], hits.local) + centers[hits.part])
 
     def describe(self, number: int) -> dict[str, object]:
         """What is true of a mover, to be written as JSON.

@@ -13,19 +13,19 @@ from flowsplat.geometry.paths import cropped, smooth_path
 from flowsplat.output.videos.shots import COVERED, Shot
 
 _LEAST_LEFT = 0.7
-"""Share of width and height that a stabilised video keeps at least; rather than cut more off, it is smoothed less."""
+"""Share of width and height that a stabilized video keeps at least; rather than cut more off, it is smoothed less."""
 _PROBE_WIDTH = 160
 """Pixels of the pictures in which uncovered borders are looked for."""
 _MARGIN = 1
 """Pixels of these pictures: Gaussians are blurred to a pixel, so that small pictures look covered a little further."""
 
 
-def stabilise(model: Renderer, shots: Sequence[Shot], sigma: float) -> tuple[list[Shot], float]:
+def stabilize(model: Renderer, shots: Sequence[Shot], sigma: float) -> tuple[list[Shot], float]:
     """Smooth a path, and crop all of it alike, so that no uncovered border is seen.
 
     A camera that is moved off its path sees beyond what the clip has seen. What of a picture is covered is asked of the
     scene itself, which knows more than one frame does. Where more than 30 % would have to go, it is smoothed half as much,
-    and again. A clip that has uncovered borders already on its own path keeps them, filled from their neighbours.
+    and again. A clip that has uncovered borders already on its own path keeps them, filled from their neighbors.
 
     Args:
         shots: (camera, seconds) at even steps.
@@ -44,12 +44,12 @@ def stabilise(model: Renderer, shots: Sequence[Shot], sigma: float) -> tuple[lis
         own = covered_share(model, shots)
         smooth = candidates[0] if own < _LEAST_LEFT else cameras
         share = max(own, _LEAST_LEFT)
-        say("The scene has borders that no frame saw: the stabilised path shows them filled from their neighbours.")
+        say("The scene has borders that no frame saw: the stabilized path shows them filled from their neighbors.")
     return [(cropped(camera, share), t) for camera, t in zip(smooth, times, strict=True)], share
 
 
 def covered_share(model: Renderer, shots: Sequence[Shot]) -> float:
-    """Of width and height, the share of the largest centred crop that has no uncovered border in any of the shots."""
+    """Of width and height, the share of the largest centered crop that has no uncovered border in any of the shots."""
     first = shots[0][0]
     height = max(round(first.height * _PROBE_WIDTH / first.width), 1)
     width = min(_PROBE_WIDTH, first.width)

@@ -1,4 +1,4 @@
-"""Who neighbours whom: found once for many steps, at each Gaussian's own centre time."""
+"""Who neighbors whom: found once for many steps, at each Gaussian's own center time."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from flowsplat.gaussians.gaussians4d import Gaussians4D
 
 
 @dataclass(frozen=True)
-class Neighbours:
-    """The nearest neighbours of N Gaussians.
+class Neighbors:
+    """The nearest neighbors of N Gaussians.
 
-    A Gaussian lives for a few frames, and its neighbours at its centre time are its neighbours in all of them; the loss
+    A Gaussian lives for a few frames, and its neighbors at its center time are its neighbors in all of them; the loss
     counts a pair where both are active. A search in every frame, every time, would take longer than all the rest of a step.
 
     Attributes:
@@ -49,26 +49,26 @@ class Neighbours:
         pairs = torch.argsort(flat, stable=True)[int(counts[0]) :].to(torch.int32)
         return torch.cumsum(counts, 0) - counts[0], pairs
 
-    def reindex(self, index: Tensor) -> Neighbours:
-        """After density control: row i comes from old row ``index[i]``; of several copies the first one stays a neighbour."""
+    def reindex(self, index: Tensor) -> Neighbors:
+        """After density control: row i comes from old row ``index[i]``; of several copies the first one stays a neighbor."""
         device = index.device
         new = torch.full((len(self) + 1,), len(index), device=device)
         new.scatter_reduce_(0, index, torch.arange(len(index), device=device), "amin")
         new[new == len(index)] = -1
         indices = new[self.indices[index].long()].to(torch.int32)
-        return Neighbours(indices, torch.where(indices >= 0, self.weights[index], 0))
+        return Neighbors(indices, torch.where(indices >= 0, self.weights[index], 0))
 
 
 @torch.no_grad()
-def find_neighbours(gaussians: Gaussians4D, times: Sequence[float], k: int, beta: float, dynamic_only: bool) -> Neighbours:
-    """The k nearest neighbours of every Gaussian that moves, among those active in the frame nearest to its centre time.
+def find_neighbors(gaussians: Gaussians4D, times: Sequence[float], k: int, beta: float, dynamic_only: bool) -> Neighbors:
+    """The k nearest neighbors of every Gaussian that moves, among those active in the frame nearest to its center time.
 
     Args:
         gaussians: where they are.
         times: [T] clip times of the frames.
         k: how many.
         beta: weights are exp(-beta distance).
-        dynamic_only: neighbours and neighboured are dynamic ones alone.
+        dynamic_only: neighbors and neighbored are dynamic ones alone.
     """
     count, device = len(gaussians), gaussians.device
     indices, weights = torch.full((count, k), -1, dtype=torch.int32, device=device), torch.zeros(count, k, device=device)
@@ -95,4 +95,4 @@ def find_neighbours(gaussians: Gaussians4D, times: Sequence[float], k: int, beta
         others, distances = others[~itself].reshape(-1, found), distances[~itself].reshape(-1, found)
         indices[own, :found] = rows[torch.from_numpy(others).to(device)].to(torch.int32)
         weights[own, :found] = torch.from_numpy(np.exp(-beta * distances).astype(np.float32)).to(device)
-    return Neighbours(indices, weights)
+    return Neighbors(indices, weights)

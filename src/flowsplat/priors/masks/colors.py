@@ -1,4 +1,4 @@
-"""What colours the movers of a clip have, and what colours there are round them."""
+"""What colors the movers of a clip have, and what colors there are round them."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ STEPS = (8, 4, 4)
 """Width of a bin of the histograms in L, a, b."""
 
 ROUND = 0.07
-"""Share of the long side within which colours are those round a mover."""
+"""Share of the long side within which colors are those round a mover."""
 
 FEWEST = 200
 """Pixels of movers that make a model."""
 
 _SHAPE = tuple(256 // step for step in STEPS)
 _FLOOR = 1e-5
-"""Share of all pixels at which a colour is neither's."""
+"""Share of all pixels at which a color is neither's."""
 
 
-class Colours:
+class Colors:
     """Histograms in Lab of movers and of what surrounds them, over the frames that were added."""
 
     def __init__(self) -> None:
@@ -35,7 +35,7 @@ class Colours:
             self._counts[number] += np.bincount(bins[chosen], minlength=self._counts.shape[1])
 
     def table(self) -> np.ndarray | None:
-        """For every bin the logarithm to base 2 of how much more often movers have its colour; None without movers."""
+        """For every bin the logarithm to base 2 of how much more often movers have its color; None without movers."""
         if self._counts.sum(1).min() < FEWEST:
             return None
         shares = np.stack([gaussian_filter(count.reshape(_SHAPE), 1.0) for count in self._counts])
@@ -44,7 +44,7 @@ class Colours:
 
 
 def look_up(table: np.ndarray, frame: np.ndarray) -> np.ndarray:
-    """The values [H, W] of a table for the colours of a frame RGB [H, W, 3] uint8."""
+    """The values [H, W] of a table for the colors of a frame RGB [H, W, 3] uint8."""
     return table[_bins(frame)]
 
 
