@@ -46,5 +46,5 @@ def pytest_collection_finish() -> None:
 def pytest_addoption(parser: pytest.Parser) -> None:
     """How much is tried where the ordinary run tries a part of it only."""
     parser.addoption("--fuzz", type=int, default=None, metavar="COUNT", help="try so many spoiled files in tests/fuzz")
-    text = "let so many requests come to the viewer in tests/output/viewer/test_a_day.py"
+    text = "let so many requests come to the viewer in tests/output/viewer/test_soak.py"
     parser.addoption("--requests", type=int, default=None, metavar="COUNT", help=text)

@@ -16,7 +16,7 @@ from flowsplat.batch.scheduler import Scheduler
 from flowsplat.batch.work import Job
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import Claims, lease
-from tests.batch.deeds import Deed
+from tests.batch.helpers import Deed
 
 
 def outcome(tmp_path, how: str, **options) -> Outcome:
@@ -121,7 +121,7 @@ from flowsplat.batch.records import Records
 from flowsplat.batch.scheduler import Scheduler
 from flowsplat.batch.work import Job
 from flowsplat.common.files import Claims
-from tests.batch.deeds import Deed
+from tests.batch.helpers import Deed
 if __name__ == "__main__":
     out, how = Path(sys.argv[1]), sys.argv[2]
     work = [Job(f"clip-{k}", "k", Deed(how, out, f"clip-{k}")) for k in range(6)]

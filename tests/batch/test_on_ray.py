@@ -18,7 +18,7 @@ from flowsplat.batch.scheduler import Scheduler
 from flowsplat.batch.work import Job
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import Claims
-from tests.batch.deeds import Deed
+from tests.batch.helpers import Deed
 
 TOP = str(Path(__file__).parents[2])
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from flowsplat.priors.background.agreement import SAME, agreed
+from flowsplat.priors.background.depth_voting import SAME, agreed
 
 from .planes import HEIGHT, SIDE, WALL, WIDTH, camera_at
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from flowsplat.priors.background.edges import View, refine_edges
+from flowsplat.priors.background.depth_edge_refinement import View, refine_edges
 
 from .planes import FOCAL, HEIGHT, SIDE, WALL, WIDTH, camera_at, texture
 

@@ -14,13 +14,13 @@ from flowsplat.priors.background.matched_clip import RESTS, MatchedClip
 from flowsplat.priors.background.static_depth import static_depth
 from flowsplat.priors.flow import flow_stage
 from flowsplat.priors.masks import mask_stage
+from flowsplat.priors.masks.background_plate import CleanPlate
 from flowsplat.priors.masks.colors import Colors, look_up
 from flowsplat.priors.masks.motion import CALMEST, USUAL, own_evidence, resting_motion
 from flowsplat.priors.masks.numbers import number_objects
-from flowsplat.priors.masks.plate import CleanPlate
+from flowsplat.priors.masks.photometric_residual import Unexplained
+from flowsplat.priors.masks.plane_sweep import largest_share
 from flowsplat.priors.masks.stage import DIFFERS
-from flowsplat.priors.masks.sweep import largest_share
-from flowsplat.priors.masks.unexplained import Unexplained
 from flowsplat.scenes import Flow, Scene
 
 from .planes import HEIGHT, WIDTH, write_planes

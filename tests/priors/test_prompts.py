@@ -12,7 +12,7 @@ from flowsplat.priors.flow import dis_estimator, flow_stage
 from flowsplat.priors.prompts import Prompt, cut_at_once, parse_prompts, prompt_stage, show_at_once
 from flowsplat.priors.prompts.cutting import cut_out
 from flowsplat.priors.prompts.grabcut import snapped
-from flowsplat.priors.prompts.walking import Walk
+from flowsplat.priors.prompts.propagation import Walk
 from flowsplat.scenes import Flow, Scene
 from flowsplat.scenes.layers import read_image
 

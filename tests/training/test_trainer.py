@@ -15,10 +15,10 @@ from flowsplat.common.errors import InputError
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.geometry import Similarity
 from flowsplat.training import trainer
-from flowsplat.training.average import EVERY, TailAverage
 from flowsplat.training.checkpoint import load_checkpoint, load_model, read_tensors, save_model, write_tensors
 from flowsplat.training.config import PRESETS, TrainConfig
 from flowsplat.training.trainer import Trainer, _spread_order
+from flowsplat.training.weight_averaging import EVERY, TailAverage
 from flowsplat_benchmarks.ablations.variants import changed
 from tests.training.handful import a_few, seen, tiny
 

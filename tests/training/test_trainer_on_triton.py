@@ -124,7 +124,7 @@ def test_every_kernel_of_a_step_is_launched_on_the_device_of_its_tensors(flow_mo
     assert {module.split(".triton")[0] for module, _, _ in launched} >= {
         f"flowsplat.{part}" for part in (
             "gaussians.culling", "gaussians.slicing", "gaussians.flow", "splatting", "training.picture_loss",
-            "training.rigidity", "training.adam", "training.rays",
+            "training.rigidity", "training.adam", "training.ray_preconditioning",
         )
     }  # fmt: skip
     assert {(module, name) for module, name, is_guarded in launched if not is_guarded} == set()

@@ -11,8 +11,8 @@ from flowsplat.training.adam import RowAdam
 from flowsplat.training.adam import reference as adam_reference
 from flowsplat.training.picture_loss import PictureTargets, PictureWeights
 from flowsplat.training.picture_loss import reference as picture_reference
-from flowsplat.training.rays import PathSpread
-from flowsplat.training.rays import reference as rays_reference
+from flowsplat.training.ray_preconditioning import PathSpread
+from flowsplat.training.ray_preconditioning import reference as rays_reference
 from flowsplat.training.rigidity import Neighbors, find_neighbors
 from flowsplat.training.rigidity import reference as rigid_reference
 from tests.common.compiling import compiled
@@ -21,7 +21,7 @@ from tests.training.test_operations import moving_model, picture_case
 pytest.importorskip("triton", reason="Triton is not installed")
 from flowsplat.training.adam import triton as adam_triton
 from flowsplat.training.picture_loss import triton as picture_triton
-from flowsplat.training.rays import triton as rays_triton
+from flowsplat.training.ray_preconditioning import triton as rays_triton
 from flowsplat.training.rigidity import triton as rigid_triton
 
 DEVICE = torch.device("cuda", 0) if torch.cuda.is_available() else torch.device("cpu")
@@ -187,7 +187,7 @@ def test_every_kernel_compiles_for_gpus_that_are_not_there():
 from dataclasses import replace
 from flowsplat.training.adam import triton as adam
 from flowsplat.training.picture_loss import PictureWeights, triton as picture_loss
-from flowsplat.training.rays import PathSpread, triton as rays
+from flowsplat.training.ray_preconditioning import PathSpread, triton as rays
 from flowsplat.training.rigidity import find_neighbors, triton as rigidity
 from tests.common.compiling import compiled
 from tests.training.test_operations import moving_model, picture_case

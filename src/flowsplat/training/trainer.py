@@ -31,7 +31,6 @@ from flowsplat.gaussians.render import RenderedFrame, render_active
 from flowsplat.gaussians.slicing import Gradients
 from flowsplat.scenes import Tracks
 from flowsplat.training.adam import RowAdam
-from flowsplat.training.average import EVERY, TailAverage
 from flowsplat.training.checkpoint import (
     CheckpointFile,
     check_model,
@@ -42,12 +41,13 @@ from flowsplat.training.checkpoint import (
 )
 from flowsplat.training.config import TrainConfig, affecting_result
 from flowsplat.training.coverage import coverage_loss
+from flowsplat.training.dynamic_evidence import add_residuals
 from flowsplat.training.picture_loss import PictureTargets, PictureWeights, picture_loss
-from flowsplat.training.rays import PathSpread, step_along_rays
-from flowsplat.training.residuals import add_residuals
+from flowsplat.training.ray_preconditioning import PathSpread, step_along_rays
 from flowsplat.training.rigidity import Neighbors, find_neighbors, rigid_loss
 from flowsplat.training.targets import Targets
 from flowsplat.training.timing import CheckpointTimes
+from flowsplat.training.weight_averaging import EVERY, TailAverage
 
 RECORD_EVERY = 10
 """Steps that one entry of the history averages over."""

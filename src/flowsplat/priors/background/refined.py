@@ -10,8 +10,8 @@ import numpy as np
 
 from flowsplat.common.threads import computed_once
 from flowsplat.geometry import Camera
-from flowsplat.priors.background.agreement import agreed
-from flowsplat.priors.background.edges import EdgeRefiner
+from flowsplat.priors.background.depth_edge_refinement import EdgeRefiner
+from flowsplat.priors.background.depth_voting import agreed
 from flowsplat.priors.background.fill import upsample
 from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.static_depth import StaticDepth

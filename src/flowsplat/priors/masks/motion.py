@@ -19,8 +19,8 @@ from flowsplat.geometry.interpolation import sample_map
 from flowsplat.pictures.edge_smoothing import EdgeSmoother
 from flowsplat.priors.background.matched_clip import RESTS, MatchedClip
 from flowsplat.priors.background.static_depth import StaticDepth
-from flowsplat.priors.masks.plate import FEW
-from flowsplat.priors.masks.unexplained import Unexplained
+from flowsplat.priors.masks.background_plate import FEW
+from flowsplat.priors.masks.photometric_residual import Unexplained
 from flowsplat.scenes.layers import TRUSTED
 
 STRONGEST = 1.5

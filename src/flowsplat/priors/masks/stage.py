@@ -17,10 +17,10 @@ from flowsplat.pictures.edge_smoothing import EdgeSmoother
 from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.static_depth import static_depth
 from flowsplat.priors.flow import FlowEstimator, dis_estimator
+from flowsplat.priors.masks.background_plate import CleanPlate
 from flowsplat.priors.masks.colors import Colors, look_up
 from flowsplat.priors.masks.motion import enlarged, motion_evidence, parts, propagated, rough_cut, weighing
 from flowsplat.priors.masks.numbers import number_objects
-from flowsplat.priors.masks.plate import CleanPlate
 from flowsplat.scenes import Scene
 
 DIFFERS = 1.7

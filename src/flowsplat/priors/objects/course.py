@@ -15,7 +15,7 @@ from flowsplat.priors.objects.contact_cues import FLAT, Feet
 from flowsplat.priors.objects.distance import Cue
 from flowsplat.priors.objects.path import Law, WorldPath, constant_height, pivot
 from flowsplat.priors.objects.relief import ReliefPoints, place_points
-from flowsplat.priors.objects.rematch import MoverPictures, rematched
+from flowsplat.priors.objects.rematching import MoverPictures, rematched
 from flowsplat.priors.objects.rigid import Observations, RigidMotion, longest, solve_rigid
 
 FEWEST_TRACKS, FEWEST_FRAMES = 16, 10

@@ -24,7 +24,7 @@ from flowsplat.priors.objects.course import Course, MoverTracks, solve_course
 from flowsplat.priors.objects.distance import Cue, Distance, combine
 from flowsplat.priors.objects.path import bounce_frames
 from flowsplat.priors.objects.relief import DEEPEST, ReliefPoints, relief, roundness
-from flowsplat.priors.objects.rematch import MoverPictures
+from flowsplat.priors.objects.rematching import MoverPictures
 
 SHORTEST_TRACK = 5
 INSIDE = 0.7

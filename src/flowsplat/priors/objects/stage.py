@@ -19,7 +19,7 @@ from flowsplat.priors.objects.hints import Hint, with_hints
 from flowsplat.priors.objects.identity import identify_movers
 from flowsplat.priors.objects.movers import solve_mover, tracks_of_movers
 from flowsplat.priors.objects.relief import roundness
-from flowsplat.priors.objects.rematch import MoverPictures, gray
+from flowsplat.priors.objects.rematching import MoverPictures, gray
 from flowsplat.priors.objects.storage import SceneMovers, save_movers
 from flowsplat.scenes import Scene
 

@@ -15,7 +15,7 @@ from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.flow import FlowEstimator, dis_estimator
 from flowsplat.priors.masks.stage import moving_evidence
 from flowsplat.priors.prompts.parsing import Prompt
-from flowsplat.priors.prompts.walking import Part, Walk
+from flowsplat.priors.prompts.propagation import Part, Walk
 from flowsplat.scenes import Scene
 
 SAME = 0.5

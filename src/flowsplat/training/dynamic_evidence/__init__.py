@@ -1,5 +1,5 @@
 """How far flow and color of a picture are off where single Gaussians are seen."""
 
-from flowsplat.training.residuals.api import add_residuals
+from flowsplat.training.dynamic_evidence.api import add_residuals
 
 __all__ = ["add_residuals"]

@@ -1,6 +1,6 @@
 """Clients come and go for a long time, and the viewer stays as large as it was.
 
-``pytest tests/output/viewer/test_a_day.py --requests 10000`` takes many more requests, and says what memory they took.
+``pytest tests/output/viewer/test_soak.py --requests 10000`` takes many more requests, and says what memory they took.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from flowsplat.training.adam import RowAdam
-from flowsplat.training.rays import FEWEST_PIXELS, PathSpread, ray_axes, reference, step_along_rays
+from flowsplat.training.ray_preconditioning import FEWEST_PIXELS, PathSpread, ray_axes, reference, step_along_rays
 from flowsplat.training.trainer import Trainer
 from tests.training.handful import a_few, seen, tiny
 

@@ -8,8 +8,8 @@ from flowsplat.common import devices
 from flowsplat.gaussians.density import DensityStatistics
 from flowsplat.gaussians.gaussians4d import Active
 from flowsplat.gaussians.render import RenderedFrame
+from flowsplat.training.dynamic_evidence import reference
 from flowsplat.training.picture_loss import PictureTargets
-from flowsplat.training.residuals import reference
 
 
 def add_residuals(
@@ -28,7 +28,7 @@ def add_residuals(
         targets: what it should show, with flow.
     """
     if devices.kernels_for(rendered.image) == "cpu":
-        from flowsplat.training.residuals.cpu import add_residuals as add
+        from flowsplat.training.dynamic_evidence.cpu import add_residuals as add
 
         add(statistics, active, visible, rendered, targets)
     else:

@@ -9,8 +9,8 @@ from torch import Tensor
 
 from flowsplat.common.triton import device_of, rows_per_program
 from flowsplat.training.adam.triton import B1, B2, C1, C2, EPS, corrections_on
-from flowsplat.training.rays import reference
-from flowsplat.training.rays.reference import PathSpread
+from flowsplat.training.ray_preconditioning import reference
+from flowsplat.training.ray_preconditioning.reference import PathSpread
 
 TINY = tl.constexpr(1e-9)
 

@@ -10,8 +10,8 @@ import torch
 
 from flowsplat.gaussians.density import DensityStatistics
 from flowsplat.gaussians.render import render_active
+from flowsplat.training.dynamic_evidence import add_residuals, cpu, reference
 from flowsplat.training.picture_loss import PictureTargets
-from flowsplat.training.residuals import add_residuals, cpu, reference
 from tests.training.handful import HEIGHT, WIDTH, a_few, seen, tiny
 
 

@@ -13,9 +13,9 @@ from flowsplat.common.threads import parallel_for
 from flowsplat.gaussians.density import DensityStatistics
 from flowsplat.gaussians.gaussians4d import Active
 from flowsplat.gaussians.render import RenderedFrame
+from flowsplat.training.dynamic_evidence import reference
 from flowsplat.training.picture_loss import PictureTargets
 from flowsplat.training.picture_loss.cpu import BYTE, HALF, ONE, ZERO, flow_at
-from flowsplat.training.residuals import reference
 
 OPAQUE, ON_SURFACE, THIRD = np.float32(reference.OPAQUE), np.float32(reference.ON_SURFACE), np.float32(1 / 3)
 

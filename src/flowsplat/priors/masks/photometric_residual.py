@@ -34,8 +34,8 @@ from flowsplat.priors.background.bits import packed
 from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.reprojection import carried
 from flowsplat.priors.background.static_depth import StaticDepth
-from flowsplat.priors.masks.plate import AGREEING, UNSEEN, agreed_color, bilinear, difference
-from flowsplat.priors.masks.sweep import largest_share
+from flowsplat.priors.masks.background_plate import AGREEING, UNSEEN, agreed_color, bilinear, difference
+from flowsplat.priors.masks.plane_sweep import largest_share
 
 WITNESSES = 16
 """Other frames that are asked, evenly over a piece of the clip."""

@@ -12,8 +12,8 @@ from flowsplat.common.kernels import inlined, kernel
 from flowsplat.common.threads import parallel_for
 from flowsplat.training.adam.cpu import B1, B2, EPS, ONE
 from flowsplat.training.adam.reference import correction_table
-from flowsplat.training.rays import reference
-from flowsplat.training.rays.reference import PathSpread
+from flowsplat.training.ray_preconditioning import reference
+from flowsplat.training.ray_preconditioning.reference import PathSpread
 
 TWO, ZERO = np.float32(2), np.float32(0)
 

@@ -6,8 +6,8 @@ from torch import Tensor
 
 from flowsplat.common import devices
 from flowsplat.training.adam import RowAdam
-from flowsplat.training.rays import reference
-from flowsplat.training.rays.reference import PathSpread
+from flowsplat.training.ray_preconditioning import reference
+from flowsplat.training.ray_preconditioning.reference import PathSpread
 
 
 def step_along_rays(
@@ -36,10 +36,10 @@ def step_along_rays(
         return
     mean, square, counts = adam.moments(name)
     if kernels == "cpu":
-        from flowsplat.training.rays import cpu
+        from flowsplat.training.ray_preconditioning import cpu
 
         cpu.step_rows(value, mean, square, counts, rows, stepped, gradient, rates, path, focal, most)
     else:
-        from flowsplat.training.rays import triton
+        from flowsplat.training.ray_preconditioning import triton
 
         triton.step_rows(value, mean, square, counts, rows, stepped, gradient, rates, path, focal, most)

@@ -1,6 +1,0 @@
-"""Steps of positions at rest that are longer along their ray."""
-
-from flowsplat.training.rays.api import step_along_rays
-from flowsplat.training.rays.reference import FEWEST_PIXELS, PathSpread, ray_axes
-
-__all__ = ["FEWEST_PIXELS", "PathSpread", "ray_axes", "step_along_rays"]
