@@ -258,7 +258,7 @@ def test_without_checkpoints_none_is_written(tmp_path):
     ],
 )  # fmt: skip
 def test_settings_that_make_no_sense_are_named(name, value, rule):
-    with pytest.raises(InputError, match=f"--train.{name} .*{rule}"):
+    with pytest.raises(InputError, match=f"--train.{name.replace('_', '-')} .*{rule}"):
         changed(PRESETS["default"], {name: value}).check()
 
 

@@ -68,7 +68,7 @@ def _image_folders(path: Path) -> tuple[Path, Path | None]:
 
 
 def open_clip(path: Path, options: InputOptions) -> Clip:
-    """Open a video file, a folder of pictures (with ``images/`` and ``masks/`` or without), DAVIS, a rig or an NVIDIA scene.
+    """Open a video, a folder of pictures (with ``images/`` and ``masks/`` or without), DAVIS, a rig, an NVIDIA or a Nerfies scene.
 
     Raises:
         InputError: cannot be used; the message says why. Prepared scenes are opened with ``Scene`` instead.
@@ -200,9 +200,10 @@ def _input_files(path: Path, options: InputOptions) -> list[tuple[str, Path]]:
     kind = kind_of_input(path)
     if kind == "scene":
         raise InputError(ALREADY.format(path))
-    if kind == "video":
+    if path.is_file():
         return [(path.name, path)]
-    if kind in ("rig", "nvidia", "nerfies"):
+    if kind not in ("davis", "images"):
+        # Whatever lies in the folder makes it up, but for runs that somebody put there.
         runs = [record.parent for record in path.rglob(RunPaths(path).record_path.name)]
         inside = (file for file in path.rglob("*") if not any(run in file.parents for run in runs))
         found = sorted(file for file in inside if file.is_file() and not file.name.startswith("."))
