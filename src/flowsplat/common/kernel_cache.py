@@ -66,8 +66,8 @@ def sources_of(file: Path) -> tuple[Path, ...]:
 
 @cache
 def _imported(file: Path) -> tuple[Path, ...]:
-    tree, found = ast.parse(file.read_bytes()), []
-    for node in ast.walk(tree):
+    found = []
+    for node in _that_run(ast.parse(file.read_bytes())):
         if isinstance(node, ast.Import):
             found += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
@@ -78,6 +78,14 @@ def _imported(file: Path) -> tuple[Path, ...]:
                     start = ".".join((*parents, *filter(None, (node.module,))))
             found += [start, *(f"{start}.{alias.name}" for alias in node.names)]
     return tuple(path for name in found if name.split(".")[0] == PACKAGE.name for path in _files_of(name))
+
+
+def _that_run(node: ast.AST) -> Iterator[ast.AST]:
+    """A node and all below it, but for what is there for type checkers only."""
+    yield node
+    for child in ast.iter_child_nodes(node):
+        if not (isinstance(child, ast.If) and isinstance(child.test, ast.Name) and child.test.id == "TYPE_CHECKING"):
+            yield from _that_run(child)
 
 
 def _files_of(module: str) -> Iterator[Path]:

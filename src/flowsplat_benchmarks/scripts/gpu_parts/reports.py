@@ -13,15 +13,27 @@ SHOWN = 700
 """Characters of how a test failed."""
 
 
-def pytest_runtest_logreport(report: pytest.TestReport) -> None:
-    """In the process that was begun by hand; its workers hand their reports to it."""
+class Report:
+    """Writes a line for each test, to the file that ``FLOWSPLAT_TEST_REPORT`` names."""
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """A phase of a test is over."""
+        _write(report)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """In the process that was begun by hand: its workers hand their reports to it."""
+    if not hasattr(config, "workerinput"):
+        config.pluginmanager.register(Report())
+
+
+def _write(report: pytest.TestReport) -> None:
     if report.when != "call" and report.outcome == "passed":
         return
     said = str(report.longrepr)[-SHOWN:] if report.failed else ""
     line = {"test": report.nodeid, "outcome": report.outcome, "seconds": report.duration, "said": said}
-    if "PYTEST_XDIST_WORKER" not in os.environ:
-        with Path(os.environ["FLOWSPLAT_TEST_REPORT"]).open("a", encoding="utf-8") as file:
-            file.write(json.dumps(line) + "\n")
+    with Path(os.environ["FLOWSPLAT_TEST_REPORT"]).open("a", encoding="utf-8") as file:
+        file.write(json.dumps(line) + "\n")
 
 
 def summary(file: Path) -> dict[str, Any]:
