@@ -23,8 +23,8 @@ from flowsplat.common.errors import InputError, first_line
 from flowsplat.common.files.opening import ordinary_file
 
 _PARSING = threading.Lock()
-"""Held while NumPy reads a header with ``ast``: CPython 3.11 counts the depth of its recursion for all threads together, and now and
-then refuses a good file in one of several that read at the same time (SystemError, python/cpython#106905)."""
+"""Held while NumPy reads a header with ``ast``: CPython 3.11 counts the depth of its recursion for all threads together, and now
+and then refuses a good file in one of several that read at the same time (SystemError, python/cpython#106905)."""
 
 MOST_BYTES = 96 * 2**20
 """Of the arrays that are read from one file, where the caller does not know better."""
