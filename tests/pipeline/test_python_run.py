@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -31,7 +32,8 @@ def test_looking_at_the_names_imports_nothing():
 def test_a_run_has_its_model_scene_and_figures(finished):
     run = flowsplat.Run(finished)
     assert run.folder == Path(finished)
-    assert run.metrics["gaussians"]["total"] == len(run.model.gaussians) or (Path(finished) / "final").exists()
+    assert len(run.model.gaussians) == len(flowsplat.load(finished).gaussians)
+    assert run.metrics == json.loads((Path(finished) / "metrics.json").read_text(encoding="utf-8"))
     rendering = run.model.render(run.scene.cameras[1], float(run.scene.timestamps[1]))
     assert rendering._repr_png_().startswith(b"\x89PNG")
     said = repr(run)

@@ -18,7 +18,7 @@ from flowsplat.common.files import plain_name, read_json_lines, read_rows, read_
 from flowsplat.common.files.json_file import Text
 from flowsplat.common.run_paths import RunPaths
 from flowsplat.common.settings import setting_types, with_settings
-from flowsplat.pipeline.config import RunConfig, check, option_of
+from flowsplat.pipeline.config import RunConfig, check, setting_of
 from flowsplat.scenes.ingest import kind_of_input
 
 VIDEO_SUFFIXES = (
@@ -144,11 +144,10 @@ def _listed(where: str, row: Mapping[str, Any], folder: Path, config: RunConfig)
         if name.lower() in _TAKEN:
             raise InputError(f"{where}: {name} is the name of another file in OUT: give another id.")
     types, changes = setting_types(RunConfig), {}
-    dotted = {option_of(setting): setting for setting in types}
     for column, value in row.items():
         if column in ("path", "id"):
             continue
-        setting = dotted.get("--" + column.lstrip("-").replace("_", "-"))
+        setting = setting_of(column)
         if setting is None:
             raise InputError(f"{where}: {column!r:.60} is no option of run: see flowsplat run --help-all.")
         try:

@@ -33,6 +33,7 @@ from numba.core.serialize import dumps
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import write_bytes
 from flowsplat.common.source import PACKAGE
+from flowsplat.common.syntax import PARSING
 from flowsplat.common.user_cache import cache_folder
 
 OLD = 30 * 24 * 3600.0
@@ -67,7 +68,9 @@ def sources_of(file: Path) -> tuple[Path, ...]:
 @cache
 def _imported(file: Path) -> tuple[Path, ...]:
     found = []
-    for node in _that_run(ast.parse(file.read_bytes())):
+    with PARSING:
+        tree = ast.parse(file.read_bytes())
+    for node in _that_run(tree):
         if isinstance(node, ast.Import):
             found += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):

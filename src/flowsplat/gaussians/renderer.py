@@ -54,11 +54,9 @@ class Rendering:
 
     def _repr_png_(self) -> bytes:
         """The colors, for notebooks."""
-        import cv2  # which rendering alone does not need
+        from flowsplat.pictures.html import encoded  # and OpenCV with it, which rendering alone does not need
 
-        pixels = (self.color.clip(0, 1) * 255).round().astype(np.uint8)
-        encoded: np.ndarray = cv2.imencode(".png", np.ascontiguousarray(pixels[..., ::-1]))[1]
-        return encoded.tobytes()
+        return encoded(self.color, quality=None)
 
 
 class Renderer(Protocol):

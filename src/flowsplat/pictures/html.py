@@ -18,13 +18,19 @@ NOTHING = "–"
 """What stands in place of a figure that was not measured."""
 
 
-def data_uri(image: np.ndarray, quality: int | None = 88) -> str:
-    """A picture [H, W, 3] RGB, uint8 or float between 0 and 1, as a ``data:`` address; JPEG, or PNG for quality None."""
-    suffix, kind = (".png", "png") if quality is None else (".jpg", "jpeg")
+def encoded(image: np.ndarray, quality: int | None = 88) -> bytes:
+    """A picture [H, W, 3] RGB, uint8 or float between 0 and 1, as a file: JPEG, or PNG for quality None."""
     options = [] if quality is None else [cv2.IMWRITE_JPEG_QUALITY, quality]
-    ok, encoded = cv2.imencode(suffix, np.ascontiguousarray(float_to_bytes(image)[..., ::-1]), options)
+    suffix = ".png" if quality is None else ".jpg"
+    ok, data = cv2.imencode(suffix, np.ascontiguousarray(float_to_bytes(image)[..., ::-1]), options)
     assert ok
-    return f"data:image/{kind};base64,{base64.b64encode(encoded.tobytes()).decode()}"
+    return bytes(data.tobytes())
+
+
+def data_uri(image: np.ndarray, quality: int | None = 88) -> str:
+    """``encoded`` as a ``data:`` address."""
+    kind = "png" if quality is None else "jpeg"
+    return f"data:image/{kind};base64,{base64.b64encode(encoded(image, quality)).decode()}"
 
 
 def picture(image: np.ndarray, description: str, quality: int | None = 88) -> Markup:

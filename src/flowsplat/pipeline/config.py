@@ -10,7 +10,7 @@ import tyro
 
 from flowsplat.common.devices import DeviceName, pick_device
 from flowsplat.common.errors import InputError
-from flowsplat.common.settings import flat, to_plain
+from flowsplat.common.settings import flat, setting_types, to_plain
 from flowsplat.output.videos import RenderOptions
 from flowsplat.priors.options import PriorsOptions
 from flowsplat.scenes.clip import InputOptions
@@ -74,6 +74,15 @@ def preset(name: str) -> RunConfig:
 def option_of(name: str) -> str:
     """The option of the command line for a setting of a run by its dotted name."""
     return "--" + name.removeprefix("input.").removeprefix("priors.").replace("_", "-")
+
+
+def setting_of(option: str) -> str | None:
+    """The inverse of ``option_of``, None where there is no such option.
+
+    Hyphens in front may be missing, and those within may be underscores.
+    """
+    options = {option_of(name): name for name in setting_types(RunConfig)}
+    return options.get("--" + option.lstrip("-").replace("_", "-"))
 
 
 def check(config: RunConfig) -> None:

@@ -16,7 +16,7 @@ from flowsplat.evaluation.scores import pick
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.pictures.html import data_uri
 from flowsplat.pipeline import stages
-from flowsplat.pipeline.config import RunConfig, option_of
+from flowsplat.pipeline.config import RunConfig, check, option_of, setting_of
 from flowsplat.pipeline.config import preset as settings_of
 from flowsplat.scenes import Scene
 
@@ -80,9 +80,9 @@ class Run:
 
     def _repr_html_(self) -> str:
         """For notebooks: a picture from the middle of the clip, and a few figures."""
-        rows = "".join(f"<tr><td>{escape(name)}</td><td>{escape(value)}</td></tr>" for name, value in self._facts().items())
-        picture = ""
-        if "Gaussians" in self._facts():
+        facts, picture = self._facts(), ""
+        rows = "".join(f"<tr><td>{escape(name)}</td><td>{escape(value)}</td></tr>" for name, value in facts.items())
+        if "Gaussians" in facts:
             middle = self.scene.num_frames // 2
             camera = self.scene.cameras[middle]
             factor = min(1.0, THUMBNAIL / max(camera.width, camera.height))
@@ -121,16 +121,15 @@ def configured(name: str, overrides: Mapping[str, Any]) -> RunConfig:
     Raises:
         InputError: there is no such preset or setting, or its value is of another type.
     """
-    known = {_plain(option_of(setting)): setting for setting in setting_types(RunConfig)}
     changes = {}
     for given, value in overrides.items():
-        if _plain(given) not in known:
-            near = difflib.get_close_matches(_plain(given), known, 3)
-            meant = f" Did you mean {' or '.join(name.replace('_', '-') for name in near)}?" if near else ""
+        if (setting := setting_of(given)) is None:
+            options = [option_of(known).removeprefix("--") for known in setting_types(RunConfig)]
+            near = difflib.get_close_matches(given.lstrip("-").replace("_", "-"), options, 3)
+            meant = f" Did you mean {' or '.join(near)}?" if near else ""
             raise InputError(f"There is no setting {given!r}.{meant}")
-        changes[known[_plain(given)]] = to_plain(value)
-    return with_settings(settings_of(name), changes)
-
-
-def _plain(option: str) -> str:
-    return option.removeprefix("--").replace("-", "_")
+        changes[setting] = to_plain(value)
+    config = with_settings(settings_of(name), changes)
+    config.input.check()
+    check(config)
+    return config

@@ -51,7 +51,7 @@ class SceneInfo:
     pictures_replaced: bool = False
     """Whether all new pictures are there and are being moved to their places."""
     oracle: Mapping[str, Any] | None = None
-    """Which oracle of which scene this is (``protocols/oracles``)."""
+    """Which oracle of which scene this is (``flowsplat_benchmarks.oracles``)."""
     more: Mapping[str, Any] = field(default_factory=dict)
     """What else a file holds, which stays in it."""
 

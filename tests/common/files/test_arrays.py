@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import io
 import pickle
+import time
 import tracemalloc
 import zipfile
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -173,3 +175,23 @@ def test_encrypted_and_unknown_members_are_refused(tmp_path):
         path.write_bytes(data)
         with pytest.raises(InputError, match=r"damaged or truncated|packed in a way"):
             read_npz(path)
+
+
+def test_one_header_is_parsed_at_a_time(tmp_path, monkeypatch):
+    """CPython 3.11 counts the depth of its parser for all threads together: see ``common/syntax.py``."""
+    read, at_once, most = np.lib.format.read_array_header_1_0, [], []
+
+    def watched(header):
+        at_once.append(1)
+        most.append(len(at_once))
+        time.sleep(0.01)
+        at_once.pop()
+        return read(header)
+
+    monkeypatch.setattr(np.lib.format, "read_array_header_1_0", watched)
+    path = tmp_path / "a.npy"
+    np.save(path, np.arange(3.0))
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(lambda _: read_npy(path), range(8)))
+    assert all(each.tolist() == [0.0, 1.0, 2.0] for each in found)
+    assert most == [1] * 8

@@ -11,18 +11,47 @@ from typing import Any
 import pytest
 import torch
 
-from flowsplat_benchmarks.scripts.gpu import RESULTS
+from flowsplat_benchmarks import scripts
 
 COMMAND = (sys.executable, "-m", "flowsplat_benchmarks.scripts.gpu")
+RESULTS = Path(scripts.__file__).parent / "results"
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
 def test_without_a_gpu_it_says_so_in_one_line():
-    done = subprocess.run(COMMAND, capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run([*COMMAND, "--everything"], capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 2
     assert done.stderr.startswith("There is no GPU to measure: ")
     assert len(done.stderr.strip().splitlines()) == 1
     assert done.stdout == ""
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ([], "one of the arguments"),
+        (["--only", "nothing"], "invalid choice: 'nothing'"),
+        (["--page", "not-there.json"], "not-there.json"),
+        (["--page", "other.json"], "other.json"),
+        (["--everything", "--plan", "--minutes", "nan"], "--minutes nan must be more than 0"),
+        (["--everything", "--rehearse", "--scene", "."], "is no prepared scene"),
+        (["--only", "memory", "--rehearse", "-o", "other.json"], "other.json"),
+    ],
+)
+def test_what_cannot_be_used_is_said(tmp_path, words, message, monkeypatch, capsys):
+    from flowsplat_benchmarks.scripts import gpu
+
+    monkeypatch.chdir(tmp_path)
+    Path("other.json").write_text('{"parts": 3}', encoding="utf-8")
+    monkeypatch.setattr(sys, "argv", ["gpu", *words])
+    with pytest.raises(SystemExit) as end:
+        gpu.main()
+    assert end.value.code == 2
+    said = capsys.readouterr()
+    assert message in said.err
+    assert "Traceback" not in said.err
+    assert said.out == ""
+    assert Path("other.json").read_text(encoding="utf-8") == '{"parts": 3}'
 
 
 def test_its_parts_measure_what_they_say(monkeypatch):
@@ -42,25 +71,6 @@ def test_its_parts_measure_what_they_say(monkeypatch):
         assert isinstance(peer, str) or peer["ratio"]["forward"] > 0
     monkeypatch.setattr(frames, "TOTAL", 300)
     assert frames.growth((300,), 1)["300"]["active"] > 0
-
-
-def test_its_page_has_every_row():
-    gpu = pytest.importorskip("flowsplat_benchmarks.scripts.gpu")
-    timing = {"min_ms": 1.0, "median_ms": 1.5}
-    frame = {
-        "active": 91_000, "forward": timing, "frames_per_second": 667.0, "forward_and_backward": timing, "graph": timing,
-        "floor_ms": {"forward": 0.1}, "stages": dict.fromkeys(gpu.STAGES, timing),
-    }  # fmt: skip
-    memory = {"peak_memory_gib": 1.0}
-    page = gpu.lines({
-        "machine": {"card": "A card", "torch": "2", "triton": "3"}, "commit": "abc", "date": "today",
-        "limits": {"copy_bytes_per_second": 2e12, "flops_per_second": 5e13}, "frames": {"a": frame, "b": frame},
-        "gsplat": {"a": "gsplat cannot be imported: no", "b": {"ratio": {"forward": 1.2, "both": 1.1}}},
-        "training": {"default": {"step": timing, **memory}},
-        "growth": {"5,000,000": {"active": 1, "forward": timing, "forward_and_backward": timing, **memory}},
-    })  # fmt: skip
-    text = "\n".join(page)
-    assert all(word in text for word in ("A card", "2,000 GB/s", "cannot be imported", "1.20 / 1.10", "5,000,000", "default"))
 
 
 FAKE = """
@@ -86,7 +96,7 @@ def test_a_part_that_fails_hangs_or_dies_costs_its_own_figures_and_no_others(tmp
     parts = tuple(everything.Part(name, weight, "") for name, weight in (("fails", 9), ("hangs", 1), ("dies", 9), ("works", 9)))
     monkeypatch.setattr(everything, "PARTS", parts)
     out = tmp_path / "out.json"
-    result = everything.everything(out, 0.5, rehearse=True)
+    result = everything.measure(out, 0.5, parts, rehearse=True)
     assert result == json.loads(out.read_text(encoding="utf-8"))
     outcomes = {name: part["outcome"].split(":")[0] for name, part in result["parts"].items()}
     assert outcomes == {"fails": "failed with code 3", "hangs": "stopped", "dies": "failed with code -9", "works": "done"}
@@ -95,7 +105,7 @@ def test_a_part_that_fails_hangs_or_dies_costs_its_own_figures_and_no_others(tmp
     assert result["machine"] == {"card": "a card"}
     # One alone, later: the others' figures stay.
     fake.write_text(FAKE.replace("sys.exit(3)", "sys.exit(0)"), encoding="utf-8")
-    again = everything.everything(out, 0.5, rehearse=True, only=["fails"])
+    again = everything.measure(out, 0.5, parts[:1], rehearse=True)
     assert {name: part["outcome"] == "done" for name, part in again["parts"].items()}["fails"]
     assert again["parts"]["dies"] == result["parts"]["dies"]
     capsys.readouterr()
@@ -114,7 +124,9 @@ def test_limits_never_exceed_the_time_that_there_is():
 
 def test_the_page_of_what_was_measured_has_every_part():
     page = pytest.importorskip("flowsplat_benchmarks.scripts.gpu_parts.page")
-    for file in RESULTS.glob("gpu-*.json"):
+    files = list(RESULTS.glob("gpu-*.json"))
+    assert files
+    for file in files:
         result = json.loads(file.read_text(encoding="utf-8"))
         text = "\n".join(page.page(result))
         assert result["machine"]["card"] in text
@@ -127,7 +139,7 @@ def test_the_page_of_what_was_measured_has_every_part():
 
 def rehearsed(out, *words: str) -> dict[str, Any]:
     """All parts, or some, in the interpreter."""
-    command = [*COMMAND, "--everything", "--rehearse", "--minutes", "25", "-o", out, *words]
+    command = [*COMMAND, *(words or ["--everything"]), "--rehearse", "--minutes", "25", "-o", out]
     done = subprocess.run(command, capture_output=True, text=True, timeout=1600, check=False)
     assert done.returncode in (0, 1), done.stderr[-2000:]
     return json.loads(out.read_text(encoding="utf-8"))["parts"]
@@ -148,7 +160,7 @@ def test_everything_can_be_rehearsed_without_a_card(tmp_path):
 
 @pytest.mark.slow
 def test_where_kernels_fail_the_rest_still_comes(tmp_path):
-    parts = rehearsed(tmp_path / "broken.json", "--broken", "--only", "kernels", "step", "memory", "gsplat")
+    parts = rehearsed(tmp_path / "broken.json", "--only", "kernels", "step", "memory", "gsplat", "--broken")
     assert parts["kernels"]["outcome"].startswith("failed")
     assert all("broken on purpose" in said for said in parts["kernels"]["figures"]["tests"]["failures"].values())
     assert "broken on purpose" in parts["step"]["figures"]["default"]["failed"]

@@ -10,7 +10,6 @@ import bz2
 import io
 import math
 import os
-import threading
 import zipfile
 import zlib
 from collections.abc import Collection
@@ -21,10 +20,7 @@ import numpy as np
 
 from flowsplat.common.errors import InputError, first_line
 from flowsplat.common.files.opening import ordinary_file
-
-_PARSING = threading.Lock()
-"""Held while NumPy reads a header with ``ast``: CPython 3.11 counts the depth of its recursion for all threads together, and now
-and then refuses a good file in one of several that read at the same time (SystemError, python/cpython#106905)."""
+from flowsplat.common.syntax import PARSING
 
 MOST_BYTES = 96 * 2**20
 """Of the arrays that are read from one file, where the caller does not know better."""
@@ -158,7 +154,7 @@ def _read_array(where: str, file: _Readable, size: int, most: int) -> np.ndarray
     header = io.BytesIO(head + stored + file.read(length))
     header.seek(8)
     read = np.lib.format.read_array_header_2_0 if long else np.lib.format.read_array_header_1_0
-    with _PARSING:
+    with PARSING:
         shape, is_fortran, dtype = read(header)
     if dtype.hasobject or dtype.kind not in _KINDS or dtype.names is not None:
         raise InputError(f"{where} holds {dtype} and not numbers.")

@@ -18,9 +18,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
-from flowsplat.common.files import make_folder, write_json
+from flowsplat.common.files import make_folder, read_json, write_json
+from flowsplat.common.files.json_file import Text
 from flowsplat_benchmarks.scripts.cpu_parts.machine import commit
 from flowsplat_benchmarks.scripts.cpu_parts.timing import tell
 
@@ -31,6 +32,20 @@ SHOWN = 15
 """Lines of a failed part's output that are kept."""
 GRACE = 3.0
 """Seconds for writing the last result, and for a part that is asked to stop."""
+
+
+class FoundPart(TypedDict):
+    """What became of a part."""
+
+    outcome: Text
+    figures: dict[str, Any]
+
+
+class Found(TypedDict):
+    """What a result's file has at least."""
+
+    date: Text
+    parts: dict[str, FoundPart]
 
 
 @dataclass(frozen=True)
@@ -71,34 +86,37 @@ def limit_of(index: int, left: float, parts: Sequence[Part] = PARTS) -> float:
     return max(left - GRACE, 0.0) * parts[index].weight / sum(part.weight for part in parts[index:])
 
 
-def everything(out: Path, minutes: float, scenes: Sequence[Path] = (), rehearse: bool = False, broken: bool = False,
-               only: Sequence[str] = (), keep: Path | None = None) -> dict[str, Any]:  # fmt: skip
-    """Run all parts (or ``only`` some, beside those that ``out`` has), write ``out`` after each.
+def measure(
+    out: Path, minutes: float, parts: Sequence[Part] = PARTS, scenes: Sequence[Path] = (), rehearse: bool = False,
+    broken: bool = False, keep: Path | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Do these parts, one after the other, and write ``out`` after each.
 
     Args:
-        out: a JSON file.
+        out: a JSON file; parts that it has and that are not done now stay in it, unless all are done.
         minutes: for everything together.
+        parts: what to do.
         scenes: prepared scenes that are trained, too.
         rehearse: tiny, in Triton's interpreter.
         broken: the kernel that blends raises an error: to see that the rest still comes.
-        only: names of parts; none = all of them.
         keep: a folder for what the parts print, and for their runs; None = they are deleted.
+
+    Raises:
+        InputError: a file is there that is none of this, or it cannot be written.
     """
-    parts = tuple(part for part in PARTS if not only or part.name in only)
     began = time.monotonic()
-    # What was done before stays, so that the parts can be done one after the other.
-    before = json.loads(out.read_text(encoding="utf-8"))["parts"] if only and out.exists() else {}
+    before = dict(read_json(out, Found)["parts"]) if len(parts) < len(PARTS) and out.exists() else {}
     result: dict[str, Any] = {
         "format": 2, "date": datetime.now(timezone.utc).isoformat(timespec="seconds"), **commit(FOLDER),
         "minutes": minutes, "rehearsal": rehearse, "broken": broken, "parts": before,
     }  # fmt: skip
     with tempfile.TemporaryDirectory(prefix="flowsplat-gpu-") as temporary, _Compiler(not rehearse) as compiler:
-        folder = temporary if keep is None else make_folder(keep)
+        folder = Path(temporary) if keep is None else make_folder(keep)
         for index, part in enumerate(parts):
             compiler.go_on(part)
             limit = limit_of(index, 60 * minutes - (time.monotonic() - began), parts)
             tell(f"{time.monotonic() - began:5.0f} s  {part.name}: {part.what} (at most {limit:.0f} s)")
-            result["parts"][part.name] = found = _run(part, Path(folder), limit, scenes, rehearse, broken)
+            result["parts"][part.name] = found = _run(part, folder, limit, scenes, rehearse, broken)
             if "machine" in found["figures"]:
                 result["machine"] = found["figures"].pop("machine")
             result["seconds"] = round(time.monotonic() - began, 1)
@@ -137,16 +155,7 @@ class _Compiler:
 def _run(part: Part, folder: Path, limit: float, scenes: Sequence[Path], rehearse: bool, broken: bool) -> dict[str, Any]:
     """One part in its process; what it found until it ended or was ended."""
     figures, log = folder / f"{part.name}.json", folder / f"{part.name}.log"
-    command = [
-        sys.executable,
-        *COMMAND,
-        "--part",
-        part.name,
-        "--out",
-        str(figures),
-        "--work",
-        str(folder),
-    ]
+    command = [sys.executable, *COMMAND, "--part", part.name, "--out", str(figures), "--work", str(folder)]
     command += ["--seconds", f"{limit:.0f}", *(word for scene in scenes for word in ("--scene", str(scene)))]
     command += ["--rehearse"] * rehearse + ["--broken"] * broken
     environment = {**os.environ, "PYTHONUNBUFFERED": "1"}

@@ -16,7 +16,6 @@ from flowsplat.gaussians.render import render_active
 from flowsplat.gaussians.slicing import slice_gaussians
 from flowsplat.splatting import Projected, blend, project
 from flowsplat.training.config import PRESETS
-from flowsplat.training.trainer import Trainer
 from flowsplat_benchmarks.scripts.cpu_parts import scene
 from flowsplat_benchmarks.scripts.cpu_parts.floor import backward_flops, count_pairs, forward_flops
 from flowsplat_benchmarks.scripts.cpu_parts.timing import replaced, significant
@@ -177,19 +176,4 @@ def growth(counts: tuple[int, ...], repeat: int, size: tuple[int, int] = (854, 4
             "active": len(frames.active.rows), "forward": milliseconds(frames.forward, repeat), "forward_and_backward": both,
             "peak_memory_gib": peak_gib(),
         }  # fmt: skip
-    return result
-
-
-def training_step(repeat: int) -> dict[str, Any]:
-    """A whole frame-step of each preset at 854 x 480: rendered, compared, differentiated and stepped."""
-    result = {}
-    for preset in ("default", "paper"):
-        config = replace(PRESETS[preset], iterations=2 * scene.FRAMES, frames_per_iteration=1, preview_every=0)
-        with replaced(scene, "BACKGROUND", SHARE_AT_REST):
-            start = scene.gaussians(config.model, TOTAL, 854, 480)
-        trainer = Trainer(scene.observations(start, 854, 480), None, config, start=start, device=device())
-        forget_peak()
-        trainer.run()
-        step = milliseconds(trainer._iterate, repeat)
-        result[preset] = {"step": step, "peak_memory_gib": peak_gib()}
     return result
