@@ -163,15 +163,15 @@ def test_the_stages_one_by_one(capsys, scene, tmp_path):
     for command, option in (("train", "--resize"), ("evaluate", "--train.iterations"), ("render", "--train.iterations")):
         assert option in refuse(capsys, command, out, option, "9"), "an option that the command cannot act on"
     main(["info", str(out)])
-    counts = json.loads((out / "model" / "model.json").read_text())["movers"]
-    assert "Gaussians of the movers: " + ", ".join(f"{n:,} of {m}" for m, n in counts.items()) in capsys.readouterr().out
+    counts = json.loads((out / "model" / "model.json").read_text())["objects"]
+    assert "Gaussians of the objects: " + ", ".join(f"{n:,} of {m}" for m, n in counts.items()) in capsys.readouterr().out
     assert len(counts) > 1
-    assert f"no mover 99: there are {', '.join(counts)}" in refuse(capsys, "render", out, "--render.parts", "movers:99")
-    assert "no mover 99" in refuse(capsys, "render", out, "--render.distances", "99=1.2")
-    mover, other = list(counts)[:2]
-    chosen = ("--render.paths", "bullet", "--render.max-frames", "2", "--render.distances", f"{mover}=1.2", f"{other}=.9")
+    assert f"no object 99: there are {', '.join(counts)}" in refuse(capsys, "render", out, "--render.parts", "objects:99")
+    assert "no object 99" in refuse(capsys, "render", out, "--render.distances", "99=1.2")
+    obj, other = list(counts)[:2]
+    chosen = ("--render.paths", "bullet", "--render.max-frames", "2", "--render.distances", f"{obj}=1.2", f"{other}=.9")
     assert call(capsys, "render", out, *chosen)[0] == 0
-    assert (out / "renders" / f"bullet_time_distance_{mover}x1.2_{other}x0.9.mp4").exists()
+    assert (out / "renders" / f"bullet_time_distance_{obj}x1.2_{other}x0.9.mp4").exists()
     assert call(capsys, "info", scene)[0] == 0
 
 

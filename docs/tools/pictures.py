@@ -191,8 +191,8 @@ def picture_tutorial(work: Path, browser: Any) -> None:
         write_synthetic_video(clip, SyntheticScene(*SIZE))
     if not (out / "report.html").exists():
         _flowsplat("run", clip, "-o", out, "--preset", "fast")
-    if not (out / "renders" / "wiggle_movers.gif").exists():
-        _flowsplat("render", out, "--render.paths", "wiggle", "--render.parts", "all", "background", "movers")
+    if not (out / "renders" / "wiggle_objects.gif").exists():
+        _flowsplat("render", out, "--render.paths", "wiggle", "--render.parts", "all", "background", "objects")
     if not export.exists():
         _flowsplat("export", out, "--to", "html", "-o", export)
     with _page(browser, 900, 900) as page:
@@ -216,7 +216,7 @@ def picture_tutorial(work: Path, browser: Any) -> None:
             button.click()  # that this browser draws in software
         page.wait_for_timeout(5000)
         _shoot(page, "tutorial_view")
-    parts = {"all": "wiggle", "background": "wiggle_background", "movers": "wiggle_movers"}
+    parts = {"all": "wiggle", "background": "wiggle_background", "objects": "wiggle_objects"}
     images = [_first_frame(out / "renders" / f"{name}.gif") for name in parts.values()]
     _write("tutorial_parts", side_by_side(images, list(parts)))
 

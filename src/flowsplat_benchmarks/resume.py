@@ -28,7 +28,7 @@ class BenchmarkOptions(EngineOptions):
     """How a benchmark is done: what does it, and which part of it."""
 
     workers: int | None = None
-    """How many at a time, each in a process with its share of the cores; the default is one, by all cores (two of ``movers``). Two
+    """How many at a time, each in a process with its share of the cores; the default is one, by all cores (two of ``objects``). Two
     by one thread each get more done, but their seconds say less."""
 
 

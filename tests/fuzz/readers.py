@@ -35,11 +35,11 @@ from flowsplat.priors.given.depth import open_depth
 from flowsplat.priors.given.flow import read_flow
 from flowsplat.priors.given.tracks import read_tracks
 from flowsplat.priors.given.truth import consecutive_pairs
-from flowsplat.priors.objects import load_movers
+from flowsplat.priors.objects import load_objects
 from flowsplat.priors.objects.distance import Cue
-from flowsplat.priors.objects.movers import Mover
 from flowsplat.priors.objects.relief import ReliefPoints
-from flowsplat.priors.objects.storage import SceneMovers, save_movers
+from flowsplat.priors.objects.solving import DynamicObject
+from flowsplat.priors.objects.storage import SceneObjects, save_objects
 from flowsplat.priors.prepare import use_given, use_truth
 from flowsplat.scenes import Scene
 from flowsplat.scenes.clip import InputOptions
@@ -105,8 +105,8 @@ def _run(folder: Path) -> None:
     frames = len(scene.train_frames)
     points = ReliefPoints(np.zeros(5, int), np.full((5, 2), 9.0), np.zeros(5), np.full(5, 0.1))
     cues = {"ground": Cue(0.1, 0.2, 0.3)}
-    mover = Mover(1, np.zeros(frames), np.full((frames, 2), 20.0), 0.1, False, cues, points, 0.05)
-    save_movers(scene, SceneMovers([mover], np.array([0.0, -1.0, 0.0]), True))
+    obj = DynamicObject(1, np.zeros(frames), np.full((frames, 2), 20.0), 0.1, False, cues, points, 0.05)
+    save_objects(scene, SceneObjects([obj], np.array([0.0, -1.0, 0.0]), True))
     assert scene.similarity
     save_model(folder / "model", replace(small_model(resting=60, moving=30), first=0.0, last=float(scene.timestamps[-1])))
     write_json(folder / "metrics.json", _figures(SPEC.frames))
@@ -121,14 +121,14 @@ def _figures(frames: int) -> dict[str, Any]:
     part = {"psnr": 20.0, "ssim": 0.8, "lpips": None, "count": 2}
     scores = {**part, "moving": part, "covisible": part}
     error = {"mean": 0.5, "median": 0.2}
-    mover = {"depth": 2.5, "sigma": 0.1, "largest_step": 0.2, "cues": ["ground"], "small": False}
+    obj = {"depth": 2.5, "sigma": 0.1, "largest_step": 0.2, "cues": ["ground"], "small": False}
     kinds = ("heldout_frames", "heldout_frames_refined", "heldout_views", "training_frames")
     return {
         **dict.fromkeys(kinds, scores), "baselines": {"copy": scores, "flow_interpolation": scores, "static": None},
-        "baselines_views": {"warp_by_depth": scores}, "lpips_reason": "not installed", "movers": [mover],
+        "baselines_views": {"warp_by_depth": scores}, "lpips_reason": "not installed", "objects": [obj],
         **{name: {**error, "moving": error} for name in ("flow_epe", "prior_flow_epe", "flow_prior_epe")},
         "depth_abs_rel": {"all": error, "static": error, "moving": None},
-        "gaussians": {"total": 90, "active_mean": 80.5, "active": [80] * frames, "movers": {"1": 30}},
+        "gaussians": {"total": 90, "active_mean": 80.5, "active": [80] * frames, "objects": {"1": 30}},
         "seconds": {"ingest": 0.1, "train": 20.5}, "peak_memory_gib": 0.5,
         "memory_gib": {"train": 0.5}, "measured": "model", "shown": "final",
     }  # fmt: skip
@@ -253,7 +253,7 @@ def _read_scene(folder: Path) -> None:
         scene.view_image(view), scene.view_mask(view)
     if scene.truth is not None:
         _ = scene.truth.cameras, scene.truth.tracks
-    load_movers(scene)
+    load_objects(scene)
     list(describe(folder))
 
 

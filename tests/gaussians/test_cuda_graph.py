@@ -59,7 +59,7 @@ def test_a_scene_that_is_looked_at_is_drawn_so(monkeypatch):
     expected = plain.render(view, 0.5, (other, 0.7))
     for name in ("color", "alpha", "depth", "flow"):
         np.testing.assert_allclose(getattr(ours, name), getattr(expected, name), atol=1e-3, err_msg=name)
-    assert not fast.part("movers")._drawn_by
+    assert not fast.part("objects")._drawn_by
 
 
 def test_it_draws_what_it_was_made_for():

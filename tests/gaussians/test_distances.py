@@ -1,4 +1,4 @@
-"""Movers at other distances: nothing changes for the clip's own camera, and everything for others as geometry says."""
+"""Objects at other distances: nothing changes for the clip's own camera, and everything for others as geometry says."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def close(found: np.ndarray, expected: np.ndarray, atol: float = 1e-4) -> None:
 @pytest.mark.parametrize(("config", "factor"), [(OURS, 1.7), (PAPER, 0.7), (LINEAR, 1.7)], ids=["ours", "paper", "linear"])
 def test_the_clips_own_camera_sees_no_difference(config, factor, flow_model: FlowModel):
     """At frames and between them: only the depth is another."""
-    model = replace(small_model(config, rotation=ROTATION), flow_model=flow_model).part("movers:1")
+    model = replace(small_model(config, rotation=ROTATION), flow_model=flow_model).part("objects:1")
     path = CameraPath(*shaking_path(model))
     moved = at(model, m1=factor)
     for t in (small_times()[0], small_times()[3], 1.333, small_times()[-1] - 0.011):
@@ -62,9 +62,9 @@ def test_the_clips_own_camera_sees_no_difference(config, factor, flow_model: Flo
 
 
 @pytest.mark.parametrize("config", [OURS, PAPER, LINEAR], ids=["ours", "paper", "linear"])
-def test_from_aside_movers_are_seen_as_one_who_stands_elsewhere_sees_them(config):
+def test_from_aside_objects_are_seen_as_one_who_stands_elsewhere_sees_them(config):
     """Where X' = C + k (X - C), a viewer at O sees what one at C + (O - C) / k saw before, k times as far away."""
-    model = small_model(config).part("movers:2")
+    model = small_model(config).part("objects:2")
     moved, path = at(model, m2=1.4), CameraPath(*shaking_path(model))
     for camera, t in five_pairs(model):
         C, O = path.at(t).center, camera.center
@@ -78,10 +78,10 @@ def test_from_aside_movers_are_seen_as_one_who_stands_elsewhere_sees_them(config
     assert np.abs(model.render(*five_pairs(model)[3]).alpha - moved.render(*five_pairs(model)[3]).alpha).mean() > 0.02
 
 
-def test_only_the_mover_that_is_named_goes_and_what_of_it_rests_goes_with_it():
+def test_only_the_object_that_is_named_goes_and_what_of_it_rests_goes_with_it():
     model = small_model(OURS)
     gaussians = model.gaussians
-    gaussians.movers[:3] = 1  # of the wall, at rest
+    gaussians.object_ids[:3] = 1  # of the wall, at rest
     moved = at(model, m1=1.5, m2=1.0)
     assert moved.distances is not None
     assert set(moved.distances.factors) == {1}
@@ -91,14 +91,14 @@ def test_only_the_mover_that_is_named_goes_and_what_of_it_rests_goes_with_it():
     found = slice_view(gaussians, inner, clip_time, distances=moved.distances)
     C = torch.as_tensor(moved.distances.center(clip_time), dtype=torch.float32)
     active = gaussians.active(clip_time)
-    own = gaussians.movers[active.rows] == 1
+    own = gaussians.object_ids[active.rows] == 1
     kept = len(found.means) - int(own.sum())
     assert kept > 100
     state = gaussians.motion.state({name: value[active.rows[own]] for name, value in gaussians.params.items()}, clip_time)
     means = torch.where(gaussians.at_rest[active.rows[own], None], gaussians.params["means"][active.rows[own]], state.means)
     expected = C + 1.5 * (means - C)
     torch.testing.assert_close(found.means[kept:], expected)
-    moved_means = moved.distances.moved(means, gaussians.movers[active.rows[own]], clip_time)
+    moved_means = moved.distances.moved(means, gaussians.object_ids[active.rows[own]], clip_time)
     torch.testing.assert_close(moved_means, expected)
     others = torch.cdist(found.means[:kept], plain.means, compute_mode="donot_use_mm_for_euclid_dist").amin(1)
     assert float(others.max()) == 0, "all others are where they were"
@@ -113,7 +113,7 @@ def test_the_slice_of_the_gpu_is_that_of_the_cpu(monkeypatch):
     pytest.importorskip("triton", reason="Triton is not installed")
     device = "cuda" if torch.cuda.is_available() else "cpu"
     model = small_model(OURS, resting=20, moving=30)
-    model.gaussians.movers[:3] = 1
+    model.gaussians.object_ids[:3] = 1
     moved, camera = at(model, m1=1.5, m2=0.8), model.similarity.camera(small_cameras(model)[2])
     expected = slice_view(model.gaussians, camera, 0.4, 0.5, moved.distances)
     assert len(expected.means) > 20
@@ -125,7 +125,7 @@ def test_the_slice_of_the_gpu_is_that_of_the_cpu(monkeypatch):
 
 
 def test_velocities_are_those_of_the_moved_places():
-    model = small_model(PAPER).part("movers:1")
+    model = small_model(PAPER).part("objects:1")
     moved, camera = at(model, m1=1.6), model.similarity.camera(small_cameras(model)[4])
     assert moved.distances is not None
     before, now, after = (slice_view(model.gaussians, camera, 0.4, t, moved.distances) for t in (0.399, None, 0.401))
@@ -137,13 +137,13 @@ def test_velocities_are_those_of_the_moved_places():
     assert float((now.velocities - difference).norm(dim=1).mean()) < 0.02 * float(scale)
 
 
-def test_a_mover_goes_behind_what_it_stood_before():
+def test_an_object_goes_behind_what_it_stood_before():
     model = small_model(OURS)
     t = small_times()[4]
     camera = CameraPath(*shaking_path(model)).at(t)
     near, far = model.render(camera, t), at(model, m1=2.5, m2=2.5).render(camera, t)
     wall = model.part("background").render(camera, t)
-    opaque = (wall.alpha > 0.98) & (model.part("movers").render(camera, t).alpha > 0.5)
+    opaque = (wall.alpha > 0.98) & (model.part("objects").render(camera, t).alpha > 0.5)
     assert opaque.sum() > 20
     assert np.abs(near.color - wall.color)[opaque].mean() > 0.1
     assert np.abs(far.color - wall.color)[opaque].mean() < 0.02
@@ -157,8 +157,8 @@ def test_a_factor_of_one_changes_no_bit():
     np.testing.assert_array_equal(same.render(camera, t).color, model.render(camera, t).color)
 
 
-def test_a_camera_that_stands_still_and_a_mover_that_is_not_there_yet():
-    model = small_model(OURS).part("movers:1")
+def test_a_camera_that_stands_still_and_an_object_that_is_not_there_yet():
+    model = small_model(OURS).part("objects:1")
     t = small_times()[2]
     still = model.at_distances({1: 2.0}, [t], [small_cameras(model)[2]])
     close(still.render(small_cameras(model)[2], t).color, model.render(small_cameras(model)[2], t).color)
@@ -169,7 +169,7 @@ def test_a_camera_that_stands_still_and_a_mover_that_is_not_there_yet():
 
 @pytest.mark.parametrize(
     ("factors", "message"),
-    [({3: 1.2}, "no mover 3: there are 1, 2"), ({1: 0.0}, "Mover 1 cannot be 0 times"), ({1: float("nan")}, "cannot be nan"),
+    [({3: 1.2}, "no object 3: there are 1, 2"), ({1: 0.0}, "Object 1 cannot be 0 times"), ({1: float("nan")}, "cannot be nan"),
      ({2: 11.0}, "0.1 to 10"), ({2: -1.0}, "0.1 to 10")],
 )  # fmt: skip
 def test_distances_that_make_no_sense_are_refused(factors, message):

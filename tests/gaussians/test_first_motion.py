@@ -1,4 +1,4 @@
-"""The first motion of movers: paths lie on arcs, bad flow of single pixels does no harm, and parts keep their own motion."""
+"""The first motion of objects: paths lie on arcs, bad flow of single pixels does no harm, and parts keep their own motion."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def turned(points: np.ndarray, steps: float) -> np.ndarray:
 
 
 def observations(move, mask: np.ndarray, spoil=None, image: np.ndarray | None = None) -> Observations:
-    """A still camera before a flat mover at depth 1; ``move`` takes points [N, 2] so many frames on."""
+    """A still camera before a flat object at depth 1; ``move`` takes points [N, 2] so many frames on."""
     grid = pixel_grid(WIDTH, HEIGHT).astype(np.float64)
     camera = Camera(np.eye(4), K, WIDTH, HEIGHT)
     image = np.full((HEIGHT, WIDTH, 3), 128, np.uint8) if image is None else image
@@ -113,13 +113,13 @@ def test_without_any_flow_nothing_moves(disc):
     assert (fit_motion(observed, MIDDLE, disc, SIGMA, 3, 3) == 0).all()
 
 
-def test_what_hides_a_mover_does_not_tell_how_far_away_it_is():
-    """Flow at an occlusion goes on over the nearer mover, whose depth would make a path dart along the ray."""
+def test_what_hides_an_object_does_not_tell_how_far_away_it_is():
+    """Flow at an occlusion goes on over the nearer object, whose depth would make a path dart along the ray."""
     grid = pixel_grid(WIDTH, HEIGHT)
-    movers = np.where(grid[..., 0] < 40, 1, 2).astype(np.uint8)
-    observed = observations(lambda points, steps: points + [2.0 * steps, 0], movers > 0)
-    depth = np.where(movers == 1, 0.4, 1).astype(np.float32)
-    frames = [replace(frame, depth=depth, movers=movers) for frame in observed.frames]
+    object_ids = np.where(grid[..., 0] < 40, 1, 2).astype(np.uint8)
+    observed = observations(lambda points, steps: points + [2.0 * steps, 0], object_ids > 0)
+    depth = np.where(object_ids == 1, 0.4, 1).astype(np.float32)
+    frames = [replace(frame, depth=depth, object_ids=object_ids) for frame in observed.frames]
     wanted = (grid[..., 0] > 40) & (grid[..., 0] < 50) & (grid[..., 1] > 30) & (grid[..., 1] < 40)
     motion = fit_motion(Observations(frames, Similarity()), MIDDLE, wanted, SIGMA, 3, 3)
     steps = np.array([-3, -1, 1, 3]) * STEP

@@ -29,8 +29,8 @@ def random_model(count=12, config=FROZEN, seed=0):
     params["times"] = torch.linspace(0, 1, count)
     if "log_lambdas" in params:
         params["log_lambdas"][:] = math.log(40.0)
-    movers = torch.where(torch.arange(count) % 2 == 0, torch.arange(count) // 2 % 3 + 1, 0).to(torch.uint8)
-    return Gaussians4D(params, torch.arange(count) % 2 == 0, config, movers=movers)
+    object_ids = torch.where(torch.arange(count) % 2 == 0, torch.arange(count) // 2 % 3 + 1, 0).to(torch.uint8)
+    return Gaussians4D(params, torch.arange(count) % 2 == 0, config, object_ids=object_ids)
 
 
 def test_culling_in_time_keeps_background_and_the_present():
@@ -83,8 +83,8 @@ def test_a_model_with_wrong_parameters_is_refused():
         Gaussians4D({"means": torch.zeros(3, 3)}, torch.zeros(3, dtype=torch.bool), FROZEN)
     with pytest.raises(ValueError, match="quats must be"):
         Gaussians4D({**gaussians.params, "quats": torch.zeros(12, 3)}, gaussians.dynamic, FROZEN)
-    with pytest.raises(ValueError, match="movers"):
-        Gaussians4D(gaussians.params, gaussians.dynamic, FROZEN, movers=torch.zeros(3, dtype=torch.uint8))
+    with pytest.raises(ValueError, match="object_ids"):
+        Gaussians4D(gaussians.params, gaussians.dynamic, FROZEN, object_ids=torch.zeros(3, dtype=torch.uint8))
 
 
 def test_gains_change_the_brightness_of_the_background_only():
@@ -115,7 +115,9 @@ def test_density_control_keeps_parents_and_makes_children(config):
     for name, value in gaussians.params.items():
         assert torch.equal(result.gaussians.params[name][survivors], value[result.index[survivors]]), name
     assert torch.equal(result.gaussians.dynamic, gaussians.dynamic[result.index])
-    assert torch.equal(result.gaussians.movers, gaussians.movers[result.index]), "children belong to whom their parents belong"
+    assert torch.equal(result.gaussians.object_ids, gaussians.object_ids[result.index]), (
+        "children belong to whom their parents belong"
+    )
     children = result.index[result.is_new].tolist()
     if "log_scales" in gaussians.params:
         assert sorted(children) == [1, 2, 15, 15]  # two clones; one split into two, its parent gone
@@ -189,16 +191,16 @@ def test_concatenating_and_selecting():
     assert len(both) == 7
     again = both.select(torch.arange(3, 7))
     assert all(torch.equal(again.params[name], b.params[name]) for name in b.params)
-    assert torch.equal(again.movers, b.movers)
-    assert both.mover_counts == {1: 2, 2: 2}
+    assert torch.equal(again.object_ids, b.object_ids)
+    assert both.object_counts == {1: 2, 2: 2}
 
 
 def test_without_numbers_all_belong_to_none():
     gaussians = random_model()
     plain = Gaussians4D(gaussians.params, gaussians.dynamic, FROZEN)
-    assert plain.movers.tolist() == [0] * 12
-    assert plain.movers.dtype == torch.uint8
-    assert plain.mover_counts == {}
+    assert plain.object_ids.tolist() == [0] * 12
+    assert plain.object_ids.dtype == torch.uint8
+    assert plain.object_counts == {}
 
 
 def test_filling_spreads_color_into_holes_and_leaves_the_covered_alone():

@@ -42,7 +42,7 @@ def test_a_cap_that_does_not_bind_changes_nothing(observations):
 
 
 @pytest.mark.parametrize("share", [0.7, 0.3, 0.1])
-def test_a_cap_thins_background_and_movers_alike(observations, share):
+def test_a_cap_thins_background_and_objects_alike(observations, share):
     free = start(observations, 10**6)
     cap = int(share * len(free))
     capped = start(observations, cap)
@@ -69,21 +69,21 @@ def test_a_cap_holds_for_a_random_start_and_for_tracks(observations):
 
 
 @pytest.mark.parametrize("foreground", ["pixels", "tracks"])
-def test_every_gaussian_knows_its_mover(observations, foreground):
+def test_every_gaussian_knows_its_object(observations, foreground):
     """Seen from the frame that it was made from, it lies on the mask of its number."""
     made = start(observations, 10**6, foreground=foreground)
-    assert not made.movers[~made.dynamic].any()
+    assert not made.object_ids[~made.dynamic].any()
     seeds, found = made.select(torch.nonzero(made.dynamic).squeeze(1)), 0
     for frame in observations.frames:
         here = seeds.params["times"] == frame.time
         uv, _ = frame.camera.project(seeds.params["means"][here].double().numpy())
         x, y = uv.astype(np.int64).T
-        np.testing.assert_array_equal(seeds.movers[here].numpy(), frame.movers[y, x])
+        np.testing.assert_array_equal(seeds.object_ids[here].numpy(), frame.object_ids[y, x])
         found += int(here.sum())
     assert found == len(seeds)
-    assert set(made.mover_counts) == set(np.unique(observations[0].movers)) - {0}
-    assert len(made.mover_counts) > 1
-    assert start(observations, 500, from_priors=False).mover_counts == {}, "a random start knows no masks"
+    assert set(made.object_counts) == set(np.unique(observations[0].object_ids)) - {0}
+    assert len(made.object_counts) > 1
+    assert start(observations, 500, from_priors=False).object_counts == {}, "a random start knows no masks"
 
 
 @pytest.mark.parametrize("spacing", [1.0, 1.4142, 1.7, 2.0, 3.3, 7.5])
@@ -133,7 +133,7 @@ def size_where_busy(frame, gaussians):
 
 @pytest.mark.parametrize(("frames", "gap", "samples"), [(1, 4, 1), (10, 4, 10), (74, 4, 24), (270, 4, 69), (270, 0, 24)])
 def test_a_long_clip_has_more_samples(frames, gap, samples):
-    """Movers live for a spacing or so: what is seldom sampled would have to stay for long and fit nowhere."""
+    """Objects live for a spacing or so: what is seldom sampled would have to stay for long and fit nowhere."""
     sampled, log_lambda = sampled_frames(frames, replace(CONFIG.init, sample_gap=gap))
     assert len(sampled) == samples
     assert (sampled[0], sampled[-1]) == (0, frames - 1)
@@ -142,7 +142,7 @@ def test_a_long_clip_has_more_samples(frames, gap, samples):
 
 
 @pytest.mark.parametrize("share", [0.0, 0.02])
-def test_movers_whose_depth_is_a_guess_are_there_all_the_same(observations, share):
+def test_objects_whose_depth_is_a_guess_are_there_all_the_same(observations, share):
     """A Gaussian for every pixel as where depth is trusted: nothing else would make them."""
     rng = np.random.default_rng(0)
     frames = [

@@ -19,13 +19,13 @@ from flowsplat.training.checkpoint import load_model, save_model
 
 WIDTH, HEIGHT, FRAMES = 96, 48, 25
 SHADE, REACH = 0.4, 9
-"""Logarithm of a shadow's brightness, and pixels round the middle of the mover up to which it lies."""
+"""Logarithm of a shadow's brightness, and pixels round the middle of the object up to which it lies."""
 TIMES = np.linspace(0, 1, FRAMES).tolist()
 CAMERA = Camera(np.eye(4), np.array([[96.0, 0, WIDTH / 2], [0, 96.0, HEIGHT / 2], [0, 0, 1]]), WIDTH, HEIGHT)
 
 
 def wall(middles: np.ndarray) -> tuple[SceneModel, list[np.ndarray]]:
-    """A gray wall, darker where columns are near those of ``middles`` [T], and masks of a mover there that is not drawn."""
+    """A gray wall, darker where columns are near those of ``middles`` [T], and masks of an object there that is not drawn."""
     config = ModelConfig(mean_poly=1, mean_fourier=0, quat_poly=0, quat_fourier=0, sh_degree=0, gains=16, freeze_background=True)
     u, v = np.meshgrid(np.arange(-1.0, WIDTH + 1, 1.5), np.arange(-1.0, HEIGHT + 1, 1.5))
     count = u.size

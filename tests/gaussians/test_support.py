@@ -1,4 +1,4 @@
-"""What the clip has seen of a view: a wall and a mover before it, seen from places that are known."""
+"""What the clip has seen of a view: a wall and an object before it, seen from places that are known."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class WallAndCard:
         depth = np.full(grid.shape[:2], WALL - camera.center[2])
         at_card = camera.center + rays * (self.card_depth - camera.center[2])
         on_card = (np.abs(at_card[..., 0]) < 0.3) & (np.abs(at_card[..., 1]) < 0.3)
-        depth = np.full_like(depth, self.card_depth - camera.center[2]) if self.shown == "movers" else depth
-        alpha = on_card if self.shown == "movers" else np.ones_like(on_card)
+        depth = np.full_like(depth, self.card_depth - camera.center[2]) if self.shown == "objects" else depth
+        alpha = on_card if self.shown == "objects" else np.ones_like(on_card)
         return Rendering(np.zeros((*depth.shape, 3), np.float32), alpha.astype(np.float32), depth.astype(np.float32), None)
 
     def part(self, part: str) -> WallAndCard:
@@ -54,7 +54,7 @@ def support_of(places: Sequence[float]) -> Support:
     return Support(WallAndCard(), [camera_at(x) for x in places], np.linspace(0, 1, len(places)).tolist())
 
 
-def test_a_view_of_the_clip_is_known_but_for_its_rim_and_what_the_mover_hid():
+def test_a_view_of_the_clip_is_known_but_for_its_rim_and_what_the_object_hid():
     places = np.linspace(-0.5, 0.5, 9)
     seen = support_of(places).seen(camera_at(0.0), 0.5)
     assert seen.there.all()
@@ -86,7 +86,7 @@ def test_directions_are_compared_with_those_that_saw_it():
         assert seen.off[row, column] == pytest.approx(np.linalg.norm(new - mean / np.linalg.norm(mean)) / spread, rel=1e-6)
 
 
-def test_what_only_the_mover_showed_is_unknown():
+def test_what_only_the_object_showed_is_unknown():
     """All cameras stand at one side of a card that is close: the wall behind it, seen from the other side, nobody saw."""
     support = support_of([0.0, 0.01, 0.02, 0.03])
     aside = support.seen(camera_at(0.8), 0.5)
@@ -104,7 +104,7 @@ def test_a_camera_that_stood_still_tells_no_view_from_aside():
     assert (narrow.off[narrow.frames > FEWEST] > FURTHEST).all()
 
 
-def test_cameras_close_to_a_mover_are_told():
+def test_cameras_close_to_an_object_are_told():
     support = support_of(np.linspace(-0.5, 0.5, 5))
     assert support.keeps_clear(camera_at(0.2), camera_at(0.0), 0.5)
     assert support.keeps_clear(camera_at(0.0, 0.9), camera_at(0.0), 0.5)

@@ -25,7 +25,7 @@ LINEAR = ModelConfig(move_means=False, move_quats=False, sh_degree=2)
 
 
 def small_gaussians(config: ModelConfig = OURS, resting: int = 400, moving: int = 250, seed: int = 0) -> Gaussians4D:
-    """A wall at depth 1 and movers between 0.5 and 0.9 in front of the normalized origin."""
+    """A wall at depth 1 and objects between 0.5 and 0.9 in front of the normalized origin."""
     generator = torch.Generator().manual_seed(seed)
     count = resting + moving
     dynamic = torch.arange(count) >= resting
@@ -52,9 +52,9 @@ def small_gaussians(config: ModelConfig = OURS, resting: int = 400, moving: int 
     else:
         params["quats_left"], params["quats_right"] = random(count, 4) - 0.5, random(count, 4) - 0.5
         params["log_scales4"] = torch.log(0.03 + 0.1 * random(count, 4))
-    # Two movers, of the left and of the right.
-    movers = torch.where(dynamic, torch.where(means[:, 0] < 0, 1, 2), 0).to(torch.uint8)
-    return Gaussians4D(params, dynamic, config, config.sh_degree, movers)
+    # Two objects, of the left and of the right.
+    object_ids = torch.where(dynamic, torch.where(means[:, 0] < 0, 1, 2), 0).to(torch.uint8)
+    return Gaussians4D(params, dynamic, config, config.sh_degree, object_ids)
 
 
 def small_model(

@@ -16,11 +16,11 @@ from flowsplat.output.camera_path import path_at_an_angle, path_from_above
 from flowsplat.output.priors_report import PANEL, _Shown, verdict, write_priors_report
 from flowsplat.pipeline import prepare
 from flowsplat.pipeline.config import RunConfig
-from flowsplat.priors.objects import SceneMovers
+from flowsplat.priors.objects import SceneObjects
 from flowsplat.priors.objects.distance import Cue
-from flowsplat.priors.objects.movers import Mover
 from flowsplat.priors.objects.relief import ReliefPoints
-from flowsplat.priors.objects.storage import save_movers
+from flowsplat.priors.objects.solving import DynamicObject
+from flowsplat.priors.objects.storage import save_objects
 from flowsplat.priors.prepare import use_truth
 from flowsplat.scenes import Scene
 from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic
@@ -34,7 +34,7 @@ FREE = {
 }  # fmt: skip
 MULTI_VIEW = {"method": "multi-view", "trusted": 0.9, "verdict": "90% of the still scene trusted"}
 GUESS = {"method": "guess", "trusted": 1.0, "verdict": "a guess"}
-MOVERS = {"method": "motion", "objects": 2, "share": 0.1, "verdict": "2 moving objects"}
+OBJECTS = {"method": "motion", "objects": 2, "share": 0.1, "verdict": "2 moving objects"}
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +51,7 @@ def as_found(scene: Scene) -> Iterator[Scene]:
     """The scene as if its priors had been computed; what a test changes is undone."""
     path = scene.folder / "scene.json"
     before = path.read_bytes()
-    yield edited(scene, {"cameras": FREE, "depth": MULTI_VIEW, "masks": MOVERS}, name=NASTY)
+    yield edited(scene, {"cameras": FREE, "depth": MULTI_VIEW, "masks": OBJECTS}, name=NASTY)
     path.write_bytes(before)
 
 
@@ -66,7 +66,7 @@ def test_the_page_tells_what_was_found_and_needs_nothing_else(as_found, tmp_path
     text = words(page)
     for part in (
         "Camera path: good; depth from the camera&#39;s motion; 2 moving objects. Training can work.", "0.08 px",
-        "camera error", "field of view", "points followed", "The camera moves.", "12 s", "Frame 7", "movers", "true tracks",
+        "camera error", "field of view", "points followed", "The camera moves.", "12 s", "Frame 7", "objects", "true tracks",
         "flow matched to the next frame", "of the still scene", "still scene, depth with confidence",
         "Points followed, over the clip", "times the median depth",
     ):  # fmt: skip
@@ -85,17 +85,17 @@ def test_the_page_shows_what_moves_and_how_sure_its_distance_is(as_found, tmp_pa
     frames = len(as_found.train_frames)
     depth, middles = np.full(frames, np.log(2.0)), np.full((frames, 2), [32.0, 24.0])
     number = int(next(n for i in as_found.train_frames for n in np.unique(as_found.mask(i)) if n))
-    tied = Mover(number, depth, middles, 0.05, True, {"pivot": Cue(0.0, 0.02, 0.05)}, ReliefPoints.none(), 0.0)
-    save_movers(as_found, SceneMovers([tied], np.array([0.0, -1.0, 0.0])))
-    as_found.finish_prior("objects", method="motion", movers=1, rigid=1, tied=1, verdict="1 mover")
+    tied = DynamicObject(number, depth, middles, 0.05, True, {"pivot": Cue(0.0, 0.02, 0.05)}, ReliefPoints.none(), 0.0)
+    save_objects(as_found, SceneObjects([tied], np.array([0.0, -1.0, 0.0])))
+    as_found.finish_prior("objects", method="motion", objects=1, rigid=1, tied=1, verdict="1 object")
     try:
         page = page_of(tmp_path, as_found)
         text = words(page)
-        told = ("swings about a fixed point", "sure to 5%", "Largest step aside", "5 % distance of movers")
-        for part in ("1 moving object. Training", f"Mover {number}", *told):
+        told = ("swings about a fixed point", "sure to 5%", "Largest step aside", "5 % distance of objects")
+        for part in ("1 moving object. Training", f"Object {number}", *told):
             assert part in text, part
-        assert page.count('class="mover"') == 1
-        as_found.amend_prior("objects", movers=3, tied=1)
+        assert page.count('class="object"') == 1
+        as_found.amend_prior("objects", objects=3, tied=1)
         assert "3 moving objects, how far away 2 of them are is a guess." in verdict(as_found)
         as_found.amend_prior("objects", tied=0)
         assert "3 moving objects, how far away is a guess." in verdict(as_found)
@@ -115,8 +115,8 @@ def test_the_strip_shows_every_training_frame(as_found, tmp_path):
     height, width = frames[0].shape[:2]
     assert abs(height - 2 * 48) <= 6
     assert abs(width - 2 * 64) <= 6
-    movers = frames[3][-48:, :64].astype(int)
-    tinted = np.ptp(movers, axis=-1) > 60
+    objects = frames[3][-48:, :64].astype(int)
+    tinted = np.ptp(objects, axis=-1) > 60
     mask = as_found.mask(3) > 0
     assert tinted[mask].mean() > 0.7
     assert tinted[~mask].mean() < 0.1

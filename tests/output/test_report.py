@@ -35,7 +35,7 @@ def made_up_metrics() -> dict:
         "lpips_reason": "LPIPS needs pip install flowsplat[metrics]",
         "seconds": {"prepare": 92.0, "train": 251.0, "evaluate": 31.5, "render": 44.0}, "wall_seconds": 431.0,
         "peak_memory_gib": 2.31,
-        "gaussians": {"total": 184_201, "active_mean": 63_410.5, "movers": {"2": 9_021, "7": 314}},
+        "gaussians": {"total": 184_201, "active_mean": 63_410.5, "objects": {"2": 9_021, "7": 314}},
     }  # fmt: skip
 
 
@@ -146,19 +146,19 @@ def test_null_figures_are_dashes_with_their_reason(tmp_path):
 def test_videos_of_every_kind(tmp_path):
     videos = {
         "orbit_background": "orbit_background.mp4", "orbit_background_color": "orbit_background_color.mp4",
-        "orbit_background_stereo": "orbit_background_stereo.mp4", "input_path_movers": "input_path_movers.webm",
-        "wiggle": "wiggle.gif", "orbit_distance_2x1.2_3x0.9_movers_2_3": "o.webm",
-        "stabilized_slow2.5_movers": "stabilized_slow2.5_movers.webm", "custom_path_round-it": "custom_path_round-it.mp4",
+        "orbit_background_stereo": "orbit_background_stereo.mp4", "input_path_objects": "input_path_objects.webm",
+        "wiggle": "wiggle.gif", "orbit_distance_2x1.2_3x0.9_objects_2_3": "o.webm",
+        "stabilized_slow2.5_objects": "stabilized_slow2.5_objects.webm", "custom_path_round-it": "custom_path_round-it.mp4",
     }  # fmt: skip
     page = write(tmp_path, replace(made_up_run(), videos=videos))
     assert "Round the middle of the clip, the background alone: color, flow, depth." in page
     assert "Round the middle of the clip, the background alone, for two eyes." in page
-    assert "the movers alone." in page
-    assert "Round the middle of the clip, mover 2 1.2 times as far, mover 3 0.9 times as far, mover 2, 3 alone." in page
+    assert "the objects alone." in page
+    assert "Round the middle of the clip, object 2 1.2 times as far, object 3 0.9 times as far, object 2, 3 alone." in page
     assert "Along the camera path round-it" in page
-    assert "without the shaking, 2.5 times slower, the movers alone." in page
+    assert "without the shaking, 2.5 times slower, the objects alone." in page
     assert '<img src="renders/wiggle.gif"' in page
-    assert '<video controls muted loop playsinline preload="metadata" src="renders/input_path_movers.webm">' in page
+    assert '<video controls muted loop playsinline preload="metadata" src="renders/input_path_objects.webm">' in page
 
 
 def test_it_is_whole_without_a_network(tmp_path):
@@ -225,7 +225,7 @@ def test_the_verdict_in_plain_words(ours, theirs, says):
     assert says in verdict(metrics)
 
 
-def mover(sigma: float, cues: list[str], step: float = 0.02, depth: float = 2.0) -> dict:
+def obj(sigma: float, cues: list[str], step: float = 0.02, depth: float = 2.0) -> dict:
     return {"number": 1, "sigma": sigma, "cues": cues, "largest_step": step, "depth": depth}
 
 
@@ -239,15 +239,15 @@ def mover(sigma: float, cues: list[str], step: float = 0.02, depth: float = 2.0)
         ),
         ({"depth_abs_rel": {"moving": {"mean": 0.41}}}, "no view was measured; the depth of what moves is off by 41% (mean)."),
         (
-            {"movers": [mover(0.07, ["contact"]), mover(0.14, ["height"], step=0.01)]},
-            "not measured; the distances of its 2 movers are sure to 7% to 15%, enough for steps aside of up to 0.5% of their",
+            {"objects": [obj(0.07, ["contact"]), obj(0.14, ["height"], step=0.01)]},
+            "not measured; the distances of its 2 objects are sure to 7% to 15%, enough for steps aside of up to 0.5% of their",
         ),
         (
-            {"movers": [mover(0.07, ["contact"]), {**mover(0.5, []), "small": True}]},
-            "not measured; the distance of its mover is sure to 7%",
+            {"objects": [obj(0.07, ["contact"]), {**obj(0.5, []), "small": True}]},
+            "not measured; the distance of its object is sure to 7%",
         ),
-        ({"movers": [mover(0.5, [])]}, "From aside: not measured; the distance of its mover is a guess."),
-        ({"movers": [mover(0.07, ["contact"]), mover(0.5, [])]}, "2 movers are sure to 7%, 1 of them a guess."),
+        ({"objects": [obj(0.5, [])]}, "From aside: not measured; the distance of its object is a guess."),
+        ({"objects": [obj(0.07, ["contact"]), obj(0.5, [])]}, "2 objects are sure to 7%, 1 of them a guess."),
     ],
 )
 def test_the_verdict_says_what_is_known_from_aside(known, says):
@@ -259,8 +259,8 @@ def test_the_verdict_says_what_is_known_from_aside(known, says):
 def test_the_cards_show_the_path_and_what_is_beside_it(tmp_path):
     cards = re.findall(r'<div class="card">.*?</div><div.*?</div></div>', write(tmp_path, made_up_run()))
     assert all(text in cards[0] for text in ("29.87", "along the clip"))
-    assert all(text in cards[1] for text in ("21.34", "from aside", "movers: 19.90 dB"))
-    unmeasured = ReportData("bare", {"movers": [mover(0.07, ["contact"])]})
+    assert all(text in cards[1] for text in ("21.34", "from aside", "objects: 19.90 dB"))
+    unmeasured = ReportData("bare", {"objects": [obj(0.07, ["contact"])]})
     cards = re.findall(r'<div class="card">.*?</div><div.*?</div></div>', write(tmp_path, unmeasured))
     assert all(text in cards[1] for text in ("from aside: not measured", "distance: sure to 7%"))
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from flowsplat.cli import main
-from tests.output.tiny import FRAMES, MOVER, WALL, tiny_run
+from tests.output.tiny import FRAMES, OBJECT, WALL, tiny_run
 
 ON_WALL = "60.5,5.5,3"
 
@@ -38,10 +38,10 @@ def test_points_from_the_command_line(run, capsys):
     assert points.shape == (2, FRAMES, 3)
     assert value["queries"] == [[19.2, 24.0, 0], [60.5, 5.5, 3]]
     np.testing.assert_allclose(points[0, :, 0], np.linspace(-0.5, 0.5, FRAMES), atol=1e-3)
-    np.testing.assert_allclose(points[0, :, 2], MOVER, rtol=1e-3)
+    np.testing.assert_allclose(points[0, :, 2], OBJECT, rtol=1e-3)
     np.testing.assert_allclose(points[1, :, 2], WALL, rtol=1e-3)
     assert all(value["visible"][1])
-    assert value["movers"] == [2, 0]
+    assert value["object_ids"] == [2, 0]
 
 
 def test_points_one_by_one(run, tmp_path):
@@ -59,7 +59,7 @@ def test_points_from_a_file(run, tmp_path, name):
         assert found["visible"].shape == (2, FRAMES)
         np.testing.assert_array_equal(found["queries"], [[19.2, 24, 0], [60.5, 5.5, 3]])
         assert len(found["timestamps"]) == FRAMES
-        assert found["movers"].tolist() == [2, 0]
+        assert found["object_ids"].tolist() == [2, 0]
 
 
 @pytest.mark.parametrize(

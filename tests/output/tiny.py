@@ -1,4 +1,4 @@
-"""A run whose model was made by hand: a bluish wall, a red mover in front of it that goes to the right, a moving camera."""
+"""A run whose model was made by hand: a bluish wall, a red object in front of it that goes to the right, a moving camera."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from flowsplat.scenes import Scene
 from flowsplat.splatting.rules import C0
 from flowsplat.training.checkpoint import save_model
 
-WALL, MOVER = 4.0, 2.5
+WALL, OBJECT = 4.0, 2.5
 """Depths."""
 CONFIG = ModelConfig(mean_poly=1, mean_fourier=0, quat_poly=0, quat_fourier=0, sh_degree=0, freeze_background=True)
 SIMILARITY = Similarity(1 / WALL)
@@ -36,13 +36,13 @@ def tiny_cameras(size: tuple[int, int], shake: float = 0.0) -> list[Camera]:
     return cameras
 
 
-def tiny_model(movers: int = 1, half_width: float = 4.0) -> SceneModel:
-    """The wall is ``2 half_width`` wide and high, the mover, number 2, a ball of up to one Gaussian for each of ``movers``."""
+def tiny_model(objects: int = 1, half_width: float = 4.0) -> SceneModel:
+    """The wall is ``2 half_width`` wide and high, the object, number 2, a ball of up to one Gaussian for each of ``objects``."""
     side = np.arange(-half_width, half_width + 1e-6, 0.2)
     x, y = (part.ravel() for part in np.meshgrid(side, side))
     wall = np.stack([x, y, np.full_like(x, WALL)], -1)
     waves = 0.4 + 0.3 * np.sin(5 * x) * np.sin(5 * y)
-    ball = np.array([[-0.5 + 0.02 * k, 0.05 * np.sin(k), MOVER] for k in range(movers)]).reshape(-1, 3)
+    ball = np.array([[-0.5 + 0.02 * k, 0.05 * np.sin(k), OBJECT] for k in range(objects)]).reshape(-1, 3)
     count = len(wall) + len(ball)
     params = {name: torch.zeros(count, *shape) for name, shape in parameter_shapes(CONFIG).items()}
     params["means"] = torch.tensor(np.concatenate([wall, ball]) / WALL, dtype=torch.float32)
@@ -54,12 +54,14 @@ def tiny_model(movers: int = 1, half_width: float = 4.0) -> SceneModel:
     params["log_scales"][:] = float(np.log(0.15 / WALL))
     dynamic = torch.arange(count) >= len(wall)
     params["mean_poly"][dynamic, 0, 0] = 1.0 / WALL  # to the right by 1 over the clip
-    return SceneModel(Gaussians4D(params, dynamic, CONFIG, movers=2 * dynamic.to(torch.uint8)), SIMILARITY, 0.0, (FRAMES - 1) / FPS)
+    return SceneModel(
+        Gaussians4D(params, dynamic, CONFIG, object_ids=2 * dynamic.to(torch.uint8)), SIMILARITY, 0.0, (FRAMES - 1) / FPS
+    )
 
 
-def tiny_run(folder: Path, movers: int = 1, size: tuple[int, int] = (64, 48), trained: bool = True, shake: float = 0.0) -> Path:
+def tiny_run(folder: Path, objects: int = 1, size: tuple[int, int] = (64, 48), trained: bool = True, shake: float = 0.0) -> Path:
     """A run folder with frames that the model itself rendered."""
-    model, cameras = tiny_model(movers), tiny_cameras(size, shake)
+    model, cameras = tiny_model(objects), tiny_cameras(size, shake)
     times = np.arange(FRAMES) / FPS
     scene = Scene.create(
         folder / "scene", name="tiny", source="test", width=size[0], height=size[1], timestamps=times.tolist(), holdout=5,
@@ -76,7 +78,7 @@ def tiny_run(folder: Path, movers: int = 1, size: tuple[int, int] = (64, 48), tr
 
 
 def red(image: np.ndarray) -> np.ndarray:
-    """[H, W] bool: where the mover is in a picture [H, W, 3]."""
+    """[H, W] bool: where the object is in a picture [H, W, 3]."""
     image = image.astype(np.int32)
     return (image[..., 0] > 120) & (image[..., 0] > image[..., 2] + 50)
 

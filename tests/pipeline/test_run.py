@@ -362,7 +362,7 @@ def test_settings_survive_their_file(tmp_path):
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("movers", [{"depth": 1}]), ("movers", 3), ("baselines", {"flow_interpolation": 2}), ("depth_abs_rel", {"moving": "much"}),
+        ("objects", [{"depth": 1}]), ("objects", 3), ("baselines", {"flow_interpolation": 2}), ("depth_abs_rel", {"moving": "much"}),
         ("seconds", {"train": "long"}), ("seconds", {"train": -1}), ("flow_epe", {"mean": [1]}), ("gaussians", {"active": 3}),
     ],
 )  # fmt: skip

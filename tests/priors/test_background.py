@@ -158,8 +158,8 @@ def test_what_shows_hardly_any_parallax_is_known_to_be_far():
     np.testing.assert_allclose(known[14:], median, rtol=1e-3)
 
 
-def test_what_one_moment_alone_saw_stays_behind_the_mover():
-    """A near box at the left is seen in the first frames; later, and out of reach of the plate, the mover is before it."""
+def test_what_one_moment_alone_saw_stays_behind_the_object():
+    """A near box at the left is seen in the first frames; later, and out of reach of the plate, the object is before it."""
     count, (width, height), hidden = 60, SIZE, np.s_[8:24, 6:20]
     box, wall = 1 / 3, 1 / 6
 

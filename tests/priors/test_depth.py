@@ -1,4 +1,4 @@
-"""Depth: movers stand before what they hide, a tripod gets a guess."""
+"""Depth: objects stand before what they hide, a tripod gets a guess."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ def test_the_stage_finds_the_wall_and_puts_the_square_before_it(moving: Scene):
     how = moving.prior("depth")
     assert how["method"] == "multi-view"
     assert how["objects"] == 1
-    assert 0.85 < how["trusted_static"] < how["trusted"] < 1, "movers, which are trusted everywhere, do not count"
-    assert f"{how['trusted_static']:.0%} of the still scene trusted; distances of movers: " in how["verdict"]
+    assert 0.85 < how["trusted_static"] < how["trusted"] < 1, "objects, which are trusted everywhere, do not count"
+    assert f"{how['trusted_static']:.0%} of the still scene trusted; distances of objects: " in how["verdict"]
 
 
 def test_the_stage_resumes_where_it_stopped(moving: Scene):

@@ -28,7 +28,7 @@ def test_the_order():
     steps = {prior.name: prior.part_of for prior in PRIORS if prior.part_of}
     assert steps == {
         "static_depth": "masks", "masked_static_depth": "depth", "objects": "depth", "resting_tracks": "tracks",
-        "mover_flow": "flow",
+        "object_flow": "flow",
     }  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""Masks of movers: found under a moving and a resting camera, cut out along the picture, empty where nothing moves, numbered."""
+"""Masks of objects: found under a moving and a resting camera, cut out along the picture, empty where nothing moves, numbered."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_what_rests_is_told_by_the_noise_of_the_clip(usual, expected):
     assert resting_motion(motions(noise, noise)) == pytest.approx(expected)
 
 
-def test_slow_motion_counts_unless_it_fades_from_a_fast_mover():
+def test_slow_motion_counts_unless_it_fades_from_a_fast_object():
     motion = np.full((90, 160), 0.2)
     motion[20:40, 20:40] = 2.0
     motion[20:40, 100:120] = 12.0
@@ -144,7 +144,7 @@ def test_what_differs_from_the_plate_is_what_moves(tmp_path: Path):
     assert np.median(residual[seen & moving]) > 2.5
 
 
-def test_where_no_frame_sees_past_a_mover_its_plate_is_unknown(tmp_path: Path):
+def test_where_no_frame_sees_past_an_object_its_plate_is_unknown(tmp_path: Path):
     scene = write_planes(tmp_path, step=0, square=False)
     flow_stage(scene)
     clip = MatchedClip(scene)
@@ -156,7 +156,7 @@ def test_where_no_frame_sees_past_a_mover_its_plate_is_unknown(tmp_path: Path):
     assert residual.max() < 1
 
 
-def test_a_shadow_is_no_mover(tmp_path: Path):
+def test_a_shadow_is_no_object(tmp_path: Path):
     scene = write_planes(tmp_path, step=0, square=False)
     dark = scene.frame(5).astype(np.float32)
     dark[20:50, 20:60] *= 0.8
@@ -200,7 +200,7 @@ def test_what_rests_looks_the_same_at_its_depth_and_what_moves_at_none(tmp_path:
     assert np.median(share[outside]) > 0.8
 
 
-def test_colors_tell_movers_from_what_is_round_them():
+def test_colors_tell_objects_from_what_is_round_them():
     frame = np.full((60, 80, 3), (90, 100, 110), np.uint8)
     moving = np.zeros((60, 80), bool)
     moving[20:40, 30:50] = True

@@ -1,4 +1,4 @@
-"""Monocular depth: a robust line finds scale and shift, movers get their depth, and a tripod says that its scale is free."""
+"""Monocular depth: a robust line finds scale and shift, objects get their depth, and a tripod says that its scale is free."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def moving(tmp_path_factory) -> Scene:
     return scene
 
 
-def test_scale_alone_gives_movers_the_depth_that_matches_cannot(moving: Scene):
+def test_scale_alone_gives_objects_the_depth_that_matches_cannot(moving: Scene):
     asked: list[int] = []
     monocular_stage(moving, network(moving, relative=False, asked=asked))
     assert asked == moving.train_frames

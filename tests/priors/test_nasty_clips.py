@@ -122,7 +122,7 @@ def room() -> World:
     return World(ROOM)
 
 
-def test_a_static_camera_with_a_mover(tmp_path):
+def test_a_static_camera_with_an_object(tmp_path):
     world, camera = World([*ROOM, (-0.9, -0.9, 0.2, 0.2, 3.2)]), camera_at()
     scene = prepared(tmp_path / "s", [world.picture(camera, (0.06 * i, 0.04 * i, 0)) for i in range(10)])
     cameras = scene.prior("cameras")
@@ -135,7 +135,7 @@ def test_a_static_camera_with_a_mover(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_mover_on_70_percent_of_the_picture(tmp_path):
+def test_an_object_on_70_percent_of_the_picture(tmp_path):
     world, camera = World([*ROOM, (-1.4, -0.78, 1.4, 0.78, 3.0)], width=320), camera_at(size=(320, 180))
     shifts = [(0.05 * np.sin(0.9 * i), 0.03 * np.cos(0.7 * i), 0.05 * np.sin(0.5 * i)) for i in range(8)]
     scene = prepared(tmp_path / "s", [world.picture(camera, shift) for shift in shifts])
@@ -145,7 +145,7 @@ def test_a_mover_on_70_percent_of_the_picture(tmp_path):
 
 
 @pytest.mark.parametrize("count", [8, slow(10)])
-def test_a_moving_camera_behind_a_large_mover_follows_the_rim(tmp_path, count):
+def test_a_moving_camera_behind_a_large_object_follows_the_rim(tmp_path, count):
     cameras = travel(count, 0.6, size=(320, 180))
     world = World([*ROOM, (-1.4, -0.78, 1.4, 0.78, 3.0)], width=320)
     frames = [

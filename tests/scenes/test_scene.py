@@ -172,15 +172,15 @@ def test_views_and_truth(scene, picture):
     assert scene.truth is None
     assert scene.views == []
     image = picture(1, WIDTH, HEIGHT)
-    movers = image[..., 0] > 100
+    objects = image[..., 0] > 100
     for name in ("left_00000", "left_00004"):
-        scene.write_view(HeldoutView(name, 4, CAMERA), image, movers)
-    scene.write_view(HeldoutView("left_00004", 4, CAMERA), image, movers, ~movers)
+        scene.write_view(HeldoutView(name, 4, CAMERA), image, objects)
+    scene.write_view(HeldoutView("left_00004", 4, CAMERA), image, objects, ~objects)
     views = Scene(scene.folder).views
     assert [view.name for view in views] == ["left_00000", "left_00004"]
     np.testing.assert_array_equal(scene.view_image(views[1]), image)
-    np.testing.assert_array_equal(scene.view_mask(views[1]), movers)
-    np.testing.assert_array_equal(scene.view_mask(views[1], "covisible"), ~movers)
+    np.testing.assert_array_equal(scene.view_mask(views[1]), objects)
+    np.testing.assert_array_equal(scene.view_mask(views[1], "covisible"), ~objects)
     assert scene.view_mask(views[0], "covisible") is None
     truth = scene.create_truth()
     truth.write_depth(9, Depth(ONES, ONES))
@@ -348,8 +348,8 @@ def test_forgotten_depth_takes_the_scale_along(scene):
     scene.write_similarity(Similarity(2.0))
     for name in ("flow", "depth", "tracks"):
         scene.finish_prior(name, method="test")
-    scene.amend_prior("flow", movers=True)
-    assert scene.prior("flow") == {"method": "test", "movers": True}
+    scene.amend_prior("flow", objects=True)
+    assert scene.prior("flow") == {"method": "test", "objects": True}
     scene.forget_priors(["tracks"])
     assert scene.similarity.scale == 2
     scene.forget_priors(["depth"])

@@ -54,7 +54,7 @@ def test_flow_of_static_pixels_is_the_cameras_flow_over_the_depth():
         assert (flow.i, flow.j) == (i, j)
 
 
-def test_movers_do_not_follow_the_cameras_flow():
+def test_objects_do_not_follow_the_cameras_flow():
     seen, flow = view(FULL, 20), FULL.flow(20, 21)
     own = np.linalg.norm(flow.flow - camera_flow(seen.depth, FULL.camera(20), FULL.camera(21)), axis=-1)
     for number in (1, 2, 3):
@@ -112,9 +112,9 @@ def test_depth_is_inside_the_room_and_at_the_hits():
     assert 1.5 < np.percentile(seen.depth, 1) < 4 < 6 < np.percentile(seen.depth, 99) < 10
 
 
-def test_movers_cover_a_tenth_to_a_fifth_and_the_picture_moves_a_few_pixels_a_frame():
+def test_objects_cover_a_tenth_to_a_fifth_and_the_picture_moves_a_few_pixels_a_frame():
     scale = FULL.width / WIDE.width
-    cover, background, movers, seen_numbers = [], [], [], set()
+    cover, background, objects, seen_numbers = [], [], [], set()
     for i in range(0, WIDE.frames - 1, 3):
         grid = pixel_grid(WIDE.width, WIDE.height).reshape(-1, 2).astype(float)
         hits = WIDE.cast(WIDE.camera(i), WIDE.timestamps[i], grid)
@@ -122,17 +122,17 @@ def test_movers_cover_a_tenth_to_a_fifth_and_the_picture_moves_a_few_pixels_a_fr
         length = np.linalg.norm(WIDE.flow(i, i + 1).flow, axis=-1).ravel() * scale
         cover.append(np.mean(numbers > 0))
         background.append(length[numbers == 0].mean())
-        movers.append(length[numbers > 0].mean())
+        objects.append(length[numbers > 0].mean())
         seen_numbers |= set(numbers)
     assert 0.10 < np.mean(cover) < 0.20
     assert min(cover) > 0.08
     assert max(cover) < 0.25
     assert 3.5 < np.mean(background) < 8
-    assert 2 < np.mean(movers) < 8
+    assert 2 < np.mean(objects) < 8
     assert seen_numbers == {0, 1, 2, 3}
 
 
-def test_movers_rotate_travel_on_a_curve_and_deform():
+def test_objects_rotate_travel_on_a_curve_and_deform():
     block, ball, jelly = sorted((b for b in FULL.bodies if b.number), key=lambda b: b.number)
     times = FULL.timestamps
     turn = block.motion(times[-1])[0] @ np.linalg.inv(block.motion(times[10])[0])
@@ -226,10 +226,10 @@ def test_written_scene_reads_back(tmp_path: Path):
     assert [v.name for v in scene.views] == ["left_00000", "right_00000", "left_00004", "right_00004"]
     last = scene.views[-1]
     assert scene.view_image(last).shape == (48, 64, 3)
-    covisible, movers = scene.view_mask(last, "covisible"), scene.view_mask(last)
+    covisible, objects = scene.view_mask(last, "covisible"), scene.view_mask(last)
     np.testing.assert_array_equal(covisible, SMALL.covisible(last))
-    assert movers is not None
-    assert 0.05 < movers.mean() < 0.3
+    assert objects is not None
+    assert 0.05 < objects.mean() < 0.3
 
 
 def test_scene_without_truth_has_frames_only(tmp_path: Path):

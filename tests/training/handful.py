@@ -46,7 +46,7 @@ def seen(gaussians: Gaussians4D) -> Observations:
                 frame=k, time=k / (FRAMES - 1), camera=camera,
                 image=(255 * np.clip(shown.color.numpy() + rng.normal(0, 0.1, (HEIGHT, WIDTH, 3)), 0, 1)).astype(np.uint8),
                 depth=rng.uniform(0.8, 1.2, (HEIGHT, WIDTH)).astype(np.float32), depth_trusted=rng.random((HEIGHT, WIDTH)) < 0.8,
-                movers=np.zeros((HEIGHT, WIDTH), np.uint8), forward=flow if k + 1 < FRAMES else None, backward=None,
+                object_ids=np.zeros((HEIGHT, WIDTH), np.uint8), forward=flow if k + 1 < FRAMES else None, backward=None,
             )
         )  # fmt: skip
     return Observations(frames, Similarity())

@@ -33,7 +33,7 @@ def settings(**changes):
 def observations():
     """Of Gaussians with a series motion, so that there is something to learn; everything may move."""
     found = seen(a_few(tiny("default")))
-    frames = [replace(frame, movers=np.ones_like(frame.movers)) for frame in found.frames]
+    frames = [replace(frame, object_ids=np.ones_like(frame.object_ids)) for frame in found.frames]
     return replace(found, frames=frames)
 
 

@@ -35,13 +35,13 @@ def config():
     return replace(default, iterations=4 * FRAMES, density=replace(default.density, max_gaussians=400 * FRAMES))
 
 
-def test_a_static_scene_has_its_movers_once_and_at_rest(scene, config):
+def test_a_static_scene_has_its_objects_once_and_at_rest(scene, config):
     observations = load_observations(scene)
     start = static_start(observations, None, static_config(config))
     assert start.at_rest.all()
     assert len(start) <= config.density.max_gaussians
     moved = start.params["mean_poly"].abs().amax((1, 2)) > 0
-    assert moved.any(), "movers are there"
+    assert moved.any(), "objects are there"
     assert len(torch.unique(start.params["times"][moved])) == 1
     assert static_config(config).loss.flow == static_config(config).loss.rigid == 0
 

@@ -58,7 +58,7 @@ def test_positions_move_no_more_pixels_a_step_than_allowed(rate, pixels, share):
         torch.testing.assert_close(steps[name], torch.tensor(rates.moving * rate), rtol=1e-2, atol=1e-7)
 
 
-def test_at_the_end_movers_still_learn_what_looks_good():
+def test_at_the_end_objects_still_learn_what_looks_good():
     config = tiny("default")
     config = replace(config, iterations=10, rates=replace(config.rates, moving=3.0, decay=0.1, moving_decay=0.5))
     trainer = Trainer(seen(a_few(config)), None, config, start=a_few(config))
@@ -112,43 +112,43 @@ def test_a_mean_follows_who_is_pruned_and_begins_anew_with_who_is_born():
     assert mean["means"].tolist() == [1, 3, 3]
 
 
-def test_movers_keep_their_numbers_and_change_no_training(tmp_path):
+def test_objects_keep_their_numbers_and_change_no_training(tmp_path):
     """Through density control, checkpoints and files; a file without them is refused."""
     config = replace(tiny("paper"), iterations=4, checkpoint_every=2, average=0.0)
     config = replace(config, density=replace(config.density, every=1, start=1, gradient=1e-9, max_gaussians=60))
     start = a_few(config)
-    start.movers = (torch.arange(len(start)) % 4).to(torch.uint8)
+    start.object_ids = (torch.arange(len(start)) % 4).to(torch.uint8)
     # Whoever descends from a Gaussian has its color nearly still: four steps change it less than they differ.
     kinds = torch.linspace(-3, 3, 4)
-    start.params["sh"][:, 0, 0] = kinds[start.movers.long()]
+    start.params["sh"][:, 0, 0] = kinds[start.object_ids.long()]
     unnumbered = start.select(torch.arange(len(start)))
-    unnumbered.movers = torch.zeros(len(start), dtype=torch.uint8)
+    unnumbered.object_ids = torch.zeros(len(start), dtype=torch.uint8)
     observations = seen(start)
     trained = Trainer(observations, None, config, tmp_path / "steps", start=start).run()
     assert len(trained) > len(start) + 8
     nearest = (trained.params["sh"][:, 0, 0, None] - kinds).abs().argmin(1)
-    assert torch.equal(trained.movers.long(), nearest)
+    assert torch.equal(trained.object_ids.long(), nearest)
     other = Trainer(observations, None, config, start=unnumbered).run()
-    assert not other.movers.any()
+    assert not other.object_ids.any()
     for name, value in trained.params.items():
         assert torch.equal(value, other.params[name]), name
     again = Trainer(observations, None, config, tmp_path / "steps").run()
-    assert torch.equal(again.movers, trained.movers)
+    assert torch.equal(again.object_ids, trained.object_ids)
 
     kept, step, _ = load_checkpoint(tmp_path / "steps", Similarity(), 0.0, 1.0, 20.0)
     assert step == 2
-    assert set(kept.gaussians.mover_counts) == {1, 2, 3}
+    assert set(kept.gaussians.object_counts) == {1, 2, 3}
     save_model(tmp_path, SceneModel(trained, Similarity(), 0.0, 1.0))
-    assert torch.equal(load_model(tmp_path).gaussians.movers, trained.movers)
+    assert torch.equal(load_model(tmp_path).gaussians.object_ids, trained.object_ids)
     for path in (tmp_path / "gaussians.safetensors", *(tmp_path / "steps").glob("*.safetensors")):
         tensors, values = read_tensors(path)
-        write_tensors(path, {name: value for name, value in tensors.items() if name != "movers"}, values)
+        write_tensors(path, {name: value for name, value in tensors.items() if name != "object_ids"}, values)
     for read in (
         lambda: load_model(tmp_path),
         lambda: load_checkpoint(tmp_path / "steps", Similarity(), 0.0, 1.0, 20.0),
         lambda: Trainer(observations, None, config, tmp_path / "steps").run(),
     ):
-        with pytest.raises(InputError, match="movers"):
+        with pytest.raises(InputError, match="object_ids"):
             read()
 
 

@@ -16,7 +16,7 @@ Errors = dict[str, float]
 
 
 def moving_mask(scene: Scene, i: int) -> np.ndarray | None:
-    """[H, W] bool movers of a training frame: the true ones, else those of the scene, else None."""
+    """[H, W] bool objects of a training frame: the true ones, else those of the scene, else None."""
     for layers in (scene.truth, scene):
         if layers is not None and layers.has_mask(i):
             return layers.mask(i) > 0

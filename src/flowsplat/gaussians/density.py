@@ -102,7 +102,7 @@ def _split(parents: Gaussians4D, generator: torch.Generator) -> Gaussians4D:
     offset = _drawn_from(parents.motion.at_rest(params), noise)
     params = parents.motion.shrunk(params, math.log(1.6), in_time)
     params["means"] = params["means"] + offset
-    return Gaussians4D(params, parents.dynamic, parents.config, parents.sh_degree, parents.movers)
+    return Gaussians4D(params, parents.dynamic, parents.config, parents.sh_degree, parents.object_ids)
 
 
 def _drawn_from(shape: Shape, noise: Tensor) -> Tensor:

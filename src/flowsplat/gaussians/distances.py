@@ -1,6 +1,6 @@
-"""Movers nearer or farther than they were trained: the one thing about a mover that no picture of the clip tells.
+"""Objects nearer or farther than they were trained: the one thing about an object that no picture of the clip tells.
 
-A mover whose places and sizes are multiplied by one number k about the center of the clip's camera, at every time about where the
+An object whose places and sizes are multiplied by one number k about the center of the clip's camera, at every time about where the
 camera is at that time, looks the same in all of the clip's own frames but for who hides whom:
 
     X' = C(t) + k (X - C(t))
@@ -33,7 +33,7 @@ _STEP = 1e-4
 
 @dataclass(frozen=True)
 class Distances:
-    """How many times as far away as they were trained some movers are.
+    """How many times as far away as they were trained some objects are.
 
     Attributes:
         factors: the number k of each of them.
@@ -52,11 +52,11 @@ class Distances:
         before, after = np.clip([t - _STEP, t + _STEP], self.path.times[0], self.path.times[-1])
         return (self.center(after) - self.center(before)) / (after - before) if after > before else np.zeros(3)
 
-    def moved(self, points: Tensor, movers: Tensor, t: float) -> Tensor:
-        """Where points [N, 3] of the movers with these numbers [N] are at clip time ``t``."""
+    def moved(self, points: Tensor, object_ids: Tensor, t: float) -> Tensor:
+        """Where points [N, 3] of the objects with these numbers [N] are at clip time ``t``."""
         scale = torch.ones(len(points), dtype=points.dtype, device=points.device)
         for number, factor in self.factors.items():
-            scale[movers == number] = factor
+            scale[object_ids == number] = factor
         center = torch.as_tensor(self.center(t), dtype=points.dtype, device=points.device)
         return center + scale[:, None] * (points - center)
 
@@ -70,7 +70,7 @@ def check_factors(factors: Mapping[int, float]) -> None:
     for number, factor in factors.items():
         if not (math.isfinite(factor) and NEAREST <= factor <= FARTHEST):
             raise InputError(
-                f"Mover {number} cannot be {factor:g} times as far away: give a number from {NEAREST:g} to {FARTHEST:g}."
+                f"Object {number} cannot be {factor:g} times as far away: give a number from {NEAREST:g} to {FARTHEST:g}."
             )
 
 
@@ -90,18 +90,18 @@ def slice_view(
         camera: in normalized coordinates.
         t: clip time.
         next_time: the other time of a flow pair.
-        distances: of movers that are not where they were trained.
+        distances: of objects that are not where they were trained.
         eps2d: px^2 of blur that they will be rendered with.
     """
     seen = gaussians.active(t, camera, eps2d=eps2d)
     viewer = torch.as_tensor(camera.center, dtype=gaussians.params["means"].dtype)
     if distances is None:
         return slice_gaussians(gaussians, seen, viewer, next_time)
-    known = gaussians.movers.new_tensor(list(distances.factors))
-    parts = [slice_gaussians(gaussians, _only(seen, ~torch.isin(gaussians.movers, known)), viewer, next_time)]
+    known = gaussians.object_ids.new_tensor(list(distances.factors))
+    parts = [slice_gaussians(gaussians, _only(seen, ~torch.isin(gaussians.object_ids, known)), viewer, next_time)]
     everywhere = gaussians.active(t)  # what a camera sees of those that are moved is not told by where they were
     for number, factor in distances.factors.items():
-        chosen = _only(everywhere, gaussians.movers == number)
+        chosen = _only(everywhere, gaussians.object_ids == number)
         if len(chosen.rows):
             parts.append(_moved_slice(gaussians, chosen, viewer, next_time, distances, factor))
     return _joined(parts)
@@ -116,7 +116,7 @@ def _only(active: Active, wanted: Tensor) -> Active:
 def _moved_slice(
     gaussians: Gaussians4D, active: Active, viewer: Tensor, next_time: float | None, distances: Distances, factor: float
 ) -> Slice:
-    """The slice of one mover; all of its rows move, for what rests of it goes with the camera."""
+    """The slice of one object; all of its rows move, for what rests of it goes with the camera."""
 
     def like(values: np.ndarray) -> Tensor:
         return torch.as_tensor(values, dtype=viewer.dtype, device=gaussians.device)

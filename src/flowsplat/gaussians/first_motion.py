@@ -1,8 +1,8 @@
-"""How the pixels of movers move around one frame: followed along flow and depth, and fitted together with their neighbors. Ours.
+"""How the pixels of objects move around one frame: followed along flow and depth, and fitted together with their neighbors. Ours.
 
 A pixel alone is followed badly: for a frame or two on a fast limb, with depth that jumps from frame to frame. Its neighbors on the
 same part share one motion, and where the part turns it is an affine function of the place at every time (to first order
-omega x r, to second omega x (omega x r)). So at nodes all over a mover a path that is a polynomial in time and affine in the
+omega x r, to second omega x (omega x r)). So at nodes all over an object a path that is a polynomial in time and affine in the
 picture is fitted to all pixels around that move alike, and every pixel takes the motion of the nodes that explain its own path.
 """
 
@@ -43,7 +43,7 @@ right, and the neighbors judge."""
 RIDGE, GRADIENT_RIDGE = 1e-3, 1e-1
 """Of the first order in time, in shares of what the observations weigh: ten times as much for every further order."""
 HELD = 0.5
-"""Of the pixels around a place, by their weight, what share must belong to the mover."""
+"""Of the pixels around a place, by their weight, what share must belong to the object."""
 ALONG_RAY = 0.1
 """What a pixel along the ray counts, relative to one across it."""
 
@@ -73,7 +73,7 @@ def fit_motion(observations: Observations, k: int, wanted: np.ndarray, sigma: fl
     """Polynomial coefficients [N, order, 3] of the paths of some pixels of frame ``k`` about its time; 0 where nothing is known.
 
     Args:
-        wanted: [H, W] bool, which pixels of movers.
+        wanted: [H, W] bool, which pixels of objects.
         sigma: clip time for which they are present.
         order: of the polynomial.
         reach: training frames to either side in which they are followed.
@@ -92,7 +92,7 @@ def fit_motion(observations: Observations, k: int, wanted: np.ndarray, sigma: fl
     axes = np.array([1, 1, ALONG_RAY])[:, None] * frame.camera.viewmat[:3, :3]
     normal, right = np.zeros((len(points), order, order)), np.zeros((len(points), order, 3))
     square, total = np.zeros(len(points)), np.zeros(len(points))
-    owners = frame.movers[rows, columns]
+    owners = frame.object_ids[rows, columns]
     for time, (world, sure) in follow(observations, k, points, owners, reach).items():
         tau = (time - frame.time) / sigma
         basis, weight = tau ** np.arange(1, order + 1), np.exp(-0.5 * (tau / FADING) ** 2) * sure
@@ -120,8 +120,8 @@ def follow(
 ) -> dict[float, tuple[np.ndarray, np.ndarray]]:
     """3D positions [N, 3] of pixels of frame k at the times of its neighbors, along flow and depth, and how sure they are [N].
 
-    Sure as the least sure flow on the way, 0 where lost. Between pixels, flow and depth are those of the mover's pixels around,
-    never mixed with those of what is behind it, or before it: a pixel that would go on on another mover is hidden by that one,
+    Sure as the least sure flow on the way, 0 where lost. Between pixels, flow and depth are those of the object's pixels around,
+    never mixed with those of what is behind it, or before it: a pixel that would go on on another object is hidden by that one,
     and the depth there is not its own.
 
     Args:
@@ -137,12 +137,12 @@ def follow(
             if flow is None:
                 break
             weight = np.where(flow.trusted, 1, flow.confidence**UNSURE)
-            moved, share = _inside(np.dstack([flow.flow, weight.astype(np.float32)]), frame.movers, here, owners)
+            moved, share = _inside(np.dstack([flow.flow, weight.astype(np.float32)]), frame.object_ids, here, owners)
             sure = np.where(share > HELD, np.minimum(sure, moved[:, 2]), 0)
             here = np.where(sure[:, None] > 0, here + moved[:, :2], here)
             current += step
             frame = observations[current]
-            depth, share = _inside(frame.depth[..., None], frame.movers, here, owners)
+            depth, share = _inside(frame.depth[..., None], frame.object_ids, here, owners)
             sure = np.where((share > HELD) & (sure > LEAST_SURE), sure, 0)
             if not sure.any():
                 break
@@ -151,13 +151,13 @@ def follow(
     return found
 
 
-def _inside(values: np.ndarray, movers: np.ndarray, points: np.ndarray, owners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _inside(values: np.ndarray, object_ids: np.ndarray, points: np.ndarray, owners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Values [N, C] of a map [H, W, C] at points [N, 2], of the pixels of their owner alone, and the share of those around [N]."""
     found, shares = np.zeros((len(points), values.shape[2]), np.float32), np.zeros(len(points), np.float32)
-    height, width = movers.shape
+    height, width = object_ids.shape
     for number in np.unique(owners):
         mine = np.flatnonzero(owners == number)
-        weight = (movers == number).astype(np.float32)
+        weight = (object_ids == number).astype(np.float32)
         share = sample_map(weight, points[mine])[:, 0]
         share[~((points[mine] > 0) & (points[mine] < [width, height])).all(1)] = 0
         found[mine] = sample_map(values * weight[..., None], points[mine]) / np.maximum(share, 1e-6)[:, None]
@@ -166,7 +166,7 @@ def _inside(values: np.ndarray, movers: np.ndarray, points: np.ndarray, owners: 
 
 
 def _joint(paths: _Paths, mine: np.ndarray, sources: np.ndarray, queries: np.ndarray, gap: float) -> np.ndarray:
-    """Motion [Q, order, 3] of the pixels ``queries`` of a mover that has the pixels ``mine``, from its pixels ``sources``."""
+    """Motion [Q, order, 3] of the pixels ``queries`` of an object that has the pixels ``mine``, from its pixels ``sources``."""
     from scipy.spatial import cKDTree  # A quarter of a second, which those who only look at a scene need not wait.
 
     nodes = _nodes(paths.points, mine, gap)

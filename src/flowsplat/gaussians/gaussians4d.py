@@ -77,7 +77,7 @@ class Gaussians4D:
         dynamic: [N] bool; False = background.
         config: what the parameters mean.
         sh_degree: the degree in use, at most ``config.sh_degree`` (training raises it step by step).
-        movers: [N] uint8 number of the moving object that each belongs to, as in the masks of the clip; 0 = of none. Nothing that
+        objects: [N] uint8 number of the moving object that each belongs to, as in the masks of the clip; 0 = of none. Nothing that
             is computed in training depends on it. Left out it is 0 for all. It is not the same as ``dynamic``: a part of an
             object that turns out to rest is background and still belongs to it, and background that turns out to move belongs
             to none.
@@ -92,7 +92,7 @@ class Gaussians4D:
     dynamic: Tensor
     config: ModelConfig
     sh_degree: int = 0
-    movers: Tensor = field(default_factory=lambda: torch.zeros(0, dtype=torch.uint8))
+    object_ids: Tensor = field(default_factory=lambda: torch.zeros(0, dtype=torch.uint8))
     seen: Tensor | None = None
     lit: Tensor | None = None
     motion: MotionModel = field(init=False)
@@ -105,10 +105,10 @@ class Gaussians4D:
         for name, shape in expected.items():
             if tuple(self.params[name].shape) != (len(self), *shape):
                 raise ValueError(f"{name} must be {[len(self), *shape]}, not {list(self.params[name].shape)}")
-        if not len(self.movers):
-            self.movers = torch.zeros(len(self), dtype=torch.uint8, device=self.device)
-        if self.movers.shape != self.dynamic.shape:
-            raise ValueError(f"movers must be {[len(self)]}, not {list(self.movers.shape)}")
+        if not len(self.object_ids):
+            self.object_ids = torch.zeros(len(self), dtype=torch.uint8, device=self.device)
+        if self.object_ids.shape != self.dynamic.shape:
+            raise ValueError(f"object_ids must be {[len(self)]}, not {list(self.object_ids.shape)}")
         if self.seen is not None and self.seen.shape != (len(self), 2):
             raise ValueError(f"seen must be {[len(self), 2]}, not {list(self.seen.shape)}")
         if self.lit is not None and self.lit.shape != (len(self), 1 + self.config.gains):
@@ -184,12 +184,12 @@ class Gaussians4D:
             return self
         params = {name: value.to(device) for name, value in self.params.items()}
         seen, lit = (None if values is None else values.to(device) for values in (self.seen, self.lit))
-        return Gaussians4D(params, self.dynamic.to(device), self.config, self.sh_degree, self.movers.to(device), seen, lit)
+        return Gaussians4D(params, self.dynamic.to(device), self.config, self.sh_degree, self.object_ids.to(device), seen, lit)
 
     @property
-    def mover_counts(self) -> dict[int, int]:
-        """How many Gaussians each mover has, by its number, rising; without 0."""
-        numbers, counts = torch.unique(self.movers, return_counts=True)
+    def object_counts(self) -> dict[int, int]:
+        """How many Gaussians each object has, by its number, rising; without 0."""
+        numbers, counts = torch.unique(self.object_ids, return_counts=True)
         return {number: count for number, count in zip(numbers.tolist(), counts.tolist(), strict=True) if number}
 
     @property
@@ -201,7 +201,7 @@ class Gaussians4D:
         """A model of some of the Gaussians."""
         params = {name: value[rows] for name, value in self.params.items()}
         seen, lit = (None if values is None else values[rows] for values in (self.seen, self.lit))
-        return Gaussians4D(params, self.dynamic[rows], self.config, self.sh_degree, self.movers[rows], seen, lit)
+        return Gaussians4D(params, self.dynamic[rows], self.config, self.sh_degree, self.object_ids[rows], seen, lit)
 
 
 def parameter_shapes(config: ModelConfig) -> dict[str, tuple[int, ...]]:
@@ -219,5 +219,5 @@ def parameter_shapes(config: ModelConfig) -> dict[str, tuple[int, ...]]:
 def concatenate(parts: Sequence[Gaussians4D]) -> Gaussians4D:
     """One model from several of the same configuration."""
     params = {name: torch.cat([part.params[name] for part in parts]) for name in parts[0].params}
-    dynamic, movers = torch.cat([part.dynamic for part in parts]), torch.cat([part.movers for part in parts])
-    return Gaussians4D(params, dynamic, parts[0].config, parts[0].sh_degree, movers)
+    dynamic, object_ids = torch.cat([part.dynamic for part in parts]), torch.cat([part.object_ids for part in parts])
+    return Gaussians4D(params, dynamic, parts[0].config, parts[0].sh_degree, object_ids)

@@ -25,7 +25,7 @@ from flowsplat.splatting.harmonics import harmonics_from_colors
 
 BACKGROUND_LOG_LAMBDA = float(np.log(1e-6))
 HARDLY_ANY = 0.05
-"""Share of the movers' pixels of a frame: where fewer have trusted depth, all of them are used."""
+"""Share of the objects' pixels of a frame: where fewer have trusted depth, all of them are used."""
 FITTING_TRIES = 3
 """How often the grids are made coarser until the cap holds."""
 FITTING_MARGIN = 1.01
@@ -40,9 +40,9 @@ class InitConfig:
     from_priors: bool = True
     """Start from depth, masks and motion. Off: at random (the paper's ablation, and the baseline 4DGS)."""
     foreground: Literal["pixels", "tracks"] = "pixels"
-    """What becomes a mover's Gaussian: every pixel of its mask in the sampled frames, or every track (the paper)."""
+    """What becomes an object's Gaussian: every pixel of its mask in the sampled frames, or every track (the paper)."""
     samples: Annotated[int, Meta(ge=1, le=10_000)] = 24
-    """Over how many training frames the movers' Gaussians are sampled (the paper's T-hat)."""
+    """Over how many training frames the objects' Gaussians are sampled (the paper's T-hat)."""
     sample_gap: Annotated[int, Meta(ge=0, le=10_000)] = 4
     """More of them where two would be further apart than so many training frames; 0 = however far (the paper)."""
     precision_factor: Positive = 0.15
@@ -50,13 +50,13 @@ class InitConfig:
     background_spacing: Annotated[float, Meta(ge=1, le=1_000)] = 1.5
     """Pixels between two background Gaussians on average, 1 or more; a cap makes it larger."""
     foreground_spacing: Annotated[float, Meta(ge=1, le=1_000)] = 1.5
-    """The same for movers, in every sampled frame."""
+    """The same for objects, in every sampled frame."""
     detail: Annotated[float, Meta(ge=0, le=4)] = 1.0
     """How much more of them there are where the picture has detail: their density follows its power of this; 0 = evenly."""
     merge_tolerance: Amount = 0.1
     """Relative depth difference within which a background pixel counts as stored already."""
     edge: Annotated[int, Meta(ge=0, le=256)] = 2
-    """Pixels around the movers' masks from which no background Gaussian is made."""
+    """Pixels around the objects' masks from which no background Gaussian is made."""
     opacity: Fraction = 0.9
     """Opacity at the start."""
     size: Positive = 0.45
@@ -66,9 +66,9 @@ class InitConfig:
     flatness: Positive = 0.2
     """Thickness of a disc relative to its radius."""
     motion_order: Annotated[int, Meta(ge=1, le=16)] = 4
-    """Order of the polynomial that is fitted to the movers' points (``first_motion``)."""
+    """Order of the polynomial that is fitted to the objects' points (``first_motion``)."""
     motion_reach: Annotated[int, Meta(ge=0, le=10_000)] = 3
-    """Over how many training frames to either side a mover's pixel is followed for that fit."""
+    """Over how many training frames to either side an object's pixel is followed for that fit."""
     random_count: AtLeastOne = 300_000
     """How many Gaussians a random start has (never more than the run's cap)."""
 
@@ -84,7 +84,7 @@ def initialize(
         model: what a Gaussian is made of.
         config: how to start.
         seed: of the random choices.
-        cap: no more Gaussians than this. Both grids, of the background and of the movers, are made coarser alike until they
+        cap: no more Gaussians than this. Both grids, of the background and of the objects, are made coarser alike until they
             fit, so that fewer Gaussians are larger and leave no holes; what little is still too much is dropped at random.
     """
     rng = np.random.default_rng(seed)
@@ -128,11 +128,11 @@ def _build(
     dynamic: bool,
     model: ModelConfig,
     opacity: float,
-    movers: np.ndarray | None = None,
+    object_ids: np.ndarray | None = None,
 ) -> Gaussians4D:
     """Gaussians from surface samples; motion [N, order, 3] are the first polynomial coefficients of the mean.
 
-    ``movers`` [N]: the number of the mover that each belongs to; None = they belong to none.
+    ``object_ids`` [N]: the number of the object that each belongs to; None = they belong to none.
     """
     count = len(samples.means)
     params = {name: torch.zeros(count, *shape) for name, shape in parameter_shapes(model).items()}
@@ -142,8 +142,8 @@ def _build(
     params["sh"][:, 0] = harmonics_from_colors(torch.from_numpy(samples.colors.astype(np.float32)))
     given = (torch.from_numpy(values.astype(np.float32)) for values in (samples.quats, samples.scales, log_lambdas, motion))
     params.update(motion_model(model).start(*given))
-    numbers = np.zeros(count, np.uint8) if movers is None else movers.astype(np.uint8)
-    return Gaussians4D(params, torch.full((count,), dynamic), model, movers=torch.from_numpy(numbers))
+    numbers = np.zeros(count, np.uint8) if object_ids is None else object_ids.astype(np.uint8)
+    return Gaussians4D(params, torch.full((count,), dynamic), model, object_ids=torch.from_numpy(numbers))
 
 
 def _spheres(samples: SurfaceSamples) -> SurfaceSamples:
@@ -234,7 +234,7 @@ def _covered(points: np.ndarray, frame: Observation, tolerance: float, spacing: 
 
 
 def sampled_frames(count: int, config: InitConfig) -> tuple[np.ndarray, float]:
-    """Which of ``count`` training frames movers are sampled in, and the log precision that follows from their spacing."""
+    """Which of ``count`` training frames objects are sampled in, and the log precision that follows from their spacing."""
     enough = -(-(count - 1) // config.sample_gap) + 1 if config.sample_gap else 1
     sampled = np.array(spread(count, min(max(config.samples, enough), count)))
     spacing = 1.0 / max(len(sampled) - 1, 1)
@@ -248,15 +248,15 @@ def _foreground(
     config: InitConfig,
     rng: np.random.Generator,
 ) -> Gaussians4D:
-    """Movers: every pixel (or track) of the sampled frames, with the motion of the points it follows."""
+    """Objects: every pixel (or track) of the sampled frames, with the motion of the points it follows."""
     sampled, log_lambda = sampled_frames(len(observations), config)
     sigma = float(np.exp(-0.5 * log_lambda))
-    samples, times, motions, movers = [], [], [], []
+    samples, times, motions, object_ids = [], [], [], []
     for k in sampled:
         frame = observations[k]
         usable = frame.mask & frame.depth_trusted
         if usable.sum() < HARDLY_ANY * frame.mask.sum():
-            usable = frame.mask  # At a guessed depth is better than not at all: nothing else makes movers.
+            usable = frame.mask  # At a guessed depth is better than not at all: nothing else makes objects.
         if config.foreground == "pixels":
             wanted, spacing = _chosen(frame, usable, config.foreground_spacing, config, rng)
         else:
@@ -266,15 +266,15 @@ def _foreground(
         samples.append(sample_surface(frame, wanted, spacing * config.size, config.flatness))
         times.append(np.full(len(samples[-1].means), frame.time))
         motions.append(fit_motion(observations, k, wanted, sigma, config.motion_order, config.motion_reach))
-        movers.append(frame.movers[wanted])
+        object_ids.append(frame.object_ids[wanted])
     if not samples:
         samples, times, motions = [SurfaceSamples.empty()], [np.zeros(0)], [np.zeros((0, config.motion_order, 3))]
-        movers = [np.zeros(0, np.uint8)]
+        object_ids = [np.zeros(0, np.uint8)]
     merged, center_times = SurfaceSamples.concatenate(samples), np.concatenate(times)
     if not config.surface_aligned:
         merged = _spheres(merged)
     precision = np.full(len(center_times), log_lambda)
-    motion, numbers = np.concatenate(motions), np.concatenate(movers)
+    motion, numbers = np.concatenate(motions), np.concatenate(object_ids)
     return _build(merged, center_times, precision, motion, True, model, config.opacity, numbers)
 
 

@@ -47,7 +47,7 @@ class SceneModel:
             were, the rasterizer's blur grows with the picture (``blur``).
         backend: of the rasterizer.
         graphs: whether a GPU draws by CUDA graphs, one for every size of picture: for many frames one after the other.
-        distances: of movers that are shown elsewhere than they were trained (``at_distances``). Rendering knows them, nothing else.
+        distances: of objects that are shown elsewhere than they were trained (``at_distances``). Rendering knows them, nothing else.
         fading: the clip's cameras by clip time, in normalized coordinates, where what they tell too little of fades
             (``fading_guesses``); None = nothing does.
     """
@@ -137,19 +137,19 @@ class SceneModel:
         return faded(self.gaussians, camera.center, self.fading.at(t).center)
 
     def part(self, part: Part) -> SceneModel:
-        """A model of movers alone or of the background alone: see ``PartedRenderer.part``.
+        """A model of objects alone or of the background alone: see ``PartedRenderer.part``.
 
-        ``movers`` is what moves; ``background`` is as bright as it is without the shadows that these throw. A mover that is named
+        ``objects`` is what moves; ``background`` is as bright as it is without the shadows that these throw. An object that is named
         by its number has all that belongs to it, what of it rests as well.
         """
         if part == "all":
             return self
         numbers, dynamic = numbers_of(part), self.gaussians.dynamic
         if numbers is not None:
-            self.require_movers(numbers)
-            chosen = torch.isin(self.gaussians.movers, self.gaussians.movers.new_tensor(numbers))
+            self.require_objects(numbers)
+            chosen = torch.isin(self.gaussians.object_ids, self.gaussians.object_ids.new_tensor(numbers))
         else:
-            chosen = dynamic if part == "movers" else ~dynamic
+            chosen = dynamic if part == "objects" else ~dynamic
         rows = torch.nonzero(chosen).squeeze(1)
         gaussians = self.gaussians.select(rows)
         if part == "background":
@@ -157,8 +157,8 @@ class SceneModel:
         return replace(self, gaussians=gaussians, fill=self.fill and part == "background")
 
     def at_distances(self, factors: Mapping[int, float], times: Sequence[float], cameras: Sequence[Camera]) -> SceneModel:
-        """The same scene with some movers farther away, or nearer: see ``PartedRenderer.at_distances``."""
-        self.require_movers(factors)
+        """The same scene with some objects farther away, or nearer: see ``PartedRenderer.at_distances``."""
+        self.require_objects(factors)
         check_factors(factors)
         changed = {number: float(factor) for number, factor in factors.items() if factor != 1}
         return replace(self, distances=Distances(changed, self.clip_path(times, cameras)) if changed else None)
@@ -173,17 +173,17 @@ class SceneModel:
         """The clip's cameras [T] at seconds [T] as a path in clip time and normalized coordinates."""
         return CameraPath([self.clip_time(t) for t in times], [self.similarity.camera(camera) for camera in cameras])
 
-    def require_movers(self, numbers: Iterable[int]) -> None:
-        """Refuse numbers that no mover has.
+    def require_objects(self, numbers: Iterable[int]) -> None:
+        """Refuse numbers that no object has.
 
         Raises:
             InputError: names the first of them, and those that there are.
         """
-        known = self.gaussians.mover_counts
+        known = self.gaussians.object_counts
         for number in numbers:
             if number not in known:
-                there_are = f"there are {', '.join(map(str, known))}" if known else "none of its Gaussians belongs to a mover"
-                raise InputError(f"The trained scene has no mover {number}: {there_are}.")
+                there_are = f"there are {', '.join(map(str, known))}" if known else "none of its Gaussians belongs to an object"
+                raise InputError(f"The trained scene has no object {number}: {there_are}.")
 
     def active_count(self, t: float) -> int:
         """How many Gaussians are there at ``t`` seconds, whether a camera sees them or not."""

@@ -24,7 +24,7 @@ class Observation:
         image: [H, W, 3] uint8 sRGB.
         depth: [H, W] float32, median of all frames 1.
         depth_trusted: [H, W] bool.
-        movers: [H, W] uint8 number of the moving object in a pixel, 0 = background.
+        objects: [H, W] uint8 number of the moving object in a pixel, 0 = background.
         forward: flow to the next training frame; None in the last.
         backward: flow to the previous training frame, or what reads it: only the start asks for it. None in the first.
     """
@@ -35,7 +35,7 @@ class Observation:
     image: np.ndarray
     depth: np.ndarray
     depth_trusted: np.ndarray
-    movers: np.ndarray
+    object_ids: np.ndarray
     forward: Flow | StoredFlow | None
     backward: Flow | StoredFlow | Callable[[], StoredFlow] | None
 
@@ -47,7 +47,7 @@ class Observation:
     @property
     def mask(self) -> np.ndarray:
         """[H, W] bool: moving objects."""
-        return self.movers > 0
+        return self.object_ids > 0
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ def load_observations(scene: Scene) -> Observations:
                 image=scene.frame(i),
                 depth=depth.depth * np.float32(similarity.scale),
                 depth_trusted=depth.trusted,
-                movers=scene.mask(i),
+                object_ids=scene.mask(i),
                 forward=scene.stored_flow(i, after) if (i, after) in pairs else None,
                 backward=partial(scene.stored_flow, i, before) if (i, before) in pairs else None,
             )

@@ -117,7 +117,7 @@ def render(
 ) -> RenderedFrame:
     """Render the Gaussians at clip time ``t``, without gradients; camera in normalized coordinates.
 
-    ``distances``: of movers that are not where they were trained.
+    ``distances``: of objects that are not where they were trained.
     """
     flow = None if flow_to is None else FlowView(flow_model, flow_to[0], flow_to[1] - t)
     sliced = slice_view(gaussians, camera, t, flow_to[1] if flow_to is not None else None, distances, eps2d)

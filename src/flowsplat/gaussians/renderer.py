@@ -12,13 +12,13 @@ from flowsplat.common.errors import InputError
 from flowsplat.geometry import Camera
 
 Part = str
-"""Of a scene: one of ``PARTS``, or ``movers:`` and the numbers of some of them, as in ``movers:2`` or ``movers:1,3``."""
-PARTS: tuple[Part, ...] = ("all", "background", "movers")
-"""Everything, what is left without the movers, or the movers alone."""
+"""Of a scene: one of ``PARTS``, or ``objects:`` and the numbers of some of them, as in ``objects:2`` or ``objects:1,3``."""
+PARTS: tuple[Part, ...] = ("all", "background", "objects")
+"""Everything, what is left without the objects, or the objects alone."""
 
 
 def numbers_of(part: Part) -> tuple[int, ...] | None:
-    """The numbers of the movers that a part names; None = it names none.
+    """The numbers of the objects that a part names; None = it names none.
 
     Raises:
         InputError: there is no such part.
@@ -27,8 +27,8 @@ def numbers_of(part: Part) -> tuple[int, ...] | None:
         return None
     kind, _, numbers = part.partition(":")
     listed = numbers.split(",")
-    if kind != "movers" or not all(number.isdecimal() for number in listed):
-        raise InputError(f"Unknown part {part!r}: choose from {', '.join(PARTS)}, or name movers by number as in movers:1,3.")
+    if kind != "objects" or not all(number.isdecimal() for number in listed):
+        raise InputError(f"Unknown part {part!r}: choose from {', '.join(PARTS)}, or name objects by number as in objects:1,3.")
     return tuple(int(number) for number in listed)
 
 
@@ -77,7 +77,7 @@ class PartedRenderer(Renderer, Protocol):
     """A renderer that knows what moves."""
 
     def part(self, part: Part) -> PartedRenderer:
-        """The same scene with one part of it only; uncovered pixels of movers alone are not filled but stay black.
+        """The same scene with one part of it only; uncovered pixels of objects alone are not filled but stay black.
 
         Raises:
             InputError: there is no such part.
@@ -85,15 +85,15 @@ class PartedRenderer(Renderer, Protocol):
         ...
 
     def at_distances(self, factors: Mapping[int, float], times: Sequence[float], cameras: Sequence[Camera]) -> PartedRenderer:
-        """The same scene with some movers farther away, or nearer: see ``gaussians.distances``.
+        """The same scene with some objects farther away, or nearer: see ``gaussians.distances``.
 
         Args:
-            factors: by the number of the mover, how many times as far away from the clip's camera as it was trained.
+            factors: by the number of the object, how many times as far away from the clip's camera as it was trained.
             times: [T] seconds of the clip's frames.
             cameras: [T] its cameras, in the coordinates of the scene.
 
         Raises:
-            InputError: there is no such mover, or a factor is none.
+            InputError: there is no such object, or a factor is none.
         """
         ...
 

@@ -1,7 +1,7 @@
-"""The background as it looks without the movers' shadows (METHOD 7).
+"""The background as it looks without the objects' shadows (METHOD 7).
 
 A shadow moves with what throws it and belongs to no mask. In a trained scene it is brightness in time of the background
-(``log_gains``). Where a still surface is seen in some frames with a mover near it and in others without, the others tell how
+(``log_gains``). Where a still surface is seen in some frames with an object near it and in others without, the others tell how
 bright it is by itself. A shadow that never leaves cannot be told from a dark surface, and stays.
 """
 
@@ -21,10 +21,10 @@ from flowsplat.gaussians.model import SceneModel, at_once
 from flowsplat.geometry import Camera
 
 NEAR = 3.0
-"""Sizes of a mover (square root of its area in the picture) from its mask within which its shadow may fall."""
+"""Sizes of an object (square root of its area in the picture) from its mask within which its shadow may fall."""
 
 FEWEST = 3
-"""Frames without a mover near that must show a surface."""
+"""Frames without an object near that must show a surface."""
 
 SHARE = 0.5
 """Of these frames' brightness the share below that which a surface has by itself."""
@@ -36,7 +36,7 @@ MUCH_DARKER = 0.15
 """As ``DARKER``, there."""
 
 DARKER = 0.03
-"""Logarithm of the brightness by which a surface must be darker beside movers, or it is left as it is."""
+"""Logarithm of the brightness by which a surface must be darker beside objects, or it is left as it is."""
 
 AROUND, AGREE = 16, 1.0
 """Nearest Gaussians at rest, most of which must be darker by so many limits, too."""
@@ -49,7 +49,7 @@ STIFFNESS = 1e-4
 """Weight of the squared gains, times that of their wave, against the squared errors of brightness."""
 
 OTHERS = 20_000
-"""About how many points that are never beside a mover tell how bright whole frames are."""
+"""About how many points that are never beside an object tell how bright whole frames are."""
 
 UNSEEN = 0.3
 """Weight of times at which a surface is not seen."""
@@ -67,7 +67,7 @@ def with_lit(model: SceneModel, cameras: Sequence[Camera], times: Sequence[float
         model: the trained scene.
         cameras: [T] of the training frames.
         times: [T] seconds of them.
-        masks: [T] numbers of movers [H, W] in them.
+        masks: [T] numbers of objects [H, W] in them.
     """
     g = model.gaussians
     waves = g.config.gains
@@ -75,8 +75,8 @@ def with_lit(model: SceneModel, cameras: Sequence[Camera], times: Sequence[float
     if not waves or not len(rests) or not any(mask.any() for mask in masks):
         return model
     points = model.similarity.inverse().points(g.params["means"][rests].double().cpu().numpy())
-    seen, far, edge = _seen_beside_movers(model, points, cameras, times, masks)
-    # Only what is ever beside a mover can be in its shadow; of all else some tell how bright whole frames are.
+    seen, far, edge = _seen_beside_objects(model, points, cameras, times, masks)
+    # Only what is ever beside an object can be in its shadow; of all else some tell how bright whole frames are.
     beside = (seen & ~far).any(1)
     others = np.flatnonzero(~beside)
     chosen = np.sort(np.concatenate([np.flatnonzero(beside), others[:: max(1, len(others) // OTHERS)]]))
@@ -89,7 +89,7 @@ def with_lit(model: SceneModel, cameras: Sequence[Camera], times: Sequence[float
     # Brightness in time of what is thin or ends makes up for all that is wrong with it.
     flat = (seen & edge).sum(1) <= EDGES * seen.sum(1)
     told = flat & (alone.sum(1) >= FEWEST)
-    # Beside a mover that never leaves, a shadow still comes and goes.
+    # Beside an object that never leaves, a shadow still comes and goes.
     beside_only = flat & ~told & (seen.sum(1) >= MANY)
     level = np.full(len(chosen), np.nan, np.float32)
     level[told] = _quantile(curve[told], alone[told], SHARE)
@@ -116,17 +116,17 @@ def with_lit(model: SceneModel, cameras: Sequence[Camera], times: Sequence[float
     return replace(model, gaussians=replace(g, lit=lit.to(g.device)))
 
 
-def _seen_beside_movers(
+def _seen_beside_objects(
     model: SceneModel, points: np.ndarray, cameras: Sequence[Camera], times: Sequence[float], masks: Sequence[np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of points [N, 3] of the still scene and frames, bool [N, T]: is it seen there, is no mover near it, does depth jump there."""
-    background, movers = model.part("background"), model.part("movers")
+    """Of points [N, 3] of the still scene and frames, bool [N, T]: is it seen there, is no object near it, does depth jump there."""
+    background, objects = model.part("background"), model.part("objects")
 
     def look(k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         camera = cameras[k].resized(max(cameras[k].width // 2, 1), max(cameras[k].height // 2, 1))
         still = background.render(camera, times[k])
         mask = cv2.resize(masks[k], (camera.width, camera.height), interpolation=cv2.INTER_NEAREST)
-        hidden = (movers.render(camera, times[k]).alpha >= _COVERED) | (cv2.dilate(mask, np.ones((3, 3), np.uint8)) > 0)
+        hidden = (objects.render(camera, times[k]).alpha >= _COVERED) | (cv2.dilate(mask, np.ones((3, 3), np.uint8)) > 0)
         surface = cv2.dilate(np.where(still.alpha >= _COVERED, still.depth, 0).astype(np.float32), np.ones((3, 3), np.uint8))
         surface = np.where(hidden, 0, surface)
         # Inverse depth is linear in the picture on a plane, however slanted.

@@ -32,7 +32,7 @@ _SAME = 0.05
 """Share of its distance by which a point may lie behind the surface that a frame sees."""
 _LEAST_SPREAD = 1e-6
 _NEAREST = 0.5
-"""Share of the distance of the nearest mover from the clip's camera, below which a camera is too close to one."""
+"""Share of the distance of the nearest object from the clip's camera, below which a camera is too close to one."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Seen:
 
     Attributes:
         there: whether anything is rendered there.
-        moves: whether a mover is: it is there in its own frame, and not asked about.
+        moves: whether an object is: it is there in its own frame, and not asked about.
         frames: how many of the frames that were asked saw the point of the still scene.
         off: by how many times the spread of their directions the view's differs from their mean; huge where
             no two differ, but for a view from there.
@@ -69,12 +69,12 @@ class Support:
             cameras: [T] of the clip.
             times: [T] seconds of its frames.
         """
-        self._background, self._movers = model.part("background"), model.part("movers")
+        self._background, self._objects = model.part("background"), model.part("objects")
         self.threads = at_once(model)
 
         def witness(k: int) -> tuple[Camera, np.ndarray]:
             camera = _small(cameras[k])
-            still, hidden = self._background.render(camera, times[k]), self._movers.render(camera, times[k]).alpha >= _COVERED
+            still, hidden = self._background.render(camera, times[k]), self._objects.render(camera, times[k]).alpha >= _COVERED
             # At edges a point may be seen on either side: the farther surface around a pixel counts.
             surface = cv2.dilate(np.where(still.alpha >= _COVERED, still.depth, 0).astype(np.float32), np.ones((3, 3), np.uint8))
             return camera, np.where(hidden, 0, surface)
@@ -84,8 +84,8 @@ class Support:
     def seen(self, camera: Camera, t: float) -> Seen:
         """What the clip has seen of the view of a camera, in the scene's coordinates, at ``t`` seconds."""
         camera = _small(camera)
-        still, movers = self._background.render(camera, t), self._movers.render(camera, t)
-        there, moves = still.alpha >= _COVERED, movers.alpha >= _COVERED
+        still, objects = self._background.render(camera, t), self._objects.render(camera, t)
+        there, moves = still.alpha >= _COVERED, objects.alpha >= _COVERED
         points = unproject_depth(still.depth, camera).reshape(-1, 3)
         count, mean, spread_of = self.directions(points)
         away = np.linalg.norm(_unit(camera.center - points) - mean, axis=1)
@@ -119,12 +119,12 @@ class Support:
         return float(1 - self.seen(camera, t).is_known.mean())
 
     def keeps_clear(self, camera: Camera, own: Camera, t: float) -> bool:
-        """Whether a camera is not much nearer to any mover than the clip's ``own`` at that time."""
-        there, here = (self._nearest_mover(each, t) for each in (camera, own))
+        """Whether a camera is not much nearer to any object than the clip's ``own`` at that time."""
+        there, here = (self._nearest_object(each, t) for each in (camera, own))
         return there >= _NEAREST * here
 
-    def _nearest_mover(self, camera: Camera, t: float) -> float:
-        shown = self._movers.render(_small(camera), t)
+    def _nearest_object(self, camera: Camera, t: float) -> float:
+        shown = self._objects.render(_small(camera), t)
         depth = shown.depth[shown.alpha >= _COVERED]
         return float(np.percentile(depth, 5)) if depth.size else np.inf
 

@@ -39,12 +39,12 @@ class Paths:
         points: [Q, T, 3] float64 in the coordinates of the scene's cameras. NaN where nothing carried the point: its pixel was
             empty, or its carriers faded and nothing took over.
         visible: [Q, T] bool: inside the picture, and the rendered depth there is the point's.
-        movers: [Q] uint8 number of the mover that each point is on, as most of what is seen at its pixel says; 0 = on none.
+        objects: [Q] uint8 number of the object that each point is on, as most of what is seen at its pixel says; 0 = on none.
     """
 
     points: np.ndarray
     visible: np.ndarray
-    movers: np.ndarray
+    object_ids: np.ndarray
 
 
 @torch.no_grad()
@@ -52,7 +52,7 @@ def follow_points(model: SceneModel, cameras: Sequence[Camera], timestamps: np.n
     """Follow points of the picture through the model. Ours; the paper shows no tracks.
 
     The Gaussians that make up the pixel, by their weights alpha_i T_i (METHOD 3.4), carry the point that is seen there along
-    their own rigid motion, movers or background, whichever holds more of it. A Gaussian carries while its presence is at
+    their own rigid motion, objects or background, whichever holds more of it. A Gaussian carries while its presence is at
     least ``p_min``; when half of the weight has faded, those take over that are present where the point is.
 
     Args:
@@ -79,16 +79,16 @@ def follow_points(model: SceneModel, cameras: Sequence[Camera], timestamps: np.n
         for q, (point, carriers) in zip(here.tolist(), found, strict=True):
             if carriers is not None:
                 points[q, frame], chosen[q] = point, carriers
-    movers = np.zeros(len(queries), np.uint8)
+    object_ids = np.zeros(len(queries), np.uint8)
     for q, carriers in chosen.items():
-        numbers = model.gaussians.movers[torch.from_numpy(carriers.rows)].numpy()
-        movers[q] = np.bincount(numbers, carriers.weights).argmax()
+        numbers = model.gaussians.object_ids[torch.from_numpy(carriers.rows)].numpy()
+        object_ids[q] = np.bincount(numbers, carriers.weights).argmax()
     for order in (range(len(times)), range(len(times) - 1, -1, -1)):
         _carry_along(model.gaussians, normalized, times, list(order), starts, dict(chosen), points)
     visible = np.zeros(points.shape[:2], bool)
     for i, (camera, t) in enumerate(zip(normalized, times, strict=True)):
         visible[:, i] = _is_seen(points[:, i], camera, _render(model, camera, t))
-    return Paths(model.similarity.inverse().points(points), visible, movers)
+    return Paths(model.similarity.inverse().points(points), visible, object_ids)
 
 
 @dataclass(frozen=True)

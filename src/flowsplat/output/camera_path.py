@@ -25,8 +25,8 @@ _YAW, _PITCH = np.radians(32.0), np.radians(28.0)
 
 
 @dataclass(frozen=True)
-class MoverPath:
-    """Where a mover was, in the world of the cameras, and where it may have been by one standard deviation.
+class ObjectPath:
+    """Where an object was, in the world of the cameras, and where it may have been by one standard deviation.
 
     Attributes:
         number: that it is called by.
@@ -41,29 +41,31 @@ class MoverPath:
     far: np.ndarray
 
 
-def path_from_above(cameras: Sequence[Camera], points: np.ndarray, colors: np.ndarray, movers: Sequence[MoverPath] = ()) -> Markup:
-    """An SVG of the path, the outer rays of some cameras, points of the scene and paths of movers, seen from above.
+def path_from_above(
+    cameras: Sequence[Camera], points: np.ndarray, colors: np.ndarray, objects: Sequence[ObjectPath] = ()
+) -> Markup:
+    """An SVG of the path, the outer rays of some cameras, points of the scene and paths of objects, seen from above.
 
     Args:
         cameras: in the order of time.
         points: [N, 3] of the scene, in the world of the cameras; may be empty.
         colors: [N, 3] uint8.
-        movers: their paths, each with a band of one standard deviation along the rays.
+        objects: their paths, each with a band of one standard deviation along the rays.
     """
     axes = _level_axes(cameras)[[0, 2]]
     centers = np.array([camera.center for camera in cameras]) @ axes.T
     dots = points @ axes.T
     # A few points far out would make all the rest too small to see.
     bounds = np.percentile(dots, (3, 97), axis=0) if len(dots) else np.zeros((0, 2))
-    around = np.concatenate([centers, bounds, *(mover.places @ axes.T for mover in movers)])
+    around = np.concatenate([centers, bounds, *(obj.places @ axes.T for obj in objects)])
     length = _REACH * _extent(around)
     wedges = [_corners(camera, length)[[0, 1]] @ axes.T for camera in _some(cameras)]
     page = _Page(np.concatenate([around, *wedges]))
     parts = [page.dot(place, color) for place, color in zip(dots, colors, strict=True) if page.shows(place)]
     for camera, wedge in zip(_some(cameras), wedges, strict=True):
         parts.append(page.line(np.array([wedge[0], camera.center @ axes.T, wedge[1]]), "frustum"))
-    parts += [page.mover(mover, axes) for mover in movers]
-    title = "The camera path from above, with the scene" + (" and what moves" if movers else "")
+    parts += [page.object_path(obj, axes) for obj in objects]
+    title = "The camera path from above, with the scene" + (" and what moves" if objects else "")
     return _svg(title, parts + _track(page, centers))
 
 
@@ -134,16 +136,16 @@ class _Page:
         fill = "#" + "".join(f"{int(c):02x}" for c in color)
         return Markup('<rect x="{:.0f}" y="{:.0f}" width="{}" height="{}" fill="{}"/>').format(x, y, _DOT, _DOT, fill)
 
-    def mover(self, mover: MoverPath, axes: np.ndarray) -> Markup:
-        """The path of a mover with its band, its number where it begins."""
-        color = "#{:02x}{:02x}{:02x}".format(*mover.color)
-        band = self.place(np.concatenate([mover.near, mover.far[::-1]]) @ axes.T)
-        path = self.place(mover.places @ axes.T)
+    def object_path(self, obj: ObjectPath, axes: np.ndarray) -> Markup:
+        """The path of an object with its band, its number where it begins."""
+        color = "#{:02x}{:02x}{:02x}".format(*obj.color)
+        band = self.place(np.concatenate([obj.near, obj.far[::-1]]) @ axes.T)
+        path = self.place(obj.places @ axes.T)
         around, along = ("L".join(f"{x:.1f} {y:.1f}" for x, y in line) for line in (band, path))
         return Markup(
-            '<g class="mover" fill="{c}" stroke="{c}"><path class="band" d="M{}Z"/><path class="way" d="M{}"/>'
+            '<g class="object" fill="{c}" stroke="{c}"><path class="band" d="M{}Z"/><path class="way" d="M{}"/>'
             '<text x="{:.1f}" y="{:.1f}">{}</text></g>'
-        ).format(around, along, path[0, 0] + 5, path[0, 1] - 5, mover.number, c=color)
+        ).format(around, along, path[0, 0] + 5, path[0, 1] - 5, obj.number, c=color)
 
     def line(self, places: np.ndarray, kind: str) -> Markup:
         path = "L".join(f"{x:.1f} {y:.1f}" for x, y in self.place(places))

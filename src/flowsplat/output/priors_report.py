@@ -15,7 +15,7 @@ import numpy as np
 
 from flowsplat.common.run_paths import RunPaths
 from flowsplat.common.spread import spread
-from flowsplat.output.camera_path import MoverPath, path_at_an_angle, path_from_above
+from flowsplat.output.camera_path import ObjectPath, path_at_an_angle, path_from_above
 from flowsplat.output.page import card, picture_row, write_page
 from flowsplat.pictures.charts import line_chart
 from flowsplat.pictures.colors import depth_range, depth_to_color, flow_legend, flow_scale, flow_to_color, object_color, tinted
@@ -26,9 +26,9 @@ from flowsplat.priors.cameras.checks import LARGE_ERROR, LITTLE_PARALLAX
 from flowsplat.priors.cameras.following import WORKING_SIDE
 from flowsplat.priors.depth.stage import MOSTLY
 from flowsplat.priors.graph import PRIORS
-from flowsplat.priors.objects import SceneMovers, load_movers
-from flowsplat.priors.objects.areas import large_movers, moving_objects
-from flowsplat.priors.objects.description import MoverDescription, describe_movers, sureness
+from flowsplat.priors.objects import SceneObjects, load_objects
+from flowsplat.priors.objects.areas import large_objects, moving_objects
+from flowsplat.priors.objects.description import ObjectDescription, describe_objects, sureness
 from flowsplat.scenes import Scene, Tracks
 
 PANEL = 400
@@ -44,7 +44,7 @@ TAIL, MOST_TRACKS = 6, 240
 SCENE_POINTS = 1500
 """Points of the scene in the drawing of the path."""
 THUMBNAIL = 160
-"""Pixels of the longer side of the picture of a mover."""
+"""Pixels of the longer side of the picture of an object."""
 MOST_PIECES = 3
 """Pieces of a clip with cuts whose paths are drawn."""
 
@@ -61,7 +61,7 @@ def write_priors_report(folder: Path, scene: Scene, seconds: Mapping[str, float]
     Raises:
         InputError: a prior is missing or damaged, or the folder cannot be written.
     """
-    shown, movers = _Shown(scene), load_movers(scene)
+    shown, objects = _Shown(scene), load_objects(scene)
     path = RunPaths(folder).priors_report_path
     write_page(
         path,
@@ -69,9 +69,9 @@ def write_priors_report(folder: Path, scene: Scene, seconds: Mapping[str, float]
         title=scene.name,
         verdict=verdict(scene),
         strip=_strip(shown),
-        headline=_headline(scene, shown, movers),
-        paths=list(_paths(scene, movers)),
-        movers=list(_movers(scene, movers)),
+        headline=_headline(scene, shown, objects),
+        paths=list(_paths(scene, objects)),
+        objects=list(_objects(scene, objects)),
         stages=table(("", "how", "verdict", "time"), list(_rows(scene, seconds))),
         stills=[_still(shown, k) for k in spread(len(shown.frames), STILLS)],
         legend=picture(flow_legend(), "The color of every direction of flow", None),
@@ -142,14 +142,14 @@ def _trusted_static(depth: Mapping[str, Any]) -> float:
 
 
 def _mask_words(scene: Scene) -> str:
-    masks, movers = scene.prior("masks") or {}, scene.prior("objects") or {}
-    # Movers, where tracks have told which parts belong together.
-    count = movers.get("movers", masks.get("objects"))
+    masks, objects = scene.prior("masks") or {}, scene.prior("objects") or {}
+    # Objects, where tracks have told which parts belong together.
+    count = objects.get("objects", masks.get("objects"))
     if count is None:
         count = len({int(number) for i in scene.train_frames for number in np.unique(scene.mask(i))} - {0})
-    words = moving_objects(count, movers.get("small", 0))
+    words = moving_objects(count, objects.get("small", 0))
     words = words if masks.get("method") == "motion" else f"{words} ({_source(masks)} masks)"
-    guessed = count - movers.get("tied", count) if count else 0
+    guessed = count - objects.get("tied", count) if count else 0
     if guessed and (scene.prior("depth") or {}).get("method") != "guess":
         words += ", how far away is a guess" if guessed == count else f", how far away {guessed} of them are is a guess"
     return words
@@ -177,7 +177,7 @@ def _advice(scene: Scene, cameras: Mapping[str, Any], depth: Mapping[str, Any]) 
     return "Training can work."
 
 
-def _headline(scene: Scene, shown: _Shown, movers: SceneMovers) -> list[dict[str, Any]]:
+def _headline(scene: Scene, shown: _Shown, objects: SceneObjects) -> list[dict[str, Any]]:
     cameras, depth, tracks = (scene.prior(name) or {} for name in ("cameras", "depth", "tracks"))
     camera = scene.cameras[scene.train_frames[0]]
     angle = 2 * np.degrees(np.arctan(scene.width / 2 / camera.K[0, 0]))
@@ -189,20 +189,20 @@ def _headline(scene: Scene, shown: _Shown, movers: SceneMovers) -> list[dict[str
         card(figure(parallax, 1), "°", "parallax", "seen by a point, median"),
         card(figure(100 * float(np.mean(shown.matched)), 0), "%", "matched", "flow that passes there and back"),
         card(figure(100 * float(np.mean(shown.trusted)), 0), "%", "of the still scene", f"known depth, {depth.get('method', '')}"),
-        *_mover_cards(scene, movers),
+        *_object_cards(scene, objects),
         card(figure(tracks.get("tracks"), 0), "", "points followed", f"over {tracks.get('median_length', '–')} frames, median"),
     ]
 
 
-def _mover_cards(scene: Scene, found: SceneMovers) -> Iterator[dict[str, Any]]:
-    large = large_movers(scene)
-    counted = [mover for mover in found.movers if mover.number in large]
+def _object_cards(scene: Scene, found: SceneObjects) -> Iterator[dict[str, Any]]:
+    large = large_objects(scene)
+    counted = [obj for obj in found.objects if obj.number in large]
     if counted:
-        tied = [mover.sigma for mover in counted if mover.cues]
+        tied = [obj.sigma for obj in counted if obj.cues]
         words = sureness(tied, len(counted) - len(tied))
         worst = max(tied) if len(tied) == len(counted) else None
         value = figure(None if worst is None else 100 * np.expm1(worst), 0, "nothing speaks for the distance of some of them")
-        yield card(value, "%", "distance of movers", words)
+        yield card(value, "%", "distance of objects", words)
 
 
 def _rows(scene: Scene, seconds: Mapping[str, float]) -> Iterator[tuple[str, ...]]:
@@ -285,7 +285,7 @@ class _Shown:
         return {
             "tracks": self._with_tracks(seen.image, self.frames[k]),
             "flow": flow_to_color(seen.flow, self.flow_scale),
-            "movers": tinted(seen.image, seen.mask),
+            "objects": tinted(seen.image, seen.mask),
             self._depth_name: np.where(seen.sure[..., None], depth, pale),
         }
 
@@ -341,7 +341,7 @@ def _strip(shown: _Shown) -> str:
 # -- the path
 
 
-def _paths(scene: Scene, movers: SceneMovers) -> Iterator[dict[str, Any]]:
+def _paths(scene: Scene, objects: SceneObjects) -> Iterator[dict[str, Any]]:
     """Drawings of the path of every piece of the clip."""
     starts = [0, *(scene.prior("cameras") or {}).get("breaks", [])]
     ends = [*starts[1:], scene.num_frames]
@@ -354,51 +354,51 @@ def _paths(scene: Scene, movers: SceneMovers) -> Iterator[dict[str, Any]]:
             "label": f"Frames {start} to {end - 1}" if len(starts) > 1 else "",
             "length": f"{length * scene.similarity.scale:.2g}",
             "views": [
-                path_from_above(cameras, points, colors, list(_mover_paths(scene, movers, start, end))),
+                path_from_above(cameras, points, colors, list(_object_paths(scene, objects, start, end))),
                 path_at_an_angle(cameras),
             ],
         }
 
 
-def _mover_paths(scene: Scene, movers: SceneMovers, start: int, end: int) -> Iterator[MoverPath]:
+def _object_paths(scene: Scene, objects: SceneObjects, start: int, end: int) -> Iterator[ObjectPath]:
     """Paths of what is seen between two frames of the clip, with one standard deviation of its distance to either side."""
-    for mover in movers.movers:
-        seen = [k for k, i in enumerate(scene.train_frames) if start <= i < end and np.isfinite(mover.log_depth[k])]
+    for obj in objects.objects:
+        seen = [k for k, i in enumerate(scene.train_frames) if start <= i < end and np.isfinite(obj.log_depth[k])]
         if not seen:
             continue
         places = [
             np.concatenate([
-                scene.cameras[scene.train_frames[k]].unproject(mover.middles[k][None], np.exp(mover.log_depth[k] + off)[None])
+                scene.cameras[scene.train_frames[k]].unproject(obj.middles[k][None], np.exp(obj.log_depth[k] + off)[None])
                 for k in seen
             ])
-            for off in (0.0, -mover.sigma, mover.sigma)
+            for off in (0.0, -obj.sigma, obj.sigma)
         ]  # fmt: skip
-        yield MoverPath(mover.number, object_color(mover.number), *places)
+        yield ObjectPath(obj.number, object_color(obj.number), *places)
 
 
-def _movers(scene: Scene, found: SceneMovers) -> Iterator[dict[str, Any]]:
-    """A picture of every mover where it is largest, and what is known of its distance."""
-    described = {each.number: each for each in describe_movers(scene, found)}
+def _objects(scene: Scene, found: SceneObjects) -> Iterator[dict[str, Any]]:
+    """A picture of every object where it is largest, and what is known of its distance."""
+    described = {each.number: each for each in describe_objects(scene, found)}
     best = dict.fromkeys(described, (0, -1))
     for i in scene.train_frames:
         areas = np.bincount(scene.mask(i).ravel(), minlength=256)
         best = {number: max(most, (int(areas[number]), i)) for number, most in best.items()}
-    for number, mover in described.items():
+    for number, obj in described.items():
         area, i = best[number]
         if area:
-            label = f"Mover {number}"
-            yield {"label": label, "picture": picture(_cut_out(scene, i, number), label), **_words(scene, mover)}
+            label = f"Object {number}"
+            yield {"label": label, "picture": picture(_cut_out(scene, i, number), label), **_words(scene, obj)}
 
 
-def _words(scene: Scene, mover: MoverDescription) -> dict[str, str]:
+def _words(scene: Scene, obj: ObjectDescription) -> dict[str, str]:
     unit, camera = scene.similarity.scale, _travel(scene)
-    step = f"{mover.largest_step / mover.depth:.1%} of its distance"
+    step = f"{obj.largest_step / obj.depth:.1%} of its distance"
     if camera > 0:
-        step += f", {mover.largest_step / camera:.0%} of the camera's own travel"
+        step += f", {obj.largest_step / camera:.0%} of the camera's own travel"
     return {
-        "cues": mover.words, "distance": f"{mover.depth * unit:.2f} median depths of the scene",
-        "sure": f"to {100 * np.expm1(mover.sigma):.0f}%", "step": step,
-        "rigid": "one rigid body" if mover.rigid else "bends, or too little of it was followed",
+        "cues": obj.words, "distance": f"{obj.depth * unit:.2f} median depths of the scene",
+        "sure": f"to {100 * np.expm1(obj.sigma):.0f}%", "step": step,
+        "rigid": "one rigid body" if obj.rigid else "bends, or too little of it was followed",
     }  # fmt: skip
 
 
@@ -408,7 +408,7 @@ def _travel(scene: Scene) -> float:
 
 
 def _cut_out(scene: Scene, i: int, number: int) -> np.ndarray:
-    """The surroundings of a mover, it in color and all else in gray."""
+    """The surroundings of an object, it in color and all else in gray."""
     mask = scene.mask(i)
     y, x = np.nonzero(mask == number)
     room = max(8, int(0.15 * max(np.ptp(x), np.ptp(y))))

@@ -156,34 +156,34 @@ def _along(metrics: Mapping[str, Any]) -> str:
 
 
 def _aside(metrics: Mapping[str, Any]) -> str:
-    """What was measured from aside, or that nothing was and how sure the distances of movers are."""
+    """What was measured from aside, or that nothing was and how sure the distances of objects are."""
     views = pick(metrics, "heldout_views", "psnr")
     if views is not None:
         moving = pick(metrics, "heldout_views", "moving", "psnr")
         warped = pick(metrics, "baselines_views", "warp_by_depth", "psnr")
-        of_movers = "" if moving is None else f", what moves at {moving:.2f} dB"
+        of_objects = "" if moving is None else f", what moves at {moving:.2f} dB"
         beside = "" if warped is None else f"; warping the frame of the same time by its true depth gives {warped:.2f} dB"
-        return f"From aside: views by other cameras, which training never saw, are rendered at {views:.2f} dB{of_movers}{beside}."
+        return f"From aside: views by other cameras, which training never saw, are rendered at {views:.2f} dB{of_objects}{beside}."
     error = pick(metrics, "depth_abs_rel", "moving", "mean")
     if error is not None:
         return f"From aside: no view was measured; the depth of what moves is off by {error:.0%} (mean)."
-    movers = _counted(metrics)
-    if not movers:
+    objects = _counted(metrics)
+    if not objects:
         return "From aside: not measured."
-    steps = [mover["largest_step"] / mover["depth"] for mover in movers if mover["cues"]]
-    near = f", enough for steps aside of up to {min(steps):.1%} of their distance" if len(steps) == len(movers) else ""
-    whose = "the distance of its mover is" if len(movers) == 1 else f"the distances of its {len(movers)} movers are"
-    return f"From aside: not measured; {whose} {_sureness(movers)}{near}."
+    steps = [obj["largest_step"] / obj["depth"] for obj in objects if obj["cues"]]
+    near = f", enough for steps aside of up to {min(steps):.1%} of their distance" if len(steps) == len(objects) else ""
+    whose = "the distance of its object is" if len(objects) == 1 else f"the distances of its {len(objects)} objects are"
+    return f"From aside: not measured; {whose} {_sureness(objects)}{near}."
 
 
 def _counted(metrics: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """What is known of movers, small parts left out."""
-    return [mover for mover in metrics.get("movers") or [] if not mover.get("small")]
+    """What is known of objects, small parts left out."""
+    return [obj for obj in metrics.get("objects") or [] if not obj.get("small")]
 
 
-def _sureness(movers: Sequence[Mapping[str, Any]]) -> str:
-    tied = [mover["sigma"] for mover in movers if mover["cues"]]
-    return sureness(tied, len(movers) - len(tied))
+def _sureness(objects: Sequence[Mapping[str, Any]]) -> str:
+    tied = [obj["sigma"] for obj in objects if obj["cues"]]
+    return sureness(tied, len(objects) - len(tied))
 
 
 def _headline(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -217,12 +217,12 @@ def _aside_card(metrics: Mapping[str, Any]) -> dict[str, Any]:
     views, error = pick(metrics, "heldout_views", "psnr"), pick(metrics, "depth_abs_rel", "moving", "mean")
     if views is not None:
         moving = pick(metrics, "heldout_views", "moving", "psnr")
-        movers = "" if moving is None else f"; movers: {moving:.2f} dB"
-        return card(figure(views), "dB", "PSNR from aside", f"held-out views{movers}")
+        objects = "" if moving is None else f"; objects: {moving:.2f} dB"
+        return card(figure(views), "dB", "PSNR from aside", f"held-out views{objects}")
     if error is not None:
-        return card(figure(100 * error, 0), "%", "depth error of movers", "from aside: no view was measured")
+        return card(figure(100 * error, 0), "%", "depth error of objects", "from aside: no view was measured")
     known = _counted(metrics)
-    sure = f"movers' distance: {_sureness(known)}" if known else "neither views nor true depth are known"
+    sure = f"objects' distance: {_sureness(known)}" if known else "neither views nor true depth are known"
     return card(figure(None, reason=sure), "", "from aside: not measured", sure)
 
 
@@ -235,7 +235,7 @@ def _tables(metrics: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     """Titled tables of everything that was measured."""
     lpips = metrics.get("lpips_reason")
     if pick(metrics, "heldout_frames") is not None:
-        remark = "Frames of the clip that training has not seen, and of the priors only the cameras; movers are the given masks."
+        remark = "Frames of the clip that training has not seen, and of the priors only the cameras; objects are the given masks."
         if pick(metrics, "heldout_frames_refined") is not None:
             remark += (
                 " Poses of held-out frames are used as they were estimated; refined is what comes out when the pose of each alone "
@@ -252,13 +252,13 @@ def _tables(metrics: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
         yield {"title": "Training frames", "remark": "How well what was seen is reproduced.", "table": rows}
     errors = list(_errors(metrics))
     if errors:
-        header = ("", "mean", "median", "movers, mean", "movers, median")
+        header = ("", "mean", "median", "objects, mean", "objects, median")
         yield {"title": "Flow and depth", "remark": "", "table": table(header, errors)}
-    movers = pick(metrics, "gaussians", "movers")
-    if movers:
-        remark = "Of the number that a mover has in the masks; --render.parts movers:NUMBER shows it alone."
-        rows = table(("mover", "Gaussians"), [(number, f"{count:,}") for number, count in movers.items()])
-        yield {"title": "Movers", "remark": remark, "table": rows}
+    objects = pick(metrics, "gaussians", "objects")
+    if objects:
+        remark = "Of the number that an object has in the masks; --render.parts objects:NUMBER shows it alone."
+        rows = table(("object", "Gaussians"), [(number, f"{count:,}") for number, count in objects.items()])
+        yield {"title": "Objects", "remark": remark, "table": rows}
     seconds = metrics.get("seconds") or {}
     if seconds:
         spent = [(_STAGES.get(stage, stage), duration(value)) for stage, value in seconds.items()]
@@ -270,7 +270,7 @@ def _tables(metrics: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
 
 def _scores(metrics: Mapping[str, Any], ours: str, others: str, regions: Sequence[str], lpips_reason: str | None) -> Markup:
     """PSNR, SSIM and LPIPS of this scene and of the methods that it is compared with."""
-    names = {"moving": "movers", "covisible": "covisible"}
+    names = {"moving": "objects", "covisible": "covisible"}
     refined = metrics.get(f"{ours}_refined")
     header = ["", "PSNR dB", "SSIM", "LPIPS", *(f"PSNR, {names[region]}" for region in regions)]
     header += ["PSNR, pose refined", "SSIM, pose refined"] if refined else []
@@ -355,12 +355,12 @@ def _video_title(name: str) -> str:
         if rest.endswith(suffix):
             rest = rest.removesuffix(suffix)
             words.insert(0, word)
-    if movers := re.search(r"_movers((?:_\d+)*)$", rest):
-        rest, numbers = rest[: movers.start()], movers[1].strip("_").replace("_", ", ")
-        words.insert(0, f"mover {numbers} alone" if numbers else "the movers alone")
+    if objects := re.search(r"_objects((?:_\d+)*)$", rest):
+        rest, numbers = rest[: objects.start()], objects[1].strip("_").replace("_", ", ")
+        words.insert(0, f"object {numbers} alone" if numbers else "the objects alone")
     rest, moved, distances = rest.partition("_distance_")
     if moved:
-        words.insert(0, ", ".join("mover {} {} times as far".format(*entry.split("x")) for entry in distances.split("_")))
+        words.insert(0, ", ".join("object {} {} times as far".format(*entry.split("x")) for entry in distances.split("_")))
     if rest.endswith("_fading"):
         rest = rest.removesuffix("_fading")
         words.insert(0, "without guesses")

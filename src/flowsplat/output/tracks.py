@@ -54,7 +54,7 @@ def write_tracks(model: SceneModel, scene: Scene, queries: np.ndarray, path: Pat
     """Follow points [Q, 3] through the model and write their paths.
 
     ``.npz``: ``queries`` [Q, 3], ``timestamps`` [T] seconds, ``points`` [Q, T, 3] in the coordinates of ``scene/cameras.json``
-    (NaN where unknown), ``visible`` [Q, T], ``movers`` [Q] the number of the mover that each is on (0: on none). ``.json``: the
+    (NaN where unknown), ``visible`` [Q, T], ``object_ids`` [Q] the number of the object that each is on (0: on none). ``.json``: the
     same as lists, null where unknown.
 
     Returns:
@@ -68,7 +68,7 @@ def write_tracks(model: SceneModel, scene: Scene, queries: np.ndarray, path: Pat
         raise InputError(f"{path} is neither .json nor .npz: name the file so.")
     paths = follow_points(model, scene.cameras, scene.timestamps, queries)
     known = np.isfinite(paths.points).all(-1)
-    values = {"queries": queries, "timestamps": scene.timestamps, "visible": paths.visible, "movers": paths.movers}
+    values = {"queries": queries, "timestamps": scene.timestamps, "visible": paths.visible, "object_ids": paths.object_ids}
     if suffix == ".npz":
         write_npz(path, {**values, "points": paths.points}, compressed=True)
     else:

@@ -71,8 +71,8 @@ def _describe_run(folder: RunFolder) -> Iterator[str]:
     if model.exists():
         value = read_json(model, ModelFile)
         yield f"  model: {value['gaussians']:,} Gaussians, {value['dynamic']:,} of them move"
-        if value.get("movers"):
-            yield "  Gaussians of the movers: " + ", ".join(f"{count:,} of {number}" for number, count in value["movers"].items())
+        if value.get("objects"):
+            yield "  Gaussians of the objects: " + ", ".join(f"{count:,} of {number}" for number, count in value["objects"].items())
     if (folder.scene_path / "scene.json").exists():
         yield from _describe_scene(Scene(folder.scene_path))
 

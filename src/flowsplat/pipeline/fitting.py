@@ -154,7 +154,7 @@ def _event_log(folder: Path) -> Iterator[Callable[[Mapping[str, float]], None]]:
 
 
 def static_model(folder: RunFolder) -> SceneModel:
-    """Our own static scene: the same initial Gaussians, movers as in their middle frame, no motion, a quarter of the steps."""
+    """Our own static scene: the same initial Gaussians, objects as in their middle frame, no motion, a quarter of the steps."""
     path, key = folder.static_path, stage_key(train_key(folder), "static")
     with folder.stage("static", key, (path,), made=has_model(path)) as stage:
         if stage.is_done:

@@ -97,11 +97,11 @@ class GaussiansFile(TypedDict):
     total: Count
     active_mean: Number
     active: list[Count]
-    movers: NotRequired[dict[str, Count]]
+    objects: NotRequired[dict[str, Count]]
 
 
-class MoverFile(TypedDict):
-    """A mover in ``metrics.json``; more may stand there."""
+class ObjectFile(TypedDict):
+    """An object in ``metrics.json``; more may stand there."""
 
     depth: Positive
     sigma: Positive
@@ -126,7 +126,7 @@ class MetricsFile(TypedDict, total=False):
     depth_abs_rel: dict[str, dict[str, Number | None] | None] | None
     lpips_reason: Text | None
     gaussians: GaussiansFile
-    movers: list[MoverFile]
+    objects: list[ObjectFile]
     seconds: dict[str, Seconds]
     wall_seconds: Seconds
     peak_memory_gib: Number | None

@@ -31,8 +31,8 @@ from flowsplat.pipeline.folder import MetricsFile, RunFolder, stage_key
 from flowsplat.pipeline.preparing import prepared
 from flowsplat.pipeline.speed import Speed, Watch, expected, expected_of
 from flowsplat.pipeline.summary import flow_comparisons, report_data
-from flowsplat.priors.objects import load_movers
-from flowsplat.priors.objects.description import mover_figures
+from flowsplat.priors.objects import load_objects
+from flowsplat.priors.objects.description import object_figures
 from flowsplat.scenes import Scene
 from flowsplat.scenes.clip import Clip
 from flowsplat.training.checkpoint import has_model, load_model
@@ -155,9 +155,9 @@ def _measure(folder: RunFolder, result: _Result, static: SceneModel | None) -> d
     counts = [model.active_count(float(t)) for t in scene.timestamps]
     metrics["gaussians"] = {
         "total": len(model.gaussians), "active_mean": float(np.mean(counts)), "active": counts,
-        "movers": {str(number): count for number, count in model.gaussians.mover_counts.items()},
+        "objects": {str(number): count for number, count in model.gaussians.object_counts.items()},
     }  # fmt: skip
-    metrics["movers"] = mover_figures(scene, load_movers(scene))
+    metrics["objects"] = object_figures(scene, load_objects(scene))
     return metrics
 
 

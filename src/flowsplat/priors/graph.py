@@ -16,7 +16,7 @@ from flowsplat.common.files import hash_files
 from flowsplat.priors.given import true_layers
 from flowsplat.priors.kinds.cameras import CAMERAS
 from flowsplat.priors.kinds.depth import DEPTH
-from flowsplat.priors.kinds.flow import FLOW, MOVER_FLOW
+from flowsplat.priors.kinds.flow import FLOW, OBJECT_FLOW
 from flowsplat.priors.kinds.masks import MASKS
 from flowsplat.priors.kinds.objects import OBJECTS
 from flowsplat.priors.kinds.static_depth import MASKED_STATIC_DEPTH, STATIC_DEPTH
@@ -234,6 +234,6 @@ PRIORS = Graph(
     # Of resting points, whose depth is not that of objects.
     _step("resting_tracks", RESTING_TRACKS, "tracks", needs=("cameras", "masks", "tracks", "depth"), outlasts=("objects",)),
     # Last: all others are made from the first search. What it finds stays good flow under other masks.
-    _step("mover_flow", MOVER_FLOW, "flow", needs=("flow", "masks"), outlasts=("cameras", "masks")),
+    _step("object_flow", OBJECT_FLOW, "flow", needs=("flow", "masks"), outlasts=("cameras", "masks")),
 )
 """A new kind is one line here, and a file in ``kinds``."""

@@ -81,7 +81,7 @@ def request_of(scene: Scene, options: PriorsOptions, device: str = "auto") -> Re
     """
     prompts, hints = check_places(scene, options)
     if hints and (options.priors == "true" or options.depth != "multiview" or options.given.depth is not None):
-        raise InputError("--touch and --distance place movers in depth of our own: leave out what takes other depth.")
+        raise InputError("--touch and --distance place objects in depth of our own: leave out what takes other depth.")
     if prompts and options.given.masks is not None:
         raise InputError("--given.masks and --mask-click or --mask-box both say what moves: give one of them.")
     _require_pictures_as_they_are(options)
@@ -140,7 +140,7 @@ def _compute(
 
 
 def check_places(scene: Scene, options: PriorsOptions) -> tuple[list[Prompt], list[Hint]]:
-    """Clicks and boxes, and what is said of movers' distances.
+    """Clicks and boxes, and what is said of objects' distances.
 
     Raises:
         InputError: one of them is none, or not of this clip.

@@ -32,7 +32,7 @@ class Request:
 
     Attributes:
         prompts: clicks and boxes, read from the options.
-        hints: what is said of the distances of movers.
+        hints: what is said of the distances of objects.
         device: where networks run: auto, cpu or cuda.
         estimate: finds flow.
         memory: what a step hands on without storing it, by the name of the step.

@@ -195,7 +195,7 @@ class Truth(Protocol):
 
 @dataclass(frozen=True)
 class ViewPicture:
-    """A picture by another camera: RGB [H, W, 3] uint8, and [H, W] bool movers and pixels that the clip saw, where known."""
+    """A picture by another camera: RGB [H, W, 3] uint8, and [H, W] bool objects and pixels that the clip saw, where known."""
 
     view: HeldoutView
     image: np.ndarray

@@ -379,7 +379,7 @@ class Scene(Layers):
     def write_view(
         self, view: HeldoutView, image: np.ndarray, mask: np.ndarray | None = None, covisible: np.ndarray | None = None
     ) -> None:
-        """Add a held-out view; ``mask`` marks movers in it, ``covisible`` what the clip itself saw ([H, W] bool)."""
+        """Add a held-out view; ``mask`` marks objects in it, ``covisible`` what the clip itself saw ([H, W] bool)."""
         plain_name(view.name, "The held-out view")
         write_image(self.folder / "views" / f"{view.name}.png", image)
         for suffix, extra in (("mask", mask), ("covisible", covisible)):
@@ -398,6 +398,6 @@ class Scene(Layers):
         return image
 
     def view_mask(self, view: HeldoutView, kind: str = "mask") -> np.ndarray | None:
-        """[H, W] bool: movers (``mask``) or pixels that the clip saw (``covisible``); None where not given."""
+        """[H, W] bool: objects (``mask``) or pixels that the clip saw (``covisible``); None where not given."""
         path = self.folder / "views" / f"{view.name}_{kind}.png"
         return read_image(path, (view.camera.width, view.camera.height)) > 0 if path.exists() else None

@@ -75,7 +75,7 @@ class ModelFile(TypedDict):
 
     gaussians: Count
     dynamic: Count
-    movers: NotRequired[dict[str, Count]]
+    objects: NotRequired[dict[str, Count]]
     model: ModelConfig
     sh_degree: Annotated[int, Meta(ge=0, le=3)]
     similarity: SimilarityFile
@@ -111,12 +111,12 @@ def save_model(folder: Path, model: SceneModel) -> None:
     """Write a trained model: ``gaussians.safetensors`` and a ``model.json`` that a person can read."""
     g = model.gaussians
     known = {name: value for name in _FOUND if (value := getattr(g, name)) is not None}
-    write_tensors(folder / "gaussians.safetensors", {**g.params, "dynamic": g.dynamic, "movers": g.movers, **known}, {})
+    write_tensors(folder / "gaussians.safetensors", {**g.params, "dynamic": g.dynamic, "object_ids": g.object_ids, **known}, {})
     value = {
         "version": MODEL_VERSION,
         "gaussians": len(g),
         "dynamic": int(g.dynamic.sum()),
-        "movers": {str(number): count for number, count in g.mover_counts.items()},
+        "objects": {str(number): count for number, count in g.object_counts.items()},
         "model": to_plain(g.config),
         "sh_degree": g.sh_degree,
         "similarity": model.similarity.to_json(),
@@ -149,10 +149,10 @@ def load_model(folder: Path) -> SceneModel:
     check_json(path, value, ModelFile)
     try:
         tensors, _ = read_tensors(folder / "gaussians.safetensors", value["gaussians"])
-        dynamic, movers = tensors["dynamic"].to(torch.bool), tensors["movers"].to(torch.uint8)
-        params = {name: tensor for name, tensor in tensors.items() if name not in ("dynamic", "movers", *_FOUND)}
+        dynamic, object_ids = tensors["dynamic"].to(torch.bool), tensors["object_ids"].to(torch.uint8)
+        params = {name: tensor for name, tensor in tensors.items() if name not in ("dynamic", "object_ids", *_FOUND)}
         found = {name: tensors.get(name) for name in _FOUND}
-        gaussians = Gaussians4D(params, dynamic, ModelConfig(**value["model"]), value["sh_degree"], movers, **found)
+        gaussians = Gaussians4D(params, dynamic, ModelConfig(**value["model"]), value["sh_degree"], object_ids, **found)
         check_model(folder, gaussians)
         if not value["last"] > value["first"]:
             raise ValueError("its last frame is not after its first")
@@ -186,8 +186,8 @@ def check_model(path: Path, gaussians: Gaussians4D) -> None:
         most = _LARGEST_LOG if name.startswith("log_") else FURTHEST
         if not bool((values <= most).all() and (values >= -FURTHEST).all()):  # not for NaN
             raise InputError(f"{path} is damaged: {name} holds values that are not finite, or beyond {most:g}.")
-    if gaussians.dynamic.shape != (count,) or gaussians.movers.shape != (count,):
-        raise InputError(f"{path} is damaged: it does not tell for each Gaussian whether it moves, and of which mover it is.")
+    if gaussians.dynamic.shape != (count,) or gaussians.object_ids.shape != (count,):
+        raise InputError(f"{path} is damaged: it does not tell for each Gaussian whether it moves, and of which object it is.")
     seen = gaussians.seen
     if seen is not None and (seen.dtype != torch.float32 or not bool(((seen >= 0) & (seen < torch.inf)).all())):
         raise InputError(f"{path} is damaged: what the clip has seen of a Gaussian is no number, or negative.")
@@ -259,8 +259,8 @@ def load_checkpoint(folder: Path, similarity: Similarity, first: float, last: fl
     try:
         config = values["config"]
         params = {name.removeprefix("param."): value for name, value in tensors.items() if name.startswith("param.")}
-        dynamic, movers = tensors["dynamic"].bool(), tensors["movers"].to(torch.uint8)
-        gaussians = Gaussians4D(params, dynamic, ModelConfig(**config["model"]), int(values["sh_degree"]), movers)
+        dynamic, object_ids = tensors["dynamic"].bool(), tensors["object_ids"].to(torch.uint8)
+        gaussians = Gaussians4D(params, dynamic, ModelConfig(**config["model"]), int(values["sh_degree"]), object_ids)
         check_model(path, gaussians)
         model = SceneModel(gaussians, similarity, first, last, config["flow_model"], bool(config["fill"]), focal)
         return model, int(values["step"]), int(config["iterations"])

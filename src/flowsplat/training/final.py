@@ -62,7 +62,7 @@ def with_heldout(observations: Observations, scene: Scene, layers: Layers) -> Ob
             image=scene.heldout_frame(i),
             depth=np.ones(size, np.float32),
             depth_trusted=np.zeros(size, bool),
-            movers=np.zeros(size, np.uint8),
+            object_ids=np.zeros(size, np.uint8),
             forward=None,
             backward=None,
         )

@@ -61,10 +61,10 @@ def per_frame_config(config: TrainConfig, frames: int) -> TrainConfig:
 
 
 def train_per_frame(observations: Observations, config: TrainConfig, device: torch.device | str = "cpu") -> list[Gaussians4D]:
-    """Train one set of static Gaussians on every training frame, movers and background alike."""
+    """Train one set of static Gaussians on every training frame, objects and background alike."""
     share = per_frame_config(config, len(observations))
     found = []
     for frame in observations.frames:
-        still = replace(frame, movers=np.zeros_like(frame.movers), forward=None, backward=None)
+        still = replace(frame, object_ids=np.zeros_like(frame.object_ids), forward=None, backward=None)
         found.append(Trainer(Observations([still], observations.similarity), None, share, device=device).run())
     return found

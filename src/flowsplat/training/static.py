@@ -1,4 +1,4 @@
-"""A scene without motion, to compare with: the same Gaussians, movers as they were in one frame."""
+"""A scene without motion, to compare with: the same Gaussians, objects as they were in one frame."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def static_config(config: TrainConfig) -> TrainConfig:
 
 
 def static_start(observations: Observations, tracks: Tracks | None, config: TrainConfig) -> Gaussians4D:
-    """The first Gaussians of a static scene: the background, and the movers as in their middle frame. A random start stays whole.
+    """The first Gaussians of a static scene: the background, and the objects as in their middle frame. A random start stays whole.
 
     Args:
         observations: the training frames.

@@ -449,7 +449,7 @@ class Trainer:
         tensors |= {f"adam.{name}": value for name, value in self._adam.state().items()}
         tensors |= {f"statistics.{name}": value for name, value in vars(self._statistics).items()}
         tensors |= {f"average.{name}": value for name, value in self._average.state().items()}
-        tensors |= {"dynamic": self.gaussians.dynamic, "movers": self.gaussians.movers}
+        tensors |= {"dynamic": self.gaussians.dynamic, "object_ids": self.gaussians.object_ids}
         tensors |= {"generator": self._generator.get_state()}
         if self._neighbors is not None:
             tensors |= {"neighbors.indices": self._neighbors.indices, "neighbors.weights": self._neighbors.weights}
@@ -503,8 +503,8 @@ class Trainer:
             chosen = {name[len(prefix) + 1 :]: value for name, value in tensors.items() if name.startswith(prefix + ".")}
             return {name: value.to(self._device) for name, value in chosen.items()}
 
-        dynamic, movers = tensors["dynamic"].to(self._device), tensors["movers"].to(torch.uint8).to(self._device)
-        self.gaussians = Gaussians4D(group("param"), dynamic, self.config.model, int(values["sh_degree"]), movers)
+        dynamic, object_ids = tensors["dynamic"].to(self._device), tensors["object_ids"].to(torch.uint8).to(self._device)
+        self.gaussians = Gaussians4D(group("param"), dynamic, self.config.model, int(values["sh_degree"]), object_ids)
         self._adam = RowAdam(self.gaussians.params)
         self._adam.load_state(group("adam"))
         statistics = group("statistics")

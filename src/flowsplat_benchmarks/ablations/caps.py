@@ -37,7 +37,7 @@ REMARKS = (
     "those that no camera sees are removed.",
 )
 COLUMNS = (
-    Column("PSNR", ("psnr",), 2), Column("PSNR of movers", ("moving",), 2), Column("SSIM", ("ssim",), 3),
+    Column("PSNR", ("psnr",), 2), Column("PSNR of objects", ("moving",), 2), Column("SSIM", ("ssim",), 3),
     Column("PSNR of training frames", ("training_psnr",), 2), Column("Gaussians at the end", ("gaussians", "total"), 0),
     Column("active, mean", ("gaussians", "active_mean"), 0), Column("seconds of training", ("seconds", "train"), 0),
     Column("peak memory, GiB", ("peak_memory_gib",), 1),

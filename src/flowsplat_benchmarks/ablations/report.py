@@ -56,12 +56,12 @@ class Judged:
     Attributes:
         claim: of which this is found.
         psnr: its effect on all of the picture.
-        movers: that inside the masks of what moves; None where they are not measured.
+        objects: that inside the masks of what moves; None where they are not measured.
     """
 
     claim: Claim
     psnr: Effect
-    movers: Effect | None
+    objects: Effect | None
 
     @property
     def verdict(self) -> Verdict:
@@ -71,7 +71,7 @@ class Judged:
     @property
     def said(self) -> str:
         """The verdict and, in brackets where it is another, that inside the masks."""
-        inside = None if self.movers is None else verdict(self.movers, self.claim.expected)
+        inside = None if self.objects is None else verdict(self.objects, self.claim.expected)
         return self.verdict if inside in (None, self.verdict) else f"{self.verdict} ({inside})"
 
 
@@ -115,29 +115,29 @@ def _table(group: Group, results: Sequence[Result]) -> Table | None:
 
 
 def _base_row(base: Variant, scenes: Mapping[str, str], results: Sequence[Result]) -> tuple[str, ...]:
-    psnr, movers, ssim = (
+    psnr, objects, ssim = (
         {scene: mean_of(value for run, value in values.items() if run[0] == scene) for scene in scenes}
         for values in (by_run(results, base.name, (figure,)) for figure in ("psnr", "moving", "ssim"))
     )
     return (
-        base.label, *(_with_movers(psnr[scene], movers[scene]) for scene in scenes),
-        _with_movers(mean_of(psnr.values()), mean_of(movers.values())), NOTHING, text(mean_of(ssim.values()), 3), NOTHING, NOTHING,
+        base.label, *(_with_objects(psnr[scene], objects[scene]) for scene in scenes),
+        _with_objects(mean_of(psnr.values()), mean_of(objects.values())), NOTHING, text(mean_of(ssim.values()), 3), NOTHING, NOTHING,
         NOTHING, *_cost(base, results),
     )  # fmt: skip
 
 
 def _row(found: Judged, scenes: Mapping[str, str], results: Sequence[Result]) -> tuple[str, ...]:
-    claim, psnr, movers, ssim = found.claim, found.psnr, found.movers, _effect(found.claim, results, "ssim")
-    of_scene = ((psnr.of_scene(scene), movers.of_scene(scene) if movers else None) for scene in scenes)
+    claim, psnr, objects, ssim = found.claim, found.psnr, found.objects, _effect(found.claim, results, "ssim")
+    of_scene = ((psnr.of_scene(scene), objects.of_scene(scene) if objects else None) for scene in scenes)
     return (
-        claim.variant.label, *(_with_movers(*pair, sign=True) for pair in of_scene),
-        _with_movers(psnr.mean, movers.mean if movers else None, sign=True),
-        _with_movers(psnr.spread, movers.spread if movers else None), text(ssim.mean if ssim else None, 3, sign=True),
+        claim.variant.label, *(_with_objects(*pair, sign=True) for pair in of_scene),
+        _with_objects(psnr.mean, objects.mean if objects else None, sign=True),
+        _with_objects(psnr.spread, objects.spread if objects else None), text(ssim.mean if ssim else None, 3, sign=True),
         text(claim.paper, 2, sign=True), EXPECTED[claim.expected], found.said, *_cost(claim.variant, results),
     )  # fmt: skip
 
 
-def _with_movers(value: float | None, inside: float | None, sign: bool = False) -> str:
+def _with_objects(value: float | None, inside: float | None, sign: bool = False) -> str:
     shown = text(value, 2, sign)
     return shown if inside is None else f"{shown} ({text(inside, 2, sign)})"
 

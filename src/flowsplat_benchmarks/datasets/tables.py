@@ -150,14 +150,14 @@ def _pictures(results: Sequence[Result]) -> Table:
                 extra += [text(pick(refined or {}, *path), 2) for path in (("psnr",), ("moving", "psnr"))]
             rows.append((label(result), _form_of(result), method, *values, *extra))
     header: tuple[str, ...] = (
-        "scene", "form", "method", "PSNR", "SSIM", "LPIPS", "PSNR of movers", "SSIM of movers", "PSNR where the clip saw it",
+        "scene", "form", "method", "PSNR", "SSIM", "LPIPS", "PSNR of objects", "SSIM of objects", "PSNR where the clip saw it",
     )  # fmt: skip
     note = (
         "Full image, and inside the masks of what moves (given or true ones; a dash where there are none). LPIPS looks at "
         "patches and has no value inside a mask. Copied is the frame before a held-out one, or that of a held-out camera's time."
     )
     if has_refined:
-        header += ("PSNR, poses refined", "PSNR of movers, poses refined")
+        header += ("PSNR, poses refined", "PSNR of objects, poses refined")
         note += (
             " All figures use the poses of held-out frames as they were estimated, but for those in the columns called refined: "
             "there the pose of every held-out frame alone was fitted to its own picture."
@@ -172,15 +172,15 @@ def _form_of(result: Result) -> str:
 _ERRORS = (
     Column("flow, mean px", ("flow_epe", "mean"), 3),
     Column("flow, median px", ("flow_epe", "median"), 3),
-    Column("flow of movers, mean px", ("flow_epe", "moving", "mean"), 3),
+    Column("flow of objects, mean px", ("flow_epe", "moving", "mean"), 3),
     Column("flow of the prior, mean px", ("prior_flow_epe", "mean"), 3),
-    Column("flow of the prior on movers, mean px", ("prior_flow_epe", "moving", "mean"), 3),
+    Column("flow of the prior on objects, mean px", ("prior_flow_epe", "moving", "mean"), 3),
     Column("flow against its prior, median px", ("flow_prior_epe", "median"), 3),
     Column("depth of static, mean %", ("depth_abs_rel", "static", "mean"), 2, factor=100),
-    Column("depth of movers, mean %", ("depth_abs_rel", "moving", "mean"), 2, factor=100),
-    Column("tracks on movers, median %", ("tracks", "moving", "median"), 2),
-    Column("tracks on movers after 12 frames, median %", ("tracks", "moving", "last"), 2),
-    Column("tracks on movers within 5 %, %", ("tracks", "moving", "within_5"), 1),
+    Column("depth of objects, mean %", ("depth_abs_rel", "moving", "mean"), 2, factor=100),
+    Column("tracks on objects, median %", ("tracks", "moving", "median"), 2),
+    Column("tracks on objects after 12 frames, median %", ("tracks", "moving", "last"), 2),
+    Column("tracks on objects within 5 %, %", ("tracks", "moving", "within_5"), 1),
     Column("tracks on static, median %", ("tracks", "static", "median"), 2),
 )
 

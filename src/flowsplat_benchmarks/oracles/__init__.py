@@ -1,7 +1,7 @@
 """What every prior costs: a rendered scene trained with one prior after the other replaced by the truth."""
 
 from flowsplat_benchmarks.oracles.benchmark import run_oracles
-from flowsplat_benchmarks.oracles.movers import mover_errors
+from flowsplat_benchmarks.oracles.objects import object_depth_errors
 from flowsplat_benchmarks.oracles.scenes import make_oracle
 
-__all__ = ["make_oracle", "mover_errors", "run_oracles"]
+__all__ = ["make_oracle", "object_depth_errors", "run_oracles"]

@@ -20,7 +20,7 @@ from flowsplat.scenes.clip import InputOptions
 from flowsplat.scenes.layers import write_image
 from flowsplat_benchmarks.datasets.cases import Case, rig_cases
 from flowsplat_benchmarks.oracles.classes import error_sheet, static_depth_errors, view_errors
-from flowsplat_benchmarks.oracles.movers import depth_scale, masks_of, mover_errors, static_error
+from flowsplat_benchmarks.oracles.objects import depth_scale, masks_of, object_depth_errors, static_error
 from flowsplat_benchmarks.oracles.report import SHEET, write_report
 from flowsplat_benchmarks.oracles.scenes import ORACLES, make_oracle
 from flowsplat_benchmarks.priors.measure import pooled_iou
@@ -141,7 +141,7 @@ def measure_oracle(run: OracleRun, prepared: Path, out: Path) -> dict[str, Any]:
         ``protocol``, ``scene``, ``size``, ``frames``, ``tuned``, ``oracle``, ``settings``, ``seed``, ``iterations``, ``flowsplat``
         (``source_state``), ``run`` (name of its folder); ``views`` (how many), ``psnr``, ``ssim``, ``moving``, ``covisible`` (PSNR)
         of the held-out cameras and ``training_psnr``; ``mask_iou``, ``scale`` (units of the scene per unit of the truth),
-        ``static`` (``static_error``), ``static_classes`` (``static_depth_errors``) and ``movers`` (``mover_errors``) of its
+        ``static`` (``static_error``), ``static_classes`` (``static_depth_errors``) and ``objects`` (``object_depth_errors``) of its
         priors; ``classes`` (``view_errors``) of the held-out views; ``gaussians`` and ``seconds`` by stage.
 
     Raises:
@@ -167,7 +167,7 @@ def measure_oracle(run: OracleRun, prepared: Path, out: Path) -> dict[str, Any]:
         "mask_iou": pooled_iou((own, true) for _, own, true in masks_of(scene)),
         "scale": depth_scale(scene), "static": static_error(scene), "static_classes": static_depth_errors(scene),
         "classes": view_errors(scene, renders),
-        "movers": [asdict(error) for error in mover_errors(scene)],
+        "objects": [asdict(error) for error in object_depth_errors(scene)],
         "gaussians": metrics["gaussians"]["total"], "seconds": trained.seconds,
     }  # fmt: skip
 

@@ -16,10 +16,10 @@ from flowsplat.pictures.colors import error_to_color, float_to_bytes
 from flowsplat.pictures.sheets import side_by_side, stacked
 from flowsplat.scenes import HeldoutView, Scene
 from flowsplat.scenes.layers import read_image
-from flowsplat_benchmarks.oracles.movers import depth_scale, masks_of, truth_of
+from flowsplat_benchmarks.oracles.objects import depth_scale, masks_of, truth_of
 
 CLASSES = (
-    "moves", "never seen", "few frames", "border", "near movers", "thin", "behind edges", "before edges", "dull", "rest",
+    "moves", "never seen", "few frames", "border", "near objects", "thin", "behind edges", "before edges", "dull", "rest",
 )  # fmt: skip
 """A pixel belongs to the first of these that it is."""
 
@@ -35,8 +35,8 @@ AT_EDGE = 4
 """Pixels from an edge."""
 THIN = 9
 """Pixels; what is narrower is thin."""
-AT_MOVER = 8
-"""Pixels from a mover."""
+AT_OBJECT = 8
+"""Pixels from an object."""
 AT_BORDER = 0.04
 """Share of the picture's size from its border."""
 DULL = 4.0
@@ -134,7 +134,7 @@ def _classes(image: np.ndarray, depth: np.ndarray, moves: np.ndarray, seen: np.n
         "never seen": seen == 0,
         "few frames": seen < FEW,
         "border": near_border,
-        "near movers": cv2.dilate(moves.astype(np.uint8), np.ones((2 * AT_MOVER + 1, 2 * AT_MOVER + 1), np.uint8)) > 0,
+        "near objects": cv2.dilate(moves.astype(np.uint8), np.ones((2 * AT_OBJECT + 1, 2 * AT_OBJECT + 1), np.uint8)) > 0,
         "thin": nearness > (1 + JUMP) * wide,
         "behind edges": cv2.dilate(np.where(jumps, nearness, 0), around) > (1 + JUMP / 2) * nearness,
         "before edges": cv2.dilate(jumps.astype(np.uint8), around) > 0,

@@ -1,4 +1,4 @@
-"""The tables of the oracles as Markdown and as a page: what every prior costs, and how wrong the depth of movers is."""
+"""The tables of the oracles as Markdown and as a page: what every prior costs, and how wrong the depth of objects is."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SHEET = "evaluation/classes.png"
 TITLE = "One prior after the other replaced by the truth"
 MEANINGS = {
     "own": "own priors as they are",
-    "constant": "*constant*: each mover's depth times one number, so that its median over the clip is right",
+    "constant": "*constant*: each object's depth times one number, so that its median over the clip is right",
     "course": "*course*: flat cards at the right depth in every frame",
     "relief": "*relief*: true depth inside our masks",
     "outline": "*outline*: true masks, too",
@@ -30,7 +30,7 @@ MEANINGS = {
     "cameras": "*cameras*: all true",
 }
 ERRORS = (Column("constant", ("constant",), 3, sign=True), Column("course", ("course",), 3), Column("relief", ("relief",), 3))
-"""Of the depth of a mover (``movers.mover_errors``)."""
+"""Of the depth of an object (``objects.object_depth_errors``)."""
 REMARKS = (
     "Each row holds what is true in those above it. True depth is brought to the scale of the estimated cameras by one factor for "
     "the clip, from the camera paths.",
@@ -57,7 +57,7 @@ def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str]
     if others:
         remarks.append(f"Results in this folder that have other settings, and are left out here: {others}.")
     remarks += failures(failed)
-    found = [each for each in (_gains(results), _views(results), _static_depth(results), _movers(results)) if each.rows]
+    found = [each for each in (_gains(results), _views(results), _static_depth(results), _objects(results)) if each.rows]
     scenes = [_scene(out, result) for result in sorted(results, key=_place)]
     return Report("oracles", TITLE, runs_measured(results, failed), remarks, found, scenes).write(out)
 
@@ -74,7 +74,7 @@ def _scene(out: Path, result: Result) -> dict[str, Any]:
 
 
 def _gains(results: Sequence[Result]) -> Table:
-    """PSNR of all of the picture and inside movers by oracle and scene, and the differences from the oracle before."""
+    """PSNR of all of the picture and inside objects by oracle and scene, and the differences from the oracle before."""
     scenes = {result["scene"]: label(result) for result in sorted(results, key=_place)}
     by_name = {(result["scene"], result["oracle"]): result for result in results}
     rows = []
@@ -87,7 +87,7 @@ def _gains(results: Sequence[Result]) -> Table:
             cells += _cells(by_name.get((scene, oracle)), before[-1] if before else None)
         rows.append(tuple(cells))
     header = ["true", *(cell for name in scenes.values() for cell in (name, "gain"))]
-    note = "PSNR of pictures by held-out cameras, dB: all of the picture / inside movers. Gain: over the row above that is there."
+    note = "PSNR of pictures by held-out cameras, dB: all of the picture / inside objects. Gain: over the row above that is there."
     own = [k for k, row in enumerate(rows) if row[0] == MEANINGS["own"]]
     return Table("What every prior costs", note, tuple(header), rows, tuple(own))
 
@@ -105,25 +105,25 @@ def _difference(value: float | None, before: float | None) -> float | None:
     return None if value is None or before is None else value - before
 
 
-def _movers(results: Sequence[Result]) -> Table:
-    """How wrong the depth of movers is in the priors as they are."""
+def _objects(results: Sequence[Result]) -> Table:
+    """How wrong the depth of objects is in the priors as they are."""
     rows: list[tuple[str, ...]] = []
     for result in sorted((result for result in results if result["oracle"] == "own"), key=_place):
-        for error in result["movers"]:
-            mover = error["mover"]
+        for error in result["objects"]:
+            obj = error["matched"]
             rows.append(
                 (
-                    label(result), str(mover["true"] or NOTHING), ", ".join(map(str, mover["objects"])), f"{error['frames']}",
+                    label(result), str(obj["true"] or NOTHING), ", ".join(map(str, obj["ids"])), f"{error['frames']}",
                     f"{error['pixels']:,}", *(column.cell(error) for column in ERRORS),
                 )
             )  # fmt: skip
-    header = ("scene", "true mover", "our objects", "frames", "pixels", *(column.header for column in ERRORS))
+    header = ("scene", "true object", "our objects", "frames", "pixels", *(column.header for column in ERRORS))
     note = (
         "e = ln(estimated / true) depth of own priors, over the pixels that our masks and the true ones share. Constant: median "
         "over pixels and frames (+.01: one percent too far). Course: standard deviation over time of the median of a frame. "
         f"Relief: median of |e - median of the frame|. Trusted static depth has a median e of {_static(results)}."
     )
-    return Table("Depth of movers, own priors", note, header, rows)
+    return Table("Depth of objects, own priors", note, header, rows)
 
 
 def _views(results: Sequence[Result]) -> Table:

@@ -3,15 +3,15 @@
 | oracle | what is true in it |
 | --- | --- |
 | own | nothing: the priors as they are |
-| constant | the depth of every mover is multiplied by one number, so that its median over the clip is right |
-| course | movers are flat cards at the median of their true depth in every frame |
+| constant | the depth of every object is multiplied by one number, so that its median over the clip is right |
+| course | objects are flat cards at the median of their true depth in every frame |
 | relief | true depth inside the scene's masks |
 | outline | true masks, too |
 | background | the depth of what rests, too |
 | flow | true flow, too |
 | cameras | everything, tracks included |
 
-Each holds what is true in those before it. True depth comes at the scale of the estimated cameras (``movers.depth_scale``) as long
+Each holds what is true in those before it. True depth comes at the scale of the estimated cameras (``objects.depth_scale``) as long
 as these are used. What the pipeline makes from something that was replaced is made anew: static depth and tracks from the true
 masks, tracks from true static depth and from true flow.
 """
@@ -31,7 +31,7 @@ from flowsplat.priors.graph import PRIORS
 from flowsplat.priors.options import PriorsOptions
 from flowsplat.priors.prepare import prepare_priors, use_truth
 from flowsplat.scenes import Depth, Scene
-from flowsplat_benchmarks.oracles.movers import depth_scale, masks_of, match_movers, mover_errors, truth_of
+from flowsplat_benchmarks.oracles.objects import depth_scale, masks_of, match_objects, object_depth_errors, truth_of
 
 
 def make_oracle(prepared: Path, folder: Path, oracle: str, device: str = "auto") -> Scene:
@@ -70,35 +70,35 @@ def _as_it_is(scene: Scene, device: str) -> None:
 
 
 def _constant(scene: Scene, device: str) -> None:
-    errors = mover_errors(scene)
+    errors = object_depth_errors(scene)
     for i, mask, _ in masks_of(scene):
         depth = scene.depth(i)
         values = depth.depth.copy()
         for error in errors:
-            values[error.mover.region(mask)] *= np.float32(np.exp(-error.constant))
+            values[error.matched.region(mask)] *= np.float32(np.exp(-error.constant))
         scene.write_depth(i, Depth(values, depth.confidence))
-    _finish(scene, device, depth="the depth of each mover times one number")
+    _finish(scene, device, depth="the depth of each object times one number")
 
 
 def _course(scene: Scene, device: str) -> None:
-    movers, scale, truth = match_movers(scene), depth_scale(scene), truth_of(scene)
+    objects, scale, truth = match_objects(scene), depth_scale(scene), truth_of(scene)
     for i, mask, true_mask in masks_of(scene):
         depth, true = scene.depth(i), truth.depth(i).depth
         values = depth.depth.copy()
-        for mover in movers:
-            region, compared = mover.region(mask), mover.compared(mask, true_mask)
+        for obj in objects:
+            region, compared = obj.region(mask), obj.compared(mask, true_mask)
             if region.any():
                 values[region] = scale * np.median(true[compared if compared.any() else region])
         scene.write_depth(i, Depth(values, depth.confidence))
-    _finish(scene, device, depth="movers are cards at their true distance")
+    _finish(scene, device, depth="objects are cards at their true distance")
 
 
 def _relief(scene: Scene, device: str) -> None:
-    _write_true_depth_of_movers(scene, depth_scale(scene))
-    _finish(scene, device, depth="true depth of movers")
+    _write_true_depth_of_objects(scene, depth_scale(scene))
+    _finish(scene, device, depth="true depth of objects")
 
 
-def _write_true_depth_of_movers(scene: Scene, scale: float) -> None:
+def _write_true_depth_of_objects(scene: Scene, scale: float) -> None:
     truth = truth_of(scene)
     for i in scene.train_frames:
         depth, moving = scene.depth(i), scene.mask(i) > 0
@@ -114,8 +114,8 @@ def _outline(scene: Scene, device: str) -> None:
     _write_true_masks(scene)
     PRIORS.erase(scene, ["depth", "tracks"])
     _finish(scene, device)
-    _write_true_depth_of_movers(scene, scale)
-    _finish(scene, device, depth="true depth of movers")
+    _write_true_depth_of_objects(scene, scale)
+    _finish(scene, device, depth="true depth of objects")
 
 
 def _background(scene: Scene, device: str) -> None:

@@ -56,7 +56,7 @@ def _measure_rig(benchmark: BenchmarkScene, scene: Scene) -> Figures:
     clip = open_clip(benchmark.folder, InputOptions(holdout=None))
     assert isinstance(clip.truth, RigTruth)
     figures |= track_figures(scene, truth, clip.truth.births)
-    figures["tracks.movers"] = tracks_on(scene, truth)
+    figures["tracks.objects"] = tracks_on(scene, truth)
     return figures
 
 
@@ -98,27 +98,30 @@ def true_mask(benchmark: BenchmarkScene, scene: Scene, i: int) -> np.ndarray:
 
 
 def flow_figures(pairs: Iterable[tuple[Flow, Flow, np.ndarray | None]]) -> Figures:
-    """Of (estimated, true, mask of movers [H, W] bool or None), pooled over the pixels of all pairs.
+    """Of (estimated, true, mask of objects [H, W] bool or None), pooled over the pixels of all pairs.
 
     ``flow.epe``: mean end-point error of pixels with known flow, hidden ones included where a rendered scene knows it
-    (``flow.epe_movers`` on movers, ``flow.epe_matched`` of those that are visible in both pictures); ``flow.kept``: of
+    (``flow.epe_objects`` on objects, ``flow.epe_matched`` of those that are visible in both pictures); ``flow.kept``: of
     the pixels that have a match, those with a confidence of one half or more; ``flow.right``: of those kept, also without a
     match, those within a pixel of the truth.
     """
-    errors, matched, kept, movers = [], [], [], []
+    errors, matched, kept, objects = [], [], [], []
     for estimated, true, mask in pairs:
         known = true.trusted if mask is None else np.ones(true.trusted.shape, bool)
         errors.append(np.linalg.norm(estimated.flow - true.flow, axis=-1)[known])
         matched.append(true.trusted[known])
         kept.append(estimated.trusted[known])
-        movers.append(np.zeros(known.sum(), bool) if mask is None else mask[known])
-    error, match, keep, moving = (np.concatenate(part) for part in (errors, matched, kept, movers))
+        objects.append(np.zeros(known.sum(), bool) if mask is None else mask[known])
+    error, match, keep, moving = (np.concatenate(part) for part in (errors, matched, kept, objects))
     figures = {
         "flow.epe": _mean(error), "flow.kept": 100 * _mean(keep[match]), "flow.right": 100 * _mean(error[keep] <= RIGHT_FLOW),
     }  # fmt: skip
     if moving.any():
-        figures |= {"flow.epe_movers": _mean(error[moving]), "flow.epe_matched": _mean(error[match])}
-        figures |= {"flow.epe_matched_movers": _mean(error[match & moving]), "flow.kept_movers": 100 * _mean(keep[match & moving])}
+        figures |= {"flow.epe_objects": _mean(error[moving]), "flow.epe_matched": _mean(error[match])}
+        figures |= {
+            "flow.epe_matched_objects": _mean(error[match & moving]),
+            "flow.kept_objects": 100 * _mean(keep[match & moving]),
+        }
     return figures
 
 
@@ -129,7 +132,7 @@ def camera_figures(scene: Scene, truth: Layers) -> Figures:
 
 
 def depth_figures(scene: Scene, truth: Layers) -> Figures:
-    """Median relative error on static things and on movers, at the scale that brings our camera path onto the true one.
+    """Median relative error on static things and on objects, at the scale that brings our camera path onto the true one.
 
     Every pixel of every training frame counts, whatever its confidence.
     """
@@ -142,7 +145,7 @@ def depth_figures(scene: Scene, truth: Layers) -> Figures:
             errors[part].append(error[moving == part])
     return {
         name: 100 * float(np.median(np.concatenate(errors[part])))
-        for name, part in (("depth.static", False), ("depth.movers", True))
+        for name, part in (("depth.static", False), ("depth.objects", True))
         if sum(map(len, errors[part]))
     }
 
@@ -161,7 +164,7 @@ def track_figures(scene: Scene, truth: Layers, births: np.ndarray) -> Figures:
 
     ``tracks.life``: of the frames in which a point is visible, its birth excepted, those in which we follow it; the median
     over points. ``tracks.within``: of all samples that we call visible, births excepted, those within two pixels of the
-    true projection; ``tracks.unseen``: those of points that are hidden then. The same with ``_movers`` on movers.
+    true projection; ``tracks.unseen``: those of points that are hidden then. The same with ``_objects`` on objects.
 
     Args:
         births: [P] the frame in which each true point is asked for; negative = not at all.
@@ -177,7 +180,7 @@ def track_figures(scene: Scene, truth: Layers, births: np.ndarray) -> Figures:
     alive, seen = own.visible & others, seen & others
     near = np.linalg.norm(own.points - pixels, axis=-1) <= RIGHT_TRACK
     figures = {}
-    for suffix, part in (("", np.ones(len(asked), bool)), ("_movers", moving)):
+    for suffix, part in (("", np.ones(len(asked), bool)), ("_objects", moving)):
         if seen[part].any():
             life = (alive & seen)[part].sum(1) / np.maximum(seen[part].sum(1), 1)
             figures[f"tracks.life{suffix}"] = 100 * float(np.median(life[seen[part].any(1)]))
@@ -187,7 +190,7 @@ def track_figures(scene: Scene, truth: Layers, births: np.ndarray) -> Figures:
 
 
 def tracks_on(scene: Scene, truth: Layers) -> float:
-    """How many of the scene's own tracks were on movers, by the true masks, in most of their frames."""
+    """How many of the scene's own tracks were on objects, by the true masks, in most of their frames."""
     tracks = scene.tracks
     inside = np.zeros(len(tracks.points))
     for i in scene.train_frames:

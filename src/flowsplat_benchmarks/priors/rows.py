@@ -50,24 +50,24 @@ class Figure:
 
 FIGURES = (
     Figure("flow.epe", "end-point error, mean over all pixels with true flow", "px", 2, {"pair": 0.25, "rig": 0.35}),
-    Figure("flow.epe_movers", "the same on movers", "px", 2, {"rig": 1.0}),
+    Figure("flow.epe_objects", "the same on objects", "px", 2, {"rig": 1.0}),
     Figure("flow.epe_matched", "end-point error, mean over pixels visible in both pictures", "px", 2),
-    Figure("flow.epe_matched_movers", "the same on movers", "px", 2),
+    Figure("flow.epe_matched_objects", "the same on objects", "px", 2),
     Figure("flow.kept", "pixels with a true match that the confidence keeps", "%", 1, {"pair": 85, "rig": 85}, True),
-    Figure("flow.kept_movers", "the same on movers", "%", 1),
+    Figure("flow.kept_objects", "the same on objects", "%", 1),
     Figure("flow.right", "kept pixels right to 1 px", "%", 1, {"pair": 90, "rig": 90}, True),
     Figure("cameras.path", "position error after alignment, mean, of the path's length", "%", 2, {"rig": 0.3}),
     Figure("cameras.rotation", "rotation error after alignment, mean", "°", 3, {"rig": 0.1}),
     Figure("cameras.focal", "focal length error", "%", 2, {"rig": 1.0}),
     Figure("depth.static", "relative error on static pixels, median", "%", 2, {"rig": 2.5}),
-    Figure("depth.movers", "relative error on movers, median", "%", 2, {"rig": 10.0}),
+    Figure("depth.objects", "relative error on objects, median", "%", 2, {"rig": 10.0}),
     Figure("masks.iou", "IoU, pooled over training frames", "", 3, {"rig": 0.8, "davis": 0.5}, True),
     Figure("tracks.life", "life as a share of the true visible life, median", "%", 1, {"rig": 60}, True),
-    Figure("tracks.life_movers", "the same on movers", "%", 1),
+    Figure("tracks.life_objects", "the same on objects", "%", 1),
     Figure("tracks.within", "living samples within 2 px", "%", 1, {"rig": 85}, True),
-    Figure("tracks.within_movers", "the same on movers", "%", 1),
+    Figure("tracks.within_objects", "the same on objects", "%", 1),
     Figure("tracks.unseen", "living samples of points that are hidden then", "%", 1),
-    Figure("tracks.movers", "own tracks on movers", "", 0, {"rig": 2000}, True),
+    Figure("tracks.objects", "own tracks on objects", "", 0, {"rig": 2000}, True),
     Figure("time.total", "time of all stages", "s", 0, {"bear": 150}),
     Figure("time.cpu", "time of the processor, all cores", "s", 0),
     Figure("time.memory", "peak memory", "GiB", 2, {"bear": 4}),
@@ -87,7 +87,7 @@ DEFINITIONS = (
     "Masks: any moving object against the background, intersections and unions summed over the training frames of a scene.",
     "Tracks: asked for the true points at the frame and pixel of their birth. Life: frames in which the point is visible and we "
     "follow it. Within 2 px: of all samples we call visible, births excepted, hidden points included. Own tracks: those that were "
-    "on movers, by the true masks, in most of their frames.",
+    "on objects, by the true masks, in most of their frames.",
     "Time: by the clock, on the machine that the benchmark ran on, reading the input included.",
 )
 

@@ -42,7 +42,7 @@ SPEEDS, THICKNESSES, BLURS = (1.0, 3.0, 6.0), (4.0, 8.0, 16.0), (0.5, 1.5)
 
 @dataclass(frozen=True)
 class Kinds:
-    """Of every mover's pixel of a frame [N]: its speed in pixels a frame, the thickness of its part and its blur in pixels."""
+    """Of every object's pixel of a frame [N]: its speed in pixels a frame, the thickness of its part and its blur in pixels."""
 
     inside: np.ndarray
     speed: np.ndarray
@@ -51,7 +51,7 @@ class Kinds:
 
 
 def kinds_of(world: World, i: int) -> Kinds:
-    """What the pixels of frame ``i`` show of movers; ``inside`` is their mask [H, W]."""
+    """What the pixels of frame ``i`` show of objects; ``inside`` is their mask [H, W]."""
     inside = world.geometry(i)[1] > 0
     grid = pixel_grid(world.width, world.height).astype(np.float64).reshape(-1, 2)
     hits = world.cast(world.camera(i), float(world.timestamps[i]), grid)

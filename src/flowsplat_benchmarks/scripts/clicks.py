@@ -1,9 +1,9 @@
-"""Clicks and boxes on movers of random worlds, drawn from their true masks: IoU at once, and over the clip.
+"""Clicks and boxes on objects of random worlds, drawn from their true masks: IoU at once, and over the clip.
 
     python -m flowsplat_benchmarks.scripts.clicks OUT --seed 200 --worlds 10           # boxes
     python -m flowsplat_benchmarks.scripts.clicks OUT --seed 200 --worlds 10 --clicks  # a click each instead
 
-Worlds are 40 frames of 320 x 180 with true cameras and flow of our own. Each mover that covers 150 pixels in some frame gets one
+Worlds are 40 frames of 320 x 180 with true cameras and flow of our own. Each object that covers 150 pixels in some frame gets one
 prompt on a random frame in which it has half of its largest area: a box with margins of 2 pixels and 2 to 15 % of its sides, or a
 click at the point deepest inside. The same command again does not render again.
 """
@@ -27,7 +27,7 @@ WIDTH, HEIGHT, FRAMES, SMALLEST = 320, 180, 40, 150
 
 def prepare(folder: Path, seed: int) -> Scene:
     """A world with true cameras, and flow."""
-    is_new = not (folder / "truth" / "movers.json").exists()
+    is_new = not (folder / "truth" / "objects.json").exists()
     scene = write_world(folder, draw_world(seed, WIDTH, HEIGHT, FRAMES)) if is_new else Scene(folder)
     truth = scene.truth
     assert truth is not None
@@ -40,7 +40,7 @@ def prepare(folder: Path, seed: int) -> Scene:
 
 
 def drawn(masks: np.ndarray, seed: int, clicks: bool) -> dict[int, Prompt]:
-    """A prompt for every mover of true masks [T, H, W] that is large enough, by its number in them."""
+    """A prompt for every object of true masks [T, H, W] that is large enough, by its number in them."""
     rng = np.random.default_rng(seed)
     prompts: dict[int, Prompt] = {}
     _, height, width = masks.shape
@@ -66,7 +66,7 @@ def overlap(found: np.ndarray, true: np.ndarray) -> float:
 
 
 def measure(scene: Scene, seed: int, clicks: bool) -> list[tuple[float, float]]:
-    """IoU of every mover on the frame of its prompt at once, and over the clip."""
+    """IoU of every object on the frame of its prompt at once, and over the clip."""
     truth = scene.truth
     assert truth is not None
     true = np.stack([truth.mask(i) for i in scene.train_frames])
@@ -100,7 +100,7 @@ def main() -> None:
     once, clip = np.array(found).T
     kind = "clicks" if chosen.clicks else "boxes"
     row = f"| {kind} | {len(found)} | {once.mean():.3f} | {clip.mean():.3f} | {(clip < 0.5).sum()} |"
-    head = "| | movers | at once | over the clip | under .5 over the clip |\n| --- | --- | --- | --- | --- |\n"
+    head = "| | objects | at once | over the clip | under .5 over the clip |\n| --- | --- | --- | --- | --- |\n"
     write_text(chosen.out / f"{kind}.md", head + row + "\n")
 
 

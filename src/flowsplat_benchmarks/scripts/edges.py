@@ -97,7 +97,7 @@ EDGES = {
 
 
 def mask_overlap(spec: SyntheticScene, scene: Scene) -> float:
-    """Intersection over union of the scene's masks with the true ones, any mover, pooled over the training frames."""
+    """Intersection over union of the scene's masks with the true ones, any object, pooled over the training frames."""
 
     def pairs() -> Iterator[tuple[np.ndarray, np.ndarray]]:
         for i in scene.train_frames:

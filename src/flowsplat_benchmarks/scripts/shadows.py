@@ -1,10 +1,10 @@
-"""The background alone of random worlds under a strong sun, against pictures of the same worlds without their movers.
+"""The background alone of random worlds under a strong sun, against pictures of the same worlds without their objects.
 
     python -m flowsplat_benchmarks.scripts.shadows OUT --seed 200 --worlds 10         # a strong sun
     python -m flowsplat_benchmarks.scripts.shadows OUT --seed 200 --worlds 10 --sky   # no sun, no shadows
 
 Worlds are 40 frames of 320 x 180 with true priors and 500 frame-steps. Every third frame counts: all pixels; those of shadows,
-which are darker by 4 % without being a mover; those behind movers; all else. ``OUT/shadows.md`` is the table. The same command
+which are darker by 4 % without being an object; those behind objects; all else. ``OUT/shadows.md`` is the table. The same command
 again does not train again.
 """
 
@@ -52,7 +52,7 @@ def drawn(seed: int, sky: bool) -> World:
 
 def trained(folder: Path, world: World) -> tuple[Scene, SceneModel]:
     """The scene of a world, and it trained, without what is known of shadows."""
-    is_new = not (folder / "scene" / "truth" / "movers.json").exists()
+    is_new = not (folder / "scene" / "truth" / "objects.json").exists()
     scene = write_world(folder / "scene", world) if is_new else Scene(folder / "scene")
     prepare_priors(scene, PriorsOptions(priors="true"), "cpu")
     if not has_model(folder / "model"):
@@ -70,7 +70,7 @@ def measure(scene: Scene, model: SceneModel, world: World) -> dict[str, tuple[fl
     frames = scene.train_frames
     times = [float(scene.timestamps[i]) for i in frames]
     lit = with_lit(model, [scene.cameras[i] for i in frames], times, [scene.mask(i) for i in frames])
-    empty = replace(world, movers=(), touching=None, noise=0.0)
+    empty = replace(world, objects=(), touching=None, noise=0.0)
     sums = {kind: np.zeros(3) for kind in KINDS}
     for i in frames[::EVERY]:
         target, seen = to_float(empty.picture(i)), to_float(scene.frame(i))

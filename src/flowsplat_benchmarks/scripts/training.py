@@ -104,7 +104,7 @@ class Clock:
         averaged = {name: value.clone() for name, value in trainer.gaussians.params.items()}
         trainer._average.write(averaged)
         g = trainer.gaussians
-        shown = Gaussians4D(averaged, g.dynamic, g.config, g.sh_degree, g.movers)
+        shown = Gaussians4D(averaged, g.dynamic, g.config, g.sh_degree, g.object_ids)
         found = {"step": trainer.step, "seconds": self._seconds, **self._pictures.psnr(shown, trainer.config)}
         self.entries.append(found)
         tell("  ".join(f"{name} {value:.2f}" for name, value in found.items()))

@@ -6,6 +6,6 @@ Seeds below 900 are for tuning. Seeds 900 to 999 decide between versions and are
 
 from flowsplat_benchmarks.worlds.drawing import draw_world
 from flowsplat_benchmarks.worlds.plan import draw_plan
-from flowsplat_benchmarks.worlds.writing import read_movers, write_world
+from flowsplat_benchmarks.worlds.writing import read_objects, write_world
 
-__all__ = ["draw_plan", "draw_world", "read_movers", "write_world"]
+__all__ = ["draw_plan", "draw_world", "read_objects", "write_world"]

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from flowsplat.scenes.synthetic.worlds.cameras import CameraKind, Views, look, waves
-from flowsplat.scenes.synthetic.worlds.parts import UP, Mover
+from flowsplat.scenes.synthetic.worlds.parts import UP, WorldObject
 
 CAMERAS: tuple[CameraKind, ...] = ("arc", "walking", "shaking", "following", "still")
 
@@ -37,12 +37,14 @@ class _Around:
     duration: float
 
 
-def draw_path(rng: np.random.Generator, kind: CameraKind, stand: Stand, distance: float, duration: float, leader: Mover) -> Path:
+def draw_path(
+    rng: np.random.Generator, kind: CameraKind, stand: Stand, distance: float, duration: float, leader: WorldObject
+) -> Path:
     """A random path of a kind.
 
     Args:
         distance: meters to what is nearest of what matters.
-        leader: the mover that ``following`` follows.
+        leader: the object that ``following`` follows.
     """
     ahead = stand.target - stand.place
     ahead = ahead * [1, 1, 0] / np.linalg.norm(ahead[:2])
@@ -116,10 +118,10 @@ def _shaking(
 
 
 def _following(
-    rng: np.random.Generator, around: _Around, leader: Mover, jitter: Callable[[np.ndarray], np.ndarray],
+    rng: np.random.Generator, around: _Around, leader: WorldObject, jitter: Callable[[np.ndarray], np.ndarray],
     tremble: Callable[[np.ndarray], np.ndarray],
 ) -> Path:  # fmt: skip
-    """Beside a mover, at a share of its speed."""
+    """Beside an object, at a share of its speed."""
     middle, target, duration = around.stand.place, around.stand.target, around.duration
     share = rng.uniform(0.4, 1.0)
     # What swings or flaps is followed only as far as it travels.

@@ -9,7 +9,7 @@ import numpy as np
 from flowsplat.scenes.synthetic.worlds.cameras import waves
 from flowsplat.scenes.synthetic.worlds.ground import Ground
 from flowsplat.scenes.synthetic.worlds.materials import draw_material
-from flowsplat.scenes.synthetic.worlds.parts import UP, Mover, Part, Poses, about, capsule, frame, rod, together
+from flowsplat.scenes.synthetic.worlds.parts import UP, Part, Poses, WorldObject, about, capsule, frame, rod, together
 from flowsplat.scenes.synthetic.worlds.people import (
     ANKLE,
     HALF_FOOT,
@@ -51,7 +51,7 @@ class Limb:
     bent: Swing
 
 
-def dancer(rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: float, scale: float, rich: bool) -> Mover:
+def dancer(rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: float, scale: float, rich: bool) -> WorldObject:
     """A person who dances about a place ``at`` [2]; ``heading``, ``scale`` and ``rich`` as of a walker."""
     parts = body(rng, scale, rich)
     turn = Swing(heading, rng.uniform(0.2, 1.2), rng.uniform(0.3, 0.9), rng.uniform(0, 2 * np.pi))
@@ -72,7 +72,7 @@ def dancer(rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: fl
         _, soles, above = found(times)
         return soles, above <= above.min(1, keepdims=True)
 
-    return Mover("dancer", tuple(parts), lambda times: together(found(times)[0]), touching)
+    return WorldObject("dancer", tuple(parts), lambda times: together(found(times)[0]), touching)
 
 
 def _limb(rng: np.random.Generator, middle: tuple[float, float], reach: tuple[float, float], rate: tuple[float, float]) -> Limb:

@@ -1,6 +1,6 @@
 """Random worlds from a seed.
 
-What a world is about (ground, camera, kinds of movers) comes from the seed alone; where everything is gets drawn again
+What a world is about (ground, camera, kinds of objects) comes from the seed alone; where everything is gets drawn again
 until all of it is in sight. So no kind is rarer because it is hard to place. Of twenty seeds that begin at a multiple of
 twenty each has another pair of ground and camera. Worlds of dancers are drawn apart, with the same seeds.
 """
@@ -16,7 +16,7 @@ from flowsplat.scenes.synthetic.worlds.materials import draw_material
 from flowsplat.scenes.synthetic.worlds.placing import apart, are_apart, is_free, reach
 from flowsplat.scenes.synthetic.worlds.world import Light, World
 from flowsplat_benchmarks.worlds.cameras import draw_path
-from flowsplat_benchmarks.worlds.movers import Scale, draw_movers
+from flowsplat_benchmarks.worlds.objects import Scale, draw_objects
 from flowsplat_benchmarks.worlds.plan import Plan, draw_plan
 from flowsplat_benchmarks.worlds.scenery import draw_ground, draw_scenery, draw_sky, draw_stand
 
@@ -30,11 +30,11 @@ ATTEMPTS = 4000
 """How often everything is placed anew at most."""
 
 IN_SIGHT, ENOUGH_PIXELS = 0.6, 0.0012
-"""Share of the frames in which a mover's middle must be in the picture and enough of it be seen, and how much is enough: a
+"""Share of the frames in which an object's middle must be in the picture and enough of it be seen, and how much is enough: a
 share of the picture (69 of 57,600 pixels)."""
 
 LARGEST = 0.35
-"""Share of the picture that a mover may fill."""
+"""Share of the picture that an object may fill."""
 
 GROUND_SEEN, GROUND_UNSEEN = 0.08, 0.004
 """Share of the picture that the ground fills at least where it is to be seen, and at most where not."""
@@ -66,7 +66,7 @@ def draw_world(seed: int, width: int = 320, height: int = 180, frames: int = 40,
         world = _place(np.random.default_rng([seed, 2, attempt]), seed, plan, (width, height), frames, fps)
         if world is not None and _is_in_sight(world, plan):
             return world
-    raise InputError(f"The random world of seed {seed} has no place for its movers in {ATTEMPTS} attempts: choose another one.")
+    raise InputError(f"The random world of seed {seed} has no place for its objects in {ATTEMPTS} attempts: choose another one.")
 
 
 def _place(rng: np.random.Generator, seed: int, plan: Plan, size: tuple[int, int], frames: int, fps: float) -> World | None:
@@ -76,41 +76,41 @@ def _place(rng: np.random.Generator, seed: int, plan: Plan, size: tuple[int, int
     middle = rng.uniform(4.0, 9.0)
     ground = draw_ground(rng, plan.ground, middle)
     rich = bool(rng.random() < 0.6)
-    movers = draw_movers(rng, plan, scale, ground, duration)
+    objects = draw_objects(rng, plan, scale, ground, duration)
     times = np.linspace(0, duration, _CHECK_FRAMES)
-    centers = np.stack([mover.center(times) for mover in movers])
+    centers = np.stack([obj.center(times) for obj in objects])
     if centers[..., 1].min() < 0.8:
         return None
     nearest, furthest = float(np.linalg.norm(centers, axis=-1).min()), float(centers[..., 1].max())
     if plan.ground == "none" and plan.raised:
-        front = float(centers[..., 1].min()) - rng.uniform(0.6, 1.0) - max(reach(mover, times) for mover in movers)
+        front = float(centers[..., 1].min()) - rng.uniform(0.6, 1.0) - max(reach(obj, times) for obj in objects)
         if front < 1.2:
             return None
         ground = Ground(ground.kind, ground.gradient, ground.direction, front=front)
     stand = draw_stand(rng, plan, scale, ground, centers, furthest)
-    leader = movers[int(rng.integers(len(movers)))]
+    leader = objects[int(rng.integers(len(objects)))]
     path = draw_path(rng, plan.camera, stand, nearest, duration, leader)
     surface = draw_material(rng, 1.5, rich and bool(rng.random() < 0.8))
-    static = [draw_sky(rng), *ground.parts(surface), *(placed for mover in movers for placed in mover.support)]
+    static = [draw_sky(rng), *ground.parts(surface), *(placed for obj in objects for placed in obj.support)]
     for placed in draw_scenery(rng, plan, ground, centers, scale, furthest, rich):
-        if all(apart(placed, mover, times) for mover in movers):
+        if all(apart(placed, obj, times) for obj in objects):
             static.append(placed)
     up = np.radians(rng.uniform(30, 65))
     around = rng.uniform(0, 2 * np.pi)
     direction = np.array([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)])
     sun = rng.uniform(0.45, 0.85) if rng.random() < SUNNY else 0.0
     world = World(
-        seed, *size, frames, fps, ground, plan.camera, scale.focal, path, tuple(static), tuple(movers),
+        seed, *size, frames, fps, ground, plan.camera, scale.focal, path, tuple(static), tuple(objects),
         Light(direction, sun, 1.0 - 0.55 * sun), rng.uniform(0.3, 0.6) if rng.random() < BLURRED else 0.0,
         rng.uniform(1.0, 4.0) if rng.random() < NOISY else 0.4, (1, 2) if plan.pair == "touching" else None,
     )  # fmt: skip
-    if not are_apart(movers, times, plan.pair == "touching"):
+    if not are_apart(objects, times, plan.pair == "touching"):
         return None
     return world if is_free(world, path(np.linspace(0, duration, frames))[0]) else None
 
 
 def _is_in_sight(world: World, plan: Plan) -> bool:
-    """Whether movers and ground fill what they should of some small pictures."""
+    """Whether objects and ground fill what they should of some small pictures."""
     width = _CHECK_WIDTH
     height = round(width * world.height / world.width)
     grid = pixel_grid(width, height).astype(np.float64).reshape(-1, 2)
@@ -120,9 +120,9 @@ def _is_in_sight(world: World, plan: Plan) -> bool:
     for time in np.linspace(0, world.duration, _CHECK_FRAMES):
         camera = world.camera_at(time, width, height)
         hits = world.cast(camera, time, grid)
-        uv = camera.project(np.concatenate([mover.center(np.array([time])) for mover in world.movers]))[0]
+        uv = camera.project(np.concatenate([obj.center(np.array([time])) for obj in world.objects]))[0]
         inside.append(((uv >= 0) & (uv <= [width, height])).all(1))
-        shares.append(np.bincount(world.numbers[hits.part], minlength=len(world.movers) + 1)[1:] / len(grid))
+        shares.append(np.bincount(world.numbers[hits.part], minlength=len(world.objects) + 1)[1:] / len(grid))
         boxes = np.array([part.size[2] for part in world.parts[1 : count + 1]])
         ground = (hits.part >= 1) & (hits.part <= count)
         tread = hits.part[ground] - 1

@@ -1,4 +1,4 @@
-"""What a random world is about: its ground, its camera and the kinds of its movers, from the seed alone."""
+"""What a random world is about: its ground, its camera and the kinds of its objects, from the seed alone."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from flowsplat_benchmarks.worlds.cameras import CAMERAS
 GROUNDS: tuple[GroundKind, ...] = ("flat", "slope", "steps", "none")
 
 PAIRS = ("crossing", "touching")
-"""Pairs of movers, as frequent as single ones of each kind where a world has two or more."""
+"""Pairs of objects, as frequent as single ones of each kind where a world has two or more."""
 
 CROSSING: tuple[Kind, ...] = ("walker", "carrier", "vehicle", "rolling")
 TOUCHING: tuple[tuple[Kind, Kind], ...] = (("walker", "walker"), ("walker", "vehicle"), ("rolling", "rolling"))
@@ -27,8 +27,8 @@ class Plan:
     Attributes:
         ground: what is seen of the ground.
         camera: how the camera moves.
-        kinds: of the movers, in order.
-        pair: ``crossing`` or ``touching`` where the first two movers are such a pair.
+        kinds: of the objects, in order.
+        pair: ``crossing`` or ``touching`` where the first two objects are such a pair.
         raised: where no ground is in sight: whether it lies above the eye, or below the picture.
     """
 
@@ -40,7 +40,7 @@ class Plan:
 
 
 def draw_plan(seed: int, dancers: bool = False) -> Plan:
-    """What the world of a seed is about; ``dancers``: one or two of them, instead of all other movers, and no steps."""
+    """What the world of a seed is about; ``dancers``: one or two of them, instead of all other objects, and no steps."""
     block, place = divmod(seed, len(GROUNDS) * len(CAMERAS))
     order = np.random.default_rng([block, 1]).permutation(len(GROUNDS) * len(CAMERAS))
     ground, camera = divmod(int(order[place]), len(CAMERAS))

@@ -1,4 +1,4 @@
-"""What rests in a random world: the ground, the sky, walls and things beside the movers, and where the camera stands."""
+"""What rests in a random world: the ground, the sky, walls and things beside the objects, and where the camera stands."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from flowsplat.scenes.synthetic.worlds.ground import Ground, GroundKind
 from flowsplat.scenes.synthetic.worlds.materials import draw_material
 from flowsplat.scenes.synthetic.worlds.parts import UP, Part, Placed, ball, box, cylinder, frame
 from flowsplat_benchmarks.worlds.cameras import Stand
-from flowsplat_benchmarks.worlds.movers import Scale
+from flowsplat_benchmarks.worlds.objects import Scale
 from flowsplat_benchmarks.worlds.plan import Plan
 
 SKY = 90.0
@@ -58,7 +58,7 @@ def draw_sky(rng: np.random.Generator) -> Placed:
 def draw_scenery(
     rng: np.random.Generator, plan: Plan, ground: Ground, centers: np.ndarray, scale: Scale, furthest: float, rich: bool
 ) -> list[Placed]:
-    """Walls behind, and boxes, pillars and balls beside, behind and before the movers."""
+    """Walls behind, and boxes, pillars and balls beside, behind and before the objects."""
     found = []
 
     def material(size: float) -> np.ndarray:
@@ -96,7 +96,7 @@ def draw_scenery(
         else:
             put(cylinder(0.8 * size, 0.8 * size, material(2 * size)), at, 0.8 * size, 0.0)
     for _ in range(int(rng.integers(0, 3))):
-        # Posts before the movers; thin, so that these are hidden for a while only.
+        # Posts before the objects; thin, so that these are hidden for a while only.
         far = rng.uniform(0.4, 0.85) * float(rng.choice(centers.mean(1)[:, 1]))
         if far < 1.2 or (ground.front > 0 and far < ground.front + 0.2):
             continue

@@ -12,15 +12,15 @@ from flowsplat.scenes.layers import Depth, Layers
 from flowsplat.scenes.scene import Scene
 from flowsplat.scenes.synthetic.worlds.world import World
 
-MOVERS = "movers.json"
-"""In the folder of the truth: ``movers`` (see ``World.describe``) and the mover of every true track, ``tracks`` [P]."""
+OBJECTS = "objects.json"
+"""In the folder of the truth: ``objects`` (see ``World.describe``) and the object of every true track, ``tracks`` [P]."""
 
 
 def write_world(folder: Path, world: World, holdout: int | None = None) -> Scene:
     """Render a world into a scene folder, without any prior.
 
     The truth has cameras, depth, masks, tracks, flow both ways between neighboring frames and neighboring training frames, and
-    ``MOVERS``.
+    ``OBJECTS``.
 
     Args:
         holdout: every how many frames one is held out; None = none.
@@ -52,20 +52,20 @@ def write_world(folder: Path, world: World, holdout: int | None = None) -> Scene
     for i, j in sorted({*pairwise(range(world.frames)), *pairwise(scene.train_frames)}):
         truth.write_flow(world.flow(i, j))
         truth.write_flow(world.flow(j, i))
-    movers = [world.describe(number + 1) for number in range(len(world.movers))]
+    objects = [world.describe(number + 1) for number in range(len(world.objects))]
     # Written last: where it is, the truth is whole.
     write_json(
-        truth.folder / MOVERS,
-        {"seed": world.seed, "ground": world.ground.kind, "camera": world.camera_kind, "movers": movers, "tracks": owners},
+        truth.folder / OBJECTS,
+        {"seed": world.seed, "ground": world.ground.kind, "camera": world.camera_kind, "objects": objects, "tracks": owners},
     )
     return scene
 
 
-def read_movers(truth: Layers) -> dict[str, Any]:
-    """What ``write_world`` wrote into ``MOVERS``.
+def read_objects(truth: Layers) -> dict[str, Any]:
+    """What ``write_world`` wrote into ``OBJECTS``.
 
     Raises:
         InputError: missing or damaged.
     """
-    values: dict[str, Any] = read_json(truth.folder / MOVERS)
+    values: dict[str, Any] = read_json(truth.folder / OBJECTS)
     return values

@@ -49,7 +49,7 @@ def test_ablations(tmp_path):
     assert linear[6:9] == ["-0.85", "worse", "confirmed"]
     assert linear[-3:] == ["61", "110", "200"]
     unmoved = rows["without q(t): constant rotation"]
-    assert unmoved[3] == "+0.00", "movers are not measured, and zero is not negative"
+    assert unmoved[3] == "+0.00", "objects are not measured, and zero is not negative"
     assert unmoved[8] == "not separable"
     assert rows["without mu(t): a straight line"][8] == "contradicted (confirmed)"
     assert "## Orders" not in text, "nothing of it is measured"

@@ -59,7 +59,7 @@ def test_refined_poses_have_columns_of_their_own():
     (pictures,) = [table for table in tables("davis", [refined, result("lucia")]) if table.title == "All test pictures"]
     rows = {(row[0], row[2]): dict(zip(pictures.header, row, strict=True)) for row in pictures.rows}
     ours = rows["bear, *tuned*", "flowsplat, given masks, default"]
-    assert (ours["PSNR"], ours["PSNR, poses refined"], ours["PSNR of movers, poses refined"]) == ("31.23", "33.30", "30.30")
+    assert (ours["PSNR"], ours["PSNR, poses refined"], ours["PSNR of objects, poses refined"]) == ("31.23", "33.30", "30.30")
     assert rows["bear, *tuned*", "flow interpolation (DIS)"]["PSNR, poses refined"] == NOTHING
     assert rows["lucia", "flowsplat, given masks, default"]["PSNR, poses refined"] == NOTHING
     assert "fitted to its own picture" in pictures.note
@@ -106,13 +106,13 @@ def test_errors_against_the_truth():
     assert list(found) == ["All test pictures", "Flow, depth and tracks", "Time, memory and size"]
     rows = rows_of(found["Flow, depth and tracks"])
     workshop = rows["workshop, *tuned*"]
-    assert workshop["flow of movers, mean px"] == "1.500"
+    assert workshop["flow of objects, mean px"] == "1.500"
     assert workshop["flow of the prior, mean px"] == "0.700"
     assert workshop["depth of static, mean %"] == "2.00"
-    assert workshop["tracks on movers, median %"] == "4.20"
-    assert workshop["tracks on movers after 12 frames, median %"] == "6.50"
+    assert workshop["tracks on objects, median %"] == "4.20"
+    assert workshop["tracks on objects after 12 frames, median %"] == "6.50"
     assert "tracks on static, median %" not in workshop  # none was measured
-    assert rows["garden"]["flow of movers, mean px"] == NOTHING
+    assert rows["garden"]["flow of objects, mean px"] == NOTHING
 
 
 def test_costs():

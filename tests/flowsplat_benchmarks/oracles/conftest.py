@@ -19,7 +19,7 @@ __all__ = ["runs_root"]
 SCALE = 0.5
 """Units of the cameras per unit of the truth."""
 STATIC, CONSTANT, COURSE, RELIEF = 0.02, 0.3, 0.1, 0.06
-"""Errors of ln depth: of what rests; and of mover 1: over the clip, of every other frame, of every third column."""
+"""Errors of ln depth: of what rests; and of object 1: over the clip, of every other frame, of every third column."""
 LEAK = 3
 """Pixels by which masks are shifted."""
 SHADOW = 9
@@ -27,7 +27,7 @@ SHADOW = 9
 
 
 def own_mask(true: np.ndarray, i: int) -> np.ndarray:
-    """Shifted; mover 1 is object 4, mover 2 is 5 and later 6, mover 3 is 7; and something that does not move."""
+    """Shifted; object 1 is object 4, object 2 is 5 and later 6, object 3 is 7; and something that does not move."""
     mask = np.zeros_like(true)
     for number, own in ((1, 4), (2, 5 if i < 4 else 6), (3, 7)):
         mask[true == number] = own
@@ -37,8 +37,8 @@ def own_mask(true: np.ndarray, i: int) -> np.ndarray:
     return mask
 
 
-def mover_error(i: int, shape: tuple[int, ...]) -> np.ndarray:
-    """[H, W] ln of estimated over true depth of mover 1 in frame ``i``."""
+def object_error(i: int, shape: tuple[int, ...]) -> np.ndarray:
+    """[H, W] ln of estimated over true depth of object 1 in frame ``i``."""
     columns = np.broadcast_to(np.arange(shape[1]) % 3 - 1, shape)
     return CONSTANT + COURSE * (-1, 1)[i % 2] + RELIEF * columns
 
@@ -55,7 +55,7 @@ def wrong_scene(tmp_path_factory) -> Path:
     for i in scene.train_frames:
         mask, true, depth = own_mask(truth.mask(i), i), truth.mask(i), SCALE * truth.depth(i).depth
         error = np.full(depth.shape, STATIC)
-        error[mask == 4] = mover_error(i, depth.shape)[mask == 4]
+        error[mask == 4] = object_error(i, depth.shape)[mask == 4]
         error[(mask > 0) & (mask != 4)] = -0.2
         scene.write_depth(i, Depth(depth * np.exp(error), np.where((mask > 0) | (true == 0), 0.6, 0.0)))
         scene.write_mask(i, mask)

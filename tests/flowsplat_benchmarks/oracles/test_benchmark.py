@@ -33,15 +33,15 @@ def refuse(capsys, *arguments: object) -> str:
 def result(run) -> dict:
     """The JSON of a run, without one."""
     psnr, moving = PSNR.get(run.oracle, (26.0, None))
-    mover = {
-        "mover": {"true": 2, "objects": [1, 3]}, "pixels": 12_345, "frames": 12, "constant": 0.4, "course": None, "relief": 0.02,
+    obj = {
+        "matched": {"true": 2, "ids": [1, 3]}, "pixels": 12_345, "frames": 12, "constant": 0.4, "course": None, "relief": 0.02,
     }  # fmt: skip
     return {
         "protocol": "oracles", "scene": run.case.scene, "size": [64, 48], "frames": 12, "tuned": run.case.is_tuned,
         "oracle": run.oracle, "settings": run.case.settings, "seed": run.case.config.train.seed,
         "iterations": run.case.config.train.iterations, "flowsplat": "0", "run": run.name, "views": 6, "psnr": psnr, "ssim": 0.9,
         "moving": moving, "covisible": psnr, "training_psnr": 30.0, "mask_iou": 0.9, "scale": 0.5, "static": -0.006,
-        "movers": [mover], "gaussians": 1000, "seconds": {"train": 3.0},
+        "objects": [obj], "gaussians": 1000, "seconds": {"train": 3.0},
         "classes": {"views": ["a"], "pixels": [[10] * len(CLASSES)], "squared": [[10 ** (-psnr / 10)] * len(CLASSES)]},
         "static_classes": [{"pixels": 9, "median": 0.0123, "p90": 0.0456}] * (len(CLASSES) + 1),
     }  # fmt: skip
@@ -75,7 +75,7 @@ def test_tables(runs_root, tmp_path, measured):
     assert measured == [f"tiny_{name}_default_7-steps_seed3" for name in ("own", "constant", "relief")]
     text = (tmp_path / "oracles.md").read_text()
     assert "| **own priors as they are** | **20.00 / 14.00** | **–** |" in text
-    assert "| *constant*: each mover's depth times one number, so that its median over the clip is right | 22.50 / 17.00 |" in text
+    assert "| *constant*: each object's depth times one number, so that its median over the clip is right | 22.50 / 17.00 |" in text
     assert "| *relief*: true depth inside our masks | 25.00 / 23.00 | +2.50 / +6.00 |" in text
     assert "| tiny | 2 | 1, 3 | 12 | 12,345 | +0.400 | – | 0.020 |" in text
     assert "Trained with default, iterations 7, seed 3. Pictures by held-out cameras: tiny 6." in text
@@ -96,7 +96,7 @@ def test_it_continues(runs_root, tmp_path, measured):
     assert len(measured) == 4
     text = (tmp_path / "oracles.md").read_text()
     assert "left out here: 2." in text, "those of other settings stay, and are not mixed in"
-    assert "26.00 / –" in text, "movers too small to be measured"
+    assert "26.00 / –" in text, "objects too small to be measured"
     call(*arguments, "--again", "--workers", "2")
     assert len(measured) == 6
 
@@ -129,11 +129,11 @@ def test_two_oracles_are_trained_and_kept(runs_root, tmp_path):
         path.unlink()
     assert values["own"]["mask_iou"] < 1 == values["background"]["mask_iou"]
     assert values["background"]["scale"] == pytest.approx(values["own"]["scale"])
-    assert all(abs(error["constant"]) < 1e-4 for error in values["background"]["movers"])
+    assert all(abs(error["constant"]) < 1e-4 for error in values["background"]["objects"])
     models = {path: path.stat().st_mtime_ns for path in out.glob("*/model/*")}
     assert len(models) == 4
     call(*arguments)
     assert {path: path.stat().st_mtime_ns for path in out.glob("*/model/*")} == models, "only the figures were missing"
     for name, value in values.items():
         again = json.loads((out / f"oracles_tiny_{name}_default_6-steps_seed0.json").read_text())
-        assert (again["psnr"], again["movers"]) == (value["psnr"], value["movers"])
+        assert (again["psnr"], again["objects"]) == (value["psnr"], value["objects"])

@@ -52,7 +52,7 @@ def test_the_first_that_holds_counts():
     near_border[:4] = True
     found = kinds_of(np.full(SIZE, 4.0), moves=moves, seen=seen, near_border=near_border)
     assert found[25, 25] == "moves"
-    assert found[25, 33] == "near movers"
+    assert found[25, 33] == "near objects"
     assert found[0, 0] == "border"
     assert found[0, 95] == "few frames"
     assert found[0, 105] == "never seen"

@@ -11,7 +11,7 @@ import pytest
 
 from flowsplat.common.errors import InputError
 from flowsplat.scenes import Scene
-from flowsplat_benchmarks.oracles.movers import match_movers, mover_errors
+from flowsplat_benchmarks.oracles.objects import match_objects, object_depth_errors
 from flowsplat_benchmarks.oracles.scenes import ORACLES, make_oracle
 from tests.flowsplat_benchmarks.oracles.conftest import SCALE
 
@@ -72,14 +72,14 @@ def test_names_and_scale_of_training(oracles, wrong_scene):
 
 def test_constant(oracles, wrong_scene):
     scene, own = oracles["constant"], Scene(wrong_scene)
-    errors = mover_errors(own)
+    errors = object_depth_errors(own)
     assert len(errors) == 4
     for i, mask, _, depth, _ in frames(scene):
         expected = own.depth(i).depth.copy()
         for error in errors:
-            expected[error.mover.region(mask)] *= np.exp(-error.constant)
+            expected[error.matched.region(mask)] *= np.exp(-error.constant)
         np.testing.assert_allclose(depth, expected, rtol=1e-5)
-    for before, after in zip(errors, mover_errors(scene), strict=True):
+    for before, after in zip(errors, object_depth_errors(scene), strict=True):
         assert after.constant == pytest.approx(0, abs=1e-5)
         assert after.relief == pytest.approx(before.relief, abs=1e-5)
         assert after.course == pytest.approx(before.course, abs=1e-5)
@@ -88,8 +88,8 @@ def test_constant(oracles, wrong_scene):
 def test_course(oracles, wrong_scene):
     scene, own = oracles["course"], Scene(wrong_scene)
     for i, mask, true_mask, depth, true in frames(scene):
-        for mover in match_movers(own):
-            region, compared = mover.region(mask), mover.compared(mask, true_mask)
+        for obj in match_objects(own):
+            region, compared = obj.region(mask), obj.compared(mask, true_mask)
             if region.any():
                 np.testing.assert_allclose(depth[region], np.median(true[compared]), rtol=1e-5)
         np.testing.assert_array_equal(depth[mask == 0], own.depth(i).depth[mask == 0])

@@ -68,7 +68,7 @@ def test_scenes_with_all_priors(data_root, tmp_path):
     out = tmp_path / "out"
     call(data_root, "-o", out, "--scenes", "tiny", "clip")
     tiny, clip = (json.loads((out / f"{name}.json").read_text()) for name in ("tiny", "clip"))
-    for name in ("flow.epe", "cameras.path", "depth.static", "masks.iou", "tracks.life", "tracks.movers", "time.total"):
+    for name in ("flow.epe", "cameras.path", "depth.static", "masks.iou", "tracks.life", "tracks.objects", "time.total"):
         assert name in tiny["figures"]
     assert tiny["seconds"].keys() >= {"ingest", "cameras", "flow", "masks", "depth", "tracks"}
     assert set(clip["figures"]) == {"masks.iou", "time.total", "time.cpu", "time.memory"}

@@ -37,33 +37,33 @@ def scene(data_root, tmp_path) -> Scene:
 
 def test_perfect_priors_have_no_errors(data_root, scene):
     figures = measure(choose_scenes(data_root, ["tiny"])[0], scene)
-    for name in ("flow.epe", "flow.epe_movers", "cameras.path", "cameras.focal", "depth.static", "depth.movers"):
+    for name in ("flow.epe", "flow.epe_objects", "cameras.path", "cameras.focal", "depth.static", "depth.objects"):
         assert figures[name] == pytest.approx(0, abs=0.01), name
     assert figures["cameras.rotation"] == pytest.approx(0, abs=0.01)
     assert figures["flow.kept"] == figures["flow.right"] == 100
     assert figures["masks.iou"] == 1
     assert figures["tracks.life"] > 60
     assert figures["tracks.within"] > 80
-    assert figures["tracks.movers"] == pytest.approx(scene.tracks.moving.sum(), abs=5)
+    assert figures["tracks.objects"] == pytest.approx(scene.tracks.moving.sum(), abs=5)
 
 
 def test_flow_errors_are_pooled_over_pixels():
     shape = (2, 4)
-    matched, kept, movers = (np.zeros(shape, np.float32) for _ in range(3))
-    matched[:, :3], kept[:, 1:], movers[0] = 1, 1, 1
+    matched, kept, objects = (np.zeros(shape, np.float32) for _ in range(3))
+    matched[:, :3], kept[:, 1:], objects[0] = 1, 1, 1
     found = np.zeros((*shape, 2), np.float32)
     found[0, :, 0], found[1, 3] = 2, (3, 4)
     estimated, true = Flow(0, 1, found, kept), Flow(0, 1, np.zeros_like(found), matched)
-    figures = flow_figures([(estimated, true, movers > 0)])
+    figures = flow_figures([(estimated, true, objects > 0)])
     assert figures["flow.epe"] == pytest.approx((4 * 2 + 5) / 8)
-    assert figures["flow.epe_movers"] == 2
+    assert figures["flow.epe_objects"] == 2
     assert figures["flow.epe_matched"] == pytest.approx(3 * 2 / 6)
     assert figures["flow.kept"] == pytest.approx(100 * 4 / 6)
     assert figures["flow.right"] == pytest.approx(100 * 2 / 6)
     # Measured flow: what is not known does not count.
     figures = flow_figures([(estimated, true, None)])
     assert figures["flow.epe"] == pytest.approx(3 * 2 / 6)
-    assert "flow.epe_movers" not in figures
+    assert "flow.epe_objects" not in figures
 
 
 def test_cameras_and_depth_are_compared_in_any_frame_of_reference(scene):
@@ -77,7 +77,7 @@ def test_cameras_and_depth_are_compared_in_any_frame_of_reference(scene):
     figures = {**camera_figures(scene, truth), **depth_figures(scene, truth)}
     assert figures["cameras.path"] == pytest.approx(0, abs=1e-4)
     assert figures["depth.static"] == pytest.approx(1, abs=0.01)
-    assert figures["depth.movers"] == pytest.approx(20, abs=0.01)
+    assert figures["depth.objects"] == pytest.approx(20, abs=0.01)
 
 
 def test_masks_are_pooled_over_frames():
@@ -113,7 +113,7 @@ def test_tracks_are_asked_at_their_births(scene, monkeypatch):
     assert figures["tracks.unseen"] == pytest.approx(100 * (~seen)[alive].mean())
 
 
-def test_tracks_on_movers_are_counted_by_the_true_masks(scene):
+def test_tracks_on_objects_are_counted_by_the_true_masks(scene):
     count = int(scene.tracks.moving.sum())
     tracks = scene.tracks
     scene.write_tracks(Tracks(tracks.points, tracks.visible, tracks.confidence, ~tracks.moving))

@@ -7,7 +7,7 @@ import numpy as np
 from flowsplat_benchmarks.scripts import clicks, shadows
 
 
-def test_prompts_lie_on_their_movers():
+def test_prompts_lie_on_their_objects():
     masks = np.zeros((3, 60, 80), np.uint8)
     masks[1, 10:30, 20:40] = 1
     masks[2, 40:43, 5:8] = 2  # too small

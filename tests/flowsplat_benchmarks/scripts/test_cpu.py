@@ -165,7 +165,7 @@ def test_half_of_the_scene_is_active_in_every_frame():
             assert len(model.active(frame.time).rows) == 1000
         assert [frame.forward is None for frame in clip.frames] == [False] * 5 + [True]
         moved = clip[0].forward.flow[clip[0].depth_trusted]
-        # Background goes one pixel to the left with the camera at median depth, movers two to the right of it.
+        # Background goes one pixel to the left with the camera at median depth, objects two to the right of it.
         assert np.median(moved[:, 0]) == pytest.approx(-1, abs=0.7)
 
 

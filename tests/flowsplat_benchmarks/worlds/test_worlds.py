@@ -10,9 +10,9 @@ import pytest
 from flowsplat.common.errors import InputError
 from flowsplat.geometry.cameras import pixel_grid, unproject_depth
 from flowsplat.scenes.synthetic.worlds.casting import BOX, CAPSULE, ELLIPSOID
-from flowsplat.scenes.synthetic.worlds.parts import KINDS, Mover
+from flowsplat.scenes.synthetic.worlds.parts import KINDS, WorldObject
 from flowsplat.scenes.synthetic.worlds.world import World
-from flowsplat_benchmarks.worlds import draw_plan, draw_world, read_movers, write_world
+from flowsplat_benchmarks.worlds import draw_plan, draw_world, read_objects, write_world
 from flowsplat_benchmarks.worlds.cameras import CAMERAS
 from flowsplat_benchmarks.worlds.drawing import GROUND_SEEN
 from flowsplat_benchmarks.worlds.plan import GROUNDS
@@ -30,10 +30,10 @@ def world(request) -> World:
     return draw_world(request.param, 160, 90, 16, 12.0)
 
 
-def lowest(mover: Mover, part: int, time: float) -> np.ndarray:
+def lowest(obj: WorldObject, part: int, time: float) -> np.ndarray:
     """[3] the lowest point of a part."""
-    R, c = (values[0, part] for values in mover.poses(np.array([time])))
-    shape, size = mover.parts[part].shape, mover.parts[part].size
+    R, c = (values[0, part] for values in obj.poses(np.array([time])))
+    shape, size = obj.parts[part].shape, obj.parts[part].size
     down = R.T @ [0, 0, -1]
     if shape == BOX:
         local = np.sign(down) * size
@@ -79,8 +79,8 @@ def test_dancers_are_fast_and_stand_on_the_ground():
         speeds.append(np.linalg.norm(world.flow(i, i + 1).flow[inside], axis=1))
     assert np.percentile(np.concatenate(speeds), 95) > 4  # pixels of a picture that is 160 wide
     times = np.linspace(0, world.duration, 60)
-    for mover in world.movers:
-        soles, touching = mover.touching(times)
+    for obj in world.objects:
+        soles, touching = obj.touching(times)
         above = soles[..., 2] - world.ground.height(soles[..., :2])
         assert touching.any(1).all()
         assert np.abs(above[touching]).max() < 1e-6
@@ -103,7 +103,7 @@ def test_depth_and_flow_agree_where_nothing_moves(world):
 
 def test_flow_carries_the_tracks(world):
     tracks, owners = world.tracks_and_owners()
-    assert set(owners) == set(range(len(world.movers) + 1))
+    assert set(owners) == set(range(len(world.objects) + 1))
     np.testing.assert_array_equal(tracks.moving, owners > 0)
     for i, j in pairwise(range(0, world.frames, 5)):
         (a, _), (b, _) = (world.camera(k).project(tracks.points[:, k].astype(float)) for k in (i, j))
@@ -130,50 +130,50 @@ def test_flow_carries_the_tracks(world):
 def test_what_touches_the_ground_stands_on_it(seed):
     world = draw_world(seed, 96, 54, 40)
     times = np.linspace(0, world.duration, 120)
-    for mover in world.movers:
-        points, touching = mover.touching(times)
+    for obj in world.objects:
+        points, touching = obj.touching(times)
         gap = points[..., 2] - world.ground.height(points[..., :2])
         np.testing.assert_allclose(gap[touching], 0, atol=2e-3)
         assert (gap > -2e-3).all()
-        if mover.kind in ("walker", "carrier"):
+        if obj.kind in ("walker", "carrier"):
             assert touching.any(1).all()  # nobody flies
             # Planted feet stay: the same foot in contact at two times has not slipped, and its sole is the foot's lowest point.
             for side in range(2):
                 steps = np.linalg.norm(np.diff(points[:, side], axis=0), axis=1)
                 np.testing.assert_allclose(steps[touching[1:, side] & touching[:-1, side]], 0, atol=1e-9)
             for k in np.flatnonzero(touching[:, 0])[::10]:
-                sole = lowest(mover, 7, times[k])  # the left foot, after the trunk's five parts, thigh and shin
-                corner = np.linalg.norm(mover.parts[7].size[:2]) * np.linalg.norm(world.ground.gradient)
+                sole = lowest(obj, 7, times[k])  # the left foot, after the trunk's five parts, thigh and shin
+                corner = np.linalg.norm(obj.parts[7].size[:2]) * np.linalg.norm(world.ground.gradient)
                 assert sole[2] - points[k, 0, 2] == pytest.approx(-corner, abs=corner + 2e-3)
-        elif mover.kind == "vehicle":
+        elif obj.kind == "vehicle":
             assert touching.all()
-        if mover.rolls:
+        if obj.rolls:
             # No slip: the point that touches the ground does not move.
-            part = 0 if mover.kind == "rolling" else 2
-            R, c = mover.poses(times)
-            turns, centers = mover.poses(times[60] + np.array([-1e-5, 1e-5]))
+            part = 0 if obj.kind == "rolling" else 2
+            R, c = obj.poses(times)
+            turns, centers = obj.poses(times[60] + np.array([-1e-5, 1e-5]))
             local = R[60, part].T @ (points[60, 0] - c[60, part])
             way = np.diff(turns[:, part] @ local + centers[:, part], axis=0)
             assert np.linalg.norm(way) / 2e-5 < 1e-2
-        if mover.kind == "bouncing":
-            assert mover.instants
-            at = mover.touching(np.array(mover.instants))
+        if obj.kind == "bouncing":
+            assert obj.instants
+            at = obj.touching(np.array(obj.instants))
             np.testing.assert_allclose(at[0][:, 0, 2] - world.ground.height(at[0][:, 0, :2]), 0, atol=1e-6)
             assert at[1].all()
-        if mover.pivot is not None:
-            assert mover.swings
-            R, c = mover.poses(times)
-            part = 1 if mover.kind == "pendulum" else 0
-            away = np.linalg.norm(c[:, part] - mover.pivot, axis=1)
+        if obj.pivot is not None:
+            assert obj.swings
+            R, c = obj.poses(times)
+            part = 1 if obj.kind == "pendulum" else 0
+            away = np.linalg.norm(c[:, part] - obj.pivot, axis=1)
             np.testing.assert_allclose(away, away[0], rtol=1e-9)
 
 
 @pytest.mark.parametrize(("seed", "kinds"), [(4, ("rolling", "rolling")), (10, ("walker", "walker")), (118, ("walker", "vehicle"))])
 def test_pairs_touch_each_other(seed, kinds):
     world = draw_world(seed, 96, 54, 40)
-    assert tuple(mover.kind for mover in world.movers[:2]) == kinds
+    assert tuple(obj.kind for obj in world.objects[:2]) == kinds
     assert [world.describe(number)["touches"] for number in (1, 2)] == [2, 1]
-    (first, a), (second, b) = ((mover, mover.poses(np.linspace(0, world.duration, 400))[1]) for mover in world.movers[:2])
+    (first, a), (second, b) = ((obj, obj.poses(np.linspace(0, world.duration, 400))[1]) for obj in world.objects[:2])
     if kinds == ("rolling", "rolling"):
         gap = np.linalg.norm(a[:, 0] - b[:, 0], axis=1) - first.parts[0].radius - second.parts[0].radius
         assert gap.min() == pytest.approx(0, abs=2e-3)
@@ -191,9 +191,9 @@ def test_pairs_touch_each_other(seed, kinds):
 
 
 @pytest.mark.parametrize("seed", MANY_SEEDS)
-def test_movers_and_ground_are_in_sight_and_the_camera_is_free(seed):
+def test_objects_and_ground_are_in_sight_and_the_camera_is_free(seed):
     world, plan = draw_world(seed), draw_plan(seed)
-    assert [mover.kind for mover in world.movers] == list(plan.kinds)
+    assert [obj.kind for obj in world.objects] == list(plan.kinds)
     count = world.ground.boxes
     grid = pixel_grid(80, 45).astype(float).reshape(-1, 2)
     seen, ground = [], []
@@ -201,7 +201,7 @@ def test_movers_and_ground_are_in_sight_and_the_camera_is_free(seed):
         hits = world.cast(world.camera_at(time, 80, 45), time, grid)
         assert hits.depth.min() > 0.3
         assert np.isfinite(hits.depth).all()
-        seen.append(np.bincount(world.numbers[hits.part], minlength=len(world.movers) + 1)[1:] / len(grid))
+        seen.append(np.bincount(world.numbers[hits.part], minlength=len(world.objects) + 1)[1:] / len(grid))
         ground.append(((hits.part >= 1) & (hits.part <= count)).mean())
     assert ((np.array(seen) > 5e-4).mean(0) >= 0.4).all()
     assert np.max(seen) < 0.5
@@ -216,10 +216,10 @@ def test_a_world_becomes_a_scene(tmp_path):
     assert len(scene.truth.flow_pairs) == 22
     np.testing.assert_array_equal(scene.frame(3), world.picture(3))
     np.testing.assert_array_equal(scene.truth.mask(3), world.geometry(3)[1])
-    known = read_movers(scene.truth)
-    assert [mover["kind"] for mover in known["movers"]] == ["bouncing", "pendulum"]
-    bouncing, swinging = known["movers"]
-    assert bouncing["contact"] == pytest.approx(list(world.movers[0].instants), abs=1e-5)
+    known = read_objects(scene.truth)
+    assert [obj["kind"] for obj in known["objects"]] == ["bouncing", "pendulum"]
+    bouncing, swinging = known["objects"]
+    assert bouncing["contact"] == pytest.approx(list(world.objects[0].instants), abs=1e-5)
     assert swinging["contact"] == []
     assert swinging["swings"]
     assert swinging["pivot"] is not None

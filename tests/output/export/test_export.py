@@ -126,7 +126,7 @@ def test_ply_has_the_layout_of_the_original(tmp_path, run):
     names = [prop.name for prop in vertices.properties]
     assert names == [
         "x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", *(f"f_rest_{k}" for k in range(9)),
-        "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3", "mover",
+        "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3", "object_id",
     ]  # fmt: skip
     assert {prop.val_dtype for prop in vertices.properties} == {"f4"}
     assert PlyData.read(path).byte_order == "<"
@@ -182,21 +182,21 @@ def test_splat_holds_32_bytes_a_gaussian_largest_first(tmp_path, run):
 
 
 def test_ply_tells_whose_a_gaussian_is(tmp_path):
-    """As a property that a reader of others passes over; a scene without movers has none."""
+    """As a property that a reader of others passes over; a scene without objects has none."""
     gsply = pytest.importorskip("gsply", reason="no independent reader of splats is installed: pip install gsply (extra dev)")
     model = small_model()
     small_run(tmp_path, model)
     scene, seconds = Scene(tmp_path / "scene"), small_times()[4]
     path = export_scene(model, scene, "ply", tmp_path / "scene.ply", ExportOptions(time=seconds))
     vertices = PlyData.read(path)["vertex"]
-    expected = model.gaussians.movers[model.gaussians.active(model.clip_time(seconds)).rows]
+    expected = model.gaussians.object_ids[model.gaussians.active(model.clip_time(seconds)).rows]
     assert set(expected.tolist()) == {0, 1, 2}
-    assert vertices["mover"].tolist() == expected.tolist()
+    assert vertices["object_id"].tolist() == expected.tolist()
     found = gsply.plyread(path)
     np.testing.assert_array_equal(found.means[:, 0], vertices["x"])
-    model.gaussians.movers[:] = 0
+    model.gaussians.object_ids[:] = 0
     plain = export_scene(model, scene, "ply", tmp_path / "plain.ply", ExportOptions(time=seconds))
-    assert "mover" not in {p.name for p in PlyData.read(plain)["vertex"].properties}
+    assert "object_id" not in {p.name for p in PlyData.read(plain)["vertex"].properties}
 
 
 def test_ply_tells_what_the_clip_has_seen(tmp_path):
@@ -223,13 +223,13 @@ def test_all_parameters_come_back_from_both_containers(tmp_path, run):
     about = json.loads(str(npz["about"]))
     arrays = {name: torch.from_numpy(npz[name]) for name in npz.files if name != "about"}
     assert set(arrays) == set(tensors)
-    kept = {"dynamic": model.gaussians.dynamic, "movers": model.gaussians.movers}
+    kept = {"dynamic": model.gaussians.dynamic, "object_ids": model.gaussians.object_ids}
     for name, value in {**model.gaussians.params, **kept}.items():
         assert torch.equal(arrays[name], value)
         assert torch.equal(tensors[name], value)
-    dynamic, movers = arrays.pop("dynamic"), arrays.pop("movers")
+    dynamic, object_ids = arrays.pop("dynamic"), arrays.pop("object_ids")
     again = SceneModel(
-        Gaussians4D(arrays, dynamic, ModelConfig(**about["model"]), about["sh_degree"], movers),
+        Gaussians4D(arrays, dynamic, ModelConfig(**about["model"]), about["sh_degree"], object_ids),
         Similarity.from_json(about["similarity"]), about["first"], about["last"], fill=False,
     )  # fmt: skip
     camera, seconds = five_pairs(model)[0]

@@ -8,7 +8,7 @@ import pytest
 from flowsplat.geometry.paths import CameraPath
 from flowsplat.output.player.camera_paths import PATH_SAMPLES, camera_paths, sampled_path
 from tests.output.small import small_cameras, small_model, small_times
-from tests.output.tiny import FPS, FRAMES, MOVER, WALL, tiny_cameras, tiny_model
+from tests.output.tiny import FPS, FRAMES, OBJECT, WALL, tiny_cameras, tiny_model
 
 
 def test_the_path_of_the_clip_is_exact_at_its_frames():
@@ -32,7 +32,7 @@ def test_the_steadied_path_shakes_less_and_shows_no_uncovered_border():
     assert 1 < steady[0, 8] / own[0, 8] <= 1 / 0.7, "cropped, by as much as it needs"
 
 
-@pytest.mark.parametrize(("movers", "depth"), [(1, MOVER / WALL), (0, 1.0)])
-def test_the_subject_is_what_moves(movers, depth):
-    model, times = tiny_model(movers), (np.arange(FRAMES) / FPS).tolist()
+@pytest.mark.parametrize(("objects", "depth"), [(1, OBJECT / WALL), (0, 1.0)])
+def test_the_subject_is_what_moves(objects, depth):
+    model, times = tiny_model(objects), (np.arange(FRAMES) / FPS).tolist()
     np.testing.assert_allclose(camera_paths(model, times, tiny_cameras((64, 48)))["subjectDepths"], depth, rtol=0.05)

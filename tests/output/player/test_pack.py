@@ -142,24 +142,24 @@ def test_what_is_read_back_looks_the_same(config, counts):
         assert psnr(show(pack_.about, arrays, camera, seconds), rendered(model, camera, seconds)) > 38
 
 
-def test_every_gaussian_keeps_the_number_of_its_mover():
-    """Whatever the number; a scene without movers has no array for them."""
+def test_every_gaussian_keeps_the_number_of_its_object():
+    """Whatever the number; a scene without objects has no array for them."""
     model = small_model(OURS)
-    model.gaussians.movers[:10] = 255
+    model.gaussians.object_ids[:10] = 255
     pack_ = packed(model)
     arrays = unpack(pack_.about, pack_.data)
-    counts = [[n, int((model.gaussians.movers == n).sum())] for n in (1, 2, 255)]
-    assert pack_.about["movers"] == counts
-    assert [[n, int((arrays["movers"] == n).sum())] for n in (1, 2, 255)] == counts
+    counts = [[n, int((model.gaussians.object_ids == n).sum())] for n in (1, 2, 255)]
+    assert pack_.about["objects"] == counts
+    assert [[n, int((arrays["object_ids"] == n).sum())] for n in (1, 2, 255)] == counts
     # The page has an order of its own: those at rest are told by where they are.
     rest = model.gaussians.select(torch.nonzero(model.gaussians.at_rest).squeeze(1))
     means = torch.from_numpy(arrays["means"][: len(rest)])
     nearest = torch.cdist(means, rest.params["means"], compute_mode="donot_use_mm_for_euclid_dist").argmin(1)
-    np.testing.assert_array_equal(arrays["movers"][: len(rest), 0], rest.movers[nearest])
-    model.gaussians.movers[:] = 0
+    np.testing.assert_array_equal(arrays["object_ids"][: len(rest), 0], rest.object_ids[nearest])
+    model.gaussians.object_ids[:] = 0
     plain = packed(model)
-    assert plain.about["movers"] == []
-    assert "movers" not in {array["name"] for array in plain.about["arrays"]}
+    assert plain.about["objects"] == []
+    assert "object_ids" not in {array["name"] for array in plain.about["arrays"]}
 
 
 def test_gaussians_that_are_never_seen_are_left_out():

@@ -247,7 +247,7 @@ def test_the_clips_camera_is_followed(open_page, player_file):
         np.testing.assert_allclose(found["lens"], camera.K[[0, 1, 0, 1], [0, 1, 2, 2]], atol=1e-4)
 
 
-@pytest.mark.parametrize("part", ["background", "movers"])
+@pytest.mark.parametrize("part", ["background", "objects"])
 def test_parts_are_those_of_our_own_renderer(open_page, tmp_path, part):
     model = small_model(fill=True)
     page = open_page(small_player(tmp_path / "player.html", model))
@@ -258,10 +258,10 @@ def test_parts_are_those_of_our_own_renderer(open_page, tmp_path, part):
 
 
 @pytest.mark.parametrize("init", [None, NO_FLOATS], ids=["floats", "no floats"])
-def test_movers_farther_away_and_nearer_are_those_of_our_own_renderer(open_page, tmp_path, init):
-    """What of a mover rests goes with it."""
+def test_objects_farther_away_and_nearer_are_those_of_our_own_renderer(open_page, tmp_path, init):
+    """What of an object rests goes with it."""
     model = small_model()
-    model.gaussians.movers[:40] = 2  # of the wall
+    model.gaussians.object_ids[:40] = 2  # of the wall
     factors = {1: 1.6, 2: 0.8}
     page = open_page(small_player(tmp_path / "player.html", model), init)
     for number, factor in factors.items():
@@ -274,13 +274,13 @@ def test_movers_farther_away_and_nearer_are_those_of_our_own_renderer(open_page,
     assert page.complaints == []
 
 
-def test_one_mover_alone_looks_the_same_to_the_clips_camera_however_far_it_is(open_page, player_file):
+def test_one_object_alone_looks_the_same_to_the_clips_camera_however_far_it_is(open_page, player_file):
     page = open_page(player_file)
     model = small_model()
-    page.page.locator("#part").select_option("movers:2")
+    page.page.locator("#part").select_option("objects:2")
     clip, aside = five_pairs(model)[1], five_pairs(model)[3]
     before = [picture_of(page, *pair) for pair in (clip, aside)]
-    assert psnr(before[0], model.part("movers:2").render(*clip).color) > 37
+    assert psnr(before[0], model.part("objects:2").render(*clip).color) > 37
     page.page.evaluate("flowsplat.state.setDistance(1, 2.0); flowsplat.state.setDistance(9, 2.0)")
     assert psnr(picture_of(page, *aside), before[1]) > 60, "the other one, and one that is not there"
     page.page.evaluate("flowsplat.state.setDistance(2, 1.8)")
@@ -289,7 +289,7 @@ def test_one_mover_alone_looks_the_same_to_the_clips_camera_however_far_it_is(op
     assert page.complaints == []
 
 
-def test_sliders_push_movers_away_and_bring_them_back(open_page, player_file):
+def test_sliders_push_objects_away_and_bring_them_back(open_page, player_file):
     page = open_page(player_file)
     page.pause()
     page.page.locator("#time").fill("0.5")
@@ -309,9 +309,9 @@ def test_sliders_push_movers_away_and_bring_them_back(open_page, player_file):
     assert page.complaints == []
 
 
-def test_a_scene_without_movers_offers_no_distances(open_page, tmp_path):
+def test_a_scene_without_objects_offers_no_distances(open_page, tmp_path):
     model = small_model()
-    model.gaussians.movers[:] = 0
+    model.gaussians.object_ids[:] = 0
     page = open_page(small_player(tmp_path / "player.html", model))
     assert page.page.locator("#distances").is_hidden()
     assert page.page.locator("#part option").count() == 3

@@ -44,11 +44,11 @@ def test_what_the_user_gave_is_taken():
 
 
 @pytest.mark.parametrize(("sigma", "widest"), [(0.05, 12.0), (0.24, 6.0), (1.0, min(ANGLES))])
-def test_movers_whose_distance_is_not_known_keep_loops_narrow(monkeypatch: pytest.MonkeyPatch, sigma: float, widest: float):
-    """With a focal length of .78 widths 6 degrees move a mover with sigma .24 by 2 % of the width."""
-    movers = [SimpleNamespace(number=1, sigma=sigma), SimpleNamespace(number=2, sigma=9.0)]
-    monkeypatch.setattr(amplitudes, "load_movers", lambda scene: SimpleNamespace(movers=movers))
-    monkeypatch.setattr(amplitudes, "large_movers", lambda scene: {1})
+def test_objects_whose_distance_is_not_known_keep_loops_narrow(monkeypatch: pytest.MonkeyPatch, sigma: float, widest: float):
+    """With a focal length of .78 widths 6 degrees move an object with sigma .24 by 2 % of the width."""
+    objects = [SimpleNamespace(number=1, sigma=sigma), SimpleNamespace(number=2, sigma=9.0)]
+    monkeypatch.setattr(amplitudes, "load_objects", lambda scene: SimpleNamespace(object_ids=objects))
+    monkeypatch.setattr(amplitudes, "large_objects", lambda scene: {1})
     monkeypatch.setattr(amplitudes, "MOST_UNKNOWN", 1.0)
     assert Amplitudes(WallAndCard(card_depth=3.5), scene_of(1.0), None).angle([0.5], "orbit") == widest
 

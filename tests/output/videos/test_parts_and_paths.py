@@ -18,18 +18,18 @@ from flowsplat.output.videos.plans import plan_videos, subject_distance
 from flowsplat.output.videos.stabilized import covered_share, stabilize
 from flowsplat.scenes import Scene
 from flowsplat.training.checkpoint import load_model
-from tests.output.tiny import FPS, FRAMES, MOVER, WALL, frames_of, red, tiny_cameras, tiny_model, tiny_run
+from tests.output.tiny import FPS, FRAMES, OBJECT, WALL, frames_of, red, tiny_cameras, tiny_model, tiny_run
 
 SIZE = (64, 48)
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    folder = tiny_run(tmp_path_factory.mktemp("parts") / "out", movers=3)
+    folder = tiny_run(tmp_path_factory.mktemp("parts") / "out", objects=3)
     return load_model(folder / "model"), Scene(folder / "scene")
 
 
-def test_background_alone_has_no_movers(run, tmp_path):
+def test_background_alone_has_no_objects(run, tmp_path):
     render_videos(*run, tmp_path, RenderOptions(paths=("input",), parts=("all", "background")))
     assert set(rendered(tmp_path)) == {"input_path", "input_path_color", "input_path_background", "input_path_background_color"}
     whole = [red(frame).sum() for frame in frames_of(tmp_path / "input_path_color.mp4")]
@@ -38,10 +38,10 @@ def test_background_alone_has_no_movers(run, tmp_path):
     assert max(without) == 0
 
 
-def test_movers_alone_are_on_transparent(run, tmp_path):
-    render_videos(*run, tmp_path, RenderOptions(paths=("input",), parts=("movers",)))
-    assert rendered(tmp_path) == {"input_path_movers": "input_path_movers.webm"}
-    frames = frames_of(tmp_path / "input_path_movers.webm", "libvpx-vp9", "rgba")
+def test_objects_alone_are_on_transparent(run, tmp_path):
+    render_videos(*run, tmp_path, RenderOptions(paths=("input",), parts=("objects",)))
+    assert rendered(tmp_path) == {"input_path_objects": "input_path_objects.webm"}
+    frames = frames_of(tmp_path / "input_path_objects.webm", "libvpx-vp9", "rgba")
     assert len(frames) == FRAMES
     for frame in frames:
         alpha = frame[..., 3]
@@ -52,39 +52,39 @@ def test_movers_alone_are_on_transparent(run, tmp_path):
     assert places[-1] > places[0] + 5, "it moves to the right"
 
 
-def test_one_mover_alone(run, tmp_path):
+def test_one_object_alone(run, tmp_path):
     """Named by its number it has what of it rests as well."""
     model, scene = run
     two = replace(model, gaussians=model.gaussians.select(torch.arange(len(model.gaussians))))
-    two.gaussians.movers[-1] = 5
+    two.gaussians.object_ids[-1] = 5
     two.gaussians.dynamic[-2] = False
-    assert two.gaussians.mover_counts == {2: 2, 5: 1}
-    assert [len(two.part(part).gaussians) for part in ("movers", "movers:2", "movers:5", "movers:5,2")] == [2, 2, 1, 3]
-    assert not two.part("movers:2").fill
-    render_videos(two, scene, tmp_path, RenderOptions(paths=("input",), parts=("movers:5", "movers:5,2"), max_frames=2))
+    assert two.gaussians.object_counts == {2: 2, 5: 1}
+    assert [len(two.part(part).gaussians) for part in ("objects", "objects:2", "objects:5", "objects:5,2")] == [2, 2, 1, 3]
+    assert not two.part("objects:2").fill
+    render_videos(two, scene, tmp_path, RenderOptions(paths=("input",), parts=("objects:5", "objects:5,2"), max_frames=2))
     assert rendered(tmp_path) == {
-        "input_path_movers_5": "input_path_movers_5.webm", "input_path_movers_5_2": "input_path_movers_5_2.webm"
+        "input_path_objects_5": "input_path_objects_5.webm", "input_path_objects_5_2": "input_path_objects_5_2.webm"
     }  # fmt: skip
     one, both = (frames_of(tmp_path / file, "libvpx-vp9", "rgba")[4][..., 3] for file in rendered(tmp_path).values())
-    np.testing.assert_allclose(one / 255, two.part("movers:5").render(scene.cameras[4], 0.5).alpha, atol=0.1)
+    np.testing.assert_allclose(one / 255, two.part("objects:5").render(scene.cameras[4], 0.5).alpha, atol=0.1)
     assert both.sum() > 1.2 * one.sum()
 
 
 @pytest.mark.parametrize(
     ("part", "message"),
     [
-        ("movers:1", "no mover 1: there are 2"), ("movers:2,9", "no mover 9: there are 2"), ("movers:300", "no mover 300"),
-        ("movers:", "Unknown part 'movers:'"), ("movers:x", "movers:1,3"), ("movers:-1", "Unknown part"), ("car:1", "Unknown part"),
-        ("movers:1,,2", "Unknown part"), ("movers:²", "Unknown part"),
+        ("objects:1", "no object 1: there are 2"), ("objects:2,9", "no object 9: there are 2"), ("objects:300", "no object 300"),
+        ("objects:", "Unknown part 'objects:'"), ("objects:x", "objects:1,3"), ("objects:-1", "Unknown part"), ("car:1", "Unknown part"),
+        ("objects:1,,2", "Unknown part"), ("objects:²", "Unknown part"),
     ],
 )  # fmt: skip
-def test_movers_that_are_not_there_are_named(run, tmp_path, part, message):
+def test_objects_that_are_not_there_are_named(run, tmp_path, part, message):
     with pytest.raises(InputError, match=message):
         render_videos(*run, tmp_path, RenderOptions(paths=("input",), parts=("all", part)))
     assert rendered(tmp_path) == {}
 
 
-def test_movers_farther_away(run, tmp_path):
+def test_objects_farther_away(run, tmp_path):
     """Along the clip's own path the same pictures, from an orbit others; each lies beside what was rendered before."""
     model, scene = run
     options = RenderOptions(paths=("input", "orbit"), max_frames=8)
@@ -101,10 +101,10 @@ def test_movers_farther_away(run, tmp_path):
     plan = next(plan for plan in plan_videos(model, scene, options) if plan.name == "orbit")
     t = np.array([t for _, t in plan.shots])
     centers = np.array([CameraPath(scene.timestamps.tolist(), scene.cameras).at(s).center for s in t])
-    mover = np.stack([-0.5 + t / model.last, np.zeros_like(t), np.full_like(t, MOVER)], 1)
+    obj = np.stack([-0.5 + t / model.last, np.zeros_like(t), np.full_like(t, OBJECT)], 1)
     expected = [
         camera.project(x)[0][0] - camera.project(y)[0][0]
-        for (camera, _), x, y in zip(plan.shots, centers + 1.5 * (mover - centers), mover, strict=True)
+        for (camera, _), x, y in zip(plan.shots, centers + 1.5 * (obj - centers), obj, strict=True)
     ]
     assert np.ptp(expected) > 4
     np.testing.assert_allclose(places("orbit_distance_2x1.5") - places("orbit"), expected, atol=1)
@@ -127,8 +127,8 @@ def test_guesses_fade_where_that_is_asked_for(run, tmp_path):
 @pytest.mark.parametrize(
     ("distances", "message"),
     [
-        (("3=1.2",), "no mover 3: there are 2"), (("2",), "mover=factor as in 2=1.2"), (("2=far",), "'2=far' is none"),
-        (("x=1",), "'x=1' is none"), (("2=0",), "0.1 to 10"), (("2=nan",), "cannot be nan"), (("2=1.1", "2=1.2"), "mover 2 twice"),
+        (("3=1.2",), "no object 3: there are 2"), (("2",), "object=factor as in 2=1.2"), (("2=far",), "'2=far' is none"),
+        (("x=1",), "'x=1' is none"), (("2=0",), "0.1 to 10"), (("2=nan",), "cannot be nan"), (("2=1.1", "2=1.2"), "object 2 twice"),
     ],
 )  # fmt: skip
 def test_distances_that_make_no_sense_are_refused(run, tmp_path, distances, message):
@@ -137,13 +137,13 @@ def test_distances_that_make_no_sense_are_refused(run, tmp_path, distances, mess
     assert rendered(tmp_path) == {}
 
 
-def test_movers_of_a_scene_without_any_are_refused(tmp_path):
-    folder = tiny_run(tmp_path / "out", movers=0)
+def test_objects_of_a_scene_without_any_are_refused(tmp_path):
+    folder = tiny_run(tmp_path / "out", objects=0)
     arguments = load_model(folder / "model"), Scene(folder / "scene"), tmp_path / "r"
     with pytest.raises(InputError, match="Nothing moves"):
-        render_videos(*arguments, RenderOptions(paths=("input",), parts=("movers",)))
-    with pytest.raises(InputError, match="no mover 1: none of its Gaussians belongs"):
-        render_videos(*arguments, RenderOptions(paths=("input",), parts=("movers:1",)))
+        render_videos(*arguments, RenderOptions(paths=("input",), parts=("objects",)))
+    with pytest.raises(InputError, match="no object 1: none of its Gaussians belongs"):
+        render_videos(*arguments, RenderOptions(paths=("input",), parts=("objects:1",)))
     render_videos(*arguments, RenderOptions(paths=("dolly",), parts=("background",), max_frames=2))
     assert rendered(tmp_path / "r")
 
@@ -161,7 +161,7 @@ def test_slow_motion_has_more_frames_at_the_same_rate(run):
 
 def test_slow_motion_moves_between_the_frames(run):
     (slow,) = plan_videos(*run, RenderOptions(paths=("input",), slow=4.0))
-    places = [np.argwhere(run[0].part("movers").render(*shot).alpha > 0.5)[:, 1].mean() for shot in slow.shots]
+    places = [np.argwhere(run[0].part("objects").render(*shot).alpha > 0.5)[:, 1].mean() for shot in slow.shots]
     assert (np.diff(places) > 0.1).all(), "every frame is a step further"
 
 
@@ -214,8 +214,8 @@ def test_dolly_zoom_keeps_the_size_of_the_subject(run):
     (plan,) = plan_videos(model, scene, RenderOptions(paths=("dolly",), max_frames=8, dolly=1.6))
     near, far = plan.shots[0][0], plan.shots[4][0]
     assert far.K[0, 0] == pytest.approx(1.6 * near.K[0, 0])
-    movers, wall = model.part("movers"), model.part("background")
-    areas = [movers.render(camera, t).alpha.sum() for camera, t in plan.shots]
+    objects, wall = model.part("objects"), model.part("background")
+    areas = [objects.render(camera, t).alpha.sum() for camera, t in plan.shots]
     np.testing.assert_allclose(areas, areas[0], rtol=0.02)
     assert np.median(wall.render(far, plan.shots[4][1]).depth) > np.median(wall.render(*plan.shots[0]).depth) + 1
     # The pattern of the wall grows: it is further behind the subject than the subject from the camera.
@@ -225,7 +225,7 @@ def test_dolly_zoom_keeps_the_size_of_the_subject(run):
 
 def test_the_subject_is_what_moves(run):
     model, scene = run
-    assert subject_distance(model, scene.cameras[4], 0.5, 99.0) == pytest.approx(MOVER, rel=0.05)
+    assert subject_distance(model, scene.cameras[4], 0.5, 99.0) == pytest.approx(OBJECT, rel=0.05)
     assert subject_distance(tiny_model(0), scene.cameras[4], 0.5, 99.0) == 99.0
 
 
@@ -245,7 +245,7 @@ def test_stereo_pairs_differ_by_the_sign_of_the_parallax(run, tmp_path):
     left, right = frame[:, : SIZE[0]], frame[:, SIZE[0] :]
     places = [np.argwhere(red(eye))[:, 1].mean() for eye in (left, right)]
     eyes, focal = 0.08 * WALL, 64
-    expected = focal * eyes * (1 / MOVER - 1 / WALL)
+    expected = focal * eyes * (1 / OBJECT - 1 / WALL)
     assert places[0] - places[1] == pytest.approx(expected, abs=0.7), "near things lie further right for the left eye"
     # What is as far as the eyes converge stays where it is.
     camera = tiny_cameras(SIZE)[0]
@@ -255,12 +255,12 @@ def test_stereo_pairs_differ_by_the_sign_of_the_parallax(run, tmp_path):
 
 
 def test_stereo_pairs_of_parts(run, tmp_path):
-    render_videos(*run, tmp_path, RenderOptions(paths=("input",), parts=("background", "movers"), stereo=True))
+    render_videos(*run, tmp_path, RenderOptions(paths=("input",), parts=("background", "objects"), stereo=True))
     assert {file for file in rendered(tmp_path).values() if "stereo" in file} == {
-        "input_path_background_stereo.mp4", "input_path_movers_stereo.mp4"
+        "input_path_background_stereo.mp4", "input_path_objects_stereo.mp4"
     }  # fmt: skip
-    (movers, *_) = frames_of(tmp_path / "input_path_movers_stereo.mp4")
-    for eye in (movers[:, : SIZE[0]], movers[:, SIZE[0] :]):
+    (objects, *_) = frames_of(tmp_path / "input_path_objects_stereo.mp4")
+    for eye in (objects[:, : SIZE[0]], objects[:, SIZE[0] :]):
         assert red(eye).any()
         assert np.median(eye) < 20, "all else is black"
 

@@ -16,7 +16,7 @@ from flowsplat.output.viewer.layout import BAR
 from flowsplat.output.viewer.source import Loaded, Source
 from flowsplat.output.viewer.trails import trails
 from flowsplat.scenes.layers import Tracks
-from tests.output.tiny import FPS, FRAMES, MOVER, WALL, red, tiny_cameras, tiny_model, tiny_run
+from tests.output.tiny import FPS, FRAMES, OBJECT, WALL, red, tiny_cameras, tiny_model, tiny_run
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +36,7 @@ def test_the_input_camera_sees_the_input_frame(source):
 def test_depth_is_told_in_the_world_of_the_browser(source):
     drawing = seen(source, t=0.5)
     assert np.median(drawing.depth) == pytest.approx(SCENE_DEPTH, rel=0.02)
-    assert drawing.depth.min() == pytest.approx(SCENE_DEPTH * MOVER / WALL, rel=0.05)
+    assert drawing.depth.min() == pytest.approx(SCENE_DEPTH * OBJECT / WALL, rel=0.05)
 
 
 def test_bars_lie_where_the_clip_does_not(source):
@@ -70,7 +70,7 @@ def test_a_stereo_pair_shows_near_things_further_right_to_the_left_eye(source):
     one, pair = seen(source, (128, 96)), seen(source, (256, 96), stereo=True)
     left, right = pair.image[:, :128], pair.image[:, 128:]
     places = [np.argwhere(red(image))[:, 1].mean() for image in (left, one.image, right)]
-    expected = 128 * RenderOptions.eye_distance * WALL * (1 / MOVER - 1 / WALL)
+    expected = 128 * RenderOptions.eye_distance * WALL * (1 / OBJECT - 1 / WALL)
     assert places[0] - places[2] == pytest.approx(expected, abs=0.7)
     assert places[1] == pytest.approx((places[0] + places[2]) / 2, abs=0.5)
     assert np.abs(left[:, :30].astype(int) - right[:, :30]).mean() < 1, "the wall is where both eyes meet"
@@ -88,13 +88,13 @@ def test_the_eyes_of_a_stereo_pair_see_the_same_flow(source):
 def test_points_lie_where_the_gaussians_are():
     model = tiny_model(1)
     camera = tiny_cameras((640, 480))[0]
-    image = draw_points(model.part("movers"), camera, 0.0)
+    image = draw_points(model.part("objects"), camera, 0.0)
     (y, x) = np.argwhere(image[..., 0] > 150).mean(0)
-    uv, _ = camera.project(np.array([-0.5, 0.0, MOVER]))
+    uv, _ = camera.project(np.array([-0.5, 0.0, OBJECT]))
     assert (x, y) == pytest.approx(uv, abs=2)
     both = draw_points(model, camera, 0.0)
     assert (both[int(y), int(x)] == image[int(y), int(x)]).all(), "near ones lie over far ones"
-    assert draw_points(tiny_model(0).part("movers"), camera, 0.0).max() < 30
+    assert draw_points(tiny_model(0).part("objects"), camera, 0.0).max() < 30
 
 
 def test_tracks_are_drawn_where_they_are(source):
@@ -118,8 +118,8 @@ def test_tracks_are_drawn_where_they_are(source):
     np.testing.assert_array_equal(other.image, same.image)
 
 
-def test_a_mover_farther_away_looks_the_same_to_the_clips_camera_alone(source):
-    """The mover stands at 2.5 before a wall at 4: half as far again it is still before the wall, twice as far behind it."""
+def test_an_object_farther_away_looks_the_same_to_the_clips_camera_alone(source):
+    """The object stands at 2.5 before a wall at 4: half as far again it is still before the wall, twice as far behind it."""
     plain, far, hidden = (seen(source, (64, 48), distances=((2, factor),)) for factor in (1.0, 1.5, 2.0))
     assert np.abs(far.image.astype(int) - plain.image).max() < 6
     assert far.depth.min() == pytest.approx(1.5 * plain.depth.min(), rel=0.03)
@@ -133,7 +133,7 @@ def test_a_mover_farther_away_looks_the_same_to_the_clips_camera_alone(source):
         drawing = draw(source, frame, Wish((64, 48), 0.5, Look(distances=distances), frame.pose(camera)))
         places.append(np.argwhere(red(drawing.image))[:, 1].mean())
     # 0.4 to the right of the clip's camera what is at depth z is seen 64 * 0.4 / z further left.
-    assert places[1] - places[0] == pytest.approx(64 * 0.4 / MOVER * (1 - 1 / 1.5), abs=0.5)
+    assert places[1] - places[0] == pytest.approx(64 * 0.4 / OBJECT * (1 - 1 / 1.5), abs=0.5)
     dots = draw(source, frame, Wish((64, 48), 0.5, Look("Gaussians", distances=((2, 1.5),)), frame.pose(camera))).image
     assert np.argwhere(red(dots))[:, 1].mean() == pytest.approx(places[1], abs=1)
 
@@ -159,15 +159,15 @@ def test_trails_go_with_the_distance():
     model = tiny_model(1)
     times = [k / FPS for k in range(FRAMES)]
     ends, _ = trails(model.at_distances({2: 1.5}, times, tiny_cameras((64, 48))))
-    np.testing.assert_allclose(ends[0, 0], [-0.75, 0, 1.5 * MOVER], atol=1e-4)
-    np.testing.assert_allclose(ends[-1, 1], [0.3 + 1.5 * 0.2, 0, 1.5 * MOVER], atol=1e-4)
+    np.testing.assert_allclose(ends[0, 0], [-0.75, 0, 1.5 * OBJECT], atol=1e-4)
+    np.testing.assert_allclose(ends[-1, 1], [0.3 + 1.5 * 0.2, 0, 1.5 * OBJECT], atol=1e-4)
 
 
-def test_trails_go_where_the_mover_goes(tmp_path):
+def test_trails_go_where_the_object_goes(tmp_path):
     ends, colors = trails(tiny_model(1))
     assert ends.shape == colors.shape == (39, 2, 3)
-    np.testing.assert_allclose(ends[0, 0], [-0.5, 0, MOVER], atol=1e-5)
-    np.testing.assert_allclose(ends[-1, 1], [0.5, 0, MOVER], atol=1e-5)
+    np.testing.assert_allclose(ends[0, 0], [-0.5, 0, OBJECT], atol=1e-5)
+    np.testing.assert_allclose(ends[-1, 1], [0.5, 0, OBJECT], atol=1e-5)
     np.testing.assert_allclose(ends[1:, 0], ends[:-1, 1])
     assert colors[0, 0, 2] > colors[0, 0, 0]
     assert colors[-1, 1, 0] > colors[-1, 1, 2]

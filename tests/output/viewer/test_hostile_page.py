@@ -190,9 +190,9 @@ def test_values_that_a_control_cannot_have_change_nothing(tmp_path):
                 ("Seconds", -1.0, "Seconds cannot be"),
                 ("Speed", "1/0", "Speed cannot be"),
                 ("Show", "x" * 500, "Show cannot be"),
-                ("Part", "movers:../1", "Part cannot be"),
+                ("Part", "objects:../1", "Part cannot be"),
                 ("Mode", "", "Mode cannot be"),
-                ("Mover 2", 1e8, "Mover 2 cannot be"),
+                ("Object 2", 1e8, "Object 2 cannot be"),
                 ("Seconds a key", -5.0, "Seconds a key cannot be"),
             ):
                 told = len(browser.notes)

@@ -30,7 +30,7 @@ def shown(page: Any) -> np.ndarray:
 
 
 def place(page: Any) -> float:
-    """Column of the mover, in pixels; NaN while it is not seen."""
+    """Column of the object, in pixels; NaN while it is not seen."""
     found = np.argwhere(red(shown(page)))
     return float(found[:, 1].mean()) if len(found) > 10 else float("nan")
 
@@ -44,7 +44,7 @@ def wait(page: Any, what: Callable[[], bool]) -> None:
 
 
 def place_at_rest(page: Any) -> float:
-    """Where the mover is once it is seen and stays: the first pictures are drawn before the browser knows its camera."""
+    """Where the object is once it is seen and stays: the first pictures are drawn before the browser knows its camera."""
     last = [float("nan")] * 12  # under load a browser may be without its camera for long
 
     def rests() -> bool:
@@ -86,7 +86,7 @@ def test_two_browsers_move_in_time_and_it_stops(chromium, served):
         wait(first, lambda: place(first) > starts[0] + 20)
         assert place(second) == pytest.approx(starts[1], abs=1), "the other one has a time of its own"
 
-        first.get_by_text("Distance of movers").click()
+        first.get_by_text("Distance of objects").click()
         distance = first.locator("input.mantine-NumberInput-input").nth(-2)  # the last is of the export
         distance.fill("2")
         distance.press("Enter")

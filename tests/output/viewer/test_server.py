@@ -48,7 +48,7 @@ def browser(port) -> Iterator[Browser]:
 
 
 def place(image: np.ndarray) -> float:
-    """Column of the mover, over the width."""
+    """Column of the object, over the width."""
     return float(np.argwhere(red(image))[:, 1].mean() / image.shape[1])
 
 
@@ -135,7 +135,7 @@ def test_every_drawing_is_different_and_what_it_should_be(browser):
         seen[show] = browser.settled()
     assert seen["alpha"][20:50, 30:60].mean() > 240
     assert len(np.unique(seen["Gaussians"].reshape(-1, 3), axis=0)) > 20
-    # A free camera stands still, so only the mover flows, to the right: red on white.
+    # A free camera stands still, so only the object flows, to the right: red on white.
     y, x = np.argwhere(red(seen["color"])).mean(0).astype(int)
     assert seen["flow"][y, x, 0] > seen["flow"][y, x, 2] + 50
     assert seen["flow"][5, 5].min() > 230
@@ -148,26 +148,26 @@ def test_every_drawing_is_different_and_what_it_should_be(browser):
 def test_parts(browser):
     browser.set("Part", "background")
     assert not red(browser.settled()).any()
-    browser.set("Part", "movers")
-    movers = browser.settled()
-    assert red(movers).any()
-    assert np.median(movers) < 10
-    browser.set("Part", "movers:2")
-    np.testing.assert_array_equal(browser.settled(), movers)
+    browser.set("Part", "objects")
+    objects = browser.settled()
+    assert red(objects).any()
+    assert np.median(objects) < 10
+    browser.set("Part", "objects:2")
+    np.testing.assert_array_equal(browser.settled(), objects)
 
 
-def test_movers_can_be_pushed_away(browser):
+def test_objects_can_be_pushed_away(browser):
     """Behind the wall, from where the clip sees them; and back."""
     home = browser.settled()
-    browser.set("Mover 2", 1.5)
+    browser.set("Object 2", 1.5)
     assert np.abs(browser.settled().astype(int) - home).mean() < 1
-    browser.set("Mover 2", 2.0)
+    browser.set("Object 2", 2.0)
     assert not red(browser.settled()).any()
     browser.set("Paths of Gaussians", True)
     browser.wait(lambda: "/trails" in browser.nodes)
     browser.click("As trained")
     np.testing.assert_array_equal(browser.settled(), home)
-    assert browser.value("Mover 2") == 1
+    assert browser.value("Object 2") == 1
 
 
 def test_the_wipe_looks_through_the_input_camera(run_folder, browser):
@@ -259,7 +259,7 @@ def test_paths_are_made_saved_loaded_and_recorded(run_folder, browser, tmp_path)
 
 
 def test_ready_made_paths_are_taken_and_recorded(tmp_path):
-    port, folder = free_port(), tiny_run(tmp_path / "out", movers=3)
+    port, folder = free_port(), tiny_run(tmp_path / "out", objects=3)
     viewer = Viewer(folder, ViewOptions(port=port))
     try:
         with Browser(port) as browser:
@@ -276,7 +276,7 @@ def test_ready_made_paths_are_taken_and_recorded(tmp_path):
             browser.wait(gif.exists)
             places = [np.argwhere(red(frame))[:, 1].mean() for frame in frames_of(gif)]
             assert len(places) == 16
-            assert np.ptp(places) < 1.0, "it swings round the mover"
+            assert np.ptp(places) < 1.0, "it swings round the object"
 
             browser.set("Speed", "1/2")
             browser.set("Ready-made path", "input")
@@ -298,8 +298,8 @@ def test_ready_made_paths_are_taken_and_recorded(tmp_path):
         viewer.stop()
 
 
-def test_movers_of_a_scene_without_any_are_not_recorded(tmp_path):
-    port, folder = free_port(), tiny_run(tmp_path / "out", movers=0)
+def test_objects_of_a_scene_without_any_are_not_recorded(tmp_path):
+    port, folder = free_port(), tiny_run(tmp_path / "out", objects=0)
     viewer = Viewer(folder, ViewOptions(port=port))
     try:
         with Browser(port) as browser:
@@ -312,15 +312,15 @@ def test_movers_of_a_scene_without_any_are_not_recorded(tmp_path):
     assert not (folder / "viewer").exists()
 
 
-@pytest.mark.parametrize(("movers", "size"), [(0, (64, 48)), (1, (64, 48)), (1, (36, 64))])
-def test_unusual_scenes(tmp_path, movers, size):
-    """No mover at all, a single one, and a portrait clip."""
+@pytest.mark.parametrize(("objects", "size"), [(0, (64, 48)), (1, (64, 48)), (1, (36, 64))])
+def test_unusual_scenes(tmp_path, objects, size):
+    """No object at all, a single one, and a portrait clip."""
     port = free_port()
-    viewer = Viewer(tiny_run(tmp_path / "out", movers, size), ViewOptions(port=port))
+    viewer = Viewer(tiny_run(tmp_path / "out", objects, size), ViewOptions(port=port))
     try:
         with Browser(port) as browser:
-            assert red(browser.settled()).any() == bool(movers)
-            for part in ("background", "movers"):
+            assert red(browser.settled()).any() == bool(objects)
+            for part in ("background", "objects"):
                 browser.set("Part", part)
                 browser.set("Show", "Gaussians")
                 browser.settled(0.4)

@@ -110,8 +110,8 @@ def test_a_model_that_is_being_replaced_is_left_for_later(tmp_path):
 def test_parts_and_frames(run_folder):
     source = Source(run_folder)
     loaded = source.loaded
-    assert loaded.part("movers") is loaded.part("movers")
-    counts = [len(loaded.part(part).gaussians) for part in ("all", "background", "movers")]
+    assert loaded.part("objects") is loaded.part("objects")
+    counts = [len(loaded.part(part).gaussians) for part in ("all", "background", "objects")]
     assert counts[0] == counts[1] + counts[2]
     assert source.scene.heldout_frames == [4]
     for i, t in enumerate(source.scene.timestamps):

@@ -10,11 +10,11 @@ from tests.marks import slow
 from tests.priors.cameras.worlds import FOCAL, HEIGHT, WIDTH, cameras_of, observed, path, world
 
 
-@pytest.mark.parametrize(("movers", "solver"), [slow(0, "own"), slow(120, "own"), (120, "global")])
-def test_a_moving_camera_is_recovered_although_some_points_move(movers, solver):
+@pytest.mark.parametrize(("objects", "solver"), [slow(0, "own"), slow(120, "own"), (120, "global")])
+def test_a_moving_camera_is_recovered_although_some_points_move(objects, solver):
     cameras, rng = path(24), np.random.default_rng(7)
     points = np.repeat(world(400)[None], 24, 0)
-    start = rng.uniform([-2, -1, 3], [1, 1, 4], (movers, 3))
+    start = rng.uniform([-2, -1, 3], [1, 1, 4], (objects, 3))
     times = np.linspace(0, 1, 24)[:, None, None]
     moving = start + times * np.array([1.5, 0.3, 0.5]) + 0.2 * np.sin(6 * times)
     positions = observed(cameras, np.concatenate([points, moving], 1), 0.1)

@@ -1,4 +1,4 @@
-"""What counts as a mover."""
+"""What counts as an object."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from flowsplat.priors.objects.areas import large_movers, moving_objects
+from flowsplat.priors.objects.areas import large_objects, moving_objects
 
 
-def test_shreds_are_no_movers():
+def test_shreds_are_no_objects():
     masks = np.zeros((3, 40, 40), np.uint8)
     masks[:, :20, :20] = 1
     masks[0, 30:40, 30:40] = 2  # 100 of 1200
     masks[1, 30:35, 30:40] = 4  # 50 of 1200
     scene = SimpleNamespace(train_frames=[0, 1, 2], mask=lambda i: masks[i])
-    assert large_movers(scene) == {1, 2}
+    assert large_objects(scene) == {1, 2}
     masks[:] = 0
-    assert large_movers(scene) == set()
+    assert large_objects(scene) == set()
 
 
 @pytest.mark.parametrize(

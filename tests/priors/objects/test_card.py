@@ -1,4 +1,4 @@
-"""The guess that every mover has: a card before what it hides."""
+"""The guess that every object has: a card before what it hides."""
 
 from __future__ import annotations
 

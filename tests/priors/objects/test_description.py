@@ -1,4 +1,4 @@
-"""What is known of movers, in words and figures."""
+"""What is known of objects, in words and figures."""
 
 from __future__ import annotations
 
@@ -7,27 +7,27 @@ import json
 import numpy as np
 import pytest
 
-from flowsplat.priors.objects.description import describe_movers, mover_figures, sureness
+from flowsplat.priors.objects.description import describe_objects, object_figures, sureness
 from flowsplat.priors.objects.distance import Cue
-from flowsplat.priors.objects.movers import Mover
 from flowsplat.priors.objects.relief import ReliefPoints
-from flowsplat.priors.objects.storage import SceneMovers
+from flowsplat.priors.objects.solving import DynamicObject
+from flowsplat.priors.objects.storage import SceneObjects
 from tests.priors.planes import FOCAL, WALL, write_planes
 
 
-def mover(number: int, cues: dict[str, Cue], sigma: float = 0.05, seen: int = 12) -> Mover:
+def obj(number: int, cues: dict[str, Cue], sigma: float = 0.05, seen: int = 12) -> DynamicObject:
     depth = np.where(np.arange(12) < seen, np.log(WALL / 2), np.nan)
-    return Mover(number, depth, np.full((12, 2), 30.0), sigma, False, cues, ReliefPoints.none(), 0.0)
+    return DynamicObject(number, depth, np.full((12, 2), 30.0), sigma, False, cues, ReliefPoints.none(), 0.0)
 
 
-def test_each_mover_in_words_and_figures(tmp_path):
+def test_each_object_in_words_and_figures(tmp_path):
     scene = write_planes(tmp_path / "scene", step=1, square=True)
     scene.write_depth(0, scene.truth.depth(0))
-    stands = mover(2, {"contact": Cue(0.0, 0.03, 0.07)})
-    unsure = mover(1, {}, sigma=0.5, seen=4)
-    unknown = mover(5, {"something": Cue(0.0, 0.1, 0.1)})
-    found = SceneMovers([stands, unsure, unknown, mover(7, {}, seen=0)], np.array([0.0, -1, 0]))
-    described = describe_movers(scene, found)
+    stands = obj(2, {"contact": Cue(0.0, 0.03, 0.07)})
+    unsure = obj(1, {}, sigma=0.5, seen=4)
+    unknown = obj(5, {"something": Cue(0.0, 0.1, 0.1)})
+    found = SceneObjects([stands, unsure, unknown, obj(7, {}, seen=0)], np.array([0.0, -1, 0]))
+    described = describe_objects(scene, found)
     assert [each.number for each in described] == [1, 2, 5]
     assert [each.words for each in described] == ["nothing: a guess", "stands on the ground", "something"]
     assert described[0].frames == 4
@@ -44,7 +44,7 @@ def test_the_figures_are_json(tmp_path):
     for i in scene.train_frames:
         scene.write_depth(i, scene.truth.depth(i))
         scene.write_mask(i, scene.truth.mask(i))
-    figures = json.loads(json.dumps(mover_figures(scene, SceneMovers([mover(1, {})], np.array([0.0, -1, 0])))))
+    figures = json.loads(json.dumps(object_figures(scene, SceneObjects([obj(1, {})], np.array([0.0, -1, 0])))))
     assert figures[0]["number"] == 1
     assert figures[0]["cues"] == []
     assert figures[0]["depth_in_scenes"] == pytest.approx(figures[0]["depth"] * scene.similarity.scale)

@@ -1,4 +1,4 @@
-"""What ties a mover to the still world: laws of motion, contact, bounces, and how they are put together."""
+"""What ties an object to the still world: laws of motion, contact, bounces, and how they are put together."""
 
 from __future__ import annotations
 

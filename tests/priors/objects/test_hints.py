@@ -1,4 +1,4 @@
-"""Hints place movers where the user says, are remembered, and are refused in one line where they mean nothing."""
+"""Hints place objects where the user says, are remembered, and are refused in one line where they mean nothing."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from flowsplat.common.errors import InputError
-from flowsplat.priors.objects import load_movers
+from flowsplat.priors.objects import load_objects
 from flowsplat.priors.objects.hints import parse_hints
 from flowsplat.priors.options import PriorsOptions
 from flowsplat.priors.prepare import prepare_priors
@@ -37,32 +37,32 @@ def depth_there(scene: Scene) -> float:
     return float(scene.depth(FRAME).depth[y, x])
 
 
-def test_hints_place_a_mover_and_changed_ones_place_it_anew(scene, capsys):
+def test_hints_place_an_object_and_changed_ones_place_it_anew(scene, capsys):
     x, y = place()
-    (before,) = load_movers(scene).movers
+    (before,) = load_objects(scene).objects
     assert not before.cues
     assert depth_there(scene) < 0.99 * WALL
     hinted = PriorsOptions(distance=(f"{x},{y}@{FRAME}=4,4",))
     seconds = prepare_priors(scene, hinted)
     assert set(seconds) == {"depth"}
-    (mover,) = load_movers(scene).movers
-    assert list(mover.cues) == ["distance"]
-    assert mover.sigma == pytest.approx(0.03, abs=0.005)
+    (obj,) = load_objects(scene).objects
+    assert list(obj.cues) == ["distance"]
+    assert obj.sigma == pytest.approx(0.03, abs=0.005)
     # It stands at the wall, or a little before it, so that it hides it.
     assert depth_there(scene) == pytest.approx(WALL, rel=0.05)
     assert not prepare_priors(scene, hinted)
     assert not prepare_priors(scene, PriorsOptions())
     assert set(prepare_priors(scene, PriorsOptions(touch=(f"{x},{y}@{FRAME}", "0.2,0.3@0")))) == {"depth"}
-    (mover,) = load_movers(scene).movers
-    assert list(mover.cues) == ["touch"]
+    (obj,) = load_objects(scene).objects
+    assert list(obj.cues) == ["touch"]
     assert scene.prior("objects")["hints"] == [f"touch {x},{y}@{FRAME}", "touch 0.2,0.3@0"]
-    assert np.exp(np.nanmedian(mover.log_depth)) == pytest.approx(WALL, rel=0.06)
+    assert np.exp(np.nanmedian(obj.log_depth)) == pytest.approx(WALL, rel=0.06)
 
 
 @pytest.mark.parametrize(
     ("hint", "says"),
     [
-        ({"touch": ("4,4@6",)}, "nothing moves there; in frame 6 there are movers 1 about"),
+        ({"touch": ("4,4@6",)}, "nothing moves there; in frame 6 there are objects 1 about"),
         ({"touch": ("a,b@6",)}, "--touch a,b@6 cannot be understood"),
         ({"touch": ("40,30@99",)}, "there is no frame 99"),
         ({"distance": ("40,30@6",)}, "give x,y@frame=x2,y2"),

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flowsplat.priors.objects import load_movers
+from flowsplat.priors.objects import load_objects
 from flowsplat.priors.options import PriorsOptions
 from flowsplat.priors.prepare import prepare_priors
 from flowsplat.scenes import Scene
 from flowsplat.scenes.clip import InputOptions
 from flowsplat.scenes.ingest import ingest, open_clip
 from flowsplat.scenes.synthetic import SyntheticScene, encode_frames, write_synthetic
-from flowsplat_benchmarks.movers.measure import depth_scale, identities, overlaps
+from flowsplat_benchmarks.objects.measure import depth_scale, identities, overlaps
 
 SIGMAS = 3.0
 
@@ -28,7 +28,7 @@ def test_every_error_is_within_three_of_its_own_sigmas(tmp_path):
     truth, frames = scene.truth, scene.train_frames
     assert truth is not None
     true, ours = (np.stack([layers.mask(i) for i in frames]) for layers in (truth, scene))
-    found = {mover.number: mover for mover in load_movers(scene).movers}
+    found = {obj.number: obj for obj in load_objects(scene).objects}
     assigned, _, _ = identities(overlaps(true, ours, 3), true, ours)
     scale = depth_scale(scene)
     log = np.stack([np.log(scale * scene.depth(i).depth / truth.depth(i).depth) for i in frames])

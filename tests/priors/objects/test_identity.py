@@ -1,4 +1,4 @@
-"""Numbers of movers: discs that cross, limbs, masks that break, too few tracks, cuts, and masks that came with numbers."""
+"""Numbers of objects: discs that cross, limbs, masks that break, too few tracks, cuts, and masks that came with numbers."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from flowsplat.geometry import Camera
-from flowsplat.priors.objects.identity import MaskedTracks, identify_movers, movers_of_tracks, paint
+from flowsplat.priors.objects.identity import MaskedTracks, identify_objects, objects_of_tracks, paint
 from flowsplat.scenes import Flow, Scene, Tracks
 
 WIDTH, HEIGHT, FRAMES = 160, 120, 24
@@ -69,7 +69,7 @@ class Clip:
         def write(k: int, mask: np.ndarray) -> None:
             result[k] = mask
 
-        highest = paint(clip, movers_of_tracks(clip), lambda k: self.flow[k], write)
+        highest = paint(clip, objects_of_tracks(clip), lambda k: self.flow[k], write)
         assert ((result > 0) == (np.stack(before) > 0)).all()
         assert highest == result.max()
         return result
@@ -121,7 +121,7 @@ def shares(true: np.ndarray, found: np.ndarray) -> dict[int, tuple[int, float]]:
 CROSSING = [disc(16, along((30, 56), (4.5, 0.3), 0.05)), disc(14, along((130, 66), (-4.3, 0)))]
 
 
-def test_movers_that_cross_keep_their_numbers():
+def test_objects_that_cross_keep_their_numbers():
     clip = film(CROSSING)
     found = shares(clip.true, clip.numbered())
     assert found[1][0] != found[2][0]
@@ -129,7 +129,7 @@ def test_movers_that_cross_keep_their_numbers():
     assert np.unique(clip.numbered()).tolist() == [0, 1, 2]
 
 
-def test_two_movers_in_one_number_are_split_while_they_touch():
+def test_two_objects_in_one_number_are_split_while_they_touch():
     # They touch in all but the last frames.
     def rubs(t: int) -> tuple[np.ndarray, float]:
         return np.array([86.0 + 4 * max(0, t - 17), 60 + 8 * np.sin(t / 2)]), 0.0
@@ -155,7 +155,7 @@ def test_limbs_belong_to_the_body():
 
 
 @pytest.mark.parametrize("spans", [[(8, 12), (17, 19)], [(4, 20)]])
-def test_a_mask_that_breaks_is_one_mover(spans: list[tuple[int, int]]):
+def test_a_mask_that_breaks_is_one_object(spans: list[tuple[int, int]]):
     """A strip of the mask is missing, now and then or for long."""
     pose = along((50, 60), (2.5, 0.5), 0.02)
 
@@ -225,7 +225,7 @@ def test_either_side_of_a_cut_has_numbers_of_its_own(tmp_path: Path):
     visible[before, cut:] = False
     scene = scene_of(tmp_path, Clip(clip.true, clip.points, visible, clip.body, clip.flow), clip.true, "motion", [cut])
     scene.finish_prior("masks", method="motion", objects=5, share=0.125, verdict="5 moving parts on 12.5% of the picture")
-    assert identify_movers(scene) == 2
+    assert identify_objects(scene) == 2
     found = stored(scene)
     assert np.unique(found[:cut]).tolist() == [0, 1]
     assert np.unique(found[cut:]).tolist() == [0, 2]
@@ -238,21 +238,21 @@ def test_numbers_that_came_with_masks_stay_and_one_for_all_is_split(tmp_path: Pa
     clip = film(CROSSING)
     swapped = np.where(clip.true > 0, 1 + (np.arange(FRAMES)[:, None, None] % 2), 0).astype(np.uint8)
     kept = scene_of(tmp_path / "kept", clip, swapped, "given", [])
-    assert identify_movers(kept) == 2
+    assert identify_objects(kept) == 2
     assert (stored(kept) == swapped).all()
     ours = scene_of(tmp_path / "ours", clip, swapped, "motion", [])
     one = scene_of(tmp_path / "one", clip, 7 * (clip.true > 0), "given", [])
-    assert identify_movers(ours) == identify_movers(one) == 2
+    assert identify_objects(ours) == identify_objects(one) == 2
     for scene in (ours, one):
         found = shares(clip.true, stored(scene))
         assert found[1][0] != found[2][0]
         assert min(share for _, share in found.values()) > 0.98
     again = stored(ours)
-    identify_movers(ours)
+    identify_objects(ours)
     assert (stored(ours) == again).all()
 
 
-def test_nothing_masked_is_no_mover(tmp_path: Path):
+def test_nothing_masked_is_no_object(tmp_path: Path):
     clip = film(CROSSING)
     scene = scene_of(tmp_path, clip, np.zeros_like(clip.true), "motion", [])
-    assert identify_movers(scene) == 0
+    assert identify_objects(scene) == 0

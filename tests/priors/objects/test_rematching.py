@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from flowsplat.geometry import Camera
-from flowsplat.priors.objects.rematching import FARTHEST, MoverPictures, gray, rematched
+from flowsplat.priors.objects.rematching import FARTHEST, ObjectPictures, gray, rematched
 from flowsplat.priors.objects.rigid import Observations, RigidMotion, longest, solve_rigid
 
 FRAMES, WIDTH, HEIGHT, FOCAL, RADII = 20, 160, 120, 220.0, np.array([0.16, 0.2, 0.13])
@@ -80,10 +80,10 @@ def ball() -> Ball:
     return Ball(turns, shifts, pictures, masks > 0, every[kept], seen[kept])
 
 
-def shown(ball: Ball, pictures: np.ndarray) -> MoverPictures:
+def shown(ball: Ball, pictures: np.ndarray) -> ObjectPictures:
     y, x = (np.array([np.nonzero(mask)[axis].mean() for mask in ball.masks]) for axis in (0, 1))
     cameras = [Camera(np.eye(4), K, WIDTH, HEIGHT)] * FRAMES
-    return MoverPictures(pictures, ball.masks, np.stack([x, y], 1), cameras, np.array([0.0, -1, 0]))
+    return ObjectPictures(pictures, ball.masks, np.stack([x, y], 1), cameras, np.array([0.0, -1, 0]))
 
 
 def course_error(ball: Ball, motion: RigidMotion) -> float:
@@ -145,7 +145,7 @@ def test_pictures_of_something_else_say_nothing(ball, by_tracks):
     assert rematched(by_tracks, ball.positions, ball.inside, shown(ball, noise)) is None
 
 
-def test_a_mover_that_is_not_seen_has_no_surface(ball, by_tracks):
+def test_an_object_that_is_not_seen_has_no_surface(ball, by_tracks):
     hidden = replace(shown(ball, ball.pictures), masks=np.zeros_like(ball.masks))
     assert rematched(by_tracks, ball.positions, ball.inside, hidden) is None
 

@@ -1,4 +1,4 @@
-"""Structure from motion in a mover's own frame."""
+"""Structure from motion in an object's own frame."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from flowsplat.geometry import Camera
 from flowsplat.priors.objects import rigid
 from flowsplat.priors.objects.contact import Bound
 from flowsplat.priors.objects.course import rigid_motions
-from flowsplat.priors.objects.movers import solve_mover
 from flowsplat.priors.objects.relief import place_points
 from flowsplat.priors.objects.rigid import Observations, longest, solve_rigid, widest_turn
 from flowsplat.priors.objects.rigid_equations import solved, unpacked
+from flowsplat.priors.objects.solving import solve_object
 
 K = np.array([[300.0, 0, 160], [0, 300.0, 90], [0, 0, 1]])
 FRAMES = 24
@@ -95,7 +95,7 @@ def test_what_bends_is_not_believed():
 
 
 @pytest.mark.parametrize("stands", [True, False])
-def test_a_motion_that_explains_half_of_a_mover_tells_its_course_if_its_feet_keep_to_the_ground(stands):
+def test_a_motion_that_explains_half_of_an_object_tells_its_course_if_its_feet_keep_to_the_ground(stands):
     rng = np.random.default_rng(3)
     pixels, seen, depths = seen_body(body(160), 60, 0.2)
     pixels[::2] += np.cumsum(rng.normal(0, 3, (80, FRAMES, 2)), 1)
@@ -108,15 +108,15 @@ def test_a_motion_that_explains_half_of_a_mover_tells_its_course_if_its_feet_kee
     feet = np.log(depths) + swing
     bounds = [Bound(float(each), True, True, np.zeros((3, 2), int)) for each in feet]
     cards = 1.2 + 0.3 * np.sin(np.arange(FRAMES) / 3)
-    mover = solve_mover(1, pixels, seen, middles, bounds, cameras, None, cards, np.array([0, -1.0, 0]), flat)
-    assert not mover.rigid
+    obj = solve_object(1, pixels, seen, middles, bounds, cameras, None, cards, np.array([0, -1.0, 0]), flat)
+    assert not obj.rigid
     if stands:
-        assert set(mover.cues) == {"contact"}
-        np.testing.assert_allclose(mover.log_depth, np.log(depths), atol=0.05)
+        assert set(obj.cues) == {"contact"}
+        np.testing.assert_allclose(obj.log_depth, np.log(depths), atol=0.05)
     else:
         # Nothing tells its course, so the cards do.
-        assert not mover.cues
-        np.testing.assert_allclose(np.ptp(mover.log_depth - cards), 0, atol=1e-6)
+        assert not obj.cues
+        np.testing.assert_allclose(np.ptp(obj.log_depth - cards), 0, atol=1e-6)
 
 
 @pytest.mark.parametrize("stands", [True, False])
@@ -128,9 +128,9 @@ def test_a_motion_that_growth_and_the_ground_contradict_is_dropped(stands):
     growth = 1.2 + 0.4 * np.sin(np.arange(FRAMES) / 3)
     feet = growth + 0.1 if stands else np.log(depths) + np.linspace(0, 2, FRAMES)
     bounds = [Bound(float(each), True, True, np.zeros((3, 2), int)) for each in feet]
-    mover = solve_mover(1, pixels, seen, middles, bounds, cameras, None, growth, np.array([0, -1.0, 0]), flat)
-    assert mover.rigid != stands
-    assert ("contact" in mover.cues) == stands
+    obj = solve_object(1, pixels, seen, middles, bounds, cameras, None, growth, np.array([0, -1.0, 0]), flat)
+    assert obj.rigid != stands
+    assert ("contact" in obj.cues) == stands
 
 
 def test_too_little_to_know():

@@ -1,4 +1,4 @@
-"""The stage on a scene with a known mover, its files, and bad ones."""
+"""The stage on a scene with a known object, its files, and bad ones."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from flowsplat.common.errors import InputError
 from flowsplat.priors.depth import depth_stage
 from flowsplat.priors.flow import flow_stage
 from flowsplat.priors.graph import PRIORS
-from flowsplat.priors.objects import SceneMovers, load_movers, objects_stage
+from flowsplat.priors.objects import SceneObjects, load_objects, objects_stage
 from flowsplat.priors.objects.distance import Cue
-from flowsplat.priors.objects.movers import Mover
 from flowsplat.priors.objects.relief import ReliefPoints, relief
-from flowsplat.priors.objects.storage import save_movers
+from flowsplat.priors.objects.solving import DynamicObject
+from flowsplat.priors.objects.storage import save_objects
 from flowsplat.priors.tracks import tracks_stage
 from flowsplat.scenes import Scene
 from tests.priors.planes import HEIGHT, WIDTH, write_planes
@@ -34,26 +34,26 @@ def scene(tmp_path_factory) -> Scene:
     return scene
 
 
-def test_the_stage_tells_how_a_mover_goes(scene: Scene):
-    how, movers = scene.prior("objects"), load_movers(scene)
-    assert how["movers"] == 1
-    (mover,) = movers.movers
+def test_the_stage_tells_how_an_object_goes(scene: Scene):
+    how, objects = scene.prior("objects"), load_objects(scene)
+    assert how["objects"] == 1
+    (obj,) = objects.objects
     seen = [k for k, i in enumerate(scene.train_frames) if scene.mask(i).any()]
-    assert np.isfinite(mover.log_depth[seen]).all()
-    assert mover.sigma > 0
+    assert np.isfinite(obj.log_depth[seen]).all()
+    assert obj.sigma > 0
     # Nothing ties the square to the wall behind it, so only its course is known.
     true = np.array([np.log(np.median(scene.truth.depth(i).depth[scene.mask(i) > 0])) for i in scene.train_frames])
-    error = mover.log_depth[seen] - true[seen]
+    error = obj.log_depth[seen] - true[seen]
     assert np.std(error) < 0.05
 
 
-def test_depth_takes_movers_from_the_stage(scene: Scene):
+def test_depth_takes_objects_from_the_stage(scene: Scene):
     depth_stage(scene)
-    movers = load_movers(scene)
+    objects = load_objects(scene)
     k = len(scene.train_frames) // 2
     i = scene.train_frames[k]
     mask = scene.mask(i)
-    told = movers.depth(k, mask, scene.frame(i), scene.cameras[i])
+    told = objects.depth(k, mask, scene.frame(i), scene.cameras[i])
     assert ((told > 0) == (mask > 0)).all()
     ratio = scene.depth(i).depth[mask > 0] / told[mask > 0]
     assert ratio.max() <= 1.001  # it may only stand nearer, before what it hides
@@ -61,47 +61,47 @@ def test_depth_takes_movers_from_the_stage(scene: Scene):
 
 
 def test_files_round_trip(scene: Scene):
-    before = load_movers(scene)
-    save_movers(scene, before)
-    after = load_movers(scene)
-    for a, b in zip(before.movers, after.movers, strict=True):
+    before = load_objects(scene)
+    save_objects(scene, before)
+    after = load_objects(scene)
+    for a, b in zip(before.objects, after.objects, strict=True):
         np.testing.assert_array_equal(a.log_depth, b.log_depth)
         np.testing.assert_array_equal(a.points.pixels, b.points.pixels)
         assert (a.number, a.sigma, a.rigid, a.cues, a.expected) == (b.number, b.sigma, b.rigid, b.cues, b.expected)
     np.testing.assert_array_equal(before.normal, after.normal)
 
 
-def test_no_movers_and_bad_files(tmp_path: Path):
+def test_no_objects_and_bad_files(tmp_path: Path):
     scene = write_planes(tmp_path, step=2, square=False)
-    assert len(load_movers(scene).movers) == 0
-    save_movers(scene, SceneMovers([], np.array([0, -1.0, 0])))
-    assert len(load_movers(scene).movers) == 0
-    for text in ('{"movers": [{}], "normal": [0, 1, 0], "ground": true}', '{"movers": 3}', "{"):
+    assert len(load_objects(scene).objects) == 0
+    save_objects(scene, SceneObjects([], np.array([0, -1.0, 0])))
+    assert len(load_objects(scene).objects) == 0
+    for text in ('{"objects": [{}], "normal": [0, 1, 0], "ground": true}', '{"objects": 3}', "{"):
         (scene.folder / "objects.json").write_text(text)
         with pytest.raises(InputError, match=r"objects\.json"):
-            load_movers(scene)
+            load_objects(scene)
 
 
-def test_movers_of_another_number_of_frames_are_refused(tmp_path: Path):
+def test_objects_of_another_number_of_frames_are_refused(tmp_path: Path):
     scene = write_planes(tmp_path, step=2, square=False)
-    short = Mover(1, np.zeros(3), np.zeros((3, 2)), 0.1, False, {}, ReliefPoints.none(), 0.0)
+    short = DynamicObject(1, np.zeros(3), np.zeros((3, 2)), 0.1, False, {}, ReliefPoints.none(), 0.0)
     frames = len(scene.train_frames)
-    save_movers(scene, SceneMovers([replace(short, log_depth=np.zeros(frames), middles=np.zeros((frames, 2)))], np.ones(3)))
-    assert len(load_movers(scene).movers) == 1
+    save_objects(scene, SceneObjects([replace(short, log_depth=np.zeros(frames), middles=np.zeros((frames, 2)))], np.ones(3)))
+    assert len(load_objects(scene).objects) == 1
     arrays = dict(np.load(scene.folder / "objects.npz"))
     np.savez(scene.folder / "objects.npz", **{**arrays, "log_depth": arrays["log_depth"][:, :3]})
     with pytest.raises(InputError, match="frames"):
-        load_movers(scene)
+        load_objects(scene)
 
 
-def test_a_mover_without_points_is_an_upright_card(scene: Scene):
+def test_an_object_without_points_is_an_upright_card(scene: Scene):
     frames = len(scene.train_frames)
     middle = np.tile([WIDTH / 2, HEIGHT / 2], (frames, 1))
-    mover = Mover(1, np.zeros(frames), middle, 0.1, False, {"contact": Cue(0, 0.1, 0.1)}, ReliefPoints.none(), 0.0)
+    obj = DynamicObject(1, np.zeros(frames), middle, 0.1, False, {"contact": Cue(0, 0.1, 0.1)}, ReliefPoints.none(), 0.0)
     mask = np.zeros((HEIGHT, WIDTH), np.uint8)
     mask[10:20, 10:20] = 1
     i = scene.train_frames[0]
-    found = SceneMovers([mover], np.array([0, -1.0, 0])).depth(0, mask, scene.frame(i), scene.cameras[i])
+    found = SceneObjects([obj], np.array([0, -1.0, 0])).depth(0, mask, scene.frame(i), scene.cameras[i])
     np.testing.assert_allclose(found[mask > 0], 1, atol=0.02)
     assert (found[mask == 0] == 0).all()
 
@@ -124,7 +124,7 @@ def test_relief_follows_sure_points_and_is_flat_without():
 
 def test_objects_go_with_what_they_follow_from(tmp_path: Path):
     scene = write_planes(tmp_path, step=2, square=False)
-    save_movers(scene, SceneMovers([], np.array([0, -1.0, 0])))
+    save_objects(scene, SceneObjects([], np.array([0, -1.0, 0])))
     scene.finish_prior("objects", method="motion")
     PRIORS.forget(scene, set())
     assert scene.prior("objects") is not None

@@ -44,7 +44,7 @@ def test_what_is_hidden_does_not_look_like_it():
 
 
 def test_the_background_of_a_patch_does_not_count():
-    """Left of its edge a mover shows another background in the next picture."""
+    """Left of its edge an object shows another background in the next picture."""
     image, behind = texture(110, 150), texture(110, 150, seed=1)
     labels = np.zeros(image.shape, np.int32)
     labels[:, 73:] = 1

@@ -54,7 +54,7 @@ def test_gaps_and_slips_are_mended(scene: Scene):
     np.testing.assert_array_equal(sure[2], confidence[2])
 
 
-def test_behind_a_mover_and_outside_nothing_is_seen(scene: Scene):
+def test_behind_an_object_and_outside_nothing_is_seen(scene: Scene):
     x, y = square_at(8)
     points, confidence, births = on_the_wall([(x + SIDE / 2 + 4 * STEP, y + SIDE / 2), (5.5, 70.5), (100.5, 70.5)])
     hidden = scene.truth.mask(8)[y + SIDE // 2, x + SIDE // 2]
@@ -67,12 +67,12 @@ def test_behind_a_mover_and_outside_nothing_is_seen(scene: Scene):
     assert (sure[1, 7:] == 0).all()  # it has left the picture
 
 
-def test_what_does_not_rest_is_given_up_and_movers_are_left_alone(scene: Scene):
+def test_what_does_not_rest_is_given_up_and_objects_are_left_alone(scene: Scene):
     points, confidence, _ = on_the_wall([(100.5, 12.5), (90.5, 70.5), (110.5, 60.5), (80.5, 72.5)])
     points[3] = (80.5, 72.5) + (np.arange(FRAMES) - BIRTH)[:, None] * np.float32([0, 0.6])
     x, y = square_at(BIRTH)
-    mover = np.array([x + 9.5, y + 9.5]) + (np.arange(FRAMES) - BIRTH)[:, None] * np.float32([3, 2])
-    points, confidence = np.concatenate([points, mover[None]]), np.concatenate([confidence, confidence[:1]])
+    obj = np.array([x + 9.5, y + 9.5]) + (np.arange(FRAMES) - BIRTH)[:, None] * np.float32([3, 2])
+    points, confidence = np.concatenate([points, obj[None]]), np.concatenate([confidence, confidence[:1]])
     found, sure = complete(scene, points.astype(np.float32), confidence, np.full(5, BIRTH))
     assert np.flatnonzero(sure[3]).tolist() == [BIRTH]
     np.testing.assert_array_equal(found[4], points[4].astype(np.float32))

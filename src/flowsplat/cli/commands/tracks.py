@@ -19,8 +19,8 @@ Points = Annotated[tuple[tuple[str, ...], ...], tyro.conf.UseAppendAction, tyro.
 def tracks(out: Run, at: Points = (), queries: Path | None = None, path: Target = None) -> None:
     """Follow points through a trained run: where what is seen at a pixel goes in 3D, and when it is visible.
 
-    Writes queries, timestamps, points [Q, T, 3] in the coordinates of RUN/scene/cameras.json, visible [Q, T], and movers [Q],
-    the number of the mover that each point is on.
+    Writes queries, timestamps, points [Q, T, 3] in the coordinates of RUN/scene/cameras.json, visible [Q, T], and object_ids [Q],
+    the number of the object that each point is on.
 
     Args:
         out: Folder of the run.

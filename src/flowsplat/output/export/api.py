@@ -74,7 +74,7 @@ def estimated_size(model: SceneModel, scene: Scene, to: str, options: ExportOpti
     """About how many bytes an export will have; exact for ply, ply-sequence and splat but for their headers."""
     gaussians = model.gaussians
     harmonics = harmonics_count(gaussians.sh_degree)
-    record = 4 * len(property_names(harmonics, _has_movers(model), gaussians.seen is not None))
+    record = 4 * len(property_names(harmonics, _has_objects(model), gaussians.seen is not None))
     active = model.active_count(_seconds(model, options))
     sizes = {
         "html": lambda: _PAGE_BYTES + estimated_bytes(gaussians),
@@ -119,7 +119,7 @@ def _write(model: SceneModel, scene: Scene, to: str, path: Path, options: Export
     if to == "html":
         write_player(path, model, scene.timestamps.tolist(), scene.cameras, scene.name, loop_widths(model, scene))
     elif to == "ply":
-        write_ply(path, still_at(model, seconds, flip_axes=options.flip_axes), _has_movers(model), _comments(scene, seconds))
+        write_ply(path, still_at(model, seconds, flip_axes=options.flip_axes), _has_objects(model), _comments(scene, seconds))
     elif to == "ply-sequence":
         _write_sequence(path, model, scene, options)
     elif to == "splat":
@@ -146,14 +146,14 @@ def _write_sequence(folder: Path, model: SceneModel, scene: Scene, options: Expo
     names = [f"frame{k:04d}.ply" for k in range(1, scene.num_frames + 1)]
     for name, seconds in zip(names, track(scene.timestamps.tolist(), "Writing the sequence"), strict=True):
         still = still_at(model, seconds, flip_axes=options.flip_axes)
-        write_ply(folder / name, still, _has_movers(model), _comments(scene, seconds))
+        write_ply(folder / name, still, _has_objects(model), _comments(scene, seconds))
     for entry in entries:
         if entry.name not in names:
             entry.unlink()
 
 
-def _has_movers(model: SceneModel) -> bool:
-    return bool(model.gaussians.movers.any())
+def _has_objects(model: SceneModel) -> bool:
+    return bool(model.gaussians.object_ids.any())
 
 
 def _comments(scene: Scene, seconds: float) -> list[str]:

@@ -54,4 +54,4 @@ def write_parameters_safetensors(path: Path, model: SceneModel) -> None:
 def _tensors(model: SceneModel) -> dict[str, Tensor]:
     gaussians = model.gaussians
     seen = {} if gaussians.seen is None else {"seen": gaussians.seen}
-    return {**gaussians.params, "dynamic": gaussians.dynamic, "movers": gaussians.movers, **seen}
+    return {**gaussians.params, "dynamic": gaussians.dynamic, "object_ids": gaussians.object_ids, **seen}

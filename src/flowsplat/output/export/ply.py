@@ -3,7 +3,7 @@
 Binary, little endian, float32: ``x y z``, unused normals, ``f_dc_*`` and ``f_rest_*`` (harmonics, channel by channel),
 ``opacity`` before the sigmoid, ``scale_*`` before exp, ``rot_*`` wxyz. As the original code writes it
 (https://github.com/graphdeco-inria/gaussian-splatting), except that only harmonics in use are written: 0, 9, 24 or 45. Where
-something moves one more follows, ``mover``: the number of the mover, 0 = none; and where it is known what the clip has seen,
+something moves one more follows, ``object_id``: the number of the object, 0 = none; and where it is known what the clip has seen,
 ``seen_frames`` and ``seen_spread`` (``Gaussians4D.seen``). They are floats as well, because there are readers that take every
 property for one.
 """
@@ -19,18 +19,18 @@ from flowsplat.common.files import write_bytes
 from flowsplat.output.export.still import Still
 
 
-def property_names(harmonics: int, has_movers: bool, has_seen: bool = False) -> list[str]:
+def property_names(harmonics: int, has_objects: bool, has_seen: bool = False) -> list[str]:
     """Names in the order of the file for ``harmonics`` coefficients a channel."""
     rest = [f"f_rest_{k}" for k in range(3 * (harmonics - 1))]
     return [
         "x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", *rest,
-        "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3", *(["mover"] if has_movers else []),
+        "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3", *(["object_id"] if has_objects else []),
         *(["seen_frames", "seen_spread"] if has_seen else []),
     ]  # fmt: skip
 
 
-def write_ply(path: Path, still: Still, has_movers: bool, comments: Sequence[str] = ()) -> None:
-    """Write one file atomically, with the numbers of movers if the scene has some.
+def write_ply(path: Path, still: Still, has_objects: bool, comments: Sequence[str] = ()) -> None:
+    """Write one file atomically, with the numbers of objects if the scene has some.
 
     Raises:
         InputError: it cannot be written.
@@ -40,10 +40,10 @@ def write_ply(path: Path, still: Still, has_movers: bool, comments: Sequence[str
         still.means, still.means.new_zeros(count, 3), still.sh[:, 0], still.sh[:, 1:].transpose(1, 2).flatten(1),
         still.logit_opacities[:, None], still.log_scales, still.quats,
     ]  # fmt: skip
-    columns += [still.movers[:, None].float()] if has_movers else []
+    columns += [still.object_ids[:, None].float()] if has_objects else []
     columns += [still.seen] if still.seen is not None else []
     body = np.concatenate([column.numpy() for column in columns], 1).astype("<f4")
     lines = ["ply", "format binary_little_endian 1.0", *(f"comment {comment}" for comment in comments)]
-    properties = [f"property float {name}" for name in property_names(harmonics, has_movers, still.seen is not None)]
+    properties = [f"property float {name}" for name in property_names(harmonics, has_objects, still.seen is not None)]
     lines += [f"element vertex {count}", *properties, "end_header", ""]
     write_bytes(path, "\n".join(lines).encode("ascii", "replace") + body.tobytes())

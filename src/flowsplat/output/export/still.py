@@ -31,7 +31,7 @@ class Still:
         log_scales: [A, 3]
         opacities: [A] presence at the time included.
         sh: [A, K, 3] harmonics, brightness at the time included.
-        movers: [A] uint8 number of the mover that each belongs to; 0 = of none.
+        objects: [A] uint8 number of the object that each belongs to; 0 = of none.
         seen: [A, 2] what the clip has seen of each (``Gaussians4D.seen``); None = not known.
     """
 
@@ -40,7 +40,7 @@ class Still:
     log_scales: Tensor
     opacities: Tensor
     sh: Tensor
-    movers: Tensor
+    object_ids: Tensor
     seen: Tensor | None
 
     @property
@@ -90,7 +90,7 @@ def still_at(model: SceneModel, seconds: float, *, flip_axes: bool = False) -> S
         log_scales + float(np.log(undo.scale)),
         sliced.opacities,
         turned_harmonics(sh, rotation),
-        gaussians.movers[active.rows],
+        gaussians.object_ids[active.rows],
         None if gaussians.seen is None else gaussians.seen[active.rows],
     )
 

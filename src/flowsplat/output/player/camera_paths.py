@@ -32,7 +32,7 @@ def camera_paths(model: SceneModel, times: Sequence[float], cameras: Sequence[Ca
 
     Returns:
         ``clipPath`` and ``steadyPath``: rows of clip time, center, rotation world to camera (wxyz), fx, fy, cx, cy.
-        ``subjectDepths``: planar depth of the movers at even steps of the clip, the median depth of the clip where none are seen.
+        ``subjectDepths``: planar depth of the objects at even steps of the clip, the median depth of the clip where none are seen.
     """
     step = (times[-1] - times[0]) / (len(times) - 1)
     even, clip = np.linspace(times[0], times[-1], len(times)).tolist(), CameraPath(times, cameras)

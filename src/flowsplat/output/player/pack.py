@@ -81,7 +81,7 @@ def pack(
     about = {
         "version": VERSION, "title": title, "width": cameras[0].width, "height": cameras[0].height,
         "first": model.first, "last": model.last, "frames": len(times), "fill": model.fill,
-        "resting": len(resting), "moving": len(moving), "movers": [list(pair) for pair in gaussians.mover_counts.items()],
+        "resting": len(resting), "moving": len(moving), "objects": [list(pair) for pair in gaussians.object_counts.items()],
         "swing": widths[0], "dolly": widths[1], "shDegree": gaussians.sh_degree, "gains": gaussians.config.gains,
         "pMin": gaussians.config.p_min, "near": NEAR_PLANE, "eps2d": EPS2D, "focal": model.focal,
         "alphaMin": ALPHA_MIN, "alphaMax": ALPHA_MAX, "filledFrom": FILLED_FROM, "filledTo": FILLED_TO,
@@ -129,8 +129,8 @@ def _arrays(gaussians: Gaussians4D, resting: int, resolution: np.ndarray) -> lis
         arrays.append(quantized_to_range("harmonics", sh[:, 1:].reshape(len(sh), -1), 8))
     if gaussians.config.gains:
         arrays.append(quantized_to_range("gains", params["log_gains"][:resting].numpy(), 8))
-    if gaussians.movers.any():
-        arrays.append(quantized("movers", _column(gaussians.movers), 8, 0.0, 255.0))
+    if gaussians.object_ids.any():
+        arrays.append(quantized("object_ids", _column(gaussians.object_ids), 8, 0.0, 255.0))
     if gaussians.seen is not None:
         reaches = torch.log(reach(gaussians.seen[:resting])).clamp(np.log(LEAST_REACH), np.log(ALL_AROUND))
         arrays.append(quantized("logReaches", _column(reaches), 8, np.log(LEAST_REACH), np.log(ALL_AROUND)))

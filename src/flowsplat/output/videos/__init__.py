@@ -1,7 +1,7 @@
 """Videos of a trained scene: along the clip's own cameras, round its middle, with time standing still, along a given path.
 
 A path gives two files: ``<name>.mp4`` with color, flow and depth beside each other, and ``<name>_color.mp4`` with the
-color alone; what else there is (stereo pairs, movers on transparent, a wiggle) gives one. ``renders.json`` beside them
+color alone; what else there is (stereo pairs, objects on transparent, a wiggle) gives one. ``renders.json`` beside them
 tells what they were made of; a video that is there and would come out the same is not rendered again.
 """
 
@@ -65,7 +65,7 @@ def rendered(folder: Path) -> dict[str, str]:
 
     Names: ``input_path``, ``stabilized``, ``orbit``, ``bullet_time``, ``dolly_zoom``, ``wiggle`` and ``custom_path_`` with the
     name of its camera file; behind it ``_slow4`` where time plays four times slower, ``_fading`` where guesses fade,
-    ``_distance_2x1.2`` where mover 2 is that much farther away, ``_background``, ``_movers`` or ``_movers_1_3`` where a part is
+    ``_distance_2x1.2`` where object 2 is that much farther away, ``_background``, ``_objects`` or ``_objects_1_3`` where a part is
     shown, then ``_stereo`` or ``_color`` for the other files.
 
     Raises:

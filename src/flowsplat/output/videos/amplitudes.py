@@ -1,4 +1,4 @@
-"""How far videos leave the clip's path: as far as the clip has seen what they show, and knows where movers are."""
+"""How far videos leave the clip's path: as far as the clip has seen what they show, and knows where objects are."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from flowsplat.gaussians.renderer import PartedRenderer
 from flowsplat.gaussians.support import Support
 from flowsplat.geometry import Camera
 from flowsplat.geometry.paths import CameraPath, dolly_zoom, orbit
-from flowsplat.priors.objects import load_movers
-from flowsplat.priors.objects.areas import large_movers
+from flowsplat.priors.objects import load_objects
+from flowsplat.priors.objects.areas import large_objects
 from flowsplat.scenes import Scene
 
 ANGLES = (3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0)
@@ -22,7 +22,7 @@ ANGLES = (3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0)
 DOLLIES = (1.1, 1.2, 1.3, 1.4, 1.5)
 """Factors of the distance to choose from, likewise."""
 MOST_ASTRAY = 0.02
-"""Share of the width of the picture by which the largest movers may stand beside their place, by one standard deviation."""
+"""Share of the width of the picture by which the largest objects may stand beside their place, by one standard deviation."""
 MOST_UNKNOWN = 0.06
 """Share of the picture, on average over a loop, that the clip does not tell, beyond what it does not tell of its own views."""
 _PROBES = 4
@@ -77,7 +77,7 @@ class Amplitudes:
         return values[best], f"{'' if is_clear else ', close to what moves'}; {unknown:.0%} of what it shows there is a guess"
 
     def _unknown(self, looks: Sequence[_Look]) -> tuple[float, bool]:
-        """Share of views that the clip does not tell, beyond that of its own, and whether they stay away from movers."""
+        """Share of views that the clip does not tell, beyond that of its own, and whether they stay away from objects."""
         support = self._support
         owns = {t: own for own, _, t in looks}
         views = [*((own, t) for t, own in owns.items()), *((camera, t) for _, camera, t in looks)]
@@ -88,11 +88,11 @@ class Amplitudes:
 
     @cached_property
     def _astray(self) -> float:
-        """Share of the width of the picture by which the least known of the large movers is astray for each radian."""
-        movers = load_movers(self._scene).movers
-        large = large_movers(self._scene) if movers else set()
+        """Share of the width of the picture by which the least known of the large objects is astray for each radian."""
+        objects = load_objects(self._scene).objects
+        large = large_objects(self._scene) if objects else set()
         camera = self._scene.cameras[0]
-        return max((mover.sigma for mover in movers if mover.number in large), default=0.0) * camera.K[0, 0] / camera.width
+        return max((obj.sigma for obj in objects if obj.number in large), default=0.0) * camera.K[0, 0] / camera.width
 
     @cached_property
     def path(self) -> CameraPath:

@@ -30,8 +30,8 @@ class RenderOptions:
     clip's camera while time plays. ``bullet``: the same loop while time stands still. ``dolly``: time stands still, the camera
     moves back and zooms in, so that the subject stays as large. ``wiggle``: a GIF that shows depth by a small swing."""
     parts: tuple[Part, ...] = ("all",)
-    """What is shown: ``all``. ``background``: without what moves. ``movers``: what moves, alone, on transparent: a WebM (VP9
-    with alpha) in color; ``wiggle`` shows them on black. ``movers:2`` or ``movers:1,3``: likewise the movers of these numbers
+    """What is shown: ``all``. ``background``: without what moves. ``objects``: what moves, alone, on transparent: a WebM (VP9
+    with alpha) in color; ``wiggle`` shows them on black. ``objects:2`` or ``objects:1,3``: likewise the objects of these numbers
     alone, as they have them in the masks; the report and ``flowsplat info`` tell which there are."""
     width: int | None = None
     """Pixels; the height follows. None = as the clip was trained."""
@@ -44,7 +44,7 @@ class RenderOptions:
     """Frames of ``orbit``, ``bullet`` and ``dolly`` at most."""
     orbit_angle: float | None = None
     """Half-width in degrees of the loop of ``orbit`` and ``bullet``, seen from the middle of the scene. None = as far as the clip
-    has seen enough and knows where movers are, 3 to 12."""
+    has seen enough and knows where objects are, 3 to 12."""
     bullet_time: float | None = None
     """Seconds of the clip at which time stands still in ``bullet``, ``dolly`` and ``wiggle``. None = the middle."""
     stabilize: float = 0.5
@@ -53,11 +53,11 @@ class RenderOptions:
     """How many times as far from the subject the camera of ``dolly`` goes; below 1 it comes nearer and widens. None = as far as the
     clip has seen enough, 1.1 to 1.5."""
     stereo: bool = False
-    """Every video also as a pair for two eyes, left beside right (``<name>_stereo.mp4``); movers alone stand on black."""
+    """Every video also as a pair for two eyes, left beside right (``<name>_stereo.mp4``); objects alone stand on black."""
     eye_distance: float = 0.03
     """Between the eyes of ``stereo`` and the ends of ``wiggle``, over the scene's median depth."""
     distances: tuple[str, ...] = ()
-    """Movers farther from the clip's camera than they were trained, or nearer: each ``number=factor``, as in ``2=1.2 3=0.9``. Their
+    """Objects farther from the clip's camera than they were trained, or nearer: each ``number=factor``, as in ``2=1.2 3=0.9``. Their
     sizes go with them, so that the clip's own frames stay as they are, but for who hides whom; other cameras see the difference."""
     fading: bool = False
     """What the clip has not seen well enough to tell what it looks like from where the camera stands fades to black, instead of
@@ -68,7 +68,7 @@ class RenderOptions:
 
 
 def factors_of(distances: Sequence[str]) -> dict[int, float]:
-    """By the number of the mover, how many times as far away it is to be shown: of ``RenderOptions.distances``.
+    """By the number of the object, how many times as far away it is to be shown: of ``RenderOptions.distances``.
 
     Raises:
         InputError: one of them cannot be understood, comes twice, or is no distance.
@@ -81,9 +81,9 @@ def factors_of(distances: Sequence[str]) -> dict[int, float]:
         except ValueError:
             value = None
         if not number.isdecimal() or value is None:
-            raise InputError(f"--render.distances {text!r} is none: give mover=factor as in 2=1.2.")
+            raise InputError(f"--render.distances {text!r} is none: give object=factor as in 2=1.2.")
         if int(number) in factors:
-            raise InputError(f"--render.distances names mover {number} twice.")
+            raise InputError(f"--render.distances names object {number} twice.")
         factors[int(number)] = value
     check_factors(factors)
     return factors

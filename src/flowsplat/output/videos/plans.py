@@ -74,13 +74,13 @@ def plan_videos(model: PartedRenderer, scene: Scene, options: RenderOptions) -> 
     """Every video that was asked for.
 
     Raises:
-        InputError: an option or the camera file cannot be used, or movers are asked for that are not there.
+        InputError: an option or the camera file cannot be used, or objects are asked for that are not there.
     """
     found: list[Plan] = []
     for plan in _whole(model, scene, options):
         for part in options.parts:
-            if part.startswith("movers"):
-                _require_movers(model.part(part), plan, part)
+            if part.startswith("objects"):
+                _require_objects(model.part(part), plan, part)
             found += _versions(plan, part, scene, options)
     return found
 
@@ -100,7 +100,7 @@ def settle(scene: Scene, options: RenderOptions) -> tuple[float, tuple[int, int]
 
 
 def _versions(plan: Plan, part: Part, scene: Scene, options: RenderOptions) -> Iterator[Plan]:
-    """The video of one part of the scene, and its stereo pair (movers alone on black, as players know no alpha beside stereo)."""
+    """The video of one part of the scene, and its stereo pair (objects alone on black, as players know no alpha beside stereo)."""
     suffix = "" if part == "all" else "_" + part.replace(":", "_").replace(",", "_")
     if options.distances:
         factors = factors_of(options.distances)
@@ -108,7 +108,7 @@ def _versions(plan: Plan, part: Part, scene: Scene, options: RenderOptions) -> I
     if options.fading:
         suffix = "_fading" + suffix
     shown = replace(plan, part=part, name=plan.name + suffix)
-    transparent = part.startswith("movers") and plan.kind == "panels"
+    transparent = part.startswith("objects") and plan.kind == "panels"
     yield replace(shown, kind="alpha", audio_from=None) if transparent else shown
     if options.stereo and plan.kind == "panels":
         depth = 1 / scene.similarity.scale
@@ -176,16 +176,16 @@ def loop_widths(model: PartedRenderer, scene: Scene) -> tuple[float, float]:
 
 
 def subject_distance(model: PartedRenderer, camera: Camera, t: float, otherwise: float) -> float:
-    """Planar depth of the movers that the camera sees, their median; ``otherwise`` where there are none."""
-    seen = model.part("movers").render(small(camera), t)
+    """Planar depth of the objects that the camera sees, their median; ``otherwise`` where there are none."""
+    seen = model.part("objects").render(small(camera), t)
     depth = seen.depth[seen.alpha >= COVERED]
     return float(np.median(depth)) if depth.size else otherwise
 
 
-def _require_movers(movers: PartedRenderer, plan: Plan, part: Part) -> None:
+def _require_objects(objects: PartedRenderer, plan: Plan, part: Part) -> None:
     for k in spread(len(plan.shots), 5):
         camera, t = plan.shots[k]
-        if movers.render(small(camera), t).alpha.max() > 0:
+        if objects.render(small(camera), t).alpha.max() > 0:
             return
-    nothing = "Nothing moves" if part == "movers" else f"Nothing of {part} is seen"
+    nothing = "Nothing moves" if part == "objects" else f"Nothing of {part} is seen"
     raise InputError(f"{nothing} in {plan.name}: leave {part} out of --render.parts.")

@@ -28,7 +28,7 @@ Compare = Literal["off", "beside", "wipe"]
 _TRACK_TAIL = 8
 """Frames that a track on the input picture reaches back."""
 _MOST_TRACKS = 250
-"""Of movers, and of the background; more hide the picture."""
+"""Of objects, and of the background; more hide the picture."""
 _BACKGROUND = 24
 """Gray value behind Gaussians that are shown as points."""
 _FAR = 150.0
@@ -48,7 +48,7 @@ class Look:
         wipe: how much of the rendering it covers, 0 to 1.
         tracks: the tracks of the clip, drawn where the picture is seen from the input camera.
         stereo: a pair for two eyes, left beside right, in place of what ``compare`` says.
-        distances: of movers, by number, how many times as far away they are as they were trained.
+        distances: of objects, by number, how many times as far away they are as they were trained.
         fading: without what the clip tells too little of, from where it is seen.
     """
 
@@ -202,7 +202,7 @@ def draw_points(model: SceneModel, camera: Camera, t: float) -> np.ndarray:
 
 
 def draw_tracks(image: np.ndarray, source: Source, t: float) -> None:
-    """Draw the last frames of some of the clip's tracks onto a picture from the input camera: movers warm, background cold.
+    """Draw the last frames of some of the clip's tracks onto a picture from the input camera: objects warm, background cold.
 
     There are no tracks on held-out frames: there, those of the nearest training frame are shown.
     """

@@ -32,8 +32,8 @@ _TIME_STEP = 0.001
 _MOST_ENLARGED = 2
 """Times the size of the clip. Beyond that, the gaps between Gaussians are seen rather than the scene."""
 _MODE_HINT = "Orbit turns round the scene, fly looks about; W A S D Q E move. The input camera stays the clip's."
-_MOST_MOVERS = 16
-"""Movers that can be chosen: those with the most Gaussians."""
+_MAX_OBJECTS = 16
+"""Objects that can be chosen: those with the most Gaussians."""
 _DISTANCES, _DISTANCE_STEP = (0.3, 3.0), 0.01
 """Times as far from the clip's camera as trained."""
 _FADING_HINT = "What the clip has not seen well enough to tell what it looks like from here is black."
@@ -57,8 +57,8 @@ class Panel:
         self._notifications = Notifications(client)
         self._overlays: dict[str, Any] = {}
         self._stood: Pose | None = None
-        counts = source.loaded.part("all").gaussians.mover_counts
-        self._movers = sorted(sorted(counts, key=lambda number: -counts[number])[:_MOST_MOVERS])
+        counts = source.loaded.part("all").gaussians.object_counts
+        self._objects = sorted(sorted(counts, key=lambda number: -counts[number])[:_MAX_OBJECTS])
         self._build()
         ExportPanel(client, self._notifications, source, worker, self._session)
 
@@ -96,18 +96,18 @@ class Panel:
             home = gui.add_button("To the input camera", icon=viser.Icon.HOME)
         with gui.add_folder("Picture"):
             self._what = controls.add_dropdown("Show", get_args(PictureKind), initial_value="color")
-            self._part = controls.add_dropdown("Part", (*PARTS, *(f"movers:{n}" for n in self._movers)), initial_value="all")
+            self._part = controls.add_dropdown("Part", (*PARTS, *(f"objects:{n}" for n in self._objects)), initial_value="all")
             self._compare = controls.add_dropdown("Input frame", get_args(Compare), initial_value="off")
             self._wipe = controls.add_slider("Wipe", min=0.0, max=1.0, step=0.01, initial_value=0.5, visible=False)
             self._stereo = controls.add_checkbox("Stereo pair", False, hint="For two eyes, left beside right.")
             self._fading = controls.add_checkbox("Only what the clip tells", False, hint=_FADING_HINT)
         self._distances: dict[int, Control] = {}
-        if self._movers:
-            with gui.add_folder("Distance of movers", expand_by_default=False):
+        if self._objects:
+            with gui.add_folder("Distance of objects", expand_by_default=False):
                 gui.add_markdown(_DISTANCE_HINT)
-                for number in self._movers:
+                for number in self._objects:
                     near, far = _DISTANCES
-                    slider = controls.add_slider(f"Mover {number}", min=near, max=far, step=_DISTANCE_STEP, initial_value=1.0)
+                    slider = controls.add_slider(f"Object {number}", min=near, max=far, step=_DISTANCE_STEP, initial_value=1.0)
                     self._distances[number] = slider
                 trained = gui.add_button("As trained", icon=viser.Icon.ARROW_BACK)
             trained.on_click(self._notifications.callback(self._reset_distances))

@@ -78,7 +78,7 @@ def record_path(
         browser: its coordinates.
         keys: the path.
         fps: frames a second; a GIF has those of the wiggle.
-        look: what is shown; a WebM shows the movers in color on transparent, whatever it says.
+        look: what is shown; a WebM shows the objects in color on transparent, whatever it says.
         path: ``.mp4``, ``.gif`` or ``.webm``.
         tell: shows how far it is.
         finished: called with the path in the end.
@@ -86,8 +86,8 @@ def record_path(
     Raises:
         InputError: it cannot be written, or a WebM is asked for where nothing moves.
     """
-    suffix, movers = path.suffix, source.model("movers", look.distances, look.fading)
-    if suffix == ".webm" and not len(movers.gaussians):
+    suffix, objects = path.suffix, source.model("objects", look.distances, look.fading)
+    if suffix == ".webm" and not len(objects.gaussians):
         raise InputError("Nothing moves in this scene: record it as mp4 or gif.")
     fps = WIGGLE_FPS if suffix == ".gif" else fps
     shots = keys.shots(fps)
@@ -95,7 +95,7 @@ def record_path(
         for k, (camera, t) in enumerate(shots):
             tell(f"Recording frame {k + 1} of {len(shots)}")
             if suffix == ".webm":
-                write(on_transparent(movers.render(camera, t)))
+                write(on_transparent(objects.render(camera, t)))
             else:
                 write(draw_shot(source, browser, camera, t, look))
             yield

@@ -72,9 +72,9 @@ class Source:
         self.loaded = Loaded(self._ready(model), state, 0)
 
     def model(self, part: Part, distances: Sequence[tuple[int, float]] = (), fading: bool = False) -> SceneModel:
-        """The newest model of a part of the scene, with movers so many times as far away as they were trained.
+        """The newest model of a part of the scene, with objects so many times as far away as they were trained.
 
-        Numbers that no mover has do nothing: in training they may come and go. ``fading``: without what the clip tells too little
+        Numbers that no object has do nothing: in training they may come and go. ``fading``: without what the clip tells too little
         of; nothing as long as that is not known.
         """
         model, factors = self.loaded.part(part), {number: factor for number, factor in distances if factor != 1}

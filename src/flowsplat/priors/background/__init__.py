@@ -1,1 +1,1 @@
-"""The static scene behind movers, for masks and depth: matches over many frames, multi-view depth, fusion, filling."""
+"""The static scene behind objects, for masks and depth: matches over many frames, multi-view depth, fusion, filling."""

@@ -137,7 +137,7 @@ class EdgeRefiner:
         return refine_edges(inverse, ~moving, view, cameras[0], seen, cameras[1:], doubted)
 
     def _see(self, k: int) -> tuple[View, np.ndarray]:
-        """A frame, where movers and what is close to them say nothing, and movers [H, W] bool."""
+        """A frame, where objects and what is close to them say nothing, and objects [H, W] bool."""
         scene, i = self._clip.scene, self._clip.scene.train_frames[k]
         moving = scene.mask(i) > 0 if self._has_masks else np.zeros((scene.height, scene.width), bool)
         near = cv2.dilate(moving.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
@@ -158,7 +158,7 @@ def _costs(
     """[L, H, S] float32: how much the better half of the frames differs from a pixel at each proposed inverse depth [L, H, W].
 
     Of every other pixel, as on a chessboard: they vote as well as all, in half the time. A row holds its columns y % 2, y % 2 + 2,
-    ... from ``_MARGIN`` on, and 0 beside them. ``words``: colors and movers of the others as from ``packed``,
+    ... from ``_MARGIN`` on, and 0 beside them. ``words``: colors and objects of the others as from ``packed``,
     ``slopes``: the sizes of their gradients, each [J, H, W].
     """
     L, H, W = proposed.shape

@@ -1,6 +1,6 @@
 """The ground: a map of heights over a plane, found once for a piece of a clip from its static depth.
 
-A mover that stands on the ground is where its feet are, and the depth beside its feet is the least sure of all: masks and
+An object that stands on the ground is where its feet are, and the depth beside its feet is the least sure of all: masks and
 shadows spoil it. So the ground is what all frames saw of it: static points of surfaces that face up. Which way is up is not
 known; cameras are held upright within ``TILT``, and the ground lies below them. Steps and slopes are in the map; where
 nothing of the ground was seen near a place, it is not known there.
@@ -35,7 +35,7 @@ PLANE_SHARE = 0.5
 CELL = 0.015
 """Side of a cell of the map, in units of the median depth of its points."""
 REACH = 8
-"""Cells across which heights are carried to where nothing was seen: what a mover always hides."""
+"""Cells across which heights are carried to where nothing was seen: what an object always hides."""
 LOWEST = 40
 """Percentile of the heights in a cell that counts: what stands on the ground is above it."""
 _SAMPLES, _TRIES, _REFITS = 4000, 1500, 5

@@ -29,7 +29,7 @@ LEAST_RIM = 50
 
 CALMER = 2.0
 """Times the median error on the rim is the most that counts as noise. The median of all matches is below it in clips whose
-movers fill less than half of the picture."""
+objects fill less than half of the picture."""
 
 
 @dataclass(frozen=True)

@@ -45,7 +45,7 @@ class RefinedDepth:
         self._depth = depth
 
     def __call__(self, k: int) -> Planes:
-        """Inverse depth of the still scene in training frame ``k``, behind movers, too, and how sure it is: see ``Planes``."""
+        """Inverse depth of the still scene in training frame ``k``, behind objects, too, and how sure it is: see ``Planes``."""
         return self._depth(k)
 
     def walk(self, then: Callable[[int], None], frames: Sequence[int]) -> Iterator[Callable[[], object]]:
@@ -96,7 +96,7 @@ class RefinedDepth:
         return self._clip.scene.cameras[self._clip.scene.train_frames[k]]
 
     def _find_moving(self, k: int) -> tuple[np.ndarray, np.ndarray]:
-        """Movers, and these with what is beside them, each [H, W] bool."""
+        """Objects, and these with what is beside them, each [H, W] bool."""
         scene = self._clip.scene
         if not self._has_masks:
             return (np.zeros((scene.height, scene.width), bool),) * 2

@@ -20,9 +20,9 @@ def uncover(
     """Static inverse depth and its weight, each [h, w] float32, with ``hidden`` pixels that other frames know put in.
 
     Args:
-        hidden: bool [h, w], movers and what is too close to them, and pixels that the frame itself is not sure of.
+        hidden: bool [h, w], objects and what is too close to them, and pixels that the frame itself is not sure of.
         inverse_depth: [h, w] of the frame itself, with its weight and camera.
-        others: inverse depth, weight (0 on movers) and camera of other frames.
+        others: inverse depth, weight (0 on objects) and camera of other frames.
     """
     found, found_weight = np.zeros_like(inverse_depth), np.zeros_like(weight)
     for other in others:

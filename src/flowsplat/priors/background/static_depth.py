@@ -39,8 +39,8 @@ _NOTHING = 1e-3
 """Share of pixels with a known value, below which a frame's depth is guessed."""
 
 WITNESSES = 24
-"""Frames, evenly over a piece of the clip, before whose static scene a mover stands. The depth of frames far apart differs by
-some percent, and where a mover were behind what one of them saw, it would make that vanish."""
+"""Frames, evenly over a piece of the clip, before whose static scene an object stands. The depth of frames far apart differs by
+some percent, and where an object were behind what one of them saw, it would make that vanish."""
 
 _KEPT = 2 * PLATE_FROM[-1] + 16 + WITNESSES
 """Frames in memory: on a walk over the clip every one is asked for again until it lies behind the furthest neighbor."""
@@ -52,11 +52,11 @@ class StaticDepth(Protocol):
     median: float
 
     def plate(self, k: int) -> np.ndarray:
-        """Inverse depth [h, w] of the static scene, also behind movers, whose own edges play no part in it."""
+        """Inverse depth [h, w] of the static scene, also behind objects, whose own edges play no part in it."""
         ...
 
     def foremost(self, k: int) -> np.ndarray:
-        """Inverse depth [h, w] before which every mover stands: the plate's, or what two other frames are sure of there."""
+        """Inverse depth [h, w] before which every object stands: the plate's, or what two other frames are sure of there."""
         ...
 
     def witnessed(self, k: int) -> np.ndarray:
@@ -68,7 +68,7 @@ class StaticDepth(Protocol):
         ...
 
     def behind(self, k: int) -> np.ndarray:
-        """Inverse depth [h, w] of the static scene: the plate behind movers, elsewhere along the picture's edges."""
+        """Inverse depth [h, w] of the static scene: the plate behind objects, elsewhere along the picture's edges."""
         ...
 
 
@@ -125,7 +125,7 @@ class Background:
         self._clip, self._has_masks = clip, has_masks
         self._own = computed_once(self._weighed, 2 * FUSED_WITH[-1] + 4)
         self._uncovered = computed_once(self._uncover, 8)
-        # Movers are placed, and then drawn, on two walks over the clip.
+        # Objects are placed, and then drawn, on two walks over the clip.
         self._plates = computed_once(self._plate, len(clip))
         self._witnessed = computed_once(self._witness, len(clip))
         self._fused = computed_once(self._fuse, _KEPT)
@@ -165,7 +165,7 @@ class Background:
         return inverse, weights + np.float32(0.1) * support
 
     def behind(self, k: int) -> np.ndarray:
-        """Inverse depth [h, w] of the static scene: the plate behind movers, elsewhere along the picture's edges."""
+        """Inverse depth [h, w] of the static scene: the plate behind objects, elsewhere along the picture's edges."""
         inverse, _ = self.filled(k)
         moving = self.mask(k) > 0
         return np.where(moving, self.plate(k), inverse) if moving.any() else inverse
@@ -224,7 +224,7 @@ def _unknown(weights: np.ndarray) -> bool:
 
 
 def _swollen(mask: np.ndarray) -> np.ndarray:
-    """bool [h, w]: movers and what is so close that the flow search takes it along."""
+    """bool [h, w]: objects and what is so close that the flow search takes it along."""
     return cv2.dilate((mask > 0).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
 
 

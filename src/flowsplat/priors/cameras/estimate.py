@@ -69,7 +69,7 @@ def estimate(positions: np.ndarray, width: float, height: float, focal: float | 
     """Find the cameras behind the tracks of one piece of a clip.
 
     What most tracks agree on is taken for the static scene, unless it leaves the rim of the picture to something else:
-    a mover may fill most of the frames, but rarely hides what is round it.
+    an object may fill most of the frames, but rarely hides what is round it.
 
     Args:
         positions: [N, T, 2] pixels of the frames, NaN where not seen.
@@ -177,7 +177,7 @@ def _judges(seen: np.ndarray) -> np.ndarray:
     """Indices of the tracks by which kinds of motion are compared: every one counts by the area and time it was seen in.
 
     The tracks that a reconstruction is grown from prefer what sweeps over the picture, and with a point near enough for
-    every track of a mover, a camera that hardly moves can explain anything that travels straight. Here what rests
+    every track of an object, a camera that hardly moves can explain anything that travels straight. Here what rests
     outvotes it.
     """
     longer = np.flatnonzero(seen.sum(1) >= min(3, seen.shape[1]))

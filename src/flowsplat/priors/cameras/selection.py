@@ -7,7 +7,7 @@ import numpy as np
 GRID = (8, 6)
 """Columns and rows of the cells that tracks are spread over."""
 RIM_WIDTH = 1 / 12
-"""Of the picture's width and height: a mover of 70 % of the picture in its middle leaves the rim free."""
+"""Of the picture's width and height: an object of 70 % of the picture in its middle leaves the rim free."""
 
 
 def choose_tracks(

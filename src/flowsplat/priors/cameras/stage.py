@@ -136,7 +136,7 @@ def _follow(scene: Scene) -> _Tracks:
     followed, blank = follow_points(scene)
     shown = [t for t in range(scene.num_frames) if t not in set(blank)]
     pieces = split(shown, find_breaks(followed / unit, shown))
-    positions = _off_movers(scene, followed) / unit
+    positions = _off_objects(scene, followed) / unit
     if not pieces:
         pieces, positions = [list(range(scene.num_frames))], positions[:0]
     return _Tracks(positions, pieces, blank, scene.width / unit, scene.height / unit, unit)
@@ -229,7 +229,7 @@ def _straighten(scene: Scene) -> None:
     scene.finish_straightening(_about_lens(lens, 1.0))
 
 
-def _off_movers(scene: Scene, positions: np.ndarray) -> np.ndarray:
+def _off_objects(scene: Scene, positions: np.ndarray) -> np.ndarray:
     """Without the tracks that touch the masks of moving objects, where there are masks."""
     if scene.prior("masks") is None:
         return positions

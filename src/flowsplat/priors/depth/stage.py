@@ -13,8 +13,8 @@ from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.refined import RefinedDepth
 from flowsplat.priors.background.static_depth import StaticDepth, camera_reach, static_depth
 from flowsplat.priors.flow import FlowEstimator, dis_estimator
-from flowsplat.priors.objects import SceneMovers, load_movers
-from flowsplat.priors.objects.areas import large_movers
+from flowsplat.priors.objects import SceneObjects, load_objects
+from flowsplat.priors.objects.areas import large_objects
 from flowsplat.priors.objects.description import sureness
 from flowsplat.scenes import Depth, Scene
 
@@ -22,13 +22,13 @@ NEAREST_DEPTH, FURTHEST_DEPTH = 0.05, 30.0
 """Multiples of the median depth between which all depths lie."""
 
 MARGIN, KNOWN_MARGIN = 1.03, 1.02
-"""How much nearer than all that is known to be behind it a mover is at least: where nothing tells its distance, and where
+"""How much nearer than all that is known to be behind it an object is at least: where nothing tells its distance, and where
 something does. A foot is as far away as the ground that it stands on."""
 TIED = 0.14
 PLACES = {"contact", "bounce", "pivot", "touch", "distance"}
-"""Standard deviation of a mover's ln distance up to which it may stand behind what is only filled in, and the cues that tie it
+"""Standard deviation of an object's ln distance up to which it may stand behind what is only filled in, and the cues that tie it
 to a place of the still scene, with which it may do so, too."""
-MOVER_CONFIDENCE = 0.6
+OBJECT_CONFIDENCE = 0.6
 MOSTLY = 0.6
 """Share of trusted pixels from which depth is called known."""
 TRUSTED_WEIGHT = 5.0
@@ -40,7 +40,7 @@ def depth_stage(
 ) -> None:
     """Depth with confidence for every training frame that has none. Needs cameras and flow, and uses masks if there are any.
 
-    Static pixels come from their matches in other frames of the same piece of the clip, movers from the object stage; what that
+    Static pixels come from their matches in other frames of the same piece of the clip, objects from the object stage; what that
     does not know stands just in front of what it hides. A clip whose camera does not move (or only turns) gets a guess, and the
     verdict says so.
 
@@ -51,11 +51,11 @@ def depth_stage(
     has_masks = all(scene.has_mask(i) for i in scene.train_frames)
     clip = static[0] if static else MatchedClip(scene, estimate)
     background = static[1] if static else static_depth(clip, has_masks)
-    movers = load_movers(scene)
+    objects = load_objects(scene)
     refined = RefinedDepth(clip, background, has_masks)
 
     def written(k: int) -> None:
-        scene.write_depth(scene.train_frames[k], _frame_depth(clip, background, movers, refined, has_masks, k))
+        scene.write_depth(scene.train_frames[k], _frame_depth(clip, background, objects, refined, has_masks, k))
 
     missing = [k for k, i in enumerate(scene.train_frames) if not scene.has_depth(i)]
     if missing:
@@ -69,11 +69,11 @@ def depth_stage(
         verdict = f"{static_share:.0%} of the still scene trusted"
         if static_share < MOSTLY:
             verdict += ": the rest is filled in, and new views from aside will show it"
-        large = large_movers(scene) if movers.movers else set()
-        counted = [mover for mover in movers.movers if mover.number in large]
+        large = large_objects(scene) if objects.objects else set()
+        counted = [obj for obj in objects.objects if obj.number in large]
         if counted:
-            tied = [mover.sigma for mover in counted if mover.cues]
-            verdict += f"; distances of movers: {sureness(tied, len(counted) - len(tied))}"
+            tied = [obj.sigma for obj in counted if obj.cues]
+            verdict += f"; distances of objects: {sureness(tied, len(counted) - len(tied))}"
     else:
         travels = camera_reach(clip) > 1e-9
         little = f"travels too little within {STRIDES[-1]} frames" if travels else "does not travel"
@@ -82,7 +82,7 @@ def depth_stage(
             verdict += "; --every takes frames further apart, which may show it"
     scene.finish_prior(
         "depth", method=method, verdict=verdict, trusted=round(share, 4), trusted_static=round(static_share, 4),
-        parallax=round(clip.mean_parallax, 3), objects=len(movers.movers),
+        parallax=round(clip.mean_parallax, 3), objects=len(objects.objects),
     )  # fmt: skip
 
 
@@ -98,7 +98,7 @@ def trusted_shares(scene: Scene) -> tuple[float, float]:
 
 
 def _frame_depth(
-    clip: MatchedClip, background: StaticDepth, movers: SceneMovers, refined: RefinedDepth, has_masks: bool, k: int
+    clip: MatchedClip, background: StaticDepth, objects: SceneObjects, refined: RefinedDepth, has_masks: bool, k: int
 ) -> Depth:
     scene = clip.scene
     frame = scene.frame(scene.train_frames[k])
@@ -109,12 +109,12 @@ def _frame_depth(
     if moving.any():
         front = upsample(background.foremost(k), np.zeros_like(frame), *size)
         sure = upsample(background.witnessed(k), np.zeros_like(frame), *size)
-        known = movers.depth(k, mask, frame, scene.cameras[scene.train_frames[k]])
+        known = objects.depth(k, mask, frame, scene.cameras[scene.train_frames[k]])
         nearness = np.where(known > 0, 1 / np.maximum(known, 1e-9), 0)
         # Nothing lies behind what other frames are sure of; what nothing ties stays just in front of what is filled in, too.
-        tied = np.isin(mask, [mover.number for mover in movers.movers if mover.sigma <= TIED or not PLACES.isdisjoint(mover.cues)])
+        tied = np.isin(mask, [obj.number for obj in objects.objects if obj.sigma <= TIED or not PLACES.isdisjoint(obj.cues)])
         static = np.where(moving, np.maximum(nearness, np.where(tied, KNOWN_MARGIN * sure, MARGIN * front)), static)
     limits = background.median / FURTHEST_DEPTH, background.median / NEAREST_DEPTH
     depth = 1 / np.clip(static, *limits)
-    confidence = np.where(moving, MOVER_CONFIDENCE, share * weight / (weight + TRUSTED_WEIGHT))
+    confidence = np.where(moving, OBJECT_CONFIDENCE, share * weight / (weight + TRUSTED_WEIGHT))
     return Depth(depth.astype(np.float32), confidence.astype(np.float32))

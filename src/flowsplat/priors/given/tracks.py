@@ -103,12 +103,12 @@ def read_tracks(path: Path, scene: Scene, size: tuple[int, int] | None) -> Given
 def write_tracks(tracks: GivenTracks, path: Path, scene: Scene) -> None:
     """Write them into the scene; those that are mostly on masks move. Needs masks, if there are to be any."""
     visible = tracks.confidence >= TRUSTED
-    on_mover = np.zeros(len(visible))
+    on_object = np.zeros(len(visible))
     if scene.prior("masks") is not None:
         for i in scene.train_frames:
             seen = np.flatnonzero(visible[:, i])
-            on_mover[seen] += sample_map((scene.mask(i) > 0).astype(np.float32), tracks.points[seen, i])[:, 0]
-    moving = on_mover > 0.5 * visible.sum(1)
+            on_object[seen] += sample_map((scene.mask(i) > 0).astype(np.float32), tracks.points[seen, i])[:, 0]
+    moving = on_object > 0.5 * visible.sum(1)
     scene.write_tracks(Tracks(np.where(visible[..., None], tracks.points, 0), visible, tracks.confidence, moving))
     scene.finish_prior(
         "tracks", method="given", verdict=f"from {path} ({tracks.maker})", tracks=len(visible), moving=int(moving.sum()),

@@ -10,7 +10,7 @@ from flowsplat.priors.given import consecutive_pairs
 from flowsplat.priors.given.fitting import verdict_of
 from flowsplat.priors.given.flow import read_flow
 from flowsplat.priors.learned.weights import network_device
-from flowsplat.priors.mover_flow import mover_flow_stage
+from flowsplat.priors.object_flow import object_flow_stage
 from flowsplat.priors.options import PriorsOptions
 from flowsplat.priors.prior import GIVEN, TRUTH, Kind, Request
 from flowsplat.scenes import Scene
@@ -68,9 +68,9 @@ FLOW = Kind(
 )
 
 
-def _lacks_movers(request: Request) -> bool:
+def _lacks_objects(request: Request) -> bool:
     flow = request.scene.prior("flow") or {}
-    return flow.get("method") == OWN and not flow.get("movers")
+    return flow.get("method") == OWN and not flow.get("objects")
 
 
-MOVER_FLOW = Kind(compute=lambda request: partial(mover_flow_stage, request.scene), is_due=_lacks_movers)
+OBJECT_FLOW = Kind(compute=lambda request: partial(object_flow_stage, request.scene), is_due=_lacks_objects)

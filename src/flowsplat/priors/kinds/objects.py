@@ -1,4 +1,4 @@
-"""Movers: how each moves and how far away it is. A step of depth of our own; other depth knows where movers are."""
+"""Objects: how each moves and how far away it is. A step of depth of our own; other depth knows where objects are."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def _is_due(request: Request) -> bool:
 
 
 def _has_hints(request: Request) -> bool:
-    """Whether the movers that are there were placed with these hints."""
+    """Whether the objects that are there were placed with these hints."""
     return (request.scene.prior("objects") or {}).get("hints", []) == [hint.text for hint in request.hints]
 
 

@@ -1,4 +1,4 @@
-"""The static scene behind movers, twice: as all matches show it, for masks to differ from; and with masks, for depth."""
+"""The static scene behind objects, twice: as all matches show it, for masks to differ from; and with masks, for depth."""
 
 from __future__ import annotations
 

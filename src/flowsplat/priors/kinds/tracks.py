@@ -34,7 +34,7 @@ def _projected(tracks: Tracks, cameras: Sequence[Camera], train_frames: Sequence
 
 
 def _read_given(request: Request, path: Path) -> Stage:
-    """Which of them are on movers, masks have to tell."""
+    """Which of them are on objects, masks have to tell."""
     tracks = read_tracks(path, request.scene, request.options.given.tracks_size)
     return partial(write_tracks, tracks, path, request.scene)
 

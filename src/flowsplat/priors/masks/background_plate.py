@@ -1,4 +1,4 @@
-"""The clean plate: what the picture of a frame would be without its movers, from frames that see past them.
+"""The clean plate: what the picture of a frame would be without its objects, from frames that see past them.
 
 Depth and cameras of the static scene tell where each pixel lies in other frames. What looks like that in enough of them
 is static, however the flow swells there; what does not has something in front of it. Shadows are static: they only
@@ -67,7 +67,7 @@ class CleanPlate:
     """Compares the training frames of a clip with their static scene.
 
     Args:
-        blocked: bool [T, H, W], the movers as far as they are known, with a margin.
+        blocked: bool [T, H, W], the objects as far as they are known, with a margin.
     """
 
     def __init__(self, clip: MatchedClip, background: StaticDepth, blocked: np.ndarray):
@@ -92,7 +92,7 @@ class CleanPlate:
             _plate, len(frame), frame, depth.astype(np.float32), *_poses(self._cameras[k], [self._cameras[j] for j in others]),
             words.reshape(-1), plate, spread, count,
         )  # fmt: skip
-        # Of many frames those that look most like the pixel decide, and others may be of a mover; few pictures must all agree.
+        # Of many frames those that look most like the pixel decide, and others may be of an object; few pictures must all agree.
         spread *= len(clip) <= FEW
         return np.where(count >= ENOUGH, difference(frame, plate, spread), -1)
 

@@ -1,4 +1,4 @@
-"""What colors the movers of a clip have, and what colors there are round them."""
+"""What colors the objects of a clip have, and what colors there are round them."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ STEPS = (8, 4, 4)
 """Width of a bin of the histograms in L, a, b."""
 
 ROUND = 0.07
-"""Share of the long side within which colors are those round a mover."""
+"""Share of the long side within which colors are those round an object."""
 
 FEWEST = 200
-"""Pixels of movers that make a model."""
+"""Pixels of objects that make a model."""
 
 _SHAPE = tuple(256 // step for step in STEPS)
 _FLOOR = 1e-5
@@ -21,13 +21,13 @@ _FLOOR = 1e-5
 
 
 class Colors:
-    """Histograms in Lab of movers and of what surrounds them, over the frames that were added."""
+    """Histograms in Lab of objects and of what surrounds them, over the frames that were added."""
 
     def __init__(self) -> None:
         self._counts = np.zeros((2, int(np.prod(_SHAPE))))
 
     def add(self, frame: np.ndarray, moving: np.ndarray) -> None:
-        """Take a frame RGB [H, W, 3] uint8 with its movers bool [H, W]."""
+        """Take a frame RGB [H, W, 3] uint8 with its objects bool [H, W]."""
         margin = int(ROUND * max(moving.shape))
         near = cv2.dilate(moving.astype(np.uint8), np.ones((2 * margin + 1, 2 * margin + 1), np.uint8)) > 0
         bins = _bins(frame)
@@ -35,7 +35,7 @@ class Colors:
             self._counts[number] += np.bincount(bins[chosen], minlength=self._counts.shape[1])
 
     def table(self) -> np.ndarray | None:
-        """For every bin the logarithm to base 2 of how much more often movers have its color; None without movers."""
+        """For every bin the logarithm to base 2 of how much more often objects have its color; None without objects."""
         if self._counts.sum(1).min() < FEWEST:
             return None
         shares = np.stack([gaussian_filter(count.reshape(_SHAPE), 1.0) for count in self._counts])

@@ -31,7 +31,7 @@ USUAL, CALMEST = 3.5, 1.0
 SAMPLES = 24
 """Frames that the median is taken from."""
 SHARE, AROUND = 0.35, 0.04
-"""Flow fades from a mover to what rests beside it, so rest ends at this share of the largest motion around it. So far around, in
+"""Flow fades from an object to what rests beside it, so rest ends at this share of the largest motion around it. So far around, in
 units of the long side."""
 
 MEMORY = 0.9

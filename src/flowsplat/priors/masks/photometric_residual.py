@@ -70,7 +70,7 @@ ODDS = np.array([
     [6.0, 5.9, 4.2, 3.5, 2.0, 0.0, -2.0],
     [6.8, 5.8, 4.3, 4.0, 2.0, 0.0, -2.0],
 ])  # fmt: skip
-"""Logarithms to base 2 of how much more often movers than still things differ so many times their noise from every surface that
+"""Logarithms to base 2 of how much more often objects than still things differ so many times their noise from every surface that
 others see (rows), and look like so large a share of other frames at one depth (columns). Counted in ten random worlds of 12
 wide pictures and seven of 40 frames, which said nearly the same; but what looks like four frames of five at one depth counts as
 still, which is right where there are many frames: thin things before the scene (poles) are often missing in its depth."""
@@ -94,7 +94,7 @@ class Unexplained:
         self._sure = lru_cache(maxsize=None)(self._known)
 
     def evidence(self, k: int) -> np.ndarray:
-        """Logarithm to base 2 [h, w] float32 of how much more often movers than still things look like this."""
+        """Logarithm to base 2 [h, w] float32 of how much more often objects than still things look like this."""
         off, share = self.residual(k)
         if (off < 0).all():
             return np.zeros_like(off)

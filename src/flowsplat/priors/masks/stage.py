@@ -1,8 +1,8 @@
-"""The mask stage: movers are found by their motion, then cut out by what the pictures show (METHOD 9).
+"""The mask stage: objects are found by their motion, then cut out by what the pictures show (METHOD 9).
 
-Matches find what moves, but not its outline: flow takes along what is near a mover, and misses what is thin. So the
+Matches find what moves, but not its outline: flow takes along what is near an object, and misses what is thin. So the
 pictures decide on the outline: a pixel that differs from the static scene as other frames show it, and that has the
-colors of movers, moves; motion decides where no frame sees past it.
+colors of objects, moves; motion decides where no frame sees past it.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ MOVES = 0.3
 """Share of a part that must have been found by its motion."""
 
 MARGIN = 0.01
-"""Share of the long side by which a mover may be larger than its motion shows."""
+"""Share of the long side by which an object may be larger than its motion shows."""
 
 MODEL_FRAMES = 16
 """Frames from which the colors are taken."""
@@ -65,7 +65,7 @@ def mask_stage(scene: Scene, estimate: FlowEstimator = dis_estimator) -> None:
         for k, mask in enumerate(_cut(clip, evidence, motion)):
             scene.write_mask(scene.train_frames[k], mask)
     objects, share = number_objects(scene)
-    # That parts are one object is known when points on them were followed (``identify_movers``).
+    # That parts are one object is known when points on them were followed (``identify_objects``).
     things = "1 moving object" if objects == 1 else f"{objects} moving parts"
     verdict = f"{things} on {share:.1%} of the picture" if objects else "nothing moves"
     scene.finish_prior("masks", method="motion", verdict=verdict, objects=objects, share=round(share, 5))
@@ -77,7 +77,7 @@ def moving_evidence(clip: MatchedClip, shown: Sequence[np.ndarray]) -> list[np.n
     Overwrites the masks of the training frames.
 
     Args:
-        shown: bool [H, W] of every training frame, what is known to be a mover.
+        shown: bool [H, W] of every training frame, what is known to be an object.
     """
     motion = motion_evidence(clip, static_depth(clip, False))
     _rough_masks(clip, motion, shown)
@@ -120,7 +120,7 @@ def _plate_evidence(clip: MatchedClip, motion: list[np.ndarray]) -> list[np.ndar
 
 
 def _add_colors(clip: MatchedClip, evidence: list[np.ndarray], motion: list[np.ndarray]) -> None:
-    """Add to the evidence how much the colors are those of movers."""
+    """Add to the evidence how much the colors are those of objects."""
     scene, colors = clip.scene, Colors()
     for k in range(0, len(clip), -(-len(clip) // MODEL_FRAMES)):
         frame = scene.frame(scene.train_frames[k])

@@ -1,6 +1,6 @@
-"""Who moves, how, and how far away: motion, relief and distance of every mover."""
+"""Who moves, how, and how far away: motion, relief and distance of every object."""
 
 from flowsplat.priors.objects.stage import objects_stage
-from flowsplat.priors.objects.storage import SceneMovers, load_movers
+from flowsplat.priors.objects.storage import SceneObjects, load_objects
 
-__all__ = ["SceneMovers", "load_movers", "objects_stage"]
+__all__ = ["SceneObjects", "load_objects", "objects_stage"]

@@ -1,4 +1,4 @@
-"""Which movers count as one, and which are small parts: shreds of masks that nothing joined to what they belong to."""
+"""Which objects count as one, and which are small parts: shreds of masks that nothing joined to what they belong to."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import numpy as np
 from flowsplat.scenes import Scene
 
 SMALL = 0.05
-"""Of the pixels of the largest mover in all training frames, the share below which one is a small part."""
+"""Of the pixels of the largest object in all training frames, the share below which one is a small part."""
 
 
-def large_movers(scene: Scene) -> set[int]:
+def large_objects(scene: Scene) -> set[int]:
     """The numbers in the masks of what is no small part."""
     areas = np.zeros(256, np.int64)
     for i in scene.train_frames:

@@ -1,9 +1,9 @@
 """Depth of moving objects: upright cards that stand where the scene behind them ends.
 
 Matches say nothing about the depth of what moves. But every static point that other frames show at the pixels of a
-mover lies behind it: these points are its clean plate. The nearest of them is the ground at its feet, if it stands on
-the ground, and in any case the furthest it can be away. So a mover is as near as the near end of its plate, and no pixel
-of it lies behind the plate, or behind what frames far away in time saw there (METHOD 9: that a mover is before the
+object lies behind it: these points are its clean plate. The nearest of them is the ground at its feet, if it stands on
+the ground, and in any case the furthest it can be away. So an object is as near as the near end of its plate, and no pixel
+of it lies behind the plate, or behind what frames far away in time saw there (METHOD 9: that an object is before the
 background matters more than how far before). How its depth changes is seen from its size, so that the frames with the
 nearest plate speak for all.
 """
@@ -22,7 +22,7 @@ from flowsplat.priors.background.static_depth import StaticDepth
 from flowsplat.scenes.layers import TRUSTED
 
 NEAR_END = 92.0
-"""Percentile of the plate's inverse depth at which a mover stands: not the nearest pixel, which a leak of the mask may hold."""
+"""Percentile of the plate's inverse depth at which an object stands: not the nearest pixel, which a leak of the mask may hold."""
 
 WINDOW, NEAR_TIMES = 121, 88
 """Training frames whose cards are compared, and the percentile of their inverse depth, at one size, that is taken."""
@@ -111,7 +111,7 @@ def cards_of(clip: MatchedClip, background: StaticDepth) -> dict[int, np.ndarray
         return here, _growths(clip, k, k - 1, mask), _growths(clip, k, k + 1, mask)
 
     with one_thread():
-        found = list(in_threads(seen, track(range(len(clip)), "Depth of movers"), thread_count()))
+        found = list(in_threads(seen, track(range(len(clip)), "Depth of objects"), thread_count()))
     cards: dict[int, np.ndarray] = {}
     growths: dict[int, np.ndarray] = {}
     before: dict[int, float] = {}

@@ -1,4 +1,4 @@
-"""Where a mover's lowest pixels meet the ground: at most that far away is it, and just so far if it stands there."""
+"""Where an object's lowest pixels meet the ground: at most that far away is it, and just so far if it stands there."""
 
 from __future__ import annotations
 
@@ -61,12 +61,12 @@ def ground_bound(mask: np.ndarray, camera: Camera, ground: Ground, static: np.nd
     """The bound of one frame.
 
     Args:
-        mask: bool [h, w], of one mover.
+        mask: bool [h, w], of one object.
         camera: of the frame, at that size.
         static: planar depth of the static scene, of any size; inf where it is not sure.
 
     Returns:
-        None where the mover is too small, all of it is above the horizon, or the ground below it was not seen.
+        None where the object is too small, all of it is above the horizon, or the ground below it was not seen.
     """
     height, width = mask.shape
     if mask.sum() < FEWEST_PIXELS:

@@ -1,4 +1,4 @@
-"""What contact with the ground says of a mover's distance: that it stands there, or that it touched it for moments."""
+"""What contact with the ground says of an object's distance: that it stands there, or that it touched it for moments."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ FLOOR = {"contact": 0.025, "bounce": 0.03}
 WRONG = {"contact": 0.07, "bounce": 0.1}
 """Chance that it has nothing to do with the truth."""
 FLAT, FLAT_LOW, FLAT_HIGH = 0.1, 10, 70
-"""Range of the bounds between two percentiles over time up to which a mover stands on the ground."""
+"""Range of the bounds between two percentiles over time up to which an object stands on the ground."""
 MOSTLY = 0.5
-"""Share of the frames in which a mover is seen in which its feet must be seen, too: what swings hides where it is high."""
+"""Share of the frames in which an object is seen in which its feet must be seen, too: what swings hides where it is high."""
 FEWEST_BOUNDS = 8
 STEPS = 5.0
 """Frames: standard deviation over time of what feet say about a course; steps are shorter."""
@@ -33,19 +33,19 @@ BOUNCE_WIDTH, BOUNCE_ELSEWHERE = 4, 0.25
 THROWN_SIGMA = 0.03
 """Standard deviation of the nearest bound at several bounces; of a single one it is half as much more."""
 FOOT = 0.15
-"""Standard deviation of the distance, in the picture, at which points of a mover tell of its foot: of the root of its area."""
+"""Standard deviation of the distance, in the picture, at which points of an object tell of its foot: of the root of its area."""
 
 
 @dataclass(frozen=True)
 class Feet:
-    """Where a mover would touch the ground in the T frames of a clip.
+    """Where an object would touch the ground in the T frames of a clip.
 
     Attributes:
         bounds: [T] what each frame says of it.
-        log_depth: [T] logarithm of the depth of the mover's middle there; NaN where a frame says nothing.
+        log_depth: [T] logarithm of the depth of the object's middle there; NaN where a frame says nothing.
         visible: [T] bool: its lowest pixels are seen.
         ground_seen: [T] bool: the ground is seen there, and not only supposed to go on.
-        frames: in how many frames the mover is seen.
+        frames: in how many frames the object is seen.
     """
 
     bounds: Sequence[Bound | None]
@@ -56,7 +56,7 @@ class Feet:
 
     @classmethod
     def of(cls, bounds: Sequence[Bound | None], frames: int) -> Feet:
-        """Those of a mover that is seen in so many ``frames``."""
+        """Those of an object that is seen in so many ``frames``."""
         return cls(
             bounds,
             np.array([np.nan if bound is None else bound.log_depth for bound in bounds]),
@@ -76,7 +76,7 @@ class Feet:
 
 
 def unevenness(bounds: np.ndarray, visible: np.ndarray, frames: int) -> float:
-    """How much the bounds [T] of a mover change over time; inf where its feet are seen in too few of the ``frames``."""
+    """How much the bounds [T] of an object change over time; inf where its feet are seen in too few of the ``frames``."""
     seen = bounds[visible & np.isfinite(bounds)]
     if len(seen) < max(FEWEST_BOUNDS, MOSTLY * frames):
         return np.inf
@@ -85,7 +85,7 @@ def unevenness(bounds: np.ndarray, visible: np.ndarray, frames: int) -> float:
 
 
 def contact_cue(bounds: np.ndarray, visible: np.ndarray, frames: int) -> Cue | None:
-    """That a mover stands on the ground: its bounds [T] hardly change over time.
+    """That an object stands on the ground: its bounds [T] hardly change over time.
 
     Args:
         visible: [T] whether its feet are.
@@ -98,7 +98,7 @@ def contact_cue(bounds: np.ndarray, visible: np.ndarray, frames: int) -> Cue | N
 
 
 def settled(above: np.ndarray, visible: np.ndarray) -> np.ndarray:
-    """[T] what brings the course of a mover that stands to the ground over time.
+    """[T] what brings the course of an object that stands to the ground over time.
 
     A course that only its size tells is some percent off over time, where feet are seen to one or two.
 
@@ -118,7 +118,7 @@ def unsurer(cue: Cue) -> Cue:
 
 
 def thrown_cue(bounds: np.ndarray, thrown: np.ndarray) -> Cue | None:
-    """That a mover touched the ground in the frames in which its own path was thrown up.
+    """That an object touched the ground in the frames in which its own path was thrown up.
 
     Thin tips of a mask and feet that something hides put a bound too far, so the nearest of them speaks.
 
@@ -133,7 +133,7 @@ def thrown_cue(bounds: np.ndarray, thrown: np.ndarray) -> Cue | None:
 
 
 def foot_offset(lowest: np.ndarray, front: np.ndarray, pixels: np.ndarray, offsets: np.ndarray, sigma: np.ndarray) -> float:
-    """By how much, in ln, the lowest pixels of a mover are farther than its upright card in one frame.
+    """By how much, in ln, the lowest pixels of an object are farther than its upright card in one frame.
 
     They lie on its rim, where a round body is farther than its front; its points correct that.
 
@@ -152,7 +152,7 @@ def foot_offset(lowest: np.ndarray, front: np.ndarray, pixels: np.ndarray, offse
 
 
 def bounce_cue(bounds: np.ndarray) -> Cue | None:
-    """That a mover touched the ground for moments: its bounds [T] have sharp minima, where it bounced.
+    """That an object touched the ground for moments: its bounds [T] have sharp minima, where it bounced.
 
     Between bounces what is thrown falls towards the ground ever faster, so the bounds are concave there. What swings or flies
     past has a smooth minimum.

@@ -1,4 +1,4 @@
-"""How the distance of a mover changes over time, but for a constant: by the motion of its points or by its size in the pictures."""
+"""How the distance of an object changes over time, but for a constant: by the motion of its points or by its size in the pictures."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from flowsplat.priors.objects.contact_cues import FLAT, Feet
 from flowsplat.priors.objects.distance import Cue
 from flowsplat.priors.objects.path import Law, WorldPath, constant_height, pivot
 from flowsplat.priors.objects.relief import ReliefPoints, place_points
-from flowsplat.priors.objects.rematching import MoverPictures, rematched
+from flowsplat.priors.objects.rematching import ObjectPictures, rematched
 from flowsplat.priors.objects.rigid import Observations, RigidMotion, longest, solve_rigid
 
 FEWEST_TRACKS, FEWEST_FRAMES = 16, 10
@@ -23,7 +23,7 @@ SPLIT_HALF = 0.04
 """Standard deviation over time between ln z of two solutions from halves of the tracks, above which none is believed."""
 INLIERS = 0.7
 RIGID_SHARE = 0.85
-"""Share of all observations on a mover that its motion explains from which it does not bend, so that its points have one shape."""
+"""Share of all observations on an object that its motion explains from which it does not bend, so that its points have one shape."""
 PER_FRAME = (50, 180)
 """Tracks in a frame that the motion is solved from, the longest first; half of them for either half. Both are tried."""
 FLOOR = {"pivot": 0.02, "height": 0.03}
@@ -35,8 +35,8 @@ CONTRADICTED = 0.15
 
 
 @dataclass(frozen=True)
-class MoverTracks:
-    """What is seen of one mover in the T training frames.
+class ObjectTracks:
+    """What is seen of one object in the T training frames.
 
     Attributes:
         positions: [N, T, 2] pixels of its tracks, where ``inside`` [N, T].
@@ -58,7 +58,7 @@ class MoverTracks:
 
 
 class PlacedMotion(NamedTuple):
-    """A motion of a mover's own, as a course.
+    """A motion of an object's own, as a course.
 
     ``log_depth`` [T]: logarithm of the depth of its middle, but for its distance; ``points``: of it; ``share``: of all observations
     on it that the motion explains.
@@ -71,7 +71,7 @@ class PlacedMotion(NamedTuple):
 
 @dataclass(frozen=True)
 class Course:
-    """How a mover goes.
+    """How an object goes.
 
     Attributes:
         log_depth: [T] logarithm of the depth of its middle, but for a constant; NaN where it is not seen.
@@ -96,9 +96,9 @@ class Course:
 
 
 def solve_course(
-    tracks: MoverTracks, log_cards: np.ndarray, feet: Feet, ground: Ground | None, pictures: MoverPictures | None
+    tracks: ObjectTracks, log_cards: np.ndarray, feet: Feet, ground: Ground | None, pictures: ObjectPictures | None
 ) -> Course:
-    """The course of one mover.
+    """The course of one object.
 
     Args:
         log_cards: [T] logarithm of the depth of its card, NaN where it is not seen: the course where no motion is believed.
@@ -126,7 +126,7 @@ def solve_course(
 
 
 def _refined(
-    motion: RigidMotion, placed: PlacedMotion, tracks: MoverTracks, seen: np.ndarray, pictures: MoverPictures
+    motion: RigidMotion, placed: PlacedMotion, tracks: ObjectTracks, seen: np.ndarray, pictures: ObjectPictures
 ) -> tuple[RigidMotion, PlacedMotion]:
     """The motion by points that are matched anew in the pictures, where that is of the same body; else the same as before."""
     again = rematched(motion, tracks.positions, tracks.inside, pictures)
@@ -143,7 +143,7 @@ def _refined(
 
 
 def _weak_course(
-    motions: Sequence[RigidMotion], tracks: MoverTracks, by_growth: np.ndarray, seen: np.ndarray, feet: Feet
+    motions: Sequence[RigidMotion], tracks: ObjectTracks, by_growth: np.ndarray, seen: np.ndarray, feet: Feet
 ) -> np.ndarray:
     """[T] the course of what bends: by its growth, or by a motion that explains part of it, if only by that its feet keep to the
     ground."""
@@ -155,7 +155,7 @@ def _weak_course(
 
 
 def rigid_motions(positions: np.ndarray, inside: np.ndarray, K: np.ndarray) -> tuple[RigidMotion | None, list[RigidMotion]]:
-    """The motion of a mover from its tracks, if both halves of them tell the same, else None; and all that was found."""
+    """The motion of an object from its tracks, if both halves of them tell the same, else None; and all that was found."""
     if len(inside) < FEWEST_TRACKS or inside.any(0).sum() < FEWEST_FRAMES:
         return None, []
 
@@ -196,8 +196,8 @@ def accepted_laws(path: WorldPath, normal: np.ndarray | None) -> tuple[dict[str,
     return cues, laws
 
 
-def placed_motion(motion: RigidMotion, tracks: MoverTracks) -> PlacedMotion | None:
-    """The course by a motion of a mover's own; None where it tells of no frame."""
+def placed_motion(motion: RigidMotion, tracks: ObjectTracks) -> PlacedMotion | None:
+    """The course by a motion of an object's own; None where it tells of no frame."""
     points, share = place_points(motion, Observations.of_tracks(tracks.positions, tracks.inside, tracks.K), tracks.K)
     found = middle_depths(points, tracks.middles, tracks.cameras, tracks.normal)
     known = np.isfinite(found)
@@ -207,7 +207,7 @@ def placed_motion(motion: RigidMotion, tracks: MoverTracks) -> PlacedMotion | No
 
 
 def middle_depths(points: ReliefPoints, middles: np.ndarray, cameras: Sequence[Camera], normal: np.ndarray) -> np.ndarray:
-    """[T] logarithm of the depth of a mover's middle: of an upright card through its points; NaN of fewer than three."""
+    """[T] logarithm of the depth of an object's middle: of an upright card through its points; NaN of fewer than three."""
     result = np.full(len(cameras), np.nan)
     for t in range(len(cameras)):
         here = points.frame_of == t

@@ -1,4 +1,4 @@
-"""What is known about each mover, for people and for ``metrics.json``: how far away it is, what tells it, and how sure it is."""
+"""What is known about each object, for people and for ``metrics.json``: how far away it is, what tells it, and how sure it is."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flowsplat.priors.objects.areas import large_movers
-from flowsplat.priors.objects.movers import Mover
-from flowsplat.priors.objects.storage import SceneMovers
+from flowsplat.priors.objects.areas import large_objects
+from flowsplat.priors.objects.solving import DynamicObject
+from flowsplat.priors.objects.storage import SceneObjects
 from flowsplat.scenes import Scene
 
 HALF_PIXEL = 0.5
-"""Pixels that a mover may be off when it is seen from aside."""
+"""Pixels that an object may be off when it is seen from aside."""
 
 WORDS = {
     "contact": "stands on the ground",
@@ -29,8 +29,8 @@ GUESS = "nothing: a guess"
 
 
 @dataclass(frozen=True)
-class MoverDescription:
-    """One mover.
+class ObjectDescription:
+    """One object.
 
     Attributes:
         number: in the masks.
@@ -57,7 +57,7 @@ class MoverDescription:
 
 
 def sureness(sigmas: Sequence[float], guesses: int = 0) -> str:
-    """How sure the distances of movers are, behind "the distances of movers are": "sure to 7%", "sure to 7% to 15%, 2 guesses".
+    """How sure the distances of objects are, behind "the distances of objects are": "sure to 7%", "sure to 7% to 15%, 2 guesses".
 
     Args:
         sigmas: of the natural logarithm of the distances that something speaks for.
@@ -70,31 +70,31 @@ def sureness(sigmas: Sequence[float], guesses: int = 0) -> str:
     return f"{known}, {guesses} of them a guess" if sigmas else "a guess"
 
 
-def describe_movers(scene: Scene, found: SceneMovers) -> list[MoverDescription]:
-    """Of every mover that is seen in a training frame, in the order of their numbers."""
+def describe_objects(scene: Scene, found: SceneObjects) -> list[ObjectDescription]:
+    """Of every object that is seen in a training frame, in the order of their numbers."""
     focal = float(scene.cameras[scene.train_frames[0]].K[0, 0])
-    return [_described(mover, focal) for mover in sorted(found.movers, key=lambda each: each.number) if _seen(mover).any()]
+    return [_described(obj, focal) for obj in sorted(found.objects, key=lambda each: each.number) if _seen(obj).any()]
 
 
-def _seen(mover: Mover) -> np.ndarray:
-    return np.isfinite(mover.log_depth)
+def _seen(obj: DynamicObject) -> np.ndarray:
+    return np.isfinite(obj.log_depth)
 
 
-def _described(mover: Mover, focal: float) -> MoverDescription:
-    seen = _seen(mover)
-    depth, sigma = float(np.exp(np.median(mover.log_depth[seen]))), float(mover.sigma)
+def _described(obj: DynamicObject, focal: float) -> ObjectDescription:
+    seen = _seen(obj)
+    depth, sigma = float(np.exp(np.median(obj.log_depth[seen]))), float(obj.sigma)
     step = HALF_PIXEL * depth / (focal * max(sigma, 1e-6))
-    return MoverDescription(mover.number, int(seen.sum()), depth, sigma, sorted(mover.cues), mover.rigid, step)
+    return ObjectDescription(obj.number, int(seen.sum()), depth, sigma, sorted(obj.cues), obj.rigid, step)
 
 
-def mover_figures(scene: Scene, found: SceneMovers) -> list[dict[str, object]]:
+def object_figures(scene: Scene, found: SceneObjects) -> list[dict[str, object]]:
     """The same as JSON: depth and step both in the units of the cameras and in median depths of the scene; ``small``: a part."""
-    unit, large = scene.similarity.scale, large_movers(scene)
+    unit, large = scene.similarity.scale, large_objects(scene)
     return [
         {
             "number": m.number, "small": m.number not in large, "frames": m.frames,
             "depth": m.depth, "depth_in_scenes": m.depth * unit, "sigma": m.sigma,
             "cues": list(m.cues), "rigid": m.rigid, "largest_step": m.largest_step, "largest_step_in_scenes": m.largest_step * unit,
         }
-        for m in describe_movers(scene, found)
+        for m in describe_objects(scene, found)
     ]  # fmt: skip

@@ -1,6 +1,6 @@
-"""How far away a mover is: a posterior over ln s from everything that ties it to the still world.
+"""How far away an object is: a posterior over ln s from everything that ties it to the still world.
 
-Frames of one camera leave one number open for every mover, its distance at a time of one's choice; scaling it about the
+Frames of one camera leave one number open for every object, its distance at a time of one's choice; scaling it about the
 camera changes no picture. Each cue that ties it to the world has its own noise, a gate, and a chance to be wrong.
 """
 
@@ -14,7 +14,7 @@ import numpy as np
 STEP, NEAR, FAR = 0.005, -3.0, 3.0
 """The grid of ln s about the guess."""
 CARD_SIGMA, CARD_TAIL, CARD_WRONG = 0.25, 1.2, 0.4
-"""Of the guess that every mover has, where the scene behind it ends: its standard deviation, mostly, and that of
+"""Of the guess that every object has, where the scene behind it ends: its standard deviation, mostly, and that of
 the rest."""
 GROUND_SIGMA = 0.25
 """Of the guess by where it would touch the ground."""
@@ -56,7 +56,7 @@ def combine(guess: float, cues: Mapping[str, Cue], bounds: Sequence[float], near
     Args:
         guess: ln s if nothing else is known.
         cues: those that passed their gates.
-        bounds: ln s beyond which the mover would be behind what it hides.
+        bounds: ln s beyond which the object would be behind what it hides.
         near_ground: ln s a little nearer than where it would touch the ground.
     """
     told = [guess, *(cue.log_scale for cue in cues.values()), *([] if near_ground is None else [near_ground])]

@@ -1,7 +1,7 @@
-"""What the user knows of a mover's distance: where it touches what is still, and what is as far away as it.
+"""What the user knows of an object's distance: where it touches what is still, and what is as far away as it.
 
 ``--touch x,y@frame``: what is seen there touches the still scene, or the ground, right behind it. ``--distance x,y@frame=x2,y2``:
-it is as far away as the still point seen at x2,y2 of that frame. One hint places its mover over the whole clip, for its course
+it is as far away as the still point seen at x2,y2 of that frame. One hint places its object over the whole clip, for its course
 over time is known up to one factor.
 """
 
@@ -18,8 +18,8 @@ from flowsplat.priors.background.ground import Ground
 from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.static_depth import StaticDepth
 from flowsplat.priors.objects.distance import Cue
-from flowsplat.priors.objects.movers import Mover
-from flowsplat.priors.objects.storage import SceneMovers
+from flowsplat.priors.objects.solving import DynamicObject
+from flowsplat.priors.objects.storage import SceneObjects
 from flowsplat.priors.prompts import parse_place
 from flowsplat.scenes import Scene
 
@@ -30,7 +30,7 @@ WRONG = 0.02
 SAME_SURFACE = 0.15
 """In ln: where the ground is this close to the still scene behind a pixel, it is what is touched, and the surer of both."""
 NEAR = 0.02
-"""Share of the picture's long side within which a hint that misses a mover still means it."""
+"""Share of the picture's long side within which a hint that misses an object still means it."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Hint:
         text: as it was given.
         kind: touch or distance.
         frame: of the clip.
-        place: x, y in pixels of the frames, on the mover.
+        place: x, y in pixels of the frames, on the object.
         still: x, y of the still point that is as far away; None for a touch.
     """
 
@@ -76,9 +76,9 @@ def parse_hints(touch: Sequence[str], distance: Sequence[str], scene: Scene) -> 
 
 
 def with_hints(
-    clip: MatchedClip, background: StaticDepth, grounds: Mapping[int, Ground | None], found: SceneMovers, hints: Sequence[Hint]
-) -> SceneMovers:
-    """The movers, those of hints where the hints say.
+    clip: MatchedClip, background: StaticDepth, grounds: Mapping[int, Ground | None], found: SceneObjects, hints: Sequence[Hint]
+) -> SceneObjects:
+    """The objects, those of hints where the hints say.
 
     Args:
         grounds: of every piece of the clip.
@@ -90,33 +90,33 @@ def with_hints(
     for hint in hints:
         number, offset = _offset(clip, background, grounds, found, hint)
         told.setdefault(number, []).append((hint.kind, offset))
-    movers = [_placed(mover, told[mover.number]) if mover.number in told else mover for mover in found.movers]
-    return replace(found, movers=movers)
+    objects = [_placed(obj, told[obj.number]) if obj.number in told else obj for obj in found.objects]
+    return replace(found, objects=objects)
 
 
-def _placed(mover: Mover, told: Sequence[tuple[str, float]]) -> Mover:
+def _placed(obj: DynamicObject, told: Sequence[tuple[str, float]]) -> DynamicObject:
     weights = np.array([1 / SIGMA[kind] ** 2 for kind, _ in told])
     offsets = np.array([offset for _, offset in told])
     offset = float(np.average(offsets, weights=weights))
     # Hints that differ tell that the course between them is off, or a hint.
     sigma = float(np.hypot(1 / np.sqrt(weights.sum()), np.std(offsets)))
     cues = {kind: Cue(offset, sigma, WRONG) for kind in sorted({kind for kind, _ in told})}
-    points = replace(mover.points, log_depth=mover.points.log_depth + offset)
-    return replace(mover, log_depth=mover.log_depth + offset, sigma=sigma, cues=cues, points=points)
+    points = replace(obj.points, log_depth=obj.points.log_depth + offset)
+    return replace(obj, log_depth=obj.log_depth + offset, sigma=sigma, cues=cues, points=points)
 
 
 def _offset(
-    clip: MatchedClip, background: StaticDepth, grounds: Mapping[int, Ground | None], found: SceneMovers, hint: Hint
+    clip: MatchedClip, background: StaticDepth, grounds: Mapping[int, Ground | None], found: SceneObjects, hint: Hint
 ) -> tuple[int, float]:
-    """Which mover a hint is about, and by how much in ln it is farther away than it was placed."""
+    """Which object a hint is about, and by how much in ln it is farther away than it was placed."""
     scene, k = clip.scene, clip.scene.train_frames.index(hint.frame)
     mask, camera = scene.mask(hint.frame), scene.cameras[hint.frame]
-    x, y = _on_mover(mask, found, k, hint, NEAR * max(scene.width, scene.height))
+    x, y = _on_object(mask, found, k, hint, NEAR * max(scene.width, scene.height))
     number = int(mask[y, x])
-    mover = next(each for each in found.movers if each.number == number)
+    obj = next(each for each in found.objects if each.number == number)
     inside = mask == number
     depths = np.zeros(mask.shape)
-    depths[inside] = mover.depth(k, inside, scene.frame(hint.frame), camera, found.normal)
+    depths[inside] = obj.depth(k, inside, scene.frame(hint.frame), camera, found.normal)
     plate = 1 / np.maximum(background.plate(k), 1e-9)
 
     def still(u: float, v: float) -> float:
@@ -138,13 +138,13 @@ def _offset(
     return number, float(np.log(depth / depths[y, x]))
 
 
-def _on_mover(mask: np.ndarray, found: SceneMovers, k: int, hint: Hint, reach: float) -> tuple[int, int]:
-    """Column and row of the pixel of a mover that a hint means.
+def _on_object(mask: np.ndarray, found: SceneObjects, k: int, hint: Hint, reach: float) -> tuple[int, int]:
+    """Column and row of the pixel of an object that a hint means.
 
     Raises:
-        InputError: no mover is near.
+        InputError: no object is near.
     """
-    here = [m.number for m in found.movers if np.isfinite(m.log_depth[k])]
+    here = [m.number for m in found.objects if np.isfinite(m.log_depth[k])]
     y, x = np.nonzero(np.isin(mask, here))
     if len(x) == 0:
         raise InputError(f"--{hint.text}: nothing moves in frame {hint.frame}.")
@@ -153,5 +153,5 @@ def _on_mover(mask: np.ndarray, found: SceneMovers, k: int, hint: Hint, reach: f
     if away[best] > max(reach, 1.0):
         numbers = mask[y, x]
         places = [f"{n} about {np.median(x[numbers == n]):.0f},{np.median(y[numbers == n]):.0f}" for n in np.unique(numbers)]
-        raise InputError(f"--{hint.text}: nothing moves there; in frame {hint.frame} there are movers {', '.join(places)}.")
+        raise InputError(f"--{hint.text}: nothing moves there; in frame {hint.frame} there are objects {', '.join(places)}.")
     return int(x[best]), int(y[best])

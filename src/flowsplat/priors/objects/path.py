@@ -1,4 +1,4 @@
-"""The path of a rigid mover through the world, known up to its distance, and what that path says about the distance.
+"""The path of a rigid object through the world, known up to its distance, and what that path says about the distance.
 
 In world axes r_t = W_t^T tau_t and R_t = W_t^T Q_t (W_t: the camera's rotation), and a body point q is at
 X_t = C_t + s (r_t + R_t q). Only s is unknown. With w = 1 / s every statement that some point of the body obeys a law in
@@ -34,7 +34,7 @@ FEWEST_CURVED = 8
 
 @dataclass(frozen=True)
 class WorldPath:
-    """Relative positions and turns of a mover, in its own unit of length.
+    """Relative positions and turns of an object, in its own unit of length.
 
     Attributes:
         frames: [F] positions in the clip.

@@ -1,4 +1,4 @@
-"""The depth of every pixel of a mover: an upright card, and what its points stand out of it."""
+"""The depth of every pixel of an object: an upright card, and what its points stand out of it."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from flowsplat.priors.objects.rigid import INLIER, NEAREST, RESIDUAL_WIDTH, Obse
 from flowsplat.priors.objects.rigid_equations import derivatives
 
 ROUND = 0.75
-"""How deep the front of a mover is expected to be, in units of a ball's of its width."""
+"""How deep the front of an object is expected to be, in units of a ball's of its width."""
 DISCS = 0.8 ** np.arange(9)
-"""Radii of the discs that are tried, in units of the largest one inside a mover."""
+"""Radii of the discs that are tried, in units of the largest one inside an object."""
 DEEPEST = 0.6
 """Standard deviation of the relief that is expected, in units of the object's half width."""
 SMOOTHNESS = 60.0
@@ -31,7 +31,7 @@ _ITERATIONS = 6
 
 @dataclass(frozen=True)
 class ReliefPoints:
-    """Logarithm of depth at points of a mover, by observation.
+    """Logarithm of depth at points of an object, by observation.
 
     Attributes:
         frame_of: [M] position of the frame.
@@ -52,7 +52,7 @@ class ReliefPoints:
 
 
 def place_points(motion: RigidMotion, observations: Observations, K: np.ndarray) -> tuple[ReliefPoints, float]:
-    """All points of a mover, also those that its motion was not found from, with its poses held.
+    """All points of an object, also those that its motion was not found from, with its poses held.
 
     Returns:
         The points, and the share of all observations that lie where the motion puts them: limbs that move on their own do not.
@@ -94,7 +94,7 @@ def roundness(mask: np.ndarray, focal: float) -> np.ndarray:
     Each pixel lies on the largest disc inside the outline that holds it: limbs are thin, bodies thick.
 
     Args:
-        mask: bool [H, W] of the mover.
+        mask: bool [H, W] of the object.
         focal: pixels.
     """
     result = np.zeros(mask.shape, np.float32)
@@ -102,7 +102,7 @@ def roundness(mask: np.ndarray, focal: float) -> np.ndarray:
     if len(y) == 0:
         return result
     y0, y1, x0, x1 = y.min(), y.max() + 1, x.min(), x.max() + 1
-    # Where the border of the picture cuts a mover, it goes on.
+    # Where the border of the picture cuts an object, it goes on.
     inside = mask[y0:y1, x0:x1].astype(np.uint8)
     above, left = int(y0 > 0), int(x0 > 0)
     padded = np.pad(inside, ((above, int(y1 < mask.shape[0])), (left, int(x1 < mask.shape[1]))))
@@ -123,7 +123,7 @@ def relief(
     """Offsets of ln depth [H, W] float32 from the card's, smoothed along the picture's edges and held by their expectation, 0.
 
     Args:
-        mask: bool [H, W] of the mover.
+        mask: bool [H, W] of the object.
         picture: uint8, RGB [H, W, 3] or gray [H, W].
         pixels: [N, 2] where offsets [N] with standard deviation sigma [N] are known.
         expected: standard deviation of the relief.
@@ -140,7 +140,7 @@ def relief(
     np.add.at(weights, (row, column), weight)
     np.add.at(sums, (row, column), weight * offsets)
     smoother = EdgeSmoother(picture[y0:y1, x0:x1], SMOOTHNESS, COLOR_SIGMA)
-    # One expectation for each patch as wide as a quarter of the mover.
+    # One expectation for each patch as wide as a quarter of the object.
     patch = max(1.0, len(y) / 16)
     held = 1 / (expected**2 * patch)
     local = smoother.filter(sums) / (smoother.filter(weights) + held)

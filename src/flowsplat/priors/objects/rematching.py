@@ -1,6 +1,6 @@
-"""Points of a rigid mover matched anew, over as many frames as show them.
+"""Points of a rigid object matched anew, over as many frames as show them.
 
-Tracks go from frame to frame, so on a mover they are short and drift: on the rendered scenes they live for 11 to 17 of 48 frames
+Tracks go from frame to frame, so on an object they are short and drift: on the rendered scenes they live for 11 to 17 of 48 frames
 and are .15 px off after four frames and .5 to 1 px after eight. Once its motion is roughly known, it tells where each point lies
 in every frame and how its surroundings look there. What is matched then is the point's own picture, so nothing adds up: a
 warp by the surface as far as it is known, and a shift by Gauss-Newton on differences of brightness (Lucas and Kanade, IJCAI 1981;
@@ -25,7 +25,7 @@ from flowsplat.priors.objects.rigid import NEAREST, Observations, RigidMotion, r
 RADIUS = 4
 """Pixels of a point's surroundings to either side."""
 MOST_POINTS = 700
-"""Points of a mover that are matched."""
+"""Points of an object that are matched."""
 ROUNDS = 2
 """The second time the motion and the surface are better known."""
 LIKENESS = 0.85
@@ -37,12 +37,12 @@ SUREST = 0.25
 STEEPEST = 0.25
 """Cosine between the surface's normal and the line of sight from which a frame shows a point."""
 COVERED = 0.6
-"""Share of the surroundings that has to lie on the mover in both frames."""
+"""Share of the surroundings that has to lie on the object in both frames."""
 FEWEST_MATCHES = 6
 """Frames of a point from which it counts."""
 FEWEST_POINTS = 16
 ENOUGH = 12
-"""Matched points of a frame below which tracks help out: where a mover leaves the picture, hardly any point is seen often."""
+"""Matched points of a frame below which tracks help out: where an object leaves the picture, hardly any point is seen often."""
 SMOOTHED = 0.6
 """Pixels: standard deviation of the blur before pictures are read between pixels."""
 GATES = np.array([LIKENESS, FARTHEST, SUREST, STEEPEST, COVERED])
@@ -53,8 +53,8 @@ _FRAME_NOISE = 2.0
 
 
 @dataclass(frozen=True)
-class MoverPictures:
-    """What the training frames show of one mover.
+class ObjectPictures:
+    """What the training frames show of one object.
 
     Attributes:
         gray: [T, H, W] uint8 of ``gray``.
@@ -71,7 +71,7 @@ class MoverPictures:
     normal: np.ndarray
 
     def surface(self, k: int, points: ReliefPoints, expected: float) -> np.ndarray:
-        """ln depth [H, W] float32 of the mover in training frame k, up to a constant, as far as its points tell."""
+        """ln depth [H, W] float32 of the object in training frame k, up to a constant, as far as its points tell."""
         mask, camera = self.masks[k], self.cameras[k]
         result = np.zeros(mask.shape, np.float32)
         y, x = np.nonzero(mask)
@@ -88,13 +88,13 @@ class MoverPictures:
             column, row = np.clip(pixels.astype(int), 0, [mask.shape[1] - 1, mask.shape[0] - 1]).T
             offsets = points.log_depth[here] - result[row, column]
             result += relief(mask, self.gray[k], pixels, offsets - np.median(offsets), points.sigma[here], expected)
-        # What is read between the last pixels of the mover and those beside it belongs to the mover.
+        # What is read between the last pixels of the object and those beside it belongs to the object.
         result[~mask] = result[mask].max()
         return result
 
 
 def rematched(
-    motion: RigidMotion, positions: np.ndarray, inside: np.ndarray, pictures: MoverPictures
+    motion: RigidMotion, positions: np.ndarray, inside: np.ndarray, pictures: ObjectPictures
 ) -> tuple[RigidMotion, np.ndarray, np.ndarray] | None:
     """A motion from points that are matched anew, and those.
 
@@ -129,15 +129,15 @@ def rematch(
     motion: RigidMotion, points: np.ndarray, positions: np.ndarray, inside: np.ndarray, pictures: np.ndarray,
     masks: np.ndarray, surface: Callable[[int], np.ndarray], K: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Matches of the points of a mover in all frames that show them.
+    """Matches of the points of an object in all frames that show them.
 
     Args:
-        motion: of the mover, as far as it is known.
+        motion: of the object, as far as it is known.
         points: [N, 3] of the tracks in the object's frame, NaN where there is none.
         positions: [N, T, 2] pixels of the tracks, where ``inside`` [N, T].
         pictures: [T, H, W] of ``gray``.
-        masks: [T, H, W] bool, of the mover.
-        surface: gives ln depth [H, W] float32 of the mover in training frame k, up to a constant.
+        masks: [T, H, W] bool, of the object.
+        surface: gives ln depth [H, W] float32 of the object in training frame k, up to a constant.
         K: [3, 3] of all frames.
 
     Returns:

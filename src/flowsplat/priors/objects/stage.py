@@ -1,4 +1,4 @@
-"""The object stage: how each mover moves, and how far away it is (METHOD 10)."""
+"""The object stage: how each object moves, and how far away it is (METHOD 10)."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from flowsplat.priors.background.ground import Ground, find_ground, static_point
 from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.static_depth import Background, StaticDepth, static_depth
 from flowsplat.priors.flow import FlowEstimator, dis_estimator
-from flowsplat.priors.objects.areas import large_movers
+from flowsplat.priors.objects.areas import large_objects
 from flowsplat.priors.objects.card import cards_of
 from flowsplat.priors.objects.contact import Bound, ground_bound, middle_of
 from flowsplat.priors.objects.hints import Hint, with_hints
-from flowsplat.priors.objects.identity import identify_movers
-from flowsplat.priors.objects.movers import solve_mover, tracks_of_movers
+from flowsplat.priors.objects.identity import identify_objects
 from flowsplat.priors.objects.relief import roundness
-from flowsplat.priors.objects.rematching import MoverPictures, gray
-from flowsplat.priors.objects.storage import SceneMovers, save_movers
+from flowsplat.priors.objects.rematching import ObjectPictures, gray
+from flowsplat.priors.objects.solving import solve_object, tracks_of_objects
+from flowsplat.priors.objects.storage import SceneObjects, save_objects
 from flowsplat.scenes import Scene
 
 SMALLEST = 20
-"""Pixels of a mover from which a frame tells of it."""
+"""Pixels of an object from which a frame tells of it."""
 GROUND_FRAMES = 16
 """Frames of a piece that the ground is found in."""
 
@@ -33,7 +33,7 @@ def objects_stage(
     scene: Scene, estimate: FlowEstimator = dis_estimator, static: tuple[MatchedClip, StaticDepth] | None = None,
     hints: Sequence[Hint] = (),
 ) -> None:  # fmt: skip
-    """Course, relief and distance of every numbered mover. Needs cameras, flow, masks and tracks.
+    """Course, relief and distance of every numbered object. Needs cameras, flow, masks and tracks.
 
     The numbers of masks of our own are rewritten first, by common motion.
 
@@ -45,25 +45,25 @@ def objects_stage(
     Raises:
         InputError: a hint does not fit the clip.
     """
-    identify_movers(scene)
+    identify_objects(scene)
     clip = static[0] if static else MatchedClip(scene, estimate)
-    found = find_movers(clip, static[1] if static else static_depth(clip, has_masks=True), hints)
-    save_movers(scene, found)
-    large = large_movers(scene)
-    movers = [mover for mover in found.movers if mover.number in large]
-    rigid, tied = sum(mover.rigid for mover in movers), sum(bool(mover.cues) for mover in movers)
-    count, small = len(movers), len(found.movers) - len(movers)
-    verdict = f"{count} mover{'s' if count != 1 else ''}, {rigid} of them rigid, {tied} tied to the still scene"
+    found = find_objects(clip, static[1] if static else static_depth(clip, has_masks=True), hints)
+    save_objects(scene, found)
+    large = large_objects(scene)
+    objects = [obj for obj in found.objects if obj.number in large]
+    rigid, tied = sum(obj.rigid for obj in objects), sum(bool(obj.cues) for obj in objects)
+    count, small = len(objects), len(found.objects) - len(objects)
+    verdict = f"{count} object{'s' if count != 1 else ''}, {rigid} of them rigid, {tied} tied to the still scene"
     if small:
         verdict += f"; {small} small part{'s' * (small > 1)}"
     scene.finish_prior(
-        "objects", method="motion", verdict=verdict, movers=count, small=small, rigid=rigid, tied=tied,
+        "objects", method="motion", verdict=verdict, objects=count, small=small, rigid=rigid, tied=tied,
         hints=[hint.text for hint in hints],
     )  # fmt: skip
 
 
-def find_movers(clip: MatchedClip, background: StaticDepth, hints: Sequence[Hint] = ()) -> SceneMovers:
-    """The movers of a clip.
+def find_objects(clip: MatchedClip, background: StaticDepth, hints: Sequence[Hint] = ()) -> SceneObjects:
+    """The objects of a clip.
 
     Raises:
         InputError: a hint does not fit it.
@@ -89,14 +89,14 @@ def find_movers(clip: MatchedClip, background: StaticDepth, hints: Sequence[Hint
             if ground is not None:
                 bounds[number][k] = ground_bound(inside, cameras[k], ground, static)
     tracks = scene.tracks
-    on_movers = tracks_of_movers(tracks.points, tracks.visible, scene.mask, frames)
-    grays = np.stack([gray(scene.frame(i)) for i in track(frames, "Pictures of movers")])
-    movers = []
-    for number, values in track(list(cards.items()), "Motion of movers"):
+    on_objects = tracks_of_objects(tracks.points, tracks.visible, scene.mask, frames)
+    grays = np.stack([gray(scene.frame(i)) for i in track(frames, "Pictures of objects")])
+    objects = []
+    for number, values in track(list(cards.items()), "Motion of objects"):
         seen = np.isfinite(values) & np.isfinite(middles[number]).all(1)
         if not seen.any():
             continue
-        chosen, inside = on_movers.get(number, (np.zeros(0, int), np.zeros((0, len(frames)), bool)))
+        chosen, inside = on_objects.get(number, (np.zeros(0, int), np.zeros((0, len(frames)), bool)))
         log_cards = np.where(seen, -np.log(np.where(seen, values, 1)), np.nan)
         home = int(np.bincount(pieces[seen]).argmax())
         positions = tracks.points[chosen][:, frames]
@@ -104,12 +104,12 @@ def find_movers(clip: MatchedClip, background: StaticDepth, hints: Sequence[Hint
         def front(k: int, number: int = number) -> np.ndarray:
             return roundness(scene.mask(frames[k]) == number, float(cameras[k].K[0, 0]))
 
-        shown = MoverPictures(grays, np.stack([scene.mask(i) == number for i in frames]), middles[number], cameras, normal)
-        mover = solve_mover(
+        shown = ObjectPictures(grays, np.stack([scene.mask(i) == number for i in frames]), middles[number], cameras, normal)
+        obj = solve_object(
             number, positions, inside, middles[number], bounds[number], cameras, grounds[home], log_cards, normal, front, shown
         )
-        movers.append(mover)
-    found = SceneMovers(movers, normal, any_ground is not None)
+        objects.append(obj)
+    found = SceneObjects(objects, normal, any_ground is not None)
     return with_hints(clip, background, grounds, found, hints) if hints else found
 
 

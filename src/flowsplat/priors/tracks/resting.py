@@ -1,6 +1,6 @@
 """Points that rest: where cameras and depth say that they are, also while nothing of them was found.
 
-What is no mover moves as the cameras do. So a followed point of the background has one unknown, its distance, and what was
+What is no object moves as the cameras do. So a followed point of the background has one unknown, its distance, and what was
 found of it over the clip tells that far better than each frame alone where the point is. Once it is known, the point's path
 is, too, through every gap. A point whose path fits no distance slipped, or is on something that moves, and is not believed.
 """
@@ -97,7 +97,7 @@ def complete_resting(scene: Scene, points: np.ndarray, confidence: np.ndarray, b
 
 
 def _at_births(scene: Scene, points: np.ndarray, births: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Inverse depth [P] of the pixels at which points are born, and whether movers are there [P]."""
+    """Inverse depth [P] of the pixels at which points are born, and whether objects are there [P]."""
     inverse, moving = np.ones(len(points)), np.zeros(len(points), bool)
     for i in np.unique(births):
         born = np.flatnonzero(births == i)

@@ -16,8 +16,8 @@ from flowsplat.priors.tracks.resting import complete_resting
 from flowsplat.scenes import Scene, Tracks
 
 BACKGROUND_POINTS = 700
-MOVER_POINTS = 1500
-"""About how many points are followed at a time in a picture, and on all its movers."""
+OBJECT_POINTS = 1500
+"""About how many points are followed at a time in a picture, and on all its objects."""
 SHORTEST = 3
 """Frames that a kept track was seen in."""
 
@@ -32,7 +32,7 @@ def tracks_stage(scene: Scene) -> None:
     """
     has_masks = scene.prior("masks") is not None
     seeds = _Seeds(scene, has_masks)
-    table = TrackTable(columns=4)  # x, y, how sure it is, whether it is on a mover
+    table = TrackTable(columns=4)  # x, y, how sure it is, whether it is on an object
     for t, labels, follower in _follow(scene, scene.train_frames, seeds.add, "Tracks"):
         seen = np.flatnonzero(follower.seen)
         points, inside = follower.points[seen], np.zeros((len(seen), 1), np.float32)
@@ -52,7 +52,7 @@ def tracks_stage(scene: Scene) -> None:
 def complete_tracks(scene: Scene) -> None:
     """Give points of the background the paths of resting points, as far as depth tells, and drop what was hardly seen.
 
-    The last step of the tracks: depth needs masks, and movers need tracks.
+    The last step of the tracks: depth needs masks, and objects need tracks.
     """
     tracks = scene.tracks
     points, confidence = complete_resting(scene, tracks.points, tracks.confidence, tracks.visible.argmax(1))
@@ -62,12 +62,12 @@ def complete_tracks(scene: Scene) -> None:
 
 def _finish(scene: Scene, tracks: Tracks, **how: bool) -> None:
     scene.write_tracks(tracks)
-    count, movers = len(tracks.points), int(tracks.moving.sum())
+    count, objects = len(tracks.points), int(tracks.moving.sum())
     length = int(np.median(tracks.visible.sum(1))) if count else 0
     verdict = f"{count} points, followed over {length} frames (median)" if count else "nothing could be followed"
-    if movers:
-        verdict += f", {movers} of them on moving objects"
-    scene.finish_prior("tracks", method="patches", verdict=verdict, tracks=count, moving=movers, median_length=length, **how)
+    if objects:
+        verdict += f", {objects} of them on moving objects"
+    scene.finish_prior("tracks", method="patches", verdict=verdict, tracks=count, moving=objects, median_length=length, **how)
 
 
 def follow_queries(scene: Scene, frames: np.ndarray, points: np.ndarray) -> Tracks:
@@ -144,7 +144,7 @@ class _Seeds:
         points = points[(points >= 0).all(1) & (points[:, 0] < width) & (points[:, 1] < height)]
         corners = corner_strength(image)
         mask = labels > 0 if self._has_masks else np.ones(image.shape, bool)
-        # On movers every cell gets a point, even where nothing is a corner: the flow carries it.
+        # On objects every cell gets a point, even where nothing is a corner: the flow carries it.
         for strength, spacing in ((np.where(mask, corners + 1e-12, 0), self._fine), (np.where(mask, 0, corners), self._coarse)):
             fresh = new_points(strength, points, spacing)
             follower.add(np.arange(self.count, self.count + len(fresh)), fresh, image, labels)
@@ -153,12 +153,12 @@ class _Seeds:
 
 
 def _spacings(scene: Scene, has_masks: bool) -> tuple[int, int]:
-    """Pixels between points: on the background and on movers (everything may move where there are no masks)."""
+    """Pixels between points: on the background and on objects (everything may move where there are no masks)."""
     area = float(scene.width * scene.height)
-    mover_area = area
+    object_area = area
     if has_masks:
         chosen = scene.train_frames[:: max(1, len(scene.train_frames) // 8)]
         areas = [int((scene.mask(t) > 0).sum()) for t in chosen]
-        mover_area = float(np.median([a for a in areas if a > 0] or [scene.width * scene.height]))
+        object_area = float(np.median([a for a in areas if a > 0] or [scene.width * scene.height]))
     coarse = max(3, round((area / BACKGROUND_POINTS) ** 0.5))
-    return coarse, int(np.clip(round((mover_area / MOVER_POINTS) ** 0.5), 3, coarse))
+    return coarse, int(np.clip(round((object_area / OBJECT_POINTS) ** 0.5), 3, coarse))

@@ -4,7 +4,7 @@ Two layouts, both with the cameras in ``poses_bounds.npy`` (LLFF): [N, 17], fift
 world with the axes down, right, back; the fifth column is height, width, focal length), then near and far.
 
 - Raw (NSFF): ``mv_images/{time:05d}/cam{01..12}.jpg``. Camera ``time % 12`` makes the clip; all others are the test at every time,
-  with movers in ``mv_masks/{time:05d}/cam{01..12}.png``.
+  with objects in ``mv_masks/{time:05d}/cam{01..12}.png``.
 - Twelve (DynamicNeRF, RoDynRF): ``images/000.png`` ..., image i is camera i at time i; the test is camera 0 at every time,
   ``v000_t{time:03d}.png``.
 

@@ -30,7 +30,7 @@ SAME_SHAPE = 0.01
 
 @dataclass(frozen=True)
 class PosedPicture:
-    """A picture, its camera at the size of the calibration, and the masks of movers and of what the clip saw, if there are any."""
+    """A picture, its camera at the size of the calibration, and the masks of objects and of what the clip saw, if there are any."""
 
     path: Path
     camera: Camera

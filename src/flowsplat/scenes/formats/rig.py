@@ -11,7 +11,7 @@
 | ``heldout/cameras.json`` | ``K``, ``width``, ``height`` and for each camera ``times``, ``w2c`` |
 | ``heldout/<camera>/00000.png`` | pictures by time; also ``<camera>_masks/`` and ``<camera>_covisible/`` |
 
-The masks are truth, not given masks: a scene without them has to find its movers, and the truth tells how well.
+The masks are truth, not given masks: a scene without them has to find its objects, and the truth tells how well.
 """
 
 from __future__ import annotations

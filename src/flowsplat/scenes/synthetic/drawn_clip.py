@@ -27,7 +27,7 @@ class View:
     Attributes:
         picture: [H, W, 3] uint8 RGB, antialiased.
         depth: [H, W] float64 planar depth in meters at the pixel centers.
-        mask: [H, W] uint8, number of the mover at the pixel center, 0 = static.
+        mask: [H, W] uint8, number of the object at the pixel center, 0 = static.
     """
 
     picture: np.ndarray

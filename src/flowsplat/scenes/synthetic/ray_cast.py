@@ -1,4 +1,4 @@
-"""The truth of a world of which it is known what every ray meets: depth, movers, flow, tracks, and what two cameras both see."""
+"""The truth of a world of which it is known what every ray meets: depth, objects, flow, tracks, and what two cameras both see."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.scenes.layers import Flow, Tracks
 from flowsplat.scenes.scene import HeldoutView
 
-TRACKS_PER_MOVER = 100
-"""True tracks on each mover; the static world gets twice as many."""
+TRACKS_PER_OBJECT = 100
+"""True tracks on each object; the static world gets twice as many."""
 
 BIRTHS = 5
 """Frames whose pixels become true tracks."""
@@ -58,13 +58,13 @@ class RayCastWorld(ABC):
 
     @property
     @abstractmethod
-    def mover_count(self) -> int:
-        """How many movers there are; the first has number 1."""
+    def object_count(self) -> int:
+        """How many objects there are; the first has number 1."""
 
     @property
     @abstractmethod
     def numbers(self) -> np.ndarray:
-        """[P] uint8 to which mover each part belongs, 0 = static."""
+        """[P] uint8 to which object each part belongs, 0 = static."""
 
     @abstractmethod
     def camera(self, i: int) -> Camera:
@@ -87,7 +87,7 @@ class RayCastWorld(ABC):
         return self.cast(camera, time, pixel_grid(camera.width, camera.height).astype(np.float64).reshape(-1, 2))
 
     def seen_by(self, camera: Camera, time: float) -> tuple[np.ndarray, np.ndarray]:
-        """(planar depth [H, W] in meters, number of the mover [H, W] uint8) at the pixel centers of any camera."""
+        """(planar depth [H, W] in meters, number of the object [H, W] uint8) at the pixel centers of any camera."""
         hits = self.cast_pixels(camera, time)
         shape = (camera.height, camera.width)
         return hits.depth.reshape(shape), self.numbers[hits.part].reshape(shape)
@@ -109,13 +109,13 @@ class RayCastWorld(ABC):
         return Flow(i, j, flow.astype(np.float32), visible.reshape(grid.shape[:2]).astype(np.float32))
 
     def tracks(self) -> Tracks:
-        """World points over the whole clip, a hundred on each mover and twice as many on what rests."""
+        """World points over the whole clip, a hundred on each object and twice as many on what rests."""
         return self.tracks_and_owners()[0]
 
     def tracks_and_owners(self) -> tuple[Tracks, np.ndarray]:
-        """World points over the whole clip, and the mover of each [P], 0 = static.
+        """World points over the whole clip, and the object of each [P], 0 = static.
 
-        ``TRACKS_PER_MOVER`` on each mover, fewer where it hardly shows, and twice as many on the static world: random pixels of
+        ``TRACKS_PER_OBJECT`` on each object, fewer where it hardly shows, and twice as many on the static world: random pixels of
         ``BIRTHS`` frames, so that each is visible at least once.
         """
         rng = self.track_rng()
@@ -123,9 +123,9 @@ class RayCastWorld(ABC):
         part, local = np.concatenate([h.part for h in seen]), np.concatenate([h.local for h in seen])
         owners = self.numbers[part]
         chosen = []
-        for number in range(self.mover_count + 1):
+        for number in range(self.object_count + 1):
             candidates = np.flatnonzero(owners == number)
-            count = min(len(candidates), TRACKS_PER_MOVER * (1 if number else 2))
+            count = min(len(candidates), TRACKS_PER_OBJECT * (1 if number else 2))
             chosen.append(rng.choice(candidates, count, replace=False))
         pick = np.concatenate(chosen)
         points = np.empty((len(pick), self.frames, 3), np.float32)

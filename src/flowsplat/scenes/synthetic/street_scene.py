@@ -21,7 +21,7 @@ SEED = 3
 
 @dataclass(frozen=True)
 class StreetScene:
-    """A street with three movers: 1 = someone who walks, 2 = a cart, 3 = a ball that bounces.
+    """A street with three objects: 1 = someone who walks, 2 = a cart, 3 = a ball that bounces.
 
     Fewer frames show less of the same motion; more than three seconds show the same three seconds in more frames. Same
     parameters, same bits.
@@ -80,7 +80,7 @@ class StreetScene:
         return self.world.flow(i, j)
 
     def tracks(self) -> Tracks:
-        """World points over the whole clip, a hundred on each mover and twice as many on what rests."""
+        """World points over the whole clip, a hundred on each object and twice as many on what rests."""
         return self.world.tracks()
 
     def heldout_views(self) -> list[HeldoutView]:

@@ -27,7 +27,7 @@ LIGHT = np.array([-0.45, -0.65, 0.62])
 
 @dataclass(frozen=True)
 class SyntheticScene(RayCastWorld):
-    """A room with three movers: 1 = a spinning block, 2 = a ball on a circle, 3 = an ellipsoid that deforms.
+    """A room with three objects: 1 = a spinning block, 2 = a ball on a circle, 3 = an ellipsoid that deforms.
 
     Everything moves in seconds: fewer or more frames show less or more of the same motion. Same parameters, same bits.
 
@@ -66,12 +66,12 @@ class SyntheticScene(RayCastWorld):
 
     @cached_property
     def numbers(self) -> np.ndarray:
-        """[P] uint8 which mover each body is, 0 = static."""
+        """[P] uint8 which object each body is, 0 = static."""
         return np.array([body.number for body in self.bodies], np.uint8)
 
     @property
-    def mover_count(self) -> int:
-        """How many movers there are."""
+    def object_count(self) -> int:
+        """How many objects there are."""
         return int(self.numbers.max())
 
     def track_rng(self) -> np.random.Generator:

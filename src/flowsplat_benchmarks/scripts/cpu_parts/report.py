@@ -110,7 +110,7 @@ def _training(part: Json) -> str:
     text = f"""## A training step
 
 One frame rendered, differentiated and stepped at {_size(part)} with {_threads(part)}: `Trainer` on a synthetic clip of six frames.
-Of the Gaussians, 40 % are background, always active; 60 % are movers, a sixth of them active in each frame. All losses of the
+Of the Gaussians, 40 % are background, always active; 60 % are objects, a sixth of them active in each frame. All losses of the
 preset take part. Neighbors of the rigid loss are found already, which has to be done again after some hundred steps.
 
 """

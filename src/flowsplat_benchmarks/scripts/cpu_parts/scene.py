@@ -16,10 +16,10 @@ from flowsplat_benchmarks.scripts.cpu_parts.work_load import WorkLoad, work_load
 
 FRAMES = 6
 BACKGROUND = 0.4
-"""Share of the Gaussians that is background, always active. The others are movers, each active around one of the frames: with six
+"""Share of the Gaussians that is background, always active. The others are objects, each active around one of the frames: with six
 frames 0.4 + 0.6 / 6 = one half is active in every frame."""
 REACH = 0.1
-"""How long before and after its center time a mover is active: half the distance of two frames."""
+"""How long before and after its center time an object is active: half the distance of two frames."""
 
 
 def gaussians(config: ModelConfig, count: int, width: int, height: int) -> Gaussians4D:
@@ -82,7 +82,7 @@ def observations(scene: Gaussians4D, width: int, height: int) -> Observations:
                 image=(np.clip(noisy, 0, 1) * 255).astype(np.uint8),
                 depth=np.where(covered, seen.depth.numpy() / divisor, 1).astype(np.float32),
                 depth_trusted=covered,
-                movers=np.zeros((height, width), np.uint8),
+                objects=np.zeros((height, width), np.uint8),
                 forward=flow,
                 backward=None,
             )

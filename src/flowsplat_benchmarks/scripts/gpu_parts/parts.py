@@ -369,7 +369,7 @@ def _moved(gaussians: Gaussians4D, relative: float) -> Gaussians4D:
     """A copy, which training changes; every number by about so much of itself."""
     g, generator = gaussians, torch.Generator().manual_seed(2)
     params = {name: value * (1 + relative * torch.randn(value.shape, generator=generator)) for name, value in g.params.items()}
-    return Gaussians4D(params, g.dynamic.clone(), g.config, g.sh_degree, g.movers)
+    return Gaussians4D(params, g.dynamic.clone(), g.config, g.sh_degree, g.object_ids)
 
 
 def _apart(ours: torch.Tensor, theirs: torch.Tensor, first: torch.Tensor) -> float | None:
@@ -385,7 +385,7 @@ def _pictures(states: Any, truth: Gaussians4D, width: int, height: int) -> dict[
     camera = drawn.cameras(drawn.work_load(1, width, height))[1]
 
     def picture(params: dict[str, torch.Tensor]) -> torch.Tensor:
-        g = Gaussians4D(params, truth.dynamic, truth.config, truth.sh_degree, truth.movers)
+        g = Gaussians4D(params, truth.dynamic, truth.config, truth.sh_degree, truth.object_ids)
         return render(g, camera, 0.2).color
 
     def psnr(one: torch.Tensor, other: torch.Tensor) -> float:

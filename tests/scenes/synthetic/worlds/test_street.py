@@ -43,18 +43,18 @@ def test_fewer_frames_show_the_middle_and_more_show_it_slower():
 def test_nothing_floats_sinks_or_goes_through_anything(seed):
     world = draw_street(seed, frames=73)
     times = np.linspace(0, LASTS, 200)
-    walker, cart, ball = world.movers
-    assert [mover.kind for mover in world.movers] == ["walker", "vehicle", "bouncing"]
-    for mover in world.movers:
-        points, touching = mover.touching(times)
+    walker, cart, ball = world.objects
+    assert [obj.kind for obj in world.objects] == ["walker", "vehicle", "bouncing"]
+    for obj in world.objects:
+        points, touching = obj.touching(times)
         assert points[..., 2].min() > -2e-3
         np.testing.assert_allclose(points[touching][:, 2], 0, atol=2e-3)
     assert walker.touching(times)[1].any(1).all()
     assert cart.touching(times)[1].all()
     assert len(ball.instants) >= 3
-    assert are_apart(world.movers, times, False)
+    assert are_apart(world.objects, times, False)
     stands = world.static[1 + world.ground.boxes :]
-    assert all(apart(placed, mover, times) for placed in stands for mover in world.movers)
+    assert all(apart(placed, obj, times) for placed in stands for obj in world.objects)
 
 
 @pytest.mark.parametrize("seed", SEEDS)

@@ -2,15 +2,15 @@
 
 const FLYING = { KeyW: [0, 0, 1], KeyS: [0, 0, -1], KeyA: [-1, 0, 0], KeyD: [1, 0, 0], KeyQ: [0, -1, 0], KeyE: [0, 1, 0] };
 
-const MOST_MOVERS = 16;  // that can be chosen: those with the most Gaussians
+const MAX_CLUSTERS = 16;  // that can be chosen: those with the most Gaussians
 const DISTANCES = { min: 0.3, max: 3, step: 0.01 };  // times as far from the clip's camera as trained
 
-/** Offer every mover alone, and a slider for the distance of each. */
-function offerMovers(state) {
-  const most = [...state.about.movers].sort((a, b) => b[1] - a[1]).slice(0, MOST_MOVERS);
+/** Offer every object alone, and a slider for the distance of each. */
+function offerObjects(state) {
+  const most = [...state.about.objects].sort((a, b) => b[1] - a[1]).slice(0, MAX_CLUSTERS);
   const numbers = most.map(([number]) => number).sort((a, b) => a - b);
   const sliders = numbers.map((number) => {
-    element("part").add(new Option(`mover ${number}`, `movers:${number}`));
+    element("part").add(new Option(`obj ${number}`, `objects:${number}`));
     const slider = Object.assign(document.createElement("input"), { type: "range", ...DISTANCES, value: 1, id: `distance${number}` });
     const times = Object.assign(document.createElement("output"), { textContent: "1.00" });
     slider.oninput = () => {
@@ -18,7 +18,7 @@ function offerMovers(state) {
       times.textContent = Number(slider.value).toFixed(2);
     };
     const label = document.createElement("label");
-    label.append(`Mover ${number} `, slider, " ", times);
+    label.append(`DynamicObject ${number} `, slider, " ", times);
     element("distances").insertBefore(label, element("trained"));
     return slider;
   });

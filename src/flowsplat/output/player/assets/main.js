@@ -19,7 +19,7 @@ class State {
     this.part = "all";
     this.isStereo = false;
     this.isFading = false;
-    this.factors = [1, ...about.movers.map(() => 1)];  // by the place of the mover; the first is of what belongs to none
+    this.factors = [1, ...about.objects.map(() => 1)];  // by the place of the object; the first is of what belongs to none
     this.isHeld = false;  // a picture that a program asked for stays until a person does something
     this.free = new FreeCamera(about.clipPath);
     this.cameraLoops = new CameraLoops(about);
@@ -53,21 +53,21 @@ class State {
     this.part = part;
   }
 
-  /** What of the scene is shown: a part, and the place of the one mover that is (0: of no one mover). */
+  /** What of the scene is shown: a part, and the place of the one object that is (0: of no one object). */
   get shown() {
     const [part, number] = this.part.split(":");
-    return { part, only: number ? placeOfMover(this.about, Number(number)) : 0 };
+    return { part, only: number ? placeOfObject(this.about, Number(number)) : 0 };
   }
 
-  /** Where the clip's camera is at this time, and how many times as far from there every mover is. */
+  /** Where the clip's camera is at this time, and how many times as far from there every object is. */
   distances(time = this.time) {
     return { pivot: centerOf(cameraOnPath(this.about.clipPath, time)), factors: [...this.factors] };
   }
 
-  /** Put the mover of a number so many times as far from the clip's camera as it was trained; where there is none, nothing happens. */
+  /** Put the object of a number so many times as far from the clip's camera as it was trained; where there is none, nothing happens. */
   setDistance(number, factor) {
     this.isHeld = false;
-    const place = placeOfMover(this.about, number);
+    const place = placeOfObject(this.about, number);
     if (place) this.factors[place] = factor;
   }
 
@@ -109,9 +109,9 @@ class State {
   }
 }
 
-/** From 1 on; 0: there is no mover of that number. */
-function placeOfMover(about, number) {
-  return about.movers.findIndex(([other]) => other === number) + 1;
+/** From 1 on; 0: there is no object of that number. */
+function placeOfObject(about, number) {
+  return about.objects.findIndex(([other]) => other === number) + 1;
 }
 
 /** Size of one picture on the page: as large as fits, in the shape of the clip, `eyes` of them beside each other. */
@@ -149,8 +149,8 @@ class Player {
     element("speed").onchange = () => (state.speed = Number(element("speed").value));
     element("camera").onchange = () => state.setMode(element("camera").value);
     element("part").onchange = () => state.setPart(element("part").value);
-    element("part").parentElement.hidden = (!scene.about.resting || !scene.about.moving) && scene.about.movers.length < 2;
-    offerMovers(state);
+    element("part").parentElement.hidden = (!scene.about.resting || !scene.about.moving) && scene.about.objects.length < 2;
+    offerObjects(state);
     element("fading").parentElement.hidden = !scene.arrays.logReaches;
     element("fading").onchange = () => state.setFading(element("fading").checked);
     element("stereo").onchange = () => {

@@ -16,9 +16,9 @@ class Renderer {
     this.width = Math.min(gl.getParameter(gl.MAX_TEXTURE_SIZE), 4096);
     this.harmonics = (about.shDegree + 1) ** 2;
     this.gainTexels = Math.ceil(about.gains / 4);
-    this.moverTexels = Math.ceil((about.movers.length + 1) / 4);
+    this.objectTexels = Math.ceil((about.objects.length + 1) / 4);
     const constants = {
-      MOVER_TEXELS: this.moverTexels, WIDTH: this.width, SLICE_WIDTH, SH_COUNT: this.harmonics, GAIN_TEXELS: this.gainTexels, MEAN_DEGREE: scene.meanDegree,
+      OBJECT_TEXELS: this.objectTexels, WIDTH: this.width, SLICE_WIDTH, SH_COUNT: this.harmonics, GAIN_TEXELS: this.gainTexels, MEAN_DEGREE: scene.meanDegree,
       QUAT_DEGREE: scene.quatDegree, EPS2D: about.eps2d, FOCAL: about.focal, ALPHA_MIN: about.alphaMin, ALPHA_MAX: about.alphaMax, P_MIN: about.pMin,
       FILLED_FROM: about.filledFrom, FILLED_TO: about.filledTo,
     };
@@ -117,7 +117,7 @@ class Renderer {
     gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
   }
 
-  stateTexels({ about, arrays, movers }) {
+  stateTexels({ about, arrays, objects }) {
     const count = about.resting + about.moving;
     const stride = 4 * (3 + this.harmonics);
     const texels = new Float32Array(count * stride);
@@ -130,7 +130,7 @@ class Renderer {
         texels[at + 12 + c] = colors.values[3 * i + c];
       }
       texels[at + 3] = opacities.values[i];
-      texels[at + 11] = movers[i];
+      texels[at + 11] = objects[i];
       texels[at + 15] = logReaches && i < about.resting ? Math.exp(logReaches.values[i]) : 2;  // directions differ by 2 at most
       for (let c = 0; c < 4; c++) texels[at + 4 + c] = quats.values[4 * i + c];
       for (let k = 1; k < this.harmonics; k++) {
@@ -217,7 +217,7 @@ class Renderer {
 
   /**
    * Draw the Gaussians of `order` (farthest first) as each of `cameras` sees them at clip time `time`, beside each other.
-   * `distances`: the pivot, and how many times as far from there every mover is. `isFading`: without what is a guess.
+   * `distances`: the pivot, and how many times as far from there every object is. `isFading`: without what is a guess.
    */
   draw(order, cameras, time, part, distances, isFading) {
     this.upload(order);
@@ -249,7 +249,7 @@ class Renderer {
     gl.drawElements(gl.TRIANGLES, 6 * order.length, gl.UNSIGNED_INT, 0);
     gl.disable(gl.BLEND);
     gl.bindVertexArray(this.nothing);
-    const isFilled = this.about.fill && part !== "movers" && !isFading;
+    const isFilled = this.about.fill && part !== "objects" && !isFading;
     if (isFilled) this.fill();
     this.use(this.present, null, { source: top.own.texture, filled: (top.filled ?? top.own).texture });
     gl.viewport(eye * top.own.width, 0, top.own.width, top.own.height);
@@ -285,7 +285,7 @@ class Renderer {
     gl.uniform1f(at.near, this.about.near);
     gl.uniform3fv(at.pivot, pivot);
     gl.uniform1i(at.isFading, isFading ? 1 : 0);
-    const padded = new Float32Array(4 * this.moverTexels).fill(1);
+    const padded = new Float32Array(4 * this.objectTexels).fill(1);
     padded.set(factors);
     gl.uniform4fv(at.factors, padded);
   }

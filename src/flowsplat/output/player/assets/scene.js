@@ -54,11 +54,11 @@ function visibleIntervals(about, arrays) {
   return intervals;
 }
 
-/** Per Gaussian the place of its mover in `about.movers`, from 1; 0: it belongs to none. */
-function placesOfMovers(about, arrays) {
+/** Per Gaussian the place of its object in `about.objects`, from 1; 0: it belongs to none. */
+function placesOfObjects(about, arrays) {
   const places = new Uint8Array(about.resting + about.moving);
-  const placeOf = new Map(about.movers.map(([number], k) => [number, k + 1]));
-  if (arrays.movers) arrays.movers.values.forEach((number, i) => (places[i] = placeOf.get(number) ?? 0));
+  const placeOf = new Map(about.objects.map(([number], k) => [number, k + 1]));
+  if (arrays.object_ids) arrays.object_ids.values.forEach((number, i) => (places[i] = placeOf.get(number) ?? 0));
   return places;
 }
 
@@ -69,7 +69,7 @@ async function readScene(about, text) {
     about,
     arrays,
     intervals: visibleIntervals(about, arrays),
-    movers: placesOfMovers(about, arrays),
+    objects: placesOfObjects(about, arrays),
     meanDegree: arrays.meanCoefficients.components / 3,
     quatDegree: arrays.quatCoefficients.components / 4,
   };

@@ -1,12 +1,12 @@
 // The slice: one Gaussian at the time, projected (EWA), with its color as seen from the camera.
-// Defined in front of this: MOVER_TEXELS, WIDTH and SLICE_WIDTH (texels and rows of `order` in a line of a texture), SH_COUNT, GAIN_TEXELS, MEAN_DEGREE, QUAT_DEGREE, EPS2D, FOCAL, ALPHA_MIN, P_MIN.
+// Defined in front of this: OBJECT_TEXELS, WIDTH and SLICE_WIDTH (texels and rows of `order` in a line of a texture), SH_COUNT, GAIN_TEXELS, MEAN_DEGREE, QUAT_DEGREE, EPS2D, FOCAL, ALPHA_MIN, P_MIN.
 precision highp float;
 precision highp int;
 precision highp sampler2D;
 precision highp usampler2D;
 
 uniform usampler2D order;   // rows of the active Gaussians, farthest first
-uniform sampler2D states;   // 3 + SH_COUNT texels a Gaussian: mean and opacity, quaternion, scales and place of the mover, color and reach, other harmonics
+uniform sampler2D states;   // 3 + SH_COUNT texels a Gaussian: mean and opacity, quaternion, scales and place of the object, color and reach, other harmonics
 uniform sampler2D motions;  // 1 + MEAN_DEGREE + QUAT_DEGREE texels a moving one: middle, 1 / half length, center, precision; coefficients
 uniform sampler2D gains;    // GAIN_TEXELS texels a resting one
 uniform int resting;        // how many do not move: the first ones
@@ -20,7 +20,7 @@ uniform vec2 size;          // of the picture in pixels
 uniform float near;
 uniform vec3 pivot;         // where the clip's camera is at the time
 uniform bool isFading;      // whether Gaussians fade beyond their reach
-uniform vec4 factors[MOVER_TEXELS];  // by the place of the mover, how many times as far from there it is as it was trained
+uniform vec4 factors[OBJECT_TEXELS];  // by the place of the object, how many times as far from there it is as it was trained
 
 vec4 texel(sampler2D source, int at) {
   return texelFetch(source, ivec2(at % WIDTH, at / WIDTH), 0);
@@ -62,8 +62,8 @@ void slice(int rank, out vec4 axes, out vec4 place, out vec4 color) {
   vec4 state = texel(states, at);
   vec4 q = texel(states, at + 1);
   vec4 shape = texel(states, at + 2);
-  int mover = int(shape.w + 0.5);
-  float factor = factors[mover >> 2][mover & 3];
+  int obj = int(shape.w + 0.5);
+  float factor = factors[obj >> 2][obj & 3];
   vec3 scales = factor * shape.xyz;
   vec3 mean = state.xyz;
   float opacity = state.w;

@@ -16,18 +16,18 @@ function sorterProgram(post) {
 
   /**
    * Fill `depths`, and `rows` with those of a part in front of the near plane that are present; returns how many.
-   * Movers are `factors` times as far away from the pivot (0: of no mover).
+   * Objects are `factors` times as far away from the pivot (0: of no object).
    */
   function measure([x, y, z, w], time, { part, only }, pivot, factors) {
-    const { means, coefficients, degree, intervals, movers, pMin, near } = scene;
-    const resting = part === "movers" && !only ? 0 : scene.resting;
+    const { means, coefficients, degree, intervals, objects, pMin, near } = scene;
+    const resting = part === "objects" && !only ? 0 : scene.resting;
     const moving = part === "background" ? 0 : scene.moving;
     const across = x * pivot[0] + y * pivot[1] + z * pivot[2];
     let active = 0;
     for (let i = 0; i < resting; i++) {
-      if (only && movers[i] !== only) continue;
+      if (only && objects[i] !== only) continue;
       const seen = x * means[3 * i] + y * means[3 * i + 1] + z * means[3 * i + 2];
-      const depth = across + factors[movers[i]] * (seen - across) + w;
+      const depth = across + factors[objects[i]] * (seen - across) + w;
       if (depth > near) {
         depths[i] = depth;
         rows[active++] = i;
@@ -38,7 +38,7 @@ function sorterProgram(post) {
       const tau = time - intervals[4 * j + 2];
       if (intervals[4 * j + 3] * tau * tau > reach) continue;
       const i = scene.resting + j;
-      if (only && movers[i] !== only) continue;
+      if (only && objects[i] !== only) continue;
       let seen = x * means[3 * i] + y * means[3 * i + 1] + z * means[3 * i + 2];
       const s = (time - intervals[4 * j]) * intervals[4 * j + 1];
       let before = 1;
@@ -49,7 +49,7 @@ function sorterProgram(post) {
         before = now;
         now = next;
       }
-      const depth = across + factors[movers[i]] * (seen - across) + w;
+      const depth = across + factors[objects[i]] * (seen - across) + w;
       if (depth > near) {
         depths[i] = depth;
         rows[active++] = i;
@@ -85,7 +85,7 @@ function sorterProgram(post) {
 /** Sorts in a worker, or on this thread where a page from disk may not start one. */
 class Sorter {
   constructor(scene) {
-    const { about, arrays, intervals, movers, meanDegree } = scene;
+    const { about, arrays, intervals, objects, meanDegree } = scene;
     this.waiting = new Map();
     this.ticket = 0;
     const receive = (answer) => {
@@ -94,7 +94,7 @@ class Sorter {
     };
     const load = {
       resting: about.resting, moving: about.moving, means: arrays.means.values, coefficients: arrays.meanCoefficients.values,
-      degree: meanDegree, intervals, movers, pMin: about.pMin, near: about.near,
+      degree: meanDegree, intervals, objects, pMin: about.pMin, near: about.near,
     };
     const sortHere = () => {
       const handle = sorterProgram(receive);
@@ -119,8 +119,8 @@ class Sorter {
   }
 
   /**
-   * Promise of the order at a time of what is shown ({ part, only }: the place of the one mover, or 0), for a camera with this
-   * third row of its viewmat, with every mover so many times as far away from the pivot.
+   * Promise of the order at a time of what is shown ({ part, only }: the place of the one object, or 0), for a camera with this
+   * third row of its viewmat, with every object so many times as far away from the pivot.
    */
   sort(row, time, shown, { pivot, factors }) {
     const message = { row, time, shown, pivot, factors, ticket: this.ticket++ };

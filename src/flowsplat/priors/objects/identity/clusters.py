@@ -1,4 +1,4 @@
-"""Tracks clustered into movers: what agrees in motion, and what is never apart."""
+"""Tracks clustered into objects: what agrees in motion, and what is never apart."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ NOW_AND_THEN = 0.1
 STRAY = 0.1
 """Share of the most tracks that a cluster ever has in a frame below which those in another say nothing: they may have slipped."""
 FEWEST_TRACKS, FEWEST_FRAMES = 12, 5
-"""Below, a cluster is too small to be a mover."""
+"""Below, a cluster is too small to be an object."""
 OUTWEIGHS = 3.0
 """Frames of contact in agreement that one frame apart outweighs."""
 BRIDGE, BRIDGED = 0.75, 0.7
-"""Share of the neighbors across a gap that must agree in a frame, and of the frames apart in which they do, in one mover."""
+"""Share of the neighbors across a gap that must agree in a frame, and of the frames apart in which they do, in one object."""
 APART_FRAMES = 24
 """Frames, evenly chosen, in which two clusters that are apart are compared."""
 AHEAD, EXTRAPOLATED = 3, 0.05
@@ -47,12 +47,12 @@ RIGID_TURN, RIGID_DEPTH = 15.0, 4.0
 """Degrees that it must turn, and half widths of the larger one that points of the other may be nearer or farther than it."""
 OVERLAP, LONGEST_PAUSE = 2, 6
 """Frames that two clusters may share, and that may pass between them, if one continues the other."""
-MOST_MOVERS = 60
+MAX_CLUSTERS = 60
 """Clusters that are compared with each other in one piece of a clip; the smallest beyond are too small."""
 
 
-def movers_of_tracks(clip: MaskedTracks, K: np.ndarray | None = None) -> np.ndarray:
-    """The mover, from 1, that every track is on [P]; 0 for those on none, or on what is too small to know.
+def objects_of_tracks(clip: MaskedTracks, K: np.ndarray | None = None) -> np.ndarray:
+    """The object, from 1, that every track is on [P]; 0 for those on none, or on what is too small to know.
 
     Args:
         K: [3, 3] intrinsics. Without them only what is near may be joined across gaps.
@@ -127,7 +127,7 @@ class _Clusters:
         sizes = np.bincount(cluster)
         lasting = np.array([np.count_nonzero((part[cluster == c] > 0).any(0)) for c in range(len(sizes))])
         large = np.flatnonzero((sizes >= FEWEST_TRACKS) & (lasting >= FEWEST_FRAMES))
-        large = large[np.argsort(-sizes[large], kind="stable")][:MOST_MOVERS]
+        large = large[np.argsort(-sizes[large], kind="stable")][:MAX_CLUSTERS]
         rank = np.full(len(sizes), -1)
         rank[large] = np.arange(len(large))
         self._small = cluster

@@ -1,4 +1,4 @@
-"""Masks with the numbers of the movers that their tracks are on."""
+"""Masks with the numbers of the objects that their tracks are on."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ VOTES = 5
 AROUND = 5
 """Frames before and after, in which a number that no track knows is looked up."""
 CLOSE = 0.04
-"""Share of the long side up to which what no track is on is close to a mover."""
+"""Share of the long side up to which what no track is on is close to an object."""
 
 
 def paint(
     clip: MaskedTracks, owners: np.ndarray, motion: Callable[[int], np.ndarray | None], write: Callable[[int, np.ndarray], None],
     highest: int = 0,
 ) -> int:  # fmt: skip
-    """Masks with the numbers of the movers that their tracks are on.
+    """Masks with the numbers of the objects that their tracks are on.
 
-    A part with tracks of one mover is its own. In one with tracks of several, every pixel goes with those that are nearest and
-    move like it. A part without tracks goes where the number that it had goes in the frames around it, else to a mover that it is
+    A part with tracks of one object is its own. In one with tracks of several, every pixel goes with those that are nearest and
+    move like it. A part without tracks goes where the number that it had goes in the frames around it, else to an object that it is
     mostly close to, or keeps a number of its own.
 
     Args:
-        owners: [P] from 1, 0 = of no mover.
+        owners: [P] from 1, 0 = of no object.
         motion: of the pixels of a frame [H, W, 2] per frame ahead, or None where it is unknown.
         write: takes the position of a frame and its mask [H, W] uint8.
         highest: the highest number that is taken.
@@ -66,7 +66,7 @@ def _painted(clip: MaskedTracks, owners: np.ndarray, k: int, motion: Callable[[i
     if len(seen) == 0:
         return result
     held = np.bincount(part * (owner.max() + 1) + owner, minlength=count * (owner.max() + 1)).reshape(count, -1)
-    # Single tracks may have slipped from one mover to another.
+    # Single tracks may have slipped from one object to another.
     present = (held >= 3) & ((held >= 0.1 * held.sum(1, keepdims=True)) | (held >= 0.3 * held.sum(0)))
     flow: np.ndarray | None = None
     for here in np.flatnonzero(held.any(1)):
@@ -105,7 +105,7 @@ def _fill_unknown(clip: MaskedTracks, painted: list[np.ndarray], most: int) -> N
 
 
 def _give_to_neighbors(clip: MaskedTracks, painted: list[np.ndarray], most: int) -> None:
-    """Give what no track is on, numbers above ``most``, to the mover that it is mostly close to, in place."""
+    """Give what no track is on, numbers above ``most``, to the object that it is mostly close to, in place."""
     nearest: dict[int, list[tuple[int, float]]] = {}
     for labels in painted:
         unknown = [int(number) for number in np.unique(labels) if number > most]

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from flowsplat.priors.continuity import Continuity
-from flowsplat.priors.objects.areas import large_movers, moving_objects
-from flowsplat.priors.objects.identity.clusters import movers_of_tracks
+from flowsplat.priors.objects.areas import large_objects, moving_objects
+from flowsplat.priors.objects.identity.clusters import objects_of_tracks
 from flowsplat.priors.objects.identity.masked_tracks import MaskedTracks
 from flowsplat.priors.objects.identity.painting import paint
 from flowsplat.scenes import Scene
@@ -17,7 +17,7 @@ OWN = ("motion", "clicks")
 """Methods of masks whose numbers are ours to change."""
 
 
-def identify_movers(scene: Scene) -> int:
+def identify_objects(scene: Scene) -> int:
     """Rewrite the object numbers of the stored masks by common motion; what is masked stays the same.
 
     Needs tracks over the training frames. True masks keep their numbers, and so do masks that came with several.
@@ -37,7 +37,7 @@ def identify_movers(scene: Scene) -> int:
     for piece in np.unique(pieces):
         chosen = [frames[k] for k in np.flatnonzero(pieces == piece)]
         clip = MaskedTracks(tracks.points[:, chosen, :2], tracks.visible[:, chosen], [scene.mask(i) for i in chosen])
-        owners = movers_of_tracks(clip, K)
+        owners = objects_of_tracks(clip, K)
 
         def motion(k: int, chosen: list[int] = chosen) -> np.ndarray | None:
             """Of the pixels of a frame, per frame ahead."""
@@ -54,7 +54,7 @@ def identify_movers(scene: Scene) -> int:
     if how is not None:
         counted: dict[str, Any] = {"objects": highest}
         if how.get("method") == "motion" and "share" in how:
-            count = len(large_movers(scene))
+            count = len(large_objects(scene))
             counted["verdict"] = f"{moving_objects(count, highest - count)} on {how['share']:.1%} of the picture"
         scene.amend_prior("masks", **counted)
     return highest

@@ -12,10 +12,10 @@ from flowsplat.scenes.synthetic.worlds.materials import CHECKERS, SEGMENTS, SPOT
 from flowsplat.scenes.synthetic.worlds.parts import (
     GRAVITY,
     UP,
-    Mover,
     Part,
     Placed,
     Poses,
+    WorldObject,
     about,
     ball,
     box,
@@ -60,7 +60,7 @@ def straight(rng: np.random.Generator, ground: Ground, heading: float) -> float:
 def vehicle(
     rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: float, length: float, way: Way, rich: bool,
     handle: tuple[float, float] | None = None,
-) -> Mover:  # fmt: skip
+) -> WorldObject:  # fmt: skip
     """A box on four wheels that roll without slip, in the middle of the clip at ``at`` [2], ``length`` meters long.
 
     Args:
@@ -107,10 +107,12 @@ def vehicle(
         points = np.stack([origin(times) + axes @ corner for corner in corners], 1)
         return points, np.ones(points.shape[:2], bool)
 
-    return Mover("vehicle", tuple(parts), poses, touching, rolls=True)
+    return WorldObject("vehicle", tuple(parts), poses, touching, rolls=True)
 
 
-def rolling(rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: float, radius: float, way: Way, rich: bool) -> Mover:
+def rolling(
+    rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: float, radius: float, way: Way, rich: bool
+) -> WorldObject:
     """A ball that rolls without slip."""
     heading = straight(rng, ground, heading)
     at = ground.middle_of_tread(at, 1.2 * radius)
@@ -127,13 +129,13 @@ def rolling(rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: f
         turned = about(axis, float(np.linalg.norm(tangent)) * way(times) / radius) @ start
         return together([(turned, below(times) + radius * normal)])
 
-    return Mover("rolling", (part,), poses, lambda times: (below(times)[:, None], np.ones((len(times), 1), bool)), rolls=True)
+    return WorldObject("rolling", (part,), poses, lambda times: (below(times)[:, None], np.ones((len(times), 1), bool)), rolls=True)
 
 
 def in_the_air(
     rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: float, radius: float, speed: float, duration: float,
     rich: bool, bounces: bool, rolls_on: bool = False,
-) -> Mover:  # fmt: skip
+) -> WorldObject:  # fmt: skip
     """A ball that falls freely: thrown so that it does not come down during the clip, or bouncing.
 
     Bounces turn the vertical speed about, whatever the slope of the ground.
@@ -178,12 +180,12 @@ def in_the_air(
         return (center - radius * ground.normal)[:, None], (np.abs(gap) < 1e-6)[:, None] & bounces
 
     instants = tuple(float(t) for t in starts[1:] if t <= duration)
-    return Mover("bouncing" if bounces else "thrown", (part,), poses, touching, instants)
+    return WorldObject("bouncing" if bounces else "thrown", (part,), poses, touching, instants)
 
 
 def pendulum(
     rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: float, size: float, duration: float, rich: bool
-) -> Mover:
+) -> WorldObject:
     """A weight of radius ``size`` on a rod from a fixed pivot, with something that holds the pivot."""
     length = max(rng.uniform(3, 8) * size, 0.4)
     clear = rng.uniform(0.15, 0.9)
@@ -207,7 +209,7 @@ def pendulum(
         return together([(turn, pivot + (length + 0.5 * size) * down), held])
 
     support = _gallows(rng, ground, pivot, across, length * np.sin(reach) + 1.5 * size)
-    return Mover("pendulum", (weight, rope), poses, nothing_touches, swings=True, pivot=pivot, support=support)
+    return WorldObject("pendulum", (weight, rope), poses, nothing_touches, swings=True, pivot=pivot, support=support)
 
 
 def _gallows(rng: np.random.Generator, ground: Ground, pivot: np.ndarray, across: np.ndarray, reach: float) -> tuple[Placed, ...]:
@@ -228,7 +230,7 @@ def _gallows(rng: np.random.Generator, ground: Ground, pivot: np.ndarray, across
 
 def door(
     rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: float, scale: float, duration: float, rich: bool
-) -> Mover:
+) -> WorldObject:
     """A door on its post that opens or closes; closed it lies along ``heading``."""
     wide, tall = scale * rng.uniform(0.75, 1.1), scale * rng.uniform(1.6, 2.2)
     start, sweep = rng.uniform(0, 0.4), rng.uniform(0.6, 1.5)
@@ -266,12 +268,12 @@ def door(
         middle = np.append(0.5 * (places[0] + places[1]), bottom + tall + 0.06 + thick)
         support.append(Placed(box([0.5 * wide + 2.3 * thick, thick, thick], wood), axes, middle))
     pivot = np.append(hinge, bottom)
-    return Mover("door", (panel, handle), poses, nothing_touches, swings=True, pivot=pivot, support=tuple(support))
+    return WorldObject("door", (panel, handle), poses, nothing_touches, swings=True, pivot=pivot, support=tuple(support))
 
 
 def flier(
     rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: float, size: float, speed: float, duration: float, rich: bool
-) -> Mover:
+) -> WorldObject:
     """A bird, ``size`` meters from tip to tip of its wings, that flaps or glides."""
     high = float(ground.height(at)) + rng.uniform(0.8, 3.0) + size
     bend, climb = rng.uniform(-0.4, 0.4), rng.uniform(-0.3, 0.3)
@@ -301,4 +303,4 @@ def flier(
             found.append((turned, joint + turned @ [0, side * wing[1], 0]))
         return together([*found, (axes, center + axes @ [-0.3 * size, 0, 0])])
 
-    return Mover("flier", parts, poses, nothing_touches)
+    return WorldObject("flier", parts, poses, nothing_touches)

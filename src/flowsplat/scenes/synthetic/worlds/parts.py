@@ -1,4 +1,4 @@
-"""Parts and movers of random worlds, and what all motions are made of. World z is up; meters, seconds, radians."""
+"""Parts and objects of random worlds, and what all motions are made of. World z is up; meters, seconds, radians."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Placed:
 
 
 @dataclass(frozen=True)
-class Mover:
+class WorldObject:
     """What moves, with all that is known of it.
 
     Attributes:

@@ -13,9 +13,9 @@ from flowsplat.scenes.synthetic.worlds.ground import Ground
 from flowsplat.scenes.synthetic.worlds.materials import SEGMENTS, draw_material
 from flowsplat.scenes.synthetic.worlds.parts import (
     UP,
-    Mover,
     Part,
     Poses,
+    WorldObject,
     about,
     ball,
     box,
@@ -119,7 +119,7 @@ def _knee(hip: np.ndarray, ankle: np.ndarray, forward: np.ndarray, upper: float,
 def walker(
     rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: float, scale: float, speed: float, duration: float,
     rich: bool, carries: bool = False, arms: Arms = "swing",
-) -> Mover:  # fmt: skip
+) -> WorldObject:  # fmt: skip
     """A person who walks, in the middle of the clip at ``at`` [2].
 
     Args:
@@ -148,7 +148,7 @@ def walker(
         feet = [gait.foot(s, side) for side in (-1, 1)]
         return np.stack([foot[0] for foot in feet], 1), np.stack([foot[3] for foot in feet], 1)
 
-    return Mover("carrier" if carries else "walker", tuple(parts), poses, touching)
+    return WorldObject("carrier" if carries else "walker", tuple(parts), poses, touching)
 
 
 def _hips(gait: Gait, speed: float, duration: float) -> Callable[[np.ndarray], np.ndarray]:

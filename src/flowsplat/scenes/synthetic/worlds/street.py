@@ -18,7 +18,7 @@ from flowsplat.scenes.synthetic.worlds.casting import ROOM
 from flowsplat.scenes.synthetic.worlds.ground import Ground
 from flowsplat.scenes.synthetic.worlds.machines import in_the_air, vehicle
 from flowsplat.scenes.synthetic.worlds.materials import BRICKS, PLAIN, SEGMENTS, SPOTS
-from flowsplat.scenes.synthetic.worlds.parts import UP, Mover, Part, Placed, ball, box, cylinder, ellipsoid, frame
+from flowsplat.scenes.synthetic.worlds.parts import UP, Part, Placed, WorldObject, ball, box, cylinder, ellipsoid, frame
 from flowsplat.scenes.synthetic.worlds.people import walker
 from flowsplat.scenes.synthetic.worlds.placing import apart, are_apart, is_free
 from flowsplat.scenes.synthetic.worlds.world import Light, World
@@ -40,7 +40,7 @@ MIDDLE = np.array([0.0, 6.0, 0.95])
 
 ATTEMPTS = 1000
 _ENOUGH_PIXELS = 0.004
-"""Share of the picture in which each mover has to be seen, at times spread over ``SEEN``: 230 of 57,600 pixels."""
+"""Share of the picture in which each object has to be seen, at times spread over ``SEEN``: 230 of 57,600 pixels."""
 _STILL = 0.1
 """Seconds before the end of ``SEEN`` from which the ball may have no bounce left."""
 _CHECK_SIZE, _CHECKS = (80, 45), 6
@@ -85,35 +85,35 @@ def draw_street(seed: int, width: int = 320, height: int = 180, frames: int = 40
 def _from(world: World, start: float) -> World:
     """The same world, its time counted from ``start`` seconds on."""
 
-    def later(mover: Mover) -> Mover:
+    def later(obj: WorldObject) -> WorldObject:
         return replace(
-            mover, poses=lambda times: mover.poses(times + start), touching=lambda times: mover.touching(times + start),
-            instants=tuple(t - start for t in mover.instants if 0 <= t - start <= world.duration),
+            obj, poses=lambda times: obj.poses(times + start), touching=lambda times: obj.touching(times + start),
+            instants=tuple(t - start for t in obj.instants if 0 <= t - start <= world.duration),
         )  # fmt: skip
 
-    return replace(world, path=lambda times: world.path(times + start), movers=tuple(map(later, world.movers)))
+    return replace(world, path=lambda times: world.path(times + start), objects=tuple(map(later, world.objects)))
 
 
 def _place(rng: np.random.Generator, seed: int) -> World | None:
     """One attempt, over all of ``LASTS``; None where things are inside each other."""
     ground = Ground("flat", np.zeros(2), np.array([0.0, 1.0]))
-    movers = _draw_movers(rng, ground)
+    objects = _draw_objects(rng, ground)
     path = _carried_past(rng)
     static = [_sky(rng), *ground.parts(_material(rng, PAVING, BRICKS, 0.8, MORTAR, 0.16, 0.5)), *_scenery(rng)]
     around, up = np.radians(rng.choice([-1, 1]) * rng.uniform(25, 65) - 90), np.radians(rng.uniform(38, 55))
     sun = np.array([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)])
     frames = int(LASTS * FPS) + 1
     world = World(
-        seed, 320, 180, frames, FPS, ground, "walking", FOCAL, path, tuple(static), movers, Light(sun, 0.68, 0.58), noise=0.8
+        seed, 320, 180, frames, FPS, ground, "walking", FOCAL, path, tuple(static), objects, Light(sun, 0.68, 0.58), noise=0.8
     )  # fmt: skip
     times = np.linspace(0, LASTS, 40)
-    if not are_apart(movers, times, False) or not is_free(world, path(times)[0]):
+    if not are_apart(objects, times, False) or not is_free(world, path(times)[0]):
         return None
     stands = static[1 + ground.boxes :]
-    return world if all(apart(placed, mover, times) for placed in stands for mover in movers) else None
+    return world if all(apart(placed, obj, times) for placed in stands for obj in objects) else None
 
 
-def _draw_movers(rng: np.random.Generator, ground: Ground) -> tuple[Mover, ...]:
+def _draw_objects(rng: np.random.Generator, ground: Ground) -> tuple[WorldObject, ...]:
     """A walker, behind it a cart, and before or beside it a ball, each going left or right."""
 
     def heading() -> float:
@@ -160,12 +160,12 @@ def _carried_past(rng: np.random.Generator) -> Callable[[np.ndarray], Views]:
 
 def _is_in_sight(world: World) -> bool:
     """Whether everything that moves is well in the picture for the seconds that matter, and the ball bounces in them."""
-    if world.movers[-1].instants[-1] < (LASTS + SEEN) / 2 - _STILL:
+    if world.objects[-1].instants[-1] < (LASTS + SEEN) / 2 - _STILL:
         return False
     grid = pixel_grid(*_CHECK_SIZE).astype(np.float64).reshape(-1, 2)
     for time in LASTS / 2 + np.linspace(-0.5, 0.5, _CHECKS) * SEEN:
         camera = world.camera_at(time, *_CHECK_SIZE)
-        uv = camera.project(np.concatenate([mover.center(np.array([time])) for mover in world.movers]))[0]
+        uv = camera.project(np.concatenate([obj.center(np.array([time])) for obj in world.objects]))[0]
         share = np.bincount(world.numbers[world.cast(camera, time, grid).part], minlength=4)[1:] / len(grid)
         if (uv < 0.06 * np.array(_CHECK_SIZE)).any() or (uv > 0.94 * np.array(_CHECK_SIZE)).any() or (share < _ENOUGH_PIXELS).any():
             return False

@@ -1,4 +1,4 @@
-"""A world of movers on a ground: everything that a clip of it shows, and what is true of it."""
+"""A world of objects on a ground: everything that a clip of it shows, and what is true of it."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from flowsplat.scenes.synthetic.ray_cast import Hits, RayCastWorld
 from flowsplat.scenes.synthetic.worlds.cameras import CameraKind, Views
 from flowsplat.scenes.synthetic.worlds.casting import ROOM, cast, render
 from flowsplat.scenes.synthetic.worlds.ground import Ground
-from flowsplat.scenes.synthetic.worlds.parts import Mover, Part, Placed
+from flowsplat.scenes.synthetic.worlds.parts import Part, Placed, WorldObject
 
 RESTING = 9
-"""Frames for which nothing of a mover may move for it to count as resting."""
+"""Frames for which nothing of an object may move for it to count as resting."""
 
 _STILL = 1e-4
 """Meters a frame below which a part does not move."""
@@ -46,7 +46,7 @@ class Light:
 
 @dataclass(frozen=True)
 class World(RayCastWorld):
-    """A world of movers on a ground, before one camera. Same description, same bits.
+    """A world of objects on a ground, before one camera. Same description, same bits.
 
     Attributes:
         seed: which world it is.
@@ -54,16 +54,16 @@ class World(RayCastWorld):
         height: pixels.
         frames: how many.
         fps: frames a second.
-        ground: what movers stand on.
+        ground: what objects stand on.
         camera_kind: how the camera moves.
         focal: focal length in widths of the picture.
         path: from times [T] to the cameras.
         static: what never moves: the sky, the boxes of the ground, all else.
-        movers: what moves; the first has number 1 in the masks.
+        objects: what moves; the first has number 1 in the masks.
         light: sun and sky.
         shutter: share of the time between frames that a picture is exposed; 0 = no blur.
         noise: standard deviation of the pictures' noise in gray levels.
-        touching: numbers of two movers that touch each other, if any.
+        touching: numbers of two objects that touch each other, if any.
     """
 
     seed: int
@@ -76,7 +76,7 @@ class World(RayCastWorld):
     focal: float
     path: Callable[[np.ndarray], Views]
     static: tuple[Placed, ...]
-    movers: tuple[Mover, ...]
+    objects: tuple[WorldObject, ...]
     light: Light
     shutter: float = 0.0
     noise: float = 0.0
@@ -93,18 +93,18 @@ class World(RayCastWorld):
     @cached_property
     def parts(self) -> tuple[Part, ...]:
         """All parts, those of the static world first."""
-        return (*(placed.part for placed in self.static), *(part for mover in self.movers for part in mover.parts))
+        return (*(placed.part for placed in self.static), *(part for obj in self.objects for part in obj.parts))
 
     @cached_property
     def numbers(self) -> np.ndarray:
-        """[P] uint8 to which mover each part belongs, 0 = static."""
-        counts = [len(self.static), *(len(mover.parts) for mover in self.movers)]
+        """[P] uint8 to which object each part belongs, 0 = static."""
+        counts = [len(self.static), *(len(obj.parts) for obj in self.objects)]
         return np.repeat(np.arange(len(counts)), counts).astype(np.uint8)
 
     @property
-    def mover_count(self) -> int:
-        """How many movers there are."""
-        return len(self.movers)
+    def object_count(self) -> int:
+        """How many objects there are."""
+        return len(self.objects)
 
     def track_rng(self) -> np.random.Generator:
         """A new generator, always the same, that decides which points are tracked."""
@@ -123,7 +123,7 @@ class World(RayCastWorld):
     def poses(self, time: float) -> tuple[np.ndarray, np.ndarray]:
         """(rotations [P, 3, 3] from the parts' axes to the world's, centers [P, 3])."""
         times = np.array([time])
-        moved = [mover.poses(times) for mover in self.movers]
+        moved = [obj.poses(times) for obj in self.objects]
         turns = [np.stack([placed.turn for placed in self.static]), *(R[0] for R, _ in moved)]
         centers = [np.stack([placed.center for placed in self.static]), *(c[0] for _, c in moved)]
         return np.concatenate(turns), np.concatenate(centers)
@@ -207,7 +207,7 @@ class World(RayCastWorld):
     # -- truth
 
     def geometry(self, i: int) -> tuple[np.ndarray, np.ndarray]:
-        """(planar depth [H, W] in meters at the pixel centers, number of the mover [H, W] uint8) of frame ``i``."""
+        """(planar depth [H, W] in meters at the pixel centers, number of the object [H, W] uint8) of frame ``i``."""
         return self.seen_by(self.camera(i), self.timestamps[i])
 
     def carry(self, hits: Hits, time: float) -> np.ndarray:
@@ -216,22 +216,22 @@ class World(RayCastWorld):
         return np.asarray(np.einsum("nkq,nq->nk", turns[hits.part], hits.local) + centers[hits.part])
 
     def describe(self, number: int) -> dict[str, object]:
-        """What is true of a mover, to be written as JSON.
+        """What is true of an object, to be written as JSON.
 
         Returns:
             ``number``, ``kind``, ``contact`` (seconds at which it touches the ground), ``swings``, ``rolls``, ``rests`` (for
-            ``RESTING`` frames or more), ``pivot`` [3] or None, and ``touches``: the mover that it touches, or None.
+            ``RESTING`` frames or more), ``pivot`` [3] or None, and ``touches``: the object that it touches, or None.
         """
-        mover = self.movers[number - 1]
+        obj = self.objects[number - 1]
         times = self.timestamps
-        contact = sorted({*times[mover.touching(times)[1].any(1)].tolist(), *mover.instants})
-        R, c = mover.poses(times)
+        contact = sorted({*times[obj.touching(times)[1].any(1)].tolist(), *obj.instants})
+        R, c = obj.poses(times)
         steps = np.abs(np.diff(c, axis=0)).max((1, 2)) + np.abs(np.diff(R, axis=0)).max((1, 2, 3))
         still = np.concatenate([[0], np.cumsum(steps < _STILL)])
         pair = self.touching
         other = None if pair is None or number not in pair else pair[0] + pair[1] - number
         return {
-            "number": number, "kind": mover.kind, "contact": [round(t, 6) for t in contact], "swings": mover.swings,
-            "rolls": mover.rolls, "rests": bool((still[RESTING - 1 :] - still[: -RESTING + 1] >= RESTING - 1).any()),
-            "pivot": None if mover.pivot is None else [round(float(x), 6) for x in mover.pivot], "touches": other,
+            "number": number, "kind": obj.kind, "contact": [round(t, 6) for t in contact], "swings": obj.swings,
+            "rolls": obj.rolls, "rests": bool((still[RESTING - 1 :] - still[: -RESTING + 1] >= RESTING - 1).any()),
+            "pivot": None if obj.pivot is None else [round(float(x), 6) for x in obj.pivot], "touches": other,
         }  # fmt: skip

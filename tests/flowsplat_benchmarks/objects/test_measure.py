@@ -7,13 +7,13 @@ import shutil
 import numpy as np
 import pytest
 
-from flowsplat.priors.objects import SceneMovers
+from flowsplat.priors.objects import SceneObjects
 from flowsplat.priors.objects.distance import Cue
-from flowsplat.priors.objects.movers import Mover
 from flowsplat.priors.objects.relief import ReliefPoints
-from flowsplat.priors.objects.storage import save_movers
+from flowsplat.priors.objects.solving import DynamicObject
+from flowsplat.priors.objects.storage import save_objects
 from flowsplat.scenes import Depth, Scene
-from flowsplat_benchmarks.movers.measure import depth_scale, measure_scene
+from flowsplat_benchmarks.objects.measure import depth_scale, measure_scene
 from flowsplat_benchmarks.worlds import draw_world, write_world
 
 SEED = 43
@@ -51,14 +51,14 @@ def test_the_truth_has_no_errors(scene):
     figures = measure_scene(scene)
     assert figures["scale"] == pytest.approx(2, rel=1e-5)
     assert figures["idf1"] == 1
-    for mover in figures["movers"]:
-        assert mover["found"]
-        assert mover["object"] == mover["number"]
-        assert mover["iou"] == mover["idf1"] == 1
+    for obj in figures["objects"]:
+        assert obj["found"]
+        assert obj["object"] == obj["number"]
+        assert obj["iou"] == obj["idf1"] == 1
         for name in ("ln_distance", "course", "relief"):
-            assert mover[name] == pytest.approx(0, abs=1e-5)
-        assert 0.02 < mover["height"] < 1
-        assert "sigma" not in mover
+            assert obj[name] == pytest.approx(0, abs=1e-5)
+        assert 0.02 < obj["height"] < 1
+        assert "sigma" not in obj
     scene.finish_prior("cameras", method="truth")
     assert depth_scale(scene) == 1
     scene.finish_prior("depth", method="guess")
@@ -90,7 +90,7 @@ def test_distance_course_and_relief_are_told_apart(scene):
         return depth, mask
 
     change(scene, wrong)
-    distance, course, relief = measure_scene(scene)["movers"]
+    distance, course, relief = measure_scene(scene)["objects"]
     assert distance["ln_distance"] == pytest.approx(0.2, abs=1e-4)
     assert distance["course"] == pytest.approx(0, abs=1e-4)
     assert course["course"] == pytest.approx(0.1, abs=1e-3)
@@ -102,13 +102,13 @@ def test_distance_course_and_relief_are_told_apart(scene):
 def test_numbers_that_change_cost_identity_and_not_distance(scene):
     def renumbered(depth, mask, i):
         number = mask.copy()
-        number[(mask == 1) & (i >= 7)] = 9  # the first mover gets another number in the last three of ten frames
+        number[(mask == 1) & (i >= 7)] = 9  # the first object gets another number in the last three of ten frames
         number[mask == 2] = 0  # the second one is not there at all
         return depth, number
 
     change(scene, renumbered)
     figures = measure_scene(scene)
-    first, second, third = figures["movers"]
+    first, second, third = figures["objects"]
     assert first["ln_distance"] == pytest.approx(0, abs=1e-5)
     assert first["iou"] == 1
     seen = first["frames"]
@@ -120,19 +120,19 @@ def test_numbers_that_change_cost_identity_and_not_distance(scene):
     assert figures["idf1"] == pytest.approx(2 * right / (2 * (seen + third["frames"]) + second["frames"]))
 
 
-def test_what_is_believed_of_an_object_goes_to_its_mover(scene):
+def test_what_is_believed_of_an_object_goes_to_its_object(scene):
     def renumbered(depth, mask, i):
         return depth, np.where(mask == 1, 7, mask)
 
     change(scene, renumbered)
     frames = len(scene.train_frames)
     course, middles = np.zeros(frames), np.zeros((frames, 2))
-    movers = [
-        Mover(7, course, middles, 0.03, True, {"contact": Cue(0.0, 0.03, 0.1)}, ReliefPoints.none(), 0.0),
-        Mover(3, course, middles, 0.5, False, {}, ReliefPoints.none(), 0.0),
+    objects = [
+        DynamicObject(7, course, middles, 0.03, True, {"contact": Cue(0.0, 0.03, 0.1)}, ReliefPoints.none(), 0.0),
+        DynamicObject(3, course, middles, 0.5, False, {}, ReliefPoints.none(), 0.0),
     ]
-    save_movers(scene, SceneMovers(movers, np.array([0, -1.0, 0])))
-    first, second, third = measure_scene(scene)["movers"]
+    save_objects(scene, SceneObjects(objects, np.array([0, -1.0, 0])))
+    first, second, third = measure_scene(scene)["objects"]
     assert (first["sigma"], first["cues"]) == (0.03, ["contact"])
     assert "sigma" not in second
     assert (third["sigma"], third["cues"]) == (0.5, [])

@@ -18,9 +18,9 @@ from flowsplat.priors.flow import dis_flow, forward_backward_confidence, gray, l
 from flowsplat.scenes import Flow, Scene
 
 GOOD = 0.95
-"""Share of the movers' pixels with trusted flow, both ways, from which it is good enough."""
+"""Share of the objects' pixels with trusted flow, both ways, from which it is good enough."""
 AROUND = 48
-"""Pixels around the movers of two frames that are searched with them."""
+"""Pixels around the objects of two frames that are searched with them."""
 GRAY = 127
 """What rests is painted in it."""
 MOST_UNLIKE = 60.0
@@ -33,10 +33,10 @@ WINDOW = 2.0
 """Standard deviation in pixels of the window over which flows are compared."""
 
 
-def mover_flow_stage(scene: Scene) -> None:
+def object_flow_stage(scene: Scene) -> None:
     """Search the flow between consecutive training frames again inside the masks; what rests keeps what it has."""
     continuity = Continuity(scene)
-    for k, (i, j) in enumerate(track(list(pairwise(scene.train_frames)), "Flow of movers")):
+    for k, (i, j) in enumerate(track(list(pairwise(scene.train_frames)), "Flow of objects")):
         masks = scene.mask(i) > 0, scene.mask(j) > 0
         if not (masks[0].any() and masks[1].any() and continuity.joined(k, k + 1)):
             continue
@@ -47,7 +47,7 @@ def mover_flow_stage(scene: Scene) -> None:
         for flow, found, back, mask in zip(flows, better, better[::-1], masks, strict=True):
             sure = np.where(mask, forward_backward_confidence(found, back), flow.confidence)
             scene.write_flow(Flow(flow.i, flow.j, found, sure))
-    scene.amend_prior("flow", movers=True)
+    scene.amend_prior("flow", objects=True)
 
 
 Pair = tuple[np.ndarray, np.ndarray]
@@ -55,7 +55,7 @@ Pair = tuple[np.ndarray, np.ndarray]
 
 
 def _searched(images: Pair, masks: Pair, flows: Pair) -> Pair:
-    """Both flows [H, W, 2], those of movers the better of what is there and of what is found where nothing else is seen."""
+    """Both flows [H, W, 2], those of objects the better of what is there and of what is found where nothing else is seen."""
     rows, columns = (np.flatnonzero((masks[0] | masks[1]).any(axis)) for axis in (1, 0))
     top, left = max(rows[0] - AROUND, 0), max(columns[0] - AROUND, 0)
     box = slice(top, rows[-1] + 1 + AROUND), slice(left, columns[-1] + 1 + AROUND)
@@ -75,7 +75,7 @@ def _searched(images: Pair, masks: Pair, flows: Pair) -> Pair:
 
 
 def _cost(a: np.ndarray, b: np.ndarray, mask_a: np.ndarray, mask_b: np.ndarray, flow: np.ndarray, back: np.ndarray) -> np.ndarray:
-    """[H, W] what speaks against a flow from ``a`` to ``b`` around each pixel of a mover, in gray levels."""
+    """[H, W] what speaks against a flow from ``a`` to ``b`` around each pixel of an object, in gray levels."""
     unlike = np.minimum(np.abs(a - _carried(b, flow)).mean(-1), MOST_UNLIKE)
     misses = lengths(flow + _carried(back, flow)) / (0.5 + 0.05 * lengths(flow))
     cost = unlike + OUTSIDE * (1 - _carried(mask_b, flow)) + RETURN * np.minimum(misses, MOST_RETURNS)

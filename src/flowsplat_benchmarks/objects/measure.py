@@ -1,4 +1,4 @@
-"""How far every mover of a scene is from the truth: its distance, course and relief, its masks and its number; and what rests.
+"""How far every object of a scene is from the truth: its distance, course and relief, its masks and its number; and what rests.
 
 Errors of depth are natural logarithms of estimated over true planar depth: .02 is 2 %, too far.
 """
@@ -11,19 +11,19 @@ import cv2
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from flowsplat.priors.objects import load_movers
+from flowsplat.priors.objects import load_objects
 from flowsplat.scenes import Scene
-from flowsplat_benchmarks.worlds import read_movers
+from flowsplat_benchmarks.worlds import read_objects
 
 OVERLAP = 0.3
-"""Intersection over union of a true and an estimated mask of one object from which they count as the same in a frame; a mover
+"""Intersection over union of a true and an estimated mask of one object from which they count as the same in a frame; an object
 without any such frame was never found."""
 
 FEWEST = 20
 """Pixels of an object in a frame below which it does not count there."""
 
 AT_FEET = 6
-"""Pixels from the lowest pixels of a mover that touches the ground, within which what rests is called the ground at its feet."""
+"""Pixels from the lowest pixels of an object that touches the ground, within which what rests is called the ground at its feet."""
 
 CENTRAL = (15.87, 84.13)
 """Percentiles whose half distance is the standard deviation of a normal distribution."""
@@ -35,8 +35,8 @@ def measure_scene(scene: Scene) -> Record:
     """The figures of a scene, to be written as JSON.
 
     Returns:
-        ``scale`` (see ``depth_scale``), ``parallax`` (whether the static depth is no guess), ``idf1`` of all movers, and
-        ``movers``: for each what is true of it (see ``World.describe``) and
+        ``scale`` (see ``depth_scale``), ``parallax`` (whether the static depth is no guess), ``idf1`` of all objects, and
+        ``objects``: for each what is true of it (see ``World.describe``) and
 
         - ``frames``: in which it is seen; ``height``: mean share of the picture's height that its mask spans;
         - ``found``: whether its mask and that of one object ever overlap by ``OVERLAP``;
@@ -44,11 +44,11 @@ def measure_scene(scene: Scene) -> Record:
           robust standard deviation over frames of each frame's median; ``relief``: median over frames of the robust standard
           deviation within a frame; None where it was not found;
         - ``iou``: with the object that overlaps it most in a frame, intersections and unions summed over frames;
-        - ``idf1``: of the object that stands for it over the clip, one object for one mover;
-        - ``object``: the number of that object, or None; and its ``sigma`` and ``cues``, where the object stage tells them;
+        - ``idf1``: of the object that stands for it over the clip, one object for one true object;
+        - ``estimated``: the number of that object, or None; and its ``sigma`` and ``cues``, where the object stage tells them;
 
         and of what rests, by the true and by our masks, in all frames, pixels that were filled in included: ``static`` and
-        ``feet`` (those at the feet of movers that touch the ground), each with the ``median`` and ``p90``, the 90th percentile,
+        ``feet`` (those at the feet of objects that touch the ground), each with the ``median`` and ``p90``, the 90th percentile,
         of |ln(estimated / true)|, None where there are none.
 
     Raises:
@@ -56,7 +56,7 @@ def measure_scene(scene: Scene) -> Record:
     """
     truth = scene.truth
     assert truth is not None
-    known = read_movers(truth)["movers"]
+    known = read_objects(truth)["objects"]
     frames = scene.train_frames
     true, ours = (np.stack([layers.mask(i) for i in frames]) for layers in (truth, scene))
     scale = depth_scale(scene)
@@ -65,20 +65,20 @@ def measure_scene(scene: Scene) -> Record:
     assigned, idf1, total = identities(overlap, true, ours)
     told = _told(scene)
     records = []
-    for index, mover in enumerate(known):
-        inside = true == mover["number"]
+    for index, obj in enumerate(known):
+        inside = true == obj["number"]
         area = inside.sum((1, 2))
         seen = area >= FEWEST
         found = bool((overlap[index] >= OVERLAP).any())
-        record = {**mover, "frames": int(seen.sum()), "height": _mean_height(inside[seen]), "found": found}
+        record = {**obj, "frames": int(seen.sum()), "height": _mean_height(inside[seen]), "found": found}
         record |= _depth_errors(log, inside & (ours > 0)) if found else dict.fromkeys(("ln_distance", "course", "relief"))
-        record |= {"iou": _pooled_iou(inside, ours), "idf1": idf1[index], "object": assigned[index]}
+        record |= {"iou": _pooled_iou(inside, ours), "idf1": idf1[index], "estimated": assigned[index]}
         record |= told.get(str(assigned[index]), {})
         records.append(record)
     rests = (true == 0) & (ours == 0)
     feet = rests & _at_feet(true, known, [scene.timestamps[i] for i in frames])
     return {
-        "scale": scale, "parallax": has_parallax(scene), "idf1": total, "movers": records,
+        "scale": scale, "parallax": has_parallax(scene), "idf1": total, "objects": records,
         "static": _percentiles(log[rests]), "feet": _percentiles(log[feet]),
     }  # fmt: skip
 
@@ -108,16 +108,16 @@ def depth_scale(scene: Scene) -> float:
     return float(np.median(ratio[sure] if sure.any() else ratio))
 
 
-def overlaps(true: np.ndarray, ours: np.ndarray, movers: int) -> np.ndarray:
-    """[movers, T, 256] intersection over union of every mover with every object number in every frame; 0 where either is small.
+def overlaps(true: np.ndarray, ours: np.ndarray, objects: int) -> np.ndarray:
+    """[objects, T, 256] intersection over union of every object with every object number in every frame; 0 where either is small.
 
     Args:
-        true: [T, H, W] numbers of movers, ours: of objects.
-        movers: how many.
+        true: [T, H, W] numbers of objects, ours: of objects.
+        objects: how many.
     """
-    result = np.zeros((movers, len(true), 256))
+    result = np.zeros((objects, len(true), 256))
     for t, (a, b) in enumerate(zip(true, ours, strict=True)):
-        both = np.bincount(a.ravel().astype(int) * 256 + b.ravel(), minlength=(movers + 1) * 256).reshape(movers + 1, 256)
+        both = np.bincount(a.ravel().astype(int) * 256 + b.ravel(), minlength=(objects + 1) * 256).reshape(objects + 1, 256)
         mine, objects = both.sum(1)[1:, None], both.sum(0)[None]
         shares = both[1:] / np.maximum(mine + objects - both[1:], 1)
         result[:, t] = np.where((mine >= FEWEST) & (objects >= FEWEST), shares, 0)
@@ -126,18 +126,18 @@ def overlaps(true: np.ndarray, ours: np.ndarray, movers: int) -> np.ndarray:
 
 
 def identities(overlap: np.ndarray, true: np.ndarray, ours: np.ndarray) -> tuple[list[int | None], list[float], float]:
-    """One object for one mover over the clip, such that the most frames agree (IDF1, Ristani et al., 2016).
+    """One object for one object over the clip, such that the most frames agree (IDF1, Ristani et al., 2016).
 
     Returns:
-        the object of every mover or None; the IDF1 of each, 0 without one; and that of all movers and objects together.
+        the object of every object or None; the IDF1 of each, 0 without one; and that of all objects and objects together.
     """
-    movers = len(overlap)
-    hits = (overlap >= OVERLAP).sum(1)  # [movers, 256]
-    seen = np.array([(np.sum(true == n + 1, (1, 2)) >= FEWEST).sum() for n in range(movers)])
+    objects = len(overlap)
+    hits = (overlap >= OVERLAP).sum(1)  # [objects, 256]
+    seen = np.array([(np.sum(true == n + 1, (1, 2)) >= FEWEST).sum() for n in range(objects)])
     shown = np.array([0, *((np.sum(ours == n, (1, 2)) >= FEWEST).sum() for n in range(1, 256))])
     rows, columns = linear_sum_assignment(-hits)
-    assigned: list[int | None] = [None] * movers
-    idf1, right = [0.0] * movers, 0
+    assigned: list[int | None] = [None] * objects
+    idf1, right = [0.0] * objects, 0
     for row, column in zip(rows, columns, strict=True):
         if hits[row, column]:
             assigned[row] = int(column)
@@ -159,13 +159,13 @@ def _depth_errors(log: np.ndarray, inside: np.ndarray) -> Record:
 
 
 def _at_feet(true: np.ndarray, known: list[Record], seconds: list[float]) -> np.ndarray:
-    """[T, H, W] bool: near the lowest pixels of movers, in frames at whose time these touch the ground."""
+    """[T, H, W] bool: near the lowest pixels of objects, in frames at whose time these touch the ground."""
     near, around = np.zeros(true.shape, bool), np.ones((2 * AT_FEET + 1, 2 * AT_FEET + 1), np.uint8)
     half = np.diff(seconds).mean() / 2 if len(seconds) > 1 else np.inf
-    for mover in known:
+    for obj in known:
         for t, second in enumerate(seconds):
-            if any(abs(second - contact) <= half for contact in mover["contact"]):
-                inside = true[t] == mover["number"]
+            if any(abs(second - contact) <= half for contact in obj["contact"]):
+                inside = true[t] == obj["number"]
                 rows = np.flatnonzero(inside.any(1))
                 if inside.sum() >= FEWEST:
                     inside[: rows[-1]] = False
@@ -207,4 +207,4 @@ def _mean_height(inside: np.ndarray) -> float:
 
 def _told(scene: Scene) -> dict[str, Record]:
     """What is believed of the distance of objects by their numbers: ``sigma`` of its logarithm, and ``cues`` that told it."""
-    return {str(m.number): {"sigma": m.sigma, "cues": sorted(m.cues)} for m in load_movers(scene).movers}
+    return {str(m.number): {"sigma": m.sigma, "cues": sorted(m.cues)} for m in load_objects(scene).objects}

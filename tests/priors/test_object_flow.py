@@ -1,4 +1,4 @@
-"""Flow of movers is searched again where nothing else is seen."""
+"""Flow of objects is searched again where nothing else is seen."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from flowsplat.priors.flow import flow_stage
-from flowsplat.priors.mover_flow import mover_flow_stage
+from flowsplat.priors.object_flow import object_flow_stage
 from flowsplat.scenes import Scene
 from tests.priors.planes import texture
 
@@ -34,9 +34,9 @@ def scene(tmp_path) -> Scene:
 
 def test_a_thin_bar_that_is_fast_is_found_and_what_rests_stays(scene):
     before = {pair: scene.flow(*pair) for pair in scene.flow_pairs}
-    mover_flow_stage(scene)
+    object_flow_stage(scene)
     assert scene.prior("flow")["method"] == "dis"
-    assert scene.prior("flow")["movers"]
+    assert scene.prior("flow")["objects"]
     errors = []
     for (i, j), earlier in before.items():
         mask, found = scene.mask(i) > 0, scene.flow(i, j)
@@ -53,6 +53,6 @@ def test_no_masks_no_search(scene, tmp_path):
     for i in scene.train_frames:
         scene.write_mask(i, np.zeros((HEIGHT, WIDTH), np.uint8))
     before = {pair: scene.flow(*pair).flow for pair in scene.flow_pairs}
-    mover_flow_stage(scene)
+    object_flow_stage(scene)
     for pair, flow in before.items():
         np.testing.assert_array_equal(scene.flow(*pair).flow, flow)

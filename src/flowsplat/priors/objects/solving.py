@@ -1,4 +1,4 @@
-"""Each numbered mover of a clip: its course over time, its distance, and the depth of its pixels."""
+"""Each numbered object of a clip: its course over time, its distance, and the depth of its pixels."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ from flowsplat.priors.objects.contact_cues import (
     thrown_cue,
     unsurer,
 )
-from flowsplat.priors.objects.course import Course, MoverTracks, solve_course
+from flowsplat.priors.objects.course import Course, ObjectTracks, solve_course
 from flowsplat.priors.objects.distance import Cue, Distance, combine
 from flowsplat.priors.objects.path import bounce_frames
 from flowsplat.priors.objects.relief import DEEPEST, ReliefPoints, relief, roundness
-from flowsplat.priors.objects.rematching import MoverPictures
+from flowsplat.priors.objects.rematching import ObjectPictures
 
 SHORTEST_TRACK = 5
 INSIDE = 0.7
-"""Share of a track that must lie inside a mover to be on it."""
+"""Share of a track that must lie inside an object to be on it."""
 GUESS_PERCENTILE, ABOVE_GROUND = 10, 0.15
 """What does not touch the ground is guessed to be this much nearer, in ln, than where it would."""
 BOUND_PERCENTILE, BOUND_SLACK = 5, 0.03
-"""Over time, of where a mover would touch the ground: it is not farther than this in any frame, but for errors of its outline."""
+"""Over time, of where an object would touch the ground: it is not farther than this in any frame, but for errors of its outline."""
 
 
 @dataclass(frozen=True)
-class Mover:
-    """One mover.
+class DynamicObject:
+    """One object.
 
     Attributes:
         number: in the masks.
@@ -75,10 +75,10 @@ class Mover:
         return np.exp(log_depth)
 
 
-def tracks_of_movers(
+def tracks_of_objects(
     positions: np.ndarray, visible: np.ndarray, mask_of: Callable[[int], np.ndarray], frames: Sequence[int]
 ) -> dict[int, tuple[np.ndarray, np.ndarray]]:
-    """Which tracks lie on which mover.
+    """Which tracks lie on which object.
 
     Args:
         positions: [P, T, 2] pixels over the whole clip, where visible [P, T].
@@ -104,12 +104,12 @@ def tracks_of_movers(
     return found
 
 
-def solve_mover(
+def solve_object(
     number: int, positions: np.ndarray, inside: np.ndarray, middles: np.ndarray, bounds: Sequence[Bound | None],
     cameras: Sequence[Camera], ground: Ground | None, log_cards: np.ndarray, normal: np.ndarray,
-    front: Callable[[int], np.ndarray], pictures: MoverPictures | None = None,
-) -> Mover:  # fmt: skip
-    """One mover.
+    front: Callable[[int], np.ndarray], pictures: ObjectPictures | None = None,
+) -> DynamicObject:  # fmt: skip
+    """One object.
 
     Args:
         positions: [N, T, 2] pixels of its tracks over the training frames, where ``inside`` [N, T].
@@ -123,7 +123,7 @@ def solve_mover(
         pictures: to match its points anew in; None: tracks are all there is.
     """
     seen = np.isfinite(log_cards) & np.isfinite(middles).all(1)
-    tracks, feet = MoverTracks(positions, inside, middles, cameras, normal), Feet.of(bounds, int(seen.sum()))
+    tracks, feet = ObjectTracks(positions, inside, middles, cameras, normal), Feet.of(bounds, int(seen.sum()))
     found = solve_course(tracks, log_cards, feet, ground, pictures)
     guess = float(np.median((log_cards - found.log_depth)[seen]))
     at_ground = feet.log_depth - found.log_depth
@@ -138,17 +138,17 @@ def solve_mover(
     distance, cues = _distance(guess, found.cues, stands, bounces, at_ground[np.isfinite(at_ground) & feet.ground_seen])
     points = replace(found.points, log_depth=found.points.log_depth + distance.log_scale)
     expected = DEEPEST * found.motion.size if found.motion is not None else 0.0
-    return Mover(number, course + distance.log_scale, middles, distance.sigma, not found.bends, cues, points, expected)
+    return DynamicObject(number, course + distance.log_scale, middles, distance.sigma, not found.bends, cues, points, expected)
 
 
 def _bounces(
-    found: Course, tracks: MoverTracks, feet: Feet, ground: Ground | None, scale: float, front: Callable[[int], np.ndarray]
+    found: Course, tracks: ObjectTracks, feet: Feet, ground: Ground | None, scale: float, front: Callable[[int], np.ndarray]
 ) -> Cue | None:
-    """That a mover touched the ground for moments: where its path was thrown up, or where its bounds have sharp minima.
+    """That an object touched the ground for moments: where its path was thrown up, or where its bounds have sharp minima.
 
     Args:
         scale: a guess of its distance, as a factor of its course.
-        front: as ``solve_mover``.
+        front: as ``solve_object``.
     """
     touched = np.where(feet.visible, feet.log_depth - found.log_depth, np.nan)
     thrown = np.zeros(0, int)
@@ -163,7 +163,7 @@ def _bounces(
 
 
 def _at_feet(
-    touched: np.ndarray, thrown: Sequence[int] | np.ndarray, found: Course, tracks: MoverTracks, feet: Feet,
+    touched: np.ndarray, thrown: Sequence[int] | np.ndarray, found: Course, tracks: ObjectTracks, feet: Feet,
     front: Callable[[int], np.ndarray],
 ) -> np.ndarray:  # fmt: skip
     """The bounds ``touched`` [T], but those of its lowest pixels in the frames about those in which it was ``thrown`` up."""
@@ -182,7 +182,7 @@ def _at_feet(
 def _distance(
     guess: float, laws: Mapping[str, Cue], stands: Cue | None, bounces: Cue | None, known: np.ndarray
 ) -> tuple[Distance, Mapping[str, Cue]]:
-    """How far away a mover is, and the cue that says so, by its name.
+    """How far away an object is, and the cue that says so, by its name.
 
     Args:
         guess: ln of its distance if it touches nothing.
@@ -202,7 +202,7 @@ def _distance(
         surest = min(cues, key=lambda name: cues[name].sigma)
         cues = {surest: cues[surest]}
     if touch is not None and touch in cues.values():
-        # What hides behind a mover that touches the ground says nothing that its feet do not say better.
+        # What hides behind an object that touches the ground says nothing that its feet do not say better.
         return combine(touch.log_scale, cues, far), cues
     near_ground = float(np.percentile(known, GUESS_PERCENTILE)) - ABOVE_GROUND if len(known) >= FEWEST_BOUNDS else None
     return combine(guess, cues, far, near_ground), cues

@@ -1,4 +1,4 @@
-"""Random movers of a plan, each where it is seen as large as it is to be."""
+"""Random objects of a plan, each where it is seen as large as it is to be."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from flowsplat.scenes.synthetic.worlds.machines import (
     vehicle,
 )
 from flowsplat.scenes.synthetic.worlds.materials import draw_material
-from flowsplat.scenes.synthetic.worlds.parts import Kind, Mover, Part
+from flowsplat.scenes.synthetic.worlds.parts import Kind, Part, WorldObject
 from flowsplat.scenes.synthetic.worlds.people import HEIGHT, walker
 from flowsplat_benchmarks.worlds.dancers import dancer
 from flowsplat_benchmarks.worlds.plan import Plan
 
 APPARENT = (0.08, 0.7)
-"""Shares of the picture's height between which movers are drawn."""
+"""Shares of the picture's height between which objects are drawn."""
 
 DANCING = (0.5, 0.9)
 """The same of dancers."""
 
 NEAREST, FURTHEST = 1.4, 24.0
-"""Meters between which movers are drawn."""
+"""Meters between which objects are drawn."""
 
 
 @dataclass(frozen=True)
@@ -52,18 +52,18 @@ class Scale:
         return distance / self.focal
 
 
-def draw_movers(rng: np.random.Generator, plan: Plan, scale: Scale, ground: Ground, duration: float) -> list[Mover]:
-    movers: list[Mover] = []
+def draw_objects(rng: np.random.Generator, plan: Plan, scale: Scale, ground: Ground, duration: float) -> list[WorldObject]:
+    objects: list[WorldObject] = []
     if plan.pair == "touching":
-        movers = _draw_touching(rng, plan.kinds[:2], scale, ground, duration)
+        objects = _draw_touching(rng, plan.kinds[:2], scale, ground, duration)
     elif plan.pair == "crossing":
         # Both are at the same place of the picture in the middle of the clip, one behind the other, and go opposite ways.
         place, side = rng.uniform(-0.25, 0.25), rng.choice([0.0, np.pi])
         for kind, towards in zip(plan.kinds[:2], (side, side + np.pi), strict=True):
-            movers.append(_draw_mover(rng, kind, scale, ground, duration, place, towards + rng.uniform(-0.3, 0.3)))
-    for kind in plan.kinds[len(movers) :]:
-        movers.append(_draw_mover(rng, kind, scale, ground, duration, rng.uniform(-0.36, 0.36), _draw_heading(rng)))
-    return movers
+            objects.append(_draw_object(rng, kind, scale, ground, duration, place, towards + rng.uniform(-0.3, 0.3)))
+    for kind in plan.kinds[len(objects) :]:
+        objects.append(_draw_object(rng, kind, scale, ground, duration, rng.uniform(-0.36, 0.36), _draw_heading(rng)))
+    return objects
 
 
 def _draw_heading(rng: np.random.Generator) -> float:
@@ -82,9 +82,9 @@ def _speed(rng: np.random.Generator, low: float, high: float, scale: Scale, dist
     return float(min(rng.uniform(low, high), 0.7 * scale.wide(distance) / duration))
 
 
-def _draw_mover(
+def _draw_object(
     rng: np.random.Generator, kind: Kind, scale: Scale, ground: Ground, duration: float, place: float, heading: float
-) -> Mover:
+) -> WorldObject:
     rich = bool(rng.random() < 0.6)
     if kind in ("walker", "carrier"):
         body = rng.uniform(0.6, 1.1)
@@ -126,7 +126,9 @@ def _draw_mover(
     return in_the_air(rng, ground, _spot(scale, place, distance), heading, radius, speed, duration, rich, not thrown)
 
 
-def _draw_touching(rng: np.random.Generator, kinds: tuple[Kind, ...], scale: Scale, ground: Ground, duration: float) -> list[Mover]:
+def _draw_touching(
+    rng: np.random.Generator, kinds: tuple[Kind, ...], scale: Scale, ground: Ground, duration: float
+) -> list[WorldObject]:
     """Two who walk arm in arm, one who pushes a cart, or a ball that hits another one."""
     rich, other_rich = bool(rng.random() < 0.6), bool(rng.random() < 0.6)
     beside, heading = rng.uniform(-0.2, 0.2), _draw_heading(rng)
@@ -160,8 +162,8 @@ def _draw_touching(rng: np.random.Generator, kinds: tuple[Kind, ...], scale: Sca
         # Both bend as much and step together; clothes are drawn apart.
         pair = []
         for side, clothes in ((-0.5, rich), (0.5, other_rich)):
-            mover = walker(np.random.default_rng(state), ground, at + side * aside, heading, body, speed, duration, clothes)
-            pair.append(_repainted(rng, mover, clothes))
+            obj = walker(np.random.default_rng(state), ground, at + side * aside, heading, body, speed, duration, clothes)
+            pair.append(_repainted(rng, obj, clothes))
         return pair
     heading = straight(rng, ground, heading)
     length = rng.uniform(0.6, 1.1) * body
@@ -177,13 +179,13 @@ def _draw_touching(rng: np.random.Generator, kinds: tuple[Kind, ...], scale: Sca
     return [pusher, vehicle(rng, ground, place, heading, length, way, other_rich, handle)]
 
 
-def _repainted(rng: np.random.Generator, mover: Mover, rich: bool) -> Mover:
+def _repainted(rng: np.random.Generator, obj: WorldObject, rich: bool) -> WorldObject:
     """The same with other colors, parts that shared one still sharing it."""
     new: dict[bytes, np.ndarray] = {}
     parts = []
-    for part in mover.parts:
+    for part in obj.parts:
         key = part.material.tobytes()
         if key not in new:
             new[key] = draw_material(rng, 0.5, rich)
         parts.append(Part(part.shape, part.size, new[key]))
-    return Mover(mover.kind, tuple(parts), mover.poses, mover.touching)
+    return WorldObject(obj.kind, tuple(parts), obj.poses, obj.touching)

@@ -1,4 +1,4 @@
-"""``flowsplat benchmark movers``."""
+"""``flowsplat benchmark objects``."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from flowsplat.cli.command import Command
 from flowsplat_benchmarks.commands import WORK, Work
 
 
-def movers(out: Out, worlds: int = 40, seed: int = 0, again: bool = False, work: Work = WORK) -> None:
+def objects(out: Out, worlds: int = 40, seed: int = 0, again: bool = False, work: Work = WORK) -> None:
     """How far away moving objects are estimated to be, in random worlds with exact truth.
 
     Every world is rendered and prepared once, in OUT/<seed>, with our own cameras, flow and masks and with true ones. The
-    tables are in OUT/movers.md and OUT/movers.html, the figures in OUT/results.json. The same command again continues where
+    tables are in OUT/objects.md and OUT/objects.html, the figures in OUT/results.json. The same command again continues where
     it was stopped. Seeds below 900 are for tuning, 900 to 999 decide between versions and are never looked at one by one,
     1000 to 1199 are only reported.
 
@@ -19,12 +19,12 @@ def movers(out: Out, worlds: int = 40, seed: int = 0, again: bool = False, work:
         out: Folder for everything that comes out.
         worlds: How many worlds.
         seed: That of the first one; the others follow.
-        again: Place the movers anew in worlds that are prepared already: what to call after that step was changed.
+        again: Place the objects anew in worlds that are prepared already: what to call after that step was changed.
         work: How the benchmark is done.
     """
-    from flowsplat_benchmarks.movers import run_movers_benchmark
+    from flowsplat_benchmarks.objects import run_objects_benchmark
 
-    run_movers_benchmark(out, worlds, seed, again, options=work)
+    run_objects_benchmark(out, worlds, seed, again, options=work)
 
 
-COMMAND = Command(lambda _: movers, place=80)
+COMMAND = Command(lambda _: objects, place=80)

@@ -1,4 +1,4 @@
-"""Objects are found on their true movers, and the errors of their depth are those that were put in."""
+"""Objects are found on their true objects, and the errors of their depth are those that were put in."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from flowsplat.common.errors import InputError
 from flowsplat.priors.prepare import use_truth
 from flowsplat.scenes import Scene
-from flowsplat_benchmarks.oracles.movers import Mover, depth_scale, match_movers, mover_errors, static_error
+from flowsplat_benchmarks.oracles.objects import MatchedObject, depth_scale, match_objects, object_depth_errors, static_error
 from tests.flowsplat_benchmarks.oracles.conftest import CONSTANT, COURSE, RELIEF, SCALE, SHADOW, STATIC
 
 
@@ -20,21 +20,26 @@ def test_scale_comes_from_the_paths(wrong_scene):
     assert static_error(scene) == pytest.approx(STATIC, abs=1e-3)
 
 
-def test_objects_are_on_their_movers(wrong_scene):
-    assert match_movers(Scene(wrong_scene)) == [Mover(1, (4,)), Mover(2, (5, 6)), Mover(3, (7,)), Mover(0, (SHADOW,))]
+def test_objects_are_on_their_objects(wrong_scene):
+    assert match_objects(Scene(wrong_scene)) == [
+        MatchedObject(1, (4,)),
+        MatchedObject(2, (5, 6)),
+        MatchedObject(3, (7,)),
+        MatchedObject(0, (SHADOW,)),
+    ]
 
 
 def test_what_is_compared():
     mask, true = np.array([[4, 5, 5, 0]]), np.array([[1, 2, 0, 2]])
-    mover = Mover(2, (5, 6))
-    assert mover.region(mask).tolist() == [[False, True, True, False]]
-    assert mover.compared(mask, true).tolist() == [[False, True, False, False]]
-    assert Mover(0, (5,)).compared(mask, true).tolist() == [[False, True, True, False]]
+    obj = MatchedObject(2, (5, 6))
+    assert obj.region(mask).tolist() == [[False, True, True, False]]
+    assert obj.compared(mask, true).tolist() == [[False, True, False, False]]
+    assert MatchedObject(0, (5,)).compared(mask, true).tolist() == [[False, True, True, False]]
 
 
 def test_errors_are_those_that_were_put_in(wrong_scene):
-    first, *others = mover_errors(Scene(wrong_scene))
-    assert first.mover == Mover(1, (4,))
+    first, *others = object_depth_errors(Scene(wrong_scene))
+    assert first.object == MatchedObject(1, (4,))
     assert first.frames == 8
     assert first.constant == pytest.approx(CONSTANT, abs=RELIEF)
     assert first.course == pytest.approx(COURSE, rel=0.05)
@@ -52,8 +57,8 @@ def test_true_priors_have_no_error(wrong_scene, tmp_path):
     use_truth(scene)
     assert depth_scale(scene) == 1
     assert static_error(scene) == 0
-    errors = mover_errors(scene)
-    assert [error.mover for error in errors] == [Mover(n, (n,)) for n in (1, 2, 3)]
+    errors = object_depth_errors(scene)
+    assert [error.object for error in errors] == [MatchedObject(n, (n,)) for n in (1, 2, 3)]
     assert all((error.constant, error.course, error.relief) == (0, 0, 0) for error in errors)
 
 
@@ -61,4 +66,4 @@ def test_a_scene_without_truth_is_refused(wrong_scene, tmp_path):
     shutil.copytree(wrong_scene, tmp_path / "scene")
     shutil.rmtree(tmp_path / "scene" / "truth")
     with pytest.raises(InputError, match="only rendered scenes do"):
-        mover_errors(Scene(tmp_path / "scene"))
+        object_depth_errors(Scene(tmp_path / "scene"))

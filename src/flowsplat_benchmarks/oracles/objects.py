@@ -1,7 +1,7 @@
-"""The movers of a rendered scene's masks beside the true ones: which object is on which mover, and how wrong its depth is.
+"""The objects of a rendered scene's masks beside the true ones: which object is which true one, and how wrong its depth is.
 
 The estimated cameras have a scale of their own, so true depth is first brought to it by one factor for the whole clip
-(``depth_scale``). How wrong the depth of a mover is falls into three parts of e = ln(estimated / true) over its pixels, of which
+(``depth_scale``). How wrong the depth of an object is falls into three parts of e = ln(estimated / true) over its pixels, of which
 each needs another cure: one number for the clip (``constant``), how it is off over time (``course``), and what is left inside a
 frame (``relief``).
 """
@@ -17,40 +17,40 @@ from flowsplat.common.errors import InputError
 from flowsplat.evaluation.placement import true_scale
 from flowsplat.scenes import Layers, Scene
 
-ON_MOVER = 0.2
-"""Share of an object's pixels that must lie on the true mover that it is on most, else it is on none."""
+ON_OBJECT = 0.2
+"""Share of an object's pixels that must lie on the true object that it is on most, else it is on none."""
 FEWEST = 20
-"""Pixels of a mover in a frame from which that frame tells how its depth changes over time."""
+"""Pixels of an object in a frame from which that frame tells how its depth changes over time."""
 
 
 @dataclass(frozen=True)
-class Mover:
-    """Objects of the scene's masks that are on one true mover.
+class MatchedObject:
+    """Objects of the scene's masks that are on one true object.
 
     Attributes:
         true: its number in the true masks; 0 = the one object is on nothing that moves.
-        objects: numbers in the scene's masks.
+        ids: numbers in the scene's masks.
     """
 
     true: int
-    objects: tuple[int, ...]
+    ids: tuple[int, ...]
 
     def region(self, mask: np.ndarray) -> np.ndarray:
         """[H, W] bool: its pixels in the scene's mask [H, W] of a frame."""
-        return np.isin(mask, self.objects)
+        return np.isin(mask, self.ids)
 
     def compared(self, mask: np.ndarray, true_mask: np.ndarray) -> np.ndarray:
-        """[H, W] bool: those of its pixels that are truly on the mover; all of them if it is on nothing that moves."""
+        """[H, W] bool: those of its pixels that are truly on the object; all of them if it is on nothing that moves."""
         region = self.region(mask)
         return region & (true_mask == self.true) if self.true else region
 
 
 @dataclass(frozen=True)
-class MoverError:
-    """How wrong the depth of a mover is, in natural logarithms of estimated over true depth: .01 is one percent too far.
+class ObjectDepthError:
+    """How wrong the depth of an object is, in natural logarithms of estimated over true depth: .01 is one percent too far.
 
     Attributes:
-        mover: which.
+        matched: which.
         pixels: how many were compared.
         frames: in how many frames.
         constant: median over pixels and frames.
@@ -58,7 +58,7 @@ class MoverError:
         relief: median over pixels and frames of the absolute difference from the median of the frame.
     """
 
-    mover: Mover
+    matched: MatchedObject
     pixels: int
     frames: int
     constant: float
@@ -81,17 +81,17 @@ def truth_of(scene: Scene) -> Layers:
 def depth_scale(scene: Scene) -> float:
     """Units of the scene's cameras per unit of the truth, one factor for the clip: from the camera paths; 1 with true cameras.
 
-    Not from static depth, which has a bias of its own (``static_error``) that would become one of the movers. On the rendered
+    Not from static depth, which has a bias of its own (``static_error``) that would become one of the objects. On the rendered
     scenes workshop and garden true depth times this factor leads from frame to frame, 8 and 16 apart, with estimated cameras to
     within .06 and .04 pixels (median) of where the truth leads, and to the held-out cameras, which are placed by the same
     factor, to within .02. No other factor does better in the root mean square. Static depth alone would ask for .6 % less, and
-    that costs workshop with true depth 2.2 dB inside movers.
+    that costs workshop with true depth 2.2 dB inside objects.
     """
     return 1 / true_scale(scene)
 
 
 def static_error(scene: Scene) -> float:
-    """Median of ln(estimated / true) depth over trusted static pixels of all training frames: by how much a mover at its true
+    """Median of ln(estimated / true) depth over trusted static pixels of all training frames: by how much an object at its true
     distance misses what it stands on.
 
     Raises:
@@ -106,11 +106,11 @@ def static_error(scene: Scene) -> float:
     return float(np.median(pooled)) if len(pooled) else 0.0
 
 
-def match_movers(scene: Scene) -> list[Mover]:
-    """Every object of the scene's masks on the true mover that most of it is on over the clip, or on none.
+def match_objects(scene: Scene) -> list[MatchedObject]:
+    """Every object of the scene's masks on the true object that most of it is on over the clip, or on none.
 
     Returns:
-        the true movers that were found, by number; then every object that is on none.
+        the true objects that were found, by number; then every object that is on none.
     """
     truth = truth_of(scene)
     counts = np.zeros((256, 256), np.int64)
@@ -121,40 +121,40 @@ def match_movers(scene: Scene) -> list[Mover]:
     alone = []
     for number in map(int, np.flatnonzero(counts[1:].sum(1)) + 1):
         best = int(counts[number, 1:].argmax()) + 1
-        if counts[number, best] >= ON_MOVER * counts[number].sum():
+        if counts[number, best] >= ON_OBJECT * counts[number].sum():
             found.setdefault(best, []).append(number)
         else:
-            alone.append(Mover(0, (number,)))
-    return [Mover(true, tuple(objects)) for true, objects in sorted(found.items())] + alone
+            alone.append(MatchedObject(0, (number,)))
+    return [MatchedObject(true, tuple(objects)) for true, objects in sorted(found.items())] + alone
 
 
-def mover_errors(scene: Scene, movers: Sequence[Mover] | None = None) -> list[MoverError]:
-    """How wrong the depth of every mover is, over the training frames.
+def object_depth_errors(scene: Scene, objects: Sequence[MatchedObject] | None = None) -> list[ObjectDepthError]:
+    """How wrong the depth of every object is, over the training frames.
 
     Args:
-        movers: which; None = ``match_movers``.
+        objects: which; None = ``match_objects``.
 
     Raises:
         InputError: the scene has no truth, or no depth and masks yet.
     """
-    movers = match_movers(scene) if movers is None else movers
+    objects = match_objects(scene) if objects is None else objects
     truth, scale = truth_of(scene), depth_scale(scene)
-    frames: dict[Mover, list[np.ndarray]] = {mover: [] for mover in movers}
+    frames: dict[MatchedObject, list[np.ndarray]] = {obj: [] for obj in objects}
     for i, mask, true_mask in masks_of(scene):
         off = np.log(scene.depth(i).depth / (scale * truth.depth(i).depth))
-        for mover in movers:
-            inside = mover.compared(mask, true_mask)
+        for obj in objects:
+            inside = obj.compared(mask, true_mask)
             if inside.any():
-                frames[mover].append(off[inside].astype(np.float64))
-    return [_error(mover, frames[mover]) for mover in movers if frames[mover]]
+                frames[obj].append(off[inside].astype(np.float64))
+    return [_error(obj, frames[obj]) for obj in objects if frames[obj]]
 
 
-def _error(mover: Mover, frames: Sequence[np.ndarray]) -> MoverError:
+def _error(obj: MatchedObject, frames: Sequence[np.ndarray]) -> ObjectDepthError:
     pooled = np.concatenate(frames)
     course = [np.median(values) for values in frames if len(values) >= FEWEST]
     left = np.concatenate([np.abs(values - np.median(values)) for values in frames])
-    return MoverError(
-        mover, len(pooled), len(frames), float(np.median(pooled)), float(np.std(course)) if len(course) > 1 else None,
+    return ObjectDepthError(
+        obj, len(pooled), len(frames), float(np.median(pooled)), float(np.std(course)) if len(course) > 1 else None,
         float(np.median(left)),
     )  # fmt: skip
 

@@ -11,13 +11,13 @@ from flowsplat.common.errors import InputError
 from flowsplat.common.files import write_json
 from flowsplat.common.source import source_state
 from flowsplat.scenes import Scene
-from flowsplat_benchmarks.movers.measure import measure_scene
-from flowsplat_benchmarks.movers.preparation import VARIANTS, place_movers, prepare_world
-from flowsplat_benchmarks.movers.tables import DEFINITIONS, tables
+from flowsplat_benchmarks.objects.measure import measure_scene
+from flowsplat_benchmarks.objects.preparation import VARIANTS, place_objects, prepare_world
+from flowsplat_benchmarks.objects.tables import DEFINITIONS, tables
 from flowsplat_benchmarks.reports import Report, failures
 from flowsplat_benchmarks.resume import BenchmarkOptions, Job, measure_jobs, results_at
 from flowsplat_benchmarks.tables import made_by
-from flowsplat_benchmarks.worlds import read_movers
+from flowsplat_benchmarks.worlds import read_objects
 
 PROCESSES = 2
 """Worlds that are worked on at a time where the options do not say it."""
@@ -25,21 +25,21 @@ PROCESSES = 2
 FIGURES = "figures.json"
 """In the folder of a world."""
 
-TITLE = "Movers of random worlds"
+TITLE = "Objects of random worlds"
 WIDTH, HEIGHT, FRAMES = 320, 180, 40
 
 
-def run_movers_benchmark(
+def run_objects_benchmark(
     out: Path, worlds: int, seed: int, again: bool = False, size: tuple[int, int] = (WIDTH, HEIGHT), frames: int = FRAMES,
     options: BenchmarkOptions | None = None,
 ) -> Path:  # fmt: skip
-    """Measure the worlds of ``worlds`` seeds from ``seed`` on: ``OUT/results.json``, ``OUT/movers.md`` and ``OUT/movers.html``.
+    """Measure the worlds of ``worlds`` seeds from ``seed`` on: ``OUT/results.json``, ``OUT/objects.md`` and ``OUT/objects.html``.
 
     Of each, ``OUT/<seed>/own`` and ``OUT/<seed>/true`` are its scenes and ``OUT/<seed>/figures.json`` its figures (see
     ``measure_scene``). A world that cannot be prepared is told and left out, and the others go on.
 
     Args:
-        again: place the movers anew in what is prepared already, and measure them.
+        again: place the objects anew in what is prepared already, and measure them.
         size: pixels of the pictures, frames: how many.
         options: how many at a time, and by what.
 
@@ -66,7 +66,7 @@ def _job(seed: int, out: Path, size: tuple[int, int], frames: int, again: bool) 
 
 
 def measure_world(seed: int, folder: Path, size: tuple[int, int], frames: int, again: bool) -> dict[str, Any]:
-    """Prepare what is missing of a world, place its movers and return what ``FIGURES`` in its folder says.
+    """Prepare what is missing of a world, place its objects and return what ``FIGURES`` in its folder says.
 
     Raises:
         InputError: as ``prepare_world``.
@@ -75,11 +75,11 @@ def measure_world(seed: int, folder: Path, size: tuple[int, int], frames: int, a
     figures: dict[str, Any] = {}
     for variant in VARIANTS:
         scene = Scene(folder / variant)
-        place_movers(scene, again)
+        place_objects(scene, again)
         figures[variant] = _rounded(measure_scene(scene))
         truth = scene.truth
         assert truth is not None
-        known = read_movers(truth)
+        known = read_objects(truth)
     facts = {"seed": seed, "ground": known["ground"], "camera": known["camera"], "size": size, "frames": frames}
     return {**facts, "flowsplat": source_state(), **figures}
 
@@ -102,4 +102,4 @@ def write_report(out: Path, seeds: range, failed: Mapping[str, str]) -> Path:
     write_json(out / "results.json", results)
     verdict = f"{len(results)} worlds, seeds {seeds.start} to {seeds.stop - 1}."
     remarks = [*DEFINITIONS, *([made_by(results)] if results else []), *failures(failed, "measured")]
-    return Report("movers", TITLE, verdict, remarks, tables(results), verdict_is_remark=True).write(out)
+    return Report("objects", TITLE, verdict, remarks, tables(results), verdict_is_remark=True).write(out)

@@ -23,7 +23,7 @@ from flowsplat.priors.objects import objects_stage
 from flowsplat.priors.tracks import tracks_stage
 from flowsplat.scenes import Scene
 from flowsplat_benchmarks.worlds import draw_world, write_world
-from flowsplat_benchmarks.worlds.writing import MOVERS
+from flowsplat_benchmarks.worlds.writing import OBJECTS
 
 Variant = Literal["own", "true"]
 VARIANTS: tuple[Variant, ...] = ("own", "true")
@@ -43,7 +43,7 @@ def prepare_world(seed: int, folder: Path, width: int, height: int, frames: int)
             found.
     """
     own, true = (folder / variant for variant in VARIANTS)
-    if not (own / "truth" / MOVERS).exists():
+    if not (own / "truth" / OBJECTS).exists():
         shutil.rmtree(folder, ignore_errors=True)
         write_world(own, draw_world(seed, width, height, frames))
     scene = Scene(own)
@@ -62,7 +62,7 @@ def prepare_world(seed: int, folder: Path, width: int, height: int, frames: int)
             tracks_stage(each)
 
 
-def place_movers(scene: Scene, again: bool = False) -> None:
+def place_objects(scene: Scene, again: bool = False) -> None:
     """The step under test: course, relief and distance of what moves, before a static world whose matches are solved already.
 
     Args:
