@@ -39,7 +39,7 @@ def test_what_is_compared():
 
 def test_errors_are_those_that_were_put_in(wrong_scene):
     first, *others = object_depth_errors(Scene(wrong_scene))
-    assert first.object == MatchedObject(1, (4,))
+    assert first.matched == MatchedObject(1, (4,))
     assert first.frames == 8
     assert first.constant == pytest.approx(CONSTANT, abs=RELIEF)
     assert first.course == pytest.approx(COURSE, rel=0.05)
@@ -58,7 +58,7 @@ def test_true_priors_have_no_error(wrong_scene, tmp_path):
     assert depth_scale(scene) == 1
     assert static_error(scene) == 0
     errors = object_depth_errors(scene)
-    assert [error.object for error in errors] == [MatchedObject(n, (n,)) for n in (1, 2, 3)]
+    assert [error.matched for error in errors] == [MatchedObject(n, (n,)) for n in (1, 2, 3)]
     assert all((error.constant, error.course, error.relief) == (0, 0, 0) for error in errors)
 
 
