@@ -82,7 +82,7 @@ def observations(scene: Gaussians4D, width: int, height: int) -> Observations:
                 image=(np.clip(noisy, 0, 1) * 255).astype(np.uint8),
                 depth=np.where(covered, seen.depth.numpy() / divisor, 1).astype(np.float32),
                 depth_trusted=covered,
-                objects=np.zeros((height, width), np.uint8),
+                object_ids=np.zeros((height, width), np.uint8),
                 forward=flow,
                 backward=None,
             )
