@@ -5,7 +5,7 @@ BIN := .venv/bin
 .PHONY: help demo test test-all lock clean
 
 help:
-	@echo "make demo      a short rendered clip through all stages: pictures, video and report in out/demo"
+	@echo "make demo      a short rendered clip through all stages: images, video and report in out/demo"
 	@echo "make test      lint, format, types, and every guarantee once"
 	@echo "make test-all  the same and all that takes longer"
 	@echo "make lock      requirements.lock and requirements.view.lock anew, from pyproject.toml and constraints.txt (needs uv)"

@@ -1,4 +1,4 @@
-"""Splat Gaussians on the CPU and fit them to a picture: the rasterizer alone, differentiable in everything."""
+"""Splat Gaussians on the CPU and fit them to an image: the rasterizer alone, differentiable in everything."""
 
 import sys
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 import torch
 
 from flowsplat import rasterize
-from flowsplat.pictures.colors import float_to_bytes
+from flowsplat.images.colors import float_to_bytes
 from flowsplat.scenes.layers import write_image
 
 out = Path(sys.argv[1] if len(sys.argv) > 1 else "out/examples")

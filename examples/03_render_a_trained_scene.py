@@ -5,8 +5,8 @@ from pathlib import Path
 
 import flowsplat
 from flowsplat.geometry.paths import orbit
-from flowsplat.pictures.colors import depth_range, depth_to_color, float_to_bytes, flow_to_color
-from flowsplat.pictures.sheets import side_by_side
+from flowsplat.images.colors import depth_range, depth_to_color, float_to_bytes, flow_to_color
+from flowsplat.images.sheets import side_by_side
 from flowsplat.scenes.layers import write_image
 
 out = Path(sys.argv[1] if len(sys.argv) > 1 else "out/examples")

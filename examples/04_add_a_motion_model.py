@@ -1,4 +1,6 @@
-"""Define a motion model of your own, train it on the small built-in clip and export it. Here: every object flies like a thrown ball.
+"""Define a motion model of your own, train it on the small built-in clip and export it.
+
+Here every object flies like a thrown ball.
 
 In a copy of flowsplat the class would be a file of ``gaussians/motion`` (CONTRIBUTING.md, "Add a motion model").
 """

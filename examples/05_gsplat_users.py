@@ -6,7 +6,7 @@ from pathlib import Path
 import torch
 
 from flowsplat import rasterization  # was: from gsplat import rasterization
-from flowsplat.pictures.colors import float_to_bytes
+from flowsplat.images.colors import float_to_bytes
 from flowsplat.scenes.layers import write_image
 
 out = Path(sys.argv[1] if len(sys.argv) > 1 else "out/examples")
@@ -64,6 +64,6 @@ for step in range(steps):
         print(f"step {step}: {len(params['means'])} Gaussians, PSNR {-10 * error.log10().item():.2f}")
     if strategy:
         strategy.step_post_backward(params, optimizers, state, step, info, packed=True)
-picture = torch.cat([target, images[0].detach().clamp(0, 1)], 1)
-write_image(out / "05_gsplat_users.png", float_to_bytes(picture.numpy()))
+image = torch.cat([target, images[0].detach().clamp(0, 1)], 1)
+write_image(out / "05_gsplat_users.png", float_to_bytes(image.numpy()))
 print(f"target | fitted: {out / '05_gsplat_users.png'}")

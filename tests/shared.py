@@ -63,7 +63,7 @@ def main(part: str, folder: Path) -> None:
         compile_kernels(slice(0, None, 2))
     else:
         compile_kernels(slice(1, None, 2))
-        draw_world(0, 64, 48, 10).picture(0)
+        draw_world(0, 64, 48, 10).image(0)
 
 
 if __name__ == "__main__":

@@ -48,7 +48,7 @@ def refuse(capsys, *arguments: object) -> str:
     return message
 
 
-def pictures(folder: Path, count: int = 4, size: tuple[int, int] = (48, 32)) -> Path:
+def images(folder: Path, count: int = 4, size: tuple[int, int] = (48, 32)) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(0)
     world = cv2.resize(rng.integers(0, 255, (40, 60, 3), dtype=np.uint8), (240, 160), interpolation=cv2.INTER_CUBIC)
@@ -137,7 +137,7 @@ def test_a_run_prints_its_figures_and_says_what_was_held_out(capsys, scene, tmp_
     assert "held-out frames, PSNR" in error
     lines = error.strip().splitlines()
     assert "--holdout none" in lines[-5]
-    assert "Along the clip's path: the picture that training never saw is rendered at" in lines[-4]
+    assert "Along the clip's path: the image that training never saw is rendered at" in lines[-4]
     assert "From aside: views by other cameras" in lines[-4]
     told = [line.split(":", 1)[1].strip() for line in lines[-3:]]
     out = tmp_path / "out"
@@ -176,8 +176,8 @@ def test_the_stages_one_by_one(capsys, scene, tmp_path):
 
 
 @pytest.mark.slow
-def test_pictures_without_anything_else_become_a_scene(capsys, tmp_path):
-    folder = pictures(tmp_path / "Ünïcode and spaces", 6, (96, 64))
+def test_images_without_anything_else_become_a_scene(capsys, tmp_path):
+    folder = images(tmp_path / "Ünïcode and spaces", 6, (96, 64))
     code, error = call(capsys, "run", folder, "-o", tmp_path / "öut put", "--holdout", "none", *FAST)
     assert code == 0, error
     metrics = json.loads((tmp_path / "öut put" / "metrics.json").read_text())
@@ -187,14 +187,14 @@ def test_pictures_without_anything_else_become_a_scene(capsys, tmp_path):
 
 @pytest.mark.slow
 def test_two_frames_work(capsys, tmp_path):
-    code, error = call(capsys, "run", pictures(tmp_path / "two", 2), "-o", tmp_path / "out", *FAST)
+    code, error = call(capsys, "run", images(tmp_path / "two", 2), "-o", tmp_path / "out", *FAST)
     assert code == 0, error
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("value", [0, 255])
 def test_masks_all_empty_or_all_full_work(capsys, tmp_path, value):
-    pictures(tmp_path / "clip" / "images", 4, (65, 43))
+    images(tmp_path / "clip" / "images", 4, (65, 43))
     (tmp_path / "clip" / "masks").mkdir()
     for i in range(4):
         cv2.imwrite(str(tmp_path / "clip" / "masks" / f"{i:03d}.png"), np.full((43, 65), value, np.uint8))
@@ -206,21 +206,21 @@ def test_input_that_cannot_be_used(capsys, tmp_path):
     out = tmp_path / "out"
     assert "does not exist" in refuse(capsys, "run", tmp_path / "missing.mp4", "-o", out)
     (tmp_path / "empty").mkdir()
-    assert "no pictures" in refuse(capsys, "run", tmp_path / "empty", "-o", out)
+    assert "no images" in refuse(capsys, "run", tmp_path / "empty", "-o", out)
     (tmp_path / "text.mp4").write_text("hello\n" * 100)
     refuse(capsys, "run", tmp_path / "text.mp4", "-o", out)
     (tmp_path / "nothing.mp4").write_bytes(b"")
     refuse(capsys, "run", tmp_path / "nothing.mp4", "-o", out)
-    refuse(capsys, "run", pictures(tmp_path / "one", 1), "-o", out)
-    uneven = pictures(tmp_path / "uneven", 3)
-    pictures(tmp_path / "other", 4, (40, 32))
+    refuse(capsys, "run", images(tmp_path / "one", 1), "-o", out)
+    uneven = images(tmp_path / "uneven", 3)
+    images(tmp_path / "other", 4, (40, 32))
     shutil.copy(tmp_path / "other" / "003.png", uneven)
     refuse(capsys, "run", uneven, "-o", out)
     assert not out.exists()
 
 
 def test_options_that_do_not_exist(capsys, tmp_path):
-    folder = pictures(tmp_path / "clip")
+    folder = images(tmp_path / "clip")
     assert "preset" in refuse(capsys, "run", folder, "-o", tmp_path / "out", "--preset", "best")
     assert "--train.itrations" in refuse(capsys, "run", folder, "-o", tmp_path / "out", "--train.itrations", "3")
     assert "--start" in refuse(capsys, "run", folder, "-o", tmp_path / "out", "--start", "soon")
@@ -246,7 +246,7 @@ def test_a_device_that_does_not_work_is_refused_by_every_command(capsys, tmp_pat
 
 
 def test_folders_that_cannot_be_used(capsys, tmp_path, scene):
-    folder = pictures(tmp_path / "clip")
+    folder = images(tmp_path / "clip")
     (tmp_path / "file").write_text("x")
     refuse(capsys, "run", folder, "-o", tmp_path / "file")
     assert "not the folder of a run" in refuse(capsys, "train", tmp_path / "clip")

@@ -13,11 +13,11 @@ PACKAGE = Path(flowsplat.__file__).parent
 BENCHMARKS = "flowsplat_benchmarks"
 """The package beside it, which may import it, but never the other way round."""
 
-FIRST = ("common", "pictures", "geometry")
+FIRST = ("common", "images", "geometry")
 MAY_IMPORT = {
     "common": (),
-    "pictures": ("common",),
-    "geometry": ("common", "pictures"),
+    "images": ("common",),
+    "geometry": ("common", "images"),
     # Splatting knows no time and no video, scenes know no splats.
     "splatting": FIRST,
     "scenes": FIRST,
@@ -83,8 +83,8 @@ def test_imports_run_with_the_data():
         ("priors/flow.py", "import flowsplat.gaussians.render"),
         ("training/trainer.py", "from flowsplat import evaluation"),
         ("training/trainer.py", "def f():\n    from ..output import report"),
-        ("training/picture_loss/cpu.py", "from ...output.report import write"),
-        ("common/files.py", "from flowsplat.pictures import video"),
+        ("training/photometric_loss/cpu.py", "from ...output.report import write"),
+        ("common/files.py", "from flowsplat.images import video"),
         ("pipeline.py", "from .cli import main"),
         ("geometry/cameras.py", "from flowsplat import Scene"),
         ("geometry/cameras.py", "import flowsplat"),
@@ -103,7 +103,7 @@ def test_a_step_against_the_order_is_found(name, source):
     [
         ("scenes/scene.py", "from flowsplat.scenes.layers import Layers\nfrom .layers import Depth"),
         ("gaussians/render.py", "from flowsplat.splatting.api import rasterize\nfrom flowsplat.scenes import Scene"),
-        ("training/picture_loss/cpu.py", "from ...splatting.cpu import simd\nfrom . import reference\nfrom .. import losses"),
+        ("training/photometric_loss/cpu.py", "from ...splatting.cpu import simd\nfrom . import reference\nfrom .. import losses"),
         ("output/report.py", "from flowsplat import __version__, evaluation"),
         ("cli.py", "import flowsplat.batch.work\nimport numpy"),
     ],

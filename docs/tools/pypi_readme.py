@@ -2,7 +2,7 @@
 
     python docs/tools/pypi_readme.py https://example.org/blob/v0.1.0 https://example.org/raw/v0.1.0 > out/README.md
 
-The first address is that of pages, the second that of pictures.
+The first address is that of pages, the second that of images.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from pathlib import Path
 README = Path(__file__).parent.parent.parent / "README.md"
 
 
-def with_absolute_links(text: str, pages: str, pictures: str) -> str:
+def with_absolute_links(text: str, pages: str, images: str) -> str:
     """The text with every link to a file of the repository made absolute; links that are absolute, and to places in it, stay."""
 
     def absolute(match: re.Match[str]) -> str:
         mark, words, target = match.groups()
-        base = pictures if mark else pages
+        base = images if mark else pages
         return f"{mark}[{words}]({base.rstrip('/')}/{target})"
 
     return re.sub(r"(!?)\[([^\]]*)\]\((?!\w+:|#)([^)]+)\)", absolute, text)

@@ -11,13 +11,13 @@ import numpy as np
 from markupsafe import Markup
 
 from flowsplat.common.files import write_text
+from flowsplat.images.charts import svg_file
+from flowsplat.images.html import image_tag, table
 from flowsplat.output.page import fitted, write_page
-from flowsplat.pictures.charts import svg_file
-from flowsplat.pictures.html import picture, table
 from flowsplat_benchmarks.tables import Result, Table, markdown, plain
 
 WIDEST = 1600
-"""Pixels of a picture of a scene in the page, at most."""
+"""Pixels of an image of a scene in the page, at most."""
 
 
 @dataclass(frozen=True)
@@ -95,14 +95,14 @@ def runs_measured(results: Sequence[Result], failed: Mapping[str, str]) -> str:
 
 
 def scene_section(
-    out: Path, title: str, facts: str, page: str, pictures: Sequence[tuple[np.ndarray, str]] = (), widest: int = WIDEST
+    out: Path, title: str, facts: str, page: str, images: Sequence[tuple[np.ndarray, str]] = (), widest: int = WIDEST
 ) -> dict[str, Any]:
     """What the page says of a scene.
 
     Args:
         page: of the scene, in ``out``; there is a link to it where it is there.
-        pictures: [H, W, 3] each, with what it shows.
+        images: [H, W, 3] each, with what it shows.
         widest: pixels of one in the page, at most.
     """
-    strip = Markup().join(picture(fitted(image, widest), what) for image, what in pictures)
+    strip = Markup().join(image_tag(fitted(image, widest), what) for image, what in images)
     return {"title": title, "facts": facts, "strip": strip or None, "page": page if (out / page).exists() else None}

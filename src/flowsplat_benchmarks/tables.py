@@ -11,7 +11,7 @@ from typing import Any
 from markupsafe import Markup
 
 from flowsplat.evaluation.scores import mean_of, pick
-from flowsplat.pictures.html import NOTHING
+from flowsplat.images.html import NOTHING
 
 Result = Mapping[str, Any]
 """The JSON of what was measured: of a run, a scene or a world."""

@@ -9,7 +9,7 @@ import pytest
 
 from flowsplat.batch.page import write_results
 from flowsplat.batch.records import Outcome, Records, after_attempt
-from flowsplat.pictures.video import write_mp4
+from flowsplat.images.video import write_mp4
 from flowsplat.scenes.layers import write_image
 from tests.browser import Complaints
 
@@ -20,11 +20,11 @@ NASTY = '<b onclick="x">&\''
 def out(tmp_path) -> Path:
     records = Records(tmp_path)
     for k, (how, psnr) in enumerate([("done", 30.5), ("done", 9.25), ("refused", None), ("done", 100.0)]):
-        name, picture = f"clip-{k}", np.full((48, 64, 3), 60 * k, np.uint8)
+        name, image = f"clip-{k}", np.full((48, 64, 3), 60 * k, np.uint8)
         result = {}
         if how == "done":
-            write_image(tmp_path / ".batch" / "thumbs" / f"{name}.png", picture)
-            write_mp4(tmp_path / name / "renders" / "input path.mp4", [picture] * 12, 24)
+            write_image(tmp_path / ".batch" / "thumbs" / f"{name}.png", image)
+            write_mp4(tmp_path / name / "renders" / "input path.mp4", [image] * 12, 24)
             (tmp_path / name / "report.html").write_text("report")
             result = {
                 "psnr": psnr, "ssim": 0.9, "gaussians": 1000 * k, "grade": "better" if k else "worse", "verdict": NASTY,

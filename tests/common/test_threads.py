@@ -245,17 +245,17 @@ def test_what_failed_is_computed_again():
     assert asked == [5, 5]
 
 
-def test_pictures_are_the_same_however_many_are_rendered_at_once():
+def test_images_are_the_same_however_many_are_rendered_at_once():
     config = tiny("default")
     gaussians = a_few(config)
     model = SceneModel(gaussians, Similarity(), 0.0, 1.0)
     camera = seen(gaussians)[0].camera
 
-    def picture(k: int) -> bytes:
+    def image(k: int) -> bytes:
         shown = model.render(camera, k / 8, (camera, (k + 1) / 8))
         assert shown.flow is not None
         return shown.color.tobytes() + shown.flow.tobytes()
 
-    alone, together = (list(in_threads(picture, range(8), threads)) for threads in (1, 3))
+    alone, together = (list(in_threads(image, range(8), threads)) for threads in (1, 3))
     assert alone == together
     assert len(set(alone)) == 8

@@ -1,4 +1,4 @@
-"""The documentation: it builds without a warning, every link and picture of it is there, and what it quotes is what we say."""
+"""The documentation: it builds without a warning, every link and image of it is there, and what it quotes is what we say."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Found(HTMLParser):
         self.names |= {values[key] or "" for key in ("id", "name") if key in values}
 
 
-def test_every_link_and_picture_is_there(site):
+def test_every_link_and_image_is_there(site):
     pages = {path: Found(path) for path in site.rglob("*.html") if path.name != "404.html"}
     assert len(pages) > 8
     wrong = []
@@ -112,7 +112,7 @@ def test_every_sentence_on_cameras_is_explained():
     assert unexplained == []
 
 
-def test_no_picture_is_left_over():
+def test_no_image_is_left_over():
     pages = "".join(path.read_text(encoding="utf-8") for path in [*DOCS.glob("*.md"), TOP / "README.md"])
     assert [path.name for path in (DOCS / "images").iterdir() if path.name not in pages] == []
 
@@ -143,6 +143,6 @@ def test_the_same_browsers_are_looked_for_everywhere():
         return ast.literal_eval(next(assigned).value)
 
     wanted = names("tests/browser.py", "NAMES")
-    assert names("docs/tools/pictures.py", "PROGRAMS") == wanted
-    assert names("docs/tools/pictures.py", "FLAGS") == names("tests/browser.py", "FLAGS")
+    assert names("docs/tools/images.py", "PROGRAMS") == wanted
+    assert names("docs/tools/images.py", "FLAGS") == names("tests/browser.py", "FLAGS")
     assert f"command -v {' '.join(wanted)} " in (TOP / ".ci" / "run").read_text()

@@ -34,7 +34,7 @@ def card_position(t: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class World:
-    """Renders the truth as pictures with 8 bits, in the coordinates that ``similarity`` makes of the true ones."""
+    """Renders the truth as images with 8 bits, in the coordinates that ``similarity`` makes of the true ones."""
 
     similarity: Similarity = field(default_factory=Similarity)
     moves: bool = True

@@ -8,7 +8,7 @@ import pytest
 
 from flowsplat.evaluation.baselines import copy_to_view, predict_frame, to_float, warp_by_depth
 from flowsplat.evaluation.metrics import psnr
-from flowsplat.evaluation.scores import score_picture, summarize
+from flowsplat.evaluation.scores import score_image, summarize
 from flowsplat.geometry import Camera
 from flowsplat.scenes import Scene
 from tests.scene_files import edited
@@ -48,10 +48,10 @@ def test_the_held_out_time_sets_the_weights(tmp_path):
 
 def hold_out(scene: Scene, frames: list[int]) -> Scene:
     """The same scene with another split, as other tools may have made it."""
-    pictures = [scene.any_frame(i) for i in range(scene.num_frames)]
+    images = [scene.any_frame(i) for i in range(scene.num_frames)]
     scene = edited(scene, heldout=frames, train=[i for i in range(scene.num_frames) if i not in frames])
-    for i, picture in enumerate(pictures):
-        scene.write_frame(i, picture)
+    for i, image in enumerate(images):
+        scene.write_frame(i, image)
     return scene
 
 
@@ -71,7 +71,7 @@ def camera(x: float = 0.0, width: int = 64, height: int = 48) -> Camera:
     return Camera(viewmat, np.array([[60.0, 0, width / 2], [0, 60, height / 2], [0, 0, 1]]), width, height)
 
 
-def test_a_warp_into_the_same_camera_is_the_picture():
+def test_a_warp_into_the_same_camera_is_the_image():
     image = textured(48, 64)
     warped = warp_by_depth(image, np.full((48, 64), 3.0), camera(), camera())
     np.testing.assert_array_equal((warped * 255).round().astype(np.uint8), image)
@@ -147,7 +147,7 @@ def test_predicting_held_out_frames_of_davis(tmp_path, clip, expected):
             scene.write_frame(k, read_rgb(paths[k]))
         target = to_float(scene.heldout_frame(i))
         for name, image in predict_frame(scene, i).items():
-            scores[name].append(score_picture(image, target, {}, None))
+            scores[name].append(score_image(image, target, {}, None))
     for name, (expected_psnr, expected_ssim) in expected.items():
         figures = summarize(scores[name])
         assert figures["psnr"] == pytest.approx(expected_psnr, abs=0.1)
@@ -175,8 +175,8 @@ def test_predicting_held_out_views_of_the_workshop():
             }
             view = as_camera(viewmat, heldout)
             warped = warp_by_depth(image, depth[i], as_camera(clip["w2c"][i], clip), view)
-            scores["copy"].append(score_picture(copy_to_view(image, view), target, regions, None))
-            scores["warp"].append(score_picture(warped, target, regions, None))
+            scores["copy"].append(score_image(copy_to_view(image, view), target, regions, None))
+            scores["warp"].append(score_image(warped, target, regions, None))
     copy, warp = (summarize(scores[name], ("masks", "covisible")) for name in ("copy", "warp"))
     assert copy["psnr"] == pytest.approx(15.80, abs=0.01)
     assert copy["masks"]["psnr"] == pytest.approx(12.06, abs=0.01)

@@ -129,7 +129,7 @@ def test_without_masks_regions_are_null(world, build_scene):
     assert metrics["depth_abs_rel"]["all"] is not None
 
 
-def test_with_full_masks_the_region_is_the_picture(world, build_scene):
+def test_with_full_masks_the_region_is_the_image(world, build_scene):
     metrics = evaluate(world, build_scene(full_masks=True))
     copy = metrics["baselines"]["copy"]
     assert copy["moving"]["psnr"] == pytest.approx(copy["psnr"])
@@ -185,8 +185,8 @@ def test_a_long_clip_without_truth_renders_a_sample_of_its_training_frames(world
 def test_renderings_and_sheets_are_written(world, build_scene, tmp_path):
     scene = build_scene()
     evaluate(world, scene, folder=tmp_path / "evaluation")
-    pictures = ("heldout/00004", "heldout/00009", "views/left", "views/right")
-    names = {f"{picture}{kind}" for picture in pictures for kind in (".png", "_sheet.png")}
+    images = ("heldout/00004", "heldout/00009", "views/left", "views/right")
+    names = {f"{image}{kind}" for image in images for kind in (".png", "_sheet.png")}
     assert {path.relative_to(tmp_path / "evaluation").as_posix() for path in tmp_path.glob("evaluation/*/*")} == names
     np.testing.assert_array_equal(read_image(tmp_path / "evaluation/heldout/00004.png"), scene.heldout_frame(4))
     sheet = read_image(tmp_path / "evaluation/heldout/00004_sheet.png")

@@ -11,7 +11,7 @@ from flowsplat.evaluation import metrics, scores
 from flowsplat.evaluation.metrics import MAX_PSNR, depth_abs_rel, end_point_error, mean_inside, psnr, ssim_map
 
 
-def pictures(seed: int, height: int = 40, width: int = 56) -> tuple[np.ndarray, np.ndarray]:
+def images(seed: int, height: int = 40, width: int = 56) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
     smooth = np.linspace(0, 1, height)[:, None, None] * np.linspace(1, 0.3, width)[None, :, None]
     a = np.clip(smooth + rng.normal(0, 0.05, (height, width, 3)), 0, 1)
@@ -31,14 +31,14 @@ def test_the_examples_in_the_docstrings(module):
 
 @pytest.mark.parametrize("size", [(40, 56), (11, 11), (7, 30)])
 def test_ssim_is_that_of_torchmetrics_up_to_the_border(size):
-    a, b = pictures(0, *size)
+    a, b = images(0, *size)
     reference, full = structural_similarity_index_measure(tensor(a), tensor(b), data_range=1.0, return_full_image=True)
     assert ssim_map(a, b).mean() == pytest.approx(float(reference), abs=1e-6)
     np.testing.assert_allclose(ssim_map(a, b), full[0].numpy().transpose(1, 2, 0), atol=1e-6)
 
 
 def test_psnr_is_that_of_torchmetrics():
-    a, b = pictures(1)
+    a, b = images(1)
     assert psnr(a, b) == pytest.approx(float(peak_signal_noise_ratio(tensor(a), tensor(b), data_range=1.0)), abs=1e-5)
 
 
@@ -49,7 +49,7 @@ def test_values_beyond_the_range_are_clipped_first():
 
 
 def test_a_mask_selects_the_pixels_whose_error_is_averaged():
-    a, b = pictures(2)
+    a, b = images(2)
     mask = np.zeros(a.shape[:2], bool)
     mask[5:20, 5:30] = True
     only_inside = a.copy()
@@ -61,7 +61,7 @@ def test_a_mask_selects_the_pixels_whose_error_is_averaged():
 
 
 def test_a_full_mask_changes_nothing():
-    a, b = pictures(3)
+    a, b = images(3)
     full = np.ones(a.shape[:2], bool)
     assert psnr(a, b, full) == pytest.approx(psnr(a, b))
     assert mean_inside(ssim_map(a, b), full) == pytest.approx(ssim_map(a, b).mean())
@@ -69,7 +69,7 @@ def test_a_full_mask_changes_nothing():
 
 @pytest.mark.parametrize(("count", "measured"), [(0, False), (49, False), (50, True)])
 def test_regions_below_fifty_pixels_are_not_measured(count, measured):
-    a, b = pictures(4)
+    a, b = images(4)
     mask = (np.arange(a[..., 0].size) < count).reshape(a.shape[:2])
     flow = np.zeros((*mask.shape, 2))
     values = [
@@ -103,7 +103,7 @@ def test_depth_is_not_aligned():
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 1000), noise=st.floats(0, 0.3))
 def test_metrics_are_symmetric_and_bounded(seed, noise):
-    a, _ = pictures(seed, 12, 13)
+    a, _ = images(seed, 12, 13)
     b = np.clip(a + np.random.default_rng(seed + 1).normal(0, noise, a.shape), 0, 1)
     assert psnr(a, b) == pytest.approx(psnr(b, a))
     np.testing.assert_allclose(ssim_map(a, b), ssim_map(b, a))

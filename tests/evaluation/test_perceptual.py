@@ -30,7 +30,7 @@ class FakeNetwork:
         assert min(a.min(), b.min()) >= 0
         assert max(a.max(), b.max()) <= 1
         self.kept += 1
-        assert self.kept == 1, "values of earlier pictures pile up"
+        assert self.kept == 1, "values of earlier images pile up"
         return (a - b).abs().mean()
 
     def reset(self) -> None:
@@ -74,7 +74,7 @@ def test_damaged_weights_are_a_reason(monkeypatch, tmp_path):
     assert "long story" not in reason
 
 
-def test_with_weights_pictures_are_clipped_and_measured_one_by_one(monkeypatch, tmp_path):
+def test_with_weights_images_are_clipped_and_measured_one_by_one(monkeypatch, tmp_path):
     fake_torchvision(monkeypatch, tmp_path)
     (tmp_path / "checkpoints").mkdir()
     (tmp_path / "checkpoints" / "alexnet-test.pth").write_bytes(b"weights")

@@ -1,4 +1,4 @@
-"""Poses of held-out pictures: a wrong one is found, a right one is left alone, and the model stays as it is."""
+"""Poses of held-out images: a wrong one is found, a right one is left alone, and the model stays as it is."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_a_wrong_pose_is_found(model, wrong):
 
 
 def test_a_right_pose_is_not_made_worse(model):
-    """The picture has what the model lacks: noise, and a thing that is not there."""
+    """The image has what the model lacks: noise, and a thing that is not there."""
     target = model.render(camera(), 0.5).color + 0.03 * np.random.default_rng(1).normal(size=(HEIGHT, WIDTH, 3)).astype(np.float32)
     target[30:50, 40:60] = [1, 0, 0]
     before = psnr(model.render(camera(), 0.5).color, target)

@@ -1,4 +1,4 @@
-"""A tiny data root: the built-in clip as a rig scene and as a clip with masks, and a pair of pictures with known flow."""
+"""A tiny data root: the built-in clip as a rig scene and as a clip with masks, and a pair of images with known flow."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def write_rig(folder: Path, spec: SyntheticScene) -> None:
     depth, flow, valid = np.zeros(shape), np.zeros((2, *shape, 2)), np.zeros((2, *shape), bool)
     for i in range(spec.frames):
         view = spec.render(spec.camera(i), spec.timestamps[i])
-        write_image(folder / "rgb" / f"{i:05d}.png", view.picture)
+        write_image(folder / "rgb" / f"{i:05d}.png", view.image)
         write_image(folder / "masks" / f"{i:05d}.png", view.mask)
         depth[i] = view.depth
         for k, j in enumerate((i + 1, i - 1)):
@@ -45,7 +45,7 @@ def write_rig(folder: Path, spec: SyntheticScene) -> None:
 
 
 def write_pair(folder: Path, size: tuple[int, int] = (120, 80)) -> None:
-    """Two pictures of a texture that moves by ``STEP``; the flow of its left column is not known."""
+    """Two images of a texture that moves by ``STEP``; the flow of its left column is not known."""
     width, height = size
     noise = np.random.default_rng(0).uniform(0, 255, (height + 20, width + 20, 3)).astype(np.float32)
     world = cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 2.0), None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)

@@ -21,7 +21,7 @@ def test_a_report_is_markdown_and_a_page(tmp_path):
     (tmp_path / "bear").mkdir()
     (tmp_path / "bear" / "report.html").touch()
     sections = [
-        scene_section(tmp_path, "bear", "12 frames", "bear/report.html", [(np.zeros((4, 6, 3), np.uint8), "its pictures")]),
+        scene_section(tmp_path, "bear", "12 frames", "bear/report.html", [(np.zeros((4, 6, 3), np.uint8), "its images")]),
         scene_section(tmp_path, "lucia", "9 frames", "lucia/report.html"),
     ]
     report = Report("some", "Title", "All is well.", failures({"train": "it is <torn>"}), [table], sections)

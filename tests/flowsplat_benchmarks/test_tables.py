@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from markupsafe import Markup
 
-from flowsplat.pictures.html import NOTHING
+from flowsplat.images.html import NOTHING
 from flowsplat_benchmarks.tables import Chart, Column, Table, markdown, plain, scaled_mean, text
 
 

@@ -1,4 +1,4 @@
-"""What may have become of a file: bytes, JSON values, members of archives, headers of arrays and pictures, and files that are none.
+"""What may have become of a file: bytes, JSON values, members of archives, headers of arrays and images, and files that are none.
 
 The same generator makes the same mutation.
 """
@@ -253,7 +253,7 @@ def _change_tensors(rng: np.random.Generator, data: bytes) -> bytes:
     return struct.pack("<Q", stated) + header + bytes(numbers)
 
 
-# -- pictures
+# -- images
 
 
 def _change_png(rng: np.random.Generator, data: bytes) -> bytes:

@@ -17,13 +17,13 @@ import numpy as np
 from flowsplat.cli import main
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import write_json
+from flowsplat.images.sound import keep_sound
+from flowsplat.images.video import mp4_writer
 from flowsplat.output.camera_files import read_camera_file, write_camera_file
 from flowsplat.output.export import ExportOptions, export_scene
 from flowsplat.output.report import write_report
 from flowsplat.output.tracks import read_queries
 from flowsplat.output.viewer.messages import Gate
-from flowsplat.pictures.sound import keep_sound
-from flowsplat.pictures.video import mp4_writer
 from flowsplat.pipeline.config import RunConfig, check
 from flowsplat.pipeline.describe import describe
 from flowsplat.pipeline.folder import RunFolder
@@ -51,7 +51,7 @@ from tests.output.small import small_model
 from tests.priors.given import test_camera_files as cameras_of_others
 from tests.priors.given import test_map_files as maps_of_others
 from tests.priors.given import test_track_files as tracks_of_others
-from tests.scenes.conftest import picture, write_picture, write_video
+from tests.scenes.conftest import make_image, write_image_file, write_video
 from tests.scenes.formats.nvidia_layouts import write_nerfies, write_raw, write_twelve
 from tests.training.handful import a_few, seen, tiny
 
@@ -86,8 +86,8 @@ def make_originals(root: Path) -> None:
     _training(root / "training")
     for suffix in ("png", "jpg", "webp", "tif", "bmp"):
         for i in range(3):
-            write_picture(root / suffix / "images" / f"{i}.{suffix}", picture(i))
-            write_picture(root / suffix / "masks" / f"{i}.png", np.full((48, 64), 40 * i, np.uint8))
+            write_image_file(root / suffix / "images" / f"{i}.{suffix}", make_image(i))
+            write_image_file(root / suffix / "masks" / f"{i}.png", np.full((48, 64), 40 * i, np.uint8))
     _films(root / "films")
     _rig(root / "rig")
     write_raw(root / "raw", replace(SPEC, frames=2))
@@ -143,14 +143,14 @@ def _training(folder: Path) -> None:
 
 def _films(folder: Path) -> None:
     folder.mkdir(parents=True)
-    pictures = [picture(i) for i in range(4)]
+    images = [make_image(i) for i in range(4)]
     for name, codec, pixels in (
         ("a.mp4", "libx264", "yuv420p"), ("b.mkv", "libx264", "yuv420p"), ("c.webm", "libvpx-vp9", "yuv420p"),
         ("d.avi", "mpeg4", "yuv420p"), ("e.mov", "mjpeg", "yuvj420p"),
     ):  # fmt: skip
-        write_video(folder / name, pictures, codec=codec, pixels=pixels, sound=name in ("a.mp4", "b.mkv"))
+        write_video(folder / name, images, codec=codec, pixels=pixels, sound=name in ("a.mp4", "b.mkv"))
     with mp4_writer(folder / "f.mp4", 25.0) as write:
-        for image in pictures:
+        for image in images:
             write(image)
 
 
@@ -158,9 +158,9 @@ def _rig(folder: Path) -> None:
     count, shape = 3, (3, 48, 64)
     K = [[60.0, 0, 32], [0, 60, 24], [0, 0, 1]]
     for i in range(count):
-        write_picture(folder / "rgb" / f"{i:05d}.png", picture(i))
-        write_picture(folder / "masks" / f"{i:05d}.png", np.full((48, 64), i, np.uint8))
-        write_picture(folder / "heldout" / "left" / f"{i:05d}.png", picture(i + 9))
+        write_image_file(folder / "rgb" / f"{i:05d}.png", make_image(i))
+        write_image_file(folder / "masks" / f"{i:05d}.png", np.full((48, 64), i, np.uint8))
+        write_image_file(folder / "heldout" / "left" / f"{i:05d}.png", make_image(i + 9))
     poses = [np.eye(4).tolist()] * count
     (folder / "cameras.json").write_text(json.dumps({"K": K, "width": 64, "height": 48, "w2c": poses, "fps": 12}))
     views = {"left": {"times": list(range(count)), "w2c": poses}}
@@ -174,7 +174,7 @@ def _rig(folder: Path) -> None:
 
 
 def given_scene(folder: Path, size: tuple[int, int], frames: int) -> Scene:
-    """A scene of those frames without pictures: 2 is held out."""
+    """A scene of those frames without images: 2 is held out."""
     return Scene.create(
         folder, name="s", source="", width=size[0], height=size[1], timestamps=range(frames), holdout=3, source_fps=1
     )
@@ -195,7 +195,7 @@ def _given(folder: Path) -> None:
         np.save(folder / "depth" / f"{i:05d}.npy", wide)
         np.save(folder / "disparity_disp" / f"{i:05d}.npy", wide)
         np.savez_compressed(folder / "mosca_depth" / f"{i:05d}.npz", dep=wide)
-        write_picture(folder / "masks" / f"{i:05d}.png", np.full((48, 85), i, np.uint8))
+        write_image_file(folder / "masks" / f"{i:05d}.png", np.full((48, 85), i, np.uint8))
     scene = given_scene(folder / "scene", maps.SIZE, maps.FRAMES)
     for i, j in [*consecutive_pairs(scene), (1, 2)]:
         flow = np.ones((48, 85, 2), np.float32)
@@ -372,12 +372,12 @@ READERS = (
     Reader("tracks of a scene", "run", ("scene/tracks.npz",), _read_scene),
     Reader("depth of a scene", "run", ("scene/depth/*",), _read_scene),
     Reader("flow of a scene", "run", ("scene/flow/*",), _read_flow_of_scene),
-    Reader("pictures of a scene", "run", tuple(f"scene/{n}/*" for n in ("frames", "masks", "heldout/*", "views")), _read_scene),
+    Reader("images of a scene", "run", tuple(f"scene/{n}/*" for n in ("frames", "masks", "heldout/*", "views")), _read_scene),
     Reader("model", "run", ("model/*",), _read_model),
     Reader("checkpoint to look at", "training", ("training/*",), _read_checkpoint),
     Reader("checkpoint to go on from", "training", ("training/*",), _train_on),
-    *(Reader(f"pictures, {kind}", kind, ("images/*",), _ingest) for kind in ("png", "jpg", "webp", "tif", "bmp")),
-    Reader("masks beside pictures", "png", ("masks/*",), _ingest),
+    *(Reader(f"images, {kind}", kind, ("images/*",), _ingest) for kind in ("png", "jpg", "webp", "tif", "bmp")),
+    Reader("masks beside images", "png", ("masks/*",), _ingest),
     Reader("films", "films", ("*",), _ingest_films),
     Reader("rig", "rig", ("*.json", "*.npz", "*/*"), _ingest),
     Reader("rig's arrays", "rig", ("*.npz",), _ingest),

@@ -66,5 +66,5 @@ def test_it_draws_what_it_was_made_for():
     renderer = FixedRenderer(random_model().to(DEVICE), *SIZE, False)
     with pytest.raises(ValueError, match="without flow"):
         renderer.render(camera(width=SIZE[0], height=SIZE[1]), 0.5, (camera(), 0.6))
-    with pytest.raises(ValueError, match="pictures of"):
+    with pytest.raises(ValueError, match="images of"):
         renderer.render(camera(), 0.5)

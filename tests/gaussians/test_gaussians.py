@@ -45,7 +45,7 @@ def test_culling_in_time_keeps_background_and_the_present():
     assert 0 < len(expected) < 6
 
 
-def test_culling_against_the_camera_changes_no_picture():
+def test_culling_against_the_camera_changes_no_image():
     gaussians = random_model(400)
     g = torch.Generator().manual_seed(3)
     gaussians.params["means"] = 3 * torch.randn(400, 3, generator=g)
@@ -234,13 +234,13 @@ def test_the_scene_model_hides_the_normalization():
     assert SceneModel(gaussians, similarity, 10.0, 14.0).active_count(12.0) == len(gaussians.active(0.5).rows)
 
 
-def test_finer_pixels_show_the_same_picture():
-    """Every third pixel of a picture three times as fine is a pixel of the picture that training knows."""
+def test_finer_pixels_show_the_same_image():
+    """Every third pixel of an image three times as fine is a pixel of the image that training knows."""
     generator = torch.Generator().manual_seed(4)
     count = 900  # many of them beyond the border
     params = {name: torch.zeros(count, *shape) for name, shape in parameter_shapes(FROZEN).items()}
     grid = torch.stack(torch.meshgrid(torch.arange(30.0), torch.arange(30.0), indexing="xy"), -1).reshape(-1, 2)
-    grid += 0.4 * torch.rand(grid.shape, generator=generator)  # so that some only just reach into the picture
+    grid += 0.4 * torch.rand(grid.shape, generator=generator)  # so that some only just reach into the image
     params["means"] = torch.cat([(grid - 14.5) * 1.5 / 40, torch.ones(count, 1)], 1)  # one in 1.5 pixels
     params["quats"][:, 0] = 1
     params["log_scales"][:] = math.log(0.3 / 40)

@@ -61,7 +61,7 @@ def test_a_view_of_the_clip_is_known_but_for_its_rim_and_what_the_object_hid():
     height, width = seen.there.shape
     assert seen.moves[height // 2, width // 2]
     assert not seen.moves[0, 0]
-    column = 8  # in the rows above the card nothing hides the wall, so only the borders of the pictures count
+    column = 8  # in the rows above the card nothing hides the wall, so only the borders of the images count
     x = (column + 0.5 - width / 2) / (100 * width / WIDTH) * WALL
     pixels = (x - places) / WALL * 100 + WIDTH / 2
     assert seen.frames[1, column] == ((pixels >= 0) & (pixels < WIDTH)).sum()

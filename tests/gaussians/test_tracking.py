@@ -28,7 +28,7 @@ def truth_of(u: float, v: float, frame: int) -> np.ndarray:
     return np.stack([spinning.on_plate(offset, i / (spinning.FRAMES - 1)) for i in range(spinning.FRAMES)])
 
 
-def test_weights_are_those_of_the_picture():
+def test_weights_are_those_of_the_image():
     """Blending with them gives the rendered pixel: depth and color."""
     model = spinning.model()
     camera = model.similarity.camera(spinning.camera_at(3))
@@ -84,7 +84,7 @@ def test_hidden_points_are_followed_and_called_hidden():
     assert hidden.visible[0, 0]
 
 
-def test_what_leaves_the_picture_is_not_visible():
+def test_what_leaves_the_image_is_not_visible():
     model = spinning.model()
     cameras = spinning.cameras()
     cameras[6] = Camera(cameras[6].viewmat + np.pad([[5.0]], ((0, 3), (3, 0))), cameras[6].K, 96, 72)

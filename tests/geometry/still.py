@@ -1,4 +1,4 @@
-"""What a moving camera does to the picture of things that rest."""
+"""What a moving camera does to the image of things that rest."""
 
 from __future__ import annotations
 

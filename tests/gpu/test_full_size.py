@@ -29,7 +29,7 @@ def difference(ours: torch.Tensor, expected: torch.Tensor) -> float:
 
 
 @pytest.mark.parametrize("flow_model", ["mean", "displacement", "affine"])
-def test_pictures_are_the_same(flow_model):
+def test_images_are_the_same(flow_model):
     on_cpu, on_gpu, cameras = scenes()
     expected, ours = (
         render(model, cameras[1], 0.2, flow_to=(cameras[2], 0.4), flow_model=flow_model) for model in (on_cpu, on_gpu)

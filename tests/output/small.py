@@ -88,7 +88,7 @@ def small_times() -> list[float]:
 
 
 def small_run(folder: Path, model: SceneModel) -> Path:
-    """A run folder with that trained model and its scene, without pictures."""
+    """A run folder with that trained model and its scene, without images."""
     scene = Scene.create(
         folder / "scene", name="small", source="test", width=WIDTH, height=HEIGHT, timestamps=small_times(), holdout=4,
         source_fps=4.0,
@@ -105,12 +105,12 @@ def small_player(path: Path, model: SceneModel, title: str = "small") -> Path:
 
 
 def rendered(model: SceneModel, camera: Camera, seconds: float) -> np.ndarray:
-    """[H, W, 3] our picture, uncovered pixels black."""
+    """[H, W, 3] our image, uncovered pixels black."""
     return render(model.gaussians, model.similarity.camera(camera), model.clip_time(seconds)).color.numpy()
 
 
 def psnr(image: np.ndarray, reference: np.ndarray) -> float:
-    """dB of pictures between 0 and 1."""
+    """dB of images between 0 and 1."""
     return float(-10 * np.log10(np.mean((np.clip(image, 0, 1) - np.clip(reference, 0, 1)) ** 2) + 1e-12))
 
 

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from flowsplat.images.video import write_mp4
 from flowsplat.output.page import write_page
 from flowsplat.output.report import write_report
-from flowsplat.pictures.video import write_mp4
 from tests.browser import Complaints
 from tests.output.small import small_model, small_player
 from tests.output.test_report import made_up_run
@@ -103,9 +103,9 @@ def test_a_report_shows_its_videos_and_fetches_nothing(chromium, outside, tmp_pa
         page.wait_for_timeout(100)
     assert page.evaluate("document.getElementById('beside').readyState") >= 2
     shown = "[...document.images].filter((i) => i.complete && i.src.startsWith('data:'))"
-    pictures = page.evaluate(f"{shown}.map((i) => i.naturalWidth)")
-    assert pictures
-    assert min(pictures) > 0
+    images = page.evaluate(f"{shown}.map((i) => i.naturalWidth)")
+    assert images
+    assert min(images) > 0
     assert page.evaluate("window.bad === undefined && window.worse === undefined")
     assert nothing_is_fetched(page, outside)
     page.context.close()

@@ -122,7 +122,7 @@ def test_the_strip_shows_every_training_frame(as_found, tmp_path):
     assert tinted[~mask].mean() < 0.1
 
 
-def test_pictures_are_reduced(tmp_path):
+def test_images_are_reduced(tmp_path):
     write_synthetic(tmp_path / "scene", SyntheticScene(width=500, height=60, frames=2), holdout=None)
     scene = Scene(tmp_path / "scene")
     use_truth(scene)
@@ -148,7 +148,7 @@ def test_pictures_are_reduced(tmp_path):
         ({"blank": [0, 1]}, MULTI_VIEW, "2 blank frames; "),
         ({"flat": True}, MULTI_VIEW, "Camera path: one plane, so the focal length is a guess;"),
         ({"flat": True}, MULTI_VIEW, "give --cameras.focal if you know it."),
-        ({"surrounds": True}, MULTI_VIEW, "Camera path: good; something that moves fills most of the picture;"),
+        ({"surrounds": True}, MULTI_VIEW, "Camera path: good; something that moves fills most of the image;"),
         ({"motion": "unknown"}, GUESS, "Camera path: none, nothing could be followed"),
         ({"motion": "unknown"}, GUESS, "Training will hardly work"),
     ],
@@ -163,7 +163,7 @@ def test_priors_that_were_brought_along_are_named(scene):
     assert verdict(scene) == "Camera path: true; depth: true; 3 moving objects (true masks). Training can work."
 
 
-def test_a_guessed_depth_is_called_one_in_the_pictures(as_found, tmp_path):
+def test_a_guessed_depth_is_called_one_in_the_images(as_found, tmp_path):
     as_found.finish_prior("depth", **GUESS)
     assert "depth (a guess)" in page_of(tmp_path, as_found)
 

@@ -39,7 +39,7 @@ def made_up_metrics() -> dict:
     }  # fmt: skip
 
 
-def made_up_pictures(shift: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def made_up_images(shift: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """A clip's frame (uint8), its rendering (float), rendered flow and prior flow."""
     y, x = np.mgrid[:240, :427] / 240
     ball = np.hypot(x - 0.6 - shift, y - 0.55) < 0.2
@@ -64,14 +64,14 @@ def made_up_run() -> ReportData:
         }
         for s, v in zip(steps, loss, strict=True)
     ]  # fmt: skip
-    pictures = [made_up_pictures(shift) for shift in (0.0, 0.25, 0.5)]
+    images = [made_up_images(shift) for shift in (0.0, 0.25, 0.5)]
     times = np.arange(48) / 24
     return ReportData(
         title="train",
         metrics=made_up_metrics(),
         history=history,
-        comparisons=[Comparison(f"frame {9 + 10 * k}", a, b) for k, (a, b, _, _) in enumerate(pictures)],
-        flows=[FlowComparison(f"frame {8 + 10 * k}", c, d) for k, (_, _, c, d) in enumerate(pictures[:2])],
+        comparisons=[Comparison(f"frame {9 + 10 * k}", a, b) for k, (a, b, _, _) in enumerate(images)],
+        flows=[FlowComparison(f"frame {8 + 10 * k}", c, d) for k, (_, _, c, d) in enumerate(images[:2])],
         active=(times.tolist(), (60_000 + 4_000 * np.sin(times * 3)).tolist()),
         config={"train.iterations": 1500, "train.model.mean_poly": 3, "render.width": None, "render.paths": ("input",)},
         notes=["The clip was thinned from 240 to 80 frames.", "The camera hardly moves: depth is a guess."],
@@ -86,7 +86,7 @@ def write(tmp_path, data: ReportData) -> str:
 
 
 def words(page: str) -> str:
-    """What a reader sees, without the pictures and the style."""
+    """What a reader sees, without the images and the style."""
     page = re.sub(r"<style>.*?</style>", "", page, flags=re.S)
     return re.sub(r"\s+", " ", re.sub(r"<[^>]*>", " ", page))
 
@@ -121,7 +121,7 @@ def test_the_report_holds_the_figures(tmp_path):
     assert "static scene" not in page, "what was not measured has no row"
 
 
-def test_it_begins_with_the_pictures_and_the_verdict(tmp_path):
+def test_it_begins_with_the_images_and_the_verdict(tmp_path):
     page = write(tmp_path, made_up_run())
     places = [page.index(text) for text in ("<h1>", "better than interpolating", "<img", 'class="card"', "<table", "<svg")]
     assert places == sorted(places)
@@ -182,14 +182,14 @@ def test_light_dark_and_print(tmp_path):
 
 
 def test_names_cannot_break_the_page(tmp_path):
-    picture = made_up_pictures(0)
+    image = made_up_images(0)
     data = replace(
         made_up_run(),
         title=NASTY,
         notes=[NASTY],
         config={NASTY: NASTY},
-        comparisons=[Comparison(NASTY, *picture[:2])],
-        flows=[FlowComparison(NASTY, *picture[2:])],
+        comparisons=[Comparison(NASTY, *image[:2])],
+        flows=[FlowComparison(NASTY, *image[2:])],
         videos={NASTY: f"{NASTY}.mp4"},
     )
     page = write(tmp_path, data)
@@ -252,7 +252,7 @@ def obj(sigma: float, cues: list[str], step: float = 0.02, depth: float = 2.0) -
 )
 def test_the_verdict_says_what_is_known_from_aside(known, says):
     metrics = {"heldout_frames": {"psnr": 30.7, "count": 3}, **known}
-    assert "Along the clip's path: the 3 pictures that training never saw are rendered at 30.70 dB." in verdict(metrics)
+    assert "Along the clip's path: the 3 images that training never saw are rendered at 30.70 dB." in verdict(metrics)
     assert says in verdict(metrics)
 
 

@@ -78,7 +78,7 @@ def tiny_run(folder: Path, objects: int = 1, size: tuple[int, int] = (64, 48), t
 
 
 def red(image: np.ndarray) -> np.ndarray:
-    """[H, W] bool: where the object is in a picture [H, W, 3]."""
+    """[H, W] bool: where the object is in an image [H, W, 3]."""
     image = image.astype(np.int32)
     return (image[..., 0] > 120) & (image[..., 0] > image[..., 2] + 50)
 

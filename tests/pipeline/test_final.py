@@ -49,7 +49,7 @@ def psnr(model, scene: Scene, i: int) -> float:
 
 
 def video_of(out: Path) -> np.ndarray:
-    """[T, H, W, 3] float: the pictures of the video along the clip's path."""
+    """[T, H, W, 3] float: the images of the video along the clip's path."""
     with av.open(str(out / "renders" / "input_path_color.mp4")) as opened:
         return np.stack([frame.to_ndarray(format="rgb24") for frame in opened.decode(video=0)]).astype(float)
 

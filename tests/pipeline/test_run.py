@@ -159,10 +159,10 @@ def test_no_holdout_gives_no_heldout_figures(tmp_path):
 def test_a_prepared_scene_may_hold_out_its_first_and_last_frame(tiny_scene, tmp_path):
     shutil.copytree(tiny_scene, tmp_path / "scene")
     scene = Scene(tmp_path / "scene")
-    pictures = [scene.any_frame(i) for i in range(scene.num_frames)]
+    images = [scene.any_frame(i) for i in range(scene.num_frames)]
     scene = edited(scene, train=list(range(1, 11)), heldout=[0, 11])
-    for i, picture in enumerate(pictures):
-        scene.write_frame(i, picture)
+    for i, image in enumerate(images):
+        scene.write_frame(i, image)
     metrics = run(tmp_path / "scene", tmp_path / "out", small_config())
     assert metrics["heldout_frames"]["count"] == 2
     assert metrics["baselines"]["copy"]["psnr"] == metrics["baselines"]["flow_interpolation"]["psnr"] > 10
@@ -362,7 +362,8 @@ def test_settings_survive_their_file(tmp_path):
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("objects", [{"depth": 1}]), ("objects", 3), ("baselines", {"flow_interpolation": 2}), ("depth_abs_rel", {"moving": "much"}),
+        ("objects", [{"depth": 1}]), ("objects", 3), ("baselines", {"flow_interpolation": 2}), ("depth_abs_rel",
+        {"moving": "much"}),
         ("seconds", {"train": "long"}), ("seconds", {"train": -1}), ("flow_epe", {"mean": [1]}), ("gaussians", {"active": 3}),
     ],
 )  # fmt: skip

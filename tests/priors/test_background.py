@@ -101,7 +101,7 @@ def test_neighbors_that_agree_are_averaged_and_those_that_do_not_vote_against():
     assert votes[16, 24] == -1
 
 
-def test_filling_stops_at_an_edge_of_the_picture():
+def test_filling_stops_at_an_edge_of_the_image():
     guide = np.zeros((32, 48, 3), np.uint8)
     guide[:, 24:] = 200
     values = np.where(np.arange(48) < 24, 1.0, 2.0) * np.ones((32, 1))

@@ -1,4 +1,4 @@
-"""Jumps of depth lie where the pictures have them."""
+"""Jumps of depth lie where the images have them."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ LEFT, TOP = 50, 25
 
 
 def still_square(shift: int) -> tuple[np.ndarray, np.ndarray]:
-    """Picture [H, W, 3] and inverse depth [H, W] of a square at half the wall's depth; the wall is ``shift`` pixels to the left."""
+    """Image [H, W, 3] and inverse depth [H, W] of a square at half the wall's depth; the wall is ``shift`` pixels to the left."""
     wall = texture(0, WIDTH + 40, HEIGHT)
-    picture = wall[:, 20 + shift : 20 + shift + WIDTH].copy()
+    image = wall[:, 20 + shift : 20 + shift + WIDTH].copy()
     inverse = np.full((HEIGHT, WIDTH), 1 / WALL, np.float32)
     x = LEFT - 2 * shift
-    picture[TOP : TOP + SIDE, x : x + SIDE] = texture(1, SIDE, SIDE)
+    image[TOP : TOP + SIDE, x : x + SIDE] = texture(1, SIDE, SIDE)
     inverse[TOP : TOP + SIDE, x : x + SIDE] = 2 / WALL
-    return picture, inverse
+    return image, inverse
 
 
 def refined(inverse: np.ndarray, still: np.ndarray, moving: bool = False, doubted: np.ndarray | None = None) -> np.ndarray:
@@ -30,25 +30,25 @@ def refined(inverse: np.ndarray, still: np.ndarray, moving: bool = False, doubte
     return refine_edges(inverse, still, views[0], camera_at(0), views[1:], [camera_at(shift) for shift in SHIFTS], doubted)
 
 
-def seen(pictures: dict[int, np.ndarray], moving: bool = False) -> list[View]:
-    return [View.of(np.ascontiguousarray(each), np.full(each.shape[:2], moving)) for each in pictures.values()]
+def seen(images: dict[int, np.ndarray], moving: bool = False) -> list[View]:
+    return [View.of(np.ascontiguousarray(each), np.full(each.shape[:2], moving)) for each in images.values()]
 
 
-def test_a_view_has_the_colors_of_its_picture():
-    picture = still_square(0)[0]
-    view = seen({0: picture})[0]
-    np.testing.assert_array_equal(view.features[..., :3], picture)
+def test_a_view_has_the_colors_of_its_image():
+    image = still_square(0)[0]
+    view = seen({0: image})[0]
+    np.testing.assert_array_equal(view.features[..., :3], image)
     np.testing.assert_array_equal(view.features[..., 3], view.slopes)
     assert view.slopes.max() > 10
 
 
-def test_the_camera_is_that_of_the_pictures():
+def test_the_camera_is_that_of_the_images():
     # Half the depth, twice the shift.
     assert camera_at(8).viewmat[0, 3] * FOCAL * 2 / WALL == pytest.approx(-16)
 
 
 @pytest.mark.parametrize("change", ["swollen", "shrunk"])
-def test_swollen_and_shrunk_surfaces_end_where_their_picture_ends(change):
+def test_swollen_and_shrunk_surfaces_end_where_their_image_ends(change):
     true = still_square(0)[1]
     operation = cv2.dilate if change == "swollen" else cv2.erode
     wrong = operation(true, np.ones((9, 9), np.uint8))
@@ -85,7 +85,7 @@ def test_only_what_is_doubted_is_asked_about():
     assert (result != wrong)[doubted].any()
 
 
-def test_frames_whose_picture_ends_before_the_place_do_not_count_against_it():
+def test_frames_whose_image_ends_before_the_place_do_not_count_against_it():
     # One camera of six still sees the left of the wall; were it farther off, all of them would.
     shifts = (-8, 40, 44, 48, 52, 56)
     wall = texture(0, WIDTH + 120, HEIGHT)

@@ -45,7 +45,7 @@ def test_flow_finds_a_shift(shift):
 
 
 @pytest.mark.parametrize("size", [(1, 1), (3, 5), (2, 200), (12, 16), (48, 64)])
-def test_tiny_pictures_have_finite_flow(size):
+def test_tiny_images_have_finite_flow(size):
     a, b = texture(*size), texture(*size, seed=1)
     flow = dis_flow(a, b)
     assert flow.shape == (*size, 2)

@@ -43,7 +43,7 @@ def test_what_follows_from_what(name, followers):
     assert PRIORS.followers(name) == followers
 
 
-def test_other_pictures_change_everything():
+def test_other_images_change_everything():
     assert PRIORS.followers("cameras", outlasting=False) == {"flow", "masks", "tracks", "depth"}
 
 

@@ -1,4 +1,4 @@
-"""Masks of objects: found under a moving and a resting camera, cut out along the picture, empty where nothing moves, numbered."""
+"""Masks of objects: found under a moving and a resting camera, cut out along the image, empty where nothing moves, numbered."""
 
 from __future__ import annotations
 

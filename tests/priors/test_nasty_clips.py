@@ -44,7 +44,7 @@ def texture(height: int, width: int, seed: int) -> np.ndarray:
 
 
 class World:
-    """Textured rectangles, the far ones first, for pictures of about that width."""
+    """Textured rectangles, the far ones first, for images of about that width."""
 
     def __init__(self, rectangles: Sequence[Rectangle], seed: int = 0, width: int = WIDTH):
         self._parts = []
@@ -52,7 +52,7 @@ class World:
             density = 1.2 * width / z
             self._parts.append(((x0, y0, x1, y1, z), texture(int((y1 - y0) * density), int((x1 - x0) * density), 100 * seed + k)))
 
-    def picture(self, camera: Camera, shift: tuple[float, float, float] = (0, 0, 0)) -> np.ndarray:
+    def image(self, camera: Camera, shift: tuple[float, float, float] = (0, 0, 0)) -> np.ndarray:
         """RGB with a little noise; ``shift`` moves the last rectangle."""
         image = np.zeros((camera.height, camera.width, 3), np.uint8)
         half = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
@@ -124,7 +124,7 @@ def room() -> World:
 
 def test_a_static_camera_with_an_object(tmp_path):
     world, camera = World([*ROOM, (-0.9, -0.9, 0.2, 0.2, 3.2)]), camera_at()
-    scene = prepared(tmp_path / "s", [world.picture(camera, (0.06 * i, 0.04 * i, 0)) for i in range(10)])
+    scene = prepared(tmp_path / "s", [world.image(camera, (0.06 * i, 0.04 * i, 0)) for i in range(10)])
     cameras = scene.prior("cameras")
     assert cameras["static"]
     assert "stands still" in cameras["verdict"]
@@ -135,12 +135,12 @@ def test_a_static_camera_with_an_object(tmp_path):
 
 
 @pytest.mark.slow
-def test_an_object_on_70_percent_of_the_picture(tmp_path):
+def test_an_object_on_70_percent_of_the_image(tmp_path):
     world, camera = World([*ROOM, (-1.4, -0.78, 1.4, 0.78, 3.0)], width=320), camera_at(size=(320, 180))
     shifts = [(0.05 * np.sin(0.9 * i), 0.03 * np.cos(0.7 * i), 0.05 * np.sin(0.5 * i)) for i in range(8)]
-    scene = prepared(tmp_path / "s", [world.picture(camera, shift) for shift in shifts])
+    scene = prepared(tmp_path / "s", [world.image(camera, shift) for shift in shifts])
     assert scene.prior("cameras")["static"]
-    assert "moves fills most of the picture" in scene.prior("cameras")["verdict"]
+    assert "moves fills most of the image" in scene.prior("cameras")["verdict"]
     assert 0.5 < scene.prior("masks")["share"] < 0.85
 
 
@@ -149,18 +149,18 @@ def test_a_moving_camera_behind_a_large_object_follows_the_rim(tmp_path, count):
     cameras = travel(count, 0.6, size=(320, 180))
     world = World([*ROOM, (-1.4, -0.78, 1.4, 0.78, 3.0)], width=320)
     frames = [
-        world.picture(c, (c.center[0] + 0.05 * np.sin(0.9 * i), c.center[1] + 0.04 * np.cos(1.7 * i), 0.15 * np.sin(0.8 * i)))
+        world.image(c, (c.center[0] + 0.05 * np.sin(0.9 * i), c.center[1] + 0.04 * np.cos(1.7 * i), 0.15 * np.sin(0.8 * i)))
         for i, c in enumerate(cameras)
     ]
     scene = prepared(tmp_path / "s", frames)
-    assert "moves fills most of the picture" in scene.prior("cameras")["verdict"]
+    assert "moves fills most of the image" in scene.prior("cameras")["verdict"]
     assert path_errors(scene.cameras, cameras)["rotation"] < 1.5
 
 
 def test_pure_rotation(tmp_path, room):
     turns = [(0.03 * np.sin(4 * s), -0.25 * s, 0.02 * s) for s in np.linspace(0, 1, 10)]
     cameras = [camera_at(turn=turn) for turn in turns]
-    scene = prepared(tmp_path / "s", [room.picture(camera) for camera in cameras])
+    scene = prepared(tmp_path / "s", [room.image(camera) for camera in cameras])
     assert scene.prior("cameras")["motion"] == "rotation"
     assert "only turns" in scene.prior("cameras")["verdict"]
     assert path_errors(scene.cameras, cameras)["rotation"] < 0.1
@@ -170,14 +170,14 @@ def test_pure_rotation(tmp_path, room):
 
 def test_a_plane_is_named(tmp_path):
     world = World([(-20, -12, 20, 12, 5)])
-    scene = prepared(tmp_path / "s", [world.picture(camera) for camera in travel(8)])
+    scene = prepared(tmp_path / "s", [world.image(camera) for camera in travel(8)])
     assert "One plane explains" in scene.prior("cameras")["verdict"]
     assert "focal length is a guess" in scene.prior("cameras")["verdict"]
 
 
 def test_little_parallax_still_gives_better_depth_than_a_guess(tmp_path):
     cameras = travel(10, 0.3, turn=0.2)
-    scene = prepared(tmp_path / "s", [World(ROOM).picture(camera) for camera in cameras])
+    scene = prepared(tmp_path / "s", [World(ROOM).image(camera) for camera in cameras])
     assert scene.prior("depth")["method"] == "multi-view"
     depth = scene.depth(0).depth
     wall, pillar = np.median(depth[30:60, 55:75]), np.median(depth[30:60, 103:122])
@@ -187,7 +187,7 @@ def test_little_parallax_still_gives_better_depth_than_a_guess(tmp_path):
 def test_a_cut(tmp_path, room):
     half = travel(6, 0.6)
     other = World([(-14, -9, 14, 9, 7), (-4, -2, -1, 3, 5), (0, -3, 3, 1, 4)], seed=5)
-    scene = prepared(tmp_path / "s", [room.picture(c) for c in half] + [other.picture(c) for c in half])
+    scene = prepared(tmp_path / "s", [room.image(c) for c in half] + [other.image(c) for c in half])
     cameras = scene.prior("cameras")
     assert cameras["breaks"] == [6]
     assert "cut before frame 6 (0.25 s)" in cameras["verdict"]
@@ -196,7 +196,7 @@ def test_a_cut(tmp_path, room):
         errors = path_errors(piece, half)
         assert errors["path"] < 0.05
         assert errors["rotation"] < 0.5
-    # The pieces are worlds apart: what one of them shows is in no picture of the other.
+    # The pieces are worlds apart: what one of them shows is in no image of the other.
     assert scene.cameras[6].center[0] - scene.cameras[5].center[0] > 0.9 * APART
     points = scene.cameras[6].unproject(np.array([[1.0, 1], [127, 79]]), np.full(2, 20.0))
     pixels, _ = scene.cameras[0].project(points)
@@ -208,7 +208,7 @@ def test_a_cut(tmp_path, room):
 
 def test_black_frames_in_the_middle(tmp_path, room):
     cameras = travel(11)
-    frames = [room.picture(camera) for camera in cameras]
+    frames = [room.image(camera) for camera in cameras]
     frames[4] = frames[5] = np.zeros_like(frames[0])
     scene = prepared(tmp_path / "s", frames)
     assert scene.prior("cameras")["blank"] == [4, 5]
@@ -230,29 +230,29 @@ def test_nothing_but_noise(tmp_path):
     rng = np.random.default_rng(0)
     scene = prepared(tmp_path / "s", [rng.integers(0, 255, (HEIGHT, WIDTH, 3), dtype=np.uint8) for _ in range(8)])
     assert scene.prior("cameras")["motion"] == "unknown"
-    assert "Nothing in the pictures could be followed" in scene.prior("cameras")["verdict"]
+    assert "Nothing in the images could be followed" in scene.prior("cameras")["verdict"]
 
 
 def test_duplicate_frames(tmp_path, room):
     cameras = [camera for camera in travel(6) for _ in range(2)]
-    pictures = [room.picture(camera) for camera in cameras]
-    scene = prepared(tmp_path / "s", [pictures[i // 2 * 2] for i in range(12)])
+    images = [room.image(camera) for camera in cameras]
+    scene = prepared(tmp_path / "s", [images[i // 2 * 2] for i in range(12)])
     assert scene.prior("cameras")["motion"] == "free"
     assert path_errors(scene.cameras, cameras)["path"] < 0.05
-    still = prepared(tmp_path / "t", [pictures[0]] * 4)
+    still = prepared(tmp_path / "t", [images[0]] * 4)
     assert still.prior("cameras")["static"]
 
 
 @pytest.mark.parametrize("count", [2, 3])
 def test_a_few_frames(tmp_path, room, count):
-    scene = prepared(tmp_path / "s", [room.picture(camera) for camera in travel(count, 0.2)])
+    scene = prepared(tmp_path / "s", [room.image(camera) for camera in travel(count, 0.2)])
     assert scene.prior("cameras")["motion"] == "free"
     assert len(scene.cameras) == count
 
 
 def test_portrait(tmp_path, room):
     cameras = travel(8, size=(HEIGHT, WIDTH))
-    scene = prepared(tmp_path / "s", [room.picture(camera) for camera in cameras])
+    scene = prepared(tmp_path / "s", [room.image(camera) for camera in cameras])
     assert path_errors(scene.cameras, cameras)["path"] < 0.03
     assert "field of view" in scene.prior("cameras")["verdict"]
 
@@ -266,7 +266,7 @@ def test_a_thousand_small_frames(tmp_path, room):
         )
         for s in np.linspace(0, 1, 1000)
     ]  # fmt: skip
-    scene = prepared(tmp_path / "s", [room.picture(camera) for camera in cameras])
+    scene = prepared(tmp_path / "s", [room.image(camera) for camera in cameras])
     assert scene.prior("cameras")["breaks"] == []
     assert scene.prior("cameras")["unplaced"] == []
     errors = path_errors(scene.cameras, cameras)
@@ -278,7 +278,7 @@ def test_a_thousand_small_frames(tmp_path, room):
 
 
 def tracks_of(cameras: Sequence[Camera], points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Positions [N, T, 2] from the middle of the picture and which of them are seen [N, T]."""
+    """Positions [N, T, 2] from the middle of the image and which of them are seen [N, T]."""
     uv, depth = zip(*(camera.project(points) for camera in cameras), strict=True)
     positions = np.stack(uv, 1)
     seen = (np.stack(depth, 1) > 0) & (positions > 0).all(-1) & (positions < [WIDTH, HEIGHT]).all(-1)
@@ -339,14 +339,14 @@ def test_survivors_that_move_every_way_are_no_survivors():
 
 
 @pytest.mark.parametrize(("make", "blank"), [(np.zeros_like, True), (lambda a: a // 100, True), (lambda a: a, False)])
-def test_blank_pictures(make: Callable[[np.ndarray], np.ndarray], blank: bool):
+def test_blank_images(make: Callable[[np.ndarray], np.ndarray], blank: bool):
     assert is_blank(make(texture(40, 60, 1)[..., 0])) == blank
 
 
 def test_matches_need_the_same_piece_and_something_to_see(tmp_path):
-    picture = texture(48, 64, 1)
-    frames = [picture] * 6
-    frames[1] = np.zeros_like(picture)
+    image = texture(48, 64, 1)
+    frames = [image] * 6
+    frames[1] = np.zeros_like(image)
     scene = write(tmp_path / "s", frames)
     scene.finish_prior("cameras", method="tracks", breaks=[4])
     continuity = Continuity(scene)

@@ -21,10 +21,10 @@ def scene(tmp_path) -> Scene:
     )
     wall, bar = texture(0, WIDTH, HEIGHT), texture(1, THICK, LONG)
     for i in range(6):
-        picture, mask = wall.copy(), np.zeros((HEIGHT, WIDTH), np.uint8)
+        image, mask = wall.copy(), np.zeros((HEIGHT, WIDTH), np.uint8)
         there = np.s_[18 : 18 + LONG, 20 + STEP * i : 20 + STEP * i + THICK]
-        picture[there], mask[there] = bar, 1
-        scene.write_frame(i, picture)
+        image[there], mask[there] = bar, 1
+        scene.write_frame(i, image)
         if i in scene.train_frames:
             scene.write_mask(i, mask)
     scene.finish_prior("masks", method="given")

@@ -36,7 +36,7 @@ def forget_cameras(scene: Scene) -> Scene:
 
 
 def prior_files(scene: Scene) -> dict[str, bytes]:
-    """Every prior by its path; the pictures and the truth are left out."""
+    """Every prior by its path; the images and the truth are left out."""
     paths = [path for name in ("depth", "flow", "masks") for path in (scene.folder / name).iterdir()]
     paths += [scene.folder / "tracks.npz", scene.folder / "cameras.json", scene.folder / "scene.json"]
     return {path.relative_to(scene.folder).as_posix(): path.read_bytes() for path in paths}
@@ -183,14 +183,14 @@ def test_other_camera_options_compute_the_cameras_anew(prepared: Scene, monkeypa
         assert prepare_priors(prepared, PriorsOptions(cameras=CameraOptions(focal=99.0))) == {}
 
 
-def test_straightened_pictures_need_new_flow(prepared: Scene):
+def test_straightened_images_need_new_flow(prepared: Scene):
     options = PriorsOptions(cameras=CameraOptions(distortion="radial"))
     with pytest.raises(InputError, match="rendered by pinholes"):
         prepare_priors(prepared, options)
     (prepared.folder / "truth").rename(prepared.folder / "other")
     assert PRIORS.stale(request_of(prepared, options)) == set(STAGES)
     prepared.finish_prior("flow", method="given")
-    with pytest.raises(InputError, match="Flow of planes were made for the pictures as they came"):
+    with pytest.raises(InputError, match="Flow of planes were made for the images as they came"):
         prepare_priors(prepared, options)
     assert set(methods(prepared)) == set(STAGES)
 

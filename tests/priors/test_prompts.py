@@ -115,7 +115,7 @@ def test_an_object_at_rest_is_cut_out_by_its_colors():
         assert overlap(cut_out(image, still, prompt), true) > 0.95
 
 
-def test_a_plain_picture_gives_what_was_shown():
+def test_a_plain_image_gives_what_was_shown():
     image = np.full((60, 90, 3), 128, np.uint8)
     still = Flow(0, 1, np.zeros((60, 90, 2), np.float32), np.ones((60, 90), np.float32))
     found = cut_out(image, still, Prompt(0, ((30.0, 30.0),), (20, 20, 40, 40)))
@@ -156,9 +156,9 @@ def test_what_moves_apart_is_told_from_posters_in_its_colors():
 def test_what_they_mean_is_drawn_at_once(scene: Scene):
     prompts = parse_prompts(["100,20@0"], [",".join(map(str, BOX)) + "@5"], scene, ["5,5@5"])
     path = show_at_once(scene, prompts, dis_estimator)
-    picture = read_image(path)
-    assert picture.shape == (2 * HEIGHT + 4, WIDTH, 3)
-    row = picture[HEIGHT + 4 :]
+    image = read_image(path)
+    assert image.shape == (2 * HEIGHT + 4, WIDTH, 3)
+    row = image[HEIGHT + 4 :]
     colored = np.ptp(row[Y + 4 : Y + SIDE - 4, X + 4 : X + SIDE - 4].astype(int), axis=-1).mean()
     assert colored > 3 * np.ptp(row[60:, :20].astype(int), axis=-1).mean()
     assert (row[3:8, 3:8] == [240, 50, 50]).all(-1).any()
@@ -181,7 +181,7 @@ def test_a_later_frame_corrects_what_was_found(scene: Scene):
         assert overlap(both[k].mask, true[k]) > 0.75, i
 
 
-def test_an_edge_is_moved_to_that_of_the_picture():
+def test_an_edge_is_moved_to_that_of_the_image():
     image = np.zeros((100, 160, 3), np.uint8)
     image[..., 2] = texture(0, 160, 100)[..., 0] // 3
     image[30:70, 50:100, 0] = 200
@@ -229,7 +229,7 @@ def test_the_same_prompts_give_the_same_masks(scene: Scene):
 def test_what_is_beside_one_object_leaves_the_others_as_they_are(scene: Scene):
     evidence = [np.where(scene.truth.mask(i) > 0, 4, -4).astype(np.float32) for i in scene.train_frames]
     for e in evidence:
-        e[60:78, 100:124] = 4  # moves, where the picture has no edge: cut out anew it would be another
+        e[60:78, 100:124] = 4  # moves, where the image has no edge: cut out anew it would be another
     click, far, on = (112.0, 69.0), (20.0, 8.0), (112.0, 69.0)
 
     def masks(*prompts: Prompt) -> np.ndarray:
@@ -242,7 +242,7 @@ def test_what_is_beside_one_object_leaves_the_others_as_they_are(scene: Scene):
     assert not masks(Prompt(0, (click,)), Prompt(8, (), None, (on,)))[k, 69, 112]
 
 
-def test_what_leaves_the_picture_is_gone(tmp_path: Path):
+def test_what_leaves_the_image_is_gone(tmp_path: Path):
     scene = Scene.create(tmp_path, name="s", source="", width=96, height=64, timestamps=range(6), holdout=None, source_fps=1)
     wall, body = texture(0, 96, 64), texture(1, 30, 30)
     for i in range(6):

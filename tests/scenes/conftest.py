@@ -24,14 +24,14 @@ def data() -> Path:
     return Path(root)
 
 
-def picture(i: int, width: int = 64, height: int = 48) -> np.ndarray:
+def make_image(i: int, width: int = 64, height: int = 48) -> np.ndarray:
     """RGB [H, W, 3] uint8: no two frames, and no two corners of one, are alike; smooth, so that codecs keep it."""
     x, y = np.meshgrid(np.linspace(0, 1, width), np.linspace(0, 1, height))
     red, green, blue = 40 + 160 * x, 40 + 160 * y, np.full_like(x, 20 + 5 * i)
     return np.rint(np.stack([red, green, blue], -1)).astype(np.uint8)
 
 
-def write_picture(path: Path, image: np.ndarray) -> Path:
+def write_image_file(path: Path, image: np.ndarray) -> Path:
     """Write gray, RGB or RGBA by the suffix of ``path``, whatever characters it has."""
     path.parent.mkdir(parents=True, exist_ok=True)
     if image.ndim == 3:
@@ -58,11 +58,11 @@ def write_video(
     sound: bool = False,
     container_options: dict[str, str] | None = None,
 ) -> Path:
-    """Encode RGB pictures.
+    """Encode RGB images.
 
     Args:
         times: seconds of the frames; the default is a constant ``rate``.
-        matrix: H.273 number of the matrix that the pictures are encoded with.
+        matrix: H.273 number of the matrix that the images are encoded with.
         tags: what is written into the file, by the names of PyAV; the default tells the truth about matrix and range.
         prepare: called with the stream before anything is encoded.
         sound: add a track of silence.
@@ -72,7 +72,7 @@ def write_video(
     if matrix == 9 and not hasattr(Colorspace, "BT2020"):
         pytest.skip("this version of PyAV cannot encode BT.2020")
     color_range = 2 if full_range else 1
-    # Two pictures need no order of their own and no threads, with which x265 sometimes gives packets without times.
+    # Two images need no order of their own and no threads, with which x265 sometimes gives packets without times.
     quiet = {"x265-params": "log-level=none:bframes=0:frame-threads=1:pools=none"} if codec == "libx265" else {}
     with av.open(str(path), "w", options=container_options or {}) as container:
         stream = container.add_stream(codec, rate=rate, options={"crf": "2", **quiet, **(options or {})})
@@ -103,16 +103,16 @@ def write_video(
     return path
 
 
-@pytest.fixture(name="picture")
-def picture_fixture() -> Callable[..., np.ndarray]:
-    """See ``picture``."""
-    return picture
+@pytest.fixture(name="make_image")
+def make_image_fixture() -> Callable[..., np.ndarray]:
+    """See ``make_image``."""
+    return make_image
 
 
-@pytest.fixture(name="write_picture")
-def write_picture_fixture() -> Callable[..., Path]:
-    """See ``write_picture``."""
-    return write_picture
+@pytest.fixture(name="write_image_file")
+def write_image_file_fixture() -> Callable[..., Path]:
+    """See ``write_image_file``."""
+    return write_image_file
 
 
 @pytest.fixture(name="write_video")

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flowsplat.common.errors import InputError
-from flowsplat.scenes.clip import InputOptions, resize_labels, resize_picture, select_frames, working_size
+from flowsplat.scenes.clip import InputOptions, resize_image, resize_labels, select_frames, working_size
 
 
 def test_everything_by_default():
@@ -139,8 +139,8 @@ def test_too_small():
 def test_resizing_keeps_the_pixel_grid():
     """A ramp over x + 0.5 is the same ramp at any size; labels stay labels."""
     ramp = np.repeat((np.arange(96) + 0.5)[None], 64, 0).astype(np.float32)
-    np.testing.assert_allclose(resize_picture(ramp, (48, 32))[0] / 96, (np.arange(48) + 0.5) / 48, atol=1e-5)
-    np.testing.assert_allclose(resize_picture(ramp, (192, 128))[0, 4:-4] / 96, ((np.arange(192) + 0.5) / 192)[4:-4], atol=1e-3)
+    np.testing.assert_allclose(resize_image(ramp, (48, 32))[0] / 96, (np.arange(48) + 0.5) / 48, atol=1e-5)
+    np.testing.assert_allclose(resize_image(ramp, (192, 128))[0, 4:-4] / 96, ((np.arange(192) + 0.5) / 192)[4:-4], atol=1e-3)
     labels = np.random.default_rng(0).integers(0, 9, (64, 96)).astype(np.uint8)
     assert set(np.unique(resize_labels(labels, (31, 17)))) <= set(range(9))
     np.testing.assert_array_equal(resize_labels(labels, (32, 64))[:, 0], labels[:, 1])

@@ -24,12 +24,12 @@ def mask_of(i: int) -> np.ndarray:
 
 
 @pytest.fixture
-def folder(tmp_path, picture, write_picture) -> Path:
-    """Pictures with masks."""
+def folder(tmp_path, make_image, write_image_file) -> Path:
+    """Images with masks."""
     folder = tmp_path / "input"
     for i in range(COUNT):
-        write_picture(folder / "images" / f"{i:05d}.png", picture(i))
-        write_picture(folder / "masks" / f"{i:05d}.png", mask_of(i))
+        write_image_file(folder / "images" / f"{i:05d}.png", make_image(i))
+        write_image_file(folder / "masks" / f"{i:05d}.png", mask_of(i))
     return folder
 
 
@@ -37,7 +37,7 @@ def run(path: Path, out: Path, options: InputOptions = OPTIONS) -> Scene:
     return ingest(open_clip(path, options), out, options)
 
 
-def test_pictures_with_masks(folder, tmp_path, picture):
+def test_images_with_masks(folder, tmp_path, make_image):
     run(folder, tmp_path / "scene")
     scene = Scene(tmp_path / "scene")
     assert scene.info.ingested
@@ -45,7 +45,7 @@ def test_pictures_with_masks(folder, tmp_path, picture):
     assert scene.prior("masks") == {"method": "given"}
     assert scene.prior("depth") is None
     for i in range(COUNT):
-        np.testing.assert_array_equal(scene.any_frame(i), picture(i))
+        np.testing.assert_array_equal(scene.any_frame(i), make_image(i))
         layers = scene.heldout_masks if i in (4, 9) else scene
         np.testing.assert_array_equal(layers.mask(i), mask_of(i) > 0)
     assert sorted(p.stem for p in (scene.folder / "heldout" / "masks").iterdir()) == ["00004", "00009"]
@@ -54,8 +54,8 @@ def test_pictures_with_masks(folder, tmp_path, picture):
     assert scene.views == []
 
 
-def test_video(tmp_path, picture, write_video):
-    path = write_video(tmp_path / "My clip.mp4", [picture(i) for i in range(COUNT)], sound=True)
+def test_video(tmp_path, make_image, write_video):
+    path = write_video(tmp_path / "My clip.mp4", [make_image(i) for i in range(COUNT)], sound=True)
     options = replace(OPTIONS, every=2)
     scene = run(path, tmp_path / "scene", options)
     assert (scene.name, scene.num_frames, scene.heldout_frames) == ("My clip", 6, [4])
@@ -65,14 +65,14 @@ def test_video(tmp_path, picture, write_video):
     assert scene.info.audio_start == 0
     assert "one frame in 2" in scene.info.notes[0]
     assert scene.prior("masks") is None
-    assert np.abs(scene.frame(3).astype(int) - picture(6)).mean() < 4
+    assert np.abs(scene.frame(3).astype(int) - make_image(6)).mean() < 4
 
 
 class Interruption(Exception):
     """What a user does."""
 
 
-def test_resumed_where_it_was_interrupted(folder, tmp_path, picture, monkeypatch):
+def test_resumed_where_it_was_interrupted(folder, tmp_path, make_image, monkeypatch):
     out = tmp_path / "scene"
     clip = open_clip(folder, OPTIONS)
     asked: list[list[int]] = []
@@ -93,7 +93,7 @@ def test_resumed_where_it_was_interrupted(folder, tmp_path, picture, monkeypatch
     assert asked == [list(range(COUNT)), list(range(5, COUNT))]
     assert scene.info.ingested
     for i in range(COUNT):
-        np.testing.assert_array_equal(scene.any_frame(i), picture(i))
+        np.testing.assert_array_equal(scene.any_frame(i), make_image(i))
     # A finished one is not touched again.
     ingest(clip, out, OPTIONS)
     assert len(asked) == 2
@@ -117,10 +117,10 @@ def test_output_in_the_way(folder, tmp_path):
         run(folder, tmp_path / "file")
 
 
-def test_kinds(folder, tmp_path, picture, write_picture, write_video):
+def test_kinds(folder, tmp_path, make_image, write_image_file, write_video):
     assert kind_of_input(folder) == "images"
     assert kind_of_input(folder / "images") == "images"
-    assert kind_of_input(write_video(tmp_path / "a.mp4", [picture(0)] * 2)) == "video"
+    assert kind_of_input(write_video(tmp_path / "a.mp4", [make_image(0)] * 2)) == "video"
     run(folder, tmp_path / "scene")
     assert kind_of_input(tmp_path / "scene") == "scene"
     shutil.copytree(folder / "images", tmp_path / "davis" / "JPEGImages" / "480p" / "bear")
@@ -136,13 +136,13 @@ def test_missing_input(tmp_path, name):
 
 
 def test_input_of_no_known_kind(folder, tmp_path):
-    with pytest.raises(InputError, match="single picture"):
+    with pytest.raises(InputError, match="single image"):
         open_clip(folder / "images" / "00000.png", OPTIONS)
     (tmp_path / "empty").mkdir()
-    with pytest.raises(InputError, match="no pictures"):
+    with pytest.raises(InputError, match="no images"):
         open_clip(tmp_path / "empty", OPTIONS)
     (tmp_path / "hollow" / "images").mkdir(parents=True)
-    with pytest.raises(InputError, match="no pictures"):
+    with pytest.raises(InputError, match="no images"):
         open_clip(tmp_path / "hollow", OPTIONS)
     with pytest.raises(InputError, match="needs the root folder of DAVIS"):
         open_clip(folder, replace(OPTIONS, sequence="bear"))
@@ -178,24 +178,24 @@ def test_fingerprint_does_not_depend_on_the_place(folder, tmp_path):
     assert fingerprint(folder, OPTIONS) == name
 
 
-def test_fingerprint_tells_inputs_apart(folder, tmp_path, write_picture, picture):
+def test_fingerprint_tells_inputs_apart(folder, tmp_path, write_image_file, make_image):
     def change_options() -> str:
         return fingerprint(folder, replace(OPTIONS, start=0.1))
 
-    def change_a_picture() -> str:
-        write_picture(folder / "images" / "00003.png", picture(30))
+    def change_an_image() -> str:
+        write_image_file(folder / "images" / "00003.png", make_image(30))
         return fingerprint(folder, OPTIONS)
 
     def change_a_mask() -> str:
-        write_picture(folder / "masks" / "00003.png", mask_of(30))
+        write_image_file(folder / "masks" / "00003.png", mask_of(30))
         return fingerprint(folder, OPTIONS)
 
-    def rename_a_picture() -> str:
+    def rename_an_image() -> str:
         (folder / "images" / "00003.png").rename(folder / "images" / "00003b.png")
         return fingerprint(folder, OPTIONS)
 
     names = [fingerprint(folder, OPTIONS)]
-    names += [change() for change in (change_options, change_a_picture, change_a_mask, rename_a_picture)]
+    names += [change() for change in (change_options, change_an_image, change_a_mask, rename_an_image)]
     assert len(set(names)) == len(names)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from flowsplat.scenes import Scene, replacing
-from flowsplat.scenes.replacing import replace_pictures
+from flowsplat.scenes.replacing import replace_images
 
 
 def scene_of(folder: Path) -> Scene:
@@ -32,9 +32,9 @@ def require_replaced(scene: Scene) -> None:
     assert not (scene.folder / replacing.ASIDE).exists()
 
 
-def test_all_pictures_are_replaced(tmp_path):
+def test_all_images_are_replaced(tmp_path):
     scene = scene_of(tmp_path / "s")
-    replace_pictures(scene, brighter)
+    replace_images(scene, brighter)
     require_replaced(scene)
 
 
@@ -50,10 +50,10 @@ def test_killed_while_writing_nothing_has_changed_and_it_goes_on(tmp_path, after
         return brighter(image)
 
     with pytest.raises(KeyboardInterrupt):
-        replace_pictures(scene, dying)
+        replace_images(scene, dying)
     scene = Scene(tmp_path / "s")
     assert all((scene.any_frame(i) == i).all() for i in range(5))
-    replace_pictures(scene, brighter)
+    replace_images(scene, brighter)
     require_replaced(scene)
 
 
@@ -71,8 +71,8 @@ def test_killed_while_moving_nothing_is_changed_twice(tmp_path, after, monkeypat
 
     monkeypatch.setattr(replacing.os, "replace", dying)
     with pytest.raises(KeyboardInterrupt):
-        replace_pictures(scene, brighter)
+        replace_images(scene, brighter)
     monkeypatch.undo()
     scene = Scene(tmp_path / "s")
-    replace_pictures(scene, brighter)
+    replace_images(scene, brighter)
     require_replaced(scene)

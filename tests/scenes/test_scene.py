@@ -62,15 +62,15 @@ def test_split_without_training_frames(count, holdout):
         split_frames(count, holdout)
 
 
-def test_split_is_law(scene, picture):
+def test_split_is_law(scene, make_image):
     for i in range(COUNT):
-        scene.write_frame(i, picture(i, WIDTH, HEIGHT))
+        scene.write_frame(i, make_image(i, WIDTH, HEIGHT))
     folder = scene.folder
     assert sorted(p.stem for p in (folder / "heldout" / "frames").iterdir()) == ["00009", "00019"]
     assert len(list((folder / "frames").iterdir())) == COUNT - 2
-    np.testing.assert_array_equal(scene.frame(8), picture(8, WIDTH, HEIGHT))
-    np.testing.assert_array_equal(scene.heldout_frame(9), picture(9, WIDTH, HEIGHT))
-    np.testing.assert_array_equal(scene.any_frame(9), picture(9, WIDTH, HEIGHT))
+    np.testing.assert_array_equal(scene.frame(8), make_image(8, WIDTH, HEIGHT))
+    np.testing.assert_array_equal(scene.heldout_frame(9), make_image(9, WIDTH, HEIGHT))
+    np.testing.assert_array_equal(scene.any_frame(9), make_image(9, WIDTH, HEIGHT))
     depth, mask = Depth(ONES, ONES), np.zeros((HEIGHT, WIDTH), np.uint8)
     flow = np.zeros((HEIGHT, WIDTH, 2), np.float32)
     seen = np.zeros((2, COUNT), bool)
@@ -168,10 +168,10 @@ def test_cameras(scene):
         np.testing.assert_array_equal(read.K, written.K)
 
 
-def test_views_and_truth(scene, picture):
+def test_views_and_truth(scene, make_image):
     assert scene.truth is None
     assert scene.views == []
-    image = picture(1, WIDTH, HEIGHT)
+    image = make_image(1, WIDTH, HEIGHT)
     objects = image[..., 0] > 100
     for name in ("left_00000", "left_00004"):
         scene.write_view(HeldoutView(name, 4, CAMERA), image, objects)
@@ -281,7 +281,7 @@ def test_depth_that_is_none(scene, value):
         scene.depth(0)
 
 
-def test_layers_that_do_not_fit(scene, write_picture):
+def test_layers_that_do_not_fit(scene, write_image_file):
     small = np.ones((HEIGHT, WIDTH - 2), np.float32)
     scene.write_depth(0, Depth(small, small))
     scene.write_flow(Flow(0, 1, np.zeros((*small.shape, 2)), small))
@@ -289,16 +289,16 @@ def test_layers_that_do_not_fit(scene, write_picture):
     for read in (lambda: scene.depth(0), lambda: scene.flow(0, 1), lambda: scene.mask(0)):
         with pytest.raises(InputError, match=r"38, 32|32, 38|38 x 32"):
             read()
-    write_picture(scene.folder / "frames" / "00000.png", np.zeros((HEIGHT, WIDTH - 2, 3), np.uint8))
+    write_image_file(scene.folder / "frames" / "00000.png", np.zeros((HEIGHT, WIDTH - 2, 3), np.uint8))
     with pytest.raises(InputError, match="expected"):
         scene.frame(0)
 
 
-def test_missing_and_damaged_files(scene, picture):
+def test_missing_and_damaged_files(scene, make_image):
     for read in (lambda: scene.frame(0), lambda: scene.depth(0), lambda: scene.mask(0), lambda: scene.tracks):
         with pytest.raises(InputError, match=r"missing|does not exist"):
             read()
-    scene.write_frame(0, picture(0, WIDTH, HEIGHT))
+    scene.write_frame(0, make_image(0, WIDTH, HEIGHT))
     scene.write_depth(0, Depth(ONES, ONES))
     for path, read in (("frames/00000.png", lambda: scene.frame(0)), ("depth/00000.npz", lambda: scene.depth(0))):
         file = scene.folder / path
@@ -334,8 +334,8 @@ def test_the_record_is_written_as_it_was_read(scene):
 def test_marks_are_in_the_file_only_while_they_hold(scene):
     before = set(scene.info.to_json())
     scene.begin_straightening({"focal": 1.0}, {"method": "tracks"})
-    scene.mark_pictures_complete()
-    assert set(scene.info.to_json()) == before | {"lens", "straightening", "pictures_replaced"}
+    scene.mark_images_complete()
+    assert set(scene.info.to_json()) == before | {"lens", "straightening", "images_replaced"}
     scene.finish_straightening("They are straight.")
     scene.mark_ingested()
     again = Scene(scene.folder)

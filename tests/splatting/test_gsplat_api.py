@@ -64,26 +64,26 @@ def relative(a: torch.Tensor, b: torch.Tensor) -> float:
 
 
 def by_hand(values, mode="RGB", degree=None, backgrounds=None):
-    """One oracle picture a camera, float64."""
-    pictures, alphas = [], []
+    """One oracle image a camera, float64."""
+    images, alphas = [], []
     for c, (viewmat, K) in enumerate(zip(values["viewmats"], values["Ks"], strict=True)):
         means = values["means"]
         depths = (means @ viewmat[:3, :3].T + viewmat[:3, 3])[:, 2]
         colors = values["colors"]
         if degree is not None:
             colors = colors_from_harmonics(colors, means - torch.linalg.inv(viewmat)[:3, 3], degree)
-        picture, alpha, _ = rasterize(
+        image, alpha, _ = rasterize(
             means, values["quats"], values["scales"], values["opacities"], torch.cat([colors, depths[:, None]], 1),
             viewmat, K, WIDTH, HEIGHT, backend="reference",
         )  # fmt: skip
-        color, depth = picture[..., :-1], picture[..., -1:]
+        color, depth = image[..., :-1], image[..., -1:]
         if backgrounds is not None:
             color = color + (1 - alpha)[..., None] * backgrounds[c]
         if "ED" in mode:
             depth = depth / alpha[..., None].clamp(min=1e-10)
-        pictures.append({"RGB": color, "D": depth, "ED": depth}.get(mode, torch.cat([color, depth], -1)))
+        images.append({"RGB": color, "D": depth, "ED": depth}.get(mode, torch.cat([color, depth], -1)))
         alphas.append(alpha[..., None])
-    return torch.stack(pictures), torch.stack(alphas)
+    return torch.stack(images), torch.stack(alphas)
 
 
 @pytest.mark.parametrize("packed", [True, False])
@@ -92,15 +92,15 @@ def test_every_mode_matches_the_oracle(mode, packed):
     values, backgrounds = make(cameras=3), torch.rand(3, 3, generator=torch.Generator().manual_seed(1))
     expected_leaves, found_leaves = leaves_of(values, torch.float64), leaves_of(values, torch.float32)
     expected = by_hand(expected_leaves, mode, backgrounds=backgrounds.double())
-    pictures, alphas, meta = rasterization(
+    images, alphas, meta = rasterization(
         **found_leaves, width=WIDTH, height=HEIGHT, render_mode=mode, packed=packed, backgrounds=backgrounds
     )
-    assert pictures.shape == (3, HEIGHT, WIDTH, {"RGB": 3, "D": 1, "ED": 1}.get(mode, 4))
+    assert images.shape == (3, HEIGHT, WIDTH, {"RGB": 3, "D": 1, "ED": 1}.get(mode, 4))
     assert alphas.shape == (3, HEIGHT, WIDTH, 1)
-    assert relative(pictures, expected[0]) < 5e-6
+    assert relative(images, expected[0]) < 5e-6
     assert relative(alphas, expected[1]) < 5e-6
     functional(*expected).backward()
-    functional(pictures, alphas).backward()
+    functional(images, alphas).backward()
     for name in GRADIENTS:
         if name == "colors" and mode in ("D", "ED"):
             assert found_leaves[name].grad is None
@@ -114,10 +114,10 @@ def test_harmonics_are_seen_from_each_camera(degree):
     values = make(degree=3)
     expected_leaves, found_leaves = leaves_of(values, torch.float64), leaves_of(values, torch.float32)
     expected = by_hand(expected_leaves, degree=degree)
-    pictures, alphas, _ = rasterization(**found_leaves, width=WIDTH, height=HEIGHT, sh_degree=degree)
-    assert relative(pictures, expected[0]) < 5e-6
+    images, alphas, _ = rasterization(**found_leaves, width=WIDTH, height=HEIGHT, sh_degree=degree)
+    assert relative(images, expected[0]) < 5e-6
     functional(*expected).backward()
-    functional(pictures, alphas).backward()
+    functional(images, alphas).backward()
     for name in GRADIENTS:
         assert relative(found_leaves[name].grad, expected_leaves[name].grad) < 5e-5, name
 
@@ -127,15 +127,15 @@ def test_many_channels_and_colors_of_each_camera():
     values["colors"] = torch.stack([values["colors"], values["colors"].flip(0)])
     single = {name: value.float() for name, value in values.items()}
     for packed in (True, False):
-        pictures, _, _ = rasterization(**single, width=WIDTH, height=HEIGHT, packed=packed)
+        images, _, _ = rasterization(**single, width=WIDTH, height=HEIGHT, packed=packed)
         for c in range(2):
             expected, _ = by_hand({**values, "colors": values["colors"][c]})
-            assert relative(pictures[c], expected[c]) < 5e-6
+            assert relative(images[c], expected[c]) < 5e-6
     harmonics = make(degree=1)
     colors = torch.stack([harmonics["colors"], harmonics["colors"].flip(0)])
-    pictures, _, _ = rasterization(**{**harmonics, "colors": colors}, width=WIDTH, height=HEIGHT, sh_degree=1)
+    images, _, _ = rasterization(**{**harmonics, "colors": colors}, width=WIDTH, height=HEIGHT, sh_degree=1)
     expected, _ = by_hand({**harmonics, "colors": colors[1]}, degree=1)
-    assert relative(pictures[1], expected[1]) < 1e-12
+    assert relative(images[1], expected[1]) < 1e-12
 
 
 def test_covars_replace_quats_and_scales():
@@ -158,12 +158,12 @@ def test_packed_holds_what_is_visible_of_unpacked(absgrad):
     results = []
     for packed in (False, True):
         leaves = leaves_of(values, torch.float32)
-        pictures, alphas, meta = rasterization(**leaves, width=WIDTH, height=HEIGHT, packed=packed, absgrad=absgrad)
+        images, alphas, meta = rasterization(**leaves, width=WIDTH, height=HEIGHT, packed=packed, absgrad=absgrad)
         meta["means2d"].retain_grad()
-        functional(pictures, alphas).backward()
-        results.append((pictures, alphas, meta, leaves))
-    (pictures, alphas, full, leaves), (packed_pictures, packed_alphas, some, packed_leaves) = results
-    assert torch.equal(pictures, packed_pictures)
+        functional(images, alphas).backward()
+        results.append((images, alphas, meta, leaves))
+    (images, alphas, full, leaves), (packed_images, packed_alphas, some, packed_leaves) = results
+    assert torch.equal(images, packed_images)
     assert torch.equal(alphas, packed_alphas)
     for name in GRADIENTS:
         assert relative(packed_leaves[name].grad, leaves[name].grad) < 1e-6, name
@@ -191,14 +191,14 @@ def test_batches_are_calls_of_their_own(packed):
     batched = {name: torch.stack([entry[name] for entry in single]).unflatten(0, (2, 2)) for name in single[0]}
     backgrounds = torch.rand(2, 2, 2, 3)
     options = {"width": WIDTH, "height": HEIGHT, "packed": packed, "render_mode": "RGB+D"}
-    pictures, alphas, meta = rasterization(**batched, backgrounds=backgrounds, **options)
-    assert pictures.shape == (2, 2, 2, HEIGHT, WIDTH, 4)
+    images, alphas, meta = rasterization(**batched, backgrounds=backgrounds, **options)
+    assert images.shape == (2, 2, 2, HEIGHT, WIDTH, 4)
     assert (meta["n_batches"], meta["n_cameras"]) == (4, 2)
     means2d = []
     for entry in range(4):
         i, j = divmod(entry, 2)
         expected, expected_alphas, expected_meta = rasterization(**single[entry], backgrounds=backgrounds[i, j], **options)
-        assert torch.equal(pictures[i, j], expected)
+        assert torch.equal(images[i, j], expected)
         assert torch.equal(alphas[i, j], expected_alphas)
         means2d.append(expected_meta["means2d"])
     if packed:
@@ -274,14 +274,14 @@ def test_absolute_gradients_are_summed_over_pixels(channels, piece, monkeypatch)
             backend=backend,
         )  # fmt: skip
         if expected is None:
-            picture, _ = blend(projected, v["opacities"], v["colors"], width, height)
-            pixels = (picture * weights).sum(-1).flatten()
+            image, _ = blend(projected, v["opacities"], v["colors"], width, height)
+            pixels = (image * weights).sum(-1).flatten()
             gradients = [torch.autograd.grad(pixel, projected.means2d, retain_graph=True)[0] for pixel in pixels]
             expected, total = torch.stack(gradients).abs().sum(0), torch.stack(gradients).sum(0)
             assert float(expected.max()) > 0.1
-        picture, _ = blend(projected, v["opacities"], v["colors"], width, height, absgrad=True)
+        image, _ = blend(projected, v["opacities"], v["colors"], width, height, absgrad=True)
         projected.means2d.retain_grad()
-        (picture * weights.to(dtype)).sum().backward()
+        (image * weights.to(dtype)).sum().backward()
         tolerance = 1e-9 if dtype == torch.float64 else 2e-5
         assert relative(projected.means2d.absgrad, expected) < tolerance
         assert relative(projected.means2d.grad, total) < tolerance
@@ -291,9 +291,9 @@ def test_absolute_gradients_leave_the_others_alone():
     results = []
     for absgrad in (False, True):
         leaves = leaves_of(make(channels=9), torch.float32)
-        pictures, alphas, meta = rasterization(**leaves, width=WIDTH, height=HEIGHT, absgrad=absgrad)
+        images, alphas, meta = rasterization(**leaves, width=WIDTH, height=HEIGHT, absgrad=absgrad)
         assert hasattr(meta["means2d"], "absgrad") == absgrad
-        functional(pictures, alphas).backward()
+        functional(images, alphas).backward()
         results.append(leaves)
     for name in GRADIENTS:
         assert relative(results[1][name].grad, results[0][name].grad) < 1e-6, name
@@ -306,13 +306,13 @@ def test_nothing_to_see(packed):
     for some in (values, {name: v if name in ("viewmats", "Ks") else v[:0] for name, v in values.items()}):
         leaves = leaves_of(some, torch.float32)
         backgrounds = torch.tensor([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]])
-        pictures, alphas, meta = rasterization(
+        images, alphas, meta = rasterization(
             **leaves, width=WIDTH, height=HEIGHT, packed=packed, backgrounds=backgrounds, render_mode="RGB+ED", absgrad=True
         )
         meta["means2d"].retain_grad()
-        pictures.sum().backward()
-        assert torch.equal(pictures[..., :3], backgrounds[:, None, None].expand(2, HEIGHT, WIDTH, 3))
-        assert float(pictures[..., 3].detach().abs().max()) == 0
+        images.sum().backward()
+        assert torch.equal(images[..., :3], backgrounds[:, None, None].expand(2, HEIGHT, WIDTH, 3))
+        assert float(images[..., 3].detach().abs().max()) == 0
         assert float(alphas.detach().abs().max()) == 0
         assert float(meta["means2d"].grad.abs().sum()) == 0
         assert float(meta["means2d"].absgrad.abs().sum()) == 0
@@ -374,7 +374,7 @@ def test_it_comes_without_the_rest_of_the_package():
     assert "torch" in loaded
     assert not loaded & {"av", "cv2", "tyro", "rich", "jinja2", "tensorboard", "gsplat", "scipy"}
     packages = {name.split(".")[1] for name in result.stdout.split() if name.startswith("flowsplat.")}
-    assert packages <= {"common", "pictures", "geometry", "splatting"}
+    assert packages <= {"common", "images", "geometry", "splatting"}
     assert flowsplat.rasterization is rasterization
 
 

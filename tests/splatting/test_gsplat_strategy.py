@@ -27,7 +27,7 @@ def textured(width: int, height: int) -> torch.Tensor:
 
 
 def fit(width, height, count, steps, *, refine=True, cameras=1, packed=True, absgrad=False, backend="auto", **settings):
-    """Fit the picture with gsplat's DefaultStrategy, as its users write it. Returns PSNR and the number of Gaussians over time."""
+    """Fit the image with gsplat's DefaultStrategy, as its users write it. Returns PSNR and the number of Gaussians over time."""
     from gsplat.strategy import DefaultStrategy
 
     torch.manual_seed(0)

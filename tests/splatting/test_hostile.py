@@ -83,17 +83,17 @@ def camera(width: int, height: int) -> tuple[torch.Tensor, torch.Tensor]:
 
 
 def draw(values, size, weights, dtype=torch.float32):
-    """Picture and gradients; every pixel counts by its weight. By parts, so that broken values get through."""
+    """Image and gradients; every pixel counts by its weight. By parts, so that broken values get through."""
     leaves = {name: value.to(dtype).requires_grad_() for name, value in values.items()}
     viewmat, K = (value.to(dtype) for value in camera(*size))
     projected = project(leaves["means"], leaves["quats"], leaves["scales"], leaves["opacities"], viewmat, K, *size)
     image, alphas = blend(projected, leaves["opacities"], leaves["features"], *size)
     g = torch.Generator().manual_seed(5)
-    picture = torch.cat([image, alphas[..., None]], -1)
-    functional = torch.randn(picture.shape, generator=g, dtype=torch.float64).to(dtype) * weights.to(dtype)[..., None]
-    gradients = torch.autograd.grad((picture * functional).sum(), list(leaves.values()), allow_unused=True)
+    rendered = torch.cat([image, alphas[..., None]], -1)
+    functional = torch.randn(rendered.shape, generator=g, dtype=torch.float64).to(dtype) * weights.to(dtype)[..., None]
+    gradients = torch.autograd.grad((rendered * functional).sum(), list(leaves.values()), allow_unused=True)
     zeros = [torch.zeros_like(leaf) for leaf in leaves.values()]
-    return picture.detach(), [zero if g is None else g for g, zero in zip(gradients, zeros, strict=True)], projected
+    return rendered.detach(), [zero if g is None else g for g, zero in zip(gradients, zeros, strict=True)], projected
 
 
 @given(
@@ -103,13 +103,13 @@ def draw(values, size, weights, dtype=torch.float32):
 @settings(max_examples=60, deadline=None)
 def test_nothing_does_harm(seed, kinds, size):
     values, weights = scene(seed, kinds), torch.ones(size[1], size[0])
-    picture, gradients, projected = draw(values, size, weights)
+    rendered, gradients, projected = draw(values, size, weights)
     again, gradients_again, _ = draw(values, size, weights)
-    assert picture.shape == (size[1], size[0], 4)
-    assert torch.isfinite(picture).all()
-    assert torch.equal(picture, again)
-    assert float(picture[..., 3].min()) >= 0
-    assert float(picture[..., 3].max()) <= 1
+    assert rendered.shape == (size[1], size[0], 4)
+    assert torch.isfinite(rendered).all()
+    assert torch.equal(rendered, again)
+    assert float(rendered[..., 3].min()) >= 0
+    assert float(rendered[..., 3].max()) <= 1
     for name, gradient, repeated in zip(INPUTS, gradients, gradients_again, strict=True):
         assert torch.isfinite(gradient).all(), name
         assert torch.equal(gradient, repeated), name
@@ -151,9 +151,9 @@ def test_gradients_agree_wherever_the_answer_is_well_conditioned(seed, kinds):
     size = (31, 17)
     values = scene(seed, kinds)
     keep = ~at_a_cut(values, size)
-    picture, expected, _ = draw(values, size, keep, torch.float64)
-    found_picture, found, _ = draw(values, size, keep)
-    assert float(((found_picture.double() - picture) * keep[..., None]).abs().max()) < 1e-3
+    rendered, expected, _ = draw(values, size, keep, torch.float64)
+    found_image, found, _ = draw(values, size, keep)
+    assert float(((found_image.double() - rendered) * keep[..., None]).abs().max()) < 1e-3
     for name, exact, change, ours in zip(INPUTS, expected, sensitivity(values, size, keep, expected), found, strict=True):
         norm = float(exact.norm())
         if norm > 0 and change < 1e-5 * norm:
@@ -175,11 +175,11 @@ def test_gradients_of_ordinary_scenes_are_right_to_the_fifth_digit(seed):
 def test_thousands_of_coincident_gaussians():
     values = scene(0, ["coincident"] * 5000)
     size, weights = (24, 20), torch.ones(20, 24)
-    picture, gradients, _ = draw(values, size, weights)
+    rendered, gradients, _ = draw(values, size, weights)
     exact, expected, _ = draw(values, size, weights, torch.float64)
-    assert float((picture.double() - exact).abs().max()) < 1e-3
+    assert float((rendered.double() - exact).abs().max()) < 1e-3
     assert all(torch.isfinite(gradient).all() for gradient in gradients)
-    assert torch.equal(picture, draw(values, size, weights)[0])
+    assert torch.equal(rendered, draw(values, size, weights)[0])
     assert float(exact[..., 3].max()) > 0.999
     for name, theirs, ours in zip(INPUTS, expected, gradients, strict=True):
         if name in ("opacities", "features"):

@@ -1,4 +1,4 @@
-"""A handful of moving Gaussians and the noisy pictures of them: the smallest thing that can be trained."""
+"""A handful of moving Gaussians and the noisy images of them: the smallest thing that can be trained."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def a_few(config: TrainConfig, count: int = 24) -> Gaussians4D:
 
 
 def seen(gaussians: Gaussians4D) -> Observations:
-    """Noisy pictures, depth and flow of them."""
+    """Noisy images, depth and flow of them."""
     rng = np.random.default_rng(0)
     K = np.array([[20.0, 0, WIDTH / 2], [0, 20, HEIGHT / 2], [0, 0, 1]])
     cameras = []

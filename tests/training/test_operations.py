@@ -11,22 +11,22 @@ import torch
 from flowsplat.gaussians.gaussians4d import Gaussians4D, parameter_shapes
 from flowsplat.gaussians.model_config import ModelConfig
 from flowsplat.training.adam import RowAdam, cpu, reference
-from flowsplat.training.picture_loss import PictureTargets, PictureWeights, picture_loss
-from flowsplat.training.picture_loss import cpu as picture_cpu
-from flowsplat.training.picture_loss import reference as picture_reference
+from flowsplat.training.photometric_loss import PhotometricTargets, PhotometricWeights, photometric_loss
+from flowsplat.training.photometric_loss import cpu as photometric_cpu
+from flowsplat.training.photometric_loss import reference as photometric_reference
 from flowsplat.training.rigidity import cpu as rigid_cpu
 from flowsplat.training.rigidity import find_neighbors, rigid_loss
 from flowsplat.training.rigidity import reference as rigid_reference
 
 
-def picture_case(height, width, channels, seed=0):
-    """A rendered picture, its alpha, and what it should show; errors are never exactly zero."""
+def image_case(height, width, channels, seed=0):
+    """A rendered image, its alpha, and what it should show; errors are never exactly zero."""
     rng = np.random.default_rng(seed)
     image = torch.from_numpy(rng.normal(0.5, 0.4, (height, width, channels)).astype(np.float32))
     alpha = torch.from_numpy(rng.uniform(0.2, 1, (height, width)).astype(np.float32))
     if channels in (7, 11):
         image[..., -1] = alpha * torch.from_numpy(rng.choice([0.0, 0.04, 0.2], (height, width)).astype(np.float32))
-    targets = PictureTargets(
+    targets = PhotometricTargets(
         color=rng.integers(0, 256, (height, width, 3), dtype=np.uint8),
         depth=rng.uniform(0.5, 2, (height, width)).astype(np.float32),
         depth_trusted=rng.random((height, width)) < 0.7,
@@ -40,15 +40,15 @@ def picture_case(height, width, channels, seed=0):
 @pytest.mark.parametrize("ssim", [0.0, 0.2, 1.0])
 @pytest.mark.parametrize(("channels", "flow_channels"), [(4, 0), (6, 2), (7, 2), (10, 6), (11, 6)])
 @pytest.mark.parametrize("by_alpha", [True, False])
-def test_the_picture_loss_matches_its_oracle(height, width, ssim, channels, flow_channels, by_alpha):
-    image, alpha, targets = picture_case(height, width, channels)
+def test_the_photometric_loss_matches_its_oracle(height, width, ssim, channels, flow_channels, by_alpha):
+    image, alpha, targets = image_case(height, width, channels)
     if flow_channels == 0:
         targets = replace(targets, flow=None, flow_trusted=None)
-    weights = PictureWeights(ssim, 0.3, 0.7, by_alpha)
+    weights = PhotometricWeights(ssim, 0.3, 0.7, by_alpha)
     found = []
-    for module, dtype in ((picture_reference, torch.float64), (picture_cpu, torch.float32)):
+    for module, dtype in ((photometric_reference, torch.float64), (photometric_cpu, torch.float32)):
         leaves = image.to(dtype).requires_grad_(), alpha.to(dtype).requires_grad_()
-        loss, figures = module.picture_loss(*leaves, flow_channels, targets, weights)
+        loss, figures = module.photometric_loss(*leaves, flow_channels, targets, weights)
         (2 * loss).backward()
         found.append((float(loss.detach()), figures, [leaf.grad for leaf in leaves]))
     (expected, figures, gradients), (loss, ours, our_gradients) = found
@@ -59,25 +59,25 @@ def test_the_picture_loss_matches_its_oracle(height, width, ssim, channels, flow
 
 
 def test_a_part_of_weight_zero_is_not_computed():
-    image, alpha, targets = picture_case(9, 8, 6)
-    for module in (picture_cpu, picture_reference):
-        _, figures = module.picture_loss(image, alpha, 2, targets, PictureWeights())
+    image, alpha, targets = image_case(9, 8, 6)
+    for module in (photometric_cpu, photometric_reference):
+        _, figures = module.photometric_loss(image, alpha, 2, targets, PhotometricWeights())
         assert figures.flow == figures.depth == 0
 
 
-def test_a_perfect_picture_costs_nothing():
-    targets = picture_case(20, 20, 6)[2]
+def test_a_perfect_image_costs_nothing():
+    targets = image_case(20, 20, 6)[2]
     image = torch.cat(
         [torch.from_numpy(targets.color) / 255, torch.from_numpy(targets.depth)[..., None], torch.from_numpy(targets.flow)], -1
     )
-    loss, figures = picture_loss(image, torch.ones(20, 20), 2, targets, PictureWeights(0.2, 1.0, 1.0))
+    loss, figures = photometric_loss(image, torch.ones(20, 20), 2, targets, PhotometricWeights(0.2, 1.0, 1.0))
     assert abs(float(loss)) < 1e-5
     assert figures.squared_error < 1e-12
 
 
 def test_the_oracle_of_the_color_loss_differentiates():
     image, target = torch.rand(4, 5, 3, dtype=torch.float64, requires_grad=True), torch.rand(4, 5, 3, dtype=torch.float64)
-    assert torch.autograd.gradcheck(lambda x: picture_reference.color_loss(x, target, 0.3), image)
+    assert torch.autograd.gradcheck(lambda x: photometric_reference.color_loss(x, target, 0.3), image)
 
 
 def test_with_all_rows_active_it_is_torchs_adam():
@@ -130,7 +130,7 @@ def test_flow_loss_by_alpha_ignores_the_transparent_and_is_unbiased():
     alpha[0] = 0.3
     valid = torch.ones(4, 4, dtype=torch.bool)
     premultiplied = target * alpha[..., None]
-    flow_loss = picture_reference.flow_loss
+    flow_loss = photometric_reference.flow_loss
     assert float(flow_loss(premultiplied, alpha, target, valid, True)) == pytest.approx(0, abs=1e-6)
     assert float(flow_loss(premultiplied, alpha, target, valid, False)) > 0.5
     assert float(flow_loss(premultiplied, alpha, target, valid & False, True)) == 0
@@ -138,7 +138,7 @@ def test_flow_loss_by_alpha_ignores_the_transparent_and_is_unbiased():
 
 def test_depth_loss_is_relative():
     alpha, valid = torch.ones(4, 4), torch.ones(4, 4, dtype=torch.bool)
-    loss = picture_reference.depth_loss(torch.full((4, 4), 2.2), alpha, torch.full((4, 4), 2.0), valid)
+    loss = photometric_reference.depth_loss(torch.full((4, 4), 2.2), alpha, torch.full((4, 4), 2.0), valid)
     assert float(loss) == pytest.approx(0.1)
 
 

@@ -53,7 +53,7 @@ def test_a_camera_that_stands_changes_nothing():
 
 @pytest.mark.parametrize("resting", [True, False])
 def test_only_what_rests_steps_farther_along_its_ray(resting, monkeypatch):
-    monkeypatch.setattr(reference, "FEWEST_PIXELS", 0.01)  # the pictures are tiny
+    monkeypatch.setattr(reference, "FEWEST_PIXELS", 0.01)  # the images are tiny
     config = replace(tiny("default"), iterations=1)
     start = a_few(config)
     chosen = start.select(torch.nonzero(start.dynamic != resting)[:, 0])

@@ -123,7 +123,7 @@ def test_every_kernel_of_a_step_is_launched_on_the_device_of_its_tensors(flow_mo
     Trainer(observations, None, config, start=start, device="cuda" if ON_GPU else "cpu").run()
     assert {module.split(".triton")[0] for module, _, _ in launched} >= {
         f"flowsplat.{part}" for part in (
-            "gaussians.culling", "gaussians.slicing", "gaussians.flow", "splatting", "training.picture_loss",
+            "gaussians.culling", "gaussians.slicing", "gaussians.flow", "splatting", "training.photometric_loss",
             "training.rigidity", "training.adam", "training.ray_preconditioning",
         )
     }  # fmt: skip

@@ -9,18 +9,18 @@ import torch
 
 from flowsplat.training.adam import RowAdam
 from flowsplat.training.adam import reference as adam_reference
-from flowsplat.training.picture_loss import PictureTargets, PictureWeights
-from flowsplat.training.picture_loss import reference as picture_reference
+from flowsplat.training.photometric_loss import PhotometricTargets, PhotometricWeights
+from flowsplat.training.photometric_loss import reference as photometric_reference
 from flowsplat.training.ray_preconditioning import PathSpread
 from flowsplat.training.ray_preconditioning import reference as rays_reference
 from flowsplat.training.rigidity import Neighbors, find_neighbors
 from flowsplat.training.rigidity import reference as rigid_reference
 from tests.common.compiling import compiled
-from tests.training.test_operations import moving_model, picture_case
+from tests.training.test_operations import image_case, moving_model
 
 pytest.importorskip("triton", reason="Triton is not installed")
 from flowsplat.training.adam import triton as adam_triton
-from flowsplat.training.picture_loss import triton as picture_triton
+from flowsplat.training.photometric_loss import triton as photometric_triton
 from flowsplat.training.ray_preconditioning import triton as rays_triton
 from flowsplat.training.rigidity import triton as rigid_triton
 
@@ -38,15 +38,15 @@ DEVICE = torch.device("cuda", 0) if torch.cuda.is_available() else torch.device(
         ((5, 60), 0.3, 7, 2, False),
     ],
 )
-def test_the_picture_loss_matches_its_oracle(size, ssim, channels, flow_channels, by_alpha):
-    image, alpha, targets = picture_case(*size, channels)
+def test_the_photometric_loss_matches_its_oracle(size, ssim, channels, flow_channels, by_alpha):
+    image, alpha, targets = image_case(*size, channels)
     if flow_channels == 0:
         targets = replace(targets, flow=None, flow_trusted=None)
-    weights = PictureWeights(ssim, 0.3, 0.7, by_alpha)
+    weights = PhotometricWeights(ssim, 0.3, 0.7, by_alpha)
     found = []
-    for module, dtype, device in ((picture_reference, torch.float64, "cpu"), (picture_triton, torch.float32, DEVICE)):
+    for module, dtype, device in ((photometric_reference, torch.float64, "cpu"), (photometric_triton, torch.float32, DEVICE)):
         leaves = image.to(device, dtype).requires_grad_(), alpha.to(device, dtype).requires_grad_()
-        loss, figures = module.picture_loss(*leaves, flow_channels, targets, weights)
+        loss, figures = module.photometric_loss(*leaves, flow_channels, targets, weights)
         (2 * loss).backward()
         parts = {name: float(part) for name, part in asdict(figures).items()}
         found.append((float(loss.detach()), parts, [leaf.grad.cpu().double() for leaf in leaves]))
@@ -57,13 +57,14 @@ def test_the_picture_loss_matches_its_oracle(size, ssim, channels, flow_channels
         torch.testing.assert_close(gradient, exact, atol=5e-6, rtol=1e-3)
 
 
-def test_the_picture_loss_of_targets_without_anything_to_trust():
-    image, alpha, targets = picture_case(9, 8, 6)
+def test_the_photometric_loss_of_targets_without_anything_to_trust():
+    image, alpha, targets = image_case(9, 8, 6)
     image, alpha = image.to(DEVICE).requires_grad_(), alpha.to(DEVICE)
     nothing = replace(targets, flow_trusted=targets.flow_trusted & False, depth_trusted=targets.depth_trusted & False).to(DEVICE)
-    for case, weights in ((nothing, PictureWeights(0.2, 1.0, 1.0)), (PictureTargets(targets.color), PictureWeights(0.2, 1.0, 1.0)),
-                          (targets, PictureWeights())):  # fmt: skip
-        loss, figures = picture_triton.picture_loss(image, alpha, 2, case, weights)
+    all_on = PhotometricWeights(0.2, 1.0, 1.0)
+    cases = [(nothing, all_on), (PhotometricTargets(targets.color), all_on), (targets, PhotometricWeights())]
+    for case, weights in cases:
+        loss, figures = photometric_triton.photometric_loss(image, alpha, 2, case, weights)
         image.grad = None
         loss.backward()
         assert float(figures.flow) == float(figures.depth) == 0
@@ -186,18 +187,18 @@ def test_every_kernel_compiles_for_gpus_that_are_not_there():
     kernels = compiled("""
 from dataclasses import replace
 from flowsplat.training.adam import triton as adam
-from flowsplat.training.picture_loss import PictureWeights, triton as picture_loss
+from flowsplat.training.photometric_loss import PhotometricWeights, triton as photometric_loss
 from flowsplat.training.ray_preconditioning import PathSpread, triton as rays
 from flowsplat.training.rigidity import find_neighbors, triton as rigidity
 from tests.common.compiling import compiled
-from tests.training.test_operations import moving_model, picture_case
+from tests.training.test_operations import moving_model, image_case
 
 for channels, flow_channels, by_alpha in ((4, 0, True), (7, 2, True), (11, 6, False)):
-    image, alpha, targets = picture_case(9, 8, channels)
+    image, alpha, targets = image_case(9, 8, channels)
     if flow_channels == 0:
         targets = replace(targets, flow=None, flow_trusted=None)
-    weights = PictureWeights(0.2, 0.3, 0.7, by_alpha)
-    picture_loss.picture_loss(image.requires_grad_(), alpha, flow_channels, targets, weights)[0].backward()
+    weights = PhotometricWeights(0.2, 0.3, 0.7, by_alpha)
+    photometric_loss.photometric_loss(image.requires_grad_(), alpha, flow_channels, targets, weights)[0].backward()
 rows = torch.arange(20)
 for size in (1, 4, 48):
     state = torch.zeros(20, size), torch.zeros(20, size), torch.zeros(20, size), torch.zeros(20, dtype=torch.int32)

@@ -3,7 +3,7 @@
     done/ID.json, failed/ID.json, refused/ID.json    ended, with the result
     open/ID.json                                     something went wrong, and there is to be another attempt
     claims/ID.NUMBER                                 somebody works on attempt NUMBER (``common.files.Claims``)
-    logs/ID.log, thumbs/ID.jpg, plan.json            what the run said, its picture in the page, what the batch is of
+    logs/ID.log, thumbs/ID.jpg, plan.json            what the run said, its image in the page, what the batch is of
 
 Names of files tell how far the batch is: who looks for work lists folders, and reads no files.
 """

@@ -37,7 +37,7 @@ from flowsplat.scenes.layers import read_image
 from flowsplat.scenes.scene import split_frames
 
 THUMB_WIDTH = 240
-"""Pixels of a picture in the page of a batch."""
+"""Pixels of an image in the page of a batch."""
 SPARSER = 1.5
 """Times as far apart Gaussians begin in a run that outgrew its memory; at most half as many are allowed in the end."""
 
@@ -125,7 +125,7 @@ def _video(folder: Path) -> Path | None:
 
 
 def _write_thumb(name: str, folder: Path, out: Path) -> str:
-    """A small picture of the result, of a held-out frame where there is one; its place, relative to OUT."""
+    """A small image of the result, of a held-out frame where there is one; its place, relative to OUT."""
     run = RunPaths(folder)
     scene = Scene(run.scene_path)
     shown = sorted((run.evaluation_path / "heldout").glob("[0-9][0-9][0-9][0-9][0-9].png"))

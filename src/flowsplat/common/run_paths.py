@@ -58,12 +58,12 @@ class RunPaths:
 
     @property
     def preview_path(self) -> Path:
-        """A picture of the training that goes on."""
+        """An image of the training that goes on."""
         return self.path / "preview.png"
 
     @property
     def evaluation_path(self) -> Path:
-        """Rendered held-out pictures."""
+        """Rendered held-out images."""
         return self.path / "evaluation"
 
     @property

@@ -235,7 +235,7 @@ def in_threads(function: Callable[[Item], Result], items: Iterable[Item], thread
     """``map`` in several threads: the results come in the order of the items, a few of which are worked on ahead.
 
     Kernels (``parallel_for``) have each thread's share of the processor's. What is computed does not depend on that, and two
-    pictures at once are done sooner than two after another: not all that a picture needs is a kernel.
+    images at once are done sooner than two after another: not all that an image needs is a kernel.
 
     Args:
         function: lets others run while it computes, as kernels, NumPy and OpenCV do.

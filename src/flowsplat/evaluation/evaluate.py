@@ -2,10 +2,10 @@
 
 The keys of ``metrics.json``. Every number is finite; what could not be measured is null:
 
-- ``heldout_frames``: ``psnr``, ``ssim``, ``lpips`` (means over the pictures), ``count``, and the same in ``moving``,
+- ``heldout_frames``: ``psnr``, ``ssim``, ``lpips`` (means over the images), ``count``, and the same in ``moving``,
   inside the given masks.
-- ``heldout_frames_refined``: the same figures with the pose of every held-out frame refined on its own picture. Never the
-  headline; null where that was not asked for. In ``per_image`` they are each picture's ``refined``.
+- ``heldout_frames_refined``: the same figures with the pose of every held-out frame refined on its own image. Never the
+  headline; null where that was not asked for. In ``per_image`` they are each image's ``refined``.
 - ``heldout_views``: as ``heldout_frames``, and in ``covisible``, the pixels that the clip saw.
 - ``training_frames``: the same on every ``training_stride``-th training frame; ``moving`` is the true or else the
   scene's own mask.
@@ -20,7 +20,7 @@ The keys of ``metrics.json``. Every number is finite; what could not be measured
 - ``measured``: the folder of the model that every figure is of; ``shown``: of the one that videos and exports show (of a run).
 - ``seconds``, ``memory_gib``: what each stage of a run took, and the GiB that it needed at most; ``peak_memory_gib``: all of it.
 - ``lpips_reason``: why ``lpips`` is null.
-- ``per_image``: a list of pictures with ``kind``, ``name``, ``frame``, their figures and those of their ``baselines``.
+- ``per_image``: a list of images with ``kind``, ``name``, ``frame``, their figures and those of their ``baselines``.
 """
 
 from __future__ import annotations
@@ -38,17 +38,17 @@ from flowsplat.evaluation.baselines import copy_to_view, predict_frame, to_float
 from flowsplat.evaluation.motion import MotionErrors, moving_mask
 from flowsplat.evaluation.perceptual import lpips_metric
 from flowsplat.evaluation.placement import view_camera
-from flowsplat.evaluation.scores import Figures, score_picture, summarize
+from flowsplat.evaluation.scores import Figures, score_image, summarize
 from flowsplat.gaussians.model import at_once
 from flowsplat.gaussians.renderer import Renderer, Rendering
 from flowsplat.geometry import Camera
-from flowsplat.pictures.colors import float_to_bytes
-from flowsplat.pictures.sheets import preview_sheet
+from flowsplat.images.colors import float_to_bytes
+from flowsplat.images.sheets import preview_sheet
 from flowsplat.scenes import HeldoutView, Scene
 from flowsplat.scenes.layers import write_image
 
 Refine = Callable[[Camera, float, np.ndarray], Camera]
-"""(camera, seconds, picture [H, W, 3] float) to the camera nearby that shows the picture best."""
+"""(camera, seconds, image [H, W, 3] float) to the camera nearby that shows the image best."""
 
 FRAME_REGIONS = ("moving",)
 VIEW_REGIONS = ("moving", "covisible")
@@ -73,7 +73,7 @@ def evaluate(
     Args:
         folder: where held-out renderings go: ``heldout/00009.png``, ``views/<name>.png``, and beside each its
             ``..._sheet.png``. None writes none.
-        baselines: also predict the held-out pictures without a model.
+        baselines: also predict the held-out images without a model.
         static_model: a model of the same scene without motion, measured among the baselines.
         refine: measures the held-out frames a second time, from the cameras that it finds.
 
@@ -122,13 +122,13 @@ def training_stride(scene: Scene) -> int:
     return int(np.clip(len(scene.train_frames) // TRAINING_STRIDE, 1, TRAINING_STRIDE))
 
 
-def _summarize_baselines(pictures: Sequence[Figures], names: Sequence[str], regions: Sequence[str]) -> Figures | None:
-    figures = {name: summarize([picture["baselines"].get(name) for picture in pictures], regions) for name in names}
+def _summarize_baselines(images: Sequence[Figures], names: Sequence[str], regions: Sequence[str]) -> Figures | None:
+    figures = {name: summarize([image["baselines"].get(name) for image in images], regions) for name in names}
     return figures if any(figures.values()) else None
 
 
 class _Evaluator:
-    """Renders and scores one picture after the other."""
+    """Renders and scores one image after the other."""
 
     def __init__(
         self,
@@ -152,11 +152,11 @@ class _Evaluator:
         camera, target = scene.cameras[i], to_float(scene.heldout_frame(i))
         regions = {"moving": masks.mask(i) > 0 if masks.has_mask(i) else None}
         what = {"kind": "heldout_frame", "name": f"{i:05d}", "frame": i}
-        figures = self._heldout_picture(what, "heldout", camera, target, regions, predictions)
+        figures = self._heldout_image(what, "heldout", camera, target, regions, predictions)
         if self._refine is not None:
             seconds = float(scene.timestamps[i])
             image = _finite(self._model.render(self._refine(camera, seconds, target), seconds)).color
-            figures["refined"] = score_picture(image, target, regions, self._lpips)
+            figures["refined"] = score_image(image, target, regions, self._lpips)
         return figures
 
     def heldout_view(self, view: HeldoutView) -> Figures:
@@ -171,7 +171,7 @@ class _Evaluator:
             if truth is not None and truth.has_cameras and truth.has_depth(view.frame):
                 depth, camera = truth.depth(view.frame).depth, truth.cameras[view.frame]
                 predictions["warp_by_depth"] = warp_by_depth(image, depth, camera, view.camera)
-        return self._heldout_picture(
+        return self._heldout_image(
             {"kind": "heldout_view", "name": view.name, "frame": view.frame},
             "views",
             view_camera(scene, view),
@@ -183,7 +183,7 @@ class _Evaluator:
     def training_frame(self, i: int, rendering: Rendering) -> Figures:
         """Score a training frame that was rendered already."""
         target = to_float(self._scene.frame(i))
-        figures = score_picture(rendering.color, target, {"moving": moving_mask(self._scene, i)}, self._lpips)
+        figures = score_image(rendering.color, target, {"moving": moving_mask(self._scene, i)}, self._lpips)
         return {"kind": "training_frame", "name": f"{i:05d}", "frame": i, **figures, "baselines": {}}
 
     def rendering_with_flow(self, i: int, j: int | None) -> Rendering:
@@ -192,7 +192,7 @@ class _Evaluator:
         flow_to = None if j is None else (cameras[j], float(seconds[j]))
         return _finite(self._model.render(cameras[i], float(seconds[i]), flow_to))
 
-    def _heldout_picture(
+    def _heldout_image(
         self,
         what: Figures,
         subfolder: str,
@@ -207,8 +207,8 @@ class _Evaluator:
             predictions = {**predictions, "static": _finite(self._static_model.render(camera, seconds)).color}
         if self._folder is not None:
             self._write(self._folder / subfolder, what["name"], image, target)
-        scores = {name: score_picture(picture, target, regions, self._lpips) for name, picture in predictions.items()}
-        return {**what, **score_picture(image, target, regions, self._lpips), "baselines": scores}
+        scores = {name: score_image(predicted, target, regions, self._lpips) for name, predicted in predictions.items()}
+        return {**what, **score_image(image, target, regions, self._lpips), "baselines": scores}
 
     def _write(self, folder: Path, name: str, image: np.ndarray, target: np.ndarray) -> None:
         write_image(folder / f"{name}.png", float_to_bytes(image))

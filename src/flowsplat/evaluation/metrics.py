@@ -1,4 +1,4 @@
-"""How far a picture, a flow or a depth is from the truth: pure functions on NumPy arrays, computed in float64.
+"""How far an image, a flow or a depth is from the truth: pure functions on NumPy arrays, computed in float64.
 
 Region metrics (METHOD 6) average inside a mask. A region too small to say anything gives None, never NaN.
 """
@@ -12,7 +12,7 @@ MIN_PIXELS = 50
 """Regions with fewer pixels are not measured."""
 
 MAX_PSNR = 100.0
-"""dB; identical pictures get this instead of infinity, so that means and JSON stay finite."""
+"""dB; identical images get this instead of infinity, so that means and JSON stay finite."""
 
 SSIM_WINDOW, SSIM_SIGMA = 11, 1.5
 SSIM_C1, SSIM_C2 = 0.01**2, 0.03**2
@@ -35,7 +35,7 @@ def _clipped(image: np.ndarray) -> np.ndarray:
 
 
 def psnr(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None = None) -> float | None:
-    """Peak signal-to-noise ratio in dB of two float pictures [H, W, 3], clipped to [0, 1].
+    """Peak signal-to-noise ratio in dB of two float images [H, W, 3], clipped to [0, 1].
 
     Args:
         mask: [H, W] bool; the squared error is averaged inside it.
@@ -56,10 +56,10 @@ def _blur(image: np.ndarray) -> np.ndarray:
 
 
 def ssim_map(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The structural similarity of two float pictures, clipped to [0, 1], at every pixel and channel, [H, W, 3] float64.
+    """The structural similarity of two float images, clipped to [0, 1], at every pixel and channel, [H, W, 3] float64.
 
     Wang et al. 2004 (https://doi.org/10.1109/TIP.2003.819861): 11x11 Gaussian window of sigma 1.5, K1 = 0.01,
-    K2 = 0.03, data range 1. The picture is mirrored at its border, so that the map has its size, as in
+    K2 = 0.03, data range 1. The image is mirrored at its border, so that the map has its size, as in
     torchmetrics.
 
     >>> ramp = np.linspace(0, 1, 16 * 16 * 3).reshape(16, 16, 3)

@@ -12,9 +12,9 @@ import torch
 from flowsplat.common.errors import first_line
 
 PerceptualMetric = Callable[[np.ndarray, np.ndarray], float | None]
-"""(picture, other picture), both float RGB [H, W, 3], clipped to [0, 1], to a distance: 0 = they look the same.
+"""(image, other image), both float RGB [H, W, 3], clipped to [0, 1], to a distance: 0 = they look the same.
 
-None for pictures with a side below ``SMALLEST_SIDE``, which the network would pool to nothing.
+None for images with a side below ``SMALLEST_SIDE``, which the network would pool to nothing.
 """
 
 SMALLEST_SIDE = 64

@@ -1,7 +1,7 @@
-"""Where the camera of a held-out picture stood, found by comparing the picture with a model that stays as it is.
+"""Where the camera of a held-out image stood, found by comparing the image with a model that stays as it is.
 
-Strict figures use the camera that the camera stage found. Half a pixel of shift costs a good picture several decibels (METHOD 6),
-so figures with the pose of the held-out picture alone refined tell what is the cameras' fault. They are never the headline.
+Strict figures use the camera that the camera stage found. Half a pixel of shift costs a good image several decibels (METHOD 6),
+so figures with the pose of the held-out image alone refined tell what is the cameras' fault. They are never the headline.
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.slicing import slice_gaussians
 from flowsplat.geometry import Camera
 from flowsplat.geometry.cameras import pixel_grid
-from flowsplat.scenes.clip import resize_picture
+from flowsplat.scenes.clip import resize_image
 from flowsplat.splatting import blend, project
 
 LEVELS = ((3, 10), (1, 5))
-"""By how much the picture is shrunk, and how many steps are taken then: coarse first, because steps see no farther than texture."""
+"""By how much the image is shrunk, and how many steps are taken then: coarse first, because steps see no farther than texture."""
 
 SHORTEST_SIDE = 24
-"""Pixels below which a shrunk picture tells nothing."""
+"""Pixels below which a shrunk image tells nothing."""
 
 LEAST_GAIN = 2e-3
 """A step that lowers the error by a smaller share ends a level: that is a hundredth of a decibel."""
 
 
 def refine_camera(model: SceneModel, camera: Camera, t: float, target: np.ndarray) -> Camera:
-    """The camera near ``camera`` from which the model looks most like the picture; only the pose is changed.
+    """The camera near ``camera`` from which the model looks most like the image; only the pose is changed.
 
     Damped Gauss-Newton steps on the squared error. Its gradient comes through the rasterizer, the curvature from the rendered
-    picture's own gradients and depth, as in direct image alignment (Lucas and Kanade 1981); pixels that the model does not cover do
+    image's own gradients and depth, as in direct image alignment (Lucas and Kanade 1981); pixels that the model does not cover do
     not count.
 
     Args:
@@ -45,17 +45,17 @@ def refine_camera(model: SceneModel, camera: Camera, t: float, target: np.ndarra
         target: [H, W, 3] float between 0 and 1, of the camera's size.
 
     Returns:
-        the refined camera, or ``camera`` itself where the picture would not get better.
+        the refined camera, or ``camera`` itself where the image would not get better.
     """
     clip_time, start = model.clip_time(t), model.similarity.camera(camera)
     found = start
     for shrink, steps in LEVELS:
         size = round(camera.width / shrink), round(camera.height / shrink)
         if min(size) >= SHORTEST_SIDE:
-            picture = resize_picture(np.asarray(target, np.float32), size)
-            # What a shrunk picture says may be worse than where it started: small Gaussians are drawn wider there.
+            image = resize_image(np.asarray(target, np.float32), size)
+            # What a shrunk image says may be worse than where it started: small Gaussians are drawn wider there.
             starts = [start.resized(*size)] if found is start else [start.resized(*size), found.resized(*size)]
-            moved = _descend(model.gaussians, starts, clip_time, picture, steps)
+            moved = _descend(model.gaussians, starts, clip_time, image, steps)
             found = Camera(moved.viewmat, start.K, camera.width, camera.height)
     refined = model.similarity.inverse().camera(found)
     before, after = (psnr(model.render(each, t).color, target) for each in (camera, refined))
@@ -64,7 +64,7 @@ def refine_camera(model: SceneModel, camera: Camera, t: float, target: np.ndarra
 
 @dataclass(frozen=True)
 class _Look:
-    """A picture from a camera, compared with its target: the squared error, its gradient [6] and curvature [6, 6] by the twist."""
+    """An image from a camera, compared with its target: the squared error, its gradient [6] and curvature [6, 6] by the twist."""
 
     error: float
     gradient: np.ndarray
@@ -124,7 +124,7 @@ def _look(gaussians: Gaussians4D, camera: Camera, t: float, target: np.ndarray) 
     )
     features = torch.cat([sliced.colors, projected.depths.detach()[:, None]], 1)
     image, alpha = blend(projected, sliced.opacities, features, *size)
-    # Where the model covers nothing there is nothing to compare: premultiplied like the picture, the target fades out there too.
+    # Where the model covers nothing there is nothing to compare: premultiplied like the image, the target fades out there too.
     wanted = torch.as_tensor(target, dtype=image.dtype, device=image.device) * alpha[..., None]
     error = ((image[..., :3] - wanted) ** 2).mean()
     error.backward()
@@ -140,7 +140,7 @@ def _look(gaussians: Gaussians4D, camera: Camera, t: float, target: np.ndarray) 
 
 
 def _curvature(color: np.ndarray, depth: np.ndarray, alpha: np.ndarray, camera: Camera) -> np.ndarray:
-    """[6, 6] Gauss-Newton curvature of the mean squared error by the twist, from what the picture's gradients and depth tell.
+    """[6, 6] Gauss-Newton curvature of the mean squared error by the twist, from what the image's gradients and depth tell.
 
     Args:
         color: [H, W, 3] premultiplied by alpha.

@@ -1,4 +1,4 @@
-"""One picture against its target, in whole and by region, and the mean over pictures."""
+"""One image against its target, in whole and by region, and the mean over images."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ Figures = dict[str, Any]
 METRICS = ("psnr", "ssim", "lpips")
 
 
-def score_picture(
+def score_image(
     image: np.ndarray, target: np.ndarray, regions: Mapping[str, np.ndarray | None], lpips: PerceptualMetric | None
 ) -> Figures:
-    """``psnr``, ``ssim``, ``lpips`` of a float picture [H, W, 3], and the same for every region.
+    """``psnr``, ``ssim``, ``lpips`` of a float image [H, W, 3], and the same for every region.
 
     Args:
         regions: masks [H, W] bool by name; a region without a mask, or too small to measure, becomes None.
@@ -36,7 +36,7 @@ def score_picture(
 
 
 def summarize(scores: Sequence[Figures | None], regions: Sequence[str] = ()) -> Figures | None:
-    """Means over the pictures that have a score, with their ``count``, and the same for ``regions``; None for none."""
+    """Means over the images that have a score, with their ``count``, and the same for ``regions``; None for none."""
     measured = [score for score in scores if score is not None]
     if not measured:
         return None

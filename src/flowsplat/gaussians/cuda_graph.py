@@ -26,7 +26,7 @@ from flowsplat.splatting.triton.tiles import PairCapacity
 
 
 class FixedRenderer:
-    """Draws Gaussians with a series motion in pictures of one size; flow is the displacement's.
+    """Draws Gaussians with a series motion in images of one size; flow is the displacement's.
 
     Attributes:
         captures: how often its graph was made, or would have been: once, and once more whenever a buffer grew.
@@ -52,12 +52,12 @@ class FixedRenderer:
         Premultiplied; both are drawn over by the next frame.
 
         Args:
-            camera: of the size of the pictures, in normalized coordinates.
+            camera: of the size of the images, in normalized coordinates.
             t: clip time.
             flow_to: the other camera and clip time, if there is to be flow.
         """
         if (camera.width, camera.height) != self._size or (flow_to is not None) != self._with_flow:
-            raise ValueError(f"this renders pictures of {self._size}, {'with' if self._with_flow else 'without'} flow")
+            raise ValueError(f"this renders images of {self._size}, {'with' if self._with_flow else 'without'} flow")
         other, later = flow_to or (camera, None)
         moment = moment_numbers(self._gaussians.config.gains, t, camera.center, later)
         widened, seen_from = camera_numbers(camera.widened(self._border), other)

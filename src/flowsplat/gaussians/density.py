@@ -19,9 +19,9 @@ class DensityStatistics:
     """What training saw of every Gaussian since the last round, [N] float32 each.
 
     Attributes:
-        gradient: sum of the norms of the gradient of one picture's loss with respect to the 2D mean in normalized device
+        gradient: sum of the norms of the gradient of one image's loss with respect to the 2D mean in normalized device
             coordinates (both losses count).
-        visits: in how many pictures it was drawn.
+        visits: in how many images it was drawn.
         flow_residual: sum of |rendered - prior flow| in pixels where it was on the visible surface.
         flow_visits: how often that was.
         color_residual: sum of |rendered - true color|, 0 to 1, at the same times.

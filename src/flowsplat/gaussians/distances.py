@@ -1,4 +1,4 @@
-"""Objects nearer or farther than they were trained: the one thing about an object that no picture of the clip tells.
+"""Objects nearer or farther than they were trained: the one thing about an object that no image of the clip tells.
 
 An object whose places and sizes are multiplied by one number k about the center of the clip's camera, at every time about where the
 camera is at that time, looks the same in all of the clip's own frames but for who hides whom:

@@ -3,7 +3,7 @@
 A pixel alone is followed badly: for a frame or two on a fast limb, with depth that jumps from frame to frame. Its neighbors on the
 same part share one motion, and where the part turns it is an affine function of the place at every time (to first order
 omega x r, to second omega x (omega x r)). So at nodes all over an object a path that is a polynomial in time and affine in the
-picture is fitted to all pixels around that move alike, and every pixel takes the motion of the nodes that explain its own path.
+image is fitted to all pixels around that move alike, and every pixel takes the motion of the nodes that explain its own path.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
 NODES, SMALLEST_GAP = 0.0125, 4.5
-"""Widths of the picture between two nodes, and pixels at least."""
+"""Widths of the image between two nodes, and pixels at least."""
 REACH = 1.5
 """Standard deviation, in gaps between nodes, of how far around a node pixels count."""
 NEIGHBORS = 48

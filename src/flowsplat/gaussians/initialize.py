@@ -52,7 +52,7 @@ class InitConfig:
     foreground_spacing: Annotated[float, Meta(ge=1, le=1_000)] = 1.5
     """The same for objects, in every sampled frame."""
     detail: Annotated[float, Meta(ge=0, le=4)] = 1.0
-    """How much more of them there are where the picture has detail: their density follows its power of this; 0 = evenly."""
+    """How much more of them there are where the image has detail: their density follows its power of this; 0 = evenly."""
     merge_tolerance: Amount = 0.1
     """Relative depth difference within which a background pixel counts as stored already."""
     edge: Annotated[int, Meta(ge=0, le=256)] = 2

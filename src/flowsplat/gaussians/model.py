@@ -27,9 +27,9 @@ from flowsplat.splatting.rules import EPS2D
 _BLUR_STEPS = 16
 """Steps of the blur's width between pixels as in training and twice as fine."""
 MOST_AT_ONCE = 4
-"""Pictures that are rendered at the same time at most: each holds memory of its own."""
+"""Images that are rendered at the same time at most: each holds memory of its own."""
 _MOST_GRAPHS = 4
-"""Sizes of pictures whose graphs are kept; each has buffers of its own."""
+"""Sizes of images whose graphs are kept; each has buffers of its own."""
 
 
 @dataclass
@@ -43,11 +43,12 @@ class SceneModel:
         last: seconds of the last frame.
         flow_model: how flow is splatted.
         fill: whether uncovered pixels are filled from their neighbors.
-        focal: focal length in pixels of the pictures that it was trained on; 0 = not known. Where pixels are finer than those
-            were, the rasterizer's blur grows with the picture (``blur``).
+        focal: focal length in pixels of the images that it was trained on; 0 = not known. Where pixels are finer than those
+            were, the rasterizer's blur grows with the image (``blur``).
         backend: of the rasterizer.
-        graphs: whether a GPU draws by CUDA graphs, one for every size of picture: for many frames one after the other.
-        distances: of objects that are shown elsewhere than they were trained (``at_distances``). Rendering knows them, nothing else.
+        graphs: whether a GPU draws by CUDA graphs, one for every size of image: for many frames one after the other.
+        distances: of objects that are shown elsewhere than they were trained (``at_distances``). Rendering knows them, nothing
+            else.
         fading: the clip's cameras by clip time, in normalized coordinates, where what they tell too little of fades
             (``fading_guesses``); None = nothing does.
     """
@@ -71,7 +72,7 @@ class SceneModel:
         return f"SceneModel({len(g):,} Gaussians, {moving:,} of them moving, {seconds}, on {g.device})"
 
     def to(self, device: torch.device | str) -> SceneModel:
-        """The same scene on a device, where it is rendered from then on; pictures are arrays as before."""
+        """The same scene on a device, where it is rendered from then on; images are arrays as before."""
         return replace(self, gaussians=self.gaussians.to(device))
 
     def clip_time(self, t: float) -> float:
@@ -139,8 +140,8 @@ class SceneModel:
     def part(self, part: Part) -> SceneModel:
         """A model of objects alone or of the background alone: see ``PartedRenderer.part``.
 
-        ``objects`` is what moves; ``background`` is as bright as it is without the shadows that these throw. An object that is named
-        by its number has all that belongs to it, what of it rests as well.
+        ``objects`` is what moves; ``background`` is as bright as it is without the shadows that these throw. An object that is
+        named by its number has all that belongs to it, what of it rests as well.
         """
         if part == "all":
             return self
@@ -191,6 +192,6 @@ class SceneModel:
 
 
 def at_once(renderer: Renderer) -> int:
-    """How many pictures of a scene may be rendered at the same time, by as many Python threads (``common.threads``)."""
+    """How many images of a scene may be rendered at the same time, by as many Python threads (``common.threads``)."""
     on_cpu = isinstance(renderer, SceneModel) and renderer.gaussians.device.type == "cpu"
     return min(thread_count(), MOST_AT_ONCE) if on_cpu else 1

@@ -24,7 +24,7 @@ FILLED_FROM, FILLED_TO = 0.5, 0.9
 
 @dataclass(frozen=True)
 class RenderedFrame:
-    """Differentiable pictures of one frame, premultiplied by alpha, in the normalized coordinates of the model.
+    """Differentiable images of one frame, premultiplied by alpha, in the normalized coordinates of the model.
 
     Attributes:
         image: [H, W, C] all of them together: color, depth, flow and, if there are any, how much of a pixel Gaussians behind the

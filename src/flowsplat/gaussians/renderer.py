@@ -54,7 +54,7 @@ class Rendering:
 
     def _repr_png_(self) -> bytes:
         """The colors, for notebooks."""
-        from flowsplat.pictures.html import encoded  # and OpenCV with it, which rendering alone does not need
+        from flowsplat.images.html import encoded  # and OpenCV with it, which rendering alone does not need
 
         return encoded(self.color, quality=None)
 
@@ -66,7 +66,7 @@ class Renderer(Protocol):
         """Render the scene at time ``t``.
 
         Args:
-            camera: in the coordinates of the prepared scene's cameras; its size is the picture's size.
+            camera: in the coordinates of the prepared scene's cameras; its size is the image's size.
             t: seconds of the clip.
             flow_to: the other (camera, seconds) that the flow goes to.
         """

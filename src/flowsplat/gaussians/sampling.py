@@ -1,4 +1,4 @@
-"""Which pixels become Gaussians: as close together as the picture has detail there. Ours."""
+"""Which pixels become Gaussians: as close together as the image has detail there. Ours."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ COARSEST = 2.0
 _FINE, _AROUND = 1.0, 3.0
 """Standard deviations, pixels: what is finer than the first is detail, and it is averaged over the second."""
 _QUIET = 1 / 255
-"""Detail that every picture has: a step of its own numbers."""
+"""Detail that every image has: a step of its own numbers."""
 _PROBES = 20_000
 """Pixels that say how many there would be."""
 
 
 def detail(image: np.ndarray) -> np.ndarray:
-    """How much a slight blur would take from the picture around each pixel.
+    """How much a slight blur would take from the image around each pixel.
 
     Args:
         image: [H, W, 3] uint8.

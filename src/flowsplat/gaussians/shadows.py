@@ -21,7 +21,7 @@ from flowsplat.gaussians.model import SceneModel, at_once
 from flowsplat.geometry import Camera
 
 NEAR = 3.0
-"""Sizes of an object (square root of its area in the picture) from its mask within which its shadow may fall."""
+"""Sizes of an object (square root of its area in the image) from its mask within which its shadow may fall."""
 
 FEWEST = 3
 """Frames without an object near that must show a surface."""
@@ -119,7 +119,7 @@ def with_lit(model: SceneModel, cameras: Sequence[Camera], times: Sequence[float
 def _seen_beside_objects(
     model: SceneModel, points: np.ndarray, cameras: Sequence[Camera], times: Sequence[float], masks: Sequence[np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of points [N, 3] of the still scene and frames, bool [N, T]: is it seen there, is no object near it, does depth jump there."""
+    """Find where points [N, 3] of the still scene are seen in frames, are near no object, are at a jump of depth: bool [N, T]."""
     background, objects = model.part("background"), model.part("objects")
 
     def look(k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -129,7 +129,7 @@ def _seen_beside_objects(
         hidden = (objects.render(camera, times[k]).alpha >= _COVERED) | (cv2.dilate(mask, np.ones((3, 3), np.uint8)) > 0)
         surface = cv2.dilate(np.where(still.alpha >= _COVERED, still.depth, 0).astype(np.float32), np.ones((3, 3), np.uint8))
         surface = np.where(hidden, 0, surface)
-        # Inverse depth is linear in the picture on a plane, however slanted.
+        # Inverse depth is linear in the image on a plane, however slanted.
         inverse = 1 / np.maximum(still.depth, 1e-9)
         jumps = np.abs(inverse - cv2.blur(inverse, (5, 5))) > JUMP * inverse
         jumps = cv2.dilate(jumps.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0

@@ -25,7 +25,7 @@ from flowsplat.geometry.cameras import unproject_depth
 FRAMES = 32
 """Frames of the clip that are asked, evenly over it."""
 SMALL = 160
-"""Pixels of width of the pictures that are looked at."""
+"""Pixels of width of the images that are looked at."""
 _COVERED = 0.5
 """Alpha from which something is there."""
 _SAME = 0.05
@@ -37,7 +37,7 @@ _NEAREST = 0.5
 
 @dataclass(frozen=True)
 class Seen:
-    """What the clip has seen of a view, each [h, w] of a small picture of it.
+    """What the clip has seen of a view, each [h, w] of a small image of it.
 
     Attributes:
         there: whether anything is rendered there.

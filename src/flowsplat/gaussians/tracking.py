@@ -38,7 +38,7 @@ class Paths:
     Attributes:
         points: [Q, T, 3] float64 in the coordinates of the scene's cameras. NaN where nothing carried the point: its pixel was
             empty, or its carriers faded and nothing took over.
-        visible: [Q, T] bool: inside the picture, and the rendered depth there is the point's.
+        visible: [Q, T] bool: inside the image, and the rendered depth there is the point's.
         objects: [Q] uint8 number of the object that each point is on, as most of what is seen at its pixel says; 0 = on none.
     """
 
@@ -49,7 +49,7 @@ class Paths:
 
 @torch.no_grad()
 def follow_points(model: SceneModel, cameras: Sequence[Camera], timestamps: np.ndarray, queries: np.ndarray) -> Paths:
-    """Follow points of the picture through the model. Ours; the paper shows no tracks.
+    """Follow points of the image through the model. Ours; the paper shows no tracks.
 
     The Gaussians that make up the pixel, by their weights alpha_i T_i (METHOD 3.4), carry the point that is seen there along
     their own rigid motion, objects or background, whichever holds more of it. A Gaussian carries while its presence is at
@@ -121,7 +121,7 @@ class _Frame:
 
 
 def pixel_weights(rendered: RenderedFrame, uv: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Which of the rendered Gaussians make up the picture at the position ``uv`` [2] (pixels).
+    """Which of the rendered Gaussians make up the image at the position ``uv`` [2] (pixels).
 
     Returns:
         their indices [K], front to back, and their weights alpha_i T_i [K], by the rules of the rasterizer.
@@ -315,7 +315,7 @@ def _density(
 
 
 def _is_seen(points: np.ndarray, camera: Camera, frame: _Frame) -> np.ndarray:
-    """[Q] whether points [Q, 3] are in the picture and at the depth of what is rendered at one of the nearest four pixels."""
+    """[Q] whether points [Q, 3] are in the image and at the depth of what is rendered at one of the nearest four pixels."""
     rendered = frame.rendered
     alpha = rendered.alpha.numpy()
     depth = np.where(alpha >= 0.5, rendered.depth.numpy() / np.maximum(alpha, 1e-6), np.inf)

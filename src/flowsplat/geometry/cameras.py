@@ -52,7 +52,7 @@ class Camera:
 
     @property
     def is_valid(self) -> bool:
-        """Whether every number is finite and not absurd, the rotation is one and no mirror, and the picture has pixels."""
+        """Whether every number is finite and not absurd, the rotation is one and no mirror, and the image has pixels."""
         R = self.viewmat[:3, :3]
         return bool(
             (np.abs(self.viewmat) <= FURTHEST).all()  # not for NaN

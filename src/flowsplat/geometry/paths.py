@@ -73,7 +73,7 @@ def _on_orbit(camera: Camera, distance: float, phase: float, angle: float) -> Ca
 def shifted(camera: Camera, offset: float, distance: float) -> Camera:
     """``camera`` moved to its right by ``offset``, looking the same way, so that what is at planar depth ``distance`` stays.
 
-    The principal point moves instead of the camera turning: pictures of such cameras differ in x only, as eyes want it.
+    The principal point moves instead of the camera turning: images of such cameras differ in x only, as eyes want it.
     """
     viewmat, K = camera.viewmat.copy(), camera.K.copy()
     viewmat[0, 3] -= offset
@@ -90,7 +90,7 @@ def dolly_zoom(camera: Camera, distance: float, factor: float) -> Camera:
 
 
 def cropped(camera: Camera, share: float) -> Camera:
-    """What the middle of the picture shows, ``share`` of its width and height, with as many pixels as the whole."""
+    """What the middle of the image shows, ``share`` of its width and height, with as many pixels as the whole."""
     middle = np.array([camera.width, camera.height]) / 2
     K = camera.K.copy()
     K[:2, 2] -= middle

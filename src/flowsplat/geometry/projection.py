@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 TANGENT_MARGIN = 0.15
-"""Picture sizes beyond the border at which the tangents of a Jacobian are clamped, as in gsplat."""
+"""Image sizes beyond the border at which the tangents of a Jacobian are clamped, as in gsplat."""
 
 
 def to_camera(points: Tensor, viewmat: Tensor) -> Tensor:
@@ -31,7 +31,7 @@ def camera_jacobian(camera_points: Tensor, K: Tensor, width: int, height: int, n
     """[..., 2, 3] derivative of the pixel with respect to the point in camera axes.
 
     Like gsplat, x / z and y / z are clamped to ``TANGENT_MARGIN`` image sizes beyond the border, so that a Gaussian far outside the
-    picture does not get a needle-shaped footprint that reaches into it.
+    image does not get a needle-shaped footprint that reaches into it.
     """
     x, y, z = camera_points.unbind(-1)
     inverse = 1.0 / torch.where(z > near, z, torch.full_like(z, near))

@@ -5,7 +5,7 @@ Ours is a JSON object:
 | key | content |
 | --- | --- |
 | ``fps`` | frames a second of the video, 0.1 to 1000; optional |
-| ``width``, ``height`` | pixels of the pictures; optional, else those of the scene |
+| ``width``, ``height`` | pixels of the images; optional, else those of the scene |
 | ``frames`` | a list, in the order of the video, of objects with the keys below |
 | ``t`` | seconds of the clip; optional, but for all frames or for none: then the clip plays once |
 | ``viewmat`` | 4 x 4 rows, world to camera: x right, y down, z forward, in the coordinates of the scene's ``cameras.json`` |
@@ -28,8 +28,8 @@ import numpy as np
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_json, write_json
 from flowsplat.geometry import Camera
-from flowsplat.pictures.video import FASTEST, SLOWEST
-from flowsplat.scenes.formats.nerfstudio import from_opengl, picture_size, positive, transforms_camera
+from flowsplat.images.video import FASTEST, SLOWEST
+from flowsplat.scenes.formats.nerfstudio import from_opengl, image_size, positive, transforms_camera
 
 LARGEST = 8192
 """Pixels of width or height; beyond that it is a slip and not a wish."""
@@ -104,7 +104,7 @@ def _read_entry(read: Reader, content: Entry, entry: Any, index: int, size: tupl
             raise InputError("it is not a JSON object")
         camera, time = read(content, entry, size)
         if not (1 <= camera.width <= LARGEST and 1 <= camera.height <= LARGEST):
-            raise InputError(f"a picture of {camera.width} x {camera.height} pixels is not possible (1 to {LARGEST})")
+            raise InputError(f"an image of {camera.width} x {camera.height} pixels is not possible (1 to {LARGEST})")
         if not camera.is_valid:
             raise InputError("its matrices are not finite, not a rotation, or have no positive focal length")
         return camera, time
@@ -115,7 +115,7 @@ def _read_entry(read: Reader, content: Entry, entry: Any, index: int, size: tupl
 
 
 def _from_ours(content: Entry, entry: Entry, size: tuple[int, int]) -> tuple[Camera, float | None]:
-    width, height = picture_size(content, ("width", "height"), size)
+    width, height = image_size(content, ("width", "height"), size)
     if "K" in entry:
         K = _matrix(entry["K"], (3, 3), "K")
         if abs(K[0, 1]) > 1e-6 * abs(K[0, 0]) or not np.allclose(K[[1, 2, 2, 2], [0, 0, 1, 2]], (0, 0, 0, 1)):
@@ -127,7 +127,7 @@ def _from_ours(content: Entry, entry: Entry, size: tuple[int, int]) -> tuple[Cam
 
 
 def _from_camera_path(content: Entry, entry: Entry, size: tuple[int, int]) -> tuple[Camera, float | None]:
-    width, height = picture_size(content, ("render_width", "render_height"), size)
+    width, height = image_size(content, ("render_width", "render_height"), size)
     viewmat = from_opengl(entry["camera_to_world"], "camera_to_world")
     time = entry.get("render_time")
     K = _centered_K(positive(entry["fov"], "fov"), width, height)

@@ -1,4 +1,4 @@
-"""What the pages of a run have in common: their look, and pictures beside each other. A page needs no network."""
+"""What the pages of a run have in common: their look, and images beside each other. A page needs no network."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from markupsafe import Markup
 
 from flowsplat import __version__
 from flowsplat.common.files import write_text
-from flowsplat.pictures.colors import float_to_bytes
-from flowsplat.pictures.html import picture
+from flowsplat.images.colors import float_to_bytes
+from flowsplat.images.html import image_tag
 
 POLICY = "; ".join((
     "default-src 'none'", "img-src 'self' data: file:", "media-src 'self' data: file:", "style-src 'unsafe-inline'",
     "base-uri 'none'", "form-action 'none'",
 ))  # fmt: skip
-"""What a browser lets a page do: show pictures and videos that it holds or that lie beside it, no script, no network."""
+"""What a browser lets a page do: show images and videos that it holds or that lie beside it, no script, no network."""
 WIDEST = 960
-"""Pixels of a picture in a page."""
+"""Pixels of an image in a page."""
 
 
 def script_policy(script: str) -> str:
@@ -63,6 +63,6 @@ def fitted(image: np.ndarray, widest: int = WIDEST) -> np.ndarray:
     return cv2.resize(image, (widest, max(round(height * widest / width), 1)), None, 0, 0, cv2.INTER_AREA)
 
 
-def picture_row(images: Mapping[str, np.ndarray], label: str) -> list[dict[str, Any]]:
-    """Pictures by name, as the macro ``panels`` of the templates wants them."""
-    return [{"name": name, "picture": picture(fitted(image), f"{label}, {name}")} for name, image in images.items()]
+def image_row(images: Mapping[str, np.ndarray], label: str) -> list[dict[str, Any]]:
+    """Images by name, as the macro ``panels`` of the templates wants them."""
+    return [{"name": name, "image": image_tag(fitted(image), f"{label}, {name}")} for name, image in images.items()]

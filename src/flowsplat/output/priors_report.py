@@ -15,13 +15,13 @@ import numpy as np
 
 from flowsplat.common.run_paths import RunPaths
 from flowsplat.common.spread import spread
+from flowsplat.images.charts import line_chart
+from flowsplat.images.colors import depth_range, depth_to_color, flow_legend, flow_scale, flow_to_color, object_color, tinted
+from flowsplat.images.html import figure, image_tag, table
+from flowsplat.images.sheets import side_by_side, stacked, with_rulers
+from flowsplat.images.video import write_mp4
 from flowsplat.output.camera_path import ObjectPath, path_at_an_angle, path_from_above
-from flowsplat.output.page import card, picture_row, write_page
-from flowsplat.pictures.charts import line_chart
-from flowsplat.pictures.colors import depth_range, depth_to_color, flow_legend, flow_scale, flow_to_color, object_color, tinted
-from flowsplat.pictures.html import figure, picture, table
-from flowsplat.pictures.sheets import side_by_side, stacked, with_rulers
-from flowsplat.pictures.video import write_mp4
+from flowsplat.output.page import card, image_row, write_page
 from flowsplat.priors.cameras.checks import LARGE_ERROR, LITTLE_PARALLAX
 from flowsplat.priors.cameras.following import WORKING_SIDE
 from flowsplat.priors.depth.stage import MOSTLY
@@ -32,19 +32,19 @@ from flowsplat.priors.objects.description import ObjectDescription, describe_obj
 from flowsplat.scenes import Scene, Tracks
 
 PANEL = 400
-"""Pixels of the longer side of a picture in the strip."""
+"""Pixels of the longer side of an image in the strip."""
 STRIP_FRAMES = 100
 """Frames of the strip, at most."""
 STRIP_CRF = 30
 """Quality of the strip: it is to show what was found, not to be beautiful."""
 STILLS = 4
-"""Frames that are shown in pictures, too."""
+"""Frames that are shown in images, too."""
 TAIL, MOST_TRACKS = 6, 240
 """Training frames that a track is drawn over, and how many tracks are drawn."""
 SCENE_POINTS = 1500
 """Points of the scene in the drawing of the path."""
 THUMBNAIL = 160
-"""Pixels of the longer side of the picture of an object."""
+"""Pixels of the longer side of the image of an object."""
 MOST_PIECES = 3
 """Pieces of a clip with cuts whose paths are drawn."""
 
@@ -74,7 +74,7 @@ def write_priors_report(folder: Path, scene: Scene, seconds: Mapping[str, float]
         objects=list(_objects(scene, objects)),
         stages=table(("", "how", "verdict", "time"), list(_rows(scene, seconds))),
         stills=[_still(shown, k) for k in spread(len(shown.frames), STILLS)],
-        legend=picture(flow_legend(), "The color of every direction of flow", None),
+        legend=image_tag(flow_legend(), "The color of every direction of flow", None),
         flow_scale=f"{shown.flow_scale:.1f}",
         charts=list(_charts(scene, shown)),
         notes=scene.info.notes,
@@ -112,7 +112,7 @@ def _camera_words(scene: Scene, cameras: Mapping[str, Any]) -> str:
     elif cameras.get("flat"):
         words = "Camera path: one plane, so the focal length is a guess"
     if cameras.get("surrounds"):
-        words += "; something that moves fills most of the picture"
+        words += "; something that moves fills most of the image"
     breaks = cameras.get("breaks", [])
     if breaks:
         words += f", with a cut before frame {breaks[0]}" if len(breaks) == 1 else f", with {len(breaks)} cuts"
@@ -161,13 +161,13 @@ def _source(prior: Mapping[str, Any]) -> str:
 
 def _advice(scene: Scene, cameras: Mapping[str, Any], depth: Mapping[str, Any]) -> str:
     if cameras.get("motion") == "unknown":
-        return "Training will hardly work: the pictures are blank, without texture or nothing but noise."
+        return "Training will hardly work: the images are blank, without texture or nothing but noise."
     if cameras.get("breaks"):
         return "Train on one piece at a time: choose it with --start and --end."
     if cameras.get("blank"):
         return "Blank frames spoil the training: leave them out with --start and --end."
     if _is_poor(scene, cameras):
-        return "Training will give blurred pictures: consider cameras from another tool."
+        return "Training will give blurred images: consider cameras from another tool."
     if cameras.get("flat") and not cameras.get("focal_given"):
         return "Training can work along the clip's own path; give --cameras.focal if you know it."
     if depth.get("method") == "guess":
@@ -185,7 +185,7 @@ def _headline(scene: Scene, shown: _Shown, objects: SceneObjects) -> list[dict[s
     parallax = cameras.get("parallax_degrees")
     return [
         card(figure(cameras.get("reprojection_px")), "px", "camera error", "static points, median"),
-        card(figure(angle, 0), "°", "field of view", "a guess" if unsure else "across the picture"),
+        card(figure(angle, 0), "°", "field of view", "a guess" if unsure else "across the image"),
         card(figure(parallax, 1), "°", "parallax", "seen by a point, median"),
         card(figure(100 * float(np.mean(shown.matched)), 0), "%", "matched", "flow that passes there and back"),
         card(figure(100 * float(np.mean(shown.trusted)), 0), "%", "of the still scene", f"known depth, {depth.get('method', '')}"),
@@ -211,12 +211,12 @@ def _rows(scene: Scene, seconds: Mapping[str, float]) -> Iterator[tuple[str, ...
         yield name, str(prior.get("method", "missing")), str(prior.get("verdict", "")), "" if spent is None else f"{spent:.0f} s"
 
 
-# -- pictures
+# -- images
 
 
 @dataclass(frozen=True)
 class _Seen:
-    """One training frame, reduced: picture, flow (NaN where not trusted), mask, depth and where it is trusted."""
+    """One training frame, reduced: image, flow (NaN where not trusted), mask, depth and where it is trusted."""
 
     image: np.ndarray
     flow: np.ndarray
@@ -278,7 +278,7 @@ class _Shown:
         )  # fmt: skip
 
     def panels(self, k: int) -> dict[str, np.ndarray]:
-        """Pictures of a frame by name."""
+        """Images of a frame by name."""
         seen = self._seen[k]
         depth = depth_to_color(seen.depth, self._near, self._far)
         pale = (0.45 * depth.mean(-1, keepdims=True) + 60).astype(np.uint8)
@@ -290,7 +290,7 @@ class _Shown:
         }
 
     def ruled(self, k: int) -> np.ndarray:
-        """The picture of a frame with rulers in pixels of the prepared frames, which is what clicks are given in."""
+        """The image of a frame with rulers in pixels of the prepared frames, which is what clicks are given in."""
         width, height = np.round(np.array(self.size) / self._scale).astype(int).tolist()
         return with_rulers(self._seen[k].image, (width, height))
 
@@ -319,7 +319,7 @@ def _small(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 def _still(shown: _Shown, k: int) -> dict[str, Any]:
     label = f"Frame {shown.frames[k]}"
-    return {"label": label, "panels": picture_row({"pixels": shown.ruled(k), **shown.panels(k)}, label)}
+    return {"label": label, "panels": image_row({"pixels": shown.ruled(k), **shown.panels(k)}, label)}
 
 
 def _strip(shown: _Shown) -> str:
@@ -377,7 +377,7 @@ def _object_paths(scene: Scene, objects: SceneObjects, start: int, end: int) -> 
 
 
 def _objects(scene: Scene, found: SceneObjects) -> Iterator[dict[str, Any]]:
-    """A picture of every object where it is largest, and what is known of its distance."""
+    """An image of every object where it is largest, and what is known of its distance."""
     described = {each.number: each for each in describe_objects(scene, found)}
     best = dict.fromkeys(described, (0, -1))
     for i in scene.train_frames:
@@ -387,7 +387,7 @@ def _objects(scene: Scene, found: SceneObjects) -> Iterator[dict[str, Any]]:
         area, i = best[number]
         if area:
             label = f"Object {number}"
-            yield {"label": label, "picture": picture(_cut_out(scene, i, number), label), **_words(scene, obj)}
+            yield {"label": label, "image": image_tag(_cut_out(scene, i, number), label), **_words(scene, obj)}
 
 
 def _words(scene: Scene, obj: ObjectDescription) -> dict[str, str]:

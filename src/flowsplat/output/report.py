@@ -15,10 +15,10 @@ from markupsafe import Markup
 from flowsplat.common.durations import duration
 from flowsplat.common.run_paths import RunPaths
 from flowsplat.evaluation.scores import pick
-from flowsplat.output.page import card, picture_row, write_page
-from flowsplat.pictures.charts import Points, line_chart
-from flowsplat.pictures.colors import error_to_color, flow_legend, flow_scale, flow_to_color
-from flowsplat.pictures.html import figure, picture, table
+from flowsplat.images.charts import Points, line_chart
+from flowsplat.images.colors import error_to_color, flow_legend, flow_scale, flow_to_color
+from flowsplat.images.html import figure, image_tag, table
+from flowsplat.output.page import card, image_row, write_page
 from flowsplat.priors.objects.description import sureness
 
 """Where the videos lie, seen from the report."""
@@ -73,7 +73,7 @@ class ReportData:
         history: entries of the training history: ``step``, ``loss``, ``psnr`` and so on.
         comparisons: the first one is shown on top.
         flows: rendered flow against the prior.
-        active: (seconds, number of Gaussians active then, in the picture or not).
+        active: (seconds, number of Gaussians active then, in the image or not).
         config: the settings by dotted name.
         notes: sentences for the user, such as what was done to the input.
         videos: file names in ``renders/`` by name, as ``output.videos.rendered`` tells them.
@@ -106,7 +106,7 @@ def write_report(folder: Path, data: ReportData) -> Path:
         videos=list(_videos(data.videos)),
         comparisons=[_comparison(*comparison) for comparison in data.comparisons],
         flows=_flows(data.flows),
-        legend=picture(flow_legend(), "The color of every direction of flow", None),
+        legend=image_tag(flow_legend(), "The color of every direction of flow", None),
         tables=list(_tables(data.metrics)),
         charts=list(_charts(data)),
         notes=data.notes,
@@ -139,9 +139,9 @@ def _along(metrics: Mapping[str, Any]) -> str:
         known = "" if training is None else f" They are reproduced at {training:.2f} dB."
         return "No frame was held out, so nothing here tells how good the scene is between the training frames." + known
     count = pick(metrics, "heldout_frames", "count")
-    pictures = "Pictures" if count is None else "The picture" if count == 1 else f"The {count} pictures"
+    images = "Images" if count is None else "The image" if count == 1 else f"The {count} images"
     are = "is" if count == 1 else "are"
-    seen = f"Along the clip's path: {pictures[0].lower()}{pictures[1:]} that training never saw {are} rendered at {ours:.2f} dB"
+    seen = f"Along the clip's path: {images[0].lower()}{images[1:]} that training never saw {are} rendered at {ours:.2f} dB"
     if theirs is None:
         return f"{seen}."
     gain = ours - theirs
@@ -239,12 +239,12 @@ def _tables(metrics: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
         if pick(metrics, "heldout_frames_refined") is not None:
             remark += (
                 " Poses of held-out frames are used as they were estimated; refined is what comes out when the pose of each alone "
-                "is fitted to its own picture, and tells how much is the cameras' fault."
+                "is fitted to its own image, and tells how much is the cameras' fault."
             )
         rows = _scores(metrics, "heldout_frames", "baselines", ("moving",), lpips)
         yield {"title": "Held-out frames", "remark": remark, "table": rows}
     if pick(metrics, "heldout_views") is not None:
-        remark = "Pictures by other cameras; covisible are the pixels that the clip itself saw."
+        remark = "Images by other cameras; covisible are the pixels that the clip itself saw."
         rows = _scores(metrics, "heldout_views", "baselines_views", ("moving", "covisible"), lpips)
         yield {"title": "Held-out views", "remark": remark, "table": rows}
     if pick(metrics, "training_frames") is not None:
@@ -314,12 +314,12 @@ def _settings(config: Mapping[str, Any]) -> Markup:
     return table(("setting", "value"), [(name, "none" if value is None else str(value)) for name, value in config.items()])
 
 
-# -- pictures
+# -- images
 
 
 def _comparison(label: str, image: np.ndarray, rendering: np.ndarray) -> dict[str, Any]:
     panels = {"clip": image, "rendering": rendering, "error": error_to_color(image, rendering)}
-    return {"label": label, "panels": picture_row(panels, label)}
+    return {"label": label, "panels": image_row(panels, label)}
 
 
 def _flows(flows: Sequence[FlowComparison]) -> list[dict[str, Any]]:
@@ -328,7 +328,7 @@ def _flows(flows: Sequence[FlowComparison]) -> list[dict[str, Any]]:
     for label, rendered, prior in flows:
         scale = flow_scale([rendered, prior])
         panels = {name: flow_to_color(flow, scale) for name, flow in (("rendered", rendered), ("prior", prior))}
-        shown.append({"label": f"{label}; full color = {scale:.1f} px", "panels": picture_row(panels, label)})
+        shown.append({"label": f"{label}; full color = {scale:.1f} px", "panels": image_row(panels, label)})
     return shown
 
 
@@ -342,7 +342,7 @@ def _videos(videos: Mapping[str, str]) -> Iterator[dict[str, Any]]:
                 "title": _video_title(name),
                 "file": f"{folder}/{quote(file)}",
                 "panels": file.endswith(".mp4") and not name.endswith("_stereo"),
-                "picture": file.endswith(".gif"),
+                "image": file.endswith(".gif"),
                 "color": None if color is None else f"{folder}/{quote(color)}",
             }
 

@@ -21,7 +21,7 @@ def read_queries(at: Sequence[str], file: Path | None, scene: Scene) -> np.ndarr
     """[Q, 3] u, v and frame, from texts ``u,v,frame`` and from a file: JSON (a list of [u, v, frame]), or a text with one a line.
 
     Raises:
-        InputError: none at all, one that is none, or one outside the picture or the clip.
+        InputError: none at all, one that is none, or one outside the image or the clip.
     """
     rows: list[tuple[str, Sequence[object]]] = [(f"--at {text}", text.split(",")) for text in at]
     if file is not None:
@@ -44,7 +44,7 @@ def _query(where: str, row: Sequence[object], scene: Scene) -> tuple[float, floa
     except (TypeError, ValueError, ArithmeticError) as error:
         raise InputError(f"{where} is no point: give {WANTED}.") from error
     if not (0 <= u < scene.width and 0 <= v < scene.height):
-        raise InputError(f"{where} is outside the picture of {scene.width}x{scene.height} pixels.")
+        raise InputError(f"{where} is outside the image of {scene.width}x{scene.height} pixels.")
     if frame not in range(scene.num_frames):
         raise InputError(f"{where}: there is no frame {frame:g}, they count from 0 to {scene.num_frames - 1}.")
     return u, v, frame
@@ -54,8 +54,8 @@ def write_tracks(model: SceneModel, scene: Scene, queries: np.ndarray, path: Pat
     """Follow points [Q, 3] through the model and write their paths.
 
     ``.npz``: ``queries`` [Q, 3], ``timestamps`` [T] seconds, ``points`` [Q, T, 3] in the coordinates of ``scene/cameras.json``
-    (NaN where unknown), ``visible`` [Q, T], ``object_ids`` [Q] the number of the object that each is on (0: on none). ``.json``: the
-    same as lists, null where unknown.
+    (NaN where unknown), ``visible`` [Q, T], ``object_ids`` [Q] the number of the object that each is on (0: on none). ``.json``:
+    the same as lists, null where unknown.
 
     Returns:
         the path, and how many points lie on something.

@@ -34,9 +34,9 @@ class RunConfig:
     baselines: Baselines = "simple"
     """What the result is compared with; ``all`` also trains our own static scene (a quarter of the training time)."""
     refine_poses: bool = True
-    """Also measure held-out frames with their poses refined on their own pictures: beside the strict figures, never instead."""
+    """Also measure held-out frames with their poses refined on their own images: beside the strict figures, never instead."""
     final_fit: bool = True
-    """After the measurement, fit the held-out frames, too, and make videos, exports and the viewer's pictures of the result. The
+    """After the measurement, fit the held-out frames, too, and make videos, exports and the viewer's images of the result. The
     figures stay those of the model that has not seen them."""
     first_scene: bool = True
     """Begin a run of more than some four minutes with a coarse scene of few small frames (``first/``), to look at meanwhile."""

@@ -117,7 +117,7 @@ def _screen(
     """What was made, a figure along the path, one from aside, and what to do next."""
     yield ""
     yield f"Made in {duration(seconds)}: {out / 'clip.mp4'}, {spec.frames} frames of {SHOWN[world]},"
-    yield f"became a 4D scene by its pictures alone, as your own clip would: {own.path}."
+    yield f"became a 4D scene by its images alone, as your own clip would: {own.path}."
     frames, between = (pick(metrics, *path, "psnr") for path in (("heldout_frames",), ("baselines", "flow_interpolation")))
     if frames is not None:
         beside = "" if between is None else f"; interpolating their neighbors by optical flow gives {between:.1f}"

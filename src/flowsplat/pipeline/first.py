@@ -17,14 +17,14 @@ from flowsplat.common.devices import pick_device
 from flowsplat.common.progress import as_one, say
 from flowsplat.common.run_paths import RunPaths
 from flowsplat.gaussians.observations import load_observations
+from flowsplat.images.colors import float_to_bytes
+from flowsplat.images.sheets import preview_sheet
 from flowsplat.output.videos import RenderOptions, render_videos
-from flowsplat.pictures.colors import float_to_bytes
-from flowsplat.pictures.sheets import preview_sheet
 from flowsplat.pipeline.folder import RunFolder, Stage, stage_key
 from flowsplat.priors.cameras import CameraOptions
 from flowsplat.priors.options import PriorsOptions
 from flowsplat.priors.prepare import prepare_priors
-from flowsplat.scenes.clip import Clip, InputOptions, resize_labels, resize_picture
+from flowsplat.scenes.clip import Clip, InputOptions, resize_image, resize_labels
 from flowsplat.scenes.ingest import ingest
 from flowsplat.scenes.layers import write_image
 from flowsplat.scenes.scene import split_frames
@@ -90,7 +90,7 @@ class CoarseClip(Clip):
 
     def frames(self, numbers: Sequence[int]) -> Iterator[np.ndarray]:
         for image in self.whole.frames([self.numbers[i] for i in numbers]):
-            yield resize_picture(image, (self.width, self.height))
+            yield resize_image(image, (self.width, self.height))
 
     def mask(self, i: int) -> np.ndarray:
         return resize_labels(self.whole.mask(self.numbers[i]), (self.width, self.height))

@@ -21,9 +21,9 @@ from flowsplat.gaussians.observations import Observation, Observations, load_obs
 from flowsplat.gaussians.render import RenderedFrame
 from flowsplat.gaussians.shadows import with_lit
 from flowsplat.gaussians.support import with_seen
+from flowsplat.images.colors import float_to_bytes
+from flowsplat.images.sheets import preview_sheet
 from flowsplat.output.videos import forget_videos
-from flowsplat.pictures.colors import float_to_bytes
-from flowsplat.pictures.sheets import preview_sheet
 from flowsplat.pipeline.config import check
 from flowsplat.pipeline.folder import RunFolder, Stage, stage_key
 from flowsplat.priors.heldout import heldout_flow
@@ -106,7 +106,7 @@ def _trained(
         write_image(folder.preview_path, preview_sheet(frame.image, float_to_bytes(image)))
 
     start = None if begin is None else begin(observations, tracks, config)
-    shown = preview if begin is None else None  # the picture of a run is that of its scene, not of what it is compared with
+    shown = preview if begin is None else None  # the image of a run is that of its scene, not of what it is compared with
     device = pick_device(folder.config.device)
     with _event_log(folder.logs_path / where.name) as record:
         trainer = Trainer(observations, tracks, config, where, shown, record, start, device, first_step, visits)

@@ -68,7 +68,7 @@ class RunFile(TypedDict):
 
 
 class AreaScores(TypedDict):
-    """The figures of a part of some pictures in ``metrics.json``; more may stand there."""
+    """The figures of a part of some images in ``metrics.json``; more may stand there."""
 
     psnr: Number | None
     ssim: Number | None
@@ -77,7 +77,7 @@ class AreaScores(TypedDict):
 
 
 class Scores(AreaScores):
-    """The figures of some pictures, and of parts of them."""
+    """The figures of some images, and of parts of them."""
 
     moving: NotRequired[AreaScores | None]
     covisible: NotRequired[AreaScores | None]

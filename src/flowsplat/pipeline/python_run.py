@@ -14,14 +14,14 @@ from flowsplat.common.run_paths import RunPaths
 from flowsplat.common.settings import setting_types, to_plain, with_settings
 from flowsplat.evaluation.scores import pick
 from flowsplat.gaussians.model import SceneModel
-from flowsplat.pictures.html import data_uri
+from flowsplat.images.html import data_uri
 from flowsplat.pipeline import stages
 from flowsplat.pipeline.config import RunConfig, check, option_of, setting_of
 from flowsplat.pipeline.config import preset as settings_of
 from flowsplat.scenes import Scene
 
 THUMBNAIL = 320
-"""Pixels: the longer side of the picture that a notebook shows."""
+"""Pixels: the longer side of the image that a notebook shows."""
 
 
 class Run:
@@ -79,8 +79,8 @@ class Run:
         return f"Run({str(self.folder)!r}; {facts})"
 
     def _repr_html_(self) -> str:
-        """For notebooks: a picture from the middle of the clip, and a few figures."""
-        facts, picture = self._facts(), ""
+        """For notebooks: an image from the middle of the clip, and a few figures."""
+        facts, image = self._facts(), ""
         rows = "".join(f"<tr><td>{escape(name)}</td><td>{escape(value)}</td></tr>" for name, value in facts.items())
         if "Gaussians" in facts:
             middle = self.scene.num_frames // 2
@@ -88,17 +88,17 @@ class Run:
             factor = min(1.0, THUMBNAIL / max(camera.width, camera.height))
             camera = camera.resized(max(round(camera.width * factor), 1), max(round(camera.height * factor), 1))
             shown = self.model.render(camera, float(self.scene.timestamps[middle])).color
-            picture = f'<img alt="frame {middle}" src="{data_uri(shown)}"><br>'
-        return f"<div><b>{escape(str(self.folder))}</b><br>{picture}<table>{rows}</table></div>"
+            image = f'<img alt="frame {middle}" src="{data_uri(shown)}"><br>'
+        return f"<div><b>{escape(str(self.folder))}</b><br>{image}<table>{rows}</table></div>"
 
 
 def run(
     source: str | Path, out: str | Path, *, preset: str = "default", overrides: Mapping[str, Any] | None = None
 ) -> Run:  # fmt: skip
-    """The whole way: a clip becomes a 4D scene, pictures and figures. Called again, it continues.
+    """The whole way: a clip becomes a 4D scene, images and figures. Called again, it continues.
 
     Args:
-        source: a video, a folder of pictures (or with images/ and masks/), a DAVIS root, a rig scene, an NVIDIA Dynamic Scene
+        source: a video, a folder of images (or with images/ and masks/), a DAVIS root, a rig scene, an NVIDIA Dynamic Scene
             or a prepared scene.
         out: folder of the run.
         preset: ``default``, ``fast``, ``paper`` or ``high``.

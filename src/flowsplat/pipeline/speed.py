@@ -215,8 +215,8 @@ def _used() -> _Used | None:
 def self_test(seconds: float = TEST_SECONDS) -> float:
     """How many times as long as the reference machine one core of this one takes for flow and arithmetic, most of a run."""
     noise = np.random.default_rng(0).integers(0, 255, (260, 440), dtype=np.uint8)
-    picture = cv2.GaussianBlur(noise, (0, 0), 2)
-    a, b = np.ascontiguousarray(picture[:240, :426]), np.ascontiguousarray(picture[3:243, 5:431])
+    image = cv2.GaussianBlur(noise, (0, 0), 2)
+    a, b = np.ascontiguousarray(image[:240, :426]), np.ascontiguousarray(image[3:243, 5:431])
     flow, numbers = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM), torch.rand(1_000_000)
     took: list[float] = []
     threads = torch.get_num_threads()

@@ -41,10 +41,10 @@ _MOST_HISTORY = 64 * 2**20
 
 
 def run(source: Path, out: Path, config: RunConfig | None = None) -> dict[str, Any]:
-    """The whole way: a clip becomes a 4D scene, pictures and figures. Called again, it continues.
+    """The whole way: a clip becomes a 4D scene, images and figures. Called again, it continues.
 
     Args:
-        source: a video, a folder of pictures (or with images/ and masks/), a DAVIS root, a rig scene, an NVIDIA Dynamic Scene
+        source: a video, a folder of images (or with images/ and masks/), a DAVIS root, a rig scene, an NVIDIA Dynamic Scene
             or a prepared scene.
         out: folder of the run.
         config: every setting; None = the default preset.

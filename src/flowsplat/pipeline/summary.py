@@ -23,7 +23,7 @@ from flowsplat.scenes import Scene
 from flowsplat.scenes.layers import read_image
 
 SHOWN = 6
-"""Held-out pictures of each kind in the report."""
+"""Held-out images of each kind in the report."""
 
 SHOWN_NOTE = (
     "Videos, exports and the viewer show the scene after it was fitted to the held-out frames, too (final/). Every figure and "
@@ -113,7 +113,7 @@ def _spread(items: Sequence[Any], count: int) -> list[Any]:
 
 
 def _comparisons(out: Path, scene: Scene) -> Iterator[Comparison]:
-    """Held-out pictures beside their renderings, as the evaluation wrote them."""
+    """Held-out images beside their renderings, as the evaluation wrote them."""
     for i in _spread(scene.heldout_frames, SHOWN):
         rendering = RunPaths(out).evaluation_path / "heldout" / f"{i:05d}.png"
         if rendering.exists():

@@ -8,7 +8,7 @@ import numpy as np
 from flowsplat.scenes import Scene
 
 BLANK = 3.0
-"""Standard deviation in gray levels below which a picture is called blank: black, white, or the noise of a dark sensor."""
+"""Standard deviation in gray levels below which an image is called blank: black, white, or the noise of a dark sensor."""
 
 
 def is_blank(image: np.ndarray) -> bool:

@@ -16,7 +16,7 @@ from flowsplat.priors.continuity import Continuity
 from flowsplat.scenes import Flow, Scene
 
 SMALLEST_SIDE = 64
-"""Pixels. Smaller pictures are enlarged, because the search needs room for its patches."""
+"""Pixels. Smaller images are enlarged, because the search needs room for its patches."""
 
 FINE_PATCH, FINE_STEP, FINE_DESCENTS, FINE_ROUNDS = 5, 2, 24, 3
 """Of the fine search: side of a patch and distance between patches in pixels, steps of descent for a patch, and rounds of
@@ -72,7 +72,7 @@ def forward_backward_confidence(forward: np.ndarray, backward: np.ndarray) -> np
     """Confidence [H, W] float32 between 0 and 1 of ``forward`` [H, W, 2], given the flow back.
 
     With the round trip's error e and the limit l = 0.5 + 0.05 |forward| pixels it is 1 / (1 + (e / l)^2): 1 for a
-    perfect round trip, one half at the limit, and 0 where the target lies outside the picture.
+    perfect round trip, one half at the limit, and 0 where the target lies outside the image.
     """
     height, width = forward.shape[:2]
     target = pixel_grid(width, height) + forward
@@ -93,10 +93,10 @@ class FlowEstimator(Protocol):
     """What finds flow."""
 
     def __call__(self, a: np.ndarray, b: np.ndarray, guess: np.ndarray | None = None) -> np.ndarray:
-        """The flow [H, W, 2] float32 in pixels from picture ``a`` to ``b`` (RGB [H, W, 3] uint8).
+        """The flow [H, W, 2] float32 in pixels from image ``a`` to ``b`` (RGB [H, W, 3] uint8).
 
         Args:
-            guess: for pictures that lie further apart, the flow [H, W, 2] that shorter ones lead to. An estimator that finds large
+            guess: for images that lie further apart, the flow [H, W, 2] that shorter ones lead to. An estimator that finds large
                 motion without it may ignore it.
         """
         ...

@@ -106,7 +106,7 @@ class Graph:
         replaced |= {prior.name for prior in differing}
         stale = set(replaced)
         for name in replaced:
-            followers = self.followers(name, outlasting=not self[name].kind.replaces_pictures(request))
+            followers = self.followers(name, outlasting=not self[name].kind.replaces_images(request))
             stale |= {other for other in followers if self._is_made_as_it_was(request, other, asked)}
         for prior in differing:
             prior.kind.check_renewal(request, stale)

@@ -1,6 +1,6 @@
-"""Depth that was made picture by picture, by a network or in other units than the cameras', fitted to the cameras.
+"""Depth that was made image by image, by a network or in other units than the cameras', fitted to the cameras.
 
-Such depth knows how a picture is built, objects included, but neither its scale nor, often, where infinity lies. Both are
+Such depth knows how an image is built, objects included, but neither its scale nor, often, where infinity lies. Both are
 found for every frame from the static scene, whose inverse depth the matches tell (``background``): a robust line through
 (monocular, measured) inverse depths. Where the scene rests and its matches are trusted, what they say stays; elsewhere,
 and on objects above all, the fitted monocular depth is taken.

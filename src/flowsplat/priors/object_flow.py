@@ -1,7 +1,7 @@
 """Flow of what moves, once it is known what moves: searched again without what is behind it.
 
 A fast or thin limb has little room in the windows of a search among what rests, and that wins. With all that rests in one gray the
-outline is the strongest thing in the picture. Of both flows every pixel takes that which leads to its color, into a mask and back.
+outline is the strongest thing in the image. Of both flows every pixel takes that which leads to its color, into a mask and back.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ class PriorsOptions:
     """Masks of what moves: motion (no weights), or what the motion or your clicks and boxes show, followed by a network of the
     extra ``learned``."""
     mask_click: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    """A moving object: x,y@frame, in pixels of the prepared frames or as shares of the picture (0.5,0.4@0). Repeat it for more.
+    """A moving object: x,y@frame, in pixels of the prepared frames or as shares of the image (0.5,0.4@0). Repeat it for more.
     With the number of an object behind it (x,y@frame=1) it corrects that one, on another frame, say: they count from 1, boxes
     first."""
     mask_box: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()

@@ -84,7 +84,7 @@ def request_of(scene: Scene, options: PriorsOptions, device: str = "auto") -> Re
         raise InputError("--touch and --distance place objects in depth of our own: leave out what takes other depth.")
     if prompts and options.given.masks is not None:
         raise InputError("--given.masks and --mask-click or --mask-box both say what moves: give one of them.")
-    _require_pictures_as_they_are(options)
+    _require_images_as_they_are(options)
     return Request(scene, options, prompts, hints, device)
 
 
@@ -149,12 +149,12 @@ def check_places(scene: Scene, options: PriorsOptions) -> tuple[list[Prompt], li
     return prompts, parse_hints(options.touch, options.distance, scene)
 
 
-def _require_pictures_as_they_are(options: PriorsOptions) -> None:
-    """Refuse files that belong to the pictures as they came where these are to be straightened."""
+def _require_images_as_they_are(options: PriorsOptions) -> None:
+    """Refuse files that belong to the images as they came where these are to be straightened."""
     named = [name for name in options.given.named if name != "masks"]  # which are straightened with them
     if options.cameras.distortion == "radial" and (named or options.priors == "true"):
         files = f"--given.{named[0]}" if named else "--priors true"
-        raise InputError(f"{files} belongs to the pictures as they came: leave out --cameras.distortion radial.")
+        raise InputError(f"{files} belongs to the images as they came: leave out --cameras.distortion radial.")
 
 
 def _say_what_is_kept(request: Request, stale: Collection[str]) -> None:

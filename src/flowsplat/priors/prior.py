@@ -84,7 +84,7 @@ class Kind:
         differs: whether it is there, but was made with other settings than those asked for, though its method is right. Also gets
             the method that is asked for.
         check_renewal: refuses (``InputError``) to make one that differs anew. Also gets the names of all priors that would be.
-        replaces_pictures: whether computing it changes the pictures, which everything else is made from.
+        replaces_images: whether computing it changes the images, which everything else is made from.
         finds_flow: whether it searches flow of its own (``Request.estimate``).
         overwrites: whether files of an earlier one may stay until they are written anew. Others would be taken for parts of the new
             one, which goes on where it was stopped.
@@ -103,7 +103,7 @@ class Kind:
     asked: Callable[[Request], str | None] = _nothing
     differs: Callable[[Request, str | None], bool] = _no
     check_renewal: Callable[[Request, Collection[str]], None] = _nothing
-    replaces_pictures: Callable[[Request], bool] = _no
+    replaces_images: Callable[[Request], bool] = _no
     finds_flow: bool = False
     overwrites: bool = False
     is_scratch: bool = False

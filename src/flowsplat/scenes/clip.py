@@ -1,4 +1,4 @@
-"""The clip: an input in its own form (video, pictures, ...), opened, with the frames that were chosen from it.
+"""The clip: an input in its own form (video, images, ...), opened, with the frames that were chosen from it.
 
 A format module opens its files as a ``Clip``; ``ingest`` writes any ``Clip`` into a scene folder. Nothing here reads files.
 """
@@ -56,7 +56,7 @@ class InputOptions:
     sequence: str | None = None
     """Name of the sequence, where the input is the root folder of the DAVIS data set."""
     fps: Annotated[float, Meta(ge=FEWEST_FPS, le=MOST_FPS)] = 24.0
-    """Frames a second of a folder of pictures."""
+    """Frames a second of a folder of images."""
 
     def check(self) -> None:
         """Refuse values that make no sense.
@@ -153,8 +153,8 @@ def working_size(width: int, height: int, options: InputOptions, source: str) ->
     return size, [f"Resized from {width}x{height} to {size[0]}x{size[1]}: change with --resize."]
 
 
-def resize_picture(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Bring a picture [H, W] or [H, W, C] to (width, height): the mean over areas when it shrinks, cubic when it grows."""
+def resize_image(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Bring an image [H, W] or [H, W, C] to (width, height): the mean over areas when it shrinks, cubic when it grows."""
     if image.shape[1::-1] == size:
         return image
     shrinks = size[0] <= image.shape[1] and size[1] <= image.shape[0]
@@ -194,8 +194,8 @@ class Truth(Protocol):
 
 
 @dataclass(frozen=True)
-class ViewPicture:
-    """A picture by another camera: RGB [H, W, 3] uint8, and [H, W] bool objects and pixels that the clip saw, where known."""
+class ViewImage:
+    """An image by another camera: RGB [H, W, 3] uint8, and [H, W] bool objects and pixels that the clip saw, where known."""
 
     view: HeldoutView
     image: np.ndarray
@@ -205,7 +205,7 @@ class ViewPicture:
 
 @dataclass(kw_only=True)
 class Clip(ABC):
-    """An opened input. Frame ``i`` counts the chosen frames; pictures are read when asked for, never all at once.
+    """An opened input. Frame ``i`` counts the chosen frames; images are read when asked for, never all at once.
 
     Attributes:
         name: short name for files and titles.
@@ -242,21 +242,21 @@ class Clip(ABC):
 
     @property
     def num_views(self) -> int:
-        """Pictures by other cameras; where there are any, they are the test, and no frame is held out."""
+        """Images by other cameras; where there are any, they are the test, and no frame is held out."""
         return 0
 
     @abstractmethod
     def frames(self, numbers: Sequence[int]) -> Iterator[np.ndarray]:
-        """The pictures RGB [H, W, 3] uint8 of the frames ``numbers``, which rise.
+        """The images RGB [H, W, 3] uint8 of the frames ``numbers``, which rise.
 
         Raises:
-            InputError: a picture cannot be read.
+            InputError: an image cannot be read.
         """
 
     def mask(self, i: int) -> np.ndarray:
         """[H, W] uint8: object numbers of frame ``i``, 0 = background; only where ``has_masks``."""
         raise LookupError(f"{self.source} came without masks")
 
-    def views(self) -> Iterator[ViewPicture]:
-        """Pictures by other cameras at the times of chosen frames."""
+    def views(self) -> Iterator[ViewImage]:
+        """Images by other cameras at the times of chosen frames."""
         return iter(())

@@ -45,11 +45,11 @@ class SceneInfo:
     ingested: bool = False
     """Whether everything of the input is in the folder."""
     lens: Mapping[str, Number] | None = None
-    """The lens that was, or is being, taken out of the pictures."""
+    """The lens that was, or is being, taken out of the images."""
     straightening: Mapping[str, Any] | None = None
-    """What is known of the cameras while the pictures are being straightened."""
-    pictures_replaced: bool = False
-    """Whether all new pictures are there and are being moved to their places."""
+    """What is known of the cameras while the images are being straightened."""
+    images_replaced: bool = False
+    """Whether all new images are there and are being moved to their places."""
     oracle: Mapping[str, Any] | None = None
     """Which oracle of which scene this is (``flowsplat_benchmarks.oracles``)."""
     more: Mapping[str, Any] = field(default_factory=dict)
@@ -68,5 +68,5 @@ class SceneInfo:
 
 
 _KEYS = tuple(each.name for each in dataclasses.fields(SceneInfo) if each.name != "more")
-_MARKS = ("ingested", "lens", "straightening", "pictures_replaced", "oracle")
+_MARKS = ("ingested", "lens", "straightening", "images_replaced", "oracle")
 """Keys that are in the file only while they say something."""

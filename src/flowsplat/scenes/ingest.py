@@ -12,12 +12,12 @@ from flowsplat.common.errors import InputError
 from flowsplat.common.files import hash_files, ordinary_file
 from flowsplat.common.progress import progress_bar
 from flowsplat.common.run_paths import RunPaths
-from flowsplat.pictures.sound import keep_sound
+from flowsplat.images.sound import keep_sound
 from flowsplat.scenes.clip import Clip, InputOptions
-from flowsplat.scenes.formats.davis import PICTURES, open_davis, sequence_folders
-from flowsplat.scenes.formats.images import PICTURE_SUFFIXES, list_pictures, open_images
+from flowsplat.scenes.formats.davis import IMAGES, open_davis, sequence_folders
+from flowsplat.scenes.formats.images import IMAGE_SUFFIXES, list_images, open_images
 from flowsplat.scenes.formats.nerfies import is_nerfies, open_nerfies
-from flowsplat.scenes.formats.nvidia import RAW_PICTURES, TARGET, is_nvidia, open_nvidia, target_folder
+from flowsplat.scenes.formats.nvidia import RAW_IMAGES, TARGET, is_nvidia, open_nvidia, target_folder
 from flowsplat.scenes.formats.rig import open_rig
 from flowsplat.scenes.formats.video import open_video
 from flowsplat.scenes.scene import Scene, split_frames
@@ -41,8 +41,8 @@ def kind_of_input(path: Path) -> str:
         raise InputError(f"{path} does not exist.")
     if not path.is_dir():
         ordinary_file(path)
-        if path.suffix.lower() in PICTURE_SUFFIXES:
-            raise InputError(f"{path} is a single picture: give a video, or a folder with at least two frames.")
+        if path.suffix.lower() in IMAGE_SUFFIXES:
+            raise InputError(f"{path} is a single image: give a video, or a folder with at least two frames.")
         return "video"
     if is_nerfies(path):  # has a scene.json, too
         return "nerfies"
@@ -50,14 +50,14 @@ def kind_of_input(path: Path) -> str:
         return "scene"
     if (path / "rgb").is_dir() and (path / "cameras.json").exists():
         return "rig"
-    if (path / PICTURES).is_dir():
+    if (path / IMAGES).is_dir():
         return "davis"
     if is_nvidia(path):
         return "nvidia"
-    if (path / "images").is_dir() or list_pictures(path):
+    if (path / "images").is_dir() or list_images(path):
         return "images"
     raise InputError(
-        f"{path} has no pictures (jpg, png, webp, tiff or bmp) and no images/ folder: give a video or a folder of frames."
+        f"{path} has no images (jpg, png, webp, tiff or bmp) and no images/ folder: give a video or a folder of frames."
     )
 
 
@@ -68,7 +68,7 @@ def _image_folders(path: Path) -> tuple[Path, Path | None]:
 
 
 def open_clip(path: Path, options: InputOptions) -> Clip:
-    """Open a video, a folder of pictures (with ``images/`` and ``masks/`` or without), DAVIS, a rig, an NVIDIA or a Nerfies scene.
+    """Open a video, a folder of images (with ``images/`` and ``masks/`` or without), DAVIS, a rig, an NVIDIA or a Nerfies scene.
 
     Raises:
         InputError: cannot be used; the message says why. Prepared scenes are opened with ``Scene`` instead.
@@ -116,15 +116,15 @@ def ingest(clip: Clip, folder: Path, options: InputOptions) -> Scene:
     if clip.truth is not None:
         _write_truth(clip, scene)
     written = {view.name for view in scene.views}
-    for picture in clip.views():
-        if picture.view.name not in written:
-            scene.write_view(picture.view, picture.image, picture.mask, picture.covisible)
+    for image in clip.views():
+        if image.view.name not in written:
+            scene.write_view(image.view, image.image, image.mask, image.covisible)
     scene.mark_ingested(_write_sound(clip, scene))
     return scene
 
 
 def _open_or_create(clip: Clip, folder: Path, options: InputOptions) -> Scene:
-    # Pictures by other cameras are a better test than held-out frames, and truth has flow between neighbors only.
+    # Images by other cameras are a better test than held-out frames, and truth has flow between neighbors only.
     holdout = None if clip.num_views else options.holdout
     train, heldout = split_frames(clip.num_frames, holdout)
     if (folder / "scene.json").exists():
@@ -208,9 +208,9 @@ def _input_files(path: Path, options: InputOptions) -> list[tuple[str, Path]]:
         inside = (file for file in path.rglob("*") if not any(run in file.parents for run in runs))
         found = sorted(file for file in inside if file.is_file() and not file.name.startswith("."))
         named = [(file.relative_to(path).as_posix(), file) for file in found]
-        if kind == "nvidia" and not (path / RAW_PICTURES).is_dir():
+        if kind == "nvidia" and not (path / RAW_IMAGES).is_dir():
             named += [(f"gt/{file.name}", file) for file in sorted(target_folder(path).glob(TARGET))]
         return named
-    pictures, masks = sequence_folders(path, options.sequence) if kind == "davis" else _image_folders(path)
-    named = [(f"images/{file.name}", file) for file in list_pictures(pictures)]
-    return named + [(f"masks/{file.name}", file) for file in list_pictures(masks)] if masks else named
+    images, masks = sequence_folders(path, options.sequence) if kind == "davis" else _image_folders(path)
+    named = [(f"images/{file.name}", file) for file in list_images(images)]
+    return named + [(f"masks/{file.name}", file) for file in list_images(masks)] if masks else named

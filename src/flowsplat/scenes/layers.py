@@ -29,12 +29,12 @@ from flowsplat.common.files import atomic_path, read_bytes, read_json, read_npz,
 from flowsplat.common.files.json_file import Pixels, Row3, Row4
 from flowsplat.geometry import Camera
 from flowsplat.geometry.cameras import FURTHEST
-from flowsplat.pictures.header import MOST_PIXELS, can_hold, picture_pixels
+from flowsplat.images.header import MOST_PIXELS, can_hold, image_pixels
 
 FLOW_UNIT = 64
 TRUSTED = 0.5
-_MOST_PICTURE = 512 * 2**20
-"""Bytes of the file of a picture."""
+_MOST_IMAGE = 512 * 2**20
+"""Bytes of the file of an image."""
 _MOST_A_PIXEL = 32
 """Bytes of the arrays of a layer for every pixel."""
 _MOST_TRACKS = 160 * 2**20
@@ -153,7 +153,7 @@ def write_image(path: Path, image: np.ndarray) -> None:
 
 
 def decode_image(path: Path, flags: int, expected: tuple[int, int] | None = None) -> np.ndarray | None:
-    """A picture as OpenCV gives it (BGR) under ``cv2.IMREAD_*`` flags; None where it cannot be decoded.
+    """An image as OpenCV gives it (BGR) under ``cv2.IMREAD_*`` flags; None where it cannot be decoded.
 
     Args:
         expected: width and height that it must have, where they are known.
@@ -161,12 +161,12 @@ def decode_image(path: Path, flags: int, expected: tuple[int, int] | None = None
     The file is read here and not by OpenCV, which cannot open every file name on every system.
 
     Raises:
-        InputError: no ordinary file, larger than a picture may be, or of another size; all before it is decoded.
+        InputError: no ordinary file, larger than an image may be, or of another size; all before it is decoded.
     """
     if not os.path.lexists(path):
         return None
-    data = read_bytes(path, _MOST_PICTURE)
-    size = picture_pixels(data)
+    data = read_bytes(path, _MOST_IMAGE)
+    size = image_pixels(data)
     if size is None or min(size) < 1:
         return None
     if expected is not None and size != expected:
@@ -187,7 +187,7 @@ def decode_image(path: Path, flags: int, expected: tuple[int, int] | None = None
 
 
 def read_image(path: Path, expected: tuple[int, int] | None = None) -> np.ndarray:
-    """Read a stored picture as uint8: RGB [H, W, 3] or gray [H, W].
+    """Read a stored image as uint8: RGB [H, W, 3] or gray [H, W].
 
     Args:
         expected: width and height that it must have, where they are known.
@@ -199,7 +199,7 @@ def read_image(path: Path, expected: tuple[int, int] | None = None) -> np.ndarra
         raise InputError(f"{path} is missing from the scene.")
     image = decode_image(path, cv2.IMREAD_UNCHANGED, expected)
     if image is None:
-        raise InputError(f"{path} is damaged: it cannot be decoded as a picture.")
+        raise InputError(f"{path} is damaged: it cannot be decoded as an image.")
     return np.ascontiguousarray(image[..., ::-1]) if image.ndim == 3 else image
 
 

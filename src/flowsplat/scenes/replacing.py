@@ -1,4 +1,4 @@
-"""Every picture of a scene replaced by another one, so that a kill in between never leaves a mixture of both."""
+"""Every image of a scene replaced by another one, so that a kill in between never leaves a mixture of both."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from flowsplat.scenes.scene import Scene
 
 FOLDERS = ("frames", "heldout/frames", "masks", "heldout/masks")
 ASIDE = "replaced"
-"""Folder of the new pictures until all of them are there."""
+"""Folder of the new images until all of them are there."""
 
 
-def replace_pictures(scene: Scene, change: Callable[[np.ndarray], np.ndarray]) -> None:
+def replace_images(scene: Scene, change: Callable[[np.ndarray], np.ndarray]) -> None:
     """Replace all frames and masks, held-out ones included. For the camera stage only.
 
-    The new pictures are written aside first; once the scene says that they are complete, they are moved. Called again after
+    The new images are written aside first; once the scene says that they are complete, they are moved. Called again after
     a kill, with the same ``change``, it goes on. The caller notes the end (``Scene.finish_straightening``), together with what
     says that it need not be called again.
 
@@ -30,15 +30,15 @@ def replace_pictures(scene: Scene, change: Callable[[np.ndarray], np.ndarray]) -
         change: from a frame [H, W, 3] or object numbers [H, W] to another one of the same size.
 
     Raises:
-        InputError: a picture is missing or damaged, or the disk is full.
+        InputError: an image is missing or damaged, or the disk is full.
     """
     aside = scene.folder / ASIDE
-    if not scene.info.pictures_replaced:
+    if not scene.info.images_replaced:
         old = [Path(folder) / path.name for folder in FOLDERS for path in sorted((scene.folder / folder).glob("[!.]*.png"))]
-        for path in track(old, "Straightening pictures"):
+        for path in track(old, "Straightening images"):
             if not (aside / path).exists():
                 write_image(aside / path, change(read_image(scene.folder / path)))
-        scene.mark_pictures_complete()
+        scene.mark_images_complete()
     for folder in FOLDERS:
         make_folder(scene.folder / folder)
         for path in sorted((aside / folder).glob("[!.]*.png")):

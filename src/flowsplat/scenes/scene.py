@@ -50,10 +50,10 @@ def split_frames(count: int, holdout: int | None) -> tuple[list[int], list[int]]
 
 @dataclass(frozen=True)
 class HeldoutView:
-    """A picture by another camera, known to the evaluation only.
+    """An image by another camera, known to the evaluation only.
 
     Attributes:
-        name: file name of the picture without suffix.
+        name: file name of the image without suffix.
         frame: the frame of the clip that was taken at the same time.
         camera: in the coordinates of the truth.
     """
@@ -178,23 +178,23 @@ class Scene(Layers):
         self._change(name=name, oracle=identity)
 
     def begin_straightening(self, lens: Mapping[str, float], cameras: Mapping[str, Any]) -> None:
-        """Note that a lens is being taken out of the pictures.
+        """Note that a lens is being taken out of the images.
 
         Args:
-            cameras: how the cameras were made, which are complete once the pictures are straight.
+            cameras: how the cameras were made, which are complete once the images are straight.
         """
         self._change(lens=lens, straightening=cameras)
 
-    def mark_pictures_complete(self) -> None:
-        """Note that all straightened pictures are there, and take the places of the others from now on."""
-        self._change(pictures_replaced=True)
+    def mark_images_complete(self) -> None:
+        """Note that all straightened images are there, and take the places of the others from now on."""
+        self._change(images_replaced=True)
 
     def finish_straightening(self, note: str) -> None:
-        """Note that the pictures are straight and the cameras complete; ``note`` tells the user."""
+        """Note that the images are straight and the cameras complete; ``note`` tells the user."""
         pending = self._info.straightening
         assert pending is not None
         self._change(
-            straightening=None, pictures_replaced=False, notes=[*self._info.notes, note],
+            straightening=None, images_replaced=False, notes=[*self._info.notes, note],
             priors={**self._info.priors, "cameras": pending},
         )  # fmt: skip
 
@@ -230,17 +230,17 @@ class Scene(Layers):
             if i not in self._train:
                 raise SplitError(f"frame {i} of {self.folder} is not a training frame")
 
-    # -- pictures
+    # -- images
 
     def _frame_path(self, i: int) -> Path:
         return (self.folder if i in self._train else self.folder / "heldout") / "frames" / f"{i:05d}.png"
 
     def write_frame(self, i: int, image: np.ndarray) -> None:
-        """Write an RGB picture [H, W, 3] uint8; the split decides where it lands."""
+        """Write an RGB image [H, W, 3] uint8; the split decides where it lands."""
         write_image(self._frame_path(i), image)
 
     def has_frame(self, i: int) -> bool:
-        """Whether the picture of frame ``i`` is there."""
+        """Whether the image of frame ``i`` is there."""
         return self._frame_path(i).exists()
 
     def any_frame(self, i: int) -> np.ndarray:
@@ -394,7 +394,7 @@ class Scene(Layers):
         path = self.folder / "views" / f"{view.name}.png"
         image = read_image(path, (view.camera.width, view.camera.height))
         if image.ndim != 3 or image.shape[2] != 3:
-            raise InputError(f"{path} is no picture in color.")
+            raise InputError(f"{path} is no image in color.")
         return image
 
     def view_mask(self, view: HeldoutView, kind: str = "mask") -> np.ndarray | None:

@@ -38,7 +38,7 @@ class Projected:
 
     @property
     def visible(self) -> Tensor:
-        """[N] bool: drawn somewhere in the picture."""
+        """[N] bool: drawn somewhere in the image."""
         return self.radii[:, 0] > 0
 
 
@@ -178,7 +178,7 @@ def rasterize(
     eps2d: float = EPS2D,
     backend: BackendName = "auto",
 ) -> tuple[Tensor, Tensor, dict[str, Any]]:
-    """Splat N Gaussians with C feature channels into a picture (METHOD 3.4), differentiable in everything.
+    """Splat N Gaussians with C feature channels into an image (METHOD 3.4), differentiable in everything.
 
     Args:
         means: [N, 3] world.

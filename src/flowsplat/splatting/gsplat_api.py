@@ -159,7 +159,7 @@ def rasterization(
         absolute = meta["means2d"].absgrad = torch.zeros_like(meta["means2d"])
         for part, target in zip(parts["means2d"], absolute.reshape(-1, 2).split(rows.sizes), strict=True):
             part.absgrad = target
-    pictures, alphas = [], []
+    rendered, alphas = [], []
     for i, image in enumerate(images):
         extents = projections[i].extents
         projected = replace(
@@ -167,12 +167,12 @@ def rasterization(
             extents=None if extents is None else rows.pick(extents, i),
             **{name: parts[name][i] for name in _GEOMETRY},
         )
-        picture, alpha = _blend_image(image, projected, parts["opacities"][i], partial(rows.pick, i=i), settings)
-        pictures.append(picture)
+        blended, alpha = _blend_image(image, projected, parts["opacities"][i], partial(rows.pick, i=i), settings)
+        rendered.append(blended)
         alphas.append(alpha)
     meta |= rows.ids() | {"width": width, "height": height, "n_batches": math.prod(batch), "n_cameras": cameras}
     shape = (*batch, cameras, height, width)
-    return _stacked(pictures).reshape(*shape, -1), _stacked(alphas).reshape(*shape, 1), meta
+    return _stacked(rendered).reshape(*shape, -1), _stacked(alphas).reshape(*shape, 1), meta
 
 
 def _refuse_uncovered(**asked_for: bool) -> None:
@@ -396,11 +396,11 @@ def _blend_image(
         features.append(color)
     if "D" in settings.render_mode:
         features.append(projected.depths[:, None])
-    picture, alpha = blend(projected, opacities, torch.cat(features, 1), settings.width, settings.height, absgrad=settings.absgrad)
+    blended, alpha = blend(projected, opacities, torch.cat(features, 1), settings.width, settings.height, absgrad=settings.absgrad)
     alpha = alpha[..., None]
     if "ED" in settings.render_mode:
-        picture = torch.cat([picture[..., :-1], picture[..., -1:] / alpha.clamp(min=1e-10)], -1)
+        blended = torch.cat([blended[..., :-1], blended[..., -1:] / alpha.clamp(min=1e-10)], -1)
     if image.background is not None and "RGB" in settings.render_mode:
-        zeros = picture.shape[-1] - len(image.background)  # nothing is behind depth
-        picture = picture + (1 - alpha) * torch.nn.functional.pad(image.background, (0, zeros))
-    return picture, alpha
+        zeros = blended.shape[-1] - len(image.background)  # nothing is behind depth
+        blended = blended + (1 - alpha) * torch.nn.functional.pad(image.background, (0, zeros))
+    return blended, alpha

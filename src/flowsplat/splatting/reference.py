@@ -1,7 +1,7 @@
 """The oracle: what every backend must compute, in plain torch, short enough to check by eye.
 
 Works in any float type, differentiates by autograd, and is slow: blending holds [pixels, Gaussians] matrices of a
-few rows of the picture at a time.
+few rows of the image at a time.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ def _blend_rows(
     rows: Tensor,
     absolute: Tensor | None,
 ) -> tuple[Tensor, Tensor]:
-    """The given rows of the picture, from the Gaussians in ``order``."""
+    """The given rows of the image, from the Gaussians in ``order``."""
     x = torch.arange(width, dtype=means2d.dtype, device=means2d.device) + 0.5
     y = rows.to(means2d) + 0.5
     pixels = torch.stack(torch.meshgrid(x, y, indexing="xy"), -1).reshape(-1, 1, 2)

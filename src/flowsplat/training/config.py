@@ -25,10 +25,10 @@ class RatesConfig:
     """Positions; falls to ``means_decay`` of this, exponentially."""
     means_pixels: Amount = 0.06
     """Positions at rest move at most this many pixels a step, as seen at the median depth, and ``motion`` is slowed down alike:
-    pixels are small in a fine picture and behind a long lens. 0 = as fast as the rates say."""
+    pixels are small in a fine image and behind a long lens. 0 = as fast as the rates say."""
     along_ray: Amount = 15.0
     """Positions at rest learn along their ray up to this many times as fast as across it: as much as the camera's travel shows
-    their depth less than their place in the picture. 1 = alike in all directions."""
+    their depth less than their place in the image. 1 = alike in all directions."""
     times: Amount = 1.6e-4
     """Center times; constant."""
     quats: Amount = 1e-3
@@ -149,7 +149,7 @@ class TrainConfig:
     """Steps between two checkpoints; 0 = none, None = by time: after 5 seconds, then every 20 or, where that costs more than 2 % of
     the time, less often. Stopping writes one in any case."""
     preview_every: Count = 100
-    """Steps between two preview pictures; 0 = none."""
+    """Steps between two preview images; 0 = none."""
     model: ModelConfig = field(default_factory=ModelConfig)
     """What a Gaussian is made of."""
     init: InitConfig = field(default_factory=InitConfig)
@@ -161,7 +161,7 @@ class TrainConfig:
     density: DensityConfig = field(default_factory=DensityConfig)
     """Density control."""
     fill: bool = True
-    """Fill uncovered pixels of rendered pictures from their neighbors (ours)."""
+    """Fill uncovered pixels of rendered images from their neighbors (ours)."""
 
     def check(self) -> None:
         """Refuse values that make no sense.

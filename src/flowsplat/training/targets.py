@@ -9,7 +9,7 @@ from torch import Tensor
 
 from flowsplat.common.devices import upload
 from flowsplat.gaussians.observations import Observations
-from flowsplat.training.picture_loss import PictureTargets
+from flowsplat.training.photometric_loss import PhotometricTargets
 
 SHARE = 0.5
 """Of the memory that is free at the start, how much of a GPU's may be taken by targets that stay."""
@@ -23,12 +23,12 @@ class Targets:
 
     def __init__(self, observations: Observations, with_flow: bool, device: torch.device):
         self._observations, self._with_flow, self._device = observations, with_flow, device
-        self._there: dict[int, tuple[PictureTargets, Any, bool]] = {}
+        self._there: dict[int, tuple[PhotometricTargets, Any, bool]] = {}
         if device.type == "cuda":
             self._stream = torch.cuda.Stream(device)
             self._room = SHARE * torch.cuda.mem_get_info(device)[0]
 
-    def __getitem__(self, k: int) -> PictureTargets:
+    def __getitem__(self, k: int) -> PhotometricTargets:
         """Of training frame ``k``."""
         if self._device.type != "cuda":
             return self._on_host(k)
@@ -51,18 +51,18 @@ class Targets:
             pinned: dict[str, Any] = {
                 name: upload(plane, torch.device("cpu")).pin_memory() for name, plane in vars(host).items() if plane is not None
             }
-            targets = PictureTargets(**pinned).to(self._device)
+            targets = PhotometricTargets(**pinned).to(self._device)
             size = sum(plane.nbytes for plane in _planes(targets))
             stays = size <= self._room
             self._there[k] = targets, self._stream.record_event(), stays
         self._room -= size if stays else 0
 
-    def _on_host(self, k: int) -> PictureTargets:
+    def _on_host(self, k: int) -> PhotometricTargets:
         frame = self._observations[k]
         if frame.forward is None or not self._with_flow:
-            return PictureTargets(frame.image, frame.depth, frame.depth_trusted)
-        return PictureTargets(frame.image, frame.depth, frame.depth_trusted, frame.forward.flow, frame.forward.trusted)
+            return PhotometricTargets(frame.image, frame.depth, frame.depth_trusted)
+        return PhotometricTargets(frame.image, frame.depth, frame.depth_trusted, frame.forward.flow, frame.forward.trusted)
 
 
-def _planes(targets: PictureTargets) -> list[Tensor]:
+def _planes(targets: PhotometricTargets) -> list[Tensor]:
     return [plane for plane in vars(targets).values() if isinstance(plane, Tensor)]

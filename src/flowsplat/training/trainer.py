@@ -42,7 +42,7 @@ from flowsplat.training.checkpoint import (
 from flowsplat.training.config import TrainConfig, affecting_result
 from flowsplat.training.coverage import coverage_loss
 from flowsplat.training.dynamic_evidence import add_residuals
-from flowsplat.training.picture_loss import PictureTargets, PictureWeights, picture_loss
+from flowsplat.training.photometric_loss import PhotometricTargets, PhotometricWeights, photometric_loss
 from flowsplat.training.ray_preconditioning import PathSpread, step_along_rays
 from flowsplat.training.rigidity import Neighbors, find_neighbors, rigid_loss
 from flowsplat.training.targets import Targets
@@ -305,7 +305,7 @@ class Trainer:
             self._preview(self.step, frame, rendered)
         return active, drawn, gradients, {**entry, "active": float(sum(active.counts()))}
 
-    def _backpropagate(self, k: int, active: Active, targets: PictureTargets) -> tuple[RenderedFrame, Gradients, Entry]:
+    def _backpropagate(self, k: int, active: Active, targets: PhotometricTargets) -> tuple[RenderedFrame, Gradients, Entry]:
         """Render training frame k and differentiate its loss."""
         frame, config = self.observations[k], self.config
         flow_to = None
@@ -318,7 +318,7 @@ class Trainer:
         )
         if config.density.gradient > 0:
             rendered.projected.means2d.retain_grad()
-        total, figures = picture_loss(rendered.image, rendered.alpha, rendered.flow_channels, targets, self._weights)
+        total, figures = photometric_loss(rendered.image, rendered.alpha, rendered.flow_channels, targets, self._weights)
         rigid = self._rigid(active, rendered) if config.loss.rigid > 0 else None
         if rigid is not None:
             total = total + config.loss.rigid * rigid
@@ -343,9 +343,9 @@ class Trainer:
         return self.config.density.revise and self.config.model.freeze_background
 
     @property
-    def _weights(self) -> PictureWeights:
+    def _weights(self) -> PhotometricWeights:
         loss = self.config.loss
-        return PictureWeights(loss.ssim, loss.flow, loss.depth, loss.flow_by_alpha)
+        return PhotometricWeights(loss.ssim, loss.flow, loss.depth, loss.flow_by_alpha)
 
     def _rigid(self, active: Active, rendered: RenderedFrame) -> Tensor | None:
         """The rigid loss among dynamic Gaussians; with ``rigid_over_all`` among all that may move."""
@@ -364,8 +364,8 @@ class Trainer:
             count = dynamic if dynamic.is_cuda else int(dynamic)
         return rigid_loss(velocities, moving, self._neighbors, count)
 
-    def _count(self, targets: PictureTargets, active: Active, rendered: RenderedFrame, visible: Tensor) -> None:
-        """Add this picture to the statistics of density control."""
+    def _count(self, targets: PhotometricTargets, active: Active, rendered: RenderedFrame, visible: Tensor) -> None:
+        """Add this image to the statistics of density control."""
         statistics = self._statistics
         if self.config.density.gradient > 0:
             rows, gradient = active.valid(active.rows), rendered.projected.means2d.grad

@@ -35,7 +35,7 @@ def run_ablations(
     again: bool = False,
     options: BenchmarkOptions | None = None,
 ) -> Path:
-    """Run or resume the ablations: one JSON a run, ``OUT/ablations.md`` and ``.html``, and a picture of each table.
+    """Run or resume the ablations: one JSON a run, ``OUT/ablations.md`` and ``.html``, and an image of each table.
 
     Args:
         root: the data root.

@@ -9,7 +9,7 @@ from markupsafe import Markup
 
 from flowsplat.common.errors import InputError
 from flowsplat.evaluation.scores import mean_of
-from flowsplat.pictures.charts import MOST_SERIES, Points, line_chart
+from flowsplat.images.charts import MOST_SERIES, Points, line_chart
 from flowsplat_benchmarks.ablations.page import how_measured, scene_names, write_ablation_report
 from flowsplat_benchmarks.ablations.scenes import ablation_scenes, chosen_scenes
 from flowsplat_benchmarks.ablations.training_runs import comparable, training_runs
@@ -61,7 +61,7 @@ def run_caps(
     again: bool = False,
     options: BenchmarkOptions | None = None,
 ) -> Path:
-    """Run or resume the runs with different caps and steps: one JSON a run, ``OUT/caps.md`` and ``.html``, and both pictures.
+    """Run or resume the runs with different caps and steps: one JSON a run, ``OUT/caps.md`` and ``.html``, and both images.
 
     Args:
         root: the data root.
@@ -94,7 +94,7 @@ def run_caps(
 
 
 def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str], others: int = 0) -> Path:
-    """Write the tables and pictures of some results, and return the path of the page.
+    """Write the tables and images of some results, and return the path of the page.
 
     Args:
         results: with the same settings and of the same size.
@@ -113,7 +113,7 @@ def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str]
         chosen = [result for result in results if result[fixed] == value]
         if len({result[axis] for result in chosen}) > 1:
             scenes = scene_names(chosen)
-            more = f" The picture shows {MOST_SERIES} of {len(scenes)} scenes." if len(scenes) > MOST_SERIES else ""
+            more = f" The image shows {MOST_SERIES} of {len(scenes)} scenes." if len(scenes) > MOST_SERIES else ""
             note = f"Each with {value:,} {'frame-steps' if fixed == 'iterations' else 'Gaussians at most'}. Means over seeds.{more}"
             tables.append(_table(f"PSNR against {name}", note, label, axis, chosen))
     verdict = f"Runs measured: {len(results)}."

@@ -36,12 +36,12 @@ def scene_names(results: Sequence[Result]) -> dict[str, str]:
 
 
 def how_measured(results: Sequence[Result]) -> str:
-    """Which pictures were measured, and by which code, in some sentences."""
+    """Which images were measured, and by which code, in some sentences."""
     parts = []
     for name in scene_names(results):
         result = next(result for result in results if result["scene"] == name)
         width, height = result["size"]
-        kind = "held-out frames" if result["test"]["kind"] == "frames" else "pictures by held-out cameras"
+        kind = "held-out frames" if result["test"]["kind"] == "frames" else "images by held-out cameras"
         parts.append(f"{name} at {width}x{height}: {result['test']['count']} {kind}")
     cameras = "Cameras are used as they were estimated, or as they are given."
     return f"Measured are {'; '.join(parts)}. {cameras} {made_by(results)}"

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from flowsplat.evaluation.scores import mean_of
-from flowsplat.pictures.charts import bar_chart
-from flowsplat.pictures.html import NOTHING
+from flowsplat.images.charts import bar_chart
+from flowsplat.images.html import NOTHING
 from flowsplat_benchmarks.ablations.claims import CLAIMS, TITLES, Claim, Group
 from flowsplat_benchmarks.ablations.page import how_measured, scene_names, write_ablation_report
 from flowsplat_benchmarks.ablations.training_runs import by_run
@@ -55,7 +55,7 @@ class Judged:
 
     Attributes:
         claim: of which this is found.
-        psnr: its effect on all of the picture.
+        psnr: its effect on all of the image.
         objects: that inside the masks of what moves; None where they are not measured.
     """
 
@@ -65,7 +65,7 @@ class Judged:
 
     @property
     def verdict(self) -> Verdict:
-        """On all of the picture."""
+        """On all of the image."""
         return verdict(self.psnr, self.claim.expected)
 
     @property
@@ -121,7 +121,8 @@ def _base_row(base: Variant, scenes: Mapping[str, str], results: Sequence[Result
     )
     return (
         base.label, *(_with_objects(psnr[scene], objects[scene]) for scene in scenes),
-        _with_objects(mean_of(psnr.values()), mean_of(objects.values())), NOTHING, text(mean_of(ssim.values()), 3), NOTHING, NOTHING,
+        _with_objects(mean_of(psnr.values()), mean_of(objects.values())), NOTHING, text(mean_of(ssim.values()), 3), NOTHING,
+        NOTHING,
         NOTHING, *_cost(base, results),
     )  # fmt: skip
 

@@ -79,7 +79,7 @@ def measure(run: TrainingRun, path: Path) -> dict[str, Any]:
     Returns:
         ``protocol``, ``scene``, ``size``, ``tuned``, ``variant``, ``settings``, ``seed``, ``iterations``, ``cap``, ``flowsplat``
         (``source_state``), ``test`` (``kind``, ``count``), ``psnr``, ``ssim``, ``lpips`` and ``moving`` (PSNR) of the held-out
-        pictures with strict cameras, ``training_psnr``, ``flow_epe`` and ``flow_prior_epe`` (mean, pixels), ``gaussians``
+        images with strict cameras, ``training_psnr``, ``flow_epe`` and ``flow_prior_epe`` (mean, pixels), ``gaussians``
         (``total``, ``active_mean``), ``seconds`` (``train`` by the clock, ``train_cpu`` of all cores, ``evaluate``) and
         ``peak_memory_gib``.
     """

@@ -30,7 +30,7 @@ class Variant:
     kind: Kind = "moving"
 
     def config(self, iterations: int, cap: int, seed: int) -> TrainConfig:
-        """All settings, with one frame in every step, so that all variants see as many pictures.
+        """All settings, with one frame in every step, so that all variants see as many images.
 
         Args:
             iterations: steps, unless the variant has its own number.

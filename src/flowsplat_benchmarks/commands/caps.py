@@ -12,7 +12,7 @@ def caps(
     root: Root, out: Out, scenes: Names = capping.SCENES, caps: Numbers = capping.CAPS, steps: Numbers = capping.STEPS,
     seeds: Numbers = capping.SEEDS, size: int = capping.SIZE, again: bool = False, work: Work = WORK,
 ) -> None:  # fmt: skip
-    """What more Gaussians and more frame-steps bring: PSNR against both, as pictures.
+    """What more Gaussians and more frame-steps bring: PSNR against both, as images.
 
     Results as of benchmark ablations, in OUT/caps.md and OUT/caps.html; each drawing is an .svg, too.
 

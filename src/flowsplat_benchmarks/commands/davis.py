@@ -23,7 +23,7 @@ def build(defaults: RunConfig) -> Callable[..., None]:
         """Whole runs on clips of DAVIS: every tenth frame is predicted; beside the paper's figures.
 
         Every clip is an ordinary run in OUT/<clip>_...; its figures are in the .json beside it, the tables in OUT/davis.md, with
-        pictures in OUT/davis.html. The same command again continues where it was stopped.
+        images in OUT/davis.html. The same command again continues where it was stopped.
 
         Args:
             root: Folder with davis/<clip>/images and masks, or with DAVIS itself (JPEGImages/480p, Annotations/480p).

@@ -24,7 +24,7 @@ def build(defaults: RunConfig) -> Callable[..., None]:
         Results as of benchmark davis, in OUT/nvidia.md and OUT/nvidia.html.
 
         Args:
-            root: Folder with nvidia/<scene>, each raw (mv_images and poses_bounds.npy), of twelve pictures (images,
+            root: Folder with nvidia/<scene>, each raw (mv_images and poses_bounds.npy), of twelve images (images,
                 poses_bounds.npy and v000_t000.png ...), or as Dynamic Gaussian Marbles has them (camera, rgb and splits).
             out: Folder for everything that comes out.
             scenes: Names of the scenes to run; the default is all of them.

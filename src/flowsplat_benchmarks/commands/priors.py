@@ -11,7 +11,7 @@ def priors(root: Root, out: Out, scenes: tuple[str, ...] = (), again: bool = Fal
     """Cameras, flow, masks, depth and tracks of many scenes against the truth.
 
     Prepares every scene as flowsplat prepare does, in OUT/<scene>, and measures it: figures in OUT/<scene>.json, the table
-    with targets in OUT/priors.md, with pictures in OUT/priors.html. The same command again continues where it was stopped;
+    with targets in OUT/priors.md, with images in OUT/priors.html. The same command again continues where it was stopped;
     remove an OUT/<scene>.json to measure what is prepared once more.
 
     Args:

@@ -28,7 +28,7 @@ def build(defaults: RunConfig) -> Callable[..., None]:
             root: Folder with rig/<scene>.
             out: Folder for everything that comes out.
             scenes: Names of the scenes to run; the default is all of them.
-            priors: own (from the pictures alone) or true (cameras, depth, masks, flow and tracks of the renderer).
+            priors: own (from the images alone) or true (cameras, depth, masks, flow and tracks of the renderer).
             preset: How it is trained: fast, default, paper or high. Frames and their size are the protocol's.
             train: Settings of training that differ from the preset's; the tables name them.
             device: What to compute on.

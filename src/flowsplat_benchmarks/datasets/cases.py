@@ -22,10 +22,10 @@ from flowsplat.common.errors import InputError
 from flowsplat.common.settings import flat, to_plain
 from flowsplat.pipeline import RunConfig, preset
 from flowsplat.scenes.clip import InputOptions
-from flowsplat.scenes.formats.davis import PICTURES, sequence_folders
-from flowsplat.scenes.formats.images import read_picture
+from flowsplat.scenes.formats.davis import IMAGES, sequence_folders
+from flowsplat.scenes.formats.images import read_input_image
 from flowsplat.scenes.formats.nerfies import is_nerfies
-from flowsplat.scenes.formats.nvidia import RAW_PICTURES, is_nvidia
+from flowsplat.scenes.formats.nvidia import RAW_IMAGES, is_nvidia
 from flowsplat.scenes.ingest import open_clip
 from flowsplat.training.config import affecting_result
 from flowsplat_benchmarks.priors.scenes import TUNED
@@ -35,12 +35,12 @@ ALL_FRAMES = InputOptions(every=1, max_frames=100_000)
 NSFF_TIMES, NSFF_HEIGHT = 24, 288
 TWELVE_WIDTH = 480
 MARBLES_SCALE = 2
-"""Dynamic Gaussian Marbles measures on pictures of half the size."""
+"""Dynamic Gaussian Marbles measures on images of half the size."""
 
 ProtocolName = Literal["davis", "rig", "nvidia"]
 FORMS = {
     "nerfies": "Marbles' form, half size",
-    "twelve": "twelve pictures, 480x270",
+    "twelve": "twelve images, 480x270",
     "raw": "NSFF's form, height 288",
 }
 """Forms of an NVIDIA scene, for people."""
@@ -129,9 +129,9 @@ def davis_cases(
     """
     config, settings = protocol_config(preset_name, config, holdout=10)
     cases = []
-    for name, with_masks, pictures, options in _davis_clips(Path(root), config.input):
+    for name, with_masks, images, options in _davis_clips(Path(root), config.input):
         given = with_masks is not None and masks == "given"
-        source = with_masks if given else pictures
+        source = with_masks if given else images
         assert source is not None
         case = Case(
             "davis", name, "", "given masks" if given else "own masks", settings, source,
@@ -139,20 +139,20 @@ def davis_cases(
             lent=(with_masks, options) if with_masks is not None and not given else None,
         )  # fmt: skip
         cases.append(case)
-    return _chosen(root, cases, names, f"davis/*/images and {PICTURES}")
+    return _chosen(root, cases, names, f"davis/*/images and {IMAGES}")
 
 
 def _davis_clips(root: Path, options: InputOptions) -> Iterator[tuple[str, Path | None, Path, InputOptions]]:
-    """(name, the input with masks or None, the folder of the pictures, how to open the input with masks)."""
+    """(name, the input with masks or None, the folder of the images, how to open the input with masks)."""
     for path in _places(root, "davis"):
         if (path / "images").is_dir():
             yield path.name, path if (path / "masks").is_dir() else None, path / "images", options
     for base in (root, root / "davis"):
-        if (base / PICTURES).is_dir():
-            for path in sorted((base / PICTURES).iterdir()):
+        if (base / IMAGES).is_dir():
+            for path in sorted((base / IMAGES).iterdir()):
                 if path.is_dir():
-                    pictures, masks = sequence_folders(base, path.name)
-                    yield path.name, base if masks else None, pictures, replace(options, sequence=path.name)
+                    images, masks = sequence_folders(base, path.name)
+                    yield path.name, base if masks else None, images, replace(options, sequence=path.name)
 
 
 # -- rig
@@ -205,7 +205,7 @@ def _form(path: Path) -> str:
     if is_nerfies(path):
         return "nerfies"
     if is_nvidia(path):
-        return "raw" if (path / RAW_PICTURES).is_dir() else "twelve"
+        return "raw" if (path / RAW_IMAGES).is_dir() else "twelve"
     return ""
 
 
@@ -214,7 +214,7 @@ def _nvidia_input(path: Path, form: str) -> InputOptions:
         return replace(ALL_FRAMES, resize=TWELVE_WIDTH)
     try:
         if form == "raw":
-            height, width = read_picture(path / RAW_PICTURES / "00000" / "cam01.jpg").shape[:2]
+            height, width = read_input_image(path / RAW_IMAGES / "00000" / "cam01.jpg").shape[:2]
             long_side = round(NSFF_HEIGHT * max(width, height) / height)
             return replace(ALL_FRAMES, max_frames=NSFF_TIMES, resize=long_side)
         clip = open_clip(path, replace(ALL_FRAMES, resize=0))

@@ -11,7 +11,7 @@ import numpy as np
 from flowsplat.common.source import source_state
 from flowsplat.evaluation.tracks import track_errors
 from flowsplat.gaussians.model import SceneModel
-from flowsplat.pictures.sheets import stacked
+from flowsplat.images.sheets import stacked
 from flowsplat.pipeline import evaluate_run, load, prepare, train
 from flowsplat.pipeline.folder import RunFolder
 from flowsplat.scenes import Scene
@@ -23,7 +23,7 @@ from flowsplat_benchmarks.datasets.cases import Case
 MOTION = ("flow_epe", "prior_flow_epe", "flow_prior_epe", "depth_abs_rel")
 """Errors of flow and depth (``evaluation.evaluate``)."""
 TIMED = 5
-"""Pictures that are rendered to tell how many there are in a second."""
+"""Images that are rendered to tell how many there are in a second."""
 
 
 def measure_case(case: Case, folder: Path, strip: Path) -> dict[str, Any]:
@@ -34,7 +34,7 @@ def measure_case(case: Case, folder: Path, strip: Path) -> dict[str, Any]:
         ``frames``, ``size``, ``test`` (``kind``, ``count``), ``ours`` and each of ``baselines``: ``psnr``, ``ssim``, ``lpips``,
         ``moving``, ``covisible``; ``refined`` (ours with the poses of held-out frames refined; None for held-out cameras);
         ``training_frames`` and ``MOTION`` (see ``evaluation.evaluate``), ``tracks`` (see ``evaluation.tracks``), ``gaussians``,
-        ``pictures_a_second``, ``seconds`` by stage, ``peak_memory_gib``, ``lpips_reason``, ``verdicts``.
+        ``images_a_second``, ``seconds`` by stage, ``peak_memory_gib``, ``lpips_reason``, ``verdicts``.
 
     Raises:
         InputError: the input cannot be used.
@@ -57,7 +57,7 @@ def measure_case(case: Case, folder: Path, strip: Path) -> dict[str, Any]:
         **{key: metrics.get(key) for key in ("training_frames", *MOTION, "lpips_reason")},
         "tracks": track_errors(model, scene, _births(case)),
         "gaussians": {key: metrics["gaussians"][key] for key in ("total", "active_mean")},
-        "pictures_a_second": _pictures_a_second(model, scene),
+        "images_a_second": _images_a_second(model, scene),
         "seconds": run.seconds, "peak_memory_gib": metrics["peak_memory_gib"],
         "verdicts": {name: (scene.prior(name) or {}).get("verdict", "") for name in ("cameras", "depth", "masks")},
     }  # fmt: skip
@@ -81,7 +81,7 @@ def _births(case: Case) -> np.ndarray | None:
     return clip.truth.births
 
 
-def _pictures_a_second(model: SceneModel, scene: Scene) -> float:
+def _images_a_second(model: SceneModel, scene: Scene) -> float:
     """Of the clip's size, in color and depth, from cameras of the clip; the median after a first one, which may compile."""
     seconds = []
     model.render(scene.cameras[scene.train_frames[0]], float(scene.timestamps[scene.train_frames[0]]))
@@ -93,11 +93,11 @@ def _pictures_a_second(model: SceneModel, scene: Scene) -> float:
 
 
 def _write_strip(run: RunFolder, metrics: dict[str, Any], kind: str, path: Path) -> None:
-    """Target, rendering and error of the test picture of median PSNR, and of the worst one below it."""
+    """Target, rendering and error of the test image of median PSNR, and of the worst one below it."""
     folder, wanted = ("views", "heldout_view") if kind == "views" else ("heldout", "heldout_frame")
     tested = sorted((p for p in metrics["per_image"] if p["kind"] == wanted), key=lambda p: p["psnr"])
     chosen = [tested[len(tested) // 2], tested[0]] if len(tested) > 1 else tested
-    sheets = [run.path / "evaluation" / folder / f"{picture['name']}_sheet.png" for picture in chosen]
+    sheets = [run.path / "evaluation" / folder / f"{image['name']}_sheet.png" for image in chosen]
     rows = [read_image(sheet) for sheet in sheets if sheet.exists()]
     if rows:
         write_image(path, stacked(rows))

@@ -1,4 +1,4 @@
-"""The tables of a protocol as Markdown, and with pictures as a page."""
+"""The tables of a protocol as Markdown, and with images as a page."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def write_report(protocol: ProtocolName, out: Path, results: Sequence[Result], f
 def _scene(out: Path, result: Result) -> dict[str, Any]:
     name = str(result["name"])
     path = out / f"{name}{STRIP}"
-    pictures = [(read_image(path), f"{name}: test pictures")] if path.exists() else []
+    images = [(read_image(path), f"{name}: test images")] if path.exists() else []
     verdicts = [f"{prior}: {verdict}" for prior, verdict in result["verdicts"].items() if verdict]
     facts = "; ".join([result["variant"], result["settings"], *verdicts])
-    return scene_section(out, plain(label(result)), facts, f"{name}/report.html", pictures)
+    return scene_section(out, plain(label(result)), facts, f"{name}/report.html", images)

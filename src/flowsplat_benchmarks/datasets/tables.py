@@ -8,7 +8,7 @@ from importlib.resources import files
 from typing import Any
 
 from flowsplat.evaluation.scores import mean_of, pick
-from flowsplat.pictures.html import NOTHING
+from flowsplat.images.html import NOTHING
 from flowsplat_benchmarks.datasets.cases import FORMS
 from flowsplat_benchmarks.tables import Column, Result, Table, label, scaled_mean, text
 
@@ -31,7 +31,7 @@ def published() -> dict[str, Any]:
 def tables(protocol: str, results: Sequence[Result]) -> list[Table]:
     """All tables of a protocol, from the JSON of its cases (``measure.measure_case``)."""
     found = list(_beside_published(protocol, results))
-    return [*found, _pictures(results), *_truth(results), _cost(results)] if results else []
+    return [*found, _images(results), *_truth(results), _cost(results)] if results else []
 
 
 def _beside_published(protocol: str, results: Sequence[Result]) -> Iterator[Table]:
@@ -111,7 +111,7 @@ def _nvidia(known: Mapping[str, Any], results: Sequence[Result]) -> Table:
         group = [result for result in results if _how(result) == how]
         means = [mean_of(pick(result, "ours", metric) for result in group) for metric in DIGITS]
         means.append(scaled_mean([pick(result, "seconds", "train") for result in group], 1 / 3600))
-        means.append(scaled_mean([pick(result, "pictures_a_second") for result in group]))
+        means.append(scaled_mean([pick(result, "images_a_second") for result in group]))
         means += [scaled_mean([pick(result, "gaussians", key) for result in group], 1e-3) for key in ("active_mean", "total")]
         ours.append(len(rows))
         rows.append((f"flowsplat, {how}", *(text(mean, d) for mean, d in zip(means, digits, strict=True))))
@@ -122,7 +122,7 @@ def _nvidia(known: Mapping[str, Any], results: Sequence[Result]) -> Table:
     scenes = ", ".join(dict.fromkeys(label(result) for result in results))
     note = f"Published: {known['source']}. Ours: means over {scenes}, on this machine."
     header = (
-        "method", "PSNR", "SSIM", "LPIPS", "training, hours", "pictures a second", "Gaussians active, thousand",
+        "method", "PSNR", "SSIM", "LPIPS", "training, hours", "images a second", "Gaussians active, thousand",
         "Gaussians, thousand",
     )  # fmt: skip
     return Table(f"NVIDIA, {FORMS['nerfies']}", note, header, rows, tuple(ours))
@@ -131,7 +131,7 @@ def _nvidia(known: Mapping[str, Any], results: Sequence[Result]) -> Table:
 # -- every case on its own
 
 
-def _pictures(results: Sequence[Result]) -> Table:
+def _images(results: Sequence[Result]) -> Table:
     rows: list[tuple[str, ...]] = []
     ours: list[int] = []
     has_refined = any(result.get("refined") for result in results)
@@ -160,9 +160,9 @@ def _pictures(results: Sequence[Result]) -> Table:
         header += ("PSNR, poses refined", "PSNR of objects, poses refined")
         note += (
             " All figures use the poses of held-out frames as they were estimated, but for those in the columns called refined: "
-            "there the pose of every held-out frame alone was fitted to its own picture."
+            "there the pose of every held-out frame alone was fitted to its own image."
         )
-    return Table("All test pictures", note, header, rows, tuple(ours))
+    return Table("All test images", note, header, rows, tuple(ours))
 
 
 def _form_of(result: Result) -> str:
@@ -202,7 +202,7 @@ _SIZES = (
     Column("peak memory, GiB", ("peak_memory_gib",), 2),
     Column("Gaussians active, mean", ("gaussians", "active_mean"), 0),
     Column("Gaussians", ("gaussians", "total"), 0),
-    Column("pictures a second", ("pictures_a_second",), 1),
+    Column("images a second", ("images_a_second",), 1),
     Column("PSNR of training frames", ("training_frames", "psnr"), 2),
 )
 
@@ -219,7 +219,7 @@ def _cost(results: Sequence[Result]) -> Table:
             text(sum(value for name, value in seconds.items() if name != "static"), 0), *(each.cell(result) for each in _SIZES),
         ))  # fmt: skip
     header = (
-        "scene", "run", "frames", "test pictures", "seconds by stage", "seconds", *(each.header for each in _SIZES),
+        "scene", "run", "frames", "test images", "seconds by stage", "seconds", *(each.header for each in _SIZES),
     )  # fmt: skip
     note = "By the clock, on this machine; the sum leaves out the static scene, which is there for comparison only."
     return Table("Time, memory and size", note, header, rows)

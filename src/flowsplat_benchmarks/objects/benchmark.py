@@ -40,7 +40,7 @@ def run_objects_benchmark(
 
     Args:
         again: place the objects anew in what is prepared already, and measure them.
-        size: pixels of the pictures, frames: how many.
+        size: pixels of the images, frames: how many.
         options: how many at a time, and by what.
 
     Returns:

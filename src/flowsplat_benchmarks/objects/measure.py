@@ -38,7 +38,7 @@ def measure_scene(scene: Scene) -> Record:
         ``scale`` (see ``depth_scale``), ``parallax`` (whether the static depth is no guess), ``idf1`` of all objects, and
         ``objects``: for each what is true of it (see ``World.describe``) and
 
-        - ``frames``: in which it is seen; ``height``: mean share of the picture's height that its mask spans;
+        - ``frames``: in which it is seen; ``height``: mean share of the image's height that its mask spans;
         - ``found``: whether its mask and that of one object ever overlap by ``OVERLAP``;
         - ``ln_distance``: median of ln(estimated / true depth) over its pixels in both masks and over all frames; ``course``:
           robust standard deviation over frames of each frame's median; ``relief``: median over frames of the robust standard
@@ -199,7 +199,7 @@ def _pooled_iou(inside: np.ndarray, ours: np.ndarray) -> float:
 
 
 def _mean_height(inside: np.ndarray) -> float:
-    """Mean share of the picture's height that masks [T, H, W] span."""
+    """Mean share of the image's height that masks [T, H, W] span."""
     if not len(inside):
         return 0.0
     return float(np.mean([np.ptp(np.flatnonzero(mask.any(1))) + 1 for mask in inside]) / inside.shape[1])

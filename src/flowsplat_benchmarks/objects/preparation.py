@@ -2,7 +2,7 @@
 
 Everything before that step stays in the folder of the world, so that only the step itself runs again after it changed:
 
-    own/   pictures, truth, and cameras, flow, masks, tracks and solved matches from the pictures alone; depth
+    own/   images, truth, and cameras, flow, masks, tracks and solved matches from the images alone; depth
     true/  the same with true cameras, flow and masks
 """
 
@@ -85,7 +85,7 @@ def place_objects(scene: Scene, again: bool = False) -> None:
 
 
 def _share(own: Path, true: Path) -> None:
-    """A second scene of the same pictures and truth, which are linked where the system can."""
+    """A second scene of the same images and truth, which are linked where the system can."""
     partial = true.with_name(".true.partial")
     shutil.rmtree(partial, ignore_errors=True)
     for name in LINKED:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from flowsplat.pictures.html import NOTHING
+from flowsplat.images.html import NOTHING
 from flowsplat.scenes.synthetic.worlds.parts import KINDS
 from flowsplat_benchmarks.objects.measure import AT_FEET, OVERLAP, Record
 from flowsplat_benchmarks.objects.preparation import VARIANTS, Variant
@@ -31,12 +31,13 @@ SIGMAS = (1, 2)
 """Multiples of what is believed of an error whose coverage is told."""
 
 TITLES: dict[Variant, str] = {
-    "own": "Cameras, flow and masks from the pictures",
+    "own": "Cameras, flow and masks from the images",
     "true": "True cameras, flow and masks",
 }
 
 NOTE = (
-    "Distance: |ln(estimated / true depth)|, the median over an object's pixels and frames; an object that was never found counts as "
+    "Distance: |ln(estimated / true depth)|, the median over an object's pixels and frames; an object that was never found counts "
+    "as "
     "infinitely wrong in median, percentile and share. Signed median, course and relief are of those that were found: + is too "
     "far; course is the spread over frames of each frame's median error, relief the spread within a frame (both medians over "
     "objects; spread: half the central 68 %). IDF1 and IoU are means over objects."
@@ -45,7 +46,8 @@ NOTE = (
 DEFINITIONS = (
     "With own priors, and where a camera that stands still leaves static depth a guess, depth is brought to the truth's scale by "
     "the median ratio over static pixels with trusted depth, one number a clip.",
-    f"An object was found where, in any frame, its true mask and that of one object overlap by an IoU of {OVERLAP} or more; the same "
+    f"An object was found where, in any frame, its true mask and that of one object overlap by an IoU of {OVERLAP} or more; the "
+    "same "
     "IoU counts as agreement in a frame for IDF1. Errors are measured at the pixels that are in both masks, whatever the number.",
     "Seeds below 900 are for tuning, 900 to 999 decide between versions and are never looked at one by one, 1000 to 1199 are only "
     "reported.",

@@ -1,4 +1,4 @@
-"""Kinds of pixels of a rendered scene, by its truth, and how much of the error of pictures and of static depth each holds."""
+"""Kinds of pixels of a rendered scene, by its truth, and how much of the error of images and of static depth each holds."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import numpy as np
 from flowsplat.common.spread import spread
 from flowsplat.geometry import Camera
 from flowsplat.geometry.cameras import unproject_depth
-from flowsplat.pictures.colors import error_to_color, float_to_bytes
-from flowsplat.pictures.sheets import side_by_side, stacked
+from flowsplat.images.colors import error_to_color, float_to_bytes
+from flowsplat.images.sheets import side_by_side, stacked
 from flowsplat.scenes import HeldoutView, Scene
 from flowsplat.scenes.layers import read_image
 from flowsplat_benchmarks.oracles.objects import depth_scale, masks_of, truth_of
@@ -38,7 +38,7 @@ THIN = 9
 AT_OBJECT = 8
 """Pixels from an object."""
 AT_BORDER = 0.04
-"""Share of the picture's size from its border."""
+"""Share of the image's size from its border."""
 DULL = 4.0
 """Gray levels of 255: standard deviation in a window of seven pixels."""
 
@@ -81,7 +81,7 @@ class PixelClasses:
             _splat(nearest, view.camera, unproject_depth(surface, camera)[surface > 0])
         depth = np.where(np.isfinite(nearest), nearest, 0).astype(np.float32).reshape(height, width)
         seen = self._seen(depth, view.camera)
-        # Where the clip's picture of the same time ends.
+        # Where the clip's image of the same time ends.
         pixels, ahead = own.project(unproject_depth(depth, view.camera))
         margin = AT_BORDER * np.array([own.width, own.height])
         inside = (ahead > 0) & (pixels >= margin).all(-1) & (pixels <= [own.width, own.height] - margin).all(-1)
@@ -103,7 +103,7 @@ class PixelClasses:
 
 
 def _splat(nearest: np.ndarray, view: Camera, points: np.ndarray) -> None:
-    """Put points [N, 3] into the depth of a picture, [height * width], each on the two by two pixels around it."""
+    """Put points [N, 3] into the depth of an image, [height * width], each on the two by two pixels around it."""
     pixels, depth = view.project(points)
     corner = np.floor(pixels.clip(-1e6, 1e6) - 0.5).astype(int)
     for step in ((0, 0), (1, 0), (0, 1), (1, 1)):
@@ -195,7 +195,7 @@ def psnr_by_class(errors: dict[str, Any]) -> list[float | None]:
 
 
 def gains(errors: dict[str, Any], better: dict[str, Any]) -> list[float]:
-    """dB of all of the picture, the mean of the views, that each class alone gains with the error that it has in another run."""
+    """dB of all of the image, the mean of the views, that each class alone gains with the error that it has in another run."""
     pixels = np.sum(errors["pixels"], 1)
     before, after = np.array(errors["squared"]), np.array(better["squared"])
     total = before.sum(1)

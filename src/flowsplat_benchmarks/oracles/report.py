@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from flowsplat.pictures.html import NOTHING
+from flowsplat.images.html import NOTHING
 from flowsplat.scenes.layers import read_image
 from flowsplat_benchmarks.oracles.classes import CLASSES, gains, legend, psnr_by_class
 from flowsplat_benchmarks.oracles.scenes import ORACLES
@@ -53,7 +53,7 @@ def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str]
     remarks = list(REMARKS)
     if results:
         views = ", ".join(f"{name} {count}" for name, count in sorted({r["scene"]: r["views"] for r in results}.items()))
-        remarks.append(f"Trained with {results[0]['settings']}. Pictures by held-out cameras: {views}. {made_by(results)}")
+        remarks.append(f"Trained with {results[0]['settings']}. Images by held-out cameras: {views}. {made_by(results)}")
     if others:
         remarks.append(f"Results in this folder that have other settings, and are left out here: {others}.")
     remarks += failures(failed)
@@ -74,7 +74,7 @@ def _scene(out: Path, result: Result) -> dict[str, Any]:
 
 
 def _gains(results: Sequence[Result]) -> Table:
-    """PSNR of all of the picture and inside objects by oracle and scene, and the differences from the oracle before."""
+    """PSNR of all of the image and inside objects by oracle and scene, and the differences from the oracle before."""
     scenes = {result["scene"]: label(result) for result in sorted(results, key=_place)}
     by_name = {(result["scene"], result["oracle"]): result for result in results}
     rows = []
@@ -87,7 +87,7 @@ def _gains(results: Sequence[Result]) -> Table:
             cells += _cells(by_name.get((scene, oracle)), before[-1] if before else None)
         rows.append(tuple(cells))
     header = ["true", *(cell for name in scenes.values() for cell in (name, "gain"))]
-    note = "PSNR of pictures by held-out cameras, dB: all of the picture / inside objects. Gain: over the row above that is there."
+    note = "PSNR of images by held-out cameras, dB: all of the image / inside objects. Gain: over the row above that is there."
     own = [k for k, row in enumerate(rows) if row[0] == MEANINGS["own"]]
     return Table("What every prior costs", note, tuple(header), rows, tuple(own))
 
@@ -143,7 +143,7 @@ def _views(results: Sequence[Result]) -> Table:
                 gained = (text(x, 2, sign=True) for x in gains(errors, true["classes"]))
                 rows.append((*name, f"gain with the error of {BACKGROUND}, dB", *gained))
     note = (
-        "A pixel is of the first class that it is, by the truth. Gain: of the whole picture, mean of the views, were the error of "
+        "A pixel is of the first class that it is, by the truth. Gain: of the whole image, mean of the views, were the error of "
         "this class alone that of the run with true depth of what rests."
     )
     return Table("Held-out views by class of pixel", note, ("scene", "true", "figure", *CLASSES), rows)

@@ -13,7 +13,7 @@ from flowsplat.geometry.similarity import path_errors
 from flowsplat.priors.tracks import follow_queries
 from flowsplat.scenes import Flow, Layers, Scene
 from flowsplat.scenes.clip import InputOptions, resize_labels
-from flowsplat.scenes.formats.images import list_pictures
+from flowsplat.scenes.formats.images import list_images
 from flowsplat.scenes.formats.masks import read_labels
 from flowsplat.scenes.formats.rig import RigTruth
 from flowsplat.scenes.ingest import open_clip
@@ -72,7 +72,7 @@ def read_true_flow(benchmark: BenchmarkScene, scene: Scene) -> Flow:
     """The measured flow of a pair; its confidence is 1 where it is known, else 0.
 
     Raises:
-        InputError: damaged, or of another size than the pictures.
+        InputError: damaged, or of another size than the images.
     """
     path = benchmark.folder / TRUE_FLOW
     flow = cv2.readOpticalFlow(str(path))
@@ -86,11 +86,11 @@ def true_mask(benchmark: BenchmarkScene, scene: Scene, i: int) -> np.ndarray:
     """[H, W] the true mask of frame ``i`` of a DAVIS clip, 0 = background.
 
     Raises:
-        InputError: there are not as many as pictures, or it is damaged.
+        InputError: there are not as many as images, or it is damaged.
     """
-    paths, pictures = list_pictures(benchmark.folder / "masks"), list_pictures(benchmark.source)
-    if len(paths) != len(pictures) or len(paths) != scene.num_frames:
-        raise InputError(f"{benchmark.folder}: {len(paths)} masks, {len(pictures)} pictures, {scene.num_frames} of them prepared.")
+    paths, images = list_images(benchmark.folder / "masks"), list_images(benchmark.source)
+    if len(paths) != len(images) or len(paths) != scene.num_frames:
+        raise InputError(f"{benchmark.folder}: {len(paths)} masks, {len(images)} images, {scene.num_frames} of them prepared.")
     return resize_labels((read_labels(paths[i]) > 0).astype(np.uint8), (scene.width, scene.height))
 
 
@@ -101,7 +101,7 @@ def flow_figures(pairs: Iterable[tuple[Flow, Flow, np.ndarray | None]]) -> Figur
     """Of (estimated, true, mask of objects [H, W] bool or None), pooled over the pixels of all pairs.
 
     ``flow.epe``: mean end-point error of pixels with known flow, hidden ones included where a rendered scene knows it
-    (``flow.epe_objects`` on objects, ``flow.epe_matched`` of those that are visible in both pictures); ``flow.kept``: of
+    (``flow.epe_objects`` on objects, ``flow.epe_matched`` of those that are visible in both images); ``flow.kept``: of
     the pixels that have a match, those with a confidence of one half or more; ``flow.right``: of those kept, also without a
     match, those within a pixel of the truth.
     """

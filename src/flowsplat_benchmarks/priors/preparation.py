@@ -20,7 +20,7 @@ from flowsplat_benchmarks.priors.scenes import BenchmarkScene
 NEEDED = "needed.json"
 """Seconds of every stage, all of them, those of the processor, and memory; only where one process did all of the work."""
 WHOLE_SIZE = 0
-"""``resize`` that keeps the size: a pair of pictures is compared with measured flow."""
+"""``resize`` that keeps the size: a pair of images is compared with measured flow."""
 
 
 def prepare_scene(scene: BenchmarkScene, folder: Path) -> tuple[Scene, dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""The table of the priors benchmark as Markdown, and with pictures as a page."""
+"""The table of the priors benchmark as Markdown, and with images as a page."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import numpy as np
 from flowsplat.common.files import write_text
 from flowsplat.common.spread import spread
 from flowsplat.evaluation.placement import true_scale
-from flowsplat.pictures.colors import depth_range, depth_to_color, flow_scale, flow_to_color, tinted
-from flowsplat.pictures.html import table
-from flowsplat.pictures.sheets import side_by_side, stacked
+from flowsplat.images.colors import depth_range, depth_to_color, flow_scale, flow_to_color, tinted
+from flowsplat.images.html import table
+from flowsplat.images.sheets import side_by_side, stacked
 from flowsplat.scenes import Flow, Layers, Scene
 from flowsplat.scenes.layers import read_image, write_image
 from flowsplat_benchmarks.priors.measure import read_true_flow, true_mask
@@ -37,7 +37,7 @@ def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str]
     """Write ``priors.md`` and ``priors.html`` and return the path of the page.
 
     Args:
-        results: the JSON of every scene; the picture of each lies in the folder of its name.
+        results: the JSON of every scene; the image of each lies in the folder of its name.
         failed: scenes that could not be measured, and why.
 
     Raises:
@@ -82,11 +82,11 @@ def _facts(result: Result) -> str:
 
 def _scene(out: Path, result: Result) -> dict[str, Any]:
     name, path = str(result["scene"]), out / str(result["scene"]) / STRIP
-    pictures = [(read_image(path), f"{name}: frames, ours and the truth")] if path.exists() else []
-    return scene_section(out, name, _facts(result), f"{name}/{PAGE}", pictures, STRIP_WIDTH)
+    images = [(read_image(path), f"{name}: frames, ours and the truth")] if path.exists() else []
+    return scene_section(out, name, _facts(result), f"{name}/{PAGE}", images, STRIP_WIDTH)
 
 
-# -- pictures
+# -- images
 
 
 def write_strip(folder: Path, benchmark: BenchmarkScene, scene: Scene) -> None:

@@ -51,7 +51,7 @@ class Figure:
 FIGURES = (
     Figure("flow.epe", "end-point error, mean over all pixels with true flow", "px", 2, {"pair": 0.25, "rig": 0.35}),
     Figure("flow.epe_objects", "the same on objects", "px", 2, {"rig": 1.0}),
-    Figure("flow.epe_matched", "end-point error, mean over pixels visible in both pictures", "px", 2),
+    Figure("flow.epe_matched", "end-point error, mean over pixels visible in both images", "px", 2),
     Figure("flow.epe_matched_objects", "the same on objects", "px", 2),
     Figure("flow.kept", "pixels with a true match that the confidence keeps", "%", 1, {"pair": 85, "rig": 85}, True),
     Figure("flow.kept_objects", "the same on objects", "%", 1),
@@ -77,7 +77,7 @@ MEAN_CLIPS, MEAN_TARGET = 4, 0.7
 """How many DAVIS clips are averaged, and the target of their mean IoU."""
 
 DEFINITIONS = (
-    "Everything is computed from the pictures alone: no focal length, no masks. Rig scenes train on all frames; DAVIS clips hold "
+    "Everything is computed from the images alone: no focal length, no masks. Rig scenes train on all frames; DAVIS clips hold "
     "out every tenth, and their masks are seen by the measurement only.",
     "Flow: pooled over the pixels of all pairs of neighbors, both ways (of the pair: one way). On a rig scene the flow of hidden "
     "pixels is known and counts. A pixel is kept when its confidence is one half or more; on the pair every pixel with known flow "

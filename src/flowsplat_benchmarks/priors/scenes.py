@@ -4,7 +4,7 @@
 | --- | --- | --- |
 | ``rig/<scene>`` | ``rig``: a rendered scene (``scenes/formats/rig.py``) | flow, cameras, depth, masks, tracks |
 | ``davis/<clip>/images``, ``davis/<clip>/masks`` | ``davis``: a real clip | masks |
-| ``flow/<pair>/frame10.png``, ``frame11.png``, ``flow10.flo`` | ``pair``: two real pictures (Middlebury) | flow |
+| ``flow/<pair>/frame10.png``, ``frame11.png``, ``flow10.flo`` | ``pair``: two real images (Middlebury) | flow |
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class BenchmarkScene:
 
     @property
     def source(self) -> Path:
-        """The input: of a DAVIS clip only the pictures, because its masks are the truth."""
+        """The input: of a DAVIS clip only the images, because its masks are the truth."""
         return self.folder / "images" if self.kind == "davis" else self.folder
 
     @property

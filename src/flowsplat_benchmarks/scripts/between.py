@@ -23,7 +23,7 @@ from flowsplat.common.files import read_json, write_json, write_text
 from flowsplat.evaluation.baselines import predict_frame, to_float
 from flowsplat.gaussians.observations import load_observations
 from flowsplat.geometry.cameras import pixel_grid
-from flowsplat.pictures.colors import float_to_bytes
+from flowsplat.images.colors import float_to_bytes
 from flowsplat.priors.options import PriorsOptions
 from flowsplat.priors.prepare import prepare_priors
 from flowsplat.scenes import Scene
@@ -98,7 +98,7 @@ def errors(image: np.ndarray, target: np.ndarray, kinds: Kinds) -> dict[str, tup
     return {name: (float(squared[these].sum()), int(these.sum())) for name, these in chosen.items()}
 
 
-def measure(scene: Scene, world: World, config: TrainConfig, pictures: Path | None = None) -> dict[str, Any]:
+def measure(scene: Scene, world: World, config: TrainConfig, images: Path | None = None) -> dict[str, Any]:
     """Train a scene; errors of its held-out frames, of ``flow_interpolation`` there, and of the training frames before them."""
     trainer = Trainer(load_observations(scene), scene.tracks, config)
     model = scene_model(scene, trainer.run(), config)
@@ -108,8 +108,8 @@ def measure(scene: Scene, world: World, config: TrainConfig, pictures: Path | No
         image = model.render(scene.cameras[i], float(scene.timestamps[i])).color
         found["held out"].append(errors(image, target, kinds))
         found["flow interpolation"].append(errors(predict_frame(scene, i)["flow_interpolation"], target, kinds))
-        if pictures is not None:
-            write_image(pictures / f"{scene.name}_{i:05d}.png", float_to_bytes(np.concatenate([target, image], 1)))
+        if images is not None:
+            write_image(images / f"{scene.name}_{i:05d}.png", float_to_bytes(np.concatenate([target, image], 1)))
         k = i - 1
         image = model.render(scene.cameras[k], float(scene.timestamps[k])).color
         found["trained"].append(errors(image, to_float(scene.frame(k)), kinds_of(world, k)))

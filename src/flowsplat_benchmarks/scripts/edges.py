@@ -3,7 +3,7 @@
     python -m flowsplat_benchmarks.scripts.edges OUT --preset fast                  # all of them, about an hour on two cores
     python -m flowsplat_benchmarks.scripts.edges OUT --only portrait "static camera"
 
-Every tenth frame is held out and compared with what flow interpolation makes of its neighbors; of the wide pictures, a sixth of
+Every tenth frame is held out and compared with what flow interpolation makes of its neighbors; of the wide images, a sixth of
 a second apart, every fourth. ``OUT/<edge>_<preset>/run/`` is the run, ``OUT/<edge>_<preset>.json`` its figures, ``OUT/edges.md``
 the table of all presets; the same command again goes on where it was stopped.
 """
@@ -29,7 +29,7 @@ from flowsplat.common.files import make_folder, read_json, write_json, write_tex
 from flowsplat.common.processes import in_own_process
 from flowsplat.common.source import source_state
 from flowsplat.geometry import Camera
-from flowsplat.pictures.video import write_mp4
+from flowsplat.images.video import write_mp4
 from flowsplat.pipeline import RunConfig
 from flowsplat.pipeline.folder import stage_key
 from flowsplat.scenes import Scene
@@ -86,8 +86,8 @@ def _full_size(config: RunConfig) -> RunConfig:
 
 
 EDGES = {
-    "12 wide pictures": Edge(SyntheticScene(480, 270, 12, fps=6.0), _holding_out(4)),
-    "12 wide pictures, cameras given": Edge(SyntheticScene(480, 270, 12, fps=6.0), _holding_out(4), given_cameras=True),
+    "12 wide images": Edge(SyntheticScene(480, 270, 12, fps=6.0), _holding_out(4)),
+    "12 wide images, cameras given": Edge(SyntheticScene(480, 270, 12, fps=6.0), _holding_out(4), given_cameras=True),
     "300 frames": Edge(SyntheticScene(426, 240, 300), _all_frames),
     "240p": Edge(SyntheticScene(426, 240, 48)),
     "1080p": Edge(SyntheticScene(1920, 1080, 24), _full_size),
@@ -124,8 +124,8 @@ def run_edge(name: str, preset: str, out: Path, key: str) -> dict[str, Any]:
     write_json(mark, key)
     spec, video = edge.clip, out / "clip.mp4"
     if not video.exists():
-        pictures = (spec.render(spec.camera(i), time).picture for i, time in enumerate(spec.timestamps))
-        write_mp4(video, pictures, spec.fps, crf=12)
+        images = (spec.render(spec.camera(i), time).image for i, time in enumerate(spec.timestamps))
+        write_mp4(video, images, spec.fps, crf=12)
     config = edge.change(replace(pipeline.preset(preset), final_fit=False))
     if edge.given_cameras:
         cameras = out / "cameras.json"

@@ -21,9 +21,9 @@ from typing import Any
 
 import cv2
 
+from flowsplat.images.charts import line_chart, svg_file
+from flowsplat.images.video import write_mp4
 from flowsplat.output.videos import RenderOptions
-from flowsplat.pictures.charts import line_chart, svg_file
-from flowsplat.pictures.video import write_mp4
 from flowsplat.pipeline import run
 from flowsplat.pipeline.config import RunConfig
 from flowsplat.priors.graph import PRIORS
@@ -43,7 +43,7 @@ SIDES = (427, 640, 854, 1280, 1920)
 FEW = 16
 """Frames where pixels or Gaussians are counted."""
 DRAWN = 960
-"""Pixels of the pictures that those are made of; larger ones are enlarged."""
+"""Pixels of the images that those are made of; larger ones are enlarged."""
 SPACINGS = (3.0, 2.0, 1.5, 1.0, 0.75)
 """Pixels between Gaussians of the background at the start."""
 STAGES = ("ingest", *PRIORS.names, "train", "evaluate", "render")
@@ -92,8 +92,8 @@ def enlarged(spec: SyntheticScene, side: int, path: Path) -> Path:
     """The built-in clip as a video, enlarged to a long side; rendered once."""
     if not path.exists():
         size = side, 2 * round(side * spec.height / spec.width / 2)
-        pictures = (spec.render(spec.camera(i), spec.timestamps[i]).picture for i in range(spec.frames))
-        write_mp4(path, (cv2.resize(picture, size, interpolation=cv2.INTER_CUBIC) for picture in pictures), spec.fps, crf=12)
+        images = (spec.render(spec.camera(i), spec.timestamps[i]).image for i in range(spec.frames))
+        write_mp4(path, (cv2.resize(image, size, interpolation=cv2.INTER_CUBIC) for image in images), spec.fps, crf=12)
     return path
 
 

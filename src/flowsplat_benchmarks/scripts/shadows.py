@@ -1,4 +1,4 @@
-"""The background alone of random worlds under a strong sun, against pictures of the same worlds without their objects.
+"""The background alone of random worlds under a strong sun, against images of the same worlds without their objects.
 
     python -m flowsplat_benchmarks.scripts.shadows OUT --seed 200 --worlds 10         # a strong sun
     python -m flowsplat_benchmarks.scripts.shadows OUT --seed 200 --worlds 10 --sky   # no sun, no shadows
@@ -73,13 +73,13 @@ def measure(scene: Scene, model: SceneModel, world: World) -> dict[str, tuple[fl
     empty = replace(world, objects=(), touching=None, noise=0.0)
     sums = {kind: np.zeros(3) for kind in KINDS}
     for i in frames[::EVERY]:
-        target, seen = to_float(empty.picture(i)), to_float(scene.frame(i))
+        target, seen = to_float(empty.image(i)), to_float(scene.frame(i))
         hidden = cv2.dilate(scene.mask(i), np.ones((5, 5), np.uint8)) > 0
         shadow = (cv2.blur((target - seen).mean(-1), (3, 3)) > DARKER) & ~hidden
         kinds = dict(zip(KINDS, (np.ones_like(hidden), shadow, hidden, ~hidden & ~shadow), strict=True))
-        pictures = [each.part("background").render(scene.cameras[i], float(scene.timestamps[i])).color for each in (model, lit)]
+        images = [each.part("background").render(scene.cameras[i], float(scene.timestamps[i])).color for each in (model, lit)]
         for kind, where in kinds.items():
-            sums[kind] += [*(((picture - target) ** 2).mean(-1)[where].sum() for picture in pictures), where.sum()]
+            sums[kind] += [*(((image - target) ** 2).mean(-1)[where].sum() for image in images), where.sum()]
     found = {}
     for kind, (before, now, count) in sums.items():
         if count > FEWEST:

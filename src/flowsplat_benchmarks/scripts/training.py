@@ -2,7 +2,7 @@
 
 ``python -m flowsplat_benchmarks.scripts.training OUT/scene`` trains as ``flowsplat train`` would and says, as Markdown: what steps
 cost and gain at different times of the training, which parts of one cost what, and what Gaussians at rest and those that move cost
-alone. Held-out pictures only tell what was gained. ``--set rates.means=2e-4`` changes a setting of training by its dotted name,
+alone. Held-out images only tell what was gained. ``--set rates.means=2e-4`` changes a setting of training by its dotted name,
 ``--json FILE`` keeps the figures.
 """
 
@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from flowsplat.evaluation.placement import view_camera
-from flowsplat.evaluation.scores import score_picture
+from flowsplat.evaluation.scores import score_image
 from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
 from flowsplat.gaussians.observations import load_observations
 from flowsplat.scenes import Scene
@@ -33,8 +33,8 @@ from flowsplat_benchmarks.scripts.cpu_parts.timing import significant, tell
 
 PROFILED = 12
 """Steps whose parts are measured each time."""
-PICTURES = 12
-"""Held-out pictures that say what was gained."""
+IMAGES = 12
+"""Held-out images that say what was gained."""
 
 
 def with_setting(config: Any, name: str, value: str) -> Any:
@@ -48,8 +48,8 @@ def with_setting(config: Any, name: str, value: str) -> Any:
     return replace(config, **{first: value if isinstance(before, str) else type(before)(json.loads(value))})
 
 
-class Pictures:
-    """Held-out pictures of a scene, to look at while it is trained."""
+class HeldoutImages:
+    """Held-out images of a scene, to look at while it is trained."""
 
     def __init__(self, scene: Scene, most: int):
         self._scene, self._tests = scene, []  # type: Scene, list[tuple[Any, float, np.ndarray, np.ndarray | None]]
@@ -64,11 +64,11 @@ class Pictures:
                 self._tests.append((scene.cameras[i], float(scene.timestamps[i]), scene.heldout_frame(i), mask))
 
     def psnr(self, gaussians: Gaussians4D, config: TrainConfig) -> dict[str, float]:
-        """dB of all of the picture, and inside the masks of what moves; means over the pictures."""
+        """dB of all of the image, and inside the masks of what moves; means over the images."""
         model = scene_model(self._scene, gaussians, config)
         found: dict[str, list[float]] = {"all": [], "moving": []}
         for camera, seconds, target, mask in self._tests:
-            scores = score_picture(model.render(camera, seconds).color, target / np.float32(255), {"moving": mask}, None)
+            scores = score_image(model.render(camera, seconds).color, target / np.float32(255), {"moving": mask}, None)
             found["all"].append(scores["psnr"])
             if scores["moving"] is not None:
                 found["moving"].append(scores["moving"]["psnr"])
@@ -78,8 +78,8 @@ class Pictures:
 class Clock:
     """Lets a trainer run in pieces, and measures the steps between them: processor seconds, which other programs disturb least."""
 
-    def __init__(self, trainer: Trainer, every: int, pictures: Pictures, profiled: int):
-        self._trainer, self._every, self._pictures, self._profiled = trainer, every, pictures, profiled
+    def __init__(self, trainer: Trainer, every: int, images: HeldoutImages, profiled: int):
+        self._trainer, self._every, self._images, self._profiled = trainer, every, images, profiled
         self._step, self._seconds, self._since = trainer._after_step, 0.0, 0.0
         self.entries: list[dict[str, Any]] = []
         self.parts: list[dict[str, float]] = []
@@ -105,7 +105,7 @@ class Clock:
         trainer._average.write(averaged)
         g = trainer.gaussians
         shown = Gaussians4D(averaged, g.dynamic, g.config, g.sh_degree, g.object_ids)
-        found = {"step": trainer.step, "seconds": self._seconds, **self._pictures.psnr(shown, trainer.config)}
+        found = {"step": trainer.step, "seconds": self._seconds, **self._images.psnr(shown, trainer.config)}
         self.entries.append(found)
         tell("  ".join(f"{name} {value:.2f}" for name, value in found.items()))
         self._since = time.process_time()
@@ -148,8 +148,8 @@ def main() -> None:
     """Train, and say where the time went."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("scene", type=Path)
-    parser.add_argument("--every", type=int, default=100, help="steps between two looks at held-out pictures")
-    parser.add_argument("--pictures", type=int, default=PICTURES, help="held-out pictures that are looked at")
+    parser.add_argument("--every", type=int, default=100, help="steps between two looks at held-out images")
+    parser.add_argument("--images", type=int, default=IMAGES, help="held-out images that are looked at")
     parser.add_argument("--set", nargs="*", default=[], metavar="NAME=VALUE", help="settings of training by their dotted names")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
@@ -163,7 +163,7 @@ def main() -> None:
     start = trainer._first()
     placing = time.process_time() - began
     trainer = Trainer(observations, tracks, config, start=start)
-    clock = Clock(trainer, options.every, Pictures(scene, options.pictures), PROFILED)
+    clock = Clock(trainer, options.every, HeldoutImages(scene, options.images), PROFILED)
     clock.attach()
     trainer.run()
     # What a step costs is that of a trained scene: from here on nothing counts for the result.

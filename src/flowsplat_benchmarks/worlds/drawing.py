@@ -30,14 +30,14 @@ ATTEMPTS = 4000
 """How often everything is placed anew at most."""
 
 IN_SIGHT, ENOUGH_PIXELS = 0.6, 0.0012
-"""Share of the frames in which an object's middle must be in the picture and enough of it be seen, and how much is enough: a
-share of the picture (69 of 57,600 pixels)."""
+"""Share of the frames in which an object's middle must be in the image and enough of it be seen, and how much is enough: a
+share of the image (69 of 57,600 pixels)."""
 
 LARGEST = 0.35
-"""Share of the picture that an object may fill."""
+"""Share of the image that an object may fill."""
 
 GROUND_SEEN, GROUND_UNSEEN = 0.08, 0.004
-"""Share of the picture that the ground fills at least where it is to be seen, and at most where not."""
+"""Share of the image that the ground fills at least where it is to be seen, and at most where not."""
 
 OTHER_STEPS = 0.1
 """Share of the ground in sight that a second step fills at least, where there are steps."""
@@ -110,7 +110,7 @@ def _place(rng: np.random.Generator, seed: int, plan: Plan, size: tuple[int, int
 
 
 def _is_in_sight(world: World, plan: Plan) -> bool:
-    """Whether objects and ground fill what they should of some small pictures."""
+    """Whether objects and ground fill what they should of some small images."""
     width = _CHECK_WIDTH
     height = round(width * world.height / world.width)
     grid = pixel_grid(width, height).astype(np.float64).reshape(-1, 2)

@@ -25,7 +25,7 @@ from flowsplat_benchmarks.worlds.dancers import dancer
 from flowsplat_benchmarks.worlds.plan import Plan
 
 APPARENT = (0.08, 0.7)
-"""Shares of the picture's height between which objects are drawn."""
+"""Shares of the image's height between which objects are drawn."""
 
 DANCING = (0.5, 0.9)
 """The same of dancers."""
@@ -43,12 +43,12 @@ class Scale:
     aspect: float
 
     def distance(self, rng: np.random.Generator, size: float, apparent: tuple[float, float] = APPARENT) -> float:
-        """Meters at which something ``size`` meters tall has a random size in the picture."""
+        """Meters at which something ``size`` meters tall has a random size in the image."""
         share = np.exp(rng.uniform(*np.log(apparent)))
         return float(np.clip(size * self.focal * self.aspect / share, NEAREST, FURTHEST))
 
     def wide(self, distance: float) -> float:
-        """Meters across the picture there."""
+        """Meters across the image there."""
         return distance / self.focal
 
 
@@ -57,7 +57,7 @@ def draw_objects(rng: np.random.Generator, plan: Plan, scale: Scale, ground: Gro
     if plan.pair == "touching":
         objects = _draw_touching(rng, plan.kinds[:2], scale, ground, duration)
     elif plan.pair == "crossing":
-        # Both are at the same place of the picture in the middle of the clip, one behind the other, and go opposite ways.
+        # Both are at the same place of the image in the middle of the clip, one behind the other, and go opposite ways.
         place, side = rng.uniform(-0.25, 0.25), rng.choice([0.0, np.pi])
         for kind, towards in zip(plan.kinds[:2], (side, side + np.pi), strict=True):
             objects.append(_draw_object(rng, kind, scale, ground, duration, place, towards + rng.uniform(-0.3, 0.3)))
@@ -67,18 +67,18 @@ def draw_objects(rng: np.random.Generator, plan: Plan, scale: Scale, ground: Gro
 
 
 def _draw_heading(rng: np.random.Generator) -> float:
-    """Mostly across the picture, now and then along the view."""
+    """Mostly across the image, now and then along the view."""
     across = rng.choice([0.0, np.pi])
     return float(across + rng.normal() * 0.4 if rng.random() < 0.65 else rng.uniform(0, 2 * np.pi))
 
 
 def _spot(scale: Scale, place: float, distance: float) -> np.ndarray:
-    """[2] at a distance, ``place`` widths of the picture beside its middle."""
+    """[2] at a distance, ``place`` widths of the image beside its middle."""
     return np.array([place * scale.wide(distance), distance])
 
 
 def _speed(rng: np.random.Generator, low: float, high: float, scale: Scale, distance: float, duration: float) -> float:
-    """Meters a second, so that at most 0.7 widths of the picture are crossed."""
+    """Meters a second, so that at most 0.7 widths of the image are crossed."""
     return float(min(rng.uniform(low, high), 0.7 * scale.wide(distance) / duration))
 
 
@@ -120,7 +120,7 @@ def _draw_object(
         return pendulum(rng, ground, _spot(scale, place, max(distance, 2.0)), rng.uniform(0, 2 * np.pi), radius, duration, rich)
     thrown = kind == "thrown"
     if thrown:
-        # It rises three meters and more: the picture has to be that high where it flies.
+        # It rises three meters and more: the image has to be that high where it flies.
         distance = max(distance, rng.uniform(3.2, 5.0) * scale.focal * scale.aspect)
     speed = _speed(rng, 0.3, 3.0, scale, distance, duration)
     return in_the_air(rng, ground, _spot(scale, place, distance), heading, radius, speed, duration, rich, not thrown)

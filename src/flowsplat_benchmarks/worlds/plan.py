@@ -29,7 +29,7 @@ class Plan:
         camera: how the camera moves.
         kinds: of the objects, in order.
         pair: ``crossing`` or ``touching`` where the first two objects are such a pair.
-        raised: where no ground is in sight: whether it lies above the eye, or below the picture.
+        raised: where no ground is in sight: whether it lies above the eye, or below the image.
     """
 
     ground: GroundKind

@@ -38,7 +38,7 @@ def draw_stand(rng: np.random.Generator, plan: Plan, scale: Scale, ground: Groun
     else:
         place[2] = float(ground.height(place[:2])) + scale.eye
     if plan.ground == "none" and not plan.raised:
-        # The lowest ray of the picture meets the wall behind before it meets the ground.
+        # The lowest ray of the image meets the wall behind before it meets the ground.
         below = np.arctan2(place[2], 1.25 * furthest + 1.5) - np.radians(1.5)
         half = np.arctan(0.5 / (scale.focal * scale.aspect))
         far = float(np.linalg.norm((target - place)[:2]))

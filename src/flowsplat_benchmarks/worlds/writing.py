@@ -40,7 +40,7 @@ def write_world(folder: Path, world: World, holdout: int | None = None) -> Scene
     )
     truth = scene.create_truth()
     for i in track(range(world.frames), f"Rendering world {world.seed}"):
-        scene.write_frame(i, world.picture(i))
+        scene.write_frame(i, world.image(i))
         depth, mask = world.geometry(i)
         truth.write_depth(i, Depth(depth, depth * 0 + 1))
         truth.write_mask(i, mask)

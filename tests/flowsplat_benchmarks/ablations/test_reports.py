@@ -6,7 +6,7 @@ import xml.etree.ElementTree as ElementTree
 
 import pytest
 
-from flowsplat.pictures.html import NOTHING
+from flowsplat.images.html import NOTHING
 from flowsplat_benchmarks.ablations import caps, report
 from flowsplat_benchmarks.ablations.claims import CLAIMS
 from flowsplat_benchmarks.tables import made_by
@@ -110,12 +110,12 @@ def test_one_run_tells_nothing(tmp_path):
     assert "| one run |" in row
 
 
-def test_many_scenes_are_not_all_in_the_picture(tmp_path):
+def test_many_scenes_are_not_all_in_the_image(tmp_path):
     found = [result("x", 30.0, scene, cap=cap) for scene in "abcdefg" for cap in (50_000, 200_000)]
     caps.write_report(tmp_path, found, {})
     assert (tmp_path / "caps_cap.svg").read_text().count('<path class="line"') == 5
     text = (tmp_path / "caps.md").read_text()
-    assert "The picture shows 5 of 7 scenes." in text
+    assert "The image shows 5 of 7 scenes." in text
     assert "| g, tuned | 50,000 |" in text
 
 

@@ -25,7 +25,7 @@ def write_heldout(folder: Path, spec: SyntheticScene) -> None:
     for view in spec.heldout_views():
         name, time = view.name.rsplit("_", 1)
         rendered = spec.render(view.camera, spec.timestamps[view.frame])
-        write_image(folder / "heldout" / name / f"{time}.png", rendered.picture)
+        write_image(folder / "heldout" / name / f"{time}.png", rendered.image)
         write_image(folder / "heldout" / f"{name}_masks" / f"{time}.png", (rendered.mask > 0).astype(np.uint8) * 255)
         entry = cameras.setdefault(name, {"times": [], "w2c": []})
         entry["times"].append(view.frame)
@@ -66,7 +66,7 @@ def result(scene: str, protocol: str = "davis", **changes) -> dict:
         "baselines": {"copy": figures(20.5), "flow_interpolation": figures(30.75), "static": figures(25.0)},
         "training_frames": figures(33.0), "flow_epe": None, "flow_prior_epe": {"mean": 1.0, "median": 0.5, "moving": None},
         "depth_abs_rel": None, "lpips_reason": "LPIPS needs its weights.", "tracks": None,
-        "gaussians": {"total": 196_000, "active_mean": 91_000.0}, "pictures_a_second": 7.5,
+        "gaussians": {"total": 196_000, "active_mean": 91_000.0}, "images_a_second": 7.5,
         "seconds": {"flow": 3.0, "train": 3600.0, "static": 900.0, "evaluate": 5.0}, "peak_memory_gib": 2.5,
         "verdicts": {"cameras": "good", "depth": "", "masks": "given"},
     }  # fmt: skip

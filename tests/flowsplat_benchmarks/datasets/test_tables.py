@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from flowsplat.pictures.html import NOTHING
+from flowsplat.images.html import NOTHING
 from flowsplat_benchmarks.datasets.tables import published, tables
 from tests.flowsplat_benchmarks.datasets.conftest import figures, result
 
@@ -56,13 +56,13 @@ def test_davis_beside_the_paper():
 
 def test_refined_poses_have_columns_of_their_own():
     refined = result("bear", refined=figures(33.3))
-    (pictures,) = [table for table in tables("davis", [refined, result("lucia")]) if table.title == "All test pictures"]
-    rows = {(row[0], row[2]): dict(zip(pictures.header, row, strict=True)) for row in pictures.rows}
+    (images,) = [table for table in tables("davis", [refined, result("lucia")]) if table.title == "All test images"]
+    rows = {(row[0], row[2]): dict(zip(images.header, row, strict=True)) for row in images.rows}
     ours = rows["bear, *tuned*", "flowsplat, given masks, default"]
     assert (ours["PSNR"], ours["PSNR, poses refined"], ours["PSNR of objects, poses refined"]) == ("31.23", "33.30", "30.30")
     assert rows["bear, *tuned*", "flow interpolation (DIS)"]["PSNR, poses refined"] == NOTHING
     assert rows["lucia", "flowsplat, given masks, default"]["PSNR, poses refined"] == NOTHING
-    assert "fitted to its own picture" in pictures.note
+    assert "fitted to its own image" in images.note
     strict = tables("davis", [refined])[0]
     assert rows_of(strict)["flowsplat, given masks, default"]["bear, *tuned*"] == "31.23", "the headline is strict"
     assert "refined" not in str(tables("davis", [result("bear")]))
@@ -87,7 +87,7 @@ def test_nvidia_in_its_forms():
     assert (ours["PSNR"], ours["LPIPS"], ours["training, hours"]) == ("23.00", NOTHING, "1.00")
     assert (ours["Gaussians active, thousand"], ours["Gaussians, thousand"]) == ("91", "196")
     assert rows["HyperNeRF"]["training, hours"] == ">20"
-    assert rows["Flow Splatting (the paper)"]["pictures a second"] == "330.6"
+    assert rows["Flow Splatting (the paper)"]["images a second"] == "330.6"
     assert "Skating, Truck" in found[0].note
     twelve = rows_of(found[1])
     assert twelve["SplineGS"]["jumping"] == "25.50"
@@ -103,7 +103,7 @@ def test_errors_against_the_truth():
         tracks={"all": region, "moving": region, "static": None},
     )  # fmt: skip
     found = {table.title: table for table in tables("rig", [rig, result("garden", "rig")])}
-    assert list(found) == ["All test pictures", "Flow, depth and tracks", "Time, memory and size"]
+    assert list(found) == ["All test images", "Flow, depth and tracks", "Time, memory and size"]
     rows = rows_of(found["Flow, depth and tracks"])
     workshop = rows["workshop, *tuned*"]
     assert workshop["flow of objects, mean px"] == "1.500"

@@ -78,7 +78,7 @@ def test_tables(runs_root, tmp_path, measured):
     assert "| *constant*: each object's depth times one number, so that its median over the clip is right | 22.50 / 17.00 |" in text
     assert "| *relief*: true depth inside our masks | 25.00 / 23.00 | +2.50 / +6.00 |" in text
     assert "| tiny | 2 | 1, 3 | 12 | 12,345 | +0.400 | – | 0.020 |" in text
-    assert "Trained with default, iterations 7, seed 3. Pictures by held-out cameras: tiny 6." in text
+    assert "Trained with default, iterations 7, seed 3. Images by held-out cameras: tiny 6." in text
     assert "-0.006 (tiny)" in text
     assert "| tiny | own | share of the error, % | 10.0 | 10.0 |" in text
     assert "| tiny | own | 90th percentile, % | 4.56 | 4.56 |" in text

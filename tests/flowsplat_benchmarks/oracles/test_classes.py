@@ -26,7 +26,7 @@ def kinds_of(depth: np.ndarray, **given: np.ndarray) -> np.ndarray:
 
 def test_slopes_have_no_edges_and_steps_have_two_sides():
     slope = 1 / np.linspace(0.05, 1.0, SIZE[0])[:, None] * np.ones(SIZE)
-    assert (kinds_of(slope) == "rest").all(), "inverse depth of a floor is linear in the picture"
+    assert (kinds_of(slope) == "rest").all(), "inverse depth of a floor is linear in the image"
     step = np.full(SIZE, 4.0)
     step[:, 60:] = 2.0
     found = kinds_of(step)

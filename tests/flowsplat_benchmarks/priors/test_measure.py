@@ -133,7 +133,7 @@ def test_truth_that_lies_beside_the_scene(data_root, tmp_path):
     assert scene.prior("masks") is None
     assert 0 < true_mask(clip, scene, 3).sum() < 96 * 64
     other = Scene.create(tmp_path / "o", name="o", source="", width=60, height=40, timestamps=[0, 1], holdout=None, source_fps=1)
-    with pytest.raises(InputError, match="8 masks, 8 pictures, 2 of them prepared"):
+    with pytest.raises(InputError, match="8 masks, 8 images, 2 of them prepared"):
         true_mask(clip, other, 0)
     with pytest.raises(InputError, match="flow of 60x40 pixels"):
         read_true_flow(pair, other)

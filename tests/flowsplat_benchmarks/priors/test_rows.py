@@ -17,7 +17,7 @@ def test_targets_stand_beside_figures():
     cells = {(row.figure, row.scene): row.cells[3:] for row in rows}
     assert cells["end-point error, mean over all pixels with true flow", "a, *tuned*"] == ("0.35 px", "≤ 0.35 px", "met")
     assert cells["pixels with a true match that the confidence keeps", "a, *tuned*"] == ("84.9 %", "≥ 85 %", "not met")
-    assert cells["end-point error, mean over pixels visible in both pictures", "a, *tuned*"] == ("0.20 px", "", "")
+    assert cells["end-point error, mean over pixels visible in both images", "a, *tuned*"] == ("0.20 px", "", "")
     assert cells["time of all stages", "bear"] == ("151 s", "≤ 150 s", "not met")
     assert cells["time of all stages", "b"] == ("151 s", "", "")
 

@@ -101,12 +101,12 @@ def test_torch_tiles_compute_what_the_oracle_computes(differentiate, channels):
     assert set(seconds) == {"forward", "backward"}
 
 
-def test_a_wrong_picture_is_refused(monkeypatch):
-    picture = rasterizer.Picture(work_load(100, *SIZE), 3, 1)
-    assert set(picture.torch_job(careful=True)) == set(picture.torch_job(careful=False)) == {"forward", "backward"}
+def test_a_wrong_image_is_refused(monkeypatch):
+    image = rasterizer.RenderCase(work_load(100, *SIZE), 3, 1)
+    assert set(image.torch_job(careful=True)) == set(image.torch_job(careful=False)) == {"forward", "backward"}
     monkeypatch.setattr(torch_tiles, "ALPHA_MIN", 0.1)
     with pytest.raises(RuntimeError, match="differs"):
-        picture.torch_job(careful=True)
+        image.torch_job(careful=True)
 
 
 # -- measuring
@@ -174,7 +174,7 @@ def test_half_of_the_scene_is_active_in_every_frame():
 
 @pytest.fixture(scope="module")
 def result():
-    """Everything that runs in this process, on tiny pictures."""
+    """Everything that runs in this process, on tiny images."""
     limits = Limits()
     return {
         "format": 1, "date": "2000-01-01", "quick": True, "machine": describe(), "commit": None, "changed": None,
@@ -225,7 +225,7 @@ def test_a_comparison_gives_ratios(result):
     assert [line.split(" | ")[-1] for line in lines] == ["0.50 |"]
 
 
-def test_a_large_picture_runs_in_a_process_of_its_own():
+def test_a_large_image_runs_in_a_process_of_its_own():
     measured = large.measure(1, 1, 2000, 320, 200)
     memory = measured["memory_mib"]
     assert 0 < memory["before"] <= memory["forward"] <= memory["forward_and_backward"]
@@ -233,13 +233,13 @@ def test_a_large_picture_runs_in_a_process_of_its_own():
 
 
 def test_what_fresh_processes_do(monkeypatch):
-    """One picture that shows something, and one training step with every loss; and the benchmark's own kernels stay away."""
-    pictures, trained, losses = [], [], {}
+    """One image that shows something, and one training step with every loss; and the benchmark's own kernels stay away."""
+    images, trained, losses = [], [], {}
     render, run = first.SceneModel.render, Trainer.run
 
     def rendered(*arguments):
-        pictures.append(render(*arguments))
-        return pictures[-1]
+        images.append(render(*arguments))
+        return images[-1]
 
     def train(self):
         start = {name: value.clone() for name, value in self._start.params.items()}
@@ -251,17 +251,17 @@ def test_what_fresh_processes_do(monkeypatch):
 
     monkeypatch.setattr(first.SceneModel, "render", rendered)
     monkeypatch.setattr(Trainer, "run", train)
-    for name in ("picture_loss", "rigid_loss", "coverage_loss"):
+    for name in ("photometric_loss", "rigid_loss", "coverage_loss"):
         counted(name)
-    exec(startup.ACTIONS["import flowsplat, one picture"])
-    assert [picture.color.shape for picture in pictures] == [(480, 854, 3)]
-    assert (pictures[0].alpha > 0.5).mean() > 0.05
+    exec(startup.ACTIONS["import flowsplat, one image"])
+    assert [image.color.shape for image in images] == [(480, 854, 3)]
+    assert (images[0].alpha > 0.5).mean() > 0.05
     assert not trained
     exec(startup.ACTIONS["import flowsplat, one training step"])
     ((done, before, after),) = trained
     assert done.step == 1
-    assert set(losses) == {"picture_loss", "rigid_loss", "coverage_loss"}
-    *_, flow_channels, targets, weights = losses["picture_loss"]
+    assert set(losses) == {"photometric_loss", "rigid_loss", "coverage_loss"}
+    *_, flow_channels, targets, weights = losses["photometric_loss"]
     assert flow_channels > 0
     assert targets.flow is not None
     assert targets.depth is not None

@@ -24,7 +24,7 @@ def test_the_clips_are_what_they_are_called():
     assert sizes("portrait")[1] < sizes("portrait")[2]
     still = edges.EDGES["static camera"].clip
     np.testing.assert_array_equal(still.camera(0).viewmat, still.camera(40).viewmat)
-    wide = edges.EDGES["12 wide pictures"].clip
+    wide = edges.EDGES["12 wide images"].clip
     steps = [np.linalg.norm(wide.camera(i + 1).center - wide.camera(i).center) for i in range(11)]
     assert wide.frames == 12
     assert min(steps) > 0.05, "meters, where the scene is five away"

@@ -61,13 +61,13 @@ def test_its_parts_measure_what_they_say(monkeypatch):
         monkeypatch.setattr(frames, "milliseconds", lambda job, repeat: (job(), {"min_ms": 1.0, "median_ms": 1.5})[1])
     model = frames.gaussians(300, 40, 24)
     for channels in frames.WAYS:
-        picture = frames.Frames(model, 40, 24, channels)
-        row = picture.measure({"copy_bytes_per_second": 1e12, "flops_per_second": 1e13}, 1)
-        assert picture.features.shape[1] in (channels, channels + 1)
+        image = frames.Frames(model, 40, 24, channels)
+        row = image.measure({"copy_bytes_per_second": 1e12, "flops_per_second": 1e13}, 1)
+        assert image.features.shape[1] in (channels, channels + 1)
         assert row["pairs"] > 1000
         assert 0 < row["active"] < row["total"] == len(model)
         assert set(row["stages"]) == {"cull", "slice", "project", "features", "blend"}
-        peer = picture.compare_with_gsplat(1)
+        peer = image.compare_with_gsplat(1)
         assert isinstance(peer, str) or peer["ratio"]["forward"] > 0
     monkeypatch.setattr(frames, "TOTAL", 300)
     assert frames.growth((300,), 1)["300"]["active"] > 0

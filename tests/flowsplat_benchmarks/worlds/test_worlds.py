@@ -49,10 +49,10 @@ def lowest(obj: WorldObject, part: int, time: float) -> np.ndarray:
 def test_a_seed_is_a_world():
     a, b, other = draw_world(3, 96, 54, 12), draw_world(3, 96, 54, 12), draw_world(4, 96, 54, 12)
     for i in (0, 11):
-        np.testing.assert_array_equal(a.picture(i), b.picture(i))
+        np.testing.assert_array_equal(a.image(i), b.image(i))
         np.testing.assert_array_equal(a.geometry(i)[0], b.geometry(i)[0])
     np.testing.assert_array_equal(a.tracks().points, b.tracks().points)
-    assert (a.picture(0) != other.picture(0)).mean() > 0.5
+    assert (a.image(0) != other.image(0)).mean() > 0.5
 
 
 def test_kinds_grounds_and_cameras_are_mixed():
@@ -77,7 +77,7 @@ def test_dancers_are_fast_and_stand_on_the_ground():
     for i in (3, 9, 15):
         inside = world.geometry(i)[1] > 0
         speeds.append(np.linalg.norm(world.flow(i, i + 1).flow[inside], axis=1))
-    assert np.percentile(np.concatenate(speeds), 95) > 4  # pixels of a picture that is 160 wide
+    assert np.percentile(np.concatenate(speeds), 95) > 4  # pixels of an image that is 160 wide
     times = np.linspace(0, world.duration, 60)
     for obj in world.objects:
         soles, touching = obj.touching(times)
@@ -214,7 +214,7 @@ def test_a_world_becomes_a_scene(tmp_path):
     scene = write_world(tmp_path / "scene", world)
     assert scene.heldout_frames == []
     assert len(scene.truth.flow_pairs) == 22
-    np.testing.assert_array_equal(scene.frame(3), world.picture(3))
+    np.testing.assert_array_equal(scene.frame(3), world.image(3))
     np.testing.assert_array_equal(scene.truth.mask(3), world.geometry(3)[1])
     known = read_objects(scene.truth)
     assert [obj["kind"] for obj in known["objects"]] == ["bouncing", "pendulum"]

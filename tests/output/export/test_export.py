@@ -247,14 +247,14 @@ def test_cameras_come_back_from_colmap_and_nerfstudio(tmp_path, run):
             np.testing.assert_allclose(camera.viewmat, other.viewmat, atol=1e-9)
             np.testing.assert_allclose(camera.K, other.K)
     frames = json.loads((folder / "transforms.json").read_text())["frames"]
-    pictures = [(folder / frame["file_path"]).resolve() for frame in frames]
-    assert pictures[2] == (run / "scene" / "frames" / "00002.png").resolve()
-    assert pictures[3] == (run / "scene" / "heldout" / "frames" / "00003.png").resolve()
+    images = [(folder / frame["file_path"]).resolve() for frame in frames]
+    assert images[2] == (run / "scene" / "frames" / "00002.png").resolve()
+    assert images[3] == (run / "scene" / "heldout" / "frames" / "00003.png").resolve()
     points = np.loadtxt(tmp_path / "colmap" / "points3D.txt")
     np.testing.assert_allclose(points[0, 1:4], still_at(model, FIRST).means[0], atol=1e-4)
 
 
-def test_weights_are_what_gaussians_add_to_the_pictures():
+def test_weights_are_what_gaussians_add_to_the_images():
     model = small_model(resting=30, moving=10)
     camera, seconds = five_pairs(model)[0]
     camera, t = model.similarity.camera(camera), model.clip_time(seconds)

@@ -38,7 +38,7 @@ class Page:
         self.settle()
 
     def settle(self) -> None:
-        """Wait until the last picture that was asked for is there."""
+        """Wait until the last image that was asked for is there."""
         self.page.wait_for_timeout(100)
         self.page.evaluate("() => new Promise((done) => requestAnimationFrame(() => setTimeout(done, 150)))")
 

@@ -1,4 +1,4 @@
-"""The player in a real browser, from disk and without network: pictures, controls, and what it says where it cannot work."""
+"""The player in a real browser, from disk and without network: images, controls, and what it says where it cannot work."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ WebGL2RenderingContext.prototype.getExtension = function (name) {
 """
 
 
-def picture_of(page, camera, seconds: float) -> np.ndarray:
+def image_of(page, camera, seconds: float) -> np.ndarray:
     """[H, W, 3] what the page draws."""
     asked = {
         "viewmat": camera.viewmat.tolist(), "K": camera.K.tolist(), "width": camera.width, "height": camera.height, "time": seconds,
@@ -74,18 +74,18 @@ def test_it_loads_without_network_and_without_complaints(open_page, player_file)
     ],
     ids=["ours", "filled", "half filled", "paper", "linear", "nothing moves", "one moves", "all move", "trained on coarse pixels"],
 )  # fmt: skip
-def test_pictures_are_those_of_our_own_renderer(open_page, tmp_path, config, options):
+def test_images_are_those_of_our_own_renderer(open_page, tmp_path, config, options):
     model = small_model(config, **options)
     page = open_page(small_player(tmp_path / "player.html", model))
     for camera, seconds in five_pairs(model):
-        assert psnr(picture_of(page, camera, seconds), model.render(camera, seconds).color) > 37
+        assert psnr(image_of(page, camera, seconds), model.render(camera, seconds).color) > 37
     large = five_pairs(model)[3][0].resized(2 * WIDTH + 1, 2 * HEIGHT - 1)
-    assert psnr(picture_of(page, large, 1.3), model.render(large, 1.3).color) > 37
+    assert psnr(image_of(page, large, 1.3), model.render(large, 1.3).color) > 37
     assert page.complaints == []
 
 
 def test_guesses_fade_as_in_our_own_renderer(open_page, tmp_path):
-    """Along the clip's path nothing does; from aside it is our own picture without guesses, as far as 8 bits tell reaches."""
+    """Along the clip's path nothing does; from aside it is our own image without guesses, as far as 8 bits tell reaches."""
     model = small_model(fill=True)
     known = with_seen(model, small_cameras(model), small_times())
     known.gaussians.seen[~known.gaussians.dynamic, 1] *= 0.1
@@ -95,10 +95,10 @@ def test_guesses_fade_as_in_our_own_renderer(open_page, tmp_path):
     own, seconds = small_cameras(model)[4], small_times()[4]
     away = replace(own, viewmat=own.viewmat + np.array([[0, 0, 0, 0.5], *np.zeros((3, 4))]))
     for camera in (own, away):
-        assert psnr(picture_of(page, camera, seconds), fading.render(camera, seconds).color) > 34
-    assert psnr(picture_of(page, away, seconds), known.render(away, seconds).color) < 25
+        assert psnr(image_of(page, camera, seconds), fading.render(camera, seconds).color) > 34
+    assert psnr(image_of(page, away, seconds), known.render(away, seconds).color) < 25
     page.page.locator("#fading").uncheck()
-    assert psnr(picture_of(page, away, seconds), known.render(away, seconds).color) > 34
+    assert psnr(image_of(page, away, seconds), known.render(away, seconds).color) > 34
     assert page.complaints == []
 
 
@@ -115,14 +115,14 @@ def test_a_portrait_clip_fits_the_page(open_page, tmp_path):
     stage = page.page.locator("#stage").bounding_box()
     assert box["width"] / box["height"] == pytest.approx(HEIGHT / WIDTH, abs=0.01)
     assert box["height"] == pytest.approx(stage["height"], abs=2)
-    assert psnr(picture_of(page, cameras[4], 1.5), model.render(cameras[4], 1.5).color) > 37
+    assert psnr(image_of(page, cameras[4], 1.5), model.render(cameras[4], 1.5).color) > 37
 
 
-def test_pictures_without_float_targets_and_without_workers(open_page, player_file):
+def test_images_without_float_targets_and_without_workers(open_page, player_file):
     model = small_model()
     page = open_page(player_file, NO_FLOATS + "window.Worker = class { constructor() { throw new Error('none'); } };")
     for camera, seconds in five_pairs(model):
-        assert psnr(picture_of(page, camera, seconds), model.render(camera, seconds).color) > 30
+        assert psnr(image_of(page, camera, seconds), model.render(camera, seconds).color) > 30
     assert page.complaints == []
 
 
@@ -131,7 +131,7 @@ def test_a_worker_that_does_not_start_is_not_waited_for(open_page, player_file):
     page = open_page(player_file, silent)
     model = small_model()
     camera, seconds = five_pairs(model)[0]
-    assert psnr(picture_of(page, camera, seconds), model.render(camera, seconds).color) > 30
+    assert psnr(image_of(page, camera, seconds), model.render(camera, seconds).color) > 30
     assert page.complaints == []
 
 
@@ -146,7 +146,7 @@ def test_keys_reach_the_player_out_of_a_list(open_page, player_file):
         assert page.page.locator("#speed").input_value() == speed
 
 
-def test_the_slider_changes_the_picture(open_page, player_file):
+def test_the_slider_changes_the_image(open_page, player_file):
     page = open_page(player_file)
     page.pause()
     page.page.locator("#time").fill("0.1")
@@ -253,7 +253,7 @@ def test_parts_are_those_of_our_own_renderer(open_page, tmp_path, part):
     page = open_page(small_player(tmp_path / "player.html", model))
     page.page.locator("#part").select_option(part)
     for camera, seconds in five_pairs(model)[1:4]:
-        assert psnr(picture_of(page, camera, seconds), model.part(part).render(camera, seconds).color) > 37
+        assert psnr(image_of(page, camera, seconds), model.part(part).render(camera, seconds).color) > 37
     assert page.complaints == []
 
 
@@ -268,7 +268,7 @@ def test_objects_farther_away_and_nearer_are_those_of_our_own_renderer(open_page
         page.page.evaluate("([number, factor]) => flowsplat.state.setDistance(number, factor)", [number, factor])
     moved = model.at_distances(factors, small_times(), small_cameras(model))
     for camera, seconds in five_pairs(model):
-        found = picture_of(page, camera, seconds)
+        found = image_of(page, camera, seconds)
         assert psnr(found, moved.render(camera, seconds).color) > (30 if init else 37)
         assert psnr(found, model.render(camera, seconds).color) < 28
     assert page.complaints == []
@@ -279,13 +279,13 @@ def test_one_object_alone_looks_the_same_to_the_clips_camera_however_far_it_is(o
     model = small_model()
     page.page.locator("#part").select_option("objects:2")
     clip, aside = five_pairs(model)[1], five_pairs(model)[3]
-    before = [picture_of(page, *pair) for pair in (clip, aside)]
+    before = [image_of(page, *pair) for pair in (clip, aside)]
     assert psnr(before[0], model.part("objects:2").render(*clip).color) > 37
     page.page.evaluate("flowsplat.state.setDistance(1, 2.0); flowsplat.state.setDistance(9, 2.0)")
-    assert psnr(picture_of(page, *aside), before[1]) > 60, "the other one, and one that is not there"
+    assert psnr(image_of(page, *aside), before[1]) > 60, "the other one, and one that is not there"
     page.page.evaluate("flowsplat.state.setDistance(2, 1.8)")
-    assert psnr(picture_of(page, *clip), before[0]) > 45
-    assert psnr(picture_of(page, *aside), before[1]) < 25
+    assert psnr(image_of(page, *clip), before[0]) > 45
+    assert psnr(image_of(page, *aside), before[1]) < 25
     assert page.complaints == []
 
 
@@ -324,7 +324,7 @@ def test_parts_are_not_offered_where_there_is_only_one(open_page, tmp_path):
 
 
 def test_two_eyes_see_the_scene_from_their_own_places(open_page, player_file):
-    """The page's picture at rest against pictures of two cameras of ours."""
+    """The page's image at rest against images of two cameras of ours."""
     page = open_page(player_file)
     page.pause()
     page.page.locator("#time").fill("0.5")

@@ -74,7 +74,8 @@ def test_one_object_alone(run, tmp_path):
     ("part", "message"),
     [
         ("objects:1", "no object 1: there are 2"), ("objects:2,9", "no object 9: there are 2"), ("objects:300", "no object 300"),
-        ("objects:", "Unknown part 'objects:'"), ("objects:x", "objects:1,3"), ("objects:-1", "Unknown part"), ("car:1", "Unknown part"),
+        ("objects:", "Unknown part 'objects:'"), ("objects:x", "objects:1,3"), ("objects:-1", "Unknown part"), ("car:1",
+        "Unknown part"),
         ("objects:1,,2", "Unknown part"), ("objects:²", "Unknown part"),
     ],
 )  # fmt: skip
@@ -85,7 +86,7 @@ def test_objects_that_are_not_there_are_named(run, tmp_path, part, message):
 
 
 def test_objects_farther_away(run, tmp_path):
-    """Along the clip's own path the same pictures, from an orbit others; each lies beside what was rendered before."""
+    """Along the clip's own path the same images, from an orbit others; each lies beside what was rendered before."""
     model, scene = run
     options = RenderOptions(paths=("input", "orbit"), max_frames=8)
     render_videos(model, scene, tmp_path, options)

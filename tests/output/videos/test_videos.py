@@ -203,7 +203,7 @@ def test_the_sound_of_the_clip_is_kept(scene, tmp_path):
 def test_a_scene_names_no_sound_outside_its_folder(scene, tmp_path, audio, monkeypatch):
     """And nothing of the network."""
     opened = []
-    monkeypatch.setattr("flowsplat.pictures.video.open_media", lambda path: opened.append(path))
+    monkeypatch.setattr("flowsplat.images.video.open_media", lambda path: opened.append(path))
     (tmp_path / "tone.wav").write_bytes(b"")
     scene = edited(scene, audio=audio, audio_start=0.0)
     assert scene.sound is None

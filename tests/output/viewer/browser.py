@@ -43,7 +43,7 @@ class Browser:
             f"ws://127.0.0.1:{port}", origin=Origin(f"http://127.0.0.1:{port}"), max_size=None, compression=None,
             subprotocols=[Subprotocol(f"viser-v{viser.__version__}")],
         )  # fmt: skip
-        self.pictures: list[np.ndarray] = []
+        self.images: list[np.ndarray] = []
         self.depths: list[bytes | None] = []
         self.controls: dict[str, dict[str, Any]] = {}
         self.downloads: dict[str, bytes] = {}
@@ -129,14 +129,14 @@ class Browser:
         raise AssertionError("waited in vain")
 
     def settled(self, quiet: float = 0.8) -> np.ndarray:
-        """The last picture, once no new one has come for a while."""
-        self.wait(lambda: self.pictures)
-        count, since = len(self.pictures), time.monotonic()
+        """The last image, once no new one has come for a while."""
+        self.wait(lambda: self.images)
+        count, since = len(self.images), time.monotonic()
         while time.monotonic() - since < quiet:
             time.sleep(0.05)
-            if len(self.pictures) != count:
-                count, since = len(self.pictures), time.monotonic()
-        return self.pictures[-1]
+            if len(self.images) != count:
+                count, since = len(self.images), time.monotonic()
+        return self.images[-1]
 
     # -- the protocol
 
@@ -159,7 +159,7 @@ class Browser:
         if kind == "BackgroundImageMessage" and message["rgb_data"] is not None:
             image = cv2.imdecode(np.frombuffer(message["rgb_data"], np.uint8), cv2.IMREAD_COLOR)
             self.depths.append(message["depth_data"])
-            self.pictures.append(image[..., ::-1])
+            self.images.append(image[..., ::-1])
         elif kind == "GuiUpdateMessage":
             for control in self.controls.values():
                 if control["uuid"] == message["uuid"]:

@@ -27,7 +27,7 @@ def test_a_camera_comes_back():
 
 
 def test_the_browser_sees_what_the_camera_sees():
-    """A point straight up in the picture is up for the browser's axes, and the median depth is SCENE_DEPTH."""
+    """A point straight up in the image is up for the browser's axes, and the median depth is SCENE_DEPTH."""
     browser, camera = BrowserFrame(SIMILARITY), some_camera()
     pose = browser.pose(camera)
     point = camera.unproject(np.array([40.0, 10.0]), np.array(5.0))  # 5 = 1 / 0.2: the median depth

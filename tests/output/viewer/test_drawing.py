@@ -1,4 +1,4 @@
-"""Pictures of what a client wants to see."""
+"""Images of what a client wants to see."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_bars_lie_where_the_clip_does_not(source):
     assert (drawing.image[:, :36] == BAR).all()
     assert (drawing.depth[:, :36] > 100).all()
     assert (drawing.image[:, 36:164] != BAR).any((0, 2)).all()
-    # The browser's camera fits to it: its focal length is that of the fitted picture.
+    # The browser's camera fits to it: its focal length is that of the fitted image.
     assert 48 / np.tan(drawing.pose.fov / 2) == pytest.approx(128)
 
 
@@ -55,7 +55,7 @@ def test_a_free_camera_fills_the_canvas(source):
     assert drawing.pose is pose
     assert (drawing.image[:, :36] != BAR).any()
     middle = drawing.image[:, 36:164].astype(int)
-    assert np.abs(middle - seen(source, (128, 96)).image).mean() < 3, "the same picture with more at its sides"
+    assert np.abs(middle - seen(source, (128, 96)).image).mean() < 3, "the same image with more at its sides"
 
 
 def test_flow_of_the_input_camera_has_the_camera_in_it(source):

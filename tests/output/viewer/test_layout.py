@@ -1,4 +1,4 @@
-"""Pictures on canvases."""
+"""Images on canvases."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from flowsplat.output.viewer.layout import BAR, Box, empty, fitted, halves, plac
 @pytest.mark.parametrize(
     ("size", "box"), [((64, 32), Box(0, 25, 100, 50)), ((20, 40), Box(25, 0, 50, 100)), ((7, 7), Box(0, 0, 100, 100))]
 )
-def test_pictures_are_fitted_into_the_middle(size, box):
+def test_images_are_fitted_into_the_middle(size, box):
     assert fitted(size, Box(0, 0, 100, 100)) == box
 
 
@@ -21,7 +21,7 @@ def test_halves_fill_the_canvas():
     assert left.height == right.height == 50
 
 
-def test_a_picture_is_placed_and_the_rest_stays():
+def test_an_image_is_placed_and_the_rest_stays():
     canvas = empty((10, 6))
     place(canvas, np.full((4, 4, 3), 200, np.uint8), Box(2, 1, 3, 2))
     assert (canvas[1:3, 2:5] == 200).all()

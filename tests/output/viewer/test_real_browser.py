@@ -44,7 +44,7 @@ def wait(page: Any, what: Callable[[], bool]) -> None:
 
 
 def place_at_rest(page: Any) -> float:
-    """Where the object is once it is seen and stays: the first pictures are drawn before the browser knows its camera."""
+    """Where the object is once it is seen and stays: the first images are drawn before the browser knows its camera."""
     last = [float("nan")] * 12  # under load a browser may be without its camera for long
 
     def rests() -> bool:

@@ -1,18 +1,18 @@
-"""How large pictures are."""
+"""How large images are."""
 
 from __future__ import annotations
 
 from flowsplat.output.viewer.resolution import AdaptiveResolution
 
 
-def test_still_pictures_are_as_large_as_the_canvas_up_to_a_limit():
+def test_still_images_are_as_large_as_the_canvas_up_to_a_limit():
     resolution = AdaptiveResolution(800)
     assert resolution.still((640, 480)) == (640, 480)
     assert resolution.still((1600, 400)) == (800, 200)
     assert resolution.still((300, 1600)) == (150, 800)
 
 
-def test_moving_pictures_become_as_large_as_stays_fluent():
+def test_moving_images_become_as_large_as_stays_fluent():
     resolution, canvas = AdaptiveResolution(1600), (1600, 900)
     for _ in range(30):
         size = resolution.moving(canvas)
@@ -25,7 +25,7 @@ def test_moving_pictures_become_as_large_as_stays_fluent():
     assert size == canvas, "a fast one shows everything"
 
 
-def test_one_slow_picture_does_not_spoil_the_next():
+def test_one_slow_image_does_not_spoil_the_next():
     resolution, canvas = AdaptiveResolution(1600), (1600, 900)
     before = resolution.moving(canvas)
     resolution.learn(before, 30.0)

@@ -52,7 +52,7 @@ def place(image: np.ndarray) -> float:
     return float(np.argwhere(red(image))[:, 1].mean() / image.shape[1])
 
 
-def test_it_serves_a_page_and_a_picture(port, browser):
+def test_it_serves_a_page_and_an_image(port, browser):
     page = urllib.request.urlopen(f"http://127.0.0.1:{port}", timeout=20).read()
     assert b"<html" in page
     image = browser.settled()
@@ -65,14 +65,14 @@ def test_it_serves_a_page_and_a_picture(port, browser):
 def test_time_moves(browser):
     start = place(browser.settled())
     browser.set("Seconds", 1.0)
-    browser.wait(lambda: place(browser.pictures[-1]) > start + 0.1)
+    browser.wait(lambda: place(browser.images[-1]) > start + 0.1)
     browser.set("Speed", "1/4")
     browser.set("Seconds", 0.0)
     browser.settled()
-    seen = len(browser.pictures)
+    seen = len(browser.images)
     browser.click("Play")
     browser.wait(lambda: browser.value("Seconds") > 0.2)
-    assert len(browser.pictures) > seen + 1
+    assert len(browser.images) > seen + 1
     browser.click("Play")
     browser.settled()
     stopped = browser.value("Seconds")
@@ -121,10 +121,10 @@ def test_two_clients_have_their_own_camera_and_time(port, browser):
         np.testing.assert_array_equal(browser.settled(), mine)
         browser.click("Play")
         other.click("Play")
-        counts = len(browser.pictures), len(other.pictures)
-        browser.wait(lambda: len(browser.pictures) > counts[0] + 3 and len(other.pictures) > counts[1] + 3)
-    count = len(browser.pictures)
-    browser.wait(lambda: len(browser.pictures) > count + 3)
+        counts = len(browser.images), len(other.images)
+        browser.wait(lambda: len(browser.images) > counts[0] + 3 and len(other.images) > counts[1] + 3)
+    count = len(browser.images)
+    browser.wait(lambda: len(browser.images) > count + 3)
     browser.click("Play")
 
 
@@ -189,7 +189,7 @@ def test_the_input_frame_beside_the_rendering(browser):
     browser.set("Mode", "input camera")
     browser.set("Input frame", "beside")
     image = browser.settled().astype(int)
-    # Two pictures of 48 x 36 in the middle, bars above and below.
+    # Two images of 48 x 36 in the middle, bars above and below.
     assert image[:15].max() < 40
     assert image[60:].max() < 40
     assert np.abs(image[20:52, 2:46] - image[20:52, 50:94]).mean() < 12
@@ -242,17 +242,17 @@ def test_paths_are_made_saved_loaded_and_recorded(run_folder, browser, tmp_path)
     assert red(frames[0]).any()
 
     browser.click("Screenshot")
-    picture = run_folder / "viewer" / "screenshot_001.png"
-    browser.wait(picture.exists)
-    assert read_image(picture).shape == (72, 96, 3)
+    image = run_folder / "viewer" / "screenshot_001.png"
+    browser.wait(image.exists)
+    assert read_image(image).shape == (72, 96, 3)
 
     camera = Camera(np.eye(4), np.array([[64.0, 0, 32], [0, 64, 24], [0, 0, 1]]), 64, 48)
     write_camera_file(tmp_path / "mine.json", [(camera, 0.25)] * 3, fps=4)
     browser.upload("Load a path", "mine.json", (tmp_path / "mine.json").read_bytes())
     browser.wait(lambda: any("3 keys, 0.5 s" in str(control.get("_markdown")) for control in browser.controls.values()))
-    count = len(browser.pictures)
+    count = len(browser.images)
     browser.click("Play the path")
-    browser.wait(lambda: len(browser.pictures) > count)
+    browser.wait(lambda: len(browser.images) > count)
     browser.upload("Load a path", "bad.json", b"{}")
     browser.wait(lambda: any("no list" in note for note in browser.notes))
     browser.settled()
@@ -347,7 +347,7 @@ def test_a_newer_model_is_shown(tmp_path):
             assert red(browser.settled()).any()
             model = load_model(folder / "model")
             save_model(folder / "model", replace(model.part("background"), fill=True))
-            browser.wait(lambda: not red(browser.pictures[-1]).any())
+            browser.wait(lambda: not red(browser.images[-1]).any())
             browser.wait(lambda: any("441 Gaussians" in str(c.get("_markdown")) or "1,681" in str(c.get("_markdown"))
                                      for c in browser.controls.values()))  # fmt: skip
     finally:
@@ -371,7 +371,7 @@ def test_the_first_scene_makes_room_for_the_trained_one(tmp_path):
             browser.wait(lambda: browser.controls["Seconds"]["uuid"] != before)
             start = place(browser.settled())
             browser.set("Seconds", 1.0)
-            browser.wait(lambda: place(browser.pictures[-1]) > start + 0.1)
+            browser.wait(lambda: place(browser.images[-1]) > start + 0.1)
     finally:
         viewer.stop()
 
@@ -385,7 +385,7 @@ def test_ctrl_c_stops_it_and_the_port_is_free_again(run_folder):
         line = process.stderr.readline()
         assert f"http://localhost:{port}" in line
         with Browser(port) as browser:
-            browser.wait(lambda: browser.pictures)
+            browser.wait(lambda: browser.images)
             process.send_signal(signal.SIGINT)
             out, error = process.communicate(timeout=60)
     finally:
@@ -430,9 +430,9 @@ def test_a_run_that_cannot_be_written_to_can_be_looked_at(tmp_path):
                 browser.click(label)
                 browser.wait(lambda told=told: "viewer" in "".join(browser.notes[told:]))
                 assert "did not work" in browser.notes[-1]
-            count = len(browser.pictures)
+            count = len(browser.images)
             browser.set("Seconds", 1.0)
-            browser.wait(lambda: len(browser.pictures) > count)
+            browser.wait(lambda: len(browser.images) > count)
     finally:
         viewer.stop()
 

@@ -1,4 +1,4 @@
-"""Which picture a client needs next."""
+"""Which image a client needs next."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ class Visitors:
         try:
             while self._take(A_VISIT):
                 with Browser(self.port) as browser:
-                    browser.wait(lambda browser=browser: browser.pictures)
+                    browser.wait(lambda browser=browser: browser.images)
                     for k in range(A_VISIT):
                         self._ask(browser, rng, k)
         except Exception as error:
@@ -70,13 +70,13 @@ class Visitors:
             return True
 
     def _ask(self, browser: Browser, rng: np.random.Generator, k: int) -> None:
-        seen = len(browser.pictures)
+        seen = len(browser.images)
         if k % 4:
             browser.look(position=browser.position + rng.normal(0, 0.05, 3))
         else:
             browser.set("Seconds", float(rng.uniform(0, 1)))
-        browser.wait(lambda: len(browser.pictures) > seen)
-        del browser.pictures[:-1], browser.depths[:-1]
+        browser.wait(lambda: len(browser.images) > seen)
+        del browser.images[:-1], browser.depths[:-1]
         with self._lock:
             self.answered += 1
 

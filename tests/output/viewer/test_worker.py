@@ -73,7 +73,7 @@ def worker(run_folder):
 
 
 def client(
-    worker: Worker, number: int, run_folder: Path, pictures: Events, playing: bool = True, shown: Callable[[], None] = lambda: None
+    worker: Worker, number: int, run_folder: Path, images: Events, playing: bool = True, shown: Callable[[], None] = lambda: None
 ) -> Session:
     source = Source(run_folder)
     session = Session(source.clip, 64)
@@ -81,7 +81,7 @@ def client(
     session.clock.play(playing, time.monotonic())
 
     def show(job: Job, drawing: Drawing) -> None:
-        pictures.append((job, drawing, threading.get_ident()))
+        images.append((job, drawing, threading.get_ident()))
         shown()
 
     worker.add(number, session, show)
@@ -96,24 +96,24 @@ def test_all_clients_are_served_by_one_thread(worker, run_folder):
     second.more(5)
     assert len({thread for *_, thread in [*first, *second]}) == 1
     worker.remove(1)
-    second.more(2)  # by now the picture that was under way when it left has been shown
+    second.more(2)  # by now the image that was under way when it left has been shown
     left = len(first)
     second.more(5)
     assert len(first) == left
 
 
-def test_tasks_advance_between_pictures_and_end_with_their_client(worker, run_folder):
-    pictures, steps, closed = Events(), Events(), threading.Event()
+def test_tasks_advance_between_images_and_end_with_their_client(worker, run_folder):
+    images, steps, closed = Events(), Events(), threading.Event()
 
     def task():
         try:
             while True:
-                steps.append(len(pictures))
+                steps.append(len(images))
                 yield
         finally:
             closed.set()
 
-    client(worker, 1, run_folder, pictures)
+    client(worker, 1, run_folder, images)
     worker.begin(1, task())
     steps.wait(lambda seen: len(seen) > 10 and seen[-1] > seen[0] + 3)
     worker.remove(1)
@@ -121,8 +121,8 @@ def test_tasks_advance_between_pictures_and_end_with_their_client(worker, run_fo
 
 
 def test_a_client_with_a_task_may_leave_at_any_moment(run_folder):
-    """The client leaves when the worker, done with its picture, is about to take its task."""
-    pictures, others, steps, closed = Events(), Events(), Events(), threading.Event()
+    """The client leaves when the worker, done with its image, is about to take its task."""
+    images, others, steps, closed = Events(), Events(), Events(), threading.Event()
     worker = Worker(Source(run_folder))
     worker._condition = lock = ObservedLock()
     lock.of = worker._thread
@@ -141,7 +141,7 @@ def test_a_client_with_a_task_may_leave_at_any_moment(run_folder):
 
     begun = task()
     next(begun)
-    client(worker, 1, run_folder, pictures, shown=shown)
+    client(worker, 1, run_folder, images, shown=shown)
     worker.begin(1, begun)
     worker.start()
     try:
@@ -157,7 +157,7 @@ def test_a_client_with_a_task_may_leave_at_any_moment(run_folder):
     finally:
         is_held.set()
         worker.stop()
-    assert len(pictures) == 1
+    assert len(images) == 1
     assert len(steps) == 0
 
 
@@ -166,7 +166,7 @@ def test_what_fails_for_one_client_does_not_stop_the_others(worker, run_folder, 
 
     def draw(source, browser, wish):
         if wish.size == (10, 10):
-            raise RuntimeError("no such picture")
+            raise RuntimeError("no such image")
         return whole(source, browser, wish)
 
     monkeypatch.setattr(module, "draw", draw)
@@ -180,7 +180,7 @@ def test_what_fails_for_one_client_does_not_stop_the_others(worker, run_folder, 
         yield
 
     worker.begin(1, failing())
-    said.wait(lambda lines: any("no such picture" in line for line in lines))
+    said.wait(lambda lines: any("no such image" in line for line in lines))
     said.wait(lambda lines: any("no such task" in line for line in lines))
     client(worker, 2, run_folder, good)
     good.more(5)

@@ -27,13 +27,13 @@ def test_drift_does_not_add_up():
     around.add(image.astype(np.float32), (start + 0.5).astype(np.float32), 0)
     points, drifting = start.copy(), start.copy()
     for t in range(1, 31):
-        picture, matrix = frame(image, t)
+        shifted, matrix = frame(image, t)
         true = start @ matrix[:, :2].T + matrix[:, 2]
         before = frame(image, t - 1)[1]
         step = true - (start @ before[:, :2].T + before[:, 2])
         # Each step is a little wrong, and always the same way.
         wrong = step + [0.03, 0.02] + rng.normal(0, 0.02, start.shape)
-        points = around.find(picture, (points + wrong + 0.5).astype(np.float32), t) - 0.5
+        points = around.find(shifted, (points + wrong + 0.5).astype(np.float32), t) - 0.5
         drifting = drifting + wrong
     assert np.median(np.linalg.norm(drifting - true, axis=1)) > 0.8
     assert np.median(np.linalg.norm(points - true, axis=1)) < 0.12

@@ -37,7 +37,7 @@ def test_a_pinhole_has_no_lens(travel):
 
 
 @pytest.mark.parametrize("distortion", [-0.3, -0.05, 0.2])
-def test_the_straightened_picture_is_full_and_no_smaller_than_it_must_be(distortion):
+def test_the_straightened_image_is_full_and_no_smaller_than_it_must_be(distortion):
     lens = Lens.of(FOCAL, distortion, WIDTH, HEIGHT)
     corners = np.array([[0.0, 0], [WIDTH, 0], [WIDTH / 2, 0], [0, HEIGHT / 2], [WIDTH, HEIGHT]])
     middle = np.array([WIDTH / 2, HEIGHT / 2])
@@ -50,7 +50,7 @@ def test_the_straightened_picture_is_full_and_no_smaller_than_it_must_be(distort
     np.testing.assert_allclose(lens.straightened(source), corners, atol=1e-4)
 
 
-def test_pictures_are_straightened_where_the_tracks_are():
+def test_images_are_straightened_where_the_tracks_are():
     lens = Lens.of(FOCAL, -0.2, WIDTH, HEIGHT)
     image = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
     spots = np.array([[60.5, 50.5], [320.5, 180.5], [560.5, 300.5], [200.5, 320.5]])

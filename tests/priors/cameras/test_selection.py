@@ -6,7 +6,7 @@ from flowsplat.priors.cameras.selection import GRID, choose_tracks
 from tests.priors.cameras.worlds import HEIGHT, WIDTH
 
 
-def test_chosen_tracks_cover_the_picture_and_prefer_long_ones():
+def test_chosen_tracks_cover_the_image_and_prefer_long_ones():
     rng = np.random.default_rng(0)
     positions = rng.uniform(0, [WIDTH, HEIGHT], (3000, 1, 2)).repeat(10, 1)
     lengths = rng.integers(1, 11, 3000)

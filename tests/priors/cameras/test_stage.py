@@ -64,11 +64,11 @@ def test_short_and_tiny_clips_have_finite_cameras(tmp_path, count, size):
     json.dumps(scene.prior("cameras"), allow_nan=False)
 
 
-def test_blank_pictures_say_so(tmp_path):
+def test_blank_images_say_so(tmp_path):
     scene = scene_of(tmp_path / "scene", [np.full((48, 64, 3), 90, np.uint8)] * 3)
     camera_stage(scene, CameraOptions())
     assert scene.prior("cameras")["static"]
-    assert "Nothing in the pictures could be followed" in scene.prior("cameras")["verdict"]
+    assert "Nothing in the images could be followed" in scene.prior("cameras")["verdict"]
 
 
 @pytest.mark.parametrize("focal", [0.0, -3.0, float("nan"), float("inf")])
@@ -106,7 +106,7 @@ def bent_clip(distortion: float, count: int = 12) -> tuple[list[np.ndarray], lis
     pinhole = rays(bent * focal, focal, distortion) * focal + middle - 0.5
     world = World(ROOM, width=320)
     frames = [
-        cv2.remap(world.picture(camera), pinhole.astype(np.float32), None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+        cv2.remap(world.image(camera), pinhole.astype(np.float32), None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
         for camera in cameras
     ]
     return frames, cameras
@@ -135,14 +135,14 @@ def test_a_bent_clip_is_straightened(tmp_path, through_a_lens):
     errors = path_errors(scene.cameras, cameras)
     assert errors["path"] < 0.02
     assert errors["rotation"] < 0.3
-    # What the pinhole at that place would have seen, but for the wider or narrower view: how a lens bends a picture is known better
+    # What the pinhole at that place would have seen, but for the wider or narrower view: how a lens bends an image is known better
     # than its focal length, which is compared apart.
     lens = scene.info.lens
     assert lens["focal"] == pytest.approx(cameras[0].K[0, 0], rel=0.02)
     zoom = lens["pinhole"] / lens["focal"]
     grid = ((pixel_grid(320, 200) - [160, 100]) / zoom + [160, 100] - 0.5).astype(np.float32)
     for i in (0, 4, 9):
-        true = cv2.remap(World(ROOM, width=320).picture(cameras[i]), grid, None, cv2.INTER_CUBIC)
+        true = cv2.remap(World(ROOM, width=320).image(cameras[i]), grid, None, cv2.INTER_CUBIC)
         inside = np.zeros((200, 320), bool)
         inside[20:-20, 20:-20] = True
         difference = np.abs(scene.any_frame(i).astype(float) - true)[inside].mean()
@@ -158,7 +158,7 @@ def test_straightening_goes_on_after_a_kill_and_is_not_done_twice(tmp_path, thro
     def dying(scene, change):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(stage, "replace_pictures", dying)
+    monkeypatch.setattr(stage, "replace_images", dying)
     with pytest.raises(KeyboardInterrupt):
         camera_stage(scene, CameraOptions(distortion="radial"))
     monkeypatch.undo()
@@ -174,7 +174,7 @@ def test_straightening_goes_on_after_a_kill_and_is_not_done_twice(tmp_path, thro
     np.testing.assert_array_equal(scene.any_frame(2), whole.any_frame(2))
 
 
-def test_what_was_made_for_the_bent_pictures_forbids_to_straighten_them(tmp_path):
+def test_what_was_made_for_the_bent_images_forbids_to_straighten_them(tmp_path):
     scene = scene_of(tmp_path / "scene", [texture(48, 64)] * 3)
     scene.finish_prior("flow", method="given")
     with pytest.raises(InputError, match="Flow of s"):
@@ -200,7 +200,7 @@ def test_a_camera_that_stands_still_shows_no_lens(tmp_path):
         PriorsOptions(priors="true", cameras=CameraOptions(distortion="radial")),
     ],
 )
-def test_files_for_the_bent_pictures_are_refused_at_once(tmp_path, options):
+def test_files_for_the_bent_images_are_refused_at_once(tmp_path, options):
     scene = scene_of(tmp_path / "scene", [texture(48, 64)] * 3)
     with pytest.raises(InputError, match="leave out --cameras"):
         prepare_priors(scene, options)

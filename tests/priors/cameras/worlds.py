@@ -25,7 +25,7 @@ def path(count: int, travel: float = 1.5) -> list[Camera]:
 
 
 def observed(cameras: list[Camera], points: np.ndarray, noise: float, seed: int = 0) -> np.ndarray:
-    """Positions [N, T, 2], NaN outside the picture; ``points`` [N, 3] or moving [T, N, 3]."""
+    """Positions [N, T, 2], NaN outside the image; ``points`` [N, 3] or moving [T, N, 3]."""
     rng = np.random.default_rng(seed)
     positions = np.full((points.shape[-2], len(cameras), 2), np.nan)
     for t, camera in enumerate(cameras):

@@ -21,7 +21,7 @@ from flowsplat.scenes import Scene
 SIZE = (854, 480)
 FRAMES = 5
 FULL = (1920, 1080)
-"""The pictures that others were given: twice and a bit as large as the working size."""
+"""The images that others were given: twice and a bit as large as the working size."""
 
 
 @pytest.fixture
@@ -138,7 +138,7 @@ def test_colmap_with_one_focal_length_and_hardly_any_distortion(scene: Scene, tm
 
 
 def slam_intrinsics() -> tuple[tuple[int, int], tuple[int, int], np.ndarray]:
-    """DROID-SLAM's picture before and after its crop, and K in its pixels (``image_stream`` of its demo.py)."""
+    """DROID-SLAM's image before and after its crop, and K in its pixels (``image_stream`` of its demo.py)."""
     w0, h0 = FULL
     h1, w1 = int(h0 * np.sqrt((384 * 512) / (h0 * w0))), int(w0 * np.sqrt((384 * 512) / (h0 * w0)))
     K = path()[0].K.copy()
@@ -198,7 +198,7 @@ BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
     "nothing": (lambda f: f / "none.json", "does not exist"),
     "a folder of nothing": (lambda f: f, "transforms.json, a COLMAP model .*MegaSaM"),
     "text": (lambda f: write(f / "cameras.txt", "1"), "no cameras of a known layout"),
-    "a wide lens": (lambda f: write(f / "transforms.json", edited(transforms(k1=-0.1))), "bends the picture by .* pixels"),
+    "a wide lens": (lambda f: write(f / "transforms.json", edited(transforms(k1=-0.1))), "bends the image by .* pixels"),
     "a fisheye": (lambda f: write(f / "transforms.json", edited(transforms(camera_model="OPENCV_FISHEYE"))), "fisheye: undistort"),
     "too few": (
         lambda f: write(f / "transforms.json", edited(transforms(), frames=transforms()["frames"][:3])), "holds 3 frames.*5 frames"
@@ -216,7 +216,7 @@ BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
     "COLMAP's fisheye": (
         lambda f: colmap(f / "m", "OPENCV_FISHEYE", (1.0, 1, 1, 1, 0, 0, 0, 0)), "OPENCV_FISHEYE is no pinhole: undistort"
     ),
-    "COLMAP's barrel": (lambda f: colmap(f / "m", "SIMPLE_RADIAL", (1700.0, 960.0, 540.0, -0.2)), "bends the picture"),
+    "COLMAP's barrel": (lambda f: colmap(f / "m", "SIMPLE_RADIAL", (1700.0, 960.0, 540.0, -0.2)), "bends the image"),
     "COLMAP, short": (lambda f: colmap(f / "m", "PINHOLE", (1.0, 2.0)), "no readable COLMAP model"),
     "COLMAP, truncated": (lambda f: cut(f / "m"), "no readable COLMAP model"),
     "COLMAP's binary fisheye": (lambda f: binary(f / "m", 5), "number 5 is no pinhole"),
@@ -266,7 +266,7 @@ def test_bad_files_are_refused_in_one_line(scene: Scene, tmp_path: Path, name: s
     assert "\n" not in str(caught.value)
 
 
-def test_a_line_of_a_colmap_text_that_is_cut_off_is_no_picture(scene: Scene, tmp_path: Path):
+def test_a_line_of_a_colmap_text_that_is_cut_off_is_no_image(scene: Scene, tmp_path: Path):
     colmap_text(tmp_path / "sparse")
     images = tmp_path / "sparse" / "images.txt"
     lines = images.read_text().splitlines()

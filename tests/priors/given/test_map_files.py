@@ -31,7 +31,7 @@ def scene(tmp_path: Path) -> Scene:
 
 
 def ramp(width: int, height: int, whole: tuple[int, int]) -> np.ndarray:
-    """A depth that rises with the position in the whole picture, from 1 to 4 across and 0 to 1 down."""
+    """A depth that rises with the position in the whole image, from 1 to 4 across and 0 to 1 down."""
     x, y = (np.arange(width) + 0.5) / whole[0], (np.arange(height) + 0.5) / whole[1]
     return (1 + 3 * x[None] + y[:, None]).astype(np.float32)
 
@@ -232,7 +232,7 @@ def test_sparse_flow_is_not_mixed_with_nothing(scene: Scene, tmp_path: Path):
 def test_flow_of_more_frames_than_the_clip_has_is_refused(scene: Scene, tmp_path: Path):
     for i, j in consecutive_pairs(scene) + [(7, 8)]:
         np.savez(tmp_path / f"{i:05d}_{j:05d}.npz", flow=np.zeros((48, 85, 2), np.float32), confidence=np.ones((48, 85)))
-    with pytest.raises(InputError, match="holds 9 pictures, but the clip has 5 frames"):
+    with pytest.raises(InputError, match="holds 9 images, but the clip has 5 frames"):
         read_flow(tmp_path, scene)
 
 
@@ -245,7 +245,7 @@ def test_masks_of_more_frames_than_the_clip_has_are_refused(scene: Scene, tmp_pa
 
 def test_bad_flow_is_refused_in_one_line(scene: Scene, tmp_path: Path):
     flow_cache(tmp_path / "short", frames=4)
-    with pytest.raises(InputError, match="holds 4 pictures"):
+    with pytest.raises(InputError, match="holds 4 images"):
         read_flow(tmp_path / "short", scene)
     with pytest.raises(InputError, match=r"does not exist. Looked for .*cache_flow"):
         read_flow(tmp_path / "none", scene)

@@ -128,7 +128,7 @@ def test_tracks_are_the_prior_once_there_are_masks(scene: Scene, tmp_path: Path)
     assert how["moving"] == tracks.moving.sum()
 
 
-def test_tracks_of_larger_pictures_need_their_size(scene: Scene, tmp_path: Path):
+def test_tracks_of_larger_images_need_their_size(scene: Scene, tmp_path: Path):
     np.savez(tmp_path / "a.npz", tracks=(pixels() + 0.5) * 4 - 0.5, visibles=visible())
     with pytest.raises(InputError, match=r"outside the 128x80 pixels.*--given.tracks-size WIDTH HEIGHT") as caught:
         read_tracks(tmp_path / "a.npz", scene, None)
@@ -137,7 +137,7 @@ def test_tracks_of_larger_pictures_need_their_size(scene: Scene, tmp_path: Path)
     np.testing.assert_allclose(found.points, pixels() + 0.5, atol=1e-4)
 
 
-def test_what_leaves_the_picture_is_not_seen_there(scene: Scene, tmp_path: Path):
+def test_what_leaves_the_image_is_not_seen_there(scene: Scene, tmp_path: Path):
     points = pixels()
     points[1, 5] = [200, 30]
     points[2, 5] = np.nan

@@ -24,7 +24,7 @@ def import_torchvision() -> ModuleType:
     """torchvision; the test is skipped where it is not installed.
 
     Its build for CUDA lacks its compiled operators beside a CPU build of PyTorch. It then refuses to be imported, because
-    it describes two operators that are not declared. RAFT and the preparation of pictures need neither.
+    it describes two operators that are not declared. RAFT and the preparation of images need neither.
     """
     if importlib.util.find_spec("torchvision") is None:
         pytest.skip("torchvision (of the extra 'learned') is not installed")

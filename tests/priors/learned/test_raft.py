@@ -1,4 +1,4 @@
-"""RAFT with random weights: the true loading code, pictures of any size, and what is said where it is absent."""
+"""RAFT with random weights: the true loading code, images of any size, and what is said where it is absent."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ from .conftest import import_torchvision
 CPU = torch.device("cpu")
 
 
-def picture(height: int, width: int, seed: int = 0) -> np.ndarray:
+def image(height: int, width: int, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).integers(0, 255, (height, width, 3)).astype(np.uint8)
 
 
 @pytest.mark.parametrize("size", [(128, 136), (131, 150), (33, 60)])
-def test_pictures_of_any_size_have_finite_flow(raft_file: Path, size):
-    flow = raft_estimator(str(raft_file), CPU)(picture(*size), picture(*size, seed=1))
+def test_images_of_any_size_have_finite_flow(raft_file: Path, size):
+    flow = raft_estimator(str(raft_file), CPU)(image(*size), image(*size, seed=1))
     assert flow.shape == (*size, 2)
     assert flow.dtype == np.float32
     assert np.isfinite(flow).all()
     assert np.abs(flow).max() > 0
 
 
-def test_flow_is_in_pixels_of_the_picture(raft_file: Path, monkeypatch):
+def test_flow_is_in_pixels_of_the_image(raft_file: Path, monkeypatch):
     from torchvision.models.optical_flow import RAFT
 
     seen = []
@@ -49,7 +49,7 @@ def test_flow_is_in_pixels_of_the_picture(raft_file: Path, monkeypatch):
         return [flow * 0, flow]
 
     monkeypatch.setattr(RAFT, "forward", forward)
-    flow = raft_estimator(str(raft_file), CPU)(picture(64, 100), picture(64, 100))
+    flow = raft_estimator(str(raft_file), CPU)(image(64, 100), image(64, 100))
     np.testing.assert_allclose(flow, np.broadcast_to([2.0, 1.0], flow.shape))
     shape, low, high = seen[0]
     assert shape == (1, 3, 128, 200)
@@ -58,14 +58,14 @@ def test_flow_is_in_pixels_of_the_picture(raft_file: Path, monkeypatch):
 
 
 def test_a_guess_changes_nothing(raft_file: Path):
-    a, b, estimate = picture(128, 136), picture(128, 136, seed=1), raft_estimator(str(raft_file), CPU)
+    a, b, estimate = image(128, 136), image(128, 136, seed=1), raft_estimator(str(raft_file), CPU)
     np.testing.assert_array_equal(estimate(a, b, np.full((128, 136, 2), 9, np.float32)), estimate(a, b))
 
 
 def test_the_stage_names_it(raft_file: Path, tmp_path: Path):
     scene = Scene.create(tmp_path, name="s", source="", width=40, height=32, timestamps=range(3), holdout=None, source_fps=1)
     for i in range(3):
-        scene.write_frame(i, picture(32, 40, seed=i))
+        scene.write_frame(i, image(32, 40, seed=i))
     flow_stage(scene, "raft", raft_estimator(str(raft_file), CPU))
     assert scene.prior("flow")["method"] == "raft"
     assert scene.flow_pairs == [(0, 1), (1, 0), (1, 2), (2, 1)]

@@ -44,7 +44,7 @@ def seen_ground(step: float | None = None, wall: bool = True) -> Ground | None:
     return find_ground(points, normals, CAMERA.project(points)[1], [CAMERA])
 
 
-def picture_of(camera: Camera, low: np.ndarray, width: float, height: float) -> np.ndarray:
+def image_of(camera: Camera, low: np.ndarray, width: float, height: float) -> np.ndarray:
     """bool [180, 320]: an upright card with the middle of its lower edge at ``low``, that faces the camera."""
     away = low - camera.center
     side = np.cross(away, UP)
@@ -112,7 +112,7 @@ def test_what_stands_is_where_its_feet_are(roll, height):
     ground = seen_ground()
     assert ground is not None
     camera = look(np.array([0, 0, height]), np.array([0, 6.0, 0.8]), roll)
-    mask = picture_of(camera, np.array([0.4, 6.0, 0.0]), 0.5, 1.7)
+    mask = image_of(camera, np.array([0.4, 6.0, 0.0]), 0.5, 1.7)
     static = np.full((90, 160), 12.0)
     bound = ground_bound(mask, camera, ground, static)
     assert bound is not None
@@ -127,9 +127,9 @@ def test_what_floats_is_bounded_from_afar_and_hidden_feet_are_noticed():
     ground = seen_ground()
     assert ground is not None
     camera = look(np.array([0, 0, 1.6]), np.array([0, 6.0, 0.8]))
-    standing = ground_bound(picture_of(camera, np.array([0, 6.0, 0.0]), 0.5, 1.0), camera, ground, np.full((90, 160), 12.0))
-    floating = ground_bound(picture_of(camera, np.array([0, 6.0, 0.5]), 0.5, 1.0), camera, ground, np.full((90, 160), 12.0))
-    hidden = ground_bound(picture_of(camera, np.array([0, 6.0, 0.2]), 0.5, 1.0), camera, ground, np.full((90, 160), 3.0))
+    standing = ground_bound(image_of(camera, np.array([0, 6.0, 0.0]), 0.5, 1.0), camera, ground, np.full((90, 160), 12.0))
+    floating = ground_bound(image_of(camera, np.array([0, 6.0, 0.5]), 0.5, 1.0), camera, ground, np.full((90, 160), 12.0))
+    hidden = ground_bound(image_of(camera, np.array([0, 6.0, 0.2]), 0.5, 1.0), camera, ground, np.full((90, 160), 3.0))
     assert standing is not None
     assert floating is not None
     assert hidden is not None

@@ -95,8 +95,8 @@ def film(bodies: list[Body], holes: Callable[[int, np.ndarray], np.ndarray] | No
         for n, place in enumerate(grid[body.holds(grid)] if body.follow else []):
             path = np.stack([m + r @ place for m, r in (body.matrix(t) for t in range(frames))])
             column, row = np.clip(path.astype(int), 0, [WIDTH - 1, HEIGHT - 1]).T
-            in_picture = (path >= 0).all(1) & (path < [WIDTH, HEIGHT]).all(1)
-            seen = in_picture & (seen_as[np.arange(frames), row, column] == index + 1)
+            in_image = (path >= 0).all(1) & (path < [WIDTH, HEIGHT]).all(1)
+            seen = in_image & (seen_as[np.arange(frames), row, column] == index + 1)
             for start in range(-(n % LIFE), frames, LIFE):
                 lives = seen & (np.arange(frames) >= start) & (np.arange(frames) < start + LIFE + 2)
                 if lives.any():
@@ -224,14 +224,14 @@ def test_either_side_of_a_cut_has_numbers_of_its_own(tmp_path: Path):
     visible = clip.visible.copy()
     visible[before, cut:] = False
     scene = scene_of(tmp_path, Clip(clip.true, clip.points, visible, clip.body, clip.flow), clip.true, "motion", [cut])
-    scene.finish_prior("masks", method="motion", objects=5, share=0.125, verdict="5 moving parts on 12.5% of the picture")
+    scene.finish_prior("masks", method="motion", objects=5, share=0.125, verdict="5 moving parts on 12.5% of the image")
     assert identify_objects(scene) == 2
     found = stored(scene)
     assert np.unique(found[:cut]).tolist() == [0, 1]
     assert np.unique(found[cut:]).tolist() == [0, 2]
     masks = scene.prior("masks")
     assert masks["objects"] == 2
-    assert masks["verdict"] == "2 moving objects on 12.5% of the picture", "parts that turned out to be one are one"
+    assert masks["verdict"] == "2 moving objects on 12.5% of the image", "parts that turned out to be one are one"
 
 
 def test_numbers_that_came_with_masks_stay_and_one_for_all_is_split(tmp_path: Path):

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from flowsplat.geometry import Camera
-from flowsplat.priors.objects.rematching import FARTHEST, ObjectPictures, gray, rematched
+from flowsplat.priors.objects.rematching import FARTHEST, ObjectImages, gray, rematched
 from flowsplat.priors.objects.rigid import Observations, RigidMotion, longest, solve_rigid
 
 FRAMES, WIDTH, HEIGHT, FOCAL, RADII = 20, 160, 120, 220.0, np.array([0.16, 0.2, 0.13])
@@ -18,11 +18,11 @@ K = np.array([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1]])
 
 @dataclass(frozen=True)
 class Ball:
-    """Its poses, pictures [T, H, W], masks, and tracks [N, T, 2] that last some frames and drift."""
+    """Its poses, images [T, H, W], masks, and tracks [N, T, 2] that last some frames and drift."""
 
     turns: np.ndarray
     shifts: np.ndarray
-    pictures: np.ndarray
+    images: np.ndarray
     masks: np.ndarray
     positions: np.ndarray
     inside: np.ndarray
@@ -51,14 +51,14 @@ def ball() -> Ball:
     bare = Ball(turns, shifts, empty, empty, empty, empty)
     waves, phases = random.normal(0, 45, (30, 3)), random.uniform(0, 6, 30)
     grid = np.stack(np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5), -1).reshape(-1, 2)
-    pictures, masks = np.full((2, FRAMES, HEIGHT, WIDTH), 40, np.uint8)
+    images, masks = np.full((2, FRAMES, HEIGHT, WIDTH), 40, np.uint8)
     for k in t:
         points = bare.surface(k, grid)
         on = np.isfinite(points).all(1)
         brightness = 125 + 18 * np.sin(points[on] @ waves.T + phases).sum(1) + random.normal(0, 1.5, on.sum())
-        picture = np.full(len(grid), 40.0)
-        picture[on] = brightness
-        pictures[k] = np.clip(picture, 0, 255).reshape(HEIGHT, WIDTH)
+        image = np.full(len(grid), 40.0)
+        image[on] = brightness
+        images[k] = np.clip(image, 0, 255).reshape(HEIGHT, WIDTH)
         masks[k] = on.reshape(HEIGHT, WIDTH)
     positions, inside = [], []
     for first in range(0, FRAMES - 5, 2):
@@ -77,13 +77,13 @@ def ball() -> Ball:
         inside.append(seen)
     every, seen = np.concatenate(positions), np.concatenate(inside)
     kept = seen.sum(1) >= 5
-    return Ball(turns, shifts, pictures, masks > 0, every[kept], seen[kept])
+    return Ball(turns, shifts, images, masks > 0, every[kept], seen[kept])
 
 
-def shown(ball: Ball, pictures: np.ndarray) -> ObjectPictures:
+def shown(ball: Ball, images: np.ndarray) -> ObjectImages:
     y, x = (np.array([np.nonzero(mask)[axis].mean() for mask in ball.masks]) for axis in (0, 1))
     cameras = [Camera(np.eye(4), K, WIDTH, HEIGHT)] * FRAMES
-    return ObjectPictures(pictures, ball.masks, np.stack([x, y], 1), cameras, np.array([0.0, -1, 0]))
+    return ObjectImages(images, ball.masks, np.stack([x, y], 1), cameras, np.array([0.0, -1, 0]))
 
 
 def course_error(ball: Ball, motion: RigidMotion) -> float:
@@ -106,7 +106,7 @@ def by_tracks(ball) -> RigidMotion:
 
 
 def test_matches_are_truer_than_tracks_and_last_longer(ball, by_tracks):
-    result = rematched(by_tracks, ball.positions, ball.inside, shown(ball, ball.pictures))
+    result = rematched(by_tracks, ball.positions, ball.inside, shown(ball, ball.images))
     assert result is not None
     motion, found, counts = result
     assert counts.sum(1).mean() > 1.5 * ball.inside.sum(1).mean()
@@ -129,28 +129,28 @@ def test_matches_are_truer_than_tracks_and_last_longer(ball, by_tracks):
 
 
 def test_a_change_of_light_changes_nothing(ball, by_tracks):
-    brighter = np.clip(ball.pictures * np.linspace(0.6, 1.0, FRAMES)[:, None, None] + 10, 0, 255).astype(np.uint8)
+    brighter = np.clip(ball.images * np.linspace(0.6, 1.0, FRAMES)[:, None, None] + 10, 0, 255).astype(np.uint8)
     result = rematched(by_tracks, ball.positions, ball.inside, shown(ball, brighter))
     assert result is not None
     assert course_error(ball, result[0]) < 0.6 * course_error(ball, by_tracks)
 
 
-def test_pictures_without_texture_say_nothing(ball, by_tracks):
+def test_images_without_texture_say_nothing(ball, by_tracks):
     flat = np.where(ball.masks, 120, 40).astype(np.uint8)
     assert rematched(by_tracks, ball.positions, ball.inside, shown(ball, flat)) is None
 
 
-def test_pictures_of_something_else_say_nothing(ball, by_tracks):
-    noise = np.random.default_rng(0).integers(0, 255, ball.pictures.shape).astype(np.uint8)
+def test_images_of_something_else_say_nothing(ball, by_tracks):
+    noise = np.random.default_rng(0).integers(0, 255, ball.images.shape).astype(np.uint8)
     assert rematched(by_tracks, ball.positions, ball.inside, shown(ball, noise)) is None
 
 
 def test_an_object_that_is_not_seen_has_no_surface(ball, by_tracks):
-    hidden = replace(shown(ball, ball.pictures), masks=np.zeros_like(ball.masks))
+    hidden = replace(shown(ball, ball.images), masks=np.zeros_like(ball.masks))
     assert rematched(by_tracks, ball.positions, ball.inside, hidden) is None
 
 
 def test_gray_is_brightness():
-    picture = np.zeros((9, 9, 3), np.uint8)
-    picture[...] = [200, 100, 50]
-    assert np.abs(gray(picture).astype(int) - 124).max() <= 1
+    image = np.zeros((9, 9, 3), np.uint8)
+    image[...] = [200, 100, 50]
+    assert np.abs(gray(image).astype(int) - 124).max() <= 1

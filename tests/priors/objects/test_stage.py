@@ -109,17 +109,17 @@ def test_an_object_without_points_is_an_upright_card(scene: Scene):
 def test_relief_follows_sure_points_and_is_flat_without():
     mask = np.zeros((60, 80), bool)
     mask[10:50, 10:70] = True
-    picture = np.full((60, 80, 3), 128, np.uint8)
+    image = np.full((60, 80, 3), 128, np.uint8)
     y, x = (value.ravel() for value in np.mgrid[12:50:4, 12:70:4])
     pixels, offsets = np.stack([x, y], 1) + 0.5, 0.05 * (x - 40) / 30
-    sure = relief(mask, picture, pixels, offsets, np.full(len(x), 0.002), 0.05)
+    sure = relief(mask, image, pixels, offsets, np.full(len(x), 0.002), 0.05)
     inner = mask & (np.abs(np.arange(80) - 40) < 22)[None]
     columns = np.broadcast_to(np.arange(80), (60, 80))
     assert np.abs(sure[inner] - 0.05 * (columns[inner] + 0.5 - 40) / 30).max() < 0.012
-    unsure = relief(mask, picture, pixels, offsets, np.full(len(x), 1.0), 0.05)
+    unsure = relief(mask, image, pixels, offsets, np.full(len(x), 1.0), 0.05)
     assert np.abs(unsure).max() < 0.2 * np.abs(sure).max()
-    assert (relief(mask, picture, pixels[:0], offsets[:0], offsets[:0], 0.05) == 0).all()
-    assert (relief(np.zeros_like(mask), picture, pixels, offsets, np.ones(len(x)), 0.05) == 0).all()
+    assert (relief(mask, image, pixels[:0], offsets[:0], offsets[:0], 0.05) == 0).all()
+    assert (relief(np.zeros_like(mask), image, pixels, offsets, np.ones(len(x)), 0.05) == 0).all()
 
 
 def test_objects_go_with_what_they_follow_from(tmp_path: Path):

@@ -14,7 +14,7 @@ VELOCITY = np.array([2.0, 0.5])
 WORLD, COVER = texture(150, 260), texture(150, 260, seed=3, blobs=0.7) // 3
 
 
-def picture(i: int, hidden: bool = False) -> np.ndarray:
+def image(i: int, hidden: bool = False) -> np.ndarray:
     """A texture that moves; something else before columns 40 to 60 of frames 8 to 10."""
     image = shifted(WORLD, 2.0 * i, 0.5 * i, SIZE[1], SIZE[0])
     if hidden and 8 <= i <= 10:
@@ -29,11 +29,11 @@ def follow(hidden: bool = False, frames: int = 16) -> tuple[np.ndarray, np.ndarr
     labels, sure = np.zeros(SIZE, np.int32), np.ones(SIZE, np.float32)
     flow = Flow(0, 1, np.broadcast_to(np.float32(VELOCITY), (*SIZE, 2)).copy(), sure)
     follower = Follower()
-    follower.add(np.arange(len(start)), start, picture(0), labels)
+    follower.add(np.arange(len(start)), start, image(0), labels)
     points, seen = np.full((len(start), frames, 2), np.nan), np.zeros((len(start), frames), bool)
     for i in range(frames):
         if i:
-            follower.step(picture(i, hidden), labels, flow)
+            follower.step(image(i, hidden), labels, flow)
         points[follower.ids, i], seen[follower.ids, i] = follower.points, follower.seen
     return points, start[:, None] + np.arange(frames)[:, None] * VELOCITY, seen
 
@@ -57,15 +57,15 @@ def test_what_never_comes_back_is_given_up():
     labels, sure = np.zeros(SIZE, np.int32), np.ones(SIZE, np.float32)
     flow = Flow(0, 1, np.zeros((*SIZE, 2), np.float32), sure)
     follower = Follower()
-    follower.add(np.array([7]), np.array([[50.5, 40.5]]), picture(0), labels)
+    follower.add(np.array([7]), np.array([[50.5, 40.5]]), image(0), labels)
     follower.step(COVER[: SIZE[0], : SIZE[1]], labels, flow)
     assert len(follower.ids) == 0  # no velocity yet, and no neighbor to follow
     y, x = np.mgrid[20:60:8, 20:80:8]
     start = np.stack([x.ravel(), y.ravel()], -1) + 0.5
-    follower.add(np.arange(len(start)), start, picture(0), labels)
+    follower.add(np.arange(len(start)), start, image(0), labels)
     for _ in range(LONGEST_GAP + 3):
         follower.step(COVER[: SIZE[0], : SIZE[1]], labels, flow)
     assert follower.seen.sum() <= 2
     follower.keep(np.zeros(0, int))
-    follower.step(picture(0), labels, flow)
+    follower.step(image(0), labels, flow)
     assert follower.points.shape == (0, 2)

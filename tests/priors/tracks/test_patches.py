@@ -13,7 +13,7 @@ CENTER = np.array([75.0, 55.0])
 
 
 def turned(image: np.ndarray, degrees: float, scale: float, shift: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """The picture turned round ``CENTER`` and moved, and how: offsets there = shape @ offsets here."""
+    """The image turned round ``CENTER`` and moved, and how: offsets there = shape @ offsets here."""
     c, s = scale * np.cos(np.radians(degrees)), scale * np.sin(np.radians(degrees))
     shape = np.array([[c, -s], [s, c]])
     matrix = np.concatenate([shape, (CENTER - shape @ CENTER + shift)[:, None]], 1)
@@ -29,9 +29,9 @@ def some_patches(image: np.ndarray, labels: np.ndarray | None = None) -> tuple[P
 def test_a_turned_and_brighter_patch_is_found():
     image = texture(110, 150)
     patches, points = some_patches(image)
-    picture, shape = turned(image, 8, 1.05, (1.3, -0.7))
+    rotated, shape = turned(image, 8, 1.05, (1.3, -0.7))
     true = (points - CENTER) @ shape.T + CENTER + [1.3, -0.7]
-    found, shapes, likeness = align(patches, 0.9 * picture + 5, true + [0.8, 0.6], np.tile(np.eye(2), (9, 1, 1)))
+    found, shapes, likeness = align(patches, 0.9 * rotated + 5, true + [0.8, 0.6], np.tile(np.eye(2), (9, 1, 1)))
     assert np.linalg.norm(found - true, axis=1).max() < 0.1
     assert np.abs(shapes - shape).max() < 0.08
     assert likeness.min() > 0.9
@@ -44,7 +44,7 @@ def test_what_is_hidden_does_not_look_like_it():
 
 
 def test_the_background_of_a_patch_does_not_count():
-    """Left of its edge an object shows another background in the next picture."""
+    """Left of its edge an object shows another background in the next image."""
     image, behind = texture(110, 150), texture(110, 150, seed=1)
     labels = np.zeros(image.shape, np.int32)
     labels[:, 73:] = 1

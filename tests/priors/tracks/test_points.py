@@ -25,7 +25,7 @@ def test_refinement_refuses_what_is_not_there():
     assert refine_points(texture(100, 100), texture(100, 100), np.zeros((0, 2)), np.zeros((0, 2)), 15)[0].shape == (0, 2)
 
 
-def test_new_points_fill_only_empty_cells_of_any_picture_size():
+def test_new_points_fill_only_empty_cells_of_any_image_size():
     strength = np.ones((25, 37), np.float32)
     everything = new_points(strength, np.zeros((0, 2)), 10)
     assert len(everything) == 4 * 3

@@ -64,7 +64,7 @@ def test_behind_an_object_and_outside_nothing_is_seen(scene: Scene):
     _, sure = complete(scene, points, confidence, births)
     assert sure[0, 8] == 0
     assert sure[1, 6] > 0
-    assert (sure[1, 7:] == 0).all()  # it has left the picture
+    assert (sure[1, 7:] == 0).all()  # it has left the image
 
 
 def test_what_does_not_rest_is_given_up_and_objects_are_left_alone(scene: Scene):

@@ -1,4 +1,4 @@
-"""Textures that are somewhere else in every picture."""
+"""Textures that are somewhere else in every image."""
 
 from __future__ import annotations
 

@@ -29,8 +29,8 @@ def scaled(camera: Camera, factor: int) -> Camera:
     return camera.resized(camera.width * factor, camera.height * factor)
 
 
-def picture(spec: SyntheticScene, camera: Camera, time: int) -> np.ndarray:
-    return spec.render(camera, spec.timestamps[time]).picture
+def make_image(spec: SyntheticScene, camera: Camera, time: int) -> np.ndarray:
+    return spec.render(camera, spec.timestamps[time]).image
 
 
 def write(path: Path, image: np.ndarray) -> None:
@@ -57,7 +57,7 @@ def write_raw(folder: Path, spec: SyntheticScene, rows: int = CAMERAS) -> None:
     for t in range(spec.frames):
         for c in range(CAMERAS):
             view = spec.render(rig_camera(spec, c), spec.timestamps[t])
-            write(folder / "mv_images" / f"{t:05d}" / f"cam{c + 1:02d}.jpg", view.picture)
+            write(folder / "mv_images" / f"{t:05d}" / f"cam{c + 1:02d}.jpg", view.make_image)
             write(folder / "mv_masks" / f"{t:05d}" / f"cam{c + 1:02d}.png", (view.mask > 0).astype(np.uint8) * 255)
 
 
@@ -66,8 +66,8 @@ def write_twelve(folder: Path, spec: SyntheticScene, targets: Path | None = None
     folder.mkdir(parents=True)
     np.save(folder / "poses_bounds.npy", np.stack([llff_row(scaled(rig_camera(spec, i), 4)) for i in range(spec.frames)]))
     for t in range(spec.frames):
-        write(folder / "images" / f"{t:03d}.png", picture(spec, scaled(rig_camera(spec, t), 2), t))
-        write((targets or folder) / f"v000_t{t:03d}.png", picture(spec, rig_camera(spec, 0), t))
+        write(folder / "images" / f"{t:03d}.png", make_image(spec, scaled(rig_camera(spec, t), 2), t))
+        write((targets or folder) / f"v000_t{t:03d}.png", make_image(spec, rig_camera(spec, 0), t))
 
 
 def write_nerfies(folder: Path, spec: SyntheticScene) -> None:
@@ -91,6 +91,6 @@ def write_nerfies(folder: Path, spec: SyntheticScene) -> None:
             }  # fmt: skip
             (folder / "camera").mkdir(exist_ok=True)
             (folder / "camera" / f"{c}_{t:05d}.json").write_text(json.dumps(value))
-            write(folder / "rgb" / "1x" / f"{c}_{t:05d}.png", picture(spec, camera, t))
+            write(folder / "rgb" / "1x" / f"{c}_{t:05d}.png", make_image(spec, camera, t))
     (folder / "scene.json").write_text(json.dumps({"scale": 1.0, "near": 1.0, "far": 20.0, "center": [0, 0, 0]}))
     (folder / "dataset.json").write_text(json.dumps({"count": 4 * spec.frames, "num_exemplars": spec.frames}))

@@ -48,9 +48,9 @@ def blocks(*values: int) -> np.ndarray:
 
 
 @pytest.fixture
-def folder(tmp_path, picture, write_picture) -> Path:
+def folder(tmp_path, make_image, write_image_file) -> Path:
     for i in range(3):
-        write_picture(tmp_path / "images" / f"{i:05d}.png", picture(i))
+        write_image_file(tmp_path / "images" / f"{i:05d}.png", make_image(i))
     return tmp_path
 
 
@@ -59,7 +59,7 @@ def open_with_masks(folder: Path, **options) -> ImagesClip:
 
 
 @pytest.mark.parametrize("kind", ["gray", "gray and alpha", "color", "half"])
-def test_black_and_white(folder, write_picture, kind):
+def test_black_and_white(folder, write_image_file, kind):
     mask = blocks(255)
     image = {
         "gray": mask,
@@ -68,23 +68,23 @@ def test_black_and_white(folder, write_picture, kind):
         "half": mask // 2,
     }[kind]
     for i in range(3):
-        write_picture(folder / "masks" / f"{i:05d}.png", image)
+        write_image_file(folder / "masks" / f"{i:05d}.png", image)
     clip = open_with_masks(folder)
     assert clip.has_masks
     np.testing.assert_array_equal(clip.mask(1), mask > 0)
 
 
-def test_alpha_is_no_object(folder, write_picture):
+def test_alpha_is_no_object(folder, write_image_file):
     for i in range(3):
-        write_picture(
+        write_image_file(
             folder / "masks" / f"{i:05d}.png", np.dstack([np.zeros((*SHAPE, 3), np.uint8), np.full(SHAPE, 255, np.uint8)])
         )
     assert not open_with_masks(folder).mask(0).any()
 
 
-def test_numbers_are_the_same_in_all_frames(folder, write_picture):
+def test_numbers_are_the_same_in_all_frames(folder, write_image_file):
     for i, values in enumerate([(1, 4, 9), (9,), (4,)]):
-        write_picture(folder / "masks" / f"{i:05d}.png", blocks(*values))
+        write_image_file(folder / "masks" / f"{i:05d}.png", blocks(*values))
     clip = open_with_masks(folder)
     np.testing.assert_array_equal(clip.mask(0), blocks(1, 2, 3))
     np.testing.assert_array_equal(clip.mask(1), blocks(3))
@@ -100,46 +100,46 @@ def test_palette(folder):
         np.testing.assert_array_equal(clip.mask(i), blocks(*values))
 
 
-def test_a_color_is_the_same_object_whatever_else_is_seen(folder, write_picture):
+def test_a_color_is_the_same_object_whatever_else_is_seen(folder, write_image_file):
     """White is no shade of red where the red object has left."""
     for i, colors in enumerate([((255, 0, 0), (255, 255, 255)), ((255, 255, 255),), ((255, 0, 0),)]):
         image = np.zeros((*SHAPE, 3), np.uint8)
         for k, color in enumerate(colors):
             image[:, 10 * (k + 1) : 10 * (k + 2)] = color
-        write_picture(folder / "masks" / f"{i:05d}.png", image)
+        write_image_file(folder / "masks" / f"{i:05d}.png", image)
     clip = open_with_masks(folder)
     np.testing.assert_array_equal(clip.mask(0), blocks(1, 2))
     np.testing.assert_array_equal(clip.mask(1), blocks(2))
     np.testing.assert_array_equal(clip.mask(2), blocks(1))
 
 
-def test_soft_edges_are_one_object(folder, write_picture):
+def test_soft_edges_are_one_object(folder, write_image_file):
     soft = np.tile(np.arange(64, dtype=np.uint8) * 4, (48, 1))
     for i in range(3):
-        write_picture(folder / "masks" / f"{i:05d}.png", soft)
+        write_image_file(folder / "masks" / f"{i:05d}.png", soft)
     np.testing.assert_array_equal(open_with_masks(folder).mask(0), soft > 0)
 
 
-def test_jpeg_noise_is_background(folder, write_picture):
+def test_jpeg_noise_is_background(folder, write_image_file):
     for i in range(3):
-        write_picture(folder / "masks" / f"{i:05d}.jpg", blocks(255))
+        write_image_file(folder / "masks" / f"{i:05d}.jpg", blocks(255))
     np.testing.assert_array_equal(open_with_masks(folder).mask(0), blocks(1))
 
 
 @pytest.mark.parametrize("value", [0, 255])
-def test_empty_and_full(folder, write_picture, value):
+def test_empty_and_full(folder, write_image_file, value):
     for i in range(3):
-        write_picture(folder / "masks" / f"{i:05d}.png", np.full(SHAPE, value, np.uint8))
+        write_image_file(folder / "masks" / f"{i:05d}.png", np.full(SHAPE, value, np.uint8))
     assert (open_with_masks(folder).mask(2) == (value > 0)).all()
 
 
-def test_resized_with_their_pictures(tmp_path, picture, write_picture):
+def test_resized_with_their_images(tmp_path, make_image, write_image_file):
     labels = np.zeros((96, 128), np.uint8)
     labels[:, 64:] = 2
     labels[48:, 64:] = 7
     for i in range(2):
-        write_picture(tmp_path / "images" / f"{i}.png", picture(i, 128, 96))
-        write_picture(tmp_path / "masks" / f"{i}.png", labels)
+        write_image_file(tmp_path / "images" / f"{i}.png", make_image(i, 128, 96))
+        write_image_file(tmp_path / "masks" / f"{i}.png", labels)
     mask = open_with_masks(tmp_path, resize=64).mask(0)
     assert mask.shape == (48, 64)
     assert set(np.unique(mask)) == {0, 1, 2}
@@ -155,28 +155,28 @@ def refuse(folder: Path, words: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_missing(folder, write_picture):
+def test_missing(folder, write_image_file):
     for i in (0, 2):
-        write_picture(folder / "masks" / f"{i:05d}.png", blocks(255))
+        write_image_file(folder / "masks" / f"{i:05d}.png", blocks(255))
     refuse(folder, r"no mask for 00001\.png")
 
 
-def test_extra(folder, write_picture):
+def test_extra(folder, write_image_file):
     for i in range(4):
-        write_picture(folder / "masks" / f"{i:05d}.png", blocks(255))
-    refuse(folder, r"00003\.png belongs to no picture")
+        write_image_file(folder / "masks" / f"{i:05d}.png", blocks(255))
+    refuse(folder, r"00003\.png belongs to no image")
 
 
-def test_wrong_size(folder, write_picture):
+def test_wrong_size(folder, write_image_file):
     for i in range(3):
-        write_picture(folder / "masks" / f"{i:05d}.png", blocks(255)[: 48 - 8 * (i == 2)])
-    refuse(folder, r"00002\.png is 64x40 pixels, but its picture is 64x48")
+        write_image_file(folder / "masks" / f"{i:05d}.png", blocks(255)[: 48 - 8 * (i == 2)])
+    refuse(folder, r"00002\.png is 64x40 pixels, but its image is 64x48")
 
 
-def test_damaged(folder, write_picture):
+def test_damaged(folder, write_image_file):
     for i in range(3):
-        write_picture(folder / "masks" / f"{i:05d}.png", blocks(255))
-    (folder / "masks" / "00001.png").write_bytes(b"no picture")
+        write_image_file(folder / "masks" / f"{i:05d}.png", blocks(255))
+    (folder / "masks" / "00001.png").write_bytes(b"no image")
     refuse(folder, r"00001\.png is no readable mask")
 
 
@@ -217,9 +217,9 @@ def test_no_davis(tmp_path):
         open_davis(tmp_path, InputOptions(sequence="bear"))
 
 
-def test_colors_of_16_bits_are_as_many_objects(folder, write_picture):
+def test_colors_of_16_bits_are_as_many_objects(folder, write_image_file):
     colors = np.array([[0, 0, 0], [65535, 0, 0], [0, 0, 65535]], np.uint16)[blocks(1, 2)]
     for i in range(3):
-        write_picture(folder / "masks" / f"{i:05d}.png", colors)
+        write_image_file(folder / "masks" / f"{i:05d}.png", colors)
     clip = open_with_masks(folder)
     assert np.unique(clip.mask(0)).tolist() == [0, 1, 2]

@@ -1,4 +1,4 @@
-"""The three layouts of the NVIDIA scenes: cameras and pictures arrive, views belong to their times, bad files are one line."""
+"""The three layouts of the NVIDIA scenes: cameras and images arrive, views belong to their times, bad files are one line."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from flowsplat.scenes.clip import InputOptions
 from flowsplat.scenes.formats.nvidia import read_poses_bounds
 from flowsplat.scenes.ingest import fingerprint, ingest, kind_of_input, open_clip
 from flowsplat.scenes.synthetic import SyntheticScene
-from tests.scenes.formats.nvidia_layouts import picture, rig_camera, scaled, write_nerfies, write_raw, write_twelve
+from tests.scenes.formats.nvidia_layouts import make_image, rig_camera, scaled, write_nerfies, write_raw, write_twelve
 
 SPEC = SyntheticScene(width=64, height=48, frames=3)
 WRITERS = {"raw": write_raw, "twelve": write_twelve, "nerfies": write_nerfies}
@@ -61,7 +61,7 @@ def test_raw(originals, tmp_path):
     assert scene.train_frames == [0, 1, 2]
     for t in range(3):
         same(scene.cameras[t], rig_camera(SPEC, t))
-        close(scene.frame(t), picture(SPEC, rig_camera(SPEC, t), t), 2)  # JPEG
+        close(scene.frame(t), make_image(SPEC, rig_camera(SPEC, t), t), 2)  # JPEG
     assert len(scene.views) == 3 * 11
     assert {view.name for view in scene.views if view.frame == 1} == {f"cam{c:02d}_00001" for c in range(1, 13) if c != 2}
     for name, camera, t in (("cam01_00002", 0, 2), ("cam12_00001", 11, 1)):
@@ -69,7 +69,7 @@ def test_raw(originals, tmp_path):
         assert view.frame == t
         same(view.camera, rig_camera(SPEC, camera))
         rendered = SPEC.render(rig_camera(SPEC, camera), SPEC.timestamps[t])
-        close(scene.view_image(view), rendered.picture, 2)
+        close(scene.view_image(view), rendered.make_image, 2)
         np.testing.assert_array_equal(scene.view_mask(view), rendered.mask > 0)
     assert not scene.has_mask(0)
     assert scene.truth is None
@@ -94,11 +94,11 @@ def test_twelve(originals, tmp_path):
     assert (scene.width, scene.height) == (128, 96)
     for t in range(3):
         same(scene.cameras[t], scaled(rig_camera(SPEC, t), 2))
-    close(scene.frame(2), picture(SPEC, scaled(rig_camera(SPEC, 2), 2), 2), 0)
+    close(scene.frame(2), make_image(SPEC, scaled(rig_camera(SPEC, 2), 2), 2), 0)
     assert [(view.name, view.frame) for view in scene.views] == [(f"v000_t{t:03d}", t) for t in range(3)]
     for t, view in enumerate(scene.views):
         same(view.camera, rig_camera(SPEC, 0))
-        close(scene.view_image(view), picture(SPEC, rig_camera(SPEC, 0), t), 0)
+        close(scene.view_image(view), make_image(SPEC, rig_camera(SPEC, 0), t), 0)
     half = read(originals / "twelve", tmp_path / "half", resize=64)
     same(half.cameras[1], rig_camera(SPEC, 1))
     same(half.views[2].camera, rig_camera(SPEC, 0))
@@ -118,13 +118,13 @@ def test_nerfies(originals, tmp_path):
     scene = read(originals / "nerfies", tmp_path / "scene")
     for t in range(3):
         same(scene.cameras[t], rig_camera(SPEC, 4))
-        close(scene.frame(t), picture(SPEC, rig_camera(SPEC, 4), t), 0)
+        close(scene.frame(t), make_image(SPEC, rig_camera(SPEC, 4), t), 0)
     assert len(scene.views) == 9
     for view in scene.views:
         camera, time = map(int, view.name.split("_"))
         assert view.frame == time
         same(view.camera, rig_camera(SPEC, camera))
-        close(scene.view_image(view), picture(SPEC, rig_camera(SPEC, camera), time), 0)
+        close(scene.view_image(view), make_image(SPEC, rig_camera(SPEC, camera), time), 0)
     assert "Camera 4 makes the clip, 3, 5, 6 the test." in scene.info.notes
 
 
@@ -164,7 +164,7 @@ def spoil_poses(rows: np.ndarray, row: int, column: int, value: float) -> np.nda
     [
         (lambda rows: rows[:, :15], r"must hold \[N, 17\]"),
         (lambda rows: rows.astype(int), r"must hold \[N, 17\]"),
-        (lambda rows: rows[:2], "has 3 pictures in images/ but 2 cameras"),
+        (lambda rows: rows[:2], "has 3 images in images/ but 2 cameras"),
         (lambda rows: spoil_poses(rows, 1, 0, np.nan), "row 1 is no camera"),
         (lambda rows: spoil_poses(rows, 2, 14, 0.0), "row 2 is no camera"),
         (lambda rows: spoil_poses(rows, 2, 0, 7.0), "not finite or not a rotation"),
@@ -196,18 +196,18 @@ BROKEN = {
     "a damaged view": ("raw", lambda f: truncate(f / "mv_images/00001/cam07.jpg"), "cam07.jpg is missing, empty, damaged"),
     "no targets": ("twelve", lambda f: [p.unlink() for p in f.glob("v000*")], "no v000_t000.png"),
     "a target is missing": ("twelve", lambda f: (f / "v000_t001.png").unlink(), "v000_t001.png is missing"),
-    "a picture is missing": ("twelve", lambda f: (f / "images/001.png").unlink(), "2 pictures in images/ but 3 cameras"),
+    "an image is missing": ("twelve", lambda f: (f / "images/001.png").unlink(), "2 images in images/ but 3 cameras"),
     "no split": ("nerfies", lambda f: (f / "splits/val.json").unlink(), "val.json does not exist"),
     "a split that is none": ("nerfies", lambda f: (f / "splits/val.json").write_text("[]"), "must hold frame_names"),
     "times do not fit": ("nerfies", lambda f: change_json(f / "splits/train.json", time_ids=[0, 1]), "as many of each"),
-    "one time twice": ("nerfies", lambda f: change_json(f / "splits/train.json", time_ids=[0, 1, 1]), "two pictures at one time"),
+    "one time twice": ("nerfies", lambda f: change_json(f / "splits/train.json", time_ids=[0, 1, 1]), "two images at one time"),
     "names outside": ("nerfies", lambda f: change_json(f / "splits/val.json", frame_names=["../x"] * 9), "cannot name a file"),
     "no camera": ("nerfies", lambda f: (f / "camera/5_00001.json").unlink(), "5_00001.json does not exist"),
     "half a camera": ("nerfies", lambda f: (f / "camera/5_00001.json").write_text("{}"), "does not hold a camera"),
     "distortion": ("nerfies", lambda f: change_json(f / "camera/5_00001.json", radial_distortion=[0.1, 0, 0]), "distortion"),
-    "no picture": ("nerfies", lambda f: (f / "rgb/1x/4_00001.png").unlink(), "4_00001.png is missing"),
+    "no image": ("nerfies", lambda f: (f / "rgb/1x/4_00001.png").unlink(), "4_00001.png is missing"),
     "a size that differs": ("nerfies", lambda f: shutil.copy(f.parent / "twelve/images/001.png", f / "rgb/1x/4_00001.png"),
-                            "all pictures must have one size"),
+                            "all images must have one size"),
 }  # fmt: skip
 
 

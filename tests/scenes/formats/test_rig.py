@@ -24,14 +24,14 @@ def pose(x: float) -> list[list[float]]:
 
 
 @pytest.fixture
-def rig(tmp_path, picture, write_picture) -> Path:
+def rig(tmp_path, make_image, write_image_file) -> Path:
     """Numbers of frames are in every value, so that a mix-up shows."""
     folder = tmp_path / "rig"
     shape = (COUNT, HEIGHT, WIDTH)
     number = np.arange(COUNT).reshape(-1, 1, 1)
     for i in range(COUNT):
-        write_picture(folder / "rgb" / f"{i:05d}.png", picture(i))
-        write_picture(folder / "masks" / f"{i:05d}.png", np.full((HEIGHT, WIDTH), i, np.uint8))
+        write_image_file(folder / "rgb" / f"{i:05d}.png", make_image(i))
+        write_image_file(folder / "masks" / f"{i:05d}.png", np.full((HEIGHT, WIDTH), i, np.uint8))
     cameras = {"K": K, "width": WIDTH, "height": HEIGHT, "w2c": [pose(i) for i in range(COUNT)], "fps": 12}
     (folder / "cameras.json").write_text(json.dumps(cameras))
     np.savez(folder / "depth.npz", depth=np.broadcast_to(number + 5, shape).astype(np.float16))
@@ -45,16 +45,16 @@ def rig(tmp_path, picture, write_picture) -> Path:
     times = [0, 4]
     for name in ("left", "up_high"):
         for time in times:
-            write_picture(folder / "heldout" / name / f"{time:05d}.png", picture(time + 10))
-        write_picture(folder / "heldout" / f"{name}_masks" / "00004.png", np.full((HEIGHT, WIDTH), 3, np.uint8))
-        write_picture(folder / "heldout" / f"{name}_covisible" / "00004.png", np.full((HEIGHT, WIDTH), 255, np.uint8))
+            write_image_file(folder / "heldout" / name / f"{time:05d}.png", make_image(time + 10))
+        write_image_file(folder / "heldout" / f"{name}_masks" / "00004.png", np.full((HEIGHT, WIDTH), 3, np.uint8))
+        write_image_file(folder / "heldout" / f"{name}_covisible" / "00004.png", np.full((HEIGHT, WIDTH), 255, np.uint8))
     views = {name: {"times": times, "w2c": [pose(time - 2) for time in times]} for name in ("left", "up_high")}
     heldout = {"K": K, "width": WIDTH, "height": HEIGHT, "times": times, "cameras": views}
     (folder / "heldout" / "cameras.json").write_text(json.dumps(heldout))
     return folder
 
 
-def test_everything_arrives(rig, tmp_path, picture):
+def test_everything_arrives(rig, tmp_path, make_image):
     assert kind_of_input(rig) == "rig"
     scene = ingest(open_rig(rig, InputOptions()), tmp_path / "scene", InputOptions())
     assert scene.train_frames == list(range(COUNT))
@@ -62,7 +62,7 @@ def test_everything_arrives(rig, tmp_path, picture):
     assert scene.info.source_fps == 12
     assert scene.prior("masks") is None
     assert not scene.has_mask(0)
-    np.testing.assert_array_equal(scene.frame(3), picture(3))
+    np.testing.assert_array_equal(scene.frame(3), make_image(3))
     truth = scene.truth
     assert truth is not None
     assert [camera.center[0] for camera in truth.cameras] == list(range(COUNT))
@@ -84,7 +84,7 @@ def test_everything_arrives(rig, tmp_path, picture):
     view = views["up_high_00004"]
     assert view.frame == 4
     assert view.camera.center[0] == 2
-    np.testing.assert_array_equal(scene.view_image(view), picture(14))
+    np.testing.assert_array_equal(scene.view_image(view), make_image(14))
     mask, covisible = scene.view_mask(view), scene.view_mask(view, "covisible")
     assert mask is not None
     assert covisible is not None
@@ -93,11 +93,11 @@ def test_everything_arrives(rig, tmp_path, picture):
     assert scene.view_mask(views["left_00000"]) is None
 
 
-def test_chosen_frames(rig, picture):
+def test_chosen_frames(rig, make_image):
     """Frames 2 to 5: truth and views move with their frames."""
     clip = open_rig(rig, InputOptions(start=2 / 12))
     assert clip.num_frames == 4
-    np.testing.assert_array_equal(next(clip.frames([1])), picture(3))
+    np.testing.assert_array_equal(next(clip.frames([1])), make_image(3))
     truth = clip.truth
     assert truth is not None
     assert (truth.depth(1).depth == 8).all()
@@ -121,9 +121,9 @@ def test_resized(rig):
     np.testing.assert_allclose(truth.cameras[0].K[[0, 1], [0, 1]], [60 * 42 / 64, 40])
     assert (truth.depth(2).depth == 7).all()
     np.testing.assert_allclose(truth.flow(2, 3).flow[0, 0], [2 * 42 / 64, 2.5 * 32 / 48])
-    picture_of_view = next(iter(clip.views()))
-    assert picture_of_view.image.shape == (32, 42, 3)
-    assert (picture_of_view.view.camera.width, picture_of_view.view.camera.height) == (42, 32)
+    image_of_view = next(iter(clip.views()))
+    assert image_of_view.image.shape == (32, 42, 3)
+    assert (image_of_view.view.camera.width, image_of_view.view.camera.height) == (42, 32)
 
 
 def test_without_heldout_cameras_frames_are_held_out(rig, tmp_path):
@@ -154,9 +154,9 @@ def test_bad_cameras(rig):
     refuse(rig, "camera 2 is not finite or not a rotation")
 
 
-def test_other_number_of_pictures(rig):
+def test_other_number_of_images(rig):
     (rig / "rgb" / "00003.png").unlink()
-    refuse(rig, "5 pictures in rgb/ but 6 cameras")
+    refuse(rig, "5 images in rgb/ but 6 cameras")
 
 
 def test_no_poses(rig):

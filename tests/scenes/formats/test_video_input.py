@@ -1,4 +1,4 @@
-"""Video files of many makes come out as the pictures that went in."""
+"""Video files of many makes come out as the images that went in."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ def turn(angle: float, hflip: bool = False) -> Callable[[av.VideoStream], None]:
 
 
 @pytest.fixture
-def pictures(picture) -> list[np.ndarray]:
-    return [picture(i) for i in range(12)]
+def images(make_image) -> list[np.ndarray]:
+    return [make_image(i) for i in range(12)]
 
 
 @pytest.mark.parametrize(
@@ -61,14 +61,14 @@ def pictures(picture) -> list[np.ndarray]:
         ("a.avi", "mpeg4"),
     ],
 )
-def test_codecs(tmp_path, pictures, write_video, name, codec):
+def test_codecs(tmp_path, images, write_video, name, codec):
     options = (
         {"preset": "12", "svtav1-params": "lp=1"} if codec == "libsvtav1" else {"cpu-used": "8"} if codec == "libvpx-vp9" else {}
     )
     options |= {"crf": "4"} if codec == "libvpx" else {}
     path = write_video(
         tmp_path / name,
-        pictures,
+        images,
         codec=codec,
         options=options,
         matrix=5,
@@ -81,22 +81,22 @@ def test_codecs(tmp_path, pictures, write_video, name, codec):
     assert clip.source_fps == pytest.approx(25, rel=0.01)
     assert clip.notes == []
     assert clip.audio is None
-    for got, sent in zip(frames, pictures, strict=True):
+    for got, sent in zip(frames, images, strict=True):
         # Blue is what tells frames apart, by five levels each.
         assert error(got, sent) < 3
         assert abs(got[..., 2].mean() - sent[..., 2].mean()) < 2
 
 
-def test_without_timestamps(tmp_path, pictures, write_video):
+def test_without_timestamps(tmp_path, images, write_video):
     """An elementary stream has neither timestamps nor a length."""
-    frames = read(write_video(tmp_path / "a.h264", pictures, matrix=5))
+    frames = read(write_video(tmp_path / "a.h264", images, matrix=5))
     assert len(frames) == 12
-    assert all(error(got, sent) < 3 for got, sent in zip(frames, pictures, strict=True))
+    assert all(error(got, sent) < 3 for got, sent in zip(frames, images, strict=True))
 
 
-def test_some_frames(tmp_path, picture, write_video):
+def test_some_frames(tmp_path, make_image, write_video):
     """Any rising choice of frames gives what reading all gives, also from behind key frames (seeking)."""
-    sent = [picture(i % 40) for i in range(200)]
+    sent = [make_image(i % 40) for i in range(200)]
     path = write_video(tmp_path / "a.mp4", sent, options={"g": "20"})
     everything = read(path, InputOptions(max_frames=200))
     clip = open_video(path, InputOptions(start=4.0, end=7.0))
@@ -106,7 +106,7 @@ def test_some_frames(tmp_path, picture, write_video):
     assert list(clip.frames([])) == []
 
 
-def test_what_cannot_seek_is_decoded_from_its_beginning(tmp_path, picture, write_video, monkeypatch):
+def test_what_cannot_seek_is_decoded_from_its_beginning(tmp_path, make_image, write_video, monkeypatch):
     class Unwilling:
         def __init__(self, container):
             self._container = container
@@ -124,7 +124,7 @@ def test_what_cannot_seek_is_decoded_from_its_beginning(tmp_path, picture, write
         with opened(path) as (container, stream):
             yield Unwilling(container), stream
 
-    path = write_video(tmp_path / "a.mp4", [picture(i) for i in range(60)], options={"g": "20"})
+    path = write_video(tmp_path / "a.mp4", [make_image(i) for i in range(60)], options={"g": "20"})
     clip = open_video(path, InputOptions(start=1.6))
     expected = list(clip.frames([0, 5]))
     monkeypatch.setattr(video, "_opened", unwilling)
@@ -132,14 +132,14 @@ def test_what_cannot_seek_is_decoded_from_its_beginning(tmp_path, picture, write
         np.testing.assert_array_equal(found, frame)
 
 
-def test_variable_frame_rate(tmp_path, pictures, write_video):
+def test_variable_frame_rate(tmp_path, images, write_video):
     times = np.cumsum([0.1, *([0.02, 0.09, 0.04] * 4)[:11]])
-    path = write_video(tmp_path / "a.mp4", pictures, times=times.tolist())
+    path = write_video(tmp_path / "a.mp4", images, times=times.tolist())
     clip = open_video(path, OPTIONS)
     np.testing.assert_allclose(clip.timestamps, times - times[0], atol=1.1e-3)
     thinned = open_video(path, InputOptions(every=5))
     np.testing.assert_allclose(thinned.timestamps, (times - times[0])[[0, 5, 10]], atol=1.1e-3)
-    assert all(error(got, pictures[i]) < 4 for got, i in zip(thinned.frames([0, 1, 2]), (0, 5, 10), strict=True))
+    assert all(error(got, images[i]) < 4 for got, i in zip(thinned.frames([0, 1, 2]), (0, 5, 10), strict=True))
 
 
 def test_long_and_large(tmp_path, write_video):
@@ -160,17 +160,17 @@ def test_long_and_large(tmp_path, write_video):
     np.testing.assert_allclose(levels, 50 + 7 * np.arange(8), atol=1.5)
 
 
-def test_ten_bits(tmp_path, pictures, write_video):
-    path = write_video(tmp_path / "a.mp4", pictures, codec="libx265", pixels="yuv420p10le")
+def test_ten_bits(tmp_path, images, write_video):
+    path = write_video(tmp_path / "a.mp4", images, codec="libx265", pixels="yuv420p10le")
     clip = open_video(path, OPTIONS)
     assert "10-bit" in " ".join(clip.notes)
-    assert all(error(got, sent) < 3 for got, sent in zip(clip.frames(range(12)), pictures, strict=True))
+    assert all(error(got, sent) < 3 for got, sent in zip(clip.frames(range(12)), images, strict=True))
 
 
 @pytest.mark.parametrize("hflip", [False, True])
 @pytest.mark.parametrize("angle", [0, 90, 180, -90])
-def test_rotation(tmp_path, pictures, write_video, angle, hflip):
-    path = write_video(tmp_path / "a.mp4", pictures, prepare=turn(angle, hflip))
+def test_rotation(tmp_path, images, write_video, angle, hflip):
+    path = write_video(tmp_path / "a.mp4", images, prepare=turn(angle, hflip))
     clip = open_video(path, OPTIONS)
     got = next(iter(clip.frames([0])))
     assert (clip.width, clip.height) == ((48, 64) if angle in (90, -90) else (64, 48))
@@ -180,34 +180,34 @@ def test_rotation(tmp_path, pictures, write_video, angle, hflip):
     # Where FFmpeg's row-vector matrix sends each corner, relative to the center.
     for x, y in itertools.product((-1, 1), (-1, 1)):
         to_x, to_y = np.rint(np.array([x, y, 0]) @ m)[:2].astype(int)
-        from_pixel = pictures[0][-1 if y > 0 else 0, -1 if x > 0 else 0].astype(float)
+        from_pixel = images[0][-1 if y > 0 else 0, -1 if x > 0 else 0].astype(float)
         to_pixel = got[-1 if to_y > 0 else 0, -1 if to_x > 0 else 0].astype(float)
         assert np.abs(from_pixel - to_pixel).max() < 8
 
 
-def test_rotation_direction(tmp_path, pictures, write_video):
-    """A phone held upright: FFmpeg says -90 (counter-clockwise), and the picture turns clockwise."""
-    path = write_video(tmp_path / "a.mp4", pictures, prepare=turn(90))
+def test_rotation_direction(tmp_path, images, write_video):
+    """A phone held upright: FFmpeg says -90 (counter-clockwise), and the image turns clockwise."""
+    path = write_video(tmp_path / "a.mp4", images, prepare=turn(90))
     with av.open(str(path)) as container:
         frame = next(container.decode(video=0))
         turns, matrix = frame.rotation // 90, display_matrix(frame)
     assert abs(turns) == 1
-    np.testing.assert_array_equal(orient(pictures[0], matrix), np.rot90(pictures[0], turns))
+    np.testing.assert_array_equal(orient(images[0], matrix), np.rot90(images[0], turns))
 
 
-def test_pixel_aspect(tmp_path, pictures, write_video):
+def test_pixel_aspect(tmp_path, images, write_video):
     def widen(stream):
         stream.codec_context.sample_aspect_ratio = Fraction(3, 2)
 
-    clip = open_video(write_video(tmp_path / "a.mp4", pictures, prepare=widen), OPTIONS)
+    clip = open_video(write_video(tmp_path / "a.mp4", images, prepare=widen), OPTIONS)
     assert (clip.width, clip.height) == (96, 48)
     assert "square" in " ".join(clip.notes)
     assert next(iter(clip.frames([0]))).shape == (48, 96, 3)
 
 
-def test_first_frame_need_not_be_at_zero(tmp_path, pictures, write_video):
+def test_first_frame_need_not_be_at_zero(tmp_path, images, write_video):
     times = (5 + np.arange(12) / 25).tolist()
-    clip = open_video(write_video(tmp_path / "a.mkv", pictures, times=times), InputOptions(start=0.2))
+    clip = open_video(write_video(tmp_path / "a.mkv", images, times=times), InputOptions(start=0.2))
     assert clip.timestamps[0] == 0
     assert clip.num_frames == 7
     assert clip.audio_start == pytest.approx(5.2)
@@ -268,37 +268,37 @@ def test_damaged_in_the_middle(tmp_path, write_video):
     refuse(path, r"damaged at second \d")
 
 
-def test_interlaced(tmp_path, pictures, write_video):
-    refuse(write_video(tmp_path / "a.mp4", pictures, options={"x264-params": "tff=1"}), "interlaced")
+def test_interlaced(tmp_path, images, write_video):
+    refuse(write_video(tmp_path / "a.mp4", images, options={"x264-params": "tff=1"}), "interlaced")
 
 
-def test_changing_size(tmp_path, picture, write_video):
+def test_changing_size(tmp_path, make_image, write_video):
     """Elementary streams can be chained, each with its own size."""
-    first = write_video(tmp_path / "1.h264", [picture(i) for i in range(5)])
-    second = write_video(tmp_path / "2.h264", [picture(i, 80, 64) for i in range(5)])
+    first = write_video(tmp_path / "1.h264", [make_image(i) for i in range(5)])
+    second = write_video(tmp_path / "2.h264", [make_image(i, 80, 64) for i in range(5)])
     path = tmp_path / "a.h264"
     path.write_bytes(first.read_bytes() + second.read_bytes())
     refuse(path, "changes its size from 64x48 to 80x64")
 
 
-def test_one_frame(tmp_path, picture, write_video):
-    refuse(write_video(tmp_path / "a.mp4", [picture(0)]), "at least two frames")
+def test_one_frame(tmp_path, make_image, write_video):
+    refuse(write_video(tmp_path / "a.mp4", [make_image(0)]), "at least two frames")
 
 
-def test_two_frames(tmp_path, picture, write_video):
-    assert len(read(write_video(tmp_path / "a.mp4", [picture(0), picture(1)]))) == 2
+def test_two_frames(tmp_path, make_image, write_video):
+    assert len(read(write_video(tmp_path / "a.mp4", [make_image(0), make_image(1)]))) == 2
 
 
-def test_nothing_in_the_chosen_time(tmp_path, pictures, write_video):
-    refuse(write_video(tmp_path / "a.mp4", pictures), "--start", InputOptions(start=3))
+def test_nothing_in_the_chosen_time(tmp_path, images, write_video):
+    refuse(write_video(tmp_path / "a.mp4", images), "--start", InputOptions(start=3))
 
 
-def test_too_small(tmp_path, picture, write_video):
-    refuse(write_video(tmp_path / "a.mp4", [picture(i, 16, 16) for i in range(3)]), "too small")
+def test_too_small(tmp_path, make_image, write_video):
+    refuse(write_video(tmp_path / "a.mp4", [make_image(i, 16, 16) for i in range(3)]), "too small")
 
 
-def test_an_avi_with_pictures_that_refer_to_later_ones(tmp_path, picture, write_video):
-    sent = [picture(i) for i in range(30)]
+def test_an_avi_with_images_that_refer_to_later_ones(tmp_path, make_image, write_video):
+    sent = [make_image(i) for i in range(30)]
     path = write_video(tmp_path / "a.avi", sent, options={"bf": "2", "g": "15"}, matrix=5)
     clip = open_video(path, OPTIONS)
     frames = list(clip.frames(range(clip.num_frames)))
@@ -307,8 +307,8 @@ def test_an_avi_with_pictures_that_refer_to_later_ones(tmp_path, picture, write_
     np.testing.assert_allclose(clip.timestamps, np.arange(30) / 25, atol=2e-3)
 
 
-def test_an_unknown_codec(tmp_path, pictures, write_video):
-    path = write_video(tmp_path / "a.mp4", pictures)
+def test_an_unknown_codec(tmp_path, images, write_video):
+    path = write_video(tmp_path / "a.mp4", images)
     path.write_bytes(path.read_bytes().replace(b"avc1", b"zzzz"))
     with pytest.raises(InputError, match="cannot be decoded"):
         open_video(path, OPTIONS)

@@ -23,7 +23,7 @@ WIDTH, HEIGHT = 30, 20
 
 @dataclass
 class Result:
-    """Pictures, what was projected, and the gradients of a fixed random functional of all of them; on the CPU."""
+    """Images, what was projected, and the gradients of a fixed random functional of all of them; on the CPU."""
 
     image: torch.Tensor
     alphas: torch.Tensor
@@ -79,18 +79,18 @@ def draw(values, backend, *, size=(WIDTH, HEIGHT), covars=False, keep=None) -> R
 def at_a_cut(values, size=(WIDTH, HEIGHT)) -> torch.Tensor:
     """[H, W] where a change in the seventh digit makes a jump: an alpha at 1/255, a pixel about to stop, two depths alike."""
 
-    def picture(moved):
+    def image(moved):
         parts = blend(project(*geometry(moved), *size), moved["opacities"], moved["features"], *size)
         return torch.cat([part.reshape(size[1], size[0], -1) for part in parts], -1)
 
     exact = {name: value.double() for name, value in values.items()}
-    expected, jumps = picture(exact), torch.zeros(size[1], size[0], dtype=torch.bool)
+    expected, jumps = image(exact), torch.zeros(size[1], size[0], dtype=torch.bool)
     for seed in range(4):
         g = torch.Generator().manual_seed(seed)
         moved = {
             name: value * (1 + 2e-6 * torch.randn(value.shape, generator=g, dtype=torch.float64)) for name, value in exact.items()
         }
-        jumps |= (picture(moved) - expected).abs().amax(-1) > 5e-5
+        jumps |= (image(moved) - expected).abs().amax(-1) > 5e-5
     return jumps
 
 
@@ -160,7 +160,7 @@ def test_what_a_culled_gaussian_holds_does_not_matter():
 
 
 @pytest.mark.parametrize("kind", ["behind", "opacity 0", "far away", "NaN mean"])
-def test_nothing_visible_gives_an_empty_picture(kind):
+def test_nothing_visible_gives_an_empty_image(kind):
     found = draw(with_camera(scene(1, [kind] * 5)), "triton")
     assert not found.image.any()
     assert not found.alphas.any()
@@ -239,7 +239,7 @@ def test_the_camera_may_be_on_the_cpu():
 
 
 def drawn_with(values, capacity, differentiate=True):
-    """Picture and gradients, drawn with this capacity."""
+    """Image and gradients, drawn with this capacity."""
     leaves = {name: value.float().to(DEVICE).requires_grad_(differentiate) for name, value in values.items()}
     with capacity.fixed():
         projected = project(*geometry(leaves), WIDTH, HEIGHT, backend="triton")
@@ -269,7 +269,7 @@ def test_what_exceeds_a_fixed_capacity_is_noticed_and_fits_when_it_has_grown(mon
     assert all(map(torch.equal, again, gradients))
 
 
-def test_the_shared_capacity_of_a_picture_grows_by_itself(monkeypatch):
+def test_the_shared_capacity_of_an_image_grows_by_itself(monkeypatch):
     monkeypatch.setattr(tiles, "_GRANULE", 16)
     monkeypatch.setattr(tiles, "_shared", {})
     values = {name: value.float() for name, value in random_gaussians(40, 3, seed=4).items()}

@@ -23,7 +23,7 @@ def build(defaults: RunConfig) -> Callable[..., None]:
         Args:
             out: Folder of the run.
             baselines: What the result is compared with; all also trains our own static scene (a quarter of the training time).
-            refine_poses: Also measure held-out frames with their poses refined on their own pictures.
+            refine_poses: Also measure held-out frames with their poses refined on their own images.
             device: What to compute on.
         """
         from flowsplat import pipeline

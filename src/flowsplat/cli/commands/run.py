@@ -20,7 +20,7 @@ def build(defaults: RunConfig) -> Callable[..., None]:
         The same command again continues where it was stopped.
 
         Args:
-            input: A video file, a folder of pictures, a folder with images/ and masks/, a DAVIS root (with --sequence), a
+            input: A video file, a folder of images, a folder with images/ and masks/, a DAVIS root (with --sequence), a
                 rig scene, an NVIDIA Dynamic Scene, or a prepared scene.
             out: Folder for everything that comes out.
             preset: fast (half size, about two minutes), default, paper (the paper's settings) or high (five times default).

@@ -18,7 +18,7 @@ from flowsplat.splatting.rules import EPS2D
 def border(eps2d: float) -> int:
     """Pixels by which the camera of a cull must be wider (``Camera.widened``) where the rasterizer blurs by ``eps2d``.
 
-    The cull itself reckons with the usual blur, and a stronger one reaches farther into the picture.
+    The cull itself reckons with the usual blur, and a stronger one reaches farther into the image.
     """
     return max(math.ceil(REACH * (math.sqrt(eps2d) - math.sqrt(EPS2D))), 0)
 

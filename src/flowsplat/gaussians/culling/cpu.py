@@ -21,13 +21,13 @@ ZERO, ONE, HALF = np.float32(0), np.float32(1), np.float32(0.5)
 
 
 @inlined
-def _outside(position, size, center, limit, focal, inverse, picture):
-    """Whether a Gaussian ends before the picture on one axis; its 2D sigma is at most focal / z |(1, t)| size + blur."""
+def _outside(position, size, center, limit, focal, inverse, image):
+    """Whether a Gaussian ends before the image on one axis; its 2D sigma is at most focal / z |(1, t)| size + blur."""
     tangent = position * inverse
     clamped = min(max(tangent, -limit), limit)
     reach = REACH * (focal * inverse * size * math.sqrt(ONE + clamped * clamped) + BLUR)
     pixel = focal * tangent + center
-    return (pixel + reach < ZERO) or (pixel - reach > picture)
+    return (pixel + reach < ZERO) or (pixel - reach > image)
 
 
 @kernel

@@ -34,12 +34,12 @@ def _may_be_seen(means: Tensor, sizes: Tensor, camera: Camera, near: float) -> T
     points = means @ viewmat[:3, :3].T + viewmat[:3, 3]
     depth = points[:, 2]
     seen = depth > near
-    for axis, picture in ((0, camera.width), (1, camera.height)):
+    for axis, image in ((0, camera.width), (1, camera.height)):
         focal, center = K[axis, axis], K[axis, 2]
-        limit = torch.maximum(picture - center, center) / focal + TANGENT_MARGIN * picture / focal
+        limit = torch.maximum(image - center, center) / focal + TANGENT_MARGIN * image / focal
         tangent = points[:, axis] / depth
         held = torch.minimum(torch.maximum(tangent, -limit), limit)
         reach = REACH * (focal / depth * sizes * torch.sqrt(1 + held * held) + BLUR)
         pixel = focal * tangent + center
-        seen = seen & (pixel + reach >= 0) & (pixel - reach <= picture)
+        seen = seen & (pixel + reach >= 0) & (pixel - reach <= image)
     return seen

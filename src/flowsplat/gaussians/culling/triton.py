@@ -24,14 +24,14 @@ REACH, BLUR, MARGIN = tl.constexpr(reference.REACH), tl.constexpr(reference.BLUR
 
 
 @triton.jit
-def _reaches(position, size, center, focal, inverse, picture):
-    """Whether a Gaussian reaches into the picture on one axis; its 2D sigma is at most focal / z |(1, t)| size + blur."""
-    limit = tl.maximum(picture - center, center) / focal + picture * MARGIN / focal
+def _reaches(position, size, center, focal, inverse, image):
+    """Whether a Gaussian reaches into the image on one axis; its 2D sigma is at most focal / z |(1, t)| size + blur."""
+    limit = tl.maximum(image - center, center) / focal + image * MARGIN / focal
     tangent = position * inverse
     held = tl.minimum(tl.maximum(tangent, -limit), limit)
     reach = (focal * inverse * size * tl.sqrt(1.0 + held * held) + BLUR) * REACH
     pixel = focal * tangent + center
-    return (pixel + reach >= 0.0) & (pixel - reach <= picture)
+    return (pixel + reach >= 0.0) & (pixel - reach <= image)
 
 
 @triton.jit(do_not_specialize=["count", "blocks"])

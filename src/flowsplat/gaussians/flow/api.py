@@ -1,4 +1,4 @@
-"""What is blended into one picture: color, depth and flow; and the one place that picks who computes it."""
+"""What is blended into one image: color, depth and flow; and the one place that picks who computes it."""
 
 from __future__ import annotations
 

@@ -48,8 +48,8 @@ def flow_features(
         K: [3, 3] of the first camera.
         next_viewmat: [4, 4] of the second camera.
         next_K: [3, 3] of the second camera.
-        width: of the picture.
-        height: of the picture.
+        width: of the image.
+        height: of the image.
     """
     if model == "mean":
         uv, depth = project_points(sliced.means, next_viewmat, next_K, NEAR)
@@ -79,7 +79,7 @@ def affine_gradient(
 ) -> Tensor:
     """B = (J_j M - J_i) G [A, 2, 2]: how the flow varies inside each Gaussian (METHOD 3.3, ours).
 
-    G maps an offset in the picture to the most likely offset in the Gaussian, under the blur that the rasterizer draws with.
+    G maps an offset in the image to the most likely offset in the Gaussian, under the blur that the rasterizer draws with.
     """
     assert sliced.next_means is not None
     J_i = world_jacobian(sliced.means, viewmat, K, width, height, NEAR)

@@ -1,6 +1,6 @@
 """The clip's cameras for other programs: a COLMAP text model, and nerfstudio's ``transforms.json``.
 
-Both name the pictures where they lie in the run, held-out ones included: who trains on these has no strict figures.
+Both name the images where they lie in the run, held-out ones included: who trains on these has no strict figures.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ MOST_POINTS = 100_000
 
 
 def frame_names(scene: Scene) -> list[str]:
-    """The picture of every frame, relative to the folder of the scene."""
+    """The image of every frame, relative to the folder of the scene."""
     heldout = set(scene.heldout_frames)
     return [f"heldout/frames/{i:05d}.png" if i in heldout else f"frames/{i:05d}.png" for i in range(scene.num_frames)]
 

@@ -1,4 +1,4 @@
-"""Which Gaussians matter: how much of the pictures each of them holds."""
+"""Which Gaussians matter: how much of the images each of them holds."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def most_important(model: SceneModel, views: Sequence[tuple[Camera, float]], cou
 def blending_weights(gaussians: Gaussians4D, views: Sequence[tuple[Camera, float]]) -> Tensor:
     """[N] the sum over views and pixels of p(t) o exp(-d^2 / 2) times the transmittance in front: what a Gaussian adds.
 
-    It is the gradient of the sum of a picture with respect to a feature that is 1 everywhere.
+    It is the gradient of the sum of an image with respect to a feature that is 1 everywhere.
 
     Args:
         gaussians: the model.
@@ -59,8 +59,8 @@ def blending_weights(gaussians: Gaussians4D, views: Sequence[tuple[Camera, float
                 near_plane=NEAR_PLANE,
             )  # fmt: skip
         ones = torch.ones(len(active.rows), 1, requires_grad=True)
-        picture, _ = blend(projected, sliced.opacities, ones, *size)
-        picture.sum().backward()
+        image, _ = blend(projected, sliced.opacities, ones, *size)
+        image.sum().backward()
         assert ones.grad is not None
         total.index_add_(0, active.rows, ones.grad[:, 0])
     return total

@@ -1,7 +1,7 @@
 """A trained scene as the few megabytes that the player unpacks: a header that says what is there, and quantized arrays.
 
 Gaussians at rest come first, then those that move, each part along a space-filling curve, so that neighbors in the file
-look alike. Which bits each parameter gets was chosen by the PSNR of the pictures (docs/formats.md).
+look alike. Which bits each parameter gets was chosen by the PSNR of the images (docs/formats.md).
 """
 
 from __future__ import annotations
@@ -140,7 +140,7 @@ def _arrays(gaussians: Gaussians4D, resting: int, resolution: np.ndarray) -> lis
 def _motion_arrays(motion: ChebyshevMotion, step: float) -> list[QuantizedArray]:
     means, quats = motion.means[:, 1:], motion.quats[:, 1:]
     return [
-        # In boxes, too: what crosses the picture between two frames goes further than 16 bits of such steps.
+        # In boxes, too: what crosses the image between two frames goes further than 16 bits of such steps.
         quantized_in_chunks("meanCoefficients", means.flatten(1).numpy(), np.full(len(means), step), CHUNK),
         quantized_to_step("quatCoefficients", quats.flatten(1).numpy(), QUAT_TOLERANCE),
     ]

@@ -18,9 +18,9 @@ from flowsplat.common.errors import InputError
 from flowsplat.common.files import write_text
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.geometry import Camera
+from flowsplat.images.html import data_uri
 from flowsplat.output.player.camera_paths import camera_paths
 from flowsplat.output.player.pack import DOLLY, SWING, pack
-from flowsplat.pictures.html import data_uri
 
 SCRIPTS = ("scene.js", "cameras.js", "camera_loops.js", "sorter.js", "renderer.js", "controls.js", "main.js")
 """In the order in which they stand in the page."""

@@ -22,9 +22,9 @@ ANGLES = (3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0)
 DOLLIES = (1.1, 1.2, 1.3, 1.4, 1.5)
 """Factors of the distance to choose from, likewise."""
 MOST_ASTRAY = 0.02
-"""Share of the width of the picture by which the largest objects may stand beside their place, by one standard deviation."""
+"""Share of the width of the image by which the largest objects may stand beside their place, by one standard deviation."""
 MOST_UNKNOWN = 0.06
-"""Share of the picture, on average over a loop, that the clip does not tell, beyond what it does not tell of its own views."""
+"""Share of the image, on average over a loop, that the clip does not tell, beyond what it does not tell of its own views."""
 _PROBES = 4
 """Cameras of a loop that are looked at: where it turns."""
 
@@ -88,7 +88,7 @@ class Amplitudes:
 
     @cached_property
     def _astray(self) -> float:
-        """Share of the width of the picture by which the least known of the large objects is astray for each radian."""
+        """Share of the width of the image by which the least known of the large objects is astray for each radian."""
         objects = load_objects(self._scene).objects
         large = large_objects(self._scene) if objects else set()
         camera = self._scene.cameras[0]

@@ -10,8 +10,8 @@ from typing import Literal, get_args
 from flowsplat.common.errors import InputError
 from flowsplat.gaussians.distances import check_factors
 from flowsplat.gaussians.renderer import Part, numbers_of
+from flowsplat.images.video import FASTEST, SLOWEST
 from flowsplat.output.camera_files import LARGEST
-from flowsplat.pictures.video import FASTEST, SLOWEST
 
 PathName = Literal["input", "stabilized", "orbit", "bullet", "dolly", "wiggle"]
 
@@ -48,7 +48,7 @@ class RenderOptions:
     bullet_time: float | None = None
     """Seconds of the clip at which time stands still in ``bullet``, ``dolly`` and ``wiggle``. None = the middle."""
     stabilize: float = 0.5
-    """Seconds over which ``stabilized`` smooths the path (standard deviation); less where too little picture would be left."""
+    """Seconds over which ``stabilized`` smooths the path (standard deviation); less where too little image would be left."""
     dolly: float | None = None
     """How many times as far from the subject the camera of ``dolly`` goes; below 1 it comes nearer and widens. None = as far as the
     clip has seen enough, 1.1 to 1.5."""
@@ -57,8 +57,9 @@ class RenderOptions:
     eye_distance: float = 0.03
     """Between the eyes of ``stereo`` and the ends of ``wiggle``, over the scene's median depth."""
     distances: tuple[str, ...] = ()
-    """Objects farther from the clip's camera than they were trained, or nearer: each ``number=factor``, as in ``2=1.2 3=0.9``. Their
-    sizes go with them, so that the clip's own frames stay as they are, but for who hides whom; other cameras see the difference."""
+    """Objects farther from the clip's camera than they were trained, or nearer: each ``number=factor``, as in ``2=1.2 3=0.9``.
+    Their sizes go with them, so that the clip's own frames stay as they are, but for who hides whom; other cameras see the
+    difference."""
     fading: bool = False
     """What the clip has not seen well enough to tell what it looks like from where the camera stands fades to black, instead of
     being shown as a guess."""

@@ -16,12 +16,12 @@ from flowsplat.common.spread import spread
 from flowsplat.gaussians.renderer import Part, PartedRenderer
 from flowsplat.geometry import Camera
 from flowsplat.geometry.paths import CameraPath, dolly_zoom, orbit, shifted
+from flowsplat.images.video import FASTEST, SLOWEST
 from flowsplat.output.camera_files import CameraShots, read_camera_file
 from flowsplat.output.videos.amplitudes import Amplitudes
 from flowsplat.output.videos.options import RenderOptions, check_options, factors_of
 from flowsplat.output.videos.shots import COVERED, Shot, small
 from flowsplat.output.videos.stabilized import stabilize
-from flowsplat.pictures.video import FASTEST, SLOWEST
 from flowsplat.scenes import Scene
 
 WIGGLE_FRAMES = 16

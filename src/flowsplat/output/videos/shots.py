@@ -1,4 +1,4 @@
-"""What a video is made of, and the small pictures in which is looked before it is rendered."""
+"""What a video is made of, and the small images in which is looked before it is rendered."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ Shot = tuple[Camera, float]
 COVERED = 0.5
 """Alpha from which something is shown."""
 _PROBE_SHARE = 4
-"""By how much the small pictures are smaller."""
+"""By how much the small images are smaller."""
 
 
 def small(camera: Camera) -> Camera:
-    """The camera for a small picture of what it sees."""
+    """The camera for a small image of what it sees."""
     return camera.resized(max(camera.width // _PROBE_SHARE, 1), max(camera.height // _PROBE_SHARE, 1))

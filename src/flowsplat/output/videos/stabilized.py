@@ -15,15 +15,15 @@ from flowsplat.output.videos.shots import COVERED, Shot
 _LEAST_LEFT = 0.7
 """Share of width and height that a stabilized video keeps at least; rather than cut more off, it is smoothed less."""
 _PROBE_WIDTH = 160
-"""Pixels of the pictures in which uncovered borders are looked for."""
+"""Pixels of the images in which uncovered borders are looked for."""
 _MARGIN = 1
-"""Pixels of these pictures: Gaussians are blurred to a pixel, so that small pictures look covered a little further."""
+"""Pixels of these images: Gaussians are blurred to a pixel, so that small images look covered a little further."""
 
 
 def stabilize(model: Renderer, shots: Sequence[Shot], sigma: float) -> tuple[list[Shot], float]:
     """Smooth a path, and crop all of it alike, so that no uncovered border is seen.
 
-    A camera that is moved off its path sees beyond what the clip has seen. What of a picture is covered is asked of the
+    A camera that is moved off its path sees beyond what the clip has seen. What of an image is covered is asked of the
     scene itself, which knows more than one frame does. Where more than 30 % would have to go, it is smoothed half as much,
     and again. A clip that has uncovered borders already on its own path keeps them, filled from their neighbors.
 
@@ -62,7 +62,7 @@ def covered_share(model: Renderer, shots: Sequence[Shot]) -> float:
 
 
 def _inner_share(uncovered: np.ndarray) -> float:
-    """The share of one picture [H, W] bool; uncovered areas that do not touch the border are holes and do not count."""
+    """The share of one image [H, W] bool; uncovered areas that do not touch the border are holes and do not count."""
     height, width = uncovered.shape
     _, labels = cv2.connectedComponents(uncovered.astype(np.uint8), connectivity=8)
     rim = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])

@@ -15,13 +15,13 @@ from flowsplat.common.threads import in_threads
 from flowsplat.gaussians.model import at_once
 from flowsplat.gaussians.renderer import Renderer, Rendering
 from flowsplat.geometry.paths import shifted
+from flowsplat.images.colors import depth_range, depth_to_color, float_to_bytes, flow_scale, flow_to_color
+from flowsplat.images.gif import write_gif
+from flowsplat.images.sheets import side_by_side
+from flowsplat.images.transparent import webm_writer
+from flowsplat.images.video import mp4_writer
 from flowsplat.output.videos.plans import Plan
 from flowsplat.output.videos.shots import COVERED, Shot, small
-from flowsplat.pictures.colors import depth_range, depth_to_color, float_to_bytes, flow_scale, flow_to_color
-from flowsplat.pictures.gif import write_gif
-from flowsplat.pictures.sheets import side_by_side
-from flowsplat.pictures.transparent import webm_writer
-from flowsplat.pictures.video import mp4_writer
 
 _PROBES = 5
 """Shots that are looked at before a video is made, to fix its color scales."""
@@ -79,8 +79,8 @@ def write_plan(model: Renderer, plan: Plan, scales: Scales, folder: Path) -> Non
         _write_alpha(model, plan, *paths)
     else:
         shots = track(plan.shots, f"Rendering {plan.name}")
-        pictures = in_threads(lambda shot: float_to_bytes(model.render(*shot).color), shots, at_once(model))
-        write_gif(paths[0], list(pictures), plan.fps)
+        images = in_threads(lambda shot: float_to_bytes(model.render(*shot).color), shots, at_once(model))
+        write_gif(paths[0], list(images), plan.fps)
 
 
 def _write_panels(model: Renderer, plan: Plan, scales: Scales, panels_path: Path, color_path: Path) -> None:
@@ -88,8 +88,8 @@ def _write_panels(model: Renderer, plan: Plan, scales: Scales, panels_path: Path
     height = min(camera.height, max(round(camera.height * _WIDEST_PANEL / camera.width), 1))
 
     def sheet(k: int) -> tuple[np.ndarray, np.ndarray]:
-        picture, flow, depth = look(model, plan.shots, k)
-        color = float_to_bytes(picture)
+        image, flow, depth = look(model, plan.shots, k)
+        color = float_to_bytes(image)
         panels = [color, flow_to_color(flow, scales.flow), depth_to_color(depth, scales.near, scales.far)]
         return side_by_side(panels, ["color", "flow", "depth"], height), color
 
@@ -116,8 +116,8 @@ def _write_stereo(model: Renderer, plan: Plan, path: Path) -> None:
 def _write_alpha(model: Renderer, plan: Plan, path: Path) -> None:
     with webm_writer(path, plan.fps) as write:
         shots = track(plan.shots, f"Rendering {plan.name}")
-        for picture in in_threads(lambda shot: on_transparent(model.render(*shot)), shots, at_once(model)):
-            write(picture)
+        for image in in_threads(lambda shot: on_transparent(model.render(*shot)), shots, at_once(model)):
+            write(image)
 
 
 def on_transparent(seen: Rendering) -> np.ndarray:

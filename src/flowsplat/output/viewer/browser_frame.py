@@ -43,7 +43,7 @@ class BrowserFrame:
         self.to_scene = self.from_scene.inverse()
 
     def camera(self, pose: Pose, width: int, height: int) -> Camera:
-        """The camera of the scene that sees what the browser's camera sees on a picture of that size."""
+        """The camera of the scene that sees what the browser's camera sees on an image of that size."""
         R = Rotation.from_quat(pose.wxyz, scalar_first=True).inv().as_matrix()
         focal = height / 2 / np.tan(pose.fov / 2)
         K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])

@@ -1,4 +1,4 @@
-"""What a client wants to see, and the picture of it."""
+"""What a client wants to see, and the image of it."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.renderer import Part
 from flowsplat.geometry import Camera
 from flowsplat.geometry.paths import shifted
+from flowsplat.images.colors import depth_to_color, float_to_bytes, flow_to_color
 from flowsplat.output.videos.options import RenderOptions
 from flowsplat.output.videos.shots import COVERED
 from flowsplat.output.viewer.browser_frame import BrowserFrame, Pose
 from flowsplat.output.viewer.layout import Box, empty, fitted, halves, place, wipe
 from flowsplat.output.viewer.source import Source
-from flowsplat.pictures.colors import depth_to_color, float_to_bytes, flow_to_color
 from flowsplat.splatting.rules import ALPHA_MIN
 
-PictureKind = Literal["color", "flow", "depth", "alpha", "Gaussians"]
+ImageKind = Literal["color", "flow", "depth", "alpha", "Gaussians"]
 Compare = Literal["off", "beside", "wipe"]
 
 _TRACK_TAIL = 8
-"""Frames that a track on the input picture reaches back."""
+"""Frames that a track on the input image reaches back."""
 _MOST_TRACKS = 250
-"""Of objects, and of the background; more hide the picture."""
+"""Of objects, and of the background; more hide the image."""
 _BACKGROUND = 24
 """Gray value behind Gaussians that are shown as points."""
 _FAR = 150.0
@@ -42,17 +42,17 @@ class Look:
     """What is drawn.
 
     Attributes:
-        show: which picture; ``Gaussians`` draws the active ones as points.
+        show: which image; ``Gaussians`` draws the active ones as points.
         part: of the scene.
         compare: the input frame beside the rendering, or over its left part.
         wipe: how much of the rendering it covers, 0 to 1.
-        tracks: the tracks of the clip, drawn where the picture is seen from the input camera.
+        tracks: the tracks of the clip, drawn where the image is seen from the input camera.
         stereo: a pair for two eyes, left beside right, in place of what ``compare`` says.
         distances: of objects, by number, how many times as far away they are as they were trained.
         fading: without what the clip tells too little of, from where it is seen.
     """
 
-    show: PictureKind = "color"
+    show: ImageKind = "color"
     part: Part = "all"
     compare: Compare = "off"
     wipe: float = 0.5
@@ -64,10 +64,10 @@ class Look:
 
 @dataclass(frozen=True)
 class Wish:
-    """One picture that a client is to get.
+    """One image that a client is to get.
 
     Attributes:
-        size: (width, height) of its canvas, in the pixels of the picture.
+        size: (width, height) of its canvas, in the pixels of the image.
         t: seconds of the clip.
         look: what is drawn.
         pose: where from; None = from where the input camera is at that time.
@@ -81,13 +81,13 @@ class Wish:
 
 @dataclass(frozen=True)
 class Drawing:
-    """A picture for a canvas.
+    """An image for a canvas.
 
     Attributes:
         image: [H, W, 3] uint8.
         depth: [H, W] float32 in the browser's coordinates, far away where there is nothing: what is drawn there by the
             browser is hidden behind it. 0 behind a stereo pair, which hides all of that: it is for one eye.
-        pose: the browser's camera that fits to the picture.
+        pose: the browser's camera that fits to the image.
     """
 
     image: np.ndarray
@@ -112,11 +112,11 @@ def draw(source: Source, browser: BrowserFrame, wish: Wish) -> Drawing:
         for half, side in zip((left, right), _BOTH_EYES, strict=True):
             place(image, render_look(source, camera, wish, side)[0], replace(room, x=room.x + half.x))
         return Drawing(image, np.zeros_like(depth), pose)
-    picture, distance = render_look(source, camera, wish)
+    drawn, distance = render_look(source, camera, wish)
     if wish.look.compare == "wipe":
         over = cv2.resize(source.frame(wish.t), (room.width, room.height), interpolation=cv2.INTER_AREA)
-        picture = wipe(picture, over, wish.look.wipe)
-    place(image, picture, room)
+        drawn = wipe(drawn, over, wish.look.wipe)
+    place(image, drawn, room)
     depth[room.rows_and_columns] = distance * browser.from_scene.scale
     if wish.look.compare == "beside":
         place(image, source.frame(wish.t), fitted(source.size, right))
@@ -202,7 +202,7 @@ def draw_points(model: SceneModel, camera: Camera, t: float) -> np.ndarray:
 
 
 def draw_tracks(image: np.ndarray, source: Source, t: float) -> None:
-    """Draw the last frames of some of the clip's tracks onto a picture from the input camera: objects warm, background cold.
+    """Draw the last frames of some of the clip's tracks onto an image from the input camera: objects warm, background cold.
 
     There are no tracks on held-out frames: there, those of the nearest training frame are shown.
     """

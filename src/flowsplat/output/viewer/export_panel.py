@@ -160,7 +160,7 @@ class ExportPanel:
                 session.change(time.monotonic())
 
     def _barred(self, image: np.ndarray) -> np.ndarray:
-        """A picture with bars, so that it has the shape of the window."""
+        """An image with bars, so that it has the shape of the window."""
         height, width = image.shape[:2]
         shape = self._client.camera.image_width / self._client.camera.image_height
         size = (max(width, round(height * shape)), max(height, round(width / shape)))

@@ -1,4 +1,4 @@
-"""Pictures on a canvas of another shape: fitted with bars, beside each other, one over the other with a wipe."""
+"""Images on a canvas of another shape: fitted with bars, beside each other, one over the other with a wipe."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ import cv2
 import numpy as np
 
 BAR = 20
-"""Gray value of what is beside a picture."""
+"""Gray value of what is beside an image."""
 
 
 @dataclass(frozen=True)
 class Box:
-    """Where a picture lies on a canvas, in pixels."""
+    """Where an image lies on a canvas, in pixels."""
 
     x: int
     y: int
@@ -44,20 +44,20 @@ def empty(size: tuple[int, int]) -> np.ndarray:
     return np.full((size[1], size[0], 3), BAR, np.uint8)
 
 
-def place(canvas: np.ndarray, picture: np.ndarray, box: Box) -> None:
-    """Draw ``picture`` [h, w, 3] uint8 into a box of the canvas, resized to it."""
-    if picture.shape[:2] != (box.height, box.width):
-        method = cv2.INTER_AREA if box.height < picture.shape[0] else cv2.INTER_LINEAR
-        picture = cv2.resize(picture, (box.width, box.height), interpolation=method)
+def place(canvas: np.ndarray, image: np.ndarray, box: Box) -> None:
+    """Draw ``image`` [h, w, 3] uint8 into a box of the canvas, resized to it."""
+    if image.shape[:2] != (box.height, box.width):
+        method = cv2.INTER_AREA if box.height < image.shape[0] else cv2.INTER_LINEAR
+        image = cv2.resize(image, (box.width, box.height), interpolation=method)
     target = canvas[box.rows_and_columns]
-    target[:] = picture[: target.shape[0], : target.shape[1]]
+    target[:] = image[: target.shape[0], : target.shape[1]]
 
 
-def wipe(picture: np.ndarray, over: np.ndarray, share: float) -> np.ndarray:
-    """``over`` on the left ``share`` of ``picture`` (both [H, W, 3] uint8, of one size), a line between them."""
-    result = picture.copy()
-    column = round(np.clip(share, 0, 1) * picture.shape[1])
+def wipe(image: np.ndarray, over: np.ndarray, share: float) -> np.ndarray:
+    """``over`` on the left ``share`` of ``image`` (both [H, W, 3] uint8, of one size), a line between them."""
+    result = image.copy()
+    column = round(np.clip(share, 0, 1) * image.shape[1])
     result[:, :column] = over[:, :column]
-    if 0 < column < picture.shape[1]:
+    if 0 < column < image.shape[1]:
         result[:, max(column - 1, 0) : column + 1] = 255
     return result

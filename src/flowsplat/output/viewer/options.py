@@ -19,4 +19,4 @@ class ViewOptions:
     device: DeviceName = "auto"
     """What to render on."""
     largest: int = 1600
-    """Pixels of the longer side of still pictures at most; while something moves they are as large as stays fluent."""
+    """Pixels of the longer side of still images at most; while something moves they are as large as stays fluent."""

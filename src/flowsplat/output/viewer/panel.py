@@ -12,7 +12,7 @@ from flowsplat.common.spread import spread
 from flowsplat.gaussians.renderer import PARTS
 from flowsplat.output.viewer.browser_frame import SCENE_DEPTH, BrowserFrame, Pose
 from flowsplat.output.viewer.controls import Control, Controls, as_text
-from flowsplat.output.viewer.drawing import Compare, Drawing, Look, PictureKind
+from flowsplat.output.viewer.drawing import Compare, Drawing, ImageKind, Look
 from flowsplat.output.viewer.export_panel import ExportPanel
 from flowsplat.output.viewer.layout import Box, fitted
 from flowsplat.output.viewer.notifications import Notifications
@@ -46,7 +46,7 @@ class Panel:
     """The controls of one client."""
 
     def __init__(self, client: viser.ClientHandle, source: Source, worker: Worker, largest: int):
-        """``largest``: pixels of the longer side of a still picture."""
+        """``largest``: pixels of the longer side of a still image."""
         self.client = client
         self._source, self._worker = source, worker
         self.scene = source.scene
@@ -63,7 +63,7 @@ class Panel:
         ExportPanel(client, self._notifications, source, worker, self._session)
 
     def begin(self) -> None:
-        """Stand where the clip begins, and get pictures from now on."""
+        """Stand where the clip begins, and get images from now on."""
         self._stand(self._input_pose(), _REACH["orbit"])
         self.client.camera.on_update(self._moved)
         self._worker.add(self.client.client_id, self._session, self._show)
@@ -94,8 +94,8 @@ class Panel:
         with gui.add_folder("Camera"):
             self._mode = controls.add_dropdown("Mode", get_args(Mode), initial_value="orbit", hint=_MODE_HINT)
             home = gui.add_button("To the input camera", icon=viser.Icon.HOME)
-        with gui.add_folder("Picture"):
-            self._what = controls.add_dropdown("Show", get_args(PictureKind), initial_value="color")
+        with gui.add_folder("Image"):
+            self._what = controls.add_dropdown("Show", get_args(ImageKind), initial_value="color")
             self._part = controls.add_dropdown("Part", (*PARTS, *(f"objects:{n}" for n in self._objects)), initial_value="all")
             self._compare = controls.add_dropdown("Input frame", get_args(Compare), initial_value="off")
             self._wipe = controls.add_slider("Wipe", min=0.0, max=1.0, step=0.01, initial_value=0.5, visible=False)
@@ -186,7 +186,7 @@ class Panel:
             camera.fov = pose.fov
 
     def _input_pose(self) -> Pose:
-        """The input camera at this time, all of its picture inside the window."""
+        """The input camera at this time, all of its image inside the window."""
         shown = self._source.path.at(self._session.clock.at(time.monotonic()))
         canvas = (self.client.camera.image_width, self.client.camera.image_height)
         box = fitted(self._source.size, Box(0, 0, *canvas))
@@ -209,7 +209,7 @@ class Panel:
                 _put(self._compare, "off")
                 self._set_look()
 
-    # -- picture
+    # -- image
 
     def _set_look(self) -> None:
         distances = tuple((number, float(slider.value)) for number, slider in self._distances.items() if slider.value != 1)
@@ -235,7 +235,7 @@ class Panel:
         self._set_look()
 
     def _show(self, job: Job, drawing: Drawing) -> None:
-        """Bring a picture to the browser; called by the worker."""
+        """Bring an image to the browser; called by the worker."""
         drawn_into = self._cameras.value or self._trails.value
         quality = _STILL_QUALITY if job.is_still else _MOVING_QUALITY
         depth = drawing.depth if drawn_into else None

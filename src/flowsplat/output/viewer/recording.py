@@ -11,15 +11,15 @@ import numpy as np
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import plain_name
+from flowsplat.images.gif import write_gif
+from flowsplat.images.transparent import webm_writer
+from flowsplat.images.video import mp4_writer
 from flowsplat.output.videos.plans import WIGGLE_FPS
 from flowsplat.output.videos.writing import on_transparent
 from flowsplat.output.viewer.browser_frame import BrowserFrame
 from flowsplat.output.viewer.drawing import Look, Wish, draw, draw_shot
 from flowsplat.output.viewer.keys import CameraKeys
 from flowsplat.output.viewer.source import Source
-from flowsplat.pictures.gif import write_gif
-from flowsplat.pictures.transparent import webm_writer
-from flowsplat.pictures.video import mp4_writer
 from flowsplat.scenes.layers import write_image
 
 ShowProgress = Callable[[str], None]

@@ -1,35 +1,35 @@
-"""How large a picture is rendered: all of it when still, as much as can be drawn fluently while something moves."""
+"""How large an image is rendered: all of it when still, as much as can be drawn fluently while something moves."""
 
 from __future__ import annotations
 
 _TARGET = 0.08
-"""Seconds that a picture may take while something moves."""
+"""Seconds that an image may take while something moves."""
 _SMALLEST = 240
 """Pixels of the longer side."""
 
 
 class AdaptiveResolution:
-    """Learns from the times of past pictures how large the next one may be."""
+    """Learns from the times of past images how large the next one may be."""
 
     def __init__(self, largest: int):
-        """``largest``: pixels of the longer side of a still picture."""
+        """``largest``: pixels of the longer side of a still image."""
         self._largest = largest
         self._pixels = 100_000.0
 
     def still(self, canvas: tuple[int, int]) -> tuple[int, int]:
-        """(width, height) of a still picture for a canvas of that size."""
+        """(width, height) of a still image for a canvas of that size."""
         return _scaled(canvas, min(1.0, self._largest / max(canvas)))
 
     def moving(self, canvas: tuple[int, int]) -> tuple[int, int]:
-        """(width, height) of a picture that is fluent; never more than a still one."""
+        """(width, height) of an image that is fluent; never more than a still one."""
         width, height = self.still(canvas)
         scale = min((self._pixels / (width * height)) ** 0.5, 1.0)
         return _scaled((width, height), max(scale, min(_SMALLEST / max(width, height), 1.0)))
 
     def learn(self, size: tuple[int, int], seconds: float) -> None:
-        """A moving picture of that size took so long."""
+        """A moving image of that size took so long."""
         wish = size[0] * size[1] * min(max(_TARGET / max(seconds, 1e-4), 0.4), 1.6)
-        # Half of the way: one slow picture (the first one compiles) must not spoil the next ones.
+        # Half of the way: one slow image (the first one compiles) must not spoil the next ones.
         self._pixels = (self._pixels * wish) ** 0.5
 
 

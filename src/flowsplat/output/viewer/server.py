@@ -38,7 +38,7 @@ class Viewer:
         if not 1 <= options.port <= 65535:
             raise InputError(f"There is no port {options.port}: give --port a number from 1 to 65535.")
         if not 64 <= options.largest <= 8192:
-            raise InputError(f"Pictures of {options.largest} pixels cannot be shown: give --largest from 64 to 8192.")
+            raise InputError(f"Images of {options.largest} pixels cannot be shown: give --largest from 64 to 8192.")
         try:
             import viser  # noqa: F401 (the one thing that may be missing)
         except ImportError as error:
@@ -132,7 +132,7 @@ def _check_address(host: str, port: int) -> None:
 def _serve(options: ViewOptions, guard: Guard) -> viser.ViserServer:
     import viser
 
-    # A browser may be closed while a picture is on its way to it.
+    # A browser may be closed while an image is on its way to it.
     warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")
     with _quiet(), guarding(guard):
         server = viser.ViserServer(host=options.host, port=options.port, label="flowsplat", verbose=False)

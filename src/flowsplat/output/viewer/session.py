@@ -1,4 +1,4 @@
-"""What one client looks at, and which picture it needs next."""
+"""What one client looks at, and which image it needs next."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from flowsplat.output.viewer.resolution import AdaptiveResolution
 Mode = Literal["orbit", "fly", "input camera"]
 
 _SETTLE = 0.25
-"""Seconds without a change after which a picture counts as still."""
+"""Seconds without a change after which an image counts as still."""
 _MOST_FPS = 30
 
 
 @dataclass(frozen=True)
 class Job:
-    """A picture to be made: what it shows, and whether it is the final one or one of a moving sequence."""
+    """An image to be made: what it shows, and whether it is the final one or one of a moving sequence."""
 
     wish: Wish
     is_still: bool
@@ -74,11 +74,11 @@ class Session:
         return Job(Wish(size, t, self.look, None if self.mode == "input camera" else self.pose), is_still, version)
 
     def is_restless(self, now: float) -> bool:
-        """Whether it will need a picture soon without anything more being changed."""
+        """Whether it will need an image soon without anything more being changed."""
         return self.clock.playing or now - self._changed < 2 * _SETTLE
 
     def done(self, job: Job, now: float, seconds: float) -> None:
-        """A picture was made, and took so long."""
+        """An image was made, and took so long."""
         self._drawn, self._drawn_at = (job.version, job.wish.t, job.is_still), now
         if not job.is_still:
             self.resolution.learn(job.wish.size, seconds)

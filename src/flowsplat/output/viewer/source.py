@@ -161,7 +161,7 @@ class Source:
 
     @cached_property
     def scales(self) -> Scales:
-        """Color scales of flow and depth, which no picture of the viewer changes."""
+        """Color scales of flow and depth, which no image of the viewer changes."""
         shots = [(camera, float(t)) for camera, t in zip(self.path.cameras, self.scene.timestamps, strict=True)]
         return Scales.of(self.loaded.part("all"), shots)
 

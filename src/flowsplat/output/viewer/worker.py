@@ -1,8 +1,8 @@
 """The one thread that renders, for all clients in turn.
 
-Kernels must not be called by two threads at once, and two pictures at the same time would each take twice as long. So
-everything that renders comes here: the pictures that clients need, and longer tasks such as recordings, which advance by
-one step between two pictures.
+Kernels must not be called by two threads at once, and two images at the same time would each take twice as long. So
+everything that renders comes here: the images that clients need, and longer tasks such as recordings, which advance by
+one step between two images.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from flowsplat.output.viewer.drawing import Drawing, draw
 from flowsplat.output.viewer.session import Job, Session
 from flowsplat.output.viewer.source import Source
 
-SendPicture = Callable[[Job, Drawing], None]
-"""Sends a picture to its client."""
+SendImage = Callable[[Job, Drawing], None]
+"""Sends an image to its client."""
 
 _WATCH = 1.0
 """Seconds between two looks at whether there is a newer model."""
 _ACTIVE, _IDLE = 0.015, 0.25
-"""Seconds to wait for something to do, while a client may soon need a picture and while none does."""
+"""Seconds to wait for something to do, while a client may soon need an image and while none does."""
 
 
 class Worker:
@@ -35,7 +35,7 @@ class Worker:
         """``reloaded`` is called after a newer model was read."""
         self._source, self._reloaded = source, reloaded
         self._scene, self._browser = source.scene, BrowserFrame(source.scene.similarity)
-        self._sessions: dict[int, tuple[Session, SendPicture]] = {}
+        self._sessions: dict[int, tuple[Session, SendImage]] = {}
         self._turns: deque[int] = deque()
         self._tasks: deque[tuple[int, Iterator[None]]] = deque()
         self._condition = threading.Condition(threading.RLock())
@@ -48,7 +48,7 @@ class Worker:
         self._thread.start()
 
     def stop(self) -> None:
-        """End after the picture that is being rendered."""
+        """End after the image that is being rendered."""
         with self._condition:
             self._stopping = True
             self._condition.notify_all()
@@ -62,7 +62,7 @@ class Worker:
             yield
             self._condition.notify_all()
 
-    def add(self, client: int, session: Session, show: SendPicture) -> None:
+    def add(self, client: int, session: Session, show: SendImage) -> None:
         """A client is there."""
         with self.changed():
             self._sessions[client] = (session, show)
@@ -112,8 +112,8 @@ class Worker:
             say(f"Showing a newer model: {self._source.loaded.state}.")
             self._reloaded()
 
-    def _next_job(self) -> tuple[int, Session, SendPicture, Job] | None:
-        """Of the clients in turn, the first one that needs a picture."""
+    def _next_job(self) -> tuple[int, Session, SendImage, Job] | None:
+        """Of the clients in turn, the first one that needs an image."""
         with self._condition:
             for _ in range(len(self._turns)):
                 client = self._turns[0]
@@ -124,7 +124,7 @@ class Worker:
                     return client, session, show, job
         return None
 
-    def _serve(self, client: int, session: Session, show: SendPicture, job: Job) -> None:
+    def _serve(self, client: int, session: Session, show: SendImage, job: Job) -> None:
         started = time.monotonic()
         try:
             drawing = draw(self._source, self._browser, job.wish)
@@ -134,7 +134,7 @@ class Worker:
                     return
             show(job, drawing)
         except Exception as error:  # One client's bad luck must not end the viewer for the others.
-            say(f"A picture could not be made: {type(error).__name__}: {error}")
+            say(f"An image could not be made: {type(error).__name__}: {error}")
             with self._condition:
                 session.done(job, time.monotonic(), time.monotonic() - started)
 

@@ -1,9 +1,9 @@
-"""Depth near its jumps: flow lets near surfaces swell by several pixels, and the pictures tell where they end.
+"""Depth near its jumps: flow lets near surfaces swell by several pixels, and the images tell where they end.
 
 A pixel near a jump of depth belongs to one of the surfaces around it. Each of them proposes its depth; other frames show the
 pixel's surroundings where the right one leads (a vote of colors, weighed by likeness to the pixel, as in
 https://doi.org/10.1109/TPAMI.2006.70). What another frame hides speaks for nothing: the better half of the frames counts, of those
-whose picture holds the place.
+whose image holds the place.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ LIKENESS = 20.0
 _COLOR, _GRADIENT, _WORST = 60.0, 20.0, 60.0
 """Largest difference of colors and of gradients that counts; cost where no frame says anything."""
 _MARGIN = WINDOW
-"""Numbers before and after a row, so that what lies beside the picture can be loaded; of costs they are 0: no vote."""
+"""Numbers before and after a row, so that what lies beside the image can be loaded; of costs they are 0: no vote."""
 
 
 @dataclass(frozen=True)
@@ -68,11 +68,11 @@ class View:
     slopes: np.ndarray
 
     @staticmethod
-    def of(picture: np.ndarray, moving: np.ndarray) -> View:
-        """Of a picture [H, W, 3] uint8 and what moves in it [H, W] bool."""
-        gray = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY).astype(np.float32)
+    def of(image: np.ndarray, moving: np.ndarray) -> View:
+        """Of an image [H, W, 3] uint8 and what moves in it [H, W] bool."""
+        gray = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float32)
         across, down = cv2.Sobel(gray, cv2.CV_32F, 1, 0) / 4, cv2.Sobel(gray, cv2.CV_32F, 0, 1) / 4
-        return View(packed(picture[None], moving[None])[0], np.hypot(across, down))
+        return View(packed(image[None], moving[None])[0], np.hypot(across, down))
 
     @property
     def features(self) -> np.ndarray:
@@ -85,7 +85,7 @@ def refine_edges(
     inverse: np.ndarray, still: np.ndarray, view: View, camera: Camera, others: Sequence[View], cameras: Sequence[Camera],
     doubted: np.ndarray | None = None,
 ) -> np.ndarray:  # fmt: skip
-    """Inverse depth [H, W] float32 with its jumps where the pictures have them.
+    """Inverse depth [H, W] float32 with its jumps where the images have them.
 
     Args:
         inverse: [H, W] float32, positive.
@@ -99,7 +99,7 @@ def refine_edges(
     poses = np.array([other.pose_from(camera) for other in cameras], np.float32).reshape(-1, 3, 4)
     intrinsics = np.array([c.intrinsics for c in [camera, *cameras]], np.float32)
     words, slopes = np.stack([other.words for other in others]), np.stack([other.slopes for other in others])
-    picture = view.features
+    image = view.features
     for _ in range(ROUNDS):
         around = [cv2.getStructuringElement(cv2.MORPH_RECT, (2 * reach + 1, 2 * reach + 1)) for reach in REACHES]
         far, close = [cv2.erode(inverse, each) for each in around], [cv2.dilate(inverse, each) for each in around]
@@ -111,8 +111,8 @@ def refine_edges(
             break
         near = cv2.dilate(asked.astype(np.uint8), np.ones((2 * WINDOW + 1, 2 * WINDOW + 1), np.uint8)) > 0
         every = np.stack(proposed)
-        costs = _costs(every, near, picture, words, slopes, intrinsics, poses)
-        inverse = _chosen(every, costs, asked, picture)
+        costs = _costs(every, near, image, words, slopes, intrinsics, poses)
+        inverse = _chosen(every, costs, asked, image)
     return inverse
 
 
@@ -124,7 +124,7 @@ class EdgeRefiner:
         self._seen = computed_once(self._see, 2 * OFFSETS[-1] + room)
 
     def __call__(self, k: int, inverse: np.ndarray, doubted: np.ndarray | None = None) -> np.ndarray:
-        """Inverse depth [H, W] float32 of training frame k at full size, with its jumps where the pictures have them.
+        """Inverse depth [H, W] float32 of training frame k at full size, with its jumps where the images have them.
 
         ``doubted`` as in ``refine_edges``.
         """
@@ -152,7 +152,7 @@ def _mixed(corners, shift, a00, a01, a10, a11):
 
 
 def _costs(
-    proposed: np.ndarray, near: np.ndarray, picture: np.ndarray, words: np.ndarray, slopes: np.ndarray, intrinsics: np.ndarray,
+    proposed: np.ndarray, near: np.ndarray, image: np.ndarray, words: np.ndarray, slopes: np.ndarray, intrinsics: np.ndarray,
     poses: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
     """[L, H, S] float32: how much the better half of the frames differs from a pixel at each proposed inverse depth [L, H, W].
@@ -164,14 +164,14 @@ def _costs(
     L, H, W = proposed.shape
     result = np.zeros((L, H, _row_size(W)), np.float32)
     parallel_for(
-        _costs_of_rows, H, proposed, near, picture, words.reshape(-1), slopes.reshape(-1), intrinsics, poses, result.reshape(-1)
+        _costs_of_rows, H, proposed, near, image, words.reshape(-1), slopes.reshape(-1), intrinsics, poses, result.reshape(-1)
     )
     return result
 
 
 @kernel
 def _costs_of_rows(
-    begin: int, end: int, proposed: np.ndarray, near: np.ndarray, picture: np.ndarray, words: np.ndarray, slopes: np.ndarray,
+    begin: int, end: int, proposed: np.ndarray, near: np.ndarray, image: np.ndarray, words: np.ndarray, slopes: np.ndarray,
     intrinsics: np.ndarray, poses: np.ndarray, flat: np.ndarray,
 ) -> None:  # fmt: skip
     L, H, W = proposed.shape
@@ -197,7 +197,7 @@ def _costs_of_rows(
                 depths[n * S + i] = proposed[n, y, x]
                 flat[(n * H + y) * S + _MARGIN + i] = worst
             for n in range(4):
-                seen[n * S + i] = picture[y, x, n]
+                seen[n * S + i] = image[y, x, n]
         best = np.empty(kept * LANES, np.float32)
         dy = (np.float32(y) + half - K0[3]) / K0[1]
         for first in range(0, (W + 1) // 2, LANES):
@@ -276,20 +276,20 @@ def _row_size(width: int) -> int:
     return (width + 1) // 2 + LANES + 2 * _MARGIN
 
 
-def _chosen(proposed: np.ndarray, costs: np.ndarray, asked: np.ndarray, picture: np.ndarray) -> np.ndarray:
+def _chosen(proposed: np.ndarray, costs: np.ndarray, asked: np.ndarray, image: np.ndarray) -> np.ndarray:
     """[H, W] the proposal of the least cost around each pixel, by pixels that look like it; the first where none is asked for."""
     voters = np.zeros((3, *costs.shape[1:]), np.float32)  # the colors of the pixels that vote, as their costs lie
     for parity in range(2):
-        row = picture[parity::2, parity::2, :3]
+        row = image[parity::2, parity::2, :3]
         voters[:, parity::2, _MARGIN : _MARGIN + row.shape[1]] = row.transpose(2, 0, 1)
     result = proposed[0].copy()
-    parallel_for(_choose_rows, len(result), proposed, costs.reshape(-1), voters.reshape(-1), asked, picture, result)
+    parallel_for(_choose_rows, len(result), proposed, costs.reshape(-1), voters.reshape(-1), asked, image, result)
     return result
 
 
 @kernel
 def _choose_rows(
-    begin: int, end: int, proposed: np.ndarray, votes: np.ndarray, voters: np.ndarray, asked: np.ndarray, picture: np.ndarray,
+    begin: int, end: int, proposed: np.ndarray, votes: np.ndarray, voters: np.ndarray, asked: np.ndarray, image: np.ndarray,
     result: np.ndarray,
 ) -> None:  # fmt: skip
     L, H, W = proposed.shape
@@ -306,7 +306,7 @@ def _choose_rows(
                 for n in range(L):
                     near[n * S + i] = proposed[n, y, x]
                 for n in range(3):
-                    mine[n * S + i] = picture[y, x, n]
+                    mine[n * S + i] = image[y, x, n]
             for first in range(0, columns, LANES):
                 if not _any(wanted, first):
                     continue

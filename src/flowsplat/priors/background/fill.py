@@ -1,11 +1,11 @@
-"""From scattered, weighted inverse depth to a value for every pixel, along the edges of the picture."""
+"""From scattered, weighted inverse depth to a value for every pixel, along the edges of the image."""
 
 from __future__ import annotations
 
 import cv2
 import numpy as np
 
-from flowsplat.pictures.edge_smoothing import EdgeSmoother
+from flowsplat.images.edge_smoothing import EdgeSmoother
 
 SMOOTHNESS = 30.0
 

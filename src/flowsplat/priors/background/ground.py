@@ -125,7 +125,7 @@ class Ground:
 
 
 def up_direction(cameras: Sequence[Camera]) -> np.ndarray:
-    """[3] unit vector: the mean direction of the tops of the pictures."""
+    """[3] unit vector: the mean direction of the tops of the images."""
     up = -np.mean([camera.viewmat[1, :3] for camera in cameras], 0)
     return up / np.linalg.norm(up)
 

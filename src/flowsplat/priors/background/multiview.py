@@ -22,14 +22,14 @@ ROBUST_SCALE = 0.5
 ITERATIONS = 5
 
 RIM = 12
-"""The outermost this many-th part of the picture on each side is its rim."""
+"""The outermost this many-th part of the image on each side is its rim."""
 
 LEAST_RIM = 50
 """Matches on the rim that are enough to judge by."""
 
 CALMER = 2.0
 """Times the median error on the rim is the most that counts as noise. The median of all matches is below it in clips whose
-objects fill less than half of the picture."""
+objects fill less than half of the image."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ def solve_multiview(camera: Camera, others: Sequence[Camera], flows: np.ndarray,
 def _motion(errors: np.ndarray, weights: np.ndarray, lengths: np.ndarray) -> np.ndarray:
     """Mean over matches of error / noise, [h, w]; the noise of a pair of frames is its median error.
 
-    Something that moves may fill most of the picture, but rarely its rim: errors that are far smaller there are the noise.
+    Something that moves may fill most of the image, but rarely its rim: errors that are far smaller there are the noise.
     """
     height, width = errors.shape[:2]
     total, count = np.zeros((height, width), np.float32), np.full((height, width), 1e-6, np.float32)

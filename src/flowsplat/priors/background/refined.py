@@ -1,4 +1,4 @@
-"""Depth of the still scene at full size: from half of it, its edges from the pictures, and what frames agree on."""
+"""Depth of the still scene at full size: from half of it, its edges from the images, and what frames agree on."""
 
 from __future__ import annotations
 

@@ -64,11 +64,11 @@ class StaticDepth(Protocol):
         ...
 
     def filled(self, k: int) -> tuple[np.ndarray, np.ndarray]:
-        """(inverse depth, weight) of the static scene, each [h, w]: along the picture's edges where nothing is known."""
+        """(inverse depth, weight) of the static scene, each [h, w]: along the image's edges where nothing is known."""
         ...
 
     def behind(self, k: int) -> np.ndarray:
-        """Inverse depth [h, w] of the static scene: the plate behind objects, elsewhere along the picture's edges."""
+        """Inverse depth [h, w] of the static scene: the plate behind objects, elsewhere along the image's edges."""
         ...
 
 
@@ -78,7 +78,7 @@ def static_depth(clip: MatchedClip, has_masks: bool) -> StaticDepth:
 
 
 class Guess:
-    """A clip without parallax: a ground that comes nearer towards the bottom of the picture."""
+    """A clip without parallax: a ground that comes nearer towards the bottom of the image."""
 
     def __init__(self, clip: MatchedClip):
         self.median = unseen_inverse(clip)
@@ -157,7 +157,7 @@ class Background:
         return second
 
     def filled(self, k: int) -> tuple[np.ndarray, np.ndarray]:
-        """(inverse depth, weight) of the static scene, each [h, w]: along the picture's edges where nothing is known."""
+        """(inverse depth, weight) of the static scene, each [h, w]: along the image's edges where nothing is known."""
         values, weights = self._uncovered(k)
         if _unknown(weights):
             return ground(self._clip.height, self._clip.width, self._clip.median), np.zeros_like(weights)
@@ -165,7 +165,7 @@ class Background:
         return inverse, weights + np.float32(0.1) * support
 
     def behind(self, k: int) -> np.ndarray:
-        """Inverse depth [h, w] of the static scene: the plate behind objects, elsewhere along the picture's edges."""
+        """Inverse depth [h, w] of the static scene: the plate behind objects, elsewhere along the image's edges."""
         inverse, _ = self.filled(k)
         moving = self.mask(k) > 0
         return np.where(moving, self.plate(k), inverse) if moving.any() else inverse
@@ -214,7 +214,7 @@ class Background:
 
 
 def ground(height: int, width: int, median: float) -> np.ndarray:
-    """Inverse depth [h, w] float32 of a guess: a ground that comes nearer towards the bottom of the picture."""
+    """Inverse depth [h, w] float32 of a guess: a ground that comes nearer towards the bottom of the image."""
     rows = (np.arange(height, dtype=np.float32) + np.float32(0.5)) / np.float32(height)
     return np.repeat(((0.4 + 1.2 * rows) * median)[:, None], width, axis=1).astype(np.float32)
 

@@ -196,7 +196,7 @@ def free_parameters(count: int, fixed_camera: int, focal: bool, distortion: bool
 
 
 def scaling(state: Reconstruction, fixed_camera: int) -> np.ndarray:
-    """[T, 3] by how much translations change where all becomes larger about the fixed camera, which no picture tells."""
+    """[T, 3] by how much translations change where all becomes larger about the fixed camera, which no image tells."""
     return np.einsum("tij,tj->ti", state.rotations, state.centers[fixed_camera] - state.centers)
 
 
@@ -263,7 +263,7 @@ def _moved(state: Reconstruction, step: np.ndarray, points: np.ndarray) -> Recon
 
 
 def _unscaled(state: Reconstruction, step: np.ndarray, point_steps: np.ndarray, fixed_camera: int) -> tuple[np.ndarray, np.ndarray]:
-    """A step without its share of a change of scale about the fixed camera, which no picture tells: it is small where all is."""
+    """A step without its share of a change of scale about the fixed camera, which no image tells: it is small where all is."""
     middle, travel = state.centers[fixed_camera], scaling(state, fixed_camera)
     poses = step[:-LENS].reshape(-1, 6)
     scale = float((travel * poses[:, 3:]).sum()) / max(float((travel**2).sum()), 1e-18)
@@ -273,9 +273,9 @@ def _unscaled(state: Reconstruction, step: np.ndarray, point_steps: np.ndarray, 
 
 
 def _stepped(points: np.ndarray, steps: np.ndarray, center: np.ndarray) -> np.ndarray:
-    """Points [N, 3] after steps [N, 3] that are linear in the inverse of their distance from the cameras, as pictures nearly are.
+    """Points [N, 3] after steps [N, 3] that are linear in the inverse of their distance from the cameras, as images nearly are.
 
-    The same to first order as adding the steps, but a far point, whose distance the pictures hardly tell, is neither sent behind
+    The same to first order as adding the steps, but a far point, whose distance the images hardly tell, is neither sent behind
     the cameras nor does it hold up all others.
     """
     offset = points - center

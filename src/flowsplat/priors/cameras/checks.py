@@ -52,7 +52,7 @@ def verdict(found: Estimate, unit: float, width: int, focal_given: bool, gaps: G
     fit = found.fit
     median = float(np.median(fit.errors))
     if found.motion == "unknown":
-        kind = "Nothing in the pictures could be followed: the camera is taken to stand still."
+        kind = "Nothing in the images could be followed: the camera is taken to stand still."
     elif found.motion == "static":
         kind = "The camera stands still: all cameras are the same, and its motion shows no depth."
     elif found.motion == "rotation":
@@ -72,7 +72,7 @@ def verdict(found: Estimate, unit: float, width: int, focal_given: bool, gaps: G
         if not focal_given and (fit.focal_sigma > UNCERTAIN_FOCAL or found.flat):
             sentences.append("The focal length is a guess: this motion hardly shows it.")
     if found.surrounds:
-        sentences.append("Something that moves fills most of the picture: the camera was taken from what is seen round it.")
+        sentences.append("Something that moves fills most of the image: the camera was taken from what is seen round it.")
     elif found.motion == "free" and fit.static.mean() < FEW_STATIC:
         sentences.append(f"Only {100 * fit.static.mean():.0f} % of what was followed stands still: this may be another motion.")
     return " ".join([*sentences, *_gaps(gaps), *(sentence for sentence in more if sentence)])

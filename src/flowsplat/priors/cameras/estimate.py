@@ -35,7 +35,7 @@ SAME_FOCAL = 0.005
 MOST_STARTS = 15
 """Attempts at a reconstruction, whatever comes of them."""
 RIM = 0.5
-"""Share of what is seen along the picture's rim that must stand still; below it the cameras follow something in front."""
+"""Share of what is seen along the image's rim that must stand still; below it the cameras follow something in front."""
 FOLLOWS = 0.5
 """Pixels by which a track may miss its point and still stand still, or four times the median error where that is more."""
 ON_PLANE = 0.97
@@ -53,7 +53,7 @@ class Estimate:
         fit: the cameras with what speaks for them.
         unplaced: frames that saw too few tracks; their poses are interpolated.
         flat: whether all that stands still lies on one plane.
-        surrounds: whether the cameras follow the rim of the picture and most of it moves against them.
+        surrounds: whether the cameras follow the rim of the image and most of it moves against them.
         parallax: radians between the first and the last ray to a static point, the median of the longer half of tracks.
     """
 
@@ -68,7 +68,7 @@ class Estimate:
 def estimate(positions: np.ndarray, width: float, height: float, focal: float | None, solver: str = "own") -> Estimate:
     """Find the cameras behind the tracks of one piece of a clip.
 
-    What most tracks agree on is taken for the static scene, unless it leaves the rim of the picture to something else:
+    What most tracks agree on is taken for the static scene, unless it leaves the rim of the image to something else:
     an object may fill most of the frames, but rarely hides what is round it.
 
     Args:
@@ -176,7 +176,7 @@ def _of_keyframes(
 def _judges(seen: np.ndarray) -> np.ndarray:
     """Indices of the tracks by which kinds of motion are compared: every one counts by the area and time it was seen in.
 
-    The tracks that a reconstruction is grown from prefer what sweeps over the picture, and with a point near enough for
+    The tracks that a reconstruction is grown from prefer what sweeps over the image, and with a point near enough for
     every track of an object, a camera that hardly moves can explain anything that travels straight. Here what rests
     outvotes it.
     """
@@ -193,7 +193,7 @@ def _parallax(fit: Refined, seen: np.ndarray) -> float:
 def _is_flat(fit: Refined, centered: np.ndarray, seen: np.ndarray) -> bool:
     """Whether one homography explains what two distant frames share, whichever frame comes first.
 
-    Told by the pictures and not by the points: without relief the focal length may be far off, and the points bent.
+    Told by the images and not by the points: without relief the focal length may be far off, and the points bent.
     """
     limit = max(FOLLOWS, 4 * float(np.median(fit.errors)))
     count = seen.shape[1]

@@ -14,11 +14,11 @@ from flowsplat.priors.tracks.patches import Patches, align
 from flowsplat.scenes import Scene
 
 WORKING_SIDE = 854
-"""Pixels of the longer side at which points are followed; larger pictures are reduced."""
+"""Pixels of the longer side at which points are followed; larger images are reduced."""
 CELLS = 2000
 """About how many points are followed at a time."""
 SMALLEST_SIDE = 100
-"""Pixels of the shorter side down to which pictures are halved for the flow that predicts where points went."""
+"""Pixels of the shorter side down to which images are halved for the flow that predicts where points went."""
 WINDOW = 15
 """Side of the square of pixels that is compared round a point: large, because precision decides."""
 ALIKE = 0.6
@@ -33,7 +33,7 @@ class _Surroundings:
     """What is round each point in the frame in which it was first seen, or in one of the last ``RENEWED`` frames.
 
     Errors of a point that is followed from frame to frame add up: on rendered clips its median error grows from .03 pixels after
-    one frame to .24 after thirty. Compared with the same picture each time it stays below .1, and the focal length, which small
+    one frame to .24 after thirty. Compared with the same image each time it stays below .1, and the focal length, which small
     and smooth errors look like, is right.
     """
 

@@ -1,4 +1,4 @@
-"""The distortion of the lens: found with the cameras, and taken out of the pictures, so that all after it are pinholes."""
+"""The distortion of the lens: found with the cameras, and taken out of the images, so that all after it are pinholes."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from flowsplat.priors.cameras.refinement import from_middle, misfit, refine
 from flowsplat.priors.cameras.selection import choose_tracks
 
 PER_CELL = 20
-"""About how many tracks of a cell of the picture tell the distortion."""
+"""About how many tracks of a cell of the image tell the distortion."""
 SURE = 3.0
 """Standard deviations by which the distortion must differ from none to be taken out."""
 LEAST_SLOPE = 0.1
-"""How fast a point of the straightened picture must at least leave the middle of the one it is taken from."""
+"""How fast a point of the straightened image must at least leave the middle of the one it is taken from."""
 NOTICEABLE = 0.3
-"""Pixels of the border below which a distortion is not worth resampling the pictures for."""
+"""Pixels of the border below which a distortion is not worth resampling the images for."""
 
 
 @dataclass(frozen=True)
 class Lens:
-    """A radial lens and the pinhole that sees the part of its picture that has no blank border.
+    """A radial lens and the pinhole that sees the part of its image that has no blank border.
 
     Attributes:
-        focal: pixels of the pictures as they came.
+        focal: pixels of the images as they came.
         distortion: k1 of x_d = x (1 + k1 |x|^2), x = (X/Z, Y/Z); OpenCV's and COLMAP's.
-        pinhole: focal length in pixels of the straightened pictures.
+        pinhole: focal length in pixels of the straightened images.
         width, height: pixels.
     """
 
@@ -44,20 +44,20 @@ class Lens:
 
     @staticmethod
     def of(focal: float, distortion: float, width: float, height: float) -> Lens:
-        """With the shortest focal length whose picture lies within the distorted one."""
+        """With the shortest focal length whose image lies within the distorted one."""
         border = _border(width, height)
         low, high = 0.25 * focal, 4.0 * focal
         for _ in range(50):
             middle = (low + high) / 2
             x = border / middle
             inside = (np.abs(_bent(x, distortion) * focal) <= np.array([width, height]) / 2).all()
-            # Where a strong barrel would fold back, a point of the picture has no place of its own.
+            # Where a strong barrel would fold back, a point of the image has no place of its own.
             unfolded = (1 + 3 * distortion * (x**2).sum(-1) > LEAST_SLOPE).all()
             low, high = (low, middle) if inside and unfolded else (middle, high)
         return Lens(focal, distortion, high, width, height)
 
     def scaled(self, factor: float) -> Lens:
-        """The same for pictures that are larger by ``factor``."""
+        """The same for images that are larger by ``factor``."""
         return Lens(self.focal * factor, self.distortion, self.pinhole * factor, self.width * factor, self.height * factor)
 
     @property
@@ -67,12 +67,12 @@ class Lens:
         return float(np.linalg.norm(_bent(border, self.distortion) - border, axis=1).max() * self.focal)
 
     def straightened(self, positions: np.ndarray) -> np.ndarray:
-        """Tracks [..., 2] in pixels of the pictures as they came, as they lie in the straightened ones; NaN stays."""
+        """Tracks [..., 2] in pixels of the images as they came, as they lie in the straightened ones; NaN stays."""
         middle = np.array([self.width, self.height]) / 2
         return rays(positions - middle, self.focal, self.distortion) * self.pinhole + middle
 
     def straighten(self, image: np.ndarray) -> np.ndarray:
-        """A picture [H, W, 3] as the pinhole sees it; object numbers [H, W] stay what they are."""
+        """An image [H, W, 3] as the pinhole sees it; object numbers [H, W] stay what they are."""
         middle = np.array([self.width, self.height]) / 2
         grid = (pixel_grid(round(self.width), round(self.height)) - middle) / self.pinhole
         source = (_bent(grid, self.distortion) * self.focal + middle - 0.5).astype(np.float32)
@@ -89,7 +89,7 @@ def _bent(x: np.ndarray, distortion: float) -> np.ndarray:
 
 
 def _border(width: float, height: float) -> np.ndarray:
-    """Points [N, 2] of the picture's border, from its middle."""
+    """Points [N, 2] of the image's border, from its middle."""
     side = np.linspace(-0.5, 0.5, 33)
     edge = np.concatenate([np.stack([side, 0 * side + end], 1) for end in (-0.5, 0.5)])
     return np.concatenate([edge, edge[:, ::-1]]) * [width, height]
@@ -118,7 +118,7 @@ def find_lens(
     if start is not None:
         state = replace(state, focal=state.focal * start.focal / start.pinhole, distortion=start.distortion)
     known = partial(refine, fixed_camera=0, expected_focal=focal or state.focal, free_focal=focal is None, free_distortion=True)
-    # A lens that bends a turning camera's pictures looks like a camera that moves, so both are asked.
+    # A lens that bends a turning camera's images looks like a camera that moves, so both are asked.
     turned = replace(state, translations=np.zeros_like(state.translations))
     fit = known(turned, centered, seen, free_translations=False)
     if found.motion == "free":

@@ -43,7 +43,7 @@ def _torn(positions: np.ndarray, seen: np.ndarray, a: int, b: int) -> bool:
         return True
     if share >= FEW:
         return False
-    # Noise and foreign pictures always offer some points that look alike, but those move every way.
+    # Noise and foreign images always offer some points that look alike, but those move every way.
     _, together = cv2.findHomography(positions[both, a], positions[both, b], cv2.RANSAC, NEAR_PLANE)
     return together is None or together.mean() < TOGETHER
 

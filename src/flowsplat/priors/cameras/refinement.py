@@ -53,7 +53,7 @@ class Refined:
 
 
 def from_middle(positions: np.ndarray, seen: np.ndarray, width: float, height: float) -> np.ndarray:
-    """Positions [N, T, 2] as float64 from the middle of the picture, and without NaN where they are not ``seen`` [N, T]."""
+    """Positions [N, T, 2] as float64 from the middle of the image, and without NaN where they are not ``seen`` [N, T]."""
     return np.where(seen[..., None], positions, 0).astype(np.float64) - [width / 2, height / 2]
 
 

@@ -1,4 +1,4 @@
-"""Which tracks the cameras are computed from: long ones, spread over all frames and over the picture."""
+"""Which tracks the cameras are computed from: long ones, spread over all frames and over the image."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 GRID = (8, 6)
 """Columns and rows of the cells that tracks are spread over."""
 RIM_WIDTH = 1 / 12
-"""Of the picture's width and height: an object of 70 % of the picture in its middle leaves the rim free."""
+"""Of the image's width and height: an object of 70 % of the image in its middle leaves the rim free."""
 
 
 def choose_tracks(
@@ -39,7 +39,7 @@ def choose_tracks(
 
 
 def on_rim(positions: np.ndarray, width: float, height: float) -> np.ndarray:
-    """[N, T] bool: observations within ``RIM_WIDTH`` of the picture's border.
+    """[N, T] bool: observations within ``RIM_WIDTH`` of the image's border.
 
     Args:
         positions: [N, T, 2] pixels of the frames, NaN where not seen.

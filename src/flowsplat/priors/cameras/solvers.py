@@ -123,7 +123,7 @@ def solve(
     if solver != "auto" or not judgment.poor:
         return Solved(first, [judgment])
     second = estimate(positions[used], width, height, focal, "global")
-    # Where something in front fills the picture, what is seen along the rim judges either.
+    # Where something in front fills the image, what is seen along the rim judges either.
     judges = rim if first.surrounds or second.surrounds else judges
     found = {name: judge(name, cameras, judges, width, height, frames) for name, cameras in (("own", first), ("global", second))}
     if prefer(found["global"], found["own"]):

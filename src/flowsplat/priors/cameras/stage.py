@@ -19,7 +19,7 @@ from flowsplat.priors.cameras.lens import Lens, find_lens
 from flowsplat.priors.cameras.pieces import find_breaks, join, split
 from flowsplat.priors.cameras.solvers import Solved, solve
 from flowsplat.scenes import Scene
-from flowsplat.scenes.replacing import replace_pictures
+from flowsplat.scenes.replacing import replace_images
 
 LENS_ROUNDS = 2
 """How often the lens is estimated, each time with the cameras that the one before allowed."""
@@ -27,10 +27,10 @@ SETTLED = 0.1
 """Pixels of the border by which a lens may change and count as found."""
 OWN = "tracks"
 """Method of cameras that this stage computed."""
-_FOLLOWS_PICTURES = ("cameras", "masks", "objects")
-"""Priors that may be there when pictures are straightened: cameras are found anew, masks straightened, objects go with depth."""
+_FOLLOWS_IMAGES = ("cameras", "masks", "objects")
+"""Priors that may be there when images are straightened: cameras are found anew, masks straightened, objects go with depth."""
 LONGEST_LENS = 100
-"""Focal length at most, in longer sides of the picture: an angle of view of half a degree."""
+"""Focal length at most, in longer sides of the image: an angle of view of half a degree."""
 
 
 @dataclass(frozen=True)
@@ -53,15 +53,15 @@ class CameraOptions:
 def camera_stage(scene: Scene, options: CameraOptions) -> None:
     """Estimate a pose for every frame and one focal length, and write them to ``scene``.
 
-    The principal point is taken to be the center of the picture and pixels to be square. Held-out frames are seen here
+    The principal point is taken to be the center of the image and pixels to be square. Held-out frames are seen here
     (METHOD 6), but nothing other than their poses and their lens leaves this stage. The first camera is the identity and the
     median distance of the points is 1. Pieces that nothing joins (there is a cut between them) are solved one by one, each in
     these units, and set side by side so far apart that none sees the other: the path jumps there.
 
-    Where the lens is to be straightened, the pictures are replaced last; stopped in between, the next call goes on there.
+    Where the lens is to be straightened, the images are replaced last; stopped in between, the next call goes on there.
 
     Raises:
-        InputError: the given focal length is not a positive number, or something was made for pictures that are to be
+        InputError: the given focal length is not a positive number, or something was made for images that are to be
             straightened.
     """
     longest = LONGEST_LENS * max(scene.width, scene.height)
@@ -72,7 +72,7 @@ def camera_stage(scene: Scene, options: CameraOptions) -> None:
         return
     radial = straightens(scene, options)
     if radial:
-        require_lens_in_pictures(scene)
+        require_lens_in_images(scene)
     tracks = _follow(scene)
     known = None if options.focal is None else options.focal / tracks.unit
     lens, solved = None, tracks.solve(options.solver, known)
@@ -89,7 +89,7 @@ def camera_stage(scene: Scene, options: CameraOptions) -> None:
 
 
 def straightens(scene: Scene, options: CameraOptions) -> bool:
-    """Whether these options have a lens taken out of the pictures: it was not taken out before."""
+    """Whether these options have a lens taken out of the images: it was not taken out before."""
     return options.distortion == "radial" and scene.info.lens is None
 
 
@@ -101,7 +101,7 @@ class _Tracks:
         positions: [N, T, 2] in pixels of the working size; NaN where a point was not seen.
         pieces: the frames of every piece.
         blank: frames in which nothing can be followed.
-        width: of the pictures, in pixels of the working size; ``height`` alike.
+        width: of the images, in pixels of the working size; ``height`` alike.
         unit: pixels of the prepared frames in one of the working size. Thresholds are in pixels of the latter.
     """
 
@@ -195,28 +195,28 @@ def _find_lens(tracks: _Tracks, solved: list[Solved], solver: str, focal: float 
 
 def _about_lens(lens: Lens | None, unit: float) -> str:
     if lens is None:
-        return "No distortion of the lens shows: the pictures stay as they are."
+        return "No distortion of the lens shows: the images stay as they are."
     return (
         f"The lens moved points of the border by up to {lens.shift * unit:.1f} pixels (k1 = {lens.distortion:.3f}): "
         "frames and given masks were straightened."
     )
 
 
-def require_lens_in_pictures(scene: Scene, unwanted: Collection[str] = ()) -> None:
-    """Refuse to straighten pictures that something else was made for.
+def require_lens_in_images(scene: Scene, unwanted: Collection[str] = ()) -> None:
+    """Refuse to straighten images that something else was made for.
 
     Args:
         unwanted: priors that are about to be forgotten.
 
     Raises:
-        InputError: names what was made for the pictures.
+        InputError: names what was made for the images.
     """
     if scene.truth is not None or scene.views:
         raise InputError(f"{scene.name} is rendered by pinholes: leave out --cameras.distortion radial.")
-    made = [name for name in scene.info.priors if name not in _FOLLOWS_PICTURES and name not in unwanted]
+    made = [name for name in scene.info.priors if name not in _FOLLOWS_IMAGES and name not in unwanted]
     if made:
         raise InputError(
-            f"{' and '.join(made).capitalize()} of {scene.name} were made for the pictures as they came: "
+            f"{' and '.join(made).capitalize()} of {scene.name} were made for the images as they came: "
             "leave out --cameras.distortion radial, or let them be computed."
         )
 
@@ -225,7 +225,7 @@ def _straighten(scene: Scene) -> None:
     """Replace frames and masks by those that a pinhole sees, and note that the cameras are finished."""
     assert scene.info.lens is not None
     lens = Lens(**scene.info.lens)
-    replace_pictures(scene, lens.straighten)
+    replace_images(scene, lens.straighten)
     scene.finish_straightening(_about_lens(lens, 1.0))
 
 

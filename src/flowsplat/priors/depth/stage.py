@@ -6,7 +6,7 @@ import numpy as np
 
 from flowsplat.common.progress import track
 from flowsplat.common.threads import in_threads, thread_count
-from flowsplat.pictures.edge_smoothing import one_thread
+from flowsplat.images.edge_smoothing import one_thread
 from flowsplat.priors.background.fill import upsample
 from flowsplat.priors.background.longflow import STRIDES
 from flowsplat.priors.background.matched_clip import MatchedClip

@@ -20,7 +20,7 @@ from flowsplat.scenes.formats.images import natural_key
 from flowsplat.scenes.formats.lens import require_pinhole
 
 _MOST_IMAGES = 256 * 2**20
-"""Bytes: the points of all pictures stand beside them."""
+"""Bytes: the points of all images stand beside them."""
 PLACES = ("", "0", "sparse", "sparse/0", "colmap/sparse/0")
 """Where in a given folder the model may lie."""
 
@@ -40,7 +40,7 @@ _NAMES = {number: name for name, (number, _, _) in _MODELS.items()}
 
 @dataclass(frozen=True)
 class _Image:
-    """A registered picture: its name, camera number, and pose world to camera."""
+    """A registered image: its name, camera number, and pose world to camera."""
 
     name: str
     camera: int
@@ -58,7 +58,7 @@ def find_model(folder: Path) -> Path | None:
 
 
 def read_colmap(model: Path, scene: Scene) -> list[Camera]:
-    """One camera a frame, at the size of COLMAP's pictures; the natural order of their names is that of the frames.
+    """One camera a frame, at the size of COLMAP's images; the natural order of their names is that of the frames.
 
     Raises:
         InputError: damaged, a lens that is no pinhole, or not every frame was registered.
@@ -74,7 +74,7 @@ def read_colmap(model: Path, scene: Scene) -> list[Camera]:
             images = _text_images(read_text(path, _MOST_IMAGES))
     except (struct.error, ValueError, IndexError, OverflowError) as error:
         raise InputError(f"{model} is no readable COLMAP model (damaged or truncated): {error}.") from error
-    require_frames(path, len(images), scene, "registered pictures")
+    require_frames(path, len(images), scene, "registered images")
     cameras = []
     for image in sorted(images, key=lambda image: natural_key(Path(image.name))):
         if image.camera not in lenses:
@@ -103,7 +103,7 @@ _Lenses = dict[int, tuple[str, int, int, tuple[float, ...]]]
 def _checked(name: str, parameters: tuple[float, ...]) -> str:
     if name not in _MODELS:
         raise InputError(
-            f"COLMAP's camera model {name} is no pinhole: undistort the pictures first (colmap image_undistorter), "
+            f"COLMAP's camera model {name} is no pinhole: undistort the images first (colmap image_undistorter), "
             "and give the model of the undistorted ones."
         )
     if len(parameters) != _MODELS[name][1]:
@@ -126,7 +126,7 @@ def _text_cameras(text: str) -> _Lenses:
 
 def _text_images(text: str) -> list[_Image]:
     images = []
-    # Every second line holds a picture's points, and may be empty.
+    # Every second line holds an image's points, and may be empty.
     for line in filter(None, _text_lines(text)[::2]):
         _, *pose, camera, name = line.split(maxsplit=9)
         values = tuple(map(float, pose))
@@ -156,7 +156,7 @@ class _Bytes:
     def skip(self, count: int) -> None:
         self._at += count
         if self._at > len(self._data):
-            raise ValueError("it ends within a picture's points")
+            raise ValueError("it ends within an image's points")
 
 
 def _binary_cameras(data: bytes) -> _Lenses:

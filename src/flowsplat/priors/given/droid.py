@@ -1,7 +1,7 @@
 """DROID-SLAM's trajectory as Shape of Motion's preprocessing saves it: ``droid_recon/<clip>.npy``.
 
 https://github.com/vye16/shape-of-motion/blob/main/preproc/recon_with_depth.py: a pickled dictionary with ``traj_c2w``
-[N, 4, 4], ``intrinsics`` [4] (fx, fy, cx, cy) and ``img_shape`` (h, w), both at an eighth of the cropped picture.
+[N, 4, 4], ``intrinsics`` [4] (fx, fy, cx, cy) and ``img_shape`` (h, w), both at an eighth of the cropped image.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ MAKER = "DROID-SLAM"
 
 
 def read_droid(path: Path, scene: Scene, allow_pickle: bool) -> list[Camera]:
-    """One camera a frame, at the size that the whole picture had for DROID-SLAM.
+    """One camera a frame, at the size that the whole image had for DROID-SLAM.
 
     Raises:
         InputError: pickles are not allowed, or it is damaged or not of this clip.

@@ -13,7 +13,7 @@ from flowsplat.scenes import Scene
 from flowsplat.scenes.formats.images import natural_key
 
 SLAM_AREA = 384 * 512
-"""Pixels to which DROID-SLAM, and with it MegaSaM and Shape of Motion, resize pictures before they crop them."""
+"""Pixels to which DROID-SLAM, and with it MegaSaM and Shape of Motion, resize images before they crop them."""
 
 SLAM_MULTIPLE = 8
 """Their sides are then cropped, at the right and at the bottom, to a multiple of this."""
@@ -28,7 +28,7 @@ def require_shape(path: Path, width: int, height: int, scene: Scene) -> None:
     if abs(width * scene.height - height * scene.width) > max(scene.width, scene.height, width, height):
         raise InputError(
             f"{path} is {width}x{height} pixels, which is another shape than the frames ({scene.width}x{scene.height}): "
-            "give priors of the whole, uncropped picture."
+            "give priors of the whole, uncropped image."
         )
 
 
@@ -86,13 +86,13 @@ def files_by_frame(folder: Path, suffixes: Sequence[str], scene: Scene, what: st
 
 
 def slam_size(path: Path, width: int, height: int, scene: Scene) -> tuple[int, int]:
-    """(width, height) that the whole picture had where DROID-SLAM's preprocessing cropped it to ``width`` x ``height``.
+    """(width, height) that the whole image had where DROID-SLAM's preprocessing cropped it to ``width`` x ``height``.
 
-    https://github.com/princeton-vl/DROID-SLAM/blob/main/demo.py, ``image_stream``. Pictures of that size come from it;
+    https://github.com/princeton-vl/DROID-SLAM/blob/main/demo.py, ``image_stream``. Images of that size come from it;
     others are taken to be whole.
 
     Raises:
-        InputError: it is no picture of this clip.
+        InputError: it is no image of this clip.
     """
     scale = float(np.sqrt(SLAM_AREA / (scene.width * scene.height)))
     # The working size is rounded, so the size that they saw may give one pixel more or less.

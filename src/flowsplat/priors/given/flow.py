@@ -11,7 +11,7 @@ import numpy as np
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_bytes, read_npz
 from flowsplat.geometry.cameras import FURTHEST
-from flowsplat.pictures.header import MOST_PIXELS
+from flowsplat.images.header import MOST_PIXELS
 from flowsplat.priors.given import megasam
 from flowsplat.priors.given.fitting import refuse_later_frames, require_frames, require_shape
 from flowsplat.priors.given.truth import consecutive_pairs
@@ -53,7 +53,7 @@ def read_flow(folder: Path, scene: Scene) -> tuple[list[Flow], str]:
     if any(folder.glob("*_to_*.npz")):
         return _mosca(folder, wanted, scene), "MoSca"
     files = (path for path in folder.iterdir() if path.suffix in (".npz", ".flo", ".png"))
-    refuse_later_frames(folder, (number for path in files for number in path.stem.split("_")), scene, "pictures")
+    refuse_later_frames(folder, (number for path in files for number in path.stem.split("_")), scene, "images")
     return [_own(folder, i, j, scene) for i, j in wanted], "flowsplat"
 
 
@@ -118,7 +118,7 @@ def _read_kitti(path: Path) -> Arrays:
 def _mosca(folder: Path, wanted: list[tuple[int, int]], scene: Scene) -> list[Flow]:
     files = {tuple(path.stem.split("_to_")): path for path in folder.glob("*_to_*.npz")}
     names = sorted({name for pair in files for name in pair}, key=lambda name: natural_key(Path(name)))
-    require_frames(folder, len(names), scene, "pictures")
+    require_frames(folder, len(names), scene, "images")
     found = []
     for i, j in wanted:
         path = files.get((names[i], names[j]))

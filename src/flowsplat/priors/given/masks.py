@@ -1,4 +1,4 @@
-"""Masks from a folder of pictures: our own numbering, DAVIS's Annotations, or any names in the order of the frames."""
+"""Masks from a folder of images: our own numbering, DAVIS's Annotations, or any names in the order of the frames."""
 
 from __future__ import annotations
 

@@ -4,9 +4,9 @@
 | --- | --- |
 | ``outputs/*_droid.npz``, ``outputs_cvd/*_sgd_cvd_hr.npz`` | ``depths`` [N, H, W], ``intrinsic`` [3, 3], ``cam_c2w`` [N, 4, 4] |
 | ``cache_flow/*/flows.npy``, ``flows_masks.npy`` | [P, 2, h, w] at half the size, [P, 1, h, w] whether the way back agrees |
-| ``cache_flow/*/ii-jj.npy`` | [2, P] from which picture to which |
+| ``cache_flow/*/ii-jj.npy`` | [2, P] from which image to which |
 
-Its pictures are resized and cropped (``fitting.slam_size``). The second ``.npz`` has the better depth.
+Its images are resized and cropped (``fitting.slam_size``). The second ``.npz`` has the better depth.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _NO_DEPTH = 1.1e-3
 
 ARRAYS = ("depths", "intrinsic", "cam_c2w")
 _MOST_A_FRAME = 32 * 2**20
-"""Bytes: six pairs of flow of a picture of 640 x 480."""
+"""Bytes: six pairs of flow of an image of 640 x 480."""
 
 
 def most_bytes(scene: Scene) -> int:
@@ -45,7 +45,7 @@ def is_megasam(arrays: dict[str, np.ndarray]) -> bool:
 
 
 def read_cameras(path: Path, arrays: dict[str, np.ndarray], scene: Scene) -> list[Camera]:
-    """One camera a frame, at the size that the whole picture had for MegaSaM.
+    """One camera a frame, at the size that the whole image had for MegaSaM.
 
     Raises:
         InputError: not of this clip.
@@ -108,7 +108,7 @@ def read_flow(folder: Path, wanted: list[tuple[int, int]], scene: Scene) -> list
         raise InputError(
             f"{folder} is not as MegaSaM writes it: flows {flows.shape}, ii-jj {pairs.shape}, flows_masks {masks.shape}."
         )
-    require_frames(folder, int(pairs.max()) + 1, scene, "pictures")
+    require_frames(folder, int(pairs.max()) + 1, scene, "images")
     height, width = flows.shape[2:]
     whole = slam_size(folder, 2 * width, 2 * height, scene)
     half = (-(-whole[0] // 2), -(-whole[1] // 2))

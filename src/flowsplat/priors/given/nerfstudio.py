@@ -21,7 +21,7 @@ def is_nerfstudio(content: Any) -> bool:
 
 
 def read_nerfstudio(path: Path, content: dict[str, Any], scene: Scene) -> list[Camera]:
-    """One camera a frame; in the order of their times where all have one, else in the natural order of their pictures.
+    """One camera a frame; in the order of their times where all have one, else in the natural order of their images.
 
     Raises:
         InputError: a value is missing, a lens is no pinhole, or there is not one frame for each of the clip.

@@ -9,7 +9,7 @@ from pathlib import Path
 @dataclass(frozen=True)
 class GivenPriors:
     """Files that replace what would be computed, for the frames of the clip in their order. What each file is shows in its
-    layout. Pictures may have another size than the frames, but not another shape."""
+    layout. Images may have another size than the frames, but not another shape."""
 
     cameras: Path | None = None
     """Our JSON list (one camera a frame: viewmat [4, 4] world to camera with OpenCV axes, K [3, 3], width, height), or the
@@ -19,7 +19,7 @@ class GivenPriors:
     or the depth of MegaSaM (.npz), Shape of Motion (aligned_depth_anything) or MoSca. It is fitted to cameras that are not its
     own."""
     masks: Path | None = None
-    """A folder of pictures, 00000.png ... or one a frame: object numbers or colors, black = background. Masks of held-out
+    """A folder of images, 00000.png ... or one a frame: object numbers or colors, black = background. Masks of held-out
     frames are kept for the evaluation."""
     flow: Path | None = None
     """A folder of 00000_00001.npz (as in a scene folder), .flo or KITTI .png, in pixels, both ways between consecutive
@@ -27,7 +27,7 @@ class GivenPriors:
     tracks: Path | None = None
     """Tracks of TAPIR or BootsTAPIR, CoTracker, or MoSca: a folder of .npy, or .npz files."""
     tracks_size: tuple[int, int] | None = None
-    """Width and height of the pictures in which the given tracks were made, where it is not that of the frames."""
+    """Width and height of the images in which the given tracks were made, where it is not that of the frames."""
     allow_pickle: bool = False
     """Read pickled files (DROID-SLAM's droid_recon), which can run any code: only for files that you trust."""
 

@@ -61,10 +61,10 @@ def read_tracks(path: Path, scene: Scene, size: tuple[int, int] | None) -> Given
     """Read tracks and bring them to the size of the frames; held-out frames are left out.
 
     Args:
-        size: (width, height) of the pictures in which they were made; None = of the frames.
+        size: (width, height) of the images in which they were made; None = of the frames.
 
     Raises:
-        InputError: missing, damaged, of no known layout, of another number of frames, or outside the pictures.
+        InputError: missing, damaged, of no known layout, of another number of frames, or outside the images.
     """
     path = Path(path)
     read, maker = _read(path, scene)
@@ -82,7 +82,7 @@ def read_tracks(path: Path, scene: Scene, size: tuple[int, int] | None) -> Given
     require_frames(path, points.shape[1], scene, "positions a track")
     width, height = size or (scene.width, scene.height)
     if min(width, height) < 1:
-        raise InputError(f"--given.tracks-size {width} {height}: give the width and height of pictures.")
+        raise InputError(f"--given.tracks-size {width} {height}: give the width and height of images.")
     with np.errstate(all="ignore"):  # what is not finite is not seen
         pixels = (points.astype(np.float32) + np.float32(0.5)) * np.array([scene.width / width, scene.height / height], np.float32)
     confidence = np.where(np.isfinite(pixels).all(-1) & np.isfinite(confidence), confidence, 0)
@@ -92,7 +92,7 @@ def read_tracks(path: Path, scene: Scene, size: tuple[int, int] | None) -> Given
     if seen.any() and inside[seen].mean() < 0.9:
         raise InputError(
             f"{path}: {1 - inside[seen].mean():.0%} of the visible points lie outside the {width}x{height} pixels of the frames: "
-            "give the size of the pictures in which they were tracked with --given.tracks-size WIDTH HEIGHT."
+            "give the size of the images in which they were tracked with --given.tracks-size WIDTH HEIGHT."
         )
     confidence = np.where(inside, np.clip(confidence, 0, 1), 0)
     confidence[:, scene.heldout_frames] = 0

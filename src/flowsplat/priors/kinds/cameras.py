@@ -9,7 +9,7 @@ from pathlib import Path
 
 from flowsplat.common.errors import InputError
 from flowsplat.priors.cameras import CameraOptions, camera_stage
-from flowsplat.priors.cameras.stage import OWN, require_lens_in_pictures, straightens
+from flowsplat.priors.cameras.stage import OWN, require_lens_in_images, straightens
 from flowsplat.priors.given.cameras import read_cameras
 from flowsplat.priors.given.fitting import verdict_of
 from flowsplat.priors.prior import GIVEN, Kind, Request
@@ -40,7 +40,7 @@ def _check_renewal(request: Request, stale: Collection[str]) -> None:
             "it anew: start from the clip, or leave out what asks for other cameras."
         )
     if straightens(request.scene, request.options.cameras):
-        require_lens_in_pictures(request.scene, stale)
+        require_lens_in_images(request.scene, stale)
 
 
 def _read_true(scene: Scene, truth: Layers) -> bool:
@@ -62,7 +62,7 @@ CAMERAS = Kind(
     own=(OWN,),
     differs=_differs,
     check_renewal=_check_renewal,
-    replaces_pictures=lambda request: straightens(request.scene, request.options.cameras),
+    replaces_images=lambda request: straightens(request.scene, request.options.cameras),
     overwrites=True,
     read_true=_read_true,
     asks_truth=lambda request: True,

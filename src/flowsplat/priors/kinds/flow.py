@@ -1,4 +1,4 @@
-"""Optical flow: of whole pictures, and once more inside what moves."""
+"""Optical flow: of whole images, and once more inside what moves."""
 
 from __future__ import annotations
 

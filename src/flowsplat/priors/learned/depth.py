@@ -20,7 +20,7 @@ def learned_depth(name: str, scene: Scene, models: ModelOptions, device: torch.d
     """
     option = f"--depth {name}"
     transformers = require_package("transformers", option, INSTEAD)
-    require_package("torchvision", option, INSTEAD)  # What prepares the pictures needs it.
+    require_package("torchvision", option, INSTEAD)  # What prepares the images needs it.
     source = models.depth_pro if name == "depth-pro" else models.depth_anything
     setting = f"--models.{name}"
     # Not the automatic kinds: a folder with another model is then refused instead of believed.

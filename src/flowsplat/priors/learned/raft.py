@@ -16,7 +16,7 @@ from flowsplat.priors.learned.weights import require_package, state_dict_file
 OPTION, SETTING, INSTEAD = "--flow raft", "--models.raft", "--flow dis"
 
 SMALLEST_SIDE = 128
-"""Pixels below which its pyramid of correlations has no room; smaller pictures are enlarged."""
+"""Pixels below which its pyramid of correlations has no room; smaller images are enlarged."""
 
 MULTIPLE = 8
 """Sides are continued to a multiple of this."""

@@ -42,7 +42,7 @@ def load_segmenter(name: str, models: ModelOptions, device: torch.device) -> Seg
     """
     option, setting = f"--masks {name}", f"--models.{name}"
     transformers = require_package("transformers", option, INSTEAD)
-    require_package("torchvision", option, INSTEAD)  # What prepares the pictures needs it.
+    require_package("torchvision", option, INSTEAD)  # What prepares the images needs it.
     source = models.sam3 if name == "sam3" else models.sam2
     kind = "Sam3TrackerVideo" if name == "sam3" else "Sam2Video"
     network, processor = (
@@ -86,7 +86,7 @@ def sam_stage(scene: Scene, segmenter: Segmenter, prompts: Sequence[Prompt], sho
     share = pixels / (len(scene.train_frames) * scene.width * scene.height)
     how = f"shown by {shown_by}, followed by {segmenter.name} ({segmenter.source})"
     objects = len({prompt.number for prompt in prompts})
-    verdict = f"{objects} object(s) on {share:.1%} of the picture, {how}"
+    verdict = f"{objects} object(s) on {share:.1%} of the image, {how}"
     figures = {"objects": objects, "share": round(share, 5), "prompts": plain(prompts)}
     scene.finish_prior("masks", method=segmenter.name, verdict=verdict, **figures)
 

@@ -1,4 +1,4 @@
-"""Masks of moving objects without learned weights: what many matches show to move, cut out along the picture."""
+"""Masks of moving objects without learned weights: what many matches show to move, cut out along the image."""
 
 from flowsplat.priors.masks.stage import mask_stage
 

@@ -1,4 +1,4 @@
-"""The clean plate: what the picture of a frame would be without its objects, from frames that see past them.
+"""The clean plate: what the image of a frame would be without its objects, from frames that see past them.
 
 Depth and cameras of the static scene tell where each pixel lies in other frames. What looks like that in enough of them
 is static, however the flow swells there; what does not has something in front of it. Shadows are static: they only
@@ -37,14 +37,14 @@ from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.static_depth import StaticDepth
 
 SEEN_FROM = (4, 8, 12, 16, 24, 32, 48)
-"""Training frames before and after, whose pictures are compared."""
+"""Training frames before and after, whose images are compared."""
 
 FEW = 16
-"""Training frames of a clip up to which its pictures are few and lie far apart: all others are compared, and the flow hardly
+"""Training frames of a clip up to which its images are few and lie far apart: all others are compared, and the flow hardly
 joins them."""
 
 ENOUGH = 2
-"""Frames that must see a pixel's static point for its picture to count."""
+"""Frames that must see a pixel's static point for its image to count."""
 
 AGREEING = 0.33
 """Share of the frames that look most like the pixel, whose last one is compared with it."""
@@ -92,7 +92,7 @@ class CleanPlate:
             _plate, len(frame), frame, depth.astype(np.float32), *_poses(self._cameras[k], [self._cameras[j] for j in others]),
             words.reshape(-1), plate, spread, count,
         )  # fmt: skip
-        # Of many frames those that look most like the pixel decide, and others may be of an object; few pictures must all agree.
+        # Of many frames those that look most like the pixel decide, and others may be of an object; few images must all agree.
         spread *= len(clip) <= FEW
         return np.where(count >= ENOUGH, difference(frame, plate, spread), -1)
 
@@ -176,7 +176,7 @@ def _plate(
 
 @helper
 def bilinear(words, start, W, H, u, v):
-    """Red, green and blue (lanes) at u, v of the picture that begins at words[start], with pixel centers at whole numbers."""
+    """Red, green and blue (lanes) at u, v of the image that begins at words[start], with pixel centers at whole numbers."""
     one = np.float32(1)
     c, r = minimum(whole(u), broadcast(np.float32(W - 2))), minimum(whole(v), broadcast(np.float32(H - 2)))
     a, b = u - c, v - r

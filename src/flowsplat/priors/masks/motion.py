@@ -2,7 +2,7 @@
 
 The evidence of a frame is how far its matches lie off the rigid scene: the smaller of the residual under the best depth
 and twice the distance from the epipolar line, over the noise of the pair (``background.multiview``). Moving things keep
-moving: the evidence is added up along the flow, pulled to the edges of the picture, and cut.
+moving: the evidence is added up along the flow, pulled to the edges of the image, and cut.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from flowsplat.common.progress import track
 from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.geometry.interpolation import sample_map
-from flowsplat.pictures.edge_smoothing import EdgeSmoother
+from flowsplat.images.edge_smoothing import EdgeSmoother
 from flowsplat.priors.background.matched_clip import RESTS, MatchedClip
 from flowsplat.priors.background.static_depth import StaticDepth
 from flowsplat.priors.masks.background_plate import FEW
@@ -38,7 +38,7 @@ MEMORY = 0.9
 """Share of the evidence that a frame takes over from the next and the one before."""
 
 SMALLEST = 0.001
-"""Share of the picture below which an object is dropped; a hole is closed below a quarter of it."""
+"""Share of the image below which an object is dropped; a hole is closed below a quarter of it."""
 
 _SMOOTHNESS, _COLOR_SIGMA = 10.0, 12.0
 
@@ -58,7 +58,7 @@ class Weighing:
     certain: float
 
 
-MANY_FRAMES, FEW_PICTURES, MATCHES_ALONE = Weighing(0.35, 4.0, 2.0), Weighing(0.7, 1.5, 1.0), Weighing(0.0, 0.0, 2.0)
+MANY_FRAMES, FEW_IMAGES, MATCHES_ALONE = Weighing(0.35, 4.0, 2.0), Weighing(0.7, 1.5, 1.0), Weighing(0.0, 0.0, 2.0)
 
 
 def weighing(clip: MatchedClip) -> Weighing:
@@ -69,7 +69,7 @@ def weighing(clip: MatchedClip) -> Weighing:
     """
     if not clip.has_sure_depth:
         return MATCHES_ALONE
-    return FEW_PICTURES if len(clip) <= FEW else MANY_FRAMES
+    return FEW_IMAGES if len(clip) <= FEW else MANY_FRAMES
 
 
 def motion_evidence(clip: MatchedClip, background: StaticDepth) -> list[np.ndarray]:
@@ -161,7 +161,7 @@ def rough_cut(evidence: np.ndarray, frame: np.ndarray, certain: float) -> np.nda
 
 
 def enlarged(evidence: np.ndarray, like: np.ndarray) -> np.ndarray:
-    """Evidence [h, w] at the size of a picture [H, W, ...]: [H, W] float32."""
+    """Evidence [h, w] at the size of an image [H, W, ...]: [H, W] float32."""
     return cv2.resize(evidence.astype(np.float32), like.shape[1::-1], interpolation=cv2.INTER_LINEAR)
 
 

@@ -72,7 +72,7 @@ ODDS = np.array([
 ])  # fmt: skip
 """Logarithms to base 2 of how much more often objects than still things differ so many times their noise from every surface that
 others see (rows), and look like so large a share of other frames at one depth (columns). Counted in ten random worlds of 12
-wide pictures and seven of 40 frames, which said nearly the same; but what looks like four frames of five at one depth counts as
+wide images and seven of 40 frames, which said nearly the same; but what looks like four frames of five at one depth counts as
 still, which is right where there are many frames: thin things before the scene (poles) are often missing in its depth."""
 
 UNKNOWN = (1.5, 3.0, 2.1, 1.0, -0.2, -2.1, -4.0)

@@ -1,7 +1,7 @@
-"""The mask stage: objects are found by their motion, then cut out by what the pictures show (METHOD 9).
+"""The mask stage: objects are found by their motion, then cut out by what the images show (METHOD 9).
 
 Matches find what moves, but not its outline: flow takes along what is near an object, and misses what is thin. So the
-pictures decide on the outline: a pixel that differs from the static scene as other frames show it, and that has the
+images decide on the outline: a pixel that differs from the static scene as other frames show it, and that has the
 colors of objects, moves; motion decides where no frame sees past it.
 """
 
@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from flowsplat.common.progress import track
-from flowsplat.pictures.edge_smoothing import EdgeSmoother
+from flowsplat.images.edge_smoothing import EdgeSmoother
 from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.static_depth import static_depth
 from flowsplat.priors.flow import FlowEstimator, dis_estimator
@@ -67,7 +67,7 @@ def mask_stage(scene: Scene, estimate: FlowEstimator = dis_estimator) -> None:
     objects, share = number_objects(scene)
     # That parts are one object is known when points on them were followed (``identify_objects``).
     things = "1 moving object" if objects == 1 else f"{objects} moving parts"
-    verdict = f"{things} on {share:.1%} of the picture" if objects else "nothing moves"
+    verdict = f"{things} on {share:.1%} of the image" if objects else "nothing moves"
     scene.finish_prior("masks", method="motion", verdict=verdict, objects=objects, share=round(share, 5))
 
 

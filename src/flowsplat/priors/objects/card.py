@@ -16,7 +16,7 @@ from scipy.ndimage import gaussian_filter1d, percentile_filter
 
 from flowsplat.common.progress import track
 from flowsplat.common.threads import in_threads, thread_count
-from flowsplat.pictures.edge_smoothing import one_thread
+from flowsplat.images.edge_smoothing import one_thread
 from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.static_depth import StaticDepth
 from flowsplat.scenes.layers import TRUSTED
@@ -76,7 +76,7 @@ def growth(mask: np.ndarray, flow: np.ndarray, confidence: np.ndarray) -> float:
 def smooth_cards(cards: np.ndarray, growths: np.ndarray, pieces: np.ndarray) -> np.ndarray:
     """Inverse depths [T] of one object over time, NaN where it is not seen, smoothed; stays NaN there.
 
-    An object that is twice as large in the picture is twice as near. At one size the near end of a window counts: what
+    An object that is twice as large in the image is twice as near. At one size the near end of a window counts: what
     an object passes in front of at one time bounds its distance at others. Either side of a cut is a world of its own.
 
     Args:

@@ -26,7 +26,7 @@ class Bound:
 
     Attributes:
         log_depth: logarithm of the planar depth of the card's middle at which it would touch the ground.
-        visible: whether its lowest pixels are in the picture and nothing stands before them.
+        visible: whether its lowest pixels are in the image and nothing stands before them.
         seen: whether the ground was seen there, and is not only supposed to go on.
         lowest: [n, 2] int, (column, row) of its lowest pixels.
     """
@@ -45,7 +45,7 @@ def upright_ratio(camera: Camera, normal: np.ndarray, middle: np.ndarray, pixels
     rays = camera.unproject(np.concatenate([middle[None], pixels]), np.ones(len(pixels) + 1)) - camera.center
     facing = rays[0] - (rays[0] @ normal) * normal
     along = rays @ facing
-    # A camera that looks straight down sees no upright card: it faces the picture then.
+    # A camera that looks straight down sees no upright card: it faces the image then.
     if along[0] < 0.05 * float(rays[0] @ rays[0]):
         return np.ones(len(pixels))
     return along[0] / np.maximum(along[1:], 0.2 * along[0])
@@ -71,7 +71,7 @@ def ground_bound(mask: np.ndarray, camera: Camera, ground: Ground, static: np.nd
     height, width = mask.shape
     if mask.sum() < FEWEST_PIXELS:
         return None
-    # The rim on the side where the ground comes nearer; a camera may be rolled, so the side is that of the picture's "down".
+    # The rim on the side where the ground comes nearer; a camera may be rolled, so the side is that of the image's "down".
     down = camera.viewmat[:3, :3] @ -ground.normal
     column, row = (round(float(v)) for v in down[:2] / max(float(np.abs(down[:2]).max()), 1e-9))
     shifted = cv2.warpAffine(

@@ -33,7 +33,7 @@ BOUNCE_WIDTH, BOUNCE_ELSEWHERE = 4, 0.25
 THROWN_SIGMA = 0.03
 """Standard deviation of the nearest bound at several bounces; of a single one it is half as much more."""
 FOOT = 0.15
-"""Standard deviation of the distance, in the picture, at which points of an object tell of its foot: of the root of its area."""
+"""Standard deviation of the distance, in the image, at which points of an object tell of its foot: of the root of its area."""
 
 
 @dataclass(frozen=True)

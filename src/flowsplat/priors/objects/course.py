@@ -1,4 +1,4 @@
-"""How the distance of an object changes over time, but for a constant: by the motion of its points or by its size in the pictures."""
+"""How the distance of an object changes over time, but for a constant: by the motion of its points or by its size in the images."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from flowsplat.priors.objects.contact_cues import FLAT, Feet
 from flowsplat.priors.objects.distance import Cue
 from flowsplat.priors.objects.path import Law, WorldPath, constant_height, pivot
 from flowsplat.priors.objects.relief import ReliefPoints, place_points
-from flowsplat.priors.objects.rematching import ObjectPictures, rematched
+from flowsplat.priors.objects.rematching import ObjectImages, rematched
 from flowsplat.priors.objects.rigid import Observations, RigidMotion, longest, solve_rigid
 
 FEWEST_TRACKS, FEWEST_FRAMES = 16, 10
@@ -23,7 +23,8 @@ SPLIT_HALF = 0.04
 """Standard deviation over time between ln z of two solutions from halves of the tracks, above which none is believed."""
 INLIERS = 0.7
 RIGID_SHARE = 0.85
-"""Share of all observations on an object that its motion explains from which it does not bend, so that its points have one shape."""
+"""Share of all observations on an object that its motion explains from which it does not bend, so that its points have one
+shape."""
 PER_FRAME = (50, 180)
 """Tracks in a frame that the motion is solved from, the longest first; half of them for either half. Both are tried."""
 FLOOR = {"pivot": 0.02, "height": 0.03}
@@ -96,20 +97,20 @@ class Course:
 
 
 def solve_course(
-    tracks: ObjectTracks, log_cards: np.ndarray, feet: Feet, ground: Ground | None, pictures: ObjectPictures | None
+    tracks: ObjectTracks, log_cards: np.ndarray, feet: Feet, ground: Ground | None, images: ObjectImages | None
 ) -> Course:
     """The course of one object.
 
     Args:
         log_cards: [T] logarithm of the depth of its card, NaN where it is not seen: the course where no motion is believed.
-        pictures: to match its points anew in; None: tracks are all there is.
+        images: to match its points anew in; None: tracks are all there is.
     """
     seen = np.isfinite(log_cards) & np.isfinite(tracks.middles).all(1)
     by_growth = np.where(seen, log_cards - np.mean(log_cards[seen]), np.nan)
     motion, motions = rigid_motions(tracks.positions, tracks.inside, tracks.K)
     placed = None if motion is None else placed_motion(motion, tracks)
-    if motion is not None and placed is not None and pictures is not None:
-        motion, placed = _refined(motion, placed, tracks, seen, pictures)
+    if motion is not None and placed is not None and images is not None:
+        motion, placed = _refined(motion, placed, tracks, seen, images)
     contradicted = placed is not None and float(np.nanstd(placed.log_depth - by_growth)) > CONTRADICTED
     if placed is not None and contradicted and feet.unevenness(by_growth) <= FLAT < feet.unevenness(placed.log_depth):
         placed = None
@@ -126,10 +127,10 @@ def solve_course(
 
 
 def _refined(
-    motion: RigidMotion, placed: PlacedMotion, tracks: ObjectTracks, seen: np.ndarray, pictures: ObjectPictures
+    motion: RigidMotion, placed: PlacedMotion, tracks: ObjectTracks, seen: np.ndarray, images: ObjectImages
 ) -> tuple[RigidMotion, PlacedMotion]:
-    """The motion by points that are matched anew in the pictures, where that is of the same body; else the same as before."""
-    again = rematched(motion, tracks.positions, tracks.inside, pictures)
+    """The motion by points that are matched anew in the images, where that is of the same body; else the same as before."""
+    again = rematched(motion, tracks.positions, tracks.inside, images)
     if again is None:
         return motion, placed
     refined, matched, counts = again

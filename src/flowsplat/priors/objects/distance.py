@@ -1,7 +1,7 @@
 """How far away an object is: a posterior over ln s from everything that ties it to the still world.
 
 Frames of one camera leave one number open for every object, its distance at a time of one's choice; scaling it about the
-camera changes no picture. Each cue that ties it to the world has its own noise, a gate, and a chance to be wrong.
+camera changes no image. Each cue that ties it to the world has its own noise, a gate, and a chance to be wrong.
 """
 
 from __future__ import annotations

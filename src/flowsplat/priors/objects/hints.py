@@ -30,7 +30,7 @@ WRONG = 0.02
 SAME_SURFACE = 0.15
 """In ln: where the ground is this close to the still scene behind a pixel, it is what is touched, and the surer of both."""
 NEAR = 0.02
-"""Share of the picture's long side within which a hint that misses an object still means it."""
+"""Share of the image's long side within which a hint that misses an object still means it."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ def parse_hints(touch: Sequence[str], distance: Sequence[str], scene: Scene) -> 
     """Hints as they are typed: ``x,y@frame`` and ``x,y@frame=x2,y2``; values of at most 1 are shares of width and height.
 
     Raises:
-        InputError: not of that form, outside the picture, or on a frame that is held out or does not exist.
+        InputError: not of that form, outside the image, or on a frame that is held out or does not exist.
     """
     found = []
     for text in touch:

@@ -59,7 +59,7 @@ class WorldPath:
         """In world axes, from the poses in the object's frame; ``cameras`` [T] of the clip."""
         frames, information = pose_information(motion)
         turns, shifts, F = motion.turns[frames], motion.shifts[frames], len(frames)
-        # Seven directions change no picture: turning and moving the object's frame, and its scale. They are held.
+        # Seven directions change no image: turning and moving the object's frame, and its scale. They are held.
         free = np.zeros((F, 6, 7))
         free[:, :3, :3] = free[:, 3:, 3:6] = turns
         free[:, 3:, 6] = shifts

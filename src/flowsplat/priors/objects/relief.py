@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from flowsplat.common.kernels import kernel
-from flowsplat.pictures.edge_smoothing import EdgeSmoother
+from flowsplat.images.edge_smoothing import EdgeSmoother
 from flowsplat.priors.objects.rigid import INLIER, NEAREST, RESIDUAL_WIDTH, Observations, RigidMotion
 from flowsplat.priors.objects.rigid_equations import derivatives
 
@@ -102,7 +102,7 @@ def roundness(mask: np.ndarray, focal: float) -> np.ndarray:
     if len(y) == 0:
         return result
     y0, y1, x0, x1 = y.min(), y.max() + 1, x.min(), x.max() + 1
-    # Where the border of the picture cuts an object, it goes on.
+    # Where the border of the image cuts an object, it goes on.
     inside = mask[y0:y1, x0:x1].astype(np.uint8)
     above, left = int(y0 > 0), int(x0 > 0)
     padded = np.pad(inside, ((above, int(y1 < mask.shape[0])), (left, int(x1 < mask.shape[1]))))
@@ -118,13 +118,13 @@ def roundness(mask: np.ndarray, focal: float) -> np.ndarray:
 
 
 def relief(
-    mask: np.ndarray, picture: np.ndarray, pixels: np.ndarray, offsets: np.ndarray, sigma: np.ndarray, expected: float
+    mask: np.ndarray, image: np.ndarray, pixels: np.ndarray, offsets: np.ndarray, sigma: np.ndarray, expected: float
 ) -> np.ndarray:
-    """Offsets of ln depth [H, W] float32 from the card's, smoothed along the picture's edges and held by their expectation, 0.
+    """Offsets of ln depth [H, W] float32 from the card's, smoothed along the image's edges and held by their expectation, 0.
 
     Args:
         mask: bool [H, W] of the object.
-        picture: uint8, RGB [H, W, 3] or gray [H, W].
+        image: uint8, RGB [H, W, 3] or gray [H, W].
         pixels: [N, 2] where offsets [N] with standard deviation sigma [N] are known.
         expected: standard deviation of the relief.
     """
@@ -139,7 +139,7 @@ def relief(
     weight = 1 / (sigma**2 + (0.1 * expected) ** 2)
     np.add.at(weights, (row, column), weight)
     np.add.at(sums, (row, column), weight * offsets)
-    smoother = EdgeSmoother(picture[y0:y1, x0:x1], SMOOTHNESS, COLOR_SIGMA)
+    smoother = EdgeSmoother(image[y0:y1, x0:x1], SMOOTHNESS, COLOR_SIGMA)
     # One expectation for each patch as wide as a quarter of the object.
     patch = max(1.0, len(y) / 16)
     held = 1 / (expected**2 * patch)

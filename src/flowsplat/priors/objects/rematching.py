@@ -2,7 +2,7 @@
 
 Tracks go from frame to frame, so on an object they are short and drift: on the rendered scenes they live for 11 to 17 of 48 frames
 and are .15 px off after four frames and .5 to 1 px after eight. Once its motion is roughly known, it tells where each point lies
-in every frame and how its surroundings look there. What is matched then is the point's own picture, so nothing adds up: a
+in every frame and how its surroundings look there. What is matched then is the point's own image, so nothing adds up: a
 warp by the surface as far as it is known, and a shift by Gauss-Newton on differences of brightness (Lucas and Kanade, IJCAI 1981;
 Shi and Tomasi, CVPR 1994, on matching with the first frame instead of the last).
 """
@@ -42,9 +42,9 @@ FEWEST_MATCHES = 6
 """Frames of a point from which it counts."""
 FEWEST_POINTS = 16
 ENOUGH = 12
-"""Matched points of a frame below which tracks help out: where an object leaves the picture, hardly any point is seen often."""
+"""Matched points of a frame below which tracks help out: where an object leaves the image, hardly any point is seen often."""
 SMOOTHED = 0.6
-"""Pixels: standard deviation of the blur before pictures are read between pixels."""
+"""Pixels: standard deviation of the blur before images are read between pixels."""
 GATES = np.array([LIKENESS, FARTHEST, SUREST, STEEPEST, COVERED])
 
 _ITERATIONS = 12
@@ -53,7 +53,7 @@ _FRAME_NOISE = 2.0
 
 
 @dataclass(frozen=True)
-class ObjectPictures:
+class ObjectImages:
     """What the training frames show of one object.
 
     Attributes:
@@ -94,7 +94,7 @@ class ObjectPictures:
 
 
 def rematched(
-    motion: RigidMotion, positions: np.ndarray, inside: np.ndarray, pictures: ObjectPictures
+    motion: RigidMotion, positions: np.ndarray, inside: np.ndarray, images: ObjectImages
 ) -> tuple[RigidMotion, np.ndarray, np.ndarray] | None:
     """A motion from points that are matched anew, and those.
 
@@ -105,14 +105,14 @@ def rematched(
     Returns:
         The motion, pixels [M, T, 2] float64 and where they count [M, T]; None where too few points could be matched.
     """
-    K = pictures.cameras[0].K
+    K = images.cameras[0].K
     tracks = Observations.of_tracks(positions, inside, K)
     result = None
     for _ in range(ROUNDS):
         points, expected = place_points(motion, tracks, K)[0], DEEPEST * motion.size
         found, counts = rematch(
-            motion, rough_points(motion, tracks), positions, inside, pictures.gray, pictures.masks,
-            lambda k, points=points, expected=expected: pictures.surface(k, points, expected), K,  # type: ignore[misc]
+            motion, rough_points(motion, tracks), positions, inside, images.gray, images.masks,
+            lambda k, points=points, expected=expected: images.surface(k, points, expected), K,  # type: ignore[misc]
         )  # fmt: skip
         if len(found) < FEWEST_POINTS:
             break
@@ -126,7 +126,7 @@ def rematched(
 
 
 def rematch(
-    motion: RigidMotion, points: np.ndarray, positions: np.ndarray, inside: np.ndarray, pictures: np.ndarray,
+    motion: RigidMotion, points: np.ndarray, positions: np.ndarray, inside: np.ndarray, images: np.ndarray,
     masks: np.ndarray, surface: Callable[[int], np.ndarray], K: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Matches of the points of an object in all frames that show them.
@@ -135,7 +135,7 @@ def rematch(
         motion: of the object, as far as it is known.
         points: [N, 3] of the tracks in the object's frame, NaN where there is none.
         positions: [N, T, 2] pixels of the tracks, where ``inside`` [N, T].
-        pictures: [T, H, W] of ``gray``.
+        images: [T, H, W] of ``gray``.
         masks: [T, H, W] bool, of the object.
         surface: gives ln depth [H, W] float32 of the object in training frame k, up to a constant.
         K: [3, 3] of all frames.
@@ -151,7 +151,7 @@ def rematch(
     shapes, normals = _shapes(anchors, start, surface, K)
     found, counts = np.zeros((len(start), T, 2)), np.zeros((len(start), T), np.bool_)
     parallel_for(
-        _match, len(start), motion.turns, motion.shifts, motion.used, points[chosen], normals, anchors, start, shapes, pictures,
+        _match, len(start), motion.turns, motion.shifts, motion.used, points[chosen], normals, anchors, start, shapes, images,
         masks,
         K.astype(np.float64), GATES, found, counts,
     )  # fmt: skip
@@ -202,32 +202,32 @@ def _shapes(
     return shapes, normals
 
 
-def gray(picture: np.ndarray) -> np.ndarray:
-    """[H, W] uint8 of a picture [H, W, 3] uint8, a little smoothed, so that it can be read between pixels."""
-    return cv2.GaussianBlur(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), (0, 0), SMOOTHED)
+def gray(image: np.ndarray) -> np.ndarray:
+    """[H, W] uint8 of an image [H, W, 3] uint8, a little smoothed, so that it can be read between pixels."""
+    return cv2.GaussianBlur(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), (0, 0), SMOOTHED)
 
 
 @helper
-def _read(picture: np.ndarray, x: float, y: float) -> float:
+def _read(image: np.ndarray, x: float, y: float) -> float:
     """Bilinear, pixel centers at .5."""
     x, y = x - 0.5, y - 0.5
     i, j = int(np.floor(x)), int(np.floor(y))
     a, b = x - i, y - j
-    upper = (1 - a) * picture[j, i] + a * picture[j, i + 1]
-    return (1 - b) * upper + b * ((1 - a) * picture[j + 1, i] + a * picture[j + 1, i + 1])
+    upper = (1 - a) * image[j, i] + a * image[j, i + 1]
+    return (1 - b) * upper + b * ((1 - a) * image[j + 1, i] + a * image[j + 1, i + 1])
 
 
 @kernel
 def _match(
     begin: int, end: int, turns: np.ndarray, shifts: np.ndarray, used: np.ndarray, points: np.ndarray, normals: np.ndarray,
     anchors: np.ndarray,
-    start: np.ndarray, shapes: np.ndarray, pictures: np.ndarray, masks: np.ndarray, K: np.ndarray, gates: np.ndarray,
+    start: np.ndarray, shapes: np.ndarray, images: np.ndarray, masks: np.ndarray, K: np.ndarray, gates: np.ndarray,
     found: np.ndarray, counts: np.ndarray,
 ) -> None:  # fmt: skip
     """Kernel of ``rematch``; shapes [M, D, D] with D odd; found [M, T, 2] and counts [M, T], zeros where nothing is found."""
     likest, farthest, surest, steepest, covered = gates
     T = len(turns)
-    H, W = pictures.shape[1:]
+    H, W = images.shape[1:]
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
     side = shapes.shape[1]
     radius = side // 2
@@ -257,7 +257,7 @@ def _match(
                     z = p[2] * shapes[m, j + radius, i + radius]
                     if z > 0.5 * p[2] and z < 2 * p[2]:
                         weight[k] = w
-                        template[k] = _read(pictures[a], x, y)
+                        template[k] = _read(images[a], x, y)
                         plane[k, 0], plane[k, 1], plane[k, 2] = r0 * z, r1 * z, z
                         inside += w
                 k += 1
@@ -299,9 +299,9 @@ def _match(
                         continue
                     w = weight[k]
                     w2[k] = w
-                    values[k] = _read(pictures[t], x, y)
-                    gx[k] = 0.5 * (_read(pictures[t], x + 1, y) - _read(pictures[t], x - 1, y))
-                    gy[k] = 0.5 * (_read(pictures[t], x, y + 1) - _read(pictures[t], x, y - 1))
+                    values[k] = _read(images[t], x, y)
+                    gx[k] = 0.5 * (_read(images[t], x + 1, y) - _read(images[t], x - 1, y))
+                    gy[k] = 0.5 * (_read(images[t], x, y + 1) - _read(images[t], x, y - 1))
                     sw += w
                     sv += w * values[k]
                     st += w * template[k]

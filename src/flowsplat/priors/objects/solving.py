@@ -24,7 +24,7 @@ from flowsplat.priors.objects.course import Course, ObjectTracks, solve_course
 from flowsplat.priors.objects.distance import Cue, Distance, combine
 from flowsplat.priors.objects.path import bounce_frames
 from flowsplat.priors.objects.relief import DEEPEST, ReliefPoints, relief, roundness
-from flowsplat.priors.objects.rematching import ObjectPictures
+from flowsplat.priors.objects.rematching import ObjectImages
 
 SHORTEST_TRACK = 5
 INSIDE = 0.7
@@ -59,7 +59,7 @@ class DynamicObject:
     points: ReliefPoints
     expected: float
 
-    def depth(self, k: int, mask: np.ndarray, picture: np.ndarray, camera: Camera, normal: np.ndarray) -> np.ndarray:
+    def depth(self, k: int, mask: np.ndarray, image: np.ndarray, camera: Camera, normal: np.ndarray) -> np.ndarray:
         """Planar depth [N] of its pixels ``mask`` [H, W] in training frame k, in the order of ``np.nonzero``."""
         y, x = np.nonzero(mask)
         middle, pixels = self.middles[k], np.stack([x, y], 1) + 0.5
@@ -71,7 +71,7 @@ class DynamicObject:
             column, row = np.clip(places.astype(int), 0, [mask.shape[1] - 1, mask.shape[0] - 1]).T
             expected = self.log_depth[k] + np.log(upright_ratio(camera, normal, middle, places)) + front[row, column]
             offsets = self.points.log_depth[here] - expected
-            log_depth = log_depth + relief(mask, picture, places, offsets, self.points.sigma[here], self.expected)[y, x]
+            log_depth = log_depth + relief(mask, image, places, offsets, self.points.sigma[here], self.expected)[y, x]
         return np.exp(log_depth)
 
 
@@ -107,7 +107,7 @@ def tracks_of_objects(
 def solve_object(
     number: int, positions: np.ndarray, inside: np.ndarray, middles: np.ndarray, bounds: Sequence[Bound | None],
     cameras: Sequence[Camera], ground: Ground | None, log_cards: np.ndarray, normal: np.ndarray,
-    front: Callable[[int], np.ndarray], pictures: ObjectPictures | None = None,
+    front: Callable[[int], np.ndarray], images: ObjectImages | None = None,
 ) -> DynamicObject:  # fmt: skip
     """One object.
 
@@ -120,11 +120,11 @@ def solve_object(
             believed.
         normal: [3] up.
         front: gives the ``roundness`` [H, W] of its mask in training frame k.
-        pictures: to match its points anew in; None: tracks are all there is.
+        images: to match its points anew in; None: tracks are all there is.
     """
     seen = np.isfinite(log_cards) & np.isfinite(middles).all(1)
     tracks, feet = ObjectTracks(positions, inside, middles, cameras, normal), Feet.of(bounds, int(seen.sum()))
-    found = solve_course(tracks, log_cards, feet, ground, pictures)
+    found = solve_course(tracks, log_cards, feet, ground, images)
     guess = float(np.median((log_cards - found.log_depth)[seen]))
     at_ground = feet.log_depth - found.log_depth
     stands = contact_cue(at_ground, feet.visible, feet.frames)

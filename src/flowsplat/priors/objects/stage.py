@@ -18,7 +18,7 @@ from flowsplat.priors.objects.contact import Bound, ground_bound, middle_of
 from flowsplat.priors.objects.hints import Hint, with_hints
 from flowsplat.priors.objects.identity import identify_objects
 from flowsplat.priors.objects.relief import roundness
-from flowsplat.priors.objects.rematching import ObjectPictures, gray
+from flowsplat.priors.objects.rematching import ObjectImages, gray
 from flowsplat.priors.objects.solving import solve_object, tracks_of_objects
 from flowsplat.priors.objects.storage import SceneObjects, save_objects
 from flowsplat.scenes import Scene
@@ -90,7 +90,7 @@ def find_objects(clip: MatchedClip, background: StaticDepth, hints: Sequence[Hin
                 bounds[number][k] = ground_bound(inside, cameras[k], ground, static)
     tracks = scene.tracks
     on_objects = tracks_of_objects(tracks.points, tracks.visible, scene.mask, frames)
-    grays = np.stack([gray(scene.frame(i)) for i in track(frames, "Pictures of objects")])
+    grays = np.stack([gray(scene.frame(i)) for i in track(frames, "Images of objects")])
     objects = []
     for number, values in track(list(cards.items()), "Motion of objects"):
         seen = np.isfinite(values) & np.isfinite(middles[number]).all(1)
@@ -104,7 +104,7 @@ def find_objects(clip: MatchedClip, background: StaticDepth, hints: Sequence[Hin
         def front(k: int, number: int = number) -> np.ndarray:
             return roundness(scene.mask(frames[k]) == number, float(cameras[k].K[0, 0]))
 
-        shown = ObjectPictures(grays, np.stack([scene.mask(i) == number for i in frames]), middles[number], cameras, normal)
+        shown = ObjectImages(grays, np.stack([scene.mask(i) == number for i in frames]), middles[number], cameras, normal)
         obj = solve_object(
             number, positions, inside, middles[number], bounds[number], cameras, grounds[home], log_cards, normal, front, shown
         )

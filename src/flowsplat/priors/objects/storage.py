@@ -43,18 +43,18 @@ class SceneObjects:
     normal: np.ndarray
     has_ground: bool = False
 
-    def depth(self, k: int, mask: np.ndarray, picture: np.ndarray, camera: Camera) -> np.ndarray:
+    def depth(self, k: int, mask: np.ndarray, image: np.ndarray, camera: Camera) -> np.ndarray:
         """Planar depth [H, W] float32 of the pixels of objects in training frame k; 0 where none is known.
 
         Args:
             mask: [H, W] uint8, object numbers.
-            picture: RGB [H, W, 3] uint8.
+            image: RGB [H, W, 3] uint8.
         """
         result = np.zeros(mask.shape, np.float32)
         for obj in self.objects:
             inside = mask == obj.number
             if inside.any() and np.isfinite(obj.log_depth[k]):
-                result[inside] = obj.depth(k, inside, picture, camera, self.normal)
+                result[inside] = obj.depth(k, inside, image, camera, self.normal)
         return result
 
 

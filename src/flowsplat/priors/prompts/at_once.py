@@ -8,15 +8,15 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from flowsplat.pictures.colors import tinted
-from flowsplat.pictures.sheets import stacked
+from flowsplat.images.colors import tinted
+from flowsplat.images.sheets import stacked
 from flowsplat.priors.flow import FlowEstimator, forward_backward_confidence
 from flowsplat.priors.prompts.cutting import cut_out
 from flowsplat.priors.prompts.parsing import CLICK_RADIUS, Prompt
 from flowsplat.scenes import Flow, Scene
 from flowsplat.scenes.layers import write_image
 
-PICTURE = "clicks.png"
+IMAGE = "clicks.png"
 """In the folder of a scene."""
 
 NEXT, FARTHER = 1, 3
@@ -42,7 +42,7 @@ def cut_at_once(scene: Scene, prompts: Sequence[Prompt], estimate: FlowEstimator
 
 
 def show_at_once(scene: Scene, prompts: Sequence[Prompt], estimate: FlowEstimator) -> Path:
-    """Draw every frame with prompts, what they mean in color, into ``PICTURE`` in the folder of the scene; its path."""
+    """Draw every frame with prompts, what they mean in color, into ``IMAGE`` in the folder of the scene; its path."""
     found = cut_at_once(scene, prompts, estimate)
     rows = []
     for i in sorted({prompt.frame for prompt in prompts}):
@@ -50,12 +50,12 @@ def show_at_once(scene: Scene, prompts: Sequence[Prompt], estimate: FlowEstimato
         numbers = np.zeros((scene.height, scene.width), np.uint8)
         for prompt, mask in here[::-1]:
             numbers[mask] = prompt.number
-        picture = tinted(scene.frame(i), numbers)
+        image = tinted(scene.frame(i), numbers)
         for prompt, _ in here:
-            _draw(picture, prompt)
-        _write(picture, f"frame {i}", (6, picture.shape[0] - 8))
-        rows.append(picture)
-    path = scene.folder / PICTURE
+            _draw(image, prompt)
+        _write(image, f"frame {i}", (6, image.shape[0] - 8))
+        rows.append(image)
+    path = scene.folder / IMAGE
     write_image(path, stacked(rows))
     return path
 
@@ -74,20 +74,20 @@ def _one_flow(scene: Scene, i: int, j: int, estimate: FlowEstimator) -> Flow:
     return Flow(i, j, forth, forward_backward_confidence(forth, estimate(b, a)))
 
 
-def _draw(picture: np.ndarray, prompt: Prompt) -> None:
-    """Box, clicks, and the number of the object, on a picture [H, W, 3] uint8."""
-    radius = max(2, round(CLICK_RADIUS * max(picture.shape)))
+def _draw(image: np.ndarray, prompt: Prompt) -> None:
+    """Box, clicks, and the number of the object, on an image [H, W, 3] uint8."""
+    radius = max(2, round(CLICK_RADIUS * max(image.shape)))
     for points, color in ((prompt.clicks, _ON), (prompt.beside, _BESIDE)):
         for x, y in points:
-            cv2.circle(picture, (int(x), int(y)), radius + 1, (0, 0, 0), -1, cv2.LINE_AA)
-            cv2.circle(picture, (int(x), int(y)), radius, color, -1, cv2.LINE_AA)
+            cv2.circle(image, (int(x), int(y)), radius + 1, (0, 0, 0), -1, cv2.LINE_AA)
+            cv2.circle(image, (int(x), int(y)), radius, color, -1, cv2.LINE_AA)
     if prompt.box is not None:
         x0, y0, x1, y1 = (round(value) for value in prompt.box)
-        cv2.rectangle(picture, (x0, y0), (x1 - 1, y1 - 1), _BOX, 1)
+        cv2.rectangle(image, (x0, y0), (x1 - 1, y1 - 1), _BOX, 1)
     corner = prompt.box[:2] if prompt.box is not None else prompt.clicks[0] if prompt.clicks else None
     if corner is not None:
-        _write(picture, str(prompt.number), (int(corner[0]) + radius + 2, int(corner[1]) + 12))
+        _write(image, str(prompt.number), (int(corner[0]) + radius + 2, int(corner[1]) + 12))
 
 
-def _write(picture: np.ndarray, text: str, where: tuple[int, int]) -> None:
-    cv2.putText(picture, text, where, cv2.FONT_HERSHEY_SIMPLEX, 0.4, (255, 255, 255), 1, cv2.LINE_AA)
+def _write(image: np.ndarray, text: str, where: tuple[int, int]) -> None:
+    cv2.putText(image, text, where, cv2.FONT_HERSHEY_SIMPLEX, 0.4, (255, 255, 255), 1, cv2.LINE_AA)

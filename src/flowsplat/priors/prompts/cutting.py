@@ -7,14 +7,14 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from flowsplat.pictures.edge_smoothing import EdgeSmoother
+from flowsplat.images.edge_smoothing import EdgeSmoother
 from flowsplat.priors.masks.colors import Colors, look_up
 from flowsplat.priors.prompts.grabcut import ROUNDS, grab, snapped, touching
 from flowsplat.priors.prompts.parsing import CLICK_RADIUS, Point, Prompt
 from flowsplat.scenes import Flow
 
 REACH = 0.25
-"""Share of the picture's long side within which the object under a click is looked for."""
+"""Share of the image's long side within which the object under a click is looked for."""
 
 MENDED = 0.08
 """The same of what a click adds to an object that was carried, or takes from it."""
@@ -46,7 +46,7 @@ OF_COLOR, FULL_COLOR = 0.7, 1.5
 _MODELS = 3
 """How often the colors are taken anew."""
 SMOOTHNESS, COLOR_SIGMA = 20.0, 10.0
-"""Of the smoother along the edges of the picture, and gray levels across which it no longer reaches."""
+"""Of the smoother along the edges of the image, and gray levels across which it no longer reaches."""
 
 
 def cut_out(image: np.ndarray, flow: Flow, prompt: Prompt, evidence: np.ndarray | None = None) -> np.ndarray:
@@ -206,7 +206,7 @@ def _chosen(bits: np.ndarray, prompt: Prompt, seeds: np.ndarray, possible: np.nd
 
 
 def _by_evidence(image: np.ndarray, bits: np.ndarray, seeds: np.ndarray, beside: np.ndarray, possible: np.ndarray) -> np.ndarray:
-    """Evidence and colors, which are learned from it, added up and smoothed along the edges of the picture: bool [H, W]."""
+    """Evidence and colors, which are learned from it, added up and smoothed along the edges of the image: bool [H, W]."""
     smoother = EdgeSmoother(image, SMOOTHNESS, COLOR_SIGMA)
     bits = bits.astype(np.float32)
     bits[seeds], bits[beside] = 2 * MOST, -2 * MOST

@@ -1,4 +1,4 @@
-"""GrabCut (https://doi.org/10.1145/1015706.1015720) on a part of a picture."""
+"""GrabCut (https://doi.org/10.1145/1015706.1015720) on a part of an image."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ ROUNDS = 4
 """Of GrabCut on the frame with the prompt; one is enough to correct an edge."""
 
 BAND = 0.012
-"""Share of the picture's long side by which the flow may misplace an edge."""
+"""Share of the image's long side by which the flow may misplace an edge."""
 
 
 def grab(image: np.ndarray, trimap: np.ndarray, rounds: int) -> np.ndarray:
@@ -27,9 +27,9 @@ def grab(image: np.ndarray, trimap: np.ndarray, rounds: int) -> np.ndarray:
     background = (inner == cv2.GC_BGD) | (inner == cv2.GC_PR_BGD)
     found = probable.copy()
     if background.any() and not background.all():
-        picture = np.ascontiguousarray(image[window][..., ::-1])
+        bgr = np.ascontiguousarray(image[window][..., ::-1])
         cv2.setRNGSeed(0)  # Its color models start from random samples.
-        cv2.grabCut(picture, inner, None, np.zeros((1, 65)), np.zeros((1, 65)), rounds, cv2.GC_INIT_WITH_MASK)
+        cv2.grabCut(bgr, inner, None, np.zeros((1, 65)), np.zeros((1, 65)), rounds, cv2.GC_INIT_WITH_MASK)
         cut = (inner == cv2.GC_FGD) | (inner == cv2.GC_PR_FGD)
         if cut.any():
             found[window] = cut
@@ -37,7 +37,7 @@ def grab(image: np.ndarray, trimap: np.ndarray, rounds: int) -> np.ndarray:
 
 
 def snapped(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """The mask, bool [H, W], with its edge moved to one of the picture RGB [H, W, 3] where there is one nearby."""
+    """The mask, bool [H, W], with its edge moved to one of the image RGB [H, W, 3] where there is one nearby."""
     margin = max(2, round(BAND * max(mask.shape)))
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * margin + 1, 2 * margin + 1))
     solid = mask.astype(np.uint8)

@@ -37,7 +37,7 @@ class Prompt:
 
 
 CLICK_RADIUS = 0.006
-"""Share of the long side of the picture: of what is clicked, of what is drawn, and within which two clicks are on one place."""
+"""Share of the long side of the image: of what is clicked, of what is drawn, and within which two clicks are on one place."""
 
 
 def parse_prompts(clicks: Sequence[str], boxes: Sequence[str], scene: Scene, beside: Sequence[str] = ()) -> list[Prompt]:
@@ -51,7 +51,7 @@ def parse_prompts(clicks: Sequence[str], boxes: Sequence[str], scene: Scene, bes
         one for each object and frame, by number and frame. The first of an object shows it, the others correct it.
 
     Raises:
-        InputError: not of that form, outside the picture, on a frame that is held out or does not exist, or of an object that
+        InputError: not of that form, outside the image, on a frame that is held out or does not exist, or of an object that
             nothing shows.
     """
     shown: dict[tuple[int, int], Prompt] = {}

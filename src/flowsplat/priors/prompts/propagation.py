@@ -10,7 +10,7 @@ import numpy as np
 
 from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.geometry.interpolation import sample_map
-from flowsplat.pictures.edge_smoothing import EdgeSmoother
+from flowsplat.images.edge_smoothing import EdgeSmoother
 from flowsplat.priors.masks.colors import Colors, look_up
 from flowsplat.priors.prompts.cutting import (
     COLOR_SIGMA,
@@ -119,7 +119,7 @@ class Walk:
         return Part(mask, 1.0, doubted)
 
     def _next(self, part: Part, before: int, k: int) -> Part:
-        """One training frame further: where the flow back ends inside it, with the edge where the picture has one."""
+        """One training frame further: where the flow back ends inside it, with the edge where the image has one."""
         if not part.mask.any():
             return Part(part.mask, 0.0)
         scene, frames = self.scene, self.scene.train_frames

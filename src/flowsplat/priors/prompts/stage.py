@@ -51,7 +51,7 @@ def prompt_stage(scene: Scene, prompts: Sequence[Prompt], estimate: FlowEstimato
         pixels += int((mask > 0).sum())
     share = pixels / (len(frames) * scene.width * scene.height)
     scene.finish_prior(
-        "masks", method="clicks", verdict=f"{max(numbers)} object(s) from clicks and boxes on {share:.1%} of the picture",
+        "masks", method="clicks", verdict=f"{max(numbers)} object(s) from clicks and boxes on {share:.1%} of the image",
         objects=max(numbers), share=round(share, 5), confidence=round(float(np.mean(sure)), 4), prompts=plain(prompts),
     )  # fmt: skip
 

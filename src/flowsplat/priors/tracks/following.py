@@ -39,11 +39,11 @@ ALLOWED = 1.0
 LONGEST_GAP = 12
 """Frames after which a point that was not seen is given up."""
 REACH, SHORTEST_REACH = 0.07, 32.0
-"""Share of the picture's diagonal, and pixels at least, within which neighbors are asked."""
+"""Share of the image's diagonal, and pixels at least, within which neighbors are asked."""
 ELDER = 2
 """Frames from which a point has a velocity."""
 OUTSIDE = 20
-"""Pixels that an unseen point may be outside the picture."""
+"""Pixels that an unseen point may be outside the image."""
 
 
 @dataclass
@@ -73,7 +73,7 @@ class _Living:
 
 
 class Follower:
-    """Follows points through pictures that are given one after the other. Points are pixels with centers at +0.5."""
+    """Follows points through images that are given one after the other. Points are pixels with centers at +0.5."""
 
     def __init__(self) -> None:
         zero, pair = np.zeros(0, np.float32), np.zeros((0, 2), np.float32)
@@ -94,7 +94,7 @@ class Follower:
 
     @property
     def seen(self) -> np.ndarray:
-        """[N] bool: whether each was found in the last picture; the others are only supposed to be there."""
+        """[N] bool: whether each was found in the last image; the others are only supposed to be there."""
         living = self._living
         return (living.missed == 0) & (living.trust >= TRUST) & (living.drift <= DRIFT)
 
@@ -126,19 +126,19 @@ class Follower:
         self._older = cut if self._older is None else self._older.joined(cut)
 
     def step(self, image: np.ndarray, labels: np.ndarray, flow: Flow, pace: float = 1.0) -> None:
-        """Go to the next picture.
+        """Go to the next image.
 
         Args:
             image: [H, W] gray.
             labels: [H, W] of its objects.
-            flow: from the picture before.
+            flow: from the image before.
             pace: how long this step takes, relative to the one before.
         """
         if self._patches is None or len(self.ids) == 0:
             return
-        living, picture = self._living, image.astype(np.float32)
+        living, pixels = self._living, image.astype(np.float32)
         reach = max(SHORTEST_REACH, REACH * float(np.hypot(*image.shape)))
-        places, shapes, likeness, led = self._first_guess(picture, flow, pace, reach)
+        places, shapes, likeness, led = self._first_guess(pixels, flow, pace, reach)
         elders = living.ages >= ELDER
         believed = (likeness >= LIKE) & (elders | (led >= TRUSTED))
         weight = np.clip(living.ages, 0.25, 4) * (likeness - LIKE + 0.05) * np.where(living.missed == 0, 1, 0.3) * believed
@@ -149,7 +149,7 @@ class Follower:
         stray = np.flatnonzero(asked & ((away > ALLOWED + 2 * spread) | (likeness < LIKE)))
         expected = living.places[stray] + motion[stray]
         turned = ((np.eye(2, dtype=np.float32) + gradient[stray]) @ living.shapes[stray]).astype(np.float32)
-        found, shape, like = align(self._patches[stray], picture, expected, turned)
+        found, shape, like = align(self._patches[stray], pixels, expected, turned)
         off = np.linalg.norm(found - expected, axis=1)
         back = (like >= LIKE) & (off <= ALLOWED + 2 * spread[stray])
         places[stray] = np.where(back[:, None], found, expected)
@@ -157,10 +157,10 @@ class Follower:
         likeness[stray], away[stray] = np.where(back, like, 0), off
         alone = np.flatnonzero(~asked & elders & (likeness < LIKE))
         places[alone] = living.places[alone] + living.moves[alone] * np.float32(pace)
-        self._arrive(picture, labels, places, shapes, likeness, np.minimum(away, 5) + spread, asked)
+        self._arrive(pixels, labels, places, shapes, likeness, np.minimum(away, 5) + spread, asked)
 
     def _first_guess(
-        self, picture: np.ndarray, flow: Flow, pace: float, reach: float
+        self, image: np.ndarray, flow: Flow, pace: float, reach: float
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Places, shapes and likeness where velocity or flow lead, and the confidence of the flow."""
         living = self._living
@@ -178,20 +178,20 @@ class Follower:
         misled &= np.isfinite(spread)
         expected[misled] = (living.places + motion)[misled]
         turned = ((np.eye(2, dtype=np.float32) + gradient) @ living.shapes).astype(np.float32)
-        places, shapes, likeness = align(self._patches, picture, expected, turned)
+        places, shapes, likeness = align(self._patches, image, expected, turned)
         doubted = np.flatnonzero(elders & (likeness < CLEAR) & (led >= TRUSTED))
-        other, shape, like = align(self._patches[doubted], picture, by_flow[doubted], turned[doubted])
+        other, shape, like = align(self._patches[doubted], image, by_flow[doubted], turned[doubted])
         better = like > likeness[doubted] + BETTER
         chosen = doubted[better]
         places[chosen], shapes[chosen], likeness[chosen] = other[better], shape[better], like[better]
         return places, shapes, likeness, led
 
     def _arrive(
-        self, picture: np.ndarray, labels: np.ndarray, places: np.ndarray, shapes: np.ndarray, likeness: np.ndarray,
+        self, image: np.ndarray, labels: np.ndarray, places: np.ndarray, shapes: np.ndarray, likeness: np.ndarray,
         doubt: np.ndarray, asked: np.ndarray,
     ) -> None:  # fmt: skip
         """Note where the points are, take faded patches anew, and give up what is lost."""
-        living, (height, width) = self._living, picture.shape
+        living, (height, width) = self._living, image.shape
         assert self._patches is not None
         inside = (places >= -0.5).all(1) & (places[:, 0] <= width - 0.5) & (places[:, 1] <= height - 0.5)
         upright = np.linalg.det(shapes) > 0.15
@@ -199,22 +199,22 @@ class Follower:
         trust = likeness - PENALTY * doubt
         living.moves, living.places, living.shapes = (places - living.places).astype(np.float32), places, shapes
         living.ages, living.missed, living.trust = living.ages + 1, np.where(found, 0, living.missed + 1), trust.astype(np.float32)
-        self._renew(np.flatnonzero(found & (likeness < FADING)), picture, labels, doubt)
+        self._renew(np.flatnonzero(found & (likeness < FADING)), image, labels, doubt)
         near = (places > -OUTSIDE).all(1) & (places[:, 0] < width + OUTSIDE) & (places[:, 1] < height + OUTSIDE)
         self.keep(np.flatnonzero(near & (found | ((asked | (living.ages > ELDER)) & (living.missed <= LONGEST_GAP)))))
 
-    def _renew(self, rows: np.ndarray, picture: np.ndarray, labels: np.ndarray, doubt: np.ndarray) -> None:
+    def _renew(self, rows: np.ndarray, image: np.ndarray, labels: np.ndarray, doubt: np.ndarray) -> None:
         """Take faded patches anew where the ones before them are still there, too; else something else is before the point."""
         living = self._living
         assert self._patches is not None
         assert self._older is not None
         turned = (living.shapes[rows] @ living.older_shapes[rows]).astype(np.float32)
-        places, _, likeness = align(self._older[rows], picture, living.places[rows], turned)
+        places, _, likeness = align(self._older[rows], image, living.places[rows], turned)
         there = (likeness >= STILL_LIKE) & (np.linalg.norm(places - living.places[rows], axis=1) <= ALLOWED + SLIP)
         rows, places = rows[there], places[there]
         living.moves[rows] += places - living.places[rows]
         living.places[rows], living.older_shapes[rows] = places, living.shapes[rows]
         self._older.put(rows, self._patches[rows])
-        self._patches.put(rows, Patches.cut(picture, labels, places))
+        self._patches.put(rows, Patches.cut(image, labels, places))
         living.shapes[rows] = np.eye(2, dtype=np.float32)
         living.drift[rows] += SLIP + 0.5 * doubt[rows]

@@ -1,4 +1,4 @@
-"""Patches of texture and where they are in another picture: an affine Lucas-Kanade alignment for many points at once.
+"""Patches of texture and where they are in another image: an affine Lucas-Kanade alignment for many points at once.
 
 The inverse compositional form (Baker and Matthews, "Lucas-Kanade 20 Years On", IJCV 2004) with a Gaussian window, a patch's own
 mean and contrast removed, and damping, so that what texture does not tell stays as it was predicted. Positions count pixels
@@ -74,7 +74,7 @@ def align(patches: Patches, image: np.ndarray, points: np.ndarray, shapes: np.nd
         shapes: [N, 2, 2] how they are expected to have turned and stretched: offsets there = shape @ offsets in the patch.
 
     Returns:
-        points [N, 2], shapes [N, 2, 2], and likeness [N]: structural similarity, 1 = the same; below 0 outside the picture.
+        points [N, 2], shapes [N, 2, 2], and likeness [N]: structural similarity, 1 = the same; below 0 outside the image.
     """
     points, shapes = np.array(points, np.float32), np.array(shapes, np.float32)
     likeness = np.empty(len(points), np.float32)

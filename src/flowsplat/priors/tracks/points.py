@@ -1,4 +1,4 @@
-"""Points to follow: where they start, how they are refined from one picture to the next, and the table they are noted in."""
+"""Points to follow: where they start, how they are refined from one image to the next, and the table they are noted in."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.005)
 ROUND_TRIP = 0.5
 """Pixels by which a point may miss its start after going there and back."""
 BLUR, MUTED = 3.0, 0.7
-"""Pixels across which a picture is blurred for what is larger than detail, and the share of that which is taken away."""
+"""Pixels across which an image is blurred for what is larger than detail, and the share of that which is taken away."""
 
 
 def detail(image: np.ndarray) -> np.ndarray:

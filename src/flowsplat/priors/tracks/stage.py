@@ -17,12 +17,12 @@ from flowsplat.scenes import Scene, Tracks
 
 BACKGROUND_POINTS = 700
 OBJECT_POINTS = 1500
-"""About how many points are followed at a time in a picture, and on all its objects."""
+"""About how many points are followed at a time in an image, and on all its objects."""
 SHORTEST = 3
 """Frames that a kept track was seen in."""
 
 Start = Callable[[int, np.ndarray, np.ndarray, Follower], None]
-"""Given a training frame, its gray picture, its labels and the follower: adds the points that start there."""
+"""Given a training frame, its gray image, its labels and the follower: adds the points that start there."""
 
 
 def tracks_stage(scene: Scene) -> None:

@@ -6,28 +6,28 @@ from pathlib import Path
 
 from flowsplat.common.errors import InputError
 from flowsplat.scenes.clip import InputOptions
-from flowsplat.scenes.formats.images import ImagesClip, list_pictures, natural_key, open_images
+from flowsplat.scenes.formats.images import ImagesClip, list_images, natural_key, open_images
 
-PICTURES = Path("JPEGImages/480p")
+IMAGES = Path("JPEGImages/480p")
 MASKS = Path("Annotations/480p")
 
 
 def sequence_folders(root: Path, sequence: str | None) -> tuple[Path, Path | None]:
-    """(pictures, masks) of a sequence. Only the first mask is published for some: those count as sequences without masks.
+    """(images, masks) of a sequence. Only the first mask is published for some: those count as sequences without masks.
 
     Raises:
         InputError: no such sequence.
     """
-    if not (root / PICTURES).is_dir():
-        raise InputError(f"{root} has no {PICTURES}: give the root folder of DAVIS at 480p.")
-    names = [p.name for p in sorted((root / PICTURES).iterdir(), key=natural_key) if p.is_dir()]
+    if not (root / IMAGES).is_dir():
+        raise InputError(f"{root} has no {IMAGES}: give the root folder of DAVIS at 480p.")
+    names = [p.name for p in sorted((root / IMAGES).iterdir(), key=natural_key) if p.is_dir()]
     if sequence not in names:
         known = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
         wrong = f"has no sequence {sequence!r}" if sequence else "is a root folder of DAVIS"
         raise InputError(f"{root} {wrong}: choose one of {known} with --sequence.")
     masks = root / MASKS / sequence
-    is_complete = masks.is_dir() and len(list_pictures(masks)) > 1
-    return root / PICTURES / sequence, masks if is_complete else None
+    is_complete = masks.is_dir() and len(list_images(masks)) > 1
+    return root / IMAGES / sequence, masks if is_complete else None
 
 
 def open_davis(root: Path, options: InputOptions) -> ImagesClip:

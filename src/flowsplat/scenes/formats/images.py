@@ -1,4 +1,4 @@
-"""Folders of pictures, with masks or without."""
+"""Folders of images, with masks or without."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ import cv2
 import numpy as np
 
 from flowsplat.common.errors import InputError
-from flowsplat.scenes.clip import Clip, InputOptions, resize_picture, select_frames, working_size
+from flowsplat.scenes.clip import Clip, InputOptions, resize_image, select_frames, working_size
 from flowsplat.scenes.formats.masks import GivenMasks
 from flowsplat.scenes.layers import decode_image
 
 _EIGHT_BITS = np.rint(np.arange(65536) / 257).astype(np.uint8)
-PICTURE_SUFFIXES = {".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp"}
+IMAGE_SUFFIXES = {".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp"}
 
 
 def natural_key(path: Path) -> list[tuple[int, str]]:
@@ -26,31 +26,31 @@ def natural_key(path: Path) -> list[tuple[int, str]]:
     return [(len(part.lstrip("0")), part.lstrip("0")) if k % 2 else (-1, part) for k, part in enumerate(parts)]
 
 
-def list_pictures(folder: Path) -> list[Path]:
-    """The pictures in a folder in natural order; hidden files and folders are left out."""
-    found = [p for p in Path(folder).iterdir() if p.suffix.lower() in PICTURE_SUFFIXES and p.name[0] != "." and p.is_file()]
+def list_images(folder: Path) -> list[Path]:
+    """The images in a folder in natural order; hidden files and folders are left out."""
+    found = [p for p in Path(folder).iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and p.name[0] != "." and p.is_file()]
     return sorted(found, key=natural_key)
 
 
-def read_picture(path: Path) -> np.ndarray:
-    """Any picture as RGB [H, W, 3] uint8: turned upright by its EXIF tag, 16 bits reduced to 8, alpha dropped.
+def read_input_image(path: Path) -> np.ndarray:
+    """Any image as RGB [H, W, 3] uint8: turned upright by its EXIF tag, 16 bits reduced to 8, alpha dropped.
 
     Raises:
         InputError: missing, empty, damaged, or with floating-point values.
     """
     image = decode_image(path, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
     if image is None:
-        raise InputError(f"{path} is missing, empty, damaged or not a picture: replace or remove it.")
+        raise InputError(f"{path} is missing, empty, damaged or not an image: replace or remove it.")
     if image.dtype == np.uint16:
         image = _EIGHT_BITS[image]
     if image.dtype != np.uint8:
-        raise InputError(f"{path} has {image.dtype} values: save pictures with 8 or 16 bits a channel.")
+        raise InputError(f"{path} has {image.dtype} values: save images with 8 or 16 bits a channel.")
     return np.ascontiguousarray(image[..., ::-1])
 
 
 @dataclass(kw_only=True)
 class ImagesClip(Clip):
-    """Chosen pictures of a folder: ``paths`` [T], all of ``stored_size`` (width, height), with ``masks`` where given."""
+    """Chosen images of a folder: ``paths`` [T], all of ``stored_size`` (width, height), with ``masks`` where given."""
 
     paths: list[Path]
     stored_size: tuple[int, int]
@@ -58,14 +58,14 @@ class ImagesClip(Clip):
 
     def frames(self, numbers: Sequence[int]) -> Iterator[np.ndarray]:
         for i in numbers:
-            image = read_picture(self.paths[i])
+            image = read_input_image(self.paths[i])
             size = image.shape[1], image.shape[0]
             if size != self.stored_size:
                 raise InputError(
                     f"{self.paths[i]} is {size[0]}x{size[1]} pixels, but {self.paths[0]} is "
-                    f"{self.stored_size[0]}x{self.stored_size[1]}: all pictures must have one size."
+                    f"{self.stored_size[0]}x{self.stored_size[1]}: all images must have one size."
                 )
-            yield resize_picture(image, (self.width, self.height))
+            yield resize_image(image, (self.width, self.height))
 
     def mask(self, i: int) -> np.ndarray:
         if self.masks is None:
@@ -74,18 +74,18 @@ class ImagesClip(Clip):
 
 
 def open_images(folder: Path, options: InputOptions, masks: Path | None = None, *, name: str | None = None) -> ImagesClip:
-    """Open a folder of pictures.
+    """Open a folder of images.
 
     Args:
-        masks: a folder with one mask for every picture, of the same name and size.
+        masks: a folder with one mask for every image, of the same name and size.
         name: name of the clip; the default is the folder's.
 
     Raises:
-        InputError: no pictures, fewer than two frames to use, or masks that do not fit.
+        InputError: no images, fewer than two frames to use, or masks that do not fit.
     """
-    paths = list_pictures(folder)
+    paths = list_images(folder)
     if not paths:
-        raise InputError(f"{folder} has no pictures (jpg, png, webp, tiff or bmp).")
+        raise InputError(f"{folder} has no images (jpg, png, webp, tiff or bmp).")
     stems: dict[str, Path] = {}
     for path in paths:
         if path.stem in stems:
@@ -93,17 +93,17 @@ def open_images(folder: Path, options: InputOptions, masks: Path | None = None, 
         stems[path.stem] = path
     selection = select_frames(np.arange(len(paths)) / options.fps, options, str(folder))
     chosen = [paths[i] for i in selection.numbers]
-    height, width = read_picture(chosen[0]).shape[:2]
+    height, width = read_input_image(chosen[0]).shape[:2]
     size, notes = working_size(width, height, options, str(folder))
     given = None
     if masks is not None:
-        found = {path.stem: path for path in list_pictures(masks)}
+        found = {path.stem: path for path in list_images(masks)}
         for stem in stems:
             if stem not in found:
-                raise InputError(f"{masks} has no mask for {stems[stem].name}: give one for every picture, or none.")
+                raise InputError(f"{masks} has no mask for {stems[stem].name}: give one for every image, or none.")
         for stem, path in found.items():
             if stem not in stems:
-                raise InputError(f"{path} belongs to no picture in {folder}: remove it, or name it like its picture.")
+                raise InputError(f"{path} belongs to no image in {folder}: remove it, or name it like its image.")
         given = GivenMasks.scan({path.stem: found[path.stem] for path in chosen}, (width, height))
     return ImagesClip(
         name=name or Path(folder).resolve().name,

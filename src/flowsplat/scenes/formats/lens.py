@@ -11,7 +11,7 @@ import numpy as np
 from flowsplat.common.errors import InputError
 
 MOST_DISTORTION = 1.0
-"""Pixels by which a lens may move a point of the picture's border and still count as a pinhole."""
+"""Pixels by which a lens may move a point of the image's border and still count as a pinhole."""
 
 
 def require_pinhole(where: Path | str, K: np.ndarray, width: int, height: int, distortion: Sequence[float]) -> None:
@@ -19,7 +19,7 @@ def require_pinhole(where: Path | str, K: np.ndarray, width: int, height: int, d
 
     Args:
         where: what to call the file in an error.
-        K: [3, 3] in pixels of a picture of ``width`` x ``height``.
+        K: [3, 3] in pixels of an image of ``width`` x ``height``.
         distortion: k1, k2, p1, p2, k3, ... as OpenCV orders them.
 
     Raises:
@@ -35,6 +35,6 @@ def require_pinhole(where: Path | str, K: np.ndarray, width: int, height: int, d
     error = float(np.linalg.norm(moved[:, 0] - border, axis=1).max())
     if not error <= MOST_DISTORTION:  # so that NaN is refused, too
         raise InputError(
-            f"{where} describes a lens that bends the picture by {error:.1f} pixels: undistort the pictures first "
+            f"{where} describes a lens that bends the image by {error:.1f} pixels: undistort the images first "
             "(colmap image_undistorter), and give the cameras of the undistorted ones."
         )

@@ -1,4 +1,4 @@
-"""Masks that come with pictures: black is background, and every other color is a moving object.
+"""Masks that come with images: black is background, and every other color is a moving object.
 
 Black and white, gray object numbers, colors and palettes (DAVIS) all work; alpha is ignored. The colors of a clip become the
 numbers 1, 2, ... in one order for all frames, which for the palette of DAVIS is its own. Where a clip has more colors than
@@ -25,12 +25,12 @@ JPEG_BLACK = 127
 
 
 def read_labels(path: Path) -> np.ndarray:
-    """[H, W] int32: the color of each pixel, packed, of gray pictures too; 0 = background. 16-bit gray is a number as it is.
+    """[H, W] int32: the color of each pixel, packed, of gray images too; 0 = background. 16-bit gray is a number as it is.
 
-    A label means the same in every picture of a clip, whatever else is seen in it.
+    A label means the same in every image of a clip, whatever else is seen in it.
 
     Raises:
-        InputError: missing or not a picture.
+        InputError: missing or not an image.
     """
     image = decode_image(path, cv2.IMREAD_UNCHANGED)
     if image is None or image.dtype not in (np.uint8, np.uint16):
@@ -67,8 +67,8 @@ class GivenMasks:
             labels = read_labels(path)
             if labels.shape != size[::-1]:
                 raise InputError(
-                    f"{path} is {labels.shape[1]}x{labels.shape[0]} pixels, but its picture is {size[0]}x{size[1]}: "
-                    "masks must have the size of their pictures."
+                    f"{path} is {labels.shape[1]}x{labels.shape[0]} pixels, but its image is {size[0]}x{size[1]}: "
+                    "masks must have the size of their images."
                 )
             if len(colors) <= MOST_OBJECTS:
                 colors = np.union1d(colors, labels[labels > 0])

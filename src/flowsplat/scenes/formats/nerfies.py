@@ -4,7 +4,7 @@
 | --- | --- |
 | ``splits/train.json``, ``splits/val.json`` | ``frame_names``, ``time_ids``, ``camera_ids``: the clip, and the test |
 | ``camera/<frame name>.json`` | ``focal_length``, ``principal_point``, ``image_size`` (width, height), ``orientation`` (world to camera), ``position`` (of the camera), ``pixel_aspect_ratio``, ``skew``, ``radial_distortion``, ``tangential_distortion``; OpenCV |
-| ``rgb/1x/<frame name>.png`` | pictures of that size |
+| ``rgb/1x/<frame name>.png`` | images of that size |
 
 On NVIDIA, camera 4 is the clip and 3, 5 and 6 are the test, at half size; the splits say so. Depth, segmentation and tracks that lie
 beside them come from networks and are not read (``--given.depth`` and its like take files of one's own).
@@ -22,9 +22,9 @@ from flowsplat.common.files import plain_name, read_json
 from flowsplat.geometry import Camera
 from flowsplat.geometry.cameras import FURTHEST, rigid
 from flowsplat.scenes.clip import InputOptions
-from flowsplat.scenes.formats.posed import PosedClip, PosedPicture, PosedView, open_posed
+from flowsplat.scenes.formats.posed import PosedClip, PosedImage, PosedView, open_posed
 
-PICTURES = "rgb/1x"
+IMAGES = "rgb/1x"
 
 
 def is_nerfies(folder: Path) -> bool:
@@ -42,11 +42,11 @@ def open_nerfies(folder: Path, options: InputOptions) -> PosedClip:
     train, test = _read_split(folder, "train"), _read_split(folder, "val")
     times = [time for _, time, _ in train]
     if len(set(times)) < len(times):
-        raise InputError(f"{folder / 'splits/train.json'} has two pictures at one time: a clip has one.")
-    views = [PosedView(name, time, _picture(folder, name)) for name, time, _ in test]
+        raise InputError(f"{folder / 'splits/train.json'} has two images at one time: a clip has one.")
+    views = [PosedView(name, time, _image(folder, name)) for name, time, _ in test]
     cameras = [", ".join(sorted({camera for _, _, camera in split}, key=lambda c: (len(c), c))) for split in (train, test)]
     note = f"Camera {cameras[0]} makes the clip, {cameras[1] or 'none'} the test."
-    return open_posed(folder, options, [_picture(folder, name) for name, _, _ in train], views, times, [note])
+    return open_posed(folder, options, [_image(folder, name) for name, _, _ in train], views, times, [note])
 
 
 def _read_split(folder: Path, split: str) -> list[tuple[str, int, str]]:
@@ -59,14 +59,14 @@ def _read_split(folder: Path, split: str) -> list[tuple[str, int, str]]:
     except (KeyError, TypeError, ValueError, ArithmeticError) as error:
         raise InputError(f"{path} must hold frame_names, time_ids and camera_ids, as many of each: {error}.") from error
     for name, time, _ in found:
-        plain_name(name, f"{path}: the picture")
+        plain_name(name, f"{path}: the image")
         if not 0 <= time < 10_000_000:
             raise InputError(f"{path}: {name!r} is at time {time}.")
     return sorted(found, key=lambda row: row[1])
 
 
-def _picture(folder: Path, name: str) -> PosedPicture:
-    return PosedPicture(folder / PICTURES / f"{name}.png", read_camera(folder / "camera" / f"{name}.json"))
+def _image(folder: Path, name: str) -> PosedImage:
+    return PosedImage(folder / IMAGES / f"{name}.png", read_camera(folder / "camera" / f"{name}.json"))
 
 
 def read_camera(path: Path) -> Camera:
@@ -89,7 +89,7 @@ def read_camera(path: Path) -> Camera:
     except (KeyError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
         raise InputError(f"{path} does not hold a camera: {error}.") from error
     if is_bent:
-        raise InputError(f"{path} has skew or lens distortion: straighten the pictures first.")
+        raise InputError(f"{path} has skew or lens distortion: straighten the images first.")
     if not camera.is_valid:
         raise InputError(f"{path}: the camera is not finite or not a rotation.")
     return camera

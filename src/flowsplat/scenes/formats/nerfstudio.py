@@ -27,8 +27,8 @@ def transforms_camera(where: Path | str, values: Mapping[str, Any], size: tuple[
         KeyError, TypeError, ValueError, LinAlgError: a value is missing or cannot be used.
     """
     if "fisheye" in str(values.get("camera_model", "")).lower():
-        raise InputError(f"{where} describes a fisheye: undistort the pictures, and give the cameras of the undistorted ones.")
-    width, height = picture_size(values, ("w", "h"), size)
+        raise InputError(f"{where} describes a fisheye: undistort the images, and give the cameras of the undistorted ones.")
+    width, height = image_size(values, ("w", "h"), size)
     if "fl_x" in values:
         fx = positive(values["fl_x"], "fl_x")
     else:
@@ -52,7 +52,7 @@ def from_opengl(value: Any, name: str) -> np.ndarray:
     return np.linalg.inv(np.append(matrix, [0, 0, 0, 1.0])[:16].reshape(4, 4) @ OPENGL)
 
 
-def picture_size(values: Mapping[str, Any], names: tuple[str, str], size: tuple[int, int]) -> tuple[int, int]:
+def image_size(values: Mapping[str, Any], names: tuple[str, str], size: tuple[int, int]) -> tuple[int, int]:
     """(width, height) in pixels under these names, else those of ``size``.
 
     Raises:

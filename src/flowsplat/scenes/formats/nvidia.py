@@ -22,18 +22,18 @@ from flowsplat.common.files import read_npy
 from flowsplat.geometry import Camera
 from flowsplat.geometry.cameras import FURTHEST, rigid
 from flowsplat.scenes.clip import InputOptions
-from flowsplat.scenes.formats.images import list_pictures
-from flowsplat.scenes.formats.posed import PosedClip, PosedPicture, PosedView, open_posed
+from flowsplat.scenes.formats.images import list_images
+from flowsplat.scenes.formats.posed import PosedClip, PosedImage, PosedView, open_posed
 
 POSES = "poses_bounds.npy"
-RAW_PICTURES, RAW_MASKS = "mv_images", "mv_masks"
+RAW_IMAGES, RAW_MASKS = "mv_images", "mv_masks"
 CAMERAS = 12
 TARGET = "v000_t*.png"
 
 
 def is_nvidia(folder: Path) -> bool:
     """Whether a folder has one of the two layouts."""
-    return (folder / POSES).exists() and ((folder / RAW_PICTURES).is_dir() or (folder / "images").is_dir())
+    return (folder / POSES).exists() and ((folder / RAW_IMAGES).is_dir() or (folder / "images").is_dir())
 
 
 def open_nvidia(folder: Path, options: InputOptions) -> PosedClip:
@@ -44,11 +44,11 @@ def open_nvidia(folder: Path, options: InputOptions) -> PosedClip:
     """
     folder = Path(folder)
     cameras = read_poses_bounds(folder / POSES)
-    return (_open_raw if (folder / RAW_PICTURES).is_dir() else _open_twelve)(folder, options, cameras)
+    return (_open_raw if (folder / RAW_IMAGES).is_dir() else _open_twelve)(folder, options, cameras)
 
 
 def read_poses_bounds(path: Path) -> list[Camera]:
-    """The cameras of an LLFF file, at the sizes that it names; their principal point is the middle of the picture.
+    """The cameras of an LLFF file, at the sizes that it names; their principal point is the middle of the image.
 
     Raises:
         InputError: missing, damaged, or not of this form.
@@ -72,47 +72,47 @@ def _llff_camera(pose: np.ndarray, where: str) -> Camera:
 
 
 def _open_raw(folder: Path, options: InputOptions, cameras: list[Camera]) -> PosedClip:
-    times = sorted(int(path.name) for path in (folder / RAW_PICTURES).iterdir() if path.is_dir() and path.name.isdigit())
+    times = sorted(int(path.name) for path in (folder / RAW_IMAGES).iterdir() if path.is_dir() and path.name.isdigit())
     if times != list(range(len(times))) or not times:
-        raise InputError(f"{folder / RAW_PICTURES} must hold a folder for every time, 00000, 00001 and so on without a gap.")
+        raise InputError(f"{folder / RAW_IMAGES} must hold a folder for every time, 00000, 00001 and so on without a gap.")
     if len(cameras) != CAMERAS and len(cameras) < max(len(times), CAMERAS):
         raise InputError(
             f"{folder / POSES} has {len(cameras)} rows: it needs {CAMERAS}, one a camera, or one for each of {len(times)} times."
         )
     # Row n is the image at time n, by camera n % 12; the first twelve rows are the cameras.
     rows = cameras if len(cameras) >= len(times) else [cameras[t % CAMERAS] for t in times]
-    pictures = [_raw_picture(folder, t, t % CAMERAS, rows[t]) for t in times]
+    images = [_raw_image(folder, t, t % CAMERAS, rows[t]) for t in times]
     views = [
-        PosedView(f"cam{c + 1:02d}_{t:05d}", t, _raw_picture(folder, t, c, cameras[c]))
+        PosedView(f"cam{c + 1:02d}_{t:05d}", t, _raw_image(folder, t, c, cameras[c]))
         for t in times
         for c in range(CAMERAS)
         if c != t % CAMERAS
     ]
-    return open_posed(folder, options, pictures, views, notes=["Camera t % 12 makes the clip, all others are the test."])
+    return open_posed(folder, options, images, views, notes=["Camera t % 12 makes the clip, all others are the test."])
 
 
-def _raw_picture(folder: Path, time: int, camera: int, pose: Camera) -> PosedPicture:
+def _raw_image(folder: Path, time: int, camera: int, pose: Camera) -> PosedImage:
     """Camera ``camera`` (0 to 11; the files count from 1) at a time."""
     name = f"{time:05d}/cam{camera + 1:02d}"
     mask = folder / RAW_MASKS / f"{name}.png"
-    return PosedPicture(folder / RAW_PICTURES / f"{name}.jpg", pose, mask if mask.exists() else None)
+    return PosedImage(folder / RAW_IMAGES / f"{name}.jpg", pose, mask if mask.exists() else None)
 
 
-# -- twelve pictures
+# -- twelve images
 
 
 def _open_twelve(folder: Path, options: InputOptions, cameras: list[Camera]) -> PosedClip:
-    paths = list_pictures(folder / "images")
+    paths = list_images(folder / "images")
     if len(paths) != len(cameras):
-        raise InputError(f"{folder} has {len(paths)} pictures in images/ but {len(cameras)} cameras in {POSES}.")
+        raise InputError(f"{folder} has {len(paths)} images in images/ but {len(cameras)} cameras in {POSES}.")
     targets = target_folder(folder)
-    pictures = [PosedPicture(path, camera) for path, camera in zip(paths, cameras, strict=True)]
-    views = [PosedView(f"v000_t{t:03d}", t, PosedPicture(targets / f"v000_t{t:03d}.png", cameras[0])) for t in range(len(pictures))]
-    return open_posed(folder, options, pictures, views, notes=["Image i is camera i at time i; camera 0 is the test."])
+    images = [PosedImage(path, camera) for path, camera in zip(paths, cameras, strict=True)]
+    views = [PosedView(f"v000_t{t:03d}", t, PosedImage(targets / f"v000_t{t:03d}.png", cameras[0])) for t in range(len(images))]
+    return open_posed(folder, options, images, views, notes=["Image i is camera i at time i; camera 0 is the test."])
 
 
 def target_folder(folder: Path) -> Path:
-    """Where the pictures by camera 0 lie: in the scene's folder, in its ``gt/``, or in ``gt/<scene>/`` beside it.
+    """Where the images by camera 0 lie: in the scene's folder, in its ``gt/``, or in ``gt/<scene>/`` beside it.
 
     Raises:
         InputError: in none of them.
@@ -124,5 +124,5 @@ def target_folder(folder: Path) -> Path:
             return place
     raise InputError(
         f"{folder} has {POSES} but no v000_t000.png and so on (camera 0 at every time), neither in it nor in gt/ nor in "
-        f"../gt/{folder.name}/: give them, or give its images/ to use the pictures alone."
+        f"../gt/{folder.name}/: give them, or give its images/ to use the images alone."
     )

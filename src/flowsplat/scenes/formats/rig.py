@@ -9,7 +9,7 @@
 | ``masks/00000.png`` | object numbers, 0 = static |
 | ``tracks.npz`` | ``points`` [T, N, 3] world, ``visible`` [T, N], ``moving`` [N], ``birth`` [N] a time to ask a tracker at |
 | ``heldout/cameras.json`` | ``K``, ``width``, ``height`` and for each camera ``times``, ``w2c`` |
-| ``heldout/<camera>/00000.png`` | pictures by time; also ``<camera>_masks/`` and ``<camera>_covisible/`` |
+| ``heldout/<camera>/00000.png`` | images by time; also ``<camera>_masks/`` and ``<camera>_covisible/`` |
 
 The masks are truth, not given masks: a scene without them has to find its objects, and the truth tells how well.
 """
@@ -28,9 +28,9 @@ from flowsplat.common.files import plain_name, read_json, read_npz
 from flowsplat.common.files.arrays import MOST_BYTES
 from flowsplat.geometry import Camera
 from flowsplat.scenes.clip import FEWEST_FPS, MOST_FPS, InputOptions, resize_labels
-from flowsplat.scenes.formats.images import list_pictures
+from flowsplat.scenes.formats.images import list_images
 from flowsplat.scenes.formats.masks import read_labels
-from flowsplat.scenes.formats.posed import PosedClip, PosedPicture, PosedView, open_posed
+from flowsplat.scenes.formats.posed import PosedClip, PosedImage, PosedView, open_posed
 from flowsplat.scenes.layers import Depth, Flow, Tracks
 
 _ARRAYS = ("depth", "fwd", "bwd", "fwd_valid", "bwd_valid", "points", "visible", "moving", "birth")
@@ -138,8 +138,8 @@ def _heldout_views(folder: Path) -> list[PosedView]:
             for time, pose in zip(camera["times"], _cameras(path, values, camera["w2c"]), strict=True):
                 file = f"{int(time):05d}.png"
                 masks = (folder / f"{name}_{kind}" / file for kind in ("masks", "covisible"))
-                picture = PosedPicture(folder / name / file, pose, *(mask if mask.exists() else None for mask in masks))
-                views.append(PosedView(f"{name}_{int(time):05d}", int(time), picture))
+                image = PosedImage(folder / name / file, pose, *(mask if mask.exists() else None for mask in masks))
+                views.append(PosedView(f"{name}_{int(time):05d}", int(time), image))
     except (KeyError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
         raise InputError(f"{path} does not hold the held-out cameras: {error}.") from error
     return views
@@ -167,10 +167,10 @@ def open_rig(folder: Path, options: InputOptions) -> PosedClip:
     if not isinstance(values, dict) or "w2c" not in values:
         raise InputError(f"{folder / 'cameras.json'} does not hold the cameras of a rig scene: it has no 'w2c'.")
     cameras = _cameras(folder / "cameras.json", values, values["w2c"])
-    paths = list_pictures(folder / "rgb")
+    paths = list_images(folder / "rgb")
     if len(paths) != len(cameras):
-        raise InputError(f"{folder} has {len(paths)} pictures in rgb/ but {len(cameras)} cameras in cameras.json.")
-    pictures = [PosedPicture(path, camera) for path, camera in zip(paths, cameras, strict=True)]
+        raise InputError(f"{folder} has {len(paths)} images in rgb/ but {len(cameras)} cameras in cameras.json.")
+    images = [PosedImage(path, camera) for path, camera in zip(paths, cameras, strict=True)]
     options = replace(options, fps=_rate(folder / "cameras.json", values.get("fps", options.fps)))
-    clip = open_posed(folder, options, pictures, _heldout_views(folder / "heldout"))
+    clip = open_posed(folder, options, images, _heldout_views(folder / "heldout"))
     return replace(clip, cameras=None, truth=RigTruth(folder, cameras, clip.numbers, (clip.width, clip.height)))

@@ -14,21 +14,21 @@ from av.container import InputContainer
 from av.video.stream import VideoStream
 
 from flowsplat.common.errors import InputError
-from flowsplat.pictures.media import open_media
-from flowsplat.scenes.clip import Clip, InputOptions, resize_picture, select_frames, working_size
+from flowsplat.images.media import open_media
+from flowsplat.scenes.clip import Clip, InputOptions, resize_image, select_frames, working_size
 from flowsplat.scenes.formats.video_color import Colors, colors_of, decode_rgb, to_srgb
 
 SEEK_MARGIN = 2.0
 """Seconds before the first wanted frame to which decoding jumps."""
 
 TEXT_CODECS = {"ansi", "bintext", "idf", "xbin"}
-"""FFmpeg plays text files as pictures of their letters."""
+"""FFmpeg plays text files as images of their letters."""
 PACKET_CODECS = {"h264", "hevc", "vvc", "vp9", "av1", "libdav1d", "mjpeg", "prores", "dnxhd"}
-"""Codecs of which every packet is one frame; others (VP8, DivX) also have packets of pictures that are never shown."""
+"""Codecs of which every packet is one frame; others (VP8, DivX) also have packets of images that are never shown."""
 
 
 COUNTED_FORMATS = {"avi"}
-"""Formats without timestamps: FFmpeg numbers their packets, which lie in another order than the pictures where some refer to later
+"""Formats without timestamps: FFmpeg numbers their packets, which lie in another order than the images where some refer to later
 ones."""
 
 
@@ -68,7 +68,7 @@ class _Index:
 
 
 def _read_index(path: Path) -> _Index:
-    """Go through the packets of the file; decode them only where some may hold no picture.
+    """Go through the packets of the file; decode them only where some may hold no image.
 
     Raises:
         InputError: the file ends early.
@@ -77,13 +77,13 @@ def _read_index(path: Path) -> _Index:
     end, damaged = 0.0, False
     with _opened(path) as (container, stream):
         for packet in _packets(container):
-            is_picture = packet is not None and packet.stream.index == stream.index and packet.size > 0
-            if packet is None or (is_picture and packet.is_corrupt):
+            is_image = packet is not None and packet.stream.index == stream.index and packet.size > 0
+            if packet is None or (is_image and packet.is_corrupt):
                 damaged = True
                 break
             if packet.pts is not None and packet.time_base is not None:
                 end = max(end, float((packet.pts + (packet.duration or 0)) * packet.time_base))
-            if is_picture and not packet.is_discard:
+            if is_image and not packet.is_discard:
                 keys.append(packet.pts)
         start, duration = (container.start_time or 0) / av.time_base, (container.duration or 0) / av.time_base
         # Some formats count the duration from zero, others from the first frame.
@@ -118,15 +118,15 @@ def _packets(container: InputContainer) -> Iterator[av.Packet | None]:
 def _check_frame(frame: av.VideoFrame, path: Path) -> None:
     if frame.interlaced_frame:
         raise InputError(
-            f"{path} is interlaced: each picture mixes two times. Deinterlace it first, "
+            f"{path} is interlaced: each image mixes two times. Deinterlace it first, "
             f"for example with ffmpeg -i IN -vf bwdif OUT.mp4."
         )
 
 
 def display_matrix(frame: av.VideoFrame) -> np.ndarray:
-    """[2, 2] integer: where the picture's right and down point to on the screen; the identity without rotation metadata.
+    """[2, 2] integer: where the image's right and down point to on the screen; the identity without rotation metadata.
 
-    Rows are (x, y) on the screen, columns (x, y) in the picture. Oblique angles become the nearest right one.
+    Rows are (x, y) on the screen, columns (x, y) in the image. Oblique angles become the nearest right one.
     """
     data: Any = frame.side_data.get("DISPLAYMATRIX")
     if data is None:
@@ -140,7 +140,7 @@ def display_matrix(frame: av.VideoFrame) -> np.ndarray:
 
 
 def orient(image: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    """Turn and mirror a picture [H, W, 3] as ``display_matrix`` says."""
+    """Turn and mirror an image [H, W, 3] as ``display_matrix`` says."""
     if matrix[0, 1]:
         image = image.swapaxes(0, 1)
     flip_x, flip_y = matrix[0].sum() < 0, matrix[1].sum() < 0
@@ -157,7 +157,7 @@ class VideoClip(Clip):
         numbers: [T] which of them were chosen.
         coded_size: (width, height) in pixels as stored.
         colors: how colors are stored.
-        matrix: how pictures are turned, see ``display_matrix``.
+        matrix: how images are turned, see ``display_matrix``.
     """
 
     path: Path
@@ -177,7 +177,7 @@ class VideoClip(Clip):
                 continue
             if key > wanted[found] or frame.is_corrupt:
                 break
-            yield self._picture(frame)
+            yield self._image(frame)
             found += 1
             if found == len(wanted):
                 return
@@ -204,7 +204,7 @@ class VideoClip(Clip):
             for count, frame in enumerate(container.decode(stream)):
                 yield (int(frame.pts or 0) if self.index.has_timestamps else count), frame
 
-    def _picture(self, frame: av.VideoFrame) -> np.ndarray:
+    def _image(self, frame: av.VideoFrame) -> np.ndarray:
         _check_frame(frame, self.path)
         if (frame.width, frame.height) != self.coded_size:
             raise InputError(
@@ -212,7 +212,7 @@ class VideoClip(Clip):
                 f"{frame.width}x{frame.height} pixels. Choose a piece of one size with --start and --end."
             )
         size = (self.height, self.width) if self.matrix[0, 1] else (self.width, self.height)
-        codes = resize_picture(decode_rgb(frame, self.colors), size)
+        codes = resize_image(decode_rgb(frame, self.colors), size)
         return orient(to_srgb(codes, self.colors), self.matrix)
 
 
@@ -231,7 +231,7 @@ def open_video(path: Path, options: InputOptions) -> VideoClip:
         has_audio = bool(container.streams.audio)
         aspect = float(stream.sample_aspect_ratio or 1)
     if index.has_timestamps and first.pts is not None:
-        # Pictures that refer to a key frame before the beginning are in the file but cannot be decoded.
+        # Images that refer to a key frame before the beginning are in the file but cannot be decoded.
         shown = index.keys >= first.pts
         index = _Index(index.keys[shown], index.seconds[shown], True, index.fps)
     _check_frame(first, path)

@@ -81,7 +81,7 @@ class Body:
         return world / np.linalg.norm(world, axis=1, keepdims=True)
 
     def bounds(self, camera: Camera, time: float) -> tuple[np.ndarray, np.ndarray]:
-        """Two corners ([2] pixels each) of a rectangle of the picture outside of which the body is never seen."""
+        """Two corners ([2] pixels each) of a rectangle of the image outside of which the body is never seen."""
         A, c = self.motion(time)
         signs = np.stack(np.meshgrid(*[[-1, 1]] * 3), -1).reshape(-1, 3)
         corners, depth = camera.project(signs @ A.T + c)

@@ -25,12 +25,12 @@ class View:
     """One rendered view.
 
     Attributes:
-        picture: [H, W, 3] uint8 RGB, antialiased.
+        image: [H, W, 3] uint8 RGB, antialiased.
         depth: [H, W] float64 planar depth in meters at the pixel centers.
         mask: [H, W] uint8, number of the object at the pixel center, 0 = static.
     """
 
-    picture: np.ndarray
+    image: np.ndarray
     depth: np.ndarray
     mask: np.ndarray
 

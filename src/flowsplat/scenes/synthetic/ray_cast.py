@@ -93,7 +93,7 @@ class RayCastWorld(ABC):
         return hits.depth.reshape(shape), self.numbers[hits.part].reshape(shape)
 
     def sees(self, camera: Camera, time: float, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Pixels [N, 2] of world points [N, 3], and whether the camera sees them [N]: in the picture and not hidden."""
+        """Pixels [N, 2] of world points [N, 3], and whether the camera sees them [N]: in the image and not hidden."""
         uv, depth = camera.project(points)
         inside = (depth > 0) & (uv >= 0).all(1) & (uv < [camera.width, camera.height]).all(1)
         visible = inside.copy()

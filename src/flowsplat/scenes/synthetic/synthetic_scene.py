@@ -82,7 +82,7 @@ class SyntheticScene(RayCastWorld):
         """The camera of frame ``i``, meters, world z up."""
         return camera_at(self.timestamps[i], self.width, self.height)
 
-    # -- pictures
+    # -- images
 
     def cast(self, camera: Camera, time: float, uv: np.ndarray) -> Hits:
         """What the camera sees at ``time`` (seconds) at the positions ``uv`` [N, 2] (pixels)."""
@@ -112,8 +112,8 @@ class SyntheticScene(RayCastWorld):
         for x in offsets:
             for y in offsets:
                 color += self._shade(camera, time, self.cast(camera, time, grid + [x, y]))
-        picture = np.clip(color * (255 / SAMPLES**2) + 0.5, 0, 255).astype(np.uint8)
-        return View(picture.reshape(camera.height, camera.width, 3), *self.seen_by(camera, time))
+        image = np.clip(color * (255 / SAMPLES**2) + 0.5, 0, 255).astype(np.uint8)
+        return View(image.reshape(camera.height, camera.width, 3), *self.seen_by(camera, time))
 
     def _shade(self, camera: Camera, time: float, hits: Hits) -> np.ndarray:
         """[N, 3] display values between 0 and 1: texture, one distant light, and fixed shade where static things meet."""

@@ -26,7 +26,7 @@ SCENE_DEPTH = 5.0
 """Meters from the camera to the middle of the scene, about."""
 
 FOCAL = 0.75
-"""Focal length over the width of the picture."""
+"""Focal length over the width of the image."""
 
 OAK = [(0.25, 0.15, 0.09), (0.47, 0.30, 0.17), (0.66, 0.46, 0.28), (0.80, 0.62, 0.42)]
 CRATE = [(0.30, 0.20, 0.10), (0.62, 0.43, 0.20), (0.78, 0.60, 0.32), (0.90, 0.76, 0.50)]

@@ -10,7 +10,7 @@ import numpy as np
 
 from flowsplat.common.progress import track
 from flowsplat.common.threads import in_threads, most_threads
-from flowsplat.pictures.video import write_mp4
+from flowsplat.images.video import write_mp4
 from flowsplat.scenes.layers import Depth
 from flowsplat.scenes.scene import Scene
 from flowsplat.scenes.synthetic.drawn_clip import DrawnClip
@@ -44,7 +44,7 @@ def write_synthetic(folder: Path, spec: DrawnClip, *, holdout: int | None = None
     cameras = [spec.camera(i) for i in range(spec.frames)]
     frames = in_threads(lambda i: spec.render(cameras[i], spec.timestamps[i]), range(spec.frames), threads)
     for i, view in enumerate(track(frames, "Rendering the synthetic clip", spec.frames)):
-        scene.write_frame(i, view.picture)
+        scene.write_frame(i, view.image)
         if truth:
             truth.write_depth(i, Depth(view.depth, np.ones_like(view.depth)))
             truth.write_mask(i, view.mask)
@@ -60,7 +60,7 @@ def write_synthetic(folder: Path, spec: DrawnClip, *, holdout: int | None = None
     heldout = spec.heldout_views()
     views = in_threads(lambda each: (spec.render(each.camera, spec.timestamps[each.frame]), spec.covisible(each)), heldout, threads)
     for each, (view, seen) in zip(heldout, track(views, "Rendering its held-out views", len(heldout)), strict=True):
-        scene.write_view(each, view.picture, view.mask, seen)
+        scene.write_view(each, view.image, view.mask, seen)
     return scene
 
 
@@ -70,7 +70,7 @@ def write_synthetic_video(path: Path, spec: DrawnClip) -> None:
     Raises:
         InputError: the file cannot be written.
     """
-    frames = in_threads(lambda i: spec.render(spec.camera(i), spec.timestamps[i]).picture, range(spec.frames), most_threads())
+    frames = in_threads(lambda i: spec.render(spec.camera(i), spec.timestamps[i]).image, range(spec.frames), most_threads())
     write_mp4(path, track(frames, "Rendering the synthetic clip", spec.frames), spec.fps, crf=CRF)
 
 

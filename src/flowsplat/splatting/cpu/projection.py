@@ -1,7 +1,7 @@
 """EWA projection and its gradient, one Gaussian at a time. Oracle: ``reference.project``.
 
 With T = J V (rows a and b, the derivative of the pixel), the 2D covariance is T Sigma T^T + eps2d. Of quaternions and scales
-Sigma = (R S)(R S)^T is never formed: the columns m = T R S are three arrows in the picture, whose cross products give the
+Sigma = (R S)(R S)^T is never formed: the columns m = T R S are three arrows in the image, whose cross products give the
 determinant (Lagrange's identity) and the inverse without the cancellation that long, thin Gaussians suffer in float32.
 """
 

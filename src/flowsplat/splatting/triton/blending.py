@@ -32,7 +32,7 @@ _LN2 = tl.constexpr(math.log(2))
 
 @triton.jit
 def _pixels(tile_columns, width, height):
-    """The pixels of this program's tile: column, row, whether they are in the picture."""
+    """The pixels of this program's tile: column, row, whether they are in the image."""
     tile = tl.program_id(0)
     p = tl.arange(0, _TILE * _TILE)
     column = (tile % tile_columns) * _TILE + p % _TILE

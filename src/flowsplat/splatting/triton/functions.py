@@ -82,7 +82,7 @@ class _Project(torch.autograd.Function):
 
 @dataclass(frozen=True)
 class _Blended:
-    """A picture, and what backward needs of how it was made."""
+    """An image, and what backward needs of how it was made."""
 
     image: Tensor
     alphas: Tensor

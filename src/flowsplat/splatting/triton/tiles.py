@@ -40,10 +40,10 @@ _TINY = tl.constexpr(1e-20)
 class PairCapacity:
     """How many pairs of a Gaussian and a tile can be stored, and how many were needed.
 
-    By default every size of picture on a device has a capacity of its own, which grows by itself: while the GPU blends, the host
-    reads how many pairs were counted, and does the picture again where they did not fit. A CUDA graph cannot do that. Inside
+    By default every size of image on a device has a capacity of its own, which grows by itself: while the GPU blends, the host
+    reads how many pairs were counted, and does the image again where they did not fit. A CUDA graph cannot do that. Inside
     ``with capacity.fixed():`` nothing waits for the GPU; look at ``overflowed()`` afterwards, and if it is true, ``grow()`` and
-    draw (or capture) again: the picture lacks what did not fit.
+    draw (or capture) again: the image lacks what did not fit.
 
     Attributes:
         pairs: how many can be stored.
@@ -67,7 +67,7 @@ class PairCapacity:
         torch.maximum(self._needed, needed, out=self._needed)
 
     def overflowed(self) -> bool:
-        """Whether a picture drawn with this capacity, since it was made, needed more than it is now. Waits for the GPU."""
+        """Whether an image drawn with this capacity, since it was made, needed more than it is now. Waits for the GPU."""
         return int(self._needed) > self.pairs
 
     def grow(self, needed: int | None = None) -> None:
@@ -97,7 +97,7 @@ def chosen_capacity() -> PairCapacity | None:
 
 
 def shared_capacity(device: torch.device, width: int, height: int) -> PairCapacity:
-    """The capacity that pictures of this size share, and that grows by itself."""
+    """The capacity that images of this size share, and that grows by itself."""
     key = (device, width, height)
     if key not in _shared:
         _shared[key] = PairCapacity(device)

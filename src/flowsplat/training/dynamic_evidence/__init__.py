@@ -1,4 +1,4 @@
-"""How far flow and color of a picture are off where single Gaussians are seen."""
+"""How far flow and color of an image are off where single Gaussians are seen."""
 
 from flowsplat.training.dynamic_evidence.api import add_residuals
 

@@ -14,8 +14,8 @@ from flowsplat.gaussians.density import DensityStatistics
 from flowsplat.gaussians.gaussians4d import Active
 from flowsplat.gaussians.render import RenderedFrame
 from flowsplat.training.dynamic_evidence import reference
-from flowsplat.training.picture_loss import PictureTargets
-from flowsplat.training.picture_loss.cpu import BYTE, HALF, ONE, ZERO, flow_at
+from flowsplat.training.photometric_loss import PhotometricTargets
+from flowsplat.training.photometric_loss.cpu import BYTE, HALF, ONE, ZERO, flow_at
 
 OPAQUE, ON_SURFACE, THIRD = np.float32(reference.OPAQUE), np.float32(reference.ON_SURFACE), np.float32(1 / 3)
 
@@ -47,7 +47,7 @@ def _add(
 
 
 def add_residuals(
-    statistics: DensityStatistics, active: Active, visible: Tensor, rendered: RenderedFrame, targets: PictureTargets
+    statistics: DensityStatistics, active: Active, visible: Tensor, rendered: RenderedFrame, targets: PhotometricTargets
 ) -> None:
     """See ``api.add_residuals``."""
     projected = rendered.projected

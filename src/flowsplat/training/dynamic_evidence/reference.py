@@ -8,7 +8,7 @@ from torch import Tensor
 from flowsplat.gaussians.density import DensityStatistics
 from flowsplat.gaussians.gaussians4d import Active
 from flowsplat.gaussians.render import RenderedFrame
-from flowsplat.training.picture_loss import PictureTargets
+from flowsplat.training.photometric_loss import PhotometricTargets
 
 OPAQUE = 0.5
 """Alpha above which there is a surface."""
@@ -17,7 +17,7 @@ ON_SURFACE = 0.05
 
 
 def add_residuals(
-    statistics: DensityStatistics, active: Active, visible: Tensor, rendered: RenderedFrame, targets: PictureTargets
+    statistics: DensityStatistics, active: Active, visible: Tensor, rendered: RenderedFrame, targets: PhotometricTargets
 ) -> None:
     """See ``api.add_residuals``."""
     seen, flow, color = residuals(rendered, targets)
@@ -28,7 +28,7 @@ def add_residuals(
     statistics.flow_visits[rows] += active.valid(seen)
 
 
-def residuals(rendered: RenderedFrame, targets: PictureTargets) -> tuple[Tensor, Tensor, Tensor]:
+def residuals(rendered: RenderedFrame, targets: PhotometricTargets) -> tuple[Tensor, Tensor, Tensor]:
     """Which Gaussians, if drawn, lie on the visible surface where flow is trusted; errors of flow and color there, [A] each."""
     assert rendered.flow is not None
     height, width = rendered.alpha.shape

@@ -1,6 +1,6 @@
 """The oracle, in plain torch: how fast positions at rest learn along their ray.
 
-A step across the ray shifts a Gaussian in every picture, one along it only as far as the camera traveled. Adam takes steps of one
+A step across the ray shifts a Gaussian in every image, one along it only as far as the camera traveled. Adam takes steps of one
 size in all directions, so depth learns slowest of all, in proportion to parallax; along the ray the steps are therefore longer by
 that.
 """
@@ -15,7 +15,7 @@ from torch import Tensor
 from flowsplat.training.adam import RowAdam
 
 FEWEST_PIXELS = 4.0
-"""Parallax, as a standard deviation over the clip, at which half of that counts: below it the pictures hardly tell a depth."""
+"""Parallax, as a standard deviation over the clip, at which half of that counts: below it the images hardly tell a depth."""
 
 
 @dataclass(frozen=True)

@@ -32,8 +32,8 @@ def _camera() -> Camera:
     return Camera(viewmat, np.array([[700, 0, SIZE[0] / 2], [0, 700, SIZE[1] / 2], [0, 0, 1]]), *SIZE)
 
 
-def picture() -> None:
-    """Render one picture of a small 4D scene."""
+def image() -> None:
+    """Render one image of a small 4D scene."""
     SceneModel(_gaussians(), Similarity(), 0.0, 1.0).render(_camera(), 0.5)
 
 

@@ -47,10 +47,10 @@ def backward_flops(channels: int) -> int:
 
 @dataclass(frozen=True)
 class Counts:
-    """How much there is to blend in a picture.
+    """How much there is to blend in an image.
 
     Attributes:
-        pixels: of the picture.
+        pixels: of the image.
         visible: Gaussians with at least one pair.
         pairs: pixel centers inside the support of a Gaussian, summed over the Gaussians.
         instances: pairs of a Gaussian and a tile of 16 x 16 pixels in which it has a pair.

@@ -1,4 +1,4 @@
-"""One very large picture in a process of its own: how long it takes, and how much memory."""
+"""One very large image in a process of its own: how long it takes, and how much memory."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ STAGES = {
 """Which stage a kernel belongs to. A kernel that is not here is a stage of its own name."""
 
 
-class Picture:
+class RenderCase:
     """One work load with C random feature channels, ready to be rendered and differentiated.
 
     Attributes:
@@ -54,7 +54,7 @@ class Picture:
             leaf.grad = None
 
     def time(self) -> tuple[torch.Tensor, dict[str, float]]:
-        """The picture [H, W, C], and the seconds of ``forward`` and ``backward``."""
+        """The image [H, W, C], and the seconds of ``forward`` and ``backward``."""
         use_threads(self.threads)
         self._clear()
         began = time.perf_counter()
@@ -81,13 +81,13 @@ class Picture:
             return parts | {"backward": time.perf_counter() - began, **_prefixed("backward", self._clock.take())}
 
     def torch_job(self, careful: bool) -> dict[str, float]:
-        """Seconds of a tile-wise torch rasterizer on the same work, which must give the same picture.
+        """Seconds of a tile-wise torch rasterizer on the same work, which must give the same image.
 
         Args:
             careful: the one that was made fast, or the one that anyone would write first.
 
         Raises:
-            RuntimeError: the pictures differ by more than rounding at the edges of a few supports explains.
+            RuntimeError: the images differ by more than rounding at the edges of a few supports explains.
         """
         use_threads(self.threads)
         self._clear()
@@ -97,7 +97,7 @@ class Picture:
         )
         difference = float((image - self.image).abs().mean())
         if not difference < 1e-5:
-            raise RuntimeError(f"the torch rasterizer's picture differs by {difference:.1e} on average")
+            raise RuntimeError(f"the torch rasterizer's image differs by {difference:.1e} on average")
         return seconds
 
     def result(self, parts: dict[str, dict[str, float]], limits: Limits) -> dict[str, Any]:
@@ -118,8 +118,8 @@ def _prefixed(way: str, seconds: dict[str, float]) -> dict[str, float]:
     return {f"{way}/{name}": value for name, value in seconds.items()}
 
 
-def label(row: Picture) -> str:
-    """How a picture is called in the result."""
+def label(row: RenderCase) -> str:
+    """How an image is called in the result."""
     return f"{row.width}x{row.height}, C = {row.channels}, {row.threads} thread{'s' if row.threads > 1 else ''}"
 
 
@@ -133,13 +133,13 @@ def measure(
 ) -> dict[str, Any]:
     """All combinations of sizes, channels and threads, stage by stage. The footprints are the same in pixels at every size."""
     loads = {size: work_load(count, *size) for size in sizes}
-    pictures = [Picture(loads[size], c, n) for n in threads for size in sizes for c in channels]
-    jobs: dict[str, Job] = {label(picture): picture.stages_job for picture in pictures}
+    images = [RenderCase(loads[size], c, n) for n in threads for size in sizes for c in channels]
+    jobs: dict[str, Job] = {label(image): image.stages_job for image in images}
     parts = interleave({**limits.jobs(threads, bandwidth=True), **jobs}, repeat)
-    counts: dict[tuple[int, int], Counts] = {(picture.width, picture.height): picture.counts for picture in pictures}
+    counts: dict[tuple[int, int], Counts] = {(image.width, image.height): image.counts for image in images}
     return {
         "work_load": {f"{width}x{height}": value.to_json() for (width, height), value in counts.items()},
-        "rows": {label(picture): picture.result(parts[label(picture)], limits) for picture in pictures},
+        "rows": {label(image): image.result(parts[label(image)], limits) for image in images},
     }
 
 
@@ -148,18 +148,18 @@ def compare_with_torch(
 ) -> dict[str, Any]:
     """Ours and two tile-wise torch rasterizers in turns, with each number of threads (torch is often faster with one)."""
     load = work_load(count, *size)
-    pictures = {label(picture): picture for picture in (Picture(load, channels, n) for n in threads)}
+    images = {label(image): image for image in (RenderCase(load, channels, n) for n in threads)}
     jobs: dict[str, Job] = {}
-    for name, picture in pictures.items():
+    for name, image in images.items():
         # Ours runs several times beside each of the slow ones, so that both had the chance of a quiet moment.
         jobs |= {
-            f"simple {name}": lambda picture=picture: picture.torch_job(careful=False),  # type: ignore[misc]
-            f"careful {name}": lambda picture=picture: picture.torch_job(careful=True),  # type: ignore[misc]
-            name: lambda picture=picture: _fastest(picture, 5),  # type: ignore[misc]
+            f"simple {name}": lambda image=image: image.torch_job(careful=False),  # type: ignore[misc]
+            f"careful {name}": lambda image=image: image.torch_job(careful=True),  # type: ignore[misc]
+            name: lambda image=image: _fastest(image, 5),  # type: ignore[misc]
         }
     parts = interleave(jobs, repeat, warm_up=0)
     result: dict[str, Any] = {}
-    for name in pictures:
+    for name in images:
         ours = parts[name]
         result[name] = {"flowsplat": ours}
         for kind in ("simple", "careful"):
@@ -169,7 +169,7 @@ def compare_with_torch(
     return result
 
 
-def _fastest(picture: Picture, times: int) -> dict[str, float]:
+def _fastest(image: RenderCase, times: int) -> dict[str, float]:
     """Each way's fastest of some runs."""
-    runs = [picture.job() for _ in range(times)]
+    runs = [image.job() for _ in range(times)]
     return {way: min(run[way] for run in runs) for way in runs[0]}

@@ -97,7 +97,7 @@ def _torch(part: Json) -> str:
     ]
     return f"""## Beside plain torch
 
-Tiles of 16 x 16 under autograd, with the same rules and the same picture
+Tiles of 16 x 16 under autograd, with the same rules and the same image
 (`flowsplat_benchmarks/scripts/cpu_parts/torch_tiles.py`).
 *Simple* is what anyone would write first: every tile takes its Gaussians from the whole scene. *Careful* was made as fast as plain
 torch allowed: Gaussians are sorted into tiles and gathered once a row of tiles, and every row is differentiated as soon as it is
@@ -176,10 +176,10 @@ def _large(part: Json) -> str:
         ("render", _time(part["forward"]), f"{memory['forward']:,}"),
         ("render and differentiate", _time(part["forward_and_backward"]), f"{memory['forward_and_backward']:,}"),
     ]
-    return f"""## A large picture
+    return f"""## A large image
 
 {part["gaussians"]:,} Gaussians at {_size(part)}, C = {part["channels"]}, {_threads(part)}, in a process of its own that holds
-{memory["before"]:,} MiB with everything loaded before the first picture.
+{memory["before"]:,} MiB with everything loaded before the first image.
 
 {_table(("", "time", "peak memory, MiB"), rows)}"""
 
@@ -194,7 +194,7 @@ def _startup(part: Json) -> str:
     return f"""## Starting
 
 Whole processes, from the command to its end. Warm: compiled kernels lie in Numba's cache. Cold: the cache is empty, as at the first
-start after installing. The pictures are 854x480 of 5,000 Gaussians.
+start after installing. The images are 854x480 of 5,000 Gaussians.
 
 {_table(columns, rows)}"""
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from flowsplat_benchmarks.scripts.cpu_parts.machine import Limits
-from flowsplat_benchmarks.scripts.cpu_parts.rasterizer import Picture
+from flowsplat_benchmarks.scripts.cpu_parts.rasterizer import RenderCase
 from flowsplat_benchmarks.scripts.cpu_parts.timing import Job, interleave
 from flowsplat_benchmarks.scripts.cpu_parts.work_load import COUNT, WorkLoad, work_load
 
@@ -20,7 +20,7 @@ def measure(
 ) -> dict[str, Any]:
     """Three families; whatever does not grow is 100,000 Gaussians, 854 x 480, C = 3.
 
-    ``gaussians``: the same surface cut into more and smaller ones. ``pixels``: the same scene in a larger picture.
+    ``gaussians``: the same surface cut into more and smaller ones. ``pixels``: the same scene in a larger image.
     """
     width, height = SIZES["480p"]
     loads: dict[str, dict[str, tuple[WorkLoad, int]]] = {
@@ -30,10 +30,8 @@ def measure(
     }
     result: dict[str, Any] = {}
     for family, members in loads.items():
-        pictures = {name: Picture(load, c, threads) for name, (load, c) in members.items()}
-        jobs: dict[str, Job] = {name: picture.job for name, picture in pictures.items()}
+        images = {name: RenderCase(load, c, threads) for name, (load, c) in members.items()}
+        jobs: dict[str, Job] = {name: image.job for name, image in images.items()}
         parts = interleave({**limits.jobs([threads]), **jobs}, repeat)
-        result[family] = {
-            name: picture.result(parts[name], limits) | picture.counts.to_json() for name, picture in pictures.items()
-        }
+        result[family] = {name: image.result(parts[name], limits) | image.counts.to_json() for name, image in images.items()}
     return result

@@ -61,7 +61,7 @@ def cameras(load: WorkLoad) -> list[Camera]:
 
 
 def observations(scene: Gaussians4D, width: int, height: int) -> Observations:
-    """What cameras see of it: noisy pictures, depth, and flow to the next frame."""
+    """What cameras see of it: noisy images, depth, and flow to the next frame."""
     rng = np.random.default_rng(0)
     path = cameras(work_load(1, width, height))
     frames = []

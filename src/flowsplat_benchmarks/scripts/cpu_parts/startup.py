@@ -1,4 +1,4 @@
-"""From typing a command to the first picture, in fresh processes: warm (kernels in the cache on disk) and cold (an empty cache)."""
+"""From typing a command to the first image, in fresh processes: warm (kernels in the cache on disk) and cold (an empty cache)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from flowsplat_benchmarks.scripts.cpu_parts.timing import Job, interleave, signi
 
 ACTIONS = {
     "import torch": "import torch",
-    "import flowsplat, one picture": "from flowsplat_benchmarks.scripts.cpu_parts.first import picture; picture()",
+    "import flowsplat, one image": "from flowsplat_benchmarks.scripts.cpu_parts.first import image; image()",
     "import flowsplat, one training step": "from flowsplat_benchmarks.scripts.cpu_parts.first import step; step()",
 }
 

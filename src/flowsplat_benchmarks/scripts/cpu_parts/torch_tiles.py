@@ -37,7 +37,7 @@ def _blend_tile(column: int, row: int, mean: Tensor, conic: Tensor, opacity: Ten
 def rows_of_tiles(
     means2d: Tensor, conics: Tensor, opacities: Tensor, features: Tensor, depths: Tensor, radii: Tensor, width: int, height: int
 ) -> Iterator[tuple[Tensor, Tensor]]:
-    """Blend the picture 16 rows at a time: features [rows, W, C] and alphas [rows, W] of each, differentiable."""
+    """Blend the image 16 rows at a time: features [rows, W, C] and alphas [rows, W] of each, differentiable."""
     ids, counts = _lists(means2d.detach(), radii, depths.detach(), width, height)
     columns = -(-width // TILE)
     for row, (row_ids, row_counts) in enumerate(zip(ids, counts.reshape(-1, columns).tolist(), strict=True)):
@@ -76,9 +76,9 @@ def differentiate_by_rows(
     grad_image: Tensor,
     grad_alphas: Tensor,
 ) -> tuple[Tensor, Tensor, dict[str, float]]:
-    """Render and differentiate a picture; gradients are added to the leaves and the features.
+    """Render and differentiate an image; gradients are added to the leaves and the features.
 
-    Every row of tiles is differentiated as soon as it is blended, so that the graph of the whole picture, some gigabytes, never
+    Every row of tiles is differentiated as soon as it is blended, so that the graph of the whole image, some gigabytes, never
     exists; the work is the same.
 
     Args:
@@ -88,7 +88,7 @@ def differentiate_by_rows(
         K: [3, 3]
         width: pixels.
         height: pixels.
-        grad_image: [H, W, C] gradient of the picture.
+        grad_image: [H, W, C] gradient of the image.
         grad_alphas: [H, W] gradient of its alphas.
 
     Returns:
@@ -125,7 +125,7 @@ def differentiate_simply(
     grad_image: Tensor,
     grad_alphas: Tensor,
 ) -> tuple[Tensor, Tensor, dict[str, float]]:
-    """As ``differentiate_by_rows``, tile after tile of the picture and then one backward pass through all of them."""
+    """As ``differentiate_by_rows``, tile after tile of the image and then one backward pass through all of them."""
     began = time.perf_counter()
     means2d, conics, depths, radii = reference.project(
         leaves["means"], leaves["quats"], leaves["scales"], None, leaves["opacities"], viewmat, K, width, height, 0.01, 1e10, EPS2D
@@ -141,8 +141,8 @@ def differentiate_simply(
             own = order[((high >= corner) & (low < corner + TILE)).all(1)]
             tiles.append(_blend_tile(column, row, means2d[own], conics[own], leaves["opacities"][own], features[own]))
         bands.append(torch.cat(tiles, 1))
-    picture = torch.cat(bands)[:height, :width]
-    image, alphas = picture[..., :-1], picture[..., -1]
+    blended = torch.cat(bands)[:height, :width]
+    image, alphas = blended[..., :-1], blended[..., -1]
     middle = time.perf_counter()
     torch.autograd.backward([image, alphas], [grad_image, grad_alphas])
     return image.detach(), alphas.detach(), {"forward": middle - began, "backward": time.perf_counter() - middle}

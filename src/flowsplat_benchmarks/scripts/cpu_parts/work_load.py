@@ -12,12 +12,12 @@ from flowsplat.geometry import Camera
 COUNT, WIDTH, HEIGHT = 100_000, 854, 480
 FIELDS = ("means", "quats", "scales", "opacities")
 OBJECTS = ((-0.2, 0.05, 0.12, 3.0), (0.15, -0.05, 0.17, 3.8), (0.3, 0.12, 0.08, 2.5), (0.0, 0.15, 0.1, 2.8))
-"""Balls: center x, y and radius in widths of the picture, and the depth of their rim."""
+"""Balls: center x, y and radius in widths of the image, and the depth of their rim."""
 
 
 @dataclass(frozen=True)
 class WorkLoad:
-    """N Gaussians, all of them in the picture of a camera at the origin.
+    """N Gaussians, all of them in the image of a camera at the origin.
 
     Attributes:
         means: [N, 3] float32.

@@ -69,7 +69,7 @@ PARTS = (
     Part("frames", 14, "frames a second of drawn Gaussians, stage by stage, with and without flow"),
     Part("agreement", 10, "the same model after 200 steps on the CPU and on the card"),
     Part("memory", 6, "milliseconds and memory of ever more Gaussians"),
-    Part("gsplat", 10, "the same pictures by gsplat's own kernels"),
+    Part("gsplat", 10, "the same images by gsplat's own kernels"),
     Part("training", 20, "whole runs on the card, their quality beside the CPU's"),
     Part("viewing", 6, "frames a second of what was trained, as a viewer draws it"),
 )

@@ -37,7 +37,7 @@ def gaussians(count: int, width: int, height: int) -> Gaussians4D:
 
 
 class Frames:
-    """One picture of the scene, over and over."""
+    """One image of the scene, over and over."""
 
     def __init__(self, model: Gaussians4D, width: int, height: int, channels: int):
         self.model, self.channels, self.size = model, channels, (width, height)
@@ -121,7 +121,7 @@ class Frames:
         return milliseconds(lambda: renderer.render(self.camera, 0.0, flow_to), repeat)
 
     def _bytes(self) -> int:
-        """What must at least be read and written once: active parameters, what the rasterizer gets of them, the picture."""
+        """What must at least be read and written once: active parameters, what the rasterizer gets of them, the image."""
         params = sum(len(self.model.rows_of(name, self.active)) * value[0].nbytes for name, value in self.model.params.items())
         g = self.sliced
         between = sum(value.nbytes for value in (g.means, g.quats, g.scales, g.opacities, self.features))
@@ -166,7 +166,7 @@ class Frames:
 
 
 def growth(counts: tuple[int, ...], repeat: int, size: tuple[int, int] = (854, 480)) -> dict[str, Any]:
-    """Frames with six channels, of ever more Gaussians, ever smaller in the picture's area."""
+    """Frames with six channels, of ever more Gaussians, ever smaller in the image's area."""
     result = {}
     for count in counts:
         forget_peak()

@@ -85,7 +85,7 @@ def _frames(found: Result) -> Iterator[str]:
             rows.append([name, f"{row['active']:,}", f"{row['forward']['median_ms']:.2f}", graph, both, *stages])
     yield from _table(
         [
-            "picture, channels",
+            "image, channels",
             "active",
             "frame ms",
             "by a CUDA graph",
@@ -110,9 +110,9 @@ def _agreement(found: Result) -> Iterator[str]:
             rows.append([f"`{name}`", *values])
     yield from _table(["card / CPU nudged", *(f"after {step}" for step in steps)], rows)
     yield ""
-    for name, row in found.get("pictures", {}).items():
+    for name, row in found.get("images", {}).items():
         aim, beside = row["to the aim"], row["to the CPU's"]
-        yield f"- {name}: {aim:.2f} dB against what was to be learned, {beside:.1f} dB against the CPU's picture"
+        yield f"- {name}: {aim:.2f} dB against what was to be learned, {beside:.1f} dB against the CPU's image"
 
 
 def _small(value: float | None) -> str:
@@ -135,7 +135,7 @@ def _gsplat(found: Result) -> Iterator[str]:
             ours, theirs = row["flowsplat"], row["gsplat"]
             cells = [f"{side[way]['min_ms']:.2f}" for way in ("forward", "both") for side in (ours, theirs)]
             rows.append([name, *cells, f"{row['ratio']['forward']:.2f} / {row['ratio']['both']:.2f}"])
-    head = ["picture, channels", "ours ms", "gsplat ms", "ours with gradients", "gsplat with gradients", "gsplat / ours"]
+    head = ["image, channels", "ours ms", "gsplat ms", "ours with gradients", "gsplat with gradients", "gsplat / ours"]
     yield from _table(head, rows)
 
 
@@ -156,7 +156,7 @@ def _viewing(found: Result) -> Iterator[str]:
                 [f"{name.removeprefix('trained: ')}, {way}", f"{row['gaussians']:,}", f"{value:,.0f}"]
                 for way, value in row.items() if way != "gaussians"
             ]  # fmt: skip
-    yield from _table(["scene, picture", "Gaussians", "frames a second"], rows)
+    yield from _table(["scene, image", "Gaussians", "frames a second"], rows)
 
 
 PARTS = {

@@ -81,7 +81,7 @@ class Record:
         return 1 if self.rehearse else 60
 
     def size(self, width: int, height: int) -> tuple[int, int]:
-        """Of a picture."""
+        """Of an image."""
         return (48, 27) if self.rehearse else (width, height)
 
     def count(self, count: int) -> int:
@@ -193,8 +193,8 @@ def frames_a_second(record: Record) -> None:
         model = frames.gaussians(record.count(frames.TOTAL), *size)
         for channels in list(frames.WAYS)[-1 if record.rehearse else 0 :]:
             if limits is not None:
-                picture = frames.Frames(model, *size, channels)
-                record.attempt(f"{name}, C = {channels}", lambda picture=picture: picture.measure(limits, record.repeat))  # type: ignore[misc]
+                image = frames.Frames(model, *size, channels)
+                record.attempt(f"{name}, C = {channels}", lambda image=image: image.measure(limits, record.repeat))  # type: ignore[misc]
         if record.rehearse:
             break
 
@@ -206,7 +206,7 @@ def viewing(record: Record) -> None:
 
 
 def _looked_at(record: Record, run: Path) -> dict[str, Any]:
-    """Frames a second of a trained scene along its path, by graphs as in the viewer; the pictures stay on the card."""
+    """Frames a second of a trained scene along its path, by graphs as in the viewer; the images stay on the card."""
     from flowsplat import pipeline
     from flowsplat.pipeline.folder import RunFolder
     from flowsplat.scenes import Scene
@@ -284,7 +284,7 @@ def training(record: Record) -> None:
         # The interpreter takes an empty tensor that was read from a file for the one that lies behind it there.
         model = replace(config.train.model, mean_fourier=1, quat_fourier=1)
         config = replace(config, train=replace(config.train, model=model))
-    # Videos are encoded on the processor; how fast pictures are drawn is another part's.
+    # Videos are encoded on the processor; how fast images are drawn is another part's.
     plain = replace(config, render=replace(config.render, paths=()))
     record.attempt("street, card", lambda: _whole(given, record.work / "street-card", plain, machine.device()))
     own = replace(plain, priors=start.priors)
@@ -321,7 +321,7 @@ def _whole(scene: Path, out: Path, config: Any, device: str) -> dict[str, Any]:
 
 
 def agreement(record: Record) -> None:
-    """Parameters and pictures apart after so many steps, and how far a CPU's own are when it starts one rounding beside."""
+    """Parameters and images apart after so many steps, and how far a CPU's own are when it starts one rounding beside."""
     # What the CPU's trainers compute in Numba they compute on a card's host as everywhere; no kernels of Triton there.
     width, height = record.size(320, 180)
     steps = 3 if record.rehearse else STEPS
@@ -346,7 +346,7 @@ def agreement(record: Record) -> None:
             str(at): {parameter: _apart(ours[parameter], state[parameter], first[parameter]) for parameter in first}
             for (at, ours), (_, state) in zip(states["CPU"], theirs, strict=True)
         }
-    record["pictures"] = _pictures(states, truth, width, height)
+    record["images"] = _images(states, truth, width, height)
 
 
 def _states(start: Gaussians4D, seen: Any, config: Any, device: str) -> Iterator[tuple[int, dict[str, torch.Tensor]]]:
@@ -378,13 +378,13 @@ def _apart(ours: torch.Tensor, theirs: torch.Tensor, first: torch.Tensor) -> flo
     return significant(float((ours.double() - theirs.double()).norm()) / moved) if moved > 0 else None
 
 
-def _pictures(states: Any, truth: Gaussians4D, width: int, height: int) -> dict[str, Any]:
-    """PSNR in dB of the last state's pictures against those of the CPU, and of each against what was to be learned."""
+def _images(states: Any, truth: Gaussians4D, width: int, height: int) -> dict[str, Any]:
+    """PSNR in dB of the last state's images against those of the CPU, and of each against what was to be learned."""
     from flowsplat.gaussians.render import render
 
     camera = drawn.cameras(drawn.work_load(1, width, height))[1]
 
-    def picture(params: dict[str, torch.Tensor]) -> torch.Tensor:
+    def image(params: dict[str, torch.Tensor]) -> torch.Tensor:
         g = Gaussians4D(params, truth.dynamic, truth.config, truth.sh_degree, truth.object_ids)
         return render(g, camera, 0.2).color
 
@@ -392,8 +392,8 @@ def _pictures(states: Any, truth: Gaussians4D, width: int, height: int) -> dict[
         return significant(float(-10 * torch.log10((one - other).square().mean().clamp(min=1e-12))))
 
     with torch.no_grad():
-        shown = {name: picture(found[-1][1]) for name, found in states.items()}
-        aim = picture(truth.params)
+        shown = {name: image(found[-1][1]) for name, found in states.items()}
+        aim = image(truth.params)
     return {name: {"to the aim": psnr(value, aim), "to the CPU's": psnr(value, shown["CPU"])} for name, value in shown.items()}
 
 
@@ -411,8 +411,8 @@ def gsplat(record: Record) -> None:
     for name, (width, height) in frames.SIZES.items():
         model = frames.gaussians(frames.TOTAL, width, height)
         for channels in frames.WAYS:
-            picture = frames.Frames(model, width, height, channels)
-            record.attempt(f"{name}, C = {channels}", lambda picture=picture: picture.compare_with_gsplat(record.repeat))  # type: ignore[misc]
+            image = frames.Frames(model, width, height, channels)
+            record.attempt(f"{name}, C = {channels}", lambda image=image: image.compare_with_gsplat(record.repeat))  # type: ignore[misc]
 
 
 BY_NAME: dict[str, Callable[[Record], None]] = {

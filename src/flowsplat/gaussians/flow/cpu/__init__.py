@@ -1,4 +1,4 @@
-"""Kernels for the features of a picture: color, depth and flow."""
+"""Kernels for the features of an image: color, depth and flow."""
 
 from flowsplat.gaussians.flow.cpu.affine import blend_affine
 from flowsplat.gaussians.flow.cpu.displacement import blend_displacement

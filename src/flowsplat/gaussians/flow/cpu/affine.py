@@ -22,7 +22,7 @@ from flowsplat.splatting import Projected
 from flowsplat.splatting.cpu.projection import MARGIN, ONE, ZERO, clamped, rotation, rotation_gradient
 from flowsplat.splatting.rules import EPS2D
 
-CHANNELS = 10  # color 3, depth, flow at the center of the picture 2, B by rows 4
+CHANNELS = 10  # color 3, depth, flow at the center of the image 2, B by rows 4
 CHUNKS = 64
 CLIP, BLUR = np.float32(NEAR), np.float32(EPS2D)
 

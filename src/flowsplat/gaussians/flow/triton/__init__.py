@@ -1,4 +1,4 @@
-"""Triton kernels for the features of a picture: color, depth and flow."""
+"""Triton kernels for the features of an image: color, depth and flow."""
 
 from flowsplat.gaussians.flow.triton.affine import blend_affine
 from flowsplat.gaussians.flow.triton.displacement import blend_displacement

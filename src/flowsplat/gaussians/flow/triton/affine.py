@@ -25,7 +25,7 @@ from flowsplat.splatting import Projected
 from flowsplat.splatting.rules import EPS2D
 from flowsplat.splatting.triton.projection import MARGIN, rotation, rotation_gradient
 
-CHANNELS = 11  # color 3, depth, flow at the center of the picture 2, B by rows 4, unseen
+CHANNELS = 11  # color 3, depth, flow at the center of the image 2, B by rows 4, unseen
 CLIP, BLUR = tl.constexpr(NEAR), tl.constexpr(EPS2D)
 
 

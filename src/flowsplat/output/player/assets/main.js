@@ -20,7 +20,7 @@ class State {
     this.isStereo = false;
     this.isFading = false;
     this.factors = [1, ...about.objects.map(() => 1)];  // by the place of the object; the first is of what belongs to none
-    this.isHeld = false;  // a picture that a program asked for stays until a person does something
+    this.isHeld = false;  // an image that a program asked for stays until a person does something
     this.free = new FreeCamera(about.clipPath);
     this.cameraLoops = new CameraLoops(about);
   }
@@ -114,7 +114,7 @@ function placeOfObject(about, number) {
   return about.objects.findIndex(([other]) => other === number) + 1;
 }
 
-/** Size of one picture on the page: as large as fits, in the shape of the clip, `eyes` of them beside each other. */
+/** Size of one image on the page: as large as fits, in the shape of the clip, `eyes` of them beside each other. */
 function fit(about, eyes = 1) {
   const stage = element("stage");
   const scale = Math.min(stage.clientWidth / eyes / about.width, stage.clientHeight / about.height);
@@ -201,7 +201,7 @@ class Player {
     if (!this.isSorting) this.prepare(seconds);
   }
 
-  /** Have the next picture sorted, if it differs from the last: while the one before is drawn, the next is sorted. */
+  /** Have the next image sorted, if it differs from the last: while the one before is drawn, the next is sorted. */
   prepare(seconds) {
     const { time, part, factors, isStereo, isFading } = this.state;
     const what = JSON.stringify([this.state.camera(), time, part, factors, isStereo, isFading, this.size, devicePixelRatio]);
@@ -218,7 +218,7 @@ class Player {
     });
   }
 
-  /** Draw fewer pixels where pictures take long, more where they do not. */
+  /** Draw fewer pixels where images take long, more where they do not. */
   adapt(seconds) {
     this.slowness += 0.1 * (seconds - this.slowness);
     if (this.slowness > 0.045) this.detail = Math.max(this.detail * 0.97, 0.4);

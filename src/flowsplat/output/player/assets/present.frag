@@ -1,11 +1,11 @@
-// The picture on the page; what no Gaussian covers takes its color from the neighbors.
+// The image on the page; what no Gaussian covers takes its color from the neighbors.
 // Defined in front of this: FILLED_FROM and FILLED_TO (transmittances).
 precision highp float;
 precision highp sampler2D;
 uniform sampler2D source;  // premultiplied
 uniform sampler2D filled;
 uniform bool isFilled;
-uniform int left;  // where on the canvas the picture begins
+uniform int left;  // where on the canvas the image begins
 out vec4 result;
 
 void main() {

@@ -176,7 +176,7 @@ class Renderer {
     return { texture, frame, width, height };
   }
 
-  /** Make the pyramid of targets this large, and the canvas for `eyes` such pictures beside each other. */
+  /** Make the pyramid of targets this large, and the canvas for `eyes` such images beside each other. */
   resize(width, height, eyes) {
     const gl = this.gl;
     if (gl.canvas.width !== eyes * width || gl.canvas.height !== height) {
@@ -290,7 +290,7 @@ class Renderer {
     gl.uniform4fv(at.factors, padded);
   }
 
-  /** Push-pull: shrink the picture level by level, then carry colors back into what is uncovered. */
+  /** Push-pull: shrink the image level by level, then carry colors back into what is uncovered. */
   fill() {
     const gl = this.gl;
     for (let k = 1; k < this.levels.length; k++) {

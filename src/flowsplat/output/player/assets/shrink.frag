@@ -1,4 +1,4 @@
-// The average of a picture over the area of each target pixel, to about half the size.
+// The average of an image over the area of each target pixel, to about half the size.
 precision highp float;
 precision highp sampler2D;
 uniform sampler2D source;

@@ -16,7 +16,7 @@ uniform mat3 rotation;      // world to camera
 uniform vec3 translation;
 uniform vec3 center;        // of the camera, in the world
 uniform vec4 lens;          // fx, fy, cx, cy in pixels
-uniform vec2 size;          // of the picture in pixels
+uniform vec2 size;          // of the image in pixels
 uniform float near;
 uniform vec3 pivot;         // where the clip's camera is at the time
 uniform bool isFading;      // whether Gaussians fade beyond their reach
@@ -104,7 +104,7 @@ void slice(int rank, out vec4 axes, out vec4 place, out vec4 color) {
   if (p.z <= near || opacity <= ALPHA_MIN) return;
   float inverse = 1.0 / p.z;
   vec2 pixel = lens.xy * p.xy * inverse + lens.zw;
-  // As gsplat: the derivative is taken no farther than 0.15 picture sizes outside.
+  // As gsplat: the derivative is taken no farther than 0.15 image sizes outside.
   vec2 tangent = clamp(p.xy * inverse, (-0.15 * size - lens.zw) / lens.xy, (1.15 * size - lens.zw) / lens.xy);
 
   q *= inversesqrt(max(dot(q, q), 1e-24));

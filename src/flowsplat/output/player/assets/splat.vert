@@ -5,7 +5,7 @@ precision highp int;
 precision highp sampler2D;
 #ifndef DIRECT
 uniform sampler2D slicedAxes, slicedPlaces, slicedColors;
-uniform vec2 size;     // of the picture in pixels
+uniform vec2 size;     // of the image in pixels
 #endif
 out vec2 offset;       // from the center, in standard deviations
 flat out vec4 color;  // rgb and opacity

@@ -1,4 +1,4 @@
-// Colors of covered pixels, and in the others those of the smaller picture.
+// Colors of covered pixels, and in the others those of the smaller image.
 precision highp float;
 precision highp sampler2D;
 uniform sampler2D source;   // premultiplied

@@ -18,7 +18,7 @@ NEIGHBORS, REACH = 8, 0.04
 LAGS = ((1, 0.2), (3, 0.45), (8, 0.6))
 """Frames over which the change of a distance is looked at, and the share of the distance that turning and bending may take."""
 AGREE = 1.5
-"""Pixels, in a picture whose long side is 640 or less, that a distance may change beyond that."""
+"""Pixels, in an image whose long side is 640 or less, that a distance may change beyond that."""
 STRONG = 5
 """Frames that two tracks must share for a strong tie."""
 LASTING = 3

@@ -40,7 +40,7 @@ class MaskedTracks:
 
     @property
     def long_side(self) -> int:
-        """Of the picture, in pixels."""
+        """Of the image, in pixels."""
         return max(self.masks[0].shape)
 
     def seen(self, k: int) -> tuple[np.ndarray, np.ndarray]:

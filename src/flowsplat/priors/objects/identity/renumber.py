@@ -55,6 +55,6 @@ def identify_objects(scene: Scene) -> int:
         counted: dict[str, Any] = {"objects": highest}
         if how.get("method") == "motion" and "share" in how:
             count = len(large_objects(scene))
-            counted["verdict"] = f"{moving_objects(count, highest - count)} on {how['share']:.1%} of the picture"
+            counted["verdict"] = f"{moving_objects(count, highest - count)} on {how['share']:.1%} of the image"
         scene.amend_prior("masks", **counted)
     return highest

@@ -185,9 +185,9 @@ def cast(
 def render(
     shapes: np.ndarray, sizes: np.ndarray, turns: np.ndarray, centers: np.ndarray, origins: np.ndarray, bounds: np.ndarray,
     radii: np.ndarray, casts: np.ndarray, materials: np.ndarray, R: np.ndarray, K: np.ndarray, center: np.ndarray,
-    offsets: np.ndarray, lights: np.ndarray, ambient: float, sun: float, picture: np.ndarray,
+    offsets: np.ndarray, lights: np.ndarray, ambient: float, sun: float, image: np.ndarray,
 ) -> None:  # fmt: skip
-    """Add the colors that a camera sees, the mean over some samples in every pixel, to ``picture`` [H, W, 3].
+    """Add the colors that a camera sees, the mean over some samples in every pixel, to ``image`` [H, W, 3].
 
     Args (those that ``cast`` does not have):
         centers: [P, 3] of the parts in the world.
@@ -200,7 +200,7 @@ def render(
         ambient: light of the sky.
         sun: light of the sun.
     """
-    H, W = picture.shape[:2]
+    H, W = image.shape[:2]
     S = len(offsets)
     chosen, throwing = np.empty(len(shapes), np.int64), np.flatnonzero(casts)
     for row in range(H):
@@ -239,6 +239,6 @@ def render(
                         pz = center[2] + t * dz + 2e-3 * nz
                         if not _shaded(shapes, sizes, turns, centers, radii, throwing, px, py, pz, L[0], L[1], L[2]):
                             light += sun * facing
-                picture[row, column, 0] += min(red * light, 1.0) / S
-                picture[row, column, 1] += min(green * light, 1.0) / S
-                picture[row, column, 2] += min(blue * light, 1.0) / S
+                image[row, column, 0] += min(red * light, 1.0) / S
+                image[row, column, 1] += min(green * light, 1.0) / S
+                image[row, column, 2] += min(blue * light, 1.0) / S

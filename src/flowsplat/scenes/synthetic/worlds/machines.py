@@ -213,7 +213,7 @@ def pendulum(
 
 
 def _gallows(rng: np.random.Generator, ground: Ground, pivot: np.ndarray, across: np.ndarray, reach: float) -> tuple[Placed, ...]:
-    """A beam along the axis on two posts, or a rod that goes up beyond all pictures."""
+    """A beam along the axis on two posts, or a rod that goes up beyond all images."""
     wood, thick = draw_material(rng, 0.5, bool(rng.random() < 0.5)), 0.05
     axes = frame(across, UP)[0]
     if rng.random() < 0.4:

@@ -28,19 +28,19 @@ LASTS = 3.0
 """Seconds for which the street is drawn. A shorter clip shows the middle of them, a longer one all of them in more frames."""
 
 SEEN = 39 / FPS
-"""Seconds in the middle for which everything that moves has to be in the picture."""
+"""Seconds in the middle for which everything that moves has to be in the image."""
 
 EYE = 1.6
 """Meters above the ground at which the camera is carried."""
 FOCAL = 0.85
-"""Focal length over the width of the picture."""
+"""Focal length over the width of the image."""
 
 MIDDLE = np.array([0.0, 6.0, 0.95])
 """What the camera looks at."""
 
 ATTEMPTS = 1000
 _ENOUGH_PIXELS = 0.004
-"""Share of the picture in which each object has to be seen, at times spread over ``SEEN``: 230 of 57,600 pixels."""
+"""Share of the image in which each object has to be seen, at times spread over ``SEEN``: 230 of 57,600 pixels."""
 _STILL = 0.1
 """Seconds before the end of ``SEEN`` from which the ball may have no bounce left."""
 _CHECK_SIZE, _CHECKS = (80, 45), 6
@@ -159,7 +159,7 @@ def _carried_past(rng: np.random.Generator) -> Callable[[np.ndarray], Views]:
 
 
 def _is_in_sight(world: World) -> bool:
-    """Whether everything that moves is well in the picture for the seconds that matter, and the ball bounces in them."""
+    """Whether everything that moves is well in the image for the seconds that matter, and the ball bounces in them."""
     if world.objects[-1].instants[-1] < (LASTS + SEEN) / 2 - _STILL:
         return False
     grid = pixel_grid(*_CHECK_SIZE).astype(np.float64).reshape(-1, 2)

@@ -24,7 +24,7 @@ _STILL = 1e-4
 """Meters a frame below which a part does not move."""
 
 _EXPOSURES = 6
-"""Times over which a blurred picture is averaged."""
+"""Times over which a blurred image is averaged."""
 
 _SAMPLES = np.array([[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25]])
 """Pixels."""
@@ -56,13 +56,13 @@ class World(RayCastWorld):
         fps: frames a second.
         ground: what objects stand on.
         camera_kind: how the camera moves.
-        focal: focal length in widths of the picture.
+        focal: focal length in widths of the image.
         path: from times [T] to the cameras.
         static: what never moves: the sky, the boxes of the ground, all else.
         objects: what moves; the first has number 1 in the masks.
         light: sun and sky.
-        shutter: share of the time between frames that a picture is exposed; 0 = no blur.
-        noise: standard deviation of the pictures' noise in gray levels.
+        shutter: share of the time between frames that an image is exposed; 0 = no blur.
+        noise: standard deviation of the images' noise in gray levels.
         touching: numbers of two objects that touch each other, if any.
     """
 
@@ -165,15 +165,15 @@ class World(RayCastWorld):
         R = np.ascontiguousarray(camera.viewmat[:3, :3])
         return Hits(*cast(c["shapes"], c["sizes"], turns, origins, bounds, R, camera.intrinsics, uv))
 
-    def picture(self, i: int) -> np.ndarray:
+    def image(self, i: int) -> np.ndarray:
         """[H, W, 3] uint8 RGB of frame ``i``: antialiased, blurred by motion and noisy as the world says."""
         return self.photograph(self.camera_at, self.timestamps[i], np.random.default_rng([self.seed, 3, i]))
 
     def photograph(self, camera_at: Callable[[float], Camera], time: float, rng: np.random.Generator) -> np.ndarray:
-        """[H, W, 3] uint8 RGB at a time in seconds, as ``picture``.
+        """[H, W, 3] uint8 RGB at a time in seconds, as ``image``.
 
         Args:
-            camera_at: from seconds to the camera, which moves while a picture is exposed.
+            camera_at: from seconds to the camera, which moves while an image is exposed.
             rng: of the noise.
         """
         shares = (np.arange(_EXPOSURES) + 0.5) / _EXPOSURES - 0.5 if self.shutter else np.zeros(1)

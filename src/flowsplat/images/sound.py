@@ -8,8 +8,8 @@ import av
 import numpy as np
 
 from flowsplat.common.files import atomic_path
-from flowsplat.pictures.media import open_media
-from flowsplat.pictures.video import SOUND_RATES, sound_blocks, sound_track
+from flowsplat.images.media import open_media
+from flowsplat.images.video import SOUND_RATES, sound_blocks, sound_track
 
 
 def keep_sound(source: Path, start: float, seconds: float, path: Path) -> bool:

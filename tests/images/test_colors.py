@@ -7,7 +7,7 @@ import colorsys
 import numpy as np
 import pytest
 
-from flowsplat.pictures.colors import (
+from flowsplat.images.colors import (
     SMALLEST_FLOW_SCALE,
     depth_range,
     depth_to_color,

@@ -1,4 +1,4 @@
-"""The picture loss and its gradient in three sweeps over rows. Oracle: ``reference``.
+"""The photometric loss and its gradient in three sweeps over rows. Oracle: ``reference``.
 
 Colors stay interleaved: a row is 3 W numbers and a horizontal tap is three numbers wide, so no plane is ever rearranged.
 """
@@ -16,9 +16,9 @@ from torch.autograd.function import once_differentiable
 from flowsplat.common.kernels import helper, inlined, kernel
 from flowsplat.common.threads import parallel_for
 from flowsplat.splatting.cpu.workspace import Workspace
-from flowsplat.training.picture_loss import reference
-from flowsplat.training.picture_loss.api import PictureFigures, PictureTargets, PictureWeights
-from flowsplat.training.picture_loss.reference import C1, C2, RADIUS, window
+from flowsplat.training.photometric_loss import reference
+from flowsplat.training.photometric_loss.api import ImageFigures, PhotometricTargets, PhotometricWeights
+from flowsplat.training.photometric_loss.reference import C1, C2, RADIUS, window
 
 CHANNELS = 3
 PAD = RADIUS * CHANNELS
@@ -75,7 +75,7 @@ def _sign(x):
 
 @inlined
 def _rows(image, target, h, width, row_x, row_y):
-    """Row h of the picture and of what it should be, as numbers between 0 and 1."""
+    """Row h of the image and of what it should be, as numbers between 0 and 1."""
     for w in range(width):
         for c in range(CHANNELS):
             row_x[w * CHANNELS + c] = image[h, w, c]
@@ -84,7 +84,7 @@ def _rows(image, target, h, width, row_x, row_y):
 
 @inlined
 def flow_at(image, h, w, flow_channels, half_width, half_height):
-    """What ``gaussians.flow.flow_image`` makes of a pixel's features, and the pixel from the center of the picture."""
+    """What ``gaussians.flow.flow_image`` makes of a pixel's features, and the pixel from the center of the image."""
     u, v = image[h, w, 4], image[h, w, 5]
     x, y = float32(w) + HALF - half_width, float32(h) + HALF - half_height
     if flow_channels == 6:
@@ -101,7 +101,7 @@ def _flow_counts(image, alpha, flow_trusted, h, w, end, by_alpha):
 
 @kernel
 def _blur_rows(begin, end, image, alpha, target, flow_trusted, flow_channels, flow_weight, by_alpha, blurred, counts):
-    """Along rows blurred [4, H + 2 RADIUS, 3 W]: the picture x, its target y, x^2 + y^2 and x y.
+    """Along rows blurred [4, H + 2 RADIUS, 3 W]: the image x, its target y, x^2 + y^2 and x y.
 
     counts [H]: how many pixels have a flow that counts.
     """
@@ -225,11 +225,11 @@ def _gradient_rows(
 _NO_PLANE, _NO_FLOW, _NO_TRUST = np.zeros((0, 0), np.float32), np.zeros((0, 0, 2), np.float32), np.zeros((0, 0), np.bool_)
 
 
-class _PictureLoss(torch.autograd.Function):
+class _PhotometricLoss(torch.autograd.Function):
     @staticmethod
     def forward(
-        ctx: Any, image: Tensor, alpha: Tensor, flow_channels: int, targets: PictureTargets, weights: PictureWeights
-    ) -> tuple[Tensor, PictureFigures]:
+        ctx: Any, image: Tensor, alpha: Tensor, flow_channels: int, targets: PhotometricTargets, weights: PhotometricWeights
+    ) -> tuple[Tensor, ImageFigures]:
         height, width = alpha.shape
         count, padded = width * CHANNELS, height + 2 * RADIUS
         has_flow = targets.flow is not None and weights.flow > 0
@@ -260,7 +260,7 @@ class _PictureLoss(torch.autograd.Function):
         space.release()
         ctx.save_for_backward(gradient, alpha_gradient)
         color, flow_error, depth_error, squared = sums.sum(0)
-        figures = PictureFigures(
+        figures = ImageFigures(
             color=float(color) / (height * count) + weights.ssim,
             flow=float(flow_error) / (2 * max(valid, 1)),
             depth=float(depth_error) / (height * width),
@@ -278,9 +278,9 @@ class _PictureLoss(torch.autograd.Function):
         return gradient, alpha_gradient, None, None, None
 
 
-def picture_loss(
-    image: Tensor, alpha: Tensor, flow_channels: int, targets: PictureTargets, weights: PictureWeights
-) -> tuple[Tensor, PictureFigures]:
-    """See ``api.picture_loss``."""
-    result: tuple[Tensor, PictureFigures] = _PictureLoss.apply(image, alpha, flow_channels, targets, weights)
+def photometric_loss(
+    image: Tensor, alpha: Tensor, flow_channels: int, targets: PhotometricTargets, weights: PhotometricWeights
+) -> tuple[Tensor, ImageFigures]:
+    """See ``api.photometric_loss``."""
+    result: tuple[Tensor, ImageFigures] = _PhotometricLoss.apply(image, alpha, flow_channels, targets, weights)
     return result

@@ -8,13 +8,13 @@ import cv2
 import numpy as np
 import pytest
 
-from flowsplat.pictures.html import NOTHING, data_uri, figure, picture, table
+from flowsplat.images.html import NOTHING, data_uri, figure, image_tag, table
 
 NASTY = '<script>alert("1")</script> & {0}'
 
 
 @pytest.mark.parametrize("quality", [None, 90])
-def test_data_uri_decodes_to_the_picture(quality):
+def test_data_uri_decodes_to_the_image(quality):
     image = np.full((8, 9, 3), (250, 120, 10), np.uint8)
     kind, encoded = data_uri(image, quality).split(";base64,")
     assert kind == ("data:image/png" if quality is None else "data:image/jpeg")
@@ -22,8 +22,8 @@ def test_data_uri_decodes_to_the_picture(quality):
     assert np.abs(back.astype(int) - image).max() <= (0 if quality is None else 6)
 
 
-def test_picture_escapes_its_description():
-    tag = picture(np.zeros((2, 3, 3), np.uint8), NASTY)
+def test_image_escapes_its_description():
+    tag = image_tag(np.zeros((2, 3, 3), np.uint8), NASTY)
     assert "<script" not in tag
     assert 'width="3" height="2"' in tag
 

@@ -1,14 +1,14 @@
-"""Sheets of pictures."""
+"""Sheets of images."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from flowsplat.pictures.sheets import GAP, preview_sheet, side_by_side, stacked, with_rulers
+from flowsplat.images.sheets import GAP, preview_sheet, side_by_side, stacked, with_rulers
 
 
-def test_side_by_side_keeps_pictures_and_resizes_to_the_first():
+def test_side_by_side_keeps_images_and_resizes_to_the_first():
     a = np.full((40, 60, 3), 200, np.uint8)
     b = np.full((20, 10, 3), 0.2, np.float32)
     gray = np.full((40, 30), 90, np.uint8)
@@ -39,9 +39,9 @@ def test_height_and_stacked():
 
 
 def test_preview_sheet():
-    picture = np.random.default_rng(0).random((30, 40, 3)).astype(np.float32)
-    assert preview_sheet(picture, picture).shape == (30, 3 * 40 + 2 * GAP, 3)
-    assert preview_sheet((picture * 255).astype(np.uint8), picture).shape == (30, 3 * 40 + 2 * GAP, 3)
+    image = np.random.default_rng(0).random((30, 40, 3)).astype(np.float32)
+    assert preview_sheet(image, image).shape == (30, 3 * 40 + 2 * GAP, 3)
+    assert preview_sheet((image * 255).astype(np.uint8), image).shape == (30, 3 * 40 + 2 * GAP, 3)
 
 
 def test_rulers_name_places_in_pixels():
@@ -49,7 +49,7 @@ def test_rulers_name_places_in_pixels():
     sheet = with_rulers(image, (854, 480))
     margin = sheet.shape[0] - 90
     assert sheet.shape == (90 + margin, 160 + margin, 3)
-    assert (sheet[margin:, margin:] == 128).all(), "the picture stays as it is"
+    assert (sheet[margin:, margin:] == 128).all(), "the image stays as it is"
     long_ticks = np.flatnonzero((sheet[margin - 8, margin:] == 90).all(-1))
     np.testing.assert_allclose(long_ticks * 854 / 160, np.arange(0, 854, 500), atol=3)
     ticks = np.flatnonzero((sheet[margin - 2, margin:] == 90).all(-1))

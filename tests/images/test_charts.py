@@ -8,7 +8,7 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import pytest
 
-from flowsplat.pictures.charts import bar_chart, line_chart, svg_file
+from flowsplat.images.charts import bar_chart, line_chart, svg_file
 
 NASTY = '<script>alert("1")</script> & {0}'
 

@@ -1,4 +1,4 @@
-"""Frames with transparency to a WebM: VP9 with alpha, which browsers and editors lay over other pictures."""
+"""Frames with transparency to a WebM: VP9 with alpha, which browsers and editors lay over other images."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ import numpy as np
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import atomic_path
 
-_BT709, _LIMITED, _FULL = 1, 1, 2  # as in ``pictures.video``
+_BT709, _LIMITED, _FULL = 1, 1, 2  # as in ``images.video``
 _CRF = 24
 """VP9's constant quality, lower is better and larger."""
 _SAME = {"fflags": "+bitexact"}
-"""Without a random number as the name of the file in it: the same pictures make the same file."""
+"""Without a random number as the name of the file in it: the same images make the same file."""
 
 
 @contextlib.contextmanager

@@ -1,6 +1,6 @@
-"""Make the pictures of the README, of the tutorial and of "Why does my clip fail?" anew, with the commands that a reader would use.
+"""Make the images of the README, of the tutorial and of "Why does my clip fail?" anew, with the commands that a reader would use.
 
-    python docs/tools/pictures.py WORK_FOLDER [--only result|tutorial|clips]
+    python docs/tools/images.py WORK_FOLDER [--only result|tutorial|clips]
 
 All but ``result`` need chromium or chrome, and playwright and viser (extra ``dev``). What is in the work folder already is used
 again.
@@ -25,8 +25,8 @@ from scipy.spatial.transform import Rotation
 
 from flowsplat import load
 from flowsplat.geometry import Camera
-from flowsplat.pictures.colors import depth_range, depth_to_color, flow_to_color
-from flowsplat.pictures.sheets import side_by_side, stacked
+from flowsplat.images.colors import depth_range, depth_to_color, flow_to_color
+from flowsplat.images.sheets import side_by_side, stacked
 from flowsplat.scenes import Scene
 from flowsplat.scenes.layers import read_image
 from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic_video
@@ -45,9 +45,9 @@ PROGRAMS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stab
 FLAGS = ("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 QUALITY = 82
 TALL = 225
-"""Pixels of a picture of the result."""
+"""Pixels of an image of the result."""
 
-Picture = np.ndarray
+RenderCase = np.ndarray
 
 
 # -- clips that fail
@@ -57,8 +57,8 @@ def _world() -> SyntheticScene:
     return SyntheticScene(*SIZE, frames=FRAMES, fps=FPS)
 
 
-def _filmed(world: SyntheticScene, camera: Callable[[float], Camera]) -> list[Picture]:
-    return [world.render(camera(t), t).picture for t in world.timestamps]
+def _filmed(world: SyntheticScene, camera: Callable[[float], Camera]) -> list[RenderCase]:
+    return [world.render(camera(t), t).image for t in world.timestamps]
 
 
 def _usual(t: float) -> Camera:
@@ -87,13 +87,13 @@ def _before_a_wall(t: float) -> Camera:
     return Camera(viewmat, _usual(t).K, *SIZE)
 
 
-def _turning() -> list[Picture]:
+def _turning() -> list[RenderCase]:
     world = _world()
     world.bodies[:] = [body for body in world.bodies if body.number == 0]
     return _filmed(world, _turned)
 
 
-def _cut() -> list[Picture]:
+def _cut() -> list[RenderCase]:
     """After half of the clip, another room, looking to the side."""
     side = np.eye(4)
     side[:3, :3] = Rotation.from_rotvec([0, -1.1, 0]).as_matrix()
@@ -102,12 +102,12 @@ def _cut() -> list[Picture]:
     return _filmed(_world(), _usual)[: FRAMES // 2] + second[FRAMES // 2 :]
 
 
-def _black() -> list[Picture]:
+def _black() -> list[RenderCase]:
     frames = _filmed(_world(), _usual)
     return [np.zeros_like(frame) if 10 <= i < 13 else frame for i, frame in enumerate(frames)]
 
 
-def _filled() -> list[Picture]:
+def _filled() -> list[RenderCase]:
     """Something large sways in front of a camera on a tripod."""
     world, size, camera = _world(), np.array([0.78, 0.1, 0.43]), _usual(MIDDLE)
     right, down, forward = camera.viewmat[:3, :3]
@@ -120,26 +120,26 @@ def _filled() -> list[Picture]:
     return _filmed(world, lambda t: camera)[: FRAMES // 2]
 
 
-def _plain() -> list[Picture]:
+def _plain() -> list[RenderCase]:
     """A white wall and the noise of the sensor."""
     rng = np.random.default_rng(0)
     return [np.clip(rng.normal(205, 6, (SIZE[1], SIZE[0], 3)), 0, 255).astype(np.uint8) for _ in range(FRAMES)]
 
 
-CLIPS: dict[str, Callable[[], list[Picture]]] = {
+CLIPS: dict[str, Callable[[], list[RenderCase]]] = {
     "standing_camera": lambda: _filmed(_world(), lambda t: _usual(MIDDLE)),
     "turning_camera": _turning,
     "hardly_travels": lambda: _filmed(_world(), _hardly),
     "one_wall": lambda: _filmed(_world(), _before_a_wall),
     "a_cut": _cut,
     "black_frames": _black,
-    "fills_the_picture": _filled,
+    "fills_the_image": _filled,
     "nothing_to_follow": _plain,
 }
 
 
-def picture_clips(work: Path, browser: Any) -> None:
-    """Prepare every clip that fails, and picture the top of its priors.html."""
+def image_clips(work: Path, browser: Any) -> None:
+    """Prepare every clip that fails, and image the top of its priors.html."""
     for name, make in CLIPS.items():
         frames, out = work / name, work / f"{name}_run"
         if not frames.exists():
@@ -159,7 +159,7 @@ def picture_clips(work: Path, browser: Any) -> None:
 # -- the README
 
 
-def picture_result(work: Path) -> None:
+def image_result(work: Path) -> None:
     """What the demo makes, in one held-out frame: the frame, and what the scene that has not seen it renders."""
     out = work / "demo"
     if not (out / "true" / "report.html").exists():
@@ -184,7 +184,7 @@ def picture_result(work: Path) -> None:
 # -- the tutorial
 
 
-def picture_tutorial(work: Path, browser: Any) -> None:
+def image_tutorial(work: Path, browser: Any) -> None:
     """The tutorial's commands on the clip of ``demo --world floating``, and what a reader sees after each."""
     clip, out, export = work / "clip.mp4", work / "run", work / "clip.html"
     if not clip.exists():
@@ -237,10 +237,10 @@ def _viewer(out: Path) -> Iterator[None]:
         running.wait()
 
 
-def _first_frame(path: Path) -> Picture:
+def _first_frame(path: Path) -> RenderCase:
     found, image = cv2.VideoCapture(str(path)).read()
     if not found:
-        raise ValueError(f"{path} has no picture")
+        raise ValueError(f"{path} has no image")
     return image[..., ::-1]
 
 
@@ -270,7 +270,7 @@ def _hold(page: Any, video: str) -> None:
 
 
 def _shoot(page: Any, name: str, until: str | None = None) -> None:
-    """Picture a page, down to the end of the first element ``until``."""
+    """Image a page, down to the end of the first element ``until``."""
     options: dict[str, Any] = {}
     if until is not None:
         box = page.locator(until).first.bounding_box()
@@ -279,19 +279,19 @@ def _shoot(page: Any, name: str, until: str | None = None) -> None:
     page.screenshot(path=str(IMAGES / f"{name}.jpg"), type="jpeg", quality=QUALITY, **options)
 
 
-def _write(name: str, image: Picture) -> None:
+def _write(name: str, image: RenderCase) -> None:
     cv2.imwrite(str(IMAGES / f"{name}.jpg"), image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
 
 
 def main() -> None:
-    """Make the pictures."""
+    """Make the images."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("work", type=Path)
     parser.add_argument("--only", choices=("result", "tutorial", "clips"))
     arguments = parser.parse_args()
     work = arguments.work.resolve()
     if arguments.only in (None, "result"):
-        picture_result(work)
+        image_result(work)
     if arguments.only == "result":
         return
     from playwright.sync_api import sync_playwright
@@ -300,9 +300,9 @@ def main() -> None:
     with sync_playwright() as running:
         browser = running.chromium.launch(executable_path=program, args=list(FLAGS))
         if arguments.only != "tutorial":
-            picture_clips(work, browser)
+            image_clips(work, browser)
         if arguments.only != "clips":
-            picture_tutorial(work, browser)
+            image_tutorial(work, browser)
         browser.close()
 
 

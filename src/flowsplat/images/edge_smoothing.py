@@ -1,4 +1,4 @@
-"""Smoothing along the edges of a picture, with the same result on every machine."""
+"""Smoothing along the edges of an image, with the same result on every machine."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy as np
 
 
 class EdgeSmoother:
-    """The fast global smoother (https://doi.org/10.1109/TIP.2014.2366600) of OpenCV, guided by a picture.
+    """The fast global smoother (https://doi.org/10.1109/TIP.2014.2366600) of OpenCV, guided by an image.
 
-    With several threads OpenCV cuts the picture into strips, whose last columns are computed in another order of operations: the
+    With several threads OpenCV cuts the image into strips, whose last columns are computed in another order of operations: the
     last digits would depend on the number of cores. It is one of few filters where they do, and cheap, so it has one thread.
     """
 

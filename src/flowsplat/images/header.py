@@ -1,17 +1,17 @@
-"""How large a picture says it is, before it is decoded: some kilobytes can ask for gigabytes."""
+"""How large an image says it is, before it is decoded: some kilobytes can ask for gigabytes."""
 
 from __future__ import annotations
 
 import struct
 
 MOST_PIXELS = 55_000_000
-"""Of one picture; at 16 bits a channel they take 315 MiB."""
+"""Of one image; at 16 bits a channel they take 315 MiB."""
 
 _START_OF_FRAME = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
 _STANDALONE = {0x01, *range(0xD0, 0xD9)}
 
 
-def picture_pixels(data: bytes) -> tuple[int, int] | None:
+def image_pixels(data: bytes) -> tuple[int, int] | None:
     """(width, height) that a PNG, JPEG, WebP, TIFF or BMP names; None where it is none of these, or is cut off."""
     readers = (
         (b"\x89PNG\r\n\x1a\n", _png), (b"\xff\xd8", _jpeg), (b"RIFF", _webp), (b"II*\0", _tiff), (b"MM\0*", _tiff), (b"BM", _bmp),
@@ -79,7 +79,7 @@ def _webp(data: bytes) -> tuple[int, int]:
     if kind == b"VP8 ":
         width, height = struct.unpack_from("<HH", data, 26)
         return width & 0x3FFF, height & 0x3FFF
-    raise ValueError("no picture")
+    raise ValueError("no image")
 
 
 def _tiff(data: bytes) -> tuple[int, int]:

@@ -1,4 +1,4 @@
-"""Pictures beside each other on one sheet, each with its name."""
+"""Images beside each other on one sheet, each with its name."""
 
 from __future__ import annotations
 
@@ -7,24 +7,24 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from flowsplat.pictures.colors import error_to_color, float_to_bytes
+from flowsplat.images.colors import error_to_color, float_to_bytes
 
 GAP = 4
-"""Pixels between two pictures."""
+"""Pixels between two images."""
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _RULER = 26
-"""Pixels of a ruler beside a picture."""
+"""Pixels of a ruler beside an image."""
 _TICK_ROOM = 40
 """Pixels between two numbers of a ruler, at least."""
 _STEPS = (5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000)
 
 
 def side_by_side(images: Sequence[np.ndarray], labels: Sequence[str] = (), height: int | None = None) -> np.ndarray:
-    """One row of pictures [h, w, 3], gray or color, uint8 or float between 0 and 1.
+    """One row of images [h, w, 3], gray or color, uint8 or float between 0 and 1.
 
     Args:
-        labels: one for every picture, or none at all. Plain ASCII.
-        height: of the sheet, in pixels; None = that of the first picture. The others are resized to it.
+        labels: one for every image, or none at all. Plain ASCII.
+        height: of the sheet, in pixels; None = that of the first image. The others are resized to it.
 
     Returns:
         [height, W, 3] uint8.
@@ -46,7 +46,7 @@ def stacked(rows: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def with_rulers(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """The picture [h, w, 3] uint8 with rulers above and to the left of it, so that a place in it can be named in pixels.
+    """The image [h, w, 3] uint8 with rulers above and to the left of it, so that a place in it can be named in pixels.
 
     Args:
         size: (width, height) in the pixels that the rulers count; their origin is the outer corner of the first pixel.
@@ -69,7 +69,7 @@ def with_rulers(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 
 def preview_sheet(target: np.ndarray, rendering: np.ndarray) -> np.ndarray:
-    """How training goes: target | rendering | error. Pictures [H, W, 3] uint8 or float."""
+    """How training goes: target | rendering | error. Images [H, W, 3] uint8 or float."""
     return side_by_side([target, rendering, error_to_color(target, rendering)], ["target", "rendering", "error"])
 
 
@@ -79,7 +79,7 @@ def _colored(image: np.ndarray) -> np.ndarray:
 
 
 def _resized(image: np.ndarray, height: int, width: int | None = None) -> np.ndarray:
-    """A copy of the picture at that height, and at that width or one that keeps its shape."""
+    """A copy of the image at that height, and at that width or one that keeps its shape."""
     width = width or max(round(image.shape[1] * height / image.shape[0]), 1)
     if image.shape[:2] == (height, width):
         return image.copy()
@@ -88,7 +88,7 @@ def _resized(image: np.ndarray, height: int, width: int | None = None) -> np.nda
 
 
 def _write_label(panel: np.ndarray, label: str) -> None:
-    """White letters on a darkened strip in the top left corner, sized to the picture."""
+    """White letters on a darkened strip in the top left corner, sized to the image."""
     scale = float(np.clip(panel.shape[0] / 600, 0.3, 1.2))
     (width, height), below = cv2.getTextSize(label, _FONT, scale, 1)
     margin = max(round(6 * scale), 2)

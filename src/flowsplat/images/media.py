@@ -13,7 +13,7 @@ from av.container import InputContainer
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import ordinary_file
-from flowsplat.pictures.header import MOST_PIXELS
+from flowsplat.images.header import MOST_PIXELS
 
 _LISTS = {"hls", "dash", "concat", "concatf", "imf", "rtsp", "sdp", "image2"}
 """Formats that consist of other files."""
@@ -23,7 +23,7 @@ def open_media(path: Path) -> InputContainer:
     """A film or a sound on this machine.
 
     Raises:
-        InputError: missing, not an ordinary file, with pictures that are too large, or a list of other files.
+        InputError: missing, not an ordinary file, with images that are too large, or a list of other files.
         av.FFmpegError: it cannot be read.
     """
     ordinary_file(path)

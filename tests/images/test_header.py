@@ -1,4 +1,4 @@
-"""The size of a picture is known, and believed, before it is decoded."""
+"""The size of an image is known, and believed, before it is decoded."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from flowsplat.common.errors import InputError
-from flowsplat.pictures.header import can_hold, picture_pixels
+from flowsplat.images.header import can_hold, image_pixels
 from flowsplat.scenes.layers import decode_image, read_image, write_image
 
 KINDS = (".png", ".jpg", ".webp", ".tiff", ".bmp")
@@ -21,21 +21,21 @@ def chunk(name: bytes, data: bytes) -> bytes:
 
 
 def png(width: int, height: int, pixels: bytes) -> bytes:
-    """A gray picture that says it has that size."""
+    """A gray image that says it has that size."""
     head = width.to_bytes(4, "big") + height.to_bytes(4, "big") + bytes([8, 0, 0, 0, 0])
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", zlib.compress(pixels)) + chunk(b"IEND", b"")
 
 
 @pytest.mark.parametrize("suffix", KINDS)
 @pytest.mark.parametrize("size", [(64, 48), (1, 1), (300, 2), (4000, 3000)])
-def test_sizes_are_read_and_pictures_of_one_color_are_held(suffix, size):
+def test_sizes_are_read_and_images_of_one_color_are_held(suffix, size):
     ok, data = cv2.imencode(suffix, np.full((size[1], size[0], 3), 255, np.uint8))
     assert ok
-    assert picture_pixels(data.tobytes()) == size
-    assert can_hold(data.tobytes(), size), "the smallest that a picture can be packed"
+    assert image_pixels(data.tobytes()) == size
+    assert can_hold(data.tobytes(), size), "the smallest that an image can be packed"
 
 
-def test_more_than_the_bytes_can_hold_is_no_picture(tmp_path):
+def test_more_than_the_bytes_can_hold_is_no_image(tmp_path):
     path = tmp_path / "a.png"
     path.write_bytes(png(7000, 7000, b"\0" * 100))
     tracemalloc.start()

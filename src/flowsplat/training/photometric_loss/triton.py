@@ -1,4 +1,4 @@
-"""The picture loss and its gradient as Triton kernels, a lane a number of the picture. Oracle: ``reference``.
+"""The photometric loss and its gradient as Triton kernels, a lane a number of the image. Oracle: ``reference``.
 
 Colors stay interleaved, as in ``cpu``: a row is 3 W numbers and a horizontal tap is three numbers wide. Nothing is read back: the
 loss and its parts are tensors of the device.
@@ -15,8 +15,8 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from flowsplat.common.triton import device_of, rows_per_program
-from flowsplat.training.picture_loss import reference
-from flowsplat.training.picture_loss.api import PictureFigures, PictureTargets, PictureWeights
+from flowsplat.training.photometric_loss import reference
+from flowsplat.training.photometric_loss.api import ImageFigures, PhotometricTargets, PhotometricWeights
 
 RADIUS, K1, K2 = tl.constexpr(reference.RADIUS), tl.constexpr(reference.C1), tl.constexpr(reference.C2)
 OPAQUE, UNSEEN = tl.constexpr(reference.OPAQUE), tl.constexpr(reference.UNSEEN)
@@ -43,7 +43,7 @@ def _tap(k: tl.constexpr):
 
 @triton.jit
 def _colors(image, target, h, j, width, channels, mask):
-    """Number j of row h of the picture and of what it should be, between 0 and 1; 0 where masked."""
+    """Number j of row h of the image and of what it should be, between 0 and 1; 0 where masked."""
     pixel = h * width + j // 3
     x = tl.load(image + pixel * channels + j % 3, mask=mask, other=0.0)
     y = tl.load(target + pixel * 3 + j % 3, mask=mask, other=0).to(tl.float32) * (1.0 / 255.0)
@@ -234,11 +234,11 @@ def _other_gradients(
     tl.store(sums + tl.num_programs(0) + tl.program_id(0), tl.sum(depth_error, 0))
 
 
-class _PictureLoss(torch.autograd.Function):
+class _PhotometricLoss(torch.autograd.Function):
     @staticmethod
     def forward(
-        ctx: Any, image: Tensor, alpha: Tensor, flow_channels: int, targets: PictureTargets, weights: PictureWeights
-    ) -> tuple[Tensor, PictureFigures]:
+        ctx: Any, image: Tensor, alpha: Tensor, flow_channels: int, targets: PhotometricTargets, weights: PhotometricWeights
+    ) -> tuple[Tensor, ImageFigures]:
         targets = targets.to(image.device)
         image, alpha = image.detach().contiguous(), alpha.detach().contiguous()
         height, width, channels = image.shape
@@ -277,7 +277,7 @@ class _PictureLoss(torch.autograd.Function):
         ssim = similarity.sum(dtype=torch.float64) / colors
         absolute, squared = color_sums.sum(1, dtype=torch.float64) / colors
         flow_sum, depth_sum = others.sum(1, dtype=torch.float64)
-        figures = PictureFigures(
+        figures = ImageFigures(
             color=(1 - weights.ssim) * absolute + weights.ssim * (1 - ssim),
             flow=flow_sum / (2 * counted.clamp(min=1)),
             depth=depth_sum / pixels,
@@ -299,9 +299,9 @@ def _bytes(trusted: Any) -> Any:
     return None if trusted is None else trusted.view(torch.uint8)
 
 
-def picture_loss(
-    image: Tensor, alpha: Tensor, flow_channels: int, targets: PictureTargets, weights: PictureWeights
-) -> tuple[Tensor, PictureFigures]:
-    """See ``api.picture_loss``; the figures are tensors."""
-    result: tuple[Tensor, PictureFigures] = _PictureLoss.apply(image, alpha, flow_channels, targets, weights)
+def photometric_loss(
+    image: Tensor, alpha: Tensor, flow_channels: int, targets: PhotometricTargets, weights: PhotometricWeights
+) -> tuple[Tensor, ImageFigures]:
+    """See ``api.photometric_loss``; the figures are tensors."""
+    result: tuple[Tensor, ImageFigures] = _PhotometricLoss.apply(image, alpha, flow_channels, targets, weights)
     return result

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from flowsplat.common.errors import InputError
-from flowsplat.pictures.video import mp4_writer, write_mp4
+from flowsplat.images.video import mp4_writer, write_mp4
 
 COLORS = [(255, 0, 0), (0, 255, 0), (0, 0, 255), (255, 255, 255), (0, 0, 0), (200, 120, 40)]
 
@@ -70,11 +70,11 @@ def test_round_trip_keeps_size_count_rate_and_colors(tmp_path):
     assert [p.name for p in (tmp_path / "new folder").iterdir()] == ["clip.mp4"]
 
 
-def test_a_picture_survives(tmp_path):
+def test_an_image_survives(tmp_path):
     y, x = np.mgrid[:90, :160] / 100
-    picture = (np.stack([np.sin(3 * x) ** 2, np.cos(2 * y) ** 2, 0.4 + 0.3 * np.sin(x + y)], -1) * 255).astype(np.uint8)
-    write_mp4(tmp_path / "a.mp4", [picture] * 3, 10)
-    error = decode(tmp_path / "a.mp4")[1].astype(float) - picture
+    image = (np.stack([np.sin(3 * x) ** 2, np.cos(2 * y) ** 2, 0.4 + 0.3 * np.sin(x + y)], -1) * 255).astype(np.uint8)
+    write_mp4(tmp_path / "a.mp4", [image] * 3, 10)
+    error = decode(tmp_path / "a.mp4")[1].astype(float) - image
     assert np.abs(error).mean() < 2
     assert np.abs(error.mean((0, 1))).max() < 2, "a color cast: the matrix and its tag disagree"
 
@@ -173,9 +173,9 @@ ENCODE = """
 import hashlib, sys
 from pathlib import Path
 import numpy as np
-from flowsplat.pictures.gif import write_gif
-from flowsplat.pictures.transparent import webm_writer
-from flowsplat.pictures.video import mp4_writer
+from flowsplat.images.gif import write_gif
+from flowsplat.images.transparent import webm_writer
+from flowsplat.images.video import mp4_writer
 folder = Path(sys.argv[1])
 rng = np.random.default_rng(0)
 used = [rng.integers(0, 255, int(rng.integers(1, 9_000_000)), dtype=np.uint8) for _ in range(40)]  # memory that was something else
@@ -197,7 +197,7 @@ for path in sorted(folder.iterdir()):
 
 
 @pytest.mark.slow
-def test_the_same_pictures_make_the_same_file_in_every_process(tmp_path):
+def test_the_same_images_make_the_same_file_in_every_process(tmp_path):
     tone = (np.sin(np.arange(16000) / 8) * 9000).astype(np.int16)
     with av.open(str(tmp_path / "sound.flac"), "w") as container:
         stream = container.add_stream("flac", rate=16000)

@@ -1,4 +1,4 @@
-"""Pieces of a page that needs no other file: pictures inside the page, figures, tables.
+"""Pieces of a page that needs no other file: images inside the page, figures, tables.
 
 Every piece is ``Markup``: text that went into it is escaped, and a template puts it in as it is.
 """
@@ -12,14 +12,14 @@ import cv2
 import numpy as np
 from markupsafe import Markup, escape
 
-from flowsplat.pictures.colors import float_to_bytes
+from flowsplat.images.colors import float_to_bytes
 
 NOTHING = "–"
 """What stands in place of a figure that was not measured."""
 
 
 def encoded(image: np.ndarray, quality: int | None = 88) -> bytes:
-    """A picture [H, W, 3] RGB, uint8 or float between 0 and 1, as a file: JPEG, or PNG for quality None."""
+    """An image [H, W, 3] RGB, uint8 or float between 0 and 1, as a file: JPEG, or PNG for quality None."""
     options = [] if quality is None else [cv2.IMWRITE_JPEG_QUALITY, quality]
     suffix = ".png" if quality is None else ".jpg"
     ok, data = cv2.imencode(suffix, np.ascontiguousarray(float_to_bytes(image)[..., ::-1]), options)
@@ -33,8 +33,8 @@ def data_uri(image: np.ndarray, quality: int | None = 88) -> str:
     return f"data:image/{kind};base64,{base64.b64encode(encoded(image, quality)).decode()}"
 
 
-def picture(image: np.ndarray, description: str, quality: int | None = 88) -> Markup:
-    """An ``img`` with the picture inside."""
+def image_tag(image: np.ndarray, description: str, quality: int | None = 88) -> Markup:
+    """An ``img`` with the image inside."""
     height, width = image.shape[:2]
     return Markup('<img src="{}" alt="{}" width="{}" height="{}" loading="lazy">').format(
         data_uri(image, quality), description, width, height

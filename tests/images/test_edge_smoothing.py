@@ -1,4 +1,4 @@
-"""Smoothing along the edges of a picture."""
+"""Smoothing along the edges of an image."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from flowsplat.pictures.edge_smoothing import EdgeSmoother
+from flowsplat.images.edge_smoothing import EdgeSmoother
 
 
 @pytest.fixture
@@ -31,7 +31,7 @@ def test_any_number_of_threads_gives_the_same_digits(threads: None) -> None:
         np.testing.assert_array_equal(other, smooth[0])
 
 
-def test_values_stay_apart_where_the_picture_has_an_edge() -> None:
+def test_values_stay_apart_where_the_image_has_an_edge() -> None:
     guide = np.zeros((40, 60, 3), np.uint8)
     guide[:, 30:] = 255
     values = np.where(guide[..., 0] > 0, 2, 1).astype(np.float32)

@@ -1,4 +1,4 @@
-"""The oracle of the picture loss, in plain torch."""
+"""The oracle of the photometric loss, in plain torch."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from flowsplat.gaussians.flow import flow_image
-from flowsplat.training.picture_loss.api import PictureFigures, PictureTargets, PictureWeights, Plane
+from flowsplat.training.photometric_loss.api import ImageFigures, PhotometricTargets, PhotometricWeights, Plane
 
 RADIUS, SIGMA, C1, C2 = 5, 1.5, 0.01**2, 0.03**2
 OPAQUE = 0.5
@@ -23,7 +23,7 @@ def window() -> np.ndarray:
 
 
 def ssim_map(image: Tensor, target: Tensor) -> Tensor:
-    """[3, H, W] from two pictures [H, W, 3]."""
+    """[3, H, W] from two images [H, W, 3]."""
     taps = torch.as_tensor(window(), dtype=image.dtype, device=image.device)
     kernel = torch.outer(taps, taps)[None, None]
 
@@ -37,7 +37,7 @@ def ssim_map(image: Tensor, target: Tensor) -> Tensor:
 
 
 def color_loss(image: Tensor, target: Tensor, ssim_weight: float) -> Tensor:
-    """(1 - gamma_1) L1 + gamma_1 (1 - SSIM) of two pictures [H, W, 3] between 0 and 1."""
+    """(1 - gamma_1) L1 + gamma_1 (1 - SSIM) of two images [H, W, 3] between 0 and 1."""
     l1 = (image - target).abs().mean()
     return (1 - ssim_weight) * l1 + ssim_weight * (1 - ssim_map(image, target).mean())
 
@@ -57,10 +57,10 @@ def depth_loss(depth: Tensor, alpha: Tensor, target: Tensor, valid: Tensor) -> T
     return (error * valid).sum() / error.numel()
 
 
-def picture_loss(
-    image: Tensor, alpha: Tensor, flow_channels: int, targets: PictureTargets, weights: PictureWeights
-) -> tuple[Tensor, PictureFigures]:
-    """See ``api.picture_loss``."""
+def photometric_loss(
+    image: Tensor, alpha: Tensor, flow_channels: int, targets: PhotometricTargets, weights: PhotometricWeights
+) -> tuple[Tensor, ImageFigures]:
+    """See ``api.photometric_loss``."""
 
     def tensor(plane: Plane) -> Tensor:
         value = torch.as_tensor(plane, device=image.device)
@@ -83,4 +83,4 @@ def picture_loss(
         total = total + weights.depth * parts["depth"]
     squared = ((color.detach().clamp(0, 1) - target) ** 2).mean()
     figures = {name: float(part.detach()) for name, part in parts.items()}
-    return total, PictureFigures(figures["color"], figures.get("flow", 0.0), figures.get("depth", 0.0), float(squared))
+    return total, ImageFigures(figures["color"], figures.get("flow", 0.0), figures.get("depth", 0.0), float(squared))

@@ -6,7 +6,7 @@ import av
 import numpy as np
 import pytest
 
-from flowsplat.pictures.transparent import webm_writer
+from flowsplat.images.transparent import webm_writer
 
 
 def decoded(path) -> list[np.ndarray]:

@@ -18,7 +18,7 @@ from llvmlite.binding import get_host_cpu_features
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import atomic_path
 from flowsplat.common.progress import say
-from flowsplat.pictures.media import open_media
+from flowsplat.images.media import open_media
 
 SLOWEST, FASTEST = 0.1, 1000.0
 """Frames a second that can be written."""
@@ -100,7 +100,7 @@ def mp4_writer(
 def _video_stream(container: av.container.OutputContainer, rate: Fraction, crf: int, preset: str) -> av.video.VideoStream:
     options = {"crf": str(crf), "preset": preset}
     if get_host_cpu_features().get("avx512f"):
-        # x264's code for AVX-512 reads what nobody has written: the same pictures then make other bits from process to process.
+        # x264's code for AVX-512 reads what nobody has written: the same images then make other bits from process to process.
         options["x264-params"] = "asm=avx2"
     try:
         stream = container.add_stream("libx264", rate=rate, options=options)
@@ -153,7 +153,7 @@ class _Sound:
             self._blocks = sound_blocks(source, audio, start, rate, self._stream.layout.name)
 
     def write_until(self, seconds: float) -> None:
-        """Encode the sound up to that second, so that it lies next to its pictures in the file."""
+        """Encode the sound up to that second, so that it lies next to its images in the file."""
         if self._stream is None:
             return
         wanted = round(seconds * self._stream.rate) - self._written
@@ -192,7 +192,7 @@ def sound_blocks(
         container.seek(int((start - _AUDIO_PREROLL) / audio.time_base), stream=audio)
     resampler = av.AudioResampler("fltp", layout, rate)
     surplus: int | None = None  # samples that come before the first wanted one
-    with contextlib.suppress(av.FFmpegError):  # damaged sound ends early and costs no pictures
+    with contextlib.suppress(av.FFmpegError):  # damaged sound ends early and costs no images
         for decoded in container.decode(audio):
             if surplus is None:
                 surplus = round((start - (decoded.time or 0.0)) * rate)

@@ -6,7 +6,7 @@ import av
 import numpy as np
 import pytest
 
-from flowsplat.pictures.gif import write_gif
+from flowsplat.images.gif import write_gif
 
 
 def test_frames_come_back_in_their_colors(tmp_path):

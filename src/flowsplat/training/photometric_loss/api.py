@@ -1,4 +1,4 @@
-"""The picture loss, and the one place that picks who computes it."""
+"""The photometric loss, and the one place that picks who computes it."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from flowsplat.common import devices
 from flowsplat.common.devices import Kernels
 
 Plane = np.ndarray | Tensor
-"""A picture in the memory of the host, or on a device."""
+"""An image in the memory of the host, or on a device."""
 
 
 @dataclass(frozen=True)
-class PictureTargets:
-    """What a picture should show.
+class PhotometricTargets:
+    """What an image should show.
 
     Attributes:
         color: [H, W, 3] uint8.
@@ -34,19 +34,19 @@ class PictureTargets:
     flow: Plane | None = None
     flow_trusted: Plane | None = None
 
-    def to(self, device: torch.device) -> PictureTargets:
+    def to(self, device: torch.device) -> PhotometricTargets:
         """As tensors of a device, those that are there already as they are."""
 
         def moved(plane: Plane | None) -> Any:
             return None if plane is None else devices.upload(plane, device)
 
-        return PictureTargets(
+        return PhotometricTargets(
             moved(self.color), moved(self.depth), moved(self.depth_trusted), moved(self.flow), moved(self.flow_trusted)
         )
 
 
 @dataclass(frozen=True)
-class PictureWeights:
+class PhotometricWeights:
     """Weights of the parts (METHOD 5).
 
     Attributes:
@@ -64,7 +64,7 @@ class PictureWeights:
 
 
 @dataclass(frozen=True)
-class PictureFigures:
+class ImageFigures:
     """The parts before their weights, and the mean squared error of the colors clamped to 0..1.
 
     Tensors where they were computed on a GPU, so that the host need not wait for them.
@@ -76,34 +76,34 @@ class PictureFigures:
     squared_error: float | Tensor
 
 
-class PictureLossKernels(Protocol):
+class PhotometricLossKernels(Protocol):
     """What each of the twins has."""
 
-    def picture_loss(
-        self, image: Tensor, alpha: Tensor, flow_channels: int, targets: PictureTargets, weights: PictureWeights
-    ) -> tuple[Tensor, PictureFigures]:
+    def photometric_loss(
+        self, image: Tensor, alpha: Tensor, flow_channels: int, targets: PhotometricTargets, weights: PhotometricWeights
+    ) -> tuple[Tensor, ImageFigures]:
         """As below."""
 
 
-def _twin(kernels: Kernels) -> PictureLossKernels:
+def _twin(kernels: Kernels) -> PhotometricLossKernels:
     """Who computes it, imported only where that is needed."""
     if kernels == "cpu":
-        from flowsplat.training.picture_loss import cpu
+        from flowsplat.training.photometric_loss import cpu
 
         return cpu
     if kernels == "triton":
-        from flowsplat.training.picture_loss import triton
+        from flowsplat.training.photometric_loss import triton
 
         return triton
-    from flowsplat.training.picture_loss import reference
+    from flowsplat.training.photometric_loss import reference
 
     return reference
 
 
-def picture_loss(
-    image: Tensor, alpha: Tensor, flow_channels: int, targets: PictureTargets, weights: PictureWeights
-) -> tuple[Tensor, PictureFigures]:
-    """L_color + weight L_flow + weight L_depth of a rendered picture (METHOD 5), differentiable in image and alpha.
+def photometric_loss(
+    image: Tensor, alpha: Tensor, flow_channels: int, targets: PhotometricTargets, weights: PhotometricWeights
+) -> tuple[Tensor, ImageFigures]:
+    """L_color + weight L_flow + weight L_depth of a rendered image (METHOD 5), differentiable in image and alpha.
 
     L_color is (1 - gamma_1) L1 + gamma_1 (1 - SSIM); SSIM has an 11 x 11 Gaussian window of sigma 1.5 and zeros beyond the
     border, as 3D Gaussian Splatting trains with. L_flow is the mean error in pixels over trusted pixels and both components;
@@ -121,4 +121,4 @@ def picture_loss(
     Returns:
         the loss, a scalar, and its parts.
     """
-    return _twin(devices.kernels_for(image)).picture_loss(image, alpha, flow_channels, targets, weights)
+    return _twin(devices.kernels_for(image)).photometric_loss(image, alpha, flow_channels, targets, weights)

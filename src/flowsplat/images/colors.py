@@ -1,4 +1,4 @@
-"""Numbers to colors: the optical flow wheel, depth, error. Pictures in and out are RGB."""
+"""Numbers to colors: the optical flow wheel, depth, error. Images in and out are RGB."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def depth_to_color(depth: np.ndarray, near: float, far: float) -> np.ndarray:
 
 
 def error_to_color(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Mean absolute difference of two pictures (uint8, or float between 0 and 1) as [H, W, 3] uint8 heat.
+    """Mean absolute difference of two images (uint8, or float between 0 and 1) as [H, W, 3] uint8 heat.
 
     Black is equal, pale yellow a quarter or more (1 = black against white).
     """
@@ -130,7 +130,7 @@ def object_color(number: int) -> tuple[int, int, int]:
 
 
 def tinted(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """The picture [H, W, 3] uint8 in gray, moving objects tinted by their numbers in ``mask`` [H, W] (0 = background)."""
+    """The image [H, W, 3] uint8 in gray, moving objects tinted by their numbers in ``mask`` [H, W] (0 = background)."""
     gray = np.repeat(image.mean(-1, keepdims=True) * 0.8, 3, -1)
     colored = 0.45 * image + 0.55 * _OBJECTS[(mask.astype(int) - 1) % len(_OBJECTS)]
     return np.where(mask[..., None] > 0, colored, gray).astype(np.uint8)

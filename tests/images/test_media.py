@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from flowsplat.common.errors import InputError
-from flowsplat.pictures.media import open_media
-from flowsplat.pictures.sound import keep_sound
-from flowsplat.pictures.video import write_mp4
+from flowsplat.images.media import open_media
+from flowsplat.images.sound import keep_sound
+from flowsplat.images.video import write_mp4
 
 
 def a_film(path):
@@ -76,7 +76,7 @@ def test_what_has_no_sound_keeps_none(tmp_path):
     assert not (tmp_path / "kept.flac").exists()
 
 
-def test_films_of_pictures_that_are_too_large_are_refused(tmp_path):
+def test_films_of_images_that_are_too_large_are_refused(tmp_path):
     with av.open(str(tmp_path / "a.mov"), "w") as container:
         stream = container.add_stream("png", rate=5)
         stream.pix_fmt, stream.width, stream.height = "gray", 8000, 7000

@@ -1,0 +1,5 @@
+"""What a rendered image is trained by: color (L1 and SSIM), flow and depth in one operation, with its gradient."""
+
+from flowsplat.training.photometric_loss.api import PhotometricTargets, PhotometricWeights, photometric_loss
+
+__all__ = ["PhotometricTargets", "PhotometricWeights", "photometric_loss"]
