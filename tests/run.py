@@ -171,7 +171,7 @@ class Run:
         return failed
 
 
-def say(text: str, began: float) -> None:
+def report(text: str, began: float) -> None:
     """A line with the minutes so far."""
     seconds = round(time.monotonic() - began)
     print(f"\n=== {seconds // 60}:{seconds % 60:02} {text}", flush=True)
@@ -186,7 +186,7 @@ def run(everything: bool, work: Path, running: Run, tally: Tally) -> int:
         "FLOWSPLAT_TESTS_SHARED": str(work / "shared"), "FLOWSPLAT_CACHE": str(work / "cache"),
         "NUMBA_CACHE_DIR": str(kernels_folder()),
     }  # fmt: skip
-    say("lint, format, types; kernels are compiled, and a small run is trained", began)
+    report("lint, format, types; kernels are compiled, and a small run is trained", began)
     before = {
         part: [sys.executable, "-m", "tests.shared", part, str(work / "shared")] for part in ("kernels", "others", "finished")
     }
@@ -196,7 +196,7 @@ def run(everything: bool, work: Path, running: Run, tally: Tally) -> int:
         return 1
     codes, files = [], list[str]()
     for number, group in enumerate(GROUPS):
-        say(f"tests, {group.name}", began)
+        report(f"tests, {group.name}", began)
         measured = work / f"{number}.jsonl"
         try:
             process = running.begin(group.command(everything, measured, files), {**shared, **group.environment})
@@ -208,12 +208,12 @@ def run(everything: bool, work: Path, running: Run, tally: Tally) -> int:
             files = json.loads(measured.with_suffix(".alone").read_text(encoding="utf-8"))
         if codes[-1] not in (0, 1, NOTHING):
             print(f"Pytest ended with code {codes[-1]}: not all of these tests were run.")
-    say("the slowest", began)
+    report("the slowest", began)
     print("\n".join(tally.slowest()))
     if long := tally.to_be_marked():
-        say(f"these took more than {LONG:g} seconds of the processor and are not marked slow", began)
+        report(f"these took more than {LONG:g} seconds of the processor and are not marked slow", began)
         print("\n".join(long))
-    say("done", began)
+    report("done", began)
     return code_of(codes, tally)
 
 

@@ -155,7 +155,7 @@ def test_the_stages_one_by_one(capsys, scene, tmp_path):
     assert (out / "renders" / "input_path.mp4").exists()
     record = (out / "run.json").read_text()
     assert json.loads(record)["config"]["train"]["iterations"] == 6
-    code, error = call(capsys, "render", out, "--render.paths", "input", "--render.slow", "2")
+    code, error = call(capsys, "render", out, "--render.paths", "input", "--render.slow-motion", "2")
     assert code == 0, error
     assert {path.name for path in (out / "renders").glob("*path*.mp4")} >= {"input_path.mp4", "input_path_slow2.mp4"}
     assert "input_path_slow2.mp4" in (out / "report.html").read_text()
@@ -167,9 +167,9 @@ def test_the_stages_one_by_one(capsys, scene, tmp_path):
     assert "Gaussians of the objects: " + ", ".join(f"{n:,} of {m}" for m, n in counts.items()) in capsys.readouterr().out
     assert len(counts) > 1
     assert f"no object 99: there are {', '.join(counts)}" in refuse(capsys, "render", out, "--render.parts", "objects:99")
-    assert "no object 99" in refuse(capsys, "render", out, "--render.distances", "99=1.2")
+    assert "no object 99" in refuse(capsys, "render", out, "--render.object-depth", "99=1.2")
     obj, other = list(counts)[:2]
-    chosen = ("--render.paths", "bullet", "--render.max-frames", "2", "--render.distances", f"{obj}=1.2", f"{other}=.9")
+    chosen = ("--render.paths", "bullet", "--render.max-frames", "2", "--render.object-depth", f"{obj}=1.2", f"{other}=.9")
     assert call(capsys, "render", out, *chosen)[0] == 0
     assert (out / "renders" / f"bullet_time_distance_{obj}x1.2_{other}x0.9.mp4").exists()
     assert call(capsys, "info", scene)[0] == 0

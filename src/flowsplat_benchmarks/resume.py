@@ -20,7 +20,7 @@ from flowsplat.batch.work import Job as Work
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import Claims, make_folder, read_json, write_json
 from flowsplat.common.processes import usable_cores
-from flowsplat.common.progress import say
+from flowsplat.common.progress import report
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Job:
 def measure_jobs(
     jobs: Sequence[Job],
     out: Path,
-    report: Callable[[Mapping[str, str]], Path],
+    write_page: Callable[[Mapping[str, str]], Path],
     noun: str = "scenes",
     again: bool = False,
     options: EngineOptions | None = None,
@@ -73,7 +73,7 @@ def measure_jobs(
     Any number of processes may be called on one OUT at the same time; none is at work on what another one measures.
 
     Args:
-        report: called after every job with the failed ones and why, writes the page and returns its path.
+        write_page: called after every job with the failed ones and why, writes the page and returns its path.
         noun: what the jobs are, for messages.
         again: measure also what is measured already.
         options: see ``BenchmarkOptions``.
@@ -91,10 +91,10 @@ def measure_jobs(
     chosen = [job for job in jobs if job.name in mine]
     to_do = [job for job in chosen if again or not job.is_measured(make_folder(out))]
     if len(to_do) < len(chosen):
-        say(f"{len(chosen) - len(to_do)} of {len(chosen)} {noun} were measured already.")
-    failed = _worked(to_do, out, report, noun, again, options, workers, device) if to_do else {}
-    page = report(failed)
-    say(f"Look at {page}")
+        report(f"{len(chosen) - len(to_do)} of {len(chosen)} {noun} were measured already.")
+    failed = _worked(to_do, out, write_page, noun, again, options, workers, device) if to_do else {}
+    page = write_page(failed)
+    report(f"Look at {page}")
     if failed:
         first = next(iter(failed))
         raise InputError(f"{len(failed)} of {len(chosen)} {noun} could not be run, first {first}: {failed[first]}")
@@ -102,7 +102,7 @@ def measure_jobs(
 
 
 def _worked(
-    jobs: Sequence[Job], out: Path, report: Callable[[Mapping[str, str]], Path], noun: str, again: bool, options: EngineOptions,
+    jobs: Sequence[Job], out: Path, write_page: Callable[[Mapping[str, str]], Path], noun: str, again: bool, options: EngineOptions,
     workers: int, device: str,
 ) -> dict[str, str]:  # fmt: skip
     """Do them; the names of those that failed, and why."""
@@ -123,8 +123,8 @@ def _worked(
                 if scheduler.ended[name] != "done":
                     record = records.read(name)
                     failed[name] = record["reason"] if record else "its record is gone"
-                    say(f"{name} could not be run: {failed[name]}")
-                report(failed)
+                    report(f"{name} could not be run: {failed[name]}")
+                write_page(failed)
 
         Scheduler(work, engine, records, Claims(records.folder / "claims"), ENDED, shown).run()
     return failed
@@ -133,7 +133,7 @@ def _worked(
 def _measured(job: Job, out: Path, again: bool, attempt: Attempt) -> Mapping[str, Any]:
     """Measure a job, unless somebody has since it was asked for."""
     if again or not job.is_measured(out):
-        say(f"{job.name} ...")
+        report(f"{job.name} ...")
         write_json(job.file(out), {**job.measure(), "key": job.key})
     return {}
 

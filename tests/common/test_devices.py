@@ -12,7 +12,7 @@ from flowsplat.common.errors import InputError
 @pytest.fixture
 def without_gpu(monkeypatch):
     monkeypatch.setattr(devices, "gpu_problem", lambda: "nobody plugged it in")
-    progress.forget_said()
+    progress.forget_reported()
 
 
 @pytest.fixture

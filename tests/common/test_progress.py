@@ -12,7 +12,7 @@ import pytest
 from rich.console import Console
 
 from flowsplat.common import progress
-from flowsplat.common.progress import busy, progress_bar, track
+from flowsplat.common.progress import progress_bar, spinner, track
 
 WORK = """
 import time
@@ -31,10 +31,10 @@ for _ in progress.track(range(3), "Frames"):
 
 def test_what_goes_on_as_one_shows_no_parts(capsys):
     with progress.as_one("Whole"):
-        progress.say("Part.")
+        progress.report("Part.")
         for _ in track(range(2), "Parts"):
             pass
-    progress.say("After.")
+    progress.report("After.")
     assert capsys.readouterr().err.splitlines() == ["Whole ...", "After."]
 
 
@@ -54,7 +54,7 @@ def test_a_pipe_gets_a_line_now_and_then():
 def test_bars_inside_others_are_drawn_together(monkeypatch):
     screen = io.StringIO()
     monkeypatch.setattr(progress, "console", Console(file=screen, force_terminal=True, width=100))
-    with busy("Cameras"):
+    with spinner("Cameras"):
         for _ in track(range(4), "Following points"):
             time.sleep(0.03)
         assert len(progress._shown) == 1
@@ -66,7 +66,7 @@ def test_bars_inside_others_are_drawn_together(monkeypatch):
 
 
 def test_a_bar_that_failed_leaves_nothing_behind():
-    with pytest.raises(ZeroDivisionError), busy("Cameras"), progress_bar("Training", 3):
+    with pytest.raises(ZeroDivisionError), spinner("Cameras"), progress_bar("Training", 3):
         raise ZeroDivisionError
     assert progress._lines.bars == []
 

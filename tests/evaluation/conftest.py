@@ -1,4 +1,4 @@
-"""A world small enough to render exactly: a textured wall, and a textured card that slides in front of it."""
+"""A world small enough to render exactly: a textured wall, and a textured billboard that slides in front of it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from flowsplat.scenes import Depth, Flow, HeldoutView, Scene
 
 WIDTH, HEIGHT, FPS, COUNT = 80, 64, 10.0, 12
 K = np.array([[80.0, 0, 40], [0, 80, 32], [0, 0, 1]])
-WALL, CARD = 4.0, 2.0
+WALL, BILLBOARD = 4.0, 2.0
 
 
 def camera_at(x: float, y: float = 0.0, angle: float = 0.0) -> Camera:
@@ -28,7 +28,7 @@ def camera_at(x: float, y: float = 0.0, angle: float = 0.0) -> Camera:
     return Camera(viewmat, K, WIDTH, HEIGHT)
 
 
-def card_position(t: float) -> np.ndarray:
+def billboard_position(t: float) -> np.ndarray:
     return np.array([0.5 * t - 0.3, 0.1 * t, 0])
 
 
@@ -40,12 +40,12 @@ class World:
     moves: bool = True
 
     def _hits(self, camera: Camera, t: float) -> tuple[np.ndarray, np.ndarray]:
-        """World points [H, W, 3] and where they are on the card [H, W]."""
+        """World points [H, W, 3] and where they are on the billboard [H, W]."""
         ends = camera.unproject(pixel_grid(camera.width, camera.height), np.ones((camera.height, camera.width)))
         rays = ends - camera.center
-        walls, cards = (camera.center + rays * ((z - camera.center[2]) / rays[..., 2:]) for z in (WALL, CARD))
-        on_card = (np.abs(cards - card_position(t))[..., :2] < [0.45, 0.35]).all(-1)
-        return np.where(on_card[..., None], cards, walls), on_card
+        walls, billboards = (camera.center + rays * ((z - camera.center[2]) / rays[..., 2:]) for z in (WALL, BILLBOARD))
+        on_billboard = (np.abs(billboards - billboard_position(t))[..., :2] < [0.45, 0.35]).all(-1)
+        return np.where(on_billboard[..., None], billboards, walls), on_billboard
 
     def mask(self, camera: Camera, t: float) -> np.ndarray:
         return self._hits(camera, t)[1]
@@ -54,14 +54,14 @@ class World:
         t = t if self.moves else 0.0
         back = self.similarity.inverse()
         camera = back.camera(camera)
-        points, on_card = self._hits(camera, t)
-        own = points - on_card[..., None] * card_position(t)
-        phases = own[..., :1] * [7, 9, 11] + own[..., 1:2] * [8, -6, 5] + on_card[..., None] * [1.0, 2.0, 3.0]
+        points, on_billboard = self._hits(camera, t)
+        own = points - on_billboard[..., None] * billboard_position(t)
+        phases = own[..., :1] * [7, 9, 11] + own[..., 1:2] * [8, -6, 5] + on_billboard[..., None] * [1.0, 2.0, 3.0]
         color = np.round((0.5 + 0.4 * np.sin(phases)) * 255) / 255
         _, depth = camera.project(points)
         flow = None
         if flow_to is not None:
-            moved = points + on_card[..., None] * (card_position(flow_to[1]) - card_position(t))
+            moved = points + on_billboard[..., None] * (billboard_position(flow_to[1]) - billboard_position(t))
             flow = back.camera(flow_to[0]).project(moved)[0] - pixel_grid(camera.width, camera.height)
         depth = depth * self.similarity.scale
         alpha = np.ones(depth.shape, np.float32)

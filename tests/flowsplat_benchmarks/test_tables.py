@@ -36,6 +36,6 @@ def test_columns_are_means_of_those_that_have_it():
 
 
 def test_cells_without_emphasis():
-    assert plain("*relief*: true depth") == "relief: true depth"
+    assert plain("*shape offset*: true depth") == "shape offset: true depth"
     assert plain("bear, *tuned*") == "bear, tuned"
     assert plain("3 * 4 * 5") == "3 * 4 * 5"

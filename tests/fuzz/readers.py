@@ -37,7 +37,7 @@ from flowsplat.priors.given.tracks import read_tracks
 from flowsplat.priors.given.truth import consecutive_pairs
 from flowsplat.priors.objects import load_objects
 from flowsplat.priors.objects.distance import Cue
-from flowsplat.priors.objects.relief import ReliefPoints
+from flowsplat.priors.objects.shape_offset import ShapePoints
 from flowsplat.priors.objects.solving import DynamicObject
 from flowsplat.priors.objects.storage import SceneObjects, save_objects
 from flowsplat.priors.prepare import use_given, use_truth
@@ -103,7 +103,7 @@ def _run(folder: Path) -> None:
     scene = write_synthetic(folder / "scene", SPEC, holdout=3)
     use_truth(scene)
     frames = len(scene.train_frames)
-    points = ReliefPoints(np.zeros(5, int), np.full((5, 2), 9.0), np.zeros(5), np.full(5, 0.1))
+    points = ShapePoints(np.zeros(5, int), np.full((5, 2), 9.0), np.zeros(5), np.full(5, 0.1))
     cues = {"ground": Cue(0.1, 0.2, 0.3)}
     obj = DynamicObject(1, np.zeros(frames), np.full((frames, 2), 20.0), 0.1, False, cues, points, 0.05)
     save_objects(scene, SceneObjects([obj], np.array([0.0, -1.0, 0.0]), True))

@@ -84,8 +84,8 @@ def test_senseless_commands(tmp_path, monkeypatch, capfd, first, count):
         config.input.check()
         scene = Scene(Path(source))
         settle(scene, config.render)
-        parse_prompts(config.priors.mask_click, config.priors.mask_box, scene, config.priors.mask_not)
-        parse_hints(config.priors.touch, config.priors.distance, scene)
+        parse_prompts(config.priors.mask_click, config.priors.mask_box, scene, config.priors.mask_negative)
+        parse_hints(config.priors.contact, config.priors.same_depth, scene)
         raise SystemExit(0)
 
     monkeypatch.setattr(pipeline, "run", looked_at)

@@ -12,7 +12,7 @@ from flowsplat.common.errors import InputError
 from flowsplat.gaussians.gaussians4d import Gaussians4D, parameter_shapes
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.model_config import ModelConfig
-from flowsplat.gaussians.shadows import with_lit
+from flowsplat.gaussians.shadows import add_shadow_free
 from flowsplat.geometry import Camera, Similarity
 from flowsplat.splatting.harmonics import harmonics_from_colors
 from flowsplat.training.checkpoint import load_model, save_model
@@ -52,31 +52,31 @@ def wall(middles: np.ndarray) -> tuple[SceneModel, list[np.ndarray]]:
 def test_a_shadow_that_goes_by_is_gone_from_the_background_alone():
     middles = np.linspace(10, 86, FRAMES)
     model, masks = wall(middles)
-    lit = with_lit(model, [CAMERA] * FRAMES, TIMES, masks)
+    shadow_free = add_shadow_free(model, [CAMERA] * FRAMES, TIMES, masks)
     for k in (6, 12, 18):
         shaded = slice(int(middles[k]) - 5, int(middles[k]) + 5)
         before = model.render(CAMERA, TIMES[k]).color[:, shaded]
-        after = lit.part("background").render(CAMERA, TIMES[k]).color[:, shaded]
+        after = shadow_free.part("background").render(CAMERA, TIMES[k]).color[:, shaded]
         elsewhere = model.render(CAMERA, TIMES[(k + 12) % FRAMES]).color[:, shaded]
         assert before.mean() < 0.8 * elsewhere.mean()
         assert after.mean() == pytest.approx(elsewhere.mean(), rel=0.05)
-        np.testing.assert_array_equal(lit.render(CAMERA, TIMES[k]).color, model.render(CAMERA, TIMES[k]).color)
+        np.testing.assert_array_equal(shadow_free.render(CAMERA, TIMES[k]).color, model.render(CAMERA, TIMES[k]).color)
 
 
 def test_a_shadow_that_stays_cannot_be_told():
     model, masks = wall(np.full(FRAMES, 48.0))
-    lit = with_lit(model, [CAMERA] * FRAMES, TIMES, masks)
-    before, after = (each.part("background").render(CAMERA, 0.5).color for each in (model, lit))
+    shadow_free = add_shadow_free(model, [CAMERA] * FRAMES, TIMES, masks)
+    before, after = (each.part("background").render(CAMERA, 0.5).color for each in (model, shadow_free))
     np.testing.assert_allclose(before, after, atol=1e-6)
 
 
 def test_how_bright_it_is_without_is_kept_in_the_file(tmp_path):
     model, masks = wall(np.linspace(10, 86, FRAMES))
-    lit = with_lit(model, [CAMERA] * FRAMES, TIMES, masks)
-    save_model(tmp_path, lit)
-    assert torch.equal(load_model(tmp_path).gaussians.lit, lit.gaussians.lit)
-    assert torch.equal(lit.gaussians.select(torch.tensor([3, 1])).lit, lit.gaussians.lit[[3, 1]])
-    lit.gaussians.lit[0, 0] = float("nan")
-    save_model(tmp_path, lit)
+    shadow_free = add_shadow_free(model, [CAMERA] * FRAMES, TIMES, masks)
+    save_model(tmp_path, shadow_free)
+    assert torch.equal(load_model(tmp_path).gaussians.shadow_free, shadow_free.gaussians.shadow_free)
+    assert torch.equal(shadow_free.gaussians.select(torch.tensor([3, 1])).shadow_free, shadow_free.gaussians.shadow_free[[3, 1]])
+    shadow_free.gaussians.shadow_free[0, 0] = float("nan")
+    save_model(tmp_path, shadow_free)
     with pytest.raises(InputError, match="how bright a Gaussian is without shadows"):
         load_model(tmp_path)

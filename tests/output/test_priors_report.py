@@ -18,7 +18,7 @@ from flowsplat.pipeline import prepare
 from flowsplat.pipeline.config import RunConfig
 from flowsplat.priors.objects import SceneObjects
 from flowsplat.priors.objects.distance import Cue
-from flowsplat.priors.objects.relief import ReliefPoints
+from flowsplat.priors.objects.shape_offset import ShapePoints
 from flowsplat.priors.objects.solving import DynamicObject
 from flowsplat.priors.objects.storage import save_objects
 from flowsplat.priors.prepare import use_truth
@@ -85,7 +85,7 @@ def test_the_page_shows_what_moves_and_how_sure_its_distance_is(as_found, tmp_pa
     frames = len(as_found.train_frames)
     depth, middles = np.full(frames, np.log(2.0)), np.full((frames, 2), [32.0, 24.0])
     number = int(next(n for i in as_found.train_frames for n in np.unique(as_found.mask(i)) if n))
-    tied = DynamicObject(number, depth, middles, 0.05, True, {"pivot": Cue(0.0, 0.02, 0.05)}, ReliefPoints.none(), 0.0)
+    tied = DynamicObject(number, depth, middles, 0.05, True, {"pivot": Cue(0.0, 0.02, 0.05)}, ShapePoints.none(), 0.0)
     save_objects(as_found, SceneObjects([tied], np.array([0.0, -1.0, 0.0])))
     as_found.finish_prior("objects", method="motion", objects=1, rigid=1, tied=1, verdict="1 object")
     try:

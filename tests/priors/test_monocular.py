@@ -121,7 +121,7 @@ def test_on_a_tripod_frames_agree_and_the_scale_is_free(tmp_path: Path, relative
         scene.write_mask(i, scene.truth.mask(i))
     monocular_stage(scene, network(scene, relative))
     depths = [scene.depth(i) for i in scene.train_frames]
-    # Where the source does not know infinity, the wall's detail becomes its relief: other parts have another median.
+    # Where the source does not know infinity, the wall's detail becomes its shape offset: other parts have another median.
     always = np.all([scene.mask(i) == 0 for i in scene.train_frames], axis=0)
     walls = [float(np.median(d.depth[always])) for d in depths]
     bodies = [float(np.median(d.depth[scene.mask(i) > 0])) for d, i in zip(depths, scene.train_frames, strict=True)]

@@ -56,11 +56,11 @@ def test_corrections_belong_to_the_object_of_their_number(scene: Scene):
 @pytest.mark.parametrize(
     ("clicks", "beside", "message"),
     [
-        ([], ["10,20@3"], "--mask-not takes away from what --mask-click or --mask-box shows: give one of these, too"),
-        (["10,20@3"], ["10,20@3=2"], "--mask-not 10,20@3=2: there is no object 2; clicks and boxes show 1"),
+        ([], ["10,20@3"], "--mask-negative takes away from what --mask-click or --mask-box shows: give one of these, too"),
+        (["10,20@3"], ["10,20@3=2"], "--mask-negative 10,20@3=2: there is no object 2; clicks and boxes show 1"),
         (["10,20@3=1"], [], "--mask-click 10,20@3=1: there is no object 1; clicks and boxes show none"),
         (["10,20@3=one"], [], "behind = stands the number of an object, 1 or more"),
-        (["10,20@3"], ["10,20"], "--mask-not 10,20 cannot be understood"),
+        (["10,20@3"], ["10,20"], "--mask-negative 10,20 cannot be understood"),
         (["10,20@3"], ["10,20@3"], "say the opposite of one place on frame 3"),
     ],
 )

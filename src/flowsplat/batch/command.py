@@ -25,7 +25,7 @@ from flowsplat.batch.work import Engine
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import Claims, make_folder, read_json, write_json
 from flowsplat.common.files.json_file import Count, Text
-from flowsplat.common.progress import say
+from flowsplat.common.progress import report
 from flowsplat.common.settings import from_plain, to_plain
 from flowsplat.pipeline.config import RunConfig
 
@@ -122,7 +122,7 @@ def _work(
     page = _Page(out, records, names)
     jobs = [clip_job(clip, out.absolute(), options.upload) for clip in chosen]
     if len(chosen) < len(clips):
-        say(f"{len(chosen)} of {len(clips)} clips are this process's.")
+        report(f"{len(chosen)} of {len(clips)} clips are this process's.")
     claims = Claims(records.folder / "claims")
     with Progress() as progress:
 
@@ -132,7 +132,7 @@ def _work(
 
         scheduler = Scheduler(jobs, engine, records, claims, options.retry, shown)
         if scheduler.ended:
-            say(f"{len(scheduler.ended)} of {scheduler.total} clips have ended before: {_counted(scheduler.counts)}.")
+            report(f"{len(scheduler.ended)} of {scheduler.total} clips have ended before: {_counted(scheduler.counts)}.")
         try:
             ended = scheduler.run()
         finally:
@@ -140,9 +140,9 @@ def _work(
     for name, state in ended.items():
         if state != "done":
             record = records.read(name)
-            say(f"{name} was {state}: {record['reason'] if record else 'its record is gone'}")
-    say(summary(Counter(ended.values())))
-    say(f"Look at {out / NAME}")
+            report(f"{name} was {state}: {record['reason'] if record else 'its record is gone'}")
+    report(summary(Counter(ended.values())))
+    report(f"Look at {out / NAME}")
     return all(state == "done" for state in ended.values())
 
 
@@ -168,7 +168,7 @@ class _Page:
             try:
                 write_results(self._out, self._records, self._names, self._running())
             except InputError as error:  # the disk is full: who writes a record says so
-                say(str(error))
+                report(str(error))
             finally:
                 self._writing.release(PAGE)
         self._next = time.monotonic() + max(PAGE_EVERY, PAGE_SHARE * (time.monotonic() - began))
@@ -182,7 +182,7 @@ class _Page:
         try:
             write_results(self._out, self._records, self._names, self._running())
         except InputError as error:
-            say(str(error))
+            report(str(error))
         finally:
             if mine:
                 self._writing.release(PAGE)
@@ -219,7 +219,7 @@ def _status(out: Path, clips: Sequence[BatchClip], chosen: Collection[BatchClip]
     for entry in found:
         if entry["state"] in ("failed", "refused", "open", "running"):
             why = entry.get("worker") if entry["state"] == "running" else entry["reason"]
-            say(f"{entry['id']}: {entry['state']}" + (f", {why}" if why else ""))
-    say(summary(Counter(entry["state"] for entry in found)))
-    say(f"Look at {out / NAME}")
+            report(f"{entry['id']}: {entry['state']}" + (f", {why}" if why else ""))
+    report(summary(Counter(entry["state"] for entry in found)))
+    report(f"Look at {out / NAME}")
     return all(entry["state"] == "done" for entry in found)

@@ -231,7 +231,7 @@ class _Here:
             self._pipe.send((what, value))
 
 
-def say_into(log: Path) -> None:
+def report_into(log: Path) -> None:
     """From here on what this process says goes behind what ``log`` holds; what native code says, too."""
     with contextlib.suppress(OSError):
         file = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
@@ -243,7 +243,7 @@ def say_into(log: Path) -> None:
 def _serve(pipe: Connection, job: Job, fewer: bool, log: Path) -> None:
     """A process from its beginning to its end; what it says goes into ``log``."""
     end_with_parent()
-    say_into(log)
+    report_into(log)
     here, over = _Here(pipe, fewer), threading.Event()
 
     def tell() -> None:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from flowsplat.batch.embedded import MARGIN, PATIENCE, say_into
+from flowsplat.batch.embedded import MARGIN, PATIENCE, report_into
 from flowsplat.batch.records import Outcome
 from flowsplat.batch.work import Ended, Job, Running, outcome_of
 from flowsplat.common.errors import InputError, first_line
@@ -175,7 +175,7 @@ class _Here:
 
 def _do(job: Job, fewer: bool, gib: float | None, log: Path) -> Outcome | float:
     """A task: how the work ended, or, where nobody knows yet what it needs, that."""
-    say_into(log)
+    report_into(log)
     try:
         return outcome_of(job.call, _Here(fewer, gib is None))
     except _Needs as asked:

@@ -13,7 +13,7 @@ from markupsafe import Markup
 
 from flowsplat import __version__
 from flowsplat.batch.records import FOLDER, Record, Records
-from flowsplat.common.durations import duration
+from flowsplat.common.durations import format_duration
 from flowsplat.common.files import write_json
 from flowsplat.output.page import script_policy, write_page
 
@@ -130,7 +130,7 @@ def _entry(name: str, source: str | None, record: Record | None, who: str | None
 
 def _time(clips: Sequence[Mapping[str, Any]]) -> str:
     seconds = [clip["seconds"] for clip in clips if clip["state"] == "done" and clip["seconds"]]
-    return f"{duration(sum(seconds) / len(seconds))} a clip" if seconds else ""
+    return f"{format_duration(sum(seconds) / len(seconds))} a clip" if seconds else ""
 
 
 def _row(out: Path, clip: Mapping[str, Any]) -> dict[str, Any]:
@@ -146,7 +146,7 @@ def _row(out: Path, clip: Mapping[str, Any]) -> dict[str, Any]:
         **{key: clip.get(key) for key in ("id", "state", "psnr", "ssim", "gaussians", "seconds", "peak_memory_gib")},
         "grade": clip.get("grade") or "", "word": WORDS[clip["state"]], "fewer": clip["fewer_gaussians"],
         "text": clip.get("verdict") if is_done else clip["reason"], "attempts": clip["attempts"],
-        "time": duration(clip["seconds"]) if clip["seconds"] else "",
+        "time": format_duration(clip["seconds"]) if clip["seconds"] else "",
         "thumb": address(clip.get("thumb")), "video": address(clip.get("video")), "report": address(f"{name}/report.html"),
         "priors": address(f"{name}/priors.html"), "log": address(f"{FOLDER}/logs/{name}.log"), "uploaded": clip.get("uploaded"),
     }  # fmt: skip

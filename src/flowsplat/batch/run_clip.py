@@ -19,7 +19,7 @@ from flowsplat.batch.records import FOLDER
 from flowsplat.batch.upload import upload
 from flowsplat.batch.work import Attempt, Job
 from flowsplat.common.files import atomic_path
-from flowsplat.common.progress import say
+from flowsplat.common.progress import report
 from flowsplat.common.run_paths import RunPaths
 from flowsplat.common.source import source_state
 from flowsplat.evaluation.scores import pick
@@ -74,10 +74,10 @@ def run_clip(clip: BatchClip, out: Path, copies: str | None, attempt: Attempt) -
         InputError: as ``run``.
     """
     config = clip.config
-    say(f"{clip.id}: {clip.path}")
+    report(f"{clip.id}: {clip.path}")
     attempt.needs(_memory(clip.path, config.input))
     if attempt.fewer:
-        say("It has outgrown its memory before: fewer Gaussians this time.")
+        report("It has outgrown its memory before: fewer Gaussians this time.")
         config = fewer_gaussians(config)
     folder = out / clip.id
     metrics = run(clip.path, folder, replace(config, first_scene=False))  # nobody looks meanwhile

@@ -9,8 +9,8 @@ from rich.live import Live
 from rich.table import Table
 
 from flowsplat.batch.scheduler import Scheduler
-from flowsplat.common.durations import duration
-from flowsplat.common.progress import console, is_live, say
+from flowsplat.common.durations import format_duration
+from flowsplat.common.progress import console, is_live, report
 
 EVERY = 60.0
 """Seconds between two lines."""
@@ -44,7 +44,7 @@ class Progress:
             self._live.update(self._table(scheduler))
         elif time.monotonic() - self._said >= EVERY:
             self._said = time.monotonic()
-            say(self.line(scheduler))
+            report(self.line(scheduler))
 
     def line(self, scheduler: Scheduler) -> str:
         """How far it is, in words."""
@@ -57,7 +57,7 @@ class Progress:
             parts.append(f"{scheduler.elsewhere} elsewhere")
         if ended > 0:
             left = (scheduler.total - len(scheduler.ended)) * spent / ended
-            parts += [f"{3600 * ended / spent:.3g} an hour", f"{duration(left)} left"]
+            parts += [f"{3600 * ended / spent:.3g} an hour", f"{format_duration(left)} left"]
         return ", ".join(parts) + "."
 
     def _table(self, scheduler: Scheduler) -> Table:
@@ -66,5 +66,5 @@ class Progress:
             table.add_column(name, justify="right" if name in ("for", "GiB") else "left", no_wrap=True)
         for each in list(scheduler.engine.running())[:MOST_ROWS]:
             held = "" if each.gib is None else f"{each.gib:.1f}"
-            table.add_row(each.id, duration(each.seconds), held, each.doing)
+            table.add_row(each.id, format_duration(each.seconds), held, each.doing)
         return table

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from flowsplat.common.errors import InputError, first_line
-from flowsplat.common.progress import say
+from flowsplat.common.progress import report
 
 MANIFEST = "manifest.json"
 _BLOCK = 2**20
@@ -68,7 +68,7 @@ def upload(folder: Path, url: str) -> str:
     partial = f"{target}/.{MANIFEST}.partial"
     system.pipe_file(partial, json.dumps({"version": 1, "files": wanted}, indent=1).encode())
     system.mv(partial, manifest)
-    say(f"Copied: {len(files)} files to {target}")
+    report(f"Copied: {len(files)} files to {target}")
     return f"{url.rstrip('/')}/{folder.name}"
 
 

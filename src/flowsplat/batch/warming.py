@@ -9,7 +9,7 @@ from pathlib import Path
 
 from flowsplat.batch.embedded import Embedded
 from flowsplat.batch.work import Attempt, Job
-from flowsplat.common.progress import busy, say
+from flowsplat.common.progress import report, spinner
 from flowsplat.output.videos import RenderOptions
 from flowsplat.pipeline import run
 from flowsplat.pipeline.compiling import code_state, is_noted, note
@@ -29,7 +29,7 @@ def compile_kernels(device: str) -> None:
     marker, state = cache_file().with_name("compiled.json"), code_state(device)
     if is_noted(marker, state):
         return
-    with tempfile.TemporaryDirectory(prefix="flowsplat-") as folder, busy("Compiling the kernels, once"):
+    with tempfile.TemporaryDirectory(prefix="flowsplat-") as folder, spinner("Compiling the kernels, once"):
         engine = Embedded(Path(folder), 1)
         engine.start(Job("compile", "", _Tiny(device)), fewer=False)
         try:
@@ -37,7 +37,7 @@ def compile_kernels(device: str) -> None:
         finally:
             engine.stop()
         if ended.outcome.how != "done":
-            say(f"The kernels could not be compiled in advance: {ended.outcome.reason}.")
+            report(f"The kernels could not be compiled in advance: {ended.outcome.reason}.")
             return
     note(marker, state)
 

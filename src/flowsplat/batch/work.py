@@ -12,7 +12,7 @@ from typing import Any, Protocol
 from flowsplat.batch.records import Outcome
 from flowsplat.common.errors import InputError, InUseError, WritingError, first_line
 from flowsplat.common.memory import peak_memory
-from flowsplat.common.progress import say
+from flowsplat.common.progress import report
 
 
 class Attempt(Protocol):
@@ -109,7 +109,7 @@ def outcome_of(call: Call, attempt: Attempt) -> Outcome:
     except MemoryError:
         return ended("outgrew", "it asked for more memory than there is")
     except Exception as error:
-        say(traceback.format_exc())
+        report(traceback.format_exc())
         if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
             return ended("unwritable", f"The disk is full: {first_line(error)}.")
         if isinstance(error, RuntimeError) and ("out of memory" in str(error) or "allocate memory" in str(error)):  # of torch

@@ -15,7 +15,7 @@ from flowsplat.cli.command import benchmark_commands, functions_of
 from flowsplat.cli.help import message_of, short_help
 from flowsplat.common.durations import IMPORTED, command_begins
 from flowsplat.common.errors import InputError, one_line
-from flowsplat.common.progress import say
+from flowsplat.common.progress import report
 from flowsplat.common.stopping import Stopped, ignore_signals, signals_stop
 
 
@@ -65,7 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if whole_process:  # a second Ctrl-C would be a traceback of whatever the interpreter is closing
             ignore_signals()
         with contextlib.suppress(OSError):  # of a terminal that is closed
-            say("Stopped. The same command continues from here.")
+            report("Stopped. The same command continues from here.")
         sys.exit(128 + (error.signal if isinstance(error, Stopped) else 2))
     except BrokenPipeError:
         os._exit(0)
@@ -100,5 +100,5 @@ class _Deferred:
 
 
 def _fail(message: str) -> None:
-    say(f"Error: {one_line(message)}")
+    report(f"Error: {one_line(message)}")
     sys.exit(2)

@@ -4,7 +4,7 @@ import re
 
 USUAL = (
     "-h", "-o", "--preset", "--workers", "--memory", "--shard", "--engine", "--status", "--retry", "--only", "--device", "--start",
-    "--end", "--every", "--max-frames", "--resize", "--holdout", "--mask-click", "--touch", "--cameras.focal", "--given.masks",
+    "--end", "--every", "--max-frames", "--resize", "--holdout", "--mask-click", "--contact", "--cameras.focal", "--given.masks",
     "--train.iterations", "--render.paths",
 )  # fmt: skip
 """The options that --help shows of a command with more than ``MANY`` of them; --help-all shows all."""

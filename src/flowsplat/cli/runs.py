@@ -11,7 +11,7 @@ from typing import Any
 from flowsplat.cli.arguments import value_of
 from flowsplat.cli.command import preset_defaults
 from flowsplat.common.files import lease
-from flowsplat.common.progress import console, say
+from flowsplat.common.progress import console, report
 from flowsplat.common.run_paths import RunPaths
 from flowsplat.pipeline.config import RunConfig, check
 
@@ -59,6 +59,6 @@ def print_figures(metrics: dict[str, Any], out: Path) -> None:
 
     console.print(figures_table({"": metrics}))
     if metrics["heldout_frames"] is not None:
-        say(HOLDOUT_NOTE)
+        report(HOLDOUT_NOTE)
     for line in (verdict(metrics), *next_steps(out)):
-        say(line)
+        report(line)

@@ -59,9 +59,9 @@ def pick_device(name: str) -> torch.device:
         return torch.device("cuda")
     if name == "cuda":
         raise InputError(f"--device cuda does not work here: {problem}. Use --device cpu.")
-    from flowsplat.common.progress import say_once  # which a rasterizer alone does not need
+    from flowsplat.common.progress import report_once  # which a rasterizer alone does not need
 
-    say_once(f"Computing on the CPU: {problem}.")
+    report_once(f"Computing on the CPU: {problem}.")
     return torch.device("cpu")
 
 

@@ -22,7 +22,7 @@ def beginning() -> float:
     return time.perf_counter() if at is None else at
 
 
-def duration(seconds: float) -> str:
+def format_duration(seconds: float) -> str:
     """``"12.3 s"``, ``"4 min 5 s"`` or ``"1 h 20 min"``."""
     if seconds < 59.95:
         return f"{seconds:.1f} s"

@@ -22,7 +22,7 @@ from rich.progress import (
 )
 from rich.text import Text
 
-from flowsplat.common.durations import duration
+from flowsplat.common.durations import format_duration
 
 Item = TypeVar("Item")
 
@@ -35,10 +35,10 @@ console = Console(stderr=True, highlight=False)
 _parts: list[str] = []
 """What goes on as a whole, of whose parts nothing is shown."""
 _said: set[str] = set()
-"""What ``say_once`` has printed."""
+"""What ``report_once`` has printed."""
 
 
-def say(message: str) -> None:
+def report(message: str) -> None:
     """Print one line on stderr."""
     if not _parts:
         _print(message)
@@ -51,7 +51,7 @@ def _print(message: str) -> None:
 @contextlib.contextmanager
 def as_one(label: str) -> Iterator[None]:
     """One bar for all that goes on inside: its own bars and lines are not shown."""
-    with busy(label):
+    with spinner(label):
         _parts.append(label)
         try:
             yield
@@ -59,14 +59,14 @@ def as_one(label: str) -> Iterator[None]:
             _parts.remove(label)
 
 
-def say_once(message: str) -> None:
+def report_once(message: str) -> None:
     """Print one line, the first time only that it is to be said."""
     if not _parts and message not in _said:
         _said.add(message)
-        say(message)
+        report(message)
 
 
-def forget_said() -> None:
+def forget_reported() -> None:
     """What was said counts as not said."""
     _said.clear()
 
@@ -93,8 +93,8 @@ class Bar:
         """Where it is, in words."""
         spent, moved = time.monotonic() - self._since, self._done - self._first
         if self._total is None:
-            return f"{self._label}: {duration(spent)} so far"
-        left = f", {duration((self._total - self._done) * spent / moved)} left" if moved > 0 else ""
+            return f"{self._label}: {format_duration(spent)} so far"
+        left = f", {format_duration((self._total - self._done) * spent / moved)} left" if moved > 0 else ""
         return f"{self._label}: {self._done:g} of {self._total:g}{left}  {self._note}".rstrip()
 
 
@@ -175,7 +175,7 @@ def progress_bar(label: str, total: float | None, done: float = 0) -> Iterator[B
         yield Bar(label, total, done)
         return
     if not is_live():
-        say(f"{label} ...")
+        report(f"{label} ...")
         bar = Bar(label, total, done)
         _lines.begin(bar)
         try:
@@ -209,7 +209,7 @@ def _drawn() -> Iterator[Progress]:
             _shown.remove(progress)
 
 
-def busy(label: str) -> contextlib.AbstractContextManager[Bar]:
+def spinner(label: str) -> contextlib.AbstractContextManager[Bar]:
     """A bar that moves as long as something goes on of which nobody knows how long it takes; bars may be inside."""
     return progress_bar(label, None)
 

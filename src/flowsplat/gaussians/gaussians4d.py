@@ -81,11 +81,11 @@ class Gaussians4D:
             is computed in training depends on it. Left out it is 0 for all. It is not the same as ``dynamic``: a part of an
             object that turns out to rest is background and still belongs to it, and background that turns out to move belongs
             to none.
-        seen: [N, 2] float32, what the clip has seen of each (``support.seen_of``): how many of the frames that were asked, and how
-            far apart the directions are from which they did (root mean square, length of the difference of unit vectors). Known
+        seen: [N, 2] float32, what the clip has seen of each (``visibility.seen_of``): how many of the frames that were asked, and
+            how far apart the directions are from which they did (root mean square, length of the difference of unit vectors). Known
             after training; None = not known.
-        lit: [N, 1 + G] float32, how bright each is without the shadows of what moves (``shadows.with_lit``): the logarithm of a
-            factor of its color, and gains in place of ``log_gains``. Known after training; None = not known.
+        lit: [N, 1 + G] float32, how bright each is without the shadows of what moves (``shadows.add_shadow_free``): the logarithm
+            of a factor of its color, and gains in place of ``log_gains``. Known after training; None = not known.
     """
 
     params: dict[str, Tensor]
@@ -94,7 +94,7 @@ class Gaussians4D:
     sh_degree: int = 0
     object_ids: Tensor = field(default_factory=lambda: torch.zeros(0, dtype=torch.uint8))
     seen: Tensor | None = None
-    lit: Tensor | None = None
+    shadow_free: Tensor | None = None
     motion: MotionModel = field(init=False)
 
     def __post_init__(self) -> None:
@@ -111,8 +111,8 @@ class Gaussians4D:
             raise ValueError(f"object_ids must be {[len(self)]}, not {list(self.object_ids.shape)}")
         if self.seen is not None and self.seen.shape != (len(self), 2):
             raise ValueError(f"seen must be {[len(self), 2]}, not {list(self.seen.shape)}")
-        if self.lit is not None and self.lit.shape != (len(self), 1 + self.config.gains):
-            raise ValueError(f"lit must be {[len(self), 1 + self.config.gains]}, not {list(self.lit.shape)}")
+        if self.shadow_free is not None and self.shadow_free.shape != (len(self), 1 + self.config.gains):
+            raise ValueError(f"lit must be {[len(self), 1 + self.config.gains]}, not {list(self.shadow_free.shape)}")
 
     def __len__(self) -> int:
         return len(self.dynamic)
@@ -183,8 +183,10 @@ class Gaussians4D:
         if self.device == torch.device(device):
             return self
         params = {name: value.to(device) for name, value in self.params.items()}
-        seen, lit = (None if values is None else values.to(device) for values in (self.seen, self.lit))
-        return Gaussians4D(params, self.dynamic.to(device), self.config, self.sh_degree, self.object_ids.to(device), seen, lit)
+        seen, shadow_free = (None if values is None else values.to(device) for values in (self.seen, self.shadow_free))
+        return Gaussians4D(
+            params, self.dynamic.to(device), self.config, self.sh_degree, self.object_ids.to(device), seen, shadow_free
+        )
 
     @property
     def object_counts(self) -> dict[int, int]:
@@ -200,8 +202,8 @@ class Gaussians4D:
     def select(self, rows: Tensor) -> Gaussians4D:
         """A model of some of the Gaussians."""
         params = {name: value[rows] for name, value in self.params.items()}
-        seen, lit = (None if values is None else values[rows] for values in (self.seen, self.lit))
-        return Gaussians4D(params, self.dynamic[rows], self.config, self.sh_degree, self.object_ids[rows], seen, lit)
+        seen, shadow_free = (None if values is None else values[rows] for values in (self.seen, self.shadow_free))
+        return Gaussians4D(params, self.dynamic[rows], self.config, self.sh_degree, self.object_ids[rows], seen, shadow_free)
 
 
 def parameter_shapes(config: ModelConfig) -> dict[str, tuple[int, ...]]:

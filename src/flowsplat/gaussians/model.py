@@ -12,13 +12,13 @@ from torch import Tensor
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.threads import thread_count
+from flowsplat.gaussians.confidence_fade import apply_confidence_fade
 from flowsplat.gaussians.distances import Distances, check_factors
-from flowsplat.gaussians.fading import faded
 from flowsplat.gaussians.flow import FlowModel
 from flowsplat.gaussians.gaussians4d import Gaussians4D
-from flowsplat.gaussians.lit import without_shadows
 from flowsplat.gaussians.render import fill_uncovered, render
 from flowsplat.gaussians.renderer import Part, Renderer, Rendering, numbers_of
+from flowsplat.gaussians.shadow_free import without_shadows
 from flowsplat.geometry import Camera, Similarity
 from flowsplat.geometry.paths import CameraPath
 from flowsplat.splatting.api import BackendName
@@ -50,7 +50,7 @@ class SceneModel:
         distances: of objects that are shown elsewhere than they were trained (``at_distances``). Rendering knows them, nothing
             else.
         fading: the clip's cameras by clip time, in normalized coordinates, where what they tell too little of fades
-            (``fading_guesses``); None = nothing does.
+            (``fade_by_confidence``); None = nothing does.
     """
 
     gaussians: Gaussians4D
@@ -63,7 +63,7 @@ class SceneModel:
     backend: BackendName = "auto"
     graphs: bool = False
     distances: Distances | None = None
-    fading: CameraPath | None = None
+    confidence_fade: CameraPath | None = None
     _drawn_by: dict[tuple[int, int, bool, float], Any] = field(init=False, default_factory=dict, repr=False, compare=False)
 
     def __repr__(self) -> str:
@@ -133,9 +133,9 @@ class SceneModel:
 
     def gaussians_for(self, camera: Camera, t: float) -> Gaussians4D:
         """The Gaussians as ``camera`` is shown them at clip time ``t``: all of them, unless guesses fade."""
-        if self.fading is None:
+        if self.confidence_fade is None:
             return self.gaussians
-        return faded(self.gaussians, camera.center, self.fading.at(t).center)
+        return apply_confidence_fade(self.gaussians, camera.center, self.confidence_fade.at(t).center)
 
     def part(self, part: Part) -> SceneModel:
         """A model of objects alone or of the background alone: see ``PartedRenderer.part``.
@@ -164,11 +164,12 @@ class SceneModel:
         changed = {number: float(factor) for number, factor in factors.items() if factor != 1}
         return replace(self, distances=Distances(changed, self.clip_path(times, cameras)) if changed else None)
 
-    def fading_guesses(self, times: Sequence[float], cameras: Sequence[Camera]) -> SceneModel:
-        """The same scene without what the clip tells too little of: see ``PartedRenderer.fading_guesses``. Nothing is filled in."""
+    def fade_by_confidence(self, times: Sequence[float], cameras: Sequence[Camera]) -> SceneModel:
+        """The same scene without what the clip tells too little of: see ``PartedRenderer.fade_by_confidence``. Nothing is filled
+        in."""
         if self.gaussians.seen is None:
             raise InputError("It is not known what the clip has seen of this scene: it was trained by an earlier flowsplat.")
-        return replace(self, fading=self.clip_path(times, cameras), fill=False)
+        return replace(self, confidence_fade=self.clip_path(times, cameras), fill=False)
 
     def clip_path(self, times: Sequence[float], cameras: Sequence[Camera]) -> CameraPath:
         """The clip's cameras [T] at seconds [T] as a path in clip time and normalized coordinates."""

@@ -97,7 +97,7 @@ class PartedRenderer(Renderer, Protocol):
         """
         ...
 
-    def fading_guesses(self, times: Sequence[float], cameras: Sequence[Camera]) -> PartedRenderer:
+    def fade_by_confidence(self, times: Sequence[float], cameras: Sequence[Camera]) -> PartedRenderer:
         """The same scene in which what the clip tells too little of fades, the further a view is from the clip's own.
 
         Args:

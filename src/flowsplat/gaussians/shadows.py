@@ -60,8 +60,10 @@ _COVERED = 0.5
 _ROWS = 8192
 
 
-def with_lit(model: SceneModel, cameras: Sequence[Camera], times: Sequence[float], masks: Sequence[np.ndarray]) -> SceneModel:
-    """The scene with how bright its background is without what moves (``Gaussians4D.lit``).
+def add_shadow_free(
+    model: SceneModel, cameras: Sequence[Camera], times: Sequence[float], masks: Sequence[np.ndarray]
+) -> SceneModel:
+    """The scene with how bright its background is without what moves (``Gaussians4D.shadow_free``).
 
     Args:
         model: the trained scene.
@@ -108,12 +110,12 @@ def with_lit(model: SceneModel, cameras: Sequence[Camera], times: Sequence[float
     around = cKDTree(points).query(points[chosen[dark]], nearest)[1].reshape(len(dark), nearest)
     changed = dark[np.median(times_limit[around], 1) < -AGREE]
     kept = np.where(told[:, None], alone, seen & (shade > -DARKER))[changed]
-    lit = torch.cat([torch.zeros(len(g), 1), g.params["log_gains"].detach().float().cpu()], 1)
+    shadow_free = torch.cat([torch.zeros(len(g), 1), g.params["log_gains"].detach().float().cpu()], 1)
     if len(changed):
         target = np.where(kept, curve[changed], level[changed, None] + exposure)
         weight = np.where(seen[changed], 1.0, UNSEEN)
-        lit[rests.cpu()[torch.from_numpy(chosen[changed])]] = _fitted(target, weight, cosines).float()
-    return replace(model, gaussians=replace(g, lit=lit.to(g.device)))
+        shadow_free[rests.cpu()[torch.from_numpy(chosen[changed])]] = _fitted(target, weight, cosines).float()
+    return replace(model, gaussians=replace(g, shadow_free=shadow_free.to(g.device)))
 
 
 def _seen_beside_objects(

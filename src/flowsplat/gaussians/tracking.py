@@ -182,9 +182,13 @@ def _carry_along(
     for here, there in pairwise(order):
         forward = there > here
         alive = [q for q in carriers if (starts[q] <= here if forward else starts[q] >= here)]
-        faded = [alive[k] for k in np.flatnonzero(_are_faded(gaussians, [carriers[q] for q in alive], times[there]))]
-        successors = _take_over(gaussians, cameras[here], times[here], times[there], faded, carriers, points[:, here])
-        for q, successor in zip(faded, successors, strict=True):
+        apply_confidence_fade = [
+            alive[k] for k in np.flatnonzero(_are_faded(gaussians, [carriers[q] for q in alive], times[there]))
+        ]
+        successors = _take_over(
+            gaussians, cameras[here], times[here], times[there], apply_confidence_fade, carriers, points[:, here]
+        )
+        for q, successor in zip(apply_confidence_fade, successors, strict=True):
             if successor is None:
                 del carriers[q]
             else:
@@ -258,14 +262,15 @@ def _take_over(
     camera: Camera,
     t: float,
     to: float,
-    faded: list[int],
+    apply_confidence_fade: list[int],
     carriers: dict[int, _Carriers],
     points: np.ndarray,
 ) -> Iterator[_Carriers | None]:
-    """For every point in ``faded`` those of the same kind that are present where it is, now and at the next time."""
+    """For every point in ``apply_confidence_fade`` those of the same kind that are present where it is, now and at the next
+    time."""
     present = torch.minimum(gaussians.presence(t), gaussians.presence(to)) >= gaussians.config.p_min
     by_kind: dict[bool, list[int]] = defaultdict(list)
-    for q in faded:
+    for q in apply_confidence_fade:
         by_kind[bool(gaussians.dynamic[carriers[q].rows[0]])].append(q)
     found: dict[int, _Carriers] = {}
     for kind, members in by_kind.items():
@@ -279,7 +284,7 @@ def _take_over(
         weights, presence = _density(gaussians, near, points[members], t, depth / camera.K[0, 0])
         for k in np.flatnonzero(distance[:, 0] <= TOO_FAR * depth):
             found[members[k]] = _strongest(gaussians, near[k], weights[k], presence[k])
-    yield from (found.get(q) for q in faded)
+    yield from (found.get(q) for q in apply_confidence_fade)
 
 
 def _centers(gaussians: Gaussians4D, rows: Tensor, t: float) -> np.ndarray:

@@ -17,7 +17,7 @@ from llvmlite.binding import get_host_cpu_features
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import atomic_path
-from flowsplat.common.progress import say
+from flowsplat.common.progress import report
 from flowsplat.images.media import open_media
 
 SLOWEST, FASTEST = 0.1, 1000.0
@@ -140,11 +140,11 @@ class _Sound:
         try:
             source = self._source.enter_context(open_media(path))
         except (InputError, av.FFmpegError) as error:
-            say(f"The sound of {path} cannot be read ({error}): the video stays silent.")
+            report(f"The sound of {path} cannot be read ({error}): the video stays silent.")
             return
         audio = sound_track(source)
         if audio is None:
-            say(f"The sound of {path} cannot be decoded: the video stays silent.")
+            report(f"The sound of {path} cannot be decoded: the video stays silent.")
         else:
             rate = audio.rate if audio.rate in SOUND_RATES else SOUND_RATES[-1]
             self._stream = container.add_stream("aac", rate=rate)

@@ -12,7 +12,7 @@ from urllib.parse import quote
 import numpy as np
 from markupsafe import Markup
 
-from flowsplat.common.durations import duration
+from flowsplat.common.durations import format_duration
 from flowsplat.common.run_paths import RunPaths
 from flowsplat.evaluation.scores import pick
 from flowsplat.images.charts import Points, line_chart
@@ -209,7 +209,7 @@ def _headline(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
             "Gaussians",
             "" if active is None else f"{active:,.0f} active at a time",
         ),
-        card(Markup(duration(seconds)) if seconds else figure(None), "", "for everything", _memory(metrics)),
+        card(Markup(format_duration(seconds)) if seconds else figure(None), "", "for everything", _memory(metrics)),
     ]
 
 
@@ -261,10 +261,12 @@ def _tables(metrics: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
         yield {"title": "Objects", "remark": remark, "table": rows}
     seconds = metrics.get("seconds") or {}
     if seconds:
-        spent = [(_STAGES.get(stage, stage), duration(value)) for stage, value in seconds.items()]
+        spent = [(_STAGES.get(stage, stage), format_duration(value)) for stage, value in seconds.items()]
         whole = metrics.get("wall_seconds") or 0.0
-        spent.append(("compiling kernels, starting, and between the stages", duration(max(whole - sum(seconds.values()), 0.0))))
-        spent.append(("from start to end", duration(whole)))
+        spent.append(
+            ("compiling kernels, starting, and between the stages", format_duration(max(whole - sum(seconds.values()), 0.0)))
+        )
+        spent.append(("from start to end", format_duration(whole)))
         yield {"title": "Time", "remark": "", "table": table(("stage", "time"), spent, [len(spent) - 1])}
 
 
@@ -361,8 +363,8 @@ def _video_title(name: str) -> str:
     rest, moved, distances = rest.partition("_distance_")
     if moved:
         words.insert(0, ", ".join("object {} {} times as far".format(*entry.split("x")) for entry in distances.split("_")))
-    if rest.endswith("_fading"):
-        rest = rest.removesuffix("_fading")
+    if rest.endswith("_confidence_fade"):
+        rest = rest.removesuffix("_confidence_fade")
         words.insert(0, "without guesses")
     rest, slow, times = rest.partition("_slow")
     if slow:

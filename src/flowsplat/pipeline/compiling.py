@@ -22,7 +22,7 @@ from numba.core.sigutils import normalize_signature
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import make_folder, read_json, write_json
 from flowsplat.common.kernel_cache import kernels_folder
-from flowsplat.common.progress import busy
+from flowsplat.common.progress import spinner
 from flowsplat.common.source import PACKAGE, source_state
 from flowsplat.common.threads import core_left_to
 from flowsplat.common.user_cache import cache_folder
@@ -75,7 +75,7 @@ class Ahead:
     def wait(self) -> None:
         """Wait until it has ended: it began earlier than whoever would compile the same now."""
         if self._process is not None and self.is_busy:
-            with busy("Compiling the kernels, once"):
+            with spinner("Compiling the kernels, once"):
                 self._process.wait()
 
     def stop(self) -> None:

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 from flowsplat.common.devices import pick_device
-from flowsplat.common.durations import beginning, duration
+from flowsplat.common.durations import beginning, format_duration
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import make_folder, read_json, write_bytes, write_json
-from flowsplat.common.progress import say
+from flowsplat.common.progress import report
 from flowsplat.evaluation.scores import pick
 from flowsplat.pipeline.compiling import compiling_ahead
 from flowsplat.pipeline.config import RunConfig
@@ -59,18 +59,18 @@ def run_demo(out: Path, width: int = 320, frames: int = 40, world: World = "stre
     config = replace(config, train=replace(config.train, iterations=ITERATIONS))
     with compiling_ahead(pick_device(config.device).type) as ahead:
         truth = _drawn(out, spec, config)
-        say("Running on the video, as on any clip.")
+        report("Running on the video, as on any clip.")
         own = prepare(out / "clip.mp4", out / "own", config)
         ahead.wait()
     _lend_truth(truth, own.scene_path)
     train(own)
     own_metrics = render_run(own)
-    say("Running with the true cameras, depth, masks and flow.")
+    report("Running with the true cameras, depth, masks and flow.")
     true = prepare(truth.folder, out / "true", _to_compare(config, TRUE_ITERATIONS[world]))
     train(true)
     true_metrics = render_run(true)
     for line in _screen(out, world, spec, own, own_metrics, true_metrics, time.perf_counter() - begun):
-        say(line)
+        report(line)
 
 
 def _clip_of(world: World, width: int, frames: int) -> tuple[DrawnClip, dict[str, Any]]:
@@ -116,7 +116,7 @@ def _screen(
 ) -> Iterator[str]:
     """What was made, a figure along the path, one from aside, and what to do next."""
     yield ""
-    yield f"Made in {duration(seconds)}: {out / 'clip.mp4'}, {spec.frames} frames of {SHOWN[world]},"
+    yield f"Made in {format_duration(seconds)}: {out / 'clip.mp4'}, {spec.frames} frames of {SHOWN[world]},"
     yield f"became a 4D scene by its images alone, as your own clip would: {own.path}."
     frames, between = (pick(metrics, *path, "psnr") for path in (("heldout_frames",), ("baselines", "flow_interpolation")))
     if frames is not None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from flowsplat import __version__
 from flowsplat.common.devices import backends
-from flowsplat.common.durations import duration
+from flowsplat.common.durations import format_duration
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_json
 from flowsplat.common.files.lease import holder
@@ -58,7 +58,7 @@ def _describe_run(folder: RunFolder) -> Iterator[str]:
         entry = folder.record["stages"].get(stage)
         if (stage == "final" and not folder.config.final_fit) or (stage == "first" and entry is None):
             continue
-        state = "not finished" if entry is None else f"finished in {duration(sum(entry['seconds'].values()))}"
+        state = "not finished" if entry is None else f"finished in {format_duration(sum(entry['seconds'].values()))}"
         yield f"  {stage}: {state}"
     metrics = folder.metrics_path
     if metrics.exists():

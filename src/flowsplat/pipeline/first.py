@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from flowsplat.common.devices import pick_device
-from flowsplat.common.progress import as_one, say
+from flowsplat.common.progress import as_one, report
 from flowsplat.common.run_paths import RunPaths
 from flowsplat.gaussians.observations import load_observations
 from flowsplat.images.colors import float_to_bytes
@@ -121,15 +121,15 @@ def first_scene(folder: RunFolder, clip: Clip) -> None:
 def _make_first(folder: RunFolder, stage: Stage, clip: Clip, where: RunPaths, settings: TrainConfig) -> None:
     coarse = CoarseClip.of(clip, folder.config.input.holdout)
     device = pick_device(folder.config.device)
-    say(f"First a coarse scene of {coarse.num_frames} small frames, to look at meanwhile (--no-first-scene leaves it out).")
+    report(f"First a coarse scene of {coarse.num_frames} small frames, to look at meanwhile (--no-first-scene leaves it out).")
     try:
         with as_one("A first scene"):
             _make(folder, coarse, where, settings, device)
     except Exception as error:  # Nothing depends on it: whatever it fails of, memory too, the run goes on.
-        say(f"There is no first scene: {error or type(error).__name__}")
+        report(f"There is no first scene: {error or type(error).__name__}")
         return
     stage.finish()
-    say(f"Look at it: flowsplat view {folder.path}, or {where.renders_path}. It is coarse: the scene proper takes its place.")
+    report(f"Look at it: flowsplat view {folder.path}, or {where.renders_path}. It is coarse: the scene proper takes its place.")
 
 
 def _make(folder: RunFolder, coarse: CoarseClip, where: RunPaths, settings: TrainConfig, device: torch.device) -> None:

@@ -13,14 +13,14 @@ from flowsplat.common.devices import pick_device
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import lease, remove_partials, write_json
 from flowsplat.common.memory import give_back_memory
-from flowsplat.common.progress import busy, say
+from flowsplat.common.progress import report, spinner
 from flowsplat.common.settings import to_plain
 from flowsplat.gaussians.gaussians4d import Gaussians4D
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.observations import Observation, Observations, load_observations
 from flowsplat.gaussians.render import RenderedFrame
-from flowsplat.gaussians.shadows import with_lit
-from flowsplat.gaussians.support import with_seen
+from flowsplat.gaussians.shadows import add_shadow_free
+from flowsplat.gaussians.visibility import with_seen
 from flowsplat.images.colors import float_to_bytes
 from flowsplat.images.sheets import preview_sheet
 from flowsplat.output.videos import forget_videos
@@ -69,7 +69,7 @@ def _train(folder: RunFolder) -> SceneModel:
     key = train_key(folder)
     if not folder.is_finished("train", key) and not folder.was_started("train", key):
         if folder.model_path.exists() or folder.training_path.exists():
-            say("The settings of training, or the scene, are others than before: it begins anew.")
+            report("The settings of training, or the scene, are others than before: it begins anew.")
         forget_videos(folder.renders_path)
     owns = folder.training_path, folder.logs_path, folder.final_path, folder.model_path
     with folder.stage("train", key, owns, drops=("final",), made=has_model(folder.model_path)) as stage:
@@ -98,7 +98,7 @@ def _trained(
         visits: how often each frame is drawn in a round; None = once.
     """
     scene = Scene(folder.scene_path)
-    with busy("Loading frames and priors"):
+    with spinner("Loading frames and priors"):
         tracks, observations = scene.tracks if scene.has_tracks else None, observe(scene)
 
     def preview(step: int, frame: Observation, rendered: RenderedFrame) -> None:
@@ -116,11 +116,11 @@ def _trained(
     del trainer, observations, tracks, start  # What it was trained with is larger than the model.
     give_back_memory()
     if begin is not static_start:
-        with busy("Finding what the clip has seen of the scene"):
+        with spinner("Finding what the clip has seen of the scene"):
             model = with_seen(model, scene.cameras, scene.timestamps.tolist())
             of = scene.train_frames
             seconds = [float(scene.timestamps[i]) for i in of]
-            model = with_lit(model, [scene.cameras[i] for i in of], seconds, [scene.mask(i) for i in of])
+            model = add_shadow_free(model, [scene.cameras[i] for i in of], seconds, [scene.mask(i) for i in of])
     save_model(model_path, model)
     write_json(where / HISTORY, history)
     stage.finish({name: earlier + stage.seconds[name]})
@@ -160,7 +160,7 @@ def static_model(folder: RunFolder) -> SceneModel:
         if stage.is_done:
             return load_model(path).to(pick_device(folder.config.device))
         config = static_config(folder.config.train)
-        say("Training the static scene for comparison.")
+        report("Training the static scene for comparison.")
         quarter = replace(config, iterations=max(1, config.iterations // 4))
         return _trained(folder, stage, "static", quarter, path, path, static_start)
 
@@ -196,7 +196,7 @@ def fit_heldout(folder: RunFolder) -> None:
 
 def _fit_heldout(folder: RunFolder, stage: Stage) -> None:
     scene, config = Scene(folder.scene_path), folder.config
-    say(f"Fitting the {len(scene.heldout_frames)} held-out frames, too, for what is shown: they are measured already.")
+    report(f"Fitting the {len(scene.heldout_frames)} held-out frames, too, for what is shown: they are measured already.")
 
     def observe(scene: Scene) -> Observations:
         layers = Layers(folder.final_path / "priors", scene.width, scene.height)

@@ -17,7 +17,7 @@ from flowsplat.common.files import lease, remove_partials, write_json
 from flowsplat.common.files.lease import NAME as LOCK
 from flowsplat.common.files.writing import writing_error
 from flowsplat.common.memory import begin_peak, give_back_memory, recent_peak
-from flowsplat.common.progress import busy, say
+from flowsplat.common.progress import report, spinner
 from flowsplat.common.run_paths import RunPaths
 from flowsplat.common.settings import to_plain
 from flowsplat.output.priors_report import verdict, write_priors_report
@@ -58,7 +58,7 @@ def prepared(source: Path, out: Path, config: RunConfig, first: Callable[[RunFol
     if kind == "scene":
         Scene(source)
         if config.input != InputOptions():
-            say(f"{source} is prepared already: what options or the preset take from a clip has no effect on it.")
+            report(f"{source} is prepared already: what options or the preset take from a clip has no effect on it.")
     elif is_new:
         clip = open_clip(source, config.input)  # Whatever is wrong with it is said before a folder is made.
     before = {} if is_new else RunFolder(out).record
@@ -90,7 +90,7 @@ def _put_aside(folder: RunFolder, before: Mapping[str, Any]) -> Iterator[None]:
         old, new = before["config"].get("priors", {}), to_plain(folder.config.priors)
         other = PRIORS.depending_on([name for name in new if old.get(name) != new[name]])
         which = f" ({', '.join(other)})" if other else ""
-        say(f"The settings of the priors, or the files given for them, changed{which}: they are computed again.")
+        report(f"The settings of the priors, or the files given for them, changed{which}: they are computed again.")
     aside = folder.path / ASIDE
     folder.forget("prepare")
     shutil.rmtree(aside, ignore_errors=True)
@@ -129,10 +129,10 @@ def _compute_scene(
             _clear(folder.path)
         raise
     for note in scene.info.notes:
-        say(note)
+        report(note)
     compiling = are_missing(pick_device(config.device).type)
     speed, reference = Speed(config.device), expected(scene, config, compiling)
-    _say_estimate(scene, speed.estimate(reference), compiling)
+    _report_estimate(scene, speed.estimate(reference), compiling)
     ingested = time.perf_counter() - started
     if show is not None and tells:
         show()
@@ -148,7 +148,7 @@ def _compute_scene(
         if prior == "cameras":
             if took >= TELLING and reference["cameras"] > 0 and watch.was_quiet() and not compiling:
                 speed.seen(took / reference["cameras"])
-            say(f"Left of a whole run: {speed.estimate(reference, STAGES[2:], folder.wall_seconds)}.")
+            report(f"Left of a whole run: {speed.estimate(reference, STAGES[2:], folder.wall_seconds)}.")
 
     had = set(scene.info.priors)
     try:
@@ -157,11 +157,11 @@ def _compute_scene(
         if is_new and all(name in had or how.get("method") in BROUGHT for name, how in scene.info.priors.items()):
             _clear(folder.path)
         raise
-    with busy("Writing priors.html"):
+    with spinner("Writing priors.html"):
         page = write_priors_report(folder.path, scene, seconds)
-    say(f"{verdict(scene)} Look at {page}")
+    report(f"{verdict(scene)} Look at {page}")
     if "depth" in seconds:
-        say(f"Left of a whole run: {speed.estimate(reference, STAGES[3:], folder.wall_seconds)}.")
+        report(f"Left of a whole run: {speed.estimate(reference, STAGES[3:], folder.wall_seconds)}.")
     stage.finish({"ingest": ingested, **seconds}, memory)
 
 
@@ -230,9 +230,9 @@ def link_files(source: Path, target: Path) -> None:
         raise InputError(f"Cannot copy {source} to {target}: {error.strerror or error}.") from error
 
 
-def _say_estimate(scene: Scene, estimate: Estimate, compiling: bool) -> None:
+def _report_estimate(scene: Scene, estimate: Estimate, compiling: bool) -> None:
     gib = expected_memory(scene.width, scene.height, len(scene.train_frames))
-    say(
+    report(
         f"{scene.num_frames} frames of {scene.width} x {scene.height}, {len(scene.heldout_frames)} of them held out: "
         f"{estimate} and {gib:.1f} GiB for a whole run{', which compiles the kernels this once' if compiling else ''}."
     )

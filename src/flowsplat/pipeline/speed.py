@@ -24,7 +24,7 @@ from flowsplat.common.devices import pick_device
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import make_folder, read_json, write_json
 from flowsplat.common.kernel_cache import compiled_kernels
-from flowsplat.common.progress import busy
+from flowsplat.common.progress import spinner
 from flowsplat.common.threads import open_cv_threads, restore_open_cv
 from flowsplat.common.user_cache import cache_folder
 from flowsplat.pipeline.config import RunConfig
@@ -224,7 +224,7 @@ def self_test(seconds: float = TEST_SECONDS) -> float:
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     try:
-        with busy("How fast is this machine?"):
+        with spinner("How fast is this machine?"):
             end = time.perf_counter() + seconds
             while time.perf_counter() < end or len(took) < 3:
                 began = time.thread_time()  # what else runs here costs time, but not of this

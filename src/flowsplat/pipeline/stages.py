@@ -16,7 +16,7 @@ from flowsplat.common.errors import InputError
 from flowsplat.common.files import hash_files, lease, read_json, require_keys, write_json
 from flowsplat.common.files.json_file import Number
 from flowsplat.common.memory import recent_peak
-from flowsplat.common.progress import busy
+from flowsplat.common.progress import spinner
 from flowsplat.common.run_paths import RunPaths
 from flowsplat.evaluation.evaluate import evaluate
 from flowsplat.evaluation.poses import refine_camera
@@ -170,7 +170,7 @@ def _write_metrics(folder: RunFolder, result: _Result, metrics: dict[str, Any], 
     metrics["shown"] = (folder.final_path if has_model(folder.final_path) else folder.model_path).name
     write_json(folder.metrics_path, metrics)
     history = read_history(folder.training_path / HISTORY)
-    with busy("Writing report.html"):
+    with spinner("Writing report.html"):
         data = report_data(folder.path, result.scene, result.flows, metrics, history, folder.config)
         write_report(folder.path, data)
 

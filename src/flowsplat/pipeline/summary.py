@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from flowsplat.common.durations import duration
+from flowsplat.common.durations import format_duration
 from flowsplat.common.errors import InputError
 from flowsplat.common.run_paths import RunPaths
 from flowsplat.common.settings import flat, to_plain
@@ -66,7 +66,7 @@ def figures_table(runs: Mapping[str, Mapping[str, Any]]) -> Table:
         values = [pick(metrics, *path) for metrics in runs.values()]
         if any(value is not None for value in values):
             table.add_row(label, *("–" if value is None else format(value, style) for value in values))
-    table.add_row("time", *(duration(metrics.get("wall_seconds", 0.0)) for metrics in runs.values()))
+    table.add_row("time", *(format_duration(metrics.get("wall_seconds", 0.0)) for metrics in runs.values()))
     return table
 
 

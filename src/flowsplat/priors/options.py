@@ -29,12 +29,12 @@ class PriorsOptions:
     first."""
     mask_box: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """A box round a moving object: x0,y0,x1,y1@frame. A click inside it on the same frame belongs to it."""
-    mask_not: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    mask_negative: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """What is none of these objects, or not the one of a number: x,y@frame or x,y@frame=1. Any frame will do."""
-    touch: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    contact: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """Where something that moves touches what is still, the ground, say: x,y@frame, as for --mask-click. One such place tells how
     far away it is over the whole clip. Repeat it for more."""
-    distance: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    same_depth: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """What something that moves is as far away as: x,y@frame=x2,y2, where x2,y2 shows something still in that frame."""
     depth: Literal["multiview", "depth-anything", "depth-pro"] = "multiview"
     """Depth: multiview (no weights), or a monocular network of the extra ``learned``, fitted to the cameras frame by frame."""
@@ -48,4 +48,4 @@ class PriorsOptions:
 
 def names_places(options: PriorsOptions) -> bool:
     """Whether clicks, boxes or distances are given, which a clip has to be read for."""
-    return bool(options.mask_click or options.mask_box or options.mask_not or options.touch or options.distance)
+    return bool(options.mask_click or options.mask_box or options.mask_negative or options.contact or options.same_depth)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection
 from dataclasses import replace
 
 from flowsplat.common.errors import InputError
-from flowsplat.common.progress import busy, say
+from flowsplat.common.progress import report, spinner
 from flowsplat.priors.flow import FlowEstimator, dis_estimator
 from flowsplat.priors.given import GivenPriors, true_layers
 from flowsplat.priors.graph import PRIORS
@@ -45,7 +45,7 @@ def prepare_priors(
     """
     request = request_of(scene, options, device)
     stale = PRIORS.stale(request)
-    _say_what_is_kept(request, stale)
+    _report_what_is_kept(request, stale)
     seconds: dict[str, float] = {}
     if request.wants_truth and (stale or PRIORS.missing(scene)):
         true_layers(scene)
@@ -60,9 +60,9 @@ def prepare_priors(
     PRIORS.forget(scene, stale)
     missing = PRIORS.missing(scene)
     if request.prompts and "masks" in missing:
-        with busy("Looking at clicks and boxes"):
+        with spinner("Looking at clicks and boxes"):
             path = show_at_once(scene, request.prompts, request.estimate)
-        say(f"What clicks and boxes mean at first sight, before the clip is known: {path}")
+        report(f"What clicks and boxes mean at first sight, before the clip is known: {path}")
     if options.given != GivenPriors() and missing:
         start = time.perf_counter()
         ready |= PRIORS.read_given(request)
@@ -81,7 +81,7 @@ def request_of(scene: Scene, options: PriorsOptions, device: str = "auto") -> Re
     """
     prompts, hints = check_places(scene, options)
     if hints and (options.priors == "true" or options.depth != "multiview" or options.given.depth is not None):
-        raise InputError("--touch and --distance place objects in depth of our own: leave out what takes other depth.")
+        raise InputError("--contact and --same-depth place objects in depth of our own: leave out what takes other depth.")
     if prompts and options.given.masks is not None:
         raise InputError("--given.masks and --mask-click or --mask-box both say what moves: give one of them.")
     _require_images_as_they_are(options)
@@ -130,11 +130,11 @@ def _compute(
         if not (scene.prior(prior.name) is None if is_whole else prior.kind.is_due(request)):
             continue
         stage = ready.get(prior.name) or _ready(request, prior)
-        with busy(f"Computing {prior.name.replace('_', ' ')}"):
+        with spinner(f"Computing {prior.name.replace('_', ' ')}"):
             took = _timed(stage)
         seconds[prior.whole] = seconds.get(prior.whole, 0.0) + took
         if prior.has_record:
-            say(f"{prior.name}: {_verdict(scene, prior.name)} ({took:.0f} s)")
+            report(f"{prior.name}: {_verdict(scene, prior.name)} ({took:.0f} s)")
         if is_whole and after is not None:
             after(prior.name, seconds[prior.name])
 
@@ -145,8 +145,8 @@ def check_places(scene: Scene, options: PriorsOptions) -> tuple[list[Prompt], li
     Raises:
         InputError: one of them is none, or not of this clip.
     """
-    prompts = parse_prompts(options.mask_click, options.mask_box, scene, options.mask_not)
-    return prompts, parse_hints(options.touch, options.distance, scene)
+    prompts = parse_prompts(options.mask_click, options.mask_box, scene, options.mask_negative)
+    return prompts, parse_hints(options.contact, options.same_depth, scene)
 
 
 def _require_images_as_they_are(options: PriorsOptions) -> None:
@@ -157,14 +157,14 @@ def _require_images_as_they_are(options: PriorsOptions) -> None:
         raise InputError(f"{files} belongs to the images as they came: leave out --cameras.distortion radial.")
 
 
-def _say_what_is_kept(request: Request, stale: Collection[str]) -> None:
+def _report_what_is_kept(request: Request, stale: Collection[str]) -> None:
     there = [name for name in PRIORS.names if request.scene.prior(name) is not None]
     for names, what in (
         ([name for name in there if name in stale], "Computed anew, because other ones are asked for or follow"),
         ([name for name in there if name not in stale], "Already there and kept"),
     ):
         if names:
-            say(f"{what}: {', '.join(f'{name} ({request.method(name)})' for name in names)}.")
+            report(f"{what}: {', '.join(f'{name} ({request.method(name)})' for name in names)}.")
 
 
 def _timed(stage: Stage) -> float:

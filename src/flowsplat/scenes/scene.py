@@ -26,7 +26,7 @@ from typing_extensions import TypedDict
 from flowsplat.common.errors import InputError, SplitError
 from flowsplat.common.files import check_json, make_folder, plain_name, read_json, write_json
 from flowsplat.common.files.json_file import Count, Text, Versioned
-from flowsplat.common.progress import say_once
+from flowsplat.common.progress import report_once
 from flowsplat.geometry import Camera, Similarity
 from flowsplat.scenes.info import SceneInfo
 from flowsplat.scenes.layers import CameraFile, Depth, Flow, Layers, StoredFlow, Tracks, read_image, write_image
@@ -208,7 +208,7 @@ class Scene(Layers):
         if not audio:
             return None
         if Path(audio).name != audio or not (self.folder / audio).is_file():
-            say_once(f"The sound of {self.name} does not lie in {self.folder} and is left out: prepare it again to have it.")
+            report_once(f"The sound of {self.name} does not lie in {self.folder} and is left out: prepare it again to have it.")
             return None
         return self.folder / plain_name(audio, "The sound"), start
 

@@ -27,7 +27,7 @@ from flowsplat.geometry import Similarity
 from flowsplat.geometry.cameras import FURTHEST
 
 MODEL_VERSION = 5
-_FOUND = ("seen", "lit")
+_FOUND = ("seen", "shadow_free")
 """What is found when training ends, where it was."""
 _LARGEST_LOG = 80.0
 """Logarithm of what still is a float32."""
@@ -191,8 +191,8 @@ def check_model(path: Path, gaussians: Gaussians4D) -> None:
     seen = gaussians.seen
     if seen is not None and (seen.dtype != torch.float32 or not bool(((seen >= 0) & (seen < torch.inf)).all())):
         raise InputError(f"{path} is damaged: what the clip has seen of a Gaussian is no number, or negative.")
-    lit = gaussians.lit
-    if lit is not None and (lit.dtype != torch.float32 or not bool((lit.abs() <= _LARGEST_LOG).all())):
+    shadow_free = gaussians.shadow_free
+    if shadow_free is not None and (shadow_free.dtype != torch.float32 or not bool((shadow_free.abs() <= _LARGEST_LOG).all())):
         raise InputError(f"{path} is damaged: how bright a Gaussian is without shadows is no number, or beyond {_LARGEST_LOG:g}.")
 
 

@@ -17,7 +17,7 @@ from flowsplat.common.devices import upload
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import check_json, write_json
 from flowsplat.common.memory import freed_memory_kept
-from flowsplat.common.progress import busy, progress_bar, say
+from flowsplat.common.progress import progress_bar, report, spinner
 from flowsplat.common.settings import to_plain
 from flowsplat.common.stopping import Stopped, stop_requests
 from flowsplat.common.threads import in_one_launch
@@ -154,7 +154,7 @@ class Trainer:
             self._adam = RowAdam(self.gaussians.params)
             self._statistics = DensityStatistics.zeros(len(self.gaussians), self._device)
             moving = int(self.gaussians.dynamic.sum())
-            say(f"Starting from {len(self.gaussians) - moving:,} background and {moving:,} moving Gaussians.")
+            report(f"Starting from {len(self.gaussians) - moving:,} background and {moving:,} moving Gaussians.")
         config = self.config
         times = CheckpointTimes(config.checkpoint_every, clock.perf_counter())
         label = "Final fit" if self._first_step else "Training"
@@ -176,7 +176,7 @@ class Trainer:
         return self.gaussians
 
     def _first(self) -> Gaussians4D:
-        with busy("Placing the first Gaussians"):
+        with spinner("Placing the first Gaussians"):
             return initialize(
                 self.observations, self.tracks, self.config.model, self.config.init, self.config.seed,
                 self.config.density.max_gaussians,
@@ -188,7 +188,7 @@ class Trainer:
         if self._checkpoints is not None:
             self._save_checkpoint()
             kept = " They are kept."
-        say(f"Stopped after step {self.step} of {self.config.iterations}.{kept}")
+        report(f"Stopped after step {self.step} of {self.config.iterations}.{kept}")
         raise Stopped(signal)
 
     def _next_frames(self) -> list[int]:
@@ -418,7 +418,7 @@ class Trainer:
                 dynamic = self.gaussians.dynamic
                 if self._neighbors is not None and float(self._neighbors.alone[dynamic].float().mean()) > ALONE:
                     self._neighbors = None
-                say(f"Step {self.step}: {moved:,} background Gaussians turned out to move, {rested:,} moving ones rest.")
+                report(f"Step {self.step}: {moved:,} background Gaussians turned out to move, {rested:,} moving ones rest.")
         if config.gradient > 0:
             self._adopt(
                 densify(
@@ -495,7 +495,7 @@ class Trainer:
                 raise ValueError("it names frames that are not there")
         except (KeyError, ValueError, TypeError, RuntimeError, AttributeError, ArithmeticError) as error:
             raise InputError(f"{path} is incomplete: {error}. Delete {path.parent} to train from the beginning.") from error
-        say(f"Going on from step {self.step} of {self.config.iterations}.")
+        report(f"Going on from step {self.step} of {self.config.iterations}.")
         return True
 
     def _restore(self, tensors: dict[str, Tensor], values: dict[str, Any]) -> None:

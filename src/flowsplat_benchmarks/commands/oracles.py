@@ -29,9 +29,9 @@ def build(defaults: RunConfig) -> Callable[..., None]:
             root: Folder with rig/<scene>.
             out: Folder for everything that comes out.
             scenes: Names of the scenes to run; the default is all of them.
-            oracles: Which: own (nothing is true), constant, course, relief (of the depth of objects), outline (true masks, too),
-                background (its depth, too), flow (too), cameras (all is true). Each holds what is true in those before it; the
-                default is all of them.
+            oracles: Which: own (nothing is true), constant, depth trajectory, shape offset (of the depth of objects), outline (true
+                masks, too), background (its depth, too), flow (too), cameras (all is true). Each holds what is true in those before
+                it; the default is all of them.
             preset: How they are trained: fast, default, paper or high. Frames and their size are the protocol's.
             train: Settings of training that differ from the preset's; the tables name them.
             device: What to compute on.

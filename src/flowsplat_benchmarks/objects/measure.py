@@ -1,4 +1,5 @@
-"""How far every object of a scene is from the truth: its distance, course and relief, its masks and its number; and what rests.
+"""How far every object of a scene is from the truth: its distance, depth trajectory and shape offset, its masks and its number; and
+what rests.
 
 Errors of depth are natural logarithms of estimated over true planar depth: .02 is 2 %, too far.
 """
@@ -40,9 +41,9 @@ def measure_scene(scene: Scene) -> Record:
 
         - ``frames``: in which it is seen; ``height``: mean share of the image's height that its mask spans;
         - ``found``: whether its mask and that of one object ever overlap by ``OVERLAP``;
-        - ``ln_distance``: median of ln(estimated / true depth) over its pixels in both masks and over all frames; ``course``:
-          robust standard deviation over frames of each frame's median; ``relief``: median over frames of the robust standard
-          deviation within a frame; None where it was not found;
+        - ``ln_distance``: median of ln(estimated / true depth) over its pixels in both masks and over all frames;
+          ``depth_trajectory``: robust standard deviation over frames of each frame's median; ``shape_offset``: median over frames
+          of the robust standard deviation within a frame; None where it was not found;
         - ``iou``: with the object that overlaps it most in a frame, intersections and unions summed over frames;
         - ``idf1``: of the object that stands for it over the clip, one object for one true object;
         - ``estimated``: the number of that object, or None; and its ``sigma`` and ``cues``, where the object stage tells them;
@@ -71,7 +72,9 @@ def measure_scene(scene: Scene) -> Record:
         seen = area >= FEWEST
         found = bool((overlap[index] >= OVERLAP).any())
         record = {**obj, "frames": int(seen.sum()), "height": _mean_height(inside[seen]), "found": found}
-        record |= _depth_errors(log, inside & (ours > 0)) if found else dict.fromkeys(("ln_distance", "course", "relief"))
+        record |= (
+            _depth_errors(log, inside & (ours > 0)) if found else dict.fromkeys(("ln_distance", "depth_trajectory", "shape_offset"))
+        )
         record |= {"iou": _pooled_iou(inside, ours), "idf1": idf1[index], "estimated": assigned[index]}
         record |= told.get(str(assigned[index]), {})
         records.append(record)
@@ -147,14 +150,14 @@ def identities(overlap: np.ndarray, true: np.ndarray, ours: np.ndarray) -> tuple
 
 
 def _depth_errors(log: np.ndarray, inside: np.ndarray) -> Record:
-    """``ln_distance``, ``course`` and ``relief`` from errors [T, H, W] at the pixels ``inside``."""
+    """``ln_distance``, ``depth_trajectory`` and ``shape_offset`` from errors [T, H, W] at the pixels ``inside``."""
     frames = [values[chosen] for values, chosen in zip(log, inside, strict=True) if chosen.sum() >= FEWEST]
     if not frames:
-        return dict.fromkeys(("ln_distance", "course", "relief"))
+        return dict.fromkeys(("ln_distance", "depth_trajectory", "shape_offset"))
     medians = [float(np.median(values)) for values in frames]
     return {
-        "ln_distance": float(np.median(np.concatenate(frames))), "course": _spread(np.array(medians)),
-        "relief": float(np.median([_spread(values) for values in frames])),
+        "ln_distance": float(np.median(np.concatenate(frames))), "depth_trajectory": _spread(np.array(medians)),
+        "shape_offset": float(np.median([_spread(values) for values in frames])),
     }  # fmt: skip
 
 

@@ -63,7 +63,8 @@ def prepare_world(seed: int, folder: Path, width: int, height: int, frames: int)
 
 
 def place_objects(scene: Scene, again: bool = False) -> None:
-    """The step under test: course, relief and distance of what moves, before a static world whose matches are solved already.
+    """The step under test: depth trajectory, shape offset and distance of what moves, before a static world whose matches are
+    solved already.
 
     Args:
         again: forget the depth that is there.

@@ -15,7 +15,8 @@ from flowsplat_benchmarks.worlds.cameras import CAMERAS
 from flowsplat_benchmarks.worlds.plan import GROUNDS
 
 FOUND = (
-    Column("signed median", ("signed",), 3, sign=True), Column("course", ("course",), 3), Column("relief", ("relief",), 3),
+    Column("signed median", ("signed",), 3, sign=True), Column("depth_trajectory", ("depth_trajectory",), 3),
+    Column("shape_offset", ("shape_offset",), 3),
     Column("IDF1", ("idf1",), 2), Column("mask IoU", ("iou",), 2),
 )  # fmt: skip
 """Of the summary of some objects."""
@@ -38,8 +39,10 @@ TITLES: dict[Variant, str] = {
 NOTE = (
     "Distance: |ln(estimated / true depth)|, the median over an object's pixels and frames; an object that was never found counts "
     "as "
-    "infinitely wrong in median, percentile and share. Signed median, course and relief are of those that were found: + is too "
-    "far; course is the spread over frames of each frame's median error, relief the spread within a frame (both medians over "
+    "infinitely wrong in median, percentile and share. Signed median, depth trajectory and shape offset are of those that were "
+    "found: + is too "
+    "far; depth trajectory is the spread over frames of each frame's median error, shape offset the spread within a frame (both "
+    "medians over "
     "objects; spread: half the central 68 %). IDF1 and IoU are means over objects."
 )
 
@@ -114,8 +117,9 @@ def summary(objects: Sequence[Record]) -> dict[str, float | None]:
     median, high = (float(errors[max(int(np.ceil(share * len(errors))) - 1, 0)]) for share in (0.5, 0.9))
     return {
         "lost": float(len(objects) - len(found)), "median": median, "high": high, "within": float((errors <= 0.05).mean()),
-        "signed": _median(obj["ln_distance"] for obj in found), "course": _median(obj["course"] for obj in found),
-        "relief": _median(obj["relief"] for obj in found), "idf1": float(np.mean([obj["idf1"] for obj in objects])),
+        "signed": _median(obj["ln_distance"] for obj in found),
+        "depth_trajectory": _median(obj["depth_trajectory"] for obj in found),
+        "shape_offset": _median(obj["shape_offset"] for obj in found), "idf1": float(np.mean([obj["idf1"] for obj in objects])),
         "iou": float(np.mean([obj["iou"] for obj in objects])),
     }  # fmt: skip
 

@@ -2,8 +2,8 @@
 
 The estimated cameras have a scale of their own, so true depth is first brought to it by one factor for the whole clip
 (``depth_scale``). How wrong the depth of an object is falls into three parts of e = ln(estimated / true) over its pixels, of which
-each needs another cure: one number for the clip (``constant``), how it is off over time (``course``), and what is left inside a
-frame (``relief``).
+each needs another cure: one number for the clip (``constant``), how it is off over time (``depth_trajectory``), and what is left
+inside a frame (``shape_offset``).
 """
 
 from __future__ import annotations
@@ -54,16 +54,16 @@ class ObjectDepthError:
         pixels: how many were compared.
         frames: in how many frames.
         constant: median over pixels and frames.
-        course: standard deviation over time of the median of a frame; None with less than two frames that tell.
-        relief: median over pixels and frames of the absolute difference from the median of the frame.
+        depth trajectory: standard deviation over time of the median of a frame; None with less than two frames that tell.
+        shape offset: median over pixels and frames of the absolute difference from the median of the frame.
     """
 
     matched: MatchedObject
     pixels: int
     frames: int
     constant: float
-    course: float | None
-    relief: float
+    depth_trajectory: float | None
+    shape_offset: float
 
 
 def truth_of(scene: Scene) -> Layers:
@@ -151,10 +151,11 @@ def object_depth_errors(scene: Scene, objects: Sequence[MatchedObject] | None = 
 
 def _error(obj: MatchedObject, frames: Sequence[np.ndarray]) -> ObjectDepthError:
     pooled = np.concatenate(frames)
-    course = [np.median(values) for values in frames if len(values) >= FEWEST]
+    depth_trajectory = [np.median(values) for values in frames if len(values) >= FEWEST]
     left = np.concatenate([np.abs(values - np.median(values)) for values in frames])
     return ObjectDepthError(
-        obj, len(pooled), len(frames), float(np.median(pooled)), float(np.std(course)) if len(course) > 1 else None,
+        obj, len(pooled), len(frames), float(np.median(pooled)),
+        float(np.std(depth_trajectory)) if len(depth_trajectory) > 1 else None,
         float(np.median(left)),
     )  # fmt: skip
 

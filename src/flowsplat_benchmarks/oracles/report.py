@@ -22,14 +22,18 @@ TITLE = "One prior after the other replaced by the truth"
 MEANINGS = {
     "own": "own priors as they are",
     "constant": "*constant*: each object's depth times one number, so that its median over the clip is right",
-    "course": "*course*: flat cards at the right depth in every frame",
-    "relief": "*relief*: true depth inside our masks",
+    "depth_trajectory": "*depth trajectory*: flat billboards at the right depth in every frame",
+    "shape_offset": "*shape offset*: true depth inside our masks",
     "outline": "*outline*: true masks, too",
     "background": "*background*: its true depth, too",
     "flow": "*flow*: true flow, too",
     "cameras": "*cameras*: all true",
 }
-ERRORS = (Column("constant", ("constant",), 3, sign=True), Column("course", ("course",), 3), Column("relief", ("relief",), 3))
+ERRORS = (
+    Column("constant", ("constant",), 3, sign=True),
+    Column("depth_trajectory", ("depth_trajectory",), 3),
+    Column("shape_offset", ("shape_offset",), 3),
+)
 """Of the depth of an object (``objects.object_depth_errors``)."""
 REMARKS = (
     "Each row holds what is true in those above it. True depth is brought to the scale of the estimated cameras by one factor for "
@@ -120,8 +124,9 @@ def _objects(results: Sequence[Result]) -> Table:
     header = ("scene", "true object", "our objects", "frames", "pixels", *(column.header for column in ERRORS))
     note = (
         "e = ln(estimated / true) depth of own priors, over the pixels that our masks and the true ones share. Constant: median "
-        "over pixels and frames (+.01: one percent too far). Course: standard deviation over time of the median of a frame. "
-        f"Relief: median of |e - median of the frame|. Trusted static depth has a median e of {_static(results)}."
+        "over pixels and frames (+.01: one percent too far). Depth trajectory: standard deviation over time of the median of a "
+        "frame. "
+        f"Shape offset: median of |e - median of the frame|. Trusted static depth has a median e of {_static(results)}."
     )
     return Table("Depth of objects, own priors", note, header, rows)
 

@@ -4,8 +4,8 @@
 | --- | --- |
 | own | nothing: the priors as they are |
 | constant | the depth of every object is multiplied by one number, so that its median over the clip is right |
-| course | objects are flat cards at the median of their true depth in every frame |
-| relief | true depth inside the scene's masks |
+| depth trajectory | objects are flat billboards at the median of their true depth in every frame |
+| shape offset | true depth inside the scene's masks |
 | outline | true masks, too |
 | background | the depth of what rests, too |
 | flow | true flow, too |
@@ -80,7 +80,7 @@ def _constant(scene: Scene, device: str) -> None:
     _finish(scene, device, depth="the depth of each object times one number")
 
 
-def _course(scene: Scene, device: str) -> None:
+def _depth_trajectory(scene: Scene, device: str) -> None:
     objects, scale, truth = match_objects(scene), depth_scale(scene), truth_of(scene)
     for i, mask, true_mask in masks_of(scene):
         depth, true = scene.depth(i), truth.depth(i).depth
@@ -90,10 +90,10 @@ def _course(scene: Scene, device: str) -> None:
             if region.any():
                 values[region] = scale * np.median(true[compared if compared.any() else region])
         scene.write_depth(i, Depth(values, depth.confidence))
-    _finish(scene, device, depth="objects are cards at their true distance")
+    _finish(scene, device, depth="objects are billboards at their true distance")
 
 
-def _relief(scene: Scene, device: str) -> None:
+def _shape_offset(scene: Scene, device: str) -> None:
     _write_true_depth_of_objects(scene, depth_scale(scene))
     _finish(scene, device, depth="true depth of objects")
 
@@ -170,7 +170,8 @@ def _finish(scene: Scene, device: str, **verdicts: str) -> None:
 
 
 ORACLES: dict[str, Callable[[Scene, str], None]] = {
-    "own": _as_it_is, "constant": _constant, "course": _course, "relief": _relief, "outline": _outline,
+    "own": _as_it_is, "constant": _constant, "depth_trajectory": _depth_trajectory, "shape_offset": _shape_offset,
+    "outline": _outline,
     "background": _background, "flow": _flow, "cameras": _cameras,
 }  # fmt: skip
 """What makes each oracle of a copy of the prepared scene, in the order in which they add to each other."""

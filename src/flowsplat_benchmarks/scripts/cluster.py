@@ -53,7 +53,7 @@ class Nap:
         self._dies = random.random() < self._deaths
         if self._dies:
             self._until = now + random.uniform(0, self._until - now)
-        self._say("begins", job.id)
+        self._report("begins", job.id)
 
     def wait(self, seconds: float) -> Sequence[Ended]:
         if self._job is None:
@@ -63,7 +63,7 @@ class Nap:
         if time.monotonic() < self._until:
             return []
         job, self._job = self._job, None
-        self._say("dies" if self._dies else "ends", job.id)
+        self._report("dies" if self._dies else "ends", job.id)
         if self._dies:
             os.kill(os.getpid(), signal.SIGKILL)
         return [Ended(job, Outcome("done", result={"verdict": "it slept"}))]
@@ -72,13 +72,13 @@ class Nap:
         return [] if self._job is None else [Running(self._job.id, "sleeps", 0.0, None)]
 
     def drop(self, name: str) -> None:
-        self._say("drops", name)
+        self._report("drops", name)
         self._job = None
 
     def stop(self) -> Sequence[Ended]:
         return []
 
-    def _say(self, what: str, name: str) -> None:
+    def _report(self, what: str, name: str) -> None:
         os.write(self._log, f"{json.dumps([time.monotonic(), what, name, sum(self._calls.values())])}\n".encode())
 
 

@@ -21,7 +21,7 @@ from flowsplat.common.files import write_text
 from flowsplat.evaluation.baselines import to_float
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.observations import load_observations
-from flowsplat.gaussians.shadows import with_lit
+from flowsplat.gaussians.shadows import add_shadow_free
 from flowsplat.priors.options import PriorsOptions
 from flowsplat.priors.prepare import prepare_priors
 from flowsplat.scenes import Scene
@@ -69,7 +69,7 @@ def measure(scene: Scene, model: SceneModel, world: World) -> dict[str, tuple[fl
     """PSNR by kind of pixel as trained and without shadows; of the kinds that there are."""
     frames = scene.train_frames
     times = [float(scene.timestamps[i]) for i in frames]
-    lit = with_lit(model, [scene.cameras[i] for i in frames], times, [scene.mask(i) for i in frames])
+    shadow_free = add_shadow_free(model, [scene.cameras[i] for i in frames], times, [scene.mask(i) for i in frames])
     empty = replace(world, objects=(), touching=None, noise=0.0)
     sums = {kind: np.zeros(3) for kind in KINDS}
     for i in frames[::EVERY]:
@@ -77,7 +77,9 @@ def measure(scene: Scene, model: SceneModel, world: World) -> dict[str, tuple[fl
         hidden = cv2.dilate(scene.mask(i), np.ones((5, 5), np.uint8)) > 0
         shadow = (cv2.blur((target - seen).mean(-1), (3, 3)) > DARKER) & ~hidden
         kinds = dict(zip(KINDS, (np.ones_like(hidden), shadow, hidden, ~hidden & ~shadow), strict=True))
-        images = [each.part("background").render(scene.cameras[i], float(scene.timestamps[i])).color for each in (model, lit)]
+        images = [
+            each.part("background").render(scene.cameras[i], float(scene.timestamps[i])).color for each in (model, shadow_free)
+        ]
         for kind, where in kinds.items():
             sums[kind] += [*(((image - target) ** 2).mean(-1)[where].sum() for image in images), where.sum()]
     found = {}

@@ -1,4 +1,4 @@
-"""Known errors of distance, course, relief, masks and numbers come out as they went in."""
+"""Known errors of distance, depth trajectory, shape offset, masks and numbers come out as they went in."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 from flowsplat.priors.objects import SceneObjects
 from flowsplat.priors.objects.distance import Cue
-from flowsplat.priors.objects.relief import ReliefPoints
+from flowsplat.priors.objects.shape_offset import ShapePoints
 from flowsplat.priors.objects.solving import DynamicObject
 from flowsplat.priors.objects.storage import save_objects
 from flowsplat.scenes import Depth, Scene
@@ -55,7 +55,7 @@ def test_the_truth_has_no_errors(scene):
         assert obj["found"]
         assert obj["object"] == obj["number"]
         assert obj["iou"] == obj["idf1"] == 1
-        for name in ("ln_distance", "course", "relief"):
+        for name in ("ln_distance", "depth_trajectory", "shape_offset"):
             assert obj[name] == pytest.approx(0, abs=1e-5)
         assert 0.02 < obj["height"] < 1
         assert "sigma" not in obj
@@ -80,7 +80,7 @@ def test_what_rests_is_measured_everywhere_and_at_feet(scene):
     assert figures["feet"]["p90"] == pytest.approx(0.05, abs=1e-5)
 
 
-def test_distance_course_and_relief_are_told_apart(scene):
+def test_distance_depth_trajectory_and_shape_offset_are_told_apart(scene):
     def wrong(depth, mask, i):
         depth[mask == 1] *= np.exp(0.2)
         depth[mask == 2] *= np.exp(0.1 * (-1) ** i)
@@ -90,13 +90,13 @@ def test_distance_course_and_relief_are_told_apart(scene):
         return depth, mask
 
     change(scene, wrong)
-    distance, course, relief = measure_scene(scene)["objects"]
+    distance, depth_trajectory, shape_offset = measure_scene(scene)["objects"]
     assert distance["ln_distance"] == pytest.approx(0.2, abs=1e-4)
-    assert distance["course"] == pytest.approx(0, abs=1e-4)
-    assert course["course"] == pytest.approx(0.1, abs=1e-3)
-    assert course["relief"] == pytest.approx(0, abs=1e-4)
-    assert relief["relief"] == pytest.approx(0.05, abs=1e-3)
-    assert distance["relief"] == pytest.approx(0, abs=1e-4)
+    assert distance["depth_trajectory"] == pytest.approx(0, abs=1e-4)
+    assert depth_trajectory["depth_trajectory"] == pytest.approx(0.1, abs=1e-3)
+    assert depth_trajectory["shape_offset"] == pytest.approx(0, abs=1e-4)
+    assert shape_offset["shape_offset"] == pytest.approx(0.05, abs=1e-3)
+    assert distance["shape_offset"] == pytest.approx(0, abs=1e-4)
 
 
 def test_numbers_that_change_cost_identity_and_not_distance(scene):
@@ -126,10 +126,10 @@ def test_what_is_believed_of_an_object_goes_to_its_object(scene):
 
     change(scene, renumbered)
     frames = len(scene.train_frames)
-    course, middles = np.zeros(frames), np.zeros((frames, 2))
+    depth_trajectory, middles = np.zeros(frames), np.zeros((frames, 2))
     objects = [
-        DynamicObject(7, course, middles, 0.03, True, {"contact": Cue(0.0, 0.03, 0.1)}, ReliefPoints.none(), 0.0),
-        DynamicObject(3, course, middles, 0.5, False, {}, ReliefPoints.none(), 0.0),
+        DynamicObject(7, depth_trajectory, middles, 0.03, True, {"contact": Cue(0.0, 0.03, 0.1)}, ShapePoints.none(), 0.0),
+        DynamicObject(3, depth_trajectory, middles, 0.5, False, {}, ShapePoints.none(), 0.0),
     ]
     save_objects(scene, SceneObjects(objects, np.array([0, -1.0, 0])))
     first, second, third = measure_scene(scene)["objects"]

@@ -8,7 +8,7 @@ from flowsplat_benchmarks.objects.tables import HEADER, is_anchored, summary, ta
 def obj(kind: str = "walker", error: float | None = 0.1, **more) -> dict:
     found = error is not None
     facts = {"kind": kind, "contact": [0.1], "swings": False, "rolls": False, "rests": False, "touches": None, "found": found}
-    spread = {"course": 0.02 if found else None, "relief": 0.01 if found else None}
+    spread = {"depth_trajectory": 0.02 if found else None, "shape_offset": 0.01 if found else None}
     return {**facts, **spread, "ln_distance": error, "idf1": 0.5, "iou": 0.6, **more}
 
 

@@ -18,7 +18,7 @@ __all__ = ["runs_root"]
 
 SCALE = 0.5
 """Units of the cameras per unit of the truth."""
-STATIC, CONSTANT, COURSE, RELIEF = 0.02, 0.3, 0.1, 0.06
+STATIC, CONSTANT, TRAJECTORY, SHAPE_OFFSET = 0.02, 0.3, 0.1, 0.06
 """Errors of ln depth: of what rests; and of object 1: over the clip, of every other frame, of every third column."""
 LEAK = 3
 """Pixels by which masks are shifted."""
@@ -40,7 +40,7 @@ def own_mask(true: np.ndarray, i: int) -> np.ndarray:
 def object_error(i: int, shape: tuple[int, ...]) -> np.ndarray:
     """[H, W] ln of estimated over true depth of object 1 in frame ``i``."""
     columns = np.broadcast_to(np.arange(shape[1]) % 3 - 1, shape)
-    return CONSTANT + COURSE * (-1, 1)[i % 2] + RELIEF * columns
+    return CONSTANT + TRAJECTORY * (-1, 1)[i % 2] + SHAPE_OFFSET * columns
 
 
 @pytest.fixture(scope="session")

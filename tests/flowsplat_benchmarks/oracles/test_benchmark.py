@@ -14,7 +14,7 @@ from flowsplat_benchmarks.oracles.classes import CLASSES
 from flowsplat_benchmarks.oracles.scenes import ORACLES
 
 QUICK = ("--train.iterations", "6", "--train.checkpoint-every", "3")
-PSNR = {"own": (20.0, 14.0), "constant": (22.5, 17.0), "relief": (25.0, 23.0)}
+PSNR = {"own": (20.0, 14.0), "constant": (22.5, 17.0), "shape_offset": (25.0, 23.0)}
 
 
 def call(*arguments: object) -> None:
@@ -34,7 +34,8 @@ def result(run) -> dict:
     """The JSON of a run, without one."""
     psnr, moving = PSNR.get(run.oracle, (26.0, None))
     obj = {
-        "matched": {"true": 2, "ids": [1, 3]}, "pixels": 12_345, "frames": 12, "constant": 0.4, "course": None, "relief": 0.02,
+        "matched": {"true": 2, "ids": [1, 3]}, "pixels": 12_345, "frames": 12, "constant": 0.4, "depth_trajectory": None,
+        "shape_offset": 0.02,
     }  # fmt: skip
     return {
         "protocol": "oracles", "scene": run.case.scene, "size": [64, 48], "frames": 12, "tuned": run.case.is_tuned,
@@ -71,19 +72,19 @@ def test_which_runs(runs_root):
 
 
 def test_tables(runs_root, tmp_path, measured):
-    call(runs_root, "-o", tmp_path, "--oracles", "own", "relief", "constant", "--train.iterations", "7", "--seed", "3")
-    assert measured == [f"tiny_{name}_default_7-steps_seed3" for name in ("own", "constant", "relief")]
+    call(runs_root, "-o", tmp_path, "--oracles", "own", "shape_offset", "constant", "--train.iterations", "7", "--seed", "3")
+    assert measured == [f"tiny_{name}_default_7-steps_seed3" for name in ("own", "constant", "shape_offset")]
     text = (tmp_path / "oracles.md").read_text()
     assert "| **own priors as they are** | **20.00 / 14.00** | **–** |" in text
     assert "| *constant*: each object's depth times one number, so that its median over the clip is right | 22.50 / 17.00 |" in text
-    assert "| *relief*: true depth inside our masks | 25.00 / 23.00 | +2.50 / +6.00 |" in text
+    assert "| *shape offset*: true depth inside our masks | 25.00 / 23.00 | +2.50 / +6.00 |" in text
     assert "| tiny | 2 | 1, 3 | 12 | 12,345 | +0.400 | – | 0.020 |" in text
     assert "Trained with default, iterations 7, seed 3. Images by held-out cameras: tiny 6." in text
     assert "-0.006 (tiny)" in text
     assert "| tiny | own | share of the error, % | 10.0 | 10.0 |" in text
     assert "| tiny | own | 90th percentile, % | 4.56 | 4.56 |" in text
     page = (tmp_path / "oracles.html").read_text()
-    assert "tiny: relief" in page
+    assert "tiny: shape offset" in page
     assert "*" not in page.split("<main")[-1]
 
 

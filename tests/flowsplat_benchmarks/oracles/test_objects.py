@@ -11,7 +11,7 @@ from flowsplat.common.errors import InputError
 from flowsplat.priors.prepare import use_truth
 from flowsplat.scenes import Scene
 from flowsplat_benchmarks.oracles.objects import MatchedObject, depth_scale, match_objects, object_depth_errors, static_error
-from tests.flowsplat_benchmarks.oracles.conftest import CONSTANT, COURSE, RELIEF, SCALE, SHADOW, STATIC
+from tests.flowsplat_benchmarks.oracles.conftest import CONSTANT, SCALE, SHADOW, SHAPE_OFFSET, STATIC, TRAJECTORY
 
 
 def test_scale_comes_from_the_paths(wrong_scene):
@@ -41,14 +41,14 @@ def test_errors_are_those_that_were_put_in(wrong_scene):
     first, *others = object_depth_errors(Scene(wrong_scene))
     assert first.matched == MatchedObject(1, (4,))
     assert first.frames == 8
-    assert first.constant == pytest.approx(CONSTANT, abs=RELIEF)
-    assert first.course == pytest.approx(COURSE, rel=0.05)
-    assert first.relief == pytest.approx(RELIEF, rel=0.05)
+    assert first.constant == pytest.approx(CONSTANT, abs=SHAPE_OFFSET)
+    assert first.depth_trajectory == pytest.approx(TRAJECTORY, rel=0.05)
+    assert first.shape_offset == pytest.approx(SHAPE_OFFSET, rel=0.05)
     for error in others:
         assert error.constant == pytest.approx(-0.2, abs=1e-3)
-        assert error.relief < 1e-3
-        assert error.course is not None
-        assert error.course < 1e-3
+        assert error.shape_offset < 1e-3
+        assert error.depth_trajectory is not None
+        assert error.depth_trajectory < 1e-3
 
 
 def test_true_priors_have_no_error(wrong_scene, tmp_path):
@@ -59,7 +59,7 @@ def test_true_priors_have_no_error(wrong_scene, tmp_path):
     assert static_error(scene) == 0
     errors = object_depth_errors(scene)
     assert [error.matched for error in errors] == [MatchedObject(n, (n,)) for n in (1, 2, 3)]
-    assert all((error.constant, error.course, error.relief) == (0, 0, 0) for error in errors)
+    assert all((error.constant, error.depth_trajectory, error.shape_offset) == (0, 0, 0) for error in errors)
 
 
 def test_a_scene_without_truth_is_refused(wrong_scene, tmp_path):

@@ -50,8 +50,8 @@ def test_which_layers_are_replaced(oracles, wrong_scene):
     replaced = {
         "own": set(),
         "constant": {"depth"},
-        "course": {"depth"},
-        "relief": {"depth"},
+        "depth_trajectory": {"depth"},
+        "shape_offset": {"depth"},
         "outline": {"depth", "masks", "tracks.npz", "objects.json", "objects.npz"},
         "background": {"depth", "masks", "tracks.npz"},
         "flow": {"depth", "masks", "tracks.npz", "flow"},
@@ -81,12 +81,12 @@ def test_constant(oracles, wrong_scene):
         np.testing.assert_allclose(depth, expected, rtol=1e-5)
     for before, after in zip(errors, object_depth_errors(scene), strict=True):
         assert after.constant == pytest.approx(0, abs=1e-5)
-        assert after.relief == pytest.approx(before.relief, abs=1e-5)
-        assert after.course == pytest.approx(before.course, abs=1e-5)
+        assert after.shape_offset == pytest.approx(before.shape_offset, abs=1e-5)
+        assert after.depth_trajectory == pytest.approx(before.depth_trajectory, abs=1e-5)
 
 
-def test_course(oracles, wrong_scene):
-    scene, own = oracles["course"], Scene(wrong_scene)
+def test_depth_trajectory(oracles, wrong_scene):
+    scene, own = oracles["depth_trajectory"], Scene(wrong_scene)
     for i, mask, true_mask, depth, true in frames(scene):
         for obj in match_objects(own):
             region, compared = obj.region(mask), obj.compared(mask, true_mask)
@@ -95,9 +95,9 @@ def test_course(oracles, wrong_scene):
         np.testing.assert_array_equal(depth[mask == 0], own.depth(i).depth[mask == 0])
 
 
-def test_relief(oracles, wrong_scene):
+def test_shape_offset(oracles, wrong_scene):
     own = Scene(wrong_scene)
-    for i, mask, _, depth, true in frames(oracles["relief"]):
+    for i, mask, _, depth, true in frames(oracles["shape_offset"]):
         np.testing.assert_allclose(depth[mask > 0], true[mask > 0], rtol=1e-5)
         np.testing.assert_array_equal(depth[mask == 0], own.depth(i).depth[mask == 0])
 
@@ -138,31 +138,31 @@ def test_flow_and_cameras(oracles):
 
 
 def test_what_is_there_is_kept_until_the_scene_is_another(wrong_scene, tmp_path):
-    prepared, folder = tmp_path / "prepared", tmp_path / "relief"
+    prepared, folder = tmp_path / "prepared", tmp_path / "shape_offset"
     shutil.copytree(wrong_scene, prepared)
-    first = make_oracle(prepared, folder, "relief")
+    first = make_oracle(prepared, folder, "shape_offset")
     path = first.folder / "depth" / "00003.npz"
     written = path.stat().st_mtime_ns
-    make_oracle(prepared, folder, "relief")
+    make_oracle(prepared, folder, "shape_offset")
     assert path.stat().st_mtime_ns == written
     Scene(prepared).finish_prior("depth", method="another")
-    make_oracle(prepared, folder, "relief")
+    make_oracle(prepared, folder, "shape_offset")
     assert path.stat().st_mtime_ns != written
 
 
 def test_what_was_interrupted_is_made_anew(wrong_scene, tmp_path):
-    (tmp_path / ".relief.making" / "depth").mkdir(parents=True)
-    assert make_oracle(wrong_scene, tmp_path / "relief", "relief").has_depth(0)
-    assert [path.name for path in tmp_path.iterdir()] == ["relief"]
+    (tmp_path / ".shape offset.making" / "depth").mkdir(parents=True)
+    assert make_oracle(wrong_scene, tmp_path / "shape_offset", "shape_offset").has_depth(0)
+    assert [path.name for path in tmp_path.iterdir()] == ["shape_offset"]
 
 
 def test_bad_input(wrong_scene, tmp_path):
     with pytest.raises(InputError, match="no oracle 'sound': choose from own, constant"):
         make_oracle(wrong_scene, tmp_path / "out", "sound")
     with pytest.raises(InputError, match="not a prepared scene"):
-        make_oracle(tmp_path, tmp_path / "out", "relief")
+        make_oracle(tmp_path, tmp_path / "out", "shape_offset")
     shutil.copytree(wrong_scene, tmp_path / "bare")
     shutil.rmtree(tmp_path / "bare" / "truth")
     with pytest.raises(InputError, match="only rendered scenes do"):
-        make_oracle(tmp_path / "bare", tmp_path / "out", "relief")
+        make_oracle(tmp_path / "bare", tmp_path / "out", "shape_offset")
     assert not (tmp_path / "out").exists()

@@ -18,7 +18,7 @@ from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Gaussians4D
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.model_config import ModelConfig
 from flowsplat.gaussians.render import render
-from flowsplat.gaussians.support import with_seen
+from flowsplat.gaussians.visibility import with_seen
 from flowsplat.geometry import Camera, Similarity
 from flowsplat.output.camera_files import read_camera_file
 from flowsplat.output.export import FORMATS, ExportOptions, export_scene

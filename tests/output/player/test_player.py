@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from flowsplat.common.errors import InputError
-from flowsplat.gaussians.support import with_seen
+from flowsplat.gaussians.visibility import with_seen
 from flowsplat.geometry.paths import CameraPath, dolly_zoom, orbit, shifted
 from flowsplat.output.player import write_player
 from flowsplat.output.videos.options import RenderOptions
@@ -89,13 +89,13 @@ def test_guesses_fade_as_in_our_own_renderer(open_page, tmp_path):
     model = small_model(fill=True)
     known = with_seen(model, small_cameras(model), small_times())
     known.gaussians.seen[~known.gaussians.dynamic, 1] *= 0.1
-    fading = known.fading_guesses(small_times(), small_cameras(model))
+    confidence_fade = known.fade_by_confidence(small_times(), small_cameras(model))
     page = open_page(small_player(tmp_path / "player.html", known))
     page.page.locator("#fading").check()
     own, seconds = small_cameras(model)[4], small_times()[4]
     away = replace(own, viewmat=own.viewmat + np.array([[0, 0, 0, 0.5], *np.zeros((3, 4))]))
     for camera in (own, away):
-        assert psnr(image_of(page, camera, seconds), fading.render(camera, seconds).color) > 34
+        assert psnr(image_of(page, camera, seconds), confidence_fade.render(camera, seconds).color) > 34
     assert psnr(image_of(page, away, seconds), known.render(away, seconds).color) < 25
     page.page.locator("#fading").uncheck()
     assert psnr(image_of(page, away, seconds), known.render(away, seconds).color) > 34

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flowsplat.gaussians.support import Support
+from flowsplat.gaussians.visibility import ClipVisibility
 from flowsplat.geometry import Camera, Similarity
 from flowsplat.output.videos import amplitudes
 from flowsplat.output.videos.amplitudes import ANGLES, DOLLIES, Amplitudes
-from tests.gaussians.test_support import WALL, WallAndCard, camera_at
+from tests.gaussians.test_visibility import WALL, WallAndBillboard, camera_at
 
 
 def scene_of(reach: float) -> Any:
@@ -25,22 +25,22 @@ def scene_of(reach: float) -> Any:
 
 def test_the_farther_the_camera_went_the_wider_the_loop():
     reaches = (0.0, 0.01, 0.05, 1.0)
-    found = [Amplitudes(WallAndCard(card_depth=3.5), scene_of(reach), None).angle([0.5], "orbit") for reach in reaches]
+    found = [Amplitudes(WallAndBillboard(billboard_depth=3.5), scene_of(reach), None).angle([0.5], "orbit") for reach in reaches]
     assert found[0] == found[1] == min(ANGLES)
     assert min(ANGLES) < found[2] < found[3]
 
 
 def test_loops_stay_away_from_what_moves(monkeypatch: pytest.MonkeyPatch):
-    def is_near(self: Support, camera: Camera, own: Camera, t: float) -> bool:
+    def is_near(self: ClipVisibility, camera: Camera, own: Camera, t: float) -> bool:
         return float(np.linalg.norm(camera.center - own.center)) < 0.45
 
-    monkeypatch.setattr(Support, "keeps_clear", is_near)
-    angle = Amplitudes(WallAndCard(card_depth=3.5), scene_of(1.0), None).angle([0.5], "orbit")
+    monkeypatch.setattr(ClipVisibility, "keeps_clear", is_near)
+    angle = Amplitudes(WallAndBillboard(billboard_depth=3.5), scene_of(1.0), None).angle([0.5], "orbit")
     assert angle == 6.0, "6 degrees of 4 are .42, 7 are .49"
 
 
 def test_what_the_user_gave_is_taken():
-    assert Amplitudes(WallAndCard(), scene_of(0.0), 25.0).angle([0.5], "orbit") == 25.0
+    assert Amplitudes(WallAndBillboard(), scene_of(0.0), 25.0).angle([0.5], "orbit") == 25.0
 
 
 @pytest.mark.parametrize(("sigma", "widest"), [(0.05, 12.0), (0.24, 6.0), (1.0, min(ANGLES))])
@@ -50,10 +50,10 @@ def test_objects_whose_distance_is_not_known_keep_loops_narrow(monkeypatch: pyte
     monkeypatch.setattr(amplitudes, "load_objects", lambda scene: SimpleNamespace(object_ids=objects))
     monkeypatch.setattr(amplitudes, "large_objects", lambda scene: {1})
     monkeypatch.setattr(amplitudes, "MOST_UNKNOWN", 1.0)
-    assert Amplitudes(WallAndCard(card_depth=3.5), scene_of(1.0), None).angle([0.5], "orbit") == widest
+    assert Amplitudes(WallAndBillboard(billboard_depth=3.5), scene_of(1.0), None).angle([0.5], "orbit") == widest
 
 
 def test_dolly_zooms_go_as_far_as_the_clip_saw():
-    far, still = (Amplitudes(WallAndCard(card_depth=3.5), scene_of(reach), None).dolly(0.5, 3.5) for reach in (1.0, 0.0))
+    far, still = (Amplitudes(WallAndBillboard(billboard_depth=3.5), scene_of(reach), None).dolly(0.5, 3.5) for reach in (1.0, 0.0))
     assert far == max(DOLLIES)
     assert still == min(DOLLIES)

@@ -10,7 +10,7 @@ import torch
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import write_json
-from flowsplat.gaussians.support import with_seen
+from flowsplat.gaussians.visibility import with_seen
 from flowsplat.geometry import Camera
 from flowsplat.geometry.paths import CameraPath, dolly_zoom, shifted
 from flowsplat.output.videos import RenderOptions, render_videos, rendered
@@ -113,16 +113,16 @@ def test_objects_farther_away(run, tmp_path):
 
 def test_guesses_fade_where_that_is_asked_for(run, tmp_path):
     model, scene = run
-    options = RenderOptions(paths=("orbit",), max_frames=8, fading=True, orbit_angle=20.0)
+    options = RenderOptions(paths=("orbit",), max_frames=8, confidence_fade=True, orbit_angle=20.0)
     with pytest.raises(InputError, match="earlier flowsplat"):
         render_videos(model, scene, tmp_path, options)
     known = with_seen(model, scene.cameras, scene.timestamps.tolist())
     known.gaussians.seen[:, 1] = 0
     render_videos(known, scene, tmp_path, options)
-    render_videos(known, scene, tmp_path, replace(options, fading=False))
-    assert set(rendered(tmp_path)) == {"orbit", "orbit_color", "orbit_fading", "orbit_fading_color"}
-    fading, whole = (frames_of(tmp_path / f"{name}_color.mp4") for name in ("orbit_fading", "orbit"))
-    assert fading[2].mean() < 0.7 * whole[2].mean(), "to one side"
+    render_videos(known, scene, tmp_path, replace(options, confidence_fade=False))
+    assert set(rendered(tmp_path)) == {"orbit", "orbit_color", "orbit_confidence_fade", "orbit_confidence_fade_color"}
+    confidence_fade, whole = (frames_of(tmp_path / f"{name}_color.mp4") for name in ("orbit_confidence_fade", "orbit"))
+    assert confidence_fade[2].mean() < 0.7 * whole[2].mean(), "to one side"
 
 
 @pytest.mark.parametrize(
@@ -134,7 +134,7 @@ def test_guesses_fade_where_that_is_asked_for(run, tmp_path):
 )  # fmt: skip
 def test_distances_that_make_no_sense_are_refused(run, tmp_path, distances, message):
     with pytest.raises(InputError, match=message):
-        render_videos(*run, tmp_path, RenderOptions(paths=("input",), distances=distances))
+        render_videos(*run, tmp_path, RenderOptions(paths=("input",), object_depth=distances))
     assert rendered(tmp_path) == {}
 
 
@@ -161,7 +161,7 @@ def test_slow_motion_has_more_frames_at_the_same_rate(run):
 
 
 def test_slow_motion_moves_between_the_frames(run):
-    (slow,) = plan_videos(*run, RenderOptions(paths=("input",), slow=4.0))
+    (slow,) = plan_videos(*run, RenderOptions(paths=("input",), slow_motion=4.0))
     places = [np.argwhere(run[0].part("objects").render(*shot).alpha > 0.5)[:, 1].mean() for shot in slow.shots]
     assert (np.diff(places) > 0.1).all(), "every frame is a step further"
 

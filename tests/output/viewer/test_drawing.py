@@ -148,7 +148,10 @@ def test_guesses_fade_when_seen_from_aside(source):
     try:
         for camera, is_there in ((own, True), (aside, False)):
             for kind in ("color", "Gaussians"):
-                wishes = [Wish((64, 48), 0.5, Look(kind, fading=fading), frame.pose(camera)) for fading in (True, False)]
+                wishes = [
+                    Wish((64, 48), 0.5, Look(kind, confidence_fade=confidence_fade), frame.pose(camera))
+                    for confidence_fade in (True, False)
+                ]
                 found, plain = (draw(source, frame, wish).image.astype(float) for wish in wishes)
                 assert (np.abs(found - plain).mean() < 1) == is_there, (is_there, kind)
     finally:

@@ -9,7 +9,7 @@ import pytest
 
 from flowsplat.priors.objects.description import describe_objects, object_figures, sureness
 from flowsplat.priors.objects.distance import Cue
-from flowsplat.priors.objects.relief import ReliefPoints
+from flowsplat.priors.objects.shape_offset import ShapePoints
 from flowsplat.priors.objects.solving import DynamicObject
 from flowsplat.priors.objects.storage import SceneObjects
 from tests.priors.planes import FOCAL, WALL, write_planes
@@ -17,7 +17,7 @@ from tests.priors.planes import FOCAL, WALL, write_planes
 
 def obj(number: int, cues: dict[str, Cue], sigma: float = 0.05, seen: int = 12) -> DynamicObject:
     depth = np.where(np.arange(12) < seen, np.log(WALL / 2), np.nan)
-    return DynamicObject(number, depth, np.full((12, 2), 30.0), sigma, False, cues, ReliefPoints.none(), 0.0)
+    return DynamicObject(number, depth, np.full((12, 2), 30.0), sigma, False, cues, ShapePoints.none(), 0.0)
 
 
 def test_each_object_in_words_and_figures(tmp_path):

@@ -10,11 +10,11 @@ from flowsplat.geometry.cameras import rigid
 from flowsplat.priors.background.ground import Ground, find_ground, static_points
 from flowsplat.priors.objects.contact import ground_bound, middle_of, upright_ratio
 from flowsplat.priors.objects.contact_cues import bounce_cue, contact_cue, foot_offset, settled, thrown_cue
-from flowsplat.priors.objects.course import accepted_laws
+from flowsplat.priors.objects.depth_trajectory import accepted_laws
 from flowsplat.priors.objects.distance import Cue, combine
 from flowsplat.priors.objects.path import WorldPath, bounce_frames, constant_height, pivot
-from flowsplat.priors.objects.relief import roundness
 from flowsplat.priors.objects.rigid import Observations, solve_rigid
+from flowsplat.priors.objects.shape_offset import roundness
 from tests.priors.objects.test_rigid import body, turn
 
 K = np.array([[300.0, 0, 160], [0, 300.0, 90], [0, 0, 1]])
@@ -45,7 +45,7 @@ def seen_ground(step: float | None = None, wall: bool = True) -> Ground | None:
 
 
 def image_of(camera: Camera, low: np.ndarray, width: float, height: float) -> np.ndarray:
-    """bool [180, 320]: an upright card with the middle of its lower edge at ``low``, that faces the camera."""
+    """bool [180, 320]: an upright billboard with the middle of its lower edge at ``low``, that faces the camera."""
     away = low - camera.center
     side = np.cross(away, UP)
     side /= np.linalg.norm(side)
@@ -119,7 +119,7 @@ def test_what_stands_is_where_its_feet_are(roll, height):
     assert bound.visible
     middle = middle_of(mask)
     ray = camera.unproject(middle[None], np.ones(1))[0] - camera.center
-    true = np.log(6.0 / ray[1])  # planar depth at which the ray through the middle meets the card's plane
+    true = np.log(6.0 / ray[1])  # planar depth at which the ray through the middle meets the billboard's plane
     assert bound.log_depth == pytest.approx(true, abs=0.02)
 
 
@@ -138,7 +138,7 @@ def test_what_floats_is_bounded_from_afar_and_hidden_feet_are_noticed():
     assert ground_bound(np.zeros((180, 320), bool), camera, ground, np.full((90, 160), 3.0)) is None
 
 
-def test_an_upright_card_is_not_flat_in_planar_depth():
+def test_an_upright_billboard_is_not_flat_in_planar_depth():
     camera = look(np.array([0, 0, 4.0]), np.array([0, 5.0, 0.5]))
     points = np.array([[0.0, 5, 1.5], [0.0, 5, 0.8], [0.0, 5, 0.0]])
     pixels, depth = camera.project(points)
@@ -280,7 +280,7 @@ def test_cues_are_combined_by_their_sureness():
     assert torn.sigma > 0.2
 
 
-def test_feet_settle_a_course_over_time():
+def test_feet_settle_a_depth_trajectory_over_time():
     rng, frames = np.random.default_rng(0), np.arange(60)
     drift = 0.05 * np.sin(frames / 12)
     seen = np.ones(60, bool)

@@ -42,7 +42,7 @@ def test_hints_place_an_object_and_changed_ones_place_it_anew(scene, capsys):
     (before,) = load_objects(scene).objects
     assert not before.cues
     assert depth_there(scene) < 0.99 * WALL
-    hinted = PriorsOptions(distance=(f"{x},{y}@{FRAME}=4,4",))
+    hinted = PriorsOptions(same_depth=(f"{x},{y}@{FRAME}=4,4",))
     seconds = prepare_priors(scene, hinted)
     assert set(seconds) == {"depth"}
     (obj,) = load_objects(scene).objects
@@ -52,24 +52,24 @@ def test_hints_place_an_object_and_changed_ones_place_it_anew(scene, capsys):
     assert depth_there(scene) == pytest.approx(WALL, rel=0.05)
     assert not prepare_priors(scene, hinted)
     assert not prepare_priors(scene, PriorsOptions())
-    assert set(prepare_priors(scene, PriorsOptions(touch=(f"{x},{y}@{FRAME}", "0.2,0.3@0")))) == {"depth"}
+    assert set(prepare_priors(scene, PriorsOptions(contact=(f"{x},{y}@{FRAME}", "0.2,0.3@0")))) == {"depth"}
     (obj,) = load_objects(scene).objects
-    assert list(obj.cues) == ["touch"]
-    assert scene.prior("objects")["hints"] == [f"touch {x},{y}@{FRAME}", "touch 0.2,0.3@0"]
+    assert list(obj.cues) == ["contact_hint"]
+    assert scene.prior("objects")["hints"] == [f"contact {x},{y}@{FRAME}", "contact 0.2,0.3@0"]
     assert np.exp(np.nanmedian(obj.log_depth)) == pytest.approx(WALL, rel=0.06)
 
 
 @pytest.mark.parametrize(
     ("hint", "says"),
     [
-        ({"touch": ("4,4@6",)}, "nothing moves there; in frame 6 there are objects 1 about"),
-        ({"touch": ("a,b@6",)}, "--touch a,b@6 cannot be understood"),
-        ({"touch": ("40,30@99",)}, "there is no frame 99"),
-        ({"distance": ("40,30@6",)}, "give x,y@frame=x2,y2"),
-        ({"distance": ("40,30@6=3.5",)}, "give x,y@frame=x2,y2"),
-        ({"distance": ("52,38@6=52,38",)}, "something moves at 52,38"),
-        ({"distance": ("52,38@6=900,38",)}, "lies outside the frames"),
-        ({"touch": ("52,38@6",), "priors": "true"}, "leave out what takes other depth"),
+        ({"contact": ("4,4@6",)}, "nothing moves there; in frame 6 there are objects 1 about"),
+        ({"contact": ("a,b@6",)}, "--contact a,b@6 cannot be understood"),
+        ({"contact": ("40,30@99",)}, "there is no frame 99"),
+        ({"same_depth": ("40,30@6",)}, "give x,y@frame=x2,y2"),
+        ({"same_depth": ("40,30@6=3.5",)}, "give x,y@frame=x2,y2"),
+        ({"same_depth": ("52,38@6=52,38",)}, "something moves at 52,38"),
+        ({"same_depth": ("52,38@6=900,38",)}, "lies outside the frames"),
+        ({"contact": ("52,38@6",), "priors": "true"}, "leave out what takes other depth"),
     ],
 )  # fmt: skip
 def test_hints_that_mean_nothing_are_one_line(scene, hint, says):
@@ -86,7 +86,7 @@ def test_what_is_typed():
 
     hints = parse_hints(("0.5,0.5@2",), ("10,20@3=30,40",), Shape())
     assert [(each.kind, each.frame, each.place, each.still) for each in hints] == [
-        ("touch", 2, (50.0, 25.0), None), ("distance", 3, (10.0, 20.0), (30.0, 40.0)),
+        ("contact_hint", 2, (50.0, 25.0), None), ("distance", 3, (10.0, 20.0), (30.0, 40.0)),
     ]  # fmt: skip
     with pytest.raises(InputError, match="held out"):
         parse_hints(("10,20@8",), (), Shape())

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from flowsplat.priors.objects import course
-from flowsplat.priors.objects.course import accepted_laws
+from flowsplat.priors.objects import depth_trajectory
+from flowsplat.priors.objects.depth_trajectory import accepted_laws
 from flowsplat.priors.objects.path import LARGEST_FIT, Law, constant_height, pivot
 from tests.priors.objects.test_distance import UP, moving_scene
 
@@ -21,8 +21,8 @@ GOOD = {
 def told(monkeypatch, **changed: Law) -> set[str]:
     """Which laws speak where ``GOOD`` is what they say, but for what is changed."""
     laws = {**GOOD, **changed}
-    monkeypatch.setattr(course, "pivot", lambda path: laws["pivot"])
-    monkeypatch.setattr(course, "constant_height", lambda path, normal: laws["height"])
+    monkeypatch.setattr(depth_trajectory, "pivot", lambda path: laws["pivot"])
+    monkeypatch.setattr(depth_trajectory, "constant_height", lambda path, normal: laws["height"])
     return set(accepted_laws(None, UP)[0])  # type: ignore[arg-type]
 
 

@@ -86,7 +86,7 @@ def shown(ball: Ball, images: np.ndarray) -> ObjectImages:
     return ObjectImages(images, ball.masks, np.stack([x, y], 1), cameras, np.array([0.0, -1, 0]))
 
 
-def course_error(ball: Ball, motion: RigidMotion) -> float:
+def depth_trajectory_error(ball: Ball, motion: RigidMotion) -> float:
     """Standard deviation over time of ln depth of the points seen, against that of the surface behind them."""
     o, (off, depth, explained) = motion.observations, motion.residuals()
     errors = []
@@ -125,14 +125,14 @@ def test_matches_are_truer_than_tracks_and_last_longer(ball, by_tracks):
     assert np.median(after) < 0.12
     assert np.median(after) < 0.5 * np.median(before)
     assert np.percentile(after, 95) < FARTHEST / 4
-    assert course_error(ball, motion) < 0.6 * course_error(ball, by_tracks)
+    assert depth_trajectory_error(ball, motion) < 0.6 * depth_trajectory_error(ball, by_tracks)
 
 
 def test_a_change_of_light_changes_nothing(ball, by_tracks):
     brighter = np.clip(ball.images * np.linspace(0.6, 1.0, FRAMES)[:, None, None] + 10, 0, 255).astype(np.uint8)
     result = rematched(by_tracks, ball.positions, ball.inside, shown(ball, brighter))
     assert result is not None
-    assert course_error(ball, result[0]) < 0.6 * course_error(ball, by_tracks)
+    assert depth_trajectory_error(ball, result[0]) < 0.6 * depth_trajectory_error(ball, by_tracks)
 
 
 def test_images_without_texture_say_nothing(ball, by_tracks):

@@ -8,10 +8,10 @@ import pytest
 from flowsplat.geometry import Camera
 from flowsplat.priors.objects import rigid
 from flowsplat.priors.objects.contact import Bound
-from flowsplat.priors.objects.course import rigid_motions
-from flowsplat.priors.objects.relief import place_points
+from flowsplat.priors.objects.depth_trajectory import rigid_motions
 from flowsplat.priors.objects.rigid import Observations, longest, solve_rigid, widest_turn
 from flowsplat.priors.objects.rigid_equations import solved, unpacked
+from flowsplat.priors.objects.shape_offset import place_points
 from flowsplat.priors.objects.solving import solve_object
 
 K = np.array([[300.0, 0, 160], [0, 300.0, 90], [0, 0, 1]])
@@ -62,7 +62,7 @@ def test_relative_depth_over_time(degrees):
     assert np.std(error) < 0.015
 
 
-def test_relief_and_turn_of_what_turns():
+def test_shape_offset_and_turn_of_what_turns():
     points = body()
     pixels, seen, depths = seen_body(points, 90, 0.2)
     observations = Observations.of_tracks(pixels, seen, K)
@@ -95,7 +95,7 @@ def test_what_bends_is_not_believed():
 
 
 @pytest.mark.parametrize("stands", [True, False])
-def test_a_motion_that_explains_half_of_an_object_tells_its_course_if_its_feet_keep_to_the_ground(stands):
+def test_a_motion_that_explains_half_of_an_object_tells_its_depth_trajectory_if_its_feet_keep_to_the_ground(stands):
     rng = np.random.default_rng(3)
     pixels, seen, depths = seen_body(body(160), 60, 0.2)
     pixels[::2] += np.cumsum(rng.normal(0, 3, (80, FRAMES, 2)), 1)
@@ -107,16 +107,16 @@ def test_a_motion_that_explains_half_of_an_object_tells_its_course_if_its_feet_k
     swing = np.zeros(FRAMES) if stands else 0.4 * np.sin(np.arange(FRAMES) / 2)
     feet = np.log(depths) + swing
     bounds = [Bound(float(each), True, True, np.zeros((3, 2), int)) for each in feet]
-    cards = 1.2 + 0.3 * np.sin(np.arange(FRAMES) / 3)
-    obj = solve_object(1, pixels, seen, middles, bounds, cameras, None, cards, np.array([0, -1.0, 0]), flat)
+    billboards = 1.2 + 0.3 * np.sin(np.arange(FRAMES) / 3)
+    obj = solve_object(1, pixels, seen, middles, bounds, cameras, None, billboards, np.array([0, -1.0, 0]), flat)
     assert not obj.rigid
     if stands:
         assert set(obj.cues) == {"contact"}
         np.testing.assert_allclose(obj.log_depth, np.log(depths), atol=0.05)
     else:
-        # Nothing tells its course, so the cards do.
+        # Nothing tells its depth trajectory, so the billboards do.
         assert not obj.cues
-        np.testing.assert_allclose(np.ptp(obj.log_depth - cards), 0, atol=1e-6)
+        np.testing.assert_allclose(np.ptp(obj.log_depth - billboards), 0, atol=1e-6)
 
 
 @pytest.mark.parametrize("stands", [True, False])
@@ -172,8 +172,8 @@ def test_a_long_clip_is_solved_as_well():
     motion = solve_rigid(Observations.of_tracks(pixels, seen, K))
     assert motion is not None
     assert motion.inliers > 0.99
-    course = motion.log_depths()[10:-10] - np.log(depths)[10:-10]
-    assert np.std(course) < 0.08
+    depth_trajectory = motion.log_depths()[10:-10] - np.log(depths)[10:-10]
+    assert np.std(depth_trajectory) < 0.08
 
 
 def test_points_that_last_for_long_are_several(monkeypatch):

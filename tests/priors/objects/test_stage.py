@@ -14,7 +14,7 @@ from flowsplat.priors.flow import flow_stage
 from flowsplat.priors.graph import PRIORS
 from flowsplat.priors.objects import SceneObjects, load_objects, objects_stage
 from flowsplat.priors.objects.distance import Cue
-from flowsplat.priors.objects.relief import ReliefPoints, relief
+from flowsplat.priors.objects.shape_offset import ShapePoints, interpolate_shape_offset
 from flowsplat.priors.objects.solving import DynamicObject
 from flowsplat.priors.objects.storage import save_objects
 from flowsplat.priors.tracks import tracks_stage
@@ -41,7 +41,7 @@ def test_the_stage_tells_how_an_object_goes(scene: Scene):
     seen = [k for k, i in enumerate(scene.train_frames) if scene.mask(i).any()]
     assert np.isfinite(obj.log_depth[seen]).all()
     assert obj.sigma > 0
-    # Nothing ties the square to the wall behind it, so only its course is known.
+    # Nothing ties the square to the wall behind it, so only its depth trajectory is known.
     true = np.array([np.log(np.median(scene.truth.depth(i).depth[scene.mask(i) > 0])) for i in scene.train_frames])
     error = obj.log_depth[seen] - true[seen]
     assert np.std(error) < 0.05
@@ -84,7 +84,7 @@ def test_no_objects_and_bad_files(tmp_path: Path):
 
 def test_objects_of_another_number_of_frames_are_refused(tmp_path: Path):
     scene = write_planes(tmp_path, step=2, square=False)
-    short = DynamicObject(1, np.zeros(3), np.zeros((3, 2)), 0.1, False, {}, ReliefPoints.none(), 0.0)
+    short = DynamicObject(1, np.zeros(3), np.zeros((3, 2)), 0.1, False, {}, ShapePoints.none(), 0.0)
     frames = len(scene.train_frames)
     save_objects(scene, SceneObjects([replace(short, log_depth=np.zeros(frames), middles=np.zeros((frames, 2)))], np.ones(3)))
     assert len(load_objects(scene).objects) == 1
@@ -94,10 +94,10 @@ def test_objects_of_another_number_of_frames_are_refused(tmp_path: Path):
         load_objects(scene)
 
 
-def test_an_object_without_points_is_an_upright_card(scene: Scene):
+def test_an_object_without_points_is_an_upright_billboard(scene: Scene):
     frames = len(scene.train_frames)
     middle = np.tile([WIDTH / 2, HEIGHT / 2], (frames, 1))
-    obj = DynamicObject(1, np.zeros(frames), middle, 0.1, False, {"contact": Cue(0, 0.1, 0.1)}, ReliefPoints.none(), 0.0)
+    obj = DynamicObject(1, np.zeros(frames), middle, 0.1, False, {"contact": Cue(0, 0.1, 0.1)}, ShapePoints.none(), 0.0)
     mask = np.zeros((HEIGHT, WIDTH), np.uint8)
     mask[10:20, 10:20] = 1
     i = scene.train_frames[0]
@@ -106,20 +106,20 @@ def test_an_object_without_points_is_an_upright_card(scene: Scene):
     assert (found[mask == 0] == 0).all()
 
 
-def test_relief_follows_sure_points_and_is_flat_without():
+def test_shape_offset_follows_sure_points_and_is_flat_without():
     mask = np.zeros((60, 80), bool)
     mask[10:50, 10:70] = True
     image = np.full((60, 80, 3), 128, np.uint8)
     y, x = (value.ravel() for value in np.mgrid[12:50:4, 12:70:4])
     pixels, offsets = np.stack([x, y], 1) + 0.5, 0.05 * (x - 40) / 30
-    sure = relief(mask, image, pixels, offsets, np.full(len(x), 0.002), 0.05)
+    sure = interpolate_shape_offset(mask, image, pixels, offsets, np.full(len(x), 0.002), 0.05)
     inner = mask & (np.abs(np.arange(80) - 40) < 22)[None]
     columns = np.broadcast_to(np.arange(80), (60, 80))
     assert np.abs(sure[inner] - 0.05 * (columns[inner] + 0.5 - 40) / 30).max() < 0.012
-    unsure = relief(mask, image, pixels, offsets, np.full(len(x), 1.0), 0.05)
+    unsure = interpolate_shape_offset(mask, image, pixels, offsets, np.full(len(x), 1.0), 0.05)
     assert np.abs(unsure).max() < 0.2 * np.abs(sure).max()
-    assert (relief(mask, image, pixels[:0], offsets[:0], offsets[:0], 0.05) == 0).all()
-    assert (relief(np.zeros_like(mask), image, pixels, offsets, np.ones(len(x)), 0.05) == 0).all()
+    assert (interpolate_shape_offset(mask, image, pixels[:0], offsets[:0], offsets[:0], 0.05) == 0).all()
+    assert (interpolate_shape_offset(np.zeros_like(mask), image, pixels, offsets, np.ones(len(x)), 0.05) == 0).all()
 
 
 def test_objects_go_with_what_they_follow_from(tmp_path: Path):

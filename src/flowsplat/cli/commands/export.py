@@ -6,7 +6,7 @@ from typing import Annotated
 
 from flowsplat.cli.arguments import NO_PREFIX, Run, Target
 from flowsplat.cli.command import Command
-from flowsplat.common.progress import say
+from flowsplat.common.progress import report
 from flowsplat.output.export.options import ExportOptions, Format
 
 
@@ -30,7 +30,7 @@ def export(
     from flowsplat.output.export import export_scene
     from flowsplat.scenes import Scene
 
-    say(f"Written: {export_scene(pipeline.load(out), Scene(out / 'scene'), to, path, options)}")
+    report(f"Written: {export_scene(pipeline.load(out), Scene(out / 'scene'), to, path, options)}")
 
 
 COMMAND = Command(lambda _: export, place=110)

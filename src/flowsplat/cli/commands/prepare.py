@@ -7,7 +7,7 @@ from typing import Annotated
 
 from flowsplat.cli.arguments import NO_PREFIX, Out, Preset, Source
 from flowsplat.cli.command import Command
-from flowsplat.common.progress import say
+from flowsplat.common.progress import report
 from flowsplat.pipeline.config import RunConfig
 
 
@@ -26,7 +26,7 @@ def build(defaults: RunConfig) -> Callable[..., None]:
         from flowsplat import pipeline
 
         folder = pipeline.prepare(input, out, config)
-        say(f"Prepared: {folder.scene_path}. Next: flowsplat train {out}")
+        report(f"Prepared: {folder.scene_path}. Next: flowsplat train {out}")
 
     return prepare
 

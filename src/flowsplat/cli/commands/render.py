@@ -8,7 +8,7 @@ from flowsplat.cli.arguments import Run
 from flowsplat.cli.command import Command
 from flowsplat.cli.runs import changed_run, run_defaults
 from flowsplat.common.devices import DeviceName
-from flowsplat.common.progress import say
+from flowsplat.common.progress import report
 from flowsplat.output.videos import RenderOptions
 from flowsplat.pipeline.config import RunConfig
 
@@ -28,7 +28,7 @@ def build(defaults: RunConfig) -> Callable[..., None]:
 
         with changed_run(out, device=device) as folder:
             pipeline.render_run(folder, render)
-        say(f"Videos: {out}/renders")
+        report(f"Videos: {out}/renders")
 
     return render
 

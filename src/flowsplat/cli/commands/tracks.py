@@ -9,7 +9,7 @@ import tyro
 
 from flowsplat.cli.arguments import Run, Target
 from flowsplat.cli.command import Command
-from flowsplat.common.progress import say
+from flowsplat.common.progress import report
 from flowsplat.common.run_paths import RunPaths
 
 # --at A B, --at A --at B and both together are all understood.
@@ -36,7 +36,7 @@ def tracks(out: Run, at: Points = (), queries: Path | None = None, path: Target 
     model, scene = pipeline.load(out), Scene(RunPaths(out).scene_path)
     wanted = read_queries([point for some in at for point in some], queries, scene)
     written, found = write_tracks(model, scene, wanted, path or out / "export" / "tracks.json")
-    say(f"Written: {written}. {found} of {len(wanted)} points lie on something and were followed.")
+    report(f"Written: {written}. {found} of {len(wanted)} points lie on something and were followed.")
 
 
 COMMAND = Command(lambda _: tracks, place=120)

@@ -8,7 +8,7 @@ from flowsplat.cli.arguments import Preset, Run
 from flowsplat.cli.command import Command
 from flowsplat.cli.runs import changed_run, run_defaults
 from flowsplat.common.devices import DeviceName
-from flowsplat.common.progress import say
+from flowsplat.common.progress import report
 from flowsplat.pipeline.config import RunConfig
 from flowsplat.training.config import TrainConfig
 
@@ -31,7 +31,7 @@ def build(defaults: RunConfig) -> Callable[..., None]:
 
         with changed_run(out, train=train, device=device) as folder:
             pipeline.train(folder)
-        say(f"Trained: {out}/model. Next: flowsplat evaluate {out}")
+        report(f"Trained: {out}/model. Next: flowsplat evaluate {out}")
 
     return train
 

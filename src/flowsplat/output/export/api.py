@@ -10,7 +10,7 @@ import torch
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import make_folder
-from flowsplat.common.progress import say, track
+from flowsplat.common.progress import report, track
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.output.export.cameras import write_colmap, write_nerfstudio
 from flowsplat.output.export.importance import most_important
@@ -65,7 +65,7 @@ def export_scene(model: SceneModel, scene: Scene, to: str, path: Path | None, op
         model = most_important(model, views, options.max_gaussians)
     size = estimated_size(model, scene, to, options)
     what = f"{scene.num_frames} cameras" if to in _CAMERAS else f"{len(model.gaussians):,} Gaussians"
-    say(f"{what} as {to}: about {_readable(size)} in {path}")
+    report(f"{what} as {to}: about {_readable(size)} in {path}")
     _write(model, scene, to, path, options)
     return path
 

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
-from flowsplat.gaussians.fading import ALL_AROUND, LEAST_REACH, reach
+from flowsplat.gaussians.confidence_fade import ALL_AROUND, LEAST_REACH, reach
 from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Gaussians4D
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.render import FILLED_FROM, FILLED_TO

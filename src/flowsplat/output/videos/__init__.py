@@ -44,11 +44,11 @@ def render_videos(model: PartedRenderer, scene: Scene, folder: Path, options: Re
         InputError: an option or the camera file cannot be used, or the folder cannot be written.
     """
     record = _record(folder)
-    if options.distances:
-        model = model.at_distances(factors_of(options.distances), scene.timestamps.tolist(), scene.cameras)
+    if options.object_depth:
+        model = model.at_distances(factors_of(options.object_depth), scene.timestamps.tolist(), scene.cameras)
     plans = plan_videos(model, scene, options)
-    if options.fading:
-        model = model.fading_guesses(scene.timestamps.tolist(), scene.cameras)
+    if options.confidence_fade:
+        model = model.fade_by_confidence(scene.timestamps.tolist(), scene.cameras)
     parts = {part: model.part(part) for part in options.parts}
     for plan in plans:
         shown = parts[plan.part]
@@ -64,7 +64,7 @@ def rendered(folder: Path) -> dict[str, str]:
     """What was rendered into ``folder``, by name, to the file's name in it.
 
     Names: ``input_path``, ``stabilized``, ``orbit``, ``bullet_time``, ``dolly_zoom``, ``wiggle`` and ``custom_path_`` with the
-    name of its camera file; behind it ``_slow4`` where time plays four times slower, ``_fading`` where guesses fade,
+    name of its camera file; behind it ``_slow4`` where time plays four times slower, ``_confidence_fade`` where guesses fade,
     ``_distance_2x1.2`` where object 2 is that much farther away, ``_background``, ``_objects`` or ``_objects_1_3`` where a part is
     shown, then ``_stereo`` or ``_color`` for the other files.
 

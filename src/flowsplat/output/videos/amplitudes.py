@@ -7,10 +7,10 @@ from functools import cached_property
 
 import numpy as np
 
-from flowsplat.common.progress import say
+from flowsplat.common.progress import report
 from flowsplat.common.threads import in_threads
 from flowsplat.gaussians.renderer import PartedRenderer
-from flowsplat.gaussians.support import Support
+from flowsplat.gaussians.visibility import ClipVisibility
 from flowsplat.geometry import Camera
 from flowsplat.geometry.paths import CameraPath, dolly_zoom, orbit
 from flowsplat.priors.objects import load_objects
@@ -55,14 +55,14 @@ class Amplitudes:
 
         angles = [angle for angle in ANGLES if np.radians(angle) * self._astray <= MOST_ASTRAY] or list(ANGLES[:1])
         angle, told = self._furthest(angles, looks)
-        say(f"{name.capitalize()}: {angle:g} degrees to either side{told}.")
+        report(f"{name.capitalize()}: {angle:g} degrees to either side{told}.")
         return angle
 
     def dolly(self, t: float, distance: float) -> float:
         """How many times as far from what is at a planar ``distance`` a dolly zoom goes at ``t`` seconds."""
         own = self.path.at(t)
         factor, told = self._furthest(DOLLIES, lambda factor: [(own, dolly_zoom(own, distance, factor), t)])
-        say(f"Dolly zoom: {factor:g} times as far{told}.")
+        report(f"Dolly zoom: {factor:g} times as far{told}.")
         return factor
 
     def _furthest(self, values: Sequence[float], looks: Callable[[float], list[_Look]]) -> tuple[float, str]:
@@ -78,13 +78,13 @@ class Amplitudes:
 
     def _unknown(self, looks: Sequence[_Look]) -> tuple[float, bool]:
         """Share of views that the clip does not tell, beyond that of its own, and whether they stay away from objects."""
-        support = self._support
+        visibility = self._visibility
         owns = {t: own for own, _, t in looks}
         views = [*((own, t) for t, own in owns.items()), *((camera, t) for _, camera, t in looks)]
-        found = list(in_threads(lambda view: support.share(*view), views, support.threads))
+        found = list(in_threads(lambda view: visibility.share(*view), views, visibility.threads))
         least, shares = dict(zip(owns, found, strict=False)), found[len(owns) :]
         beyond = [max(share - least[t], 0.0) for share, (_, _, t) in zip(shares, looks, strict=True)]
-        return float(np.mean(beyond)), all(support.keeps_clear(camera, own, t) for own, camera, t in looks)
+        return float(np.mean(beyond)), all(visibility.keeps_clear(camera, own, t) for own, camera, t in looks)
 
     @cached_property
     def _astray(self) -> float:
@@ -100,5 +100,5 @@ class Amplitudes:
         return CameraPath(self._scene.timestamps.tolist(), self._scene.cameras)
 
     @cached_property
-    def _support(self) -> Support:
-        return Support(self._model, self._scene.cameras, self._scene.timestamps.tolist())
+    def _visibility(self) -> ClipVisibility:
+        return ClipVisibility(self._model, self._scene.cameras, self._scene.timestamps.tolist())

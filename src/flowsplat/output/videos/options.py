@@ -38,7 +38,7 @@ class RenderOptions:
     fps: float | None = None
     """Frames a second. None = as the source, in-between frames rendered where the clip was thinned; then ``input`` has
     as many frames as the source, and that is what its rendering costs."""
-    slow: float = 1.0
+    slow_motion: float = 1.0
     """How many times slower than it was time plays; the frames between those of the source are rendered. Without sound."""
     max_frames: int = 120
     """Frames of ``orbit``, ``bullet`` and ``dolly`` at most."""
@@ -56,11 +56,11 @@ class RenderOptions:
     """Every video also as a pair for two eyes, left beside right (``<name>_stereo.mp4``); objects alone stand on black."""
     eye_distance: float = 0.03
     """Between the eyes of ``stereo`` and the ends of ``wiggle``, over the scene's median depth."""
-    distances: tuple[str, ...] = ()
+    object_depth: tuple[str, ...] = ()
     """Objects farther from the clip's camera than they were trained, or nearer: each ``number=factor``, as in ``2=1.2 3=0.9``.
     Their sizes go with them, so that the clip's own frames stay as they are, but for who hides whom; other cameras see the
     difference."""
-    fading: bool = False
+    confidence_fade: bool = False
     """What the clip has not seen well enough to tell what it looks like from where the camera stands fades to black, instead of
     being shown as a guess."""
     camera_file: Path | None = None
@@ -69,7 +69,7 @@ class RenderOptions:
 
 
 def factors_of(distances: Sequence[str]) -> dict[int, float]:
-    """By the number of the object, how many times as far away it is to be shown: of ``RenderOptions.distances``.
+    """By the number of the object, how many times as far away it is to be shown: of ``RenderOptions.object_depth``.
 
     Raises:
         InputError: one of them cannot be understood, comes twice, or is no distance.
@@ -82,9 +82,9 @@ def factors_of(distances: Sequence[str]) -> dict[int, float]:
         except ValueError:
             value = None
         if not number.isdecimal() or value is None:
-            raise InputError(f"--render.distances {text!r} is none: give object=factor as in 2=1.2.")
+            raise InputError(f"--render.object-depth {text!r} is none: give object=factor as in 2=1.2.")
         if int(number) in factors:
-            raise InputError(f"--render.distances names object {number} twice.")
+            raise InputError(f"--render.object-depth names object {number} twice.")
         factors[int(number)] = value
     check_factors(factors)
     return factors
@@ -106,18 +106,21 @@ def check_options(options: RenderOptions, fps: float, first: float, last: float)
         raise InputError(f"Unknown camera path {min(unknown)!r}: choose from {known}, or give a camera file.")
     for part in options.parts:
         numbers_of(part)
-    factors_of(options.distances)
+    factors_of(options.object_depth)
     if options.width is not None and not _SMALLEST <= options.width <= LARGEST:
         raise InputError(f"A video {options.width} pixels wide cannot be made: give a width from {_SMALLEST} to {LARGEST}.")
     if not SLOWEST <= fps <= FASTEST:
         raise InputError(f"{fps:g} frames a second cannot be written: give a frame rate from {SLOWEST:g} to {FASTEST:g}.")
-    if not 0.01 <= options.slow <= 100:
-        raise InputError(f"A video {options.slow:g} times slower cannot be made: give --render.slow from 0.01 to 100.")
+    if not 0.01 <= options.slow_motion <= 100:
+        raise InputError(
+            f"A video {options.slow_motion:g} times slower cannot be made: give --render.slow-motion from 0.01 to 100."
+        )
     if not 2 <= options.max_frames <= MOST_FRAMES:
         raise InputError(f"A video of at most {options.max_frames:,} frame(s) cannot be made: give 2 to {MOST_FRAMES:,}.")
-    if (count := (last - first) * fps * options.slow) > MOST_FRAMES:
+    if (count := (last - first) * fps * options.slow_motion) > MOST_FRAMES:
         raise InputError(
-            f"A video of {count:,.0f} frames cannot be made, {MOST_FRAMES:,} at most: give a smaller --render.fps or --render.slow."
+            f"A video of {count:,.0f} frames cannot be made, {MOST_FRAMES:,} at most: give a smaller --render.fps or "
+            "--render.slow-motion."
         )
     if options.orbit_angle is not None and not 0 <= options.orbit_angle < 90:
         raise InputError(f"The orbit's angle is {options.orbit_angle:g} degrees: give one from 0 to 90.")

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from flowsplat.common.errors import InputError
-from flowsplat.common.progress import say
+from flowsplat.common.progress import report
 from flowsplat.common.spread import spread
 from flowsplat.gaussians.renderer import Part, PartedRenderer
 from flowsplat.geometry import Camera
@@ -102,11 +102,11 @@ def settle(scene: Scene, options: RenderOptions) -> tuple[float, tuple[int, int]
 def _versions(plan: Plan, part: Part, scene: Scene, options: RenderOptions) -> Iterator[Plan]:
     """The video of one part of the scene, and its stereo pair (objects alone on black, as players know no alpha beside stereo)."""
     suffix = "" if part == "all" else "_" + part.replace(":", "_").replace(",", "_")
-    if options.distances:
-        factors = factors_of(options.distances)
+    if options.object_depth:
+        factors = factors_of(options.object_depth)
         suffix = "_distance" + "".join(f"_{number}x{factor:g}" for number, factor in factors.items()) + suffix
-    if options.fading:
-        suffix = "_fading" + suffix
+    if options.confidence_fade:
+        suffix = "_confidence_fade" + suffix
     shown = replace(plan, part=part, name=plan.name + suffix)
     transparent = part.startswith("objects") and plan.kind == "panels"
     yield replace(shown, kind="alpha", audio_from=None) if transparent else shown
@@ -121,20 +121,20 @@ def _whole(model: PartedRenderer, scene: Scene, options: RenderOptions) -> Itera
     first, last = float(scene.timestamps[0]), float(scene.timestamps[-1])
     fps, size, given = settle(scene, options)
     path = CameraPath(scene.timestamps.tolist(), [camera.resized(*size) for camera in scene.cameras])
-    step = 1 / (fps * options.slow)
+    step = 1 / (fps * options.slow_motion)
     times = first + np.arange(int((last - first) / step + 1e-6) + 1) * step
     distance = 1 / scene.similarity.scale  # the median depth
     frozen = (first + last) / 2 if options.bullet_time is None else options.bullet_time
-    sound, start = (scene.sound if options.slow == 1 else None) or (None, 0.0)
+    sound, start = (scene.sound if options.slow_motion == 1 else None) or (None, 0.0)
     along = [(path.at(t), float(t)) for t in times]
-    tempo = "" if options.slow == 1 else f"_slow{options.slow:g}"
+    tempo = "" if options.slow_motion == 1 else f"_slow{options.slow_motion:g}"
     amplitudes = Amplitudes(model, scene, options.orbit_angle)
 
     if "input" in options.paths:
         yield Plan(f"input_path{tempo}", along, fps, audio_from=sound, audio_start=start)
     if "stabilized" in options.paths:
         shots, share = stabilize(model, along, options.stabilize / step)
-        say(f"The stabilized path shows {share:.0%} of the width and height of the clip.")
+        report(f"The stabilized path shows {share:.0%} of the width and height of the clip.")
         yield Plan(f"stabilized{tempo}", shots, fps, audio_from=sound, audio_start=start)
     if "orbit" in options.paths:
         # The middle of the clip in real time.

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from flowsplat.common.progress import say, track
+from flowsplat.common.progress import report, track
 from flowsplat.gaussians.renderer import Renderer
 from flowsplat.geometry.paths import cropped, smooth_path
 from flowsplat.output.videos.shots import COVERED, Shot
@@ -44,7 +44,7 @@ def stabilize(model: Renderer, shots: Sequence[Shot], sigma: float) -> tuple[lis
         own = covered_share(model, shots)
         smooth = candidates[0] if own < _LEAST_LEFT else cameras
         share = max(own, _LEAST_LEFT)
-        say("The scene has borders that no frame saw: the stabilized path shows them filled from their neighbors.")
+        report("The scene has borders that no frame saw: the stabilized path shows them filled from their neighbors.")
     return [(cropped(camera, share), t) for camera, t in zip(smooth, times, strict=True)], share
 
 

@@ -59,7 +59,7 @@ class Look:
     tracks: bool = False
     stereo: bool = False
     distances: tuple[tuple[int, float], ...] = ()
-    fading: bool = False
+    confidence_fade: bool = False
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,7 @@ def render_look(source: Source, camera: Camera, wish: Wish, side: int = 0) -> tu
     look, t = wish.look, wish.t
     flow_to = _next_shot(source, camera, wish, side) if look.show == "flow" else None
     camera = _eye(source, camera, side)
-    model = source.model(look.part, look.distances, look.fading)
+    model = source.model(look.part, look.distances, look.confidence_fade)
     if look.show == "Gaussians":
         return draw_points(model, camera, t), np.full((camera.height, camera.width), np.inf, np.float32)
     seen = model.render(camera, t, flow_to)
@@ -189,7 +189,7 @@ def draw_points(model: SceneModel, camera: Camera, t: float) -> np.ndarray:
     if not len(sliced.means):
         return image
     uv, depth = there.project(sliced.means.cpu().numpy().astype(np.float64))
-    shown = np.ones(len(uv), bool) if model.fading is None else sliced.opacities.cpu().numpy() > ALPHA_MIN
+    shown = np.ones(len(uv), bool) if model.confidence_fade is None else sliced.opacities.cpu().numpy() > ALPHA_MIN
     inside = shown & (depth > 1e-3) & np.isfinite(uv).all(-1) & (uv >= 0).all(-1) & (uv < [camera.width, camera.height]).all(-1)
     order = np.nonzero(inside)[0][np.argsort(-depth[inside], kind="stable")]
     dot = np.arange(2 if camera.width >= 480 else 1)

@@ -114,7 +114,7 @@ class ExportPanel:
         clock = self._session.clock
         now = clock.at(time.monotonic())
         self._count.content = "Working it out ..."
-        self._begin(self._planning(RenderOptions(paths=(self._ready.value,), slow=1 / clock.speed, bullet_time=now)))
+        self._begin(self._planning(RenderOptions(paths=(self._ready.value,), slow_motion=1 / clock.speed, bullet_time=now)))
 
     def _planning(self, options: RenderOptions) -> Iterator[None]:
         try:
@@ -187,8 +187,10 @@ class ExportPanel:
         write_camera_file(path, shots, self._fps)
         self._finished(path)
         distances = [f"{number}={factor:g}" for number, factor in self._session.look.distances]
-        options = f"--render.camera-file {path}" + "".join(f" {word}" for word in ("--render.distances", *distances) if distances)
-        options += " --render.fading" if self._session.look.fading else ""
+        options = f"--render.camera-file {path}" + "".join(
+            f" {word}" for word in ("--render.object-depth", *distances) if distances
+        )
+        options += " --render.confidence-fade" if self._session.look.confidence_fade else ""
         self._notifications.show("Render it", f"flowsplat render {self._source.folder} {options}")
 
     def _load_path(self) -> None:

@@ -36,7 +36,7 @@ _MAX_OBJECTS = 16
 """Objects that can be chosen: those with the most Gaussians."""
 _DISTANCES, _DISTANCE_STEP = (0.3, 3.0), 0.01
 """Times as far from the clip's camera as trained."""
-_FADING_HINT = "What the clip has not seen well enough to tell what it looks like from here is black."
+_CONFIDENCE_FADE_HINT = "What the clip has not seen well enough to tell what it looks like from here is black."
 _DISTANCE_HINT = "Times as far from the clip's camera. The clip's own frames stay as they are, but for who hides whom."
 _STILL_QUALITY, _MOVING_QUALITY = 92, 75
 """Of the JPEGs."""
@@ -100,7 +100,7 @@ class Panel:
             self._compare = controls.add_dropdown("Input frame", get_args(Compare), initial_value="off")
             self._wipe = controls.add_slider("Wipe", min=0.0, max=1.0, step=0.01, initial_value=0.5, visible=False)
             self._stereo = controls.add_checkbox("Stereo pair", False, hint="For two eyes, left beside right.")
-            self._fading = controls.add_checkbox("Only what the clip tells", False, hint=_FADING_HINT)
+            self._confidence_fade = controls.add_checkbox("Only what the clip tells", False, hint=_CONFIDENCE_FADE_HINT)
         self._distances: dict[int, Control] = {}
         if self._objects:
             with gui.add_folder("Distance of objects", expand_by_default=False):
@@ -123,7 +123,7 @@ class Panel:
             (self._mode, self._set_mode), (self._cameras, self._draw_cameras), (self._trails, self._draw_trails),
         ):  # fmt: skip
             control.on_update(self._notifications.callback(action))
-        for control in (self._what, self._part, self._compare, self._wipe, self._stereo, self._fading, self._tracks):
+        for control in (self._what, self._part, self._compare, self._wipe, self._stereo, self._confidence_fade, self._tracks):
             control.on_update(self._notifications.callback(self._set_look))
         for slider in self._distances.values():
             slider.on_update(self._notifications.callback(self._set_look))
@@ -215,7 +215,7 @@ class Panel:
         distances = tuple((number, float(slider.value)) for number, slider in self._distances.items() if slider.value != 1)
         look = Look(
             self._what.value, self._part.value, self._compare.value, float(self._wipe.value), self._tracks.value,
-            self._stereo.value, distances, self._fading.value,
+            self._stereo.value, distances, self._confidence_fade.value,
         )  # fmt: skip
         are_moved = look.distances != self._session.look.distances
         self._wipe.visible = look.compare == "wipe"

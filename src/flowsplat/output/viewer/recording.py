@@ -86,7 +86,7 @@ def record_path(
     Raises:
         InputError: it cannot be written, or a WebM is asked for where nothing moves.
     """
-    suffix, objects = path.suffix, source.model("objects", look.distances, look.fading)
+    suffix, objects = path.suffix, source.model("objects", look.distances, look.confidence_fade)
     if suffix == ".webm" and not len(objects.gaussians):
         raise InputError("Nothing moves in this scene: record it as mp4 or gif.")
     fps = WIGGLE_FPS if suffix == ".gif" else fps

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from flowsplat.common.devices import pick_device
 from flowsplat.common.errors import InputError
-from flowsplat.common.progress import say
+from flowsplat.common.progress import report
 from flowsplat.output.viewer.guard import LOOPBACK, WILDCARDS, Guard, guarding, is_guarded
 from flowsplat.output.viewer.options import ViewOptions
 from flowsplat.output.viewer.source import Source
@@ -100,12 +100,14 @@ def view(folder: Path, options: ViewOptions) -> None:
     try:
         shown = "localhost" if options.host in LOOPBACK | WILDCARDS else options.host
         shown = f"[{shown}]" if ":" in shown else shown
-        say(f"Showing {folder} ({viewer.source.loaded.state}): http://{shown}:{options.port}{viewer.guard.query} - Ctrl-C stops.")
+        report(
+            f"Showing {folder} ({viewer.source.loaded.state}): http://{shown}:{options.port}{viewer.guard.query} - Ctrl-C stops."
+        )
         if viewer.guard.token is not None:
-            say("Every computer that reaches this one can open the viewer, with this whole address; it is new each time.")
+            report("Every computer that reaches this one can open the viewer, with this whole address; it is new each time.")
         threading.Event().wait()
     except KeyboardInterrupt:
-        say("The viewer is stopped.")
+        report("The viewer is stopped.")
     finally:
         viewer.stop()
 

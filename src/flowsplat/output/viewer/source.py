@@ -71,15 +71,15 @@ class Source:
         model, state = read(self.scene)
         self.loaded = Loaded(self._ready(model), state, 0)
 
-    def model(self, part: Part, distances: Sequence[tuple[int, float]] = (), fading: bool = False) -> SceneModel:
+    def model(self, part: Part, distances: Sequence[tuple[int, float]] = (), confidence_fade: bool = False) -> SceneModel:
         """The newest model of a part of the scene, with objects so many times as far away as they were trained.
 
-        Numbers that no object has do nothing: in training they may come and go. ``fading``: without what the clip tells too little
-        of; nothing as long as that is not known.
+        Numbers that no object has do nothing: in training they may come and go. ``confidence_fade``: without what the clip tells
+        too little of; nothing as long as that is not known.
         """
         model, factors = self.loaded.part(part), {number: factor for number, factor in distances if factor != 1}
         model = replace(model, distances=Distances(factors, self._inner_path)) if factors else model
-        return replace(model, fading=self._inner_path, fill=False) if fading else model
+        return replace(model, confidence_fade=self._inner_path, fill=False) if confidence_fade else model
 
     def refresh(self) -> bool:
         """Read the newest state again if it changed; whether it did."""

@@ -13,7 +13,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 
-from flowsplat.common.progress import say
+from flowsplat.common.progress import report
 from flowsplat.output.viewer.browser_frame import BrowserFrame
 from flowsplat.output.viewer.drawing import Drawing, draw
 from flowsplat.output.viewer.session import Job, Session
@@ -109,7 +109,7 @@ class Worker:
         if self._source.refresh():
             if self._source.scene is not self._scene:
                 self._scene, self._browser = self._source.scene, BrowserFrame(self._source.scene.similarity)
-            say(f"Showing a newer model: {self._source.loaded.state}.")
+            report(f"Showing a newer model: {self._source.loaded.state}.")
             self._reloaded()
 
     def _next_job(self) -> tuple[int, Session, SendImage, Job] | None:
@@ -134,7 +134,7 @@ class Worker:
                     return
             show(job, drawing)
         except Exception as error:  # One client's bad luck must not end the viewer for the others.
-            say(f"An image could not be made: {type(error).__name__}: {error}")
+            report(f"An image could not be made: {type(error).__name__}: {error}")
             with self._condition:
                 session.done(job, time.monotonic(), time.monotonic() - started)
 
@@ -149,7 +149,7 @@ class Worker:
         except StopIteration:
             return True
         except Exception as error:
-            say(f"It could not be finished: {type(error).__name__}: {error}")
+            report(f"It could not be finished: {type(error).__name__}: {error}")
             return True
         with self._condition:
             if client in self._sessions and not self._stopping:

@@ -39,7 +39,7 @@ RIM = 0.5
 FOLLOWS = 0.5
 """Pixels by which a track may miss its point and still stand still, or four times the median error where that is more."""
 ON_PLANE = 0.97
-"""Share of static tracks that one homography must explain in a scene without relief."""
+"""Share of static tracks that one homography must explain in a scene without depth variation."""
 MOST_JUDGES = 4000
 """About how many tracks decide between kinds of motion, at most."""
 
@@ -193,7 +193,7 @@ def _parallax(fit: Refined, seen: np.ndarray) -> float:
 def _is_flat(fit: Refined, centered: np.ndarray, seen: np.ndarray) -> bool:
     """Whether one homography explains what two distant frames share, whichever frame comes first.
 
-    Told by the images and not by the points: without relief the focal length may be far off, and the points bent.
+    Told by the images and not by the points: without depth variation the focal length may be far off, and the points bent.
     """
     limit = max(FOLLOWS, 4 * float(np.median(fit.errors)))
     count = seen.shape[1]

@@ -25,7 +25,7 @@ MARGIN, KNOWN_MARGIN = 1.03, 1.02
 """How much nearer than all that is known to be behind it an object is at least: where nothing tells its distance, and where
 something does. A foot is as far away as the ground that it stands on."""
 TIED = 0.14
-PLACES = {"contact", "bounce", "pivot", "touch", "distance"}
+PLACES = {"contact", "bounce", "pivot", "contact_hint", "same_depth_hint"}
 """Standard deviation of an object's ln distance up to which it may stand behind what is only filled in, and the cues that tie it
 to a place of the still scene, with which it may do so, too."""
 OBJECT_CONFIDENCE = 0.6

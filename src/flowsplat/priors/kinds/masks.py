@@ -57,7 +57,7 @@ def _read_given(request: Request, path: Path) -> None:
 
 MASKS = Kind(
     compute=_compute,
-    options=("masks", "mask_click", "mask_box", "mask_not", "models"),
+    options=("masks", "mask_click", "mask_box", "mask_negative", "models"),
     files=("masks",),
     own=(OWN,),
     asked=_asked,

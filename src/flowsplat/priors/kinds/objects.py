@@ -35,12 +35,12 @@ def _differs(request: Request, asked: str | None) -> bool:
 def _check_renewal(request: Request, stale: Collection[str]) -> None:
     if "depth" not in stale:
         depth = request.method("depth")
-        raise InputError(f"The scene has depth already ({depth}), in which --touch and --distance place nothing.")
+        raise InputError(f"The scene has depth already ({depth}), in which --contact and --same-depth place nothing.")
 
 
 OBJECTS = Kind(
     compute=_compute,
-    options=("touch", "distance"),
+    options=("contact", "same_depth"),
     files=("objects.json", "objects.npz"),
     own=("motion",),
     differs=_differs,

@@ -166,7 +166,7 @@ def enlarged(evidence: np.ndarray, like: np.ndarray) -> np.ndarray:
 
 
 def parts(moving: np.ndarray, support: np.ndarray, least: float) -> np.ndarray:
-    """The parts of a mask [H, W] uint8 that are large enough and have a mean ``support`` [H, W] of ``least``; holes closed."""
+    """The parts of a mask [H, W] uint8 that are large enough and have a mean ``visibility`` [H, W] of ``least``; holes closed."""
     smallest = SMALLEST * moving.size
     _, holes, stats, _ = cv2.connectedComponentsWithStats(1 - moving, connectivity=4)
     moving = np.where((stats[:, cv2.CC_STAT_AREA] < smallest / 4)[holes], np.uint8(1), moving)

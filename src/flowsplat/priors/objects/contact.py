@@ -25,7 +25,7 @@ class Bound:
     """What one frame says.
 
     Attributes:
-        log_depth: logarithm of the planar depth of the card's middle at which it would touch the ground.
+        log_depth: logarithm of the planar depth of the billboard's middle at which it would touch the ground.
         visible: whether its lowest pixels are in the image and nothing stands before them.
         seen: whether the ground was seen there, and is not only supposed to go on.
         lowest: [n, 2] int, (column, row) of its lowest pixels.
@@ -38,14 +38,14 @@ class Bound:
 
 
 def upright_ratio(camera: Camera, normal: np.ndarray, middle: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """[N] depth at pixels [N, 2] of an upright card that faces the camera, relative to that at its ``middle`` [2].
+    """[N] depth at pixels [N, 2] of an upright billboard that faces the camera, relative to that at its ``middle`` [2].
 
-    The card holds the ground's normal [3]. A camera that looks down sees its foot farther than its head in planar depth.
+    The billboard holds the ground's normal [3]. A camera that looks down sees its foot farther than its head in planar depth.
     """
     rays = camera.unproject(np.concatenate([middle[None], pixels]), np.ones(len(pixels) + 1)) - camera.center
     facing = rays[0] - (rays[0] @ normal) * normal
     along = rays @ facing
-    # A camera that looks straight down sees no upright card: it faces the image then.
+    # A camera that looks straight down sees no upright billboard: it faces the image then.
     if along[0] < 0.05 * float(rays[0] @ rays[0]):
         return np.ones(len(pixels))
     return along[0] / np.maximum(along[1:], 0.2 * along[0])

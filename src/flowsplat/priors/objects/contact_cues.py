@@ -21,7 +21,7 @@ MOSTLY = 0.5
 """Share of the frames in which an object is seen in which its feet must be seen, too: what swings hides where it is high."""
 FEWEST_BOUNDS = 8
 STEPS = 5.0
-"""Frames: standard deviation over time of what feet say about a course; steps are shorter."""
+"""Frames: standard deviation over time of what feet say about a depth trajectory; steps are shorter."""
 SUPPOSED_SIGMA, SUPPOSED_WRONG = 0.06, 0.25
 """What is added to the error of a contact with ground that was not seen, and its chance to be wrong."""
 BOUNCE_SPAN = 2
@@ -65,13 +65,13 @@ class Feet:
             frames,
         )
 
-    def unevenness(self, course: np.ndarray) -> float:
-        """How much its height above the ground would change over time by a course [T]: see ``unevenness``."""
-        return unevenness(self.log_depth - course, self.visible, self.frames)
+    def unevenness(self, depth_trajectory: np.ndarray) -> float:
+        """How much its height above the ground would change over time by a depth trajectory [T]: see ``unevenness``."""
+        return unevenness(self.log_depth - depth_trajectory, self.visible, self.frames)
 
-    def supposed(self, course: np.ndarray) -> bool:
-        """Whether the ground under a course [T] is supposed rather than seen."""
-        known = np.isfinite(self.log_depth - course)
+    def supposed(self, depth_trajectory: np.ndarray) -> bool:
+        """Whether the ground under a depth trajectory [T] is supposed rather than seen."""
+        known = np.isfinite(self.log_depth - depth_trajectory)
         return bool(known.any()) and float(self.ground_seen[known].mean()) < 0.5
 
 
@@ -98,12 +98,12 @@ def contact_cue(bounds: np.ndarray, visible: np.ndarray, frames: int) -> Cue | N
 
 
 def settled(above: np.ndarray, visible: np.ndarray) -> np.ndarray:
-    """[T] what brings the course of an object that stands to the ground over time.
+    """[T] what brings the depth trajectory of an object that stands to the ground over time.
 
-    A course that only its size tells is some percent off over time, where feet are seen to one or two.
+    A depth trajectory that only its size tells is some percent off over time, where feet are seen to one or two.
 
     Args:
-        above: [T] in ln, how much farther than its course each frame's feet would be on the ground.
+        above: [T] in ln, how much farther than its depth trajectory each frame's feet would be on the ground.
         visible: [T] whether they are seen.
     """
     seen = visible & np.isfinite(above)
@@ -133,14 +133,14 @@ def thrown_cue(bounds: np.ndarray, thrown: np.ndarray) -> Cue | None:
 
 
 def foot_offset(lowest: np.ndarray, front: np.ndarray, pixels: np.ndarray, offsets: np.ndarray, sigma: np.ndarray) -> float:
-    """By how much, in ln, the lowest pixels of an object are farther than its upright card in one frame.
+    """By how much, in ln, the lowest pixels of an object are farther than its upright billboard in one frame.
 
     They lie on its rim, where a round body is farther than its front; its points correct that.
 
     Args:
         lowest: [n, 2] int (column, row).
         front: ``roundness`` [H, W] of its mask.
-        pixels: [N, 2] of points that stand out of card and front by offsets [N], with standard deviation sigma [N].
+        pixels: [N, 2] of points that stand out of billboard and front by offsets [N], with standard deviation sigma [N].
     """
     rim = float(np.median(front[lowest[:, 1], lowest[:, 0]]))
     reach = max(6.0, FOOT * float(np.sqrt((front != 0).sum())))

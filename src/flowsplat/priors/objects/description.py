@@ -20,8 +20,8 @@ WORDS = {
     "bounce": "touches the ground when it bounces",
     "pivot": "swings about a fixed point",
     "height": "keeps its height over the ground",
-    "touch": "a hint: it touches what is still",
-    "distance": "a hint: as far away as a place of the still scene",
+    "contact_hint": "a hint: it touches what is still",
+    "same_depth_hint": "a hint: as far away as a place of the still scene",
 }
 """What speaks for a distance, by the name of its cue."""
 

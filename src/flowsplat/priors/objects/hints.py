@@ -1,8 +1,8 @@
 """What the user knows of an object's distance: where it touches what is still, and what is as far away as it.
 
-``--touch x,y@frame``: what is seen there touches the still scene, or the ground, right behind it. ``--distance x,y@frame=x2,y2``:
-it is as far away as the still point seen at x2,y2 of that frame. One hint places its object over the whole clip, for its course
-over time is known up to one factor.
+``--contact x,y@frame``: what is seen there touches the still scene, or the ground, right behind it. ``--same-depth
+x,y@frame=x2,y2``: it is as far away as the still point seen at x2,y2 of that frame. One hint places its object over the whole clip,
+for its depth trajectory over time is known up to one factor.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from flowsplat.priors.objects.storage import SceneObjects
 from flowsplat.priors.prompts import parse_place
 from flowsplat.scenes import Scene
 
-SIGMA = {"touch": 0.02, "distance": 0.03}
+SIGMA = {"contact_hint": 0.02, "same_depth_hint": 0.03}
 """Standard deviation of ln distance that one hint leaves."""
 WRONG = 0.02
 """Chance that a hint is a slip of the hand."""
@@ -39,10 +39,10 @@ class Hint:
 
     Attributes:
         text: as it was given.
-        kind: touch or distance.
+        kind: ``contact_hint`` or ``same_depth_hint``.
         frame: of the clip.
         place: x, y in pixels of the frames, on the object.
-        still: x, y of the still point that is as far away; None for a touch.
+        still: x, y of the still point that is as far away; None for a contact.
     """
 
     text: str
@@ -52,26 +52,27 @@ class Hint:
     still: tuple[float, float] | None = None
 
 
-def parse_hints(touch: Sequence[str], distance: Sequence[str], scene: Scene) -> list[Hint]:
+def parse_hints(contact: Sequence[str], same_depth: Sequence[str], scene: Scene) -> list[Hint]:
     """Hints as they are typed: ``x,y@frame`` and ``x,y@frame=x2,y2``; values of at most 1 are shares of width and height.
 
     Raises:
         InputError: not of that form, outside the image, or on a frame that is held out or does not exist.
     """
     found = []
-    for text in touch:
-        frame, (x, y) = parse_place(text, "--touch", 2, scene)
-        found.append(Hint(f"touch {text}", "touch", frame, (x, y)))
-    for text in distance:
+    for text in contact:
+        frame, (x, y) = parse_place(text, "--contact", 2, scene)
+        found.append(Hint(f"contact {text}", "contact_hint", frame, (x, y)))
+    for text in same_depth:
         match = re.fullmatch(r"\s*([^=]+)=([^=@]+)\s*", text)
         if match is None or match[2].count(",") != 1:
             raise InputError(
-                f"--distance {text} cannot be understood: give x,y@frame=x2,y2, for example --distance 320,180@0=400,200, where "
+                f"--same-depth {text} cannot be understood: give x,y@frame=x2,y2, for example --same-depth 320,180@0=400,200, "
+                "where "
                 "x2,y2 shows something still that is as far away."
             )
-        frame, (x, y) = parse_place(match[1], "--distance", 2, scene)
-        _, (u, v) = parse_place(f"{match[2]}@{frame}", "--distance", 2, scene)
-        found.append(Hint(f"distance {text}", "distance", frame, (x, y), (u, v)))
+        frame, (x, y) = parse_place(match[1], "--same-depth", 2, scene)
+        _, (u, v) = parse_place(f"{match[2]}@{frame}", "--same-depth", 2, scene)
+        found.append(Hint(f"same_depth {text}", "same_depth_hint", frame, (x, y), (u, v)))
     return found
 
 
@@ -98,7 +99,7 @@ def _placed(obj: DynamicObject, told: Sequence[tuple[str, float]]) -> DynamicObj
     weights = np.array([1 / SIGMA[kind] ** 2 for kind, _ in told])
     offsets = np.array([offset for _, offset in told])
     offset = float(np.average(offsets, weights=weights))
-    # Hints that differ tell that the course between them is off, or a hint.
+    # Hints that differ tell that the depth trajectory between them is off, or a hint.
     sigma = float(np.hypot(1 / np.sqrt(weights.sum()), np.std(offsets)))
     cues = {kind: Cue(offset, sigma, WRONG) for kind in sorted({kind for kind, _ in told})}
     points = replace(obj.points, log_depth=obj.points.log_depth + offset)

@@ -19,8 +19,15 @@ from flowsplat.common.kernels import helper, kernel
 from flowsplat.common.threads import parallel_for
 from flowsplat.geometry import Camera
 from flowsplat.priors.objects.contact import upright_ratio
-from flowsplat.priors.objects.relief import DEEPEST, ReliefPoints, place_points, relief, rough_points, roundness
 from flowsplat.priors.objects.rigid import NEAREST, Observations, RigidMotion, refine_rigid
+from flowsplat.priors.objects.shape_offset import (
+    DEEPEST,
+    ShapePoints,
+    interpolate_shape_offset,
+    place_points,
+    rough_points,
+    roundness,
+)
 
 RADIUS = 4
 """Pixels of a point's surroundings to either side."""
@@ -70,7 +77,7 @@ class ObjectImages:
     cameras: Sequence[Camera]
     normal: np.ndarray
 
-    def surface(self, k: int, points: ReliefPoints, expected: float) -> np.ndarray:
+    def surface(self, k: int, points: ShapePoints, expected: float) -> np.ndarray:
         """ln depth [H, W] float32 of the object in training frame k, up to a constant, as far as its points tell."""
         mask, camera = self.masks[k], self.cameras[k]
         result = np.zeros(mask.shape, np.float32)
@@ -80,14 +87,16 @@ class ObjectImages:
         result += roundness(mask, float(camera.K[0, 0]))
         rows, columns = slice(y.min(), y.max() + 1), slice(x.min(), x.max() + 1)
         grid = np.moveaxis(np.mgrid[rows, columns][::-1], 0, -1) + 0.5
-        card = np.log(upright_ratio(camera, self.normal, self.middles[k], grid.reshape(-1, 2))).reshape(grid.shape[:2])
-        result[rows, columns] += card
+        billboard = np.log(upright_ratio(camera, self.normal, self.middles[k], grid.reshape(-1, 2))).reshape(grid.shape[:2])
+        result[rows, columns] += billboard
         here = points.frame_of == k
         if here.any():
             pixels = points.pixels[here]
             column, row = np.clip(pixels.astype(int), 0, [mask.shape[1] - 1, mask.shape[0] - 1]).T
             offsets = points.log_depth[here] - result[row, column]
-            result += relief(mask, self.gray[k], pixels, offsets - np.median(offsets), points.sigma[here], expected)
+            result += interpolate_shape_offset(
+                mask, self.gray[k], pixels, offsets - np.median(offsets), points.sigma[here], expected
+            )
         # What is read between the last pixels of the object and those beside it belongs to the object.
         result[~mask] = result[mask].max()
         return result

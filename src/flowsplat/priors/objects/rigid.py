@@ -25,7 +25,7 @@ from flowsplat.priors.objects.rigid_equations import (
 
 RESIDUAL_WIDTH = 1.0
 """Pixels: an observation this far off has half its weight (Cauchy)."""
-RELIEF_RIDGE = 0.05
+SHAPE_RIDGE = 0.05
 """Precision of the prior that an object is no deeper than it is wide, in units of 1 / its width^2."""
 SMOOTHNESS = 20.0
 """Precision of the prior that its pose changes evenly from frame to frame: it carries over frames with few tracks."""
@@ -174,7 +174,7 @@ def pose_information(motion: RigidMotion) -> tuple[np.ndarray, np.ndarray]:
     prior = _unevenness(turns, shifts)[0]
     H = reduced_system(
         turns, shifts, motion.points, o.first, place[o.frame_of], o.x, motion.known, o.focal, RESIDUAL_WIDTH,
-        RELIEF_RIDGE / motion.size**2, 0.0, widest_link(o.first, place[o.frame_of], motion.known),
+        SHAPE_RIDGE / motion.size**2, 0.0, widest_link(o.first, place[o.frame_of], motion.known),
     )[0]  # fmt: skip
     H[:, : prior.shape[1]] += prior
     return frames, unpacked(H)
@@ -236,7 +236,7 @@ class _Solver:
         self._size, self._reference = motion.size, int(counts.argmax())
 
     def begin(self) -> bool:
-        """A flat card in the frame with the most long tracks; False where no frame sees enough of them."""
+        """A flat billboard in the frame with the most long tracks; False where no frame sees enough of them."""
         o = self._o
         lengths = np.minimum(np.diff(o.first), 40).astype(float)
         self._reference = int(np.bincount(o.frame_of, lengths[self._point_of], o.frames).argmax()) if len(o.x) else 0
@@ -288,7 +288,7 @@ class _Solver:
         place = np.full(o.frames, -1)
         place[frames] = np.arange(len(frames))
         turns, shifts, points = self._turns[frames], self._shifts[frames], self._points
-        ridge = RELIEF_RIDGE / self._size**2
+        ridge = SHAPE_RIDGE / self._size**2
         fixed = o.first, place[o.frame_of], o.x, self._known, o.focal, RESIDUAL_WIDTH, ridge
         reach = widest_link(o.first, place[o.frame_of], self._known)
         damping, cost = 1e-3, robust_cost(turns, shifts, points, *fixed) + _unevenness(turns, shifts)[2]
@@ -321,7 +321,7 @@ class _Solver:
         self._cost = cost
 
     def mirror(self) -> _Solver:
-        """The same with mirrored relief and mirrored turns, which looks almost the same."""
+        """The same with mirrored shape offset and mirrored turns, which looks almost the same."""
         other = _Solver(self._o)
         other._used, other._known, other._size = self._used.copy(), self._known.copy(), self._size
         other._reference, other._shifts = self._reference, self._shifts.copy()

@@ -1,4 +1,4 @@
-"""Each numbered object of a clip: its course over time, its distance, and the depth of its pixels."""
+"""Each numbered object of a clip: its depth trajectory over time, its distance, and the depth of its pixels."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from flowsplat.priors.objects.contact_cues import (
     thrown_cue,
     unsurer,
 )
-from flowsplat.priors.objects.course import Course, ObjectTracks, solve_course
+from flowsplat.priors.objects.depth_trajectory import DepthTrajectory, ObjectTracks, solve_depth_trajectory
 from flowsplat.priors.objects.distance import Cue, Distance, combine
 from flowsplat.priors.objects.path import bounce_frames
-from flowsplat.priors.objects.relief import DEEPEST, ReliefPoints, relief, roundness
 from flowsplat.priors.objects.rematching import ObjectImages
+from flowsplat.priors.objects.shape_offset import DEEPEST, ShapePoints, interpolate_shape_offset, roundness
 
 SHORTEST_TRACK = 5
 INSIDE = 0.7
@@ -47,7 +47,7 @@ class DynamicObject:
         rigid: whether its motion was found and explains all of it, so that it does not bend.
         cues: what speaks for its distance.
         points: depth of points on it, with its distance.
-        expected: standard deviation of ln depth that its relief is expected to have.
+        expected: standard deviation of ln depth that its shape offset is expected to have.
     """
 
     number: int
@@ -56,7 +56,7 @@ class DynamicObject:
     sigma: float
     rigid: bool
     cues: Mapping[str, Cue]
-    points: ReliefPoints
+    points: ShapePoints
     expected: float
 
     def depth(self, k: int, mask: np.ndarray, image: np.ndarray, camera: Camera, normal: np.ndarray) -> np.ndarray:
@@ -71,7 +71,9 @@ class DynamicObject:
             column, row = np.clip(places.astype(int), 0, [mask.shape[1] - 1, mask.shape[0] - 1]).T
             expected = self.log_depth[k] + np.log(upright_ratio(camera, normal, middle, places)) + front[row, column]
             offsets = self.points.log_depth[here] - expected
-            log_depth = log_depth + relief(mask, image, places, offsets, self.points.sigma[here], self.expected)[y, x]
+            log_depth = (
+                log_depth + interpolate_shape_offset(mask, image, places, offsets, self.points.sigma[here], self.expected)[y, x]
+            )
         return np.exp(log_depth)
 
 
@@ -106,7 +108,7 @@ def tracks_of_objects(
 
 def solve_object(
     number: int, positions: np.ndarray, inside: np.ndarray, middles: np.ndarray, bounds: Sequence[Bound | None],
-    cameras: Sequence[Camera], ground: Ground | None, log_cards: np.ndarray, normal: np.ndarray,
+    cameras: Sequence[Camera], ground: Ground | None, log_billboards: np.ndarray, normal: np.ndarray,
     front: Callable[[int], np.ndarray], images: ObjectImages | None = None,
 ) -> DynamicObject:  # fmt: skip
     """One object.
@@ -116,38 +118,45 @@ def solve_object(
         middles: [T, 2] its middle pixels, NaN where it is not seen.
         bounds: [T] where it would touch the ground.
         cameras: [T].
-        log_cards: [T] logarithm of the depth of its card, NaN where it is not seen: a guess, and a course where its motion is not
-            believed.
+        log_cards: [T] logarithm of the depth of its billboard, NaN where it is not seen: a guess, and a depth trajectory where its
+            motion is not believed.
         normal: [3] up.
         front: gives the ``roundness`` [H, W] of its mask in training frame k.
         images: to match its points anew in; None: tracks are all there is.
     """
-    seen = np.isfinite(log_cards) & np.isfinite(middles).all(1)
+    seen = np.isfinite(log_billboards) & np.isfinite(middles).all(1)
     tracks, feet = ObjectTracks(positions, inside, middles, cameras, normal), Feet.of(bounds, int(seen.sum()))
-    found = solve_course(tracks, log_cards, feet, ground, images)
-    guess = float(np.median((log_cards - found.log_depth)[seen]))
+    found = solve_depth_trajectory(tracks, log_billboards, feet, ground, images)
+    guess = float(np.median((log_billboards - found.log_depth)[seen]))
     at_ground = feet.log_depth - found.log_depth
     stands = contact_cue(at_ground, feet.visible, feet.frames)
     bounces = _bounces(found, tracks, feet, ground, float(np.exp(guess)), front) if stands is None else None
     if feet.supposed(found.log_depth):  # ground that is not seen may drop: it says less
         stands, bounces = (None if cue is None else unsurer(cue) for cue in (stands, bounces))
-    course = found.log_depth
+    depth_trajectory = found.log_depth
     if stands is not None and found.motion is None:
-        course = course + settled(at_ground - stands.log_scale, feet.visible)
-        guess = float(np.median((log_cards - course)[seen]))
+        depth_trajectory = depth_trajectory + settled(at_ground - stands.log_scale, feet.visible)
+        guess = float(np.median((log_billboards - depth_trajectory)[seen]))
     distance, cues = _distance(guess, found.cues, stands, bounces, at_ground[np.isfinite(at_ground) & feet.ground_seen])
     points = replace(found.points, log_depth=found.points.log_depth + distance.log_scale)
     expected = DEEPEST * found.motion.size if found.motion is not None else 0.0
-    return DynamicObject(number, course + distance.log_scale, middles, distance.sigma, not found.bends, cues, points, expected)
+    return DynamicObject(
+        number, depth_trajectory + distance.log_scale, middles, distance.sigma, not found.bends, cues, points, expected
+    )
 
 
 def _bounces(
-    found: Course, tracks: ObjectTracks, feet: Feet, ground: Ground | None, scale: float, front: Callable[[int], np.ndarray]
+    found: DepthTrajectory,
+    tracks: ObjectTracks,
+    feet: Feet,
+    ground: Ground | None,
+    scale: float,
+    front: Callable[[int], np.ndarray],
 ) -> Cue | None:
     """That an object touched the ground for moments: where its path was thrown up, or where its bounds have sharp minima.
 
     Args:
-        scale: a guess of its distance, as a factor of its course.
+        scale: a guess of its distance, as a factor of its depth trajectory.
         front: as ``solve_object``.
     """
     touched = np.where(feet.visible, feet.log_depth - found.log_depth, np.nan)
@@ -163,7 +172,7 @@ def _bounces(
 
 
 def _at_feet(
-    touched: np.ndarray, thrown: Sequence[int] | np.ndarray, found: Course, tracks: ObjectTracks, feet: Feet,
+    touched: np.ndarray, thrown: Sequence[int] | np.ndarray, found: DepthTrajectory, tracks: ObjectTracks, feet: Feet,
     front: Callable[[int], np.ndarray],
 ) -> np.ndarray:  # fmt: skip
     """The bounds ``touched`` [T], but those of its lowest pixels in the frames about those in which it was ``thrown`` up."""
@@ -174,8 +183,8 @@ def _at_feet(
         before, pixels = front(k), found.points.pixels[here]
         column, row = np.clip(pixels.astype(int), 0, [before.shape[1] - 1, before.shape[0] - 1]).T
         ratio = upright_ratio(tracks.cameras[k], tracks.normal, tracks.middles[k], pixels)
-        card = found.log_depth[k] + np.log(ratio) + before[row, column]
-        result[k] -= foot_offset(bound.lowest, before, pixels, found.points.log_depth[here] - card, found.points.sigma[here])
+        billboard = found.log_depth[k] + np.log(ratio) + before[row, column]
+        result[k] -= foot_offset(bound.lowest, before, pixels, found.points.log_depth[here] - billboard, found.points.sigma[here])
     return result
 
 
@@ -197,7 +206,7 @@ def _distance(
         cues["contact" if stands is not None else "bounce"] = touch
     elif len(known) >= FEWEST_BOUNDS:
         far = [float(np.percentile(known, BOUND_PERCENTILE)) + BOUND_SLACK]
-    # Laws of motion and contact rest on the same course, so their errors are not independent: only the surest speaks.
+    # Laws of motion and contact rest on the same depth trajectory, so their errors are not independent: only the surest speaks.
     if len(cues) > 1:
         surest = min(cues, key=lambda name: cues[name].sigma)
         cues = {surest: cues[surest]}

@@ -13,12 +13,12 @@ from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.static_depth import Background, StaticDepth, static_depth
 from flowsplat.priors.flow import FlowEstimator, dis_estimator
 from flowsplat.priors.objects.areas import large_objects
-from flowsplat.priors.objects.card import cards_of
+from flowsplat.priors.objects.billboards import make_billboards
 from flowsplat.priors.objects.contact import Bound, ground_bound, middle_of
 from flowsplat.priors.objects.hints import Hint, with_hints
 from flowsplat.priors.objects.identity import identify_objects
-from flowsplat.priors.objects.relief import roundness
 from flowsplat.priors.objects.rematching import ObjectImages, gray
+from flowsplat.priors.objects.shape_offset import roundness
 from flowsplat.priors.objects.solving import solve_object, tracks_of_objects
 from flowsplat.priors.objects.storage import SceneObjects, save_objects
 from flowsplat.scenes import Scene
@@ -33,7 +33,7 @@ def objects_stage(
     scene: Scene, estimate: FlowEstimator = dis_estimator, static: tuple[MatchedClip, StaticDepth] | None = None,
     hints: Sequence[Hint] = (),
 ) -> None:  # fmt: skip
-    """Course, relief and distance of every numbered object. Needs cameras, flow, masks and tracks.
+    """Depth trajectory, shape offset and distance of every numbered object. Needs cameras, flow, masks and tracks.
 
     The numbers of masks of our own are rewritten first, by common motion.
 
@@ -75,13 +75,13 @@ def find_objects(clip: MatchedClip, background: StaticDepth, hints: Sequence[Hin
     grounds = {int(piece): _ground(clip, background, np.flatnonzero(pieces == piece)) for piece in np.unique(pieces)}
     any_ground = next((ground for ground in grounds.values() if ground is not None), None)
     normal = any_ground.normal if any_ground is not None else up_direction(cameras)
-    cards = cards_of(clip, background)
-    middles = {number: np.full((len(frames), 2), np.nan) for number in cards}
-    bounds: dict[int, list[Bound | None]] = {number: [None] * len(frames) for number in cards}
+    billboards = make_billboards(clip, background)
+    middles = {number: np.full((len(frames), 2), np.nan) for number in billboards}
+    bounds: dict[int, list[Bound | None]] = {number: [None] * len(frames) for number in billboards}
     for k, i in enumerate(track(frames, "Contact with the ground")):
         mask, ground = scene.mask(i), grounds[int(pieces[k])]
         static = _sure_depth(background, k)
-        for number in cards:
+        for number in billboards:
             inside = mask == number
             if inside.sum() < SMALLEST:
                 continue
@@ -92,12 +92,12 @@ def find_objects(clip: MatchedClip, background: StaticDepth, hints: Sequence[Hin
     on_objects = tracks_of_objects(tracks.points, tracks.visible, scene.mask, frames)
     grays = np.stack([gray(scene.frame(i)) for i in track(frames, "Images of objects")])
     objects = []
-    for number, values in track(list(cards.items()), "Motion of objects"):
+    for number, values in track(list(billboards.items()), "Motion of objects"):
         seen = np.isfinite(values) & np.isfinite(middles[number]).all(1)
         if not seen.any():
             continue
         chosen, inside = on_objects.get(number, (np.zeros(0, int), np.zeros((0, len(frames)), bool)))
-        log_cards = np.where(seen, -np.log(np.where(seen, values, 1)), np.nan)
+        log_billboards = np.where(seen, -np.log(np.where(seen, values, 1)), np.nan)
         home = int(np.bincount(pieces[seen]).argmax())
         positions = tracks.points[chosen][:, frames]
 
@@ -106,7 +106,7 @@ def find_objects(clip: MatchedClip, background: StaticDepth, hints: Sequence[Hin
 
         shown = ObjectImages(grays, np.stack([scene.mask(i) == number for i in frames]), middles[number], cameras, normal)
         obj = solve_object(
-            number, positions, inside, middles[number], bounds[number], cameras, grounds[home], log_cards, normal, front, shown
+            number, positions, inside, middles[number], bounds[number], cameras, grounds[home], log_billboards, normal, front, shown
         )
         objects.append(obj)
     found = SceneObjects(objects, normal, any_ground is not None)

@@ -3,7 +3,7 @@
 | file | content |
 | --- | --- |
 | ``objects.json`` | ``normal`` [3] up, ``ground``: whether there is one; of each of the ``objects`` its ``number`` in the masks, |
-| | ``sigma`` of ln distance, whether it is ``rigid``, the ``expected`` relief, and the ``cues`` that speak for its distance |
+| | ``sigma`` of ln distance, whether it is ``rigid``, the ``expected`` shape offset, and the ``cues`` that speak for its distance |
 | ``objects.npz`` | ``log_depth`` [M, T] and ``middles`` [M, T, 2] of the objects over the training frames; of all points on them |
 | | ``obj``, ``frame``, ``pixels``, ``point_log_depth`` and ``point_sigma`` |
 """
@@ -24,7 +24,7 @@ from flowsplat.common.files.arrays import MOST_BYTES
 from flowsplat.common.files.json_file import Number, Row3
 from flowsplat.geometry import Camera
 from flowsplat.priors.objects.distance import Cue
-from flowsplat.priors.objects.relief import ReliefPoints
+from flowsplat.priors.objects.shape_offset import ShapePoints
 from flowsplat.priors.objects.solving import DynamicObject
 from flowsplat.scenes import Scene
 
@@ -67,7 +67,7 @@ def save_objects(scene: Scene, found: SceneObjects) -> None:
         "middles": np.array([m.middles for m in objects], np.float32).reshape(len(objects), frames, 2),
         "object_id": np.repeat([m.number for m in objects], [len(m.points.frame_of) for m in objects]).astype(np.uint8),
     }
-    every = [m.points for m in objects] or [ReliefPoints.none()]
+    every = [m.points for m in objects] or [ShapePoints.none()]
     arrays |= {
         "frame": np.concatenate([p.frame_of for p in every]).astype(np.int32),
         "pixels": np.concatenate([p.pixels for p in every]).astype(np.float32),
@@ -127,7 +127,7 @@ def load_objects(scene: Scene) -> SceneObjects:
             raise ValueError(f"objects.npz is not of {count} objects in {frames} frames")
         for index, described in enumerate(value["objects"]):
             mine = arrays["object_id"] == described["number"]
-            points = ReliefPoints(
+            points = ShapePoints(
                 arrays["frame"][mine].astype(int), arrays["pixels"][mine].astype(float),
                 arrays["point_log_depth"][mine].astype(float), arrays["point_sigma"][mine].astype(float),
             )  # fmt: skip

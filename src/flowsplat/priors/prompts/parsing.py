@@ -76,9 +76,9 @@ def parse_prompts(clicks: Sequence[str], boxes: Sequence[str], scene: Scene, bes
             continue
         count += 1
         shown[count, point.frame] = replace(prompt, number=count)
-    without = [_Place(text, "--mask-not", 2, scene) for text in beside]
+    without = [_Place(text, "--mask-negative", 2, scene) for text in beside]
     if without and not count:
-        raise InputError("--mask-not takes away from what --mask-click or --mask-box shows: give one of these, too.")
+        raise InputError("--mask-negative takes away from what --mask-click or --mask-box shows: give one of these, too.")
     for place, prompt in corrections:
         key = place.among(count), place.frame
         before = shown.get(key, Prompt(place.frame, number=key[0]))
@@ -91,7 +91,7 @@ def parse_prompts(clicks: Sequence[str], boxes: Sequence[str], scene: Scene, bes
     near = CLICK_RADIUS * max(scene.width, scene.height)
     for prompt in shown.values():
         if any(np.hypot(x - u, y - v) < near for x, y in prompt.clicks for u, v in prompt.beside):
-            raise InputError(f"A click and --mask-not say the opposite of one place on frame {prompt.frame}: leave one out.")
+            raise InputError(f"A click and --mask-negative say the opposite of one place on frame {prompt.frame}: leave one out.")
     first = {number: next(frame for n, frame in shown if n == number) for number in range(1, count + 1)}
     return [shown[key] for key in sorted(shown, key=lambda key: (key[0], key[1] != first[key[0]], key[1]))]
 

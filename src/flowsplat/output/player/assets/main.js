@@ -18,7 +18,7 @@ class State {
     this.mode = "clip";
     this.part = "all";
     this.isStereo = false;
-    this.isFading = false;
+    this.isConfidenceFade = false;
     this.factors = [1, ...about.objects.map(() => 1)];  // by the place of the object; the first is of what belongs to none
     this.isHeld = false;  // an image that a program asked for stays until a person does something
     this.free = new FreeCamera(about.clipPath);
@@ -76,9 +76,9 @@ class State {
     this.isStereo = isStereo;
   }
 
-  setFading(isFading) {
+  setConfidenceFade(isConfidenceFade) {
     this.isHeld = false;
-    this.isFading = isFading;
+    this.isConfidenceFade = isConfidenceFade;
   }
 
   setPlaying(isPlaying) {
@@ -151,8 +151,8 @@ class Player {
     element("part").onchange = () => state.setPart(element("part").value);
     element("part").parentElement.hidden = (!scene.about.resting || !scene.about.moving) && scene.about.objects.length < 2;
     offerObjects(state);
-    element("fading").parentElement.hidden = !scene.arrays.logReaches;
-    element("fading").onchange = () => state.setFading(element("fading").checked);
+    element("confidence_fade").parentElement.hidden = !scene.arrays.logReaches;
+    element("confidence_fade").onchange = () => state.setConfidenceFade(element("confidence_fade").checked);
     element("stereo").onchange = () => {
       state.setStereo(element("stereo").checked);
       this.fit();
@@ -169,9 +169,9 @@ class Player {
     return this.sorter.sort([...rotation.slice(6), translation[2]], time, shown, distances);
   }
 
-  draw({ cameras, time, shown, distances, isFading, width, height }, order) {
+  draw({ cameras, time, shown, distances, isConfidenceFade, width, height }, order) {
     this.renderer.resize(width, height, cameras.length);
-    this.renderer.draw(order, cameras, time, shown.part, distances, isFading);
+    this.renderer.draw(order, cameras, time, shown.part, distances, isConfidenceFade);
     document.body.classList.add("shown");
   }
 
@@ -182,9 +182,9 @@ class Player {
     const [x, y] = [width / this.about.width, height / this.about.height];
     const [fx, fy, cx, cy] = camera.lens;
     const sized = { ...camera, lens: [fx * x, fy * y, cx * x, cy * y] };
-    const { time, shown, isStereo, isFading } = this.state;
+    const { time, shown, isStereo, isConfidenceFade } = this.state;
     const cameras = isStereo ? eyesOf(sized) : [sized];
-    return { cameras, time, shown, distances: this.state.distances(), isFading, width, height };
+    return { cameras, time, shown, distances: this.state.distances(), isConfidenceFade, width, height };
   }
 
   frame(now) {
@@ -203,8 +203,8 @@ class Player {
 
   /** Have the next image sorted, if it differs from the last: while the one before is drawn, the next is sorted. */
   prepare(seconds) {
-    const { time, part, factors, isStereo, isFading } = this.state;
-    const what = JSON.stringify([this.state.camera(), time, part, factors, isStereo, isFading, this.size, devicePixelRatio]);
+    const { time, part, factors, isStereo, isConfidenceFade } = this.state;
+    const what = JSON.stringify([this.state.camera(), time, part, factors, isStereo, isConfidenceFade, this.size, devicePixelRatio]);
     const isSame = what === this.last;
     if (isSame && (this.detail === 1 || this.isSharp)) return;
     if (!isSame) this.adapt(seconds);
@@ -245,8 +245,8 @@ async function start() {
       player.last = "";
       const clipTime = (time - about.first) / (about.last - about.first);
       const distances = state.distances(clipTime);
-      const { shown, isFading } = state;
-      const view = { cameras: [cameraOfScene(about, viewmat, K)], time: clipTime, shown, distances, isFading, width, height };
+      const { shown, isConfidenceFade } = state;
+      const view = { cameras: [cameraOfScene(about, viewmat, K)], time: clipTime, shown, distances, isConfidenceFade, width, height };
       player.draw(view, await player.order(view));
       return player.canvas.toDataURL("image/png");
     },

@@ -219,22 +219,22 @@ class Renderer {
    * Draw the Gaussians of `order` (farthest first) as each of `cameras` sees them at clip time `time`, beside each other.
    * `distances`: the pivot, and how many times as far from there every object is. `isFading`: without what is a guess.
    */
-  draw(order, cameras, time, part, distances, isFading) {
+  draw(order, cameras, time, part, distances, isConfidenceFade) {
     this.upload(order);
-    cameras.forEach((camera, eye) => this.drawEye(order, camera, time, part, distances, isFading, eye));
+    cameras.forEach((camera, eye) => this.drawEye(order, camera, time, part, distances, isConfidenceFade, eye));
   }
 
-  drawEye(order, camera, time, part, distances, isFading, eye) {
+  drawEye(order, camera, time, part, distances, isConfidenceFade, eye) {
     const gl = this.gl;
     const [top] = this.levels;
     const scene = { order: this.order, states: this.states, motions: this.motions, gains: this.gains };
     if (this.isDirect) {
       this.use(this.splat, top.own, scene);
-      this.lookAt(this.splat, camera, time, distances, isFading);
+      this.lookAt(this.splat, camera, time, distances, isConfidenceFade);
     } else {
       const lines = Math.ceil(order.length / SLICE_WIDTH);
       this.use(this.slice, { ...this.slicing, height: lines }, scene);
-      this.lookAt(this.slice, camera, time, distances, isFading);
+      this.lookAt(this.slice, camera, time, distances, isConfidenceFade);
       gl.uniform1i(this.slice.at.count, order.length);
       gl.drawArrays(gl.TRIANGLES, 0, 3);
       const [slicedAxes, slicedPlaces, slicedColors] = this.sliced;
@@ -249,7 +249,7 @@ class Renderer {
     gl.drawElements(gl.TRIANGLES, 6 * order.length, gl.UNSIGNED_INT, 0);
     gl.disable(gl.BLEND);
     gl.bindVertexArray(this.nothing);
-    const isFilled = this.about.fill && part !== "objects" && !isFading;
+    const isFilled = this.about.fill && part !== "objects" && !isConfidenceFade;
     if (isFilled) this.fill();
     this.use(this.present, null, { source: top.own.texture, filled: (top.filled ?? top.own).texture });
     gl.viewport(eye * top.own.width, 0, top.own.width, top.own.height);
@@ -268,7 +268,7 @@ class Renderer {
   }
 
   /** Tell the program that slices what is to be seen. */
-  lookAt({ at }, camera, time, { pivot, factors }, isFading) {
+  lookAt({ at }, camera, time, { pivot, factors }, isConfidenceFade) {
     const gl = this.gl;
     gl.uniform1i(at.resting, this.about.resting);
     gl.uniform1f(at.time, time);
@@ -284,7 +284,7 @@ class Renderer {
     gl.uniform2f(at.size, this.levels[0].own.width, this.levels[0].own.height);
     gl.uniform1f(at.near, this.about.near);
     gl.uniform3fv(at.pivot, pivot);
-    gl.uniform1i(at.isFading, isFading ? 1 : 0);
+    gl.uniform1i(at.isConfidenceFade, isConfidenceFade ? 1 : 0);
     const padded = new Float32Array(4 * this.objectTexels).fill(1);
     padded.set(factors);
     gl.uniform4fv(at.factors, padded);

@@ -19,7 +19,7 @@ uniform vec4 lens;          // fx, fy, cx, cy in pixels
 uniform vec2 size;          // of the image in pixels
 uniform float near;
 uniform vec3 pivot;         // where the clip's camera is at the time
-uniform bool isFading;      // whether Gaussians fade beyond their reach
+uniform bool isConfidenceFade;      // whether Gaussians fade beyond their reach
 uniform vec4 factors[OBJECT_TEXELS];  // by the place of the object, how many times as far from there it is as it was trained
 
 vec4 texel(sampler2D source, int at) {
@@ -95,7 +95,7 @@ void slice(int rank, out vec4 axes, out vec4 place, out vec4 color) {
 #endif
 
   mean = pivot + factor * (mean - pivot);
-  if (isFading) {
+  if (isConfidenceFade) {
     // As fading.py: by how much the direction to the viewer differs from that to the clip's camera.
     float off = distance(normalize(center - mean), normalize(pivot - mean));
     opacity *= clamp(2.0 - off / texel(states, at + 3).w, 0.0, 1.0);

@@ -10,8 +10,8 @@ from scipy.spatial import cKDTree
 
 from flowsplat.common.kernels import kernel
 from flowsplat.priors.objects.identity.masked_tracks import MaskedTracks
-from flowsplat.priors.objects.relief import place_points
 from flowsplat.priors.objects.rigid import Observations, longest, solve_rigid
+from flowsplat.priors.objects.shape_offset import place_points
 
 NEIGHBORS, REACH = 8, 0.04
 """Nearest tracks that a track is compared with, and how far they may be, as a share of the long side."""
@@ -355,8 +355,8 @@ class _Clusters:
             return False
         observations = Observations.of_tracks(self._points[other], seen[other], K)
         placed, _ = place_points(motion, observations, K)
-        relief = np.abs(np.exp(placed.log_depth) - motion.shifts[placed.frame_of, 2])
-        return int((relief <= RIGID_DEPTH * motion.size).sum()) >= (
+        shape_offset = np.abs(np.exp(placed.log_depth) - motion.shifts[placed.frame_of, 2])
+        return int((shape_offset <= RIGID_DEPTH * motion.size).sum()) >= (
             (EXPLAINED_TOGETHER if together else EXPLAINED) * len(observations.x)
         )
 

@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from flowsplat.common.errors import InputError
-from flowsplat.gaussians.fading import ALL_AROUND, FEWEST, FURTHEST, LEAST_REACH, faded, reach
-from flowsplat.gaussians.support import FRAMES, with_seen
+from flowsplat.gaussians.confidence_fade import ALL_AROUND, FEWEST, FURTHEST, LEAST_REACH, apply_confidence_fade, reach
+from flowsplat.gaussians.visibility import FRAMES, with_seen
 from flowsplat.training.checkpoint import load_model, save_model
 from tests.output.small import LAST, small_cameras, small_model, small_times
 
@@ -34,8 +34,8 @@ def test_opacities_fall_between_the_reach_and_twice_that():
     gaussians = model_that_saw(9).gaussians
     means, before = gaussians.params["means"].double(), torch.sigmoid(gaussians.params["logit_opacities"]).double()
     own, viewer = np.array([0.0, 0.0, -1.0]), np.array([0.4, 0.1, -0.8])
-    assert torch.equal(faded(gaussians, own, own).params["logit_opacities"], gaussians.params["logit_opacities"])
-    after = torch.sigmoid(faded(gaussians, viewer, own).params["logit_opacities"]).double()
+    assert torch.equal(apply_confidence_fade(gaussians, own, own).params["logit_opacities"], gaussians.params["logit_opacities"])
+    after = torch.sigmoid(apply_confidence_fade(gaussians, viewer, own).params["logit_opacities"]).double()
     for k, mean in enumerate(means.numpy()):
         rays = [(center - mean) / np.linalg.norm(center - mean) for center in (viewer, own)]
         kept = np.clip(2 - np.linalg.norm(rays[0] - rays[1]) / (FURTHEST * SPREADS[k % len(SPREADS)]), 0, 1)
@@ -46,19 +46,22 @@ def test_opacities_fall_between_the_reach_and_twice_that():
 
 def test_without_knowing_all_stay_and_a_scene_refuses():
     model = small_model()
-    assert faded(model.gaussians, np.ones(3), np.zeros(3)) is model.gaussians
+    assert apply_confidence_fade(model.gaussians, np.ones(3), np.zeros(3)) is model.gaussians
     with pytest.raises(InputError, match="earlier flowsplat"):
-        model.fading_guesses(small_times(), small_cameras(model))
+        model.fade_by_confidence(small_times(), small_cameras(model))
 
 
 def test_along_the_clip_nothing_changes_and_from_aside_something_goes():
     model, cameras = model_that_saw(2), small_cameras(small_model())
-    fading = model.fading_guesses(small_times(), cameras)
-    own, other = (each.render(cameras[-1], LAST) for each in (fading, model))
+    confidence_fade = model.fade_by_confidence(small_times(), cameras)
+    own, other = (each.render(cameras[-1], LAST) for each in (confidence_fade, model))
     np.testing.assert_array_equal(own.alpha, other.alpha)
     away = replace(cameras[-1], viewmat=cameras[-1].viewmat + np.array([[0, 0, 0, 0.5], *np.zeros((3, 4))]))
-    assert fading.render(away, LAST).alpha.mean() < 0.5 * model.render(away, LAST).alpha.mean()
-    assert fading.part("background").render(away, LAST).alpha.mean() < model.part("background").render(away, LAST).alpha.mean()
+    assert confidence_fade.render(away, LAST).alpha.mean() < 0.5 * model.render(away, LAST).alpha.mean()
+    assert (
+        confidence_fade.part("background").render(away, LAST).alpha.mean()
+        < model.part("background").render(away, LAST).alpha.mean()
+    )
 
 
 def test_what_a_clip_has_seen_of_a_trained_scene():

@@ -1,4 +1,4 @@
-"""Depth of moving objects: upright cards that stand where the scene behind them ends.
+"""Depth of moving objects: upright billboards that stand where the scene behind them ends.
 
 Matches say nothing about the depth of what moves. But every static point that other frames show at the pixels of a
 object lies behind it: these points are its clean plate. The nearest of them is the ground at its feet, if it stands on
@@ -25,10 +25,10 @@ NEAR_END = 92.0
 """Percentile of the plate's inverse depth at which an object stands: not the nearest pixel, which a leak of the mask may hold."""
 
 WINDOW, NEAR_TIMES = 121, 88
-"""Training frames whose cards are compared, and the percentile of their inverse depth, at one size, that is taken."""
+"""Training frames whose billboards are compared, and the percentile of their inverse depth, at one size, that is taken."""
 
 SMOOTHING = 8.0
-"""Training frames: standard deviation of the smoothing over time of how large an object would be at its card's depth."""
+"""Training frames: standard deviation of the smoothing over time of how large an object would be at its billboard's depth."""
 
 BELIEF = 0.7
 """How much of an object's growth is due to its depth: flow is noisy, and what turns or bends grows too."""
@@ -39,8 +39,8 @@ FEWEST = 40
 _ROUNDS = 4
 
 
-def card(mask: np.ndarray, plate: np.ndarray) -> float:
-    """Inverse depth of the upright card that stands for one object (bool [h, w]) in front of its plate [h, w].
+def place_billboard(mask: np.ndarray, plate: np.ndarray) -> float:
+    """Inverse depth of the upright billboard that stands for one object (bool [h, w]) in front of its plate [h, w].
 
     The nearer of the near end of the plate inside the object, and the ground just below its lowest part.
     """
@@ -73,7 +73,7 @@ def growth(mask: np.ndarray, flow: np.ndarray, confidence: np.ndarray) -> float:
     return float(0.5 * np.log(max(np.linalg.det(np.eye(2) + fit[:2]), 0.5)))
 
 
-def smooth_cards(cards: np.ndarray, growths: np.ndarray, pieces: np.ndarray) -> np.ndarray:
+def smooth_billboards(billboards: np.ndarray, growths: np.ndarray, pieces: np.ndarray) -> np.ndarray:
     """Inverse depths [T] of one object over time, NaN where it is not seen, smoothed; stays NaN there.
 
     An object that is twice as large in the image is twice as near. At one size the near end of a window counts: what
@@ -83,47 +83,47 @@ def smooth_cards(cards: np.ndarray, growths: np.ndarray, pieces: np.ndarray) -> 
         growths: [T] logarithm of how much larger the object became since the frame before.
         pieces: [T] number of the piece of the clip.
     """
-    smooth = np.full(len(cards), np.nan)
+    smooth = np.full(len(billboards), np.nan)
     for piece in np.unique(pieces):
         part = pieces == piece
-        smooth[part] = _smooth_piece(cards[part], growths[part])
+        smooth[part] = _smooth_piece(billboards[part], growths[part])
     return smooth
 
 
-def _smooth_piece(cards: np.ndarray, growths: np.ndarray) -> np.ndarray:
-    seen = np.isfinite(cards)
+def _smooth_piece(billboards: np.ndarray, growths: np.ndarray) -> np.ndarray:
+    seen = np.isfinite(billboards)
     if not seen.any():
-        return cards
+        return billboards
     nearness = BELIEF * np.cumsum(growths)
-    at_one_size = np.interp(np.arange(len(cards)), np.flatnonzero(seen), np.log(cards[seen]) - nearness[seen])
+    at_one_size = np.interp(np.arange(len(billboards)), np.flatnonzero(seen), np.log(billboards[seen]) - nearness[seen])
     near = percentile_filter(at_one_size, NEAR_TIMES, size=WINDOW, mode="nearest")
     return np.where(seen, np.exp(gaussian_filter1d(near, SMOOTHING, mode="nearest") + nearness), np.nan)
 
 
-def cards_of(clip: MatchedClip, background: StaticDepth) -> dict[int, np.ndarray]:
+def make_billboards(clip: MatchedClip, background: StaticDepth) -> dict[int, np.ndarray]:
     """Smoothed inverse depth [T] of every object over the training frames."""
 
     def seen(k: int) -> tuple[dict[int, float], dict[int, float], dict[int, float]]:
-        """The card of every object in a frame, and how much larger it is in the frame before and in the next one."""
+        """The billboard of every object in a frame, and how much larger it is in the frame before and in the next one."""
         mask = clip.mask(k)
         numbers = [int(number) for number in np.unique(mask[mask > 0])]
-        here = {number: card(mask == number, background.foremost(k)) for number in numbers}
+        here = {number: place_billboard(mask == number, background.foremost(k)) for number in numbers}
         return here, _growths(clip, k, k - 1, mask), _growths(clip, k, k + 1, mask)
 
     with one_thread():
         found = list(in_threads(seen, track(range(len(clip)), "Depth of objects"), thread_count()))
-    cards: dict[int, np.ndarray] = {}
+    billboards: dict[int, np.ndarray] = {}
     growths: dict[int, np.ndarray] = {}
     before: dict[int, float] = {}
     for k, (here, back, ahead) in enumerate(found):
         for number, value in here.items():
-            cards.setdefault(number, np.full(len(clip), np.nan))[k] = value
+            billboards.setdefault(number, np.full(len(clip), np.nan))[k] = value
             both = growths.setdefault(number, np.zeros(len(clip)))
             if number in before and number in back:
                 both[k] = (before[number] - back[number]) / 2
         before = ahead
     pieces = np.asarray(clip.continuity.pieces)
-    return {number: smooth_cards(values, growths[number], pieces) for number, values in cards.items()}
+    return {number: smooth_billboards(values, growths[number], pieces) for number, values in billboards.items()}
 
 
 def _growths(clip: MatchedClip, k: int, j: int, mask: np.ndarray) -> dict[int, float]:

@@ -16,7 +16,7 @@ import torch
 
 from flowsplat.common.spread import spread
 from flowsplat.common.threads import in_threads
-from flowsplat.gaussians.fading import ALL_AROUND, FEWEST, FURTHEST
+from flowsplat.gaussians.confidence_fade import ALL_AROUND, FEWEST, FURTHEST
 from flowsplat.gaussians.model import SceneModel, at_once
 from flowsplat.gaussians.renderer import PartedRenderer
 from flowsplat.geometry import Camera
@@ -59,7 +59,7 @@ class Seen:
         return self.there & (self.moves | still)
 
 
-class Support:
+class ClipVisibility:
     """The frames of a clip as witnesses of a trained scene."""
 
     def __init__(self, model: PartedRenderer, cameras: Sequence[Camera], times: Sequence[float]):
@@ -142,7 +142,7 @@ def with_seen(model: SceneModel, cameras: Sequence[Camera], times: Sequence[floa
     gaussians = model.gaussians
     background = torch.nonzero(~gaussians.dynamic).squeeze(1)
     points = model.similarity.inverse().points(gaussians.params["means"][background].double().cpu().numpy())
-    count, _, spread_of = Support(model, cameras, times).directions(points)
+    count, _, spread_of = ClipVisibility(model, cameras, times).directions(points)
     seen = torch.zeros(len(gaussians), 2, device=gaussians.device)
     for k in spread(len(cameras), FRAMES):
         seen[gaussians.active(model.clip_time(times[k])).rows, 0] += 1

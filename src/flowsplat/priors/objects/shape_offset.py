@@ -1,4 +1,4 @@
-"""The depth of every pixel of an object: an upright card, and what its points stand out of it."""
+"""The depth of every pixel of an object: an upright billboard, and what its points stand out of it."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ ROUND = 0.75
 DISCS = 0.8 ** np.arange(9)
 """Radii of the discs that are tried, in units of the largest one inside an object."""
 DEEPEST = 0.6
-"""Standard deviation of the relief that is expected, in units of the object's half width."""
+"""Standard deviation of the shape offset that is expected, in units of the object's half width."""
 SMOOTHNESS = 60.0
-"""Of the relief, as in the fast global smoother."""
+"""Of the shape offset, as in the fast global smoother."""
 COLOR_SIGMA = 12.0
 """Gray levels across which it is less smooth."""
 NOISE_FACTOR = 2.0
 """Errors of tracks last for frames: standard deviation of a point's depth over that of white noise."""
 OFF_LIMIT = 2.0
-"""Pixels up to which an observation tells of the relief."""
+"""Pixels up to which an observation tells of the shape offset."""
 _ITERATIONS = 6
 
 
 @dataclass(frozen=True)
-class ReliefPoints:
+class ShapePoints:
     """Logarithm of depth at points of an object, by observation.
 
     Attributes:
@@ -46,12 +46,12 @@ class ReliefPoints:
     sigma: np.ndarray
 
     @staticmethod
-    def none() -> ReliefPoints:
+    def none() -> ShapePoints:
         """No point."""
-        return ReliefPoints(np.zeros(0, int), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+        return ShapePoints(np.zeros(0, int), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
 
 
-def place_points(motion: RigidMotion, observations: Observations, K: np.ndarray) -> tuple[ReliefPoints, float]:
+def place_points(motion: RigidMotion, observations: Observations, K: np.ndarray) -> tuple[ShapePoints, float]:
     """All points of an object, also those that its motion was not found from, with its poses held.
 
     Returns:
@@ -69,7 +69,7 @@ def place_points(motion: RigidMotion, observations: Observations, K: np.ndarray)
     good = motion.used[t] & (off < OFF_LIMIT) & (y[:, 2] > NEAREST) & np.isfinite(sigma)
     pixels = o.x * [K[0, 0], K[1, 1]] + K[:2, 2]
     share = float((off[motion.used[t]] < INLIER).mean()) if motion.used[t].any() else 0.0
-    return ReliefPoints(t[good], pixels[good], np.log(depth[good]), np.maximum(sigma[good], 1e-4)), share
+    return ShapePoints(t[good], pixels[good], np.log(depth[good]), np.maximum(sigma[good], 1e-4)), share
 
 
 def rough_points(motion: RigidMotion, observations: Observations) -> np.ndarray:
@@ -117,16 +117,16 @@ def roundness(mask: np.ndarray, focal: float) -> np.ndarray:
     return result
 
 
-def relief(
+def interpolate_shape_offset(
     mask: np.ndarray, image: np.ndarray, pixels: np.ndarray, offsets: np.ndarray, sigma: np.ndarray, expected: float
 ) -> np.ndarray:
-    """Offsets of ln depth [H, W] float32 from the card's, smoothed along the image's edges and held by their expectation, 0.
+    """Offsets of ln depth [H, W] float32 from the billboard's, smoothed along the image's edges and held by their expectation, 0.
 
     Args:
         mask: bool [H, W] of the object.
         image: uint8, RGB [H, W, 3] or gray [H, W].
         pixels: [N, 2] where offsets [N] with standard deviation sigma [N] are known.
-        expected: standard deviation of the relief.
+        expected: standard deviation of the shape offset.
     """
     height, width = mask.shape
     result = np.zeros((height, width), np.float32)

@@ -14,9 +14,9 @@ from flowsplat.priors.objects.contact import upright_ratio
 from flowsplat.priors.objects.contact_cues import FLAT, Feet
 from flowsplat.priors.objects.distance import Cue
 from flowsplat.priors.objects.path import Law, WorldPath, constant_height, pivot
-from flowsplat.priors.objects.relief import ReliefPoints, place_points
 from flowsplat.priors.objects.rematching import ObjectImages, rematched
 from flowsplat.priors.objects.rigid import Observations, RigidMotion, longest, solve_rigid
+from flowsplat.priors.objects.shape_offset import ShapePoints, place_points
 
 FEWEST_TRACKS, FEWEST_FRAMES = 16, 10
 SPLIT_HALF = 0.04
@@ -59,24 +59,24 @@ class ObjectTracks:
 
 
 class PlacedMotion(NamedTuple):
-    """A motion of an object's own, as a course.
+    """A motion of an object's own, as a depth trajectory.
 
     ``log_depth`` [T]: logarithm of the depth of its middle, but for its distance; ``points``: of it; ``share``: of all observations
     on it that the motion explains.
     """
 
     log_depth: np.ndarray
-    points: ReliefPoints
+    points: ShapePoints
     share: float
 
 
 @dataclass(frozen=True)
-class Course:
+class DepthTrajectory:
     """How an object goes.
 
     Attributes:
         log_depth: [T] logarithm of the depth of its middle, but for a constant; NaN where it is not seen.
-        motion: that all of this is by; None: the course is by its size, or by a motion that explains only part of it.
+        motion: that all of this is by; None: the depth trajectory is by its size, or by a motion that explains only part of it.
         points: depth of points on it, with the same constant; none of what bends.
         path: of the motion, in the world; None where there is none or its poses are not known well enough.
         cues: what laws of motion say about the constant.
@@ -85,7 +85,7 @@ class Course:
 
     log_depth: np.ndarray
     motion: RigidMotion | None
-    points: ReliefPoints
+    points: ShapePoints
     path: WorldPath | None
     cues: dict[str, Cue]
     share: float = 0.0
@@ -96,17 +96,18 @@ class Course:
         return self.share < RIGID_SHARE
 
 
-def solve_course(
-    tracks: ObjectTracks, log_cards: np.ndarray, feet: Feet, ground: Ground | None, images: ObjectImages | None
-) -> Course:
-    """The course of one object.
+def solve_depth_trajectory(
+    tracks: ObjectTracks, log_billboards: np.ndarray, feet: Feet, ground: Ground | None, images: ObjectImages | None
+) -> DepthTrajectory:
+    """The depth trajectory of one object.
 
     Args:
-        log_cards: [T] logarithm of the depth of its card, NaN where it is not seen: the course where no motion is believed.
+        log_cards: [T] logarithm of the depth of its billboard, NaN where it is not seen: the depth trajectory where no motion is
+            believed.
         images: to match its points anew in; None: tracks are all there is.
     """
-    seen = np.isfinite(log_cards) & np.isfinite(tracks.middles).all(1)
-    by_growth = np.where(seen, log_cards - np.mean(log_cards[seen]), np.nan)
+    seen = np.isfinite(log_billboards) & np.isfinite(tracks.middles).all(1)
+    by_growth = np.where(seen, log_billboards - np.mean(log_billboards[seen]), np.nan)
     motion, motions = rigid_motions(tracks.positions, tracks.inside, tracks.K)
     placed = None if motion is None else placed_motion(motion, tracks)
     if motion is not None and placed is not None and images is not None:
@@ -115,15 +116,15 @@ def solve_course(
     if placed is not None and contradicted and feet.unevenness(by_growth) <= FLAT < feet.unevenness(placed.log_depth):
         placed = None
     if motion is None or placed is None:
-        return Course(_weak_course(motions, tracks, by_growth, seen, feet), None, ReliefPoints.none(), None, {})
+        return DepthTrajectory(_weak_depth_trajectory(motions, tracks, by_growth, seen, feet), None, ShapePoints.none(), None, {})
     try:
         path = WorldPath.of(motion, tracks.cameras)
         cues = accepted_laws(path, ground.normal if ground else None)[0]
     except np.linalg.LinAlgError:
         cues, path = {}, None  # Poses that the tracks hardly tell have no covariance: then no law does either.
     # Limbs of what bends are placed wrongly.
-    points = placed.points if placed.share >= RIGID_SHARE else ReliefPoints.none()
-    return Course(np.where(seen, placed.log_depth, np.nan), motion, points, path, cues, placed.share)
+    points = placed.points if placed.share >= RIGID_SHARE else ShapePoints.none()
+    return DepthTrajectory(np.where(seen, placed.log_depth, np.nan), motion, points, path, cues, placed.share)
 
 
 def _refined(
@@ -143,11 +144,11 @@ def _refined(
     return refined, surer._replace(share=placed.share)
 
 
-def _weak_course(
+def _weak_depth_trajectory(
     motions: Sequence[RigidMotion], tracks: ObjectTracks, by_growth: np.ndarray, seen: np.ndarray, feet: Feet
 ) -> np.ndarray:
-    """[T] the course of what bends: by its growth, or by a motion that explains part of it, if only by that its feet keep to the
-    ground."""
+    """[T] the depth trajectory of what bends: by its growth, or by a motion that explains part of it, if only by that its feet keep
+    to the ground."""
     for weak in motions if feet.unevenness(by_growth) > FLAT else []:
         placed = placed_motion(weak, tracks)
         if placed is not None and feet.unevenness(placed.log_depth) <= FLAT:
@@ -198,7 +199,7 @@ def accepted_laws(path: WorldPath, normal: np.ndarray | None) -> tuple[dict[str,
 
 
 def placed_motion(motion: RigidMotion, tracks: ObjectTracks) -> PlacedMotion | None:
-    """The course by a motion of an object's own; None where it tells of no frame."""
+    """The depth trajectory by a motion of an object's own; None where it tells of no frame."""
     points, share = place_points(motion, Observations.of_tracks(tracks.positions, tracks.inside, tracks.K), tracks.K)
     found = middle_depths(points, tracks.middles, tracks.cameras, tracks.normal)
     known = np.isfinite(found)
@@ -207,12 +208,12 @@ def placed_motion(motion: RigidMotion, tracks: ObjectTracks) -> PlacedMotion | N
     return PlacedMotion(np.interp(np.arange(len(tracks.cameras)), np.flatnonzero(known), found[known]), points, share)
 
 
-def middle_depths(points: ReliefPoints, middles: np.ndarray, cameras: Sequence[Camera], normal: np.ndarray) -> np.ndarray:
-    """[T] logarithm of the depth of an object's middle: of an upright card through its points; NaN of fewer than three."""
+def middle_depths(points: ShapePoints, middles: np.ndarray, cameras: Sequence[Camera], normal: np.ndarray) -> np.ndarray:
+    """[T] logarithm of the depth of an object's middle: of an upright billboard through its points; NaN of fewer than three."""
     result = np.full(len(cameras), np.nan)
     for t in range(len(cameras)):
         here = points.frame_of == t
         if here.sum() >= 3 and np.isfinite(middles[t]).all():
-            card = np.log(upright_ratio(cameras[t], normal, middles[t], points.pixels[here]))
-            result[t] = np.median(points.log_depth[here] - card)
+            billboard = np.log(upright_ratio(cameras[t], normal, middles[t], points.pixels[here]))
+            result[t] = np.median(points.log_depth[here] - billboard)
     return result

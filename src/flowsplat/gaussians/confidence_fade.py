@@ -1,6 +1,6 @@
 """Gaussians fade where they would be a guess: seen by too few frames, or from too far beside the directions of those that did.
 
-How much that is, and why, is told in ``support``, which finds what the clip has seen.
+How much that is, and why, is told in ``visibility``, which finds what the clip has seen.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def reach(seen: Tensor) -> Tensor:
     return torch.where(frames >= FEWEST, FURTHEST * spread_of, torch.zeros_like(spread_of)).clamp(min=LEAST_REACH)
 
 
-def faded(gaussians: Gaussians4D, viewer: np.ndarray, own: np.ndarray) -> Gaussians4D:
+def apply_confidence_fade(gaussians: Gaussians4D, viewer: np.ndarray, own: np.ndarray) -> Gaussians4D:
     """The Gaussians as far as the clip tells what they look like: beyond its ``reach`` each fades, and is gone at twice that.
 
     Args:
