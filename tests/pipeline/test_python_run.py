@@ -69,6 +69,7 @@ def test_it_runs_with_the_settings_of_the_command_line(tmp_path, monkeypatch):
     ("preset", "overrides", "message"),
     [
         ("default", {"train.los.flow": 1}, "no setting 'train.los.flow'. Did you mean train.loss.flow"),
+        ("default", {"render.fading": True}, "called .render.confidence-fade. now"),
         ("default", {"train.iterations": "many"}, "iterations"),
         ("best", {}, "Unknown preset 'best'"),
     ],

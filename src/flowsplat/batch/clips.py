@@ -19,6 +19,7 @@ from flowsplat.common.files.json_file import Text
 from flowsplat.common.run_paths import RunPaths
 from flowsplat.common.settings import setting_types, with_settings
 from flowsplat.pipeline.config import RunConfig, check, setting_of
+from flowsplat.pipeline.renamed_options import renamed_option
 from flowsplat.scenes.ingest import kind_of_input
 
 VIDEO_SUFFIXES = (
@@ -149,7 +150,9 @@ def _listed(where: str, row: Mapping[str, Any], folder: Path, config: RunConfig)
             continue
         setting = setting_of(column)
         if setting is None:
-            raise InputError(f"{where}: {column!r:.60} is no option of run: see flowsplat run --help-all.")
+            now = renamed_option(column)
+            why = f"is called {now} now" if now else "is no option of run: see flowsplat run --help-all"
+            raise InputError(f"{where}: {column!r:.60} {why}.")
         try:
             changes[setting] = _value(value, types[setting], folder)
         except (msgspec.ValidationError, ValueError) as error:

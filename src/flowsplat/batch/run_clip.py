@@ -80,7 +80,7 @@ def run_clip(clip: BatchClip, out: Path, copies: str | None, attempt: Attempt) -
         report("It has outgrown its memory before: fewer Gaussians this time.")
         config = fewer_gaussians(config)
     folder = out / clip.id
-    metrics = run(clip.path, folder, replace(config, first_scene=False))  # nobody looks meanwhile
+    metrics = run(clip.path, folder, replace(config, coarse_scene=False))  # nobody looks meanwhile
     video = _video(folder)
     return {
         "input": str(clip.path), "fingerprint": RunFolder(folder).fingerprint, "grade": grade(metrics), "verdict": verdict(metrics),

@@ -43,7 +43,7 @@ _METHODS = {
     "static": "static scene",
 }
 _STAGES = {
-    "first": "first coarse scene", "train": "training", "static": "static scene", "evaluate": "measuring", "render": "videos",
+    "coarse": "coarse scene", "train": "training", "static": "static scene", "evaluate": "measuring", "render": "videos",
 }  # fmt: skip
 
 

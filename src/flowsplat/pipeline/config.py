@@ -38,8 +38,8 @@ class RunConfig:
     final_fit: bool = True
     """After the measurement, fit the held-out frames, too, and make videos, exports and the viewer's images of the result. The
     figures stay those of the model that has not seen them."""
-    first_scene: bool = True
-    """Begin a run of more than some four minutes with a coarse scene of few small frames (``first/``), to look at meanwhile."""
+    coarse_scene: bool = True
+    """Begin a run of more than some four minutes with a coarse scene of few small frames (``coarse/``), to look at meanwhile."""
     device: DeviceName = "auto"
     """What to train and render on: ``auto`` is the GPU where it works."""
 

@@ -71,8 +71,8 @@ def _train(folder: RunFolder) -> SceneModel:
         if folder.model_path.exists() or folder.training_path.exists():
             report("The settings of training, or the scene, are others than before: it begins anew.")
         forget_videos(folder.renders_path)
-    owns = folder.training_path, folder.logs_path, folder.final_path, folder.model_path
-    with folder.stage("train", key, owns, drops=("final",), made=has_model(folder.model_path)) as stage:
+    owns = folder.training_path, folder.logs_path, folder.all_frames_path, folder.model_path
+    with folder.stage("train", key, owns, drops=("all_frames",), made=has_model(folder.model_path)) as stage:
         if stage.is_done:
             return load_model(folder.model_path).to(pick_device(folder.config.device))
         return _trained(folder, stage, "train", folder.config.train, folder.training_path, folder.model_path)
@@ -175,21 +175,21 @@ def wants_final(folder: RunFolder) -> bool:
 
 def final_key(folder: RunFolder) -> str:
     """What the final fit belongs to."""
-    return stage_key(train_key(folder), "final")
+    return stage_key(train_key(folder), "all_frames")
 
 
 def fit_heldout(folder: RunFolder) -> None:
-    """Bring ``final/`` to what the run asks for: the measured model, fitted to the held-out frames, too; or nothing.
+    """Bring ``model_all_frames/`` to what the run asks for: the measured model, fitted to the held-out frames, too; or nothing.
 
     It begins when everything was measured, and writes nothing that the measurement, the priors or the training read.
     """
     if not wants_final(folder):
-        if folder.final_path.exists():
-            folder.forget("final")
-            shutil.rmtree(folder.final_path)
+        if folder.all_frames_path.exists():
+            folder.forget("all_frames")
+            shutil.rmtree(folder.all_frames_path)
         return
-    path = folder.final_path
-    with folder.stage("final", final_key(folder), (path,), made=has_model(path)) as stage:
+    path = folder.all_frames_path
+    with folder.stage("all_frames", final_key(folder), (path,), made=has_model(path)) as stage:
         if not stage.is_done:
             _fit_heldout(folder, stage)
 
@@ -199,7 +199,7 @@ def _fit_heldout(folder: RunFolder, stage: Stage) -> None:
     report(f"Fitting the {len(scene.heldout_frames)} held-out frames, too, for what is shown: they are measured already.")
 
     def observe(scene: Scene) -> Observations:
-        layers = Layers(folder.final_path / "priors", scene.width, scene.height)
+        layers = Layers(folder.all_frames_path / "priors", scene.width, scene.height)
         if config.train.loss.flow > 0:
             heldout_flow(scene, layers, flow_estimator(config.priors, config.device))
         return with_heldout(load_observations(scene), scene, layers)
@@ -208,6 +208,6 @@ def _fit_heldout(folder: RunFolder, stage: Stage) -> None:
         return load_model(folder.model_path).gaussians
 
     _trained(
-        folder, stage, "final", final_config(config.train), folder.final_path, folder.final_path, begin, observe,
+        folder, stage, "all_frames", final_config(config.train), folder.all_frames_path, folder.all_frames_path, begin, observe,
         config.train.iterations, final_visits(scene),
     )  # fmt: skip

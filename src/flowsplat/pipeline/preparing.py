@@ -112,7 +112,7 @@ def _compute_scene(
     """Fill the scene of a run: what the input holds, then the priors that it lacks.
 
     Args:
-        show: makes a first scene: before the clip is read, which takes long where that is long, unless a setting can be wrong that
+        show: makes a coarse scene: before the clip is read, which takes long where that is long, unless a setting can be wrong that
             only the read clip tells; that is said first.
     """
     config = folder.config

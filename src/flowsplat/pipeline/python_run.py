@@ -18,6 +18,7 @@ from flowsplat.images.html import data_uri
 from flowsplat.pipeline import stages
 from flowsplat.pipeline.config import RunConfig, check, option_of, setting_of
 from flowsplat.pipeline.config import preset as settings_of
+from flowsplat.pipeline.renamed_options import renamed_option
 from flowsplat.scenes import Scene
 
 THUMBNAIL = 320
@@ -124,6 +125,8 @@ def configured(name: str, overrides: Mapping[str, Any]) -> RunConfig:
     changes = {}
     for given, value in overrides.items():
         if (setting := setting_of(given)) is None:
+            if now := renamed_option(given):
+                raise InputError(f"The setting {given!r} is called {now.removeprefix('--')!r} now.")
             options = [option_of(known).removeprefix("--") for known in setting_types(RunConfig)]
             near = difflib.get_close_matches(given.lstrip("-").replace("_", "-"), options, 3)
             meant = f" Did you mean {' or '.join(near)}?" if near else ""

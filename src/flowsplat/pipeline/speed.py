@@ -117,9 +117,9 @@ def stages_of(seconds: Mapping[str, float]) -> dict[str, float]:
     """What a run took, from its seconds by part to those of ``STAGES``; of those that it went through."""
     found: dict[str, float] = {}
     for name, value in seconds.items():
-        if name == "first":  # as long in every run
+        if name == "coarse":  # as long in every run
             continue
-        stage = name if name in STAGES else "rest" if name in ("static", "evaluate", "final", "render") else "priors"
+        stage = name if name in STAGES else "rest" if name in ("static", "evaluate", "all_frames", "render") else "priors"
         found[stage] = found.get(stage, 0.0) + value
     return found
 

@@ -23,9 +23,9 @@ from flowsplat.evaluation.poses import refine_camera
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.output.report import FlowComparison, write_report
 from flowsplat.output.videos import RenderOptions, are_rendered, name_of, render_videos
+from flowsplat.pipeline.coarse import coarse_scene, is_worth_it
 from flowsplat.pipeline.compiling import compiling_ahead
 from flowsplat.pipeline.config import RunConfig
-from flowsplat.pipeline.first import first_scene, is_worth_it
 from flowsplat.pipeline.fitting import HISTORY, final_key, fit_heldout, static_model, train, train_key, wants_final
 from flowsplat.pipeline.folder import MetricsFile, RunFolder, stage_key
 from flowsplat.pipeline.preparing import prepared
@@ -62,8 +62,8 @@ def run(source: Path, out: Path, config: RunConfig | None = None) -> dict[str, A
 
             def first(folder: RunFolder, clip: Clip) -> None:
                 # Kernels that are still being compiled are waited for once, after the priors.
-                if folder.config.first_scene and not ahead.is_busy and is_worth_it(sum(expected_of(clip, folder.config).values())):
-                    first_scene(folder, clip)
+                if folder.config.coarse_scene and not ahead.is_busy and is_worth_it(sum(expected_of(clip, folder.config).values())):
+                    coarse_scene(folder, clip)
 
             folder = prepared(Path(source), out, config or RunConfig(), first)
             ahead.wait()
@@ -81,7 +81,7 @@ def run(source: Path, out: Path, config: RunConfig | None = None) -> dict[str, A
 def load(path: Path | str, device: str = "cpu") -> SceneModel:
     """The trained scene of a run: ``load("out").render(camera, t)`` gives arrays.
 
-    Where the run was fitted to its held-out frames, too (``final/``), it is that model; the measured one is ``load("out/model")``.
+    Where the run was fitted to its held-out frames, too (``model_all_frames/``), it is that model; the measured one is ``load("out/model")``.
 
     Args:
         path: of the run, or of one of its models.
@@ -91,8 +91,8 @@ def load(path: Path | str, device: str = "cpu") -> SceneModel:
         InputError: there is none, it is damaged, or the device does not work.
     """
     path, run = Path(path), RunPaths(path)
-    if run.record_path.exists() and has_model(run.final_path):
-        path = run.final_path
+    if run.record_path.exists() and has_model(run.all_frames_path):
+        path = run.all_frames_path
     elif (run.model_path / "model.json").exists():
         path = run.model_path
     elif not (path / "model.json").exists():
@@ -167,7 +167,7 @@ def _write_metrics(folder: RunFolder, result: _Result, metrics: dict[str, Any], 
     metrics["memory_gib"] = {**folder.memory, **dict.fromkeys(seconds, recent_peak())}
     metrics["seconds"], metrics["wall_seconds"] = {**folder.seconds, **seconds}, folder.wall_seconds
     metrics["measured"] = folder.model_path.name
-    metrics["shown"] = (folder.final_path if has_model(folder.final_path) else folder.model_path).name
+    metrics["shown"] = (folder.all_frames_path if has_model(folder.all_frames_path) else folder.model_path).name
     write_json(folder.metrics_path, metrics)
     history = read_history(folder.training_path / HISTORY)
     with spinner("Writing report.html"):
@@ -248,5 +248,5 @@ def _rendered(folder: RunFolder, options: RenderOptions | None) -> dict[str, Any
 
 
 def _render_videos(folder: RunFolder, result: _Result, options: RenderOptions) -> None:
-    shown = load(folder.path, folder.config.device) if has_model(folder.final_path) else result.model
+    shown = load(folder.path, folder.config.device) if has_model(folder.all_frames_path) else result.model
     render_videos(shown, result.scene, folder.renders_path, options)

@@ -26,7 +26,7 @@ SHOWN = 6
 """Held-out images of each kind in the report."""
 
 SHOWN_NOTE = (
-    "Videos, exports and the viewer show the scene after it was fitted to the held-out frames, too (final/). Every figure and "
+    "Videos, exports and the viewer show the scene after it was fitted to the held-out frames, too (model_all_frames/). Every figure and "
     "every comparison here is of the model before that (model/), which has not seen them."
 )
 
@@ -90,7 +90,7 @@ def report_data(
     counts = metrics["gaussians"]["active"]
     if len(counts) != len(scene.timestamps):
         raise InputError(f"{out / 'metrics.json'} counts Gaussians in {len(counts)} frames, the scene has {len(scene.timestamps)}.")
-    notes = [*scene.info.notes, *([SHOWN_NOTE] if metrics.get("shown") == "final" else [])]
+    notes = [*scene.info.notes, *([SHOWN_NOTE] if metrics.get("shown") != metrics.get("measured") else [])]
     verdicts = [str((scene.prior(name) or {}).get("verdict", "")) for name in ("cameras", "depth", "masks")]
     return ReportData(
         title=scene.name,

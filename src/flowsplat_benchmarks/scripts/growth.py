@@ -76,7 +76,7 @@ def measure(case: Case) -> dict[str, Any]:
     init = config.train.init if case.spacing is None else replace(config.train.init, background_spacing=case.spacing)
     config = replace(
         config, input=InputOptions(max_frames=case.frames, every=1, resize=case.side), render=RenderOptions(paths=("input",)),
-        train=replace(config.train, iterations=STEPS, preview_every=0, init=init), final_fit=False, first_scene=False,
+        train=replace(config.train, iterations=STEPS, preview_every=0, init=init), final_fit=False, coarse_scene=False,
     )  # fmt: skip
     metrics = run(Path(case.clip), Path(case.out), config)
     history = json.loads((Path(case.out) / "run.json").read_text())["stages"]

@@ -57,7 +57,7 @@ def write_raw(folder: Path, spec: SyntheticScene, rows: int = CAMERAS) -> None:
     for t in range(spec.frames):
         for c in range(CAMERAS):
             view = spec.render(rig_camera(spec, c), spec.timestamps[t])
-            write(folder / "mv_images" / f"{t:05d}" / f"cam{c + 1:02d}.jpg", view.make_image)
+            write(folder / "mv_images" / f"{t:05d}" / f"cam{c + 1:02d}.jpg", view.image)
             write(folder / "mv_masks" / f"{t:05d}" / f"cam{c + 1:02d}.png", (view.mask > 0).astype(np.uint8) * 255)
 
 

@@ -277,7 +277,7 @@ def training(record: Record) -> None:
         holdout=3 if small else 10,
     )
     config = replace(
-        start, priors=replace(start.priors, priors="true"), first_scene=False, final_fit=False, refine_poses=not small,
+        start, priors=replace(start.priors, priors="true"), coarse_scene=False, final_fit=False, refine_poses=not small,
         train=replace(start.train, iterations=2 if small else start.train.iterations),
     )  # fmt: skip
     if small:

@@ -11,10 +11,10 @@ import pytest
 
 from flowsplat.common.errors import InputError
 from flowsplat.output.videos import RenderOptions, rendered
-from flowsplat.pipeline import first, preparing, run, stages
+from flowsplat.pipeline import coarse, preparing, run, stages
+from flowsplat.pipeline.coarse import APART, FRAMES, LONG_SIDE, CoarseClip, chosen_frames, is_worth_it
 from flowsplat.pipeline.compiling import Ahead
 from flowsplat.pipeline.config import RunConfig, preset
-from flowsplat.pipeline.first import APART, FRAMES, LONG_SIDE, CoarseClip, chosen_frames, is_worth_it
 from flowsplat.pipeline.folder import RunFolder
 from flowsplat.pipeline.speed import expected_of
 from flowsplat.scenes.clip import Clip
@@ -72,8 +72,8 @@ def test_short_runs_do_without():
 
 @pytest.fixture
 def config(monkeypatch) -> RunConfig:
-    settings = replace(first.first_settings(), iterations=6)
-    monkeypatch.setattr(first, "first_settings", lambda: settings)
+    settings = replace(coarse.coarse_settings(), iterations=6)
+    monkeypatch.setattr(coarse, "coarse_settings", lambda: settings)
     monkeypatch.setattr(stages, "is_worth_it", lambda whole: True)
     monkeypatch.setattr(stages, "compiling_ahead", lambda device: nullcontext(Ahead(None)))
     ours = RunConfig()
@@ -85,31 +85,31 @@ def config(monkeypatch) -> RunConfig:
 def test_the_run_is_the_same_to_the_bit(tmp_path, config, monkeypatch):
     write_synthetic_video(tmp_path / "clip.mp4", SyntheticScene(width=96, height=64, frames=12))
     run(tmp_path / "clip.mp4", tmp_path / "with", config)
-    run(tmp_path / "clip.mp4", tmp_path / "without", replace(config, first_scene=False))
-    assert not (tmp_path / "without" / "first").exists()
-    for folder in ("scene", "model", "final"):
+    run(tmp_path / "clip.mp4", tmp_path / "without", replace(config, coarse_scene=False))
+    assert not (tmp_path / "without" / "coarse").exists()
+    for folder in ("scene", "model", "model_all_frames"):
         files = sorted(path for path in (tmp_path / "without" / folder).rglob("*") if path.is_file())
         assert files
         for path in files:
             same = tmp_path / "with" / path.relative_to(tmp_path / "without")
             assert same.read_bytes() == path.read_bytes(), path
-    where = tmp_path / "with" / "first"
+    where = tmp_path / "with" / "coarse"
     assert len(load_model(where / "model").gaussians) > 0
     assert {"input_path", "orbit"} <= set(rendered(where / "renders"))
-    monkeypatch.setattr(first, "ingest", lambda *_: pytest.fail("made again"))
+    monkeypatch.setattr(coarse, "ingest", lambda *_: pytest.fail("made again"))
     folder = RunFolder(tmp_path / "with")
-    first.first_scene(folder, clip_of(12, 24.0, (96, 64)))
+    coarse.coarse_scene(folder, clip_of(12, 24.0, (96, 64)))
 
 
 def test_what_cannot_be_made_is_told_and_left_out(tmp_path, config, monkeypatch, capsys):
     def refuse(*arguments):
         raise InputError("No cameras.")
 
-    monkeypatch.setattr(first, "prepare_priors", refuse)
+    monkeypatch.setattr(coarse, "prepare_priors", refuse)
     folder = RunFolder.open_or_create(tmp_path / "out", "c", "c", config)
-    first.first_scene(folder, clip_of(12, 24.0, (96, 64)))
-    assert "There is no first scene: No cameras." in " ".join(capsys.readouterr().err.split())
-    assert not (tmp_path / "out" / "first" / "model").exists()
+    coarse.coarse_scene(folder, clip_of(12, 24.0, (96, 64)))
+    assert "There is no coarse scene: No cameras." in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "out" / "coarse" / "model").exists()
 
 
 @pytest.mark.parametrize("error", [InputError("No cameras."), MemoryError(), np.linalg.LinAlgError("Singular matrix")])
@@ -117,9 +117,9 @@ def test_it_stops_no_run(tmp_path, config, monkeypatch, capsys, error):
     def fail(*arguments):
         raise error
 
-    monkeypatch.setattr(first, "prepare_priors", fail)
-    first.first_scene(RunFolder.open_or_create(tmp_path / "out", "c", "c", config), clip_of(12, 24.0, (96, 64)))
-    assert "There is no first scene" in capsys.readouterr().err
+    monkeypatch.setattr(coarse, "prepare_priors", fail)
+    coarse.coarse_scene(RunFolder.open_or_create(tmp_path / "out", "c", "c", config), clip_of(12, 24.0, (96, 64)))
+    assert "There is no coarse scene" in capsys.readouterr().err
 
 
 def test_what_can_be_wrong_is_said_first(tmp_path, config):
