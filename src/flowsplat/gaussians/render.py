@@ -88,10 +88,10 @@ def render_active(
     center = torch.as_tensor(camera.center, dtype=gaussians.params["means"].dtype)
     flow = None if flow_to is None else FlowView(flow_model, flow_to[0], flow_to[1] - active.t)
     sliced = slice_gaussians(gaussians, active, center, flow_to[1] if flow_to is not None else None, gradients)
-    return _blended(sliced, camera, flow, eps2d, backend)
+    return _blend(sliced, camera, flow, eps2d, backend)
 
 
-def _blended(sliced: Slice, camera: Camera, flow: FlowView | None, eps2d: float, backend: BackendName) -> RenderedFrame:
+def _blend(sliced: Slice, camera: Camera, flow: FlowView | None, eps2d: float, backend: BackendName) -> RenderedFrame:
     dtype, device = sliced.means.dtype, sliced.means.device
     width, height = camera.width, camera.height
     projected = project(
@@ -121,7 +121,7 @@ def render(
     """
     flow = None if flow_to is None else FlowView(flow_model, flow_to[0], flow_to[1] - t)
     sliced = slice_view(gaussians, camera, t, flow_to[1] if flow_to is not None else None, distances, eps2d)
-    return _blended(sliced, camera, flow, eps2d, backend)
+    return _blend(sliced, camera, flow, eps2d, backend)
 
 
 def fill_uncovered(color: np.ndarray, alpha: np.ndarray) -> np.ndarray:
