@@ -86,8 +86,7 @@ class Gaussians4D:
             how far apart the directions are from which they did (root mean square, length of the difference of unit vectors). Known
             after training; None = not known.
         shadow_free: [N, 1 + G] float32, how bright each is without the shadows of what moves (``shadows.add_shadow_free``): the
-        logarithm
-            of a factor of its color, and gains in place of ``log_gains``. Known after training; None = not known.
+            logarithm of a factor of its color, and gains in place of ``log_gains``. Known after training; None = not known.
     """
 
     params: dict[str, Tensor]
