@@ -23,7 +23,7 @@ from flowsplat.common.progress import report
 from flowsplat.common.run_paths import RunPaths
 from flowsplat.common.source import source_state
 from flowsplat.evaluation.scores import pick
-from flowsplat.output.page import fitted
+from flowsplat.images.html import fitted
 from flowsplat.output.report import grade, verdict
 from flowsplat.output.videos import rendered
 from flowsplat.pipeline import run
