@@ -21,7 +21,7 @@ import flowsplat
 from flowsplat.cli import main
 from flowsplat.cli.command import functions_of
 from flowsplat.cli.help import USUAL
-from flowsplat.pipeline.config import preset, setting_of
+from flowsplat.pipeline.config import find_setting, preset
 from flowsplat.pipeline.renamed_options import RENAMED
 from flowsplat.scenes import Depth, Scene
 from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic
@@ -231,7 +231,7 @@ def test_options_that_have_another_name_now(capsys, tmp_path, before, now):
 
 @pytest.mark.parametrize("now", RENAMED.values())
 def test_new_names_are_there(now):
-    assert setting_of(now.replace("--no-", "--").replace(".no-", ".")) is not None
+    assert find_setting(now.replace("--no-", "--").replace(".no-", ".")) is not None
 
 
 def test_options_that_do_not_exist(capsys, tmp_path):

@@ -342,9 +342,9 @@ def _hear(folder: Path) -> None:
     for path in sorted(folder.iterdir()):
         if path.is_file() and path.stat().st_size < 2**20:
             data = path.read_bytes()
-            gate.admitted(data)
+            gate.admit(data)
             with suppress(msgspec.MsgspecError, RecursionError, UnicodeDecodeError, OverflowError):
-                gate.admitted(msgspec.msgpack.encode(msgspec.json.decode(data)))
+                gate.admit(msgspec.msgpack.encode(msgspec.json.decode(data)))
 
 
 def _command(*arguments: str) -> Callable[[Path], None]:

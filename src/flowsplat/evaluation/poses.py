@@ -54,7 +54,7 @@ def refine_camera(model: SceneModel, camera: Camera, t: float, target: np.ndarra
         if min(size) >= SHORTEST_SIDE:
             image = resize_image(np.asarray(target, np.float32), size)
             # What a shrunk image says may be worse than where it started: small Gaussians are drawn wider there.
-            starts = [start.resized(*size)] if found is start else [start.resized(*size), found.resized(*size)]
+            starts = [start.resize(*size)] if found is start else [start.resize(*size), found.resize(*size)]
             moved = _descend(model.gaussians, starts, clip_time, image, steps)
             found = Camera(moved.viewmat, start.K, camera.width, camera.height)
     refined = model.similarity.inverse().camera(found)

@@ -15,7 +15,7 @@ SLACK = 1e-3
 """Of the clip's length: what a time may lie outside of it, so that seconds that were rounded are still within."""
 
 
-def number_of(value: Any, name: str) -> float:
+def to_number(value: Any, name: str) -> float:
     """A number as a float: any of Python, NumPy or torch, and arrays and tensors of one element.
 
     Raises:
@@ -25,14 +25,14 @@ def number_of(value: Any, name: str) -> float:
         value = value.detach().cpu().numpy()
     array = np.asarray(value)
     if array.size != 1 or array.dtype.kind not in "fiu":
-        raise InputError(f"{name} must be one number, not {_described(value)}.")
+        raise InputError(f"{name} must be one number, not {_describe(value)}.")
     number = float(array.reshape(()))
     if not math.isfinite(number):
         raise InputError(f"{name} must be finite, not {number}.")
     return number
 
 
-def time_of(value: Any, first: float, last: float, name: str = "t", unit: str = "s") -> float:
+def check_time(value: Any, first: float, last: float, name: str = "t", unit: str = "s") -> float:
     """A time of a clip as a float.
 
     Args:
@@ -44,21 +44,21 @@ def time_of(value: Any, first: float, last: float, name: str = "t", unit: str = 
     Raises:
         InputError: it is no number, or outside the clip.
     """
-    t = number_of(value, name)
+    t = to_number(value, name)
     slack = SLACK * (last - first)
     if not first - slack <= t <= last + slack:
         raise InputError(f"{name} is {t:g}{unit and ' '}{unit}, outside the clip ({first:g} to {last:g}{unit and ' '}{unit}).")
     return t
 
 
-def camera_of(value: Any, name: str = "camera") -> Camera:
+def check_camera(value: Any, name: str = "camera") -> Camera:
     """A camera that can look at something.
 
     Raises:
         InputError: it is none, or its numbers are not finite, its rotation is none, or its image has no pixels.
     """
     if not isinstance(value, Camera):
-        raise InputError(f"{name} must be a flowsplat.Camera, not {_described(value)}.")
+        raise InputError(f"{name} must be a flowsplat.Camera, not {_describe(value)}.")
     if not value.is_valid:
         raise InputError(
             f"{name} is none that can look: viewmat [4, 4] must be finite, with a rotation in its first three rows and columns, "
@@ -67,7 +67,7 @@ def camera_of(value: Any, name: str = "camera") -> Camera:
     return value
 
 
-def target_of(value: Any, first: float, last: float, unit: str = "s") -> tuple[Camera, float] | None:
+def check_target(value: Any, first: float, last: float, unit: str = "s") -> tuple[Camera, float] | None:
     """What ``flow_to`` names: the other camera and its time, or None.
 
     Raises:
@@ -76,10 +76,10 @@ def target_of(value: Any, first: float, last: float, unit: str = "s") -> tuple[C
     if value is None:
         return None
     if not isinstance(value, tuple | list) or len(value) != 2:
-        raise InputError(f"flow_to must be a pair (camera, t), not {_described(value)}.")
-    return camera_of(value[0], "the camera of flow_to"), time_of(value[1], first, last, "the time of flow_to", unit)
+        raise InputError(f"flow_to must be a pair (camera, t), not {_describe(value)}.")
+    return check_camera(value[0], "the camera of flow_to"), check_time(value[1], first, last, "the time of flow_to", unit)
 
 
-def _described(value: Any) -> str:
+def _describe(value: Any) -> str:
     shape = getattr(value, "shape", None)
     return f"{type(value).__name__} {value!r:.40}" if shape is None else f"{type(value).__name__} of shape {list(shape)}"

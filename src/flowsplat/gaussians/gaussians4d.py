@@ -12,7 +12,7 @@ from torch import Tensor
 
 from flowsplat.common import devices
 from flowsplat.common.devices import Kernels, Later
-from flowsplat.gaussians.culling import RowCapacity, active_rows, border, padded_rows
+from flowsplat.gaussians.culling import RowCapacity, active_rows, border, pad_active_rows
 from flowsplat.gaussians.model_config import ModelConfig
 from flowsplat.gaussians.motion import MotionModel, motion_model, presence
 from flowsplat.geometry import Camera
@@ -64,7 +64,7 @@ class Active:
 
 
 @functools.cache
-def _moving_names(config: ModelConfig) -> tuple[str, ...]:
+def _list_dynamic_names(config: ModelConfig) -> tuple[str, ...]:
     parameters = motion_model(config).parameters
     return ("times", *(name for name, parameter in parameters.items() if parameter.moves))
 
@@ -170,13 +170,13 @@ class Gaussians4D:
         """
         params = self.params
         if camera is not None:
-            camera = camera.widened(border(eps2d))
+            camera = camera.widen(border(eps2d))
         given = (
             self.at_rest, params["means"], self.motion.log_scales(params), params["times"], self.motion.log_precision(params), t,
             self.config.p_min, camera, NEAR_PLANE,
         )  # fmt: skip
         if capacity is not None and self.sliced_by == "triton":
-            padded, needed = padded_rows(*given, capacity)
+            padded, needed = pad_active_rows(*given, capacity)
             return Active(padded, capacity.at_rest, t, needed)
         rows, num_static = active_rows(*given)
         return Active(rows, num_static, t)
@@ -193,7 +193,7 @@ class Gaussians4D:
     @property
     def moving_names(self) -> tuple[str, ...]:
         """Parameters that only moving Gaussians have in ``gather``."""
-        return _moving_names(self.config)
+        return _list_dynamic_names(self.config)
 
     def rows_of(self, name: str, active: Active) -> Tensor:
         """The rows that ``gather`` took for parameter ``name``."""

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.threads import thread_count
-from flowsplat.gaussians.arguments import camera_of, target_of, time_of
+from flowsplat.gaussians.arguments import check_camera, check_target, check_time
 from flowsplat.gaussians.confidence_fade import apply_confidence_fade
 from flowsplat.gaussians.distances import Distances, check_factors
 from flowsplat.gaussians.flow import FlowModel
@@ -22,7 +22,7 @@ from flowsplat.gaussians.renderer import Part, Renderer, Rendering, numbers_of
 from flowsplat.gaussians.shadow_free import without_shadows
 from flowsplat.geometry import Camera, Similarity
 from flowsplat.geometry.paths import CameraPath
-from flowsplat.images.html import THUMBNAIL, facts_with_image
+from flowsplat.images.html import THUMBNAIL, format_facts
 from flowsplat.splatting.api import BackendName
 from flowsplat.splatting.rules import EPS2D
 
@@ -84,7 +84,7 @@ class SceneModel:
             "time": f"{self.first:.3g} to {self.last:.3g} s",
             "device": str(self.gaussians.device),
         }
-        return facts_with_image("SceneModel", facts, self.thumbnail())
+        return format_facts("SceneModel", facts, self.thumbnail())
 
     def thumbnail(self) -> np.ndarray | None:
         """[H, W, 3] what ``viewpoint`` sees, at most as wide as notebooks show it; None where that is not known."""
@@ -93,7 +93,7 @@ class SceneModel:
         camera, t = self.viewpoint
         factor = min(1.0, THUMBNAIL / camera.width)
         size = [max(round(side * factor), 1) for side in (camera.width, camera.height)]
-        return self.render(camera.resized(*size), t).color
+        return self.render(camera.resize(*size), t).color
 
     def to(self, device: torch.device | str) -> SceneModel:
         """The same scene on a device, where it is rendered from then on; images are arrays as before."""
@@ -139,8 +139,8 @@ class SceneModel:
         Traceback (most recent call last):
         flowsplat.common.errors.InputError: t is 9 s, outside the clip (0 to 1.83333 s).
         """
-        camera, t = camera_of(camera), time_of(t, self.first, self.last)
-        flow_to = target_of(flow_to, self.first, self.last)
+        camera, t = check_camera(camera), check_time(t, self.first, self.last)
+        flow_to = check_target(flow_to, self.first, self.last)
         other = None if flow_to is None else (self.similarity.camera(flow_to[0]), self.clip_time(flow_to[1]))
         image, alpha, flow = (
             None if plane is None else plane.float().cpu().numpy() for plane in self._draw(self.similarity.camera(camera), t, other)

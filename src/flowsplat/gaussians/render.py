@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from flowsplat.gaussians.arguments import camera_of, target_of, time_of
+from flowsplat.gaussians.arguments import check_camera, check_target, check_time
 from flowsplat.gaussians.distances import Distances, slice_view
 from flowsplat.gaussians.flow import FlowModel, FlowView, blend_features, flow_channels, flow_image
 from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Active, Gaussians4D
@@ -89,10 +89,10 @@ def render_active(
     center = torch.as_tensor(camera.center, dtype=gaussians.params["means"].dtype)
     flow = None if flow_to is None else FlowView(flow_model, flow_to[0], flow_to[1] - active.t)
     sliced = slice_gaussians(gaussians, active, center, flow_to[1] if flow_to is not None else None, gradients)
-    return _blended(sliced, camera, flow, eps2d, backend)
+    return _blend(sliced, camera, flow, eps2d, backend)
 
 
-def _blended(sliced: Slice, camera: Camera, flow: FlowView | None, eps2d: float, backend: BackendName) -> RenderedFrame:
+def _blend(sliced: Slice, camera: Camera, flow: FlowView | None, eps2d: float, backend: BackendName) -> RenderedFrame:
     dtype, device = sliced.means.dtype, sliced.means.device
     width, height = camera.width, camera.height
     projected = project(
@@ -137,10 +137,10 @@ def render(
     >>> list(frame.color.shape), list(frame.depth.shape)
     ([48, 64, 3], [48, 64])
     """
-    camera, t, flow_to = camera_of(camera), time_of(t, 0, 1, unit=""), target_of(flow_to, 0, 1, unit="")
+    camera, t, flow_to = check_camera(camera), check_time(t, 0, 1, unit=""), check_target(flow_to, 0, 1, unit="")
     flow = None if flow_to is None else FlowView(flow_model, flow_to[0], flow_to[1] - t)
     sliced = slice_view(gaussians, camera, t, flow_to[1] if flow_to is not None else None, distances, eps2d)
-    return _blended(sliced, camera, flow, eps2d, backend)
+    return _blend(sliced, camera, flow, eps2d, backend)
 
 
 def fill_uncovered(color: np.ndarray, alpha: np.ndarray) -> np.ndarray:

@@ -22,7 +22,7 @@ NOTHING = "–"
 """What stands in place of a figure that was not measured."""
 
 
-def fitted(image: np.ndarray, widest: int = WIDEST) -> np.ndarray:
+def shrink_to_page(image: np.ndarray, widest: int = WIDEST) -> np.ndarray:
     """uint8, not wider than ``widest`` pixels."""
     image = float_to_bytes(image)
     height, width = image.shape[:2]
@@ -31,7 +31,7 @@ def fitted(image: np.ndarray, widest: int = WIDEST) -> np.ndarray:
     return cv2.resize(image, (widest, max(round(height * widest / width), 1)), None, 0, 0, cv2.INTER_AREA)
 
 
-def encoded(image: np.ndarray, quality: int | None = 88) -> bytes:
+def encode(image: np.ndarray, quality: int | None = 88) -> bytes:
     """An image [H, W, 3] RGB, uint8 or float between 0 and 1, as a file: JPEG, or PNG for quality None."""
     options = [] if quality is None else [cv2.IMWRITE_JPEG_QUALITY, quality]
     suffix = ".png" if quality is None else ".jpg"
@@ -41,9 +41,9 @@ def encoded(image: np.ndarray, quality: int | None = 88) -> bytes:
 
 
 def data_uri(image: np.ndarray, quality: int | None = 88) -> str:
-    """``encoded`` as a ``data:`` address."""
+    """``encode`` as a ``data:`` address."""
     kind = "png" if quality is None else "jpeg"
-    return f"data:image/{kind};base64,{base64.b64encode(encoded(image, quality)).decode()}"
+    return f"data:image/{kind};base64,{base64.b64encode(encode(image, quality)).decode()}"
 
 
 def image_tag(image: np.ndarray, description: str, quality: int | None = 88) -> Markup:
@@ -54,10 +54,10 @@ def image_tag(image: np.ndarray, description: str, quality: int | None = 88) -> 
     )
 
 
-def facts_with_image(title: str, facts: Mapping[str, str], image: np.ndarray | None) -> str:
+def format_facts(title: str, facts: Mapping[str, str], image: np.ndarray | None) -> str:
     """What a notebook shows of something: its name, an image, and a table of what is known of it, by name."""
     rows = Markup().join(Markup("<tr><td>{}</td><td>{}</td></tr>").format(*fact) for fact in facts.items())
-    shown = Markup() if image is None else Markup('<img alt="" src="{}"><br>').format(data_uri(fitted(image, THUMBNAIL)))
+    shown = Markup() if image is None else Markup('<img alt="" src="{}"><br>').format(data_uri(shrink_to_page(image, THUMBNAIL)))
     return str(Markup("<div><b>{}</b><br>{}<table>{}</table></div>").format(title, shown, rows))
 
 

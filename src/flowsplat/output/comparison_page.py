@@ -11,7 +11,7 @@ from typing import Any
 from markupsafe import Markup
 
 from flowsplat.common.files.opening import read_bytes
-from flowsplat.images.html import NOTHING, fitted, image_tag, table
+from flowsplat.images.html import NOTHING, image_tag, shrink_to_page, table
 from flowsplat.output.page import POLICY, script_policy, write_page
 from flowsplat.output.report import Comparison, video_title
 
@@ -118,8 +118,8 @@ class ComparedRun:
         metrics: the content of ``metrics.json``.
         settings: by the names of the command line.
         folder: where its videos are.
-        videos: names of their files by name, as ``output.videos.rendered`` tells them.
-        frame_rates: of its videos, as ``output.videos.frame_rates`` tells them.
+        videos: names of their files by name, as ``output.videos.list_rendered`` tells them.
+        frame_rates: of its videos, as ``output.videos.list_frame_rates`` tells them.
     """
 
     label: str
@@ -228,5 +228,5 @@ def _images(labels: Sequence[str], images: Sequence[Sequence[Comparison]]) -> It
         if all(label in found for found in renderings) and count.get(kind, 0) < _SHOWN:
             count[kind] = count.get(kind, 0) + 1
             shown = [("clip", image), *zip(labels, (found[label] for found in renderings), strict=True)]
-            panels = [{"name": name, "image": image_tag(fitted(each), f"{label}, {name}")} for name, each in shown]
+            panels = [{"name": name, "image": image_tag(shrink_to_page(each), f"{label}, {name}")} for name, each in shown]
             yield {"label": label, "panels": panels}

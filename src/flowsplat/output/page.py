@@ -14,7 +14,7 @@ from markupsafe import Markup
 
 from flowsplat import __version__
 from flowsplat.common.files import write_text
-from flowsplat.images.html import fitted, image_tag
+from flowsplat.images.html import image_tag, shrink_to_page
 
 POLICY = "; ".join((
     "default-src 'none'", "img-src 'self' data: file:", "media-src 'self' data: file:", "style-src 'unsafe-inline'",
@@ -52,4 +52,4 @@ def card(value: Markup | str, unit: str, name: str, remark: str) -> dict[str, An
 
 def image_row(images: Mapping[str, np.ndarray], label: str) -> list[dict[str, Any]]:
     """Images by name, as the macro ``panels`` of the templates wants them."""
-    return [{"name": name, "image": image_tag(fitted(image), f"{label}, {name}")} for name, image in images.items()]
+    return [{"name": name, "image": image_tag(shrink_to_page(image), f"{label}, {name}")} for name, image in images.items()]

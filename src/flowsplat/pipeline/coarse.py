@@ -55,7 +55,7 @@ def is_worth_it(whole: float) -> bool:
     return SHARE * whole >= SECONDS
 
 
-def chosen_frames(timestamps: np.ndarray, train: Sequence[int]) -> list[int]:
+def choose_frames(timestamps: np.ndarray, train: Sequence[int]) -> list[int]:
     """Frames that the coarse scene is made from: evenly over the training frames of the clip, or over its beginning."""
     times = timestamps[list(train)]
     over_all = -(-len(train) // FRAMES)
@@ -79,10 +79,10 @@ class CoarseClip(Clip):
     def of(clip: Clip, holdout: int | None) -> CoarseClip:
         """That of a clip, without the frames that a run holds out."""
         train, _ = split_frames(clip.num_frames, None if clip.num_views else holdout)
-        numbers = chosen_frames(clip.timestamps, train)
+        numbers = choose_frames(clip.timestamps, train)
         scale = min(1.0, LONG_SIDE / max(clip.width, clip.height))
         width, height = (max(32, round(side * scale)) for side in (clip.width, clip.height))
-        cameras = clip.cameras and [clip.cameras[i].resized(width, height) for i in numbers]
+        cameras = clip.cameras and [clip.cameras[i].resize(width, height) for i in numbers]
         return CoarseClip(
             name=clip.name, source=clip.source, width=width, height=height, timestamps=clip.timestamps[numbers],
             source_fps=clip.source_fps, has_masks=clip.has_masks, cameras=cameras, whole=clip, numbers=numbers,

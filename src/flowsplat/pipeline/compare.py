@@ -14,12 +14,12 @@ from flowsplat.common.run_paths import RunPaths
 from flowsplat.common.settings import flat, to_plain
 from flowsplat.output.comparison_page import ComparedRun, Figure, write_comparison
 from flowsplat.output.report import verdict
-from flowsplat.output.videos import frame_rates, rendered
-from flowsplat.pipeline.config import option_of
+from flowsplat.output.videos import list_frame_rates, list_rendered
+from flowsplat.pipeline.config import format_option
 from flowsplat.pipeline.folder import RunFolder
 from flowsplat.pipeline.python_run import Run
 from flowsplat.pipeline.stages import read_metrics
-from flowsplat.pipeline.summary import ROWS, comparisons, values_of
+from flowsplat.pipeline.summary import ROWS, comparisons, pick_all
 from flowsplat.scenes import Scene
 
 NAME = "compare.html"
@@ -50,7 +50,7 @@ def compare(*runs: str | Path | Run, out: str | Path | None = None) -> Path:
     for k, folder in enumerate(resolved):
         if folder in resolved[:k]:
             raise InputError(f"{folders[k]} is named twice: compare different runs.")
-    compared = [_read(folder, label) for folder, label in zip(folders, distinct_names(resolved), strict=True)]
+    compared = [_read(folder, label) for folder, label in zip(folders, name_folders(resolved), strict=True)]
     scenes = [Scene(RunPaths(folder).scene_path) for folder in folders]
     is_same_clip = all(_has_same_frames(scenes[0], scene) for scene in scenes[1:])
     path = resolved[0].parent / NAME if out is None else Path(out)
@@ -63,12 +63,12 @@ def compare(*runs: str | Path | Run, out: str | Path | None = None) -> Path:
     return path
 
 
-def distinct_names(folders: Sequence[Path]) -> list[str]:
+def name_folders(folders: Sequence[Path]) -> list[str]:
     """As few of the last parts of each path as tell them apart, the same number of all.
 
-    >>> distinct_names([Path("/a/own"), Path("/a/true")])
+    >>> name_folders([Path("/a/own"), Path("/a/true")])
     ['own', 'true']
-    >>> distinct_names([Path("/x/1/run"), Path("/x/2/run")])
+    >>> name_folders([Path("/x/1/run"), Path("/x/2/run")])
     ['1/run', '2/run']
     """
     longest = max(len(folder.parts) for folder in folders)
@@ -84,11 +84,11 @@ def _read(path: Path, label: str) -> ComparedRun:
     if not folder.metrics_path.exists():
         raise InputError(f"{path} was not measured yet: finish flowsplat run, or call flowsplat evaluate {path}.")
     metrics = read_metrics(folder.metrics_path)
-    settings = {option_of(name): value for name, value in flat(to_plain(folder.config)).items()}
+    settings = {format_option(name): value for name, value in flat(to_plain(folder.config)).items()}
     # Without the folders of this machine: a page is made to be shown.
     settings = {"input": PurePath(folder.record["input"]).name, **settings}
     videos = folder.renders_path
-    return ComparedRun(label, verdict(metrics), metrics, settings, videos, rendered(videos), frame_rates(videos))
+    return ComparedRun(label, verdict(metrics), metrics, settings, videos, list_rendered(videos), list_frame_rates(videos))
 
 
 def _has_same_frames(one: Scene, other: Scene) -> bool:
@@ -104,7 +104,7 @@ def _figures(metrics: Sequence[Mapping[str, Any]]) -> list[Figure]:
     """The rows of the terminal's table, and the time."""
     found = []
     for label, path, style in ROWS:
-        values = values_of(metrics, path)
+        values = pick_all(metrics, path)
         if any(value is not None for value in values):
             texts = [None if value is None else format(value, style) for value in values]
             found.append(Figure(label, texts, _best(path, values)))

@@ -10,7 +10,7 @@ import tyro
 
 from flowsplat.common.devices import DeviceName, pick_device
 from flowsplat.common.errors import InputError
-from flowsplat.common.settings import flat, setting_types, to_plain
+from flowsplat.common.settings import flat, list_setting_types, to_plain
 from flowsplat.output.videos import RenderOptions
 from flowsplat.priors.options import PriorsOptions
 from flowsplat.scenes.clip import InputOptions
@@ -71,17 +71,17 @@ def preset(name: str) -> RunConfig:
     return presets[name]
 
 
-def option_of(name: str) -> str:
+def format_option(name: str) -> str:
     """The option of the command line for a setting of a run by its dotted name."""
     return "--" + name.removeprefix("input.").removeprefix("priors.").replace("_", "-")
 
 
-def setting_of(option: str) -> str | None:
-    """The inverse of ``option_of``, None where there is no such option.
+def find_setting(option: str) -> str | None:
+    """The inverse of ``format_option``, None where there is no such option.
 
     Hyphens in front may be missing, and those within may be underscores.
     """
-    options = {option_of(name): name for name in setting_types(RunConfig)}
+    options = {format_option(name): name for name in list_setting_types(RunConfig)}
     return options.get("--" + option.lstrip("-").replace("_", "-"))
 
 
@@ -93,6 +93,6 @@ def check(config: RunConfig) -> None:
     """
     for name, value in flat(to_plain(config)).items():
         if isinstance(value, float) and not math.isfinite(value):
-            raise InputError(f"{option_of(name)} is {value}: give a number.")
+            raise InputError(f"{format_option(name)} is {value}: give a number.")
     config.train.check()
     pick_device(config.device)

@@ -37,7 +37,7 @@ from flowsplat.common.errors import InputError, WritingError
 from flowsplat.common.files import check_json, make_folder, read_json, write_json
 from flowsplat.common.files.json_file import Count, Number, Positive, Text, Versioned
 from flowsplat.common.files.lease import NAME as LOCK
-from flowsplat.common.memory import begin_peak, give_back_memory, peak_memory, recent_peak
+from flowsplat.common.memory import begin_peak, get_recent_peak, give_back_memory, peak_memory
 from flowsplat.common.run_paths import RunPaths
 from flowsplat.common.settings import from_plain, to_plain
 from flowsplat.pipeline.config import RunConfig
@@ -264,7 +264,7 @@ class RunFolder(RunPaths):
 
     def _finish(self, stage: str, key: str, seconds: Mapping[str, float], parts: Mapping[str, float | None] | None) -> None:
         took = {name: round(value, 2) for name, value in seconds.items()}
-        peak = max((gib for gib in (recent_peak(), *(parts or {}).values()) if gib is not None), default=None)
+        peak = max((gib for gib in (get_recent_peak(), *(parts or {}).values()) if gib is not None), default=None)
         self.record["stages"][stage] = {"key": key, "seconds": took, "peak_memory_gib": peak}
         if parts:
             self.record["stages"][stage]["parts_memory_gib"] = dict(parts)

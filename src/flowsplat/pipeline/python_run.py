@@ -10,16 +10,16 @@ from typing import Any
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.run_paths import RunPaths
-from flowsplat.common.settings import setting_types, to_plain, with_settings
+from flowsplat.common.settings import list_setting_types, to_plain, with_settings
 from flowsplat.evaluation.scores import pick
 from flowsplat.gaussians.model import SceneModel
-from flowsplat.images.html import facts_with_image
+from flowsplat.images.html import format_facts
 from flowsplat.output.export.api import export_scene
 from flowsplat.output.export.options import ExportOptions, Format
 from flowsplat.pipeline import stages
-from flowsplat.pipeline.config import RunConfig, check, option_of, setting_of
+from flowsplat.pipeline.config import RunConfig, check, find_setting, format_option
 from flowsplat.pipeline.config import preset as settings_of
-from flowsplat.pipeline.renamed_options import renamed_option
+from flowsplat.pipeline.renamed_options import find_renamed_option
 from flowsplat.scenes import Scene
 
 
@@ -86,7 +86,7 @@ class Run:
     def _repr_html_(self) -> str:
         """For notebooks: an image from the middle of the clip, and a few figures."""
         facts = self._facts()
-        return facts_with_image(str(self.folder), facts, self.model.thumbnail() if "Gaussians" in facts else None)
+        return format_facts(str(self.folder), facts, self.model.thumbnail() if "Gaussians" in facts else None)
 
 
 def run(
@@ -108,7 +108,7 @@ def run(
     Traceback (most recent call last):
     flowsplat.common.errors.InputError: There is no setting 'train.los.flow'. Did you mean train.loss.flow?
     """
-    stages.run(Path(source), Path(out), configured(preset, overrides or {}))
+    stages.run(Path(source), Path(out), make_config(preset, overrides or {}))
     return Run(out)
 
 
@@ -142,7 +142,7 @@ def export(
     return export_scene(run.model, run.scene, to, out, options)
 
 
-def configured(name: str, overrides: Mapping[str, Any]) -> RunConfig:
+def make_config(name: str, overrides: Mapping[str, Any]) -> RunConfig:
     """The settings of a preset with some changed.
 
     Args:
@@ -154,10 +154,10 @@ def configured(name: str, overrides: Mapping[str, Any]) -> RunConfig:
     """
     changes = {}
     for given, value in overrides.items():
-        if (setting := setting_of(given)) is None:
-            if now := renamed_option(given):
+        if (setting := find_setting(given)) is None:
+            if now := find_renamed_option(given):
                 raise InputError(f"The setting {given!r} is called {now.removeprefix('--')!r} now.")
-            options = [option_of(known).removeprefix("--") for known in setting_types(RunConfig)]
+            options = [format_option(known).removeprefix("--") for known in list_setting_types(RunConfig)]
             near = difflib.get_close_matches(given.lstrip("-").replace("_", "-"), options, 3)
             meant = f" Did you mean {' or '.join(near)}?" if near else ""
             raise InputError(f"There is no setting {given!r}.{meant}")

@@ -16,7 +16,7 @@ RENAMED = {
 """From 0.1 to 0.2, by the command line's names."""
 
 
-def renamed_option(option: str) -> str | None:
+def find_renamed_option(option: str) -> str | None:
     """The name that an option has now, None where it never had another one.
 
     Hyphens in front may be missing, those within may be underscores, and ``=value`` may follow.

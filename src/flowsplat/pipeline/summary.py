@@ -18,7 +18,7 @@ from flowsplat.common.settings import flat, to_plain
 from flowsplat.evaluation.scores import pick
 from flowsplat.gaussians.renderer import Renderer
 from flowsplat.output.report import Comparison, FlowComparison, ReportData
-from flowsplat.output.videos import rendered
+from flowsplat.output.videos import list_rendered
 from flowsplat.scenes import Scene
 from flowsplat.scenes.layers import read_image
 
@@ -26,8 +26,8 @@ SHOWN = 6
 """Held-out images of each kind in the report."""
 
 SHOWN_NOTE = (
-    "Videos, exports and the viewer show the scene after it was fitted to the held-out frames, too (model_all_frames/). Every figure and "
-    "every comparison here is of the model before that (model/), which has not seen them."
+    "Videos, exports and the viewer show the scene after it was fitted to the held-out frames, too (model_all_frames/). Every "
+    "figure and every comparison here is of the model before that (model/), which has not seen them."
 )
 
 ROWS: tuple[tuple[str, tuple[str, ...], str], ...] = (
@@ -63,14 +63,14 @@ def figures_table(runs: Mapping[str, Mapping[str, Any]]) -> Table:
     for name in runs:
         table.add_column(name, justify="right")
     for label, path, style in ROWS:
-        values = values_of(list(runs.values()), path)
+        values = pick_all(list(runs.values()), path)
         if any(value is not None for value in values):
             table.add_row(label, *("–" if value is None else format(value, style) for value in values))
     table.add_row("time", *(format_duration(metrics.get("wall_seconds", 0.0)) for metrics in runs.values()))
     return table
 
 
-def values_of(metrics: Sequence[Mapping[str, Any]], path: Sequence[str]) -> list[float | None]:
+def pick_all(metrics: Sequence[Mapping[str, Any]], path: Sequence[str]) -> list[float | None]:
     """The figure under ``path`` in the figures of every run; None where it was not measured."""
     return [pick(each, *path) for each in metrics]
 
@@ -106,7 +106,7 @@ def report_data(
         active=(scene.timestamps.tolist(), counts),
         config=flat(to_plain(config)),
         notes=[*notes, *(verdict for verdict in verdicts if verdict)],
-        videos=rendered(RunPaths(out).renders_path),
+        videos=list_rendered(RunPaths(out).renders_path),
     )
 
 

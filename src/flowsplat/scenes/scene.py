@@ -28,7 +28,7 @@ from flowsplat.common.files import check_json, make_folder, plain_name, read_jso
 from flowsplat.common.files.json_file import Count, Text, Versioned
 from flowsplat.common.progress import report_once
 from flowsplat.geometry import Camera, Similarity
-from flowsplat.images.html import facts_with_image
+from flowsplat.images.html import format_facts
 from flowsplat.scenes.info import SceneInfo
 from flowsplat.scenes.layers import CameraFile, Depth, Flow, Layers, StoredFlow, Tracks, read_image, write_image
 
@@ -135,7 +135,7 @@ class Scene(Layers):
         }
         middle = self.train_frames[len(self.train_frames) // 2]
         image = self.frame(middle) if self.has_frame(middle) else None
-        return facts_with_image(f"{self.name} ({self.folder})", facts, image)
+        return format_facts(f"{self.name} ({self.folder})", facts, image)
 
     @staticmethod
     def create(
@@ -307,9 +307,9 @@ class Scene(Layers):
         self._require_training(i)
         return super().depth(i)
 
-    def stored_flow(self, i: int, j: int) -> StoredFlow:
+    def read_stored_flow(self, i: int, j: int) -> StoredFlow:
         self._require_training(i, j)
-        return super().stored_flow(i, j)
+        return super().read_stored_flow(i, j)
 
     def mask(self, i: int) -> np.ndarray:
         self._require_training(i)

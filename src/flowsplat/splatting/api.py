@@ -11,7 +11,7 @@ from torch import Tensor
 from flowsplat.common.devices import Kernels, kernels_on
 from flowsplat.common.triton import check_runs
 from flowsplat.splatting import reference
-from flowsplat.splatting.arguments import Array, as_tensors, check_numbers, check_size
+from flowsplat.splatting.arguments import Array, check_numbers, check_size, to_tensors
 from flowsplat.splatting.rules import EPS2D, FAR, NEAR
 
 BackendName = Literal["auto", "cpu", "triton", "reference"]
@@ -223,7 +223,7 @@ def rasterize(
     """
     check_size(width, height)
     check_numbers(near_plane=near_plane, far_plane=far_plane, eps2d=eps2d)
-    given = as_tensors(
+    given = to_tensors(
         means=means, quats=quats, scales=scales, opacities=opacities, features=features, viewmat=viewmat, K=K, covars=covars,
         background=background,
     )  # fmt: skip

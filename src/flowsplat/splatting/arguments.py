@@ -13,7 +13,7 @@ from torch import Tensor
 Array = Tensor | np.ndarray
 
 
-def as_tensors(**values: Array | None) -> dict[str, Any]:
+def to_tensors(**values: Array | None) -> dict[str, Any]:
     """Tensors of one float type on one device, by the names of the arguments; None stays None.
 
     NumPy arrays become what the tensors among the values are, and float32 on the CPU where there are none: that is what splatting
@@ -32,12 +32,12 @@ def as_tensors(**values: Array | None) -> dict[str, Any]:
         if value.device != like.device:
             raise ValueError(f"{name} is on {value.device}, {first} on {like.device}: give all on one device")
     return {
-        name: value if value is None or isinstance(value, Tensor) else _from_numpy(name, value, like)
+        name: value if value is None or isinstance(value, Tensor) else _to_tensor(name, value, like)
         for name, value in values.items()
     }
 
 
-def _from_numpy(name: str, value: Any, like: Tensor) -> Tensor:
+def _to_tensor(name: str, value: Any, like: Tensor) -> Tensor:
     try:
         array = np.asarray(value)
     except ValueError:  # lists of lists of different lengths

@@ -186,7 +186,7 @@ NOT_AFFECTING_RESULT = ("checkpoint_every", "preview_every")
 """Settings of training that change no figure."""
 
 
-def affecting_result(settings: Mapping[str, Any]) -> dict[str, Any]:
+def select_result_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Those settings of training, by name, on which the result depends."""
     return {name: value for name, value in settings.items() if name not in NOT_AFFECTING_RESULT}
 

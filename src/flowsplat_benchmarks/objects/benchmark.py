@@ -16,7 +16,7 @@ from flowsplat_benchmarks.objects.preparation import VARIANTS, place_objects, pr
 from flowsplat_benchmarks.objects.tables import DEFINITIONS, tables
 from flowsplat_benchmarks.reports import Report, failures
 from flowsplat_benchmarks.resume import BenchmarkOptions, Job, measure_jobs, results_at
-from flowsplat_benchmarks.tables import made_by
+from flowsplat_benchmarks.tables import describe_version
 from flowsplat_benchmarks.worlds import read_objects
 
 PROCESSES = 2
@@ -76,7 +76,7 @@ def measure_world(seed: int, folder: Path, size: tuple[int, int], frames: int, a
     for variant in VARIANTS:
         scene = Scene(folder / variant)
         place_objects(scene, again)
-        figures[variant] = _rounded(measure_scene(scene))
+        figures[variant] = _round(measure_scene(scene))
         truth = scene.truth
         assert truth is not None
         known = read_objects(truth)
@@ -84,12 +84,12 @@ def measure_world(seed: int, folder: Path, size: tuple[int, int], frames: int, a
     return {**facts, "flowsplat": source_state(), **figures}
 
 
-def _rounded(value: Any) -> Any:
+def _round(value: Any) -> Any:
     if isinstance(value, float):
         return round(value, 5)
     if isinstance(value, dict):
-        return {key: _rounded(each) for key, each in value.items()}
-    return [_rounded(each) for each in value] if isinstance(value, list) else value
+        return {key: _round(each) for key, each in value.items()}
+    return [_round(each) for each in value] if isinstance(value, list) else value
 
 
 def write_report(out: Path, seeds: range, failed: Mapping[str, str]) -> Path:
@@ -101,5 +101,5 @@ def write_report(out: Path, seeds: range, failed: Mapping[str, str]) -> Path:
     results = results_at(out / str(each) / FIGURES for each in seeds if f"world-{each}" not in failed)
     write_json(out / "results.json", results)
     verdict = f"{len(results)} worlds, seeds {seeds.start} to {seeds.stop - 1}."
-    remarks = [*DEFINITIONS, *([made_by(results)] if results else []), *failures(failed, "measured")]
+    remarks = [*DEFINITIONS, *([describe_version(results)] if results else []), *failures(failed, "measured")]
     return Report("objects", TITLE, verdict, remarks, tables(results), verdict_is_remark=True).write(out)

@@ -10,11 +10,11 @@ from flowsplat.scenes.synthetic.worlds.ground import Ground
 from flowsplat.scenes.synthetic.worlds.machines import (
     STOPS,
     door,
+    draw_rolling_ball,
     draw_way,
     flier,
     in_the_air,
     pendulum,
-    rolling,
     straight,
     vehicle,
 )
@@ -77,7 +77,7 @@ def _spot(scale: Scale, place: float, distance: float) -> np.ndarray:
     return np.array([place * scale.wide(distance), distance])
 
 
-def _speed(rng: np.random.Generator, low: float, high: float, scale: Scale, distance: float, duration: float) -> float:
+def _draw_speed(rng: np.random.Generator, low: float, high: float, scale: Scale, distance: float, duration: float) -> float:
     """Meters a second, so that at most 0.7 widths of the image are crossed."""
     return float(min(rng.uniform(low, high), 0.7 * scale.wide(distance) / duration))
 
@@ -98,7 +98,7 @@ def _draw_object(
     if kind == "vehicle":
         length = float(np.exp(rng.uniform(np.log(0.5), np.log(3.5))))
         distance = max(scale.distance(rng, 0.45 * length), 1.2 * length + 0.8)
-        speed = _speed(rng, 0.5 * length, 2 * length, scale, distance, duration)
+        speed = _draw_speed(rng, 0.5 * length, 2 * length, scale, distance, duration)
         way = draw_way(rng, speed, duration, bool(rng.random() < STOPS))
         return vehicle(rng, ground, _spot(scale, place, distance), heading, length, way, rich)
     if kind == "door":
@@ -108,21 +108,21 @@ def _draw_object(
     if kind == "flier":
         span = float(np.exp(rng.uniform(np.log(0.4), np.log(1.6))))
         distance = max(scale.distance(rng, 0.4 * span), 2.0)
-        speed = _speed(rng, 0.6, 3.5, scale, distance, duration)
+        speed = _draw_speed(rng, 0.6, 3.5, scale, distance, duration)
         return flier(rng, ground, _spot(scale, place, distance), heading, span, speed, duration, rich)
     radius = float(np.exp(rng.uniform(np.log(0.1), np.log(0.4))))
     distance = scale.distance(rng, 2 * radius)
     if kind == "rolling":
-        speed = _speed(rng, 0.4, 2.5, scale, distance, duration)
+        speed = _draw_speed(rng, 0.4, 2.5, scale, distance, duration)
         way = draw_way(rng, speed, duration, bool(rng.random() < STOPS))
-        return rolling(rng, ground, _spot(scale, place, distance), heading, radius, way, rich)
+        return draw_rolling_ball(rng, ground, _spot(scale, place, distance), heading, radius, way, rich)
     if kind == "pendulum":
         return pendulum(rng, ground, _spot(scale, place, max(distance, 2.0)), rng.uniform(0, 2 * np.pi), radius, duration, rich)
     thrown = kind == "thrown"
     if thrown:
         # It rises three meters and more: the image has to be that high where it flies.
         distance = max(distance, rng.uniform(3.2, 5.0) * scale.focal * scale.aspect)
-    speed = _speed(rng, 0.3, 3.0, scale, distance, duration)
+    speed = _draw_speed(rng, 0.3, 3.0, scale, distance, duration)
     return in_the_air(rng, ground, _spot(scale, place, distance), heading, radius, speed, duration, rich, not thrown)
 
 
@@ -136,7 +136,7 @@ def _draw_touching(
         radius = float(np.exp(rng.uniform(np.log(0.12), np.log(0.4))))
         distance = scale.distance(rng, 2 * radius)
         heading = straight(rng, ground, heading)
-        speed = _speed(rng, 0.8, 2.5, scale, distance, duration)
+        speed = _draw_speed(rng, 0.8, 2.5, scale, distance, duration)
         hit = rng.uniform(0.35, 0.65) * duration
         at = ground.middle_of_tread(_spot(scale, beside, distance), 1.2 * radius)
         gap = 2 * radius / float(np.linalg.norm(ground.tangent(np.array(heading))))
@@ -150,8 +150,8 @@ def _draw_touching(
             return np.asarray(speed * np.maximum(times - hit, 0))
 
         return [
-            rolling(rng, ground, at, heading, radius, first, rich),
-            rolling(rng, ground, at + gap * ahead, heading, radius, second, other_rich),
+            draw_rolling_ball(rng, ground, at, heading, radius, first, rich),
+            draw_rolling_ball(rng, ground, at + gap * ahead, heading, radius, second, other_rich),
         ]
     body = rng.uniform(0.75, 1.1)
     distance = max(scale.distance(rng, body * HEIGHT), 2.4)
@@ -163,7 +163,7 @@ def _draw_touching(
         pair = []
         for side, clothes in ((-0.5, rich), (0.5, other_rich)):
             obj = walker(np.random.default_rng(state), ground, at + side * aside, heading, body, speed, duration, clothes)
-            pair.append(_repainted(rng, obj, clothes))
+            pair.append(_repaint(rng, obj, clothes))
         return pair
     heading = straight(rng, ground, heading)
     length = rng.uniform(0.6, 1.1) * body
@@ -179,7 +179,7 @@ def _draw_touching(
     return [pusher, vehicle(rng, ground, place, heading, length, way, other_rich, handle)]
 
 
-def _repainted(rng: np.random.Generator, obj: WorldObject, rich: bool) -> WorldObject:
+def _repaint(rng: np.random.Generator, obj: WorldObject, rich: bool) -> WorldObject:
     """The same with other colors, parts that shared one still sharing it."""
     new: dict[bytes, np.ndarray] = {}
     parts = []

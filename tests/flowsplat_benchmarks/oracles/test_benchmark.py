@@ -57,7 +57,7 @@ def measured(monkeypatch, in_this_process):
         done.append(run.name)
         return result(run)
 
-    monkeypatch.setattr(benchmark, "prepared_scene", lambda _, folder: folder)
+    monkeypatch.setattr(benchmark, "prepare_scene", lambda _, folder: folder)
     monkeypatch.setattr(benchmark, "measure_oracle", measure)
     return done
 

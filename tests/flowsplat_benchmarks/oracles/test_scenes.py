@@ -89,7 +89,7 @@ def test_depth_trajectory(oracles, wrong_scene):
     scene, own = oracles["depth_trajectory"], Scene(wrong_scene)
     for i, mask, true_mask, depth, true in frames(scene):
         for obj in match_objects(own):
-            region, compared = obj.region(mask), obj.compared(mask, true_mask)
+            region, compared = obj.region(mask), obj.select_compared(mask, true_mask)
             if region.any():
                 np.testing.assert_allclose(depth[region], np.median(true[compared]), rtol=1e-5)
         np.testing.assert_array_equal(depth[mask == 0], own.depth(i).depth[mask == 0])

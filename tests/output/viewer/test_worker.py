@@ -146,7 +146,7 @@ def test_a_client_with_a_task_may_leave_at_any_moment(run_folder):
     worker.start()
     try:
         assert is_shown.wait(LONGEST)
-        with worker.changed():
+        with worker.change():
             before = len(lock.approaches)
             is_held.set()
             lock.approaches.wait(lambda seen: len(seen) > before)

@@ -26,7 +26,7 @@ def rig_camera(spec: SyntheticScene, number: int) -> Camera:
 
 
 def scaled(camera: Camera, factor: int) -> Camera:
-    return camera.resized(camera.width * factor, camera.height * factor)
+    return camera.resize(camera.width * factor, camera.height * factor)
 
 
 def make_image(spec: SyntheticScene, camera: Camera, time: int) -> np.ndarray:

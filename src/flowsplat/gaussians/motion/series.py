@@ -88,7 +88,7 @@ class SeriesMotion(RigidMotion):
             scales=torch.exp(params["log_scales"]),
         )
 
-    def recentered(self, params: Params, shift: Tensor) -> dict[str, Tensor]:
+    def recenter(self, params: Params, shift: Tensor) -> dict[str, Tensor]:
         """See ``MotionModel``."""
         result = dict(params)
         moved = self.state({**params, "times": torch.zeros_like(shift) - shift}, 0.0)

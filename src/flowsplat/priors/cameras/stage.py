@@ -84,7 +84,7 @@ def camera_stage(scene: Scene, options: CameraOptions) -> None:
     if lens is None:
         scene.finish_prior("cameras", **prior)
         return
-    scene.begin_straightening(lens.scaled(tracks.unit).to_json(), prior)
+    scene.begin_straightening(lens.scale(tracks.unit).to_json(), prior)
     _straighten(scene)
 
 
@@ -125,7 +125,7 @@ class _Tracks:
     def solve(self, solver: str, focal: float | None, lens: Lens | None = None) -> list[Solved]:
         """The cameras of every piece, once the lens is taken out."""
         if lens is not None:
-            straight = replace(self, positions=lens.straightened(self.positions))
+            straight = replace(self, positions=lens.straighten_positions(self.positions))
             return straight.solve(solver, None if focal is None else lens.pinhole)
         return [solve(self.of_piece(k), self.width, self.height, focal, solver, frames) for k, frames in enumerate(self.pieces)]
 

@@ -64,7 +64,7 @@ def objects_of_tracks(clip: MaskedTracks, K: np.ndarray | None = None) -> np.nda
     points = clip.points[on].astype(np.float32)
     part = np.ascontiguousarray(clip.part[on])
     ties = _Ties.find(points, part, clip.long_side)
-    cluster = _clustered(part, ties)
+    cluster = _cluster(part, ties)
     clusters = _Clusters(points, part, cluster, ties, clip.long_side)
     clusters.join_in_contact()
     clusters.join_over_time()
@@ -295,9 +295,9 @@ class _Clusters:
 
     def _moves_alike(self, a: int, b: int, K: np.ndarray | None) -> bool:
         """Whether two clusters that were apart are one body."""
-        return self._bridged(a, b) or self._moves_as_one(a, b) or (K is not None and self._one_rigid_motion(a, b, K))
+        return self._is_bridged(a, b) or self._moves_as_one(a, b) or (K is not None and self._one_rigid_motion(a, b, K))
 
-    def _bridged(self, a: int, b: int) -> bool:
+    def _is_bridged(self, a: int, b: int) -> bool:
         """Whether neighbors across the gap between two clusters agree in most frames in which there is one."""
         apart, agree = self._apart_frames(a, b), 0
         for k in apart:
@@ -401,7 +401,7 @@ def _disagreement(points: np.ndarray, seen: np.ndarray, a: np.ndarray, b: np.nda
     return worst, shared
 
 
-def _clustered(part: np.ndarray, ties: _Ties) -> np.ndarray:
+def _cluster(part: np.ndarray, ties: _Ties) -> np.ndarray:
     """The cluster of every track [N] from its strong ties, the strongest first; none of them was apart within itself."""
     home, held = part.copy(), (part > 0).astype(np.int32)
     return _union(home, held, ties.a[: ties.strong], ties.b[: ties.strong], LASTING, STRAY)

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from flowsplat.common.kernels import helper, inlined, kernel
+from flowsplat.common.kernels import helper, inline, kernel
 from flowsplat.scenes.synthetic.worlds.materials import albedo
 
 ELLIPSOID, BOX, CAPSULE, CYLINDER, ROOM = range(5)
@@ -21,7 +21,7 @@ _NEAREST = 1e-3
 """Smallest multiple of a ray's direction that counts: a point does not shade itself."""
 
 
-@inlined
+@inline
 def _ball(x, y, z, r, dx, dy, dz):
     """Where a ray from (x, y, z) enters the ball of radius r round the origin; infinite where it does not."""
     a = dx * dx + dy * dy + dz * dz
@@ -129,7 +129,7 @@ def _normal(shape, s, x, y, z):
 
 
 @helper
-def _shaded(shapes, sizes, turns, centers, radii, throwing, x, y, z, lx, ly, lz):
+def _is_shaded(shapes, sizes, turns, centers, radii, throwing, x, y, z, lx, ly, lz):
     """Whether one of the parts ``throwing`` stands between a point and the distant light in direction (lx, ly, lz)."""
     for k in throwing:
         px, py, pz = x - centers[k, 0], y - centers[k, 1], z - centers[k, 2]
@@ -237,7 +237,7 @@ def render(
                         px = center[0] + t * dx + 2e-3 * nx
                         py = center[1] + t * dy + 2e-3 * ny
                         pz = center[2] + t * dz + 2e-3 * nz
-                        if not _shaded(shapes, sizes, turns, centers, radii, throwing, px, py, pz, L[0], L[1], L[2]):
+                        if not _is_shaded(shapes, sizes, turns, centers, radii, throwing, px, py, pz, L[0], L[1], L[2]):
                             light += sun * facing
                 image[row, column, 0] += min(red * light, 1.0) / S
                 image[row, column, 1] += min(green * light, 1.0) / S

@@ -91,7 +91,7 @@ class WorldObject:
         return np.asarray(np.einsum("tpk,p->tk", self.poses(np.atleast_1d(times))[1], weights / weights.sum()))
 
 
-def nothing_touches(times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def touch_nothing(times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """For what flies or hangs."""
     return np.zeros((len(times), 0, 3)), np.zeros((len(times), 0), bool)
 

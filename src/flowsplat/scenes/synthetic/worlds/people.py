@@ -137,7 +137,7 @@ def walker(
     held: Arms = "forward" if carries and not bag else arms
     parts = body(rng, scale, rich)
     if carries:
-        parts += _carried(rng, scale, bag)
+        parts += _draw_carried_parts(rng, scale, bag)
 
     def poses(times: np.ndarray) -> Poses:
         s = speed * (times - duration / 2)
@@ -197,7 +197,7 @@ def body(rng: np.random.Generator, scale: float, rich: bool) -> list[Part]:
     return [*trunk, *leg, *leg, *arm, *arm]
 
 
-def _carried(rng: np.random.Generator, scale: float, bag: bool) -> list[Part]:
+def _draw_carried_parts(rng: np.random.Generator, scale: float, bag: bool) -> list[Part]:
     rich = bool(rng.random() < 0.6)
     if bag:
         return [box(np.array([0.2, 0.07, 0.16]) * scale, draw_material(rng, 0.3 * scale, rich))]

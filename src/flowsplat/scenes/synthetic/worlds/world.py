@@ -141,7 +141,7 @@ class World(RayCastWorld):
 
     # -- rays
 
-    def _seen_from(self, camera: Camera, turns: np.ndarray, centers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _compute_views(self, camera: Camera, turns: np.ndarray, centers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(the camera's center in the parts' axes [P, 3], rectangles [P, 4] outside of which parts are never seen)."""
         origins = np.einsum("pkq,pk->pq", turns, camera.center - centers)
         # Corners of a box round every part in its own axes.
@@ -159,7 +159,7 @@ class World(RayCastWorld):
     def cast(self, camera: Camera, time: float, uv: np.ndarray) -> Hits:
         """What a camera sees at ``time`` at positions ``uv`` [N, 2] (pixels)."""
         turns, centers = self.poses(time)
-        origins, bounds = self._seen_from(camera, turns, centers)
+        origins, bounds = self._compute_views(camera, turns, centers)
         c = self._constants
         uv = np.ascontiguousarray(uv, np.float64)
         R = np.ascontiguousarray(camera.viewmat[:3, :3])
@@ -184,7 +184,7 @@ class World(RayCastWorld):
             if k == 0:
                 total = np.zeros((camera.height, camera.width, 3))
             turns, centers = self.poses(moment)
-            origins, bounds = self._seen_from(camera, turns, centers)
+            origins, bounds = self._compute_views(camera, turns, centers)
             c = self._constants
             # Of several exposures each takes two of the samples in turn.
             chosen = slice(None) if len(shares) == 1 else slice(k % 2, None, 2)
@@ -208,7 +208,7 @@ class World(RayCastWorld):
 
     def geometry(self, i: int) -> tuple[np.ndarray, np.ndarray]:
         """(planar depth [H, W] in meters at the pixel centers, number of the object [H, W] uint8) of frame ``i``."""
-        return self.seen_by(self.camera(i), self.timestamps[i])
+        return self.cast_rays(self.camera(i), self.timestamps[i])
 
     def carry(self, hits: Hits, time: float) -> np.ndarray:
         """[N, 3] where the points that were hit are at ``time``."""
