@@ -21,9 +21,7 @@ def to_number(value: Any, name: str) -> float:
     Raises:
         InputError: it is none, or not finite.
     """
-    if isinstance(value, Tensor):
-        value = value.detach().cpu().numpy()
-    array = np.asarray(value)
+    array = value.detach().cpu().numpy() if isinstance(value, Tensor) else np.asarray(value)
     if array.size != 1 or array.dtype.kind not in "fiu":
         raise InputError(f"{name} must be one number, not {_describe(value)}.")
     number = float(array.reshape(()))

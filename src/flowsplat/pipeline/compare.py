@@ -42,6 +42,10 @@ def compare(*runs: str | Path | Run, out: str | Path | None = None) -> Path:
     Raises:
         InputError: fewer than two runs, a folder that holds none, one that was not measured yet or is named twice, or a page that
             cannot be written.
+
+    >>> flowsplat.compare("out/clip", "out/clip")
+    Traceback (most recent call last):
+    flowsplat.common.errors.InputError: out/clip is named twice: compare different runs.
     """
     folders = [run.folder if isinstance(run, Run) else Path(run) for run in runs]
     if not 2 <= len(folders) <= MOST_RUNS:

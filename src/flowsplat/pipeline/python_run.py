@@ -106,7 +106,7 @@ def run(
 
     >>> flowsplat.run("clip.mp4", "out/new", overrides={"train.los.flow": 0.1})
     Traceback (most recent call last):
-    flowsplat.common.errors.InputError: There is no setting 'train.los.flow'. Did you mean train.loss.flow?
+    flowsplat.common.errors.InputError: There is no setting 'train.los.flow'. Did you mean train.loss.flow or ...?
     """
     stages.run(Path(source), Path(out), make_config(preset, overrides or {}))
     return Run(out)
