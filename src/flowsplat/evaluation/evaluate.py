@@ -1,4 +1,5 @@
-"""A model and its scene to figures: held-out frames and views, training frames, baselines, flow and depth (METHOD 6).
+"""A model and its scene to figures: held-out frames and views, training frames, baselines, flow and depth (docs/method.md,
+"Evaluation protocols").
 
 The keys of ``metrics.json``. Every number is finite; what could not be measured is null:
 
@@ -7,7 +8,8 @@ The keys of ``metrics.json``. Every number is finite; what could not be measured
 - ``heldout_frames_refined``: the same figures with the pose of every held-out frame refined on its own image. Never the
   headline; null where that was not asked for. In ``per_image`` they are each image's ``refined``.
 - ``heldout_views``: as ``heldout_frames``, and in ``covisible``, the pixels that the clip saw.
-- ``training_frames``: the same on every training frame in as many as ``choose_training_stride`` says; ``moving`` is the true or else the
+- ``training_frames``: the same on every training frame in as many as ``choose_training_stride`` says; ``moving`` is the true or
+else the
   scene's own mask.
 - ``baselines``: held-out frames by ``copy``, ``blend``, ``flow_interpolation`` and the ``static`` model.
 - ``baselines_views``: held-out views by ``copy``, ``warp_by_depth`` (true depth and cameras) and the ``static`` model.

@@ -1,6 +1,7 @@
 """How far an image, a flow or a depth is from the truth: pure functions on NumPy arrays, computed in float64.
 
-Region metrics (METHOD 6) average inside a mask. A region too small to say anything gives None, never NaN.
+Region metrics (docs/method.md, "Evaluation protocols") average inside a mask. A region too small to say anything gives None, never
+NaN.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Where a held-out view stands in a scene whose cameras were estimated (METHOD 6, "Rig")."""
+"""Where a held-out view stands in a scene whose cameras were estimated (docs/method.md, "Evaluation protocols")."""
 
 from __future__ import annotations
 

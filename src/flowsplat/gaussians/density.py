@@ -1,4 +1,5 @@
-"""Density control: pure functions from Gaussians and their statistics to new Gaussians and an index map (METHOD 5)."""
+"""Density control: pure functions from Gaussians and their statistics to new Gaussians and an index map (docs/method.md,
+"Training")."""
 
 from __future__ import annotations
 

@@ -71,7 +71,8 @@ def _list_dynamic_names(config: ModelConfig) -> tuple[str, ...]:
 
 @dataclass
 class Gaussians4D:
-    """N Gaussians: a dict of tensors by the names of METHOD 1, [N, ...] each, which of them are dynamic, and whose they are.
+    """N Gaussians: a dict of tensors by the names of docs/method.md, "Representation", [N, ...] each, which of them are dynamic,
+    and whose they are.
 
     Attributes:
         params: float32 tensors, see ``parameter_shapes``.

@@ -1,4 +1,4 @@
-"""The first Gaussians: from the pixels and tracks of the training frames, or at random (METHOD 4)."""
+"""The first Gaussians: from the pixels and tracks of the training frames, or at random (docs/method.md, "Initialization")."""
 
 from __future__ import annotations
 
@@ -297,7 +297,8 @@ def _track_pixels(tracks: Tracks | None, frame: Observation, usable: np.ndarray)
 
 
 def _random(observations: Observations, model: ModelConfig, rng: np.random.Generator, count: int) -> Gaussians4D:
-    """Uniform in the box of the training frusta between 0.3 and 3 median depths, at uniform times (METHOD 4)."""
+    """Uniform in the box of the training frusta between 0.3 and 3 median depths, at uniform times (docs/method.md,
+    "Initialization")."""
     corners = []
     for frame in observations.frames:
         w, h = frame.camera.width, frame.camera.height

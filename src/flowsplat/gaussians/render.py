@@ -81,7 +81,7 @@ def render_active(
         active: which of them.
         camera: in normalized coordinates.
         flow_to: the other camera and clip time that flow goes to.
-        flow_model: METHOD 3.
+        flow_model: which of docs/method.md, "Flow splatting".
         gradients: where the gradients of the parameters go (``slice_gaussians``); None = not differentiable.
         eps2d: px^2 of blur; affine flow reckons with that of training.
         backend: of the rasterizer.
@@ -148,7 +148,8 @@ def fill_uncovered(color: np.ndarray, alpha: np.ndarray) -> np.ndarray:
 
     Borders that no training frame saw would be black otherwise (1.8 dB on the views of a rendered scene). Training has a black
     background and shows it through whatever is dark: such pixels are covered and must not get brighter, which cost .5 dB on
-    a clip of a dark bear. So filling only begins at a transmittance that hardly any dark surface has (METHOD 7).
+    a clip of a dark bear. So filling only begins at a transmittance that hardly any dark surface has (docs/method.md, "Where preset
+    default differs from the paper").
 
     Args:
         color: [H, W, 3] float32 premultiplied.

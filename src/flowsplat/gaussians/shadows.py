@@ -1,4 +1,4 @@
-"""The background as it looks without the objects' shadows (METHOD 7).
+"""The background as it looks without the objects' shadows (docs/method.md, "Where preset default differs from the paper").
 
 A shadow moves with what throws it and belongs to no mask. In a trained scene it is brightness in time of the background
 (``log_gains``). Where a still surface is seen in some frames with an object near it and in others without, the others tell how

@@ -48,8 +48,8 @@ def preset(name: str) -> RunConfig:
     """The settings called ``name``.
 
     ``fast``: half size, 400 steps and no final fit, about two minutes: does this clip work at all? ``default``: the best
-    within minutes. ``paper``: the paper's settings (METHOD 5). ``high``: a denser background and four times as many steps, which
-    is about five times the training of ``default``.
+    within minutes. ``paper``: the paper's settings (docs/method.md, "Training"). ``high``: a denser background and four times as
+    many steps, which is about five times the training of ``default``.
 
     Raises:
         InputError: there is no such preset.

@@ -64,7 +64,7 @@ class RatesConfig:
 @bounds_in_help
 @dataclass(frozen=True)
 class LossConfig:
-    """Weights of the losses (METHOD 5)."""
+    """Weights of the losses (docs/method.md, "Training")."""
 
     ssim: Share = 0.2
     """gamma_1: share of SSIM in the color loss."""
@@ -93,7 +93,7 @@ class LossConfig:
 @bounds_in_help
 @dataclass(frozen=True)
 class DensityConfig:
-    """When Gaussians are added, removed, reset, and when background becomes dynamic (METHOD 5)."""
+    """When Gaussians are added, removed, reset, and when background becomes dynamic (docs/method.md, "Training")."""
 
     every: Count = 100
     """Steps between two rounds."""

@@ -1,4 +1,4 @@
-"""The training loop (METHOD 5)."""
+"""The training loop (docs/method.md, "Training")."""
 
 from __future__ import annotations
 

@@ -121,9 +121,9 @@ def overlaps(true: np.ndarray, ours: np.ndarray, objects: int) -> np.ndarray:
     result = np.zeros((objects, len(true), 256))
     for t, (a, b) in enumerate(zip(true, ours, strict=True)):
         both = np.bincount(a.ravel().astype(int) * 256 + b.ravel(), minlength=(objects + 1) * 256).reshape(objects + 1, 256)
-        mine, objects = both.sum(1)[1:, None], both.sum(0)[None]
-        shares = both[1:] / np.maximum(mine + objects - both[1:], 1)
-        result[:, t] = np.where((mine >= FEWEST) & (objects >= FEWEST), shares, 0)
+        theirs, found = both.sum(1)[1:, None], both.sum(0)[None]
+        shares = both[1:] / np.maximum(theirs + found - both[1:], 1)
+        result[:, t] = np.where((theirs >= FEWEST) & (found >= FEWEST), shares, 0)
     result[..., 0] = 0
     return result
 

@@ -133,7 +133,7 @@ def test_bullet_time_can_be_chosen(scene, tmp_path):
 
 
 def test_a_camera_file(scene, tmp_path):
-    shots = [(scene.cameras[0].resized(32, 24), 0.0), (scene.cameras[1].resized(32, 24), 0.5)]
+    shots = [(scene.cameras[0].resize(32, 24), 0.0), (scene.cameras[1].resized(32, 24), 0.5)]
     write_camera_file(tmp_path / "path.json", shots, fps=5)
     options = RenderOptions(paths=(), camera_file=tmp_path / "path.json")
     render_videos(Plane(), scene, tmp_path, options)

@@ -241,7 +241,7 @@ def test_the_camera_may_be_on_the_cpu():
 def drawn_with(values, capacity, differentiate=True):
     """Image and gradients, drawn with this capacity."""
     leaves = {name: value.float().to(DEVICE).requires_grad_(differentiate) for name, value in values.items()}
-    with capacity.fixed():
+    with capacity.fix():
         projected = project(*geometry(leaves), WIDTH, HEIGHT, backend="triton")
         image, _ = blend(projected, leaves["opacities"], leaves["features"], WIDTH, HEIGHT)
         if differentiate:

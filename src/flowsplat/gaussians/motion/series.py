@@ -1,4 +1,4 @@
-"""Polynomial + Fourier series, the paper's motion (METHOD 1)."""
+"""Polynomial + Fourier series, the paper's motion (docs/method.md, "Representation")."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """The motion of any model as short Chebyshev series over the time in which a Gaussian is seen.
 
 A Gaussian is drawn where p(t) >= p_min only, usually a small part of the clip. There the motion series of a model (up to 18
-terms a coordinate, METHOD 1) have an effective rank of about four. Interpolated at Chebyshev nodes of that interval they
+terms a coordinate) have an effective rank of about four. Interpolated at Chebyshev nodes of that interval they
 need three or four coefficients, which are displacements in scene units: they round well, and the rest of them is zero.
 """
 

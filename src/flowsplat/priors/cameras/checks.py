@@ -12,7 +12,8 @@ from flowsplat.priors.cameras.estimate import Estimate
 UNCERTAIN_FOCAL = 0.05
 """Standard deviation of log focal from which the focal length counts as a guess."""
 LARGE_ERROR = 0.5
-"""Pixels of the working size from which the fit counts as poor (METHOD 6: half a pixel costs 3 dB)."""
+"""Pixels of the working size from which the fit counts as poor (docs/method.md, "Evaluation protocols": half a pixel costs 3
+dB)."""
 LITTLE_PARALLAX = 0.5
 """Degrees below which depth from the camera's motion counts as uncertain."""
 FEW_STATIC = 0.4

@@ -147,7 +147,7 @@ def open_posed(
         timestamps=selection.timestamps,
         source_fps=options.fps,
         notes=[*selection.notes, *resized, *notes],
-        cameras=[image.camera.resized(*size) for image in chosen],
+        cameras=[image.camera.resize(*size) for image in chosen],
         numbers=selection.numbers,
         images=chosen,
         stored_size=(width, height),

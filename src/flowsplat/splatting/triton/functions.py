@@ -97,7 +97,7 @@ def _blend(inputs: tuple[Tensor, ...], width: int, height: int, save: bool) -> _
     xy, conic, opacity, feature, depth, extent = inputs
     device, fixed = xy.device, tiles.get_fixed_capacity()
     if fixed is None and xy.is_cuda and torch.cuda.is_current_stream_capturing():
-        raise RuntimeError("a CUDA graph cannot wait for the GPU: capture it inside `with PairCapacity.fixed():` (triton.tiles)")
+        raise RuntimeError("a CUDA graph cannot wait for the GPU: capture it inside `with PairCapacity.fix():` (triton.tiles)")
     counted = tiles.count_tiles(xy, conic, opacity, depth, extent, width, height)
     if fixed is not None:
         fixed.note(counted.needed)

@@ -42,7 +42,7 @@ class PairCapacity:
 
     By default every size of image on a device has a capacity of its own, which grows by itself: while the GPU blends, the host
     reads how many pairs were counted, and does the image again where they did not fit. A CUDA graph cannot do that. Inside
-    ``with capacity.fixed():`` nothing waits for the GPU; look at ``has_overflowed()`` afterwards, and if it is true, ``grow()`` and
+    ``with capacity.fix():`` nothing waits for the GPU; look at ``has_overflowed()`` afterwards, and if it is true, ``grow()`` and
     draw (or capture) again: the image lacks what did not fit.
 
     Attributes:
@@ -91,7 +91,7 @@ _shared: dict[tuple[torch.device, int, int], PairCapacity] = {}
 
 
 def get_fixed_capacity() -> PairCapacity | None:
-    """The one of ``with capacity.fixed():``, if we are inside of that."""
+    """The one of ``with capacity.fix():``, if we are inside of that."""
     capacity: PairCapacity | None = getattr(_chosen, "capacity", None)
     return capacity
 
