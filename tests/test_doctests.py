@@ -16,7 +16,8 @@ import flowsplat
 from tests.shared import OUT, SCENE, made_before, make_finished, make_scene
 
 OTHERS = (
-    "flowsplat.batch.clips", "flowsplat.batch.page", "flowsplat.evaluation.metrics", "flowsplat.evaluation.scores",
+    "flowsplat.batch.clips", "flowsplat.batch.page", "flowsplat.common.errors", "flowsplat.evaluation.metrics",
+    "flowsplat.evaluation.scores",
     "flowsplat.geometry.cameras", "flowsplat_benchmarks.ablations.variants", "flowsplat_benchmarks.ablations.verdicts",
     "flowsplat_benchmarks.reports", "flowsplat_benchmarks.tables",
 )  # fmt: skip

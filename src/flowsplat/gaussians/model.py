@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, SupportsFloat
 
 import numpy as np
 import torch
@@ -114,7 +114,9 @@ class SceneModel:
         finer = round(_BLUR_STEPS * camera.K[0, 0] / self.focal) / _BLUR_STEPS if self.focal > 0 else 1.0
         return EPS2D * max(finer, 1.0) ** 2
 
-    def render(self, camera: Camera, t: float, flow_to: tuple[Camera, float] | None = None) -> Rendering:
+    def render(
+        self, camera: Camera, t: SupportsFloat, flow_to: tuple[Camera, SupportsFloat] | None = None
+    ) -> Rendering:  # fmt: skip
         """Render the scene from a camera at a time.
 
         Args:
@@ -140,8 +142,8 @@ class SceneModel:
         flowsplat.common.errors.InputError: t is 9 s, outside the clip (0 to 1.83333 s).
         """
         camera, t = check_camera(camera), check_time(t, self.first, self.last)
-        flow_to = check_target(flow_to, self.first, self.last)
-        other = None if flow_to is None else (self.similarity.camera(flow_to[0]), self.clip_time(flow_to[1]))
+        target = check_target(flow_to, self.first, self.last)
+        other = None if target is None else (self.similarity.camera(target[0]), self.clip_time(target[1]))
         image, alpha, flow = (
             None if plane is None else plane.float().cpu().numpy() for plane in self._draw(self.similarity.camera(camera), t, other)
         )

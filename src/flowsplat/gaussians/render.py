@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import SupportsFloat
 
 import cv2
 import numpy as np
@@ -108,9 +109,9 @@ def _blend(sliced: Slice, camera: Camera, flow: FlowView | None, eps2d: float, b
 def render(
     gaussians: Gaussians4D,
     camera: Camera,
-    t: float,
+    t: SupportsFloat,
     *,
-    flow_to: tuple[Camera, float] | None = None,
+    flow_to: tuple[Camera, SupportsFloat] | None = None,
     flow_model: FlowModel = "displacement",
     eps2d: float = EPS2D,
     backend: BackendName = "auto",
@@ -137,9 +138,10 @@ def render(
     >>> list(frame.color.shape), list(frame.depth.shape)
     ([48, 64, 3], [48, 64])
     """
-    camera, t, flow_to = check_camera(camera), check_time(t, 0, 1, unit=""), check_target(flow_to, 0, 1, unit="")
-    flow = None if flow_to is None else FlowView(flow_model, flow_to[0], flow_to[1] - t)
-    sliced = slice_view(gaussians, camera, t, flow_to[1] if flow_to is not None else None, distances, eps2d)
+    camera, t = check_camera(camera), check_time(t, 0, 1, unit="")
+    target = check_target(flow_to, 0, 1, unit="")
+    flow = None if target is None else FlowView(flow_model, target[0], target[1] - t)
+    sliced = slice_view(gaussians, camera, t, target[1] if target is not None else None, distances, eps2d)
     return _blend(sliced, camera, flow, eps2d, backend)
 
 
