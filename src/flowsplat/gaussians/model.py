@@ -130,16 +130,17 @@ class SceneModel:
         Raises:
             InputError: an argument is not what it has to be, or a time is outside the clip.
 
-        >>> run = flowsplat.Run("out/clip")
-        >>> camera = run.scene.cameras[5]
-        >>> rendering = run.model.render(camera, t=0.8, flow_to=(camera, 0.9))
-        >>> rendering
-        Rendering(64x48, with flow)
-        >>> rendering.color.shape, rendering.flow.shape, rendering.depth.dtype
-        ((48, 64, 3), (48, 64, 2), dtype('float32'))
-        >>> run.model.render(camera, t=9)
-        Traceback (most recent call last):
-        flowsplat.common.errors.InputError: t is 9 s, outside the clip (0 to 1.83333 s).
+        Examples:
+            >>> run = flowsplat.Run("out/clip")
+            >>> camera = run.scene.cameras[5]
+            >>> rendering = run.model.render(camera, t=0.8, flow_to=(camera, 0.9))
+            >>> rendering
+            Rendering(64x48, with flow)
+            >>> rendering.color.shape, rendering.flow.shape, rendering.depth.dtype
+            ((48, 64, 3), (48, 64, 2), dtype('float32'))
+            >>> run.model.render(camera, t=9)
+            Traceback (most recent call last):
+            flowsplat.common.errors.InputError: t is 9 s, outside the clip (0 to 1.83333 s).
         """
         camera, t = check_camera(camera), check_time(t, self.first, self.last)
         target = check_target(flow_to, self.first, self.last)
@@ -200,9 +201,10 @@ class SceneModel:
         Raises:
             InputError: there is no such part.
 
-        >>> model = flowsplat.load("out/clip")
-        >>> len(model.part("objects").gaussians) + len(model.part("background").gaussians) == len(model.gaussians)
-        True
+        Examples:
+            >>> model = flowsplat.load("out/clip")
+            >>> len(model.part("objects").gaussians) + len(model.part("background").gaussians) == len(model.gaussians)
+            True
         """
         if part == "all":
             return self

@@ -132,11 +132,12 @@ def render(
     Raises:
         InputError: an argument is not what it has to be, or a time is outside the clip.
 
-    >>> run = flowsplat.Run("out/clip")
-    >>> camera = run.model.similarity.camera(run.scene.cameras[0])
-    >>> frame = flowsplat.render(run.model.gaussians, camera, t=0.25)
-    >>> list(frame.color.shape), list(frame.depth.shape)
-    ([48, 64, 3], [48, 64])
+    Examples:
+        >>> run = flowsplat.Run("out/clip")
+        >>> camera = run.model.similarity.camera(run.scene.cameras[0])
+        >>> frame = flowsplat.render(run.model.gaussians, camera, t=0.25)
+        >>> list(frame.color.shape), list(frame.depth.shape)
+        ([48, 64, 3], [48, 64])
     """
     camera, t = check_camera(camera), check_time(t, 0, 1, unit="")
     target = check_target(flow_to, 0, 1, unit="")

@@ -43,9 +43,10 @@ def compare(*runs: str | Path | Run, out: str | Path | None = None) -> Path:
         InputError: fewer than two runs, a folder that holds none, one that was not measured yet or is named twice, or a page that
             cannot be written.
 
-    >>> flowsplat.compare("out/clip", "out/clip")
-    Traceback (most recent call last):
-    flowsplat.common.errors.InputError: out/clip is named twice: compare different runs.
+    Examples:
+        >>> flowsplat.compare("out/clip", "out/clip")
+        Traceback (most recent call last):
+        flowsplat.common.errors.InputError: out/clip is named twice: compare different runs.
     """
     folders = [run.folder if isinstance(run, Run) else Path(run) for run in runs]
     if not 2 <= len(folders) <= MOST_RUNS:
@@ -70,10 +71,11 @@ def compare(*runs: str | Path | Run, out: str | Path | None = None) -> Path:
 def name_folders(folders: Sequence[Path]) -> list[str]:
     """As few of the last parts of each path as tell them apart, the same number of all.
 
-    >>> name_folders([Path("/a/own"), Path("/a/true")])
-    ['own', 'true']
-    >>> name_folders([Path("/x/1/run"), Path("/x/2/run")])
-    ['1/run', '2/run']
+    Examples:
+        >>> name_folders([Path("/a/own"), Path("/a/true")])
+        ['own', 'true']
+        >>> name_folders([Path("/x/1/run"), Path("/x/2/run")])
+        ['1/run', '2/run']
     """
     longest = max(len(folder.parts) for folder in folders)
     for count in range(1, longest + 1):

@@ -54,8 +54,9 @@ def preset(name: str) -> RunConfig:
     Raises:
         InputError: there is no such preset.
 
-    >>> flowsplat.preset("fast").train.iterations, flowsplat.preset("high").train.iterations
-    (400, 8000)
+    Examples:
+        >>> flowsplat.preset("fast").train.iterations, flowsplat.preset("high").train.iterations
+        (400, 8000)
     """
     ours = PRESETS["default"]
     presets = {

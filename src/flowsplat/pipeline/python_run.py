@@ -26,11 +26,12 @@ from flowsplat.scenes import Scene
 class Run:
     """A run and what is in its folder; read when it is first asked for.
 
-    >>> run = flowsplat.Run("out/clip")
-    >>> run.scene
-    Scene('out/clip/scene', 12 frames of 64x48, 1 held out, 0 to 1.83 s)
-    >>> sorted(run.metrics)[:3]
-    ['baselines', 'baselines_views', 'depth_abs_rel']
+    Examples:
+        >>> run = flowsplat.Run("out/clip")
+        >>> run.scene
+        Scene('out/clip/scene', 12 frames of 64x48, 1 held out, 0 to 1.83 s)
+        >>> sorted(run.metrics)[:3]
+        ['baselines', 'baselines_views', 'depth_abs_rel']
 
     Attributes:
         folder: the run's folder.
@@ -104,9 +105,10 @@ def run(
     Raises:
         InputError: the input, a setting or the folder cannot be used.
 
-    >>> flowsplat.run("clip.mp4", "out/new", overrides={"train.los.flow": 0.1})
-    Traceback (most recent call last):
-    flowsplat.common.errors.InputError: There is no setting 'train.los.flow'. Did you mean train.loss.flow or ...?
+    Examples:
+        >>> flowsplat.run("clip.mp4", "out/new", overrides={"train.los.flow": 0.1})
+        Traceback (most recent call last):
+        flowsplat.common.errors.InputError: There is no setting 'train.los.flow'. Did you mean train.loss.flow or ...?
     """
     stages.run(Path(source), Path(out), make_config(preset, overrides or {}))
     return Run(out)
@@ -134,8 +136,9 @@ def export(
         InputError: there is no trained scene, an unknown format, an option that does not fit it or the clip, or a place that cannot
             be written.
 
-    >>> flowsplat.export("out/clip", "ply", "out/scene.ply", time=0.5)
-    PosixPath('out/scene.ply')
+    Examples:
+        >>> flowsplat.export("out/clip", "ply", "out/scene.ply", time=0.5)
+        PosixPath('out/scene.ply')
     """
     run = source if isinstance(source, Run) else Run(source)
     options = ExportOptions(time=time, flip_axes=flip_axes, max_gaussians=max_gaussians)

@@ -97,9 +97,10 @@ def load(path: Path | str, device: str = "cpu") -> SceneModel:
     Raises:
         InputError: there is none, it is damaged, or the device does not work.
 
-    >>> model = flowsplat.load("out/clip")
-    >>> model.first, round(model.last, 2)
-    (0.0, 1.83)
+    Examples:
+        >>> model = flowsplat.load("out/clip")
+        >>> model.first, round(model.last, 2)
+        (0.0, 1.83)
     """
     path, run = Path(path), RunPaths(path)
     if run.record_path.exists() and has_model(run.all_frames_path):

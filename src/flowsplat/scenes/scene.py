@@ -80,11 +80,12 @@ class Scene(Layers):
         train_frames: numbers of the training frames.
         heldout_frames: numbers of the held-out frames.
 
-    >>> scene = flowsplat.Scene("out/clip/scene")
-    >>> scene.num_frames, scene.heldout_frames
-    (12, [9])
-    >>> scene.frame(0).shape, scene.depth(0).depth.shape
-    ((48, 64, 3), (48, 64))
+    Examples:
+        >>> scene = flowsplat.Scene("out/clip/scene")
+        >>> scene.num_frames, scene.heldout_frames
+        (12, [9])
+        >>> scene.frame(0).shape, scene.depth(0).depth.shape
+        ((48, 64, 3), (48, 64))
     """
 
     def __init__(self, folder: str | Path):

@@ -209,17 +209,18 @@ def rasterize(
         ValueError: a shape, dtype or backend does not fit, or a value is not finite. (``project`` and ``blend`` do not look:
             there a Gaussian with such a mean, quaternion or scale is culled.)
 
-    One red Gaussian, two units in front of a camera:
+    Examples:
+        One red Gaussian, two units in front of a camera:
 
-    >>> image, alphas, info = flowsplat.rasterize(
-    ...     means=np.array([[0, 0, 2.0]]), quats=np.array([[1.0, 0, 0, 0]]), scales=np.array([[0.1, 0.1, 0.1]]),
-    ...     opacities=np.array([0.9]), features=np.array([[1.0, 0, 0]]), viewmat=np.eye(4),
-    ...     K=np.array([[20, 0, 8], [0, 20, 6], [0, 0, 1.0]]), width=16, height=12,
-    ... )
-    >>> image.shape, image.dtype, info["means2d"].tolist()
-    (torch.Size([12, 16, 3]), torch.float32, [[8.0, 6.0]])
-    >>> [round(value, 2) for value in image[6, 8].tolist()], bool(image[0, 0].any())
-    ([0.74, 0.0, 0.0], False)
+        >>> image, alphas, info = flowsplat.rasterize(
+        ...     means=np.array([[0, 0, 2.0]]), quats=np.array([[1.0, 0, 0, 0]]), scales=np.array([[0.1, 0.1, 0.1]]),
+        ...     opacities=np.array([0.9]), features=np.array([[1.0, 0, 0]]), viewmat=np.eye(4),
+        ...     K=np.array([[20, 0, 8], [0, 20, 6], [0, 0, 1.0]]), width=16, height=12,
+        ... )
+        >>> image.shape, image.dtype, info["means2d"].tolist()
+        (torch.Size([12, 16, 3]), torch.float32, [[8.0, 6.0]])
+        >>> [round(value, 2) for value in image[6, 8].tolist()], bool(image[0, 0].any())
+        ([0.74, 0.0, 0.0], False)
     """
     check_size(width, height)
     check_numbers(near_plane=near_plane, far_plane=far_plane, eps2d=eps2d)

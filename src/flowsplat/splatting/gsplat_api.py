@@ -119,15 +119,16 @@ def rasterization(
     Raises:
         ValueError: a shape does not fit, a value is not finite, or an argument asks for what is not covered.
 
-    Two Gaussians seen by one camera:
+    Examples:
+        Two Gaussians seen by one camera:
 
-    >>> colors, alphas, meta = flowsplat.rasterization(
-    ...     means=np.array([[0, 0, 2.0], [0.5, 0, 3]]), quats=np.array([[1.0, 0, 0, 0]] * 2), scales=np.full((2, 3), 0.1),
-    ...     opacities=np.array([0.9, 0.5]), colors=np.array([[1.0, 0, 0], [0, 0, 1]]), viewmats=np.eye(4)[None],
-    ...     Ks=np.array([[[20, 0, 8], [0, 20, 6], [0, 0, 1.0]]]), width=16, height=12, render_mode="RGB+ED",
-    ... )
-    >>> colors.shape, alphas.shape, meta["gaussian_ids"].tolist()
-    (torch.Size([1, 12, 16, 4]), torch.Size([1, 12, 16, 1]), [0, 1])
+        >>> colors, alphas, meta = flowsplat.rasterization(
+        ...     means=np.array([[0, 0, 2.0], [0.5, 0, 3]]), quats=np.array([[1.0, 0, 0, 0]] * 2), scales=np.full((2, 3), 0.1),
+        ...     opacities=np.array([0.9, 0.5]), colors=np.array([[1.0, 0, 0], [0, 0, 1]]), viewmats=np.eye(4)[None],
+        ...     Ks=np.array([[[20, 0, 8], [0, 20, 6], [0, 0, 1.0]]]), width=16, height=12, render_mode="RGB+ED",
+        ... )
+        >>> colors.shape, alphas.shape, meta["gaussian_ids"].tolist()
+        (torch.Size([1, 12, 16, 4]), torch.Size([1, 12, 16, 1]), [0, 1])
     """
     _refuse_uncovered(
         sparse_grad=sparse_grad,
