@@ -546,7 +546,7 @@ def test_settings_that_are_no_numbers_are_named(tiny_scene, tmp_path):
     for changed, name in (
         (replace(config, input=replace(config.input, start=float("nan"))), "--start"),
         (replace(config, priors=replace(config.priors, cameras=cameras)), "--cameras.focal"),
-        (replace(config, render=replace(config.render, slow=float("nan"))), "--render.slow-motion"),
+        (replace(config, render=replace(config.render, slow_motion=float("nan"))), "--render.slow-motion"),
     ):
         with pytest.raises(InputError, match=name):
             prepare(tiny_scene, tmp_path / "out", changed)

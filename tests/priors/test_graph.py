@@ -64,7 +64,7 @@ def test_every_setting_decides_on_a_prior():
     decided = {name for prior in PRIORS for name in prior.kind.options}
     assert decided | {"priors", "given"} == {field.name for field in dataclasses.fields(PriorsOptions)}
     assert PRIORS.list_depending_on(["mask_click"]) == ["masks", "tracks", "depth"]
-    assert PRIORS.list_depending_on(["contact_hint"]) == ["depth"]
+    assert PRIORS.list_depending_on(["contact"]) == ["depth"]
     assert PRIORS.list_depending_on(["given"]) == []
 
 

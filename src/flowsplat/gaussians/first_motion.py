@@ -35,7 +35,7 @@ LIKE, LEAST_LIKE = 0.5, 50.0
 """The same of paths, in pixels."""
 ROUNDS = 4
 """Of reweighting."""
-FADING = 0.8
+PRESENCE_SIGMA = 0.8
 """Standard deviation, in those of the presence, of how much a time counts that is so far off."""
 UNSURE, LEAST_SURE = 2.0, 1e-3
 """Flow that does not come back counts this power of its confidence, where that is not less than the second number: it is often
@@ -95,7 +95,7 @@ def fit_motion(observations: Observations, k: int, wanted: np.ndarray, sigma: fl
     owners = frame.object_ids[rows, columns]
     for time, (world, sure) in follow(observations, k, points, owners, reach).items():
         tau = (time - frame.time) / sigma
-        basis, weight = tau ** np.arange(1, order + 1), np.exp(-0.5 * (tau / FADING) ** 2) * sure
+        basis, weight = tau ** np.arange(1, order + 1), np.exp(-0.5 * (tau / PRESENCE_SIGMA) ** 2) * sure
         moved = np.where(sure[:, None] > 0, world - start, 0) @ axes.T / unit[:, None]
         normal += weight[:, None, None] * np.outer(basis, basis)
         right += (weight[:, None] * moved)[:, None] * basis[:, None]

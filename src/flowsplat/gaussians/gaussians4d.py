@@ -86,7 +86,8 @@ class Gaussians4D:
         seen: [N, 2] float32, what the clip has seen of each (``visibility.seen_of``): how many of the frames that were asked, and
             how far apart the directions are from which they did (root mean square, length of the difference of unit vectors). Known
             after training; None = not known.
-        lit: [N, 1 + G] float32, how bright each is without the shadows of what moves (``shadows.add_shadow_free``): the logarithm
+        shadow_free: [N, 1 + G] float32, how bright each is without the shadows of what moves (``shadows.add_shadow_free``): the
+        logarithm
             of a factor of its color, and gains in place of ``log_gains``. Known after training; None = not known.
     """
 
@@ -115,7 +116,7 @@ class Gaussians4D:
         if self.seen is not None and self.seen.shape != (len(self), 2):
             raise ValueError(f"seen must be {[len(self), 2]}, not {list(self.seen.shape)}")
         if self.shadow_free is not None and self.shadow_free.shape != (len(self), 1 + self.config.gains):
-            raise ValueError(f"lit must be {[len(self), 1 + self.config.gains]}, not {list(self.shadow_free.shape)}")
+            raise ValueError(f"shadow_free must be {[len(self), 1 + self.config.gains]}, not {list(self.shadow_free.shape)}")
 
     def _take_arrays(self) -> None:
         """Make tensors of what was given as NumPy arrays, parameters in float32 as everything computes.

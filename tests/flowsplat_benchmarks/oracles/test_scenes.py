@@ -151,7 +151,7 @@ def test_what_is_there_is_kept_until_the_scene_is_another(wrong_scene, tmp_path)
 
 
 def test_what_was_interrupted_is_made_anew(wrong_scene, tmp_path):
-    (tmp_path / ".shape offset.making" / "depth").mkdir(parents=True)
+    (tmp_path / ".shape_offset.making" / "depth").mkdir(parents=True)
     assert make_oracle(wrong_scene, tmp_path / "shape_offset", "shape_offset").has_depth(0)
     assert [path.name for path in tmp_path.iterdir()] == ["shape_offset"]
 

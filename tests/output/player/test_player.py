@@ -91,19 +91,19 @@ def test_guesses_fade_as_in_our_own_renderer(open_page, tmp_path):
     known.gaussians.seen[~known.gaussians.dynamic, 1] *= 0.1
     confidence_fade = known.fade_by_confidence(small_times(), small_cameras(model))
     page = open_page(small_player(tmp_path / "player.html", known))
-    page.page.locator("#fading").check()
+    page.page.locator("#confidence-fade").check()
     own, seconds = small_cameras(model)[4], small_times()[4]
     away = replace(own, viewmat=own.viewmat + np.array([[0, 0, 0, 0.5], *np.zeros((3, 4))]))
     for camera in (own, away):
         assert psnr(image_of(page, camera, seconds), confidence_fade.render(camera, seconds).color) > 34
     assert psnr(image_of(page, away, seconds), known.render(away, seconds).color) < 25
-    page.page.locator("#fading").uncheck()
+    page.page.locator("#confidence-fade").uncheck()
     assert psnr(image_of(page, away, seconds), known.render(away, seconds).color) > 34
     assert page.complaints == []
 
 
 def test_pages_of_scenes_that_do_not_know_do_not_offer_to_fade(open_page, player_file):
-    assert open_page(player_file).page.locator("#fading").is_hidden()
+    assert open_page(player_file).page.locator("#confidence-fade").is_hidden()
 
 
 def test_a_portrait_clip_fits_the_page(open_page, tmp_path):

@@ -95,7 +95,7 @@ def test_objects_farther_away(run, tmp_path):
     model, scene = run
     options = RenderOptions(paths=("input", "orbit"), max_frames=8)
     render_videos(model, scene, tmp_path, options)
-    render_videos(model, scene, tmp_path, replace(options, distances=("2=1.5",)))
+    render_videos(model, scene, tmp_path, replace(options, object_depth=("2=1.5",)))
     names = {"input_path", "orbit", "input_path_distance_2x1.5", "orbit_distance_2x1.5"}
     assert set(list_rendered(tmp_path)) == names | {f"{name}_color" for name in names}
 
@@ -156,7 +156,7 @@ def test_objects_of_a_scene_without_any_are_refused(tmp_path):
 
 def test_slow_motion_has_more_frames_at_the_same_rate(run):
     options = RenderOptions(paths=("input",))
-    (normal,), (slow,) = plan_videos(*run, options), plan_videos(*run, replace(options, slow=4.0))
+    (normal,), (slow,) = plan_videos(*run, options), plan_videos(*run, replace(options, slow_motion=4.0))
     assert len(normal.shots) == FRAMES
     assert len(slow.shots) == 4 * (FRAMES - 1) + 1
     assert slow.fps == normal.fps == FPS
@@ -287,7 +287,7 @@ def test_the_wiggle_swings_round_the_subject(run, tmp_path):
     ("options", "says"),
     [
         ({"parts": ("sky",)}, "sky"),
-        ({"slow": 0.0}, "slower"),
+        ({"slow_motion": 0.0}, "slower"),
         ({"stabilize": -1.0}, "smoothed"),
         ({"dolly": 9.0}, "dolly"),
         ({"eye_distance": 0.0}, "Eyes"),

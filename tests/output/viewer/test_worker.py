@@ -170,7 +170,7 @@ def test_what_fails_for_one_client_does_not_stop_the_others(worker, run_folder, 
         return whole(source, browser, wish)
 
     monkeypatch.setattr(module, "draw", draw)
-    monkeypatch.setattr(module, "say", said.append)
+    monkeypatch.setattr(module, "report", said.append)
     broken = client(worker, 1, run_folder, bad, playing=False)
     with worker.change():
         broken.move(broken.pose, (10, 10), time.monotonic())

@@ -49,7 +49,7 @@ class Look:
         tracks: the tracks of the clip, drawn where the image is seen from the input camera.
         stereo: a pair for two eyes, left beside right, in place of what ``compare`` says.
         distances: of objects, by number, how many times as far away they are as they were trained.
-        fading: without what the clip tells too little of, from where it is seen.
+        confidence_fade: without what the clip tells too little of, from where it is seen.
     """
 
     show: ImageKind = "color"
