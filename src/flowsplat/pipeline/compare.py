@@ -110,23 +110,22 @@ def _figures(metrics: Sequence[Mapping[str, Any]]) -> list[Figure]:
     """The rows of the terminal's table, and the time."""
     found = []
     for label, path, style in ROWS:
-        values = pick_all(metrics, path)
+        values = [None if value is None else format(value, style) for value in pick_all(metrics, path)]
         if any(value is not None for value in values):
-            texts = [None if value is None else format(value, style) for value in values]
-            found.append(Figure(label, texts, _best(path, values)))
+            found.append(Figure(label, values, _find_best(path, values)))
     times = [format_duration(each.get("wall_seconds", 0.0)) for each in metrics]
     return [*found, Figure("time", times, ())]
 
 
-def _best(path: Sequence[str], values: Sequence[float | None]) -> tuple[int, ...]:
-    """Which of the values of a figure are the best; none where all are the same, or more is neither better nor worse."""
-    known = [value for value in values if value is not None]
-    if len(set(known)) < 2 or path[0].startswith("baselines"):
+def _find_best(path: Sequence[str], values: Sequence[str | None]) -> tuple[int, ...]:
+    """Which values of a figure are the best, as they are shown; none where all are the same, or more is neither better nor worse."""
+    known = {k: float(value.replace(",", "")) for k, value in enumerate(values) if value is not None}
+    if len(set(known.values())) < 2 or path[0].startswith("baselines"):
         return ()
     if path[-1] in ("psnr", "ssim"):
-        best = max(known)
+        best = max(known.values())
     elif path[0] in ("flow_epe", "flow_prior_epe", "depth_abs_rel"):
-        best = min(known)
+        best = min(known.values())
     else:
         return ()
-    return tuple(k for k, value in enumerate(values) if value == best)
+    return tuple(k for k, value in known.items() if value == best)
