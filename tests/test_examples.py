@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import cv2
 import pytest
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
@@ -22,6 +23,19 @@ def test_every_example_is_tested():
     tested = Path(__file__).read_text(encoding="utf-8")
     for path in EXAMPLES.glob("[0-9]*.py"):
         assert path.name in tested, path.name
+
+
+def test_the_notebook_runs_and_shows_images(tmp_path):
+    command = [sys.executable, "-m", "tests.notebook", str(EXAMPLES / "notebook.ipynb"), str(tmp_path)]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=600, cwd=EXAMPLES.parent)
+    assert result.returncode == 0, result.stdout[-3000:] + result.stderr[-3000:]
+    images = {path.name: cv2.imread(str(path)) for path in sorted((tmp_path / "shown").iterdir())}
+    assert list(images) == ["01.jpeg", "02.jpeg", "03.jpeg", "05.png", "06.png", "07.png", "08.png"]
+    assert {name: image.std() > 10 for name, image in images.items()} == dict.fromkeys(images, True)
+    assert images["05.png"].shape == (288, 512, 3)
+    assert abs(images["01.jpeg"].mean() - images["02.jpeg"].mean()) < 5, "the trained scene is as bright as the clip"
+    assert (tmp_path / "out" / "notebook" / "compare.html").read_text().count("<video ") == 2
+    assert (tmp_path / "out" / "notebook" / "player.html").stat().st_size > 100_000
 
 
 def test_splatting_on_the_cpu(tmp_path):

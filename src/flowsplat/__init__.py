@@ -11,12 +11,15 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from flowsplat.gaussians.gaussians4d import Gaussians4D as Gaussians4D
     from flowsplat.gaussians.model import SceneModel as SceneModel
+    from flowsplat.gaussians.render import render as render
     from flowsplat.gaussians.renderer import Rendering as Rendering
     from flowsplat.geometry import Camera as Camera
     from flowsplat.pipeline import RunConfig as RunConfig
     from flowsplat.pipeline import load as load
     from flowsplat.pipeline import preset as preset
+    from flowsplat.pipeline.compare import compare as compare
     from flowsplat.pipeline.python_run import Run as Run
+    from flowsplat.pipeline.python_run import export as export
     from flowsplat.pipeline.python_run import run as run
     from flowsplat.scenes import Scene as Scene
     from flowsplat.splatting import rasterization as rasterization
@@ -35,16 +38,19 @@ _PUBLIC = {
     "Scene": "flowsplat.scenes",
     "SceneModel": "flowsplat.gaussians.model",
     "Trainer": "flowsplat.training.trainer",
+    "compare": "flowsplat.pipeline.compare",
+    "export": "flowsplat.pipeline.python_run",
     "load": "flowsplat.pipeline",
     "preset": "flowsplat.pipeline",
     "rasterization": "flowsplat.splatting",
     "rasterize": "flowsplat.splatting",
+    "render": "flowsplat.gaussians.render",
     "run": "flowsplat.pipeline.python_run",
 }
 
 __all__ = [
-    "Camera", "Gaussians4D", "Rendering", "Run", "RunConfig", "Scene", "SceneModel", "Trainer", "__version__", "load", "preset",
-    "rasterization", "rasterize", "run",
+    "Camera", "Gaussians4D", "Rendering", "Run", "RunConfig", "Scene", "SceneModel", "Trainer", "__version__", "compare",
+    "export", "load", "preset", "rasterization", "rasterize", "render", "run",
 ]  # fmt: skip
 
 

@@ -12,8 +12,8 @@ from markupsafe import Markup
 
 from flowsplat.common.files import write_text
 from flowsplat.images.charts import svg_file
-from flowsplat.images.html import image_tag, table
-from flowsplat.output.page import shrink_to_page, write_page
+from flowsplat.images.html import image_tag, shrink_to_page, table
+from flowsplat.output.page import write_page
 from flowsplat_benchmarks.tables import Result, Table, format_page, plain
 
 WIDEST = 1600

@@ -75,7 +75,7 @@ def label(result: Result) -> str:
 def describe_version(results: Iterable[Result]) -> str:
     """Which state of flowsplat made some results, in a sentence; several are told, because figures may differ for that alone.
 
-    >>> made_by([{"flowsplat": "1.0+a"}, {"flowsplat": "1.0+b"}, {"flowsplat": "1.0+b"}])
+    >>> describe_version([{"flowsplat": "1.0+a"}, {"flowsplat": "1.0+b"}, {"flowsplat": "1.0+b"}])
     'Made by 2 different states of flowsplat, of which figures may differ for that alone: 1.0+a (1 run), 1.0+b (2 runs).'
     """
     states = Counter(str(result.get("flowsplat", "of unknown version")) for result in results)

@@ -47,7 +47,7 @@ def test_without_torchvision_there_is_a_reason(monkeypatch):
     metric, reason = lpips_metric()
     assert metric is None
     assert is_a_sentence(reason)
-    assert "flowsplat[metrics]" in reason
+    assert "pip install -e '.[metrics]'" in reason
 
 
 def test_without_weights_there_is_a_reason_and_no_download(monkeypatch, tmp_path):

@@ -57,12 +57,17 @@ def commands(run: Path) -> Iterator[list[str]]:
         "view": [f"--{name.replace('_', '-')}" for name in options(ViewOptions) if name != "host"],
         "tracks": ["--at", "--queries"],
         "info": ["--help-all"],
+        "compare": ["--out"],
         "demo": ["--size", "--frames", "--world"],
     }
     while True:
         which = of(["run", "run", "run", "prepare", *others])
         if which in others:
-            command = [which, *([] if which == "demo" else [str(run)]), *(["--to", "ply"] if which == "export" else [])]
+            command = [
+                which,
+                *([] if which == "demo" else [str(run)] * (1 + (which == "compare"))),
+                *(["--to", "ply"] if which == "export" else []),
+            ]
             chosen = others[which]
         else:
             command, chosen = [which, str(run / "scene"), "-o", str(run.parent / "new")], named

@@ -29,6 +29,19 @@ def test_looking_at_the_names_imports_nothing():
     assert done.stdout.split() == ["False", "False"]
 
 
+def test_ipython_completes_the_public_names():
+    pytest.importorskip("IPython", reason="completion needs IPython (extra dev)")
+    code = """
+from IPython.core.interactiveshell import InteractiveShell
+shell = InteractiveShell.instance()
+shell.run_cell("import flowsplat")
+print(*shell.complete("flowsplat.")[1])
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    offered = {name.rpartition(".")[2] for name in done.stdout.split()}
+    assert {name for name in flowsplat.__all__ if not name.startswith("_")} <= offered
+
+
 def test_a_run_has_its_model_scene_and_figures(finished):
     run = flowsplat.Run(finished)
     assert run.folder == Path(finished)
@@ -42,6 +55,9 @@ def test_a_run_has_its_model_scene_and_figures(finished):
     shown = run._repr_html_()
     assert "data:image/jpeg;base64," in shown
     assert len(repr(run.model)) < 120
+    for value in (run.model, run.scene):
+        assert "data:image/jpeg;base64," in value._repr_html_()
+    assert repr(run.scene) == f"Scene({str(run.scene.folder)!r}, 12 frames of 64x48, 1 held out, 0 to 1.83 s)"
     assert repr(rendering) == f"Rendering({run.scene.width}x{run.scene.height})"
 
 
@@ -69,7 +85,7 @@ def test_it_runs_with_the_settings_of_the_command_line(tmp_path, monkeypatch):
     ("preset", "overrides", "message"),
     [
         ("default", {"train.los.flow": 1}, "no setting 'train.los.flow'. Did you mean train.loss.flow"),
-        ("default", {"render.fading": True}, "called .render.confidence-fade. now"),
+        ("default", {"render.fading": True}, "called 'render.confidence-fade' now"),
         ("default", {"train.iterations": "many"}, "iterations"),
         ("best", {}, "Unknown preset 'best'"),
     ],

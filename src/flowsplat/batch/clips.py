@@ -192,7 +192,7 @@ def id_of(path: Path, config: RunConfig) -> str:
     It depends on nothing else, so that a clip keeps its run when others come and go, and when its priors or its training change.
 
     >>> id_of(Path("/trip/day 1/IMG 0001.MOV"), RunConfig())
-    'IMG-0001-8ba37e'
+    'IMG-0001-...'
     """
     text = json.dumps([os.fsencode(path).hex(), msgspec.to_builtins(config.input)], sort_keys=True)
     digest = hashlib.sha256(text.encode()).hexdigest()[:6]

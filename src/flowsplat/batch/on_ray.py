@@ -17,7 +17,7 @@ from typing import Any
 from flowsplat.batch.embedded import MARGIN, PATIENCE, report_into
 from flowsplat.batch.records import Outcome
 from flowsplat.batch.work import Ended, Job, Running, outcome_of
-from flowsplat.common.errors import InputError, first_line
+from flowsplat.common.errors import InputError, describe_install, first_line
 from flowsplat.common.processes import THREAD_VARIABLES, usable_cores
 
 AHEAD = 1.25
@@ -56,7 +56,7 @@ class OnRay:
         try:
             import ray
         except ImportError as error:
-            raise InputError("--engine ray needs Ray: pip install 'flowsplat[ray]'.") from error
+            raise InputError(f"--engine ray needs Ray: {describe_install('ray')}.") from error
         self._ray: Any = ray
         if not ray.is_initialized():
             local = {"num_cpus": workers or usable_cores(), "object_store_memory": STORE, "include_dashboard": False}

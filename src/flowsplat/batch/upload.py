@@ -8,7 +8,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from flowsplat.common.errors import InputError, first_line
+from flowsplat.common.errors import InputError, describe_install, first_line
 from flowsplat.common.progress import report
 
 MANIFEST = "manifest.json"
@@ -24,7 +24,7 @@ def open_url(url: str) -> tuple[Any, str]:
     try:
         from fsspec.core import url_to_fs
     except ImportError as error:
-        raise InputError("--upload needs fsspec: pip install 'flowsplat[upload]'.") from error
+        raise InputError(f"--upload needs fsspec: {describe_install('upload')}.") from error
     try:
         system, place = url_to_fs(url)
     except ImportError as error:

@@ -27,6 +27,15 @@ class SplitError(RuntimeError):
     """Code that may only see training frames asked for a held-out one. Always a bug, never the user's fault."""
 
 
+def describe_install(extra: str) -> str:
+    """What to type for an extra of flowsplat that is not installed: no package index has flowsplat before its first release.
+
+    >>> describe_install("view")
+    "pip install -e '.[view]' in flowsplat's repository"
+    """
+    return f"pip install -e '.[{extra}]' in flowsplat's repository"
+
+
 def one_line(text: str) -> str:
     """``text`` as it can be shown on one line: escapes for what is not printable, and of what is very long both ends."""
     shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in _both_ends(text))

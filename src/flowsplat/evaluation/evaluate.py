@@ -65,7 +65,7 @@ def evaluate(
     model: Renderer,
     scene: Scene,
     *,
-    folder: Path | None = None,
+    folder: str | Path | None = None,
     baselines: bool = True,
     static_model: Renderer | None = None,
     refine: Refine | None = None,
@@ -85,7 +85,7 @@ def evaluate(
     Raises:
         InputError: the scene is damaged or incomplete, or the folder cannot be written.
     """
-    evaluator = _Evaluator(model, static_model, scene, folder, baselines, refine)
+    evaluator = _Evaluator(model, static_model, scene, None if folder is None else Path(folder), baselines, refine)
     frames, views, threads = [], [], at_once(model)
     if scene.heldout_frames:
         frames = list(in_threads(evaluator.score_heldout_frame, track(scene.heldout_frames, "Held-out frames"), threads))

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from flowsplat.common.errors import first_line
+from flowsplat.common.errors import describe_install, first_line
 
 PerceptualMetric = Callable[[np.ndarray, np.ndarray], float | None]
 """(image, other image), both float RGB [H, W, 3], clipped to [0, 1], to a distance: 0 = they look the same.
@@ -33,7 +33,7 @@ def lpips_metric() -> tuple[PerceptualMetric | None, str]:
         from torchmetrics.image.lpip import LearnedPerceptualImagePatchSimilarity
         from torchvision.models import AlexNet_Weights
     except Exception as error:  # missing: ImportError; built for another torch: RuntimeError, OSError
-        return None, f"LPIPS needs the extra packages of pip install 'flowsplat[metrics]': {first_line(error)}."
+        return None, f"LPIPS needs the packages of {describe_install('metrics')}: {first_line(error)}."
     weights = Path(torch.hub.get_dir()) / "checkpoints" / Path(AlexNet_Weights.DEFAULT.url).name
     if not weights.exists():
         return None, (

@@ -6,6 +6,7 @@ import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -100,6 +101,7 @@ class Gaussians4D:
 
     def __post_init__(self) -> None:
         self.motion = motion_model(self.config)
+        self._take_arrays()
         expected = parameter_shapes(self.config)
         if set(expected) != set(self.params):
             raise ValueError(f"parameters {sorted(self.params)} do not fit the model {sorted(expected)}")
@@ -114,6 +116,31 @@ class Gaussians4D:
             raise ValueError(f"seen must be {[len(self), 2]}, not {list(self.seen.shape)}")
         if self.shadow_free is not None and self.shadow_free.shape != (len(self), 1 + self.config.gains):
             raise ValueError(f"shadow_free must be {[len(self), 1 + self.config.gains]}, not {list(self.shadow_free.shape)}")
+
+    def _take_arrays(self) -> None:
+        """Make tensors of what was given as NumPy arrays, parameters in float32 as everything computes.
+
+        Raises:
+            ValueError: parameters are of several types, or one of no float type; ``dynamic`` is not bool.
+        """
+        if not all(isinstance(value, Tensor) for value in self.params.values()):
+            self.params = {
+                name: value if isinstance(value, Tensor) else torch.tensor(np.asarray(value, np.float32))
+                for name, value in self.params.items()
+            }
+        self.dynamic = torch.as_tensor(self.dynamic)
+        if self.dynamic.dtype != torch.bool:
+            raise ValueError(f"dynamic must be bool, not {str(self.dynamic.dtype)[6:]}")
+        self.object_ids = torch.as_tensor(self.object_ids)
+        dtype = next((value.dtype for value in self.params.values()), torch.float32)
+        for name, value in self.params.items():
+            if value.dtype != dtype or not dtype.is_floating_point:
+                one = next(iter(self.params))
+                raise ValueError(f"{name} is {str(value.dtype)[6:]}, {one} {str(dtype)[6:]}: give all parameters in one float type")
+
+    def __repr__(self) -> str:
+        moving = int(self.dynamic.sum())
+        return f"Gaussians4D({len(self):,}, {moving:,} of them moving; motion {self.config.kind!r}; on {self.device})"
 
     def __len__(self) -> int:
         return len(self.dynamic)

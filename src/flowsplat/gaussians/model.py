@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, SupportsFloat
 
 import numpy as np
 import torch
@@ -12,6 +12,7 @@ from torch import Tensor
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.threads import thread_count
+from flowsplat.gaussians.arguments import check_camera, check_target, check_time
 from flowsplat.gaussians.confidence_fade import apply_confidence_fade
 from flowsplat.gaussians.distances import Distances, check_factors
 from flowsplat.gaussians.flow import FlowModel
@@ -21,6 +22,7 @@ from flowsplat.gaussians.renderer import Part, Renderer, Rendering, numbers_of
 from flowsplat.gaussians.shadow_free import without_shadows
 from flowsplat.geometry import Camera, Similarity
 from flowsplat.geometry.paths import CameraPath
+from flowsplat.images.html import THUMBNAIL, format_facts
 from flowsplat.splatting.api import BackendName
 from flowsplat.splatting.rules import EPS2D
 
@@ -51,6 +53,7 @@ class SceneModel:
             else.
         confidence_fade: the clip's cameras by clip time, in normalized coordinates, where what they tell too little of fades
             (``fade_by_confidence``); None = nothing does.
+        viewpoint: a (camera, seconds) that notebooks show it from: those of the middle of the clip, where ``load`` finds them.
     """
 
     gaussians: Gaussians4D
@@ -64,12 +67,33 @@ class SceneModel:
     graphs: bool = False
     distances: Distances | None = None
     confidence_fade: CameraPath | None = None
+    viewpoint: tuple[Camera, float] | None = None
     _drawn_by: dict[tuple[int, int, bool, float], Any] = field(init=False, default_factory=dict, repr=False, compare=False)
 
     def __repr__(self) -> str:
         g, moving = self.gaussians, int(self.gaussians.dynamic.sum())
         seconds = f"{self.first:.3g} to {self.last:.3g} s"
         return f"SceneModel({len(g):,} Gaussians, {moving:,} of them moving, {seconds}, on {g.device})"
+
+    def _repr_html_(self) -> str:
+        """For notebooks: an image from the middle of the clip where its camera is known (``viewpoint``), and a few numbers."""
+        facts = {
+            "Gaussians": f"{len(self.gaussians):,}",
+            "moving": f"{int(self.gaussians.dynamic.sum()):,}",
+            "objects": str(len(self.gaussians.object_counts)),
+            "time": f"{self.first:.3g} to {self.last:.3g} s",
+            "device": str(self.gaussians.device),
+        }
+        return format_facts("SceneModel", facts, self.thumbnail())
+
+    def thumbnail(self) -> np.ndarray | None:
+        """[H, W, 3] what ``viewpoint`` sees, at most as wide as notebooks show it; None where that is not known."""
+        if self.viewpoint is None:
+            return None
+        camera, t = self.viewpoint
+        factor = min(1.0, THUMBNAIL / camera.width)
+        size = [max(round(side * factor), 1) for side in (camera.width, camera.height)]
+        return self.render(camera.resize(*size), t).color
 
     def to(self, device: torch.device | str) -> SceneModel:
         """The same scene on a device, where it is rendered from then on; images are arrays as before."""
@@ -90,11 +114,39 @@ class SceneModel:
         finer = round(_BLUR_STEPS * camera.K[0, 0] / self.focal) / _BLUR_STEPS if self.focal > 0 else 1.0
         return EPS2D * max(finer, 1.0) ** 2
 
-    def render(self, camera: Camera, t: float, flow_to: tuple[Camera, float] | None = None) -> Rendering:
-        """Render the scene: see ``Renderer.render``."""
-        other = None if flow_to is None else (self.similarity.camera(flow_to[0]), self.clip_time(flow_to[1]))
+    def render(
+        self, camera: Camera, t: SupportsFloat, flow_to: tuple[Camera, SupportsFloat] | None = None
+    ) -> Rendering:  # fmt: skip
+        """Render the scene from a camera at a time.
+
+        Args:
+            camera: in the coordinates of the prepared scene's cameras (``Scene.cameras``); its size is the image's size.
+            t: seconds of the clip, between ``first`` and ``last``; any number of Python, NumPy or torch.
+            flow_to: the other (camera, seconds) that optical flow goes to; None = none is rendered.
+
+        Returns:
+            NumPy float32 arrays: color [H, W, 3], alpha [H, W], depth [H, W] and, with ``flow_to``, flow [H, W, 2].
+
+        Raises:
+            InputError: an argument is not what it has to be, or a time is outside the clip.
+
+        Examples:
+            >>> run = flowsplat.Run("out/clip")
+            >>> camera = run.scene.cameras[5]
+            >>> rendering = run.model.render(camera, t=0.8, flow_to=(camera, 0.9))
+            >>> rendering
+            Rendering(64x48, with flow)
+            >>> rendering.color.shape, rendering.flow.shape, rendering.depth.dtype
+            ((48, 64, 3), (48, 64, 2), dtype('float32'))
+            >>> run.model.render(camera, t=9)
+            Traceback (most recent call last):
+            flowsplat.common.errors.InputError: t is 9 s, outside the clip (0 to 1.83333 s).
+        """
+        camera, t = check_camera(camera), check_time(t, self.first, self.last)
+        target = check_target(flow_to, self.first, self.last)
+        other = None if target is None else (self.similarity.camera(target[0]), self.clip_time(target[1]))
         image, alpha, flow = (
-            None if plane is None else plane.cpu().numpy() for plane in self._draw(self.similarity.camera(camera), t, other)
+            None if plane is None else plane.float().cpu().numpy() for plane in self._draw(self.similarity.camera(camera), t, other)
         )
         assert image is not None
         assert alpha is not None
@@ -138,10 +190,21 @@ class SceneModel:
         return apply_confidence_fade(self.gaussians, camera.center, self.confidence_fade.at(t).center)
 
     def part(self, part: Part) -> SceneModel:
-        """A model of objects alone or of the background alone: see ``PartedRenderer.part``.
+        """The same scene with one part of it only; uncovered pixels of objects alone are not filled but stay black.
 
         ``objects`` is what moves; ``background`` is as bright as it is without the shadows that these throw. An object that is
         named by its number has all that belongs to it, what of it rests as well.
+
+        Args:
+            part: ``all``, ``background``, ``objects``, or some of these by their numbers, as in ``objects:2`` or ``objects:1,3``.
+
+        Raises:
+            InputError: there is no such part.
+
+        Examples:
+            >>> model = flowsplat.load("out/clip")
+            >>> len(model.part("objects").gaussians) + len(model.part("background").gaussians) == len(model.gaussians)
+            True
         """
         if part == "all":
             return self
@@ -158,15 +221,33 @@ class SceneModel:
         return replace(self, gaussians=gaussians, fill=self.fill and part == "background")
 
     def at_distances(self, factors: Mapping[int, float], times: Sequence[float], cameras: Sequence[Camera]) -> SceneModel:
-        """The same scene with some objects farther away, or nearer: see ``PartedRenderer.at_distances``."""
+        """The same scene with some objects farther away, or nearer; in the clip's own views they look the same.
+
+        Args:
+            factors: by the number of the object, how many times as far away from the clip's camera as it was trained.
+            times: [T] seconds of the clip's frames (``Scene.timestamps``).
+            cameras: [T] its cameras (``Scene.cameras``).
+
+        Raises:
+            InputError: there is no such object, or a factor is none.
+        """
         self.require_objects(factors)
         check_factors(factors)
         changed = {number: float(factor) for number, factor in factors.items() if factor != 1}
         return replace(self, distances=Distances(changed, self.clip_path(times, cameras)) if changed else None)
 
     def fade_by_confidence(self, times: Sequence[float], cameras: Sequence[Camera]) -> SceneModel:
-        """The same scene without what the clip tells too little of: see ``PartedRenderer.fade_by_confidence``. Nothing is filled
-        in."""
+        """The same scene in which what the clip tells too little of fades, the further a view is from the clip's own.
+
+        Uncovered pixels stay black.
+
+        Args:
+            times: [T] seconds of the clip's frames (``Scene.timestamps``).
+            cameras: [T] its cameras (``Scene.cameras``).
+
+        Raises:
+            InputError: it is not known what the clip has seen.
+        """
         if self.gaussians.seen is None:
             raise InputError("It is not known what the clip has seen of this scene: it was trained by an earlier flowsplat.")
         return replace(self, confidence_fade=self.clip_path(times, cameras), fill=False)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import SupportsFloat
 
 import cv2
 import numpy as np
 import torch
 from torch import Tensor
 
+from flowsplat.gaussians.arguments import check_camera, check_target, check_time
 from flowsplat.gaussians.distances import Distances, slice_view
 from flowsplat.gaussians.flow import FlowModel, FlowView, blend_features, flow_channels, flow_image
 from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Active, Gaussians4D
@@ -107,20 +109,40 @@ def _blend(sliced: Slice, camera: Camera, flow: FlowView | None, eps2d: float, b
 def render(
     gaussians: Gaussians4D,
     camera: Camera,
-    t: float,
+    t: SupportsFloat,
     *,
-    flow_to: tuple[Camera, float] | None = None,
+    flow_to: tuple[Camera, SupportsFloat] | None = None,
     flow_model: FlowModel = "displacement",
     eps2d: float = EPS2D,
     backend: BackendName = "auto",
     distances: Distances | None = None,
 ) -> RenderedFrame:
-    """Render the Gaussians at clip time ``t``, without gradients; camera in normalized coordinates.
+    """Render 4D Gaussians in their own, normalized coordinates, without gradients; ``SceneModel.render`` hides these.
 
-    ``distances``: of objects that are not where they were trained.
+    Args:
+        gaussians: the model, in float32; in float64 the slow reference renders it.
+        camera: in normalized coordinates; its size is the image's size.
+        t: clip time, 0 at the first frame and 1 at the last; any number of Python, NumPy or torch.
+        flow_to: the other (camera, clip time) that optical flow goes to; None = none is rendered.
+        flow_model: METHOD 3.
+        eps2d: px^2 of blur.
+        backend: of the rasterizer.
+        distances: of objects that are not where they were trained.
+
+    Raises:
+        InputError: an argument is not what it has to be, or a time is outside the clip.
+
+    Examples:
+        >>> run = flowsplat.Run("out/clip")
+        >>> camera = run.model.similarity.camera(run.scene.cameras[0])
+        >>> frame = flowsplat.render(run.model.gaussians, camera, t=0.25)
+        >>> list(frame.color.shape), list(frame.depth.shape)
+        ([48, 64, 3], [48, 64])
     """
-    flow = None if flow_to is None else FlowView(flow_model, flow_to[0], flow_to[1] - t)
-    sliced = slice_view(gaussians, camera, t, flow_to[1] if flow_to is not None else None, distances, eps2d)
+    camera, t = check_camera(camera), check_time(t, 0, 1, unit="")
+    target = check_target(flow_to, 0, 1, unit="")
+    flow = None if target is None else FlowView(flow_model, target[0], target[1] - t)
+    sliced = slice_view(gaussians, camera, t, target[1] if target is not None else None, distances, eps2d)
     return _blend(sliced, camera, flow, eps2d, backend)
 
 

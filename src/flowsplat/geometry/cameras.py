@@ -25,6 +25,14 @@ class Camera:
         K: [3, 3] float64, in pixels.
         width: pixels.
         height: pixels.
+
+    Examples:
+        >>> K = np.array([[300, 0, 160], [0, 300, 90], [0, 0, 1]])
+        >>> camera = flowsplat.Camera(viewmat=np.eye(4), K=K, width=320, height=180)
+        >>> camera.project(np.array([0.0, 0.0, 2.0]))[0]
+        array([160.,  90.])
+        >>> camera.resize(160, 90).intrinsics
+        array([150., 150.,  80.,  45.])
     """
 
     viewmat: np.ndarray

@@ -6,7 +6,7 @@ Every piece is ``Markup``: text that went into it is escaped, and a template put
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import cv2
 import numpy as np
@@ -14,8 +14,21 @@ from markupsafe import Markup, escape
 
 from flowsplat.images.colors import float_to_bytes
 
+WIDEST = 960
+"""Pixels of an image in a page."""
+THUMBNAIL = 320
+"""Pixels of an image in a notebook."""
 NOTHING = "–"
 """What stands in place of a figure that was not measured."""
+
+
+def shrink_to_page(image: np.ndarray, widest: int = WIDEST) -> np.ndarray:
+    """uint8, not wider than ``widest`` pixels."""
+    image = float_to_bytes(image)
+    height, width = image.shape[:2]
+    if width <= widest:
+        return image
+    return cv2.resize(image, (widest, max(round(height * widest / width), 1)), None, 0, 0, cv2.INTER_AREA)
 
 
 def encode(image: np.ndarray, quality: int | None = 88) -> bytes:
@@ -39,6 +52,13 @@ def image_tag(image: np.ndarray, description: str, quality: int | None = 88) -> 
     return Markup('<img src="{}" alt="{}" width="{}" height="{}" loading="lazy">').format(
         data_uri(image, quality), description, width, height
     )
+
+
+def format_facts(title: str, facts: Mapping[str, str], image: np.ndarray | None) -> str:
+    """What a notebook shows of something: its name, an image, and a table of what is known of it, by name."""
+    rows = Markup().join(Markup("<tr><td>{}</td><td>{}</td></tr>").format(*fact) for fact in facts.items())
+    shown = Markup() if image is None else Markup('<img alt="" src="{}"><br>').format(data_uri(shrink_to_page(image, THUMBNAIL)))
+    return str(Markup("<div><b>{}</b><br>{}<table>{}</table></div>").format(title, shown, rows))
 
 
 def figure(value: float | None, digits: int = 2, reason: str | None = None) -> Markup:

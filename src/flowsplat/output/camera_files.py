@@ -43,15 +43,15 @@ class CameraShots:
     fps: float | None = None
 
 
-def write_camera_file(path: Path, shots: Sequence[tuple[Camera, float]], fps: float | None = None) -> None:
+def write_camera_file(path: str | Path, shots: Sequence[tuple[Camera, float]], fps: float | None = None) -> None:
     """Write our own format; all cameras must have the same size."""
     first = shots[0][0]
     frames = [{"t": float(t), "viewmat": camera.viewmat, "K": camera.K} for camera, t in shots]
     head = {} if fps is None else {"fps": fps}
-    write_json(path, {**head, "width": first.width, "height": first.height, "frames": frames})
+    write_json(Path(path), {**head, "width": first.width, "height": first.height, "frames": frames})
 
 
-def read_camera_file(path: Path, size: tuple[int, int], clip: tuple[float, float]) -> CameraShots:
+def read_camera_file(path: str | Path, size: tuple[int, int], clip: tuple[float, float]) -> CameraShots:
     """Read a camera path in any of the three formats.
 
     Args:
@@ -61,7 +61,7 @@ def read_camera_file(path: Path, size: tuple[int, int], clip: tuple[float, float
     Raises:
         InputError: the file is missing, not a camera path, or has values that make no camera or are outside the clip.
     """
-    content = read_json(path)
+    content = read_json(Path(path))
     try:
         if not isinstance(content, dict):
             raise InputError("it is not a JSON object")

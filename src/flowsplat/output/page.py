@@ -8,23 +8,19 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import cv2
 import jinja2
 import numpy as np
 from markupsafe import Markup
 
 from flowsplat import __version__
 from flowsplat.common.files import write_text
-from flowsplat.images.colors import float_to_bytes
-from flowsplat.images.html import image_tag
+from flowsplat.images.html import image_tag, shrink_to_page
 
 POLICY = "; ".join((
     "default-src 'none'", "img-src 'self' data: file:", "media-src 'self' data: file:", "style-src 'unsafe-inline'",
     "base-uri 'none'", "form-action 'none'",
 ))  # fmt: skip
 """What a browser lets a page do: show images and videos that it holds or that lie beside it, no script, no network."""
-WIDEST = 960
-"""Pixels of an image in a page."""
 
 
 def script_policy(script: str) -> str:
@@ -52,15 +48,6 @@ def write_page(path: Path, template: str, *, policy: str = POLICY, package: str 
 def card(value: Markup | str, unit: str, name: str, remark: str) -> dict[str, Any]:
     """One of the few figures on top of a page."""
     return {"value": value, "unit": unit, "name": name, "remark": remark}
-
-
-def shrink_to_page(image: np.ndarray, widest: int = WIDEST) -> np.ndarray:
-    """uint8, not wider than a page needs."""
-    image = float_to_bytes(image)
-    height, width = image.shape[:2]
-    if width <= widest:
-        return image
-    return cv2.resize(image, (widest, max(round(height * widest / width), 1)), None, 0, 0, cv2.INTER_AREA)
 
 
 def image_row(images: Mapping[str, np.ndarray], label: str) -> list[dict[str, Any]]:

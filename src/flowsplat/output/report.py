@@ -341,7 +341,7 @@ def _videos(videos: Mapping[str, str]) -> Iterator[dict[str, Any]]:
         if not name.endswith("_color"):
             color = videos.get(f"{name}_color")
             yield {
-                "title": _video_title(name),
+                "title": video_title(name),
                 "file": f"{folder}/{quote(file)}",
                 "panels": file.endswith(".mp4") and not name.endswith("_stereo"),
                 "image": file.endswith(".gif"),
@@ -349,7 +349,7 @@ def _videos(videos: Mapping[str, str]) -> Iterator[dict[str, Any]]:
             }
 
 
-def _video_title(name: str) -> str:
+def video_title(name: str) -> str:
     """What a video shows, from its name: path, tempo, part of the scene, stereo."""
     rest = name
     words: list[str] = []

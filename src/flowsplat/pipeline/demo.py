@@ -14,6 +14,7 @@ from flowsplat.common.errors import InputError
 from flowsplat.common.files import make_folder, read_json, write_bytes, write_json
 from flowsplat.common.progress import report
 from flowsplat.evaluation.scores import pick
+from flowsplat.pipeline.compare import NAME, compare
 from flowsplat.pipeline.compiling import compile_ahead
 from flowsplat.pipeline.config import RunConfig
 from flowsplat.pipeline.fitting import train
@@ -69,6 +70,7 @@ def run_demo(out: Path, width: int = 320, frames: int = 40, world: World = "stre
     true = prepare(truth.folder, out / "true", _to_compare(config, TRUE_ITERATIONS[world]))
     train(true)
     true_metrics = render_run(true)
+    compare(own.path, true.path)
     for line in _describe_result(out, world, spec, own, own_metrics, true_metrics, time.perf_counter() - begun):
         report(line)
 
@@ -129,6 +131,6 @@ def _describe_result(
         what, truly = ("" if each is None else f" ({each:.1f} where it moves)" for each in (moving, best_moving))
         steps = TRUE_ITERATIONS[world]
         yield f"  From aside: cameras that stood beside the path see {views:.1f} dB{what}; true cameras, depth, masks and flow"
-        yield f"  give {best:.1f}{truly}, with {steps} steps of training: {out / 'true'}."
+        yield f"  give {best:.1f}{truly}, with {steps} steps of training. Side by side: {out / NAME}."
     yield "Go on with"
     yield from next_steps(own.path)

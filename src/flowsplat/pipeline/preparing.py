@@ -39,12 +39,13 @@ ASIDE = ".scene.before"
 """Where the scene of other settings waits until that of the new ones is there."""
 
 
-def prepare(source: Path, out: Path, config: RunConfig | None = None) -> RunFolder:
+def prepare(source: str | Path, out: str | Path, config: RunConfig | None = None) -> RunFolder:
     """Bring the input into a scene folder and compute what is missing of its priors.
 
     Raises:
         InputError: the input, a setting or a given file cannot be used, and then ``out`` stays as it was; or as ``lease``.
     """
+    out = Path(out)
     with lease(out):
         return prepare_folder(Path(source), out, config or RunConfig())
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import difflib
 from collections.abc import Mapping
 from functools import cached_property
-from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -14,19 +13,25 @@ from flowsplat.common.run_paths import RunPaths
 from flowsplat.common.settings import list_setting_types, to_plain, with_settings
 from flowsplat.evaluation.scores import pick
 from flowsplat.gaussians.model import SceneModel
-from flowsplat.images.html import data_uri
+from flowsplat.images.html import format_facts
+from flowsplat.output.export.api import export_scene
+from flowsplat.output.export.options import ExportOptions, Format
 from flowsplat.pipeline import stages
 from flowsplat.pipeline.config import RunConfig, check, find_setting, format_option
 from flowsplat.pipeline.config import preset as settings_of
 from flowsplat.pipeline.renamed_options import find_renamed_option
 from flowsplat.scenes import Scene
 
-THUMBNAIL = 320
-"""Pixels: the longer side of the image that a notebook shows."""
-
 
 class Run:
     """A run and what is in its folder; read when it is first asked for.
+
+    Examples:
+        >>> run = flowsplat.Run("out/clip")
+        >>> run.scene
+        Scene('out/clip/scene', 12 frames of 64x48, 1 held out, 0 to 1.83 s)
+        >>> sorted(run.metrics)[:3]
+        ['baselines', 'baselines_views', 'depth_abs_rel']
 
     Attributes:
         folder: the run's folder.
@@ -81,16 +86,8 @@ class Run:
 
     def _repr_html_(self) -> str:
         """For notebooks: an image from the middle of the clip, and a few figures."""
-        facts, image = self._facts(), ""
-        rows = "".join(f"<tr><td>{escape(name)}</td><td>{escape(value)}</td></tr>" for name, value in facts.items())
-        if "Gaussians" in facts:
-            middle = self.scene.num_frames // 2
-            camera = self.scene.cameras[middle]
-            factor = min(1.0, THUMBNAIL / max(camera.width, camera.height))
-            camera = camera.resize(max(round(camera.width * factor), 1), max(round(camera.height * factor), 1))
-            shown = self.model.render(camera, float(self.scene.timestamps[middle])).color
-            image = f'<img alt="frame {middle}" src="{data_uri(shown)}"><br>'
-        return f"<div><b>{escape(str(self.folder))}</b><br>{image}<table>{rows}</table></div>"
+        facts = self._facts()
+        return format_facts(str(self.folder), facts, self.model.thumbnail() if "Gaussians" in facts else None)
 
 
 def run(
@@ -107,9 +104,45 @@ def run(
 
     Raises:
         InputError: the input, a setting or the folder cannot be used.
+
+    Examples:
+        >>> flowsplat.run("clip.mp4", "out/new", overrides={"train.los.flow": 0.1})
+        Traceback (most recent call last):
+        flowsplat.common.errors.InputError: There is no setting 'train.los.flow'. Did you mean train.loss.flow or ...?
     """
     stages.run(Path(source), Path(out), make_config(preset, overrides or {}))
     return Run(out)
+
+
+def export(
+    source: Run | str | Path, to: Format, out: str | Path | None = None, *, time: float | None = None, flip_axes: bool = False,
+    max_gaussians: int | None = None,
+) -> Path:  # fmt: skip
+    """Write a trained run in the format of other programs, or as a page that plays it.
+
+    Args:
+        source: the run, or its folder.
+        to: ``html`` (the player), ``ply``, ``ply-sequence``, ``splat``, ``spz``, ``npz``, ``safetensors``, ``colmap`` or
+            ``nerfstudio`` (the cameras).
+        out: the file or folder to write; None = in the folder of the run, in ``export/``.
+        time: seconds of the clip at which ply, splat and spz show it; None = the middle.
+        flip_axes: turn y up and z backward (ply, ply-sequence, splat).
+        max_gaussians: keep at most this many: those that hold most of the training frames. None = all.
+
+    Returns:
+        what was written: a file or a folder.
+
+    Raises:
+        InputError: there is no trained scene, an unknown format, an option that does not fit it or the clip, or a place that cannot
+            be written.
+
+    Examples:
+        >>> flowsplat.export("out/clip", "ply", "out/scene.ply", time=0.5)
+        PosixPath('out/scene.ply')
+    """
+    run = source if isinstance(source, Run) else Run(source)
+    options = ExportOptions(time=time, flip_axes=flip_axes, max_gaussians=max_gaussians)
+    return export_scene(run.model, run.scene, to, out, options)
 
 
 def make_config(name: str, overrides: Mapping[str, Any]) -> RunConfig:

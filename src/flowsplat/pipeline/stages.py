@@ -21,6 +21,7 @@ from flowsplat.common.run_paths import RunPaths
 from flowsplat.evaluation.evaluate import evaluate
 from flowsplat.evaluation.poses import refine_camera
 from flowsplat.gaussians.model import SceneModel
+from flowsplat.geometry import Camera
 from flowsplat.output.report import FlowComparison, write_report
 from flowsplat.output.videos import RenderOptions, are_rendered, name_of, render_videos
 from flowsplat.pipeline.coarse import coarse_scene, is_worth_it
@@ -40,7 +41,7 @@ from flowsplat.training.checkpoint import has_model, load_model
 _MOST_HISTORY = 64 * 2**20
 
 
-def run(source: Path, out: Path, config: RunConfig | None = None) -> dict[str, Any]:
+def run(source: str | Path, out: str | Path, config: RunConfig | None = None) -> dict[str, Any]:
     """The whole way: a clip becomes a 4D scene, images and figures. Called again, it continues.
 
     Args:
@@ -55,6 +56,7 @@ def run(source: Path, out: Path, config: RunConfig | None = None) -> dict[str, A
     Raises:
         InputError: the input, a setting or the folder cannot be used.
     """
+    out = Path(out)
     begun, is_new, watch = get_beginning(), not RunPaths(out).record_path.exists(), Watch()
     with lease(out):
         device = pick_device((config or RunConfig()).device).type
@@ -94,6 +96,11 @@ def load(path: Path | str, device: str = "cpu") -> SceneModel:
 
     Raises:
         InputError: there is none, it is damaged, or the device does not work.
+
+    Examples:
+        >>> model = flowsplat.load("out/clip")
+        >>> model.first, round(model.last, 2)
+        (0.0, 1.83)
     """
     path, run = Path(path), RunPaths(path)
     if run.record_path.exists() and has_model(run.all_frames_path):
@@ -102,7 +109,18 @@ def load(path: Path | str, device: str = "cpu") -> SceneModel:
         path = run.model_path
     elif not (path / "model.json").exists():
         raise InputError(f"{path} holds no trained scene yet: run flowsplat train on it first.")
-    return load_model(path).to(pick_device(device))
+    model = load_model(path).to(pick_device(device))
+    return replace(model, viewpoint=_middle_of(run if run.record_path.exists() else RunPaths(path.parent)))
+
+
+def _middle_of(run: RunPaths) -> tuple[Camera, float] | None:
+    """Camera and time of the middle frame of a run's scene; None where it has none that can be read."""
+    try:
+        scene = Scene(run.scene_path)
+        middle = scene.num_frames // 2
+        return scene.cameras[middle], float(scene.timestamps[middle])
+    except InputError:
+        return None
 
 
 # -- evaluate

@@ -63,11 +63,16 @@ def figures_table(runs: Mapping[str, Mapping[str, Any]]) -> Table:
     for name in runs:
         table.add_column(name, justify="right")
     for label, path, style in ROWS:
-        values = [pick(metrics, *path) for metrics in runs.values()]
+        values = pick_all(list(runs.values()), path)
         if any(value is not None for value in values):
             table.add_row(label, *("–" if value is None else format(value, style) for value in values))
     table.add_row("time", *(format_duration(metrics.get("wall_seconds", 0.0)) for metrics in runs.values()))
     return table
+
+
+def pick_all(metrics: Sequence[Mapping[str, Any]], path: Sequence[str]) -> list[float | None]:
+    """The figure under ``path`` in the figures of every run; None where it was not measured."""
+    return [pick(each, *path) for each in metrics]
 
 
 def next_steps(out: Path) -> Iterator[str]:
@@ -96,7 +101,7 @@ def report_data(
         title=scene.name,
         metrics=metrics,
         history=history,
-        comparisons=list(_comparisons(out, scene)),
+        comparisons=list(comparisons(out, scene)),
         flows=flows,
         active=(scene.timestamps.tolist(), counts),
         config=flat(to_plain(config)),
@@ -112,7 +117,7 @@ def _spread(items: Sequence[Any], count: int) -> list[Any]:
     return chosen[middle : middle + 1] + chosen[:middle] + chosen[middle + 1 :]
 
 
-def _comparisons(out: Path, scene: Scene) -> Iterator[Comparison]:
+def comparisons(out: Path, scene: Scene) -> Iterator[Comparison]:
     """Held-out images beside their renderings, as the evaluation wrote them."""
     for i in _spread(scene.heldout_frames, SHOWN):
         rendering = RunPaths(out).evaluation_path / "heldout" / f"{i:05d}.png"

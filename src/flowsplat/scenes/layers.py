@@ -215,7 +215,7 @@ class CameraFile(TypedDict):
 class Layers:
     """One folder of cameras, depth, flow, masks and tracks; read lazily, written atomically, a file a frame."""
 
-    def __init__(self, folder: Path, width: int, height: int):
+    def __init__(self, folder: str | Path, width: int, height: int):
         self.folder, self.width, self.height = Path(folder), width, height
         self._cameras: list[Camera] | None = None
 

@@ -28,6 +28,7 @@ from flowsplat.common.files import check_json, make_folder, plain_name, read_jso
 from flowsplat.common.files.json_file import Count, Text, Versioned
 from flowsplat.common.progress import report_once
 from flowsplat.geometry import Camera, Similarity
+from flowsplat.images.html import format_facts
 from flowsplat.scenes.info import SceneInfo
 from flowsplat.scenes.layers import CameraFile, Depth, Flow, Layers, StoredFlow, Tracks, read_image, write_image
 
@@ -72,9 +73,22 @@ class ViewFile(TypedDict):
 
 
 class Scene(Layers):
-    """A prepared (or half prepared) scene folder. Its own layers are the priors; ``truth`` holds the true ones."""
+    """A prepared (or half prepared) scene folder. Its own layers are the priors; ``truth`` holds the true ones.
 
-    def __init__(self, folder: Path):
+    Attributes:
+        timestamps: [T] float64 seconds of the frames, rising.
+        train_frames: numbers of the training frames.
+        heldout_frames: numbers of the held-out frames.
+
+    Examples:
+        >>> scene = flowsplat.Scene("out/clip/scene")
+        >>> scene.num_frames, scene.heldout_frames
+        (12, [9])
+        >>> scene.frame(0).shape, scene.depth(0).depth.shape
+        ((48, 64, 3), (48, 64))
+    """
+
+    def __init__(self, folder: str | Path):
         """Open a scene.
 
         Raises:
@@ -109,9 +123,24 @@ class Scene(Layers):
             raise InputError(f"{path} is damaged: the numbers of training and of held-out frames must rise.")
         self._train = set(self.train_frames)
 
+    def __repr__(self) -> str:
+        frames = f"{self.num_frames} frames of {self.width}x{self.height}, {len(self.heldout_frames)} held out"
+        return f"Scene({str(self.folder)!r}, {frames}, {self.timestamps[0]:.3g} to {self.timestamps[-1]:.3g} s)"
+
+    def _repr_html_(self) -> str:
+        """For notebooks: a training frame from the middle of the clip, and what is known of it."""
+        facts = {
+            "clip": f"{self.num_frames} frames of {self.width}x{self.height}, {len(self.heldout_frames)} held out",
+            "time": f"{self.timestamps[0]:.3g} to {self.timestamps[-1]:.3g} s",
+            "priors": ", ".join(self.info.priors) or "none yet",
+        }
+        middle = self.train_frames[len(self.train_frames) // 2]
+        image = self.frame(middle) if self.has_frame(middle) else None
+        return format_facts(f"{self.name} ({self.folder})", facts, image)
+
     @staticmethod
     def create(
-        folder: Path,
+        folder: str | Path,
         *,
         name: str,
         source: str,
@@ -134,7 +163,7 @@ class Scene(Layers):
             audio: the name of the file in the folder with the sound, and at which second of it the clip starts.
         """
         train, heldout = split_frames(len(timestamps), holdout)
-        make_folder(folder)
+        make_folder(Path(folder))
         info = SceneInfo(
             version=VERSION, name=name, source=source, width=width, height=height,
             source_fps=source_fps, timestamps=list(map(float, timestamps)), train=train, heldout=heldout,

@@ -11,6 +11,7 @@ from torch import Tensor
 from flowsplat.common.devices import Kernels, kernels_on
 from flowsplat.common.triton import check_runs
 from flowsplat.splatting import reference
+from flowsplat.splatting.arguments import Array, check_numbers, check_size, to_tensors
 from flowsplat.splatting.rules import EPS2D, FAR, NEAR
 
 BackendName = Literal["auto", "cpu", "triton", "reference"]
@@ -161,24 +162,26 @@ def blend(
 
 
 def rasterize(
-    means: Tensor,
-    quats: Tensor | None,
-    scales: Tensor | None,
-    opacities: Tensor,
-    features: Tensor,
-    viewmat: Tensor,
-    K: Tensor,
+    means: Array,
+    quats: Array | None,
+    scales: Array | None,
+    opacities: Array,
+    features: Array,
+    viewmat: Array,
+    K: Array,
     width: int,
     height: int,
     *,
-    covars: Tensor | None = None,
-    background: Tensor | None = None,
+    covars: Array | None = None,
+    background: Array | None = None,
     near_plane: float = NEAR,
     far_plane: float = FAR,
     eps2d: float = EPS2D,
     backend: BackendName = "auto",
 ) -> tuple[Tensor, Tensor, dict[str, Any]]:
     """Splat N Gaussians with C feature channels into an image (docs/method.md, "Compositing"), differentiable in everything.
+
+    Tensors are of one float type and on one device. NumPy arrays are taken in their place, as float32 where all are arrays.
 
     Args:
         means: [N, 3] world.
@@ -205,17 +208,33 @@ def rasterize(
     Raises:
         ValueError: a shape, dtype or backend does not fit, or a value is not finite. (``project`` and ``blend`` do not look:
             there a Gaussian with such a mean, quaternion or scale is culled.)
+
+    Examples:
+        One red Gaussian, two units in front of a camera:
+
+        >>> image, alphas, info = flowsplat.rasterize(
+        ...     means=np.array([[0, 0, 2.0]]), quats=np.array([[1.0, 0, 0, 0]]), scales=np.array([[0.1, 0.1, 0.1]]),
+        ...     opacities=np.array([0.9]), features=np.array([[1.0, 0, 0]]), viewmat=np.eye(4),
+        ...     K=np.array([[20, 0, 8], [0, 20, 6], [0, 0, 1.0]]), width=16, height=12,
+        ... )
+        >>> image.shape, image.dtype, info["means2d"].tolist()
+        (torch.Size([12, 16, 3]), torch.float32, [[8.0, 6.0]])
+        >>> [round(value, 2) for value in image[6, 8].tolist()], bool(image[0, 0].any())
+        ([0.74, 0.0, 0.0], False)
     """
-    check_finite(
+    check_size(width, height)
+    check_numbers(near_plane=near_plane, far_plane=far_plane, eps2d=eps2d)
+    given = to_tensors(
         means=means, quats=quats, scales=scales, opacities=opacities, features=features, viewmat=viewmat, K=K, covars=covars,
         background=background,
     )  # fmt: skip
+    check_finite(**given)
+    colors, behind = given.pop("features"), given.pop("background")
     projected = project(
-        means, quats, scales, opacities, viewmat, K, width, height, covars=covars, near_plane=near_plane,
-        far_plane=far_plane, eps2d=eps2d, backend=backend,
-    )  # fmt: skip
-    image, alphas = blend(projected, opacities, features, width, height)
-    if background is not None:
-        image = image + (1 - alphas)[..., None] * background
+        **given, width=width, height=height, near_plane=near_plane, far_plane=far_plane, eps2d=eps2d, backend=backend
+    )
+    image, alphas = blend(projected, given["opacities"], colors, width, height)
+    if behind is not None:
+        image = image + (1 - alphas)[..., None] * behind
     info = {name: getattr(projected, name) for name in ("means2d", "conics", "depths", "radii")}
     return image, alphas, info

@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 
 from flowsplat.splatting.api import BackendName, Projected, blend, check_finite, project
+from flowsplat.splatting.arguments import Array, check_numbers, check_size, to_tensors
 from flowsplat.splatting.harmonics import colors_from_harmonics, harmonics_count
 from flowsplat.splatting.rules import EPS2D, FAR, NEAR
 
@@ -29,13 +30,13 @@ _MIN_RATIO = 1e-8
 
 
 def rasterization(
-    means: Tensor,
-    quats: Tensor | None,
-    scales: Tensor | None,
-    opacities: Tensor,
-    colors: Tensor,
-    viewmats: Tensor,
-    Ks: Tensor,
+    means: Array,
+    quats: Array | None,
+    scales: Array | None,
+    opacities: Array,
+    colors: Array,
+    viewmats: Array,
+    Ks: Array,
     width: int,
     height: int,
     near_plane: float = NEAR,
@@ -45,7 +46,7 @@ def rasterization(
     sh_degree: int | None = None,
     packed: bool = True,
     tile_size: int = 16,
-    backgrounds: Tensor | None = None,
+    backgrounds: Array | None = None,
     render_mode: RenderMode = "RGB",
     sparse_grad: bool = False,
     absgrad: bool = False,
@@ -54,7 +55,7 @@ def rasterization(
     distributed: bool = False,
     camera_model: str = "pinhole",
     segmented: bool = False,
-    covars: Tensor | None = None,
+    covars: Array | None = None,
     with_ut: bool = False,
     with_eval3d: bool = False,
     radial_coeffs: Tensor | None = None,
@@ -67,6 +68,8 @@ def rasterization(
     backend: BackendName = "auto",
 ) -> tuple[Tensor, Tensor, dict[str, Any]]:
     """Render N Gaussians into C cameras, differentiable in everything (``Ks`` too). Leading ``...`` are batch dimensions.
+
+    Tensors are of one float type and on one device. NumPy arrays are taken in their place, as float32 where all are arrays.
 
     Args:
         means: [..., N, 3] world.
@@ -115,6 +118,17 @@ def rasterization(
 
     Raises:
         ValueError: a shape does not fit, a value is not finite, or an argument asks for what is not covered.
+
+    Examples:
+        Two Gaussians seen by one camera:
+
+        >>> colors, alphas, meta = flowsplat.rasterization(
+        ...     means=np.array([[0, 0, 2.0], [0.5, 0, 3]]), quats=np.array([[1.0, 0, 0, 0]] * 2), scales=np.full((2, 3), 0.1),
+        ...     opacities=np.array([0.9, 0.5]), colors=np.array([[1.0, 0, 0], [0, 0, 1]]), viewmats=np.eye(4)[None],
+        ...     Ks=np.array([[[20, 0, 8], [0, 20, 6], [0, 0, 1.0]]]), width=16, height=12, render_mode="RGB+ED",
+        ... )
+        >>> colors.shape, alphas.shape, meta["gaussian_ids"].tolist()
+        (torch.Size([1, 12, 16, 4]), torch.Size([1, 12, 16, 1]), [0, 1])
     """
     _refuse_uncovered(
         sparse_grad=sparse_grad,
@@ -133,20 +147,21 @@ def rasterization(
         raise ValueError(f"render_mode must be RGB, D, ED, RGB+D or RGB+ED, not {render_mode!r}")
     if rasterize_mode not in ("classic", "antialiased"):
         raise ValueError(f"rasterize_mode must be classic or antialiased, not {rasterize_mode!r}")
+    check_size(width, height)
+    check_numbers(near_plane=near_plane, far_plane=far_plane, radius_clip=radius_clip, eps2d=eps2d)
     if covars is not None:
         quats = scales = None
-    batch, count, cameras, tail = _shapes(means, quats, scales, opacities, colors, viewmats, Ks, covars, backgrounds, sh_degree)
-    check_finite(
+    given = to_tensors(
         means=means, quats=quats, scales=scales, opacities=opacities, colors=colors, viewmats=viewmats, Ks=Ks, covars=covars,
         backgrounds=backgrounds,
     )  # fmt: skip
+    batch, count, cameras, tail = _shapes(**given, sh_degree=sh_degree)
+    check_finite(**given)
     settings = _Settings(
         width, height, near_plane, far_plane, eps2d, radius_clip, rasterize_mode == "antialiased", backend, sh_degree, render_mode,
         absgrad,
     )  # fmt: skip
-    images = _images(
-        batch, count, cameras, tail, means, quats, scales, covars, opacities, colors, viewmats, Ks, backgrounds, sh_degree
-    )
+    images = _images(batch, count, cameras, tail, **given, sh_degree=sh_degree)
     projections, drawn = zip(*[_project_image(image, settings) for image in images], strict=True)
     rows = _Rows.of(projections, count, (*batch, cameras), packed)
     meta: dict[str, Any] = {name: rows.join([getattr(p, name) for p in projections]) for name in _GEOMETRY}

@@ -87,7 +87,7 @@ class Trainer:
         observations: Observations,
         tracks: Tracks | None,
         config: TrainConfig,
-        checkpoints: Path | None = None,
+        checkpoints: str | Path | None = None,
         preview: Preview | None = None,
         record: Record | None = None,
         start: Gaussians4D | None = None,
@@ -114,7 +114,8 @@ class Trainer:
         """
         config.check()
         self.observations, self.tracks, self.config = observations, tracks, config
-        self._checkpoints, self._preview, self._record = checkpoints, preview, record
+        self._checkpoints = None if checkpoints is None else Path(checkpoints)
+        self._preview, self._record = preview, record
         self._start, self._device = start, torch.device(device)
         self._first_step = first_step
         self._round = np.repeat(np.arange(len(observations)), 1 if visits is None else visits)

@@ -55,7 +55,7 @@ def change_settings(config: Any, changes: Mapping[str, Any]) -> Any:
     Raises:
         ValueError: there is no such setting.
 
-    >>> changed(TrainConfig(), {"seed": 3, "model.gains": 4}).model.gains
+    >>> change_settings(TrainConfig(), {"seed": 3, "model.gains": 4}).model.gains
     4
     """
     for path, value in changes.items():

@@ -37,7 +37,7 @@ _ZIPPED = 0.6
 """What gzip leaves of the bytes of an spz, as measured on trained scenes."""
 
 
-def export_scene(model: SceneModel, scene: Scene, to: str, path: Path | None, options: ExportOptions) -> Path:
+def export_scene(model: SceneModel, scene: Scene, to: str, path: str | Path | None, options: ExportOptions) -> Path:
     """Write a trained scene in a format of others, or as the single-file player.
 
     Args:

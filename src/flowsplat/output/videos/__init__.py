@@ -23,7 +23,9 @@ from flowsplat.output.videos.plans import Plan, name_of, plan_videos, settle
 from flowsplat.output.videos.writing import Scales, write_plan
 from flowsplat.scenes import Scene
 
-__all__ = ["RenderOptions", "are_rendered", "forget_videos", "list_rendered", "name_of", "render_videos", "settle"]
+__all__ = [
+    "RenderOptions", "are_rendered", "forget_videos", "list_frame_rates", "list_rendered", "name_of", "render_videos", "settle",
+]  # fmt: skip
 
 _RECORD = "renders.json"
 
@@ -72,6 +74,15 @@ def list_rendered(folder: Path) -> dict[str, str]:
         InputError: ``renders.json`` is damaged.
     """
     return {name + "_color" * k: file for name, entry in _record(folder).items() for k, file in enumerate(entry["files"])}
+
+
+def list_frame_rates(folder: Path) -> dict[str, float]:
+    """Frames a second of what was rendered into ``folder``, by the names that ``rendered`` has without ``_color``.
+
+    Raises:
+        InputError: ``renders.json`` is damaged.
+    """
+    return {name: float(entry["fps"]) for name, entry in _record(folder).items()}
 
 
 def are_rendered(folder: Path) -> bool:

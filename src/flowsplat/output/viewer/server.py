@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from flowsplat.common.devices import pick_device
-from flowsplat.common.errors import InputError
+from flowsplat.common.errors import InputError, describe_install
 from flowsplat.common.progress import report
 from flowsplat.output.viewer.guard import LOOPBACK, WILDCARDS, Guard, guard_server, is_guarded
 from flowsplat.output.viewer.options import ViewOptions
@@ -42,7 +42,7 @@ class Viewer:
         try:
             import viser  # noqa: F401 (the one thing that may be missing)
         except ImportError as error:
-            raise InputError("The viewer needs viser: pip install 'flowsplat[view]'.") from error
+            raise InputError(f"The viewer needs viser: {describe_install('view')}.") from error
         self._options = options
         self.source = Source(folder, pick_device(options.device))
         _check_address(options.host, options.port)

@@ -10,7 +10,7 @@ from typing import Any
 
 import torch
 
-from flowsplat.common.errors import InputError, first_line
+from flowsplat.common.errors import InputError, describe_install, first_line
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ def require_package(module: str, option: str, instead: str) -> Any:
     except Exception as error:  # missing: ImportError; built for another PyTorch: RuntimeError, OSError
         raise InputError(
             f"{option} needs {module}, which cannot be imported ({first_line(error)}): "
-            f"pip install 'flowsplat[learned]', or do without: {instead}."
+            f"{describe_install('learned')}, or do without: {instead}."
         ) from error
 
 

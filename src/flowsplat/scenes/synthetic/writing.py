@@ -19,7 +19,7 @@ CRF = 12
 """Of x264: nearly lossless."""
 
 
-def write_synthetic(folder: Path, spec: DrawnClip, *, holdout: int | None = None, with_truth: bool = True) -> Scene:
+def write_synthetic(folder: str | Path, spec: DrawnClip, *, holdout: int | None = None, with_truth: bool = True) -> Scene:
     """Render the clip into a scene folder, without any prior.
 
     Args:
@@ -64,14 +64,14 @@ def write_synthetic(folder: Path, spec: DrawnClip, *, holdout: int | None = None
     return scene
 
 
-def write_synthetic_video(path: Path, spec: DrawnClip) -> None:
+def write_synthetic_video(path: str | Path, spec: DrawnClip) -> None:
     """Render the clip and encode it as a nearly lossless mp4.
 
     Raises:
         InputError: the file cannot be written.
     """
     frames = in_threads(lambda i: spec.render(spec.camera(i), spec.timestamps[i]).image, range(spec.frames), get_max_threads())
-    write_mp4(path, track(frames, "Rendering the synthetic clip", spec.frames), spec.fps, crf=CRF)
+    write_mp4(Path(path), track(frames, "Rendering the synthetic clip", spec.frames), spec.fps, crf=CRF)
 
 
 def encode_frames(path: Path, scene: Scene) -> None:
