@@ -118,7 +118,8 @@ def _figures(metrics: Sequence[Mapping[str, Any]]) -> list[Figure]:
 
 
 def _find_best(path: Sequence[str], values: Sequence[str | None]) -> tuple[int, ...]:
-    """Which values of a figure are the best, as they are shown; none where all are the same, or more is neither better nor worse."""
+    """Which values of a figure are the best, as they are shown; none where all are the same, or more is neither better nor
+    worse."""
     known = {k: float(value.replace(",", "")) for k, value in enumerate(values) if value is not None}
     if len(set(known.values())) < 2 or path[0].startswith("baselines"):
         return ()
