@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 
 from flowsplat.scenes.synthetic.worlds.casting import BOX, CAPSULE, CYLINDER, ELLIPSOID
 
-Kind = Literal["walker", "carrier", "vehicle", "rolling", "thrown", "bouncing", "pendulum", "door", "flier", "dancer"]
+Kind = Literal["walker", "carrier", "vehicle", "rolling", "thrown", "bouncing", "pendulum", "door", "flier", "dancer", "animal"]
 
 KINDS: tuple[Kind, ...] = ("walker", "carrier", "vehicle", "rolling", "thrown", "bouncing", "pendulum", "door", "flier")
-"""Those that are drawn; dancers only where they are asked for."""
+"""Those that are drawn; dancers and animals only where they are asked for."""
 
 Poses = tuple[np.ndarray, np.ndarray]
 """Rotations [T, P, 3, 3] from the parts' axes to the world's, and centers [T, P, 3]."""
