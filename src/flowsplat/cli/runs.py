@@ -55,10 +55,10 @@ def print_figures(metrics: dict[str, Any], out: Path) -> None:
         out: folder of the run.
     """
     from flowsplat.output.report import verdict
-    from flowsplat.pipeline.summary import figures_table, next_steps
+    from flowsplat.pipeline.summary import figures_table, next_steps, suggest_hints
 
     console.print(figures_table({"": metrics}))
     if metrics["heldout_frames"] is not None:
         report(HOLDOUT_NOTE)
-    for line in (verdict(metrics), *next_steps(out)):
+    for line in (verdict(metrics), *suggest_hints(metrics), *next_steps(out)):
         report(line)

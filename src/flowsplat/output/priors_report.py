@@ -399,6 +399,7 @@ def _words(scene: Scene, obj: ObjectDescription) -> dict[str, str]:
         "cues": obj.words, "distance": f"{obj.depth * unit:.2f} median depths of the scene",
         "sure": f"to {100 * np.expm1(obj.sigma):.0f}%", "step": step,
         "rigid": "one rigid body" if obj.rigid else "bends, or too little of it was followed",
+        "hint": "" if obj.hint is None else obj.hint,
     }  # fmt: skip
 
 

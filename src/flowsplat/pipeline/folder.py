@@ -108,6 +108,8 @@ class ObjectFile(TypedDict):
     largest_step: Positive
     cues: list[Text]
     small: NotRequired[bool]
+    number: NotRequired[int]
+    hint: NotRequired[Text | None]
 
 
 class MetricsFile(TypedDict, total=False):

@@ -19,6 +19,7 @@ from flowsplat.evaluation.scores import pick
 from flowsplat.gaussians.renderer import Renderer
 from flowsplat.output.report import Comparison, FlowComparison, ReportData
 from flowsplat.output.videos import list_rendered
+from flowsplat.priors.objects.description import word_hint
 from flowsplat.scenes import Scene
 from flowsplat.scenes.layers import read_image
 
@@ -83,6 +84,12 @@ def next_steps(out: Path) -> Iterator[str]:
     yield f"  a page to share: flowsplat export {folder} --to html"
 
 
+def suggest_hints(metrics: Mapping[str, Any]) -> list[str]:
+    """Of every large object whose distance is a guess, how one click makes it sure."""
+    objects = [obj for obj in metrics.get("objects") or [] if not obj.get("small") and obj.get("hint") and "number" in obj]
+    return [word_hint(obj["number"], obj["hint"]) for obj in objects]
+
+
 def report_data(
     out: Path, scene: Scene, flows: Sequence[FlowComparison], metrics: Mapping[str, Any],
     history: Sequence[Mapping[str, float]], config: Any,
@@ -96,6 +103,7 @@ def report_data(
     if len(counts) != len(scene.timestamps):
         raise InputError(f"{out / 'metrics.json'} counts Gaussians in {len(counts)} frames, the scene has {len(scene.timestamps)}.")
     notes = [*scene.info.notes, *([SHOWN_NOTE] if metrics.get("shown") != metrics.get("measured") else [])]
+    notes += suggest_hints(metrics)
     verdicts = [str((scene.prior(name) or {}).get("verdict", "")) for name in ("cameras", "depth", "masks")]
     return ReportData(
         title=scene.name,

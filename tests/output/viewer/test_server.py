@@ -448,7 +448,7 @@ def test_bad_options(run_folder, options, says):
 
 def test_a_missing_viser_is_told(run_folder, monkeypatch):
     monkeypatch.setitem(sys.modules, "viser", None)
-    with pytest.raises(InputError, match=r"pip install 'flowsplat\[view\]'"):
+    with pytest.raises(InputError, match=r"pip install -e '\.\[view\]'"):
         Viewer(run_folder, ViewOptions(port=free_port()))
 
 

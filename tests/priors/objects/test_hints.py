@@ -7,7 +7,8 @@ import pytest
 
 from flowsplat.common.errors import InputError
 from flowsplat.priors.objects import load_objects
-from flowsplat.priors.objects.hints import parse_hints
+from flowsplat.priors.objects.description import suggest_contacts, word_hint
+from flowsplat.priors.objects.hints import SUPPOSED_SIGMA, UNSEEN_SIGMA, Hint, _contact_depth, parse_hints
 from flowsplat.priors.options import PriorsOptions
 from flowsplat.priors.prepare import prepare_priors
 from flowsplat.scenes import Scene
@@ -90,3 +91,63 @@ def test_what_is_typed():
     ]  # fmt: skip
     with pytest.raises(InputError, match="held out"):
         parse_hints(("10,20@8",), (), Shape())
+
+
+class Plates:
+    """A static scene whose depth is told: filled in everywhere, and seen by other frames where ``seen``."""
+
+    median = 1.0
+
+    def __init__(self, filled: float, seen: float | None):
+        self._filled, self._seen = filled, seen
+
+    def plate(self, k: int) -> np.ndarray:
+        return np.full((10, 12), 1 / (self._filled if self._seen is None else self._seen))
+
+    def uncovered(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        return self.plate(k), np.full((10, 12), 0.0 if self._seen is None else 9.0)
+
+
+class Floor:
+    """A ground at a depth, on its map or only supposed."""
+
+    def __init__(self, depth: float, known: bool):
+        self._depth, self._known = depth, known
+
+    def depth(self, camera, pixels) -> tuple[np.ndarray, np.ndarray]:
+        return np.full(len(pixels), self._depth), np.full(len(pixels), self._known)
+
+
+@pytest.mark.parametrize(
+    ("filled", "seen", "ground", "depth", "sigma", "told"),
+    [
+        (4.0, None, Floor(5.0, True), 5.0, 0.02, "no frame saw, is 20% nearer than the ground; the ground is taken"),
+        (4.0, None, Floor(5.0, False), 5.0, SUPPOSED_SIGMA, "the ground is taken"),
+        (4.0, 4.9, Floor(5.0, True), 5.0, 0.02, None),
+        (4.0, 3.0, Floor(5.0, True), 3.0, 0.02, "what was seen there is 40% nearer than the ground; what other frames saw"),
+        (4.0, 8.0, Floor(5.0, True), 5.0, 0.02, "60% farther than the ground; the ground is taken"),
+        (4.0, 3.0, Floor(5.0, False), 3.0, 0.02, "what other frames saw there is taken"),
+        (4.0, 3.0, None, 3.0, 0.02, None),
+        (4.0, None, None, 4.0, UNSEEN_SIGMA, None),
+        (4.0, None, Floor(np.inf, False), 4.0, UNSEEN_SIGMA, None),
+    ],
+)  # fmt: skip
+def test_what_a_contact_touches(filled, seen, ground, depth, sigma, told, capsys):
+    hint = Hint("contact 3,4@0", "contact_hint", 0, (3.0, 4.0))
+    found = _contact_depth(Plates(filled, seen), ground, None, 0, (3.5, 4.5), (24, 20), hint)
+    assert found == pytest.approx((depth, sigma))
+    said = " ".join(capsys.readouterr().err.split())
+    assert told in said if told else not said
+
+
+def test_a_guess_is_told_with_the_click_that_makes_it_sure(scene):
+    hint = suggest_contacts(scene, np.array([0.0, -1.0, 0.0]), {1})[1]
+    place, frame = hint.split("@")
+    x, y = map(int, place.split(","))
+    mask = scene.mask(int(frame))
+    assert mask[y, x] == 1
+    assert not (mask[y + 1 :] == 1).any(), "its lowest row"
+    assert (mask == 1).sum() == max((scene.mask(i) == 1).sum() for i in scene.train_frames)
+    assert f"--contact {hint} " in word_hint(1, hint)
+    assert parse_hints((hint,), (), scene)[0].place == (x, y)
+    assert suggest_contacts(scene, np.array([0.0, -1.0, 0.0]), {7}) == {}

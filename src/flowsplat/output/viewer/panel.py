@@ -20,6 +20,9 @@ from flowsplat.output.viewer.session import Job, Mode, Session
 from flowsplat.output.viewer.source import Source
 from flowsplat.output.viewer.trails import trails
 from flowsplat.output.viewer.worker import Worker
+from flowsplat.priors.objects import load_objects
+from flowsplat.priors.objects.description import describe_objects, word_hint
+from flowsplat.scenes import Scene
 
 _SPEEDS = {"1/10": 0.1, "1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0}
 _MOST_FRUSTA = 24
@@ -105,7 +108,10 @@ class Panel:
         if self._objects:
             with gui.add_folder("Distance of objects", expand_by_default=False):
                 gui.add_markdown(_DISTANCE_HINT)
+                hints = _suggested_hints(self._source.scene)
                 for number in self._objects:
+                    if number in hints:
+                        gui.add_markdown(word_hint(number, hints[number]))
                     near, far = _DISTANCES
                     slider = controls.add_slider(f"Object {number}", min=near, max=far, step=_DISTANCE_STEP, initial_value=1.0)
                     self._distances[number] = slider
@@ -287,6 +293,11 @@ class Panel:
     def _redraw(self) -> None:
         with self._worker.change():
             self._session.change(time.monotonic())
+
+
+def _suggested_hints(scene: Scene) -> dict[int, str]:
+    """By number, ``ObjectDescription.hint`` of the objects whose distance is a guess; none in scenes without objects' files."""
+    return {obj.number: obj.hint for obj in describe_objects(scene, load_objects(scene)) if obj.hint is not None}
 
 
 def _set_value(control: Any, value: Any) -> None:

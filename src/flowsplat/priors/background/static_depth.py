@@ -67,6 +67,10 @@ class StaticDepth(Protocol):
         """(inverse depth, weight) of the static scene, each [h, w]: along the image's edges where nothing is known."""
         ...
 
+    def uncovered(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """(inverse depth, weight) of what the frame or others saw of the static scene, each [h, w]; weight 0 where none did."""
+        ...
+
     def behind(self, k: int) -> np.ndarray:
         """Inverse depth [h, w] of the static scene: the plate behind objects, elsewhere along the image's edges."""
         ...
@@ -99,6 +103,10 @@ class Guess:
     def fill(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         """As ``StaticDepth.fill``: a little trusted everywhere."""
         return self._plate, np.full_like(self._plate, GUESS_WEIGHT)
+
+    def uncovered(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """As ``StaticDepth.uncovered``: nothing was seen."""
+        return self._plate, np.zeros_like(self._plate)
 
     def behind(self, k: int) -> np.ndarray:
         """As ``StaticDepth.behind``."""
@@ -163,6 +171,11 @@ class Background:
             return guess_ground(self._clip.height, self._clip.width, self._clip.median), np.zeros_like(weights)
         inverse, support = fill(values, weights, self._clip.image(k))
         return inverse, weights + np.float32(0.1) * support
+
+    def uncovered(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """As ``StaticDepth.uncovered``."""
+        values, weights = self._uncovered(k)
+        return values, np.where(weights > SURE, weights, 0)
 
     def behind(self, k: int) -> np.ndarray:
         """Inverse depth [h, w] of the static scene: the plate behind objects, elsewhere along the image's edges."""

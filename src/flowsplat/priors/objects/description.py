@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +27,9 @@ WORDS = {
 
 GUESS = "nothing: a guess"
 
+HINT_BORDER = 3
+"""Pixels from the image's border within which the lowest pixel of an object is not suggested: its foot may lie outside."""
+
 
 @dataclass(frozen=True)
 class ObjectDescription:
@@ -40,6 +43,8 @@ class ObjectDescription:
         cues: names of what speaks for its depth; none = a guess.
         rigid: whether its motion was found and explains all of it.
         largest_step: how far aside it may be seen from, in those units, until sigma makes half a pixel: Z / (2 f sigma).
+        hint: ``x,y@frame`` of its lowest pixel in the frame in which it is largest, as ``--contact`` takes it, where its distance
+            is a guess; None where it is not, or its lower end is never seen inside the image.
     """
 
     number: int
@@ -49,6 +54,7 @@ class ObjectDescription:
     cues: Sequence[str]
     rigid: bool
     largest_step: float
+    hint: str | None = None
 
     @property
     def words(self) -> str:
@@ -73,18 +79,55 @@ def sureness(sigmas: Sequence[float], guesses: int = 0) -> str:
 def describe_objects(scene: Scene, found: SceneObjects) -> list[ObjectDescription]:
     """Of every object that is seen in a training frame, in the order of their numbers."""
     focal = float(scene.cameras[scene.train_frames[0]].K[0, 0])
-    return [_describe(obj, focal) for obj in sorted(found.objects, key=lambda each: each.number) if _find_visible(obj).any()]
+    objects = [obj for obj in sorted(found.objects, key=lambda each: each.number) if _find_visible(obj).any()]
+    hints = suggest_contacts(scene, found.normal, {obj.number for obj in objects if not obj.cues})
+    return [_describe(obj, focal, hints.get(obj.number)) for obj in objects]
+
+
+def suggest_contacts(scene: Scene, normal: np.ndarray, numbers: Collection[int]) -> dict[int, str]:
+    """For objects the place, as ``--contact`` takes it, at which each most likely touches what is under it.
+
+    Args:
+        normal: [3] unit vector, up.
+        numbers: of the objects; those whose lower end is never seen inside the image are left out.
+    """
+    best: dict[int, tuple[int, str]] = {}
+    for i in scene.train_frames if numbers else ():
+        mask, camera = scene.mask(i), scene.cameras[i]
+        for number in numbers:
+            y, x = np.nonzero(mask == number)
+            if len(x) <= best.get(number, (0, ""))[0]:
+                continue
+            pixels = np.stack([x, y], 1) + 0.5
+            rays = camera.unproject(pixels, np.ones(len(pixels))) - camera.center
+            # Of the lowest row, which may be long, the middle.
+            fall = rays @ normal
+            low = np.flatnonzero(fall <= fall.min() + 0.5 / camera.K[1, 1])
+            column, row = pixels[low[np.argsort(x[low], kind="stable")[len(low) // 2]]].astype(int)
+            inner = HINT_BORDER <= column < scene.width - HINT_BORDER and HINT_BORDER <= row < scene.height - HINT_BORDER
+            if inner:
+                best[number] = len(x), f"{column},{row}@{i}"
+    return {number: hint for number, (_, hint) in best.items()}
+
+
+def word_hint(number: int, hint: str) -> str:
+    """What a user can do about an object whose distance is a guess: ``hint`` as of ``ObjectDescription``."""
+    place, _, frame = hint.partition("@")
+    return (
+        f"How far away object {number} is is a guess. If it touches the ground, or anything still, at {place} in frame {frame}, "
+        f"the same command with --contact {hint} makes it sure, and keeps cameras, flow, masks and tracks."
+    )
 
 
 def _find_visible(obj: DynamicObject) -> np.ndarray:
     return np.isfinite(obj.log_depth)
 
 
-def _describe(obj: DynamicObject, focal: float) -> ObjectDescription:
+def _describe(obj: DynamicObject, focal: float, hint: str | None) -> ObjectDescription:
     seen = _find_visible(obj)
     depth, sigma = float(np.exp(np.median(obj.log_depth[seen]))), float(obj.sigma)
     step = HALF_PIXEL * depth / (focal * max(sigma, 1e-6))
-    return ObjectDescription(obj.number, int(seen.sum()), depth, sigma, sorted(obj.cues), obj.rigid, step)
+    return ObjectDescription(obj.number, int(seen.sum()), depth, sigma, sorted(obj.cues), obj.rigid, step, hint)
 
 
 def object_figures(scene: Scene, found: SceneObjects) -> list[dict[str, object]]:
@@ -95,6 +138,7 @@ def object_figures(scene: Scene, found: SceneObjects) -> list[dict[str, object]]
             "number": m.number, "small": m.number not in large, "frames": m.frames,
             "depth": m.depth, "depth_in_scenes": m.depth * unit, "sigma": m.sigma,
             "cues": list(m.cues), "rigid": m.rigid, "largest_step": m.largest_step, "largest_step_in_scenes": m.largest_step * unit,
+            "hint": m.hint,
         }
         for m in describe_objects(scene, found)
     ]  # fmt: skip

@@ -14,6 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flowsplat.common.errors import InputError
+from flowsplat.common.progress import report
+from flowsplat.geometry import Camera
 from flowsplat.priors.background.ground import Ground
 from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.static_depth import StaticDepth
@@ -24,7 +26,12 @@ from flowsplat.priors.prompts import parse_place
 from flowsplat.scenes import Scene
 
 SIGMA = {"contact_hint": 0.02, "same_depth_hint": 0.03}
-"""Standard deviation of ln distance that one hint leaves."""
+"""Standard deviation of ln distance that one hint leaves where the depth of what it names is sure."""
+SUPPOSED_SIGMA, UNSEEN_SIGMA = 0.06, 0.15
+"""The same of a contact where the ground is only supposed to go on, and where no frame saw what is behind the object: there the
+depth is filled in from around, and on a car's shadow it was .15 to .28 too near."""
+TELL_APART = 0.05
+"""In ln: from here on a warning says that ground and depth behind a contact differ."""
 WRONG = 0.02
 """Chance that a hint is a slip of the hand."""
 SAME_SURFACE = 0.15
@@ -87,29 +94,29 @@ def with_hints(
     Raises:
         InputError: nothing moves where a hint says, or something does where the still scene is meant.
     """
-    told: dict[int, list[tuple[str, float]]] = {}
+    told: dict[int, list[tuple[str, float, float]]] = {}
     for hint in hints:
-        number, offset = _offset(clip, background, grounds, found, hint)
-        told.setdefault(number, []).append((hint.kind, offset))
+        number, offset, sigma = _offset(clip, background, grounds, found, hint)
+        told.setdefault(number, []).append((hint.kind, offset, sigma))
     objects = [_place(obj, told[obj.number]) if obj.number in told else obj for obj in found.objects]
     return replace(found, objects=objects)
 
 
-def _place(obj: DynamicObject, told: Sequence[tuple[str, float]]) -> DynamicObject:
-    weights = np.array([1 / SIGMA[kind] ** 2 for kind, _ in told])
-    offsets = np.array([offset for _, offset in told])
+def _place(obj: DynamicObject, told: Sequence[tuple[str, float, float]]) -> DynamicObject:
+    weights = np.array([1 / sigma**2 for _, _, sigma in told])
+    offsets = np.array([offset for _, offset, _ in told])
     offset = float(np.average(offsets, weights=weights))
     # Hints that differ tell that the depth trajectory between them is off, or a hint.
     sigma = float(np.hypot(1 / np.sqrt(weights.sum()), np.std(offsets)))
-    cues = {kind: Cue(offset, sigma, WRONG) for kind in sorted({kind for kind, _ in told})}
+    cues = {kind: Cue(offset, sigma, WRONG) for kind in sorted({kind for kind, _, _ in told})}
     points = replace(obj.points, log_depth=obj.points.log_depth + offset)
     return replace(obj, log_depth=obj.log_depth + offset, sigma=sigma, cues=cues, points=points)
 
 
 def _offset(
     clip: MatchedClip, background: StaticDepth, grounds: Mapping[int, Ground | None], found: SceneObjects, hint: Hint
-) -> tuple[int, float]:
-    """Which object a hint is about, and by how much in ln it is farther away than it was placed."""
+) -> tuple[int, float, float]:
+    """Which object a hint is about, by how much in ln it is farther away than it was placed, and how sure that is."""
     scene, k = clip.scene, clip.scene.train_frames.index(hint.frame)
     mask, camera = scene.mask(hint.frame), scene.cameras[hint.frame]
     x, y = _on_object(mask, found, k, hint, NEAR * max(scene.width, scene.height))
@@ -118,25 +125,57 @@ def _offset(
     inside = mask == number
     depths = np.zeros(mask.shape)
     depths[inside] = obj.depth(k, inside, scene.frame(hint.frame), camera, found.normal)
-    plate = 1 / np.maximum(background.plate(k), 1e-9)
-
-    def still(u: float, v: float) -> float:
-        row, column = int(v * plate.shape[0] / scene.height), int(u * plate.shape[1] / scene.width)
-        return float(plate[min(row, plate.shape[0] - 1), min(column, plate.shape[1] - 1)])
-
-    if hint.still is not None:
+    size = (scene.width, scene.height)
+    if hint.still is None:
+        ground = grounds[int(np.asarray(clip.continuity.pieces)[k])]
+        depth, sigma = _contact_depth(background, ground, camera, k, (x + 0.5, y + 0.5), size, hint)
+    else:
         u, v = hint.still
         if mask[min(int(v), mask.shape[0] - 1), min(int(u), mask.shape[1] - 1)]:
             raise InputError(f"--{hint.text}: something moves at {u:.0f},{v:.0f}; give a place of the still scene behind the =.")
-        depth = still(u, v)
+        depth, sigma = 1 / max(_at(background.plate(k), u, v, size), 1e-9), SIGMA[hint.kind]
+    return number, float(np.log(depth / depths[y, x])), sigma
+
+
+def _contact_depth(
+    background: StaticDepth, ground: Ground | None, camera: Camera, k: int, place: tuple[float, float], size: tuple[int, int],
+    hint: Hint,
+) -> tuple[float, float]:  # fmt: skip
+    """(planar depth, sigma of its logarithm) of what an object touches at ``place`` in training frame k.
+
+    That is the ground where its map is known there, unless other frames saw something there that stands on it; else what other
+    frames saw there; else the ground as it is supposed to go on; else what is filled in from around.
+    """
+    inverse, weight = background.uncovered(k)
+    filled = 1 / max(_at(background.plate(k), *place, size), 1e-9)
+    seen = 1 / max(_at(inverse, *place, size), 1e-9) if _at(weight, *place, size) > 0 else None
+    below, known = np.inf, False
+    if ground is not None:
+        depths, knowns = ground.depth(camera, np.array([place]))
+        below, known = float(depths[0]), bool(knowns[0])
+    sigma = SIGMA[hint.kind]
+    if known and (seen is None or np.log(seen / below) > -SAME_SURFACE):
+        depth = below
+    elif seen is not None:
+        depth = seen
+    elif np.isfinite(below):
+        depth, sigma = below, SUPPOSED_SIGMA
     else:
-        depth = still(x, y)
-        ground = grounds[int(np.asarray(clip.continuity.pieces)[k])]
-        if ground is not None:
-            at_ground = float(ground.depth(camera, np.array([[x + 0.5, y + 0.5]]))[0][0])
-            if np.isfinite(at_ground) and abs(np.log(at_ground / depth)) < SAME_SURFACE:
-                depth = at_ground
-    return number, float(np.log(depth / depths[y, x]))
+        depth, sigma = filled, UNSEEN_SIGMA
+    beside = filled if seen is None else seen
+    if np.isfinite(below) and abs(np.log(beside / below)) > TELL_APART:
+        taken = "the ground" if depth == below else "what other frames saw there"
+        other = "what was seen there" if seen is not None else "what is filled in there, which no frame saw,"
+        percent = 100 * abs(np.expm1(np.log(beside / below)))
+        side = "nearer" if beside < below else "farther"
+        report(f"--{hint.text}: {other} is {percent:.0f}% {side} than the ground; {taken} is taken.")
+    return depth, sigma
+
+
+def _at(values: np.ndarray, u: float, v: float, size: tuple[int, int]) -> float:
+    """The value of a map [h, w] of any size at a place in pixels of frames of ``size`` (width, height)."""
+    row, column = int(v * values.shape[0] / size[1]), int(u * values.shape[1] / size[0])
+    return float(values[min(row, values.shape[0] - 1), min(column, values.shape[1] - 1)])
 
 
 def _on_object(mask: np.ndarray, found: SceneObjects, k: int, hint: Hint, reach: float) -> tuple[int, int]:
