@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 SOURCE = Path(__file__).parent.parent / "src"
-KERNELS = {"njit", "jit", "intrinsic", "kernel", "helper", "inlined"}
+KERNELS = {"njit", "jit", "intrinsic", "kernel", "helper", "inline"}
 """Decorators of what Numba or Triton types."""
 
 

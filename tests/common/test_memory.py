@@ -19,12 +19,12 @@ def test_what_was_freed_counts():
 
 
 STAGES = """
-from flowsplat.common.memory import begin_peak, peak_memory, recent_peak
+from flowsplat.common.memory import begin_peak, get_recent_peak, peak_memory
 b = bytearray(300 << 20); del b
 first = peak_memory()
 begin_peak()
 b = bytearray(100 << 20)
-print(first - recent_peak(), first - peak_memory())
+print(first - get_recent_peak(), first - peak_memory())
 """
 
 
@@ -39,7 +39,7 @@ def test_the_peak_of_a_stage_does_not_hold_what_was_before_it_and_that_of_the_pr
 FAULTS = """
 import resource
 import numpy as np
-from flowsplat.common.memory import freed_memory_kept
+from flowsplat.common.memory import keep_freed_memory
 
 def faults():
     before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
@@ -48,7 +48,7 @@ def faults():
     return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
 
 before = faults()
-with freed_memory_kept():
+with keep_freed_memory():
     faults()
     inside = faults()
 print(before, inside, faults())

@@ -17,10 +17,10 @@ import sys
 sys.modules["triton"] = None  # importing it fails
 import torch
 import flowsplat
-from flowsplat.common.triton import interpreted, require_triton, triton_works
+from flowsplat.common.triton import is_interpreted, require_triton, triton_works
 from flowsplat.splatting import rasterize
 
-assert not interpreted()
+assert not is_interpreted()
 assert triton_works() is not None
 arguments = [torch.tensor([[0.0, 0, 2]]), torch.tensor([[1.0, 0, 0, 0]]), torch.full((1, 3), 0.2), torch.tensor([0.8]),
              torch.ones(1, 3), torch.eye(4), torch.tensor([[20.0, 0, 10], [0, 20, 10], [0, 0, 1]]), 20, 20]

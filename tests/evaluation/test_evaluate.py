@@ -177,9 +177,9 @@ def test_lpips_is_averaged_where_it_can_be_measured(world, build_scene, monkeypa
 def test_a_long_clip_without_truth_renders_a_sample_of_its_training_frames(world, build_scene):
     scene = build_scene(truth=False)
     scene.train_frames = list(range(24))
-    assert module.training_stride(scene) == 3
+    assert module.choose_training_stride(scene) == 3
     scene.train_frames = list(range(400))
-    assert module.training_stride(scene) == 8
+    assert module.choose_training_stride(scene) == 8
 
 
 def test_renderings_and_sheets_are_written(world, build_scene, tmp_path):

@@ -35,7 +35,9 @@ def test_ipython_completes_the_public_names():
 from IPython.core.interactiveshell import InteractiveShell
 shell = InteractiveShell.instance()
 shell.run_cell("import flowsplat")
-print(*shell.complete("flowsplat.")[1])
+from IPython.core.completer import provisionalcompleter
+with provisionalcompleter():
+    print(*(each.text for each in shell.Completer.completions("flowsplat.", len("flowsplat."))))
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     offered = {name.rpartition(".")[2] for name in done.stdout.split()}

@@ -90,7 +90,7 @@ def prepared(done: Path, tmp_path: Path) -> Scene:
 def networks(monkeypatch) -> None:
     """What stands for networks that are not there: other methods of the same names."""
 
-    def learned_depth(name: str, scene: Scene, *_: object) -> Monocular:
+    def predict_depth(name: str, scene: Scene, *_: object) -> Monocular:
         def inverse(i: int) -> tuple[np.ndarray, np.ndarray]:
             return 1 / scene.truth.depth(i).depth, np.ones((HEIGHT, WIDTH), np.float32)
 
@@ -102,7 +102,7 @@ def networks(monkeypatch) -> None:
         scene.finish_prior("masks", method=segmenter, verdict=shown_by)
 
     monkeypatch.setattr("flowsplat.priors.learned.raft.raft_estimator", lambda *_: dis_estimator)
-    monkeypatch.setattr("flowsplat.priors.learned.depth.learned_depth", learned_depth)
+    monkeypatch.setattr("flowsplat.priors.learned.depth.predict_depth", predict_depth)
     monkeypatch.setattr("flowsplat.priors.learned.sam.load_segmenter", lambda name, *_: name)
     monkeypatch.setattr("flowsplat.priors.learned.sam.sam_stage", sam_stage)
 

@@ -114,5 +114,5 @@ def test_without_torchvision_there_is_a_reason(monkeypatch):
     for name in [name for name in sys.modules if name.split(".")[0] == "torchvision"]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "torchvision", None)
-    with pytest.raises(InputError, match=r"--flow raft needs torchvision.*flowsplat\[learned\].*--flow dis"):
+    with pytest.raises(InputError, match=r"--flow raft needs torchvision.*\.\[learned\].*--flow dis"):
         raft_estimator("large", CPU)

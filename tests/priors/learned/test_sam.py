@@ -81,5 +81,5 @@ def test_another_network_is_refused(depth_anything: Path):
 
 def test_without_transformers_there_is_a_reason(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "transformers", None)
-    with pytest.raises(InputError, match=r"--masks sam3 needs transformers.*flowsplat\[learned\].*--masks motion"):
+    with pytest.raises(InputError, match=r"--masks sam3 needs transformers.*\.\[learned\].*--masks motion"):
         load_segmenter("sam3", ModelOptions(), CPU)
