@@ -81,12 +81,12 @@ def _on_page(each: Table) -> dict[str, Any]:
 
 
 def failures(failed: Mapping[str, str], done: str = "run") -> list[str]:
-    """A remark on each of those that failed, from their names and why; ``done``: what could not be done with them."""
+    """Return a remark on each of those that failed, from their names and why; ``done``: what could not be done with them."""
     return [f"{name} could not be {done}: {reason}" for name, reason in failed.items()]
 
 
 def runs_measured(results: Sequence[Result], failed: Mapping[str, str]) -> str:
-    """How many runs there are and how many are missing, in a sentence.
+    """Return how many runs there are and how many are missing, in a sentence.
 
     >>> runs_measured([{}, {}], {}), runs_measured([], {"bear": "it is torn"})
     ('Runs measured: 2.', 'Runs measured: 0; that could not be run: 1.')
@@ -97,7 +97,7 @@ def runs_measured(results: Sequence[Result], failed: Mapping[str, str]) -> str:
 def scene_section(
     out: Path, title: str, facts: str, page: str, images: Sequence[tuple[np.ndarray, str]] = (), widest: int = WIDEST
 ) -> dict[str, Any]:
-    """What the page says of a scene.
+    """Return what the page says of a scene.
 
     Args:
         page: of the scene, in ``out``; there is a link to it where it is there.

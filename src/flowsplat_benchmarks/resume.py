@@ -1,4 +1,4 @@
-"""Many measurements, each in a process of its own, by the engines of ``flowsplat batch``; called again, it continues."""
+"""Take many measurements, each in a process of its own, by the engines of ``flowsplat batch``; called again, it continues."""
 
 from __future__ import annotations
 
@@ -49,11 +49,11 @@ class Job:
     path: Path | None = None
 
     def file(self, out: Path) -> Path:
-        """Where its figures are."""
+        """Return where its figures are."""
         return self.path or out / f"{self.name}.json"
 
     def is_measured(self, out: Path) -> bool:
-        """Whether its figures are there."""
+        """Return whether its figures are there."""
         path = self.file(out)
         return path.exists() and read_json(path).get("key", "") == self.key
 
@@ -139,11 +139,11 @@ def _measure(job: Job, out: Path, again: bool, attempt: Attempt) -> Mapping[str,
 
 
 def results_at(paths: Iterable[Path]) -> list[dict[str, Any]]:
-    """The figures in those of the files that are there, in order."""
+    """Return the figures in those of the files that are there, in order."""
     return [read_json(path) for path in paths if path.exists()]
 
 
 def results_in(protocol: str, out: Path) -> list[dict[str, Any]]:
-    """The figures of a protocol that are in a folder, by name."""
+    """Return the figures of a protocol that are in a folder, by name."""
     found: list[Any] = [*results_at(sorted(out.glob("[!.]*.json")))]
     return [value for value in found if isinstance(value, dict) and value.get("protocol") == protocol]

@@ -9,7 +9,7 @@ from flowsplat.common.errors import InputError
 
 
 def open_root(root: Path, holds: str) -> Path:
-    """The root as a path.
+    """Return the root as a path.
 
     Raises:
         InputError: it is no folder; ``holds`` says what it should hold.

@@ -15,7 +15,7 @@ WAIT = 2.0
 
 
 def prepare_scene(case: Case, folder: Path) -> Path:
-    """The prepared scene of a case in ``folder``, a run; what is missing of it is computed, in a process of its own.
+    """Return the prepared scene of a case in ``folder``, a run; what is missing of it is computed, in a process of its own.
 
     Raises:
         InputError: the input cannot be used.

@@ -59,11 +59,11 @@ class Column:
     sign: bool = False
 
     def is_in(self, results: Iterable[Result]) -> bool:
-        """Whether any of the results has it."""
+        """Return whether any of the results has it."""
         return any(pick(result, *self.path) is not None for result in results)
 
     def cell(self, *results: Result) -> str:
-        """The mean of the results that have it; a dash where none has."""
+        """Return the mean of the results that have it; a dash where none has."""
         return text(compute_scaled_mean((pick(result, *self.path) for result in results), self.factor), self.digits, self.sign)
 
 
@@ -73,7 +73,8 @@ def label(result: Result) -> str:
 
 
 def describe_version(results: Iterable[Result]) -> str:
-    """Which state of flowsplat made some results, in a sentence; several are told, because figures may differ for that alone.
+    """Return which state of flowsplat made some results, in a sentence; several are told, because figures may differ for that
+    alone.
 
     >>> describe_version([{"flowsplat": "1.0+a"}, {"flowsplat": "1.0+b"}, {"flowsplat": "1.0+b"}])
     'Made by 2 different states of flowsplat, of which figures may differ for that alone: 1.0+a (1 run), 1.0+b (2 runs).'
@@ -86,7 +87,7 @@ def describe_version(results: Iterable[Result]) -> str:
 
 
 def text(value: float | None, digits: int, sign: bool = False) -> str:
-    """A number, with its sign where that is asked for (zero has none but +); a dash for None.
+    """Return a number, with its sign where that is asked for (zero has none but +); a dash for None.
 
     >>> text(1234.5, 1), text(0.25, 2, sign=True), text(None, 2)
     ('1,234.5', '+0.25', '–')
@@ -97,13 +98,13 @@ def text(value: float | None, digits: int, sign: bool = False) -> str:
 
 
 def compute_scaled_mean(values: Iterable[float | None], factor: float = 1.0) -> float | None:
-    """The mean of the values that are there times ``factor``, None if none is."""
+    """Return the mean of the values that are there times ``factor``, None if none is."""
     mean = mean_of(values)
     return None if mean is None else factor * mean
 
 
 def format_table(header: Sequence[str], rows: Iterable[Sequence[str]], strong: Sequence[int] = ()) -> list[str]:
-    """The lines of a table; rows with the indices ``strong`` are bold."""
+    """Return the lines of a table; rows with the indices ``strong`` are bold."""
     lines = ["| " + " | ".join(header) + " |", "|" + " --- |" * len(header)]
     for k, row in enumerate(rows):
         lines.append("| " + " | ".join(f"**{cell}**" if k in strong else cell for cell in row) + " |")
@@ -111,7 +112,7 @@ def format_table(header: Sequence[str], rows: Iterable[Sequence[str]], strong: S
 
 
 def plain(cell: str) -> str:
-    """A cell without Markdown's emphasis.
+    """Return a cell without Markdown's emphasis.
 
     >>> plain("bear, *tuned*"), plain("2 * 3")
     ('bear, tuned', '2 * 3')
@@ -120,7 +121,7 @@ def plain(cell: str) -> str:
 
 
 def format_page(title: str, remarks: Sequence[str], found: Sequence[Table]) -> str:
-    """A page with all tables; the chart of one stands under it, by the name of its file."""
+    """Return a page with all tables; the chart of one stands under it, by the name of its file."""
     lines = [f"# {title}", "", *(f"- {remark}" for remark in remarks)]
     for each in found:
         lines += ["", f"## {each.title}", "", *format_table(each.header, each.rows, each.strong), "", each.note]

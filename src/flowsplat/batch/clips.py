@@ -53,7 +53,7 @@ class BatchClip:
 
 
 def find_clips(inputs: Sequence[Path], config: RunConfig, out: Path) -> list[BatchClip]:
-    """The clips that inputs name, in their order; a clip that is named twice in the same way is one.
+    """Return the clips that inputs name, in their order; a clip that is named twice in the same way is one.
 
     Args:
         inputs: clips (all that ``run`` takes), folders of them, and lists: ``.txt`` with a path on every line, ``.csv``, ``.tsv``
@@ -103,7 +103,7 @@ def _is_folder_of_clips(folder: Path) -> bool:
 
 
 def _within(folder: Path, out: Path, depth: int = 0) -> Iterator[Path]:
-    """The clips in a folder, by name; what is hidden, or a run, is none."""
+    """Yield the clips in a folder, by name; what is hidden, or a run, is none."""
     for path in sorted(folder.iterdir()):
         if path.name.startswith(".") or Path(os.path.abspath(path)) == out or RunPaths(path).record_path.exists():
             continue
@@ -121,7 +121,7 @@ def _within(folder: Path, out: Path, depth: int = 0) -> Iterator[Path]:
 
 
 def _rows(source: Path) -> Iterator[tuple[str, Mapping[str, Any]]]:
-    """What a list says of each clip, and where it stands."""
+    """Yield what a list says of each clip, and where it stands."""
     kind = source.suffix.lower()
     if kind == ".txt":
         for number, line in enumerate(read_text(source).splitlines(), 1):
@@ -136,7 +136,7 @@ def _rows(source: Path) -> Iterator[tuple[str, Mapping[str, Any]]]:
 
 
 def _read_listed_clip(where: str, row: Mapping[str, Any], folder: Path, config: RunConfig) -> BatchClip:
-    """The clip of one row of a list."""
+    """Return the clip of one row of a list."""
     path, name = row.get("path"), row.get("id")
     if not isinstance(path, str) or not path or "\0" in path:
         raise InputError(f"{where}: there is no path in it.")
@@ -167,7 +167,8 @@ def _read_listed_clip(where: str, row: Mapping[str, Any], folder: Path, config: 
 
 
 def _value(value: Any, hint: Any, folder: Path) -> Any:
-    """A value of a list as JSON holds the setting: texts of tables are read as what the setting is, files lie beside the list."""
+    """Return a value of a list as JSON holds the setting: texts of tables are read as what the setting is, files lie beside the
+    list."""
     if isinstance(value, str):
         if value.lower() == "none" and type(None) in get_args(hint):
             return None
@@ -187,7 +188,7 @@ def _clip(path: Path, config: RunConfig, name: str | None = None) -> BatchClip:
 
 
 def id_of(path: Path, config: RunConfig) -> str:
-    """The name of a clip: its file's, and six digits of a hash of where it lies and what is taken from it.
+    """Return the name of a clip: its file's, and six digits of a hash of where it lies and what is taken from it.
 
     It depends on nothing else, so that a clip keeps its run when others come and go, and when its priors or its training change.
 
@@ -205,7 +206,7 @@ def id_of(path: Path, config: RunConfig) -> str:
 
 
 def of_shard(ids: Sequence[str], shard: str | None, environment: Mapping[str, str]) -> set[str]:
-    """The ids that are this process's: all, or part ``i/n`` (1/n to n/n) by a hash of each, so that others move none.
+    """Return the ids that are this process's: all, or part ``i/n`` (1/n to n/n) by a hash of each, so that others move none.
 
     Args:
         shard: None = the task of a SLURM array that this process is, if it is one.

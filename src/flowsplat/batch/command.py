@@ -46,7 +46,7 @@ class PlanFile(TypedDict):
 
 
 def read_plan(out: Path) -> tuple[list[Path], RunConfig] | None:
-    """The inputs and settings of the batch in a folder; None where there is none.
+    """Return the inputs and settings of the batch in a folder; None where there is none.
 
     Raises:
         InputError: it is damaged.
@@ -106,7 +106,7 @@ def run_batch(
 
 
 def _choose_clips(clips: Sequence[BatchClip], options: BatchOptions) -> list[BatchClip]:
-    """The clips that this process is to see to."""
+    """Return the clips that this process is to see to."""
     known = {clip.id for clip in clips}
     for name in options.only:
         if name not in known:
@@ -202,7 +202,7 @@ class _Page:
 
 
 def list_running(claims: Claims) -> dict[str, str]:
-    """Who works on what, by id."""
+    """Return who works on what, by id."""
     return {name: claims.who(name, number) for name, number in claims.newest().items() if not claims.is_dead(name, number)}
 
 

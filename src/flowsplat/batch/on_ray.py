@@ -128,7 +128,7 @@ class OnRay:
         return self._ray.remote(**options)(_do).remote(job, fewer, gib, self._logs / f"{job.id}.log")
 
     def _heard(self, task: _Task) -> Ended | None:
-        """What a task came to; None where it said what it needs and goes on."""
+        """Return what a task came to; None where it said what it needs and goes on."""
         errors = self._ray.exceptions
         try:
             found = self._ray.get(task.ref)
@@ -174,7 +174,7 @@ class _Here:
 
 
 def _do(job: Job, fewer: bool, gib: float | None, log: Path) -> Outcome | float:
-    """A task: how the work ended, or, where nobody knows yet what it needs, that."""
+    """Return a task: how the work ended, or, where nobody knows yet what it needs, that."""
     report_into(log)
     try:
         return outcome_of(job.call, _Here(fewer, gib is None))

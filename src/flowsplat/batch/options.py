@@ -1,4 +1,4 @@
-"""How a batch is done."""
+"""Define the options of a batch."""
 
 from __future__ import annotations
 

@@ -103,7 +103,7 @@ def write_results(out: Path, records: Records, wanted: Mapping[str, str], runnin
 
 
 def summary(counts: Mapping[str, int]) -> str:
-    """How far a batch is, in a sentence.
+    """Return how far a batch is, in a sentence.
 
     >>> summary({"done": 38, "refused": 2})
     '38 of 40 clips are done, 2 refused.'
@@ -134,7 +134,7 @@ def _time(clips: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _row(out: Path, clip: Mapping[str, Any]) -> dict[str, Any]:
-    """What the template needs of a clip; addresses are relative to OUT."""
+    """Return what the template needs of a clip; addresses are relative to OUT."""
 
     def address(place: Any) -> str | None:
         return quote(str(place)) if place and (out / str(place)).exists() else None

@@ -1,4 +1,4 @@
-"""What became of every piece of work of a batch, in ``OUT/.batch``; any number of processes read and write it.
+"""Record the state of every piece of work of a batch in ``OUT/.batch``; any number of processes read and write it.
 
     done/ID.json, failed/ID.json, refused/ID.json    ended, with the result
     open/ID.json                                     something went wrong, and there is to be another attempt
@@ -80,7 +80,7 @@ class Outcome:
 
 
 def after_attempt(before: Record | None, name: str, key: str, number: int, outcome: Outcome) -> dict[str, Any]:
-    """The record of a piece of work after attempt ``number``: whether it has ended, or there is to be another one.
+    """Return the record of a piece of work after attempt ``number``: whether it has ended, or there is to be another one.
 
     What cannot be used is never tried again. A crash is continued ``CONTINUED`` times, an attempt that outgrew its memory once
     more, with fewer Gaussians. Being stopped, or in somebody's way, counts for nothing.
@@ -122,7 +122,7 @@ class Records:
             make_folder(self.folder / state)
 
     def states(self) -> dict[str, str]:
-        """The state of every piece of work that has a record, by names of files alone."""
+        """Return the state of every piece of work that has a record, by names of files alone."""
         found: dict[str, str] = {}
         for state in reversed(STATES):  # what has ended counts where a process died between writing and deleting
             with contextlib.suppress(OSError):
@@ -132,7 +132,7 @@ class Records:
         return found
 
     def read(self, name: str) -> Record | None:
-        """The latest record of a piece of work; None where there is none, or none that can be read."""
+        """Return the latest record of a piece of work; None where there is none, or none that can be read."""
         latest: Record | None = None
         for state in STATES:
             path = self.folder / state / f"{name}.json"

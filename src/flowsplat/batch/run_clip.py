@@ -1,4 +1,4 @@
-"""One clip of a batch in its own process: the run, and what the page of the batch shows of it."""
+"""Run one clip of a batch in its own process, and describe what the page of the batch shows of it."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ FIGURES = {
 
 
 def clip_job(clip: BatchClip, out: Path, copies: str | None = None) -> Job:
-    """The run of a clip in ``OUT/<id>``. It is done again when its settings change, or the file that it is of.
+    """Return the run of a clip in ``OUT/<id>``. It is done again when its settings change, or the file that it is of.
 
     Args:
         copies: a URL that its folder is copied to when it is done.
@@ -93,7 +93,7 @@ def run_clip(clip: BatchClip, out: Path, copies: str | None, attempt: Attempt) -
 
 
 def _memory(path: Path, options: InputOptions) -> float:
-    """GiB that the run of an input needs.
+    """Return GiB that the run of an input needs.
 
     Raises:
         InputError: it cannot be used.
@@ -107,7 +107,7 @@ def _memory(path: Path, options: InputOptions) -> float:
 
 
 def fewer_gaussians(config: RunConfig) -> RunConfig:
-    """The settings of a run that may not take as much memory."""
+    """Return the settings of a run that may not take as much memory."""
     train = config.train
     init = replace(
         train.init, background_spacing=SPARSER * train.init.background_spacing,
@@ -118,7 +118,7 @@ def fewer_gaussians(config: RunConfig) -> RunConfig:
 
 
 def _video(folder: Path) -> Path | None:
-    """What the page plays: the first video in color alone, that along the clip's path before others."""
+    """Return what the page plays: the first video in color alone, that along the clip's path before others."""
     renders = RunPaths(folder).renders_path
     files = sorted(
         list_rendered(renders).items(), key=lambda each: (not each[0].startswith("input"), not each[0].endswith("_color"))
@@ -128,7 +128,7 @@ def _video(folder: Path) -> Path | None:
 
 
 def _write_thumb(name: str, folder: Path, out: Path) -> str:
-    """A small image of the result, of a held-out frame where there is one; its place, relative to OUT."""
+    """Return a small image of the result, of a held-out frame where there is one; its place, relative to OUT."""
     run = RunPaths(folder)
     scene = Scene(run.scene_path)
     shown = sorted((run.evaluation_path / "heldout").glob("[0-9][0-9][0-9][0-9][0-9].png"))

@@ -1,4 +1,5 @@
-"""Who does what, of those who share a batch: each process takes the next piece of work that is open and that nobody has."""
+"""Schedule the work of a batch among the processes that share it: each process takes the next piece of work that is open and that
+nobody has."""
 
 from __future__ import annotations
 
@@ -139,7 +140,7 @@ class Scheduler:
         self._list_took = self._listed - began
 
     def _is_again(self, name: str) -> bool:
-        """Whether a record that has ended is still the one that is to be tried once more."""
+        """Return whether a record that has ended is still the one that is to be tried once more."""
         if name not in self._again:
             return False
         record, before = self._records.read(name), self._before.get(name)
@@ -149,7 +150,7 @@ class Scheduler:
         return True
 
     def _next(self) -> str | None:
-        """The next job, which this process then has; None where there is none for now."""
+        """Return the next job, which this process then has; None where there is none for now."""
         if time.monotonic() - self._listed > max(FRESH if self._open else self._poll, LISTED * self._list_took):
             self._list()
         skipped: list[str] = []

@@ -1,4 +1,4 @@
-"""How far a batch is: a table that moves on a terminal, a line a minute elsewhere."""
+"""Show the progress of a batch: a table that moves on a terminal, a line a minute elsewhere."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Progress:
             report(self.line(scheduler))
 
     def line(self, scheduler: Scheduler) -> str:
-        """How far it is, in words."""
+        """Return how far it is, in words."""
         spent, ended = time.monotonic() - self._began, len(scheduler.ended) - (self._first or 0)
         wrong = [f"{count} {state}" for state, count in sorted(scheduler.counts.items()) if state != "done"]
         counted = f" ({', '.join(wrong)})" if wrong else ""

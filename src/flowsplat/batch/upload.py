@@ -16,7 +16,7 @@ _BLOCK = 2**20
 
 
 def open_url(url: str) -> tuple[Any, str]:
-    """The file system of a URL, and the place in it.
+    """Return the file system of a URL, and the place in it.
 
     Raises:
         InputError: fsspec, or the package for such URLs, is not installed; or it is no such URL.

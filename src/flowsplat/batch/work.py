@@ -71,16 +71,16 @@ class Engine(Protocol):
     """Does pieces of work, each in a process of its own."""
 
     def has_room(self) -> bool:
-        """Whether another one can be started now."""
+        """Return whether another one can be started now."""
 
     def start(self, job: Job, fewer: bool) -> None:
         """Begin an attempt."""
 
     def wait(self, seconds: float) -> Sequence[Ended]:
-        """What has ended; waits at most so long for something to end."""
+        """Return what has ended; waits at most so long for something to end."""
 
     def list_running(self) -> Sequence[Running]:
-        """What goes on."""
+        """Return what goes on."""
 
     def drop(self, name: str) -> None:
         """End an attempt at once; nothing is told of it."""

@@ -19,7 +19,7 @@ NO_PREFIX = tyro.conf.arg(name="")
 
 
 def value_of(arguments: Sequence[str], option: str) -> str | None:
-    """What follows an option, behind a space or =; None where it is not among them."""
+    """Return what follows an option, behind a space or =; None where it is not among them."""
     for k, argument in enumerate(arguments):
         if argument == option and k + 1 < len(arguments):
             return arguments[k + 1]

@@ -1,4 +1,4 @@
-"""What a command is, and how the files of a folder become commands."""
+"""Define commands of the command line, and collect them from the files of a folder."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def preset_defaults(arguments: Sequence[str]) -> RunConfig:
-    """The settings of the preset that the arguments name, or of the default one."""
+    """Return the settings of the preset that the arguments name, or of the default one."""
     from flowsplat.pipeline.config import preset
 
     return preset(value_of(arguments, "--preset") or "default")
@@ -40,7 +40,7 @@ class Command:
 
 
 def benchmark_commands() -> str:
-    """The package of the commands of ``flowsplat benchmark``, which are none of flowsplat's own.
+    """Return the package of the commands of ``flowsplat benchmark``, which are none of flowsplat's own.
 
     Raises:
         InputError: it is not installed.
@@ -54,14 +54,14 @@ def benchmark_commands() -> str:
 
 
 def commands_of(package: str) -> dict[str, Command]:
-    """Every command of a package, by name and in order: each of its modules holds one as ``COMMAND``."""
+    """Return every command of a package, by name and in order: each of its modules holds one as ``COMMAND``."""
     names = sorted(module.name for module in pkgutil.iter_modules(importlib.import_module(package).__path__))
     found = {name: importlib.import_module(f"{package}.{name}").COMMAND for name in names}
     return dict(sorted(found.items(), key=lambda item: item[1].place))
 
 
 def functions_of(package: str, arguments: Sequence[str]) -> dict[str, Callable[..., Any]]:
-    """The function of every command of a package, by name: its defaults are those of the command that the arguments name.
+    """Return the function of every command of a package, by name: its defaults are those of the command that the arguments name.
 
     Args:
         arguments: of the command line, which the name of the command begins.

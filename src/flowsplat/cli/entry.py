@@ -90,7 +90,7 @@ class _Deferred:
         self._chosen: Any = None
 
     def wrap(self, function: Any) -> Any:
-        """The function with the same signature, which only remembers its arguments."""
+        """Return the function with the same signature, which only remembers its arguments."""
         import functools
 
         @functools.wraps(function)

@@ -1,4 +1,4 @@
-"""What tyro prints, made shorter: help with the usual options only, messages in one line."""
+"""Shorten what tyro prints: help with the usual options only, messages in one line."""
 
 import re
 
@@ -12,7 +12,7 @@ MANY = 40
 
 
 def short_help(text: str, command: str) -> str:
-    """The help of a command as tyro prints it into a file, with the usual options only where there are many."""
+    """Return the help of a command as tyro prints it into a file, with the usual options only where there are many."""
     head, *sections = re.split(r"^ (?=\S.*\n -{9})", text, flags=re.M)
     options, usual, kept = 0, 0, [head]
     for section in sections:
@@ -26,7 +26,7 @@ def short_help(text: str, command: str) -> str:
 
 
 def message_of(box: str) -> str:
-    """The message in one of tyro's boxes, as one line: of what one may have meant the names only."""
+    """Return the message in one of tyro's boxes, as one line: of what one may have meant the names only."""
     text: list[str] = []
     meant: list[str] | None = None
     for line in (line.strip("│╭╮╰╯─ \n") for line in box.splitlines()):

@@ -1,4 +1,4 @@
-"""Of commands on a run: its settings as their defaults, the run with some of them changed, and its figures."""
+"""Serve commands on a run: its settings as their defaults, the run with some of them changed, and its figures."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ HOLDOUT_NOTE = "These figures are of frames that were kept back (--holdout); --h
 
 
 def run_defaults(arguments: Sequence[str]) -> RunConfig:
-    """The settings of the run that a command works on, trained as a preset says where one is named; without a run the preset's.
+    """Return the settings of the run that a command works on, trained as a preset says where one is named; without a run the
+    preset's.
 
     Raises:
         InputError: the record of the run is damaged, or there is no such preset.

@@ -1,1 +1,1 @@
-"""What every package uses: errors for people, atomic files, progress, devices."""
+"""Provide what every package uses: errors for people, atomic files, progress, devices."""

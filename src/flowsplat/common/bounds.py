@@ -1,4 +1,4 @@
-"""What numbers a setting may be: said where the setting is, checked by one function, shown by the help.
+"""Bound numeric settings: said where the setting is, checked by one function, shown by the help.
 
 A number of a dataclass of settings is ``Annotated[float, Meta(ge=0, le=1)]``, or one of the types here; where it says nothing it
 may be anything. Beyond its bounds a value makes no sense, or is a slip that would overflow or fill the memory.
@@ -30,7 +30,7 @@ Kind = TypeVar("Kind", bound=type)
 
 
 def bounds_of(kind: type) -> dict[str, Meta]:
-    """The bounds of the settings of a dataclass, those within it left out, by name."""
+    """Return the bounds of the settings of a dataclass, those within it left out, by name."""
     found = {}
     for name, hint in get_type_hints(kind, include_extras=True).items():
         for extra in getattr(hint, "__metadata__", ()):
@@ -40,7 +40,7 @@ def bounds_of(kind: type) -> dict[str, Meta]:
 
 
 def problem(value: float, bounds: Meta) -> str | None:
-    """What a number must be and is not."""
+    """Return what a number must be and is not."""
     low, high = bounds.ge if bounds.ge is not None else bounds.gt, bounds.le if bounds.le is not None else bounds.lt
     if bounds.gt is not None and bounds.lt is not None:
         return None if bounds.gt < value < bounds.lt else f"must be between {bounds.gt:g} and {bounds.lt:g}"
@@ -68,7 +68,8 @@ def check_bounds(config: Any, prefix: str) -> None:
 
 
 def numbers(config: Any, prefix: str = "") -> Iterator[tuple[str, float, Meta]]:
-    """The dotted name, value and bounds of every setting that has some and is a number, also of dataclasses within this one."""
+    """Yield the dotted name, value and bounds of every setting that has some and is a number, also of dataclasses within this
+    one."""
     bounds = bounds_of(type(config))
     for field in dataclasses.fields(config):
         value = getattr(config, field.name)

@@ -1,4 +1,4 @@
-"""Which backends work on this machine, and why the others do not; and whose kernels compute with a tensor."""
+"""Detect which backends work on this machine, and why the others do not; and whose kernels compute with a tensor."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def gpu_problem() -> str | None:
 
 
 def backends() -> list[Backend]:
-    """What this machine can splat with."""
+    """Return what this machine can splat with."""
     from numba import config
 
     problem = gpu_problem()
@@ -66,12 +66,12 @@ def pick_device(name: str) -> torch.device:
 
 
 def kernels_for(value: Tensor) -> Kernels:
-    """Whose kernels compute with tensors like this one; what is not float32 goes through the oracles, on any device."""
+    """Return whose kernels compute with tensors like this one; what is not float32 goes through the oracles, on any device."""
     return "reference" if value.dtype != torch.float32 else kernels_on(value.device)
 
 
 def kernels_on(device: torch.device) -> Kernels:
-    """Whose kernels compute on a device."""
+    """Return whose kernels compute on a device."""
     if device.type == "cpu":
         return "cpu"
     return "triton" if device.type == "cuda" and gpu_problem() is None else "reference"
@@ -89,7 +89,7 @@ class Later:
             self._arrived.record(torch.cuda.current_stream(numbers.device))
 
     def values(self) -> list[int]:
-        """The numbers. Waits for what the device was told before it was asked, and for nothing after that."""
+        """Return the numbers. Waits for what the device was told before it was asked, and for nothing after that."""
         if self._arrived is not None:
             self._arrived.synchronize()
             self._arrived = None
@@ -98,6 +98,6 @@ class Later:
 
 
 def upload(values: np.ndarray | Tensor, device: torch.device) -> Tensor:
-    """A host array on a device, without waiting for what that device still computes; on the CPU the same memory."""
+    """Return a host array on a device, without waiting for what that device still computes; on the CPU the same memory."""
     tensor = values if isinstance(values, Tensor) else torch.from_numpy(np.ascontiguousarray(values))
     return tensor if tensor.device == device else tensor.to(device, non_blocking=True)

@@ -1,4 +1,4 @@
-"""How long something takes, in words."""
+"""Format durations in words."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def command_begins(at: float) -> None:
 
 
 def get_beginning() -> float:
-    """When that was, for the first who asks; now for all others, and where this process is no command."""
+    """Return when that was, for the first who asks; now for all others, and where this process is no command."""
     global _begun
     at, _begun = _begun, None
     return time.perf_counter() if at is None else at

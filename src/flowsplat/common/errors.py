@@ -28,7 +28,7 @@ class SplitError(RuntimeError):
 
 
 def describe_install(extra: str) -> str:
-    """What to type for an extra of flowsplat that is not installed: no package index has flowsplat before its first release.
+    """Return what to type for an extra of flowsplat that is not installed: no package index has flowsplat before its first release.
 
     >>> describe_install("view")
     "pip install -e '.[view]' in flowsplat's repository"
@@ -47,5 +47,5 @@ def _both_ends(text: str) -> str:
 
 
 def first_line(error: BaseException) -> str:
-    """What an error says, on one line that fits into a sentence; its kind where it says nothing."""
+    """Return what an error says, on one line that fits into a sentence; its kind where it says nothing."""
     return (str(error).strip().splitlines() or [type(error).__name__])[0].rstrip(".: ")

@@ -47,14 +47,14 @@ _SETTINGS = ("OPT", "LOOP_VECTORIZE", "SLP_VECTORIZE", "BOUNDSCHECK", "CPU_NAME"
 
 
 def kernels_folder() -> Path:
-    """Where compiled kernels are: in ``NUMBA_CACHE_DIR`` where that is set, in the user's folder for caches elsewhere."""
+    """Return where compiled kernels are: in ``NUMBA_CACHE_DIR`` where that is set, in the user's folder for caches elsewhere."""
     own = os.environ.get("NUMBA_CACHE_DIR")
     return Path(own) if own else cache_folder() / "kernels"
 
 
 @cache
 def sources_of(file: Path) -> tuple[Path, ...]:
-    """A Python file and all files of the package that it imports, directly or through others, sorted."""
+    """Return a Python file and all files of the package that it imports, directly or through others, sorted."""
     found: set[Path] = set()
     left = [file.resolve()]
     while left:
@@ -84,7 +84,7 @@ def _list_imported(file: Path) -> tuple[Path, ...]:
 
 
 def _that_run(node: ast.AST) -> Iterator[ast.AST]:
-    """A node and all below it, but for what is there for type checkers only."""
+    """Yield a node and all below it, but for what is there for type checkers only."""
     yield node
     for child in ast.iter_child_nodes(node):
         if not (isinstance(child, ast.If) and isinstance(child.test, ast.Name) and child.test.id == "TYPE_CHECKING"):
@@ -110,7 +110,7 @@ def _machine() -> str:
 
 @cache
 def key_of(file: Path) -> str:
-    """What machine code of the kernels in a Python file belongs to: 16 hexadecimal digits."""
+    """Return what machine code of the kernels in a Python file belongs to: 16 hexadecimal digits."""
     digest = hashlib.sha256(_machine().encode())
     for path in sources_of(file):
         digest.update(f"\n{path.relative_to(PACKAGE.parent) if path.is_relative_to(PACKAGE.parent) else path.name}\n".encode())
@@ -122,7 +122,7 @@ _compiled = 0
 
 
 def count_compiled_kernels() -> int:
-    """How many kernels this process has compiled, and not loaded."""
+    """Return how many kernels this process has compiled, and not loaded."""
     return _compiled
 
 
@@ -162,7 +162,7 @@ class KernelCache(_Cache):
             shutil.rmtree(self.cache_path, ignore_errors=True)
 
     def load_overload(self, signature: Any, target_context: Any) -> Any:
-        """The compiled function for arguments of these types, or None."""
+        """Return the compiled function for arguments of these types, or None."""
         path = self._path(signature)
         if path is None:
             return None

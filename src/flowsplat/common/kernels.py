@@ -1,4 +1,4 @@
-"""How Numba compiles our kernels, and the elementary functions they call.
+"""Compile kernels with Numba, and define the elementary functions they call.
 
 ``math.exp``, ``math.floor`` and their like are calls into the C library, before which every vector register is saved, and
 ``math.floor`` gives an integer, with which the arithmetic that follows is double. What is here is inlined and stays float32.
@@ -47,7 +47,7 @@ def inline(function: Callable[..., Any]) -> Any:
 
 @intrinsic
 def bits_of(typingctx: Any, value: Any) -> Any:
-    """The bits of a float32 as an int32."""
+    """Return the bits of a float32 as an int32."""
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return builder.bitcast(args[0], ir.IntType(32))
@@ -57,7 +57,7 @@ def bits_of(typingctx: Any, value: Any) -> Any:
 
 @intrinsic
 def float_of(typingctx: Any, bits: Any) -> Any:
-    """The float32 that has these bits."""
+    """Return the float32 that has these bits."""
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return builder.bitcast(args[0], ir.FloatType())

@@ -1,4 +1,4 @@
-"""How much memory processes need, and how much there is."""
+"""Measure the memory that processes need, and how much there is."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _before = 0.0
 
 
 def peak_memory() -> float | None:
-    """GiB that this process needed at most; None where the system does not tell."""
+    """Return GiB that this process needed at most; None where the system does not tell."""
     recent = get_recent_peak()
     return None if recent is None else max(recent, _before)
 
@@ -29,7 +29,7 @@ def begin_peak() -> None:
 
 
 def get_recent_peak() -> float | None:
-    """GiB that this process needed at most since ``begin_peak``, or since it began; None where the system does not tell."""
+    """Return GiB that this process needed at most since ``begin_peak``, or since it began; None where the system does not tell."""
     try:
         # Of this program alone: what getrusage says includes the process that started it.
         found = re.search(r"VmHWM:\s*([0-9]+) kB", Path("/proc/self/status").read_text())
@@ -85,7 +85,7 @@ def give_back_memory() -> None:
 
 
 def memory_of(process: int) -> float | None:
-    """GiB that another process holds now; None where it is dead or the system does not tell."""
+    """Return GiB that another process holds now; None where it is dead or the system does not tell."""
     try:
         found = re.search(r"VmRSS:\s*([0-9]+) kB", Path(f"/proc/{process}/status").read_text())
     except OSError:
@@ -94,7 +94,8 @@ def memory_of(process: int) -> float | None:
 
 
 def free_memory() -> float | None:
-    """GiB that processes may still take, here and in the container that this one is in; None where the system does not tell."""
+    """Return GiB that processes may still take, here and in the container that this one is in; None where the system does not
+    tell."""
     free = []
     with contextlib.suppress(OSError):
         found = re.search(r"MemAvailable:\s*([0-9]+) kB", Path("/proc/meminfo").read_text())

@@ -1,4 +1,5 @@
-"""One process a run: its peak memory is its own, and nothing of it stays behind; and how many cores there are for them."""
+"""Start a process for each run: its peak memory is its own, and nothing of it stays behind; and how many cores there are for
+them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One way to show progress: live bars on a terminal and in a notebook, and a line every half a minute everywhere else."""
+"""Report progress in one way: live bars on a terminal and in a notebook, and a line every half a minute everywhere else."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def forget_reported() -> None:
 
 
 def is_live() -> bool:
-    """Whether bars can move: on a terminal, and in a notebook that can replace what it shows (``ipywidgets``)."""
+    """Return whether bars can move: on a terminal, and in a notebook that can replace what it shows (``ipywidgets``)."""
     return console.is_terminal or (console.is_jupyter and importlib.util.find_spec("ipywidgets") is not None)
 
 
@@ -158,7 +158,7 @@ _lines = _Lines()
 
 
 def describe_progress() -> str | None:
-    """Where the innermost thing is that goes on, in words; None where nothing does, or bars are drawn."""
+    """Return where the innermost thing is that goes on, in words; None where nothing does, or bars are drawn."""
     with contextlib.suppress(IndexError):
         return _lines.bars[-1].line
     return None
@@ -210,7 +210,7 @@ def _draw() -> Iterator[Progress]:
 
 
 def spinner(label: str) -> contextlib.AbstractContextManager[Bar]:
-    """A bar that moves as long as something goes on of which nobody knows how long it takes; bars may be inside."""
+    """Return a bar that moves as long as something goes on of which nobody knows how long it takes; bars may be inside."""
     return progress_bar(label, None)
 
 

@@ -1,4 +1,4 @@
-"""Where everything of a run lies in its folder."""
+"""Name the files and folders of a run."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ Config = TypeVar("Config")
 
 
 def to_plain(config: Any) -> Any:
-    """A configuration as JSON holds it."""
+    """Return a configuration as JSON holds it."""
     if dataclasses.is_dataclass(config) and not isinstance(config, type):
         return {field.name: to_plain(getattr(config, field.name)) for field in dataclasses.fields(config)}
     if isinstance(config, list | tuple):
@@ -32,7 +32,7 @@ def flat(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def from_plain(kind: type[Config], value: Mapping[str, Any]) -> Config:
-    """The inverse of ``to_plain``. Settings that are missing keep their defaults.
+    """Return the inverse of ``to_plain``. Settings that are missing keep their defaults.
 
     Raises:
         InputError: there is a setting that does not exist, or whose value is of another type.
@@ -69,7 +69,7 @@ def _check_type(kind: type, name: str, item: Any, hint: Any) -> None:
 
 
 def list_setting_types(kind: type, prefix: str = "") -> dict[str, Any]:
-    """The type of every setting of a dataclass and of those within it, by dotted name."""
+    """Return the type of every setting of a dataclass and of those within it, by dotted name."""
     found: dict[str, Any] = {}
     for name, hint in get_type_hints(kind).items():
         found |= (
@@ -79,7 +79,7 @@ def list_setting_types(kind: type, prefix: str = "") -> dict[str, Any]:
 
 
 def with_settings(config: Config, changes: Mapping[str, Any]) -> Config:
-    """A configuration with some settings changed.
+    """Return a configuration with some settings changed.
 
     Args:
         changes: values as JSON holds them, by dotted name.

@@ -17,7 +17,7 @@ from numba.extending import intrinsic, lower_builtin, models, register_model
 
 
 def _has_avx512() -> bool:
-    """Whether Numba compiles for AVX-512 (``NUMBA_CPU_FEATURES`` included)."""
+    """Return whether Numba compiles for AVX-512 (``NUMBA_CPU_FEATURES`` included)."""
     if config.CPU_FEATURES is not None:
         return "+avx512f" in config.CPU_FEATURES.split(",")
     return bool(binding.get_host_cpu_features().get("avx512f"))
@@ -234,7 +234,7 @@ def whole(typingctx, value):
 
 
 def _splat_number(builder: Any, number: Any) -> Any:
-    """An int64 as an int32 in every lane."""
+    """Return an int64 as an int32 in every lane."""
     undefined = ir.Constant(INDICES, ir.Undefined)
     single = builder.insert_element(undefined, builder.trunc(number, _I32), ir.Constant(_I32, 0))
     return builder.shuffle_vector(single, undefined, ir.Constant(INDICES, [0] * LANES))

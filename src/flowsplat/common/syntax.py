@@ -1,4 +1,4 @@
-"""One thread at a time where Python's ``ast`` is used."""
+"""Guard Python's ``ast``, which one thread at a time may use."""
 
 import threading
 

@@ -36,7 +36,7 @@ def get_max_threads() -> int:
 
 
 def thread_count() -> int:
-    """How many threads the kernels have that the calling thread starts."""
+    """Return how many threads the kernels have that the calling thread starts."""
     return max((getattr(_own, "count", None) or get_max_threads()) - _left_to_others, 1)
 
 
@@ -74,7 +74,7 @@ def _leave(cores: int) -> None:
 
 @cache
 def open_cv_threads() -> int:
-    """How many threads OpenCV has in this process where it need not leave any to others."""
+    """Return how many threads OpenCV has in this process where it need not leave any to others."""
     import cv2  # which a rasterizer alone does not need
 
     return int(cv2.getNumThreads())

@@ -21,7 +21,7 @@ MISSING = "Triton is not installed (it comes with PyTorch for GPUs on Linux; els
 
 
 def require_triton() -> ModuleType:
-    """The module ``triton``.
+    """Return the module ``triton``.
 
     Raises:
         ValueError: it is not installed.
@@ -35,7 +35,7 @@ def require_triton() -> ModuleType:
 
 
 def is_interpreted() -> bool:
-    """Whether kernels run in Triton's interpreter. False where there is no Triton.
+    """Return whether kernels run in Triton's interpreter. False where there is no Triton.
 
     What counts is what Triton found when it was imported: its own library of functions is interpreted from then on, or never.
     """
@@ -56,7 +56,7 @@ def check_runs(tensor: Tensor) -> None:
 
 
 def device_of(tensor: Tensor) -> AbstractContextManager[None]:
-    """A context in which the device of this tensor is the current one: that is where Triton launches, whatever it is given.
+    """Return a context in which the device of this tensor is the current one: that is where Triton launches, whatever it is given.
 
     A tensor on the CPU, with which the interpreter computes, changes nothing.
     """
@@ -65,7 +65,7 @@ def device_of(tensor: Tensor) -> AbstractContextManager[None]:
 
 
 def rows_per_program(count: int) -> int:
-    """Rows (Gaussians, say) for one program of an elementwise kernel: a power of two.
+    """Return rows (Gaussians, say) for one program of an elementwise kernel: a power of two.
 
     An interpreted program is a slow loop of its own, so there are few of them, but more than one.
     """
@@ -75,7 +75,7 @@ def rows_per_program(count: int) -> int:
 
 
 def power_of_two(number: int) -> int:
-    """The smallest power of two that is at least this; the length of a Triton tensor."""
+    """Return the smallest power of two that is at least this; the length of a Triton tensor."""
     return 1 << max(number - 1, 0).bit_length()
 
 

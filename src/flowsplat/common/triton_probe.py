@@ -15,7 +15,7 @@ def _squares(values, results, count, BLOCK: tl.constexpr):
 
 
 def probe(device: str = "cuda") -> bool:
-    """Square some numbers on the device; whether they came out right."""
+    """Return square some numbers on the device; whether they came out right."""
     values = torch.arange(300, dtype=torch.float32, device=device)
     results = torch.zeros_like(values)
     _squares[(triton.cdiv(len(values), 128),)](values, results, len(values), BLOCK=128)

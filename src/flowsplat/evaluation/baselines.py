@@ -1,4 +1,4 @@
-"""What needs no model: a held-out image predicted from the clip's own frames.
+"""Compute baselines without a model: a held-out image predicted from the clip's own frames.
 
 A 4D model that does not beat ``flow_interpolation`` has not learned the scene's motion. All images are float32 RGB
 [H, W, 3] between 0 and 1.
@@ -59,13 +59,13 @@ def predict_frame(scene: Scene, i: int) -> dict[str, np.ndarray]:
 
 
 def _look_up(image: np.ndarray, flow: np.ndarray) -> np.ndarray:
-    """The image whose pixel p is the pixel p + flow(p) of ``image``."""
+    """Return the image whose pixel p is the pixel p + flow(p) of ``image``."""
     height, width = image.shape[:2]
     return sample_map(image, (pixel_grid(width, height) + flow).reshape(-1, 2)).reshape(image.shape)
 
 
 def copy_to_view(image: np.ndarray, view: Camera) -> np.ndarray:
-    """The clip's frame (uint8) as it is, in the size of the other camera's image."""
+    """Return the clip's frame (uint8) as it is, in the size of the other camera's image."""
     size = (view.width, view.height)
     return to_float(image if image.shape[1::-1] == size else cv2.resize(image, size, interpolation=cv2.INTER_AREA))
 

@@ -120,7 +120,7 @@ def evaluate(
 
 
 def choose_training_stride(scene: Scene) -> int:
-    """Every how many training frames one is measured."""
+    """Return every how many training frames one is measured."""
     return int(np.clip(len(scene.train_frames) // TRAINING_STRIDE, 1, TRAINING_STRIDE))
 
 
@@ -218,7 +218,7 @@ class _Evaluator:
 
 
 def _finite(rendering: Rendering) -> Rendering:
-    """Numbers that are not finite become 0, so that a broken model scores badly instead of breaking its figures."""
+    """Return numbers that are not finite become 0, so that a broken model scores badly instead of breaking its figures."""
     flow = rendering.flow if rendering.flow is None else np.nan_to_num(rendering.flow, posinf=0, neginf=0)
     color, depth = (np.nan_to_num(x, posinf=0, neginf=0) for x in (rendering.color, rendering.depth))
     return replace(rendering, color=color, depth=depth, flow=flow)

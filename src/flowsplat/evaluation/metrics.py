@@ -1,4 +1,4 @@
-"""How far an image, a flow or a depth is from the truth: pure functions on NumPy arrays, computed in float64.
+"""Measure how far an image, a flow or a depth is from the truth: pure functions on NumPy arrays, computed in float64.
 
 Region metrics (docs/method.md, "Evaluation protocols") average inside a mask. A region too small to say anything gives None, never
 NaN.
@@ -20,13 +20,13 @@ SSIM_C1, SSIM_C2 = 0.01**2, 0.03**2
 
 
 def _inside(values: np.ndarray, mask: np.ndarray | None) -> np.ndarray | None:
-    """The values [N, ...] of the pixels in ``mask`` (None = all), or None where those are too few."""
+    """Return the values [N, ...] of the pixels in ``mask`` (None = all), or None where those are too few."""
     selected = values.reshape(-1, *values.shape[2:]) if mask is None else values[np.asarray(mask, bool)]
     return selected if len(selected) >= MIN_PIXELS else None
 
 
 def mean_inside(values: np.ndarray, mask: np.ndarray | None = None) -> float | None:
-    """Mean of a map [H, W, ...] over the pixels in ``mask`` [H, W] bool; None for fewer than ``MIN_PIXELS`` of them."""
+    """Return the mean of a map [H, W, ...] over the pixels in ``mask`` [H, W] bool; None for fewer than ``MIN_PIXELS`` of them."""
     selected = _inside(values, mask)
     return None if selected is None else float(selected.mean())
 
@@ -57,7 +57,7 @@ def _blur(image: np.ndarray) -> np.ndarray:
 
 
 def ssim_map(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The structural similarity of two float images, clipped to [0, 1], at every pixel and channel, [H, W, 3] float64.
+    """Return the structural similarity of two float images, clipped to [0, 1], at every pixel and channel, [H, W, 3] float64.
 
     Wang et al. 2004 (https://doi.org/10.1109/TIP.2003.819861): 11x11 Gaussian window of sigma 1.5, K1 = 0.01,
     K2 = 0.03, data range 1. The image is mirrored at its border, so that the map has its size, as in

@@ -1,4 +1,4 @@
-"""How far rendered flow and depth are from the truth, and rendered flow from the prior that taught it."""
+"""Measure how far rendered flow and depth are from the truth, and rendered flow from the prior that taught it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Errors = dict[str, float]
 
 
 def read_object_mask(scene: Scene, i: int) -> np.ndarray | None:
-    """[H, W] bool objects of a training frame: the true ones, else those of the scene, else None."""
+    """Return [H, W] bool objects of a training frame: the true ones, else those of the scene, else None."""
     for layers in (scene.truth, scene):
         if layers is not None and layers.has_mask(i):
             return layers.mask(i) > 0

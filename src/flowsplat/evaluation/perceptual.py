@@ -22,7 +22,7 @@ SMALLEST_SIDE = 64
 
 
 def lpips_metric() -> tuple[PerceptualMetric | None, str]:
-    """The learned perceptual distance (https://arxiv.org/abs/1801.03924, AlexNet), or why it cannot be measured here.
+    """Return the learned perceptual distance (https://arxiv.org/abs/1801.03924, AlexNet), or why it cannot be measured here.
 
     The network's weights are used only if they are in torch's cache already: nothing is downloaded, nothing is raised.
 

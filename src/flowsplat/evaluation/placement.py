@@ -1,4 +1,4 @@
-"""Where a held-out view stands in a scene whose cameras were estimated (docs/method.md, "Evaluation protocols")."""
+"""Place a held-out view in a scene whose cameras were estimated (docs/method.md, "Evaluation protocols")."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from flowsplat.scenes.ingest import CALIBRATED
 
 
 def cameras_are_true(scene: Scene) -> bool:
-    """Whether the scene's cameras share the coordinates of the truth and of the held-out views."""
+    """Return whether the scene's cameras share the coordinates of the truth and of the held-out views."""
     return (scene.prior("cameras") or {}).get("method") in ("truth", CALIBRATED)
 
 
@@ -24,7 +24,7 @@ def true_scale(scene: Scene) -> float:
 
 
 def view_camera(scene: Scene, view: HeldoutView) -> Camera:
-    """The camera that renders a held-out view.
+    """Return the camera that renders a held-out view.
 
     With true cameras it is the view's own. With estimated ones it stands to the estimated camera of its time as the
     true one stands to the true camera: a global similarity would not do, because the rotation about a nearly straight

@@ -1,4 +1,4 @@
-"""Where the camera of a held-out image stood, found by comparing the image with a model that stays as it is.
+"""Refine the pose of a held-out image by comparing the image with a model that stays as it is.
 
 Strict figures use the camera that the camera stage found. Half a pixel of shift costs a good image several decibels
 (docs/method.md, "Evaluation protocols"),
@@ -33,7 +33,7 @@ LEAST_GAIN = 2e-3
 
 
 def refine_camera(model: SceneModel, camera: Camera, t: float, target: np.ndarray) -> Camera:
-    """The camera near ``camera`` from which the model looks most like the image; only the pose is changed.
+    """Return the camera near ``camera`` from which the model looks most like the image; only the pose is changed.
 
     Damped Gauss-Newton steps on the squared error. Its gradient comes through the rasterizer, the curvature from the rendered
     image's own gradients and depth, as in direct image alignment (Lucas and Kanade 1981); pixels that the model does not cover do
@@ -101,7 +101,7 @@ def _descend(gaussians: Gaussians4D, starts: Sequence[Camera], t: float, target:
 
 
 def _motion(twist: np.ndarray) -> np.ndarray:
-    """[4, 4] the rigid motion of a twist [6]: first the rotation (radians), then the translation."""
+    """Return [4, 4] the rigid motion of a twist [6]: first the rotation (radians), then the translation."""
     w, v = twist[:3], twist[3:]
     angle = float(np.linalg.norm(w))
     cross = np.array([[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]])
@@ -141,7 +141,7 @@ def _look(gaussians: Gaussians4D, camera: Camera, t: float, target: np.ndarray) 
 
 
 def _curvature(color: np.ndarray, depth: np.ndarray, alpha: np.ndarray, camera: Camera) -> np.ndarray:
-    """[6, 6] Gauss-Newton curvature of the mean squared error by the twist, from what the image's gradients and depth tell.
+    """Return [6, 6] Gauss-Newton curvature of the mean squared error by the twist, from what the image's gradients and depth tell.
 
     Args:
         color: [H, W, 3] premultiplied by alpha.

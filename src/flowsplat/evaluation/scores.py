@@ -1,4 +1,4 @@
-"""One image against its target, in whole and by region, and the mean over images."""
+"""Score an image against its target, in whole and by region, and average over images."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def summarize(scores: Sequence[Figures | None], regions: Sequence[str] = ()) -> 
 
 
 def mean_of(values: Iterable[float | None]) -> float | None:
-    """The mean of the values that are there, None if none is.
+    """Return the mean of the values that are there, None if none is.
 
     >>> mean_of([1.0, None, 3.0]), mean_of([None])
     (2.0, None)
@@ -58,7 +58,7 @@ def mean_of(values: Iterable[float | None]) -> float | None:
 
 
 def pick(metrics: Mapping[str, Any], *path: str) -> Any:
-    """The value under a path of keys; None where anything on the way is missing or null."""
+    """Return the value under a path of keys; None where anything on the way is missing or null."""
     value: Any = metrics
     for key in path:
         value = value.get(key) if isinstance(value, Mapping) else None

@@ -1,4 +1,4 @@
-"""How far the model's tracks in 3D are from the points of a rendered scene."""
+"""Measure how far the model's tracks in 3D are from the points of a rendered scene."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def track_errors(model: SceneModel, scene: Scene, births: np.ndarray | None = No
 
 
 def _in_cameras(points: np.ndarray, cameras: list[Camera]) -> np.ndarray:
-    """World points [P, T, 3] in the axes of the camera of their time."""
+    """Return world points [P, T, 3] in the axes of the camera of their time."""
     return np.stack([points[:, i] @ c.viewmat[:3, :3].T + c.viewmat[:3, 3] for i, c in enumerate(cameras)], 1)
 
 

@@ -1,4 +1,4 @@
-"""What people give to ``render``: made what it has to be, or refused in a sentence that names the argument."""
+"""Check the arguments of ``render``: converted to what they have to be, or refused in a sentence that names the argument."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SLACK = 1e-3
 
 
 def to_number(value: Any, name: str) -> float:
-    """A number as a float: any of Python, NumPy or torch, and arrays and tensors of one element.
+    """Return a number as a float: any of Python, NumPy or torch, and arrays and tensors of one element.
 
     Raises:
         InputError: it is none, or not finite.
@@ -31,7 +31,7 @@ def to_number(value: Any, name: str) -> float:
 
 
 def check_time(value: Any, first: float, last: float, name: str = "t", unit: str = "s") -> float:
-    """A time of a clip as a float.
+    """Return a time of a clip as a float.
 
     Args:
         first: time of the first frame.
@@ -50,7 +50,7 @@ def check_time(value: Any, first: float, last: float, name: str = "t", unit: str
 
 
 def check_camera(value: Any, name: str = "camera") -> Camera:
-    """A camera that can look at something.
+    """Return a camera that can look at something.
 
     Raises:
         InputError: it is none, or its numbers are not finite, its rotation is none, or its image has no pixels.
@@ -66,7 +66,7 @@ def check_camera(value: Any, name: str = "camera") -> Camera:
 
 
 def check_target(value: Any, first: float, last: float, unit: str = "s") -> tuple[Camera, float] | None:
-    """What ``flow_to`` names: the other camera and its time, or None.
+    """Return what ``flow_to`` names: the other camera and its time, or None.
 
     Raises:
         InputError: it is not a pair of them.

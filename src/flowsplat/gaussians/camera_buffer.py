@@ -24,7 +24,7 @@ TIME, NEXT_TIME, CENTER, COSINES = tl.constexpr(0), tl.constexpr(1), tl.constexp
 
 
 def camera_numbers(*cameras: Camera) -> np.ndarray:
-    """[cameras, ``CAMERA``] float32."""
+    """Return [cameras, ``CAMERA``] float32."""
     return np.array([[*camera.viewmat.ravel(), *camera.K.ravel()] for camera in cameras], np.float32)
 
 
@@ -34,12 +34,12 @@ def camera_tensors(numbers: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def count_moment_numbers(gains: int) -> int:
-    """How many numbers a moment has, of a model with so many gains."""
+    """Return how many numbers a moment has, of a model with so many gains."""
     return COSINES.value + gains
 
 
 def pack_moment(gains: int, t: float, camera_center: np.ndarray, next_time: float | None) -> np.ndarray:
-    """[``count_moment_numbers``] float32."""
+    """Return [``count_moment_numbers``] float32."""
     cosines = np.cos(np.pi * t * np.arange(1, gains + 1))
     return np.concatenate([[t, next_time or 0.0], camera_center, cosines]).astype(np.float32)
 

@@ -25,7 +25,7 @@ _FAINTEST = 1e-7
 
 
 def reach(seen: Tensor) -> Tensor:
-    """[N] how far the direction from which a Gaussian is looked at may be from that of the clip's camera.
+    """Return [N] how far the direction from which a Gaussian is looked at may be from that of the clip's camera.
 
     As the length of the difference of unit vectors; of ``Gaussians4D.seen`` [N, 2].
     """
@@ -34,7 +34,8 @@ def reach(seen: Tensor) -> Tensor:
 
 
 def apply_confidence_fade(gaussians: Gaussians4D, viewer: np.ndarray, own: np.ndarray) -> Gaussians4D:
-    """The Gaussians as far as the clip tells what they look like: beyond its ``reach`` each fades, and is gone at twice that.
+    """Return the Gaussians as far as the clip tells what they look like: beyond its ``reach`` each fades, and is gone at twice
+    that.
 
     Args:
         gaussians: with ``seen``; without, all stay.

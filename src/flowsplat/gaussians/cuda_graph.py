@@ -94,7 +94,7 @@ class FixedRenderer:
         return self._shown
 
     def _draw(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Everything that the device does for a frame; and how many Gaussians at rest and moving there were [2]."""
+        """Return everything that the device does for a frame; and how many Gaussians at rest and moving there were [2]."""
         g, (width, height) = self._gaussians, self._size
         p = g.params
         given = (g.at_rest, p["means"], p["log_scales"], p["times"], p["log_lambdas"], self._widened, self._moment)

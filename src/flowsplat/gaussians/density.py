@@ -36,7 +36,7 @@ class DensityStatistics:
 
     @staticmethod
     def zeros(count: int, device: torch.device | str = "cpu") -> DensityStatistics:
-        """Nothing seen yet."""
+        """Return statistics of nothing seen yet."""
         return DensityStatistics(*(torch.zeros(count, device=device) for _ in range(5)))
 
 
@@ -50,7 +50,7 @@ class DensityResult:
 
 
 def largest_scale(gaussians: Gaussians4D) -> Tensor:
-    """[N] the largest spatial standard deviation."""
+    """Return [N] the largest spatial standard deviation."""
     shape = gaussians.motion.at_rest(gaussians.params)
     if shape.scales is not None:
         return shape.scales.amax(1)
@@ -93,7 +93,7 @@ def densify(
 
 
 def _split(parents: Gaussians4D, generator: torch.Generator) -> Gaussians4D:
-    """One child of each parent; the random numbers are the host's, the same on every device."""
+    """Return one child of each parent; the random numbers are the host's, the same on every device."""
     count, params, device = len(parents), dict(parents.params), parents.device
     sigma_t = torch.exp(-0.5 * parents.motion.log_precision(params))
     in_time = ~parents.at_rest & parents.dynamic & (sigma_t <= 1)
@@ -107,7 +107,7 @@ def _split(parents: Gaussians4D, generator: torch.Generator) -> Gaussians4D:
 
 
 def _draw_points(shape: Shape, noise: Tensor) -> Tensor:
-    """[N, 3] points of normal distributions about 0 with these shapes, from standard normal ones."""
+    """Return [N, 3] points of normal distributions about 0 with these shapes, from standard normal ones."""
     if shape.covars is not None:
         root = torch.linalg.cholesky(shape.covars + 1e-12 * torch.eye(3, device=noise.device))
         return (root @ noise[..., None])[..., 0]
@@ -138,7 +138,7 @@ def prune(gaussians: Gaussians4D, times: np.ndarray, min_opacity: float, max_sca
 
 
 def _best_presence(gaussians: Gaussians4D, times: np.ndarray) -> Tensor:
-    """[N] p at the training time nearest to each Gaussian's center time."""
+    """Return [N] p at the training time nearest to each Gaussian's center time."""
     sorted_times = torch.as_tensor(times, dtype=torch.float32, device=gaussians.device)
     center = gaussians.params["times"].contiguous()
     after = torch.searchsorted(sorted_times, center).clamp(max=len(sorted_times) - 1)

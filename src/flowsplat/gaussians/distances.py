@@ -44,16 +44,16 @@ class Distances:
     path: CameraPath
 
     def center(self, t: float) -> np.ndarray:
-        """[3] C(t), where the clip's camera is at clip time ``t``."""
+        """Return [3] C(t), where the clip's camera is at clip time ``t``."""
         return self.path.at(t).center
 
     def compute_speed(self, t: float) -> np.ndarray:
-        """[3] how far C(t) goes per clip length; 0 before and after the clip, where it stands."""
+        """Return [3] how far C(t) goes per clip length; 0 before and after the clip, where it stands."""
         before, after = np.clip([t - _STEP, t + _STEP], self.path.times[0], self.path.times[-1])
         return (self.center(after) - self.center(before)) / (after - before) if after > before else np.zeros(3)
 
     def move(self, points: Tensor, object_ids: Tensor, t: float) -> Tensor:
-        """Where points [N, 3] of the objects with these numbers [N] are at clip time ``t``."""
+        """Return where points [N, 3] of the objects with these numbers [N] are at clip time ``t``."""
         scale = torch.ones(len(points), dtype=points.dtype, device=points.device)
         for number, factor in self.factors.items():
             scale[object_ids == number] = factor
@@ -83,7 +83,7 @@ def slice_view(
     distances: Distances | None = None,
     eps2d: float = EPS2D,
 ) -> Slice:
-    """The Gaussians that a camera may show, at clip time ``t``: see ``slice_gaussians``.
+    """Return the Gaussians that a camera may show, at clip time ``t``: see ``slice_gaussians``.
 
     Args:
         gaussians: the model.
@@ -108,7 +108,7 @@ def slice_view(
 
 
 def _only(active: Active, wanted: Tensor) -> Active:
-    """Of the active Gaussians those that are wanted ([N] bool); none of them may be padding."""
+    """Select of the active Gaussians those that are wanted ([N] bool); none of them may be padding."""
     keep = wanted[active.rows]
     return Active(active.rows[keep], int(keep[: active.num_static].sum()), active.t)
 
@@ -116,7 +116,7 @@ def _only(active: Active, wanted: Tensor) -> Active:
 def _move_slice(
     gaussians: Gaussians4D, active: Active, viewer: Tensor, next_time: float | None, distances: Distances, factor: float
 ) -> Slice:
-    """The slice of one object; all of its rows move, for what rests of it goes with the camera."""
+    """Return the slice of one object; all of its rows move, for what rests of it goes with the camera."""
 
     def like(values: np.ndarray) -> Tensor:
         return torch.as_tensor(values, dtype=viewer.dtype, device=gaussians.device)
@@ -144,7 +144,7 @@ def _move_slice(
 
 
 def _join(parts: list[Slice]) -> Slice:
-    """One slice; of all parts but the first every row moves."""
+    """Return one slice; of all parts but the first every row moves."""
 
     def joined(values: list[Tensor | None]) -> Tensor | None:
         known = [value for value in values if value is not None]

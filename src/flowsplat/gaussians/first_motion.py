@@ -1,4 +1,5 @@
-"""How the pixels of objects move around one frame: followed along flow and depth, and fitted together with their neighbors. Ours.
+"""Estimate how the pixels of objects move around one frame: followed along flow and depth, and fitted together with their
+neighbors. Ours.
 
 A pixel alone is followed badly: for a frame or two on a fast limb, with depth that jumps from frame to frame. Its neighbors on the
 same part share one motion, and where the part turns it is an affine function of the place at every time (to first order
@@ -152,7 +153,8 @@ def follow(
 
 
 def _inside(values: np.ndarray, object_ids: np.ndarray, points: np.ndarray, owners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Values [N, C] of a map [H, W, C] at points [N, 2], of the pixels of their owner alone, and the share of those around [N]."""
+    """Return values [N, C] of a map [H, W, C] at points [N, 2], of the pixels of their owner alone, and the share of those around
+    [N]."""
     found, shares = np.zeros((len(points), values.shape[2]), np.float32), np.zeros(len(points), np.float32)
     height, width = object_ids.shape
     for number in np.unique(owners):
@@ -166,7 +168,8 @@ def _inside(values: np.ndarray, object_ids: np.ndarray, points: np.ndarray, owne
 
 
 def _joint(paths: _Paths, mine: np.ndarray, sources: np.ndarray, queries: np.ndarray, gap: float) -> np.ndarray:
-    """Motion [Q, order, 3] of the pixels ``queries`` of an object that has the pixels ``mine``, from its pixels ``sources``."""
+    """Return the motion [Q, order, 3] of the pixels ``queries`` of an object that has the pixels ``mine``, from its pixels
+    ``sources``."""
     from scipy.spatial import cKDTree  # A quarter of a second, which those who only look at a scene need not wait.
 
     nodes = _nodes(paths.points, mine, gap)
@@ -180,7 +183,8 @@ def _joint(paths: _Paths, mine: np.ndarray, sources: np.ndarray, queries: np.nda
 def _choose_motion(
     paths: _Paths, nodes: np.ndarray, motion: np.ndarray, tree: cKDTree, queries: np.ndarray, gap: float
 ) -> np.ndarray:
-    """Motion [Q, order, 3] of pixels from that of the nodes: of those around that explain their own paths and have their color."""
+    """Return the motion [Q, order, 3] of pixels from that of the nodes: of those around that explain their own paths and have their
+    color."""
     away, index = _nearest(tree, paths.points[queries], min(CHOICE, len(nodes)))
     place = _make_design_rows(paths.points[queries][:, None], paths.points[nodes[index]], gap)
     models = (place[..., None, None] * motion[index]).sum(-3)
@@ -192,7 +196,8 @@ def _choose_motion(
 
 
 def _fit(paths: _Paths, nodes: np.ndarray, index: np.ndarray, away: np.ndarray, gap: float) -> np.ndarray:
-    """Motion [M, 3 (constant, across, down), order, 3] at the nodes, of the pixels ``index`` [M, K] around that move alike."""
+    """Return the motion [M, 3 (constant, across, down), order, 3] at the nodes, of the pixels ``index`` [M, K] around that move
+    alike."""
     place = _make_design_rows(paths.points[index], paths.points[nodes][:, None], gap)
     prior = np.exp(-0.5 * np.minimum(away / (REACH * gap), 4) ** 2) / (1 + _unlike(paths, index, nodes[:, None])) + 1e-6
     (count, around), order = index.shape, paths.normal.shape[-1]
@@ -212,7 +217,7 @@ def _fit(paths: _Paths, nodes: np.ndarray, index: np.ndarray, away: np.ndarray, 
 
 
 def _nodes(points: np.ndarray, mine: np.ndarray, gap: float) -> np.ndarray:
-    """Of pixels ``mine``, those nearest to the middle of every cell that is ``gap`` wide."""
+    """Select of pixels ``mine`` those nearest to the middle of every cell that is ``gap`` wide."""
     cell = np.floor(points[mine] / gap)
     off = np.linalg.norm(points[mine] / gap - cell - 0.5, axis=1)
     order = np.lexsort((off, cell[:, 0], cell[:, 1]))
@@ -222,31 +227,32 @@ def _nodes(points: np.ndarray, mine: np.ndarray, gap: float) -> np.ndarray:
 
 
 def _nearest(tree: cKDTree, points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Distances and indices [N, count]."""
+    """Return distances and indices [N, count]."""
     away, index = tree.query(points, k=count)
     return away.reshape(-1, count), index.reshape(-1, count)
 
 
 def _make_design_rows(points: np.ndarray, nodes: np.ndarray, gap: float) -> np.ndarray:
-    """[..., 3]: 1, and how far points are from nodes, across and down."""
+    """Return [..., 3]: 1, and how far points are from nodes, across and down."""
     offsets = (points - nodes) / (REACH * gap)
     return np.concatenate([np.ones((*offsets.shape[:-1], 1)), offsets], -1)
 
 
 def _unlike(paths: _Paths, pixels: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """[...] squares of how much colors differ."""
+    """Return [...] squares of how much colors differ."""
     return np.asarray(((paths.colors[pixels] - paths.colors[others]) ** 2).sum(-1) / COLORS**2)
 
 
 def _misfit(paths: _Paths, pixels: np.ndarray, models: np.ndarray) -> np.ndarray:
-    """[...] mean squares in pixels of what motions [..., order, 3] leave of the paths of pixels [...]; 0 for one without any."""
+    """Return [...] mean squares in pixels of what motions [..., order, 3] leave of the paths of pixels [...]; 0 for one without
+    any."""
     left = paths.square[pixels] - 2 * (models * paths.right[pixels]).sum((-2, -1))
     left = left + (models * (paths.normal[pixels] @ models)).sum((-2, -1))
     return np.asarray(np.maximum(left, 0) / np.maximum(paths.weight[pixels], 1e-9))
 
 
 def _compute_weighted_median(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """[M] of values [M, K]."""
+    """Return [M] of values [M, K]."""
     order = np.argsort(values, 1)
     summed = np.cumsum(np.take_along_axis(weights, order, 1), 1)
     middle = (summed < 0.5 * summed[:, -1:]).sum(1)

@@ -44,19 +44,19 @@ class Active:
     needed: Later | None = None
 
     def counts(self) -> tuple[int, int]:
-        """How many are at rest and moving. Waits for a GPU to have counted them, not for anything after that."""
+        """Return how many are at rest and moving. Waits for a GPU to have counted them, not for anything after that."""
         if self.needed is None:
             return self.num_static, len(self.rows) - self.num_static
         resting, moving = self.needed.values()
         return resting, moving
 
     def fits(self) -> bool:
-        """Whether there is a row for each of them. Waits like ``counts``."""
+        """Return whether there is a row for each of them. Waits like ``counts``."""
         resting, moving = self.counts()
         return resting <= self.num_static and moving <= len(self.rows) - self.num_static
 
     def valid(self, values: Tensor) -> Tensor:
-        """Of values [A] of the rows those that are not padding's; all must fit. Waits like ``counts``."""
+        """Select of values [A] of the rows those that are not padding's; all must fit. Waits like ``counts``."""
         if self.needed is None:
             return values
         resting, moving = self.counts()
@@ -159,7 +159,7 @@ class Gaussians4D:
 
     @torch.no_grad()
     def active(self, t: float, camera: Camera | None = None, eps2d: float = EPS2D, capacity: RowCapacity | None = None) -> Active:
-        """Those with p(t) >= p_min, and of those at rest only what ``camera`` may show (all of them without one).
+        """Return those with p(t) >= p_min, and of those at rest only what ``camera`` may show (all of them without one).
 
         Args:
             t: clip time.
@@ -197,17 +197,18 @@ class Gaussians4D:
         return _list_dynamic_names(self.config)
 
     def rows_of(self, name: str, active: Active) -> Tensor:
-        """The rows that ``gather`` took for parameter ``name``."""
+        """Return the rows that ``gather`` took for parameter ``name``."""
         return active.rows[self.part(name, active)]
 
     def part(self, name: str, active: Active) -> slice:
-        """Which active Gaussians use parameter ``name``: motion those that move (the last), gains those at rest (the first)."""
+        """Return which active Gaussians use parameter ``name``: motion those that move (the last), gains those at rest (the
+        first)."""
         if name in self.moving_names:
             return slice(active.num_static, None)
         return slice(active.num_static) if name == "log_gains" else slice(None)
 
     def to(self, device: torch.device | str) -> Gaussians4D:
-        """The same Gaussians on a device; these themselves where they are there already."""
+        """Return the same Gaussians on a device; these themselves where they are there already."""
         if self.device == torch.device(device):
             return self
         params = {name: value.to(device) for name, value in self.params.items()}
@@ -228,14 +229,14 @@ class Gaussians4D:
         return self.dynamic.device
 
     def select(self, rows: Tensor) -> Gaussians4D:
-        """A model of some of the Gaussians."""
+        """Return a model of some of the Gaussians."""
         params = {name: value[rows] for name, value in self.params.items()}
         seen, shadow_free = (None if values is None else values[rows] for values in (self.seen, self.shadow_free))
         return Gaussians4D(params, self.dynamic[rows], self.config, self.sh_degree, self.object_ids[rows], seen, shadow_free)
 
 
 def parameter_shapes(config: ModelConfig) -> dict[str, tuple[int, ...]]:
-    """Every parameter of a model and its trailing shape."""
+    """Return every parameter of a model and its trailing shape."""
     return {
         "means": (3,),
         "times": (),
@@ -247,7 +248,7 @@ def parameter_shapes(config: ModelConfig) -> dict[str, tuple[int, ...]]:
 
 
 def concatenate(parts: Sequence[Gaussians4D]) -> Gaussians4D:
-    """One model from several of the same configuration."""
+    """Return one model from several of the same configuration."""
     params = {name: torch.cat([part.params[name] for part in parts]) for name in parts[0].params}
     dynamic, object_ids = torch.cat([part.dynamic for part in parts]), torch.cat([part.object_ids for part in parts])
     return Gaussians4D(params, dynamic, parts[0].config, parts[0].sh_degree, object_ids)

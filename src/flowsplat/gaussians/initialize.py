@@ -147,7 +147,7 @@ def _build(
 
 
 def _spheres(samples: SurfaceSamples) -> SurfaceSamples:
-    """The same points as spheres, as large as the mean distance of their three nearest neighbors (fudan)."""
+    """Return the same points as spheres, as large as the mean distance of their three nearest neighbors (fudan)."""
     if len(samples.means) < 2:
         return samples
     distances = _nearest(samples.means, samples.means, min(4, len(samples.means)))[0]
@@ -159,7 +159,7 @@ def _spheres(samples: SurfaceSamples) -> SurfaceSamples:
 def _choose_pixels(
     frame: Observation, region: np.ndarray, spacing: float, config: InitConfig, rng: np.random.Generator
 ) -> tuple[np.ndarray, float | np.ndarray]:
-    """Which pixels [H, W] of a region become Gaussians, ``spacing`` apart on average, and how far apart they are."""
+    """Return which pixels [H, W] of a region become Gaussians, ``spacing`` apart on average, and how far apart they are."""
     apart: float | np.ndarray = spacing
     if config.detail:
         apart = spacings(detail(frame.image) ** config.detail, region, spacing)
@@ -217,7 +217,7 @@ def _initialize_background(
 
 
 def _find_covered(points: np.ndarray, frame: Observation, tolerance: float, spacing: float | np.ndarray) -> np.ndarray:
-    """[H, W] bool: pixels within whose spacing one of the points [N, 3] lies on the visible surface."""
+    """Return [H, W] bool: pixels within whose spacing one of the points [N, 3] lies on the visible surface."""
     height, width = frame.depth.shape
     (u, v), depth = (values.T for values in frame.camera.project(points))
     inside = (depth > NEAR_PLANE) & (u >= 0) & (v >= 0) & (u < width) & (v < height)
@@ -236,7 +236,7 @@ def _find_covered(points: np.ndarray, frame: Observation, tolerance: float, spac
 
 
 def choose_frames(count: int, config: InitConfig) -> tuple[np.ndarray, float]:
-    """Which of ``count`` training frames objects are sampled in, and the log precision that follows from their spacing."""
+    """Return which of ``count`` training frames objects are sampled in, and the log precision that follows from their spacing."""
     enough = -(-(count - 1) // config.sample_gap) + 1 if config.sample_gap else 1
     sampled = np.array(spread(count, min(max(config.samples, enough), count)))
     spacing = 1.0 / max(len(sampled) - 1, 1)
@@ -281,7 +281,7 @@ def _initialize_objects(
 
 
 def _track_pixels(tracks: Tracks | None, frame: Observation, usable: np.ndarray) -> np.ndarray:
-    """[H, W] bool: the pixels of the moving tracks; where those are too sparse, one pixel in every 4 x 4."""
+    """Return [H, W] bool: the pixels of the moving tracks; where those are too sparse, one pixel in every 4 x 4."""
     height, width = usable.shape
     wanted = np.zeros((height, width), np.uint8)
     if tracks is not None:
@@ -312,7 +312,7 @@ def _random(observations: Observations, model: ModelConfig, rng: np.random.Gener
 
 
 def _nearest(points: np.ndarray, queries: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Distances and indices of the ``count`` points nearest to each query: [Q, count], or [Q] for one."""
+    """Return distances and indices of the ``count`` points nearest to each query: [Q, count], or [Q] for one."""
     from scipy.spatial import cKDTree  # A quarter of a second, which those who only look at a scene need not wait.
 
     distances, indices = cKDTree(points).query(queries, k=count, workers=-1)

@@ -87,7 +87,7 @@ class SceneModel:
         return format_facts("SceneModel", facts, self.thumbnail())
 
     def thumbnail(self) -> np.ndarray | None:
-        """[H, W, 3] what ``viewpoint`` sees, at most as wide as notebooks show it; None where that is not known."""
+        """Return [H, W, 3] what ``viewpoint`` sees, at most as wide as notebooks show it; None where that is not known."""
         if self.viewpoint is None:
             return None
         camera, t = self.viewpoint
@@ -96,11 +96,11 @@ class SceneModel:
         return self.render(camera.resize(*size), t).color
 
     def to(self, device: torch.device | str) -> SceneModel:
-        """The same scene on a device, where it is rendered from then on; images are arrays as before."""
+        """Return the same scene on a device, where it is rendered from then on; images are arrays as before."""
         return replace(self, gaussians=self.gaussians.to(device))
 
     def clip_time(self, t: float) -> float:
-        """Seconds to clip units."""
+        """Return seconds to clip units."""
         return (t - self.first) / (self.last - self.first)
 
     def blur(self, camera: Camera) -> float:
@@ -184,13 +184,13 @@ class SceneModel:
         return frame.image, frame.alpha, frame.flow
 
     def gaussians_for(self, camera: Camera, t: float) -> Gaussians4D:
-        """The Gaussians as ``camera`` is shown them at clip time ``t``: all of them, unless guesses fade."""
+        """Return the Gaussians as ``camera`` is shown them at clip time ``t``: all of them, unless guesses fade."""
         if self.confidence_fade is None:
             return self.gaussians
         return apply_confidence_fade(self.gaussians, camera.center, self.confidence_fade.at(t).center)
 
     def part(self, part: Part) -> SceneModel:
-        """The same scene with one part of it only; uncovered pixels of objects alone are not filled but stay black.
+        """Return the same scene with one part of it only; uncovered pixels of objects alone are not filled but stay black.
 
         ``objects`` is what moves; ``background`` is as bright as it is without the shadows that these throw. An object that is
         named by its number has all that belongs to it, what of it rests as well.
@@ -221,7 +221,7 @@ class SceneModel:
         return replace(self, gaussians=gaussians, fill=self.fill and part == "background")
 
     def at_distances(self, factors: Mapping[int, float], times: Sequence[float], cameras: Sequence[Camera]) -> SceneModel:
-        """The same scene with some objects farther away, or nearer; in the clip's own views they look the same.
+        """Return the same scene with some objects farther away, or nearer; in the clip's own views they look the same.
 
         Args:
             factors: by the number of the object, how many times as far away from the clip's camera as it was trained.
@@ -237,7 +237,7 @@ class SceneModel:
         return replace(self, distances=Distances(changed, self.clip_path(times, cameras)) if changed else None)
 
     def fade_by_confidence(self, times: Sequence[float], cameras: Sequence[Camera]) -> SceneModel:
-        """The same scene in which what the clip tells too little of fades, the further a view is from the clip's own.
+        """Return the same scene in which what the clip tells too little of fades, the further a view is from the clip's own.
 
         Uncovered pixels stay black.
 
@@ -253,7 +253,7 @@ class SceneModel:
         return replace(self, confidence_fade=self.clip_path(times, cameras), fill=False)
 
     def clip_path(self, times: Sequence[float], cameras: Sequence[Camera]) -> CameraPath:
-        """The clip's cameras [T] at seconds [T] as a path in clip time and normalized coordinates."""
+        """Return the clip's cameras [T] at seconds [T] as a path in clip time and normalized coordinates."""
         return CameraPath([self.clip_time(t) for t in times], [self.similarity.camera(camera) for camera in cameras])
 
     def require_objects(self, numbers: Iterable[int]) -> None:
@@ -269,11 +269,11 @@ class SceneModel:
                 raise InputError(f"The trained scene has no object {number}: {there_are}.")
 
     def active_count(self, t: float) -> int:
-        """How many Gaussians are there at ``t`` seconds, whether a camera sees them or not."""
+        """Return how many Gaussians are there at ``t`` seconds, whether a camera sees them or not."""
         return len(self.gaussians.active(self.clip_time(t)).rows)
 
 
 def at_once(renderer: Renderer) -> int:
-    """How many images of a scene may be rendered at the same time, by as many Python threads (``common.threads``)."""
+    """Return how many images of a scene may be rendered at the same time, by as many Python threads (``common.threads``)."""
     on_cpu = isinstance(renderer, SceneModel) and renderer.gaussians.device.type == "cpu"
     return min(thread_count(), MOST_AT_ONCE) if on_cpu else 1

@@ -1,4 +1,4 @@
-"""What one Gaussian is made of: the settings of a model."""
+"""Configure what one Gaussian is made of: the settings of a model."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ class Observation:
     backward: Flow | StoredFlow | Callable[[], StoredFlow] | None
 
     def flow(self, step: int) -> Flow | StoredFlow | None:
-        """The flow to the next training frame (1) or to the previous one (-1)."""
+        """Return the flow to the next training frame (1) or to the previous one (-1)."""
         found = self.forward if step > 0 else self.backward
         return found() if callable(found) else found
 

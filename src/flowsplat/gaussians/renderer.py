@@ -1,4 +1,4 @@
-"""Who can show a 4D scene, and what a rendered view is."""
+"""Define renderers of a 4D scene, and rendered views."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PARTS: tuple[Part, ...] = ("all", "background", "objects")
 
 
 def numbers_of(part: Part) -> tuple[int, ...] | None:
-    """The numbers of the objects that a part names; None = it names none.
+    """Return the numbers of the objects that a part names; None = it names none.
 
     Raises:
         InputError: there is no such part.
@@ -53,7 +53,7 @@ class Rendering:
         return f"Rendering({width}x{height}{', with flow' if self.flow is not None else ''})"
 
     def _repr_png_(self) -> bytes:
-        """The colors, for notebooks."""
+        """Return the colors, for notebooks."""
         from flowsplat.images.html import encode  # and OpenCV with it, which rendering alone does not need
 
         return encode(self.color, quality=None)
@@ -77,7 +77,7 @@ class PartedRenderer(Renderer, Protocol):
     """A renderer that knows what moves."""
 
     def part(self, part: Part) -> PartedRenderer:
-        """The same scene with one part of it only; uncovered pixels of objects alone are not filled but stay black.
+        """Return the same scene with one part of it only; uncovered pixels of objects alone are not filled but stay black.
 
         Raises:
             InputError: there is no such part.
@@ -85,7 +85,7 @@ class PartedRenderer(Renderer, Protocol):
         ...
 
     def at_distances(self, factors: Mapping[int, float], times: Sequence[float], cameras: Sequence[Camera]) -> PartedRenderer:
-        """The same scene with some objects farther away, or nearer: see ``gaussians.distances``.
+        """Return the same scene with some objects farther away, or nearer: see ``gaussians.distances``.
 
         Args:
             factors: by the number of the object, how many times as far away from the clip's camera as it was trained.
@@ -98,7 +98,7 @@ class PartedRenderer(Renderer, Protocol):
         ...
 
     def fade_by_confidence(self, times: Sequence[float], cameras: Sequence[Camera]) -> PartedRenderer:
-        """The same scene in which what the clip tells too little of fades, the further a view is from the clip's own.
+        """Return the same scene in which what the clip tells too little of fades, the further a view is from the clip's own.
 
         Args:
             times: [T] seconds of the clip's frames.

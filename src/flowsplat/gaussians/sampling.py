@@ -1,4 +1,4 @@
-"""Which pixels become Gaussians: as close together as the image has detail there. Ours."""
+"""Sample the pixels that become Gaussians: as close together as the image has detail there. Ours."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _PROBES = 20_000
 
 
 def detail(image: np.ndarray) -> np.ndarray:
-    """How much a slight blur would take from the image around each pixel.
+    """Return how much a slight blur would take from the image around each pixel.
 
     Args:
         image: [H, W, 3] uint8.
@@ -31,7 +31,7 @@ def detail(image: np.ndarray) -> np.ndarray:
 
 
 def spacings(weight: np.ndarray, region: np.ndarray, spacing: float) -> np.ndarray:
-    """Share out as many points as an even spacing has in a region: their density follows the weight.
+    """Return share out as many points as an even spacing has in a region: their density follows the weight.
 
     The density is limited to one point a pixel, and from below by ``COARSEST``.
 
@@ -60,7 +60,7 @@ def spacings(weight: np.ndarray, region: np.ndarray, spacing: float) -> np.ndarr
 
 
 def grid(width: int, height: int, spacing: float | np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """[H, W] bool: about one pixel every ``spacing`` pixels.
+    """Return [H, W] bool: about one pixel every ``spacing`` pixels.
 
     Args:
         spacing: 1 or more: one number, or [H, W] one at every pixel.

@@ -9,7 +9,7 @@ from flowsplat.splatting.rules import C0
 
 
 def without_shadows(gaussians: Gaussians4D) -> Gaussians4D:
-    """The same Gaussians as bright as they are without what moves; as they are where that is not known."""
+    """Return the same Gaussians as bright as they are without what moves; as they are where that is not known."""
     if gaussians.shadow_free is None:
         return gaussians
     factor = gaussians.shadow_free[:, 0].exp()[:, None]

@@ -63,7 +63,7 @@ _ROWS = 8192
 def add_shadow_free(
     model: SceneModel, cameras: Sequence[Camera], times: Sequence[float], masks: Sequence[np.ndarray]
 ) -> SceneModel:
-    """The scene with how bright its background is without what moves (``Gaussians4D.shadow_free``).
+    """Return the scene with how bright its background is without what moves (``Gaussians4D.shadow_free``).
 
     Args:
         model: the trained scene.
@@ -153,14 +153,14 @@ def _find_visible_beside_objects(
 
 
 def _quantile(values: np.ndarray, chosen: np.ndarray, share: float) -> np.ndarray:
-    """The quantile [N] of the chosen ones of values [N, T]; of each at least one is."""
+    """Return the quantile [N] of the chosen ones of values [N, T]; of each at least one is."""
     ordered = np.sort(np.where(chosen, values, np.inf), 1)
     index = np.floor(share * (chosen.sum(1) - 1) + 0.5).astype(int)
     return np.take_along_axis(ordered, index[:, None], 1)[:, 0]
 
 
 def _exposure(values: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-    """The median [T] of the chosen ones of values [N, T] in every frame; 0 where there are hardly any."""
+    """Return the median [T] of the chosen ones of values [N, T] in every frame; 0 where there are hardly any."""
     found = np.zeros(values.shape[1], np.float32)
     for k in range(len(found)):
         if chosen[:, k].sum() >= 50:
@@ -169,7 +169,7 @@ def _exposure(values: np.ndarray, chosen: np.ndarray) -> np.ndarray:
 
 
 def _fit(target: np.ndarray, weight: np.ndarray, cosines: torch.Tensor) -> torch.Tensor:
-    """A constant and gains [N, 1 + G] whose curves are nearest to ``target`` [N, T], by its ``weight``."""
+    """Return a constant and gains [N, 1 + G] whose curves are nearest to ``target`` [N, T], by its ``weight``."""
     T, G = cosines.shape
     A = torch.cat([torch.ones(T, 1, dtype=torch.float64), cosines], 1)
     held = STIFFNESS * T * torch.diag(torch.cat([torch.zeros(1), torch.arange(1.0, G + 1)]).double())

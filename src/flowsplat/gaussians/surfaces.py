@@ -29,13 +29,13 @@ class SurfaceSamples:
 
     @staticmethod
     def concatenate(parts: Sequence[SurfaceSamples]) -> SurfaceSamples:
-        """All samples of several."""
+        """Return all samples of several."""
         names = ("means", "quats", "scales", "colors")
         return SurfaceSamples(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
 def camera_normals(frame: Observation, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """[N, 3] unit normals of pixels in camera axes, towards the camera.
+    """Return [N, 3] unit normals of pixels in camera axes, towards the camera.
 
     Differences over two pixels of smoothed depth, on each axis to the side where depth jumps less, so that edges of objects
     keep the normal of their own surface.
@@ -72,7 +72,7 @@ def camera_normals(frame: Observation, x: np.ndarray, y: np.ndarray) -> np.ndarr
 
 
 def sample_surface(frame: Observation, wanted: np.ndarray, size: float | np.ndarray, flatness: float) -> SurfaceSamples:
-    """One disc for every wanted pixel [H, W].
+    """Return one disc for every wanted pixel [H, W].
 
     Args:
         frame: the training frame.

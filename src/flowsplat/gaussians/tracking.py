@@ -122,7 +122,7 @@ class _Frame:
 
 
 def pixel_weights(rendered: RenderedFrame, uv: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Which of the rendered Gaussians make up the image at the position ``uv`` [2] (pixels).
+    """Return which of the rendered Gaussians make up the image at the position ``uv`` [2] (pixels).
 
     Returns:
         their indices [K], front to back, and their weights alpha_i T_i [K], by the rules of the rasterizer.
@@ -142,7 +142,7 @@ def pixel_weights(rendered: RenderedFrame, uv: np.ndarray) -> tuple[np.ndarray, 
 
 
 def _find_point_at(gaussians: Gaussians4D, frame: _Frame, camera: Camera, uv: np.ndarray) -> tuple[np.ndarray, _Carriers | None]:
-    """The point [3] that is seen at a pixel, and who carries it; None where the pixel is empty."""
+    """Return the point [3] that is seen at a pixel, and who carries it; None where the pixel is empty."""
     index, weights = pixel_weights(frame.rendered, uv)
     if not len(index):
         return np.full(3, np.nan), None
@@ -200,7 +200,7 @@ def _carry_along(
 
 
 def _are_faded(gaussians: Gaussians4D, carriers: list[_Carriers], t: float) -> np.ndarray:
-    """[A] bool: less than ``FADED`` of the weight is left at time ``t``."""
+    """Return [A] bool: less than ``FADED`` of the weight is left at time ``t``."""
     owner, rows = _flat(carriers)
     present = gaussians.presence(t, rows).double().numpy()
     weights = np.concatenate([[], *(each.weights for each in carriers)])
@@ -215,7 +215,7 @@ def _flat(carriers: list[_Carriers]) -> tuple[np.ndarray, Tensor]:
 
 
 def _step(gaussians: Gaussians4D, carriers: list[_Carriers], points: np.ndarray, t: float, to: float) -> np.ndarray:
-    """Points [A, 3] at time ``t`` moved to time ``to``: the weighted mean of where their carriers bring them."""
+    """Return points [A, 3] at time ``t`` moved to time ``to``: the weighted mean of where their carriers bring them."""
     owner, rows = _flat(carriers)
     before, after = _place(gaussians, rows, t), _place(gaussians, rows, to)
     arm = (torch.from_numpy(points[owner]) - before.means)[..., None]
@@ -289,7 +289,7 @@ def _take_over(
 
 
 def _centers(gaussians: Gaussians4D, rows: Tensor, t: float) -> np.ndarray:
-    """[N, 3] float32 means at a time."""
+    """Return [N, 3] float32 means at a time."""
     params = {name: value[rows] for name, value in gaussians.params.items()}
     return torch.where(gaussians.at_rest[rows][:, None], params["means"], gaussians.motion.state(params, t).means).numpy()
 
@@ -297,7 +297,7 @@ def _centers(gaussians: Gaussians4D, rows: Tensor, t: float) -> np.ndarray:
 def _density(
     gaussians: Gaussians4D, rows: np.ndarray, points: np.ndarray, t: float, pixels: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """How much each of some Gaussians (``rows`` [Q, K]) holds of points [Q, 3] at a time, and their presence: [Q, K] both.
+    """Return how much each of some Gaussians (``rows`` [Q, K]) holds of points [Q, 3] at a time, and their presence: [Q, K] both.
 
     Args:
         pixels: [Q] the size of a pixel at each point.
@@ -321,7 +321,7 @@ def _density(
 
 
 def _is_seen(points: np.ndarray, camera: Camera, frame: _Frame) -> np.ndarray:
-    """[Q] whether points [Q, 3] are in the image and at the depth of what is rendered at one of the nearest four pixels."""
+    """Return [Q] whether points [Q, 3] are in the image and at the depth of what is rendered at one of the nearest four pixels."""
     rendered = frame.rendered
     alpha = rendered.alpha.numpy()
     depth = np.where(alpha >= 0.5, rendered.depth.numpy() / np.maximum(alpha, 1e-6), np.inf)

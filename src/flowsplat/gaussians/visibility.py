@@ -1,4 +1,4 @@
-"""How much of a view the clip has seen: by how many of its frames, and from how wide a range of places.
+"""Measure how much of a view the clip has seen: by how many of its frames, and from how wide a range of places.
 
 A point of the still scene that few frames saw is filled in by guess. How far away a point is that many saw is known as well as
 their directions differ: with noise n in pixels of each, and directions that differ by s (root mean square) from their mean, it is
@@ -82,7 +82,7 @@ class ClipVisibility:
         self._witnesses = list(in_threads(witness, spread(len(cameras), FRAMES), self.threads))
 
     def compute_seen(self, camera: Camera, t: float) -> Seen:
-        """What the clip has seen of the view of a camera, in the scene's coordinates, at ``t`` seconds."""
+        """Return what the clip has seen of the view of a camera, in the scene's coordinates, at ``t`` seconds."""
         camera = _small(camera)
         still, objects = self._background.render(camera, t), self._objects.render(camera, t)
         there, moves = still.alpha >= _COVERED, objects.alpha >= _COVERED
@@ -115,11 +115,11 @@ class ClipVisibility:
         return count, _unit(mean), np.sqrt(np.maximum(squared, _LEAST_SPREAD**2))
 
     def share(self, camera: Camera, t: float) -> float:
-        """Share of a view that the clip does not tell, 0 to 1."""
+        """Return share of a view that the clip does not tell, 0 to 1."""
         return float(1 - self.compute_seen(camera, t).is_known.mean())
 
     def keeps_clear(self, camera: Camera, own: Camera, t: float) -> bool:
-        """Whether a camera is not much nearer to any object than the clip's ``own`` at that time."""
+        """Return whether a camera is not much nearer to any object than the clip's ``own`` at that time."""
         there, here = (self._nearest_object(each, t) for each in (camera, own))
         return there >= _NEAREST * here
 
@@ -130,7 +130,7 @@ class ClipVisibility:
 
 
 def with_seen(model: SceneModel, cameras: Sequence[Camera], times: Sequence[float]) -> SceneModel:
-    """The scene with what the clip has seen of each of its Gaussians (``Gaussians4D.seen``).
+    """Return the scene with what the clip has seen of each of its Gaussians (``Gaussians4D.seen``).
 
     What moves is seen from wherever it turns to: it has the frames in which it is there, and directions from all around.
 

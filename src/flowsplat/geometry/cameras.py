@@ -55,7 +55,7 @@ class Camera:
         return self.K[[0, 1, 0, 1], [0, 1, 2, 2]]
 
     def pose_from(self, other: Camera) -> np.ndarray:
-        """[3, 4] rows of the map from the axes of ``other`` to those of this camera."""
+        """Return [3, 4] rows of the map from the axes of ``other`` to those of this camera."""
         return (self.viewmat @ np.linalg.inv(other.viewmat))[:3]
 
     @property
@@ -73,17 +73,18 @@ class Camera:
         )
 
     def resize(self, width: int, height: int) -> Camera:
-        """The same camera with another number of pixels."""
+        """Return the same camera with another number of pixels."""
         scale = np.diag([width / self.width, height / self.height, 1.0])
         return Camera(self.viewmat, scale @ self.K, width, height)
 
     def widen(self, border: int) -> Camera:
-        """The same camera with ``border`` more pixels on every side."""
+        """Return the same camera with ``border`` more pixels on every side."""
         K = self.K + [[0, 0, border], [0, 0, border], [0, 0, 0]]
         return Camera(self.viewmat, K, self.width + 2 * border, self.height + 2 * border)
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """World points [..., 3] to pixels [..., 2] and planar depth [...]. Points behind the camera keep their sign of depth."""
+        """Project world points [..., 3] to pixels [..., 2] and planar depth [...]. Points behind the camera keep their sign of
+        depth."""
         x, y, z = (points @ row[:3] + row[3] for row in self.viewmat[:3])
         safe = np.where(np.abs(z) < 1e-9, 1e-9, z)
         uv = np.empty((*np.shape(z), 2))
@@ -92,7 +93,7 @@ class Camera:
         return uv, z
 
     def unproject(self, uv: np.ndarray, depth: np.ndarray) -> np.ndarray:
-        """Pixels [..., 2] with planar depth [...] to world points [..., 3]."""
+        """Unproject pixels [..., 2] with planar depth [...] to world points [..., 3]."""
         p = np.empty((*np.shape(depth), 3))
         p[..., 0] = (uv[..., 0] - self.K[0, 2]) / self.K[0, 0] * depth
         p[..., 1] = (uv[..., 1] - self.K[1, 2]) / self.K[1, 1] * depth
@@ -100,34 +101,34 @@ class Camera:
         return (p - self.viewmat[:3, 3]) @ self.viewmat[:3, :3]
 
     def tensors(self, dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu") -> tuple[torch.Tensor, torch.Tensor]:
-        """(viewmat [4, 4], K [3, 3]) as torch tensors."""
+        """Return (viewmat [4, 4], K [3, 3]) as torch tensors."""
         viewmat, K = torch.as_tensor(self.viewmat, dtype=dtype), torch.as_tensor(self.K, dtype=dtype)
         # Such small copies have left the host's memory when the call returns: the host does not wait for the device.
         return viewmat.to(device, non_blocking=True), K.to(device, non_blocking=True)
 
     def to_json(self) -> dict[str, Any]:
-        """The documented form in ``cameras.json`` files."""
+        """Return the documented form in ``cameras.json`` files."""
         return {"viewmat": self.viewmat.tolist(), "K": self.K.tolist(), "width": self.width, "height": self.height}
 
     @staticmethod
     def from_json(value: dict[str, Any]) -> Camera:
-        """The inverse of ``to_json``."""
+        """Return the inverse of ``to_json``."""
         return Camera(np.array(value["viewmat"]), np.array(value["K"]), int(value["width"]), int(value["height"]))
 
 
 def rigid(rotation: np.ndarray, translation: ArrayLike) -> np.ndarray:
-    """[4, 4] float64 x -> rotation x + translation, from [3, 3] and [3]: a viewmat."""
+    """Return [4, 4] float64 x -> rotation x + translation, from [3, 3] and [3]: a viewmat."""
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = rotation, translation
     return matrix
 
 
 def pixel_grid(width: int, height: int) -> np.ndarray:
-    """[H, W, 2] float32: the pixel centers (x, y), the first one (0.5, 0.5)."""
+    """Return [H, W, 2] float32: the pixel centers (x, y), the first one (0.5, 0.5)."""
     x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
     return np.stack([x, y], -1) + np.float32(0.5)
 
 
 def unproject_depth(depth: np.ndarray, camera: Camera) -> np.ndarray:
-    """Planar depth [H, W] to world points [H, W, 3]."""
+    """Return planar depth [H, W] to world points [H, W, 3]."""
     return camera.unproject(pixel_grid(camera.width, camera.height), depth)

@@ -31,7 +31,7 @@ class CameraPath:
             self._Ks = np.array([c.K for c in cameras])
 
     def at(self, time: float) -> Camera:
-        """The camera at ``time``; at a given time it is the given camera up to rounding."""
+        """Return the camera at ``time``; at a given time it is the given camera up to rounding."""
         first = self.cameras[0]
         if len(self.times) == 1:
             return first
@@ -42,7 +42,7 @@ class CameraPath:
 
 
 def smooth_path(cameras: Sequence[Camera], sigma: float) -> list[Camera]:
-    """The path low-passed by a Gaussian of ``sigma`` frames in position and rotation."""
+    """Return the path low-passed by a Gaussian of ``sigma`` frames in position and rotation."""
     centers = gaussian_filter1d(np.array([c.center for c in cameras]), sigma, axis=0, mode="nearest")
     quats = Rotation.from_matrix([c.viewmat[:3, :3] for c in cameras]).as_quat()
     for k in range(1, len(quats)):
@@ -53,7 +53,7 @@ def smooth_path(cameras: Sequence[Camera], sigma: float) -> list[Camera]:
 
 
 def orbit(camera: Camera | Sequence[Camera], distance: float, steps: int, angle: float = 6.0) -> list[Camera]:
-    """A closed loop around ``camera`` that keeps looking at the point ``distance`` in front of it.
+    """Return a closed loop around ``camera`` that keeps looking at the point ``distance`` in front of it.
 
     ``angle`` (degrees) is the half-width of the loop seen from that point; half as much up and down. Of ``steps`` cameras the loop
     goes round each for its step, so that it follows them.
@@ -90,7 +90,7 @@ def dolly_zoom(camera: Camera, distance: float, factor: float) -> Camera:
 
 
 def crop_camera(camera: Camera, share: float) -> Camera:
-    """What the middle of the image shows, ``share`` of its width and height, with as many pixels as the whole."""
+    """Return what the middle of the image shows, ``share`` of its width and height, with as many pixels as the whole."""
     middle = np.array([camera.width, camera.height]) / 2
     K = camera.K.copy()
     K[:2, 2] -= middle

@@ -10,7 +10,7 @@ TANGENT_MARGIN = 0.15
 
 
 def to_camera(points: Tensor, viewmat: Tensor) -> Tensor:
-    """World points [..., 3] to camera axes [..., 3]."""
+    """Convert world points [..., 3] to camera axes [..., 3]."""
     return points @ viewmat[:3, :3].T + viewmat[:3, 3]
 
 
@@ -28,7 +28,7 @@ def project_points(points: Tensor, viewmat: Tensor, K: Tensor, near: float = 1e-
 
 
 def camera_jacobian(camera_points: Tensor, K: Tensor, width: int, height: int, near: float = 1e-6) -> Tensor:
-    """[..., 2, 3] derivative of the pixel with respect to the point in camera axes.
+    """Return [..., 2, 3] derivative of the pixel with respect to the point in camera axes.
 
     Like gsplat, x / z and y / z are clamped to ``TANGENT_MARGIN`` image sizes beyond the border, so that a Gaussian far outside the
     image does not get a needle-shaped footprint that reaches into it.

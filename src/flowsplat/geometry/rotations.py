@@ -7,7 +7,7 @@ from torch import Tensor
 
 
 def normalize_quats(quats: Tensor, eps: float = 1e-12) -> Tensor:
-    """Unit quaternions [..., 4]; a zero quaternion stays zero instead of becoming NaN, and so does its gradient."""
+    """Return unit quaternions [..., 4]; a zero quaternion stays zero instead of becoming NaN, and so does its gradient."""
     squared = (quats * quats).sum(-1, keepdim=True)
     return quats * torch.rsqrt(torch.clamp(squared, min=eps * eps))
 

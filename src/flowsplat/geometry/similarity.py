@@ -20,15 +20,15 @@ class Similarity:
     translation: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
     def inverse(self) -> Similarity:
-        """The similarity that undoes this one."""
+        """Return the similarity that undoes this one."""
         return Similarity(1 / self.scale, self.rotation.T, -self.rotation.T @ self.translation / self.scale)
 
     def points(self, points: np.ndarray) -> np.ndarray:
-        """[..., 3] points moved."""
+        """Return [..., 3] points moved."""
         return self.scale * points @ self.rotation.T + self.translation
 
     def camera(self, camera: Camera) -> Camera:
-        """The camera that sees the moved world exactly as ``camera`` saw the old one (its depths are scaled)."""
+        """Return the camera that sees the moved world exactly as ``camera`` saw the old one (its depths are scaled)."""
         R = camera.viewmat[:3, :3] @ self.rotation.T
         t = self.scale * camera.viewmat[:3, 3] - R @ self.translation
         return Camera(rigid(R, t), camera.K, camera.width, camera.height)
@@ -39,7 +39,7 @@ class Similarity:
 
     @staticmethod
     def from_json(value: Mapping[str, Any]) -> Similarity:
-        """The inverse of ``to_json``.
+        """Return the inverse of ``to_json``.
 
         Raises:
             ValueError: it is none.
@@ -55,7 +55,7 @@ class Similarity:
 
 
 def align_paths(estimated: Sequence[Camera], true: Sequence[Camera]) -> Similarity:
-    """The similarity that brings the estimated path onto the true one.
+    """Return the similarity that brings the estimated path onto the true one.
 
     Rotations first (their chordal mean), then scale and translation by least squares: on a nearly straight path the
     rotation about it cannot be seen from the positions (docs/method.md, "Evaluation protocols"). A path without extent keeps scale
@@ -73,7 +73,7 @@ def align_paths(estimated: Sequence[Camera], true: Sequence[Camera]) -> Similari
 
 
 def path_errors(estimated: Sequence[Camera], true: Sequence[Camera]) -> dict[str, float]:
-    """How far an estimated path is from the true one after ``align_paths``.
+    """Return how far an estimated path is from the true one after ``align_paths``.
 
     Returns:
         ``path`` (mean position error over the true path's length), ``rotation`` (mean angle, degrees) and ``focal``

@@ -40,7 +40,7 @@ _FILE_STYLE = (
 
 
 def svg_file(chart: Markup) -> str:
-    """A chart as the content of an ``.svg`` file, which needs no page round it.
+    """Return a chart as the content of an ``.svg`` file, which needs no page round it.
 
     Raises:
         ValueError: it is not a chart.
@@ -54,7 +54,7 @@ def svg_file(chart: Markup) -> str:
 def line_chart(
     series: Mapping[str, Points], *, title: str, x_label: str, y_label: str, log: bool = False, dots: bool = False
 ) -> Markup:
-    """An SVG chart with one line for every named series (at most ``MOST_SERIES``), axes, grid and a legend.
+    """Return an SVG chart with one line for every named series (at most ``MOST_SERIES``), axes, grid and a legend.
 
     ``log`` draws y on a logarithmic axis; values that are not positive are left out then. ``dots`` marks every point.
     """
@@ -99,16 +99,16 @@ class _Axis:
         self._log = log
 
     def place(self, value: np.ndarray | float) -> np.ndarray:
-        """Values (log10 of them on a logarithmic axis) to pixels of the drawing."""
+        """Convert values (log10 of them on a logarithmic axis) to pixels of the drawing."""
         return self.start + (np.asarray(value) - self.low) / (self.high - self.low) * (self.end - self.start)
 
     def label(self, tick: float) -> str:
-        """What to write at a tick."""
+        """Return what to write at a tick."""
         return _short(10**tick if self._log else tick)
 
 
 def _round_ticks(low: float, high: float) -> list[float]:
-    """Four to eight multiples of 1, 2 or 5 times a power of ten."""
+    """Return four to eight multiples of 1, 2 or 5 times a power of ten."""
     raw = (high - low) / 5
     power = 10.0 ** np.floor(np.log10(raw))
     step = power * min((1, 2, 5, 10), key=lambda factor: abs(np.log(factor * power / raw)))
@@ -140,7 +140,7 @@ def bar_chart(
     x_label: str,
     spreads: Mapping[str, float] | None = None,
 ) -> Markup:
-    """An SVG chart with horizontal bars from zero, under each other: for every row one bar of each of the ``names``.
+    """Return an SVG chart with horizontal bars from zero, under each other: for every row one bar of each of the ``names``.
 
     Args:
         bars: by the name of the row, the values; None is no bar.
@@ -217,7 +217,7 @@ def _path(line: tuple[np.ndarray, np.ndarray], x_axis: _Axis, y_axis: _Axis, ind
 
 
 def _legend(names: Sequence[str]) -> Markup:
-    """The names of the lines, in a row above the chart."""
+    """Return the names of the lines, in a row above the chart."""
     entries = []
     x = _LEFT
     for index, name in enumerate(names):

@@ -23,7 +23,7 @@ SMALLEST_FLOW_SCALE = 0.5
 
 
 def _wheel() -> np.ndarray:
-    """[_HUES, 3] float32 colors between 0 and 1 round the wheel, starting at the right and going down."""
+    """Return [_HUES, 3] float32 colors between 0 and 1 round the wheel, starting at the right and going down."""
     places = np.cumsum(_ARCS) / _ARCS.sum()
     turn = np.arange(_HUES) / _HUES
     return np.stack([np.interp(turn, places, _CORNERS[:, c]) for c in range(3)], -1).astype(np.float32) / 255
@@ -33,7 +33,7 @@ _WHEEL = _wheel()
 
 
 def float_to_bytes(image: np.ndarray) -> np.ndarray:
-    """Numbers between 0 and 1 to uint8, rounded and clipped; what is not a number becomes 0. uint8 stays as it is."""
+    """Return numbers between 0 and 1 to uint8, rounded and clipped; what is not a number becomes 0. uint8 stays as it is."""
     if image.dtype == np.uint8:
         return image
     return (np.clip(np.nan_to_num(image), 0, 1) * 255 + 0.5).astype(np.uint8)
@@ -50,7 +50,7 @@ def flow_scale(flows: Iterable[np.ndarray]) -> float:
 
 
 def flow_to_color(flow: np.ndarray, scale: float | None = None) -> np.ndarray:
-    """Flow to the usual colors: hue is direction (right red, down yellow, left cyan, up violet), white is rest.
+    """Convert flow to the usual colors: hue is direction (right red, down yellow, left cyan, up violet), white is rest.
 
     Args:
         flow: [H, W, 2] pixels. What is not finite becomes black.
@@ -82,7 +82,7 @@ def flow_to_color(flow: np.ndarray, scale: float | None = None) -> np.ndarray:
 
 
 def flow_legend(size: int = 96) -> np.ndarray:
-    """[size, size, 3] uint8: the wheel, the displacement of every pixel drawn where it leads to; white outside."""
+    """Return [size, size, 3] uint8: the wheel, the displacement of every pixel drawn where it leads to; white outside."""
     ramp = (np.arange(size, dtype=np.float32) + 0.5) / size * 2 - 1
     offsets = np.stack(np.meshgrid(ramp, ramp), -1)
     legend = flow_to_color(offsets, 1.0)
@@ -91,7 +91,7 @@ def flow_legend(size: int = 96) -> np.ndarray:
 
 
 def depth_range(depths: Iterable[np.ndarray]) -> tuple[float, float]:
-    """(near, far) round nearly all of the given depths [H, W]; depths that are not positive do not count."""
+    """Return (near, far) round nearly all of the given depths [H, W]; depths that are not positive do not count."""
     near, far = np.inf, 0.0
     for depth in depths:
         seen = depth[np.isfinite(depth) & (depth > 0)]
@@ -102,7 +102,7 @@ def depth_range(depths: Iterable[np.ndarray]) -> tuple[float, float]:
 
 
 def depth_to_color(depth: np.ndarray, near: float, far: float) -> np.ndarray:
-    """Planar depth [H, W] to [H, W, 3] uint8: the turbo colors on inverse depth, near red, far blue.
+    """Return planar depth [H, W] to [H, W, 3] uint8: the turbo colors on inverse depth, near red, far blue.
 
     Black where depth is not positive and finite.
     """
@@ -115,7 +115,7 @@ def depth_to_color(depth: np.ndarray, near: float, far: float) -> np.ndarray:
 
 
 def error_to_color(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Mean absolute difference of two images (uint8, or float between 0 and 1) as [H, W, 3] uint8 heat.
+    """Return the mean absolute difference of two images (uint8, or float between 0 and 1) as [H, W, 3] uint8 heat.
 
     Black is equal, pale yellow a quarter or more (1 = black against white).
     """
@@ -130,7 +130,7 @@ def object_color(number: int) -> tuple[int, int, int]:
 
 
 def tint(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """The image [H, W, 3] uint8 in gray, moving objects tinted by their numbers in ``mask`` [H, W] (0 = background)."""
+    """Return the image [H, W, 3] uint8 in gray, moving objects tinted by their numbers in ``mask`` [H, W] (0 = background)."""
     gray = np.repeat(image.mean(-1, keepdims=True) * 0.8, 3, -1)
     colored = 0.45 * image + 0.55 * _OBJECTS[(mask.astype(int) - 1) % len(_OBJECTS)]
     return np.where(mask[..., None] > 0, colored, gray).astype(np.uint8)

@@ -27,7 +27,7 @@ class EdgeSmoother:
             self._filter = cv2.ximgproc.createFastGlobalSmootherFilter(np.ascontiguousarray(guide), smoothness, color_sigma)
 
     def filter(self, values: np.ndarray) -> np.ndarray:
-        """Values [H, W] float32, smoothed."""
+        """Smooth values [H, W] float32."""
         with one_thread():
             smooth: np.ndarray = self._filter.filter(values)
         return smooth

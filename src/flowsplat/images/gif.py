@@ -37,7 +37,7 @@ def write_gif(path: Path, frames: Sequence[np.ndarray], fps: float) -> None:
 
 
 def _with_palette(frames: Sequence[np.ndarray], rate: Fraction) -> list[av.VideoFrame]:
-    """The frames in the 256 colors that suit them together."""
+    """Return the frames in the 256 colors that suit them together."""
     height, width = frames[0].shape[:2]
     graph = av.filter.Graph()
     source = graph.add_buffer(width=width, height=height, format=av.VideoFormat("rgb24"), time_base=1 / rate)

@@ -1,4 +1,4 @@
-"""How large an image says it is, before it is decoded: some kilobytes can ask for gigabytes."""
+"""Read how large an image says it is, before it is decoded: some kilobytes can ask for gigabytes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _STANDALONE = {0x01, *range(0xD0, 0xD9)}
 
 
 def image_pixels(data: bytes) -> tuple[int, int] | None:
-    """(width, height) that a PNG, JPEG, WebP, TIFF or BMP names; None where it is none of these, or is cut off."""
+    """Return (width, height) that a PNG, JPEG, WebP, TIFF or BMP names; None where it is none of these, or is cut off."""
     readers = (
         (b"\x89PNG\r\n\x1a\n", _png), (b"\xff\xd8", _jpeg), (b"RIFF", _webp), (b"II*\0", _tiff), (b"MM\0*", _tiff), (b"BM", _bmp),
     )  # fmt: skip
@@ -26,7 +26,7 @@ def image_pixels(data: bytes) -> tuple[int, int] | None:
 
 
 def can_hold(data: bytes, size: tuple[int, int]) -> bool:
-    """Whether the pixels of a PNG or JPEG may be in its bytes, however well they were compressed; others are not looked at.
+    """Return whether the pixels of a PNG or JPEG may be in its bytes, however well they were compressed; others are not looked at.
 
     A header that was damaged asks for memory that nothing will ever fill.
     """

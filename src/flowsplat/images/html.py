@@ -32,7 +32,7 @@ def shrink_to_page(image: np.ndarray, widest: int = WIDEST) -> np.ndarray:
 
 
 def encode(image: np.ndarray, quality: int | None = 88) -> bytes:
-    """An image [H, W, 3] RGB, uint8 or float between 0 and 1, as a file: JPEG, or PNG for quality None."""
+    """Return an image [H, W, 3] RGB, uint8 or float between 0 and 1, as a file: JPEG, or PNG for quality None."""
     options = [] if quality is None else [cv2.IMWRITE_JPEG_QUALITY, quality]
     suffix = ".png" if quality is None else ".jpg"
     ok, data = cv2.imencode(suffix, np.ascontiguousarray(float_to_bytes(image)[..., ::-1]), options)
@@ -47,7 +47,7 @@ def data_uri(image: np.ndarray, quality: int | None = 88) -> str:
 
 
 def image_tag(image: np.ndarray, description: str, quality: int | None = 88) -> Markup:
-    """An ``img`` with the image inside."""
+    """Return an ``img`` with the image inside."""
     height, width = image.shape[:2]
     return Markup('<img src="{}" alt="{}" width="{}" height="{}" loading="lazy">').format(
         data_uri(image, quality), description, width, height
@@ -55,14 +55,14 @@ def image_tag(image: np.ndarray, description: str, quality: int | None = 88) -> 
 
 
 def format_facts(title: str, facts: Mapping[str, str], image: np.ndarray | None) -> str:
-    """What a notebook shows of something: its name, an image, and a table of what is known of it, by name."""
+    """Return what a notebook shows of something: its name, an image, and a table of what is known of it, by name."""
     rows = Markup().join(Markup("<tr><td>{}</td><td>{}</td></tr>").format(*fact) for fact in facts.items())
     shown = Markup() if image is None else Markup('<img alt="" src="{}"><br>').format(data_uri(shrink_to_page(image, THUMBNAIL)))
     return str(Markup("<div><b>{}</b><br>{}<table>{}</table></div>").format(title, shown, rows))
 
 
 def figure(value: float | None, digits: int = 2, reason: str | None = None) -> Markup:
-    """A number with that many digits behind the point; a dash, with the reason on hover, for None."""
+    """Return a number with that many digits behind the point; a dash, with the reason on hover, for None."""
     if value is not None and np.isfinite(value):
         return escape(f"{value:,.{digits}f}")
     if reason:
@@ -71,7 +71,7 @@ def figure(value: float | None, digits: int = 2, reason: str | None = None) -> M
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]], strong: Sequence[int] = ()) -> Markup:
-    """A table whose first column names its rows; rows with the indices ``strong`` stand out."""
+    """Return a table whose first column names its rows; rows with the indices ``strong`` stand out."""
     head = Markup().join(Markup('<th scope="col">{}</th>').format(cell) for cell in header)
     body = Markup().join(
         Markup('<tr{}><th scope="row">{}</th>{}</tr>').format(

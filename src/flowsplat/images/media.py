@@ -20,7 +20,7 @@ _LISTS = {"hls", "dash", "concat", "concatf", "imf", "rtsp", "sdp", "image2"}
 
 
 def open_media(path: Path) -> InputContainer:
-    """A film or a sound on this machine.
+    """Return a film or a sound on this machine.
 
     Raises:
         InputError: missing, not an ordinary file, with images that are too large, or a list of other files.

@@ -20,7 +20,7 @@ _STEPS = (5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000)
 
 
 def side_by_side(images: Sequence[np.ndarray], labels: Sequence[str] = (), height: int | None = None) -> np.ndarray:
-    """One row of images [h, w, 3], gray or color, uint8 or float between 0 and 1.
+    """Return one row of images [h, w, 3], gray or color, uint8 or float between 0 and 1.
 
     Args:
         labels: one for every image, or none at all. Plain ASCII.
@@ -46,7 +46,7 @@ def stack(rows: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def with_rulers(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """The image [h, w, 3] uint8 with rulers above and to the left of it, so that a place in it can be named in pixels.
+    """Return the image [h, w, 3] uint8 with rulers above and to the left of it, so that a place in it can be named in pixels.
 
     Args:
         size: (width, height) in the pixels that the rulers count; their origin is the outer corner of the first pixel.
@@ -69,7 +69,7 @@ def with_rulers(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 
 def preview_sheet(target: np.ndarray, rendering: np.ndarray) -> np.ndarray:
-    """How training goes: target | rendering | error. Images [H, W, 3] uint8 or float."""
+    """Return how training goes: target | rendering | error. Images [H, W, 3] uint8 or float."""
     return side_by_side([target, rendering, error_to_color(target, rendering)], ["target", "rendering", "error"])
 
 
@@ -79,7 +79,7 @@ def _convert_to_color(image: np.ndarray) -> np.ndarray:
 
 
 def _resize(image: np.ndarray, height: int, width: int | None = None) -> np.ndarray:
-    """A copy of the image at that height, and at that width or one that keeps its shape."""
+    """Return a copy of the image at that height, and at that width or one that keeps its shape."""
     width = width or max(round(image.shape[1] * height / image.shape[0]), 1)
     if image.shape[:2] == (height, width):
         return image.copy()

@@ -180,7 +180,7 @@ class _Sound:
 
 
 def find_sound_track(container: av.container.InputContainer) -> av.audio.AudioStream | None:
-    """The first track of sound that can be decoded: FFmpeg lists others, too."""
+    """Return the first track of sound that can be decoded: FFmpeg lists others, too."""
     return next((track for track in container.streams.audio if track.codec_context is not None), None)
 
 

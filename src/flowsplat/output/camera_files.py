@@ -84,7 +84,7 @@ Reader = Callable[[Entry, Entry, tuple[int, int]], tuple[Camera, float | None]]
 
 
 def _format(content: Entry) -> tuple[list[Any], Reader, bool]:
-    """The frames of the file, how to read one, and whether their times run from 0 to 1."""
+    """Return the frames of the file, how to read one, and whether their times run from 0 to 1."""
     entries = content.get("camera_path", content.get("frames"))
     if not isinstance(entries, list) or not entries:
         raise InputError("it has no list 'frames' or 'camera_path' with at least one camera")
@@ -156,7 +156,7 @@ def _matrix(value: Any, shape: tuple[int, int], name: str) -> np.ndarray:
 
 
 def _seconds(times: list[float | None], clip: tuple[float, float], is_relative: bool) -> list[float]:
-    """The times of the frames in seconds of the clip; frames without a time play the clip once from start to end."""
+    """Return the times of the frames in seconds of the clip; frames without a time play the clip once from start to end."""
     first, last = clip
     known = [time for time in times if time is not None]
     if not known:

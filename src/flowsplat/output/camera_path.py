@@ -44,7 +44,7 @@ class ObjectPath:
 def path_from_above(
     cameras: Sequence[Camera], points: np.ndarray, colors: np.ndarray, objects: Sequence[ObjectPath] = ()
 ) -> Markup:
-    """An SVG of the path, the outer rays of some cameras, points of the scene and paths of objects, seen from above.
+    """Return an SVG of the path, the outer rays of some cameras, points of the scene and paths of objects, seen from above.
 
     Args:
         cameras: in the order of time.
@@ -70,7 +70,7 @@ def path_from_above(
 
 
 def path_at_an_angle(cameras: Sequence[Camera]) -> Markup:
-    """An SVG of the path with some cameras as pyramids, seen from behind and above, as large as it fits."""
+    """Return an SVG of the path with some cameras as pyramids, seen from behind and above, as large as it fits."""
     right, down, forward = _level_axes(cameras)
     across = np.cos(_YAW) * right - np.sin(_YAW) * forward
     away = np.sin(_YAW) * right + np.cos(_YAW) * forward
@@ -88,7 +88,7 @@ def path_at_an_angle(cameras: Sequence[Camera]) -> Markup:
 
 
 def _level_axes(cameras: Sequence[Camera]) -> np.ndarray:
-    """[3, 3] rows right, down and forward of the world as the cameras see it on average."""
+    """Return [3, 3] rows right, down and forward of the world as the cameras see it on average."""
     down = np.mean([camera.viewmat[1, :3] for camera in cameras], 0)
     down /= max(float(np.linalg.norm(down)), 1e-12)
     forward = np.mean([camera.viewmat[2, :3] for camera in cameras], 0)
@@ -109,7 +109,7 @@ def _some(cameras: Sequence[Camera]) -> list[Camera]:
 
 
 def _corners(camera: Camera, length: float) -> np.ndarray:
-    """[6, 3] world points at that depth: the middles of the left and right border, then the four corners in a ring."""
+    """Return [6, 3] world points at that depth: the middles of the left and right border, then the four corners in a ring."""
     w, h = camera.width, camera.height
     pixels = np.array([[0, h / 2], [w, h / 2], [0, 0], [w, 0], [w, h], [0, h]])
     return camera.unproject(pixels, np.full(6, length))
@@ -137,7 +137,7 @@ class _Page:
         return Markup('<rect x="{:.0f}" y="{:.0f}" width="{}" height="{}" fill="{}"/>').format(x, y, _DOT, _DOT, fill)
 
     def object_path(self, obj: ObjectPath, axes: np.ndarray) -> Markup:
-        """The path of an object with its band, its number where it begins."""
+        """Return the path of an object with its band, its number where it begins."""
         color = "#{:02x}{:02x}{:02x}".format(*obj.color)
         band = self.place(np.concatenate([obj.near, obj.far[::-1]]) @ axes.T)
         path = self.place(obj.places @ axes.T)
@@ -153,7 +153,7 @@ class _Page:
 
 
 def _track(page: _Page, centers: np.ndarray) -> list[Markup]:
-    """The path, with its first and last place."""
+    """Return the path, with its first and last place."""
     parts = [page.line(centers, "line path")] if len(centers) > 1 else []
     (x, y), (u, v) = page.place(centers[0]), page.place(centers[-1])
     parts.append(Markup('<circle class="start" cx="{:.1f}" cy="{:.1f}" r="5"/>').format(x, y))

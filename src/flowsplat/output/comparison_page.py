@@ -174,7 +174,7 @@ def write_comparison(
 
 
 def _videos(runs: Sequence[ComparedRun]) -> Iterator[dict[str, Any]]:
-    """The videos of one name of those runs that have it, color alone where that is there."""
+    """Yield the videos of one name of those runs that have it, color alone where that is there."""
     for name in dict.fromkeys(name for run in runs for name in run.videos if not name.endswith("_color")):
         having = [run for run in runs if name in run.videos]
         files = {run.label: run.folder / run.videos.get(f"{name}_color", run.videos[name]) for run in having}
@@ -186,7 +186,8 @@ def _videos(runs: Sequence[ComparedRun]) -> Iterator[dict[str, Any]]:
 
 
 def _can_be_shown(file: Path) -> bool:
-    """Whether it is a film that lies where its run says: whatever a link leads to would be in a page that is made to be shared."""
+    """Return whether it is a film that lies where its run says: whatever a link leads to would be in a page that is made to be
+    shared."""
     return file.suffix in _TYPES and file.is_file() and file.resolve().parent == file.parent.resolve()
 
 
@@ -203,7 +204,7 @@ def _figures_table(labels: Sequence[str], figures: Sequence[Figure]) -> Markup:
 
 
 def _settings(labels: Sequence[str], runs: Sequence[ComparedRun]) -> Markup | None:
-    """Those that are not the same in all runs; None where there are none."""
+    """Return those that are not the same in all runs; None where there are none."""
     names = dict.fromkeys(name for run in runs for name in run.settings)
     values = {name: [run.settings.get(name) for run in runs] for name in names}
     differing = {name: found for name, found in values.items() if any(value != found[0] for value in found[1:])}
@@ -218,7 +219,7 @@ def _text(value: Any) -> str:
 
 
 def _images(labels: Sequence[str], images: Sequence[Sequence[Comparison]]) -> Iterator[dict[str, Any]]:
-    """A row for each held-out image that all runs have: the image and what each made of it."""
+    """Yield a row for each held-out image that all runs have: the image and what each made of it."""
     if not images:
         return
     renderings = [{each.label: each.rendering for each in of_run} for of_run in images]

@@ -1,4 +1,4 @@
-"""What the pages of a run have in common: their look, and images beside each other. A page needs no network."""
+"""Render the pages of a run: their common look, and images beside each other. A page needs no network."""
 
 from __future__ import annotations
 
@@ -46,10 +46,10 @@ def write_page(path: Path, template: str, *, policy: str = POLICY, package: str 
 
 
 def card(value: Markup | str, unit: str, name: str, remark: str) -> dict[str, Any]:
-    """One of the few figures on top of a page."""
+    """Return one of the few figures on top of a page."""
     return {"value": value, "unit": unit, "name": name, "remark": remark}
 
 
 def image_row(images: Mapping[str, np.ndarray], label: str) -> list[dict[str, Any]]:
-    """Images by name, as the macro ``panels`` of the templates wants them."""
+    """Return images by name, as the macro ``panels`` of the templates wants them."""
     return [{"name": name, "image": image_tag(shrink_to_page(image), f"{label}, {name}")} for name, image in images.items()]

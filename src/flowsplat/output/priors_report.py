@@ -137,7 +137,7 @@ def _depth_words(cameras: Mapping[str, Any], depth: Mapping[str, Any]) -> str:
 
 
 def _get_trusted_static(depth: Mapping[str, Any]) -> float:
-    """Share of the still scene with trusted depth; of everything in scenes from before that was told apart."""
+    """Return share of the still scene with trusted depth; of everything in scenes from before that was told apart."""
     return float(depth.get("trusted_static", depth["trusted"]))
 
 
@@ -278,7 +278,7 @@ class _Shown:
         )  # fmt: skip
 
     def panels(self, k: int) -> dict[str, np.ndarray]:
-        """Images of a frame by name."""
+        """Return images of a frame by name."""
         seen = self._seen[k]
         depth = depth_to_color(seen.depth, self._near, self._far)
         pale = (0.45 * depth.mean(-1, keepdims=True) + 60).astype(np.uint8)
@@ -290,7 +290,7 @@ class _Shown:
         }
 
     def draw_rulers(self, k: int) -> np.ndarray:
-        """The image of a frame with rulers in pixels of the prepared frames, which is what clicks are given in."""
+        """Return the image of a frame with rulers in pixels of the prepared frames, which is what clicks are given in."""
         width, height = np.round(np.array(self.size) / self._scale).astype(int).tolist()
         return with_rulers(self._seen[k].image, (width, height))
 
@@ -323,7 +323,7 @@ def _still(shown: _Shown, k: int) -> dict[str, Any]:
 
 
 def _strip(shown: _Shown) -> str:
-    """All shown frames as a small video, a ``data:`` address."""
+    """Return all shown frames as a small video, a ``data:`` address."""
 
     def sheet(k: int) -> np.ndarray:
         panels = shown.panels(k)
@@ -361,7 +361,7 @@ def _paths(scene: Scene, objects: SceneObjects) -> Iterator[dict[str, Any]]:
 
 
 def _object_paths(scene: Scene, objects: SceneObjects, start: int, end: int) -> Iterator[ObjectPath]:
-    """Paths of what is seen between two frames of the clip, with one standard deviation of its distance to either side."""
+    """Yield paths of what is seen between two frames of the clip, with one standard deviation of its distance to either side."""
     for obj in objects.objects:
         seen = [k for k, i in enumerate(scene.train_frames) if start <= i < end and np.isfinite(obj.log_depth[k])]
         if not seen:
@@ -377,7 +377,7 @@ def _object_paths(scene: Scene, objects: SceneObjects, start: int, end: int) -> 
 
 
 def _objects(scene: Scene, found: SceneObjects) -> Iterator[dict[str, Any]]:
-    """An image of every object where it is largest, and what is known of its distance."""
+    """Yield an image of every object where it is largest, and what is known of its distance."""
     described = {each.number: each for each in describe_objects(scene, found)}
     best = dict.fromkeys(described, (0, -1))
     for i in scene.train_frames:
@@ -404,12 +404,12 @@ def _words(scene: Scene, obj: ObjectDescription) -> dict[str, str]:
 
 
 def _travel(scene: Scene) -> float:
-    """How far apart the camera's centers are, at most along any axis."""
+    """Return how far apart the camera's centers are, at most along any axis."""
     return float(np.ptp([camera.center for camera in scene.cameras], axis=0).max())
 
 
 def _show_object(scene: Scene, i: int, number: int) -> np.ndarray:
-    """The surroundings of an object, it in color and all else in gray."""
+    """Return the surroundings of an object, it in color and all else in gray."""
     mask = scene.mask(i)
     y, x = np.nonzero(mask == number)
     room = max(8, int(0.15 * max(np.ptp(x), np.ptp(y))))

@@ -132,7 +132,7 @@ def verdict(metrics: Mapping[str, Any]) -> str:
 
 
 def _along(metrics: Mapping[str, Any]) -> str:
-    """What was measured along the clip's own path."""
+    """Return what was measured along the clip's own path."""
     ours, theirs = pick(metrics, "heldout_frames", "psnr"), pick(metrics, "baselines", "flow_interpolation", "psnr")
     training = pick(metrics, "training_frames", "psnr")
     if ours is None:
@@ -156,7 +156,7 @@ def _along(metrics: Mapping[str, Any]) -> str:
 
 
 def _aside(metrics: Mapping[str, Any]) -> str:
-    """What was measured from aside, or that nothing was and how sure the distances of objects are."""
+    """Return what was measured from aside, or that nothing was and how sure the distances of objects are."""
     views = pick(metrics, "heldout_views", "psnr")
     if views is not None:
         moving = pick(metrics, "heldout_views", "moving", "psnr")
@@ -177,7 +177,7 @@ def _aside(metrics: Mapping[str, Any]) -> str:
 
 
 def _list_counted_objects(metrics: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """What is known of objects, small parts left out."""
+    """Return what is known of objects, small parts left out."""
     return [obj for obj in metrics.get("objects") or [] if not obj.get("small")]
 
 
@@ -187,7 +187,7 @@ def _sureness(objects: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _headline(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """The few figures on top: value, unit, name and a remark."""
+    """Return the few figures on top: value, unit, name and a remark."""
     kind, name = "heldout_frames", "held-out frames"
     if pick(metrics, kind, "psnr") is None:
         kind, name = "training_frames", "training frames"
@@ -295,7 +295,7 @@ def _scores(metrics: Mapping[str, Any], ours: str, others: str, regions: Sequenc
 
 
 def _errors(metrics: Mapping[str, Any]) -> Iterator[Sequence[str]]:
-    """Rows of flow errors in pixels and of relative depth errors."""
+    """Yield rows of flow errors in pixels and of relative depth errors."""
     reason = "no masks to tell which pixels move"
     for key, name in (
         ("flow_epe", "flow against the truth, px"),
@@ -325,7 +325,7 @@ def _comparison(label: str, image: np.ndarray, rendering: np.ndarray) -> dict[st
 
 
 def _flows(flows: Sequence[FlowComparison]) -> list[dict[str, Any]]:
-    """Every pair in one color scale."""
+    """Return every pair in one color scale."""
     shown = []
     for label, rendered, prior in flows:
         scale = flow_scale([rendered, prior])
@@ -335,7 +335,7 @@ def _flows(flows: Sequence[FlowComparison]) -> list[dict[str, Any]]:
 
 
 def _videos(videos: Mapping[str, str]) -> Iterator[dict[str, Any]]:
-    """The videos with three panels, each with a link to the one with color alone."""
+    """Yield the videos with three panels, each with a link to the one with color alone."""
     folder = RunPaths(Path()).renders_path.name
     for name, file in videos.items():
         if not name.endswith("_color"):
@@ -350,7 +350,7 @@ def _videos(videos: Mapping[str, str]) -> Iterator[dict[str, Any]]:
 
 
 def video_title(name: str) -> str:
-    """What a video shows, from its name: path, tempo, part of the scene, stereo."""
+    """Return what a video shows, from its name: path, tempo, part of the scene, stereo."""
     rest = name
     words: list[str] = []
     for suffix, word in (("_stereo", "for two eyes"), ("_background", "the background alone")):

@@ -18,7 +18,8 @@ WANTED = "u,v,frame: two pixels of the prepared frames and the number of a frame
 
 
 def read_queries(at: Sequence[str], file: Path | None, scene: Scene) -> np.ndarray:
-    """[Q, 3] u, v and frame, from texts ``u,v,frame`` and from a file: JSON (a list of [u, v, frame]), or a text with one a line.
+    """Return [Q, 3] u, v and frame, from texts ``u,v,frame`` and from a file: JSON (a list of [u, v, frame]), or a text with one a
+    line.
 
     Raises:
         InputError: none at all, one that is none, or one outside the image or the clip.

@@ -51,12 +51,12 @@ VIDEOS = RenderOptions(paths=("input", "orbit"), width=427, max_frames=48)
 
 
 def is_worth_it(whole: float) -> bool:
-    """Whether a run that takes ``whole`` seconds on the reference machine begins with it."""
+    """Return whether a run that takes ``whole`` seconds on the reference machine begins with it."""
     return SHARE * whole >= SECONDS
 
 
 def choose_frames(timestamps: np.ndarray, train: Sequence[int]) -> list[int]:
-    """Frames that the coarse scene is made from: evenly over the training frames of the clip, or over its beginning."""
+    """Return frames that the coarse scene is made from: evenly over the training frames of the clip, or over its beginning."""
     times = timestamps[list(train)]
     over_all = -(-len(train) // FRAMES)
     followed = int(APART / float(np.median(np.diff(times))) + 1e-6)
@@ -97,7 +97,7 @@ class CoarseClip(Clip):
 
 
 def coarse_settings() -> TrainConfig:
-    """How it is trained."""
+    """Return how it is trained."""
     ours = PRESETS["default"]
     return replace(
         ours, iterations=STEPS, checkpoint_every=0, preview_every=0,

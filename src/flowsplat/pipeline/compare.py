@@ -98,7 +98,7 @@ def _read(path: Path, label: str) -> ComparedRun:
 
 
 def _has_same_frames(one: Scene, other: Scene) -> bool:
-    """Whether figures of both are of the same images, as far as their scenes tell."""
+    """Return whether figures of both are of the same images, as far as their scenes tell."""
     return (
         (one.width, one.height, one.heldout_frames) == (other.width, other.height, other.heldout_frames)
         and len(one.timestamps) == len(other.timestamps)
@@ -107,7 +107,7 @@ def _has_same_frames(one: Scene, other: Scene) -> bool:
 
 
 def _figures(metrics: Sequence[Mapping[str, Any]]) -> list[Figure]:
-    """The rows of the terminal's table, and the time."""
+    """Return the rows of the terminal's table, and the time."""
     found = []
     for label, path, style in ROWS:
         values = [None if value is None else format(value, style) for value in pick_all(metrics, path)]
@@ -118,7 +118,7 @@ def _figures(metrics: Sequence[Mapping[str, Any]]) -> list[Figure]:
 
 
 def _find_best(path: Sequence[str], values: Sequence[str | None]) -> tuple[int, ...]:
-    """Which values of a figure are the best, as they are shown; none where all are the same, or more is neither better nor
+    """Return which values of a figure are the best, as they are shown; none where all are the same, or more is neither better nor
     worse."""
     known = {k: float(value.replace(",", "")) for k, value in enumerate(values) if value is not None}
     if len(set(known.values())) < 2 or path[0].startswith("baselines"):

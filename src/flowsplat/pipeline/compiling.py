@@ -35,7 +35,7 @@ _COMMAND = "import sys; sys.path[:] = [path for path in sys.path if path]; from 
 
 
 def code_state(device: str) -> dict[str, Any]:
-    """What compiled kernels belong to: the code, the compiler and the processor, and where they are kept."""
+    """Return what compiled kernels belong to: the code, the compiler and the processor, and where they are kept."""
     return {
         "source": source_state(), "package": str(PACKAGE), "numba": numba.__version__, "cpu": numba.config.CPU_NAME or "native",
         "cache": str(kernels_folder()), "device": device,
@@ -43,7 +43,7 @@ def code_state(device: str) -> dict[str, Any]:
 
 
 def is_noted(marker: Path, state: dict[str, Any]) -> bool:
-    """Whether a file says that the kernels of a state were compiled."""
+    """Return whether a file says that the kernels of a state were compiled."""
     with contextlib.suppress(InputError):
         return bool(read_json(marker) == state)
     return False
@@ -86,7 +86,7 @@ class Ahead:
 
 
 def are_missing(device: str) -> bool:
-    """Whether kernels for this device are not compiled yet: ``cpu``, or another, for which nothing is compiled here."""
+    """Return whether kernels for this device are not compiled yet: ``cpu``, or another, for which nothing is compiled here."""
     return device == "cpu" and not is_noted(_marker(), code_state(device))
 
 
@@ -115,7 +115,7 @@ def _marker() -> Path:
 
 
 def read_signatures() -> list[tuple[str, str]]:
-    """Every kernel of a run with preset ``default`` and priors of its own, in the order in which it needs them.
+    """Return every kernel of a run with preset ``default`` and priors of its own, in the order in which it needs them.
 
     Returns:
         names (``splatting.cpu.tiles.prefix_sum``) and types of arguments in Numba's notation (``int64[::1], int64``).

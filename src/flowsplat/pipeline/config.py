@@ -1,4 +1,4 @@
-"""Every setting of a run in one frozen dataclass, and its presets. The command line, the API and ``run.json`` share it."""
+"""Configure a run: every setting in one frozen dataclass, and its presets. The command line, the API and ``run.json`` share it."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class RunConfig:
 
 
 def preset(name: str) -> RunConfig:
-    """The settings called ``name``.
+    """Return the settings called ``name``.
 
     ``fast``: half size, 400 steps and no final fit, about two minutes: does this clip work at all? ``default``: the best
     within minutes. ``paper``: the paper's settings (docs/method.md, "Training"). ``high``: a denser background and four times as
@@ -76,12 +76,12 @@ def preset(name: str) -> RunConfig:
 
 
 def format_option(name: str) -> str:
-    """The option of the command line for a setting of a run by its dotted name."""
+    """Return the option of the command line for a setting of a run by its dotted name."""
     return "--" + name.removeprefix("input.").removeprefix("priors.").replace("_", "-")
 
 
 def find_setting(option: str) -> str | None:
-    """The inverse of ``format_option``, None where there is no such option.
+    """Return the inverse of ``format_option``, None where there is no such option.
 
     Hyphens in front may be missing, and those within may be underscores.
     """

@@ -76,7 +76,7 @@ def run_demo(out: Path, width: int = 320, frames: int = 40, world: World = "stre
 
 
 def _clip_of(world: World, width: int, frames: int) -> tuple[DrawnClip, dict[str, Any]]:
-    """The clip, and what tells it from others."""
+    """Return the clip, and what tells it from others."""
     height = width * 9 // 16
     if world == "street":
         street = StreetScene(width=width, height=height, frames=frames)
@@ -86,7 +86,7 @@ def _clip_of(world: World, width: int, frames: int) -> tuple[DrawnClip, dict[str
 
 
 def _draw_clip(out: Path, spec: DrawnClip, config: RunConfig) -> Scene:
-    """The clip with its truth in ``OUT/truth``, and its frames as ``OUT/clip.mp4``."""
+    """Return the clip with its truth in ``OUT/truth``, and its frames as ``OUT/clip.mp4``."""
     folder, video = out / "truth", out / "clip.mp4"
     if not (folder / "complete").exists():
         write_synthetic(folder, spec, holdout=config.input.holdout)
@@ -98,7 +98,7 @@ def _draw_clip(out: Path, spec: DrawnClip, config: RunConfig) -> Scene:
 
 
 def _to_compare(config: RunConfig, iterations: int) -> RunConfig:
-    """The settings of the run with true priors. It is there to compare with: one video shows enough."""
+    """Return the settings of the run with true priors. It is there to compare with: one video shows enough."""
     return replace(
         config, final_fit=False, train=replace(config.train, iterations=iterations),
         render=replace(config.render, paths=("input",)), priors=replace(config.priors, priors="true"),
@@ -116,7 +116,7 @@ def _lend_truth(truth: Scene, scene: Path) -> None:
 def _describe_result(
     out: Path, world: World, spec: DrawnClip, own: RunFolder, metrics: Mapping[str, Any], true: Mapping[str, Any], seconds: float
 ) -> Iterator[str]:
-    """What was made, a figure along the path, one from aside, and what to do next."""
+    """Tell what was made, a figure along the path, one from aside, and what to do next."""
     yield ""
     yield f"Made in {format_duration(seconds)}: {out / 'clip.mp4'}, {spec.frames} frames of {SHOWN[world]},"
     yield f"became a 4D scene by its images alone, as your own clip would: {own.path}."

@@ -1,4 +1,4 @@
-"""What is in a run or a scene, in lines for a person."""
+"""Describe a run or a scene in lines for a person."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PACKAGES = ("torch", "numba", "numpy", "opencv-contrib-python-headless", "av", "
 
 
 def describe(path: Path | None) -> Iterator[str]:
-    """Lines about a folder (where one is given), then versions and backends.
+    """Yield lines about a folder (where one is given), then versions and backends.
 
     Raises:
         InputError: the folder is neither a run nor a scene.

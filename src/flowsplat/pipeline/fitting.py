@@ -46,7 +46,7 @@ HISTORY = "history.json"
 
 
 def train_key(folder: RunFolder) -> str:
-    """What a trained scene belongs to: the prepared scene, and the settings of training that change the result."""
+    """Return what a trained scene belongs to: the prepared scene, and the settings of training that change the result."""
     settings = to_plain(folder.config.train)
     return stage_key(folder.record["stages"].get("prepare", {}).get("key"), select_result_settings(settings))
 
@@ -169,12 +169,12 @@ def static_model(folder: RunFolder) -> SceneModel:
 
 
 def wants_final(folder: RunFolder) -> bool:
-    """Whether the run asks for a fit to the held-out frames, and has any."""
+    """Return whether the run asks for a fit to the held-out frames, and has any."""
     return folder.config.final_fit and bool(Scene(folder.scene_path).heldout_frames)
 
 
 def final_key(folder: RunFolder) -> str:
-    """What the final fit belongs to."""
+    """Return what the final fit belongs to."""
     return stage_key(train_key(folder), "all_frames")
 
 

@@ -190,7 +190,7 @@ class RunFolder(RunPaths):
 
     @staticmethod
     def open_or_create(path: Path, source: str, fingerprint: str, config: RunConfig) -> RunFolder:
-        """The run of this input in this folder, with these settings from now on.
+        """Return the run of this input in this folder, with these settings from now on.
 
         Raises:
             InputError: the folder cannot be written, holds something else, or belongs to a different input.
@@ -223,11 +223,11 @@ class RunFolder(RunPaths):
     # -- stages
 
     def is_finished(self, stage: str, key: str) -> bool:
-        """Whether a stage was finished with exactly this key."""
+        """Return whether a stage was finished with exactly this key."""
         return bool(self.record["stages"].get(stage, {}).get("key") == key)
 
     def was_started(self, stage: str, key: str) -> bool:
-        """Whether a stage was begun with exactly this key, so that what it left can be used."""
+        """Return whether a stage was begun with exactly this key, so that what it left can be used."""
         return bool(self.record["started"].get(stage) == key)
 
     def forget(self, stage: str) -> None:
@@ -301,7 +301,7 @@ class RunFolder(RunPaths):
 
 
 def stage_key(*parts: Any) -> str:
-    """A short hash of everything that a stage depends on."""
+    """Return a short hash of everything that a stage depends on."""
     text = json.dumps([to_plain(part) for part in parts], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 

@@ -176,7 +176,7 @@ def _clear(out: Path) -> None:
 
 
 def _read_input(source: Path, kind: str, target: Path, config: RunConfig) -> Scene:
-    """The scene folder with everything of the input in it, as far as it is not there yet."""
+    """Return the scene folder with everything of the input in it, as far as it is not there yet."""
     if kind == "scene":
         return copy_scene(source, target)
     if (target / "scene.json").exists() and Scene(target).info.ingested:

@@ -67,7 +67,7 @@ class Run:
         return stages.read_metrics(RunPaths(self.folder).metrics_path)
 
     def _facts(self) -> dict[str, str]:
-        """What is known of it in a few words; nothing of what was not made yet."""
+        """Return what is known of it in a few words; nothing of what was not made yet."""
         paths, facts = RunPaths(self.folder), dict[str, str]()
         if (paths.scene_path / "scene.json").exists():
             facts["clip"] = f"{self.scene.num_frames} frames of {self.scene.width}x{self.scene.height}"
@@ -93,7 +93,7 @@ class Run:
 def run(
     source: str | Path, out: str | Path, *, preset: str = "default", overrides: Mapping[str, Any] | None = None
 ) -> Run:  # fmt: skip
-    """The whole way: a clip becomes a 4D scene, images and figures. Called again, it continues.
+    """Go the whole way: a clip becomes a 4D scene, images and figures. Called again, it continues.
 
     Args:
         source: a video, a folder of images (or with images/ and masks/), a DAVIS root, a rig scene, an NVIDIA Dynamic Scene
@@ -146,7 +146,7 @@ def export(
 
 
 def make_config(name: str, overrides: Mapping[str, Any]) -> RunConfig:
-    """The settings of a preset with some changed.
+    """Return the settings of a preset with some changed.
 
     Args:
         name: of the preset.

@@ -17,7 +17,7 @@ RENAMED = {
 
 
 def find_renamed_option(option: str) -> str | None:
-    """The name that an option has now, None where it never had another one.
+    """Return the name that an option has now, None where it never had another one.
 
     Hyphens in front may be missing, those within may be underscores, and ``=value`` may follow.
     """

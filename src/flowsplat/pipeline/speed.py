@@ -1,4 +1,4 @@
-"""How long a run takes on this machine: from what it took before, or from a test of two seconds.
+"""Estimate how long a run takes on this machine: from what it took before, or from a test of two seconds.
 
 What was measured is kept in ``speed.json`` in the user's cache folder: by device and number of threads, and in it by stage, how
 many times as long as on the reference machine (two cores) the latest runs took. It may be deleted at any time. Runs during which
@@ -82,13 +82,13 @@ class Estimate:
 
 
 def estimate_seconds(scene: Scene, config: RunConfig, compiling: bool = False) -> dict[str, float]:
-    """Seconds of every stage on the reference machine; ``compiling``: with kernels that are not compiled yet."""
+    """Return seconds of every stage on the reference machine; ``compiling``: with kernels that are not compiled yet."""
     found = _estimate_seconds(config, scene.width, scene.height, len(scene.train_frames), len(scene.heldout_frames))
     return {"compiling": COMPILING if compiling else 0.0, **found}
 
 
 def estimate_seconds_of_clip(clip: Clip, config: RunConfig) -> dict[str, float]:
-    """The same of a clip that is no scene yet."""
+    """Return the same of a clip that is no scene yet."""
     train, heldout = split_frames(clip.num_frames, None if clip.num_views else config.input.holdout)
     return _estimate_seconds(config, clip.width, clip.height, len(train), len(heldout))
 
@@ -108,13 +108,13 @@ def _estimate_seconds(config: RunConfig, width: int, height: int, train_frames: 
 
 
 def estimate_memory(width: int, height: int, train_frames: int) -> float:
-    """GiB that a whole run needs."""
+    """Return GiB that a whole run needs."""
     megapixels = width * height / 1e6
     return 0.6 + 3.4 * megapixels + train_frames * megapixels * 0.02
 
 
 def stages_of(seconds: Mapping[str, float]) -> dict[str, float]:
-    """What a run took, from its seconds by part to those of ``STAGES``; of those that it went through."""
+    """Return what a run took, from its seconds by part to those of ``STAGES``; of those that it went through."""
     found: dict[str, float] = {}
     for name, value in seconds.items():
         if name == "coarse":  # as long in every run
@@ -152,7 +152,7 @@ class Speed:
         self._write()
 
     def factor(self, stage: str) -> float:
-        """How many times as long as on the reference machine a stage takes: as in earlier runs, or by what is known now."""
+        """Return how many times as long as on the reference machine a stage takes: as in earlier runs, or by what is known now."""
         if known := self._known.get(stage):
             return float(np.median(known))
         if not self._known.get("test"):
@@ -162,7 +162,7 @@ class Speed:
         return float(np.exp(np.mean(np.log([self._known["test"][0], *self._now]))))
 
     def estimate(self, reference: Mapping[str, float], stages: Sequence[str] = STAGES, passed: float = 0.0) -> Estimate:
-        """What the stages take together; ``passed``: seconds since the run began. After a minute who waits wants to know."""
+        """Return what the stages take together; ``passed``: seconds since the run began. After a minute who waits wants to know."""
         seconds = {stage: reference[stage] * self.factor(stage) for stage in stages if reference[stage] > 0}
         tried = passed >= SETTLED or bool(self._now) or all(self._known.get(stage) for stage in seconds if stage != "compiling")
         return Estimate(sum(seconds.values()), MARGIN if tried else self._untried)
@@ -213,7 +213,7 @@ def _read_used() -> _Used | None:
 
 
 def self_test(seconds: float = TEST_SECONDS) -> float:
-    """How many times as long as the reference machine one core of this one takes for flow and arithmetic, most of a run."""
+    """Return how many times as long as the reference machine one core of this one takes for flow and arithmetic, most of a run."""
     noise = np.random.default_rng(0).integers(0, 255, (260, 440), dtype=np.uint8)
     image = cv2.GaussianBlur(noise, (0, 0), 2)
     a, b = np.ascontiguousarray(image[:240, :426]), np.ascontiguousarray(image[3:243, 5:431])

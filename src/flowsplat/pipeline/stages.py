@@ -42,7 +42,7 @@ _MOST_HISTORY = 64 * 2**20
 
 
 def run(source: str | Path, out: str | Path, config: RunConfig | None = None) -> dict[str, Any]:
-    """The whole way: a clip becomes a 4D scene, images and figures. Called again, it continues.
+    """Go the whole way: a clip becomes a 4D scene, images and figures. Called again, it continues.
 
     Args:
         source: a video, a folder of images (or with images/ and masks/), a DAVIS root, a rig scene, an NVIDIA Dynamic Scene
@@ -85,7 +85,7 @@ def run(source: str | Path, out: str | Path, config: RunConfig | None = None) ->
 
 
 def load(path: Path | str, device: str = "cpu") -> SceneModel:
-    """The trained scene of a run: ``load("out").render(camera, t)`` gives arrays.
+    """Return the trained scene of a run: ``load("out").render(camera, t)`` gives arrays.
 
     Where the run was fitted to its held-out frames, too (``model_all_frames/``), it is that model; the measured one is
     ``load("out/model")``.
@@ -199,7 +199,7 @@ def _write_metrics(folder: RunFolder, result: _Result, metrics: dict[str, Any], 
 
 
 def read_metrics(path: Path) -> dict[str, Any]:
-    """The figures of an evaluation, as it returned them.
+    """Return the figures of an evaluation, as it returned them.
 
     Raises:
         InputError: missing or damaged.
@@ -210,7 +210,7 @@ def read_metrics(path: Path) -> dict[str, Any]:
 
 
 def read_history(path: Path) -> list[dict[str, float]]:
-    """The figures of a training; none where there is no file.
+    """Return the figures of a training; none where there is no file.
 
     Raises:
         InputError: damaged.
@@ -225,7 +225,7 @@ def read_history(path: Path) -> list[dict[str, float]]:
 
 
 def _render_key(folder: RunFolder) -> str:
-    """A camera file counts by its name, which that of its video has, and by what is in it, not by where it lies.
+    """Return a camera file counts by its name, which that of its video has, and by what is in it, not by where it lies.
 
     Raises:
         InputError: the camera file cannot be read.

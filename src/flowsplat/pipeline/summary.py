@@ -58,7 +58,7 @@ ROWS: tuple[tuple[str, tuple[str, ...], str], ...] = (
 
 
 def figures_table(runs: Mapping[str, Mapping[str, Any]]) -> Table:
-    """One column a run; rows that no run has are left out."""
+    """Return one column a run; rows that no run has are left out."""
     table = Table(box=None, pad_edge=False)
     table.add_column("")
     for name in runs:
@@ -72,12 +72,12 @@ def figures_table(runs: Mapping[str, Mapping[str, Any]]) -> Table:
 
 
 def pick_all(metrics: Sequence[Mapping[str, Any]], path: Sequence[str]) -> list[float | None]:
-    """The figure under ``path`` in the figures of every run; None where it was not measured."""
+    """Return the figure under ``path`` in the figures of every run; None where it was not measured."""
     return [pick(each, *path) for each in metrics]
 
 
 def next_steps(out: Path) -> Iterator[str]:
-    """What to do with a run that is finished."""
+    """Yield what to do with a run that is finished."""
     folder = shlex.quote(str(out))
     yield f"  its report:      {RunPaths(out).report_path}"
     yield f"  look around:     flowsplat view {folder}"
@@ -85,7 +85,7 @@ def next_steps(out: Path) -> Iterator[str]:
 
 
 def suggest_hints(metrics: Mapping[str, Any]) -> list[str]:
-    """Of every large object whose distance is a guess, how one click makes it sure."""
+    """Tell of every large object whose distance is a guess how one click makes it sure."""
     objects = [obj for obj in metrics.get("objects") or [] if not obj.get("small") and obj.get("hint") and "number" in obj]
     return [word_hint(obj["number"], obj["hint"]) for obj in objects]
 
@@ -94,7 +94,7 @@ def report_data(
     out: Path, scene: Scene, flows: Sequence[FlowComparison], metrics: Mapping[str, Any],
     history: Sequence[Mapping[str, float]], config: Any,
 ) -> ReportData:  # fmt: skip
-    """What the report of the run in ``out`` tells, with ``flow_comparisons``.
+    """Return what the report of the run in ``out`` tells, with ``flow_comparisons``.
 
     Raises:
         InputError: the figures are those of other frames.
@@ -138,7 +138,7 @@ def comparisons(out: Path, scene: Scene) -> Iterator[Comparison]:
 
 
 def flow_comparisons(scene: Scene, model: Renderer) -> Iterator[FlowComparison]:
-    """Rendered flow beside the prior, NaN where it is not trusted."""
+    """Yield rendered flow beside the prior, NaN where it is not trusted."""
     known, times = set(scene.flow_pairs), scene.timestamps
     pairs = [pair for pair in pairwise(scene.train_frames) if pair in known]
     for i, j in _spread(pairs, 3):

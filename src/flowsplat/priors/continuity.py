@@ -1,4 +1,4 @@
-"""Where a clip holds together: pieces between cuts, and frames that show nothing."""
+"""Find where a clip holds together: pieces between cuts, and frames that show nothing."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ BLANK = 3.0
 
 
 def is_blank(image: np.ndarray) -> bool:
-    """Whether gray [H, W] or RGB [H, W, 3] uint8 shows nothing that could be matched."""
+    """Return whether gray [H, W] or RGB [H, W, 3] uint8 shows nothing that could be matched."""
     gray = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
     return float(gray.std()) < BLANK
 
 
 def piece_numbers(count: int, breaks: list[int]) -> np.ndarray:
-    """[count] int: the piece that every frame belongs to; ``breaks`` are the first frames of all pieces but the first."""
+    """Return [count] int: the piece that every frame belongs to; ``breaks`` are the first frames of all pieces but the first."""
     return np.searchsorted(np.asarray(breaks, int), np.arange(count), side="right")
 
 
@@ -36,15 +36,15 @@ class Continuity:
         self._blank: dict[int, bool] = {}
 
     def is_blank(self, k: int) -> bool:
-        """Whether a frame shows nothing."""
+        """Return whether a frame shows nothing."""
         if k not in self._blank:
             self._blank[k] = is_blank(self._scene.frame(self._scene.train_frames[k]))
         return self._blank[k]
 
     def same_piece(self, k: int, j: int) -> bool:
-        """Whether the cameras of two frames share a world."""
+        """Return whether the cameras of two frames share a world."""
         return bool(self.pieces[k] == self.pieces[j])
 
     def are_joined(self, k: int, j: int) -> bool:
-        """Whether matches between two frames mean something."""
+        """Return whether matches between two frames mean something."""
         return self.same_piece(k, j) and not self.is_blank(k) and not self.is_blank(j)

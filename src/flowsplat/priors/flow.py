@@ -24,12 +24,12 @@ variational refinement."""
 
 
 def gray(image: np.ndarray) -> np.ndarray:
-    """RGB [H, W, 3] uint8 to gray [H, W] uint8."""
+    """Return RGB [H, W, 3] uint8 to gray [H, W] uint8."""
     return cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
 
 
 def dis_flow(a: np.ndarray, b: np.ndarray, initial: np.ndarray | None = None, fine: bool = False) -> np.ndarray:
-    """Flow [H, W, 2] float32 in pixels from gray ``a`` to gray ``b`` (both [H, W] uint8).
+    """Return flow [H, W, 2] float32 in pixels from gray ``a`` to gray ``b`` (both [H, W] uint8).
 
     Args:
         initial: a first guess [H, W, 2], for large displacements.
@@ -63,7 +63,7 @@ def _inside(points: np.ndarray, width: int, height: int) -> np.ndarray:
 
 
 def lengths(flow: np.ndarray) -> np.ndarray:
-    """[...] of vectors [..., 2]: several times as fast as ``np.linalg.norm``, which sums along so short an axis."""
+    """Return [...] of vectors [..., 2]: several times as fast as ``np.linalg.norm``, which sums along so short an axis."""
     x, y = flow[..., 0], flow[..., 1]
     return np.sqrt(x * x + y * y)
 
@@ -83,7 +83,7 @@ def forward_backward_confidence(forward: np.ndarray, backward: np.ndarray) -> np
 
 
 def compose(ab: np.ndarray, bc: np.ndarray) -> np.ndarray:
-    """Flow from a to c [H, W, 2] out of the flows from a to b and from b to c."""
+    """Return flow from a to c [H, W, 2] out of the flows from a to b and from b to c."""
     height, width = ab.shape[:2]
     target = pixel_grid(width, height) + ab
     return ab + sample_map(bc, target.reshape(-1, 2)).reshape(ab.shape)
@@ -93,7 +93,7 @@ class FlowEstimator(Protocol):
     """What finds flow."""
 
     def __call__(self, a: np.ndarray, b: np.ndarray, guess: np.ndarray | None = None) -> np.ndarray:
-        """The flow [H, W, 2] float32 in pixels from image ``a`` to ``b`` (RGB [H, W, 3] uint8).
+        """Return the flow [H, W, 2] float32 in pixels from image ``a`` to ``b`` (RGB [H, W, 3] uint8).
 
         Args:
             guess: for images that lie further apart, the flow [H, W, 2] that shorter ones lead to. An estimator that finds large
@@ -116,7 +116,7 @@ def flow_stage(scene: Scene, method: str = "dis", estimate: FlowEstimator = dis_
     done, continuity, pairs = set(scene.flow_pairs), Continuity(scene), list(pairwise(scene.train_frames))
 
     def between(k: int) -> tuple[int, float]:
-        """How many were missing between training frames k and k + 1, and the share of pixels that is trusted."""
+        """Return how many were missing between training frames k and k + 1, and the share of pixels that is trusted."""
         i, j = pairs[k]
         missing = [pair for pair in ((i, j), (j, i)) if pair not in done]
         if missing:

@@ -67,13 +67,13 @@ class Graph:
         return [prior.name for prior in self if prior.has_record]
 
     def list_missing(self, scene: Scene) -> list[str]:
-        """The priors that are not there."""
+        """Return the priors that are not there."""
         return [name for name in self.names if scene.prior(name) is None]
 
     # -- what follows from what
 
     def list_reached(self, name: str, outlasting: bool = True) -> list[Prior]:
-        """The nodes that a change of one changes, directly or through others.
+        """Return the nodes that a change of one changes, directly or through others.
 
         Args:
             outlasting: whether what outlasts such a change is left out.
@@ -86,13 +86,13 @@ class Graph:
         return [prior for prior in self if prior.name in below and not (outlasting and name in prior.outlasts)]
 
     def followers(self, name: str, outlasting: bool = True) -> set[str]:
-        """The priors that have to be made anew after one of them, or a step to one, was."""
+        """Return the priors that have to be made anew after one of them, or a step to one, was."""
         # A step with a record of its own is made anew with its prior, and not the prior with it.
         stale = {prior.whole for prior in self.list_reached(name, outlasting) if prior.part_of is None or not prior.has_record}
         return stale - {name}
 
     def stale(self, request: Request) -> set[str]:
-        """What is there and must be made anew: another one is asked for, or it follows from such.
+        """Return what is there and must be made anew: another one is asked for, or it follows from such.
 
         What follows is only made anew where it is made as it was; the result of clicks, say, is kept without new clicks.
 
@@ -113,7 +113,7 @@ class Graph:
         return stale
 
     def _list_requested(self, request: Request) -> dict[str, str]:
-        """The method of every prior for which the options ask. An option that is left at its default asks for nothing."""
+        """Return the method of every prior for which the options ask. An option that is left at its default asks for nothing."""
         asked = {prior.name: method for prior in self.whole if (method := prior.kind.asked(request)) is not None}
         if request.wants_truth:
             asked |= {prior.name: TRUTH for prior in self.whole if prior.kind.asks_truth(request)}
@@ -133,11 +133,11 @@ class Graph:
     # -- what a run's scene depends on
 
     def inputs(self, options: PriorsOptions) -> tuple[PriorsOptions, str]:
-        """All that the priors of a clip depend on beside the clip: the settings, and a hash of the files that these name."""
+        """Return all that the priors of a clip depend on beside the clip: the settings, and a hash of the files that these name."""
         return options, hash_files("", options.given.files())
 
     def list_depending_on(self, options: Collection[str]) -> list[str]:
-        """The priors that some settings (fields of ``PriorsOptions``) decide on, and those that follow from them."""
+        """Return the priors that some settings (fields of ``PriorsOptions``) decide on, and those that follow from them."""
         chosen = [prior for prior in self if not set(options).isdisjoint(prior.kind.options)]
         found = {name for prior in chosen for name in (prior.whole, *self.followers(prior.name))}
         return [name for name in self.names if name in found]
@@ -216,7 +216,7 @@ def _delete(scene: Scene, prior: Prior) -> None:
 
 
 def _step(name: str, kind: Kind, part_of: str, needs: tuple[str, ...], outlasts: tuple[str, ...] = ()) -> Prior:
-    """A node without a record."""
+    """Return a node without a record."""
     return Prior(name, kind, needs, outlasts, part_of, has_record=False)
 
 

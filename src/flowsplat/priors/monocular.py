@@ -136,12 +136,12 @@ class _Maps:
         self.has_masks = all(self.scene.has_mask(i) for i in self.scene.train_frames)
 
     def __getitem__(self, k: int) -> tuple[np.ndarray, np.ndarray]:
-        """Inverse depth and confidence [H, W] float32 at the size of the frames."""
+        """Return inverse depth and confidence [H, W] float32 at the size of the frames."""
         arrays = read_npz(self._folder / f"{self.scene.train_frames[k]:05d}.npz")
         return arrays["inverse"], arrays["confidence"].astype(np.float32)
 
     def small(self, k: int) -> tuple[np.ndarray, np.ndarray]:
-        """The same [h, w] at working resolution."""
+        """Return the same [h, w] at working resolution."""
         size = (self.clip.width, self.clip.height)
         inverse, confidence = (cv2.resize(values, size, interpolation=cv2.INTER_AREA) for values in self[k])
         return inverse, confidence
@@ -153,7 +153,7 @@ class _Maps:
         return self.scene.mask(self.scene.train_frames[k]) > 0
 
     def read_objects_small(self, k: int) -> np.ndarray:
-        """[h, w] float32 at working resolution, above 0 wherever a pixel of it shows something that moves."""
+        """Return [h, w] float32 at working resolution, above 0 wherever a pixel of it shows something that moves."""
         return cv2.resize(
             self.read_objects(k).astype(np.float32), (self.clip.width, self.clip.height), interpolation=cv2.INTER_AREA
         )
@@ -173,7 +173,7 @@ def _write_measured(maps: _Maps, source: Monocular) -> dict[str, object]:
 
 
 def _measure_lines(maps: _Maps, background: Background, loose: float) -> tuple[np.ndarray, np.ndarray]:
-    """(scale, shift) [T, 2] of every frame, and the median relative error of the fit [T]."""
+    """Return (scale, shift) [T, 2] of every frame, and the median relative error of the fit [T]."""
     count = len(maps.clip)
     lines, misfits = np.full((count, 2), np.nan), np.full(count, np.nan)
     for k in track(range(count), "Fitting depth"):
@@ -251,7 +251,7 @@ def _write_free(maps: _Maps, source: Monocular) -> dict[str, object]:
 
 
 def _chain_lines(maps: _Maps, relative: bool) -> np.ndarray:
-    """(scale, shift) [T, 2] that make every frame's inverse depth agree with that of the frame before where nothing moves.
+    """Return (scale, shift) [T, 2] that make every frame's inverse depth agree with that of the frame before where nothing moves.
 
     Median and spread are made equal and no line is fitted: a fit would flatten the clip, a little with every frame.
 

@@ -55,7 +55,7 @@ Pair = tuple[np.ndarray, np.ndarray]
 
 
 def _search(images: Pair, masks: Pair, flows: Pair) -> Pair:
-    """Both flows [H, W, 2], those of objects the better of what is there and of what is found where nothing else is seen."""
+    """Return both flows [H, W, 2], those of objects the better of what is there and of what is found where nothing else is seen."""
     rows, columns = (np.flatnonzero((masks[0] | masks[1]).any(axis)) for axis in (1, 0))
     top, left = max(rows[0] - AROUND, 0), max(columns[0] - AROUND, 0)
     box = slice(top, rows[-1] + 1 + AROUND), slice(left, columns[-1] + 1 + AROUND)
@@ -75,7 +75,7 @@ def _search(images: Pair, masks: Pair, flows: Pair) -> Pair:
 
 
 def _cost(a: np.ndarray, b: np.ndarray, mask_a: np.ndarray, mask_b: np.ndarray, flow: np.ndarray, back: np.ndarray) -> np.ndarray:
-    """[H, W] what speaks against a flow from ``a`` to ``b`` around each pixel of an object, in gray levels."""
+    """Return [H, W] what speaks against a flow from ``a`` to ``b`` around each pixel of an object, in gray levels."""
     unlike = np.minimum(np.abs(a - _warp(b, flow)).mean(-1), MOST_UNLIKE)
     misses = lengths(flow + _warp(back, flow)) / (0.5 + 0.05 * lengths(flow))
     cost = unlike + OUTSIDE * (1 - _warp(mask_b, flow)) + RETURN * np.minimum(misses, MOST_RETURNS)
@@ -83,6 +83,6 @@ def _cost(a: np.ndarray, b: np.ndarray, mask_a: np.ndarray, mask_b: np.ndarray, 
 
 
 def _warp(values: np.ndarray, flow: np.ndarray) -> np.ndarray:
-    """The map [H, W, ...] whose pixel p is that at p + flow(p)."""
+    """Return the map [H, W, ...] whose pixel p is that at p + flow(p)."""
     x, y = np.moveaxis(pixel_grid(*flow.shape[1::-1]) + flow - 0.5, -1, 0).astype(np.float32)
     return np.asarray(cv2.remap(values, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))

@@ -47,5 +47,5 @@ class PriorsOptions:
 
 
 def names_places(options: PriorsOptions) -> bool:
-    """Whether clicks, boxes or distances are given, which a clip has to be read for."""
+    """Return whether clicks, boxes or distances are given, which a clip has to be read for."""
     return bool(options.mask_click or options.mask_box or options.mask_negative or options.contact or options.same_depth)

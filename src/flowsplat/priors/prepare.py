@@ -1,4 +1,4 @@
-"""All priors of a scene, in the order of their graph: given ones first, then what is missing."""
+"""Prepare all priors of a scene, in the order of their graph: given ones first, then what is missing."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def prepare_priors(
 
 
 def request_of(scene: Scene, options: PriorsOptions, device: str = "auto") -> Request:
-    """What the options ask for, once it is certain that they do not contradict each other.
+    """Return what the options ask for, once it is certain that they do not contradict each other.
 
     Raises:
         InputError: they do, or a click is no click.
@@ -110,7 +110,7 @@ def use_given(scene: Scene, given: GivenPriors, estimate: FlowEstimator = dis_es
 
 
 def _ready(request: Request, prior: Prior) -> Stage:
-    """What computes a prior, with its networks loaded."""
+    """Return what computes a prior, with its networks loaded."""
     assert prior.kind.compute is not None
     return prior.kind.compute(request)
 

@@ -1,4 +1,4 @@
-"""What is known of a prior: where it stands in the graph (``Prior``), and how it is made, read and replaced (``Kind``).
+"""Define a prior: where it stands in the graph (``Prior``), and how it is made, read and replaced (``Kind``).
 
 A kind is one file in ``priors/kinds``; ``priors/graph.py`` has one line for each, which gives it its place.
 """
@@ -47,7 +47,7 @@ class Request:
     memory: dict[str, Any] = field(default_factory=dict)
 
     def method(self, name: str) -> str | None:
-        """How the prior that is there was made; None where there is none."""
+        """Return how the prior that is there was made; None where there is none."""
         prior = self.scene.prior(name)
         return None if prior is None else str(prior.get("method"))
 
@@ -57,7 +57,7 @@ class Request:
         return self.options.priors == "true"
 
     def computes(self, name: str) -> bool:
-        """Whether a prior is missing and no file is given for it."""
+        """Return whether a prior is missing and no file is given for it."""
         return self.scene.prior(name) is None and name not in self.options.given.named
 
 

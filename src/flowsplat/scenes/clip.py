@@ -136,7 +136,7 @@ def select_frames(seconds: np.ndarray, options: InputOptions, source: str) -> Se
 
 
 def choose_working_size(width: int, height: int, options: InputOptions, source: str) -> tuple[tuple[int, int], list[str]]:
-    """((width, height) to work at, notes for the user).
+    """Return ((width, height) to work at, notes for the user).
 
     Raises:
         InputError: too small to work with.
@@ -184,13 +184,13 @@ class Truth(Protocol):
         """Points [P, T, 3] in the world."""
 
     def depth(self, i: int) -> Depth:
-        """Depth of frame ``i``."""
+        """Return depth of frame ``i``."""
 
     def flow(self, i: int, j: int) -> Flow:
-        """Flow between a pair of ``flow_pairs``."""
+        """Return flow between a pair of ``flow_pairs``."""
 
     def mask(self, i: int) -> np.ndarray:
-        """[H, W] object numbers of frame ``i``, 0 = background."""
+        """Return [H, W] object numbers of frame ``i``, 0 = background."""
 
 
 @dataclass(frozen=True)
@@ -247,16 +247,16 @@ class Clip(ABC):
 
     @abstractmethod
     def frames(self, numbers: Sequence[int]) -> Iterator[np.ndarray]:
-        """The images RGB [H, W, 3] uint8 of the frames ``numbers``, which rise.
+        """Yield the images RGB [H, W, 3] uint8 of the frames ``numbers``, which rise.
 
         Raises:
             InputError: an image cannot be read.
         """
 
     def mask(self, i: int) -> np.ndarray:
-        """[H, W] uint8: object numbers of frame ``i``, 0 = background; only where ``has_masks``."""
+        """Return [H, W] uint8: object numbers of frame ``i``, 0 = background; only where ``has_masks``."""
         raise LookupError(f"{self.source} came without masks")
 
     def views(self) -> Iterator[ViewImage]:
-        """Images by other cameras at the times of chosen frames."""
+        """Yield images by other cameras at the times of chosen frames."""
         return iter(())

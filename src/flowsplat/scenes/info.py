@@ -1,4 +1,4 @@
-"""What ``scene.json`` holds, as a record. ``Scene`` alone changes it, by methods that say what happened, and writes it."""
+"""Hold what ``scene.json`` says, as a record. ``Scene`` alone changes it, by methods that say what happened, and writes it."""
 
 from __future__ import annotations
 
@@ -57,12 +57,12 @@ class SceneInfo:
 
     @staticmethod
     def from_json(values: Mapping[str, Any]) -> SceneInfo:
-        """The record of a file that was checked against this class."""
+        """Return the record of a file that was checked against this class."""
         known = {name: value for name, value in values.items() if name in _KEYS}
         return SceneInfo(**known, more={name: value for name, value in values.items() if name not in _KEYS})
 
     def to_json(self) -> dict[str, Any]:
-        """What the file holds; marks that are not set are left out."""
+        """Return what the file holds; marks that are not set are left out."""
         values = {name: getattr(self, name) for name in _KEYS}
         return {name: value for name, value in values.items() if value or name not in _MARKS} | dict(self.more)
 

@@ -31,7 +31,7 @@ ALREADY = "{} is a prepared scene already: there is nothing to ingest."
 
 
 def kind_of_input(path: Path) -> str:
-    """What ``path`` is: ``scene`` (prepared), ``rig``, ``davis``, ``nvidia``, ``nerfies``, ``images`` or ``video``.
+    """Return what ``path`` is: ``scene`` (prepared), ``rig``, ``davis``, ``nvidia``, ``nerfies``, ``images`` or ``video``.
 
     Raises:
         InputError: it does not exist, or is a folder of nothing that is known.
@@ -155,7 +155,8 @@ def _write_frames(clip: Clip, scene: Scene) -> None:
 
 
 def _write_sound(clip: Clip, scene: Scene) -> str | None:
-    """The name of the sound's file, which comes into the scene: a scene names no file outside it. None where there is no sound."""
+    """Return the name of the sound's file, which comes into the scene: a scene names no file outside it. None where there is no
+    sound."""
     if clip.audio is None:
         return None
     seconds = float(scene.timestamps[-1] - scene.timestamps[0]) + 1 / clip.source_fps
@@ -187,7 +188,7 @@ def _write_truth(clip: Clip, scene: Scene) -> None:
 
 
 def fingerprint(path: Path, options: InputOptions) -> str:
-    """A short name of an input with its options, the same wherever the input lies: names, sizes and both ends of its files.
+    """Return a short name of an input with its options, the same wherever the input lies: names, sizes and both ends of its files.
 
     Raises:
         InputError: the input does not exist or is of no known kind.
@@ -196,7 +197,7 @@ def fingerprint(path: Path, options: InputOptions) -> str:
 
 
 def _list_input_files(path: Path, options: InputOptions) -> list[tuple[str, Path]]:
-    """The files that make up an input, with names that do not depend on where it lies."""
+    """Return the files that make up an input, with names that do not depend on where it lies."""
     kind = kind_of_input(path)
     if kind == "scene":
         raise InputError(ALREADY.format(path))

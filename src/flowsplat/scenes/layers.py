@@ -1,4 +1,4 @@
-"""What is known about the frames of a clip besides their colors: cameras, depth, flow, masks, tracks.
+"""Store what is known about the frames of a clip besides their colors: cameras, depth, flow, masks, tracks.
 
 One folder holds one such set of layers: the priors of a scene, or its truth. The files:
 
@@ -153,7 +153,7 @@ def write_image(path: Path, image: np.ndarray) -> None:
 
 
 def decode_image(path: Path, flags: int, expected: tuple[int, int] | None = None) -> np.ndarray | None:
-    """An image as OpenCV gives it (BGR) under ``cv2.IMREAD_*`` flags; None where it cannot be decoded.
+    """Return an image as OpenCV gives it (BGR) under ``cv2.IMREAD_*`` flags; None where it cannot be decoded.
 
     Args:
         expected: width and height that it must have, where they are known.
@@ -253,11 +253,11 @@ class Layers:
         return self.folder / "depth" / f"{i:05d}.npz"
 
     def has_depth(self, i: int) -> bool:
-        """Whether frame ``i`` has depth."""
+        """Return whether frame ``i`` has depth."""
         return self._depth_path(i).exists()
 
     def depth(self, i: int) -> Depth:
-        """The depth of frame ``i``.
+        """Return the depth of frame ``i``.
 
         Raises:
             InputError: missing, damaged, of the wrong size, or with values that are not finite and positive.
@@ -288,7 +288,7 @@ class Layers:
         return [(int(path.stem.split("_")[0]), int(path.stem.split("_")[1])) for path in found]
 
     def read_stored_flow(self, i: int, j: int) -> StoredFlow:
-        """The flow from frame ``i`` to frame ``j``, as it is stored.
+        """Return the flow from frame ``i`` to frame ``j``, as it is stored.
 
         Raises:
             InputError: missing, damaged or of the wrong size.
@@ -300,7 +300,7 @@ class Layers:
         return StoredFlow(i, j, arrays["flow"], arrays["confidence"])
 
     def flow(self, i: int, j: int) -> Flow:
-        """The flow from frame ``i`` to frame ``j``.
+        """Return the flow from frame ``i`` to frame ``j``.
 
         Raises:
             InputError: missing, damaged or of the wrong size.
@@ -324,11 +324,11 @@ class Layers:
         return self.folder / "masks" / f"{i:05d}.png"
 
     def has_mask(self, i: int) -> bool:
-        """Whether frame ``i`` has a mask."""
+        """Return whether frame ``i`` has a mask."""
         return self._mask_path(i).exists()
 
     def mask(self, i: int) -> np.ndarray:
-        """[H, W] uint8: object numbers, 0 = background.
+        """Return [H, W] uint8: object numbers, 0 = background.
 
         Raises:
             InputError: missing, damaged or of the wrong size.

@@ -1,4 +1,4 @@
-"""Every image of a scene replaced by another one, so that a kill in between never leaves a mixture of both."""
+"""Replace every image of a scene by another one, so that a kill in between never leaves a mixture of both."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ VERSION = 1
 
 
 def split_frames(count: int, holdout: int | None) -> tuple[list[int], list[int]]:
-    """(training, held-out) frame numbers: every ``holdout``-th frame is held out (9, 19, ... for 10), never the last.
+    """Return (training, held-out) frame numbers: every ``holdout``-th frame is held out (9, 19, ... for 10), never the last.
 
     Raises:
         InputError: too few frames remain for training.
@@ -269,23 +269,23 @@ class Scene(Layers):
         write_image(self._frame_path(i), image)
 
     def has_frame(self, i: int) -> bool:
-        """Whether the image of frame ``i`` is there."""
+        """Return whether the image of frame ``i`` is there."""
         return self._frame_path(i).exists()
 
     def any_frame(self, i: int) -> np.ndarray:
-        """RGB [H, W, 3] uint8 of any frame. For the camera stage only."""
+        """Return RGB [H, W, 3] uint8 of any frame. For the camera stage only."""
         image = read_image(self._frame_path(i), (self.width, self.height))
         if image.shape != (self.height, self.width, 3):
             raise InputError(f"{self._frame_path(i)} has shape {image.shape}, expected {(self.height, self.width, 3)}.")
         return image
 
     def frame(self, i: int) -> np.ndarray:
-        """RGB [H, W, 3] uint8 of a training frame."""
+        """Return RGB [H, W, 3] uint8 of a training frame."""
         self._require_training(i)
         return self.any_frame(i)
 
     def heldout_frame(self, i: int) -> np.ndarray:
-        """RGB [H, W, 3] uint8 of a held-out frame. For what comes after the training only."""
+        """Return RGB [H, W, 3] uint8 of a held-out frame. For what comes after the training only."""
         if i in self._train:
             raise SplitError(f"frame {i} is a training frame")
         return self.any_frame(i)
@@ -341,7 +341,7 @@ class Scene(Layers):
     # -- priors as a whole
 
     def prior(self, name: str) -> Mapping[str, Any] | None:
-        """How a prior was made; None while it is missing or unfinished. ``priors/graph.py`` lists their names."""
+        """Return how a prior was made; None while it is missing or unfinished. ``priors/graph.py`` lists their names."""
         return self._info.priors.get(name)
 
     def finish_prior(self, name: str, **how: Any) -> None:
@@ -419,7 +419,7 @@ class Scene(Layers):
         write_json(self.folder / "views.json", values)
 
     def view_image(self, view: HeldoutView) -> np.ndarray:
-        """RGB [H, W, 3] uint8 of a held-out view. For the evaluation only."""
+        """Return RGB [H, W, 3] uint8 of a held-out view. For the evaluation only."""
         path = self.folder / "views" / f"{view.name}.png"
         image = read_image(path, (view.camera.width, view.camera.height))
         if image.ndim != 3 or image.shape[2] != 3:
@@ -427,6 +427,6 @@ class Scene(Layers):
         return image
 
     def view_mask(self, view: HeldoutView, kind: str = "mask") -> np.ndarray | None:
-        """[H, W] bool: objects (``mask``) or pixels that the clip saw (``covisible``); None where not given."""
+        """Return [H, W] bool: objects (``mask``) or pixels that the clip saw (``covisible``); None where not given."""
         path = self.folder / "views" / f"{view.name}_{kind}.png"
         return read_image(path, (view.camera.width, view.camera.height)) > 0 if path.exists() else None

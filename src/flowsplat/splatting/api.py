@@ -71,7 +71,7 @@ class SplattingKernels(Protocol):
 
 
 def _kernels(backend: str) -> SplattingKernels:
-    """Those of a backend, imported only where they are needed."""
+    """Return those of a backend, imported only where they are needed."""
     if backend == "cpu":
         from flowsplat.splatting.cpu import functions
 

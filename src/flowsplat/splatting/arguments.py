@@ -1,4 +1,5 @@
-"""What ``rasterize`` and ``rasterization`` are given: made what it has to be, or refused in a sentence that names the argument."""
+"""Check the arguments of ``rasterize`` and ``rasterization``: converted to what they have to be, or refused in a sentence that
+names the argument."""
 
 from __future__ import annotations
 

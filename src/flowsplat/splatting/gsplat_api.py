@@ -246,7 +246,7 @@ def _images(
     backgrounds: Tensor | None,
     sh_degree: int | None,
 ) -> list[_Image]:
-    """The tensors of every camera of every batch entry, one camera after the other. Shapes are as ``_shapes`` gives them."""
+    """Return the tensors of every camera of every batch entry, one camera after the other. Shapes are as ``_shapes`` gives them."""
     batches = math.prod(batch)
 
     def of_entry(value: Tensor | None, *shape: int) -> list[Any]:
@@ -284,16 +284,16 @@ class _Rows:
 
     @classmethod
     def of(cls, projections: Sequence[Projected], count: int, shape: tuple[int, ...], packed: bool) -> _Rows:
-        """Those of what was projected."""
+        """Return those of what was projected."""
         chosen = [torch.nonzero(each.visible).squeeze(1) for each in projections]
         return cls(chosen, [len(ids) if packed else count for ids in chosen], count, shape, packed)
 
     def pick(self, value: Tensor, i: int) -> Tensor:
-        """The rows [n_i, ...] of image i, of a value [N, ...]."""
+        """Return the rows [n_i, ...] of image i, of a value [N, ...]."""
         return value.index_select(0, self.chosen[i]) if self.packed and self.sizes[i] < self.count else value
 
     def join(self, values: Sequence[Tensor]) -> Tensor:
-        """[nnz, ...] if packed, else [..., C, N, ...], of a value [N, ...] of every image."""
+        """Return [nnz, ...] if packed, else [..., C, N, ...], of a value [N, ...] of every image."""
         picked = [self.pick(value, i) for i, value in enumerate(values)]
         if self.packed:
             return picked[0] if len(picked) == 1 else torch.cat(picked)

@@ -9,12 +9,12 @@ from flowsplat.splatting.rules import C0, C1, C2, C3
 
 
 def harmonics_count(degree: int) -> int:
-    """How many coefficients a degree has."""
+    """Return how many coefficients a degree has."""
     return (degree + 1) ** 2
 
 
 def harmonics_basis(directions: Tensor, degree: int) -> Tensor:
-    """[..., 3] unit directions to [..., (degree + 1)^2] basis values; degree 0 to 3."""
+    """Return [..., 3] unit directions to [..., (degree + 1)^2] basis values; degree 0 to 3."""
     x, y, z = directions.unbind(-1)
     basis = [torch.full_like(x, C0)]
     if degree > 0:
@@ -46,11 +46,11 @@ def colors_from_harmonics(sh: Tensor, directions: Tensor | None, degree: int) ->
 
 
 def colors_in_torch(sh: Tensor, directions: Tensor, degree: int) -> Tensor:
-    """The oracle of the kernel behind ``colors_from_harmonics``."""
+    """Return the oracle of the kernel behind ``colors_from_harmonics``."""
     basis = harmonics_basis(torch.nn.functional.normalize(directions, dim=-1), degree)
     return ((basis[..., None] * sh[:, : basis.shape[-1]]).sum(1) + 0.5).clamp(min=0)
 
 
 def harmonics_from_colors(colors: Tensor) -> Tensor:
-    """The degree-0 coefficient of a color."""
+    """Return the degree-0 coefficient of a color."""
     return (colors - 0.5) / C0

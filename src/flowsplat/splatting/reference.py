@@ -103,7 +103,7 @@ def _blend_rows(
     rows: Tensor,
     absolute: Tensor | None,
 ) -> tuple[Tensor, Tensor]:
-    """The given rows of the image, from the Gaussians in ``order``."""
+    """Return the given rows of the image, from the Gaussians in ``order``."""
     x = torch.arange(width, dtype=means2d.dtype, device=means2d.device) + 0.5
     y = rows.to(means2d) + 0.5
     pixels = torch.stack(torch.meshgrid(x, y, indexing="xy"), -1).reshape(-1, 1, 2)

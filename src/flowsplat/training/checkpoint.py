@@ -45,7 +45,7 @@ def write_tensors(path: Path, tensors: Mapping[str, Tensor], values: Mapping[str
 
 
 def read_tensors(path: Path, rows: int | None = None) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """The inverse of ``write_tensors``.
+    """Return the inverse of ``write_tensors``.
 
     Args:
         rows: how many every tensor must have; looked at before any of them is read.
@@ -130,7 +130,7 @@ def save_model(folder: Path, model: SceneModel) -> None:
 
 
 def has_model(folder: Path) -> bool:
-    """Whether the files of a trained model are there."""
+    """Return whether the files of a trained model are there."""
     return all((folder / name).exists() for name in ("model.json", "gaussians.safetensors"))
 
 
@@ -229,7 +229,7 @@ def check_training_state(path: Path, tensors: Mapping[str, Tensor], gaussians: G
 
 
 def latest_checkpoint(folder: Path) -> Path:
-    """The newest checkpoint in a folder of them.
+    """Return the newest checkpoint in a folder of them.
 
     Raises:
         InputError: ``latest.json`` is missing or damaged.

@@ -1,4 +1,4 @@
-"""Every setting of training, and the presets."""
+"""Configure training: every setting, and the presets."""
 
 from __future__ import annotations
 
@@ -187,7 +187,7 @@ NOT_AFFECTING_RESULT = ("checkpoint_every", "preview_every")
 
 
 def select_result_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Those settings of training, by name, on which the result depends."""
+    """Return those settings of training, by name, on which the result depends."""
     return {name: value for name, value in settings.items() if name not in NOT_AFFECTING_RESULT}
 
 

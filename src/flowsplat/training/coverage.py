@@ -10,7 +10,7 @@ UNCOVERED_FROM = 0.3
 
 
 def coverage_loss(alpha: Tensor) -> Tensor:
-    """Mean transmittance above ``UNCOVERED_FROM``, a scalar, differentiable in alpha [H, W].
+    """Return the mean transmittance above ``UNCOVERED_FROM``, a scalar, differentiable in alpha [H, W].
 
     Black shows through a pixel that is not covered, so a dark surface need not cover it and, in some thousand steps, comes not to.
     Rendering would take it for a pixel that nothing covers and fill it from its neighbors.

@@ -22,7 +22,7 @@ frames beside it, too, and they would lose what the held-out frame gains."""
 
 
 def final_config(config: TrainConfig) -> TrainConfig:
-    """The settings of a training and its final fit in one: rates go on falling to what they would have ended at.
+    """Return the settings of a training and its final fit in one: rates go on falling to what they would have ended at.
 
     Gaussians are neither added nor removed, and none begins to move or comes to rest.
     """
@@ -36,8 +36,8 @@ def final_config(config: TrainConfig) -> TrainConfig:
 
 
 def with_heldout(observations: Observations, scene: Scene, layers: Layers) -> Observations:
-    """The observations of all frames in order. Depth and masks of held-out frames are unknown, which is: trusted nowhere, empty.
-    Flow leads forwards only: backwards it is of use to a start alone, and here one is there.
+    """Return the observations of all frames in order. Depth and masks of held-out frames are unknown, which is: trusted nowhere,
+    empty. Flow leads forwards only: backwards it is of use to a start alone, and here one is there.
 
     Args:
         observations: of the training frames.
@@ -71,7 +71,8 @@ def with_heldout(observations: Observations, scene: Scene, layers: Layers) -> Ob
 
 
 def final_visits(scene: Scene) -> list[int]:
-    """How often every frame is drawn in a round of the final fit: the few held-out frames about as often as all others together."""
+    """Return how often every frame is drawn in a round of the final fit: the few held-out frames about as often as all others
+    together."""
     heldout = set(scene.heldout_frames)
     often = max(1, round(len(scene.train_frames) / max(len(heldout), 1)))
     beside = {i + side for i in heldout for side in (-1, 1)}

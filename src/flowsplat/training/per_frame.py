@@ -1,4 +1,4 @@
-"""One static scene for every training frame, to compare with: what 3D Gaussians do that know nothing of time.
+"""Fit one static scene to every training frame, to compare with: what 3D Gaussians do that know nothing of time.
 
 All sets together have the Gaussians and the frame-steps that a moving scene has. A time in between is shown by the set of the
 nearest training frame.
@@ -35,7 +35,7 @@ class PerFrameModel:
     seconds: np.ndarray
 
     def nearest(self, t: float) -> SceneModel:
-        """The scene of the time nearest to ``t`` seconds, the earlier one of two."""
+        """Return the scene of the time nearest to ``t`` seconds, the earlier one of two."""
         return self.models[int(np.abs(self.seconds - t).argmin())]
 
     def render(self, camera: Camera, t: float, flow_to: tuple[Camera, float] | None = None) -> Rendering:
@@ -43,12 +43,12 @@ class PerFrameModel:
         return self.nearest(t).render(camera, t, flow_to)
 
     def active_count(self, t: float) -> int:
-        """How many Gaussians are rendered at ``t`` seconds."""
+        """Return how many Gaussians are rendered at ``t`` seconds."""
         return self.nearest(t).active_count(t)
 
 
 def per_frame_config(config: TrainConfig, frames: int) -> TrainConfig:
-    """The settings of one frame's set: its share of the Gaussians and of the steps, and nothing that depends on time."""
+    """Return the settings of one frame's set: its share of the Gaussians and of the steps, and nothing that depends on time."""
     still = static_config(config)
     return replace(
         still,

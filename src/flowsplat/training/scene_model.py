@@ -1,4 +1,4 @@
-"""What training ends with: Gaussians in the space and time of their scene."""
+"""Convert trained Gaussians to the space and time of their scene."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from flowsplat.training.config import TrainConfig
 
 
 def static_config(config: TrainConfig) -> TrainConfig:
-    """The settings without anything that moves."""
+    """Return the settings without anything that moves."""
     return replace(
         config,
         model=replace(config.model, freeze_background=True),
@@ -24,7 +24,8 @@ def static_config(config: TrainConfig) -> TrainConfig:
 
 
 def static_start(observations: Observations, tracks: Tracks | None, config: TrainConfig) -> Gaussians4D:
-    """The first Gaussians of a static scene: the background, and the objects as in their middle frame. A random start stays whole.
+    """Return the first Gaussians of a static scene: the background, and the objects as in their middle frame. A random start stays
+    whole.
 
     Args:
         observations: the training frames.

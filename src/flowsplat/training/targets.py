@@ -1,4 +1,4 @@
-"""What the training frames should show, on the device that trains."""
+"""Hold the target images of training frames on the device that trains."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Targets:
             self._room = SHARE * torch.cuda.mem_get_info(device)[0]
 
     def __getitem__(self, k: int) -> PhotometricTargets:
-        """Of training frame ``k``."""
+        """Return the targets of training frame ``k``."""
         if self._device.type != "cuda":
             return self._on_host(k)
         self.prefetch(k)

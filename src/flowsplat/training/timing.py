@@ -1,4 +1,4 @@
-"""When a training writes its checkpoints."""
+"""Decide when a training writes its checkpoints."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class CheckpointTimes:
         self._every, self._next = every, now + FIRST
 
     def is_due(self, step: int, now: float) -> bool:
-        """Whether one is due after a step."""
+        """Return whether one is due after a step."""
         return now >= self._next if self._every is None else self._every > 0 and step % self._every == 0
 
     def note_written(self, now: float, seconds: float) -> None:

@@ -204,7 +204,7 @@ class Trainer:
         return chosen
 
     def _iterate(self) -> Entry:
-        """One optimizer step over the next frames."""
+        """Return one optimizer step over the next frames."""
         self.gaussians.sh_degree = min(self.gaussians.config.sh_degree, 4 * self.step // max(self.config.iterations, 1))
         frames = self._next_frames()
         for k in (*frames[1:2], *self._queue[-1:]):
@@ -219,7 +219,7 @@ class Trainer:
         return {name: _mean([entry[name] for entry in entries]) for name in entries[0]}
 
     def _accumulate(self, frames: list[int]) -> list[Entry]:
-        """One optimizer step along the mean gradient of several frames."""
+        """Return one optimizer step along the mean gradient of several frames."""
         gaussians = self.gaussians
         # The last one is where padding, -1, points to.
         count = len(gaussians)
@@ -349,7 +349,7 @@ class Trainer:
         return PhotometricWeights(loss.ssim, loss.flow, loss.depth, loss.flow_by_alpha)
 
     def _rigid(self, active: Active, rendered: RenderedFrame) -> Tensor | None:
-        """The rigid loss among dynamic Gaussians; with ``rigid_over_all`` among all that may move."""
+        """Return the rigid loss among dynamic Gaussians; with ``rigid_over_all`` among all that may move."""
         config, moving, velocities = self.config.loss, active.rows[active.num_static :], rendered.sliced.velocities
         if min(len(moving), len(self.gaussians)) < 2:
             return None
@@ -522,18 +522,18 @@ class Trainer:
 
 
 def _spread_order(count: int, rng: np.random.Generator) -> np.ndarray:
-    """A permutation [count] of which any few in a row lie far apart: multiples of the golden ratio, from a random one on."""
+    """Return a permutation [count] of which any few in a row lie far apart: multiples of the golden ratio, from a random one on."""
     return np.argsort(np.argsort((rng.random() + GOLDEN * np.arange(count)) % 1))
 
 
 @functools.cache
 def _falloff(count: int, power: float) -> np.ndarray:
-    """[count] factors by which the gains' frequencies learn more slowly."""
+    """Return [count] factors by which the gains' frequencies learn more slowly."""
     return (torch.arange(1.0, count + 1) ** -power).numpy()
 
 
 def _all_rows(gaussians: Gaussians4D) -> Active:
-    """All of them, those at rest first. Waits for a GPU to count those."""
+    """Return all of them, those at rest first. Waits for a GPU to count those."""
     rests = gaussians.at_rest
     resting = torch.nonzero(rests)
     return Active(torch.cat([resting, torch.nonzero(~rests)]).squeeze(1), len(resting), 0.0)
@@ -545,7 +545,7 @@ def _mean(values: list[float | Tensor]) -> float | Tensor:
 
 
 def _number(value: Tensor) -> float | Tensor:
-    """A figure: what is on a GPU stays there."""
+    """Return a figure: what is on a GPU stays there."""
     return value.detach() if value.is_cuda else float(value.detach())
 
 

@@ -51,7 +51,7 @@ class TailAverage:
             params[name].copy_(total / self.count)
 
     def state(self) -> dict[str, Tensor]:
-        """Every sum by name, for a checkpoint."""
+        """Return every sum by name, for a checkpoint."""
         return dict(self._sums)
 
     def load_state(self, count: int, state: Mapping[str, Tensor]) -> None:

@@ -1,4 +1,4 @@
-"""What more Gaussians and more frame-steps bring: PSNR against the cap, and against the steps."""
+"""Measure what more Gaussians and more frame-steps bring: PSNR against the cap, and against the steps."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str]
 
 
 def _mean(results: Sequence[Result], scene: str, axis: str, value: int, figure: str) -> float | None:
-    """Of a figure over the seeds."""
+    """Average a figure over the seeds."""
     return mean_of(result[figure] for result in results if result["scene"] == scene and result[axis] == value)
 
 

@@ -1,4 +1,4 @@
-"""What is claimed of every part of the method: the rows of the paper's three ablation tables, ours, and simpler scenes."""
+"""List what is claimed of every part of the method: the rows of the paper's three ablation tables, ours, and simpler scenes."""
 
 from __future__ import annotations
 
@@ -141,7 +141,7 @@ CLAIMS: tuple[Claim, ...] = (
 
 
 def choose_claims(names: Sequence[str]) -> list[Claim]:
-    """The rows of these names (of a variant, or of a whole table), or all of them.
+    """Return the rows of these names (of a variant, or of a whole table), or all of them.
 
     Raises:
         InputError: there is no such row.
@@ -154,6 +154,6 @@ def choose_claims(names: Sequence[str]) -> list[Claim]:
 
 
 def list_needed_variants(claims: Sequence[Claim]) -> list[Variant]:
-    """What has to be trained for some rows: their bases first."""
+    """Return what has to be trained for some rows: their bases first."""
     variants = [claim.base for claim in claims] + [claim.variant for claim in claims]
     return list({variant.name: variant for variant in variants}.values())

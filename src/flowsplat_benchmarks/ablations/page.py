@@ -1,4 +1,4 @@
-"""What the reports of the ablations and of the caps have in common: how they name scenes, and what they say of the runs."""
+"""Write the common parts of the reports of ablations and caps: how they name scenes, and what they say of the runs."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ def write_ablation_report(
 
 
 def scene_names(results: Sequence[Result]) -> dict[str, str]:
-    """The scenes of some results, with what to call them."""
+    """Return the scenes of some results, with what to call them."""
     found = {result["scene"]: result for result in results}
     return {name: plain(label(result)) for name, result in sorted(found.items())}
 
 
 def how_measured(results: Sequence[Result]) -> str:
-    """Which images were measured, and by which code, in some sentences."""
+    """Return which images were measured, and by which code, in some sentences."""
     parts = []
     for name in scene_names(results):
         result = next(result for result in results if result["scene"] == name)

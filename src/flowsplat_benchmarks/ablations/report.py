@@ -76,7 +76,7 @@ class Judged:
 
 
 def judge(claim: Claim, results: Sequence[Result]) -> Judged | None:
-    """What a claim's variant does to PSNR; None where it or its base is not measured."""
+    """Return what a claim's variant does to PSNR; None where it or its base is not measured."""
     found = _effect(claim, results, "psnr")
     return None if found is None else Judged(claim, found, _effect(claim, results, "moving"))
 

@@ -34,7 +34,7 @@ class AblationScene:
         return self.case.scene if self.size is None else f"{self.case.scene}_{self.size}"
 
     def prepare(self, out: Path) -> Path:
-        """The prepared scene in ``out``; what is missing of it is computed.
+        """Return the prepared scene in ``out``; what is missing of it is computed.
 
         Raises:
             InputError: the input cannot be used.
@@ -43,7 +43,7 @@ class AblationScene:
 
 
 def choose_scenes(root: Path, known: Sequence[AblationScene], names: Sequence[str]) -> list[AblationScene]:
-    """Those called ``names`` among the scenes of a data root.
+    """Return those called ``names`` among the scenes of a data root.
 
     Raises:
         InputError: there is no scene of that name.
@@ -54,7 +54,7 @@ def choose_scenes(root: Path, known: Sequence[AblationScene], names: Sequence[st
 
 
 def ablation_scenes(root: Path, size: int) -> list[AblationScene]:
-    """All scenes under a data root.
+    """Return all scenes under a data root.
 
     Args:
         size: long side in pixels of clips of DAVIS; 0 = as they are.

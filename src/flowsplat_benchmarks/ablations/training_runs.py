@@ -1,4 +1,4 @@
-"""One training run of an ablation: a variant trained on a prepared scene with one seed, to one JSON."""
+"""Run one training of an ablation: a variant trained on a prepared scene with one seed, to one JSON."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class TrainingRun:
 def list_training_runs(
     protocol: str, scenes: Sequence[AblationScene], variants: Sequence[Variant], seeds: Sequence[int], iterations: int, cap: int
 ) -> Iterator[TrainingRun]:
-    """All of them, seed by seed and variant by variant, so that an early look at the results is an even one."""
+    """Yield all of them, seed by seed and variant by variant, so that an early look at the results is an even one."""
     for seed in seeds:
         for variant in variants:
             for scene in scenes:
@@ -108,7 +108,7 @@ def measure(run: TrainingRun, path: Path) -> dict[str, Any]:
 
 
 def _train(run: TrainingRun, scene: Scene) -> tuple[SceneModel | PerFrameModel, int]:
-    """The trained scene, and how many Gaussians it has."""
+    """Return the trained scene, and how many Gaussians it has."""
     observations, config = load_observations(scene), run.config
     device = pick_device(run.scene.case.config.device)
     tracks = scene.tracks if scene.has_tracks else None
@@ -128,7 +128,7 @@ def comparable(
     results: Sequence[Result], protocol: str, scenes: Sequence[AblationScene], variants: Sequence[Variant], iterations: int,
     cap: int,
 ) -> tuple[list[Result], int]:  # fmt: skip
-    """The results of these scenes and variants that were made with the settings of today, and how many others there are."""
+    """Return the results of these scenes and variants that were made with the settings of today, and how many others there are."""
     seeds = {result["seed"] for result in results}
     names = {result["scene"] for result in results}
     there = [scene for scene in scenes if scene.case.scene in names]
@@ -138,7 +138,7 @@ def comparable(
 
 
 def by_run(results: Sequence[Result], variant: str, figure: tuple[str, ...]) -> dict[Run, float]:
-    """A figure of all runs of a variant that have it."""
+    """Return a figure of all runs of a variant that have it."""
     runs = [result for result in results if result["variant"] == variant]
     found = {(result["scene"], result["seed"]): pick(result, *figure) for result in runs}
     return {run: float(value) for run, value in found.items() if value is not None}

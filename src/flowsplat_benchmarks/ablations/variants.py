@@ -1,4 +1,4 @@
-"""One way to train: the settings it starts from, and what it changes of them."""
+"""Define a variant of training: the settings it starts from, and what it changes of them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Variant:
     kind: Kind = "moving"
 
     def config(self, iterations: int, cap: int, seed: int) -> TrainConfig:
-        """All settings, with one frame in every step, so that all variants see as many images.
+        """Return all settings, with one frame in every step, so that all variants see as many images.
 
         Args:
             iterations: steps, unless the variant has its own number.
@@ -50,7 +50,7 @@ class Variant:
 
 
 def change_settings(config: Any, changes: Mapping[str, Any]) -> Any:
-    """A frozen dataclass of settings with other values of some of them.
+    """Return a frozen dataclass of settings with other values of some of them.
 
     Raises:
         ValueError: there is no such setting.

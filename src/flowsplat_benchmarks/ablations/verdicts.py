@@ -31,7 +31,7 @@ class Effect:
     spread: float | None
 
     def of_scene(self, scene: str) -> float | None:
-        """Mean over the seeds of one scene; None where there is none."""
+        """Return the mean over the seeds of one scene; None where there is none."""
         values = [value for run, value in self.differences.items() if run[0] == scene]
         return float(np.mean(values)) if values else None
 
@@ -76,5 +76,5 @@ def verdict(found: Effect, expected: int) -> Verdict:
 
 
 def counts(verdicts: Sequence[Verdict]) -> str:
-    """How many of each, in a sentence."""
+    """Return how many of each, in a sentence."""
     return ", ".join(f"{verdicts.count(kind)} {kind}" for kind in get_args(Verdict))

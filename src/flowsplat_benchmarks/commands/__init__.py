@@ -22,7 +22,7 @@ Numbers = tuple[int, ...]
 
 
 def with_training(defaults: RunConfig, train: TrainConfig, device: DeviceName) -> RunConfig:
-    """The settings of the runs of a benchmark.
+    """Return the settings of the runs of a benchmark.
 
     Raises:
         InputError: the device does not work here.

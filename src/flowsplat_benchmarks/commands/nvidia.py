@@ -13,7 +13,7 @@ from flowsplat_benchmarks.commands import WORK, Names, Root, Work, with_training
 
 
 def build(defaults: RunConfig) -> Callable[..., None]:
-    """The command with these settings by default."""
+    """Return the command with these settings by default."""
 
     def nvidia(
         root: Root, out: Out, scenes: Names = (), preset: Preset = "default", train: TrainConfig = defaults.train,

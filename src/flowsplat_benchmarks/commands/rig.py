@@ -14,7 +14,7 @@ from flowsplat_benchmarks.commands import WORK, Names, Root, Work, with_training
 
 
 def build(defaults: RunConfig) -> Callable[..., None]:
-    """The command with these settings by default."""
+    """Return the command with these settings by default."""
 
     def rig(
         root: Root, out: Out, scenes: Names = (), priors: Literal["true", "own"] = "own", preset: Preset = "default",

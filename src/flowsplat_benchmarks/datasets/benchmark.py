@@ -1,4 +1,4 @@
-"""All cases of a protocol; called again, it continues."""
+"""Run all cases of a protocol; called again, it continues."""
 
 from __future__ import annotations
 

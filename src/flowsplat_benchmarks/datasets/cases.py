@@ -1,4 +1,4 @@
-"""What each protocol runs: the scenes under a data root, and the settings that the protocol fixes.
+"""Define the cases of each protocol: the scenes under a data root, and the settings that the protocol fixes.
 
 | protocol | looked for under DATA_ROOT | test |
 | --- | --- | --- |
@@ -83,7 +83,7 @@ class Case:
 
 
 def protocol_config(name: str, config: RunConfig | None, holdout: int | None) -> tuple[RunConfig, str]:
-    """The settings of a run on all frames of its input, and their name: the preset, and what differs from it in training.
+    """Return the settings of a run on all frames of its input, and their name: the preset, and what differs from it in training.
 
     Args:
         config: with the training and the device to use; None = the preset's.
@@ -99,7 +99,7 @@ def protocol_config(name: str, config: RunConfig | None, holdout: int | None) ->
 
 
 def _places(root: Path, group: str) -> list[Path]:
-    """The folders to look at, sorted by name."""
+    """Return the folders to look at, sorted by name."""
     root = open_root(root, f"{group}/")
     parent = root / group if (root / group).is_dir() else root
     return sorted(path for path in parent.iterdir() if path.is_dir())
@@ -122,7 +122,7 @@ def davis_cases(
     preset_name: str = "default",
     config: RunConfig | None = None,
 ) -> list[Case]:
-    """The clips of DAVIS, or of that form. One without masks runs with its own, whatever ``masks`` says.
+    """Return the clips of DAVIS, or of that form. One without masks runs with its own, whatever ``masks`` says.
 
     Raises:
         InputError: no such folder, no clips in it, or none of that name.
@@ -143,7 +143,7 @@ def davis_cases(
 
 
 def _davis_clips(root: Path, options: InputOptions) -> Iterator[tuple[str, Path | None, Path, InputOptions]]:
-    """(name, the input with masks or None, the folder of the images, how to open the input with masks)."""
+    """Yield (name, the input with masks or None, the folder of the images, how to open the input with masks)."""
     for path in _places(root, "davis"):
         if (path / "images").is_dir():
             yield path.name, path if (path / "masks").is_dir() else None, path / "images", options
@@ -165,7 +165,7 @@ def rig_cases(
     preset_name: str = "default",
     config: RunConfig | None = None,
 ) -> list[Case]:
-    """Rendered scenes with truth and held-out cameras.
+    """Return rendered scenes with truth and held-out cameras.
 
     Raises:
         InputError: no such folder, no scenes in it, or none of that name.

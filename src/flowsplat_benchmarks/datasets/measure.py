@@ -1,4 +1,4 @@
-"""One case: an ordinary run, and what it reached as one JSON."""
+"""Measure one case: an ordinary run, and what it reached as one JSON."""
 
 from __future__ import annotations
 
@@ -82,7 +82,8 @@ def _births(case: Case) -> np.ndarray | None:
 
 
 def _images_a_second(model: SceneModel, scene: Scene) -> float:
-    """Of the clip's size, in color and depth, from cameras of the clip; the median after a first one, which may compile."""
+    """Time images of the clip's size, in color and depth, from cameras of the clip; the median after a first one, which may
+    compile."""
     seconds = []
     model.render(scene.cameras[scene.train_frames[0]], float(scene.timestamps[scene.train_frames[0]]))
     for i in scene.train_frames[:: max(1, len(scene.train_frames) // TIMED)]:

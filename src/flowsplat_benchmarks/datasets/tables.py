@@ -29,7 +29,7 @@ def read_published() -> dict[str, Any]:
 
 
 def tables(protocol: str, results: Sequence[Result]) -> list[Table]:
-    """All tables of a protocol, from the JSON of its cases (``measure.measure_case``)."""
+    """Return all tables of a protocol, from the JSON of its cases (``measure.measure_case``)."""
     found = list(_beside_published(protocol, results))
     return [*found, _images(results), *_truth(results), _cost(results)] if results else []
 
@@ -53,7 +53,7 @@ def _method(name: str) -> str:
 
 
 def _how(result: Result) -> str:
-    """What tells one run of a scene from another."""
+    """Return what tells one run of a scene from another."""
     return f"{result['variant']}, {result['settings']}"
 
 
@@ -89,7 +89,7 @@ def _matrix(title: str, known: Mapping[str, Any], results: Sequence[Result], met
 
 
 def _by_scene(results: Sequence[Result], path: tuple[str, ...]) -> dict[str, float | None]:
-    """The figure of every scene, from the first run that has it."""
+    """Return the figure of every scene, from the first run that has it."""
     found: dict[str, float | None] = {}
     for result in results:
         key, value = result["scene"].casefold(), pick(result, *path)
@@ -188,7 +188,7 @@ _ERRORS = (
 
 
 def _truth(results: Sequence[Result]) -> Iterator[Table]:
-    """How far flow, depth and tracks are from the truth, where there is one; and rendered flow from its prior."""
+    """Yield how far flow, depth and tracks are from the truth, where there is one; and rendered flow from its prior."""
     used = [column for column in _ERRORS if column.is_in(results)]
     if not used:
         return

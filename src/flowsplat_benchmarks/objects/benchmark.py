@@ -1,4 +1,4 @@
-"""Many random worlds; called again, it continues."""
+"""Measure many random worlds; called again, it continues."""
 
 from __future__ import annotations
 

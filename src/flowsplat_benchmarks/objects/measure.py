@@ -1,5 +1,5 @@
-"""How far every object of a scene is from the truth: its distance, depth trajectory and shape offset, its masks and its number; and
-what rests.
+"""Measure how far every object of a scene is from the truth: its distance, depth trajectory and shape offset, its masks and its
+number; and what rests.
 
 Errors of depth are natural logarithms of estimated over true planar depth: .02 is 2 %, too far.
 """
@@ -33,7 +33,7 @@ Record = dict[str, Any]
 
 
 def measure_scene(scene: Scene) -> Record:
-    """The figures of a scene, to be written as JSON.
+    """Return the figures of a scene, to be written as JSON.
 
     Returns:
         ``scale`` (see ``depth_scale``), ``parallax`` (whether the static depth is no guess), ``idf1`` of all objects, and
@@ -87,7 +87,7 @@ def measure_scene(scene: Scene) -> Record:
 
 
 def has_parallax(scene: Scene) -> bool:
-    """Whether the static depth comes from matches and is no guess."""
+    """Return whether the static depth comes from matches and is no guess."""
     return bool((scene.prior("depth") or {}).get("method") != "guess")
 
 
@@ -112,7 +112,8 @@ def depth_scale(scene: Scene) -> float:
 
 
 def overlaps(true: np.ndarray, ours: np.ndarray, objects: int) -> np.ndarray:
-    """[objects, T, 256] intersection over union of every object with every object number in every frame; 0 where either is small.
+    """Return [objects, T, 256] intersection over union of every object with every object number in every frame; 0 where either is
+    small.
 
     Args:
         true: [T, H, W] numbers of objects, ours: of objects.
@@ -129,7 +130,7 @@ def overlaps(true: np.ndarray, ours: np.ndarray, objects: int) -> np.ndarray:
 
 
 def identities(overlap: np.ndarray, true: np.ndarray, ours: np.ndarray) -> tuple[list[int | None], list[float], float]:
-    """One object for one object over the clip, such that the most frames agree (IDF1, Ristani et al., 2016).
+    """Return one object for one object over the clip, such that the most frames agree (IDF1, Ristani et al., 2016).
 
     Returns:
         the object of every object or None; the IDF1 of each, 0 without one; and that of all objects and objects together.
@@ -162,7 +163,7 @@ def _depth_errors(log: np.ndarray, inside: np.ndarray) -> Record:
 
 
 def _at_feet(true: np.ndarray, known: list[Record], seconds: list[float]) -> np.ndarray:
-    """[T, H, W] bool: near the lowest pixels of objects, in frames at whose time these touch the ground."""
+    """Return [T, H, W] bool: near the lowest pixels of objects, in frames at whose time these touch the ground."""
     near, around = np.zeros(true.shape, bool), np.ones((2 * AT_FEET + 1, 2 * AT_FEET + 1), np.uint8)
     half = np.diff(seconds).mean() / 2 if len(seconds) > 1 else np.inf
     for obj in known:
@@ -202,12 +203,13 @@ def _compute_pooled_iou(inside: np.ndarray, ours: np.ndarray) -> float:
 
 
 def _mean_height(inside: np.ndarray) -> float:
-    """Mean share of the image's height that masks [T, H, W] span."""
+    """Return the mean share of the image's height that masks [T, H, W] span."""
     if not len(inside):
         return 0.0
     return float(np.mean([np.ptp(np.flatnonzero(mask.any(1))) + 1 for mask in inside]) / inside.shape[1])
 
 
 def _read_records(scene: Scene) -> dict[str, Record]:
-    """What is believed of the distance of objects by their numbers: ``sigma`` of its logarithm, and ``cues`` that told it."""
+    """Return what is believed of the distance of objects by their numbers: ``sigma`` of its logarithm, and ``cues`` that told
+    it."""
     return {str(m.number): {"sigma": m.sigma, "cues": sorted(m.cues)} for m in load_objects(scene).objects}

@@ -58,12 +58,12 @@ DEFINITIONS = (
 
 
 def is_anchored(obj: Record) -> bool:
-    """Whether something ties an object to the world: it touches the ground, swings, rolls or rests at any time."""
+    """Return whether something ties an object to the world: it touches the ground, swings, rolls or rests at any time."""
     return bool(obj["contact"] or obj["swings"] or obj["rolls"] or obj["rests"])
 
 
 def tables(results: Sequence[Result]) -> list[Table]:
-    """One table for own priors, one for true ones, and one of what rests."""
+    """Return one table for own priors, one for true ones, and one of what rests."""
     return [*(_table(results, variant) for variant in VARIANTS), _static(results)]
 
 
@@ -96,7 +96,7 @@ def _table(results: Sequence[Result], variant: Variant) -> Table:
 
 
 def _groups(results: Sequence[Result], variant: Variant) -> dict[str, list[Record]]:
-    """The objects of every row by its name; an object is in several."""
+    """Return the objects of every row by its name; an object is in several."""
     objects = [(obj, result["camera"], result["ground"]) for result in results for obj in result[variant]["objects"]]
     return {
         "all": [obj for obj, _, _ in objects],
@@ -110,7 +110,7 @@ def _groups(results: Sequence[Result], variant: Variant) -> dict[str, list[Recor
 
 
 def summary(objects: Sequence[Record]) -> dict[str, float | None]:
-    """The figures of a row; None where there are none, infinite where too many were never found."""
+    """Return the figures of a row; None where there are none, infinite where too many were never found."""
     found = [obj for obj in objects if obj["ln_distance"] is not None]
     errors = np.sort([np.inf if obj["ln_distance"] is None else abs(obj["ln_distance"]) for obj in objects])
     # The smallest error that at least such a share does not exceed: nothing is interpolated to infinity.
@@ -139,7 +139,7 @@ def _error(value: float | None) -> str:
 
 
 def _coverage(objects: Sequence[Record]) -> tuple[str, ...]:
-    """Shares of the objects with a believed error whose true one is within some multiples of it."""
+    """Return shares of the objects with a believed error whose true one is within some multiples of it."""
     known = [obj for obj in objects if obj.get("sigma") and obj["ln_distance"] is not None]
     told = [abs(obj["ln_distance"]) / obj["sigma"] for obj in known]
     return tuple(f"{100 * float(np.mean(np.array(told) <= n)):.0f} %" if told else NOTHING for n in SIGMAS)

@@ -1,4 +1,4 @@
-"""What every prior costs: a rendered scene trained with one prior after the other replaced by the truth."""
+"""Measure what every prior costs: a rendered scene trained with one prior after the other replaced by the truth."""
 
 from flowsplat_benchmarks.oracles.benchmark import run_oracles
 from flowsplat_benchmarks.oracles.objects import object_depth_errors

@@ -1,4 +1,4 @@
-"""All oracles of rendered scenes, each trained and measured on the held-out cameras; called again, it continues."""
+"""Run all oracles of rendered scenes, each trained and measured on the held-out cameras; called again, it continues."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class OracleRun:
                 shutil.rmtree(path)
 
     def scene_path(self, out: Path) -> Path:
-        """The oracle scene."""
+        """Return the oracle scene."""
         return out / FOLDER / f"{self.case.scene}_{self.oracle}"
 
 
@@ -118,7 +118,7 @@ def run_oracles(
 def oracle_runs(
     root: Path, scenes: Sequence[str], oracles: Sequence[str], preset_name: str = "default", config: RunConfig | None = None
 ) -> Iterator[OracleRun]:
-    """Those that are asked for, scene by scene, in the order in which oracles add to each other.
+    """Yield those that are asked for, scene by scene, in the order in which oracles add to each other.
 
     Raises:
         InputError: as ``run_oracles``.

@@ -67,13 +67,13 @@ class PixelClasses:
             self._witnesses.append((self._truth.cameras[i], np.where(rests, self._truth.depth(i).depth, 0).astype(np.float32)))
 
     def of_frame(self, i: int) -> np.ndarray:
-        """[H, W] uint8 indices of ``CLASSES`` of training frame ``i``."""
+        """Return [H, W] uint8 indices of ``CLASSES`` of training frame ``i``."""
         depth, moves = self._truth.depth(i).depth, self._truth.mask(i) > 0
         near_border = _near_border(depth.shape)
         return _classes(self._scene.frame(i), depth, moves, self._count_witnesses(depth, self._truth.cameras[i]), near_border)
 
     def of_view(self, view: HeldoutView) -> np.ndarray:
-        """[H, W] uint8 of a held-out view. Its depth is that of the clip's frames; what they did not see was never seen."""
+        """Return [H, W] uint8 of a held-out view. Its depth is that of the clip's frames; what they did not see was never seen."""
         own, moves = self._truth.cameras[view.frame], self._scene.view_mask(view)
         width, height = view.camera.width, view.camera.height
         nearest = np.full(width * height, np.inf)
@@ -89,7 +89,7 @@ class PixelClasses:
         return _classes(self._scene.view_image(view), depth, moves, seen, ~inside)
 
     def _count_witnesses(self, depth: np.ndarray, camera: Camera) -> np.ndarray:
-        """[H, W] int: how many witnesses saw the point of each pixel at rest."""
+        """Return [H, W] int: how many witnesses saw the point of each pixel at rest."""
         points, seen = unproject_depth(depth, camera).reshape(-1, 3), np.zeros(depth.size, int)
         for witness, surface in self._witnesses:
             # At edges a point may be seen on either side: the farther surface around a pixel counts.
@@ -146,7 +146,8 @@ def _classes(image: np.ndarray, depth: np.ndarray, moves: np.ndarray, seen: np.n
 
 
 def _jumps(nearness: np.ndarray) -> np.ndarray:
-    """[H, W] bool: the nearer of two neighboring pixels between which depth jumps; second differences, so that slopes do not."""
+    """Return [H, W] bool: the nearer of two neighboring pixels between which depth jumps; second differences, so that slopes do
+    not."""
     jumps = np.zeros(nearness.shape, bool)
     for axis in (0, 1):
         moved = np.moveaxis(nearness, axis, 0)
@@ -161,7 +162,7 @@ def _jumps(nearness: np.ndarray) -> np.ndarray:
 
 
 def view_errors(scene: Scene, renders: Path) -> dict[str, Any] | None:
-    """The squared error of a run's held-out views by class, and how many pixels each class has.
+    """Return the squared error of a run's held-out views by class, and how many pixels each class has.
 
     Args:
         renders: folder with ``<view>.png``.
@@ -205,7 +206,7 @@ def gains(errors: dict[str, Any], better: dict[str, Any]) -> list[float]:
 
 
 def static_depth_errors(scene: Scene) -> list[dict[str, float | None]]:
-    """How wrong the depth of what rests is in training frames, for each of ``CLASSES`` and then for all but what moves.
+    """Return how wrong the depth of what rests is in training frames, for each of ``CLASSES`` and then for all but what moves.
 
     Filled pixels included; those that lie in the scene's masks are left out, which are not static there.
 
@@ -243,6 +244,6 @@ def error_sheet(scene: Scene, renders: Path, views: Sequence[str]) -> np.ndarray
 
 
 def legend() -> np.ndarray:
-    """The colors of the classes in ``error_sheet`` with their names, [24, W, 3] uint8."""
+    """Return the colors of the classes in ``error_sheet`` with their names, [24, W, 3] uint8."""
     swatches = [np.full((24, 110, 3), color, np.uint8) for color in _COLORS]
     return side_by_side(swatches, CLASSES)

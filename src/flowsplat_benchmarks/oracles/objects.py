@@ -36,11 +36,11 @@ class MatchedObject:
     ids: tuple[int, ...]
 
     def region(self, mask: np.ndarray) -> np.ndarray:
-        """[H, W] bool: its pixels in the scene's mask [H, W] of a frame."""
+        """Return [H, W] bool: its pixels in the scene's mask [H, W] of a frame."""
         return np.isin(mask, self.ids)
 
     def select_compared(self, mask: np.ndarray, true_mask: np.ndarray) -> np.ndarray:
-        """[H, W] bool: those of its pixels that are truly on the object; all of them if it is on nothing that moves."""
+        """Return [H, W] bool: those of its pixels that are truly on the object; all of them if it is on nothing that moves."""
         region = self.region(mask)
         return region & (true_mask == self.true) if self.true else region
 
@@ -67,7 +67,7 @@ class ObjectDepthError:
 
 
 def truth_of(scene: Scene) -> Layers:
-    """The truth of a rendered scene.
+    """Return the truth of a rendered scene.
 
     Raises:
         InputError: it has none, or no depth and masks.
@@ -91,8 +91,8 @@ def depth_scale(scene: Scene) -> float:
 
 
 def static_error(scene: Scene) -> float:
-    """Median of ln(estimated / true) depth over trusted static pixels of all training frames: by how much an object at its true
-    distance misses what it stands on.
+    """Return the median of ln(estimated / true) depth over trusted static pixels of all training frames: by how much an object at
+    its true distance misses what it stands on.
 
     Raises:
         InputError: the scene has no truth.
@@ -107,7 +107,7 @@ def static_error(scene: Scene) -> float:
 
 
 def match_objects(scene: Scene) -> list[MatchedObject]:
-    """Every object of the scene's masks on the true object that most of it is on over the clip, or on none.
+    """Return every object of the scene's masks on the true object that most of it is on over the clip, or on none.
 
     Returns:
         the true objects that were found, by number; then every object that is on none.
@@ -129,7 +129,7 @@ def match_objects(scene: Scene) -> list[MatchedObject]:
 
 
 def object_depth_errors(scene: Scene, objects: Sequence[MatchedObject] | None = None) -> list[ObjectDepthError]:
-    """How wrong the depth of every object is, over the training frames.
+    """Return how wrong the depth of every object is, over the training frames.
 
     Args:
         objects: which; None = ``match_objects``.
@@ -161,7 +161,7 @@ def _error(obj: MatchedObject, frames: Sequence[np.ndarray]) -> ObjectDepthError
 
 
 def masks_of(scene: Scene) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
-    """(training frame, the scene's mask [H, W], the true mask [H, W])."""
+    """Yield (training frame, the scene's mask [H, W], the true mask [H, W])."""
     truth = truth_of(scene)
     for i in scene.train_frames:
         yield i, scene.mask(i), truth.mask(i)

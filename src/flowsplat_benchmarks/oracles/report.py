@@ -110,7 +110,7 @@ def _difference(value: float | None, before: float | None) -> float | None:
 
 
 def _objects(results: Sequence[Result]) -> Table:
-    """How wrong the depth of objects is in the priors as they are."""
+    """Return how wrong the depth of objects is in the priors as they are."""
     rows: list[tuple[str, ...]] = []
     for result in sorted((result for result in results if result["oracle"] == "own"), key=_place):
         for error in result["objects"]:
@@ -132,7 +132,7 @@ def _objects(results: Sequence[Result]) -> Table:
 
 
 def _views(results: Sequence[Result]) -> Table:
-    """What each class of pixel of the held-out views holds of the error, and what true static depth would bring there."""
+    """Return what each class of pixel of the held-out views holds of the error, and what true static depth would bring there."""
     rows: list[tuple[str, ...]] = []
     measured = sorted((result for result in results if result.get("classes")), key=_place)
     for scene in dict.fromkeys(result["scene"] for result in measured):
@@ -164,7 +164,7 @@ def _shares(values: Sequence[Sequence[float]]) -> list[float]:
 
 
 def _static_depth(results: Sequence[Result]) -> Table:
-    """How wrong static depth is in the training frames, for those oracles that use our own."""
+    """Return how wrong static depth is in the training frames, for those oracles that use our own."""
     rows = []
     for result in sorted((r for r in results if r["oracle"] in OWN_BACKGROUND and r.get("static_classes")), key=_place):
         *classes, all_of_them = result["static_classes"][CLASSES.index("moves") + 1 :]

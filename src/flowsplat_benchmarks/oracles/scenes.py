@@ -35,7 +35,7 @@ from flowsplat_benchmarks.oracles.objects import depth_scale, masks_of, match_ob
 
 
 def make_oracle(prepared: Path, folder: Path, oracle: str, device: str = "auto") -> Scene:
-    """The oracle of a prepared scene in ``folder``; made anew where it is one of another scene. ``prepared`` stays as it is.
+    """Return the oracle of a prepared scene in ``folder``; made anew where it is one of another scene. ``prepared`` stays as it is.
 
     Args:
         oracle: a name from ``ORACLES``.

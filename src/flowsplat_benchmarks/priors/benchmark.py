@@ -1,4 +1,4 @@
-"""All scenes of the priors benchmark, one after the other; called again, it continues."""
+"""Measure all scenes of the priors benchmark, one after the other; called again, it continues."""
 
 from __future__ import annotations
 
@@ -73,5 +73,5 @@ def _measure_scene(benchmark: BenchmarkScene, folder: Path) -> dict[str, Any]:
 
 
 def _results(root: Path, out: Path) -> list[dict[str, Any]]:
-    """Of all scenes that were measured, in the order of the data root."""
+    """Collect the results of all scenes that were measured, in the order of the data root."""
     return results_at(out / f"{benchmark.name}.json" for benchmark in choose_scenes(root, ()))

@@ -1,4 +1,4 @@
-"""How far the priors of a prepared scene are from the truth. Shares are in percent, IoU between 0 and 1."""
+"""Measure how far the priors of a prepared scene are from the truth. Shares are in percent, IoU between 0 and 1."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Figures = dict[str, float]
 
 
 def measure(benchmark: BenchmarkScene, scene: Scene) -> Figures:
-    """All figures of a scene, by the keys of ``rows``.
+    """Return all figures of a scene, by the keys of ``rows``.
 
     Raises:
         InputError: the truth is damaged, or does not fit the scene.
@@ -69,7 +69,7 @@ _MEASURES: dict[str, Callable[[BenchmarkScene, Scene], Figures]] = {
 
 
 def read_true_flow(benchmark: BenchmarkScene, scene: Scene) -> Flow:
-    """The measured flow of a pair; its confidence is 1 where it is known, else 0.
+    """Return the measured flow of a pair; its confidence is 1 where it is known, else 0.
 
     Raises:
         InputError: damaged, or of another size than the images.
@@ -83,7 +83,7 @@ def read_true_flow(benchmark: BenchmarkScene, scene: Scene) -> Flow:
 
 
 def true_mask(benchmark: BenchmarkScene, scene: Scene, i: int) -> np.ndarray:
-    """[H, W] the true mask of frame ``i`` of a DAVIS clip, 0 = background.
+    """Return [H, W] the true mask of frame ``i`` of a DAVIS clip, 0 = background.
 
     Raises:
         InputError: there are not as many as images, or it is damaged.
@@ -98,7 +98,7 @@ def true_mask(benchmark: BenchmarkScene, scene: Scene, i: int) -> np.ndarray:
 
 
 def flow_figures(pairs: Iterable[tuple[Flow, Flow, np.ndarray | None]]) -> Figures:
-    """Of (estimated, true, mask of objects [H, W] bool or None), pooled over the pixels of all pairs.
+    """Measure (estimated, true, mask of objects [H, W] bool or None), pooled over the pixels of all pairs.
 
     ``flow.epe``: mean end-point error of pixels with known flow, hidden ones included where a rendered scene knows it
     (``flow.epe_objects`` on objects, ``flow.epe_matched`` of those that are visible in both images); ``flow.kept``: of
@@ -132,7 +132,7 @@ def camera_figures(scene: Scene, truth: Layers) -> Figures:
 
 
 def depth_figures(scene: Scene, truth: Layers) -> Figures:
-    """Median relative error on static things and on objects, at the scale that brings our camera path onto the true one.
+    """Return the median relative error on static things and on objects, at the scale that brings our camera path onto the true one.
 
     Every pixel of every training frame counts, whatever its confidence.
     """
@@ -151,7 +151,7 @@ def depth_figures(scene: Scene, truth: Layers) -> Figures:
 
 
 def compute_pooled_iou(masks: Iterable[tuple[np.ndarray, np.ndarray]]) -> float:
-    """Intersection over union of (ours, true), any object against background, pooled over frames; 1 where both are empty."""
+    """Return intersection over union of (ours, true), any object against background, pooled over frames; 1 where both are empty."""
     both = either = 0
     for ours, true in masks:
         both += int(((ours > 0) & (true > 0)).sum())
@@ -190,7 +190,7 @@ def track_figures(scene: Scene, truth: Layers, births: np.ndarray) -> Figures:
 
 
 def tracks_on(scene: Scene, truth: Layers) -> float:
-    """How many of the scene's own tracks were on objects, by the true masks, in most of their frames."""
+    """Return how many of the scene's own tracks were on objects, by the true masks, in most of their frames."""
     tracks = scene.tracks
     inside = np.zeros(len(tracks.points))
     for i in scene.train_frames:

@@ -66,7 +66,7 @@ def _prepare_here(scene: BenchmarkScene, folder: Path) -> None:
 
 
 def _read_key(folder: Path) -> str | None:
-    """The key of the settings that a finished preparation had."""
+    """Return the key of the settings that a finished preparation had."""
     path = folder / "run.json"
     return read_json(path)["stages"].get("prepare", {}).get("key") if path.exists() else None
 

@@ -61,7 +61,7 @@ def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str]
 
 
 def verdict(rows: Sequence[Row]) -> str:
-    """How many targets are met, in a sentence."""
+    """Return how many targets are met, in a sentence."""
     judged = [row.met for row in rows if row.met is not None]
     return f"{sum(judged)} of {len(judged)} targets met."
 

@@ -1,4 +1,4 @@
-"""What the priors benchmark reports: figures, their targets, and the rows of its table."""
+"""Define the report of the priors benchmark: figures, their targets, and the rows of its table."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ class Figure:
     at_least: bool = False
 
     def target(self, kind: str, scene: str) -> float | None:
-        """The bound for a scene."""
+        """Return the bound for a scene."""
         return self.targets.get(scene, self.targets.get(kind))
 
     def meets(self, value: float, target: float) -> bool:
-        """Whether a value meets a target."""
+        """Return whether a value meets a target."""
         return value >= target if self.at_least else value <= target
 
     def text(self, value: float) -> str:
-        """A value with its unit."""
+        """Return a value with its unit."""
         return f"{value:,.{self.digits}f}{' ' if self.unit else ''}{self.unit}"
 
     def target_text(self, target: float) -> str:
-        """A target with its unit."""
+        """Return a target with its unit."""
         return f"{'≥' if self.at_least else '≤'} {target:,g}{' ' if self.unit else ''}{self.unit}"
 
 
@@ -111,7 +111,7 @@ class Row:
 
 
 def table_rows(results: Sequence[Result]) -> Iterator[Row]:
-    """One row for every figure of every scene, sorted by figure.
+    """Yield one row for every figure of every scene, sorted by figure.
 
     Args:
         results: the JSON of the scenes (see ``run_priors_benchmark``).

@@ -44,7 +44,7 @@ class BenchmarkScene:
 
 
 def find_scenes(root: Path) -> list[BenchmarkScene]:
-    """All scenes under the data root, in the order of the table above.
+    """Return all scenes under the data root, in the order of the table above.
 
     Raises:
         InputError: there is no such folder, or nothing in it.
@@ -72,7 +72,7 @@ def find_scenes(root: Path) -> list[BenchmarkScene]:
 
 
 def choose_scenes(root: Path, names: Sequence[str]) -> list[BenchmarkScene]:
-    """The scenes called ``names``, or all of them where there are none.
+    """Return the scenes called ``names``, or all of them where there are none.
 
     Raises:
         InputError: as ``find_scenes``, or there is no scene of that name.

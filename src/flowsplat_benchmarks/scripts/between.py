@@ -1,4 +1,4 @@
-"""What moves, between two training frames: held-out frames of random worlds inside the masks, by speed, thickness and blur.
+"""Measure what moves between two training frames: held-out frames of random worlds inside the masks, by speed, thickness and blur.
 
     python -m flowsplat_benchmarks.scripts.between OUT --dancers --seed 0 --worlds 8        # people who dance, in worlds apart
     python -m flowsplat_benchmarks.scripts.between OUT --seed 0 --worlds 8                  # what moves in any world
@@ -51,7 +51,7 @@ class Kinds:
 
 
 def kinds_of(world: World, i: int) -> Kinds:
-    """What the pixels of frame ``i`` show of objects; ``inside`` is their mask [H, W]."""
+    """Return what the pixels of frame ``i`` show of objects; ``inside`` is their mask [H, W]."""
     inside = world.geometry(i)[1] > 0
     grid = pixel_grid(world.width, world.height).astype(np.float64).reshape(-1, 2)
     hits = world.cast(world.camera(i), float(world.timestamps[i]), grid)
@@ -63,7 +63,7 @@ def kinds_of(world: World, i: int) -> Kinds:
 
 
 def prepare(folder: Path, seed: int, dancers: bool) -> Scene:
-    """The scene of a world with true cameras and masks, and all else our own."""
+    """Return the scene of a world with true cameras and masks, and all else our own."""
     if (folder / "done.json").exists():
         return Scene(folder)
     scene = write_world(folder, draw_world(seed, WIDTH, HEIGHT, FRAMES, dancers=dancers), EVERY)

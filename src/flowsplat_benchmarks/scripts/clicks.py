@@ -26,7 +26,7 @@ WIDTH, HEIGHT, FRAMES, SMALLEST = 320, 180, 40, 150
 
 
 def prepare(folder: Path, seed: int) -> Scene:
-    """A world with true cameras, and flow."""
+    """Return a world with true cameras, and flow."""
     is_new = not (folder / "truth" / "objects.json").exists()
     scene = write_world(folder, draw_world(seed, WIDTH, HEIGHT, FRAMES)) if is_new else Scene(folder)
     truth = scene.truth
@@ -40,7 +40,7 @@ def prepare(folder: Path, seed: int) -> Scene:
 
 
 def draw_prompts(masks: np.ndarray, seed: int, clicks: bool) -> dict[int, Prompt]:
-    """A prompt for every object of true masks [T, H, W] that is large enough, by its number in them."""
+    """Return a prompt for every object of true masks [T, H, W] that is large enough, by its number in them."""
     rng = np.random.default_rng(seed)
     prompts: dict[int, Prompt] = {}
     _, height, width = masks.shape

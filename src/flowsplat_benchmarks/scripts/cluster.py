@@ -135,7 +135,7 @@ def simulate(
 
 
 def examine(out: Path, clips: int) -> dict[str, Any]:
-    """What became of all clips, from the records and from what every worker wrote down."""
+    """Return what became of all clips, from the records and from what every worker wrote down."""
     spans: dict[str, list[tuple[float, float]]] = defaultdict(list)
     ends: Counter[str] = Counter()
     calls, slept, first, last = 0, 0.0, float("inf"), 0.0

@@ -1,4 +1,5 @@
-"""What a first run compiles: ``python -m flowsplat_benchmarks.scripts.compiling``, on a small rendered clip, with an empty cache.
+"""Measure what a first run compiles: ``python -m flowsplat_benchmarks.scripts.compiling``, on a small rendered clip, with an empty
+cache.
 
 Prints every kernel with the processor seconds that it took to compile, those of what it calls left out. What a second process
 compiles ahead is not among them: ``--alone`` lets the run compile it. ``--warm`` runs once more with the cache that is there then.
@@ -77,7 +78,7 @@ Compiled = tuple[str, float, float]
 
 
 def first_run(folder: Path, name: str, cache: Path, alone: bool) -> tuple[float, list[Compiled], list[tuple[str, str]]]:
-    """Seconds of a whole run in a fresh process, what it compiled, and its kernels with the types of their arguments."""
+    """Return seconds of a whole run in a fresh process, what it compiled, and its kernels with the types of their arguments."""
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache), "FLOWSPLAT_CACHE": str(cache / "flowsplat")}
     command = [sys.executable, "-c", _RUN, str(folder), name, "alone" if alone else ""]
     told = subprocess.run(command, env=environment, check=True, stdout=subprocess.PIPE, text=True).stdout

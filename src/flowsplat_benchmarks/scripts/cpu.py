@@ -1,4 +1,4 @@
-"""How fast the CPU backend is on this machine, and how far from what the machine could do.
+"""Measure how fast the CPU backend is on this machine, and how far from what the machine could do.
 
     python -m flowsplat_benchmarks.scripts.cpu                        # everything; the result goes to results/ beside it
     python -m flowsplat_benchmarks.scripts.cpu --quick                # fewer repetitions, nothing is written
@@ -55,7 +55,7 @@ QUICK = Effort(
 
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:
-    """Everything that was asked for, as it goes into the file."""
+    """Return everything that was asked for, as it goes into the file."""
     effort = QUICK if options.quick else Effort()
     available = get_max_threads()
     threads = sorted({min(count, available) for count in options.threads})
@@ -85,7 +85,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def _merge_result(earlier: dict[str, Any], result: dict[str, Any]) -> dict[str, Any]:
-    """An earlier result with what was measured now in place of or beside what it has."""
+    """Return an earlier result with what was measured now in place of or beside what it has."""
     for name in ("machine", "commit"):
         if earlier[name] != result[name]:
             raise SystemExit(f"--add-to: the {name} is not the same: {earlier[name]} then, {result[name]} now")

@@ -48,7 +48,7 @@ class RestingCamera(SyntheticScene):
     """The built-in world from where its camera is half a second after the start."""
 
     def camera(self, i: int) -> Camera:
-        """The same for every frame."""
+        """Return the same for every frame."""
         return camera_at(0.5, self.width, self.height)
 
 
@@ -97,7 +97,7 @@ EDGES = {
 
 
 def mask_overlap(spec: SyntheticScene, scene: Scene) -> float:
-    """Intersection over union of the scene's masks with the true ones, any object, pooled over the training frames."""
+    """Return intersection over union of the scene's masks with the true ones, any object, pooled over the training frames."""
 
     def pairs() -> Iterator[tuple[np.ndarray, np.ndarray]]:
         for i in scene.train_frames:

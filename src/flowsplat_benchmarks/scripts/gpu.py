@@ -1,4 +1,4 @@
-"""How right and how fast the GPU backend is on this machine, beside gsplat and beside what the card could do.
+"""Measure how right and how fast the GPU backend is on this machine, beside gsplat and beside what the card could do.
 
     python -m flowsplat_benchmarks.scripts.gpu --everything --minutes 8          # kernels tested, measured, whole runs
     python -m flowsplat_benchmarks.scripts.gpu --everything --scene out/bear/scene   # and a training of this prepared scene
@@ -28,7 +28,7 @@ OUT = Path("gpu.json")
 
 
 def run(options: argparse.Namespace) -> int:
-    """What was asked for; the exit code.
+    """Return what was asked for; the exit code.
 
     Raises:
         InputError: a file, a scene or the time cannot be used, or there is no GPU.

@@ -1,4 +1,4 @@
-"""How the cost of a run grows with frames, pixels and Gaussians, on the built-in clip.
+"""Measure how the cost of a run grows with frames, pixels and Gaussians, on the built-in clip.
 
 ``python -m flowsplat_benchmarks.scripts.growth``: every run is a process of its own, with few steps of training, whose time holds
 that of loading and beginning. Says, as Markdown, what every stage took and how much memory it needed, and the power of the number
@@ -71,7 +71,7 @@ class Case:
 
 
 def measure(case: Case) -> dict[str, Any]:
-    """Seconds and GiB of every stage of a run, and how large it was."""
+    """Return seconds and GiB of every stage of a run, and how large it was."""
     config = RunConfig()
     init = config.train.init if case.spacing is None else replace(config.train.init, background_spacing=case.spacing)
     config = replace(
@@ -89,7 +89,7 @@ def measure(case: Case) -> dict[str, Any]:
 
 
 def enlarge(spec: SyntheticScene, side: int, path: Path) -> Path:
-    """The built-in clip as a video, enlarged to a long side; rendered once."""
+    """Return the built-in clip as a video, enlarged to a long side; rendered once."""
     if not path.exists():
         size = side, 2 * round(side * spec.height / spec.width / 2)
         images = (spec.render(spec.camera(i), spec.timestamps[i]).image for i in range(spec.frames))
@@ -98,7 +98,7 @@ def enlarge(spec: SyntheticScene, side: int, path: Path) -> Path:
 
 
 def cases(folder: Path, only: Sequence[str], clips: Sequence[Path]) -> Iterator[Case]:
-    """All runs, a short one first that compiles the kernels."""
+    """Yield all runs, a short one first that compiles the kernels."""
     long = SyntheticScene(width=LONG_SIDE, height=LONG_SIDE * 9 // 16, frames=max(FRAMES))
     few = SyntheticScene(width=DRAWN, height=DRAWN * 9 // 16, frames=FEW)
     if {"pixels", "gaussians"} & set(only):
@@ -119,14 +119,15 @@ def cases(folder: Path, only: Sequence[str], clips: Sequence[Path]) -> Iterator[
 
 
 def growth(rows: Sequence[dict[str, Any]], stage: str, by: str = "frames") -> float:
-    """The power of the number of frames (or pixels) with which the seconds of a stage grew, over the larger half of the runs."""
+    """Return the power of the number of frames (or pixels) with which the seconds of a stage grew, over the larger half of the
+    runs."""
     first, last = rows[len(rows) // 2 - 1], rows[-1]
     ratio = math.log(last[by] / first[by])
     return math.log(max(last["seconds"][stage], 1e-3) / max(first["seconds"][stage], 1e-3)) / ratio
 
 
 def table(rows: Sequence[dict[str, Any]]) -> str:
-    """Every run a line: its size, seconds of its stages, GiB."""
+    """Return every run a line: its size, seconds of its stages, GiB."""
     lines = ["| | frames | size | Gaussians (active) | " + " | ".join(STAGES) + " | GiB: priors | train | whole |"]
     lines.append("| --- " * (lines[0].count("|") - 1) + "|")
     for row in rows:
@@ -140,7 +141,7 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
 
 
 def figure(rows: Sequence[dict[str, Any]]) -> str:
-    """The content of an SVG: charts of time and memory against frames, pixels and Gaussians, one below the other."""
+    """Return the content of an SVG: charts of time and memory against frames, pixels and Gaussians, one below the other."""
     kinds = {kind: [row for row in rows if row["kind"] == kind] for kind in ("frames", "pixels", "gaussians")}
     charts = []
     for kind, x, label in (

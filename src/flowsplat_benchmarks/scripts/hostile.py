@@ -22,7 +22,7 @@ SETTINGS = ["--priors", "true", "--train.iterations", "200", "--train.checkpoint
 
 
 def command(scene: Path, out: Path) -> list[str]:
-    """The run."""
+    """Return the run."""
     return [sys.executable, "-m", "flowsplat.cli", "run", str(scene), "-o", str(out), *SETTINGS]
 
 

@@ -41,7 +41,7 @@ KINDS = ("all", "shadow", "hidden", "all else")
 
 
 def draw_lit_world(seed: int, sky: bool) -> World:
-    """A world under a sun that is always there, or under the sky alone."""
+    """Return a world under a sun that is always there, or under the sky alone."""
     world = draw_world(seed, WIDTH, HEIGHT, FRAMES)
     if sky:
         return replace(world, light=replace(world.light, sun=0.0, ambient=world.light.ambient + world.light.sun))
@@ -51,7 +51,7 @@ def draw_lit_world(seed: int, sky: bool) -> World:
 
 
 def train_world(folder: Path, world: World) -> tuple[Scene, SceneModel]:
-    """The scene of a world, and it trained, without what is known of shadows."""
+    """Return the scene of a world, and it trained, without what is known of shadows."""
     is_new = not (folder / "scene" / "truth" / "objects.json").exists()
     scene = write_world(folder / "scene", world) if is_new else Scene(folder / "scene")
     prepare_priors(scene, PriorsOptions(priors="true"), "cpu")

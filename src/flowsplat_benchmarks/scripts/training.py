@@ -1,4 +1,4 @@
-"""Where the time of training goes, on a prepared scene (``flowsplat prepare``).
+"""Measure where the time of training goes, on a prepared scene (``flowsplat prepare``).
 
 ``python -m flowsplat_benchmarks.scripts.training OUT/scene`` trains as ``flowsplat train`` would and says, as Markdown: what steps
 cost and gain at different times of the training, which parts of one cost what, and what Gaussians at rest and those that move cost
@@ -38,7 +38,7 @@ IMAGES = 12
 
 
 def with_setting(config: Any, name: str, value: str) -> Any:
-    """The settings with one of them changed, by its dotted name."""
+    """Return the settings with one of them changed, by its dotted name."""
     first, _, rest = name.partition(".")
     if first not in {each.name for each in fields(config)}:
         raise SystemExit(f"there is no setting {name}")
@@ -180,7 +180,7 @@ def main() -> None:
 
 
 def report(figures: dict[str, Any]) -> str:
-    """The figures as Markdown."""
+    """Return the figures as Markdown."""
     lines = [
         f"{figures['gaussians']:,} Gaussians, {figures['moving']:,} of them moving; {figures['size'][0]}x{figures['size'][1]}; "
         f"placing them {figures['placing_seconds']:.3g} s, training {figures['training_seconds']:.4g} s of processor time.",

@@ -40,7 +40,7 @@ class _Around:
 def draw_path(
     rng: np.random.Generator, kind: CameraKind, stand: Stand, distance: float, duration: float, leader: WorldObject
 ) -> Path:
-    """A random path of a kind.
+    """Return a random path of a kind.
 
     Args:
         distance: meters to what is nearest of what matters.
@@ -63,7 +63,7 @@ def draw_path(
 
 
 def _arc(rng: np.random.Generator, around: _Around, distance: float, sign: float) -> Path:
-    """About a point before the camera, a little up or down on the way."""
+    """Move about a point before the camera, a little up or down on the way."""
     middle, target = around.stand.place, around.stand.target
     sweep, rises = sign * np.radians(rng.uniform(8, 28)), rng.uniform(-0.08, 0.08) * distance
     reach = np.linalg.norm((target - middle)[:2])

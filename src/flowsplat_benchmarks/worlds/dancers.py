@@ -52,7 +52,7 @@ class Limb:
 
 
 def dancer(rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: float, scale: float, rich: bool) -> WorldObject:
-    """A person who dances about a place ``at`` [2]; ``heading``, ``scale`` and ``rich`` as of a walker."""
+    """Return a person who dances about a place ``at`` [2]; ``heading``, ``scale`` and ``rich`` as of a walker."""
     parts = body(rng, scale, rich)
     turn = Swing(heading, rng.uniform(0.2, 1.2), rng.uniform(0.3, 0.9), rng.uniform(0, 2 * np.pi))
     spin = float(rng.choice([-1.0, 1.0]) * rng.uniform(2.0, 7.0)) if rng.random() < 0.5 else 0.0
@@ -92,7 +92,7 @@ def _pose(
     ground: Ground, place: np.ndarray, yaw: np.ndarray, bow: np.ndarray, arms: list[Limb], legs: list[Limb], scale: float,
     stick: Part | None, times: np.ndarray,
 ) -> tuple[list[Poses], np.ndarray, np.ndarray]:  # fmt: skip
-    """(poses of all parts, soles [T, 2, 3], their heights above the ground [T, 2]): the lower sole stands on it."""
+    """Return (poses of all parts, soles [T, 2, 3], their heights above the ground [T, 2]): the lower sole stands on it."""
     level = frame(np.stack([np.cos(yaw), np.sin(yaw), 0 * yaw], -1), UP)
     lean = level @ about(_ACROSS, bow)
     hip = np.concatenate([place, np.zeros((len(place), 1))], 1)
@@ -101,7 +101,7 @@ def _pose(
         return np.asarray(hip + lean @ (scale * np.array([x, y, z])))
 
     def way(limb: Limb, side: int, bend: float) -> np.ndarray:
-        """[T, 3] direction of the upper (``bend`` 0) or lower part of a limb."""
+        """Return [T, 3] direction of the upper (``bend`` 0) or lower part of a limb."""
         up, out = limb.raised(times) + bend * limb.bent(times), limb.aside(times)
         flat = np.cos(out)[:, None] * level[..., 0] - side * np.sin(out)[:, None] * level[..., 1]
         return np.asarray(np.sin(up)[:, None] * flat - np.cos(up)[:, None] * UP)

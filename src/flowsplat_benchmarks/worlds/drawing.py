@@ -51,7 +51,7 @@ _CHECK_WIDTH, _CHECK_FRAMES = 80, 10
 def draw_world(
     seed: int, width: int = 320, height: int = 180, frames: int = 40, fps: float = 24.0, dancers: bool = False, crowd: bool = False
 ) -> World:
-    """The world of a seed, the same bits for the same arguments.
+    """Return the world of a seed, the same bits for the same arguments.
 
     Its geometry does not depend on the number of pixels, as long as their ratio stays.
 
@@ -79,7 +79,7 @@ def draw_world(
 
 
 def _place(rng: np.random.Generator, seed: int, plan: Plan, size: tuple[int, int], frames: int, fps: float) -> World | None:
-    """One attempt; None where things are inside each other."""
+    """Return one attempt; None where things are inside each other."""
     duration = (frames - 1) / fps
     scale = Scale(rng.uniform(1.0, 2.2), float(np.exp(rng.uniform(np.log(0.75), np.log(1.7)))), size[0] / size[1])
     middle = rng.uniform(4.0, 9.0)
@@ -119,7 +119,7 @@ def _place(rng: np.random.Generator, seed: int, plan: Plan, size: tuple[int, int
 
 
 def _is_in_sight(world: World, plan: Plan) -> bool:
-    """Whether objects and ground fill what they should of some small images."""
+    """Return whether objects and ground fill what they should of some small images."""
     width = _CHECK_WIDTH
     height = round(width * world.height / world.width)
     grid = pixel_grid(width, height).astype(np.float64).reshape(-1, 2)

@@ -78,8 +78,8 @@ def draw_objects(rng: np.random.Generator, plan: Plan, scale: Scale, ground: Gro
 def _draw_crowd(
     rng: np.random.Generator, kinds: tuple[Kind, ...], scale: Scale, ground: Ground, duration: float
 ) -> list[WorldObject]:
-    """Objects at several depths, all of which are near one place of the image in the middle of the clip; some go one way, some
-    the other, so that they pass before each other."""
+    """Return objects at several depths, all of which are near one place of the image in the middle of the clip; some go one way,
+    some the other, so that they pass before each other."""
     place, side = rng.uniform(-0.2, 0.2), rng.choice([0.0, np.pi])
     objects = []
     for kind in kinds:
@@ -96,7 +96,7 @@ def _draw_heading(rng: np.random.Generator) -> float:
 
 
 def _spot(scale: Scale, place: float, distance: float) -> np.ndarray:
-    """[2] at a distance, ``place`` widths of the image beside its middle."""
+    """Return [2] at a distance, ``place`` widths of the image beside its middle."""
     return np.array([place * scale.wide(distance), distance])
 
 
@@ -158,7 +158,7 @@ def _draw_object(
 def _draw_touching(
     rng: np.random.Generator, kinds: tuple[Kind, ...], scale: Scale, ground: Ground, duration: float
 ) -> list[WorldObject]:
-    """Two who walk arm in arm, one who pushes a cart, or a ball that hits another one."""
+    """Return two who walk arm in arm, one who pushes a cart, or a ball that hits another one."""
     rich, other_rich = bool(rng.random() < 0.6), bool(rng.random() < 0.6)
     beside, heading = rng.uniform(-0.2, 0.2), _draw_heading(rng)
     if kinds == ("rolling", "rolling"):
@@ -209,7 +209,8 @@ def _draw_touching(
 
 
 def _repaint(rng: np.random.Generator, obj: WorldObject, rich: bool, dull: bool = False) -> WorldObject:
-    """The same with other colors, parts that shared one still sharing it; ``dull``: as plain clothes, near to gray and dark."""
+    """Return the same with other colors, parts that shared one still sharing it; ``dull``: as plain clothes, near to gray and
+    dark."""
     new: dict[bytes, np.ndarray] = {}
     parts = []
     for part in obj.parts:
@@ -223,7 +224,7 @@ def _repaint(rng: np.random.Generator, obj: WorldObject, rich: bool, dull: bool 
 
 
 def _draw_dull(rng: np.random.Generator, color: np.ndarray) -> np.ndarray:
-    """A color [3] near to gray, of about the hue of ``color``."""
+    """Return a color [3] near to gray, of about the hue of ``color``."""
     gray = color.mean()
     toned = gray + rng.uniform(0, SATURATION) * (color - gray)
     return np.asarray(toned * rng.uniform(*BRIGHTNESS) / max(gray, 1e-3))

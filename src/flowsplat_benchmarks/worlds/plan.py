@@ -1,4 +1,4 @@
-"""What a random world is about: its ground, its camera and the kinds of its objects, from the seed alone."""
+"""Plan what a random world is about: its ground, its camera and the kinds of its objects, from the seed alone."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Plan:
 
 
 def draw_plan(seed: int, dancers: bool = False, crowd: bool = False) -> Plan:
-    """What the world of a seed is about.
+    """Return what the world of a seed is about.
 
     Args:
         dancers: one or two of them, instead of all other objects, and no steps.

@@ -1,4 +1,4 @@
-"""What rests in a random world: the ground, the sky, walls and things beside the objects, and where the camera stands."""
+"""Draw what rests in a random world: the ground, the sky, walls and things beside the objects, and where the camera stands."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SKY = 90.0
 
 
 def draw_ground(rng: np.random.Generator, kind: GroundKind, distance: float) -> Ground:
-    """A random ground of a kind; ``distance``: meters at which most happens."""
+    """Return a random ground of a kind; ``distance``: meters at which most happens."""
     still, forward = np.zeros(2), np.array([0.0, 1.0])
     if kind == "slope":
         angle, steep = rng.uniform(0, 2 * np.pi), rng.uniform(0.05, 0.18)
@@ -47,7 +47,7 @@ def draw_stand(rng: np.random.Generator, plan: Plan, scale: Scale, ground: Groun
 
 
 def draw_sky(rng: np.random.Generator) -> Placed:
-    """A far room: blue above, clouds."""
+    """Return a far room: blue above, clouds."""
     sky = draw_material(rng, 60.0, False)
     tone = rng.uniform(0.6, 0.95)
     sky[2:5] = tone * np.array([rng.uniform(0.65, 0.95), rng.uniform(0.8, 0.97), 1.0])

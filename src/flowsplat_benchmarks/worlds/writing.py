@@ -62,7 +62,7 @@ def write_world(folder: Path, world: World, holdout: int | None = None) -> Scene
 
 
 def read_objects(truth: Layers) -> dict[str, Any]:
-    """What ``write_world`` wrote into ``OBJECTS``.
+    """Return what ``write_world`` wrote into ``OBJECTS``.
 
     Raises:
         InputError: missing or damaged.

@@ -15,7 +15,7 @@ from flowsplat.pipeline.config import RunConfig
 
 
 def build(defaults: RunConfig) -> Callable[..., bool]:
-    """The command with these settings by default."""
+    """Return the command with these settings by default."""
 
     def batch(
         inputs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="INPUT [...]")],
@@ -45,7 +45,7 @@ def build(defaults: RunConfig) -> Callable[..., bool]:
 
 
 def batch_defaults(arguments: Sequence[str]) -> RunConfig:
-    """The settings of the batch that a command continues, where it names nothing but that; else those of a preset.
+    """Return the settings of the batch that a command continues, where it names nothing but that; else those of a preset.
 
     Raises:
         InputError: the plan of the batch is damaged, or there is no such preset.

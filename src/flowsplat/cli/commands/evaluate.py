@@ -12,7 +12,7 @@ from flowsplat.pipeline.config import Baselines, RunConfig
 
 
 def build(defaults: RunConfig) -> Callable[..., None]:
-    """The command with these settings by default."""
+    """Return the command with these settings by default."""
 
     def evaluate(
         out: Run, baselines: Baselines = defaults.baselines, refine_poses: bool = defaults.refine_poses,

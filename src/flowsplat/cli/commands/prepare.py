@@ -12,7 +12,7 @@ from flowsplat.pipeline.config import RunConfig
 
 
 def build(defaults: RunConfig) -> Callable[..., None]:
-    """The command with these settings by default."""
+    """Return the command with these settings by default."""
 
     def prepare(input: Source, out: Out, preset: Preset = "default", config: Annotated[RunConfig, NO_PREFIX] = defaults) -> None:
         """Only prepare: frames, cameras, flow, masks, depth and tracks, in OUT/scene.

@@ -14,7 +14,7 @@ from flowsplat.pipeline.config import RunConfig
 
 
 def build(defaults: RunConfig) -> Callable[..., None]:
-    """The command with these settings by default."""
+    """Return the command with these settings by default."""
 
     def render(out: Run, render: RenderOptions = defaults.render, device: DeviceName = defaults.device) -> None:
         """Render videos of a trained run: the input path, an orbit, bullet time, or a camera file, beside those it has.

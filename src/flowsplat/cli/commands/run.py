@@ -12,7 +12,7 @@ from flowsplat.pipeline.config import RunConfig
 
 
 def build(defaults: RunConfig) -> Callable[..., None]:
-    """The command with these settings by default."""
+    """Return the command with these settings by default."""
 
     def run(input: Source, out: Out, preset: Preset = "default", config: Annotated[RunConfig, NO_PREFIX] = defaults) -> None:
         """A clip becomes a 4D scene: prepare, train, evaluate and render.

@@ -14,7 +14,7 @@ from flowsplat.training.config import TrainConfig
 
 
 def build(defaults: RunConfig) -> Callable[..., None]:
-    """The command with these settings by default."""
+    """Return the command with these settings by default."""
 
     def train(
         out: Run, preset: Preset = "default", train: TrainConfig = defaults.train, device: DeviceName = defaults.device

@@ -36,7 +36,7 @@ _BOM = b"\x93NUMPY"
 
 
 def read_npz(path: Path, names: Collection[str] | None = None, most: int = MOST_BYTES) -> dict[str, np.ndarray]:
-    """The arrays of an ``.npz``.
+    """Return the arrays of an ``.npz``.
 
     Args:
         names: which of them, as far as they are there; None = all.
@@ -61,7 +61,7 @@ def read_npz(path: Path, names: Collection[str] | None = None, most: int = MOST_
 
 
 def read_npy(path: Path, most: int = MOST_BYTES) -> np.ndarray:
-    """The array of a ``.npy``, of at most ``most`` bytes.
+    """Return the array of a ``.npy``, of at most ``most`` bytes.
 
     Raises:
         InputError: missing, not an ordinary file, damaged, with objects, or with a larger array.
@@ -142,7 +142,7 @@ class _Bzip2:
 
 
 def _read_array(where: str, file: _Readable, size: int, most: int) -> np.ndarray:
-    """One array of ``size`` bytes with its header."""
+    """Return one array of ``size`` bytes with its header."""
     head = file.read(8)
     if head[:6] != _BOM:
         raise InputError(f"{where} is damaged or no array.")

@@ -53,7 +53,7 @@ class Versioned(TypedDict):
 
 
 def read_json(path: Path, schema: Any = None, most: int = MOST_BYTES) -> Any:
-    """What a JSON file holds.
+    """Return what a JSON file holds.
 
     Args:
         schema: the type that it must have; None = any JSON.
@@ -66,7 +66,7 @@ def read_json(path: Path, schema: Any = None, most: int = MOST_BYTES) -> Any:
 
 
 def _check(path: Path | str, data: bytes, schema: Any) -> Any:
-    """What some JSON says, once it is certain that it is as ``schema`` says; ``path`` names it in errors."""
+    """Return what some JSON says, once it is certain that it is as ``schema`` says; ``path`` names it in errors."""
     try:
         value = msgspec.json.decode(data)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
@@ -80,7 +80,8 @@ def _check(path: Path | str, data: bytes, schema: Any) -> Any:
 
 
 def read_json_lines(path: Path, schema: Any = None, most: int = MOST_BYTES) -> list[tuple[int, Any]]:
-    """The values of a file with one JSON on every line, each with the number of its line, from 1 on; empty ones are left out.
+    """Return the values of a file with one JSON on every line, each with the number of its line, from 1 on; empty ones are left
+    out.
 
     Args:
         schema: the type that each must have; None = any JSON.

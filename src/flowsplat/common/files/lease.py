@@ -1,4 +1,4 @@
-"""What one process at a time may have: folders to write into (``lease``), and pieces of work of a list (``Claims``).
+"""Lock what one process at a time may have: folders to write into (``lease``), and pieces of work of a list (``Claims``).
 
 ``lease``: a file in the folder is locked (``flock``) as long as the process lives: the system unlocks it however the process
 ends, and over NFS for the other machines, too. So there is nothing to be renewed, and nothing of a dead holder to be cleaned away;
@@ -80,7 +80,7 @@ def lease(folder: Path) -> Iterator[None]:
 
 
 def holder(folder: Path) -> str | None:
-    """Who has a folder, in words; None where nobody does, or another system cannot tell."""
+    """Return who has a folder, in words; None where nobody does, or another system cannot tell."""
     if fcntl is None:
         return None
     try:
@@ -100,7 +100,7 @@ def holder(folder: Path) -> str | None:
 
 
 def _take(folder: Path) -> int | None:
-    """The locked file; None where there are no locks."""
+    """Return the locked file; None where there are no locks."""
     if fcntl is None:
         return None
     path = folder / NAME
@@ -133,7 +133,7 @@ def _take(folder: Path) -> int | None:
 
 
 def _in_words(data: bytes) -> str:
-    """A holder; whatever stands in its file."""
+    """Return a holder; whatever stands in its file."""
     try:
         value = json.loads(data)
         since = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(float(value["since"])))
@@ -210,18 +210,18 @@ class Claims:
                 self._path(name, earlier).unlink()
 
     def has(self, name: str) -> bool:
-        """Whether this process still holds a piece: nobody has taken it for dead."""
+        """Return whether this process still holds a piece: nobody has taken it for dead."""
         with self._guard:
             number = self._mine.get(name)
         return number is not None and self._is_ours(name, number)
 
     def list_lost(self) -> list[str]:
-        """What somebody else has taken meanwhile, as far as the last beat told."""
+        """Return what somebody else has taken meanwhile, as far as the last beat told."""
         with self._guard:
             return list(self._lost_ones)
 
     def newest(self) -> dict[str, int]:
-        """The highest attempt of every piece of which there is a file."""
+        """Return the highest attempt of every piece of which there is a file."""
         found: dict[str, int] = {}
         try:
             names = os.listdir(self._folder)
@@ -234,7 +234,7 @@ class Claims:
         return found
 
     def is_dead(self, name: str, number: int) -> bool:
-        """Whether the holder of an attempt of another process is dead, as far as is known by now: ask again."""
+        """Return whether the holder of an attempt of another process is dead, as far as is known by now: ask again."""
         path = self._path(name, number)
         try:
             changed = os.stat(path).st_mtime_ns
@@ -253,7 +253,7 @@ class Claims:
         return now - before[1] > self._patience
 
     def who(self, name: str, number: int) -> str:
-        """The holder of an attempt, in words."""
+        """Return the holder of an attempt, in words."""
         try:
             return _in_words(self._path(name, number).read_bytes()[:_MOST_HOLDER])
         except OSError:
@@ -269,7 +269,7 @@ class Claims:
         return self._folder / f"{name}.{number}"
 
     def _holder(self, name: str, number: int) -> dict[str, Any]:
-        """What stands in the file of an attempt, which does not change once it stands there."""
+        """Return what stands in the file of an attempt, which does not change once it stands there."""
         if (name, number) not in self._known:
             try:
                 value = json.loads(self._path(name, number).read_bytes()[:_MOST_HOLDER])
@@ -313,7 +313,7 @@ def _place() -> str:
 
 
 def _read_start_time(process: int) -> str | None:
-    """When a process was started, so that another of its number is not taken for it; None where it is dead."""
+    """Return when a process was started, so that another of its number is not taken for it; None where it is dead."""
     try:
         status = Path(f"/proc/{process}/stat").read_text()
         state, *rest = status.rpartition(")")[2].split()

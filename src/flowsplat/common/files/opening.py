@@ -17,7 +17,7 @@ _KINDS = {
 
 
 def ordinary_file(path: Path, most: int | None = None) -> int:
-    """The size of a file in bytes, once it is certain that it is one and not larger than ``most``.
+    """Return the size of a file in bytes, once it is certain that it is one and not larger than ``most``.
 
     Devices and pipes never end or block for ever; a link counts as what it leads to.
 
@@ -39,7 +39,7 @@ def ordinary_file(path: Path, most: int | None = None) -> int:
 
 
 def read_bytes(path: Path, most: int = MOST_TEXT) -> bytes:
-    """All of a file, see ``ordinary_file``.
+    """Return all of a file, see ``ordinary_file``.
 
     Raises:
         InputError: missing, not an ordinary file, too large, or it cannot be read.
@@ -59,7 +59,7 @@ def read_bytes(path: Path, most: int = MOST_TEXT) -> bytes:
 
 
 def read_text(path: Path, most: int = MOST_TEXT) -> str:
-    """All of a file of UTF-8.
+    """Return all of a file of UTF-8.
 
     Raises:
         InputError: as ``read_bytes``, or it is no text.

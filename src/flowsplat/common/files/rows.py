@@ -14,7 +14,8 @@ MOST_BYTES = 64 * 2**20
 
 
 def read_rows(path: Path) -> list[tuple[int, dict[str, str]]]:
-    """The rows of a table by the names in its header, each with the number of the line that it ends on; empty ones are left out.
+    """Return the rows of a table by the names in its header, each with the number of the line that it ends on; empty ones are left
+    out.
 
     Cells are parted by commas, in a ``.tsv`` by tabulators, and quoted as spreadsheets do.
 

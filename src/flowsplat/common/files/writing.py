@@ -78,7 +78,7 @@ def remove_partials(folder: Path) -> list[Path]:
 
 
 def _is_alive(process: int) -> bool:
-    """Whether another process of that number lives here: it may still be writing, an export, say."""
+    """Return whether another process of that number lives here: it may still be writing, an export, say."""
     if process == os.getpid():
         return False
     try:
@@ -91,7 +91,7 @@ def _is_alive(process: int) -> bool:
 
 
 def make_writing_error(error: OSError, path: Path) -> WritingError:
-    """What to tell about a file that cannot be written."""
+    """Return what to tell about a file that cannot be written."""
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
         return WritingError(f"The disk is full: cannot write {path}. Free some space and run the same command again.")
     if error.errno == errno.EFBIG:
@@ -117,7 +117,7 @@ def make_folder(path: Path) -> Path:
 
 
 def hash_files(start: str, files: Iterable[tuple[str, Path]], whole: bool = False) -> str:
-    """A short hash of ``start`` and of named files: of their names, sizes and both ends.
+    """Return a short hash of ``start`` and of named files: of their names, sizes and both ends.
 
     Args:
         whole: read all of every file, not only its ends.

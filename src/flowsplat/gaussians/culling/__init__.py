@@ -1,4 +1,4 @@
-"""Which Gaussians can be seen at a time by a camera: the cull that comes before anything else."""
+"""Cull the Gaussians that no camera sees at a time: the cull that comes before anything else."""
 
 from flowsplat.gaussians.culling.api import active_rows, border, pad_active_rows
 from flowsplat.gaussians.culling.capacity import RowCapacity

@@ -16,7 +16,7 @@ from flowsplat.splatting.rules import EPS2D
 
 
 def border(eps2d: float) -> int:
-    """Pixels by which the camera of a cull must be wider (``Camera.widen``) where the rasterizer blurs by ``eps2d``.
+    """Return pixels by which the camera of a cull must be wider (``Camera.widen``) where the rasterizer blurs by ``eps2d``.
 
     The cull itself reckons with the usual blur, and a stronger one reaches farther into the image.
     """
@@ -34,7 +34,7 @@ class CullKernels(Protocol):
 
 
 def _twin(kernels: Kernels) -> CullKernels:
-    """Who computes it, imported only where that is needed."""
+    """Pick the backend that computes it, imported only where that is needed."""
     if kernels == "cpu":
         from flowsplat.gaussians.culling import cpu
 
@@ -59,7 +59,7 @@ def active_rows(
     camera: Camera | None,
     near: float,
 ) -> tuple[Tensor, int]:
-    """Rows of the Gaussians to render at ``t``, those at rest first, each kind in order; and how many of them rest.
+    """Return rows of the Gaussians to render at ``t``, those at rest first, each kind in order; and how many of them rest.
 
     Gaussians at rest are culled against the camera, never one that it could show; moving ones by presence alone.
 

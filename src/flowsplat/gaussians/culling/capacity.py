@@ -1,4 +1,4 @@
-"""How many rows are computed where the number of active Gaussians is not known yet."""
+"""Bound the rows that are computed where the number of active Gaussians is not known yet."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class RowCapacity:
         self.at_rest = self.moving = GRANULE
 
     def fits(self, needed: Sequence[int]) -> bool:
-        """Whether there are rows for so many, at rest and moving."""
+        """Return whether there are rows for so many, at rest and moving."""
         return needed[0] <= self.at_rest and needed[1] <= self.moving
 
     def grow(self, needed: Sequence[int]) -> None:

@@ -29,7 +29,7 @@ def active_rows(
 
 
 def _may_be_seen(means: Tensor, sizes: Tensor, camera: Camera, near: float) -> Tensor:
-    """[N] bool, from the largest standard deviation [N] of each."""
+    """Return [N] bool, from the largest standard deviation [N] of each."""
     viewmat, K = camera.tensors(means.dtype, means.device)
     points = means @ viewmat[:3, :3].T + viewmat[:3, 3]
     depth = points[:, 2]

@@ -1,4 +1,4 @@
-"""What is blended into one image: color, depth and flow; and the one place that picks who computes it."""
+"""Blend color, depth and flow into one image; the one place that picks the backend."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ class FlowKernels(Protocol):
     """What each of the twins has."""
 
     def blend_displacement(self, sliced: Slice, projected: Projected, other: Camera) -> Tensor:
-        """Flow goes to the Gaussians' ``next_means`` in the ``other`` camera."""
+        """Let flow go to the Gaussians' ``next_means`` in the ``other`` camera."""
 
     def blend_affine(self, sliced: Slice, projected: Projected, camera: Camera, other: Camera) -> Tensor:
         """From the Gaussians in ``camera`` to where they are next in the ``other`` one."""
 
 
 def _twin(kernels: Kernels) -> FlowKernels:
-    """Who computes it, imported only where that is needed."""
+    """Pick the backend that computes it, imported only where that is needed."""
     if kernels == "cpu":
         from flowsplat.gaussians.flow import cpu
 
@@ -53,7 +53,8 @@ def _twin(kernels: Kernels) -> FlowKernels:
 
 
 def blend_features(sliced: Slice, projected: Projected, camera: Camera, flow: FlowView | None) -> Tensor:
-    """Features [A, C] of the Gaussians: color, depth, 2 or 6 of flow, and 1 where the other camera does not see the Gaussian.
+    """Return features [A, C] of the Gaussians: color, depth, 2 or 6 of flow, and 1 where the other camera does not see the
+    Gaussian.
 
     On the CPU the last one exists only if a Gaussian that is drawn lies behind the other camera; on a GPU it always does,
     because the host would have to wait to learn that.

@@ -20,7 +20,7 @@ NEAR = 0.05
 
 
 def flow_channels(model: FlowModel) -> int:
-    """How many channels the model blends."""
+    """Return how many channels the model blends."""
     return 6 if model == "affine" else 2
 
 
@@ -36,7 +36,7 @@ def flow_features(
     width: int,
     height: int,
 ) -> tuple[Tensor, Tensor]:
-    """Features [A, 2 or 6] whose blending gives the flow over a pair, and [A] bool: in front of the other camera.
+    """Return features [A, 2 or 6] whose blending gives the flow over a pair, and [A] bool: in front of the other camera.
 
     Args:
         model: ``mean``, the paper's, from the velocity (*Repairs:* through the Jacobian, times dt); ``displacement``, exact for

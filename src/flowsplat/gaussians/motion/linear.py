@@ -13,13 +13,13 @@ from flowsplat.geometry.rotations import covariances, normalize_quats
 
 
 def _make_left_matrix(q: Tensor) -> Tensor:
-    """[N, 4, 4] with q p = L(q) p for quaternions wxyz."""
+    """Return [N, 4, 4] with q p = L(q) p for quaternions wxyz."""
     w, x, y, z = q.unbind(-1)
     return torch.stack([w, -x, -y, -z, x, w, -z, y, y, z, w, -x, z, -y, x, w], -1).unflatten(-1, (4, 4))
 
 
 def _right_matrix(q: Tensor) -> Tensor:
-    """[N, 4, 4] with p q = R(q) p for quaternions wxyz."""
+    """Return [N, 4, 4] with p q = R(q) p for quaternions wxyz."""
     w, x, y, z = q.unbind(-1)
     return torch.stack([w, -x, -y, -z, x, w, z, -y, y, -z, w, x, z, y, -x, w], -1).unflatten(-1, (4, 4))
 

@@ -1,4 +1,4 @@
-"""What every motion model offers, and the registry of those that there are.
+"""Define what every motion model offers, and the registry of those that there are.
 
 A model says which parameters it has and gives the state of its Gaussians at a time. Everything else, from the first Gaussians to
 the exported page, asks it and knows none of its parameters by name; only the fused kernels do, of the models that have some.
@@ -88,19 +88,20 @@ class MotionModel(Protocol):
         ...
 
     def log_precision(self, params: Params) -> Tensor:
-        """[N] log of lambda, the temporal precision, from ``times`` and the parameters that fade."""
+        """Return [N] log of lambda, the temporal precision, from ``times`` and the parameters that fade."""
         ...
 
     def state(self, params: Params, t: float) -> MotionState:
-        """The Gaussians at clip time ``t``."""
+        """Return the Gaussians at clip time ``t``."""
         ...
 
     def at_rest(self, params: Params) -> Shape:
-        """The shapes at the center times, from ``means`` and the parameters that do not move, in the form that ``state`` gives."""
+        """Return the shapes at the center times, from ``means`` and the parameters that do not move, in the form that ``state``
+        gives."""
         ...
 
     def log_scales(self, params: Params) -> Tensor | None:
-        """[N, 3] log of the scales where these are parameters that no time changes, for the cull; None = there are none."""
+        """Return [N, 3] log of the scales where these are parameters that no time changes, for the cull; None = there are none."""
         ...
 
     def start(self, quats: Tensor, scales: Tensor, log_lambdas: Tensor, coefficients: Tensor) -> dict[str, Tensor]:
@@ -115,15 +116,15 @@ class MotionModel(Protocol):
         ...
 
     def recenter(self, params: Params, shift: Tensor) -> dict[str, Tensor]:
-        """The parameters that describe the same motion about the center times moved by ``shift`` [N]."""
+        """Return the parameters that describe the same motion about the center times moved by ``shift`` [N]."""
         ...
 
     def with_precision(self, params: Params, log_lambda: float) -> dict[str, Tensor]:
-        """The parameters of the same Gaussians with another temporal precision."""
+        """Return the parameters of the same Gaussians with another temporal precision."""
         ...
 
     def shrunk(self, params: Params, log_factor: float, in_time: Tensor) -> dict[str, Tensor]:
-        """The parameters of Gaussians exp(``log_factor``) times smaller, and as much shorter where ``in_time`` [N] bool."""
+        """Return the parameters of Gaussians exp(``log_factor``) times smaller, and as much shorter where ``in_time`` [N] bool."""
         ...
 
 
@@ -143,7 +144,8 @@ def register(kind: str) -> Callable[[Maker], Maker]:
 
 
 def motion_model(settings: ModelConfig) -> MotionModel:
-    """The motion model that these settings describe; a series of which neither means nor rotations are left is the linear one.
+    """Return the motion model that these settings describe; a series of which neither means nor rotations are left is the linear
+    one.
 
     Raises:
         InputError: there is none of that kind.

@@ -1,4 +1,5 @@
-"""What models share whose Gaussians keep their scales: rotation, scales and temporal precision are parameters of their own."""
+"""Share what models have in common whose Gaussians keep their scales: rotation, scales and temporal precision are parameters of
+their own."""
 
 from __future__ import annotations
 

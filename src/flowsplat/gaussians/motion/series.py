@@ -14,7 +14,7 @@ from flowsplat.gaussians.motion.rigid import RigidMotion
 
 
 def series_basis(tau: Tensor, poly_order: int, fourier_order: int, fourier_base: float) -> Tensor:
-    """[N] times since the center to [N, poly + 2 fourier] basis values: tau^n, cos(w l tau) - 1, sin(w l tau)."""
+    """Return [N] times since the center to [N, poly + 2 fourier] basis values: tau^n, cos(w l tau) - 1, sin(w l tau)."""
     phases = [fourier_base * k * tau for k in range(1, fourier_order + 1)]
     columns = [tau**n for n in range(1, poly_order + 1)]
     columns += [torch.cos(phase) - 1 for phase in phases] + [torch.sin(phase) for phase in phases]
@@ -22,7 +22,7 @@ def series_basis(tau: Tensor, poly_order: int, fourier_order: int, fourier_base:
 
 
 def series_basis_rate(tau: Tensor, poly_order: int, fourier_order: int, fourier_base: float) -> Tensor:
-    """The derivative of ``series_basis`` with respect to tau."""
+    """Return the derivative of ``series_basis`` with respect to tau."""
     rates = [fourier_base * k for k in range(1, fourier_order + 1)]
     columns = [n * tau ** (n - 1) for n in range(1, poly_order + 1)]
     columns += [-w * torch.sin(w * tau) for w in rates] + [w * torch.cos(w * tau) for w in rates]

@@ -1,4 +1,4 @@
-"""What a slice is, and the one place that picks who computes it."""
+"""Slice 4D Gaussians at a time; the one place that picks the backend."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class SliceKernels(Protocol):
 
 
 def _twin(kernels: Kernels) -> SliceKernels:
-    """Who computes it, imported only where that is needed."""
+    """Pick the backend that computes it, imported only where that is needed."""
     if kernels == "cpu":
         from flowsplat.gaussians.slicing import cpu
 

@@ -52,7 +52,7 @@ def slice_gaussians(
 
 
 def _together(resting: Tensor | None, moving: Tensor | None) -> Tensor:
-    """One tensor of those at rest and those that move."""
+    """Return one tensor of those at rest and those that move."""
     assert resting is not None
     assert moving is not None
     return torch.cat([resting, moving])

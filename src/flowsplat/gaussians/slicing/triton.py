@@ -346,7 +346,7 @@ def _constants(gaussians: Gaussians4D, has_next: bool) -> dict[str, Any]:
 
 
 def slice_rows(gaussians: Gaussians4D, rows: Tensor, resting: int, moment: Tensor, has_next: bool) -> tuple[Tensor, ...]:
-    """The kernel alone, without gradients and without a word from the host to wait for.
+    """Return the kernel alone, without gradients and without a word from the host to wait for.
 
     Args:
         gaussians: the model.

@@ -71,7 +71,7 @@ def export_scene(model: SceneModel, scene: Scene, to: str, path: str | Path | No
 
 
 def estimate_size(model: SceneModel, scene: Scene, to: str, options: ExportOptions) -> int:
-    """About how many bytes an export will have; exact for ply, ply-sequence and splat but for their headers."""
+    """Return about how many bytes an export will have; exact for ply, ply-sequence and splat but for their headers."""
     gaussians = model.gaussians
     harmonics = harmonics_count(gaussians.sh_degree)
     record = 4 * len(property_names(harmonics, _has_objects(model), gaussians.seen is not None))

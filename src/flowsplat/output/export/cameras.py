@@ -22,7 +22,7 @@ MOST_POINTS = 100_000
 
 
 def frame_names(scene: Scene) -> list[str]:
-    """The image of every frame, relative to the folder of the scene."""
+    """Return the image of every frame, relative to the folder of the scene."""
     heldout = set(scene.heldout_frames)
     return [f"heldout/frames/{i:05d}.png" if i in heldout else f"frames/{i:05d}.png" for i in range(scene.num_frames)]
 

@@ -1,4 +1,4 @@
-"""Which Gaussians matter: how much of the images each of them holds."""
+"""Rank Gaussians by their importance: how much of the images each of them holds."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MOST_VIEWS = 48
 
 
 def choose_most_important(model: SceneModel, views: Sequence[tuple[Camera, float]], count: int) -> SceneModel:
-    """The scene with the ``count`` Gaussians that hold most of the given views, in their old order.
+    """Return the scene with the ``count`` Gaussians that hold most of the given views, in their old order.
 
     Args:
         model: the scene.
@@ -38,7 +38,7 @@ def choose_most_important(model: SceneModel, views: Sequence[tuple[Camera, float
 
 
 def sum_blending_weights(gaussians: Gaussians4D, views: Sequence[tuple[Camera, float]]) -> Tensor:
-    """[N] the sum over views and pixels of p(t) o exp(-d^2 / 2) times the transmittance in front: what a Gaussian adds.
+    """Return [N] the sum over views and pixels of p(t) o exp(-d^2 / 2) times the transmittance in front: what a Gaussian adds.
 
     It is the gradient of the sum of an image with respect to a feature that is 1 everywhere.
 

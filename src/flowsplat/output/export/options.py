@@ -1,4 +1,4 @@
-"""What can be exported, and what can be chosen: apart from the code that does it, so that the command line need not load that."""
+"""Define the options of exports: apart from the code that does it, so that the command line need not load that."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every parameter of the 4D scene in one file, by the names of docs/method.md; docs/formats.md has the schema."""
+"""Export every parameter of the 4D scene in one file, by the names of docs/method.md; docs/formats.md has the schema."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ VERSION = 1
 
 
 def about_parameters(model: SceneModel) -> dict[str, Any]:
-    """What the arrays mean: settings of the motion model, and how scene and clip are normalized."""
+    """Return what the arrays mean: settings of the motion model, and how scene and clip are normalized."""
     return {
         "format": "flowsplat parameters",
         "version": VERSION,

@@ -20,7 +20,7 @@ from flowsplat.output.export.still import Still
 
 
 def property_names(harmonics: int, has_objects: bool, has_seen: bool = False) -> list[str]:
-    """Names in the order of the file for ``harmonics`` coefficients a channel."""
+    """Return names in the order of the file for ``harmonics`` coefficients a channel."""
     rest = [f"f_rest_{k}" for k in range(3 * (harmonics - 1))]
     return [
         "x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", *rest,

@@ -63,7 +63,7 @@ def _bytes(values: np.ndarray) -> np.ndarray:
 
 
 def _convert_to_fixed_point(means: np.ndarray) -> tuple[np.ndarray, int]:
-    """[N, 3, 3] the low three bytes of every coordinate, and the bits behind the point."""
+    """Return [N, 3, 3] the low three bytes of every coordinate, and the bits behind the point."""
     largest = max(float(np.abs(means).max(initial=0)), 1e-9)
     bits = int(np.clip(np.floor(23 - np.log2(largest)), 0, _FRACTION_BITS))
     limit = (1 << 23) - 1
@@ -72,7 +72,8 @@ def _convert_to_fixed_point(means: np.ndarray) -> tuple[np.ndarray, int]:
 
 
 def _smallest_three(quats: np.ndarray) -> np.ndarray:
-    """[N] uint32 of unit quaternions [N, 4] wxyz: the largest component follows from the others, whose signs are turned to it."""
+    """Return [N] uint32 of unit quaternions [N, 4] wxyz: the largest component follows from the others, whose signs are turned to
+    it."""
     xyzw = np.roll(quats, -1, axis=1)
     largest = np.abs(xyzw).argmax(1)
     rows = np.arange(len(xyzw))

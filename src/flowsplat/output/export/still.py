@@ -56,7 +56,7 @@ class Still:
 
 @torch.no_grad()
 def still_at(model: SceneModel, seconds: float, *, flip_axes: bool = False) -> Still:
-    """What is there at a time of the clip.
+    """Return what is there at a time of the clip.
 
     Args:
         model: the scene.
@@ -96,7 +96,8 @@ def still_at(model: SceneModel, seconds: float, *, flip_axes: bool = False) -> S
 
 
 def rotate_harmonics(sh: Tensor, rotation: Tensor) -> Tensor:
-    """Harmonics [A, K, 3] of Gaussians that are turned by ``rotation`` [3, 3]: seen along R d they look as before along d."""
+    """Return harmonics [A, K, 3] of Gaussians that are turned by ``rotation`` [3, 3]: seen along R d they look as before along
+    d."""
     degree = int(sh.shape[1] ** 0.5) - 1
     if degree == 0 or torch.equal(rotation, torch.eye(3).to(rotation)):
         return sh

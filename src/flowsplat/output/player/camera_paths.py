@@ -23,7 +23,7 @@ _SUBJECTS = 17
 
 
 def camera_paths(model: SceneModel, times: Sequence[float], cameras: Sequence[Camera]) -> dict[str, Any]:
-    """What the header of the page says about cameras, in the coordinates of the player (normalized).
+    """Return what the header of the page says about cameras, in the coordinates of the player (normalized).
 
     Args:
         model: the scene.
@@ -45,7 +45,7 @@ def camera_paths(model: SceneModel, times: Sequence[float], cameras: Sequence[Ca
 
 
 def sample_path(model: SceneModel, times: Sequence[float], cameras: Sequence[Camera]) -> list[list[float]]:
-    """The rows of a path: see ``camera_paths``."""
+    """Return the rows of a path: see ``camera_paths``."""
     path = CameraPath(times, [model.similarity.camera(camera) for camera in cameras])
     steps = PATH_SAMPLES * (len(times) - 1)
     fine = np.interp(np.arange(steps + 1) / PATH_SAMPLES, np.arange(len(times)), times)

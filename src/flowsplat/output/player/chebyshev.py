@@ -46,14 +46,14 @@ class ChebyshevMotion:
 
 
 def visible_interval(times: Tensor, log_lambdas: Tensor, p_min: float) -> tuple[Tensor, Tensor]:
-    """(middle [M], half length [M]) of the part of the clip, 0 to 1, in which p(t) >= p_min."""
+    """Return (middle [M], half length [M]) of the part of the clip, 0 to 1, in which p(t) >= p_min."""
     reach = torch.sqrt(-2 * math.log(p_min) * torch.exp(-log_lambdas))
     start, end = (times - reach).clamp(min=0), (times + reach).clamp(max=1)
     return (start + end) / 2, ((end - start) / 2).clamp(min=1e-6)
 
 
 def find_seen_in_clip(gaussians: Gaussians4D) -> Tensor:
-    """[N] bool: drawn at some time of the clip."""
+    """Return [N] bool: drawn at some time of the clip."""
     params = gaussians.params
     reach = torch.sqrt(-2 * math.log(gaussians.config.p_min) * torch.exp(-gaussians.motion.log_precision(params)))
     return gaussians.at_rest | ((params["times"] + reach > 0) & (params["times"] - reach < 1))
@@ -100,7 +100,7 @@ def fit_motion(
 
 
 def _fit(values: Tensor, nodes: Tensor, tolerance: float) -> Tensor:
-    """Values [M, NODES, C] at the nodes to coefficients [M, degree + 1, C] of the lowest degree that keeps the tolerance."""
+    """Fit values [M, NODES, C] at the nodes to coefficients [M, degree + 1, C] of the lowest degree that keeps the tolerance."""
     degrees = torch.arange(NODES, dtype=torch.float64)
     basis = torch.cos(degrees[None] * torch.arccos(nodes)[:, None])  # [NODES, NODES], T_k at the nodes
     weights = basis * torch.where(degrees == 0, 1.0, 2.0) / NODES

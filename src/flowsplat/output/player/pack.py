@@ -92,7 +92,7 @@ def pack(
 
 
 def estimate_bytes(gaussians: Gaussians4D) -> int:
-    """About how large the packed arrays become as base64, from what was measured on trained scenes."""
+    """Return about how large the packed arrays become as base64, from what was measured on trained scenes."""
     seen = find_seen_in_clip(gaussians)
     resting = int((gaussians.at_rest & seen).sum())
     moving = int(seen.sum()) - resting
@@ -102,7 +102,7 @@ def estimate_bytes(gaussians: Gaussians4D) -> int:
 
 
 def _arrays(gaussians: Gaussians4D, resting: int, resolution: np.ndarray) -> list[QuantizedArray]:
-    """All parameters of Gaussians that are in order, those at rest first."""
+    """Return all parameters of Gaussians that are in order, those at rest first."""
     params, degree = gaussians.params, gaussians.sh_degree
     moving = torch.arange(resting, len(gaussians))
     times = quantize_to_range("times", _column(params["times"][moving]), 16, tail=0)
@@ -147,7 +147,7 @@ def _motion_arrays(motion: ChebyshevMotion, step: float) -> list[QuantizedArray]
 
 
 def _at_rest(gaussians: Gaussians4D, resting: int) -> tuple[torch.Tensor, torch.Tensor]:
-    """Rotations [R, 4] with w >= 0 and log scales [R, 3] of the first ones."""
+    """Return rotations [R, 4] with w >= 0 and log scales [R, 3] of the first ones."""
     params = {name: value[:resting] for name, value in gaussians.params.items()}
     shape, kept = gaussians.motion.at_rest(params), gaussians.motion.log_scales(params)
     if shape.covars is not None:
@@ -164,7 +164,7 @@ def _column(values: torch.Tensor) -> np.ndarray:
 
 
 def _resolution(gaussians: Gaussians4D, cameras: Sequence[Camera]) -> np.ndarray:
-    """[N] the distance in the scene that is ``PIXEL_TOLERANCE`` in the nearest camera."""
+    """Return [N] the distance in the scene that is ``PIXEL_TOLERANCE`` in the nearest camera."""
     tree = cKDTree(np.array([camera.center for camera in cameras]))
     distance = tree.query(gaussians.params["means"].numpy())[0]
     focal = max(camera.K[0, 0] for camera in cameras)
@@ -172,7 +172,7 @@ def _resolution(gaussians: Gaussians4D, cameras: Sequence[Camera]) -> np.ndarray
 
 
 def _along_curve(gaussians: Gaussians4D, rows: torch.Tensor) -> torch.Tensor:
-    """Rows in the order of a Morton curve through the ranks of their coordinates, which no outlier can stretch."""
+    """Return rows in the order of a Morton curve through the ranks of their coordinates, which no outlier can stretch."""
     means = gaussians.params["means"][rows].numpy()
     code = np.zeros(len(means), np.int64)
     for axis in range(3):

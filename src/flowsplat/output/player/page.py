@@ -67,7 +67,7 @@ def write_player(
 
 
 def _policy(script: str) -> str:
-    """What a browser lets the page do: run this script and its worker, show what the page holds, and fetch nothing."""
+    """Return what a browser lets the page do: run this script and its worker, show what the page holds, and fetch nothing."""
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     allowed = (f"script-src 'sha256-{digest}'", "worker-src blob:", "img-src data: blob:", "style-src 'unsafe-inline'")
     return "; ".join(("default-src 'none'", *allowed, "base-uri 'none'", "form-action 'none'"))

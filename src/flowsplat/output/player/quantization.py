@@ -52,7 +52,7 @@ class QuantizedArray:
         return self.low[chunks] + self.step[chunks] * self.q.astype(np.float32)
 
     def encode(self) -> tuple[dict[str, Any], bytes]:
-        """(description for the header, bytes), with or without ``delta``, whatever compresses better."""
+        """Return (description for the header, bytes), with or without ``delta``, whatever compresses better."""
         candidates = [self._bytes(delta) for delta in (False, True)]
         sizes = [len(zlib.compress(data, 6)) for data in candidates]
         delta = sizes[1] < sizes[0]
@@ -77,7 +77,8 @@ class QuantizedArray:
 
 
 def quantize(name: str, values: np.ndarray, bits: int, low: np.ndarray | float, high: np.ndarray | float) -> QuantizedArray:
-    """Values [count, components] in equal steps from ``low`` to ``high`` (each [components] or one number); clipped to them."""
+    """Quantize values [count, components] in equal steps from ``low`` to ``high`` (each [components] or one number); clipped to
+    them."""
     components = values.shape[1]
     low = np.broadcast_to(np.asarray(low, np.float32), components)
     high = np.broadcast_to(np.asarray(high, np.float32), components)
@@ -86,7 +87,7 @@ def quantize(name: str, values: np.ndarray, bits: int, low: np.ndarray | float, 
 
 
 def quantize_to_range(name: str, values: np.ndarray, bits: int, tail: float = _TAIL) -> QuantizedArray:
-    """Values [count, components], each component between its own smallest and largest value, a few outliers apart."""
+    """Quantize values [count, components], each component between its own smallest and largest value, a few outliers apart."""
     if not len(values):
         return quantize(name, values, bits, 0.0, 1.0)
     low, high = np.quantile(values, (tail, 1 - tail), axis=0)
@@ -94,14 +95,14 @@ def quantize_to_range(name: str, values: np.ndarray, bits: int, tail: float = _T
 
 
 def quantize_to_step(name: str, values: np.ndarray, step: float) -> QuantizedArray:
-    """Values around zero to multiples of ``step``, 16 bits."""
+    """Quantize values around zero to multiples of ``step``, 16 bits."""
     components = values.shape[1]
     low = np.full((1, components), -32768 * step, np.float32)
     return _quantize(name, values, 16, low, np.full((1, components), step, np.float32), max(len(values), 1))
 
 
 def quantize_in_chunks(name: str, values: np.ndarray, steps: np.ndarray, chunk: int) -> QuantizedArray:
-    """Values [count, components] in 16 bits between the smallest and the largest of every chunk of rows.
+    """Quantize values [count, components] in 16 bits between the smallest and the largest of every chunk of rows.
 
     Args:
         name: of the parameter.

@@ -63,7 +63,7 @@ def render_videos(model: PartedRenderer, scene: Scene, folder: Path, options: Re
 
 
 def list_rendered(folder: Path) -> dict[str, str]:
-    """What was rendered into ``folder``, by name, to the file's name in it.
+    """Return what was rendered into ``folder``, by name, to the file's name in it.
 
     Names: ``input_path``, ``stabilized``, ``orbit``, ``bullet_time``, ``dolly_zoom``, ``wiggle`` and ``custom_path_`` with the
     name of its camera file; behind it ``_slow4`` where time plays four times slower, ``_confidence_fade`` where guesses fade,
@@ -77,7 +77,7 @@ def list_rendered(folder: Path) -> dict[str, str]:
 
 
 def list_frame_rates(folder: Path) -> dict[str, float]:
-    """Frames a second of what was rendered into ``folder``, by the names that ``rendered`` has without ``_color``.
+    """Return frames a second of what was rendered into ``folder``, by the names that ``rendered`` has without ``_color``.
 
     Raises:
         InputError: ``renders.json`` is damaged.
@@ -86,7 +86,7 @@ def list_frame_rates(folder: Path) -> dict[str, float]:
 
 
 def are_rendered(folder: Path) -> bool:
-    """Whether videos were rendered into ``folder``, and all their files are still there."""
+    """Return whether videos were rendered into ``folder``, and all their files are still there."""
     return bool(list_rendered(folder)) and all((Path(folder) / file).exists() for file in list_rendered(folder).values())
 
 
@@ -105,6 +105,6 @@ def _record(folder: Path) -> dict[str, Any]:
 
 
 def _key(plan: Plan, scales: Scales) -> str:
-    """A hash of all that a video depends on; what the model is shows in the shots that were looked at."""
+    """Return a hash of all that a video depends on; what the model is shows in the shots that were looked at."""
     text = json.dumps([__version__, plan.to_json(), scales.looks])
     return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -1,4 +1,4 @@
-"""How far videos leave the clip's path: as far as the clip has seen what they show, and knows where objects are."""
+"""Choose how far videos leave the clip's path: as far as the clip has seen what they show, and knows where objects are."""
 
 from __future__ import annotations
 
@@ -59,14 +59,15 @@ class Amplitudes:
         return angle
 
     def dolly(self, t: float, distance: float) -> float:
-        """How many times as far from what is at a planar ``distance`` a dolly zoom goes at ``t`` seconds."""
+        """Return how many times as far from what is at a planar ``distance`` a dolly zoom goes at ``t`` seconds."""
         own = self.path.at(t)
         factor, told = self._furthest(DOLLIES, lambda factor: [(own, dolly_zoom(own, distance, factor), t)])
         report(f"Dolly zoom: {factor:g} times as far{told}.")
         return factor
 
     def _furthest(self, values: Sequence[float], looks: Callable[[float], list[_Look]]) -> tuple[float, str]:
-        """The last of ascending values whose views the clip has seen well enough, the first if none; and what to tell of it."""
+        """Return the last of ascending values whose views the clip has seen well enough, the first if none; and what to tell of
+        it."""
         # The farther, the less is known: halving finds the last that is good.
         best, beyond = 0, len(values)
         while beyond - best > 1:
@@ -77,7 +78,7 @@ class Amplitudes:
         return values[best], f"{'' if is_clear else ', close to what moves'}; {unknown:.0%} of what it shows there is a guess"
 
     def _measure_unknown(self, looks: Sequence[_Look]) -> tuple[float, bool]:
-        """Share of views that the clip does not tell, beyond that of its own, and whether they stay away from objects."""
+        """Return share of views that the clip does not tell, beyond that of its own, and whether they stay away from objects."""
         visibility = self._visibility
         owns = {t: own for own, _, t in looks}
         views = [*((own, t) for t, own in owns.items()), *((camera, t) for _, camera, t in looks)]

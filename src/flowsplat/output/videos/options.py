@@ -1,4 +1,4 @@
-"""Which videos are made, and how."""
+"""Define the options of videos."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every video before it is rendered: what it shows, from where, when, and what it is written as."""
+"""Plan every video before it is rendered: what it shows, from where, when, and what it is written as."""
 
 from __future__ import annotations
 
@@ -64,14 +64,14 @@ class Plan:
         return [f"{self.name}.{_SUFFIXES[self.kind]}"]
 
     def to_json(self) -> list[Any]:
-        """All that the video depends on, the model excepted."""
+        """Return all that the video depends on, the model excepted."""
         views = [[camera.to_json(), t] for camera, t in self.shots]
         look = [self.kind, self.part, self.eye_distance, self.convergence]
         return [views, self.fps, look, self.audio_from and self.audio_from.name, self.audio_start]
 
 
 def plan_videos(model: PartedRenderer, scene: Scene, options: RenderOptions) -> list[Plan]:
-    """Every video that was asked for.
+    """Return every video that was asked for.
 
     Raises:
         InputError: an option or the camera file cannot be used, or objects are asked for that are not there.
@@ -86,7 +86,7 @@ def plan_videos(model: PartedRenderer, scene: Scene, options: RenderOptions) -> 
 
 
 def settle(scene: Scene, options: RenderOptions) -> tuple[float, tuple[int, int], CameraShots | None]:
-    """What follows from the options and the clip alone: frames a second, (width, height), and the camera file's shots.
+    """Return what follows from the options and the clip alone: frames a second, (width, height), and the camera file's shots.
 
     Raises:
         InputError: an option or the camera file cannot be used.
@@ -100,7 +100,8 @@ def settle(scene: Scene, options: RenderOptions) -> tuple[float, tuple[int, int]
 
 
 def _versions(plan: Plan, part: Part, scene: Scene, options: RenderOptions) -> Iterator[Plan]:
-    """The video of one part of the scene, and its stereo pair (objects alone on black, as players know no alpha beside stereo)."""
+    """Yield the video of one part of the scene, and its stereo pair (objects alone on black, as players know no alpha beside
+    stereo)."""
     suffix = "" if part == "all" else "_" + part.replace(":", "_").replace(",", "_")
     if options.object_depth:
         factors = factors_of(options.object_depth)
@@ -117,7 +118,7 @@ def _versions(plan: Plan, part: Part, scene: Scene, options: RenderOptions) -> I
 
 
 def _whole(model: PartedRenderer, scene: Scene, options: RenderOptions) -> Iterator[Plan]:
-    """Every path, showing the whole scene."""
+    """Yield every path, showing the whole scene."""
     first, last = float(scene.timestamps[0]), float(scene.timestamps[-1])
     fps, size, given = settle(scene, options)
     path = CameraPath(scene.timestamps.tolist(), [camera.resize(*size) for camera in scene.cameras])
@@ -162,7 +163,7 @@ def _whole(model: PartedRenderer, scene: Scene, options: RenderOptions) -> Itera
 
 
 def name_of(camera_file: Path) -> str:
-    """What a camera file is called, as a part of the names of its videos."""
+    """Return what a camera file is called, as a part of the names of its videos."""
     return re.sub(r"[^\w.-]", "-", camera_file.stem)
 
 
@@ -176,7 +177,7 @@ def loop_widths(model: PartedRenderer, scene: Scene) -> tuple[float, float]:
 
 
 def subject_distance(model: PartedRenderer, camera: Camera, t: float, otherwise: float) -> float:
-    """Planar depth of the objects that the camera sees, their median; ``otherwise`` where there are none."""
+    """Return planar depth of the objects that the camera sees, their median; ``otherwise`` where there are none."""
     seen = model.part("objects").render(small(camera), t)
     depth = seen.depth[seen.alpha >= COVERED]
     return float(np.median(depth)) if depth.size else otherwise

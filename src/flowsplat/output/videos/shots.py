@@ -1,4 +1,4 @@
-"""What a video is made of, and the small images in which is looked before it is rendered."""
+"""Define the shots of a video, and render the small images that are looked at before."""
 
 from __future__ import annotations
 
@@ -14,5 +14,5 @@ _PROBE_SHARE = 4
 
 
 def small(camera: Camera) -> Camera:
-    """The camera for a small image of what it sees."""
+    """Return the camera for a small image of what it sees."""
     return camera.resize(max(camera.width // _PROBE_SHARE, 1), max(camera.height // _PROBE_SHARE, 1))

@@ -49,7 +49,7 @@ def stabilize(model: Renderer, shots: Sequence[Shot], sigma: float) -> tuple[lis
 
 
 def compute_covered_share(model: Renderer, shots: Sequence[Shot]) -> float:
-    """Of width and height, the share of the largest centered crop that has no uncovered border in any of the shots."""
+    """Return the share of width and height of the largest centered crop that has no uncovered border in any of the shots."""
     first = shots[0][0]
     height = max(round(first.height * _PROBE_WIDTH / first.width), 1)
     width = min(_PROBE_WIDTH, first.width)
@@ -62,7 +62,7 @@ def compute_covered_share(model: Renderer, shots: Sequence[Shot]) -> float:
 
 
 def _inner_share(uncovered: np.ndarray) -> float:
-    """The share of one image [H, W] bool; uncovered areas that do not touch the border are holes and do not count."""
+    """Return the share of one image [H, W] bool; uncovered areas that do not touch the border are holes and do not count."""
     height, width = uncovered.shape
     _, labels = cv2.connectedComponents(uncovered.astype(np.uint8), connectivity=8)
     rim = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])

@@ -121,6 +121,6 @@ def _write_alpha(model: Renderer, plan: Plan, path: Path) -> None:
 
 
 def on_transparent(seen: Rendering) -> np.ndarray:
-    """[H, W, 4] uint8 RGBA of what was rendered without filling; color is not multiplied by alpha, as WebM wants it."""
+    """Return [H, W, 4] uint8 RGBA of what was rendered without filling; color is not multiplied by alpha, as WebM wants it."""
     color = seen.color / np.maximum(seen.alpha, 1e-6)[..., None]
     return float_to_bytes(np.concatenate([color, seen.alpha[..., None]], axis=-1))

@@ -1,4 +1,4 @@
-"""From the coordinates of the scene to those of the browser, and back."""
+"""Convert between the coordinates of the scene and those of the browser."""
 
 from __future__ import annotations
 
@@ -43,14 +43,14 @@ class BrowserFrame:
         self.to_scene = self.from_scene.inverse()
 
     def camera(self, pose: Pose, width: int, height: int) -> Camera:
-        """The camera of the scene that sees what the browser's camera sees on an image of that size."""
+        """Return the camera of the scene that sees what the browser's camera sees on an image of that size."""
         R = Rotation.from_quat(pose.wxyz, scalar_first=True).inv().as_matrix()
         focal = height / 2 / np.tan(pose.fov / 2)
         K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
         return self.to_scene.camera(Camera(rigid(R, -R @ pose.position), K, width, height))
 
     def pose(self, camera: Camera) -> Pose:
-        """The browser's camera that stands where ``camera`` does; a principal point off the middle is lost."""
+        """Return the browser's camera that stands where ``camera`` does; a principal point off the middle is lost."""
         there = self.from_scene.camera(camera)
         wxyz = Rotation.from_matrix(there.viewmat[:3, :3].T).as_quat(scalar_first=True)
         return Pose(wxyz, there.center, 2 * float(np.arctan(camera.height / 2 / camera.K[1, 1])))

@@ -16,7 +16,7 @@ class Clock:
         self._t, self._since = first, 0.0
 
     def at(self, now: float) -> float:
-        """Seconds of the clip at that moment; at the end it starts again or stops."""
+        """Return seconds of the clip at that moment; at the end it starts again or stops."""
         if not self.playing:
             return self._t
         t = self._t + (now - self._since) * self.speed

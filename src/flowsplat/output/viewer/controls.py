@@ -56,7 +56,7 @@ class Controls:
         self._gui = gui
 
     def add_dropdown(self, label: str, options: Sequence[str], **more: Any) -> Control:
-        """One of ``options``."""
+        """Return one of ``options``."""
 
         def check(value: Any) -> str:
             if value not in options:
@@ -66,7 +66,7 @@ class Controls:
         return Control(self._gui.add_dropdown(label, tuple(options), **more), check)
 
     def add_slider(self, label: str, min: float, max: float, step: float, **more: Any) -> Control:
-        """A number from ``min`` to ``max``."""
+        """Return a number from ``min`` to ``max``."""
 
         def check(value: Any) -> float:
             if isinstance(value, int | float) and min - step <= value <= max + step:  # not for NaN; the browser rounds to steps

@@ -1,4 +1,4 @@
-"""What a client wants to see, and the image of it."""
+"""Draw the image that a client wants to see."""
 
 from __future__ import annotations
 
@@ -124,20 +124,20 @@ def draw(source: Source, browser: BrowserFrame, wish: Wish) -> Drawing:
 
 
 def _fit_whole_view(browser: BrowserFrame, camera: Camera, height: int) -> Pose:
-    """The pose of a fitted camera, its field of view that of the whole canvas."""
+    """Return the pose of a fitted camera, its field of view that of the whole canvas."""
     pose = browser.pose(camera)
     return Pose(pose.wxyz, pose.position, 2 * float(np.arctan(height / 2 / camera.K[1, 1])))
 
 
 def draw_shot(source: Source, browser: BrowserFrame, camera: Camera, t: float, look: Look) -> np.ndarray:
-    """[H, W, 3] uint8 a shot of a path as a client looks at it, without the input frame; twice as wide for two eyes."""
+    """Return [H, W, 3] uint8 a shot of a path as a client looks at it, without the input frame; twice as wide for two eyes."""
     wish = Wish((camera.width, camera.height), t, look, browser.pose(camera))
     sides = _BOTH_EYES if look.stereo else _ONE_EYE
     return np.concatenate([render_look(source, camera, wish, side)[0] for side in sides], axis=1)
 
 
 def render_look(source: Source, camera: Camera, wish: Wish, side: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """What ``wish.look`` shows, from a camera of the scene or from one of two eyes there (``side`` -1 left, 1 right).
+    """Return what ``wish.look`` shows, from a camera of the scene or from one of two eyes there (``side`` -1 left, 1 right).
 
     Returns:
         [H, W, 3] uint8 and the planar depth [H, W] in the units of the scene, far away where there is nothing.
@@ -172,7 +172,8 @@ def _eye(source: Source, camera: Camera, side: int) -> Camera:
 
 
 def _next_shot(source: Source, camera: Camera, wish: Wish, side: int) -> tuple[Camera, float]:
-    """Where flow leads to: a frame further; a free camera stands still, so that its flow is the motion of the scene alone."""
+    """Return where flow leads to: a frame further; a free camera stands still, so that its flow is the motion of the scene
+    alone."""
     t = wish.t + source.step if wish.t + source.step <= source.clip[1] else wish.t - source.step
     if wish.pose is None:
         camera = source.path.at(t).resize(camera.width, camera.height)
@@ -181,7 +182,7 @@ def _next_shot(source: Source, camera: Camera, wish: Wish, side: int) -> tuple[C
 
 @torch.no_grad()
 def draw_points(model: SceneModel, camera: Camera, t: float) -> np.ndarray:
-    """[H, W, 3] uint8: every active Gaussian as a dot in its color at its center, near ones over far ones."""
+    """Return [H, W, 3] uint8: every active Gaussian as a dot in its color at its center, near ones over far ones."""
     image = np.full((camera.height, camera.width, 3), _BACKGROUND, np.uint8)
     there = model.similarity.camera(camera)
     gaussians = model.gaussians_for(there, model.clip_time(t))

@@ -94,7 +94,7 @@ class ExportPanel:
         self._begin(take_screenshot(self._source, self._browser, wish, path, self._finish))
 
     def _camera_here(self) -> Camera:
-        """What the client sees, as a camera with the size of the clip."""
+        """Return what the client sees, as a camera with the size of the clip."""
         session = self._session
         if session.mode == "input camera" or session.pose is None:
             return self._source.path.at(session.clock.at(time.monotonic()))
@@ -160,7 +160,7 @@ class ExportPanel:
                 session.change(time.monotonic())
 
     def _add_bars(self, image: np.ndarray) -> np.ndarray:
-        """An image with bars, so that it has the shape of the window."""
+        """Return an image with bars, so that it has the shape of the window."""
         height, width = image.shape[:2]
         shape = self._client.camera.image_width / self._client.camera.image_height
         size = (max(width, round(height * shape)), max(height, round(width / shape)))

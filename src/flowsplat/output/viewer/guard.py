@@ -1,4 +1,4 @@
-"""Who may connect to the viewer.
+"""Admit connections to the viewer.
 
 Any page in a browser may open a connection to any port of the machine it is shown on; what keeps it from the viewer must be done
 here. viser (1.1) looks neither at ``Origin`` nor at ``Host`` and has no place to do so, but it starts its server with one call of
@@ -61,7 +61,7 @@ class Guard:
 
     @staticmethod
     def of(host: str, port: int) -> Guard:
-        """The guard of an address: with a new token where others can reach it."""
+        """Return the guard of an address: with a new token where others can reach it."""
         return Guard(host, port, None if is_local(host) else secrets.token_urlsafe(24))
 
     @property
@@ -91,7 +91,7 @@ class Guard:
         return None
 
     def headers(self, path: str, headers: Any) -> dict[str, str]:
-        """What an answer to an allowed request says to the browser."""
+        """Return what an answer to an allowed request says to the browser."""
         host = headers.get_all("Host")[0]
         found = {
             "Content-Security-Policy": _POLICY.format(sockets=f"ws://{host} wss://{host}"),
@@ -135,7 +135,7 @@ class Guard:
 
 
 def is_local(host: str) -> bool:
-    """Whether only this machine reaches what listens there."""
+    """Return whether only this machine reaches what listens there."""
     if host.lower() == "localhost":
         return True
     try:
@@ -185,7 +185,7 @@ def guard_server(guard: Guard) -> Iterator[None]:
 
 
 def is_guarded(host: str, port: int) -> bool:
-    """Whether the server that listens there refuses a foreign name and a foreign page."""
+    """Return whether the server that listens there refuses a foreign name and a foreign page."""
     where = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)
     own = f"[{where}]:{port}" if ":" in where else f"{where}:{port}"
     for headers in ({"Host": _NOBODY}, {"Host": own, "Origin": f"http://{_NOBODY}"}):

@@ -23,7 +23,7 @@ class CameraKeys:
 
     @staticmethod
     def of_shots(shots: Sequence[Shot], fps: float) -> CameraKeys:
-        """A path that was read from a file: every shot is a key."""
+        """Return a path that was read from a file: every shot is a key."""
         found = CameraKeys(1 / fps)
         found.keys = list(shots)
         found._is_whole = True
@@ -45,13 +45,14 @@ class CameraKeys:
         return max(len(self.keys) - 1, 0) * self.spacing
 
     def shot_at(self) -> Callable[[float], Shot]:
-        """A function that tells, after so many seconds of the video, where the camera is and which time of the clip it shows."""
+        """Return a function that tells, after so many seconds of the video, where the camera is and which time of the clip it
+        shows."""
         steps, times = np.arange(len(self.keys)) * self.spacing, [t for _, t in self.keys]
         path = CameraPath(steps.tolist(), [camera for camera, _ in self.keys])
         return lambda seconds: (path.at(seconds), float(np.interp(seconds, steps, times)))
 
     def shots(self, fps: float) -> list[Shot]:
-        """One shot a frame of the video; none without keys."""
+        """Return one shot a frame of the video; none without keys."""
         if not self.keys:
             return []
         shot_at = self.shot_at()

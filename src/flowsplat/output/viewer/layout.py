@@ -27,20 +27,20 @@ class Box:
 
 
 def fit_box(size: tuple[int, int], room: Box) -> Box:
-    """The largest box with the shape of ``size`` (width, height) in the middle of ``room``."""
+    """Return the largest box with the shape of ``size`` (width, height) in the middle of ``room``."""
     scale = min(room.width / size[0], room.height / size[1])
     width, height = max(round(size[0] * scale), 1), max(round(size[1] * scale), 1)
     return Box(room.x + (room.width - width) // 2, room.y + (room.height - height) // 2, width, height)
 
 
 def halves(size: tuple[int, int]) -> tuple[Box, Box]:
-    """The left and the right half of a canvas (width, height)."""
+    """Return the left and the right half of a canvas (width, height)."""
     middle = max(size[0] // 2, 1)
     return Box(0, 0, middle, size[1]), Box(middle, 0, max(size[0] - middle, 1), size[1])
 
 
 def empty(size: tuple[int, int]) -> np.ndarray:
-    """[H, W, 3] uint8: a canvas (width, height) with nothing on it."""
+    """Return [H, W, 3] uint8: a canvas (width, height) with nothing on it."""
     return np.full((size[1], size[0], 3), BAR, np.uint8)
 
 

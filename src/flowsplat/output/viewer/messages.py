@@ -1,4 +1,4 @@
-"""What a browser may say to the viewer: whatever arrives passes ``Gate`` before viser sees it.
+"""Check the messages of a browser to the viewer: whatever arrives passes ``Gate`` before viser sees it.
 
 viser trusts what it is told: it would set any property of a control, share the viewer through a server of its makers, and keep as
 much of an upload as is sent. Here only what this viewer's own page says gets through: the camera, the value of a control, an upload
@@ -46,7 +46,7 @@ class Gate:
         return checked
 
     def admit(self, raw: Any) -> bytes | None:
-        """A message as it is passed on; None where it is not."""
+        """Return a message as it is passed on; None where it is not."""
         if not isinstance(raw, bytes):
             return None
         try:

@@ -25,7 +25,7 @@ class Notifications:
         self.show("This did not work", str(error), "red")
 
     def callback(self, action: Callable[[], None]) -> Callable[[Any], None]:
-        """An action as viser calls it: only for events of a client, and an InputError is shown to that client."""
+        """Return an action as viser calls it: only for events of a client, and an InputError is shown to that client."""
 
         def call(event: Any) -> None:
             if event.client_id is None:

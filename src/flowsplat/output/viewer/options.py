@@ -1,4 +1,4 @@
-"""How the viewer is served."""
+"""Define the options of the viewer."""
 
 from __future__ import annotations
 

@@ -192,7 +192,7 @@ class Panel:
             camera.fov = pose.fov
 
     def _find_input_pose(self) -> Pose:
-        """The input camera at this time, all of its image inside the window."""
+        """Return the input camera at this time, all of its image inside the window."""
         shown = self._source.path.at(self._session.clock.at(time.monotonic()))
         canvas = (self.client.camera.image_width, self.client.camera.image_height)
         box = fit_box(self._source.size, Box(0, 0, *canvas))

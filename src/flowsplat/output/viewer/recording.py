@@ -1,4 +1,4 @@
-"""What a client exports: screenshots, camera paths and recordings, in ``OUT/viewer``."""
+"""Record what a client exports: screenshots, camera paths and recordings, in ``OUT/viewer``."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def next_file(folder: Path, stem: str, suffix: str) -> Path:
 def take_screenshot(
     source: Source, browser: BrowserFrame, wish: Wish, path: Path, finished: Callable[[Path], None]
 ) -> Iterator[None]:
-    """A task: what a client sees, as a PNG.
+    """Yield a task: what a client sees, as a PNG.
 
     Raises:
         InputError: it cannot be written.
@@ -71,7 +71,7 @@ def record_path(
     source: Source, browser: BrowserFrame, keys: CameraKeys, fps: float, look: Look, path: Path, tell: ShowProgress,
     finished: Callable[[Path], None],
 ) -> Iterator[None]:  # fmt: skip
-    """A task: a camera path as a video of what the client looks at, one frame a step.
+    """Yield a task: a camera path as a video of what the client looks at, one frame a step.
 
     Args:
         source: the scene.

@@ -1,4 +1,4 @@
-"""How large an image is rendered: all of it when still, as much as can be drawn fluently while something moves."""
+"""Adapt the resolution of rendered images: all of it when still, as much as can be drawn fluently while something moves."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ class AdaptiveResolution:
         self._pixels = 100_000.0
 
     def still(self, canvas: tuple[int, int]) -> tuple[int, int]:
-        """(width, height) of a still image for a canvas of that size."""
+        """Return (width, height) of a still image for a canvas of that size."""
         return _scale(canvas, min(1.0, self._largest / max(canvas)))
 
     def choose_moving_size(self, canvas: tuple[int, int]) -> tuple[int, int]:
-        """(width, height) of an image that is fluent; never more than a still one."""
+        """Return (width, height) of an image that is fluent; never more than a still one."""
         width, height = self.still(canvas)
         scale = min((self._pixels / (width * height)) ** 0.5, 1.0)
         return _scale((width, height), max(scale, min(_SMALLEST / max(width, height), 1.0)))

@@ -1,4 +1,4 @@
-"""What one client looks at, and which image it needs next."""
+"""Keep the state of a client: what it looks at, and which image it needs next."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Session:
             self.change(now)
 
     def job(self, now: float, model: int) -> Job | None:
-        """What is to be made for this client at this moment, if anything.
+        """Return what is to be made for this client at this moment, if anything.
 
         Args:
             model: number of the model's state.
@@ -74,7 +74,7 @@ class Session:
         return Job(Wish(size, t, self.look, None if self.mode == "input camera" else self.pose), is_still, version)
 
     def is_restless(self, now: float) -> bool:
-        """Whether it will need an image soon without anything more being changed."""
+        """Return whether it will need an image soon without anything more being changed."""
         return self.clock.playing or now - self._changed < 2 * _SETTLE
 
     def finish_image(self, job: Job, now: float, seconds: float) -> None:

@@ -1,4 +1,4 @@
-"""What is looked at: the newest model of a run, trained or still in training, and the scene that it was trained on.
+"""Load what is looked at: the newest model of a run, trained or still in training, and the scene that it was trained on.
 
 Until training has a checkpoint this is the coarse scene of the run, where there is one: another scene, with cameras and times
 of its own.
@@ -36,7 +36,7 @@ class Loaded:
         self._parts: dict[Part, SceneModel] = {"all": model}
 
     def part(self, part: Part) -> SceneModel:
-        """The model of a part of the scene, made when it is first asked for."""
+        """Return the model of a part of the scene, made when it is first asked for."""
         if part not in self._parts:
             self._parts[part] = self._parts["all"].part(part)
         return self._parts[part]
@@ -72,7 +72,7 @@ class Source:
         self.loaded = Loaded(self._ready(model), state, 0)
 
     def model(self, part: Part, distances: Sequence[tuple[int, float]] = (), confidence_fade: bool = False) -> SceneModel:
-        """The newest model of a part of the scene, with objects so many times as far away as they were trained.
+        """Return the newest model of a part of the scene, with objects so many times as far away as they were trained.
 
         Numbers that no object has do nothing: in training they may come and go. ``confidence_fade``: without what the clip tells
         too little of; nothing as long as that is not known.
@@ -105,7 +105,7 @@ class Source:
         return replace(model.to(self._device), graphs=True)
 
     def _find(self) -> tuple[tuple[str, int], Path, Callable[[Scene], tuple[SceneModel, str]]] | None:
-        """The newest state: what tells it from others, the folder of its scene, and how to read it.
+        """Return the newest state: what tells it from others, the folder of its scene, and how to read it.
 
         A training that begins removes the model that was there, so a model is never older than a checkpoint beside it; the clock
         may have been set between the two.
@@ -166,11 +166,11 @@ class Source:
         return Scales.of(self.loaded.part("all"), shots)
 
     def frame_number(self, t: float) -> int:
-        """The frame nearest to a time."""
+        """Return the frame nearest to a time."""
         return int(np.abs(self.scene.timestamps - t).argmin())
 
     def frame(self, t: float) -> np.ndarray:
-        """[H, W, 3] uint8 the input frame nearest to a time, held-out frames included: nothing learns from what is shown."""
+        """Return [H, W, 3] uint8 the input frame nearest to a time, held-out frames included: nothing learns from what is shown."""
         i = self.frame_number(t)
         return self.scene.frame(i) if i in self.scene.train_frames else self.scene.heldout_frame(i)
 

@@ -15,7 +15,7 @@ _STEPS = 40
 
 @torch.no_grad()
 def trails(model: SceneModel) -> tuple[np.ndarray, np.ndarray]:
-    """Paths of some moving Gaussians, as far as they are present.
+    """Return paths of some moving Gaussians, as far as they are present.
 
     Returns:
         ends [S, 2, 3] in the units of the scene's cameras and colors [S, 2, 3] uint8 by time, from blue to red; both empty

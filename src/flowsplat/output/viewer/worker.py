@@ -113,7 +113,7 @@ class Worker:
             self._reloaded()
 
     def _next_job(self) -> tuple[int, Session, SendImage, Job] | None:
-        """Of the clients in turn, the first one that needs an image."""
+        """Return the first client, in turn,  that needs an image."""
         with self._condition:
             for _ in range(len(self._turns)):
                 client = self._turns[0]
@@ -139,7 +139,7 @@ class Worker:
                 session.finish_image(job, time.monotonic(), time.monotonic() - started)
 
     def _advance(self) -> bool:
-        """One step of the task whose turn it is; False where there is none."""
+        """Return one step of the task whose turn it is; False where there is none."""
         with self._condition:
             if not self._tasks:  # looked at under the lock: the client of the last one may be leaving
                 return False

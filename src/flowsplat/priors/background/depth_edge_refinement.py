@@ -69,7 +69,7 @@ class View:
 
     @staticmethod
     def of(image: np.ndarray, moving: np.ndarray) -> View:
-        """Of an image [H, W, 3] uint8 and what moves in it [H, W] bool."""
+        """Pack an image [H, W, 3] uint8 and what moves in it [H, W] bool."""
         gray = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float32)
         across, down = cv2.Sobel(gray, cv2.CV_32F, 1, 0) / 4, cv2.Sobel(gray, cv2.CV_32F, 0, 1) / 4
         return View(pack(image[None], moving[None])[0], np.hypot(across, down))
@@ -85,7 +85,7 @@ def refine_edges(
     inverse: np.ndarray, still: np.ndarray, view: View, camera: Camera, others: Sequence[View], cameras: Sequence[Camera],
     doubted: np.ndarray | None = None,
 ) -> np.ndarray:  # fmt: skip
-    """Inverse depth [H, W] float32 with its jumps where the images have them.
+    """Return inverse depth [H, W] float32 with its jumps where the images have them.
 
     Args:
         inverse: [H, W] float32, positive.
@@ -124,7 +124,7 @@ class EdgeRefiner:
         self._seen = compute_once(self._see, 2 * OFFSETS[-1] + room)
 
     def __call__(self, k: int, inverse: np.ndarray, doubted: np.ndarray | None = None) -> np.ndarray:
-        """Inverse depth [H, W] float32 of training frame k at full size, with its jumps where the images have them.
+        """Return inverse depth [H, W] float32 of training frame k at full size, with its jumps where the images have them.
 
         ``doubted`` as in ``refine_edges``.
         """
@@ -137,7 +137,7 @@ class EdgeRefiner:
         return refine_edges(inverse, ~moving, view, cameras[0], seen, cameras[1:], doubted)
 
     def _see(self, k: int) -> tuple[View, np.ndarray]:
-        """A frame, where objects and what is close to them say nothing, and objects [H, W] bool."""
+        """Return a frame, where objects and what is close to them say nothing, and objects [H, W] bool."""
         scene, i = self._clip.scene, self._clip.scene.train_frames[k]
         moving = scene.mask(i) > 0 if self._has_masks else np.zeros((scene.height, scene.width), bool)
         near = cv2.dilate(moving.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
@@ -155,7 +155,8 @@ def _costs(
     proposed: np.ndarray, near: np.ndarray, image: np.ndarray, words: np.ndarray, slopes: np.ndarray, intrinsics: np.ndarray,
     poses: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
-    """[L, H, S] float32: how much the better half of the frames differs from a pixel at each proposed inverse depth [L, H, W].
+    """Return [L, H, S] float32: how much the better half of the frames differs from a pixel at each proposed inverse depth [L, H,
+    W].
 
     Of every other pixel, as on a chessboard: they vote as well as all, in half the time. A row holds its columns y % 2, y % 2 + 2,
     ... from ``_MARGIN`` on, and 0 beside them. ``words``: colors and objects of the others as from ``packed``,
@@ -272,12 +273,13 @@ def _any(wanted: np.ndarray, first: int) -> bool:
 
 @helper
 def _row_size(width: int) -> int:
-    """Numbers in a row of every other pixel, with room beside them."""
+    """Return numbers in a row of every other pixel, with room beside them."""
     return (width + 1) // 2 + LANES + 2 * _MARGIN
 
 
 def _choose_proposals(proposed: np.ndarray, costs: np.ndarray, asked: np.ndarray, image: np.ndarray) -> np.ndarray:
-    """[H, W] the proposal of the least cost around each pixel, by pixels that look like it; the first where none is asked for."""
+    """Return [H, W] the proposal of the least cost around each pixel, by pixels that look like it; the first where none is asked
+    for."""
     voters = np.zeros((3, *costs.shape[1:]), np.float32)  # the colors of the pixels that vote, as their costs lie
     for parity in range(2):
         row = image[parity::2, parity::2, :3]

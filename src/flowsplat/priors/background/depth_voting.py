@@ -27,7 +27,7 @@ OWN = 1.5
 def vote_on_depth(
     inverse: np.ndarray, still: np.ndarray, camera: Camera, others: Sequence[tuple[np.ndarray, np.ndarray, Camera]]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What most frames say of the inverse depth of each pixel.
+    """Return what most frames say of the inverse depth of each pixel.
 
     Args:
         inverse: [H, W] float32 of the frame itself, positive.

@@ -1,4 +1,4 @@
-"""From scattered, weighted inverse depth to a value for every pixel, along the edges of the image."""
+"""Fill scattered, weighted inverse depth in to a value for every pixel, along the edges of the image."""
 
 from __future__ import annotations
 

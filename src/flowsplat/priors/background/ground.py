@@ -63,11 +63,11 @@ class Ground:
     heights: np.ndarray
 
     def height(self, points: np.ndarray) -> np.ndarray:
-        """[N] how far points [N, 3] are above the ground right below them; NaN where that is not known."""
+        """Return [N] how far points [N, 3] are above the ground right below them; NaN where that is not known."""
         return (points - self.origin) @ self.normal - self._below(points)
 
     def depth(self, camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Planar depth [N] at which the rays through pixels [N, 2] first meet the ground, and whether it was seen there [N].
+        """Return planar depth [N] at which the rays through pixels [N, 2] first meet the ground, and whether it was seen there [N].
 
         Where it was not, the plane goes on, if most of what faces up lies on it (``PLANE_SHARE``); inf elsewhere and above the
         horizon.
@@ -111,7 +111,7 @@ class Ground:
         return result
 
     def _below(self, points: np.ndarray) -> np.ndarray:
-        """[N] height of the ground above the plane below or above points [N, 3], between cells linearly where it is even."""
+        """Return [N] height of the ground above the plane below or above points [N, 3], between cells linearly where it is even."""
         place = ((points - self.origin) @ self.axes.T - self.corner) / self.cell - 0.5
         # A row of pixels may be longer than OpenCV allows: 1,024 at a time.
         width = 1024
@@ -125,7 +125,7 @@ class Ground:
 
 
 def up_direction(cameras: Sequence[Camera]) -> np.ndarray:
-    """[3] unit vector: the mean direction of the tops of the images."""
+    """Return [3] unit vector: the mean direction of the tops of the images."""
     up = -np.mean([camera.viewmat[1, :3] for camera in cameras], 0)
     return up / np.linalg.norm(up)
 
@@ -133,7 +133,7 @@ def up_direction(cameras: Sequence[Camera]) -> np.ndarray:
 def find_ground(
     points: np.ndarray, normals: np.ndarray, depths: np.ndarray, cameras: Sequence[Camera], seed: int = 0
 ) -> Ground | None:
-    """The ground among static points.
+    """Return the ground among static points.
 
     Args:
         points: [N, 3] world.
@@ -171,7 +171,7 @@ def find_ground(
 def _build_map(
     points: np.ndarray, normal: np.ndarray, share: float, origin: np.ndarray, axes: np.ndarray, cell: float
 ) -> Ground | None:
-    """The map of the points [N, 3] that face up."""
+    """Return the map of the points [N, 3] that face up."""
     places, heights = (points - origin) @ axes.T, (points - origin) @ normal
     if len(places) == 0:
         return None
@@ -195,7 +195,7 @@ def _build_map(
 
 
 def _smooth(grid: np.ndarray) -> np.ndarray:
-    """The median of each known cell and its known neighbors; a cell alone is dropped."""
+    """Return the median of each known cell and its known neighbors; a cell alone is dropped."""
     padded = np.pad(grid, 1, constant_values=np.nan)
     around = np.stack([padded[y : y + grid.shape[0], x : x + grid.shape[1]] for y in range(3) for x in range(3)])
     enough = np.isfinite(around).sum(0) >= 3
@@ -207,7 +207,7 @@ def _smooth(grid: np.ndarray) -> np.ndarray:
 def _plane(
     points: np.ndarray, depths: np.ndarray, centers: np.ndarray, axis: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, float] | None:
-    """The plane that most points lie on and few below: (normal, offset)."""
+    """Return the plane that most points lie on and few below: (normal, offset)."""
     corners = points[rng.integers(0, len(points), (_TRIES, 3))]
     found = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     lengths = np.linalg.norm(found, axis=1)
@@ -241,7 +241,7 @@ def _plane(
 def static_points(
     depths: Sequence[np.ndarray], sure: Sequence[np.ndarray], cameras: Sequence[Camera], every: int = 2
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points [N, 3] of sure static pixels of some frames, thinned, unit normals [N, 3] of their surfaces, and depths [N].
+    """Return points [N, 3] of sure static pixels of some frames, thinned, unit normals [N, 3] of their surfaces, and depths [N].
 
     Args:
         depths: [h, w] planar each.

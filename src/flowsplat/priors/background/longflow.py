@@ -17,7 +17,7 @@ STRIDES = (1, 2, 4, 8, 16)
 
 
 def compute_working_size(scene: Scene) -> tuple[int, int]:
-    """(width, height) of half the resolution, at which depth and motion are solved."""
+    """Return (width, height) of half the resolution, at which depth and motion are solved."""
     return max(8, scene.width // 2), max(8, scene.height // 2)
 
 
@@ -36,7 +36,7 @@ class LongFlows:
         self._turns: defaultdict[tuple[int, int], threading.Lock] = defaultdict(threading.Lock)
 
     def neighbors(self, k: int) -> list[int]:
-        """The positions one, two, four, eight and sixteen steps before and after ``k`` that can be matched with it."""
+        """Return the positions one, two, four, eight and sixteen steps before and after ``k`` that can be matched with it."""
         count = len(self._scene.train_frames)
         around = [j for stride in STRIDES for j in (k - stride, k + stride) if 0 <= j < count]
         return [j for j in around if self._continuity.are_joined(k, j)]
@@ -48,7 +48,7 @@ class LongFlows:
         self._turns.clear()
 
     def matches(self, a: int, b: int) -> tuple[np.ndarray, np.ndarray]:
-        """(flow [h, w, 2], confidence [h, w]) from ``a`` to ``b``, which are a stride apart, in working pixels."""
+        """Return (flow [h, w, 2], confidence [h, w]) from ``a`` to ``b``, which are a stride apart, in working pixels."""
         forward = self._flow(a, b)
         confidence = forward_backward_confidence(forward, self._flow(b, a))
         if abs(a - b) == 1 and (self._scene.prior("flow") or {}).get("method") == "given":
@@ -81,7 +81,7 @@ class LongFlows:
 
     @staticmethod
     def _resize(flow: np.ndarray, width: int, height: int) -> np.ndarray:
-        """The same flow on another grid, in the pixels of that grid."""
+        """Return the same flow on another grid, in the pixels of that grid."""
         old_height, old_width = flow.shape[:2]
         method = cv2.INTER_AREA if width < old_width else cv2.INTER_LINEAR
         scale = np.array([width / old_width, height / old_height], np.float32)

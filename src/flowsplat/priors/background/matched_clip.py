@@ -79,7 +79,7 @@ class MatchedClip:
         return MultiView(**{name: values.astype(np.float32) for name, values in read_npz(self._path(k)).items()})
 
     def image(self, k: int) -> np.ndarray:
-        """RGB [h, w, 3] uint8."""
+        """Return RGB [h, w, 3] uint8."""
         frame = self.scene.frame(self.scene.train_frames[k])
         return cv2.resize(frame, (self.width, self.height), interpolation=cv2.INTER_AREA)
 
@@ -89,7 +89,7 @@ class MatchedClip:
         return cv2.resize(mask, (self.width, self.height), interpolation=cv2.INTER_NEAREST)
 
     def step_flow(self, k: int, j: int) -> tuple[np.ndarray, np.ndarray]:
-        """(flow [h, w, 2] in working pixels, confidence [h, w]) from one training frame to the next or previous one."""
+        """Return (flow [h, w, 2] in working pixels, confidence [h, w]) from one training frame to the next or previous one."""
         frames = self.scene.train_frames
         flow = self.scene.flow(frames[k], frames[j])
         size = (self.width, self.height)
@@ -121,7 +121,7 @@ class MatchedClip:
 
 
 def _median(solutions: Sequence[MultiView], information: float, enough: float) -> float:
-    """Inverse depth, the median of resting pixels with more information; 0 where they are less than that share of all."""
+    """Return inverse depth, the median of resting pixels with more information; 0 where they are less than that share of all."""
     at_rest = [(s.information > information) & (s.motion < RESTS) for s in solutions]
     known = np.concatenate([s.inverse_depth[rest] for s, rest in zip(solutions, at_rest, strict=True)])
     return float(np.median(known)) if len(known) >= enough * sum(rest.size for rest in at_rest) else 0.0

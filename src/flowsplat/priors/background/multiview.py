@@ -85,7 +85,7 @@ def solve_multiview(camera: Camera, others: Sequence[Camera], flows: np.ndarray,
 
 
 def _motion(errors: np.ndarray, weights: np.ndarray, lengths: np.ndarray) -> np.ndarray:
-    """Mean over matches of error / noise, [h, w]; the noise of a pair of frames is its median error.
+    """Return the mean over matches of error / noise, [h, w]; the noise of a pair of frames is its median error.
 
     Something that moves may fill most of the image, but rarely its rim: errors that are far smaller there are the noise.
     """

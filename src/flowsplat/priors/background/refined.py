@@ -45,11 +45,12 @@ class RefinedDepth:
         self._depth = depth
 
     def __call__(self, k: int) -> Planes:
-        """Inverse depth of the still scene in training frame ``k``, behind objects, too, and how sure it is: see ``Planes``."""
+        """Return inverse depth of the still scene in training frame ``k``, behind objects, too, and how sure it is: see
+        ``Planes``."""
         return self._depth(k)
 
     def walk(self, then: Callable[[int], None], frames: Sequence[int]) -> Iterator[Callable[[], object]]:
-        """What to do, one after the other or a few at once, to do ``then`` with these frames: first what others ask of it."""
+        """Yield what to do, one after the other or a few at once, to do ``then`` with these frames: first what others ask of it."""
         ahead, rounds = VOTERS[-1] + 1, len(self._rounds)
         first, last = frames[0], frames[-1]
         for step in range(first - 2 * rounds * ahead, last + 1):

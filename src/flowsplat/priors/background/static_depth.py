@@ -52,27 +52,28 @@ class StaticDepth(Protocol):
     median: float
 
     def plate(self, k: int) -> np.ndarray:
-        """Inverse depth [h, w] of the static scene, also behind objects, whose own edges play no part in it."""
+        """Return inverse depth [h, w] of the static scene, also behind objects, whose own edges play no part in it."""
         ...
 
     def compute_foremost(self, k: int) -> np.ndarray:
-        """Inverse depth [h, w] before which every object stands: the plate's, or what two other frames are sure of there."""
+        """Return inverse depth [h, w] before which every object stands: the plate's, or what two other frames are sure of there."""
         ...
 
     def compute_confirmed(self, k: int) -> np.ndarray:
-        """Inverse depth [h, w] that two other frames are sure of, the second nearest; 0 where no two are."""
+        """Return inverse depth [h, w] that two other frames are sure of, the second nearest; 0 where no two are."""
         ...
 
     def fill(self, k: int) -> tuple[np.ndarray, np.ndarray]:
-        """(inverse depth, weight) of the static scene, each [h, w]: along the image's edges where nothing is known."""
+        """Return (inverse depth, weight) of the static scene, each [h, w]: along the image's edges where nothing is known."""
         ...
 
     def uncovered(self, k: int) -> tuple[np.ndarray, np.ndarray]:
-        """(inverse depth, weight) of what the frame or others saw of the static scene, each [h, w]; weight 0 where none did."""
+        """Return (inverse depth, weight) of what the frame or others saw of the static scene, each [h, w]; weight 0 where none
+        did."""
         ...
 
     def behind(self, k: int) -> np.ndarray:
-        """Inverse depth [h, w] of the static scene: the plate behind objects, elsewhere along the image's edges."""
+        """Return inverse depth [h, w] of the static scene: the plate behind objects, elsewhere along the image's edges."""
         ...
 
 
@@ -114,14 +115,15 @@ class Guess:
 
 
 def camera_reach(clip: MatchedClip) -> float:
-    """How far the camera gets from where a piece of the clip begins."""
+    """Return how far the camera gets from where a piece of the clip begins."""
     centers, pieces = np.array([camera.center for camera in clip.cameras]), clip.continuity.pieces
     first = np.searchsorted(pieces, pieces)
     return float(np.linalg.norm(centers - centers[first], axis=1).max())
 
 
 def compute_far_inverse(clip: MatchedClip) -> float:
-    """Inverse depth at which what little the cameras of a piece move shifts nothing by more than about a pixel; 1 at most."""
+    """Return inverse depth at which what little the cameras of a piece move shifts nothing by more than about a pixel; 1 at
+    most."""
     return 1 / max(camera_reach(clip) * float(clip.cameras[0].K[0, 0]), 1.0)
 
 
@@ -165,7 +167,7 @@ class Background:
         return second
 
     def fill(self, k: int) -> tuple[np.ndarray, np.ndarray]:
-        """(inverse depth, weight) of the static scene, each [h, w]: along the image's edges where nothing is known."""
+        """Return (inverse depth, weight) of the static scene, each [h, w]: along the image's edges where nothing is known."""
         values, weights = self._uncovered(k)
         if _is_unknown(weights):
             return guess_ground(self._clip.height, self._clip.width, self._clip.median), np.zeros_like(weights)
@@ -178,7 +180,7 @@ class Background:
         return values, np.where(weights > SURE, weights, 0)
 
     def behind(self, k: int) -> np.ndarray:
-        """Inverse depth [h, w] of the static scene: the plate behind objects, elsewhere along the image's edges."""
+        """Return inverse depth [h, w] of the static scene: the plate behind objects, elsewhere along the image's edges."""
         inverse, _ = self.fill(k)
         moving = self.mask(k) > 0
         return np.where(moving, self.plate(k), inverse) if moving.any() else inverse
@@ -215,19 +217,19 @@ class Background:
         return inverse, mass, camera
 
     def sure(self, k: int) -> tuple[np.ndarray, np.ndarray, Camera]:
-        """Inverse depth [h, w] of the static scene, its weight, 0 where it is not sure, and the camera of the frame."""
+        """Return inverse depth [h, w] of the static scene, its weight, 0 where it is not sure, and the camera of the frame."""
         values, weights, camera = self._fused(k)
         return values, np.where(weights > SURE, weights, 0).astype(np.float32), camera
 
     def compute_sure_depth(self, k: int) -> np.ndarray:
-        """Planar depth [h, w] of the static scene where it is sure, not only that it is far; inf elsewhere."""
+        """Return planar depth [h, w] of the static scene where it is sure, not only that it is far; inf elsewhere."""
         inverse, weight, _ = self.sure(k)
         own = weight * np.minimum(inverse / self.median, 1) ** 2
         return np.where(own > SURE, 1 / np.maximum(inverse, 1e-9), np.inf)
 
 
 def guess_ground(height: int, width: int, median: float) -> np.ndarray:
-    """Inverse depth [h, w] float32 of a guess: a ground that comes nearer towards the bottom of the image."""
+    """Return inverse depth [h, w] float32 of a guess: a ground that comes nearer towards the bottom of the image."""
     rows = (np.arange(height, dtype=np.float32) + np.float32(0.5)) / np.float32(height)
     return np.repeat(((0.4 + 1.2 * rows) * median)[:, None], width, axis=1).astype(np.float32)
 
@@ -242,7 +244,7 @@ def _dilate_objects(mask: np.ndarray) -> np.ndarray:
 
 
 def _away_from_edges(inverse: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """[h, w] float32: near 0 where depth jumps within 3 pixels, because flow lets near surfaces swell; else near 1."""
+    """Return [h, w] float32: near 0 where depth jumps within 3 pixels, because flow lets near surfaces swell; else near 1."""
     kernel = np.ones((7, 7), np.uint8)
     known = weights > 0
     high = cv2.dilate(np.where(known, inverse, 0).astype(np.float32), kernel)

@@ -49,7 +49,7 @@ class Turn:
 
 
 def start_by_averaging(positions: np.ndarray, seen: np.ndarray, focal: float) -> tuple[Reconstruction, np.ndarray] | None:
-    """All cameras without a first pair; the frames that were reached [T] bool. None where too few hang together.
+    """Return all cameras without a first pair; the frames that were reached [T] bool. None where too few hang together.
 
     Args:
         positions: [N, T, 2] pixels from the principal point.
@@ -93,7 +93,7 @@ def _adjust(state: Reconstruction, positions: np.ndarray, seen: np.ndarray, scal
 
 
 def pair_rotations(positions: np.ndarray, seen: np.ndarray, focal: float) -> list[Turn]:
-    """Rotations between frames at all distances of ``STRIDES`` that share enough tracks."""
+    """Return rotations between frames at all distances of ``STRIDES`` that share enough tracks."""
     count = seen.shape[1]
     turns = []
     for stride in STRIDES:
@@ -121,7 +121,7 @@ def _pair_rotation(a: np.ndarray, b: np.ndarray, focal: float) -> tuple[np.ndarr
 
 
 def _mere_turn(a: np.ndarray, b: np.ndarray, focal: float) -> np.ndarray:
-    """The rotation [3, 3] that explains the matches without a translation: Kabsch's method with Cauchy weights."""
+    """Return the rotation [3, 3] that explains the matches without a translation: Kabsch's method with Cauchy weights."""
     u, v = (np.concatenate([p / focal, np.ones((len(p), 1))], 1) for p in (a, b))
     u, v = (r / np.linalg.norm(r, axis=1, keepdims=True) for r in (u, v))
     weights = np.ones(len(u))
@@ -135,7 +135,7 @@ def _mere_turn(a: np.ndarray, b: np.ndarray, focal: float) -> np.ndarray:
 
 
 def average_rotations(turns: list[Turn], count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Rotations [T, 3, 3] world to camera that agree best with the pairs, and the frames that they join [T] bool.
+    """Return rotations [T, 3, 3] world to camera that agree best with the pairs, and the frames that they join [T] bool.
 
     The largest set of frames that hang together is solved; the others keep the identity.
     """

@@ -77,7 +77,7 @@ class Prior(Protocol):
     """What is expected of cameras before tracks are looked at."""
 
     def compute_cost(self, state: Reconstruction) -> float:
-        """Square pixels."""
+        """Return square pixels."""
 
     def add_to(self, H: np.ndarray, g: np.ndarray, state: Reconstruction) -> None:
         """Add the gradient and the curvature to the normal equations [6T + LENS], in place."""
@@ -94,7 +94,7 @@ class LensPrior:
     weight: float
 
     def compute_cost(self, state: Reconstruction) -> float:
-        """Square pixels."""
+        """Return square pixels."""
         return self.weight * float(np.log(state.focal / self.expected) ** 2 + (state.distortion / USUAL_DISTORTION) ** 2)
 
     def add_to(self, H: np.ndarray, g: np.ndarray, state: Reconstruction) -> None:
@@ -186,7 +186,7 @@ def adjust(
 
 
 def free_parameters(count: int, fixed_camera: int, focal: bool, distortion: bool, translations: bool = True) -> np.ndarray:
-    """Indices of the parameters [6 count + LENS] of poses and lens that may change."""
+    """Return indices of the parameters [6 count + LENS] of poses and lens that may change."""
     free = np.ones(6 * count + LENS, bool)
     free[6 * fixed_camera : 6 * fixed_camera + 6] = False
     if not translations:
@@ -196,7 +196,7 @@ def free_parameters(count: int, fixed_camera: int, focal: bool, distortion: bool
 
 
 def compute_scale_direction(state: Reconstruction, fixed_camera: int) -> np.ndarray:
-    """[T, 3] by how much translations change where all becomes larger about the fixed camera, which no image tells."""
+    """Return [T, 3] by how much translations change where all becomes larger about the fixed camera, which no image tells."""
     return np.einsum("tij,tj->ti", state.rotations, state.centers[fixed_camera] - state.centers)
 
 
@@ -212,7 +212,8 @@ def information(state: Reconstruction, seen: Observations, scale: float, priors:
 
 
 def _precisions(L: np.ndarray, focal: bool, distortion: bool) -> tuple[float, float]:
-    """Of log focal and of the distortion, from the Cholesky factor of the normal equations; 0 where fixed."""
+    """Return the standard deviations of log focal and of the distortion, from the Cholesky factor of the normal equations; 0 where
+    fixed."""
     last = float(L[-1, -1] ** 2)
     if not (focal and distortion):
         return last * focal, last * distortion
@@ -220,7 +221,7 @@ def _precisions(L: np.ndarray, focal: bool, distortion: bool) -> tuple[float, fl
 
 
 def rays(uv: np.ndarray, focal: float, distortion: float) -> np.ndarray:
-    """(X/Z, Y/Z) [..., 2] of the points that are seen at ``uv`` [..., 2], pixels from the principal point."""
+    """Return (X/Z, Y/Z) [..., 2] of the points that are seen at ``uv`` [..., 2], pixels from the principal point."""
     bent = np.asarray(uv, np.float64) / focal
     if distortion == 0:
         return bent
@@ -239,7 +240,7 @@ def residuals(state: Reconstruction, seen: Observations) -> tuple[np.ndarray, np
 
 
 def _plain(state: Reconstruction, seen: Observations) -> tuple:
-    """What the compiled loops take."""
+    """Return what the compiled loops take."""
     lens = (state.focal, state.distortion)
     return (state.rotations, state.translations, *lens, state.points, seen.camera, seen.point, seen.uv)
 
@@ -265,7 +266,8 @@ def _move(state: Reconstruction, step: np.ndarray, points: np.ndarray) -> Recons
 def _remove_scale(
     state: Reconstruction, step: np.ndarray, point_steps: np.ndarray, fixed_camera: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A step without its share of a change of scale about the fixed camera, which no image tells: it is small where all is."""
+    """Return a step without its share of a change of scale about the fixed camera, which no image tells: it is small where all
+    is."""
     middle, travel = state.centers[fixed_camera], compute_scale_direction(state, fixed_camera)
     poses = step[:-LENS].reshape(-1, 6)
     scale = float((travel * poses[:, 3:]).sum()) / max(float((travel**2).sum()), 1e-18)
@@ -275,7 +277,8 @@ def _remove_scale(
 
 
 def _step(points: np.ndarray, steps: np.ndarray, center: np.ndarray) -> np.ndarray:
-    """Points [N, 3] after steps [N, 3] that are linear in the inverse of their distance from the cameras, as images nearly are.
+    """Return points [N, 3] after steps [N, 3] that are linear in the inverse of their distance from the cameras, as images nearly
+    are.
 
     The same to first order as adding the steps, but a far point, whose distance the images hardly tell, is neither sent behind
     the cameras nor does it hold up all others.

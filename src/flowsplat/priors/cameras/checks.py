@@ -1,4 +1,4 @@
-"""What can be said about estimated cameras, in words for people."""
+"""Judge estimated cameras, in words for people."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Gaps:
 
 
 def verdict(found: Estimate, unit: float, width: int, focal_given: bool, gaps: Gaps, more: Sequence[str] = ()) -> str:
-    """One or more sentences on what kind of camera motion was found and how far to trust it.
+    """Return one or more sentences on what kind of camera motion was found and how far to trust it.
 
     Args:
         found: the cameras, or those of the longest piece of a clip with cuts.

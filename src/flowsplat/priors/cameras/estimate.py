@@ -1,4 +1,4 @@
-"""Which camera model the tracks support (moving, turning, standing still), and the best cameras of that kind."""
+"""Choose the camera model that the tracks support (moving, turning, standing still), and find the best cameras of that kind."""
 
 from __future__ import annotations
 
@@ -92,12 +92,12 @@ def estimate(positions: np.ndarray, width: float, height: float, focal: float | 
 
 
 def _share(follows: np.ndarray, rim: np.ndarray) -> float:
-    """Share of the observations on the rim [N, T] that belong to the tracks [N]."""
+    """Return share of the observations on the rim [N, T] that belong to the tracks [N]."""
     return float(rim[follows].sum() / max(int(rim.sum()), 1))
 
 
 def _follows(found: Estimate, positions: np.ndarray, seen: np.ndarray, width: float, height: float) -> np.ndarray:
-    """[N] the tracks that stand still under the cameras that were found."""
+    """Return [N] the tracks that stand still under the cameras that were found."""
     centered = from_middle(positions, seen, width, height)
     state = with_points(found.fit.state, centered, seen, free_translations=found.motion == "free")
     limit = max(FOLLOWS, 4 * float(np.median(found.fit.errors)))
@@ -107,7 +107,7 @@ def _follows(found: Estimate, positions: np.ndarray, seen: np.ndarray, width: fl
 def _of_all_frames(
     positions: np.ndarray, seen: np.ndarray, width: float, height: float, focal: float | None, solver: str
 ) -> Estimate:
-    """The cameras most tracks agree on; those of a long clip by way of its keyframes."""
+    """Return the cameras most tracks agree on; those of a long clip by way of its keyframes."""
     keys = choose_keyframes(seen)
     if len(keys) == seen.shape[1]:
         return _of_keyframes(positions, seen, width, height, focal, solver, consecutive=True)
@@ -174,7 +174,7 @@ def _of_keyframes(
 
 
 def _judges(seen: np.ndarray) -> np.ndarray:
-    """Indices of the tracks by which kinds of motion are compared: every one counts by the area and time it was seen in.
+    """Return indices of the tracks by which kinds of motion are compared: every one counts by the area and time it was seen in.
 
     The tracks that a reconstruction is grown from prefer what sweeps over the image, and with a point near enough for
     every track of an object, a camera that hardly moves can explain anything that travels straight. Here what rests
@@ -191,7 +191,7 @@ def _parallax(fit: Refined, seen: np.ndarray) -> float:
 
 
 def _is_flat(fit: Refined, centered: np.ndarray, seen: np.ndarray) -> bool:
-    """Whether one homography explains what two distant frames share, whichever frame comes first.
+    """Return whether one homography explains what two distant frames share, whichever frame comes first.
 
     Told by the images and not by the points: without depth variation the focal length may be far off, and the points bent.
     """
@@ -211,7 +211,7 @@ def _is_flat(fit: Refined, centered: np.ndarray, seen: np.ndarray) -> bool:
 
 
 def _solve_standing(centered: np.ndarray, seen: np.ndarray, focal: float) -> Refined:
-    """All cameras at the origin, every track at its mean position; static are those that hardly leave it."""
+    """Return all cameras at the origin, every track at its mean position; static are those that hardly leave it."""
     count = seen.shape[1]
     state = Reconstruction(np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3)), focal, np.zeros((len(seen), 3)))
     weights = seen[..., None] / np.maximum(seen.sum(1), 1)[:, None, None]
@@ -234,7 +234,7 @@ class _Candidate:
 
 
 def _solve_turning(centered: np.ndarray, seen: np.ndarray, expected: float, free_focal: bool) -> _Candidate:
-    """Cameras in one place that only turn."""
+    """Return cameras in one place that only turn."""
     count = seen.shape[1]
     rotations = chain_rotations(centered, seen, expected)
     state = Reconstruction(rotations, np.zeros((count, 3)), expected, np.zeros((len(seen), 3)))
@@ -247,7 +247,7 @@ def _solve_turning(centered: np.ndarray, seen: np.ndarray, expected: float, free
 def _search(
     centered: np.ndarray, seen: np.ndarray, width: float, expected: float, free_focal: bool, turning: Reconstruction
 ) -> _Candidate:
-    """The best of several reconstructions from different pairs of frames and focal lengths.
+    """Return the best of several reconstructions from different pairs of frames and focal lengths.
 
     A narrow and a wide lens can explain a distant, shallow scene almost equally well from one start; which is right
     shows only after each was adjusted, so several are. One starts from the cameras that only turn, with all points at
@@ -277,7 +277,7 @@ def _search(
 
 
 def _search_at_once(centered: np.ndarray, seen: np.ndarray, width: float, expected: float, free_focal: bool) -> _Candidate | None:
-    """The best of the reconstructions that place all frames at once, each from another focal length; None where none can."""
+    """Return the best of the reconstructions that place all frames at once, each from another focal length; None where none can."""
     known = partial(refine, expected_focal=expected, free_focal=free_focal, rough=True)
     focals = [factor * width for factor in START_FOCALS] if free_focal else [expected]
     found = []
@@ -294,7 +294,7 @@ def _search_at_once(centered: np.ndarray, seen: np.ndarray, width: float, expect
 def _candidate(
     state: Reconstruction, placed: np.ndarray, origin: int, centered: np.ndarray, seen: np.ndarray, refined: Callable[..., Refined]
 ) -> _Candidate:
-    """The reconstruction after a refinement of all frames, those that were not ``placed`` [T] included."""
+    """Return the reconstruction after a refinement of all frames, those that were not ``placed`` [T] included."""
     fit = refined(_with_all_frames(state, placed), centered, seen, fixed_camera=origin)
     return _Candidate(misfit(fit.state, centered, seen), fit.state, np.flatnonzero(~placed).tolist(), origin)
 
@@ -308,7 +308,7 @@ def _with_all_frames(state: Reconstruction, placed: np.ndarray) -> Reconstructio
 
 
 def _on_all_frames(start: _Candidate, kind: str, keys: np.ndarray, centered: np.ndarray, seen: np.ndarray) -> _Candidate:
-    """A start that was found on keyframes, with poses for all frames."""
+    """Return a start that was found on keyframes, with poses for all frames."""
     if len(keys) == seen.shape[1]:
         return start
     state, lost = place_between(keys, start.state, centered, seen, free_translations=kind == "free")

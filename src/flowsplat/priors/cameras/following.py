@@ -52,7 +52,7 @@ class _Surroundings:
         self._since = np.concatenate([self._since, np.full(len(points), t)])
 
     def find(self, image: np.ndarray, points: np.ndarray, t: int) -> np.ndarray:
-        """Points [N, 2] of frame ``t`` where their surroundings are the same as before, else where they were."""
+        """Return points [N, 2] of frame ``t`` where their surroundings are the same as before, else where they were."""
         found, shapes, alike = align(self._patches, image, points - np.float32(0.5), self._shapes)
         found += np.float32(0.5)
         same = (alike > ALIKE) & (np.linalg.norm(found - points, axis=1) < SAME_PLACE)
@@ -107,7 +107,7 @@ def follow_points(scene: Scene) -> tuple[np.ndarray, list[int]]:
 
 
 def _coarse_flow(before: np.ndarray, image: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """[N, 2] displacements of ``points``, right to about a pixel: where the refinement begins."""
+    """Return [N, 2] displacements of ``points``, right to about a pixel: where the refinement begins."""
     if min(image.shape) < 2 * SMALLEST_SIDE:
         return sample_map(dis_flow(before, image), points)
     half = (image.shape[1] // 2, image.shape[0] // 2)

@@ -1,4 +1,4 @@
-"""From two frames to all of them: triangulate, add the frame that sees the most, adjust, and again."""
+"""Grow a reconstruction from two frames to all of them: triangulate, add the frame that sees the most, adjust, and again."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Model:
 
 
 def triangulate(state: Reconstruction, positions: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """Points [N, 3] by linear triangulation from all views in ``seen`` [N, T]; positions from the principal point."""
+    """Return points [N, 3] by linear triangulation from all views in ``seen`` [N, T]; positions from the principal point."""
     matrices = np.concatenate([state.rotations, state.translations[:, :, None]], 2)
     point, camera = map(np.ascontiguousarray, np.nonzero(seen))
     directions = rays(positions[point, camera], state.focal, state.distortion)
@@ -58,7 +58,7 @@ def _normal_equations(matrices, directions, camera, point, count):
 
 
 def ray_angles(state: Reconstruction, points: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """[N] radians between the rays from the first and the last camera that see a point."""
+    """Return [N] radians between the rays from the first and the last camera that see a point."""
     first = seen.argmax(1)
     last = seen.shape[1] - 1 - seen[:, ::-1].argmax(1)
     a, b = points - state.centers[first], points - state.centers[last]
@@ -161,7 +161,7 @@ def grow(
 
 
 def _next_frame(model: Model, seen: np.ndarray, refused: np.ndarray) -> int | None:
-    """The frame that sees the most solid points, next to a placed or refused one; None where none sees enough."""
+    """Return the frame that sees the most solid points, next to a placed or refused one; None where none sees enough."""
     known = np.pad(model.placed | refused, 1)
     beside = known[:-2] | known[2:]
     counts = (seen & model.solid[:, None]).sum(0) * (beside & ~known[1:-1])

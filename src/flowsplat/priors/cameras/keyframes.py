@@ -87,7 +87,7 @@ def between(frames: np.ndarray, rotations: np.ndarray, translations: np.ndarray,
 
 
 def _resect(viewmat: np.ndarray, points: np.ndarray, uv: np.ndarray, focal: float, free_translations: bool) -> np.ndarray:
-    """The pose [4, 4] near ``viewmat`` that sees ``points`` [N, 3] at ``uv`` [N, 2]: Gauss-Newton with a Cauchy cost."""
+    """Return the pose [4, 4] near ``viewmat`` that sees ``points`` [N, 3] at ``uv`` [N, 2]: Gauss-Newton with a Cauchy cost."""
     best, lowest = viewmat, np.inf
     size = 6 if free_translations else 3
     for _ in range(STEPS):

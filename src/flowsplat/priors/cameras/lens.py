@@ -57,7 +57,7 @@ class Lens:
         return Lens(focal, distortion, high, width, height)
 
     def scale(self, factor: float) -> Lens:
-        """The same for images that are larger by ``factor``."""
+        """Return the same for images that are larger by ``factor``."""
         return Lens(self.focal * factor, self.distortion, self.pinhole * factor, self.width * factor, self.height * factor)
 
     @property
@@ -67,12 +67,12 @@ class Lens:
         return float(np.linalg.norm(_bend(border, self.distortion) - border, axis=1).max() * self.focal)
 
     def straighten_positions(self, positions: np.ndarray) -> np.ndarray:
-        """Tracks [..., 2] in pixels of the images as they came, as they lie in the straightened ones; NaN stays."""
+        """Return tracks [..., 2] in pixels of the images as they came, as they lie in the straightened ones; NaN stays."""
         middle = np.array([self.width, self.height]) / 2
         return rays(positions - middle, self.focal, self.distortion) * self.pinhole + middle
 
     def straighten(self, image: np.ndarray) -> np.ndarray:
-        """An image [H, W, 3] as the pinhole sees it; object numbers [H, W] stay what they are."""
+        """Return an image [H, W, 3] as the pinhole sees it; object numbers [H, W] stay what they are."""
         middle = np.array([self.width, self.height]) / 2
         grid = (pixel_grid(round(self.width), round(self.height)) - middle) / self.pinhole
         source = (_bend(grid, self.distortion) * self.focal + middle - 0.5).astype(np.float32)
@@ -89,7 +89,7 @@ def _bend(x: np.ndarray, distortion: float) -> np.ndarray:
 
 
 def _border(width: float, height: float) -> np.ndarray:
-    """Points [N, 2] of the image's border, from its middle."""
+    """Return points [N, 2] of the image's border, from its middle."""
     side = np.linspace(-0.5, 0.5, 33)
     edge = np.concatenate([np.stack([side, 0 * side + end], 1) for end in (-0.5, 0.5)])
     return np.concatenate([edge, edge[:, ::-1]]) * [width, height]
@@ -98,7 +98,7 @@ def _border(width: float, height: float) -> np.ndarray:
 def find_lens(
     positions: np.ndarray, width: float, height: float, focal: float | None, found: Estimate, start: Lens | None
 ) -> Lens | None:
-    """The lens that the cameras of ``found`` leave to be explained; None where there is none, or where it does not show.
+    """Return the lens that the cameras of ``found`` leave to be explained; None where there is none, or where it does not show.
 
     Args:
         positions: [N, T, 2] pixels as they came, NaN where not seen.

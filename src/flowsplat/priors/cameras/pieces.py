@@ -26,7 +26,7 @@ APART = 100.0
 
 
 def find_breaks(positions: np.ndarray, shown: Sequence[int]) -> list[int]:
-    """The frames that share hardly a track with the last one before them that shows anything.
+    """Return the frames that share hardly a track with the last one before them that shows anything.
 
     Args:
         positions: [N, T, 2] pixels, NaN where not seen.
@@ -49,7 +49,7 @@ def _is_torn(positions: np.ndarray, seen: np.ndarray, a: int, b: int) -> bool:
 
 
 def split(shown: Sequence[int], breaks: Sequence[int]) -> list[list[int]]:
-    """The shown frames of every piece; none where most frames stand alone, because nothing in them can be followed."""
+    """Return the shown frames of every piece; none where most frames stand alone, because nothing in them can be followed."""
     pieces: list[list[int]] = [[]]
     for t in shown:
         if t in set(breaks):
@@ -60,7 +60,7 @@ def split(shown: Sequence[int], breaks: Sequence[int]) -> list[list[int]]:
 
 
 def join(pieces: Sequence[Sequence[int]], cameras: Sequence[Sequence[Camera]], count: int) -> list[Camera]:
-    """One camera for each of ``count`` frames: the pieces side by side, blank frames interpolated within their piece.
+    """Return one camera for each of ``count`` frames: the pieces side by side, blank frames interpolated within their piece.
 
     Args:
         pieces: the frames of every piece.
@@ -76,7 +76,7 @@ def join(pieces: Sequence[Sequence[int]], cameras: Sequence[Sequence[Camera]], c
 
 
 def _aside(camera: Camera, distance: float) -> Camera:
-    """The camera in a world that was moved to the right by ``distance``."""
+    """Return the camera in a world that was moved to the right by ``distance``."""
     shift = np.eye(4)
     shift[0, 3] = -distance
     return Camera(camera.viewmat @ shift, camera.K, camera.width, camera.height)

@@ -53,12 +53,12 @@ class Refined:
 
 
 def from_middle(positions: np.ndarray, seen: np.ndarray, width: float, height: float) -> np.ndarray:
-    """Positions [N, T, 2] as float64 from the middle of the image, and without NaN where they are not ``seen`` [N, T]."""
+    """Return positions [N, T, 2] as float64 from the middle of the image, and without NaN where they are not ``seen`` [N, T]."""
     return np.where(seen[..., None], positions, 0).astype(np.float64) - [width / 2, height / 2]
 
 
 def with_points(state: Reconstruction, positions: np.ndarray, seen: np.ndarray, *, free_translations: bool) -> Reconstruction:
-    """The cameras with a point for each track: ``place_points`` where they may travel, else ``ray_points``."""
+    """Return the cameras with a point for each track: ``place_points`` where they may travel, else ``ray_points``."""
     place = place_points if free_translations else ray_points
     return replace(state, points=place(state, positions, seen))
 
@@ -81,13 +81,13 @@ def place_points(state: Reconstruction, positions: np.ndarray, seen: np.ndarray)
 
 
 def _middle_view(seen: np.ndarray) -> np.ndarray:
-    """[N] a frame half-way through each track."""
+    """Return [N] a frame half-way through each track."""
     order = np.cumsum(seen, 1)
     return (order >= (order[:, -1:] + 1) // 2).argmax(1)
 
 
 def track_errors(state: Reconstruction, positions: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """[N] pixels: root mean square reprojection error of each track, infinite where it lies behind a camera."""
+    """Return [N] pixels: root mean square reprojection error of each track, infinite where it lies behind a camera."""
     observed = Observations.of(positions, seen)
     error, depth = residuals(state, observed)
     squares = np.bincount(observed.point, np.where(depth > 0, error**2, np.inf), len(seen))
@@ -95,7 +95,7 @@ def track_errors(state: Reconstruction, positions: np.ndarray, seen: np.ndarray)
 
 
 def ray_points(state: Reconstruction, positions: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """Points [N, 3] at distance 1 in the mean direction of each track's rays, for cameras that share one center."""
+    """Return points [N, 3] at distance 1 in the mean direction of each track's rays, for cameras that share one center."""
     observed = Observations.of(positions, seen)
     flat = rays(observed.uv, state.focal, state.distortion)
     unit = np.concatenate([flat, np.ones((len(flat), 1))], 1) / np.sqrt(1 + (flat**2).sum(1, keepdims=True))
@@ -105,7 +105,7 @@ def ray_points(state: Reconstruction, positions: np.ndarray, seen: np.ndarray) -
 
 
 def _with_others(state: Reconstruction, tracks: np.ndarray, points: np.ndarray) -> Reconstruction:
-    """A reconstruction of the tracks with these indices alone, with the points [N, 3] of the others as they were."""
+    """Return a reconstruction of the tracks with these indices alone, with the points [N, 3] of the others as they were."""
     result = points.copy()
     result[tracks] = state.points
     return replace(state, points=result)
@@ -119,13 +119,13 @@ def robust_errors(state: Reconstruction, observed: Observations) -> tuple[np.nda
 
 
 def best_tracks(costs: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Indices of the tracks that fit best, by their summed costs [N] and how many observations they have [N]."""
+    """Return indices of the tracks that fit best, by their summed costs [N] and how many observations they have [N]."""
     order = np.argsort(costs / np.maximum(counts, 1), kind="stable")
     return order[np.cumsum(counts[order]) <= STATIC_SHARE * counts.sum()]
 
 
 def misfit(state: Reconstruction, positions: np.ndarray, seen: np.ndarray, *, free_translations: bool = True) -> float:
-    """How badly the cameras explain the tracks they explain best, a ``STATIC_SHARE`` of the observations.
+    """Return how badly the cameras explain the tracks they explain best, a ``STATIC_SHARE`` of the observations.
 
     Assumes that most of what is seen stands still. A mean robust cost without unit, comparable between cameras for the
     same tracks, whatever tracks each of them was fitted to.
@@ -200,7 +200,7 @@ def refine(
 
 
 def _find_consistent(errors: np.ndarray, scale: float) -> np.ndarray:
-    """Tracks whose error is within three times that of the better half, or within the scale."""
+    """Return tracks whose error is within three times that of the better half, or within the scale."""
     finite = errors[np.isfinite(errors)]
     limit = max(scale, 3.0 * float(np.median(finite))) if len(finite) else scale
     return errors <= limit

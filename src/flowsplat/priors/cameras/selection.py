@@ -1,4 +1,4 @@
-"""Which tracks the cameras are computed from: long ones, spread over all frames and over the image."""
+"""Select the tracks that cameras are computed from: long ones, spread over all frames and over the image."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ RIM_WIDTH = 1 / 12
 def choose_tracks(
     positions: np.ndarray, seen: np.ndarray, width: float, height: float, per_cell: int, shortest: int = 3
 ) -> np.ndarray:
-    """Indices of tracks, longest first, until every cell of every frame holds about ``per_cell`` of them.
+    """Return indices of tracks, longest first, until every cell of every frame holds about ``per_cell`` of them.
 
     Args:
         positions: [N, T, 2] pixels of the frames.
@@ -39,7 +39,7 @@ def choose_tracks(
 
 
 def on_rim(positions: np.ndarray, width: float, height: float) -> np.ndarray:
-    """[N, T] bool: observations within ``RIM_WIDTH`` of the image's border.
+    """Return [N, T] bool: observations within ``RIM_WIDTH`` of the image's border.
 
     Args:
         positions: [N, T, 2] pixels of the frames, NaN where not seen.

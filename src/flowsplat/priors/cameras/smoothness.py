@@ -51,7 +51,7 @@ class SmoothnessPrior:
     weights: np.ndarray
 
     def compute_cost(self, state: Reconstruction) -> float:
-        """Square pixels."""
+        """Return square pixels."""
         return float((self.weights[:, None] * differences(state) ** 2).sum())
 
     def add_to(self, H: np.ndarray, g: np.ndarray, state: Reconstruction) -> None:
@@ -106,13 +106,13 @@ def smooth_path(
 
 
 def differences(state: Reconstruction) -> np.ndarray:
-    """[T - 3, 3] third differences of the camera's places."""
+    """Return [T - 3, 3] third differences of the camera's places."""
     places, count = state.centers, len(state.rotations) - len(DIFFERENCES) + 1
     return sum(factor * places[k : k + count] for k, factor in enumerate(DIFFERENCES))
 
 
 def _derivatives(state: Reconstruction) -> np.ndarray:
-    """[3 (T - 3), 6T] of the differences by steps of the poses, as ``adjust`` makes them."""
+    """Return [3 (T - 3), 6T] of the differences by steps of the poses, as ``adjust`` makes them."""
     turns, (x, y, z) = state.rotations, state.translations.T
     count, zero = len(turns), np.zeros(len(turns))
     cross = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)
@@ -126,7 +126,7 @@ def _derivatives(state: Reconstruction) -> np.ndarray:
 
 
 def _uncertainty(state: Reconstruction, curvature: np.ndarray, index: np.ndarray, fixed_camera: int) -> np.ndarray:
-    """[T - 3, 3] variance of the differences where observations have a variance of one square pixel.
+    """Return [T - 3, 3] variance of the differences where observations have a variance of one square pixel.
 
     Args:
         curvature: [6T + LENS, 6T + LENS] as from ``information``.

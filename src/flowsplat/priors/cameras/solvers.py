@@ -1,4 +1,4 @@
-"""Which solver's cameras are taken: judged by tracks that no adjustment has seen, and by whether the path is sane.
+"""Choose among the cameras of several solvers: judged by tracks that no adjustment has seen, and by whether the path is sane.
 
 That all frames were placed proves nothing: a wrong focal length and a collapsed path place them, too.
 """
@@ -104,7 +104,7 @@ class Solved:
 def solve(
     positions: np.ndarray, width: float, height: float, focal: float | None, solver: str, frames: Sequence[int] | None = None
 ) -> Solved:
-    """Cameras of one piece of a clip.
+    """Return cameras of one piece of a clip.
 
     Args:
         positions: [N, T, 2] pixels, NaN where not seen.
@@ -132,14 +132,14 @@ def solve(
 
 
 def prefer(second: Judgment, first: Judgment) -> bool:
-    """Whether the second solver's cameras are to be taken."""
+    """Return whether the second solver's cameras are to be taken."""
     if second.sane != first.sane:
         return second.sane
     return second.cost < BETTER * first.cost
 
 
 def keep_back(seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Indices of the tracks to adjust to, and of those that judge; none of these where tracks are few.
+    """Return indices of the tracks to adjust to, and of those that judge; none of these where tracks are few.
 
     Args:
         seen: [N, T].
@@ -154,7 +154,7 @@ def keep_back(seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def judge(
     name: str, found: Estimate, positions: np.ndarray, width: float, height: float, frames: Sequence[int] | None = None
 ) -> Judgment:
-    """What tracks that no adjustment has seen say about cameras, and whether the path is possible.
+    """Return what tracks that no adjustment has seen say about cameras, and whether the path is possible.
 
     A track's point is placed from every second frame that saw it and judged in the others.
 
@@ -172,7 +172,7 @@ def judge(
 
 
 def _heldout_errors(found: Estimate, positions: np.ndarray, width: float, height: float) -> tuple[float | None, float]:
-    """Median error in pixels of the observations that fit best, and their mean robust cost."""
+    """Return the median error in pixels of the observations that fit best, and their mean robust cost."""
     seen = np.isfinite(positions[..., 0])
     if len(seen) < LEAST_TRACKS:
         return None, 0.0
@@ -189,7 +189,7 @@ def _heldout_errors(found: Estimate, positions: np.ndarray, width: float, height
 
 
 def find_jumps(found: Estimate, frames: Sequence[int] | None = None) -> list[int]:
-    """Positions before which the path turns or leaps quite unlike anywhere else.
+    """Return positions before which the path turns or leaps quite unlike anywhere else.
 
     Compared are the changes of speed from one step to the next: a pan may be fast, but it begins and ends.
 
@@ -213,7 +213,7 @@ def find_jumps(found: Estimate, frames: Sequence[int] | None = None) -> list[int
 
 
 def _distance(found: Estimate) -> float:
-    """Median distance of the static points from the path."""
+    """Return the median distance of the static points from the path."""
     state = found.fit.state
     static = state.points[found.fit.static] if len(state.points) == len(found.fit.static) else state.points
     if len(static) == 0:

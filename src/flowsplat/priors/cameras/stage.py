@@ -90,7 +90,7 @@ def camera_stage(scene: Scene, options: CameraOptions) -> None:
 
 
 def straightens(scene: Scene, options: CameraOptions) -> bool:
-    """Whether these options have a lens taken out of the images: it was not taken out before."""
+    """Return whether these options have a lens taken out of the images: it was not taken out before."""
     return options.distortion == "radial" and scene.info.lens is None
 
 
@@ -119,12 +119,12 @@ class _Tracks:
         return int(np.argmax([len(frames) for frames in self.pieces]))
 
     def of_piece(self, number: int) -> np.ndarray:
-        """[M, frames, 2] of the tracks that were seen more than once in a piece."""
+        """Return [M, frames, 2] of the tracks that were seen more than once in a piece."""
         positions = self.positions[:, self.pieces[number]]
         return positions[np.isfinite(positions[..., 0]).sum(1) >= min(2, positions.shape[1])]
 
     def solve(self, solver: str, focal: float | None, lens: Lens | None = None) -> list[Solved]:
-        """The cameras of every piece, once the lens is taken out."""
+        """Return the cameras of every piece, once the lens is taken out."""
         if lens is not None:
             straight = replace(self, positions=lens.straighten_positions(self.positions))
             return straight.solve(solver, None if focal is None else lens.pinhole)
@@ -146,7 +146,8 @@ def _follow(scene: Scene) -> _Tracks:
 def _description(
     scene: Scene, options: CameraOptions, tracks: _Tracks, solved: list[Solved], lens: Lens | None, about_lens: str
 ) -> dict[str, Any]:
-    """What is noted of the cameras in the scene: how they were found, how well they fit (errors in pixels), and a verdict."""
+    """Return what is noted of the cameras in the scene: how they were found, how well they fit (errors in pixels), and a
+    verdict."""
     unit, pieces, main = tracks.unit, tracks.pieces, solved[tracks.longest]
     found, fit = [each.found for each in solved], main.found.fit
     errors = np.concatenate([each.fit.errors for each in found]) * unit
@@ -184,7 +185,7 @@ def _description(
 
 
 def _find_lens(tracks: _Tracks, solved: list[Solved], solver: str, focal: float | None) -> tuple[Lens | None, list[Solved]]:
-    """The lens that the longest piece shows, and the cameras of all pieces behind it."""
+    """Return the lens that the longest piece shows, and the cameras of all pieces behind it."""
     lens, positions = None, tracks.of_piece(tracks.longest)
     for _ in range(LENS_ROUNDS):
         new = find_lens(positions, tracks.width, tracks.height, focal, solved[tracks.longest].found, lens)
@@ -247,7 +248,7 @@ def _off_objects(scene: Scene, positions: np.ndarray) -> np.ndarray:
 
 
 def _cameras(found: Estimate, unit: float, width: int, height: int) -> list[Camera]:
-    """One camera a frame: the first one the identity, the median distance of the static points 1."""
+    """Return one camera a frame: the first one the identity, the median distance of the static points 1."""
     state, fit = found.fit.state, found.fit
     distance = 1.0
     if found.motion == "free":

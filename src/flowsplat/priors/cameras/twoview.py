@@ -1,4 +1,4 @@
-"""How a reconstruction begins: which two frames see the most depth, and what rotations alone can explain."""
+"""Begin a reconstruction: which two frames see the most depth, and what rotations alone can explain."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Pair:
 
 
 def intrinsics(focal: float) -> np.ndarray:
-    """[3, 3] for pixels counted from the principal point."""
+    """Return [3, 3] for pixels counted from the principal point."""
     return np.diag([focal, focal, 1.0])
 
 
@@ -75,7 +75,7 @@ def rank_pairs(positions: np.ndarray, seen: np.ndarray, focal: float) -> list[Pa
 
 
 def _parallax(a: np.ndarray, b: np.ndarray, matrix: np.ndarray, inliers: np.ndarray, focal: float) -> float:
-    """Median angle in radians between the two rays of a match, once the rotation is undone."""
+    """Return the median angle in radians between the two rays of a match, once the rotation is undone."""
     if not inliers.any():
         return 0.0
     _, rotation, _, _ = cv2.recoverPose(matrix, a[inliers], b[inliers], intrinsics(focal))
@@ -96,7 +96,7 @@ def relative_pose(positions: np.ndarray, seen: np.ndarray, pair: Pair, focal: fl
 
 
 def chain_rotations(positions: np.ndarray, seen: np.ndarray, focal: float) -> np.ndarray:
-    """Rotations [T, 3, 3] world to camera, the first the identity, from the homographies between neighbors."""
+    """Return rotations [T, 3, 3] world to camera, the first the identity, from the homographies between neighbors."""
     count = positions.shape[1]
     rotations = np.tile(np.eye(3), (count, 1, 1))
     K = intrinsics(focal)

@@ -87,7 +87,8 @@ def depth_stage(
 
 
 def measure_trusted_shares(scene: Scene) -> tuple[float, float]:
-    """Which share of the pixels of the training frames has trusted depth: of all of them, and of those where nothing moves."""
+    """Return which share of the pixels of the training frames has trusted depth: of all of them, and of those where nothing
+    moves."""
     shares = []
     for i in scene.train_frames:
         trusted = scene.depth(i).trusted

@@ -20,7 +20,7 @@ KNOWN = (
 
 
 def read_cameras(path: Path, scene: Scene, allow_pickle: bool) -> tuple[list[Camera], str]:
-    """One camera a frame at the size of the frames, and whose layout it was.
+    """Return one camera a frame at the size of the frames, and whose layout it was.
 
     Raises:
         InputError: missing, damaged, of no known layout, not one camera a frame, or of another shape.

@@ -49,7 +49,7 @@ class _Image:
 
 
 def find_model(folder: Path) -> Path | None:
-    """The folder with ``cameras`` and ``images`` in or under ``folder``; None where there is none."""
+    """Return the folder with ``cameras`` and ``images`` in or under ``folder``; None where there is none."""
     for place in PLACES:
         for suffix in (".bin", ".txt"):
             if all((folder / place / f"{name}{suffix}").is_file() for name in ("cameras", "images")):
@@ -58,7 +58,7 @@ def find_model(folder: Path) -> Path | None:
 
 
 def read_colmap(model: Path, scene: Scene) -> list[Camera]:
-    """One camera a frame, at the size of COLMAP's images; the natural order of their names is that of the frames.
+    """Return one camera a frame, at the size of COLMAP's images; the natural order of their names is that of the frames.
 
     Raises:
         InputError: damaged, a lens that is no pinhole, or not every frame was registered.

@@ -91,7 +91,7 @@ def _read_own(path: Path, scene: Scene) -> Depth:
 
 
 def _fill_unknown(depth: np.ndarray, known: np.ndarray, scene: Scene) -> Depth:
-    """Depth at the size of the frames; where it is not known as far as the furthest, without confidence."""
+    """Return depth at the size of the frames; where it is not known as far as the furthest, without confidence."""
     furthest = depth[known].max() if known.any() else 1.0
     size = (scene.width, scene.height)
     return Depth(resize_labels(np.where(known, depth, np.float32(furthest)), size), resize_labels(known.astype(np.float32), size))

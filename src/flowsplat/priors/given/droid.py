@@ -21,7 +21,7 @@ MAKER = "DROID-SLAM"
 
 
 def read_droid(path: Path, scene: Scene, allow_pickle: bool) -> list[Camera]:
-    """One camera a frame, at the size that the whole image had for DROID-SLAM.
+    """Return one camera a frame, at the size that the whole image had for DROID-SLAM.
 
     Raises:
         InputError: pickles are not allowed, or it is damaged or not of this clip.

@@ -60,7 +60,7 @@ def refuse_later_frames(path: Path, names: Iterable[str], scene: Scene, what: st
 
 
 def files_by_frame(folder: Path, suffixes: Sequence[str], scene: Scene, what: str) -> dict[int, Path]:
-    """The file of every frame, by its number.
+    """Return the file of every frame, by its number.
 
     Files are called ``00000`` ..., and those of held-out frames may be missing; or there is exactly one a frame under
     any names, whose natural order is theirs.
@@ -86,7 +86,7 @@ def files_by_frame(folder: Path, suffixes: Sequence[str], scene: Scene, what: st
 
 
 def slam_size(path: Path, width: int, height: int, scene: Scene) -> tuple[int, int]:
-    """(width, height) that the whole image had where DROID-SLAM's preprocessing cropped it to ``width`` x ``height``.
+    """Return (width, height) that the whole image had where DROID-SLAM's preprocessing cropped it to ``width`` x ``height``.
 
     https://github.com/princeton-vl/DROID-SLAM/blob/main/demo.py, ``image_stream``. Images of that size come from it;
     others are taken to be whole.
@@ -106,11 +106,11 @@ def slam_size(path: Path, width: int, height: int, scene: Scene) -> tuple[int, i
 
 
 def pad_to(values: np.ndarray, size: tuple[int, int], **how: Any) -> np.ndarray:
-    """[H, W, ...] continued at the right and at the bottom to ``size`` (width, height)."""
+    """Return [H, W, ...] continued at the right and at the bottom to ``size`` (width, height)."""
     border = [(0, size[1] - values.shape[0]), (0, size[0] - values.shape[1])] + [(0, 0)] * (values.ndim - 2)
     return np.pad(values, border, **how)
 
 
 def verdict_of(path: Path, maker: str) -> str:
-    """Where a given prior comes from, in words; ``flowsplat`` is not named."""
+    """Return where a given prior comes from, in words; ``flowsplat`` is not named."""
     return f"from {path}" if maker == "flowsplat" else f"from {path} ({maker})"

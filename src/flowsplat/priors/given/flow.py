@@ -34,7 +34,7 @@ Arrays = tuple[np.ndarray, np.ndarray]
 
 
 def read_flow(folder: Path, scene: Scene) -> tuple[list[Flow], str]:
-    """The pairs of ``consecutive_pairs`` that a folder has, at the size of the frames, and whose layout it was.
+    """Return the pairs of ``consecutive_pairs`` that a folder has, at the size of the frames, and whose layout it was.
 
     Our own layout must have all of them; those of MegaSaM (forward only) and MoSca may lack some.
 

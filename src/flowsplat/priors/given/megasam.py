@@ -35,17 +35,17 @@ _MOST_A_FRAME = 32 * 2**20
 
 
 def compute_max_bytes(scene: Scene) -> int:
-    """Of the arrays in one file."""
+    """Return the most bytes of the arrays in one file."""
     return _MOST_A_FRAME * scene.num_frames
 
 
 def is_megasam(arrays: dict[str, np.ndarray]) -> bool:
-    """Whether an archive has the arrays of MegaSaM's results."""
+    """Return whether an archive has the arrays of MegaSaM's results."""
     return set(ARRAYS) <= arrays.keys()
 
 
 def read_cameras(path: Path, arrays: dict[str, np.ndarray], scene: Scene) -> list[Camera]:
-    """One camera a frame, at the size that the whole image had for MegaSaM.
+    """Return one camera a frame, at the size that the whole image had for MegaSaM.
 
     Raises:
         InputError: not of this clip.
@@ -80,7 +80,7 @@ class MegaSamDepth:
         self._size = slam_size(path, self._depths.shape[2], self._depths.shape[1], scene)
 
     def __call__(self, i: int) -> Depth:
-        """Depth of frame ``i`` in MegaSaM's units, at the size of the frames; no confidence where it has none."""
+        """Return depth of frame ``i`` in MegaSaM's units, at the size of the frames; no confidence where it has none."""
         depth = self._depths[i].astype(np.float32)
         known = np.isfinite(depth) & (depth > _NO_DEPTH)
         depth = np.where(known, depth, depth[known].max() if known.any() else 1.0)
@@ -90,12 +90,12 @@ class MegaSamDepth:
 
 
 def is_flow_cache(folder: Path) -> bool:
-    """Whether a folder is a ``cache_flow`` of MegaSaM."""
+    """Return whether a folder is a ``cache_flow`` of MegaSaM."""
     return (folder / "flows.npy").is_file() and (folder / "ii-jj.npy").is_file()
 
 
 def read_flow(folder: Path, wanted: list[tuple[int, int]], scene: Scene) -> list[Flow]:
-    """The flow of those wanted pairs of frames that it has, at the size of the frames.
+    """Return the flow of those wanted pairs of frames that it has, at the size of the frames.
 
     Raises:
         InputError: damaged or not of this clip.

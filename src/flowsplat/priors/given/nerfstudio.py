@@ -16,12 +16,12 @@ from flowsplat.scenes.formats.nerfstudio import transforms_camera
 
 
 def is_nerfstudio(content: Any) -> bool:
-    """Whether JSON has nerfstudio's layout."""
+    """Return whether JSON has nerfstudio's layout."""
     return isinstance(content, dict) and isinstance(content.get("frames"), list)
 
 
 def read_nerfstudio(path: Path, content: dict[str, Any], scene: Scene) -> list[Camera]:
-    """One camera a frame; in the order of their times where all have one, else in the natural order of their images.
+    """Return one camera a frame; in the order of their times where all have one, else in the natural order of their images.
 
     Raises:
         InputError: a value is missing, a lens is no pinhole, or there is not one frame for each of the clip.

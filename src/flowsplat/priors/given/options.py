@@ -1,4 +1,4 @@
-"""Which files of the user's take the place of what would be computed."""
+"""Name the files of the user's that take the place of what would be computed."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class GivenPriors:
 
     @staticmethod
     def names() -> list[str]:
-        """The priors that files can be given for, in the order in which they are read."""
+        """Return the priors that files can be given for, in the order in which they are read."""
         return [each.name for each in fields(GivenPriors) if each.name not in _HOW_TO_READ]
 
     @property
@@ -42,7 +42,7 @@ class GivenPriors:
         return {name: path for name in self.names() if (path := getattr(self, name)) is not None}
 
     def files(self) -> list[tuple[str, Path]]:
-        """All files that are named, or lie in folders that are named, with names that do not depend on where they lie."""
+        """Return all files that are named, or lie in folders that are named, with names that do not depend on where they lie."""
         found = []
         for name, path in self.named.items():
             if path.is_dir():

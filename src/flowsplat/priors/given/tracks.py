@@ -137,7 +137,7 @@ def _read(path: Path, scene: Scene) -> tuple[Iterator[Found], str]:
 
 
 def _pair_names(files: list[Path]) -> list[str]:
-    """The names of frames, from files that are called ``<from>_<to>``: those that lead to themselves."""
+    """Return the names of frames, from files that are called ``<from>_<to>``: those that lead to themselves."""
     halves = [(file.stem[: len(file.stem) // 2], file.stem[len(file.stem) // 2 + 1 :]) for file in files]
     return sorted({start for start, end in halves if start == end}, key=lambda name: natural_key(Path(name)))
 

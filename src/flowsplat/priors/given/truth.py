@@ -10,12 +10,12 @@ from flowsplat.scenes.layers import Layers
 
 
 def consecutive_pairs(scene: Scene) -> list[tuple[int, int]]:
-    """Both directions between neighboring training frames."""
+    """Return both directions between neighboring training frames."""
     return [pair for i, j in pairwise(scene.train_frames) for pair in ((i, j), (j, i))]
 
 
 def true_layers(scene: Scene) -> Layers:
-    """The truth of a rendered scene.
+    """Return the truth of a rendered scene.
 
     Raises:
         InputError: the scene has no truth.

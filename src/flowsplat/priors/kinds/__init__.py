@@ -1,1 +1,1 @@
-"""How each kind of prior is made, read and replaced: one file a kind. ``priors/graph.py`` says how they follow from each other."""
+"""Make, read and replace each kind of prior: one file a kind. ``priors/graph.py`` says how they follow from each other."""

@@ -21,7 +21,7 @@ MAKER = "maker of the cameras"
 
 
 def _differs(request: Request, asked: str | None) -> bool:
-    """Whether our own cameras are there, but were computed with other settings than those that differ from the defaults.
+    """Return whether our own cameras are there, but were computed with other settings than those that differ from the defaults.
 
     Given, true or calibrated cameras are not replaced: the options say how cameras are computed, and not whether.
     """

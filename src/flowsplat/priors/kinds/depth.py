@@ -38,7 +38,7 @@ def _read_true(scene: Scene, truth: Layers) -> bool:
 
 
 def _read_given(request: Request, path: Path) -> Stage | None:
-    """Depth in other units than those of the cameras has to be fitted to them."""
+    """Return whether depth is in other units than those of the cameras and has to be fitted to them."""
     scene, depth = request.scene, open_depth(path, request.scene)
     units_known = request.method("cameras") in BROUGHT
     if request.memory.get(MAKER) in depth.fits or ("any" in depth.fits and units_known):

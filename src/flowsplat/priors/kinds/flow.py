@@ -20,7 +20,7 @@ OWN = "dis"
 
 
 def flow_estimator(options: PriorsOptions, device: str) -> FlowEstimator:
-    """What finds flow under these options.
+    """Return what finds flow under these options.
 
     Raises:
         InputError: a network is not there.
@@ -33,7 +33,7 @@ def flow_estimator(options: PriorsOptions, device: str) -> FlowEstimator:
 
 
 def _get_requested(request: Request) -> str | None:
-    """A network, unless the flow is true and is to be: the truth may lack flow, so nothing else asks for it."""
+    """Return a network, unless the flow is true and is to be: the truth may lack flow, so nothing else asks for it."""
     is_true = request.wants_truth and request.method("flow") == TRUTH
     return None if request.options.flow == OWN or is_true else request.options.flow
 

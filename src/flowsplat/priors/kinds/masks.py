@@ -40,7 +40,7 @@ def _get_requested(request: Request) -> str | None:
 
 
 def _differs(request: Request, asked: str | None) -> bool:
-    """Whether the masks are of other clicks and boxes."""
+    """Return whether the masks are of other clicks and boxes."""
     return bool(request.prompts) and request.method("masks") == asked and not shows(request.scene, request.prompts)
 
 

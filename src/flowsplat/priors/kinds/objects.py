@@ -24,7 +24,7 @@ def _is_due(request: Request) -> bool:
 
 
 def _has_hints(request: Request) -> bool:
-    """Whether the objects that are there were placed with these hints."""
+    """Return whether the objects that are there were placed with these hints."""
     return (request.scene.prior("objects") or {}).get("hints", []) == [hint.text for hint in request.hints]
 
 

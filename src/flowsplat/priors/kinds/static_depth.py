@@ -12,12 +12,12 @@ STATIC = "static depth"
 
 
 def has_masks(scene: Scene) -> bool:
-    """Whether every training frame has a mask."""
+    """Return whether every training frame has a mask."""
     return all(scene.has_mask(i) for i in scene.train_frames)
 
 
 def computes_own_depth(request: Request) -> bool:
-    """Whether depth is to be computed, and from matches."""
+    """Return whether depth is to be computed, and from matches."""
     return request.computes("depth") and request.options.depth == "multiview"
 
 

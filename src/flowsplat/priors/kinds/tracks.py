@@ -23,7 +23,7 @@ def _read_true(scene: Scene, truth: Layers) -> bool:
 
 
 def _project(tracks: Tracks, cameras: Sequence[Camera], train_frames: Sequence[int]) -> Tracks:
-    """World tracks [P, T, 3] as pixels [P, T, 2], seen in training frames only."""
+    """Project world tracks [P, T, 3] as pixels [P, T, 2], seen in training frames only."""
     points = np.zeros((*tracks.points.shape[:2], 2), np.float32)
     visible = np.zeros_like(tracks.visible)
     for i in train_frames:
@@ -34,7 +34,7 @@ def _project(tracks: Tracks, cameras: Sequence[Camera], train_frames: Sequence[i
 
 
 def _read_given(request: Request, path: Path) -> Stage:
-    """Which of them are on objects, masks have to tell."""
+    """Return which of them are on objects, masks have to tell."""
     tracks = read_tracks(path, request.scene, request.options.given.tracks_size)
     return partial(write_tracks, tracks, path, request.scene)
 

@@ -13,7 +13,7 @@ INSTEAD = "--depth multiview"
 
 
 def predict_depth(name: str, scene: Scene, models: ModelOptions, device: torch.device) -> Monocular:
-    """The depth of ``depth-anything`` or ``depth-pro`` for training frames of a scene.
+    """Return the depth of ``depth-anything`` or ``depth-pro`` for training frames of a scene.
 
     Raises:
         InputError: transformers or the weights are not there.

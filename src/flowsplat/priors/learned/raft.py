@@ -26,7 +26,7 @@ FIRST_WEIGHT = "feature_encoder.convnormrelu.0.weight"
 
 
 def raft_estimator(source: str, device: torch.device) -> FlowEstimator:
-    """Flow by RAFT, which compares all pixels with all and leaves a guess aside.
+    """Return flow by RAFT, which compares all pixels with all and leaves a guess aside.
 
     Args:
         source: ``large`` or ``small`` with torchvision's weights, from torch's cache or fetched once, or a ``.pth`` file.

@@ -53,7 +53,7 @@ def load_segmenter(name: str, models: ModelOptions, device: torch.device) -> Seg
 
 
 def prompts_from_masks(scene: Scene) -> list[Prompt]:
-    """One box with one click in its object, for every object of the stored masks, where it is largest."""
+    """Return one box with one click in its object, for every object of the stored masks, where it is largest."""
     best: dict[int, tuple[int, int]] = {}
     for i in scene.train_frames:
         for number, area in enumerate(np.bincount(scene.mask(i).ravel())[1:], start=1):

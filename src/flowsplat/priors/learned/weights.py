@@ -31,7 +31,7 @@ class ModelOptions:
 
 
 def network_device(name: str) -> torch.device:
-    """Where networks run: ``auto`` is a GPU where PyTorch sees one."""
+    """Return where networks run: ``auto`` is a GPU where PyTorch sees one."""
     if name == "auto":
         name = "cuda" if torch.cuda.is_available() else "cpu"
     return torch.device(name)
@@ -99,7 +99,7 @@ def from_hub(kind: Any, source: str, *, option: str, setting: str, instead: str)
 
 
 def looks_like_path(source: str) -> bool:
-    """Whether a source is meant as a folder: names on the hub have at most one slash, and none at their start."""
+    """Return whether a source is meant as a folder: names on the hub have at most one slash, and none at their start."""
     return os.path.isdir(source) or source.startswith((".", "/", "~", "\\")) or source.count("/") > 1 or Path(source).is_absolute()
 
 
@@ -110,7 +110,7 @@ def _remedy(source: str, setting: str) -> str:
 
 
 def state_dict_file(path: Path, *, option: str, setting: str, instead: str) -> dict[str, torch.Tensor]:
-    """The weights in a ``.pth`` file; nothing but tensors is read.
+    """Return the weights in a ``.pth`` file; nothing but tensors is read.
 
     Raises:
         InputError: missing, or not such a file.

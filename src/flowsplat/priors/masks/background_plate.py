@@ -76,7 +76,7 @@ class CleanPlate:
         self._frame = lru_cache(maxsize=2 * SEEN_FROM[-1] + 1)(lambda k: clip.scene.frame(clip.scene.train_frames[k]))
 
     def residual(self, k: int) -> np.ndarray:
-        """How many times its noise a frame differs from its plate, [H, W] float32; 1 or less is rest, -1 is unknown."""
+        """Return how many times its noise a frame differs from its plate, [H, W] float32; 1 or less is rest, -1 is unknown."""
         clip, frame = self._clip, self._frame(k)
         offsets = SEEN_FROM if len(clip) > FEW else range(1, FEW)
         around = [k + sign * offset for offset in offsets for sign in (-1, 1)]
@@ -98,7 +98,7 @@ class CleanPlate:
 
 
 def _poses(camera: Camera, others: list[Camera]) -> tuple[np.ndarray, np.ndarray]:
-    """(fx, fy, cx, cy [1 + J, 4]; relative poses [J, 3, 4]) of a camera and others, float32."""
+    """Return (fx, fy, cx, cy [1 + J, 4]; relative poses [J, 3, 4]) of a camera and others, float32."""
     intrinsics = np.array([c.intrinsics for c in (camera, *others)], np.float32)
     return intrinsics, np.array([other.pose_from(camera) for other in others], np.float32)
 
@@ -234,7 +234,7 @@ def _has_rank(values, count, j, wanted):
 
 
 def difference(frame: np.ndarray, plate: np.ndarray, spread: np.ndarray) -> np.ndarray:
-    """[H, W] float32: how far a frame is off its plate, whose brightness may change, over its noise there.
+    """Return [H, W] float32: how far a frame is off its plate, whose brightness may change, over its noise there.
 
     Args:
         spread: mean squared difference [H, W] of what it is made from.

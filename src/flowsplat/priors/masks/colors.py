@@ -1,4 +1,4 @@
-"""What colors the objects of a clip have, and what colors there are round them."""
+"""Learn the colors of the objects of a clip, and of what is round them."""
 
 from __future__ import annotations
 
@@ -44,11 +44,11 @@ class Colors:
 
 
 def look_up(table: np.ndarray, frame: np.ndarray) -> np.ndarray:
-    """The values [H, W] of a table for the colors of a frame RGB [H, W, 3] uint8."""
+    """Return the values [H, W] of a table for the colors of a frame RGB [H, W, 3] uint8."""
     return table[_bins(frame)]
 
 
 def _bins(frame: np.ndarray) -> np.ndarray:
-    """The bin of every pixel, [H, W] int."""
+    """Return the bin of every pixel, [H, W] int."""
     lab = cv2.cvtColor(frame, cv2.COLOR_RGB2LAB) // np.array(STEPS, np.uint8)
     return np.ravel_multi_index(tuple(lab.transpose(2, 0, 1).astype(np.int64)), _SHAPE)

@@ -91,7 +91,7 @@ def motion_evidence(clip: MatchedClip, background: StaticDepth) -> list[np.ndarr
 def propagate(
     clip: MatchedClip, own: Callable[[int], np.ndarray], flow: Callable[[int, int], tuple[np.ndarray, np.ndarray]], memory: float
 ) -> Iterator[np.ndarray]:
-    """The evidence of each training frame and of those before and after it, [h, w] float32, from the last to the first.
+    """Yield the evidence of each training frame and of those before and after it, [h, w] float32, from the last to the first.
 
     Args:
         own: the evidence of a frame by itself, [h, w]; asked for twice.
@@ -116,7 +116,7 @@ def propagate(
 
 
 def estimate_resting_motion(clip: MatchedClip) -> float:
-    """Multiple of its expected noise at which a pixel's matches are evidence of neither motion nor rest.
+    """Return the multiple of its expected noise at which a pixel's matches are evidence of neither motion nor rest.
 
     What is expected is the noise of a hard clip. Most pixels rest, so that their median tells how large it really is.
     """
@@ -126,7 +126,7 @@ def estimate_resting_motion(clip: MatchedClip) -> float:
 
 
 def compute_own_evidence(clip: MatchedClip, k: int, rests: float) -> np.ndarray:
-    """[h, w] float32: positive where a frame's own matches are evidence of motion, negative of rest, 0 without matches.
+    """Return [h, w] float32: positive where a frame's own matches are evidence of motion, negative of rest, 0 without matches.
 
     Args:
         rests: where they are neither.
@@ -140,7 +140,7 @@ def compute_own_evidence(clip: MatchedClip, k: int, rests: float) -> np.ndarray:
 
 
 def _warp(evidence: np.ndarray, flow: np.ndarray, confidence: np.ndarray) -> np.ndarray:
-    """Evidence [h, w] of another frame at the pixels from which a flow [h, w, 2] leads there; 0 where it is not trusted."""
+    """Return evidence [h, w] of another frame at the pixels from which a flow [h, w, 2] leads there; 0 where it is not trusted."""
     height, width = evidence.shape
     points = pixel_grid(width, height) + flow
     there = sample_map(evidence.astype(np.float32), points.reshape(-1, 2)).reshape(evidence.shape)
@@ -148,7 +148,7 @@ def _warp(evidence: np.ndarray, flow: np.ndarray, confidence: np.ndarray) -> np.
 
 
 def rough_cut(evidence: np.ndarray, frame: np.ndarray, certain: float) -> np.ndarray:
-    """Evidence at working resolution and its frame [H, W, 3] to a mask [H, W] uint8 of 0 and 1.
+    """Return evidence at working resolution and its frame [H, W, 3] to a mask [H, W] uint8 of 0 and 1.
 
     Args:
         certain: mean evidence that an object needs.
@@ -161,12 +161,13 @@ def rough_cut(evidence: np.ndarray, frame: np.ndarray, certain: float) -> np.nda
 
 
 def enlarge(evidence: np.ndarray, like: np.ndarray) -> np.ndarray:
-    """Evidence [h, w] at the size of an image [H, W, ...]: [H, W] float32."""
+    """Return evidence [h, w] at the size of an image [H, W, ...]: [H, W] float32."""
     return cv2.resize(evidence.astype(np.float32), like.shape[1::-1], interpolation=cv2.INTER_LINEAR)
 
 
 def parts(moving: np.ndarray, support: np.ndarray, least: float) -> np.ndarray:
-    """The parts of a mask [H, W] uint8 that are large enough and have a mean ``visibility`` [H, W] of ``least``; holes closed."""
+    """Return the parts of a mask [H, W] uint8 that are large enough and have a mean ``visibility`` [H, W] of ``least``; holes
+    closed."""
     smallest = SMALLEST * moving.size
     _, holes, stats, _ = cv2.connectedComponentsWithStats(1 - moving, connectivity=4)
     moving = np.where((stats[:, cv2.CC_STAT_AREA] < smallest / 4)[holes], np.uint8(1), moving)

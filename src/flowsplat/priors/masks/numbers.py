@@ -58,7 +58,7 @@ def number_objects(scene: Scene) -> tuple[int, float]:
 
 
 def _divide(moving: np.ndarray, before: np.ndarray) -> tuple[int, np.ndarray, dict[int, int]]:
-    """The parts of a mask, those of several objects divided.
+    """Return the parts of a mask, those of several objects divided.
 
     Args:
         moving: [H, W] uint8 of 0 and 1.

@@ -1,4 +1,4 @@
-"""What the still scene does not explain, in color, over all frames: evidence that needs no flow in the frame itself.
+"""Measure what the still scene does not explain, in color, over all frames: evidence that needs no flow in the frame itself.
 
 Other frames that are sure of the static depth are carried to a frame, and vote on what it should see at each of its pixels: a
 surface on which enough of them agree is there, and not hidden by anything still. Where the frame looks like none of these
@@ -94,7 +94,7 @@ class Unexplained:
         self._sure = lru_cache(maxsize=None)(self._read_known)
 
     def evidence(self, k: int) -> np.ndarray:
-        """Logarithm to base 2 [h, w] float32 of how much more often objects than still things look like this."""
+        """Return logarithm to base 2 [h, w] float32 of how much more often objects than still things look like this."""
         off, share = self.residual(k)
         if (off < 0).all():
             return np.zeros_like(off)
@@ -106,7 +106,7 @@ class Unexplained:
         return np.where((off < 0) & (share < 0), 0, found).astype(np.float32)
 
     def residual(self, k: int) -> tuple[np.ndarray, np.ndarray]:
-        """How far a frame is from what others see there.
+        """Return how far a frame is from what others see there.
 
         Returns:
             multiples of its noise by which it differs from all surfaces that others agree on, -1 where there are none; and the
@@ -150,7 +150,7 @@ class Unexplained:
         return inverse, np.where(weight > SUPPORTED, weight, 0).astype(np.float32)
 
     def _reproject(self, j: int, k: int) -> np.ndarray:
-        """Inverse depth that frame j is sure of, at the pixels of frame k; 0 where it knows none."""
+        """Return inverse depth that frame j is sure of, at the pixels of frame k; 0 where it knows none."""
         seen, _ = reproject(*self._sure(j), self._clip.cameras[j], self._clip.cameras[k])
         # Nearer cameras see the same surface with gaps between its pixels.
         closed = cv2.morphologyEx(seen, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))

@@ -35,7 +35,7 @@ ALIKE, FEWEST = 10.0, 4
 def largest_share(
     frame: np.ndarray, asked: np.ndarray, nearest: float, intrinsics: np.ndarray, poses: np.ndarray, words: np.ndarray
 ) -> np.ndarray:
-    """The largest share of the frames that look like a pixel at one depth, of those that would see it there, [h, w] float32.
+    """Return the largest share of the frames that look like a pixel at one depth, of those that would see it there, [h, w] float32.
 
     Args:
         frame: RGB [h, w, 3] uint8.
@@ -56,7 +56,7 @@ def largest_share(
 
 
 def _limits(image: np.ndarray) -> np.ndarray:
-    """[h, w] float32: mean difference in gray levels up to which another frame shows the same."""
+    """Return [h, w] float32: mean difference in gray levels up to which another frame shows the same."""
     smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 0.7)
     slope = sum((cv2.Sobel(smooth, cv2.CV_32F, *axes, scale=1 / 8) ** 2).mean(-1) for axes in ((1, 0), (0, 1)))
     return np.minimum(np.float32(ALIKE) + np.float32(0.5) * np.sqrt(slope), np.float32(2 * ALIKE)).astype(np.float32)

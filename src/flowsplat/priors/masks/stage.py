@@ -73,7 +73,7 @@ def mask_stage(scene: Scene, estimate: FlowEstimator = dis_estimator) -> None:
 
 
 def compute_evidence(clip: MatchedClip, shown: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Evidence [H, W] float16 of every training frame, a logarithm to base 2, positive where something moves.
+    """Return evidence [H, W] float16 of every training frame, a logarithm to base 2, positive where something moves.
 
     Overwrites the masks of the training frames.
 
@@ -99,14 +99,14 @@ def _rough_masks(clip: MatchedClip, motion: list[np.ndarray], shown: Sequence[np
 
 
 def _compute_own_evidence(clip: MatchedClip, motion: list[np.ndarray]) -> list[np.ndarray]:
-    """[H, W] float16 of every training frame by itself: its plate, matches and colors."""
+    """Return [H, W] float16 of every training frame by itself: its plate, matches and colors."""
     evidence = _plate_evidence(clip, motion)
     _add_colors(clip, evidence, motion)
     return evidence
 
 
 def _plate_evidence(clip: MatchedClip, motion: list[np.ndarray]) -> list[np.ndarray]:
-    """[H, W] float16 of every training frame, positive for motion: how it differs from its plate, and the matches."""
+    """Return [H, W] float16 of every training frame, positive for motion: how it differs from its plate, and the matches."""
     scene = clip.scene
     side = 2 * max(1, round(MARGIN * max(scene.width, scene.height) / 2)) + 1
     masks = [cv2.dilate(scene.mask(i), np.ones((side, side), np.uint8)) > 0 for i in scene.train_frames]
@@ -135,14 +135,14 @@ def _add_colors(clip: MatchedClip, evidence: list[np.ndarray], motion: list[np.n
 
 
 def _cut_masks(clip: MatchedClip, evidence: list[np.ndarray], motion: list[np.ndarray]) -> list[np.ndarray]:
-    """The masks [H, W] uint8 of 0 and 1, from evidence that is propagated between frames."""
+    """Return the masks [H, W] uint8 of 0 and 1, from evidence that is propagated between frames."""
     scene, numbers = clip.scene, clip.scene.train_frames
     sums = zip(numbers[::-1], motion[::-1], _propagate(clip, evidence), strict=True)
     return [_outline(total, scene.frame(i), moving) for i, moving, total in track(sums, "Masks", len(clip))][::-1]
 
 
 def _propagate(clip: MatchedClip, evidence: list[np.ndarray]) -> Iterator[np.ndarray]:
-    """The evidence [H, W] of each training frame and its neighbors, from the last to the first."""
+    """Yield the evidence [H, W] of each training frame and its neighbors, from the last to the first."""
     scene, numbers = clip.scene, clip.scene.train_frames
 
     def flow(k: int, j: int) -> tuple[np.ndarray, np.ndarray]:
@@ -153,6 +153,6 @@ def _propagate(clip: MatchedClip, evidence: list[np.ndarray]) -> Iterator[np.nda
 
 
 def _outline(evidence: np.ndarray, frame: np.ndarray, motion: np.ndarray) -> np.ndarray:
-    """The mask [H, W] uint8 along the edges of the frame, of parts that were found by their motion."""
+    """Return the mask [H, W] uint8 along the edges of the frame, of parts that were found by their motion."""
     smooth = EdgeSmoother(frame, _SMOOTHNESS, _COLOR_SIGMA).filter(evidence.astype(np.float32))
     return parts((smooth > 0).astype(np.uint8), enlarge(motion, frame) > 0, MOVES)

@@ -1,4 +1,4 @@
-"""Who moves, how, and how far away: motion, shape offset and distance of every object."""
+"""Estimate motion, shape offset and distance of every object."""
 
 from flowsplat.priors.objects.stage import objects_stage
 from flowsplat.priors.objects.storage import SceneObjects, load_objects

@@ -1,4 +1,4 @@
-"""Which objects count as one, and which are small parts: shreds of masks that nothing joined to what they belong to."""
+"""Tell objects from small parts: shreds of masks that nothing joined to what they belong to."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ SMALL = 0.05
 
 
 def large_objects(scene: Scene) -> set[int]:
-    """The numbers in the masks of what is no small part."""
+    """Return the numbers in the masks of what is no small part."""
     areas = np.zeros(256, np.int64)
     for i in scene.train_frames:
         areas += np.bincount(scene.mask(i).ravel(), minlength=256)

@@ -41,7 +41,7 @@ _ROUNDS = 4
 
 
 def place_billboard(mask: np.ndarray, plate: np.ndarray) -> float:
-    """Inverse depth of the upright billboard that stands for one object (bool [h, w]) in front of its plate [h, w].
+    """Return inverse depth of the upright billboard that stands for one object (bool [h, w]) in front of its plate [h, w].
 
     The nearer of the near end of the plate inside the object, and the ground just below its lowest part.
     """
@@ -57,7 +57,7 @@ def place_billboard(mask: np.ndarray, plate: np.ndarray) -> float:
 
 
 def growth(mask: np.ndarray, flow: np.ndarray, confidence: np.ndarray) -> float:
-    """Logarithm of how many times larger an object (bool [h, w]) is where its flow [h, w, 2] leads; 0 where that is unknown.
+    """Return logarithm of how many times larger an object (bool [h, w]) is where its flow [h, w, 2] leads; 0 where that is unknown.
 
     From the affine map that explains most of the flow inside the object, by reweighted least squares.
     """
@@ -75,7 +75,7 @@ def growth(mask: np.ndarray, flow: np.ndarray, confidence: np.ndarray) -> float:
 
 
 def smooth_billboards(billboards: np.ndarray, growths: np.ndarray, pieces: np.ndarray) -> np.ndarray:
-    """Inverse depths [T] of one object over time, NaN where it is not seen, smoothed; stays NaN there.
+    """Return inverse depths [T] of one object over time, NaN where it is not seen, smoothed; stays NaN there.
 
     An object that is twice as large in the image is twice as near. At one size the near end of a window counts: what
     an object passes in front of at one time bounds its distance at others. Either side of a cut is a world of its own.
@@ -105,7 +105,7 @@ def make_billboards(clip: MatchedClip, background: StaticDepth) -> dict[int, np.
     """Smoothed inverse depth [T] of every object over the training frames."""
 
     def seen(k: int) -> tuple[dict[int, float], dict[int, float], dict[int, float]]:
-        """The billboard of every object in a frame, and how much larger it is in the frame before and in the next one."""
+        """Return the billboard of every object in a frame, and how much larger it is in the frame before and in the next one."""
         mask = clip.mask(k)
         numbers = [int(number) for number in np.unique(mask[mask > 0])]
         here = {number: place_billboard(mask == number, background.compute_foremost(k)) for number in numbers}
@@ -128,7 +128,7 @@ def make_billboards(clip: MatchedClip, background: StaticDepth) -> dict[int, np.
 
 
 def _growths(clip: MatchedClip, k: int, j: int, mask: np.ndarray) -> dict[int, float]:
-    """Logarithm of how much larger the objects of training frame ``k`` are in its neighbor ``j``."""
+    """Return logarithm of how much larger the objects of training frame ``k`` are in its neighbor ``j``."""
     if not mask.any() or not 0 <= j < len(clip) or not clip.continuity.are_joined(k, j):
         return {}
     flow, confidence = clip.step_flow(k, j)

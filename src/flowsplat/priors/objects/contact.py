@@ -1,4 +1,4 @@
-"""Where an object's lowest pixels meet the ground: at most that far away is it, and just so far if it stands there."""
+"""Find where an object's lowest pixels meet the ground: at most that far away is it, and just so far if it stands there."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Bound:
 
 
 def upright_ratio(camera: Camera, normal: np.ndarray, middle: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """[N] depth at pixels [N, 2] of an upright billboard that faces the camera, relative to that at its ``middle`` [2].
+    """Return [N] depth at pixels [N, 2] of an upright billboard that faces the camera, relative to that at its ``middle`` [2].
 
     The billboard holds the ground's normal [3]. A camera that looks down sees its foot farther than its head in planar depth.
     """
@@ -52,13 +52,13 @@ def upright_ratio(camera: Camera, normal: np.ndarray, middle: np.ndarray, pixels
 
 
 def middle_of(mask: np.ndarray) -> np.ndarray:
-    """[2] median pixel of a mask [H, W]."""
+    """Return [2] median pixel of a mask [H, W]."""
     y, x = np.nonzero(mask)
     return np.array([np.median(x), np.median(y)]) + 0.5
 
 
 def compute_ground_bound(mask: np.ndarray, camera: Camera, ground: Ground, static: np.ndarray) -> Bound | None:
-    """The bound of one frame.
+    """Return the bound of one frame.
 
     Args:
         mask: bool [h, w], of one object.

@@ -1,4 +1,4 @@
-"""What contact with the ground says of an object's distance: that it stands there, or that it touched it for moments."""
+"""Derive cues for an object's distance from contact with the ground: that it stands there, or that it touched it for moments."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Feet:
 
     @classmethod
     def of(cls, bounds: Sequence[Bound | None], frames: int) -> Feet:
-        """Those of an object that is seen in so many ``frames``."""
+        """Return those of an object that is seen in so many ``frames``."""
         return cls(
             bounds,
             np.array([np.nan if bound is None else bound.log_depth for bound in bounds]),
@@ -66,17 +66,17 @@ class Feet:
         )
 
     def unevenness(self, depth_trajectory: np.ndarray) -> float:
-        """How much its height above the ground would change over time by a depth trajectory [T]: see ``unevenness``."""
+        """Return how much its height above the ground would change over time by a depth trajectory [T]: see ``unevenness``."""
         return unevenness(self.log_depth - depth_trajectory, self.visible, self.frames)
 
     def is_supposed(self, depth_trajectory: np.ndarray) -> bool:
-        """Whether the ground under a depth trajectory [T] is supposed rather than seen."""
+        """Return whether the ground under a depth trajectory [T] is supposed rather than seen."""
         known = np.isfinite(self.log_depth - depth_trajectory)
         return bool(known.any()) and float(self.ground_seen[known].mean()) < 0.5
 
 
 def unevenness(bounds: np.ndarray, visible: np.ndarray, frames: int) -> float:
-    """How much the bounds [T] of an object change over time; inf where its feet are seen in too few of the ``frames``."""
+    """Return how much the bounds [T] of an object change over time; inf where its feet are seen in too few of the ``frames``."""
     seen = bounds[visible & np.isfinite(bounds)]
     if len(seen) < max(FEWEST_BOUNDS, MOSTLY * frames):
         return np.inf
@@ -98,7 +98,7 @@ def contact_cue(bounds: np.ndarray, visible: np.ndarray, frames: int) -> Cue | N
 
 
 def settle_on_ground(above: np.ndarray, visible: np.ndarray) -> np.ndarray:
-    """[T] what brings the depth trajectory of an object that stands to the ground over time.
+    """Return [T] what brings the depth trajectory of an object that stands to the ground over time.
 
     A depth trajectory that only its size tells is some percent off over time, where feet are seen to one or two.
 
@@ -113,7 +113,7 @@ def settle_on_ground(above: np.ndarray, visible: np.ndarray) -> np.ndarray:
 
 
 def unsurer(cue: Cue) -> Cue:
-    """The same on ground that was not seen."""
+    """Return the same on ground that was not seen."""
     return Cue(cue.log_scale, float(np.hypot(cue.sigma, SUPPOSED_SIGMA)), SUPPOSED_WRONG)
 
 

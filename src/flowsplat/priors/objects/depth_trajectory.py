@@ -1,4 +1,5 @@
-"""How the distance of an object changes over time, but for a constant: by the motion of its points or by its size in the images."""
+"""Estimate how the distance of an object changes over time, but for a constant: by the motion of its points or by its size in the
+images."""
 
 from __future__ import annotations
 
@@ -99,7 +100,7 @@ class DepthTrajectory:
 def solve_depth_trajectory(
     tracks: ObjectTracks, log_billboards: np.ndarray, feet: Feet, ground: Ground | None, images: ObjectImages | None
 ) -> DepthTrajectory:
-    """The depth trajectory of one object.
+    """Return the depth trajectory of one object.
 
     Args:
         log_cards: [T] logarithm of the depth of its billboard, NaN where it is not seen: the depth trajectory where no motion is
@@ -130,7 +131,7 @@ def solve_depth_trajectory(
 def _refine(
     motion: RigidMotion, placed: PlacedMotion, tracks: ObjectTracks, seen: np.ndarray, images: ObjectImages
 ) -> tuple[RigidMotion, PlacedMotion]:
-    """The motion by points that are matched anew in the images, where that is of the same body; else the same as before."""
+    """Return the motion by points that are matched anew in the images, where that is of the same body; else the same as before."""
     again = rematch_object(motion, tracks.positions, tracks.inside, images)
     if again is None:
         return motion, placed
@@ -147,8 +148,8 @@ def _refine(
 def _weak_depth_trajectory(
     motions: Sequence[RigidMotion], tracks: ObjectTracks, by_growth: np.ndarray, seen: np.ndarray, feet: Feet
 ) -> np.ndarray:
-    """[T] the depth trajectory of what bends: by its growth, or by a motion that explains part of it, if only by that its feet keep
-    to the ground."""
+    """Return [T] the depth trajectory of what bends: by its growth, or by a motion that explains part of it, if only by that its
+    feet keep to the ground."""
     for weak in motions if feet.unevenness(by_growth) > FLAT else []:
         placed = place_motion(weak, tracks)
         if placed is not None and feet.unevenness(placed.log_depth) <= FLAT:
@@ -157,7 +158,7 @@ def _weak_depth_trajectory(
 
 
 def rigid_motions(positions: np.ndarray, inside: np.ndarray, K: np.ndarray) -> tuple[RigidMotion | None, list[RigidMotion]]:
-    """The motion of an object from its tracks, if both halves of them tell the same, else None; and all that was found."""
+    """Return the motion of an object from its tracks, if both halves of them tell the same, else None; and all that was found."""
     if len(inside) < FEWEST_TRACKS or inside.any(0).sum() < FEWEST_FRAMES:
         return None, []
 
@@ -183,7 +184,7 @@ def rigid_motions(positions: np.ndarray, inside: np.ndarray, K: np.ndarray) -> t
 
 
 def check_laws(path: WorldPath, normal: np.ndarray | None) -> tuple[dict[str, Cue], dict[str, Law]]:
-    """The laws of motion that pass their gates, as cues; and what every law said."""
+    """Return the laws of motion that pass their gates, as cues; and what every law said."""
     laws: dict[str, Law] = {"pivot": pivot(path)}
     if normal is not None:
         laws["height"] = constant_height(path, normal)
@@ -199,7 +200,7 @@ def check_laws(path: WorldPath, normal: np.ndarray | None) -> tuple[dict[str, Cu
 
 
 def place_motion(motion: RigidMotion, tracks: ObjectTracks) -> PlacedMotion | None:
-    """The depth trajectory by a motion of an object's own; None where it tells of no frame."""
+    """Return the depth trajectory by a motion of an object's own; None where it tells of no frame."""
     points, share = place_points(motion, Observations.of_tracks(tracks.positions, tracks.inside, tracks.K), tracks.K)
     found = middle_depths(points, tracks.middles, tracks.cameras, tracks.normal)
     known = np.isfinite(found)
@@ -209,7 +210,8 @@ def place_motion(motion: RigidMotion, tracks: ObjectTracks) -> PlacedMotion | No
 
 
 def middle_depths(points: ShapePoints, middles: np.ndarray, cameras: Sequence[Camera], normal: np.ndarray) -> np.ndarray:
-    """[T] logarithm of the depth of an object's middle: of an upright billboard through its points; NaN of fewer than three."""
+    """Return [T] logarithm of the depth of an object's middle: of an upright billboard through its points; NaN of fewer than
+    three."""
     result = np.full(len(cameras), np.nan)
     for t in range(len(cameras)):
         here = points.frame_of == t

@@ -1,4 +1,5 @@
-"""What is known about each object, for people and for ``metrics.json``: how far away it is, what tells it, and how sure it is."""
+"""Describe what is known about each object, for people and for ``metrics.json``: how far away it is, what tells it, and how sure it
+is."""
 
 from __future__ import annotations
 
@@ -63,7 +64,8 @@ class ObjectDescription:
 
 
 def sureness(sigmas: Sequence[float], guesses: int = 0) -> str:
-    """How sure the distances of objects are, behind "the distances of objects are": "sure to 7%", "sure to 7% to 15%, 2 guesses".
+    """Return how sure the distances of objects are, behind "the distances of objects are": "sure to 7%", "sure to 7% to 15%, 2
+    guesses".
 
     Args:
         sigmas: of the natural logarithm of the distances that something speaks for.
@@ -77,7 +79,7 @@ def sureness(sigmas: Sequence[float], guesses: int = 0) -> str:
 
 
 def describe_objects(scene: Scene, found: SceneObjects) -> list[ObjectDescription]:
-    """Of every object that is seen in a training frame, in the order of their numbers."""
+    """Describe every object that is seen in a training frame, in the order of their numbers."""
     focal = float(scene.cameras[scene.train_frames[0]].K[0, 0])
     objects = [obj for obj in sorted(found.objects, key=lambda each: each.number) if _find_visible(obj).any()]
     hints = suggest_contacts(scene, found.normal, {obj.number for obj in objects if not obj.cues})
@@ -111,7 +113,7 @@ def suggest_contacts(scene: Scene, normal: np.ndarray, numbers: Collection[int])
 
 
 def word_hint(number: int, hint: str) -> str:
-    """What a user can do about an object whose distance is a guess: ``hint`` as of ``ObjectDescription``."""
+    """Return what a user can do about an object whose distance is a guess: ``hint`` as of ``ObjectDescription``."""
     place, _, frame = hint.partition("@")
     return (
         f"How far away object {number} is is a guess. If it touches the ground, or anything still, at {place} in frame {frame}, "
@@ -131,7 +133,8 @@ def _describe(obj: DynamicObject, focal: float, hint: str | None) -> ObjectDescr
 
 
 def object_figures(scene: Scene, found: SceneObjects) -> list[dict[str, object]]:
-    """The same as JSON: depth and step both in the units of the cameras and in median depths of the scene; ``small``: a part."""
+    """Return the same as JSON: depth and step both in the units of the cameras and in median depths of the scene; ``small``: a
+    part."""
     unit, large = scene.similarity.scale, large_objects(scene)
     return [
         {

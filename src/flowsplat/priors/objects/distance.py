@@ -1,4 +1,4 @@
-"""How far away an object is: a posterior over ln s from everything that ties it to the still world.
+"""Estimate how far away an object is: a posterior over ln s from everything that ties it to the still world.
 
 Frames of one camera leave one number open for every object, its distance at a time of one's choice; scaling it about the
 camera changes no image. Each cue that ties it to the world has its own noise, a gate, and a chance to be wrong.
@@ -51,7 +51,7 @@ class Distance:
 
 
 def combine(guess: float, cues: Mapping[str, Cue], bounds: Sequence[float], near_ground: float | None = None) -> Distance:
-    """Median and standard deviation of the whole posterior of ln s.
+    """Return the median and standard deviation of the whole posterior of ln s.
 
     Args:
         guess: ln s if nothing else is known.
@@ -81,5 +81,5 @@ def _guess_density(x: np.ndarray, mean: float, sigma: float) -> np.ndarray:
 
 
 def _student_density(x: np.ndarray, mean: float, sigma: float, freedom: int) -> np.ndarray:
-    """Density of Student's t; its constant for 3 and 4 degrees of freedom is nearly the same."""
+    """Return the density of Student's t; its constant for 3 and 4 degrees of freedom is nearly the same."""
     return 0.37 / sigma * (1 + ((x - mean) / sigma) ** 2 / freedom) ** (-(freedom + 1) / 2)

@@ -1,4 +1,4 @@
-"""What the user knows of an object's distance: where it touches what is still, and what is as far away as it.
+"""Apply what the user knows of an object's distance: where it touches what is still, and what is as far away as it.
 
 ``--contact x,y@frame``: what is seen there touches the still scene, or the ground, right behind it. ``--same-depth
 x,y@frame=x2,y2``: it is as far away as the still point seen at x2,y2 of that frame. One hint places its object over the whole clip,
@@ -86,7 +86,7 @@ def parse_hints(contact: Sequence[str], same_depth: Sequence[str], scene: Scene)
 def with_hints(
     clip: MatchedClip, background: StaticDepth, grounds: Mapping[int, Ground | None], found: SceneObjects, hints: Sequence[Hint]
 ) -> SceneObjects:
-    """The objects, those of hints where the hints say.
+    """Return the objects, those of hints where the hints say.
 
     Args:
         grounds: of every piece of the clip.
@@ -116,7 +116,7 @@ def _place(obj: DynamicObject, told: Sequence[tuple[str, float, float]]) -> Dyna
 def _offset(
     clip: MatchedClip, background: StaticDepth, grounds: Mapping[int, Ground | None], found: SceneObjects, hint: Hint
 ) -> tuple[int, float, float]:
-    """Which object a hint is about, by how much in ln it is farther away than it was placed, and how sure that is."""
+    """Return which object a hint is about, by how much in ln it is farther away than it was placed, and how sure that is."""
     scene, k = clip.scene, clip.scene.train_frames.index(hint.frame)
     mask, camera = scene.mask(hint.frame), scene.cameras[hint.frame]
     x, y = _on_object(mask, found, k, hint, NEAR * max(scene.width, scene.height))
@@ -141,7 +141,7 @@ def _contact_depth(
     background: StaticDepth, ground: Ground | None, camera: Camera, k: int, place: tuple[float, float], size: tuple[int, int],
     hint: Hint,
 ) -> tuple[float, float]:  # fmt: skip
-    """(planar depth, sigma of its logarithm) of what an object touches at ``place`` in training frame k.
+    """Return (planar depth, sigma of its logarithm) of what an object touches at ``place`` in training frame k.
 
     That is the ground where its map is known there, unless other frames saw something there that stands on it; else what other
     frames saw there; else the ground as it is supposed to go on; else what is filled in from around.
@@ -173,7 +173,7 @@ def _contact_depth(
 
 
 def _at(values: np.ndarray, u: float, v: float, size: tuple[int, int]) -> float:
-    """The value of a map [h, w] of any size at a place in pixels of frames of ``size`` (width, height)."""
+    """Return the value of a map [h, w] of any size at a place in pixels of frames of ``size`` (width, height)."""
     row, column = int(v * values.shape[0] / size[1]), int(u * values.shape[1] / size[0])
     return float(values[min(row, values.shape[0] - 1), min(column, values.shape[1] - 1)])
 

@@ -83,7 +83,7 @@ class WorldPath:
         return widest_turn(self.turns)
 
     def covariance_of(self, q: np.ndarray) -> np.ndarray:
-        """[3F, 3F] covariance of r + R q."""
+        """Return [3F, 3F] covariance of r + R q."""
         F, y = len(self.frames), self.turns @ q
         J, i, zero = np.zeros((F, 3, F, 6)), np.arange(len(self.frames)), np.zeros(len(self.frames))
         cross = np.array([[zero, y[:, 2], -y[:, 1]], [-y[:, 2], zero, y[:, 0]], [y[:, 1], -y[:, 0], zero]])
@@ -121,7 +121,7 @@ class Law:
 
 
 def pivot(path: WorldPath) -> Law:
-    """Some point of the body, also one outside what is seen, stays where it is."""
+    """Return some point of the body, also one outside what is seen, stays where it is."""
     F = len(path.frames)
     x, variance, fit, _ = _fit(path, np.eye(3 * F), np.tile(np.eye(3), (F, 1)), 6.0)
     travel = path.relative + x[0] * path.centers
@@ -130,7 +130,7 @@ def pivot(path: WorldPath) -> Law:
 
 
 def constant_height(path: WorldPath, normal: np.ndarray) -> Law:
-    """Some point near its middle keeps its height over the ground (normal [3]): what rolls, slides and drives."""
+    """Return some point near its middle keeps its height over the ground (normal [3]): what rolls, slides and drives."""
     F = len(path.frames)
     x, variance, fit, off = _fit(path, np.kron(np.eye(F), normal[None]), np.ones((F, 1)), 0.5)
     rho = float(np.clip((off[1:] * off[:-1]).sum() / max(float((off * off).sum()), 1e-9), 0, 0.9))
@@ -140,7 +140,7 @@ def constant_height(path: WorldPath, normal: np.ndarray) -> Law:
 
 
 def bounce_frames(path: WorldPath, normal: np.ndarray, scale: float) -> np.ndarray:
-    """Frames [B] in which the body was thrown up while it fell freely before and after.
+    """Return frames [B] in which the body was thrown up while it fell freely before and after.
 
     In free flight the second difference of its height over time is the same negative number; at a bounce it is many times that,
     upwards, for a moment. What swings has a smooth minimum, what rolls or stands none.

@@ -105,7 +105,7 @@ class ObjectImages:
 def rematch_object(
     motion: RigidMotion, positions: np.ndarray, inside: np.ndarray, images: ObjectImages
 ) -> tuple[RigidMotion, np.ndarray, np.ndarray] | None:
-    """A motion from points that are matched anew, and those.
+    """Return a motion from points that are matched anew, and those.
 
     Args:
         motion: as tracks tell it.
@@ -169,7 +169,7 @@ def rematch(
 
 
 def _anchors(motion: RigidMotion, points: np.ndarray, positions: np.ndarray, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Indices [M] of the points to match, spread over frames and surface, and the frame [M] that each is taken from."""
+    """Return indices [M] of the points to match, spread over frames and surface, and the frame [M] that each is taken from."""
     seen = inside & motion.used
     usable = np.flatnonzero(np.isfinite(points).all(1) & seen.any(1))
     # The middle of a track is where it drifted least from, in both directions.
@@ -193,7 +193,7 @@ def _anchors(motion: RigidMotion, points: np.ndarray, positions: np.ndarray, ins
 def _shapes(
     anchors: np.ndarray, start: np.ndarray, surface: Callable[[int], np.ndarray], K: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Depth [M, 2 * RADIUS + 1, 2 * RADIUS + 1] around pixels ``start`` [M, 2], in units of that there, and normals [M, 3]
+    """Return depth [M, 2 * RADIUS + 1, 2 * RADIUS + 1] around pixels ``start`` [M, 2], in units of that there, and normals [M, 3]
     in the camera's axes that face it."""
     side = 2 * RADIUS + 1
     shapes, normals = np.ones((len(anchors), side, side)), np.zeros((len(anchors), 3))
@@ -212,7 +212,7 @@ def _shapes(
 
 
 def gray(image: np.ndarray) -> np.ndarray:
-    """[H, W] uint8 of an image [H, W, 3] uint8, a little smoothed, so that it can be read between pixels."""
+    """Return [H, W] uint8 of an image [H, W, 3] uint8, a little smoothed, so that it can be read between pixels."""
     return cv2.GaussianBlur(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), (0, 0), SMOOTHED)
 
 

@@ -84,7 +84,7 @@ class Observations:
         return Observations(first, frame, np.ascontiguousarray(x), seen.shape[1], float(K[0, 0]))
 
     def in_pieces(self) -> Observations:
-        """The same, with points that were seen over more than ``_LONGEST`` frames as several.
+        """Return the same, with points that were seen over more than ``_LONGEST`` frames as several.
 
         Each is cut at frames of its own: poses on either side of a cut are known relative to each other by all others.
         """
@@ -123,7 +123,8 @@ class RigidMotion:
     observations: Observations
 
     def residuals(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Of every observation: pixels that it is off, its depth in the object's unit, and whether it is explained at all [M]."""
+        """Return for every observation the pixels that it is off, its depth in the object's unit, and whether it is explained at
+        all [M]."""
         o, point = self.observations, self.observations.point_of
         y = np.einsum("mij,mj->mi", self.turns[o.frame_of], self.points[point]) + self.shifts[o.frame_of]
         off = o.focal * np.linalg.norm(y[:, :2] / np.maximum(y[:, 2:], NEAREST) - o.x, axis=1)
@@ -142,7 +143,7 @@ class RigidMotion:
         return float((off[explained] < INLIER).mean()) if explained.any() else 0.0
 
     def log_depths(self) -> np.ndarray:
-        """[T] median logarithm of the depth of the agreeing observations of each frame; NaN where fewer than three agree."""
+        """Return [T] median logarithm of the depth of the agreeing observations of each frame; NaN where fewer than three agree."""
         off, depth, explained = self.residuals()
         good = explained & (off < INLIER) & (depth > NEAREST)
         result = np.full(self.observations.frames, np.nan)
@@ -181,7 +182,7 @@ def pose_information(motion: RigidMotion) -> tuple[np.ndarray, np.ndarray]:
 
 
 def longest(seen: np.ndarray, most: int = PER_FRAME) -> np.ndarray:
-    """Indices of the longest of the tracks seen [N, T], until nearly every frame of theirs has ``most``."""
+    """Return indices of the longest of the tracks seen [N, T], until nearly every frame of theirs has ``most``."""
     have, kept = np.zeros(seen.shape[1], int), []
     for n in np.argsort(-seen.sum(1), kind="stable"):
         if seen[n].any() and (have[seen[n]] < most).mean() > 0.3:
@@ -191,7 +192,7 @@ def longest(seen: np.ndarray, most: int = PER_FRAME) -> np.ndarray:
 
 
 def solve_rigid(observations: Observations) -> RigidMotion | None:
-    """The motion of a rigid object from its tracks, and the better of it and its mirror image (Necker's ambiguity).
+    """Return the motion of a rigid object from its tracks, and the better of it and its mirror image (Necker's ambiguity).
 
     Returns:
         None where no frame sees enough points.
@@ -208,7 +209,7 @@ def solve_rigid(observations: Observations) -> RigidMotion | None:
 
 
 def refine_rigid(motion: RigidMotion, observations: Observations, points: np.ndarray) -> RigidMotion:
-    """A motion that is known roughly, from other observations of the same object and their rough points [N, 3]."""
+    """Return a motion that is known roughly, from other observations of the same object and their rough points [N, 3]."""
     solver = _Solver(observations)
     solver.resume(motion, points)
     solver.adjust(_FINAL_ITERATIONS, 1e-4)
@@ -236,7 +237,7 @@ class _Solver:
         self._size, self._reference = motion.size, int(counts.argmax())
 
     def begin(self) -> bool:
-        """A flat billboard in the frame with the most long tracks; False where no frame sees enough of them."""
+        """Return a flat billboard in the frame with the most long tracks; False where no frame sees enough of them."""
         o = self._o
         lengths = np.minimum(np.diff(o.first), 40).astype(float)
         self._reference = int(np.bincount(o.frame_of, lengths[self._point_of], o.frames).argmax()) if len(o.x) else 0
@@ -321,7 +322,7 @@ class _Solver:
         self._cost = cost
 
     def mirror(self) -> _Solver:
-        """The same with mirrored shape offset and mirrored turns, which looks almost the same."""
+        """Return the same with mirrored shape offset and mirrored turns, which looks almost the same."""
         other = _Solver(self._o)
         other._used, other._known, other._size = self._used.copy(), self._known.copy(), self._size
         other._reference, other._shifts = self._reference, self._shifts.copy()

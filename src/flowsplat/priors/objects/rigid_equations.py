@@ -15,7 +15,7 @@ _BANDED = 1.5
 
 
 def solve_band(H: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The solution of H x = b, H symmetric and positive, as a band: [n, w] holds its entries (i, i + d)."""
+    """Return the solution of H x = b, H symmetric and positive, as a band: [n, w] holds its entries (i, i + d)."""
     n, band = H.shape
     try:
         if _BANDED * band > n:
@@ -46,7 +46,8 @@ def turn(turns: np.ndarray, step: np.ndarray) -> np.ndarray:
 
 @kernel
 def second_differences(turns: np.ndarray, shifts: np.ndarray, weight: float) -> tuple[np.ndarray, np.ndarray, float]:
-    """Squared second differences of the poses over time, times ``weight``: a band [6F, 13], the right side [6F], and the cost."""
+    """Return squared second differences of the poses over time, times ``weight``: a band [6F, 13], the right side [6F], and the
+    cost."""
     F = len(turns)
     A, b, cost = np.zeros((6 * F, 13)), np.zeros(6 * F), 0.0
     c, r = np.array([1.0, -2.0, 1.0]), np.zeros(6)
@@ -180,7 +181,7 @@ def reduce_system(
 
 @kernel
 def unpack_band(H: np.ndarray) -> np.ndarray:
-    """The whole symmetric matrix [n, n] of a band [n, w]."""
+    """Return the whole symmetric matrix [n, n] of a band [n, w]."""
     n, band = H.shape
     whole = np.zeros((n, n))
     for i in range(n):
@@ -191,7 +192,7 @@ def unpack_band(H: np.ndarray) -> np.ndarray:
 
 @kernel
 def widest_link(first: np.ndarray, frame_of: np.ndarray, known: np.ndarray) -> int:
-    """How many frames apart poses are at most that one equation joins: those of a point, and the next but one."""
+    """Return how many frames apart poses are at most that one equation joins: those of a point, and the next but one."""
     most = 2
     for n in range(len(known)):
         low, high = -1, -1
@@ -208,7 +209,7 @@ def move_points(
     points: np.ndarray, step: np.ndarray, first: np.ndarray, frame_of: np.ndarray, inverses: np.ndarray, gradients: np.ndarray,
     links: np.ndarray, known: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
-    """Points [N, 3] after the step [6F] of the poses, by what ``reduce_system`` returned."""
+    """Return points [N, 3] after the step [6F] of the poses, by what ``reduce_system`` returned."""
     result, g = points.copy(), np.zeros(3)
     for n in range(len(points)):
         if not known[n]:

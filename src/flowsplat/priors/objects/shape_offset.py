@@ -52,7 +52,7 @@ class ShapePoints:
 
 
 def place_points(motion: RigidMotion, observations: Observations, K: np.ndarray) -> tuple[ShapePoints, float]:
-    """All points of an object, also those that its motion was not found from, with its poses held.
+    """Return all points of an object, also those that its motion was not found from, with its poses held.
 
     Returns:
         The points, and the share of all observations that lie where the motion puts them: limbs that move on their own do not.
@@ -73,14 +73,14 @@ def place_points(motion: RigidMotion, observations: Observations, K: np.ndarray)
 
 
 def rough_points(motion: RigidMotion, observations: Observations) -> np.ndarray:
-    """[N, 3] of all points in the object's frame, with its poses held; NaN of those that no frame with a pose saw."""
+    """Return [N, 3] of all points in the object's frame, with its poses held; NaN of those that no frame with a pose saw."""
     points, covariances = _solve_offset(motion, observations)
     points[~np.isfinite(covariances).all((1, 2))] = np.nan
     return points
 
 
 def _solve_offset(motion: RigidMotion, o: Observations) -> tuple[np.ndarray, np.ndarray]:
-    """Of ``_place``."""
+    """Solve one object of ``_place``."""
     placed: tuple[np.ndarray, np.ndarray] = _place(
         motion.turns, motion.shifts, motion.used, o.first, o.frame_of, o.x, o.focal, RESIDUAL_WIDTH,
         (NOISE_FACTOR * motion.noise / (DEEPEST * motion.size)) ** 2, _ITERATIONS,
@@ -153,7 +153,7 @@ def _place(
     turns: np.ndarray, shifts: np.ndarray, used: np.ndarray, first: np.ndarray, frame_of: np.ndarray, x: np.ndarray, focal: float,
     width: float, ridge: float, iterations: int,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Positions [N, 3] of points with known poses, and their covariance [N, 3, 3] for a noise of one pixel."""
+    """Return positions [N, 3] of points with known poses, and their covariance [N, 3, 3] for a noise of one pixel."""
     N = len(first) - 1
     points, covariances = np.zeros((N, 3)), np.zeros((N, 3, 3))
     r, J, B = np.zeros(2), np.zeros((2, 6)), np.zeros((2, 3))

@@ -60,7 +60,7 @@ class DynamicObject:
     expected: float
 
     def depth(self, k: int, mask: np.ndarray, image: np.ndarray, camera: Camera, normal: np.ndarray) -> np.ndarray:
-        """Planar depth [N] of its pixels ``mask`` [H, W] in training frame k, in the order of ``np.nonzero``."""
+        """Return planar depth [N] of its pixels ``mask`` [H, W] in training frame k, in the order of ``np.nonzero``."""
         y, x = np.nonzero(mask)
         middle, pixels = self.middles[k], np.stack([x, y], 1) + 0.5
         front = roundness(mask, float(camera.K[0, 0]))
@@ -80,7 +80,7 @@ class DynamicObject:
 def tracks_of_objects(
     positions: np.ndarray, visible: np.ndarray, mask_of: Callable[[int], np.ndarray], frames: Sequence[int]
 ) -> dict[int, tuple[np.ndarray, np.ndarray]]:
-    """Which tracks lie on which object.
+    """Return which tracks lie on which object.
 
     Args:
         positions: [P, T, 2] pixels over the whole clip, where visible [P, T].
@@ -111,7 +111,7 @@ def solve_object(
     cameras: Sequence[Camera], ground: Ground | None, log_billboards: np.ndarray, normal: np.ndarray,
     front: Callable[[int], np.ndarray], images: ObjectImages | None = None,
 ) -> DynamicObject:  # fmt: skip
-    """One object.
+    """Return one object.
 
     Args:
         positions: [N, T, 2] pixels of its tracks over the training frames, where ``inside`` [N, T].
@@ -175,7 +175,7 @@ def _at_feet(
     touched: np.ndarray, thrown: Sequence[int] | np.ndarray, found: DepthTrajectory, tracks: ObjectTracks, feet: Feet,
     front: Callable[[int], np.ndarray],
 ) -> np.ndarray:  # fmt: skip
-    """The bounds ``touched`` [T], but those of its lowest pixels in the frames about those in which it was ``thrown`` up."""
+    """Return the bounds ``touched`` [T], but those of its lowest pixels in the frames about those in which it was ``thrown`` up."""
     result = touched.copy()
     for k in {int(j) for i in thrown for j in (i - 1, i, i + 1) if 0 <= j < len(touched) and np.isfinite(touched[j])}:
         bound, here = feet.bounds[k], found.points.frame_of == k
@@ -191,7 +191,7 @@ def _at_feet(
 def _distance(
     guess: float, laws: Mapping[str, Cue], stands: Cue | None, bounces: Cue | None, known: np.ndarray
 ) -> tuple[Distance, Mapping[str, Cue]]:
-    """How far away an object is, and the cue that says so, by its name.
+    """Return how far away an object is, and the cue that says so, by its name.
 
     Args:
         guess: ln of its distance if it touches nothing.

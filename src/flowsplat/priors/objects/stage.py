@@ -63,7 +63,7 @@ def objects_stage(
 
 
 def find_objects(clip: MatchedClip, background: StaticDepth, hints: Sequence[Hint] = ()) -> SceneObjects:
-    """The objects of a clip.
+    """Return the objects of a clip.
 
     Raises:
         InputError: a hint does not fit it.
@@ -114,14 +114,14 @@ def find_objects(clip: MatchedClip, background: StaticDepth, hints: Sequence[Hin
 
 
 def _sure_depth(background: StaticDepth, k: int) -> np.ndarray:
-    """Planar depth [h, w] of the static scene in a training frame; inf where it is not sure."""
+    """Return planar depth [h, w] of the static scene in a training frame; inf where it is not sure."""
     if not isinstance(background, Background):
         return np.full((1, 1), np.inf)
     return background.compute_sure_depth(k)
 
 
 def _estimate_ground(clip: MatchedClip, background: StaticDepth, frames: np.ndarray) -> Ground | None:
-    """The ground of one piece of the clip, given by positions of its frames."""
+    """Return the ground of one piece of the clip, given by positions of its frames."""
     if not isinstance(background, Background):
         return None
     chosen = frames[spread(len(frames), GROUND_FRAMES)]

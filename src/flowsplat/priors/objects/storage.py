@@ -44,7 +44,7 @@ class SceneObjects:
     has_ground: bool = False
 
     def depth(self, k: int, mask: np.ndarray, image: np.ndarray, camera: Camera) -> np.ndarray:
-        """Planar depth [H, W] float32 of the pixels of objects in training frame k; 0 where none is known.
+        """Return planar depth [H, W] float32 of the pixels of objects in training frame k; 0 where none is known.
 
         Args:
             mask: [H, W] uint8, object numbers.
@@ -89,7 +89,7 @@ _ARRAYS = ("log_depth", "middles", "object_id", "frame", "pixels", "point_log_de
 
 
 def _compute_max_bytes(scene: Scene) -> int:
-    """Of the arrays: no more points than every fourth pixel of every frame."""
+    """Return the most bytes of the arrays: no more points than every fourth pixel of every frame."""
     return MOST_BYTES // 4 + 8 * scene.width * scene.height * scene.num_frames
 
 
@@ -112,7 +112,7 @@ class ObjectsFile(TypedDict):
 
 
 def load_objects(scene: Scene) -> SceneObjects:
-    """What ``save_objects`` wrote; no objects where nothing was written.
+    """Return what ``save_objects`` wrote; no objects where nothing was written.
 
     Raises:
         InputError: damaged.

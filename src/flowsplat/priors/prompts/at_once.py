@@ -1,4 +1,4 @@
-"""What clicks and boxes mean at first sight, before anything is known of the clip: told by colors and one flow, and shown."""
+"""Show what clicks and boxes mean at first sight, before anything is known of the clip: told by colors and one flow, and shown."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _ON, _BESIDE, _BOX = (60, 230, 60), (240, 50, 50), (255, 220, 0)
 
 
 def cut_prompts(scene: Scene, prompts: Sequence[Prompt], estimate: FlowEstimator) -> list[np.ndarray]:
-    """The object of every prompt on its frame, bool [H, W]; nothing of a prompt without clicks on it or a box round it."""
+    """Return the object of every prompt on its frame, bool [H, W]; nothing of a prompt without clicks on it or a box round it."""
     flows: dict[tuple[int, int], Flow] = {}
     found = []
     for prompt in prompts:
@@ -61,14 +61,15 @@ def show_at_once(scene: Scene, prompts: Sequence[Prompt], estimate: FlowEstimato
 
 
 def _near(scene: Scene, i: int, steps: int) -> int:
-    """The training frame that is so many after another one, or before it near the end; the last or first in the shortest clips."""
+    """Return the training frame that is so many after another one, or before it near the end; the last or first in the shortest
+    clips."""
     frames = scene.train_frames
     k = frames.index(i)
     return frames[k + steps if k + steps < len(frames) else max(k - steps, 0) or (0 if k else 1)]
 
 
 def _one_flow(scene: Scene, i: int, j: int, estimate: FlowEstimator) -> Flow:
-    """The flow from one frame to another, and how sure it is."""
+    """Return the flow from one frame to another, and how sure it is."""
     a, b = scene.frame(i), scene.frame(j)
     forth = estimate(a, b)
     return Flow(i, j, forth, forward_backward_confidence(forth, estimate(b, a)))

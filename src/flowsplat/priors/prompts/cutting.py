@@ -50,7 +50,7 @@ SMOOTHNESS, COLOR_SIGMA = 20.0, 10.0
 
 
 def cut_out(image: np.ndarray, flow: Flow, prompt: Prompt, evidence: np.ndarray | None = None) -> np.ndarray:
-    """The object of a prompt, bool [H, W]; what is beside it changes nothing where it is no part of it anyway.
+    """Return the object of a prompt, bool [H, W]; what is beside it changes nothing where it is no part of it anyway.
 
     Args:
         image: RGB [H, W, 3] uint8.
@@ -66,7 +66,7 @@ def cut_out(image: np.ndarray, flow: Flow, prompt: Prompt, evidence: np.ndarray 
 
 
 def list_excluded(prompt: Prompt, found: np.ndarray) -> tuple[Point, ...]:
-    """Those places that are said to be beside an object which touch what was found of it, bool [H, W]."""
+    """Return those places that are said to be beside an object which touch what was found of it, bool [H, W]."""
     return tuple(place for place in prompt.beside if (_disc([place], found.shape) & found).any())
 
 
@@ -85,7 +85,7 @@ def _cut(image: np.ndarray, flow: Flow, prompt: Prompt, evidence: np.ndarray | N
 
 
 def correct(image: np.ndarray, flow: Flow, prompt: Prompt, carried: np.ndarray, evidence: np.ndarray | None = None) -> np.ndarray:
-    """An object that was carried to a frame, bool [H, W], with clicks on what it misses and beside it.
+    """Return an object that was carried to a frame, bool [H, W], with clicks on what it misses and beside it.
 
     Args:
         image: RGB [H, W, 3] uint8.
@@ -143,7 +143,7 @@ def _places(prompt: Prompt, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndar
 
 
 def _unlike_around(flow: Flow, seeds: np.ndarray, possible: np.ndarray, prompt: Prompt) -> np.ndarray:
-    """Evidence [H, W] of one flow: how much the motion differs from that around, which is affine there, over its noise.
+    """Return evidence [H, W] of one flow: how much the motion differs from that around, which is affine there, over its noise.
 
     Without a box, how much more it is like that of the click.
     """
@@ -167,7 +167,7 @@ def _unlike_around(flow: Flow, seeds: np.ndarray, possible: np.ndarray, prompt: 
 
 
 def _apart_from(flow: Flow, ring: np.ndarray) -> tuple[np.ndarray, float]:
-    """Pixels [H, W] by which a flow differs from what is affine and fits most of ``ring``, and by which it differs there."""
+    """Return pixels [H, W] by which a flow differs from what is affine and fits most of ``ring``, and by which it differs there."""
     height, width = ring.shape
     rows, columns = np.nonzero(ring)
     every = max(1, len(rows) // SAMPLES)
@@ -186,7 +186,7 @@ def _apart_from(flow: Flow, ring: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def _choose_evidence(bits: np.ndarray, prompt: Prompt, seeds: np.ndarray, possible: np.ndarray) -> np.ndarray | None:
-    """Evidence [H, W] of the object alone, without what else moves; None where it does not tell."""
+    """Return evidence [H, W] of the object alone, without what else moves; None where it does not tell."""
     count, labels = cv2.connectedComponents((bits > 0).astype(np.uint8))
     if prompt.box is None:
         if np.median(bits[seeds]) <= 0:
@@ -206,7 +206,7 @@ def _choose_evidence(bits: np.ndarray, prompt: Prompt, seeds: np.ndarray, possib
 
 
 def _by_evidence(image: np.ndarray, bits: np.ndarray, seeds: np.ndarray, beside: np.ndarray, possible: np.ndarray) -> np.ndarray:
-    """Evidence and colors, which are learned from it, added up and smoothed along the edges of the image: bool [H, W]."""
+    """Return evidence and colors, which are learned from it, added up and smoothed along the edges of the image: bool [H, W]."""
     smoother = EdgeSmoother(image, SMOOTHNESS, COLOR_SIGMA)
     bits = bits.astype(np.float32)
     bits[seeds], bits[beside] = 2 * MOST, -2 * MOST
@@ -242,7 +242,7 @@ def _by_colors(
 
 
 def _unlike_outside(flow: np.ndarray, possible: np.ndarray) -> np.ndarray:
-    """What of a box, bool [H, W], does not move as its surroundings do; all of it where nothing does."""
+    """Return what of a box, bool [H, W], does not move as its surroundings do; all of it where nothing does."""
     ring = cv2.dilate(possible.astype(np.uint8), np.ones((9, 9), np.uint8)) > 0
     around = flow[ring & ~possible]
     if len(around) == 0:
@@ -252,7 +252,7 @@ def _unlike_outside(flow: np.ndarray, possible: np.ndarray) -> np.ndarray:
 
 
 def _like_the_click(image: np.ndarray, flow: np.ndarray, seeds: np.ndarray, possible: np.ndarray) -> np.ndarray:
-    """What near a click, bool [H, W], moves as it does; where nothing moves apart, what looks like it."""
+    """Return what near a click, bool [H, W], moves as it does; where nothing moves apart, what looks like it."""
     own = np.median(flow[seeds], axis=0)
     apart = float(np.linalg.norm(own - np.median(flow[possible], axis=0)))
     if apart > MOVES:

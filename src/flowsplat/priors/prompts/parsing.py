@@ -112,12 +112,12 @@ class _Place:
         return self.values[0], self.values[1]
 
     def holds(self, other: _Place) -> bool:
-        """Whether a point lies in this box."""
+        """Return whether a point lies in this box."""
         x0, y0, x1, y1 = self.values
         return x0 <= other.values[0] <= x1 and y0 <= other.values[1] <= y1
 
     def among(self, count: int) -> int:
-        """The number, which must be one of ``count`` objects."""
+        """Return the number, which must be one of ``count`` objects."""
         assert self.number is not None
         if self.number > count:
             shown = f"{self.option} {self.text}: there is no object {self.number}"
@@ -126,7 +126,7 @@ class _Place:
 
 
 def parse_place(text: str, option: str, count: int, scene: Scene) -> tuple[int, tuple[float, ...]]:
-    """The frame and the ``count`` (2 or 4) values, in pixels, of a place in a training frame as it is typed.
+    """Return the frame and the ``count`` (2 or 4) values, in pixels, of a place in a training frame as it is typed.
 
     Args:
         option: that it was given to, for messages.

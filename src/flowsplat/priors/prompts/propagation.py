@@ -75,7 +75,7 @@ class Walk:
     _rests: bool = field(init=False, default=False)
 
     def parts(self) -> list[Part]:
-        """The object in every training frame."""
+        """Return the object in every training frame."""
         frames = self.scene.train_frames
         parts = [Part(np.zeros((self.scene.height, self.scene.width), bool), 0.0)] * len(frames)
         shown: list[int] = []
@@ -96,7 +96,7 @@ class Walk:
         return parts
 
     def _cut_shown(self, prompt: Prompt, k: int, carried: np.ndarray | None) -> Part:
-        """The object on a frame with a prompt."""
+        """Return the object on a frame with a prompt."""
         frames = self.scene.train_frames
         image, other = self.scene.frame(prompt.frame), frames[k + 1] if k + 1 < len(frames) else frames[k - 1]
         flow = self.scene.flow(prompt.frame, other)
@@ -119,7 +119,7 @@ class Walk:
         return Part(mask, 1.0, doubted)
 
     def _next(self, part: Part, before: int, k: int) -> Part:
-        """One training frame further: where the flow back ends inside it, with the edge where the image has one."""
+        """Return one training frame further: where the flow back ends inside it, with the edge where the image has one."""
         if not part.mask.any():
             return Part(part.mask, 0.0)
         scene, frames = self.scene, self.scene.train_frames
@@ -178,7 +178,8 @@ def _mean(confidence: np.ndarray, mask: np.ndarray) -> float:
 
 
 def _reliable(mask: np.ndarray, confidence: np.ndarray) -> np.ndarray:
-    """The parts of a mask, bool [H, W], to which the flow leads with some confidence: not what it makes of an object that left."""
+    """Return the parts of a mask, bool [H, W], to which the flow leads with some confidence: not what it makes of an object that
+    left."""
     count, labels = cv2.connectedComponents(mask.astype(np.uint8))
     means = np.bincount(labels.ravel(), confidence.ravel(), count) / np.maximum(np.bincount(labels.ravel(), minlength=count), 1)
     kept = means >= LOST

@@ -58,7 +58,7 @@ def prompt_stage(scene: Scene, prompts: Sequence[Prompt], estimate: FlowEstimato
 
 
 def shows(scene: Scene, prompts: Sequence[Prompt]) -> bool:
-    """Whether the masks that are there are of these prompts, as far as that was written down."""
+    """Return whether the masks that are there are of these prompts, as far as that was written down."""
     return (scene.prior("masks") or {}).get("prompts", plain(prompts)) == plain(prompts)
 
 

@@ -1,4 +1,4 @@
-"""How the neighbors of a point move: the affine motion that most of them agree on."""
+"""Estimate how the neighbors of a point move: the affine motion that most of them agree on."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SMALLEST_SPREAD = np.float32(0.15)
 def compute_agreed_motion(
     points: np.ndarray, motions: np.ndarray, weights: np.ndarray, labels: np.ndarray, reach: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What the neighbors of every point, itself left out, say about its motion.
+    """Return what the neighbors of every point, itself left out, say about its motion.
 
     A weighted affine fit to the nearest ones, reweighted by Cauchy's function of what remains; it starts at their median.
 

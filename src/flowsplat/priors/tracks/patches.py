@@ -67,7 +67,7 @@ class Patches:
 
 
 def align(patches: Patches, image: np.ndarray, points: np.ndarray, shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Where patches are in float32 gray ``image`` [H, W].
+    """Return where patches are in float32 gray ``image`` [H, W].
 
     Args:
         points: [N, 2] where they are expected.

@@ -25,7 +25,7 @@ def detail(image: np.ndarray) -> np.ndarray:
 def refine_points(
     a: np.ndarray, b: np.ndarray, points: np.ndarray, guess: np.ndarray, window: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where ``points`` of gray ``a`` lie in gray ``b``, to a fraction of a pixel.
+    """Return where ``points`` of gray ``a`` lie in gray ``b``, to a fraction of a pixel.
 
     Pyramidal Lucas-Kanade (Bouguet 2001) from ``guess`` and back again.
 
@@ -59,14 +59,14 @@ def refine_points(
 
 
 def corner_strength(image: np.ndarray) -> np.ndarray:
-    """[H, W] float32: the smaller eigenvalue of the structure tensor of gray ``image``; 0 where too weak to follow."""
+    """Return [H, W] float32: the smaller eigenvalue of the structure tensor of gray ``image``; 0 where too weak to follow."""
     strength = cv2.cornerMinEigenVal(image, 7, ksize=3)
     weakest = max(1e-6, 1e-3 * float(np.quantile(strength, 0.98)))
     return np.where(strength > weakest, strength, 0)
 
 
 def new_points(strength: np.ndarray, existing: np.ndarray, spacing: int) -> np.ndarray:
-    """The strongest corner of every empty cell, [N, 2] pixels.
+    """Return the strongest corner of every empty cell, [N, 2] pixels.
 
     Args:
         strength: [H, W], 0 where no point may start.
@@ -94,7 +94,7 @@ def new_points(strength: np.ndarray, existing: np.ndarray, spacing: int) -> np.n
 
 
 def oldest_of_crowds(points: np.ndarray, side: float) -> np.ndarray:
-    """Indices of the points [N, 2] (oldest first) that are the first in their square of this side."""
+    """Return indices of the points [N, 2] (oldest first) that are the first in their square of this side."""
     cells = np.floor(points / side).astype(np.int64)
     _, first = np.unique(cells[:, 1] * 1_000_000 + cells[:, 0], return_index=True)
     return np.sort(first)
@@ -109,7 +109,7 @@ class TrackTable:
         self._frames: list[tuple[int, np.ndarray, np.ndarray]] = []
 
     def start(self, number: int) -> np.ndarray:
-        """Numbers [number] of new tracks."""
+        """Return numbers [number] of new tracks."""
         self.count += number
         return np.arange(self.count - number, self.count)
 
@@ -118,7 +118,7 @@ class TrackTable:
         self._frames.append((frame, tracks, values))
 
     def values(self, frames: int) -> np.ndarray:
-        """All values [P, frames, columns] float32, NaN where a track was not seen."""
+        """Return all values [P, frames, columns] float32, NaN where a track was not seen."""
         result = np.full((self.count, frames, self._columns), np.nan, np.float32)
         for frame, tracks, values in self._frames:
             result[tracks, frame] = values

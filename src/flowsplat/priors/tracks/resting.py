@@ -43,7 +43,8 @@ class _Rays:
     def project(
         self, cameras: Sequence[Camera], frames: np.ndarray, rows: np.ndarray, inverse: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Pixels [K, 2] of points ``rows`` [K] at ``inverse`` depth [K] in ``frames`` [K], and their derivatives [K, 2] by it.
+        """Return pixels [K, 2] of points ``rows`` [K] at ``inverse`` depth [K] in ``frames`` [K], and their derivatives [K, 2] by
+        it.
 
         Not finite behind the camera.
         """
@@ -97,7 +98,7 @@ def complete_resting(scene: Scene, points: np.ndarray, confidence: np.ndarray, b
 
 
 def _at_births(scene: Scene, points: np.ndarray, births: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Inverse depth [P] of the pixels at which points are born, and whether objects are there [P]."""
+    """Return inverse depth [P] of the pixels at which points are born, and whether objects are there [P]."""
     inverse, moving = np.ones(len(points)), np.zeros(len(points), bool)
     for i in np.unique(births):
         born = np.flatnonzero(births == i)
@@ -109,7 +110,7 @@ def _at_births(scene: Scene, points: np.ndarray, births: np.ndarray) -> tuple[np
 def _fit(
     rays: _Rays, cameras: Sequence[Camera], points: np.ndarray, found: np.ndarray, inverse: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The inverse depth [N] at which what was found [N, T] lies on most, and what then does [N, T]: robust Gauss-Newton."""
+    """Return the inverse depth [N] at which what was found [N, T] lies on most, and what then does [N, T]: robust Gauss-Newton."""
     rows, frames = np.nonzero(found)
     seen, count = points[rows, frames], len(inverse)
     stiffness = 1 / (DEPTH_ERROR * inverse) ** 2

@@ -153,7 +153,7 @@ class _Seeds:
 
 
 def _spacings(scene: Scene, has_masks: bool) -> tuple[int, int]:
-    """Pixels between points: on the background and on objects (everything may move where there are no masks)."""
+    """Return pixels between points: on the background and on objects (everything may move where there are no masks)."""
     area = float(scene.width * scene.height)
     object_area = area
     if has_masks:

@@ -13,7 +13,7 @@ MASKS = Path("Annotations/480p")
 
 
 def sequence_folders(root: Path, sequence: str | None) -> tuple[Path, Path | None]:
-    """(images, masks) of a sequence. Only the first mask is published for some: those count as sequences without masks.
+    """Return (images, masks) of a sequence. Only the first mask is published for some: those count as sequences without masks.
 
     Raises:
         InputError: no such sequence.

@@ -27,7 +27,7 @@ def natural_key(path: Path) -> list[tuple[int, str]]:
 
 
 def list_images(folder: Path) -> list[Path]:
-    """The images in a folder in natural order; hidden files and folders are left out."""
+    """Return the images in a folder in natural order; hidden files and folders are left out."""
     found = [p for p in Path(folder).iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and p.name[0] != "." and p.is_file()]
     return sorted(found, key=natural_key)
 

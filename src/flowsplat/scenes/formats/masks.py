@@ -25,7 +25,7 @@ JPEG_BLACK = 127
 
 
 def read_labels(path: Path) -> np.ndarray:
-    """[H, W] int32: the color of each pixel, packed, of gray images too; 0 = background. 16-bit gray is a number as it is.
+    """Return [H, W] int32: the color of each pixel, packed, of gray images too; 0 = background. 16-bit gray is a number as it is.
 
     A label means the same in every image of a clip, whatever else is seen in it.
 
@@ -75,7 +75,7 @@ class GivenMasks:
         return GivenMasks(paths, colors if len(colors) <= MOST_OBJECTS else None)
 
     def read(self, name: str, size: tuple[int, int]) -> np.ndarray:
-        """[H, W] uint8 object numbers at ``size`` (width, height), 0 = background."""
+        """Return [H, W] uint8 object numbers at ``size`` (width, height), 0 = background."""
         labels = read_labels(self.paths[name])
         if self.colors is None:
             objects = (labels > 0).astype(np.uint8)

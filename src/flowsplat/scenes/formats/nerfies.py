@@ -28,7 +28,7 @@ IMAGES = "rgb/1x"
 
 
 def is_nerfies(folder: Path) -> bool:
-    """Whether a folder has this layout."""
+    """Return whether a folder has this layout."""
     return (folder / "camera").is_dir() and (folder / "splits").is_dir()
 
 
@@ -50,7 +50,7 @@ def open_nerfies(folder: Path, options: InputOptions) -> PosedClip:
 
 
 def _read_split(folder: Path, split: str) -> list[tuple[str, int, str]]:
-    """(frame name, time, camera) sorted by time."""
+    """Return (frame name, time, camera) sorted by time."""
     path = folder / "splits" / f"{split}.json"
     values = read_json(path)
     try:
@@ -70,7 +70,7 @@ def _image(folder: Path, name: str) -> PosedImage:
 
 
 def read_camera(path: Path) -> Camera:
-    """A camera of this layout, at its ``image_size``.
+    """Return a camera of this layout, at its ``image_size``.
 
     Raises:
         InputError: missing, damaged, or with skew or distortion, which a pinhole has not.

@@ -15,7 +15,7 @@ from flowsplat.scenes.formats.lens import require_pinhole
 
 
 def transforms_camera(where: Path | str, values: Mapping[str, Any], size: tuple[int, int]) -> Camera:
-    """The camera of one frame of a ``transforms.json``.
+    """Return the camera of one frame of a ``transforms.json``.
 
     Args:
         where: what to call the file in an error.
@@ -41,7 +41,8 @@ def transforms_camera(where: Path | str, values: Mapping[str, Any], size: tuple[
 
 
 def from_opengl(value: Any, name: str) -> np.ndarray:
-    """World to camera [4, 4] in OpenCV's axes from camera to world in OpenGL's: 4 or 3 rows of 4 numbers, or all in one list.
+    """Convert to world to camera [4, 4] in OpenCV's axes from camera to world in OpenGL's: 4 or 3 rows of 4 numbers, or all in one
+    list.
 
     Raises:
         ValueError, LinAlgError: it is no such matrix, or has no inverse.
@@ -53,7 +54,7 @@ def from_opengl(value: Any, name: str) -> np.ndarray:
 
 
 def image_size(values: Mapping[str, Any], names: tuple[str, str], size: tuple[int, int]) -> tuple[int, int]:
-    """(width, height) in pixels under these names, else those of ``size``.
+    """Return (width, height) in pixels under these names, else those of ``size``.
 
     Raises:
         ValueError: one is not a positive number.
@@ -63,7 +64,7 @@ def image_size(values: Mapping[str, Any], names: tuple[str, str], size: tuple[in
 
 
 def positive(value: Any, name: str) -> float:
-    """A number above 0.
+    """Return a number above 0.
 
     Raises:
         ValueError: it is none.

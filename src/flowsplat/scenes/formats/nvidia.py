@@ -32,7 +32,7 @@ TARGET = "v000_t*.png"
 
 
 def is_nvidia(folder: Path) -> bool:
-    """Whether a folder has one of the two layouts."""
+    """Return whether a folder has one of the two layouts."""
     return (folder / POSES).exists() and ((folder / RAW_IMAGES).is_dir() or (folder / "images").is_dir())
 
 
@@ -48,7 +48,7 @@ def open_nvidia(folder: Path, options: InputOptions) -> PosedClip:
 
 
 def read_poses_bounds(path: Path) -> list[Camera]:
-    """The cameras of an LLFF file, at the sizes that it names; their principal point is the middle of the image.
+    """Return the cameras of an LLFF file, at the sizes that it names; their principal point is the middle of the image.
 
     Raises:
         InputError: missing, damaged, or not of this form.
@@ -112,7 +112,7 @@ def _open_twelve(folder: Path, options: InputOptions, cameras: list[Camera]) -> 
 
 
 def target_folder(folder: Path) -> Path:
-    """Where the images by camera 0 lie: in the scene's folder, in its ``gt/``, or in ``gt/<scene>/`` beside it.
+    """Return where the images by camera 0 lie: in the scene's folder, in its ``gt/``, or in ``gt/<scene>/`` beside it.
 
     Raises:
         InputError: in none of them.

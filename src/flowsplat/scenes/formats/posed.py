@@ -79,7 +79,7 @@ class PosedClip(Clip):
             yield resize_image(image, (self.width, self.height))
 
     def views(self) -> Iterator[ViewImage]:
-        """The other images, brought to the width of the frames where they are larger."""
+        """Yield the other images, brought to the width of the frames where they are larger."""
         for frame, view in self.others:
             posed = view.image
             image = read_posed(posed)
@@ -94,7 +94,7 @@ class PosedClip(Clip):
 
 
 def read_posed(posed: PosedImage) -> np.ndarray:
-    """RGB [H, W, 3] uint8.
+    """Return RGB [H, W, 3] uint8.
 
     Raises:
         InputError: it cannot be read, or has another shape than its camera.

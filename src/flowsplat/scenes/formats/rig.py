@@ -104,12 +104,12 @@ class RigTruth:
         return number[births]
 
     def depth(self, i: int) -> Depth:
-        """Depth of chosen frame ``i``, certain everywhere."""
+        """Return depth of chosen frame ``i``, certain everywhere."""
         depth = resize_labels(self._array("depth.npz", "depth")[self._numbers[i]].astype(np.float32), self._size)
         return Depth(depth, np.ones_like(depth))
 
     def flow(self, i: int, j: int) -> Flow:
-        """Flow between chosen neighbors; its confidence is 1 where the point is visible in both frames."""
+        """Return flow between chosen neighbors; its confidence is 1 where the point is visible in both frames."""
         direction = "fwd" if j > i else "bwd"
         n = self._numbers[i]
         flow = resize_labels(self._array("flow.npz", direction, 2)[n].astype(np.float32), self._size)
@@ -118,7 +118,7 @@ class RigTruth:
         return Flow(i, j, (flow * scale).astype(np.float32), valid)
 
     def mask(self, i: int) -> np.ndarray:
-        """[H, W] uint8 object numbers of chosen frame ``i``."""
+        """Return [H, W] uint8 object numbers of chosen frame ``i``."""
         path = self._folder / "masks" / f"{self._numbers[i]:05d}.png"
         labels, camera = read_labels(path), self._stored[0]
         if labels.shape != (camera.height, camera.width):
@@ -146,7 +146,7 @@ def _heldout_views(folder: Path) -> list[PosedView]:
 
 
 def _rate(path: Path, value: Any) -> float:
-    """Frames a second.
+    """Return frames a second.
 
     Raises:
         InputError: it is none.

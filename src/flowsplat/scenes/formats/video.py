@@ -108,7 +108,7 @@ def _read_index(path: Path) -> _Index:
 
 
 def _packets(container: InputContainer) -> Iterator[av.Packet | None]:
-    """The packets of all streams; a last None where reading failed."""
+    """Yield the packets of all streams; a last None where reading failed."""
     try:
         yield from container.demux()
     except av.FFmpegError:
@@ -124,7 +124,7 @@ def _check_frame(frame: av.VideoFrame, path: Path) -> None:
 
 
 def display_matrix(frame: av.VideoFrame) -> np.ndarray:
-    """[2, 2] integer: where the image's right and down point to on the screen; the identity without rotation metadata.
+    """Return [2, 2] integer: where the image's right and down point to on the screen; the identity without rotation metadata.
 
     Rows are (x, y) on the screen, columns (x, y) in the image. Oblique angles become the nearest right one.
     """

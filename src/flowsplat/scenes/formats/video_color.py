@@ -140,7 +140,7 @@ def compress_highlights(light: np.ndarray) -> np.ndarray:
 
 @cache
 def gamut_matrix(primaries: int) -> np.ndarray:
-    """[3, 3] linear RGB of H.273 ``primaries`` to linear RGB of BT.709."""
+    """Return [3, 3] linear RGB of H.273 ``primaries`` to linear RGB of BT.709."""
     return np.linalg.inv(_rgb_to_xyz(BT709)) @ _rgb_to_xyz(primaries if primaries in CHROMATICITIES else BT709)
 
 
@@ -153,7 +153,7 @@ def _rgb_to_xyz(primaries: int) -> np.ndarray:
 
 @cache
 def _light_table(transfer: int) -> np.ndarray:
-    """[65536] float32: code value to light; relative to reference white, for HLG scene light between 0 and 1."""
+    """Return [65536] float32: code value to light; relative to reference white, for HLG scene light between 0 and 1."""
     signal = np.arange(65536) / 65535
     if transfer == PQ:
         m1, m2, c1, c2, c3 = 2610 / 16384, 2523 / 32, 3424 / 4096, 2413 / 128, 2392 / 128

@@ -41,12 +41,12 @@ class Body:
     number: int = 0
 
     def carry(self, local: np.ndarray, time: float) -> np.ndarray:
-        """Where the points with unit coordinates [N, 3] are in the world."""
+        """Return where the points with unit coordinates [N, 3] are in the world."""
         A, c = self.motion(time)
         return local @ A.T + c
 
     def intersect(self, origin: np.ndarray, directions: np.ndarray, time: float) -> np.ndarray:
-        """[N] multiples of ``directions`` [N, 3] at which rays from ``origin`` [3] meet the body; infinite if missed."""
+        """Return [N] multiples of ``directions`` [N, 3] at which rays from ``origin`` [3] meet the body; infinite if missed."""
         A, c = self.motion(time)
         inverse = np.linalg.inv(A)
         o, d = inverse @ (origin - c), inverse @ directions.T
@@ -64,14 +64,14 @@ class Body:
         return np.where((near < far) & (near > 0), near, np.inf)
 
     def faces(self, local: np.ndarray) -> np.ndarray:
-        """[N] the faces on which points with unit coordinates [N, 3] lie, counted as ``Surface.face`` does."""
+        """Return [N] the faces on which points with unit coordinates [N, 3] lie, counted as ``Surface.face`` does."""
         if self.shape == "ellipsoid":
             return np.zeros(len(local), int)
         axis = np.abs(local).argmax(1)
         return 2 * axis + (local[np.arange(len(local)), axis] > 0)
 
     def normals(self, local: np.ndarray, time: float) -> np.ndarray:
-        """[N, 3] unit normals in the world that point to where the body is seen from."""
+        """Return [N, 3] unit normals in the world that point to where the body is seen from."""
         if self.shape == "ellipsoid":
             normals = local
         else:
@@ -81,7 +81,7 @@ class Body:
         return world / np.linalg.norm(world, axis=1, keepdims=True)
 
     def bounds(self, camera: Camera, time: float) -> tuple[np.ndarray, np.ndarray]:
-        """Two corners ([2] pixels each) of a rectangle of the image outside of which the body is never seen."""
+        """Return two corners ([2] pixels each) of a rectangle of the image outside of which the body is never seen."""
         A, c = self.motion(time)
         signs = np.stack(np.meshgrid(*[[-1, 1]] * 3), -1).reshape(-1, 3)
         corners, depth = camera.project(signs @ A.T + c)

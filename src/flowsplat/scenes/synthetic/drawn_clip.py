@@ -1,4 +1,4 @@
-"""What every drawn clip knows of itself, and from where it is looked at from aside."""
+"""Define a drawn clip with its truth, and its views from aside."""
 
 from __future__ import annotations
 
@@ -59,26 +59,26 @@ class DrawnClip(Protocol):
         """[T] float64 seconds."""
 
     def camera(self, i: int) -> Camera:
-        """The camera of frame ``i``."""
+        """Return the camera of frame ``i``."""
 
     def render(self, camera: Camera, time: float) -> View:
-        """The world at ``time`` (seconds) from any camera in it."""
+        """Return the world at ``time`` (seconds) from any camera in it."""
 
     def flow(self, i: int, j: int) -> Flow:
-        """The flow from frame ``i`` to frame ``j``; its confidence is 1 where the point is visible in ``j``, else 0."""
+        """Return the flow from frame ``i`` to frame ``j``; its confidence is 1 where the point is visible in ``j``, else 0."""
 
     def tracks(self) -> Tracks:
-        """World points over the whole clip, on what moves and on what rests."""
+        """Return world points over the whole clip, on what moves and on what rests."""
 
     def heldout_views(self) -> list[HeldoutView]:
-        """Cameras beside the clip's own."""
+        """Return cameras beside the clip's own."""
 
     def covisible(self, view: HeldoutView) -> np.ndarray:
-        """[H, W] bool: pixels of a held-out view whose point the clip's frame of the same time sees, too."""
+        """Return [H, W] bool: pixels of a held-out view whose point the clip's frame of the same time sees, too."""
 
 
 def views_aside(camera: Callable[[int], Camera], frames: int, depth: float) -> list[HeldoutView]:
-    """A camera to the left and one to the right of the clip's own, at every ``VIEW_STEP``-th frame.
+    """Return a camera to the left and one to the right of the clip's own, at every ``VIEW_STEP``-th frame.
 
     Args:
         camera: of a frame.

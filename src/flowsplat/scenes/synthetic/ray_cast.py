@@ -68,32 +68,32 @@ class RayCastWorld(ABC):
 
     @abstractmethod
     def camera(self, i: int) -> Camera:
-        """The camera of frame ``i``."""
+        """Return the camera of frame ``i``."""
 
     @abstractmethod
     def cast(self, camera: Camera, time: float, uv: np.ndarray) -> Hits:
-        """What a camera sees at ``time`` (seconds) at positions ``uv`` [N, 2] (pixels)."""
+        """Return what a camera sees at ``time`` (seconds) at positions ``uv`` [N, 2] (pixels)."""
 
     @abstractmethod
     def carry(self, hits: Hits, time: float) -> np.ndarray:
-        """[N, 3] where the points that were hit are at ``time``."""
+        """Return [N, 3] where the points that were hit are at ``time``."""
 
     @abstractmethod
     def track_rng(self) -> np.random.Generator:
-        """A new generator, always the same, that decides which points are tracked."""
+        """Return a new generator, always the same, that decides which points are tracked."""
 
     def cast_pixels(self, camera: Camera, time: float) -> Hits:
-        """What a camera sees at the centers of its pixels, row by row."""
+        """Return what a camera sees at the centers of its pixels, row by row."""
         return self.cast(camera, time, pixel_grid(camera.width, camera.height).astype(np.float64).reshape(-1, 2))
 
     def cast_rays(self, camera: Camera, time: float) -> tuple[np.ndarray, np.ndarray]:
-        """(planar depth [H, W] in meters, number of the object [H, W] uint8) at the pixel centers of any camera."""
+        """Return (planar depth [H, W] in meters, number of the object [H, W] uint8) at the pixel centers of any camera."""
         hits = self.cast_pixels(camera, time)
         shape = (camera.height, camera.width)
         return hits.depth.reshape(shape), self.numbers[hits.part].reshape(shape)
 
     def sees(self, camera: Camera, time: float, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Pixels [N, 2] of world points [N, 3], and whether the camera sees them [N]: in the image and not hidden."""
+        """Return pixels [N, 2] of world points [N, 3], and whether the camera sees them [N]: in the image and not hidden."""
         uv, depth = camera.project(points)
         inside = (depth > 0) & (uv >= 0).all(1) & (uv < [camera.width, camera.height]).all(1)
         visible = inside.copy()
@@ -101,7 +101,7 @@ class RayCastWorld(ABC):
         return uv, visible
 
     def flow(self, i: int, j: int) -> Flow:
-        """The flow from frame ``i`` to frame ``j``; its confidence is 1 where the point is visible in ``j``, else 0."""
+        """Return the flow from frame ``i`` to frame ``j``; its confidence is 1 where the point is visible in ``j``, else 0."""
         grid = pixel_grid(self.width, self.height).astype(np.float64)
         time = self.timestamps[j]
         uv, visible = self.sees(self.camera(j), time, self.carry(self.cast_pixels(self.camera(i), self.timestamps[i]), time))
@@ -109,11 +109,11 @@ class RayCastWorld(ABC):
         return Flow(i, j, flow.astype(np.float32), visible.reshape(grid.shape[:2]).astype(np.float32))
 
     def tracks(self) -> Tracks:
-        """World points over the whole clip, a hundred on each object and twice as many on what rests."""
+        """Return world points over the whole clip, a hundred on each object and twice as many on what rests."""
         return self.tracks_and_owners()[0]
 
     def tracks_and_owners(self) -> tuple[Tracks, np.ndarray]:
-        """World points over the whole clip, and the object of each [P], 0 = static.
+        """Return world points over the whole clip, and the object of each [P], 0 = static.
 
         ``TRACKS_PER_OBJECT`` on each object, fewer where it hardly shows, and twice as many on the static world: random pixels of
         ``BIRTHS`` frames, so that each is visible at least once.
@@ -137,7 +137,7 @@ class RayCastWorld(ABC):
         return Tracks(points, visible, visible.astype(np.float32), owners[pick] > 0), owners[pick]
 
     def covisible(self, view: HeldoutView) -> np.ndarray:
-        """[H, W] bool: pixels of a held-out view whose point the clip's frame of the same time sees, too."""
+        """Return [H, W] bool: pixels of a held-out view whose point the clip's frame of the same time sees, too."""
         camera, time = view.camera, self.timestamps[view.frame]
         points = self.carry(self.cast_pixels(camera, time), time)
         return self.sees(self.camera(view.frame), time, points)[1].reshape(camera.height, camera.width)

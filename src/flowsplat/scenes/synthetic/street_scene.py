@@ -66,27 +66,27 @@ class StreetScene:
         return np.arange(self.frames) / self.fps
 
     def camera(self, i: int) -> Camera:
-        """The camera of frame ``i``, meters, world z up."""
+        """Return the camera of frame ``i``, meters, world z up."""
         return self.world.camera(i)
 
     def render(self, camera: Camera, time: float) -> View:
-        """The street at ``time`` (seconds) from any camera in it, with the noise of that time."""
+        """Return the street at ``time`` (seconds) from any camera in it, with the noise of that time."""
         rng = np.random.default_rng([self.seed, 7, round(1e6 * time)])
         depth, mask = self.world.cast_rays(camera, time)
         return View(self.world.photograph(lambda _: camera, time, rng), depth, mask)
 
     def flow(self, i: int, j: int) -> Flow:
-        """The flow from frame ``i`` to frame ``j``; its confidence is 1 where the point is visible in ``j``, else 0."""
+        """Return the flow from frame ``i`` to frame ``j``; its confidence is 1 where the point is visible in ``j``, else 0."""
         return self.world.flow(i, j)
 
     def tracks(self) -> Tracks:
-        """World points over the whole clip, a hundred on each object and twice as many on what rests."""
+        """Return world points over the whole clip, a hundred on each object and twice as many on what rests."""
         return self.world.tracks()
 
     def heldout_views(self) -> list[HeldoutView]:
-        """A camera to the left and one to the right of the clip's own, at every fourth frame."""
+        """Return a camera to the left and one to the right of the clip's own, at every fourth frame."""
         return views_aside(self.camera, self.frames, float(MIDDLE[1]))
 
     def covisible(self, view: HeldoutView) -> np.ndarray:
-        """[H, W] bool: pixels of a held-out view whose point the clip's frame of the same time sees, too."""
+        """Return [H, W] bool: pixels of a held-out view whose point the clip's frame of the same time sees, too."""
         return self.world.covisible(view)

@@ -75,17 +75,17 @@ class SyntheticScene(RayCastWorld):
         return int(self.numbers.max())
 
     def track_rng(self) -> np.random.Generator:
-        """A new generator, always the same, that decides which points are tracked."""
+        """Return a new generator, always the same, that decides which points are tracked."""
         return np.random.default_rng(self.seed)
 
     def camera(self, i: int) -> Camera:
-        """The camera of frame ``i``, meters, world z up."""
+        """Return the camera of frame ``i``, meters, world z up."""
         return camera_at(self.timestamps[i], self.width, self.height)
 
     # -- images
 
     def cast(self, camera: Camera, time: float, uv: np.ndarray) -> Hits:
-        """What the camera sees at ``time`` (seconds) at the positions ``uv`` [N, 2] (pixels)."""
+        """Return what the camera sees at ``time`` (seconds) at the positions ``uv`` [N, 2] (pixels)."""
         rays = np.ones((len(uv), 3))
         rays[:, :2] = (uv - camera.K[:2, 2]) / [camera.K[0, 0], camera.K[1, 1]]
         # Directions of planar depth 1: the multiple of them that meets a surface is its depth.
@@ -105,7 +105,7 @@ class SyntheticScene(RayCastWorld):
         return Hits(depth, index, local)
 
     def render(self, camera: Camera, time: float) -> View:
-        """The world at ``time`` (seconds) from any camera inside the room."""
+        """Return the world at ``time`` (seconds) from any camera inside the room."""
         offsets = (np.arange(SAMPLES) - (SAMPLES - 1) / 2) / SAMPLES
         grid = pixel_grid(camera.width, camera.height).astype(np.float64).reshape(-1, 2)
         color = np.zeros((len(grid), 3))
@@ -116,7 +116,7 @@ class SyntheticScene(RayCastWorld):
         return View(image.reshape(camera.height, camera.width, 3), *self.cast_rays(camera, time))
 
     def _shade(self, camera: Camera, time: float, hits: Hits) -> np.ndarray:
-        """[N, 3] display values between 0 and 1: texture, one distant light, and fixed shade where static things meet."""
+        """Return [N, 3] display values between 0 and 1: texture, one distant light, and fixed shade where static things meet."""
         color = np.empty((len(hits.depth), 3))
         for k, body in enumerate(self.bodies):
             chosen = hits.part == k
@@ -135,7 +135,7 @@ class SyntheticScene(RayCastWorld):
         return color
 
     def _openness(self, points: np.ndarray, normals: np.ndarray, own: int) -> np.ndarray:
-        """[N] how much of the sky static bodies leave to points [N, 3] of body ``own``, 0 to 1.
+        """Return [N] how much of the sky static bodies leave to points [N, 3] of body ``own``, 0 to 1.
 
         Bodies count as spheres (https://iquilezles.org/articles/sphereao/), and the room darkens towards its edges.
         """
@@ -153,12 +153,12 @@ class SyntheticScene(RayCastWorld):
         return open_share
 
     def carry(self, hits: Hits, time: float) -> np.ndarray:
-        """[N, 3] where the points that were hit are at ``time``."""
+        """Return [N, 3] where the points that were hit are at ``time``."""
         points = np.empty_like(hits.local)
         for k, body in enumerate(self.bodies):
             points[hits.part == k] = body.carry(hits.local[hits.part == k], time)
         return points
 
     def heldout_views(self) -> list[HeldoutView]:
-        """A camera to the left and one to the right of the clip's own, at every fourth frame."""
+        """Return a camera to the left and one to the right of the clip's own, at every fourth frame."""
         return views_aside(self.camera, self.frames, SCENE_DEPTH)

@@ -32,7 +32,7 @@ class Surface:
     footprint: np.ndarray
 
     def where(self, chosen: np.ndarray | slice) -> Surface:
-        """The part of the surface that ``chosen`` picks."""
+        """Return the part of the surface that ``chosen`` picks."""
         return Surface(self.points[chosen], self.face[chosen], self.footprint[chosen])
 
     @property
@@ -48,7 +48,7 @@ Material = Callable[[Surface], np.ndarray]
 
 
 def spiral(count: int) -> np.ndarray:
-    """[count, 3] unit vectors, evenly spread over the sphere from pole to pole (a Fibonacci spiral)."""
+    """Return [count, 3] unit vectors, evenly spread over the sphere from pole to pole (a Fibonacci spiral)."""
     turn = np.arange(count) + 0.5
     height, angle = 1 - 2 * turn / count, np.pi * (1 + 5**0.5) * turn
     ring = np.sqrt(1 - height**2)
@@ -87,7 +87,7 @@ class Waves:
             self._bands.append((length, *(a.astype(np.float32) for a in (vectors, phases[:, None], weights.T))))
 
     def __call__(self, surface: Surface) -> np.ndarray:
-        """[N, channels] with a mean of 0 and a standard deviation of about 1."""
+        """Return [N, channels] with a mean of 0 and a standard deviation of about 1."""
         # Single precision: NumPy's cosine is twenty times faster there, and 1e-4 rad are far below a gray level.
         points, footprint = surface.points.T.astype(np.float32), surface.footprint.astype(np.float32)
         field = np.zeros((self.channels, len(footprint)), np.float32)
@@ -107,28 +107,28 @@ def in_chunks(material: Material, surface: Surface) -> np.ndarray:
 
 
 def gradient(value: np.ndarray, colors: Sequence[Sequence[float]]) -> np.ndarray:
-    """[N, 3]: the colors, evenly spread over values from -2 to 2."""
+    """Return [N, 3]: the colors, evenly spread over values from -2 to 2."""
     stops = np.linspace(-2, 2, len(colors))
     return np.stack([np.interp(value, stops, channel) for channel in np.array(colors, float).T], -1)
 
 
 def inside(distance: np.ndarray, footprint: np.ndarray) -> np.ndarray:
-    """[N] 1 where the signed distance (meters) is negative, 0 where positive, with an edge 1.5 pixels wide."""
+    """Return [N] 1 where the signed distance (meters) is negative, 0 where positive, with an edge 1.5 pixels wide."""
     return np.clip(0.5 - distance / (1.5 * footprint), 0, 1)
 
 
 def blend(below: np.ndarray, above: np.ndarray | Sequence[float], amount: np.ndarray) -> np.ndarray:
-    """[N, 3]: ``above`` over ``below``, ``amount`` [N] between 0 and 1."""
+    """Return [N, 3]: ``above`` over ``below``, ``amount`` [N] between 0 and 1."""
     return below + amount[:, None] * (np.asarray(above) - below)
 
 
 def to_line(x: np.ndarray, period: float) -> np.ndarray:
-    """[N] distance to the nearest multiple of ``period``."""
+    """Return [N] distance to the nearest multiple of ``period``."""
     return np.abs(x - period * np.round(x / period))
 
 
 def scatter(*cells: np.ndarray) -> np.ndarray:
-    """[N] a fixed pseudo-random number between 0 and 1 for each combination of whole numbers."""
+    """Return [N] a fixed pseudo-random number between 0 and 1 for each combination of whole numbers."""
     mixed = sum(cell * weight for cell, weight in zip(cells, (127.1, 311.7, 74.7), strict=False))
     return np.modf(np.abs(np.sin(mixed + 0.5)) * 43758.5453)[0]
 
@@ -186,7 +186,7 @@ def blocks(
 
 
 def patchwork(rng: np.random.Generator, cell: float, colors: Sequence[Sequence[float]]) -> Material:
-    """Square fields in many colors, each with a spot or a diamond in another one."""
+    """Return square fields in many colors, each with a spot or a diamond in another one."""
     waves = Waves(rng, 0.5, octaves=4, channels=1)
     palette = np.array(colors, float)
 
@@ -214,7 +214,7 @@ def patchwork(rng: np.random.Generator, cell: float, colors: Sequence[Sequence[f
 def segments(
     rng: np.random.Generator, count: int, radius: float, colors: Sequence[Sequence[float]], dot: Sequence[float]
 ) -> Material:
-    """A beach ball: colored segments from pole to pole, and dots all over."""
+    """Return a beach ball: colored segments from pole to pole, and dots all over."""
     waves = Waves(rng, 0.5, octaves=4, channels=1)
     palette = np.array(colors, float)
     dots = spiral(40).T

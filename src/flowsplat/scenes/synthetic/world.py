@@ -1,4 +1,4 @@
-"""What is in the synthetic world, how it moves and where the camera goes. World z is up; meters and seconds."""
+"""Define the synthetic world: what is in it, how it moves and where the camera goes. World z is up; meters and seconds."""
 
 from __future__ import annotations
 
@@ -49,13 +49,13 @@ FRAME = (0.30, 0.19, 0.08)
 
 
 def make_resting(center: tuple[float, float, float], size: np.ndarray, yaw: float = 0.0) -> Motion:
-    """A body that stays where it is, turned by ``yaw`` degrees about the vertical."""
+    """Return a body that stays where it is, turned by ``yaw`` degrees about the vertical."""
     A = Rotation.from_euler("z", yaw, degrees=True).as_matrix() * size
     return lambda time: (A, np.array(center, float))
 
 
 def make_spinning(center: tuple[float, float, float], size: np.ndarray) -> Motion:
-    """About a tilted axis, 130 degrees a second, swaying up and down."""
+    """Spin about a tilted axis, 130 degrees a second, swaying up and down."""
     axis = np.array([0.35, -0.25, 0.9])
     axis /= np.linalg.norm(axis)
 
@@ -137,7 +137,7 @@ def room_material(rng: np.random.Generator) -> Material:
 
 
 def build_world(seed: int) -> list[Body]:
-    """The bodies, the room first; ``seed`` decides the textures."""
+    """Return the bodies, the room first; ``seed`` decides the textures."""
     rng = np.random.default_rng(seed)
     static: list[tuple[Shape, tuple[float, float, float], tuple[float, float, float], float, Material]] = [
         ("box", (-2.6, 0.9, 0.65), (0.65, 0.65, 0.65), 28, planks(rng, 0.26, 9.0, CRATE, grain=0.5)),

@@ -112,7 +112,7 @@ def add_weighted(typingctx, sums, pixels, row, weight):
 
 
 def _transpose_and_sum(builder: Any, vectors: list[Any]) -> Any:
-    """Up to LANES vectors to one vector whose lane i is the sum over the lanes of vector i.
+    """Reduce up to LANES vectors to one vector whose lane i is the sum over the lanes of vector i.
 
     Every stage adds the halves of two vectors into one. The shuffles are those that a processor does in one cheap
     instruction (whole quarters first, then within quarters); they leave the sums in an order that one permutation mends.

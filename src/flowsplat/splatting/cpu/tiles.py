@@ -1,4 +1,4 @@
-"""From projected Gaussians to the list of Gaussians of every tile, in depth order.
+"""Bin projected Gaussians into the list of Gaussians of every tile, in depth order.
 
 One sort over the visible Gaussians (not over pairs of tile and depth), then a stable counting sort into tiles, which keeps
 the depth order for free. Instances are exact: a Gaussian enters only the tiles, and within a tile only the rows, that its

@@ -18,7 +18,7 @@ class Workspace:
 
     @staticmethod
     def acquire() -> Workspace:
-        """A workspace that is not in use."""
+        """Return a workspace that is not in use."""
         with Workspace._lock:
             return Workspace._free.pop() if Workspace._free else Workspace()
 
@@ -28,7 +28,7 @@ class Workspace:
             Workspace._free.append(self)
 
     def array(self, name: str, count: int, dtype: type) -> np.ndarray:
-        """[count] uninitialized, 64-byte aligned, valid until the next call with this name or ``release``."""
+        """Return [count] uninitialized, 64-byte aligned, valid until the next call with this name or ``release``."""
         size = count * np.dtype(dtype).itemsize
         buffer = self._arrays.get(name)
         if buffer is None or len(buffer) < size:
@@ -38,7 +38,7 @@ class Workspace:
         return buffer[:size].view(dtype)
 
     def capacity(self, name: str, dtype: type) -> int:
-        """How many elements ``array`` could return under this name without new memory."""
+        """Return how many elements ``array`` could return under this name without new memory."""
         buffer = self._arrays.get(name)
         return 0 if buffer is None else len(buffer) // np.dtype(dtype).itemsize
 

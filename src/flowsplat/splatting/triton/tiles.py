@@ -1,4 +1,4 @@
-"""From projected Gaussians to the list of Gaussians of every tile, in depth order, without asking the GPU how many there are.
+"""Bin projected Gaussians into the list of Gaussians of every tile, in depth order, without asking the GPU how many there are.
 
 One sort of the Gaussians by depth; then every Gaussian counts the tiles that its alpha >= 1/255 ellipse touches, a prefix sum
 gives it its *slots*, and it writes the number of one tile into each. A second, stable sort brings the slots of a tile together
@@ -67,7 +67,7 @@ class PairCapacity:
         torch.maximum(self._needed, needed, out=self._needed)
 
     def has_overflowed(self) -> bool:
-        """Whether an image drawn with this capacity, since it was made, needed more than it is now. Waits for the GPU."""
+        """Return whether an image drawn with this capacity, since it was made, needed more than it is now. Waits for the GPU."""
         return int(self._needed) > self.pairs
 
     def grow(self, needed: int | None = None) -> None:
@@ -91,13 +91,13 @@ _shared: dict[tuple[torch.device, int, int], PairCapacity] = {}
 
 
 def get_fixed_capacity() -> PairCapacity | None:
-    """The one of ``with capacity.fix():``, if we are inside of that."""
+    """Return the one of ``with capacity.fix():``, if we are inside of that."""
     capacity: PairCapacity | None = getattr(_chosen, "capacity", None)
     return capacity
 
 
 def get_shared_capacity(device: torch.device, width: int, height: int) -> PairCapacity:
-    """The capacity that images of this size share, and that grows by itself."""
+    """Return the capacity that images of this size share, and that grows by itself."""
     key = (device, width, height)
     if key not in _shared:
         _shared[key] = PairCapacity(device)

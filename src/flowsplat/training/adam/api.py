@@ -23,7 +23,7 @@ class AdamKernels(Protocol):
 
 
 def _twin(kernels: Kernels) -> AdamKernels:
-    """Who computes it, imported only where that is needed."""
+    """Pick the backend that computes it, imported only where that is needed."""
     if kernels == "cpu":
         from flowsplat.training.adam import cpu
 
@@ -84,7 +84,7 @@ class RowAdam:
         )
 
     def moments(self, name: str) -> tuple[Tensor, Tensor, Tensor]:
-        """Of a parameter, [N, D] first and second moments, themselves, and the steps [N] that each row has taken."""
+        """Return a parameter's [N, D] first and second moments, themselves, and the steps [N] that each row has taken."""
         count = len(self.counts)
         counts = self.counts - self._restarted[name] if name in self._restarted else self.counts
         return self.means[name].view(count, -1), self.squares[name].view(count, -1), counts
@@ -102,7 +102,7 @@ class RowAdam:
             self._restarted[name][is_new] = 0
 
     def state(self) -> dict[str, Tensor]:
-        """Every tensor by name, for a checkpoint."""
+        """Return every tensor by name, for a checkpoint."""
         state = {f"mean.{name}": value for name, value in self.means.items()}
         state |= {f"square.{name}": value for name, value in self.squares.items()}
         state |= {f"restarted.{name}": value for name, value in self._restarted.items()}

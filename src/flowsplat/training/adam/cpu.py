@@ -1,4 +1,4 @@
-"""One Adam step for some rows of a parameter. Oracle: ``reference``."""
+"""Take one Adam step for some rows of a parameter. Oracle: ``reference``."""
 
 from __future__ import annotations
 

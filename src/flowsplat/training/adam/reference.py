@@ -15,7 +15,7 @@ LONGEST = 1 << 15
 
 @functools.cache
 def correction_table() -> np.ndarray:
-    """[LONGEST, 2] for the kernels, by steps taken: 1 / (1 - beta_1^n) and sqrt(1 / (1 - beta_2^n))."""
+    """Return [LONGEST, 2] for the kernels, by steps taken: 1 / (1 - beta_1^n) and sqrt(1 / (1 - beta_2^n))."""
     n = np.arange(1, LONGEST)
     table = np.ones((LONGEST, 2), np.float32)
     table[1:, 0], table[1:, 1] = 1 / (1 - BETA1**n), np.sqrt(1 / (1 - BETA2**n))

@@ -29,7 +29,8 @@ def add_residuals(
 
 
 def residuals(rendered: RenderedFrame, targets: PhotometricTargets) -> tuple[Tensor, Tensor, Tensor]:
-    """Which Gaussians, if drawn, lie on the visible surface where flow is trusted; errors of flow and color there, [A] each."""
+    """Return which Gaussians, if drawn, lie on the visible surface where flow is trusted; errors of flow and color there, [A]
+    each."""
     assert rendered.flow is not None
     height, width = rendered.alpha.shape
     uv = rendered.projected.means2d.detach()

@@ -1,4 +1,4 @@
-"""What a rendered image is trained by: color (L1 and SSIM), flow and depth in one operation, with its gradient."""
+"""Compute the photometric loss of a rendered image: color (L1 and SSIM), flow and depth in one operation, with its gradient."""
 
 from flowsplat.training.photometric_loss.api import PhotometricTargets, PhotometricWeights, photometric_loss
 

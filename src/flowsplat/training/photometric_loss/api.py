@@ -86,7 +86,7 @@ class PhotometricLossKernels(Protocol):
 
 
 def _twin(kernels: Kernels) -> PhotometricLossKernels:
-    """Who computes it, imported only where that is needed."""
+    """Pick the backend that computes it, imported only where that is needed."""
     if kernels == "cpu":
         from flowsplat.training.photometric_loss import cpu
 

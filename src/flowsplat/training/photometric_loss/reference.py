@@ -17,13 +17,13 @@ UNSEEN = 0.05
 
 
 def window() -> np.ndarray:
-    """[11] the one-dimensional Gaussian window, sum 1."""
+    """Return [11] the one-dimensional Gaussian window, sum 1."""
     taps = np.exp(-((np.arange(2 * RADIUS + 1) - RADIUS) ** 2) / (2 * SIGMA**2))
     return taps / taps.sum()
 
 
 def ssim_map(image: Tensor, target: Tensor) -> Tensor:
-    """[3, H, W] from two images [H, W, 3]."""
+    """Return [3, H, W] from two images [H, W, 3]."""
     taps = torch.as_tensor(window(), dtype=image.dtype, device=image.device)
     kernel = torch.outer(taps, taps)[None, None]
 
@@ -37,7 +37,7 @@ def ssim_map(image: Tensor, target: Tensor) -> Tensor:
 
 
 def color_loss(image: Tensor, target: Tensor, ssim_weight: float) -> Tensor:
-    """(1 - gamma_1) L1 + gamma_1 (1 - SSIM) of two images [H, W, 3] between 0 and 1."""
+    """Return (1 - gamma_1) L1 + gamma_1 (1 - SSIM) of two images [H, W, 3] between 0 and 1."""
     l1 = (image - target).abs().mean()
     return (1 - ssim_weight) * l1 + ssim_weight * (1 - ssim_map(image, target).mean())
 

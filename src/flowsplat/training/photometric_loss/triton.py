@@ -295,7 +295,7 @@ class _PhotometricLoss(torch.autograd.Function):
 
 
 def _bytes(trusted: Any) -> Any:
-    """A mask as kernels read it."""
+    """Return a mask as kernels read it."""
     return None if trusted is None else trusted.view(torch.uint8)
 
 

@@ -19,7 +19,7 @@ class RigidLossKernels(Protocol):
 
 
 def _twin(kernels: Kernels) -> RigidLossKernels:
-    """Who computes it, imported only where that is needed."""
+    """Pick the backend that computes it, imported only where that is needed."""
     if kernels == "cpu":
         from flowsplat.training.rigidity import cpu
 

@@ -1,4 +1,4 @@
-"""Who neighbors whom: found once for many steps, at each Gaussian's own center time."""
+"""Find the neighbors of Gaussians for the rigid loss: found once for many steps, at each Gaussian's own center time."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Neighbors:
 
 @torch.no_grad()
 def find_neighbors(gaussians: Gaussians4D, times: Sequence[float], k: int, beta: float, dynamic_only: bool) -> Neighbors:
-    """The k nearest neighbors of every Gaussian that moves, among those active in the frame nearest to its center time.
+    """Return the k nearest neighbors of every Gaussian that moves, among those active in the frame nearest to its center time.
 
     Args:
         gaussians: where they are.

@@ -1,4 +1,4 @@
-"""Where the time goes inside a call, without a hook in the package."""
+"""Measure where the time goes inside a call, without a hook in the package."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class KernelClock:
             yield
 
     def take(self) -> dict[str, float]:
-        """The seconds by name since the last time."""
+        """Return the seconds by name since the last time."""
         seconds, self._seconds = self._seconds, {}
         return seconds
 
@@ -79,7 +79,7 @@ class KernelClock:
 
 
 def _takes_a_range(kernel: Any) -> bool:
-    """Whether it is ``parallel_for`` that calls it."""
+    """Return whether it is ``parallel_for`` that calls it."""
     return str(kernel.py_func.__code__.co_varnames[0]).startswith("begin")
 
 
@@ -121,13 +121,13 @@ def profile(action: Callable[[], object], directors: Sequence[str]) -> dict[str,
 
 
 def _subject(file: str) -> str:
-    """What a file is about: its name, or its folder's where that is only ``api``, ``cpu``, ..."""
+    """Return what a file is about: its name, or its folder's where that is only ``api``, ``cpu``, ..."""
     path = Path(file)
     return path.parent.name if path.stem in ("api", "cpu", "reference", "__init__") else path.stem
 
 
 def _gradients() -> dict[tuple[str, int], str]:
-    """(file, line) of the backward methods of the package's autograd functions, and what they differentiate."""
+    """Return (file, line) of the backward methods of the package's autograd functions, and what they differentiate."""
     found, waiting = {}, list(torch.autograd.Function.__subclasses__())
     while waiting:
         kind = waiting.pop()

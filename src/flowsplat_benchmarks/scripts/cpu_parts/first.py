@@ -1,4 +1,4 @@
-"""What a fresh process does in ``startup``. Imports nothing of the benchmark, whose own kernels would count."""
+"""Do what a fresh process does in ``startup``. Imports nothing of the benchmark, whose own kernels would count."""
 
 from __future__ import annotations
 

@@ -116,5 +116,5 @@ def count_pairs(projected: Projected, opacities: np.ndarray, width: int, height:
 
 
 def floor_seconds(pairs: int, flops: int, peak: float) -> float:
-    """The floor at ``peak`` floating-point operations a second."""
+    """Return the floor at ``peak`` floating-point operations a second."""
     return pairs * flops / peak

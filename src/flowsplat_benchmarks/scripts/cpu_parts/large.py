@@ -1,4 +1,4 @@
-"""One very large image in a process of its own: how long it takes, and how much memory."""
+"""Render one very large image in a process of its own: how long it takes, and how much memory."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def measure(threads: int, repeat: int, count: int = 1_000_000, width: int = 3840
 
 
 def peak_mib() -> float:
-    """The most memory that this process held so far.
+    """Return the most memory that this process held so far.
 
     Linux hands the maximum of ``getrusage`` down from the process that started this one, so its own high-water mark is read there.
     """

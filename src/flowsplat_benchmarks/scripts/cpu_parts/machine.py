@@ -1,4 +1,4 @@
-"""What machine this is, and the two limits that matter: how fast it multiplies and adds, and how fast it reads memory."""
+"""Identify the machine, and measure the two limits that matter: how fast it multiplies and adds, and how fast it reads memory."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ OPTIONS = {"error_model": "numpy", "nogil": True}
 
 
 def describe() -> dict[str, Any]:
-    """The machine and the versions of what computes on it."""
+    """Return the machine and the versions of what computes on it."""
     return {
         "processor": _processor(),
         "instructions": _instructions(),
@@ -46,7 +46,7 @@ def describe() -> dict[str, Any]:
 
 
 def commit(folder: Path) -> dict[str, Any]:
-    """What of the repository that ``folder`` is in was measured; nulls where there is no git."""
+    """Return what of the repository that ``folder`` is in was measured; nulls where there is no git."""
     try:
         run = lambda *words: subprocess.run(["git", *words], cwd=folder, capture_output=True, text=True, check=True).stdout  # noqa: E731
         return {
@@ -58,7 +58,7 @@ def commit(folder: Path) -> dict[str, Any]:
 
 
 def load() -> list[float] | None:
-    """How busy the machine was over the last 1, 5 and 15 minutes, in waiting threads."""
+    """Return how busy the machine was over the last 1, 5 and 15 minutes, in waiting threads."""
     return [round(value, 2) for value in os.getloadavg()] if hasattr(os, "getloadavg") else None
 
 
@@ -71,7 +71,7 @@ def _processor() -> str:
 
 
 def _instructions() -> str:
-    """The widest vectors that kernels are compiled for."""
+    """Return the widest vectors that kernels are compiled for."""
     if config.CPU_NAME == "haswell":
         return "AVX2"
     features = llvm.get_host_cpu_features()
@@ -159,7 +159,7 @@ class Limits:
         return jobs
 
     def peak(self, threads: int) -> float:
-        """The highest number of floating-point operations a second that was seen."""
+        """Return the highest number of floating-point operations a second that was seen."""
         return max(self._peaks[threads])
 
     def to_json(self) -> dict[str, Any]:

@@ -54,7 +54,7 @@ class RenderCase:
             leaf.grad = None
 
     def time(self) -> tuple[torch.Tensor, dict[str, float]]:
-        """The image [H, W, C], and the seconds of ``forward`` and ``backward``."""
+        """Return the image [H, W, C], and the seconds of ``forward`` and ``backward``."""
         use_threads(self.threads)
         self._clear()
         began = time.perf_counter()
@@ -64,11 +64,11 @@ class RenderCase:
         return image.detach(), {"forward": middle - began, "backward": time.perf_counter() - middle}
 
     def job(self) -> dict[str, float]:
-        """Seconds forward and backward."""
+        """Return seconds forward and backward."""
         return self.time()[1]
 
     def stages_job(self) -> dict[str, float]:
-        """The same, and the seconds of every stage as ``forward/<stage>`` and ``backward/<stage>``."""
+        """Return the same, and the seconds of every stage as ``forward/<stage>`` and ``backward/<stage>``."""
         use_threads(self.threads)
         self._clear()
         with self._clock.run():
@@ -81,7 +81,7 @@ class RenderCase:
             return parts | {"backward": time.perf_counter() - began, **_add_prefix("backward", self._clock.take())}
 
     def torch_job(self, careful: bool) -> dict[str, float]:
-        """Seconds of a tile-wise torch rasterizer on the same work, which must give the same image.
+        """Return seconds of a tile-wise torch rasterizer on the same work, which must give the same image.
 
         Args:
             careful: the one that was made fast, or the one that anyone would write first.
@@ -101,7 +101,7 @@ class RenderCase:
         return seconds
 
     def result(self, parts: dict[str, dict[str, float]], limits: Limits) -> dict[str, Any]:
-        """What was measured, the floor, and the ratio to it."""
+        """Return what was measured, the floor, and the ratio to it."""
         row: dict[str, Any] = {"size": [self.width, self.height], "gaussians": len(self.load.means), "channels": self.channels}
         row |= {"threads": self.threads, "forward": parts["forward"], "backward": parts["backward"]}
         for way, flops in (("forward", forward_flops), ("backward", backward_flops)):
@@ -119,7 +119,7 @@ def _add_prefix(way: str, seconds: dict[str, float]) -> dict[str, float]:
 
 
 def label(row: RenderCase) -> str:
-    """How an image is called in the result."""
+    """Return how an image is called in the result."""
     return f"{row.width}x{row.height}, C = {row.channels}, {row.threads} thread{'s' if row.threads > 1 else ''}"
 
 
@@ -131,7 +131,8 @@ def measure(
     repeat: int,
     count: int = COUNT,
 ) -> dict[str, Any]:
-    """All combinations of sizes, channels and threads, stage by stage. The footprints are the same in pixels at every size."""
+    """Return all combinations of sizes, channels and threads, stage by stage. The footprints are the same in pixels at every
+    size."""
     loads = {size: work_load(count, *size) for size in sizes}
     images = [RenderCase(loads[size], c, n) for n in threads for size in sizes for c in channels]
     jobs: dict[str, Job] = {label(image): image.stages_job for image in images}

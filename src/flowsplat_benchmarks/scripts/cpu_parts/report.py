@@ -13,7 +13,7 @@ SMALL = 0.01
 
 
 def format_page(result: Json) -> str:
-    """The page for the docs: every part that was measured."""
+    """Return the page for the docs: every part that was measured."""
     parts = {
         "limits": _limits, "rasterizer": _rasterizer, "torch": _torch, "training": _describe_training, "viewing": _describe_viewing,
         "scaling": _describe_scaling, "large": _large, "startup": _startup, "variants": _variants,
@@ -217,7 +217,7 @@ def _variants(part: Json) -> str:
 
 
 def comparison(result: Json, earlier: Json) -> str:
-    """Every time that both results have: now, then, and now / then (minima; below 1 is faster now)."""
+    """Return every time that both results have: now, then, and now / then (minima; below 1 is faster now)."""
     now, then = dict(_times(result)), dict(_times(earlier))
     rows = [(name, f"{now[name]:.4g}", f"{then[name]:.4g}", f"{now[name] / then[name]:.2f}") for name in now if name in then]
     title = f"## Beside {(earlier['commit'] or 'an unknown commit')[:12]} of {earlier['date']}"

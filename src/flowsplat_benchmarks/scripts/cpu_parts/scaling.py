@@ -1,4 +1,4 @@
-"""How the cost grows with the number of Gaussians, of pixels and of channels, one of them at a time."""
+"""Measure how the cost grows with the number of Gaussians, of pixels and of channels, one of them at a time."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SIZES = {
 def measure(
     limits: Limits, counts: Sequence[int], sizes: Sequence[str], channels: Sequence[int], threads: int, repeat: int
 ) -> dict[str, Any]:
-    """Three families; whatever does not grow is 100,000 Gaussians, 854 x 480, C = 3.
+    """Return three families; whatever does not grow is 100,000 Gaussians, 854 x 480, C = 3.
 
     ``gaussians``: the same surface cut into more and smaller ones. ``pixels``: the same scene in a larger image.
     """

@@ -51,7 +51,7 @@ def gaussians(config: ModelConfig, count: int, width: int, height: int) -> Gauss
 
 
 def cameras(load: WorkLoad) -> list[Camera]:
-    """A camera that moves to the side by a pixel from frame to frame."""
+    """Return a camera that moves to the side by a pixel from frame to frame."""
     result = []
     for k in range(FRAMES):
         viewmat = np.eye(4)
@@ -61,7 +61,7 @@ def cameras(load: WorkLoad) -> list[Camera]:
 
 
 def observations(scene: Gaussians4D, width: int, height: int) -> Observations:
-    """What cameras see of it: noisy images, depth, and flow to the next frame."""
+    """Return what cameras see of it: noisy images, depth, and flow to the next frame."""
     rng = np.random.default_rng(0)
     path = cameras(work_load(1, width, height))
     frames = []

@@ -1,4 +1,5 @@
-"""From typing a command to the first image, in fresh processes: warm (kernels in the cache on disk) and cold (an empty cache)."""
+"""Time the way from a command to the first image, in fresh processes: warm (kernels in the cache on disk) and cold (an empty
+cache)."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ class Training:
         self.neighbors = sum(seconds for part, seconds in parts.items() if part.endswith("find_neighbors"))
 
     def job(self) -> dict[str, float]:
-        """Seconds of a step."""
+        """Return seconds of a step."""
 
         def timed(step: Callable[[], object]) -> dict[str, float]:
             began = time.perf_counter()
@@ -53,7 +53,7 @@ class Training:
         return self._with_all_losses(timed)
 
     def profile_job(self) -> dict[str, float]:
-        """Seconds of the parts of a step."""
+        """Return seconds of the parts of a step."""
         return self._with_all_losses(lambda step: profile(step, DIRECTORS))
 
     def _with_all_losses(self, measure: Callable[[Callable[[], object]], dict[str, float]]) -> dict[str, float]:
@@ -65,7 +65,7 @@ class Training:
                 return seconds
 
     def describe(self) -> dict[str, Any]:
-        """What a step works on."""
+        """Return what a step works on."""
         model, frame = self.trainer.gaussians, self.observations[0]
         active = model.active(frame.time, frame.camera)
         return {
@@ -78,7 +78,7 @@ class Training:
 
 
 def measure_training(threads: int, repeat: int, count: int = COUNT, width: int = WIDTH, height: int = HEIGHT) -> dict[str, Any]:
-    """The frame-step of each preset, in turns."""
+    """Return the frame-step of each preset, in turns."""
     use_threads(threads)
     trainings = {name: Training(name, count, width, height) for name in ("default", "paper")}
     jobs: dict[str, Job] = {}
@@ -93,8 +93,8 @@ def measure_training(threads: int, repeat: int, count: int = COUNT, width: int =
 
 
 def measure_viewing(threads: int, repeat: int, count: int = COUNT, width: int = WIDTH, height: int = HEIGHT) -> dict[str, Any]:
-    """Frames without gradients, three ways: colors alone (C = 3); ``render``, which adds depth; ``SceneModel.render``, which also
-    fills holes and gives arrays."""
+    """Return frames without gradients, three ways: colors alone (C = 3); ``render``, which adds depth; ``SceneModel.render``, which
+    also fills holes and gives arrays."""
     use_threads(threads)
     model = scene.gaussians(PRESETS["default"].model, count, width, height)
     path = scene.cameras(scene.work_load(1, width, height))

@@ -17,7 +17,7 @@ Job = Callable[[], Mapping[str, float]]
 
 
 def summarize_timing(seconds: list[float]) -> dict[str, float]:
-    """How repeated measurements enter the result."""
+    """Return how repeated measurements enter the result."""
     return {
         "min_ms": significant(min(seconds) * 1e3),
         "median_ms": significant(statistics.median(seconds) * 1e3),
@@ -26,7 +26,7 @@ def summarize_timing(seconds: list[float]) -> dict[str, float]:
 
 
 def significant(value: float) -> float:
-    """Four significant digits."""
+    """Return four significant digits."""
     return float(f"{value:.4g}")
 
 

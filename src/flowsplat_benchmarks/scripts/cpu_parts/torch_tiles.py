@@ -20,7 +20,7 @@ TILE = 16
 
 
 def _blend_tile(column: int, row: int, mean: Tensor, conic: Tensor, opacity: Tensor, feature: Tensor) -> Tensor:
-    """[16, 16, C + 1] features and alpha of a tile, from its Gaussians in depth order."""
+    """Return [16, 16, C + 1] features and alpha of a tile, from its Gaussians in depth order."""
     x = torch.arange(TILE) + 0.5
     pixels = torch.stack(torch.meshgrid(x, x, indexing="xy"), -1).reshape(-1, 1, 2)
     corner = torch.tensor([TILE * column, TILE * row])

@@ -21,7 +21,7 @@ VARIANTS = {
 
 
 def measure(names: Sequence[str], threads: Sequence[int], turns: int, quick: bool) -> dict[str, Any]:
-    """The rasterizer's rows as they are normally and with each variant, in turns; the best of every row over the turns."""
+    """Return the rasterizer's rows as they are normally and with each variant, in turns; the best of every row over the turns."""
     results: dict[str, list[dict[str, Any]]] = {name: [] for name in ("normal", *names)}
     arguments = ["--threads", *map(str, threads), *(["--quick"] if quick else [])]
     for _ in range(turns):
@@ -41,7 +41,7 @@ def _run(environment: dict[str, str], arguments: list[str]) -> dict[str, Any]:
 
 
 def _best(results: list[dict[str, Any]]) -> dict[str, Any]:
-    """Of each row the run with the fastest forward and backward pass together."""
+    """Choose of each row the run with the fastest forward and backward pass together."""
 
     def total(row: dict[str, Any]) -> float:
         return float(row["forward"]["min_ms"] + row["backward"]["min_ms"])

@@ -1,4 +1,4 @@
-"""What is rendered: Gaussians on a surface with round objects, as dense as a trained scene's."""
+"""Make the work load that is rendered: Gaussians on a surface with round objects, as dense as a trained scene's."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class WorkLoad:
 
 
 def work_load(count: int = COUNT, width: int = WIDTH, height: int = HEIGHT, footprint: float = 1.0, seed: int = 0) -> WorkLoad:
-    """The work load of a size.
+    """Return the work load of a size.
 
     85 % of the Gaussians are small and evenly spread, with a standard deviation of about 1.35 pixels; 15 % are large, about 4
     pixels, and anywhere. At 100,000, 854 x 480 and footprint 1 these are 43.6 pairs a pixel and 305,000 instances (``floor``).
@@ -82,7 +82,7 @@ def _single(values: np.ndarray) -> np.ndarray:
 
 
 def _surface(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Depth of a bumpy ground and of the balls in front of it."""
+    """Return depth of a bumpy ground and of the balls in front of it."""
     depth = 6 - 4 * y + 0.6 * np.sin(9 * x) * np.cos(7 * y)
     for center_x, center_y, radius, rim in OBJECTS:
         inside = radius**2 - (x - center_x) ** 2 - (y - center_y) ** 2

@@ -1,4 +1,4 @@
-"""How often Triton compiled each kernel in this process, and how long that took: what a first run waits for."""
+"""Count how often Triton compiled each kernel in this process, and how long that took: what a first run waits for."""
 
 from __future__ import annotations
 

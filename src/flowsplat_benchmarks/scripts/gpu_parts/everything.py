@@ -1,4 +1,4 @@
-"""All there is to do on a machine with a card, within a few minutes: each part in a process of its own, with a limit of its own.
+"""Do all there is to do on a machine with a card, within a few minutes: each part in a process of its own, with a limit of its own.
 
 What a part has found is in the result's file at once, so a part that fails, hangs or is killed costs its own figures and no
 others. ``rehearse`` runs the same parts with tiny sizes in Triton's interpreter, on a machine without a card.
@@ -82,7 +82,7 @@ def plan(minutes: float, parts: Sequence[Part] = PARTS) -> list[tuple[Part, floa
 
 
 def limit_of(index: int, left: float, parts: Sequence[Part] = PARTS) -> float:
-    """Seconds for a part when so many are left for it and for all that come after it."""
+    """Return seconds for a part when so many are left for it and for all that come after it."""
     return max(left - GRACE, 0.0) * parts[index].weight / sum(part.weight for part in parts[index:])
 
 
@@ -153,7 +153,7 @@ class _Compiler:
 
 
 def _run(part: Part, folder: Path, limit: float, scenes: Sequence[Path], rehearse: bool, broken: bool) -> dict[str, Any]:
-    """One part in its process; what it found until it ended or was ended."""
+    """Return one part in its process; what it found until it ended or was ended."""
     figures, log = folder / f"{part.name}.json", folder / f"{part.name}.log"
     command = [sys.executable, *COMMAND, "--part", part.name, "--out", str(figures), "--work", str(folder)]
     command += ["--seconds", f"{limit:.0f}", *(word for scene in scenes for word in ("--scene", str(scene)))]

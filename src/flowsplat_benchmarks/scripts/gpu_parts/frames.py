@@ -31,7 +31,7 @@ WAYS = {3: None, 6: "displacement", 10: "affine"}
 
 
 def gaussians(count: int, width: int, height: int) -> Gaussians4D:
-    """The scene on the GPU."""
+    """Return the scene on the GPU."""
     with replace_attribute(scene, "BACKGROUND", SHARE_AT_REST):
         return scene.gaussians(PRESETS["default"].model, count, width, height).to(device())
 
@@ -113,7 +113,8 @@ class Frames:
         }  # fmt: skip
 
     def _by_graph(self, repeat: int) -> dict[str, float] | None:
-        """A frame by a CUDA graph, until the host knows that its buffers sufficed; depth is always drawn. Not for affine flow."""
+        """Return a frame by a CUDA graph, until the host knows that its buffers sufficed; depth is always drawn. Not for affine
+        flow."""
         if self.flow is not None and self.flow.model != "displacement":
             return None
         renderer = FixedRenderer(self.model, *self.size, self.flow is not None)
@@ -121,7 +122,7 @@ class Frames:
         return milliseconds(lambda: renderer.render(self.camera, 0.0, flow_to), repeat)
 
     def _bytes(self) -> int:
-        """What must at least be read and written once: active parameters, what the rasterizer gets of them, the image."""
+        """Return what must at least be read and written once: active parameters, what the rasterizer gets of them, the image."""
         params = sum(len(self.model.rows_of(name, self.active)) * value[0].nbytes for name, value in self.model.params.items())
         g = self.sliced
         between = sum(value.nbytes for value in (g.means, g.quats, g.scales, g.opacities, self.features))
@@ -166,7 +167,7 @@ class Frames:
 
 
 def growth(counts: tuple[int, ...], repeat: int, size: tuple[int, int] = (854, 480)) -> dict[str, Any]:
-    """Frames with six channels, of ever more Gaussians, ever smaller in the image's area."""
+    """Return frames with six channels, of ever more Gaussians, ever smaller in the image's area."""
     result = {}
     for count in counts:
         forget_peak()

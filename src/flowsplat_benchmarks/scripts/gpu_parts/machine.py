@@ -1,4 +1,4 @@
-"""Which card this is, and the two limits that matter: how fast it multiplies and adds, and how fast it copies memory."""
+"""Identify the card, and measure the two limits that matter: how fast it multiplies and adds, and how fast it copies memory."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ ROUNDS, PROGRAMS, BLOCK = 4096, 4096, 1024
 
 
 def device() -> str:
-    """What is measured: the card, or in a rehearsal the processor."""
+    """Return what is measured: the card, or in a rehearsal the processor."""
     return "cuda" if torch.cuda.is_available() else "cpu"
 
 
 def describe() -> dict[str, Any]:
-    """The card and the versions of what computes on it."""
+    """Return the card and the versions of what computes on it."""
     versions = {
         "torch": torch.__version__, "triton": triton.__version__, "cuda": torch.version.cuda, "hip": torch.version.hip,
         "python": platform.python_version(), "cores": os.cpu_count(),
@@ -42,7 +42,7 @@ def describe() -> dict[str, Any]:
 
 
 def _driver() -> str | None:
-    """The driver's version, where NVIDIA's own tool says it."""
+    """Return the driver's version, where NVIDIA's own tool says it."""
     try:
         command = ["nvidia-smi", "--query-gpu=driver_version", "--format=csv,noheader"]
         return subprocess.run(command, capture_output=True, text=True, timeout=20, check=True).stdout.split()[0]
@@ -84,12 +84,12 @@ def forget_peak() -> None:
 
 
 def peak_gib() -> float:
-    """The most memory that tensors had since then."""
+    """Return the most memory that tensors had since then."""
     return significant(torch.cuda.max_memory_allocated() / 2**30) if torch.cuda.is_available() else 0.0
 
 
 def profile(job: Callable[[], object], repeat: int) -> dict[str, Any]:
-    """What the card is busy with, milliseconds a job by kernel, beside what the job takes by the clock."""
+    """Return what the card is busy with, milliseconds a job by kernel, beside what the job takes by the clock."""
     from torch.profiler import ProfilerActivity
 
     activities = [ProfilerActivity.CPU] + [ProfilerActivity.CUDA] * torch.cuda.is_available()

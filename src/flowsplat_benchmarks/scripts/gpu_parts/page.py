@@ -1,4 +1,4 @@
-"""What ``everything`` found as a page; parts that are missing, or failed, say so."""
+"""Write what ``everything`` found as a page; parts that are missing, or failed, say so."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ Result = dict[str, Any]
 
 
 def page(result: Result) -> Iterator[str]:
-    """Lines of Markdown."""
+    """Yield lines of Markdown."""
     machine = result.get("machine", {})
     yield f"## {machine.get('card', 'no card')}"
     yield ""

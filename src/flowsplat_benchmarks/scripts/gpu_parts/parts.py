@@ -81,11 +81,11 @@ class Record:
         return 1 if self.rehearse else 60
 
     def size(self, width: int, height: int) -> tuple[int, int]:
-        """Of an image."""
+        """Tell the costs of an image."""
         return (48, 27) if self.rehearse else (width, height)
 
     def count(self, count: int) -> int:
-        """Of Gaussians."""
+        """Tell the costs of Gaussians."""
         return min(count, 120) if self.rehearse else count
 
     def attempt(self, name: str, job: Callable[[], Any]) -> Any:
@@ -126,7 +126,7 @@ def kernels(record: Record) -> None:
 
 
 def _trainer(record: Record, name: str = "default", total: int = frames.TOTAL) -> Trainer:
-    """Some steps into training on drawn Gaussians, with a preset's settings."""
+    """Return some steps into training on drawn Gaussians, with a preset's settings."""
     width, height = record.size(WIDTH, HEIGHT)
     config = replace(PRESETS[name], iterations=2 if record.rehearse else 2 * drawn.FRAMES, frames_per_iteration=1, preview_every=0)
     with replace_attribute(drawn, "BACKGROUND", frames.SHARE_AT_REST):
@@ -206,7 +206,7 @@ def viewing(record: Record) -> None:
 
 
 def _measure_viewing(record: Record, run: Path) -> dict[str, Any]:
-    """Frames a second of a trained scene along its path, by graphs as in the viewer; the images stay on the card."""
+    """Return frames a second of a trained scene along its path, by graphs as in the viewer; the images stay on the card."""
     from flowsplat import pipeline
     from flowsplat.pipeline.folder import RunFolder
     from flowsplat.scenes import Scene
@@ -296,7 +296,7 @@ def training(record: Record) -> None:
 
 
 def _whole(scene: Path, out: Path, config: Any, device: str) -> dict[str, Any]:
-    """A run from a prepared scene to its figures: seconds by the clock."""
+    """Return a run from a prepared scene to its figures: seconds by the clock."""
     from flowsplat import pipeline
 
     began = time.perf_counter()
@@ -350,7 +350,7 @@ def agreement(record: Record) -> None:
 
 
 def _states(start: Gaussians4D, seen: Any, config: Any, device: str) -> Iterator[tuple[int, dict[str, torch.Tensor]]]:
-    """The parameters at some steps."""
+    """Yield the parameters at some steps."""
     found: list[tuple[int, dict[str, torch.Tensor]]] = []
     trainer = Trainer(seen, None, config, start=_perturb(start, 0.0), device=device)
     after = trainer._after_step
@@ -366,14 +366,14 @@ def _states(start: Gaussians4D, seen: Any, config: Any, device: str) -> Iterator
 
 
 def _perturb(gaussians: Gaussians4D, relative: float) -> Gaussians4D:
-    """A copy, which training changes; every number by about so much of itself."""
+    """Return a copy, which training changes; every number by about so much of itself."""
     g, generator = gaussians, torch.Generator().manual_seed(2)
     params = {name: value * (1 + relative * torch.randn(value.shape, generator=generator)) for name, value in g.params.items()}
     return Gaussians4D(params, g.dynamic.clone(), g.config, g.sh_degree, g.object_ids)
 
 
 def _apart(ours: torch.Tensor, theirs: torch.Tensor, first: torch.Tensor) -> float | None:
-    """How far two are apart, relative to how far training has moved them; None where it has moved nothing."""
+    """Return how far two are apart, relative to how far training has moved them; None where it has moved nothing."""
     moved = float((ours.double() - first.double()).norm())
     return significant(float((ours.double() - theirs.double()).norm()) / moved) if moved > 0 else None
 

@@ -37,7 +37,7 @@ def _write(report: pytest.TestReport) -> None:
 
 
 def summary(file: Path) -> dict[str, Any]:
-    """How many passed, what failed and how, and what took longest (with its compiling)."""
+    """Return how many passed, what failed and how, and what took longest (with its compiling)."""
     text = file.read_text(encoding="utf-8") if file.exists() else ""
     lines = [json.loads(line) for line in text.splitlines(keepends=True) if line.endswith("\n")]
     by_outcome = {name: [line for line in lines if line["outcome"] == name] for name in ("passed", "failed", "skipped")}

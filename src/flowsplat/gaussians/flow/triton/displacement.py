@@ -70,7 +70,7 @@ def _backward(gradient, next_means, camera, d_colors, d_depths, d_means2d, d_nex
 
 
 def compute_displacement_features(colors: Tensor, depths: Tensor, means2d: Tensor, next_means: Tensor, camera: Tensor) -> Tensor:
-    """[A, 7] without gradients; ``camera``: ``camera_numbers`` of the other camera on the device."""
+    """Return [A, 7] without gradients; ``camera``: ``camera_numbers`` of the other camera on the device."""
     count = len(colors)
     features = torch.empty(count, CHANNELS, device=colors.device)
     if count:

@@ -24,7 +24,7 @@ def animal(
     rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: float, scale: float, speed: float, duration: float,
     rich: bool,
 ) -> WorldObject:  # fmt: skip
-    """An animal that walks straight, in the middle of the clip at ``at`` [2]; the arguments as of ``people.walker``."""
+    """Return an animal that walks straight, in the middle of the clip at ``at`` [2]; the arguments as of ``people.walker``."""
     legs = _LEGS * scale
     step = legs * np.clip(0.3 + 0.24 * speed / legs, 0.3, 0.66)
     ahead = np.array([np.cos(heading), np.sin(heading)])

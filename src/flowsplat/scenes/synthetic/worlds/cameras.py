@@ -1,4 +1,4 @@
-"""How a camera of a drawn world looks and moves."""
+"""Move the cameras of drawn worlds."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ Views = tuple[np.ndarray, np.ndarray]
 
 
 def look(places: np.ndarray, targets: np.ndarray, roll: np.ndarray | float, turns: np.ndarray | None = None) -> Views:
-    """Cameras [T] that look at points [T, 3]; ``turns`` [T, 3] are small rotations of the camera in its own axes, in radians."""
+    """Return cameras [T] that look at points [T, 3]; ``turns`` [T, 3] are small rotations of the camera in its own axes, in
+    radians."""
     forward = targets - places
     forward = forward / np.linalg.norm(forward, axis=1, keepdims=True)
     right = np.cross(forward, UP)

@@ -171,7 +171,7 @@ def cast(
     shapes: np.ndarray, sizes: np.ndarray, turns: np.ndarray, origins: np.ndarray, bounds: np.ndarray,
     R: np.ndarray, K: np.ndarray, uv: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
-    """(planar depth [N], part [N], points in the parts' axes [N, 3]) of what a camera sees at pixels ``uv`` [N, 2].
+    """Return (planar depth [N], part [N], points in the parts' axes [N, 3]) of what a camera sees at pixels ``uv`` [N, 2].
 
     Args:
         shapes: [P] of the parts.

@@ -55,12 +55,12 @@ class Ground:
         return self.count + 1
 
     def step(self, places: np.ndarray) -> np.ndarray:
-        """[...] number of the step at places [..., 2]."""
+        """Return [...] number of the step at places [..., 2]."""
         along = places @ self.direction - self.first
         return np.clip(np.floor(along / self.tread) + 1, 0, self.count)
 
     def height(self, places: np.ndarray) -> np.ndarray:
-        """[...] meters at places [..., 2]."""
+        """Return [...] meters at places [..., 2]."""
         return places @ self.gradient + self.rise * self.step(places)
 
     def off_edges(self, places: np.ndarray, distance: float = ROOM_FOR_FOOT) -> np.ndarray:
@@ -77,7 +77,7 @@ class Ground:
         return self.off_edges(place, min(half, 0.499 * self.tread))
 
     def tangent(self, heading: np.ndarray) -> np.ndarray:
-        """[..., 3] the way on the plane that has (cos, sin) of ``heading`` [...] in x and y; not of unit length."""
+        """Return [..., 3] the way on the plane that has (cos, sin) of ``heading`` [...] in x and y; not of unit length."""
         flat = np.stack([np.cos(heading), np.sin(heading)], -1)
         return np.concatenate([flat, (flat @ self.gradient)[..., None]], -1)
 

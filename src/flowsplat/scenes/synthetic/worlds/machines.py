@@ -1,4 +1,4 @@
-"""What moves and is no person: vehicles, balls, pendulums, doors, birds."""
+"""Draw what moves and is no person: vehicles, balls, pendulums, doors, birds."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def draw_way(rng: np.random.Generator, speed: float, duration: float, stops: boo
 
 
 def straight(rng: np.random.Generator, ground: Ground, heading: float) -> float:
-    """The heading, along the treads where there are steps."""
+    """Return the heading, along the treads where there are steps."""
     if ground.count == 0:
         return heading
     along = float(np.arctan2(ground.direction[0], -ground.direction[1]))
@@ -61,7 +61,7 @@ def vehicle(
     rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: float, length: float, way: Way, rich: bool,
     handle: tuple[float, float] | None = None,
 ) -> WorldObject:  # fmt: skip
-    """A box on four wheels that roll without slip, in the middle of the clip at ``at`` [2], ``length`` meters long.
+    """Return a box on four wheels that roll without slip, in the middle of the clip at ``at`` [2], ``length`` meters long.
 
     Args:
         handle: of a cart that is pushed: meters above the ground and behind the box.
@@ -88,7 +88,7 @@ def vehicle(
         parts += [capsule(0.02, float(np.linalg.norm(end - start)), glass) for start, end in rods]
 
     def origin(times: np.ndarray) -> np.ndarray:
-        """[T, 3] the point of the ground below the middle."""
+        """Return [T, 3] the point of the ground below the middle."""
         place = at + way(times)[:, None] * [np.cos(heading), np.sin(heading)]
         return np.concatenate([place, ground.height(place)[:, None]], 1)
 
@@ -113,7 +113,7 @@ def vehicle(
 def draw_rolling_ball(
     rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: float, radius: float, way: Way, rich: bool
 ) -> WorldObject:
-    """A ball that rolls without slip."""
+    """Return a ball that rolls without slip."""
     heading = straight(rng, ground, heading)
     at = ground.middle_of_tread(at, 1.2 * radius)
     tangent, normal = ground.tangent(np.array(heading)), ground.normal
@@ -136,7 +136,7 @@ def in_the_air(
     rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: float, radius: float, speed: float, duration: float,
     rich: bool, bounces: bool, rolls_on: bool = False,
 ) -> WorldObject:  # fmt: skip
-    """A ball that falls freely: thrown so that it does not come down during the clip, or bouncing.
+    """Return a ball that falls freely: thrown so that it does not come down during the clip, or bouncing.
 
     Bounces turn the vertical speed about, whatever the slope of the ground.
 
@@ -186,7 +186,7 @@ def in_the_air(
 def pendulum(
     rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: float, size: float, duration: float, rich: bool
 ) -> WorldObject:
-    """A weight of radius ``size`` on a rod from a fixed pivot, with something that holds the pivot."""
+    """Return a weight of radius ``size`` on a rod from a fixed pivot, with something that holds the pivot."""
     length = max(rng.uniform(3, 8) * size, 0.4)
     clear = rng.uniform(0.15, 0.9)
     reach = rng.uniform(0.35, 0.85)
@@ -213,7 +213,7 @@ def pendulum(
 
 
 def _gallows(rng: np.random.Generator, ground: Ground, pivot: np.ndarray, across: np.ndarray, reach: float) -> tuple[Placed, ...]:
-    """A beam along the axis on two posts, or a rod that goes up beyond all images."""
+    """Return a beam along the axis on two posts, or a rod that goes up beyond all images."""
     wood, thick = draw_material(rng, 0.5, bool(rng.random() < 0.5)), 0.05
     axes = frame(across, UP)[0]
     if rng.random() < 0.4:
@@ -231,7 +231,7 @@ def _gallows(rng: np.random.Generator, ground: Ground, pivot: np.ndarray, across
 def door(
     rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: float, scale: float, duration: float, rich: bool
 ) -> WorldObject:
-    """A door on its post that opens or closes; closed it lies along ``heading``."""
+    """Return a door on its post that opens or closes; closed it lies along ``heading``."""
     wide, tall = scale * rng.uniform(0.75, 1.1), scale * rng.uniform(1.6, 2.2)
     start, sweep = rng.uniform(0, 0.4), rng.uniform(0.6, 1.5)
     side, back = float(rng.choice([-1, 1])), bool(rng.random() < 0.5)
@@ -274,7 +274,7 @@ def door(
 def flier(
     rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: float, size: float, speed: float, duration: float, rich: bool
 ) -> WorldObject:
-    """A bird, ``size`` meters from tip to tip of its wings, that flaps or glides."""
+    """Return a bird, ``size`` meters from tip to tip of its wings, that flaps or glides."""
     high = float(ground.height(at)) + rng.uniform(0.8, 3.0) + size
     bend, climb = rng.uniform(-0.4, 0.4), rng.uniform(-0.3, 0.3)
     swing, rate, phase = rng.uniform(0, 0.15, 3), rng.uniform(2, 5, 3), rng.uniform(0, 2 * np.pi, 3)

@@ -131,7 +131,7 @@ def albedo(
 
 
 def draw_material(rng: np.random.Generator, scale: float, rich: bool, patterns: tuple[int, ...] = ()) -> np.ndarray:
-    """[M] a random material.
+    """Return [M] a random material.
 
     Args:
         scale: meters of what it covers: pattern and noise fit into it.
@@ -153,6 +153,6 @@ def draw_material(rng: np.random.Generator, scale: float, rich: bool, patterns: 
 
 
 def _draw_color(rng: np.random.Generator) -> np.ndarray:
-    """[3] anything between earth and paint, not too dark."""
+    """Return [3] anything between earth and paint, not too dark."""
     gray = rng.uniform(0.2, 0.85)
     return np.clip(gray + rng.choice([0.05, 0.1, 0.2]) * rng.normal(size=3), 0.06, 0.95)

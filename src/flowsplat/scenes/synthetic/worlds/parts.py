@@ -86,7 +86,7 @@ class WorldObject:
     support: tuple[Placed, ...] = ()
 
     def center(self, times: np.ndarray) -> np.ndarray:
-        """[T, 3] mean of the centers of its parts, the larger ones counting more."""
+        """Return [T, 3] mean of the centers of its parts, the larger ones counting more."""
         weights = np.array([part.radius for part in self.parts])
         return np.asarray(np.einsum("tpk,p->tk", self.poses(np.atleast_1d(times))[1], weights / weights.sum()))
 
@@ -100,27 +100,27 @@ def touch_nothing(times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def ball(radius: float, material: np.ndarray) -> Part:
-    """A ball."""
+    """Return a ball."""
     return Part(ELLIPSOID, np.full(3, float(radius)), material)
 
 
 def ellipsoid(half: ArrayLike, material: np.ndarray) -> Part:
-    """An ellipsoid of half axes [3]."""
+    """Return an ellipsoid of half axes [3]."""
     return Part(ELLIPSOID, np.array(half, float), material)
 
 
 def box(half: ArrayLike, material: np.ndarray) -> Part:
-    """A box of half extents [3]."""
+    """Return a box of half extents [3]."""
     return Part(BOX, np.array(half, float), material)
 
 
 def capsule(radius: float, length: float, material: np.ndarray) -> Part:
-    """A tube with round ends, ``length`` between their centers."""
+    """Return a tube with round ends, ``length`` between their centers."""
     return Part(CAPSULE, np.array([radius, radius, length / 2]), material)
 
 
 def cylinder(radius: float, half: float, material: np.ndarray) -> Part:
-    """A cylinder along its z."""
+    """Return a cylinder along its z."""
     return Part(CYLINDER, np.array([radius, radius, float(half)]), material)
 
 
@@ -128,12 +128,12 @@ def cylinder(radius: float, half: float, material: np.ndarray) -> Part:
 
 
 def about(axis: np.ndarray, angles: np.ndarray) -> np.ndarray:
-    """[T, 3, 3] rotations about an axis [3] by angles [T]."""
+    """Return [T, 3, 3] rotations about an axis [3] by angles [T]."""
     return np.asarray(Rotation.from_rotvec(np.atleast_1d(angles)[:, None] * np.asarray(axis, float)).as_matrix())
 
 
 def frame(forward: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """[T, 3, 3] axes (forward, left, up) as columns: forward is kept, up is made upright to it. Both [T, 3] or [3]."""
+    """Return [T, 3, 3] axes (forward, left, up) as columns: forward is kept, up is made upright to it. Both [T, 3] or [3]."""
     forward, up = np.broadcast_arrays(np.atleast_2d(forward).astype(float), np.atleast_2d(up).astype(float))
     forward = forward / np.linalg.norm(forward, axis=1, keepdims=True)
     left = np.cross(up, forward)
@@ -142,7 +142,7 @@ def frame(forward: np.ndarray, up: np.ndarray) -> np.ndarray:
 
 
 def rod(start: np.ndarray, end: np.ndarray, aside: np.ndarray) -> Poses:
-    """(rotations [T, 3, 3], centers [T, 3]) of a capsule between two points [T, 3], its x as near to ``aside`` as may be."""
+    """Return (rotations [T, 3, 3], centers [T, 3]) of a capsule between two points [T, 3], its x as near to ``aside`` as may be."""
     z = end - start
     z = z / np.maximum(np.linalg.norm(z, axis=1, keepdims=True), 1e-9)
     aside = np.broadcast_to(aside, z.shape)
@@ -152,5 +152,5 @@ def rod(start: np.ndarray, end: np.ndarray, aside: np.ndarray) -> Poses:
 
 
 def together(poses: Sequence[Poses]) -> Poses:
-    """The poses of single parts ([T, 3, 3] and [T, 3] each) as those of all."""
+    """Return the poses of single parts ([T, 3, 3] and [T, 3] each) as those of all."""
     return np.stack([R for R, _ in poses], 1), np.stack([c for _, c in poses], 1)

@@ -75,20 +75,20 @@ class Gait:
     scale: float
 
     def place(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(places [..., 2], headings [...])."""
+        """Return (places [..., 2], headings [...])."""
         middle = self.heading + 0.5 * self.bend * s
         chord = s * np.sinc(0.5 * self.bend * s / np.pi)
         return self.at + chord[..., None] * np.stack([np.cos(middle), np.sin(middle)], -1), self.heading + self.bend * s
 
     def plant(self, number: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray]:
-        """(points [T, 3] on the ground, headings [T]) of the planted feet of one side, -1 left and 1 right."""
+        """Return (points [T, 3] on the ground, headings [T]) of the planted feet of one side, -1 left and 1 right."""
         place, heading = self.place(self.first + (2 * number + (side > 0)) * self.step)
         right = np.stack([np.sin(heading), -np.cos(heading)], -1)
         place = self.ground.off_edges(place + side * HIP * self.scale * right)
         return np.concatenate([place, self.ground.height(place)[:, None]], 1), heading
 
     def foot(self, s: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """(middle of the sole [T, 3], heading [T], pitch [T], whether it stands [T])."""
+        """Return (middle of the sole [T, 3], heading [T], pitch [T], whether it stands [T])."""
         own = self.first + (side > 0) * self.step
         number = np.floor((s - own + STANCE * self.step) / (2 * self.step))
         since = (s - own - 2 * self.step * number) / self.step - STANCE
@@ -105,7 +105,7 @@ class Gait:
 
 
 def find_knee(hip: np.ndarray, ankle: np.ndarray, forward: np.ndarray, upper: float, lower: float) -> np.ndarray:
-    """[T, 3] where a joint is between two points, bent forward."""
+    """Return [T, 3] where a joint is between two points, bent forward."""
     way = ankle - hip
     distance = np.linalg.norm(way, axis=1, keepdims=True)
     way = way / distance
@@ -120,7 +120,7 @@ def walker(
     rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: float, scale: float, speed: float, duration: float,
     rich: bool, carries: bool = False, arms: Arms = "swing",
 ) -> WorldObject:  # fmt: skip
-    """A person who walks, in the middle of the clip at ``at`` [2].
+    """Return a person who walks, in the middle of the clip at ``at`` [2].
 
     Args:
         scale: 1 = as tall as ``HEIGHT``.
@@ -168,7 +168,7 @@ def find_hips(gait: Gait, speed: float, duration: float) -> Callable[[np.ndarray
 
 
 def place_ankle(gait: Gait, s: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(ankle [T, 3], rotation of the foot [T, 3, 3], its center [T, 3])."""
+    """Return (ankle [T, 3], rotation of the foot [T, 3, 3], its center [T, 3])."""
     sole, heading, pitch, _ = gait.foot(s, side)
     level = frame(gait.ground.tangent(heading), gait.ground.normal)
     joint = np.array([-0.3 * HALF_FOOT[0], 0, 0]) * gait.scale
@@ -179,7 +179,7 @@ def place_ankle(gait: Gait, s: np.ndarray, side: int) -> tuple[np.ndarray, np.nd
 
 
 def body(rng: np.random.Generator, scale: float, rich: bool) -> list[Part]:
-    """The parts of a person: hips, trunk, neck, head and hair, then thigh, shin and foot of both legs, then both arms."""
+    """Return the parts of a person: hips, trunk, neck, head and hair, then thigh, shin and foot of both legs, then both arms."""
     shirt, trousers = draw_material(rng, 0.5 * scale, rich), draw_material(rng, 0.5 * scale, rich and bool(rng.random() < 0.5))
     shoe, sleeve = draw_material(rng, 0.3, False), shirt if rng.random() < 0.6 else draw_material(rng, 0.3, rich)
     skin = draw_material(rng, 0.3, False)
@@ -251,6 +251,6 @@ def _stand(gait: Gait, s: np.ndarray, hips: np.ndarray, arms: Arms, parts: list[
 
 
 def _direction(forward: np.ndarray, angle: np.ndarray, outward: np.ndarray) -> np.ndarray:
-    """[T, 3] unit vectors that hang down at angle 0 and point forward at a right angle."""
+    """Return [T, 3] unit vectors that hang down at angle 0 and point forward at a right angle."""
     way = np.sin(angle)[:, None] * forward - np.cos(angle)[:, None] * UP + outward
     return np.asarray(way / np.linalg.norm(way, axis=1, keepdims=True))

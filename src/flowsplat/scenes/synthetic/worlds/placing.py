@@ -1,4 +1,4 @@
-"""What may stand where: objects that meet nothing, and a camera that is inside of nothing."""
+"""Check what may stand where: objects that meet nothing, and a camera that is inside of nothing."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from flowsplat.scenes.synthetic.worlds.world import World
 
 
 def balls(obj: WorldObject, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(centers [T, P, 3], radii [P]) of balls round the parts."""
+    """Return (centers [T, P, 3], radii [P]) of balls round the parts."""
     return obj.poses(times)[1], np.array([part.radius for part in obj.parts])
 
 
@@ -22,7 +22,7 @@ def reach(obj: WorldObject, times: np.ndarray) -> float:
 
 
 def apart(placed: Placed, obj: WorldObject, times: np.ndarray) -> bool:
-    """Whether something static is nowhere near the way of an object."""
+    """Return whether something static is nowhere near the way of an object."""
     centers, radii = balls(obj, times)
     local = np.abs((centers - placed.center) @ placed.turn)
     gap = np.linalg.norm(np.maximum(local - placed.part.size, 0), axis=-1)
@@ -30,7 +30,7 @@ def apart(placed: Placed, obj: WorldObject, times: np.ndarray) -> bool:
 
 
 def are_apart(objects: Sequence[WorldObject], times: np.ndarray, first_two_touch: bool) -> bool:
-    """Whether no object meets another one, or what holds another one; the first two may, if they touch on purpose."""
+    """Return whether no object meets another one, or what holds another one; the first two may, if they touch on purpose."""
     found = [balls(obj, times) for obj in objects]
     for a in range(len(found)):
         for b in range(a + 1, len(found)):
@@ -47,7 +47,7 @@ def are_apart(objects: Sequence[WorldObject], times: np.ndarray, first_two_touch
 
 
 def is_free(world: World, centers: np.ndarray) -> bool:
-    """Whether a camera at ``centers`` [T, 3], at times spread over the world's, is inside or next to nothing."""
+    """Return whether a camera at ``centers`` [T, 3], at times spread over the world's, is inside or next to nothing."""
     for placed in world.static[1:]:
         local = np.abs((centers - placed.center) @ placed.turn)
         if (np.linalg.norm(np.maximum(local - placed.part.size, 0), axis=-1) < 0.3).any():

@@ -62,12 +62,12 @@ GLASS, WHITE, SKY = (0.20, 0.28, 0.36), (0.90, 0.89, 0.86), (0.62, 0.76, 0.92)
 
 
 def frame_rate(frames: int) -> float:
-    """Frames a second of a clip of the street."""
+    """Return frames a second of a clip of the street."""
     return max(FPS, (frames - 1) / LASTS)
 
 
 def draw_street(seed: int, width: int = 320, height: int = 180, frames: int = 40) -> World:
-    """The street of a seed, the same bits for the same arguments. The number of pixels and of frames changes nothing in it.
+    """Return the street of a seed, the same bits for the same arguments. The number of pixels and of frames changes nothing in it.
 
     Raises:
         InputError: nothing could be placed in sight.
@@ -83,7 +83,7 @@ def draw_street(seed: int, width: int = 320, height: int = 180, frames: int = 40
 
 
 def _from(world: World, start: float) -> World:
-    """The same world, its time counted from ``start`` seconds on."""
+    """Return the same world, its time counted from ``start`` seconds on."""
 
     def later(obj: WorldObject) -> WorldObject:
         return replace(
@@ -95,7 +95,7 @@ def _from(world: World, start: float) -> World:
 
 
 def _place(rng: np.random.Generator, seed: int) -> World | None:
-    """One attempt, over all of ``LASTS``; None where things are inside each other."""
+    """Return one attempt, over all of ``LASTS``; None where things are inside each other."""
     ground = Ground("flat", np.zeros(2), np.array([0.0, 1.0]))
     objects = _draw_objects(rng, ground)
     path = _draw_passing_camera(rng)
@@ -114,7 +114,7 @@ def _place(rng: np.random.Generator, seed: int) -> World | None:
 
 
 def _draw_objects(rng: np.random.Generator, ground: Ground) -> tuple[WorldObject, ...]:
-    """A walker, behind it a cart, and before or beside it a ball, each going left or right."""
+    """Return a walker, behind it a cart, and before or beside it a ball, each going left or right."""
 
     def heading() -> float:
         return float(rng.choice([0.0, np.pi]) + rng.uniform(-0.15, 0.15))
@@ -143,7 +143,7 @@ def _draw_objects(rng: np.random.Generator, ground: Ground) -> tuple[WorldObject
 
 
 def _draw_passing_camera(rng: np.random.Generator) -> Callable[[np.ndarray], Views]:
-    """A camera in the hand of someone who walks past, and mostly keeps looking at the same place."""
+    """Return a camera in the hand of someone who walks past, and mostly keeps looking at the same place."""
     side, speed, gaze = rng.choice([-1.0, 1.0]), rng.uniform(0.8, 1.1), rng.uniform(0.1, 0.4)
     onward, bob, sway = rng.uniform(-0.15, 0.15), rng.uniform(0.015, 0.03), rng.uniform(0.01, 0.02)
     rate, phase, tremble = 2 * np.pi * rng.uniform(1.7, 2.0), rng.uniform(0, 2 * np.pi), waves(rng, 1.0, 5.0)
@@ -159,7 +159,7 @@ def _draw_passing_camera(rng: np.random.Generator) -> Callable[[np.ndarray], Vie
 
 
 def _is_in_sight(world: World) -> bool:
-    """Whether everything that moves is well in the image for the seconds that matter, and the ball bounces in them."""
+    """Return whether everything that moves is well in the image for the seconds that matter, and the ball bounces in them."""
     if world.objects[-1].instants[-1] < (LASTS + SEEN) / 2 - _STILL:
         return False
     grid = pixel_grid(*_CHECK_SIZE).astype(np.float64).reshape(-1, 2)
@@ -179,7 +179,7 @@ def _material(
     rng: np.random.Generator, color: Color, pattern: int = PLAIN, period: float = 1.0, other: Color = WHITE,
     amplitude: float = 0.12, wavelength: float = 0.5,
 ) -> np.ndarray:  # fmt: skip
-    """[M] (see ``materials``): two colors in a pattern, and noise; the first color is drawn a little darker or lighter."""
+    """Return [M] (see ``materials``): two colors in a pattern, and noise; the first color is drawn a little darker or lighter."""
     tone = np.clip(np.array(color) * rng.uniform(0.9, 1.1), 0.03, 0.95)
     return np.array([pattern, period, *tone, *other, 1.0, 0.0, 0.0, amplitude, wavelength, 5, rng.integers(1, 10000)])
 
@@ -194,13 +194,13 @@ def _sky(rng: np.random.Generator) -> Placed:
 
 
 def _place_part(part: Part, x: float, y: float, low: float, half: float, yaw: float = 0.0) -> Placed:
-    """A part turned by ``yaw`` about the vertical, its lower end ``low`` meters above the ground, ``half`` of its height."""
+    """Return a part turned by ``yaw`` about the vertical, its lower end ``low`` meters above the ground, ``half`` of its height."""
     turn = frame(np.array([np.cos(yaw), np.sin(yaw), 0.0]), UP)[0]
     return Placed(part, turn, np.array([x, y, low + half]))
 
 
 def _scenery(rng: np.random.Generator) -> list[Placed]:
-    """Two houses and a wall behind, before them trees, a bench, a lamp, tubs and crates."""
+    """Return two houses and a wall behind, before them trees, a bench, a lamp, tubs and crates."""
     front = rng.uniform(9.8, 10.4)
     gap = rng.uniform(-0.8, 1.2)
     found = _house(rng, gap - 7.0, gap - 1.0, front, rng.uniform(4.6, 6.0), _pick(rng, BRICK), True)
@@ -227,7 +227,7 @@ def _scenery(rng: np.random.Generator) -> list[Placed]:
 def _house(
     rng: np.random.Generator, left: float, right: float, front: float, high: float, color: Color, bricks: bool
 ) -> list[Placed]:
-    """A front with windows, a door and a plinth that stand out of it by centimeters."""
+    """Return a front with windows, a door and a plinth that stand out of it by centimeters."""
     wall = (
         _material(rng, color, BRICKS, 0.46, MORTAR, 0.2, 0.8) if bricks else _material(rng, color, amplitude=0.16, wavelength=0.9)
     )

@@ -112,7 +112,7 @@ class World(RayCastWorld):
         return len(self.objects)
 
     def track_rng(self) -> np.random.Generator:
-        """A new generator, always the same, that decides which points are tracked."""
+        """Return a new generator, always the same, that decides which points are tracked."""
         return np.random.default_rng([self.seed, 4])
 
     @cached_property
@@ -126,7 +126,7 @@ class World(RayCastWorld):
         }  # fmt: skip
 
     def poses(self, time: float) -> tuple[np.ndarray, np.ndarray]:
-        """(rotations [P, 3, 3] from the parts' axes to the world's, centers [P, 3])."""
+        """Return (rotations [P, 3, 3] from the parts' axes to the world's, centers [P, 3])."""
         times = np.array([time])
         moved = [obj.poses(times) for obj in self.objects]
         turns = [np.stack([placed.turn for placed in self.static]), *(R[0] for R, _ in moved)]
@@ -134,20 +134,20 @@ class World(RayCastWorld):
         return np.concatenate(turns), np.concatenate(centers)
 
     def camera_at(self, time: float, width: int | None = None, height: int | None = None) -> Camera:
-        """The camera at a time in seconds, with another number of pixels if asked for."""
+        """Return the camera at a time in seconds, with another number of pixels if asked for."""
         width, height = width or self.width, height or self.height
         (center,), (R,) = self.path(np.array([time]))
         focal = self.focal * width
         return Camera(rigid(R, -R @ center), np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]]), width, height)
 
     def camera(self, i: int) -> Camera:
-        """The camera of frame ``i``, meters, world z up."""
+        """Return the camera of frame ``i``, meters, world z up."""
         return self.camera_at(self.timestamps[i])
 
     # -- rays
 
     def _compute_views(self, camera: Camera, turns: np.ndarray, centers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(the camera's center in the parts' axes [P, 3], rectangles [P, 4] outside of which parts are never seen)."""
+        """Return (the camera's center in the parts' axes [P, 3], rectangles [P, 4] outside of which parts are never seen)."""
         origins = np.einsum("pkq,pk->pq", turns, camera.center - centers)
         # Corners of a box round every part in its own axes.
         sizes = self._constants["sizes"].copy()
@@ -162,7 +162,7 @@ class World(RayCastWorld):
         return origins, bounds
 
     def cast(self, camera: Camera, time: float, uv: np.ndarray) -> Hits:
-        """What a camera sees at ``time`` at positions ``uv`` [N, 2] (pixels)."""
+        """Return what a camera sees at ``time`` at positions ``uv`` [N, 2] (pixels)."""
         turns, centers = self.poses(time)
         origins, bounds = self._compute_views(camera, turns, centers)
         c = self._constants
@@ -171,11 +171,11 @@ class World(RayCastWorld):
         return Hits(*cast(c["shapes"], c["sizes"], turns, origins, bounds, R, camera.intrinsics, uv))
 
     def image(self, i: int) -> np.ndarray:
-        """[H, W, 3] uint8 RGB of frame ``i``: antialiased, blurred by motion and noisy as the world says."""
+        """Return [H, W, 3] uint8 RGB of frame ``i``: antialiased, blurred by motion and noisy as the world says."""
         return self.photograph(self.camera_at, self.timestamps[i], np.random.default_rng([self.seed, 3, i]))
 
     def photograph(self, camera_at: Callable[[float], Camera], time: float, rng: np.random.Generator) -> np.ndarray:
-        """[H, W, 3] uint8 RGB at a time in seconds, as ``image``.
+        """Return [H, W, 3] uint8 RGB at a time in seconds, as ``image``.
 
         Args:
             camera_at: from seconds to the camera, which moves while an image is exposed.
@@ -202,7 +202,8 @@ class World(RayCastWorld):
         return np.clip(levels + 0.5, 0, 255).astype(np.uint8)
 
     def _occluders(self, turns: np.ndarray, centers: np.ndarray) -> np.ndarray:
-        """[Q, 4] centers and radii of balls that fill the parts of objects; long ones are three balls along their longest axis."""
+        """Return [Q, 4] centers and radii of balls that fill the parts of objects; long ones are three balls along their longest
+        axis."""
         moving, shapes, sizes = self.numbers > 0, self._constants["shapes"], self._constants["sizes"].copy()
         sizes[shapes == CAPSULE, 2] += sizes[shapes == CAPSULE, 0]
         radii = np.cbrt(sizes.prod(1) / 3)
@@ -213,7 +214,7 @@ class World(RayCastWorld):
         return np.concatenate(balls)
 
     def _suns(self) -> np.ndarray:
-        """[S, 3] directions to points of the sun."""
+        """Return [S, 3] directions to points of the sun."""
         axis = self.light.direction
         aside = np.cross(axis, [0.3, 0.5, -0.8])
         aside /= np.linalg.norm(aside)
@@ -223,16 +224,16 @@ class World(RayCastWorld):
     # -- truth
 
     def geometry(self, i: int) -> tuple[np.ndarray, np.ndarray]:
-        """(planar depth [H, W] in meters at the pixel centers, number of the object [H, W] uint8) of frame ``i``."""
+        """Return (planar depth [H, W] in meters at the pixel centers, number of the object [H, W] uint8) of frame ``i``."""
         return self.cast_rays(self.camera(i), self.timestamps[i])
 
     def carry(self, hits: Hits, time: float) -> np.ndarray:
-        """[N, 3] where the points that were hit are at ``time``."""
+        """Return [N, 3] where the points that were hit are at ``time``."""
         turns, centers = self.poses(time)
         return np.asarray(np.einsum("nkq,nq->nk", turns[hits.part], hits.local) + centers[hits.part])
 
     def describe(self, number: int) -> dict[str, object]:
-        """What is true of an object, to be written as JSON.
+        """Return what is true of an object, to be written as JSON.
 
         Returns:
             ``number``, ``kind``, ``contact`` (seconds at which it touches the ground), ``swings``, ``rolls``, ``rests`` (for
