@@ -34,7 +34,7 @@ class PathSpread:
 
     @staticmethod
     def of(centers: Tensor, device: torch.device | str = "cpu") -> PathSpread:
-        """Make them of centers [F, 3], on a device."""
+        """Return the spread of centers [F, 3], on a device."""
         middle = centers.mean(0)
         path = centers - middle
         covariance = path.T @ path / len(centers)

@@ -81,11 +81,11 @@ class Record:
         return 1 if self.rehearse else 60
 
     def size(self, width: int, height: int) -> tuple[int, int]:
-        """Tell the costs of an image."""
+        """Return the size of an image: a small one in a rehearsal."""
         return (48, 27) if self.rehearse else (width, height)
 
     def count(self, count: int) -> int:
-        """Tell the costs of Gaussians."""
+        """Return the number of Gaussians: few in a rehearsal."""
         return min(count, 120) if self.rehearse else count
 
     def attempt(self, name: str, job: Callable[[], Any]) -> Any:
