@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -15,8 +17,25 @@ BRITISH = (
 MODULES = (
     "priors/objects/rematch.py", "priors/prompts/walking.py", "priors/masks/plate.py", "priors/masks/unexplained.py",
     "priors/masks/sweep.py", "priors/background/agreement.py", "priors/background/edges.py", "training/rays", "training/residuals",
-    "training/average.py", "protocols", "cli/benchmarks",
+    "training/average.py", "protocols", "cli/benchmarks", "pipeline/first.py", "gaussians/fading.py", "gaussians/support.py",
+    "gaussians/lit.py", "priors/objects/card.py", "priors/objects/relief.py", "priors/objects/course.py", "training/picture_loss",
+    "pictures",
 )  # fmt: skip
+OPTIONS = ("--touch", "--distance ", "--mask-not", "--render.fading", "--render.distances", "--render.slow ", "--first-scene")
+WORDS = re.compile(
+    r"\b_?movers?\b|_movers?\b|\bmovers?_|\bMovers?[A-Z]?|\bpictures?\b|_pictures?\b|\bpictures?_|\bPictures?[A-Z]|picture_loss"
+    r"|\breliefs?\b|\bcourses?_|_courses?\b|\bFADING\b|\bSUPPORT\b|\bin_words\b|METHOD [0-9]|\bdeeds\.py|test_a_day"
+)
+"""What became *object*, *image*, *shape offset*, *depth trajectory*, ... (docs/glossary.md)."""
+BEFORE = {"docs/glossary.md", "src/flowsplat/pipeline/renamed_options.py", "tests/test_words.py", "tests/test_cli.py"}
+"""Files that may name what things were called before."""
+PARTICIPLES = re.compile(
+    r"(?!(?:read|feed|need|embed|shed|exceed|proceed|bring|ring|string)$)(?:[a-z]+(?:ed|ing)"
+    r"|seen|shown|drawn|thrown|known|grown|given|taken|chosen|written|driven|hidden|broken|held|kept|made|found|told|lost|built|sent"
+    r"|spent|bent|sought|brought|thought|caught|taught|worn|torn|born|done|gone|swollen|stolen|frozen|woken|led|met|laid|paid|said)"
+)
+VERBS = {"training", "viewing"}
+"""Functions that are parts of a measurement, found by their names."""
 READ = {".py", ".md", ".js", ".css", ".html", ".jinja", ".toml", ".yml", ".json"}
 ALLOWED = re.compile(r"blue grey|parametre|diametre")
 """A name of the theme of the documentation, and the list above."""
@@ -45,3 +64,34 @@ def test_spelling_is_american():
 
 def test_modules_have_the_names_of_the_field():
     assert [name for name in MODULES if (ROOT / "src" / "flowsplat" / name).exists()] == []
+
+
+def test_words_of_before_do_not_come_back():
+    found = []
+    for name in tracked():
+        if name in BEFORE or Path(name).suffix not in READ - {".json"}:
+            continue
+        text = (ROOT / name).read_text(encoding="utf-8")
+        found += [f"{name}: {match.group()}" for match in WORDS.finditer(text)][:3]
+        found += [f"{name}: {option}" for option in OPTIONS if option in text and not name.startswith("tests/")]
+    assert not found, "\n".join(found[:40])
+
+
+def functions(node: ast.AST) -> Iterator[ast.FunctionDef]:
+    """Functions of modules and classes, properties left out."""
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.ClassDef | ast.If):
+            yield from functions(child)
+        elif isinstance(child, ast.FunctionDef) and not any("property" in ast.unparse(each) for each in child.decorator_list):
+            yield child
+
+
+def test_functions_are_no_participles():
+    found = []
+    for name in tracked():
+        if name.startswith("src/") and name.endswith(".py"):
+            for function in functions(ast.parse((ROOT / name).read_text(encoding="utf-8"))):
+                first = function.name.strip("_").split("_")[0]
+                if PARTICIPLES.fullmatch(first) and function.name not in VERBS:
+                    found.append(f"{name}: {function.name}")
+    assert not found, "\n".join(found)

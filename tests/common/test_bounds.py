@@ -18,7 +18,7 @@ from flowsplat.common.bounds import (
     bounds_in_help,
     bounds_of,
     check_bounds,
-    in_words,
+    format_bounds,
     problem,
 )
 from flowsplat.common.errors import InputError
@@ -70,9 +70,9 @@ def test_strict_upper_bounds():
 
 
 def test_bounds_in_words():
-    words = {name: in_words(bounds) for name, bounds in bounds_of(Outer).items()}
+    words = {name: format_bounds(bounds) for name, bounds in bounds_of(Outer).items()}
     assert words == {"rate": "0 or more", "size": "above 0", "part": "above 0, below 1"}
-    assert in_words(Meta(ge=0, le=1)) == "0 to 1"
+    assert format_bounds(Meta(ge=0, le=1)) == "0 to 1"
 
 
 def test_every_number_of_training_has_bounds():

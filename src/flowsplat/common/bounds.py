@@ -79,7 +79,7 @@ def numbers(config: Any, prefix: str = "") -> Iterator[tuple[str, float, Meta]]:
             yield f"{prefix}{field.name}", value, bounds[field.name]
 
 
-def in_words(bounds: Meta) -> str:
+def format_bounds(bounds: Meta) -> str:
     """``"0 to 1"``, ``"1 or more"``, ``"above 0, below 1"``; what is beyond any use is not said."""
     low = f"{bounds.ge:g}" if bounds.ge is not None else f"above {bounds.gt:g}"
     if bounds.lt is not None:
@@ -97,7 +97,7 @@ def bounds_in_help(kind: Kind) -> Kind:
     """Let the command line's help say the bounds of a dataclass's settings, beside their defaults."""
     hints = get_type_hints(kind, include_extras=True)
     for name, bounds in bounds_of(kind).items():
-        hint = tyro.conf.arg(help_behavior_hint=partial(_hint, in_words(bounds)))
+        hint = tyro.conf.arg(help_behavior_hint=partial(_hint, format_bounds(bounds)))
         if not any(type(extra) is type(hint) for extra in hints[name].__metadata__):
             hints[name] = Annotated[hints[name], hint]
         kind.__annotations__[name] = hints[name]

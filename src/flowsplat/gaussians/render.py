@@ -124,7 +124,7 @@ def render(
         camera: in normalized coordinates; its size is the image's size.
         t: clip time, 0 at the first frame and 1 at the last; any number of Python, NumPy or torch.
         flow_to: the other (camera, clip time) that optical flow goes to; None = none is rendered.
-        flow_model: METHOD 3.
+        flow_model: which of docs/method.md, "Flow splatting".
         eps2d: px^2 of blur.
         backend: of the rasterizer.
         distances: of objects that are not where they were trained.

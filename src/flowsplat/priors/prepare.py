@@ -50,7 +50,7 @@ def prepare_priors(
     if request.wants_truth and (stale or PRIORS.list_missing(scene)):
         true_layers(scene)
         PRIORS.forget(scene, stale)
-        seconds["truth"] = _timed(lambda: PRIORS.read_truth(request))
+        seconds["truth"] = _time(lambda: PRIORS.read_truth(request))
         stale = PRIORS.stale(request)
     # Networks are loaded before anything is forgotten or computed: that one is missing is said now, not after minutes of work.
     due = [prior for prior in PRIORS.whole if prior.name in stale or scene.prior(prior.name) is None]
@@ -131,7 +131,7 @@ def _compute(
             continue
         stage = ready.get(prior.name) or _ready(request, prior)
         with spinner(f"Computing {prior.name.replace('_', ' ')}"):
-            took = _timed(stage)
+            took = _time(stage)
         seconds[prior.whole] = seconds.get(prior.whole, 0.0) + took
         if prior.has_record:
             report(f"{prior.name}: {_verdict(scene, prior.name)} ({took:.0f} s)")
@@ -167,7 +167,7 @@ def _report_what_is_kept(request: Request, stale: Collection[str]) -> None:
             report(f"{what}: {', '.join(f'{name} ({request.method(name)})' for name in names)}.")
 
 
-def _timed(stage: Stage) -> float:
+def _time(stage: Stage) -> float:
     start = time.perf_counter()
     stage()
     return time.perf_counter() - start

@@ -78,7 +78,7 @@ def test_jumps_are_named_by_the_frames_of_the_clip(good, tracks):
     plain, shifted = (judge("own", broken, kept, WIDTH, HEIGHT, frames) for frames in (None, numbers))
     assert plain.jumps
     assert shifted.jumps == [t + 30 for t in plain.jumps]
-    assert f"jumps before frame {shifted.jumps[0]}" in shifted.in_words(1.0)
+    assert f"jumps before frame {shifted.jumps[0]}" in shifted.describe_errors(1.0)
 
 
 def test_a_fast_pan_is_no_jump(good):

@@ -104,7 +104,7 @@ class Plates:
     def plate(self, k: int) -> np.ndarray:
         return np.full((10, 12), 1 / (self._filled if self._seen is None else self._seen))
 
-    def uncovered(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+    def compute_uncovered(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         return self.plate(k), np.full((10, 12), 0.0 if self._seen is None else 9.0)
 
 

@@ -93,7 +93,7 @@ def holder(folder: Path) -> str | None:
         try:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
         except OSError:
-            return _in_words(os.read(file, _MOST_HOLDER))
+            return _decode_holder(os.read(file, _MOST_HOLDER))
         return None
     finally:
         os.close(file)
@@ -115,7 +115,7 @@ def _take(folder: Path) -> int | None:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
-            who = _in_words(os.read(file, _MOST_HOLDER))
+            who = _decode_holder(os.read(file, _MOST_HOLDER))
             os.close(file)
             raise InUseError(f"{folder} is being written by {who}: wait for it, or stop it.") from error
         except OSError:  # a file system without locks
@@ -132,7 +132,7 @@ def _take(folder: Path) -> int | None:
         os.close(file)
 
 
-def _in_words(data: bytes) -> str:
+def _decode_holder(data: bytes) -> str:
     """Return a holder; whatever stands in its file."""
     try:
         value = json.loads(data)
@@ -255,7 +255,7 @@ class Claims:
     def who(self, name: str, number: int) -> str:
         """Return the holder of an attempt, in words."""
         try:
-            return _in_words(self._path(name, number).read_bytes()[:_MOST_HOLDER])
+            return _decode_holder(self._path(name, number).read_bytes()[:_MOST_HOLDER])
         except OSError:
             return "another process"
 

@@ -108,7 +108,7 @@ class Panel:
         if self._objects:
             with gui.add_folder("Distance of objects", expand_by_default=False):
                 gui.add_markdown(_DISTANCE_HINT)
-                hints = _suggested_hints(self._source.scene)
+                hints = _list_suggested_hints(self._source.scene)
                 for number in self._objects:
                     if number in hints:
                         gui.add_markdown(word_hint(number, hints[number]))
@@ -295,7 +295,7 @@ class Panel:
             self._session.change(time.monotonic())
 
 
-def _suggested_hints(scene: Scene) -> dict[int, str]:
+def _list_suggested_hints(scene: Scene) -> dict[int, str]:
     """By number, ``ObjectDescription.hint`` of the objects whose distance is a guess; none in scenes without objects' files."""
     return {obj.number: obj.hint for obj in describe_objects(scene, load_objects(scene)) if obj.hint is not None}
 

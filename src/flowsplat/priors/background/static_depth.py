@@ -67,7 +67,7 @@ class StaticDepth(Protocol):
         """Return (inverse depth, weight) of the static scene, each [h, w]: along the image's edges where nothing is known."""
         ...
 
-    def uncovered(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+    def compute_uncovered(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         """Return (inverse depth, weight) of what the frame or others saw of the static scene, each [h, w]; weight 0 where none
         did."""
         ...
@@ -105,8 +105,8 @@ class Guess:
         """As ``StaticDepth.fill``: a little trusted everywhere."""
         return self._plate, np.full_like(self._plate, GUESS_WEIGHT)
 
-    def uncovered(self, k: int) -> tuple[np.ndarray, np.ndarray]:
-        """As ``StaticDepth.uncovered``: nothing was seen."""
+    def compute_uncovered(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """As ``StaticDepth.compute_uncovered``: nothing was seen."""
         return self._plate, np.zeros_like(self._plate)
 
     def behind(self, k: int) -> np.ndarray:
@@ -174,8 +174,8 @@ class Background:
         inverse, support = fill(values, weights, self._clip.image(k))
         return inverse, weights + np.float32(0.1) * support
 
-    def uncovered(self, k: int) -> tuple[np.ndarray, np.ndarray]:
-        """As ``StaticDepth.uncovered``."""
+    def compute_uncovered(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """As ``StaticDepth.compute_uncovered``."""
         values, weights = self._uncovered(k)
         return values, np.where(weights > SURE, weights, 0)
 

@@ -70,7 +70,7 @@ class Judgment:
         pixels = None if self.pixels is None else round(self.pixels * unit, 4)
         return {"solver": self.solver, "heldout_tracks_px": pixels, "jumps": self.jumps, "faults": self.faults}
 
-    def in_words(self, unit: float) -> str:
+    def describe_errors(self, unit: float) -> str:
         """ "misses kept-back tracks by 0.12 pixels and jumps before frame 7"."""
         words = [] if self.pixels is None else [f"misses kept-back tracks by {self.pixels * unit:.2f} pixels"]
         if self.jumps:
@@ -96,8 +96,8 @@ class Solved:
             return ""
         taken, other = self.judgments
         return (
-            f"Two solvers were tried, and the {taken.solver} one was taken: it {taken.in_words(unit)}, "
-            f"the {other.solver} one {other.in_words(unit)}."
+            f"Two solvers were tried, and the {taken.solver} one was taken: it {taken.describe_errors(unit)}, "
+            f"the {other.solver} one {other.describe_errors(unit)}."
         )
 
 

@@ -146,7 +146,7 @@ def _contact_depth(
     That is the ground where its map is known there, unless other frames saw something there that stands on it; else what other
     frames saw there; else the ground as it is supposed to go on; else what is filled in from around.
     """
-    inverse, weight = background.uncovered(k)
+    inverse, weight = background.compute_uncovered(k)
     filled = 1 / max(_at(background.plate(k), *place, size), 1e-9)
     seen = 1 / max(_at(inverse, *place, size), 1e-9) if _at(weight, *place, size) > 0 else None
     below, known = np.inf, False

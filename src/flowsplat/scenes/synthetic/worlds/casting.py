@@ -153,7 +153,7 @@ def _is_shaded(shapes, sizes, turns, centers, radii, throwing, x, y, z, lx, ly, 
 
 
 @helper
-def _hidden_sky(occluders, x, y, z, nx, ny, nz):
+def _hide_sky(occluders, x, y, z, nx, ny, nz):
     """Share of the sky's light, weighed by the cosine to the normal, that balls hide from a point: exact for one ball that is
     whole above the horizon, and the sum, 1 at most, for several."""
     hidden = 0.0
@@ -252,7 +252,7 @@ def render(
                     facing = nx * L[0] + ny * L[1] + nz * L[2]
                     light = ambient * (0.7 + 0.3 * nz)
                     if occlusion > 0 and k < still:
-                        light *= 1 - occlusion * _hidden_sky(
+                        light *= 1 - occlusion * _hide_sky(
                             occluders, center[0] + t * dx, center[1] + t * dy, center[2] + t * dz, nx, ny, nz
                         )
                     if facing > 0 and sun > 0:
