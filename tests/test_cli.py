@@ -20,7 +20,7 @@ import pytest
 import flowsplat
 from flowsplat.cli import main
 from flowsplat.cli.command import functions_of
-from flowsplat.cli.help import USUAL
+from flowsplat.cli.help import USUAL_OPTIONS
 from flowsplat.pipeline.config import find_setting, preset
 from flowsplat.pipeline.renamed_options import RENAMED
 from flowsplat.scenes import Depth, Scene
@@ -81,10 +81,10 @@ def test_help_is_short_and_says_where_the_rest_is(capsys):
     assert end.value.code == 0
     text = capsys.readouterr().out
     words = {word.rstrip(",") for word in text.split()}
-    usual = set(USUAL) & words
+    usual = set(USUAL_OPTIONS) & words
     with pytest.raises(SystemExit):
         main(["batch", "--help"])
-    assert set(USUAL) <= words | {word.rstrip(",") for word in capsys.readouterr().out.split()}, "every usual option is one"
+    assert set(USUAL_OPTIONS) <= words | {word.rstrip(",") for word in capsys.readouterr().out.split()}, "every usual option is one"
     assert "--seed" not in text
     assert "video file" in text
     assert re.search(rf"These are {len(usual)} of 1\d\d options. All of them: flowsplat run --help-all\n$", text)

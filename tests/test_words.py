@@ -36,6 +36,14 @@ PARTICIPLES = re.compile(
 )
 VERBS = {"training", "viewing"}
 """Functions that are parts of a measurement, found by their names."""
+VAGUE = {
+    "FEWEST", "REACH", "MARGIN", "NEAR", "EVERY", "SHARE", "FURTHEST", "FARTHEST", "AROUND", "UNSEEN", "ENOUGH", "TINY",
+    "AHEAD", "LONGEST", "SHORTEST", "MOST", "LEAST", "NEAREST", "JUMP", "SAME", "ALIKE", "LIKE", "FEW", "FAR", "MANY",
+    "DEEPEST", "LARGEST", "SMALLEST", "WIDEST", "SURE", "MOSTLY", "HELD", "APART", "ASIDE", "TOGETHER", "STEEPEST", "LOWEST",
+    "INSIDE", "OUTSIDE", "STRONGEST", "CALMEST", "USUAL", "DOUBTED", "UNTOLD", "HELP", "DOUBT", "BRIGHTEST", "OTHERS",
+    "SETTLED", "LOST", "BETTER", "FADED", "UNSURE", "QUIET", "STILL",
+}  # fmt: skip
+"""Names of constants that do not say of what."""
 READ = {".py", ".md", ".js", ".css", ".html", ".jinja", ".toml", ".yml", ".json"}
 ALLOWED = re.compile(r"blue grey|parametre|diametre")
 """A name of the theme of the documentation, and the list above."""
@@ -94,4 +102,16 @@ def test_functions_are_no_participles():
                 first = function.name.strip("_").split("_")[0]
                 if PARTICIPLES.fullmatch(first) and function.name not in VERBS:
                     found.append(f"{name}: {function.name}")
+    assert not found, "\n".join(found)
+
+
+def test_constants_say_of_what():
+    found = []
+    for name in tracked():
+        if name.startswith("src/") and name.endswith(".py"):
+            for statement in ast.parse((ROOT / name).read_text(encoding="utf-8")).body:
+                if isinstance(statement, ast.Assign | ast.AnnAssign):
+                    targets = statement.targets if isinstance(statement, ast.Assign) else [statement.target]
+                    names = {each.id.strip("_") for target in targets for each in ast.walk(target) if isinstance(each, ast.Name)}
+                    found += [f"{name}: {each}" for each in names & VAGUE]
     assert not found, "\n".join(found)

@@ -16,7 +16,7 @@ from flowsplat.images.html import image_tag, shrink_to_page, table
 from flowsplat.output.page import write_page
 from flowsplat_benchmarks.tables import Result, Table, format_page, plain
 
-WIDEST = 1600
+MAX_IMAGE_WIDTH = 1600
 """Pixels of an image of a scene in the page, at most."""
 
 
@@ -95,7 +95,7 @@ def runs_measured(results: Sequence[Result], failed: Mapping[str, str]) -> str:
 
 
 def scene_section(
-    out: Path, title: str, facts: str, page: str, images: Sequence[tuple[np.ndarray, str]] = (), widest: int = WIDEST
+    out: Path, title: str, facts: str, page: str, images: Sequence[tuple[np.ndarray, str]] = (), widest: int = MAX_IMAGE_WIDTH
 ) -> dict[str, Any]:
     """Return what the page says of a scene.
 

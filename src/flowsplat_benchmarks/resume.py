@@ -12,7 +12,7 @@ from typing import Any
 from flowsplat.batch.clips import of_shard
 from flowsplat.batch.engines import engine_of
 from flowsplat.batch.options import EngineOptions
-from flowsplat.batch.records import ENDED, Records
+from flowsplat.batch.records import END_STATES, Records
 from flowsplat.batch.scheduler import Scheduler
 from flowsplat.batch.table import Progress
 from flowsplat.batch.work import Attempt
@@ -126,7 +126,7 @@ def _work(
                     report(f"{name} could not be run: {failed[name]}")
                 write_page(failed)
 
-        Scheduler(work, engine, records, Claims(records.folder / "claims"), ENDED, shown).run()
+        Scheduler(work, engine, records, Claims(records.folder / "claims"), END_STATES, shown).run()
     return failed
 
 

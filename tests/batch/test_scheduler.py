@@ -130,7 +130,7 @@ def test_what_a_dead_machine_had_is_taken_over_and_its_late_word_ignored(tmp_pat
 
 
 def test_a_folder_that_somebody_else_writes_is_waited_for(tmp_path, monkeypatch):
-    monkeypatch.setattr("flowsplat.batch.scheduler.BUSY", 0.3)
+    monkeypatch.setattr("flowsplat.batch.scheduler.RETRY_SECONDS", 0.3)
     seen: list[float] = []
 
     def act(job, fewer) -> Outcome:

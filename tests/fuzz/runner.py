@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from flowsplat.common.errors import LONGEST, InputError
+from flowsplat.common.errors import MAX_MESSAGE_CHARACTERS, InputError
 from tests.fuzz.mutations import fresh, mutate
 from tests.fuzz.readers import READERS, Reader
 
@@ -50,7 +50,11 @@ def _outside(folder: Path) -> list[str]:
 def _told(error: InputError) -> str | None:
     """What is wrong with a message; None where it is one line."""
     text = str(error)
-    return None if text.isprintable() and 0 < len(text) <= LONGEST + 100 else f"a message that is no line: {text[:200]!r}"
+    return (
+        None
+        if text.isprintable() and 0 < len(text) <= MAX_MESSAGE_CHARACTERS + 100
+        else f"a message that is no line: {text[:200]!r}"
+    )
 
 
 @contextlib.contextmanager

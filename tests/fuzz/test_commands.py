@@ -13,7 +13,7 @@ import pytest
 
 from flowsplat import pipeline
 from flowsplat.cli import main
-from flowsplat.common.errors import LONGEST
+from flowsplat.common.errors import MAX_MESSAGE_CHARACTERS
 from flowsplat.output.export.options import ExportOptions
 from flowsplat.output.videos import settle
 from flowsplat.output.viewer.options import ViewOptions
@@ -112,7 +112,7 @@ def test_senseless_commands(tmp_path, monkeypatch, capfd, first, count):
         last = told.strip().splitlines()[-1:] or [""]
         if code == 2:
             refused += 1
-        is_line = code != 2 or (last[0].startswith("Error: ") and len(last[0]) < LONGEST + 100)
+        is_line = code != 2 or (last[0].startswith("Error: ") and len(last[0]) < MAX_MESSAGE_CHARACTERS + 100)
         if code not in (0, 2) or "Traceback" in told or not is_line:
             failed.append((command, code, told[-500:]))
     assert not failed, "\n".join(f"{command!r:.300}: {code} {told}" for command, code, told in failed[:15])

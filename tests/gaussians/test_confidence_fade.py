@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from flowsplat.common.errors import InputError
-from flowsplat.gaussians.confidence_fade import ALL_AROUND, FEWEST, FURTHEST, LEAST_REACH, apply_confidence_fade, reach
-from flowsplat.gaussians.visibility import FRAMES, with_seen
+from flowsplat.gaussians.confidence_fade import ALL_AROUND, LEAST_REACH, MAX_SPREADS, MIN_FRAMES, apply_confidence_fade, reach
+from flowsplat.gaussians.visibility import ASKED_FRAMES, with_seen
 from flowsplat.training.checkpoint import load_model, save_model
 from tests.output.small import LAST, small_cameras, small_model, small_times
 
@@ -26,8 +26,8 @@ def model_that_saw(frames: float):
 
 
 def test_how_far_each_may_be_looked_at():
-    found = reach(torch.tensor([(FEWEST, 0.05), (FEWEST - 1, 0.05), (FEWEST, 0.0001), (30.0, ALL_AROUND)]))
-    np.testing.assert_allclose(found, [FURTHEST * 0.05, LEAST_REACH, LEAST_REACH, FURTHEST * ALL_AROUND])
+    found = reach(torch.tensor([(MIN_FRAMES, 0.05), (MIN_FRAMES - 1, 0.05), (MIN_FRAMES, 0.0001), (30.0, ALL_AROUND)]))
+    np.testing.assert_allclose(found, [MAX_SPREADS * 0.05, LEAST_REACH, LEAST_REACH, MAX_SPREADS * ALL_AROUND])
 
 
 def test_opacities_fall_between_the_reach_and_twice_that():
@@ -38,7 +38,7 @@ def test_opacities_fall_between_the_reach_and_twice_that():
     after = torch.sigmoid(apply_confidence_fade(gaussians, viewer, own).params["logit_opacities"]).double()
     for k, mean in enumerate(means.numpy()):
         rays = [(center - mean) / np.linalg.norm(center - mean) for center in (viewer, own)]
-        kept = np.clip(2 - np.linalg.norm(rays[0] - rays[1]) / (FURTHEST * SPREADS[k % len(SPREADS)]), 0, 1)
+        kept = np.clip(2 - np.linalg.norm(rays[0] - rays[1]) / (MAX_SPREADS * SPREADS[k % len(SPREADS)]), 0, 1)
         assert float(after[k]) == pytest.approx(float(before[k]) * kept, abs=2e-6)
     assert (after < 1e-6).any()
     assert (after == before).any()
@@ -67,7 +67,7 @@ def test_along_the_clip_nothing_changes_and_from_aside_something_goes():
 def test_what_a_clip_has_seen_of_a_trained_scene():
     model = small_model()
     found = with_seen(model, small_cameras(model), small_times()).gaussians
-    asked = min(FRAMES, len(small_times()))
+    asked = min(ASKED_FRAMES, len(small_times()))
     assert found.seen.shape == (len(found), 2)
     moving, resting = found.seen[found.dynamic], found.seen[~found.dynamic]
     assert (moving[:, 1] == ALL_AROUND).all()

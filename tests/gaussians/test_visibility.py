@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from flowsplat.gaussians.renderer import Rendering
-from flowsplat.gaussians.visibility import FEWEST, FURTHEST, ClipVisibility
+from flowsplat.gaussians.visibility import MAX_SPREADS, MIN_FRAMES, ClipVisibility
 from flowsplat.geometry import Camera
 from flowsplat.geometry.cameras import pixel_grid
 
@@ -90,7 +90,7 @@ def test_what_only_the_object_showed_is_unknown():
     """All cameras stand at one side of a billboard that is close: the wall behind it, seen from the other side, nobody saw."""
     visibility = visibility_of([0.0, 0.01, 0.02, 0.03])
     aside = visibility.compute_seen(camera_at(0.8), 0.5)
-    hidden = (aside.frames < FEWEST) & ~aside.moves
+    hidden = (aside.frames < MIN_FRAMES) & ~aside.moves
     assert hidden[16].sum() > 5
     assert not aside.is_known[hidden].any()
 
@@ -101,7 +101,7 @@ def test_a_camera_that_stood_still_tells_no_view_from_aside():
     assert own.is_known.all()
     assert not aside.is_known[~aside.moves].any()
     narrow = visibility_of(np.linspace(-0.01, 0.01, 5)).compute_seen(camera_at(0.4), 0.5)
-    assert (narrow.off[narrow.frames > FEWEST] > FURTHEST).all()
+    assert (narrow.off[narrow.frames > MIN_FRAMES] > MAX_SPREADS).all()
 
 
 def test_cameras_close_to_an_object_are_told():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flowsplat.images.sheets import GAP, preview_sheet, side_by_side, stack, with_rulers
+from flowsplat.images.sheets import GAP_PIXELS, preview_sheet, side_by_side, stack, with_rulers
 
 
 def test_side_by_side_keeps_images_and_resizes_to_the_first():
@@ -13,11 +13,11 @@ def test_side_by_side_keeps_images_and_resizes_to_the_first():
     b = np.full((20, 10, 3), 0.2, np.float32)
     gray = np.full((40, 30), 90, np.uint8)
     sheet = side_by_side([a, b, gray])
-    assert sheet.shape == (40, 60 + 20 + 30 + 2 * GAP, 3)
+    assert sheet.shape == (40, 60 + 20 + 30 + 2 * GAP_PIXELS, 3)
     assert sheet.dtype == np.uint8
     assert (sheet[:, :60] == 200).all()
-    assert (sheet[:, 60 : 60 + GAP] == 255).all()
-    assert (sheet[:, 60 + GAP : 80 + GAP] == 51).all()
+    assert (sheet[:, 60 : 60 + GAP_PIXELS] == 255).all()
+    assert (sheet[:, 60 + GAP_PIXELS : 80 + GAP_PIXELS] == 51).all()
     assert (sheet[:, -30:] == 90).all()
 
 
@@ -26,7 +26,7 @@ def test_labels_are_written_on_a_copy():
     sheet = side_by_side([a, a], ["left", "right"])
     assert (a == 120).all()
     assert (sheet[:20, :40] != 120).any()
-    assert (sheet[:20, 120 + GAP : 160 + GAP] != 120).any()
+    assert (sheet[:20, 120 + GAP_PIXELS : 160 + GAP_PIXELS] != 120).any()
     assert (sheet[40:, :120] == 120).all()
     with pytest.raises(ValueError):
         side_by_side([a, a], ["only one"])
@@ -35,13 +35,13 @@ def test_labels_are_written_on_a_copy():
 def test_height_and_stacked():
     a = np.zeros((40, 80, 3), np.uint8)
     assert side_by_side([a], height=20).shape == (20, 40, 3)
-    assert stack([a, np.zeros((10, 40, 3), np.uint8)]).shape == (40 + GAP + 20, 80, 3)
+    assert stack([a, np.zeros((10, 40, 3), np.uint8)]).shape == (40 + GAP_PIXELS + 20, 80, 3)
 
 
 def test_preview_sheet():
     image = np.random.default_rng(0).random((30, 40, 3)).astype(np.float32)
-    assert preview_sheet(image, image).shape == (30, 3 * 40 + 2 * GAP, 3)
-    assert preview_sheet((image * 255).astype(np.uint8), image).shape == (30, 3 * 40 + 2 * GAP, 3)
+    assert preview_sheet(image, image).shape == (30, 3 * 40 + 2 * GAP_PIXELS, 3)
+    assert preview_sheet((image * 255).astype(np.uint8), image).shape == (30, 3 * 40 + 2 * GAP_PIXELS, 3)
 
 
 def test_rulers_name_places_in_pixels():

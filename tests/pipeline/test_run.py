@@ -529,7 +529,7 @@ def test_a_scene_that_was_put_aside_is_not_taken_for_a_later_one(tiny_scene, fin
     assert RunFolder(out).config == others
     shutil.rmtree(out)
     assert comparable(run(tiny_scene, out, others)) == comparable(metrics)
-    assert not (out / preparing.ASIDE).exists()
+    assert not (out / preparing.SET_ASIDE).exists()
 
 
 def test_what_is_wrong_with_the_videos_is_said_first(tiny_scene, tmp_path, monkeypatch):

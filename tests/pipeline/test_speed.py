@@ -14,11 +14,11 @@ from flowsplat.common.kernels import kernel
 from flowsplat.pipeline import speed
 from flowsplat.pipeline.config import RunConfig
 from flowsplat.pipeline.speed import (
-    MARGIN,
-    SETTLED,
-    SHARE,
+    COMMIT_SECONDS,
+    ESTIMATE_FACTOR,
+    FINAL_FIT_SHARE,
     STAGES,
-    UNTRIED,
+    UNTRIED_FACTOR,
     Estimate,
     Speed,
     Watch,
@@ -46,7 +46,7 @@ REFERENCE = {"compiling": 0.0, "cameras": 10.0, "priors": 100.0, "train": 400.0,
 
 
 def test_a_test_comes_first_and_only_once(tested):
-    assert Speed("cpu").estimate(REFERENCE) == Estimate(pytest.approx(3 * 560), UNTRIED)
+    assert Speed("cpu").estimate(REFERENCE) == Estimate(pytest.approx(3 * 560), UNTRIED_FACTOR)
     Speed("cpu").estimate(REFERENCE)
     assert len(tested) == 1
     assert list(json.loads(cache_file().read_text()).values()) == [{"test": [3.0]}]
@@ -55,13 +55,13 @@ def test_a_test_comes_first_and_only_once(tested):
 def test_a_stage_of_this_run_says_more(tested):
     machine = Speed("cpu")
     machine.note(12.0)
-    assert machine.estimate(REFERENCE, ["train"]) == Estimate(pytest.approx(6 * 400), MARGIN)
+    assert machine.estimate(REFERENCE, ["train"]) == Estimate(pytest.approx(6 * 400), ESTIMATE_FACTOR)
 
 
 def test_after_a_minute_it_commits_itself(tested):
-    assert MARGIN**2 <= 2, "from when to when it may be: at most twice as long"
-    assert Speed("cpu").estimate(REFERENCE, passed=SETTLED).factor == MARGIN
-    assert Speed("cpu").estimate(REFERENCE, passed=SETTLED - 1).factor == UNTRIED
+    assert ESTIMATE_FACTOR**2 <= 2, "from when to when it may be: at most twice as long"
+    assert Speed("cpu").estimate(REFERENCE, passed=COMMIT_SECONDS).factor == ESTIMATE_FACTOR
+    assert Speed("cpu").estimate(REFERENCE, passed=COMMIT_SECONDS - 1).factor == UNTRIED_FACTOR
 
 
 def test_kernels_that_have_to_be_compiled_take_their_time(tested):
@@ -78,7 +78,7 @@ def test_what_runs_took_is_remembered(tested):
     assert machine.factor("cameras") == pytest.approx(1.2), "two seconds tell nothing"
     assert machine.factor("priors") == pytest.approx(2), "nor does a part of the priors"
     assert machine.factor("train") == pytest.approx(2.5)
-    assert machine.estimate(REFERENCE, ["train"]).factor == MARGIN
+    assert machine.estimate(REFERENCE, ["train"]).factor == ESTIMATE_FACTOR
     assert tested == []
     for _ in range(9):
         machine.remember({"train": 4000.0}, REFERENCE)
@@ -110,7 +110,7 @@ def test_more_work_is_expected_to_take_longer():
     assert all(large[stage] > small[stage] for stage in STAGES[1:])
     rest = {name: estimate_seconds(scene, config)["rest"] for name, config in CONFIGS.items()}
     assert rest["static"] - rest["plain"] == pytest.approx(0.25 * small["train"])
-    assert rest["final"] - rest["plain"] == pytest.approx(SHARE * small["train"])
+    assert rest["final"] - rest["plain"] == pytest.approx(FINAL_FIT_SHARE * small["train"])
 
 
 def test_what_is_true_costs_nothing(tested):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from flowsplat.priors.background.depth_voting import SAME, vote_on_depth
+from flowsplat.priors.background.depth_voting import SURFACE_TOLERANCE, vote_on_depth
 
 from .planes import HEIGHT, SIDE, WALL, WIDTH, camera_at
 
@@ -50,7 +50,7 @@ def test_a_vote_is_on_one_of_the_surfaces_and_not_between_them():
         ]
         inverse, share = vote_on_depth(swollen(true_inverse(0), 3), EVERYWHERE, camera_at(0), around)
         off = np.minimum(np.abs(inverse * WALL - 1), np.abs(inverse * WALL / 2 - 1))
-        assert off.max() < SAME
+        assert off.max() < SURFACE_TOLERANCE
         assert ((share > 0) & (share <= 1)).all()
 
 
@@ -58,7 +58,7 @@ def test_of_two_surfaces_with_as_many_votes_the_farther_is_taken():
     nearer = [(swollen(each, 4), there, camera) for each, there, camera in others()]
     inverse, _ = vote_on_depth(swollen(true_inverse(0), 4), EVERYWHERE, camera_at(0), [*others(), *nearer])
     beside = (swollen(true_inverse(0), 4) != true_inverse(0)) & (np.arange(HEIGHT)[:, None] < TOP)
-    assert np.median(inverse[beside]) * WALL < 1 + SAME
+    assert np.median(inverse[beside]) * WALL < 1 + SURFACE_TOLERANCE
 
 
 def test_what_moves_is_left_alone_and_speaks_for_nothing():

@@ -16,11 +16,11 @@ from flowsplat.priors.flow import flow_stage
 from flowsplat.priors.masks import mask_stage
 from flowsplat.priors.masks.background_plate import CleanPlate
 from flowsplat.priors.masks.colors import Colors, look_up
-from flowsplat.priors.masks.motion import CALMEST, USUAL, compute_own_evidence, estimate_resting_motion
+from flowsplat.priors.masks.motion import MIN_RESTING_MOTION, RESTING_MOTION_RATIO, compute_own_evidence, estimate_resting_motion
 from flowsplat.priors.masks.numbers import number_objects
 from flowsplat.priors.masks.photometric_residual import Unexplained
 from flowsplat.priors.masks.plane_sweep import largest_share
-from flowsplat.priors.masks.stage import DIFFERS
+from flowsplat.priors.masks.stage import NEUTRAL_RESIDUAL
 from flowsplat.scenes import Flow, Scene
 
 from .planes import HEIGHT, WIDTH, write_planes
@@ -57,7 +57,9 @@ def motions(*values: np.ndarray) -> list[SimpleNamespace]:
     return [SimpleNamespace(motion=value.astype(np.float32)) for value in values]
 
 
-@pytest.mark.parametrize(("usual", "expected"), [(0.1, CALMEST), (0.5, 0.5 * USUAL), (2.0, RESTS), (0.0, RESTS)])
+@pytest.mark.parametrize(
+    ("usual", "expected"), [(0.1, MIN_RESTING_MOTION), (0.5, 0.5 * RESTING_MOTION_RATIO), (2.0, RESTS), (0.0, RESTS)]
+)
 def test_what_rests_is_told_by_the_noise_of_the_clip(usual, expected):
     noise = np.full((30, 40), usual)
     noise[:5] = 20.0  # what moves is a smaller part
@@ -164,7 +166,7 @@ def test_a_shadow_is_no_object(tmp_path: Path):
     flow_stage(scene)
     clip = MatchedClip(scene)
     residual = CleanPlate(clip, static_depth(clip, False), np.zeros((len(clip), HEIGHT, WIDTH), bool)).residual(5)
-    assert np.median(residual[25:45, 25:55]) < DIFFERS
+    assert np.median(residual[25:45, 25:55]) < NEUTRAL_RESIDUAL
 
 
 def test_the_still_scene_explains_all_but_what_moves(tmp_path: Path):

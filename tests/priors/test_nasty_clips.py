@@ -19,7 +19,7 @@ from flowsplat.geometry import Camera
 from flowsplat.geometry.similarity import path_errors
 from flowsplat.priors.cameras.bundle import Reconstruction
 from flowsplat.priors.cameras.keyframes import choose_keyframes, place_between
-from flowsplat.priors.cameras.pieces import APART, find_breaks, join, split
+from flowsplat.priors.cameras.pieces import PIECE_DISTANCE, find_breaks, join, split
 from flowsplat.priors.continuity import Continuity, is_blank
 from flowsplat.priors.options import PriorsOptions
 from flowsplat.priors.prepare import prepare_priors
@@ -197,7 +197,7 @@ def test_a_cut(tmp_path, room):
         assert errors["path"] < 0.05
         assert errors["rotation"] < 0.5
     # The pieces are worlds apart: what one of them shows is in no image of the other.
-    assert scene.cameras[6].center[0] - scene.cameras[5].center[0] > 0.9 * APART
+    assert scene.cameras[6].center[0] - scene.cameras[5].center[0] > 0.9 * PIECE_DISTANCE
     points = scene.cameras[6].unproject(np.array([[1.0, 1], [127, 79]]), np.full(2, 20.0))
     pixels, _ = scene.cameras[0].project(points)
     assert (pixels[:, 0] > WIDTH).all()
@@ -326,7 +326,7 @@ def test_breaks_split_and_pieces_are_joined_side_by_side():
     assert split(range(6), range(1, 6)) == []
     still = [camera_at()] * 4
     cameras = join([[0, 1, 2], [4, 5, 6, 7]], [still[:3], still], 9)
-    assert [round(camera.center[0]) for camera in cameras] == [0, 0, 0, 0] + [round(APART)] * 5
+    assert [round(camera.center[0]) for camera in cameras] == [0, 0, 0, 0] + [round(PIECE_DISTANCE)] * 5
 
 
 def test_survivors_that_move_every_way_are_no_survivors():

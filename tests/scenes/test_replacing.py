@@ -29,7 +29,7 @@ def require_replaced(scene: Scene) -> None:
         assert (scene.any_frame(i) == 100 + i).all()
         layers = scene if i in scene.train_frames else scene.heldout_masks
         assert (layers.mask(i) == 100 + i).all()
-    assert not (scene.folder / replacing.ASIDE).exists()
+    assert not (scene.folder / replacing.NEW_IMAGES).exists()
 
 
 def test_all_images_are_replaced(tmp_path):
@@ -63,7 +63,7 @@ def test_killed_while_moving_nothing_is_changed_twice(tmp_path, after, monkeypat
     move, left = replacing.os.replace, [after]
 
     def dying(source, target):
-        if replacing.ASIDE in Path(source).parts and replacing.ASIDE not in Path(target).parts:
+        if replacing.NEW_IMAGES in Path(source).parts and replacing.NEW_IMAGES not in Path(target).parts:
             if left[0] == 0:
                 raise KeyboardInterrupt
             left[0] -= 1

@@ -188,6 +188,6 @@ def test_thousands_of_coincident_gaussians():
 
 def test_more_instances_than_can_be_numbered_are_refused(monkeypatch):
     values = scene(1, ["plain"] * 20)
-    monkeypatch.setattr(functions, "MOST_INSTANCES", 5)
+    monkeypatch.setattr(functions, "MAX_INSTANCES", 5)
     with pytest.raises(ValueError, match="too many"):
         rasterize(*values.values(), *camera(64, 48), 64, 48)

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from flowsplat.training.adam import RowAdam
-from flowsplat.training.ray_preconditioning import FEWEST_PIXELS, PathSpread, ray_axes, reference, step_along_rays
+from flowsplat.training.ray_preconditioning import HALF_PARALLAX, PathSpread, ray_axes, reference, step_along_rays
 from flowsplat.training.trainer import Trainer
 from tests.training.handful import a_few, seen, tiny
 
@@ -34,7 +34,7 @@ def test_factors_are_half_of_what_parallax_lacks(distance):
     std = float(centers[:, 0].std(correction=0))
     _, (factor,) = ray_axes(torch.tensor([[0.0, 0.0, distance]]), PathSpread.of(centers), 400.0, 15.0)
     seen_pixels = (400 * std / distance) ** 2
-    share = seen_pixels / (seen_pixels + FEWEST_PIXELS**2)
+    share = seen_pixels / (seen_pixels + HALF_PARALLAX**2)
     assert float(factor) == pytest.approx(1 + share * (min(max(distance / (2 * std), 1), 15) - 1), rel=1e-4)
 
 
@@ -53,7 +53,7 @@ def test_a_camera_that_stands_changes_nothing():
 
 @pytest.mark.parametrize("resting", [True, False])
 def test_only_what_rests_steps_farther_along_its_ray(resting, monkeypatch):
-    monkeypatch.setattr(reference, "FEWEST_PIXELS", 0.01)  # the images are tiny
+    monkeypatch.setattr(reference, "HALF_PARALLAX", 0.01)  # the images are tiny
     config = replace(tiny("default"), iterations=1)
     start = a_few(config)
     chosen = start.select(torch.nonzero(start.dynamic != resting)[:, 0])

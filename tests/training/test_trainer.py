@@ -18,7 +18,7 @@ from flowsplat.training import trainer
 from flowsplat.training.checkpoint import load_checkpoint, load_model, read_tensors, save_model, write_tensors
 from flowsplat.training.config import PRESETS, TrainConfig
 from flowsplat.training.trainer import Trainer, _spread_order
-from flowsplat.training.weight_averaging import EVERY, TailAverage
+from flowsplat.training.weight_averaging import AVERAGE_STRIDE, TailAverage
 from flowsplat_benchmarks.ablations.variants import change_settings
 from tests.training.handful import a_few, seen, tiny
 
@@ -70,7 +70,7 @@ def test_at_the_end_objects_still_learn_what_looks_good():
 
 
 def test_the_result_is_the_mean_over_the_last_steps():
-    config = replace(tiny("default"), iterations=5 * EVERY, average=0.5)
+    config = replace(tiny("default"), iterations=5 * AVERAGE_STRIDE, average=0.5)
     start = a_few(config)
     mean = Trainer(seen(start), None, config, start=start.select(torch.arange(len(start)))).run()
     by_hand = []
@@ -78,7 +78,7 @@ def test_the_result_is_the_mean_over_the_last_steps():
     class Watched(Trainer):
         def _after_step(self, entry):
             super()._after_step(entry)
-            if self.step in (3 * EVERY, 4 * EVERY, 5 * EVERY):
+            if self.step in (3 * AVERAGE_STRIDE, 4 * AVERAGE_STRIDE, 5 * AVERAGE_STRIDE):
                 by_hand.append({name: value.clone() for name, value in self.gaussians.params.items()})
 
     Watched(seen(start), None, replace(config, average=0.0), start=start.select(torch.arange(len(start)))).run()
@@ -88,12 +88,12 @@ def test_the_result_is_the_mean_over_the_last_steps():
 
 
 def test_a_mean_that_was_begun_goes_on_to_the_same_bits(tmp_path):
-    config = replace(tiny("default"), iterations=4 * EVERY, average=0.6, checkpoint_every=3 * EVERY)
+    config = replace(tiny("default"), iterations=4 * AVERAGE_STRIDE, average=0.6, checkpoint_every=3 * AVERAGE_STRIDE)
     start = a_few(config)
     whole = Trainer(seen(start), None, config, tmp_path, start=start.select(torch.arange(len(start)))).run()
     resumed = Trainer(seen(start), None, config, tmp_path)
     again = resumed.run()
-    assert resumed.step == 4 * EVERY
+    assert resumed.step == 4 * AVERAGE_STRIDE
     for name, value in whole.params.items():
         assert torch.equal(value, again.params[name]), name
 

@@ -28,7 +28,7 @@ VIDEO_SUFFIXES = (
 """Files of a folder that are taken for clips; a clip that is given by its own name may be called anything."""
 LISTS = (".txt", ".csv", ".tsv", ".jsonl", ".ndjson")
 MOST_CLIPS = 1_000_000
-DEEPEST = 6
+MAX_FOLDER_DEPTH = 6
 """Folders within each other in which clips are looked for."""
 LONGEST_NAME = 80
 """Characters of the readable part of an id."""
@@ -113,7 +113,7 @@ def _within(folder: Path, out: Path, depth: int = 0) -> Iterator[Path]:
         elif path.is_dir() and not (path.is_symlink() and depth):
             if not _is_folder_of_clips(path):
                 yield path
-            elif depth < DEEPEST:
+            elif depth < MAX_FOLDER_DEPTH:
                 yield from _within(path, out, depth + 1)
 
 

@@ -25,17 +25,17 @@ from flowsplat.common.processes import end_with_parent, threads_of_new_processes
 from flowsplat.common.progress import describe_progress
 from flowsplat.common.stopping import signals_stop
 
-MARGIN = 1.25
+OUTGROWN_FACTOR = 1.25
 """A process may take so many times what was estimated before it counts as one that outgrew its share."""
-SHARE = 0.9
+MEMORY_SHARE = 0.9
 """Of the memory that is free in the beginning."""
-RESERVE = 0.25
+MEMORY_RESERVE = 0.25
 """GiB: with less free, other programs have taken what there was."""
-LOOK = 0.5
+MEMORY_CHECK_SECONDS = 0.5
 """Seconds between two looks at the memory of the processes."""
-PATIENCE = 60.0
+STOP_SECONDS = 60.0
 """Seconds in which a process that was asked to stop may finish a step and write a checkpoint."""
-TELL = 1.0
+REPORT_SECONDS = 1.0
 """Seconds between two words of a process on where it is."""
 
 
@@ -76,7 +76,7 @@ class Embedded:
         self._logs, self._threads = make_folder(logs), threads
         self.workers = workers or max(1, usable_cores() // threads)
         free = free_memory()
-        self.memory = memory if memory is not None else None if free is None else SHARE * free
+        self.memory = memory if memory is not None else None if free is None else MEMORY_SHARE * free
         self._lanes: dict[str, _Lane] = {}
         self._looked, self._stopping = 0.0, False
 
@@ -105,9 +105,9 @@ class Embedded:
         """As ``Engine``; meanwhile it keeps an eye on the memory."""
         ends = time.monotonic() + seconds
         while True:
-            self._hear(max(0.0, min(ends - time.monotonic(), LOOK)))
+            self._hear(max(0.0, min(ends - time.monotonic(), MEMORY_CHECK_SECONDS)))
             self._admit()
-            if time.monotonic() - self._looked >= LOOK:
+            if time.monotonic() - self._looked >= MEMORY_CHECK_SECONDS:
                 self._looked = time.monotonic()
                 self._watch()
             ended = [self._end(lane) for lane in list(self._lanes.values()) if not lane.process.is_alive()]
@@ -127,15 +127,15 @@ class Embedded:
         lane.pipe.close()
 
     def stop(self) -> Sequence[Ended]:
-        """As ``Engine``; after ``PATIENCE``, or when interrupted once more, what still lives is killed."""
+        """As ``Engine``; after ``STOP_SECONDS``, or when interrupted once more, what still lives is killed."""
         ended: list[Ended] = []
         self._stopping = True
         try:
             for lane in self._lanes.values():
                 lane.process.terminate()
-            ends = time.monotonic() + PATIENCE
+            ends = time.monotonic() + STOP_SECONDS
             while self._lanes and time.monotonic() < ends:
-                ended += self.wait(LOOK)
+                ended += self.wait(MEMORY_CHECK_SECONDS)
         finally:
             for name in list(self._lanes):
                 self.drop(name)
@@ -155,7 +155,7 @@ class Embedded:
                 what, value = lane.pipe.recv()
             except Exception:  # it ended, perhaps in the middle of a word
                 lane.pipe.close()
-                lane.process.join(PATIENCE)
+                lane.process.join(STOP_SECONDS)
                 continue
             if what == "needs":
                 lane.wants, lane.doing = value, "waiting for memory"
@@ -169,7 +169,7 @@ class Embedded:
         for lane in self._lanes.values():
             if lane.wants is None:
                 continue
-            share = MARGIN * lane.wants
+            share = OUTGROWN_FACTOR * lane.wants
             given = sum(max(other.share, other.holds or 0.0) for other in self._lanes.values() if other.share)
             if not given or self.memory is None or given + share <= self.memory:
                 lane.share, lane.wants, lane.doing = share, None, "starting"
@@ -183,7 +183,9 @@ class Embedded:
         if self.memory is None:
             return
         free = free_memory()
-        short = sum(lane.holds or 0.0 for lane in self._lanes.values()) > self.memory or (free is not None and free < RESERVE)
+        short = sum(lane.holds or 0.0 for lane in self._lanes.values()) > self.memory or (
+            free is not None and free < MEMORY_RESERVE
+        )
         grown = [(lane.holds - lane.share, lane) for lane in self._lanes.values() if lane.share and lane.holds is not None]
         most, worst = max(grown, key=lambda each: each[0], default=(0.0, None))
         if short and worst is not None and most > 0 and not worst.outgrew:
@@ -248,7 +250,7 @@ def _serve(pipe: Connection, job: Job, fewer: bool, log: Path) -> None:
 
     def tell() -> None:
         said = None
-        while not over.wait(TELL):
+        while not over.wait(REPORT_SECONDS):
             now = describe_progress()
             if now is not None and now != said:
                 here.tell("doing", now)

@@ -14,13 +14,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from flowsplat.batch.embedded import MARGIN, PATIENCE, report_into
+from flowsplat.batch.embedded import OUTGROWN_FACTOR, STOP_SECONDS, report_into
 from flowsplat.batch.records import Outcome
 from flowsplat.batch.work import Ended, Job, Running, outcome_of
 from flowsplat.common.errors import InputError, describe_install, first_line
 from flowsplat.common.processes import THREAD_VARIABLES, usable_cores
 
-AHEAD = 1.25
+TASKS_PER_CORE = 1.25
 """Tasks at a time, in cores of the cluster: some wait, so that a cluster that grows by itself sees that it should."""
 STORE = 80 * 2**20
 """Bytes of shared memory of a Ray that is started here: results are small."""
@@ -75,7 +75,7 @@ class OnRay:
         if time.monotonic() - self._counted > 10:
             self._counted = time.monotonic()
             self._cores = max(1.0, float(self._ray.cluster_resources().get("CPU", 1.0)))
-        return len(self._tasks) < AHEAD * self._cores
+        return len(self._tasks) < TASKS_PER_CORE * self._cores
 
     def start(self, job: Job, fewer: bool) -> None:
         """As ``Engine``. A first task only asks how much memory the work needs: what is wrong with its input is known then, too."""
@@ -110,7 +110,7 @@ class OnRay:
             for task in self._tasks.values():
                 with contextlib.suppress(Exception):
                     self._ray.cancel(task.ref)
-            ends = time.monotonic() + PATIENCE
+            ends = time.monotonic() + STOP_SECONDS
             while self._tasks and time.monotonic() < ends:
                 ended += self.wait(1.0)
         finally:
@@ -124,7 +124,7 @@ class OnRay:
         threads = dict.fromkeys(THREAD_VARIABLES, "1")
         options = {"num_cpus": 1, "max_retries": 0, "max_calls": 1, "runtime_env": {"env_vars": threads}, "name": job.id}
         if gib is not None:
-            options |= {"memory": int(MARGIN * gib * 2**30), "num_gpus": self._gpus}
+            options |= {"memory": int(OUTGROWN_FACTOR * gib * 2**30), "num_gpus": self._gpus}
         return self._ray.remote(**options)(_do).remote(job, fewer, gib, self._logs / f"{job.id}.log")
 
     def _heard(self, task: _Task) -> Ended | None:

@@ -26,8 +26,8 @@ from flowsplat.common.files.json_file import Count, Text
 
 FOLDER = ".batch"
 """In OUT; no id begins with a dot."""
-ENDED = ("done", "failed", "refused")
-STATES = (*ENDED, "open")
+END_STATES = ("done", "failed", "refused")
+STATES = (*END_STATES, "open")
 VERSION = 1
 
 CONTINUED = 3

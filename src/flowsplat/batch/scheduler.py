@@ -8,21 +8,21 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Sequence
 
-from flowsplat.batch.records import ENDED, Outcome, Record, Records, after_attempt
+from flowsplat.batch.records import END_STATES, Outcome, Record, Records, after_attempt
 from flowsplat.batch.work import Engine, Job
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import Claims
 
-POLL = 10.0
+POLL_SECONDS = 10.0
 """Seconds, at least, between two lists while others have what is left."""
-LISTED = 20
+LISTING_REST = 20
 """Times as long as listing takes the folders are left alone, so that many who wait do no harm."""
-FRESH = 300.0
+LIST_SECONDS = 300.0
 """Seconds after which folders are listed anew although jobs are known that were open then: meanwhile others take a few of them,
 which is found out one by one,"""
-MISSES = 8
+MAX_MISSES = 8
 """or, when so many one after the other were no longer open, from a new list."""
-BUSY = 5.0
+RETRY_SECONDS = 5.0
 """Seconds after which work is tried again that somebody else's run was in the way of."""
 
 
@@ -31,7 +31,7 @@ class Scheduler:
 
     def __init__(
         self, jobs: Sequence[Job], engine: Engine, records: Records, claims: Claims, retry: Collection[str] = (),
-        shown: Callable[[Scheduler], None] = lambda _: None, poll: float = POLL,
+        shown: Callable[[Scheduler], None] = lambda _: None, poll: float = POLL_SECONDS,
     ):  # fmt: skip
         """
         Args:
@@ -109,7 +109,7 @@ class Scheduler:
             if job is None:
                 continue
             record = self._records.read(name)
-            if record is not None and state in ENDED and record["state"] in ENDED:
+            if record is not None and state in END_STATES and record["state"] in END_STATES:
                 if record["key"] == job.key and record["state"] not in retry:
                     self.ended[name] = record["state"]
                 else:
@@ -121,7 +121,7 @@ class Scheduler:
         """Look which jobs are open: one list of each folder."""
         began = time.monotonic()
         for name, state in self._records.states().items():
-            if name in self._jobs and state in ENDED and name not in self.ended and not self._is_again(name):
+            if name in self._jobs and state in END_STATES and name not in self.ended and not self._is_again(name):
                 self.ended[name] = state
         self._dead.clear()
         others = set()
@@ -151,12 +151,12 @@ class Scheduler:
 
     def _next(self) -> str | None:
         """Return the next job, which this process then has; None where there is none for now."""
-        if time.monotonic() - self._listed > max(FRESH if self._open else self._poll, LISTED * self._list_took):
+        if time.monotonic() - self._listed > max(LIST_SECONDS if self._open else self._poll, LISTING_REST * self._list_took):
             self._list()
         skipped: list[str] = []
         found, missed = None, 0
         while self._open and found is None:
-            if missed >= MISSES and time.monotonic() - self._listed > LISTED * self._list_took:
+            if missed >= MAX_MISSES and time.monotonic() - self._listed > LISTING_REST * self._list_took:
                 self._list()
                 skipped, missed = [], 0
                 continue
@@ -191,7 +191,7 @@ class Scheduler:
         return True
 
     def _has_ended(self, name: str, record: Record | None) -> bool:
-        if record is None or record["state"] not in ENDED:
+        if record is None or record["state"] not in END_STATES:
             return False
         before = self._before.get(name)
         if name in self._again and before is not None and record["attempt"] <= before["attempt"]:
@@ -214,12 +214,12 @@ class Scheduler:
             outcome = Outcome("unwritable", str(error))
         if outcome.how == "unwritable":
             self._unwritable = outcome.reason
-        elif record["state"] in ENDED:
+        elif record["state"] in END_STATES:
             self._again.discard(name)
             self.ended[name] = record["state"]
             self.done_here += 1
         else:
-            self._later[name] = time.monotonic() + (BUSY if outcome.how == "busy" else 0.0)
+            self._later[name] = time.monotonic() + (RETRY_SECONDS if outcome.how == "busy" else 0.0)
             self._open.append(name)
         self._claims.release(name)
 

@@ -12,7 +12,7 @@ from flowsplat.batch.scheduler import Scheduler
 from flowsplat.common.durations import format_duration
 from flowsplat.common.progress import console, is_live, report
 
-EVERY = 60.0
+LINE_SECONDS = 60.0
 """Seconds between two lines."""
 MOST_ROWS = 32
 
@@ -42,7 +42,7 @@ class Progress:
             self._first = len(scheduler.ended)
         if self._live is not None:
             self._live.update(self._table(scheduler))
-        elif time.monotonic() - self._said >= EVERY:
+        elif time.monotonic() - self._said >= LINE_SECONDS:
             self._said = time.monotonic()
             report(self.line(scheduler))
 

@@ -2,13 +2,13 @@
 
 import re
 
-USUAL = (
+USUAL_OPTIONS = (
     "-h", "-o", "--preset", "--workers", "--memory", "--shard", "--engine", "--status", "--retry", "--only", "--device", "--start",
     "--end", "--every", "--max-frames", "--resize", "--holdout", "--mask-click", "--contact", "--cameras.focal", "--given.masks",
     "--train.iterations", "--render.paths",
 )  # fmt: skip
-"""The options that --help shows of a command with more than ``MANY`` of them; --help-all shows all."""
-MANY = 40
+"""The options that --help shows of a command with more than ``SHORT_HELP_OPTIONS`` of them; --help-all shows all."""
+SHORT_HELP_OPTIONS = 40
 
 
 def short_help(text: str, command: str) -> str:
@@ -17,12 +17,12 @@ def short_help(text: str, command: str) -> str:
     options, usual, kept = 0, 0, [head]
     for section in sections:
         title, *entries = re.split(r"^  (?=-\w|--\w)", section, flags=re.M)
-        chosen = [entry for entry in entries if re.split(r"[ ,\n]", entry, maxsplit=1)[0] in USUAL]
+        chosen = [entry for entry in entries if re.split(r"[ ,\n]", entry, maxsplit=1)[0] in USUAL_OPTIONS]
         options, usual = options + len(entries), usual + len(chosen)
         if chosen or not entries:
             kept.append(" " + "  ".join([title, *chosen]).rstrip() + "\n\n")
     short = f"{''.join(kept)}These are {usual} of {options} options. All of them: {command} --help-all\n"
-    return short if options > MANY else text
+    return short if options > SHORT_HELP_OPTIONS else text
 
 
 def message_of(box: str) -> str:

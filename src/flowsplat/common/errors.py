@@ -1,6 +1,6 @@
 """Errors that are written for the person at the keyboard."""
 
-LONGEST = 1000
+MAX_MESSAGE_CHARACTERS = 1000
 """Characters of a message."""
 
 
@@ -43,7 +43,11 @@ def one_line(text: str) -> str:
 
 
 def _both_ends(text: str) -> str:
-    return text if len(text) <= LONGEST else f"{text[: LONGEST * 3 // 4]} ... {text[5 - LONGEST // 4 :]}"
+    return (
+        text
+        if len(text) <= MAX_MESSAGE_CHARACTERS
+        else f"{text[: MAX_MESSAGE_CHARACTERS * 3 // 4]} ... {text[5 - MAX_MESSAGE_CHARACTERS // 4 :]}"
+    )
 
 
 def first_line(error: BaseException) -> str:

@@ -36,9 +36,9 @@ from flowsplat.common.source import PACKAGE
 from flowsplat.common.syntax import PARSING
 from flowsplat.common.user_cache import cache_folder
 
-OLD = 30 * 24 * 3600.0
+UNUSED_SECONDS = 30 * 24 * 3600.0
 """Seconds after which a folder that nothing was loaded from is deleted."""
-TOUCHED = 24 * 3600.0
+MARK_SECONDS = 24 * 3600.0
 """Seconds after which a folder that something is loaded from is marked as used anew."""
 _NAME = re.compile(r"[\w.]+-[0-9a-f]{16}")
 """Of a folder that is ours; others' may lie beside it."""
@@ -205,7 +205,7 @@ class KernelCache(_Cache):
 
 def _mark_used(folder: Path) -> None:
     with contextlib.suppress(OSError):
-        if time.time() - folder.stat().st_mtime > TOUCHED:
+        if time.time() - folder.stat().st_mtime > MARK_SECONDS:
             os.utime(folder)
 
 
@@ -213,5 +213,10 @@ def remove_old(folder: Path) -> None:
     """Delete what nothing was loaded from for long."""
     for kept in folder.iterdir():
         with contextlib.suppress(OSError):
-            if _NAME.fullmatch(kept.name) and kept.is_dir() and not kept.is_symlink() and time.time() - kept.stat().st_mtime > OLD:
+            if (
+                _NAME.fullmatch(kept.name)
+                and kept.is_dir()
+                and not kept.is_symlink()
+                and time.time() - kept.stat().st_mtime > UNUSED_SECONDS
+            ):
                 shutil.rmtree(kept, ignore_errors=True)

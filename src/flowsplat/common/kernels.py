@@ -66,7 +66,7 @@ def float_of(typingctx: Any, bits: Any) -> Any:
 
 
 _ONE, _HALF = np.float32(1), np.float32(0.5)
-_SMALLEST, _LARGEST = np.float32(-87.3), np.float32(88.72283)  # The next float32 has no finite exponential.
+_EXP_MIN, _EXP_MAX = np.float32(-87.3), np.float32(88.72283)  # The next float32 has no finite exponential.
 _PER_OCTAVE = np.float32(1 / np.log(2))
 _ROUND = np.float32(1.5 * 2**23)  # Added and taken away again it leaves the nearest integer.
 _LN2_HIGH = np.float32(0.693359375)  # Few bits, so that its products with small integers are exact.
@@ -82,7 +82,7 @@ _ONE_BITS = np.int32(127 << 23)
 @inline
 def exp(x):
     """e^x in float32 to within 3e-7 of itself; never below 1e-38, never above 3.4029e38, the largest float32."""
-    x = min(max(float32(x), _SMALLEST), _LARGEST)
+    x = min(max(float32(x), _EXP_MIN), _EXP_MAX)
     n = (x * _PER_OCTAVE + _ROUND) - _ROUND
     r = (x - n * _LN2_HIGH) - n * _LN2_LOW
     series = ((((_E6 * r + _E5) * r + _E4) * r + _E3) * r + _E2) * (r * r) + r + _ONE

@@ -26,7 +26,7 @@ from flowsplat.common.durations import format_duration
 
 Item = TypeVar("Item")
 
-EVERY = 30.0
+LINE_SECONDS = 30.0
 """Seconds between two lines where no bar can move: in pipes, files and CI."""
 
 console = Console(stderr=True, highlight=False)
@@ -129,7 +129,7 @@ class _Known(ProgressColumn):
 
 
 class _Lines:
-    """Says every ``EVERY`` seconds where the innermost of the bars is that were begun and have not ended."""
+    """Says every ``LINE_SECONDS`` seconds where the innermost of the bars is that were begun and have not ended."""
 
     def __init__(self) -> None:
         self.bars: list[Bar] = []
@@ -149,7 +149,7 @@ class _Lines:
             self._ended.set()
 
     def _tell(self, ended: threading.Event) -> None:
-        while not ended.wait(EVERY):
+        while not ended.wait(LINE_SECONDS):
             with contextlib.suppress(IndexError, OSError):  # it has just ended; nobody reads any longer
                 _print(self.bars[-1].line)
 
@@ -170,7 +170,7 @@ _shown: list[Progress] = []
 
 @contextlib.contextmanager
 def progress_bar(label: str, total: float | None, done: float = 0) -> Iterator[Bar]:
-    """A bar with the time left. Where nothing can move, a line tells the start, and one every ``EVERY`` seconds how far it is."""
+    """A bar with the time left. Where nothing can move, a line tells the start, and one every ``LINE_SECONDS`` how far."""
     if _parts:
         yield Bar(label, total, done)
         return

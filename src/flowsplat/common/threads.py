@@ -19,7 +19,7 @@ from numba import config
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-AHEAD = 1
+RESULTS_AHEAD = 1
 """Results beyond those in work that may wait for whoever takes them."""
 PIECES = 4
 """Ranges for each thread into which a loop is cut: where others need the processor, too, threads are not equally fast."""
@@ -254,7 +254,7 @@ def in_threads(function: Callable[[Item], Result], items: Iterable[Item], thread
         try:
             for item in items:
                 waiting.append(pool.submit(function, item))
-                if len(waiting) > threads + AHEAD:
+                if len(waiting) > threads + RESULTS_AHEAD:
                     yield waiting.popleft().result()
             while waiting:
                 yield waiting.popleft().result()

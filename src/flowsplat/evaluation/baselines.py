@@ -17,7 +17,7 @@ from flowsplat.geometry.interpolation import sample_map
 from flowsplat.priors.flow import dis_flow, gray
 from flowsplat.scenes import Scene
 
-SAME_SURFACE = 1.02
+SURFACE_DEPTH_RATIO = 1.02
 """A splatted pixel this much deeper than the nearest one still belongs to its surface."""
 
 MIN_COVER = 0.5
@@ -93,7 +93,7 @@ def warp_by_depth(image: np.ndarray, depth: np.ndarray, camera: Camera, view: Ca
         splats.append((target, weight, distance, image[lands]))
     color, cover = np.zeros((count, 3)), np.zeros(count)
     for target, weight, distance, pixels in splats:
-        front = distance <= nearest[target] * SAME_SURFACE
+        front = distance <= nearest[target] * SURFACE_DEPTH_RATIO
         target, weight = target[front], weight[front]
         cover += np.bincount(target, weight, count)
         for channel in range(3):

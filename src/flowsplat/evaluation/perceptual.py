@@ -14,10 +14,10 @@ from flowsplat.common.errors import describe_install, first_line
 PerceptualMetric = Callable[[np.ndarray, np.ndarray], float | None]
 """(image, other image), both float RGB [H, W, 3], clipped to [0, 1], to a distance: 0 = they look the same.
 
-None for images with a side below ``SMALLEST_SIDE``, which the network would pool to nothing.
+None for images with a side below ``MIN_SIDE``, which the network would pool to nothing.
 """
 
-SMALLEST_SIDE = 64
+MIN_SIDE = 64
 """Pixels."""
 
 
@@ -48,7 +48,7 @@ def lpips_metric() -> tuple[PerceptualMetric | None, str]:
         return None, f"LPIPS could not read the AlexNet weights {weights.name}, delete them: {first_line(error)}."
 
     def distance(a: np.ndarray, b: np.ndarray) -> float | None:
-        if min(a.shape[:2]) < SMALLEST_SIDE:
+        if min(a.shape[:2]) < MIN_SIDE:
             return None
         with torch.no_grad():
             value = float(network(_batch(a), _batch(b)))

@@ -13,15 +13,15 @@ from torch import Tensor
 
 from flowsplat.gaussians.gaussians4d import Gaussians4D
 
-FEWEST = 3
+MIN_FRAMES = 3
 """Frames that must have seen a point."""
-FURTHEST = 12.0
+MAX_SPREADS = 12.0
 """Times the spread of the directions from which a point was seen is the furthest from which it is shown as it is."""
 LEAST_REACH = 0.02
 """What a Gaussian that too few saw may be off all the same, a degree: small swings stay whole."""
 ALL_AROUND = 2.0
 """Directions cannot differ by more: the length of the difference of opposite ones."""
-_FAINTEST = 1e-7
+_MIN_OPACITY = 1e-7
 
 
 def reach(seen: Tensor) -> Tensor:
@@ -30,7 +30,7 @@ def reach(seen: Tensor) -> Tensor:
     As the length of the difference of unit vectors; of ``Gaussians4D.seen`` [N, 2].
     """
     frames, spread_of = seen.unbind(1)
-    return torch.where(frames >= FEWEST, FURTHEST * spread_of, torch.zeros_like(spread_of)).clamp(min=LEAST_REACH)
+    return torch.where(frames >= MIN_FRAMES, MAX_SPREADS * spread_of, torch.zeros_like(spread_of)).clamp(min=LEAST_REACH)
 
 
 def apply_confidence_fade(gaussians: Gaussians4D, viewer: np.ndarray, own: np.ndarray) -> Gaussians4D:
@@ -47,5 +47,5 @@ def apply_confidence_fade(gaussians: Gaussians4D, viewer: np.ndarray, own: np.nd
     means, logits = gaussians.params["means"], gaussians.params["logit_opacities"]
     towards = [torch.nn.functional.normalize(torch.as_tensor(center).to(means) - means, dim=1) for center in (viewer, own)]
     kept = (2 - (towards[0] - towards[1]).norm(dim=1) / reach(gaussians.seen)).clamp(0, 1)
-    opacities = (torch.sigmoid(logits) * kept).clamp(_FAINTEST, 1 - _FAINTEST)
+    opacities = (torch.sigmoid(logits) * kept).clamp(_MIN_OPACITY, 1 - _MIN_OPACITY)
     return replace(gaussians, params={**gaussians.params, "logit_opacities": torch.where(kept < 1, torch.logit(opacities), logits)})

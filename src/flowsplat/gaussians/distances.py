@@ -25,7 +25,7 @@ from flowsplat.geometry import Camera
 from flowsplat.geometry.paths import CameraPath
 from flowsplat.splatting.rules import EPS2D
 
-NEAREST, FARTHEST = 0.1, 10.0
+MIN_FACTOR, MAX_FACTOR = 0.1, 10.0
 """The smallest and the largest factor: what lies beyond is a slip of whoever typed it."""
 _STEP = 1e-4
 """Of clip time, to tell how fast the camera goes."""
@@ -65,12 +65,12 @@ def check_factors(factors: Mapping[int, float]) -> None:
     """Refuse what is no factor of a distance.
 
     Raises:
-        InputError: one is not a number between ``NEAREST`` and ``FARTHEST``.
+        InputError: one is not a number between ``MIN_FACTOR`` and ``MAX_FACTOR``.
     """
     for number, factor in factors.items():
-        if not (math.isfinite(factor) and NEAREST <= factor <= FARTHEST):
+        if not (math.isfinite(factor) and MIN_FACTOR <= factor <= MAX_FACTOR):
             raise InputError(
-                f"Object {number} cannot be {factor:g} times as far away: give a number from {NEAREST:g} to {FARTHEST:g}."
+                f"Object {number} cannot be {factor:g} times as far away: give a number from {MIN_FACTOR:g} to {MAX_FACTOR:g}."
             )
 
 

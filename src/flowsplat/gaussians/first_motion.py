@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 NODES, SMALLEST_GAP = 0.0125, 4.5
 """Widths of the image between two nodes, and pixels at least."""
-REACH = 1.5
+NEIGHBORHOOD_SIGMA = 1.5
 """Standard deviation, in gaps between nodes, of how far around a node pixels count."""
 NEIGHBORS = 48
 """Pixels that are asked at a node."""
@@ -32,18 +32,18 @@ CHOICE, AT_A_TIME = 8, 20_000
 """Nodes among which a pixel chooses, and how many pixels do so at a time, for the memory."""
 COLORS, LEAST_ALIKE = 30.0, 9.0
 """Gray levels by which colors of one part differ, and the square, in these, beyond which it makes no difference."""
-LIKE, LEAST_LIKE = 0.5, 50.0
+PATH_SIGMA, LEAST_LIKE = 0.5, 50.0
 """The same of paths, in pixels."""
-ROUNDS = 4
+REWEIGHTINGS = 4
 """Of reweighting."""
 PRESENCE_SIGMA = 0.8
 """Standard deviation, in those of the presence, of how much a time counts that is so far off."""
-UNSURE, LEAST_SURE = 2.0, 1e-3
+CONFIDENCE_POWER, LEAST_SURE = 2.0, 1e-3
 """Flow that does not come back counts this power of its confidence, where that is not less than the second number: it is often
 right, and the neighbors judge."""
 RIDGE, GRADIENT_RIDGE = 1e-3, 1e-1
 """Of the first order in time, in shares of what the observations weigh: ten times as much for every further order."""
-HELD = 0.5
+MIN_OWN_SHARE = 0.5
 """Of the pixels around a place, by their weight, what share must belong to the object."""
 ALONG_RAY = 0.1
 """What a pixel along the ray counts, relative to one across it."""
@@ -137,14 +137,14 @@ def follow(
             flow = frame.flow(step)
             if flow is None:
                 break
-            weight = np.where(flow.trusted, 1, flow.confidence**UNSURE)
+            weight = np.where(flow.trusted, 1, flow.confidence**CONFIDENCE_POWER)
             moved, share = _inside(np.dstack([flow.flow, weight.astype(np.float32)]), frame.object_ids, here, owners)
-            sure = np.where(share > HELD, np.minimum(sure, moved[:, 2]), 0)
+            sure = np.where(share > MIN_OWN_SHARE, np.minimum(sure, moved[:, 2]), 0)
             here = np.where(sure[:, None] > 0, here + moved[:, :2], here)
             current += step
             frame = observations[current]
             depth, share = _inside(frame.depth[..., None], frame.object_ids, here, owners)
-            sure = np.where((share > HELD) & (sure > LEAST_SURE), sure, 0)
+            sure = np.where((share > MIN_OWN_SHARE) & (sure > LEAST_SURE), sure, 0)
             if not sure.any():
                 break
             world = frame.camera.unproject(here, np.where(sure > 0, depth[:, 0], 1).astype(np.float64))
@@ -189,7 +189,7 @@ def _choose_motion(
     place = _make_design_rows(paths.points[queries][:, None], paths.points[nodes[index]], gap)
     models = (place[..., None, None] * motion[index]).sum(-3)
     cost = (away / gap) ** 2 + np.minimum(_unlike(paths, queries[:, None], nodes[index]), LEAST_ALIKE)
-    cost += np.minimum(_misfit(paths, queries[:, None], models) / LIKE**2, LEAST_LIKE)
+    cost += np.minimum(_misfit(paths, queries[:, None], models) / PATH_SIGMA**2, LEAST_LIKE)
     share = np.exp(-0.5 * (cost - cost.min(1, keepdims=True)))
     share /= share.sum(1, keepdims=True)
     return np.asarray((share[..., None, None] * models).sum(1))
@@ -199,20 +199,22 @@ def _fit(paths: _Paths, nodes: np.ndarray, index: np.ndarray, away: np.ndarray, 
     """Return the motion [M, 3 (constant, across, down), order, 3] at the nodes, of the pixels ``index`` [M, K] around that move
     alike."""
     place = _make_design_rows(paths.points[index], paths.points[nodes][:, None], gap)
-    prior = np.exp(-0.5 * np.minimum(away / (REACH * gap), 4) ** 2) / (1 + _unlike(paths, index, nodes[:, None])) + 1e-6
+    prior = (
+        np.exp(-0.5 * np.minimum(away / (NEIGHBORHOOD_SIGMA * gap), 4) ** 2) / (1 + _unlike(paths, index, nodes[:, None])) + 1e-6
+    )
     (count, around), order = index.shape, paths.normal.shape[-1]
     ridges = np.concatenate([RIDGE * 10.0 ** np.arange(order), np.tile(GRADIENT_RIDGE * 10.0 ** np.arange(order), 2)])
     normal, right = paths.normal[index].reshape(count, around, -1), paths.right[index].reshape(count, around, -1)
     squares = (place[..., :, None] * place[..., None, :]).reshape(count, around, 9)
     factor = np.ones(index.shape)
-    for _ in range(ROUNDS):
+    for _ in range(REWEIGHTINGS):
         w = (prior * factor)[..., None]
         A = ((w * squares).transpose(0, 2, 1) @ normal).reshape(count, 3, 3, order, order).transpose(0, 1, 3, 2, 4)
         b = ((w * place).transpose(0, 2, 1) @ right).reshape(count, 3 * order, 3)
         ridge = (w[..., 0] * paths.weight[index]).sum(1)[:, None] * ridges
         C = np.linalg.solve(A.reshape(count, 3 * order, -1) + ridge[:, None] * np.eye(3 * order), b).reshape(count, 3, order, 3)
         rest = _misfit(paths, index, (place[..., None, None] * C[:, None]).sum(-3))
-        factor = 1 / (1 + rest / np.maximum(_compute_weighted_median(rest, prior), LIKE**2)[:, None])
+        factor = 1 / (1 + rest / np.maximum(_compute_weighted_median(rest, prior), PATH_SIGMA**2)[:, None])
     return np.asarray(C)
 
 
@@ -234,7 +236,7 @@ def _nearest(tree: cKDTree, points: np.ndarray, count: int) -> tuple[np.ndarray,
 
 def _make_design_rows(points: np.ndarray, nodes: np.ndarray, gap: float) -> np.ndarray:
     """Return [..., 3]: 1, and how far points are from nodes, across and down."""
-    offsets = (points - nodes) / (REACH * gap)
+    offsets = (points - nodes) / (NEIGHBORHOOD_SIGMA * gap)
     return np.concatenate([np.ones((*offsets.shape[:-1], 1)), offsets], -1)
 
 

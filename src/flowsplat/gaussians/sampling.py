@@ -5,11 +5,11 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-COARSEST = 2.0
+MAX_SPACING_FACTOR = 2.0
 """How many times as far apart as on average they are at most, where there is nothing to see."""
-_FINE, _AROUND = 1.0, 3.0
+_DETAIL_SIGMA, _DETAIL_WINDOW = 1.0, 3.0
 """Standard deviations, pixels: what is finer than the first is detail, and it is averaged over the second."""
-_QUIET = 1 / 255
+_DETAIL_FLOOR = 1 / 255
 """Detail that every image has: a step of its own numbers."""
 _PROBES = 20_000
 """Pixels that say how many there would be."""
@@ -25,15 +25,15 @@ def detail(image: np.ndarray) -> np.ndarray:
         [H, W] float32, root mean square over the channels, above 0; colors in 0..1.
     """
     colors = image.astype(np.float32) / 255
-    lost = colors - cv2.GaussianBlur(colors, (0, 0), _FINE)
+    lost = colors - cv2.GaussianBlur(colors, (0, 0), _DETAIL_SIGMA)
     square = np.einsum("hwc,hwc->hw", lost, lost) / np.float32(3)
-    return np.sqrt(cv2.GaussianBlur(square, (0, 0), _AROUND)) + np.float32(_QUIET)
+    return np.sqrt(cv2.GaussianBlur(square, (0, 0), _DETAIL_WINDOW)) + np.float32(_DETAIL_FLOOR)
 
 
 def spacings(weight: np.ndarray, region: np.ndarray, spacing: float) -> np.ndarray:
     """Return share out as many points as an even spacing has in a region: their density follows the weight.
 
-    The density is limited to one point a pixel, and from below by ``COARSEST``.
+    The density is limited to one point a pixel, and from below by ``MAX_SPACING_FACTOR``.
 
     Args:
         weight: [H, W] above 0.
@@ -44,7 +44,7 @@ def spacings(weight: np.ndarray, region: np.ndarray, spacing: float) -> np.ndarr
         [H, W] float32 pixels between two points, at least 1.
     """
     wanted = 1 / spacing**2
-    lowest = wanted / COARSEST**2
+    lowest = wanted / MAX_SPACING_FACTOR**2
     probes = weight[region]
     probes = probes[:: max(1, len(probes) // _PROBES)]
     if len(probes) == 0:

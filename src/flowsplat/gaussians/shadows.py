@@ -20,43 +20,43 @@ from flowsplat.common.threads import in_threads
 from flowsplat.gaussians.model import SceneModel, at_once
 from flowsplat.geometry import Camera
 
-NEAR = 3.0
+NEAR_OBJECT_SIZES = 3.0
 """Sizes of an object (square root of its area in the image) from its mask within which its shadow may fall."""
 
-FEWEST = 3
+MIN_CLEAR_FRAMES = 3
 """Frames without an object near that must show a surface."""
 
-SHARE = 0.5
+OWN_BRIGHTNESS_QUANTILE = 0.5
 """Of these frames' brightness the share below that which a surface has by itself."""
 
-MANY, BRIGHTEST = 8, 0.8
+FEW_FRAMES, FEW_FRAMES_QUANTILE = 8, 0.8
 """Where there are fewer: frames that must show it, and the share of their brightness below that which it has by itself."""
 
 MUCH_DARKER = 0.15
-"""As ``DARKER``, there."""
+"""As ``MIN_LOG_DARKENING``, there."""
 
-DARKER = 0.03
+MIN_LOG_DARKENING = 0.03
 """Logarithm of the brightness by which a surface must be darker beside objects, or it is left as it is."""
 
-AROUND, AGREE = 16, 1.0
+SHADOW_NEIGHBORS, NEIGHBOR_LIMITS = 16, 1.0
 """Nearest Gaussians at rest, most of which must be darker by so many limits, too."""
 
-JUMP, EDGES = 0.05, 0.5
+MAX_DEPTH_JUMP, EDGE_FRAME_SHARE = 0.05, 0.5
 """Share of its depth by which a pixel is off the plane around at an edge, and of the frames that see a surface there, from which
 nothing is told of it."""
 
 STIFFNESS = 1e-4
 """Weight of the squared gains, times that of their wave, against the squared errors of brightness."""
 
-OTHERS = 20_000
+EXPOSURE_POINTS = 20_000
 """About how many points that are never beside an object tell how bright whole frames are."""
 
-UNSEEN = 0.3
+UNSEEN_WEIGHT = 0.3
 """Weight of times at which a surface is not seen."""
 
-_SAME = 0.05
+_SURFACE_TOLERANCE = 0.05
 """Share of its distance by which a point may lie behind the surface that a frame sees."""
-_COVERED = 0.5
+_MIN_ALPHA = 0.5
 _ROWS = 8192
 
 
@@ -81,7 +81,7 @@ def add_shadow_free(
     # Only what is ever beside an object can be in its shadow; of all else some tell how bright whole frames are.
     beside = (seen & ~far).any(1)
     others = np.flatnonzero(~beside)
-    chosen = np.sort(np.concatenate([np.flatnonzero(beside), others[:: max(1, len(others) // OTHERS)]]))
+    chosen = np.sort(np.concatenate([np.flatnonzero(beside), others[:: max(1, len(others) // EXPOSURE_POINTS)]]))
     seen, far, edge = seen[chosen], far[chosen], edge[chosen]
     t = torch.tensor([model.clip_time(each) for each in times], dtype=torch.float64)
     cosines = torch.cos(math.pi * t[:, None] * torch.arange(1, waves + 1))
@@ -89,31 +89,31 @@ def add_shadow_free(
     curve = (gains @ cosines.float().T).numpy()
     alone = seen & far
     # Brightness in time of what is thin or ends makes up for all that is wrong with it.
-    flat = (seen & edge).sum(1) <= EDGES * seen.sum(1)
-    told = flat & (alone.sum(1) >= FEWEST)
+    flat = (seen & edge).sum(1) <= EDGE_FRAME_SHARE * seen.sum(1)
+    told = flat & (alone.sum(1) >= MIN_CLEAR_FRAMES)
     # Beside an object that never leaves, a shadow still comes and goes.
-    beside_only = flat & ~told & (seen.sum(1) >= MANY)
+    beside_only = flat & ~told & (seen.sum(1) >= FEW_FRAMES)
     level = np.full(len(chosen), np.nan, np.float32)
-    level[told] = _quantile(curve[told], alone[told], SHARE)
+    level[told] = _quantile(curve[told], alone[told], OWN_BRIGHTNESS_QUANTILE)
     # How bright a whole frame is belongs to no shadow.
     exposure = _exposure(curve - level[:, None], alone & told[:, None])
-    level[told] = _quantile(curve[told] - exposure, alone[told], SHARE)
-    level[beside_only] = _quantile(curve[beside_only] - exposure, seen[beside_only], BRIGHTEST)
+    level[told] = _quantile(curve[told] - exposure, alone[told], OWN_BRIGHTNESS_QUANTILE)
+    level[beside_only] = _quantile(curve[beside_only] - exposure, seen[beside_only], FEW_FRAMES_QUANTILE)
     shade = np.where(seen & ~far, curve - exposure - level[:, None], 0)
     darkest = np.where(told | beside_only, shade.min(1), 0)
-    limit = np.where(told, DARKER, MUCH_DARKER)
+    limit = np.where(told, MIN_LOG_DARKENING, MUCH_DARKER)
     times_limit = np.zeros(len(points), np.float32)
     times_limit[chosen] = darkest / limit
     # A shadow is no matter of single Gaussians: most around must be as dark.
-    nearest = min(AROUND, len(points))
+    nearest = min(SHADOW_NEIGHBORS, len(points))
     dark = np.flatnonzero(darkest < -limit)
     around = cKDTree(points).query(points[chosen[dark]], nearest)[1].reshape(len(dark), nearest)
-    changed = dark[np.median(times_limit[around], 1) < -AGREE]
-    kept = np.where(told[:, None], alone, seen & (shade > -DARKER))[changed]
+    changed = dark[np.median(times_limit[around], 1) < -NEIGHBOR_LIMITS]
+    kept = np.where(told[:, None], alone, seen & (shade > -MIN_LOG_DARKENING))[changed]
     shadow_free = torch.cat([torch.zeros(len(g), 1), g.params["log_gains"].detach().float().cpu()], 1)
     if len(changed):
         target = np.where(kept, curve[changed], level[changed, None] + exposure)
-        weight = np.where(seen[changed], 1.0, UNSEEN)
+        weight = np.where(seen[changed], 1.0, UNSEEN_WEIGHT)
         shadow_free[rests.cpu()[torch.from_numpy(chosen[changed])]] = _fit(target, weight, cosines).float()
     return replace(model, gaussians=replace(g, shadow_free=shadow_free.to(g.device)))
 
@@ -128,22 +128,22 @@ def _find_visible_beside_objects(
         camera = cameras[k].resize(max(cameras[k].width // 2, 1), max(cameras[k].height // 2, 1))
         still = background.render(camera, times[k])
         mask = cv2.resize(masks[k], (camera.width, camera.height), interpolation=cv2.INTER_NEAREST)
-        hidden = (objects.render(camera, times[k]).alpha >= _COVERED) | (cv2.dilate(mask, np.ones((3, 3), np.uint8)) > 0)
-        surface = cv2.dilate(np.where(still.alpha >= _COVERED, still.depth, 0).astype(np.float32), np.ones((3, 3), np.uint8))
+        hidden = (objects.render(camera, times[k]).alpha >= _MIN_ALPHA) | (cv2.dilate(mask, np.ones((3, 3), np.uint8)) > 0)
+        surface = cv2.dilate(np.where(still.alpha >= _MIN_ALPHA, still.depth, 0).astype(np.float32), np.ones((3, 3), np.uint8))
         surface = np.where(hidden, 0, surface)
         # Inverse depth is linear in the image on a plane, however slanted.
         inverse = 1 / np.maximum(still.depth, 1e-9)
-        jumps = np.abs(inverse - cv2.blur(inverse, (5, 5))) > JUMP * inverse
+        jumps = np.abs(inverse - cv2.blur(inverse, (5, 5))) > MAX_DEPTH_JUMP * inverse
         jumps = cv2.dilate(jumps.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
         beside = np.zeros(mask.shape, bool)
         for number in np.unique(mask[mask > 0]):
             own = (mask == number).astype(np.uint8)
-            beside |= cv2.distanceTransform(1 - own, cv2.DIST_L2, 3) <= NEAR * math.sqrt(own.sum())
+            beside |= cv2.distanceTransform(1 - own, cv2.DIST_L2, 3) <= NEAR_OBJECT_SIZES * math.sqrt(own.sum())
         pixels, depth = camera.project(points)
         column, row = np.floor(np.nan_to_num(pixels, nan=-1)).astype(int).T
         inside = (depth > 0) & (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)
         saw, near, edge = np.zeros((3, len(points)), bool)
-        saw[inside] = depth[inside] <= (1 + _SAME) * surface[row[inside], column[inside]]
+        saw[inside] = depth[inside] <= (1 + _SURFACE_TOLERANCE) * surface[row[inside], column[inside]]
         near[inside], edge[inside] = (values[row[inside], column[inside]] for values in (beside, jumps))
         return saw, ~near, edge
 

@@ -21,11 +21,11 @@ from flowsplat.splatting.rules import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 
 CARRIERS = 32
 """At most so many Gaussians carry a point."""
-SAME_SURFACE = 0.05
+SURFACE_TOLERANCE = 0.05
 """Relative difference of depth up to which two things are one surface."""
-FADED = 0.5
+HANDOVER_SHARE = 0.5
 """Carriers hand over when less than this share of the weight that they were chosen for is left."""
-REACH = 4.0
+HANDOVER_SIGMAS = 4.0
 """Standard deviations from a point within which a Gaussian may take over; further away the nearest ones do."""
 TOO_FAR = 0.1
 """Share of its distance to the camera further than which nothing takes over a point."""
@@ -153,7 +153,7 @@ def _find_point_at(gaussians: Gaussians4D, frame: _Frame, camera: Camera, uv: np
     # The surface is where half of the weight is passed; what lies behind or before it does not move this point.
     order = np.argsort(depths)
     surface = depths[order][np.searchsorted(np.cumsum(weights[order]), 0.5 * weights.sum())]
-    own = np.abs(depths / surface - 1) <= SAME_SURFACE
+    own = np.abs(depths / surface - 1) <= SURFACE_TOLERANCE
     index, weights, depths = index[own], weights[own], depths[own]
     point = camera.unproject(uv, np.average(depths, weights=weights))
     rows = frame.rows[index]
@@ -200,12 +200,12 @@ def _carry_along(
 
 
 def _are_faded(gaussians: Gaussians4D, carriers: list[_Carriers], t: float) -> np.ndarray:
-    """Return [A] bool: less than ``FADED`` of the weight is left at time ``t``."""
+    """Return [A] bool: less than ``HANDOVER_SHARE`` of the weight is left at time ``t``."""
     owner, rows = _flat(carriers)
     present = gaussians.presence(t, rows).double().numpy()
     weights = np.concatenate([[], *(each.weights for each in carriers)])
     left = np.bincount(owner, np.where(present >= gaussians.config.p_min, weights * present, 0), len(carriers))
-    return left < FADED * np.array([each.promised for each in carriers])
+    return left < HANDOVER_SHARE * np.array([each.promised for each in carriers])
 
 
 def _flat(carriers: list[_Carriers]) -> tuple[np.ndarray, Tensor]:
@@ -312,7 +312,7 @@ def _density(
     squared = (arm * torch.linalg.solve(blurred, arm)).sum(1)
     inside = opacities * torch.exp(-0.5 * squared)
     beside = opacities / (arm.square().sum(1) + slack.flatten())
-    reached = (squared.reshape(rows.shape) <= REACH**2).any(1, keepdim=True)
+    reached = (squared.reshape(rows.shape) <= HANDOVER_SIGMAS**2).any(1, keepdim=True)
     weights = torch.where(reached, inside.reshape(rows.shape), beside.reshape(rows.shape))
     return weights.numpy(), placed.presence.reshape(rows.shape).numpy()
 
@@ -332,5 +332,5 @@ def _is_seen(points: np.ndarray, camera: Camera, frame: _Frame) -> np.ndarray:
     corner = np.floor(np.where(inside[:, None], uv, 0) - 0.5).astype(int)
     for step in ((0, 0), (1, 0), (0, 1), (1, 1)):
         x, y = np.clip(corner + step, 0, [camera.width - 1, camera.height - 1]).T
-        seen |= np.abs(z / depth[y, x] - 1) <= SAME_SURFACE
+        seen |= np.abs(z / depth[y, x] - 1) <= SURFACE_TOLERANCE
     return seen & inside

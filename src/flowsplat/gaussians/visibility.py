@@ -16,22 +16,22 @@ import torch
 
 from flowsplat.common.spread import spread
 from flowsplat.common.threads import in_threads
-from flowsplat.gaussians.confidence_fade import ALL_AROUND, FEWEST, FURTHEST
+from flowsplat.gaussians.confidence_fade import ALL_AROUND, MAX_SPREADS, MIN_FRAMES
 from flowsplat.gaussians.model import SceneModel, at_once
 from flowsplat.gaussians.renderer import PartedRenderer
 from flowsplat.geometry import Camera
 from flowsplat.geometry.cameras import unproject_depth
 
-FRAMES = 32
+ASKED_FRAMES = 32
 """Frames of the clip that are asked, evenly over it."""
-SMALL = 160
+SMALL_WIDTH = 160
 """Pixels of width of the images that are looked at."""
-_COVERED = 0.5
+_MIN_ALPHA = 0.5
 """Alpha from which something is there."""
-_SAME = 0.05
+_SURFACE_TOLERANCE = 0.05
 """Share of its distance by which a point may lie behind the surface that a frame sees."""
 _LEAST_SPREAD = 1e-6
-_NEAREST = 0.5
+_MIN_DISTANCE_SHARE = 0.5
 """Share of the distance of the nearest object from the clip's camera, below which a camera is too close to one."""
 
 
@@ -55,7 +55,7 @@ class Seen:
     @property
     def is_known(self) -> np.ndarray:
         """[h, w] bool: the clip tells what is seen there."""
-        still = (self.frames >= FEWEST) & (self.off <= FURTHEST)
+        still = (self.frames >= MIN_FRAMES) & (self.off <= MAX_SPREADS)
         return self.there & (self.moves | still)
 
 
@@ -74,18 +74,18 @@ class ClipVisibility:
 
         def witness(k: int) -> tuple[Camera, np.ndarray]:
             camera = _small(cameras[k])
-            still, hidden = self._background.render(camera, times[k]), self._objects.render(camera, times[k]).alpha >= _COVERED
+            still, hidden = self._background.render(camera, times[k]), self._objects.render(camera, times[k]).alpha >= _MIN_ALPHA
             # At edges a point may be seen on either side: the farther surface around a pixel counts.
-            surface = cv2.dilate(np.where(still.alpha >= _COVERED, still.depth, 0).astype(np.float32), np.ones((3, 3), np.uint8))
+            surface = cv2.dilate(np.where(still.alpha >= _MIN_ALPHA, still.depth, 0).astype(np.float32), np.ones((3, 3), np.uint8))
             return camera, np.where(hidden, 0, surface)
 
-        self._witnesses = list(in_threads(witness, spread(len(cameras), FRAMES), self.threads))
+        self._witnesses = list(in_threads(witness, spread(len(cameras), ASKED_FRAMES), self.threads))
 
     def compute_seen(self, camera: Camera, t: float) -> Seen:
         """Return what the clip has seen of the view of a camera, in the scene's coordinates, at ``t`` seconds."""
         camera = _small(camera)
         still, objects = self._background.render(camera, t), self._objects.render(camera, t)
-        there, moves = still.alpha >= _COVERED, objects.alpha >= _COVERED
+        there, moves = still.alpha >= _MIN_ALPHA, objects.alpha >= _MIN_ALPHA
         points = unproject_depth(still.depth, camera).reshape(-1, 3)
         count, mean, spread_of = self.directions(points)
         away = np.linalg.norm(_unit(camera.center - points) - mean, axis=1)
@@ -105,7 +105,7 @@ class ClipVisibility:
             column, row = np.floor(np.nan_to_num(pixels, nan=-1)).astype(int).T
             inside = (depth > 0) & (column >= 0) & (row >= 0) & (column < witness.width) & (row < witness.height)
             saw = np.zeros(len(points), bool)
-            saw[inside] = depth[inside] <= (1 + _SAME) * surface[row[inside], column[inside]]
+            saw[inside] = depth[inside] <= (1 + _SURFACE_TOLERANCE) * surface[row[inside], column[inside]]
             ray = _unit(witness.center - points)
             total[saw] += ray[saw]
             count[saw] += 1
@@ -121,11 +121,11 @@ class ClipVisibility:
     def keeps_clear(self, camera: Camera, own: Camera, t: float) -> bool:
         """Return whether a camera is not much nearer to any object than the clip's ``own`` at that time."""
         there, here = (self._nearest_object(each, t) for each in (camera, own))
-        return there >= _NEAREST * here
+        return there >= _MIN_DISTANCE_SHARE * here
 
     def _nearest_object(self, camera: Camera, t: float) -> float:
         shown = self._objects.render(_small(camera), t)
-        depth = shown.depth[shown.alpha >= _COVERED]
+        depth = shown.depth[shown.alpha >= _MIN_ALPHA]
         return float(np.percentile(depth, 5)) if depth.size else np.inf
 
 
@@ -144,7 +144,7 @@ def with_seen(model: SceneModel, cameras: Sequence[Camera], times: Sequence[floa
     points = model.similarity.inverse().points(gaussians.params["means"][background].double().cpu().numpy())
     count, _, spread_of = ClipVisibility(model, cameras, times).directions(points)
     seen = torch.zeros(len(gaussians), 2, device=gaussians.device)
-    for k in spread(len(cameras), FRAMES):
+    for k in spread(len(cameras), ASKED_FRAMES):
         seen[gaussians.active(model.clip_time(times[k])).rows, 0] += 1
     seen[:, 1] = ALL_AROUND
     seen[background] = torch.from_numpy(np.stack([count, spread_of], 1)).to(seen)
@@ -152,7 +152,7 @@ def with_seen(model: SceneModel, cameras: Sequence[Camera], times: Sequence[floa
 
 
 def _small(camera: Camera) -> Camera:
-    width = max(min(SMALL, camera.width // 2), 1)
+    width = max(min(SMALL_WIDTH, camera.width // 2), 1)
     return camera.resize(width, max(round(camera.height * width / camera.width), 1))
 
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 """From OpenCV's axes of a camera to OpenGL's, with y up and z backward, and back."""
 
-FURTHEST = 1e9
+MAX_COORDINATE = 1e9
 """Coordinates and focal lengths beyond which nothing is a camera: their squares have to stay exact enough."""
 
 
@@ -63,8 +63,8 @@ class Camera:
         """Whether every number is finite and not absurd, the rotation is one and no mirror, and the image has pixels."""
         R = self.viewmat[:3, :3]
         return bool(
-            (np.abs(self.viewmat) <= FURTHEST).all()  # not for NaN
-            and (np.abs(self.K) <= FURTHEST).all()
+            (np.abs(self.viewmat) <= MAX_COORDINATE).all()  # not for NaN
+            and (np.abs(self.K) <= MAX_COORDINATE).all()
             and np.abs(R @ R.T - np.eye(3)).max() < 1e-3
             and np.linalg.det(R) > 0
             and min(self.width, self.height) >= 1

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from flowsplat.geometry.cameras import FURTHEST, Camera, rigid
+from flowsplat.geometry.cameras import MAX_COORDINATE, Camera, rigid
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Similarity:
         scale, rotation = float(value["scale"]), np.array(value["rotation"], float).reshape(3, 3)
         translation = np.array(value["translation"], float).reshape(3)
         turns = (np.abs(rotation) < 2).all() and np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-3  # not for NaN
-        is_near = 1 / FURTHEST <= scale <= FURTHEST and (np.abs(translation) <= FURTHEST).all()
+        is_near = 1 / MAX_COORDINATE <= scale <= MAX_COORDINATE and (np.abs(translation) <= MAX_COORDINATE).all()
         if not (is_near and turns and np.linalg.det(rotation) > 0):
             raise ValueError("its similarity is none: it needs a scale above 0, a rotation and a translation")
         return Similarity(scale, rotation, translation)

@@ -13,7 +13,7 @@ import numpy as np
 _ARCS = np.array([0, 15, 6, 4, 11, 13, 6])
 _CORNERS = np.array([[255, 0, 0], [255, 255, 0], [0, 255, 0], [0, 255, 255], [0, 0, 255], [255, 0, 255], [255, 0, 0]], np.float32)
 _HUES = 3600
-_OUTSIDE = 0.75
+_BEYOND_SCALE = 0.75
 _OBJECTS = np.array([(255, 128, 0), (0, 190, 255), (255, 60, 160), (120, 220, 40), (180, 110, 255), (255, 220, 0)], np.uint8)
 """Colors of moving objects, by their numbers."""
 """How much displacements beyond the scale are darkened."""
@@ -70,7 +70,7 @@ def flow_to_color(flow: np.ndarray, scale: float | None = None) -> np.ndarray:
     hue[hue >= _HUES] = 0
     color = _WHEEL.take(hue, 0)
     far = length > 1
-    beyond = _OUTSIDE * color[far]
+    beyond = _BEYOND_SCALE * color[far]
     color -= 1
     color *= length[..., None]
     color += 1

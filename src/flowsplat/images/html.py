@@ -14,7 +14,7 @@ from markupsafe import Markup, escape
 
 from flowsplat.images.colors import float_to_bytes
 
-WIDEST = 960
+MAX_IMAGE_WIDTH = 960
 """Pixels of an image in a page."""
 THUMBNAIL = 320
 """Pixels of an image in a notebook."""
@@ -22,7 +22,7 @@ NOTHING = "–"
 """What stands in place of a figure that was not measured."""
 
 
-def shrink_to_page(image: np.ndarray, widest: int = WIDEST) -> np.ndarray:
+def shrink_to_page(image: np.ndarray, widest: int = MAX_IMAGE_WIDTH) -> np.ndarray:
     """uint8, not wider than ``widest`` pixels."""
     image = float_to_bytes(image)
     height, width = image.shape[:2]

@@ -9,7 +9,7 @@ import numpy as np
 
 from flowsplat.images.colors import error_to_color, float_to_bytes
 
-GAP = 4
+GAP_PIXELS = 4
 """Pixels between two images."""
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _RULER = 26
@@ -33,14 +33,14 @@ def side_by_side(images: Sequence[np.ndarray], labels: Sequence[str] = (), heigh
     panels = [_resize(_convert_to_color(image), height) for image in images]
     for panel, label in zip(panels, labels, strict=bool(labels)):
         _write_label(panel, label)
-    gap = np.full((height, GAP, 3), 255, np.uint8)
+    gap = np.full((height, GAP_PIXELS, 3), 255, np.uint8)
     return np.concatenate([part for panel in panels for part in (gap, panel)][1:], axis=1)
 
 
 def stack(rows: Sequence[np.ndarray]) -> np.ndarray:
     """Sheets under each other, the narrower ones resized to the width of the first; [H, width, 3] uint8."""
     width = rows[0].shape[1]
-    gap = np.full((GAP, width, 3), 255, np.uint8)
+    gap = np.full((GAP_PIXELS, width, 3), 255, np.uint8)
     panels = [_resize(row, max(round(row.shape[0] * width / row.shape[1]), 1), width) for row in rows]
     return np.concatenate([part for panel in panels for part in (gap, panel)][1:])
 

@@ -17,7 +17,7 @@ from flowsplat.common.files import atomic_path
 _BT709, _LIMITED, _FULL = 1, 1, 2  # as in ``images.video``
 _CRF = 24
 """VP9's constant quality, lower is better and larger."""
-_SAME = {"fflags": "+bitexact"}
+_REPRODUCIBLE = {"fflags": "+bitexact"}
 """Without a random number as the name of the file in it: the same images make the same file."""
 
 
@@ -32,7 +32,7 @@ def webm_writer(path: Path, fps: float) -> Iterator[Callable[[np.ndarray], None]
         ValueError: no frames, or frames of different sizes or types.
     """
     rate = Fraction(fps).limit_denominator(1001)
-    with atomic_path(path) as temporary, av.open(str(temporary), "w", options=_SAME) as container:
+    with atomic_path(path) as temporary, av.open(str(temporary), "w", options=_REPRODUCIBLE) as container:
         try:
             stream = container.add_stream("libvpx-vp9", rate=rate, options={"crf": str(_CRF), "b": "0", "cpu-used": "4"})
         except (ValueError, av.FFmpegError) as error:

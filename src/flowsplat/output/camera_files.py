@@ -31,7 +31,7 @@ from flowsplat.geometry import Camera
 from flowsplat.images.video import FASTEST, SLOWEST
 from flowsplat.scenes.formats.nerfstudio import from_opengl, image_size, positive, transforms_camera
 
-LARGEST = 8192
+MAX_SIDE = 8192
 """Pixels of width or height; beyond that it is a slip and not a wish."""
 
 
@@ -103,8 +103,8 @@ def _read_entry(read: Reader, content: Entry, entry: Any, index: int, size: tupl
         if not isinstance(entry, dict):
             raise InputError("it is not a JSON object")
         camera, time = read(content, entry, size)
-        if not (1 <= camera.width <= LARGEST and 1 <= camera.height <= LARGEST):
-            raise InputError(f"an image of {camera.width} x {camera.height} pixels is not possible (1 to {LARGEST})")
+        if not (1 <= camera.width <= MAX_SIDE and 1 <= camera.height <= MAX_SIDE):
+            raise InputError(f"an image of {camera.width} x {camera.height} pixels is not possible (1 to {MAX_SIDE})")
         if not camera.is_valid:
             raise InputError("its matrices are not finite, not a rotation, or have no positive focal length")
         return camera, time

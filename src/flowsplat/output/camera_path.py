@@ -11,10 +11,10 @@ from markupsafe import Markup
 from flowsplat.common.spread import spread
 from flowsplat.geometry import Camera
 
-_WIDTH, _HEIGHT, _MARGIN = 640, 400, 26
-_MOST_FRUSTA = 10
+_WIDTH, _HEIGHT, _DRAWING_MARGIN = 640, 400, 26
+_MAX_FRUSTA = 10
 """Cameras that are drawn with what they see; the line of the path has all of them."""
-_REACH = 0.22
+_FRUSTUM_LENGTH = 0.22
 """Length of a frustum over the extent of the drawing."""
 _DOT = 2.2
 """Pixels of the side of a scene point."""
@@ -58,7 +58,7 @@ def path_from_above(
     # A few points far out would make all the rest too small to see.
     bounds = np.percentile(dots, (3, 97), axis=0) if len(dots) else np.zeros((0, 2))
     around = np.concatenate([centers, bounds, *(obj.places @ axes.T for obj in objects)])
-    length = _REACH * _extent(around)
+    length = _FRUSTUM_LENGTH * _extent(around)
     wedges = [_corners(camera, length)[[0, 1]] @ axes.T for camera in _some(cameras)]
     page = _Page(np.concatenate([around, *wedges]))
     parts = [page.dot(place, color) for place, color in zip(dots, colors, strict=True) if page.shows(place)]
@@ -76,7 +76,7 @@ def path_at_an_angle(cameras: Sequence[Camera]) -> Markup:
     away = np.sin(_YAW) * right + np.cos(_YAW) * forward
     axes = np.stack([across, np.sin(_PITCH) * away - np.cos(_PITCH) * down])
     centers = np.array([camera.center for camera in cameras])
-    length = _REACH * _extent(centers)
+    length = _FRUSTUM_LENGTH * _extent(centers)
     pyramids = [_corners(camera, length) @ axes.T for camera in _some(cameras)]
     page = _Page(np.concatenate([centers @ axes.T, *pyramids]))
     parts = []
@@ -105,7 +105,7 @@ def _extent(places: np.ndarray) -> float:
 
 
 def _some(cameras: Sequence[Camera]) -> list[Camera]:
-    return [cameras[i] for i in spread(len(cameras), _MOST_FRUSTA)]
+    return [cameras[i] for i in spread(len(cameras), _MAX_FRUSTA)]
 
 
 def _corners(camera: Camera, length: float) -> np.ndarray:
@@ -120,7 +120,7 @@ class _Page:
 
     def __init__(self, places: np.ndarray):
         low, high = places.min(0), places.max(0)
-        room = np.array([_WIDTH, _HEIGHT]) - 2 * _MARGIN
+        room = np.array([_WIDTH, _HEIGHT]) - 2 * _DRAWING_MARGIN
         self._scale = float((room / np.maximum(high - low, 1e-12)).min())
         self._middle = (low + high) / 2
 

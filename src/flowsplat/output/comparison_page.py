@@ -21,7 +21,7 @@ MOST_VIDEO = 256 * 2**20
 _TYPES = {".mp4": "video/mp4", ".webm": "video/webm"}
 """What a page can play; an animated image cannot be paused."""
 
-_SHOWN = 2
+_SHOWN_IMAGES = 2
 """Held-out images of each kind."""
 
 SCRIPT = """
@@ -226,7 +226,7 @@ def _images(labels: Sequence[str], images: Sequence[Sequence[Comparison]]) -> It
     count = dict[str, int]()
     for label, image, _ in sorted(images[0], key=lambda each: each.label):
         kind = label.rsplit(" ", 1)[0]
-        if all(label in found for found in renderings) and count.get(kind, 0) < _SHOWN:
+        if all(label in found for found in renderings) and count.get(kind, 0) < _SHOWN_IMAGES:
             count[kind] = count.get(kind, 0) + 1
             shown = [("clip", image), *zip(labels, (found[label] for found in renderings), strict=True)]
             panels = [{"name": name, "image": image_tag(shrink_to_page(each), f"{label}, {name}")} for name, each in shown]

@@ -22,9 +22,9 @@ from flowsplat.images.sheets import side_by_side, stack, with_rulers
 from flowsplat.images.video import write_mp4
 from flowsplat.output.camera_path import ObjectPath, path_at_an_angle, path_from_above
 from flowsplat.output.page import card, image_row, write_page
-from flowsplat.priors.cameras.checks import LARGE_ERROR, LITTLE_PARALLAX
+from flowsplat.priors.cameras.checks import LARGE_ERROR, MIN_PARALLAX
 from flowsplat.priors.cameras.following import WORKING_SIDE
-from flowsplat.priors.depth.stage import MOSTLY
+from flowsplat.priors.depth.stage import MIN_TRUSTED_SHARE
 from flowsplat.priors.graph import PRIORS
 from flowsplat.priors.objects import SceneObjects, load_objects
 from flowsplat.priors.objects.areas import describe_count, large_objects
@@ -128,10 +128,10 @@ def _depth_words(cameras: Mapping[str, Any], depth: Mapping[str, Any]) -> str:
         return f"{reason}: depth is a guess"
     if depth.get("method") != "multi-view":
         return f"depth: {_source(depth)}"
-    if cameras.get("motion") == "free" and cameras["parallax_degrees"] < LITTLE_PARALLAX:
+    if cameras.get("motion") == "free" and cameras["parallax_degrees"] < MIN_PARALLAX:
         return "little parallax: depth is rough"
     trusted = _get_trusted_static(depth)
-    if trusted < MOSTLY:
+    if trusted < MIN_TRUSTED_SHARE:
         return f"depth from motion on {trusted:.0%} of the still scene, the rest is filled in"
     return "depth from the camera's motion"
 
@@ -172,7 +172,7 @@ def _advice(scene: Scene, cameras: Mapping[str, Any], depth: Mapping[str, Any]) 
         return "Training can work along the clip's own path; give --cameras.focal if you know it."
     if depth.get("method") == "guess":
         return "Training can work along the clip's own path; views from aside will be wrong."
-    if depth.get("method") == "multi-view" and _get_trusted_static(depth) < MOSTLY:
+    if depth.get("method") == "multi-view" and _get_trusted_static(depth) < MIN_TRUSTED_SHARE:
         return "Training can work; views far from the clip's own path will show gaps and bends."
     return "Training can work."
 

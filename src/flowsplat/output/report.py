@@ -23,7 +23,7 @@ from flowsplat.priors.objects.description import sureness
 
 """Where the videos lie, seen from the report."""
 
-_EVEN = 0.1
+_EVEN_DECIBELS = 0.1
 """Decibels of PSNR that are not visible."""
 
 _VIDEO_TITLES = {
@@ -123,7 +123,7 @@ def grade_path(metrics: Mapping[str, Any]) -> str:
     ours, theirs = pick(metrics, "heldout_frames", "psnr"), pick(metrics, "baselines", "flow_interpolation", "psnr")
     if ours is None or theirs is None:
         return "unmeasured"
-    return "even" if abs(ours - theirs) < _EVEN else "better" if ours > theirs else "worse"
+    return "even" if abs(ours - theirs) < _EVEN_DECIBELS else "better" if ours > theirs else "worse"
 
 
 def verdict(metrics: Mapping[str, Any]) -> str:
@@ -145,7 +145,7 @@ def _along(metrics: Mapping[str, Any]) -> str:
     if theirs is None:
         return f"{seen}."
     gain = ours - theirs
-    if abs(gain) < _EVEN:
+    if abs(gain) < _EVEN_DECIBELS:
         return f"{seen}, as good as interpolating between the neighboring frames by optical flow ({theirs:.2f} dB)."
     if gain > 0:
         return f"{seen}, {gain:.2f} dB better than interpolating between the neighboring frames by optical flow."

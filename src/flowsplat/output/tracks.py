@@ -9,7 +9,7 @@ import numpy as np
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_json, read_text, write_json, write_npz
-from flowsplat.common.files.json_file import MOST_BYTES, Number
+from flowsplat.common.files.json_file import MAX_JSON_BYTES, Number
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.tracking import follow_points
 from flowsplat.scenes import Scene
@@ -35,7 +35,7 @@ def read_queries(at: Sequence[str], file: Path | None, scene: Scene) -> np.ndarr
 def _rows_of(file: Path) -> list[Sequence[object]]:
     if file.suffix.lower() == ".json":
         return read_json(file, list[list[Number]])
-    lines = read_text(file, MOST_BYTES).splitlines()
+    lines = read_text(file, MAX_JSON_BYTES).splitlines()
     return [line.split(",") for line in lines if line.strip() and not line.startswith("#")]
 
 

@@ -37,7 +37,7 @@ STAGE = "coarse"
 """The stage that makes it."""
 FRAMES = 24
 """Frames that it is made from, at most."""
-APART = 0.2
+MAX_FRAME_SECONDS = 0.2
 """Seconds between two of them at most, unless the run's own are farther apart: motion has to be followed. Of a longer clip they
 show the beginning."""
 LONG_SIDE = 284
@@ -45,21 +45,21 @@ LONG_SIDE = 284
 STEPS = 200
 SECONDS = 30.0
 """What it takes on the reference machine, two cores, with a margin."""
-SHARE = 0.08
+MAX_RUN_SHARE = 0.08
 """Of a whole run, which it may take at most: a shorter run has something to show soon enough."""
 VIDEOS = RenderOptions(paths=("input", "orbit"), width=427, max_frames=48)
 
 
 def is_worth_it(whole: float) -> bool:
     """Return whether a run that takes ``whole`` seconds on the reference machine begins with it."""
-    return SHARE * whole >= SECONDS
+    return MAX_RUN_SHARE * whole >= SECONDS
 
 
 def choose_frames(timestamps: np.ndarray, train: Sequence[int]) -> list[int]:
     """Return frames that the coarse scene is made from: evenly over the training frames of the clip, or over its beginning."""
     times = timestamps[list(train)]
     over_all = -(-len(train) // FRAMES)
-    followed = int(APART / float(np.median(np.diff(times))) + 1e-6)
+    followed = int(MAX_FRAME_SECONDS / float(np.median(np.diff(times))) + 1e-6)
     return list(train)[:: max(1, min(over_all, followed))][:FRAMES]
 
 
@@ -112,7 +112,7 @@ def coarse_scene(folder: RunFolder, clip: Clip) -> None:
     """
     where = folder.coarse
     settings = coarse_settings()
-    key = stage_key(folder.fingerprint, FRAMES, APART, LONG_SIDE, settings)
+    key = stage_key(folder.fingerprint, FRAMES, MAX_FRAME_SECONDS, LONG_SIDE, settings)
     with folder.stage(STAGE, key, (where.path,), made=has_model(where.model_path)) as stage:
         if not stage.is_done:
             _make_coarse(folder, stage, clip, where, settings)

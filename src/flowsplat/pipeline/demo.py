@@ -30,7 +30,7 @@ ITERATIONS = 600
 World = Literal["street", "floating"]
 """``street``: what people film. ``floating``: three things that float in a room, whose distance no camera can tell."""
 
-SHOWN: dict[World, str] = {
+SCENE_WORDS: dict[World, str] = {
     "street": "a street where someone walks, a cart rolls and a ball bounces",
     "floating": "a room where three things float, how far away nobody can tell",
 }
@@ -118,7 +118,7 @@ def _describe_result(
 ) -> Iterator[str]:
     """Tell what was made, a figure along the path, one from aside, and what to do next."""
     yield ""
-    yield f"Made in {format_duration(seconds)}: {out / 'clip.mp4'}, {spec.frames} frames of {SHOWN[world]},"
+    yield f"Made in {format_duration(seconds)}: {out / 'clip.mp4'}, {spec.frames} frames of {SCENE_WORDS[world]},"
     yield f"became a 4D scene by its images alone, as your own clip would: {own.path}."
     frames, between = (pick(metrics, *path, "psnr") for path in (("heldout_frames",), ("baselines", "flow_interpolation")))
     if frames is not None:

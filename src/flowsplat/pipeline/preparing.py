@@ -25,7 +25,7 @@ from flowsplat.output.videos import RenderOptions, settle
 from flowsplat.pipeline.compiling import are_missing
 from flowsplat.pipeline.config import RunConfig, check
 from flowsplat.pipeline.folder import RunFolder, Stage, stage_key
-from flowsplat.pipeline.speed import STAGES, TELLING, Estimate, Speed, Watch, estimate_memory, estimate_seconds
+from flowsplat.pipeline.speed import MIN_OWN_SECONDS, STAGES, Estimate, Speed, Watch, estimate_memory, estimate_seconds
 from flowsplat.priors.graph import PRIORS
 from flowsplat.priors.options import names_places
 from flowsplat.priors.prepare import check_places, prepare_priors
@@ -35,7 +35,7 @@ from flowsplat.scenes.clip import Clip, InputOptions
 from flowsplat.scenes.ingest import fingerprint, ingest, kind_of_input, open_clip
 from flowsplat.training.checkpoint import has_model
 
-ASIDE = ".scene.before"
+SET_ASIDE = ".scene.before"
 """Where the scene of other settings waits until that of the new ones is there."""
 
 
@@ -76,7 +76,7 @@ def prepare_folder(source: Path, out: Path, config: RunConfig, first: Callable[[
     goes_on = is_new or folder.was_started("prepare", key)
     with contextlib.nullcontext() if goes_on else _set_aside(folder, before), folder.stage("prepare", key, made=False) as stage:
         _compute_scene(folder, stage, source, kind, is_new, show)
-    shutil.rmtree(folder.path / ASIDE, ignore_errors=True)
+    shutil.rmtree(folder.path / SET_ASIDE, ignore_errors=True)
     return folder
 
 
@@ -92,7 +92,7 @@ def _set_aside(folder: RunFolder, before: Mapping[str, Any]) -> Iterator[None]:
         other = PRIORS.list_depending_on([name for name in new if old.get(name) != new[name]])
         which = f" ({', '.join(other)})" if other else ""
         report(f"The settings of the priors, or the files given for them, changed{which}: they are computed again.")
-    aside = folder.path / ASIDE
+    aside = folder.path / SET_ASIDE
     folder.forget("prepare")
     shutil.rmtree(aside, ignore_errors=True)
     if folder.scene_path.exists():
@@ -147,7 +147,7 @@ def _compute_scene(
         begin_peak()
         folder.save()
         if prior == "cameras":
-            if took >= TELLING and reference["cameras"] > 0 and watch.was_quiet() and not compiling:
+            if took >= MIN_OWN_SECONDS and reference["cameras"] > 0 and watch.was_quiet() and not compiling:
                 speed.note(took / reference["cameras"])
             report(f"Left of a whole run: {speed.estimate(reference, STAGES[2:], folder.wall_seconds)}.")
 

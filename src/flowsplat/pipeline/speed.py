@@ -31,7 +31,7 @@ from flowsplat.pipeline.config import RunConfig
 from flowsplat.scenes import Scene
 from flowsplat.scenes.clip import Clip
 from flowsplat.scenes.scene import split_frames
-from flowsplat.training.final import SHARE
+from flowsplat.training.final import FINAL_FIT_SHARE
 
 Ratio = Annotated[float, Meta(gt=0, le=1e6)]
 
@@ -40,19 +40,19 @@ STAGES = ("compiling", "cameras", "priors", "train", "rest")
 COMPILING = 25.0
 """Seconds by which a run is longer on the reference machine when all its kernels have to be compiled beside it."""
 
-SHORTEST, TELLING = 10.0, 2.0
+MIN_STAGE_SECONDS, MIN_OWN_SECONDS = 10.0, 2.0
 """Seconds from which the time of a stage tells something of other runs, and of the one that goes on."""
-KEPT = 5
+KEPT_RUNS = 5
 """Runs whose times are remembered."""
-UNTRIED = 1.8
+UNTRIED_FACTOR = 1.8
 """A test of two seconds leaves open by what factor a run takes longer, or shorter, than it says."""
-UNTRIED_GPU = 4.0
+UNTRIED_GPU_FACTOR = 4.0
 """The same on a GPU, which it does not test."""
-MARGIN = 1.35
+ESTIMATE_FACTOR = 1.35
 """The same where something tells: earlier runs, or the first stage of this one. Clips that are as large differ by as much."""
-SETTLED = 60.0
-"""Seconds of a run after which an estimate has to commit itself to ``MARGIN``."""
-BUSY = 0.15
+COMMIT_SECONDS = 60.0
+"""Seconds of a run after which an estimate has to commit itself to ``ESTIMATE_FACTOR``."""
+MAX_OTHER_LOAD = 0.15
 """Share of the machine from which on what other programs take makes the time of a stage tell nothing."""
 TEST_SECONDS, REFERENCE_ROUND = 2.0, 0.022
 """How long the test is, and the seconds of one round on one core of the reference machine."""
@@ -98,7 +98,7 @@ def _estimate_seconds(config: RunConfig, width: int, height: int, train_frames: 
     all_frames = (train_frames + heldout) * megapixels
     frames = config.train.frames_per_iteration or train_frames
     train = config.train.iterations * frames * (0.01 + 0.48 * megapixels)
-    final = SHARE * train if config.final_fit and heldout else 0.0
+    final = FINAL_FIT_SHARE * train if config.final_fit and heldout else 0.0
     static = 0.25 * train if config.baselines == "all" else 0.0
     own = config.priors.priors != "true"  # what is true is there
     return {
@@ -135,7 +135,7 @@ class Speed:
     def __init__(self, device: str):
         """``device``: auto, cpu or cuda."""
         chosen = pick_device(device).type
-        self._untried = UNTRIED if chosen == "cpu" else UNTRIED_GPU
+        self._untried = UNTRIED_FACTOR if chosen == "cpu" else UNTRIED_GPU_FACTOR
         self._all = _read()
         self._known = self._all.setdefault(f"{chosen}, {torch.get_num_threads()} threads", {})
         self._now: list[float] = []
@@ -147,8 +147,8 @@ class Speed:
     def remember(self, seconds: Mapping[str, float], reference: Mapping[str, float]) -> None:
         """Keep what the stages of a whole run took; what was short, or not all of its work, tells nothing."""
         for stage, took in stages_of(seconds).items():
-            if took >= SHORTEST and reference[stage] > 0 and (stage != "priors" or {"flow", "depth"} <= set(seconds)):
-                self._known[stage] = [*self._known.get(stage, []), round(took / reference[stage], 3)][-KEPT:]
+            if took >= MIN_STAGE_SECONDS and reference[stage] > 0 and (stage != "priors" or {"flow", "depth"} <= set(seconds)):
+                self._known[stage] = [*self._known.get(stage, []), round(took / reference[stage], 3)][-KEPT_RUNS:]
         self._write()
 
     def factor(self, stage: str) -> float:
@@ -164,8 +164,10 @@ class Speed:
     def estimate(self, reference: Mapping[str, float], stages: Sequence[str] = STAGES, passed: float = 0.0) -> Estimate:
         """Return what the stages take together; ``passed``: seconds since the run began. After a minute who waits wants to know."""
         seconds = {stage: reference[stage] * self.factor(stage) for stage in stages if reference[stage] > 0}
-        tried = passed >= SETTLED or bool(self._now) or all(self._known.get(stage) for stage in seconds if stage != "compiling")
-        return Estimate(sum(seconds.values()), MARGIN if tried else self._untried)
+        tried = (
+            passed >= COMMIT_SECONDS or bool(self._now) or all(self._known.get(stage) for stage in seconds if stage != "compiling")
+        )
+        return Estimate(sum(seconds.values()), ESTIMATE_FACTOR if tried else self._untried)
 
     def _write(self) -> None:
         with contextlib.suppress(InputError):  # then the next run tests again
@@ -197,7 +199,7 @@ class Watch:
         if before is None or self._used is None:
             return True
         others = self._used.all - before.all - (self._used.own - before.own)
-        return others < BUSY * (os.cpu_count() or 1) * max(self._used.now - before.now, 1e-3)
+        return others < MAX_OTHER_LOAD * (os.cpu_count() or 1) * max(self._used.now - before.now, 1e-3)
 
 
 def _read_used() -> _Used | None:

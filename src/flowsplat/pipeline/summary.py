@@ -23,7 +23,7 @@ from flowsplat.priors.objects.description import word_hint
 from flowsplat.scenes import Scene
 from flowsplat.scenes.layers import read_image
 
-SHOWN = 6
+SHOWN_IMAGES = 6
 """Held-out images of each kind in the report."""
 
 SHOWN_NOTE = (
@@ -127,11 +127,11 @@ def _spread(items: Sequence[Any], count: int) -> list[Any]:
 
 def comparisons(out: Path, scene: Scene) -> Iterator[Comparison]:
     """Held-out images beside their renderings, as the evaluation wrote them."""
-    for i in _spread(scene.heldout_frames, SHOWN):
+    for i in _spread(scene.heldout_frames, SHOWN_IMAGES):
         rendering = RunPaths(out).evaluation_path / "heldout" / f"{i:05d}.png"
         if rendering.exists():
             yield Comparison(f"Held-out frame {i}", scene.heldout_frame(i), read_image(rendering))
-    for view in _spread(scene.views, SHOWN):
+    for view in _spread(scene.views, SHOWN_IMAGES):
         rendering = RunPaths(out).evaluation_path / "views" / f"{view.name}.png"
         if rendering.exists():
             yield Comparison(f"Held-out view {view.name}", scene.view_image(view), read_image(rendering))

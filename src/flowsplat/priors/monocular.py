@@ -23,13 +23,13 @@ from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.geometry.interpolation import sample_map
 from flowsplat.priors.background.fill import fill, upsample
 from flowsplat.priors.background.matched_clip import MatchedClip
-from flowsplat.priors.background.static_depth import SURE, Background, compute_far_inverse
-from flowsplat.priors.depth.stage import FURTHEST_DEPTH, MARGIN, NEAREST_DEPTH, TRUSTED_WEIGHT, measure_trusted_shares
+from flowsplat.priors.background.static_depth import SURE_WEIGHT, Background, compute_far_inverse
+from flowsplat.priors.depth.stage import FRONT_MARGIN, FURTHEST_DEPTH, NEAREST_DEPTH, TRUSTED_WEIGHT, measure_trusted_shares
 from flowsplat.priors.flow import FlowEstimator, dis_estimator
 from flowsplat.scenes import Depth, Scene
 from flowsplat.scenes.layers import TRUSTED
 
-FEWEST = 200
+MIN_STATIC_PIXELS = 200
 """Trusted static working pixels that a frame's own scale and shift need; with fewer it borrows those of its neighbors."""
 
 MISFIT = 0.2
@@ -41,7 +41,7 @@ WORTH = 100
 LOOSE_RELATIVE, LOOSE_METRIC = 0.5, 0.05
 """Shift of the inverse depth to be expected, over its median, where the source does not know infinity and where it does."""
 
-FLAT = 0.1
+MAX_FLAT_RANGE = 0.1
 """Without parallax: inverse depth of the furthest percent of the clip over its median, where infinity is not known."""
 
 _SAMPLES = 20_000
@@ -179,8 +179,8 @@ def _measure_lines(maps: _Maps, background: Background, loose: float) -> tuple[n
     for k in track(range(count), "Fitting depth"):
         measured, weight = background.fill(k)
         inverse, confidence = maps.small(k)
-        chosen = np.flatnonzero((weight > SURE) & (confidence >= TRUSTED) & (background.mask(k) == 0))
-        if len(chosen) >= FEWEST:
+        chosen = np.flatnonzero((weight > SURE_WEIGHT) & (confidence >= TRUSTED) & (background.mask(k) == 0))
+        if len(chosen) >= MIN_STATIC_PIXELS:
             chosen = chosen[:: -(-len(chosen) // _SAMPLES)]
             x, y, w = (values.ravel()[chosen] for values in (inverse, measured, np.minimum(weight, 100)))
             # A relative error counts alike, near or far.
@@ -219,7 +219,7 @@ def _write_frame(maps: _Maps, background: Background, k: int, line: np.ndarray, 
     bend = fill(measured - small, trusted, clip.image(k))[0] if trusted.any() else np.zeros_like(small)
     static = np.clip(aligned + upsample(bend, frame, *size), floor, ceiling)
     front = upsample(background.compute_foremost(k), np.zeros_like(frame), *size)
-    depth = 1 / np.clip(np.where(moving, np.maximum(aligned, MARGIN * front), static), floor, ceiling)
+    depth = 1 / np.clip(np.where(moving, np.maximum(aligned, FRONT_MARGIN * front), static), floor, ceiling)
     own = np.float32(1 / (1 + (misfit / MISFIT) ** 2)) * known
     seen = np.maximum(upsample(weight, np.zeros_like(frame), *size), 0)
     confidence = np.where(moving, own, np.maximum(own, seen / (seen + TRUSTED_WEIGHT)))
@@ -236,7 +236,7 @@ def _write_free(maps: _Maps, source: Monocular) -> dict[str, object]:
     middle, far = float(np.median(samples)), float(np.percentile(samples, 1))
     shift = 0.0
     if source.relative or far <= 0:
-        shift = (FLAT * middle - far) / (1 - FLAT)
+        shift = (MAX_FLAT_RANGE * middle - far) / (1 - MAX_FLAT_RANGE)
     scale = compute_far_inverse(clip) / max(middle + shift, 1e-9)
     floor, ceiling = scale * (middle + shift) / FURTHEST_DEPTH, scale * (middle + shift) / NEAREST_DEPTH
     for k, i in enumerate(track(scene.train_frames, "Depth")):
@@ -272,7 +272,7 @@ def _chain_lines(maps: _Maps, relative: bool) -> np.ndarray:
             middle = lines[before, 0] * float(np.median(maps.small(before)[0])) + lines[before, 1]
             here = float(np.median(maps.small(k)[0]))
             lines[k] = (lines[before, 0], middle - lines[before, 0] * here) if relative else (middle / max(here, 1e-9), 0.0)
-        elif chosen.sum() >= FEWEST:
+        elif chosen.sum() >= MIN_STATIC_PIXELS:
             here = maps.small(k)[0][chosen]
             there = sample_map(maps.small(before)[0], landed[chosen.ravel()])[:, 0]
             middles = float(np.median(there)), float(np.median(here))

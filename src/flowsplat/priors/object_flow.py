@@ -19,17 +19,17 @@ from flowsplat.scenes import Flow, Scene
 
 GOOD = 0.95
 """Share of the objects' pixels with trusted flow, both ways, from which it is good enough."""
-AROUND = 48
+SEARCH_MARGIN = 48
 """Pixels around the objects of two frames that are searched with them."""
 GRAY = 127
 """What rests is painted in it."""
 MOST_UNLIKE = 60.0
 """Gray levels beyond which it makes no difference how much colors differ."""
-OUTSIDE = 20.0
+OUTSIDE_COST = 20.0
 """Gray levels that a place outside the masks counts as."""
 RETURN, MOST_RETURNS = 3.0, 4.0
 """The same of a round trip that misses by its limit (``forward_backward_confidence``), and by how many limits it counts at most."""
-WINDOW = 2.0
+WINDOW_SIGMA = 2.0
 """Standard deviation in pixels of the window over which flows are compared."""
 
 
@@ -57,8 +57,8 @@ Pair = tuple[np.ndarray, np.ndarray]
 def _search(images: Pair, masks: Pair, flows: Pair) -> Pair:
     """Return both flows [H, W, 2], those of objects the better of what is there and of what is found where nothing else is seen."""
     rows, columns = (np.flatnonzero((masks[0] | masks[1]).any(axis)) for axis in (1, 0))
-    top, left = max(rows[0] - AROUND, 0), max(columns[0] - AROUND, 0)
-    box = slice(top, rows[-1] + 1 + AROUND), slice(left, columns[-1] + 1 + AROUND)
+    top, left = max(rows[0] - SEARCH_MARGIN, 0), max(columns[0] - SEARCH_MARGIN, 0)
+    box = slice(top, rows[-1] + 1 + SEARCH_MARGIN), slice(left, columns[-1] + 1 + SEARCH_MARGIN)
     a, b = (np.where(mask, gray(image), GRAY).astype(np.uint8)[box] for image, mask in zip(images, masks, strict=True))
     # The same box in both frames, so that flows need no shift.
     there = [flow[box] for flow in flows]
@@ -78,8 +78,10 @@ def _cost(a: np.ndarray, b: np.ndarray, mask_a: np.ndarray, mask_b: np.ndarray, 
     """Return [H, W] what speaks against a flow from ``a`` to ``b`` around each pixel of an object, in gray levels."""
     unlike = np.minimum(np.abs(a - _warp(b, flow)).mean(-1), MOST_UNLIKE)
     misses = lengths(flow + _warp(back, flow)) / (0.5 + 0.05 * lengths(flow))
-    cost = unlike + OUTSIDE * (1 - _warp(mask_b, flow)) + RETURN * np.minimum(misses, MOST_RETURNS)
-    return np.asarray(cv2.GaussianBlur(cost * mask_a, (0, 0), WINDOW) / np.maximum(cv2.GaussianBlur(mask_a, (0, 0), WINDOW), 1e-3))
+    cost = unlike + OUTSIDE_COST * (1 - _warp(mask_b, flow)) + RETURN * np.minimum(misses, MOST_RETURNS)
+    return np.asarray(
+        cv2.GaussianBlur(cost * mask_a, (0, 0), WINDOW_SIGMA) / np.maximum(cv2.GaussianBlur(mask_a, (0, 0), WINDOW_SIGMA), 1e-3)
+    )
 
 
 def _warp(values: np.ndarray, flow: np.ndarray) -> np.ndarray:

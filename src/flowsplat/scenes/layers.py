@@ -28,14 +28,14 @@ from flowsplat.common.errors import InputError
 from flowsplat.common.files import atomic_path, read_bytes, read_json, read_npz, write_json, write_npz
 from flowsplat.common.files.json_file import Pixels, Row3, Row4
 from flowsplat.geometry import Camera
-from flowsplat.geometry.cameras import FURTHEST
+from flowsplat.geometry.cameras import MAX_COORDINATE
 from flowsplat.images.header import MOST_PIXELS, can_hold, image_pixels
 
 FLOW_UNIT = 64
 TRUSTED = 0.5
 _MOST_IMAGE = 512 * 2**20
 """Bytes of the file of an image."""
-_MOST_A_PIXEL = 32
+_MAX_BYTES_PER_PIXEL = 32
 """Bytes of the arrays of a layer for every pixel."""
 _MOST_TRACKS = 160 * 2**20
 """Bytes."""
@@ -265,7 +265,7 @@ class Layers:
         path = self._depth_path(i)
         arrays = self._arrays(path, ("depth", "confidence"))
         depth = arrays["depth"]
-        if not ((depth > 0) & (depth.astype(np.float64) <= FURTHEST)).all():
+        if not ((depth > 0) & (depth.astype(np.float64) <= MAX_COORDINATE)).all():
             raise InputError(f"{path} holds depths that are not finite and positive.")
         return Depth(depth.astype(np.float32), arrays["confidence"].astype(np.float32) / 255)
 
@@ -380,7 +380,7 @@ class Layers:
         write_npz(self.folder / "tracks.npz", arrays)
 
     def _arrays(self, path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
-        arrays = read_npz(path, names, most=_MOST_A_PIXEL * self.width * self.height)
+        arrays = read_npz(path, names, most=_MAX_BYTES_PER_PIXEL * self.width * self.height)
         for name in names:
             if name not in arrays:
                 raise InputError(f"{path} has no array {name!r}.")

@@ -15,7 +15,7 @@ from flowsplat.scenes.layers import read_image, write_image
 from flowsplat.scenes.scene import Scene
 
 FOLDERS = ("frames", "heldout/frames", "masks", "heldout/masks")
-ASIDE = "replaced"
+NEW_IMAGES = "replaced"
 """Folder of the new images until all of them are there."""
 
 
@@ -32,7 +32,7 @@ def replace_images(scene: Scene, change: Callable[[np.ndarray], np.ndarray]) -> 
     Raises:
         InputError: an image is missing or damaged, or the disk is full.
     """
-    aside = scene.folder / ASIDE
+    aside = scene.folder / NEW_IMAGES
     if not scene.info.images_replaced:
         old = [Path(folder) / path.name for folder in FOLDERS for path in sorted((scene.folder / folder).glob("[!.]*.png"))]
         for path in track(old, "Straightening images"):

@@ -12,7 +12,7 @@ from flowsplat.common.devices import Kernels, kernels_on
 from flowsplat.common.triton import check_runs
 from flowsplat.splatting import reference
 from flowsplat.splatting.arguments import Array, check_numbers, check_size, to_tensors
-from flowsplat.splatting.rules import EPS2D, FAR, NEAR
+from flowsplat.splatting.rules import EPS2D, FAR_PLANE, NEAR_PLANE
 
 BackendName = Literal["auto", "cpu", "triton", "reference"]
 
@@ -103,8 +103,8 @@ def project(
     height: int,
     *,
     covars: Tensor | None = None,
-    near_plane: float = NEAR,
-    far_plane: float = FAR,
+    near_plane: float = NEAR_PLANE,
+    far_plane: float = FAR_PLANE,
     eps2d: float = EPS2D,
     backend: BackendName = "auto",
 ) -> Projected:
@@ -174,8 +174,8 @@ def rasterize(
     *,
     covars: Array | None = None,
     background: Array | None = None,
-    near_plane: float = NEAR,
-    far_plane: float = FAR,
+    near_plane: float = NEAR_PLANE,
+    far_plane: float = FAR_PLANE,
     eps2d: float = EPS2D,
     backend: BackendName = "auto",
 ) -> tuple[Tensor, Tensor, dict[str, Any]]:

@@ -19,7 +19,7 @@ from torch import Tensor
 from flowsplat.splatting.api import BackendName, Projected, blend, check_finite, project
 from flowsplat.splatting.arguments import Array, check_numbers, check_size, to_tensors
 from flowsplat.splatting.harmonics import colors_from_harmonics, harmonics_count
-from flowsplat.splatting.rules import EPS2D, FAR, NEAR
+from flowsplat.splatting.rules import EPS2D, FAR_PLANE, NEAR_PLANE
 
 RenderMode = Literal["RGB", "D", "ED", "RGB+D", "RGB+ED"]
 MAX_DEGREE = 3
@@ -39,8 +39,8 @@ def rasterization(
     Ks: Array,
     width: int,
     height: int,
-    near_plane: float = NEAR,
-    far_plane: float = FAR,
+    near_plane: float = NEAR_PLANE,
+    far_plane: float = FAR_PLANE,
     radius_clip: float = 0.0,
     eps2d: float = EPS2D,
     sh_degree: int | None = None,

@@ -24,7 +24,7 @@ from flowsplat.gaussians.gaussians4d import Gaussians4D, parameter_shapes
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.model_config import ModelConfig
 from flowsplat.geometry import Similarity
-from flowsplat.geometry.cameras import FURTHEST
+from flowsplat.geometry.cameras import MAX_COORDINATE
 
 MODEL_VERSION = 5
 _FOUND = ("seen", "shadow_free")
@@ -183,8 +183,8 @@ def check_model(path: Path, gaussians: Gaussians4D) -> None:
         values = gaussians.params[name]
         if values.shape != (count, *shape) or values.dtype != torch.float32:
             raise InputError(f"{path} is damaged: {name} is {values.dtype} {tuple(values.shape)}, expected {(count, *shape)}.")
-        most = _LARGEST_LOG if name.startswith("log_") else FURTHEST
-        if not bool((values <= most).all() and (values >= -FURTHEST).all()):  # not for NaN
+        most = _LARGEST_LOG if name.startswith("log_") else MAX_COORDINATE
+        if not bool((values <= most).all() and (values >= -MAX_COORDINATE).all()):  # not for NaN
             raise InputError(f"{path} is damaged: {name} holds values that are not finite, or beyond {most:g}.")
     if gaussians.dynamic.shape != (count,) or gaussians.object_ids.shape != (count,):
         raise InputError(f"{path} is damaged: it does not tell for each Gaussian whether it moves, and of which object it is.")

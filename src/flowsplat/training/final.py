@@ -12,7 +12,7 @@ from flowsplat.scenes import Flow, Scene, StoredFlow
 from flowsplat.scenes.layers import Layers
 from flowsplat.training.config import TrainConfig
 
-SHARE = 0.25
+FINAL_FIT_SHARE = 0.25
 """Steps of the final fit, as a share of those of the training."""
 AVERAGED = 0.5
 """Of the steps of the final fit, the share over which its result is the mean, where training has such a mean."""
@@ -26,7 +26,7 @@ def final_config(config: TrainConfig) -> TrainConfig:
 
     Gaussians are neither added nor removed, and none begins to move or comes to rest.
     """
-    added = math.ceil(SHARE * config.iterations)
+    added = math.ceil(FINAL_FIT_SHARE * config.iterations)
     return replace(
         config,
         iterations=config.iterations + added,

@@ -11,7 +11,7 @@ from flowsplat.common.devices import upload
 from flowsplat.gaussians.observations import Observations
 from flowsplat.training.photometric_loss import PhotometricTargets
 
-SHARE = 0.5
+MAX_MEMORY_SHARE = 0.5
 """Of the memory that is free at the start, how much of a GPU's may be taken by targets that stay."""
 
 
@@ -26,7 +26,7 @@ class Targets:
         self._there: dict[int, tuple[PhotometricTargets, Any, bool]] = {}
         if device.type == "cuda":
             self._stream = torch.cuda.Stream(device)
-            self._room = SHARE * torch.cuda.mem_get_info(device)[0]
+            self._room = MAX_MEMORY_SHARE * torch.cuda.mem_get_info(device)[0]
 
     def __getitem__(self, k: int) -> PhotometricTargets:
         """Return the targets of training frame ``k``."""

@@ -47,7 +47,7 @@ from flowsplat.training.ray_preconditioning import PathSpread, step_along_rays
 from flowsplat.training.rigidity import Neighbors, find_neighbors, rigid_loss
 from flowsplat.training.targets import Targets
 from flowsplat.training.timing import CheckpointTimes
-from flowsplat.training.weight_averaging import EVERY, TailAverage
+from flowsplat.training.weight_averaging import AVERAGE_STRIDE, TailAverage
 
 RECORD_EVERY = 10
 """Steps that one entry of the history averages over."""
@@ -394,7 +394,7 @@ class Trainer:
                 self._record(self.history[-1])
         config, left = self.config.density, self.config.iterations - self.step
         averaged = self.step > (1 - self.config.average) * self.config.iterations
-        if averaged and left % EVERY == 0:
+        if averaged and left % AVERAGE_STRIDE == 0:
             self._average.add(self.gaussians.params)
         # After the last step nothing would be trained any more: children would stay where chance put them.
         if left == 0:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-EVERY = 10
+AVERAGE_STRIDE = 10
 """Steps between two that count; the last one does."""
 
 

@@ -13,7 +13,7 @@ from flowsplat_benchmarks.ablations.claims import CLAIMS, TITLES, Claim, Group
 from flowsplat_benchmarks.ablations.page import how_measured, scene_names, write_ablation_report
 from flowsplat_benchmarks.ablations.training_runs import by_run
 from flowsplat_benchmarks.ablations.variants import Variant
-from flowsplat_benchmarks.ablations.verdicts import EVEN, Effect, Verdict, counts, effect, verdict
+from flowsplat_benchmarks.ablations.verdicts import EVEN_DECIBELS, Effect, Verdict, counts, effect, verdict
 from flowsplat_benchmarks.tables import Chart, Result, Table, compute_scaled_mean, text
 
 TITLE = "Ablations"
@@ -22,9 +22,9 @@ REMARKS = (
     "many Gaussians. The paper's rows are run at our own settings: compared are differences, not values. In brackets: inside the "
     "masks of what moves.",
     "The spread is the standard deviation of the single differences over seeds and scenes. A mean and a spread below "
-    f"{EVEN} dB are no difference. Else a mean up to its spread is not separable; a larger one is confirmed where it has the sign "
-    "that was claimed (by the paper, or by us: what we added is worth something), and otherwise contradicted. One run has no "
-    "spread.",
+    f"{EVEN_DECIBELS} dB are no difference. Else a mean up to its spread is not separable; a larger one is confirmed where it has "
+    "the sign that was claimed (by the paper, or by us: what we added is worth something), and otherwise contradicted. One run has "
+    "no spread.",
 )
 EXPECTED = {-1: "worse", 0: "as good", 1: "better"}
 

@@ -12,7 +12,7 @@ Verdict = Literal["confirmed", "contradicted", "not separable", "no difference",
 Run = tuple[str, int]
 """Which run of a variant: its scene and its seed."""
 
-EVEN = 0.05
+EVEN_DECIBELS = 0.05
 """Decibels of PSNR that are not visible, and that another seed changes as well."""
 
 
@@ -55,9 +55,9 @@ def effect(variant: Mapping[Run, float], base: Mapping[Run, float]) -> Effect | 
 def verdict(found: Effect, expected: int) -> Verdict:
     """Judge a claim by the mean difference and its spread over seeds and scenes.
 
-    A mean and a spread below ``EVEN`` are *no difference*, whatever was claimed. Else a mean up to its spread is *not separable*.
-    A larger one *confirms* a claim of the same sign and *contradicts* any other, also that there were no difference. *One run* has
-    no spread and tells nothing.
+    A mean and a spread below ``EVEN_DECIBELS`` are *no difference*, whatever was claimed. Else a mean up to its spread is *not
+    separable*. A larger one *confirms* a claim of the same sign and *contradicts* any other, also that there were no difference.
+    *One run* has no spread and tells nothing.
 
     Args:
         expected: the sign of the difference that was claimed: -1, 0 (none) or 1.
@@ -68,7 +68,7 @@ def verdict(found: Effect, expected: int) -> Verdict:
     """
     if found.spread is None:
         return "one run"
-    if max(abs(found.mean), found.spread) < EVEN:
+    if max(abs(found.mean), found.spread) < EVEN_DECIBELS:
         return "no difference"
     if abs(found.mean) <= found.spread:
         return "not separable"

@@ -16,17 +16,17 @@ from flowsplat.priors.objects import load_objects
 from flowsplat.scenes import Scene
 from flowsplat_benchmarks.worlds import read_objects
 
-OVERLAP = 0.3
+MIN_OVERLAP = 0.3
 """Intersection over union of a true and an estimated mask of one object from which they count as the same in a frame; an object
 without any such frame was never found."""
 
-FEWEST = 20
+MIN_PIXELS = 20
 """Pixels of an object in a frame below which it does not count there."""
 
 AT_FEET = 6
 """Pixels from the lowest pixels of an object that touches the ground, within which what rests is called the ground at its feet."""
 
-CENTRAL = (15.87, 84.13)
+CENTRAL_PERCENTILES = (15.87, 84.13)
 """Percentiles whose half distance is the standard deviation of a normal distribution."""
 
 Record = dict[str, Any]
@@ -40,7 +40,7 @@ def measure_scene(scene: Scene) -> Record:
         ``objects``: for each what is true of it (see ``World.describe``) and
 
         - ``frames``: in which it is seen; ``height``: mean share of the image's height that its mask spans;
-        - ``found``: whether its mask and that of one object ever overlap by ``OVERLAP``;
+        - ``found``: whether its mask and that of one object ever overlap by ``MIN_OVERLAP``;
         - ``ln_distance``: median of ln(estimated / true depth) over its pixels in both masks and over all frames;
           ``depth_trajectory``: robust standard deviation over frames of each frame's median; ``shape_offset``: median over frames
           of the robust standard deviation within a frame; None where it was not found;
@@ -69,8 +69,8 @@ def measure_scene(scene: Scene) -> Record:
     for index, obj in enumerate(known):
         inside = true == obj["number"]
         area = inside.sum((1, 2))
-        seen = area >= FEWEST
-        found = bool((overlap[index] >= OVERLAP).any())
+        seen = area >= MIN_PIXELS
+        found = bool((overlap[index] >= MIN_OVERLAP).any())
         record = {**obj, "frames": int(seen.sum()), "height": _mean_height(inside[seen]), "found": found}
         record |= (
             _depth_errors(log, inside & (ours > 0)) if found else dict.fromkeys(("ln_distance", "depth_trajectory", "shape_offset"))
@@ -124,7 +124,7 @@ def overlaps(true: np.ndarray, ours: np.ndarray, objects: int) -> np.ndarray:
         both = np.bincount(a.ravel().astype(int) * 256 + b.ravel(), minlength=(objects + 1) * 256).reshape(objects + 1, 256)
         theirs, found = both.sum(1)[1:, None], both.sum(0)[None]
         shares = both[1:] / np.maximum(theirs + found - both[1:], 1)
-        result[:, t] = np.where((theirs >= FEWEST) & (found >= FEWEST), shares, 0)
+        result[:, t] = np.where((theirs >= MIN_PIXELS) & (found >= MIN_PIXELS), shares, 0)
     result[..., 0] = 0
     return result
 
@@ -136,9 +136,9 @@ def identities(overlap: np.ndarray, true: np.ndarray, ours: np.ndarray) -> tuple
         the object of every object or None; the IDF1 of each, 0 without one; and that of all objects and objects together.
     """
     objects = len(overlap)
-    hits = (overlap >= OVERLAP).sum(1)  # [objects, 256]
-    seen = np.array([(np.sum(true == n + 1, (1, 2)) >= FEWEST).sum() for n in range(objects)])
-    shown = np.array([0, *((np.sum(ours == n, (1, 2)) >= FEWEST).sum() for n in range(1, 256))])
+    hits = (overlap >= MIN_OVERLAP).sum(1)  # [objects, 256]
+    seen = np.array([(np.sum(true == n + 1, (1, 2)) >= MIN_PIXELS).sum() for n in range(objects)])
+    shown = np.array([0, *((np.sum(ours == n, (1, 2)) >= MIN_PIXELS).sum() for n in range(1, 256))])
     rows, columns = linear_sum_assignment(-hits)
     assigned: list[int | None] = [None] * objects
     idf1, right = [0.0] * objects, 0
@@ -152,7 +152,7 @@ def identities(overlap: np.ndarray, true: np.ndarray, ours: np.ndarray) -> tuple
 
 def _depth_errors(log: np.ndarray, inside: np.ndarray) -> Record:
     """``ln_distance``, ``depth_trajectory`` and ``shape_offset`` from errors [T, H, W] at the pixels ``inside``."""
-    frames = [values[chosen] for values, chosen in zip(log, inside, strict=True) if chosen.sum() >= FEWEST]
+    frames = [values[chosen] for values, chosen in zip(log, inside, strict=True) if chosen.sum() >= MIN_PIXELS]
     if not frames:
         return dict.fromkeys(("ln_distance", "depth_trajectory", "shape_offset"))
     medians = [float(np.median(values)) for values in frames]
@@ -171,7 +171,7 @@ def _at_feet(true: np.ndarray, known: list[Record], seconds: list[float]) -> np.
             if any(abs(second - contact) <= half for contact in obj["contact"]):
                 inside = true[t] == obj["number"]
                 rows = np.flatnonzero(inside.any(1))
-                if inside.sum() >= FEWEST:
+                if inside.sum() >= MIN_PIXELS:
                     inside[: rows[-1]] = False
                     near[t] |= cv2.dilate(inside.astype(np.uint8), around) > 0
     return near
@@ -185,14 +185,14 @@ def _percentiles(log: np.ndarray) -> dict[str, float] | None:
 
 
 def _spread(values: np.ndarray) -> float:
-    low, high = np.percentile(values, CENTRAL)
+    low, high = np.percentile(values, CENTRAL_PERCENTILES)
     return float(high - low) / 2
 
 
 def _compute_pooled_iou(inside: np.ndarray, ours: np.ndarray) -> float:
     both = either = 0
     for mine, numbers in zip(inside, ours, strict=True):
-        if mine.sum() < FEWEST:
+        if mine.sum() < MIN_PIXELS:
             continue
         counts = np.bincount(numbers[mine], minlength=256)
         counts[0] = 0

@@ -8,7 +8,7 @@ import numpy as np
 
 from flowsplat.images.html import NOTHING
 from flowsplat.scenes.synthetic.worlds.parts import KINDS
-from flowsplat_benchmarks.objects.measure import AT_FEET, OVERLAP, Record
+from flowsplat_benchmarks.objects.measure import AT_FEET, MIN_OVERLAP, Record
 from flowsplat_benchmarks.objects.preparation import VARIANTS, Variant
 from flowsplat_benchmarks.tables import Column, Result, Table, text
 from flowsplat_benchmarks.worlds.cameras import CAMERAS
@@ -49,9 +49,9 @@ NOTE = (
 DEFINITIONS = (
     "With own priors, and where a camera that stands still leaves static depth a guess, depth is brought to the truth's scale by "
     "the median ratio over static pixels with trusted depth, one number a clip.",
-    f"An object was found where, in any frame, its true mask and that of one object overlap by an IoU of {OVERLAP} or more; the "
-    "same "
-    "IoU counts as agreement in a frame for IDF1. Errors are measured at the pixels that are in both masks, whatever the number.",
+    f"An object was found where, in any frame, its true mask and that of one object overlap by an IoU of {MIN_OVERLAP} or more; "
+    "the same IoU counts as agreement in a frame for IDF1. Errors are measured at the pixels that are in both "
+    "masks, whatever the number.",
     "Seeds below 900 are for tuning, 900 to 999 decide between versions and are never looked at one by one, 1000 to 1199 are only "
     "reported.",
 )

@@ -23,23 +23,23 @@ CLASSES = (
 )  # fmt: skip
 """A pixel belongs to the first of these that it is."""
 
-WITNESSES = 24
+ASKED_FRAMES = 24
 """Training frames that are asked whether they saw a point, evenly over the clip."""
-FEW = 4
+MIN_WITNESSES = 4
 """Witnesses that saw it are few below this."""
-SAME = 0.02
+SURFACE_TOLERANCE = 0.02
 """Share of its distance by which a point may lie behind the surface that a frame sees."""
-JUMP = 0.05
+EDGE_DEPTH_JUMP = 0.05
 """Share of its distance by which depth differs at an edge."""
 AT_EDGE = 4
 """Pixels from an edge."""
-THIN = 9
+MAX_THIN_PIXELS = 9
 """Pixels; what is narrower is thin."""
 AT_OBJECT = 8
 """Pixels from an object."""
 AT_BORDER = 0.04
 """Share of the image's size from its border."""
-DULL = 4.0
+MAX_DULL_SIGMA = 4.0
 """Gray levels of 255: standard deviation in a window of seven pixels."""
 
 _COLORS = np.array(
@@ -61,7 +61,7 @@ class PixelClasses:
         """
         self._scene, self._truth = scene, truth_of(scene)
         self._witnesses = []
-        for k in spread(len(scene.train_frames), WITNESSES):
+        for k in spread(len(scene.train_frames), ASKED_FRAMES):
             i = scene.train_frames[k]
             rests = self._truth.mask(i) == 0
             self._witnesses.append((self._truth.cameras[i], np.where(rests, self._truth.depth(i).depth, 0).astype(np.float32)))
@@ -97,7 +97,7 @@ class PixelClasses:
             pixels, ahead = witness.project(points)
             column, row = np.floor(pixels.clip(-1e6, 1e6)).astype(int).T
             inside = (ahead > 0) & (column >= 0) & (row >= 0) & (column < witness.width) & (row < witness.height)
-            seen[inside] += ahead[inside] <= (1 + SAME) * surface[row[inside], column[inside]]
+            seen[inside] += ahead[inside] <= (1 + SURFACE_TOLERANCE) * surface[row[inside], column[inside]]
         found: np.ndarray = np.where(depth.reshape(-1) > 0, seen, 0).reshape(depth.shape)
         return found
 
@@ -124,21 +124,23 @@ def _classes(image: np.ndarray, depth: np.ndarray, moves: np.ndarray, seen: np.n
     around = np.ones((2 * AT_EDGE + 1, 2 * AT_EDGE + 1), np.uint8)
     gray = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY).astype(np.float32)
     variance = cv2.blur(gray**2, (7, 7)) - cv2.blur(gray, (7, 7)) ** 2
-    beyond = np.pad(nearness, THIN, mode="reflect", reflect_type="odd")  # slopes go on beyond the border
-    opened = cv2.morphologyEx(beyond, cv2.MORPH_OPEN, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (THIN, THIN)))
-    wide = opened[THIN:-THIN, THIN:-THIN]
+    beyond = np.pad(nearness, MAX_THIN_PIXELS, mode="reflect", reflect_type="odd")  # slopes go on beyond the border
+    opened = cv2.morphologyEx(
+        beyond, cv2.MORPH_OPEN, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (MAX_THIN_PIXELS, MAX_THIN_PIXELS))
+    )
+    wide = opened[MAX_THIN_PIXELS:-MAX_THIN_PIXELS, MAX_THIN_PIXELS:-MAX_THIN_PIXELS]
     jumps = _jumps(nearness)
     found = np.full(depth.shape, CLASSES.index("rest"), np.uint8)
     is_of: dict[str, np.ndarray] = {
         "moves": moves,
         "never seen": seen == 0,
-        "few frames": seen < FEW,
+        "few frames": seen < MIN_WITNESSES,
         "border": near_border,
         "near objects": cv2.dilate(moves.astype(np.uint8), np.ones((2 * AT_OBJECT + 1, 2 * AT_OBJECT + 1), np.uint8)) > 0,
-        "thin": nearness > (1 + JUMP) * wide,
-        "behind edges": cv2.dilate(np.where(jumps, nearness, 0), around) > (1 + JUMP / 2) * nearness,
+        "thin": nearness > (1 + EDGE_DEPTH_JUMP) * wide,
+        "behind edges": cv2.dilate(np.where(jumps, nearness, 0), around) > (1 + EDGE_DEPTH_JUMP / 2) * nearness,
         "before edges": cv2.dilate(jumps.astype(np.uint8), around) > 0,
-        "dull": variance < DULL**2,
+        "dull": variance < MAX_DULL_SIGMA**2,
     }
     for name in reversed(CLASSES[:-1]):
         found[is_of[name]] = CLASSES.index(name)
@@ -154,7 +156,7 @@ def _jumps(nearness: np.ndarray) -> np.ndarray:
         step = np.diff(moved, axis=0)
         before, after = np.concatenate([step[1:2], step[:-1]]), np.concatenate([step[1:], step[-2:-1]])
         slope = np.where(np.abs(before) < np.abs(after), before, after)
-        far = np.abs(step - slope) > JUMP * np.minimum(moved[1:], moved[:-1])
+        far = np.abs(step - slope) > EDGE_DEPTH_JUMP * np.minimum(moved[1:], moved[:-1])
         view = np.moveaxis(jumps, axis, 0)
         view[1:] |= far & (step > 0)
         view[:-1] |= far & (step < 0)

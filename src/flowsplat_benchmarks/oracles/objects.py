@@ -19,7 +19,7 @@ from flowsplat.scenes import Layers, Scene
 
 ON_OBJECT = 0.2
 """Share of an object's pixels that must lie on the true object that it is on most, else it is on none."""
-FEWEST = 20
+MIN_PIXELS = 20
 """Pixels of an object in a frame from which that frame tells how its depth changes over time."""
 
 
@@ -151,7 +151,7 @@ def object_depth_errors(scene: Scene, objects: Sequence[MatchedObject] | None = 
 
 def _error(obj: MatchedObject, frames: Sequence[np.ndarray]) -> ObjectDepthError:
     pooled = np.concatenate(frames)
-    depth_trajectory = [np.median(values) for values in frames if len(values) >= FEWEST]
+    depth_trajectory = [np.median(values) for values in frames if len(values) >= MIN_PIXELS]
     left = np.concatenate([np.abs(values - np.median(values)) for values in frames])
     return ObjectDepthError(
         obj, len(pooled), len(frames), float(np.median(pooled)),

@@ -35,7 +35,7 @@ from flowsplat.training.scene_model import scene_model
 from flowsplat.training.trainer import Trainer
 from flowsplat_benchmarks.worlds import draw_world, write_world
 
-WIDTH, HEIGHT, FRAMES, EVERY, STEPS = 320, 180, 40, 5, 300
+WIDTH, HEIGHT, FRAMES, HOLDOUT, STEPS = 320, 180, 40, 5, 300
 SPEEDS, THICKNESSES, BLURS = (1.0, 3.0, 6.0), (4.0, 8.0, 16.0), (0.5, 1.5)
 """Pixels a frame, pixels, and pixels, between which kinds of pixels differ."""
 
@@ -66,7 +66,7 @@ def prepare(folder: Path, seed: int, dancers: bool) -> Scene:
     """Return the scene of a world with true cameras and masks, and all else our own."""
     if (folder / "done.json").exists():
         return Scene(folder)
-    scene = write_world(folder, draw_world(seed, WIDTH, HEIGHT, FRAMES, dancers=dancers), EVERY)
+    scene = write_world(folder, draw_world(seed, WIDTH, HEIGHT, FRAMES, dancers=dancers), HOLDOUT)
     truth = scene.truth
     assert truth is not None
     scene.write_cameras(truth.cameras)

@@ -22,7 +22,7 @@ from flowsplat.priors.prompts import Prompt, cut_prompts, prompt_stage
 from flowsplat.scenes import Scene
 from flowsplat_benchmarks.worlds import draw_world, write_world
 
-WIDTH, HEIGHT, FRAMES, SMALLEST = 320, 180, 40, 150
+WIDTH, HEIGHT, FRAMES, MIN_PIXELS = 320, 180, 40, 150
 
 
 def prepare(folder: Path, seed: int) -> Scene:
@@ -46,7 +46,7 @@ def draw_prompts(masks: np.ndarray, seed: int, clicks: bool) -> dict[int, Prompt
     _, height, width = masks.shape
     for number in range(1, int(masks.max()) + 1):
         area = (masks == number).sum((1, 2))
-        if area.max() < SMALLEST:
+        if area.max() < MIN_PIXELS:
             continue
         k = int(rng.choice(np.flatnonzero(area >= 0.5 * area.max())))
         mask = (masks[k] == number).astype(np.uint8)

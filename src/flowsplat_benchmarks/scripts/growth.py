@@ -37,10 +37,10 @@ STEPS = 60
 FRAMES = (40, 80, 160, 320)
 LONG_SIDE = 320
 """Pixels of the long side where frames are counted; the long clip at 480p is enlarged from that."""
-LONG = 300, 854
+LONG_CLIP = 300, 854
 """Frames and pixels of that one."""
 SIDES = (427, 640, 854, 1280, 1920)
-FEW = 16
+FEW_FRAMES = 16
 """Frames where pixels or Gaussians are counted."""
 DRAWN = 960
 """Pixels of the images that those are made of; larger ones are enlarged."""
@@ -100,21 +100,21 @@ def enlarge(spec: SyntheticScene, side: int, path: Path) -> Path:
 def cases(folder: Path, only: Sequence[str], clips: Sequence[Path]) -> Iterator[Case]:
     """Yield all runs, a short one first that compiles the kernels."""
     long = SyntheticScene(width=LONG_SIDE, height=LONG_SIDE * 9 // 16, frames=max(FRAMES))
-    few = SyntheticScene(width=DRAWN, height=DRAWN * 9 // 16, frames=FEW)
+    few = SyntheticScene(width=DRAWN, height=DRAWN * 9 // 16, frames=FEW_FRAMES)
     if {"pixels", "gaussians"} & set(only):
         large = str(enlarge(few, max(SIDES), folder / "few.mp4"))
-        yield Case("warm-up", large, str(folder / "warm"), FEW, 160)
+        yield Case("warm-up", large, str(folder / "warm"), FEW_FRAMES, 160)
     if {"frames", "long"} & set(only):
         small = str(enlarge(long, LONG_SIDE, folder / "long.mp4"))
         yield Case("warm-up", small, str(folder / "warm_long"), 24, 160)
     if "frames" in only:
         yield from (Case("frames", small, str(folder / f"frames_{n}"), n, LONG_SIDE) for n in FRAMES)
     if "pixels" in only:
-        yield from (Case("pixels", large, str(folder / f"pixels_{side}"), FEW, side) for side in SIDES)
+        yield from (Case("pixels", large, str(folder / f"pixels_{side}"), FEW_FRAMES, side) for side in SIDES)
     if "gaussians" in only:
-        yield from (Case("gaussians", large, str(folder / "pixels_854"), FEW, 854, each) for each in SPACINGS)
+        yield from (Case("gaussians", large, str(folder / "pixels_854"), FEW_FRAMES, 854, each) for each in SPACINGS)
     if "long" in only:
-        yield Case("long", str(enlarge(long, LONG[1], folder / "long_480p.mp4")), str(folder / "long"), *LONG)
+        yield Case("long", str(enlarge(long, LONG_CLIP[1], folder / "long_480p.mp4")), str(folder / "long"), *LONG_CLIP)
     yield from (Case("clip", str(clip), str(folder / f"clip_{clip.name}"), 1000, 854) for clip in clips)
 
 
@@ -146,7 +146,7 @@ def figure(rows: Sequence[dict[str, Any]]) -> str:
     charts = []
     for kind, x, label in (
         ("frames", lambda row: row["frames"], f"frames of {LONG_SIDE} pixels"),
-        ("pixels", lambda row: row["width"] * row["height"] / 1e6, f"megapixels of {FEW} frames"),
+        ("pixels", lambda row: row["width"] * row["height"] / 1e6, f"megapixels of {FEW_FRAMES} frames"),
     ):
         some = kinds[kind]
         if some:

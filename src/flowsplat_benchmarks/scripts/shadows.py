@@ -32,10 +32,10 @@ from flowsplat.training.scene_model import scene_model
 from flowsplat.training.trainer import Trainer
 from flowsplat_benchmarks.worlds import draw_world, write_world
 
-WIDTH, HEIGHT, FRAMES, STEPS, EVERY = 320, 180, 40, 500, 3
+WIDTH, HEIGHT, FRAMES, STEPS, HOLDOUT = 320, 180, 40, 500, 3
 SUN, AMBIENT, RISE = 0.6, 0.5, 0.88
 """Light of the sun and of the sky, and how much higher than wide the direction to the sun is."""
-DARKER, FEWEST = 0.04, 500
+MIN_DARKENING, MIN_PIXELS = 0.04, 500
 """Of a shadow, 0 to 1; and pixels of a kind that make a figure."""
 KINDS = ("all", "shadow", "hidden", "all else")
 
@@ -72,10 +72,10 @@ def measure(scene: Scene, model: SceneModel, world: World) -> dict[str, tuple[fl
     shadow_free = add_shadow_free(model, [scene.cameras[i] for i in frames], times, [scene.mask(i) for i in frames])
     empty = replace(world, objects=(), touching=None, noise=0.0)
     sums = {kind: np.zeros(3) for kind in KINDS}
-    for i in frames[::EVERY]:
+    for i in frames[::HOLDOUT]:
         target, seen = to_float(empty.image(i)), to_float(scene.frame(i))
         hidden = cv2.dilate(scene.mask(i), np.ones((5, 5), np.uint8)) > 0
-        shadow = (cv2.blur((target - seen).mean(-1), (3, 3)) > DARKER) & ~hidden
+        shadow = (cv2.blur((target - seen).mean(-1), (3, 3)) > MIN_DARKENING) & ~hidden
         kinds = dict(zip(KINDS, (np.ones_like(hidden), shadow, hidden, ~hidden & ~shadow), strict=True))
         images = [
             each.part("background").render(scene.cameras[i], float(scene.timestamps[i])).color for each in (model, shadow_free)
@@ -84,7 +84,7 @@ def measure(scene: Scene, model: SceneModel, world: World) -> dict[str, tuple[fl
             sums[kind] += [*(((image - target) ** 2).mean(-1)[where].sum() for image in images), where.sum()]
     found = {}
     for kind, (before, now, count) in sums.items():
-        if count > FEWEST:
+        if count > MIN_PIXELS:
             found[kind] = (-10 * float(np.log10(before / count)), -10 * float(np.log10(now / count)))
     return found
 

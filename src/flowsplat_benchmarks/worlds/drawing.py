@@ -36,7 +36,7 @@ IN_SIGHT, ENOUGH_PIXELS = 0.6, 0.0012
 """Share of the frames in which an object's middle must be in the image and enough of it be seen, and how much is enough: a
 share of the image (69 of 57,600 pixels)."""
 
-LARGEST = 0.35
+MAX_OBJECT_SHARE = 0.35
 """Share of the image that an object may fill."""
 
 GROUND_SEEN, GROUND_UNSEEN = 0.08, 0.004
@@ -137,7 +137,7 @@ def _is_in_sight(world: World, plan: Plan) -> bool:
         tread = hits.part[ground] - 1
         treads += np.bincount(tread[hits.local[ground, 2] > boxes[tread] - 1e-4], minlength=count)
     seen = np.array(shares)
-    if (seen > LARGEST).any() or (((seen > ENOUGH_PIXELS) & np.array(inside)).mean(0) < IN_SIGHT).any():
+    if (seen > MAX_OBJECT_SHARE).any() or (((seen > ENOUGH_PIXELS) & np.array(inside)).mean(0) < IN_SIGHT).any():
         return False
     treads = np.sort(treads) / (_CHECK_FRAMES * len(grid))
     if plan.ground == "none":

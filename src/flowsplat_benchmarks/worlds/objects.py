@@ -37,7 +37,7 @@ CROWDED = (0.2, 0.7)
 SATURATION, BRIGHTNESS = 0.1, (0.06, 0.5)
 """Plain clothes of a crowd: the share of a color's saturation that is left at most, and between which brightness they lie."""
 
-NEAREST, FURTHEST = 1.4, 24.0
+MIN_DISTANCE, MAX_DISTANCE = 1.4, 24.0
 """Meters between which objects are drawn."""
 
 
@@ -52,7 +52,7 @@ class Scale:
     def distance(self, rng: np.random.Generator, size: float, apparent: tuple[float, float] = APPARENT) -> float:
         """Meters at which something ``size`` meters tall has a random size in the image."""
         share = np.exp(rng.uniform(*np.log(apparent)))
-        return float(np.clip(size * self.focal * self.aspect / share, NEAREST, FURTHEST))
+        return float(np.clip(size * self.focal * self.aspect / share, MIN_DISTANCE, MAX_DISTANCE))
 
     def wide(self, distance: float) -> float:
         """Meters across the image there."""

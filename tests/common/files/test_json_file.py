@@ -9,7 +9,7 @@ import pytest
 from typing_extensions import TypedDict
 
 from flowsplat.common.errors import InputError
-from flowsplat.common.files.json_file import DEEPEST, Count, Number, Pixels, Row3, check_json, read_json
+from flowsplat.common.files.json_file import MAX_JSON_DEPTH, Count, Number, Pixels, Row3, check_json, read_json
 
 
 class Small(TypedDict):
@@ -59,8 +59,8 @@ def test_numbers_that_no_float_holds_are_refused(tmp_path, text):
 
 
 def test_depth_is_bounded(tmp_path):
-    assert read_json(written(tmp_path, "[" * (DEEPEST - 1) + "1" + "]" * (DEEPEST - 1)))
-    for depth in (DEEPEST, 500, 100_000, 5_000_000):
+    assert read_json(written(tmp_path, "[" * (MAX_JSON_DEPTH - 1) + "1" + "]" * (MAX_JSON_DEPTH - 1)))
+    for depth in (MAX_JSON_DEPTH, 500, 100_000, 5_000_000):
         with pytest.raises(InputError) as error:
             read_json(written(tmp_path, "[" * depth + "1" + "]" * depth))
         assert "file.json is " in str(error.value)

@@ -13,7 +13,7 @@ from typing import TypedDict
 import numpy as np
 import pytest
 
-from flowsplat.common.errors import LONGEST, InputError
+from flowsplat.common.errors import MAX_MESSAGE_CHARACTERS, InputError
 from flowsplat.common.files import ordinary_file, plain_name, read_bytes, read_json, read_npy, read_npz, read_text
 
 
@@ -160,5 +160,5 @@ def test_names_that_can():
 def test_an_error_is_one_line_whatever_is_in_it():
     text = str(InputError("a\nb\r\x1b[31m\u2028\ud800" + "x" * 163_793))
     assert text.isprintable()
-    assert len(text) <= LONGEST + 10
+    assert len(text) <= MAX_MESSAGE_CHARACTERS + 10
     assert text.startswith("a\\nb\\r\\x1b[31m")

@@ -9,7 +9,15 @@ from flowsplat.geometry import Camera
 from flowsplat.scenes import Scene
 from flowsplat.scenes.layers import write_image
 from flowsplat_benchmarks.oracles import classes
-from flowsplat_benchmarks.oracles.classes import CLASSES, FEW, PixelClasses, gains, psnr_by_class, static_depth_errors, view_errors
+from flowsplat_benchmarks.oracles.classes import (
+    CLASSES,
+    MIN_WITNESSES,
+    PixelClasses,
+    gains,
+    psnr_by_class,
+    static_depth_errors,
+    view_errors,
+)
 from tests.flowsplat_benchmarks.oracles.conftest import STATIC
 
 SIZE = (80, 120)
@@ -45,9 +53,9 @@ def test_what_is_narrow_is_thin_and_what_is_even_is_dull():
 
 
 def test_the_first_that_holds_counts():
-    moves, seen, near_border = np.zeros(SIZE, bool), np.full(SIZE, FEW), np.zeros(SIZE, bool)
+    moves, seen, near_border = np.zeros(SIZE, bool), np.full(SIZE, MIN_WITNESSES), np.zeros(SIZE, bool)
     moves[20:30, 20:30] = True
-    seen[:, 90:] = FEW - 1
+    seen[:, 90:] = MIN_WITNESSES - 1
     seen[:, 100:] = 0
     near_border[:4] = True
     found = kinds_of(np.full(SIZE, 4.0), moves=moves, seen=seen, near_border=near_border)

@@ -11,7 +11,7 @@ from flowsplat.geometry import Camera
 from flowsplat.priors.cameras import smoothness
 from flowsplat.priors.cameras.bundle import LENS, LensPrior, Observations, Reconstruction, adjust, residuals
 from flowsplat.priors.cameras.refinement import refine
-from flowsplat.priors.cameras.smoothness import FEWEST, SmoothnessPrior, differences, smooth_path
+from flowsplat.priors.cameras.smoothness import MIN_FRAMES, SmoothnessPrior, differences, smooth_path
 from tests.priors.cameras.worlds import FOCAL, HEIGHT, WIDTH, centered, observed, path, state_of, world
 
 
@@ -112,7 +112,7 @@ def test_the_extent_of_the_path_stays():
 
 
 def test_few_frames_and_a_standing_camera_are_left_alone():
-    state, observations = solved(path(FEWEST - 1), world(80), 0.2)
+    state, observations = solved(path(MIN_FRAMES - 1), world(80), 0.2)
     assert smooth(state, observations) is state
     still = replace(state_of(path(12, travel=0.0), world(80)), translations=np.zeros((12, 3)))
     positions, seen = centered(observed(path(12, travel=0.0), world(80), 0.1))

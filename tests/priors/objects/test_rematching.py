@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from flowsplat.geometry import Camera
-from flowsplat.priors.objects.rematching import FARTHEST, ObjectImages, gray, rematch_object
+from flowsplat.priors.objects.rematching import MAX_MATCH_SHIFT, ObjectImages, gray, rematch_object
 from flowsplat.priors.objects.rigid import Observations, RigidMotion, longest, solve_rigid
 
 FRAMES, WIDTH, HEIGHT, FOCAL, RADII = 20, 160, 120, 220.0, np.array([0.16, 0.2, 0.13])
@@ -124,7 +124,7 @@ def test_matches_are_truer_than_tracks_and_last_longer(ball, by_tracks):
     before, after = errors(ball.positions, ball.inside), errors(found, counts)
     assert np.median(after) < 0.12
     assert np.median(after) < 0.5 * np.median(before)
-    assert np.percentile(after, 95) < FARTHEST / 4
+    assert np.percentile(after, 95) < MAX_MATCH_SHIFT / 4
     assert depth_trajectory_error(ball, motion) < 0.6 * depth_trajectory_error(ball, by_tracks)
 
 

@@ -181,7 +181,7 @@ def test_points_that_last_for_long_are_several(monkeypatch):
     observations = Observations.of_tracks(pixels, seen, K)
     whole = observations.in_pieces()
     np.testing.assert_array_equal(whole.first, observations.first)
-    monkeypatch.setattr(rigid, "_LONGEST", 12)
+    monkeypatch.setattr(rigid, "_MAX_TRACK_FRAMES", 12)
     cut = observations.in_pieces()
     assert observations.points < cut.points <= 4 * observations.points
     np.testing.assert_array_equal(cut.x, observations.x)

@@ -22,7 +22,7 @@ from flowsplat.common.errors import InputError, first_line
 from flowsplat.common.files.opening import ordinary_file
 from flowsplat.common.syntax import PARSING
 
-MOST_BYTES = 96 * 2**20
+MAX_ARRAY_BYTES = 96 * 2**20
 """Of the arrays that are read from one file, where the caller does not know better."""
 _KINDS = "biuf"
 """Truth values, whole numbers and floats: everything else needs pickle, or is not used by any format."""
@@ -35,7 +35,7 @@ _LARGEST_AXIS = 2**31
 _BOM = b"\x93NUMPY"
 
 
-def read_npz(path: Path, names: Collection[str] | None = None, most: int = MOST_BYTES) -> dict[str, np.ndarray]:
+def read_npz(path: Path, names: Collection[str] | None = None, most: int = MAX_ARRAY_BYTES) -> dict[str, np.ndarray]:
     """Return the arrays of an ``.npz``.
 
     Args:
@@ -60,7 +60,7 @@ def read_npz(path: Path, names: Collection[str] | None = None, most: int = MOST_
         raise InputError(f"{path} is damaged or truncated: {first_line(error)}.") from error
 
 
-def read_npy(path: Path, most: int = MOST_BYTES) -> np.ndarray:
+def read_npy(path: Path, most: int = MAX_ARRAY_BYTES) -> np.ndarray:
     """Return the array of a ``.npy``, of at most ``most`` bytes.
 
     Raises:

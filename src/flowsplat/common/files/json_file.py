@@ -19,11 +19,11 @@ from typing_extensions import TypedDict
 from flowsplat.common.errors import InputError
 from flowsplat.common.files.opening import read_bytes
 
-MOST_BYTES = 16 * 2**20
+MAX_JSON_BYTES = 16 * 2**20
 """Of a file. ``[[],[],...]`` takes twenty times as much in memory."""
-DEEPEST = 64
+MAX_JSON_DEPTH = 64
 """Lists and objects within each other; Python recurses where such values are walked through."""
-LARGEST = 2**53
+MAX_EXACT_INTEGER = 2**53
 """Whole numbers up to which float64 is exact."""
 
 _NOT_FINITE = re.compile(rb"[\[:,]\s*-?(NaN|Infinity)\b")
@@ -52,7 +52,7 @@ class Versioned(TypedDict):
     version: Count
 
 
-def read_json(path: Path, schema: Any = None, most: int = MOST_BYTES) -> Any:
+def read_json(path: Path, schema: Any = None, most: int = MAX_JSON_BYTES) -> Any:
     """Return what a JSON file holds.
 
     Args:
@@ -79,7 +79,7 @@ def _check(path: Path | str, data: bytes, schema: Any) -> Any:
     return value
 
 
-def read_json_lines(path: Path, schema: Any = None, most: int = MOST_BYTES) -> list[tuple[int, Any]]:
+def read_json_lines(path: Path, schema: Any = None, most: int = MAX_JSON_BYTES) -> list[tuple[int, Any]]:
     """Return the values of a file with one JSON on every line, each with the number of its line, from 1 on; empty ones are left
     out.
 
@@ -112,18 +112,18 @@ def check_json(path: Path | str, value: Any, schema: Any) -> None:
 def _check_plain(path: Path | str, value: Any) -> None:
     """Refuse what would only fail later: depth at which Python stops, and numbers that no float64 holds."""
     level = [value]
-    for _ in range(DEEPEST):
+    for _ in range(MAX_JSON_DEPTH):
         deeper: list[Any] = []
         for item in level:
             if isinstance(item, dict):
                 deeper.extend(item.values())
             elif isinstance(item, list):
                 deeper.extend(item)
-            elif isinstance(item, int) and not -LARGEST <= item <= LARGEST:
+            elif isinstance(item, int) and not -MAX_EXACT_INTEGER <= item <= MAX_EXACT_INTEGER:
                 raise InputError(f"{path} is damaged: it holds a whole number of {len(str(abs(item)))} digits.")
             elif isinstance(item, float) and not math.isfinite(item):
                 raise InputError(f"{path} is damaged: it holds a number that is not finite.")
         level = deeper
         if not level:
             return
-    raise InputError(f"{path} is damaged: it nests deeper than {DEEPEST} levels.")
+    raise InputError(f"{path} is damaged: it nests deeper than {MAX_JSON_DEPTH} levels.")

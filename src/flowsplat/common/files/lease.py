@@ -36,9 +36,9 @@ NAME = ".lock"
 _MOST_HOLDER = 1000
 """Bytes of the file."""
 
-BEAT = 15.0
+BEAT_SECONDS = 15.0
 """Seconds between two signs of life of who holds a claim."""
-LOST = 120.0
+DEAD_SECONDS = 120.0
 """Seconds without one after which a holder on another machine counts as dead; on its own it is asked for by its number."""
 
 _held: dict[tuple[int, int], int] = {}
@@ -154,7 +154,7 @@ class Claims:
     Clocks of machines are never compared: a claim is dead when it has not changed for ``lost`` seconds by the clock of who looks.
     """
 
-    def __init__(self, folder: Path, beat: float = BEAT, lost: float = LOST, place: str | None = None):
+    def __init__(self, folder: Path, beat: float = BEAT_SECONDS, lost: float = DEAD_SECONDS, place: str | None = None):
         """
         Args:
             folder: of the files; it is made.

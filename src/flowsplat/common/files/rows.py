@@ -9,7 +9,7 @@ from pathlib import Path
 from flowsplat.common.errors import InputError, first_line
 from flowsplat.common.files.opening import read_text
 
-MOST_BYTES = 64 * 2**20
+MAX_TABLE_BYTES = 64 * 2**20
 """Of a file."""
 
 
@@ -22,7 +22,7 @@ def read_rows(path: Path) -> list[tuple[int, dict[str, str]]]:
     Raises:
         InputError: not a text, no header, a name that stands twice, or a row with more cells than the header.
     """
-    text = read_text(path, MOST_BYTES)
+    text = read_text(path, MAX_TABLE_BYTES)
     reader = csv.reader(io.StringIO(text, newline=""), "excel-tab" if Path(path).suffix.lower() == ".tsv" else "excel", strict=True)
     header: list[str] = []
     found = []

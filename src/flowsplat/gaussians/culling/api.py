@@ -10,7 +10,7 @@ from torch import Tensor
 from flowsplat.common import devices
 from flowsplat.common.devices import Kernels, Later
 from flowsplat.gaussians.culling.capacity import RowCapacity
-from flowsplat.gaussians.culling.reference import REACH
+from flowsplat.gaussians.culling.reference import CULL_SIGMAS
 from flowsplat.geometry import Camera
 from flowsplat.splatting.rules import EPS2D
 
@@ -20,7 +20,7 @@ def border(eps2d: float) -> int:
 
     The cull itself reckons with the usual blur, and a stronger one reaches farther into the image.
     """
-    return max(math.ceil(REACH * (math.sqrt(eps2d) - math.sqrt(EPS2D))), 0)
+    return max(math.ceil(CULL_SIGMAS * (math.sqrt(eps2d) - math.sqrt(EPS2D))), 0)
 
 
 class CullKernels(Protocol):

@@ -16,7 +16,7 @@ from flowsplat.geometry import Camera
 from flowsplat.splatting.rules import TANGENT_MARGIN
 
 CHUNKS = 64
-REACH, BLUR, MARGIN = np.float32(reference.REACH), np.float32(reference.BLUR), np.float32(TANGENT_MARGIN)
+CULL_SIGMAS, BLUR, CULL_MARGIN = np.float32(reference.CULL_SIGMAS), np.float32(reference.BLUR), np.float32(TANGENT_MARGIN)
 ZERO, ONE, HALF = np.float32(0), np.float32(1), np.float32(0.5)
 
 
@@ -25,7 +25,7 @@ def _outside(position, size, center, limit, focal, inverse, image):
     """Whether a Gaussian ends before the image on one axis; its 2D sigma is at most focal / z |(1, t)| size + blur."""
     tangent = position * inverse
     clamped = min(max(tangent, -limit), limit)
-    reach = REACH * (focal * inverse * size * math.sqrt(ONE + clamped * clamped) + BLUR)
+    reach = CULL_SIGMAS * (focal * inverse * size * math.sqrt(ONE + clamped * clamped) + BLUR)
     pixel = focal * tangent + center
     return (pixel + reach < ZERO) or (pixel - reach > image)
 
@@ -37,7 +37,7 @@ def _cull(
     """Fill keep [N] uint8 (1 = seen at rest, 2 = seen moving) and counts [CHUNKS, 2]."""
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
     w, h = float32(width), float32(height)
-    limit_x, limit_y = max(w - cx, cx) / fx + MARGIN * w / fx, max(h - cy, cy) / fy + MARGIN * h / fy
+    limit_x, limit_y = max(w - cx, cx) / fx + CULL_MARGIN * w / fx, max(h - cy, cy) / fy + CULL_MARGIN * h / fy
     count = len(at_rest)
     for chunk in range(begin, end):
         resting, moving = 0, 0

@@ -20,16 +20,16 @@ from flowsplat.geometry import Camera
 from flowsplat.splatting.rules import TANGENT_MARGIN
 
 BLOCK = 1024
-REACH, BLUR, MARGIN = tl.constexpr(reference.REACH), tl.constexpr(reference.BLUR), tl.constexpr(TANGENT_MARGIN)
+CULL_SIGMAS, BLUR, CULL_MARGIN = tl.constexpr(reference.CULL_SIGMAS), tl.constexpr(reference.BLUR), tl.constexpr(TANGENT_MARGIN)
 
 
 @triton.jit
 def _reaches(position, size, center, focal, inverse, image):
     """Whether a Gaussian reaches into the image on one axis; its 2D sigma is at most focal / z |(1, t)| size + blur."""
-    limit = tl.maximum(image - center, center) / focal + image * MARGIN / focal
+    limit = tl.maximum(image - center, center) / focal + image * CULL_MARGIN / focal
     tangent = position * inverse
     held = tl.minimum(tl.maximum(tangent, -limit), limit)
-    reach = (focal * inverse * size * tl.sqrt(1.0 + held * held) + BLUR) * REACH
+    reach = (focal * inverse * size * tl.sqrt(1.0 + held * held) + BLUR) * CULL_SIGMAS
     pixel = focal * tangent + center
     return (pixel + reach >= 0.0) & (pixel - reach <= image)
 

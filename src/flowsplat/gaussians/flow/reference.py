@@ -15,7 +15,7 @@ from flowsplat.splatting.rules import EPS2D
 
 FlowModel = Literal["mean", "displacement", "affine"]
 
-NEAR = 0.05
+FLOW_NEAR_PLANE = 0.05
 """Planar depth (median depth = 1) below which a Gaussian is behind or grazing the other camera and contributes no flow."""
 
 
@@ -52,18 +52,18 @@ def flow_features(
         height: of the image.
     """
     if model == "mean":
-        uv, depth = project_points(sliced.means, next_viewmat, next_K, NEAR)
+        uv, depth = project_points(sliced.means, next_viewmat, next_K, FLOW_NEAR_PLANE)
         # Only moving Gaussians have a velocity; they come last.
         moving = sliced.means[len(sliced.means) - len(sliced.velocities) :]
-        jacobian = world_jacobian(moving, next_viewmat, next_K, width, height, NEAR)
+        jacobian = world_jacobian(moving, next_viewmat, next_K, width, height, FLOW_NEAR_PLANE)
         own = dt * (jacobian @ sliced.velocities[..., None])[..., 0]
         flow = uv - projected.means2d
         flow = torch.cat([flow[: len(flow) - len(own)], flow[len(flow) - len(own) :] + own])
     else:
         assert sliced.next_means is not None
-        uv, depth = project_points(sliced.next_means, next_viewmat, next_K, NEAR)
+        uv, depth = project_points(sliced.next_means, next_viewmat, next_K, FLOW_NEAR_PLANE)
         flow = uv - projected.means2d
-    front = depth > NEAR
+    front = depth > FLOW_NEAR_PLANE
     flow = torch.where(front[:, None], flow, torch.zeros_like(flow))
     if model != "affine":
         return flow, front
@@ -82,8 +82,8 @@ def affine_gradient(
     G maps an offset in the image to the most likely offset in the Gaussian, under the blur that the rasterizer draws with.
     """
     assert sliced.next_means is not None
-    J_i = world_jacobian(sliced.means, viewmat, K, width, height, NEAR)
-    J_j = world_jacobian(sliced.next_means, next_viewmat, next_K, width, height, NEAR)
+    J_i = world_jacobian(sliced.means, viewmat, K, width, height, FLOW_NEAR_PLANE)
+    J_j = world_jacobian(sliced.next_means, next_viewmat, next_K, width, height, FLOW_NEAR_PLANE)
     if sliced.covars is not None:
         sigma, J_moved = sliced.covars, J_j
     else:

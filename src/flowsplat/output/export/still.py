@@ -17,7 +17,7 @@ from flowsplat.splatting.rules import C0
 
 _FLIP = torch.tensor([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])
 """Half a turn about x: y down and z forward become y up and z backward."""
-_FAINTEST = 1e-6
+_OPACITY_MARGIN = 1e-6
 """Opacities are kept this far from 0 and 1, where their logit ends."""
 
 
@@ -46,7 +46,7 @@ class Still:
     @property
     def logit_opacities(self) -> Tensor:
         """[A] opacities before the sigmoid."""
-        return torch.logit(self.opacities.clamp(_FAINTEST, 1 - _FAINTEST))
+        return torch.logit(self.opacities.clamp(_OPACITY_MARGIN, 1 - _OPACITY_MARGIN))
 
     @property
     def colors(self) -> Tensor:

@@ -22,7 +22,7 @@ NODES = 12
 FLATTEST = math.log(1e-3)
 """Log precision below which p(t) is 1 everywhere in the clip, to within 0.001."""
 _CHANGING = "A motion model whose Gaussians change their shape in time cannot be put into the player."
-_SHARE = 0.999
+_WITHIN_TOLERANCE = 0.999
 """Share of the Gaussians whose series keep the tolerance."""
 
 
@@ -110,6 +110,6 @@ def _fit(values: Tensor, nodes: Tensor, tolerance: float) -> Tensor:
     for degree in range(NODES):
         error = (torch.einsum("jk,mkc->mjc", basis[:, : degree + 1].to(values), coefficients[:, : degree + 1]) - values).abs()
         worst = error.flatten(1).amax(1)
-        if float(worst.kthvalue(max(math.ceil(_SHARE * len(worst)), 1)).values) <= tolerance:
+        if float(worst.kthvalue(max(math.ceil(_WITHIN_TOLERANCE * len(worst)), 1)).values) <= tolerance:
             break
     return coefficients[:, : degree + 1]

@@ -42,7 +42,7 @@ QUAT_TOLERANCE = 0.004
 SWING, DOLLY = 6.0, 1.5
 """Where it is not known how far the clip tells."""
 _SMALLEST_SCALE, _LARGEST_SCALE = 1e-5, 1e2
-_STEEPEST = 18.0
+_MAX_LOG_LAMBDA = 18.0
 """Log precision beyond which a Gaussian is seen for less than a ten-thousandth of the clip."""
 
 
@@ -106,7 +106,7 @@ def _arrays(gaussians: Gaussians4D, resting: int, resolution: np.ndarray) -> lis
     params, degree = gaussians.params, gaussians.sh_degree
     moving = torch.arange(resting, len(gaussians))
     times = quantize_to_range("times", _column(params["times"][moving]), 16, tail=0)
-    precisions = gaussians.motion.log_precision(params)[moving].clamp(FLATTEST, _STEEPEST)
+    precisions = gaussians.motion.log_precision(params)[moving].clamp(FLATTEST, _MAX_LOG_LAMBDA)
     log_lambdas = quantize_to_range("logLambdas", _column(precisions), 16, tail=0)
     step = float(np.quantile(resolution, 0.1)) if len(resolution) else 1.0
     motion = fit_motion(

@@ -11,11 +11,11 @@ from flowsplat.common.errors import InputError
 from flowsplat.gaussians.distances import check_factors
 from flowsplat.gaussians.renderer import Part, numbers_of
 from flowsplat.images.video import FASTEST, SLOWEST
-from flowsplat.output.camera_files import LARGEST
+from flowsplat.output.camera_files import MAX_SIDE
 
 PathName = Literal["input", "stabilized", "orbit", "bullet", "dolly", "wiggle"]
 
-_SMALLEST = 16
+_MIN_SIDE = 16
 """Pixels of width."""
 MOST_FRAMES = 100_000
 """Of a video."""
@@ -107,8 +107,8 @@ def check_options(options: RenderOptions, fps: float, first: float, last: float)
     for part in options.parts:
         numbers_of(part)
     factors_of(options.object_depth)
-    if options.width is not None and not _SMALLEST <= options.width <= LARGEST:
-        raise InputError(f"A video {options.width} pixels wide cannot be made: give a width from {_SMALLEST} to {LARGEST}.")
+    if options.width is not None and not _MIN_SIDE <= options.width <= MAX_SIDE:
+        raise InputError(f"A video {options.width} pixels wide cannot be made: give a width from {_MIN_SIDE} to {MAX_SIDE}.")
     if not SLOWEST <= fps <= FASTEST:
         raise InputError(f"{fps:g} frames a second cannot be written: give a frame rate from {SLOWEST:g} to {FASTEST:g}.")
     if not 0.01 <= options.slow_motion <= 100:

@@ -20,7 +20,7 @@ from flowsplat.images.video import FASTEST, SLOWEST
 from flowsplat.output.camera_files import CameraShots, read_camera_file
 from flowsplat.output.videos.amplitudes import Amplitudes
 from flowsplat.output.videos.options import RenderOptions, check_options, factors_of
-from flowsplat.output.videos.shots import COVERED, Shot, small
+from flowsplat.output.videos.shots import MIN_ALPHA, Shot, small
 from flowsplat.output.videos.stabilized import stabilize
 from flowsplat.scenes import Scene
 
@@ -179,7 +179,7 @@ def loop_widths(model: PartedRenderer, scene: Scene) -> tuple[float, float]:
 def subject_distance(model: PartedRenderer, camera: Camera, t: float, otherwise: float) -> float:
     """Return planar depth of the objects that the camera sees, their median; ``otherwise`` where there are none."""
     seen = model.part("objects").render(small(camera), t)
-    depth = seen.depth[seen.alpha >= COVERED]
+    depth = seen.depth[seen.alpha >= MIN_ALPHA]
     return float(np.median(depth)) if depth.size else otherwise
 
 

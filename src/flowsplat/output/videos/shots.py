@@ -7,7 +7,7 @@ from flowsplat.geometry import Camera
 Shot = tuple[Camera, float]
 """A camera and the seconds of the clip that it shows."""
 
-COVERED = 0.5
+MIN_ALPHA = 0.5
 """Alpha from which something is shown."""
 _PROBE_SHARE = 4
 """By how much the small images are smaller."""

@@ -10,13 +10,13 @@ import numpy as np
 from flowsplat.common.progress import report, track
 from flowsplat.gaussians.renderer import Renderer
 from flowsplat.geometry.paths import crop_camera, smooth_path
-from flowsplat.output.videos.shots import COVERED, Shot
+from flowsplat.output.videos.shots import MIN_ALPHA, Shot
 
 _LEAST_LEFT = 0.7
 """Share of width and height that a stabilized video keeps at least; rather than cut more off, it is smoothed less."""
 _PROBE_WIDTH = 160
 """Pixels of the images in which uncovered borders are looked for."""
-_MARGIN = 1
+_MARGIN_PIXELS = 1
 """Pixels of these images: Gaussians are blurred to a pixel, so that small images look covered a little further."""
 
 
@@ -55,7 +55,7 @@ def compute_covered_share(model: Renderer, shots: Sequence[Shot]) -> float:
     width = min(_PROBE_WIDTH, first.width)
     height = min(height, first.height)
     shares = [
-        _inner_share(model.render(camera.resize(width, height), t).alpha < COVERED)
+        _inner_share(model.render(camera.resize(width, height), t).alpha < MIN_ALPHA)
         for camera, t in track(list(shots), "Looking for uncovered borders")
     ]
     return min(shares)
@@ -69,6 +69,6 @@ def _inner_share(uncovered: np.ndarray) -> float:
     y, x = np.nonzero(np.isin(labels, rim[rim > 0]))
     if not len(x):
         return 1.0
-    dx = (np.abs(x + 0.5 - width / 2) - 0.5 - _MARGIN) / (width / 2)
-    dy = (np.abs(y + 0.5 - height / 2) - 0.5 - _MARGIN) / (height / 2)
+    dx = (np.abs(x + 0.5 - width / 2) - 0.5 - _MARGIN_PIXELS) / (width / 2)
+    dy = (np.abs(y + 0.5 - height / 2) - 0.5 - _MARGIN_PIXELS) / (height / 2)
     return float(np.clip(np.maximum(dx, dy).min(), 0, 1))

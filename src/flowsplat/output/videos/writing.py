@@ -21,7 +21,7 @@ from flowsplat.images.sheets import side_by_side
 from flowsplat.images.transparent import webm_writer
 from flowsplat.images.video import mp4_writer
 from flowsplat.output.videos.plans import Plan
-from flowsplat.output.videos.shots import COVERED, Shot, small
+from flowsplat.output.videos.shots import MIN_ALPHA, Shot, small
 
 _PROBES = 5
 """Shots that are looked at before a video is made, to fix its color scales."""
@@ -34,7 +34,7 @@ def look(model: Renderer, shots: Sequence[Shot], k: int) -> tuple[np.ndarray, np
     neighbor = k + 1 if k + 1 < len(shots) else max(k - 1, 0)
     rendering = model.render(*shots[k], shots[neighbor])
     assert rendering.flow is not None
-    covered = rendering.alpha >= COVERED
+    covered = rendering.alpha >= MIN_ALPHA
     # The last shot has no next one: it is taken to go on as it came.
     flow = rendering.flow if neighbor >= k else -rendering.flow
     return rendering.color, np.where(covered[..., None], flow, np.nan), np.where(covered, rendering.depth, 0)

@@ -16,7 +16,7 @@ from flowsplat.geometry import Camera
 from flowsplat.geometry.paths import shift_camera
 from flowsplat.images.colors import depth_to_color, float_to_bytes, flow_to_color
 from flowsplat.output.videos.options import RenderOptions
-from flowsplat.output.videos.shots import COVERED
+from flowsplat.output.videos.shots import MIN_ALPHA
 from flowsplat.output.viewer.browser_frame import BrowserFrame, Pose
 from flowsplat.output.viewer.layout import Box, empty, fit_box, halves, place, wipe
 from flowsplat.output.viewer.source import Source
@@ -31,7 +31,7 @@ _MOST_TRACKS = 250
 """Of objects, and of the background; more hide the image."""
 _BACKGROUND = 24
 """Gray value behind Gaussians that are shown as points."""
-_FAR = 150.0
+_MAX_DEPTH = 150.0
 """What viser can say of a depth ends at 167."""
 _BOTH_EYES = (-1, 1)
 _ONE_EYE = (0,)
@@ -97,7 +97,7 @@ class Drawing:
 
 def draw(source: Source, browser: BrowserFrame, wish: Wish) -> Drawing:
     """Render and compose what a client wants to see."""
-    image, depth = empty(wish.size), np.full(wish.size[::-1], _FAR, np.float32)
+    image, depth = empty(wish.size), np.full(wish.size[::-1], _MAX_DEPTH, np.float32)
     whole = Box(0, 0, *wish.size)
     is_halved = wish.look.stereo or wish.look.compare == "beside"
     left, right = halves(wish.size) if is_halved else (whole, whole)
@@ -120,7 +120,7 @@ def draw(source: Source, browser: BrowserFrame, wish: Wish) -> Drawing:
     depth[room.rows_and_columns] = distance * browser.from_scene.scale
     if wish.look.compare == "beside":
         place(image, source.frame(wish.t), fit_box(source.size, right))
-    return Drawing(image, np.clip(depth, 0, _FAR), pose)
+    return Drawing(image, np.clip(depth, 0, _MAX_DEPTH), pose)
 
 
 def _fit_whole_view(browser: BrowserFrame, camera: Camera, height: int) -> Pose:
@@ -149,7 +149,7 @@ def render_look(source: Source, camera: Camera, wish: Wish, side: int = 0) -> tu
     if look.show == "Gaussians":
         return draw_points(model, camera, t), np.full((camera.height, camera.width), np.inf, np.float32)
     seen = model.render(camera, t, flow_to)
-    covered = seen.alpha >= COVERED
+    covered = seen.alpha >= MIN_ALPHA
     if look.show == "color":
         image = float_to_bytes(seen.color)
     elif look.show == "alpha":

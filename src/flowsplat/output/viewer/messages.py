@@ -15,9 +15,9 @@ import msgspec
 
 MOST_UPLOAD = 16 * 2**20
 """Bytes of a file that is uploaded: as much as the reader of JSON takes."""
-_LONGEST = 1000
+_MAX_CHARACTERS = 1000
 """Characters of a text."""
-_FURTHEST = 1e9
+_MAX_COORDINATE = 1e9
 """Of a camera, in the browser's coordinates."""
 _LARGEST_WINDOW = 16_384
 _MOST_PARTS = 1024
@@ -62,7 +62,9 @@ class Gate:
     def _camera(self, raw: bytes, message: dict[str, Any]) -> bytes | None:
         lengths = {"wxyz": 4, "position": 3, "look_at": 3, "up_direction": 3}
         for name, length in lengths.items():
-            if len(message[name]) != length or not all(_is_number(value, -_FURTHEST, _FURTHEST) for value in message[name]):
+            if len(message[name]) != length or not all(
+                _is_number(value, -_MAX_COORDINATE, _MAX_COORDINATE) for value in message[name]
+            ):
                 return None
         is_turned = abs(math.hypot(*message["wxyz"]) - 1) < 0.01
         sizes = (message["image_width"], message["image_height"])
@@ -73,7 +75,7 @@ class Gate:
         if not _is_text(message["uuid"]) or set(message["updates"]) != {"value"}:
             return None
         value = message["updates"]["value"]
-        return raw if _is_number(value, -_FURTHEST, _FURTHEST) or _is_text(value) else None
+        return raw if _is_number(value, -_MAX_COORDINATE, _MAX_COORDINATE) or _is_text(value) else None
 
     def _start(self, raw: bytes, message: dict[str, Any]) -> bytes | None:
         size, parts, transfer = message["size_bytes"], message["part_count"], message["transfer_uuid"]
@@ -108,4 +110,4 @@ def _is_whole(value: object, least: int, most: int) -> bool:
 
 
 def _is_text(value: object) -> bool:
-    return isinstance(value, str) and len(value) <= _LONGEST
+    return isinstance(value, str) and len(value) <= _MAX_CHARACTERS

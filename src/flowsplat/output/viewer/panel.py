@@ -25,10 +25,10 @@ from flowsplat.priors.objects.description import describe_objects, word_hint
 from flowsplat.scenes import Scene
 
 _SPEEDS = {"1/10": 0.1, "1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0}
-_MOST_FRUSTA = 24
+_MAX_FRUSTA = 24
 _FRUSTUM = 0.25
 """Size of a frustum in the browser's coordinates."""
-_REACH = {"orbit": SCENE_DEPTH, "fly": 0.05}
+_PIVOT_DISTANCE = {"orbit": SCENE_DEPTH, "fly": 0.05}
 """How far ahead of the camera the point lies round which dragging turns it."""
 _TIME_STEP = 0.001
 """Seconds."""
@@ -67,7 +67,7 @@ class Panel:
 
     def begin(self) -> None:
         """Stand where the clip begins, and get images from now on."""
-        self._stand(self._find_input_pose(), _REACH["orbit"])
+        self._stand(self._find_input_pose(), _PIVOT_DISTANCE["orbit"])
         self.client.camera.on_update(self._follow_camera)
         self._worker.add(self.client.client_id, self._session, self._show)
         self._follow_camera(self.client.camera)
@@ -178,7 +178,7 @@ class Panel:
             mode = self._session.mode
             self._session.move(pose, (camera.image_width, camera.image_height), time.monotonic())
         if mode == "input camera" and stood is not None and np.abs(pose.position - stood.position).max() > 1e-3:
-            self._stand(stood, _REACH["orbit"])
+            self._stand(stood, _PIVOT_DISTANCE["orbit"])
 
     def _stand(self, pose: Pose, reach: float) -> None:
         """Bring the browser's camera to a pose, turning about a point ``reach`` ahead of it."""
@@ -200,7 +200,7 @@ class Panel:
         return Pose(pose.wxyz, pose.position, 2 * float(np.arctan(np.tan(pose.fov / 2) * canvas[1] / box.height)))
 
     def _go_home(self) -> None:
-        self._stand(self._find_input_pose(), _REACH.get(self._session.mode, SCENE_DEPTH))
+        self._stand(self._find_input_pose(), _PIVOT_DISTANCE.get(self._session.mode, SCENE_DEPTH))
 
     def _set_mode(self) -> None:
         mode: Mode = self._mode.value
@@ -210,7 +210,7 @@ class Panel:
         if mode != "input camera":
             camera = self.client.camera
             here = Pose(np.array(camera.wxyz), np.array(camera.position), float(camera.fov))
-            self._stand(here, _REACH[mode])
+            self._stand(here, _PIVOT_DISTANCE[mode])
             if self._session.look.compare == "wipe":
                 _set_value(self._compare, "off")
                 self._set_look()
@@ -247,7 +247,7 @@ class Panel:
         depth = drawing.depth if drawn_into else None
         self.client.scene.set_background_image(drawing.image, format="jpeg", jpeg_quality=quality, depth=depth)
         if job.wish.pose is None:
-            self._stand(drawing.pose, _REACH["orbit"])
+            self._stand(drawing.pose, _PIVOT_DISTANCE["orbit"])
         _set_value(self._time, float(np.clip(round(job.wish.t, 3), *self._source.clip)))
         self._label_play()
 
@@ -264,7 +264,7 @@ class Panel:
         scene, cameras = self.client.scene, self._source.path.cameras
         parent = scene.add_frame("/cameras", show_axes=False)
         heldout = set(self._source.scene.heldout_frames)
-        for i in spread(len(cameras), _MOST_FRUSTA):
+        for i in spread(len(cameras), _MAX_FRUSTA):
             pose = self._browser.pose(cameras[i])
             scene.add_camera_frustum(
                 f"/cameras/{i}", pose.fov, cameras[i].width / cameras[i].height, scale=_FRUSTUM, thickness=1.5,

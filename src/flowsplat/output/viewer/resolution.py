@@ -4,7 +4,7 @@ from __future__ import annotations
 
 _TARGET = 0.08
 """Seconds that an image may take while something moves."""
-_SMALLEST = 240
+_MIN_MOVING_SIDE = 240
 """Pixels of the longer side."""
 
 
@@ -24,7 +24,7 @@ class AdaptiveResolution:
         """Return (width, height) of an image that is fluent; never more than a still one."""
         width, height = self.still(canvas)
         scale = min((self._pixels / (width * height)) ** 0.5, 1.0)
-        return _scale((width, height), max(scale, min(_SMALLEST / max(width, height), 1.0)))
+        return _scale((width, height), max(scale, min(_MIN_MOVING_SIDE / max(width, height), 1.0)))
 
     def learn(self, size: tuple[int, int], seconds: float) -> None:
         """A moving image of that size took so long."""

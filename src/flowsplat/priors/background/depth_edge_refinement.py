@@ -40,18 +40,18 @@ OFFSETS = (-16, -8, -4, 4, 8, 16)
 """Training frames before and after that are asked."""
 REACHES = (4, 9, 15)
 """Pixels from which the nearest and the farthest surface are proposed."""
-JUMP = 0.06
+MIN_DEPTH_RANGE = 0.06
 """Range of inverse depth within the last reach, as a share of it, from which a pixel is asked about."""
-ROUNDS = 2
+REFINEMENT_ROUNDS = 2
 KEEP = 0.95
 """The depth that a pixel has stays, unless another has less than this share of its cost."""
-WINDOW = 4
+VOTE_RADIUS = 4
 """Pixels to either side that vote."""
 LIKENESS = 20.0
 """Sum of the differences in red, green and blue at which a pixel's vote counts half."""
 _COLOR, _GRADIENT, _WORST = 60.0, 20.0, 60.0
 """Largest difference of colors and of gradients that counts; cost where no frame says anything."""
-_MARGIN = WINDOW
+_ROW_MARGIN = VOTE_RADIUS
 """Numbers before and after a row, so that what lies beside the image can be loaded; of costs they are 0: no vote."""
 
 
@@ -100,16 +100,16 @@ def refine_edges(
     intrinsics = np.array([c.intrinsics for c in [camera, *cameras]], np.float32)
     words, slopes = np.stack([other.words for other in others]), np.stack([other.slopes for other in others])
     image = view.features
-    for _ in range(ROUNDS):
+    for _ in range(REFINEMENT_ROUNDS):
         around = [cv2.getStructuringElement(cv2.MORPH_RECT, (2 * reach + 1, 2 * reach + 1)) for reach in REACHES]
         far, close = [cv2.erode(inverse, each) for each in around], [cv2.dilate(inverse, each) for each in around]
         proposed = [inverse, *far, *close]  # Equal ones are neighbors, and are tried once.
-        asked = still & (close[-1] - far[-1] > JUMP * inverse)
+        asked = still & (close[-1] - far[-1] > MIN_DEPTH_RANGE * inverse)
         if doubted is not None:
             asked &= doubted
         if not asked.any():
             break
-        near = cv2.dilate(asked.astype(np.uint8), np.ones((2 * WINDOW + 1, 2 * WINDOW + 1), np.uint8)) > 0
+        near = cv2.dilate(asked.astype(np.uint8), np.ones((2 * VOTE_RADIUS + 1, 2 * VOTE_RADIUS + 1), np.uint8)) > 0
         every = np.stack(proposed)
         costs = _costs(every, near, image, words, slopes, intrinsics, poses)
         inverse = _choose_proposals(every, costs, asked, image)
@@ -159,7 +159,7 @@ def _costs(
     W].
 
     Of every other pixel, as on a chessboard: they vote as well as all, in half the time. A row holds its columns y % 2, y % 2 + 2,
-    ... from ``_MARGIN`` on, and 0 beside them. ``words``: colors and objects of the others as from ``packed``,
+    ... from ``_ROW_MARGIN`` on, and 0 beside them. ``words``: colors and objects of the others as from ``packed``,
     ``slopes``: the sizes of their gradients, each [J, H, W].
     """
     L, H, W = proposed.shape
@@ -196,7 +196,7 @@ def _costs_of_rows(
             wanted[i] = near[y, x]
             for n in range(L):
                 depths[n * S + i] = proposed[n, y, x]
-                flat[(n * H + y) * S + _MARGIN + i] = worst
+                flat[(n * H + y) * S + _ROW_MARGIN + i] = worst
             for n in range(4):
                 seen[n * S + i] = image[y, x, n]
         best = np.empty(kept * LANES, np.float32)
@@ -208,7 +208,7 @@ def _costs_of_rows(
             dx = (x + (half - K0[2])) / K0[0]
             red, green, blue, slope = load(seen, first), load(seen, S + first), load(seen, 2 * S + first), load(seen, 3 * S + first)
             for n in range(L):
-                out = (n * H + y) * S + _MARGIN + first
+                out = (n * H + y) * S + _ROW_MARGIN + first
                 same = n > 0
                 for i in range(first, first + LANES):
                     same = same and depths[n * S + i] == depths[(n - 1) * S + i]
@@ -260,7 +260,7 @@ def _costs_of_rows(
                 store(flat, out, total / counted)
             for i in range(max((W - y % 2 + 1) // 2, first), first + LANES):
                 for n in range(L):
-                    flat[(n * H + y) * S + _MARGIN + i] = nothing
+                    flat[(n * H + y) * S + _ROW_MARGIN + i] = nothing
 
 
 @helper
@@ -274,7 +274,7 @@ def _any(wanted: np.ndarray, first: int) -> bool:
 @helper
 def _row_size(width: int) -> int:
     """Return numbers in a row of every other pixel, with room beside them."""
-    return (width + 1) // 2 + LANES + 2 * _MARGIN
+    return (width + 1) // 2 + LANES + 2 * _ROW_MARGIN
 
 
 def _choose_proposals(proposed: np.ndarray, costs: np.ndarray, asked: np.ndarray, image: np.ndarray) -> np.ndarray:
@@ -283,7 +283,7 @@ def _choose_proposals(proposed: np.ndarray, costs: np.ndarray, asked: np.ndarray
     voters = np.zeros((3, *costs.shape[1:]), np.float32)  # the colors of the pixels that vote, as their costs lie
     for parity in range(2):
         row = image[parity::2, parity::2, :3]
-        voters[:, parity::2, _MARGIN : _MARGIN + row.shape[1]] = row.transpose(2, 0, 1)
+        voters[:, parity::2, _ROW_MARGIN : _ROW_MARGIN + row.shape[1]] = row.transpose(2, 0, 1)
     result = proposed[0].copy()
     parallel_for(_choose_rows, len(result), proposed, costs.reshape(-1), voters.reshape(-1), asked, image, result)
     return result
@@ -315,9 +315,9 @@ def _choose_rows(
                 red, green, blue = load(mine, first), load(mine, S + first), load(mine, 2 * S + first)
                 for n in range(L):
                     store(totals, n * LANES, broadcast(np.float32(0)))
-                for r in range(max(y - WINDOW, 0), min(y + WINDOW + 1, H)):
-                    for aside in range(-WINDOW + (parity + r + WINDOW) % 2, WINDOW + 1, 2):
-                        at = r * S + _MARGIN + first + (parity + aside - r % 2) // 2
+                for r in range(max(y - VOTE_RADIUS, 0), min(y + VOTE_RADIUS + 1, H)):
+                    for aside in range(-VOTE_RADIUS + (parity + r + VOTE_RADIUS) % 2, VOTE_RADIUS + 1, 2):
+                        at = r * S + _ROW_MARGIN + first + (parity + aside - r % 2) // 2
                         off = magnitude(load(voters, at) - red) + magnitude(load(voters, H * S + at) - green)
                         off = (off + magnitude(load(voters, 2 * H * S + at) - blue)) * scale
                         weight = one / (one + off * off)

@@ -16,9 +16,9 @@ from flowsplat.common.threads import parallel_for
 from flowsplat.geometry import Camera
 from flowsplat.priors.background.reprojection import reproject
 
-SAME = 0.02
+SURFACE_TOLERANCE = 0.02
 """Share of the inverse depth by which two values of one surface differ at most."""
-ENOUGH = 0.8
+FARTHER_VOTE_SHARE = 0.8
 """Share of the most votes that is enough for a surface that lies farther back."""
 OWN = 1.5
 """Votes of the frame itself, a little more than that of any other."""
@@ -50,7 +50,7 @@ def vote_on_depth(
 @kernel
 def _vote(begin: int, end: int, values: np.ndarray, chosen: np.ndarray, share: np.ndarray) -> None:
     count, _, width = values.shape
-    same, enough, nothing, one = np.float32(SAME), np.float32(ENOUGH), np.float32(0), np.float32(1)
+    same, enough, nothing, one = np.float32(SURFACE_TOLERANCE), np.float32(FARTHER_VOTE_SHARE), np.float32(0), np.float32(1)
     weights = np.empty(count, np.float32)
     for a in range(count):
         weights[a] = OWN if a == 0 else one

@@ -9,13 +9,13 @@ from flowsplat.images.edge_smoothing import EdgeSmoother
 
 SMOOTHNESS = 30.0
 
-HELP = 50.0
+SMOOTHED_WEIGHT = 50.0
 """Weight of a smoothed value against that of the value itself."""
 
 BROAD_SMOOTHNESS = 10_000.0
 """Of the trend, which knows no edges."""
 
-DOUBT = 0.1
+TREND_WEIGHT = 0.1
 """Weight of the trend."""
 
 COLOR_SIGMA = 8.0
@@ -28,7 +28,7 @@ def fill(
     """Weighted edge-aware smoothing (fast global smoother, https://doi.org/10.1109/TIP.2014.2366600).
 
     The smoother prefers constant surfaces; a value of large weight is therefore kept, and the smoothed one only helps
-    out with a weight of ``HELP``. What has hardly any support within its edges follows the trend across them.
+    out with a weight of ``SMOOTHED_WEIGHT``. What has hardly any support within its edges follows the trend across them.
 
     Args:
         values: [h, w] float32; where the weight is 0 they do not count.
@@ -49,8 +49,8 @@ def fill(
     support = smoother.filter(weights)
     floor = np.float32(1e-6 * max(float(weights.max()), 1e-12))
     trend = broad.filter(offsets * weights) / np.maximum(broad.filter(weights) + floor, 1e-30)
-    smooth = (smoother.filter(offsets * weights) + DOUBT * trend) / (support + DOUBT)
-    blended = (weights * offsets + HELP * smooth) / (weights + HELP)
+    smooth = (smoother.filter(offsets * weights) + TREND_WEIGHT * trend) / (support + TREND_WEIGHT)
+    blended = (weights * offsets + SMOOTHED_WEIGHT * smooth) / (weights + SMOOTHED_WEIGHT)
     return (blended + center).astype(np.float32), support
 
 

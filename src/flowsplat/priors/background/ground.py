@@ -20,7 +20,7 @@ from flowsplat.geometry.cameras import unproject_depth
 
 TILT = 35.0
 """Degrees between the ground's normal and the mean upward direction of the cameras."""
-STEEPEST = 35.0
+MAX_SLOPE = 35.0
 """Degrees by which a surface may slope and still be ground."""
 TOLERANCE = 0.012
 """Share of a point's depth that it may lie off a plane."""
@@ -34,9 +34,9 @@ PLANE_SHARE = 0.5
 """Share of what faces up that must lie near the plane for it to be taken on where nothing was seen: steps and terraces end."""
 CELL = 0.015
 """Side of a cell of the map, in units of the median depth of its points."""
-REACH = 8
+MAX_CARRY_CELLS = 8
 """Cells across which heights are carried to where nothing was seen: what an object always hides."""
-LOWEST = 40
+HEIGHT_PERCENTILE = 40
 """Percentile of the heights in a cell that counts: what stands on the ground is above it."""
 _SAMPLES, _TRIES, _REFITS = 4000, 1500, 5
 _LARGEST_MAP = 1500
@@ -147,7 +147,7 @@ def find_ground(
     """
     rng = np.random.default_rng(seed)
     up, total = up_direction(cameras), len(points)
-    facing = normals @ up > np.cos(np.radians(TILT + STEEPEST) / 1.4)
+    facing = normals @ up > np.cos(np.radians(TILT + MAX_SLOPE) / 1.4)
     if facing.sum() < max(30, FEWEST_SHARE * total):
         return None
     flat, far = points[facing], depths[facing]
@@ -156,7 +156,7 @@ def find_ground(
     if found is None:
         return None
     normal, offset = found
-    upward = normals @ normal > np.cos(np.radians(STEEPEST))
+    upward = normals @ normal > np.cos(np.radians(MAX_SLOPE))
     near = upward & (np.abs(points @ normal - offset) < 2 * TOLERANCE * depths)
     if near.sum() < max(30, FEWEST_SHARE * total):
         return None
@@ -178,8 +178,8 @@ def _build_map(
     # Few points far away must not make the map endless.
     low, high = np.percentile(places, [0.5, 99.5], axis=0)
     cell = max(cell, float((high - low).max()) / _LARGEST_MAP)
-    corner = low - (REACH + 1) * cell
-    shape = (np.ceil((high - corner) / cell).astype(int) + REACH + 1)[::-1]
+    corner = low - (MAX_CARRY_CELLS + 1) * cell
+    shape = (np.ceil((high - corner) / cell).astype(int) + MAX_CARRY_CELLS + 1)[::-1]
     index = np.floor((places - corner) / cell).astype(int)
     inside = ((index >= 0) & (index < shape[::-1])).all(1)
     flat, values = index[inside, 1] * shape[1] + index[inside, 0], heights[inside]
@@ -187,10 +187,10 @@ def _build_map(
     flat, values = flat[order], values[order]
     cells, first, counts = np.unique(flat, return_index=True, return_counts=True)
     grid = np.full(shape[0] * shape[1], np.nan, np.float32)
-    grid[cells] = values[first + (counts * LOWEST) // 100]
+    grid[cells] = values[first + (counts * HEIGHT_PERCENTILE) // 100]
     grid = _smooth(grid.reshape(shape))
     away, nearest = distance_transform_edt(np.isnan(grid), return_indices=True)
-    grid = np.where(away <= REACH, grid[tuple(nearest)], np.nan)
+    grid = np.where(away <= MAX_CARRY_CELLS, grid[tuple(nearest)], np.nan)
     return Ground(normal, share, origin, axes, corner, cell, grid.astype(np.float32))
 
 

@@ -27,10 +27,10 @@ PARALLAX = 25.0
 RESTS = 3.0
 """Multiples of the noise up to which the matches of a pixel are those of a scene at rest."""
 
-ENOUGH = 0.03
+MIN_SURE_SHARE = 0.03
 """Share of pixels with sure depth from which a clip has parallax."""
 
-LITTLE_PARALLAX, MANY = 2.0, 0.3
+WEAK_PARALLAX, MIN_WEAK_SHARE = 2.0, 0.3
 """The same where all is less sure: 14 % per 0.2 pixels of noise, but known of so many pixels. Still far better than a guess:
 on a rendered room a camera that turns and travels by 0.6 degrees of parallax gives depth that is 4 % off, guessed 28 %."""
 
@@ -65,10 +65,10 @@ class MatchedClip:
         self._folder = scene.folder / SOLUTIONS / digest
         self._solve(estimate)
         samples = [self[k] for k in range(0, len(self), max(1, len(self) // 24))]
-        self.median = _median(samples, PARALLAX, ENOUGH)
+        self.median = _median(samples, PARALLAX, MIN_SURE_SHARE)
         self.has_sure_depth = self.median > 0
         if not self.has_sure_depth:
-            self.median = _median(samples, LITTLE_PARALLAX, MANY)
+            self.median = _median(samples, WEAK_PARALLAX, MIN_WEAK_SHARE)
         self.has_parallax = self.median > 0
         self.mean_parallax = float(np.mean([np.sqrt(np.median(s.information)) for s in samples]))
 

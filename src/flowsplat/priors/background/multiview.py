@@ -21,7 +21,7 @@ ROBUST_SCALE = 0.5
 
 ITERATIONS = 5
 
-RIM = 12
+RIM_PARTS = 12
 """The outermost this many-th part of the image on each side is its rim."""
 
 LEAST_RIM = 50
@@ -92,7 +92,7 @@ def _motion(errors: np.ndarray, weights: np.ndarray, lengths: np.ndarray) -> np.
     height, width = errors.shape[:2]
     total, count = np.zeros((height, width), np.float32), np.full((height, width), 1e-6, np.float32)
     rim = np.ones((height, width), bool)
-    rim[height // RIM : height - height // RIM, width // RIM : width - width // RIM] = False
+    rim[height // RIM_PARTS : height - height // RIM_PARTS, width // RIM_PARTS : width - width // RIM_PARTS] = False
     for j in range(errors.shape[2]):
         used = weights[..., j] > 0
         if used.any():

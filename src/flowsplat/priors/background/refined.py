@@ -18,7 +18,7 @@ from flowsplat.priors.background.static_depth import StaticDepth
 
 VOTERS = (2, 4, 8, 16)
 """Training frames before and after, which vote on the depth of a frame's pixels."""
-ROUNDS = 2
+REFINEMENT_ROUNDS = 2
 """Of both: edges are found again from what frames agreed on, and what is found is agreed on again."""
 AGREED = 0.9
 """Share of the votes from which a pixel is not asked about once more, unless one that is lies within ``BESIDE`` pixels."""
@@ -33,13 +33,13 @@ class RefinedDepth:
 
     def __init__(self, clip: MatchedClip, background: StaticDepth, has_masks: bool):
         self._clip, self._background, self._has_masks = clip, background, has_masks
-        self._edges = EdgeRefiner(clip, has_masks, ROUNDS * (VOTERS[-1] + 4))
+        self._edges = EdgeRefiner(clip, has_masks, REFINEMENT_ROUNDS * (VOTERS[-1] + 4))
         self._moving = compute_once(self._find_moving, 2 * VOTERS[-1] + 4)
         depth: Callable[[int], Planes] = self._coarse
         self._rounds: list[Callable[[int], Planes]] = []
-        for n in range(ROUNDS if clip.has_parallax else 0):
+        for n in range(REFINEMENT_ROUNDS if clip.has_parallax else 0):
             # The first frame of a later round asks for frames ahead that ask for frames ahead of theirs.
-            kept = 2 * (ROUNDS - n) * VOTERS[-1] + 4
+            kept = 2 * (REFINEMENT_ROUNDS - n) * VOTERS[-1] + 4
             self._rounds.append(compute_once(self._sharpen(depth, first=n == 0), kept))
             depth = compute_once(self._vote(self._rounds[n]), kept)
         self._depth = depth

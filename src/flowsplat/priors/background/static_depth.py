@@ -21,10 +21,10 @@ FUSED_WITH = (2, 4, 8, 16)
 PLATE_FROM = (2, 4, 8, 16, 24)
 """Training frames before and after, from which hidden background is taken."""
 
-NEAREST, FURTHEST = 20.0, 0.01
+MAX_INVERSE_DEPTH, MIN_INVERSE_DEPTH = 20.0, 0.01
 """Inverse depths above the first multiple of the clip's median are mistakes; those below the second are as good as at it."""
 
-SURE = 5.0
+SURE_WEIGHT = 5.0
 """Weight from which a value speaks for pixels of other frames, and below which it gives way to theirs."""
 
 GUESS_WEIGHT = 6.0
@@ -38,11 +38,11 @@ _PLATE_SMOOTHNESS = 100.0
 _NOTHING = 1e-3
 """Share of pixels with a known value, below which a frame's depth is guessed."""
 
-WITNESSES = 24
+CONFIRMING_FRAMES = 24
 """Frames, evenly over a piece of the clip, before whose static scene an object stands. The depth of frames far apart differs by
 some percent, and where an object were behind what one of them saw, it would make that vanish."""
 
-_KEPT = 2 * PLATE_FROM[-1] + 16 + WITNESSES
+_KEPT_FRAMES = 2 * PLATE_FROM[-1] + 16 + CONFIRMING_FRAMES
 """Frames in memory: on a walk over the clip every one is asked for again until it lies behind the furthest neighbor."""
 
 
@@ -138,7 +138,7 @@ class Background:
         # Objects are placed, and then drawn, on two walks over the clip.
         self._plates = compute_once(self._plate, len(clip))
         self._witnessed = compute_once(self._witness, len(clip))
-        self._fused = compute_once(self._fuse, _KEPT)
+        self._fused = compute_once(self._fuse, _KEPT_FRAMES)
 
     def mask(self, k: int) -> np.ndarray:
         """Object numbers [h, w]; all 0 where there are no masks yet."""
@@ -161,7 +161,7 @@ class Background:
     def _witness(self, k: int) -> np.ndarray:
         piece = [j for j in range(len(self._clip)) if self._clip.continuity.same_piece(k, j)]
         first, second = np.zeros((2, self._clip.height, self._clip.width), np.float32)
-        for j in sorted({piece[n] for n in spread(len(piece), WITNESSES)} - {k}):
+        for j in sorted({piece[n] for n in spread(len(piece), CONFIRMING_FRAMES)} - {k}):
             seen, _ = reproject(*self.sure(j), self._clip.cameras[k])
             first, second = np.maximum(first, seen), np.maximum(second, np.minimum(first, seen))
         return second
@@ -177,7 +177,7 @@ class Background:
     def compute_uncovered(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         """As ``StaticDepth.compute_uncovered``."""
         values, weights = self._uncovered(k)
-        return values, np.where(weights > SURE, weights, 0)
+        return values, np.where(weights > SURE_WEIGHT, weights, 0)
 
     def behind(self, k: int) -> np.ndarray:
         """Return inverse depth [h, w] of the static scene: the plate behind objects, elsewhere along the image's edges."""
@@ -198,15 +198,15 @@ class Background:
     def _uncover(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         values, weights, camera = self._fused(k)
         others = [self.sure(j) for j in self._list_around(k, PLATE_FROM)]
-        return uncover(_dilate_objects(self.mask(k)) | (weights < SURE), values, weights, camera, others)
+        return uncover(_dilate_objects(self.mask(k)) | (weights < SURE_WEIGHT), values, weights, camera, others)
 
     def _weigh(self, k: int) -> tuple[np.ndarray, np.ndarray, Camera]:
         solution, median = self._clip[k], self._clip.median
         # Matches with hardly any parallax do not tell how far away a point is, but that it is far: the inverse of its depth is
         # known as well as that of any other. So what is far is weighed by the parallax that it would have at the median depth.
-        inverse = np.maximum(solution.inverse_depth, FURTHEST * median)
+        inverse = np.maximum(solution.inverse_depth, MIN_INVERSE_DEPTH * median)
         information = solution.information * np.maximum(median / np.maximum(solution.inverse_depth, 1e-3 * median), 1) ** 2
-        sane = (solution.information > 0) & (inverse < NEAREST * median) & (information > 1)
+        sane = (solution.information > 0) & (inverse < MAX_INVERSE_DEPTH * median) & (information > 1)
         weight = np.clip(information, 0, 400) / (1 + solution.motion**2)
         return inverse, np.where(sane & ~_dilate_objects(self.mask(k)), weight, 0).astype(np.float32), self._clip.cameras[k]
 
@@ -219,13 +219,13 @@ class Background:
     def sure(self, k: int) -> tuple[np.ndarray, np.ndarray, Camera]:
         """Return inverse depth [h, w] of the static scene, its weight, 0 where it is not sure, and the camera of the frame."""
         values, weights, camera = self._fused(k)
-        return values, np.where(weights > SURE, weights, 0).astype(np.float32), camera
+        return values, np.where(weights > SURE_WEIGHT, weights, 0).astype(np.float32), camera
 
     def compute_sure_depth(self, k: int) -> np.ndarray:
         """Return planar depth [h, w] of the static scene where it is sure, not only that it is far; inf elsewhere."""
         inverse, weight, _ = self.sure(k)
         own = weight * np.minimum(inverse / self.median, 1) ** 2
-        return np.where(own > SURE, 1 / np.maximum(inverse, 1e-9), np.inf)
+        return np.where(own > SURE_WEIGHT, 1 / np.maximum(inverse, 1e-9), np.inf)
 
 
 def guess_ground(height: int, width: int, median: float) -> np.ndarray:

@@ -27,13 +27,13 @@ STRIDES = (1, 2, 3, 5, 8, 12, 20, 32)
 """Distances in time of the frames that are compared."""
 TURNS_ONLY = 0.9
 """Share of the matches of an epipolar geometry that a mere turn must explain, so that the turn is taken."""
-NEAR = 1.5
+MAX_TURN_ERROR = 1.5
 """Pixels by which matches may miss a turn and still follow it."""
 ROTATION_SCALE = np.radians(0.5)
 """Disagreement between two rotations from which a pair loses its influence."""
 RAY_SCALE = 0.01
 """Radians by which a ray may miss its point before it loses its influence."""
-ROUNDS = 12
+AVERAGING_ROUNDS = 12
 COARSE = (8.0, 3.0)
 """Scales of the Cauchy cost, in pixels, of the first adjustments: averaged rotations are off by a few pixels."""
 
@@ -109,7 +109,7 @@ def pair_rotations(positions: np.ndarray, seen: np.ndarray, focal: float) -> lis
 def _pair_rotation(a: np.ndarray, b: np.ndarray, focal: float) -> tuple[np.ndarray, float] | None:
     turn = _mere_turn(a, b, focal)
     rays = np.concatenate([a / focal, np.ones((len(a), 1))], 1) @ turn.T
-    follows = np.linalg.norm(rays[:, :2] / np.maximum(rays[:, 2:], 1e-6) * focal - b, axis=1) < NEAR
+    follows = np.linalg.norm(rays[:, :2] / np.maximum(rays[:, 2:], 1e-6) * focal - b, axis=1) < MAX_TURN_ERROR
     found = essential(a, b, focal)
     if found is None or found[1].sum() < LEAST_COMMON // 2:
         return (turn, float(follows.mean())) if follows.mean() > 0.5 else None
@@ -130,7 +130,7 @@ def _mere_turn(a: np.ndarray, b: np.ndarray, focal: float) -> np.ndarray:
         U, _, Vt = np.linalg.svd((v * weights[:, None]).T @ u)
         rotation = U @ np.diag([1, 1, np.sign(np.linalg.det(U @ Vt))]) @ Vt
         miss = np.linalg.norm(u @ rotation.T - v, axis=1) * focal
-        weights = 1 / (1 + (miss / max(NEAR, float(np.median(miss)))) ** 2)
+        weights = 1 / (1 + (miss / max(MAX_TURN_ERROR, float(np.median(miss)))) ** 2)
     return rotation
 
 
@@ -155,7 +155,7 @@ def average_rotations(turns: list[Turn], count: int) -> tuple[np.ndarray, np.nda
         rotations[t] = (known[s, t] if (s, t) in known else known[t, s].T) @ rotations[s]
     used = reached[i] & reached[j]
     i, j, between, weight = i[used], j[used], between[used], weight[used]
-    for _ in range(ROUNDS):
+    for _ in range(AVERAGING_ROUNDS):
         # R_j ~ B R_i: the error, as a turn in the axes of camera j.
         error = Rotation.from_matrix(between @ rotations[i] @ rotations[j].transpose(0, 2, 1)).as_rotvec()
         scale = max(ROTATION_SCALE, float(np.median(np.linalg.norm(error, axis=1))))
@@ -189,7 +189,7 @@ def position_cameras(rotations: np.ndarray, positions: np.ndarray, seen: np.ndar
     rays = np.einsum("mji,mj->mi", rotations[camera], rays / np.linalg.norm(rays, axis=1, keepdims=True))
     weights = np.ones(len(point))
     centers = np.zeros((len(rotations), 3))
-    for _ in range(ROUNDS):
+    for _ in range(AVERAGING_ROUNDS):
         A, inverse = _ray_equations(rays, weights, camera, point, len(rotations), len(seen))
         _, vectors = scipy.linalg.eigh(A, subset_by_index=[0, 3])
         centers = _without_mean(vectors)

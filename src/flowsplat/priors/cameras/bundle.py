@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from flowsplat.common.kernels import kernel
 
-NEAR = 1e-4
+MIN_DEPTH = 1e-4
 """Depths below this are replaced by it: such an observation is an outlier and only has to stay finite."""
 GROUP = 256
 """Points that are eliminated together."""
@@ -316,7 +316,7 @@ def _linearize(R, t, focal, k1, X, camera, point, uv, scale):
         x = M[0, 0] * X[n, 0] + M[0, 1] * X[n, 1] + M[0, 2] * X[n, 2]
         y = M[1, 0] * X[n, 0] + M[1, 1] * X[n, 1] + M[1, 2] * X[n, 2]
         z = M[2, 0] * X[n, 0] + M[2, 1] * X[n, 1] + M[2, 2] * X[n, 2]
-        inverse = 1.0 / max(z + t[c, 2], NEAR)
+        inverse = 1.0 / max(z + t[c, 2], MIN_DEPTH)
         a, b = (x + t[c, 0]) * inverse, (y + t[c, 1]) * inverse
         square = a * a + b * b
         bend = 1.0 + k1 * square
@@ -421,7 +421,7 @@ def _reproject(R, t, focal, k1, X, camera, point, uv):
         x = M[0, 0] * X[n, 0] + M[0, 1] * X[n, 1] + M[0, 2] * X[n, 2] + t[c, 0]
         y = M[1, 0] * X[n, 0] + M[1, 1] * X[n, 1] + M[1, 2] * X[n, 2] + t[c, 1]
         z = M[2, 0] * X[n, 0] + M[2, 1] * X[n, 1] + M[2, 2] * X[n, 2] + t[c, 2]
-        a, b = x / max(z, NEAR), y / max(z, NEAR)
+        a, b = x / max(z, MIN_DEPTH), y / max(z, MIN_DEPTH)
         f = focal * (1.0 + k1 * (a * a + b * b))
         errors[m], depths[m] = np.hypot(f * a - uv[m, 0], f * b - uv[m, 1]), z
     return errors, depths

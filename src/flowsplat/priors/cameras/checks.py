@@ -14,7 +14,7 @@ UNCERTAIN_FOCAL = 0.05
 LARGE_ERROR = 0.5
 """Pixels of the working size from which the fit counts as poor (docs/method.md, "Evaluation protocols": half a pixel costs 3
 dB)."""
-LITTLE_PARALLAX = 0.5
+MIN_PARALLAX = 0.5
 """Degrees below which depth from the camera's motion counts as uncertain."""
 FEW_STATIC = 0.4
 """Share of static tracks below which the cameras may follow something that moves."""
@@ -58,7 +58,7 @@ def verdict(found: Estimate, unit: float, width: int, focal_given: bool, gaps: G
         kind = "The camera stands still: all cameras are the same, and its motion shows no depth."
     elif found.motion == "rotation":
         kind = "The camera only turns: its motion shows no depth."
-    elif np.degrees(found.parallax) < LITTLE_PARALLAX:
+    elif np.degrees(found.parallax) < MIN_PARALLAX:
         kind = "The camera hardly leaves its place: its motion shows little depth."
     else:
         kind = "The camera moves."

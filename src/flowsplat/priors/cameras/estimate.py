@@ -34,7 +34,7 @@ SAME_FOCAL = 0.005
 """Two complete reconstructions whose focal lengths differ by less than this fraction are taken for the same."""
 MOST_STARTS = 15
 """Attempts at a reconstruction, whatever comes of them."""
-RIM = 0.5
+MIN_STILL_RIM = 0.5
 """Share of what is seen along the image's rim that must stand still; below it the cameras follow something in front."""
 FOLLOWS = 0.5
 """Pixels by which a track may miss its point and still stand still, or four times the median error where that is more."""
@@ -82,12 +82,12 @@ def estimate(positions: np.ndarray, width: float, height: float, focal: float | 
         return found
     follows = _follows(found, positions, seen, width, height)
     rim = on_rim(positions, width, height)
-    if _share(follows, rim) >= RIM or (~follows).sum() < LEAST_TRACKS:
+    if _share(follows, rim) >= MIN_STILL_RIM or (~follows).sum() < LEAST_TRACKS:
         return found
     other = _of_all_frames(positions[~follows], seen[~follows], width, height, focal, solver)
     if other.motion == "unknown":
         return found
-    better = _share(_follows(other, positions, seen, width, height), rim) > max(RIM, _share(follows, rim))
+    better = _share(_follows(other, positions, seen, width, height), rim) > max(MIN_STILL_RIM, _share(follows, rim))
     return replace(other, surrounds=True) if better else found
 
 

@@ -17,11 +17,11 @@ WORKING_SIDE = 854
 """Pixels of the longer side at which points are followed; larger images are reduced."""
 CELLS = 2000
 """About how many points are followed at a time."""
-SMALLEST_SIDE = 100
+MIN_FLOW_SIDE = 100
 """Pixels of the shorter side down to which images are halved for the flow that predicts where points went."""
-WINDOW = 15
+PATCH_SIDE = 15
 """Side of the square of pixels that is compared round a point: large, because precision decides."""
-ALIKE = 0.6
+MIN_SIMILARITY = 0.6
 """Structural similarity from which a point's surroundings are still those of the frame that they were cut from."""
 SAME_PLACE = 1.0
 """Pixels between both answers, from frame to frame and from those surroundings, up to which they are the same."""
@@ -55,7 +55,7 @@ class _Surroundings:
         """Return points [N, 2] of frame ``t`` where their surroundings are the same as before, else where they were."""
         found, shapes, alike = align(self._patches, image, points - np.float32(0.5), self._shapes)
         found += np.float32(0.5)
-        same = (alike > ALIKE) & (np.linalg.norm(found - points, axis=1) < SAME_PLACE)
+        same = (alike > MIN_SIMILARITY) & (np.linalg.norm(found - points, axis=1) < SAME_PLACE)
         points = np.where(same[:, None], found, points)
         self._shapes[same] = shapes[same]
         old = np.flatnonzero(~same | (t - self._since >= RENEWED))
@@ -92,7 +92,7 @@ def follow_points(scene: Scene) -> tuple[np.ndarray, list[int]]:
             image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
         if before is not None:
             expected = points + _coarse_flow(before, image, points)
-            points, ok = refine_points(before, image, points, expected, WINDOW)
+            points, ok = refine_points(before, image, points, expected, PATCH_SIDE)
             numbers, points = numbers[ok], points[ok]
             oldest = oldest_of_crowds(points, 0.6 * spacing)
             numbers, points = numbers[oldest], points[oldest]
@@ -108,7 +108,7 @@ def follow_points(scene: Scene) -> tuple[np.ndarray, list[int]]:
 
 def _coarse_flow(before: np.ndarray, image: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Return [N, 2] displacements of ``points``, right to about a pixel: where the refinement begins."""
-    if min(image.shape) < 2 * SMALLEST_SIDE:
+    if min(image.shape) < 2 * MIN_FLOW_SIDE:
         return sample_map(dis_flow(before, image), points)
     half = (image.shape[1] // 2, image.shape[0] // 2)
     factor = np.array([image.shape[1] / half[0], image.shape[0] / half[1]], np.float32)

@@ -11,7 +11,7 @@ from flowsplat.common.kernels import kernel
 from flowsplat.priors.cameras.bundle import LensPrior, Observations, Reconstruction, adjust, rays, residuals
 from flowsplat.priors.cameras.twoview import Pair, intrinsics, relative_pose
 
-LEAST_POINTS = 10
+MIN_POINTS = 10
 """Triangulated points that a frame must see to be placed."""
 
 
@@ -166,7 +166,7 @@ def _next_frame(model: Model, seen: np.ndarray, refused: np.ndarray) -> int | No
     beside = known[:-2] | known[2:]
     counts = (seen & model.solid[:, None]).sum(0) * (beside & ~known[1:-1])
     best = int(counts.argmax())
-    return best if counts[best] >= LEAST_POINTS else None
+    return best if counts[best] >= MIN_POINTS else None
 
 
 def _place(model: Model, positions: np.ndarray, seen: np.ndarray, frame: int) -> bool:
@@ -182,7 +182,7 @@ def _place(model: Model, positions: np.ndarray, seen: np.ndarray, frame: int) ->
         points, pixels, K, None, rotation.copy(), state.translations[near][:, None].copy(), True, 200, 3.0, 0.999,
         flags=cv2.SOLVEPNP_ITERATIVE,
     )  # fmt: skip
-    if not found or inliers is None or len(inliers) < LEAST_POINTS:
+    if not found or inliers is None or len(inliers) < MIN_POINTS:
         return False
     chosen = inliers[:, 0]
     rotation, translation = cv2.solvePnPRefineLM(points[chosen], pixels[chosen], K, None, rotation, translation)

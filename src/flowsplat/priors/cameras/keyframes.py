@@ -8,10 +8,10 @@ from scipy.spatial.transform import Rotation
 from flowsplat.geometry import Camera
 from flowsplat.geometry.cameras import rigid
 from flowsplat.geometry.paths import CameraPath
-from flowsplat.priors.cameras.bundle import NEAR, Reconstruction
+from flowsplat.priors.cameras.bundle import MIN_DEPTH, Reconstruction
 from flowsplat.priors.cameras.refinement import track_errors, with_points
 
-LONG = 120
+MAX_JOINT_FRAMES = 120
 """Frames up to which all of them are adjusted together."""
 SEARCHED = 48
 """Frames up to which a search for the right start looks at all of them."""
@@ -19,18 +19,18 @@ NEAR_BY = 4
 """Frames between two keyframes of a search, at most."""
 OVERLAPS = (0.7, 0.55, 0.4)
 """Share of a keyframe's tracks that the next one must still see; the next value is tried where too many keyframes remain."""
-WIDEST = 16
+MAX_KEYFRAME_GAP = 16
 """Frames between two keyframes, at most."""
-LEAST_POINTS = 10
+MIN_POINTS = 10
 """Points that a frame must see to be placed."""
 STEPS = 8
 SCALE = 0.5
 """Pixels; residuals beyond it lose their influence."""
-INLIER = 1.0
+INLIER_PIXELS = 1.0
 """Pixels by which a point may miss its track to serve other frames."""
 
 
-def choose_keyframes(seen: np.ndarray, most: int = LONG, widest: int = WIDEST) -> np.ndarray:
+def choose_keyframes(seen: np.ndarray, most: int = MAX_JOINT_FRAMES, widest: int = MAX_KEYFRAME_GAP) -> np.ndarray:
     """Rising frame numbers, the first and the last among them: all frames of a clip that is not long.
 
     Args:
@@ -66,13 +66,13 @@ def place_between(
     often = seen[:, keys].sum(1) >= 2
     positions, seen = positions[often], seen[often]
     state = with_points(state, positions[:, keys], seen[:, keys], free_translations=free_translations)
-    solid = track_errors(state, positions[:, keys], seen[:, keys]) < INLIER
+    solid = track_errors(state, positions[:, keys], seen[:, keys]) < INLIER_PIXELS
     viewmats = between(keys, state.rotations, state.translations, count)
     viewmats[keys, :3, :3], viewmats[keys, :3, 3] = state.rotations, state.translations
     lost = []
     for t in np.setdiff1d(np.arange(count), keys):
         tracks = np.flatnonzero(seen[:, t] & solid)
-        if len(tracks) < LEAST_POINTS:
+        if len(tracks) < MIN_POINTS:
             lost.append(int(t))
             continue
         viewmats[t] = _resect(viewmats[t], state.points[tracks], positions[tracks, t], state.focal, free_translations)
@@ -93,7 +93,7 @@ def _resect(viewmat: np.ndarray, points: np.ndarray, uv: np.ndarray, focal: floa
     for _ in range(STEPS):
         turned = points @ viewmat[:3, :3].T
         p = turned + viewmat[:3, 3]
-        a = focal / np.maximum(p[:, 2], NEAR)
+        a = focal / np.maximum(p[:, 2], MIN_DEPTH)
         r = a[:, None] * p[:, :2] - uv
         square = (r * r).sum(1) / SCALE**2
         cost = float(np.log1p(square).sum())
@@ -103,7 +103,7 @@ def _resect(viewmat: np.ndarray, points: np.ndarray, uv: np.ndarray, focal: floa
         # d uv / d p, then the chain over a small turn w (p changes by w x turned) and a shift.
         D = np.zeros((len(points), 2, 3))
         D[:, 0, 0] = D[:, 1, 1] = a
-        D[:, :, 2] = -(a / np.maximum(p[:, 2], NEAR))[:, None] * p[:, :2]
+        D[:, :, 2] = -(a / np.maximum(p[:, 2], MIN_DEPTH))[:, None] * p[:, :2]
         x, y, z = turned.T
         o = np.zeros_like(x)
         cross = np.stack([o, z, -y, -z, o, x, y, -x, o], 1).reshape(-1, 3, 3)

@@ -17,7 +17,7 @@ from flowsplat.priors.cameras.selection import choose_tracks
 
 PER_CELL = 20
 """About how many tracks of a cell of the image tell the distortion."""
-SURE = 3.0
+MIN_DISTORTION_SIGMAS = 3.0
 """Standard deviations by which the distortion must differ from none to be taken out."""
 LEAST_SLOPE = 0.1
 """How fast a point of the straightened image must at least leave the middle of the one it is taken from."""
@@ -126,5 +126,5 @@ def find_lens(
         turning, moving = misfit(fit.state, centered, seen, free_translations=False), misfit(moved.state, centered, seen)
         fit = fit if turning + NEGLIGIBLE <= SIMPLER * (moving + NEGLIGIBLE) else moved
     lens = Lens.of(fit.state.focal, fit.state.distortion, width, height)
-    clear = abs(lens.distortion) > SURE * fit.distortion_sigma and lens.shift > NOTICEABLE
+    clear = abs(lens.distortion) > MIN_DISTORTION_SIGMAS * fit.distortion_sigma and lens.shift > NOTICEABLE
     return lens if clear else None

@@ -13,15 +13,15 @@ from flowsplat.geometry.paths import CameraPath
 
 COLLAPSE = 0.1
 """Share of points that survive from one frame to the next, below which there is a break."""
-FEW = 0.25
+FEW_SURVIVORS = 0.25
 """The same, where those that survive do not move together."""
-TOGETHER = 0.6
+MIN_HOMOGRAPHY_SHARE = 0.6
 """Share of the survivors that one homography must explain, so that they count as moving together."""
 NEAR_PLANE = 2.0
 """Pixels by which they may miss it."""
 LEAST_TRACKS = 8
 """Tracks below which nothing can be said about the camera."""
-APART = 100.0
+PIECE_DISTANCE = 100.0
 """Median distances between the worlds of two pieces, set side by side: no camera sees into the next one."""
 
 
@@ -41,11 +41,11 @@ def _is_torn(positions: np.ndarray, seen: np.ndarray, a: int, b: int) -> bool:
     share = both.sum() / max(int(seen[:, a].sum()), 1)
     if both.sum() < LEAST_TRACKS or share < COLLAPSE:
         return True
-    if share >= FEW:
+    if share >= FEW_SURVIVORS:
         return False
     # Noise and foreign images always offer some points that look alike, but those move every way.
     _, together = cv2.findHomography(positions[both, a], positions[both, b], cv2.RANSAC, NEAR_PLANE)
-    return together is None or together.mean() < TOGETHER
+    return together is None or together.mean() < MIN_HOMOGRAPHY_SHARE
 
 
 def split(shown: Sequence[int], breaks: Sequence[int]) -> list[list[int]]:
@@ -69,7 +69,7 @@ def join(pieces: Sequence[Sequence[int]], cameras: Sequence[Sequence[Camera]], c
     result: list[Camera] = []
     ends = [piece[0] for piece in pieces[1:]] + [count]
     for number, (frames, found, end) in enumerate(zip(pieces, cameras, ends, strict=True)):
-        path = CameraPath(frames, [_aside(camera, number * APART) for camera in found])
+        path = CameraPath(frames, [_aside(camera, number * PIECE_DISTANCE) for camera in found])
         known = dict(zip(frames, path.cameras, strict=True))
         result += [known.get(t) or path.at(t) for t in range(len(result), end)]
     return result

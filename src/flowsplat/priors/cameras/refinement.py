@@ -10,13 +10,13 @@ from flowsplat.priors.cameras.bundle import USUAL_DISTORTION, LensPrior, Observa
 from flowsplat.priors.cameras.growth import triangulate
 from flowsplat.priors.cameras.smoothness import smooth_path
 
-FAR = 100.0
+MAX_POINT_DEPTH = 100.0
 """Points are kept within this many median depths: a ray without parallax then fixes rotations, not depths."""
 ROUGH_ROUNDS = (1.0, 0.5)
 """Scale of the Cauchy cost in pixels, a round, where cameras are only to be compared with others."""
-ROUNDS = (0.5, 0.2)
+LATE_SCALES = (0.5, 0.2)
 """The same for cameras that have been through the rough rounds."""
-FINE = 1e-5
+FINAL_TOLERANCE = 1e-5
 """An adjustment ends when an iteration lowers its cost by less than this fraction."""
 ROUGH = 1e-4
 """The same of all rounds before the last."""
@@ -72,10 +72,10 @@ def place_points(state: Reconstruction, positions: np.ndarray, seen: np.ndarray)
     nearest, farthest = np.full(len(seen), np.inf), np.zeros(len(seen))
     np.minimum.at(nearest, observed.point, depth)
     np.maximum.at(farthest, observed.point, depth)
-    lost = np.flatnonzero(((nearest <= 1e-3 * median) | (farthest > FAR * median)) & seen.any(1))
+    lost = np.flatnonzero(((nearest <= 1e-3 * median) | (farthest > MAX_POINT_DEPTH * median)) & seen.any(1))
     middle = _middle_view(seen[lost])
     directions = rays(positions[lost, middle], state.focal, state.distortion)
-    ends = np.concatenate([directions, np.ones((len(lost), 1))], 1) * FAR * median
+    ends = np.concatenate([directions, np.ones((len(lost), 1))], 1) * MAX_POINT_DEPTH * median
     points[lost] = np.einsum("nji,nj->ni", state.rotations[middle], ends - state.translations[middle])
     return points
 
@@ -165,7 +165,7 @@ def refine(
     """
     static = np.zeros(len(seen), bool)
     precision = bend_precision = 0.0
-    rounds = ROUGH_ROUNDS if rough else ROUNDS
+    rounds = ROUGH_ROUNDS if rough else LATE_SCALES
     for number, scale in enumerate(rounds):
         if number > 0 or not keep_points:
             state = with_points(state, positions, seen, free_translations=free_translations)
@@ -179,7 +179,7 @@ def refine(
             replace(state, points=state.points[tracks]), observed, scale=scale, fixed_camera=fixed_camera,
             iterations=BENT_ITERATIONS if free_distortion else ITERATIONS, free_focal=free_focal,
             free_translations=free_translations, free_distortion=free_distortion, priors=(prior,),
-            tolerance=FINE if scale == ROUNDS[-1] else ROUGH,
+            tolerance=FINAL_TOLERANCE if scale == LATE_SCALES[-1] else ROUGH,
         )  # fmt: skip
         state = _with_others(done.reconstruction, tracks, state.points)
         precision = max(done.focal_precision - prior.weight, 0.0)

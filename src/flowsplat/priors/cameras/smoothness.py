@@ -25,18 +25,18 @@ from flowsplat.priors.cameras.bundle import (
     residuals,
 )
 
-DIFFERENCES = np.array([-1.0, 3.0, -3.0, 1.0])
+THIRD_DIFFERENCE = np.array([-1.0, 3.0, -3.0, 1.0])
 """Third ones over time, of the camera's places: a steady curve, as round something, has none to speak of."""
-FEWEST = 8
+MIN_FRAMES = 8
 """Frames below which there is no telling how smoothly a camera travels."""
 DEGREES = 4.0
 """Of freedom of the Student distribution: a jolt now and then is no sign of a camera that shakes."""
-ALIKE = 0.25
+CORRELATED_SHARE = 0.25
 """Share of a track over which its errors, and those of its neighbors, are alike, so that they tell as much as one observation."""
 _ROUNDS, _ITERATIONS, _LAST_ITERATIONS = 8, 2, 10
-_SETTLED = 0.03
+_SCALE_TOLERANCE = 0.03
 """Change of the logarithm of the squared scale below which it is found."""
-_HELD = 1e3
+_MAX_CURVATURE_RATIO = 1e3
 """Times the median curvature that the scale of all is held by."""
 
 
@@ -75,12 +75,12 @@ def smooth_path(
     """
     count = len(state.rotations)
     squared = (differences(state) ** 2).sum(1)
-    if count < FEWEST or not np.median(squared) > 0:
+    if count < MIN_FRAMES or not np.median(squared) > 0:
         return state
     error, _ = residuals(state, seen)
-    alike = max(1.0, ALIKE * len(error) / len(np.unique(seen.point)))
+    alike = max(1.0, CORRELATED_SHARE * len(error) / len(np.unique(seen.point)))
     variance = alike * float(np.median(error)) ** 2 / (2 * np.log(2))
-    spread, weights = float(np.median(squared)) / 3, np.ones(count - len(DIFFERENCES) + 1)
+    spread, weights = float(np.median(squared)) / 3, np.ones(count - len(THIRD_DIFFERENCE) + 1)
 
     index = free_parameters(count, fixed_camera, free_focal, free_distortion)
 
@@ -100,15 +100,15 @@ def smooth_path(
         told = float(np.clip(1 - left * weights[:, None] / spread, 1e-3, 1).sum())
         before, spread = spread, max(float((weights[:, None] * squares).sum()) / told, 1e-18)
         weights = (DEGREES + 3) / (DEGREES + (squares + left).sum(1) / spread)
-        if abs(np.log(spread / before)) < _SETTLED:
+        if abs(np.log(spread / before)) < _SCALE_TOLERANCE:
             break
     return step(_LAST_ITERATIONS)[0]
 
 
 def differences(state: Reconstruction) -> np.ndarray:
     """Return [T - 3, 3] third differences of the camera's places."""
-    places, count = state.centers, len(state.rotations) - len(DIFFERENCES) + 1
-    return sum(factor * places[k : k + count] for k, factor in enumerate(DIFFERENCES))
+    places, count = state.centers, len(state.rotations) - len(THIRD_DIFFERENCE) + 1
+    return sum(factor * places[k : k + count] for k, factor in enumerate(THIRD_DIFFERENCE))
 
 
 def _derivatives(state: Reconstruction) -> np.ndarray:
@@ -118,9 +118,9 @@ def _derivatives(state: Reconstruction) -> np.ndarray:
     cross = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)
     back = turns.transpose(0, 2, 1)
     places = np.concatenate([-back @ cross, -back], 2)
-    rows = count - len(DIFFERENCES) + 1
+    rows = count - len(THIRD_DIFFERENCE) + 1
     J, i = np.zeros((rows, 3, count, 6)), np.arange(rows)
-    for shift, factor in enumerate(DIFFERENCES):
+    for shift, factor in enumerate(THIRD_DIFFERENCE):
         J[i, :, i + shift] = factor * places[shift : shift + rows]
     return J.reshape(3 * rows, 6 * count)
 
@@ -135,6 +135,10 @@ def _uncertainty(state: Reconstruction, curvature: np.ndarray, index: np.ndarray
     larger, S = np.zeros(len(curvature)), curvature[np.ix_(index, index)]
     larger[:-LENS].reshape(-1, 6)[:, 3:] = compute_scale_direction(state, fixed_camera)
     larger, usual = larger[index], float(np.median(np.diag(S)))
-    S = S + _HELD * usual * np.outer(larger, larger) / max(float(larger @ larger), 1e-30) + 1e-9 * usual * np.eye(len(S))
+    S = (
+        S
+        + _MAX_CURVATURE_RATIO * usual * np.outer(larger, larger) / max(float(larger @ larger), 1e-30)
+        + 1e-9 * usual * np.eye(len(S))
+    )
     J = np.pad(_derivatives(state), ((0, 0), (0, LENS)))[:, index]
     return np.einsum("ij,ji->i", J, np.linalg.solve(S, J.T)).reshape(-1, 3)

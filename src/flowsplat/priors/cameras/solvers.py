@@ -19,7 +19,7 @@ from flowsplat.priors.cameras.pieces import LEAST_TRACKS
 from flowsplat.priors.cameras.refinement import best_tracks, from_middle, robust_errors, with_points
 from flowsplat.priors.cameras.selection import on_rim
 
-EVERY = 8
+JUDGE_STRIDE = 8
 """Every how many of the longer tracks one is kept from the adjustments."""
 LEAST_VIEWS = 3
 """Frames that such a track was seen in: every second one places its point, the others judge it."""
@@ -27,7 +27,7 @@ LEAST_JUDGES = 30
 """Such tracks below which they cannot be spared."""
 LARGEST_TURN = 3.0
 """Degrees by which the turn from frame to frame may change at once, in any clip."""
-JUMP = 8.0
+MAX_JUMP_RATIO = 8.0
 """Times the usual change of a turn, or of a step, that count as a jump."""
 LARGEST_STEP = 0.03
 """Change of a step, in median distances of the points, that is never a jump."""
@@ -35,7 +35,7 @@ COLLAPSED = 1e-4
 """Extent of the path, in median distances of the points, below which a moving camera does not move."""
 FIELD_OF_VIEW = (8.0, 130.0)
 """Degrees across that cameras have."""
-BETTER = 0.9
+MAX_COST_RATIO = 0.9
 """The second solver is taken where its cost is below this share of the first one's, or where only it is sane."""
 
 
@@ -135,7 +135,7 @@ def prefer(second: Judgment, first: Judgment) -> bool:
     """Return whether the second solver's cameras are to be taken."""
     if second.sane != first.sane:
         return second.sane
-    return second.cost < BETTER * first.cost
+    return second.cost < MAX_COST_RATIO * first.cost
 
 
 def keep_back(seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -145,7 +145,7 @@ def keep_back(seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         seen: [N, T].
     """
     longer = np.flatnonzero(seen.sum(1) >= LEAST_VIEWS)
-    kept = longer[EVERY // 2 :: EVERY]
+    kept = longer[JUDGE_STRIDE // 2 :: JUDGE_STRIDE]
     if len(kept) < LEAST_JUDGES:
         kept = kept[:0]
     return np.setdiff1d(np.arange(len(seen)), kept), kept
@@ -203,10 +203,10 @@ def find_jumps(found: Estimate, frames: Sequence[int] | None = None) -> list[int
     gaps = np.diff(np.arange(count) if frames is None else np.asarray(frames))[:, None]
     turns = Rotation.from_matrix(state.rotations[1:] @ state.rotations[:-1].transpose(0, 2, 1)).as_rotvec() / gaps
     change = np.degrees(np.linalg.norm(np.diff(turns, axis=0), axis=1))
-    jumps = change > max(LARGEST_TURN, JUMP * float(np.median(change)))
+    jumps = change > max(LARGEST_TURN, MAX_JUMP_RATIO * float(np.median(change)))
     if found.motion == "free":
         leaps = np.linalg.norm(np.diff(np.diff(state.centers, axis=0) / gaps, axis=0), axis=1) / _distance(found)
-        jumps |= leaps > max(LARGEST_STEP, JUMP * float(np.median(leaps)))
+        jumps |= leaps > max(LARGEST_STEP, MAX_JUMP_RATIO * float(np.median(leaps)))
     # One jump changes two steps: it is named once, before the frame that it leads to.
     places = np.flatnonzero(jumps) + 1
     return [int(t) for k, t in enumerate(places) if k == 0 or t > places[k - 1] + 1]

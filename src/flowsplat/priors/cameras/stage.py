@@ -23,7 +23,7 @@ from flowsplat.scenes.replacing import replace_images
 
 LENS_ROUNDS = 2
 """How often the lens is estimated, each time with the cameras that the one before allowed."""
-SETTLED = 0.1
+MAX_LENS_CHANGE = 0.1
 """Pixels of the border by which a lens may change and count as found."""
 OWN = "tracks"
 """Method of cameras that this stage computed."""
@@ -189,7 +189,7 @@ def _find_lens(tracks: _Tracks, solved: list[Solved], solver: str, focal: float 
     lens, positions = None, tracks.of_piece(tracks.longest)
     for _ in range(LENS_ROUNDS):
         new = find_lens(positions, tracks.width, tracks.height, focal, solved[tracks.longest].found, lens)
-        if new is None or (lens is not None and abs(new.shift - lens.shift) < SETTLED):
+        if new is None or (lens is not None and abs(new.shift - lens.shift) < MAX_LENS_CHANGE):
             break
         lens, solved = new, tracks.solve(solver, focal, new)
     return lens, solved

@@ -21,7 +21,7 @@ from flowsplat.scenes import Depth, Scene
 NEAREST_DEPTH, FURTHEST_DEPTH = 0.05, 30.0
 """Multiples of the median depth between which all depths lie."""
 
-MARGIN, KNOWN_MARGIN = 1.03, 1.02
+FRONT_MARGIN, KNOWN_MARGIN = 1.03, 1.02
 """How much nearer than all that is known to be behind it an object is at least: where nothing tells its distance, and where
 something does. A foot is as far away as the ground that it stands on."""
 TIED = 0.14
@@ -29,7 +29,7 @@ PLACES = {"contact", "bounce", "pivot", "contact_hint", "same_depth_hint"}
 """Standard deviation of an object's ln distance up to which it may stand behind what is only filled in, and the cues that tie it
 to a place of the still scene, with which it may do so, too."""
 OBJECT_CONFIDENCE = 0.6
-MOSTLY = 0.6
+MIN_TRUSTED_SHARE = 0.6
 """Share of trusted pixels from which depth is called known."""
 TRUSTED_WEIGHT = 5.0
 """Weight at which a static pixel has a confidence of one half."""
@@ -67,7 +67,7 @@ def depth_stage(
     share, static_share = measure_trusted_shares(scene)
     if clip.has_parallax:
         verdict = f"{static_share:.0%} of the still scene trusted"
-        if static_share < MOSTLY:
+        if static_share < MIN_TRUSTED_SHARE:
             verdict += ": the rest is filled in, and new views from aside will show it"
         large = large_objects(scene) if objects.objects else set()
         counted = [obj for obj in objects.objects if obj.number in large]
@@ -114,7 +114,7 @@ def _frame_depth(
         nearness = np.where(known > 0, 1 / np.maximum(known, 1e-9), 0)
         # Nothing lies behind what other frames are sure of; what nothing ties stays just in front of what is filled in, too.
         tied = np.isin(mask, [obj.number for obj in objects.objects if obj.sigma <= TIED or not PLACES.isdisjoint(obj.cues)])
-        static = np.where(moving, np.maximum(nearness, np.where(tied, KNOWN_MARGIN * sure, MARGIN * front)), static)
+        static = np.where(moving, np.maximum(nearness, np.where(tied, KNOWN_MARGIN * sure, FRONT_MARGIN * front)), static)
     limits = background.median / FURTHEST_DEPTH, background.median / NEAREST_DEPTH
     depth = 1 / np.clip(static, *limits)
     confidence = np.where(moving, OBJECT_CONFIDENCE, share * weight / (weight + TRUSTED_WEIGHT))

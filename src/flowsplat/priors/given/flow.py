@@ -10,7 +10,7 @@ import numpy as np
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_bytes, read_npz
-from flowsplat.geometry.cameras import FURTHEST
+from flowsplat.geometry.cameras import MAX_COORDINATE
 from flowsplat.images.header import MOST_PIXELS
 from flowsplat.priors.given import megasam
 from flowsplat.priors.given.fitting import refuse_later_frames, require_frames, require_shape
@@ -68,7 +68,7 @@ def _fit_to_frames(path: Path, i: int, j: int, arrays: Arrays, scene: Scene) -> 
     # Whole numbers are 1/64 pixels and 255 is certain, as in a scene folder; floating-point numbers mean themselves.
     flow = flow / np.float32(FLOW_UNIT) if flow.dtype.kind in "iu" else flow.astype(np.float32)
     confidence = confidence / np.float32(255) if confidence.dtype.kind in "iu" else confidence.astype(np.float32)
-    if not ((np.abs(flow) <= FURTHEST).all() and np.isfinite(confidence).all()):
+    if not ((np.abs(flow) <= MAX_COORDINATE).all() and np.isfinite(confidence).all()):
         raise InputError(f"{path} holds values that are not finite: set them to 0 with confidence 0.")
     size = (scene.width, scene.height)
     scale = np.array([scene.width / width, scene.height / height], np.float32)

@@ -39,27 +39,27 @@ from flowsplat.priors.background.static_depth import StaticDepth
 SEEN_FROM = (4, 8, 12, 16, 24, 32, 48)
 """Training frames before and after, whose images are compared."""
 
-FEW = 16
+FEW_FRAMES = 16
 """Training frames of a clip up to which its images are few and lie far apart: all others are compared, and the flow hardly
 joins them."""
 
-ENOUGH = 2
+MIN_VIEWS = 2
 """Frames that must see a pixel's static point for its image to count."""
 
-AGREEING = 0.33
+SIMILAR_SHARE = 0.33
 """Share of the frames that look most like the pixel, whose last one is compared with it."""
 
-SHADE, SHADES = 9, (0.55, 1.25)
+SHADE_SIDE, SHADE_RANGE = 9, (0.55, 1.25)
 """Side in pixels of the square in which a shadow is even, and the range of its brightness."""
 
 SHADE_COST = 0.25
 """How much a brightness other than 1 counts, as a share of the brightness."""
 
-NOISE, SHIFT = 6.0, 0.5
+NOISE_LEVELS, SHIFT_PIXELS = 6.0, 0.5
 """Gray levels and pixels by which a plate is off where nothing moves."""
 
 
-UNSEEN = 1e30
+UNSEEN_DIFFERENCE = 1e30
 """Squared difference of what is not seen."""
 
 
@@ -78,10 +78,10 @@ class CleanPlate:
     def residual(self, k: int) -> np.ndarray:
         """Return how many times its noise a frame differs from its plate, [H, W] float32; 1 or less is rest, -1 is unknown."""
         clip, frame = self._clip, self._frame(k)
-        offsets = SEEN_FROM if len(clip) > FEW else range(1, FEW)
+        offsets = SEEN_FROM if len(clip) > FEW_FRAMES else range(1, FEW_FRAMES)
         around = [k + sign * offset for offset in offsets for sign in (-1, 1)]
         others = [j for j in around if 0 <= j < len(clip) and clip.continuity.are_joined(k, j)]
-        if len(others) < ENOUGH:
+        if len(others) < MIN_VIEWS:
             return np.full(frame.shape[:2], -1, np.float32)
         inverse = self._background.behind(k)
         depth = 1 / np.maximum(upsample(inverse, frame, clip.scene.width, clip.scene.height), 1e-3 * float(np.median(inverse)))
@@ -93,8 +93,8 @@ class CleanPlate:
             words.reshape(-1), plate, spread, count,
         )  # fmt: skip
         # Of many frames those that look most like the pixel decide, and others may be of an object; few images must all agree.
-        spread *= len(clip) <= FEW
-        return np.where(count >= ENOUGH, difference(frame, plate, spread), -1)
+        spread *= len(clip) <= FEW_FRAMES
+        return np.where(count >= MIN_VIEWS, difference(frame, plate, spread), -1)
 
 
 def _poses(camera: Camera, others: list[Camera]) -> tuple[np.ndarray, np.ndarray]:
@@ -115,8 +115,8 @@ def _plate(
     """
     H, W = depth.shape
     J = len(poses)
-    half, one, nothing, far = np.float32(0.5), np.float32(1), np.float32(0), np.float32(UNSEEN)
-    width, height, agreeing = np.float32(W), np.float32(H), np.float32(AGREEING)
+    half, one, nothing, far = np.float32(0.5), np.float32(1), np.float32(0), np.float32(UNSEEN_DIFFERENCE)
+    width, height, agreeing = np.float32(W), np.float32(H), np.float32(SIMILAR_SHARE)
     K = intrinsics[0]
     room = max(W, LANES)
     for y in range(begin, end):
@@ -195,13 +195,13 @@ def average_similar(seen, apart, count, n, share):
 
     Args:
         seen: [3 count lanes] of every frame, red, green and blue.
-        apart: [count lanes] how far each is from the pixel, squared; ``UNSEEN`` where it sees nothing. Spoiled.
+        apart: [count lanes] how far each is from the pixel, squared; ``UNSEEN_DIFFERENCE`` where it sees nothing. Spoiled.
         n: how many see something.
 
     Returns:
         red, green, blue, and how far half of them are from these, a mean squared difference.
     """
-    half, one, nothing, far = np.float32(0.5), np.float32(1), np.float32(0), np.float32(UNSEEN)
+    half, one, nothing, far = np.float32(0.5), np.float32(1), np.float32(0), np.float32(UNSEEN_DIFFERENCE)
     wanted = whole(maximum(share * (n - one) + half, broadcast(nothing)))
     red, green, blue = broadcast(nothing), broadcast(nothing), broadcast(nothing)
     for j in range(count):
@@ -240,11 +240,11 @@ def difference(frame: np.ndarray, plate: np.ndarray, spread: np.ndarray) -> np.n
         spread: mean squared difference [H, W] of what it is made from.
     """
     image = frame.astype(np.float32)
-    size = (SHADE, SHADE)
+    size = (SHADE_SIDE, SHADE_SIDE)
     shade = cv2.boxFilter((image * plate).sum(-1), -1, size) / np.maximum(cv2.boxFilter((plate * plate).sum(-1), -1, size), 1)
-    shade = np.clip(shade, *SHADES)
+    shade = np.clip(shade, *SHADE_RANGE)
     squared = ((image - shade[..., None] * plate) ** 2).mean(-1) + (SHADE_COST * (1 - shade)) ** 2 * (plate**2).mean(-1)
     smooth = cv2.GaussianBlur(image, (0, 0), 1.0)
     slope = sum((cv2.Sobel(smooth, cv2.CV_32F, *axes, scale=1 / 8) ** 2).mean(-1) for axes in ((1, 0), (0, 1)))
     steepest = cv2.dilate(slope, np.ones((3, 3), np.uint8))
-    return np.sqrt(squared / (NOISE**2 + SHIFT**2 * steepest + spread)).astype(np.float32)
+    return np.sqrt(squared / (NOISE_LEVELS**2 + SHIFT_PIXELS**2 * steepest + spread)).astype(np.float32)

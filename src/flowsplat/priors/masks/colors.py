@@ -12,11 +12,11 @@ STEPS = (8, 4, 4)
 ROUND = 0.07
 """Share of the long side within which colors are those round an object."""
 
-FEWEST = 200
+MIN_COLOR_PIXELS = 200
 """Pixels of objects that make a model."""
 
 _SHAPE = tuple(256 // step for step in STEPS)
-_FLOOR = 1e-5
+_MIN_COLOR_SHARE = 1e-5
 """Share of all pixels at which a color is neither's."""
 
 
@@ -36,11 +36,11 @@ class Colors:
 
     def table(self) -> np.ndarray | None:
         """For every bin the logarithm to base 2 of how much more often objects have its color; None without objects."""
-        if self._counts.sum(1).min() < FEWEST:
+        if self._counts.sum(1).min() < MIN_COLOR_PIXELS:
             return None
         shares = np.stack([gaussian_filter(count.reshape(_SHAPE), 1.0) for count in self._counts])
         shares /= shares.sum((1, 2, 3), keepdims=True)
-        return np.log2((shares[1] + _FLOOR) / (shares[0] + _FLOOR)).astype(np.float32).ravel()
+        return np.log2((shares[1] + _MIN_COLOR_SHARE) / (shares[0] + _MIN_COLOR_SHARE)).astype(np.float32).ravel()
 
 
 def look_up(table: np.ndarray, frame: np.ndarray) -> np.ndarray:

@@ -19,25 +19,25 @@ from flowsplat.geometry.interpolation import sample_map
 from flowsplat.images.edge_smoothing import EdgeSmoother
 from flowsplat.priors.background.matched_clip import RESTS, MatchedClip
 from flowsplat.priors.background.static_depth import StaticDepth
-from flowsplat.priors.masks.background_plate import FEW
+from flowsplat.priors.masks.background_plate import FEW_FRAMES
 from flowsplat.priors.masks.photometric_residual import Unexplained
 from flowsplat.scenes.layers import TRUSTED
 
-STRONGEST = 1.5
+MAX_FRAME_EVIDENCE = 1.5
 """Largest evidence of one frame, for or against motion: the logarithm to base 2 of the motion over ``estimate_resting_motion``."""
 
-USUAL, CALMEST = 3.5, 1.0
+RESTING_MOTION_RATIO, MIN_RESTING_MOTION = 3.5, 1.0
 """Multiples of the median motion of all pixels that are neither evidence of motion nor of rest, and the least that may be."""
-SAMPLES = 24
+MOTION_SAMPLES = 24
 """Frames that the median is taken from."""
-SHARE, AROUND = 0.35, 0.04
+FADE_SHARE, FADE_REACH = 0.35, 0.04
 """Flow fades from an object to what rests beside it, so rest ends at this share of the largest motion around it. So far around, in
 units of the long side."""
 
 MEMORY = 0.9
 """Share of the evidence that a frame takes over from the next and the one before."""
 
-SMALLEST = 0.001
+MIN_OBJECT_SHARE = 0.001
 """Share of the image below which an object is dropped; a hole is closed below a quarter of it."""
 
 _SMOOTHNESS, _COLOR_SIGMA = 10.0, 12.0
@@ -69,7 +69,7 @@ def choose_weighing(clip: MatchedClip) -> Weighing:
     """
     if not clip.has_sure_depth:
         return MATCHES_ALONE
-    return FEW_IMAGES if len(clip) <= FEW else MANY_FRAMES
+    return FEW_IMAGES if len(clip) <= FEW_FRAMES else MANY_FRAMES
 
 
 def motion_evidence(clip: MatchedClip, background: StaticDepth) -> list[np.ndarray]:
@@ -120,9 +120,9 @@ def estimate_resting_motion(clip: MatchedClip) -> float:
 
     What is expected is the noise of a hard clip. Most pixels rest, so that their median tells how large it really is.
     """
-    some = [clip[k].motion for k in range(0, len(clip), max(1, len(clip) // SAMPLES))]
+    some = [clip[k].motion for k in range(0, len(clip), max(1, len(clip) // MOTION_SAMPLES))]
     known = np.concatenate([motion[motion > 0] for motion in some])
-    return float(np.clip(USUAL * np.median(known), CALMEST, RESTS)) if len(known) else RESTS
+    return float(np.clip(RESTING_MOTION_RATIO * np.median(known), MIN_RESTING_MOTION, RESTS)) if len(known) else RESTS
 
 
 def compute_own_evidence(clip: MatchedClip, k: int, rests: float) -> np.ndarray:
@@ -132,11 +132,11 @@ def compute_own_evidence(clip: MatchedClip, k: int, rests: float) -> np.ndarray:
         rests: where they are neither.
     """
     motion = clip[k].motion
-    reach = max(1, round(AROUND * max(motion.shape)))
+    reach = max(1, round(FADE_REACH * max(motion.shape)))
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
     largest = cv2.dilate(cv2.medianBlur(motion.astype(np.float32), 5), disc)
-    strength = np.log2(np.maximum(motion, 1e-3) / np.clip(SHARE * largest, rests, RESTS))
-    return np.where(motion > 0, np.clip(strength, -STRONGEST, STRONGEST), 0)
+    strength = np.log2(np.maximum(motion, 1e-3) / np.clip(FADE_SHARE * largest, rests, RESTS))
+    return np.where(motion > 0, np.clip(strength, -MAX_FRAME_EVIDENCE, MAX_FRAME_EVIDENCE), 0)
 
 
 def _warp(evidence: np.ndarray, flow: np.ndarray, confidence: np.ndarray) -> np.ndarray:
@@ -168,7 +168,7 @@ def enlarge(evidence: np.ndarray, like: np.ndarray) -> np.ndarray:
 def parts(moving: np.ndarray, support: np.ndarray, least: float) -> np.ndarray:
     """Return the parts of a mask [H, W] uint8 that are large enough and have a mean ``visibility`` [H, W] of ``least``; holes
     closed."""
-    smallest = SMALLEST * moving.size
+    smallest = MIN_OBJECT_SHARE * moving.size
     _, holes, stats, _ = cv2.connectedComponentsWithStats(1 - moving, connectivity=4)
     moving = np.where((stats[:, cv2.CC_STAT_AREA] < smallest / 4)[holes], np.uint8(1), moving)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(moving)

@@ -34,36 +34,36 @@ from flowsplat.priors.background.bits import pack
 from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.reprojection import reproject
 from flowsplat.priors.background.static_depth import StaticDepth
-from flowsplat.priors.masks.background_plate import AGREEING, UNSEEN, average_similar, bilinear, difference
+from flowsplat.priors.masks.background_plate import SIMILAR_SHARE, UNSEEN_DIFFERENCE, average_similar, bilinear, difference
 from flowsplat.priors.masks.plane_sweep import largest_share
 
-WITNESSES = 16
+ASKED_FRAMES = 16
 """Other frames that are asked, evenly over a piece of the clip."""
 
-SAME = 0.04
+SURFACE_TOLERANCE = 0.04
 """Share of the inverse depth by which two values of one surface differ at most."""
 
-ENOUGH, LEAST = 0.25, 2
+MIN_VOTE_SHARE, MIN_VOTES = 0.25, 2
 """Share of the frames that see anything at a pixel, and number of them, that must agree on a surface."""
 
-SURFACES = 3
+MAX_SURFACES = 3
 """That are compared with a pixel at most, those of the most votes."""
 
-DOUBTED = 0.5
+MIN_SWEEP_RESIDUAL = 0.5
 """Multiples of its noise by which a pixel must differ from every surface to be looked for at other depths."""
 
-NEAR = 20.0
+MAX_SWEEP_INVERSE_DEPTH = 20.0
 """Largest inverse depth at which it is looked for, in those of the clip's median."""
 
-EVERY = 2
+SWEEP_STRIDE = 2
 """Only every so many pixels is it looked for, which takes most of the time."""
 
-UNTOLD = 0.6
+UNKNOWN_SHARE = 0.6
 """Share that a pixel has which too few other frames could see at any depth."""
 
-DIFFERENCES = (0.7, 1.1, 1.6, 2.5, 3.5)
-SHARES = (0.05, 0.22, 0.37, 0.52, 0.67, 0.82, 0.97)
-ODDS = np.array([
+RESIDUAL_BINS = (0.7, 1.1, 1.6, 2.5, 3.5)
+SHARE_BINS = (0.05, 0.22, 0.37, 0.52, 0.67, 0.82, 0.97)
+LOG_ODDS = np.array([
     [0.5, 3.0, 2.4, 2.5, 2.0, 0.0, -2.0],
     [2.2, 3.8, 3.2, 3.0, 2.0, 0.0, -2.0],
     [3.7, 4.5, 3.6, 3.2, 2.0, 0.0, -2.0],
@@ -75,13 +75,13 @@ others see (rows), and look like so large a share of other frames at one depth (
 wide images and seven of 40 frames, which said nearly the same; but what looks like four frames of five at one depth counts as
 still, which is right where there are many frames: thin things before the scene (poles) are often missing in its depth."""
 
-UNKNOWN = (1.5, 3.0, 2.1, 1.0, -0.2, -2.1, -4.0)
+LOG_ODDS_WITHOUT_SURFACE = (1.5, 3.0, 2.1, 1.0, -0.2, -2.1, -4.0)
 """The same where no surface is known."""
 
-LIKE = -1.75
+LOG_ODDS_EXPLAINED = -1.75
 """The same for what looks like a surface that others see."""
 
-SUPPORTED = 1.0
+MIN_DEPTH_WEIGHT = 1.0
 """Weight from which static depth of another frame counts: less than alone, because frames must agree."""
 
 
@@ -98,11 +98,15 @@ class Unexplained:
         off, share = self.residual(k)
         if (off < 0).all():
             return np.zeros_like(off)
-        told = np.where(share < 0, np.float32(UNTOLD), share)
-        column = np.interp(told, SHARES, np.arange(len(SHARES)))
-        row = np.interp(off, DIFFERENCES, np.arange(len(DIFFERENCES)))
-        known = map_coordinates(ODDS, [row, column], order=1)
-        found = np.where(off < 0, np.interp(told, SHARES, UNKNOWN), np.where(off <= DOUBTED, LIKE, known))
+        told = np.where(share < 0, np.float32(UNKNOWN_SHARE), share)
+        column = np.interp(told, SHARE_BINS, np.arange(len(SHARE_BINS)))
+        row = np.interp(off, RESIDUAL_BINS, np.arange(len(RESIDUAL_BINS)))
+        known = map_coordinates(LOG_ODDS, [row, column], order=1)
+        found = np.where(
+            off < 0,
+            np.interp(told, SHARE_BINS, LOG_ODDS_WITHOUT_SURFACE),
+            np.where(off <= MIN_SWEEP_RESIDUAL, LOG_ODDS_EXPLAINED, known),
+        )
         return np.where((off < 0) & (share < 0), 0, found).astype(np.float32)
 
     def residual(self, k: int) -> tuple[np.ndarray, np.ndarray]:
@@ -115,8 +119,8 @@ class Unexplained:
         """
         clip, image = self._clip, self._image(k)
         piece = [j for j in range(len(clip)) if clip.continuity.are_joined(k, j) and j != k]
-        others = [piece[n] for n in spread(len(piece), min(WITNESSES, len(piece)))] if piece else []
-        if len(others) < LEAST:
+        others = [piece[n] for n in spread(len(piece), min(ASKED_FRAMES, len(piece)))] if piece else []
+        if len(others) < MIN_VOTES:
             return np.full(image.shape[:2], -1, np.float32), np.zeros(image.shape[:2], np.float32)
         cameras = [clip.cameras[j] for j in others]
         values = np.stack([self._reproject(j, k) for j in others])
@@ -124,30 +128,34 @@ class Unexplained:
         poses = np.array([camera.pose_from(clip.cameras[k]) for camera in cameras], np.float32)
         frames = np.stack([self._image(j) for j in others])
         words = pack(frames, np.zeros(frames.shape[:3], np.bool_))
-        plates, scatter = np.empty((SURFACES, *image.shape), np.float32), np.empty((SURFACES, *image.shape[:2]), np.float32)
+        plates, scatter = np.empty((MAX_SURFACES, *image.shape), np.float32), np.empty((MAX_SURFACES, *image.shape[:2]), np.float32)
         counts = np.empty(scatter.shape, np.uint8)
         parallel_for(_plates, len(image), image, values, intrinsics, poses, words.reshape(-1), plates, scatter, counts)
-        off = np.stack([np.where(counts[s] > 0, difference(image, plates[s], scatter[s]), np.inf) for s in range(SURFACES)]).min(0)
+        off = np.stack(
+            [np.where(counts[s] > 0, difference(image, plates[s], scatter[s]), np.inf) for s in range(MAX_SURFACES)]
+        ).min(0)
         off = np.where(np.isfinite(off), off, -1).astype(np.float32)
-        asked = (off < 0) | (off > DOUBTED)
+        asked = (off < 0) | (off > MIN_SWEEP_RESIDUAL)
         return off, np.where(asked, self._share(image, asked, intrinsics, poses, words), 1)
 
     def _share(
         self, image: np.ndarray, asked: np.ndarray, intrinsics: np.ndarray, poses: np.ndarray, words: np.ndarray
     ) -> np.ndarray:
-        """``largest_share`` of every ``EVERY``th pixel in both directions, which speaks for those beside it, too."""
+        """``largest_share`` of every ``SWEEP_STRIDE``th pixel in both directions, which speaks for those beside it, too."""
         height, width = asked.shape
-        near = cv2.dilate(asked.astype(np.uint8), np.ones((EVERY, EVERY), np.uint8)) > 0
+        near = cv2.dilate(asked.astype(np.uint8), np.ones((SWEEP_STRIDE, SWEEP_STRIDE), np.uint8)) > 0
         few = np.zeros_like(asked)
-        middle = slice(EVERY // 2, None, EVERY)
+        middle = slice(SWEEP_STRIDE // 2, None, SWEEP_STRIDE)
         few[middle, middle] = near[middle, middle]
-        share = largest_share(image, few, NEAR * self._clip.median, intrinsics, poses, words)[middle, middle]
-        y, x = (np.minimum(np.arange(size) // EVERY, known - 1) for size, known in zip((height, width), share.shape, strict=True))
+        share = largest_share(image, few, MAX_SWEEP_INVERSE_DEPTH * self._clip.median, intrinsics, poses, words)[middle, middle]
+        y, x = (
+            np.minimum(np.arange(size) // SWEEP_STRIDE, known - 1) for size, known in zip((height, width), share.shape, strict=True)
+        )
         return share[np.ix_(y, x)]
 
     def _read_known(self, j: int) -> tuple[np.ndarray, np.ndarray]:
         inverse, weight = self._background.fill(j)
-        return inverse, np.where(weight > SUPPORTED, weight, 0).astype(np.float32)
+        return inverse, np.where(weight > MIN_DEPTH_WEIGHT, weight, 0).astype(np.float32)
 
     def _reproject(self, j: int, k: int) -> np.ndarray:
         """Return inverse depth that frame j is sure of, at the pixels of frame k; 0 where it knows none."""
@@ -164,9 +172,9 @@ def _plates(
 ) -> None:  # fmt: skip
     """Colors [S, h, w, 3], their mean squared differences [S, h, w] and number of frames of surfaces that frames agree on."""
     J, H, W = values.shape
-    half, one, nothing, far = np.float32(0.5), np.float32(1), np.float32(0), np.float32(UNSEEN)
-    same, quarter, least = np.float32(SAME), np.float32(ENOUGH), np.float32(LEAST)
-    right, bottom, agreeing = np.float32(W - 1), np.float32(H - 1), np.float32(AGREEING)
+    half, one, nothing, far = np.float32(0.5), np.float32(1), np.float32(0), np.float32(UNSEEN_DIFFERENCE)
+    same, quarter, least = np.float32(SURFACE_TOLERANCE), np.float32(MIN_VOTE_SHARE), np.float32(MIN_VOTES)
+    right, bottom, agreeing = np.float32(W - 1), np.float32(H - 1), np.float32(SIMILAR_SHARE)
     K = intrinsics[0]
     room = max(W, LANES)
     for y in range(begin, end):
@@ -177,8 +185,8 @@ def _plates(
             for q in range(3):
                 rows[(J + q) * room + x] = np.float32(frame[y, min(x, W - 1), q])
         seen, apart = np.empty(3 * J * LANES, np.float32), np.empty(J * LANES, np.float32)
-        found = np.empty(SURFACES * 5 * room, np.float32)
-        for x in range(SURFACES * 5 * room):
+        found = np.empty(MAX_SURFACES * 5 * room, np.float32)
+        for x in range(MAX_SURFACES * 5 * room):
             found[x] = nothing
         dy = (np.float32(y) + half - K[3]) / K[1]
         for block in range(0, room, LANES):
@@ -190,7 +198,7 @@ def _plates(
                 store(left, a * LANES, here)
                 said = said + here
             needed = maximum(broadcast(least), whole(quarter * said + np.float32(0.999)))
-            for s in range(SURFACES):
+            for s in range(MAX_SURFACES):
                 most, center = broadcast(nothing), broadcast(nothing)
                 for a in range(J):
                     value, votes = load(rows, a * room + first), broadcast(nothing)
@@ -244,7 +252,7 @@ def _plates(
                 store(found, at + 2 * room, where_above(n, nothing, blue, none))
                 store(found, at + 3 * room, where_above(n, nothing, off, none))
                 store(found, at + 4 * room, n)
-        for s in range(SURFACES):
+        for s in range(MAX_SURFACES):
             for x in range(W):
                 for q in range(3):
                     plates[s, y, x, q] = found[(5 * s + q) * room + x]

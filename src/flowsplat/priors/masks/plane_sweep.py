@@ -25,10 +25,10 @@ from flowsplat.common.threads import parallel_for
 SIDE = 15.0
 """Mean difference in gray levels from the pixel itself from which one beside it belongs to something else."""
 
-MOST = 400
+MAX_DEPTHS = 400
 """Depths that are tried at most, a working pixel apart in the frame that sees them shift most."""
 
-ALIKE, FEWEST = 10.0, 4
+MAX_GRAY_DIFFERENCE, MIN_FRAMES = 10.0, 4
 """Mean difference of 3 x 3 pixels in gray levels up to which another frame shows the same, and frames that must see a place."""
 
 
@@ -46,7 +46,7 @@ def largest_share(
         words: [J, h, w] the others, as from ``packed``.
 
     Returns:
-        0 to 1; -1 where not asked, along the border, and where fewer than ``FEWEST`` would see it at any depth.
+        0 to 1; -1 where not asked, along the border, and where fewer than ``MIN_FRAMES`` would see it at any depth.
     """
     result = np.full(asked.shape, -1, np.float32)
     parallel_for(
@@ -59,7 +59,9 @@ def _limits(image: np.ndarray) -> np.ndarray:
     """Return [h, w] float32: mean difference in gray levels up to which another frame shows the same."""
     smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 0.7)
     slope = sum((cv2.Sobel(smooth, cv2.CV_32F, *axes, scale=1 / 8) ** 2).mean(-1) for axes in ((1, 0), (0, 1)))
-    return np.minimum(np.float32(ALIKE) + np.float32(0.5) * np.sqrt(slope), np.float32(2 * ALIKE)).astype(np.float32)
+    return np.minimum(
+        np.float32(MAX_GRAY_DIFFERENCE) + np.float32(0.5) * np.sqrt(slope), np.float32(2 * MAX_GRAY_DIFFERENCE)
+    ).astype(np.float32)
 
 
 @kernel
@@ -73,7 +75,7 @@ def _largest_share(
     """
     (H, W), J = asked.shape, len(poses)
     half, one, nothing = np.float32(0.5), np.float32(1), np.float32(0)
-    right, bottom, fewest = np.float32(W - 1), np.float32(H - 1), np.float32(FEWEST)
+    right, bottom, fewest = np.float32(W - 1), np.float32(H - 1), np.float32(MIN_FRAMES)
     K = intrinsics[0]
     for y in range(begin, end):
         rays, like, here = np.empty((J, 3), np.float32), np.empty((3, 3), np.bool_), np.empty((3, 3, 3), np.float32)
@@ -99,7 +101,7 @@ def _largest_share(
                 for r in range(2):
                     reach += (poses[j, r, 3]) ** 2
                 longest = max(longest, np.sqrt(reach) * near * K[0])
-            steps = min(max(int(longest), 8), MOST)
+            steps = min(max(int(longest), 8), MAX_DEPTHS)
             best = np.float32(-1)
             for n in range(0, steps, LANES):
                 # Those beyond the last one are it once more.

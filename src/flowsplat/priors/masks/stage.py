@@ -24,25 +24,25 @@ from flowsplat.priors.masks.motion import choose_weighing, enlarge, motion_evide
 from flowsplat.priors.masks.numbers import number_objects
 from flowsplat.scenes import Scene
 
-DIFFERS = 1.7
+NEUTRAL_RESIDUAL = 1.7
 """Multiples of its noise at which a difference from the plate is evidence of neither motion nor rest."""
 
-STRONGEST = 2.5
+MAX_PLATE_EVIDENCE = 2.5
 """Largest evidence of a difference from the plate: a logarithm to base 2."""
 
-OF_MOTION, FULL_MOTION = 0.6, 8.0
+MOTION_WEIGHT, FULL_MOTION = 0.6, 8.0
 """Largest evidence of rest that motion gives, and the summed motion evidence at which it does; of motion half as much more."""
 
-OF_COLOR, FULL_COLOR = 0.7, 1.8
+COLOR_WEIGHT, MAX_COLOR_EVIDENCE = 0.7, 1.8
 """Weight of the colors' logarithm to base 2, and the most that it counts."""
 
 MEMORY = 0.5
 """Share of the evidence that a frame takes over from the next and the one before."""
 
-MOVES = 0.3
+MIN_MOVING_SHARE = 0.3
 """Share of a part that must have been found by its motion."""
 
-MARGIN = 0.01
+BLOCKED_MARGIN = 0.01
 """Share of the long side by which an object may be larger than its motion shows."""
 
 MODEL_FRAMES = 16
@@ -108,14 +108,16 @@ def _compute_own_evidence(clip: MatchedClip, motion: list[np.ndarray]) -> list[n
 def _plate_evidence(clip: MatchedClip, motion: list[np.ndarray]) -> list[np.ndarray]:
     """Return [H, W] float16 of every training frame, positive for motion: how it differs from its plate, and the matches."""
     scene = clip.scene
-    side = 2 * max(1, round(MARGIN * max(scene.width, scene.height) / 2)) + 1
+    side = 2 * max(1, round(BLOCKED_MARGIN * max(scene.width, scene.height) / 2)) + 1
     masks = [cv2.dilate(scene.mask(i), np.ones((side, side), np.uint8)) > 0 for i in scene.train_frames]
     plate = CleanPlate(clip, static_depth(clip, True), np.stack(masks))
     evidence = []
     for k in track(range(len(clip)), "Clean plates"):
         residual = plate.residual(k)
-        differs = np.clip(np.log2(np.maximum(residual, 1e-3) / np.float32(DIFFERS)), -STRONGEST, STRONGEST)
-        moves = OF_MOTION * np.clip(enlarge(motion[k], residual) / FULL_MOTION, -1, 1.5)
+        differs = np.clip(
+            np.log2(np.maximum(residual, 1e-3) / np.float32(NEUTRAL_RESIDUAL)), -MAX_PLATE_EVIDENCE, MAX_PLATE_EVIDENCE
+        )
+        moves = MOTION_WEIGHT * np.clip(enlarge(motion[k], residual) / FULL_MOTION, -1, 1.5)
         evidence.append((np.where(residual >= 0, differs, 0) + moves).astype(np.float16))
     return evidence
 
@@ -129,7 +131,7 @@ def _add_colors(clip: MatchedClip, evidence: list[np.ndarray], motion: list[np.n
     table = colors.table()
     if table is None:
         return
-    table = np.float32(OF_COLOR) * np.clip(table, -FULL_COLOR, FULL_COLOR)
+    table = np.float32(COLOR_WEIGHT) * np.clip(table, -MAX_COLOR_EVIDENCE, MAX_COLOR_EVIDENCE)
     for k, i in enumerate(scene.train_frames):
         evidence[k] = (evidence[k] + look_up(table, scene.frame(i))).astype(np.float16)
 
@@ -155,4 +157,4 @@ def _propagate(clip: MatchedClip, evidence: list[np.ndarray]) -> Iterator[np.nda
 def _outline(evidence: np.ndarray, frame: np.ndarray, motion: np.ndarray) -> np.ndarray:
     """Return the mask [H, W] uint8 along the edges of the frame, of parts that were found by their motion."""
     smooth = EdgeSmoother(frame, _SMOOTHNESS, _COLOR_SIGMA).filter(evidence.astype(np.float32))
-    return parts((smooth > 0).astype(np.uint8), enlarge(motion, frame) > 0, MOVES)
+    return parts((smooth > 0).astype(np.uint8), enlarge(motion, frame) > 0, MIN_MOVING_SHARE)

@@ -6,7 +6,7 @@ import numpy as np
 
 from flowsplat.scenes import Scene
 
-SMALL = 0.05
+SMALL_PART_SHARE = 0.05
 """Of the pixels of the largest object in all training frames, the share below which one is a small part."""
 
 
@@ -16,7 +16,7 @@ def large_objects(scene: Scene) -> set[int]:
     for i in scene.train_frames:
         areas += np.bincount(scene.mask(i).ravel(), minlength=256)
     areas[0] = 0
-    return {int(number) for number in np.flatnonzero((areas > 0) & (areas >= SMALL * areas.max()))}
+    return {int(number) for number in np.flatnonzero((areas > 0) & (areas >= SMALL_PART_SHARE * areas.max()))}
 
 
 def describe_count(count: int, small: int = 0) -> str:

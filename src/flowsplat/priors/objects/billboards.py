@@ -25,7 +25,7 @@ from flowsplat.scenes.layers import TRUSTED
 NEAR_END = 92.0
 """Percentile of the plate's inverse depth at which an object stands: not the nearest pixel, which a leak of the mask may hold."""
 
-WINDOW, NEAR_TIMES = 121, 88
+COMPARED_FRAMES, NEAR_TIMES = 121, 88
 """Training frames whose billboards are compared, and the percentile of their inverse depth, at one size, that is taken."""
 
 SMOOTHING = 8.0
@@ -34,7 +34,7 @@ SMOOTHING = 8.0
 BELIEF = 0.7
 """How much of an object's growth is due to its depth: flow is noisy, and what turns or bends grows too."""
 
-FEWEST = 40
+MIN_GROWTH_PIXELS = 40
 """Trusted working pixels of an object that tell its growth."""
 
 _ROUNDS = 4
@@ -62,7 +62,7 @@ def growth(mask: np.ndarray, flow: np.ndarray, confidence: np.ndarray) -> float:
     From the affine map that explains most of the flow inside the object, by reweighted least squares.
     """
     inside = (cv2.erode(mask.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0) & (confidence >= TRUSTED)
-    if inside.sum() < FEWEST:
+    if inside.sum() < MIN_GROWTH_PIXELS:
         return 0.0
     rows, columns = np.nonzero(inside)
     places = np.stack([columns - columns.mean(), rows - rows.mean(), np.ones(len(rows))], 1)
@@ -97,7 +97,7 @@ def _smooth_piece(billboards: np.ndarray, growths: np.ndarray) -> np.ndarray:
         return billboards
     nearness = BELIEF * np.cumsum(growths)
     at_one_size = np.interp(np.arange(len(billboards)), np.flatnonzero(seen), np.log(billboards[seen]) - nearness[seen])
-    near = percentile_filter(at_one_size, NEAR_TIMES, size=WINDOW, mode="nearest")
+    near = percentile_filter(at_one_size, NEAR_TIMES, size=COMPARED_FRAMES, mode="nearest")
     return np.where(seen, np.exp(gaussian_filter1d(near, SMOOTHING, mode="nearest") + nearness), np.nan)
 
 

@@ -10,13 +10,13 @@ import numpy as np
 from flowsplat.geometry import Camera
 from flowsplat.priors.background.ground import Ground
 
-LOWEST = 0.15
+LOWEST_PIXELS = 0.15
 """Pixels that count as its lowest, in units of the root of its area: fewer may be a leak of the mask."""
-FEWEST_PIXELS = 24
-HIDDEN = 0.06
+MIN_PIXELS = 24
+MIN_HIDING = 0.06
 """How much nearer than the ground the static scene just below its lowest pixels must be to hide its feet."""
 
-BEYOND = 0.15
+MAX_BEYOND_GROUND = 0.15
 """How much farther the static scene is seen than the ground is supposed to be, so that it ends before."""
 
 
@@ -69,7 +69,7 @@ def compute_ground_bound(mask: np.ndarray, camera: Camera, ground: Ground, stati
         None where the object is too small, all of it is above the horizon, or the ground below it was not seen.
     """
     height, width = mask.shape
-    if mask.sum() < FEWEST_PIXELS:
+    if mask.sum() < MIN_PIXELS:
         return None
     # The rim on the side where the ground comes nearer; a camera may be rolled, so the side is that of the image's "down".
     down = camera.viewmat[:3, :3] @ -ground.normal
@@ -84,7 +84,7 @@ def compute_ground_bound(mask: np.ndarray, camera: Camera, ground: Ground, stati
     # The lowest pixels are those nearest to the camera's foot on the ground, whether the ground is known there or not.
     rays = camera.unproject(pixels, np.ones(len(pixels))) - camera.center
     order = np.argsort(rays @ ground.normal, kind="stable")
-    count = max(3, int(LOWEST * np.sqrt(mask.sum())))
+    count = max(3, int(LOWEST_PIXELS * np.sqrt(mask.sum())))
     lowest = order[: min(count, len(order))]
     known = np.isfinite(log_depth)
     if known[lowest].mean() < 0.5:
@@ -99,8 +99,8 @@ def compute_ground_bound(mask: np.ndarray, camera: Camera, ground: Ground, stati
     if visible:
         rows, columns = (below_y * static.shape[0]) // height, (below_x * static.shape[1]) // width
         ahead = float(np.median(np.log(static[rows[inside], columns[inside]]) - np.log(depth[lowest][inside])))
-        visible = ahead > -HIDDEN
-        if not was_seen and np.isfinite(ahead) and ahead > BEYOND:
+        visible = ahead > -MIN_HIDING
+        if not was_seen and np.isfinite(ahead) and ahead > MAX_BEYOND_GROUND:
             return None
     touching = np.argsort(np.where(known, log_depth, np.inf), kind="stable")[: min(count, int(known.sum()))]
     return Bound(bound, visible, was_seen, np.stack([x, y], 1)[touching])

@@ -11,16 +11,16 @@ from scipy.ndimage import gaussian_filter1d
 from flowsplat.priors.objects.contact import Bound
 from flowsplat.priors.objects.distance import Cue
 
-FLOOR = {"contact": 0.025, "bounce": 0.03}
+MIN_CUE_SIGMA = {"contact": 0.025, "bounce": 0.03}
 """Standard deviation of ln distance that each has at least."""
-WRONG = {"contact": 0.07, "bounce": 0.1}
+CUE_ERROR_RATE = {"contact": 0.07, "bounce": 0.1}
 """Chance that it has nothing to do with the truth."""
-FLAT, FLAT_LOW, FLAT_HIGH = 0.1, 10, 70
+MAX_BOUND_RANGE, BOUND_LOW_PERCENTILE, BOUND_HIGH_PERCENTILE = 0.1, 10, 70
 """Range of the bounds between two percentiles over time up to which an object stands on the ground."""
-MOSTLY = 0.5
+MIN_FEET_SHARE = 0.5
 """Share of the frames in which an object is seen in which its feet must be seen, too: what swings hides where it is high."""
-FEWEST_BOUNDS = 8
-STEPS = 5.0
+MIN_BOUNDS = 8
+STEP_FRAMES = 5.0
 """Frames: standard deviation over time of what feet say about a depth trajectory; steps are shorter."""
 SUPPOSED_SIGMA, SUPPOSED_WRONG = 0.06, 0.25
 """What is added to the error of a contact with ground that was not seen, and its chance to be wrong."""
@@ -32,7 +32,7 @@ BOUNCE_WIDTH, BOUNCE_ELSEWHERE = 4, 0.25
 """So many frames from a bounce the second difference is at most this share of that at it: a smooth minimum is wider."""
 THROWN_SIGMA = 0.03
 """Standard deviation of the nearest bound at several bounces; of a single one it is half as much more."""
-FOOT = 0.15
+FOOT_REACH = 0.15
 """Standard deviation of the distance, in the image, at which points of an object tell of its foot: of the root of its area."""
 
 
@@ -78,9 +78,9 @@ class Feet:
 def unevenness(bounds: np.ndarray, visible: np.ndarray, frames: int) -> float:
     """Return how much the bounds [T] of an object change over time; inf where its feet are seen in too few of the ``frames``."""
     seen = bounds[visible & np.isfinite(bounds)]
-    if len(seen) < max(FEWEST_BOUNDS, MOSTLY * frames):
+    if len(seen) < max(MIN_BOUNDS, MIN_FEET_SHARE * frames):
         return np.inf
-    low, high = np.percentile(seen, [FLAT_LOW, FLAT_HIGH])
+    low, high = np.percentile(seen, [BOUND_LOW_PERCENTILE, BOUND_HIGH_PERCENTILE])
     return float(high - low)
 
 
@@ -91,10 +91,10 @@ def contact_cue(bounds: np.ndarray, visible: np.ndarray, frames: int) -> Cue | N
         visible: [T] whether its feet are.
         frames: in how many it is seen.
     """
-    if unevenness(bounds, visible, frames) > FLAT:
+    if unevenness(bounds, visible, frames) > MAX_BOUND_RANGE:
         return None
-    low, middle, high = np.percentile(bounds[visible & np.isfinite(bounds)], [FLAT_LOW, 35, FLAT_HIGH])
-    return Cue(float(middle), float(np.hypot(FLOOR["contact"], 0.5 * (high - low))), WRONG["contact"])
+    low, middle, high = np.percentile(bounds[visible & np.isfinite(bounds)], [BOUND_LOW_PERCENTILE, 35, BOUND_HIGH_PERCENTILE])
+    return Cue(float(middle), float(np.hypot(MIN_CUE_SIGMA["contact"], 0.5 * (high - low))), CUE_ERROR_RATE["contact"])
 
 
 def settle_on_ground(above: np.ndarray, visible: np.ndarray) -> np.ndarray:
@@ -107,8 +107,8 @@ def settle_on_ground(above: np.ndarray, visible: np.ndarray) -> np.ndarray:
         visible: [T] whether they are seen.
     """
     seen = visible & np.isfinite(above)
-    weight = gaussian_filter1d(seen.astype(float), STEPS, mode="nearest")
-    value = gaussian_filter1d(np.where(seen, np.clip(above, -FLAT, FLAT), 0), STEPS, mode="nearest")
+    weight = gaussian_filter1d(seen.astype(float), STEP_FRAMES, mode="nearest")
+    value = gaussian_filter1d(np.where(seen, np.clip(above, -MAX_BOUND_RANGE, MAX_BOUND_RANGE), 0), STEP_FRAMES, mode="nearest")
     return np.where(weight > 1e-3, value / np.maximum(weight, 1e-3), 0)
 
 
@@ -129,7 +129,7 @@ def make_thrown_cue(bounds: np.ndarray, thrown: np.ndarray) -> Cue | None:
     levels = [float(np.nanmin(around)) for k in thrown if np.isfinite(around := bounds[max(k - 1, 0) : k + 2]).any()]
     if not levels:
         return None
-    return Cue(min(levels), THROWN_SIGMA if len(levels) > 1 else 1.5 * THROWN_SIGMA, WRONG["bounce"])
+    return Cue(min(levels), THROWN_SIGMA if len(levels) > 1 else 1.5 * THROWN_SIGMA, CUE_ERROR_RATE["bounce"])
 
 
 def foot_offset(lowest: np.ndarray, front: np.ndarray, pixels: np.ndarray, offsets: np.ndarray, sigma: np.ndarray) -> float:
@@ -143,7 +143,7 @@ def foot_offset(lowest: np.ndarray, front: np.ndarray, pixels: np.ndarray, offse
         pixels: [N, 2] of points that stand out of billboard and front by offsets [N], with standard deviation sigma [N].
     """
     rim = float(np.median(front[lowest[:, 1], lowest[:, 0]]))
-    reach = max(6.0, FOOT * float(np.sqrt((front != 0).sum())))
+    reach = max(6.0, FOOT_REACH * float(np.sqrt((front != 0).sum())))
     near = np.exp(-0.5 * ((pixels - lowest.mean(0) - 0.5) ** 2).sum(1) / reach**2)
     if near.sum() <= 1:
         return rim
@@ -161,7 +161,7 @@ def bounce_cue(bounds: np.ndarray) -> Cue | None:
     curved = np.full(len(bounds), np.nan)
     curved[n:-n] = bounds[2 * n :] - 2 * bounds[n:-n] + bounds[: -2 * n]
     known = curved[np.isfinite(curved)]
-    if len(known) < FEWEST_BOUNDS:
+    if len(known) < MIN_BOUNDS:
         return None
     least = max(BOUNCE, BOUNCE_NOISE * 1.5 * float(np.median(np.abs(known - np.median(known)))))
     for k in range(2 * n, len(bounds) - 2 * n):
@@ -179,7 +179,9 @@ def bounce_cue(bounds: np.ndarray) -> Cue | None:
     if not levels:
         return None
     middle, spread = float(np.median(levels)), float(np.ptp(levels))
-    if spread > FLAT:
+    if spread > MAX_BOUND_RANGE:
         return None  # It is the same ground each time.
     few = len(levels) == 1
-    return Cue(middle, float(np.hypot(0.05 if few else FLOOR["bounce"], 0.5 * spread)), 0.2 if few else WRONG["bounce"])
+    return Cue(
+        middle, float(np.hypot(0.05 if few else MIN_CUE_SIGMA["bounce"], 0.5 * spread)), 0.2 if few else CUE_ERROR_RATE["bounce"]
+    )

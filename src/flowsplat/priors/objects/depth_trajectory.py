@@ -12,25 +12,25 @@ import numpy as np
 from flowsplat.geometry import Camera
 from flowsplat.priors.background.ground import Ground
 from flowsplat.priors.objects.contact import upright_ratio
-from flowsplat.priors.objects.contact_cues import FLAT, Feet
+from flowsplat.priors.objects.contact_cues import MAX_BOUND_RANGE, Feet
 from flowsplat.priors.objects.distance import Cue
 from flowsplat.priors.objects.path import Law, WorldPath, constant_height, pivot
 from flowsplat.priors.objects.rematching import ObjectImages, rematch_object
 from flowsplat.priors.objects.rigid import Observations, RigidMotion, longest, solve_rigid
 from flowsplat.priors.objects.shape_offset import ShapePoints, place_points
 
-FEWEST_TRACKS, FEWEST_FRAMES = 16, 10
+MIN_TRACKS, MIN_FRAMES = 16, 10
 SPLIT_HALF = 0.04
 """Standard deviation over time between ln z of two solutions from halves of the tracks, above which none is believed."""
 INLIERS = 0.7
 RIGID_SHARE = 0.85
 """Share of all observations on an object that its motion explains from which it does not bend, so that its points have one
 shape."""
-PER_FRAME = (50, 180)
+TRACKS_PER_FRAME = (50, 180)
 """Tracks in a frame that the motion is solved from, the longest first; half of them for either half. Both are tried."""
-FLOOR = {"pivot": 0.02, "height": 0.03}
+MIN_LAW_SIGMA = {"pivot": 0.02, "height": 0.03}
 """Standard deviation of ln distance that a law of motion leaves at least."""
-WRONG = {"pivot": 0.05, "height": 0.05}
+LAW_ERROR_RATE = {"pivot": 0.05, "height": 0.05}
 """Chance that it has nothing to do with the truth."""
 CONTRADICTED = 0.15
 """Standard deviation over time between ln z by motion and by growth from which the ground decides which of them is right."""
@@ -114,7 +114,7 @@ def solve_depth_trajectory(
     if motion is not None and placed is not None and images is not None:
         motion, placed = _refine(motion, placed, tracks, seen, images)
     contradicted = placed is not None and float(np.nanstd(placed.log_depth - by_growth)) > CONTRADICTED
-    if placed is not None and contradicted and feet.unevenness(by_growth) <= FLAT < feet.unevenness(placed.log_depth):
+    if placed is not None and contradicted and feet.unevenness(by_growth) <= MAX_BOUND_RANGE < feet.unevenness(placed.log_depth):
         placed = None
     if motion is None or placed is None:
         return DepthTrajectory(_weak_depth_trajectory(motions, tracks, by_growth, seen, feet), None, ShapePoints.none(), None, {})
@@ -150,16 +150,16 @@ def _weak_depth_trajectory(
 ) -> np.ndarray:
     """Return [T] the depth trajectory of what bends: by its growth, or by a motion that explains part of it, if only by that its
     feet keep to the ground."""
-    for weak in motions if feet.unevenness(by_growth) > FLAT else []:
+    for weak in motions if feet.unevenness(by_growth) > MAX_BOUND_RANGE else []:
         placed = place_motion(weak, tracks)
-        if placed is not None and feet.unevenness(placed.log_depth) <= FLAT:
+        if placed is not None and feet.unevenness(placed.log_depth) <= MAX_BOUND_RANGE:
             return np.where(seen, placed.log_depth, np.nan)
     return by_growth
 
 
 def rigid_motions(positions: np.ndarray, inside: np.ndarray, K: np.ndarray) -> tuple[RigidMotion | None, list[RigidMotion]]:
     """Return the motion of an object from its tracks, if both halves of them tell the same, else None; and all that was found."""
-    if len(inside) < FEWEST_TRACKS or inside.any(0).sum() < FEWEST_FRAMES:
+    if len(inside) < MIN_TRACKS or inside.any(0).sum() < MIN_FRAMES:
         return None, []
 
     def solved(rows: np.ndarray, most: int) -> RigidMotion | None:
@@ -167,7 +167,7 @@ def rigid_motions(positions: np.ndarray, inside: np.ndarray, K: np.ndarray) -> t
         return solve_rigid(Observations.of_tracks(positions[chosen], inside[chosen], K).in_pieces())
 
     every = np.arange(len(inside))
-    found = [(whole, most) for most in PER_FRAME if (whole := solved(every, most)) is not None]
+    found = [(whole, most) for most in TRACKS_PER_FRAME if (whole := solved(every, most)) is not None]
     motions = [whole for whole, _ in found]
     # More tracks make a rigid body surer. In what bends they are limbs that move on their own, and disagree.
     for whole, most in sorted(found, key=lambda each: each[0].noise):
@@ -178,7 +178,7 @@ def rigid_motions(positions: np.ndarray, inside: np.ndarray, K: np.ndarray) -> t
             continue
         differences = halves[0].log_depths() - halves[1].log_depths()
         known = np.isfinite(differences)
-        if known.sum() >= FEWEST_FRAMES and float(np.std(differences[known])) <= SPLIT_HALF:
+        if known.sum() >= MIN_FRAMES and float(np.std(differences[known])) <= SPLIT_HALF:
             return whole, motions
     return None, motions
 
@@ -192,7 +192,7 @@ def check_laws(path: WorldPath, normal: np.ndarray | None) -> tuple[dict[str, Cu
     passed["pivot"] = p.measures["rest"] <= 0.6 and p.measures["turned"] >= 30 and p.measures["lever"] <= 8
     passed["height"] = "height" in laws and laws["height"].measures["explained"] >= 0.3
     cues = {
-        name: Cue(-float(np.log(law.nearness)), float(np.hypot(law.sigma, FLOOR[name])), WRONG[name])
+        name: Cue(-float(np.log(law.nearness)), float(np.hypot(law.sigma, MIN_LAW_SIGMA[name])), LAW_ERROR_RATE[name])
         for name, law in laws.items()
         if law.usable and law.holds and passed[name]
     }

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-STEP, NEAR, FAR = 0.005, -3.0, 3.0
+GRID_STEP, GRID_NEAR, GRID_FAR = 0.005, -3.0, 3.0
 """The grid of ln s about the guess."""
-CARD_SIGMA, CARD_TAIL, CARD_WRONG = 0.25, 1.2, 0.4
+GUESS_SIGMA, GUESS_TAIL_SIGMA, GUESS_TAIL_SHARE = 0.25, 1.2, 0.4
 """Of the guess that every object has, where the scene behind it ends: its standard deviation, mostly, and that of
 the rest."""
 GROUND_SIGMA = 0.25
@@ -60,9 +60,9 @@ def combine(guess: float, cues: Mapping[str, Cue], bounds: Sequence[float], near
         near_ground: ln s a little nearer than where it would touch the ground.
     """
     told = [guess, *(cue.log_scale for cue in cues.values()), *([] if near_ground is None else [near_ground])]
-    x = np.arange(min(told) + NEAR, max(told) + FAR, STEP)
-    width = FAR - NEAR
-    log_p = np.log(_guess_density(x, guess, CARD_SIGMA))
+    x = np.arange(min(told) + GRID_NEAR, max(told) + GRID_FAR, GRID_STEP)
+    width = GRID_FAR - GRID_NEAR
+    log_p = np.log(_guess_density(x, guess, GUESS_SIGMA))
     if near_ground is not None:
         log_p += np.log(_guess_density(x, near_ground, GROUND_SIGMA))
     for cue in cues.values():
@@ -77,7 +77,9 @@ def combine(guess: float, cues: Mapping[str, Cue], bounds: Sequence[float], near
 
 
 def _guess_density(x: np.ndarray, mean: float, sigma: float) -> np.ndarray:
-    return (1 - CARD_WRONG) * _student_density(x, mean, sigma, 4) + CARD_WRONG * _student_density(x, mean, CARD_TAIL, 4)
+    return (1 - GUESS_TAIL_SHARE) * _student_density(x, mean, sigma, 4) + GUESS_TAIL_SHARE * _student_density(
+        x, mean, GUESS_TAIL_SIGMA, 4
+    )
 
 
 def _student_density(x: np.ndarray, mean: float, sigma: float, freedom: int) -> np.ndarray:

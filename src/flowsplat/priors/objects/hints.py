@@ -25,18 +25,18 @@ from flowsplat.priors.objects.storage import SceneObjects
 from flowsplat.priors.prompts import parse_place
 from flowsplat.scenes import Scene
 
-SIGMA = {"contact_hint": 0.02, "same_depth_hint": 0.03}
+HINT_SIGMA = {"contact_hint": 0.02, "same_depth_hint": 0.03}
 """Standard deviation of ln distance that one hint leaves where the depth of what it names is sure."""
 SUPPOSED_SIGMA, UNSEEN_SIGMA = 0.06, 0.15
 """The same of a contact where the ground is only supposed to go on, and where no frame saw what is behind the object: there the
 depth is filled in from around, and on a car's shadow it was .15 to .28 too near."""
-TELL_APART = 0.05
+WARN_DIFFERENCE = 0.05
 """In ln: from here on a warning says that ground and depth behind a contact differ."""
-WRONG = 0.02
+HINT_ERROR_RATE = 0.02
 """Chance that a hint is a slip of the hand."""
-SAME_SURFACE = 0.15
+SURFACE_TOLERANCE = 0.15
 """In ln: where the ground is this close to the still scene behind a pixel, it is what is touched, and the surer of both."""
-NEAR = 0.02
+HINT_REACH = 0.02
 """Share of the image's long side within which a hint that misses an object still means it."""
 
 
@@ -108,7 +108,7 @@ def _place(obj: DynamicObject, told: Sequence[tuple[str, float, float]]) -> Dyna
     offset = float(np.average(offsets, weights=weights))
     # Hints that differ tell that the depth trajectory between them is off, or a hint.
     sigma = float(np.hypot(1 / np.sqrt(weights.sum()), np.std(offsets)))
-    cues = {kind: Cue(offset, sigma, WRONG) for kind in sorted({kind for kind, _, _ in told})}
+    cues = {kind: Cue(offset, sigma, HINT_ERROR_RATE) for kind in sorted({kind for kind, _, _ in told})}
     points = replace(obj.points, log_depth=obj.points.log_depth + offset)
     return replace(obj, log_depth=obj.log_depth + offset, sigma=sigma, cues=cues, points=points)
 
@@ -119,7 +119,7 @@ def _offset(
     """Return which object a hint is about, by how much in ln it is farther away than it was placed, and how sure that is."""
     scene, k = clip.scene, clip.scene.train_frames.index(hint.frame)
     mask, camera = scene.mask(hint.frame), scene.cameras[hint.frame]
-    x, y = _on_object(mask, found, k, hint, NEAR * max(scene.width, scene.height))
+    x, y = _on_object(mask, found, k, hint, HINT_REACH * max(scene.width, scene.height))
     number = int(mask[y, x])
     obj = next(each for each in found.objects if each.number == number)
     inside = mask == number
@@ -133,7 +133,7 @@ def _offset(
         u, v = hint.still
         if mask[min(int(v), mask.shape[0] - 1), min(int(u), mask.shape[1] - 1)]:
             raise InputError(f"--{hint.text}: something moves at {u:.0f},{v:.0f}; give a place of the still scene behind the =.")
-        depth, sigma = 1 / max(_at(background.plate(k), u, v, size), 1e-9), SIGMA[hint.kind]
+        depth, sigma = 1 / max(_at(background.plate(k), u, v, size), 1e-9), HINT_SIGMA[hint.kind]
     return number, float(np.log(depth / depths[y, x])), sigma
 
 
@@ -153,8 +153,8 @@ def _contact_depth(
     if ground is not None:
         depths, knowns = ground.depth(camera, np.array([place]))
         below, known = float(depths[0]), bool(knowns[0])
-    sigma = SIGMA[hint.kind]
-    if known and (seen is None or np.log(seen / below) > -SAME_SURFACE):
+    sigma = HINT_SIGMA[hint.kind]
+    if known and (seen is None or np.log(seen / below) > -SURFACE_TOLERANCE):
         depth = below
     elif seen is not None:
         depth = seen
@@ -163,7 +163,7 @@ def _contact_depth(
     else:
         depth, sigma = filled, UNSEEN_SIGMA
     beside = filled if seen is None else seen
-    if np.isfinite(below) and abs(np.log(beside / below)) > TELL_APART:
+    if np.isfinite(below) and abs(np.log(beside / below)) > WARN_DIFFERENCE:
         taken = "the ground" if depth == below else "what other frames saw there"
         other = "what was seen there" if seen is not None else "what is filled in there, which no frame saw,"
         percent = 100 * abs(np.expm1(np.log(beside / below)))

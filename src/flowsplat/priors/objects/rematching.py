@@ -19,9 +19,9 @@ from flowsplat.common.kernels import helper, kernel
 from flowsplat.common.threads import parallel_for
 from flowsplat.geometry import Camera
 from flowsplat.priors.objects.contact import upright_ratio
-from flowsplat.priors.objects.rigid import NEAREST, Observations, RigidMotion, refine_rigid
+from flowsplat.priors.objects.rigid import MIN_POINT_DEPTH, Observations, RigidMotion, refine_rigid
 from flowsplat.priors.objects.shape_offset import (
-    DEEPEST,
+    EXPECTED_OFFSET_SIGMA,
     ShapePoints,
     interpolate_shape_offset,
     place_points,
@@ -33,26 +33,26 @@ RADIUS = 4
 """Pixels of a point's surroundings to either side."""
 MOST_POINTS = 700
 """Points of an object that are matched."""
-ROUNDS = 2
+MATCH_ROUNDS = 2
 """The second time the motion and the surface are better known."""
 LIKENESS = 0.85
 """Correlation of brightness from which a match counts."""
-FARTHEST = 4.0
+MAX_MATCH_SHIFT = 4.0
 """Pixels that a match may lie away from where the motion puts it."""
 SUREST = 0.25
 """Pixels: standard deviation of a match, in the direction that it tells least, up to which it counts."""
-STEEPEST = 0.25
+MIN_VIEW_COSINE = 0.25
 """Cosine between the surface's normal and the line of sight from which a frame shows a point."""
-COVERED = 0.6
+MIN_COVERED_SHARE = 0.6
 """Share of the surroundings that has to lie on the object in both frames."""
 FEWEST_MATCHES = 6
 """Frames of a point from which it counts."""
 FEWEST_POINTS = 16
-ENOUGH = 12
+MIN_MATCHES = 12
 """Matched points of a frame below which tracks help out: where an object leaves the image, hardly any point is seen often."""
 SMOOTHED = 0.6
 """Pixels: standard deviation of the blur before images are read between pixels."""
-GATES = np.array([LIKENESS, FARTHEST, SUREST, STEEPEST, COVERED])
+GATES = np.array([LIKENESS, MAX_MATCH_SHIFT, SUREST, MIN_VIEW_COSINE, MIN_COVERED_SHARE])
 
 _ITERATIONS = 12
 _FRAME_NOISE = 2.0
@@ -117,8 +117,8 @@ def rematch_object(
     K = images.cameras[0].K
     tracks = Observations.of_tracks(positions, inside, K)
     result = None
-    for _ in range(ROUNDS):
-        points, expected = place_points(motion, tracks, K)[0], DEEPEST * motion.size
+    for _ in range(MATCH_ROUNDS):
+        points, expected = place_points(motion, tracks, K)[0], EXPECTED_OFFSET_SIGMA * motion.size
         found, counts = rematch(
             motion, rough_points(motion, tracks), positions, inside, images.gray, images.masks,
             lambda k, points=points, expected=expected: images.surface(k, points, expected), K,  # type: ignore[misc]
@@ -126,7 +126,7 @@ def rematch_object(
         if len(found) < FEWEST_POINTS:
             break
         # Frames in which few are found keep their tracks, and those link them to the others.
-        helping = (inside & (counts.sum(0) < ENOUGH)).any(1)
+        helping = (inside & (counts.sum(0) < MIN_MATCHES)).any(1)
         found, counts = np.concatenate([found, positions[helping]]), np.concatenate([counts, inside[helping]])
         observations = Observations.of_tracks(found, counts, K).in_pieces()
         motion = refine_rigid(motion, observations, rough_points(motion, observations))
@@ -244,7 +244,7 @@ def _match(
         a = anchors[m]
         p = np.ascontiguousarray(turns[a]) @ points[m] + shifts[a]
         n = normals[m]
-        if p[2] < NEAREST:
+        if p[2] < MIN_POINT_DEPTH:
             continue
         away = p[0] * n[0] + p[1] * n[1] + p[2] * n[2]
         if -away < steepest * np.sqrt(p[0] ** 2 + p[1] ** 2 + p[2] ** 2):
@@ -285,7 +285,7 @@ def _match(
             tau = shifts[t] - R @ shifts[a]
             q = R @ p + tau
             face = R @ n
-            if q[2] < NEAREST:
+            if q[2] < MIN_POINT_DEPTH:
                 continue
             if -(q[0] * face[0] + q[1] * face[1] + q[2] * face[2]) < steepest * np.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2):
                 continue
@@ -301,7 +301,7 @@ def _match(
                     X = R[0, 0] * plane[k, 0] + R[0, 1] * plane[k, 1] + R[0, 2] * plane[k, 2] + tau[0]
                     Y = R[1, 0] * plane[k, 0] + R[1, 1] * plane[k, 1] + R[1, 2] * plane[k, 2] + tau[1]
                     Z = R[2, 0] * plane[k, 0] + R[2, 1] * plane[k, 1] + R[2, 2] * plane[k, 2] + tau[2]
-                    if Z < NEAREST:
+                    if Z < MIN_POINT_DEPTH:
                         continue
                     x, y = fx * X / Z + cx + dx, fy * Y / Z + cy + dy
                     if x < 2 or y < 2 or x >= W - 2 or y >= H - 2 or not masks[t, int(y), int(x)]:

@@ -29,20 +29,20 @@ SHAPE_RIDGE = 0.05
 """Precision of the prior that an object is no deeper than it is wide, in units of 1 / its width^2."""
 SMOOTHNESS = 20.0
 """Precision of the prior that its pose changes evenly from frame to frame: it carries over frames with few tracks."""
-PER_FRAME = 45
+TRACKS_PER_FRAME = 45
 """The longest tracks are taken until this many are seen in every frame."""
 FEWEST_SHARED = 6
 """Known points that a frame must see to be added."""
-NEAREST = 0.05
+MIN_POINT_DEPTH = 0.05
 """Depth, in units of the object's mean distance, below which a point is taken for this near."""
-INLIER = 1.5
+INLIER_PIXELS = 1.5
 """Pixels up to which an observation agrees with the solution."""
 
 _GROW_ITERATIONS, _FINAL_ITERATIONS, _POSE_ITERATIONS = 4, 30, 8
 _ADJUST_EVERY, _ADJUST_SHARE = 4, 0.05
 """While it grows, a solution is adjusted when it has so many more frames, or this share more: all of it each time."""
 _DAMPING_TRIES = 5
-_LONGEST, _STAGGER = 100, 61
+_MAX_TRACK_FRAMES, _STAGGER = 100, 61
 """Frames over which a track counts as one point; a longer one is two or more. One that lasts for all of a long clip would join
 all of its poses, and time grow with the cube of their number. Where one is cut, and by how many frames later the next one."""
 
@@ -84,16 +84,16 @@ class Observations:
         return Observations(first, frame, np.ascontiguousarray(x), seen.shape[1], float(K[0, 0]))
 
     def in_pieces(self) -> Observations:
-        """Return the same, with points that were seen over more than ``_LONGEST`` frames as several.
+        """Return the same, with points that were seen over more than ``_MAX_TRACK_FRAMES`` frames as several.
 
         Each is cut at frames of its own: poses on either side of a cut are known relative to each other by all others.
         """
         point = self.point_of
         since = self.frame_of - self.frame_of[self.first[point]]
         cut_from = np.zeros(self.points, np.int64)
-        late = point[since >= _LONGEST]
-        cut_from[late] = _STAGGER * late % _LONGEST
-        piece = (since + cut_from[point]) // _LONGEST
+        late = point[since >= _MAX_TRACK_FRAMES]
+        cut_from[late] = _STAGGER * late % _MAX_TRACK_FRAMES
+        piece = (since + cut_from[point]) // _MAX_TRACK_FRAMES
         starts = np.flatnonzero(np.diff(self.point_of, prepend=-1) | np.diff(piece, prepend=0))
         return replace(self, first=np.append(starts, len(self.x)))
 
@@ -127,7 +127,7 @@ class RigidMotion:
         all [M]."""
         o, point = self.observations, self.observations.point_of
         y = np.einsum("mij,mj->mi", self.turns[o.frame_of], self.points[point]) + self.shifts[o.frame_of]
-        off = o.focal * np.linalg.norm(y[:, :2] / np.maximum(y[:, 2:], NEAREST) - o.x, axis=1)
+        off = o.focal * np.linalg.norm(y[:, :2] / np.maximum(y[:, 2:], MIN_POINT_DEPTH) - o.x, axis=1)
         return off, y[:, 2], self.used[o.frame_of] & self.known[point]
 
     @property
@@ -140,12 +140,12 @@ class RigidMotion:
     def inliers(self) -> float:
         """Share of the explained observations that agree."""
         off, _, explained = self.residuals()
-        return float((off[explained] < INLIER).mean()) if explained.any() else 0.0
+        return float((off[explained] < INLIER_PIXELS).mean()) if explained.any() else 0.0
 
     def log_depths(self) -> np.ndarray:
         """Return [T] median logarithm of the depth of the agreeing observations of each frame; NaN where fewer than three agree."""
         off, depth, explained = self.residuals()
-        good = explained & (off < INLIER) & (depth > NEAREST)
+        good = explained & (off < INLIER_PIXELS) & (depth > MIN_POINT_DEPTH)
         result = np.full(self.observations.frames, np.nan)
         for t in np.flatnonzero(self.used):
             here = good & (self.observations.frame_of == t)
@@ -181,7 +181,7 @@ def pose_information(motion: RigidMotion) -> tuple[np.ndarray, np.ndarray]:
     return frames, unpack_band(H)
 
 
-def longest(seen: np.ndarray, most: int = PER_FRAME) -> np.ndarray:
+def longest(seen: np.ndarray, most: int = TRACKS_PER_FRAME) -> np.ndarray:
     """Return indices of the longest of the tracks seen [N, T], until nearly every frame of theirs has ``most``."""
     have, kept = np.zeros(seen.shape[1], int), []
     for n in np.argsort(-seen.sum(1), kind="stable"):
@@ -274,7 +274,7 @@ class _Solver:
         """The pose of frame t, begun from that of frame ``near`` by how the points grew and shifted."""
         o, points = self._o, self._points[self._point_of[rows]]
         y = points @ self._turns[near].T + self._shifts[near]
-        before, now = y[:, :2] / np.maximum(y[:, 2:], NEAREST), o.x[rows]
+        before, now = y[:, :2] / np.maximum(y[:, 2:], MIN_POINT_DEPTH), o.x[rows]
         z = self._shifts[near, 2] / np.clip(_radius(now) / _radius(before), 0.7, 1.4)
         middle = self._shifts[near, :2] / self._shifts[near, 2] + np.median(now - before, 0)
         shift = np.array([*(middle * z), z])
@@ -316,7 +316,7 @@ class _Solver:
                 break
         middle = np.median(points[self._known], 0)
         shifts = shifts + turns @ middle
-        scale = np.exp(np.mean(np.log(np.maximum(shifts[:, 2], NEAREST))))
+        scale = np.exp(np.mean(np.log(np.maximum(shifts[:, 2], MIN_POINT_DEPTH))))
         self._turns[frames], self._shifts[frames] = turns, shifts / scale
         self._points = np.where(self._known[:, None], (points - middle) / scale, 0)
         self._cost = cost

@@ -9,14 +9,14 @@ import numpy as np
 
 from flowsplat.common.kernels import kernel
 from flowsplat.images.edge_smoothing import EdgeSmoother
-from flowsplat.priors.objects.rigid import INLIER, NEAREST, RESIDUAL_WIDTH, Observations, RigidMotion
+from flowsplat.priors.objects.rigid import INLIER_PIXELS, MIN_POINT_DEPTH, RESIDUAL_WIDTH, Observations, RigidMotion
 from flowsplat.priors.objects.rigid_equations import derivatives
 
 ROUND = 0.75
 """How deep the front of an object is expected to be, in units of a ball's of its width."""
 DISCS = 0.8 ** np.arange(9)
 """Radii of the discs that are tried, in units of the largest one inside an object."""
-DEEPEST = 0.6
+EXPECTED_OFFSET_SIGMA = 0.6
 """Standard deviation of the shape offset that is expected, in units of the object's half width."""
 SMOOTHNESS = 60.0
 """Of the shape offset, as in the fast global smoother."""
@@ -61,14 +61,14 @@ def place_points(motion: RigidMotion, observations: Observations, K: np.ndarray)
     points, covariances = _solve_offset(motion, o)
     n, t = o.point_of, o.frame_of
     y = np.einsum("mij,mj->mi", motion.turns[t], points[n]) + motion.shifts[t]
-    depth = np.maximum(y[:, 2], NEAREST)
+    depth = np.maximum(y[:, 2], MIN_POINT_DEPTH)
     off = o.focal * np.linalg.norm(y[:, :2] / depth[:, None] - o.x, axis=1)
     axis = motion.turns[t][:, 2]
     noise = NOISE_FACTOR * motion.noise
     sigma = noise * np.sqrt(np.maximum(np.einsum("mi,mij,mj->m", axis, covariances[n], axis), 0)) / depth
-    good = motion.used[t] & (off < OFF_LIMIT) & (y[:, 2] > NEAREST) & np.isfinite(sigma)
+    good = motion.used[t] & (off < OFF_LIMIT) & (y[:, 2] > MIN_POINT_DEPTH) & np.isfinite(sigma)
     pixels = o.x * [K[0, 0], K[1, 1]] + K[:2, 2]
-    share = float((off[motion.used[t]] < INLIER).mean()) if motion.used[t].any() else 0.0
+    share = float((off[motion.used[t]] < INLIER_PIXELS).mean()) if motion.used[t].any() else 0.0
     return ShapePoints(t[good], pixels[good], np.log(depth[good]), np.maximum(sigma[good], 1e-4)), share
 
 
@@ -83,7 +83,7 @@ def _solve_offset(motion: RigidMotion, o: Observations) -> tuple[np.ndarray, np.
     """Solve one object of ``_place``."""
     placed: tuple[np.ndarray, np.ndarray] = _place(
         motion.turns, motion.shifts, motion.used, o.first, o.frame_of, o.x, o.focal, RESIDUAL_WIDTH,
-        (NOISE_FACTOR * motion.noise / (DEEPEST * motion.size)) ** 2, _ITERATIONS,
+        (NOISE_FACTOR * motion.noise / (EXPECTED_OFFSET_SIGMA * motion.size)) ** 2, _ITERATIONS,
     )  # fmt: skip
     return placed
 

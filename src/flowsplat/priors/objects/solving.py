@@ -11,7 +11,7 @@ from flowsplat.geometry import Camera
 from flowsplat.priors.background.ground import Ground
 from flowsplat.priors.objects.contact import Bound, upright_ratio
 from flowsplat.priors.objects.contact_cues import (
-    FEWEST_BOUNDS,
+    MIN_BOUNDS,
     Feet,
     bounce_cue,
     contact_cue,
@@ -24,10 +24,10 @@ from flowsplat.priors.objects.depth_trajectory import DepthTrajectory, ObjectTra
 from flowsplat.priors.objects.distance import Cue, Distance, combine
 from flowsplat.priors.objects.path import bounce_frames
 from flowsplat.priors.objects.rematching import ObjectImages
-from flowsplat.priors.objects.shape_offset import DEEPEST, ShapePoints, interpolate_shape_offset, roundness
+from flowsplat.priors.objects.shape_offset import EXPECTED_OFFSET_SIGMA, ShapePoints, interpolate_shape_offset, roundness
 
 SHORTEST_TRACK = 5
-INSIDE = 0.7
+MIN_INSIDE_SHARE = 0.7
 """Share of a track that must lie inside an object to be on it."""
 GUESS_PERCENTILE, ABOVE_GROUND = 10, 0.15
 """What does not touch the ground is guessed to be this much nearer, in ln, than where it would."""
@@ -101,7 +101,7 @@ def tracks_of_objects(
     for number in np.unique(labels[labels > 0]):
         inside = labels == number
         count = inside.sum(1)
-        chosen = np.flatnonzero((count >= SHORTEST_TRACK) & (count >= INSIDE * seen_often))
+        chosen = np.flatnonzero((count >= SHORTEST_TRACK) & (count >= MIN_INSIDE_SHARE * seen_often))
         found[int(number)] = chosen, inside[chosen]
     return found
 
@@ -139,7 +139,7 @@ def solve_object(
         guess = float(np.median((log_billboards - depth_trajectory)[seen]))
     distance, cues = _distance(guess, found.cues, stands, bounces, at_ground[np.isfinite(at_ground) & feet.ground_seen])
     points = replace(found.points, log_depth=found.points.log_depth + distance.log_scale)
-    expected = DEEPEST * found.motion.size if found.motion is not None else 0.0
+    expected = EXPECTED_OFFSET_SIGMA * found.motion.size if found.motion is not None else 0.0
     return DynamicObject(
         number, depth_trajectory + distance.log_scale, middles, distance.sigma, not found.bends, cues, points, expected
     )
@@ -204,7 +204,7 @@ def _distance(
     touch = stands if stands is not None else bounces
     if touch is not None:
         cues["contact" if stands is not None else "bounce"] = touch
-    elif len(known) >= FEWEST_BOUNDS:
+    elif len(known) >= MIN_BOUNDS:
         far = [float(np.percentile(known, BOUND_PERCENTILE)) + BOUND_SLACK]
     # Laws of motion and contact rest on the same depth trajectory, so their errors are not independent: only the surest speaks.
     if len(cues) > 1:
@@ -213,5 +213,5 @@ def _distance(
     if touch is not None and touch in cues.values():
         # What hides behind an object that touches the ground says nothing that its feet do not say better.
         return combine(touch.log_scale, cues, far), cues
-    near_ground = float(np.percentile(known, GUESS_PERCENTILE)) - ABOVE_GROUND if len(known) >= FEWEST_BOUNDS else None
+    near_ground = float(np.percentile(known, GUESS_PERCENTILE)) - ABOVE_GROUND if len(known) >= MIN_BOUNDS else None
     return combine(guess, cues, far, near_ground), cues

@@ -23,7 +23,7 @@ from flowsplat.priors.objects.solving import solve_object, tracks_of_objects
 from flowsplat.priors.objects.storage import SceneObjects, save_objects
 from flowsplat.scenes import Scene
 
-SMALLEST = 20
+MIN_PIXELS = 20
 """Pixels of an object from which a frame tells of it."""
 GROUND_FRAMES = 16
 """Frames of a piece that the ground is found in."""
@@ -83,7 +83,7 @@ def find_objects(clip: MatchedClip, background: StaticDepth, hints: Sequence[Hin
         static = _sure_depth(background, k)
         for number in billboards:
             inside = mask == number
-            if inside.sum() < SMALLEST:
+            if inside.sum() < MIN_PIXELS:
                 continue
             middles[number][k] = middle_of(inside)
             if ground is not None:

@@ -20,7 +20,7 @@ from typing_extensions import TypedDict
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_json, read_npz, write_json, write_npz
-from flowsplat.common.files.arrays import MOST_BYTES
+from flowsplat.common.files.arrays import MAX_ARRAY_BYTES
 from flowsplat.common.files.json_file import Number, Row3
 from flowsplat.geometry import Camera
 from flowsplat.priors.objects.distance import Cue
@@ -90,7 +90,7 @@ _ARRAYS = ("log_depth", "middles", "object_id", "frame", "pixels", "point_log_de
 
 def _compute_max_bytes(scene: Scene) -> int:
     """Return the most bytes of the arrays: no more points than every fourth pixel of every frame."""
-    return MOST_BYTES // 4 + 8 * scene.width * scene.height * scene.num_frames
+    return MAX_ARRAY_BYTES // 4 + 8 * scene.width * scene.height * scene.num_frames
 
 
 class ObjectFile(TypedDict):

@@ -9,38 +9,38 @@ import numpy as np
 
 from flowsplat.images.edge_smoothing import EdgeSmoother
 from flowsplat.priors.masks.colors import Colors, look_up
-from flowsplat.priors.prompts.grabcut import ROUNDS, grab, keep_touched, snap_to_edges
+from flowsplat.priors.prompts.grabcut import GRABCUT_ROUNDS, grab, keep_touched, snap_to_edges
 from flowsplat.priors.prompts.parsing import CLICK_RADIUS, Point, Prompt
 from flowsplat.scenes import Flow
 
-REACH = 0.25
+SEARCH_REACH = 0.25
 """Share of the image's long side within which the object under a click is looked for."""
 
 MENDED = 0.08
 """The same of what a click adds to an object that was carried, or takes from it."""
 
-MOVES = 1.0
+MIN_OWN_MOTION = 1.0
 """Pixels a frame by which an object's motion must differ from its surroundings' to be told by it."""
 
-COLLAPSED = 0.2
+MIN_CUT_SHARE = 0.2
 """Share of a first guess below which what GrabCut leaves of it is a failure."""
 
-AROUND = 0.5
+SURROUNDINGS_SIDES = 0.5
 """Sides of a box within which what is round it tells how what is behind it moves."""
 
-CALMEST, DIFFERS = 0.15, 2.5
+MIN_FLOW_NOISE, MOTION_NOISE_RATIO = 0.15, 2.5
 """Least noise of the flow around in pixels, and multiples of it at which a motion is evidence of neither."""
 
-SAMPLES, FEWEST = 4000, 50
+SAMPLES, MIN_FIT_PIXELS = 4000, 50
 """Pixels that it is fitted to at most, and at least."""
 
-OF_EVIDENCE, MOST, SURE = 0.5, 3.0, 1.5
+OF_EVIDENCE, MAX_FIT_PIXELS, SURE_EVIDENCE = 0.5, 3.0, 1.5
 """Weight of what all frames say, the most that evidence counts (a logarithm to base 2), and what is sure of it."""
 
 MOVING_SHARE = 0.08
 """Share of a box that must surely move for evidence to decide in it."""
 
-OF_COLOR, FULL_COLOR = 0.7, 1.5
+COLOR_WEIGHT, MAX_COLOR_EVIDENCE = 0.7, 1.5
 """Weight of the colors' logarithm to base 2, and the most that it counts."""
 
 _MODELS = 3
@@ -74,12 +74,12 @@ def _cut(image: np.ndarray, flow: Flow, prompt: Prompt, evidence: np.ndarray | N
     """As ``cut_out``, away from all that is said to be beside."""
     seeds, beside, possible = _places(prompt, flow.confidence.shape)
     bits = _unlike_around(flow, seeds, possible, prompt) if evidence is None else np.float32(OF_EVIDENCE) * evidence
-    bits = cv2.medianBlur(np.clip(bits, -MOST, MOST).astype(np.float32), 5)
+    bits = cv2.medianBlur(np.clip(bits, -MAX_FIT_PIXELS, MAX_FIT_PIXELS).astype(np.float32), 5)
     chosen = _choose_evidence(bits, prompt, seeds, possible)
     if chosen is None:
         found = _by_colors(image, flow.flow, prompt, seeds, beside, possible)
     else:
-        found = _by_evidence(image, np.where(possible, chosen, -MOST), seeds, beside, possible)
+        found = _by_evidence(image, np.where(possible, chosen, -MAX_FIT_PIXELS), seeds, beside, possible)
     found &= ~beside
     return keep_touched(found, seeds) if prompt.clicks else found
 
@@ -134,7 +134,7 @@ def _places(prompt: Prompt, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndar
     """Bool [H, W]: what is clicked, what is clicked as beside it, and where the object may be."""
     seeds, beside = _disc(list(prompt.clicks), shape), _disc(list(prompt.beside), shape)
     if prompt.box is None:
-        possible = _disc(list(prompt.clicks), shape, REACH * max(shape))
+        possible = _disc(list(prompt.clicks), shape, SEARCH_REACH * max(shape))
     else:
         x0, y0, x1, y1 = (round(value) for value in prompt.box)
         possible = np.zeros(shape, bool)
@@ -148,19 +148,19 @@ def _unlike_around(flow: Flow, seeds: np.ndarray, possible: np.ndarray, prompt: 
     Without a box, how much more it is like that of the click.
     """
     if prompt.box is None:
-        ring = _disc(list(prompt.clicks), possible.shape, 2 * REACH * max(possible.shape))
+        ring = _disc(list(prompt.clicks), possible.shape, 2 * SEARCH_REACH * max(possible.shape))
     else:
         x, y, w, h = cv2.boundingRect(possible.astype(np.uint8))
-        margin = max(8, round(AROUND * max(w, h)))
+        margin = max(8, round(SURROUNDINGS_SIDES * max(w, h)))
         ring = np.zeros_like(possible)
         ring[max(y - margin, 0) : y + h + margin, max(x - margin, 0) : x + w + margin] = True
         ring &= ~possible
-        if ring.sum() < FEWEST:
+        if ring.sum() < MIN_FIT_PIXELS:
             ring[:] = True
     apart, noise = _apart_from(flow, ring)
     if prompt.box is not None:
-        return np.log2(np.maximum(apart, 1e-3) / (DIFFERS * noise))
-    if np.median(apart[seeds]) < DIFFERS * noise:
+        return np.log2(np.maximum(apart, 1e-3) / (MOTION_NOISE_RATIO * noise))
+    if np.median(apart[seeds]) < MOTION_NOISE_RATIO * noise:
         return np.full(possible.shape, -1.0)
     own = np.linalg.norm(flow.flow - np.median(flow.flow[seeds], axis=0), axis=-1)
     return np.log2((apart + noise) / (own + noise))
@@ -182,7 +182,7 @@ def _apart_from(flow: Flow, ring: np.ndarray) -> tuple[np.ndarray, float]:
         root = np.sqrt(weights / (1 + (apart / scale) ** 2))[:, None]
         solved = np.linalg.lstsq(A * root, moved * root, rcond=None)[0]
         apart = np.linalg.norm(moved - A @ solved, axis=1)
-    return np.linalg.norm(flow.flow - terms @ solved, axis=-1), max(float(np.median(apart)), CALMEST)
+    return np.linalg.norm(flow.flow - terms @ solved, axis=-1), max(float(np.median(apart)), MIN_FLOW_NOISE)
 
 
 def _choose_evidence(bits: np.ndarray, prompt: Prompt, seeds: np.ndarray, possible: np.ndarray) -> np.ndarray | None:
@@ -194,7 +194,7 @@ def _choose_evidence(bits: np.ndarray, prompt: Prompt, seeds: np.ndarray, possib
         own = np.isin(np.arange(count), labels[seeds])
         own[0] = False
         return np.where(own[labels], bits, np.minimum(bits, -1))
-    if ((bits > SURE) & possible).sum() < MOVING_SHARE * possible.sum():
+    if ((bits > SURE_EVIDENCE) & possible).sum() < MOVING_SHARE * possible.sum():
         return None
     within, total = (np.bincount(labels[where], minlength=count) for where in (possible, np.ones_like(possible)))
     # What reaches far out of the box is something else.
@@ -202,14 +202,14 @@ def _choose_evidence(bits: np.ndarray, prompt: Prompt, seeds: np.ndarray, possib
     others[0] = False
     if within[1:][~others[1:]].sum() < 0.05 * possible.sum():
         others[:] = False
-    return np.where(others[labels], -MOST, bits)
+    return np.where(others[labels], -MAX_FIT_PIXELS, bits)
 
 
 def _by_evidence(image: np.ndarray, bits: np.ndarray, seeds: np.ndarray, beside: np.ndarray, possible: np.ndarray) -> np.ndarray:
     """Return evidence and colors, which are learned from it, added up and smoothed along the edges of the image: bool [H, W]."""
     smoother = EdgeSmoother(image, SMOOTHNESS, COLOR_SIGMA)
     bits = bits.astype(np.float32)
-    bits[seeds], bits[beside] = 2 * MOST, -2 * MOST
+    bits[seeds], bits[beside] = 2 * MAX_FIT_PIXELS, -2 * MAX_FIT_PIXELS
     total = smoother.filter(bits)
     for _ in range(_MODELS):
         colors = Colors()
@@ -217,8 +217,8 @@ def _by_evidence(image: np.ndarray, bits: np.ndarray, seeds: np.ndarray, beside:
         table = colors.table()
         if table is None:
             break
-        like = np.float32(OF_COLOR) * np.clip(look_up(table, image), -FULL_COLOR, FULL_COLOR)
-        total = smoother.filter(np.where(possible, bits + like, -2 * MOST).astype(np.float32))
+        like = np.float32(COLOR_WEIGHT) * np.clip(look_up(table, image), -MAX_COLOR_EVIDENCE, MAX_COLOR_EVIDENCE)
+        total = smoother.filter(np.where(possible, bits + like, -2 * MAX_FIT_PIXELS).astype(np.float32))
     found = possible & (total > 0)
     return snap_to_edges(image, found) if found.any() else seeds.copy()
 
@@ -234,9 +234,9 @@ def _by_colors(
         trimap[possible] = cv2.GC_PR_BGD
         trimap[guess] = cv2.GC_PR_FGD
         trimap[seeds], trimap[beside] = cv2.GC_FGD, cv2.GC_BGD
-        found = grab(image, trimap, ROUNDS)
+        found = grab(image, trimap, GRABCUT_ROUNDS)
         found = keep_touched(found, seeds) if prompt.clicks else found
-        if found.sum() > COLLAPSED * guess.sum():
+        if found.sum() > MIN_CUT_SHARE * guess.sum():
             return found
     return guesses[-1] | seeds
 
@@ -247,15 +247,15 @@ def _unlike_outside(flow: np.ndarray, possible: np.ndarray) -> np.ndarray:
     around = flow[ring & ~possible]
     if len(around) == 0:
         return possible
-    moves = possible & (np.linalg.norm(flow - np.median(around, axis=0), axis=-1) > 0.5 * MOVES)
-    return moves if moves.sum() > COLLAPSED * possible.sum() else possible
+    moves = possible & (np.linalg.norm(flow - np.median(around, axis=0), axis=-1) > 0.5 * MIN_OWN_MOTION)
+    return moves if moves.sum() > MIN_CUT_SHARE * possible.sum() else possible
 
 
 def _like_the_click(image: np.ndarray, flow: np.ndarray, seeds: np.ndarray, possible: np.ndarray) -> np.ndarray:
     """Return what near a click, bool [H, W], moves as it does; where nothing moves apart, what looks like it."""
     own = np.median(flow[seeds], axis=0)
     apart = float(np.linalg.norm(own - np.median(flow[possible], axis=0)))
-    if apart > MOVES:
+    if apart > MIN_OWN_MOTION:
         moves = keep_touched(possible & (np.linalg.norm(flow - own, axis=-1) < 0.5 * apart), seeds)
         if moves.sum() > 4 * seeds.sum():
             return moves

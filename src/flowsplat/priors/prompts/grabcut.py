@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-ROUNDS = 4
+GRABCUT_ROUNDS = 4
 """Of GrabCut on the frame with the prompt; one is enough to correct an edge."""
 
 BAND = 0.012

@@ -14,9 +14,9 @@ from flowsplat.images.edge_smoothing import EdgeSmoother
 from flowsplat.priors.masks.colors import Colors, look_up
 from flowsplat.priors.prompts.cutting import (
     COLOR_SIGMA,
-    FULL_COLOR,
-    MOST,
-    OF_COLOR,
+    COLOR_WEIGHT,
+    MAX_COLOR_EVIDENCE,
+    MAX_FIT_PIXELS,
     OF_EVIDENCE,
     SMOOTHNESS,
     correct,
@@ -27,19 +27,19 @@ from flowsplat.priors.prompts.grabcut import BAND, snap_to_edges
 from flowsplat.priors.prompts.parsing import Prompt
 from flowsplat.scenes import Scene
 
-LOST = 0.3
+MIN_FLOW_CONFIDENCE = 0.3
 """Mean confidence of the flow below which a carried part of a mask is dropped."""
 
-ALIKE = 30.0
+MAX_GRAY_DIFFERENCE = 30.0
 """Gray levels beyond which a pixel is not the one that the flow says it was."""
 
-HELD = 2.0
+CARRIED_EVIDENCE = 2.0
 """Evidence, a logarithm to base 2, that what was carried is the object; it falls to its negative within ``BAND`` of the edge."""
 
-FURTHEST = 3.0
+MAX_BANDS = 3.0
 """Bands round what was carried within which the object may be."""
 
-ANOTHER, FAR = 1.0, 1.0
+ANOTHER, OTHER_EVIDENCE = 1.0, 1.0
 """Evidence of motion that belongs to something else where it is not found to be the object, and bands from it beyond which."""
 
 
@@ -114,7 +114,7 @@ class Walk:
         colors.add(image, mask)
         table = colors.table()
         if table is not None:
-            self._table = np.float32(OF_COLOR) * np.clip(table, -FULL_COLOR, FULL_COLOR)
+            self._table = np.float32(COLOR_WEIGHT) * np.clip(table, -MAX_COLOR_EVIDENCE, MAX_COLOR_EVIDENCE)
         doubted = None if evidence is None else (evidence > 0) != mask
         return Part(mask, 1.0, doubted)
 
@@ -134,7 +134,7 @@ class Walk:
         moved, image = carried(part.mask), scene.frame(frames[k])
         was = sample_map(scene.frame(frames[before]), source).reshape(image.shape)
         apart = cv2.blur(np.abs(image.astype(np.float32) - was).mean(-1), (5, 5))
-        trusted = np.where(apart < ALIKE, back.confidence, 0)
+        trusted = np.where(apart < MAX_GRAY_DIFFERENCE, back.confidence, 0)
         if self.evidence is None:
             moved = _reliable(moved, trusted)
             return Part(snap_to_edges(image, moved) if moved.any() else moved, _mean(back.confidence, moved))
@@ -147,21 +147,21 @@ class Walk:
         if doubted is not None:
             # What moves beside the object now is not a part of it later.
             away = cv2.distanceTransform((~found).astype(np.uint8), cv2.DIST_L2, 5)
-            doubted |= (evidence > ANOTHER) & (away > FAR * _band(found))
+            doubted |= (evidence > ANOTHER) & (away > OTHER_EVIDENCE * _band(found))
         return Part(found, _mean(back.confidence, moved), doubted)
 
     def _outline(self, image: np.ndarray, moved: np.ndarray, evidence: np.ndarray, doubted: np.ndarray | None) -> np.ndarray:
         band = _band(moved)
         inner = cv2.distanceTransform(moved.astype(np.uint8), cv2.DIST_L2, 5)
         outer = cv2.distanceTransform((~moved).astype(np.uint8), cv2.DIST_L2, 5)
-        held = np.float32(HELD) * np.clip((inner - outer) / band, -1, 1)
-        moves = np.clip(OF_EVIDENCE * evidence, 0 if self._rests else -MOST, MOST)
+        held = np.float32(CARRIED_EVIDENCE) * np.clip((inner - outer) / band, -1, 1)
+        moves = np.clip(OF_EVIDENCE * evidence, 0 if self._rests else -MAX_FIT_PIXELS, MAX_FIT_PIXELS)
         if doubted is not None:
             moves = np.where(doubted, 0, moves)
         total = held + moves
         if self._table is not None:
             total = total + look_up(self._table, image)
-        total = np.where(outer > FURTHEST * band, -MOST, total).astype(np.float32)
+        total = np.where(outer > MAX_BANDS * band, -MAX_FIT_PIXELS, total).astype(np.float32)
         found = EdgeSmoother(image, SMOOTHNESS, COLOR_SIGMA).filter(total) > 0
         _, labels = cv2.connectedComponents(found.astype(np.uint8))
         kept = np.isin(labels, np.unique(labels[found & moved])) & found
@@ -182,6 +182,6 @@ def _reliable(mask: np.ndarray, confidence: np.ndarray) -> np.ndarray:
     left."""
     count, labels = cv2.connectedComponents(mask.astype(np.uint8))
     means = np.bincount(labels.ravel(), confidence.ravel(), count) / np.maximum(np.bincount(labels.ravel(), minlength=count), 1)
-    kept = means >= LOST
+    kept = means >= MIN_FLOW_CONFIDENCE
     kept[0] = False
     return kept[labels]

@@ -19,7 +19,7 @@ from flowsplat.priors.prompts.parsing import Prompt
 from flowsplat.priors.prompts.propagation import Part, Walk
 from flowsplat.scenes import Scene
 
-SAME = 0.5
+SAME_OBJECT_OVERLAP = 0.5
 """Share of the smaller one by which two masks overlap if they show one object."""
 
 
@@ -75,7 +75,7 @@ def _numbers(walks: list[list[Part]], starts: list[int]) -> list[int]:
         own = walk[start].mask
         for earlier in range(n):
             other = walks[earlier][start].mask
-            if (own & other).sum() > SAME * min(own.sum(), other.sum()):
+            if (own & other).sum() > SAME_OBJECT_OVERLAP * min(own.sum(), other.sum()):
                 numbers.append(numbers[earlier])
                 break
         else:

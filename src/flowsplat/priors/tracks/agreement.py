@@ -10,9 +10,9 @@ from flowsplat.common.kernels import kernel
 from flowsplat.common.threads import parallel_for
 
 NEIGHBORS = 12
-FEWEST = 4
+MIN_NEIGHBORS = 4
 """Neighbors without which nothing is said."""
-ROUNDS = 4
+REWEIGHTINGS = 4
 STIFFNESS = np.float32(0.05)
 """Weight against differences between neighbors, beside the sum of their own weights."""
 SMALLEST_SPREAD = np.float32(0.15)
@@ -43,7 +43,7 @@ def compute_agreed_motion(
     for label in np.unique(labels):
         here = np.flatnonzero(labels == label)
         sources = here[weights[here] > 0]
-        if len(sources) < FEWEST:
+        if len(sources) < MIN_NEIGHBORS:
             continue
         # One more than needed: a source finds itself first.
         count = min(NEIGHBORS + 1, len(sources))
@@ -64,7 +64,7 @@ def _fit(begin, end, here, index, points, motions, weights, reach, motion, gradi
             if index[row, k] >= 0 and index[row, k] != n:
                 chosen[count] = index[row, k]
                 count += 1
-        if count < FEWEST:
+        if count < MIN_NEIGHBORS:
             continue
         H, b = np.empty((3, 3), np.float32), np.empty((3, 2), np.float32)
         rest, factor = np.zeros(count, np.float32), np.ones(count, np.float32)
@@ -75,7 +75,7 @@ def _fit(begin, end, here, index, points, motions, weights, reach, motion, gradi
         scale = max(float32(np.median(rest)), SMALLEST_SPREAD)
         for k in range(count):
             factor[k] = one / (one + (rest[k] / (float32(1.5) * scale)) ** 2)
-        for _ in range(ROUNDS):
+        for _ in range(REWEIGHTINGS):
             H[:], b[:] = float32(0), float32(0)
             H[0, 0], H[1, 1], H[2, 2] = float32(1e-6), STIFFNESS, STIFFNESS
             for k in range(count):

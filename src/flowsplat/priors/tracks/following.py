@@ -18,11 +18,11 @@ from flowsplat.priors.tracks.patches import Patches, align
 from flowsplat.scenes import Flow
 from flowsplat.scenes.layers import TRUSTED
 
-LIKE = 0.6
+MIN_SIMILARITY = 0.6
 """Likeness (structural similarity) to its patch from which a point counts as found."""
 PENALTY = 0.1
 """Of likeness for every pixel from where the neighbors lead, and for every pixel by which they disagree."""
-FADING = 0.75
+RENEW_SIMILARITY = 0.75
 """Likeness below which a patch is taken anew."""
 STILL_LIKE = 0.6
 """Likeness to the patch before it from which a faded one is taken anew."""
@@ -30,7 +30,7 @@ SLIP = 0.2
 """Pixels that a point may slip then, beside half of what speaks against it."""
 TRUST, DRIFT = 0.55, 1.0
 """Likeness less penalties from which, and pixels of slipping up to which, a point that was found counts as seen."""
-BETTER = 0.15
+FLOW_ADVANTAGE = 0.15
 """Likeness by which the place that the flow leads to must beat the one that the velocity leads to."""
 CLEAR = 0.85
 """Likeness from which the flow is not asked at all."""
@@ -38,11 +38,11 @@ ALLOWED = 1.0
 """Pixels from its neighbors' motion, beside twice their spread, from which a point is taken back to them."""
 LONGEST_GAP = 12
 """Frames after which a point that was not seen is given up."""
-REACH, SHORTEST_REACH = 0.07, 32.0
+NEIGHBOR_REACH, SHORTEST_REACH = 0.07, 32.0
 """Share of the image's diagonal, and pixels at least, within which neighbors are asked."""
 ELDER = 2
 """Frames from which a point has a velocity."""
-OUTSIDE = 20
+OUTSIDE_PIXELS = 20
 """Pixels that an unseen point may be outside the image."""
 
 
@@ -137,25 +137,27 @@ class Follower:
         if self._patches is None or len(self.ids) == 0:
             return
         living, pixels = self._living, image.astype(np.float32)
-        reach = max(SHORTEST_REACH, REACH * float(np.hypot(*image.shape)))
+        reach = max(SHORTEST_REACH, NEIGHBOR_REACH * float(np.hypot(*image.shape)))
         places, shapes, likeness, led = self._first_guess(pixels, flow, pace, reach)
         elders = living.ages >= ELDER
-        believed = (likeness >= LIKE) & (elders | (led >= TRUSTED))
-        weight = np.clip(living.ages, 0.25, 4) * (likeness - LIKE + 0.05) * np.where(living.missed == 0, 1, 0.3) * believed
+        believed = (likeness >= MIN_SIMILARITY) & (elders | (led >= TRUSTED))
+        weight = (
+            np.clip(living.ages, 0.25, 4) * (likeness - MIN_SIMILARITY + 0.05) * np.where(living.missed == 0, 1, 0.3) * believed
+        )
         motion, gradient, spread = compute_agreed_motion(living.places, places - living.places, weight, living.labels, reach)
         asked = np.isfinite(spread)
         away = np.where(asked, np.linalg.norm(places - living.places - motion, axis=1), 0)
         spread = np.where(asked, np.minimum(spread, 5), 0)
-        stray = np.flatnonzero(asked & ((away > ALLOWED + 2 * spread) | (likeness < LIKE)))
+        stray = np.flatnonzero(asked & ((away > ALLOWED + 2 * spread) | (likeness < MIN_SIMILARITY)))
         expected = living.places[stray] + motion[stray]
         turned = ((np.eye(2, dtype=np.float32) + gradient[stray]) @ living.shapes[stray]).astype(np.float32)
         found, shape, like = align(self._patches[stray], pixels, expected, turned)
         off = np.linalg.norm(found - expected, axis=1)
-        back = (like >= LIKE) & (off <= ALLOWED + 2 * spread[stray])
+        back = (like >= MIN_SIMILARITY) & (off <= ALLOWED + 2 * spread[stray])
         places[stray] = np.where(back[:, None], found, expected)
         shapes[stray] = np.where(back[:, None, None], shape, turned)
         likeness[stray], away[stray] = np.where(back, like, 0), off
-        alone = np.flatnonzero(~asked & elders & (likeness < LIKE))
+        alone = np.flatnonzero(~asked & elders & (likeness < MIN_SIMILARITY))
         places[alone] = living.places[alone] + living.moves[alone] * np.float32(pace)
         self._arrive(pixels, labels, places, shapes, likeness, np.minimum(away, 5) + spread, asked)
 
@@ -169,7 +171,7 @@ class Follower:
         led = sample_map(flow.confidence, self.points)[:, 0]
         elders = living.ages >= ELDER
         moves = living.moves * np.float32(pace)
-        weight = np.where(elders & (living.missed == 0), np.clip(living.trust - LIKE, 0.01, 1), 0)
+        weight = np.where(elders & (living.missed == 0), np.clip(living.trust - MIN_SIMILARITY, 0.01, 1), 0)
         motion, gradient, spread = compute_agreed_motion(living.places, moves, weight, living.labels, reach)
         expected = living.places + np.where(elders[:, None], moves, by_flow - living.places)
         # Where the flow of a young point contradicts its elders, it goes with them; and so does who was not seen.
@@ -181,7 +183,7 @@ class Follower:
         places, shapes, likeness = align(self._patches, image, expected, turned)
         doubted = np.flatnonzero(elders & (likeness < CLEAR) & (led >= TRUSTED))
         other, shape, like = align(self._patches[doubted], image, by_flow[doubted], turned[doubted])
-        better = like > likeness[doubted] + BETTER
+        better = like > likeness[doubted] + FLOW_ADVANTAGE
         chosen = doubted[better]
         places[chosen], shapes[chosen], likeness[chosen] = other[better], shape[better], like[better]
         return places, shapes, likeness, led
@@ -195,12 +197,14 @@ class Follower:
         assert self._patches is not None
         inside = (places >= -0.5).all(1) & (places[:, 0] <= width - 0.5) & (places[:, 1] <= height - 0.5)
         upright = np.linalg.det(shapes) > 0.15
-        found = (likeness >= LIKE) & inside & upright
+        found = (likeness >= MIN_SIMILARITY) & inside & upright
         trust = likeness - PENALTY * doubt
         living.moves, living.places, living.shapes = (places - living.places).astype(np.float32), places, shapes
         living.ages, living.missed, living.trust = living.ages + 1, np.where(found, 0, living.missed + 1), trust.astype(np.float32)
-        self._renew(np.flatnonzero(found & (likeness < FADING)), image, labels, doubt)
-        near = (places > -OUTSIDE).all(1) & (places[:, 0] < width + OUTSIDE) & (places[:, 1] < height + OUTSIDE)
+        self._renew(np.flatnonzero(found & (likeness < RENEW_SIMILARITY)), image, labels, doubt)
+        near = (
+            (places > -OUTSIDE_PIXELS).all(1) & (places[:, 0] < width + OUTSIDE_PIXELS) & (places[:, 1] < height + OUTSIDE_PIXELS)
+        )
         self.keep(np.flatnonzero(near & (found | ((asked | (living.ages > ELDER)) & (living.missed <= LONGEST_GAP)))))
 
     def _renew(self, rows: np.ndarray, image: np.ndarray, labels: np.ndarray, doubt: np.ndarray) -> None:

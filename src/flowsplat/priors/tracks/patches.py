@@ -20,13 +20,13 @@ RADIUS = 6
 """Pixels from the center of a patch to its border."""
 SIDE = 2 * RADIUS + 1
 ITERATIONS = 8
-STILL = np.float32(0.01)
+MIN_STEP = np.float32(0.01)
 """Pixels; a smaller step ends the search."""
 DAMPING = np.float32(2.0)
 """Added to the mean square gradient (gray levels a pixel): noise."""
 STIFFNESS = np.float32(6.0)
 """The same for the affine part, whose unit is a shift of the patch's border by a pixel."""
-LONGEST = np.float32(4.0)
+MAX_SHIFT = np.float32(4.0)
 """Pixels that an alignment may move a point: farther away is something similar, not the same."""
 CONTRAST, BRIGHTNESS = np.float32(58.5), np.float32(58.5)
 """(0.03 x 255)^2, the constants of structural similarity: differences below them count as noise."""
@@ -212,10 +212,10 @@ def _align(begin, end, gray, right, down, weights, image, points, shapes, likene
             a, b, c, d = (a * s - b * r) / det, (b * p - a * q) / det, (c * s - d * r) / det, (d * p - c * q) / det
             dx, dy = a * step[0] + b * step[1], c * step[0] + d * step[1]
             x, y = x - dx, y - dy
-            if (x - x0) ** 2 + (y - y0) ** 2 > LONGEST * LONGEST:
+            if (x - x0) ** 2 + (y - y0) ** 2 > MAX_SHIFT * MAX_SHIFT:
                 break
             if not (x > float32(-1) and y > float32(-1) and x < width and y < height):
                 break
-            if dx * dx + dy * dy < STILL * STILL:
+            if dx * dx + dy * dy < MIN_STEP * MIN_STEP:
                 break
         likeness[n] = best

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.005)
+SUBPIXEL_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.005)
 """At most 20 steps, until one is below 0.005 pixel."""
 ROUND_TRIP = 0.5
 """Pixels by which a point may miss its start after going there and back."""
@@ -43,7 +43,7 @@ def refine_points(
 
     def move(source: np.ndarray, target: np.ndarray, begin: np.ndarray, expected: np.ndarray) -> tuple:
         found, status, _ = cv2.calcOpticalFlowPyrLK(
-            source, target, begin, expected.copy(), winSize=(window, window), maxLevel=1, criteria=STOP,
+            source, target, begin, expected.copy(), winSize=(window, window), maxLevel=1, criteria=SUBPIXEL_CRITERIA,
             flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
         )  # fmt: skip
         return found, status[:, 0] > 0

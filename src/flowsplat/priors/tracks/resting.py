@@ -18,9 +18,9 @@ from flowsplat.scenes import Scene
 
 AGREES = 1.5
 """Pixels from the path of a resting point up to which it was found there, and within which depth leads back to its birth."""
-FEWEST = 2
+MIN_ON_PATH = 2
 """Frames in which a point must have been found on its path,"""
-MOSTLY = 0.6
+MIN_ON_PATH_SHARE = 0.6
 """and their share of those in which it was found at all."""
 DEPTH_ERROR, LARGEST_ERROR = 0.03, 0.15
 """Relative error of the inverse depth to be expected, and that from which a point is not what its pixel shows."""
@@ -85,8 +85,12 @@ def complete_resting(scene: Scene, points: np.ndarray, confidence: np.ndarray, b
     found[np.arange(len(rows)), first] = False
     fitted, agrees = _fit(rays, cameras, points[rows], found, inverse[rows])
     counts = agrees.sum(1)
-    rests = (counts >= FEWEST) & (counts >= MOSTLY * found.sum(1)) & (np.abs(np.log(fitted / inverse[rows])) <= LARGEST_ERROR)
-    lasting = found.sum(1) >= FEWEST
+    rests = (
+        (counts >= MIN_ON_PATH)
+        & (counts >= MIN_ON_PATH_SHARE * found.sum(1))
+        & (np.abs(np.log(fitted / inverse[rows])) <= LARGEST_ERROR)
+    )
+    lasting = found.sum(1) >= MIN_ON_PATH
     if rests.sum() <= CREDIBLE * lasting.sum():
         return points, confidence
     points, confidence = points.copy(), confidence.copy()

@@ -18,7 +18,7 @@ from flowsplat.scenes import Scene, Tracks
 BACKGROUND_POINTS = 700
 OBJECT_POINTS = 1500
 """About how many points are followed at a time in an image, and on all its objects."""
-SHORTEST = 3
+MIN_TRACK_FRAMES = 3
 """Frames that a kept track was seen in."""
 
 Start = Callable[[int, np.ndarray, np.ndarray, Follower], None]
@@ -56,7 +56,7 @@ def complete_tracks(scene: Scene) -> None:
     """
     tracks = scene.tracks
     points, confidence = complete_resting(scene, tracks.points, tracks.confidence, tracks.visible.argmax(1))
-    lasting = (confidence > 0).sum(1) >= min(SHORTEST, len(scene.train_frames))
+    lasting = (confidence > 0).sum(1) >= min(MIN_TRACK_FRAMES, len(scene.train_frames))
     _finish(scene, Tracks(points[lasting], confidence[lasting] > 0, confidence[lasting], tracks.moving[lasting]))
 
 

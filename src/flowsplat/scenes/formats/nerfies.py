@@ -20,7 +20,7 @@ import numpy as np
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import plain_name, read_json
 from flowsplat.geometry import Camera
-from flowsplat.geometry.cameras import FURTHEST, rigid
+from flowsplat.geometry.cameras import MAX_COORDINATE, rigid
 from flowsplat.scenes.clip import InputOptions
 from flowsplat.scenes.formats.posed import PosedClip, PosedImage, PosedView, open_posed
 
@@ -81,7 +81,7 @@ def read_camera(path: Path) -> Camera:
         focal = float(values["focal_length"])
         bent = [values.get("skew", 0.0), *values.get("radial_distortion", ()), *values.get("tangential_distortion", ())]
         R, center = np.array(values["orientation"], float).reshape(3, 3), np.array(values["position"], float).reshape(3)
-        if not (np.abs(np.concatenate([R.ravel(), center])) <= FURTHEST).all():
+        if not (np.abs(np.concatenate([R.ravel(), center])) <= MAX_COORDINATE).all():
             raise ValueError("its pose is not finite")
         K = np.array([[focal, 0, cx], [0, focal * float(values.get("pixel_aspect_ratio", 1.0)), cy], [0, 0, 1]], float)
         camera = Camera(rigid(R, -R @ center), K, int(width), int(height))

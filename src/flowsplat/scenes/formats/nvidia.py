@@ -20,7 +20,7 @@ import numpy as np
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import read_npy
 from flowsplat.geometry import Camera
-from flowsplat.geometry.cameras import FURTHEST, rigid
+from flowsplat.geometry.cameras import MAX_COORDINATE, rigid
 from flowsplat.scenes.clip import InputOptions
 from flowsplat.scenes.formats.images import list_images
 from flowsplat.scenes.formats.posed import PosedClip, PosedImage, PosedView, open_posed
@@ -62,7 +62,7 @@ def read_poses_bounds(path: Path) -> list[Camera]:
 def _llff_camera(pose: np.ndarray, where: str) -> Camera:
     down, right, back, center, (height, width, focal) = pose.T
     rotation = np.stack([right, down, -back])  # rows: the camera's axes in the world
-    if not (np.abs(pose) <= FURTHEST).all() or min(height, width, focal) <= 0 or np.linalg.det(rotation) <= 0:
+    if not (np.abs(pose) <= MAX_COORDINATE).all() or min(height, width, focal) <= 0 or np.linalg.det(rotation) <= 0:
         raise InputError(f"{where} is no camera: it needs a rotation, and a height, a width and a focal length above 0.")
     K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
     return Camera(rigid(rotation, -rotation @ center), K, round(width), round(height))

@@ -25,7 +25,7 @@ import numpy as np
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import plain_name, read_json, read_npz
-from flowsplat.common.files.arrays import MOST_BYTES
+from flowsplat.common.files.arrays import MAX_ARRAY_BYTES
 from flowsplat.geometry import Camera
 from flowsplat.scenes.clip import FEWEST_FPS, MOST_FPS, InputOptions, resize_labels
 from flowsplat.scenes.formats.images import list_images
@@ -34,7 +34,7 @@ from flowsplat.scenes.formats.posed import PosedClip, PosedImage, PosedView, ope
 from flowsplat.scenes.layers import Depth, Flow, Tracks
 
 _ARRAYS = ("depth", "fwd", "bwd", "fwd_valid", "bwd_valid", "points", "visible", "moving", "birth")
-_MOST_A_PIXEL = 48
+_MAX_BYTES_PER_PIXEL = 48
 """Bytes: flow both ways in float64 with where it is valid."""
 
 
@@ -70,7 +70,7 @@ class RigTruth:
         if file not in self._archives:
             # One archive at a time: depth and flow of a long clip are large.
             pixels = sum(camera.width * camera.height for camera in self._stored)
-            self._archives = {file: read_npz(path, _ARRAYS, most=max(MOST_BYTES, _MOST_A_PIXEL * pixels))}
+            self._archives = {file: read_npz(path, _ARRAYS, most=max(MAX_ARRAY_BYTES, _MAX_BYTES_PER_PIXEL * pixels))}
         camera = self._stored[0]
         shape = (len(self._stored), *beyond) if file == "tracks.npz" else (len(self._stored), camera.height, camera.width, *beyond)
         return _member(self._archives[file], path, name, shape)

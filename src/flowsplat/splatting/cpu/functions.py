@@ -14,7 +14,7 @@ from flowsplat.splatting.cpu import blending, tiles
 from flowsplat.splatting.cpu import projection as kernels
 from flowsplat.splatting.cpu.workspace import Lease
 
-MOST_INSTANCES = 2**31 - 1
+MAX_INSTANCES = 2**31 - 1
 MOST_CHANNELS = 64
 """Of one blending: of more, each piece is blended by itself."""
 _CHUNKS = 16  # fixed, so that sums over chunks do not depend on the number of threads
@@ -123,8 +123,8 @@ class _Blend(torch.autograd.Function):
                 break
             room = int(strip_counts.max())
         total = tiles.prefix_sum(instance_offsets[1:], visible)
-        if total > MOST_INSTANCES:
-            raise ValueError(f"{total} pairs of a Gaussian and a tile are too many: at most {MOST_INSTANCES} fit")
+        if total > MAX_INSTANCES:
+            raise ValueError(f"{total} pairs of a Gaussian and a tile are too many: at most {MAX_INSTANCES} fit")
         instance_offsets = instance_offsets[1:]
         tile_offsets = space.array("tile_offsets", tile_count + 1, np.int64)
         tiles.tile_ranges(chunk_counts, tile_offsets)

@@ -16,9 +16,9 @@ from flowsplat.common.kernels import inline, kernel, log
 from flowsplat.splatting.rules import ALPHA_MIN, DETERMINANT_MAX, OPACITY_FLOOR, RADIUS_MAX, TANGENT_MARGIN
 
 ONE, TWO, HALF, ZERO = np.float32(1), np.float32(2), np.float32(0.5), np.float32(0)
-MARGIN, PER_ALPHA_MIN = np.float32(TANGENT_MARGIN), np.float32(1 / ALPHA_MIN)
-LEAST_OPACITY, MOST_RADIUS = np.float32(OPACITY_FLOOR), np.float32(RADIUS_MAX)
-MOST_DETERMINANT = np.float32(DETERMINANT_MAX)
+CLAMP_MARGIN, PER_ALPHA_MIN = np.float32(TANGENT_MARGIN), np.float32(1 / ALPHA_MIN)
+MIN_OPACITY, MAX_RADIUS = np.float32(OPACITY_FLOOR), np.float32(RADIUS_MAX)
+MAX_DETERMINANT = np.float32(DETERMINANT_MAX)
 
 
 @inline
@@ -88,8 +88,8 @@ def project_forward(
     """Fill means2d [N, 2], conics [N, 3], depths [N], radii [N, 2] and extents [N] (squared sigmas that are drawn; 0 = culled)."""
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
     w, h = float32(width), float32(height)
-    left, right = (-MARGIN * w - cx) / fx, (w + MARGIN * w - cx) / fx
-    top, bottom = (-MARGIN * h - cy) / fy, (h + MARGIN * h - cy) / fy
+    left, right = (-CLAMP_MARGIN * w - cx) / fx, (w + CLAMP_MARGIN * w - cx) / fx
+    top, bottom = (-CLAMP_MARGIN * h - cy) / fy, (h + CLAMP_MARGIN * h - cy) / fy
     for i in range(begin, end):
         px, py, pz = means[i, 0], means[i, 1], means[i, 2]
         x = view[0, 0] * px + view[0, 1] * py + view[0, 2] * pz + view[0, 3]
@@ -112,18 +112,18 @@ def project_forward(
             a, b, c, determinant = _flatten_given(covars, i, a0, a1, a2, b0, b1, b2, eps2d)
         else:
             a, b, c, determinant = _flatten(quats, scales, i, a0, a1, a2, b0, b1, b2, eps2d)
-        good = inside and (determinant > ZERO) and (determinant < MOST_DETERMINANT)
+        good = inside and (determinant > ZERO) and (determinant < MAX_DETERMINANT)
         inverse_determinant = ONE / determinant if good else ONE
         conics[i, 0] = c * inverse_determinant
         conics[i, 1] = -b * inverse_determinant
         conics[i, 2] = a * inverse_determinant
-        extent = TWO * log(max(opacities[i], LEAST_OPACITY) * PER_ALPHA_MIN)
+        extent = TWO * log(max(opacities[i], MIN_OPACITY) * PER_ALPHA_MIN)
         if good and extent > ZERO:
             half_x, half_y = math.sqrt(extent * a), math.sqrt(extent * c)
             if (u + half_x > ZERO) and (u - half_x < w) and (v + half_y > ZERO) and (v - half_y < h):
                 extents[i] = extent
-                radii[i, 0] = int(min(max(np.ceil(half_x), ONE), MOST_RADIUS))
-                radii[i, 1] = int(min(max(np.ceil(half_y), ONE), MOST_RADIUS))
+                radii[i, 0] = int(min(max(np.ceil(half_x), ONE), MAX_RADIUS))
+                radii[i, 1] = int(min(max(np.ceil(half_y), ONE), MAX_RADIUS))
 
 
 @kernel
@@ -135,8 +135,8 @@ def project_backward(
     """Gradients of everything; culled Gaussians get zeros. grad_camera is [chunks, 16], summed by the caller in order."""
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
     w, h = float32(width), float32(height)
-    left, right = (-MARGIN * w - cx) / fx, (w + MARGIN * w - cx) / fx
-    top, bottom = (-MARGIN * h - cy) / fy, (h + MARGIN * h - cy) / fy
+    left, right = (-CLAMP_MARGIN * w - cx) / fx, (w + CLAMP_MARGIN * w - cx) / fx
+    top, bottom = (-CLAMP_MARGIN * h - cy) / fy, (h + CLAMP_MARGIN * h - cy) / fy
     v00, v01, v02, v10, v11, v12 = view[0, 0], view[0, 1], view[0, 2], view[1, 0], view[1, 1], view[1, 2]
     v20, v21, v22 = view[2, 0], view[2, 1], view[2, 2]
     count, chunks = means.shape[0], grad_camera.shape[0]

@@ -22,10 +22,10 @@ TILE_HEIGHT = 64
 GEOMETRY = 6  # leading entries of a record: x, y, three of the exponent, log2 opacity
 EXPONENT = np.float32(1.4426950408889634 / 8)  # from a natural exponent to one in base 2 divided by 8
 LOG_ALPHA_MIN = np.float32(math.log(ALPHA_MIN))
-TINY = np.float32(1e-20)
+MIN_CONIC = np.float32(1e-20)
 CUT = np.float32(math.log2(ALPHA_MIN) / 8)  # of the exponent: below it nothing is drawn
 BATCH = 64  # Gaussians that are packed before they are cut
-AHEAD = 8  # Gaussians ahead whose scattered inputs are asked for
+PREFETCH = 8  # Gaussians ahead whose scattered inputs are asked for
 
 
 @kernel
@@ -83,7 +83,7 @@ def _pack(i, means2d, conics, opacities, features, last_column, records, o, elli
     # Drawn is where a dx^2 + 2 b dx dy + c dy^2 <= limit.
     limit = max(TWO * (level - LOG_ALPHA_MIN), ZERO)
     # Of a very long and thin one the difference may come out as nothing, or below.
-    inverse, inverse_determinant = ONE / c, ONE / max(a * c - b * b, TINY)
+    inverse, inverse_determinant = ONE / c, ONE / max(a * c - b * b, MIN_CONIC)
     half = math.sqrt(limit * c * inverse_determinant)
     ellipse[0] = x
     ellipse[1] = y
@@ -119,7 +119,7 @@ def pack_and_cut(
             # How many columns a Gaussian has is a branch that no processor guesses; what it waits for is done before.
             size = min(BATCH, end - begin)
             for s in range(begin, begin + size):
-                ahead = int64(order[min(s + AHEAD, end - 1)])
+                ahead = int64(order[min(s + PREFETCH, end - 1)])
                 prefetch(means2d, ahead * 2)
                 prefetch(conics, ahead * 3)
                 prefetch(features, ahead * features.shape[1])

@@ -20,7 +20,7 @@ from flowsplat.splatting.triton.tiles import RECORD, TILE
 
 FORWARD_WARPS, BACKWARD_WARPS = 2, 1  # with one warp, the sums of a tile need no shared memory and no barriers
 CHECK_EVERY = 32  # Gaussians after which a tile looks whether all its pixels have stopped
-TOGETHER = 4  # Gaussians of which forward loads everything before it uses it
+GAUSSIANS_PER_STEP = 4  # Gaussians of which forward loads everything before it uses it
 GEOMETRY = 8  # leading columns of a row of sums: two of the mean, three of the conic, opacity, two of the absolute gradient
 GATHERED = 8  # rows that are summed at once
 

@@ -127,7 +127,7 @@ def _blend_counted(
     blending.blend_forward[(columns * rows,)](
         counted.records, feature, binned.gaussians, binned.offsets, image, alphas, transmittance, stops, width, height, columns,
         CHANNELS=channels, PADDED=power_of_two(channels), SAVE=save, CHECK_EVERY=blending.CHECK_EVERY,
-        TOGETHER=blending.TOGETHER, num_warps=blending.FORWARD_WARPS,
+        TOGETHER=blending.GAUSSIANS_PER_STEP, num_warps=blending.FORWARD_WARPS,
     )  # fmt: skip
     return _Blended(image, alphas, transmittance, stops, counted, binned)
 

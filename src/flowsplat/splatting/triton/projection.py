@@ -12,9 +12,9 @@ import triton.language as tl
 
 from flowsplat.splatting.rules import ALPHA_MIN, DETERMINANT_MAX, OPACITY_FLOOR, RADIUS_MAX, TANGENT_MARGIN
 
-MARGIN, PER_ALPHA_MIN = tl.constexpr(TANGENT_MARGIN), tl.constexpr(1 / ALPHA_MIN)
-LEAST_OPACITY, MOST_RADIUS = tl.constexpr(OPACITY_FLOOR), tl.constexpr(RADIUS_MAX)
-MOST_DETERMINANT = tl.constexpr(DETERMINANT_MAX)
+CLAMP_MARGIN, PER_ALPHA_MIN = tl.constexpr(TANGENT_MARGIN), tl.constexpr(1 / ALPHA_MIN)
+MIN_OPACITY, MAX_RADIUS = tl.constexpr(OPACITY_FLOOR), tl.constexpr(RADIUS_MAX)
+MAX_DETERMINANT = tl.constexpr(DETERMINANT_MAX)
 CAMERA = 16  # entries of a camera's gradient: twelve of viewmat, then fx, fy, cx, cy
 
 
@@ -32,7 +32,7 @@ def _view(view):
 def _intrinsics(K, w, h):
     """fx, fy, cx, cy of K [3, 3], and the tangents beyond which the Jacobian is clamped."""
     fx, cx, fy, cy = tl.load(K), tl.load(K + 2), tl.load(K + 4), tl.load(K + 5)
-    margin_x, margin_y = w * MARGIN, h * MARGIN
+    margin_x, margin_y = w * CLAMP_MARGIN, h * CLAMP_MARGIN
     left, right = (-margin_x - cx) / fx, (w + margin_x - cx) / fx
     top, bottom = (-margin_y - cy) / fy, (h + margin_y - cy) / fy
     return fx, fy, cx, cy, left, right, top, bottom
@@ -134,10 +134,10 @@ def project_forward(
         a, b, c, determinant = _flatten_given(covars, i, live, a0, a1, a2, b0, b1, b2, eps2d)
     else:
         a, b, c, determinant = _flatten(quats, scales, i, live, a0, a1, a2, b0, b1, b2, eps2d)
-    good = inside & (determinant > 0) & (determinant < MOST_DETERMINANT)
+    good = inside & (determinant > 0) & (determinant < MAX_DETERMINANT)
     inverse_determinant = 1.0 / tl.where(good, determinant, 1.0)
     opacity = tl.load(opacities + i, mask=live, other=0.0)
-    extent = 2 * tl.log(tl.maximum(opacity, LEAST_OPACITY) * PER_ALPHA_MIN)
+    extent = 2 * tl.log(tl.maximum(opacity, MIN_OPACITY) * PER_ALPHA_MIN)
     good = good & (extent > 0)
     half_x, half_y = tl.sqrt(tl.where(good, extent * a, 0.0)), tl.sqrt(tl.where(good, extent * c, 0.0))
     good = good & (u + half_x > 0) & (u - half_x < w) & (v + half_y > 0) & (v - half_y < h)
@@ -148,7 +148,7 @@ def project_forward(
     tl.store(conics + 3 * i + 2, a * inverse_determinant, mask=live)
     tl.store(depths + i, z, mask=live)
     tl.store(extents + i, tl.where(good, extent, 0.0), mask=live)
-    wide, high = _clamp(tl.ceil(half_x), 1.0, MOST_RADIUS), _clamp(tl.ceil(half_y), 1.0, MOST_RADIUS)
+    wide, high = _clamp(tl.ceil(half_x), 1.0, MAX_RADIUS), _clamp(tl.ceil(half_y), 1.0, MAX_RADIUS)
     tl.store(radii + 2 * i, tl.where(good, wide, 0.0).to(tl.int32), mask=live)
     tl.store(radii + 2 * i + 1, tl.where(good, high, 0.0).to(tl.int32), mask=live)
 

@@ -27,14 +27,14 @@ from flowsplat.splatting.rules import ALPHA_MIN
 
 TILE = 16  # pixels, wide and high
 RECORD = 8  # floats of a Gaussian's geometry, so that it lies in one sector of memory; six are used
-MOST_INSTANCES = 2**31 - 1
+MAX_INSTANCES = 2**31 - 1
 _GRANULE = 4096  # capacities are multiples of this
 
 _TILE = tl.constexpr(TILE)
 _RECORD = tl.constexpr(RECORD)
 _LOG_ALPHA_MIN = tl.constexpr(math.log(ALPHA_MIN))
 _LOG2_E = tl.constexpr(1 / math.log(2))
-_TINY = tl.constexpr(1e-20)
+_MIN_CONIC = tl.constexpr(1e-20)
 
 
 class PairCapacity:
@@ -77,9 +77,9 @@ class PairCapacity:
             ValueError: there are more pairs than can be numbered.
         """
         needed = int(self._needed) if needed is None else needed
-        if needed > MOST_INSTANCES:
-            raise ValueError(f"{needed} pairs of a Gaussian and a tile are too many: at most {MOST_INSTANCES} fit")
-        self.pairs = min(max(self.pairs, _round_up(needed + needed // 4)), MOST_INSTANCES)
+        if needed > MAX_INSTANCES:
+            raise ValueError(f"{needed} pairs of a Gaussian and a tile are too many: at most {MAX_INSTANCES} fit")
+        self.pairs = min(max(self.pairs, _round_up(needed + needed // 4)), MAX_INSTANCES)
 
 
 def _round_up(count: int) -> int:
@@ -201,10 +201,10 @@ def cut_tiles(
     # Drawn is where a dx^2 + 2 b dx dy + c dy^2 <= limit. At an offset dx that reaches over y - slope dx +- sqrt(top - bend
     # dx^2), and its lowest point in the image is at dx = lowest. A determinant that rounding made 0 is that of a long line.
     limit = tl.maximum(2 * (level - _LOG_ALPHA_MIN), 0.0)
-    inverse, determinant = 1.0 / tl.maximum(c, _TINY), tl.maximum(a * c - b * b, _TINY)
+    inverse, determinant = 1.0 / tl.maximum(c, _MIN_CONIC), tl.maximum(a * c - b * b, _MIN_CONIC)
     half = tl.sqrt(limit * c / determinant)
     slope, top, bend = b * inverse, limit * inverse, inverse * inverse * determinant
-    lowest = -b * tl.sqrt(limit / (determinant * tl.maximum(a, _TINY)))
+    lowest = -b * tl.sqrt(limit / (determinant * tl.maximum(a, _MIN_CONIC)))
     last_x, last_y = (width - 1).to(tl.float32), (height - 1).to(tl.float32)
     left = tl.minimum(tl.maximum(tl.ceil(x - half - 0.5), 0.0), last_x + 1)
     right = tl.maximum(tl.minimum(tl.floor(x + half - 0.5), last_x), -1.0)

@@ -9,15 +9,15 @@ import torch
 from torch import Tensor
 
 BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-15
-LONGEST = 1 << 15
+MAX_CORRECTED_STEPS = 1 << 15
 """Steps after which the bias correction of the second moment is 1 in float32."""
 
 
 @functools.cache
 def correction_table() -> np.ndarray:
     """Return [LONGEST, 2] for the kernels, by steps taken: 1 / (1 - beta_1^n) and sqrt(1 / (1 - beta_2^n))."""
-    n = np.arange(1, LONGEST)
-    table = np.ones((LONGEST, 2), np.float32)
+    n = np.arange(1, MAX_CORRECTED_STEPS)
+    table = np.ones((MAX_CORRECTED_STEPS, 2), np.float32)
     table[1:, 0], table[1:, 1] = 1 / (1 - BETA1**n), np.sqrt(1 / (1 - BETA2**n))
     return table
 

@@ -12,7 +12,7 @@ from flowsplat.training.photometric_loss.api import ImageFigures, PhotometricTar
 RADIUS, SIGMA, C1, C2 = 5, 1.5, 0.01**2, 0.03**2
 OPAQUE = 0.5
 """Alpha from which a pixel's flow counts, if it is compared by alpha."""
-UNSEEN = 0.05
+MAX_UNSEEN_SHARE = 0.05
 """Share of alpha that may be held by what the other camera cannot see."""
 
 
@@ -74,7 +74,7 @@ def photometric_loss(
         assert targets.flow_trusted is not None
         valid = tensor(targets.flow_trusted)
         if image.shape[2] > end:
-            valid = valid & (image[..., end] <= UNSEEN * alpha)
+            valid = valid & (image[..., end] <= MAX_UNSEEN_SHARE * alpha)
         parts["flow"] = flow_loss(flow_image(image[..., 4:end]), alpha, tensor(targets.flow), valid, weights.flow_by_alpha)
         total = total + weights.flow * parts["flow"]
     if targets.depth is not None and weights.depth > 0:

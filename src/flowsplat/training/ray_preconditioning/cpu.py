@@ -87,5 +87,5 @@ def step_rows(
     parallel_for(
         _step, len(rows), *arrays, correction_table(),
         path.middle.numpy(), path.covariance.numpy(), np.float32(focal), np.float32(most),
-        np.float32(reference.FEWEST_PIXELS),
+        np.float32(reference.HALF_PARALLAX),
     )  # fmt: skip

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from flowsplat.training.adam import RowAdam
 
-FEWEST_PIXELS = 4.0
+HALF_PARALLAX = 4.0
 """Parallax, as a standard deviation over the clip, at which half of that counts: below it the images hardly tell a depth."""
 
 
@@ -64,7 +64,7 @@ def ray_axes(positions: Tensor, path: PathSpread, focal: float, most: float) -> 
     across = (spread.trace() - ((along @ spread) * along).sum(1)).clamp_min(0).sqrt()
     seen = (focal * across / distance).square()
     factors = (distance / (2 * across).clamp_min(1e-9)).clamp(1, most)
-    factors = 1 + (factors - 1) * seen / (seen + FEWEST_PIXELS**2)
+    factors = 1 + (factors - 1) * seen / (seen + HALF_PARALLAX**2)
     # Any two directions across will do: beginning with the world's axis that is least along the ray.
     least = torch.zeros_like(along).scatter_(1, along.abs().argmin(1, keepdim=True), 1)
     first = torch.nn.functional.normalize(torch.linalg.cross(along, least), dim=1)

@@ -12,7 +12,7 @@ from flowsplat.training.adam.triton import B1, B2, C1, C2, EPS, corrections_on
 from flowsplat.training.ray_preconditioning import reference
 from flowsplat.training.ray_preconditioning.reference import PathSpread
 
-TINY = tl.constexpr(1e-9)
+MIN_LENGTH = tl.constexpr(1e-9)
 
 
 @triton.jit
@@ -39,7 +39,7 @@ def _step(
     py = tl.load(value + at + 1, mask=inside, other=0.0)
     pz = tl.load(value + at + 2, mask=inside, other=0.0)
     x, y, z = px - tl.load(path), py - tl.load(path + 1), pz - tl.load(path + 2)
-    distance = tl.maximum(tl.sqrt(x * x + y * y + z * z), TINY)
+    distance = tl.maximum(tl.sqrt(x * x + y * y + z * z), MIN_LENGTH)
     inverse = 1.0 / distance
     x, y, z = x * inverse, y * inverse, z * inverse
     along = x * (tl.load(path + 3) * x + tl.load(path + 4) * y + tl.load(path + 5) * z)
@@ -49,7 +49,7 @@ def _step(
     travel = tl.sqrt(tl.maximum(trace - along, 0.0))
     pixels = focal * travel * inverse
     seen = pixels * pixels
-    factor = tl.minimum(tl.maximum(distance / tl.maximum(travel * 2.0, TINY), 1.0), most)
+    factor = tl.minimum(tl.maximum(distance / tl.maximum(travel * 2.0, MIN_LENGTH), 1.0), most)
     factor = (factor - 1.0) * (seen / (seen + fewest * fewest)) + 1.0
     # A unit vector across the ray: the product with the world's axis that is least along it.
     ax, ay, az = tl.abs(x), tl.abs(y), tl.abs(z)
@@ -58,7 +58,7 @@ def _step(
     ux = tl.where(by_x, 0.0, tl.where(by_y, -z, y))
     uy = tl.where(by_x, z, tl.where(by_y, 0.0, -x))
     uz = tl.where(by_x, -y, tl.where(by_y, x, 0.0))
-    length = 1.0 / tl.maximum(tl.sqrt(ux * ux + uy * uy + uz * uz), TINY)
+    length = 1.0 / tl.maximum(tl.sqrt(ux * ux + uy * uy + uz * uz), MIN_LENGTH)
     ux, uy, uz = ux * length, uy * length, uz * length
     vx, vy, vz = y * uz - z * uy, z * ux - x * uz, x * uy - y * ux
     taken = tl.minimum(tl.load(counts + at // 3, mask=inside, other=0), last)
@@ -85,5 +85,5 @@ def step_rows(
     with device_of(value):
         _step[(triton.cdiv(len(rows), block),)](
             value, mean, square, counts, rows, stepped.view(torch.uint8), gradient.contiguous(), rates, table, path.numbers,
-            float(focal), float(most), float(reference.FEWEST_PIXELS), len(rows), len(table) - 1, BLOCK=block,
+            float(focal), float(most), float(reference.HALF_PARALLAX), len(rows), len(table) - 1, BLOCK=block,
         )  # fmt: skip

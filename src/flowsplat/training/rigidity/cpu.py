@@ -17,14 +17,14 @@ from flowsplat.training.rigidity import reference
 from flowsplat.training.rigidity.neighbors import Neighbors
 
 CHUNKS = 64
-TINY, ZERO, ONE = np.float32(reference.TINY), np.float32(0), np.float32(1)
+NORM_EPSILON, ZERO, ONE = np.float32(reference.NORM_EPSILON), np.float32(0), np.float32(1)
 
 
 @inline
 def _difference(velocities, a, b):
     """v_a - v_b and the inverse of its safe norm."""
     x, y, z = velocities[a, 0] - velocities[b, 0], velocities[a, 1] - velocities[b, 1], velocities[a, 2] - velocities[b, 2]
-    return x, y, z, ONE / math.sqrt(x * x + y * y + z * z + TINY)
+    return x, y, z, ONE / math.sqrt(x * x + y * y + z * z + NORM_EPSILON)
 
 
 @kernel
@@ -42,7 +42,7 @@ def _loss_and_gradient(begin, end, velocities, rows, place, indices, weights, of
                 if b >= 0:
                     x, y, z, inverse = _difference(velocities, a, b)
                     pull = weights[i, n] * inverse
-                    total += float32(pull * (x * x + y * y + z * z + TINY))
+                    total += float32(pull * (x * x + y * y + z * z + NORM_EPSILON))
                     gx += pull * x
                     gy += pull * y
                     gz += pull * z

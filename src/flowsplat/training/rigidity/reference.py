@@ -7,7 +7,7 @@ from torch import Tensor
 
 from flowsplat.training.rigidity.neighbors import Neighbors
 
-TINY = 1e-12
+NORM_EPSILON = 1e-12
 """Added to squared norms, which have no gradient at 0 otherwise."""
 
 
@@ -17,6 +17,6 @@ def rigid_loss(velocities: Tensor, rows: Tensor, neighbors: Neighbors, count: in
     place[rows] = torch.arange(len(rows), device=rows.device)
     others = place[neighbors.indices[rows].long()]
     difference = velocities[:, None] - velocities[others.clamp(min=0)]
-    norm = torch.sqrt((difference * difference).sum(-1) + TINY)
+    norm = torch.sqrt((difference * difference).sum(-1) + NORM_EPSILON)
     weights = neighbors.weights[rows].to(norm.dtype) * (others >= 0)
     return (weights * norm).sum() / (neighbors.indices.shape[1] * count)

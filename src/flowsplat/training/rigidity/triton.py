@@ -18,7 +18,7 @@ from flowsplat.common.triton import device_of, rows_per_program
 from flowsplat.training.rigidity import reference
 from flowsplat.training.rigidity.neighbors import Neighbors
 
-TINY = tl.constexpr(reference.TINY)
+NORM_EPSILON = tl.constexpr(reference.NORM_EPSILON)
 
 
 @triton.jit
@@ -27,7 +27,7 @@ def _difference(velocities, x, y, z, b, mask):
     x -= tl.load(velocities + b * 3, mask=mask, other=0.0)
     y -= tl.load(velocities + b * 3 + 1, mask=mask, other=0.0)
     z -= tl.load(velocities + b * 3 + 2, mask=mask, other=0.0)
-    return x, y, z, tl.sqrt(x * x + y * y + z * z + TINY)
+    return x, y, z, tl.sqrt(x * x + y * y + z * z + NORM_EPSILON)
 
 
 @triton.jit(do_not_specialize=["count"])

@@ -8,7 +8,7 @@ from typing import Any
 from flowsplat_benchmarks.scripts.cpu_parts.floor import backward_flops, forward_flops
 
 Json = dict[str, Any]
-SMALL = 0.01
+MIN_LISTED_SHARE = 0.01
 """Parts of a training step below this share of it are not listed."""
 
 
@@ -135,7 +135,7 @@ preset take part. Neighbors of the rigid loss are found already, which has to be
     ]  # fmt: skip
     text += _table(columns, rows)
     for name, preset in part["presets"].items():
-        least = SMALL * preset["step"]["min_ms"]
+        least = MIN_LISTED_SHARE * preset["step"]["min_ms"]
         parts = sorted(preset["parts"].items(), key=lambda item: -item[1]["min_ms"])
         listed = [(label, _time(value)) for label, value in parts if value["min_ms"] >= least]
         text += f"\n\nParts of the step of `{name}`, by Python's profiler (those above 1 %):\n\n{_table(('part', 'time'), listed)}"

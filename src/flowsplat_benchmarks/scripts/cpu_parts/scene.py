@@ -18,7 +18,7 @@ FRAMES = 6
 BACKGROUND = 0.4
 """Share of the Gaussians that is background, always active. The others are objects, each active around one of the frames: with six
 frames 0.4 + 0.6 / 6 = one half is active in every frame."""
-REACH = 0.1
+PRESENCE_REACH = 0.1
 """How long before and after its center time an object is active: half the distance of two frames."""
 
 
@@ -36,7 +36,7 @@ def gaussians(config: ModelConfig, count: int, width: int, height: int) -> Gauss
         return torch.from_numpy(np.concatenate([getattr(load, field)[rows] for load, rows in chosen]))
 
     unit = float(np.median(loads[0].means[:, 2]))
-    log_lambda = float(np.log(-2 * np.log(config.p_min) / REACH**2))
+    log_lambda = float(np.log(-2 * np.log(config.p_min) / PRESENCE_REACH**2))
     opacities = gathered("opacities")
     params = {name: torch.zeros(len(times), *shape) for name, shape in parameter_shapes(config).items()}
     params["means"], params["log_scales"] = gathered("means") / unit, torch.log(gathered("scales") / unit)

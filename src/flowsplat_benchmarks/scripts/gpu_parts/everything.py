@@ -28,7 +28,7 @@ from flowsplat_benchmarks.scripts.cpu_parts.timing import tell
 FOLDER = Path(__file__).parent
 COMMAND = ("-m", "flowsplat_benchmarks.scripts.gpu")
 """What runs a part, behind the name of Python."""
-SHOWN = 15
+SHOWN_LINES = 15
 """Lines of a failed part's output that are kept."""
 GRACE = 3.0
 """Seconds for writing the last result, and for a part that is asked to stop."""
@@ -174,7 +174,7 @@ def _run(part: Part, folder: Path, limit: float, scenes: Sequence[Path], rehears
     found = json.loads(figures.read_text(encoding="utf-8")) if figures.exists() else {}
     result: dict[str, Any] = {"outcome": outcome, "seconds": round(time.monotonic() - began, 1), "figures": found}
     if outcome != "done":
-        result["output"] = log.read_text(encoding="utf-8", errors="replace").splitlines()[-SHOWN:]
+        result["output"] = log.read_text(encoding="utf-8", errors="replace").splitlines()[-SHOWN_LINES:]
         tell("\n".join(f"         | {line}" for line in result["output"]))
     return result
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-SHOWN = 700
+SHOWN_CHARACTERS = 700
 """Characters of how a test failed."""
 
 
@@ -30,7 +30,7 @@ def pytest_configure(config: pytest.Config) -> None:
 def _write(report: pytest.TestReport) -> None:
     if report.when != "call" and report.outcome == "passed":
         return
-    said = str(report.longrepr)[-SHOWN:] if report.failed else ""
+    said = str(report.longrepr)[-SHOWN_CHARACTERS:] if report.failed else ""
     line = {"test": report.nodeid, "outcome": report.outcome, "seconds": report.duration, "said": said}
     with Path(os.environ["FLOWSPLAT_TEST_REPORT"]).open("a", encoding="utf-8") as file:
         file.write(json.dumps(line) + "\n")

@@ -15,16 +15,16 @@ from torch.autograd.function import once_differentiable
 
 from flowsplat.common.kernels import inline, kernel
 from flowsplat.common.threads import parallel_for
-from flowsplat.gaussians.flow.reference import NEAR
+from flowsplat.gaussians.flow.reference import FLOW_NEAR_PLANE
 from flowsplat.gaussians.slicing import Slice
 from flowsplat.geometry import Camera
 from flowsplat.splatting import Projected
-from flowsplat.splatting.cpu.projection import MARGIN, ONE, ZERO, clamp, rotation, rotation_gradient
+from flowsplat.splatting.cpu.projection import CLAMP_MARGIN, ONE, ZERO, clamp, rotation, rotation_gradient
 from flowsplat.splatting.rules import EPS2D
 
 CHANNELS = 10  # color 3, depth, flow at the center of the image 2, B by rows 4
 CHUNKS = 64
-CLIP, BLUR = np.float32(NEAR), np.float32(EPS2D)
+CLIP, BLUR = np.float32(FLOW_NEAR_PLANE), np.float32(EPS2D)
 
 
 @inline
@@ -201,8 +201,8 @@ class _Features(torch.autograd.Function):
         views, Ks = (np.stack(matrices).astype(np.float32) for matrices in zip(*((c.viewmat, c.K) for c in cameras), strict=True))
         width, height = float(cameras[0].width), float(cameras[0].height)
         limits = np.array([
-            [(-MARGIN * width - K[0, 2]) / K[0, 0], (width + MARGIN * width - K[0, 2]) / K[0, 0],
-             (-MARGIN * height - K[1, 2]) / K[1, 1], (height + MARGIN * height - K[1, 2]) / K[1, 1]]
+            [(-CLAMP_MARGIN * width - K[0, 2]) / K[0, 0], (width + CLAMP_MARGIN * width - K[0, 2]) / K[0, 0],
+             (-CLAMP_MARGIN * height - K[1, 2]) / K[1, 1], (height + CLAMP_MARGIN * height - K[1, 2]) / K[1, 1]]
             for K in Ks
         ], np.float32)  # fmt: skip
         lens = views, Ks, limits, np.array([width / 2, height / 2], np.float32)

@@ -11,13 +11,13 @@ from torch.autograd.function import once_differentiable
 
 from flowsplat.common.kernels import kernel
 from flowsplat.common.threads import parallel_for
-from flowsplat.gaussians.flow.reference import NEAR
+from flowsplat.gaussians.flow.reference import FLOW_NEAR_PLANE
 from flowsplat.gaussians.slicing import Slice
 from flowsplat.geometry import Camera
 from flowsplat.splatting import Projected
 
 CHANNELS = 6
-ONE, ZERO, CLIP = np.float32(1), np.float32(0), np.float32(NEAR)
+ONE, ZERO, CLIP = np.float32(1), np.float32(0), np.float32(FLOW_NEAR_PLANE)
 
 
 @kernel

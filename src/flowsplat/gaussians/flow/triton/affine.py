@@ -17,16 +17,16 @@ from torch.autograd.function import once_differentiable
 from flowsplat.common.devices import upload
 from flowsplat.common.triton import device_of, rows_per_program
 from flowsplat.gaussians.camera_buffer import CAMERA, CX, CY, FX, FY, camera_numbers, to_camera, to_world, view_row
-from flowsplat.gaussians.flow.reference import NEAR
+from flowsplat.gaussians.flow.reference import FLOW_NEAR_PLANE
 from flowsplat.gaussians.flow.triton.vectors import load_vector, store_vector
 from flowsplat.gaussians.slicing import Slice
 from flowsplat.geometry import Camera
 from flowsplat.splatting import Projected
 from flowsplat.splatting.rules import EPS2D
-from flowsplat.splatting.triton.projection import MARGIN, rotation, rotation_gradient
+from flowsplat.splatting.triton.projection import CLAMP_MARGIN, rotation, rotation_gradient
 
 CHANNELS = 11  # color 3, depth, flow at the center of the image 2, B by rows 4, unseen
-CLIP, BLUR = tl.constexpr(NEAR), tl.constexpr(EPS2D)
+CLIP, BLUR = tl.constexpr(FLOW_NEAR_PLANE), tl.constexpr(EPS2D)
 
 
 @triton.jit
@@ -34,8 +34,8 @@ def _tangents(camera, x, y, z, width, height):
     """1 / z and the tangents, held as the rasterizer holds them."""
     fx, fy, cx, cy = tl.load(camera + FX), tl.load(camera + FY), tl.load(camera + CX), tl.load(camera + CY)
     inverse = 1.0 / tl.where(z > CLIP, z, CLIP)
-    tx = tl.minimum(tl.maximum(x * inverse, (cx + width * MARGIN) / -fx), (cx - (width + width * MARGIN)) / -fx)
-    ty = tl.minimum(tl.maximum(y * inverse, (cy + height * MARGIN) / -fy), (cy - (height + height * MARGIN)) / -fy)
+    tx = tl.minimum(tl.maximum(x * inverse, (cx + width * CLAMP_MARGIN) / -fx), (cx - (width + width * CLAMP_MARGIN)) / -fx)
+    ty = tl.minimum(tl.maximum(y * inverse, (cy + height * CLAMP_MARGIN) / -fy), (cy - (height + height * CLAMP_MARGIN)) / -fy)
     return inverse, tx, ty
 
 

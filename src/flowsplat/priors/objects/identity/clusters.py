@@ -13,7 +13,7 @@ from flowsplat.priors.objects.identity.masked_tracks import MaskedTracks
 from flowsplat.priors.objects.rigid import Observations, longest, solve_rigid
 from flowsplat.priors.objects.shape_offset import place_points
 
-NEIGHBORS, REACH = 8, 0.04
+NEIGHBORS, NEIGHBOR_REACH = 8, 0.04
 """Nearest tracks that a track is compared with, and how far they may be, as a share of the long side."""
 LAGS = ((1, 0.2), (3, 0.45), (8, 0.6))
 """Frames over which the change of a distance is looked at, and the share of the distance that turning and bending may take."""
@@ -35,7 +35,7 @@ BRIDGE, BRIDGED = 0.75, 0.7
 """Share of the neighbors across a gap that must agree in a frame, and of the frames apart in which they do, in one object."""
 APART_FRAMES = 24
 """Frames, evenly chosen, in which two clusters that are apart are compared."""
-AHEAD, EXTRAPOLATED = 3, 0.05
+MOTION_FRAMES, EXTRAPOLATED = 3, 0.05
 """Frames over which the motion of two clusters is compared, and the error of one that is extrapolated, as a share of how far."""
 RIGID_TRACKS, RIGID_FRAMES, EXPLAINED = 24, 10, 0.85
 """Needed to ask whether one rigid motion explains two clusters, and the share of the observations that it must explain."""
@@ -101,7 +101,7 @@ class _Ties:
             count = min(NEIGHBORS + 1, len(here))
             if count < 2:
                 continue
-            _, near = cKDTree(points[here, k]).query(points[here, k], k=count, distance_upper_bound=REACH * long_side)
+            _, near = cKDTree(points[here, k]).query(points[here, k], k=count, distance_upper_bound=NEIGHBOR_REACH * long_side)
             near = np.append(here, -1)[near]
             pairs = np.stack([np.repeat(here, count - 1), near[:, 1:].ravel()], 1)
             pairs = np.sort(pairs[(pairs >= 0).all(1) & (pairs[:, 0] != pairs[:, 1])], 1)
@@ -302,7 +302,7 @@ class _Clusters:
         apart, agree = self._apart_frames(a, b), 0
         for k in apart:
             i, j, away = self._gap(a, b, int(k))
-            near = np.flatnonzero(away <= REACH * self._long_side)[:20]
+            near = np.flatnonzero(away <= NEIGHBOR_REACH * self._long_side)[:20]
             worst, shared = _disagreement(self._points, self._part > 0, i[near], j[near])
             told = shared >= STRONG
             agree += told.sum() >= 3 and (worst[told] <= AGREE * self._scale).mean() >= BRIDGE
@@ -312,23 +312,25 @@ class _Clusters:
         """Whether the shift, turn and growth of the larger of two close clusters tell where the other goes: what a post divides."""
         members = self._larger_first(a, b)
         radius = min(self._radius(rows) for rows in members)
-        widest = min(max(radius, REACH * self._long_side), RIGID_GAP * self._long_side)
+        widest = min(max(radius, NEIGHBOR_REACH * self._long_side), RIGID_GAP * self._long_side)
         seen, told, agree = self._part > 0, 0, 0
         for k in self._apart_frames(a, b):
-            if k + AHEAD >= seen.shape[1]:
+            if k + MOTION_FRAMES >= seen.shape[1]:
                 break
-            first, second = (rows[seen[rows, k] & seen[rows, k + AHEAD]] for rows in members)
+            first, second = (rows[seen[rows, k] & seen[rows, k + MOTION_FRAMES]] for rows in members)
             if min(len(first), len(second)) < FEWEST_TRACKS // 2:
                 continue
             told += 1
-            x, y = self._points[first, k], self._points[first, k + AHEAD]
+            x, y = self._points[first, k], self._points[first, k + MOTION_FRAMES]
             away = cKDTree(x).query(self._points[second, k])[0]
             if away.min() > widest:
                 continue
             found = cv2.estimateAffinePartial2D(x, y, method=cv2.LMEDS)[0]
             if found is None:
                 continue
-            off = np.linalg.norm(self._points[second, k] @ found[:, :2].T + found[:, 2] - self._points[second, k + AHEAD], axis=1)
+            off = np.linalg.norm(
+                self._points[second, k] @ found[:, :2].T + found[:, 2] - self._points[second, k + MOTION_FRAMES], axis=1
+            )
             agree += np.median(off) <= AGREE * self._scale + EXTRAPOLATED * np.median(away)
         return told >= LASTING and agree >= BRIDGE * told
 

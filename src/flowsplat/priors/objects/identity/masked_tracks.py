@@ -9,9 +9,9 @@ import numpy as np
 
 GAP = 0.004
 """Share of the long side by which parts are enlarged before they count as apart."""
-INSIDE = 0.6
+MIN_INSIDE_SHARE = 0.6
 """Share of its visible frames that a track must be inside masks."""
-SHORTEST = 3
+MIN_TRACK_FRAMES = 3
 """Frames of a track inside masks."""
 
 
@@ -36,7 +36,7 @@ class MaskedTracks:
             seen, places = self.find_visible(k)
             self.part[seen, k] = self.parts(k)[1][places[:, 1], places[:, 0]]
         inside = (self.part > 0).sum(1)
-        self.part[(inside < SHORTEST) | (inside < INSIDE * self.visible.sum(1))] = 0
+        self.part[(inside < MIN_TRACK_FRAMES) | (inside < MIN_INSIDE_SHARE * self.visible.sum(1))] = 0
 
     @property
     def long_side(self) -> int:

@@ -13,7 +13,7 @@ from flowsplat.priors.objects.identity.masked_tracks import MaskedTracks
 FLOW_WEIGHT = 3.0
 """Pixels of distance that one pixel of a difference in motion counts, where a part is divided."""
 VOTES = 5
-AROUND = 5
+LOOKUP_FRAMES = 5
 """Frames before and after, in which a number that no track knows is looked up."""
 CLOSE = 0.04
 """Share of the long side up to which what no track is on is close to an object."""
@@ -99,7 +99,7 @@ def _fill_unknown(clip: MaskedTracks, painted: list[np.ndarray], most: int) -> N
         unknown = labels < 0
         if not unknown.any():
             continue
-        near = votes[max(0, k - AROUND) : k + AROUND + 1].sum(0)
+        near = votes[max(0, k - LOOKUP_FRAMES) : k + LOOKUP_FRAMES + 1].sum(0)
         goes = np.where(near.any(1), near.argmax(1), most + np.arange(256))
         labels[unknown] = goes[clip.masks[k][unknown]]
 

@@ -17,7 +17,7 @@ ELLIPSOID, BOX, CAPSULE, CYLINDER, ROOM = range(5)
 """Shapes. ``size`` [3] is: half axes; half extents; (radius, radius, half length between the centers of the round ends); (radius,
 radius, half length); half extents. Capsules and cylinders lie along their z."""
 
-_NEAREST = 1e-3
+_MIN_RAY = 1e-3
 """Smallest multiple of a ray's direction that counts: a point does not shade itself."""
 
 
@@ -30,7 +30,7 @@ def _ball(x, y, z, r, dx, dy, dz):
     if root <= 0:
         return math.inf
     t = (-b - math.sqrt(root)) / a
-    return t if t > _NEAREST else math.inf
+    return t if t > _MIN_RAY else math.inf
 
 
 @helper
@@ -57,14 +57,14 @@ def _tube(s, x, y, z, dx, dy, dz, is_round):
     root = b * b - a * (x * x + y * y - r * r)
     if root > 0 and a > 1e-18:
         t = (-b - math.sqrt(root)) / a
-        if t > _NEAREST and abs(z + t * dz) <= h:
+        if t > _MIN_RAY and abs(z + t * dz) <= h:
             best = t
     for side in (-1.0, 1.0):
         if is_round:
             best = min(best, _ball(x, y, z - side * h, r, dx, dy, dz))
         elif abs(dz) > 1e-12:
             t = (side * h - z) / dz
-            if t > _NEAREST and (x + t * dx) ** 2 + (y + t * dy) ** 2 <= r * r:
+            if t > _MIN_RAY and (x + t * dx) ** 2 + (y + t * dy) ** 2 <= r * r:
                 best = min(best, t)
     return best
 
@@ -78,7 +78,7 @@ def _meet(shape, s, x, y, z, dx, dy, dz):
         near, far = _slabs(s, x, y, z, dx, dy, dz)
         if shape == ROOM:
             return far
-        return near if near < far and near > _NEAREST else math.inf
+        return near if near < far and near > _MIN_RAY else math.inf
     return _tube(s, x, y, z, dx, dy, dz, shape == CAPSULE)
 
 

@@ -41,7 +41,7 @@ MIDDLE = np.array([0.0, 6.0, 0.95])
 ATTEMPTS = 1000
 _ENOUGH_PIXELS = 0.004
 """Share of the image in which each object has to be seen, at times spread over ``SEEN``: 230 of 57,600 pixels."""
-_STILL = 0.1
+_SETTLE_SECONDS = 0.1
 """Seconds before the end of ``SEEN`` from which the ball may have no bounce left."""
 _CHECK_SIZE, _CHECKS = (80, 45), 6
 
@@ -160,7 +160,7 @@ def _draw_passing_camera(rng: np.random.Generator) -> Callable[[np.ndarray], Vie
 
 def _is_in_sight(world: World) -> bool:
     """Return whether everything that moves is well in the image for the seconds that matter, and the ball bounces in them."""
-    if world.objects[-1].instants[-1] < (LASTS + SEEN) / 2 - _STILL:
+    if world.objects[-1].instants[-1] < (LASTS + SEEN) / 2 - _SETTLE_SECONDS:
         return False
     grid = pixel_grid(*_CHECK_SIZE).astype(np.float64).reshape(-1, 2)
     for time in LASTS / 2 + np.linspace(-0.5, 0.5, _CHECKS) * SEEN:

@@ -20,7 +20,7 @@ from flowsplat.scenes.synthetic.worlds.parts import Part, Placed, WorldObject
 RESTING = 9
 """Frames for which nothing of an object may move for it to count as resting."""
 
-_STILL = 1e-4
+_MIN_MOTION = 1e-4
 """Meters a frame below which a part does not move."""
 
 _EXPOSURES = 6
@@ -32,7 +32,7 @@ _SAMPLES = np.array([[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25]]
 _SUN_SIZE = 0.012
 """Radians by which the directions to the sun differ: shadows have soft edges."""
 
-_FAR = 1e9
+_NO_BOUND = 1e9
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,7 @@ class World(RayCastWorld):
         uv, depth = camera.project(corners)
         bounds = np.concatenate([uv.min(1) - 0.01, uv.max(1) + 0.01], 1)
         behind = (depth < 1e-2).any(1) | (self._constants["shapes"] == ROOM)
-        bounds[behind] = [-_FAR, -_FAR, _FAR, _FAR]
+        bounds[behind] = [-_NO_BOUND, -_NO_BOUND, _NO_BOUND, _NO_BOUND]
         return origins, bounds
 
     def cast(self, camera: Camera, time: float, uv: np.ndarray) -> Hits:
@@ -244,7 +244,7 @@ class World(RayCastWorld):
         contact = sorted({*times[obj.touching(times)[1].any(1)].tolist(), *obj.instants})
         R, c = obj.poses(times)
         steps = np.abs(np.diff(c, axis=0)).max((1, 2)) + np.abs(np.diff(R, axis=0)).max((1, 2, 3))
-        still = np.concatenate([[0], np.cumsum(steps < _STILL)])
+        still = np.concatenate([[0], np.cumsum(steps < _MIN_MOTION)])
         pair = self.touching
         other = None if pair is None or number not in pair else pair[0] + pair[1] - number
         return {
