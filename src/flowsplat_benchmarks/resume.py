@@ -33,7 +33,7 @@ class BenchmarkOptions(EngineOptions):
 
 
 @dataclass(frozen=True)
-class Job:
+class Measurement:
     """One measurement.
 
     Attributes:
@@ -59,7 +59,7 @@ class Job:
 
 
 def measure_jobs(
-    jobs: Sequence[Job],
+    jobs: Sequence[Measurement],
     out: Path,
     write_page: Callable[[Mapping[str, str]], Path],
     noun: str = "scenes",
@@ -102,7 +102,8 @@ def measure_jobs(
 
 
 def _work(
-    jobs: Sequence[Job], out: Path, write_page: Callable[[Mapping[str, str]], Path], noun: str, again: bool, options: EngineOptions,
+    jobs: Sequence[Measurement], out: Path, write_page: Callable[[Mapping[str, str]], Path], noun: str, again: bool,
+    options: EngineOptions,
     workers: int, device: str,
 ) -> dict[str, str]:  # fmt: skip
     """Do them; the names of those that failed, and why."""
@@ -130,7 +131,7 @@ def _work(
     return failed
 
 
-def _measure(job: Job, out: Path, again: bool, attempt: Attempt) -> Mapping[str, Any]:
+def _measure(job: Measurement, out: Path, again: bool, attempt: Attempt) -> Mapping[str, Any]:
     """Measure a job, unless somebody has since it was asked for."""
     if again or not job.is_measured(out):
         report(f"{job.name} ...")

@@ -17,7 +17,7 @@ import pytest
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.processes import in_own_process, usable_cores
-from flowsplat_benchmarks.resume import BenchmarkOptions, Job, measure_jobs, results_in
+from flowsplat_benchmarks.resume import BenchmarkOptions, Measurement, measure_jobs, results_in
 from flowsplat_benchmarks.roots import open_root, require_scenes
 from tests.marks import slow
 from tests.mounts import needs_mounts, without_shared_memory
@@ -28,14 +28,14 @@ def calls():
     return []
 
 
-def job(calls, name: str, key: str = "k", reason: str | None = None) -> Job:
+def job(calls, name: str, key: str = "k", reason: str | None = None) -> Measurement:
     def measure():
         calls.append(name)
         if reason:
             raise InputError(reason)
         return {"protocol": "test", "name": name}
 
-    return Job(name, key, measure)
+    return Measurement(name, key, measure)
 
 
 def test_what_is_measured_is_kept(calls, tmp_path, in_this_process):
@@ -98,7 +98,7 @@ def test_two_at_a_time_in_processes_of_their_own(tmp_path, names):
         reported.append(len(results_in("test", tmp_path)))
         return tmp_path
 
-    jobs = [Job(name, "k", Meeting(meeting, name)) for name in names]
+    jobs = [Measurement(name, "k", Meeting(meeting, name)) for name in names]
     measure_jobs(jobs, tmp_path, report, options=BenchmarkOptions(workers=2))
     assert reported[-1] == len(names)
     found = results_in("test", tmp_path)

@@ -19,8 +19,8 @@ from flowsplat.pipeline.speed import (
     FINAL_FIT_SHARE,
     STAGES,
     UNTRIED_FACTOR,
-    Estimate,
     Speed,
+    TimeEstimate,
     Watch,
     cache_file,
     estimate_seconds,
@@ -46,7 +46,7 @@ REFERENCE = {"compiling": 0.0, "cameras": 10.0, "priors": 100.0, "train": 400.0,
 
 
 def test_a_test_comes_first_and_only_once(tested):
-    assert Speed("cpu").estimate(REFERENCE) == Estimate(pytest.approx(3 * 560), UNTRIED_FACTOR)
+    assert Speed("cpu").estimate(REFERENCE) == TimeEstimate(pytest.approx(3 * 560), UNTRIED_FACTOR)
     Speed("cpu").estimate(REFERENCE)
     assert len(tested) == 1
     assert list(json.loads(cache_file().read_text()).values()) == [{"test": [3.0]}]
@@ -55,7 +55,7 @@ def test_a_test_comes_first_and_only_once(tested):
 def test_a_stage_of_this_run_says_more(tested):
     machine = Speed("cpu")
     machine.note(12.0)
-    assert machine.estimate(REFERENCE, ["train"]) == Estimate(pytest.approx(6 * 400), ESTIMATE_FACTOR)
+    assert machine.estimate(REFERENCE, ["train"]) == TimeEstimate(pytest.approx(6 * 400), ESTIMATE_FACTOR)
 
 
 def test_after_a_minute_it_commits_itself(tested):
@@ -135,7 +135,7 @@ def test_the_test_itself():
     ],
 )  # fmt: skip
 def test_estimates_in_words(seconds, factor, words):
-    assert str(Estimate(seconds, factor)) == words
+    assert str(TimeEstimate(seconds, factor)) == words
 
 
 def doubled(values):

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from flowsplat.priors.background.depth_edge_refinement import View, refine_edges
+from flowsplat.priors.background.depth_edge_refinement import EdgeView, refine_edges
 
 from .planes import FOCAL, HEIGHT, SIDE, WALL, WIDTH, camera_at, texture
 
@@ -30,8 +30,8 @@ def refined(inverse: np.ndarray, still: np.ndarray, moving: bool = False, doubte
     return refine_edges(inverse, still, views[0], camera_at(0), views[1:], [camera_at(shift) for shift in SHIFTS], doubted)
 
 
-def seen(images: dict[int, np.ndarray], moving: bool = False) -> list[View]:
-    return [View.of(np.ascontiguousarray(each), np.full(each.shape[:2], moving)) for each in images.values()]
+def seen(images: dict[int, np.ndarray], moving: bool = False) -> list[EdgeView]:
+    return [EdgeView.of(np.ascontiguousarray(each), np.full(each.shape[:2], moving)) for each in images.values()]
 
 
 def test_a_view_has_the_colors_of_its_image():

@@ -15,7 +15,7 @@ from flowsplat.priors.background.static_depth import static_depth
 from flowsplat.priors.flow import flow_stage
 from flowsplat.priors.masks import mask_stage
 from flowsplat.priors.masks.background_plate import CleanPlate
-from flowsplat.priors.masks.colors import Colors, look_up
+from flowsplat.priors.masks.colors import ColorModel, look_up
 from flowsplat.priors.masks.motion import MIN_RESTING_MOTION, RESTING_MOTION_RATIO, compute_own_evidence, estimate_resting_motion
 from flowsplat.priors.masks.numbers import number_objects
 from flowsplat.priors.masks.photometric_residual import Unexplained
@@ -207,7 +207,7 @@ def test_colors_tell_objects_from_what_is_round_them():
     moving = np.zeros((60, 80), bool)
     moving[20:40, 30:50] = True
     frame[moving] = (200, 40, 30)
-    colors = Colors()
+    colors = ColorModel()
     assert colors.table() is None
     colors.add(frame, moving)
     values = look_up(colors.table(), frame)

@@ -12,7 +12,7 @@ import pytest
 from flowsplat.common.errors import InputError
 from flowsplat.geometry.cameras import pixel_grid, unproject_depth
 from flowsplat.scenes import Flow, Scene
-from flowsplat.scenes.synthetic import SyntheticScene, View, write_synthetic, write_synthetic_video
+from flowsplat.scenes.synthetic import DrawnView, SyntheticScene, write_synthetic, write_synthetic_video
 from tests.geometry.still import camera_flow
 
 SMALL = SyntheticScene(width=64, height=48, frames=8)
@@ -21,7 +21,7 @@ WIDE = SyntheticScene(width=64, height=36)
 FULL = SyntheticScene()
 
 
-def view(spec: SyntheticScene, i: int) -> View:
+def view(spec: SyntheticScene, i: int) -> DrawnView:
     return spec.render(spec.camera(i), spec.timestamps[i])
 
 
@@ -40,7 +40,7 @@ def landing(flow: Flow) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def pair() -> tuple[View, View]:
+def pair() -> tuple[DrawnView, DrawnView]:
     """Frames 20 and 21 of the default clip."""
     return view(FULL, 20), view(FULL, 21)
 
@@ -70,7 +70,7 @@ def test_forward_and_backward_flow_undo_each_other():
     assert np.percentile(error, 90) < 0.05
 
 
-def test_valid_flow_lands_on_the_same_body_and_invalid_flow_does_not_return(pair: tuple[View, View]):
+def test_valid_flow_lands_on_the_same_body_and_invalid_flow_does_not_return(pair: tuple[DrawnView, DrawnView]):
     first, second = pair
     flow = FULL.flow(20, 21)
     x, y = np.floor(landing(flow)).astype(int)[flow.trusted].T
@@ -86,7 +86,7 @@ def test_valid_flow_lands_on_the_same_body_and_invalid_flow_does_not_return(pair
     assert np.mean(second.depth[y, x] < world_depth[static] - 0.02) > 0.85
 
 
-def test_warping_the_next_frame_back_reproduces_the_frame(pair: tuple[View, View]):
+def test_warping_the_next_frame_back_reproduces_the_frame(pair: tuple[DrawnView, DrawnView]):
     first, second = pair
     flow = FULL.flow(20, 21)
     warped = sample(second.image, landing(flow))
@@ -95,7 +95,7 @@ def test_warping_the_next_frame_back_reproduces_the_frame(pair: tuple[View, View
     assert psnr(second.image, first.image) < 18
 
 
-def test_texture_is_everywhere(pair: tuple[View, View]):
+def test_texture_is_everywhere(pair: tuple[DrawnView, DrawnView]):
     gray = cv2.cvtColor(pair[0].image, cv2.COLOR_RGB2GRAY).astype(np.float32)
     deviation = np.sqrt(np.maximum(cv2.blur(gray * gray, (15, 15)) - cv2.blur(gray, (15, 15)) ** 2, 0))
     assert np.percentile(deviation, 1) > 3

@@ -24,7 +24,7 @@ class Stopped(KeyboardInterrupt):
         self.signal = number
 
 
-class Request:
+class StopRequest:
     """Whether somebody asked to stop.
 
     Attributes:
@@ -52,9 +52,9 @@ def _handle(handler: Callable[[int, FrameType | None], Any], names: tuple[str, .
 
 
 @contextlib.contextmanager
-def stop_requests() -> Iterator[Request]:
+def stop_requests() -> Iterator[StopRequest]:
     """Inside, the first signal only makes a note, so that a step can be finished and kept; the second one stops at once."""
-    request = Request()
+    request = StopRequest()
 
     def note(number: int, frame: FrameType | None) -> None:
         if request.signal is not None:

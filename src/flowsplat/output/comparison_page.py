@@ -132,7 +132,7 @@ class ComparedRun:
 
 
 @dataclass(frozen=True)
-class Figure:
+class ComparedFigure:
     """A figure of every run.
 
     Attributes:
@@ -147,7 +147,7 @@ class Figure:
 
 
 def write_comparison(
-    path: Path, runs: Sequence[ComparedRun], *, figures: Sequence[Figure], is_same_clip: bool,
+    path: Path, runs: Sequence[ComparedRun], *, figures: Sequence[ComparedFigure], is_same_clip: bool,
     images: Sequence[Sequence[Comparison]] = (),
 ) -> None:  # fmt: skip
     """Write the page. Videos that at least two of the runs have are in it, and play in step.
@@ -195,7 +195,7 @@ def _address(file: Path) -> str:
     return f"data:{_TYPES[file.suffix]};base64,{base64.b64encode(read_bytes(file, MOST_VIDEO)).decode()}"
 
 
-def _figures_table(labels: Sequence[str], figures: Sequence[Figure]) -> Markup:
+def _figures_table(labels: Sequence[str], figures: Sequence[ComparedFigure]) -> Markup:
     rows: list[list[str]] = []
     for figure in figures:
         cells = [NOTHING if value is None else value for value in figure.values]

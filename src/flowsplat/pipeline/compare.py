@@ -12,7 +12,7 @@ from flowsplat.common.durations import format_duration
 from flowsplat.common.errors import InputError
 from flowsplat.common.run_paths import RunPaths
 from flowsplat.common.settings import flat, to_plain
-from flowsplat.output.comparison_page import ComparedRun, Figure, write_comparison
+from flowsplat.output.comparison_page import ComparedFigure, ComparedRun, write_comparison
 from flowsplat.output.report import verdict
 from flowsplat.output.videos import list_frame_rates, list_rendered
 from flowsplat.pipeline.config import format_option
@@ -106,15 +106,15 @@ def _has_same_frames(one: Scene, other: Scene) -> bool:
     )
 
 
-def _figures(metrics: Sequence[Mapping[str, Any]]) -> list[Figure]:
+def _figures(metrics: Sequence[Mapping[str, Any]]) -> list[ComparedFigure]:
     """Return the rows of the terminal's table, and the time."""
     found = []
     for label, path, style in ROWS:
         values = [None if value is None else format(value, style) for value in pick_all(metrics, path)]
         if any(value is not None for value in values):
-            found.append(Figure(label, values, _find_best(path, values)))
+            found.append(ComparedFigure(label, values, _find_best(path, values)))
     times = [format_duration(each.get("wall_seconds", 0.0)) for each in metrics]
-    return [*found, Figure("time", times, ())]
+    return [*found, ComparedFigure("time", times, ())]
 
 
 def _find_best(path: Sequence[str], values: Sequence[str | None]) -> tuple[int, ...]:

@@ -100,7 +100,7 @@ class GaussiansFile(TypedDict):
     objects: NotRequired[dict[str, Count]]
 
 
-class ObjectFile(TypedDict):
+class ObjectFigures(TypedDict):
     """An object in ``metrics.json``; more may stand there."""
 
     depth: Positive
@@ -128,7 +128,7 @@ class MetricsFile(TypedDict, total=False):
     depth_abs_rel: dict[str, dict[str, Number | None] | None] | None
     lpips_reason: Text | None
     gaussians: GaussiansFile
-    objects: list[ObjectFile]
+    objects: list[ObjectFigures]
     seconds: dict[str, Seconds]
     wall_seconds: Seconds
     peak_memory_gib: Number | None

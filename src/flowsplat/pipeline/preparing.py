@@ -25,7 +25,7 @@ from flowsplat.output.videos import RenderOptions, settle
 from flowsplat.pipeline.compiling import are_missing
 from flowsplat.pipeline.config import RunConfig, check
 from flowsplat.pipeline.folder import RunFolder, Stage, stage_key
-from flowsplat.pipeline.speed import MIN_OWN_SECONDS, STAGES, Estimate, Speed, Watch, estimate_memory, estimate_seconds
+from flowsplat.pipeline.speed import MIN_OWN_SECONDS, STAGES, Speed, TimeEstimate, Watch, estimate_memory, estimate_seconds
 from flowsplat.priors.graph import PRIORS
 from flowsplat.priors.options import names_places
 from flowsplat.priors.prepare import check_places, prepare_priors
@@ -231,7 +231,7 @@ def link_files(source: Path, target: Path) -> None:
         raise InputError(f"Cannot copy {source} to {target}: {error.strerror or error}.") from error
 
 
-def _report_estimate(scene: Scene, estimate: Estimate, compiling: bool) -> None:
+def _report_estimate(scene: Scene, estimate: TimeEstimate, compiling: bool) -> None:
     gib = estimate_memory(scene.width, scene.height, len(scene.train_frames))
     report(
         f"{scene.num_frames} frames of {scene.width} x {scene.height}, {len(scene.heldout_frames)} of them held out: "

@@ -59,7 +59,7 @@ TEST_SECONDS, REFERENCE_ROUND = 2.0, 0.022
 
 
 @dataclass(frozen=True)
-class Estimate:
+class TimeEstimate:
     """How long something will take.
 
     Attributes:
@@ -161,13 +161,13 @@ class Speed:
         # The time of a stage depends on the clip, too.
         return float(np.exp(np.mean(np.log([self._known["test"][0], *self._now]))))
 
-    def estimate(self, reference: Mapping[str, float], stages: Sequence[str] = STAGES, passed: float = 0.0) -> Estimate:
+    def estimate(self, reference: Mapping[str, float], stages: Sequence[str] = STAGES, passed: float = 0.0) -> TimeEstimate:
         """Return what the stages take together; ``passed``: seconds since the run began. After a minute who waits wants to know."""
         seconds = {stage: reference[stage] * self.factor(stage) for stage in stages if reference[stage] > 0}
         tried = (
             passed >= COMMIT_SECONDS or bool(self._now) or all(self._known.get(stage) for stage in seconds if stage != "compiling")
         )
-        return Estimate(sum(seconds.values()), ESTIMATE_FACTOR if tried else self._untried)
+        return TimeEstimate(sum(seconds.values()), ESTIMATE_FACTOR if tried else self._untried)
 
     def _write(self) -> None:
         with contextlib.suppress(InputError):  # then the next run tests again

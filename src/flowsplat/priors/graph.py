@@ -1,6 +1,6 @@
 """The graph of priors: what each is made from. Order, what is stale, and what a given file replaces follow from it.
 
-A scene records how each of its priors was made. What is asked for (``Request``) is compared with that: a prior that was made in
+A scene records how each of its priors was made. What is asked for (``PriorRequest``) is compared with that: a prior that was made in
 another way is stale, and so is what follows from it. A run keeps its scene only while ``Graph.inputs`` stay the same, for the steps
 that complete a prior write over what earlier ones were made from: masks from the first search of flow, for example. What was
 prepared by others, and is now prepared further, keeps what is not stale.
@@ -22,7 +22,7 @@ from flowsplat.priors.kinds.objects import OBJECTS
 from flowsplat.priors.kinds.static_depth import MASKED_STATIC_DEPTH, STATIC_DEPTH
 from flowsplat.priors.kinds.tracks import RESTING_TRACKS, TRACKS
 from flowsplat.priors.options import PriorsOptions
-from flowsplat.priors.prior import GIVEN, TRUTH, Kind, Prior, Request, Stage
+from flowsplat.priors.prior import GIVEN, TRUTH, Kind, Prior, PriorRequest, Stage
 from flowsplat.scenes import Scene
 
 
@@ -91,7 +91,7 @@ class Graph:
         stale = {prior.whole for prior in self.list_reached(name, outlasting) if prior.part_of is None or not prior.has_record}
         return stale - {name}
 
-    def stale(self, request: Request) -> set[str]:
+    def stale(self, request: PriorRequest) -> set[str]:
         """Return what is there and must be made anew: another one is asked for, or it follows from such.
 
         What follows is only made anew where it is made as it was; the result of clicks, say, is kept without new clicks.
@@ -112,18 +112,18 @@ class Graph:
             prior.kind.check_renewal(request, stale)
         return stale
 
-    def _list_requested(self, request: Request) -> dict[str, str]:
+    def _list_requested(self, request: PriorRequest) -> dict[str, str]:
         """Return the method of every prior for which the options ask. An option that is left at its default asks for nothing."""
         asked = {prior.name: method for prior in self.whole if (method := prior.kind.asked(request)) is not None}
         if request.wants_truth:
             asked |= {prior.name: TRUTH for prior in self.whole if prior.kind.asks_truth(request)}
         return asked | dict.fromkeys(request.options.given.named, GIVEN)
 
-    def _is_made_as_it_was(self, request: Request, name: str, asked: Mapping[str, str]) -> bool:
+    def _is_made_as_it_was(self, request: PriorRequest, name: str, asked: Mapping[str, str]) -> bool:
         method = request.method(name)
         return method != TRUTH and method in ([asked[name]] if name in asked else self[name].kind.own)
 
-    def _require_replaceable(self, request: Request) -> None:
+    def _require_replaceable(self, request: PriorRequest) -> None:
         for prior in self.whole:
             method = request.method(prior.name)
             if prior.name in request.options.given.named and method not in (None, GIVEN) and not prior.kind.given_replaces:
@@ -169,11 +169,11 @@ class Graph:
 
     # -- what needs no computing
 
-    def _in_reading_order(self, request: Request) -> list[Prior]:
+    def _in_reading_order(self, request: PriorRequest) -> list[Prior]:
         order = {name: place for place, name in enumerate(request.options.given.names())}
         return sorted(self.whole, key=lambda prior: order.get(prior.name, len(order)))
 
-    def read_truth(self, request: Request) -> None:
+    def read_truth(self, request: PriorRequest) -> None:
         """Make the truth of a rendered scene its priors; held-out frames give their cameras and nothing else.
 
         What the truth does not have in full is left to be computed.
@@ -186,7 +186,7 @@ class Graph:
             if prior.kind.read_true is not None and prior.kind.read_true(request.scene, truth):
                 request.scene.finish_prior(prior.name, method=TRUTH, verdict=f"true {prior.name}")
 
-    def read_given(self, request: Request) -> dict[str, Stage]:
+    def read_given(self, request: PriorRequest) -> dict[str, Stage]:
         """Read the user's files into the scene, those that are named.
 
         Returns:

@@ -14,7 +14,7 @@ from flowsplat.priors.graph import PRIORS
 from flowsplat.priors.kinds.flow import flow_estimator
 from flowsplat.priors.objects.hints import Hint, parse_hints
 from flowsplat.priors.options import PriorsOptions
-from flowsplat.priors.prior import Prior, Request, Stage
+from flowsplat.priors.prior import Prior, PriorRequest, Stage
 from flowsplat.priors.prompts import Prompt, parse_prompts, show_at_once
 from flowsplat.scenes import Scene
 
@@ -73,7 +73,7 @@ def prepare_priors(
     return seconds
 
 
-def request_of(scene: Scene, options: PriorsOptions, device: str = "auto") -> Request:
+def request_of(scene: Scene, options: PriorsOptions, device: str = "auto") -> PriorRequest:
     """Return what the options ask for, once it is certain that they do not contradict each other.
 
     Raises:
@@ -85,7 +85,7 @@ def request_of(scene: Scene, options: PriorsOptions, device: str = "auto") -> Re
     if prompts and options.given.masks is not None:
         raise InputError("--given.masks and --mask-click or --mask-box both say what moves: give one of them.")
     _require_images_as_they_are(options)
-    return Request(scene, options, prompts, hints, device)
+    return PriorRequest(scene, options, prompts, hints, device)
 
 
 def use_truth(scene: Scene) -> None:
@@ -94,7 +94,7 @@ def use_truth(scene: Scene) -> None:
     Raises:
         InputError: the scene has no truth.
     """
-    PRIORS.read_truth(Request(scene, PriorsOptions()))
+    PRIORS.read_truth(PriorRequest(scene, PriorsOptions()))
 
 
 def use_given(scene: Scene, given: GivenPriors, estimate: FlowEstimator = dis_estimator) -> dict[str, Stage]:
@@ -106,17 +106,17 @@ def use_given(scene: Scene, given: GivenPriors, estimate: FlowEstimator = dis_es
     Raises:
         InputError: a file cannot be used.
     """
-    return PRIORS.read_given(Request(scene, PriorsOptions(given=given), estimate=estimate))
+    return PRIORS.read_given(PriorRequest(scene, PriorsOptions(given=given), estimate=estimate))
 
 
-def _ready(request: Request, prior: Prior) -> Stage:
+def _ready(request: PriorRequest, prior: Prior) -> Stage:
     """Return what computes a prior, with its networks loaded."""
     assert prior.kind.compute is not None
     return prior.kind.compute(request)
 
 
 def _compute(
-    request: Request, ready: dict[str, Stage], seconds: dict[str, float], after: Callable[[str, float], None] | None
+    request: PriorRequest, ready: dict[str, Stage], seconds: dict[str, float], after: Callable[[str, float], None] | None
 ) -> None:
     """Compute what is missing, every step of it.
 
@@ -157,7 +157,7 @@ def _require_images_as_they_are(options: PriorsOptions) -> None:
         raise InputError(f"{files} belongs to the images as they came: leave out --cameras.distortion radial.")
 
 
-def _report_what_is_kept(request: Request, stale: Collection[str]) -> None:
+def _report_what_is_kept(request: PriorRequest, stale: Collection[str]) -> None:
     there = [name for name in PRIORS.names if request.scene.prior(name) is not None]
     for names, what in (
         ([name for name in there if name in stale], "Computed anew, because other ones are asked for or follow"),

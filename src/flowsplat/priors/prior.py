@@ -27,7 +27,7 @@ Stage = Callable[[], None]
 
 
 @dataclass(frozen=True)
-class Request:
+class PriorRequest:
     """What is asked for: a scene, and the options that say how its priors are to be made.
 
     Attributes:
@@ -96,21 +96,21 @@ class Kind:
         given_replaces: whether that may take the place of one that is there.
     """
 
-    compute: Callable[[Request], Stage] | None = None
+    compute: Callable[[PriorRequest], Stage] | None = None
     options: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
     own: tuple[str, ...] = ()
-    asked: Callable[[Request], str | None] = _do_nothing
-    differs: Callable[[Request, str | None], bool] = _no
-    check_renewal: Callable[[Request, Collection[str]], None] = _do_nothing
-    replaces_images: Callable[[Request], bool] = _no
+    asked: Callable[[PriorRequest], str | None] = _do_nothing
+    differs: Callable[[PriorRequest, str | None], bool] = _no
+    check_renewal: Callable[[PriorRequest, Collection[str]], None] = _do_nothing
+    replaces_images: Callable[[PriorRequest], bool] = _no
     finds_flow: bool = False
     overwrites: bool = False
     is_scratch: bool = False
-    is_due: Callable[[Request], bool] = _no
+    is_due: Callable[[PriorRequest], bool] = _no
     read_true: Callable[[Scene, Layers], bool] | None = None
-    asks_truth: Callable[[Request], bool] = _no
-    read_given: Callable[[Request, Path], Stage | None] | None = None
+    asks_truth: Callable[[PriorRequest], bool] = _no
+    read_given: Callable[[PriorRequest, Path], Stage | None] | None = None
     given_replaces: bool = False
 
 

@@ -28,7 +28,7 @@ from flowsplat.training.trainer import Trainer
 from flowsplat_benchmarks.ablations.scenes import AblationScene
 from flowsplat_benchmarks.ablations.variants import Variant
 from flowsplat_benchmarks.ablations.verdicts import Run
-from flowsplat_benchmarks.resume import Job
+from flowsplat_benchmarks.resume import Measurement
 from flowsplat_benchmarks.tables import Result
 
 
@@ -48,10 +48,10 @@ class TrainingRun:
     variant: Variant
     config: TrainConfig
 
-    def job(self, out: Path) -> Job:
+    def job(self, out: Path) -> Measurement:
         """Prepare the scene in ``out`` where it is not yet, train and measure."""
         name = f"{self.scene.name}_{self.variant.name}_{self.config.iterations}-steps_seed{self.config.seed}"
-        return Job(f"{self.protocol}_{name}", self.key, partial(self._measure, out))
+        return Measurement(f"{self.protocol}_{name}", self.key, partial(self._measure, out))
 
     @property
     def key(self) -> str:

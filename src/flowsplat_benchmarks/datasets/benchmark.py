@@ -13,7 +13,7 @@ from flowsplat.pipeline.folder import stage_key
 from flowsplat_benchmarks.datasets.cases import Case, ProtocolName
 from flowsplat_benchmarks.datasets.measure import measure_case
 from flowsplat_benchmarks.datasets.report import STRIP, write_report
-from flowsplat_benchmarks.resume import BenchmarkOptions, Job, measure_jobs, results_in
+from flowsplat_benchmarks.resume import BenchmarkOptions, Measurement, measure_jobs, results_in
 
 
 def run_benchmark(
@@ -37,7 +37,7 @@ def run_benchmark(
     if again:
         for case in cases:
             _forget(case, out)
-    jobs = [Job(case.name, stage_key(case.source.name, case.config), partial(_measure, case, out)) for case in cases]
+    jobs = [Measurement(case.name, stage_key(case.source.name, case.config), partial(_measure, case, out)) for case in cases]
 
     def report(failed: Mapping[str, str]) -> Path:
         return write_report(protocol, out, results_in(protocol, out), failed)

@@ -15,7 +15,7 @@ from flowsplat_benchmarks.objects.measure import measure_scene
 from flowsplat_benchmarks.objects.preparation import VARIANTS, WorldKind, place_objects, prepare_world
 from flowsplat_benchmarks.objects.tables import DEFINITIONS, tables
 from flowsplat_benchmarks.reports import Report, failures
-from flowsplat_benchmarks.resume import BenchmarkOptions, Job, measure_jobs, results_at
+from flowsplat_benchmarks.resume import BenchmarkOptions, Measurement, measure_jobs, results_at
 from flowsplat_benchmarks.tables import describe_version
 from flowsplat_benchmarks.worlds import read_objects
 
@@ -65,10 +65,10 @@ def _name(seed: int, kind: WorldKind) -> str:
     return str(seed) if kind == "any" else f"{kind}-{seed}"
 
 
-def _job(seed: int, out: Path, size: tuple[int, int], frames: int, again: bool, kind: WorldKind) -> Job:
+def _job(seed: int, out: Path, size: tuple[int, int], frames: int, again: bool, kind: WorldKind) -> Measurement:
     folder = out.absolute() / _name(seed, kind)
     work = partial(measure_world, seed, folder, size, frames, again, kind)
-    return Job(f"world-{_name(seed, kind)}", "", work, folder / FIGURES)
+    return Measurement(f"world-{_name(seed, kind)}", "", work, folder / FIGURES)
 
 
 def measure_world(

@@ -24,7 +24,7 @@ from flowsplat_benchmarks.oracles.objects import depth_scale, masks_of, object_d
 from flowsplat_benchmarks.oracles.report import SHEET, write_report
 from flowsplat_benchmarks.oracles.scenes import ORACLES, make_oracle
 from flowsplat_benchmarks.priors.measure import compute_pooled_iou
-from flowsplat_benchmarks.resume import BenchmarkOptions, Job, measure_jobs, results_in
+from flowsplat_benchmarks.resume import BenchmarkOptions, Measurement, measure_jobs, results_in
 from flowsplat_benchmarks.shared_scenes import prepare_scene
 
 PROTOCOL = "oracles"
@@ -51,11 +51,11 @@ class OracleRun:
         preset = self.case.settings.split(",")[0]
         return f"{self.case.scene}_{self.oracle}_{preset}_{config.iterations}-steps_seed{config.seed}"
 
-    def job(self, out: Path) -> Job:
+    def job(self, out: Path) -> Measurement:
         """Prepare the scene in ``out`` where it is not yet, make the oracle, train and measure."""
         config = self.case.config
         key = stage_key(self.case.scene, self.oracle, config.input, config.priors, config.train)
-        return Job(f"{PROTOCOL}_{self.name}", key, partial(self._measure, out))
+        return Measurement(f"{PROTOCOL}_{self.name}", key, partial(self._measure, out))
 
     def _measure(self, out: Path) -> dict[str, Any]:
         return measure_oracle(self, prepare_scene(self.case, out / FOLDER / self.case.scene), out)

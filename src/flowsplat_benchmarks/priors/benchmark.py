@@ -14,7 +14,7 @@ from flowsplat_benchmarks.priors.measure import measure
 from flowsplat_benchmarks.priors.preparation import forget, prepare_scene, scene_config
 from flowsplat_benchmarks.priors.report import write_report, write_strip
 from flowsplat_benchmarks.priors.scenes import BenchmarkScene, choose_scenes
-from flowsplat_benchmarks.resume import BenchmarkOptions, Job, measure_jobs, results_at
+from flowsplat_benchmarks.resume import BenchmarkOptions, Measurement, measure_jobs, results_at
 
 
 def run_priors_benchmark(
@@ -52,9 +52,11 @@ def run_priors_benchmark(
     return measure_jobs(jobs, out, report, options=options)
 
 
-def _job(benchmark: BenchmarkScene, folder: Path) -> Job:
+def _job(benchmark: BenchmarkScene, folder: Path) -> Measurement:
     config = scene_config(benchmark)
-    return Job(benchmark.name, stage_key(benchmark.kind, config.input, config.priors), partial(_measure_scene, benchmark, folder))
+    return Measurement(
+        benchmark.name, stage_key(benchmark.kind, config.input, config.priors), partial(_measure_scene, benchmark, folder)
+    )
 
 
 def _measure_scene(benchmark: BenchmarkScene, folder: Path) -> dict[str, Any]:

@@ -36,7 +36,7 @@ from flowsplat.scenes import Scene
 from flowsplat.scenes.synthetic import SyntheticScene
 from flowsplat.scenes.synthetic.world import camera_at
 from flowsplat_benchmarks.priors.measure import compute_pooled_iou
-from flowsplat_benchmarks.resume import Job, measure_jobs, results_in
+from flowsplat_benchmarks.resume import Measurement, measure_jobs, results_in
 from flowsplat_benchmarks.tables import describe_version
 
 PROTOCOL = "edges"
@@ -181,7 +181,7 @@ def main() -> None:
     for name in options.only:
         slug, edge = f"{re.sub(r'[^a-z0-9]+', '-', name)}_{options.preset}", EDGES[name]
         key = stage_key(edge.clip, edge.given_cameras, edge.change(replace(pipeline.preset(options.preset), final_fit=False)))
-        jobs.append(Job(slug, key, partial(in_own_process, run_edge, name, options.preset, out / slug, key)))
+        jobs.append(Measurement(slug, key, partial(in_own_process, run_edge, name, options.preset, out / slug, key)))
 
     def report(failed: Mapping[str, str]) -> Path:
         results = results_in(PROTOCOL, out)

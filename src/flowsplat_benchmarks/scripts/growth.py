@@ -50,7 +50,7 @@ STAGES = ("ingest", *PRIORS.names, "train", "evaluate", "render")
 
 
 @dataclass(frozen=True)
-class Case:
+class GrowthCase:
     """A run.
 
     Attributes:
@@ -70,7 +70,7 @@ class Case:
     spacing: float | None = None
 
 
-def measure(case: Case) -> dict[str, Any]:
+def measure(case: GrowthCase) -> dict[str, Any]:
     """Return seconds and GiB of every stage of a run, and how large it was."""
     config = RunConfig()
     init = config.train.init if case.spacing is None else replace(config.train.init, background_spacing=case.spacing)
@@ -97,25 +97,25 @@ def enlarge(spec: SyntheticScene, side: int, path: Path) -> Path:
     return path
 
 
-def cases(folder: Path, only: Sequence[str], clips: Sequence[Path]) -> Iterator[Case]:
+def cases(folder: Path, only: Sequence[str], clips: Sequence[Path]) -> Iterator[GrowthCase]:
     """Yield all runs, a short one first that compiles the kernels."""
     long = SyntheticScene(width=LONG_SIDE, height=LONG_SIDE * 9 // 16, frames=max(FRAMES))
     few = SyntheticScene(width=DRAWN, height=DRAWN * 9 // 16, frames=FEW_FRAMES)
     if {"pixels", "gaussians"} & set(only):
         large = str(enlarge(few, max(SIDES), folder / "few.mp4"))
-        yield Case("warm-up", large, str(folder / "warm"), FEW_FRAMES, 160)
+        yield GrowthCase("warm-up", large, str(folder / "warm"), FEW_FRAMES, 160)
     if {"frames", "long"} & set(only):
         small = str(enlarge(long, LONG_SIDE, folder / "long.mp4"))
-        yield Case("warm-up", small, str(folder / "warm_long"), 24, 160)
+        yield GrowthCase("warm-up", small, str(folder / "warm_long"), 24, 160)
     if "frames" in only:
-        yield from (Case("frames", small, str(folder / f"frames_{n}"), n, LONG_SIDE) for n in FRAMES)
+        yield from (GrowthCase("frames", small, str(folder / f"frames_{n}"), n, LONG_SIDE) for n in FRAMES)
     if "pixels" in only:
-        yield from (Case("pixels", large, str(folder / f"pixels_{side}"), FEW_FRAMES, side) for side in SIDES)
+        yield from (GrowthCase("pixels", large, str(folder / f"pixels_{side}"), FEW_FRAMES, side) for side in SIDES)
     if "gaussians" in only:
-        yield from (Case("gaussians", large, str(folder / "pixels_854"), FEW_FRAMES, 854, each) for each in SPACINGS)
+        yield from (GrowthCase("gaussians", large, str(folder / "pixels_854"), FEW_FRAMES, 854, each) for each in SPACINGS)
     if "long" in only:
-        yield Case("long", str(enlarge(long, LONG_CLIP[1], folder / "long_480p.mp4")), str(folder / "long"), *LONG_CLIP)
-    yield from (Case("clip", str(clip), str(folder / f"clip_{clip.name}"), 1000, 854) for clip in clips)
+        yield GrowthCase("long", str(enlarge(long, LONG_CLIP[1], folder / "long_480p.mp4")), str(folder / "long"), *LONG_CLIP)
+    yield from (GrowthCase("clip", str(clip), str(folder / f"clip_{clip.name}"), 1000, 854) for clip in clips)
 
 
 def growth(rows: Sequence[dict[str, Any]], stage: str, by: str = "frames") -> float:
@@ -194,7 +194,7 @@ def main() -> None:
     parser.add_argument("--one", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.one:
-        print(json.dumps(measure(Case(**json.loads(options.one)))))
+        print(json.dumps(measure(GrowthCase(**json.loads(options.one)))))
         return
     rows: list[dict[str, Any]] = json.loads(options.json.read_text()) if options.json and options.json.exists() else []
     with tempfile.TemporaryDirectory(prefix="flowsplat-") as temporary:

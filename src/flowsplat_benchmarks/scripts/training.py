@@ -75,7 +75,7 @@ class HeldoutImages:
         return {name: statistics.mean(values) for name, values in found.items() if values}
 
 
-class Clock:
+class StageClock:
     """Lets a trainer run in pieces, and measures the steps between them: processor seconds, which other programs disturb least."""
 
     def __init__(self, trainer: Trainer, every: int, images: HeldoutImages, profiled: int):
@@ -163,7 +163,7 @@ def main() -> None:
     start = trainer._first()
     placing = time.process_time() - began
     trainer = Trainer(observations, tracks, config, start=start)
-    clock = Clock(trainer, options.every, HeldoutImages(scene, options.images), PROFILED)
+    clock = StageClock(trainer, options.every, HeldoutImages(scene, options.images), PROFILED)
     clock.attach()
     trainer.run()
     # What a step costs is that of a trained scene: from here on nothing counts for the result.

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from flowsplat.scenes.synthetic.worlds.cameras import waves
-from flowsplat.scenes.synthetic.worlds.ground import Ground
+from flowsplat.scenes.synthetic.worlds.ground import WorldGround
 from flowsplat.scenes.synthetic.worlds.materials import draw_material
-from flowsplat.scenes.synthetic.worlds.parts import UP, Part, Poses, WorldObject, about, capsule, frame, rod, together
+from flowsplat.scenes.synthetic.worlds.parts import UP, Poses, WorldObject, WorldPart, about, capsule, frame, rod, together
 from flowsplat.scenes.synthetic.worlds.people import (
     ANKLE,
     HALF_FOOT,
@@ -51,7 +51,7 @@ class Limb:
     bent: Swing
 
 
-def dancer(rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: float, scale: float, rich: bool) -> WorldObject:
+def dancer(rng: np.random.Generator, ground: WorldGround, at: np.ndarray, heading: float, scale: float, rich: bool) -> WorldObject:
     """Return a person who dances about a place ``at`` [2]; ``heading``, ``scale`` and ``rich`` as of a walker."""
     parts = body(rng, scale, rich)
     turn = Swing(heading, rng.uniform(0.2, 1.2), rng.uniform(0.3, 0.9), rng.uniform(0, 2 * np.pi))
@@ -89,8 +89,8 @@ def _limb(rng: np.random.Generator, middle: tuple[float, float], reach: tuple[fl
 
 
 def _pose(
-    ground: Ground, place: np.ndarray, yaw: np.ndarray, bow: np.ndarray, arms: list[Limb], legs: list[Limb], scale: float,
-    stick: Part | None, times: np.ndarray,
+    ground: WorldGround, place: np.ndarray, yaw: np.ndarray, bow: np.ndarray, arms: list[Limb], legs: list[Limb], scale: float,
+    stick: WorldPart | None, times: np.ndarray,
 ) -> tuple[list[Poses], np.ndarray, np.ndarray]:  # fmt: skip
     """Return (poses of all parts, soles [T, 2, 3], their heights above the ground [T, 2]): the lower sole stands on it."""
     level = frame(np.stack([np.cos(yaw), np.sin(yaw), 0 * yaw], -1), UP)

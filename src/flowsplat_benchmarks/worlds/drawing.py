@@ -11,13 +11,13 @@ import numpy as np
 
 from flowsplat.common.errors import InputError
 from flowsplat.geometry.cameras import pixel_grid
-from flowsplat.scenes.synthetic.worlds.ground import Ground
+from flowsplat.scenes.synthetic.worlds.ground import WorldGround
 from flowsplat.scenes.synthetic.worlds.materials import draw_material
 from flowsplat.scenes.synthetic.worlds.placing import apart, are_apart, is_free, reach
 from flowsplat.scenes.synthetic.worlds.world import Light, World
 from flowsplat_benchmarks.worlds.cameras import draw_path
 from flowsplat_benchmarks.worlds.objects import Scale, draw_objects
-from flowsplat_benchmarks.worlds.plan import Plan, draw_plan
+from flowsplat_benchmarks.worlds.plan import WorldPlan, draw_plan
 from flowsplat_benchmarks.worlds.scenery import draw_ground, draw_scenery, draw_sky, draw_stand
 
 BLURRED, NOISY = 0.3, 0.7
@@ -78,7 +78,7 @@ def draw_world(
     raise InputError(f"The random world of seed {seed} has no place for its objects in {ATTEMPTS} attempts: choose another one.")
 
 
-def _place(rng: np.random.Generator, seed: int, plan: Plan, size: tuple[int, int], frames: int, fps: float) -> World | None:
+def _place(rng: np.random.Generator, seed: int, plan: WorldPlan, size: tuple[int, int], frames: int, fps: float) -> World | None:
     """Return one attempt; None where things are inside each other."""
     duration = (frames - 1) / fps
     scale = Scale(rng.uniform(1.0, 2.2), float(np.exp(rng.uniform(np.log(0.75), np.log(1.7)))), size[0] / size[1])
@@ -95,7 +95,7 @@ def _place(rng: np.random.Generator, seed: int, plan: Plan, size: tuple[int, int
         front = float(centers[..., 1].min()) - rng.uniform(0.6, 1.0) - max(reach(obj, times) for obj in objects)
         if front < 1.2:
             return None
-        ground = Ground(ground.kind, ground.gradient, ground.direction, front=front)
+        ground = WorldGround(ground.kind, ground.gradient, ground.direction, front=front)
     stand = draw_stand(rng, plan, scale, ground, centers, furthest)
     leader = objects[int(rng.integers(len(objects)))]
     path = draw_path(rng, plan.camera, stand, nearest, duration, leader)
@@ -118,7 +118,7 @@ def _place(rng: np.random.Generator, seed: int, plan: Plan, size: tuple[int, int
     return world if is_free(world, path(np.linspace(0, duration, frames))[0]) else None
 
 
-def _is_in_sight(world: World, plan: Plan) -> bool:
+def _is_in_sight(world: World, plan: WorldPlan) -> bool:
     """Return whether objects and ground fill what they should of some small images."""
     width = _CHECK_WIDTH
     height = round(width * world.height / world.width)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flowsplat.scenes.synthetic.worlds.animals import SHOULDER_HEIGHT, animal
-from flowsplat.scenes.synthetic.worlds.ground import Ground
+from flowsplat.scenes.synthetic.worlds.ground import WorldGround
 from flowsplat.scenes.synthetic.worlds.machines import (
     STOPS,
     door,
@@ -20,10 +20,10 @@ from flowsplat.scenes.synthetic.worlds.machines import (
     vehicle,
 )
 from flowsplat.scenes.synthetic.worlds.materials import draw_material
-from flowsplat.scenes.synthetic.worlds.parts import Kind, Part, WorldObject
+from flowsplat.scenes.synthetic.worlds.parts import Kind, WorldObject, WorldPart
 from flowsplat.scenes.synthetic.worlds.people import HEIGHT, walker
 from flowsplat_benchmarks.worlds.dancers import dancer
-from flowsplat_benchmarks.worlds.plan import Plan
+from flowsplat_benchmarks.worlds.plan import WorldPlan
 
 APPARENT = (0.08, 0.7)
 """Shares of the image's height between which objects are drawn."""
@@ -59,7 +59,9 @@ class Scale:
         return distance / self.focal
 
 
-def draw_objects(rng: np.random.Generator, plan: Plan, scale: Scale, ground: Ground, duration: float) -> list[WorldObject]:
+def draw_objects(
+    rng: np.random.Generator, plan: WorldPlan, scale: Scale, ground: WorldGround, duration: float
+) -> list[WorldObject]:
     objects: list[WorldObject] = []
     if plan.crowd:
         return _draw_crowd(rng, plan.kinds, scale, ground, duration)
@@ -76,7 +78,7 @@ def draw_objects(rng: np.random.Generator, plan: Plan, scale: Scale, ground: Gro
 
 
 def _draw_crowd(
-    rng: np.random.Generator, kinds: tuple[Kind, ...], scale: Scale, ground: Ground, duration: float
+    rng: np.random.Generator, kinds: tuple[Kind, ...], scale: Scale, ground: WorldGround, duration: float
 ) -> list[WorldObject]:
     """Return objects at several depths, all of which are near one place of the image in the middle of the clip; some go one way,
     some the other, so that they pass before each other."""
@@ -106,7 +108,7 @@ def _draw_speed(rng: np.random.Generator, low: float, high: float, scale: Scale,
 
 
 def _draw_object(
-    rng: np.random.Generator, kind: Kind, scale: Scale, ground: Ground, duration: float, place: float, heading: float,
+    rng: np.random.Generator, kind: Kind, scale: Scale, ground: WorldGround, duration: float, place: float, heading: float,
     apparent: tuple[float, float] = APPARENT,
 ) -> WorldObject:  # fmt: skip
     rich = bool(rng.random() < 0.6)
@@ -156,7 +158,7 @@ def _draw_object(
 
 
 def _draw_touching(
-    rng: np.random.Generator, kinds: tuple[Kind, ...], scale: Scale, ground: Ground, duration: float
+    rng: np.random.Generator, kinds: tuple[Kind, ...], scale: Scale, ground: WorldGround, duration: float
 ) -> list[WorldObject]:
     """Return two who walk arm in arm, one who pushes a cart, or a ball that hits another one."""
     rich, other_rich = bool(rng.random() < 0.6), bool(rng.random() < 0.6)
@@ -219,7 +221,7 @@ def _repaint(rng: np.random.Generator, obj: WorldObject, rich: bool, dull: bool 
             new[key] = draw_material(rng, 0.5, rich)
             if dull:
                 new[key][2:8] = np.tile(_draw_dull(rng, new[key][2:5]), 2)
-        parts.append(Part(part.shape, part.size, new[key]))
+        parts.append(WorldPart(part.shape, part.size, new[key]))
     return WorldObject(obj.kind, tuple(parts), obj.poses, obj.touching)
 
 

@@ -25,7 +25,7 @@ TOUCHING: tuple[tuple[Kind, Kind], ...] = (("walker", "walker"), ("walker", "veh
 
 
 @dataclass(frozen=True)
-class Plan:
+class WorldPlan:
     """What a world is about.
 
     Attributes:
@@ -45,7 +45,7 @@ class Plan:
     crowd: bool = False
 
 
-def draw_plan(seed: int, dancers: bool = False, crowd: bool = False) -> Plan:
+def draw_plan(seed: int, dancers: bool = False, crowd: bool = False) -> WorldPlan:
     """Return what the world of a seed is about.
 
     Args:
@@ -74,9 +74,9 @@ def draw_plan(seed: int, dancers: bool = False, crowd: bool = False) -> Plan:
     if crowd:
         kinds = [CROWD[k] for k in rng.integers(0, len(CROWD), int(rng.integers(*CROWD_SIZES)))]
         seen: GroundKind = "slope" if GROUNDS[ground] in ("slope", "steps") else "flat"
-        return Plan(seen, CAMERAS[camera], tuple(kinds), None, raised, crowd=True)
+        return WorldPlan(seen, CAMERAS[camera], tuple(kinds), None, raised, crowd=True)
     if dancers:
         level: GroundKind = "flat" if GROUNDS[ground] == "steps" else GROUNDS[ground]
         danced: list[Kind] = ["dancer"] * min(count, 2)
-        return Plan(level, CAMERAS[camera], tuple(danced), None, raised)
-    return Plan(GROUNDS[ground], CAMERAS[camera], tuple(kinds), pair, raised)
+        return WorldPlan(level, CAMERAS[camera], tuple(danced), None, raised)
+    return WorldPlan(GROUNDS[ground], CAMERAS[camera], tuple(kinds), pair, raised)

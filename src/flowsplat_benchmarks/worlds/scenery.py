@@ -5,32 +5,34 @@ from __future__ import annotations
 import numpy as np
 
 from flowsplat.scenes.synthetic.worlds.casting import ROOM
-from flowsplat.scenes.synthetic.worlds.ground import Ground, GroundKind
+from flowsplat.scenes.synthetic.worlds.ground import GroundKind, WorldGround
 from flowsplat.scenes.synthetic.worlds.materials import draw_material
-from flowsplat.scenes.synthetic.worlds.parts import UP, Part, Placed, ball, box, cylinder, frame
+from flowsplat.scenes.synthetic.worlds.parts import UP, Placed, WorldPart, ball, box, cylinder, frame
 from flowsplat_benchmarks.worlds.cameras import Stand
 from flowsplat_benchmarks.worlds.objects import Scale
-from flowsplat_benchmarks.worlds.plan import Plan
+from flowsplat_benchmarks.worlds.plan import WorldPlan
 
 SKY = 90.0
 """Meters to where the sky is painted."""
 
 
-def draw_ground(rng: np.random.Generator, kind: GroundKind, distance: float) -> Ground:
+def draw_ground(rng: np.random.Generator, kind: GroundKind, distance: float) -> WorldGround:
     """Return a random ground of a kind; ``distance``: meters at which most happens."""
     still, forward = np.zeros(2), np.array([0.0, 1.0])
     if kind == "slope":
         angle, steep = rng.uniform(0, 2 * np.pi), rng.uniform(0.05, 0.18)
-        return Ground(kind, steep * np.array([np.cos(angle), np.sin(angle)]), forward)
+        return WorldGround(kind, steep * np.array([np.cos(angle), np.sin(angle)]), forward)
     if kind == "steps":
         angle = np.pi / 2 + rng.uniform(-0.5, 0.5)
         direction, tread, count = np.array([np.cos(angle), np.sin(angle)]), rng.uniform(1.3, 2.8), int(rng.integers(2, 6))
         first = distance - rng.uniform(0.2, 0.8) * count * tread
-        return Ground(kind, still, direction, tread, rng.uniform(0.1, 0.22), first, count)
-    return Ground(kind, still, forward)
+        return WorldGround(kind, still, direction, tread, rng.uniform(0.1, 0.22), first, count)
+    return WorldGround(kind, still, forward)
 
 
-def draw_stand(rng: np.random.Generator, plan: Plan, scale: Scale, ground: Ground, centers: np.ndarray, furthest: float) -> Stand:
+def draw_stand(
+    rng: np.random.Generator, plan: WorldPlan, scale: Scale, ground: WorldGround, centers: np.ndarray, furthest: float
+) -> Stand:
     place = np.array([rng.normal() * 0.2, rng.normal() * 0.2, 0.0])
     target = centers.mean((0, 1)) + rng.normal(size=3) * [0.1, 0, 0.08] * np.linalg.norm(centers.mean((0, 1)))
     if plan.ground == "none" and plan.raised:
@@ -52,11 +54,11 @@ def draw_sky(rng: np.random.Generator) -> Placed:
     tone = rng.uniform(0.6, 0.95)
     sky[2:5] = tone * np.array([rng.uniform(0.65, 0.95), rng.uniform(0.8, 0.97), 1.0])
     sky[11], sky[12], sky[13] = rng.uniform(0.05, 0.25), rng.uniform(15, 40), 4
-    return Placed(Part(ROOM, np.full(3, SKY), sky), np.eye(3), np.zeros(3))
+    return Placed(WorldPart(ROOM, np.full(3, SKY), sky), np.eye(3), np.zeros(3))
 
 
 def draw_scenery(
-    rng: np.random.Generator, plan: Plan, ground: Ground, centers: np.ndarray, scale: Scale, furthest: float, rich: bool
+    rng: np.random.Generator, plan: WorldPlan, ground: WorldGround, centers: np.ndarray, scale: Scale, furthest: float, rich: bool
 ) -> list[Placed]:
     """Walls behind, and boxes, pillars and balls beside, behind and before the objects."""
     found = []
@@ -64,7 +66,7 @@ def draw_scenery(
     def material(size: float) -> np.ndarray:
         return draw_material(rng, size, rich if rng.random() < 0.8 else not rich)
 
-    def put(part: Part, at: np.ndarray, half: float, yaw: float) -> None:
+    def put(part: WorldPart, at: np.ndarray, half: float, yaw: float) -> None:
         """A part whose lower end stands a little in the ground."""
         turn = frame(np.array([np.cos(yaw), np.sin(yaw), 0.0]), UP)[0]
         below = float(ground.height(at + 0.5 * part.radius * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])).min())

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from flowsplat.output.viewer.clock import Clock
+from flowsplat.output.viewer.clock import PlaybackClock
 
 
 def test_it_plays_at_its_speed_and_loops():
-    clock = Clock(1.0, 3.0)
+    clock = PlaybackClock(1.0, 3.0)
     assert clock.at(50.0) == 1.0
     clock.play(True, 50.0)
     assert clock.at(50.5) == 1.5
@@ -19,14 +19,14 @@ def test_it_plays_at_its_speed_and_loops():
 
 
 def test_it_stops_where_it_is_told_to():
-    clock = Clock(0.0, 2.0)
+    clock = PlaybackClock(0.0, 2.0)
     clock.play(True, 10.0)
     clock.play(False, 11.0)
     assert clock.at(99.0) == 1.0
 
 
 def test_without_a_loop_it_stops_at_the_end_and_begins_again():
-    clock = Clock(0.0, 2.0)
+    clock = PlaybackClock(0.0, 2.0)
     clock.loop = False
     clock.play(True, 10.0)
     assert clock.at(13.0) == 2.0
@@ -36,7 +36,7 @@ def test_without_a_loop_it_stops_at_the_end_and_begins_again():
 
 
 def test_it_goes_on_from_where_it_is_set():
-    clock = Clock(0.0, 2.0)
+    clock = PlaybackClock(0.0, 2.0)
     clock.play(True, 0.0)
     clock.set(1.5, 1.0)
     assert clock.at(1.25) == 1.75

@@ -12,7 +12,7 @@ import pytest
 from flowsplat.output.viewer import worker as module
 from flowsplat.output.viewer.browser_frame import BrowserFrame
 from flowsplat.output.viewer.drawing import Drawing
-from flowsplat.output.viewer.session import Job, Session
+from flowsplat.output.viewer.session import ImageJob, Session
 from flowsplat.output.viewer.source import Source
 from flowsplat.output.viewer.worker import Worker
 
@@ -80,7 +80,7 @@ def client(
     session.move(BrowserFrame(source.scene.similarity).pose(source.path.at(0.0)), (64, 48), time.monotonic())
     session.clock.play(playing, time.monotonic())
 
-    def show(job: Job, drawing: Drawing) -> None:
+    def show(job: ImageJob, drawing: Drawing) -> None:
         images.append((job, drawing, threading.get_ident()))
         shown()
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from flowsplat.priors.cameras.bundle import Observations, residuals
+from flowsplat.priors.cameras.bundle import BundleObservations, residuals
 from flowsplat.priors.cameras.refinement import place_points, ray_points
 from tests.priors.cameras.worlds import centered, observed, path, state_of, world
 
@@ -15,7 +15,7 @@ def test_far_points_stay_in_front():
     positions, seen = centered(observed(cameras, far, 0.3))
     state = state_of(cameras, points)
     placed = place_points(state, positions, seen)
-    _, depth = residuals(replace(state, points=placed), Observations.of(positions, seen))
+    _, depth = residuals(replace(state, points=placed), BundleObservations.of(positions, seen))
     assert (depth > 0).all()
     assert np.isfinite(placed).all()
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from flowsplat.priors.cameras import solvers
-from flowsplat.priors.cameras.estimate import Estimate, estimate
+from flowsplat.priors.cameras.estimate import CameraEstimate, estimate
 from flowsplat.priors.cameras.solvers import find_jumps, judge, keep_back, prefer, solve
 from tests.priors.cameras.worlds import HEIGHT, WIDTH, observed, path, world
 
@@ -18,23 +18,23 @@ def tracks() -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def good(tracks) -> Estimate:
+def good(tracks) -> CameraEstimate:
     return estimate(tracks[keep_back(np.isfinite(tracks[..., 0]))[0]], WIDTH, HEIGHT, None)
 
 
-def damaged(found: Estimate, turn: float, frame: int) -> Estimate:
+def damaged(found: CameraEstimate, turn: float, frame: int) -> CameraEstimate:
     """With one camera turned by so many degrees."""
     rotations = found.fit.state.rotations.copy()
     rotations[frame] = Rotation.from_rotvec([0, np.radians(turn), 0]).as_matrix() @ rotations[frame]
     return replace(found, fit=replace(found.fit, state=replace(found.fit.state, rotations=rotations)))
 
 
-def bent(found: Estimate) -> Estimate:
+def bent(found: CameraEstimate) -> CameraEstimate:
     """With a focal length that is wrong, and poses that do not know it."""
     return replace(found, fit=replace(found.fit, state=replace(found.fit.state, focal=1.4 * found.fit.state.focal)))
 
 
-def judged(found: Estimate, tracks: np.ndarray) -> solvers.Judgment:
+def judged(found: CameraEstimate, tracks: np.ndarray) -> solvers.Judgment:
     return judge("own", found, tracks[keep_back(np.isfinite(tracks[..., 0]))[1]], WIDTH, HEIGHT)
 
 

@@ -13,7 +13,7 @@ from flowsplat.priors.objects.contact_cues import bounce_cue, contact_cue, foot_
 from flowsplat.priors.objects.depth_trajectory import check_laws
 from flowsplat.priors.objects.distance import Cue, combine
 from flowsplat.priors.objects.path import WorldPath, bounce_frames, constant_height, pivot
-from flowsplat.priors.objects.rigid import Observations, solve_rigid
+from flowsplat.priors.objects.rigid import TrackObservations, solve_rigid
 from flowsplat.priors.objects.shape_offset import roundness
 from tests.priors.objects.test_rigid import body, turn
 
@@ -171,7 +171,7 @@ def moving_scene(law: str, seed: int = 0, noise: float = 0.15, standing: bool = 
         uv, _ = cameras[t].project(world)
         pixels[:, t] = uv + rng.normal(0, noise, uv.shape)
         depths.append(cameras[t].project(place)[1])
-    motion = solve_rigid(Observations.of_tracks(pixels, np.ones((60, frames), bool), K))
+    motion = solve_rigid(TrackObservations.of_tracks(pixels, np.ones((60, frames), bool), K))
     assert motion is not None
     return WorldPath.of(motion, cameras), float(np.median(np.log(depths) - motion.log_depths()))
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from flowsplat.geometry import Camera
 from flowsplat.priors.objects.rematching import MAX_MATCH_SHIFT, ObjectImages, gray, rematch_object
-from flowsplat.priors.objects.rigid import Observations, RigidMotion, longest, solve_rigid
+from flowsplat.priors.objects.rigid import RigidSolution, TrackObservations, longest, solve_rigid
 
 FRAMES, WIDTH, HEIGHT, FOCAL, RADII = 20, 160, 120, 220.0, np.array([0.16, 0.2, 0.13])
 K = np.array([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1]])
@@ -86,7 +86,7 @@ def shown(ball: Ball, images: np.ndarray) -> ObjectImages:
     return ObjectImages(images, ball.masks, np.stack([x, y], 1), cameras, np.array([0.0, -1, 0]))
 
 
-def depth_trajectory_error(ball: Ball, motion: RigidMotion) -> float:
+def depth_trajectory_error(ball: Ball, motion: RigidSolution) -> float:
     """Standard deviation over time of ln depth of the points seen, against that of the surface behind them."""
     o, (off, depth, explained) = motion.observations, motion.residuals()
     errors = []
@@ -98,9 +98,9 @@ def depth_trajectory_error(ball: Ball, motion: RigidMotion) -> float:
 
 
 @pytest.fixture(scope="module")
-def by_tracks(ball) -> RigidMotion:
+def by_tracks(ball) -> RigidSolution:
     chosen = longest(ball.inside)
-    motion = solve_rigid(Observations.of_tracks(ball.positions[chosen], ball.inside[chosen], K))
+    motion = solve_rigid(TrackObservations.of_tracks(ball.positions[chosen], ball.inside[chosen], K))
     assert motion is not None
     return motion
 

@@ -9,7 +9,7 @@ from flowsplat.geometry import Camera
 from flowsplat.priors.objects import rigid
 from flowsplat.priors.objects.contact import Bound
 from flowsplat.priors.objects.depth_trajectory import rigid_motions
-from flowsplat.priors.objects.rigid import Observations, longest, solve_rigid, widest_turn
+from flowsplat.priors.objects.rigid import TrackObservations, longest, solve_rigid, widest_turn
 from flowsplat.priors.objects.rigid_equations import solve_band, unpack_band
 from flowsplat.priors.objects.shape_offset import place_points
 from flowsplat.priors.objects.solving import solve_object
@@ -55,7 +55,7 @@ def flat(k: int) -> np.ndarray:
 @pytest.mark.parametrize("degrees", [15, 90])
 def test_relative_depth_over_time(degrees):
     pixels, seen, depths = seen_body(body(), degrees, 0.2)
-    motion = solve_rigid(Observations.of_tracks(pixels, seen, K))
+    motion = solve_rigid(TrackObservations.of_tracks(pixels, seen, K))
     assert motion is not None
     assert motion.inliers > 0.95
     error = motion.log_depths() - np.log(depths)
@@ -65,7 +65,7 @@ def test_relative_depth_over_time(degrees):
 def test_shape_offset_and_turn_of_what_turns():
     points = body()
     pixels, seen, depths = seen_body(points, 90, 0.2)
-    observations = Observations.of_tracks(pixels, seen, K)
+    observations = TrackObservations.of_tracks(pixels, seen, K)
     motion = solve_rigid(observations)
     assert motion is not None
     assert motion.widest_turn() == pytest.approx(90 * (FRAMES - 1) / FRAMES, abs=4)
@@ -81,7 +81,7 @@ def test_shape_offset_and_turn_of_what_turns():
 
 
 def test_what_is_known_of_a_point_says_how_sure_it_is():
-    turned = [solve_rigid(Observations.of_tracks(*seen_body(body(), degrees, 0.2)[:2], K)) for degrees in (10, 90)]
+    turned = [solve_rigid(TrackObservations.of_tracks(*seen_body(body(), degrees, 0.2)[:2], K)) for degrees in (10, 90)]
     sigmas = [float(np.median(place_points(each, each.observations, K)[0].sigma)) for each in turned if each is not None]
     assert sigmas[0] > 2 * sigmas[1]
 
@@ -136,8 +136,8 @@ def test_a_motion_that_growth_and_the_ground_contradict_is_dropped(stands):
 def test_too_little_to_know():
     pixels, seen, _ = seen_body(body(10), 60, 0.2)
     assert rigid_motions(pixels, seen, K) == (None, [])
-    assert solve_rigid(Observations.of_tracks(pixels[:0], seen[:0], K)) is None
-    assert solve_rigid(Observations.of_tracks(pixels[:4], seen[:4], K)) is None
+    assert solve_rigid(TrackObservations.of_tracks(pixels[:0], seen[:0], K)) is None
+    assert solve_rigid(TrackObservations.of_tracks(pixels[:4], seen[:4], K)) is None
 
 
 def test_longest_tracks_fill_every_frame():
@@ -169,7 +169,7 @@ def test_a_long_clip_is_solved_as_well():
         placed = points @ R.T + [0.3 * np.sin(t / 20), 0, depths[t]]
         pixels[:, t] = placed[:, :2] / placed[:, 2:] * K[0, 0] + K[:2, 2] + 0.2 * rng.normal(size=(frames, 2))
         seen[:, t] = (t >= starts) & (t < starts + life)
-    motion = solve_rigid(Observations.of_tracks(pixels, seen, K))
+    motion = solve_rigid(TrackObservations.of_tracks(pixels, seen, K))
     assert motion is not None
     assert motion.inliers > 0.99
     depth_trajectory = motion.log_depths()[10:-10] - np.log(depths)[10:-10]
@@ -178,7 +178,7 @@ def test_a_long_clip_is_solved_as_well():
 
 def test_points_that_last_for_long_are_several(monkeypatch):
     pixels, seen, depths = seen_body(body(), 60, 0.2)
-    observations = Observations.of_tracks(pixels, seen, K)
+    observations = TrackObservations.of_tracks(pixels, seen, K)
     whole = observations.in_pieces()
     np.testing.assert_array_equal(whole.first, observations.first)
     monkeypatch.setattr(rigid, "_MAX_TRACK_FRAMES", 12)

@@ -16,7 +16,7 @@ from flowsplat.scenes.formats.video_color import (
     KNEE,
     PQ,
     UNSPECIFIED,
-    Colors,
+    VideoColors,
     compress_highlights,
     gamut_matrix,
     to_srgb,
@@ -88,8 +88,8 @@ def codes(signal: np.ndarray) -> np.ndarray:
     return np.rint(np.asarray(signal) * 65535).astype(np.uint16)
 
 
-def hdr(transfer: int, primaries: int = 9) -> Colors:
-    return Colors(matrix=9, full_range=False, transfer=transfer, primaries=primaries, bits=10)
+def hdr(transfer: int, primaries: int = 9) -> VideoColors:
+    return VideoColors(matrix=9, full_range=False, transfer=transfer, primaries=primaries, bits=10)
 
 
 def test_pq_of_known_light():

@@ -19,7 +19,7 @@ from flowsplat.common.files import plain_name, read_json, write_json
 from flowsplat.common.files.json_file import Count, Positive, Text
 from flowsplat.gaussians.renderer import PartedRenderer
 from flowsplat.output.videos.options import RenderOptions, factors_of
-from flowsplat.output.videos.plans import Plan, name_of, plan_videos, settle
+from flowsplat.output.videos.plans import VideoPlan, name_of, plan_videos, settle
 from flowsplat.output.videos.writing import Scales, write_plan
 from flowsplat.scenes import Scene
 
@@ -104,7 +104,7 @@ def _record(folder: Path) -> dict[str, Any]:
     return record
 
 
-def _key(plan: Plan, scales: Scales) -> str:
+def _key(plan: VideoPlan, scales: Scales) -> str:
     """Return a hash of all that a video depends on; what the model is shows in the shots that were looked at."""
     text = json.dumps([__version__, plan.to_json(), scales.looks])
     return hashlib.sha256(text.encode()).hexdigest()[:16]

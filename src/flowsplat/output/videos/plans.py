@@ -31,7 +31,7 @@ _SUFFIXES = {"stereo": "mp4", "alpha": "webm", "gif": "gif"}
 
 
 @dataclass(frozen=True)
-class Plan:
+class VideoPlan:
     """One video before it is rendered.
 
     Attributes:
@@ -70,13 +70,13 @@ class Plan:
         return [views, self.fps, look, self.audio_from and self.audio_from.name, self.audio_start]
 
 
-def plan_videos(model: PartedRenderer, scene: Scene, options: RenderOptions) -> list[Plan]:
+def plan_videos(model: PartedRenderer, scene: Scene, options: RenderOptions) -> list[VideoPlan]:
     """Return every video that was asked for.
 
     Raises:
         InputError: an option or the camera file cannot be used, or objects are asked for that are not there.
     """
-    found: list[Plan] = []
+    found: list[VideoPlan] = []
     for plan in _whole(model, scene, options):
         for part in options.parts:
             if part.startswith("objects"):
@@ -99,7 +99,7 @@ def settle(scene: Scene, options: RenderOptions) -> tuple[float, tuple[int, int]
     return fps, size, None if options.camera_file is None else read_camera_file(options.camera_file, size, (first, last))
 
 
-def _versions(plan: Plan, part: Part, scene: Scene, options: RenderOptions) -> Iterator[Plan]:
+def _versions(plan: VideoPlan, part: Part, scene: Scene, options: RenderOptions) -> Iterator[VideoPlan]:
     """Yield the video of one part of the scene, and its stereo pair (objects alone on black, as players know no alpha beside
     stereo)."""
     suffix = "" if part == "all" else "_" + part.replace(":", "_").replace(",", "_")
@@ -117,7 +117,7 @@ def _versions(plan: Plan, part: Part, scene: Scene, options: RenderOptions) -> I
         yield replace(shown, kind="stereo", name=f"{shown.name}_stereo", eye_distance=eyes, convergence=depth)
 
 
-def _whole(model: PartedRenderer, scene: Scene, options: RenderOptions) -> Iterator[Plan]:
+def _whole(model: PartedRenderer, scene: Scene, options: RenderOptions) -> Iterator[VideoPlan]:
     """Yield every path, showing the whole scene."""
     first, last = float(scene.timestamps[0]), float(scene.timestamps[-1])
     fps, size, given = settle(scene, options)
@@ -132,34 +132,36 @@ def _whole(model: PartedRenderer, scene: Scene, options: RenderOptions) -> Itera
     amplitudes = Amplitudes(model, scene, options.orbit_angle)
 
     if "input" in options.paths:
-        yield Plan(f"input_path{tempo}", along, fps, audio_from=sound, audio_start=start)
+        yield VideoPlan(f"input_path{tempo}", along, fps, audio_from=sound, audio_start=start)
     if "stabilized" in options.paths:
         shots, share = stabilize(model, along, options.stabilize / step)
         report(f"The stabilized path shows {share:.0%} of the width and height of the clip.")
-        yield Plan(f"stabilized{tempo}", shots, fps, audio_from=sound, audio_start=start)
+        yield VideoPlan(f"stabilized{tempo}", shots, fps, audio_from=sound, audio_start=start)
     if "orbit" in options.paths:
         # The middle of the clip in real time.
         spare = max(len(times) - options.max_frames, 0)
         played = times[spare // 2 : len(times) - (spare - spare // 2)]
         angle = amplitudes.angle([float(played[k]) for k in spread(len(played), 3)], "orbit")
         loop = orbit([path.at(t) for t in played], distance, len(played), angle)
-        yield Plan(f"orbit{tempo}", [(camera, float(t)) for camera, t in zip(loop, played, strict=True)], fps)
+        yield VideoPlan(f"orbit{tempo}", [(camera, float(t)) for camera, t in zip(loop, played, strict=True)], fps)
     if "bullet" in options.paths:
         loop = orbit(path.at(frozen), distance, options.max_frames, amplitudes.angle([frozen], "bullet time"))
-        yield Plan("bullet_time", [(camera, frozen) for camera in loop], fps)
+        yield VideoPlan("bullet_time", [(camera, frozen) for camera in loop], fps)
     if "dolly" in options.paths:
         subject = subject_distance(model, path.at(frozen), frozen, distance)
         there_and_back = (1 - np.cos(np.linspace(0, 2 * np.pi, options.max_frames, endpoint=False))) / 2
         dolly = amplitudes.dolly(frozen, subject) if options.dolly is None else options.dolly
         factors = dolly**there_and_back
-        yield Plan("dolly_zoom", [(dolly_zoom(path.at(frozen), subject, float(f)), frozen) for f in factors], fps)
+        yield VideoPlan("dolly_zoom", [(dolly_zoom(path.at(frozen), subject, float(f)), frozen) for f in factors], fps)
     if "wiggle" in options.paths:
         subject = subject_distance(model, path.at(frozen), frozen, distance)
         swing = np.sin(np.linspace(0, 2 * np.pi, WIGGLE_FRAMES, endpoint=False)) * options.eye_distance / 2 * distance
-        yield Plan("wiggle", [(shift_camera(path.at(frozen), float(x), subject), frozen) for x in swing], WIGGLE_FPS, kind="gif")
+        yield VideoPlan(
+            "wiggle", [(shift_camera(path.at(frozen), float(x), subject), frozen) for x in swing], WIGGLE_FPS, kind="gif"
+        )
     if given is not None:
         assert options.camera_file is not None
-        yield Plan(f"custom_path_{name_of(options.camera_file)}", given.shots, options.fps or given.fps or fps)
+        yield VideoPlan(f"custom_path_{name_of(options.camera_file)}", given.shots, options.fps or given.fps or fps)
 
 
 def name_of(camera_file: Path) -> str:
@@ -183,7 +185,7 @@ def subject_distance(model: PartedRenderer, camera: Camera, t: float, otherwise:
     return float(np.median(depth)) if depth.size else otherwise
 
 
-def _require_objects(objects: PartedRenderer, plan: Plan, part: Part) -> None:
+def _require_objects(objects: PartedRenderer, plan: VideoPlan, part: Part) -> None:
     for k in spread(len(plan.shots), 5):
         camera, t = plan.shots[k]
         if objects.render(small(camera), t).alpha.max() > 0:

@@ -20,7 +20,7 @@ from flowsplat.images.gif import write_gif
 from flowsplat.images.sheets import side_by_side
 from flowsplat.images.transparent import webm_writer
 from flowsplat.images.video import mp4_writer
-from flowsplat.output.videos.plans import Plan
+from flowsplat.output.videos.plans import VideoPlan
 from flowsplat.output.videos.shots import MIN_ALPHA, Shot, small
 
 _PROBES = 5
@@ -64,7 +64,7 @@ class Scales:
         return Scales(scale, near, far, looks.hexdigest()[:16])
 
 
-def write_plan(model: Renderer, plan: Plan, scales: Scales, folder: Path) -> None:
+def write_plan(model: Renderer, plan: VideoPlan, scales: Scales, folder: Path) -> None:
     """Render the video of a plan. ``model`` is the part of the scene that it shows.
 
     Raises:
@@ -83,7 +83,7 @@ def write_plan(model: Renderer, plan: Plan, scales: Scales, folder: Path) -> Non
         write_gif(paths[0], list(images), plan.fps)
 
 
-def _write_panels(model: Renderer, plan: Plan, scales: Scales, panels_path: Path, color_path: Path) -> None:
+def _write_panels(model: Renderer, plan: VideoPlan, scales: Scales, panels_path: Path, color_path: Path) -> None:
     camera = plan.shots[0][0]
     height = min(camera.height, max(round(camera.height * _WIDEST_PANEL / camera.width), 1))
 
@@ -103,7 +103,7 @@ def _write_panels(model: Renderer, plan: Plan, scales: Scales, panels_path: Path
             write_color(color)
 
 
-def _write_stereo(model: Renderer, plan: Plan, path: Path) -> None:
+def _write_stereo(model: Renderer, plan: VideoPlan, path: Path) -> None:
     def pair(shot: Shot) -> np.ndarray:
         eyes = [shift_camera(shot[0], side * plan.eye_distance / 2, plan.convergence) for side in (-1, 1)]
         return np.concatenate([float_to_bytes(model.render(eye, shot[1]).color) for eye in eyes], axis=1)
@@ -113,7 +113,7 @@ def _write_stereo(model: Renderer, plan: Plan, path: Path) -> None:
             write(both)
 
 
-def _write_alpha(model: Renderer, plan: Plan, path: Path) -> None:
+def _write_alpha(model: Renderer, plan: VideoPlan, path: Path) -> None:
     with webm_writer(path, plan.fps) as write:
         shots = track(plan.shots, f"Rendering {plan.name}")
         for image in in_threads(lambda shot: on_transparent(model.render(*shot)), shots, at_once(model)):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 
-class Clock:
+class PlaybackClock:
     """Time of the clip, played at ``speed`` seconds a second between ``first`` and ``last``.
 
     What is shown follows the wall clock: a slow machine shows fewer images of a clip, not a slower clip. All calls take

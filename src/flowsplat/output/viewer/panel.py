@@ -16,7 +16,7 @@ from flowsplat.output.viewer.drawing import Compare, Drawing, ImageKind, Look
 from flowsplat.output.viewer.export_panel import ExportPanel
 from flowsplat.output.viewer.layout import Box, fit_box
 from flowsplat.output.viewer.notifications import Notifications
-from flowsplat.output.viewer.session import Job, Mode, Session
+from flowsplat.output.viewer.session import ImageJob, Mode, Session
 from flowsplat.output.viewer.source import Source
 from flowsplat.output.viewer.trails import trails
 from flowsplat.output.viewer.worker import Worker
@@ -240,7 +240,7 @@ class Panel:
             _set_value(slider, 1.0)
         self._set_look()
 
-    def _show(self, job: Job, drawing: Drawing) -> None:
+    def _show(self, job: ImageJob, drawing: Drawing) -> None:
         """Bring an image to the browser; called by the worker."""
         drawn_into = self._cameras.value or self._trails.value
         quality = _STILL_QUALITY if job.is_still else _MOVING_QUALITY

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from flowsplat.output.viewer.browser_frame import Pose
-from flowsplat.output.viewer.clock import Clock
+from flowsplat.output.viewer.clock import PlaybackClock
 from flowsplat.output.viewer.drawing import Look, Wish
 from flowsplat.output.viewer.resolution import AdaptiveResolution
 
@@ -18,7 +18,7 @@ _MOST_FPS = 30
 
 
 @dataclass(frozen=True)
-class Job:
+class ImageJob:
     """An image to be made: what it shows, and whether it is the final one or one of a moving sequence."""
 
     wish: Wish
@@ -30,7 +30,7 @@ class Session:
     """The state of a client; it is only touched under the lock of the worker."""
 
     def __init__(self, clip: tuple[float, float], largest: int):
-        self.clock, self.resolution = Clock(*clip), AdaptiveResolution(largest)
+        self.clock, self.resolution = PlaybackClock(*clip), AdaptiveResolution(largest)
         self.mode: Mode = "input camera"
         self.look = Look()
         self.pose: Pose | None = None
@@ -53,7 +53,7 @@ class Session:
         if not seen_alike:
             self.change(now)
 
-    def job(self, now: float, model: int) -> Job | None:
+    def job(self, now: float, model: int) -> ImageJob | None:
         """Return what is to be made for this client at this moment, if anything.
 
         Args:
@@ -71,13 +71,13 @@ class Session:
             if not is_still and now - self._drawn_at < 1 / _MOST_FPS:
                 return None
         size = self.resolution.still(self.canvas) if is_still else self.resolution.choose_moving_size(self.canvas)
-        return Job(Wish(size, t, self.look, None if self.mode == "input camera" else self.pose), is_still, version)
+        return ImageJob(Wish(size, t, self.look, None if self.mode == "input camera" else self.pose), is_still, version)
 
     def is_restless(self, now: float) -> bool:
         """Return whether it will need an image soon without anything more being changed."""
         return self.clock.playing or now - self._changed < 2 * _SETTLE
 
-    def finish_image(self, job: Job, now: float, seconds: float) -> None:
+    def finish_image(self, job: ImageJob, now: float, seconds: float) -> None:
         """An image was made, and took so long."""
         self._drawn, self._drawn_at = (job.version, job.wish.t, job.is_still), now
         if not job.is_still:

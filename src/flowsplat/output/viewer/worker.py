@@ -16,10 +16,10 @@ from collections.abc import Callable, Iterator
 from flowsplat.common.progress import report
 from flowsplat.output.viewer.browser_frame import BrowserFrame
 from flowsplat.output.viewer.drawing import Drawing, draw
-from flowsplat.output.viewer.session import Job, Session
+from flowsplat.output.viewer.session import ImageJob, Session
 from flowsplat.output.viewer.source import Source
 
-SendImage = Callable[[Job, Drawing], None]
+SendImage = Callable[[ImageJob, Drawing], None]
 """Sends an image to its client."""
 
 _WATCH = 1.0
@@ -112,7 +112,7 @@ class Worker:
             report(f"Showing a newer model: {self._source.loaded.state}.")
             self._reloaded()
 
-    def _next_job(self) -> tuple[int, Session, SendImage, Job] | None:
+    def _next_job(self) -> tuple[int, Session, SendImage, ImageJob] | None:
         """Return the first client, in turn,  that needs an image."""
         with self._condition:
             for _ in range(len(self._turns)):
@@ -124,7 +124,7 @@ class Worker:
                     return client, session, show, job
         return None
 
-    def _serve(self, client: int, session: Session, show: SendImage, job: Job) -> None:
+    def _serve(self, client: int, session: Session, show: SendImage, job: ImageJob) -> None:
         started = time.monotonic()
         try:
             drawing = draw(self._source, self._browser, job.wish)

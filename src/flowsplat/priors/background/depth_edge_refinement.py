@@ -56,7 +56,7 @@ _ROW_MARGIN = VOTE_RADIUS
 
 
 @dataclass(frozen=True)
-class View:
+class EdgeView:
     """What a frame shows, in eight bytes a pixel.
 
     Attributes:
@@ -68,11 +68,11 @@ class View:
     slopes: np.ndarray
 
     @staticmethod
-    def of(image: np.ndarray, moving: np.ndarray) -> View:
+    def of(image: np.ndarray, moving: np.ndarray) -> EdgeView:
         """Pack an image [H, W, 3] uint8 and what moves in it [H, W] bool."""
         gray = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float32)
         across, down = cv2.Sobel(gray, cv2.CV_32F, 1, 0) / 4, cv2.Sobel(gray, cv2.CV_32F, 0, 1) / 4
-        return View(pack(image[None], moving[None])[0], np.hypot(across, down))
+        return EdgeView(pack(image[None], moving[None])[0], np.hypot(across, down))
 
     @property
     def features(self) -> np.ndarray:
@@ -82,7 +82,7 @@ class View:
 
 
 def refine_edges(
-    inverse: np.ndarray, still: np.ndarray, view: View, camera: Camera, others: Sequence[View], cameras: Sequence[Camera],
+    inverse: np.ndarray, still: np.ndarray, view: EdgeView, camera: Camera, others: Sequence[EdgeView], cameras: Sequence[Camera],
     doubted: np.ndarray | None = None,
 ) -> np.ndarray:  # fmt: skip
     """Return inverse depth [H, W] float32 with its jumps where the images have them.
@@ -136,12 +136,12 @@ class EdgeRefiner:
         (view, moving), seen = self._seen(k), [self._seen(j)[0] for j in others]
         return refine_edges(inverse, ~moving, view, cameras[0], seen, cameras[1:], doubted)
 
-    def _see(self, k: int) -> tuple[View, np.ndarray]:
+    def _see(self, k: int) -> tuple[EdgeView, np.ndarray]:
         """Return a frame, where objects and what is close to them say nothing, and objects [H, W] bool."""
         scene, i = self._clip.scene, self._clip.scene.train_frames[k]
         moving = scene.mask(i) > 0 if self._has_masks else np.zeros((scene.height, scene.width), bool)
         near = cv2.dilate(moving.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-        return View.of(scene.frame(i), near), moving
+        return EdgeView.of(scene.frame(i), near), moving
 
 
 @inline

@@ -19,7 +19,7 @@ from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 from scipy.spatial.transform import Rotation
 
 from flowsplat.common.kernels import kernel
-from flowsplat.priors.cameras.bundle import Observations, Reconstruction, adjust
+from flowsplat.priors.cameras.bundle import BundleObservations, Reconstruction, adjust
 from flowsplat.priors.cameras.refinement import place_points, track_errors
 from flowsplat.priors.cameras.twoview import LEAST_COMMON, essential, intrinsics
 
@@ -86,7 +86,7 @@ def _adjust(state: Reconstruction, positions: np.ndarray, seen: np.ndarray, scal
     good |= errors <= 3 * scale
     start = Reconstruction(state.rotations, state.translations, state.focal, points[good])
     done = adjust(
-        start, Observations.of(positions[good], seen[good]), iterations=15, scale=scale, fixed_camera=0, free_focal=False,
+        start, BundleObservations.of(positions[good], seen[good]), iterations=15, scale=scale, fixed_camera=0, free_focal=False,
         tolerance=1e-3,
     )  # fmt: skip
     return done.reconstruction

@@ -53,7 +53,7 @@ class Reconstruction:
 
 
 @dataclass(frozen=True)
-class Observations:
+class BundleObservations:
     """Which camera saw which point where, ordered by point.
 
     Attributes:
@@ -67,13 +67,13 @@ class Observations:
     uv: np.ndarray
 
     @staticmethod
-    def of(positions: np.ndarray, seen: np.ndarray) -> Observations:
+    def of(positions: np.ndarray, seen: np.ndarray) -> BundleObservations:
         """From positions [N, T, 2] and which of them count [N, T]."""
         point, camera = map(np.ascontiguousarray, np.nonzero(seen))
-        return Observations(camera, point, np.asarray(positions[point, camera], np.float64))
+        return BundleObservations(camera, point, np.asarray(positions[point, camera], np.float64))
 
 
-class Prior(Protocol):
+class CameraPrior(Protocol):
     """What is expected of cameras before tracks are looked at."""
 
     def compute_cost(self, state: Reconstruction) -> float:
@@ -124,7 +124,7 @@ class Adjusted:
 
 def adjust(
     start: Reconstruction,
-    seen: Observations,
+    seen: BundleObservations,
     *,
     iterations: int,
     scale: float,
@@ -132,7 +132,7 @@ def adjust(
     free_focal: bool = True,
     free_translations: bool = True,
     free_distortion: bool = False,
-    priors: Sequence[Prior] = (),
+    priors: Sequence[CameraPrior] = (),
     tolerance: float = 1e-4,
 ) -> Adjusted:
     """Minimize the sum of scale^2 log(1 + |residual|^2 / scale^2) over poses, points, focal length and distortion.
@@ -200,7 +200,7 @@ def compute_scale_direction(state: Reconstruction, fixed_camera: int) -> np.ndar
     return np.einsum("tij,tj->ti", state.rotations, state.centers[fixed_camera] - state.centers)
 
 
-def information(state: Reconstruction, seen: Observations, scale: float, priors: Sequence[Prior]) -> np.ndarray:
+def information(state: Reconstruction, seen: BundleObservations, scale: float, priors: Sequence[CameraPrior]) -> np.ndarray:
     """Curvature [6T + LENS, 6T + LENS] of the cost along poses and lens, once all points have adapted."""
     first = np.searchsorted(seen.point, np.arange(len(state.points) + 1))
     H, g, Hp, gp, cross, cross_lens = _linearize(*_plain(state, seen), scale)
@@ -234,18 +234,18 @@ def rays(uv: np.ndarray, focal: float, distortion: float) -> np.ndarray:
     return bent * (straight / np.maximum(far, 1e-12))
 
 
-def residuals(state: Reconstruction, seen: Observations) -> tuple[np.ndarray, np.ndarray]:
+def residuals(state: Reconstruction, seen: BundleObservations) -> tuple[np.ndarray, np.ndarray]:
     """Reprojection errors [M] in pixels and depths [M] of all observations."""
     return _reproject(*_plain(state, seen))
 
 
-def _plain(state: Reconstruction, seen: Observations) -> tuple:
+def _plain(state: Reconstruction, seen: BundleObservations) -> tuple:
     """Return what the compiled loops take."""
     lens = (state.focal, state.distortion)
     return (state.rotations, state.translations, *lens, state.points, seen.camera, seen.point, seen.uv)
 
 
-def _total(state: Reconstruction, seen: Observations, scale: float, priors: Sequence[Prior]) -> float:
+def _total(state: Reconstruction, seen: BundleObservations, scale: float, priors: Sequence[CameraPrior]) -> float:
     errors, _ = residuals(state, seen)
     cost = scale**2 * float(np.log1p((errors / scale) ** 2).sum()) + sum(prior.compute_cost(state) for prior in priors)
     return cost if np.isfinite(cost) else np.inf

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flowsplat.priors.cameras.estimate import Estimate
+from flowsplat.priors.cameras.estimate import CameraEstimate
 
 UNCERTAIN_FOCAL = 0.05
 """Standard deviation of log focal from which the focal length counts as a guess."""
@@ -41,7 +41,7 @@ class Gaps:
     timestamps: np.ndarray
 
 
-def verdict(found: Estimate, unit: float, width: int, focal_given: bool, gaps: Gaps, more: Sequence[str] = ()) -> str:
+def verdict(found: CameraEstimate, unit: float, width: int, focal_given: bool, gaps: Gaps, more: Sequence[str] = ()) -> str:
     """Return one or more sentences on what kind of camera motion was found and how far to trust it.
 
     Args:

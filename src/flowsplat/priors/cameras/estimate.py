@@ -45,7 +45,7 @@ MOST_JUDGES = 4000
 
 
 @dataclass(frozen=True)
-class Estimate:
+class CameraEstimate:
     """Cameras for all frames.
 
     Attributes:
@@ -65,7 +65,7 @@ class Estimate:
     surrounds: bool = False
 
 
-def estimate(positions: np.ndarray, width: float, height: float, focal: float | None, solver: str = "own") -> Estimate:
+def estimate(positions: np.ndarray, width: float, height: float, focal: float | None, solver: str = "own") -> CameraEstimate:
     """Find the cameras behind the tracks of one piece of a clip.
 
     What most tracks agree on is taken for the static scene, unless it leaves the rim of the image to something else:
@@ -96,7 +96,7 @@ def _share(follows: np.ndarray, rim: np.ndarray) -> float:
     return float(rim[follows].sum() / max(int(rim.sum()), 1))
 
 
-def _follows(found: Estimate, positions: np.ndarray, seen: np.ndarray, width: float, height: float) -> np.ndarray:
+def _follows(found: CameraEstimate, positions: np.ndarray, seen: np.ndarray, width: float, height: float) -> np.ndarray:
     """Return [N] the tracks that stand still under the cameras that were found."""
     centered = from_middle(positions, seen, width, height)
     state = with_points(found.fit.state, centered, seen, free_translations=found.motion == "free")
@@ -106,7 +106,7 @@ def _follows(found: Estimate, positions: np.ndarray, seen: np.ndarray, width: fl
 
 def _of_all_frames(
     positions: np.ndarray, seen: np.ndarray, width: float, height: float, focal: float | None, solver: str
-) -> Estimate:
+) -> CameraEstimate:
     """Return the cameras most tracks agree on; those of a long clip by way of its keyframes."""
     keys = choose_keyframes(seen)
     if len(keys) == seen.shape[1]:
@@ -126,14 +126,14 @@ def _of_all_frames(
 def _of_keyframes(
     positions: np.ndarray, seen: np.ndarray, width: float, height: float, focal: float | None, solver: str,
     consecutive: bool = False,
-) -> Estimate:  # fmt: skip
+) -> CameraEstimate:  # fmt: skip
     centered = from_middle(positions, seen, width, height)
     few = choose_tracks(positions, seen, width, height, per_cell=4, shortest=2)
     expected, free_focal = focal or USUAL_FOCAL * width, focal is None
     tracks, views = centered[few], seen[few]
     standing = _solve_standing(centered, seen, expected)
     if len(few) < LEAST_TRACKS:
-        return Estimate("unknown", standing, [], 0.0)
+        return CameraEstimate("unknown", standing, [], 0.0)
     judges = _judges(seen)
 
     def judged(kind: str, state: Reconstruction, judges: np.ndarray = judges) -> float:
@@ -144,7 +144,7 @@ def _of_keyframes(
         rim = judges[on_rim(positions[judges], width, height).sum(1) > 0.5 * seen[judges].sum(1)]
         surrounds = len(rim) >= LEAST_TRACKS and judged("static", standing.state, rim) <= NEGLIGIBLE
     if rests or surrounds:
-        return Estimate("static", standing, [], 0.0, surrounds=not rests)
+        return CameraEstimate("static", standing, [], 0.0, surrounds=not rests)
     starts = {"static": _Candidate(misfit(standing.state, tracks, views, free_translations=False), standing.state, [], 0)}
     keys = choose_keyframes(views, SEARCHED, NEAR_BY)
     shown = np.flatnonzero(views[:, keys].sum(1) >= 2)
@@ -161,7 +161,7 @@ def _of_keyframes(
     motion = next(kind for kind, cost in costs.items() if cost <= SIMPLER * min(costs.values()))
     start = starts[motion]
     if motion == "static":
-        return Estimate("static", standing, [], 0.0)
+        return CameraEstimate("static", standing, [], 0.0)
     many = choose_tracks(positions, seen, width, height, per_cell=20)
     many = many if len(many) > len(few) else few
     fit = refine(
@@ -170,7 +170,7 @@ def _of_keyframes(
     )  # fmt: skip
     parallax = _parallax(fit, seen[many]) if motion == "free" else 0.0
     flat = motion == "free" and _is_flat(fit, centered[many], seen[many])
-    return Estimate(motion, fit, start.unplaced, parallax, flat)
+    return CameraEstimate(motion, fit, start.unplaced, parallax, flat)
 
 
 def _judges(seen: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from flowsplat.common.kernels import kernel
-from flowsplat.priors.cameras.bundle import LensPrior, Observations, Reconstruction, adjust, rays, residuals
+from flowsplat.priors.cameras.bundle import BundleObservations, LensPrior, Reconstruction, adjust, rays, residuals
 from flowsplat.priors.cameras.twoview import Pair, intrinsics, relative_pose
 
 MIN_POINTS = 10
@@ -72,7 +72,7 @@ def renew_points(model: Model, positions: np.ndarray, seen: np.ndarray, limit: f
     state = model.state
     points = triangulate(state, positions, views)
     state = Reconstruction(state.rotations, state.translations, state.focal, points)
-    observed = Observations.of(positions, views)
+    observed = BundleObservations.of(positions, views)
     error, depth = residuals(state, observed)
     bad = np.bincount(observed.point, (error > limit) | (depth <= 1e-3), len(points))
     counts = views.sum(1)
@@ -100,7 +100,7 @@ def adjust_model(
         return np.inf
     done = adjust(
         part,
-        Observations.of(positions[np.ix_(tracks, frames)], views),
+        BundleObservations.of(positions[np.ix_(tracks, frames)], views),
         iterations=iterations,
         scale=scale,
         fixed_camera=int(np.searchsorted(frames, model.origin)),

@@ -11,7 +11,7 @@ import numpy as np
 
 from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.priors.cameras.bundle import rays
-from flowsplat.priors.cameras.estimate import NEGLIGIBLE, SIMPLER, Estimate
+from flowsplat.priors.cameras.estimate import NEGLIGIBLE, SIMPLER, CameraEstimate
 from flowsplat.priors.cameras.refinement import from_middle, misfit, refine
 from flowsplat.priors.cameras.selection import choose_tracks
 
@@ -96,7 +96,7 @@ def _border(width: float, height: float) -> np.ndarray:
 
 
 def find_lens(
-    positions: np.ndarray, width: float, height: float, focal: float | None, found: Estimate, start: Lens | None
+    positions: np.ndarray, width: float, height: float, focal: float | None, found: CameraEstimate, start: Lens | None
 ) -> Lens | None:
     """Return the lens that the cameras of ``found`` leave to be explained; None where there is none, or where it does not show.
 

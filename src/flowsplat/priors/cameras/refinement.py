@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from flowsplat.priors.cameras.bundle import USUAL_DISTORTION, LensPrior, Observations, Reconstruction, adjust, rays, residuals
+from flowsplat.priors.cameras.bundle import USUAL_DISTORTION, BundleObservations, LensPrior, Reconstruction, adjust, rays, residuals
 from flowsplat.priors.cameras.growth import triangulate
 from flowsplat.priors.cameras.smoothness import smooth_path
 
@@ -66,7 +66,7 @@ def with_points(state: Reconstruction, positions: np.ndarray, seen: np.ndarray, 
 def place_points(state: Reconstruction, positions: np.ndarray, seen: np.ndarray) -> np.ndarray:
     """Triangulated points [N, 3]; those that come out behind a camera or too far away are put far out on their ray."""
     points = triangulate(state, positions, seen)
-    observed = Observations.of(positions, seen)
+    observed = BundleObservations.of(positions, seen)
     _, depth = residuals(replace(state, points=points), observed)
     median = float(np.median(depth[depth > 0])) if (depth > 0).any() else 1.0
     nearest, farthest = np.full(len(seen), np.inf), np.zeros(len(seen))
@@ -88,7 +88,7 @@ def _middle_view(seen: np.ndarray) -> np.ndarray:
 
 def track_errors(state: Reconstruction, positions: np.ndarray, seen: np.ndarray) -> np.ndarray:
     """Return [N] pixels: root mean square reprojection error of each track, infinite where it lies behind a camera."""
-    observed = Observations.of(positions, seen)
+    observed = BundleObservations.of(positions, seen)
     error, depth = residuals(state, observed)
     squares = np.bincount(observed.point, np.where(depth > 0, error**2, np.inf), len(seen))
     return np.sqrt(squares / np.maximum(seen.sum(1), 1))
@@ -96,7 +96,7 @@ def track_errors(state: Reconstruction, positions: np.ndarray, seen: np.ndarray)
 
 def ray_points(state: Reconstruction, positions: np.ndarray, seen: np.ndarray) -> np.ndarray:
     """Return points [N, 3] at distance 1 in the mean direction of each track's rays, for cameras that share one center."""
-    observed = Observations.of(positions, seen)
+    observed = BundleObservations.of(positions, seen)
     flat = rays(observed.uv, state.focal, state.distortion)
     unit = np.concatenate([flat, np.ones((len(flat), 1))], 1) / np.sqrt(1 + (flat**2).sum(1, keepdims=True))
     unit = np.einsum("mji,mj->mi", state.rotations[observed.camera], unit)
@@ -111,7 +111,7 @@ def _with_others(state: Reconstruction, tracks: np.ndarray, points: np.ndarray) 
     return replace(state, points=result)
 
 
-def robust_errors(state: Reconstruction, observed: Observations) -> tuple[np.ndarray, np.ndarray]:
+def robust_errors(state: Reconstruction, observed: BundleObservations) -> tuple[np.ndarray, np.ndarray]:
     """Errors [M] in pixels, ``WORST`` at most, and their cost [M] without unit."""
     error, depth = residuals(state, observed)
     error = np.where(depth > 0, np.minimum(error, WORST), WORST)
@@ -130,7 +130,7 @@ def misfit(state: Reconstruction, positions: np.ndarray, seen: np.ndarray, *, fr
     Assumes that most of what is seen stands still. A mean robust cost without unit, comparable between cameras for the
     same tracks, whatever tracks each of them was fitted to.
     """
-    observed = Observations.of(positions, seen)
+    observed = BundleObservations.of(positions, seen)
     _, cost = robust_errors(with_points(state, positions, seen, free_translations=free_translations), observed)
     totals, counts = np.bincount(observed.point, cost, len(seen)), seen.sum(1)
     best = best_tracks(totals, counts)
@@ -173,7 +173,7 @@ def refine(
         tracks = np.flatnonzero(static)
         if len(tracks) == 0:
             break
-        observed = Observations.of(positions[tracks], seen[tracks])
+        observed = BundleObservations.of(positions[tracks], seen[tracks])
         prior = LensPrior(expected_focal, _prior_weight(replace(state, points=state.points[tracks]), observed, scale))
         done = adjust(
             replace(state, points=state.points[tracks]), observed, scale=scale, fixed_camera=fixed_camera,
@@ -185,7 +185,7 @@ def refine(
         precision = max(done.focal_precision - prior.weight, 0.0)
         bend_precision = max(done.distortion_precision - prior.weight / USUAL_DISTORTION**2, 0.0)
     tracks = np.flatnonzero(static)
-    observed = Observations.of(positions[tracks], seen[tracks])
+    observed = BundleObservations.of(positions[tracks], seen[tracks])
     if consecutive and free_translations and len(tracks):
         smooth = smooth_path(
             replace(state, points=state.points[tracks]), observed, scale=rounds[-1], fixed_camera=fixed_camera, lens=prior,
@@ -206,7 +206,7 @@ def _find_consistent(errors: np.ndarray, scale: float) -> np.ndarray:
     return errors <= limit
 
 
-def _prior_weight(state: Reconstruction, observed: Observations, scale: float) -> float:
+def _prior_weight(state: Reconstruction, observed: BundleObservations, scale: float) -> float:
     """Weight of the expected focal length: a wrong factor of e costs as much as a twentieth of all residuals.
 
     Lens distortion and drifting tracks change the cost by about that much, so less is no evidence about the focal length.

@@ -15,8 +15,8 @@ import numpy as np
 
 from flowsplat.priors.cameras.bundle import (
     LENS,
+    BundleObservations,
     LensPrior,
-    Observations,
     Reconstruction,
     adjust,
     compute_scale_direction,
@@ -63,7 +63,7 @@ class SmoothnessPrior:
 
 
 def smooth_path(
-    state: Reconstruction, seen: Observations, *, scale: float, fixed_camera: int, lens: LensPrior, free_focal: bool,
+    state: Reconstruction, seen: BundleObservations, *, scale: float, fixed_camera: int, lens: LensPrior, free_focal: bool,
     free_distortion: bool,
 ) -> Reconstruction:  # fmt: skip
     """Adjusted cameras and points once more, with the prior on their path.

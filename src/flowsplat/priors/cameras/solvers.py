@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from flowsplat.priors.cameras.bundle import Observations
+from flowsplat.priors.cameras.bundle import BundleObservations
 from flowsplat.priors.cameras.checks import FEW_STATIC, LARGE_ERROR
-from flowsplat.priors.cameras.estimate import Estimate, estimate
+from flowsplat.priors.cameras.estimate import CameraEstimate, estimate
 from flowsplat.priors.cameras.pieces import LEAST_TRACKS
 from flowsplat.priors.cameras.refinement import best_tracks, from_middle, robust_errors, with_points
 from flowsplat.priors.cameras.selection import on_rim
@@ -83,7 +83,7 @@ class Judgment:
 class Solved:
     """The cameras that were taken, and what was found about all that were tried, the taken ones first."""
 
-    found: Estimate
+    found: CameraEstimate
     judgments: list[Judgment]
 
     def reason(self, unit: float) -> str:
@@ -152,7 +152,7 @@ def keep_back(seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def judge(
-    name: str, found: Estimate, positions: np.ndarray, width: float, height: float, frames: Sequence[int] | None = None
+    name: str, found: CameraEstimate, positions: np.ndarray, width: float, height: float, frames: Sequence[int] | None = None
 ) -> Judgment:
     """Return what tracks that no adjustment has seen say about cameras, and whether the path is possible.
 
@@ -171,7 +171,7 @@ def judge(
     return Judgment(name, pixels, cost, jumps, faults, poor and found.motion != "unknown")
 
 
-def _heldout_errors(found: Estimate, positions: np.ndarray, width: float, height: float) -> tuple[float | None, float]:
+def _heldout_errors(found: CameraEstimate, positions: np.ndarray, width: float, height: float) -> tuple[float | None, float]:
     """Return the median error in pixels of the observations that fit best, and their mean robust cost."""
     seen = np.isfinite(positions[..., 0])
     if len(seen) < LEAST_TRACKS:
@@ -179,7 +179,7 @@ def _heldout_errors(found: Estimate, positions: np.ndarray, width: float, height
     centered = from_middle(positions, seen, width, height)
     odd = np.cumsum(seen, 1) % 2 == 1
     state = with_points(found.fit.state, centered, seen & odd, free_translations=found.motion == "free")
-    observed = Observations.of(centered, seen & ~odd)
+    observed = BundleObservations.of(centered, seen & ~odd)
     error, cost = robust_errors(state, observed)
     best = best_tracks(np.bincount(observed.point, cost, len(seen)), (seen & ~odd).sum(1))
     judged = np.isin(observed.point, best)
@@ -188,7 +188,7 @@ def _heldout_errors(found: Estimate, positions: np.ndarray, width: float, height
     return float(np.median(error[judged])), float(cost[judged].mean())
 
 
-def find_jumps(found: Estimate, frames: Sequence[int] | None = None) -> list[int]:
+def find_jumps(found: CameraEstimate, frames: Sequence[int] | None = None) -> list[int]:
     """Return positions before which the path turns or leaps quite unlike anywhere else.
 
     Compared are the changes of speed from one step to the next: a pan may be fast, but it begins and ends.
@@ -212,7 +212,7 @@ def find_jumps(found: Estimate, frames: Sequence[int] | None = None) -> list[int
     return [int(t) for k, t in enumerate(places) if k == 0 or t > places[k - 1] + 1]
 
 
-def _distance(found: Estimate) -> float:
+def _distance(found: CameraEstimate) -> float:
     """Return the median distance of the static points from the path."""
     state = found.fit.state
     static = state.points[found.fit.static] if len(state.points) == len(found.fit.static) else state.points
@@ -221,7 +221,7 @@ def _distance(found: Estimate) -> float:
     return max(float(np.median(np.linalg.norm(static - state.centers.mean(0), axis=1))), 1e-12)
 
 
-def _faults(found: Estimate, width: float) -> list[str]:
+def _faults(found: CameraEstimate, width: float) -> list[str]:
     faults = []
     if found.motion in ("free", "rotation"):
         angle = float(2 * np.degrees(np.arctan(width / 2 / found.fit.state.focal)))

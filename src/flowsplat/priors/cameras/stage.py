@@ -13,7 +13,7 @@ from flowsplat.common.errors import InputError
 from flowsplat.geometry import Camera
 from flowsplat.geometry.cameras import rigid
 from flowsplat.priors.cameras.checks import Gaps, verdict
-from flowsplat.priors.cameras.estimate import Estimate
+from flowsplat.priors.cameras.estimate import CameraEstimate
 from flowsplat.priors.cameras.following import WORKING_SIDE, follow_points
 from flowsplat.priors.cameras.lens import Lens, find_lens
 from flowsplat.priors.cameras.pieces import find_breaks, join, split
@@ -247,7 +247,7 @@ def _off_objects(scene: Scene, positions: np.ndarray) -> np.ndarray:
     return positions[~touches] if enough else positions
 
 
-def _cameras(found: Estimate, unit: float, width: int, height: int) -> list[Camera]:
+def _cameras(found: CameraEstimate, unit: float, width: int, height: int) -> list[Camera]:
     """Return one camera a frame: the first one the identity, the median distance of the static points 1."""
     state, fit = found.fit.state, found.fit
     distance = 1.0

@@ -12,7 +12,7 @@ from flowsplat.priors.cameras import CameraOptions, camera_stage
 from flowsplat.priors.cameras.stage import OWN, require_lens_in_images, straightens
 from flowsplat.priors.given.cameras import read_cameras
 from flowsplat.priors.given.fitting import verdict_of
-from flowsplat.priors.prior import GIVEN, Kind, Request
+from flowsplat.priors.prior import GIVEN, Kind, PriorRequest
 from flowsplat.scenes import Scene
 from flowsplat.scenes.layers import Layers
 
@@ -20,7 +20,7 @@ MAKER = "maker of the cameras"
 """Key of ``Request.memory``: whose the given cameras are."""
 
 
-def _differs(request: Request, asked: str | None) -> bool:
+def _differs(request: PriorRequest, asked: str | None) -> bool:
     """Return whether our own cameras are there, but were computed with other settings than those that differ from the defaults.
 
     Given, true or calibrated cameras are not replaced: the options say how cameras are computed, and not whether.
@@ -31,7 +31,7 @@ def _differs(request: Request, asked: str | None) -> bool:
     return any(value not in (usual[name], used.get(name)) for name, value in asdict(request.options.cameras).items())
 
 
-def _check_renewal(request: Request, stale: Collection[str]) -> None:
+def _check_renewal(request: PriorRequest, stale: Collection[str]) -> None:
     """Refuse to replace cameras under what was made for them and stays."""
     method = request.method("depth")
     if method is not None and "depth" not in stale:
@@ -48,7 +48,7 @@ def _read_true(scene: Scene, truth: Layers) -> bool:
     return True
 
 
-def _read_given(request: Request, path: Path) -> None:
+def _read_given(request: PriorRequest, path: Path) -> None:
     cameras, maker = read_cameras(path, request.scene, request.options.given.allow_pickle)
     request.scene.write_cameras(cameras)
     request.scene.finish_prior("cameras", method=GIVEN, verdict=verdict_of(path, maker))

@@ -14,14 +14,14 @@ from flowsplat.priors.kinds.cameras import MAKER
 from flowsplat.priors.kinds.static_depth import STATIC
 from flowsplat.priors.learned.weights import network_device
 from flowsplat.priors.monocular import Monocular, monocular_stage
-from flowsplat.priors.prior import BROUGHT, GIVEN, Kind, Request, Stage
+from flowsplat.priors.prior import BROUGHT, GIVEN, Kind, PriorRequest, Stage
 from flowsplat.scenes import Scene
 from flowsplat.scenes.layers import Layers
 
 OWN = "multiview"
 
 
-def _compute(request: Request) -> Stage:
+def _compute(request: PriorRequest) -> Stage:
     scene, estimate = request.scene, request.estimate
     if request.options.depth == OWN:
         return lambda: depth_stage(scene, estimate, request.memory.pop(STATIC))
@@ -37,7 +37,7 @@ def _read_true(scene: Scene, truth: Layers) -> bool:
     return True
 
 
-def _read_given(request: Request, path: Path) -> Stage | None:
+def _read_given(request: PriorRequest, path: Path) -> Stage | None:
     """Return whether depth is in other units than those of the cameras and has to be fitted to them."""
     scene, depth = request.scene, open_depth(path, request.scene)
     units_known = request.method("cameras") in BROUGHT

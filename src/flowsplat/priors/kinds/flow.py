@@ -12,7 +12,7 @@ from flowsplat.priors.given.flow import read_flow
 from flowsplat.priors.learned.weights import network_device
 from flowsplat.priors.object_flow import object_flow_stage
 from flowsplat.priors.options import PriorsOptions
-from flowsplat.priors.prior import GIVEN, TRUTH, Kind, Request
+from flowsplat.priors.prior import GIVEN, TRUTH, Kind, PriorRequest
 from flowsplat.scenes import Scene
 from flowsplat.scenes.layers import Layers
 
@@ -32,7 +32,7 @@ def flow_estimator(options: PriorsOptions, device: str) -> FlowEstimator:
     return raft_estimator(options.models.raft, network_device(device))
 
 
-def _get_requested(request: Request) -> str | None:
+def _get_requested(request: PriorRequest) -> str | None:
     """Return a network, unless the flow is true and is to be: the truth may lack flow, so nothing else asks for it."""
     is_true = request.wants_truth and request.method("flow") == TRUTH
     return None if request.options.flow == OWN or is_true else request.options.flow
@@ -47,7 +47,7 @@ def _read_true(scene: Scene, truth: Layers) -> bool:
     return known.issuperset(wanted)
 
 
-def _read_given(request: Request, path: Path) -> None:
+def _read_given(request: PriorRequest, path: Path) -> None:
     """Pairs that the files do not have are left to the flow stage."""
     flows, maker = read_flow(path, request.scene)
     for flow in flows:
@@ -68,7 +68,7 @@ FLOW = Kind(
 )
 
 
-def _lacks_objects(request: Request) -> bool:
+def _lacks_objects(request: PriorRequest) -> bool:
     flow = request.scene.prior("flow") or {}
     return flow.get("method") == OWN and not flow.get("objects")
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from flowsplat.priors.given.masks import use_masks
 from flowsplat.priors.learned.weights import network_device
 from flowsplat.priors.masks import mask_stage
-from flowsplat.priors.prior import GIVEN, Kind, Request, Stage
+from flowsplat.priors.prior import GIVEN, Kind, PriorRequest, Stage
 from flowsplat.priors.prompts import prompt_stage, shows
 from flowsplat.scenes import Scene
 from flowsplat.scenes.layers import Layers
@@ -16,7 +16,7 @@ from flowsplat.scenes.layers import Layers
 OWN, CLICKS = "motion", "clicks"
 
 
-def _compute(request: Request) -> Stage:
+def _compute(request: PriorRequest) -> Stage:
     scene, estimate, prompts = request.scene, request.estimate, request.prompts
     if request.options.masks == OWN:
         return partial(prompt_stage, scene, prompts, estimate) if prompts else partial(mask_stage, scene, estimate)
@@ -33,13 +33,13 @@ def _compute(request: Request) -> Stage:
     return found_by_motion
 
 
-def _get_requested(request: Request) -> str | None:
+def _get_requested(request: PriorRequest) -> str | None:
     if request.options.masks != OWN:
         return request.options.masks
     return CLICKS if request.prompts else None
 
 
-def _differs(request: Request, asked: str | None) -> bool:
+def _differs(request: PriorRequest, asked: str | None) -> bool:
     """Return whether the masks are of other clicks and boxes."""
     return bool(request.prompts) and request.method("masks") == asked and not shows(request.scene, request.prompts)
 
@@ -50,7 +50,7 @@ def _read_true(scene: Scene, truth: Layers) -> bool:
     return True
 
 
-def _read_given(request: Request, path: Path) -> None:
+def _read_given(request: PriorRequest, path: Path) -> None:
     use_masks(path, request.scene)
     request.scene.finish_prior("masks", method=GIVEN, verdict=f"from {path}")
 

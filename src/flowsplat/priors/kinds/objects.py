@@ -7,14 +7,14 @@ from collections.abc import Collection
 from flowsplat.common.errors import InputError
 from flowsplat.priors.kinds.static_depth import STATIC, computes_own_depth, has_masks
 from flowsplat.priors.objects import objects_stage
-from flowsplat.priors.prior import Kind, Request, Stage
+from flowsplat.priors.prior import Kind, PriorRequest, Stage
 
 
-def _compute(request: Request) -> Stage:
+def _compute(request: PriorRequest) -> Stage:
     return lambda: objects_stage(request.scene, request.estimate, request.memory[STATIC], request.hints)
 
 
-def _is_due(request: Request) -> bool:
+def _is_due(request: PriorRequest) -> bool:
     """Not where depth is half done: that belongs to the objects that were found for it."""
     scene = request.scene
     if not (computes_own_depth(request) and has_masks(scene) and scene.has_tracks):
@@ -23,16 +23,16 @@ def _is_due(request: Request) -> bool:
     return not (fits and any(scene.has_depth(i) for i in scene.train_frames))
 
 
-def _has_hints(request: Request) -> bool:
+def _has_hints(request: PriorRequest) -> bool:
     """Return whether the objects that are there were placed with these hints."""
     return (request.scene.prior("objects") or {}).get("hints", []) == [hint.text for hint in request.hints]
 
 
-def _differs(request: Request, asked: str | None) -> bool:
+def _differs(request: PriorRequest, asked: str | None) -> bool:
     return bool(request.hints) and request.method("depth") is not None and not _has_hints(request)
 
 
-def _check_renewal(request: Request, stale: Collection[str]) -> None:
+def _check_renewal(request: PriorRequest, stale: Collection[str]) -> None:
     if "depth" not in stale:
         depth = request.method("depth")
         raise InputError(f"The scene has depth already ({depth}), in which --contact and --same-depth place nothing.")

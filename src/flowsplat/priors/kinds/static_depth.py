@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from flowsplat.priors.background.matched_clip import SOLUTIONS, MatchedClip
 from flowsplat.priors.background.static_depth import static_depth
-from flowsplat.priors.prior import Kind, Request, Stage
+from flowsplat.priors.prior import Kind, PriorRequest, Stage
 from flowsplat.scenes import Scene
 
 STATIC = "static depth"
@@ -16,12 +16,12 @@ def has_masks(scene: Scene) -> bool:
     return all(scene.has_mask(i) for i in scene.train_frames)
 
 
-def computes_own_depth(request: Request) -> bool:
+def computes_own_depth(request: PriorRequest) -> bool:
     """Return whether depth is to be computed, and from matches."""
     return request.computes("depth") and request.options.depth == "multiview"
 
 
-def _compute(request: Request) -> Stage:
+def _compute(request: PriorRequest) -> Stage:
     def stage() -> None:
         clip = MatchedClip(request.scene, request.estimate)
         request.memory[STATIC] = clip, static_depth(clip, has_masks(request.scene))

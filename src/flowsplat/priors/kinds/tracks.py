@@ -10,7 +10,7 @@ import numpy as np
 
 from flowsplat.geometry import Camera
 from flowsplat.priors.given.tracks import read_tracks, write_tracks
-from flowsplat.priors.prior import Kind, Request, Stage
+from flowsplat.priors.prior import Kind, PriorRequest, Stage
 from flowsplat.priors.tracks import complete_tracks, tracks_stage
 from flowsplat.scenes import Scene, Tracks
 from flowsplat.scenes.layers import Layers
@@ -33,7 +33,7 @@ def _project(tracks: Tracks, cameras: Sequence[Camera], train_frames: Sequence[i
     return Tracks(points, visible, np.where(visible, tracks.confidence, 0), tracks.moving)
 
 
-def _read_given(request: Request, path: Path) -> Stage:
+def _read_given(request: PriorRequest, path: Path) -> Stage:
     """Return which of them are on objects, masks have to tell."""
     tracks = read_tracks(path, request.scene, request.options.given.tracks_size)
     return partial(write_tracks, tracks, path, request.scene)

@@ -20,7 +20,7 @@ _MIN_COLOR_SHARE = 1e-5
 """Share of all pixels at which a color is neither's."""
 
 
-class Colors:
+class ColorModel:
     """Histograms in Lab of objects and of what surrounds them, over the frames that were added."""
 
     def __init__(self) -> None:

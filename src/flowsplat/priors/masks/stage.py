@@ -19,7 +19,7 @@ from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.static_depth import static_depth
 from flowsplat.priors.flow import FlowEstimator, dis_estimator
 from flowsplat.priors.masks.background_plate import CleanPlate
-from flowsplat.priors.masks.colors import Colors, look_up
+from flowsplat.priors.masks.colors import ColorModel, look_up
 from flowsplat.priors.masks.motion import choose_weighing, enlarge, motion_evidence, parts, propagate, rough_cut
 from flowsplat.priors.masks.numbers import number_objects
 from flowsplat.scenes import Scene
@@ -124,7 +124,7 @@ def _plate_evidence(clip: MatchedClip, motion: list[np.ndarray]) -> list[np.ndar
 
 def _add_colors(clip: MatchedClip, evidence: list[np.ndarray], motion: list[np.ndarray]) -> None:
     """Add to the evidence how much the colors are those of objects."""
-    scene, colors = clip.scene, Colors()
+    scene, colors = clip.scene, ColorModel()
     for k in range(0, len(clip), -(-len(clip) // MODEL_FRAMES)):
         frame = scene.frame(scene.train_frames[k])
         colors.add(frame, _outline(evidence[k], frame, motion[k]) > 0)

@@ -16,7 +16,7 @@ from flowsplat.priors.objects.contact_cues import MAX_BOUND_RANGE, Feet
 from flowsplat.priors.objects.distance import Cue
 from flowsplat.priors.objects.path import Law, WorldPath, constant_height, pivot
 from flowsplat.priors.objects.rematching import ObjectImages, rematch_object
-from flowsplat.priors.objects.rigid import Observations, RigidMotion, longest, solve_rigid
+from flowsplat.priors.objects.rigid import RigidSolution, TrackObservations, longest, solve_rigid
 from flowsplat.priors.objects.shape_offset import ShapePoints, place_points
 
 MIN_TRACKS, MIN_FRAMES = 16, 10
@@ -85,7 +85,7 @@ class DepthTrajectory:
     """
 
     log_depth: np.ndarray
-    motion: RigidMotion | None
+    motion: RigidSolution | None
     points: ShapePoints
     path: WorldPath | None
     cues: dict[str, Cue]
@@ -129,8 +129,8 @@ def solve_depth_trajectory(
 
 
 def _refine(
-    motion: RigidMotion, placed: PlacedMotion, tracks: ObjectTracks, seen: np.ndarray, images: ObjectImages
-) -> tuple[RigidMotion, PlacedMotion]:
+    motion: RigidSolution, placed: PlacedMotion, tracks: ObjectTracks, seen: np.ndarray, images: ObjectImages
+) -> tuple[RigidSolution, PlacedMotion]:
     """Return the motion by points that are matched anew in the images, where that is of the same body; else the same as before."""
     again = rematch_object(motion, tracks.positions, tracks.inside, images)
     if again is None:
@@ -146,7 +146,7 @@ def _refine(
 
 
 def _weak_depth_trajectory(
-    motions: Sequence[RigidMotion], tracks: ObjectTracks, by_growth: np.ndarray, seen: np.ndarray, feet: Feet
+    motions: Sequence[RigidSolution], tracks: ObjectTracks, by_growth: np.ndarray, seen: np.ndarray, feet: Feet
 ) -> np.ndarray:
     """Return [T] the depth trajectory of what bends: by its growth, or by a motion that explains part of it, if only by that its
     feet keep to the ground."""
@@ -157,14 +157,14 @@ def _weak_depth_trajectory(
     return by_growth
 
 
-def rigid_motions(positions: np.ndarray, inside: np.ndarray, K: np.ndarray) -> tuple[RigidMotion | None, list[RigidMotion]]:
+def rigid_motions(positions: np.ndarray, inside: np.ndarray, K: np.ndarray) -> tuple[RigidSolution | None, list[RigidSolution]]:
     """Return the motion of an object from its tracks, if both halves of them tell the same, else None; and all that was found."""
     if len(inside) < MIN_TRACKS or inside.any(0).sum() < MIN_FRAMES:
         return None, []
 
-    def solved(rows: np.ndarray, most: int) -> RigidMotion | None:
+    def solved(rows: np.ndarray, most: int) -> RigidSolution | None:
         chosen = rows[longest(inside[rows], most)]
-        return solve_rigid(Observations.of_tracks(positions[chosen], inside[chosen], K).in_pieces())
+        return solve_rigid(TrackObservations.of_tracks(positions[chosen], inside[chosen], K).in_pieces())
 
     every = np.arange(len(inside))
     found = [(whole, most) for most in TRACKS_PER_FRAME if (whole := solved(every, most)) is not None]
@@ -199,9 +199,9 @@ def check_laws(path: WorldPath, normal: np.ndarray | None) -> tuple[dict[str, Cu
     return cues, laws
 
 
-def place_motion(motion: RigidMotion, tracks: ObjectTracks) -> PlacedMotion | None:
+def place_motion(motion: RigidSolution, tracks: ObjectTracks) -> PlacedMotion | None:
     """Return the depth trajectory by a motion of an object's own; None where it tells of no frame."""
-    points, share = place_points(motion, Observations.of_tracks(tracks.positions, tracks.inside, tracks.K), tracks.K)
+    points, share = place_points(motion, TrackObservations.of_tracks(tracks.positions, tracks.inside, tracks.K), tracks.K)
     found = middle_depths(points, tracks.middles, tracks.cameras, tracks.normal)
     known = np.isfinite(found)
     if not known.any():

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flowsplat.geometry import Camera
-from flowsplat.priors.objects.rigid import RigidMotion, pose_information, widest_turn
+from flowsplat.priors.objects.rigid import RigidSolution, pose_information, widest_turn
 
 INFLATE = 4.0
 """Factor on the variance of tracks: their errors last for frames, so that they average out less than white noise."""
@@ -55,7 +55,7 @@ class WorldPath:
     middle: np.ndarray
 
     @staticmethod
-    def of(motion: RigidMotion, cameras: Sequence[Camera]) -> WorldPath:
+    def of(motion: RigidSolution, cameras: Sequence[Camera]) -> WorldPath:
         """In world axes, from the poses in the object's frame; ``cameras`` [T] of the clip."""
         frames, information = pose_information(motion)
         turns, shifts, F = motion.turns[frames], motion.shifts[frames], len(frames)

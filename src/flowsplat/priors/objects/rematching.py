@@ -19,7 +19,7 @@ from flowsplat.common.kernels import helper, kernel
 from flowsplat.common.threads import parallel_for
 from flowsplat.geometry import Camera
 from flowsplat.priors.objects.contact import upright_ratio
-from flowsplat.priors.objects.rigid import MIN_POINT_DEPTH, Observations, RigidMotion, refine_rigid
+from flowsplat.priors.objects.rigid import MIN_POINT_DEPTH, RigidSolution, TrackObservations, refine_rigid
 from flowsplat.priors.objects.shape_offset import (
     EXPECTED_OFFSET_SIGMA,
     ShapePoints,
@@ -103,8 +103,8 @@ class ObjectImages:
 
 
 def rematch_object(
-    motion: RigidMotion, positions: np.ndarray, inside: np.ndarray, images: ObjectImages
-) -> tuple[RigidMotion, np.ndarray, np.ndarray] | None:
+    motion: RigidSolution, positions: np.ndarray, inside: np.ndarray, images: ObjectImages
+) -> tuple[RigidSolution, np.ndarray, np.ndarray] | None:
     """Return a motion from points that are matched anew, and those.
 
     Args:
@@ -115,7 +115,7 @@ def rematch_object(
         The motion, pixels [M, T, 2] float64 and where they count [M, T]; None where too few points could be matched.
     """
     K = images.cameras[0].K
-    tracks = Observations.of_tracks(positions, inside, K)
+    tracks = TrackObservations.of_tracks(positions, inside, K)
     result = None
     for _ in range(MATCH_ROUNDS):
         points, expected = place_points(motion, tracks, K)[0], EXPECTED_OFFSET_SIGMA * motion.size
@@ -128,14 +128,14 @@ def rematch_object(
         # Frames in which few are found keep their tracks, and those link them to the others.
         helping = (inside & (counts.sum(0) < MIN_MATCHES)).any(1)
         found, counts = np.concatenate([found, positions[helping]]), np.concatenate([counts, inside[helping]])
-        observations = Observations.of_tracks(found, counts, K).in_pieces()
+        observations = TrackObservations.of_tracks(found, counts, K).in_pieces()
         motion = refine_rigid(motion, observations, rough_points(motion, observations))
         result = motion, found, counts
     return result
 
 
 def rematch(
-    motion: RigidMotion, points: np.ndarray, positions: np.ndarray, inside: np.ndarray, images: np.ndarray,
+    motion: RigidSolution, points: np.ndarray, positions: np.ndarray, inside: np.ndarray, images: np.ndarray,
     masks: np.ndarray, surface: Callable[[int], np.ndarray], K: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Matches of the points of an object in all frames that show them.
@@ -168,7 +168,7 @@ def rematch(
     return found[kept], counts[kept]
 
 
-def _anchors(motion: RigidMotion, points: np.ndarray, positions: np.ndarray, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _anchors(motion: RigidSolution, points: np.ndarray, positions: np.ndarray, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return indices [M] of the points to match, spread over frames and surface, and the frame [M] that each is taken from."""
     seen = inside & motion.used
     usable = np.flatnonzero(np.isfinite(points).all(1) & seen.any(1))

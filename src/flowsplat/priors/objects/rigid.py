@@ -48,7 +48,7 @@ all of its poses, and time grow with the cube of their number. Where one is cut,
 
 
 @dataclass(frozen=True)
-class Observations:
+class TrackObservations:
     """Where the points of one object were seen, sorted by point.
 
     Attributes:
@@ -76,14 +76,14 @@ class Observations:
         return np.repeat(np.arange(self.points), np.diff(self.first))
 
     @staticmethod
-    def of_tracks(positions: np.ndarray, seen: np.ndarray, K: np.ndarray) -> Observations:
+    def of_tracks(positions: np.ndarray, seen: np.ndarray, K: np.ndarray) -> TrackObservations:
         """From tracks: positions [N, T, 2] in pixels, and where they count, seen [N, T]."""
         point, frame = map(np.ascontiguousarray, np.nonzero(seen))
         first = np.searchsorted(point, np.arange(len(seen) + 1))
         x = (positions[point, frame].astype(np.float64) - K[:2, 2]) / [K[0, 0], K[1, 1]]
-        return Observations(first, frame, np.ascontiguousarray(x), seen.shape[1], float(K[0, 0]))
+        return TrackObservations(first, frame, np.ascontiguousarray(x), seen.shape[1], float(K[0, 0]))
 
-    def in_pieces(self) -> Observations:
+    def in_pieces(self) -> TrackObservations:
         """Return the same, with points that were seen over more than ``_MAX_TRACK_FRAMES`` frames as several.
 
         Each is cut at frames of its own: poses on either side of a cut are known relative to each other by all others.
@@ -99,7 +99,7 @@ class Observations:
 
 
 @dataclass(frozen=True)
-class RigidMotion:
+class RigidSolution:
     """Poses of the camera in the object's frame, and the object's points; the mean logarithm of the depth of its origin is 0.
 
     Attributes:
@@ -120,7 +120,7 @@ class RigidMotion:
     known: np.ndarray
     size: float
     cost: float
-    observations: Observations
+    observations: TrackObservations
 
     def residuals(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return for every observation the pixels that it is off, its depth in the object's unit, and whether it is explained at
@@ -166,7 +166,7 @@ def widest_turn(turns: np.ndarray) -> float:
     return float(np.degrees(np.arccos(np.clip(cosines.min(), -1, 1))))
 
 
-def pose_information(motion: RigidMotion) -> tuple[np.ndarray, np.ndarray]:
+def pose_information(motion: RigidSolution) -> tuple[np.ndarray, np.ndarray]:
     """Used frames [F], and the information [6F, 6F] on their poses (turn, shift) for a noise of one pixel, points eliminated."""
     o, frames = motion.observations, np.flatnonzero(motion.used)
     place = np.full(o.frames, -1)
@@ -191,7 +191,7 @@ def longest(seen: np.ndarray, most: int = TRACKS_PER_FRAME) -> np.ndarray:
     return np.sort(np.array(kept, int))
 
 
-def solve_rigid(observations: Observations) -> RigidMotion | None:
+def solve_rigid(observations: TrackObservations) -> RigidSolution | None:
     """Return the motion of a rigid object from its tracks, and the better of it and its mirror image (Necker's ambiguity).
 
     Returns:
@@ -208,7 +208,7 @@ def solve_rigid(observations: Observations) -> RigidMotion | None:
     return other if other.cost < plain.cost else plain
 
 
-def refine_rigid(motion: RigidMotion, observations: Observations, points: np.ndarray) -> RigidMotion:
+def refine_rigid(motion: RigidSolution, observations: TrackObservations, points: np.ndarray) -> RigidSolution:
     """Return a motion that is known roughly, from other observations of the same object and their rough points [N, 3]."""
     solver = _Solver(observations)
     solver.resume(motion, points)
@@ -217,7 +217,7 @@ def refine_rigid(motion: RigidMotion, observations: Observations, points: np.nda
 
 
 class _Solver:
-    def __init__(self, observations: Observations):
+    def __init__(self, observations: TrackObservations):
         self._o = o = observations
         self._turns, self._shifts = np.tile(np.eye(3), (o.frames, 1, 1)), np.zeros((o.frames, 3))
         self._points = np.zeros((o.points, 3))
@@ -226,7 +226,7 @@ class _Solver:
         self._point_of = o.point_of
         self._rows = [np.flatnonzero(o.frame_of == t) for t in range(o.frames)]
 
-    def resume(self, motion: RigidMotion, points: np.ndarray) -> None:
+    def resume(self, motion: RigidSolution, points: np.ndarray) -> None:
         """The poses of a motion that was found before, in the frames that still see enough points."""
         o = self._o
         self._known = np.isfinite(points).all(1)
@@ -331,8 +331,10 @@ class _Solver:
         other._turns = flip @ (self._turns @ start.T) @ flip @ start
         return other
 
-    def result(self) -> RigidMotion:
-        return RigidMotion(self._turns, self._shifts, self._points, self._used, self._known, self._size, float(self._cost), self._o)
+    def result(self) -> RigidSolution:
+        return RigidSolution(
+            self._turns, self._shifts, self._points, self._used, self._known, self._size, float(self._cost), self._o
+        )
 
 
 def _radius(x: np.ndarray) -> float:

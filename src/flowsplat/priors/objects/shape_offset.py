@@ -9,7 +9,7 @@ import numpy as np
 
 from flowsplat.common.kernels import kernel
 from flowsplat.images.edge_smoothing import EdgeSmoother
-from flowsplat.priors.objects.rigid import INLIER_PIXELS, MIN_POINT_DEPTH, RESIDUAL_WIDTH, Observations, RigidMotion
+from flowsplat.priors.objects.rigid import INLIER_PIXELS, MIN_POINT_DEPTH, RESIDUAL_WIDTH, RigidSolution, TrackObservations
 from flowsplat.priors.objects.rigid_equations import derivatives
 
 ROUND = 0.75
@@ -51,7 +51,7 @@ class ShapePoints:
         return ShapePoints(np.zeros(0, int), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
 
 
-def place_points(motion: RigidMotion, observations: Observations, K: np.ndarray) -> tuple[ShapePoints, float]:
+def place_points(motion: RigidSolution, observations: TrackObservations, K: np.ndarray) -> tuple[ShapePoints, float]:
     """Return all points of an object, also those that its motion was not found from, with its poses held.
 
     Returns:
@@ -72,14 +72,14 @@ def place_points(motion: RigidMotion, observations: Observations, K: np.ndarray)
     return ShapePoints(t[good], pixels[good], np.log(depth[good]), np.maximum(sigma[good], 1e-4)), share
 
 
-def rough_points(motion: RigidMotion, observations: Observations) -> np.ndarray:
+def rough_points(motion: RigidSolution, observations: TrackObservations) -> np.ndarray:
     """Return [N, 3] of all points in the object's frame, with its poses held; NaN of those that no frame with a pose saw."""
     points, covariances = _solve_offset(motion, observations)
     points[~np.isfinite(covariances).all((1, 2))] = np.nan
     return points
 
 
-def _solve_offset(motion: RigidMotion, o: Observations) -> tuple[np.ndarray, np.ndarray]:
+def _solve_offset(motion: RigidSolution, o: TrackObservations) -> tuple[np.ndarray, np.ndarray]:
     """Solve one object of ``_place``."""
     placed: tuple[np.ndarray, np.ndarray] = _place(
         motion.turns, motion.shifts, motion.used, o.first, o.frame_of, o.x, o.focal, RESIDUAL_WIDTH,

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from flowsplat.images.edge_smoothing import EdgeSmoother
-from flowsplat.priors.masks.colors import Colors, look_up
+from flowsplat.priors.masks.colors import ColorModel, look_up
 from flowsplat.priors.prompts.grabcut import GRABCUT_ROUNDS, grab, keep_touched, snap_to_edges
 from flowsplat.priors.prompts.parsing import CLICK_RADIUS, Point, Prompt
 from flowsplat.scenes import Flow
@@ -212,7 +212,7 @@ def _by_evidence(image: np.ndarray, bits: np.ndarray, seeds: np.ndarray, beside:
     bits[seeds], bits[beside] = 2 * MAX_FIT_PIXELS, -2 * MAX_FIT_PIXELS
     total = smoother.filter(bits)
     for _ in range(_MODELS):
-        colors = Colors()
+        colors = ColorModel()
         colors.add(image, possible & (total > 0) & ~beside)
         table = colors.table()
         if table is None:

@@ -11,7 +11,7 @@ import numpy as np
 from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.geometry.interpolation import sample_map
 from flowsplat.images.edge_smoothing import EdgeSmoother
-from flowsplat.priors.masks.colors import Colors, look_up
+from flowsplat.priors.masks.colors import ColorModel, look_up
 from flowsplat.priors.prompts.cutting import (
     COLOR_SIGMA,
     COLOR_WEIGHT,
@@ -44,7 +44,7 @@ ANOTHER, OTHER_EVIDENCE = 1.0, 1.0
 
 
 @dataclass
-class Part:
+class MaskPart:
     """An object on one frame.
 
     Attributes:
@@ -74,10 +74,10 @@ class Walk:
     _table: np.ndarray | None = field(init=False, default=None)
     _rests: bool = field(init=False, default=False)
 
-    def parts(self) -> list[Part]:
+    def parts(self) -> list[MaskPart]:
         """Return the object in every training frame."""
         frames = self.scene.train_frames
-        parts = [Part(np.zeros((self.scene.height, self.scene.width), bool), 0.0)] * len(frames)
+        parts = [MaskPart(np.zeros((self.scene.height, self.scene.width), bool), 0.0)] * len(frames)
         shown: list[int] = []
         for prompt in self.prompts:
             start = frames.index(prompt.frame)
@@ -95,7 +95,7 @@ class Walk:
             shown.append(start)
         return parts
 
-    def _cut_shown(self, prompt: Prompt, k: int, carried: np.ndarray | None) -> Part:
+    def _cut_shown(self, prompt: Prompt, k: int, carried: np.ndarray | None) -> MaskPart:
         """Return the object on a frame with a prompt."""
         frames = self.scene.train_frames
         image, other = self.scene.frame(prompt.frame), frames[k + 1] if k + 1 < len(frames) else frames[k - 1]
@@ -106,22 +106,22 @@ class Walk:
         else:
             mask = correct(image, flow, prompt, carried, evidence)
         if not mask.any():
-            return Part(mask, 1.0)
+            return MaskPart(mask, 1.0)
         if carried is None:
             # What a user shows and nothing says moves may move later, but that it rests is no reason to drop it.
             self._rests = evidence is not None and float(np.median(evidence[mask])) <= 0
-        colors = Colors()
+        colors = ColorModel()
         colors.add(image, mask)
         table = colors.table()
         if table is not None:
             self._table = np.float32(COLOR_WEIGHT) * np.clip(table, -MAX_COLOR_EVIDENCE, MAX_COLOR_EVIDENCE)
         doubted = None if evidence is None else (evidence > 0) != mask
-        return Part(mask, 1.0, doubted)
+        return MaskPart(mask, 1.0, doubted)
 
-    def _next(self, part: Part, before: int, k: int) -> Part:
+    def _next(self, part: MaskPart, before: int, k: int) -> MaskPart:
         """Return one training frame further: where the flow back ends inside it, with the edge where the image has one."""
         if not part.mask.any():
-            return Part(part.mask, 0.0)
+            return MaskPart(part.mask, 0.0)
         scene, frames = self.scene, self.scene.train_frames
         back = scene.flow(frames[k], frames[before])
         source = (pixel_grid(scene.width, scene.height) + back.flow).reshape(-1, 2)
@@ -137,18 +137,18 @@ class Walk:
         trusted = np.where(apart < MAX_GRAY_DIFFERENCE, back.confidence, 0)
         if self.evidence is None:
             moved = _reliable(moved, trusted)
-            return Part(snap_to_edges(image, moved) if moved.any() else moved, _mean(back.confidence, moved))
+            return MaskPart(snap_to_edges(image, moved) if moved.any() else moved, _mean(back.confidence, moved))
         evidence = self.evidence[k].astype(np.float32)
         moved = _reliable(moved, np.maximum(trusted, np.clip(evidence, 0, 1)))
         if not moved.any():
-            return Part(moved, 0.0)
+            return MaskPart(moved, 0.0)
         doubted = None if part.doubted is None else carried(part.doubted)
         found = self._outline(image, moved, evidence, doubted)
         if doubted is not None:
             # What moves beside the object now is not a part of it later.
             away = cv2.distanceTransform((~found).astype(np.uint8), cv2.DIST_L2, 5)
             doubted |= (evidence > ANOTHER) & (away > OTHER_EVIDENCE * _band(found))
-        return Part(found, _mean(back.confidence, moved), doubted)
+        return MaskPart(found, _mean(back.confidence, moved), doubted)
 
     def _outline(self, image: np.ndarray, moved: np.ndarray, evidence: np.ndarray, doubted: np.ndarray | None) -> np.ndarray:
         band = _band(moved)

@@ -16,7 +16,7 @@ from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.flow import FlowEstimator, dis_estimator
 from flowsplat.priors.masks.stage import compute_evidence
 from flowsplat.priors.prompts.parsing import Prompt
-from flowsplat.priors.prompts.propagation import Part, Walk
+from flowsplat.priors.prompts.propagation import MaskPart, Walk
 from flowsplat.scenes import Scene
 
 SAME_OBJECT_OVERLAP = 0.5
@@ -68,7 +68,7 @@ def plain(prompts: Sequence[Prompt]) -> list[dict[str, Any]]:
     return plain
 
 
-def _numbers(walks: list[list[Part]], starts: list[int]) -> list[int]:
+def _numbers(walks: list[list[MaskPart]], starts: list[int]) -> list[int]:
     """Object numbers 1, 2, ... of the walks: one where a later one starts on what an earlier one shows."""
     numbers: list[int] = []
     for n, (walk, start) in enumerate(zip(walks, starts, strict=True)):

@@ -16,7 +16,7 @@ from av.video.stream import VideoStream
 from flowsplat.common.errors import InputError
 from flowsplat.images.media import open_media
 from flowsplat.scenes.clip import Clip, InputOptions, choose_working_size, resize_image, select_frames
-from flowsplat.scenes.formats.video_color import Colors, colors_of, decode_rgb, to_srgb
+from flowsplat.scenes.formats.video_color import VideoColors, colors_of, decode_rgb, to_srgb
 
 SEEK_MARGIN = 2.0
 """Seconds before the first wanted frame to which decoding jumps."""
@@ -164,7 +164,7 @@ class VideoClip(Clip):
     index: _Index
     numbers: np.ndarray
     coded_size: tuple[int, int]
-    colors: Colors
+    colors: VideoColors
     matrix: np.ndarray
 
     def frames(self, numbers: Sequence[int]) -> Iterator[np.ndarray]:

@@ -46,7 +46,7 @@ _SCALING = 0x2 | 0x2000 | 0x4000 | 0x40000 | 0x80000
 
 
 @dataclass(frozen=True)
-class Colors:
+class VideoColors:
     """How the colors of a video are encoded (H.273 numbers), with what the file leaves open filled in."""
 
     matrix: int
@@ -76,7 +76,7 @@ class Colors:
         return [f"{self.bits}-bit colors were reduced to 8 bits."] if self.bits > 8 else []
 
 
-def colors_of(frame: av.VideoFrame, source: str) -> Colors:
+def colors_of(frame: av.VideoFrame, source: str) -> VideoColors:
     """Read the color tags of a decoded frame.
 
     Raises:
@@ -99,10 +99,10 @@ def colors_of(frame: av.VideoFrame, source: str) -> Colors:
     if is_hdr and primaries not in CHROMATICITIES:
         primaries = BT2020
     bits = max(component.bits for component in layout.components)
-    return Colors(matrix, full_range, transfer, primaries, bits)
+    return VideoColors(matrix, full_range, transfer, primaries, bits)
 
 
-def decode_rgb(frame: av.VideoFrame, colors: Colors) -> np.ndarray:
+def decode_rgb(frame: av.VideoFrame, colors: VideoColors) -> np.ndarray:
     """Undo matrix and range: [H, W, 3] uint8 where the colors are plain, else uint16 code values for ``to_srgb``."""
     # As tags of the frame and not as arguments, because older PyAV takes no BT.2020 there.
     frame.colorspace, frame.color_range = colors.matrix, FULL if colors.full_range else LIMITED
@@ -115,7 +115,7 @@ def decode_rgb(frame: av.VideoFrame, colors: Colors) -> np.ndarray:
     return rgb.to_ndarray()
 
 
-def to_srgb(codes: np.ndarray, colors: Colors) -> np.ndarray:
+def to_srgb(codes: np.ndarray, colors: VideoColors) -> np.ndarray:
     """Code values [H, W, 3] of ``decode_rgb`` to sRGB [H, W, 3] uint8."""
     if colors.is_plain:
         return codes

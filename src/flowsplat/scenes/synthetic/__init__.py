@@ -4,9 +4,9 @@
 can tell how far away they are: it tests whether that is known.
 """
 
-from flowsplat.scenes.synthetic.drawn_clip import DrawnClip, View
+from flowsplat.scenes.synthetic.drawn_clip import DrawnClip, DrawnView
 from flowsplat.scenes.synthetic.street_scene import StreetScene
 from flowsplat.scenes.synthetic.synthetic_scene import SyntheticScene
 from flowsplat.scenes.synthetic.writing import encode_frames, write_synthetic, write_synthetic_video
 
-__all__ = ["DrawnClip", "StreetScene", "SyntheticScene", "View", "encode_frames", "write_synthetic", "write_synthetic_video"]
+__all__ = ["DrawnClip", "DrawnView", "StreetScene", "SyntheticScene", "encode_frames", "write_synthetic", "write_synthetic_video"]

@@ -21,7 +21,7 @@ BASELINE = 0.06
 
 
 @dataclass(frozen=True)
-class View:
+class DrawnView:
     """One rendered view.
 
     Attributes:
@@ -61,7 +61,7 @@ class DrawnClip(Protocol):
     def camera(self, i: int) -> Camera:
         """Return the camera of frame ``i``."""
 
-    def render(self, camera: Camera, time: float) -> View:
+    def render(self, camera: Camera, time: float) -> DrawnView:
         """Return the world at ``time`` (seconds) from any camera in it."""
 
     def flow(self, i: int, j: int) -> Flow:

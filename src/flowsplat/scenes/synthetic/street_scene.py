@@ -11,7 +11,7 @@ from flowsplat.common.errors import InputError
 from flowsplat.geometry import Camera
 from flowsplat.scenes.layers import Flow, Tracks
 from flowsplat.scenes.scene import HeldoutView
-from flowsplat.scenes.synthetic.drawn_clip import View, views_aside
+from flowsplat.scenes.synthetic.drawn_clip import DrawnView, views_aside
 from flowsplat.scenes.synthetic.worlds.street import MIDDLE, draw_street, frame_rate
 from flowsplat.scenes.synthetic.worlds.world import World
 
@@ -69,11 +69,11 @@ class StreetScene:
         """Return the camera of frame ``i``, meters, world z up."""
         return self.world.camera(i)
 
-    def render(self, camera: Camera, time: float) -> View:
+    def render(self, camera: Camera, time: float) -> DrawnView:
         """Return the street at ``time`` (seconds) from any camera in it, with the noise of that time."""
         rng = np.random.default_rng([self.seed, 7, round(1e6 * time)])
         depth, mask = self.world.cast_rays(camera, time)
-        return View(self.world.photograph(lambda _: camera, time, rng), depth, mask)
+        return DrawnView(self.world.photograph(lambda _: camera, time, rng), depth, mask)
 
     def flow(self, i: int, j: int) -> Flow:
         """Return the flow from frame ``i`` to frame ``j``; its confidence is 1 where the point is visible in ``j``, else 0."""

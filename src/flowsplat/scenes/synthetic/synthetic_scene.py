@@ -13,7 +13,7 @@ from flowsplat.geometry import Camera
 from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.scenes.scene import HeldoutView
 from flowsplat.scenes.synthetic.bodies import Body
-from flowsplat.scenes.synthetic.drawn_clip import View, views_aside
+from flowsplat.scenes.synthetic.drawn_clip import DrawnView, views_aside
 from flowsplat.scenes.synthetic.ray_cast import Hits, RayCastWorld
 from flowsplat.scenes.synthetic.textures import Surface, in_chunks
 from flowsplat.scenes.synthetic.world import SCENE_DEPTH, build_world, camera_at
@@ -104,7 +104,7 @@ class SyntheticScene(RayCastWorld):
             local[index == k] = (points[index == k] - c) @ np.linalg.inv(A).T
         return Hits(depth, index, local)
 
-    def render(self, camera: Camera, time: float) -> View:
+    def render(self, camera: Camera, time: float) -> DrawnView:
         """Return the world at ``time`` (seconds) from any camera inside the room."""
         offsets = (np.arange(SAMPLES) - (SAMPLES - 1) / 2) / SAMPLES
         grid = pixel_grid(camera.width, camera.height).astype(np.float64).reshape(-1, 2)
@@ -113,7 +113,7 @@ class SyntheticScene(RayCastWorld):
             for y in offsets:
                 color += self._shade(camera, time, self.cast(camera, time, grid + [x, y]))
         image = np.clip(color * (255 / SAMPLES**2) + 0.5, 0, 255).astype(np.uint8)
-        return View(image.reshape(camera.height, camera.width, 3), *self.cast_rays(camera, time))
+        return DrawnView(image.reshape(camera.height, camera.width, 3), *self.cast_rays(camera, time))
 
     def _shade(self, camera: Camera, time: float, hits: Hits) -> np.ndarray:
         """Return [N, 3] display values between 0 and 1: texture, one distant light, and fixed shade where static things meet."""

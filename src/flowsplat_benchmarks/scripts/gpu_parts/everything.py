@@ -49,7 +49,7 @@ class Found(TypedDict):
 
 
 @dataclass(frozen=True)
-class Part:
+class GpuPart:
     """One thing to do.
 
     Attributes:
@@ -64,30 +64,30 @@ class Part:
 
 
 PARTS = (
-    Part("kernels", 26, "every kernel against its oracle, values and gradients"),
-    Part("step", 12, "a training step, its kernels, and what other numbers of warps would make of it"),
-    Part("frames", 14, "frames a second of drawn Gaussians, stage by stage, with and without flow"),
-    Part("agreement", 10, "the same model after 200 steps on the CPU and on the card"),
-    Part("memory", 6, "milliseconds and memory of ever more Gaussians"),
-    Part("gsplat", 10, "the same images by gsplat's own kernels"),
-    Part("training", 20, "whole runs on the card, their quality beside the CPU's"),
-    Part("viewing", 6, "frames a second of what was trained, as a viewer draws it"),
+    GpuPart("kernels", 26, "every kernel against its oracle, values and gradients"),
+    GpuPart("step", 12, "a training step, its kernels, and what other numbers of warps would make of it"),
+    GpuPart("frames", 14, "frames a second of drawn Gaussians, stage by stage, with and without flow"),
+    GpuPart("agreement", 10, "the same model after 200 steps on the CPU and on the card"),
+    GpuPart("memory", 6, "milliseconds and memory of ever more Gaussians"),
+    GpuPart("gsplat", 10, "the same images by gsplat's own kernels"),
+    GpuPart("training", 20, "whole runs on the card, their quality beside the CPU's"),
+    GpuPart("viewing", 6, "frames a second of what was trained, as a viewer draws it"),
 )
 
 
-def plan(minutes: float, parts: Sequence[Part] = PARTS) -> list[tuple[Part, float]]:
+def plan(minutes: float, parts: Sequence[GpuPart] = PARTS) -> list[tuple[GpuPart, float]]:
     """Each part and the seconds that it may take if all before it take theirs; what one leaves over, the others share."""
     total = sum(part.weight for part in parts)
     return [(part, 60 * minutes * part.weight / total) for part in parts]
 
 
-def limit_of(index: int, left: float, parts: Sequence[Part] = PARTS) -> float:
+def limit_of(index: int, left: float, parts: Sequence[GpuPart] = PARTS) -> float:
     """Return seconds for a part when so many are left for it and for all that come after it."""
     return max(left - GRACE, 0.0) * parts[index].weight / sum(part.weight for part in parts[index:])
 
 
 def measure(
-    out: Path, minutes: float, parts: Sequence[Part] = PARTS, scenes: Sequence[Path] = (), rehearse: bool = False,
+    out: Path, minutes: float, parts: Sequence[GpuPart] = PARTS, scenes: Sequence[Path] = (), rehearse: bool = False,
     broken: bool = False, keep: Path | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Do these parts, one after the other, and write ``out`` after each.
@@ -139,7 +139,7 @@ class _Compiler:
         quiet = subprocess.DEVNULL
         self._process = subprocess.Popen(command, stdout=quiet, stderr=quiet, start_new_session=True)
 
-    def go_on(self, part: Part) -> None:
+    def go_on(self, part: GpuPart) -> None:
         """It runs beside the tests, stands still while something is timed, and ends before what it is for."""
         if self._process is not None and self._process.poll() is None:
             os.killpg(self._process.pid, signal.SIGCONT if part.name in ("kernels", "gsplat") else signal.SIGSTOP)
@@ -152,7 +152,7 @@ class _Compiler:
             _end(self._process)
 
 
-def _run(part: Part, folder: Path, limit: float, scenes: Sequence[Path], rehearse: bool, broken: bool) -> dict[str, Any]:
+def _run(part: GpuPart, folder: Path, limit: float, scenes: Sequence[Path], rehearse: bool, broken: bool) -> dict[str, Any]:
     """Return one part in its process; what it found until it ended or was ended."""
     figures, log = folder / f"{part.name}.json", folder / f"{part.name}.log"
     command = [sys.executable, *COMMAND, "--part", part.name, "--out", str(figures), "--work", str(folder)]

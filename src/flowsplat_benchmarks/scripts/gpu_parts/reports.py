@@ -13,7 +13,7 @@ SHOWN_CHARACTERS = 700
 """Characters of how a test failed."""
 
 
-class Report:
+class GpuTestReport:
     """Writes a line for each test, to the file that ``FLOWSPLAT_TEST_REPORT`` names."""
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
@@ -24,7 +24,7 @@ class Report:
 def pytest_configure(config: pytest.Config) -> None:
     """In the process that was begun by hand: its workers hand their reports to it."""
     if not hasattr(config, "workerinput"):
-        config.pluginmanager.register(Report())
+        config.pluginmanager.register(GpuTestReport())
 
 
 def _write(report: pytest.TestReport) -> None:

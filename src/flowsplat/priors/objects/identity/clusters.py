@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from flowsplat.common.kernels import kernel
 from flowsplat.priors.objects.identity.masked_tracks import MaskedTracks
-from flowsplat.priors.objects.rigid import Observations, longest, solve_rigid
+from flowsplat.priors.objects.rigid import TrackObservations, longest, solve_rigid
 from flowsplat.priors.objects.shape_offset import place_points
 
 NEIGHBORS, NEIGHBOR_REACH = 8, 0.04
@@ -347,7 +347,7 @@ class _Clusters:
             return False
         seen = self._part > 0
         larger = members[0][longest(seen[members[0]])]
-        motion = solve_rigid(Observations.of_tracks(self._points[larger], seen[larger], K).in_pieces())
+        motion = solve_rigid(TrackObservations.of_tracks(self._points[larger], seen[larger], K).in_pieces())
         # What only shifts explains all that shifts alike, at some depth.
         if motion is None or motion.inliers < EXPLAINED or motion.widest_turn() < RIGID_TURN:
             return False
@@ -355,7 +355,7 @@ class _Clusters:
         other = members[1][seen[members[1]].sum(1) >= RIGID_FRAMES]
         if len(other) < RIGID_TRACKS // 2:
             return False
-        observations = Observations.of_tracks(self._points[other], seen[other], K)
+        observations = TrackObservations.of_tracks(self._points[other], seen[other], K)
         placed, _ = place_points(motion, observations, K)
         shape_offset = np.abs(np.exp(placed.log_depth) - motion.shifts[placed.frame_of, 2])
         return int((shape_offset <= RIGID_DEPTH * motion.size).sum()) >= (

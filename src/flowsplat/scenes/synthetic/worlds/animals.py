@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from flowsplat.scenes.synthetic.worlds.ground import Ground
+from flowsplat.scenes.synthetic.worlds.ground import WorldGround
 from flowsplat.scenes.synthetic.worlds.materials import draw_material
 from flowsplat.scenes.synthetic.worlds.parts import UP, Poses, WorldObject, about, ball, capsule, ellipsoid, frame, rod, together
 from flowsplat.scenes.synthetic.worlds.people import HALF_FOOT, SHIN, THIGH, Gait, find_hips, find_knee, place_ankle
@@ -21,7 +21,7 @@ _LENGTH = 0.62
 
 
 def animal(
-    rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: float, scale: float, speed: float, duration: float,
+    rng: np.random.Generator, ground: WorldGround, at: np.ndarray, heading: float, scale: float, speed: float, duration: float,
     rich: bool,
 ) -> WorldObject:  # fmt: skip
     """Return an animal that walks straight, in the middle of the clip at ``at`` [2]; the arguments as of ``people.walker``."""

@@ -20,7 +20,7 @@ ROOM_FOR_FOOT = 0.2
 
 
 @dataclass(frozen=True)
-class Ground:
+class WorldGround:
     """A plane z = gradient . (x, y), or steps along a direction.
 
     Attributes:

@@ -7,15 +7,15 @@ from collections.abc import Callable
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from flowsplat.scenes.synthetic.worlds.ground import Ground
+from flowsplat.scenes.synthetic.worlds.ground import WorldGround
 from flowsplat.scenes.synthetic.worlds.materials import CHECKERS, SEGMENTS, SPOTS, STRIPES, draw_material
 from flowsplat.scenes.synthetic.worlds.parts import (
     GRAVITY,
     UP,
-    Part,
     Placed,
     Poses,
     WorldObject,
+    WorldPart,
     about,
     ball,
     box,
@@ -49,7 +49,7 @@ def draw_way(rng: np.random.Generator, speed: float, duration: float, stops: boo
     return braking
 
 
-def straight(rng: np.random.Generator, ground: Ground, heading: float) -> float:
+def straight(rng: np.random.Generator, ground: WorldGround, heading: float) -> float:
     """Return the heading, along the treads where there are steps."""
     if ground.count == 0:
         return heading
@@ -58,7 +58,7 @@ def straight(rng: np.random.Generator, ground: Ground, heading: float) -> float:
 
 
 def vehicle(
-    rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: float, length: float, way: Way, rich: bool,
+    rng: np.random.Generator, ground: WorldGround, at: np.ndarray, heading: float, length: float, way: Way, rich: bool,
     handle: tuple[float, float] | None = None,
 ) -> WorldObject:  # fmt: skip
     """Return a box on four wheels that roll without slip, in the middle of the clip at ``at`` [2], ``length`` meters long.
@@ -111,7 +111,7 @@ def vehicle(
 
 
 def draw_rolling_ball(
-    rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: float, radius: float, way: Way, rich: bool
+    rng: np.random.Generator, ground: WorldGround, at: np.ndarray, heading: float, radius: float, way: Way, rich: bool
 ) -> WorldObject:
     """Return a ball that rolls without slip."""
     heading = straight(rng, ground, heading)
@@ -133,7 +133,7 @@ def draw_rolling_ball(
 
 
 def in_the_air(
-    rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: float, radius: float, speed: float, duration: float,
+    rng: np.random.Generator, ground: WorldGround, at: np.ndarray, heading: float, radius: float, speed: float, duration: float,
     rich: bool, bounces: bool, rolls_on: bool = False,
 ) -> WorldObject:  # fmt: skip
     """Return a ball that falls freely: thrown so that it does not come down during the clip, or bouncing.
@@ -184,7 +184,7 @@ def in_the_air(
 
 
 def pendulum(
-    rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: float, size: float, duration: float, rich: bool
+    rng: np.random.Generator, ground: WorldGround, at: np.ndarray, heading: float, size: float, duration: float, rich: bool
 ) -> WorldObject:
     """Return a weight of radius ``size`` on a rod from a fixed pivot, with something that holds the pivot."""
     length = max(rng.uniform(3, 8) * size, 0.4)
@@ -212,7 +212,9 @@ def pendulum(
     return WorldObject("pendulum", (weight, rope), poses, touch_nothing, swings=True, pivot=pivot, support=support)
 
 
-def _gallows(rng: np.random.Generator, ground: Ground, pivot: np.ndarray, across: np.ndarray, reach: float) -> tuple[Placed, ...]:
+def _gallows(
+    rng: np.random.Generator, ground: WorldGround, pivot: np.ndarray, across: np.ndarray, reach: float
+) -> tuple[Placed, ...]:
     """Return a beam along the axis on two posts, or a rod that goes up beyond all images."""
     wood, thick = draw_material(rng, 0.5, bool(rng.random() < 0.5)), 0.05
     axes = frame(across, UP)[0]
@@ -229,7 +231,7 @@ def _gallows(rng: np.random.Generator, ground: Ground, pivot: np.ndarray, across
 
 
 def door(
-    rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: float, scale: float, duration: float, rich: bool
+    rng: np.random.Generator, ground: WorldGround, at: np.ndarray, heading: float, scale: float, duration: float, rich: bool
 ) -> WorldObject:
     """Return a door on its post that opens or closes; closed it lies along ``heading``."""
     wide, tall = scale * rng.uniform(0.75, 1.1), scale * rng.uniform(1.6, 2.2)
@@ -272,7 +274,14 @@ def door(
 
 
 def flier(
-    rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: float, size: float, speed: float, duration: float, rich: bool
+    rng: np.random.Generator,
+    ground: WorldGround,
+    at: np.ndarray,
+    heading: float,
+    size: float,
+    speed: float,
+    duration: float,
+    rich: bool,
 ) -> WorldObject:
     """Return a bird, ``size`` meters from tip to tip of its wings, that flaps or glides."""
     high = float(ground.height(at)) + rng.uniform(0.8, 3.0) + size
@@ -281,7 +290,7 @@ def flier(
     flaps, beat = (rng.uniform(0.4, 0.8), rng.uniform(2, 5)) if rng.random() < 0.65 else (0.06, 0.7)
     body, feathers = draw_material(rng, 0.5 * size, rich), draw_material(rng, 0.6 * size, rich)
     wing = np.array([0.11, 0.23, 0.012]) * size
-    parts: tuple[Part, ...] = (
+    parts: tuple[WorldPart, ...] = (
         ellipsoid(np.array([0.24, 0.08, 0.075]) * size, body), ellipsoid(np.array([0.07, 0.055, 0.055]) * size, feathers),
         box(wing, feathers), box(wing, feathers), box(np.array([0.09, 0.07, 0.012]) * size, feathers),
     )  # fmt: skip

@@ -25,7 +25,7 @@ GRAVITY = 9.81
 
 
 @dataclass(frozen=True)
-class Part:
+class WorldPart:
     """A rigid part.
 
     Attributes:
@@ -54,7 +54,7 @@ class Part:
 class Placed:
     """A part of the static world: ``turn`` [3, 3] from its axes to the world's, ``center`` [3]."""
 
-    part: Part
+    part: WorldPart
     turn: np.ndarray
     center: np.ndarray
 
@@ -76,7 +76,7 @@ class WorldObject:
     """
 
     kind: Kind
-    parts: tuple[Part, ...]
+    parts: tuple[WorldPart, ...]
     poses: Callable[[np.ndarray], Poses]
     touching: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
     instants: tuple[float, ...] = ()
@@ -99,29 +99,29 @@ def touch_nothing(times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 # -- parts
 
 
-def ball(radius: float, material: np.ndarray) -> Part:
+def ball(radius: float, material: np.ndarray) -> WorldPart:
     """Return a ball."""
-    return Part(ELLIPSOID, np.full(3, float(radius)), material)
+    return WorldPart(ELLIPSOID, np.full(3, float(radius)), material)
 
 
-def ellipsoid(half: ArrayLike, material: np.ndarray) -> Part:
+def ellipsoid(half: ArrayLike, material: np.ndarray) -> WorldPart:
     """Return an ellipsoid of half axes [3]."""
-    return Part(ELLIPSOID, np.array(half, float), material)
+    return WorldPart(ELLIPSOID, np.array(half, float), material)
 
 
-def box(half: ArrayLike, material: np.ndarray) -> Part:
+def box(half: ArrayLike, material: np.ndarray) -> WorldPart:
     """Return a box of half extents [3]."""
-    return Part(BOX, np.array(half, float), material)
+    return WorldPart(BOX, np.array(half, float), material)
 
 
-def capsule(radius: float, length: float, material: np.ndarray) -> Part:
+def capsule(radius: float, length: float, material: np.ndarray) -> WorldPart:
     """Return a tube with round ends, ``length`` between their centers."""
-    return Part(CAPSULE, np.array([radius, radius, length / 2]), material)
+    return WorldPart(CAPSULE, np.array([radius, radius, length / 2]), material)
 
 
-def cylinder(radius: float, half: float, material: np.ndarray) -> Part:
+def cylinder(radius: float, half: float, material: np.ndarray) -> WorldPart:
     """Return a cylinder along its z."""
-    return Part(CYLINDER, np.array([radius, radius, float(half)]), material)
+    return WorldPart(CYLINDER, np.array([radius, radius, float(half)]), material)
 
 
 # -- rotations

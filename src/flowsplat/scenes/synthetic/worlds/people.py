@@ -9,13 +9,13 @@ from typing import Literal
 import numpy as np
 from scipy.ndimage import minimum_filter1d, uniform_filter1d
 
-from flowsplat.scenes.synthetic.worlds.ground import Ground
+from flowsplat.scenes.synthetic.worlds.ground import WorldGround
 from flowsplat.scenes.synthetic.worlds.materials import SEGMENTS, draw_material
 from flowsplat.scenes.synthetic.worlds.parts import (
     UP,
-    Part,
     Poses,
     WorldObject,
+    WorldPart,
     about,
     ball,
     box,
@@ -66,7 +66,7 @@ class Gait:
         scale: of the body.
     """
 
-    ground: Ground
+    ground: WorldGround
     at: np.ndarray
     heading: float
     bend: float
@@ -117,7 +117,7 @@ def find_knee(hip: np.ndarray, ankle: np.ndarray, forward: np.ndarray, upper: fl
 
 
 def walker(
-    rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: float, scale: float, speed: float, duration: float,
+    rng: np.random.Generator, ground: WorldGround, at: np.ndarray, heading: float, scale: float, speed: float, duration: float,
     rich: bool, carries: bool = False, arms: Arms = "swing",
 ) -> WorldObject:  # fmt: skip
     """Return a person who walks, in the middle of the clip at ``at`` [2].
@@ -178,7 +178,7 @@ def place_ankle(gait: Gait, s: np.ndarray, side: int) -> tuple[np.ndarray, np.nd
     return heel + ANKLE * gait.scale * turned[..., 2], turned, heel + turned @ middle
 
 
-def body(rng: np.random.Generator, scale: float, rich: bool) -> list[Part]:
+def body(rng: np.random.Generator, scale: float, rich: bool) -> list[WorldPart]:
     """Return the parts of a person: hips, trunk, neck, head and hair, then thigh, shin and foot of both legs, then both arms."""
     shirt, trousers = draw_material(rng, 0.5 * scale, rich), draw_material(rng, 0.5 * scale, rich and bool(rng.random() < 0.5))
     shoe, sleeve = draw_material(rng, 0.3, False), shirt if rng.random() < 0.6 else draw_material(rng, 0.3, rich)
@@ -197,7 +197,7 @@ def body(rng: np.random.Generator, scale: float, rich: bool) -> list[Part]:
     return [*trunk, *leg, *leg, *arm, *arm]
 
 
-def _draw_carried_parts(rng: np.random.Generator, scale: float, bag: bool) -> list[Part]:
+def _draw_carried_parts(rng: np.random.Generator, scale: float, bag: bool) -> list[WorldPart]:
     rich = bool(rng.random() < 0.6)
     if bag:
         return [box(np.array([0.2, 0.07, 0.16]) * scale, draw_material(rng, 0.3 * scale, rich))]
@@ -207,7 +207,7 @@ def _draw_carried_parts(rng: np.random.Generator, scale: float, bag: bool) -> li
     return [box(half, draw_material(rng, 0.35 * scale, rich))]
 
 
-def _stand(gait: Gait, s: np.ndarray, hips: np.ndarray, arms: Arms, parts: list[Part], bag: bool | None) -> list[Poses]:
+def _stand(gait: Gait, s: np.ndarray, hips: np.ndarray, arms: Arms, parts: list[WorldPart], bag: bool | None) -> list[Poses]:
     """Poses of the parts of ``body``, and of what is carried unless ``bag`` is None."""
     scale = gait.scale
     place, heading = gait.place(s)

@@ -15,10 +15,10 @@ from flowsplat.common.errors import InputError
 from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.scenes.synthetic.worlds.cameras import Views, look, waves
 from flowsplat.scenes.synthetic.worlds.casting import ROOM
-from flowsplat.scenes.synthetic.worlds.ground import Ground
+from flowsplat.scenes.synthetic.worlds.ground import WorldGround
 from flowsplat.scenes.synthetic.worlds.machines import in_the_air, vehicle
 from flowsplat.scenes.synthetic.worlds.materials import BRICKS, PLAIN, SEGMENTS, SPOTS
-from flowsplat.scenes.synthetic.worlds.parts import UP, Part, Placed, WorldObject, ball, box, cylinder, ellipsoid, frame
+from flowsplat.scenes.synthetic.worlds.parts import UP, Placed, WorldObject, WorldPart, ball, box, cylinder, ellipsoid, frame
 from flowsplat.scenes.synthetic.worlds.people import walker
 from flowsplat.scenes.synthetic.worlds.placing import apart, are_apart, is_free
 from flowsplat.scenes.synthetic.worlds.world import Light, World
@@ -96,7 +96,7 @@ def _from(world: World, start: float) -> World:
 
 def _place(rng: np.random.Generator, seed: int) -> World | None:
     """Return one attempt, over all of ``LASTS``; None where things are inside each other."""
-    ground = Ground("flat", np.zeros(2), np.array([0.0, 1.0]))
+    ground = WorldGround("flat", np.zeros(2), np.array([0.0, 1.0]))
     objects = _draw_objects(rng, ground)
     path = _draw_passing_camera(rng)
     static = [_sky(rng), *ground.parts(_material(rng, PAVING, BRICKS, 0.8, MORTAR, 0.16, 0.5)), *_scenery(rng)]
@@ -113,7 +113,7 @@ def _place(rng: np.random.Generator, seed: int) -> World | None:
     return world if all(apart(placed, obj, times) for placed in stands for obj in objects) else None
 
 
-def _draw_objects(rng: np.random.Generator, ground: Ground) -> tuple[WorldObject, ...]:
+def _draw_objects(rng: np.random.Generator, ground: WorldGround) -> tuple[WorldObject, ...]:
     """Return a walker, behind it a cart, and before or beside it a ball, each going left or right."""
 
     def heading() -> float:
@@ -190,10 +190,10 @@ def _pick(rng: np.random.Generator, colors: tuple[Color, ...]) -> Color:
 
 def _sky(rng: np.random.Generator) -> Placed:
     sky = _material(rng, SKY, amplitude=0.14, wavelength=28.0)
-    return Placed(Part(ROOM, np.full(3, 90.0), sky), np.eye(3), np.zeros(3))
+    return Placed(WorldPart(ROOM, np.full(3, 90.0), sky), np.eye(3), np.zeros(3))
 
 
-def _place_part(part: Part, x: float, y: float, low: float, half: float, yaw: float = 0.0) -> Placed:
+def _place_part(part: WorldPart, x: float, y: float, low: float, half: float, yaw: float = 0.0) -> Placed:
     """Return a part turned by ``yaw`` about the vertical, its lower end ``low`` meters above the ground, ``half`` of its height."""
     turn = frame(np.array([np.cos(yaw), np.sin(yaw), 0.0]), UP)[0]
     return Placed(part, turn, np.array([x, y, low + half]))

@@ -14,8 +14,8 @@ from flowsplat.geometry.cameras import rigid
 from flowsplat.scenes.synthetic.ray_cast import Hits, RayCastWorld
 from flowsplat.scenes.synthetic.worlds.cameras import CameraKind, Views
 from flowsplat.scenes.synthetic.worlds.casting import CAPSULE, ROOM, cast, render
-from flowsplat.scenes.synthetic.worlds.ground import Ground
-from flowsplat.scenes.synthetic.worlds.parts import Part, Placed, WorldObject
+from flowsplat.scenes.synthetic.worlds.ground import WorldGround
+from flowsplat.scenes.synthetic.worlds.parts import Placed, WorldObject, WorldPart
 
 RESTING = 9
 """Frames for which nothing of an object may move for it to count as resting."""
@@ -76,7 +76,7 @@ class World(RayCastWorld):
     height: int
     frames: int
     fps: float
-    ground: Ground
+    ground: WorldGround
     camera_kind: CameraKind
     focal: float
     path: Callable[[np.ndarray], Views]
@@ -96,7 +96,7 @@ class World(RayCastWorld):
         return (self.frames - 1) / self.fps
 
     @cached_property
-    def parts(self) -> tuple[Part, ...]:
+    def parts(self) -> tuple[WorldPart, ...]:
         """All parts, those of the static world first."""
         return (*(placed.part for placed in self.static), *(part for obj in self.objects for part in obj.parts))
 
