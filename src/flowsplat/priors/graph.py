@@ -1,8 +1,8 @@
 """The graph of priors: what each is made from. Order, what is stale, and what a given file replaces follow from it.
 
 A scene records how each of its priors was made. What is asked for (``PriorRequest``) is compared with that: a prior that was made
-in another way is stale, and so is what follows from it. A run keeps its scene only while ``Graph.inputs`` stay the same, for the steps
-that complete a prior write over what earlier ones were made from: masks from the first search of flow, for example. What was
+in another way is stale, and so is what follows from it. A run keeps its scene only while ``Graph.inputs`` stay the same, for the
+steps that complete a prior write over what earlier ones were made from: masks from the first search of flow, for example. What was
 prepared by others, and is now prepared further, keeps what is not stale.
 """
 
