@@ -17,7 +17,7 @@ from flowsplat.common.progress import progress_bar, spinner, track
 WORK = """
 import time
 from flowsplat.common import progress
-progress.EVERY = 0.2
+progress.LINE_SECONDS = 0.2
 with progress.spinner("Cameras"):
     time.sleep(0.5)
     with progress.progress_bar("Training", 40, 10) as bar:

@@ -94,7 +94,7 @@ def suggest_contacts(scene: Scene, normal: np.ndarray, numbers: Collection[int])
         numbers: of the objects; those whose lower end is never seen inside the image are left out.
     """
     best: dict[int, tuple[int, str]] = {}
-    for i in scene.train_frames if numbers else ():
+    for i in filter(scene.has_mask, scene.train_frames) if numbers else ():
         mask, camera = scene.mask(i), scene.cameras[i]
         for number in numbers:
             y, x = np.nonzero(mask == number)

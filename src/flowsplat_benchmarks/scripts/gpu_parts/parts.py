@@ -36,7 +36,7 @@ TESTS_AT_ONCE = 14
 WIDTH, HEIGHT = 854, 480
 STEPS = 200
 LOOKED_AT = (1, 10, 50, 100, STEPS)
-CHOSEN = {name: getattr(blending, name) for name in ("FORWARD_WARPS", "TOGETHER", "CHECK_EVERY", "BACKWARD_WARPS")}
+CHOSEN = {name: getattr(blending, name) for name in ("FORWARD_WARPS", "GAUSSIANS_PER_STEP", "CHECK_EVERY", "BACKWARD_WARPS")}
 """As the package has them."""
 CPU_SECONDS = 100
 """What training the small scene takes on a processor of some cores, with compiling: begun only where there is time for it."""
@@ -157,7 +157,7 @@ def step(record: Record) -> None:
     if record.rehearse:
         return
     sweeps = {
-        "FORWARD_WARPS": ("blend_forward", (1, 2, 4, 8)), "TOGETHER": ("blend_forward", (2, 4, 8)),
+        "FORWARD_WARPS": ("blend_forward", (1, 2, 4, 8)), "GAUSSIANS_PER_STEP": ("blend_forward", (2, 4, 8)),
         "CHECK_EVERY": ("blend_forward", (16, 32, 64)), "BACKWARD_WARPS": ("blend_backward", (1, 2, 4)),
     }  # fmt: skip
     tried: dict[str, dict[str, float]] = {}
