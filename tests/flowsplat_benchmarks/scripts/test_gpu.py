@@ -93,7 +93,7 @@ def test_a_part_that_fails_hangs_or_dies_costs_its_own_figures_and_no_others(tmp
     fake.write_text(FAKE, encoding="utf-8")
     monkeypatch.setattr(everything, "COMMAND", (str(fake),))
     monkeypatch.setattr(everything, "GRACE", 0.2)
-    parts = tuple(everything.Part(name, weight, "") for name, weight in (("fails", 9), ("hangs", 1), ("dies", 9), ("works", 9)))
+    parts = tuple(everything.GpuPart(name, weight, "") for name, weight in (("fails", 9), ("hangs", 1), ("dies", 9), ("works", 9)))
     monkeypatch.setattr(everything, "PARTS", parts)
     out = tmp_path / "out.json"
     result = everything.measure(out, 0.5, parts, rehearse=True)
