@@ -46,7 +46,7 @@ class Thrown(RigidMotion):
             scales=torch.exp(params["log_scales"]),
         )
 
-    def recentered(self, params: Params, shift: Tensor) -> dict[str, Tensor]:
+    def recenter(self, params: Params, shift: Tensor) -> dict[str, Tensor]:
         moved = self.state({**params, "times": -shift}, 0.0)
         return {**params, "means": moved.means, "velocities": moved.velocities, "times": params["times"] + shift}
 

@@ -21,7 +21,8 @@ import flowsplat
 from flowsplat.cli import main
 from flowsplat.cli.command import functions_of
 from flowsplat.cli.help import USUAL
-from flowsplat.pipeline.config import preset
+from flowsplat.pipeline.config import find_setting, preset
+from flowsplat.pipeline.renamed_options import RENAMED
 from flowsplat.scenes import Depth, Scene
 from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic
 
@@ -219,6 +220,20 @@ def test_input_that_cannot_be_used(capsys, tmp_path):
     assert not out.exists()
 
 
+@pytest.mark.parametrize(("before", "now"), RENAMED.items())
+def test_options_that_have_another_name_now(capsys, tmp_path, before, now):
+    folder = images(tmp_path / "clip")
+    told = refuse(capsys, "run", folder, "-o", tmp_path / "out", before, "1,1@0")
+    assert told == f"Error: The option {before} is called {now} now."
+    assert refuse(capsys, "run", folder, "-o", tmp_path / "out", f"{before}=1,1@0") == told
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("now", RENAMED.values())
+def test_new_names_are_there(now):
+    assert find_setting(now.replace("--no-", "--").replace(".no-", ".")) is not None
+
+
 def test_options_that_do_not_exist(capsys, tmp_path):
     folder = images(tmp_path / "clip")
     assert "preset" in refuse(capsys, "run", folder, "-o", tmp_path / "out", "--preset", "best")
@@ -264,7 +279,7 @@ def test_what_an_earlier_version_wrote_is_refused_in_one_line(capsys, tmp_path, 
     render, export = ("render", out, "--render.paths", "orbit"), ("export", out, "--to", "ply")
     for names, version, commands in (
         (("run.json",), 1, (render, ("train", out), ("run", scene, "-o", out, "--priors", "true", *FAST))),
-        (("model/model.json", "final/model.json"), 4, (render, export)),
+        (("model/model.json", "model_all_frames/model.json"), 4, (render, export)),
     ):
         before = {name: (out / name).read_text() for name in names if (out / name).exists()}
         for name, text in before.items():

@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 from flowsplat import load
 from flowsplat.geometry import Camera
 from flowsplat.images.colors import depth_range, depth_to_color, flow_to_color
-from flowsplat.images.sheets import side_by_side, stacked
+from flowsplat.images.sheets import side_by_side, stack
 from flowsplat.scenes import Scene
 from flowsplat.scenes.layers import read_image
 from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic_video
@@ -178,7 +178,7 @@ def image_result(work: Path) -> None:
             TALL,
         ),
     ]
-    cv2.imwrite(str(IMAGES / "result.png"), stacked(rows)[..., ::-1])
+    cv2.imwrite(str(IMAGES / "result.png"), stack(rows)[..., ::-1])
 
 
 # -- the tutorial

@@ -13,8 +13,8 @@ from markupsafe import Markup
 from flowsplat.common.files import write_text
 from flowsplat.images.charts import svg_file
 from flowsplat.images.html import image_tag, table
-from flowsplat.output.page import fitted, write_page
-from flowsplat_benchmarks.tables import Result, Table, markdown, plain
+from flowsplat.output.page import shrink_to_page, write_page
+from flowsplat_benchmarks.tables import Result, Table, format_page, plain
 
 WIDEST = 1600
 """Pixels of an image of a scene in the page, at most."""
@@ -54,7 +54,7 @@ class Report:
             if each.chart is not None:
                 write_text(out / each.chart.file, svg_file(each.chart.drawing))
         remarks = [self.verdict, *self.remarks] if self.verdict_is_remark else self.remarks
-        write_text(out / f"{self.name}.md", markdown(self.title, remarks, self.tables))
+        write_text(out / f"{self.name}.md", format_page(self.title, remarks, self.tables))
         page = out / f"{self.name}.html"
         write_benchmark_page(
             page, self.template, title=self.title, verdict=self.verdict, remarks=self.remarks,
@@ -104,5 +104,5 @@ def scene_section(
         images: [H, W, 3] each, with what it shows.
         widest: pixels of one in the page, at most.
     """
-    strip = Markup().join(image_tag(fitted(image, widest), what) for image, what in images)
+    strip = Markup().join(image_tag(shrink_to_page(image, widest), what) for image, what in images)
     return {"title": title, "facts": facts, "strip": strip or None, "page": page if (out / page).exists() else None}

@@ -92,7 +92,7 @@ def measure_jobs(
     to_do = [job for job in chosen if again or not job.is_measured(make_folder(out))]
     if len(to_do) < len(chosen):
         report(f"{len(chosen) - len(to_do)} of {len(chosen)} {noun} were measured already.")
-    failed = _worked(to_do, out, write_page, noun, again, options, workers, device) if to_do else {}
+    failed = _work(to_do, out, write_page, noun, again, options, workers, device) if to_do else {}
     page = write_page(failed)
     report(f"Look at {page}")
     if failed:
@@ -101,7 +101,7 @@ def measure_jobs(
     return page
 
 
-def _worked(
+def _work(
     jobs: Sequence[Job], out: Path, write_page: Callable[[Mapping[str, str]], Path], noun: str, again: bool, options: EngineOptions,
     workers: int, device: str,
 ) -> dict[str, str]:  # fmt: skip
@@ -111,7 +111,7 @@ def _worked(
         wanted = wanted or workers
     threads = max(1, usable_cores() // (wanted or 1))
     engine = engine_of(options, records.folder / "logs", device, wanted, threads=threads)
-    work = [Work(job.name, job.key, partial(_measured, job, out.absolute(), again)) for job in jobs]
+    work = [Work(job.name, job.key, partial(_measure, job, out.absolute(), again)) for job in jobs]
     failed: dict[str, str] = {}
     told: set[str] = set()
     with Progress(noun) as progress:
@@ -130,7 +130,7 @@ def _worked(
     return failed
 
 
-def _measured(job: Job, out: Path, again: bool, attempt: Attempt) -> Mapping[str, Any]:
+def _measure(job: Job, out: Path, again: bool, attempt: Attempt) -> Mapping[str, Any]:
     """Measure a job, unless somebody has since it was asked for."""
     if again or not job.is_measured(out):
         report(f"{job.name} ...")

@@ -14,7 +14,7 @@ WAIT = 2.0
 """Seconds between two looks whether another process has prepared a scene."""
 
 
-def prepared_scene(case: Case, folder: Path) -> Path:
+def prepare_scene(case: Case, folder: Path) -> Path:
     """The prepared scene of a case in ``folder``, a run; what is missing of it is computed, in a process of its own.
 
     Raises:

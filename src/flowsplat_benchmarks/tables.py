@@ -64,7 +64,7 @@ class Column:
 
     def cell(self, *results: Result) -> str:
         """The mean of the results that have it; a dash where none has."""
-        return text(scaled_mean((pick(result, *self.path) for result in results), self.factor), self.digits, self.sign)
+        return text(compute_scaled_mean((pick(result, *self.path) for result in results), self.factor), self.digits, self.sign)
 
 
 def label(result: Result) -> str:
@@ -72,7 +72,7 @@ def label(result: Result) -> str:
     return f"{result['scene']}, {TUNED_MARK}" if result["tuned"] else str(result["scene"])
 
 
-def made_by(results: Iterable[Result]) -> str:
+def describe_version(results: Iterable[Result]) -> str:
     """Which state of flowsplat made some results, in a sentence; several are told, because figures may differ for that alone.
 
     >>> made_by([{"flowsplat": "1.0+a"}, {"flowsplat": "1.0+b"}, {"flowsplat": "1.0+b"}])
@@ -96,13 +96,13 @@ def text(value: float | None, digits: int, sign: bool = False) -> str:
     return f"{round(value, digits) + 0.0:{'+' if sign else ''},.{digits}f}"
 
 
-def scaled_mean(values: Iterable[float | None], factor: float = 1.0) -> float | None:
+def compute_scaled_mean(values: Iterable[float | None], factor: float = 1.0) -> float | None:
     """The mean of the values that are there times ``factor``, None if none is."""
     mean = mean_of(values)
     return None if mean is None else factor * mean
 
 
-def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]], strong: Sequence[int] = ()) -> list[str]:
+def format_table(header: Sequence[str], rows: Iterable[Sequence[str]], strong: Sequence[int] = ()) -> list[str]:
     """The lines of a table; rows with the indices ``strong`` are bold."""
     lines = ["| " + " | ".join(header) + " |", "|" + " --- |" * len(header)]
     for k, row in enumerate(rows):
@@ -119,11 +119,11 @@ def plain(cell: str) -> str:
     return re.sub(r"\*(\w[^*]*)\*", r"\1", cell)
 
 
-def markdown(title: str, remarks: Sequence[str], found: Sequence[Table]) -> str:
+def format_page(title: str, remarks: Sequence[str], found: Sequence[Table]) -> str:
     """A page with all tables; the chart of one stands under it, by the name of its file."""
     lines = [f"# {title}", "", *(f"- {remark}" for remark in remarks)]
     for each in found:
-        lines += ["", f"## {each.title}", "", *markdown_table(each.header, each.rows, each.strong), "", each.note]
+        lines += ["", f"## {each.title}", "", *format_table(each.header, each.rows, each.strong), "", each.note]
         if each.chart is not None:
             lines += ["", f"![{each.title}]({each.chart.file})"]
     return "\n".join(lines) + "\n"

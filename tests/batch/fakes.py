@@ -38,7 +38,7 @@ class Sleepers:
                 return [Ended(job, self._act(job, fewer)) for job, fewer, _ in found]
             time.sleep(min(0.01, seconds))
 
-    def running(self) -> Sequence[Running]:
+    def list_running(self) -> Sequence[Running]:
         return [Running(name, "sleeping", 0.0, None) for name in self.lanes]
 
     def drop(self, name: str) -> None:
@@ -72,7 +72,7 @@ class Inline:
     def wait(self, seconds: float) -> Sequence[Ended]:
         return [Ended(job, outcome_of(job.call, self)) for job in (self._jobs.pop(),)] if self._jobs else []
 
-    def running(self) -> Sequence[Running]:
+    def list_running(self) -> Sequence[Running]:
         return [Running(job.id, "at work", 0.0, None) for job in self._jobs]
 
     def drop(self, name: str) -> None:

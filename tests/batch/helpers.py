@@ -53,7 +53,7 @@ class Deed:
     def exits(self, attempt: Any) -> dict[str, Any]:
         os._exit(3)
 
-    def spinner(self, attempt: Any) -> dict[str, Any]:
+    def busy(self, attempt: Any) -> dict[str, Any]:
         with lease(self.folder / "held"):
             return {}
 

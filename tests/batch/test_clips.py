@@ -65,6 +65,7 @@ def test_options_of_single_clips(tmp_path, kind):
         ("path,start\na.mp4,soon\n", "line 2: start cannot be 'soon'"),
         ("path,start\na.mp4,-1\n", "line 2: --start"),
         ("path,begin\na.mp4,1\n", "'begin' is no option"),
+        ("path,touch\na.mp4,1\n", "'touch' is called --contact now"),
         ("id\na\n", "there is no path"),
         ("path,id\na.mp4,../b\n", "leads to another folder"),
         ("path,id\na.mp4,index.html\n", "name of another file"),

@@ -48,7 +48,9 @@ def batch(*arguments: object) -> int:
 
 
 def models(run: Path) -> bytes:
-    return (run / "model" / "gaussians.safetensors").read_bytes() + (run / "final" / "gaussians.safetensors").read_bytes()
+    return (run / "model" / "gaussians.safetensors").read_bytes() + (
+        run / "model_all_frames" / "gaussians.safetensors"
+    ).read_bytes()
 
 
 @pytest.mark.slow

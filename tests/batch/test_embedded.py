@@ -24,7 +24,7 @@ def outcome(tmp_path, how: str, **options) -> Outcome:
     engine = Embedded(tmp_path / "logs", 1, **options)
     engine.start(Job("a", "k", Deed(how, tmp_path)), fewer=False)
     ended = engine.wait(60)
-    assert engine.running() == []
+    assert engine.list_running() == []
     assert [each.job.id for each in ended] == ["a"]
     return ended[0].outcome
 
@@ -94,7 +94,7 @@ def test_memory_is_given_to_as_many_as_it_is_enough_for(tmp_path):
     assert not engine.has_room()
     for name in "abc":
         engine.drop(name)
-    assert engine.running() == []
+    assert engine.list_running() == []
 
 
 def test_asked_to_stop_they_end_soon_and_nothing_counts(tmp_path):

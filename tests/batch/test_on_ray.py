@@ -84,7 +84,7 @@ def test_asked_to_stop(cluster, tmp_path):
     while len(deed.begun()) < 2 and time.monotonic() < ends:
         assert engine.wait(0.2) == []
     assert [each.outcome.how for each in engine.stop()] == ["stopped"]
-    assert engine.running() == []
+    assert engine.list_running() == []
 
 
 def test_without_ray_it_is_a_line(tmp_path):

@@ -7,7 +7,7 @@ import json
 
 import pytest
 
-from flowsplat.batch.upload import opened, upload
+from flowsplat.batch.upload import open_url, upload
 from flowsplat.common.errors import InputError
 
 fsspec = pytest.importorskip("fsspec", reason="fsspec is not installed: nothing was copied (pip install 'flowsplat[upload]')")
@@ -30,7 +30,7 @@ def run(tmp_path):
 
 
 def held(url: str) -> dict[str, bytes]:
-    system, place = opened(url)
+    system, place = open_url(url)
     return {path[len(place) :].lstrip("/"): system.cat_file(path) for path in system.find(place)}
 
 
@@ -41,7 +41,7 @@ def test_parts_first_and_the_manifest_last(run, url, monkeypatch):
     manifest = json.loads(found["clip-1/manifest.json"])["files"]
     assert manifest["model/a.safetensors"] == {"size": 3_000_000, "sha256": hashlib.sha256(b"x" * 3_000_000).hexdigest()}
     # What is there is not copied again; what changed or went is brought up to date.
-    system, _ = opened(url)
+    system, _ = open_url(url)
     copied: list[str] = []
     put = type(system).put_file
     monkeypatch.setattr(type(system), "put_file", lambda self, a, b, **rest: (copied.append(b), put(self, a, b, **rest))[1])
@@ -57,7 +57,7 @@ def test_parts_first_and_the_manifest_last(run, url, monkeypatch):
 def test_what_breaks_off_leaves_no_manifest(run, url, monkeypatch):
     upload(run, url)
     (run / "run.json").write_text("{ }")
-    system, _ = opened(url)
+    system, _ = open_url(url)
 
     def fails(self, a, b, **rest):
         raise OSError("the line is down")
@@ -74,7 +74,7 @@ def test_what_breaks_off_leaves_no_manifest(run, url, monkeypatch):
 def test_addresses_that_are_none():
     for url in ("nonsense://x", "s3n+x://y"):
         with pytest.raises(InputError, match="--upload"):
-            opened(url)
+            open_url(url)
 
 
 def test_a_manifest_that_leads_elsewhere_deletes_nothing(run, tmp_path):

@@ -18,7 +18,7 @@ WORK = """
 import time
 from flowsplat.common import progress
 progress.EVERY = 0.2
-with progress.busy("Cameras"):
+with progress.spinner("Cameras"):
     time.sleep(0.5)
     with progress.progress_bar("Training", 40, 10) as bar:
         for step in range(10, 40):

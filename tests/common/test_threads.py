@@ -17,11 +17,11 @@ import pytest
 from flowsplat.common import threads
 from flowsplat.common.kernels import kernel
 from flowsplat.common.threads import (
-    computed_once,
+    compute_once,
     core_left_to,
+    get_max_threads,
     in_one_launch,
     in_threads,
-    most_threads,
     parallel_for,
     set_thread_count,
     thread_count,
@@ -79,7 +79,7 @@ def test_with_one_thread_it_is_one_call():
 
 
 def test_more_threads_than_there_are_cannot_be_asked_for():
-    for count in (0, most_threads() + 1):
+    for count in (0, get_max_threads() + 1):
         with pytest.raises(ValueError, match="there are 1 to"):
             set_thread_count(count)
 
@@ -124,7 +124,7 @@ def test_an_error_of_a_range_arrives_and_ends_the_rest(kind):
     assert (values == 1).all()
 
 
-@pytest.mark.skipif(most_threads() < 2, reason="one thread takes all in one range")
+@pytest.mark.skipif(get_max_threads() < 2, reason="one thread takes all in one range")
 def test_an_interrupt_is_not_held_up(kind):
     """Ctrl-C ends a loop after the ranges in work, not after all of them."""
     parallel_for(_slow, 2, np.ones(2))  # compiles
@@ -217,7 +217,7 @@ def test_what_several_threads_ask_for_is_computed_once_and_kept_while_there_is_r
         asked.append(k)
         return k * k
 
-    kept = computed_once(slow, 2)
+    kept = compute_once(slow, 2)
 
     def work(_: int) -> list[int]:
         together.wait()
@@ -238,7 +238,7 @@ def test_what_failed_is_computed_again():
             raise RuntimeError("spoilt")
         return k
 
-    kept = computed_once(work, 2)
+    kept = compute_once(work, 2)
     with pytest.raises(RuntimeError, match="spoilt"):
         kept(5)
     assert kept(5) == 5

@@ -45,7 +45,7 @@ def test_flowsplat_does_not_import_triton_before_it_is_needed():
 
 def test_tensors_on_the_cpu_need_the_interpreter(monkeypatch):
     pytest.importorskip("triton", reason="Triton is not installed")
-    monkeypatch.setattr(common, "interpreted", lambda: False)
+    monkeypatch.setattr(common, "is_interpreted", lambda: False)
     arguments = [value.float() for value in random_gaussians(3, 2).values()]
     with pytest.raises(ValueError, match="TRITON_INTERPRET"):
         rasterize(*arguments, 8, 8, backend="triton")

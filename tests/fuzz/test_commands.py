@@ -17,7 +17,7 @@ from flowsplat.common.errors import LONGEST
 from flowsplat.output.export.options import ExportOptions
 from flowsplat.output.videos import settle
 from flowsplat.output.viewer.options import ViewOptions
-from flowsplat.pipeline.config import RunConfig, check, option_of
+from flowsplat.pipeline.config import RunConfig, check, format_option
 from flowsplat.priors.objects.hints import parse_hints
 from flowsplat.priors.prompts import parse_prompts
 from flowsplat.scenes import Scene
@@ -51,7 +51,7 @@ def commands(run: Path) -> Iterator[list[str]]:
     def of(values: Any) -> str:
         return str(values[int(rng.integers(len(values)))])
 
-    named = [option_of(name) for name in options(RunConfig)]
+    named = [format_option(name) for name in options(RunConfig)]
     others = {
         "export": [f"--{name.replace('_', '-')}" for name in options(ExportOptions)] + ["--to"],
         "view": [f"--{name.replace('_', '-')}" for name in options(ViewOptions) if name != "host"],

@@ -41,7 +41,7 @@ class Balls:
         drifts = coefficients[:, 0] if coefficients.shape[1] else torch.zeros(len(quats), 3)
         return {"drifts": drifts, "log_radii": torch.log(scales).mean(1), "log_lives": -0.5 * log_lambdas}
 
-    def recentered(self, params, shift):
+    def recenter(self, params, shift):
         return {**params, "means": params["means"] + shift[:, None] * params["drifts"], "times": params["times"] + shift}
 
     def with_precision(self, params, log_lambda):

@@ -98,12 +98,12 @@ def test_only_the_object_that_is_named_goes_and_what_of_it_rests_goes_with_it():
     means = torch.where(gaussians.at_rest[active.rows[own], None], gaussians.params["means"][active.rows[own]], state.means)
     expected = C + 1.5 * (means - C)
     torch.testing.assert_close(found.means[kept:], expected)
-    moved_means = moved.distances.moved(means, gaussians.object_ids[active.rows[own]], clip_time)
+    moved_means = moved.distances.move(means, gaussians.object_ids[active.rows[own]], clip_time)
     torch.testing.assert_close(moved_means, expected)
     others = torch.cdist(found.means[:kept], plain.means, compute_mode="donot_use_mm_for_euclid_dist").amin(1)
     assert float(others.max()) == 0, "all others are where they were"
     resting = found.velocities[len(found.velocities) - int(own.sum()) :][:3]
-    expected = -0.5 * torch.as_tensor(moved.distances.speed(clip_time), dtype=torch.float32)
+    expected = -0.5 * torch.as_tensor(moved.distances.compute_speed(clip_time), dtype=torch.float32)
     torch.testing.assert_close(resting, expected.expand(3, 3))
     assert float(expected.norm()) > 0.05
 

@@ -249,7 +249,7 @@ def test_finer_pixels_show_the_same_image():
     gaussians = Gaussians4D(params, torch.zeros(count, dtype=torch.bool), FROZEN)
     model = SceneModel(gaussians, Similarity(), 0.0, 1.0, fill=False, focal=40.0)
     camera = Camera(np.eye(4), np.array([[40.0, 0, 12], [0, 40, 12], [0, 0, 1]]), 24, 24)
-    fine = camera.resized(72, 72)
+    fine = camera.resize(72, 72)
     known, seen = model.render(camera, 0.5), model.render(fine, 0.5)
     np.testing.assert_allclose(seen.color[1::3, 1::3], known.color, atol=2e-3)
     np.testing.assert_allclose(seen.alpha[1::3, 1::3], known.alpha, atol=2e-3)

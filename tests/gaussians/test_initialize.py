@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from flowsplat.gaussians.density import largest_scale
-from flowsplat.gaussians.initialize import initialize, sampled_frames
+from flowsplat.gaussians.initialize import choose_frames, initialize
 from flowsplat.gaussians.observations import load_observations
 from flowsplat.gaussians.render import render
 from flowsplat.gaussians.sampling import detail, grid, spacings
@@ -134,7 +134,7 @@ def size_where_busy(frame, gaussians):
 @pytest.mark.parametrize(("frames", "gap", "samples"), [(1, 4, 1), (10, 4, 10), (74, 4, 24), (270, 4, 69), (270, 0, 24)])
 def test_a_long_clip_has_more_samples(frames, gap, samples):
     """Objects live for a spacing or so: what is seldom sampled would have to stay for long and fit nowhere."""
-    sampled, log_lambda = sampled_frames(frames, replace(CONFIG.init, sample_gap=gap))
+    sampled, log_lambda = choose_frames(frames, replace(CONFIG.init, sample_gap=gap))
     assert len(sampled) == samples
     assert (sampled[0], sampled[-1]) == (0, frames - 1)
     assert not gap or frames == 1 or np.diff(sampled).max() <= gap

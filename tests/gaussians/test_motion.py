@@ -43,7 +43,7 @@ def test_at_its_own_time_a_gaussian_is_where_its_mean_says():
 def test_recentering_does_not_change_the_motion(motion):
     params = random_params(motion)
     shift = torch.linspace(-0.5, 0.5, 7, dtype=torch.float64)
-    moved = motion.recentered(params, shift)
+    moved = motion.recenter(params, shift)
     torch.testing.assert_close(moved["times"], params["times"] + shift)
     for t in (-0.2, 0.3, 0.9):
         a, b = motion.state(params, t), motion.state(moved, t)

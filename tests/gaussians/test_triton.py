@@ -20,7 +20,7 @@ from tests.gaussians.test_slicing import BASE, CASES, OUTPUTS, random_model
 from tests.marks import slow
 
 pytest.importorskip("triton", reason="Triton is not installed")
-from flowsplat.gaussians.camera_buffer import CAMERA, moment_numbers
+from flowsplat.gaussians.camera_buffer import CAMERA, pack_moment
 from flowsplat.gaussians.culling import triton as cull_triton
 from flowsplat.gaussians.flow import triton as flow_triton
 from flowsplat.gaussians.slicing import triton
@@ -71,7 +71,7 @@ def test_the_cull_fills_the_rows_and_says_how_many_it_needed(granule, monkeypatc
     monkeypatch.setattr(capacity_module, "GRANULE", granule)
     capacity = culling.RowCapacity()
     for attempt in range(2):
-        padded, needed = culling.padded_rows(*on_device(given), capacity)
+        padded, needed = culling.pad_active_rows(*on_device(given), capacity)
         assert needed.values() == [num_static, len(rows) - num_static]
         for places, chosen in ((padded[: capacity.at_rest], rows[:num_static]), (padded[capacity.at_rest :], rows[num_static:])):
             found = places[places >= 0]
@@ -135,7 +135,7 @@ def test_padding_rows_have_no_opacity_and_the_others_are_as_without_them():
     gaussians = random_model(BASE).to(DEVICE)
     active = gaussians.active(0.5)
     n, padding = active.num_static, torch.full((7,), -1, device=DEVICE)
-    moment = torch.from_numpy(moment_numbers(gaussians.config.gains, 0.5, np.zeros(3), 0.6)).to(DEVICE)
+    moment = torch.from_numpy(pack_moment(gaussians.config.gains, 0.5, np.zeros(3), 0.6)).to(DEVICE)
     alone = triton.slice_rows(gaussians, active.rows, n, moment, True)
     rows = torch.cat([active.rows[:n], padding, active.rows[n:], padding])
     padded = triton.slice_rows(gaussians, rows, n + 7, moment, True)

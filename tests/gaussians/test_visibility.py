@@ -56,7 +56,7 @@ def visibility_of(places: Sequence[float]) -> ClipVisibility:
 
 def test_a_view_of_the_clip_is_known_but_for_its_rim_and_what_the_object_hid():
     places = np.linspace(-0.5, 0.5, 9)
-    seen = visibility_of(places).seen(camera_at(0.0), 0.5)
+    seen = visibility_of(places).compute_seen(camera_at(0.0), 0.5)
     assert seen.there.all()
     height, width = seen.there.shape
     assert seen.moves[height // 2, width // 2]
@@ -75,7 +75,7 @@ def test_directions_are_compared_with_those_that_saw_it():
         # The camera looks at the wall's middle column, which all nine cameras see.
         camera = camera_at(x)
         column = int((0 - x) / WALL * 50 + middle)
-        seen = visibility.seen(camera, 0.5)
+        seen = visibility.compute_seen(camera, 0.5)
         point = np.array([(column + 0.5 - 32) / 50 * WALL + x, (row + 0.5 - 16) / 50 * WALL, WALL])
         rays = np.stack([camera_at(place).center - point for place in places])
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
@@ -89,7 +89,7 @@ def test_directions_are_compared_with_those_that_saw_it():
 def test_what_only_the_object_showed_is_unknown():
     """All cameras stand at one side of a billboard that is close: the wall behind it, seen from the other side, nobody saw."""
     visibility = visibility_of([0.0, 0.01, 0.02, 0.03])
-    aside = visibility.seen(camera_at(0.8), 0.5)
+    aside = visibility.compute_seen(camera_at(0.8), 0.5)
     hidden = (aside.frames < FEWEST) & ~aside.moves
     assert hidden[16].sum() > 5
     assert not aside.is_known[hidden].any()
@@ -97,10 +97,10 @@ def test_what_only_the_object_showed_is_unknown():
 
 def test_a_camera_that_stood_still_tells_no_view_from_aside():
     visibility = visibility_of([0.0, 0.0, 0.0])
-    own, aside = visibility.seen(camera_at(0.0), 0.5), visibility.seen(camera_at(0.4), 0.5)
+    own, aside = visibility.compute_seen(camera_at(0.0), 0.5), visibility.compute_seen(camera_at(0.4), 0.5)
     assert own.is_known.all()
     assert not aside.is_known[~aside.moves].any()
-    narrow = visibility_of(np.linspace(-0.01, 0.01, 5)).seen(camera_at(0.4), 0.5)
+    narrow = visibility_of(np.linspace(-0.01, 0.01, 5)).compute_seen(camera_at(0.4), 0.5)
     assert (narrow.off[narrow.frames > FEWEST] > FURTHEST).all()
 
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from flowsplat.geometry import Camera, Similarity
 from flowsplat.geometry.cameras import pixel_grid, unproject_depth
-from flowsplat.geometry.paths import CameraPath, cropped, dolly_zoom, orbit, shifted, smooth_path
+from flowsplat.geometry.paths import CameraPath, crop_camera, dolly_zoom, orbit, shift_camera, smooth_path
 from flowsplat.geometry.projection import project_points, world_jacobian
 from flowsplat.geometry.rotations import (
     covariances,
@@ -144,7 +144,7 @@ def test_cameras_made_from_a_camera_see_what_they_promise():
     uv = np.array([[5.0, 7.0], [32.0, 24.0], [60.0, 41.0]])
     plane = camera.unproject(uv, np.full(3, 3.0))
 
-    aside = shifted(camera, 0.4, 3.0)
+    aside = shift_camera(camera, 0.4, 3.0)
     np.testing.assert_allclose(aside.project(plane)[0], uv, atol=1e-9)
     np.testing.assert_allclose(aside.center - camera.center, 0.4 * camera.viewmat[0, :3], atol=1e-12)
     nearer = camera.unproject(uv, np.full(3, 2.0))
@@ -155,5 +155,5 @@ def test_cameras_made_from_a_camera_see_what_they_promise():
     np.testing.assert_allclose(back.project(plane)[1], 4.5)
 
     corners = np.array([[8.0, 6.0], [56.0, 42.0]])  # of the middle three quarters
-    seen = cropped(camera, 0.75).project(camera.unproject(corners, np.full(2, 2.0)))[0]
+    seen = crop_camera(camera, 0.75).project(camera.unproject(corners, np.full(2, 2.0)))[0]
     np.testing.assert_allclose(seen, [[0, 0], [64, 48]], atol=1e-9)

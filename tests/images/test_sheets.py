@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flowsplat.images.sheets import GAP, preview_sheet, side_by_side, stacked, with_rulers
+from flowsplat.images.sheets import GAP, preview_sheet, side_by_side, stack, with_rulers
 
 
 def test_side_by_side_keeps_images_and_resizes_to_the_first():
@@ -35,7 +35,7 @@ def test_labels_are_written_on_a_copy():
 def test_height_and_stacked():
     a = np.zeros((40, 80, 3), np.uint8)
     assert side_by_side([a], height=20).shape == (20, 40, 3)
-    assert stacked([a, np.zeros((10, 40, 3), np.uint8)]).shape == (40 + GAP + 20, 80, 3)
+    assert stack([a, np.zeros((10, 40, 3), np.uint8)]).shape == (40 + GAP + 20, 80, 3)
 
 
 def test_preview_sheet():

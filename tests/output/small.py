@@ -78,7 +78,7 @@ def small_cameras(model: SceneModel, width: int = WIDTH, height: int = HEIGHT) -
         viewmat[:3, :3] = [[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]]
         viewmat[0, 3] = 0.1 - 0.2 * share
         inner = Camera(viewmat, np.array([[80.0, 0, 47], [0, 82, 33], [0, 0, 1]]), WIDTH, HEIGHT)
-        cameras.append(model.similarity.inverse().camera(inner).resized(width, height))
+        cameras.append(model.similarity.inverse().camera(inner).resize(width, height))
     return cameras
 
 

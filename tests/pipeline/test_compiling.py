@@ -17,9 +17,9 @@ from flowsplat.pipeline import compiling
 from flowsplat.pipeline.compiling import (
     Ahead,
     code_state,
+    compile_ahead,
     compile_kernel,
     compile_kernels,
-    compiling_ahead,
     note,
     read_signatures,
 )
@@ -119,14 +119,14 @@ def begun(monkeypatch, tmp_path):
 
 
 def test_a_process_is_begun_until_it_is_noted_that_one_ended(begun):
-    with compiling_ahead("cuda") as ahead:
+    with compile_ahead("cuda") as ahead:
         ahead.wait()
     assert begun == []
-    with compiling_ahead("cpu") as ahead:
+    with compile_ahead("cpu") as ahead:
         ahead.wait()
     assert begun == [[sys.executable, "-c", compiling._COMMAND]]
     note(compiling._marker(), code_state("cpu"))
-    with compiling_ahead("cpu"):
+    with compile_ahead("cpu"):
         pass
     assert len(begun) == 1
 

@@ -179,7 +179,7 @@ def test_a_file_system_that_turns_read_only_is_a_line(tiny_scene, finished, tmp_
         failed += 1
         assert not [path for path in out.rglob("*") if ".partial" in path.name or path.name == ".lock"]
         run(tiny_scene, out, small_config())
-        for name in ("model/gaussians.safetensors", "final/gaussians.safetensors", "renders/input_path.mp4"):
+        for name in ("model/gaussians.safetensors", "model_all_frames/gaussians.safetensors", "renders/input_path.mp4"):
             assert (out / name).read_bytes() == (finished / name).read_bytes(), (count, name)
     assert failed > 20
 

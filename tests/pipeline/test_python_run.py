@@ -12,7 +12,7 @@ import pytest
 import flowsplat
 from flowsplat.common.errors import InputError
 from flowsplat.pipeline import stages
-from flowsplat.pipeline.python_run import configured
+from flowsplat.pipeline.python_run import make_config
 
 
 def test_every_public_name_is_listed_and_there():
@@ -69,13 +69,14 @@ def test_it_runs_with_the_settings_of_the_command_line(tmp_path, monkeypatch):
     ("preset", "overrides", "message"),
     [
         ("default", {"train.los.flow": 1}, "no setting 'train.los.flow'. Did you mean train.loss.flow"),
+        ("default", {"render.fading": True}, "called .render.confidence-fade. now"),
         ("default", {"train.iterations": "many"}, "iterations"),
         ("best", {}, "Unknown preset 'best'"),
     ],
 )
 def test_what_cannot_be_set_is_said(preset, overrides, message):
     with pytest.raises(InputError) as error:
-        configured(preset, overrides)
+        make_config(preset, overrides)
     assert message in str(error.value)
     assert len(str(error.value).splitlines()) == 1
 

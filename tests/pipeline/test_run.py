@@ -297,7 +297,7 @@ def test_videos_without_a_camera_file_have_the_key_that_they_always_had(finished
 def test_the_model_is_read_once_and_flows_of_the_report_are_rendered_once(finished, tmp_path, monkeypatch):
     shutil.copytree(finished, tmp_path / "out")
     folder = RunFolder(tmp_path / "out")
-    for stage in ("evaluate", "final", "render"):
+    for stage in ("evaluate", "all_frames", "render"):
         folder.forget(stage)
     folder.config = replace(folder.config, final_fit=False)
     read, compared, listed = [], [], []
@@ -546,7 +546,7 @@ def test_settings_that_are_no_numbers_are_named(tiny_scene, tmp_path):
     for changed, name in (
         (replace(config, input=replace(config.input, start=float("nan"))), "--start"),
         (replace(config, priors=replace(config.priors, cameras=cameras)), "--cameras.focal"),
-        (replace(config, render=replace(config.render, slow=float("nan"))), "--render.slow-motion"),
+        (replace(config, render=replace(config.render, slow_motion=float("nan"))), "--render.slow-motion"),
     ):
         with pytest.raises(InputError, match=name):
             prepare(tiny_scene, tmp_path / "out", changed)

@@ -23,7 +23,7 @@ from flowsplat.pipeline.speed import (
     Speed,
     Watch,
     cache_file,
-    expected,
+    estimate_seconds,
     self_test,
     stages_of,
 )
@@ -54,7 +54,7 @@ def test_a_test_comes_first_and_only_once(tested):
 
 def test_a_stage_of_this_run_says_more(tested):
     machine = Speed("cpu")
-    machine.seen(12.0)
+    machine.note(12.0)
     assert machine.estimate(REFERENCE, ["train"]) == Estimate(pytest.approx(6 * 400), MARGIN)
 
 
@@ -105,10 +105,10 @@ CONFIGS = {
 def test_more_work_is_expected_to_take_longer():
     scene = SimpleNamespace(width=640, height=360, num_frames=50, train_frames=range(45), heldout_frames=range(5))
     larger = SimpleNamespace(**{**vars(scene), "width": 1280})
-    small, large = (expected(each, RunConfig()) for each in (scene, larger))
+    small, large = (estimate_seconds(each, RunConfig()) for each in (scene, larger))
     assert set(small) == set(STAGES)
     assert all(large[stage] > small[stage] for stage in STAGES[1:])
-    rest = {name: expected(scene, config)["rest"] for name, config in CONFIGS.items()}
+    rest = {name: estimate_seconds(scene, config)["rest"] for name, config in CONFIGS.items()}
     assert rest["static"] - rest["plain"] == pytest.approx(0.25 * small["train"])
     assert rest["final"] - rest["plain"] == pytest.approx(SHARE * small["train"])
 
@@ -116,7 +116,7 @@ def test_more_work_is_expected_to_take_longer():
 def test_what_is_true_costs_nothing(tested):
     scene = SimpleNamespace(width=640, height=360, num_frames=50, train_frames=range(45), heldout_frames=range(5))
     config = RunConfig()
-    reference = expected(scene, replace(config, priors=replace(config.priors, priors="true")))
+    reference = estimate_seconds(scene, replace(config, priors=replace(config.priors, priors="true")))
     assert (reference["cameras"], reference["priors"]) == (0, 0)
     Speed("cpu").remember({"cameras": 20.0, "flow": 30.0, "depth": 30.0, "train": 30.0}, reference)
     assert Speed("cpu").factor("train") == pytest.approx(30 / reference["train"], abs=1e-3)
@@ -145,7 +145,7 @@ def doubled(values):
 
 def test_what_compiles_or_shares_the_machine_tells_nothing(monkeypatch):
     used = speed._Used(100.0, 10.0, 0.0)
-    monkeypatch.setattr(speed, "_used", lambda: used)
+    monkeypatch.setattr(speed, "_read_used", lambda: used)
     monkeypatch.setattr(speed.os, "cpu_count", lambda: 2)
     watch = Watch()
     used = speed._Used(118.0, 28.0, 10.0)
@@ -160,14 +160,14 @@ def test_what_compiles_or_shares_the_machine_tells_nothing(monkeypatch):
 
 
 def test_a_system_that_tells_nothing_is_believed(monkeypatch):
-    monkeypatch.setattr(speed, "_used", lambda: None)
+    monkeypatch.setattr(speed, "_read_used", lambda: None)
     assert Watch().was_quiet()
 
 
 @pytest.mark.skipif(not Path("/proc/stat").exists(), reason="only Linux tells what others use")
 def test_what_this_process_uses_is_part_of_all_that_is_used():
-    before = speed._used()
+    before = speed._read_used()
     sum(k * k for k in range(3_000_000))
-    after = speed._used()
+    after = speed._read_used()
     assert after.own - before.own > 0.05
     assert after.all - before.all >= after.own - before.own - 0.1

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from flowsplat.priors.background.depth_voting import SAME, agreed
+from flowsplat.priors.background.depth_voting import SAME, vote_on_depth
 
 from .planes import HEIGHT, SIDE, WALL, WIDTH, camera_at
 
@@ -32,7 +32,7 @@ def others(change=lambda inverse: inverse, there=EVERYWHERE) -> list:
 
 def test_one_frame_gives_way_to_many():
     wrong = swollen(true_inverse(0), 4)
-    inverse, share = agreed(wrong, EVERYWHERE, camera_at(0), others())
+    inverse, share = vote_on_depth(wrong, EVERYWHERE, camera_at(0), others())
     changed = wrong != true_inverse(0)
     # What lies behind the square is seen by the frames of one side only.
     assert np.abs(inverse - true_inverse(0))[changed].max() < 1e-4
@@ -48,7 +48,7 @@ def test_a_vote_is_on_one_of_the_surfaces_and_not_between_them():
             (swollen(true_inverse(shift), rng.integers(0, 6)) * scale, EVERYWHERE, camera_at(shift))
             for shift, scale in zip(SHIFTS, noise, strict=True)
         ]
-        inverse, share = agreed(swollen(true_inverse(0), 3), EVERYWHERE, camera_at(0), around)
+        inverse, share = vote_on_depth(swollen(true_inverse(0), 3), EVERYWHERE, camera_at(0), around)
         off = np.minimum(np.abs(inverse * WALL - 1), np.abs(inverse * WALL / 2 - 1))
         assert off.max() < SAME
         assert ((share > 0) & (share <= 1)).all()
@@ -56,16 +56,16 @@ def test_a_vote_is_on_one_of_the_surfaces_and_not_between_them():
 
 def test_of_two_surfaces_with_as_many_votes_the_farther_is_taken():
     nearer = [(swollen(each, 4), there, camera) for each, there, camera in others()]
-    inverse, _ = agreed(swollen(true_inverse(0), 4), EVERYWHERE, camera_at(0), [*others(), *nearer])
+    inverse, _ = vote_on_depth(swollen(true_inverse(0), 4), EVERYWHERE, camera_at(0), [*others(), *nearer])
     beside = (swollen(true_inverse(0), 4) != true_inverse(0)) & (np.arange(HEIGHT)[:, None] < TOP)
     assert np.median(inverse[beside]) * WALL < 1 + SAME
 
 
 def test_what_moves_is_left_alone_and_speaks_for_nothing():
     wrong = swollen(true_inverse(0), 4)
-    inverse, share = agreed(wrong, EVERYWHERE, camera_at(0), others(there=~EVERYWHERE))
+    inverse, share = vote_on_depth(wrong, EVERYWHERE, camera_at(0), others(there=~EVERYWHERE))
     np.testing.assert_array_equal(inverse, wrong)
     assert (share == 1).all(), "nobody was asked"
-    inverse, share = agreed(wrong, ~EVERYWHERE, camera_at(0), others())
+    inverse, share = vote_on_depth(wrong, ~EVERYWHERE, camera_at(0), others())
     np.testing.assert_array_equal(inverse, wrong)
     assert (share == 1).all()

@@ -186,8 +186,8 @@ def test_what_one_moment_alone_saw_stays_behind_the_object():
     Clip.width, Clip.height = width, height
     background, inside = Background(Clip(), has_masks=True), np.s_[14:18, 11:15]
     assert background.plate(50)[inside].max() < 1.1 * wall
-    np.testing.assert_allclose(background.foremost(50)[inside], box, rtol=0.01)
-    np.testing.assert_allclose(background.foremost(50)[:, 30:], wall, rtol=0.01)
+    np.testing.assert_allclose(background.compute_foremost(50)[inside], box, rtol=0.01)
+    np.testing.assert_allclose(background.compute_foremost(50)[:, 30:], wall, rtol=0.01)
 
 
 def test_long_flows_reach_far(tmp_path: Path):

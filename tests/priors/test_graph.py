@@ -63,9 +63,9 @@ def test_a_graph_that_is_none(priors):
 def test_every_setting_decides_on_a_prior():
     decided = {name for prior in PRIORS for name in prior.kind.options}
     assert decided | {"priors", "given"} == {field.name for field in dataclasses.fields(PriorsOptions)}
-    assert PRIORS.depending_on(["mask_click"]) == ["masks", "tracks", "depth"]
-    assert PRIORS.depending_on(["contact_hint"]) == ["depth"]
-    assert PRIORS.depending_on(["given"]) == []
+    assert PRIORS.list_depending_on(["mask_click"]) == ["masks", "tracks", "depth"]
+    assert PRIORS.list_depending_on(["contact"]) == ["depth"]
+    assert PRIORS.list_depending_on(["given"]) == []
 
 
 def test_every_prior_can_be_given():

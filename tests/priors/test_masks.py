@@ -9,14 +9,14 @@ import cv2
 import numpy as np
 import pytest
 
-from flowsplat.priors.background.bits import packed
+from flowsplat.priors.background.bits import pack
 from flowsplat.priors.background.matched_clip import RESTS, MatchedClip
 from flowsplat.priors.background.static_depth import static_depth
 from flowsplat.priors.flow import flow_stage
 from flowsplat.priors.masks import mask_stage
 from flowsplat.priors.masks.background_plate import CleanPlate
 from flowsplat.priors.masks.colors import Colors, look_up
-from flowsplat.priors.masks.motion import CALMEST, USUAL, own_evidence, resting_motion
+from flowsplat.priors.masks.motion import CALMEST, USUAL, compute_own_evidence, estimate_resting_motion
 from flowsplat.priors.masks.numbers import number_objects
 from flowsplat.priors.masks.photometric_residual import Unexplained
 from flowsplat.priors.masks.plane_sweep import largest_share
@@ -62,7 +62,7 @@ def test_what_rests_is_told_by_the_noise_of_the_clip(usual, expected):
     noise = np.full((30, 40), usual)
     noise[:5] = 20.0  # what moves is a smaller part
     noise[20:] = 0.0  # no match
-    assert resting_motion(motions(noise, noise)) == pytest.approx(expected)
+    assert estimate_resting_motion(motions(noise, noise)) == pytest.approx(expected)
 
 
 def test_slow_motion_counts_unless_it_fades_from_a_fast_object():
@@ -70,7 +70,7 @@ def test_slow_motion_counts_unless_it_fades_from_a_fast_object():
     motion[20:40, 20:40] = 2.0
     motion[20:40, 100:120] = 12.0
     motion[20:40, 120:123] = 2.0
-    evidence = own_evidence(motions(motion), 0, 1.0)
+    evidence = compute_own_evidence(motions(motion), 0, 1.0)
     assert (evidence[20:40, 20:40] > 0).all()
     assert (evidence[22:38, 100:120] > 0).all()
     assert (evidence[22:38, 120:123] < 0).all()
@@ -188,7 +188,7 @@ def test_what_rests_looks_the_same_at_its_depth_and_what_moves_at_none(tmp_path:
     poses = np.array([cameras[i].pose_from(cameras[6]) for i in others], np.float32)
     asked = np.ones((HEIGHT, WIDTH), bool)
     asked[:20] = False
-    words = packed(np.stack([scene.frame(i) for i in others]), np.zeros((len(others), HEIGHT, WIDTH), np.bool_))
+    words = pack(np.stack([scene.frame(i) for i in others]), np.zeros((len(others), HEIGHT, WIDTH), np.bool_))
     share = largest_share(scene.frame(6), asked, 1.0, intrinsics, poses, words)
     assert (share[:20] == -1).all()
     inside = cv2.erode(scene.truth.mask(6), np.ones((7, 7))) > 0

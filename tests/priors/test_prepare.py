@@ -320,7 +320,7 @@ def given_files(folder: Path, scene: Scene) -> GivenPriors:
     size = (2 * WIDTH, 2 * HEIGHT)
     for name in ("depth", "masks", "flow"):
         (folder / name).mkdir(parents=True)
-    cameras = [camera.resized(*size).to_json() for camera in scene.truth.cameras]
+    cameras = [camera.resize(*size).to_json() for camera in scene.truth.cameras]
     (folder / "cameras.json").write_text(json.dumps(cameras))
     for i in range(FRAMES):
         np.save(folder / "depth" / f"{i:05d}.npy", cv2.resize(scene.truth.depth(i).depth, size, interpolation=0))

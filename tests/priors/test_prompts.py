@@ -9,9 +9,9 @@ import pytest
 
 from flowsplat.common.errors import InputError
 from flowsplat.priors.flow import dis_estimator, flow_stage
-from flowsplat.priors.prompts import Prompt, cut_at_once, parse_prompts, prompt_stage, show_at_once
+from flowsplat.priors.prompts import Prompt, cut_prompts, parse_prompts, prompt_stage, show_at_once
 from flowsplat.priors.prompts.cutting import cut_out
-from flowsplat.priors.prompts.grabcut import snapped
+from flowsplat.priors.prompts.grabcut import snap_to_edges
 from flowsplat.priors.prompts.propagation import Walk
 from flowsplat.scenes import Flow, Scene
 from flowsplat.scenes.layers import read_image
@@ -100,7 +100,7 @@ BOX = (X - 6, Y - 4, X + SIDE + 5, Y + SIDE + 6)
 
 @pytest.mark.parametrize("prompt", [Prompt(5, CENTER), Prompt(5, (), BOX), Prompt(5, CENTER, BOX)])
 def test_an_object_is_cut_out(scene: Scene, prompt: Prompt):
-    (found,) = cut_at_once(scene, [prompt], dis_estimator)
+    (found,) = cut_prompts(scene, [prompt], dis_estimator)
     assert overlap(found, scene.truth.mask(5) > 0) > 0.75
 
 
@@ -187,7 +187,7 @@ def test_an_edge_is_moved_to_that_of_the_image():
     image[30:70, 50:100, 0] = 200
     true = image[..., 0] > 0
     shifted = np.roll(true, (1, 2), (0, 1))
-    assert overlap(snapped(image, shifted), true) > 0.98 > overlap(shifted, true)
+    assert overlap(snap_to_edges(image, shifted), true) > 0.98 > overlap(shifted, true)
 
 
 @pytest.mark.parametrize("start", [0, 5, FRAMES - 1])

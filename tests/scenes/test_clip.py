@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flowsplat.common.errors import InputError
-from flowsplat.scenes.clip import InputOptions, resize_image, resize_labels, select_frames, working_size
+from flowsplat.scenes.clip import InputOptions, choose_working_size, resize_image, resize_labels, select_frames
 
 
 def test_everything_by_default():
@@ -51,7 +51,7 @@ def test_times():
     max_frames=st.integers(2, 200),
     start=st.none() | st.floats(0, 10),
 )
-def test_laws(count, every, max_frames, start):
+def check_laws(count, every, max_frames, start):
     seconds = np.arange(count) / 30
     options = InputOptions(every=every, max_frames=max_frames, start=start)
     try:
@@ -126,14 +126,14 @@ def test_sensible_options():
     ],
 )
 def test_working_size(size, resize, expected):
-    got, notes = working_size(*size, InputOptions(resize=resize), "clip")
+    got, notes = choose_working_size(*size, InputOptions(resize=resize), "clip")
     assert got == expected
     assert bool(notes) == (expected != size)
 
 
 def test_too_small():
     with pytest.raises(InputError, match="too small"):
-        working_size(4000, 100, InputOptions(), "clip")
+        choose_working_size(4000, 100, InputOptions(), "clip")
 
 
 def test_resizing_keeps_the_pixel_grid():

@@ -81,7 +81,7 @@ def test_split_is_law(scene, make_image):
         lambda: scene.depth(9),
         lambda: scene.flow(8, 9),
         lambda: scene.flow(9, 10),
-        lambda: scene.stored_flow(8, 9),
+        lambda: scene.read_stored_flow(8, 9),
         lambda: scene.mask(19),
         lambda: scene.write_depth(9, depth),
         lambda: scene.write_mask(9, mask),
@@ -130,7 +130,7 @@ def test_layers(scene):
     scene.write_flow(flow)
     assert scene.flow_pairs == [(8, 10)]
     np.testing.assert_allclose(scene.flow(8, 10).flow, flow.flow, atol=0.5 / 64)
-    stored, read = scene.stored_flow(8, 10), scene.flow(8, 10)
+    stored, read = scene.read_stored_flow(8, 10), scene.flow(8, 10)
     assert (stored.units.nbytes + stored.certainty.nbytes) * 2 < read.flow.nbytes + read.confidence.nbytes
     for name in ("flow", "confidence", "trusted"):
         np.testing.assert_array_equal(getattr(stored, name), getattr(read, name))

@@ -89,14 +89,14 @@ def test_valid_flow_lands_on_the_same_body_and_invalid_flow_does_not_return(pair
 def test_warping_the_next_frame_back_reproduces_the_frame(pair: tuple[View, View]):
     first, second = pair
     flow = FULL.flow(20, 21)
-    warped = sample(second.make_image, landing(flow))
+    warped = sample(second.image, landing(flow))
     assert flow.trusted.mean() > 0.93
     assert psnr(warped[flow.trusted], first.image[flow.trusted]) > 30
-    assert psnr(second.make_image, first.make_image) < 18
+    assert psnr(second.image, first.image) < 18
 
 
 def test_texture_is_everywhere(pair: tuple[View, View]):
-    gray = cv2.cvtColor(pair[0].make_image, cv2.COLOR_RGB2GRAY).astype(np.float32)
+    gray = cv2.cvtColor(pair[0].image, cv2.COLOR_RGB2GRAY).astype(np.float32)
     deviation = np.sqrt(np.maximum(cv2.blur(gray * gray, (15, 15)) - cv2.blur(gray, (15, 15)) ** 2, 0))
     assert np.percentile(deviation, 1) > 3
     corners = cv2.goodFeaturesToTrack(pair[0].image[..., 1], 2000, 0.01, 4)
@@ -186,7 +186,7 @@ def test_heldout_views_see_the_same_world_from_aside():
     covisible = FULL.covisible(chosen)
     assert 0.88 < covisible.mean() < 0.99
     uv, _ = own.project(unproject_depth(seen.depth, chosen.camera))
-    warped = sample(clip.make_image, uv)
+    warped = sample(clip.image, uv)
     assert psnr(warped[covisible], seen.image[covisible]) > 27
     assert psnr(warped[~covisible], seen.image[~covisible]) < 20
 
@@ -194,9 +194,9 @@ def test_heldout_views_see_the_same_world_from_aside():
 def test_same_parameters_same_bits():
     first, second = SyntheticScene(48, 32, 3, seed=5), SyntheticScene(48, 32, 3, seed=5)
     other = SyntheticScene(48, 32, 3, seed=6)
-    np.testing.assert_array_equal(view(first, 2).make_image, view(second, 2).make_image)
+    np.testing.assert_array_equal(view(first, 2).image, view(second, 2).image)
     np.testing.assert_array_equal(first.tracks().points, second.tracks().points)
-    assert (view(first, 2).image != view(other, 2).make_image).mean() > 0.5
+    assert (view(first, 2).image != view(other, 2).image).mean() > 0.5
     np.testing.assert_array_equal(view(first, 2).depth, view(other, 2).depth)
 
 
@@ -205,8 +205,8 @@ def test_written_scene_reads_back(tmp_path: Path):
     scene = Scene(tmp_path / "scene")
     assert (scene.train_frames, scene.heldout_frames) == ([0, 1, 2, 4, 5, 6, 7], [3])
     np.testing.assert_allclose(scene.timestamps, np.arange(8) / 24)
-    np.testing.assert_array_equal(scene.frame(2), view(SMALL, 2).make_image)
-    np.testing.assert_array_equal(scene.heldout_frame(3), view(SMALL, 3).make_image)
+    np.testing.assert_array_equal(scene.frame(2), view(SMALL, 2).image)
+    np.testing.assert_array_equal(scene.heldout_frame(3), view(SMALL, 3).image)
     assert not any((scene.has_cameras, scene.has_depth(0), scene.has_mask(0), scene.has_tracks))
     assert scene.flow_pairs == []
 
@@ -246,7 +246,7 @@ def test_video_shows_the_frames(tmp_path: Path):
         assert float(container.streams.video[0].average_rate) == 24
         frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
     assert len(frames) == SMALL.frames
-    assert psnr(frames[3], view(SMALL, 3).make_image) > 26
+    assert psnr(frames[3], view(SMALL, 3).image) > 26
 
 
 @pytest.mark.parametrize(

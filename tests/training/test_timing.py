@@ -9,10 +9,10 @@ def test_by_time_the_first_comes_soon_and_costly_ones_come_rarely():
     times = CheckpointTimes(None, 100.0)
     assert not times.is_due(250, 104.9)
     assert times.is_due(1, 105.0)
-    times.written(105.0, 0.1)
+    times.note_written(105.0, 0.1)
     assert not times.is_due(2, 124.9)
     assert times.is_due(3, 125.0)
-    times.written(126.0, 1.0)
+    times.note_written(126.0, 1.0)
     assert not times.is_due(4, 175.9)
     assert times.is_due(4, 176.0)
 

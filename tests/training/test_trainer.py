@@ -19,7 +19,7 @@ from flowsplat.training.checkpoint import load_checkpoint, load_model, read_tens
 from flowsplat.training.config import PRESETS, TrainConfig
 from flowsplat.training.trainer import Trainer, _spread_order
 from flowsplat.training.weight_averaging import EVERY, TailAverage
-from flowsplat_benchmarks.ablations.variants import changed
+from flowsplat_benchmarks.ablations.variants import change_settings
 from tests.training.handful import a_few, seen, tiny
 
 
@@ -259,7 +259,7 @@ def test_without_checkpoints_none_is_written(tmp_path):
 )  # fmt: skip
 def test_settings_that_make_no_sense_are_named(name, value, rule):
     with pytest.raises(InputError, match=f"--train.{name.replace('_', '-')} .*{rule}"):
-        changed(PRESETS["default"], {name: value}).check()
+        change_settings(PRESETS["default"], {name: value}).check()
 
 
 @pytest.mark.slow
@@ -269,7 +269,7 @@ def test_the_largest_values_train_or_say_why_not():
         most = 1 if bounds.le is None else bounds.le
         if name in ("iterations", "frames_per_iteration", "loss.rigid_refresh") or name.startswith(("init.", "model.")):
             continue  # how long it takes, and what the start was made with
-        config = changed(tiny("default"), {name: 0.999 if most == 1 else most})
+        config = change_settings(tiny("default"), {name: 0.999 if most == 1 else most})
         try:
             trained = Trainer(seen(start), None, config, start=start).run()
         except InputError:

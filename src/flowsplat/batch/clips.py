@@ -17,8 +17,9 @@ from flowsplat.common.errors import InputError
 from flowsplat.common.files import plain_name, read_json_lines, read_rows, read_text
 from flowsplat.common.files.json_file import Text
 from flowsplat.common.run_paths import RunPaths
-from flowsplat.common.settings import setting_types, with_settings
-from flowsplat.pipeline.config import RunConfig, check, setting_of
+from flowsplat.common.settings import list_setting_types, with_settings
+from flowsplat.pipeline.config import RunConfig, check, find_setting
+from flowsplat.pipeline.renamed_options import find_renamed_option
 from flowsplat.scenes.ingest import kind_of_input
 
 VIDEO_SUFFIXES = (
@@ -81,7 +82,7 @@ def find_clips(inputs: Sequence[Path], config: RunConfig, out: Path) -> list[Bat
 def _of_input(source: Path, config: RunConfig, out: Path) -> Iterator[BatchClip]:
     if source.suffix.lower() in LISTS and not source.is_dir():
         for where, row in _rows(source):
-            yield _listed(where, row, source.parent, config)
+            yield _read_listed_clip(where, row, source.parent, config)
     elif source.is_dir() and _is_folder_of_clips(source):
         for path in _within(source, out):
             yield _clip(path, config)
@@ -134,7 +135,7 @@ def _rows(source: Path) -> Iterator[tuple[str, Mapping[str, Any]]]:
             yield f"{source}, line {number}", value
 
 
-def _listed(where: str, row: Mapping[str, Any], folder: Path, config: RunConfig) -> BatchClip:
+def _read_listed_clip(where: str, row: Mapping[str, Any], folder: Path, config: RunConfig) -> BatchClip:
     """The clip of one row of a list."""
     path, name = row.get("path"), row.get("id")
     if not isinstance(path, str) or not path or "\0" in path:
@@ -143,13 +144,15 @@ def _listed(where: str, row: Mapping[str, Any], folder: Path, config: RunConfig)
         name = plain_name(name, f"{where}: the id")
         if name.lower() in _TAKEN:
             raise InputError(f"{where}: {name} is the name of another file in OUT: give another id.")
-    types, changes = setting_types(RunConfig), {}
+    types, changes = list_setting_types(RunConfig), {}
     for column, value in row.items():
         if column in ("path", "id"):
             continue
-        setting = setting_of(column)
+        setting = find_setting(column)
         if setting is None:
-            raise InputError(f"{where}: {column!r:.60} is no option of run: see flowsplat run --help-all.")
+            now = find_renamed_option(column)
+            why = f"is called {now} now" if now else "is no option of run: see flowsplat run --help-all"
+            raise InputError(f"{where}: {column!r:.60} {why}.")
         try:
             changes[setting] = _value(value, types[setting], folder)
         except (msgspec.ValidationError, ValueError) as error:

@@ -19,7 +19,7 @@ from flowsplat.batch.records import FOLDER, Records
 from flowsplat.batch.run_clip import clip_job
 from flowsplat.batch.scheduler import Scheduler
 from flowsplat.batch.table import Progress
-from flowsplat.batch.upload import opened
+from flowsplat.batch.upload import open_url
 from flowsplat.batch.warming import compile_kernels
 from flowsplat.batch.work import Engine
 from flowsplat.common.errors import InputError
@@ -45,7 +45,7 @@ class PlanFile(TypedDict):
     config: dict[str, Any]
 
 
-def stored_plan(out: Path) -> tuple[list[Path], RunConfig] | None:
+def read_plan(out: Path) -> tuple[list[Path], RunConfig] | None:
     """The inputs and settings of the batch in a folder; None where there is none.
 
     Raises:
@@ -80,23 +80,23 @@ def run_batch(
     options = options or BatchOptions()
     inputs = [Path(source) for source in inputs]
     if out is None:
-        if len(inputs) != 1 or stored_plan(inputs[0]) is None:
+        if len(inputs) != 1 or read_plan(inputs[0]) is None:
             raise InputError("Where shall it be written? Give -o OUT; OUT alone continues a batch that was begun there.")
         out, inputs = inputs[0], []
-    stored = stored_plan(out)
+    stored = read_plan(out)
     if not inputs and stored is None:
         raise InputError(f"{out} holds no batch: give clips, folders of them, or lists.")
     config = config or (stored[1] if stored else RunConfig())
     given = inputs or (stored[0] if stored else [])
     clips = find_clips(given, config, out)
-    chosen = _chosen(clips, options)
+    chosen = _choose_clips(clips, options)
     if options.status:
         return _status(out, clips, chosen)
     records = Records(make_folder(out))
     plan = {"version": 1, "inputs": [os.path.abspath(each) for each in given], "config": to_plain(config)}
     write_json(records.folder / PLAN, plan)
     if options.upload is not None:
-        opened(options.upload)  # what is wrong with it is said now
+        open_url(options.upload)  # what is wrong with it is said now
     if options.engine == "ray" and options.memory is not None:
         raise InputError("--memory is for --engine embedded: Ray knows the memory of its machines.")
     engine = engine_of(options, out / FOLDER / "logs", config.device, options.workers, options.memory)
@@ -105,7 +105,7 @@ def run_batch(
     return _work(out, clips, chosen, records, engine, options)
 
 
-def _chosen(clips: Sequence[BatchClip], options: BatchOptions) -> list[BatchClip]:
+def _choose_clips(clips: Sequence[BatchClip], options: BatchOptions) -> list[BatchClip]:
     """The clips that this process is to see to."""
     known = {clip.id for clip in clips}
     for name in options.only:
@@ -132,7 +132,7 @@ def _work(
 
         scheduler = Scheduler(jobs, engine, records, claims, options.retry, shown)
         if scheduler.ended:
-            report(f"{len(scheduler.ended)} of {scheduler.total} clips have ended before: {_counted(scheduler.counts)}.")
+            report(f"{len(scheduler.ended)} of {scheduler.total} clips have ended before: {_format_counts(scheduler.counts)}.")
         try:
             ended = scheduler.run()
         finally:
@@ -146,7 +146,7 @@ def _work(
     return all(state == "done" for state in ended.values())
 
 
-def _counted(counts: Mapping[str, int]) -> str:
+def _format_counts(counts: Mapping[str, int]) -> str:
     return ", ".join(f"{count} {state}" for state, count in sorted(counts.items()))
 
 
@@ -166,7 +166,7 @@ class _Page:
         began = time.monotonic()
         if self._take():
             try:
-                write_results(self._out, self._records, self._names, self._running())
+                write_results(self._out, self._records, self._names, self._describe_running())
             except InputError as error:  # the disk is full: who writes a record says so
                 report(str(error))
             finally:
@@ -180,7 +180,7 @@ class _Page:
         while not (mine := self._take()) and time.monotonic() < ends:
             time.sleep(0.2)
         try:
-            write_results(self._out, self._records, self._names, self._running())
+            write_results(self._out, self._records, self._names, self._describe_running())
         except InputError as error:
             report(str(error))
         finally:
@@ -197,11 +197,11 @@ class _Page:
         except InputError:
             return False
 
-    def _running(self) -> dict[str, str]:
-        return running_now(self._claims)
+    def _describe_running(self) -> dict[str, str]:
+        return list_running(self._claims)
 
 
-def running_now(claims: Claims) -> dict[str, str]:
+def list_running(claims: Claims) -> dict[str, str]:
     """Who works on what, by id."""
     return {name: claims.who(name, number) for name, number in claims.newest().items() if not claims.is_dead(name, number)}
 
@@ -211,7 +211,7 @@ def _status(out: Path, clips: Sequence[BatchClip], chosen: Collection[BatchClip]
     records = Records(out)
     claims = Claims(records.folder / "claims")
     try:
-        entries = write_results(out, records, {clip.id: str(clip.path) for clip in clips}, running_now(claims))
+        entries = write_results(out, records, {clip.id: str(clip.path) for clip in clips}, list_running(claims))
     finally:
         claims.close()
     names = {clip.id for clip in chosen}

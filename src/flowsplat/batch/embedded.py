@@ -22,7 +22,7 @@ from flowsplat.common.errors import InputError
 from flowsplat.common.files import make_folder
 from flowsplat.common.memory import free_memory, memory_of
 from flowsplat.common.processes import end_with_parent, threads_of_new_processes, usable_cores
-from flowsplat.common.progress import going_on
+from flowsplat.common.progress import describe_progress
 from flowsplat.common.stopping import signals_stop
 
 MARGIN = 1.25
@@ -110,11 +110,11 @@ class Embedded:
             if time.monotonic() - self._looked >= LOOK:
                 self._looked = time.monotonic()
                 self._watch()
-            ended = [self._ended(lane) for lane in list(self._lanes.values()) if not lane.process.is_alive()]
+            ended = [self._end(lane) for lane in list(self._lanes.values()) if not lane.process.is_alive()]
             if ended or time.monotonic() >= ends:
                 return ended
 
-    def running(self) -> list[Running]:
+    def list_running(self) -> list[Running]:
         """As ``Engine``."""
         now = time.monotonic()
         return [Running(name, lane.doing, now - lane.began, lane.holds) for name, lane in self._lanes.items()]
@@ -190,7 +190,7 @@ class Embedded:
             worst.outgrew = True
             worst.process.kill()
 
-    def _ended(self, lane: _Lane) -> Ended:
+    def _end(self, lane: _Lane) -> Ended:
         with contextlib.suppress(Exception):
             while not lane.pipe.closed and lane.pipe.poll():
                 what, value = lane.pipe.recv()
@@ -249,7 +249,7 @@ def _serve(pipe: Connection, job: Job, fewer: bool, log: Path) -> None:
     def tell() -> None:
         said = None
         while not over.wait(TELL):
-            now = going_on()
+            now = describe_progress()
             if now is not None and now != said:
                 here.tell("doing", now)
                 said = now

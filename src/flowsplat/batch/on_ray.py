@@ -79,7 +79,7 @@ class OnRay:
 
     def start(self, job: Job, fewer: bool) -> None:
         """As ``Engine``. A first task only asks how much memory the work needs: what is wrong with its input is known then, too."""
-        self._tasks[job.id] = _Task(job, fewer, self._submitted(job, fewer, None))
+        self._tasks[job.id] = _Task(job, fewer, self._submit(job, fewer, None))
 
     def wait(self, seconds: float) -> list[Ended]:
         """As ``Engine``."""
@@ -91,7 +91,7 @@ class OnRay:
         found = (self._heard(refs[ref]) for ref in ready)
         return [each for each in found if each is not None]
 
-    def running(self) -> list[Running]:
+    def list_running(self) -> list[Running]:
         """As ``Engine``."""
         now = time.monotonic()
         doing = {True: "is asked what it needs", False: "is with Ray"}
@@ -120,7 +120,7 @@ class OnRay:
 
     # -- inside
 
-    def _submitted(self, job: Job, fewer: bool, gib: float | None) -> Any:
+    def _submit(self, job: Job, fewer: bool, gib: float | None) -> Any:
         threads = dict.fromkeys(THREAD_VARIABLES, "1")
         options = {"num_cpus": 1, "max_retries": 0, "max_calls": 1, "runtime_env": {"env_vars": threads}, "name": job.id}
         if gib is not None:
@@ -143,7 +143,7 @@ class OnRay:
         if not isinstance(found, Outcome):
             task.gib = float(found)
             try:
-                task.ref = self._submitted(task.job, task.fewer, task.gib)
+                task.ref = self._submit(task.job, task.fewer, task.gib)
                 return None
             except Exception as error:
                 found = Outcome("lost", f"Ray takes nothing more ({first_line(error)})")

@@ -23,13 +23,13 @@ from flowsplat.common.progress import report
 from flowsplat.common.run_paths import RunPaths
 from flowsplat.common.source import source_state
 from flowsplat.evaluation.scores import pick
-from flowsplat.output.page import fitted
-from flowsplat.output.report import grade, verdict
-from flowsplat.output.videos import rendered
+from flowsplat.output.page import shrink_to_page
+from flowsplat.output.report import grade_path, verdict
+from flowsplat.output.videos import list_rendered
 from flowsplat.pipeline import run
 from flowsplat.pipeline.config import RunConfig
 from flowsplat.pipeline.folder import RunFolder, stage_key
-from flowsplat.pipeline.speed import expected_memory
+from flowsplat.pipeline.speed import estimate_memory
 from flowsplat.scenes import Scene
 from flowsplat.scenes.clip import InputOptions
 from flowsplat.scenes.ingest import kind_of_input, open_clip
@@ -66,7 +66,8 @@ def run_clip(clip: BatchClip, out: Path, copies: str | None, attempt: Attempt) -
     """Run a clip, or what is missing of that.
 
     Returns:
-        ``input``, ``fingerprint`` (of its files, as ``run.json`` has it), ``grade`` (better, even, worse, unmeasured), ``verdict``
+        ``input``, ``fingerprint`` (of its files, as ``run.json`` has it), ``grade_path`` (better, even, worse, unmeasured),
+        ``verdict``
         in words, the figures of ``FIGURES``, ``stages`` (seconds of each), ``video`` (to look at, relative to OUT), ``thumb``,
         ``versions``, and ``uploaded`` (its copy, where there is one).
 
@@ -80,11 +81,11 @@ def run_clip(clip: BatchClip, out: Path, copies: str | None, attempt: Attempt) -
         report("It has outgrown its memory before: fewer Gaussians this time.")
         config = fewer_gaussians(config)
     folder = out / clip.id
-    metrics = run(clip.path, folder, replace(config, first_scene=False))  # nobody looks meanwhile
+    metrics = run(clip.path, folder, replace(config, coarse_scene=False))  # nobody looks meanwhile
     video = _video(folder)
     return {
-        "input": str(clip.path), "fingerprint": RunFolder(folder).fingerprint, "grade": grade(metrics), "verdict": verdict(metrics),
-        **{name: pick(metrics, *path) for name, path in FIGURES.items()}, "stages": metrics.get("seconds", {}),
+        "input": str(clip.path), "fingerprint": RunFolder(folder).fingerprint, "grade": grade_path(metrics), "verdict":
+        verdict(metrics), **{name: pick(metrics, *path) for name, path in FIGURES.items()}, "stages": metrics.get("seconds", {}),
         "video": None if video is None else video.relative_to(out).as_posix(), "thumb": _write_thumb(clip.id, folder, out),
         "versions": {"flowsplat": source_state(), "python": platform.python_version(), "torch": torch.__version__},
         "uploaded": None if copies is None else upload(folder, copies),
@@ -99,10 +100,10 @@ def _memory(path: Path, options: InputOptions) -> float:
     """
     if kind_of_input(path) == "scene":
         scene = Scene(path)
-        return expected_memory(scene.width, scene.height, len(scene.train_frames))
+        return estimate_memory(scene.width, scene.height, len(scene.train_frames))
     clip = open_clip(path, options)
     train, _ = split_frames(clip.num_frames, None if clip.num_views else options.holdout)
-    return expected_memory(clip.width, clip.height, len(train))
+    return estimate_memory(clip.width, clip.height, len(train))
 
 
 def fewer_gaussians(config: RunConfig) -> RunConfig:
@@ -119,7 +120,9 @@ def fewer_gaussians(config: RunConfig) -> RunConfig:
 def _video(folder: Path) -> Path | None:
     """What the page plays: the first video in color alone, that along the clip's path before others."""
     renders = RunPaths(folder).renders_path
-    files = sorted(rendered(renders).items(), key=lambda each: (not each[0].startswith("input"), not each[0].endswith("_color")))
+    files = sorted(
+        list_rendered(renders).items(), key=lambda each: (not each[0].startswith("input"), not each[0].endswith("_color"))
+    )
     found = (renders / file for _, file in files)
     return next((path for path in found if path.suffix == ".mp4" and path.exists()), None)
 
@@ -132,6 +135,8 @@ def _write_thumb(name: str, folder: Path, out: Path) -> str:
     image = read_image(shown[len(shown) // 2]) if shown else scene.frame(scene.train_frames[len(scene.train_frames) // 2])
     path = out / FOLDER / "thumbs" / f"{name}.jpg"
     with atomic_path(path) as temporary:
-        data = cv2.imencode(".jpg", np.ascontiguousarray(fitted(image, THUMB_WIDTH)[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, 80])[1]
+        data = cv2.imencode(
+            ".jpg", np.ascontiguousarray(shrink_to_page(image, THUMB_WIDTH)[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, 80]
+        )[1]
         temporary.write_bytes(data.tobytes())
     return path.relative_to(out).as_posix()

@@ -82,7 +82,7 @@ class Scheduler:
     # -- inside
 
     def _is_over(self) -> bool:
-        if self._engine.running():
+        if self._engine.list_running():
             return False
         return self._unwritable is not None or len(self.ended) == self.total
 
@@ -92,9 +92,9 @@ class Scheduler:
             is_continued = before is not None and before["state"] == "open" and before["key"] == self._jobs[name].key
             self._engine.start(self._jobs[name], is_continued and before is not None and before["fewer"])
         self._shown(self)
-        for each in self._engine.wait(0.5 if self._engine.running() else min(self._poll, 0.5)):
+        for each in self._engine.wait(0.5 if self._engine.list_running() else min(self._poll, 0.5)):
             self._note(each.job, each.outcome)
-        for name in self._claims.lost():  # this process slept so long that another one took it
+        for name in self._claims.list_lost():  # this process slept so long that another one took it
             if name in self._mine:
                 self._engine.drop(name)
                 self._claims.release(name)

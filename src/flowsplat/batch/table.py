@@ -52,7 +52,7 @@ class Progress:
         wrong = [f"{count} {state}" for state, count in sorted(scheduler.counts.items()) if state != "done"]
         counted = f" ({', '.join(wrong)})" if wrong else ""
         parts = [f"{len(scheduler.ended)} of {scheduler.total} {self._noun} have ended{counted}"]
-        parts.append(f"{len(scheduler.engine.running())} run here")
+        parts.append(f"{len(scheduler.engine.list_running())} run here")
         if scheduler.elsewhere:
             parts.append(f"{scheduler.elsewhere} elsewhere")
         if ended > 0:
@@ -64,7 +64,7 @@ class Progress:
         table = Table(box=None, pad_edge=False, title=self.line(scheduler), title_justify="left")
         for name in (self._noun, "for", "GiB", ""):
             table.add_column(name, justify="right" if name in ("for", "GiB") else "left", no_wrap=True)
-        for each in list(scheduler.engine.running())[:MOST_ROWS]:
+        for each in list(scheduler.engine.list_running())[:MOST_ROWS]:
             held = "" if each.gib is None else f"{each.gib:.1f}"
             table.add_row(each.id, format_duration(each.seconds), held, each.doing)
         return table

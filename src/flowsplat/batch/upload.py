@@ -15,7 +15,7 @@ MANIFEST = "manifest.json"
 _BLOCK = 2**20
 
 
-def opened(url: str) -> tuple[Any, str]:
+def open_url(url: str) -> tuple[Any, str]:
     """The file system of a URL, and the place in it.
 
     Raises:
@@ -43,9 +43,9 @@ def upload(folder: Path, url: str) -> str:
         where it is.
 
     Raises:
-        InputError: as ``opened``.
+        InputError: as ``open_url``.
     """
-    system, root = opened(url)
+    system, root = open_url(url)
     target = f"{root}/{folder.name}"
     files = {path.relative_to(folder).as_posix(): path for path in sorted(folder.rglob("*")) if _counts(path, folder)}
     wanted = {name: {"size": path.stat().st_size, "sha256": _digest(path)} for name, path in files.items()}

@@ -79,7 +79,7 @@ class Engine(Protocol):
     def wait(self, seconds: float) -> Sequence[Ended]:
         """What has ended; waits at most so long for something to end."""
 
-    def running(self) -> Sequence[Running]:
+    def list_running(self) -> Sequence[Running]:
         """What goes on."""
 
     def drop(self, name: str) -> None:

@@ -57,6 +57,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         _fail(str(error))
     except SystemExit as error:
         if error.code == 2:
+            from flowsplat.pipeline.renamed_options import find_renamed_option  # imported by the commands anyway, not by --version
+
+            renamed = {argument.split("=", 1)[0]: now for argument in arguments if (now := find_renamed_option(argument))}
+            if renamed and "Unrecognized" in box.getvalue():
+                _fail(" ".join(f"The option {before} is called {now} now." for before, now in renamed.items()))
             _fail(message_of(box.getvalue()) or "The command line cannot be understood: see flowsplat --help.")
         text = told.getvalue()
         print(short_help(text, f"{prog} {arguments[0]}") if prog == "flowsplat" else text, end="")

@@ -35,7 +35,7 @@ def run_defaults(arguments: Sequence[str]) -> RunConfig:
 
 
 @contextlib.contextmanager
-def changed_run(out: Path, **changes: Any) -> Iterator[Any]:
+def change_run(out: Path, **changes: Any) -> Iterator[Any]:
     """The run in a folder, with some of its settings changed from now on, and nobody else's meanwhile."""
     from flowsplat.pipeline.folder import RunFolder
 

@@ -15,7 +15,7 @@ def command_begins(at: float) -> None:
     _begun = at
 
 
-def beginning() -> float:
+def get_beginning() -> float:
     """When that was, for the first who asks; now for all others, and where this process is no command."""
     global _begun
     at, _begun = _begun, None

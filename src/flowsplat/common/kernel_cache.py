@@ -61,12 +61,12 @@ def sources_of(file: Path) -> tuple[Path, ...]:
         path = left.pop()
         if path not in found:
             found.add(path)
-            left += _imported(path)
+            left += _list_imported(path)
     return tuple(sorted(found))
 
 
 @cache
-def _imported(file: Path) -> tuple[Path, ...]:
+def _list_imported(file: Path) -> tuple[Path, ...]:
     found = []
     with PARSING:
         tree = ast.parse(file.read_bytes())
@@ -121,7 +121,7 @@ def key_of(file: Path) -> str:
 _compiled = 0
 
 
-def compiled_kernels() -> int:
+def count_compiled_kernels() -> int:
     """How many kernels this process has compiled, and not loaded."""
     return _compiled
 

@@ -40,7 +40,7 @@ def helper(function: Callable[..., Any]) -> Any:
     return njit(**OPTIONS)(function)
 
 
-def inlined(function: Callable[..., Any]) -> Any:
+def inline(function: Callable[..., Any]) -> Any:
     """As ``helper``, for small ones that LLVM puts into whoever calls them."""
     return njit(forceinline=True, **OPTIONS)(function)
 
@@ -79,7 +79,7 @@ _EXPONENT_BITS = np.int32(23)
 _ONE_BITS = np.int32(127 << 23)
 
 
-@inlined
+@inline
 def exp(x):
     """e^x in float32 to within 3e-7 of itself; never below 1e-38, never above 3.4029e38, the largest float32."""
     x = min(max(float32(x), _SMALLEST), _LARGEST)
@@ -90,7 +90,7 @@ def exp(x):
     return float_of(bits_of(series) + (int32(n) << _EXPONENT_BITS))
 
 
-@inlined
+@inline
 def log(x):
     """The natural logarithm of a positive, normal float32, to within 2e-7 of the larger of itself and 1."""
     bits = bits_of(x)

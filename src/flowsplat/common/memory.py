@@ -16,19 +16,19 @@ _before = 0.0
 
 def peak_memory() -> float | None:
     """GiB that this process needed at most; None where the system does not tell."""
-    recent = recent_peak()
+    recent = get_recent_peak()
     return None if recent is None else max(recent, _before)
 
 
 def begin_peak() -> None:
-    """Count ``recent_peak`` anew from here on, where the system can (Linux: https://docs.kernel.org/filesystems/proc.html)."""
+    """Count ``get_recent_peak`` anew from here on, where the system can (Linux: https://docs.kernel.org/filesystems/proc.html)."""
     global _before
     _before = peak_memory() or _before
     with contextlib.suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5")
 
 
-def recent_peak() -> float | None:
+def get_recent_peak() -> float | None:
     """GiB that this process needed at most since ``begin_peak``, or since it began; None where the system does not tell."""
     try:
         # Of this program alone: what getrusage says includes the process that started it.
@@ -50,7 +50,7 @@ _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_MMAP_MAX = -1, -3, -4
 
 
 @contextlib.contextmanager
-def freed_memory_kept() -> Iterator[None]:
+def keep_freed_memory() -> Iterator[None]:
     """Inside, the C library keeps what is freed for what is allocated next, whatever its size; after it, the system has it back.
 
     A step of training frees arrays of some hundred megabytes and allocates them again. Large ones would be given back each time,

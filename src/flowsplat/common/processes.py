@@ -34,7 +34,7 @@ def end_with_parent() -> None:
 
 
 @contextlib.contextmanager
-def own_processes(count: int, begin: Callable[[], None] = end_with_parent) -> Iterator[ProcessPoolExecutor]:
+def start_processes(count: int, begin: Callable[[], None] = end_with_parent) -> Iterator[ProcessPoolExecutor]:
     """Up to ``count`` fresh processes that take on what is submitted.
 
     Args:
@@ -63,9 +63,9 @@ def in_own_process(function: Callable[Parameters, Result], *args: Parameters.arg
     """Call a function of a module in a fresh process, and return or raise what it does. It ends when this one does.
 
     Raises:
-        InputError: as ``own_processes``.
+        InputError: as ``start_processes``.
     """
-    with own_processes(1) as processes:
+    with start_processes(1) as processes:
         return processes.submit(function, *args, **kwargs).result()
 
 

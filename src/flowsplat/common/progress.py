@@ -157,7 +157,7 @@ class _Lines:
 _lines = _Lines()
 
 
-def going_on() -> str | None:
+def describe_progress() -> str | None:
     """Where the innermost thing is that goes on, in words; None where nothing does, or bars are drawn."""
     with contextlib.suppress(IndexError):
         return _lines.bars[-1].line
@@ -183,7 +183,7 @@ def progress_bar(label: str, total: float | None, done: float = 0) -> Iterator[B
         finally:
             _lines.end(bar)
         return
-    with contextlib.nullcontext(_shown[-1]) if _shown else _drawn() as progress:
+    with contextlib.nullcontext(_shown[-1]) if _shown else _draw() as progress:
         drawn = _LiveBar(progress, label, total, done)
         try:
             yield drawn
@@ -192,7 +192,7 @@ def progress_bar(label: str, total: float | None, done: float = 0) -> Iterator[B
 
 
 @contextlib.contextmanager
-def _drawn() -> Iterator[Progress]:
+def _draw() -> Iterator[Progress]:
     with Progress(
         TextColumn("{task.description}"),
         BarColumn(),

@@ -37,9 +37,9 @@ class RunPaths:
         return self.path / "model"
 
     @property
-    def final_path(self) -> Path:
+    def all_frames_path(self) -> Path:
         """The model that was fitted to the held-out frames, too: what is shown."""
-        return self.path / "final"
+        return self.path / "model_all_frames"
 
     @property
     def static_path(self) -> Path:
@@ -47,9 +47,9 @@ class RunPaths:
         return self.path / "static"
 
     @property
-    def first(self) -> RunPaths:
+    def coarse(self) -> RunPaths:
         """The coarse scene that a long run begins with, which has a scene, a model and videos of its own."""
-        return RunPaths(self.path / "first")
+        return RunPaths(self.path / "coarse")
 
     @property
     def logs_path(self) -> Path:

@@ -68,11 +68,13 @@ def _check_type(kind: type, name: str, item: Any, hint: Any) -> None:
         raise InputError(f"The setting {name} of {kind.__name__} cannot be {item!r:.60}: {first_line(error)}.") from error
 
 
-def setting_types(kind: type, prefix: str = "") -> dict[str, Any]:
+def list_setting_types(kind: type, prefix: str = "") -> dict[str, Any]:
     """The type of every setting of a dataclass and of those within it, by dotted name."""
     found: dict[str, Any] = {}
     for name, hint in get_type_hints(kind).items():
-        found |= setting_types(cast("type", hint), f"{prefix}{name}.") if dataclasses.is_dataclass(hint) else {prefix + name: hint}
+        found |= (
+            list_setting_types(cast("type", hint), f"{prefix}{name}.") if dataclasses.is_dataclass(hint) else {prefix + name: hint}
+        )
     return found
 
 

@@ -148,20 +148,20 @@ def lane_numbers(typingctx):
 @intrinsic
 def where_at_least(typingctx, value, limit, chosen, otherwise):
     """Lane by lane: chosen where value >= limit (a float32 or lanes of its own), otherwise elsewhere."""
-    return _select_kind(limit), _selecting(">=")
+    return _select_kind(limit), _make_select(">=")
 
 
 @intrinsic
 def where_above(typingctx, value, limit, chosen, otherwise):
     """Lane by lane: chosen where value > limit (a float32 or lanes of its own), otherwise elsewhere."""
-    return _select_kind(limit), _selecting(">")
+    return _select_kind(limit), _make_select(">")
 
 
 def _select_kind(limit: Any) -> Any:
     return f32xn(f32xn, f32xn if limit == f32xn else types.float32, f32xn, f32xn)
 
 
-def _selecting(comparison: str) -> Any:
+def _make_select(comparison: str) -> Any:
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         limit = args[1] if sig.args[1] == f32xn else splat(builder, args[1])
         return builder.select(builder.fcmp_ordered(comparison, args[0], limit), args[2], args[3])

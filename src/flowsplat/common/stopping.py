@@ -36,7 +36,7 @@ class Request:
 
 
 @contextlib.contextmanager
-def _handled(handler: Callable[[int, FrameType | None], Any], names: tuple[str, ...]) -> Iterator[None]:
+def _handle(handler: Callable[[int, FrameType | None], Any], names: tuple[str, ...]) -> Iterator[None]:
     """With a handler of signals, where there may be one: in the main thread. What is ignored (``nohup``) stays ignored."""
     before: dict[int, Any] = {}
     if threading.current_thread() is threading.main_thread():
@@ -61,7 +61,7 @@ def stop_requests() -> Iterator[Request]:
             raise Stopped(number)
         request.signal = number
 
-    with _handled(note, NAMES):
+    with _handle(note, NAMES):
         yield request
 
 
@@ -72,7 +72,7 @@ def signals_stop() -> Iterator[None]:
     def stop(number: int, frame: FrameType | None) -> None:
         raise Stopped(number)
 
-    with _handled(stop, NAMES[1:]):
+    with _handle(stop, NAMES[1:]):
         yield
 
 

@@ -30,14 +30,14 @@ _left_to_others = 0
 _counting = threading.Lock()
 
 
-def most_threads() -> int:
+def get_max_threads() -> int:
     """``NUMBA_NUM_THREADS``, or as many as this process has cores."""
     return int(config.NUMBA_NUM_THREADS)
 
 
 def thread_count() -> int:
     """How many threads the kernels have that the calling thread starts."""
-    return max((getattr(_own, "count", None) or most_threads()) - _left_to_others, 1)
+    return max((getattr(_own, "count", None) or get_max_threads()) - _left_to_others, 1)
 
 
 @contextlib.contextmanager
@@ -89,8 +89,8 @@ def restore_open_cv() -> None:
 
 def set_thread_count(count: int) -> None:
     """Give the kernels that the calling thread starts this many threads from now on."""
-    if not 1 <= count <= most_threads():
-        raise ValueError(f"{count} threads: there are 1 to {most_threads()}")
+    if not 1 <= count <= get_max_threads():
+        raise ValueError(f"{count} threads: there are 1 to {get_max_threads()}")
     _own.count = count
 
 
@@ -217,7 +217,7 @@ def _workers() -> ThreadPoolExecutor:
     global _pool
     with _pool_lock:
         if _pool is None:
-            _pool = ThreadPoolExecutor(max(most_threads() - 1, 1), "flowsplat-kernels")
+            _pool = ThreadPoolExecutor(max(get_max_threads() - 1, 1), "flowsplat-kernels")
         return _pool
 
 
@@ -263,7 +263,7 @@ def in_threads(function: Callable[[Item], Result], items: Iterable[Item], thread
                 future.cancel()
 
 
-def computed_once(function: Callable[[int], Result], most: int) -> Callable[[int], Result]:
+def compute_once(function: Callable[[int], Result], most: int) -> Callable[[int], Result]:
     """As ``functools.lru_cache``, for threads that ask together: who asks for what another computes waits for it.
 
     Args:

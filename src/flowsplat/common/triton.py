@@ -34,7 +34,7 @@ def require_triton() -> ModuleType:
     return module
 
 
-def interpreted() -> bool:
+def is_interpreted() -> bool:
     """Whether kernels run in Triton's interpreter. False where there is no Triton.
 
     What counts is what Triton found when it was imported: its own library of functions is interpreted from then on, or never.
@@ -49,7 +49,7 @@ def interpreted() -> bool:
 def check_runs(tensor: Tensor) -> None:
     """Raise a ValueError where kernels cannot run on the device of this tensor."""
     require_triton()
-    if tensor.device.type == "cpu" and not interpreted():
+    if tensor.device.type == "cpu" and not is_interpreted():
         raise ValueError(
             "Triton runs on a GPU; for tensors on the CPU set TRITON_INTERPRET=1 before Triton is imported (slow: for tests)"
         )
@@ -69,7 +69,7 @@ def rows_per_program(count: int) -> int:
 
     An interpreted program is a slow loop of its own, so there are few of them, but more than one.
     """
-    if not interpreted():
+    if not is_interpreted():
         return 128
     return max(16, 1 << max(count // 3, 1).bit_length())
 
@@ -89,7 +89,7 @@ def triton_works() -> str | None:
         require_triton()
     except ValueError as error:
         return str(error)
-    if interpreted():
+    if is_interpreted():
         return "TRITON_INTERPRET is set: Triton would run its kernels on the CPU"
     try:
         from flowsplat.common.triton_probe import probe

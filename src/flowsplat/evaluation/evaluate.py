@@ -1,4 +1,5 @@
-"""A model and its scene to figures: held-out frames and views, training frames, baselines, flow and depth (METHOD 6).
+"""A model and its scene to figures: held-out frames and views, training frames, baselines, flow and depth (docs/method.md,
+"Evaluation protocols").
 
 The keys of ``metrics.json``. Every number is finite; what could not be measured is null:
 
@@ -7,7 +8,8 @@ The keys of ``metrics.json``. Every number is finite; what could not be measured
 - ``heldout_frames_refined``: the same figures with the pose of every held-out frame refined on its own image. Never the
   headline; null where that was not asked for. In ``per_image`` they are each image's ``refined``.
 - ``heldout_views``: as ``heldout_frames``, and in ``covisible``, the pixels that the clip saw.
-- ``training_frames``: the same on every ``training_stride``-th training frame; ``moving`` is the true or else the
+- ``training_frames``: the same on every training frame in as many as ``choose_training_stride`` says; ``moving`` is the true or
+else the
   scene's own mask.
 - ``baselines``: held-out frames by ``copy``, ``blend``, ``flow_interpolation`` and the ``static`` model.
 - ``baselines_views``: held-out views by ``copy``, ``warp_by_depth`` (true depth and cameras) and the ``static`` model.
@@ -35,7 +37,7 @@ import numpy as np
 from flowsplat.common.progress import track
 from flowsplat.common.threads import in_threads
 from flowsplat.evaluation.baselines import copy_to_view, predict_frame, to_float, warp_by_depth
-from flowsplat.evaluation.motion import MotionErrors, moving_mask
+from flowsplat.evaluation.motion import MotionErrors, read_object_mask
 from flowsplat.evaluation.perceptual import lpips_metric
 from flowsplat.evaluation.placement import view_camera
 from flowsplat.evaluation.scores import Figures, score_image, summarize
@@ -86,18 +88,18 @@ def evaluate(
     evaluator = _Evaluator(model, static_model, scene, folder, baselines, refine)
     frames, views, threads = [], [], at_once(model)
     if scene.heldout_frames:
-        frames = list(in_threads(evaluator.heldout_frame, track(scene.heldout_frames, "Held-out frames"), threads))
+        frames = list(in_threads(evaluator.score_heldout_frame, track(scene.heldout_frames, "Held-out frames"), threads))
     if scene.views:
-        views = list(in_threads(evaluator.heldout_view, track(scene.views, "Held-out views"), threads))
-    stride = training_stride(scene)
+        views = list(in_threads(evaluator.score_heldout_view, track(scene.views, "Held-out views"), threads))
+    stride = choose_training_stride(scene)
     # Only truth makes more than a sample worth its time: it is the one thing that says where motion is wrong.
     measured = scene.train_frames[:: 1 if scene.truth else stride]
     next_frame = dict(zip_longest(scene.train_frames, scene.train_frames[1:]))
     sampled, training, errors = set(scene.train_frames[::stride]), [], MotionErrors(scene)
 
     def training_frame(i: int) -> tuple[int, Rendering, Figures | None]:
-        rendering = evaluator.rendering_with_flow(i, next_frame[i])
-        return i, rendering, evaluator.training_frame(i, rendering) if i in sampled else None
+        rendering = evaluator.render_with_flow(i, next_frame[i])
+        return i, rendering, evaluator.score_training_frame(i, rendering) if i in sampled else None
 
     for i, rendering, figures in in_threads(training_frame, track(measured, "Training frames"), threads):
         errors.add(i, next_frame[i], rendering)
@@ -117,7 +119,7 @@ def evaluate(
     }
 
 
-def training_stride(scene: Scene) -> int:
+def choose_training_stride(scene: Scene) -> int:
     """Every how many training frames one is measured."""
     return int(np.clip(len(scene.train_frames) // TRAINING_STRIDE, 1, TRAINING_STRIDE))
 
@@ -144,7 +146,7 @@ class _Evaluator:
         self._lpips, reason = lpips_metric()
         self.lpips_reason = reason or None
 
-    def heldout_frame(self, i: int) -> Figures:
+    def score_heldout_frame(self, i: int) -> Figures:
         """Render, write and score a held-out frame with the camera that the camera stage found for it."""
         scene = self._scene
         masks = scene.heldout_masks
@@ -159,7 +161,7 @@ class _Evaluator:
             figures["refined"] = score_image(image, target, regions, self._lpips)
         return figures
 
-    def heldout_view(self, view: HeldoutView) -> Figures:
+    def score_heldout_view(self, view: HeldoutView) -> Figures:
         """Render, write and score a held-out view."""
         scene = self._scene
         predictions = {}
@@ -180,13 +182,13 @@ class _Evaluator:
             predictions,
         )
 
-    def training_frame(self, i: int, rendering: Rendering) -> Figures:
+    def score_training_frame(self, i: int, rendering: Rendering) -> Figures:
         """Score a training frame that was rendered already."""
         target = to_float(self._scene.frame(i))
-        figures = score_image(rendering.color, target, {"moving": moving_mask(self._scene, i)}, self._lpips)
+        figures = score_image(rendering.color, target, {"moving": read_object_mask(self._scene, i)}, self._lpips)
         return {"kind": "training_frame", "name": f"{i:05d}", "frame": i, **figures, "baselines": {}}
 
-    def rendering_with_flow(self, i: int, j: int | None) -> Rendering:
+    def render_with_flow(self, i: int, j: int | None) -> Rendering:
         """Training frame ``i`` with its flow to frame ``j``."""
         cameras, seconds = self._scene.cameras, self._scene.timestamps
         flow_to = None if j is None else (cameras[j], float(seconds[j]))

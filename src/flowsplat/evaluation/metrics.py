@@ -1,6 +1,7 @@
 """How far an image, a flow or a depth is from the truth: pure functions on NumPy arrays, computed in float64.
 
-Region metrics (METHOD 6) average inside a mask. A region too small to say anything gives None, never NaN.
+Region metrics (docs/method.md, "Evaluation protocols") average inside a mask. A region too small to say anything gives None, never
+NaN.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ def mean_inside(values: np.ndarray, mask: np.ndarray | None = None) -> float | N
     return None if selected is None else float(selected.mean())
 
 
-def _clipped(image: np.ndarray) -> np.ndarray:
+def _clip(image: np.ndarray) -> np.ndarray:
     return np.clip(np.asarray(image, np.float64), 0, 1)
 
 
@@ -47,7 +48,7 @@ def psnr(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None = None) -> float 
     >>> round(psnr(gray, gray + 0.1), 3), psnr(gray, gray), psnr(gray, gray, np.zeros((8, 8), bool))
     (20.0, 100.0, None)
     """
-    squared = mean_inside((_clipped(a) - _clipped(b)) ** 2, mask)
+    squared = mean_inside((_clip(a) - _clip(b)) ** 2, mask)
     return None if squared is None else float(-10 * np.log10(max(squared, 10 ** (-MAX_PSNR / 10))))
 
 
@@ -66,7 +67,7 @@ def ssim_map(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     >>> round(float(ssim_map(ramp, ramp).mean()), 6), bool(ssim_map(ramp, 1 - ramp).mean() < 0.5)
     (1.0, True)
     """
-    a, b = _clipped(a), _clipped(b)
+    a, b = _clip(a), _clip(b)
     mean_a, mean_b = _blur(a), _blur(b)
     var_a = np.maximum(_blur(a * a) - mean_a**2, 0)
     var_b = np.maximum(_blur(b * b) - mean_b**2, 0)

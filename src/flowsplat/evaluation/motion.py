@@ -15,7 +15,7 @@ from flowsplat.scenes import Flow, Scene
 Errors = dict[str, float]
 
 
-def moving_mask(scene: Scene, i: int) -> np.ndarray | None:
+def read_object_mask(scene: Scene, i: int) -> np.ndarray | None:
     """[H, W] bool objects of a training frame: the true ones, else those of the scene, else None."""
     for layers in (scene.truth, scene):
         if layers is not None and layers.has_mask(i):
@@ -37,7 +37,7 @@ class MotionErrors:
 
     def add(self, i: int, j: int | None, rendering: Rendering) -> None:
         """Take training frame ``i``, rendered with its flow to training frame ``j`` (None for the last frame)."""
-        moving = moving_mask(self._scene, i)
+        moving = read_object_mask(self._scene, i)
         truth = self._scene.truth
         if j is not None and rendering.flow is not None:
             prior = self._scene.flow(i, j) if (i, j) in self._prior_pairs else None

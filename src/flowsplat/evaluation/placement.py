@@ -1,4 +1,4 @@
-"""Where a held-out view stands in a scene whose cameras were estimated (METHOD 6, "Rig")."""
+"""Where a held-out view stands in a scene whose cameras were estimated (docs/method.md, "Evaluation protocols")."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def view_camera(scene: Scene, view: HeldoutView) -> Camera:
             "Prepare it again from a source that has both."
         )
     estimated = scene.cameras[view.frame]
-    true = scene.truth.cameras[view.frame].resized(estimated.width, estimated.height)
+    true = scene.truth.cameras[view.frame].resize(estimated.width, estimated.height)
     offset = view.camera.viewmat @ np.linalg.inv(true.viewmat)
     offset[:3, 3] /= true_scale(scene)
     K = view.camera.K.copy()

@@ -1,6 +1,7 @@
 """Where the camera of a held-out image stood, found by comparing the image with a model that stays as it is.
 
-Strict figures use the camera that the camera stage found. Half a pixel of shift costs a good image several decibels (METHOD 6),
+Strict figures use the camera that the camera stage found. Half a pixel of shift costs a good image several decibels
+(docs/method.md, "Evaluation protocols"),
 so figures with the pose of the held-out image alone refined tell what is the cameras' fault. They are never the headline.
 """
 
@@ -54,7 +55,7 @@ def refine_camera(model: SceneModel, camera: Camera, t: float, target: np.ndarra
         if min(size) >= SHORTEST_SIDE:
             image = resize_image(np.asarray(target, np.float32), size)
             # What a shrunk image says may be worse than where it started: small Gaussians are drawn wider there.
-            starts = [start.resized(*size)] if found is start else [start.resized(*size), found.resized(*size)]
+            starts = [start.resize(*size)] if found is start else [start.resize(*size), found.resize(*size)]
             moved = _descend(model.gaussians, starts, clip_time, image, steps)
             found = Camera(moved.viewmat, start.K, camera.width, camera.height)
     refined = model.similarity.inverse().camera(found)

@@ -1,7 +1,7 @@
 """Cameras and times as numbers in a buffer, as the Triton kernels of culling, slicing and flow read them.
 
 A *camera* is ``CAMERA`` numbers: the view matrix [4, 4] by rows, then from ``INTRINSICS`` on K [3, 3] by rows. A *moment* is
-``moment_size`` numbers: the time, another time, the camera's center, and cosines for the brightness in time.
+``count_moment_numbers`` numbers: the time, another time, the camera's center, and cosines for the brightness in time.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ def camera_tensors(numbers: Tensor) -> tuple[Tensor, Tensor]:
     return numbers[: INTRINSICS.value].view(4, 4), numbers[INTRINSICS.value :].view(3, 3)
 
 
-def moment_size(gains: int) -> int:
+def count_moment_numbers(gains: int) -> int:
     """How many numbers a moment has, of a model with so many gains."""
     return COSINES.value + gains
 
 
-def moment_numbers(gains: int, t: float, camera_center: np.ndarray, next_time: float | None) -> np.ndarray:
-    """[``moment_size``] float32."""
+def pack_moment(gains: int, t: float, camera_center: np.ndarray, next_time: float | None) -> np.ndarray:
+    """[``count_moment_numbers``] float32."""
     cosines = np.cos(np.pi * t * np.arange(1, gains + 1))
     return np.concatenate([[t, next_time or 0.0], camera_center, cosines]).astype(np.float32)
 

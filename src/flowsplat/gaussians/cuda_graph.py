@@ -13,10 +13,10 @@ from torch import Tensor
 
 from flowsplat.common.devices import upload
 from flowsplat.common.triton import device_of
-from flowsplat.gaussians.camera_buffer import CAMERA, camera_numbers, camera_tensors, moment_numbers, moment_size
+from flowsplat.gaussians.camera_buffer import CAMERA, camera_numbers, camera_tensors, count_moment_numbers, pack_moment
 from flowsplat.gaussians.culling import RowCapacity, border
 from flowsplat.gaussians.culling.triton import Marked
-from flowsplat.gaussians.flow.triton.displacement import displacement_features
+from flowsplat.gaussians.flow.triton.displacement import compute_displacement_features
 from flowsplat.gaussians.gaussians4d import NEAR_PLANE, Gaussians4D
 from flowsplat.gaussians.slicing.triton import slice_rows
 from flowsplat.geometry import Camera
@@ -37,7 +37,7 @@ class FixedRenderer:
         device = gaussians.device
         self._border = border(eps2d)
         self._inside = torch.tensor([[0.0, 0, self._border], [0, 0, self._border], [0, 0, 0]], device=device)
-        sizes = [CAMERA.value, moment_size(gaussians.config.gains), CAMERA.value]
+        sizes = [CAMERA.value, count_moment_numbers(gaussians.config.gains), CAMERA.value]
         self._numbers = torch.zeros(sum(sizes), device=device)
         self._widened, self._moment, self._other = self._numbers.split(sizes)
         self._rows, self._pairs = RowCapacity(), PairCapacity(device)
@@ -59,18 +59,18 @@ class FixedRenderer:
         if (camera.width, camera.height) != self._size or (flow_to is not None) != self._with_flow:
             raise ValueError(f"this renders images of {self._size}, {'with' if self._with_flow else 'without'} flow")
         other, later = flow_to or (camera, None)
-        moment = moment_numbers(self._gaussians.config.gains, t, camera.center, later)
-        widened, seen_from = camera_numbers(camera.widened(self._border), other)
+        moment = pack_moment(self._gaussians.config.gains, t, camera.center, later)
+        widened, seen_from = camera_numbers(camera.widen(self._border), other)
         numbers = np.concatenate([widened, moment, seen_from])
         self._numbers.copy_(upload(numbers.astype(np.float32), self._numbers.device))
         while True:
             with device_of(self._numbers):
                 image, alpha, needed = self._replay()
             found = needed.tolist()
-            if self._rows.fits(found) and not self._pairs.overflowed():
+            if self._rows.fits(found) and not self._pairs.has_overflowed():
                 return image, alpha
             self._rows.grow(found)
-            if self._pairs.overflowed():
+            if self._pairs.has_overflowed():
                 self._pairs.grow()
             self._graph = self._shown = None
 
@@ -100,7 +100,7 @@ class FixedRenderer:
         given = (g.at_rest, p["means"], p["log_scales"], p["times"], p["log_lambdas"], self._widened, self._moment)
         widened = width + 2 * self._border, height + 2 * self._border
         marked = Marked(*given, g.config.p_min, widened, NEAR_PLANE)
-        rows, resting = marked.padded(self._rows), self._rows.at_rest
+        rows, resting = marked.pad(self._rows), self._rows.at_rest
         means, quats, scales, opacities, colors, _, next_means, _ = slice_rows(g, rows, resting, self._moment, self._with_flow)
         viewmat, K = camera_tensors(self._widened)
         projected: Projected = project(
@@ -117,9 +117,9 @@ class FixedRenderer:
             backend="triton",
         )
         if self._with_flow:
-            features = displacement_features(colors, projected.depths, projected.means2d, next_means, self._other)
+            features = compute_displacement_features(colors, projected.depths, projected.means2d, next_means, self._other)
         else:
             features = torch.cat([colors, projected.depths[:, None]], 1)
-        with self._pairs.fixed():
+        with self._pairs.fix():
             image, alpha = blend(projected, opacities, features, width, height)
         return image, alpha, marked.ends[:, -1]

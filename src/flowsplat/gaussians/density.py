@@ -1,4 +1,5 @@
-"""Density control: pure functions from Gaussians and their statistics to new Gaussians and an index map (METHOD 5)."""
+"""Density control: pure functions from Gaussians and their statistics to new Gaussians and an index map (docs/method.md,
+"Training")."""
 
 from __future__ import annotations
 
@@ -97,15 +98,15 @@ def _split(parents: Gaussians4D, generator: torch.Generator) -> Gaussians4D:
     sigma_t = torch.exp(-0.5 * parents.motion.log_precision(params))
     in_time = ~parents.at_rest & parents.dynamic & (sigma_t <= 1)
     shift = torch.where(in_time, sigma_t * torch.randn(count, generator=generator).to(device), torch.zeros_like(sigma_t))
-    params = parents.motion.recentered(params, shift)
+    params = parents.motion.recenter(params, shift)
     noise = torch.randn(count, 3, generator=generator).to(device)
-    offset = _drawn_from(parents.motion.at_rest(params), noise)
+    offset = _draw_points(parents.motion.at_rest(params), noise)
     params = parents.motion.shrunk(params, math.log(1.6), in_time)
     params["means"] = params["means"] + offset
     return Gaussians4D(params, parents.dynamic, parents.config, parents.sh_degree, parents.object_ids)
 
 
-def _drawn_from(shape: Shape, noise: Tensor) -> Tensor:
+def _draw_points(shape: Shape, noise: Tensor) -> Tensor:
     """[N, 3] points of normal distributions about 0 with these shapes, from standard normal ones."""
     if shape.covars is not None:
         root = torch.linalg.cholesky(shape.covars + 1e-12 * torch.eye(3, device=noise.device))

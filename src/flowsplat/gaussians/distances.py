@@ -47,12 +47,12 @@ class Distances:
         """[3] C(t), where the clip's camera is at clip time ``t``."""
         return self.path.at(t).center
 
-    def speed(self, t: float) -> np.ndarray:
+    def compute_speed(self, t: float) -> np.ndarray:
         """[3] how far C(t) goes per clip length; 0 before and after the clip, where it stands."""
         before, after = np.clip([t - _STEP, t + _STEP], self.path.times[0], self.path.times[-1])
         return (self.center(after) - self.center(before)) / (after - before) if after > before else np.zeros(3)
 
-    def moved(self, points: Tensor, object_ids: Tensor, t: float) -> Tensor:
+    def move(self, points: Tensor, object_ids: Tensor, t: float) -> Tensor:
         """Where points [N, 3] of the objects with these numbers [N] are at clip time ``t``."""
         scale = torch.ones(len(points), dtype=points.dtype, device=points.device)
         for number, factor in self.factors.items():
@@ -103,8 +103,8 @@ def slice_view(
     for number, factor in distances.factors.items():
         chosen = _only(everywhere, gaussians.object_ids == number)
         if len(chosen.rows):
-            parts.append(_moved_slice(gaussians, chosen, viewer, next_time, distances, factor))
-    return _joined(parts)
+            parts.append(_move_slice(gaussians, chosen, viewer, next_time, distances, factor))
+    return _join(parts)
 
 
 def _only(active: Active, wanted: Tensor) -> Active:
@@ -113,7 +113,7 @@ def _only(active: Active, wanted: Tensor) -> Active:
     return Active(active.rows[keep], int(keep[: active.num_static].sum()), active.t)
 
 
-def _moved_slice(
+def _move_slice(
     gaussians: Gaussians4D, active: Active, viewer: Tensor, next_time: float | None, distances: Distances, factor: float
 ) -> Slice:
     """The slice of one object; all of its rows move, for what rests of it goes with the camera."""
@@ -137,13 +137,13 @@ def _moved_slice(
         covars=None if found.covars is None else factor**2 * found.covars,
         opacities=found.opacities,
         colors=found.colors,
-        velocities=factor * torch.cat([resting, found.velocities]) + (1 - factor) * like(distances.speed(active.t)),
+        velocities=factor * torch.cat([resting, found.velocities]) + (1 - factor) * like(distances.compute_speed(active.t)),
         next_means=next_means,
         next_quats=found.next_quats,
     )
 
 
-def _joined(parts: list[Slice]) -> Slice:
+def _join(parts: list[Slice]) -> Slice:
     """One slice; of all parts but the first every row moves."""
 
     def joined(values: list[Tensor | None]) -> Tensor | None:

@@ -35,7 +35,7 @@ LIKE, LEAST_LIKE = 0.5, 50.0
 """The same of paths, in pixels."""
 ROUNDS = 4
 """Of reweighting."""
-FADING = 0.8
+PRESENCE_SIGMA = 0.8
 """Standard deviation, in those of the presence, of how much a time counts that is so far off."""
 UNSURE, LEAST_SURE = 2.0, 1e-3
 """Flow that does not come back counts this power of its confidence, where that is not less than the second number: it is often
@@ -95,7 +95,7 @@ def fit_motion(observations: Observations, k: int, wanted: np.ndarray, sigma: fl
     owners = frame.object_ids[rows, columns]
     for time, (world, sure) in follow(observations, k, points, owners, reach).items():
         tau = (time - frame.time) / sigma
-        basis, weight = tau ** np.arange(1, order + 1), np.exp(-0.5 * (tau / FADING) ** 2) * sure
+        basis, weight = tau ** np.arange(1, order + 1), np.exp(-0.5 * (tau / PRESENCE_SIGMA) ** 2) * sure
         moved = np.where(sure[:, None] > 0, world - start, 0) @ axes.T / unit[:, None]
         normal += weight[:, None, None] * np.outer(basis, basis)
         right += (weight[:, None] * moved)[:, None] * basis[:, None]
@@ -174,13 +174,15 @@ def _joint(paths: _Paths, mine: np.ndarray, sources: np.ndarray, queries: np.nda
     motion = _fit(paths, nodes, sources[index], away, gap)
     tree = cKDTree(paths.points[nodes])
     parts = [queries[first : first + AT_A_TIME] for first in range(0, len(queries), AT_A_TIME)]
-    return np.concatenate([_chosen(paths, nodes, motion, tree, part, gap) for part in parts])
+    return np.concatenate([_choose_motion(paths, nodes, motion, tree, part, gap) for part in parts])
 
 
-def _chosen(paths: _Paths, nodes: np.ndarray, motion: np.ndarray, tree: cKDTree, queries: np.ndarray, gap: float) -> np.ndarray:
+def _choose_motion(
+    paths: _Paths, nodes: np.ndarray, motion: np.ndarray, tree: cKDTree, queries: np.ndarray, gap: float
+) -> np.ndarray:
     """Motion [Q, order, 3] of pixels from that of the nodes: of those around that explain their own paths and have their color."""
     away, index = _nearest(tree, paths.points[queries], min(CHOICE, len(nodes)))
-    place = _placed(paths.points[queries][:, None], paths.points[nodes[index]], gap)
+    place = _make_design_rows(paths.points[queries][:, None], paths.points[nodes[index]], gap)
     models = (place[..., None, None] * motion[index]).sum(-3)
     cost = (away / gap) ** 2 + np.minimum(_unlike(paths, queries[:, None], nodes[index]), LEAST_ALIKE)
     cost += np.minimum(_misfit(paths, queries[:, None], models) / LIKE**2, LEAST_LIKE)
@@ -191,7 +193,7 @@ def _chosen(paths: _Paths, nodes: np.ndarray, motion: np.ndarray, tree: cKDTree,
 
 def _fit(paths: _Paths, nodes: np.ndarray, index: np.ndarray, away: np.ndarray, gap: float) -> np.ndarray:
     """Motion [M, 3 (constant, across, down), order, 3] at the nodes, of the pixels ``index`` [M, K] around that move alike."""
-    place = _placed(paths.points[index], paths.points[nodes][:, None], gap)
+    place = _make_design_rows(paths.points[index], paths.points[nodes][:, None], gap)
     prior = np.exp(-0.5 * np.minimum(away / (REACH * gap), 4) ** 2) / (1 + _unlike(paths, index, nodes[:, None])) + 1e-6
     (count, around), order = index.shape, paths.normal.shape[-1]
     ridges = np.concatenate([RIDGE * 10.0 ** np.arange(order), np.tile(GRADIENT_RIDGE * 10.0 ** np.arange(order), 2)])
@@ -205,7 +207,7 @@ def _fit(paths: _Paths, nodes: np.ndarray, index: np.ndarray, away: np.ndarray, 
         ridge = (w[..., 0] * paths.weight[index]).sum(1)[:, None] * ridges
         C = np.linalg.solve(A.reshape(count, 3 * order, -1) + ridge[:, None] * np.eye(3 * order), b).reshape(count, 3, order, 3)
         rest = _misfit(paths, index, (place[..., None, None] * C[:, None]).sum(-3))
-        factor = 1 / (1 + rest / np.maximum(_weighted_median(rest, prior), LIKE**2)[:, None])
+        factor = 1 / (1 + rest / np.maximum(_compute_weighted_median(rest, prior), LIKE**2)[:, None])
     return np.asarray(C)
 
 
@@ -225,7 +227,7 @@ def _nearest(tree: cKDTree, points: np.ndarray, count: int) -> tuple[np.ndarray,
     return away.reshape(-1, count), index.reshape(-1, count)
 
 
-def _placed(points: np.ndarray, nodes: np.ndarray, gap: float) -> np.ndarray:
+def _make_design_rows(points: np.ndarray, nodes: np.ndarray, gap: float) -> np.ndarray:
     """[..., 3]: 1, and how far points are from nodes, across and down."""
     offsets = (points - nodes) / (REACH * gap)
     return np.concatenate([np.ones((*offsets.shape[:-1], 1)), offsets], -1)
@@ -243,7 +245,7 @@ def _misfit(paths: _Paths, pixels: np.ndarray, models: np.ndarray) -> np.ndarray
     return np.asarray(np.maximum(left, 0) / np.maximum(paths.weight[pixels], 1e-9))
 
 
-def _weighted_median(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
+def _compute_weighted_median(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """[M] of values [M, K]."""
     order = np.argsort(values, 1)
     summed = np.cumsum(np.take_along_axis(weights, order, 1), 1)

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from flowsplat.common import devices
 from flowsplat.common.devices import Kernels, Later
-from flowsplat.gaussians.culling import RowCapacity, active_rows, border, padded_rows
+from flowsplat.gaussians.culling import RowCapacity, active_rows, border, pad_active_rows
 from flowsplat.gaussians.model_config import ModelConfig
 from flowsplat.gaussians.motion import MotionModel, motion_model, presence
 from flowsplat.geometry import Camera
@@ -63,14 +63,15 @@ class Active:
 
 
 @functools.cache
-def _moving_names(config: ModelConfig) -> tuple[str, ...]:
+def _list_dynamic_names(config: ModelConfig) -> tuple[str, ...]:
     parameters = motion_model(config).parameters
     return ("times", *(name for name, parameter in parameters.items() if parameter.moves))
 
 
 @dataclass
 class Gaussians4D:
-    """N Gaussians: a dict of tensors by the names of METHOD 1, [N, ...] each, which of them are dynamic, and whose they are.
+    """N Gaussians: a dict of tensors by the names of docs/method.md, "Representation", [N, ...] each, which of them are dynamic,
+    and whose they are.
 
     Attributes:
         params: float32 tensors, see ``parameter_shapes``.
@@ -84,8 +85,8 @@ class Gaussians4D:
         seen: [N, 2] float32, what the clip has seen of each (``visibility.seen_of``): how many of the frames that were asked, and
             how far apart the directions are from which they did (root mean square, length of the difference of unit vectors). Known
             after training; None = not known.
-        lit: [N, 1 + G] float32, how bright each is without the shadows of what moves (``shadows.add_shadow_free``): the logarithm
-            of a factor of its color, and gains in place of ``log_gains``. Known after training; None = not known.
+        shadow_free: [N, 1 + G] float32, how bright each is without the shadows of what moves (``shadows.add_shadow_free``): the
+            logarithm of a factor of its color, and gains in place of ``log_gains``. Known after training; None = not known.
     """
 
     params: dict[str, Tensor]
@@ -112,7 +113,7 @@ class Gaussians4D:
         if self.seen is not None and self.seen.shape != (len(self), 2):
             raise ValueError(f"seen must be {[len(self), 2]}, not {list(self.seen.shape)}")
         if self.shadow_free is not None and self.shadow_free.shape != (len(self), 1 + self.config.gains):
-            raise ValueError(f"lit must be {[len(self), 1 + self.config.gains]}, not {list(self.shadow_free.shape)}")
+            raise ValueError(f"shadow_free must be {[len(self), 1 + self.config.gains]}, not {list(self.shadow_free.shape)}")
 
     def __len__(self) -> int:
         return len(self.dynamic)
@@ -143,13 +144,13 @@ class Gaussians4D:
         """
         params = self.params
         if camera is not None:
-            camera = camera.widened(border(eps2d))
+            camera = camera.widen(border(eps2d))
         given = (
             self.at_rest, params["means"], self.motion.log_scales(params), params["times"], self.motion.log_precision(params), t,
             self.config.p_min, camera, NEAR_PLANE,
         )  # fmt: skip
         if capacity is not None and self.sliced_by == "triton":
-            padded, needed = padded_rows(*given, capacity)
+            padded, needed = pad_active_rows(*given, capacity)
             return Active(padded, capacity.at_rest, t, needed)
         rows, num_static = active_rows(*given)
         return Active(rows, num_static, t)
@@ -166,7 +167,7 @@ class Gaussians4D:
     @property
     def moving_names(self) -> tuple[str, ...]:
         """Parameters that only moving Gaussians have in ``gather``."""
-        return _moving_names(self.config)
+        return _list_dynamic_names(self.config)
 
     def rows_of(self, name: str, active: Active) -> Tensor:
         """The rows that ``gather`` took for parameter ``name``."""

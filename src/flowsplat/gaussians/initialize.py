@@ -1,4 +1,4 @@
-"""The first Gaussians: from the pixels and tracks of the training frames, or at random (METHOD 4)."""
+"""The first Gaussians: from the pixels and tracks of the training frames, or at random (docs/method.md, "Initialization")."""
 
 from __future__ import annotations
 
@@ -111,9 +111,9 @@ def initialize(
 def _from_priors(
     observations: Observations, tracks: Tracks | None, model: ModelConfig, config: InitConfig, rng: np.random.Generator
 ) -> Gaussians4D:
-    parts = [_background(observations, model, config, rng)]
+    parts = [_initialize_background(observations, model, config, rng)]
     if any(frame.mask.any() for frame in observations.frames):
-        parts.append(_foreground(observations, tracks, model, config, rng))
+        parts.append(_initialize_objects(observations, tracks, model, config, rng))
     return concatenate(parts)
 
 
@@ -156,7 +156,7 @@ def _spheres(samples: SurfaceSamples) -> SurfaceSamples:
     return SurfaceSamples(samples.means, quats, np.repeat(radius[:, None], 3, 1), samples.colors)
 
 
-def _chosen(
+def _choose_pixels(
     frame: Observation, region: np.ndarray, spacing: float, config: InitConfig, rng: np.random.Generator
 ) -> tuple[np.ndarray, float | np.ndarray]:
     """Which pixels [H, W] of a region become Gaussians, ``spacing`` apart on average, and how far apart they are."""
@@ -182,7 +182,9 @@ def _middle_out(count: int) -> list[int]:
     return order
 
 
-def _background(observations: Observations, model: ModelConfig, config: InitConfig, rng: np.random.Generator) -> Gaussians4D:
+def _initialize_background(
+    observations: Observations, model: ModelConfig, config: InitConfig, rng: np.random.Generator
+) -> Gaussians4D:
     """Unproject what lies outside the masks, every surface once: first what has trusted depth, then what is still missing.
 
     Borders that few frames saw have no trusted depth, and a guess renders far better there than a hole.
@@ -193,11 +195,11 @@ def _background(observations: Observations, model: ModelConfig, config: InitConf
     for k, trusted in [(k, True) for k in order] + [(k, False) for k in order]:
         frame = observations[k]
         mask = cv2.dilate(frame.mask.astype(np.uint8), np.ones((2 * config.edge + 1,) * 2, np.uint8)) > 0
-        pixels, spacing = _chosen(frame, ~mask, config.background_spacing, config, rng)
+        pixels, spacing = _choose_pixels(frame, ~mask, config.background_spacing, config, rng)
         wanted = pixels & (frame.depth_trusted == trusted)
         if parts:
             stored = np.concatenate([part.means for part in parts])
-            wanted &= ~_covered(stored, frame, config.merge_tolerance, spacing)
+            wanted &= ~_find_covered(stored, frame, config.merge_tolerance, spacing)
         if wanted.any():
             parts.append(sample_surface(frame, wanted, spacing * config.size, config.flatness))
             # A frozen background has no use for its center time, so it remembers the frame that it was seen in: that is where
@@ -214,7 +216,7 @@ def _background(observations: Observations, model: ModelConfig, config: InitConf
     return _build(samples, np.concatenate(times), precision, still, False, model, config.opacity)
 
 
-def _covered(points: np.ndarray, frame: Observation, tolerance: float, spacing: float | np.ndarray) -> np.ndarray:
+def _find_covered(points: np.ndarray, frame: Observation, tolerance: float, spacing: float | np.ndarray) -> np.ndarray:
     """[H, W] bool: pixels within whose spacing one of the points [N, 3] lies on the visible surface."""
     height, width = frame.depth.shape
     (u, v), depth = (values.T for values in frame.camera.project(points))
@@ -233,7 +235,7 @@ def _covered(points: np.ndarray, frame: Observation, tolerance: float, spacing: 
 # -- foreground
 
 
-def sampled_frames(count: int, config: InitConfig) -> tuple[np.ndarray, float]:
+def choose_frames(count: int, config: InitConfig) -> tuple[np.ndarray, float]:
     """Which of ``count`` training frames objects are sampled in, and the log precision that follows from their spacing."""
     enough = -(-(count - 1) // config.sample_gap) + 1 if config.sample_gap else 1
     sampled = np.array(spread(count, min(max(config.samples, enough), count)))
@@ -241,7 +243,7 @@ def sampled_frames(count: int, config: InitConfig) -> tuple[np.ndarray, float]:
     return sampled, float(np.log(config.precision_factor * (np.pi / spacing) ** 2))
 
 
-def _foreground(
+def _initialize_objects(
     observations: Observations,
     tracks: Tracks | None,
     model: ModelConfig,
@@ -249,7 +251,7 @@ def _foreground(
     rng: np.random.Generator,
 ) -> Gaussians4D:
     """Objects: every pixel (or track) of the sampled frames, with the motion of the points it follows."""
-    sampled, log_lambda = sampled_frames(len(observations), config)
+    sampled, log_lambda = choose_frames(len(observations), config)
     sigma = float(np.exp(-0.5 * log_lambda))
     samples, times, motions, object_ids = [], [], [], []
     for k in sampled:
@@ -258,7 +260,7 @@ def _foreground(
         if usable.sum() < HARDLY_ANY * frame.mask.sum():
             usable = frame.mask  # At a guessed depth is better than not at all: nothing else makes objects.
         if config.foreground == "pixels":
-            wanted, spacing = _chosen(frame, usable, config.foreground_spacing, config, rng)
+            wanted, spacing = _choose_pixels(frame, usable, config.foreground_spacing, config, rng)
         else:
             wanted, spacing = usable & _track_pixels(tracks, frame, usable), config.foreground_spacing
         if not wanted.any():
@@ -295,7 +297,8 @@ def _track_pixels(tracks: Tracks | None, frame: Observation, usable: np.ndarray)
 
 
 def _random(observations: Observations, model: ModelConfig, rng: np.random.Generator, count: int) -> Gaussians4D:
-    """Uniform in the box of the training frusta between 0.3 and 3 median depths, at uniform times (METHOD 4)."""
+    """Uniform in the box of the training frusta between 0.3 and 3 median depths, at uniform times (docs/method.md,
+    "Initialization")."""
     corners = []
     for frame in observations.frames:
         w, h = frame.camera.width, frame.camera.height

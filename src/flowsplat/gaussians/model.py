@@ -49,7 +49,7 @@ class SceneModel:
         graphs: whether a GPU draws by CUDA graphs, one for every size of image: for many frames one after the other.
         distances: of objects that are shown elsewhere than they were trained (``at_distances``). Rendering knows them, nothing
             else.
-        fading: the clip's cameras by clip time, in normalized coordinates, where what they tell too little of fades
+        confidence_fade: the clip's cameras by clip time, in normalized coordinates, where what they tell too little of fades
             (``fade_by_confidence``); None = nothing does.
     """
 

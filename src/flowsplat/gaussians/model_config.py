@@ -13,7 +13,7 @@ from flowsplat.common.bounds import Amount, Fraction, bounds_in_help
 @bounds_in_help
 @dataclass(frozen=True)
 class ModelConfig:
-    """What one Gaussian is made of (METHOD 1)."""
+    """What one Gaussian is made of (docs/method.md, "Representation")."""
 
     kind: str = "series"
     """Motion model: ``series``, which the next settings describe, ``linear`` (the linear 4D Gaussian of 4DGS), or one of your own

@@ -94,8 +94,8 @@ def load_observations(scene: Scene) -> Observations:
                 depth=depth.depth * np.float32(similarity.scale),
                 depth_trusted=depth.trusted,
                 object_ids=scene.mask(i),
-                forward=scene.stored_flow(i, after) if (i, after) in pairs else None,
-                backward=partial(scene.stored_flow, i, before) if (i, before) in pairs else None,
+                forward=scene.read_stored_flow(i, after) if (i, after) in pairs else None,
+                backward=partial(scene.read_stored_flow, i, before) if (i, before) in pairs else None,
             )
         )
     return Observations(frames, similarity)

@@ -80,7 +80,7 @@ def render_active(
         active: which of them.
         camera: in normalized coordinates.
         flow_to: the other camera and clip time that flow goes to.
-        flow_model: METHOD 3.
+        flow_model: which of docs/method.md, "Flow splatting".
         gradients: where the gradients of the parameters go (``slice_gaussians``); None = not differentiable.
         eps2d: px^2 of blur; affine flow reckons with that of training.
         backend: of the rasterizer.
@@ -88,10 +88,10 @@ def render_active(
     center = torch.as_tensor(camera.center, dtype=gaussians.params["means"].dtype)
     flow = None if flow_to is None else FlowView(flow_model, flow_to[0], flow_to[1] - active.t)
     sliced = slice_gaussians(gaussians, active, center, flow_to[1] if flow_to is not None else None, gradients)
-    return _blended(sliced, camera, flow, eps2d, backend)
+    return _blend(sliced, camera, flow, eps2d, backend)
 
 
-def _blended(sliced: Slice, camera: Camera, flow: FlowView | None, eps2d: float, backend: BackendName) -> RenderedFrame:
+def _blend(sliced: Slice, camera: Camera, flow: FlowView | None, eps2d: float, backend: BackendName) -> RenderedFrame:
     dtype, device = sliced.means.dtype, sliced.means.device
     width, height = camera.width, camera.height
     projected = project(
@@ -121,7 +121,7 @@ def render(
     """
     flow = None if flow_to is None else FlowView(flow_model, flow_to[0], flow_to[1] - t)
     sliced = slice_view(gaussians, camera, t, flow_to[1] if flow_to is not None else None, distances, eps2d)
-    return _blended(sliced, camera, flow, eps2d, backend)
+    return _blend(sliced, camera, flow, eps2d, backend)
 
 
 def fill_uncovered(color: np.ndarray, alpha: np.ndarray) -> np.ndarray:
@@ -129,7 +129,8 @@ def fill_uncovered(color: np.ndarray, alpha: np.ndarray) -> np.ndarray:
 
     Borders that no training frame saw would be black otherwise (1.8 dB on the views of a rendered scene). Training has a black
     background and shows it through whatever is dark: such pixels are covered and must not get brighter, which cost .5 dB on
-    a clip of a dark bear. So filling only begins at a transmittance that hardly any dark surface has (METHOD 7).
+    a clip of a dark bear. So filling only begins at a transmittance that hardly any dark surface has (docs/method.md, "Where preset
+    default differs from the paper").
 
     Args:
         color: [H, W, 3] float32 premultiplied.

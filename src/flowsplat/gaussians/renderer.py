@@ -54,9 +54,9 @@ class Rendering:
 
     def _repr_png_(self) -> bytes:
         """The colors, for notebooks."""
-        from flowsplat.images.html import encoded  # and OpenCV with it, which rendering alone does not need
+        from flowsplat.images.html import encode  # and OpenCV with it, which rendering alone does not need
 
-        return encoded(self.color, quality=None)
+        return encode(self.color, quality=None)
 
 
 class Renderer(Protocol):

@@ -1,4 +1,4 @@
-"""The background as it looks without the objects' shadows (METHOD 7).
+"""The background as it looks without the objects' shadows (docs/method.md, "Where preset default differs from the paper").
 
 A shadow moves with what throws it and belongs to no mask. In a trained scene it is brightness in time of the background
 (``log_gains``). Where a still surface is seen in some frames with an object near it and in others without, the others tell how
@@ -77,7 +77,7 @@ def add_shadow_free(
     if not waves or not len(rests) or not any(mask.any() for mask in masks):
         return model
     points = model.similarity.inverse().points(g.params["means"][rests].double().cpu().numpy())
-    seen, far, edge = _seen_beside_objects(model, points, cameras, times, masks)
+    seen, far, edge = _find_visible_beside_objects(model, points, cameras, times, masks)
     # Only what is ever beside an object can be in its shadow; of all else some tell how bright whole frames are.
     beside = (seen & ~far).any(1)
     others = np.flatnonzero(~beside)
@@ -114,18 +114,18 @@ def add_shadow_free(
     if len(changed):
         target = np.where(kept, curve[changed], level[changed, None] + exposure)
         weight = np.where(seen[changed], 1.0, UNSEEN)
-        shadow_free[rests.cpu()[torch.from_numpy(chosen[changed])]] = _fitted(target, weight, cosines).float()
+        shadow_free[rests.cpu()[torch.from_numpy(chosen[changed])]] = _fit(target, weight, cosines).float()
     return replace(model, gaussians=replace(g, shadow_free=shadow_free.to(g.device)))
 
 
-def _seen_beside_objects(
+def _find_visible_beside_objects(
     model: SceneModel, points: np.ndarray, cameras: Sequence[Camera], times: Sequence[float], masks: Sequence[np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Find where points [N, 3] of the still scene are seen in frames, are near no object, are at a jump of depth: bool [N, T]."""
     background, objects = model.part("background"), model.part("objects")
 
     def look(k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        camera = cameras[k].resized(max(cameras[k].width // 2, 1), max(cameras[k].height // 2, 1))
+        camera = cameras[k].resize(max(cameras[k].width // 2, 1), max(cameras[k].height // 2, 1))
         still = background.render(camera, times[k])
         mask = cv2.resize(masks[k], (camera.width, camera.height), interpolation=cv2.INTER_NEAREST)
         hidden = (objects.render(camera, times[k]).alpha >= _COVERED) | (cv2.dilate(mask, np.ones((3, 3), np.uint8)) > 0)
@@ -168,7 +168,7 @@ def _exposure(values: np.ndarray, chosen: np.ndarray) -> np.ndarray:
     return found
 
 
-def _fitted(target: np.ndarray, weight: np.ndarray, cosines: torch.Tensor) -> torch.Tensor:
+def _fit(target: np.ndarray, weight: np.ndarray, cosines: torch.Tensor) -> torch.Tensor:
     """A constant and gains [N, 1 + G] whose curves are nearest to ``target`` [N, T], by its ``weight``."""
     T, G = cosines.shape
     A = torch.cat([torch.ones(T, 1, dtype=torch.float64), cosines], 1)

@@ -51,7 +51,8 @@ class Paths:
 def follow_points(model: SceneModel, cameras: Sequence[Camera], timestamps: np.ndarray, queries: np.ndarray) -> Paths:
     """Follow points of the image through the model. Ours; the paper shows no tracks.
 
-    The Gaussians that make up the pixel, by their weights alpha_i T_i (METHOD 3.4), carry the point that is seen there along
+    The Gaussians that make up the pixel, by their weights alpha_i T_i (docs/method.md, "Compositing"), carry the point that is seen
+    there along
     their own rigid motion, objects or background, whichever holds more of it. A Gaussian carries while its presence is at
     least ``p_min``; when half of the weight has faded, those take over that are present where the point is.
 
@@ -75,7 +76,7 @@ def follow_points(model: SceneModel, cameras: Sequence[Camera], timestamps: np.n
     for frame in np.unique(starts).tolist():
         here = np.flatnonzero(starts == frame)
         rendered = _render(model, normalized[frame], times[frame])
-        found = [_seen_at(model.gaussians, rendered, normalized[frame], queries[q, :2]) for q in here]
+        found = [_find_point_at(model.gaussians, rendered, normalized[frame], queries[q, :2]) for q in here]
         for q, (point, carriers) in zip(here.tolist(), found, strict=True):
             if carriers is not None:
                 points[q, frame], chosen[q] = point, carriers
@@ -140,7 +141,7 @@ def pixel_weights(rendered: RenderedFrame, uv: np.ndarray) -> tuple[np.ndarray, 
     return near[weights > 0].numpy(), weights[weights > 0].numpy()
 
 
-def _seen_at(gaussians: Gaussians4D, frame: _Frame, camera: Camera, uv: np.ndarray) -> tuple[np.ndarray, _Carriers | None]:
+def _find_point_at(gaussians: Gaussians4D, frame: _Frame, camera: Camera, uv: np.ndarray) -> tuple[np.ndarray, _Carriers | None]:
     """The point [3] that is seen at a pixel, and who carries it; None where the pixel is empty."""
     index, weights = pixel_weights(frame.rendered, uv)
     if not len(index):
@@ -216,7 +217,7 @@ def _flat(carriers: list[_Carriers]) -> tuple[np.ndarray, Tensor]:
 def _step(gaussians: Gaussians4D, carriers: list[_Carriers], points: np.ndarray, t: float, to: float) -> np.ndarray:
     """Points [A, 3] at time ``t`` moved to time ``to``: the weighted mean of where their carriers bring them."""
     owner, rows = _flat(carriers)
-    before, after = _placed(gaussians, rows, t), _placed(gaussians, rows, to)
+    before, after = _place(gaussians, rows, t), _place(gaussians, rows, to)
     arm = (torch.from_numpy(points[owner]) - before.means)[..., None]
     moved = (after.means + (after.rotations @ before.rotations.transpose(1, 2) @ arm).squeeze(-1)).numpy()
     present = torch.where(after.presence >= gaussians.config.p_min, torch.minimum(before.presence, after.presence), 0.0)
@@ -235,7 +236,7 @@ class _Placed:
     presence: Tensor
 
 
-def _placed(gaussians: Gaussians4D, rows: Tensor, t: float) -> _Placed:
+def _place(gaussians: Gaussians4D, rows: Tensor, t: float) -> _Placed:
     params = {name: value[rows].double() for name, value in gaussians.params.items()}
     state = gaussians.motion.state(params, t)
     rest = gaussians.at_rest[rows]
@@ -302,7 +303,7 @@ def _density(
         pixels: [Q] the size of a pixel at each point.
     """
     flat = torch.from_numpy(rows.ravel())
-    placed = _placed(gaussians, flat, t)
+    placed = _place(gaussians, flat, t)
     opacities = torch.sigmoid(gaussians.params["logit_opacities"][flat]).double() * placed.presence
     arm = torch.from_numpy(points).repeat_interleave(rows.shape[1], 0) - placed.means
     slack = torch.from_numpy(pixels).repeat_interleave(rows.shape[1])[:, None, None] ** 2

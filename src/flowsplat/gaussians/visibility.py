@@ -81,7 +81,7 @@ class ClipVisibility:
 
         self._witnesses = list(in_threads(witness, spread(len(cameras), FRAMES), self.threads))
 
-    def seen(self, camera: Camera, t: float) -> Seen:
+    def compute_seen(self, camera: Camera, t: float) -> Seen:
         """What the clip has seen of the view of a camera, in the scene's coordinates, at ``t`` seconds."""
         camera = _small(camera)
         still, objects = self._background.render(camera, t), self._objects.render(camera, t)
@@ -116,7 +116,7 @@ class ClipVisibility:
 
     def share(self, camera: Camera, t: float) -> float:
         """Share of a view that the clip does not tell, 0 to 1."""
-        return float(1 - self.seen(camera, t).is_known.mean())
+        return float(1 - self.compute_seen(camera, t).is_known.mean())
 
     def keeps_clear(self, camera: Camera, own: Camera, t: float) -> bool:
         """Whether a camera is not much nearer to any object than the clip's ``own`` at that time."""
@@ -153,7 +153,7 @@ def with_seen(model: SceneModel, cameras: Sequence[Camera], times: Sequence[floa
 
 def _small(camera: Camera) -> Camera:
     width = max(min(SMALL, camera.width // 2), 1)
-    return camera.resized(width, max(round(camera.height * width / camera.width), 1))
+    return camera.resize(width, max(round(camera.height * width / camera.width), 1))
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:

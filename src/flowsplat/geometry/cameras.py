@@ -64,12 +64,12 @@ class Camera:
             and self.K[1, 1] > 0
         )
 
-    def resized(self, width: int, height: int) -> Camera:
+    def resize(self, width: int, height: int) -> Camera:
         """The same camera with another number of pixels."""
         scale = np.diag([width / self.width, height / self.height, 1.0])
         return Camera(self.viewmat, scale @ self.K, width, height)
 
-    def widened(self, border: int) -> Camera:
+    def widen(self, border: int) -> Camera:
         """The same camera with ``border`` more pixels on every side."""
         K = self.K + [[0, 0, border], [0, 0, border], [0, 0, 0]]
         return Camera(self.viewmat, K, self.width + 2 * border, self.height + 2 * border)

@@ -70,7 +70,7 @@ def _on_orbit(camera: Camera, distance: float, phase: float, angle: float) -> Ca
     return _camera_at(target - turned[2] * distance, turned, camera)
 
 
-def shifted(camera: Camera, offset: float, distance: float) -> Camera:
+def shift_camera(camera: Camera, offset: float, distance: float) -> Camera:
     """``camera`` moved to its right by ``offset``, looking the same way, so that what is at planar depth ``distance`` stays.
 
     The principal point moves instead of the camera turning: images of such cameras differ in x only, as eyes want it.
@@ -89,7 +89,7 @@ def dolly_zoom(camera: Camera, distance: float, factor: float) -> Camera:
     return Camera(viewmat, K, camera.width, camera.height)
 
 
-def cropped(camera: Camera, share: float) -> Camera:
+def crop_camera(camera: Camera, share: float) -> Camera:
     """What the middle of the image shows, ``share`` of its width and height, with as many pixels as the whole."""
     middle = np.array([camera.width, camera.height]) / 2
     K = camera.K.copy()

@@ -1,4 +1,4 @@
-"""psi and its Jacobian in torch, differentiable (METHOD 0)."""
+"""psi and its Jacobian in torch, differentiable (docs/method.md, "Conventions")."""
 
 from __future__ import annotations
 

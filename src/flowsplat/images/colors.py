@@ -124,12 +124,12 @@ def error_to_color(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def object_color(number: int) -> tuple[int, int, int]:
-    """Red, green and blue of a moving object, as in ``tinted``."""
+    """Red, green and blue of a moving object, as in ``tint``."""
     red, green, blue = _OBJECTS[(number - 1) % len(_OBJECTS)]
     return int(red), int(green), int(blue)
 
 
-def tinted(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
+def tint(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """The image [H, W, 3] uint8 in gray, moving objects tinted by their numbers in ``mask`` [H, W] (0 = background)."""
     gray = np.repeat(image.mean(-1, keepdims=True) * 0.8, 3, -1)
     colored = 0.45 * image + 0.55 * _OBJECTS[(mask.astype(int) - 1) % len(_OBJECTS)]

@@ -18,7 +18,7 @@ NOTHING = "–"
 """What stands in place of a figure that was not measured."""
 
 
-def encoded(image: np.ndarray, quality: int | None = 88) -> bytes:
+def encode(image: np.ndarray, quality: int | None = 88) -> bytes:
     """An image [H, W, 3] RGB, uint8 or float between 0 and 1, as a file: JPEG, or PNG for quality None."""
     options = [] if quality is None else [cv2.IMWRITE_JPEG_QUALITY, quality]
     suffix = ".png" if quality is None else ".jpg"
@@ -28,9 +28,9 @@ def encoded(image: np.ndarray, quality: int | None = 88) -> bytes:
 
 
 def data_uri(image: np.ndarray, quality: int | None = 88) -> str:
-    """``encoded`` as a ``data:`` address."""
+    """``encode`` as a ``data:`` address."""
     kind = "png" if quality is None else "jpeg"
-    return f"data:image/{kind};base64,{base64.b64encode(encoded(image, quality)).decode()}"
+    return f"data:image/{kind};base64,{base64.b64encode(encode(image, quality)).decode()}"
 
 
 def image_tag(image: np.ndarray, description: str, quality: int | None = 88) -> Markup:

@@ -30,18 +30,18 @@ def side_by_side(images: Sequence[np.ndarray], labels: Sequence[str] = (), heigh
         [height, W, 3] uint8.
     """
     height = height or images[0].shape[0]
-    panels = [_resized(_colored(image), height) for image in images]
+    panels = [_resize(_convert_to_color(image), height) for image in images]
     for panel, label in zip(panels, labels, strict=bool(labels)):
         _write_label(panel, label)
     gap = np.full((height, GAP, 3), 255, np.uint8)
     return np.concatenate([part for panel in panels for part in (gap, panel)][1:], axis=1)
 
 
-def stacked(rows: Sequence[np.ndarray]) -> np.ndarray:
+def stack(rows: Sequence[np.ndarray]) -> np.ndarray:
     """Sheets under each other, the narrower ones resized to the width of the first; [H, width, 3] uint8."""
     width = rows[0].shape[1]
     gap = np.full((GAP, width, 3), 255, np.uint8)
-    panels = [_resized(row, max(round(row.shape[0] * width / row.shape[1]), 1), width) for row in rows]
+    panels = [_resize(row, max(round(row.shape[0] * width / row.shape[1]), 1), width) for row in rows]
     return np.concatenate([part for panel in panels for part in (gap, panel)][1:])
 
 
@@ -73,12 +73,12 @@ def preview_sheet(target: np.ndarray, rendering: np.ndarray) -> np.ndarray:
     return side_by_side([target, rendering, error_to_color(target, rendering)], ["target", "rendering", "error"])
 
 
-def _colored(image: np.ndarray) -> np.ndarray:
+def _convert_to_color(image: np.ndarray) -> np.ndarray:
     image = float_to_bytes(image)
     return np.repeat(image[..., None], 3, -1) if image.ndim == 2 else image
 
 
-def _resized(image: np.ndarray, height: int, width: int | None = None) -> np.ndarray:
+def _resize(image: np.ndarray, height: int, width: int | None = None) -> np.ndarray:
     """A copy of the image at that height, and at that width or one that keeps its shape."""
     width = width or max(round(image.shape[1] * height / image.shape[0]), 1)
     if image.shape[:2] == (height, width):

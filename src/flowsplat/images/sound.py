@@ -9,7 +9,7 @@ import numpy as np
 
 from flowsplat.common.files import atomic_path
 from flowsplat.images.media import open_media
-from flowsplat.images.video import SOUND_RATES, sound_blocks, sound_track
+from flowsplat.images.video import SOUND_RATES, find_sound_track, read_sound_blocks
 
 
 def keep_sound(source: Path, start: float, seconds: float, path: Path) -> bool:
@@ -26,7 +26,7 @@ def keep_sound(source: Path, start: float, seconds: float, path: Path) -> bool:
     except av.FFmpegError:
         return False
     with container:
-        track = sound_track(container)
+        track = find_sound_track(container)
         if track is None:
             return False
         rate = track.rate if track.rate in SOUND_RATES else SOUND_RATES[-1]
@@ -36,7 +36,7 @@ def keep_sound(source: Path, start: float, seconds: float, path: Path) -> bool:
             stream = out.add_stream("flac", rate=rate)
             stream.layout, stream.format = layout, "s16"
             written = 0
-            for block in sound_blocks(container, track, start, rate, layout):
+            for block in read_sound_blocks(container, track, start, rate, layout):
                 block = block[:, : left - written]
                 if block.shape[1]:
                     samples = np.rint(np.clip(np.nan_to_num(block.T), -1, 1) * 32767).astype(np.int16).reshape(1, -1)

@@ -142,7 +142,7 @@ class _Sound:
         except (InputError, av.FFmpegError) as error:
             report(f"The sound of {path} cannot be read ({error}): the video stays silent.")
             return
-        audio = sound_track(source)
+        audio = find_sound_track(source)
         if audio is None:
             report(f"The sound of {path} cannot be decoded: the video stays silent.")
         else:
@@ -150,7 +150,7 @@ class _Sound:
             self._stream = container.add_stream("aac", rate=rate)
             self._stream.layout = "mono" if audio.channels == 1 else "stereo"
             self._pending = np.zeros((self._stream.channels, 0), np.float32)
-            self._blocks = sound_blocks(source, audio, start, rate, self._stream.layout.name)
+            self._blocks = read_sound_blocks(source, audio, start, rate, self._stream.layout.name)
 
     def write_until(self, seconds: float) -> None:
         """Encode the sound up to that second, so that it lies next to its images in the file."""
@@ -179,12 +179,12 @@ class _Sound:
         self._source.close()
 
 
-def sound_track(container: av.container.InputContainer) -> av.audio.AudioStream | None:
+def find_sound_track(container: av.container.InputContainer) -> av.audio.AudioStream | None:
     """The first track of sound that can be decoded: FFmpeg lists others, too."""
     return next((track for track in container.streams.audio if track.codec_context is not None), None)
 
 
-def sound_blocks(
+def read_sound_blocks(
     container: av.container.InputContainer, audio: av.audio.AudioStream, start: float, rate: int, layout: str
 ) -> Iterator[np.ndarray]:
     """Blocks [channels, samples] float32 at ``rate``, the first sample the one at ``start`` seconds of the file."""

@@ -121,7 +121,7 @@ def _from_ours(content: Entry, entry: Entry, size: tuple[int, int]) -> tuple[Cam
         if abs(K[0, 1]) > 1e-6 * abs(K[0, 0]) or not np.allclose(K[[1, 2, 2, 2], [0, 0, 1, 2]], (0, 0, 0, 1)):
             raise InputError("its K is not of the form fx 0 cx, 0 fy cy, 0 0 1")
     else:
-        K = _centered_K(positive(entry["fov_y"], "fov_y"), width, height)
+        K = _make_centered_K(positive(entry["fov_y"], "fov_y"), width, height)
     time = entry.get("t")
     return Camera(_matrix(entry["viewmat"], (4, 4), "viewmat"), K, width, height), None if time is None else float(time)
 
@@ -130,7 +130,7 @@ def _from_camera_path(content: Entry, entry: Entry, size: tuple[int, int]) -> tu
     width, height = image_size(content, ("render_width", "render_height"), size)
     viewmat = from_opengl(entry["camera_to_world"], "camera_to_world")
     time = entry.get("render_time")
-    K = _centered_K(positive(entry["fov"], "fov"), width, height)
+    K = _make_centered_K(positive(entry["fov"], "fov"), width, height)
     return Camera(viewmat, K, width, height), None if time is None else float(time)
 
 
@@ -140,7 +140,7 @@ def _from_transforms(content: Entry, entry: Entry, size: tuple[int, int]) -> tup
     return camera, None if time is None else float(time)
 
 
-def _centered_K(fov_y: float, width: int, height: int) -> np.ndarray:
+def _make_centered_K(fov_y: float, width: int, height: int) -> np.ndarray:
     if not 1e-3 <= fov_y < 180:
         raise InputError(f"a field of view of {fov_y:g} degrees is none")
     focal = 0.5 * height / np.tan(np.radians(fov_y) / 2)

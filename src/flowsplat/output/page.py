@@ -54,7 +54,7 @@ def card(value: Markup | str, unit: str, name: str, remark: str) -> dict[str, An
     return {"value": value, "unit": unit, "name": name, "remark": remark}
 
 
-def fitted(image: np.ndarray, widest: int = WIDEST) -> np.ndarray:
+def shrink_to_page(image: np.ndarray, widest: int = WIDEST) -> np.ndarray:
     """uint8, not wider than a page needs."""
     image = float_to_bytes(image)
     height, width = image.shape[:2]
@@ -65,4 +65,4 @@ def fitted(image: np.ndarray, widest: int = WIDEST) -> np.ndarray:
 
 def image_row(images: Mapping[str, np.ndarray], label: str) -> list[dict[str, Any]]:
     """Images by name, as the macro ``panels`` of the templates wants them."""
-    return [{"name": name, "image": image_tag(fitted(image), f"{label}, {name}")} for name, image in images.items()]
+    return [{"name": name, "image": image_tag(shrink_to_page(image), f"{label}, {name}")} for name, image in images.items()]

@@ -16,9 +16,9 @@ import numpy as np
 from flowsplat.common.run_paths import RunPaths
 from flowsplat.common.spread import spread
 from flowsplat.images.charts import line_chart
-from flowsplat.images.colors import depth_range, depth_to_color, flow_legend, flow_scale, flow_to_color, object_color, tinted
+from flowsplat.images.colors import depth_range, depth_to_color, flow_legend, flow_scale, flow_to_color, object_color, tint
 from flowsplat.images.html import figure, image_tag, table
-from flowsplat.images.sheets import side_by_side, stacked, with_rulers
+from flowsplat.images.sheets import side_by_side, stack, with_rulers
 from flowsplat.images.video import write_mp4
 from flowsplat.output.camera_path import ObjectPath, path_at_an_angle, path_from_above
 from flowsplat.output.page import card, image_row, write_page
@@ -27,7 +27,7 @@ from flowsplat.priors.cameras.following import WORKING_SIDE
 from flowsplat.priors.depth.stage import MOSTLY
 from flowsplat.priors.graph import PRIORS
 from flowsplat.priors.objects import SceneObjects, load_objects
-from flowsplat.priors.objects.areas import large_objects, moving_objects
+from flowsplat.priors.objects.areas import describe_count, large_objects
 from flowsplat.priors.objects.description import ObjectDescription, describe_objects, sureness
 from flowsplat.scenes import Scene, Tracks
 
@@ -130,13 +130,13 @@ def _depth_words(cameras: Mapping[str, Any], depth: Mapping[str, Any]) -> str:
         return f"depth: {_source(depth)}"
     if cameras.get("motion") == "free" and cameras["parallax_degrees"] < LITTLE_PARALLAX:
         return "little parallax: depth is rough"
-    trusted = _trusted_static(depth)
+    trusted = _get_trusted_static(depth)
     if trusted < MOSTLY:
         return f"depth from motion on {trusted:.0%} of the still scene, the rest is filled in"
     return "depth from the camera's motion"
 
 
-def _trusted_static(depth: Mapping[str, Any]) -> float:
+def _get_trusted_static(depth: Mapping[str, Any]) -> float:
     """Share of the still scene with trusted depth; of everything in scenes from before that was told apart."""
     return float(depth.get("trusted_static", depth["trusted"]))
 
@@ -147,7 +147,7 @@ def _mask_words(scene: Scene) -> str:
     count = objects.get("objects", masks.get("objects"))
     if count is None:
         count = len({int(number) for i in scene.train_frames for number in np.unique(scene.mask(i))} - {0})
-    words = moving_objects(count, objects.get("small", 0))
+    words = describe_count(count, objects.get("small", 0))
     words = words if masks.get("method") == "motion" else f"{words} ({_source(masks)} masks)"
     guessed = count - objects.get("tied", count) if count else 0
     if guessed and (scene.prior("depth") or {}).get("method") != "guess":
@@ -172,7 +172,7 @@ def _advice(scene: Scene, cameras: Mapping[str, Any], depth: Mapping[str, Any]) 
         return "Training can work along the clip's own path; give --cameras.focal if you know it."
     if depth.get("method") == "guess":
         return "Training can work along the clip's own path; views from aside will be wrong."
-    if depth.get("method") == "multi-view" and _trusted_static(depth) < MOSTLY:
+    if depth.get("method") == "multi-view" and _get_trusted_static(depth) < MOSTLY:
         return "Training can work; views far from the clip's own path will show gaps and bends."
     return "Training can work."
 
@@ -285,11 +285,11 @@ class _Shown:
         return {
             "tracks": self._with_tracks(seen.image, self.frames[k]),
             "flow": flow_to_color(seen.flow, self.flow_scale),
-            "objects": tinted(seen.image, seen.mask),
+            "objects": tint(seen.image, seen.mask),
             self._depth_name: np.where(seen.sure[..., None], depth, pale),
         }
 
-    def ruled(self, k: int) -> np.ndarray:
+    def draw_rulers(self, k: int) -> np.ndarray:
         """The image of a frame with rulers in pixels of the prepared frames, which is what clicks are given in."""
         width, height = np.round(np.array(self.size) / self._scale).astype(int).tolist()
         return with_rulers(self._seen[k].image, (width, height))
@@ -319,7 +319,7 @@ def _small(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 def _still(shown: _Shown, k: int) -> dict[str, Any]:
     label = f"Frame {shown.frames[k]}"
-    return {"label": label, "panels": image_row({"pixels": shown.ruled(k), **shown.panels(k)}, label)}
+    return {"label": label, "panels": image_row({"pixels": shown.draw_rulers(k), **shown.panels(k)}, label)}
 
 
 def _strip(shown: _Shown) -> str:
@@ -330,7 +330,7 @@ def _strip(shown: _Shown) -> str:
         names, images = list(panels), list(panels.values())
         if shown.size[1] > shown.size[0]:
             return side_by_side(images, names)
-        return stacked([side_by_side(images[:2], names[:2]), side_by_side(images[2:], names[2:])])
+        return stack([side_by_side(images[:2], names[:2]), side_by_side(images[2:], names[2:])])
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "strip.mp4"
@@ -387,7 +387,7 @@ def _objects(scene: Scene, found: SceneObjects) -> Iterator[dict[str, Any]]:
         area, i = best[number]
         if area:
             label = f"Object {number}"
-            yield {"label": label, "image": image_tag(_cut_out(scene, i, number), label), **_words(scene, obj)}
+            yield {"label": label, "image": image_tag(_show_object(scene, i, number), label), **_words(scene, obj)}
 
 
 def _words(scene: Scene, obj: ObjectDescription) -> dict[str, str]:
@@ -407,7 +407,7 @@ def _travel(scene: Scene) -> float:
     return float(np.ptp([camera.center for camera in scene.cameras], axis=0).max())
 
 
-def _cut_out(scene: Scene, i: int, number: int) -> np.ndarray:
+def _show_object(scene: Scene, i: int, number: int) -> np.ndarray:
     """The surroundings of an object, it in color and all else in gray."""
     mask = scene.mask(i)
     y, x = np.nonzero(mask == number)

@@ -43,7 +43,7 @@ _METHODS = {
     "static": "static scene",
 }
 _STAGES = {
-    "first": "first coarse scene", "train": "training", "static": "static scene", "evaluate": "measuring", "render": "videos",
+    "coarse": "coarse scene", "train": "training", "static": "static scene", "evaluate": "measuring", "render": "videos",
 }  # fmt: skip
 
 
@@ -76,7 +76,7 @@ class ReportData:
         active: (seconds, number of Gaussians active then, in the image or not).
         config: the settings by dotted name.
         notes: sentences for the user, such as what was done to the input.
-        videos: file names in ``renders/`` by name, as ``output.videos.rendered`` tells them.
+        videos: file names in ``renders/`` by name, as ``output.videos.list_rendered`` tells them.
     """
 
     title: str
@@ -118,7 +118,7 @@ def write_report(folder: Path, data: ReportData) -> Path:
 # -- figures
 
 
-def grade(metrics: Mapping[str, Any]) -> str:
+def grade_path(metrics: Mapping[str, Any]) -> str:
     """Along the clip's path, beside interpolating by optical flow: better, even or worse; or unmeasured."""
     ours, theirs = pick(metrics, "heldout_frames", "psnr"), pick(metrics, "baselines", "flow_interpolation", "psnr")
     if ours is None or theirs is None:
@@ -167,7 +167,7 @@ def _aside(metrics: Mapping[str, Any]) -> str:
     error = pick(metrics, "depth_abs_rel", "moving", "mean")
     if error is not None:
         return f"From aside: no view was measured; the depth of what moves is off by {error:.0%} (mean)."
-    objects = _counted(metrics)
+    objects = _list_counted_objects(metrics)
     if not objects:
         return "From aside: not measured."
     steps = [obj["largest_step"] / obj["depth"] for obj in objects if obj["cues"]]
@@ -176,7 +176,7 @@ def _aside(metrics: Mapping[str, Any]) -> str:
     return f"From aside: not measured; {whose} {_sureness(objects)}{near}."
 
 
-def _counted(metrics: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+def _list_counted_objects(metrics: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     """What is known of objects, small parts left out."""
     return [obj for obj in metrics.get("objects") or [] if not obj.get("small")]
 
@@ -221,7 +221,7 @@ def _aside_card(metrics: Mapping[str, Any]) -> dict[str, Any]:
         return card(figure(views), "dB", "PSNR from aside", f"held-out views{objects}")
     if error is not None:
         return card(figure(100 * error, 0), "%", "depth error of objects", "from aside: no view was measured")
-    known = _counted(metrics)
+    known = _list_counted_objects(metrics)
     sure = f"objects' distance: {_sureness(known)}" if known else "neither views nor true depth are known"
     return card(figure(None, reason=sure), "", "from aside: not measured", sure)
 

@@ -91,7 +91,7 @@ def are_missing(device: str) -> bool:
 
 
 @contextlib.contextmanager
-def compiling_ahead(device: str) -> Iterator[Ahead]:
+def compile_ahead(device: str) -> Iterator[Ahead]:
     """Let kernels be compiled beside what is done inside, where they are not compiled yet.
 
     Args:

@@ -10,7 +10,7 @@ import tyro
 
 from flowsplat.common.devices import DeviceName, pick_device
 from flowsplat.common.errors import InputError
-from flowsplat.common.settings import flat, setting_types, to_plain
+from flowsplat.common.settings import flat, list_setting_types, to_plain
 from flowsplat.output.videos import RenderOptions
 from flowsplat.priors.options import PriorsOptions
 from flowsplat.scenes.clip import InputOptions
@@ -38,8 +38,8 @@ class RunConfig:
     final_fit: bool = True
     """After the measurement, fit the held-out frames, too, and make videos, exports and the viewer's images of the result. The
     figures stay those of the model that has not seen them."""
-    first_scene: bool = True
-    """Begin a run of more than some four minutes with a coarse scene of few small frames (``first/``), to look at meanwhile."""
+    coarse_scene: bool = True
+    """Begin a run of more than some four minutes with a coarse scene of few small frames (``coarse/``), to look at meanwhile."""
     device: DeviceName = "auto"
     """What to train and render on: ``auto`` is the GPU where it works."""
 
@@ -48,8 +48,8 @@ def preset(name: str) -> RunConfig:
     """The settings called ``name``.
 
     ``fast``: half size, 400 steps and no final fit, about two minutes: does this clip work at all? ``default``: the best
-    within minutes. ``paper``: the paper's settings (METHOD 5). ``high``: a denser background and four times as many steps, which
-    is about five times the training of ``default``.
+    within minutes. ``paper``: the paper's settings (docs/method.md, "Training"). ``high``: a denser background and four times as
+    many steps, which is about five times the training of ``default``.
 
     Raises:
         InputError: there is no such preset.
@@ -71,17 +71,17 @@ def preset(name: str) -> RunConfig:
     return presets[name]
 
 
-def option_of(name: str) -> str:
+def format_option(name: str) -> str:
     """The option of the command line for a setting of a run by its dotted name."""
     return "--" + name.removeprefix("input.").removeprefix("priors.").replace("_", "-")
 
 
-def setting_of(option: str) -> str | None:
-    """The inverse of ``option_of``, None where there is no such option.
+def find_setting(option: str) -> str | None:
+    """The inverse of ``format_option``, None where there is no such option.
 
     Hyphens in front may be missing, and those within may be underscores.
     """
-    options = {option_of(name): name for name in setting_types(RunConfig)}
+    options = {format_option(name): name for name in list_setting_types(RunConfig)}
     return options.get("--" + option.lstrip("-").replace("_", "-"))
 
 
@@ -93,6 +93,6 @@ def check(config: RunConfig) -> None:
     """
     for name, value in flat(to_plain(config)).items():
         if isinstance(value, float) and not math.isfinite(value):
-            raise InputError(f"{option_of(name)} is {value}: give a number.")
+            raise InputError(f"{format_option(name)} is {value}: give a number.")
     config.train.check()
     pick_device(config.device)

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 from flowsplat.common.devices import pick_device
-from flowsplat.common.durations import beginning, format_duration
+from flowsplat.common.durations import format_duration, get_beginning
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import make_folder, read_json, write_bytes, write_json
 from flowsplat.common.progress import report
 from flowsplat.evaluation.scores import pick
-from flowsplat.pipeline.compiling import compiling_ahead
+from flowsplat.pipeline.compiling import compile_ahead
 from flowsplat.pipeline.config import RunConfig
 from flowsplat.pipeline.fitting import train
 from flowsplat.pipeline.folder import RunFolder
@@ -45,7 +45,7 @@ def run_demo(out: Path, width: int = 320, frames: int = 40, world: World = "stre
     Raises:
         InputError: a clip of that size or length is none, or the folder cannot be written, or holds another clip.
     """
-    begun = beginning()
+    begun = get_beginning()
     if not 64 <= width <= 1920 or not 3 <= frames <= 1000:
         raise InputError(f"A demo of {frames} frames of {width} pixels cannot be made: --size 64 to 1920, --frames 3 to 1000.")
     spec, record = _clip_of(world, width, frames)
@@ -57,8 +57,8 @@ def run_demo(out: Path, width: int = 320, frames: int = 40, world: World = "stre
     write_json(out / "clip.json", record)
     config = RunConfig()
     config = replace(config, train=replace(config.train, iterations=ITERATIONS))
-    with compiling_ahead(pick_device(config.device).type) as ahead:
-        truth = _drawn(out, spec, config)
+    with compile_ahead(pick_device(config.device).type) as ahead:
+        truth = _draw_clip(out, spec, config)
         report("Running on the video, as on any clip.")
         own = prepare(out / "clip.mp4", out / "own", config)
         ahead.wait()
@@ -69,7 +69,7 @@ def run_demo(out: Path, width: int = 320, frames: int = 40, world: World = "stre
     true = prepare(truth.folder, out / "true", _to_compare(config, TRUE_ITERATIONS[world]))
     train(true)
     true_metrics = render_run(true)
-    for line in _screen(out, world, spec, own, own_metrics, true_metrics, time.perf_counter() - begun):
+    for line in _describe_result(out, world, spec, own, own_metrics, true_metrics, time.perf_counter() - begun):
         report(line)
 
 
@@ -83,7 +83,7 @@ def _clip_of(world: World, width: int, frames: int) -> tuple[DrawnClip, dict[str
     return room, asdict(room)
 
 
-def _drawn(out: Path, spec: DrawnClip, config: RunConfig) -> Scene:
+def _draw_clip(out: Path, spec: DrawnClip, config: RunConfig) -> Scene:
     """The clip with its truth in ``OUT/truth``, and its frames as ``OUT/clip.mp4``."""
     folder, video = out / "truth", out / "clip.mp4"
     if not (folder / "complete").exists():
@@ -111,7 +111,7 @@ def _lend_truth(truth: Scene, scene: Path) -> None:
     write_bytes(scene / "views.json", (truth.folder / "views.json").read_bytes())
 
 
-def _screen(
+def _describe_result(
     out: Path, world: World, spec: DrawnClip, own: RunFolder, metrics: Mapping[str, Any], true: Mapping[str, Any], seconds: float
 ) -> Iterator[str]:
     """What was made, a figure along the path, one from aside, and what to do next."""

@@ -54,9 +54,9 @@ def _describe_run(folder: RunFolder) -> Iterator[str]:
     yield f"Run {folder.path} of {folder.record['input']}"
     if (who := holder(folder.path)) is not None:
         yield f"  is being written by {who}"
-    for stage in ("first", "prepare", "train", "evaluate", "final", "render"):
+    for stage in ("coarse", "prepare", "train", "evaluate", "all_frames", "render"):
         entry = folder.record["stages"].get(stage)
-        if (stage == "final" and not folder.config.final_fit) or (stage == "first" and entry is None):
+        if (stage == "all_frames" and not folder.config.final_fit) or (stage == "coarse" and entry is None):
             continue
         state = "not finished" if entry is None else f"finished in {format_duration(sum(entry['seconds'].values()))}"
         yield f"  {stage}: {state}"

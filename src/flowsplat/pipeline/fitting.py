@@ -31,7 +31,7 @@ from flowsplat.priors.kinds.flow import flow_estimator
 from flowsplat.scenes import Scene, Tracks
 from flowsplat.scenes.layers import Layers, write_image
 from flowsplat.training.checkpoint import has_model, load_model, save_model
-from flowsplat.training.config import TrainConfig, affecting_result
+from flowsplat.training.config import TrainConfig, select_result_settings
 from flowsplat.training.final import final_config, final_visits, with_heldout
 from flowsplat.training.scene_model import scene_model
 from flowsplat.training.static import static_config, static_start
@@ -48,7 +48,7 @@ HISTORY = "history.json"
 def train_key(folder: RunFolder) -> str:
     """What a trained scene belongs to: the prepared scene, and the settings of training that change the result."""
     settings = to_plain(folder.config.train)
-    return stage_key(folder.record["stages"].get("prepare", {}).get("key"), affecting_result(settings))
+    return stage_key(folder.record["stages"].get("prepare", {}).get("key"), select_result_settings(settings))
 
 
 def train(folder: RunFolder) -> SceneModel:
@@ -71,11 +71,11 @@ def _train(folder: RunFolder) -> SceneModel:
         if folder.model_path.exists() or folder.training_path.exists():
             report("The settings of training, or the scene, are others than before: it begins anew.")
         forget_videos(folder.renders_path)
-    owns = folder.training_path, folder.logs_path, folder.final_path, folder.model_path
-    with folder.stage("train", key, owns, drops=("final",), made=has_model(folder.model_path)) as stage:
+    owns = folder.training_path, folder.logs_path, folder.all_frames_path, folder.model_path
+    with folder.stage("train", key, owns, drops=("all_frames",), made=has_model(folder.model_path)) as stage:
         if stage.is_done:
             return load_model(folder.model_path).to(pick_device(folder.config.device))
-        return _trained(folder, stage, "train", folder.config.train, folder.training_path, folder.model_path)
+        return _train_in(folder, stage, "train", folder.config.train, folder.training_path, folder.model_path)
 
 
 def _drop_checkpoints(path: Path) -> None:
@@ -84,7 +84,7 @@ def _drop_checkpoints(path: Path) -> None:
     (path / "latest.json").unlink(missing_ok=True)
 
 
-def _trained(
+def _train_in(
     folder: RunFolder, stage: Stage, name: str, config: TrainConfig, where: Path, model_path: Path, begin: Begin | None = None,
     observe: Observe = load_observations, first_step: int = 0, visits: Sequence[int] | None = None,
 ) -> SceneModel:  # fmt: skip
@@ -108,7 +108,7 @@ def _trained(
     start = None if begin is None else begin(observations, tracks, config)
     shown = preview if begin is None else None  # the image of a run is that of its scene, not of what it is compared with
     device = pick_device(folder.config.device)
-    with _event_log(folder.logs_path / where.name) as record:
+    with _open_event_log(folder.logs_path / where.name) as record:
         trainer = Trainer(observations, tracks, config, where, shown, record, start, device, first_step, visits)
         model = scene_model(scene, trainer.run(), config)
         earlier = trainer.earlier_seconds
@@ -129,7 +129,7 @@ def _trained(
 
 
 @contextlib.contextmanager
-def _event_log(folder: Path) -> Iterator[Callable[[Mapping[str, float]], None]]:
+def _open_event_log(folder: Path) -> Iterator[Callable[[Mapping[str, float]], None]]:
     """Takes what training records and writes it for TensorBoard.
 
     Its thread raises what it could not write with the next figure, too: there it is a line, in the thread a traceback.
@@ -162,7 +162,7 @@ def static_model(folder: RunFolder) -> SceneModel:
         config = static_config(folder.config.train)
         report("Training the static scene for comparison.")
         quarter = replace(config, iterations=max(1, config.iterations // 4))
-        return _trained(folder, stage, "static", quarter, path, path, static_start)
+        return _train_in(folder, stage, "static", quarter, path, path, static_start)
 
 
 # -- the final fit
@@ -175,21 +175,21 @@ def wants_final(folder: RunFolder) -> bool:
 
 def final_key(folder: RunFolder) -> str:
     """What the final fit belongs to."""
-    return stage_key(train_key(folder), "final")
+    return stage_key(train_key(folder), "all_frames")
 
 
 def fit_heldout(folder: RunFolder) -> None:
-    """Bring ``final/`` to what the run asks for: the measured model, fitted to the held-out frames, too; or nothing.
+    """Bring ``model_all_frames/`` to what the run asks for: the measured model, fitted to the held-out frames, too; or nothing.
 
     It begins when everything was measured, and writes nothing that the measurement, the priors or the training read.
     """
     if not wants_final(folder):
-        if folder.final_path.exists():
-            folder.forget("final")
-            shutil.rmtree(folder.final_path)
+        if folder.all_frames_path.exists():
+            folder.forget("all_frames")
+            shutil.rmtree(folder.all_frames_path)
         return
-    path = folder.final_path
-    with folder.stage("final", final_key(folder), (path,), made=has_model(path)) as stage:
+    path = folder.all_frames_path
+    with folder.stage("all_frames", final_key(folder), (path,), made=has_model(path)) as stage:
         if not stage.is_done:
             _fit_heldout(folder, stage)
 
@@ -199,7 +199,7 @@ def _fit_heldout(folder: RunFolder, stage: Stage) -> None:
     report(f"Fitting the {len(scene.heldout_frames)} held-out frames, too, for what is shown: they are measured already.")
 
     def observe(scene: Scene) -> Observations:
-        layers = Layers(folder.final_path / "priors", scene.width, scene.height)
+        layers = Layers(folder.all_frames_path / "priors", scene.width, scene.height)
         if config.train.loss.flow > 0:
             heldout_flow(scene, layers, flow_estimator(config.priors, config.device))
         return with_heldout(load_observations(scene), scene, layers)
@@ -207,7 +207,7 @@ def _fit_heldout(folder: RunFolder, stage: Stage) -> None:
     def begin(observations: Observations, tracks: Tracks | None, train: TrainConfig) -> Gaussians4D:
         return load_model(folder.model_path).gaussians
 
-    _trained(
-        folder, stage, "final", final_config(config.train), folder.final_path, folder.final_path, begin, observe,
+    _train_in(
+        folder, stage, "all_frames", final_config(config.train), folder.all_frames_path, folder.all_frames_path, begin, observe,
         config.train.iterations, final_visits(scene),
     )  # fmt: skip

@@ -1,20 +1,20 @@
 """The folder of a run, and its record of finished stages.
 
-run.json       input, its fingerprint, all settings, and which stages are finished with which key
-scene/         the prepared scene
-first/         a coarse scene of few small frames, shown until training has a checkpoint
-priors.html    cameras, depth, masks, flow and tracks to look at, with a verdict
-training/      checkpoints (while training), history.json
-model/         the trained 4D scene: what is measured
-final/         the same scene fitted to the held-out frames, too, with the priors of those: what videos and exports show
-static/        our own static scene to compare with (--baselines all)
-logs/          TensorBoard
-preview.png    a training view beside its target, refreshed while training
-evaluation/    held-out renderings
-renders/       videos
-export/        what flowsplat export and tracks write
-metrics.json   figures
-report.html    all of it to look at
+run.json          input, its fingerprint, all settings, and which stages are finished with which key
+scene/            the prepared scene
+coarse/           a coarse scene of few small frames, shown until training has a checkpoint
+priors.html       cameras, depth, masks, flow and tracks to look at, with a verdict
+training/         checkpoints (while training), history.json
+model/            the trained 4D scene: what is measured
+model_all_frames/ the same scene fitted to the held-out frames, too, with the priors of those: what videos and exports show
+static/           our own static scene to compare with (--baselines all)
+logs/             TensorBoard
+preview.png       a training view beside its target, refreshed while training
+evaluation/       held-out renderings
+renders/          videos
+export/           what flowsplat export and tracks write
+metrics.json      figures
+report.html       all of it to look at
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ from flowsplat.common.errors import InputError, WritingError
 from flowsplat.common.files import check_json, make_folder, read_json, write_json
 from flowsplat.common.files.json_file import Count, Number, Positive, Text, Versioned
 from flowsplat.common.files.lease import NAME as LOCK
-from flowsplat.common.memory import begin_peak, give_back_memory, peak_memory, recent_peak
+from flowsplat.common.memory import begin_peak, get_recent_peak, give_back_memory, peak_memory
 from flowsplat.common.run_paths import RunPaths
 from flowsplat.common.settings import from_plain, to_plain
 from flowsplat.pipeline.config import RunConfig
 
-VERSION = 3
+VERSION = 4
 
 Seconds = Annotated[float, Meta(ge=0, le=1e9)]
 
@@ -264,7 +264,7 @@ class RunFolder(RunPaths):
 
     def _finish(self, stage: str, key: str, seconds: Mapping[str, float], parts: Mapping[str, float | None] | None) -> None:
         took = {name: round(value, 2) for name, value in seconds.items()}
-        peak = max((gib for gib in (recent_peak(), *(parts or {}).values()) if gib is not None), default=None)
+        peak = max((gib for gib in (get_recent_peak(), *(parts or {}).values()) if gib is not None), default=None)
         self.record["stages"][stage] = {"key": key, "seconds": took, "peak_memory_gib": peak}
         if parts:
             self.record["stages"][stage]["parts_memory_gib"] = dict(parts)

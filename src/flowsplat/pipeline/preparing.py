@@ -15,8 +15,8 @@ from flowsplat.common.devices import pick_device
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import lease, remove_partials, write_json
 from flowsplat.common.files.lease import NAME as LOCK
-from flowsplat.common.files.writing import writing_error
-from flowsplat.common.memory import begin_peak, give_back_memory, recent_peak
+from flowsplat.common.files.writing import make_writing_error
+from flowsplat.common.memory import begin_peak, get_recent_peak, give_back_memory
 from flowsplat.common.progress import report, spinner
 from flowsplat.common.run_paths import RunPaths
 from flowsplat.common.settings import to_plain
@@ -25,7 +25,7 @@ from flowsplat.output.videos import RenderOptions, settle
 from flowsplat.pipeline.compiling import are_missing
 from flowsplat.pipeline.config import RunConfig, check
 from flowsplat.pipeline.folder import RunFolder, Stage, stage_key
-from flowsplat.pipeline.speed import STAGES, TELLING, Estimate, Speed, Watch, expected, expected_memory
+from flowsplat.pipeline.speed import STAGES, TELLING, Estimate, Speed, Watch, estimate_memory, estimate_seconds
 from flowsplat.priors.graph import PRIORS
 from flowsplat.priors.options import names_places
 from flowsplat.priors.prepare import check_places, prepare_priors
@@ -46,10 +46,10 @@ def prepare(source: Path, out: Path, config: RunConfig | None = None) -> RunFold
         InputError: the input, a setting or a given file cannot be used, and then ``out`` stays as it was; or as ``lease``.
     """
     with lease(out):
-        return prepared(Path(source), out, config or RunConfig())
+        return prepare_folder(Path(source), out, config or RunConfig())
 
 
-def prepared(source: Path, out: Path, config: RunConfig, first: Callable[[RunFolder, Clip], None] | None = None) -> RunFolder:
+def prepare_folder(source: Path, out: Path, config: RunConfig, first: Callable[[RunFolder, Clip], None] | None = None) -> RunFolder:
     """As ``prepare``; ``first`` is called with the opened clip before anything is computed of it."""
     check(config)
     kind = kind_of_input(source)
@@ -73,14 +73,14 @@ def prepared(source: Path, out: Path, config: RunConfig, first: Callable[[RunFol
         opened = clip or open_clip(source, config.input)
         show = functools.partial(first, folder, opened)
     goes_on = is_new or folder.was_started("prepare", key)
-    with contextlib.nullcontext() if goes_on else _put_aside(folder, before), folder.stage("prepare", key, made=False) as stage:
+    with contextlib.nullcontext() if goes_on else _set_aside(folder, before), folder.stage("prepare", key, made=False) as stage:
         _compute_scene(folder, stage, source, kind, is_new, show)
     shutil.rmtree(folder.path / ASIDE, ignore_errors=True)
     return folder
 
 
 @contextlib.contextmanager
-def _put_aside(folder: RunFolder, before: Mapping[str, Any]) -> Iterator[None]:
+def _set_aside(folder: RunFolder, before: Mapping[str, Any]) -> Iterator[None]:
     """The scene of other settings makes room for a new one, and comes back where that turns out to be impossible.
 
     Args:
@@ -88,7 +88,7 @@ def _put_aside(folder: RunFolder, before: Mapping[str, Any]) -> Iterator[None]:
     """
     if "prepare" in before["started"]:
         old, new = before["config"].get("priors", {}), to_plain(folder.config.priors)
-        other = PRIORS.depending_on([name for name in new if old.get(name) != new[name]])
+        other = PRIORS.list_depending_on([name for name in new if old.get(name) != new[name]])
         which = f" ({', '.join(other)})" if other else ""
         report(f"The settings of the priors, or the files given for them, changed{which}: they are computed again.")
     aside = folder.path / ASIDE
@@ -112,7 +112,7 @@ def _compute_scene(
     """Fill the scene of a run: what the input holds, then the priors that it lacks.
 
     Args:
-        show: makes a first scene: before the clip is read, which takes long where that is long, unless a setting can be wrong that
+        show: makes a coarse scene: before the clip is read, which takes long where that is long, unless a setting can be wrong that
             only the read clip tells; that is said first.
     """
     config = folder.config
@@ -131,7 +131,7 @@ def _compute_scene(
     for note in scene.info.notes:
         report(note)
     compiling = are_missing(pick_device(config.device).type)
-    speed, reference = Speed(config.device), expected(scene, config, compiling)
+    speed, reference = Speed(config.device), estimate_seconds(scene, config, compiling)
     _report_estimate(scene, speed.estimate(reference), compiling)
     ingested = time.perf_counter() - started
     if show is not None and tells:
@@ -141,13 +141,13 @@ def _compute_scene(
     watch = Watch()
 
     def after(prior: str, took: float) -> None:
-        memory[prior] = recent_peak()
+        memory[prior] = get_recent_peak()
         give_back_memory()
         begin_peak()
         folder.save()
         if prior == "cameras":
             if took >= TELLING and reference["cameras"] > 0 and watch.was_quiet() and not compiling:
-                speed.seen(took / reference["cameras"])
+                speed.note(took / reference["cameras"])
             report(f"Left of a whole run: {speed.estimate(reference, STAGES[2:], folder.wall_seconds)}.")
 
     had = set(scene.info.priors)
@@ -213,7 +213,7 @@ def link_files(source: Path, target: Path) -> None:
             try:
                 shutil.copy2(origin, destination)
             except OSError as error:  # the first one says enough
-                raise writing_error(error, Path(destination)) from error
+                raise make_writing_error(error, Path(destination)) from error
 
     def refuse_links(folder: str, names: list[str]) -> list[str]:
         for path in (Path(folder) / name for name in names):
@@ -231,7 +231,7 @@ def link_files(source: Path, target: Path) -> None:
 
 
 def _report_estimate(scene: Scene, estimate: Estimate, compiling: bool) -> None:
-    gib = expected_memory(scene.width, scene.height, len(scene.train_frames))
+    gib = estimate_memory(scene.width, scene.height, len(scene.train_frames))
     report(
         f"{scene.num_frames} frames of {scene.width} x {scene.height}, {len(scene.heldout_frames)} of them held out: "
         f"{estimate} and {gib:.1f} GiB for a whole run{', which compiles the kernels this once' if compiling else ''}."

@@ -11,13 +11,14 @@ from typing import Any
 
 from flowsplat.common.errors import InputError
 from flowsplat.common.run_paths import RunPaths
-from flowsplat.common.settings import setting_types, to_plain, with_settings
+from flowsplat.common.settings import list_setting_types, to_plain, with_settings
 from flowsplat.evaluation.scores import pick
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.images.html import data_uri
 from flowsplat.pipeline import stages
-from flowsplat.pipeline.config import RunConfig, check, option_of, setting_of
+from flowsplat.pipeline.config import RunConfig, check, find_setting, format_option
 from flowsplat.pipeline.config import preset as settings_of
+from flowsplat.pipeline.renamed_options import find_renamed_option
 from flowsplat.scenes import Scene
 
 THUMBNAIL = 320
@@ -86,7 +87,7 @@ class Run:
             middle = self.scene.num_frames // 2
             camera = self.scene.cameras[middle]
             factor = min(1.0, THUMBNAIL / max(camera.width, camera.height))
-            camera = camera.resized(max(round(camera.width * factor), 1), max(round(camera.height * factor), 1))
+            camera = camera.resize(max(round(camera.width * factor), 1), max(round(camera.height * factor), 1))
             shown = self.model.render(camera, float(self.scene.timestamps[middle])).color
             image = f'<img alt="frame {middle}" src="{data_uri(shown)}"><br>'
         return f"<div><b>{escape(str(self.folder))}</b><br>{image}<table>{rows}</table></div>"
@@ -107,11 +108,11 @@ def run(
     Raises:
         InputError: the input, a setting or the folder cannot be used.
     """
-    stages.run(Path(source), Path(out), configured(preset, overrides or {}))
+    stages.run(Path(source), Path(out), make_config(preset, overrides or {}))
     return Run(out)
 
 
-def configured(name: str, overrides: Mapping[str, Any]) -> RunConfig:
+def make_config(name: str, overrides: Mapping[str, Any]) -> RunConfig:
     """The settings of a preset with some changed.
 
     Args:
@@ -123,8 +124,10 @@ def configured(name: str, overrides: Mapping[str, Any]) -> RunConfig:
     """
     changes = {}
     for given, value in overrides.items():
-        if (setting := setting_of(given)) is None:
-            options = [option_of(known).removeprefix("--") for known in setting_types(RunConfig)]
+        if (setting := find_setting(given)) is None:
+            if now := find_renamed_option(given):
+                raise InputError(f"The setting {given!r} is called {now.removeprefix('--')!r} now.")
+            options = [format_option(known).removeprefix("--") for known in list_setting_types(RunConfig)]
             near = difflib.get_close_matches(given.lstrip("-").replace("_", "-"), options, 3)
             meant = f" Did you mean {' or '.join(near)}?" if near else ""
             raise InputError(f"There is no setting {given!r}.{meant}")

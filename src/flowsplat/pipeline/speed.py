@@ -23,7 +23,7 @@ from msgspec import Meta
 from flowsplat.common.devices import pick_device
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import make_folder, read_json, write_json
-from flowsplat.common.kernel_cache import compiled_kernels
+from flowsplat.common.kernel_cache import count_compiled_kernels
 from flowsplat.common.progress import spinner
 from flowsplat.common.threads import open_cv_threads, restore_open_cv
 from flowsplat.common.user_cache import cache_folder
@@ -81,19 +81,19 @@ class Estimate:
         return f"about {middle:g} {unit}{'s' * (middle != 1)}{between}"
 
 
-def expected(scene: Scene, config: RunConfig, compiling: bool = False) -> dict[str, float]:
+def estimate_seconds(scene: Scene, config: RunConfig, compiling: bool = False) -> dict[str, float]:
     """Seconds of every stage on the reference machine; ``compiling``: with kernels that are not compiled yet."""
-    found = _expected(config, scene.width, scene.height, len(scene.train_frames), len(scene.heldout_frames))
+    found = _estimate_seconds(config, scene.width, scene.height, len(scene.train_frames), len(scene.heldout_frames))
     return {"compiling": COMPILING if compiling else 0.0, **found}
 
 
-def expected_of(clip: Clip, config: RunConfig) -> dict[str, float]:
+def estimate_seconds_of_clip(clip: Clip, config: RunConfig) -> dict[str, float]:
     """The same of a clip that is no scene yet."""
     train, heldout = split_frames(clip.num_frames, None if clip.num_views else config.input.holdout)
-    return _expected(config, clip.width, clip.height, len(train), len(heldout))
+    return _estimate_seconds(config, clip.width, clip.height, len(train), len(heldout))
 
 
-def _expected(config: RunConfig, width: int, height: int, train_frames: int, heldout: int) -> dict[str, float]:
+def _estimate_seconds(config: RunConfig, width: int, height: int, train_frames: int, heldout: int) -> dict[str, float]:
     megapixels = width * height / 1e6
     all_frames = (train_frames + heldout) * megapixels
     frames = config.train.frames_per_iteration or train_frames
@@ -107,7 +107,7 @@ def _expected(config: RunConfig, width: int, height: int, train_frames: int, hel
     }  # fmt: skip
 
 
-def expected_memory(width: int, height: int, train_frames: int) -> float:
+def estimate_memory(width: int, height: int, train_frames: int) -> float:
     """GiB that a whole run needs."""
     megapixels = width * height / 1e6
     return 0.6 + 3.4 * megapixels + train_frames * megapixels * 0.02
@@ -117,9 +117,9 @@ def stages_of(seconds: Mapping[str, float]) -> dict[str, float]:
     """What a run took, from its seconds by part to those of ``STAGES``; of those that it went through."""
     found: dict[str, float] = {}
     for name, value in seconds.items():
-        if name == "first":  # as long in every run
+        if name == "coarse":  # as long in every run
             continue
-        stage = name if name in STAGES else "rest" if name in ("static", "evaluate", "final", "render") else "priors"
+        stage = name if name in STAGES else "rest" if name in ("static", "evaluate", "all_frames", "render") else "priors"
         found[stage] = found.get(stage, 0.0) + value
     return found
 
@@ -140,7 +140,7 @@ class Speed:
         self._known = self._all.setdefault(f"{chosen}, {torch.get_num_threads()} threads", {})
         self._now: list[float] = []
 
-    def seen(self, ratio: float) -> None:
+    def note(self, ratio: float) -> None:
         """Note how many times as long as on the reference machine a stage of the run that goes on took."""
         self._now.append(ratio)
 
@@ -186,12 +186,12 @@ class Watch:
     """What happens on this machine beside a run, from one question to the next."""
 
     def __init__(self) -> None:
-        self._compiled, self._used = compiled_kernels(), _used()
+        self._compiled, self._used = count_compiled_kernels(), _read_used()
 
     def was_quiet(self) -> bool:
         """Whether, since the last time, this process compiled nothing and other programs left the machine alone."""
         compiled, before = self._compiled, self._used
-        self._compiled, self._used = compiled_kernels(), _used()
+        self._compiled, self._used = count_compiled_kernels(), _read_used()
         if compiled != self._compiled:
             return False
         if before is None or self._used is None:
@@ -200,7 +200,7 @@ class Watch:
         return others < BUSY * (os.cpu_count() or 1) * max(self._used.now - before.now, 1e-3)
 
 
-def _used() -> _Used | None:
+def _read_used() -> _Used | None:
     """None where the system does not tell."""
     try:
         fields = Path("/proc/stat").read_text().split("\n", 1)[0].split()[1:]

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from flowsplat.common.devices import pick_device
-from flowsplat.common.durations import beginning
+from flowsplat.common.durations import get_beginning
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import hash_files, lease, read_json, require_keys, write_json
 from flowsplat.common.files.json_file import Number
-from flowsplat.common.memory import recent_peak
+from flowsplat.common.memory import get_recent_peak
 from flowsplat.common.progress import spinner
 from flowsplat.common.run_paths import RunPaths
 from flowsplat.evaluation.evaluate import evaluate
@@ -23,13 +23,13 @@ from flowsplat.evaluation.poses import refine_camera
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.output.report import FlowComparison, write_report
 from flowsplat.output.videos import RenderOptions, are_rendered, name_of, render_videos
-from flowsplat.pipeline.compiling import compiling_ahead
+from flowsplat.pipeline.coarse import coarse_scene, is_worth_it
+from flowsplat.pipeline.compiling import compile_ahead
 from flowsplat.pipeline.config import RunConfig
-from flowsplat.pipeline.first import first_scene, is_worth_it
 from flowsplat.pipeline.fitting import HISTORY, final_key, fit_heldout, static_model, train, train_key, wants_final
 from flowsplat.pipeline.folder import MetricsFile, RunFolder, stage_key
-from flowsplat.pipeline.preparing import prepared
-from flowsplat.pipeline.speed import Speed, Watch, expected, expected_of
+from flowsplat.pipeline.preparing import prepare_folder
+from flowsplat.pipeline.speed import Speed, Watch, estimate_seconds, estimate_seconds_of_clip
 from flowsplat.pipeline.summary import flow_comparisons, report_data
 from flowsplat.priors.objects import load_objects
 from flowsplat.priors.objects.description import object_figures
@@ -55,17 +55,21 @@ def run(source: Path, out: Path, config: RunConfig | None = None) -> dict[str, A
     Raises:
         InputError: the input, a setting or the folder cannot be used.
     """
-    begun, is_new, watch = beginning(), not RunPaths(out).record_path.exists(), Watch()
+    begun, is_new, watch = get_beginning(), not RunPaths(out).record_path.exists(), Watch()
     with lease(out):
         device = pick_device((config or RunConfig()).device).type
-        with compiling_ahead(device) as ahead:
+        with compile_ahead(device) as ahead:
 
             def first(folder: RunFolder, clip: Clip) -> None:
                 # Kernels that are still being compiled are waited for once, after the priors.
-                if folder.config.first_scene and not ahead.is_busy and is_worth_it(sum(expected_of(clip, folder.config).values())):
-                    first_scene(folder, clip)
+                if (
+                    folder.config.coarse_scene
+                    and not ahead.is_busy
+                    and is_worth_it(sum(estimate_seconds_of_clip(clip, folder.config).values()))
+                ):
+                    coarse_scene(folder, clip)
 
-            folder = prepared(Path(source), out, config or RunConfig(), first)
+            folder = prepare_folder(Path(source), out, config or RunConfig(), first)
             ahead.wait()
         folder.count_from(begun)
         try:
@@ -74,14 +78,15 @@ def run(source: Path, out: Path, config: RunConfig | None = None) -> dict[str, A
         finally:
             folder.save()
     if is_new and not ahead.compiled and watch.was_quiet():
-        Speed(folder.config.device).remember(folder.seconds, expected(Scene(folder.scene_path), folder.config))
+        Speed(folder.config.device).remember(folder.seconds, estimate_seconds(Scene(folder.scene_path), folder.config))
     return metrics
 
 
 def load(path: Path | str, device: str = "cpu") -> SceneModel:
     """The trained scene of a run: ``load("out").render(camera, t)`` gives arrays.
 
-    Where the run was fitted to its held-out frames, too (``final/``), it is that model; the measured one is ``load("out/model")``.
+    Where the run was fitted to its held-out frames, too (``model_all_frames/``), it is that model; the measured one is
+    ``load("out/model")``.
 
     Args:
         path: of the run, or of one of its models.
@@ -91,8 +96,8 @@ def load(path: Path | str, device: str = "cpu") -> SceneModel:
         InputError: there is none, it is damaged, or the device does not work.
     """
     path, run = Path(path), RunPaths(path)
-    if run.record_path.exists() and has_model(run.final_path):
-        path = run.final_path
+    if run.record_path.exists() and has_model(run.all_frames_path):
+        path = run.all_frames_path
     elif (run.model_path / "model.json").exists():
         path = run.model_path
     elif not (path / "model.json").exists():
@@ -164,10 +169,10 @@ def _measure(folder: RunFolder, result: _Result, static: SceneModel | None) -> d
 def _write_metrics(folder: RunFolder, result: _Result, metrics: dict[str, Any], seconds: Mapping[str, float]) -> None:
     """Complete ``metrics``, and write them and the report. A stage that took ``seconds`` is finished only when that is done."""
     metrics["peak_memory_gib"] = folder.peak_memory
-    metrics["memory_gib"] = {**folder.memory, **dict.fromkeys(seconds, recent_peak())}
+    metrics["memory_gib"] = {**folder.memory, **dict.fromkeys(seconds, get_recent_peak())}
     metrics["seconds"], metrics["wall_seconds"] = {**folder.seconds, **seconds}, folder.wall_seconds
     metrics["measured"] = folder.model_path.name
-    metrics["shown"] = (folder.final_path if has_model(folder.final_path) else folder.model_path).name
+    metrics["shown"] = (folder.all_frames_path if has_model(folder.all_frames_path) else folder.model_path).name
     write_json(folder.metrics_path, metrics)
     history = read_history(folder.training_path / HISTORY)
     with spinner("Writing report.html"):
@@ -228,10 +233,10 @@ def render_run(folder: RunFolder, options: RenderOptions | None = None) -> dict[
         InputError: an option or the camera file cannot be used, or as ``evaluate_run``.
     """
     with lease(folder.path):
-        return _rendered(folder, options)
+        return _render(folder, options)
 
 
-def _rendered(folder: RunFolder, options: RenderOptions | None) -> dict[str, Any]:
+def _render(folder: RunFolder, options: RenderOptions | None) -> dict[str, Any]:
     result = _Result(folder)
     metrics = _evaluate(folder, result)
     fit_heldout(folder)
@@ -248,5 +253,5 @@ def _rendered(folder: RunFolder, options: RenderOptions | None) -> dict[str, Any
 
 
 def _render_videos(folder: RunFolder, result: _Result, options: RenderOptions) -> None:
-    shown = load(folder.path, folder.config.device) if has_model(folder.final_path) else result.model
+    shown = load(folder.path, folder.config.device) if has_model(folder.all_frames_path) else result.model
     render_videos(shown, result.scene, folder.renders_path, options)

@@ -18,7 +18,7 @@ from flowsplat.common.settings import flat, to_plain
 from flowsplat.evaluation.scores import pick
 from flowsplat.gaussians.renderer import Renderer
 from flowsplat.output.report import Comparison, FlowComparison, ReportData
-from flowsplat.output.videos import rendered
+from flowsplat.output.videos import list_rendered
 from flowsplat.scenes import Scene
 from flowsplat.scenes.layers import read_image
 
@@ -26,8 +26,8 @@ SHOWN = 6
 """Held-out images of each kind in the report."""
 
 SHOWN_NOTE = (
-    "Videos, exports and the viewer show the scene after it was fitted to the held-out frames, too (final/). Every figure and "
-    "every comparison here is of the model before that (model/), which has not seen them."
+    "Videos, exports and the viewer show the scene after it was fitted to the held-out frames, too (model_all_frames/). Every "
+    "figure and every comparison here is of the model before that (model/), which has not seen them."
 )
 
 ROWS: tuple[tuple[str, tuple[str, ...], str], ...] = (
@@ -90,7 +90,7 @@ def report_data(
     counts = metrics["gaussians"]["active"]
     if len(counts) != len(scene.timestamps):
         raise InputError(f"{out / 'metrics.json'} counts Gaussians in {len(counts)} frames, the scene has {len(scene.timestamps)}.")
-    notes = [*scene.info.notes, *([SHOWN_NOTE] if metrics.get("shown") == "final" else [])]
+    notes = [*scene.info.notes, *([SHOWN_NOTE] if metrics.get("shown") != metrics.get("measured") else [])]
     verdicts = [str((scene.prior(name) or {}).get("verdict", "")) for name in ("cameras", "depth", "masks")]
     return ReportData(
         title=scene.name,
@@ -101,7 +101,7 @@ def report_data(
         active=(scene.timestamps.tolist(), counts),
         config=flat(to_plain(config)),
         notes=[*notes, *(verdict for verdict in verdicts if verdict)],
-        videos=rendered(RunPaths(out).renders_path),
+        videos=list_rendered(RunPaths(out).renders_path),
     )
 
 

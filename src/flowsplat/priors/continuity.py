@@ -45,6 +45,6 @@ class Continuity:
         """Whether the cameras of two frames share a world."""
         return bool(self.pieces[k] == self.pieces[j])
 
-    def joined(self, k: int, j: int) -> bool:
+    def are_joined(self, k: int, j: int) -> bool:
         """Whether matches between two frames mean something."""
         return self.same_piece(k, j) and not self.is_blank(k) and not self.is_blank(j)

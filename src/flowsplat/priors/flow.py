@@ -124,7 +124,7 @@ def flow_stage(scene: Scene, method: str = "dis", estimate: FlowEstimator = dis_
             flows = {(i, j): estimate(a, b), (j, i): estimate(b, a)}
             for s, t in missing:
                 confidence = forward_backward_confidence(flows[s, t], flows[t, s])
-                if not continuity.joined(k, k + 1):
+                if not continuity.are_joined(k, k + 1):
                     confidence = np.zeros_like(confidence)  # what agrees across a cut agrees by chance
                 scene.write_flow(Flow(s, t, flows[s, t], confidence))
         return len(missing), float(scene.flow(i, j).trusted.mean())

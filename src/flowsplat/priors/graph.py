@@ -66,13 +66,13 @@ class Graph:
         """Names of all that the scene records."""
         return [prior.name for prior in self if prior.has_record]
 
-    def missing(self, scene: Scene) -> list[str]:
+    def list_missing(self, scene: Scene) -> list[str]:
         """The priors that are not there."""
         return [name for name in self.names if scene.prior(name) is None]
 
     # -- what follows from what
 
-    def reached(self, name: str, outlasting: bool = True) -> list[Prior]:
+    def list_reached(self, name: str, outlasting: bool = True) -> list[Prior]:
         """The nodes that a change of one changes, directly or through others.
 
         Args:
@@ -88,7 +88,7 @@ class Graph:
     def followers(self, name: str, outlasting: bool = True) -> set[str]:
         """The priors that have to be made anew after one of them, or a step to one, was."""
         # A step with a record of its own is made anew with its prior, and not the prior with it.
-        stale = {prior.whole for prior in self.reached(name, outlasting) if prior.part_of is None or not prior.has_record}
+        stale = {prior.whole for prior in self.list_reached(name, outlasting) if prior.part_of is None or not prior.has_record}
         return stale - {name}
 
     def stale(self, request: Request) -> set[str]:
@@ -100,7 +100,7 @@ class Graph:
             InputError: something that is there cannot be replaced, or would stay without what it belongs to.
         """
         self._require_replaceable(request)
-        asked = self._asked(request)
+        asked = self._list_requested(request)
         differing = [prior for prior in self if prior.kind.differs(request, asked.get(prior.name))]
         replaced = {name for name, method in asked.items() if request.method(name) not in (None, method)}
         replaced |= {prior.name for prior in differing}
@@ -112,7 +112,7 @@ class Graph:
             prior.kind.check_renewal(request, stale)
         return stale
 
-    def _asked(self, request: Request) -> dict[str, str]:
+    def _list_requested(self, request: Request) -> dict[str, str]:
         """The method of every prior for which the options ask. An option that is left at its default asks for nothing."""
         asked = {prior.name: method for prior in self.whole if (method := prior.kind.asked(request)) is not None}
         if request.wants_truth:
@@ -136,7 +136,7 @@ class Graph:
         """All that the priors of a clip depend on beside the clip: the settings, and a hash of the files that these name."""
         return options, hash_files("", options.given.files())
 
-    def depending_on(self, options: Collection[str]) -> list[str]:
+    def list_depending_on(self, options: Collection[str]) -> list[str]:
         """The priors that some settings (fields of ``PriorsOptions``) decide on, and those that follow from them."""
         chosen = [prior for prior in self if not set(options).isdisjoint(prior.kind.options)]
         found = {name for prior in chosen for name in (prior.whole, *self.followers(prior.name))}
@@ -148,7 +148,7 @@ class Graph:
         """Note that priors are not there, nor the steps that belong to them or follow from them, and delete their files."""
         gone = set(names)
         for prior in self:
-            belongs = prior.whole in names or any(prior in self.reached(name) for name in names)
+            belongs = prior.whole in names or any(prior in self.list_reached(name) for name in names)
             if prior.part_of is not None and prior.has_record and belongs:
                 gone.add(prior.name)
         if gone:

@@ -29,7 +29,7 @@ def heldout_flow(scene: Scene, layers: Layers, estimate: FlowEstimator = dis_est
         # A cut beside a held-out frame is known by the training frames around it only: flow on both sides then counts for nothing.
         before = max((k for k, t in enumerate(scene.train_frames) if t <= i), default=None)
         after = min((k for k, t in enumerate(scene.train_frames) if t >= j), default=None)
-        joined = before is None or after is None or continuity.joined(before, after)
+        joined = before is None or after is None or continuity.are_joined(before, after)
         a, b = (scene.heldout_frame(t) if t in heldout else scene.frame(t) for t in (i, j))
         flows = {(i, j): estimate(a, b), (j, i): estimate(b, a)}
         for s, t in flows:

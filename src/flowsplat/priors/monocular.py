@@ -23,8 +23,8 @@ from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.geometry.interpolation import sample_map
 from flowsplat.priors.background.fill import fill, upsample
 from flowsplat.priors.background.matched_clip import MatchedClip
-from flowsplat.priors.background.static_depth import SURE, Background, unseen_inverse
-from flowsplat.priors.depth.stage import FURTHEST_DEPTH, MARGIN, NEAREST_DEPTH, TRUSTED_WEIGHT, trusted_shares
+from flowsplat.priors.background.static_depth import SURE, Background, compute_far_inverse
+from flowsplat.priors.depth.stage import FURTHEST_DEPTH, MARGIN, NEAREST_DEPTH, TRUSTED_WEIGHT, measure_trusted_shares
 from flowsplat.priors.flow import FlowEstimator, dis_estimator
 from flowsplat.scenes import Depth, Scene
 from flowsplat.scenes.layers import TRUSTED
@@ -120,7 +120,7 @@ def monocular_stage(scene: Scene, source: Monocular, estimate: FlowEstimator = d
     maps = _Maps(clip, folder)
     write = _write_measured if clip.has_parallax else _write_free
     figures = write(maps, source)
-    trusted, still = trusted_shares(scene)
+    trusted, still = measure_trusted_shares(scene)
     verdict = f"{source.source}, {figures.pop('verdict')}, {still:.0%} of the still scene trusted"
     scene.finish_prior(
         "depth", method=source.method, verdict=verdict, trusted=round(trusted, 4), trusted_static=round(still, 4), **figures
@@ -146,22 +146,24 @@ class _Maps:
         inverse, confidence = (cv2.resize(values, size, interpolation=cv2.INTER_AREA) for values in self[k])
         return inverse, confidence
 
-    def moving(self, k: int) -> np.ndarray:
+    def read_objects(self, k: int) -> np.ndarray:
         """bool [H, W]."""
         if not self.has_masks:
             return np.zeros((self.scene.height, self.scene.width), bool)
         return self.scene.mask(self.scene.train_frames[k]) > 0
 
-    def moving_small(self, k: int) -> np.ndarray:
+    def read_objects_small(self, k: int) -> np.ndarray:
         """[h, w] float32 at working resolution, above 0 wherever a pixel of it shows something that moves."""
-        return cv2.resize(self.moving(k).astype(np.float32), (self.clip.width, self.clip.height), interpolation=cv2.INTER_AREA)
+        return cv2.resize(
+            self.read_objects(k).astype(np.float32), (self.clip.width, self.clip.height), interpolation=cv2.INTER_AREA
+        )
 
 
 def _write_measured(maps: _Maps, source: Monocular) -> dict[str, object]:
     """Fit every frame to the static scene that the matches show, and write it."""
     clip = maps.clip
     background = Background(clip, maps.has_masks)
-    lines, misfits = _measured_lines(maps, background, LOOSE_RELATIVE if source.relative else LOOSE_METRIC)
+    lines, misfits = _measure_lines(maps, background, LOOSE_RELATIVE if source.relative else LOOSE_METRIC)
     for k in track(range(len(clip)), "Depth"):
         _write_frame(maps, background, k, lines[k], misfits[k])
     return {
@@ -170,12 +172,12 @@ def _write_measured(maps: _Maps, source: Monocular) -> dict[str, object]:
     }  # fmt: skip
 
 
-def _measured_lines(maps: _Maps, background: Background, loose: float) -> tuple[np.ndarray, np.ndarray]:
+def _measure_lines(maps: _Maps, background: Background, loose: float) -> tuple[np.ndarray, np.ndarray]:
     """(scale, shift) [T, 2] of every frame, and the median relative error of the fit [T]."""
     count = len(maps.clip)
     lines, misfits = np.full((count, 2), np.nan), np.full(count, np.nan)
     for k in track(range(count), "Fitting depth"):
-        measured, weight = background.filled(k)
+        measured, weight = background.fill(k)
         inverse, confidence = maps.small(k)
         chosen = np.flatnonzero((weight > SURE) & (confidence >= TRUSTED) & (background.mask(k) == 0))
         if len(chosen) >= FEWEST:
@@ -202,10 +204,10 @@ def _measured_lines(maps: _Maps, background: Background, loose: float) -> tuple[
 def _write_frame(maps: _Maps, background: Background, k: int, line: np.ndarray, misfit: float) -> None:
     clip, scene = maps.clip, maps.scene
     i = scene.train_frames[k]
-    frame, moving, size = scene.frame(i), maps.moving(k), (scene.width, scene.height)
+    frame, moving, size = scene.frame(i), maps.read_objects(k), (scene.width, scene.height)
     inverse, known = maps[k]
     floor, ceiling = clip.median / FURTHEST_DEPTH, clip.median / NEAREST_DEPTH
-    measured, weight = background.filled(k)
+    measured, weight = background.fill(k)
     weight = np.where(background.mask(k) > 0, 0, weight).astype(np.float32)
     plate = upsample(background.plate(k), np.zeros_like(frame), *size)
     behind = np.where(moving, plate, upsample(measured, frame, *size))
@@ -216,7 +218,7 @@ def _write_frame(maps: _Maps, background: Background, k: int, line: np.ndarray, 
     trusted = np.where(weight > TRUSTED_WEIGHT, weight, 0)
     bend = fill(measured - small, trusted, clip.image(k))[0] if trusted.any() else np.zeros_like(small)
     static = np.clip(aligned + upsample(bend, frame, *size), floor, ceiling)
-    front = upsample(background.foremost(k), np.zeros_like(frame), *size)
+    front = upsample(background.compute_foremost(k), np.zeros_like(frame), *size)
     depth = 1 / np.clip(np.where(moving, np.maximum(aligned, MARGIN * front), static), floor, ceiling)
     own = np.float32(1 / (1 + (misfit / MISFIT) ** 2)) * known
     seen = np.maximum(upsample(weight, np.zeros_like(frame), *size), 0)
@@ -227,7 +229,7 @@ def _write_frame(maps: _Maps, background: Background, k: int, line: np.ndarray, 
 def _write_free(maps: _Maps, source: Monocular) -> dict[str, object]:
     """Without parallax: fit the frames to each other, scale the clip so that its cameras see no parallax, and write it."""
     clip, scene = maps.clip, maps.scene
-    lines = _chained_lines(maps, source.relative)
+    lines = _chain_lines(maps, source.relative)
     samples = np.concatenate([
         (lines[k, 0] * maps.small(k)[0] + lines[k, 1]).ravel()[::17] for k in range(0, len(clip), max(1, len(clip) // 16))
     ])  # fmt: skip
@@ -235,7 +237,7 @@ def _write_free(maps: _Maps, source: Monocular) -> dict[str, object]:
     shift = 0.0
     if source.relative or far <= 0:
         shift = (FLAT * middle - far) / (1 - FLAT)
-    scale = unseen_inverse(clip) / max(middle + shift, 1e-9)
+    scale = compute_far_inverse(clip) / max(middle + shift, 1e-9)
     floor, ceiling = scale * (middle + shift) / FURTHEST_DEPTH, scale * (middle + shift) / NEAREST_DEPTH
     for k, i in enumerate(track(scene.train_frames, "Depth")):
         inverse, known = maps[k]
@@ -248,7 +250,7 @@ def _write_free(maps: _Maps, source: Monocular) -> dict[str, object]:
     }  # fmt: skip
 
 
-def _chained_lines(maps: _Maps, relative: bool) -> np.ndarray:
+def _chain_lines(maps: _Maps, relative: bool) -> np.ndarray:
     """(scale, shift) [T, 2] that make every frame's inverse depth agree with that of the frame before where nothing moves.
 
     Median and spread are made equal and no line is fitted: a fit would flatten the clip, a little with every frame.
@@ -262,8 +264,8 @@ def _chained_lines(maps: _Maps, relative: bool) -> np.ndarray:
     for before, k in pairwise(range(len(clip))):
         flow, confidence = clip.step_flow(k, before)
         landed = (grid + flow).reshape(-1, 2)
-        moves_there = sample_map(maps.moving_small(before), landed)[:, 0].reshape(confidence.shape)
-        chosen = (maps.moving_small(k) == 0) & (moves_there == 0) & (confidence >= TRUSTED)
+        moves_there = sample_map(maps.read_objects_small(before), landed)[:, 0].reshape(confidence.shape)
+        chosen = (maps.read_objects_small(k) == 0) & (moves_there == 0) & (confidence >= TRUSTED)
         lines[k] = lines[before]
         if not clip.continuity.same_piece(k, before):
             # Nothing is known across a cut; what comes after it is as far away as what came before.

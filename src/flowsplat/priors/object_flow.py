@@ -38,12 +38,12 @@ def object_flow_stage(scene: Scene) -> None:
     continuity = Continuity(scene)
     for k, (i, j) in enumerate(track(list(pairwise(scene.train_frames)), "Flow of objects")):
         masks = scene.mask(i) > 0, scene.mask(j) > 0
-        if not (masks[0].any() and masks[1].any() and continuity.joined(k, k + 1)):
+        if not (masks[0].any() and masks[1].any() and continuity.are_joined(k, k + 1)):
             continue
         flows = scene.flow(i, j), scene.flow(j, i)
         if min(float(flow.trusted[mask].mean()) for flow, mask in zip(flows, masks, strict=True)) >= GOOD:
             continue
-        better = _searched((scene.frame(i), scene.frame(j)), masks, (flows[0].flow, flows[1].flow))
+        better = _search((scene.frame(i), scene.frame(j)), masks, (flows[0].flow, flows[1].flow))
         for flow, found, back, mask in zip(flows, better, better[::-1], masks, strict=True):
             sure = np.where(mask, forward_backward_confidence(found, back), flow.confidence)
             scene.write_flow(Flow(flow.i, flow.j, found, sure))
@@ -54,7 +54,7 @@ Pair = tuple[np.ndarray, np.ndarray]
 """Of one frame and of another one, or from the one to the other and back."""
 
 
-def _searched(images: Pair, masks: Pair, flows: Pair) -> Pair:
+def _search(images: Pair, masks: Pair, flows: Pair) -> Pair:
     """Both flows [H, W, 2], those of objects the better of what is there and of what is found where nothing else is seen."""
     rows, columns = (np.flatnonzero((masks[0] | masks[1]).any(axis)) for axis in (1, 0))
     top, left = max(rows[0] - AROUND, 0), max(columns[0] - AROUND, 0)
@@ -76,13 +76,13 @@ def _searched(images: Pair, masks: Pair, flows: Pair) -> Pair:
 
 def _cost(a: np.ndarray, b: np.ndarray, mask_a: np.ndarray, mask_b: np.ndarray, flow: np.ndarray, back: np.ndarray) -> np.ndarray:
     """[H, W] what speaks against a flow from ``a`` to ``b`` around each pixel of an object, in gray levels."""
-    unlike = np.minimum(np.abs(a - _carried(b, flow)).mean(-1), MOST_UNLIKE)
-    misses = lengths(flow + _carried(back, flow)) / (0.5 + 0.05 * lengths(flow))
-    cost = unlike + OUTSIDE * (1 - _carried(mask_b, flow)) + RETURN * np.minimum(misses, MOST_RETURNS)
+    unlike = np.minimum(np.abs(a - _warp(b, flow)).mean(-1), MOST_UNLIKE)
+    misses = lengths(flow + _warp(back, flow)) / (0.5 + 0.05 * lengths(flow))
+    cost = unlike + OUTSIDE * (1 - _warp(mask_b, flow)) + RETURN * np.minimum(misses, MOST_RETURNS)
     return np.asarray(cv2.GaussianBlur(cost * mask_a, (0, 0), WINDOW) / np.maximum(cv2.GaussianBlur(mask_a, (0, 0), WINDOW), 1e-3))
 
 
-def _carried(values: np.ndarray, flow: np.ndarray) -> np.ndarray:
+def _warp(values: np.ndarray, flow: np.ndarray) -> np.ndarray:
     """The map [H, W, ...] whose pixel p is that at p + flow(p)."""
     x, y = np.moveaxis(pixel_grid(*flow.shape[1::-1]) + flow - 0.5, -1, 0).astype(np.float32)
     return np.asarray(cv2.remap(values, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))

@@ -47,7 +47,7 @@ def prepare_priors(
     stale = PRIORS.stale(request)
     _report_what_is_kept(request, stale)
     seconds: dict[str, float] = {}
-    if request.wants_truth and (stale or PRIORS.missing(scene)):
+    if request.wants_truth and (stale or PRIORS.list_missing(scene)):
         true_layers(scene)
         PRIORS.forget(scene, stale)
         seconds["truth"] = _timed(lambda: PRIORS.read_truth(request))
@@ -58,7 +58,7 @@ def prepare_priors(
         request = replace(request, estimate=flow_estimator(options, device))
     ready = {prior.name: _ready(request, prior) for prior in due if prior.name not in options.given.named}
     PRIORS.forget(scene, stale)
-    missing = PRIORS.missing(scene)
+    missing = PRIORS.list_missing(scene)
     if request.prompts and "masks" in missing:
         with spinner("Looking at clicks and boxes"):
             path = show_at_once(scene, request.prompts, request.estimate)

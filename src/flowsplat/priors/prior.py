@@ -65,7 +65,7 @@ def _no(*_: Any) -> bool:
     return False
 
 
-def _nothing(*_: Any) -> None:
+def _do_nothing(*_: Any) -> None:
     return None
 
 
@@ -100,9 +100,9 @@ class Kind:
     options: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
     own: tuple[str, ...] = ()
-    asked: Callable[[Request], str | None] = _nothing
+    asked: Callable[[Request], str | None] = _do_nothing
     differs: Callable[[Request, str | None], bool] = _no
-    check_renewal: Callable[[Request, Collection[str]], None] = _nothing
+    check_renewal: Callable[[Request, Collection[str]], None] = _do_nothing
     replaces_images: Callable[[Request], bool] = _no
     finds_flow: bool = False
     overwrites: bool = False

@@ -135,7 +135,7 @@ def select_frames(seconds: np.ndarray, options: InputOptions, source: str) -> Se
     return Selection(numbers, elapsed[numbers] - elapsed[numbers[0]], float(seconds[numbers[0]]), notes)
 
 
-def working_size(width: int, height: int, options: InputOptions, source: str) -> tuple[tuple[int, int], list[str]]:
+def choose_working_size(width: int, height: int, options: InputOptions, source: str) -> tuple[tuple[int, int], list[str]]:
     """((width, height) to work at, notes for the user).
 
     Raises:

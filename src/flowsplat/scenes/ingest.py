@@ -192,10 +192,10 @@ def fingerprint(path: Path, options: InputOptions) -> str:
     Raises:
         InputError: the input does not exist or is of no known kind.
     """
-    return hash_files(json.dumps(asdict(options), sort_keys=True), _input_files(Path(path), options))
+    return hash_files(json.dumps(asdict(options), sort_keys=True), _list_input_files(Path(path), options))
 
 
-def _input_files(path: Path, options: InputOptions) -> list[tuple[str, Path]]:
+def _list_input_files(path: Path, options: InputOptions) -> list[tuple[str, Path]]:
     """The files that make up an input, with names that do not depend on where it lies."""
     kind = kind_of_input(path)
     if kind == "scene":

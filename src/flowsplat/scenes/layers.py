@@ -125,7 +125,7 @@ def _to_bytes(confidence: np.ndarray) -> np.ndarray:
 
 
 @contextlib.contextmanager
-def _silent() -> Iterator[None]:
+def _silence() -> Iterator[None]:
     """Without what libpng and libjpeg write to the terminal by themselves; what others write meanwhile is lost, too."""
     with _SILENCE, open(os.devnull, "wb") as nowhere:
         try:
@@ -178,7 +178,7 @@ def decode_image(path: Path, flags: int, expected: tuple[int, int] | None = None
     logging = cv2.utils.logging
     level = logging.setLogLevel(logging.LOG_LEVEL_SILENT)
     try:
-        with _silent():
+        with _silence():
             return cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error:
         return None
@@ -287,7 +287,7 @@ class Layers:
         found = sorted((self.folder / "flow").glob("[0-9]*_[0-9]*.npz"))
         return [(int(path.stem.split("_")[0]), int(path.stem.split("_")[1])) for path in found]
 
-    def stored_flow(self, i: int, j: int) -> StoredFlow:
+    def read_stored_flow(self, i: int, j: int) -> StoredFlow:
         """The flow from frame ``i`` to frame ``j``, as it is stored.
 
         Raises:
@@ -305,7 +305,7 @@ class Layers:
         Raises:
             InputError: missing, damaged or of the wrong size.
         """
-        stored = self.stored_flow(i, j)
+        stored = self.read_stored_flow(i, j)
         return Flow(i, j, stored.flow, stored.confidence)
 
     def write_flow(self, flow: Flow) -> None:

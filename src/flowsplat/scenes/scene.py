@@ -279,9 +279,9 @@ class Scene(Layers):
         self._require_training(i)
         return super().depth(i)
 
-    def stored_flow(self, i: int, j: int) -> StoredFlow:
+    def read_stored_flow(self, i: int, j: int) -> StoredFlow:
         self._require_training(i, j)
-        return super().stored_flow(i, j)
+        return super().read_stored_flow(i, j)
 
     def mask(self, i: int) -> np.ndarray:
         self._require_training(i)

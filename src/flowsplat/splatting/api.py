@@ -178,7 +178,7 @@ def rasterize(
     eps2d: float = EPS2D,
     backend: BackendName = "auto",
 ) -> tuple[Tensor, Tensor, dict[str, Any]]:
-    """Splat N Gaussians with C feature channels into an image (METHOD 3.4), differentiable in everything.
+    """Splat N Gaussians with C feature channels into an image (docs/method.md, "Compositing"), differentiable in everything.
 
     Args:
         means: [N, 3] world.

@@ -172,7 +172,7 @@ def rasterization(
         alphas.append(alpha)
     meta |= rows.ids() | {"width": width, "height": height, "n_batches": math.prod(batch), "n_cameras": cameras}
     shape = (*batch, cameras, height, width)
-    return _stacked(rendered).reshape(*shape, -1), _stacked(alphas).reshape(*shape, 1), meta
+    return _stack(rendered).reshape(*shape, -1), _stack(alphas).reshape(*shape, 1), meta
 
 
 def _refuse_uncovered(**asked_for: bool) -> None:
@@ -282,7 +282,7 @@ class _Rows:
         picked = [self.pick(value, i) for i, value in enumerate(values)]
         if self.packed:
             return picked[0] if len(picked) == 1 else torch.cat(picked)
-        return _stacked(picked).reshape(*self.shape, *picked[0].shape)
+        return _stack(picked).reshape(*self.shape, *picked[0].shape)
 
     def ids(self) -> dict[str, Tensor | None]:
         """``batch_ids``, ``camera_ids`` and ``gaussian_ids`` [nnz] int64; None unless packed."""
@@ -299,7 +299,7 @@ class _Rows:
         return {"batch_ids": batch_ids, "camera_ids": camera_ids, "gaussian_ids": torch.cat(self.chosen)}
 
 
-def _stacked(values: list[Tensor]) -> Tensor:
+def _stack(values: list[Tensor]) -> Tensor:
     """``torch.stack``, without a copy where there is but one."""
     return values[0][None] if len(values) == 1 else torch.stack(values)
 

@@ -75,7 +75,7 @@ def blend(
     height: int,
     absolute: Tensor | None = None,  # [N, 2]
 ) -> tuple[Tensor, Tensor]:
-    """Alpha compositing front to back: features [H, W, C] and alphas [H, W] (METHOD 3.4).
+    """Alpha compositing front to back: features [H, W, C] and alphas [H, W] (docs/method.md, "Compositing").
 
     Backward adds to ``absolute`` the sum over pixels of the absolute gradient of means2d.
     """

@@ -1,4 +1,4 @@
-"""The numbers that the oracle and every backend share (METHOD 3.4)."""
+"""The numbers that the oracle and every backend share (docs/method.md, "Compositing")."""
 
 from flowsplat.geometry import projection
 

@@ -64,7 +64,7 @@ class RatesConfig:
 @bounds_in_help
 @dataclass(frozen=True)
 class LossConfig:
-    """Weights of the losses (METHOD 5)."""
+    """Weights of the losses (docs/method.md, "Training")."""
 
     ssim: Share = 0.2
     """gamma_1: share of SSIM in the color loss."""
@@ -93,7 +93,7 @@ class LossConfig:
 @bounds_in_help
 @dataclass(frozen=True)
 class DensityConfig:
-    """When Gaussians are added, removed, reset, and when background becomes dynamic (METHOD 5)."""
+    """When Gaussians are added, removed, reset, and when background becomes dynamic (docs/method.md, "Training")."""
 
     every: Count = 100
     """Steps between two rounds."""
@@ -186,7 +186,7 @@ NOT_AFFECTING_RESULT = ("checkpoint_every", "preview_every")
 """Settings of training that change no figure."""
 
 
-def affecting_result(settings: Mapping[str, Any]) -> dict[str, Any]:
+def select_result_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Those settings of training, by name, on which the result depends."""
     return {name: value for name, value in settings.items() if name not in NOT_AFFECTING_RESULT}
 

@@ -1,4 +1,5 @@
-"""The coverage loss: how far training pixels are from being covered, which long training would let happen. Ours (METHOD 7)."""
+"""The coverage loss: how far training pixels are from being covered, which long training would let happen. Ours (docs/method.md,
+"Where preset default differs from the paper")."""
 
 from __future__ import annotations
 

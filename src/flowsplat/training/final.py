@@ -51,7 +51,7 @@ def with_heldout(observations: Observations, scene: Scene, layers: Layers) -> Ob
         if i in known and j in known:
             near = known[i].forward
             return near if near is not None and near.j == j else None
-        return layers.stored_flow(i, j) if (i, j) in pairs else None
+        return layers.read_stored_flow(i, j) if (i, j) in pairs else None
 
     frames = []
     for i in range(scene.num_frames):

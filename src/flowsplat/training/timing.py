@@ -19,6 +19,6 @@ class CheckpointTimes:
         """Whether one is due after a step."""
         return now >= self._next if self._every is None else self._every > 0 and step % self._every == 0
 
-    def written(self, now: float, seconds: float) -> None:
+    def note_written(self, now: float, seconds: float) -> None:
         """Note that one was written, and how long that took."""
         self._next = now + max(INTERVAL, seconds / COST)

@@ -1,4 +1,4 @@
-"""The training loop (METHOD 5)."""
+"""The training loop (docs/method.md, "Training")."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from torch import Tensor
 from flowsplat.common.devices import upload
 from flowsplat.common.errors import InputError
 from flowsplat.common.files import check_json, write_json
-from flowsplat.common.memory import freed_memory_kept
+from flowsplat.common.memory import keep_freed_memory
 from flowsplat.common.progress import progress_bar, report, spinner
 from flowsplat.common.settings import to_plain
 from flowsplat.common.stopping import Stopped, stop_requests
@@ -24,7 +24,7 @@ from flowsplat.common.threads import in_one_launch
 from flowsplat.gaussians.culling import RowCapacity
 from flowsplat.gaussians.density import DensityResult, DensityStatistics, densify, prune, reset_opacities, revise_dynamic
 from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
-from flowsplat.gaussians.initialize import initialize, sampled_frames
+from flowsplat.gaussians.initialize import choose_frames, initialize
 from flowsplat.gaussians.motion.protocol import RateGroup
 from flowsplat.gaussians.observations import Observation, Observations
 from flowsplat.gaussians.render import RenderedFrame, render_active
@@ -39,7 +39,7 @@ from flowsplat.training.checkpoint import (
     read_tensors,
     write_tensors,
 )
-from flowsplat.training.config import TrainConfig, affecting_result
+from flowsplat.training.config import TrainConfig, select_result_settings
 from flowsplat.training.coverage import coverage_loss
 from flowsplat.training.dynamic_evidence import add_residuals
 from flowsplat.training.photometric_loss import PhotometricTargets, PhotometricWeights, photometric_loss
@@ -158,7 +158,7 @@ class Trainer:
         config = self.config
         times = CheckpointTimes(config.checkpoint_every, clock.perf_counter())
         label = "Final fit" if self._first_step else "Training"
-        with progress_bar(label, config.iterations, self.step) as bar, stop_requests() as request, freed_memory_kept():
+        with progress_bar(label, config.iterations, self.step) as bar, stop_requests() as request, keep_freed_memory():
             while self.step < config.iterations:
                 entry = self._iterate()
                 self._after_step(entry)
@@ -171,7 +171,7 @@ class Trainer:
                 if self._checkpoints is not None and due and self.step < config.iterations:
                     self._save_checkpoint()
                     now = clock.perf_counter()
-                    times.written(now, now - began)
+                    times.note_written(now, now - began)
         self._average.write(self.gaussians.params)
         return self.gaussians
 
@@ -407,7 +407,7 @@ class Trainer:
     def _control_density(self) -> None:
         config = self.config.density
         if self._revises:
-            _, log_lambda = sampled_frames(len(self.observations), self.config.init)
+            _, log_lambda = choose_frames(len(self.observations), self.config.init)
             moved, rested = revise_dynamic(
                 self.gaussians, self._statistics, config.revise_flow, config.revise_color, config.revise_rest, self._focal,
                 log_lambda,
@@ -485,7 +485,7 @@ class Trainer:
             return False
         tensors, values = read_tensors(path)
         check_json(path, values, CheckpointFile)
-        if affecting_result(values["config"]) != affecting_result(to_plain(self.config)):
+        if select_result_settings(values["config"]) != select_result_settings(to_plain(self.config)):
             raise InputError(f"{path} was written with other training settings. Use another output folder, or delete it.")
         try:
             self._restore(tensors, values)

@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from flowsplat_benchmarks.ablations.claims import CLAIMS, chosen_claims, needed_variants
+from flowsplat_benchmarks.ablations.claims import CLAIMS, choose_claims, list_needed_variants
 from flowsplat_benchmarks.ablations.report import write_report
-from flowsplat_benchmarks.ablations.scenes import ablation_scenes, chosen_scenes
-from flowsplat_benchmarks.ablations.training_runs import comparable, training_runs
+from flowsplat_benchmarks.ablations.scenes import ablation_scenes, choose_scenes
+from flowsplat_benchmarks.ablations.training_runs import comparable, list_training_runs
 from flowsplat_benchmarks.resume import BenchmarkOptions, measure_jobs, results_in
 
 PROTOCOL = "ablations"
@@ -49,12 +49,12 @@ def run_ablations(
     Raises:
         InputError: a name is not known, an input cannot be used, or the folder cannot be written.
     """
-    claims, known = chosen_claims(rows), ablation_scenes(root, SIZE)
-    wanted = chosen_scenes(root, known, scenes)
-    jobs = [run.job(out) for run in training_runs(PROTOCOL, wanted, needed_variants(claims), seeds, iterations, CAP)]
+    claims, known = choose_claims(rows), ablation_scenes(root, SIZE)
+    wanted = choose_scenes(root, known, scenes)
+    jobs = [run.job(out) for run in list_training_runs(PROTOCOL, wanted, list_needed_variants(claims), seeds, iterations, CAP)]
 
     def report(failed: Mapping[str, str]) -> Path:
-        found, others = comparable(results_in(PROTOCOL, out), PROTOCOL, known, needed_variants(CLAIMS), iterations, CAP)
+        found, others = comparable(results_in(PROTOCOL, out), PROTOCOL, known, list_needed_variants(CLAIMS), iterations, CAP)
         return write_report(out, found, failed, others)
 
     return measure_jobs(jobs, out, report, "runs", again, options)

@@ -11,8 +11,8 @@ from flowsplat.common.errors import InputError
 from flowsplat.evaluation.scores import mean_of
 from flowsplat.images.charts import MOST_SERIES, Points, line_chart
 from flowsplat_benchmarks.ablations.page import how_measured, scene_names, write_ablation_report
-from flowsplat_benchmarks.ablations.scenes import ablation_scenes, chosen_scenes
-from flowsplat_benchmarks.ablations.training_runs import comparable, training_runs
+from flowsplat_benchmarks.ablations.scenes import ablation_scenes, choose_scenes
+from flowsplat_benchmarks.ablations.training_runs import comparable, list_training_runs
 from flowsplat_benchmarks.ablations.variants import Variant
 from flowsplat_benchmarks.resume import BenchmarkOptions, measure_jobs, results_in
 from flowsplat_benchmarks.tables import Chart, Column, Result, Table
@@ -44,7 +44,7 @@ COLUMNS = (
 )  # fmt: skip
 
 
-def capped(cap: int, steps: int) -> Variant:
+def make_capped_variant(cap: int, steps: int) -> Variant:
     """At most so many Gaussians, and so many frame-steps with the schedules stretched to them."""
     changes = {**DENSE, "density.max_gaussians": cap, "iterations": steps}
     return Variant(f"cap{cap}", f"at most {cap:,} Gaussians, {steps:,} steps", changes)
@@ -81,13 +81,16 @@ def run_caps(
         raise InputError("--caps and --steps are numbers of Gaussians and of steps: 1 or more.")
     plan = dict.fromkeys([*((cap, ITERATIONS) for cap in caps), *((CAP, count) for count in steps)])
     known = ablation_scenes(root, size)
-    wanted = chosen_scenes(root, known, scenes)
-    jobs = [run.job(out) for run in training_runs(PROTOCOL, wanted, [capped(*each) for each in plan], seeds, ITERATIONS, CAP)]
+    wanted = choose_scenes(root, known, scenes)
+    jobs = [
+        run.job(out)
+        for run in list_training_runs(PROTOCOL, wanted, [make_capped_variant(*each) for each in plan], seeds, ITERATIONS, CAP)
+    ]
 
     def report(failed: Mapping[str, str]) -> Path:
         results = results_in(PROTOCOL, out)
         there = dict.fromkeys((result["cap"], result["iterations"]) for result in results)
-        found, others = comparable(results, PROTOCOL, known, [capped(*each) for each in there], ITERATIONS, CAP)
+        found, others = comparable(results, PROTOCOL, known, [make_capped_variant(*each) for each in there], ITERATIONS, CAP)
         return write_report(out, found, failed, others)
 
     return measure_jobs(jobs, out, report, "runs", again, options)

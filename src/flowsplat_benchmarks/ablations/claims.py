@@ -140,7 +140,7 @@ CLAIMS: tuple[Claim, ...] = (
 """All rows. ``linear`` is also the baseline with everything else ours. The authors' 4DGS has colors that vary with time."""
 
 
-def chosen_claims(names: Sequence[str]) -> list[Claim]:
+def choose_claims(names: Sequence[str]) -> list[Claim]:
     """The rows of these names (of a variant, or of a whole table), or all of them.
 
     Raises:
@@ -153,7 +153,7 @@ def chosen_claims(names: Sequence[str]) -> list[Claim]:
     return [claim for claim in CLAIMS if not names or claim.group in names or claim.variant.name in names]
 
 
-def needed_variants(claims: Sequence[Claim]) -> list[Variant]:
+def list_needed_variants(claims: Sequence[Claim]) -> list[Variant]:
     """What has to be trained for some rows: their bases first."""
     variants = [claim.base for claim in claims] + [claim.variant for claim in claims]
     return list({variant.name: variant for variant in variants}.values())

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from flowsplat_benchmarks.reports import Report, failures
-from flowsplat_benchmarks.tables import Result, Table, label, made_by, plain
+from flowsplat_benchmarks.tables import Result, Table, describe_version, label, plain
 
 
 def write_ablation_report(
@@ -44,4 +44,4 @@ def how_measured(results: Sequence[Result]) -> str:
         kind = "held-out frames" if result["test"]["kind"] == "frames" else "images by held-out cameras"
         parts.append(f"{name} at {width}x{height}: {result['test']['count']} {kind}")
     cameras = "Cameras are used as they were estimated, or as they are given."
-    return f"Measured are {'; '.join(parts)}. {cameras} {made_by(results)}"
+    return f"Measured are {'; '.join(parts)}. {cameras} {describe_version(results)}"

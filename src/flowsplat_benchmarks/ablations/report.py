@@ -14,7 +14,7 @@ from flowsplat_benchmarks.ablations.page import how_measured, scene_names, write
 from flowsplat_benchmarks.ablations.training_runs import by_run
 from flowsplat_benchmarks.ablations.variants import Variant
 from flowsplat_benchmarks.ablations.verdicts import EVEN, Effect, Verdict, counts, effect, verdict
-from flowsplat_benchmarks.tables import Chart, Result, Table, scaled_mean, text
+from flowsplat_benchmarks.tables import Chart, Result, Table, compute_scaled_mean, text
 
 TITLE = "Ablations"
 REMARKS = (
@@ -146,4 +146,4 @@ def _with_objects(value: float | None, inside: float | None, sign: bool = False)
 def _cost(variant: Variant, results: Sequence[Result]) -> tuple[str, ...]:
     seconds = [mean_of(by_run(results, variant.name, ("seconds", key)).values()) for key in ("train", "train_cpu")]
     gaussians = by_run(results, variant.name, ("gaussians", "total")).values()
-    return *(text(value, 0) for value in seconds), text(scaled_mean(gaussians, 1e-3), 0)
+    return *(text(value, 0) for value in seconds), text(compute_scaled_mean(gaussians, 1e-3), 0)

@@ -10,7 +10,7 @@ from pathlib import Path
 from flowsplat.common.errors import InputError
 from flowsplat_benchmarks.datasets.cases import Case, davis_cases, rig_cases
 from flowsplat_benchmarks.roots import open_root, require_scenes
-from flowsplat_benchmarks.shared_scenes import prepared_scene
+from flowsplat_benchmarks.shared_scenes import prepare_scene
 
 FOLDER = "scenes"
 """In OUT, where the prepared scenes are."""
@@ -33,16 +33,16 @@ class AblationScene:
         """Of the scene and its size, for files."""
         return self.case.scene if self.size is None else f"{self.case.scene}_{self.size}"
 
-    def prepared(self, out: Path) -> Path:
+    def prepare(self, out: Path) -> Path:
         """The prepared scene in ``out``; what is missing of it is computed.
 
         Raises:
             InputError: the input cannot be used.
         """
-        return prepared_scene(self.case, out / FOLDER / self.name)
+        return prepare_scene(self.case, out / FOLDER / self.name)
 
 
-def chosen_scenes(root: Path, known: Sequence[AblationScene], names: Sequence[str]) -> list[AblationScene]:
+def choose_scenes(root: Path, known: Sequence[AblationScene], names: Sequence[str]) -> list[AblationScene]:
     """Those called ``names`` among the scenes of a data root.
 
     Raises:

@@ -60,10 +60,10 @@ class TrainingRun:
         return stage_key(case.scene, case.config.input, case.config.priors, self.variant.kind, self.config)
 
     def _measure(self, out: Path) -> dict[str, Any]:
-        return measure(self, self.scene.prepared(out))
+        return measure(self, self.scene.prepare(out))
 
 
-def training_runs(
+def list_training_runs(
     protocol: str, scenes: Sequence[AblationScene], variants: Sequence[Variant], seeds: Sequence[int], iterations: int, cap: int
 ) -> Iterator[TrainingRun]:
     """All of them, seed by seed and variant by variant, so that an early look at the results is an even one."""
@@ -132,7 +132,7 @@ def comparable(
     seeds = {result["seed"] for result in results}
     names = {result["scene"] for result in results}
     there = [scene for scene in scenes if scene.case.scene in names]
-    keys = {run.key for run in training_runs(protocol, there, variants, sorted(seeds), iterations, cap)}
+    keys = {run.key for run in list_training_runs(protocol, there, variants, sorted(seeds), iterations, cap)}
     found = [result for result in results if result["key"] in keys]
     return found, len(results) - len(found)
 

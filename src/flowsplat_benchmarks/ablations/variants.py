@@ -40,7 +40,7 @@ class Variant:
         budget = {
             "iterations": iterations, "frames_per_iteration": 1, "seed": seed, "preview_every": 0, "density.max_gaussians": cap,
         }  # fmt: skip
-        return changed(PRESETS[self.start], {**budget, **self.changes})
+        return change_settings(PRESETS[self.start], {**budget, **self.changes})
 
     @property
     def settings(self) -> str:
@@ -49,7 +49,7 @@ class Variant:
         return changes if self.start == "default" else ", ".join(part for part in (f"preset {self.start}", changes) if part)
 
 
-def changed(config: Any, changes: Mapping[str, Any]) -> Any:
+def change_settings(config: Any, changes: Mapping[str, Any]) -> Any:
     """A frozen dataclass of settings with other values of some of them.
 
     Raises:
@@ -62,5 +62,5 @@ def changed(config: Any, changes: Mapping[str, Any]) -> Any:
         name, _, rest = path.partition(".")
         if not is_dataclass(config) or isinstance(config, type) or not hasattr(config, name):
             raise ValueError(f"{type(config).__name__} has no setting {path!r}")
-        config = replace(config, **{name: changed(getattr(config, name), {rest: value}) if rest else value})
+        config = replace(config, **{name: change_settings(getattr(config, name), {rest: value}) if rest else value})
     return config

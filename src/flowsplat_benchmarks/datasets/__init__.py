@@ -1,4 +1,5 @@
-"""Whole runs over many scenes under a fixed protocol (METHOD 6): DAVIS, rendered rig scenes, NVIDIA Dynamic Scenes."""
+"""Whole runs over many scenes under a fixed protocol (docs/method.md, "Evaluation protocols"): DAVIS, rendered rig scenes, NVIDIA
+Dynamic Scenes."""
 
 from flowsplat_benchmarks.datasets.benchmark import run_benchmark
 from flowsplat_benchmarks.datasets.cases import davis_cases, nvidia_cases, rig_cases

@@ -27,7 +27,7 @@ from flowsplat.scenes.formats.images import read_input_image
 from flowsplat.scenes.formats.nerfies import is_nerfies
 from flowsplat.scenes.formats.nvidia import RAW_IMAGES, is_nvidia
 from flowsplat.scenes.ingest import open_clip
-from flowsplat.training.config import affecting_result
+from flowsplat.training.config import select_result_settings
 from flowsplat_benchmarks.priors.scenes import TUNED
 from flowsplat_benchmarks.roots import open_root, require_scenes
 
@@ -91,7 +91,7 @@ def protocol_config(name: str, config: RunConfig | None, holdout: int | None) ->
     """
     start = preset(name)
     config = config or start
-    base, wanted = flat(to_plain(start.train)), affecting_result(flat(to_plain(config.train)))
+    base, wanted = flat(to_plain(start.train)), select_result_settings(flat(to_plain(config.train)))
     changed = [f"{key} {value}" for key, value in wanted.items() if base.get(key) != value]
     options = replace(ALL_FRAMES, holdout=holdout)
     fixed = replace(config, input=options, priors=RunConfig().priors, baselines="all", refine_poses=True, final_fit=False)
@@ -105,7 +105,7 @@ def _places(root: Path, group: str) -> list[Path]:
     return sorted(path for path in parent.iterdir() if path.is_dir())
 
 
-def _chosen(root: Path, cases: Sequence[Case], names: Sequence[str], looked_for: str) -> list[Case]:
+def _choose_cases(root: Path, cases: Sequence[Case], names: Sequence[str], looked_for: str) -> list[Case]:
     if not cases:
         raise InputError(f"{root} holds no scenes: looked for {looked_for}.")
     require_scenes(root, names, [case.scene for case in cases])
@@ -139,7 +139,7 @@ def davis_cases(
             lent=(with_masks, options) if with_masks is not None and not given else None,
         )  # fmt: skip
         cases.append(case)
-    return _chosen(root, cases, names, f"davis/*/images and {IMAGES}")
+    return _choose_cases(root, cases, names, f"davis/*/images and {IMAGES}")
 
 
 def _davis_clips(root: Path, options: InputOptions) -> Iterator[tuple[str, Path | None, Path, InputOptions]]:
@@ -177,7 +177,7 @@ def rig_cases(
         for path in _places(root, "rig")
         if (path / "rgb").is_dir() and (path / "cameras.json").exists()
     ]
-    return _chosen(root, cases, names, "rig/*/rgb with cameras.json")
+    return _choose_cases(root, cases, names, "rig/*/rgb with cameras.json")
 
 
 # -- NVIDIA
@@ -198,7 +198,7 @@ def nvidia_cases(
         if form:
             own = replace(config, input=_nvidia_input(path, form))
             cases.append(Case("nvidia", path.name, form, "given cameras", settings, path, own))
-    return _chosen(root, cases, names, "nvidia/* with poses_bounds.npy, or with camera/ and splits/")
+    return _choose_cases(root, cases, names, "nvidia/* with poses_bounds.npy, or with camera/ and splits/")
 
 
 def _form(path: Path) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from flowsplat.common.source import source_state
 from flowsplat.evaluation.tracks import track_errors
 from flowsplat.gaussians.model import SceneModel
-from flowsplat.images.sheets import stacked
+from flowsplat.images.sheets import stack
 from flowsplat.pipeline import evaluate_run, load, prepare, train
 from flowsplat.pipeline.folder import RunFolder
 from flowsplat.scenes import Scene
@@ -100,4 +100,4 @@ def _write_strip(run: RunFolder, metrics: dict[str, Any], kind: str, path: Path)
     sheets = [run.path / "evaluation" / folder / f"{image['name']}_sheet.png" for image in chosen]
     rows = [read_image(sheet) for sheet in sheets if sheet.exists()]
     if rows:
-        write_image(path, stacked(rows))
+        write_image(path, stack(rows))

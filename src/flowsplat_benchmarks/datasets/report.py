@@ -10,7 +10,7 @@ from flowsplat.scenes.layers import read_image
 from flowsplat_benchmarks.datasets.cases import ProtocolName
 from flowsplat_benchmarks.datasets.tables import tables
 from flowsplat_benchmarks.reports import Report, failures, runs_measured, scene_section
-from flowsplat_benchmarks.tables import Result, label, made_by, plain
+from flowsplat_benchmarks.tables import Result, describe_version, label, plain
 
 TITLES = {"davis": "DAVIS", "rig": "Rendered scenes with truth", "nvidia": "NVIDIA Dynamic Scenes"}
 RULES = {
@@ -42,7 +42,7 @@ def write_report(protocol: ProtocolName, out: Path, results: Sequence[Result], f
         InputError: the folder cannot be written.
     """
     remarks = [RULES[protocol], MARKS]
-    remarks += [made_by(results)] if results else []
+    remarks += [describe_version(results)] if results else []
     remarks += sorted({str(result["lpips_reason"]) for result in results if result["lpips_reason"]})
     remarks += failures(failed)
     scenes = [_scene(out, result) for result in results]

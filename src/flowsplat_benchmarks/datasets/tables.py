@@ -10,7 +10,7 @@ from typing import Any
 from flowsplat.evaluation.scores import mean_of, pick
 from flowsplat.images.html import NOTHING
 from flowsplat_benchmarks.datasets.cases import FORMS
-from flowsplat_benchmarks.tables import Column, Result, Table, label, scaled_mean, text
+from flowsplat_benchmarks.tables import Column, Result, Table, compute_scaled_mean, label, text
 
 BASELINES = {
     "copy": "copy of the clip's frame",
@@ -23,7 +23,7 @@ DIGITS = {"psnr": 2, "ssim": 3, "lpips": 3}
 NAMES = {"psnr": "PSNR", "ssim": "SSIM", "lpips": "LPIPS (AlexNet)"}
 
 
-def published() -> dict[str, Any]:
+def read_published() -> dict[str, Any]:
     """Figures of other methods, each part with its ``source``."""
     return json.loads(files(__package__).joinpath("published.json").read_text(encoding="utf-8"))
 
@@ -35,7 +35,7 @@ def tables(protocol: str, results: Sequence[Result]) -> list[Table]:
 
 
 def _beside_published(protocol: str, results: Sequence[Result]) -> Iterator[Table]:
-    known = published()
+    known = read_published()
     if protocol == "davis":
         for metric in ("psnr", "ssim", "lpips"):
             yield _matrix(f"{NAMES[metric]}, held-out frames", known["davis"], results, metric)
@@ -110,9 +110,11 @@ def _nvidia(known: Mapping[str, Any], results: Sequence[Result]) -> Table:
     for how in dict.fromkeys(_how(result) for result in results):
         group = [result for result in results if _how(result) == how]
         means = [mean_of(pick(result, "ours", metric) for result in group) for metric in DIGITS]
-        means.append(scaled_mean([pick(result, "seconds", "train") for result in group], 1 / 3600))
-        means.append(scaled_mean([pick(result, "images_a_second") for result in group]))
-        means += [scaled_mean([pick(result, "gaussians", key) for result in group], 1e-3) for key in ("active_mean", "total")]
+        means.append(compute_scaled_mean([pick(result, "seconds", "train") for result in group], 1 / 3600))
+        means.append(compute_scaled_mean([pick(result, "images_a_second") for result in group]))
+        means += [
+            compute_scaled_mean([pick(result, "gaussians", key) for result in group], 1e-3) for key in ("active_mean", "total")
+        ]
         ours.append(len(rows))
         rows.append((f"flowsplat, {how}", *(text(mean, d) for mean, d in zip(means, digits, strict=True))))
         for name in BASELINES:

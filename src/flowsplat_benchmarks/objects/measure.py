@@ -64,7 +64,7 @@ def measure_scene(scene: Scene) -> Record:
     log = np.stack([np.log(scale * scene.depth(i).depth / truth.depth(i).depth) for i in frames])
     overlap = overlaps(true, ours, len(known))
     assigned, idf1, total = identities(overlap, true, ours)
-    told = _told(scene)
+    told = _read_records(scene)
     records = []
     for index, obj in enumerate(known):
         inside = true == obj["number"]
@@ -75,7 +75,7 @@ def measure_scene(scene: Scene) -> Record:
         record |= (
             _depth_errors(log, inside & (ours > 0)) if found else dict.fromkeys(("ln_distance", "depth_trajectory", "shape_offset"))
         )
-        record |= {"iou": _pooled_iou(inside, ours), "idf1": idf1[index], "estimated": assigned[index]}
+        record |= {"iou": _compute_pooled_iou(inside, ours), "idf1": idf1[index], "estimated": assigned[index]}
         record |= told.get(str(assigned[index]), {})
         records.append(record)
     rests = (true == 0) & (ours == 0)
@@ -121,9 +121,9 @@ def overlaps(true: np.ndarray, ours: np.ndarray, objects: int) -> np.ndarray:
     result = np.zeros((objects, len(true), 256))
     for t, (a, b) in enumerate(zip(true, ours, strict=True)):
         both = np.bincount(a.ravel().astype(int) * 256 + b.ravel(), minlength=(objects + 1) * 256).reshape(objects + 1, 256)
-        mine, objects = both.sum(1)[1:, None], both.sum(0)[None]
-        shares = both[1:] / np.maximum(mine + objects - both[1:], 1)
-        result[:, t] = np.where((mine >= FEWEST) & (objects >= FEWEST), shares, 0)
+        theirs, found = both.sum(1)[1:, None], both.sum(0)[None]
+        shares = both[1:] / np.maximum(theirs + found - both[1:], 1)
+        result[:, t] = np.where((theirs >= FEWEST) & (found >= FEWEST), shares, 0)
     result[..., 0] = 0
     return result
 
@@ -188,7 +188,7 @@ def _spread(values: np.ndarray) -> float:
     return float(high - low) / 2
 
 
-def _pooled_iou(inside: np.ndarray, ours: np.ndarray) -> float:
+def _compute_pooled_iou(inside: np.ndarray, ours: np.ndarray) -> float:
     both = either = 0
     for mine, numbers in zip(inside, ours, strict=True):
         if mine.sum() < FEWEST:
@@ -208,6 +208,6 @@ def _mean_height(inside: np.ndarray) -> float:
     return float(np.mean([np.ptp(np.flatnonzero(mask.any(1))) + 1 for mask in inside]) / inside.shape[1])
 
 
-def _told(scene: Scene) -> dict[str, Record]:
+def _read_records(scene: Scene) -> dict[str, Record]:
     """What is believed of the distance of objects by their numbers: ``sigma`` of its logarithm, and ``cues`` that told it."""
     return {str(m.number): {"sigma": m.sigma, "cues": sorted(m.cues)} for m in load_objects(scene).objects}

@@ -25,6 +25,9 @@ from flowsplat.scenes import Scene
 from flowsplat_benchmarks.worlds import draw_world, write_world
 from flowsplat_benchmarks.worlds.writing import OBJECTS
 
+WorldKind = Literal["any", "dancers", "crowd"]
+"""Which worlds of ``draw_world``."""
+
 Variant = Literal["own", "true"]
 VARIANTS: tuple[Variant, ...] = ("own", "true")
 
@@ -35,7 +38,7 @@ LINKED = ("frames", "truth")
 """Folders that both scenes have in common."""
 
 
-def prepare_world(seed: int, folder: Path, width: int, height: int, frames: int) -> None:
+def prepare_world(seed: int, folder: Path, width: int, height: int, frames: int, kind: WorldKind = "any") -> None:
     """Render a world and complete all that comes before the step under test, in both scenes.
 
     Raises:
@@ -45,7 +48,7 @@ def prepare_world(seed: int, folder: Path, width: int, height: int, frames: int)
     own, true = (folder / variant for variant in VARIANTS)
     if not (own / "truth" / OBJECTS).exists():
         shutil.rmtree(folder, ignore_errors=True)
-        write_world(own, draw_world(seed, width, height, frames))
+        write_world(own, draw_world(seed, width, height, frames, dancers=kind == "dancers", crowd=kind == "crowd"))
     scene = Scene(own)
     if (scene.width, scene.height, scene.num_frames) != (width, height, frames):
         raise InputError(f"{folder} holds a world of {scene.num_frames} frames of {scene.width}x{scene.height}: choose another -o.")

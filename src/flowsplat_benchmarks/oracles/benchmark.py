@@ -23,9 +23,9 @@ from flowsplat_benchmarks.oracles.classes import error_sheet, static_depth_error
 from flowsplat_benchmarks.oracles.objects import depth_scale, masks_of, object_depth_errors, static_error
 from flowsplat_benchmarks.oracles.report import SHEET, write_report
 from flowsplat_benchmarks.oracles.scenes import ORACLES, make_oracle
-from flowsplat_benchmarks.priors.measure import pooled_iou
+from flowsplat_benchmarks.priors.measure import compute_pooled_iou
 from flowsplat_benchmarks.resume import BenchmarkOptions, Job, measure_jobs, results_in
-from flowsplat_benchmarks.shared_scenes import prepared_scene
+from flowsplat_benchmarks.shared_scenes import prepare_scene
 
 PROTOCOL = "oracles"
 FOLDER = "scenes"
@@ -58,7 +58,7 @@ class OracleRun:
         return Job(f"{PROTOCOL}_{self.name}", key, partial(self._measure, out))
 
     def _measure(self, out: Path) -> dict[str, Any]:
-        return measure_oracle(self, prepared_scene(self.case, out / FOLDER / self.case.scene), out)
+        return measure_oracle(self, prepare_scene(self.case, out / FOLDER / self.case.scene), out)
 
     def forget(self, out: Path) -> None:
         """Remove the run and the oracle scene that it was made from; the prepared scene stays."""
@@ -164,7 +164,7 @@ def measure_oracle(run: OracleRun, prepared: Path, out: Path) -> dict[str, Any]:
         "views": pick(tested, "count") or 0, "psnr": pick(tested, "psnr"), "ssim": pick(tested, "ssim"),
         **{region: pick(tested, region, "psnr") for region in ("moving", "covisible")},
         "training_psnr": pick(metrics, "training_frames", "psnr"),
-        "mask_iou": pooled_iou((own, true) for _, own, true in masks_of(scene)),
+        "mask_iou": compute_pooled_iou((own, true) for _, own, true in masks_of(scene)),
         "scale": depth_scale(scene), "static": static_error(scene), "static_classes": static_depth_errors(scene),
         "classes": view_errors(scene, renders),
         "objects": [asdict(error) for error in object_depth_errors(scene)],

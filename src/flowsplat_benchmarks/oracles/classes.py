@@ -13,7 +13,7 @@ from flowsplat.common.spread import spread
 from flowsplat.geometry import Camera
 from flowsplat.geometry.cameras import unproject_depth
 from flowsplat.images.colors import error_to_color, float_to_bytes
-from flowsplat.images.sheets import side_by_side, stacked
+from flowsplat.images.sheets import side_by_side, stack
 from flowsplat.scenes import HeldoutView, Scene
 from flowsplat.scenes.layers import read_image
 from flowsplat_benchmarks.oracles.objects import depth_scale, masks_of, truth_of
@@ -70,7 +70,7 @@ class PixelClasses:
         """[H, W] uint8 indices of ``CLASSES`` of training frame ``i``."""
         depth, moves = self._truth.depth(i).depth, self._truth.mask(i) > 0
         near_border = _near_border(depth.shape)
-        return _classes(self._scene.frame(i), depth, moves, self._seen(depth, self._truth.cameras[i]), near_border)
+        return _classes(self._scene.frame(i), depth, moves, self._count_witnesses(depth, self._truth.cameras[i]), near_border)
 
     def of_view(self, view: HeldoutView) -> np.ndarray:
         """[H, W] uint8 of a held-out view. Its depth is that of the clip's frames; what they did not see was never seen."""
@@ -80,7 +80,7 @@ class PixelClasses:
         for camera, surface in [*self._witnesses, (own, self._truth.depth(view.frame).depth)]:
             _splat(nearest, view.camera, unproject_depth(surface, camera)[surface > 0])
         depth = np.where(np.isfinite(nearest), nearest, 0).astype(np.float32).reshape(height, width)
-        seen = self._seen(depth, view.camera)
+        seen = self._count_witnesses(depth, view.camera)
         # Where the clip's image of the same time ends.
         pixels, ahead = own.project(unproject_depth(depth, view.camera))
         margin = AT_BORDER * np.array([own.width, own.height])
@@ -88,7 +88,7 @@ class PixelClasses:
         moves = np.zeros_like(seen, bool) if moves is None else moves > 0
         return _classes(self._scene.view_image(view), depth, moves, seen, ~inside)
 
-    def _seen(self, depth: np.ndarray, camera: Camera) -> np.ndarray:
+    def _count_witnesses(self, depth: np.ndarray, camera: Camera) -> np.ndarray:
         """[H, W] int: how many witnesses saw the point of each pixel at rest."""
         points, seen = unproject_depth(depth, camera).reshape(-1, 3), np.zeros(depth.size, int)
         for witness, surface in self._witnesses:
@@ -178,11 +178,11 @@ def view_errors(scene: Scene, renders: Path) -> dict[str, Any] | None:
             kinds = classes.of_view(view).reshape(-1)
             names.append(view.name)
             pixels.append(np.bincount(kinds, minlength=len(CLASSES)).tolist())
-            squared.append([round(x, 4) for x in np.bincount(kinds, _squared(scene, view, path).reshape(-1), len(CLASSES))])
+            squared.append([round(x, 4) for x in np.bincount(kinds, _square_errors(scene, view, path).reshape(-1), len(CLASSES))])
     return {"views": names, "pixels": pixels, "squared": squared} if names else None
 
 
-def _squared(scene: Scene, view: HeldoutView, path: Path) -> np.ndarray:
+def _square_errors(scene: Scene, view: HeldoutView, path: Path) -> np.ndarray:
     difference = read_image(path).astype(np.float32) - scene.view_image(view)
     mean: np.ndarray = (difference**2).mean(-1) / 255**2
     return mean
@@ -239,7 +239,7 @@ def error_sheet(scene: Scene, renders: Path, views: Sequence[str]) -> np.ndarray
             kinds = (0.3 * target + 0.7 * _COLORS[classes.of_view(view)]) / 255
             panels = (target, image, error_to_color(target, image), float_to_bytes(kinds))
             rows.append(side_by_side(panels, ("truth", "rendered", "error", "classes")))
-    return stacked(rows) if rows else None
+    return stack(rows) if rows else None
 
 
 def legend() -> np.ndarray:

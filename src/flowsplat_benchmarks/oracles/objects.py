@@ -39,7 +39,7 @@ class MatchedObject:
         """[H, W] bool: its pixels in the scene's mask [H, W] of a frame."""
         return np.isin(mask, self.ids)
 
-    def compared(self, mask: np.ndarray, true_mask: np.ndarray) -> np.ndarray:
+    def select_compared(self, mask: np.ndarray, true_mask: np.ndarray) -> np.ndarray:
         """[H, W] bool: those of its pixels that are truly on the object; all of them if it is on nothing that moves."""
         region = self.region(mask)
         return region & (true_mask == self.true) if self.true else region
@@ -143,7 +143,7 @@ def object_depth_errors(scene: Scene, objects: Sequence[MatchedObject] | None = 
     for i, mask, true_mask in masks_of(scene):
         off = np.log(scene.depth(i).depth / (scale * truth.depth(i).depth))
         for obj in objects:
-            inside = obj.compared(mask, true_mask)
+            inside = obj.select_compared(mask, true_mask)
             if inside.any():
                 frames[obj].append(off[inside].astype(np.float64))
     return [_error(obj, frames[obj]) for obj in objects if frames[obj]]

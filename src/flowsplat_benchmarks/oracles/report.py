@@ -11,7 +11,7 @@ from flowsplat.scenes.layers import read_image
 from flowsplat_benchmarks.oracles.classes import CLASSES, gains, legend, psnr_by_class
 from flowsplat_benchmarks.oracles.scenes import ORACLES
 from flowsplat_benchmarks.reports import Report, failures, runs_measured, scene_section
-from flowsplat_benchmarks.tables import Column, Result, Table, label, made_by, plain, text
+from flowsplat_benchmarks.tables import Column, Result, Table, describe_version, label, plain, text
 
 BACKGROUND = "background"
 OWN_BACKGROUND = ("own", "outline")
@@ -57,7 +57,7 @@ def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str]
     remarks = list(REMARKS)
     if results:
         views = ", ".join(f"{name} {count}" for name, count in sorted({r["scene"]: r["views"] for r in results}.items()))
-        remarks.append(f"Trained with {results[0]['settings']}. Images by held-out cameras: {views}. {made_by(results)}")
+        remarks.append(f"Trained with {results[0]['settings']}. Images by held-out cameras: {views}. {describe_version(results)}")
     if others:
         remarks.append(f"Results in this folder that have other settings, and are left out here: {others}.")
     remarks += failures(failed)

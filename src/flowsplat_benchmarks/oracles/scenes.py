@@ -86,7 +86,7 @@ def _depth_trajectory(scene: Scene, device: str) -> None:
         depth, true = scene.depth(i), truth.depth(i).depth
         values = depth.depth.copy()
         for obj in objects:
-            region, compared = obj.region(mask), obj.compared(mask, true_mask)
+            region, compared = obj.region(mask), obj.select_compared(mask, true_mask)
             if region.any():
                 values[region] = scale * np.median(true[compared if compared.any() else region])
         scene.write_depth(i, Depth(values, depth.confidence))
@@ -118,7 +118,7 @@ def _outline(scene: Scene, device: str) -> None:
     _finish(scene, device, depth="true depth of objects")
 
 
-def _background(scene: Scene, device: str) -> None:
+def _train_background(scene: Scene, device: str) -> None:
     _write_true_depth(scene)
     PRIORS.erase(scene, ["tracks"])
     _finish(scene, device)
@@ -172,6 +172,6 @@ def _finish(scene: Scene, device: str, **verdicts: str) -> None:
 ORACLES: dict[str, Callable[[Scene, str], None]] = {
     "own": _as_it_is, "constant": _constant, "depth_trajectory": _depth_trajectory, "shape_offset": _shape_offset,
     "outline": _outline,
-    "background": _background, "flow": _flow, "cameras": _cameras,
+    "background": _train_background, "flow": _flow, "cameras": _cameras,
 }  # fmt: skip
 """What makes each oracle of a copy of the prepared scene, in the order in which they add to each other."""

@@ -43,7 +43,7 @@ def _measure_pair(benchmark: BenchmarkScene, scene: Scene) -> Figures:
 
 
 def _measure_davis(benchmark: BenchmarkScene, scene: Scene) -> Figures:
-    return {"masks.iou": pooled_iou((scene.mask(i), true_mask(benchmark, scene, i)) for i in scene.train_frames)}
+    return {"masks.iou": compute_pooled_iou((scene.mask(i), true_mask(benchmark, scene, i)) for i in scene.train_frames)}
 
 
 def _measure_rig(benchmark: BenchmarkScene, scene: Scene) -> Figures:
@@ -52,7 +52,7 @@ def _measure_rig(benchmark: BenchmarkScene, scene: Scene) -> Figures:
     figures = flow_figures((scene.flow(i, j), truth.flow(i, j), truth.mask(i) > 0) for i, j in truth.flow_pairs)
     figures |= camera_figures(scene, truth)
     figures |= depth_figures(scene, truth)
-    figures["masks.iou"] = pooled_iou((scene.mask(i), truth.mask(i)) for i in scene.train_frames)
+    figures["masks.iou"] = compute_pooled_iou((scene.mask(i), truth.mask(i)) for i in scene.train_frames)
     clip = open_clip(benchmark.folder, InputOptions(holdout=None))
     assert isinstance(clip.truth, RigTruth)
     figures |= track_figures(scene, truth, clip.truth.births)
@@ -150,7 +150,7 @@ def depth_figures(scene: Scene, truth: Layers) -> Figures:
     }
 
 
-def pooled_iou(masks: Iterable[tuple[np.ndarray, np.ndarray]]) -> float:
+def compute_pooled_iou(masks: Iterable[tuple[np.ndarray, np.ndarray]]) -> float:
     """Intersection over union of (ours, true), any object against background, pooled over frames; 1 where both are empty."""
     both = either = 0
     for ours, true in masks:

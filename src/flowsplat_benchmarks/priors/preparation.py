@@ -55,17 +55,17 @@ def forget(folder: Path) -> None:
 
 def _prepare_here(scene: BenchmarkScene, folder: Path) -> None:
     is_new = not folder.exists() or not any(folder.iterdir())
-    before = _prepared_with(folder)
+    before = _read_key(folder)
     wall, processor = time.perf_counter(), time.process_time()
     seconds = _flow_only(scene, folder) if scene.kind == "pair" else _all_priors(scene, folder)
     if is_new:
         total, cpu = time.perf_counter() - wall, time.process_time() - processor
         write_json(folder / NEEDED, {"seconds": seconds, "total": total, "cpu": cpu, "memory": peak_memory()})
-    elif _prepared_with(folder) != before:
+    elif _read_key(folder) != before:
         (folder / NEEDED).unlink(missing_ok=True)
 
 
-def _prepared_with(folder: Path) -> str | None:
+def _read_key(folder: Path) -> str | None:
     """The key of the settings that a finished preparation had."""
     path = folder / "run.json"
     return read_json(path)["stages"].get("prepare", {}).get("key") if path.exists() else None

@@ -12,16 +12,16 @@ import numpy as np
 from flowsplat.common.files import write_text
 from flowsplat.common.spread import spread
 from flowsplat.evaluation.placement import true_scale
-from flowsplat.images.colors import depth_range, depth_to_color, flow_scale, flow_to_color, tinted
+from flowsplat.images.colors import depth_range, depth_to_color, flow_scale, flow_to_color, tint
 from flowsplat.images.html import table
-from flowsplat.images.sheets import side_by_side, stacked
+from flowsplat.images.sheets import side_by_side, stack
 from flowsplat.scenes import Flow, Layers, Scene
 from flowsplat.scenes.layers import read_image, write_image
 from flowsplat_benchmarks.priors.measure import read_true_flow, true_mask
 from flowsplat_benchmarks.priors.rows import DEFINITIONS, HEADER, Row, table_rows
 from flowsplat_benchmarks.priors.scenes import BenchmarkScene
 from flowsplat_benchmarks.reports import failures, scene_section, write_benchmark_page
-from flowsplat_benchmarks.tables import Result, made_by, markdown_table, plain
+from flowsplat_benchmarks.tables import Result, describe_version, format_table, plain
 
 TITLE = "Priors, measured"
 PAGE, TABLE = "priors.html", "priors.md"
@@ -44,7 +44,7 @@ def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str]
         InputError: the folder cannot be written.
     """
     rows = list(table_rows(results))
-    remarks = [*DEFINITIONS, *([made_by(results)] if results else []), *failures(failed, "measured")]
+    remarks = [*DEFINITIONS, *([describe_version(results)] if results else []), *failures(failed, "measured")]
     write_text(out / TABLE, _markdown(rows, remarks, results))
     marks = {"met": "✓ met", "not met": "✗ not met"}
     cells = [tuple(marks.get(cell, plain(cell)) for cell in row.cells) for row in rows]
@@ -67,7 +67,7 @@ def verdict(rows: Sequence[Row]) -> str:
 
 
 def _markdown(rows: Sequence[Row], remarks: Sequence[str], results: Sequence[Result]) -> str:
-    lines = [f"# {TITLE}", "", verdict(rows), "", *markdown_table(HEADER, [row.cells for row in rows])]
+    lines = [f"# {TITLE}", "", verdict(rows), "", *format_table(HEADER, [row.cells for row in rows])]
     lines += ["", *(f"- {line}" for line in remarks), "", *(f"- {_facts(result)}" for result in results)]
     return "\n".join(lines) + "\n"
 
@@ -103,20 +103,20 @@ def write_strip(folder: Path, benchmark: BenchmarkScene, scene: Scene) -> None:
         near, far = depth_range([scene.depth(i).depth for i, _ in pairs])
     rows = []
     for (i, _), found, exact in zip(pairs, ours, true, strict=True):
-        panels = {f"frame {i}": scene.frame(i), "flow": flow_to_color(_known(found), scale)}
+        panels = {f"frame {i}": scene.frame(i), "flow": flow_to_color(_find_known(found), scale)}
         if exact is not None:
-            panels["true flow"] = flow_to_color(_known(exact), scale)
+            panels["true flow"] = flow_to_color(_find_known(exact), scale)
         if scene.prior("masks") is not None:
-            panels["mask"] = tinted(scene.frame(i), scene.mask(i) > 0)
+            panels["mask"] = tint(scene.frame(i), scene.mask(i) > 0)
             exact_mask = truth.mask(i) if truth is not None else true_mask(benchmark, scene, i)
-            panels["true mask"] = tinted(scene.frame(i), exact_mask > 0)
+            panels["true mask"] = tint(scene.frame(i), exact_mask > 0)
         if scene.prior("depth") is not None:
             depth = scene.depth(i).depth
             panels["depth"] = depth_to_color(true_scale(scene) * depth, near, far)
             if truth is not None:
                 panels["true depth"] = depth_to_color(truth.depth(i).depth, near, far)
         rows.append(side_by_side(list(panels.values()), list(panels), STRIP_HEIGHT))
-    write_image(folder / STRIP, stacked(rows))
+    write_image(folder / STRIP, stack(rows))
 
 
 def _true_flow(benchmark: BenchmarkScene, scene: Scene, truth: Layers | None, pair: tuple[int, int]) -> Flow | None:
@@ -125,5 +125,5 @@ def _true_flow(benchmark: BenchmarkScene, scene: Scene, truth: Layers | None, pa
     return truth.flow(*pair) if truth is not None and pair in truth.flow_pairs else None
 
 
-def _known(flow: Flow) -> np.ndarray:
+def _find_known(flow: Flow) -> np.ndarray:
     return np.where(flow.trusted[..., None], flow.flow, np.nan)

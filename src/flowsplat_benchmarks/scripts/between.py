@@ -113,10 +113,10 @@ def measure(scene: Scene, world: World, config: TrainConfig, images: Path | None
         k = i - 1
         image = model.render(scene.cameras[k], float(scene.timestamps[k])).color
         found["trained"].append(errors(image, to_float(scene.frame(k)), kinds_of(world, k)))
-    return {what: _added(frames) for what, frames in found.items()}
+    return {what: _add(frames) for what, frames in found.items()}
 
 
-def _added(frames: list[dict[str, tuple[float, int]]]) -> dict[str, tuple[float, int]]:
+def _add(frames: list[dict[str, tuple[float, int]]]) -> dict[str, tuple[float, int]]:
     return {name: (sum(f[name][0] for f in frames), sum(f[name][1] for f in frames)) for name in frames[0]}
 
 

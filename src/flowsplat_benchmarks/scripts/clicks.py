@@ -18,7 +18,7 @@ import numpy as np
 
 from flowsplat.common.files import write_text
 from flowsplat.priors.flow import dis_estimator, flow_stage
-from flowsplat.priors.prompts import Prompt, cut_at_once, prompt_stage
+from flowsplat.priors.prompts import Prompt, cut_prompts, prompt_stage
 from flowsplat.scenes import Scene
 from flowsplat_benchmarks.worlds import draw_world, write_world
 
@@ -39,7 +39,7 @@ def prepare(folder: Path, seed: int) -> Scene:
     return scene
 
 
-def drawn(masks: np.ndarray, seed: int, clicks: bool) -> dict[int, Prompt]:
+def draw_prompts(masks: np.ndarray, seed: int, clicks: bool) -> dict[int, Prompt]:
     """A prompt for every object of true masks [T, H, W] that is large enough, by its number in them."""
     rng = np.random.default_rng(seed)
     prompts: dict[int, Prompt] = {}
@@ -70,10 +70,10 @@ def measure(scene: Scene, seed: int, clicks: bool) -> list[tuple[float, float]]:
     truth = scene.truth
     assert truth is not None
     true = np.stack([truth.mask(i) for i in scene.train_frames])
-    prompts = drawn(true, seed, clicks)
+    prompts = draw_prompts(true, seed, clicks)
     if not prompts:
         return []
-    first = cut_at_once(scene, list(prompts.values()), dis_estimator)
+    first = cut_prompts(scene, list(prompts.values()), dis_estimator)
     prompt_stage(scene, list(prompts.values()))
     masks = np.stack([scene.mask(i) for i in scene.train_frames])
     figures = []

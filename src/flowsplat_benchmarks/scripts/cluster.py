@@ -68,7 +68,7 @@ class Nap:
             os.kill(os.getpid(), signal.SIGKILL)
         return [Ended(job, Outcome("done", result={"verdict": "it slept"}))]
 
-    def running(self) -> Sequence[Running]:
+    def list_running(self) -> Sequence[Running]:
         return [] if self._job is None else [Running(self._job.id, "sleeps", 0.0, None)]
 
     def drop(self, name: str) -> None:

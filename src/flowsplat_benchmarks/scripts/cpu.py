@@ -22,9 +22,9 @@ from pathlib import Path
 from typing import Any
 
 from flowsplat.common.files import write_json, write_text
-from flowsplat.common.threads import most_threads
+from flowsplat.common.threads import get_max_threads
 from flowsplat_benchmarks.scripts.cpu_parts import large, machine, rasterizer, scaling, startup, step, variants
-from flowsplat_benchmarks.scripts.cpu_parts.report import comparison, markdown
+from flowsplat_benchmarks.scripts.cpu_parts.report import comparison, format_page
 from flowsplat_benchmarks.scripts.cpu_parts.timing import tell
 
 RESULTS = Path(__file__).parent / "results"
@@ -57,7 +57,7 @@ QUICK = Effort(
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """Everything that was asked for, as it goes into the file."""
     effort = QUICK if options.quick else Effort()
-    available = most_threads()
+    available = get_max_threads()
     threads = sorted({min(count, available) for count in options.threads})
     most, limits = threads[-1], machine.Limits()
     sizes = scaling.SIZES["480p"], scaling.SIZES["240p"]
@@ -81,10 +81,10 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         tell("variants ...")
         result["variants"] = variants.measure([options.isa], threads, effort.turns, options.quick)
     result |= {"load_after": machine.load(), "limits": limits.to_json()}
-    return _added(json.loads(options.add_to.read_text(encoding="utf-8")), result) if options.add_to else result
+    return _merge_result(json.loads(options.add_to.read_text(encoding="utf-8")), result) if options.add_to else result
 
 
-def _added(earlier: dict[str, Any], result: dict[str, Any]) -> dict[str, Any]:
+def _merge_result(earlier: dict[str, Any], result: dict[str, Any]) -> dict[str, Any]:
     """An earlier result with what was measured now in place of or beside what it has."""
     for name in ("machine", "commit"):
         if earlier[name] != result[name]:
@@ -111,7 +111,7 @@ def main() -> None:
     """Measure, print, write."""
     options = _parser().parse_args()
     result = json.loads(options.read.read_text(encoding="utf-8")) if options.read else measure(options)
-    page = markdown(result)
+    page = format_page(result)
     print(page)
     if options.compare:
         print(comparison(result, json.loads(options.compare.read_text(encoding="utf-8"))))

@@ -35,9 +35,9 @@ from flowsplat.pipeline.folder import stage_key
 from flowsplat.scenes import Scene
 from flowsplat.scenes.synthetic import SyntheticScene
 from flowsplat.scenes.synthetic.world import camera_at
-from flowsplat_benchmarks.priors.measure import pooled_iou
+from flowsplat_benchmarks.priors.measure import compute_pooled_iou
 from flowsplat_benchmarks.resume import Job, measure_jobs, results_in
-from flowsplat_benchmarks.tables import made_by
+from flowsplat_benchmarks.tables import describe_version
 
 PROTOCOL = "edges"
 PRESETS = get_args(Preset)
@@ -52,7 +52,7 @@ class RestingCamera(SyntheticScene):
         return camera_at(0.5, self.width, self.height)
 
 
-def _unchanged(config: RunConfig) -> RunConfig:
+def _keep_settings(config: RunConfig) -> RunConfig:
     return config
 
 
@@ -67,11 +67,11 @@ class Edge:
     """
 
     clip: SyntheticScene
-    change: Callable[[RunConfig], RunConfig] = field(default=_unchanged)
+    change: Callable[[RunConfig], RunConfig] = field(default=_keep_settings)
     given_cameras: bool = False
 
 
-def _holding_out(every: int) -> Callable[[RunConfig], RunConfig]:
+def _hold_out(every: int) -> Callable[[RunConfig], RunConfig]:
     return lambda config: replace(config, input=replace(config.input, holdout=every))
 
 
@@ -86,8 +86,8 @@ def _full_size(config: RunConfig) -> RunConfig:
 
 
 EDGES = {
-    "12 wide images": Edge(SyntheticScene(480, 270, 12, fps=6.0), _holding_out(4)),
-    "12 wide images, cameras given": Edge(SyntheticScene(480, 270, 12, fps=6.0), _holding_out(4), given_cameras=True),
+    "12 wide images": Edge(SyntheticScene(480, 270, 12, fps=6.0), _hold_out(4)),
+    "12 wide images, cameras given": Edge(SyntheticScene(480, 270, 12, fps=6.0), _hold_out(4), given_cameras=True),
     "300 frames": Edge(SyntheticScene(426, 240, 300), _all_frames),
     "240p": Edge(SyntheticScene(426, 240, 48)),
     "1080p": Edge(SyntheticScene(1920, 1080, 24), _full_size),
@@ -102,9 +102,9 @@ def mask_overlap(spec: SyntheticScene, scene: Scene) -> float:
     def pairs() -> Iterator[tuple[np.ndarray, np.ndarray]]:
         for i in scene.train_frames:
             k = round(scene.timestamps[i] * spec.fps)
-            yield scene.mask(i), spec.seen_by(spec.camera(k).resized(scene.width, scene.height), spec.timestamps[k])[1]
+            yield scene.mask(i), spec.cast_rays(spec.camera(k).resize(scene.width, scene.height), spec.timestamps[k])[1]
 
-    return pooled_iou(pairs())
+    return compute_pooled_iou(pairs())
 
 
 def run_edge(name: str, preset: str, out: Path, key: str) -> dict[str, Any]:
@@ -185,7 +185,7 @@ def main() -> None:
 
     def report(failed: Mapping[str, str]) -> Path:
         results = results_in(PROTOCOL, out)
-        write_text(page, f"{table(results)}\n\n{made_by(results)}\n" if results else "")
+        write_text(page, f"{table(results)}\n\n{describe_version(results)}\n" if results else "")
         return page
 
     try:

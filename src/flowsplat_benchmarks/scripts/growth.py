@@ -76,7 +76,7 @@ def measure(case: Case) -> dict[str, Any]:
     init = config.train.init if case.spacing is None else replace(config.train.init, background_spacing=case.spacing)
     config = replace(
         config, input=InputOptions(max_frames=case.frames, every=1, resize=case.side), render=RenderOptions(paths=("input",)),
-        train=replace(config.train, iterations=STEPS, preview_every=0, init=init), final_fit=False, first_scene=False,
+        train=replace(config.train, iterations=STEPS, preview_every=0, init=init), final_fit=False, coarse_scene=False,
     )  # fmt: skip
     metrics = run(Path(case.clip), Path(case.out), config)
     history = json.loads((Path(case.out) / "run.json").read_text())["stages"]
@@ -88,7 +88,7 @@ def measure(case: Case) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def enlarged(spec: SyntheticScene, side: int, path: Path) -> Path:
+def enlarge(spec: SyntheticScene, side: int, path: Path) -> Path:
     """The built-in clip as a video, enlarged to a long side; rendered once."""
     if not path.exists():
         size = side, 2 * round(side * spec.height / spec.width / 2)
@@ -102,10 +102,10 @@ def cases(folder: Path, only: Sequence[str], clips: Sequence[Path]) -> Iterator[
     long = SyntheticScene(width=LONG_SIDE, height=LONG_SIDE * 9 // 16, frames=max(FRAMES))
     few = SyntheticScene(width=DRAWN, height=DRAWN * 9 // 16, frames=FEW)
     if {"pixels", "gaussians"} & set(only):
-        large = str(enlarged(few, max(SIDES), folder / "few.mp4"))
+        large = str(enlarge(few, max(SIDES), folder / "few.mp4"))
         yield Case("warm-up", large, str(folder / "warm"), FEW, 160)
     if {"frames", "long"} & set(only):
-        small = str(enlarged(long, LONG_SIDE, folder / "long.mp4"))
+        small = str(enlarge(long, LONG_SIDE, folder / "long.mp4"))
         yield Case("warm-up", small, str(folder / "warm_long"), 24, 160)
     if "frames" in only:
         yield from (Case("frames", small, str(folder / f"frames_{n}"), n, LONG_SIDE) for n in FRAMES)
@@ -114,7 +114,7 @@ def cases(folder: Path, only: Sequence[str], clips: Sequence[Path]) -> Iterator[
     if "gaussians" in only:
         yield from (Case("gaussians", large, str(folder / "pixels_854"), FEW, 854, each) for each in SPACINGS)
     if "long" in only:
-        yield Case("long", str(enlarged(long, LONG[1], folder / "long_480p.mp4")), str(folder / "long"), *LONG)
+        yield Case("long", str(enlarge(long, LONG[1], folder / "long_480p.mp4")), str(folder / "long"), *LONG)
     yield from (Case("clip", str(clip), str(folder / f"clip_{clip.name}"), 1000, 854) for clip in clips)
 
 
@@ -169,10 +169,10 @@ def figure(rows: Sequence[dict[str, Any]]) -> str:
         }
         label = "thousand Gaussians active at a time, 854x480"
         charts.append(line_chart(series, title="Training by Gaussians", x_label=label, y_label="", dots=True))
-    return stacked([svg_file(chart) for chart in charts])
+    return stack([svg_file(chart) for chart in charts])
 
 
-def stacked(charts: Sequence[str], height: int = 260, width: int = 640) -> str:
+def stack(charts: Sequence[str], height: int = 260, width: int = 640) -> str:
     """SVG files one below the other."""
     inner = "\n".join(
         chart.replace("<svg ", f'<svg y="{k * height}" width="{width}" height="{height}" ', 1) for k, chart in enumerate(charts)

@@ -32,7 +32,9 @@ def result(out: Path) -> tuple[object, bytes]:
     figures = {
         name: value for name, value in metrics.items() if name not in ("seconds", "wall_seconds", "memory_gib", "peak_memory_gib")
     }
-    return figures, (out / "model" / "gaussians.safetensors").read_bytes() + (out / "final" / "gaussians.safetensors").read_bytes()
+    return figures, (out / "model" / "gaussians.safetensors").read_bytes() + (
+        out / "model_all_frames" / "gaussians.safetensors"
+    ).read_bytes()
 
 
 def kills(scene: Path, folder: Path, count: int) -> dict[str, object]:

@@ -40,7 +40,7 @@ DARKER, FEWEST = 0.04, 500
 KINDS = ("all", "shadow", "hidden", "all else")
 
 
-def drawn(seed: int, sky: bool) -> World:
+def draw_lit_world(seed: int, sky: bool) -> World:
     """A world under a sun that is always there, or under the sky alone."""
     world = draw_world(seed, WIDTH, HEIGHT, FRAMES)
     if sky:
@@ -50,7 +50,7 @@ def drawn(seed: int, sky: bool) -> World:
     return replace(world, light=replace(world.light, direction=direction, sun=SUN, ambient=AMBIENT))
 
 
-def trained(folder: Path, world: World) -> tuple[Scene, SceneModel]:
+def train_world(folder: Path, world: World) -> tuple[Scene, SceneModel]:
     """The scene of a world, and it trained, without what is known of shadows."""
     is_new = not (folder / "scene" / "truth" / "objects.json").exists()
     scene = write_world(folder / "scene", world) if is_new else Scene(folder / "scene")
@@ -108,8 +108,8 @@ def main() -> None:
     chosen = parser.parse_args()
     results = []
     for seed in range(chosen.seed, chosen.seed + chosen.worlds):
-        world = drawn(seed, chosen.sky)
-        results.append(measure(*trained(chosen.out / f"{'sky' if chosen.sky else 'sun'}-{seed}", world), world))
+        world = draw_lit_world(seed, chosen.sky)
+        results.append(measure(*train_world(chosen.out / f"{'sky' if chosen.sky else 'sun'}-{seed}", world), world))
     write_text(chosen.out / "shadows.md", table(results))
 
 

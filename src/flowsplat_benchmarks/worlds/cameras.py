@@ -54,11 +54,11 @@ def draw_path(
     if kind == "arc":
         return _arc(rng, around, distance, sign)
     if kind == "walking":
-        return _walking(rng, around, distance, tremble)
+        return _draw_walking(rng, around, distance, tremble)
     if kind == "shaking":
-        return _shaking(rng, around, jitter, tremble)
+        return _draw_shaking(rng, around, jitter, tremble)
     if kind == "following":
-        return _following(rng, around, leader, jitter, tremble)
+        return _draw_following(rng, around, leader, jitter, tremble)
     return _still(around)
 
 
@@ -78,7 +78,7 @@ def _arc(rng: np.random.Generator, around: _Around, distance: float, sign: float
     return arc
 
 
-def _walking(rng: np.random.Generator, around: _Around, distance: float, tremble: Callable[[np.ndarray], np.ndarray]) -> Path:
+def _draw_walking(rng: np.random.Generator, around: _Around, distance: float, tremble: Callable[[np.ndarray], np.ndarray]) -> Path:
     """In some direction at the pace of a person, whose steps it shows."""
     middle, target, duration = around.stand.place, around.stand.target, around.duration
     speed = rng.uniform(0.6, 1.4)
@@ -101,7 +101,7 @@ def _walking(rng: np.random.Generator, around: _Around, distance: float, tremble
     return walking
 
 
-def _shaking(
+def _draw_shaking(
     rng: np.random.Generator, around: _Around, jitter: Callable[[np.ndarray], np.ndarray],
     tremble: Callable[[np.ndarray], np.ndarray],
 ) -> Path:  # fmt: skip
@@ -117,7 +117,7 @@ def _shaking(
     return shaking
 
 
-def _following(
+def _draw_following(
     rng: np.random.Generator, around: _Around, leader: WorldObject, jitter: Callable[[np.ndarray], np.ndarray],
     tremble: Callable[[np.ndarray], np.ndarray],
 ) -> Path:  # fmt: skip

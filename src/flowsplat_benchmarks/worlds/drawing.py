@@ -2,7 +2,7 @@
 
 What a world is about (ground, camera, kinds of objects) comes from the seed alone; where everything is gets drawn again
 until all of it is in sight. So no kind is rarer because it is hard to place. Of twenty seeds that begin at a multiple of
-twenty each has another pair of ground and camera. Worlds of dancers are drawn apart, with the same seeds.
+twenty each has another pair of ground and camera. Worlds of dancers, and of crowds, are drawn apart, with the same seeds.
 """
 
 from __future__ import annotations
@@ -29,6 +29,9 @@ SUNNY = 0.8
 ATTEMPTS = 4000
 """How often everything is placed anew at most."""
 
+OCCLUSION = 0.9
+"""Of the sky's light in crowds: the ground right under a body has .1 to .4 of what it has beside it, as in photographs."""
+
 IN_SIGHT, ENOUGH_PIXELS = 0.6, 0.0012
 """Share of the frames in which an object's middle must be in the image and enough of it be seen, and how much is enough: a
 share of the image (69 of 57,600 pixels)."""
@@ -45,23 +48,29 @@ OTHER_STEPS = 0.1
 _CHECK_WIDTH, _CHECK_FRAMES = 80, 10
 
 
-def draw_world(seed: int, width: int = 320, height: int = 180, frames: int = 40, fps: float = 24.0, dancers: bool = False) -> World:
+def draw_world(
+    seed: int, width: int = 320, height: int = 180, frames: int = 40, fps: float = 24.0, dancers: bool = False, crowd: bool = False
+) -> World:
     """The world of a seed, the same bits for the same arguments.
 
     Its geometry does not depend on the number of pixels, as long as their ratio stays.
 
     Args:
         dancers: people who swing their limbs as fast as people do, and nothing else that moves.
+        crowd: three to five people, vehicles and animals that pass one another at several depths, in plain clothes and with
+            contact shadows, and nothing else that moves.
 
     Raises:
-        InputError: the arguments make no clip, or nothing could be placed in sight.
+        InputError: the arguments make no clip, ask for dancers and a crowd, or nothing could be placed in sight.
     """
+    if dancers and crowd:
+        raise InputError("A random world is of dancers or of a crowd, not of both.")
     if seed < 0 or min(width, height) < 32 or frames < 10 or not 0 < fps < np.inf:
         raise InputError(
             f"A random world of seed {seed} with {frames} frames of {width}x{height} pixels at {fps} frames a second cannot be "
             "made: use a seed of 0 or more, 10 frames or more of 32x32 pixels or more, and a finite rate above 0."
         )
-    plan = draw_plan(seed, dancers)
+    plan = draw_plan(seed, dancers, crowd)
     for attempt in range(ATTEMPTS):
         world = _place(np.random.default_rng([seed, 2, attempt]), seed, plan, (width, height), frames, fps)
         if world is not None and _is_in_sight(world, plan):
@@ -101,8 +110,8 @@ def _place(rng: np.random.Generator, seed: int, plan: Plan, size: tuple[int, int
     sun = rng.uniform(0.45, 0.85) if rng.random() < SUNNY else 0.0
     world = World(
         seed, *size, frames, fps, ground, plan.camera, scale.focal, path, tuple(static), tuple(objects),
-        Light(direction, sun, 1.0 - 0.55 * sun), rng.uniform(0.3, 0.6) if rng.random() < BLURRED else 0.0,
-        rng.uniform(1.0, 4.0) if rng.random() < NOISY else 0.4, (1, 2) if plan.pair == "touching" else None,
+        Light(direction, sun, 1.0 - 0.55 * sun, OCCLUSION if plan.crowd else 0.0), rng.uniform(0.3, 0.6) if rng.random() < BLURRED
+        else 0.0, rng.uniform(1.0, 4.0) if rng.random() < NOISY else 0.4, (1, 2) if plan.pair == "touching" else None,
     )  # fmt: skip
     if not are_apart(objects, times, plan.pair == "touching"):
         return None

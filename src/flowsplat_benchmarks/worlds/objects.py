@@ -6,15 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from flowsplat.scenes.synthetic.worlds.animals import SHOULDER_HEIGHT, animal
 from flowsplat.scenes.synthetic.worlds.ground import Ground
 from flowsplat.scenes.synthetic.worlds.machines import (
     STOPS,
     door,
+    draw_rolling_ball,
     draw_way,
     flier,
     in_the_air,
     pendulum,
-    rolling,
     straight,
     vehicle,
 )
@@ -29,6 +30,12 @@ APPARENT = (0.08, 0.7)
 
 DANCING = (0.5, 0.9)
 """The same of dancers."""
+
+CROWDED = (0.2, 0.7)
+"""The same in crowds."""
+
+SATURATION, BRIGHTNESS = 0.1, (0.06, 0.5)
+"""Plain clothes of a crowd: the share of a color's saturation that is left at most, and between which brightness they lie."""
 
 NEAREST, FURTHEST = 1.4, 24.0
 """Meters between which objects are drawn."""
@@ -54,6 +61,8 @@ class Scale:
 
 def draw_objects(rng: np.random.Generator, plan: Plan, scale: Scale, ground: Ground, duration: float) -> list[WorldObject]:
     objects: list[WorldObject] = []
+    if plan.crowd:
+        return _draw_crowd(rng, plan.kinds, scale, ground, duration)
     if plan.pair == "touching":
         objects = _draw_touching(rng, plan.kinds[:2], scale, ground, duration)
     elif plan.pair == "crossing":
@@ -63,6 +72,20 @@ def draw_objects(rng: np.random.Generator, plan: Plan, scale: Scale, ground: Gro
             objects.append(_draw_object(rng, kind, scale, ground, duration, place, towards + rng.uniform(-0.3, 0.3)))
     for kind in plan.kinds[len(objects) :]:
         objects.append(_draw_object(rng, kind, scale, ground, duration, rng.uniform(-0.36, 0.36), _draw_heading(rng)))
+    return objects
+
+
+def _draw_crowd(
+    rng: np.random.Generator, kinds: tuple[Kind, ...], scale: Scale, ground: Ground, duration: float
+) -> list[WorldObject]:
+    """Objects at several depths, all of which are near one place of the image in the middle of the clip; some go one way, some
+    the other, so that they pass before each other."""
+    place, side = rng.uniform(-0.2, 0.2), rng.choice([0.0, np.pi])
+    objects = []
+    for kind in kinds:
+        towards = side + np.pi * (rng.random() < 0.5) + rng.uniform(-0.35, 0.35)
+        obj = _draw_object(rng, kind, scale, ground, duration, place + rng.normal() * 0.12, towards, CROWDED)
+        objects.append(_repaint(rng, obj, rich=False, dull=bool(rng.random() < 0.8)))
     return objects
 
 
@@ -77,28 +100,34 @@ def _spot(scale: Scale, place: float, distance: float) -> np.ndarray:
     return np.array([place * scale.wide(distance), distance])
 
 
-def _speed(rng: np.random.Generator, low: float, high: float, scale: Scale, distance: float, duration: float) -> float:
+def _draw_speed(rng: np.random.Generator, low: float, high: float, scale: Scale, distance: float, duration: float) -> float:
     """Meters a second, so that at most 0.7 widths of the image are crossed."""
     return float(min(rng.uniform(low, high), 0.7 * scale.wide(distance) / duration))
 
 
 def _draw_object(
-    rng: np.random.Generator, kind: Kind, scale: Scale, ground: Ground, duration: float, place: float, heading: float
-) -> WorldObject:
+    rng: np.random.Generator, kind: Kind, scale: Scale, ground: Ground, duration: float, place: float, heading: float,
+    apparent: tuple[float, float] = APPARENT,
+) -> WorldObject:  # fmt: skip
     rich = bool(rng.random() < 0.6)
     if kind in ("walker", "carrier"):
         body = rng.uniform(0.6, 1.1)
-        distance = max(scale.distance(rng, body * HEIGHT), 2.2)
+        distance = max(scale.distance(rng, body * HEIGHT, apparent), 2.2)
         speed = rng.uniform(0.7, 1.7) * np.sqrt(body)
         return walker(rng, ground, _spot(scale, place, distance), heading, body, speed, duration, rich, kind == "carrier")
     if kind == "dancer":
         size = rng.uniform(0.7, 1.1)
         distance = max(scale.distance(rng, size * HEIGHT, DANCING), 2.2)
         return dancer(rng, ground, _spot(scale, place, distance), rng.uniform(0, 2 * np.pi), size, rich)
+    if kind == "animal":
+        size = rng.uniform(0.6, 1.3)
+        distance = max(scale.distance(rng, 1.4 * size * SHOULDER_HEIGHT, apparent), 2.0)
+        speed = _draw_speed(rng, 0.6, 2.0, scale, distance, duration)
+        return animal(rng, ground, _spot(scale, place, distance), heading, size, speed, duration, rich)
     if kind == "vehicle":
         length = float(np.exp(rng.uniform(np.log(0.5), np.log(3.5))))
-        distance = max(scale.distance(rng, 0.45 * length), 1.2 * length + 0.8)
-        speed = _speed(rng, 0.5 * length, 2 * length, scale, distance, duration)
+        distance = max(scale.distance(rng, 0.45 * length, apparent), 1.2 * length + 0.8)
+        speed = _draw_speed(rng, 0.5 * length, 2 * length, scale, distance, duration)
         way = draw_way(rng, speed, duration, bool(rng.random() < STOPS))
         return vehicle(rng, ground, _spot(scale, place, distance), heading, length, way, rich)
     if kind == "door":
@@ -108,21 +137,21 @@ def _draw_object(
     if kind == "flier":
         span = float(np.exp(rng.uniform(np.log(0.4), np.log(1.6))))
         distance = max(scale.distance(rng, 0.4 * span), 2.0)
-        speed = _speed(rng, 0.6, 3.5, scale, distance, duration)
+        speed = _draw_speed(rng, 0.6, 3.5, scale, distance, duration)
         return flier(rng, ground, _spot(scale, place, distance), heading, span, speed, duration, rich)
     radius = float(np.exp(rng.uniform(np.log(0.1), np.log(0.4))))
     distance = scale.distance(rng, 2 * radius)
     if kind == "rolling":
-        speed = _speed(rng, 0.4, 2.5, scale, distance, duration)
+        speed = _draw_speed(rng, 0.4, 2.5, scale, distance, duration)
         way = draw_way(rng, speed, duration, bool(rng.random() < STOPS))
-        return rolling(rng, ground, _spot(scale, place, distance), heading, radius, way, rich)
+        return draw_rolling_ball(rng, ground, _spot(scale, place, distance), heading, radius, way, rich)
     if kind == "pendulum":
         return pendulum(rng, ground, _spot(scale, place, max(distance, 2.0)), rng.uniform(0, 2 * np.pi), radius, duration, rich)
     thrown = kind == "thrown"
     if thrown:
         # It rises three meters and more: the image has to be that high where it flies.
         distance = max(distance, rng.uniform(3.2, 5.0) * scale.focal * scale.aspect)
-    speed = _speed(rng, 0.3, 3.0, scale, distance, duration)
+    speed = _draw_speed(rng, 0.3, 3.0, scale, distance, duration)
     return in_the_air(rng, ground, _spot(scale, place, distance), heading, radius, speed, duration, rich, not thrown)
 
 
@@ -136,7 +165,7 @@ def _draw_touching(
         radius = float(np.exp(rng.uniform(np.log(0.12), np.log(0.4))))
         distance = scale.distance(rng, 2 * radius)
         heading = straight(rng, ground, heading)
-        speed = _speed(rng, 0.8, 2.5, scale, distance, duration)
+        speed = _draw_speed(rng, 0.8, 2.5, scale, distance, duration)
         hit = rng.uniform(0.35, 0.65) * duration
         at = ground.middle_of_tread(_spot(scale, beside, distance), 1.2 * radius)
         gap = 2 * radius / float(np.linalg.norm(ground.tangent(np.array(heading))))
@@ -150,8 +179,8 @@ def _draw_touching(
             return np.asarray(speed * np.maximum(times - hit, 0))
 
         return [
-            rolling(rng, ground, at, heading, radius, first, rich),
-            rolling(rng, ground, at + gap * ahead, heading, radius, second, other_rich),
+            draw_rolling_ball(rng, ground, at, heading, radius, first, rich),
+            draw_rolling_ball(rng, ground, at + gap * ahead, heading, radius, second, other_rich),
         ]
     body = rng.uniform(0.75, 1.1)
     distance = max(scale.distance(rng, body * HEIGHT), 2.4)
@@ -163,7 +192,7 @@ def _draw_touching(
         pair = []
         for side, clothes in ((-0.5, rich), (0.5, other_rich)):
             obj = walker(np.random.default_rng(state), ground, at + side * aside, heading, body, speed, duration, clothes)
-            pair.append(_repainted(rng, obj, clothes))
+            pair.append(_repaint(rng, obj, clothes))
         return pair
     heading = straight(rng, ground, heading)
     length = rng.uniform(0.6, 1.1) * body
@@ -179,13 +208,22 @@ def _draw_touching(
     return [pusher, vehicle(rng, ground, place, heading, length, way, other_rich, handle)]
 
 
-def _repainted(rng: np.random.Generator, obj: WorldObject, rich: bool) -> WorldObject:
-    """The same with other colors, parts that shared one still sharing it."""
+def _repaint(rng: np.random.Generator, obj: WorldObject, rich: bool, dull: bool = False) -> WorldObject:
+    """The same with other colors, parts that shared one still sharing it; ``dull``: as plain clothes, near to gray and dark."""
     new: dict[bytes, np.ndarray] = {}
     parts = []
     for part in obj.parts:
         key = part.material.tobytes()
         if key not in new:
             new[key] = draw_material(rng, 0.5, rich)
+            if dull:
+                new[key][2:8] = np.tile(_draw_dull(rng, new[key][2:5]), 2)
         parts.append(Part(part.shape, part.size, new[key]))
     return WorldObject(obj.kind, tuple(parts), obj.poses, obj.touching)
+
+
+def _draw_dull(rng: np.random.Generator, color: np.ndarray) -> np.ndarray:
+    """A color [3] near to gray, of about the hue of ``color``."""
+    gray = color.mean()
+    toned = gray + rng.uniform(0, SATURATION) * (color - gray)
+    return np.asarray(toned * rng.uniform(*BRIGHTNESS) / max(gray, 1e-3))

@@ -17,6 +17,10 @@ PAIRS = ("crossing", "touching")
 """Pairs of objects, as frequent as single ones of each kind where a world has two or more."""
 
 CROSSING: tuple[Kind, ...] = ("walker", "carrier", "vehicle", "rolling")
+CROWD: tuple[Kind, ...] = ("walker", "walker", "walker", "carrier", "vehicle", "animal")
+"""What a crowd is drawn from: half of it walks with free hands, as on a street."""
+CROWD_SIZES = (3, 6)
+"""From how many to less than how many objects a crowd has."""
 TOUCHING: tuple[tuple[Kind, Kind], ...] = (("walker", "walker"), ("walker", "vehicle"), ("rolling", "rolling"))
 
 
@@ -30,6 +34,7 @@ class Plan:
         kinds: of the objects, in order.
         pair: ``crossing`` or ``touching`` where the first two objects are such a pair.
         raised: where no ground is in sight: whether it lies above the eye, or below the image.
+        crowd: whether objects pass one another at several depths, in plain clothes and with contact shadows.
     """
 
     ground: GroundKind
@@ -37,10 +42,16 @@ class Plan:
     kinds: tuple[Kind, ...]
     pair: str | None
     raised: bool
+    crowd: bool = False
 
 
-def draw_plan(seed: int, dancers: bool = False) -> Plan:
-    """What the world of a seed is about; ``dancers``: one or two of them, instead of all other objects, and no steps."""
+def draw_plan(seed: int, dancers: bool = False, crowd: bool = False) -> Plan:
+    """What the world of a seed is about.
+
+    Args:
+        dancers: one or two of them, instead of all other objects, and no steps.
+        crowd: three to five of ``CROWD``, instead of all other objects, on a ground in sight without steps.
+    """
     block, place = divmod(seed, len(GROUNDS) * len(CAMERAS))
     order = np.random.default_rng([block, 1]).permutation(len(GROUNDS) * len(CAMERAS))
     ground, camera = divmod(int(order[place]), len(CAMERAS))
@@ -60,6 +71,10 @@ def draw_plan(seed: int, dancers: bool = False) -> Plan:
         else:
             kinds = list(TOUCHING[int(rng.integers(len(TOUCHING)))])
     raised = bool(rng.random() < 0.5) or bool({"rolling", "bouncing"} & set(kinds))
+    if crowd:
+        kinds = [CROWD[k] for k in rng.integers(0, len(CROWD), int(rng.integers(*CROWD_SIZES)))]
+        seen: GroundKind = "slope" if GROUNDS[ground] in ("slope", "steps") else "flat"
+        return Plan(seen, CAMERAS[camera], tuple(kinds), None, raised, crowd=True)
     if dancers:
         level: GroundKind = "flat" if GROUNDS[ground] == "steps" else GROUNDS[ground]
         danced: list[Kind] = ["dancer"] * min(count, 2)

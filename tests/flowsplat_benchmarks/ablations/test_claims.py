@@ -9,8 +9,8 @@ import pytest
 from flowsplat.common.errors import InputError
 from flowsplat.gaussians.motion import motion_model
 from flowsplat.training.config import PRESETS, TrainConfig
-from flowsplat_benchmarks.ablations.claims import CLAIMS, FULL, PAPER_ORDERS, TITLES, chosen_claims, needed_variants
-from flowsplat_benchmarks.ablations.variants import Variant, changed
+from flowsplat_benchmarks.ablations.claims import CLAIMS, FULL, PAPER_ORDERS, TITLES, choose_claims, list_needed_variants
+from flowsplat_benchmarks.ablations.variants import Variant, change_settings
 
 PAPER = {
     "linear": -0.85, "no-q": -0.71, "no-mu": -0.78, "random": -2.05, "no-velocity": -3.13, "no-rigid": -1.15,
@@ -32,7 +32,7 @@ def test_names_are_unique_and_settings_exist():
     assert len(set(names)) == len(names)
     assert {claim.group for claim in CLAIMS} == set(TITLES)
     by_name = {}
-    for variant in needed_variants(CLAIMS):
+    for variant in list_needed_variants(CLAIMS):
         assert by_name.setdefault(variant.name, variant) == variant
         config = variant.config(100, 5000, 3)
         assert (config.iterations, config.frames_per_iteration, config.seed, config.density.max_gaussians) == (100, 1, 3, 5000)
@@ -51,21 +51,21 @@ def test_the_baseline_of_the_paper():
 
 
 def test_choosing_rows_brings_their_bases():
-    claims = chosen_claims(["sh-0", "orders-1133"])
-    assert [variant.name for variant in needed_variants(claims)] == ["orders-6633", "full", "orders-1133", "sh-0"]
-    assert {claim.group for claim in chosen_claims(["training"])} == {"training"}
-    assert chosen_claims([]) == list(CLAIMS)
-    assert PAPER_ORDERS in needed_variants(chosen_claims(["ours"]))
-    assert FULL in needed_variants(chosen_claims(["static"]))
+    claims = choose_claims(["sh-0", "orders-1133"])
+    assert [variant.name for variant in list_needed_variants(claims)] == ["orders-6633", "full", "orders-1133", "sh-0"]
+    assert {claim.group for claim in choose_claims(["training"])} == {"training"}
+    assert choose_claims([]) == list(CLAIMS)
+    assert PAPER_ORDERS in list_needed_variants(choose_claims(["ours"]))
+    assert FULL in list_needed_variants(choose_claims(["static"]))
     with pytest.raises(InputError, match="no row 'nothing': choose from representation, "):
-        chosen_claims(["nothing"])
+        choose_claims(["nothing"])
 
 
 def test_changing_settings():
-    config = changed(TrainConfig(), {"seed": 4, "model.gains": 3, "loss.flow": 0.0})
+    config = change_settings(TrainConfig(), {"seed": 4, "model.gains": 3, "loss.flow": 0.0})
     assert (config.seed, config.model.gains, config.loss.flow) == (4, 3, 0.0)
     assert config.model.sh_degree == TrainConfig().model.sh_degree
     for path in ("nothing", "model.nothing", "seed.nothing"):
         with pytest.raises(ValueError, match="no setting"):
-            changed(TrainConfig(), {path: 1})
+            change_settings(TrainConfig(), {path: 1})
     assert Variant("full", "all").settings == ""

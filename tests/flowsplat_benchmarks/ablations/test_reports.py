@@ -9,7 +9,7 @@ import pytest
 from flowsplat.images.html import NOTHING
 from flowsplat_benchmarks.ablations import caps, report
 from flowsplat_benchmarks.ablations.claims import CLAIMS
-from flowsplat_benchmarks.tables import made_by
+from flowsplat_benchmarks.tables import describe_version
 
 
 def result(variant: str, psnr: float, scene: str = "bear", seed: int = 0, **changes) -> dict:
@@ -120,6 +120,6 @@ def test_many_scenes_are_not_all_in_the_image(tmp_path):
 
 
 def test_states_of_the_code_are_told():
-    assert made_by([{"flowsplat": "0.1.0+a"}] * 2) == "Made by flowsplat 0.1.0+a."
-    assert "of unknown version (1 run)" in made_by([{}, {"flowsplat": "0.1.0+b"}]), "figures from before it was recorded"
-    assert "2 different states" in made_by([{"flowsplat": "0.1.0+a"}, {"flowsplat": "0.1.0+b"}])
+    assert describe_version([{"flowsplat": "0.1.0+a"}] * 2) == "Made by flowsplat 0.1.0+a."
+    assert "of unknown version (1 run)" in describe_version([{}, {"flowsplat": "0.1.0+b"}]), "figures from before it was recorded"
+    assert "2 different states" in describe_version([{"flowsplat": "0.1.0+a"}, {"flowsplat": "0.1.0+b"}])

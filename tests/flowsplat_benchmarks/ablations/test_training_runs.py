@@ -12,7 +12,7 @@ from flowsplat.cli import main
 from flowsplat.common.errors import InputError
 from flowsplat.training.config import PRESETS
 from flowsplat_benchmarks.ablations import benchmark, caps, scenes, training_runs
-from flowsplat_benchmarks.ablations.scenes import ablation_scenes, chosen_scenes
+from flowsplat_benchmarks.ablations.scenes import ablation_scenes, choose_scenes
 from tests.flowsplat_benchmarks.ablations.test_reports import result
 
 
@@ -29,7 +29,7 @@ def refuse(capsys, *arguments: object) -> str:
 
 def test_scenes_of_both_kinds(runs_root):
     known = ablation_scenes(runs_root, 32)
-    bear, tiny = chosen_scenes(runs_root, known, ["bear", "tiny"])
+    bear, tiny = choose_scenes(runs_root, known, ["bear", "tiny"])
     assert (bear.name, tiny.name) == ("bear_32", "tiny")
     assert bear.case.config.input.resize == 32
     assert bear.case.variant == "given masks"
@@ -38,7 +38,7 @@ def test_scenes_of_both_kinds(runs_root):
     assert ablation_scenes(runs_root, 0)[0].case.config.input.resize == 0, "as it is, not what no wish gives"
     assert [scene.name for scene in ablation_scenes(runs_root / "rig", 32)] == ["tiny"]
     with pytest.raises(InputError, match="no scene 'x': choose from bear, plain, tiny"):
-        chosen_scenes(runs_root, known, ["x"])
+        choose_scenes(runs_root, known, ["x"])
 
 
 @pytest.fixture
@@ -51,7 +51,7 @@ def measured(monkeypatch, in_this_process):
         figures = result(run.variant.name, 30.0 + len(done), run.scene.case.scene, run.config.seed)
         return {**figures, "protocol": run.protocol, "cap": run.config.density.max_gaussians, "iterations": run.config.iterations}
 
-    monkeypatch.setattr(scenes, "prepared_scene", lambda _, folder: folder)
+    monkeypatch.setattr(scenes, "prepare_scene", lambda _, folder: folder)
     monkeypatch.setattr(training_runs, "measure", measure)
     return done
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from flowsplat.images.html import NOTHING
-from flowsplat_benchmarks.datasets.tables import published, tables
+from flowsplat_benchmarks.datasets.tables import read_published, tables
 from tests.flowsplat_benchmarks.datasets.conftest import figures, result
 
 
@@ -14,7 +14,7 @@ def rows_of(table) -> dict[str, dict[str, str]]:
 
 
 def test_published_figures_are_whole():
-    known = published()
+    known = read_published()
     for part in ("davis", "nvidia_twelve"):
         for method, values in known[part]["methods"].items():
             for metric, numbers in values.items():
@@ -69,7 +69,7 @@ def test_refined_poses_have_columns_of_their_own():
 
 
 def test_a_mean_over_the_published_scenes_needs_all_of_them():
-    scenes = published()["davis"]["scenes"]
+    scenes = read_published()["davis"]["scenes"]
     results = [result(scene, ours=figures(30.0 + k)) for k, scene in enumerate(scenes)]
     row = rows_of(tables("davis", results)[0])["flowsplat, given masks, default"]
     assert row["mean of the 5 published"] == "32.00"

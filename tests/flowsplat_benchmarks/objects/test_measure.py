@@ -53,7 +53,7 @@ def test_the_truth_has_no_errors(scene):
     assert figures["idf1"] == 1
     for obj in figures["objects"]:
         assert obj["found"]
-        assert obj["object"] == obj["number"]
+        assert obj["estimated"] == obj["number"]
         assert obj["iou"] == obj["idf1"] == 1
         for name in ("ln_distance", "depth_trajectory", "shape_offset"):
             assert obj[name] == pytest.approx(0, abs=1e-5)

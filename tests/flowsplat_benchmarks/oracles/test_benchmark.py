@@ -57,7 +57,7 @@ def measured(monkeypatch, in_this_process):
         done.append(run.name)
         return result(run)
 
-    monkeypatch.setattr(benchmark, "prepared_scene", lambda _, folder: folder)
+    monkeypatch.setattr(benchmark, "prepare_scene", lambda _, folder: folder)
     monkeypatch.setattr(benchmark, "measure_oracle", measure)
     return done
 
@@ -84,7 +84,7 @@ def test_tables(runs_root, tmp_path, measured):
     assert "| tiny | own | share of the error, % | 10.0 | 10.0 |" in text
     assert "| tiny | own | 90th percentile, % | 4.56 | 4.56 |" in text
     page = (tmp_path / "oracles.html").read_text()
-    assert "tiny: shape offset" in page
+    assert "tiny: shape_offset" in page
     assert "*" not in page.split("<main")[-1]
 
 

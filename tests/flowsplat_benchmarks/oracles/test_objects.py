@@ -33,8 +33,8 @@ def test_what_is_compared():
     mask, true = np.array([[4, 5, 5, 0]]), np.array([[1, 2, 0, 2]])
     obj = MatchedObject(2, (5, 6))
     assert obj.region(mask).tolist() == [[False, True, True, False]]
-    assert obj.compared(mask, true).tolist() == [[False, True, False, False]]
-    assert MatchedObject(0, (5,)).compared(mask, true).tolist() == [[False, True, True, False]]
+    assert obj.select_compared(mask, true).tolist() == [[False, True, False, False]]
+    assert MatchedObject(0, (5,)).select_compared(mask, true).tolist() == [[False, True, True, False]]
 
 
 def test_errors_are_those_that_were_put_in(wrong_scene):

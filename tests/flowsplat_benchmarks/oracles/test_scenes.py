@@ -89,7 +89,7 @@ def test_depth_trajectory(oracles, wrong_scene):
     scene, own = oracles["depth_trajectory"], Scene(wrong_scene)
     for i, mask, true_mask, depth, true in frames(scene):
         for obj in match_objects(own):
-            region, compared = obj.region(mask), obj.compared(mask, true_mask)
+            region, compared = obj.region(mask), obj.select_compared(mask, true_mask)
             if region.any():
                 np.testing.assert_allclose(depth[region], np.median(true[compared]), rtol=1e-5)
         np.testing.assert_array_equal(depth[mask == 0], own.depth(i).depth[mask == 0])
@@ -151,7 +151,7 @@ def test_what_is_there_is_kept_until_the_scene_is_another(wrong_scene, tmp_path)
 
 
 def test_what_was_interrupted_is_made_anew(wrong_scene, tmp_path):
-    (tmp_path / ".shape offset.making" / "depth").mkdir(parents=True)
+    (tmp_path / ".shape_offset.making" / "depth").mkdir(parents=True)
     assert make_oracle(wrong_scene, tmp_path / "shape_offset", "shape_offset").has_depth(0)
     assert [path.name for path in tmp_path.iterdir()] == ["shape_offset"]
 

@@ -14,10 +14,10 @@ from flowsplat.scenes.ingest import ingest, open_clip
 from flowsplat_benchmarks.priors import measure as measuring
 from flowsplat_benchmarks.priors.measure import (
     camera_figures,
+    compute_pooled_iou,
     depth_figures,
     flow_figures,
     measure,
-    pooled_iou,
     read_true_flow,
     track_figures,
     tracks_on,
@@ -83,8 +83,8 @@ def test_cameras_and_depth_are_compared_in_any_frame_of_reference(scene):
 def test_masks_are_pooled_over_frames():
     small, large = np.zeros((4, 4), np.uint8), np.zeros((4, 4), np.uint8)
     small[0, 0], large[:2] = 2, 1
-    assert pooled_iou([(small, large), (large, large)]) == 9 / 16
-    assert pooled_iou([(0 * small, 0 * small)]) == 1
+    assert compute_pooled_iou([(small, large), (large, large)]) == 9 / 16
+    assert compute_pooled_iou([(0 * small, 0 * small)]) == 1
 
 
 def test_tracks_are_asked_at_their_births(scene, monkeypatch):

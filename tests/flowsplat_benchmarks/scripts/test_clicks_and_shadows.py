@@ -11,7 +11,7 @@ def test_prompts_lie_on_their_objects():
     masks = np.zeros((3, 60, 80), np.uint8)
     masks[1, 10:30, 20:40] = 1
     masks[2, 40:43, 5:8] = 2  # too small
-    box, click = (clicks.drawn(masks, 0, each) for each in (False, True))
+    box, click = (clicks.draw_prompts(masks, 0, each) for each in (False, True))
     assert list(box) == list(click) == [1]
     left, top, right, bottom = box[1].box
     assert (15 <= left <= 18, 5 <= top <= 8, 42 <= right <= 45, 32 <= bottom <= 35) == (True,) * 4
@@ -22,7 +22,7 @@ def test_prompts_lie_on_their_objects():
 
 
 def test_a_strong_sun_throws_shadows_that_the_sky_does_not():
-    sun, sky = (shadows.drawn(204, each) for each in (False, True))
+    sun, sky = (shadows.draw_lit_world(204, each) for each in (False, True))
     assert sky.light.sun == 0
     assert np.isclose(np.linalg.norm(sun.light.direction), 1)
     assert 35 < np.degrees(np.arcsin(sun.light.direction[2])) < 45

@@ -22,7 +22,7 @@ from flowsplat_benchmarks.scripts.cpu_parts import first, large, rasterizer, sca
 from flowsplat_benchmarks.scripts.cpu_parts.clock import KernelClock, profile
 from flowsplat_benchmarks.scripts.cpu_parts.floor import backward_flops, count_pairs, floor_seconds, forward_flops
 from flowsplat_benchmarks.scripts.cpu_parts.machine import Limits, describe
-from flowsplat_benchmarks.scripts.cpu_parts.report import comparison, markdown
+from flowsplat_benchmarks.scripts.cpu_parts.report import comparison, format_page
 from flowsplat_benchmarks.scripts.cpu_parts.timing import interleave
 from flowsplat_benchmarks.scripts.cpu_parts.work_load import work_load
 
@@ -133,7 +133,7 @@ def test_the_kernel_clock_sees_every_stage_and_leaves_no_trace():
     features = torch.rand(len(load.means), 3)
     blend(projected, leaves["opacities"], features, *SIZE)
     clock = KernelClock("flowsplat.splatting.cpu", {"sort_by_depth": "sort"})
-    with clock.running():
+    with clock.run():
         blend(projected, leaves["opacities"], features, *SIZE)
     seconds = clock.take()
     assert {"sort", "blend_forward"} <= set(seconds)
@@ -208,7 +208,7 @@ def test_a_step_has_its_parts(result):
 
 
 def test_the_page_shows_every_part(result):
-    page = markdown(json.loads(json.dumps(result)))
+    page = format_page(json.loads(json.dumps(result)))
     for title in ("What the machine can do", "The rasterizer", "Beside plain torch", "A training step", "How the cost grows"):
         assert f"\n## {title}\n" in page
     for table in page.split("\n\n"):

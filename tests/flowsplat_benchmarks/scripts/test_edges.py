@@ -48,7 +48,7 @@ def test_a_clip_is_run_and_told(tmp_path, monkeypatch):
     def brief(config):
         return replace(config, train=replace(config.train, iterations=10))
 
-    tiny = edges.Edge(SyntheticScene(96, 64, 8), lambda config: edges._holding_out(4)(brief(config)), given_cameras=True)
+    tiny = edges.Edge(SyntheticScene(96, 64, 8), lambda config: edges._hold_out(4)(brief(config)), given_cameras=True)
     monkeypatch.setitem(edges.EDGES, "tiny", tiny)
     figures = edges.run_edge("tiny", "fast", tmp_path / "tiny", "some key")
     assert (figures["frames"], figures["size"], figures["test"]) == (8, [96, 64], 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -15,7 +16,7 @@ from flowsplat.scenes.synthetic.worlds.world import World
 from flowsplat_benchmarks.worlds import draw_plan, draw_world, read_objects, write_world
 from flowsplat_benchmarks.worlds.cameras import CAMERAS
 from flowsplat_benchmarks.worlds.drawing import GROUND_SEEN
-from flowsplat_benchmarks.worlds.plan import GROUNDS
+from flowsplat_benchmarks.worlds.plan import CROWD, GROUNDS
 from tests.marks import slow
 
 SEEDS = (1, 3, slow(10), slow(17), slow(54))
@@ -85,6 +86,51 @@ def test_dancers_are_fast_and_stand_on_the_ground():
         assert touching.any(1).all()
         assert np.abs(above[touching]).max() < 1e-6
         assert above.min() > -1e-6
+
+
+def test_a_crowd_passes_one_another_on_the_ground():
+    plans = [draw_plan(seed, crowd=True) for seed in range(30)]
+    assert {kind for plan in plans for kind in plan.kinds} == set(CROWD)
+    assert {len(plan.kinds) for plan in plans} == {3, 4, 5}
+    hidden = 0
+    for seed in range(6):
+        world = draw_world(seed, 96, 54, 20, crowd=True)
+        np.testing.assert_array_equal(world.image(9), draw_world(seed, 96, 54, 20, crowd=True).image(9))
+        times = np.linspace(0, world.duration, 40)
+        for obj in world.objects:
+            points, touching = obj.touching(times)
+            gap = points[..., 2] - world.ground.height(points[..., :2])
+            np.testing.assert_allclose(gap[touching], 0, atol=2e-3)
+            assert (gap > -2e-3).all()
+            assert touching.any(1).all()
+        hidden += any(hides_another(world, time) for time in times[::5])
+    assert hidden >= 5
+
+
+def hides_another(world: World, time: float) -> bool:
+    """Whether pixels that show an object would show one further away without it."""
+    camera = world.camera_at(time)
+    centers, nearest = world.poses(time)[1], world.cast_rays(camera, time)[1]
+    for part in np.flatnonzero(world.numbers):
+        uv = camera.project(centers[part][None])[0]
+        column, row = np.floor(uv[0]).astype(int)
+        if 0 <= row < world.height and 0 <= column < world.width and nearest[row, column] not in (0, world.numbers[part]):
+            return True
+    return False
+
+
+def test_a_crowd_has_contact_shadows():
+    world = draw_world(0, 96, 54, 20, crowd=True)
+    without = replace(world, light=replace(world.light, occlusion=0.0), noise=0.0)
+    darker = replace(world, noise=0.0).image(9) / np.maximum(without.image(9).astype(float), 1)
+    mask = world.geometry(9)[1]
+    assert darker[mask == 0].min() < 0.5
+    assert (np.abs(darker[mask > 0] - 1) < 0.05).mean() > 0.8  # what is left are pixels at outlines
+
+
+def test_a_crowd_is_not_of_dancers():
+    with pytest.raises(InputError, match="not of both"):
+        draw_world(0, dancers=True, crowd=True)
 
 
 def test_depth_and_flow_agree_where_nothing_moves(world):

@@ -22,11 +22,11 @@ from flowsplat.gaussians.visibility import with_seen
 from flowsplat.geometry import Camera, Similarity
 from flowsplat.output.camera_files import read_camera_file
 from flowsplat.output.export import FORMATS, ExportOptions, export_scene
-from flowsplat.output.export.api import estimated_size
-from flowsplat.output.export.importance import blending_weights, most_important
+from flowsplat.output.export.api import estimate_size
+from flowsplat.output.export.importance import choose_most_important, sum_blending_weights
 from flowsplat.output.export.splat import RECORD
 from flowsplat.output.export.spz import write_spz
-from flowsplat.output.export.still import still_at, turned_harmonics
+from flowsplat.output.export.still import rotate_harmonics, still_at
 from flowsplat.priors.given.colmap import read_colmap
 from flowsplat.scenes import Scene
 from flowsplat.splatting import rasterize
@@ -144,7 +144,7 @@ def test_turned_harmonics_look_the_same_along_turned_directions():
     generator = torch.Generator().manual_seed(1)
     sh, directions = torch.randn(50, 16, 3, generator=generator), torch.randn(50, 3, generator=generator)
     R = torch.from_numpy(TURNED)
-    found = colors_from_harmonics(turned_harmonics(sh, R), directions @ R.float().T, 3)
+    found = colors_from_harmonics(rotate_harmonics(sh, R), directions @ R.float().T, 3)
     torch.testing.assert_close(found, colors_from_harmonics(sh, directions, 3), atol=1e-5, rtol=1e-5)
 
 
@@ -206,7 +206,7 @@ def test_ply_tells_what_the_clip_has_seen(tmp_path):
     plain = export_scene(model, scene, "ply", tmp_path / "plain.ply", ExportOptions(time=seconds))
     assert not {"seen_frames", "seen_spread"} & {p.name for p in PlyData.read(plain)["vertex"].properties}
     known = with_seen(model, scene.cameras, small_times())
-    size = estimated_size(known, scene, "ply", ExportOptions(time=seconds))
+    size = estimate_size(known, scene, "ply", ExportOptions(time=seconds))
     path = export_scene(known, scene, "ply", tmp_path / "scene.ply", ExportOptions(time=seconds))
     vertices = PlyData.read(path)["vertex"]
     expected = known.gaussians.seen[known.gaussians.active(known.clip_time(seconds)).rows]
@@ -258,7 +258,7 @@ def test_weights_are_what_gaussians_add_to_the_images():
     model = small_model(resting=30, moving=10)
     camera, seconds = five_pairs(model)[0]
     camera, t = model.similarity.camera(camera), model.clip_time(seconds)
-    weights = blending_weights(model.gaussians, [(camera, t)] * 2)
+    weights = sum_blending_weights(model.gaussians, [(camera, t)] * 2)
     assert float(weights.sum()) == pytest.approx(2 * float(render(model.gaussians, camera, t).alpha.sum()), rel=1e-4)
     hidden = model.gaussians.active(t).rows
     assert float(weights[~torch.isin(torch.arange(40), hidden)].sum()) == 0
@@ -275,21 +275,21 @@ def test_the_most_important_ones_are_better_than_random_and_than_large_opaque_on
         "large": sizes.argsort(descending=True)[:count],
     }
     models = {name: replace(model, gaussians=model.gaussians.select(rows)) for name, rows in choices.items()}
-    models["ours"] = most_important(model, views, count)
+    models["ours"] = choose_most_important(model, views, count)
     assert len(models["ours"].gaussians) == count
     beside = five_pairs(model)[3:]
     figures = {
         name: np.mean([psnr(rendered(kept, *pair), rendered(model, *pair)) for pair in beside]) for name, kept in models.items()
     }
     assert figures["ours"] > max(figures["random"], figures["large"]) + 1, figures
-    assert most_important(model, views, 10**6) is model
+    assert choose_most_important(model, views, 10**6) is model
 
 
 @pytest.mark.parametrize("to", ["html", "ply", "splat", "spz", "npz", "safetensors"])
 def test_the_estimate_is_near_the_size(tmp_path, run, to):
     model, scene = small_model(resting=8000, moving=8000), Scene(run / "scene")
     path = export_scene(model, scene, to, tmp_path / f"out.{to}", DEFAULT)
-    assert 0.5 < estimated_size(model, scene, to, DEFAULT) / path.stat().st_size < 2
+    assert 0.5 < estimate_size(model, scene, to, DEFAULT) / path.stat().st_size < 2
 
 
 @pytest.mark.parametrize(("config", "options"), [(OURS, {}), (LINEAR, {}), (OURS, {"rotation": TURNED}), (OURS, {"moving": 1})])

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from flowsplat.geometry.paths import CameraPath
-from flowsplat.output.player.camera_paths import PATH_SAMPLES, camera_paths, sampled_path
+from flowsplat.output.player.camera_paths import PATH_SAMPLES, camera_paths, sample_path
 from tests.output.small import small_cameras, small_model, small_times
 from tests.output.tiny import FPS, FRAMES, OBJECT, WALL, tiny_cameras, tiny_model
 
 
 def test_the_path_of_the_clip_is_exact_at_its_frames():
     model = small_model()
-    path = np.array(sampled_path(model, small_times(), small_cameras(model)))
+    path = np.array(sample_path(model, small_times(), small_cameras(model)))
     assert len(path) == PATH_SAMPLES * (len(small_times()) - 1) + 1
     for row, camera in zip(path[::PATH_SAMPLES], small_cameras(model), strict=True):
         np.testing.assert_allclose(row[1:4], model.similarity.camera(camera).center, atol=1e-6)

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 import torch
 
-from flowsplat.output.player.chebyshev import fit_motion, seen_in_clip, visible_interval
-from flowsplat.output.player.pack import Packed, estimated_bytes, pack
+from flowsplat.output.player.chebyshev import find_seen_in_clip, fit_motion, visible_interval
+from flowsplat.output.player.pack import Packed, estimate_bytes, pack
 from flowsplat.output.player.quantization import (
     QuantizedArray,
-    quantized,
-    quantized_in_chunks,
-    quantized_to_range,
-    quantized_to_step,
+    quantize,
+    quantize_in_chunks,
+    quantize_to_range,
+    quantize_to_step,
 )
 from tests.output.player.unpacking import chebyshev, show, unpack
 from tests.output.small import (
@@ -39,36 +39,36 @@ def packed(model) -> Packed:
 
 
 def read_back(array: QuantizedArray) -> np.ndarray:
-    header, data = array.encoded()
+    header, data = array.encode()
     return unpack({"arrays": [header]}, zlib.compress(data))[array.name]
 
 
 @pytest.mark.parametrize("bits", [8, 16])
 def test_quantized_arrays_round_trip_within_half_a_step(bits):
     values = np.random.default_rng(0).normal(size=(1000, 3)).cumsum(0)  # neighbors are alike: delta-coded
-    array = quantized_to_range("x", values, bits, tail=0)
-    assert array.encoded()[0]["delta"]
+    array = quantize_to_range("x", values, bits, tail=0)
+    assert array.encode()[0]["delta"]
     np.testing.assert_array_equal(read_back(array), array.values)
     assert np.all(np.abs(array.values - values) <= 0.51 * array.step)
 
 
 def test_quantized_arrays_in_chunks_are_fine_where_values_are_close_together():
     values = np.concatenate([np.linspace(0, 1e-3, 256), np.linspace(0, 1000, 44)])[:, None]
-    array = quantized_in_chunks("x", values, np.zeros(300), 256)
+    array = quantize_in_chunks("x", values, np.zeros(300), 256)
     np.testing.assert_array_equal(read_back(array), array.values)
     assert np.abs(array.values - values)[:256].max() < 1e-8
-    coarse = quantized_in_chunks("x", values, np.full(300, 0.5), 256)
+    coarse = quantize_in_chunks("x", values, np.full(300, 0.5), 256)
     assert np.abs(coarse.values - values).max() <= 0.26
-    assert len(zlib.compress(coarse.encoded()[1])) < len(zlib.compress(array.encoded()[1]))
+    assert len(zlib.compress(coarse.encode()[1])) < len(zlib.compress(array.encode()[1]))
 
 
 def test_quantized_arrays_clip_and_may_be_empty():
-    assert quantized("x", np.array([[-5.0], [5.0]]), 8, -1, 1).values.ravel().tolist() == pytest.approx([-1, 1])
-    assert quantized_to_step("x", np.array([[1e9], [0.3]]), 0.1).values.ravel() == pytest.approx([3276.7, 0.3], abs=1e-3)
+    assert quantize("x", np.array([[-5.0], [5.0]]), 8, -1, 1).values.ravel().tolist() == pytest.approx([-1, 1])
+    assert quantize_to_step("x", np.array([[1e9], [0.3]]), 0.1).values.ravel() == pytest.approx([3276.7, 0.3], abs=1e-3)
     for empty in (np.zeros((0, 3)), np.zeros((5, 0))):
-        assert read_back(quantized_to_step("x", empty, 1.0)).shape == empty.shape
-        assert read_back(quantized_to_range("x", empty, 8)).shape == empty.shape
-    assert read_back(quantized_in_chunks("x", np.zeros((0, 3)), np.zeros(0), 256)).shape == (0, 3)
+        assert read_back(quantize_to_step("x", empty, 1.0)).shape == empty.shape
+        assert read_back(quantize_to_range("x", empty, 8)).shape == empty.shape
+    assert read_back(quantize_in_chunks("x", np.zeros((0, 3)), np.zeros(0), 256)).shape == (0, 3)
 
 
 @pytest.mark.parametrize("config", [OURS, PAPER, LINEAR], ids=["ours", "paper", "linear"])
@@ -165,10 +165,10 @@ def test_every_gaussian_keeps_the_number_of_its_object():
 def test_gaussians_that_are_never_seen_are_left_out():
     model = small_model(resting=3, moving=4)
     model.gaussians.params["times"][4:6] = torch.tensor([-30.0, 30.0])
-    assert seen_in_clip(model.gaussians).tolist() == [True] * 4 + [False, False, True]
+    assert find_seen_in_clip(model.gaussians).tolist() == [True] * 4 + [False, False, True]
     assert packed(model).about["moving"] == 2
 
 
 def test_the_estimate_is_near_the_size():
     model = small_model(resting=20_000, moving=20_000)
-    assert 0.6 < estimated_bytes(model.gaussians) / (len(packed(model).data) * 4 / 3) < 1.6
+    assert 0.6 < estimate_bytes(model.gaussians) / (len(packed(model).data) * 4 / 3) < 1.6

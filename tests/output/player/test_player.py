@@ -11,7 +11,7 @@ import pytest
 
 from flowsplat.common.errors import InputError
 from flowsplat.gaussians.visibility import with_seen
-from flowsplat.geometry.paths import CameraPath, dolly_zoom, orbit, shifted
+from flowsplat.geometry.paths import CameraPath, dolly_zoom, orbit, shift_camera
 from flowsplat.output.player import write_player
 from flowsplat.output.videos.options import RenderOptions
 from tests.output.small import (
@@ -79,7 +79,7 @@ def test_images_are_those_of_our_own_renderer(open_page, tmp_path, config, optio
     page = open_page(small_player(tmp_path / "player.html", model))
     for camera, seconds in five_pairs(model):
         assert psnr(image_of(page, camera, seconds), model.render(camera, seconds).color) > 37
-    large = five_pairs(model)[3][0].resized(2 * WIDTH + 1, 2 * HEIGHT - 1)
+    large = five_pairs(model)[3][0].resize(2 * WIDTH + 1, 2 * HEIGHT - 1)
     assert psnr(image_of(page, large, 1.3), model.render(large, 1.3).color) > 37
     assert page.complaints == []
 
@@ -91,19 +91,19 @@ def test_guesses_fade_as_in_our_own_renderer(open_page, tmp_path):
     known.gaussians.seen[~known.gaussians.dynamic, 1] *= 0.1
     confidence_fade = known.fade_by_confidence(small_times(), small_cameras(model))
     page = open_page(small_player(tmp_path / "player.html", known))
-    page.page.locator("#fading").check()
+    page.page.locator("#confidence-fade").check()
     own, seconds = small_cameras(model)[4], small_times()[4]
     away = replace(own, viewmat=own.viewmat + np.array([[0, 0, 0, 0.5], *np.zeros((3, 4))]))
     for camera in (own, away):
         assert psnr(image_of(page, camera, seconds), confidence_fade.render(camera, seconds).color) > 34
     assert psnr(image_of(page, away, seconds), known.render(away, seconds).color) < 25
-    page.page.locator("#fading").uncheck()
+    page.page.locator("#confidence-fade").uncheck()
     assert psnr(image_of(page, away, seconds), known.render(away, seconds).color) > 34
     assert page.complaints == []
 
 
 def test_pages_of_scenes_that_do_not_know_do_not_offer_to_fade(open_page, player_file):
-    assert open_page(player_file).page.locator("#fading").is_hidden()
+    assert open_page(player_file).page.locator("#confidence-fade").is_hidden()
 
 
 def test_a_portrait_clip_fits_the_page(open_page, tmp_path):
@@ -334,11 +334,11 @@ def test_two_eyes_see_the_scene_from_their_own_places(open_page, player_file):
     width = both // 2
     found = seen(page)
     model = small_model()
-    camera = small_cameras(model)[4].resized(width, height)
+    camera = small_cameras(model)[4].resize(width, height)
     depth = 1 / model.similarity.scale
     top, left = (found.shape[0] - height) // 2, (found.shape[1] - 2 * width) // 2
     for k, side in enumerate((-1, 1)):
-        eye = shifted(camera, side * RenderOptions.eye_distance / 2 * depth, depth)
+        eye = shift_camera(camera, side * RenderOptions.eye_distance / 2 * depth, depth)
         half = found[top : top + height, left + k * width : left + (k + 1) * width, ::-1] / 255
         assert psnr(half, model.render(eye, (FIRST + LAST) / 2).color) > 35
     assert page.complaints == []
@@ -354,7 +354,7 @@ def test_cameras_that_move_by_themselves(open_page, player_file):
     expected = {
         "swing": orbit(camera, 1.0, 8)[1],
         "dolly": dolly_zoom(camera, subject, 1.5 ** ((1 - np.cos(np.pi / 4)) / 2)),
-        "wiggle": shifted(camera, 0.015 * np.sin(np.pi / 4), subject),
+        "wiggle": shift_camera(camera, 0.015 * np.sin(np.pi / 4), subject),
     }
     for mode, there in expected.items():
         page.page.evaluate("flowsplat.state.setPlaying(true)")

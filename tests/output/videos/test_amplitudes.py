@@ -47,7 +47,7 @@ def test_what_the_user_gave_is_taken():
 def test_objects_whose_distance_is_not_known_keep_loops_narrow(monkeypatch: pytest.MonkeyPatch, sigma: float, widest: float):
     """With a focal length of .78 widths 6 degrees move an object with sigma .24 by 2 % of the width."""
     objects = [SimpleNamespace(number=1, sigma=sigma), SimpleNamespace(number=2, sigma=9.0)]
-    monkeypatch.setattr(amplitudes, "load_objects", lambda scene: SimpleNamespace(object_ids=objects))
+    monkeypatch.setattr(amplitudes, "load_objects", lambda scene: SimpleNamespace(objects=objects))
     monkeypatch.setattr(amplitudes, "large_objects", lambda scene: {1})
     monkeypatch.setattr(amplitudes, "MOST_UNKNOWN", 1.0)
     assert Amplitudes(WallAndBillboard(billboard_depth=3.5), scene_of(1.0), None).angle([0.5], "orbit") == widest

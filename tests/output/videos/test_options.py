@@ -12,7 +12,12 @@ from flowsplat.output.videos.options import RenderOptions, check_options
 
 @pytest.mark.parametrize(
     ("name", "value", "words"),
-    [("max_frames", 10**9, "2 to 100,000"), ("slow", 1e30, "slower"), ("slow", 0.0, "slower"), ("width", 10**6, "16 to 8192")],
+    [
+        ("max_frames", 10**9, "2 to 100,000"),
+        ("slow_motion", 1e30, "slower"),
+        ("slow_motion", 0.0, "slower"),
+        ("width", 10**6, "16 to 8192"),
+    ],
 )
 def test_values_beyond_what_can_be_made(name, value, words):
     with pytest.raises(InputError, match=words):

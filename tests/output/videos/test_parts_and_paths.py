@@ -12,10 +12,10 @@ from flowsplat.common.errors import InputError
 from flowsplat.common.files import write_json
 from flowsplat.gaussians.visibility import with_seen
 from flowsplat.geometry import Camera
-from flowsplat.geometry.paths import CameraPath, dolly_zoom, shifted
-from flowsplat.output.videos import RenderOptions, render_videos, rendered
+from flowsplat.geometry.paths import CameraPath, dolly_zoom, shift_camera
+from flowsplat.output.videos import RenderOptions, list_rendered, render_videos
 from flowsplat.output.videos.plans import plan_videos, subject_distance
-from flowsplat.output.videos.stabilized import covered_share, stabilize
+from flowsplat.output.videos.stabilized import compute_covered_share, stabilize
 from flowsplat.scenes import Scene
 from flowsplat.training.checkpoint import load_model
 from tests.output.tiny import FPS, FRAMES, OBJECT, WALL, frames_of, red, tiny_cameras, tiny_model, tiny_run
@@ -31,7 +31,12 @@ def run(tmp_path_factory):
 
 def test_background_alone_has_no_objects(run, tmp_path):
     render_videos(*run, tmp_path, RenderOptions(paths=("input",), parts=("all", "background")))
-    assert set(rendered(tmp_path)) == {"input_path", "input_path_color", "input_path_background", "input_path_background_color"}
+    assert set(list_rendered(tmp_path)) == {
+        "input_path",
+        "input_path_color",
+        "input_path_background",
+        "input_path_background_color",
+    }
     whole = [red(frame).sum() for frame in frames_of(tmp_path / "input_path_color.mp4")]
     without = [red(frame).sum() for frame in frames_of(tmp_path / "input_path_background_color.mp4")]
     assert min(whole) > 10
@@ -40,7 +45,7 @@ def test_background_alone_has_no_objects(run, tmp_path):
 
 def test_objects_alone_are_on_transparent(run, tmp_path):
     render_videos(*run, tmp_path, RenderOptions(paths=("input",), parts=("objects",)))
-    assert rendered(tmp_path) == {"input_path_objects": "input_path_objects.webm"}
+    assert list_rendered(tmp_path) == {"input_path_objects": "input_path_objects.webm"}
     frames = frames_of(tmp_path / "input_path_objects.webm", "libvpx-vp9", "rgba")
     assert len(frames) == FRAMES
     for frame in frames:
@@ -62,10 +67,10 @@ def test_one_object_alone(run, tmp_path):
     assert [len(two.part(part).gaussians) for part in ("objects", "objects:2", "objects:5", "objects:5,2")] == [2, 2, 1, 3]
     assert not two.part("objects:2").fill
     render_videos(two, scene, tmp_path, RenderOptions(paths=("input",), parts=("objects:5", "objects:5,2"), max_frames=2))
-    assert rendered(tmp_path) == {
+    assert list_rendered(tmp_path) == {
         "input_path_objects_5": "input_path_objects_5.webm", "input_path_objects_5_2": "input_path_objects_5_2.webm"
     }  # fmt: skip
-    one, both = (frames_of(tmp_path / file, "libvpx-vp9", "rgba")[4][..., 3] for file in rendered(tmp_path).values())
+    one, both = (frames_of(tmp_path / file, "libvpx-vp9", "rgba")[4][..., 3] for file in list_rendered(tmp_path).values())
     np.testing.assert_allclose(one / 255, two.part("objects:5").render(scene.cameras[4], 0.5).alpha, atol=0.1)
     assert both.sum() > 1.2 * one.sum()
 
@@ -82,7 +87,7 @@ def test_one_object_alone(run, tmp_path):
 def test_objects_that_are_not_there_are_named(run, tmp_path, part, message):
     with pytest.raises(InputError, match=message):
         render_videos(*run, tmp_path, RenderOptions(paths=("input",), parts=("all", part)))
-    assert rendered(tmp_path) == {}
+    assert list_rendered(tmp_path) == {}
 
 
 def test_objects_farther_away(run, tmp_path):
@@ -90,9 +95,9 @@ def test_objects_farther_away(run, tmp_path):
     model, scene = run
     options = RenderOptions(paths=("input", "orbit"), max_frames=8)
     render_videos(model, scene, tmp_path, options)
-    render_videos(model, scene, tmp_path, replace(options, distances=("2=1.5",)))
+    render_videos(model, scene, tmp_path, replace(options, object_depth=("2=1.5",)))
     names = {"input_path", "orbit", "input_path_distance_2x1.5", "orbit_distance_2x1.5"}
-    assert set(rendered(tmp_path)) == names | {f"{name}_color" for name in names}
+    assert set(list_rendered(tmp_path)) == names | {f"{name}_color" for name in names}
 
     def places(name: str) -> np.ndarray:
         frames = frames_of(tmp_path / f"{name}_color.mp4")
@@ -120,7 +125,7 @@ def test_guesses_fade_where_that_is_asked_for(run, tmp_path):
     known.gaussians.seen[:, 1] = 0
     render_videos(known, scene, tmp_path, options)
     render_videos(known, scene, tmp_path, replace(options, confidence_fade=False))
-    assert set(rendered(tmp_path)) == {"orbit", "orbit_color", "orbit_confidence_fade", "orbit_confidence_fade_color"}
+    assert set(list_rendered(tmp_path)) == {"orbit", "orbit_color", "orbit_confidence_fade", "orbit_confidence_fade_color"}
     confidence_fade, whole = (frames_of(tmp_path / f"{name}_color.mp4") for name in ("orbit_confidence_fade", "orbit"))
     assert confidence_fade[2].mean() < 0.7 * whole[2].mean(), "to one side"
 
@@ -135,7 +140,7 @@ def test_guesses_fade_where_that_is_asked_for(run, tmp_path):
 def test_distances_that_make_no_sense_are_refused(run, tmp_path, distances, message):
     with pytest.raises(InputError, match=message):
         render_videos(*run, tmp_path, RenderOptions(paths=("input",), object_depth=distances))
-    assert rendered(tmp_path) == {}
+    assert list_rendered(tmp_path) == {}
 
 
 def test_objects_of_a_scene_without_any_are_refused(tmp_path):
@@ -146,12 +151,12 @@ def test_objects_of_a_scene_without_any_are_refused(tmp_path):
     with pytest.raises(InputError, match="no object 1: none of its Gaussians belongs"):
         render_videos(*arguments, RenderOptions(paths=("input",), parts=("objects:1",)))
     render_videos(*arguments, RenderOptions(paths=("dolly",), parts=("background",), max_frames=2))
-    assert rendered(tmp_path / "r")
+    assert list_rendered(tmp_path / "r")
 
 
 def test_slow_motion_has_more_frames_at_the_same_rate(run):
     options = RenderOptions(paths=("input",))
-    (normal,), (slow,) = plan_videos(*run, options), plan_videos(*run, replace(options, slow=4.0))
+    (normal,), (slow,) = plan_videos(*run, options), plan_videos(*run, replace(options, slow_motion=4.0))
     assert len(normal.shots) == FRAMES
     assert len(slow.shots) == 4 * (FRAMES - 1) + 1
     assert slow.fps == normal.fps == FPS
@@ -176,7 +181,7 @@ def test_the_stabilized_path_is_smoother_and_shows_no_uncovered_border():
     model = tiny_model(1, half_width=1.8)
     shots = [(camera, i / FPS) for i, camera in enumerate(cameras)]
     # At the end of its way the camera sees past the right end of the wall.
-    assert covered_share(model, shots) < 1
+    assert compute_covered_share(model, shots) < 1
     smooth, share = stabilize(model, shots, 2.0)
     assert shakiness(camera for camera, _ in smooth) < 0.2 * shakiness(cameras)
     assert 0.7 <= share < 1
@@ -195,7 +200,7 @@ def test_less_is_smoothed_where_too_much_would_be_cropped():
     cameras[4] = Camera(turned, cameras[4].K, 64, 48)
     shots = [(camera, i / FPS) for i, camera in enumerate(cameras)]
     model = tiny_model(1, half_width=5.5)
-    assert covered_share(model, shots) == 1
+    assert compute_covered_share(model, shots) == 1
     smooth, share = stabilize(model, shots, 1.0)
     assert share >= 0.7
     assert all((model.render(*shot).alpha > 0.5).all() for shot in smooth)
@@ -207,7 +212,7 @@ def test_holes_in_the_middle_are_not_cropped_away(run):
     model.gaussians = model.gaussians.select(inside.nonzero().squeeze(1))
     shots = [(camera, i / FPS) for i, camera in enumerate(tiny_cameras(SIZE))]
     assert (model.render(*shots[0]).alpha < 0.5).any()
-    assert covered_share(model, shots) == 1
+    assert compute_covered_share(model, shots) == 1
 
 
 def test_dolly_zoom_keeps_the_size_of_the_subject(run):
@@ -240,7 +245,7 @@ def test_dolly_zoom_of_a_camera_keeps_its_plane():
 
 def test_stereo_pairs_differ_by_the_sign_of_the_parallax(run, tmp_path):
     render_videos(*run, tmp_path, RenderOptions(paths=("input",), stereo=True, eye_distance=0.08))
-    assert rendered(tmp_path)["input_path_stereo"] == "input_path_stereo.mp4"
+    assert list_rendered(tmp_path)["input_path_stereo"] == "input_path_stereo.mp4"
     (frame, *_) = frames_of(tmp_path / "input_path_stereo.mp4")
     assert frame.shape == (SIZE[1], 2 * SIZE[0], 3)
     left, right = frame[:, : SIZE[0]], frame[:, SIZE[0] :]
@@ -252,12 +257,12 @@ def test_stereo_pairs_differ_by_the_sign_of_the_parallax(run, tmp_path):
     camera = tiny_cameras(SIZE)[0]
     point = np.array([0.3, 0.2, WALL])
     for side in (-1, 1):
-        np.testing.assert_allclose(shifted(camera, side * 0.1, WALL).project(point)[0], camera.project(point)[0], atol=1e-9)
+        np.testing.assert_allclose(shift_camera(camera, side * 0.1, WALL).project(point)[0], camera.project(point)[0], atol=1e-9)
 
 
 def test_stereo_pairs_of_parts(run, tmp_path):
     render_videos(*run, tmp_path, RenderOptions(paths=("input",), parts=("background", "objects"), stereo=True))
-    assert {file for file in rendered(tmp_path).values() if "stereo" in file} == {
+    assert {file for file in list_rendered(tmp_path).values() if "stereo" in file} == {
         "input_path_background_stereo.mp4", "input_path_objects_stereo.mp4"
     }  # fmt: skip
     (objects, *_) = frames_of(tmp_path / "input_path_objects_stereo.mp4")
@@ -268,7 +273,7 @@ def test_stereo_pairs_of_parts(run, tmp_path):
 
 def test_the_wiggle_swings_round_the_subject(run, tmp_path):
     render_videos(*run, tmp_path, RenderOptions(paths=("wiggle",), eye_distance=0.1))
-    assert rendered(tmp_path) == {"wiggle": "wiggle.gif"}
+    assert list_rendered(tmp_path) == {"wiggle": "wiggle.gif"}
     frames = frames_of(tmp_path / "wiggle.gif")
     assert frames[0].shape == (SIZE[1], SIZE[0], 3)
     places = [np.argwhere(red(frame))[:, 1].mean() for frame in frames]
@@ -282,7 +287,7 @@ def test_the_wiggle_swings_round_the_subject(run, tmp_path):
     ("options", "says"),
     [
         ({"parts": ("sky",)}, "sky"),
-        ({"slow": 0.0}, "slower"),
+        ({"slow_motion": 0.0}, "slower"),
         ({"stabilize": -1.0}, "smoothed"),
         ({"dolly": 9.0}, "dolly"),
         ({"eye_distance": 0.0}, "Eyes"),
@@ -301,4 +306,4 @@ def test_a_damaged_record_of_videos_is_refused(tmp_path, record):
         record["orbit"] |= {"key": "0", "fps": 24.0, "frames": 3}
     write_json(tmp_path / "renders.json", record)
     with pytest.raises(InputError, match=r"renders\.json"):
-        rendered(tmp_path)
+        list_rendered(tmp_path)

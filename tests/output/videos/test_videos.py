@@ -18,7 +18,7 @@ from flowsplat.gaussians.renderer import Rendering
 from flowsplat.geometry import Camera, Similarity
 from flowsplat.geometry.cameras import pixel_grid
 from flowsplat.output.camera_files import write_camera_file
-from flowsplat.output.videos import RenderOptions, render_videos, rendered
+from flowsplat.output.videos import RenderOptions, list_rendered, render_videos
 from flowsplat.scenes import Scene
 from tests.scene_files import edited
 
@@ -85,7 +85,7 @@ def decode(path: Path) -> tuple[list[np.ndarray], Fraction]:
 def test_the_input_path_runs_at_the_rate_of_the_source(scene, tmp_path):
     model = Plane()
     render_videos(model, scene, tmp_path / "renders", RenderOptions(paths=("input",)))
-    assert rendered(tmp_path / "renders") == {"input_path": "input_path.mp4", "input_path_color": "input_path_color.mp4"}
+    assert list_rendered(tmp_path / "renders") == {"input_path": "input_path.mp4", "input_path_color": "input_path_color.mp4"}
     frames, rate = decode(tmp_path / "renders" / "input_path_color.mp4")
     assert (len(frames), rate, frames[0].shape) == (17, 20, (HEIGHT, WIDTH, 3))
     assert frames[-1][20, 20, 0] / 255 == pytest.approx(0.3 + 0.5 * 0.8, abs=0.03)
@@ -112,7 +112,7 @@ def test_panels_show_color_flow_and_depth_to_the_end(scene, tmp_path):
 def test_orbit_plays_the_middle_and_bullet_time_stands_still(scene, tmp_path):
     model = Plane()
     render_videos(model, scene, tmp_path, RenderOptions(paths=("orbit", "bullet"), max_frames=7))
-    assert list(rendered(tmp_path)) == ["orbit", "orbit_color", "bullet_time", "bullet_time_color"]
+    assert list(list_rendered(tmp_path)) == ["orbit", "orbit_color", "bullet_time", "bullet_time_color"]
     calls = model.full_size()
     orbit, bullet = calls[:7], calls[7:]
     np.testing.assert_allclose([t for _, t, _ in orbit], np.arange(5, 12) / 20)
@@ -133,16 +133,16 @@ def test_bullet_time_can_be_chosen(scene, tmp_path):
 
 
 def test_a_camera_file(scene, tmp_path):
-    shots = [(scene.cameras[0].resized(32, 24), 0.0), (scene.cameras[1].resized(32, 24), 0.5)]
+    shots = [(scene.cameras[0].resize(32, 24), 0.0), (scene.cameras[1].resize(32, 24), 0.5)]
     write_camera_file(tmp_path / "path.json", shots, fps=5)
     options = RenderOptions(paths=(), camera_file=tmp_path / "path.json")
     render_videos(Plane(), scene, tmp_path, options)
-    assert list(rendered(tmp_path)) == ["custom_path_path", "custom_path_path_color"]
+    assert list(list_rendered(tmp_path)) == ["custom_path_path", "custom_path_path_color"]
     frames, rate = decode(tmp_path / "custom_path_path_color.mp4")
     assert (len(frames), rate, frames[0].shape) == (2, 5, (24, 32, 3))
     write_camera_file(tmp_path / "my 2nd.json", shots[::-1], fps=5)
     render_videos(Plane(), scene, tmp_path, replace(options, camera_file=tmp_path / "my 2nd.json"))
-    assert [name for name in rendered(tmp_path) if not name.endswith("_color")] == ["custom_path_path", "custom_path_my-2nd"]
+    assert [name for name in list_rendered(tmp_path) if not name.endswith("_color")] == ["custom_path_path", "custom_path_my-2nd"]
 
 
 def test_width_and_rate_can_be_chosen(scene, tmp_path):
@@ -161,7 +161,7 @@ def test_only_what_changed_is_rendered_again(scene, tmp_path):
 
     again = Plane()
     render_videos(again, scene, tmp_path, options)
-    assert len(rendered(tmp_path)) == 4
+    assert len(list_rendered(tmp_path)) == 4
     assert not again.full_size()
 
     turned = Plane()

@@ -143,7 +143,7 @@ def test_guesses_fade_when_seen_from_aside(source):
     before, whole = source.loaded, source.loaded.part("all")
     known = replace(whole.gaussians, seen=torch.zeros(len(whole.gaussians), 2))
     source.loaded = Loaded(replace(whole, gaussians=known), "trained", before.number)
-    frame, own = BrowserFrame(source.scene.similarity), source.path.at(0.5).resized(64, 48)
+    frame, own = BrowserFrame(source.scene.similarity), source.path.at(0.5).resize(64, 48)
     aside = Camera(own.viewmat - np.array([[0, 0, 0, 0.8], *np.zeros((3, 4))]), own.K, own.width, own.height)
     try:
         for camera, is_there in ((own, True), (aside, False)):

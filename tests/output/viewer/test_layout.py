@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flowsplat.output.viewer.layout import BAR, Box, empty, fitted, halves, place, wipe
+from flowsplat.output.viewer.layout import BAR, Box, empty, fit_box, halves, place, wipe
 
 
 @pytest.mark.parametrize(
     ("size", "box"), [((64, 32), Box(0, 25, 100, 50)), ((20, 40), Box(25, 0, 50, 100)), ((7, 7), Box(0, 0, 100, 100))]
 )
 def test_images_are_fitted_into_the_middle(size, box):
-    assert fitted(size, Box(0, 0, 100, 100)) == box
+    assert fit_box(size, Box(0, 0, 100, 100)) == box
 
 
 def test_halves_fill_the_canvas():

@@ -22,7 +22,7 @@ UPLOAD: dict[str, Any] = {
 
 
 def passed(message: Any, gate: Gate | None = None) -> Any:
-    admitted = (gate or Gate()).admitted(msgspec.msgpack.encode(message))
+    admitted = (gate or Gate()).admit(msgspec.msgpack.encode(message))
     return None if admitted is None else msgspec.msgpack.decode(admitted)
 
 
@@ -69,11 +69,11 @@ def test_other_messages_are_dropped(kind):
 
 @pytest.mark.parametrize("raw", [b"", b"\xc1", b"\x93\x01", b"\x91" * 100_000, b"\xc4\x05x", np.random.default_rng(0).bytes(5000)])
 def test_noise_is_dropped(raw):
-    assert Gate().admitted(raw) is None
+    assert Gate().admit(raw) is None
 
 
 def test_text_frames_are_dropped():
-    assert Gate().admitted("{}") is None
+    assert Gate().admit("{}") is None
 
 
 @pytest.mark.parametrize("change", [{"size_bytes": MOST_UPLOAD + 1}, {"size_bytes": -1}, {"part_count": 10**9}, {"size_bytes": 0}])

@@ -357,14 +357,14 @@ def test_a_newer_model_is_shown(tmp_path):
 def test_the_first_scene_makes_room_for_the_trained_one(tmp_path):
     """What was set in the controls belonged to the first one; the new ones work."""
     folder, port = tmp_path / "out", free_port()
-    tiny_run(folder / "first", size=(32, 24))
-    (folder / "first" / "run.json").rename(folder / "run.json")
+    tiny_run(folder / "coarse", size=(32, 24))
+    (folder / "coarse" / "run.json").rename(folder / "run.json")
     other = tiny_run(tmp_path / "other")
     viewer = Viewer(folder, ViewOptions(port=port))
     try:
         with Browser(port) as browser:
             assert red(browser.settled()).any()
-            assert any("a coarse first scene" in str(c.get("_markdown")) for c in browser.controls.values())
+            assert any("a coarse scene" in str(c.get("_markdown")) for c in browser.controls.values())
             before = browser.controls["Seconds"]["uuid"]
             for name in ("scene", "model"):
                 (other / name).rename(folder / name)

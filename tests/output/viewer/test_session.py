@@ -21,7 +21,7 @@ def session() -> Session:
 def draw(session: Session, now: float, seconds: float = 0.05, model: int = 0):
     job = session.job(now, model)
     if job is not None:
-        session.done(job, now + seconds, seconds)
+        session.finish_image(job, now + seconds, seconds)
     return job
 
 

@@ -66,10 +66,10 @@ def test_a_training_can_be_watched(tmp_path, monkeypatch):
 def test_the_first_scene_is_shown_until_there_is_another(tmp_path):
     """It has a size, cameras and times of its own."""
     folder = tmp_path / "out"
-    tiny_run(folder / "first", size=(32, 24))
-    (folder / "first" / "run.json").rename(folder / "run.json")
+    tiny_run(folder / "coarse", size=(32, 24))
+    (folder / "coarse" / "run.json").rename(folder / "run.json")
     source = Source(folder)  # before the run has frames of its own
-    assert (source.loaded.state, source.size) == ("a coarse first scene", (32, 24))
+    assert (source.loaded.state, source.size) == ("a coarse scene", (32, 24))
     assert source.path.at(0.5).width == 32
     assert not source.refresh()
     other = tiny_run(tmp_path / "other")

@@ -146,7 +146,7 @@ def test_a_client_with_a_task_may_leave_at_any_moment(run_folder):
     worker.start()
     try:
         assert is_shown.wait(LONGEST)
-        with worker.changed():
+        with worker.change():
             before = len(lock.approaches)
             is_held.set()
             lock.approaches.wait(lambda seen: len(seen) > before)
@@ -170,9 +170,9 @@ def test_what_fails_for_one_client_does_not_stop_the_others(worker, run_folder, 
         return whole(source, browser, wish)
 
     monkeypatch.setattr(module, "draw", draw)
-    monkeypatch.setattr(module, "say", said.append)
+    monkeypatch.setattr(module, "report", said.append)
     broken = client(worker, 1, run_folder, bad, playing=False)
-    with worker.changed():
+    with worker.change():
         broken.move(broken.pose, (10, 10), time.monotonic())
 
     def failing():

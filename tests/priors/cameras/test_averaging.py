@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from flowsplat.geometry.similarity import path_errors
-from flowsplat.priors.cameras.averaging import Turn, average_rotations, averaged_start, pair_rotations, position_cameras
+from flowsplat.priors.cameras.averaging import Turn, average_rotations, pair_rotations, position_cameras, start_by_averaging
 from flowsplat.priors.cameras.bundle import Reconstruction
 from tests.priors.cameras.worlds import FOCAL, cameras_of, centered, observed, path, world
 
@@ -48,7 +48,7 @@ def test_positions_follow_from_rotations():
 def test_the_start_is_near_although_the_focal_length_is_not():
     cameras = path(20)
     positions, seen = centered(observed(cameras, world(400), 0.1))
-    state, reached = averaged_start(positions, seen, 1.15 * FOCAL)
+    state, reached = start_by_averaging(positions, seen, 1.15 * FOCAL)
     assert reached.all()
     errors = path_errors(cameras_of(state), cameras)
     assert errors["path"] < 0.06
@@ -66,4 +66,4 @@ def test_a_turning_camera_has_its_pairs_turned():
 
 def test_too_little_to_go_on():
     positions, seen = centered(observed(path(5), world(6), 0.1))
-    assert averaged_start(positions, seen, FOCAL) is None
+    assert start_by_averaging(positions, seen, FOCAL) is None

@@ -19,7 +19,7 @@ def test_a_known_distortion_is_recovered(distortion, travel):
     lens = find_lens(positions, WIDTH, HEIGHT, None, pinhole.found, None)
     assert lens.distortion == pytest.approx(distortion, rel=0.1)
     assert lens.focal == pytest.approx(FOCAL, rel=0.06)
-    straight = solve(lens.straightened(positions), WIDTH, HEIGHT, None, "auto")
+    straight = solve(lens.straighten_positions(positions), WIDTH, HEIGHT, None, "auto")
     errors = path_errors(cameras_of(straight.found.fit.state), cameras)
     assert errors["rotation"] < 0.3
     if travel:
@@ -47,7 +47,7 @@ def test_the_straightened_image_is_full_and_no_smaller_than_it_must_be(distortio
     assert (source < np.array([WIDTH, HEIGHT]) + 1e-6).all()
     slack = np.minimum(source, [WIDTH, HEIGHT] - source).min()
     assert slack < 1e-6
-    np.testing.assert_allclose(lens.straightened(source), corners, atol=1e-4)
+    np.testing.assert_allclose(lens.straighten_positions(source), corners, atol=1e-4)
 
 
 def test_images_are_straightened_where_the_tracks_are():
@@ -58,7 +58,7 @@ def test_images_are_straightened_where_the_tracks_are():
         cv2.circle(image, (int(x), int(y)), 3, (255, 255, 255), -1)
     straight = lens.straighten(image)[..., 0].astype(float)
     y, x = np.mgrid[:HEIGHT, :WIDTH] + 0.5
-    for expected in lens.straightened(spots):
+    for expected in lens.straighten_positions(spots):
         weight = straight * (np.hypot(x - expected[0], y - expected[1]) < 8)
         assert np.hypot((x * weight).sum() / weight.sum() - expected[0], (y * weight).sum() / weight.sum() - expected[1]) < 0.2
     mask = np.zeros((HEIGHT, WIDTH), np.uint8)

@@ -60,12 +60,12 @@ def test_the_prior_adds_the_gradient_of_its_cost():
     prior, shift = SmoothnessPrior(rng.uniform(1, 3, 3)), rng.normal(0, 1e-6, (6, 3))
     H, g = np.zeros((36 + LENS, 36 + LENS)), np.zeros(36 + LENS)
     prior.add_to(H, g, state)
-    there, back = (prior.cost(replace(state, translations=state.translations + sign * shift)) for sign in (1, -1))
+    there, back = (prior.compute_cost(replace(state, translations=state.translations + sign * shift)) for sign in (1, -1))
     step = np.zeros(36)
     step.reshape(6, 6)[:, 3:] = shift
     # g and H are halves of the derivatives of a cost, as they are of squared residuals.
     assert there - back == pytest.approx(-4 * g[:36] @ step, rel=1e-6)
-    assert there + back - 2 * prior.cost(state) == pytest.approx(2 * step @ H[:36, :36] @ step, rel=1e-3)
+    assert there + back - 2 * prior.compute_cost(state) == pytest.approx(2 * step @ H[:36, :36] @ step, rel=1e-3)
     assert not H[36:].any()
     assert not g[36:].any()
 

@@ -48,7 +48,7 @@ def check(scene: Scene, file: Path, maker: str, tolerance: float = 1e-6, allow_p
     assert who == maker
     assert len(found) == FRAMES
     for camera, true in zip(found, path(), strict=True):
-        expected = true.resized(*SIZE)
+        expected = true.resize(*SIZE)
         assert (camera.width, camera.height) == SIZE
         np.testing.assert_allclose(camera.viewmat, expected.viewmat, atol=tolerance)
         np.testing.assert_allclose(camera.K, expected.K, rtol=tolerance * 100 if tolerance > 1e-6 else 1e-6, atol=1e-6)
@@ -133,7 +133,7 @@ def test_colmap_in_binary(scene: Scene, tmp_path: Path):
 def test_colmap_with_one_focal_length_and_hardly_any_distortion(scene: Scene, tmp_path: Path):
     colmap_text(tmp_path / "model", "SIMPLE_RADIAL", (1700.0, 960.0, 540.0, 1e-4))
     cameras, _ = read_cameras(tmp_path / "model", scene, False)
-    expected = Camera(np.eye(4), np.array([[1700, 0, 960], [0, 1700, 540], [0, 0, 1]]), *FULL).resized(*SIZE)
+    expected = Camera(np.eye(4), np.array([[1700, 0, 960], [0, 1700, 540], [0, 0, 1]]), *FULL).resize(*SIZE)
     np.testing.assert_allclose(cameras[2].K, expected.K)
 
 

@@ -11,7 +11,7 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from flowsplat.common.errors import InputError
-from flowsplat.priors.learned.depth import learned_depth
+from flowsplat.priors.learned.depth import predict_depth
 from flowsplat.priors.learned.weights import ModelOptions
 from flowsplat.scenes import Scene
 
@@ -31,7 +31,7 @@ def scene(tmp_path: Path) -> Scene:
 
 
 def test_depth_anything_says_inverse_depth_up_to_a_shift(scene: Scene, depth_anything: Path):
-    source = learned_depth("depth-anything", scene, ModelOptions(depth_anything=str(depth_anything)), CPU)
+    source = predict_depth("depth-anything", scene, ModelOptions(depth_anything=str(depth_anything)), CPU)
     inverse, confidence = source.inverse(0)
     assert source.relative
     assert str(depth_anything) in source.source
@@ -47,7 +47,7 @@ def test_its_metric_variants_say_depth(scene: Scene, depth_anything: Path, tmp_p
     shutil.copytree(depth_anything, folder)
     config = (folder / "config.json").read_text()
     (folder / "config.json").write_text(config.replace('"relative"', '"metric"').replace('"max_depth": null', '"max_depth": 20'))
-    source = learned_depth("depth-anything", scene, ModelOptions(depth_anything=str(folder)), CPU)
+    source = predict_depth("depth-anything", scene, ModelOptions(depth_anything=str(folder)), CPU)
     inverse, confidence = source.inverse(0)
     assert not source.relative
     assert np.isfinite(inverse).all()
@@ -55,7 +55,7 @@ def test_its_metric_variants_say_depth(scene: Scene, depth_anything: Path, tmp_p
 
 
 def test_depth_pro_says_depth(scene: Scene, depth_pro: Path):
-    source = learned_depth("depth-pro", scene, ModelOptions(depth_pro=str(depth_pro)), CPU)
+    source = predict_depth("depth-pro", scene, ModelOptions(depth_pro=str(depth_pro)), CPU)
     inverse, confidence = source.inverse(0)
     assert not source.relative
     assert inverse.shape == (40, 60)
@@ -67,7 +67,7 @@ def test_depth_pro_says_depth(scene: Scene, depth_pro: Path):
 def test_an_absent_model_says_how_to_get_it(scene: Scene, source: str):
     import_transformers()
     with pytest.raises(InputError, match=rf"--depth depth-pro: .*{source}.*--models.depth-pro FOLDER.*--depth multiview") as caught:
-        learned_depth("depth-pro", scene, ModelOptions(depth_pro=source), CPU)
+        predict_depth("depth-pro", scene, ModelOptions(depth_pro=source), CPU)
     assert "\n" not in str(caught.value)
     assert ("hf download" in str(caught.value)) == (source == "no-such-owner/no-such-model")
 
@@ -80,7 +80,7 @@ def test_an_incomplete_checkpoint_is_refused(scene: Scene, depth_anything: Path,
         {name: values for name, values in weights.items() if "head" not in name}, folder / "model.safetensors", {"format": "pt"}
     )
     with pytest.raises(InputError, match="lacks 6 of its weights"):
-        learned_depth("depth-anything", scene, ModelOptions(depth_anything=str(folder)), CPU)
+        predict_depth("depth-anything", scene, ModelOptions(depth_anything=str(folder)), CPU)
 
 
 def test_a_truncated_checkpoint_is_refused(scene: Scene, depth_anything: Path, tmp_path: Path):
@@ -89,5 +89,5 @@ def test_a_truncated_checkpoint_is_refused(scene: Scene, depth_anything: Path, t
     whole = (folder / "model.safetensors").read_bytes()
     (folder / "model.safetensors").write_bytes(whole[: len(whole) // 2])
     with pytest.raises(InputError, match="--depth depth-anything: ") as caught:
-        learned_depth("depth-anything", scene, ModelOptions(depth_anything=str(folder)), CPU)
+        predict_depth("depth-anything", scene, ModelOptions(depth_anything=str(folder)), CPU)
     assert "\n" not in str(caught.value)

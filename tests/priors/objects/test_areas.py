@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from flowsplat.priors.objects.areas import large_objects, moving_objects
+from flowsplat.priors.objects.areas import describe_count, large_objects
 
 
 def test_shreds_are_no_objects():
@@ -29,4 +29,4 @@ def test_shreds_are_no_objects():
     ],
 )  # fmt: skip
 def test_in_words(count, small, words):
-    assert moving_objects(count, small) == words
+    assert describe_count(count, small) == words

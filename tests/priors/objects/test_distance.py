@@ -8,9 +8,9 @@ import pytest
 from flowsplat.geometry import Camera
 from flowsplat.geometry.cameras import rigid
 from flowsplat.priors.background.ground import Ground, find_ground, static_points
-from flowsplat.priors.objects.contact import ground_bound, middle_of, upright_ratio
-from flowsplat.priors.objects.contact_cues import bounce_cue, contact_cue, foot_offset, settled, thrown_cue
-from flowsplat.priors.objects.depth_trajectory import accepted_laws
+from flowsplat.priors.objects.contact import compute_ground_bound, middle_of, upright_ratio
+from flowsplat.priors.objects.contact_cues import bounce_cue, contact_cue, foot_offset, make_thrown_cue, settle_on_ground
+from flowsplat.priors.objects.depth_trajectory import check_laws
 from flowsplat.priors.objects.distance import Cue, combine
 from flowsplat.priors.objects.path import WorldPath, bounce_frames, constant_height, pivot
 from flowsplat.priors.objects.rigid import Observations, solve_rigid
@@ -114,7 +114,7 @@ def test_what_stands_is_where_its_feet_are(roll, height):
     camera = look(np.array([0, 0, height]), np.array([0, 6.0, 0.8]), roll)
     mask = image_of(camera, np.array([0.4, 6.0, 0.0]), 0.5, 1.7)
     static = np.full((90, 160), 12.0)
-    bound = ground_bound(mask, camera, ground, static)
+    bound = compute_ground_bound(mask, camera, ground, static)
     assert bound is not None
     assert bound.visible
     middle = middle_of(mask)
@@ -127,15 +127,15 @@ def test_what_floats_is_bounded_from_afar_and_hidden_feet_are_noticed():
     ground = seen_ground()
     assert ground is not None
     camera = look(np.array([0, 0, 1.6]), np.array([0, 6.0, 0.8]))
-    standing = ground_bound(image_of(camera, np.array([0, 6.0, 0.0]), 0.5, 1.0), camera, ground, np.full((90, 160), 12.0))
-    floating = ground_bound(image_of(camera, np.array([0, 6.0, 0.5]), 0.5, 1.0), camera, ground, np.full((90, 160), 12.0))
-    hidden = ground_bound(image_of(camera, np.array([0, 6.0, 0.2]), 0.5, 1.0), camera, ground, np.full((90, 160), 3.0))
+    standing = compute_ground_bound(image_of(camera, np.array([0, 6.0, 0.0]), 0.5, 1.0), camera, ground, np.full((90, 160), 12.0))
+    floating = compute_ground_bound(image_of(camera, np.array([0, 6.0, 0.5]), 0.5, 1.0), camera, ground, np.full((90, 160), 12.0))
+    hidden = compute_ground_bound(image_of(camera, np.array([0, 6.0, 0.2]), 0.5, 1.0), camera, ground, np.full((90, 160), 3.0))
     assert standing is not None
     assert floating is not None
     assert hidden is not None
     assert floating.log_depth > standing.log_depth + 0.2
     assert not hidden.visible
-    assert ground_bound(np.zeros((180, 320), bool), camera, ground, np.full((90, 160), 3.0)) is None
+    assert compute_ground_bound(np.zeros((180, 320), bool), camera, ground, np.full((90, 160), 3.0)) is None
 
 
 def test_an_upright_billboard_is_not_flat_in_planar_depth():
@@ -181,7 +181,7 @@ def test_what_swings_about_a_fixed_point():
     law = pivot(path)
     assert law.usable
     assert -np.log(law.nearness) == pytest.approx(true, abs=0.05)
-    cues, _ = accepted_laws(path, UP)
+    cues, _ = check_laws(path, UP)
     assert cues["pivot"].log_scale == pytest.approx(true, abs=0.06)
 
 
@@ -196,7 +196,7 @@ def test_what_keeps_its_height():
 @pytest.mark.parametrize("law", ["pendulum", "rolling"])
 def test_a_standing_camera_tells_no_distance(law):
     path, _ = moving_scene(law, standing=True)
-    cues, laws = accepted_laws(path, UP)
+    cues, laws = check_laws(path, UP)
     assert not cues
     assert not any(each.usable for each in laws.values())
 
@@ -239,14 +239,14 @@ def test_what_swings_or_rolls_does_not_bounce(law):
 def test_the_nearest_bound_at_a_bounce_speaks():
     bounds = np.full(40, 0.8)
     bounds[[10, 25]] = 0.31, 0.44
-    cue = thrown_cue(bounds, np.array([11, 25]))
+    cue = make_thrown_cue(bounds, np.array([11, 25]))
     assert cue is not None
     assert cue.log_scale == pytest.approx(0.31)
-    once = thrown_cue(bounds, np.array([25]))
+    once = make_thrown_cue(bounds, np.array([25]))
     assert once is not None
     assert once.sigma > cue.sigma
-    assert thrown_cue(bounds, np.zeros(0, int)) is None
-    assert thrown_cue(np.full(40, np.nan), np.array([10])) is None
+    assert make_thrown_cue(bounds, np.zeros(0, int)) is None
+    assert make_thrown_cue(np.full(40, np.nan), np.array([10])) is None
 
 
 def test_a_round_body_touches_the_ground_behind_its_front():
@@ -286,5 +286,5 @@ def test_feet_settle_a_depth_trajectory_over_time():
     seen = np.ones(60, bool)
     seen[20:24] = False
     above = np.where(seen, -drift + rng.normal(0, 0.01, 60), np.nan)
-    assert np.std(drift + settled(above, seen)) < 0.4 * np.std(drift)
-    np.testing.assert_array_equal(settled(np.full(60, np.nan), seen), 0)
+    assert np.std(drift + settle_on_ground(above, seen)) < 0.4 * np.std(drift)
+    np.testing.assert_array_equal(settle_on_ground(np.full(60, np.nan), seen), 0)

@@ -46,7 +46,7 @@ def test_hints_place_an_object_and_changed_ones_place_it_anew(scene, capsys):
     seconds = prepare_priors(scene, hinted)
     assert set(seconds) == {"depth"}
     (obj,) = load_objects(scene).objects
-    assert list(obj.cues) == ["distance"]
+    assert list(obj.cues) == ["same_depth_hint"]
     assert obj.sigma == pytest.approx(0.03, abs=0.005)
     # It stands at the wall, or a little before it, so that it hides it.
     assert depth_there(scene) == pytest.approx(WALL, rel=0.05)
@@ -86,7 +86,7 @@ def test_what_is_typed():
 
     hints = parse_hints(("0.5,0.5@2",), ("10,20@3=30,40",), Shape())
     assert [(each.kind, each.frame, each.place, each.still) for each in hints] == [
-        ("contact_hint", 2, (50.0, 25.0), None), ("distance", 3, (10.0, 20.0), (30.0, 40.0)),
+        ("contact_hint", 2, (50.0, 25.0), None), ("same_depth_hint", 3, (10.0, 20.0), (30.0, 40.0)),
     ]  # fmt: skip
     with pytest.raises(InputError, match="held out"):
         parse_hints(("10,20@8",), (), Shape())

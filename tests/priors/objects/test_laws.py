@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from flowsplat.priors.objects import depth_trajectory
-from flowsplat.priors.objects.depth_trajectory import accepted_laws
+from flowsplat.priors.objects.depth_trajectory import check_laws
 from flowsplat.priors.objects.path import LARGEST_FIT, Law, constant_height, pivot
 from tests.priors.objects.test_distance import UP, moving_scene
 
@@ -23,7 +23,7 @@ def told(monkeypatch, **changed: Law) -> set[str]:
     laws = {**GOOD, **changed}
     monkeypatch.setattr(depth_trajectory, "pivot", lambda path: laws["pivot"])
     monkeypatch.setattr(depth_trajectory, "constant_height", lambda path, normal: laws["height"])
-    return set(accepted_laws(None, UP)[0])  # type: ignore[arg-type]
+    return set(check_laws(None, UP)[0])  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("name", ["pivot", "height"])

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from flowsplat.geometry import Camera
-from flowsplat.priors.objects.rematching import FARTHEST, ObjectImages, gray, rematched
+from flowsplat.priors.objects.rematching import FARTHEST, ObjectImages, gray, rematch_object
 from flowsplat.priors.objects.rigid import Observations, RigidMotion, longest, solve_rigid
 
 FRAMES, WIDTH, HEIGHT, FOCAL, RADII = 20, 160, 120, 220.0, np.array([0.16, 0.2, 0.13])
@@ -106,7 +106,7 @@ def by_tracks(ball) -> RigidMotion:
 
 
 def test_matches_are_truer_than_tracks_and_last_longer(ball, by_tracks):
-    result = rematched(by_tracks, ball.positions, ball.inside, shown(ball, ball.images))
+    result = rematch_object(by_tracks, ball.positions, ball.inside, shown(ball, ball.images))
     assert result is not None
     motion, found, counts = result
     assert counts.sum(1).mean() > 1.5 * ball.inside.sum(1).mean()
@@ -130,24 +130,24 @@ def test_matches_are_truer_than_tracks_and_last_longer(ball, by_tracks):
 
 def test_a_change_of_light_changes_nothing(ball, by_tracks):
     brighter = np.clip(ball.images * np.linspace(0.6, 1.0, FRAMES)[:, None, None] + 10, 0, 255).astype(np.uint8)
-    result = rematched(by_tracks, ball.positions, ball.inside, shown(ball, brighter))
+    result = rematch_object(by_tracks, ball.positions, ball.inside, shown(ball, brighter))
     assert result is not None
     assert depth_trajectory_error(ball, result[0]) < 0.6 * depth_trajectory_error(ball, by_tracks)
 
 
 def test_images_without_texture_say_nothing(ball, by_tracks):
     flat = np.where(ball.masks, 120, 40).astype(np.uint8)
-    assert rematched(by_tracks, ball.positions, ball.inside, shown(ball, flat)) is None
+    assert rematch_object(by_tracks, ball.positions, ball.inside, shown(ball, flat)) is None
 
 
 def test_images_of_something_else_say_nothing(ball, by_tracks):
     noise = np.random.default_rng(0).integers(0, 255, ball.images.shape).astype(np.uint8)
-    assert rematched(by_tracks, ball.positions, ball.inside, shown(ball, noise)) is None
+    assert rematch_object(by_tracks, ball.positions, ball.inside, shown(ball, noise)) is None
 
 
 def test_an_object_that_is_not_seen_has_no_surface(ball, by_tracks):
     hidden = replace(shown(ball, ball.images), masks=np.zeros_like(ball.masks))
-    assert rematched(by_tracks, ball.positions, ball.inside, hidden) is None
+    assert rematch_object(by_tracks, ball.positions, ball.inside, hidden) is None
 
 
 def test_gray_is_brightness():

@@ -10,7 +10,7 @@ from flowsplat.priors.objects import rigid
 from flowsplat.priors.objects.contact import Bound
 from flowsplat.priors.objects.depth_trajectory import rigid_motions
 from flowsplat.priors.objects.rigid import Observations, longest, solve_rigid, widest_turn
-from flowsplat.priors.objects.rigid_equations import solved, unpacked
+from flowsplat.priors.objects.rigid_equations import solve_band, unpack_band
 from flowsplat.priors.objects.shape_offset import place_points
 from flowsplat.priors.objects.solving import solve_object
 
@@ -205,5 +205,5 @@ def test_a_band_is_solved_as_the_whole_matrix(band):
     packed, b = np.zeros((size, band)), rng.normal(size=size)
     for d in range(band):
         packed[: size - d, d] = np.diag(H, d)
-    np.testing.assert_array_equal(unpacked(packed), H)
-    np.testing.assert_allclose(solved(packed, b), np.linalg.solve(H, b), atol=1e-9)
+    np.testing.assert_array_equal(unpack_band(packed), H)
+    np.testing.assert_allclose(solve_band(packed, b), np.linalg.solve(H, b), atol=1e-9)

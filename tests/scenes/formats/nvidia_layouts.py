@@ -26,7 +26,7 @@ def rig_camera(spec: SyntheticScene, number: int) -> Camera:
 
 
 def scaled(camera: Camera, factor: int) -> Camera:
-    return camera.resized(camera.width * factor, camera.height * factor)
+    return camera.resize(camera.width * factor, camera.height * factor)
 
 
 def make_image(spec: SyntheticScene, camera: Camera, time: int) -> np.ndarray:
@@ -57,7 +57,7 @@ def write_raw(folder: Path, spec: SyntheticScene, rows: int = CAMERAS) -> None:
     for t in range(spec.frames):
         for c in range(CAMERAS):
             view = spec.render(rig_camera(spec, c), spec.timestamps[t])
-            write(folder / "mv_images" / f"{t:05d}" / f"cam{c + 1:02d}.jpg", view.make_image)
+            write(folder / "mv_images" / f"{t:05d}" / f"cam{c + 1:02d}.jpg", view.image)
             write(folder / "mv_masks" / f"{t:05d}" / f"cam{c + 1:02d}.png", (view.mask > 0).astype(np.uint8) * 255)
 
 

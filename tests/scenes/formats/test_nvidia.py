@@ -69,7 +69,7 @@ def test_raw(originals, tmp_path):
         assert view.frame == t
         same(view.camera, rig_camera(SPEC, camera))
         rendered = SPEC.render(rig_camera(SPEC, camera), SPEC.timestamps[t])
-        close(scene.view_image(view), rendered.make_image, 2)
+        close(scene.view_image(view), rendered.image, 2)
         np.testing.assert_array_equal(scene.view_mask(view), rendered.mask > 0)
     assert not scene.has_mask(0)
     assert scene.truth is None

@@ -117,7 +117,7 @@ def test_what_cannot_seek_is_decoded_from_its_beginning(tmp_path, make_image, wr
         def seek(self, *_args, **_kwargs):
             raise av.error.PermissionError(1, "Operation not permitted")
 
-    opened = video._opened
+    opened = video._open_container
 
     @contextlib.contextmanager
     def unwilling(path):
@@ -127,7 +127,7 @@ def test_what_cannot_seek_is_decoded_from_its_beginning(tmp_path, make_image, wr
     path = write_video(tmp_path / "a.mp4", [make_image(i) for i in range(60)], options={"g": "20"})
     clip = open_video(path, InputOptions(start=1.6))
     expected = list(clip.frames([0, 5]))
-    monkeypatch.setattr(video, "_opened", unwilling)
+    monkeypatch.setattr(video, "_open_container", unwilling)
     for found, frame in zip(clip.frames([0, 5]), expected, strict=True):
         np.testing.assert_array_equal(found, frame)
 

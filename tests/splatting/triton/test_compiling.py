@@ -23,7 +23,7 @@ def draw(channels, covars, absgrad, size=(40, 28)):
     means2d, conics, depths, radii, extents = drawn
     absolute = torch.zeros(8, 2) if absgrad else None
     rest = conics, opacities, torch.ones(8, channels), depths, extents
-    with PairCapacity("cpu", 64).fixed():
+    with PairCapacity("cpu", 64).fix():
         image, alphas = functions.blend(means2d, *rest, *size, absolute)
         (image.sum() + alphas.sum()).backward()
         with torch.no_grad():

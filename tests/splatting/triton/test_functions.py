@@ -241,7 +241,7 @@ def test_the_camera_may_be_on_the_cpu():
 def drawn_with(values, capacity, differentiate=True):
     """Image and gradients, drawn with this capacity."""
     leaves = {name: value.float().to(DEVICE).requires_grad_(differentiate) for name, value in values.items()}
-    with capacity.fixed():
+    with capacity.fix():
         projected = project(*geometry(leaves), WIDTH, HEIGHT, backend="triton")
         image, _ = blend(projected, leaves["opacities"], leaves["features"], WIDTH, HEIGHT)
         if differentiate:
@@ -253,16 +253,16 @@ def test_what_exceeds_a_fixed_capacity_is_noticed_and_fits_when_it_has_grown(mon
     monkeypatch.setattr(tiles, "_GRANULE", 16)
     values = random_gaussians(40, 3, seed=4)
     expected, gradients = drawn_with(values, ample := tiles.PairCapacity(DEVICE, 4096))
-    assert not ample.overflowed()
+    assert not ample.has_overflowed()
     capacity = tiles.PairCapacity(DEVICE, 32)
-    assert not capacity.overflowed()
+    assert not capacity.has_overflowed()
     lacking, lacking_gradients = drawn_with(values, capacity)
-    assert capacity.overflowed()
+    assert capacity.has_overflowed()
     assert float((lacking - expected).abs().max()) > 0.01
     assert torch.isfinite(lacking).all()
     assert all(torch.isfinite(gradient).all() for gradient in lacking_gradients)
     capacity.grow()
-    assert not capacity.overflowed()
+    assert not capacity.has_overflowed()
     assert capacity.pairs < 4096
     image, again = drawn_with(values, capacity)
     assert torch.equal(image, expected)
@@ -274,7 +274,7 @@ def test_the_shared_capacity_of_an_image_grows_by_itself(monkeypatch):
     monkeypatch.setattr(tiles, "_shared", {})
     values = {name: value.float() for name, value in random_gaussians(40, 3, seed=4).items()}
     expected = draw(values, "triton")
-    small = tiles.shared_capacity(torch.empty(0, device=DEVICE).device, WIDTH, HEIGHT)
+    small = tiles.get_shared_capacity(torch.empty(0, device=DEVICE).device, WIDTH, HEIGHT)
     small.pairs = 32
     found = draw(values, "triton")
     assert small.pairs > 32

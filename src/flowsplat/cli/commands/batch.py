@@ -50,12 +50,12 @@ def batch_defaults(arguments: Sequence[str]) -> RunConfig:
     Raises:
         InputError: the plan of the batch is damaged, or there is no such preset.
     """
-    from flowsplat.batch.command import stored_plan
+    from flowsplat.batch.command import read_plan
 
     if any(value_of(arguments, option) is not None for option in ("-o", "--out")) or value_of(arguments, "--preset"):
         return preset_defaults(arguments)
     for argument in arguments[1:]:
-        if not argument.startswith("-") and (plan := stored_plan(Path(argument))) is not None:
+        if not argument.startswith("-") and (plan := read_plan(Path(argument))) is not None:
             return plan[1]
     return preset_defaults(arguments)
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from flowsplat.cli.arguments import Run
 from flowsplat.cli.command import Command
-from flowsplat.cli.runs import changed_run, print_figures, run_defaults
+from flowsplat.cli.runs import change_run, print_figures, run_defaults
 from flowsplat.common.devices import DeviceName
 from flowsplat.pipeline.config import Baselines, RunConfig
 
@@ -28,7 +28,7 @@ def build(defaults: RunConfig) -> Callable[..., None]:
         """
         from flowsplat import pipeline
 
-        with changed_run(out, baselines=baselines, refine_poses=refine_poses, device=device) as folder:
+        with change_run(out, baselines=baselines, refine_poses=refine_poses, device=device) as folder:
             metrics = pipeline.evaluate_run(folder)
         print_figures(metrics, out)
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from flowsplat.cli.arguments import Preset, Run
 from flowsplat.cli.command import Command
-from flowsplat.cli.runs import changed_run, run_defaults
+from flowsplat.cli.runs import change_run, run_defaults
 from flowsplat.common.devices import DeviceName
 from flowsplat.common.progress import report
 from flowsplat.pipeline.config import RunConfig
@@ -29,7 +29,7 @@ def build(defaults: RunConfig) -> Callable[..., None]:
         """
         from flowsplat import pipeline
 
-        with changed_run(out, train=train, device=device) as folder:
+        with change_run(out, train=train, device=device) as folder:
             pipeline.train(folder)
         report(f"Trained: {out}/model. Next: flowsplat evaluate {out}")
 

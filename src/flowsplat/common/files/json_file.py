@@ -62,10 +62,10 @@ def read_json(path: Path, schema: Any = None, most: int = MOST_BYTES) -> Any:
     Raises:
         InputError: missing, too large, not JSON, too deep, with numbers that are none, or not as ``schema`` says.
     """
-    return _checked(path, read_bytes(path, most).removeprefix(b"\xef\xbb\xbf"), schema)
+    return _check(path, read_bytes(path, most).removeprefix(b"\xef\xbb\xbf"), schema)
 
 
-def _checked(path: Path | str, data: bytes, schema: Any) -> Any:
+def _check(path: Path | str, data: bytes, schema: Any) -> Any:
     """What some JSON says, once it is certain that it is as ``schema`` says; ``path`` names it in errors."""
     try:
         value = msgspec.json.decode(data)
@@ -92,7 +92,7 @@ def read_json_lines(path: Path, schema: Any = None, most: int = MOST_BYTES) -> l
     found = []
     for number, line in enumerate(read_bytes(path, most).removeprefix(b"\xef\xbb\xbf").split(b"\n"), 1):
         if line.strip():
-            found.append((number, _checked(f"{path}, line {number},", line, schema)))
+            found.append((number, _check(f"{path}, line {number},", line, schema)))
     return found
 
 

@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any
 
 from flowsplat.common.errors import InputError, InUseError
-from flowsplat.common.files.writing import make_folder, writing_error
+from flowsplat.common.files.writing import make_folder, make_writing_error
 
 try:
     import fcntl
@@ -108,7 +108,7 @@ def _take(folder: Path) -> int | None:
         try:
             file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o644)
         except OSError as error:
-            raise writing_error(error, path) from error
+            raise make_writing_error(error, path) from error
         if not stat.S_ISREG(os.fstat(file).st_mode):
             os.close(file)
             raise InputError(f"{path} is no ordinary file: remove it.")
@@ -180,21 +180,22 @@ class Claims:
             WritingError: the file cannot be written.
         """
         path = self._path(name, number)
-        value = {"host": socket.gethostname(), "place": self._place, "process": os.getpid(), "started": _started(os.getpid()),
+        value = {"host": socket.gethostname(), "place": self._place, "process": os.getpid(), "started":
+        _read_start_time(os.getpid()),
                  "token": self._token, "since": time.time()}  # fmt: skip
         try:
             file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
         except FileExistsError:
             return False
         except OSError as error:
-            raise writing_error(error, path) from error
+            raise make_writing_error(error, path) from error
         try:
             with os.fdopen(file, "wb") as opened:
                 opened.write(json.dumps(value).encode())
         except OSError as error:
             with contextlib.suppress(OSError):
                 path.unlink()
-            raise writing_error(error, path) from error
+            raise make_writing_error(error, path) from error
         with self._guard:
             self._mine[name] = number
         return True
@@ -214,7 +215,7 @@ class Claims:
             number = self._mine.get(name)
         return number is not None and self._is_ours(name, number)
 
-    def lost(self) -> list[str]:
+    def list_lost(self) -> list[str]:
         """What somebody else has taken meanwhile, as far as the last beat told."""
         with self._guard:
             return list(self._lost_ones)
@@ -243,7 +244,7 @@ class Claims:
         if who.get("token") == self._token:
             return False
         if who.get("place") == self._place and isinstance(who.get("process"), int):
-            return _started(who["process"]) != who.get("started")
+            return _read_start_time(who["process"]) != who.get("started")
         now = time.monotonic()
         before = self._seen.get((name, number))
         if before is None or before[0] != changed:
@@ -311,7 +312,7 @@ def _place() -> str:
     return " ".join(parts)
 
 
-def _started(process: int) -> str | None:
+def _read_start_time(process: int) -> str | None:
     """When a process was started, so that another of its number is not taken for it; None where it is dead."""
     try:
         status = Path(f"/proc/{process}/stat").read_text()

@@ -40,7 +40,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
         yield temporary
         os.replace(temporary, path)
     except OSError as error:
-        raise writing_error(error, path) from error
+        raise make_writing_error(error, path) from error
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
@@ -90,7 +90,7 @@ def _is_alive(process: int) -> bool:
     return True
 
 
-def writing_error(error: OSError, path: Path) -> WritingError:
+def make_writing_error(error: OSError, path: Path) -> WritingError:
     """What to tell about a file that cannot be written."""
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
         return WritingError(f"The disk is full: cannot write {path}. Free some space and run the same command again.")
@@ -112,7 +112,7 @@ def make_folder(path: Path) -> Path:
     except (FileExistsError, NotADirectoryError) as error:
         raise WritingError(f"{path} is a file, not a folder. Choose another output folder with -o.") from error
     except OSError as error:
-        raise writing_error(error, Path(path)) from error
+        raise make_writing_error(error, Path(path)) from error
     return Path(path)
 
 

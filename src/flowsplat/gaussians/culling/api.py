@@ -16,7 +16,7 @@ from flowsplat.splatting.rules import EPS2D
 
 
 def border(eps2d: float) -> int:
-    """Pixels by which the camera of a cull must be wider (``Camera.widened``) where the rasterizer blurs by ``eps2d``.
+    """Pixels by which the camera of a cull must be wider (``Camera.widen``) where the rasterizer blurs by ``eps2d``.
 
     The cull itself reckons with the usual blur, and a stronger one reaches farther into the image.
     """
@@ -83,7 +83,7 @@ def active_rows(
     return _twin(kernels).active_rows(at_rest, means, log_scales, times, log_lambdas, t, p_min, camera, near)
 
 
-def padded_rows(
+def pad_active_rows(
     at_rest: Tensor,
     means: Tensor,
     log_scales: Tensor | None,
@@ -103,4 +103,4 @@ def padded_rows(
     """
     from flowsplat.gaussians.culling import triton
 
-    return triton.padded_rows(at_rest, means, log_scales, times, log_lambdas, t, p_min, camera, near, capacity)
+    return triton.pad_active_rows(at_rest, means, log_scales, times, log_lambdas, t, p_min, camera, near, capacity)

@@ -26,9 +26,9 @@ class RowCapacity:
 
     def grow(self, needed: Sequence[int]) -> None:
         """Where there are too few rows for so many, at rest and moving: as many as are needed, and a quarter more."""
-        self.at_rest, self.moving = _grown(self.at_rest, needed[0]), _grown(self.moving, needed[1])
+        self.at_rest, self.moving = _grow(self.at_rest, needed[0]), _grow(self.moving, needed[1])
 
 
-def _grown(capacity: int, needed: int) -> int:
+def _grow(capacity: int, needed: int) -> int:
     """In steps that are not too fine."""
     return capacity if needed <= capacity else -(-(needed + needed // 4) // GRANULE) * GRANULE

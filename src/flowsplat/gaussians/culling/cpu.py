@@ -9,7 +9,7 @@ import torch
 from numba import float32
 from torch import Tensor
 
-from flowsplat.common.kernels import exp, inlined, kernel
+from flowsplat.common.kernels import exp, inline, kernel
 from flowsplat.common.threads import parallel_for
 from flowsplat.gaussians.culling import reference
 from flowsplat.geometry import Camera
@@ -20,7 +20,7 @@ REACH, BLUR, MARGIN = np.float32(reference.REACH), np.float32(reference.BLUR), n
 ZERO, ONE, HALF = np.float32(0), np.float32(1), np.float32(0.5)
 
 
-@inlined
+@inline
 def _outside(position, size, center, limit, focal, inverse, image):
     """Whether a Gaussian ends before the image on one axis; its 2D sigma is at most focal / z |(1, t)| size + blur."""
     tangent = position * inverse

@@ -123,14 +123,14 @@ class Marked:
                 self._keep, self._counts, self.ends, rows, rows_at_rest, len(rows), self._count, self._blocks, BLOCK=BLOCK
             )
 
-    def padded(self, capacity: RowCapacity) -> Tensor:
+    def pad(self, capacity: RowCapacity) -> Tensor:
         """As many rows as ``capacity`` says; -1 in those that are padding."""
         rows = torch.full((capacity.at_rest + capacity.moving,), -1, dtype=torch.int64, device=self._keep.device)
         self.collect(rows, capacity.at_rest)
         return rows
 
 
-def _marked(
+def _mark_rows(
     at_rest: Tensor, means: Tensor, log_scales: Tensor | None, times: Tensor, log_lambdas: Tensor, t: float, p_min: float,
     camera: Camera | None, near: float,
 ) -> Marked:  # fmt: skip
@@ -145,17 +145,17 @@ def active_rows(
     camera: Camera | None, near: float,
 ) -> tuple[Tensor, int]:  # fmt: skip
     """See ``api.active_rows``. Waits for the device once, for the two numbers that say how large everything after it is."""
-    marked = _marked(at_rest, means, log_scales, times, log_lambdas, t, p_min, camera, near)
+    marked = _mark_rows(at_rest, means, log_scales, times, log_lambdas, t, p_min, camera, near)
     resting, moving = marked.ends[:, -1].tolist()
     rows = torch.empty(resting + moving, dtype=torch.int64, device=means.device)
     marked.collect(rows, resting)
     return rows, resting
 
 
-def padded_rows(
+def pad_active_rows(
     at_rest: Tensor, means: Tensor, log_scales: Tensor | None, times: Tensor, log_lambdas: Tensor, t: float, p_min: float,
     camera: Camera | None, near: float, capacity: RowCapacity,
 ) -> tuple[Tensor, Later]:  # fmt: skip
-    """See ``api.padded_rows``."""
-    marked = _marked(at_rest, means, log_scales, times, log_lambdas, t, p_min, camera, near)
-    return marked.padded(capacity), Later(marked.ends[:, -1])
+    """See ``api.pad_active_rows``."""
+    marked = _mark_rows(at_rest, means, log_scales, times, log_lambdas, t, p_min, camera, near)
+    return marked.pad(capacity), Later(marked.ends[:, -1])

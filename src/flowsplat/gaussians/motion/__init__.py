@@ -1,4 +1,4 @@
-"""Motion models: how a Gaussian's mean and covariance depend on time (METHOD 1).
+"""Motion models: how a Gaussian's mean and covariance depend on time (docs/method.md, "Representation").
 
 ``protocol`` says what every model offers, and holds the registry. ``series`` is polynomial + Fourier (the paper's), ``linear`` the
 4D Gaussian of 4DGS (the "vanilla" representation of the paper's ablation), and ``rigid`` what models share whose Gaussians keep

@@ -1,4 +1,4 @@
-"""The linear 4D Gaussian of 4DGS: a 4D normal distribution, cut at a time (METHOD 1)."""
+"""The linear 4D Gaussian of 4DGS: a 4D normal distribution, cut at a time (docs/method.md, "Representation")."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from flowsplat.gaussians.motion.protocol import FusedKernels, MotionState, Param
 from flowsplat.geometry.rotations import covariances, normalize_quats
 
 
-def _left_matrix(q: Tensor) -> Tensor:
+def _make_left_matrix(q: Tensor) -> Tensor:
     """[N, 4, 4] with q p = L(q) p for quaternions wxyz."""
     w, x, y, z = q.unbind(-1)
     return torch.stack([w, -x, -y, -z, x, w, -z, y, y, z, w, -x, z, -y, x, w], -1).unflatten(-1, (4, 4))
@@ -29,7 +29,7 @@ def covariances_4d(log_scales4: Tensor, quats_left: Tensor, quats_right: Tensor)
 
     R4 is the product of a left and a right isoclinic rotation, the quaternion's scalar axis being time.
     """
-    R = _left_matrix(normalize_quats(quats_left)) @ _right_matrix(normalize_quats(quats_right))
+    R = _make_left_matrix(normalize_quats(quats_left)) @ _right_matrix(normalize_quats(quats_right))
     M = R * torch.exp(log_scales4)[:, None, [3, 0, 1, 2]]
     sigma = M @ M.transpose(1, 2)
     return sigma[:, 1:, 1:], sigma[:, 1:, 0], sigma[:, 0, 0]
@@ -41,7 +41,7 @@ def _conditional_covariances(log_scales4: Tensor, quats_left: Tensor, quats_righ
     That is the same, but the difference is lost in float32 where a Gaussian lasts long: of background with W = 1e6, U is millions
     of times the covariance that is left.
     """
-    R = _left_matrix(normalize_quats(quats_left)) @ _right_matrix(normalize_quats(quats_right))
+    R = _make_left_matrix(normalize_quats(quats_left)) @ _right_matrix(normalize_quats(quats_right))
     M = R[:, 1:] * torch.exp(-log_scales4)[:, None, [3, 0, 1, 2]]
     a, b, c = (M @ M.transpose(1, 2)).unbind(1)
     columns = torch.stack([torch.linalg.cross(b, c), torch.linalg.cross(c, a), torch.linalg.cross(a, b)], 2)
@@ -107,7 +107,7 @@ class LinearMotion:
         velocities = coefficients[:, 0] if coefficients.shape[1] else torch.zeros(len(quats), 3)
         return self.from_moments(covariances(quats, scales), velocities, log_lambdas)
 
-    def recentered(self, params: Params, shift: Tensor) -> dict[str, Tensor]:
+    def recenter(self, params: Params, shift: Tensor) -> dict[str, Tensor]:
         """See ``MotionModel``."""
         _, V, W = covariances_4d(params["log_scales4"], params["quats_left"], params["quats_right"])
         moved = params["means"] + shift[:, None] * V / W[:, None]
@@ -143,7 +143,7 @@ class LinearMotion:
         # Isoclinic decomposition: the associate matrix of a rotation has rank one, left times right quaternion. Its entries are
         # projections of R on the products of the left and right basis matrices.
         units = torch.eye(4, dtype=torch.float64)
-        left, right = _left_matrix(units), _right_matrix(units)
+        left, right = _make_left_matrix(units), _right_matrix(units)
         products = torch.einsum("aij,bjk->abik", left, right)
         associate = torch.einsum("nij,abij->nab", R, products) / 4
         u, _, v = torch.linalg.svd(associate)

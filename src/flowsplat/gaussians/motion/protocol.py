@@ -114,7 +114,7 @@ class MotionModel(Protocol):
         """
         ...
 
-    def recentered(self, params: Params, shift: Tensor) -> dict[str, Tensor]:
+    def recenter(self, params: Params, shift: Tensor) -> dict[str, Tensor]:
         """The parameters that describe the same motion about the center times moved by ``shift`` [N]."""
         ...
 

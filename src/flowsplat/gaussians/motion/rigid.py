@@ -9,7 +9,7 @@ from flowsplat.gaussians.motion.protocol import FusedKernels, Parameter, Params,
 
 
 class RigidMotion:
-    """A model without its motion: subclasses add its parameters, ``state`` and ``recentered``, and what of it has a start.
+    """A model without its motion: subclasses add its parameters, ``state`` and ``recenter``, and what of it has a start.
 
     As it is, ``start`` leaves all motion at 0.
     """

@@ -1,4 +1,4 @@
-"""Polynomial + Fourier series, the paper's motion (METHOD 1)."""
+"""Polynomial + Fourier series, the paper's motion (docs/method.md, "Representation")."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class SeriesMotion(RigidMotion):
             scales=torch.exp(params["log_scales"]),
         )
 
-    def recentered(self, params: Params, shift: Tensor) -> dict[str, Tensor]:
+    def recenter(self, params: Params, shift: Tensor) -> dict[str, Tensor]:
         """See ``MotionModel``."""
         result = dict(params)
         moved = self.state({**params, "times": torch.zeros_like(shift) - shift}, 0.0)

@@ -11,7 +11,7 @@ from numba import float32
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from flowsplat.common.kernels import exp, helper, inlined, kernel
+from flowsplat.common.kernels import exp, helper, inline, kernel
 from flowsplat.common.threads import parallel_for
 from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
 from flowsplat.gaussians.motion import SeriesMotion
@@ -128,7 +128,7 @@ def _spread4(now, later, g, w, poly, cos, sin, j):
         sin[j, k, 3] = a * g[3] + c * w[3]
 
 
-@inlined
+@inline
 def _gain(log_gains, cosines, i):
     even, odd = ZERO, ZERO  # Two sums, because each waits for its last addition.
     count = log_gains.shape[1]

@@ -16,7 +16,7 @@ from torch.autograd.function import once_differentiable
 
 from flowsplat.common.devices import upload
 from flowsplat.common.triton import device_of
-from flowsplat.gaussians.camera_buffer import CENTER, COSINES, NEXT_TIME, TIME, moment_numbers
+from flowsplat.gaussians.camera_buffer import CENTER, COSINES, NEXT_TIME, TIME, pack_moment
 from flowsplat.gaussians.gaussians4d import Active, Gaussians4D
 from flowsplat.gaussians.motion import SeriesMotion
 from flowsplat.gaussians.slicing.api import NAMES, Gradients, Slice
@@ -408,7 +408,7 @@ def slice_gaussians(
     gaussians: Gaussians4D, active: Active, camera_center: Tensor, next_time: float | None, gradients: Gradients | None
 ) -> Slice:
     """See ``api.slice_gaussians``."""
-    moment = moment_numbers(gaussians.config.gains, active.t, camera_center.cpu().numpy(), next_time)
+    moment = pack_moment(gaussians.config.gains, active.t, camera_center.cpu().numpy(), next_time)
     # The parameters are not inputs of the function, because their gradients would have their full size: it has one in name.
     anchor = torch.zeros((), requires_grad=gradients is not None)
     has_next = next_time is not None

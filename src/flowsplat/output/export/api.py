@@ -13,14 +13,14 @@ from flowsplat.common.files import make_folder
 from flowsplat.common.progress import report, track
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.output.export.cameras import write_colmap, write_nerfstudio
-from flowsplat.output.export.importance import most_important
+from flowsplat.output.export.importance import choose_most_important
 from flowsplat.output.export.options import FORMATS, ExportOptions
 from flowsplat.output.export.parameters import write_parameters_npz, write_parameters_safetensors
 from flowsplat.output.export.ply import property_names, write_ply
 from flowsplat.output.export.splat import RECORD, write_splat
 from flowsplat.output.export.spz import bytes_per_gaussian, write_spz
 from flowsplat.output.export.still import still_at
-from flowsplat.output.player.pack import estimated_bytes
+from flowsplat.output.player.pack import estimate_bytes
 from flowsplat.output.player.page import write_player
 from flowsplat.output.videos.plans import loop_widths
 from flowsplat.scenes import Scene
@@ -62,22 +62,22 @@ def export_scene(model: SceneModel, scene: Scene, to: str, path: Path | None, op
     make_folder(path if to in _FOLDERS else path.parent)
     if options.max_gaussians is not None and to not in _CAMERAS:
         views = [(scene.cameras[i], float(scene.timestamps[i])) for i in scene.train_frames]
-        model = most_important(model, views, options.max_gaussians)
-    size = estimated_size(model, scene, to, options)
+        model = choose_most_important(model, views, options.max_gaussians)
+    size = estimate_size(model, scene, to, options)
     what = f"{scene.num_frames} cameras" if to in _CAMERAS else f"{len(model.gaussians):,} Gaussians"
     report(f"{what} as {to}: about {_readable(size)} in {path}")
     _write(model, scene, to, path, options)
     return path
 
 
-def estimated_size(model: SceneModel, scene: Scene, to: str, options: ExportOptions) -> int:
+def estimate_size(model: SceneModel, scene: Scene, to: str, options: ExportOptions) -> int:
     """About how many bytes an export will have; exact for ply, ply-sequence and splat but for their headers."""
     gaussians = model.gaussians
     harmonics = harmonics_count(gaussians.sh_degree)
     record = 4 * len(property_names(harmonics, _has_objects(model), gaussians.seen is not None))
     active = model.active_count(_seconds(model, options))
     sizes = {
-        "html": lambda: _PAGE_BYTES + estimated_bytes(gaussians),
+        "html": lambda: _PAGE_BYTES + estimate_bytes(gaussians),
         "ply": lambda: record * active,
         "ply-sequence": lambda: record * sum(model.active_count(float(t)) for t in scene.timestamps),
         "splat": lambda: RECORD.itemsize * active,

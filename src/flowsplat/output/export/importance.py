@@ -20,7 +20,7 @@ MOST_VIEWS = 48
 """Training frames that are looked at; more of them change nothing that can be seen."""
 
 
-def most_important(model: SceneModel, views: Sequence[tuple[Camera, float]], count: int) -> SceneModel:
+def choose_most_important(model: SceneModel, views: Sequence[tuple[Camera, float]], count: int) -> SceneModel:
     """The scene with the ``count`` Gaussians that hold most of the given views, in their old order.
 
     Args:
@@ -32,12 +32,12 @@ def most_important(model: SceneModel, views: Sequence[tuple[Camera, float]], cou
         return model
     chosen = spread(len(views), MOST_VIEWS)
     inner = [(model.similarity.camera(views[k][0]), model.clip_time(views[k][1])) for k in chosen]
-    weights = blending_weights(model.gaussians, inner)
+    weights = sum_blending_weights(model.gaussians, inner)
     rows = torch.argsort(weights, descending=True, stable=True)[:count].sort().values
     return replace(model, gaussians=model.gaussians.select(rows))
 
 
-def blending_weights(gaussians: Gaussians4D, views: Sequence[tuple[Camera, float]]) -> Tensor:
+def sum_blending_weights(gaussians: Gaussians4D, views: Sequence[tuple[Camera, float]]) -> Tensor:
     """[N] the sum over views and pixels of p(t) o exp(-d^2 / 2) times the transmittance in front: what a Gaussian adds.
 
     It is the gradient of the sum of an image with respect to a feature that is 1 everywhere.

@@ -44,7 +44,7 @@ def write_spz(path: Path, still: Still) -> None:
     """
     count, harmonics = still.sh.shape[:2]
     sh = still.sh.numpy()
-    positions, fraction_bits = _fixed_point(still.means.numpy())
+    positions, fraction_bits = _convert_to_fixed_point(still.means.numpy())
     header = struct.pack("<IIIBBBB", _MAGIC, _VERSION, count, int(harmonics**0.5) - 1, fraction_bits, 0, 0)
     parts = [
         positions,
@@ -62,7 +62,7 @@ def _bytes(values: np.ndarray) -> np.ndarray:
     return np.clip(np.rint(values), 0, 255).astype(np.uint8)
 
 
-def _fixed_point(means: np.ndarray) -> tuple[np.ndarray, int]:
+def _convert_to_fixed_point(means: np.ndarray) -> tuple[np.ndarray, int]:
     """[N, 3, 3] the low three bytes of every coordinate, and the bits behind the point."""
     largest = max(float(np.abs(means).max(initial=0)), 1e-9)
     bits = int(np.clip(np.floor(23 - np.log2(largest)), 0, _FRACTION_BITS))

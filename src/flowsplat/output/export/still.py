@@ -89,13 +89,13 @@ def still_at(model: SceneModel, seconds: float, *, flip_axes: bool = False) -> S
         multiply_quats(turn.float().expand_as(quats), quats),
         log_scales + float(np.log(undo.scale)),
         sliced.opacities,
-        turned_harmonics(sh, rotation),
+        rotate_harmonics(sh, rotation),
         gaussians.object_ids[active.rows],
         None if gaussians.seen is None else gaussians.seen[active.rows],
     )
 
 
-def turned_harmonics(sh: Tensor, rotation: Tensor) -> Tensor:
+def rotate_harmonics(sh: Tensor, rotation: Tensor) -> Tensor:
     """Harmonics [A, K, 3] of Gaussians that are turned by ``rotation`` [3, 3]: seen along R d they look as before along d."""
     degree = int(sh.shape[1] ** 0.5) - 1
     if degree == 0 or torch.equal(rotation, torch.eye(3).to(rotation)):

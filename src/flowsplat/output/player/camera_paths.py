@@ -38,13 +38,13 @@ def camera_paths(model: SceneModel, times: Sequence[float], cameras: Sequence[Ca
     even, clip = np.linspace(times[0], times[-1], len(times)).tolist(), CameraPath(times, cameras)
     steady, _ = stabilize(model, [(clip.at(t), t) for t in even], RenderOptions.stabilize / step)
     return {
-        "clipPath": sampled_path(model, times, cameras),
-        "steadyPath": sampled_path(model, even, [camera for camera, _ in steady]),
+        "clipPath": sample_path(model, times, cameras),
+        "steadyPath": sample_path(model, even, [camera for camera, _ in steady]),
         "subjectDepths": _subject_depths(model, times, cameras),
     }
 
 
-def sampled_path(model: SceneModel, times: Sequence[float], cameras: Sequence[Camera]) -> list[list[float]]:
+def sample_path(model: SceneModel, times: Sequence[float], cameras: Sequence[Camera]) -> list[list[float]]:
     """The rows of a path: see ``camera_paths``."""
     path = CameraPath(times, [model.similarity.camera(camera) for camera in cameras])
     steps = PATH_SAMPLES * (len(times) - 1)

@@ -1,7 +1,7 @@
 """The motion of any model as short Chebyshev series over the time in which a Gaussian is seen.
 
 A Gaussian is drawn where p(t) >= p_min only, usually a small part of the clip. There the motion series of a model (up to 18
-terms a coordinate, METHOD 1) have an effective rank of about four. Interpolated at Chebyshev nodes of that interval they
+terms a coordinate) have an effective rank of about four. Interpolated at Chebyshev nodes of that interval they
 need three or four coefficients, which are displacements in scene units: they round well, and the rest of them is zero.
 """
 
@@ -52,7 +52,7 @@ def visible_interval(times: Tensor, log_lambdas: Tensor, p_min: float) -> tuple[
     return (start + end) / 2, ((end - start) / 2).clamp(min=1e-6)
 
 
-def seen_in_clip(gaussians: Gaussians4D) -> Tensor:
+def find_seen_in_clip(gaussians: Gaussians4D) -> Tensor:
     """[N] bool: drawn at some time of the clip."""
     params = gaussians.params
     reach = torch.sqrt(-2 * math.log(gaussians.config.p_min) * torch.exp(-gaussians.motion.log_precision(params)))
@@ -96,12 +96,10 @@ def fit_motion(
     reference = quats[:, NODES // 2]
     largest = torch.gather(reference, 1, reference.abs().argmax(1, keepdim=True))
     quats = quats * torch.where(largest < 0, -1.0, 1.0)[:, None]
-    return ChebyshevMotion(
-        times, log_lambdas, _fitted(means, nodes, mean_tolerance), _fitted(quats, nodes, quat_tolerance), log_scales
-    )
+    return ChebyshevMotion(times, log_lambdas, _fit(means, nodes, mean_tolerance), _fit(quats, nodes, quat_tolerance), log_scales)
 
 
-def _fitted(values: Tensor, nodes: Tensor, tolerance: float) -> Tensor:
+def _fit(values: Tensor, nodes: Tensor, tolerance: float) -> Tensor:
     """Values [M, NODES, C] at the nodes to coefficients [M, degree + 1, C] of the lowest degree that keeps the tolerance."""
     degrees = torch.arange(NODES, dtype=torch.float64)
     basis = torch.cos(degrees[None] * torch.arccos(nodes)[:, None])  # [NODES, NODES], T_k at the nodes

@@ -21,13 +21,13 @@ from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.render import FILLED_FROM, FILLED_TO
 from flowsplat.geometry import Camera
 from flowsplat.geometry.rotations import normalize_quats, principal_axes
-from flowsplat.output.player.chebyshev import FLATTEST, ChebyshevMotion, fit_motion, seen_in_clip
+from flowsplat.output.player.chebyshev import FLATTEST, ChebyshevMotion, find_seen_in_clip, fit_motion
 from flowsplat.output.player.quantization import (
     QuantizedArray,
-    quantized,
-    quantized_in_chunks,
-    quantized_to_range,
-    quantized_to_step,
+    quantize,
+    quantize_in_chunks,
+    quantize_to_range,
+    quantize_to_step,
 )
 from flowsplat.splatting.harmonics import harmonics_count
 from flowsplat.splatting.rules import ALPHA_MAX, ALPHA_MIN, EPS2D
@@ -72,12 +72,12 @@ def pack(
         widths: degrees to either side of the swinging camera, and how many times as far the dolly zoom goes.
     """
     inner = [model.similarity.camera(camera) for camera in cameras]
-    gaussians = model.gaussians.select(torch.nonzero(seen_in_clip(model.gaussians)).squeeze(1))
+    gaussians = model.gaussians.select(torch.nonzero(find_seen_in_clip(model.gaussians)).squeeze(1))
     resting = _along_curve(gaussians, torch.nonzero(gaussians.at_rest).squeeze(1))
     moving = _along_curve(gaussians, torch.nonzero(~gaussians.at_rest).squeeze(1))
     gaussians = gaussians.select(torch.cat([resting, moving]))
     arrays = _arrays(gaussians, len(resting), _resolution(gaussians, inner))
-    encoded = [array.encoded() for array in arrays]
+    encoded = [array.encode() for array in arrays]
     about = {
         "version": VERSION, "title": title, "width": cameras[0].width, "height": cameras[0].height,
         "first": model.first, "last": model.last, "frames": len(times), "fill": model.fill,
@@ -91,9 +91,9 @@ def pack(
     return Packed(about, data)
 
 
-def estimated_bytes(gaussians: Gaussians4D) -> int:
+def estimate_bytes(gaussians: Gaussians4D) -> int:
     """About how large the packed arrays become as base64, from what was measured on trained scenes."""
-    seen = seen_in_clip(gaussians)
+    seen = find_seen_in_clip(gaussians)
     resting = int((gaussians.at_rest & seen).sum())
     moving = int(seen.sum()) - resting
     harmonics = 3 * (harmonics_count(gaussians.sh_degree) - 1)
@@ -105,9 +105,9 @@ def _arrays(gaussians: Gaussians4D, resting: int, resolution: np.ndarray) -> lis
     """All parameters of Gaussians that are in order, those at rest first."""
     params, degree = gaussians.params, gaussians.sh_degree
     moving = torch.arange(resting, len(gaussians))
-    times = quantized_to_range("times", _column(params["times"][moving]), 16, tail=0)
+    times = quantize_to_range("times", _column(params["times"][moving]), 16, tail=0)
     precisions = gaussians.motion.log_precision(params)[moving].clamp(FLATTEST, _STEEPEST)
-    log_lambdas = quantized_to_range("logLambdas", _column(precisions), 16, tail=0)
+    log_lambdas = quantize_to_range("logLambdas", _column(precisions), 16, tail=0)
     step = float(np.quantile(resolution, 0.1)) if len(resolution) else 1.0
     motion = fit_motion(
         gaussians, moving, torch.from_numpy(times.values[:, 0]), torch.from_numpy(log_lambdas.values[:, 0]), step,
@@ -119,21 +119,21 @@ def _arrays(gaussians: Gaussians4D, resting: int, resolution: np.ndarray) -> lis
     log_scales = torch.cat([rest_scales, motion.log_scales]).clamp(np.log(_SMALLEST_SCALE), np.log(_LARGEST_SCALE))
     sh = params["sh"][:, : harmonics_count(degree)].numpy()
     arrays = [
-        quantized_in_chunks("means", means.numpy(), resolution, CHUNK),
-        quantized("quats", quats.numpy(), 8, -1.0, 1.0),
-        quantized_to_range("logScales", log_scales.numpy(), 8, tail=0),
-        quantized("opacities", _column(torch.sigmoid(params["logit_opacities"])), 8, 0.0, 1.0),
-        quantized_to_range("colors", sh[:, 0], 8),
+        quantize_in_chunks("means", means.numpy(), resolution, CHUNK),
+        quantize("quats", quats.numpy(), 8, -1.0, 1.0),
+        quantize_to_range("logScales", log_scales.numpy(), 8, tail=0),
+        quantize("opacities", _column(torch.sigmoid(params["logit_opacities"])), 8, 0.0, 1.0),
+        quantize_to_range("colors", sh[:, 0], 8),
     ]
     if degree:
-        arrays.append(quantized_to_range("harmonics", sh[:, 1:].reshape(len(sh), -1), 8))
+        arrays.append(quantize_to_range("harmonics", sh[:, 1:].reshape(len(sh), -1), 8))
     if gaussians.config.gains:
-        arrays.append(quantized_to_range("gains", params["log_gains"][:resting].numpy(), 8))
+        arrays.append(quantize_to_range("gains", params["log_gains"][:resting].numpy(), 8))
     if gaussians.object_ids.any():
-        arrays.append(quantized("object_ids", _column(gaussians.object_ids), 8, 0.0, 255.0))
+        arrays.append(quantize("object_ids", _column(gaussians.object_ids), 8, 0.0, 255.0))
     if gaussians.seen is not None:
         reaches = torch.log(reach(gaussians.seen[:resting])).clamp(np.log(LEAST_REACH), np.log(ALL_AROUND))
-        arrays.append(quantized("logReaches", _column(reaches), 8, np.log(LEAST_REACH), np.log(ALL_AROUND)))
+        arrays.append(quantize("logReaches", _column(reaches), 8, np.log(LEAST_REACH), np.log(ALL_AROUND)))
     return [*arrays, times, log_lambdas, *_motion_arrays(motion, step)]
 
 
@@ -141,8 +141,8 @@ def _motion_arrays(motion: ChebyshevMotion, step: float) -> list[QuantizedArray]
     means, quats = motion.means[:, 1:], motion.quats[:, 1:]
     return [
         # In boxes, too: what crosses the image between two frames goes further than 16 bits of such steps.
-        quantized_in_chunks("meanCoefficients", means.flatten(1).numpy(), np.full(len(means), step), CHUNK),
-        quantized_to_step("quatCoefficients", quats.flatten(1).numpy(), QUAT_TOLERANCE),
+        quantize_in_chunks("meanCoefficients", means.flatten(1).numpy(), np.full(len(means), step), CHUNK),
+        quantize_to_step("quatCoefficients", quats.flatten(1).numpy(), QUAT_TOLERANCE),
     ]
 
 

@@ -51,7 +51,7 @@ class QuantizedArray:
         chunks = np.arange(len(self.q)) // self.chunk
         return self.low[chunks] + self.step[chunks] * self.q.astype(np.float32)
 
-    def encoded(self) -> tuple[dict[str, Any], bytes]:
+    def encode(self) -> tuple[dict[str, Any], bytes]:
         """(description for the header, bytes), with or without ``delta``, whatever compresses better."""
         candidates = [self._bytes(delta) for delta in (False, True)]
         sizes = [len(zlib.compress(data, 6)) for data in candidates]
@@ -76,31 +76,31 @@ class QuantizedArray:
         return self.low.astype("<f4").tobytes() + self.step.astype("<f4").tobytes() + body.tobytes()
 
 
-def quantized(name: str, values: np.ndarray, bits: int, low: np.ndarray | float, high: np.ndarray | float) -> QuantizedArray:
+def quantize(name: str, values: np.ndarray, bits: int, low: np.ndarray | float, high: np.ndarray | float) -> QuantizedArray:
     """Values [count, components] in equal steps from ``low`` to ``high`` (each [components] or one number); clipped to them."""
     components = values.shape[1]
     low = np.broadcast_to(np.asarray(low, np.float32), components)
     high = np.broadcast_to(np.asarray(high, np.float32), components)
     step = np.maximum(high - low, np.float32(1e-12)) / np.float32((1 << bits) - 1)
-    return _quantized(name, values, bits, low[None], step[None], max(len(values), 1))
+    return _quantize(name, values, bits, low[None], step[None], max(len(values), 1))
 
 
-def quantized_to_range(name: str, values: np.ndarray, bits: int, tail: float = _TAIL) -> QuantizedArray:
+def quantize_to_range(name: str, values: np.ndarray, bits: int, tail: float = _TAIL) -> QuantizedArray:
     """Values [count, components], each component between its own smallest and largest value, a few outliers apart."""
     if not len(values):
-        return quantized(name, values, bits, 0.0, 1.0)
+        return quantize(name, values, bits, 0.0, 1.0)
     low, high = np.quantile(values, (tail, 1 - tail), axis=0)
-    return quantized(name, values, bits, low, high)
+    return quantize(name, values, bits, low, high)
 
 
-def quantized_to_step(name: str, values: np.ndarray, step: float) -> QuantizedArray:
+def quantize_to_step(name: str, values: np.ndarray, step: float) -> QuantizedArray:
     """Values around zero to multiples of ``step``, 16 bits."""
     components = values.shape[1]
     low = np.full((1, components), -32768 * step, np.float32)
-    return _quantized(name, values, 16, low, np.full((1, components), step, np.float32), max(len(values), 1))
+    return _quantize(name, values, 16, low, np.full((1, components), step, np.float32), max(len(values), 1))
 
 
-def quantized_in_chunks(name: str, values: np.ndarray, steps: np.ndarray, chunk: int) -> QuantizedArray:
+def quantize_in_chunks(name: str, values: np.ndarray, steps: np.ndarray, chunk: int) -> QuantizedArray:
     """Values [count, components] in 16 bits between the smallest and the largest of every chunk of rows.
 
     Args:
@@ -114,10 +114,10 @@ def quantized_in_chunks(name: str, values: np.ndarray, steps: np.ndarray, chunk:
     high = np.maximum.reduceat(values, starts) if len(values) else low
     fine = np.minimum.reduceat(steps, starts)[:, None] if len(values) else np.zeros((0, 1))
     step = np.maximum((high - low) / 65535, fine)
-    return _quantized(name, values, 16, low.astype(np.float32), step.astype(np.float32), chunk)
+    return _quantize(name, values, 16, low.astype(np.float32), step.astype(np.float32), chunk)
 
 
-def _quantized(name: str, values: np.ndarray, bits: int, low: np.ndarray, step: np.ndarray, chunk: int) -> QuantizedArray:
+def _quantize(name: str, values: np.ndarray, bits: int, low: np.ndarray, step: np.ndarray, chunk: int) -> QuantizedArray:
     chunks = np.arange(len(values)) // chunk
     q = np.rint((values.astype(np.float64) - low[chunks]) / step[chunks])
     return QuantizedArray(name, bits, np.clip(q, 0, (1 << bits) - 1).astype(np.uint16), low, step, chunk)

@@ -23,7 +23,7 @@ from flowsplat.output.videos.plans import Plan, name_of, plan_videos, settle
 from flowsplat.output.videos.writing import Scales, write_plan
 from flowsplat.scenes import Scene
 
-__all__ = ["RenderOptions", "are_rendered", "forget_videos", "name_of", "render_videos", "rendered", "settle"]
+__all__ = ["RenderOptions", "are_rendered", "forget_videos", "list_rendered", "name_of", "render_videos", "settle"]
 
 _RECORD = "renders.json"
 
@@ -60,7 +60,7 @@ def render_videos(model: PartedRenderer, scene: Scene, folder: Path, options: Re
             write_json(Path(folder) / _RECORD, record)
 
 
-def rendered(folder: Path) -> dict[str, str]:
+def list_rendered(folder: Path) -> dict[str, str]:
     """What was rendered into ``folder``, by name, to the file's name in it.
 
     Names: ``input_path``, ``stabilized``, ``orbit``, ``bullet_time``, ``dolly_zoom``, ``wiggle`` and ``custom_path_`` with the
@@ -76,7 +76,7 @@ def rendered(folder: Path) -> dict[str, str]:
 
 def are_rendered(folder: Path) -> bool:
     """Whether videos were rendered into ``folder``, and all their files are still there."""
-    return bool(rendered(folder)) and all((Path(folder) / file).exists() for file in rendered(folder).values())
+    return bool(list_rendered(folder)) and all((Path(folder) / file).exists() for file in list_rendered(folder).values())
 
 
 def forget_videos(folder: Path) -> None:

@@ -71,12 +71,12 @@ class Amplitudes:
         best, beyond = 0, len(values)
         while beyond - best > 1:
             middle = (best + beyond) // 2
-            unknown, is_clear = self._unknown(looks(values[middle]))
+            unknown, is_clear = self._measure_unknown(looks(values[middle]))
             best, beyond = (middle, beyond) if is_clear and unknown <= MOST_UNKNOWN else (best, middle)
-        unknown, is_clear = self._unknown(looks(values[best]))
+        unknown, is_clear = self._measure_unknown(looks(values[best]))
         return values[best], f"{'' if is_clear else ', close to what moves'}; {unknown:.0%} of what it shows there is a guess"
 
-    def _unknown(self, looks: Sequence[_Look]) -> tuple[float, bool]:
+    def _measure_unknown(self, looks: Sequence[_Look]) -> tuple[float, bool]:
         """Share of views that the clip does not tell, beyond that of its own, and whether they stay away from objects."""
         visibility = self._visibility
         owns = {t: own for own, _, t in looks}

@@ -15,7 +15,7 @@ from flowsplat.common.progress import report
 from flowsplat.common.spread import spread
 from flowsplat.gaussians.renderer import Part, PartedRenderer
 from flowsplat.geometry import Camera
-from flowsplat.geometry.paths import CameraPath, dolly_zoom, orbit, shifted
+from flowsplat.geometry.paths import CameraPath, dolly_zoom, orbit, shift_camera
 from flowsplat.images.video import FASTEST, SLOWEST
 from flowsplat.output.camera_files import CameraShots, read_camera_file
 from flowsplat.output.videos.amplitudes import Amplitudes
@@ -120,7 +120,7 @@ def _whole(model: PartedRenderer, scene: Scene, options: RenderOptions) -> Itera
     """Every path, showing the whole scene."""
     first, last = float(scene.timestamps[0]), float(scene.timestamps[-1])
     fps, size, given = settle(scene, options)
-    path = CameraPath(scene.timestamps.tolist(), [camera.resized(*size) for camera in scene.cameras])
+    path = CameraPath(scene.timestamps.tolist(), [camera.resize(*size) for camera in scene.cameras])
     step = 1 / (fps * options.slow_motion)
     times = first + np.arange(int((last - first) / step + 1e-6) + 1) * step
     distance = 1 / scene.similarity.scale  # the median depth
@@ -155,7 +155,7 @@ def _whole(model: PartedRenderer, scene: Scene, options: RenderOptions) -> Itera
     if "wiggle" in options.paths:
         subject = subject_distance(model, path.at(frozen), frozen, distance)
         swing = np.sin(np.linspace(0, 2 * np.pi, WIGGLE_FRAMES, endpoint=False)) * options.eye_distance / 2 * distance
-        yield Plan("wiggle", [(shifted(path.at(frozen), float(x), subject), frozen) for x in swing], WIGGLE_FPS, kind="gif")
+        yield Plan("wiggle", [(shift_camera(path.at(frozen), float(x), subject), frozen) for x in swing], WIGGLE_FPS, kind="gif")
     if given is not None:
         assert options.camera_file is not None
         yield Plan(f"custom_path_{name_of(options.camera_file)}", given.shots, options.fps or given.fps or fps)

@@ -15,4 +15,4 @@ _PROBE_SHARE = 4
 
 def small(camera: Camera) -> Camera:
     """The camera for a small image of what it sees."""
-    return camera.resized(max(camera.width // _PROBE_SHARE, 1), max(camera.height // _PROBE_SHARE, 1))
+    return camera.resize(max(camera.width // _PROBE_SHARE, 1), max(camera.height // _PROBE_SHARE, 1))

@@ -9,7 +9,7 @@ import numpy as np
 
 from flowsplat.common.progress import report, track
 from flowsplat.gaussians.renderer import Renderer
-from flowsplat.geometry.paths import cropped, smooth_path
+from flowsplat.geometry.paths import crop_camera, smooth_path
 from flowsplat.output.videos.shots import COVERED, Shot
 
 _LEAST_LEFT = 0.7
@@ -37,25 +37,25 @@ def stabilize(model: Renderer, shots: Sequence[Shot], sigma: float) -> tuple[lis
     cameras, times = [camera for camera, _ in shots], [t for _, t in shots]
     candidates = [smooth_path(cameras, sigma / 2**k) for k in range(4)] if sigma > 0 else [cameras]
     for smooth in candidates:
-        share = covered_share(model, list(zip(smooth, times, strict=True)))
+        share = compute_covered_share(model, list(zip(smooth, times, strict=True)))
         if share >= _LEAST_LEFT:
             break
     else:
-        own = covered_share(model, shots)
+        own = compute_covered_share(model, shots)
         smooth = candidates[0] if own < _LEAST_LEFT else cameras
         share = max(own, _LEAST_LEFT)
         report("The scene has borders that no frame saw: the stabilized path shows them filled from their neighbors.")
-    return [(cropped(camera, share), t) for camera, t in zip(smooth, times, strict=True)], share
+    return [(crop_camera(camera, share), t) for camera, t in zip(smooth, times, strict=True)], share
 
 
-def covered_share(model: Renderer, shots: Sequence[Shot]) -> float:
+def compute_covered_share(model: Renderer, shots: Sequence[Shot]) -> float:
     """Of width and height, the share of the largest centered crop that has no uncovered border in any of the shots."""
     first = shots[0][0]
     height = max(round(first.height * _PROBE_WIDTH / first.width), 1)
     width = min(_PROBE_WIDTH, first.width)
     height = min(height, first.height)
     shares = [
-        _inner_share(model.render(camera.resized(width, height), t).alpha < COVERED)
+        _inner_share(model.render(camera.resize(width, height), t).alpha < COVERED)
         for camera, t in track(list(shots), "Looking for uncovered borders")
     ]
     return min(shares)

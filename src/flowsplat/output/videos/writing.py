@@ -14,7 +14,7 @@ from flowsplat.common.spread import spread
 from flowsplat.common.threads import in_threads
 from flowsplat.gaussians.model import at_once
 from flowsplat.gaussians.renderer import Renderer, Rendering
-from flowsplat.geometry.paths import shifted
+from flowsplat.geometry.paths import shift_camera
 from flowsplat.images.colors import depth_range, depth_to_color, float_to_bytes, flow_scale, flow_to_color
 from flowsplat.images.gif import write_gif
 from flowsplat.images.sheets import side_by_side
@@ -105,7 +105,7 @@ def _write_panels(model: Renderer, plan: Plan, scales: Scales, panels_path: Path
 
 def _write_stereo(model: Renderer, plan: Plan, path: Path) -> None:
     def pair(shot: Shot) -> np.ndarray:
-        eyes = [shifted(shot[0], side * plan.eye_distance / 2, plan.convergence) for side in (-1, 1)]
+        eyes = [shift_camera(shot[0], side * plan.eye_distance / 2, plan.convergence) for side in (-1, 1)]
         return np.concatenate([float_to_bytes(model.render(eye, shot[1]).color) for eye in eyes], axis=1)
 
     with mp4_writer(path, plan.fps, audio_from=plan.audio_from, audio_start=plan.audio_start) as write:

@@ -13,12 +13,12 @@ from flowsplat.gaussians.distances import slice_view
 from flowsplat.gaussians.model import SceneModel
 from flowsplat.gaussians.renderer import Part
 from flowsplat.geometry import Camera
-from flowsplat.geometry.paths import shifted
+from flowsplat.geometry.paths import shift_camera
 from flowsplat.images.colors import depth_to_color, float_to_bytes, flow_to_color
 from flowsplat.output.videos.options import RenderOptions
 from flowsplat.output.videos.shots import COVERED
 from flowsplat.output.viewer.browser_frame import BrowserFrame, Pose
-from flowsplat.output.viewer.layout import Box, empty, fitted, halves, place, wipe
+from flowsplat.output.viewer.layout import Box, empty, fit_box, halves, place, wipe
 from flowsplat.output.viewer.source import Source
 from flowsplat.splatting.rules import ALPHA_MIN
 
@@ -49,7 +49,7 @@ class Look:
         tracks: the tracks of the clip, drawn where the image is seen from the input camera.
         stereo: a pair for two eyes, left beside right, in place of what ``compare`` says.
         distances: of objects, by number, how many times as far away they are as they were trained.
-        fading: without what the clip tells too little of, from where it is seen.
+        confidence_fade: without what the clip tells too little of, from where it is seen.
     """
 
     show: ImageKind = "color"
@@ -105,9 +105,9 @@ def draw(source: Source, browser: BrowserFrame, wish: Wish) -> Drawing:
         # The clip's own camera is fitted into its room, a free one fills it.
         room, camera = left, browser.camera(wish.pose, left.width, left.height)
     else:
-        room = fitted(source.size, left)
-        camera = source.path.at(wish.t).resized(room.width, room.height)
-    pose = wish.pose or _seen_whole(browser, camera, wish.size[1])
+        room = fit_box(source.size, left)
+        camera = source.path.at(wish.t).resize(room.width, room.height)
+    pose = wish.pose or _fit_whole_view(browser, camera, wish.size[1])
     if wish.look.stereo:
         for half, side in zip((left, right), _BOTH_EYES, strict=True):
             place(image, render_look(source, camera, wish, side)[0], replace(room, x=room.x + half.x))
@@ -119,11 +119,11 @@ def draw(source: Source, browser: BrowserFrame, wish: Wish) -> Drawing:
     place(image, drawn, room)
     depth[room.rows_and_columns] = distance * browser.from_scene.scale
     if wish.look.compare == "beside":
-        place(image, source.frame(wish.t), fitted(source.size, right))
+        place(image, source.frame(wish.t), fit_box(source.size, right))
     return Drawing(image, np.clip(depth, 0, _FAR), pose)
 
 
-def _seen_whole(browser: BrowserFrame, camera: Camera, height: int) -> Pose:
+def _fit_whole_view(browser: BrowserFrame, camera: Camera, height: int) -> Pose:
     """The pose of a fitted camera, its field of view that of the whole canvas."""
     pose = browser.pose(camera)
     return Pose(pose.wxyz, pose.position, 2 * float(np.arctan(height / 2 / camera.K[1, 1])))
@@ -168,14 +168,14 @@ def render_look(source: Source, camera: Camera, wish: Wish, side: int = 0) -> tu
 
 def _eye(source: Source, camera: Camera, side: int) -> Camera:
     depth = 1 / source.scene.similarity.scale  # the median
-    return shifted(camera, side * RenderOptions.eye_distance / 2 * depth, depth)
+    return shift_camera(camera, side * RenderOptions.eye_distance / 2 * depth, depth)
 
 
 def _next_shot(source: Source, camera: Camera, wish: Wish, side: int) -> tuple[Camera, float]:
     """Where flow leads to: a frame further; a free camera stands still, so that its flow is the motion of the scene alone."""
     t = wish.t + source.step if wish.t + source.step <= source.clip[1] else wish.t - source.step
     if wish.pose is None:
-        camera = source.path.at(t).resized(camera.width, camera.height)
+        camera = source.path.at(t).resize(camera.width, camera.height)
     return _eye(source, camera, side), t
 
 

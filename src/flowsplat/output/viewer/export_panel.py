@@ -21,7 +21,7 @@ from flowsplat.output.viewer.browser_frame import BrowserFrame
 from flowsplat.output.viewer.controls import Controls
 from flowsplat.output.viewer.drawing import Wish, draw_shot
 from flowsplat.output.viewer.keys import CameraKeys
-from flowsplat.output.viewer.layout import Box, empty, fitted, place
+from flowsplat.output.viewer.layout import Box, empty, fit_box, place
 from flowsplat.output.viewer.messages import MOST_UPLOAD
 from flowsplat.output.viewer.notifications import Notifications
 from flowsplat.output.viewer.recording import RECORDINGS, next_file, record_path, take_screenshot
@@ -70,7 +70,7 @@ class ExportPanel:
     def _folder(self) -> Path:
         return self._source.folder / "viewer"
 
-    def _finished(self, path: Path) -> None:
+    def _finish(self, path: Path) -> None:
         """Tell where a file is, and offer it to the browser, which may be on another machine."""
         self._notifications.show("Written", str(path))
         self._client.send_file_download(path.name, path.read_bytes())
@@ -86,12 +86,12 @@ class ExportPanel:
 
     def _take_screenshot(self) -> None:
         session = self._session
-        with self._worker.changed():
+        with self._worker.change():
             assert session.canvas is not None
             pose = None if session.mode == "input camera" else session.pose
             wish = Wish(session.resolution.still(session.canvas), session.clock.at(time.monotonic()), session.look, pose)
         path = next_file(self._folder, "screenshot", ".png")
-        self._begin(take_screenshot(self._source, self._browser, wish, path, self._finished))
+        self._begin(take_screenshot(self._source, self._browser, wish, path, self._finish))
 
     def _camera_here(self) -> Camera:
         """What the client sees, as a camera with the size of the clip."""
@@ -101,7 +101,7 @@ class ExportPanel:
         return self._browser.camera(session.pose, *self._source.size)
 
     def _add_key(self) -> None:
-        with self._worker.changed():
+        with self._worker.change():
             self._keys.add(self._camera_here(), self._session.clock.at(time.monotonic()))
         self._count_keys()
 
@@ -114,9 +114,9 @@ class ExportPanel:
         clock = self._session.clock
         now = clock.at(time.monotonic())
         self._count.content = "Working it out ..."
-        self._begin(self._planning(RenderOptions(paths=(self._ready.value,), slow_motion=1 / clock.speed, bullet_time=now)))
+        self._begin(self._plan(RenderOptions(paths=(self._ready.value,), slow_motion=1 / clock.speed, bullet_time=now)))
 
-    def _planning(self, options: RenderOptions) -> Iterator[None]:
+    def _plan(self, options: RenderOptions) -> Iterator[None]:
         try:
             (plan,) = plan_videos(self._source.loaded.part("all"), self._source.scene, options)
             self._keys = CameraKeys.of_shots(plan.shots, plan.fps)
@@ -139,33 +139,33 @@ class ExportPanel:
 
     def _preview(self) -> None:
         keys = self._require_keys()
-        self._begin(self._playing(keys))
+        self._begin(self._play(keys))
 
-    def _playing(self, keys: CameraKeys) -> Iterator[None]:
+    def _play(self, keys: CameraKeys) -> Iterator[None]:
         session, shot_at, started = self._session, keys.shot_at(), time.monotonic()
-        with self._worker.changed():
+        with self._worker.change():
             session.is_held = True
         try:
             while (passed := time.monotonic() - started) <= keys.seconds:
                 camera, t = shot_at(passed)
-                size = session.resolution.moving((camera.width, camera.height))
+                size = session.resolution.choose_moving_size((camera.width, camera.height))
                 before = time.monotonic()
-                image = draw_shot(self._source, self._browser, camera.resized(*size), t, session.look)
+                image = draw_shot(self._source, self._browser, camera.resize(*size), t, session.look)
                 session.resolution.learn(size, time.monotonic() - before)
-                self._client.scene.set_background_image(self._barred(image), format="jpeg", jpeg_quality=_QUALITY)
+                self._client.scene.set_background_image(self._add_bars(image), format="jpeg", jpeg_quality=_QUALITY)
                 yield
         finally:
-            with self._worker.changed():
+            with self._worker.change():
                 session.is_held = False
                 session.change(time.monotonic())
 
-    def _barred(self, image: np.ndarray) -> np.ndarray:
+    def _add_bars(self, image: np.ndarray) -> np.ndarray:
         """An image with bars, so that it has the shape of the window."""
         height, width = image.shape[:2]
         shape = self._client.camera.image_width / self._client.camera.image_height
         size = (max(width, round(height * shape)), max(height, round(width / shape)))
         canvas = empty(size)
-        place(canvas, image, fitted((width, height), Box(0, 0, *size)))
+        place(canvas, image, fit_box((width, height), Box(0, 0, *size)))
         return canvas
 
     def _record(self) -> None:
@@ -177,7 +177,7 @@ class ExportPanel:
 
         def finished(path: Path) -> None:
             self._count_keys()
-            self._finished(path)
+            self._finish(path)
 
         self._begin(record_path(self._source, self._browser, keys, self._fps, self._session.look, path, tell, finished))
 
@@ -185,7 +185,7 @@ class ExportPanel:
         shots = self._require_keys().shots(self._fps)
         path = next_file(self._folder, "path", ".json")
         write_camera_file(path, shots, self._fps)
-        self._finished(path)
+        self._finish(path)
         distances = [f"{number}={factor:g}" for number, factor in self._session.look.distances]
         options = f"--render.camera-file {path}" + "".join(
             f" {word}" for word in ("--render.object-depth", *distances) if distances

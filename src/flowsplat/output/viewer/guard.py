@@ -2,8 +2,8 @@
 
 Any page in a browser may open a connection to any port of the machine it is shown on; what keeps it from the viewer must be done
 here. viser (1.1) looks neither at ``Origin`` nor at ``Host`` and has no place to do so, but it starts its server with one call of
-``websockets.asyncio.server.serve``: ``guarding`` takes that call's place while a server starts, and ``is_guarded`` asks the server
-that came of it, so that another viser is noticed rather than trusted.
+``websockets.asyncio.server.serve``: ``guard_server`` takes that call's place while a server starts, and ``is_guarded`` asks the
+server that came of it, so that another viser is noticed rather than trusted.
 
 - ``Host`` has to be a name of this machine: a page of another name that has that name resolved to this machine ("DNS rebinding") is
   refused.
@@ -101,7 +101,7 @@ class Guard:
             "X-Content-Type-Options": "nosniff",
             "X-Frame-Options": "DENY",
         }
-        if self.token is not None and self._given(path) is not None:
+        if self.token is not None and self._answer(path) is not None:
             found["Set-Cookie"] = f"{self._cookie}={self.token}; HttpOnly; SameSite=Lax; Path=/"
         return found
 
@@ -121,11 +121,11 @@ class Guard:
         here = socket.gethostname().lower()
         return name in (here, f"{here}.local") or _is_address(name)
 
-    def _given(self, path: str) -> str | None:
+    def _answer(self, path: str) -> str | None:
         return next(iter(parse_qs(urlsplit(path).query).get("token", ())), None)
 
     def _has_token(self, path: str, headers: Any) -> bool:
-        found = [self._given(path)]
+        found = [self._answer(path)]
         for line in headers.get_all("Cookie"):
             with contextlib.suppress(CookieError):
                 cookies = SimpleCookie(line)
@@ -153,7 +153,7 @@ def _is_address(name: str) -> bool:
 
 
 @contextlib.contextmanager
-def guarding(guard: Guard) -> Iterator[None]:
+def guard_server(guard: Guard) -> Iterator[None]:
     """A server that viser starts in this block lets only through what ``guard`` and ``Gate`` admit."""
     from websockets.asyncio import server
 
@@ -171,7 +171,7 @@ def guarding(guard: Guard) -> Iterator[None]:
             return response
 
         async def handle(connection: Any) -> None:
-            connection.recv = Gate().receiving(connection.recv)
+            connection.recv = Gate().wrap_receive(connection.recv)
             await handler(connection)
 
         return plain(handle, *arguments, process_request=admit, **options)

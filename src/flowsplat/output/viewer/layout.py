@@ -26,7 +26,7 @@ class Box:
         return slice(self.y, self.y + self.height), slice(self.x, self.x + self.width)
 
 
-def fitted(size: tuple[int, int], room: Box) -> Box:
+def fit_box(size: tuple[int, int], room: Box) -> Box:
     """The largest box with the shape of ``size`` (width, height) in the middle of ``room``."""
     scale = min(room.width / size[0], room.height / size[1])
     width, height = max(round(size[0] * scale), 1), max(round(size[1] * scale), 1)

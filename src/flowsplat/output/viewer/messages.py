@@ -34,18 +34,18 @@ class Gate:
         self._uploads: dict[str, int] = {}
         """Bytes that are still to come, by transfer."""
 
-    def receiving(self, receive: Receive) -> Receive:
+    def wrap_receive(self, receive: Receive) -> Receive:
         """``receive`` without the messages that are not let through."""
 
         async def checked() -> Any:
             while True:
-                admitted = self.admitted(await receive())
+                admitted = self.admit(await receive())
                 if admitted is not None:
                     return admitted
 
         return checked
 
-    def admitted(self, raw: Any) -> bytes | None:
+    def admit(self, raw: Any) -> bytes | None:
         """A message as it is passed on; None where it is not."""
         if not isinstance(raw, bytes):
             return None

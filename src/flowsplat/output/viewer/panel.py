@@ -14,7 +14,7 @@ from flowsplat.output.viewer.browser_frame import SCENE_DEPTH, BrowserFrame, Pos
 from flowsplat.output.viewer.controls import Control, Controls, as_text
 from flowsplat.output.viewer.drawing import Compare, Drawing, ImageKind, Look
 from flowsplat.output.viewer.export_panel import ExportPanel
-from flowsplat.output.viewer.layout import Box, fitted
+from flowsplat.output.viewer.layout import Box, fit_box
 from flowsplat.output.viewer.notifications import Notifications
 from flowsplat.output.viewer.session import Job, Mode, Session
 from flowsplat.output.viewer.source import Source
@@ -64,10 +64,10 @@ class Panel:
 
     def begin(self) -> None:
         """Stand where the clip begins, and get images from now on."""
-        self._stand(self._input_pose(), _REACH["orbit"])
-        self.client.camera.on_update(self._moved)
+        self._stand(self._find_input_pose(), _REACH["orbit"])
+        self.client.camera.on_update(self._follow_camera)
         self._worker.add(self.client.client_id, self._session, self._show)
-        self._moved(self.client.camera)
+        self._follow_camera(self.client.camera)
 
     def end(self) -> None:
         """Take away what was made for the client: another scene is shown to it."""
@@ -75,7 +75,7 @@ class Panel:
         self.client.gui.reset()
         self.client.scene.reset()
 
-    def reloaded(self) -> None:
+    def reload(self) -> None:
         """There is a newer model."""
         self._status.content = self._state()
         if self._trails.value:
@@ -137,7 +137,7 @@ class Panel:
 
     def _toggle(self) -> None:
         now = time.monotonic()
-        with self._worker.changed():
+        with self._worker.change():
             self._session.clock.play(not self._session.clock.playing, now)
         self._label_play()
 
@@ -149,26 +149,26 @@ class Panel:
 
     def _seek(self) -> None:
         now = time.monotonic()
-        with self._worker.changed():
+        with self._worker.change():
             self._session.clock.set(float(self._time.value), now)
             self._session.change(now)
 
     def _set_speed(self) -> None:
-        with self._worker.changed():
+        with self._worker.change():
             self._session.clock.set_speed(_SPEEDS[self._speed.value], time.monotonic())
 
     def _set_loop(self) -> None:
-        with self._worker.changed():
+        with self._worker.change():
             self._session.clock.loop = self._loop.value
 
     # -- camera
 
-    def _moved(self, camera: viser.CameraHandle) -> None:
+    def _follow_camera(self, camera: viser.CameraHandle) -> None:
         if self._is_over:
             return
         pose = Pose(np.array(camera.wxyz), np.array(camera.position), float(camera.fov))
         stood = self._stood
-        with self._worker.changed():
+        with self._worker.change():
             mode = self._session.mode
             self._session.move(pose, (camera.image_width, camera.image_height), time.monotonic())
         if mode == "input camera" and stood is not None and np.abs(pose.position - stood.position).max() > 1e-3:
@@ -185,20 +185,20 @@ class Panel:
             camera.look_at = pose.position + pose.forward * reach
             camera.fov = pose.fov
 
-    def _input_pose(self) -> Pose:
+    def _find_input_pose(self) -> Pose:
         """The input camera at this time, all of its image inside the window."""
         shown = self._source.path.at(self._session.clock.at(time.monotonic()))
         canvas = (self.client.camera.image_width, self.client.camera.image_height)
-        box = fitted(self._source.size, Box(0, 0, *canvas))
+        box = fit_box(self._source.size, Box(0, 0, *canvas))
         pose = self._browser.pose(shown)
         return Pose(pose.wxyz, pose.position, 2 * float(np.arctan(np.tan(pose.fov / 2) * canvas[1] / box.height)))
 
     def _go_home(self) -> None:
-        self._stand(self._input_pose(), _REACH.get(self._session.mode, SCENE_DEPTH))
+        self._stand(self._find_input_pose(), _REACH.get(self._session.mode, SCENE_DEPTH))
 
     def _set_mode(self) -> None:
         mode: Mode = self._mode.value
-        with self._worker.changed():
+        with self._worker.change():
             self._session.mode = mode
             self._session.change(time.monotonic())
         if mode != "input camera":
@@ -206,7 +206,7 @@ class Panel:
             here = Pose(np.array(camera.wxyz), np.array(camera.position), float(camera.fov))
             self._stand(here, _REACH[mode])
             if self._session.look.compare == "wipe":
-                _put(self._compare, "off")
+                _set_value(self._compare, "off")
                 self._set_look()
 
     # -- image
@@ -221,9 +221,9 @@ class Panel:
         self._wipe.visible = look.compare == "wipe"
         if look.compare == "wipe" and self._mode.value != "input camera":
             # A frame can only lie over what was seen from the same place.
-            _put(self._mode, "input camera")
+            _set_value(self._mode, "input camera")
             self._set_mode()
-        with self._worker.changed():
+        with self._worker.change():
             self._session.look = look
             self._session.change(time.monotonic())
         if are_moved and self._trails.value:
@@ -231,7 +231,7 @@ class Panel:
 
     def _reset_distances(self) -> None:
         for slider in self._distances.values():
-            _put(slider, 1.0)
+            _set_value(slider, 1.0)
         self._set_look()
 
     def _show(self, job: Job, drawing: Drawing) -> None:
@@ -242,7 +242,7 @@ class Panel:
         self.client.scene.set_background_image(drawing.image, format="jpeg", jpeg_quality=quality, depth=depth)
         if job.wish.pose is None:
             self._stand(drawing.pose, _REACH["orbit"])
-        _put(self._time, float(np.clip(round(job.wish.t, 3), *self._source.clip)))
+        _set_value(self._time, float(np.clip(round(job.wish.t, 3), *self._source.clip)))
         self._label_play()
 
     # -- drawn by the browser
@@ -285,10 +285,10 @@ class Panel:
         self._redraw()
 
     def _redraw(self) -> None:
-        with self._worker.changed():
+        with self._worker.change():
             self._session.change(time.monotonic())
 
 
-def _put(control: Any, value: Any) -> None:
+def _set_value(control: Any, value: Any) -> None:
     """Set the value of a control (viser's types call it read-only)."""
     control.value = value

@@ -18,13 +18,13 @@ class AdaptiveResolution:
 
     def still(self, canvas: tuple[int, int]) -> tuple[int, int]:
         """(width, height) of a still image for a canvas of that size."""
-        return _scaled(canvas, min(1.0, self._largest / max(canvas)))
+        return _scale(canvas, min(1.0, self._largest / max(canvas)))
 
-    def moving(self, canvas: tuple[int, int]) -> tuple[int, int]:
+    def choose_moving_size(self, canvas: tuple[int, int]) -> tuple[int, int]:
         """(width, height) of an image that is fluent; never more than a still one."""
         width, height = self.still(canvas)
         scale = min((self._pixels / (width * height)) ** 0.5, 1.0)
-        return _scaled((width, height), max(scale, min(_SMALLEST / max(width, height), 1.0)))
+        return _scale((width, height), max(scale, min(_SMALLEST / max(width, height), 1.0)))
 
     def learn(self, size: tuple[int, int], seconds: float) -> None:
         """A moving image of that size took so long."""
@@ -33,5 +33,5 @@ class AdaptiveResolution:
         self._pixels = (self._pixels * wish) ** 0.5
 
 
-def _scaled(size: tuple[int, int], scale: float) -> tuple[int, int]:
+def _scale(size: tuple[int, int], scale: float) -> tuple[int, int]:
     return max(round(size[0] * scale), 1), max(round(size[1] * scale), 1)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from flowsplat.common.devices import pick_device
 from flowsplat.common.errors import InputError
 from flowsplat.common.progress import report
-from flowsplat.output.viewer.guard import LOOPBACK, WILDCARDS, Guard, guarding, is_guarded
+from flowsplat.output.viewer.guard import LOOPBACK, WILDCARDS, Guard, guard_server, is_guarded
 from flowsplat.output.viewer.options import ViewOptions
 from flowsplat.output.viewer.source import Source
 from flowsplat.output.viewer.worker import Worker
@@ -50,7 +50,7 @@ class Viewer:
         self._server = _serve(options, self.guard)
         self._panels: dict[int, Panel] = {}
         self._lock = threading.Lock()
-        self.worker = Worker(self.source, self._reloaded)
+        self.worker = Worker(self.source, self._reload)
         self._server.on_client_connect(self._connect)
         self._server.on_client_disconnect(self._disconnect)
         self.worker.start()
@@ -80,12 +80,12 @@ class Viewer:
             self._panels.pop(client.client_id, None)
         self.worker.remove(client.client_id)
 
-    def _reloaded(self) -> None:
+    def _reload(self) -> None:
         with self._lock:
             panels = list(self._panels.values())
         for panel in panels:
             if panel.scene is self.source.scene:
-                panel.reloaded()
+                panel.reload()
             elif self._panels.get(panel.client.client_id) is panel:  # Others have left meanwhile.
                 self._begin_anew(panel)
 
@@ -136,7 +136,7 @@ def _serve(options: ViewOptions, guard: Guard) -> viser.ViserServer:
 
     # A browser may be closed while an image is on its way to it.
     warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")
-    with _quiet(), guarding(guard):
+    with _quiet(), guard_server(guard):
         server = viser.ViserServer(host=options.host, port=options.port, label="flowsplat", verbose=False)
     if server.get_port() != options.port:
         server.stop()

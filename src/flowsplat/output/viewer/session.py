@@ -70,14 +70,14 @@ class Session:
                 return None
             if not is_still and now - self._drawn_at < 1 / _MOST_FPS:
                 return None
-        size = self.resolution.still(self.canvas) if is_still else self.resolution.moving(self.canvas)
+        size = self.resolution.still(self.canvas) if is_still else self.resolution.choose_moving_size(self.canvas)
         return Job(Wish(size, t, self.look, None if self.mode == "input camera" else self.pose), is_still, version)
 
     def is_restless(self, now: float) -> bool:
         """Whether it will need an image soon without anything more being changed."""
         return self.clock.playing or now - self._changed < 2 * _SETTLE
 
-    def done(self, job: Job, now: float, seconds: float) -> None:
+    def finish_image(self, job: Job, now: float, seconds: float) -> None:
         """An image was made, and took so long."""
         self._drawn, self._drawn_at = (job.version, job.wish.t, job.is_still), now
         if not job.is_still:

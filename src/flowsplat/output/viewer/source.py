@@ -1,6 +1,6 @@
 """What is looked at: the newest model of a run, trained or still in training, and the scene that it was trained on.
 
-Until training has a checkpoint this is the coarse first scene of the run, where there is one: another scene, with cameras and times
+Until training has a checkpoint this is the coarse scene of the run, where there is one: another scene, with cameras and times
 of its own.
 """
 
@@ -53,7 +53,7 @@ class Source:
         """Open a run; ``device``: where its models are rendered.
 
         Raises:
-            InputError: it is none, or has neither a model nor a checkpoint nor a first scene yet.
+            InputError: it is none, or has neither a model nor a checkpoint nor a coarse scene yet.
         """
         self.folder, self._device, self._run = Path(folder), device, RunPaths(folder)
         if not self._run.record_path.exists():
@@ -110,12 +110,12 @@ class Source:
         A training that begins removes the model that was there, so a model is never older than a checkpoint beside it; the clock
         may have been set between the two.
         """
-        run, first = self._run, self._run.first
-        trained = run.final_path if has_model(run.final_path) else run.model_path
+        run, coarse = self._run, self._run.coarse
+        trained = run.all_frames_path if has_model(run.all_frames_path) else run.model_path
         for path, place, read in (
             (trained / "model.json", run.scene_path, partial(_read_model, trained, "trained")),
             (run.training_path / "latest.json", run.scene_path, self._read_checkpoint),
-            (first.model_path / "model.json", first.scene_path, partial(_read_model, first.model_path, "a coarse first scene")),
+            (coarse.model_path / "model.json", coarse.scene_path, partial(_read_model, coarse.model_path, "a coarse scene")),
         ):
             with contextlib.suppress(OSError):
                 return (str(path), path.stat().st_mtime_ns), place, read

@@ -33,7 +33,7 @@ def trails(model: SceneModel) -> tuple[np.ndarray, np.ndarray]:
     means = [state.means for state in states]
     if model.distances is not None:
         object_ids = gaussians.object_ids[rows]
-        means = [model.distances.moved(here, object_ids, t) for here, t in zip(means, times, strict=True)]
+        means = [model.distances.move(here, object_ids, t) for here, t in zip(means, times, strict=True)]
     places = torch.stack(means).cpu().numpy().astype(np.float64)
     present = torch.stack([state.presence for state in states]).cpu().numpy() >= gaussians.config.p_min
     ends = model.similarity.inverse().points(np.stack([places[:-1], places[1:]], axis=2))

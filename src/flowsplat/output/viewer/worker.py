@@ -29,7 +29,7 @@ _ACTIVE, _IDLE = 0.015, 0.25
 
 
 class Worker:
-    """Renders for sessions until it is stopped. ``lock`` guards the sessions; leave it with ``changed``."""
+    """Renders for sessions until it is stopped. ``lock`` guards the sessions; leave it with ``change``."""
 
     def __init__(self, source: Source, reloaded: Callable[[], None] = lambda: None):
         """``reloaded`` is called after a newer model was read."""
@@ -56,7 +56,7 @@ class Worker:
             self._thread.join(timeout=30)
 
     @contextlib.contextmanager
-    def changed(self) -> Iterator[None]:
+    def change(self) -> Iterator[None]:
         """Change sessions in this block; the worker looks at them afterwards."""
         with self._condition:
             yield
@@ -64,13 +64,13 @@ class Worker:
 
     def add(self, client: int, session: Session, show: SendImage) -> None:
         """A client is there."""
-        with self.changed():
+        with self.change():
             self._sessions[client] = (session, show)
             self._turns.append(client)
 
     def remove(self, client: int) -> None:
         """A client left, and with it what it had begun."""
-        with self.changed():
+        with self.change():
             self._sessions.pop(client, None)
             if client in self._turns:
                 self._turns.remove(client)
@@ -81,7 +81,7 @@ class Worker:
 
     def begin(self, client: int, task: Iterator[None]) -> None:
         """Take on a task of a client: it may render between two of its ``yield``."""
-        with self.changed():
+        with self.change():
             self._tasks.append((client, task))
 
     # -- in the worker's thread
@@ -129,14 +129,14 @@ class Worker:
         try:
             drawing = draw(self._source, self._browser, job.wish)
             with self._condition:
-                session.done(job, time.monotonic(), time.monotonic() - started)
+                session.finish_image(job, time.monotonic(), time.monotonic() - started)
                 if client not in self._sessions:
                     return
             show(job, drawing)
         except Exception as error:  # One client's bad luck must not end the viewer for the others.
             report(f"An image could not be made: {type(error).__name__}: {error}")
             with self._condition:
-                session.done(job, time.monotonic(), time.monotonic() - started)
+                session.finish_image(job, time.monotonic(), time.monotonic() - started)
 
     def _advance(self) -> bool:
         """One step of the task whose turn it is; False where there is none."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 
-def packed(images: np.ndarray, marked: np.ndarray) -> np.ndarray:
+def pack(images: np.ndarray, marked: np.ndarray) -> np.ndarray:
     """Red, green, blue [J, H, W, 3] uint8 and a mark [J, H, W] bool, from the lowest byte on, as the bits of float32 [J, H, W]."""
     bytes_of = np.empty((*marked.shape, 4), np.uint8)
     bytes_of[..., :3], bytes_of[..., 3] = images, marked

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from flowsplat.common.kernels import helper, inlined, kernel
+from flowsplat.common.kernels import helper, inline, kernel
 from flowsplat.common.simd import (
     LANES,
     broadcast,
@@ -31,9 +31,9 @@ from flowsplat.common.simd import (
     where_at_least,
     whole,
 )
-from flowsplat.common.threads import computed_once, parallel_for
+from flowsplat.common.threads import compute_once, parallel_for
 from flowsplat.geometry import Camera
-from flowsplat.priors.background.bits import packed
+from flowsplat.priors.background.bits import pack
 from flowsplat.priors.background.matched_clip import MatchedClip
 
 OFFSETS = (-16, -8, -4, 4, 8, 16)
@@ -72,7 +72,7 @@ class View:
         """Of an image [H, W, 3] uint8 and what moves in it [H, W] bool."""
         gray = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float32)
         across, down = cv2.Sobel(gray, cv2.CV_32F, 1, 0) / 4, cv2.Sobel(gray, cv2.CV_32F, 0, 1) / 4
-        return View(packed(image[None], moving[None])[0], np.hypot(across, down))
+        return View(pack(image[None], moving[None])[0], np.hypot(across, down))
 
     @property
     def features(self) -> np.ndarray:
@@ -112,7 +112,7 @@ def refine_edges(
         near = cv2.dilate(asked.astype(np.uint8), np.ones((2 * WINDOW + 1, 2 * WINDOW + 1), np.uint8)) > 0
         every = np.stack(proposed)
         costs = _costs(every, near, image, words, slopes, intrinsics, poses)
-        inverse = _chosen(every, costs, asked, image)
+        inverse = _choose_proposals(every, costs, asked, image)
     return inverse
 
 
@@ -121,7 +121,7 @@ class EdgeRefiner:
 
     def __init__(self, clip: MatchedClip, has_masks: bool, room: int):
         self._clip, self._has_masks = clip, has_masks
-        self._seen = computed_once(self._see, 2 * OFFSETS[-1] + room)
+        self._seen = compute_once(self._see, 2 * OFFSETS[-1] + room)
 
     def __call__(self, k: int, inverse: np.ndarray, doubted: np.ndarray | None = None) -> np.ndarray:
         """Inverse depth [H, W] float32 of training frame k at full size, with its jumps where the images have them.
@@ -144,8 +144,8 @@ class EdgeRefiner:
         return View.of(scene.frame(i), near), moving
 
 
-@inlined
-def _mixed(corners, shift, a00, a01, a10, a11):
+@inline
+def _mix(corners, shift, a00, a01, a10, a11):
     """A byte of four words, bilinear."""
     p, q, s, t = corners
     return a00 * byte_of(p, shift) + a01 * byte_of(q, shift) + a10 * byte_of(s, shift) + a11 * byte_of(t, shift)
@@ -241,9 +241,9 @@ def _costs_of_rows(
                     said = said + holds
                     a, b = u - c, v - row
                     a00, a01, a10, a11 = (one - a) * (one - b), a * (one - b), (one - a) * b, a * b
-                    off = magnitude(_mixed(corners, 0, a00, a01, a10, a11) - red)
-                    off = off + magnitude(_mixed(corners, 8, a00, a01, a10, a11) - green)
-                    off = off + magnitude(_mixed(corners, 16, a00, a01, a10, a11) - blue)
+                    off = magnitude(_mix(corners, 0, a00, a01, a10, a11) - red)
+                    off = off + magnitude(_mix(corners, 8, a00, a01, a10, a11) - green)
+                    off = off + magnitude(_mix(corners, 16, a00, a01, a10, a11) - blue)
                     there = a00 * gather(slopes, start, W, c, row) + a01 * gather(slopes, start + 1, W, c, row)
                     there = there + a10 * gather(slopes, below, W, c, row) + a11 * gather(slopes, below + 1, W, c, row)
                     total = half * minimum(off, broadcast(most)) + minimum(magnitude(there - slope), broadcast(steepest))
@@ -276,7 +276,7 @@ def _row_size(width: int) -> int:
     return (width + 1) // 2 + LANES + 2 * _MARGIN
 
 
-def _chosen(proposed: np.ndarray, costs: np.ndarray, asked: np.ndarray, image: np.ndarray) -> np.ndarray:
+def _choose_proposals(proposed: np.ndarray, costs: np.ndarray, asked: np.ndarray, image: np.ndarray) -> np.ndarray:
     """[H, W] the proposal of the least cost around each pixel, by pixels that look like it; the first where none is asked for."""
     voters = np.zeros((3, *costs.shape[1:]), np.float32)  # the colors of the pixels that vote, as their costs lie
     for parity in range(2):

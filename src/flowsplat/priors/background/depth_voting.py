@@ -14,7 +14,7 @@ from flowsplat.common.kernels import kernel
 from flowsplat.common.simd import LANES, broadcast, load, magnitude, maximum, store, where_above, where_at_least
 from flowsplat.common.threads import parallel_for
 from flowsplat.geometry import Camera
-from flowsplat.priors.background.reprojection import carried
+from flowsplat.priors.background.reprojection import reproject
 
 SAME = 0.02
 """Share of the inverse depth by which two values of one surface differ at most."""
@@ -24,7 +24,7 @@ OWN = 1.5
 """Votes of the frame itself, a little more than that of any other."""
 
 
-def agreed(
+def vote_on_depth(
     inverse: np.ndarray, still: np.ndarray, camera: Camera, others: Sequence[tuple[np.ndarray, np.ndarray, Camera]]
 ) -> tuple[np.ndarray, np.ndarray]:
     """What most frames say of the inverse depth of each pixel.
@@ -41,7 +41,7 @@ def agreed(
     """
     values = [inverse]
     for other, asked, there in others:
-        values.append(carried(other, asked.astype(np.float32), there, camera)[0])
+        values.append(reproject(other, asked.astype(np.float32), there, camera)[0])
     stacked, voted, share = np.stack(values), np.empty(inverse.shape, np.float32), np.empty(inverse.shape, np.float32)
     parallel_for(_vote, len(inverse), stacked, voted, share)
     return np.where(still, voted, inverse), np.where(still, share, np.float32(1))

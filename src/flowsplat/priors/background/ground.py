@@ -72,7 +72,7 @@ class Ground:
         Where it was not, the plane goes on, if most of what faces up lies on it (``PLANE_SHARE``); inf elsewhere and above the
         horizon.
         """
-        seen = self._seen_depth(camera, pixels)
+        seen = self._compute_depth(camera, pixels)
         known = np.isfinite(seen)
         if self.share < PLANE_SHARE or known.all():
             return seen, known
@@ -82,7 +82,7 @@ class Ground:
             plane = np.where((fall < -1e-6) & (above > 0), -above / fall, np.inf)
         return np.where(known, seen, plane), known
 
-    def _seen_depth(self, camera: Camera, pixels: np.ndarray) -> np.ndarray:
+    def _compute_depth(self, camera: Camera, pixels: np.ndarray) -> np.ndarray:
         origin, rays = camera.center, camera.unproject(pixels, np.ones(len(pixels))) - camera.center
         result = np.full(len(pixels), np.inf)
         if len(pixels) == 0:
@@ -165,10 +165,10 @@ def find_ground(
     axes[1] *= np.sign(np.cross(axes[0], axes[1]) @ normal)
     origin = normal * offset
     kept = points[upward & (points @ normal < min(float(c.center @ normal) for c in cameras))]
-    return _mapped(kept, normal, share, origin, axes, CELL * float(np.median(depths[upward])))
+    return _build_map(kept, normal, share, origin, axes, CELL * float(np.median(depths[upward])))
 
 
-def _mapped(
+def _build_map(
     points: np.ndarray, normal: np.ndarray, share: float, origin: np.ndarray, axes: np.ndarray, cell: float
 ) -> Ground | None:
     """The map of the points [N, 3] that face up."""
@@ -188,13 +188,13 @@ def _mapped(
     cells, first, counts = np.unique(flat, return_index=True, return_counts=True)
     grid = np.full(shape[0] * shape[1], np.nan, np.float32)
     grid[cells] = values[first + (counts * LOWEST) // 100]
-    grid = _evened(grid.reshape(shape))
+    grid = _smooth(grid.reshape(shape))
     away, nearest = distance_transform_edt(np.isnan(grid), return_indices=True)
     grid = np.where(away <= REACH, grid[tuple(nearest)], np.nan)
     return Ground(normal, share, origin, axes, corner, cell, grid.astype(np.float32))
 
 
-def _evened(grid: np.ndarray) -> np.ndarray:
+def _smooth(grid: np.ndarray) -> np.ndarray:
     """The median of each known cell and its known neighbors; a cell alone is dropped."""
     padded = np.pad(grid, 1, constant_values=np.nan)
     around = np.stack([padded[y : y + grid.shape[0], x : x + grid.shape[1]] for y in range(3) for x in range(3)])

@@ -16,7 +16,7 @@ STRIDES = (1, 2, 4, 8, 16)
 """Steps between training frames, each twice the one before."""
 
 
-def working_size(scene: Scene) -> tuple[int, int]:
+def compute_working_size(scene: Scene) -> tuple[int, int]:
     """(width, height) of half the resolution, at which depth and motion are solved."""
     return max(8, scene.width // 2), max(8, scene.height // 2)
 
@@ -30,7 +30,7 @@ class LongFlows:
 
     def __init__(self, scene: Scene, continuity: Continuity, estimate: FlowEstimator = dis_estimator):
         self._scene, self._continuity, self._estimate = scene, continuity, estimate
-        self._width, self._height = working_size(scene)
+        self._width, self._height = compute_working_size(scene)
         self._flows: dict[tuple[int, int], np.ndarray] = {}
         self._frames: dict[int, np.ndarray] = {}
         self._turns: defaultdict[tuple[int, int], threading.Lock] = defaultdict(threading.Lock)
@@ -39,7 +39,7 @@ class LongFlows:
         """The positions one, two, four, eight and sixteen steps before and after ``k`` that can be matched with it."""
         count = len(self._scene.train_frames)
         around = [j for stride in STRIDES for j in (k - stride, k + stride) if 0 <= j < count]
-        return [j for j in around if self._continuity.joined(k, j)]
+        return [j for j in around if self._continuity.are_joined(k, j)]
 
     def forget(self, before: int) -> None:
         """Drop what no frame from position ``before`` on needs."""
@@ -61,18 +61,18 @@ class LongFlows:
     def _flow(self, a: int, b: int) -> np.ndarray:
         with self._turns[a, b]:  # What another thread computes is waited for. Halves are shorter, so none waits for itself.
             if (a, b) not in self._flows:
-                self._flows[a, b] = self._found(a, b)
+                self._flows[a, b] = self._compute_flow(a, b)
             return self._flows[a, b]
 
-    def _found(self, a: int, b: int) -> np.ndarray:
+    def _compute_flow(self, a: int, b: int) -> np.ndarray:
         if abs(a - b) == 1:
             frames = self._scene.train_frames
             flow = self._scene.flow(frames[a], frames[b]).flow
         else:
             half = (a + b) // 2
-            guess = self._resized(compose(self._flow(a, half), self._flow(half, b)), self._scene.width, self._scene.height)
+            guess = self._resize(compose(self._flow(a, half), self._flow(half, b)), self._scene.width, self._scene.height)
             flow = self._estimate(self._frame(a), self._frame(b), guess)
-        return self._resized(flow, self._width, self._height)
+        return self._resize(flow, self._width, self._height)
 
     def _frame(self, k: int) -> np.ndarray:
         if k not in self._frames:
@@ -80,7 +80,7 @@ class LongFlows:
         return self._frames[k]
 
     @staticmethod
-    def _resized(flow: np.ndarray, width: int, height: int) -> np.ndarray:
+    def _resize(flow: np.ndarray, width: int, height: int) -> np.ndarray:
         """The same flow on another grid, in the pixels of that grid."""
         old_height, old_width = flow.shape[:2]
         method = cv2.INTER_AREA if width < old_width else cv2.INTER_LINEAR

@@ -15,7 +15,7 @@ from flowsplat.common.files import read_npz, write_npz
 from flowsplat.common.progress import track
 from flowsplat.common.threads import in_threads, thread_count
 from flowsplat.geometry import Camera
-from flowsplat.priors.background.longflow import LongFlows, working_size
+from flowsplat.priors.background.longflow import LongFlows, compute_working_size
 from flowsplat.priors.background.multiview import MultiView, solve_multiview
 from flowsplat.priors.continuity import Continuity
 from flowsplat.priors.flow import FlowEstimator, dis_estimator
@@ -56,8 +56,8 @@ class MatchedClip:
             estimate: finds the flow between frames that are no neighbors.
         """
         self.scene = scene
-        self.width, self.height = working_size(scene)
-        self.cameras: list[Camera] = [scene.cameras[i].resized(self.width, self.height) for i in scene.train_frames]
+        self.width, self.height = compute_working_size(scene)
+        self.cameras: list[Camera] = [scene.cameras[i].resize(self.width, self.height) for i in scene.train_frames]
         self.continuity = Continuity(scene)
         # Other cameras or other flow make another solution, which must not be mixed with this one.
         flow = str((scene.prior("flow") or {}).get("method"))

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flowsplat.common.kernels import inlined, kernel
+from flowsplat.common.kernels import inline, kernel
 from flowsplat.common.threads import parallel_for
 from flowsplat.geometry import Camera
 from flowsplat.priors.flow import lengths
@@ -105,7 +105,7 @@ def _motion(errors: np.ndarray, weights: np.ndarray, lengths: np.ndarray) -> np.
     return total / count
 
 
-@inlined
+@inline
 def _project(A: np.ndarray, B: np.ndarray, w: np.float32, K: np.ndarray) -> tuple[np.float32, np.float32, np.float32]:
     """Pixel (u, v) and depth of A + w B in a camera with fx, fy, cx, cy = K."""
     z = max(A[2] + w * B[2], np.float32(1e-4))

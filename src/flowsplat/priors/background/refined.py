@@ -8,10 +8,10 @@ from functools import partial
 import cv2
 import numpy as np
 
-from flowsplat.common.threads import computed_once
+from flowsplat.common.threads import compute_once
 from flowsplat.geometry import Camera
 from flowsplat.priors.background.depth_edge_refinement import EdgeRefiner
-from flowsplat.priors.background.depth_voting import agreed
+from flowsplat.priors.background.depth_voting import vote_on_depth
 from flowsplat.priors.background.fill import upsample
 from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.static_depth import StaticDepth
@@ -34,14 +34,14 @@ class RefinedDepth:
     def __init__(self, clip: MatchedClip, background: StaticDepth, has_masks: bool):
         self._clip, self._background, self._has_masks = clip, background, has_masks
         self._edges = EdgeRefiner(clip, has_masks, ROUNDS * (VOTERS[-1] + 4))
-        self._moving = computed_once(self._find_moving, 2 * VOTERS[-1] + 4)
+        self._moving = compute_once(self._find_moving, 2 * VOTERS[-1] + 4)
         depth: Callable[[int], Planes] = self._coarse
         self._rounds: list[Callable[[int], Planes]] = []
         for n in range(ROUNDS if clip.has_parallax else 0):
             # The first frame of a later round asks for frames ahead that ask for frames ahead of theirs.
             kept = 2 * (ROUNDS - n) * VOTERS[-1] + 4
-            self._rounds.append(computed_once(self._sharpened(depth, first=n == 0), kept))
-            depth = computed_once(self._agreed(self._rounds[n]), kept)
+            self._rounds.append(compute_once(self._sharpen(depth, first=n == 0), kept))
+            depth = compute_once(self._vote(self._rounds[n]), kept)
         self._depth = depth
 
     def __call__(self, k: int) -> Planes:
@@ -62,7 +62,7 @@ class RefinedDepth:
 
     def _coarse(self, k: int) -> Planes:
         scene = self._clip.scene
-        frame, (inverse, weight) = scene.frame(scene.train_frames[k]), self._background.filled(k)
+        frame, (inverse, weight) = scene.frame(scene.train_frames[k]), self._background.fill(k)
         if self._has_masks:
             hidden = self._clip.mask(k) > 0
             inverse = np.where(hidden, self._background.plate(k), inverse) if hidden.any() else inverse
@@ -70,7 +70,7 @@ class RefinedDepth:
         smooth = upsample(weight.astype(np.float32), np.zeros_like(frame), *size)
         return upsample(inverse, frame, *size), np.maximum(smooth, 0), np.ones_like(smooth)
 
-    def _sharpened(self, depth: Callable[[int], Planes], first: bool) -> Callable[[int], Planes]:
+    def _sharpen(self, depth: Callable[[int], Planes], first: bool) -> Callable[[int], Planes]:
         around = np.ones((2 * BESIDE + 1, 2 * BESIDE + 1), np.uint8)
 
         def doubted(share: np.ndarray) -> np.ndarray | None:
@@ -82,12 +82,12 @@ class RefinedDepth:
 
         return sharpened
 
-    def _agreed(self, depth: Callable[[int], Planes]) -> Callable[[int], Planes]:
+    def _vote(self, depth: Callable[[int], Planes]) -> Callable[[int], Planes]:
         def agreed_upon(k: int) -> Planes:
             clip, (inverse, weight, _) = self._clip, depth(k)
             near = [j for offset in VOTERS for j in (k - offset, k + offset) if 0 <= j < len(clip)]
             others = [(depth(j)[0], ~self._moving(j)[1], self._camera(j)) for j in near if clip.continuity.same_piece(k, j)]
-            inverse, share = agreed(inverse, ~self._moving(k)[0], self._camera(k), others)
+            inverse, share = vote_on_depth(inverse, ~self._moving(k)[0], self._camera(k), others)
             return inverse, weight, share
 
         return agreed_upon

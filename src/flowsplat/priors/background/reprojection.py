@@ -31,7 +31,7 @@ def uncover(
     return np.where(better, found, inverse_depth), np.where(better, found_weight, weight)
 
 
-def carried(inverse_depth: np.ndarray, weight: np.ndarray, camera: Camera, to: Camera) -> tuple[np.ndarray, np.ndarray]:
+def reproject(inverse_depth: np.ndarray, weight: np.ndarray, camera: Camera, to: Camera) -> tuple[np.ndarray, np.ndarray]:
     """Inverse depth and weight, each [h, w], as another camera sees them, 0 where it sees none; the nearest point wins."""
     found, found_weight = np.zeros_like(inverse_depth), np.zeros_like(weight)
     _carry(inverse_depth, weight, camera, to, found, found_weight)

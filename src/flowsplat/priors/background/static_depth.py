@@ -8,12 +8,12 @@ import cv2
 import numpy as np
 
 from flowsplat.common.spread import spread
-from flowsplat.common.threads import computed_once
+from flowsplat.common.threads import compute_once
 from flowsplat.geometry import Camera
 from flowsplat.priors.background.fill import fill
 from flowsplat.priors.background.fuse import fuse
 from flowsplat.priors.background.matched_clip import MatchedClip
-from flowsplat.priors.background.reprojection import carried, uncover
+from flowsplat.priors.background.reprojection import reproject, uncover
 
 FUSED_WITH = (2, 4, 8, 16)
 """Training frames before and after, whose depth is fused with a frame's own."""
@@ -55,15 +55,15 @@ class StaticDepth(Protocol):
         """Inverse depth [h, w] of the static scene, also behind objects, whose own edges play no part in it."""
         ...
 
-    def foremost(self, k: int) -> np.ndarray:
+    def compute_foremost(self, k: int) -> np.ndarray:
         """Inverse depth [h, w] before which every object stands: the plate's, or what two other frames are sure of there."""
         ...
 
-    def witnessed(self, k: int) -> np.ndarray:
+    def compute_confirmed(self, k: int) -> np.ndarray:
         """Inverse depth [h, w] that two other frames are sure of, the second nearest; 0 where no two are."""
         ...
 
-    def filled(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+    def fill(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         """(inverse depth, weight) of the static scene, each [h, w]: along the image's edges where nothing is known."""
         ...
 
@@ -81,23 +81,23 @@ class Guess:
     """A clip without parallax: a ground that comes nearer towards the bottom of the image."""
 
     def __init__(self, clip: MatchedClip):
-        self.median = unseen_inverse(clip)
-        self._plate = ground(clip.height, clip.width, self.median)
+        self.median = compute_far_inverse(clip)
+        self._plate = guess_ground(clip.height, clip.width, self.median)
 
     def plate(self, k: int) -> np.ndarray:
         """As ``StaticDepth.plate``."""
         return self._plate
 
-    def foremost(self, k: int) -> np.ndarray:
-        """As ``StaticDepth.foremost``."""
+    def compute_foremost(self, k: int) -> np.ndarray:
+        """As ``StaticDepth.compute_foremost``."""
         return self._plate
 
-    def witnessed(self, k: int) -> np.ndarray:
-        """As ``StaticDepth.witnessed``: nothing is sure."""
+    def compute_confirmed(self, k: int) -> np.ndarray:
+        """As ``StaticDepth.compute_confirmed``: nothing is sure."""
         return np.zeros_like(self._plate)
 
-    def filled(self, k: int) -> tuple[np.ndarray, np.ndarray]:
-        """As ``StaticDepth.filled``: a little trusted everywhere."""
+    def fill(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """As ``StaticDepth.fill``: a little trusted everywhere."""
         return self._plate, np.full_like(self._plate, GUESS_WEIGHT)
 
     def behind(self, k: int) -> np.ndarray:
@@ -112,7 +112,7 @@ def camera_reach(clip: MatchedClip) -> float:
     return float(np.linalg.norm(centers - centers[first], axis=1).max())
 
 
-def unseen_inverse(clip: MatchedClip) -> float:
+def compute_far_inverse(clip: MatchedClip) -> float:
     """Inverse depth at which what little the cameras of a piece move shifts nothing by more than about a pixel; 1 at most."""
     return 1 / max(camera_reach(clip) * float(clip.cameras[0].K[0, 0]), 1.0)
 
@@ -123,12 +123,12 @@ class Background:
     def __init__(self, clip: MatchedClip, has_masks: bool):
         self.median = clip.median
         self._clip, self._has_masks = clip, has_masks
-        self._own = computed_once(self._weighed, 2 * FUSED_WITH[-1] + 4)
-        self._uncovered = computed_once(self._uncover, 8)
+        self._own = compute_once(self._weigh, 2 * FUSED_WITH[-1] + 4)
+        self._uncovered = compute_once(self._uncover, 8)
         # Objects are placed, and then drawn, on two walks over the clip.
-        self._plates = computed_once(self._plate, len(clip))
-        self._witnessed = computed_once(self._witness, len(clip))
-        self._fused = computed_once(self._fuse, _KEPT)
+        self._plates = compute_once(self._plate, len(clip))
+        self._witnessed = compute_once(self._witness, len(clip))
+        self._fused = compute_once(self._fuse, _KEPT)
 
     def mask(self, k: int) -> np.ndarray:
         """Object numbers [h, w]; all 0 where there are no masks yet."""
@@ -140,52 +140,52 @@ class Background:
         """As ``StaticDepth.plate``: known pixels, those of other frames too, and between them the smoothest surface."""
         return self._plates(k)
 
-    def foremost(self, k: int) -> np.ndarray:
-        """As ``StaticDepth.foremost``: the second nearest that frames from all over the piece are sure of."""
-        return np.maximum(self.plate(k), self.witnessed(k))
+    def compute_foremost(self, k: int) -> np.ndarray:
+        """As ``StaticDepth.compute_foremost``: the second nearest that frames from all over the piece are sure of."""
+        return np.maximum(self.plate(k), self.compute_confirmed(k))
 
-    def witnessed(self, k: int) -> np.ndarray:
-        """As ``StaticDepth.witnessed``."""
+    def compute_confirmed(self, k: int) -> np.ndarray:
+        """As ``StaticDepth.compute_confirmed``."""
         return self._witnessed(k)
 
     def _witness(self, k: int) -> np.ndarray:
         piece = [j for j in range(len(self._clip)) if self._clip.continuity.same_piece(k, j)]
         first, second = np.zeros((2, self._clip.height, self._clip.width), np.float32)
         for j in sorted({piece[n] for n in spread(len(piece), WITNESSES)} - {k}):
-            seen, _ = carried(*self.sure(j), self._clip.cameras[k])
+            seen, _ = reproject(*self.sure(j), self._clip.cameras[k])
             first, second = np.maximum(first, seen), np.maximum(second, np.minimum(first, seen))
         return second
 
-    def filled(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+    def fill(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         """(inverse depth, weight) of the static scene, each [h, w]: along the image's edges where nothing is known."""
         values, weights = self._uncovered(k)
-        if _unknown(weights):
-            return ground(self._clip.height, self._clip.width, self._clip.median), np.zeros_like(weights)
+        if _is_unknown(weights):
+            return guess_ground(self._clip.height, self._clip.width, self._clip.median), np.zeros_like(weights)
         inverse, support = fill(values, weights, self._clip.image(k))
         return inverse, weights + np.float32(0.1) * support
 
     def behind(self, k: int) -> np.ndarray:
         """Inverse depth [h, w] of the static scene: the plate behind objects, elsewhere along the image's edges."""
-        inverse, _ = self.filled(k)
+        inverse, _ = self.fill(k)
         moving = self.mask(k) > 0
         return np.where(moving, self.plate(k), inverse) if moving.any() else inverse
 
     def _plate(self, k: int) -> np.ndarray:
         values, weights = self._uncovered(k)
-        if _unknown(weights):
-            return ground(self._clip.height, self._clip.width, self._clip.median)
+        if _is_unknown(weights):
+            return guess_ground(self._clip.height, self._clip.width, self._clip.median)
         return fill(values, weights, np.zeros((*values.shape, 3), np.uint8), _PLATE_SMOOTHNESS)[0]
 
-    def _around(self, k: int, offsets: tuple[int, ...]) -> list[int]:
+    def _list_around(self, k: int, offsets: tuple[int, ...]) -> list[int]:
         around = [j for offset in offsets for j in (k - offset, k + offset) if 0 <= j < len(self._clip)]
         return [j for j in around if self._clip.continuity.same_piece(k, j)]
 
     def _uncover(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         values, weights, camera = self._fused(k)
-        others = [self.sure(j) for j in self._around(k, PLATE_FROM)]
-        return uncover(_swollen(self.mask(k)) | (weights < SURE), values, weights, camera, others)
+        others = [self.sure(j) for j in self._list_around(k, PLATE_FROM)]
+        return uncover(_dilate_objects(self.mask(k)) | (weights < SURE), values, weights, camera, others)
 
-    def _weighed(self, k: int) -> tuple[np.ndarray, np.ndarray, Camera]:
+    def _weigh(self, k: int) -> tuple[np.ndarray, np.ndarray, Camera]:
         solution, median = self._clip[k], self._clip.median
         # Matches with hardly any parallax do not tell how far away a point is, but that it is far: the inverse of its depth is
         # known as well as that of any other. So what is far is weighed by the parallax that it would have at the median depth.
@@ -193,11 +193,11 @@ class Background:
         information = solution.information * np.maximum(median / np.maximum(solution.inverse_depth, 1e-3 * median), 1) ** 2
         sane = (solution.information > 0) & (inverse < NEAREST * median) & (information > 1)
         weight = np.clip(information, 0, 400) / (1 + solution.motion**2)
-        return inverse, np.where(sane & ~_swollen(self.mask(k)), weight, 0).astype(np.float32), self._clip.cameras[k]
+        return inverse, np.where(sane & ~_dilate_objects(self.mask(k)), weight, 0).astype(np.float32), self._clip.cameras[k]
 
     def _fuse(self, k: int) -> tuple[np.ndarray, np.ndarray, Camera]:
         values, weights, camera = self._own(k)
-        inverse, mass, votes = fuse(values, weights, camera, [self._own(j) for j in self._around(k, FUSED_WITH)])
+        inverse, mass, votes = fuse(values, weights, camera, [self._own(j) for j in self._list_around(k, FUSED_WITH)])
         mass = np.where(votes >= 0, mass, np.float32(_REJECTED) * mass) * _away_from_edges(inverse, weights)
         return inverse, mass, camera
 
@@ -206,24 +206,24 @@ class Background:
         values, weights, camera = self._fused(k)
         return values, np.where(weights > SURE, weights, 0).astype(np.float32), camera
 
-    def placed(self, k: int) -> np.ndarray:
+    def compute_sure_depth(self, k: int) -> np.ndarray:
         """Planar depth [h, w] of the static scene where it is sure, not only that it is far; inf elsewhere."""
         inverse, weight, _ = self.sure(k)
         own = weight * np.minimum(inverse / self.median, 1) ** 2
         return np.where(own > SURE, 1 / np.maximum(inverse, 1e-9), np.inf)
 
 
-def ground(height: int, width: int, median: float) -> np.ndarray:
+def guess_ground(height: int, width: int, median: float) -> np.ndarray:
     """Inverse depth [h, w] float32 of a guess: a ground that comes nearer towards the bottom of the image."""
     rows = (np.arange(height, dtype=np.float32) + np.float32(0.5)) / np.float32(height)
     return np.repeat(((0.4 + 1.2 * rows) * median)[:, None], width, axis=1).astype(np.float32)
 
 
-def _unknown(weights: np.ndarray) -> bool:
+def _is_unknown(weights: np.ndarray) -> bool:
     return float((weights > 0).mean()) < _NOTHING
 
 
-def _swollen(mask: np.ndarray) -> np.ndarray:
+def _dilate_objects(mask: np.ndarray) -> np.ndarray:
     """bool [h, w]: objects and what is so close that the flow search takes it along."""
     return cv2.dilate((mask > 0).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
 

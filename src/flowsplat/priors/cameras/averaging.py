@@ -48,7 +48,7 @@ class Turn:
     weight: float
 
 
-def averaged_start(positions: np.ndarray, seen: np.ndarray, focal: float) -> tuple[Reconstruction, np.ndarray] | None:
+def start_by_averaging(positions: np.ndarray, seen: np.ndarray, focal: float) -> tuple[Reconstruction, np.ndarray] | None:
     """All cameras without a first pair; the frames that were reached [T] bool. None where too few hang together.
 
     Args:
@@ -71,13 +71,13 @@ def averaged_start(positions: np.ndarray, seen: np.ndarray, focal: float) -> tup
     translations = -np.einsum("tij,tj->ti", rotations[frames], centers)
     state = Reconstruction(rotations[frames], translations, focal, np.zeros((len(views), 3)))
     for scale in COARSE:
-        state = _adjusted(state, pixels, views, scale)
+        state = _adjust(state, pixels, views, scale)
     turned, moved = np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3))
     turned[frames], moved[frames] = state.rotations, state.translations
     return Reconstruction(turned, moved, focal, np.zeros((len(seen), 3))), reached
 
 
-def _adjusted(state: Reconstruction, positions: np.ndarray, seen: np.ndarray, scale: float) -> Reconstruction:
+def _adjust(state: Reconstruction, positions: np.ndarray, seen: np.ndarray, scale: float) -> Reconstruction:
     """Poses after a coarse adjustment to the better tracks."""
     points = place_points(state, positions, seen)
     placed = Reconstruction(state.rotations, state.translations, state.focal, points)

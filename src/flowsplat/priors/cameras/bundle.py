@@ -76,7 +76,7 @@ class Observations:
 class Prior(Protocol):
     """What is expected of cameras before tracks are looked at."""
 
-    def cost(self, state: Reconstruction) -> float:
+    def compute_cost(self, state: Reconstruction) -> float:
         """Square pixels."""
 
     def add_to(self, H: np.ndarray, g: np.ndarray, state: Reconstruction) -> None:
@@ -93,7 +93,7 @@ class LensPrior:
     expected: float
     weight: float
 
-    def cost(self, state: Reconstruction) -> float:
+    def compute_cost(self, state: Reconstruction) -> float:
         """Square pixels."""
         return self.weight * float(np.log(state.focal / self.expected) ** 2 + (state.distortion / USUAL_DISTORTION) ** 2)
 
@@ -154,7 +154,7 @@ def adjust(
         for each in priors:
             each.add_to(H, g, state)
         for _attempt in range(8):
-            inverse = _damped_inverses(Hp, damping)
+            inverse = _invert_damped(Hp, damping)
             S, b = H + np.diag(np.diag(H) * damping + 1e-9), g.copy()
             _eliminate_points(first, seen.camera, cross, cross_lens, inverse, gp, S, b)
             step = np.zeros(len(g))
@@ -166,11 +166,11 @@ def adjust(
                 continue
             point_steps = _point_steps(first, seen.camera, cross, cross_lens, inverse, gp, step)
             if free_translations:
-                step, point_steps = _unscaled(state, step, point_steps, fixed_camera)
-                points = _stepped(state.points, point_steps, state.centers.mean(0))
+                step, point_steps = _remove_scale(state, step, point_steps, fixed_camera)
+                points = _step(state.points, point_steps, state.centers.mean(0))
             else:
                 points = state.points + point_steps
-            trial = _moved(state, step, points)
+            trial = _move(state, step, points)
             trial_cost = _total(trial, seen, scale, priors)
             if trial_cost <= cost:
                 precisions = _precisions(factor[0], free_focal, free_distortion)
@@ -195,7 +195,7 @@ def free_parameters(count: int, fixed_camera: int, focal: bool, distortion: bool
     return np.flatnonzero(free)
 
 
-def scaling(state: Reconstruction, fixed_camera: int) -> np.ndarray:
+def compute_scale_direction(state: Reconstruction, fixed_camera: int) -> np.ndarray:
     """[T, 3] by how much translations change where all becomes larger about the fixed camera, which no image tells."""
     return np.einsum("tij,tj->ti", state.rotations, state.centers[fixed_camera] - state.centers)
 
@@ -206,7 +206,7 @@ def information(state: Reconstruction, seen: Observations, scale: float, priors:
     H, g, Hp, gp, cross, cross_lens = _linearize(*_plain(state, seen), scale)
     for each in priors:
         each.add_to(H, g, state)
-    _eliminate_points(first, seen.camera, cross, cross_lens, _damped_inverses(Hp, 0.0), gp, H, g)
+    _eliminate_points(first, seen.camera, cross, cross_lens, _invert_damped(Hp, 0.0), gp, H, g)
     lower = np.tril(H)
     return lower + np.tril(lower, -1).T
 
@@ -246,11 +246,11 @@ def _plain(state: Reconstruction, seen: Observations) -> tuple:
 
 def _total(state: Reconstruction, seen: Observations, scale: float, priors: Sequence[Prior]) -> float:
     errors, _ = residuals(state, seen)
-    cost = scale**2 * float(np.log1p((errors / scale) ** 2).sum()) + sum(prior.cost(state) for prior in priors)
+    cost = scale**2 * float(np.log1p((errors / scale) ** 2).sum()) + sum(prior.compute_cost(state) for prior in priors)
     return cost if np.isfinite(cost) else np.inf
 
 
-def _moved(state: Reconstruction, step: np.ndarray, points: np.ndarray) -> Reconstruction:
+def _move(state: Reconstruction, step: np.ndarray, points: np.ndarray) -> Reconstruction:
     poses = step[:-LENS].reshape(-1, 6)
     return replace(
         state,
@@ -262,9 +262,11 @@ def _moved(state: Reconstruction, step: np.ndarray, points: np.ndarray) -> Recon
     )
 
 
-def _unscaled(state: Reconstruction, step: np.ndarray, point_steps: np.ndarray, fixed_camera: int) -> tuple[np.ndarray, np.ndarray]:
+def _remove_scale(
+    state: Reconstruction, step: np.ndarray, point_steps: np.ndarray, fixed_camera: int
+) -> tuple[np.ndarray, np.ndarray]:
     """A step without its share of a change of scale about the fixed camera, which no image tells: it is small where all is."""
-    middle, travel = state.centers[fixed_camera], scaling(state, fixed_camera)
+    middle, travel = state.centers[fixed_camera], compute_scale_direction(state, fixed_camera)
     poses = step[:-LENS].reshape(-1, 6)
     scale = float((travel * poses[:, 3:]).sum()) / max(float((travel**2).sum()), 1e-18)
     kept = step.copy()
@@ -272,7 +274,7 @@ def _unscaled(state: Reconstruction, step: np.ndarray, point_steps: np.ndarray, 
     return kept, point_steps - scale * (state.points - middle)
 
 
-def _stepped(points: np.ndarray, steps: np.ndarray, center: np.ndarray) -> np.ndarray:
+def _step(points: np.ndarray, steps: np.ndarray, center: np.ndarray) -> np.ndarray:
     """Points [N, 3] after steps [N, 3] that are linear in the inverse of their distance from the cameras, as images nearly are.
 
     The same to first order as adding the steps, but a far point, whose distance the images hardly tell, is neither sent behind
@@ -285,7 +287,7 @@ def _stepped(points: np.ndarray, steps: np.ndarray, center: np.ndarray) -> np.nd
     return center + (offset + aside) / np.maximum(1 - outwards, LEAST_INVERSE)
 
 
-def _damped_inverses(Hp: np.ndarray, damping: float) -> np.ndarray:
+def _invert_damped(Hp: np.ndarray, damping: float) -> np.ndarray:
     diagonal = np.einsum("nii->ni", Hp)
     # Far points and pure rotations leave the depth free: a floor relative to the whole block keeps it invertible.
     floor = 1e-9 * diagonal.sum(1, keepdims=True) + 1e-12

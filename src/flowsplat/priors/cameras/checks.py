@@ -12,7 +12,8 @@ from flowsplat.priors.cameras.estimate import Estimate
 UNCERTAIN_FOCAL = 0.05
 """Standard deviation of log focal from which the focal length counts as a guess."""
 LARGE_ERROR = 0.5
-"""Pixels of the working size from which the fit counts as poor (METHOD 6: half a pixel costs 3 dB)."""
+"""Pixels of the working size from which the fit counts as poor (docs/method.md, "Evaluation protocols": half a pixel costs 3
+dB)."""
 LITTLE_PARALLAX = 0.5
 """Degrees below which depth from the camera's motion counts as uncertain."""
 FEW_STATIC = 0.4
@@ -81,7 +82,7 @@ def verdict(found: Estimate, unit: float, width: int, focal_given: bool, gaps: G
 def _gaps(gaps: Gaps) -> list[str]:
     sentences = []
     if gaps.breaks:
-        places = _listed([f"{t} ({gaps.timestamps[t] - gaps.timestamps[0]:.2f} s)" for t in gaps.breaks])
+        places = _join_names([f"{t} ({gaps.timestamps[t] - gaps.timestamps[0]:.2f} s)" for t in gaps.breaks])
         cuts = f"There is a cut before frame {places}" if len(gaps.breaks) == 1 else f"There are cuts before frames {places}"
         sentences.append(f"{cuts}: nothing joins the pieces, so use one of them with --start and --end.")
     if len(gaps.blank) == len(gaps.timestamps):
@@ -94,7 +95,7 @@ def _gaps(gaps: Gaps) -> list[str]:
         are = "show too little to be placed, and their cameras are" if many else "shows too little to be placed, and its camera is"
         sentences.append(f"{_stretches(gaps.unplaced)} {are} interpolated.")
     if gaps.jumps:
-        places = _listed([str(t) for t in gaps.jumps])
+        places = _join_names([str(t) for t in gaps.jumps])
         sentences.append(f"The path jumps before frame {places}: look there before you trust these cameras.")
     return sentences
 
@@ -104,10 +105,10 @@ def _stretches(frames: Sequence[int]) -> str:
     rising = np.array(sorted(frames))
     parts = np.split(rising, 1 + np.flatnonzero(np.diff(rising) > 1))
     names = [name for part in parts for name in (map(str, part) if len(part) < 3 else [f"{part[0]} to {part[-1]}"])]
-    return f"Frame{'s' * (len(rising) > 1)} {_listed(names)}"
+    return f"Frame{'s' * (len(rising) > 1)} {_join_names(names)}"
 
 
-def _listed(names: Sequence[str]) -> str:
+def _join_names(names: Sequence[str]) -> str:
     more = [f"{len(names) - MOST_NAMED} more"] if len(names) > MOST_NAMED else []
     shown = [*names[:MOST_NAMED], *more]
     return shown[0] if len(shown) == 1 else f"{', '.join(shown[:-1])} and {shown[-1]}"

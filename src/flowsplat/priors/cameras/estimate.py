@@ -11,14 +11,14 @@ import cv2
 import numpy as np
 
 from flowsplat.common.progress import progress_bar
-from flowsplat.priors.cameras.averaging import averaged_start
+from flowsplat.priors.cameras.averaging import start_by_averaging
 from flowsplat.priors.cameras.bundle import LensPrior, Reconstruction
 from flowsplat.priors.cameras.growth import grow, ray_angles
 from flowsplat.priors.cameras.keyframes import NEAR_BY, SEARCHED, between, choose_keyframes, place_between
 from flowsplat.priors.cameras.pieces import LEAST_TRACKS
 from flowsplat.priors.cameras.refinement import Refined, from_middle, misfit, refine, track_errors, with_points
 from flowsplat.priors.cameras.selection import choose_tracks, on_rim
-from flowsplat.priors.cameras.twoview import LEAST_COMMON, chained_rotations, rank_pairs
+from flowsplat.priors.cameras.twoview import LEAST_COMMON, chain_rotations, rank_pairs
 
 USUAL_FOCAL = 0.9
 """Focal length over width that is expected before looking: about 58 degrees across."""
@@ -131,7 +131,7 @@ def _of_keyframes(
     few = choose_tracks(positions, seen, width, height, per_cell=4, shortest=2)
     expected, free_focal = focal or USUAL_FOCAL * width, focal is None
     tracks, views = centered[few], seen[few]
-    standing = _standing(centered, seen, expected)
+    standing = _solve_standing(centered, seen, expected)
     if len(few) < LEAST_TRACKS:
         return Estimate("unknown", standing, [], 0.0)
     judges = _judges(seen)
@@ -149,7 +149,7 @@ def _of_keyframes(
     keys = choose_keyframes(views, SEARCHED, NEAR_BY)
     shown = np.flatnonzero(views[:, keys].sum(1) >= 2)
     some, some_views = tracks[np.ix_(shown, keys)], views[np.ix_(shown, keys)]
-    turning = _turning(some, some_views, expected, free_focal)
+    turning = _solve_turning(some, some_views, expected, free_focal)
     starts["rotation"] = _on_all_frames(turning, "rotation", keys, tracks, views)
     if turning.misfit > NEGLIGIBLE:
         if solver == "global":
@@ -210,7 +210,7 @@ def _is_flat(fit: Refined, centered: np.ndarray, seen: np.ndarray) -> bool:
     return judged
 
 
-def _standing(centered: np.ndarray, seen: np.ndarray, focal: float) -> Refined:
+def _solve_standing(centered: np.ndarray, seen: np.ndarray, focal: float) -> Refined:
     """All cameras at the origin, every track at its mean position; static are those that hardly leave it."""
     count = seen.shape[1]
     state = Reconstruction(np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3)), focal, np.zeros((len(seen), 3)))
@@ -233,10 +233,10 @@ class _Candidate:
     origin: int
 
 
-def _turning(centered: np.ndarray, seen: np.ndarray, expected: float, free_focal: bool) -> _Candidate:
+def _solve_turning(centered: np.ndarray, seen: np.ndarray, expected: float, free_focal: bool) -> _Candidate:
     """Cameras in one place that only turn."""
     count = seen.shape[1]
-    rotations = chained_rotations(centered, seen, expected)
+    rotations = chain_rotations(centered, seen, expected)
     state = Reconstruction(rotations, np.zeros((count, 3)), expected, np.zeros((len(seen), 3)))
     fit = refine(
         state, centered, seen, fixed_camera=0, expected_focal=expected, free_focal=free_focal, free_translations=False, rough=True,
@@ -284,7 +284,7 @@ def _search_at_once(centered: np.ndarray, seen: np.ndarray, width: float, expect
     with progress_bar("Camera search, all frames at once", len(focals)) as bar:
         for focal in focals:
             bar.advance()
-            start = averaged_start(centered, seen, focal)
+            start = start_by_averaging(centered, seen, focal)
             if start is not None:
                 state, reached = start
                 found.append(_candidate(state, reached, int(reached.argmax()), centered, seen, known))

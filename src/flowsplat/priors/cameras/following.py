@@ -38,7 +38,7 @@ class _Surroundings:
     """
 
     def __init__(self) -> None:
-        self._patches = _cut(np.zeros((1, 1), np.float32), np.zeros((0, 2), np.float32))
+        self._patches = _cut_patches(np.zeros((1, 1), np.float32), np.zeros((0, 2), np.float32))
         self._shapes, self._since = np.zeros((0, 2, 2), np.float32), np.zeros(0, int)
 
     def keep(self, rows: np.ndarray) -> None:
@@ -47,7 +47,7 @@ class _Surroundings:
 
     def add(self, image: np.ndarray, points: np.ndarray, t: int) -> None:
         """Remember new points [N, 2] of frame ``t``, gray [H, W] float32."""
-        self._patches = self._patches.joined(_cut(image, points))
+        self._patches = self._patches.join(_cut_patches(image, points))
         self._shapes = np.concatenate([self._shapes, np.tile(np.eye(2, dtype=np.float32), (len(points), 1, 1))])
         self._since = np.concatenate([self._since, np.full(len(points), t)])
 
@@ -59,12 +59,12 @@ class _Surroundings:
         points = np.where(same[:, None], found, points)
         self._shapes[same] = shapes[same]
         old = np.flatnonzero(~same | (t - self._since >= RENEWED))
-        self._patches.put(old, _cut(image, points[old]))
+        self._patches.replace(old, _cut_patches(image, points[old]))
         self._shapes[old], self._since[old] = np.eye(2), t
         return points
 
 
-def _cut(image: np.ndarray, points: np.ndarray) -> Patches:
+def _cut_patches(image: np.ndarray, points: np.ndarray) -> Patches:
     return Patches.cut(image, np.zeros(image.shape, np.uint8), points - np.float32(0.5))
 
 

@@ -50,13 +50,13 @@ class Lens:
         for _ in range(50):
             middle = (low + high) / 2
             x = border / middle
-            inside = (np.abs(_bent(x, distortion) * focal) <= np.array([width, height]) / 2).all()
+            inside = (np.abs(_bend(x, distortion) * focal) <= np.array([width, height]) / 2).all()
             # Where a strong barrel would fold back, a point of the image has no place of its own.
             unfolded = (1 + 3 * distortion * (x**2).sum(-1) > LEAST_SLOPE).all()
             low, high = (low, middle) if inside and unfolded else (middle, high)
         return Lens(focal, distortion, high, width, height)
 
-    def scaled(self, factor: float) -> Lens:
+    def scale(self, factor: float) -> Lens:
         """The same for images that are larger by ``factor``."""
         return Lens(self.focal * factor, self.distortion, self.pinhole * factor, self.width * factor, self.height * factor)
 
@@ -64,9 +64,9 @@ class Lens:
     def shift(self) -> float:
         """Pixels by which the lens moves a point of the border, at most."""
         border = _border(self.width, self.height) / self.focal
-        return float(np.linalg.norm(_bent(border, self.distortion) - border, axis=1).max() * self.focal)
+        return float(np.linalg.norm(_bend(border, self.distortion) - border, axis=1).max() * self.focal)
 
-    def straightened(self, positions: np.ndarray) -> np.ndarray:
+    def straighten_positions(self, positions: np.ndarray) -> np.ndarray:
         """Tracks [..., 2] in pixels of the images as they came, as they lie in the straightened ones; NaN stays."""
         middle = np.array([self.width, self.height]) / 2
         return rays(positions - middle, self.focal, self.distortion) * self.pinhole + middle
@@ -75,7 +75,7 @@ class Lens:
         """An image [H, W, 3] as the pinhole sees it; object numbers [H, W] stay what they are."""
         middle = np.array([self.width, self.height]) / 2
         grid = (pixel_grid(round(self.width), round(self.height)) - middle) / self.pinhole
-        source = (_bent(grid, self.distortion) * self.focal + middle - 0.5).astype(np.float32)
+        source = (_bend(grid, self.distortion) * self.focal + middle - 0.5).astype(np.float32)
         method = cv2.INTER_NEAREST if image.ndim == 2 else cv2.INTER_CUBIC
         return cv2.remap(image, source, None, method, borderMode=cv2.BORDER_REPLICATE)
 
@@ -84,7 +84,7 @@ class Lens:
         return {name: float(value) for name, value in vars(self).items()}
 
 
-def _bent(x: np.ndarray, distortion: float) -> np.ndarray:
+def _bend(x: np.ndarray, distortion: float) -> np.ndarray:
     return x * (1 + distortion * (x**2).sum(-1, keepdims=True))
 
 

@@ -33,10 +33,10 @@ def find_breaks(positions: np.ndarray, shown: Sequence[int]) -> list[int]:
         shown: the frames that are not blank.
     """
     seen = np.isfinite(positions[..., 0])
-    return [b for a, b in pairwise(shown) if _torn(positions, seen, a, b)]
+    return [b for a, b in pairwise(shown) if _is_torn(positions, seen, a, b)]
 
 
-def _torn(positions: np.ndarray, seen: np.ndarray, a: int, b: int) -> bool:
+def _is_torn(positions: np.ndarray, seen: np.ndarray, a: int, b: int) -> bool:
     both = seen[:, a] & seen[:, b]
     share = both.sum() / max(int(seen[:, a].sum()), 1)
     if both.sum() < LEAST_TRACKS or share < COLLAPSE:

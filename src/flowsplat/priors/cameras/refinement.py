@@ -169,7 +169,7 @@ def refine(
     for number, scale in enumerate(rounds):
         if number > 0 or not keep_points:
             state = with_points(state, positions, seen, free_translations=free_translations)
-        static = _behaving(track_errors(state, positions, seen), scale)
+        static = _find_consistent(track_errors(state, positions, seen), scale)
         tracks = np.flatnonzero(static)
         if len(tracks) == 0:
             break
@@ -199,7 +199,7 @@ def refine(
     return Refined(state, static, error, observed.camera, sigma, bend_sigma)
 
 
-def _behaving(errors: np.ndarray, scale: float) -> np.ndarray:
+def _find_consistent(errors: np.ndarray, scale: float) -> np.ndarray:
     """Tracks whose error is within three times that of the better half, or within the scale."""
     finite = errors[np.isfinite(errors)]
     limit = max(scale, 3.0 * float(np.median(finite))) if len(finite) else scale

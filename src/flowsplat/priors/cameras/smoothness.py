@@ -19,10 +19,10 @@ from flowsplat.priors.cameras.bundle import (
     Observations,
     Reconstruction,
     adjust,
+    compute_scale_direction,
     free_parameters,
     information,
     residuals,
-    scaling,
 )
 
 DIFFERENCES = np.array([-1.0, 3.0, -3.0, 1.0])
@@ -50,7 +50,7 @@ class SmoothnessPrior:
 
     weights: np.ndarray
 
-    def cost(self, state: Reconstruction) -> float:
+    def compute_cost(self, state: Reconstruction) -> float:
         """Square pixels."""
         return float((self.weights[:, None] * differences(state) ** 2).sum())
 
@@ -133,7 +133,7 @@ def _uncertainty(state: Reconstruction, curvature: np.ndarray, index: np.ndarray
         index: of the parameters that may change.
     """
     larger, S = np.zeros(len(curvature)), curvature[np.ix_(index, index)]
-    larger[:-LENS].reshape(-1, 6)[:, 3:] = scaling(state, fixed_camera)
+    larger[:-LENS].reshape(-1, 6)[:, 3:] = compute_scale_direction(state, fixed_camera)
     larger, usual = larger[index], float(np.median(np.diag(S)))
     S = S + _HELD * usual * np.outer(larger, larger) / max(float(larger @ larger), 1e-30) + 1e-9 * usual * np.eye(len(S))
     J = np.pad(_derivatives(state), ((0, 0), (0, LENS)))[:, index]

@@ -54,7 +54,8 @@ def camera_stage(scene: Scene, options: CameraOptions) -> None:
     """Estimate a pose for every frame and one focal length, and write them to ``scene``.
 
     The principal point is taken to be the center of the image and pixels to be square. Held-out frames are seen here
-    (METHOD 6), but nothing other than their poses and their lens leaves this stage. The first camera is the identity and the
+    (docs/method.md, "Evaluation protocols"), but nothing other than their poses and their lens leaves this stage. The first camera
+    is the identity and the
     median distance of the points is 1. Pieces that nothing joins (there is a cut between them) are solved one by one, each in
     these units, and set side by side so far apart that none sees the other: the path jumps there.
 
@@ -84,7 +85,7 @@ def camera_stage(scene: Scene, options: CameraOptions) -> None:
     if lens is None:
         scene.finish_prior("cameras", **prior)
         return
-    scene.begin_straightening(lens.scaled(tracks.unit).to_json(), prior)
+    scene.begin_straightening(lens.scale(tracks.unit).to_json(), prior)
     _straighten(scene)
 
 
@@ -125,7 +126,7 @@ class _Tracks:
     def solve(self, solver: str, focal: float | None, lens: Lens | None = None) -> list[Solved]:
         """The cameras of every piece, once the lens is taken out."""
         if lens is not None:
-            straight = replace(self, positions=lens.straightened(self.positions))
+            straight = replace(self, positions=lens.straighten_positions(self.positions))
             return straight.solve(solver, None if focal is None else lens.pinhole)
         return [solve(self.of_piece(k), self.width, self.height, focal, solver, frames) for k, frames in enumerate(self.pieces)]
 

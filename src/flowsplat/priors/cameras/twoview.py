@@ -95,7 +95,7 @@ def relative_pose(positions: np.ndarray, seen: np.ndarray, pair: Pair, focal: fl
     return rotation, translation[:, 0]
 
 
-def chained_rotations(positions: np.ndarray, seen: np.ndarray, focal: float) -> np.ndarray:
+def chain_rotations(positions: np.ndarray, seen: np.ndarray, focal: float) -> np.ndarray:
     """Rotations [T, 3, 3] world to camera, the first the identity, from the homographies between neighbors."""
     count = positions.shape[1]
     rotations = np.tile(np.eye(3), (count, 1, 1))

@@ -1,4 +1,4 @@
-"""The depth stage: planar depth for every training frame, without learned weights (METHOD 9)."""
+"""The depth stage: planar depth for every training frame, without learned weights (docs/method.md, "Flow, masks and depth")."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def depth_stage(
             for _ in in_threads(lambda do: do(), track(work, "Depth"), thread_count()):
                 pass
     method = "multi-view" if clip.has_parallax else "guess"
-    share, static_share = trusted_shares(scene)
+    share, static_share = measure_trusted_shares(scene)
     if clip.has_parallax:
         verdict = f"{static_share:.0%} of the still scene trusted"
         if static_share < MOSTLY:
@@ -86,7 +86,7 @@ def depth_stage(
     )  # fmt: skip
 
 
-def trusted_shares(scene: Scene) -> tuple[float, float]:
+def measure_trusted_shares(scene: Scene) -> tuple[float, float]:
     """Which share of the pixels of the training frames has trusted depth: of all of them, and of those where nothing moves."""
     shares = []
     for i in scene.train_frames:
@@ -107,8 +107,8 @@ def _frame_depth(
     moving = mask > 0
     static, weight, share = refined(k)
     if moving.any():
-        front = upsample(background.foremost(k), np.zeros_like(frame), *size)
-        sure = upsample(background.witnessed(k), np.zeros_like(frame), *size)
+        front = upsample(background.compute_foremost(k), np.zeros_like(frame), *size)
+        sure = upsample(background.compute_confirmed(k), np.zeros_like(frame), *size)
         known = objects.depth(k, mask, frame, scene.cameras[scene.train_frames[k]])
         nearness = np.where(known > 0, 1 / np.maximum(known, 1e-9), 0)
         # Nothing lies behind what other frames are sure of; what nothing ties stays just in front of what is filled in, too.

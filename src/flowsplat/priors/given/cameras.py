@@ -30,7 +30,7 @@ def read_cameras(path: Path, scene: Scene, allow_pickle: bool) -> tuple[list[Cam
         if not camera.is_valid:
             raise InputError(f"{path}: the camera of frame {index} is not finite or its viewmat is not a rotation.")
         require_shape(path, camera.width, camera.height, scene)
-    return [camera.resized(scene.width, scene.height) for camera in cameras], maker
+    return [camera.resize(scene.width, scene.height) for camera in cameras], maker
 
 
 def _read(path: Path, scene: Scene, allow_pickle: bool) -> tuple[list[Camera], str]:
@@ -45,9 +45,9 @@ def _read(path: Path, scene: Scene, allow_pickle: bool) -> tuple[list[Camera], s
         content = read_json(path)
         if is_nerfstudio(content):
             return read_nerfstudio(path, content, scene), "nerfstudio"
-        return _own(path, content, scene), "flowsplat"
+        return _read_own(path, content, scene), "flowsplat"
     if suffix == ".npz":
-        arrays = read_npz(path, megasam.ARRAYS, most=megasam.most_bytes(scene))
+        arrays = read_npz(path, megasam.ARRAYS, most=megasam.compute_max_bytes(scene))
         if megasam.is_megasam(arrays):
             return megasam.read_cameras(path, arrays, scene), megasam.MAKER
     if suffix == ".npy":
@@ -57,7 +57,7 @@ def _read(path: Path, scene: Scene, allow_pickle: bool) -> tuple[list[Camera], s
     raise InputError(f"{path} holds no cameras of a known layout. Looked for: {KNOWN}.")
 
 
-def _own(path: Path, content: object, scene: Scene) -> list[Camera]:
+def _read_own(path: Path, content: object, scene: Scene) -> list[Camera]:
     try:
         if not isinstance(content, list):
             raise TypeError("it is neither a list nor a transforms.json")

@@ -100,7 +100,7 @@ def _lens(name: str, parameters: tuple[float, ...]) -> tuple[np.ndarray, tuple[f
 _Lenses = dict[int, tuple[str, int, int, tuple[float, ...]]]
 
 
-def _checked(name: str, parameters: tuple[float, ...]) -> str:
+def _check_parameters(name: str, parameters: tuple[float, ...]) -> str:
     if name not in _MODELS:
         raise InputError(
             f"COLMAP's camera model {name} is no pinhole: undistort the images first (colmap image_undistorter), "
@@ -120,7 +120,7 @@ def _text_cameras(text: str) -> _Lenses:
     for line in filter(None, _text_lines(text)):
         number, name, width, height, *rest = line.split()
         parameters = tuple(map(float, rest))
-        lenses[int(number)] = (_checked(name, parameters), int(width), int(height), parameters)
+        lenses[int(number)] = (_check_parameters(name, parameters), int(width), int(height), parameters)
     return lenses
 
 
@@ -164,13 +164,13 @@ def _binary_cameras(data: bytes) -> _Lenses:
     lenses: _Lenses = {}
     for _ in range(*source.take("Q")):
         number, model, width, height = source.take("iiQQ")
-        name = _checked_number(model)
+        name = _count_parameters(model)
         lenses[number] = (name, width, height, source.take(f"{_MODELS[name][1]}d"))
     return lenses
 
 
-def _checked_number(model: int) -> str:
-    return _NAMES[model] if model in _NAMES else _checked(f"number {model}", ())
+def _count_parameters(model: int) -> str:
+    return _NAMES[model] if model in _NAMES else _check_parameters(f"number {model}", ())
 
 
 def _binary_images(data: bytes) -> list[_Image]:

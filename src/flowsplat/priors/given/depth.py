@@ -70,7 +70,7 @@ def _open(path: Path, scene: Scene) -> GivenDepth:
         files = files_by_frame(path, (".npz",), scene, "depth")
         return GivenDepth("MoSca", (), lambda i: _mosca(files[i], scene))
     files = files_by_frame(path, (".npy",), scene, "depth")
-    return GivenDepth("flowsplat", ("any",), lambda i: _own(files[i], scene))
+    return GivenDepth("flowsplat", ("any",), lambda i: _read_own(files[i], scene))
 
 
 def _map(path: Path, values: np.ndarray, scene: Scene) -> np.ndarray:
@@ -82,7 +82,7 @@ def _map(path: Path, values: np.ndarray, scene: Scene) -> np.ndarray:
     return values.astype(np.float32)
 
 
-def _own(path: Path, scene: Scene) -> Depth:
+def _read_own(path: Path, scene: Scene) -> Depth:
     depth = _map(path, read_npy(path), scene)
     if not (np.isfinite(depth).all() and (depth > 0).all()):
         raise InputError(f"{path} holds depths that are not finite and positive: fill them in first.")
@@ -90,7 +90,7 @@ def _own(path: Path, scene: Scene) -> Depth:
     return Depth(depth, np.ones_like(depth))
 
 
-def _known(depth: np.ndarray, known: np.ndarray, scene: Scene) -> Depth:
+def _fill_unknown(depth: np.ndarray, known: np.ndarray, scene: Scene) -> Depth:
     """Depth at the size of the frames; where it is not known as far as the furthest, without confidence."""
     furthest = depth[known].max() if known.any() else 1.0
     size = (scene.width, scene.height)
@@ -106,7 +106,7 @@ def _disparity(path: Path, scene: Scene) -> Depth:
     else:
         values = _map(path, read_npy(path), scene)
     known = np.isfinite(values) & (values > 1e-6)
-    return _known(1 / np.where(known, values, 1), known, scene)
+    return _fill_unknown(1 / np.where(known, values, 1), known, scene)
 
 
 def _mosca(path: Path, scene: Scene) -> Depth:
@@ -115,4 +115,4 @@ def _mosca(path: Path, scene: Scene) -> Depth:
         raise InputError(f"{path} has no array 'dep' as MoSca's depth has.")
     values = _map(path, arrays["dep"], scene)
     known = np.isfinite(values) & (values > 1e-3)
-    return _known(values, known, scene)
+    return _fill_unknown(values, known, scene)

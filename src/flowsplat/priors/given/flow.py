@@ -54,10 +54,10 @@ def read_flow(folder: Path, scene: Scene) -> tuple[list[Flow], str]:
         return _mosca(folder, wanted, scene), "MoSca"
     files = (path for path in folder.iterdir() if path.suffix in (".npz", ".flo", ".png"))
     refuse_later_frames(folder, (number for path in files for number in path.stem.split("_")), scene, "images")
-    return [_own(folder, i, j, scene) for i, j in wanted], "flowsplat"
+    return [_read_own(folder, i, j, scene) for i, j in wanted], "flowsplat"
 
 
-def _fitted(path: Path, i: int, j: int, arrays: Arrays, scene: Scene) -> Flow:
+def _fit_to_frames(path: Path, i: int, j: int, arrays: Arrays, scene: Scene) -> Flow:
     flow, confidence = arrays
     if flow.ndim != 3 or flow.shape[2] != 2 or confidence.shape != flow.shape[:2]:
         raise InputError(f"{path} does not hold flow [height, width, 2] with a confidence [height, width].")
@@ -78,12 +78,12 @@ def _fitted(path: Path, i: int, j: int, arrays: Arrays, scene: Scene) -> Flow:
     return Flow(i, j, resized * scale, np.where(share > 0, resize_labels(np.clip(confidence, 0, 1), size), 0))
 
 
-def _own(folder: Path, i: int, j: int, scene: Scene) -> Flow:
+def _read_own(folder: Path, i: int, j: int, scene: Scene) -> Flow:
     readers: dict[str, Callable[[Path], Arrays]] = {".npz": _read_npz, ".flo": _read_flo, ".png": _read_kitti}
     for suffix, read in readers.items():
         path = folder / f"{i:05d}_{j:05d}{suffix}"
         if path.exists():
-            return _fitted(path, i, j, read(path), scene)
+            return _fit_to_frames(path, i, j, read(path), scene)
     missing = folder / f"{i:05d}_{j:05d}.npz"
     raise InputError(f"{missing} does not exist: give flow both ways between consecutive training frames.")
 
@@ -127,5 +127,5 @@ def _mosca(folder: Path, wanted: list[tuple[int, int]], scene: Scene) -> list[Fl
             if not {"flow", "mask"} <= arrays.keys():
                 raise InputError(f"{path} needs the arrays 'flow' and 'mask' as MoSca writes them.")
             known = arrays["mask"] if arrays["mask"].dtype.kind == "f" else arrays["mask"] > 0
-            found.append(_fitted(path, i, j, (arrays["flow"], known), scene))
+            found.append(_fit_to_frames(path, i, j, (arrays["flow"], known), scene))
     return found

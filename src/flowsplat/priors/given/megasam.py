@@ -34,7 +34,7 @@ _MOST_A_FRAME = 32 * 2**20
 """Bytes: six pairs of flow of an image of 640 x 480."""
 
 
-def most_bytes(scene: Scene) -> int:
+def compute_max_bytes(scene: Scene) -> int:
     """Of the arrays in one file."""
     return _MOST_A_FRAME * scene.num_frames
 
@@ -70,7 +70,7 @@ class MegaSamDepth:
         Raises:
             InputError: missing, damaged or not of this clip.
         """
-        arrays = read_npz(path, ARRAYS, most=most_bytes(scene))
+        arrays = read_npz(path, ARRAYS, most=compute_max_bytes(scene))
         if not is_megasam(arrays):
             raise InputError(f"{path} has no depth of MegaSaM: it needs depths, intrinsic and cam_c2w.")
         self._depths, self._scene = arrays["depths"], scene
@@ -100,7 +100,7 @@ def read_flow(folder: Path, wanted: list[tuple[int, int]], scene: Scene) -> list
     Raises:
         InputError: damaged or not of this clip.
     """
-    most = most_bytes(scene)
+    most = compute_max_bytes(scene)
     flows, pairs = read_npy(folder / "flows.npy", most), read_npy(folder / "ii-jj.npy", most)
     masks = read_npy(folder / "flows_masks.npy", most)
     is_flow = flows.ndim == 4 and flows.shape[1] == 2 and flows.size > 0 and pairs.dtype.kind in "iu"

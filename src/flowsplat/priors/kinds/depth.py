@@ -25,9 +25,9 @@ def _compute(request: Request) -> Stage:
     scene, estimate = request.scene, request.estimate
     if request.options.depth == OWN:
         return lambda: depth_stage(scene, estimate, request.memory.pop(STATIC))
-    from flowsplat.priors.learned.depth import learned_depth
+    from flowsplat.priors.learned.depth import predict_depth
 
-    source = learned_depth(request.options.depth, scene, request.options.models, network_device(request.device))
+    source = predict_depth(request.options.depth, scene, request.options.models, network_device(request.device))
     return partial(monocular_stage, scene, source, estimate)
 
 

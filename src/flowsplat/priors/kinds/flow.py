@@ -32,7 +32,7 @@ def flow_estimator(options: PriorsOptions, device: str) -> FlowEstimator:
     return raft_estimator(options.models.raft, network_device(device))
 
 
-def _asked(request: Request) -> str | None:
+def _get_requested(request: Request) -> str | None:
     """A network, unless the flow is true and is to be: the truth may lack flow, so nothing else asks for it."""
     is_true = request.wants_truth and request.method("flow") == TRUTH
     return None if request.options.flow == OWN or is_true else request.options.flow
@@ -61,7 +61,7 @@ FLOW = Kind(
     options=("flow", "models"),
     files=("flow",),
     own=(OWN,),
-    asked=_asked,
+    asked=_get_requested,
     finds_flow=True,
     read_true=_read_true,
     read_given=_read_given,

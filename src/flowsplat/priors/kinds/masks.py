@@ -33,7 +33,7 @@ def _compute(request: Request) -> Stage:
     return found_by_motion
 
 
-def _asked(request: Request) -> str | None:
+def _get_requested(request: Request) -> str | None:
     if request.options.masks != OWN:
         return request.options.masks
     return CLICKS if request.prompts else None
@@ -60,7 +60,7 @@ MASKS = Kind(
     options=("masks", "mask_click", "mask_box", "mask_negative", "models"),
     files=("masks",),
     own=(OWN,),
-    asked=_asked,
+    asked=_get_requested,
     differs=_differs,
     finds_flow=True,
     overwrites=True,

@@ -18,11 +18,11 @@ from flowsplat.scenes.layers import Layers
 
 def _read_true(scene: Scene, truth: Layers) -> bool:
     if truth.has_tracks:
-        scene.write_tracks(_projected(truth.tracks, truth.cameras, scene.train_frames))
+        scene.write_tracks(_project(truth.tracks, truth.cameras, scene.train_frames))
     return truth.has_tracks
 
 
-def _projected(tracks: Tracks, cameras: Sequence[Camera], train_frames: Sequence[int]) -> Tracks:
+def _project(tracks: Tracks, cameras: Sequence[Camera], train_frames: Sequence[int]) -> Tracks:
     """World tracks [P, T, 3] as pixels [P, T, 2], seen in training frames only."""
     points = np.zeros((*tracks.points.shape[:2], 2), np.float32)
     visible = np.zeros_like(tracks.visible)

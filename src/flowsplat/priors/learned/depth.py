@@ -12,7 +12,7 @@ from flowsplat.scenes import Scene
 INSTEAD = "--depth multiview"
 
 
-def learned_depth(name: str, scene: Scene, models: ModelOptions, device: torch.device) -> Monocular:
+def predict_depth(name: str, scene: Scene, models: ModelOptions, device: torch.device) -> Monocular:
     """The depth of ``depth-anything`` or ``depth-pro`` for training frames of a scene.
 
     Raises:

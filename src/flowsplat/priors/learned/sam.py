@@ -77,7 +77,7 @@ def sam_stage(scene: Scene, segmenter: Segmenter, prompts: Sequence[Prompt], sho
         prompts: by the numbers of their objects, of each the one first that shows it.
         shown_by: where the prompts come from, for the verdict.
     """
-    labels = _followed(scene, segmenter, prompts) if prompts else {}
+    labels = _follow(scene, segmenter, prompts) if prompts else {}
     pixels = 0
     for i in scene.train_frames:
         mask = labels.get(i, np.zeros((scene.height, scene.width), np.uint8))
@@ -92,7 +92,7 @@ def sam_stage(scene: Scene, segmenter: Segmenter, prompts: Sequence[Prompt], sho
 
 
 @torch.inference_mode()
-def _followed(scene: Scene, segmenter: Segmenter, prompts: Sequence[Prompt]) -> dict[int, np.ndarray]:
+def _follow(scene: Scene, segmenter: Segmenter, prompts: Sequence[Prompt]) -> dict[int, np.ndarray]:
     """Object numbers [H, W] uint8 of every training frame; of several objects at a pixel the surest has it."""
     frames, network, processor = scene.train_frames, segmenter.network, segmenter.processor
     size = scene.height, scene.width

@@ -31,7 +31,7 @@ from flowsplat.common.simd import (
 )
 from flowsplat.common.threads import parallel_for
 from flowsplat.geometry import Camera
-from flowsplat.priors.background.bits import packed
+from flowsplat.priors.background.bits import pack
 from flowsplat.priors.background.fill import upsample
 from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.static_depth import StaticDepth
@@ -80,14 +80,14 @@ class CleanPlate:
         clip, frame = self._clip, self._frame(k)
         offsets = SEEN_FROM if len(clip) > FEW else range(1, FEW)
         around = [k + sign * offset for offset in offsets for sign in (-1, 1)]
-        others = [j for j in around if 0 <= j < len(clip) and clip.continuity.joined(k, j)]
+        others = [j for j in around if 0 <= j < len(clip) and clip.continuity.are_joined(k, j)]
         if len(others) < ENOUGH:
             return np.full(frame.shape[:2], -1, np.float32)
         inverse = self._background.behind(k)
         depth = 1 / np.maximum(upsample(inverse, frame, clip.scene.width, clip.scene.height), 1e-3 * float(np.median(inverse)))
         plate, spread = np.empty(frame.shape, np.float32), np.empty(depth.shape, np.float32)
         count = np.empty(depth.shape, np.uint8)
-        words = packed(np.stack([self._frame(j) for j in others]), self._blocked[others])
+        words = pack(np.stack([self._frame(j) for j in others]), self._blocked[others])
         parallel_for(
             _plate, len(frame), frame, depth.astype(np.float32), *_poses(self._cameras[k], [self._cameras[j] for j in others]),
             words.reshape(-1), plate, spread, count,
@@ -161,7 +161,7 @@ def _plate(
                 store(seen, (3 * j + 2) * LANES, value2)
                 n = n + holds
                 store(apart, j * LANES, where_above(holds, nothing, distance, broadcast(far)))
-            red, green, blue, scatter = agreed_color(seen, apart, J, n, agreeing)
+            red, green, blue, scatter = average_similar(seen, apart, J, n, agreeing)
             none = broadcast(nothing)
             store(found, first, where_above(n, nothing, red, none))
             store(found, room + first, where_above(n, nothing, green, none))
@@ -190,7 +190,7 @@ def bilinear(words, start, W, H, u, v):
 
 
 @helper
-def agreed_color(seen, apart, count, n, share):
+def average_similar(seen, apart, count, n, share):
     """Of the colors that frames see, lane by lane that of the last of the ``share`` which look most like the pixel.
 
     Args:

@@ -24,7 +24,7 @@ from flowsplat.priors.masks.photometric_residual import Unexplained
 from flowsplat.scenes.layers import TRUSTED
 
 STRONGEST = 1.5
-"""Largest evidence of one frame, for or against motion: the logarithm to base 2 of the motion over ``resting_motion``."""
+"""Largest evidence of one frame, for or against motion: the logarithm to base 2 of the motion over ``estimate_resting_motion``."""
 
 USUAL, CALMEST = 3.5, 1.0
 """Multiples of the median motion of all pixels that are neither evidence of motion nor of rest, and the least that may be."""
@@ -61,7 +61,7 @@ class Weighing:
 MANY_FRAMES, FEW_IMAGES, MATCHES_ALONE = Weighing(0.35, 4.0, 2.0), Weighing(0.7, 1.5, 1.0), Weighing(0.0, 0.0, 2.0)
 
 
-def weighing(clip: MatchedClip) -> Weighing:
+def choose_weighing(clip: MatchedClip) -> Weighing:
     """That of a clip: of many frames errors of depth are the same from frame to frame, and add up along the flow as motion does.
 
     Where depth is not seen well, it does not tell where else a pixel is to be seen: a bear that the camera follows has so little
@@ -78,17 +78,17 @@ def motion_evidence(clip: MatchedClip, background: StaticDepth) -> list[np.ndarr
     Args:
         background: the still scene, as far as it is known without masks.
     """
-    rests, how = resting_motion(clip), weighing(clip)
-    own = [own_evidence(clip, k, rests).astype(np.float16) for k in range(len(clip))]
+    rests, how = estimate_resting_motion(clip), choose_weighing(clip)
+    own = [compute_own_evidence(clip, k, rests).astype(np.float16) for k in range(len(clip))]
     if how.color:
         unexplained = Unexplained(clip, background)
         for k in track(range(len(clip)), "What the still scene explains"):
             own[k] = (own[k] + np.float32(how.color) * unexplained.evidence(k)).astype(np.float16)
-    sums = propagated(clip, own.__getitem__, clip.step_flow, MEMORY)
+    sums = propagate(clip, own.__getitem__, clip.step_flow, MEMORY)
     return [(total - how.rare).astype(np.float16) for total in track(sums, "What moves", len(clip))][::-1]
 
 
-def propagated(
+def propagate(
     clip: MatchedClip, own: Callable[[int], np.ndarray], flow: Callable[[int, int], tuple[np.ndarray, np.ndarray]], memory: float
 ) -> Iterator[np.ndarray]:
     """The evidence of each training frame and of those before and after it, [h, w] float32, from the last to the first.
@@ -100,9 +100,9 @@ def propagated(
     """
 
     def from_neighbor(evidence: np.ndarray, k: int, j: int) -> np.ndarray:
-        if not clip.continuity.joined(k, j):
+        if not clip.continuity.are_joined(k, j):
             return np.zeros_like(evidence, np.float32)
-        return memory * _warped(evidence, *flow(k, j))
+        return memory * _warp(evidence, *flow(k, j))
 
     forward = [own(0).astype(np.float16)]
     for k in range(1, len(clip)):
@@ -115,7 +115,7 @@ def propagated(
         backward = backward + own(k)
 
 
-def resting_motion(clip: MatchedClip) -> float:
+def estimate_resting_motion(clip: MatchedClip) -> float:
     """Multiple of its expected noise at which a pixel's matches are evidence of neither motion nor rest.
 
     What is expected is the noise of a hard clip. Most pixels rest, so that their median tells how large it really is.
@@ -125,7 +125,7 @@ def resting_motion(clip: MatchedClip) -> float:
     return float(np.clip(USUAL * np.median(known), CALMEST, RESTS)) if len(known) else RESTS
 
 
-def own_evidence(clip: MatchedClip, k: int, rests: float) -> np.ndarray:
+def compute_own_evidence(clip: MatchedClip, k: int, rests: float) -> np.ndarray:
     """[h, w] float32: positive where a frame's own matches are evidence of motion, negative of rest, 0 without matches.
 
     Args:
@@ -139,7 +139,7 @@ def own_evidence(clip: MatchedClip, k: int, rests: float) -> np.ndarray:
     return np.where(motion > 0, np.clip(strength, -STRONGEST, STRONGEST), 0)
 
 
-def _warped(evidence: np.ndarray, flow: np.ndarray, confidence: np.ndarray) -> np.ndarray:
+def _warp(evidence: np.ndarray, flow: np.ndarray, confidence: np.ndarray) -> np.ndarray:
     """Evidence [h, w] of another frame at the pixels from which a flow [h, w, 2] leads there; 0 where it is not trusted."""
     height, width = evidence.shape
     points = pixel_grid(width, height) + flow
@@ -153,14 +153,14 @@ def rough_cut(evidence: np.ndarray, frame: np.ndarray, certain: float) -> np.nda
     Args:
         certain: mean evidence that an object needs.
     """
-    smooth = EdgeSmoother(frame, _SMOOTHNESS, _COLOR_SIGMA).filter(enlarged(evidence, frame))
+    smooth = EdgeSmoother(frame, _SMOOTHNESS, _COLOR_SIGMA).filter(enlarge(evidence, frame))
     moving: np.ndarray = (smooth > 0).astype(np.uint8)
     # Slivers, above all along the border where matches are few.
     moving = cv2.morphologyEx(moving, cv2.MORPH_OPEN, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5)))
     return parts(moving, smooth, certain)
 
 
-def enlarged(evidence: np.ndarray, like: np.ndarray) -> np.ndarray:
+def enlarge(evidence: np.ndarray, like: np.ndarray) -> np.ndarray:
     """Evidence [h, w] at the size of an image [H, W, ...]: [H, W] float32."""
     return cv2.resize(evidence.astype(np.float32), like.shape[1::-1], interpolation=cv2.INTER_LINEAR)
 

@@ -40,7 +40,7 @@ def number_objects(scene: Scene) -> tuple[int, float]:
             came_from = np.floor(grid + scene.flow(i, frames[index - 1]).flow).astype(int)
             x, y = (np.clip(came_from[..., axis], 0, size - 1) for axis, size in ((0, scene.width), (1, scene.height)))
             before = before[y, x]
-        count, labels, owners = _divided(moving, before)
+        count, labels, owners = _divide(moving, before)
         numbers = np.zeros(count, np.uint8)
         areas = np.bincount(labels.ravel(), minlength=count)
         taken: dict[int, int] = {}
@@ -57,7 +57,7 @@ def number_objects(scene: Scene) -> tuple[int, float]:
     return highest, pixels / (len(frames) * scene.width * scene.height)
 
 
-def _divided(moving: np.ndarray, before: np.ndarray) -> tuple[int, np.ndarray, dict[int, int]]:
+def _divide(moving: np.ndarray, before: np.ndarray) -> tuple[int, np.ndarray, dict[int, int]]:
     """The parts of a mask, those of several objects divided.
 
     Args:

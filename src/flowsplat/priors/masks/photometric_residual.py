@@ -30,11 +30,11 @@ from flowsplat.common.simd import (
 )
 from flowsplat.common.spread import spread
 from flowsplat.common.threads import parallel_for
-from flowsplat.priors.background.bits import packed
+from flowsplat.priors.background.bits import pack
 from flowsplat.priors.background.matched_clip import MatchedClip
-from flowsplat.priors.background.reprojection import carried
+from flowsplat.priors.background.reprojection import reproject
 from flowsplat.priors.background.static_depth import StaticDepth
-from flowsplat.priors.masks.background_plate import AGREEING, UNSEEN, agreed_color, bilinear, difference
+from flowsplat.priors.masks.background_plate import AGREEING, UNSEEN, average_similar, bilinear, difference
 from flowsplat.priors.masks.plane_sweep import largest_share
 
 WITNESSES = 16
@@ -91,7 +91,7 @@ class Unexplained:
     def __init__(self, clip: MatchedClip, background: StaticDepth):
         self._clip, self._background = clip, background
         self._image = lru_cache(maxsize=None)(clip.image)
-        self._sure = lru_cache(maxsize=None)(self._known)
+        self._sure = lru_cache(maxsize=None)(self._read_known)
 
     def evidence(self, k: int) -> np.ndarray:
         """Logarithm to base 2 [h, w] float32 of how much more often objects than still things look like this."""
@@ -114,16 +114,16 @@ class Unexplained:
             differs from no surface. Both [h, w] float32.
         """
         clip, image = self._clip, self._image(k)
-        piece = [j for j in range(len(clip)) if clip.continuity.joined(k, j) and j != k]
+        piece = [j for j in range(len(clip)) if clip.continuity.are_joined(k, j) and j != k]
         others = [piece[n] for n in spread(len(piece), min(WITNESSES, len(piece)))] if piece else []
         if len(others) < LEAST:
             return np.full(image.shape[:2], -1, np.float32), np.zeros(image.shape[:2], np.float32)
         cameras = [clip.cameras[j] for j in others]
-        values = np.stack([self._carried(j, k) for j in others])
+        values = np.stack([self._reproject(j, k) for j in others])
         intrinsics = np.array([c.intrinsics for c in (clip.cameras[k], *cameras)], np.float32)
         poses = np.array([camera.pose_from(clip.cameras[k]) for camera in cameras], np.float32)
         frames = np.stack([self._image(j) for j in others])
-        words = packed(frames, np.zeros(frames.shape[:3], np.bool_))
+        words = pack(frames, np.zeros(frames.shape[:3], np.bool_))
         plates, scatter = np.empty((SURFACES, *image.shape), np.float32), np.empty((SURFACES, *image.shape[:2]), np.float32)
         counts = np.empty(scatter.shape, np.uint8)
         parallel_for(_plates, len(image), image, values, intrinsics, poses, words.reshape(-1), plates, scatter, counts)
@@ -145,13 +145,13 @@ class Unexplained:
         y, x = (np.minimum(np.arange(size) // EVERY, known - 1) for size, known in zip((height, width), share.shape, strict=True))
         return share[np.ix_(y, x)]
 
-    def _known(self, j: int) -> tuple[np.ndarray, np.ndarray]:
-        inverse, weight = self._background.filled(j)
+    def _read_known(self, j: int) -> tuple[np.ndarray, np.ndarray]:
+        inverse, weight = self._background.fill(j)
         return inverse, np.where(weight > SUPPORTED, weight, 0).astype(np.float32)
 
-    def _carried(self, j: int, k: int) -> np.ndarray:
+    def _reproject(self, j: int, k: int) -> np.ndarray:
         """Inverse depth that frame j is sure of, at the pixels of frame k; 0 where it knows none."""
-        seen, _ = carried(*self._sure(j), self._clip.cameras[j], self._clip.cameras[k])
+        seen, _ = reproject(*self._sure(j), self._clip.cameras[j], self._clip.cameras[k])
         # Nearer cameras see the same surface with gaps between its pixels.
         closed = cv2.morphologyEx(seen, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
         return np.where(seen > 0, seen, closed)
@@ -237,7 +237,7 @@ def _plates(
                     store(seen, (3 * j + 2) * LANES, blue)
                     store(apart, j * LANES, where_above(holds, nothing, off0 * off0 + off1 * off1 + off2 * off2, broadcast(far)))
                     n = n + holds
-                red, green, blue, off = agreed_color(seen, apart, J, n, agreeing)
+                red, green, blue, off = average_similar(seen, apart, J, n, agreeing)
                 at, none = 5 * s * room + first, broadcast(nothing)
                 store(found, at, where_above(n, nothing, red, none))
                 store(found, at + room, where_above(n, nothing, green, none))

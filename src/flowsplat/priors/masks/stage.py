@@ -1,4 +1,5 @@
-"""The mask stage: objects are found by their motion, then cut out by what the images show (METHOD 9).
+"""The mask stage: objects are found by their motion, then cut out by what the images show (docs/method.md, "Flow, masks and
+depth").
 
 Matches find what moves, but not its outline: flow takes along what is near an object, and misses what is thin. So the
 images decide on the outline: a pixel that differs from the static scene as other frames show it, and that has the
@@ -19,7 +20,7 @@ from flowsplat.priors.background.static_depth import static_depth
 from flowsplat.priors.flow import FlowEstimator, dis_estimator
 from flowsplat.priors.masks.background_plate import CleanPlate
 from flowsplat.priors.masks.colors import Colors, look_up
-from flowsplat.priors.masks.motion import enlarged, motion_evidence, parts, propagated, rough_cut, weighing
+from flowsplat.priors.masks.motion import choose_weighing, enlarge, motion_evidence, parts, propagate, rough_cut
 from flowsplat.priors.masks.numbers import number_objects
 from flowsplat.scenes import Scene
 
@@ -61,8 +62,8 @@ def mask_stage(scene: Scene, estimate: FlowEstimator = dis_estimator) -> None:
     clip = MatchedClip(scene, estimate)
     motion = motion_evidence(clip, static_depth(clip, False))
     if _rough_masks(clip, motion):
-        evidence = _own_evidence(clip, motion)
-        for k, mask in enumerate(_cut(clip, evidence, motion)):
+        evidence = _compute_own_evidence(clip, motion)
+        for k, mask in enumerate(_cut_masks(clip, evidence, motion)):
             scene.write_mask(scene.train_frames[k], mask)
     objects, share = number_objects(scene)
     # That parts are one object is known when points on them were followed (``identify_objects``).
@@ -71,7 +72,7 @@ def mask_stage(scene: Scene, estimate: FlowEstimator = dis_estimator) -> None:
     scene.finish_prior("masks", method="motion", verdict=verdict, objects=objects, share=round(share, 5))
 
 
-def moving_evidence(clip: MatchedClip, shown: Sequence[np.ndarray]) -> list[np.ndarray]:
+def compute_evidence(clip: MatchedClip, shown: Sequence[np.ndarray]) -> list[np.ndarray]:
     """Evidence [H, W] float16 of every training frame, a logarithm to base 2, positive where something moves.
 
     Overwrites the masks of the training frames.
@@ -81,13 +82,13 @@ def moving_evidence(clip: MatchedClip, shown: Sequence[np.ndarray]) -> list[np.n
     """
     motion = motion_evidence(clip, static_depth(clip, False))
     _rough_masks(clip, motion, shown)
-    sums = _propagated(clip, _own_evidence(clip, motion))
+    sums = _propagate(clip, _compute_own_evidence(clip, motion))
     return [total.astype(np.float16) for total in track(sums, "What moves", len(clip))][::-1]
 
 
 def _rough_masks(clip: MatchedClip, motion: list[np.ndarray], shown: Sequence[np.ndarray] | None = None) -> bool:
     """Write what moves by its motion, and what is known to, as masks of 0 and 1; whether anything does."""
-    scene, certain, found = clip.scene, weighing(clip).certain, False
+    scene, certain, found = clip.scene, choose_weighing(clip).certain, False
     for k, i in enumerate(scene.train_frames):
         mask = rough_cut(motion[k], scene.frame(i), certain)
         if shown is not None:
@@ -97,7 +98,7 @@ def _rough_masks(clip: MatchedClip, motion: list[np.ndarray], shown: Sequence[np
     return found
 
 
-def _own_evidence(clip: MatchedClip, motion: list[np.ndarray]) -> list[np.ndarray]:
+def _compute_own_evidence(clip: MatchedClip, motion: list[np.ndarray]) -> list[np.ndarray]:
     """[H, W] float16 of every training frame by itself: its plate, matches and colors."""
     evidence = _plate_evidence(clip, motion)
     _add_colors(clip, evidence, motion)
@@ -114,7 +115,7 @@ def _plate_evidence(clip: MatchedClip, motion: list[np.ndarray]) -> list[np.ndar
     for k in track(range(len(clip)), "Clean plates"):
         residual = plate.residual(k)
         differs = np.clip(np.log2(np.maximum(residual, 1e-3) / np.float32(DIFFERS)), -STRONGEST, STRONGEST)
-        moves = OF_MOTION * np.clip(enlarged(motion[k], residual) / FULL_MOTION, -1, 1.5)
+        moves = OF_MOTION * np.clip(enlarge(motion[k], residual) / FULL_MOTION, -1, 1.5)
         evidence.append((np.where(residual >= 0, differs, 0) + moves).astype(np.float16))
     return evidence
 
@@ -133,14 +134,14 @@ def _add_colors(clip: MatchedClip, evidence: list[np.ndarray], motion: list[np.n
         evidence[k] = (evidence[k] + look_up(table, scene.frame(i))).astype(np.float16)
 
 
-def _cut(clip: MatchedClip, evidence: list[np.ndarray], motion: list[np.ndarray]) -> list[np.ndarray]:
+def _cut_masks(clip: MatchedClip, evidence: list[np.ndarray], motion: list[np.ndarray]) -> list[np.ndarray]:
     """The masks [H, W] uint8 of 0 and 1, from evidence that is propagated between frames."""
     scene, numbers = clip.scene, clip.scene.train_frames
-    sums = zip(numbers[::-1], motion[::-1], _propagated(clip, evidence), strict=True)
+    sums = zip(numbers[::-1], motion[::-1], _propagate(clip, evidence), strict=True)
     return [_outline(total, scene.frame(i), moving) for i, moving, total in track(sums, "Masks", len(clip))][::-1]
 
 
-def _propagated(clip: MatchedClip, evidence: list[np.ndarray]) -> Iterator[np.ndarray]:
+def _propagate(clip: MatchedClip, evidence: list[np.ndarray]) -> Iterator[np.ndarray]:
     """The evidence [H, W] of each training frame and its neighbors, from the last to the first."""
     scene, numbers = clip.scene, clip.scene.train_frames
 
@@ -148,10 +149,10 @@ def _propagated(clip: MatchedClip, evidence: list[np.ndarray]) -> Iterator[np.nd
         found = scene.flow(numbers[k], numbers[j])
         return found.flow, found.confidence
 
-    return propagated(clip, evidence.__getitem__, flow, MEMORY)
+    return propagate(clip, evidence.__getitem__, flow, MEMORY)
 
 
 def _outline(evidence: np.ndarray, frame: np.ndarray, motion: np.ndarray) -> np.ndarray:
     """The mask [H, W] uint8 along the edges of the frame, of parts that were found by their motion."""
     smooth = EdgeSmoother(frame, _SMOOTHNESS, _COLOR_SIGMA).filter(evidence.astype(np.float32))
-    return parts((smooth > 0).astype(np.uint8), enlarged(motion, frame) > 0, MOVES)
+    return parts((smooth > 0).astype(np.uint8), enlarge(motion, frame) > 0, MOVES)

@@ -19,7 +19,7 @@ def large_objects(scene: Scene) -> set[int]:
     return {int(number) for number in np.flatnonzero((areas > 0) & (areas >= SMALL * areas.max()))}
 
 
-def moving_objects(count: int, small: int = 0) -> str:
+def describe_count(count: int, small: int = 0) -> str:
     """``"nothing moves"``, ``"1 moving object"``, ``"2 moving objects and 1 small part"``."""
     if not count:
         return "nothing moves"

@@ -3,7 +3,8 @@
 Matches say nothing about the depth of what moves. But every static point that other frames show at the pixels of a
 object lies behind it: these points are its clean plate. The nearest of them is the ground at its feet, if it stands on
 the ground, and in any case the furthest it can be away. So an object is as near as the near end of its plate, and no pixel
-of it lies behind the plate, or behind what frames far away in time saw there (METHOD 9: that an object is before the
+of it lies behind the plate, or behind what frames far away in time saw there (docs/method.md, "Flow, masks and depth": that an
+object is before the
 background matters more than how far before). How its depth changes is seen from its size, so that the frames with the
 nearest plate speak for all.
 """
@@ -107,7 +108,7 @@ def make_billboards(clip: MatchedClip, background: StaticDepth) -> dict[int, np.
         """The billboard of every object in a frame, and how much larger it is in the frame before and in the next one."""
         mask = clip.mask(k)
         numbers = [int(number) for number in np.unique(mask[mask > 0])]
-        here = {number: place_billboard(mask == number, background.foremost(k)) for number in numbers}
+        here = {number: place_billboard(mask == number, background.compute_foremost(k)) for number in numbers}
         return here, _growths(clip, k, k - 1, mask), _growths(clip, k, k + 1, mask)
 
     with one_thread():
@@ -128,7 +129,7 @@ def make_billboards(clip: MatchedClip, background: StaticDepth) -> dict[int, np.
 
 def _growths(clip: MatchedClip, k: int, j: int, mask: np.ndarray) -> dict[int, float]:
     """Logarithm of how much larger the objects of training frame ``k`` are in its neighbor ``j``."""
-    if not mask.any() or not 0 <= j < len(clip) or not clip.continuity.joined(k, j):
+    if not mask.any() or not 0 <= j < len(clip) or not clip.continuity.are_joined(k, j):
         return {}
     flow, confidence = clip.step_flow(k, j)
     return {int(number): growth(mask == number, flow, confidence) for number in np.unique(mask[mask > 0])}

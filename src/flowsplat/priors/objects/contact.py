@@ -57,7 +57,7 @@ def middle_of(mask: np.ndarray) -> np.ndarray:
     return np.array([np.median(x), np.median(y)]) + 0.5
 
 
-def ground_bound(mask: np.ndarray, camera: Camera, ground: Ground, static: np.ndarray) -> Bound | None:
+def compute_ground_bound(mask: np.ndarray, camera: Camera, ground: Ground, static: np.ndarray) -> Bound | None:
     """The bound of one frame.
 
     Args:

@@ -69,7 +69,7 @@ class Feet:
         """How much its height above the ground would change over time by a depth trajectory [T]: see ``unevenness``."""
         return unevenness(self.log_depth - depth_trajectory, self.visible, self.frames)
 
-    def supposed(self, depth_trajectory: np.ndarray) -> bool:
+    def is_supposed(self, depth_trajectory: np.ndarray) -> bool:
         """Whether the ground under a depth trajectory [T] is supposed rather than seen."""
         known = np.isfinite(self.log_depth - depth_trajectory)
         return bool(known.any()) and float(self.ground_seen[known].mean()) < 0.5
@@ -97,7 +97,7 @@ def contact_cue(bounds: np.ndarray, visible: np.ndarray, frames: int) -> Cue | N
     return Cue(float(middle), float(np.hypot(FLOOR["contact"], 0.5 * (high - low))), WRONG["contact"])
 
 
-def settled(above: np.ndarray, visible: np.ndarray) -> np.ndarray:
+def settle_on_ground(above: np.ndarray, visible: np.ndarray) -> np.ndarray:
     """[T] what brings the depth trajectory of an object that stands to the ground over time.
 
     A depth trajectory that only its size tells is some percent off over time, where feet are seen to one or two.
@@ -117,7 +117,7 @@ def unsurer(cue: Cue) -> Cue:
     return Cue(cue.log_scale, float(np.hypot(cue.sigma, SUPPOSED_SIGMA)), SUPPOSED_WRONG)
 
 
-def thrown_cue(bounds: np.ndarray, thrown: np.ndarray) -> Cue | None:
+def make_thrown_cue(bounds: np.ndarray, thrown: np.ndarray) -> Cue | None:
     """That an object touched the ground in the frames in which its own path was thrown up.
 
     Thin tips of a mask and feet that something hides put a bound too far, so the nearest of them speaks.

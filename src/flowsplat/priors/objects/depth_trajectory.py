@@ -14,7 +14,7 @@ from flowsplat.priors.objects.contact import upright_ratio
 from flowsplat.priors.objects.contact_cues import FLAT, Feet
 from flowsplat.priors.objects.distance import Cue
 from flowsplat.priors.objects.path import Law, WorldPath, constant_height, pivot
-from flowsplat.priors.objects.rematching import ObjectImages, rematched
+from flowsplat.priors.objects.rematching import ObjectImages, rematch_object
 from flowsplat.priors.objects.rigid import Observations, RigidMotion, longest, solve_rigid
 from flowsplat.priors.objects.shape_offset import ShapePoints, place_points
 
@@ -109,9 +109,9 @@ def solve_depth_trajectory(
     seen = np.isfinite(log_billboards) & np.isfinite(tracks.middles).all(1)
     by_growth = np.where(seen, log_billboards - np.mean(log_billboards[seen]), np.nan)
     motion, motions = rigid_motions(tracks.positions, tracks.inside, tracks.K)
-    placed = None if motion is None else placed_motion(motion, tracks)
+    placed = None if motion is None else place_motion(motion, tracks)
     if motion is not None and placed is not None and images is not None:
-        motion, placed = _refined(motion, placed, tracks, seen, images)
+        motion, placed = _refine(motion, placed, tracks, seen, images)
     contradicted = placed is not None and float(np.nanstd(placed.log_depth - by_growth)) > CONTRADICTED
     if placed is not None and contradicted and feet.unevenness(by_growth) <= FLAT < feet.unevenness(placed.log_depth):
         placed = None
@@ -119,7 +119,7 @@ def solve_depth_trajectory(
         return DepthTrajectory(_weak_depth_trajectory(motions, tracks, by_growth, seen, feet), None, ShapePoints.none(), None, {})
     try:
         path = WorldPath.of(motion, tracks.cameras)
-        cues = accepted_laws(path, ground.normal if ground else None)[0]
+        cues = check_laws(path, ground.normal if ground else None)[0]
     except np.linalg.LinAlgError:
         cues, path = {}, None  # Poses that the tracks hardly tell have no covariance: then no law does either.
     # Limbs of what bends are placed wrongly.
@@ -127,16 +127,16 @@ def solve_depth_trajectory(
     return DepthTrajectory(np.where(seen, placed.log_depth, np.nan), motion, points, path, cues, placed.share)
 
 
-def _refined(
+def _refine(
     motion: RigidMotion, placed: PlacedMotion, tracks: ObjectTracks, seen: np.ndarray, images: ObjectImages
 ) -> tuple[RigidMotion, PlacedMotion]:
     """The motion by points that are matched anew in the images, where that is of the same body; else the same as before."""
-    again = rematched(motion, tracks.positions, tracks.inside, images)
+    again = rematch_object(motion, tracks.positions, tracks.inside, images)
     if again is None:
         return motion, placed
     refined, matched, counts = again
     every, used = np.concatenate([matched, tracks.positions]), np.concatenate([counts, tracks.inside])
-    surer = placed_motion(refined, replace(tracks, positions=every, inside=used))
+    surer = place_motion(refined, replace(tracks, positions=every, inside=used))
     # Two solutions that differ by more than two halves of the tracks may are not of one body.
     if surer is None or not float(np.std((surer.log_depth - placed.log_depth)[seen])) <= SPLIT_HALF:
         return motion, placed
@@ -150,7 +150,7 @@ def _weak_depth_trajectory(
     """[T] the depth trajectory of what bends: by its growth, or by a motion that explains part of it, if only by that its feet keep
     to the ground."""
     for weak in motions if feet.unevenness(by_growth) > FLAT else []:
-        placed = placed_motion(weak, tracks)
+        placed = place_motion(weak, tracks)
         if placed is not None and feet.unevenness(placed.log_depth) <= FLAT:
             return np.where(seen, placed.log_depth, np.nan)
     return by_growth
@@ -182,7 +182,7 @@ def rigid_motions(positions: np.ndarray, inside: np.ndarray, K: np.ndarray) -> t
     return None, motions
 
 
-def accepted_laws(path: WorldPath, normal: np.ndarray | None) -> tuple[dict[str, Cue], dict[str, Law]]:
+def check_laws(path: WorldPath, normal: np.ndarray | None) -> tuple[dict[str, Cue], dict[str, Law]]:
     """The laws of motion that pass their gates, as cues; and what every law said."""
     laws: dict[str, Law] = {"pivot": pivot(path)}
     if normal is not None:
@@ -198,7 +198,7 @@ def accepted_laws(path: WorldPath, normal: np.ndarray | None) -> tuple[dict[str,
     return cues, laws
 
 
-def placed_motion(motion: RigidMotion, tracks: ObjectTracks) -> PlacedMotion | None:
+def place_motion(motion: RigidMotion, tracks: ObjectTracks) -> PlacedMotion | None:
     """The depth trajectory by a motion of an object's own; None where it tells of no frame."""
     points, share = place_points(motion, Observations.of_tracks(tracks.positions, tracks.inside, tracks.K), tracks.K)
     found = middle_depths(points, tracks.middles, tracks.cameras, tracks.normal)

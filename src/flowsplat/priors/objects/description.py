@@ -73,15 +73,15 @@ def sureness(sigmas: Sequence[float], guesses: int = 0) -> str:
 def describe_objects(scene: Scene, found: SceneObjects) -> list[ObjectDescription]:
     """Of every object that is seen in a training frame, in the order of their numbers."""
     focal = float(scene.cameras[scene.train_frames[0]].K[0, 0])
-    return [_described(obj, focal) for obj in sorted(found.objects, key=lambda each: each.number) if _seen(obj).any()]
+    return [_describe(obj, focal) for obj in sorted(found.objects, key=lambda each: each.number) if _find_visible(obj).any()]
 
 
-def _seen(obj: DynamicObject) -> np.ndarray:
+def _find_visible(obj: DynamicObject) -> np.ndarray:
     return np.isfinite(obj.log_depth)
 
 
-def _described(obj: DynamicObject, focal: float) -> ObjectDescription:
-    seen = _seen(obj)
+def _describe(obj: DynamicObject, focal: float) -> ObjectDescription:
+    seen = _find_visible(obj)
     depth, sigma = float(np.exp(np.median(obj.log_depth[seen]))), float(obj.sigma)
     step = HALF_PIXEL * depth / (focal * max(sigma, 1e-6))
     return ObjectDescription(obj.number, int(seen.sum()), depth, sigma, sorted(obj.cues), obj.rigid, step)

@@ -62,11 +62,11 @@ def combine(guess: float, cues: Mapping[str, Cue], bounds: Sequence[float], near
     told = [guess, *(cue.log_scale for cue in cues.values()), *([] if near_ground is None else [near_ground])]
     x = np.arange(min(told) + NEAR, max(told) + FAR, STEP)
     width = FAR - NEAR
-    log_p = np.log(_guessed(x, guess, CARD_SIGMA))
+    log_p = np.log(_guess_density(x, guess, CARD_SIGMA))
     if near_ground is not None:
-        log_p += np.log(_guessed(x, near_ground, GROUND_SIGMA))
+        log_p += np.log(_guess_density(x, near_ground, GROUND_SIGMA))
     for cue in cues.values():
-        log_p += np.log((1 - cue.wrong) * _student(x, cue.log_scale, cue.sigma, 4) + cue.wrong / width)
+        log_p += np.log((1 - cue.wrong) * _student_density(x, cue.log_scale, cue.sigma, 4) + cue.wrong / width)
     for bound in bounds:
         inside = 1 / (1 + np.exp(np.clip((x - bound) / BOUND_SOFTNESS, -50, 50)))
         log_p += np.log((1 - BOUND_WRONG) * inside + BOUND_WRONG)
@@ -76,10 +76,10 @@ def combine(guess: float, cues: Mapping[str, Cue], bounds: Sequence[float], near
     return Distance(median, float(np.sqrt((p * (x - median) ** 2).sum())))
 
 
-def _guessed(x: np.ndarray, mean: float, sigma: float) -> np.ndarray:
-    return (1 - CARD_WRONG) * _student(x, mean, sigma, 4) + CARD_WRONG * _student(x, mean, CARD_TAIL, 4)
+def _guess_density(x: np.ndarray, mean: float, sigma: float) -> np.ndarray:
+    return (1 - CARD_WRONG) * _student_density(x, mean, sigma, 4) + CARD_WRONG * _student_density(x, mean, CARD_TAIL, 4)
 
 
-def _student(x: np.ndarray, mean: float, sigma: float, freedom: int) -> np.ndarray:
+def _student_density(x: np.ndarray, mean: float, sigma: float, freedom: int) -> np.ndarray:
     """Density of Student's t; its constant for 3 and 4 degrees of freedom is nearly the same."""
     return 0.37 / sigma * (1 + ((x - mean) / sigma) ** 2 / freedom) ** (-(freedom + 1) / 2)

@@ -91,11 +91,11 @@ def with_hints(
     for hint in hints:
         number, offset = _offset(clip, background, grounds, found, hint)
         told.setdefault(number, []).append((hint.kind, offset))
-    objects = [_placed(obj, told[obj.number]) if obj.number in told else obj for obj in found.objects]
+    objects = [_place(obj, told[obj.number]) if obj.number in told else obj for obj in found.objects]
     return replace(found, objects=objects)
 
 
-def _placed(obj: DynamicObject, told: Sequence[tuple[str, float]]) -> DynamicObject:
+def _place(obj: DynamicObject, told: Sequence[tuple[str, float]]) -> DynamicObject:
     weights = np.array([1 / SIGMA[kind] ** 2 for kind, _ in told])
     offsets = np.array([offset for _, offset in told])
     offset = float(np.average(offsets, weights=weights))

@@ -102,7 +102,7 @@ class ObjectImages:
         return result
 
 
-def rematched(
+def rematch_object(
     motion: RigidMotion, positions: np.ndarray, inside: np.ndarray, images: ObjectImages
 ) -> tuple[RigidMotion, np.ndarray, np.ndarray] | None:
     """A motion from points that are matched anew, and those.

@@ -12,14 +12,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flowsplat.priors.objects.rigid_equations import (
-    moved_points,
-    reduced_system,
+    move_points,
+    reduce_system,
     refine_pose,
     robust_cost,
     second_differences,
-    solved,
-    turned,
-    unpacked,
+    solve_band,
+    turn,
+    unpack_band,
     widest_link,
 )
 
@@ -172,12 +172,12 @@ def pose_information(motion: RigidMotion) -> tuple[np.ndarray, np.ndarray]:
     place[frames] = np.arange(len(frames))
     turns, shifts = motion.turns[frames], motion.shifts[frames]
     prior = _unevenness(turns, shifts)[0]
-    H = reduced_system(
+    H = reduce_system(
         turns, shifts, motion.points, o.first, place[o.frame_of], o.x, motion.known, o.focal, RESIDUAL_WIDTH,
         SHAPE_RIDGE / motion.size**2, 0.0, widest_link(o.first, place[o.frame_of], motion.known),
     )[0]  # fmt: skip
     H[:, : prior.shape[1]] += prior
-    return frames, unpacked(H)
+    return frames, unpack_band(H)
 
 
 def longest(seen: np.ndarray, most: int = PER_FRAME) -> np.ndarray:
@@ -296,12 +296,12 @@ class _Solver:
             prior, pull, _ = _unevenness(turns, shifts)
             after = np.inf
             for _ in range(_DAMPING_TRIES):
-                H, b, own, inverses, gradients, links = reduced_system(turns, shifts, points, *fixed, damping, reach)
+                H, b, own, inverses, gradients, links = reduce_system(turns, shifts, points, *fixed, damping, reach)
                 H[:, : prior.shape[1]] += prior
                 H[:, 0] += damping * (own + prior[:, 0]) + 1e-9
-                step = solved(H, b + pull)
-                moved = moved_points(points, step, o.first, fixed[1], inverses, gradients, links, self._known)
-                new_turns = turned(turns, step)
+                step = solve_band(H, b + pull)
+                moved = move_points(points, step, o.first, fixed[1], inverses, gradients, links, self._known)
+                new_turns = turn(turns, step)
                 new_shifts = shifts + step.reshape(-1, 6)[:, 3:]
                 after = robust_cost(new_turns, new_shifts, moved, *fixed) + _unevenness(new_turns, new_shifts)[2]
                 if after < cost:

@@ -14,15 +14,15 @@ _BANDED = 1.5
 """Times the width of its band that a system is large at least to be solved as one."""
 
 
-def solved(H: np.ndarray, b: np.ndarray) -> np.ndarray:
+def solve_band(H: np.ndarray, b: np.ndarray) -> np.ndarray:
     """The solution of H x = b, H symmetric and positive, as a band: [n, w] holds its entries (i, i + d)."""
     n, band = H.shape
     try:
         if _BANDED * band > n:
-            return np.asarray(cho_solve(cho_factor(unpacked(H), overwrite_a=True, check_finite=False), b, check_finite=False))
+            return np.asarray(cho_solve(cho_factor(unpack_band(H), overwrite_a=True, check_finite=False), b, check_finite=False))
         return np.asarray(solveh_banded(H.T, b, lower=True, check_finite=False))
     except np.linalg.LinAlgError:  # It is positive but for rounding.
-        return np.linalg.solve(unpacked(H), b)
+        return np.linalg.solve(unpack_band(H), b)
 
 
 @helper
@@ -36,7 +36,7 @@ def rotation(v: np.ndarray) -> np.ndarray:
 
 
 @kernel
-def turned(turns: np.ndarray, step: np.ndarray) -> np.ndarray:
+def turn(turns: np.ndarray, step: np.ndarray) -> np.ndarray:
     """Turns [F, 3, 3] after a step [6F] of the poses."""
     result = np.empty_like(turns)
     for f in range(len(turns)):
@@ -111,7 +111,7 @@ def robust_cost(
 
 
 @kernel
-def reduced_system(
+def reduce_system(
     turns: np.ndarray, shifts: np.ndarray, points: np.ndarray, first: np.ndarray, frame_of: np.ndarray, x: np.ndarray,
     known: np.ndarray, focal: float, width: float, ridge: float, damping: float, reach: int,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
@@ -179,7 +179,7 @@ def reduced_system(
 
 
 @kernel
-def unpacked(H: np.ndarray) -> np.ndarray:
+def unpack_band(H: np.ndarray) -> np.ndarray:
     """The whole symmetric matrix [n, n] of a band [n, w]."""
     n, band = H.shape
     whole = np.zeros((n, n))
@@ -204,11 +204,11 @@ def widest_link(first: np.ndarray, frame_of: np.ndarray, known: np.ndarray) -> i
 
 
 @kernel
-def moved_points(
+def move_points(
     points: np.ndarray, step: np.ndarray, first: np.ndarray, frame_of: np.ndarray, inverses: np.ndarray, gradients: np.ndarray,
     links: np.ndarray, known: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
-    """Points [N, 3] after the step [6F] of the poses, by what ``reduced_system`` returned."""
+    """Points [N, 3] after the step [6F] of the poses, by what ``reduce_system`` returned."""
     result, g = points.copy(), np.zeros(3)
     for n in range(len(points)):
         if not known[n]:

@@ -58,7 +58,7 @@ def place_points(motion: RigidMotion, observations: Observations, K: np.ndarray)
         The points, and the share of all observations that lie where the motion puts them: limbs that move on their own do not.
     """
     o = observations
-    points, covariances = _placed(motion, o)
+    points, covariances = _solve_offset(motion, o)
     n, t = o.point_of, o.frame_of
     y = np.einsum("mij,mj->mi", motion.turns[t], points[n]) + motion.shifts[t]
     depth = np.maximum(y[:, 2], NEAREST)
@@ -74,12 +74,12 @@ def place_points(motion: RigidMotion, observations: Observations, K: np.ndarray)
 
 def rough_points(motion: RigidMotion, observations: Observations) -> np.ndarray:
     """[N, 3] of all points in the object's frame, with its poses held; NaN of those that no frame with a pose saw."""
-    points, covariances = _placed(motion, observations)
+    points, covariances = _solve_offset(motion, observations)
     points[~np.isfinite(covariances).all((1, 2))] = np.nan
     return points
 
 
-def _placed(motion: RigidMotion, o: Observations) -> tuple[np.ndarray, np.ndarray]:
+def _solve_offset(motion: RigidMotion, o: Observations) -> tuple[np.ndarray, np.ndarray]:
     """Of ``_place``."""
     placed: tuple[np.ndarray, np.ndarray] = _place(
         motion.turns, motion.shifts, motion.used, o.first, o.frame_of, o.x, o.focal, RESIDUAL_WIDTH,

@@ -16,8 +16,8 @@ from flowsplat.priors.objects.contact_cues import (
     bounce_cue,
     contact_cue,
     foot_offset,
-    settled,
-    thrown_cue,
+    make_thrown_cue,
+    settle_on_ground,
     unsurer,
 )
 from flowsplat.priors.objects.depth_trajectory import DepthTrajectory, ObjectTracks, solve_depth_trajectory
@@ -131,11 +131,11 @@ def solve_object(
     at_ground = feet.log_depth - found.log_depth
     stands = contact_cue(at_ground, feet.visible, feet.frames)
     bounces = _bounces(found, tracks, feet, ground, float(np.exp(guess)), front) if stands is None else None
-    if feet.supposed(found.log_depth):  # ground that is not seen may drop: it says less
+    if feet.is_supposed(found.log_depth):  # ground that is not seen may drop: it says less
         stands, bounces = (None if cue is None else unsurer(cue) for cue in (stands, bounces))
     depth_trajectory = found.log_depth
     if stands is not None and found.motion is None:
-        depth_trajectory = depth_trajectory + settled(at_ground - stands.log_scale, feet.visible)
+        depth_trajectory = depth_trajectory + settle_on_ground(at_ground - stands.log_scale, feet.visible)
         guess = float(np.median((log_billboards - depth_trajectory)[seen]))
     distance, cues = _distance(guess, found.cues, stands, bounces, at_ground[np.isfinite(at_ground) & feet.ground_seen])
     points = replace(found.points, log_depth=found.points.log_depth + distance.log_scale)
@@ -163,7 +163,7 @@ def _bounces(
     thrown = np.zeros(0, int)
     if found.path is not None and ground is not None:
         thrown = bounce_frames(found.path, ground.normal, scale)
-    bounces = thrown_cue(_at_feet(touched, thrown, found, tracks, feet, front), thrown) or bounce_cue(touched)
+    bounces = make_thrown_cue(_at_feet(touched, thrown, found, tracks, feet, front), thrown) or bounce_cue(touched)
     if bounces is None or len(thrown):
         return bounces
     lowest = int(np.nanargmin(touched))

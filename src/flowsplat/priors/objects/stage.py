@@ -1,4 +1,4 @@
-"""The object stage: how each object moves, and how far away it is (METHOD 10)."""
+"""The object stage: how each object moves, and how far away it is (docs/method.md, "Distance of objects")."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from flowsplat.priors.background.static_depth import Background, StaticDepth, st
 from flowsplat.priors.flow import FlowEstimator, dis_estimator
 from flowsplat.priors.objects.areas import large_objects
 from flowsplat.priors.objects.billboards import make_billboards
-from flowsplat.priors.objects.contact import Bound, ground_bound, middle_of
+from flowsplat.priors.objects.contact import Bound, compute_ground_bound, middle_of
 from flowsplat.priors.objects.hints import Hint, with_hints
 from flowsplat.priors.objects.identity import identify_objects
 from flowsplat.priors.objects.rematching import ObjectImages, gray
@@ -72,7 +72,7 @@ def find_objects(clip: MatchedClip, background: StaticDepth, hints: Sequence[Hin
     frames = scene.train_frames
     cameras = [scene.cameras[i] for i in frames]
     pieces = np.asarray(clip.continuity.pieces)
-    grounds = {int(piece): _ground(clip, background, np.flatnonzero(pieces == piece)) for piece in np.unique(pieces)}
+    grounds = {int(piece): _estimate_ground(clip, background, np.flatnonzero(pieces == piece)) for piece in np.unique(pieces)}
     any_ground = next((ground for ground in grounds.values() if ground is not None), None)
     normal = any_ground.normal if any_ground is not None else up_direction(cameras)
     billboards = make_billboards(clip, background)
@@ -87,7 +87,7 @@ def find_objects(clip: MatchedClip, background: StaticDepth, hints: Sequence[Hin
                 continue
             middles[number][k] = middle_of(inside)
             if ground is not None:
-                bounds[number][k] = ground_bound(inside, cameras[k], ground, static)
+                bounds[number][k] = compute_ground_bound(inside, cameras[k], ground, static)
     tracks = scene.tracks
     on_objects = tracks_of_objects(tracks.points, tracks.visible, scene.mask, frames)
     grays = np.stack([gray(scene.frame(i)) for i in track(frames, "Images of objects")])
@@ -117,15 +117,15 @@ def _sure_depth(background: StaticDepth, k: int) -> np.ndarray:
     """Planar depth [h, w] of the static scene in a training frame; inf where it is not sure."""
     if not isinstance(background, Background):
         return np.full((1, 1), np.inf)
-    return background.placed(k)
+    return background.compute_sure_depth(k)
 
 
-def _ground(clip: MatchedClip, background: StaticDepth, frames: np.ndarray) -> Ground | None:
+def _estimate_ground(clip: MatchedClip, background: StaticDepth, frames: np.ndarray) -> Ground | None:
     """The ground of one piece of the clip, given by positions of its frames."""
     if not isinstance(background, Background):
         return None
     chosen = frames[spread(len(frames), GROUND_FRAMES)]
     depths = [1 / np.maximum(background.sure(int(k))[0], 1e-9) for k in chosen]
-    sure = [np.isfinite(background.placed(int(k))) for k in chosen]
+    sure = [np.isfinite(background.compute_sure_depth(int(k))) for k in chosen]
     points, normals, found = static_points(depths, sure, [clip.cameras[int(k)] for k in chosen])
     return find_ground(points, normals, found, [clip.cameras[int(k)] for k in frames]) if len(points) else None

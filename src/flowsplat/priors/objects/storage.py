@@ -88,7 +88,7 @@ def save_objects(scene: Scene, found: SceneObjects) -> None:
 _ARRAYS = ("log_depth", "middles", "object_id", "frame", "pixels", "point_log_depth", "point_sigma")
 
 
-def _most_bytes(scene: Scene) -> int:
+def _compute_max_bytes(scene: Scene) -> int:
     """Of the arrays: no more points than every fourth pixel of every frame."""
     return MOST_BYTES // 4 + 8 * scene.width * scene.height * scene.num_frames
 
@@ -120,7 +120,7 @@ def load_objects(scene: Scene) -> SceneObjects:
     path = scene.folder / "objects.json"
     if not path.exists():
         return SceneObjects([], np.array([0.0, -1.0, 0.0]))
-    value, arrays = read_json(path, ObjectsFile), read_npz(scene.folder / "objects.npz", _ARRAYS, _most_bytes(scene))
+    value, arrays = read_json(path, ObjectsFile), read_npz(scene.folder / "objects.npz", _ARRAYS, _compute_max_bytes(scene))
     try:
         objects, (count, frames) = [], (len(value["objects"]), len(scene.train_frames))
         if arrays["log_depth"].shape != (count, frames) or arrays["middles"].shape != (count, frames, 2):

@@ -8,8 +8,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from flowsplat.images.colors import tinted
-from flowsplat.images.sheets import stacked
+from flowsplat.images.colors import tint
+from flowsplat.images.sheets import stack
 from flowsplat.priors.flow import FlowEstimator, forward_backward_confidence
 from flowsplat.priors.prompts.cutting import cut_out
 from flowsplat.priors.prompts.parsing import CLICK_RADIUS, Prompt
@@ -25,7 +25,7 @@ NEXT, FARTHER = 1, 3
 _ON, _BESIDE, _BOX = (60, 230, 60), (240, 50, 50), (255, 220, 0)
 
 
-def cut_at_once(scene: Scene, prompts: Sequence[Prompt], estimate: FlowEstimator) -> list[np.ndarray]:
+def cut_prompts(scene: Scene, prompts: Sequence[Prompt], estimate: FlowEstimator) -> list[np.ndarray]:
     """The object of every prompt on its frame, bool [H, W]; nothing of a prompt without clicks on it or a box round it."""
     flows: dict[tuple[int, int], Flow] = {}
     found = []
@@ -43,20 +43,20 @@ def cut_at_once(scene: Scene, prompts: Sequence[Prompt], estimate: FlowEstimator
 
 def show_at_once(scene: Scene, prompts: Sequence[Prompt], estimate: FlowEstimator) -> Path:
     """Draw every frame with prompts, what they mean in color, into ``IMAGE`` in the folder of the scene; its path."""
-    found = cut_at_once(scene, prompts, estimate)
+    found = cut_prompts(scene, prompts, estimate)
     rows = []
     for i in sorted({prompt.frame for prompt in prompts}):
         here = [(prompt, mask) for prompt, mask in zip(prompts, found, strict=True) if prompt.frame == i]
         numbers = np.zeros((scene.height, scene.width), np.uint8)
         for prompt, mask in here[::-1]:
             numbers[mask] = prompt.number
-        image = tinted(scene.frame(i), numbers)
+        image = tint(scene.frame(i), numbers)
         for prompt, _ in here:
             _draw(image, prompt)
         _write(image, f"frame {i}", (6, image.shape[0] - 8))
         rows.append(image)
     path = scene.folder / IMAGE
-    write_image(path, stacked(rows))
+    write_image(path, stack(rows))
     return path
 
 

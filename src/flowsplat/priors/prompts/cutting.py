@@ -9,7 +9,7 @@ import numpy as np
 
 from flowsplat.images.edge_smoothing import EdgeSmoother
 from flowsplat.priors.masks.colors import Colors, look_up
-from flowsplat.priors.prompts.grabcut import ROUNDS, grab, snapped, touching
+from flowsplat.priors.prompts.grabcut import ROUNDS, grab, keep_touched, snap_to_edges
 from flowsplat.priors.prompts.parsing import CLICK_RADIUS, Point, Prompt
 from flowsplat.scenes import Flow
 
@@ -59,13 +59,13 @@ def cut_out(image: np.ndarray, flow: Flow, prompt: Prompt, evidence: np.ndarray 
     """
     if prompt.beside:
         alone = _cut(image, flow, replace(prompt, beside=()), evidence)
-        prompt = replace(prompt, beside=taken_away(prompt, alone))
+        prompt = replace(prompt, beside=list_excluded(prompt, alone))
         if not prompt.beside:
             return alone
     return _cut(image, flow, prompt, evidence)
 
 
-def taken_away(prompt: Prompt, found: np.ndarray) -> tuple[Point, ...]:
+def list_excluded(prompt: Prompt, found: np.ndarray) -> tuple[Point, ...]:
     """Those places that are said to be beside an object which touch what was found of it, bool [H, W]."""
     return tuple(place for place in prompt.beside if (_disc([place], found.shape) & found).any())
 
@@ -75,16 +75,16 @@ def _cut(image: np.ndarray, flow: Flow, prompt: Prompt, evidence: np.ndarray | N
     seeds, beside, possible = _places(prompt, flow.confidence.shape)
     bits = _unlike_around(flow, seeds, possible, prompt) if evidence is None else np.float32(OF_EVIDENCE) * evidence
     bits = cv2.medianBlur(np.clip(bits, -MOST, MOST).astype(np.float32), 5)
-    chosen = _chosen(bits, prompt, seeds, possible)
+    chosen = _choose_evidence(bits, prompt, seeds, possible)
     if chosen is None:
         found = _by_colors(image, flow.flow, prompt, seeds, beside, possible)
     else:
         found = _by_evidence(image, np.where(possible, chosen, -MOST), seeds, beside, possible)
     found &= ~beside
-    return touching(found, seeds) if prompt.clicks else found
+    return keep_touched(found, seeds) if prompt.clicks else found
 
 
-def corrected(image: np.ndarray, flow: Flow, prompt: Prompt, carried: np.ndarray, evidence: np.ndarray | None = None) -> np.ndarray:
+def correct(image: np.ndarray, flow: Flow, prompt: Prompt, carried: np.ndarray, evidence: np.ndarray | None = None) -> np.ndarray:
     """An object that was carried to a frame, bool [H, W], with clicks on what it misses and beside it.
 
     Args:
@@ -185,7 +185,7 @@ def _apart_from(flow: Flow, ring: np.ndarray) -> tuple[np.ndarray, float]:
     return np.linalg.norm(flow.flow - terms @ solved, axis=-1), max(float(np.median(apart)), CALMEST)
 
 
-def _chosen(bits: np.ndarray, prompt: Prompt, seeds: np.ndarray, possible: np.ndarray) -> np.ndarray | None:
+def _choose_evidence(bits: np.ndarray, prompt: Prompt, seeds: np.ndarray, possible: np.ndarray) -> np.ndarray | None:
     """Evidence [H, W] of the object alone, without what else moves; None where it does not tell."""
     count, labels = cv2.connectedComponents((bits > 0).astype(np.uint8))
     if prompt.box is None:
@@ -220,7 +220,7 @@ def _by_evidence(image: np.ndarray, bits: np.ndarray, seeds: np.ndarray, beside:
         like = np.float32(OF_COLOR) * np.clip(look_up(table, image), -FULL_COLOR, FULL_COLOR)
         total = smoother.filter(np.where(possible, bits + like, -2 * MOST).astype(np.float32))
     found = possible & (total > 0)
-    return snapped(image, found) if found.any() else seeds.copy()
+    return snap_to_edges(image, found) if found.any() else seeds.copy()
 
 
 def _by_colors(
@@ -235,7 +235,7 @@ def _by_colors(
         trimap[guess] = cv2.GC_PR_FGD
         trimap[seeds], trimap[beside] = cv2.GC_FGD, cv2.GC_BGD
         found = grab(image, trimap, ROUNDS)
-        found = touching(found, seeds) if prompt.clicks else found
+        found = keep_touched(found, seeds) if prompt.clicks else found
         if found.sum() > COLLAPSED * guess.sum():
             return found
     return guesses[-1] | seeds
@@ -256,10 +256,10 @@ def _like_the_click(image: np.ndarray, flow: np.ndarray, seeds: np.ndarray, poss
     own = np.median(flow[seeds], axis=0)
     apart = float(np.linalg.norm(own - np.median(flow[possible], axis=0)))
     if apart > MOVES:
-        moves = touching(possible & (np.linalg.norm(flow - own, axis=-1) < 0.5 * apart), seeds)
+        moves = keep_touched(possible & (np.linalg.norm(flow - own, axis=-1) < 0.5 * apart), seeds)
         if moves.sum() > 4 * seeds.sum():
             return moves
     lab = cv2.cvtColor(cv2.bilateralFilter(np.ascontiguousarray(image), 7, 30, 5), cv2.COLOR_RGB2LAB).astype(np.float32)
     color = np.median(lab[seeds], axis=0)
     distance = np.linalg.norm(lab - color, axis=-1)
-    return touching(possible & (distance < 12 + 2 * float(np.median(distance[seeds]))), seeds)
+    return keep_touched(possible & (distance < 12 + 2 * float(np.median(distance[seeds]))), seeds)

@@ -36,7 +36,7 @@ def grab(image: np.ndarray, trimap: np.ndarray, rounds: int) -> np.ndarray:
     return found
 
 
-def snapped(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
+def snap_to_edges(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """The mask, bool [H, W], with its edge moved to one of the image RGB [H, W, 3] where there is one nearby."""
     margin = max(2, round(BAND * max(mask.shape)))
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * margin + 1, 2 * margin + 1))
@@ -48,7 +48,7 @@ def snapped(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
     return grab(image, trimap, 1)
 
 
-def touching(mask: np.ndarray, seeds: np.ndarray) -> np.ndarray:
+def keep_touched(mask: np.ndarray, seeds: np.ndarray) -> np.ndarray:
     """The parts of a mask that ``seeds`` touch, and the seeds themselves; all bool [H, W]."""
     _, labels = cv2.connectedComponents((mask | seeds).astype(np.uint8))
     return np.isin(labels, np.unique(labels[seeds]))

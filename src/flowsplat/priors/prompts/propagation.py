@@ -19,11 +19,11 @@ from flowsplat.priors.prompts.cutting import (
     OF_COLOR,
     OF_EVIDENCE,
     SMOOTHNESS,
-    corrected,
+    correct,
     cut_out,
-    taken_away,
+    list_excluded,
 )
-from flowsplat.priors.prompts.grabcut import BAND, snapped
+from flowsplat.priors.prompts.grabcut import BAND, snap_to_edges
 from flowsplat.priors.prompts.parsing import Prompt
 from flowsplat.scenes import Scene
 
@@ -81,9 +81,9 @@ class Walk:
         shown: list[int] = []
         for prompt in self.prompts:
             start = frames.index(prompt.frame)
-            if not (prompt.clicks or prompt.box or taken_away(prompt, parts[start].mask)):
+            if not (prompt.clicks or prompt.box or list_excluded(prompt, parts[start].mask)):
                 continue  # It was meant of another object: this one stays as it is, to the bit.
-            parts[start] = self._shown(prompt, start, parts[start].mask if shown else None)
+            parts[start] = self._cut_shown(prompt, start, parts[start].mask if shown else None)
             for steps in (range(start + 1, len(frames)), range(start - 1, -1, -1)):
                 before = start
                 for k in steps:
@@ -95,7 +95,7 @@ class Walk:
             shown.append(start)
         return parts
 
-    def _shown(self, prompt: Prompt, k: int, carried: np.ndarray | None) -> Part:
+    def _cut_shown(self, prompt: Prompt, k: int, carried: np.ndarray | None) -> Part:
         """The object on a frame with a prompt."""
         frames = self.scene.train_frames
         image, other = self.scene.frame(prompt.frame), frames[k + 1] if k + 1 < len(frames) else frames[k - 1]
@@ -104,7 +104,7 @@ class Walk:
         if carried is None or prompt.box is not None:
             mask = cut_out(image, flow, prompt, evidence)
         else:
-            mask = corrected(image, flow, prompt, carried, evidence)
+            mask = correct(image, flow, prompt, carried, evidence)
         if not mask.any():
             return Part(mask, 1.0)
         if carried is None:
@@ -137,7 +137,7 @@ class Walk:
         trusted = np.where(apart < ALIKE, back.confidence, 0)
         if self.evidence is None:
             moved = _reliable(moved, trusted)
-            return Part(snapped(image, moved) if moved.any() else moved, _mean(back.confidence, moved))
+            return Part(snap_to_edges(image, moved) if moved.any() else moved, _mean(back.confidence, moved))
         evidence = self.evidence[k].astype(np.float32)
         moved = _reliable(moved, np.maximum(trusted, np.clip(evidence, 0, 1)))
         if not moved.any():

@@ -1,4 +1,5 @@
-"""The mask stage of clicks and boxes: what was shown is followed along the flow, and its outline is what moves (METHOD 9)."""
+"""The mask stage of clicks and boxes: what was shown is followed along the flow, and its outline is what moves (docs/method.md,
+"Flow, masks and depth")."""
 
 from __future__ import annotations
 
@@ -13,7 +14,7 @@ import numpy as np
 from flowsplat.common.progress import track
 from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.flow import FlowEstimator, dis_estimator
-from flowsplat.priors.masks.stage import moving_evidence
+from flowsplat.priors.masks.stage import compute_evidence
 from flowsplat.priors.prompts.parsing import Prompt
 from flowsplat.priors.prompts.propagation import Part, Walk
 from flowsplat.scenes import Scene
@@ -37,7 +38,7 @@ def prompt_stage(scene: Scene, prompts: Sequence[Prompt], estimate: FlowEstimato
     rough = [Walk(scene, each).parts() for each in positive]
     shown = [np.any([walk[k].mask for walk in rough], axis=0) for k in range(len(frames))]
     del rough
-    evidence = moving_evidence(MatchedClip(scene, estimate), shown)
+    evidence = compute_evidence(MatchedClip(scene, estimate), shown)
     walks = [Walk(scene, each, evidence).parts() for each in track(objects, "Masks")]
     numbers = _numbers(walks, [frames.index(each[0].frame) for each in objects])
     pixels, sure = 0, []

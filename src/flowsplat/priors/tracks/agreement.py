@@ -19,7 +19,7 @@ SMALLEST_SPREAD = np.float32(0.15)
 """Pixels."""
 
 
-def agreed_motion(
+def compute_agreed_motion(
     points: np.ndarray, motions: np.ndarray, weights: np.ndarray, labels: np.ndarray, reach: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What the neighbors of every point, itself left out, say about its motion.

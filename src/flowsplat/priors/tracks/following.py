@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flowsplat.geometry.interpolation import sample_map
-from flowsplat.priors.tracks.agreement import agreed_motion
+from flowsplat.priors.tracks.agreement import compute_agreed_motion
 from flowsplat.priors.tracks.patches import Patches, align
 from flowsplat.scenes import Flow
 from flowsplat.scenes.layers import TRUSTED
@@ -122,8 +122,8 @@ class Follower:
             ages=none, missed=none, labels=labels[row, column], trust=none + 1, drift=none,
         )  # fmt: skip
         cut = Patches.cut(image.astype(np.float32), labels, places)
-        self._patches = cut if self._patches is None else self._patches.joined(cut)
-        self._older = cut if self._older is None else self._older.joined(cut)
+        self._patches = cut if self._patches is None else self._patches.join(cut)
+        self._older = cut if self._older is None else self._older.join(cut)
 
     def step(self, image: np.ndarray, labels: np.ndarray, flow: Flow, pace: float = 1.0) -> None:
         """Go to the next image.
@@ -142,7 +142,7 @@ class Follower:
         elders = living.ages >= ELDER
         believed = (likeness >= LIKE) & (elders | (led >= TRUSTED))
         weight = np.clip(living.ages, 0.25, 4) * (likeness - LIKE + 0.05) * np.where(living.missed == 0, 1, 0.3) * believed
-        motion, gradient, spread = agreed_motion(living.places, places - living.places, weight, living.labels, reach)
+        motion, gradient, spread = compute_agreed_motion(living.places, places - living.places, weight, living.labels, reach)
         asked = np.isfinite(spread)
         away = np.where(asked, np.linalg.norm(places - living.places - motion, axis=1), 0)
         spread = np.where(asked, np.minimum(spread, 5), 0)
@@ -170,7 +170,7 @@ class Follower:
         elders = living.ages >= ELDER
         moves = living.moves * np.float32(pace)
         weight = np.where(elders & (living.missed == 0), np.clip(living.trust - LIKE, 0.01, 1), 0)
-        motion, gradient, spread = agreed_motion(living.places, moves, weight, living.labels, reach)
+        motion, gradient, spread = compute_agreed_motion(living.places, moves, weight, living.labels, reach)
         expected = living.places + np.where(elders[:, None], moves, by_flow - living.places)
         # Where the flow of a young point contradicts its elders, it goes with them; and so does who was not seen.
         away = np.linalg.norm(by_flow - living.places - motion, axis=1)
@@ -214,7 +214,7 @@ class Follower:
         rows, places = rows[there], places[there]
         living.moves[rows] += places - living.places[rows]
         living.places[rows], living.older_shapes[rows] = places, living.shapes[rows]
-        self._older.put(rows, self._patches[rows])
-        self._patches.put(rows, Patches.cut(image, labels, places))
+        self._older.replace(rows, self._patches[rows])
+        self._patches.replace(rows, Patches.cut(image, labels, places))
         living.shapes[rows] = np.eye(2, dtype=np.float32)
         living.drift[rows] += SLIP + 0.5 * doubt[rows]

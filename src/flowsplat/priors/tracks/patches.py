@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import float32
 
-from flowsplat.common.kernels import helper, inlined, kernel
+from flowsplat.common.kernels import helper, inline, kernel
 from flowsplat.common.threads import parallel_for
 
 RADIUS = 6
@@ -53,12 +53,12 @@ class Patches:
         parallel_for(_cut, len(points), image, labels.astype(np.int32, copy=False), np.asarray(points, np.float32), *arrays)
         return Patches(*arrays)
 
-    def put(self, rows: np.ndarray, other: Patches) -> None:
+    def replace(self, rows: np.ndarray, other: Patches) -> None:
         """Replace the patches ``rows``."""
         for mine, new in zip(vars(self).values(), vars(other).values(), strict=True):
             mine[rows] = new
 
-    def joined(self, other: Patches) -> Patches:
+    def join(self, other: Patches) -> Patches:
         """These, then the others."""
         return Patches(*(np.concatenate(pair) for pair in zip(vars(self).values(), vars(other).values(), strict=True)))
 
@@ -82,7 +82,7 @@ def align(patches: Patches, image: np.ndarray, points: np.ndarray, shapes: np.nd
     return points, shapes, likeness
 
 
-@inlined
+@inline
 def _sample_inside(image, x, y):
     """Bilinear, for places that have four pixels round them."""
     j, i = np.int32(x), np.int32(y)
@@ -92,7 +92,7 @@ def _sample_inside(image, x, y):
     return top + v * (bottom - top)
 
 
-@inlined
+@inline
 def _sample(image, x, y):
     """Bilinear; the border continues."""
     height, width = image.shape

@@ -40,7 +40,7 @@ class _Rays:
     origins: np.ndarray
     directions: np.ndarray
 
-    def seen_by(
+    def project(
         self, cameras: Sequence[Camera], frames: np.ndarray, rows: np.ndarray, inverse: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Pixels [K, 2] of points ``rows`` [K] at ``inverse`` depth [K] in ``frames`` [K], and their derivatives [K, 2] by it.
@@ -82,7 +82,7 @@ def complete_resting(scene: Scene, points: np.ndarray, confidence: np.ndarray, b
     rays = _Rays(centers, ahead - centers)
     found = confidence[rows] > 0
     found[np.arange(len(rows)), first] = False
-    fitted, agrees = _fitted(rays, cameras, points[rows], found, inverse[rows])
+    fitted, agrees = _fit(rays, cameras, points[rows], found, inverse[rows])
     counts = agrees.sum(1)
     rests = (counts >= FEWEST) & (counts >= MOSTLY * found.sum(1)) & (np.abs(np.log(fitted / inverse[rows])) <= LARGEST_ERROR)
     lasting = found.sum(1) >= FEWEST
@@ -106,7 +106,7 @@ def _at_births(scene: Scene, points: np.ndarray, births: np.ndarray) -> tuple[np
     return inverse, moving
 
 
-def _fitted(
+def _fit(
     rays: _Rays, cameras: Sequence[Camera], points: np.ndarray, found: np.ndarray, inverse: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """The inverse depth [N] at which what was found [N, T] lies on most, and what then does [N, T]: robust Gauss-Newton."""
@@ -115,7 +115,7 @@ def _fitted(
     stiffness = 1 / (DEPTH_ERROR * inverse) ** 2
     fitted = inverse.copy()
     for _ in range(_ROUNDS):
-        place, change = rays.seen_by(cameras, frames, rows, fitted[rows])
+        place, change = rays.project(cameras, frames, rows, fitted[rows])
         off = np.nan_to_num(place - seen, nan=1e6)
         weight = 1 / (1 + (off**2).sum(1) / WIDTH**2)
         change = np.nan_to_num(change)
@@ -123,7 +123,7 @@ def _fitted(
         curvature = np.bincount(rows, weight * (change**2).sum(1), count) + stiffness
         fitted = np.clip(fitted - slope / curvature, inverse / 2, inverse * 2)
     agrees = np.zeros(found.shape, bool)
-    place, _ = rays.seen_by(cameras, frames, rows, fitted[rows])
+    place, _ = rays.project(cameras, frames, rows, fitted[rows])
     agrees[rows, frames] = np.linalg.norm(place - seen, axis=1) < AGREES
     return fitted, agrees
 
@@ -141,7 +141,7 @@ def _fill(
         if continuity.is_blank(k):
             continue
         lost = np.flatnonzero(rests & (confidence[rows, i] == 0) & (piece == continuity.pieces[k]))
-        pixels, _ = rays.seen_by(cameras, np.full(len(lost), i), lost, fitted[lost])
+        pixels, _ = rays.project(cameras, np.full(len(lost), i), lost, fitted[lost])
         inside = (np.isfinite(pixels) & (pixels >= 0) & (pixels < size)).all(1)
         lost, pixels = lost[inside], pixels[inside]
         x, y = pixels.astype(int).T

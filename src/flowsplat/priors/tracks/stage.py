@@ -111,7 +111,7 @@ def _follow(scene: Scene, order: list[int], start: Start, label: str) -> Iterato
             continue
         image = detail(gray(scene.frame(t)))
         labels = scene.mask(t).astype(np.int32) if has_masks else np.zeros(image.shape, np.int32)
-        if before < 0 or not continuity.joined(k, scene.train_frames.index(before)):
+        if before < 0 or not continuity.are_joined(k, scene.train_frames.index(before)):
             follower, took = Follower(), 0.0
         else:
             takes = float(abs(scene.timestamps[t] - scene.timestamps[before]))

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from flowsplat.common.errors import InputError
-from flowsplat.scenes.clip import Clip, InputOptions, resize_image, select_frames, working_size
+from flowsplat.scenes.clip import Clip, InputOptions, choose_working_size, resize_image, select_frames
 from flowsplat.scenes.formats.masks import GivenMasks
 from flowsplat.scenes.layers import decode_image
 
@@ -94,7 +94,7 @@ def open_images(folder: Path, options: InputOptions, masks: Path | None = None, 
     selection = select_frames(np.arange(len(paths)) / options.fps, options, str(folder))
     chosen = [paths[i] for i in selection.numbers]
     height, width = read_input_image(chosen[0]).shape[:2]
-    size, notes = working_size(width, height, options, str(folder))
+    size, notes = choose_working_size(width, height, options, str(folder))
     given = None
     if masks is not None:
         found = {path.stem: path for path in list_images(masks)}

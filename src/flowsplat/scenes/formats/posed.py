@@ -15,10 +15,10 @@ from flowsplat.scenes.clip import (
     Clip,
     InputOptions,
     ViewImage,
+    choose_working_size,
     resize_image,
     resize_labels,
     select_frames,
-    working_size,
 )
 from flowsplat.scenes.formats.images import read_input_image
 from flowsplat.scenes.formats.masks import read_labels
@@ -89,7 +89,7 @@ class PosedClip(Clip):
                 None if path is None else resize_labels((read_labels(path) > 0).astype(np.uint8), size) > 0
                 for path in (posed.mask, posed.covisible)
             )
-            camera = posed.camera.resized(*size)
+            camera = posed.camera.resize(*size)
             yield ViewImage(HeldoutView(view.name, frame, camera), resize_image(image, size), *masks)
 
 
@@ -137,7 +137,7 @@ def open_posed(
     selection = select_frames(numbers / options.fps, options, str(folder))
     chosen = [images[n] for n in selection.numbers]
     height, width = read_posed(chosen[0]).shape[:2]
-    size, resized = working_size(width, height, options, str(folder))
+    size, resized = choose_working_size(width, height, options, str(folder))
     frame_at = {int(numbers[n]): i for i, n in enumerate(selection.numbers)}
     return PosedClip(
         name=Path(folder).resolve().name,
@@ -147,7 +147,7 @@ def open_posed(
         timestamps=selection.timestamps,
         source_fps=options.fps,
         notes=[*selection.notes, *resized, *notes],
-        cameras=[image.camera.resized(*size) for image in chosen],
+        cameras=[image.camera.resize(*size) for image in chosen],
         numbers=selection.numbers,
         images=chosen,
         stored_size=(width, height),

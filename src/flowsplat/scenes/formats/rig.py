@@ -78,7 +78,7 @@ class RigTruth:
     @property
     def cameras(self) -> list[Camera]:
         """One camera a chosen frame."""
-        return [self._stored[n].resized(*self._size) for n in self._numbers]
+        return [self._stored[n].resize(*self._size) for n in self._numbers]
 
     @property
     def flow_pairs(self) -> list[tuple[int, int]]:

@@ -15,7 +15,7 @@ from av.video.stream import VideoStream
 
 from flowsplat.common.errors import InputError
 from flowsplat.images.media import open_media
-from flowsplat.scenes.clip import Clip, InputOptions, resize_image, select_frames, working_size
+from flowsplat.scenes.clip import Clip, InputOptions, choose_working_size, resize_image, select_frames
 from flowsplat.scenes.formats.video_color import Colors, colors_of, decode_rgb, to_srgb
 
 SEEK_MARGIN = 2.0
@@ -33,7 +33,7 @@ ones."""
 
 
 @contextlib.contextmanager
-def _opened(path: Path) -> Iterator[tuple[InputContainer, VideoStream]]:
+def _open_container(path: Path) -> Iterator[tuple[InputContainer, VideoStream]]:
     """The container and its main video stream; whatever FFmpeg refuses meanwhile becomes an ``InputError``."""
     try:
         with open_media(path) as container:
@@ -75,7 +75,7 @@ def _read_index(path: Path) -> _Index:
     """
     keys: list[int | None] = []
     end, damaged = 0.0, False
-    with _opened(path) as (container, stream):
+    with _open_container(path) as (container, stream):
         for packet in _packets(container):
             is_image = packet is not None and packet.stream.index == stream.index and packet.size > 0
             if packet is None or (is_image and packet.is_corrupt):
@@ -97,7 +97,7 @@ def _read_index(path: Path) -> _Index:
         each_packet_is_a_frame = stream.codec_context.name in PACKET_CODECS
         has_timestamps = container.format.name not in COUNTED_FORMATS
     if not each_packet_is_a_frame:
-        with _opened(path) as (container, stream):
+        with _open_container(path) as (container, stream):
             keys = [frame.pts for frame in container.decode(stream)]
     known = {key for key in keys if key is not None}
     if len(known) < len(keys) or not has_timestamps:
@@ -172,7 +172,7 @@ class VideoClip(Clip):
         if not wanted:
             return
         found = 0
-        for key, frame in self._decoded(wanted[0]):
+        for key, frame in self._decode(wanted[0]):
             if key < wanted[found]:
                 continue
             if key > wanted[found] or frame.is_corrupt:
@@ -187,10 +187,10 @@ class VideoClip(Clip):
             "Copy it again, or leave the damage out with --start and --end."
         )
 
-    def _decoded(self, first: int) -> Iterator[tuple[int, av.VideoFrame]]:
+    def _decode(self, first: int) -> Iterator[tuple[int, av.VideoFrame]]:
         """Decoded frames with their keys, from ``first`` or earlier on."""
         if self.index.has_timestamps and first > self.index.keys[0]:
-            with _opened(self.path) as (container, stream), contextlib.suppress(av.FFmpegError):
+            with _open_container(self.path) as (container, stream), contextlib.suppress(av.FFmpegError):
                 margin = int(SEEK_MARGIN / float(stream.time_base or 1))
                 container.seek(max(first - margin, int(self.index.keys[0])), stream=stream, backward=True)
                 frames = ((int(frame.pts), frame) for frame in container.decode(stream) if frame.pts is not None)
@@ -200,7 +200,7 @@ class VideoClip(Clip):
                     yield from frames
                     return
         # Some containers cannot seek, or land too late: then everything is decoded.
-        with _opened(self.path) as (container, stream), contextlib.suppress(av.FFmpegError):
+        with _open_container(self.path) as (container, stream), contextlib.suppress(av.FFmpegError):
             for count, frame in enumerate(container.decode(stream)):
                 yield (int(frame.pts or 0) if self.index.has_timestamps else count), frame
 
@@ -224,7 +224,7 @@ def open_video(path: Path, options: InputOptions) -> VideoClip:
     """
     path = Path(path)
     index = _read_index(path)
-    with _opened(path) as (container, stream):
+    with _open_container(path) as (container, stream):
         first = next(container.decode(stream), None)
         if first is None:
             raise InputError(f"{path} holds no frame that can be decoded: it is damaged.")
@@ -244,7 +244,7 @@ def open_video(path: Path, options: InputOptions) -> VideoClip:
         notes.append(f"Pixels that are {aspect:.3g} times as wide as high were made square.")
     if matrix[0, 1]:
         shown_size = shown_size[::-1]
-    (width, height), resize_notes = working_size(*shown_size, options, str(path))
+    (width, height), resize_notes = choose_working_size(*shown_size, options, str(path))
     return VideoClip(
         name=path.stem,
         source=str(path),

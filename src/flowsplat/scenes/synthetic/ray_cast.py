@@ -86,7 +86,7 @@ class RayCastWorld(ABC):
         """What a camera sees at the centers of its pixels, row by row."""
         return self.cast(camera, time, pixel_grid(camera.width, camera.height).astype(np.float64).reshape(-1, 2))
 
-    def seen_by(self, camera: Camera, time: float) -> tuple[np.ndarray, np.ndarray]:
+    def cast_rays(self, camera: Camera, time: float) -> tuple[np.ndarray, np.ndarray]:
         """(planar depth [H, W] in meters, number of the object [H, W] uint8) at the pixel centers of any camera."""
         hits = self.cast_pixels(camera, time)
         shape = (camera.height, camera.width)

@@ -72,7 +72,7 @@ class StreetScene:
     def render(self, camera: Camera, time: float) -> View:
         """The street at ``time`` (seconds) from any camera in it, with the noise of that time."""
         rng = np.random.default_rng([self.seed, 7, round(1e6 * time)])
-        depth, mask = self.world.seen_by(camera, time)
+        depth, mask = self.world.cast_rays(camera, time)
         return View(self.world.photograph(lambda _: camera, time, rng), depth, mask)
 
     def flow(self, i: int, j: int) -> Flow:

@@ -113,7 +113,7 @@ class SyntheticScene(RayCastWorld):
             for y in offsets:
                 color += self._shade(camera, time, self.cast(camera, time, grid + [x, y]))
         image = np.clip(color * (255 / SAMPLES**2) + 0.5, 0, 255).astype(np.uint8)
-        return View(image.reshape(camera.height, camera.width, 3), *self.seen_by(camera, time))
+        return View(image.reshape(camera.height, camera.width, 3), *self.cast_rays(camera, time))
 
     def _shade(self, camera: Camera, time: float, hits: Hits) -> np.ndarray:
         """[N, 3] display values between 0 and 1: texture, one distant light, and fixed shade where static things meet."""

@@ -48,13 +48,13 @@ FRAME = (0.30, 0.19, 0.08)
 # -- motions
 
 
-def resting(center: tuple[float, float, float], size: np.ndarray, yaw: float = 0.0) -> Motion:
+def make_resting(center: tuple[float, float, float], size: np.ndarray, yaw: float = 0.0) -> Motion:
     """A body that stays where it is, turned by ``yaw`` degrees about the vertical."""
     A = Rotation.from_euler("z", yaw, degrees=True).as_matrix() * size
     return lambda time: (A, np.array(center, float))
 
 
-def spinning(center: tuple[float, float, float], size: np.ndarray) -> Motion:
+def make_spinning(center: tuple[float, float, float], size: np.ndarray) -> Motion:
     """About a tilted axis, 130 degrees a second, swaying up and down."""
     axis = np.array([0.35, -0.25, 0.9])
     axis /= np.linalg.norm(axis)
@@ -66,7 +66,7 @@ def spinning(center: tuple[float, float, float], size: np.ndarray) -> Motion:
     return motion
 
 
-def circling(center: tuple[float, float, float], size: np.ndarray) -> Motion:
+def make_circling(center: tuple[float, float, float], size: np.ndarray) -> Motion:
     """On a tilted circle round ``center``, 88 degrees a second, rolling on the way."""
 
     def motion(time: float) -> tuple[np.ndarray, np.ndarray]:
@@ -77,7 +77,7 @@ def circling(center: tuple[float, float, float], size: np.ndarray) -> Motion:
     return motion
 
 
-def pulsing(center: tuple[float, float, float], size: np.ndarray) -> Motion:
+def make_pulsing(center: tuple[float, float, float], size: np.ndarray) -> Motion:
     """Its three radii swing by a fifth, a third of a period apart, while the body sways sideways."""
     R = Rotation.from_euler("zy", [20, 25], degrees=True).as_matrix()
     phases = np.array([0, 2, 4]) * np.pi / 3
@@ -151,14 +151,14 @@ def build_world(seed: int) -> list[Body]:
     room = np.array([5.6, 6.0, 2.1])
     block, ball, jelly = np.array([0.42, 0.38, 0.42]), np.full(3, 0.46), np.array([0.54, 0.54, 0.6])
     return [
-        Body("room", room, resting((0, -2.6, 2.1), room), room_material(rng)),
+        Body("room", room, make_resting((0, -2.6, 2.1), room), room_material(rng)),
         *(
-            Body(shape, np.array(size), resting(center, np.array(size), yaw), material)
+            Body(shape, np.array(size), make_resting(center, np.array(size), yaw), material)
             for shape, center, size, yaw, material in static
         ),
-        Body("box", block, spinning((-1.0, -0.4, 1.6), block), patchwork(rng, 0.28, TOYS), 1),
-        Body("ellipsoid", ball, circling((0.1, 0.4, 1.35), ball), segments(rng, 8, 0.46, BALL, (0.1, 0.16, 0.3)), 2),
-        Body("ellipsoid", jelly, pulsing((1.3, -0.2, 1.5), jelly), swirls(rng, 0.9, JELLY, 0.012), 3),
+        Body("box", block, make_spinning((-1.0, -0.4, 1.6), block), patchwork(rng, 0.28, TOYS), 1),
+        Body("ellipsoid", ball, make_circling((0.1, 0.4, 1.35), ball), segments(rng, 8, 0.46, BALL, (0.1, 0.16, 0.3)), 2),
+        Body("ellipsoid", jelly, make_pulsing((1.3, -0.2, 1.5), jelly), swirls(rng, 0.9, JELLY, 0.012), 3),
     ]
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from flowsplat.common.progress import track
-from flowsplat.common.threads import in_threads, most_threads
+from flowsplat.common.threads import get_max_threads, in_threads
 from flowsplat.images.video import write_mp4
 from flowsplat.scenes.layers import Depth
 from flowsplat.scenes.scene import Scene
@@ -40,7 +40,7 @@ def write_synthetic(folder: Path, spec: DrawnClip, *, holdout: int | None = None
         holdout=holdout,
         source_fps=spec.fps,
     )
-    truth, threads = scene.create_truth() if with_truth else None, most_threads()
+    truth, threads = scene.create_truth() if with_truth else None, get_max_threads()
     cameras = [spec.camera(i) for i in range(spec.frames)]
     frames = in_threads(lambda i: spec.render(cameras[i], spec.timestamps[i]), range(spec.frames), threads)
     for i, view in enumerate(track(frames, "Rendering the synthetic clip", spec.frames)):
@@ -70,7 +70,7 @@ def write_synthetic_video(path: Path, spec: DrawnClip) -> None:
     Raises:
         InputError: the file cannot be written.
     """
-    frames = in_threads(lambda i: spec.render(spec.camera(i), spec.timestamps[i]).image, range(spec.frames), most_threads())
+    frames = in_threads(lambda i: spec.render(spec.camera(i), spec.timestamps[i]).image, range(spec.frames), get_max_threads())
     write_mp4(path, track(frames, "Rendering the synthetic clip", spec.frames), spec.fps, crf=CRF)
 
 

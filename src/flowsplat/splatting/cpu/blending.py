@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from numba import float32, int64
 
-from flowsplat.common.kernels import helper, inlined, kernel
+from flowsplat.common.kernels import helper, inline, kernel
 from flowsplat.common.simd import (
     LANES,
     broadcast,
@@ -58,7 +58,7 @@ E0, E1, E2 = np.float32(0.99999994), np.float32(0.69314224), np.float32(0.240172
 E3, E4, E5 = np.float32(0.055279724), np.float32(0.009188612), np.float32(0.00093878835)
 
 
-@inlined
+@inline
 def _alpha(exponent):
     """Unclamped alpha, zero below the cut."""
     value = ((((exponent * E5 + E4) * exponent + E3) * exponent + E2) * exponent + E1) * exponent + E0
@@ -68,7 +68,7 @@ def _alpha(exponent):
     return where_at_least(exponent, CUT, value, broadcast(ZERO))
 
 
-@inlined
+@inline
 def _lane(x, y):
     """Where pixel (x, y) of a tile lies: number of its block, lane in it."""
     return y // BLOCK_HEIGHT, y % BLOCK_HEIGHT * BLOCK_WIDTH + x

@@ -11,7 +11,7 @@ from numba import float32
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from flowsplat.common.kernels import helper, inlined, kernel
+from flowsplat.common.kernels import helper, inline, kernel
 from flowsplat.common.threads import parallel_for
 from flowsplat.splatting.cpu.projection import HALF, ONE, TWO, ZERO
 from flowsplat.splatting.rules import C0, C1, C2, C3
@@ -45,7 +45,7 @@ def basis_of(x, y, z, count, basis):
             basis[14], basis[15] = S3[5] * z * (xx - yy), S3[6] * x * (xx - THREE * yy)
 
 
-@inlined
+@inline
 def color_of(basis, sh, i, count):
     """Red, green and blue of Gaussian i in the direction of the basis, before negative ones become 0."""
     red, green, blue = HALF, HALF, HALF
@@ -56,7 +56,7 @@ def color_of(basis, sh, i, count):
     return red, green, blue
 
 
-@inlined
+@inline
 def _basis_gradient(x, y, z, count, d):
     """Gradient of the direction, of any length, from that of the basis d [16]."""
     inverse = ONE / max(math.sqrt(x * x + y * y + z * z), float32(1e-12))

@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numba import float32
 
-from flowsplat.common.kernels import inlined, kernel, log
+from flowsplat.common.kernels import inline, kernel, log
 from flowsplat.splatting.rules import ALPHA_MIN, DETERMINANT_MAX, OPACITY_FLOOR, RADIUS_MAX, TANGENT_MARGIN
 
 ONE, TWO, HALF, ZERO = np.float32(1), np.float32(2), np.float32(0.5), np.float32(0)
@@ -21,7 +21,7 @@ LEAST_OPACITY, MOST_RADIUS = np.float32(OPACITY_FLOOR), np.float32(RADIUS_MAX)
 MOST_DETERMINANT = np.float32(DETERMINANT_MAX)
 
 
-@inlined
+@inline
 def rotation(quats, i):
     """Entries of the rotation of quats[i], row by row, then the unit quaternion and the inverse of the length."""
     w, x, y, z = quats[i, 0], quats[i, 1], quats[i, 2], quats[i, 3]
@@ -38,8 +38,8 @@ def rotation(quats, i):
     )  # fmt: skip
 
 
-@inlined
-def _given(covars, i):
+@inline
+def _load_covariance(covars, i):
     """Upper half xx, xy, xz, yy, yz, zz of a given covariance."""
     return (
         covars[i, 0, 0], HALF * (covars[i, 0, 1] + covars[i, 1, 0]), HALF * (covars[i, 0, 2] + covars[i, 2, 0]),
@@ -47,22 +47,22 @@ def _given(covars, i):
     )  # fmt: skip
 
 
-@inlined
+@inline
 def _cross(x0, y0, x1, y1):
     return x0 * y1 - y0 * x1
 
 
-@inlined
+@inline
 def _flatten_given(covars, i, a0, a1, a2, b0, b1, b2, eps2d):
     """2D covariance (xx, xy, yy) and its determinant, of a given 3D covariance."""
-    xx, xy, xz, yy, yz, zz = _given(covars, i)
+    xx, xy, xz, yy, yz, zz = _load_covariance(covars, i)
     sa0, sa1, sa2 = xx * a0 + xy * a1 + xz * a2, xy * a0 + yy * a1 + yz * a2, xz * a0 + yz * a1 + zz * a2
     sb0, sb1, sb2 = xx * b0 + xy * b1 + xz * b2, xy * b0 + yy * b1 + yz * b2, xz * b0 + yz * b1 + zz * b2
     a, b, c = a0 * sa0 + a1 * sa1 + a2 * sa2 + eps2d, a0 * sb0 + a1 * sb1 + a2 * sb2, b0 * sb0 + b1 * sb1 + b2 * sb2 + eps2d
     return a, b, c, a * c - b * b
 
 
-@inlined
+@inline
 def _flatten(quats, scales, i, a0, a1, a2, b0, b1, b2, eps2d):
     """2D covariance (xx, xy, yy) and its determinant, of a rotation and scales."""
     r00, r01, r02, r10, r11, r12, r20, r21, r22, _, _, _, _, _ = rotation(quats, i)
@@ -75,8 +75,8 @@ def _flatten(quats, scales, i, a0, a1, a2, b0, b1, b2, eps2d):
     return a, b, c, n01 * n01 + n02 * n02 + n12 * n12 + eps2d * (a + c - eps2d)
 
 
-@inlined
-def clamped(tangent, low, high):
+@inline
+def clamp(tangent, low, high):
     return min(max(tangent, low), high)
 
 
@@ -104,7 +104,7 @@ def project_forward(
         u, v = fx * x * inverse + cx, fy * y * inverse + cy
         means2d[i, 0] = u
         means2d[i, 1] = v
-        tx, ty = clamped(x * inverse, left, right), clamped(y * inverse, top, bottom)
+        tx, ty = clamp(x * inverse, left, right), clamp(y * inverse, top, bottom)
         j00, j02, j11, j12 = fx * inverse, -fx * tx * inverse, fy * inverse, -fy * ty * inverse
         a0, a1, a2 = j00 * view[0, 0] + j02 * view[2, 0], j00 * view[0, 1] + j02 * view[2, 1], j00 * view[0, 2] + j02 * view[2, 2]
         b0, b1, b2 = j11 * view[1, 0] + j12 * view[2, 0], j11 * view[1, 1] + j12 * view[2, 1], j11 * view[1, 2] + j12 * view[2, 2]
@@ -162,13 +162,15 @@ def project_backward(
             z = v20 * px + v21 * py + v22 * pz + view[2, 3]
             inverse = ONE / z
             ux, uy = x * inverse, y * inverse
-            tx, ty = clamped(ux, left, right), clamped(uy, top, bottom)
+            tx, ty = clamp(ux, left, right), clamp(uy, top, bottom)
             j00, j02, j11, j12 = fx * inverse, -fx * tx * inverse, fy * inverse, -fy * ty * inverse
             a0, a1, a2 = j00 * v00 + j02 * v20, j00 * v01 + j02 * v21, j00 * v02 + j02 * v22
             b0, b1, b2 = j11 * v10 + j12 * v20, j11 * v11 + j12 * v21, j11 * v12 + j12 * v22
             ga, gb, gc = grad_conics[i, 0], HALF * grad_conics[i, 1], grad_conics[i, 2]
             if has_covars:
-                da0, da1, da2, db0, db1, db2 = _given_gradient(covars, conics, i, a0, a1, a2, b0, b1, b2, ga, gb, gc, grad_covars)
+                da0, da1, da2, db0, db1, db2 = _store_covariance_gradient(
+                    covars, conics, i, a0, a1, a2, b0, b1, b2, ga, gb, gc, grad_covars
+                )
             else:
                 da0, da1, da2, db0, db1, db2 = _rotation_and_scales_gradient(
                     quats, scales, conics, i, a0, a1, a2, b0, b1, b2, eps2d, ga, gb, gc, grad_quats, grad_scales
@@ -207,10 +209,10 @@ def project_backward(
             grad_camera[chunk, k] = camera[k]
 
 
-@inlined
-def _given_gradient(covars, conics, i, a0, a1, a2, b0, b1, b2, ga, gb, gc, grad_covars):
+@inline
+def _store_covariance_gradient(covars, conics, i, a0, a1, a2, b0, b1, b2, ga, gb, gc, grad_covars):
     """Gradient of the rows a and b of T; fills that of the covariance. ga, gb, gc: of the conic, off-diagonal halved."""
-    xx, xy, xz, yy, yz, zz = _given(covars, i)
+    xx, xy, xz, yy, yz, zz = _load_covariance(covars, i)
     # conic = inverse of the 2D covariance: dCov = -conic dConic conic
     ca, cb, cc = conics[i, 0], conics[i, 1], conics[i, 2]
     m00, m01, m10, m11 = ga * ca + gb * cb, ga * cb + gb * cc, gb * ca + gc * cb, gb * cb + gc * cc
@@ -227,7 +229,7 @@ def _given_gradient(covars, conics, i, a0, a1, a2, b0, b1, b2, ga, gb, gc, grad_
     )  # fmt: skip
 
 
-@inlined
+@inline
 def _arrow_gradient(ux, uy, s, crosses_x, crosses_y, eps2d, inverse_determinant, ca, cb, cc, ga, gb, gc):
     """Of one arrow m = s u: the gradient of m, and of s.
 
@@ -238,7 +240,7 @@ def _arrow_gradient(ux, uy, s, crosses_x, crosses_y, eps2d, inverse_determinant,
     return -TWO * s * (ca * wx + cb * wy), -TWO * s * (cb * wx + cc * wy), -TWO * s * (vx * wx + vy * wy)
 
 
-@inlined
+@inline
 def _rotation_and_scales_gradient(quats, scales, conics, i, a0, a1, a2, b0, b1, b2, eps2d, ga, gb, gc, grad_quats, grad_scales):
     """Gradient of the rows a and b of T; fills those of quats and scales. ga, gb, gc: of the conic, off-diagonal halved."""
     r00, r01, r02, r10, r11, r12, r20, r21, r22, w, x, y, z, inverse = rotation(quats, i)
@@ -275,7 +277,7 @@ def _rotation_and_scales_gradient(quats, scales, conics, i, a0, a1, a2, b0, b1, 
     )  # fmt: skip
 
 
-@inlined
+@inline
 def rotation_gradient(d00, d01, d02, d10, d11, d12, d20, d21, d22, w, x, y, z, inverse):
     """Gradient of a quaternion from that of the entries of its rotation; the other arguments are what ``rotation`` gives."""
     gw = TWO * (-z * d01 + y * d02 + z * d10 - x * d12 - y * d20 + x * d21)

@@ -111,7 +111,7 @@ def add_weighted(typingctx, sums, pixels, row, weight):
     return sums(sums, pixels, row, f32xn), codegen
 
 
-def _transposed_sums(builder: Any, vectors: list[Any]) -> Any:
+def _transpose_and_sum(builder: Any, vectors: list[Any]) -> Any:
     """Up to LANES vectors to one vector whose lane i is the sum over the lanes of vector i.
 
     Every stage adds the halves of two vectors into one. The shuffles are those that a processor does in one cheap
@@ -159,7 +159,7 @@ def store_sums(typingctx, geometry, features, out, index):
         vectors = [*cgutils.unpack_tuple(builder, args[0]), *cgutils.unpack_tuple(builder, args[1])]
         target = element(context, builder, sig.args[2], args[2], args[3])
         for group in range(0, len(vectors), LANES):
-            store_lanes(builder, _transposed_sums(builder, vectors[group : group + LANES]), at(builder, target, group))
+            store_lanes(builder, _transpose_and_sum(builder, vectors[group : group + LANES]), at(builder, target, group))
         return context.get_dummy_value()
 
     return types.void(geometry, features, out, index), codegen

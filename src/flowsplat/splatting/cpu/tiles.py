@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numba import float32, int64, uint32
 
-from flowsplat.common.kernels import inlined, kernel, log
+from flowsplat.common.kernels import inline, kernel, log
 from flowsplat.splatting.cpu.projection import HALF, ONE, TWO, ZERO
 from flowsplat.splatting.cpu.simd import BLOCK_HEIGHT, BLOCK_WIDTH, prefetch
 from flowsplat.splatting.rules import ALPHA_MIN
@@ -63,7 +63,7 @@ def sort_by_depth(depth_bits, extents, order, keys_a, keys_b, values):
     return visible
 
 
-@inlined
+@inline
 def _pack(i, means2d, conics, opacities, features, last_column, records, o, ellipse):
     """The record of Gaussian i at records[o:], and the ellipse in which it is drawn.
 

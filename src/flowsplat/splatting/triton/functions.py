@@ -95,14 +95,14 @@ class _Blended:
 def _blend(inputs: tuple[Tensor, ...], width: int, height: int, save: bool) -> _Blended:
     """Blend means2d, conics, opacities, features, depths and extents, float32; ``save``: so that backward can replay it."""
     xy, conic, opacity, feature, depth, extent = inputs
-    device, fixed = xy.device, tiles.chosen_capacity()
+    device, fixed = xy.device, tiles.get_fixed_capacity()
     if fixed is None and xy.is_cuda and torch.cuda.is_current_stream_capturing():
-        raise RuntimeError("a CUDA graph cannot wait for the GPU: capture it inside `with PairCapacity.fixed():` (triton.tiles)")
+        raise RuntimeError("a CUDA graph cannot wait for the GPU: capture it inside `with PairCapacity.fix():` (triton.tiles)")
     counted = tiles.count_tiles(xy, conic, opacity, depth, extent, width, height)
     if fixed is not None:
         fixed.note(counted.needed)
         return _blend_counted(counted, xy, conic, opacity, feature, extent, width, height, fixed.pairs, save)
-    shared, later = tiles.shared_capacity(device, width, height), Later(counted.needed)
+    shared, later = tiles.get_shared_capacity(device, width, height), Later(counted.needed)
     while True:
         capacity = shared.pairs
         blended = _blend_counted(counted, xy, conic, opacity, feature, extent, width, height, capacity, save)

@@ -39,7 +39,7 @@ def _intrinsics(K, w, h):
 
 
 @triton.jit
-def _clamped(tangent, low, high):
+def _clamp(tangent, low, high):
     return tl.minimum(tl.maximum(tangent, low), high)
 
 
@@ -64,7 +64,7 @@ def rotation(quats, i, live):
 
 
 @triton.jit
-def _given(covars, i, live):
+def _load_covariance(covars, i, live):
     """Upper half xx, xy, xz, yy, yz, zz of a given covariance."""
     o = covars + 9 * i
     xx = tl.load(o, mask=live, other=1.0)
@@ -84,7 +84,7 @@ def _cross(x0, y0, x1, y1):
 @triton.jit
 def _flatten_given(covars, i, live, a0, a1, a2, b0, b1, b2, eps2d):
     """2D covariance (xx, xy, yy) and its determinant, of a given 3D covariance."""
-    xx, xy, xz, yy, yz, zz = _given(covars, i, live)
+    xx, xy, xz, yy, yz, zz = _load_covariance(covars, i, live)
     sa0, sa1, sa2 = xx * a0 + xy * a1 + xz * a2, xy * a0 + yy * a1 + yz * a2, xz * a0 + yz * a1 + zz * a2
     sb0, sb1, sb2 = xx * b0 + xy * b1 + xz * b2, xy * b0 + yy * b1 + yz * b2, xz * b0 + yz * b1 + zz * b2
     a, b, c = a0 * sa0 + a1 * sa1 + a2 * sa2 + eps2d, a0 * sb0 + a1 * sb1 + a2 * sb2, b0 * sb0 + b1 * sb1 + b2 * sb2 + eps2d
@@ -126,7 +126,7 @@ def project_forward(
     inside = (z > near) & (z < far)
     inverse = 1.0 / tl.where(inside, z, 1.0)
     u, v = fx * x * inverse + cx, fy * y * inverse + cy
-    tx, ty = _clamped(x * inverse, left, right), _clamped(y * inverse, top, bottom)
+    tx, ty = _clamp(x * inverse, left, right), _clamp(y * inverse, top, bottom)
     j00, j02, j11, j12 = fx * inverse, -fx * tx * inverse, fy * inverse, -fy * ty * inverse
     a0, a1, a2 = j00 * v00 + j02 * v20, j00 * v01 + j02 * v21, j00 * v02 + j02 * v22
     b0, b1, b2 = j11 * v10 + j12 * v20, j11 * v11 + j12 * v21, j11 * v12 + j12 * v22
@@ -148,7 +148,7 @@ def project_forward(
     tl.store(conics + 3 * i + 2, a * inverse_determinant, mask=live)
     tl.store(depths + i, z, mask=live)
     tl.store(extents + i, tl.where(good, extent, 0.0), mask=live)
-    wide, high = _clamped(tl.ceil(half_x), 1.0, MOST_RADIUS), _clamped(tl.ceil(half_y), 1.0, MOST_RADIUS)
+    wide, high = _clamp(tl.ceil(half_x), 1.0, MOST_RADIUS), _clamp(tl.ceil(half_y), 1.0, MOST_RADIUS)
     tl.store(radii + 2 * i, tl.where(good, wide, 0.0).to(tl.int32), mask=live)
     tl.store(radii + 2 * i + 1, tl.where(good, high, 0.0).to(tl.int32), mask=live)
 
@@ -174,7 +174,7 @@ def project_backward(
     z = tl.where(drawn, v20 * px + v21 * py + v22 * pz + v23, 1.0)
     inverse = 1.0 / z
     ux, uy = x * inverse, y * inverse
-    tx, ty = _clamped(ux, left, right), _clamped(uy, top, bottom)
+    tx, ty = _clamp(ux, left, right), _clamp(uy, top, bottom)
     j00, j02, j11, j12 = fx * inverse, -fx * tx * inverse, fy * inverse, -fy * ty * inverse
     a0, a1, a2 = j00 * v00 + j02 * v20, j00 * v01 + j02 * v21, j00 * v02 + j02 * v22
     b0, b1, b2 = j11 * v10 + j12 * v20, j11 * v11 + j12 * v21, j11 * v12 + j12 * v22
@@ -185,7 +185,7 @@ def project_backward(
     cb = tl.load(conics + 3 * i + 1, mask=drawn, other=0.0)
     cc = tl.load(conics + 3 * i + 2, mask=drawn, other=1.0)
     if HAS_COVARS:
-        da0, da1, da2, db0, db1, db2 = _given_gradient(
+        da0, da1, da2, db0, db1, db2 = _store_covariance_gradient(
             covars, i, live, drawn, a0, a1, a2, b0, b1, b2, ca, cb, cc, ga, gb, gc, grad_covars
         )
     else:
@@ -234,9 +234,9 @@ def _store_sum(target, values, drawn):
 
 
 @triton.jit
-def _given_gradient(covars, i, live, drawn, a0, a1, a2, b0, b1, b2, ca, cb, cc, ga, gb, gc, grad_covars):
+def _store_covariance_gradient(covars, i, live, drawn, a0, a1, a2, b0, b1, b2, ca, cb, cc, ga, gb, gc, grad_covars):
     """Gradient of the rows a and b of T; fills that of the covariance. ga, gb, gc: of the conic, off-diagonal halved."""
-    xx, xy, xz, yy, yz, zz = _given(covars, i, drawn)
+    xx, xy, xz, yy, yz, zz = _load_covariance(covars, i, drawn)
     # conic = inverse of the 2D covariance: dCov = -conic dConic conic
     m00, m01, m10, m11 = ga * ca + gb * cb, ga * cb + gb * cc, gb * ca + gc * cb, gb * cb + gc * cc
     g00, g01, g11 = -(ca * m00 + cb * m10), -(ca * m01 + cb * m11), -(cb * m01 + cc * m11)

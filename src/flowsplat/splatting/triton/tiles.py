@@ -42,7 +42,7 @@ class PairCapacity:
 
     By default every size of image on a device has a capacity of its own, which grows by itself: while the GPU blends, the host
     reads how many pairs were counted, and does the image again where they did not fit. A CUDA graph cannot do that. Inside
-    ``with capacity.fixed():`` nothing waits for the GPU; look at ``overflowed()`` afterwards, and if it is true, ``grow()`` and
+    ``with capacity.fix():`` nothing waits for the GPU; look at ``has_overflowed()`` afterwards, and if it is true, ``grow()`` and
     draw (or capture) again: the image lacks what did not fit.
 
     Attributes:
@@ -50,11 +50,11 @@ class PairCapacity:
     """
 
     def __init__(self, device: torch.device | str, pairs: int = 1 << 16) -> None:
-        self.pairs = _rounded(pairs)
+        self.pairs = _round_up(pairs)
         self._needed = torch.zeros(1, dtype=torch.int64, device=device)
 
     @contextmanager
-    def fixed(self) -> Iterator[PairCapacity]:
+    def fix(self) -> Iterator[PairCapacity]:
         """Blend with this capacity, without waiting for the GPU."""
         before, _chosen.capacity = getattr(_chosen, "capacity", None), self
         try:
@@ -66,7 +66,7 @@ class PairCapacity:
         """Keep the largest number [1] that was needed, on the device."""
         torch.maximum(self._needed, needed, out=self._needed)
 
-    def overflowed(self) -> bool:
+    def has_overflowed(self) -> bool:
         """Whether an image drawn with this capacity, since it was made, needed more than it is now. Waits for the GPU."""
         return int(self._needed) > self.pairs
 
@@ -79,10 +79,10 @@ class PairCapacity:
         needed = int(self._needed) if needed is None else needed
         if needed > MOST_INSTANCES:
             raise ValueError(f"{needed} pairs of a Gaussian and a tile are too many: at most {MOST_INSTANCES} fit")
-        self.pairs = min(max(self.pairs, _rounded(needed + needed // 4)), MOST_INSTANCES)
+        self.pairs = min(max(self.pairs, _round_up(needed + needed // 4)), MOST_INSTANCES)
 
 
-def _rounded(count: int) -> int:
+def _round_up(count: int) -> int:
     return max(-(-count // _GRANULE), 1) * _GRANULE
 
 
@@ -90,13 +90,13 @@ _chosen = threading.local()
 _shared: dict[tuple[torch.device, int, int], PairCapacity] = {}
 
 
-def chosen_capacity() -> PairCapacity | None:
-    """The one of ``with capacity.fixed():``, if we are inside of that."""
+def get_fixed_capacity() -> PairCapacity | None:
+    """The one of ``with capacity.fix():``, if we are inside of that."""
     capacity: PairCapacity | None = getattr(_chosen, "capacity", None)
     return capacity
 
 
-def shared_capacity(device: torch.device, width: int, height: int) -> PairCapacity:
+def get_shared_capacity(device: torch.device, width: int, height: int) -> PairCapacity:
     """The capacity that images of this size share, and that grows by itself."""
     key = (device, width, height)
     if key not in _shared:

@@ -13,7 +13,7 @@ from numba import float32
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from flowsplat.common.kernels import helper, inlined, kernel
+from flowsplat.common.kernels import helper, inline, kernel
 from flowsplat.common.threads import parallel_for
 from flowsplat.splatting.cpu.workspace import Workspace
 from flowsplat.training.photometric_loss import reference
@@ -67,13 +67,13 @@ def _sum(values, count):
     return values[0]
 
 
-@inlined
+@inline
 def _sign(x):
     """-1, 0 or 1, without a branch, which could not be predicted."""
     return float32((x > ZERO) - (x < ZERO))
 
 
-@inlined
+@inline
 def _rows(image, target, h, width, row_x, row_y):
     """Row h of the image and of what it should be, as numbers between 0 and 1."""
     for w in range(width):
@@ -82,7 +82,7 @@ def _rows(image, target, h, width, row_x, row_y):
             row_y[w * CHANNELS + c] = BYTE * float32(target[h, w, c])
 
 
-@inlined
+@inline
 def flow_at(image, h, w, flow_channels, half_width, half_height):
     """What ``gaussians.flow.flow_image`` makes of a pixel's features, and the pixel from the center of the image."""
     u, v = image[h, w, 4], image[h, w, 5]
@@ -93,7 +93,7 @@ def flow_at(image, h, w, flow_channels, half_width, half_height):
     return u, v, x, y
 
 
-@inlined
+@inline
 def _flow_counts(image, alpha, flow_trusted, h, w, end, by_alpha):
     held = image[h, w, end] if image.shape[2] > end else ZERO
     return flow_trusted[h, w] and held <= UNSEEN * alpha[h, w] and (alpha[h, w] >= OPAQUE or not by_alpha)

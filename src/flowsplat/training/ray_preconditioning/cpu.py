@@ -8,7 +8,7 @@ import numpy as np
 from numba import float32
 from torch import Tensor
 
-from flowsplat.common.kernels import inlined, kernel
+from flowsplat.common.kernels import inline, kernel
 from flowsplat.common.threads import parallel_for
 from flowsplat.training.adam.cpu import B1, B2, EPS, ONE
 from flowsplat.training.adam.reference import correction_table
@@ -18,7 +18,7 @@ from flowsplat.training.ray_preconditioning.reference import PathSpread
 TWO, ZERO = np.float32(2), np.float32(0)
 
 
-@inlined
+@inline
 def _across(x, y, z):
     """A unit vector across the unit vector (x, y, z): its product with the world's axis that is least along it."""
     ax, ay, az = abs(x), abs(y), abs(z)
@@ -32,8 +32,8 @@ def _across(x, y, z):
     return a * inverse, b * inverse, c * inverse
 
 
-@inlined
-def _moved(mean, square, i, d, g, rate, correct_m, correct_v):
+@inline
+def _step_adam(mean, square, i, d, g, rate, correct_m, correct_v):
     """Adam's step of one number, whose moments are changed."""
     m = B1 * mean[i, d] + (ONE - B1) * g
     v = B2 * square[i, d] + (ONE - B2) * g * g
@@ -70,9 +70,9 @@ def _step(
             step = min(counts[i], last)
             correct_m, correct_v = corrections[step, 0], corrections[step, 1]
             gx, gy, gz = gradient[a, 0], gradient[a, 1], gradient[a, 2]
-            sa = _moved(mean, square, i, 0, ax * gx + ay * gy + az * gz, rates[0], correct_m, correct_v)
-            sb = _moved(mean, square, i, 1, bx * gx + by * gy + bz * gz, rates[1], correct_m, correct_v)
-            sc = factor * _moved(mean, square, i, 2, x * gx + y * gy + z * gz, rates[2], correct_m, correct_v)
+            sa = _step_adam(mean, square, i, 0, ax * gx + ay * gy + az * gz, rates[0], correct_m, correct_v)
+            sb = _step_adam(mean, square, i, 1, bx * gx + by * gy + bz * gz, rates[1], correct_m, correct_v)
+            sc = factor * _step_adam(mean, square, i, 2, x * gx + y * gy + z * gz, rates[2], correct_m, correct_v)
             value[i, 0] += sa * ax + sb * bx + sc * x
             value[i, 1] += sa * ay + sb * by + sc * y
             value[i, 2] += sa * az + sb * bz + sc * z

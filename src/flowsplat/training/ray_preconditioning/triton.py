@@ -16,7 +16,7 @@ TINY = tl.constexpr(1e-9)
 
 
 @triton.jit
-def _moved(mean, square, at, g, rate, correct_m, correct_v, mask):
+def _step_adam(mean, square, at, g, rate, correct_m, correct_v, mask):
     """Adam's step of one number, whose moments are changed."""
     m = tl.load(mean + at, mask=mask, other=0.0) * B1 + g * C1
     v = tl.load(square + at, mask=mask, other=0.0) * B2 + g * g * C2
@@ -67,9 +67,9 @@ def _step(
     gx = tl.load(gradient + 3 * a, mask=inside, other=0.0)
     gy = tl.load(gradient + 3 * a + 1, mask=inside, other=0.0)
     gz = tl.load(gradient + 3 * a + 2, mask=inside, other=0.0)
-    su = _moved(mean, square, at, ux * gx + uy * gy + uz * gz, tl.load(rates), correct_m, correct_v, inside)
-    sv = _moved(mean, square, at + 1, vx * gx + vy * gy + vz * gz, tl.load(rates + 1), correct_m, correct_v, inside)
-    sw = factor * _moved(mean, square, at + 2, x * gx + y * gy + z * gz, tl.load(rates + 2), correct_m, correct_v, inside)
+    su = _step_adam(mean, square, at, ux * gx + uy * gy + uz * gz, tl.load(rates), correct_m, correct_v, inside)
+    sv = _step_adam(mean, square, at + 1, vx * gx + vy * gy + vz * gz, tl.load(rates + 1), correct_m, correct_v, inside)
+    sw = factor * _step_adam(mean, square, at + 2, x * gx + y * gy + z * gz, tl.load(rates + 2), correct_m, correct_v, inside)
     tl.store(value + at, px + su * ux + sv * vx + sw * x, mask=inside)
     tl.store(value + at + 1, py + su * uy + sv * vy + sw * y, mask=inside)
     tl.store(value + at + 2, pz + su * uz + sv * vz + sw * z, mask=inside)

@@ -11,7 +11,7 @@ from numba import float32
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from flowsplat.common.kernels import inlined, kernel
+from flowsplat.common.kernels import inline, kernel
 from flowsplat.common.threads import parallel_for
 from flowsplat.training.rigidity import reference
 from flowsplat.training.rigidity.neighbors import Neighbors
@@ -20,7 +20,7 @@ CHUNKS = 64
 TINY, ZERO, ONE = np.float32(reference.TINY), np.float32(0), np.float32(1)
 
 
-@inlined
+@inline
 def _difference(velocities, a, b):
     """v_a - v_b and the inverse of its safe norm."""
     x, y, z = velocities[a, 0] - velocities[b, 0], velocities[a, 1] - velocities[b, 1], velocities[a, 2] - velocities[b, 2]

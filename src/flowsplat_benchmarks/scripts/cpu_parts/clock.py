@@ -18,7 +18,7 @@ from numba.core.dispatcher import Dispatcher
 
 import flowsplat
 from flowsplat.common.threads import parallel_for
-from flowsplat_benchmarks.scripts.cpu_parts.timing import replaced
+from flowsplat_benchmarks.scripts.cpu_parts.timing import replace_attribute
 
 PACKAGE = Path(flowsplat.__file__).parent
 
@@ -49,13 +49,13 @@ class KernelClock:
         self._seconds: dict[str, float] = {}
 
     @contextlib.contextmanager
-    def running(self) -> Iterator[None]:
+    def run(self) -> Iterator[None]:
         """Watch for as long as this lasts."""
         with contextlib.ExitStack() as stack:
             for name, module, attribute in self._kernels:
-                stack.enter_context(replaced(module, attribute, self._timed(name, getattr(module, attribute))))
+                stack.enter_context(replace_attribute(module, attribute, self._time(name, getattr(module, attribute))))
             for module in self._launches:
-                stack.enter_context(replaced(module, "parallel_for", self._launch))
+                stack.enter_context(replace_attribute(module, "parallel_for", self._launch))
             yield
 
     def take(self) -> dict[str, float]:
@@ -65,9 +65,9 @@ class KernelClock:
 
     def _launch(self, kernel: Callable[..., Any], *args: Any, **how: Any) -> None:
         name = kernel.__name__
-        self._timed(self._names.get(name, name), parallel_for)(kernel, *args, **how)
+        self._time(self._names.get(name, name), parallel_for)(kernel, *args, **how)
 
-    def _timed(self, name: str, kernel: Callable[..., Any]) -> Callable[..., Any]:
+    def _time(self, name: str, kernel: Callable[..., Any]) -> Callable[..., Any]:
         @functools.wraps(kernel)
         def call(*args: Any, **how: Any) -> Any:
             start = time.perf_counter()

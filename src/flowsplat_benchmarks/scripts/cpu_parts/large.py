@@ -70,14 +70,14 @@ def main(path: str, width: int, height: int, threads: int, repeat: int) -> dict[
 
     def forward() -> dict[str, float]:
         with torch.no_grad():
-            return _timed(lambda: drawn(leaves, (width, height)))
+            return _time(lambda: drawn(leaves, (width, height)))
 
     gradient = torch.full((height, width, 3), 1e-6)
 
     def both() -> dict[str, float]:
         for leaf in leaves:
             leaf.requires_grad_().grad = None
-        return _timed(lambda: drawn(leaves, (width, height)).backward(gradient))
+        return _time(lambda: drawn(leaves, (width, height)).backward(gradient))
 
     rendering = interleave({"": forward}, repeat)[""]["seconds"]
     rendered = peak_mib()
@@ -88,7 +88,7 @@ def main(path: str, width: int, height: int, threads: int, repeat: int) -> dict[
     }  # fmt: skip
 
 
-def _timed(action: Callable[[], object]) -> dict[str, float]:
+def _time(action: Callable[[], object]) -> dict[str, float]:
     began = time.perf_counter()
     action()
     return {"seconds": time.perf_counter() - began}

@@ -71,14 +71,14 @@ class RenderCase:
         """The same, and the seconds of every stage as ``forward/<stage>`` and ``backward/<stage>``."""
         use_threads(self.threads)
         self._clear()
-        with self._clock.running():
+        with self._clock.run():
             self._clock.take()
             began = time.perf_counter()
             image, alphas = blend(self._project(), self.leaves["opacities"], self.features, self.width, self.height)
-            parts = {"forward": time.perf_counter() - began, **_prefixed("forward", self._clock.take())}
+            parts = {"forward": time.perf_counter() - began, **_add_prefix("forward", self._clock.take())}
             began = time.perf_counter()
             torch.autograd.backward([image, alphas], [self.grad_image, self.grad_alphas])
-            return parts | {"backward": time.perf_counter() - began, **_prefixed("backward", self._clock.take())}
+            return parts | {"backward": time.perf_counter() - began, **_add_prefix("backward", self._clock.take())}
 
     def torch_job(self, careful: bool) -> dict[str, float]:
         """Seconds of a tile-wise torch rasterizer on the same work, which must give the same image.
@@ -114,7 +114,7 @@ class RenderCase:
         return row
 
 
-def _prefixed(way: str, seconds: dict[str, float]) -> dict[str, float]:
+def _add_prefix(way: str, seconds: dict[str, float]) -> dict[str, float]:
     return {f"{way}/{name}": value for name, value in seconds.items()}
 
 

@@ -12,11 +12,11 @@ SMALL = 0.01
 """Parts of a training step below this share of it are not listed."""
 
 
-def markdown(result: Json) -> str:
+def format_page(result: Json) -> str:
     """The page for the docs: every part that was measured."""
     parts = {
-        "limits": _limits, "rasterizer": _rasterizer, "torch": _torch, "training": _training, "viewing": _viewing,
-        "scaling": _scaling, "large": _large, "startup": _startup, "variants": _variants,
+        "limits": _limits, "rasterizer": _rasterizer, "torch": _torch, "training": _describe_training, "viewing": _describe_viewing,
+        "scaling": _describe_scaling, "large": _large, "startup": _startup, "variants": _variants,
     }  # fmt: skip
     return "\n\n".join([_head(result), *(write(result[name]) for name, write in parts.items() if result.get(name))]) + "\n"
 
@@ -106,7 +106,7 @@ drawn. Their many small operations gain little from threads.
 {_table(("", "flowsplat", "simple", "times slower", "careful", "times slower"), rows)}"""
 
 
-def _training(part: Json) -> str:
+def _describe_training(part: Json) -> str:
     text = f"""## A training step
 
 One frame rendered, differentiated and stepped at {_size(part)} with {_threads(part)}: `Trainer` on a synthetic clip of six frames.
@@ -142,7 +142,7 @@ preset take part. Neighbors of the rigid loss are found already, which has to be
     return text
 
 
-def _viewing(part: Json) -> str:
+def _describe_viewing(part: Json) -> str:
     rows = [(name, _time(value), f"{value['frames_per_second']:.1f}") for name, value in part["ways"].items()]
     return f"""## Rendering to look at
 
@@ -152,7 +152,7 @@ colors alone (C = 3); `render`, with depth; `SceneModel.render`, with holes fill
 {_table(("", "a frame", "frames a second (median)"), rows)}"""
 
 
-def _scaling(part: Json) -> str:
+def _describe_scaling(part: Json) -> str:
     titles = {
         "gaussians": "More Gaussians, as much smaller as they are more (854x480, C = 3)",
         "pixels": "More pixels, the same 100,000 Gaussians (C = 3)",

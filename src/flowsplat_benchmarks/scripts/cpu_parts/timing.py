@@ -16,7 +16,7 @@ Job = Callable[[], Mapping[str, float]]
 """Does something once and returns the seconds of its parts by name."""
 
 
-def timing(seconds: list[float]) -> dict[str, float]:
+def summarize_timing(seconds: list[float]) -> dict[str, float]:
     """How repeated measurements enter the result."""
     return {
         "min_ms": significant(min(seconds) * 1e3),
@@ -34,7 +34,7 @@ def interleave(jobs: Mapping[str, Job], repeat: int, warm_up: int = 1) -> dict[s
     """Run all jobs once a round, for ``repeat`` rounds after those that warm up.
 
     Returns:
-        by job and part: ``timing``. Jobs that return no parts are left out.
+        by job and part: ``summarize_timing``. Jobs that return no parts are left out.
     """
     seconds: dict[str, dict[str, list[float]]] = {}
     for round_ in range(-warm_up, repeat):
@@ -43,7 +43,7 @@ def interleave(jobs: Mapping[str, Job], repeat: int, warm_up: int = 1) -> dict[s
             if round_ >= 0:
                 for part, value in parts.items():
                     seconds.setdefault(name, {}).setdefault(part, []).append(value)
-    return {name: {part: timing(values) for part, values in parts.items()} for name, parts in seconds.items()}
+    return {name: {part: summarize_timing(values) for part, values in parts.items()} for name, parts in seconds.items()}
 
 
 def use_threads(count: int) -> None:
@@ -53,7 +53,7 @@ def use_threads(count: int) -> None:
 
 
 @contextlib.contextmanager
-def replaced(owner: Any, name: str, value: Any) -> Iterator[None]:
+def replace_attribute(owner: Any, name: str, value: Any) -> Iterator[None]:
     """``owner.name`` is ``value`` for a while."""
     before = getattr(owner, name)
     setattr(owner, name, value)

@@ -25,7 +25,7 @@ class Compilations:
 
 
 @contextmanager
-def counted() -> Iterator[Compilations]:
+def count_compilations() -> Iterator[Compilations]:
     """Watch the compiler of this process; where this Triton has no way to watch it, nothing is found."""
     import triton
 

@@ -18,7 +18,7 @@ from flowsplat.splatting import Projected, blend, project
 from flowsplat.training.config import PRESETS
 from flowsplat_benchmarks.scripts.cpu_parts import scene
 from flowsplat_benchmarks.scripts.cpu_parts.floor import backward_flops, count_pairs, forward_flops
-from flowsplat_benchmarks.scripts.cpu_parts.timing import replaced, significant
+from flowsplat_benchmarks.scripts.cpu_parts.timing import replace_attribute, significant
 from flowsplat_benchmarks.scripts.cpu_parts.work_load import work_load
 from flowsplat_benchmarks.scripts.gpu_parts.machine import device, forget_peak, milliseconds, peak_gib
 
@@ -32,7 +32,7 @@ WAYS = {3: None, 6: "displacement", 10: "affine"}
 
 def gaussians(count: int, width: int, height: int) -> Gaussians4D:
     """The scene on the GPU."""
-    with replaced(scene, "BACKGROUND", SHARE_AT_REST):
+    with replace_attribute(scene, "BACKGROUND", SHARE_AT_REST):
         return scene.gaussians(PRESETS["default"].model, count, width, height).to(device())
 
 

@@ -7,14 +7,14 @@ from typing import Any, NoReturn
 import torch
 
 from flowsplat.common import devices
-from flowsplat.common.triton import interpreted
+from flowsplat.common.triton import is_interpreted
 from flowsplat.gaussians.culling import capacity
 from flowsplat.splatting import api as splatting
 
 
 def compute_with_triton() -> None:
     """From now on, and in this process, every operation on float32 is computed by the Triton kernels, on the CPU too."""
-    if not interpreted():
+    if not is_interpreted():
         raise RuntimeError("set TRITON_INTERPRET=1 before Triton is imported")
     capacity.GRANULE = 8  # the interpreter takes its time with padding, too
     pick: Any = splatting._pick

@@ -100,7 +100,7 @@ def _frames(found: Result) -> Iterator[str]:
     )
 
 
-def _agreement(found: Result) -> Iterator[str]:
+def _describe_agreement(found: Result) -> Iterator[str]:
     ours, other = found.get("card", {}), found.get("CPU, one rounding beside", {})
     steps = list(ours)
     rows = []
@@ -139,7 +139,7 @@ def _gsplat(found: Result) -> Iterator[str]:
     yield from _table(head, rows)
 
 
-def _training(found: Result) -> Iterator[str]:
+def _describe_training(found: Result) -> Iterator[str]:
     rows = []
     for name, row in found.items():
         if isinstance(row, dict) and "training_seconds" in row:
@@ -148,7 +148,7 @@ def _training(found: Result) -> Iterator[str]:
     yield from _table(["scene, where", "steps", "training s", "peak GiB", "PSNR in dB"], rows)
 
 
-def _viewing(found: Result) -> Iterator[str]:
+def _describe_viewing(found: Result) -> Iterator[str]:
     rows = []
     for name, row in found.items():
         if isinstance(row, dict) and "gaussians" in row:
@@ -160,8 +160,8 @@ def _viewing(found: Result) -> Iterator[str]:
 
 
 PARTS = {
-    "kernels": _kernels, "viewing": _viewing, "training": _training, "step": _step, "agreement": _agreement, "frames": _frames,
-    "memory": _memory, "gsplat": _gsplat,
+    "kernels": _kernels, "viewing": _describe_viewing, "training": _describe_training, "step": _step, "agreement":
+    _describe_agreement, "frames": _frames, "memory": _memory, "gsplat": _gsplat,
 }  # fmt: skip
 TITLES = {
     "kernels": "Kernels against their oracles", "viewing": "Frames a second of a trained scene",

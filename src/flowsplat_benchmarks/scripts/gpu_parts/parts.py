@@ -23,7 +23,7 @@ from flowsplat.splatting.triton import blending
 from flowsplat.training.config import PRESETS
 from flowsplat.training.trainer import Trainer
 from flowsplat_benchmarks.scripts.cpu_parts import scene as drawn
-from flowsplat_benchmarks.scripts.cpu_parts.timing import replaced, significant, tell
+from flowsplat_benchmarks.scripts.cpu_parts.timing import replace_attribute, significant, tell
 from flowsplat_benchmarks.scripts.gpu_parts import compilations, frames, interpreted, machine, reports
 
 ROOT = Path(__file__).parents[4]
@@ -129,7 +129,7 @@ def _trainer(record: Record, name: str = "default", total: int = frames.TOTAL) -
     """Some steps into training on drawn Gaussians, with a preset's settings."""
     width, height = record.size(WIDTH, HEIGHT)
     config = replace(PRESETS[name], iterations=2 if record.rehearse else 2 * drawn.FRAMES, frames_per_iteration=1, preview_every=0)
-    with replaced(drawn, "BACKGROUND", frames.SHARE_AT_REST):
+    with replace_attribute(drawn, "BACKGROUND", frames.SHARE_AT_REST):
         start = drawn.gaussians(config.model, record.count(total), width, height)
     trainer = Trainer(drawn.observations(start, width, height), None, config, start=start, device=machine.device())
     trainer.run()
@@ -202,10 +202,10 @@ def frames_a_second(record: Record) -> None:
 def viewing(record: Record) -> None:
     """What ``training`` left, seen as a viewer sees it."""
     for run in sorted(path.parent for path in record.work.glob("*/run.json")):
-        record.attempt(f"trained: {run.name}", lambda run=run: _looked_at(record, run))  # type: ignore[misc]
+        record.attempt(f"trained: {run.name}", lambda run=run: _measure_viewing(record, run))  # type: ignore[misc]
 
 
-def _looked_at(record: Record, run: Path) -> dict[str, Any]:
+def _measure_viewing(record: Record, run: Path) -> dict[str, Any]:
     """Frames a second of a trained scene along its path, by graphs as in the viewer; the images stay on the card."""
     from flowsplat import pipeline
     from flowsplat.pipeline.folder import RunFolder
@@ -215,7 +215,7 @@ def _looked_at(record: Record, run: Path) -> dict[str, Any]:
     model = replace(pipeline.load(run, device=machine.device()), graphs=True, fill=False)
     found: dict[str, Any] = {"gaussians": len(model.gaussians)}
     for name, height in (("480p", 480), ("1080p", 1080)):
-        cameras = [_resized(camera, 0.2 if record.rehearse else height / camera.height) for camera in scene.cameras]
+        cameras = [_resize(camera, 0.2 if record.rehearse else height / camera.height) for camera in scene.cameras]
         for flow in (False, True):
             path = _Path(model, cameras, scene.timestamps, flow)
             frames_a_second = _frames_a_second(path, record.rehearse)
@@ -255,7 +255,7 @@ def _frames_a_second(path: _Path, once: bool) -> float:
     return significant(count / (time.perf_counter() - began))
 
 
-def _resized(camera: Any, factor: float) -> Any:
+def _resize(camera: Any, factor: float) -> Any:
     width, height = max(round(camera.width * factor), 8), max(round(camera.height * factor), 8)
     K = camera.K.copy()
     K[0] *= width / camera.width
@@ -277,7 +277,7 @@ def training(record: Record) -> None:
         holdout=3 if small else 10,
     )
     config = replace(
-        start, priors=replace(start.priors, priors="true"), first_scene=False, final_fit=False, refine_poses=not small,
+        start, priors=replace(start.priors, priors="true"), coarse_scene=False, final_fit=False, refine_poses=not small,
         train=replace(start.train, iterations=2 if small else start.train.iterations),
     )  # fmt: skip
     if small:
@@ -329,12 +329,12 @@ def agreement(record: Record) -> None:
     config = replace(config, average=0.0, density=replace(config.density, every=0, reset_every=0))
     truth = drawn.gaussians(config.model, record.count(20_000), width, height)
     seen = drawn.observations(truth, width, height)
-    start = _moved(truth, 0.0)
+    start = _perturb(truth, 0.0)
     generator = torch.Generator().manual_seed(1)
     start.params["sh"] += 0.2 * torch.randn(start.params["sh"].shape, generator=generator)
     start.params["means"] *= 1 + 0.002 * torch.randn(start.params["means"].shape, generator=generator)
     states = {"CPU": list(_states(start, seen, config, "cpu"))}
-    states["CPU, one rounding beside"] = list(_states(_moved(start, NUDGE), seen, config, "cpu"))
+    states["CPU, one rounding beside"] = list(_states(_perturb(start, NUDGE), seen, config, "cpu"))
     if record.rehearse:
         interpreted.compute_with_triton()
     states["card"] = list(_states(start, seen, config, machine.device()))
@@ -352,7 +352,7 @@ def agreement(record: Record) -> None:
 def _states(start: Gaussians4D, seen: Any, config: Any, device: str) -> Iterator[tuple[int, dict[str, torch.Tensor]]]:
     """The parameters at some steps."""
     found: list[tuple[int, dict[str, torch.Tensor]]] = []
-    trainer = Trainer(seen, None, config, start=_moved(start, 0.0), device=device)
+    trainer = Trainer(seen, None, config, start=_perturb(start, 0.0), device=device)
     after = trainer._after_step
 
     def look(entry: Any) -> None:
@@ -365,7 +365,7 @@ def _states(start: Gaussians4D, seen: Any, config: Any, device: str) -> Iterator
     yield from found
 
 
-def _moved(gaussians: Gaussians4D, relative: float) -> Gaussians4D:
+def _perturb(gaussians: Gaussians4D, relative: float) -> Gaussians4D:
     """A copy, which training changes; every number by about so much of itself."""
     g, generator = gaussians, torch.Generator().manual_seed(2)
     params = {name: value * (1 + relative * torch.randn(value.shape, generator=generator)) for name, value in g.params.items()}
@@ -428,7 +428,7 @@ def run(name: str, record: Record) -> None:
         interpreted.compute_with_triton()
     if record.broken:
         interpreted.break_blending()
-    with compilations.counted() as counted:
+    with compilations.count_compilations() as counted:
         try:
             BY_NAME[name](record)
         finally:

@@ -23,10 +23,10 @@ def test_a_seed_is_a_street():
     again, other = (StreetScene(96, 54, 12, seed) for seed in (SMALL.seed, SMALL.seed + 1))
     for i in (0, 11):
         first, second = (spec.render(spec.camera(i), spec.timestamps[i]) for spec in (SMALL, again))
-        np.testing.assert_array_equal(first.make_image, second.make_image)
+        np.testing.assert_array_equal(first.image, second.image)
         np.testing.assert_array_equal(first.depth, second.depth)
     np.testing.assert_array_equal(SMALL.tracks().points, again.tracks().points)
-    assert (SMALL.render(SMALL.camera(0), 0).image != other.render(other.camera(0), 0).make_image).mean() > 0.5
+    assert (SMALL.render(SMALL.camera(0), 0).image != other.render(other.camera(0), 0).image).mean() > 0.5
 
 
 def test_fewer_frames_show_the_middle_and_more_show_it_slower():
@@ -87,7 +87,7 @@ def test_the_truth_agrees_with_itself():
 def test_a_street_becomes_a_scene_and_its_frames_a_video(tmp_path):
     scene = write_synthetic(tmp_path / "scene", SMALL, holdout=10)
     assert isinstance(scene, Scene)
-    np.testing.assert_array_equal(scene.frame(3), SMALL.render(SMALL.camera(3), SMALL.timestamps[3]).make_image)
+    np.testing.assert_array_equal(scene.frame(3), SMALL.render(SMALL.camera(3), SMALL.timestamps[3]).image)
     assert len(scene.views) == 6
     assert scene.truth is not None
     assert len(scene.truth.tracks.points) > 400

@@ -1,7 +1,7 @@
 """The features of color, depth and affine flow, and their gradient, in one sweep. Oracle: ``reference``.
 
 With L = J R S of a Gaussian (J of the camera, R its rotation, S its scales; L' likewise at the other time), the matrix of
-METHOD 3.3 is B = (L' - L) L^T (L L^T + eps)^-1, because M Sigma = R' S S R^T.
+Affine flow (docs/method.md) is B = (L' - L) L^T (L L^T + eps)^-1, because M Sigma = R' S S R^T.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from flowsplat.common.kernels import inlined, kernel
+from flowsplat.common.kernels import inline, kernel
 from flowsplat.common.threads import parallel_for
 from flowsplat.gaussians.flow.reference import NEAR
 from flowsplat.gaussians.slicing import Slice
 from flowsplat.geometry import Camera
 from flowsplat.splatting import Projected
-from flowsplat.splatting.cpu.projection import MARGIN, ONE, ZERO, clamped, rotation, rotation_gradient
+from flowsplat.splatting.cpu.projection import MARGIN, ONE, ZERO, clamp, rotation, rotation_gradient
 from flowsplat.splatting.rules import EPS2D
 
 CHANNELS = 10  # color 3, depth, flow at the center of the image 2, B by rows 4
@@ -27,7 +27,7 @@ CHUNKS = 64
 CLIP, BLUR = np.float32(NEAR), np.float32(EPS2D)
 
 
-@inlined
+@inline
 def _footprint(means, quats, scales, i, view, K, limits, turned, L, seen):
     """Fill turned [3, 3] = R S, L [2, 3] = J R S and seen: the point in camera axes, its clamped tangents, 1 / z and J's rows."""
     r00, r01, r02, r10, r11, r12, r20, r21, r22, _, _, _, _, _ = rotation(quats, i)
@@ -40,7 +40,7 @@ def _footprint(means, quats, scales, i, view, K, limits, turned, L, seen):
     y = view[1, 0] * px + view[1, 1] * py + view[1, 2] * pz + view[1, 3]
     z = view[2, 0] * px + view[2, 1] * py + view[2, 2] * pz + view[2, 3]
     inverse = ONE / max(z, CLIP)
-    tx, ty = clamped(x * inverse, limits[0], limits[1]), clamped(y * inverse, limits[2], limits[3])
+    tx, ty = clamp(x * inverse, limits[0], limits[1]), clamp(y * inverse, limits[2], limits[3])
     seen[0], seen[1], seen[2], seen[3], seen[4], seen[5] = x, y, z, tx, ty, inverse
     for d in range(3):
         a = K[0, 0] * inverse * (view[0, d] - tx * view[2, d])
@@ -51,7 +51,7 @@ def _footprint(means, quats, scales, i, view, K, limits, turned, L, seen):
         L[1, k] = seen[9] * turned[0, k] + seen[10] * turned[1, k] + seen[11] * turned[2, k]
 
 
-@inlined
+@inline
 def _footprint_gradient(quats, scales, i, view, K, turned, seen, d_L, gu, gv, d_mean, d_quat, d_scale):
     """Fill d_mean [3] and d_quat [4] and add to d_scale [3], from d_L [2, 3] and the gradient gu, gv of the pixel."""
     fx, fy = K[0, 0], K[1, 1]
@@ -86,7 +86,7 @@ def _footprint_gradient(quats, scales, i, view, K, turned, seen, d_L, gu, gv, d_
     )
 
 
-@inlined
+@inline
 def _products(L, later):
     """(L' - L) L^T by rows, and the inverse of L L^T + eps (xx, xy, yy)."""
     a = L[0, 0] * L[0, 0] + L[0, 1] * L[0, 1] + L[0, 2] * L[0, 2]

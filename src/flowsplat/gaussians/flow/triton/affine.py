@@ -1,6 +1,6 @@
 """The features of color, depth and affine flow, and their gradient, in one Triton kernel each. Oracle: ``reference``.
 
-The formulas are those of ``cpu.affine``: with L = J R S of a Gaussian now and L' at the other time, the matrix of METHOD 3.3 is
+The formulas are those of ``cpu.affine``: with L = J R S of a Gaussian now and L' at the other time, the matrix of affine flow is
 B = (L' - L) L^T (L L^T + eps)^-1. As in ``displacement`` there is always a last channel.
 """
 

@@ -69,7 +69,7 @@ def _backward(gradient, next_means, camera, d_colors, d_depths, d_means2d, d_nex
     store_vector(d_colors, i, red, green, tl.load(row + 2, mask=inside, other=0.0), inside)
 
 
-def displacement_features(colors: Tensor, depths: Tensor, means2d: Tensor, next_means: Tensor, camera: Tensor) -> Tensor:
+def compute_displacement_features(colors: Tensor, depths: Tensor, means2d: Tensor, next_means: Tensor, camera: Tensor) -> Tensor:
     """[A, 7] without gradients; ``camera``: ``camera_numbers`` of the other camera on the device."""
     count = len(colors)
     features = torch.empty(count, CHANNELS, device=colors.device)
@@ -86,7 +86,7 @@ class _Features(torch.autograd.Function):
         given = (colors, depths, means2d, next_means)
         colors, depths, means2d, next_means = (tensor.detach().contiguous() for tensor in given)
         ctx.inputs = next_means, camera
-        return displacement_features(colors, depths, means2d, next_means, camera)
+        return compute_displacement_features(colors, depths, means2d, next_means, camera)
 
     @staticmethod
     @once_differentiable

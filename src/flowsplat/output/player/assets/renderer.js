@@ -217,7 +217,7 @@ class Renderer {
 
   /**
    * Draw the Gaussians of `order` (farthest first) as each of `cameras` sees them at clip time `time`, beside each other.
-   * `distances`: the pivot, and how many times as far from there every object is. `isFading`: without what is a guess.
+   * `distances`: the pivot, and how many times as far from there every object is. `isConfidenceFaded`: without what is a guess.
    */
   draw(order, cameras, time, part, distances, isConfidenceFade) {
     this.upload(order);

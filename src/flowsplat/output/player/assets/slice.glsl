@@ -96,7 +96,7 @@ void slice(int rank, out vec4 axes, out vec4 place, out vec4 color) {
 
   mean = pivot + factor * (mean - pivot);
   if (isConfidenceFade) {
-    // As fading.py: by how much the direction to the viewer differs from that to the clip's camera.
+    // As confidence_fade.py: by how much the direction to the viewer differs from that to the clip's camera.
     float off = distance(normalize(center - mean), normalize(pivot - mean));
     opacity *= clamp(2.0 - off / texel(states, at + 3).w, 0.0, 1.0);
   }

@@ -33,7 +33,7 @@ class MaskedTracks:
     def __post_init__(self) -> None:
         self.part = np.zeros(self.visible.shape, np.int16)
         for k in range(len(self.masks)):
-            seen, places = self.seen(k)
+            seen, places = self.find_visible(k)
             self.part[seen, k] = self.parts(k)[1][places[:, 1], places[:, 0]]
         inside = (self.part > 0).sum(1)
         self.part[(inside < SHORTEST) | (inside < INSIDE * self.visible.sum(1))] = 0
@@ -43,7 +43,7 @@ class MaskedTracks:
         """Of the image, in pixels."""
         return max(self.masks[0].shape)
 
-    def seen(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+    def find_visible(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         """Indices [N] of the tracks that are visible in frame k, and the pixels (column, row) [N, 2] that they are on."""
         seen = np.flatnonzero(self.visible[:, k])
         height, width = self.masks[k].shape

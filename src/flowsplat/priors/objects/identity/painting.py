@@ -38,7 +38,7 @@ def paint(
     Returns:
         The highest number that is taken now; 255 at most, which all further objects share.
     """
-    painted = [_painted(clip, owners, k, motion) for k in range(len(clip.masks))]
+    painted = [_paint(clip, owners, k, motion) for k in range(len(clip.masks))]
     most = int(owners.max(initial=0))
     _fill_unknown(clip, painted, most)
     _give_to_neighbors(clip, painted, most)
@@ -55,11 +55,11 @@ def paint(
     return highest
 
 
-def _painted(clip: MaskedTracks, owners: np.ndarray, k: int, motion: Callable[[int], np.ndarray | None]) -> np.ndarray:
+def _paint(clip: MaskedTracks, owners: np.ndarray, k: int, motion: Callable[[int], np.ndarray | None]) -> np.ndarray:
     """[H, W] int32 owners of the pixels of frame k, -1 where none is known and 0 outside the mask."""
     count, labels = clip.parts(k)
     result = np.where(labels > 0, -1, 0).astype(np.int32)
-    seen, places = clip.seen(k)
+    seen, places = clip.find_visible(k)
     owned = (clip.part[seen, k] > 0) & (owners[seen] > 0)
     seen, places = seen[owned], places[owned]
     part, owner = clip.part[seen, k].astype(int), owners[seen]

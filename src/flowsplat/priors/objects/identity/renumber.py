@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from flowsplat.priors.continuity import Continuity
-from flowsplat.priors.objects.areas import large_objects, moving_objects
+from flowsplat.priors.objects.areas import describe_count, large_objects
 from flowsplat.priors.objects.identity.clusters import objects_of_tracks
 from flowsplat.priors.objects.identity.masked_tracks import MaskedTracks
 from flowsplat.priors.objects.identity.painting import paint
@@ -59,7 +59,7 @@ def identify_objects(scene: Scene) -> int:
         counted: dict[str, Any] = {"objects": highest}
         if how.get("method") == "motion" and "share" in how:
             count = len(large_objects(scene))
-            counted["verdict"] = f"{moving_objects(count, highest - count)} on {how['share']:.1%} of the image"
+            counted["verdict"] = f"{describe_count(count, highest - count)} on {how['share']:.1%} of the image"
         scene.amend_prior("masks", **counted)
     return highest
 

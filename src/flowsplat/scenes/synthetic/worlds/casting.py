@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from flowsplat.common.kernels import helper, inlined, kernel
+from flowsplat.common.kernels import helper, inline, kernel
 from flowsplat.scenes.synthetic.worlds.materials import albedo
 
 ELLIPSOID, BOX, CAPSULE, CYLINDER, ROOM = range(5)
@@ -21,7 +21,7 @@ _NEAREST = 1e-3
 """Smallest multiple of a ray's direction that counts: a point does not shade itself."""
 
 
-@inlined
+@inline
 def _ball(x, y, z, r, dx, dy, dz):
     """Where a ray from (x, y, z) enters the ball of radius r round the origin; infinite where it does not."""
     a = dx * dx + dy * dy + dz * dz
@@ -129,7 +129,7 @@ def _normal(shape, s, x, y, z):
 
 
 @helper
-def _shaded(shapes, sizes, turns, centers, radii, throwing, x, y, z, lx, ly, lz):
+def _is_shaded(shapes, sizes, turns, centers, radii, throwing, x, y, z, lx, ly, lz):
     """Whether one of the parts ``throwing`` stands between a point and the distant light in direction (lx, ly, lz)."""
     for k in throwing:
         px, py, pz = x - centers[k, 0], y - centers[k, 1], z - centers[k, 2]
@@ -150,6 +150,20 @@ def _shaded(shapes, sizes, turns, centers, radii, throwing, x, y, z, lx, ly, lz)
         if t < math.inf:
             return True
     return False
+
+
+@helper
+def _hidden_sky(occluders, x, y, z, nx, ny, nz):
+    """Share of the sky's light, weighed by the cosine to the normal, that balls hide from a point: exact for one ball that is
+    whole above the horizon, and the sum, 1 at most, for several."""
+    hidden = 0.0
+    for q in range(len(occluders)):
+        dx, dy, dz = occluders[q, 0] - x, occluders[q, 1] - y, occluders[q, 2] - z
+        facing = nx * dx + ny * dy + nz * dz
+        if facing > 0:
+            squared = max(dx * dx + dy * dy + dz * dz, occluders[q, 3] ** 2)
+            hidden += occluders[q, 3] ** 2 / squared * facing / math.sqrt(squared)
+    return min(hidden, 1.0)
 
 
 @kernel
@@ -185,7 +199,8 @@ def cast(
 def render(
     shapes: np.ndarray, sizes: np.ndarray, turns: np.ndarray, centers: np.ndarray, origins: np.ndarray, bounds: np.ndarray,
     radii: np.ndarray, casts: np.ndarray, materials: np.ndarray, R: np.ndarray, K: np.ndarray, center: np.ndarray,
-    offsets: np.ndarray, lights: np.ndarray, ambient: float, sun: float, image: np.ndarray,
+    offsets: np.ndarray, lights: np.ndarray, ambient: float, sun: float, occluders: np.ndarray, occlusion: float, still: int,
+    image: np.ndarray,
 ) -> None:  # fmt: skip
     """Add the colors that a camera sees, the mean over some samples in every pixel, to ``image`` [H, W, 3].
 
@@ -199,6 +214,9 @@ def render(
         lights: [S, 3] unit directions to the sun; they differ a little, so that shadows have soft edges.
         ambient: light of the sky.
         sun: light of the sun.
+        occluders: [Q, 4] centers and radii of balls that take the light of the sky from what is near them.
+        occlusion: 0 to 1, how much of it they take; 0 = none.
+        still: how many of the parts, the first ones, they take it from.
     """
     H, W = image.shape[:2]
     S = len(offsets)
@@ -233,11 +251,15 @@ def render(
                     L = lights[s]
                     facing = nx * L[0] + ny * L[1] + nz * L[2]
                     light = ambient * (0.7 + 0.3 * nz)
+                    if occlusion > 0 and k < still:
+                        light *= 1 - occlusion * _hidden_sky(
+                            occluders, center[0] + t * dx, center[1] + t * dy, center[2] + t * dz, nx, ny, nz
+                        )
                     if facing > 0 and sun > 0:
                         px = center[0] + t * dx + 2e-3 * nx
                         py = center[1] + t * dy + 2e-3 * ny
                         pz = center[2] + t * dz + 2e-3 * nz
-                        if not _shaded(shapes, sizes, turns, centers, radii, throwing, px, py, pz, L[0], L[1], L[2]):
+                        if not _is_shaded(shapes, sizes, turns, centers, radii, throwing, px, py, pz, L[0], L[1], L[2]):
                             light += sun * facing
                 image[row, column, 0] += min(red * light, 1.0) / S
                 image[row, column, 1] += min(green * light, 1.0) / S

@@ -23,9 +23,9 @@ from flowsplat.scenes.synthetic.worlds.parts import (
     cylinder,
     ellipsoid,
     frame,
-    nothing_touches,
     rod,
     together,
+    touch_nothing,
 )
 
 BALL_PATTERNS = (SEGMENTS, SPOTS, STRIPES, CHECKERS)
@@ -110,7 +110,7 @@ def vehicle(
     return WorldObject("vehicle", tuple(parts), poses, touching, rolls=True)
 
 
-def rolling(
+def draw_rolling_ball(
     rng: np.random.Generator, ground: Ground, at: np.ndarray, heading: float, radius: float, way: Way, rich: bool
 ) -> WorldObject:
     """A ball that rolls without slip."""
@@ -209,7 +209,7 @@ def pendulum(
         return together([(turn, pivot + (length + 0.5 * size) * down), held])
 
     support = _gallows(rng, ground, pivot, across, length * np.sin(reach) + 1.5 * size)
-    return WorldObject("pendulum", (weight, rope), poses, nothing_touches, swings=True, pivot=pivot, support=support)
+    return WorldObject("pendulum", (weight, rope), poses, touch_nothing, swings=True, pivot=pivot, support=support)
 
 
 def _gallows(rng: np.random.Generator, ground: Ground, pivot: np.ndarray, across: np.ndarray, reach: float) -> tuple[Placed, ...]:
@@ -268,7 +268,7 @@ def door(
         middle = np.append(0.5 * (places[0] + places[1]), bottom + tall + 0.06 + thick)
         support.append(Placed(box([0.5 * wide + 2.3 * thick, thick, thick], wood), axes, middle))
     pivot = np.append(hinge, bottom)
-    return WorldObject("door", (panel, handle), poses, nothing_touches, swings=True, pivot=pivot, support=tuple(support))
+    return WorldObject("door", (panel, handle), poses, touch_nothing, swings=True, pivot=pivot, support=tuple(support))
 
 
 def flier(
@@ -303,4 +303,4 @@ def flier(
             found.append((turned, joint + turned @ [0, side * wing[1], 0]))
         return together([*found, (axes, center + axes @ [-0.3 * size, 0, 0])])
 
-    return WorldObject("flier", parts, poses, nothing_touches)
+    return WorldObject("flier", parts, poses, touch_nothing)

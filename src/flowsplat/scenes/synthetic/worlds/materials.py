@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from flowsplat.common.kernels import helper, inlined
+from flowsplat.common.kernels import helper, inline
 
 COLUMNS = (
     "pattern", "period", "red", "green", "blue", "other_red", "other_green", "other_blue", "x", "y", "z", "amplitude",
@@ -22,7 +22,7 @@ COLUMNS = (
 PLAIN, STRIPES, CHECKERS, BRICKS, SPOTS, SEGMENTS = range(6)
 
 
-@inlined
+@inline
 def _scatter(x, y, z, phase):
     """A fixed pseudo-random number between 0 and 1 for whole numbers."""
     mixed = (x * 374761393 + y * 668265263 + z * 1274126177 + phase * 362437) & 0xFFFFFFFF
@@ -46,13 +46,13 @@ def _noise(x, y, z, phase):
     return 2 * total - 1
 
 
-@inlined
+@inline
 def _inside(distance, footprint):
     """1 where a signed distance in meters is negative, 0 where positive, with an edge 1.5 pixels wide."""
     return min(max(0.5 - distance / (1.5 * footprint), 0.0), 1.0)
 
 
-@inlined
+@inline
 def _to_line(x, period):
     """Distance to the nearest multiple of ``period``."""
     return abs(x - period * math.floor(x / period + 0.5))

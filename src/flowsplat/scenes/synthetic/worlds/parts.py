@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 
 from flowsplat.scenes.synthetic.worlds.casting import BOX, CAPSULE, CYLINDER, ELLIPSOID
 
-Kind = Literal["walker", "carrier", "vehicle", "rolling", "thrown", "bouncing", "pendulum", "door", "flier", "dancer"]
+Kind = Literal["walker", "carrier", "vehicle", "rolling", "thrown", "bouncing", "pendulum", "door", "flier", "dancer", "animal"]
 
 KINDS: tuple[Kind, ...] = ("walker", "carrier", "vehicle", "rolling", "thrown", "bouncing", "pendulum", "door", "flier")
-"""Those that are drawn; dancers only where they are asked for."""
+"""Those that are drawn; dancers and animals only where they are asked for."""
 
 Poses = tuple[np.ndarray, np.ndarray]
 """Rotations [T, P, 3, 3] from the parts' axes to the world's, and centers [T, P, 3]."""
@@ -91,7 +91,7 @@ class WorldObject:
         return np.asarray(np.einsum("tpk,p->tk", self.poses(np.atleast_1d(times))[1], weights / weights.sum()))
 
 
-def nothing_touches(times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def touch_nothing(times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """For what flies or hangs."""
     return np.zeros((len(times), 0, 3)), np.zeros((len(times), 0), bool)
 

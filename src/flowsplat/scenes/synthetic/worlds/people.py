@@ -104,7 +104,7 @@ class Gait:
         return sole, heading + smooth * (later - heading), pitch, since <= 0
 
 
-def _knee(hip: np.ndarray, ankle: np.ndarray, forward: np.ndarray, upper: float, lower: float) -> np.ndarray:
+def find_knee(hip: np.ndarray, ankle: np.ndarray, forward: np.ndarray, upper: float, lower: float) -> np.ndarray:
     """[T, 3] where a joint is between two points, bent forward."""
     way = ankle - hip
     distance = np.linalg.norm(way, axis=1, keepdims=True)
@@ -132,12 +132,12 @@ def walker(
     step = scale * np.clip(0.3 + 0.24 * speed / scale, 0.3, 0.66)
     bend = 0.0 if arms == "forward" and not carries else rng.uniform(-0.15, 0.15)
     gait = Gait(ground, at, heading, bend, step, rng.uniform(0, 2 * step), scale)
-    hips = _hips(gait, speed, duration)
+    hips = find_hips(gait, speed, duration)
     bag = bool(rng.random() < 0.4) and carries
     held: Arms = "forward" if carries and not bag else arms
     parts = body(rng, scale, rich)
     if carries:
-        parts += _carried(rng, scale, bag)
+        parts += _draw_carried_parts(rng, scale, bag)
 
     def poses(times: np.ndarray) -> Poses:
         s = speed * (times - duration / 2)
@@ -151,7 +151,7 @@ def walker(
     return WorldObject("carrier" if carries else "walker", tuple(parts), poses, touching)
 
 
-def _hips(gait: Gait, speed: float, duration: float) -> Callable[[np.ndarray], np.ndarray]:
+def find_hips(gait: Gait, speed: float, duration: float) -> Callable[[np.ndarray], np.ndarray]:
     """Height of the hips over time: as high as both legs reach, smoothed without ever getting higher."""
     times = np.arange(-_SMOOTH / _RATE, duration + 2 * _SMOOTH / _RATE, 1 / _RATE)
     s = speed * (times - duration / 2)
@@ -160,14 +160,14 @@ def _hips(gait: Gait, speed: float, duration: float) -> Callable[[np.ndarray], n
     reach = SLACK * gait.scale * (THIGH + SHIN)
     top = np.full(len(times), np.inf)
     for side in (-1, 1):
-        ankle = _ankle(gait, s, side)[0]
+        ankle = place_ankle(gait, s, side)[0]
         away = np.linalg.norm(ankle[:, :2] - place - side * HIP * gait.scale * right, axis=1)
         top = np.minimum(top, ankle[:, 2] + np.sqrt(np.maximum(reach**2 - away**2, 0)))
     height = uniform_filter1d(minimum_filter1d(top, _SMOOTH), _SMOOTH)
     return lambda asked: np.interp(asked, times, height)
 
 
-def _ankle(gait: Gait, s: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def place_ankle(gait: Gait, s: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(ankle [T, 3], rotation of the foot [T, 3, 3], its center [T, 3])."""
     sole, heading, pitch, _ = gait.foot(s, side)
     level = frame(gait.ground.tangent(heading), gait.ground.normal)
@@ -197,7 +197,7 @@ def body(rng: np.random.Generator, scale: float, rich: bool) -> list[Part]:
     return [*trunk, *leg, *leg, *arm, *arm]
 
 
-def _carried(rng: np.random.Generator, scale: float, bag: bool) -> list[Part]:
+def _draw_carried_parts(rng: np.random.Generator, scale: float, bag: bool) -> list[Part]:
     rich = bool(rng.random() < 0.6)
     if bag:
         return [box(np.array([0.2, 0.07, 0.16]) * scale, draw_material(rng, 0.3 * scale, rich))]
@@ -226,8 +226,8 @@ def _stand(gait: Gait, s: np.ndarray, hips: np.ndarray, arms: Arms, parts: list[
     phase = np.pi * (s - gait.first) / gait.step
     for side in (-1, 1):
         joint = point(0, -side * HIP, 0)
-        ankle, turn, middle = _ankle(gait, s, side)
-        knee = _knee(joint, ankle, forward, THIGH * scale, SHIN * scale)
+        ankle, turn, middle = place_ankle(gait, s, side)
+        knee = find_knee(joint, ankle, forward, THIGH * scale, SHIN * scale)
         found += [rod(joint, knee, forward), rod(knee, ankle, forward), (turn, middle)]
     hands = []
     for side in (-1, 1):

@@ -98,7 +98,7 @@ def _place(rng: np.random.Generator, seed: int) -> World | None:
     """One attempt, over all of ``LASTS``; None where things are inside each other."""
     ground = Ground("flat", np.zeros(2), np.array([0.0, 1.0]))
     objects = _draw_objects(rng, ground)
-    path = _carried_past(rng)
+    path = _draw_passing_camera(rng)
     static = [_sky(rng), *ground.parts(_material(rng, PAVING, BRICKS, 0.8, MORTAR, 0.16, 0.5)), *_scenery(rng)]
     around, up = np.radians(rng.choice([-1, 1]) * rng.uniform(25, 65) - 90), np.radians(rng.uniform(38, 55))
     sun = np.array([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)])
@@ -142,7 +142,7 @@ def _draw_objects(rng: np.random.Generator, ground: Ground) -> tuple[WorldObject
     return person, cart, thrown
 
 
-def _carried_past(rng: np.random.Generator) -> Callable[[np.ndarray], Views]:
+def _draw_passing_camera(rng: np.random.Generator) -> Callable[[np.ndarray], Views]:
     """A camera in the hand of someone who walks past, and mostly keeps looking at the same place."""
     side, speed, gaze = rng.choice([-1.0, 1.0]), rng.uniform(0.8, 1.1), rng.uniform(0.1, 0.4)
     onward, bob, sway = rng.uniform(-0.15, 0.15), rng.uniform(0.015, 0.03), rng.uniform(0.01, 0.02)
@@ -193,7 +193,7 @@ def _sky(rng: np.random.Generator) -> Placed:
     return Placed(Part(ROOM, np.full(3, 90.0), sky), np.eye(3), np.zeros(3))
 
 
-def _put(part: Part, x: float, y: float, low: float, half: float, yaw: float = 0.0) -> Placed:
+def _place_part(part: Part, x: float, y: float, low: float, half: float, yaw: float = 0.0) -> Placed:
     """A part turned by ``yaw`` about the vertical, its lower end ``low`` meters above the ground, ``half`` of its height."""
     turn = frame(np.array([np.cos(yaw), np.sin(yaw), 0.0]), UP)[0]
     return Placed(part, turn, np.array([x, y, low + half]))
@@ -206,18 +206,20 @@ def _scenery(rng: np.random.Generator) -> list[Placed]:
     found = _house(rng, gap - 7.0, gap - 1.0, front, rng.uniform(4.6, 6.0), _pick(rng, BRICK), True)
     found += _house(rng, gap + 1.2, gap + 8.2, front + rng.uniform(0.2, 0.8), rng.uniform(4.4, 5.6), _pick(rng, PLASTER), False)
     wall = box([1.3, 0.15, 1.0], _material(rng, STONE, BRICKS, 0.7, MORTAR, 0.18))
-    found.append(_put(wall, gap + 0.1, front + 0.9, -0.05, 1.0))
+    found.append(_place_part(wall, gap + 0.1, front + 0.9, -0.05, 1.0))
     for x in (rng.uniform(-3.6, -2.4), rng.uniform(2.4, 3.6)):
         found += _tree(rng, x, rng.uniform(8.6, 9.0))
     found += _bench(rng, rng.uniform(-1.2, 0.0), 9.0)
     found += _lamp(rng, rng.uniform(0.9, 1.6), 8.5)
     for x, y in ((rng.uniform(-4.6, -4.0), 7.9), (rng.uniform(4.2, 4.8), 8.0)):
-        found.append(_put(cylinder(0.36, 0.3, _material(rng, STONE, BRICKS, 0.5, MORTAR, 0.2)), x, y, -0.02, 0.3))
-        found.append(_put(ellipsoid([0.42, 0.42, 0.4], _leaves(rng)), x, y, 0.4, 0.4))
+        found.append(_place_part(cylinder(0.36, 0.3, _material(rng, STONE, BRICKS, 0.5, MORTAR, 0.2)), x, y, -0.02, 0.3))
+        found.append(_place_part(ellipsoid([0.42, 0.42, 0.4], _leaves(rng)), x, y, 0.4, 0.4))
     for k, size in enumerate((0.3, 0.24)):
         x, y = 3.5 + rng.uniform(-0.1, 0.1) + 0.62 * k, rng.uniform(4.6, 5.0)
         found.append(
-            _put(box([size] * 3, _material(rng, WOOD, BRICKS, 0.5 * size, (0.3, 0.2, 0.12), 0.3, 0.2)), x, y, -0.01, size, 0.4 + k)
+            _place_part(
+                box([size] * 3, _material(rng, WOOD, BRICKS, 0.5 * size, (0.3, 0.2, 0.12), 0.3, 0.2)), x, y, -0.01, size, 0.4 + k
+            )
         )
     return found
 
@@ -230,20 +232,20 @@ def _house(
         _material(rng, color, BRICKS, 0.46, MORTAR, 0.2, 0.8) if bricks else _material(rng, color, amplitude=0.16, wavelength=0.9)
     )
     middle, half = 0.5 * (left + right), 0.5 * (right - left)
-    found = [_put(box([half, 2.0, high / 2], wall), middle, front + 2.0, -0.05, high / 2)]
-    found.append(_put(box([half + 0.02, 0.06, 0.2], _material(rng, STONE, amplitude=0.25)), middle, front, -0.05, 0.2))
-    found.append(_put(box([half + 0.1, 0.12, 0.09], _material(rng, STONE)), middle, front, high - 0.2, 0.09))
+    found = [_place_part(box([half, 2.0, high / 2], wall), middle, front + 2.0, -0.05, high / 2)]
+    found.append(_place_part(box([half + 0.02, 0.06, 0.2], _material(rng, STONE, amplitude=0.25)), middle, front, -0.05, 0.2))
+    found.append(_place_part(box([half + 0.1, 0.12, 0.09], _material(rng, STONE)), middle, front, high - 0.2, 0.09))
     places = np.arange(left + 0.95, right - 0.6, 1.75)
     entrance = int(rng.integers(len(places)))
     for k, x in enumerate(places):
         if k == entrance:
-            found.append(_put(box([0.58, 0.05, 1.12], _material(rng, WHITE)), x, front, 0.1, 1.12))
+            found.append(_place_part(box([0.58, 0.05, 1.12], _material(rng, WHITE)), x, front, 0.1, 1.12))
             found.append(
-                _put(
+                _place_part(
                     box([0.48, 0.07, 1.04], _material(rng, _pick(rng, DOORS), amplitude=0.25, wavelength=0.3)), x, front, 0.1, 1.04
                 )
             )
-            found.append(_put(box([0.75, 0.25, 0.06], _material(rng, STONE)), x, front, 0.0, 0.06))
+            found.append(_place_part(box([0.75, 0.25, 0.06], _material(rng, STONE)), x, front, 0.0, 0.06))
         else:
             found += _window(rng, x, front, 1.0)
         if high > 4.0:
@@ -255,10 +257,10 @@ def _window(rng: np.random.Generator, x: float, front: float, low: float) -> lis
     frame_of = _material(rng, WHITE, amplitude=0.06)
     pane = _material(rng, GLASS, amplitude=0.5, wavelength=0.7)
     return [
-        _put(box([0.48, 0.05, 0.66], frame_of), x, front, low, 0.66),
-        _put(box([0.19, 0.06, 0.56], pane), x - 0.215, front, low + 0.1, 0.56),
-        _put(box([0.19, 0.06, 0.56], pane), x + 0.215, front, low + 0.1, 0.56),
-        _put(box([0.56, 0.12, 0.035], _material(rng, STONE)), x, front, low - 0.07, 0.035),
+        _place_part(box([0.48, 0.05, 0.66], frame_of), x, front, low, 0.66),
+        _place_part(box([0.19, 0.06, 0.56], pane), x - 0.215, front, low + 0.1, 0.56),
+        _place_part(box([0.19, 0.06, 0.56], pane), x + 0.215, front, low + 0.1, 0.56),
+        _place_part(box([0.56, 0.12, 0.035], _material(rng, STONE)), x, front, low - 0.07, 0.035),
     ]  # fmt: skip
 
 
@@ -269,27 +271,27 @@ def _leaves(rng: np.random.Generator) -> np.ndarray:
 
 def _tree(rng: np.random.Generator, x: float, y: float) -> list[Placed]:
     tall = rng.uniform(1.9, 2.3)
-    found = [_put(cylinder(0.11, tall / 2, _material(rng, WOOD, amplitude=0.45, wavelength=0.2)), x, y, -0.02, tall / 2)]
+    found = [_place_part(cylinder(0.11, tall / 2, _material(rng, WOOD, amplitude=0.45, wavelength=0.2)), x, y, -0.02, tall / 2)]
     leaves = _leaves(rng)
     for _ in range(5):
         size = rng.uniform(0.4, 0.7)
         away = rng.uniform(-0.5, 0.5, 2)
         crown = ellipsoid([size, size, 0.8 * size], leaves)
-        found.append(_put(crown, x + away[0], y + 0.5 * away[1], tall - 0.35 + rng.uniform(0, 0.7), 0.8 * size))
+        found.append(_place_part(crown, x + away[0], y + 0.5 * away[1], tall - 0.35 + rng.uniform(0, 0.7), 0.8 * size))
     return found
 
 
 def _bench(rng: np.random.Generator, x: float, y: float) -> list[Placed]:
     wood, iron = _material(rng, WOOD, BRICKS, 0.3, (0.3, 0.2, 0.12), 0.3, 0.3), _material(rng, IRON)
     found = [
-        _put(box([0.8, 0.2, 0.03], wood), x, y, 0.42, 0.03), _put(box([0.8, 0.03, 0.2], wood), x, y + 0.2, 0.5, 0.2),
+        _place_part(box([0.8, 0.2, 0.03], wood), x, y, 0.42, 0.03), _place_part(box([0.8, 0.03, 0.2], wood), x, y + 0.2, 0.5, 0.2),
     ]  # fmt: skip
-    return found + [_put(box([0.03, 0.2, 0.22], iron), x + side, y, -0.01, 0.22) for side in (-0.65, 0.65)]
+    return found + [_place_part(box([0.03, 0.2, 0.22], iron), x + side, y, -0.01, 0.22) for side in (-0.65, 0.65)]
 
 
 def _lamp(rng: np.random.Generator, x: float, y: float) -> list[Placed]:
     iron = _material(rng, IRON)
     return [
-        _put(cylinder(0.05, 1.6, iron), x, y, -0.02, 1.6), _put(cylinder(0.1, 0.25, iron), x, y, -0.02, 0.25),
-        _put(ball(0.16, _material(rng, WHITE, SEGMENTS, 1.0, (0.8, 0.78, 0.7))), x, y, 3.15, 0.16),
+        _place_part(cylinder(0.05, 1.6, iron), x, y, -0.02, 1.6), _place_part(cylinder(0.1, 0.25, iron), x, y, -0.02, 0.25),
+        _place_part(ball(0.16, _material(rng, WHITE, SEGMENTS, 1.0, (0.8, 0.78, 0.7))), x, y, 3.15, 0.16),
     ]  # fmt: skip

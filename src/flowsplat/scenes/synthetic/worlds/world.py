@@ -13,7 +13,7 @@ from flowsplat.geometry import Camera
 from flowsplat.geometry.cameras import rigid
 from flowsplat.scenes.synthetic.ray_cast import Hits, RayCastWorld
 from flowsplat.scenes.synthetic.worlds.cameras import CameraKind, Views
-from flowsplat.scenes.synthetic.worlds.casting import ROOM, cast, render
+from flowsplat.scenes.synthetic.worlds.casting import CAPSULE, ROOM, cast, render
 from flowsplat.scenes.synthetic.worlds.ground import Ground
 from flowsplat.scenes.synthetic.worlds.parts import Part, Placed, WorldObject
 
@@ -37,11 +37,16 @@ _FAR = 1e9
 
 @dataclass(frozen=True)
 class Light:
-    """``direction`` [3] to the sun, its strength, the strength of the sky, both as factors of the colors."""
+    """``direction`` [3] to the sun, its strength, the strength of the sky, both as factors of the colors.
+
+    ``occlusion``: share of the sky's light that what moves takes from what rests right beside it, which is a contact shadow;
+    0 = none.
+    """
 
     direction: np.ndarray
     sun: float
     ambient: float
+    occlusion: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -141,7 +146,7 @@ class World(RayCastWorld):
 
     # -- rays
 
-    def _seen_from(self, camera: Camera, turns: np.ndarray, centers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _compute_views(self, camera: Camera, turns: np.ndarray, centers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(the camera's center in the parts' axes [P, 3], rectangles [P, 4] outside of which parts are never seen)."""
         origins = np.einsum("pkq,pk->pq", turns, camera.center - centers)
         # Corners of a box round every part in its own axes.
@@ -159,7 +164,7 @@ class World(RayCastWorld):
     def cast(self, camera: Camera, time: float, uv: np.ndarray) -> Hits:
         """What a camera sees at ``time`` at positions ``uv`` [N, 2] (pixels)."""
         turns, centers = self.poses(time)
-        origins, bounds = self._seen_from(camera, turns, centers)
+        origins, bounds = self._compute_views(camera, turns, centers)
         c = self._constants
         uv = np.ascontiguousarray(uv, np.float64)
         R = np.ascontiguousarray(camera.viewmat[:3, :3])
@@ -184,17 +189,28 @@ class World(RayCastWorld):
             if k == 0:
                 total = np.zeros((camera.height, camera.width, 3))
             turns, centers = self.poses(moment)
-            origins, bounds = self._seen_from(camera, turns, centers)
+            origins, bounds = self._compute_views(camera, turns, centers)
             c = self._constants
             # Of several exposures each takes two of the samples in turn.
             chosen = slice(None) if len(shares) == 1 else slice(k % 2, None, 2)
             render(
                 c["shapes"], c["sizes"], turns, centers, origins, bounds, c["radii"], c["casts"], c["materials"],
                 np.ascontiguousarray(camera.viewmat[:3, :3]), camera.intrinsics, camera.center, _SAMPLES[chosen], lights[chosen],
-                self.light.ambient, self.light.sun, total,
+                self.light.ambient, self.light.sun, self._occluders(turns, centers), self.light.occlusion, len(self.static), total,
             )  # fmt: skip
         levels = total * (255 / len(shares)) + self.noise * rng.normal(size=total.shape)
         return np.clip(levels + 0.5, 0, 255).astype(np.uint8)
+
+    def _occluders(self, turns: np.ndarray, centers: np.ndarray) -> np.ndarray:
+        """[Q, 4] centers and radii of balls that fill the parts of objects; long ones are three balls along their longest axis."""
+        moving, shapes, sizes = self.numbers > 0, self._constants["shapes"], self._constants["sizes"].copy()
+        sizes[shapes == CAPSULE, 2] += sizes[shapes == CAPSULE, 0]
+        radii = np.cbrt(sizes.prod(1) / 3)
+        longest = sizes.argmax(1)
+        axes = np.take_along_axis(turns, longest[:, None, None], 2)[..., 0]
+        way = axes * np.maximum(sizes.max(1) - radii, 0)[:, None]
+        balls = [np.concatenate([centers + k * way, radii[:, None]], 1)[moving] for k in (-1.0, 0.0, 1.0)]
+        return np.concatenate(balls)
 
     def _suns(self) -> np.ndarray:
         """[S, 3] directions to points of the sun."""
@@ -208,7 +224,7 @@ class World(RayCastWorld):
 
     def geometry(self, i: int) -> tuple[np.ndarray, np.ndarray]:
         """(planar depth [H, W] in meters at the pixel centers, number of the object [H, W] uint8) of frame ``i``."""
-        return self.seen_by(self.camera(i), self.timestamps[i])
+        return self.cast_rays(self.camera(i), self.timestamps[i])
 
     def carry(self, hits: Hits, time: float) -> np.ndarray:
         """[N, 3] where the points that were hit are at ``time``."""

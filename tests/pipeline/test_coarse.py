@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from flowsplat.common.errors import InputError
-from flowsplat.output.videos import RenderOptions, rendered
-from flowsplat.pipeline import first, preparing, run, stages
+from flowsplat.output.videos import RenderOptions, list_rendered
+from flowsplat.pipeline import coarse, preparing, run, stages
+from flowsplat.pipeline.coarse import APART, FRAMES, LONG_SIDE, CoarseClip, choose_frames, is_worth_it
 from flowsplat.pipeline.compiling import Ahead
 from flowsplat.pipeline.config import RunConfig, preset
-from flowsplat.pipeline.first import APART, FRAMES, LONG_SIDE, CoarseClip, chosen_frames, is_worth_it
 from flowsplat.pipeline.folder import RunFolder
-from flowsplat.pipeline.speed import expected_of
+from flowsplat.pipeline.speed import estimate_seconds_of_clip
 from flowsplat.scenes.clip import Clip
 from flowsplat.scenes.scene import split_frames
 from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic_video
@@ -46,7 +46,7 @@ def clip_of(frames: int, fps: float, size: tuple[int, int] = (854, 480)) -> _Rec
 def test_frames_are_spread_over_the_clip_or_its_beginning(frames, fps, last):
     """As far as motion can be followed; frames that the run holds out are not among them."""
     train, heldout = split_frames(frames, 10)
-    numbers = chosen_frames(np.arange(frames) / fps, train)
+    numbers = choose_frames(np.arange(frames) / fps, train)
     assert len(numbers) <= FRAMES
     assert not set(numbers) & set(heldout)
     assert abs(numbers[-1] - last) <= 3
@@ -65,17 +65,17 @@ def test_few_small_frames_are_read():
 
 def test_short_runs_do_without():
     clip = clip_of(80, 24.0)
-    assert is_worth_it(sum(expected_of(clip, RunConfig()).values()))
+    assert is_worth_it(sum(estimate_seconds_of_clip(clip, RunConfig()).values()))
     small = clip_of(80, 24.0, (427, 240))
-    assert not is_worth_it(sum(expected_of(small, preset("fast")).values()))
+    assert not is_worth_it(sum(estimate_seconds_of_clip(small, preset("fast")).values()))
 
 
 @pytest.fixture
 def config(monkeypatch) -> RunConfig:
-    settings = replace(first.first_settings(), iterations=6)
-    monkeypatch.setattr(first, "first_settings", lambda: settings)
+    settings = replace(coarse.coarse_settings(), iterations=6)
+    monkeypatch.setattr(coarse, "coarse_settings", lambda: settings)
     monkeypatch.setattr(stages, "is_worth_it", lambda whole: True)
-    monkeypatch.setattr(stages, "compiling_ahead", lambda device: nullcontext(Ahead(None)))
+    monkeypatch.setattr(stages, "compile_ahead", lambda device: nullcontext(Ahead(None)))
     ours = RunConfig()
     render = RenderOptions(paths=("input",), width=32)
     return replace(ours, train=replace(ours.train, iterations=6), render=render, refine_poses=False)
@@ -85,31 +85,31 @@ def config(monkeypatch) -> RunConfig:
 def test_the_run_is_the_same_to_the_bit(tmp_path, config, monkeypatch):
     write_synthetic_video(tmp_path / "clip.mp4", SyntheticScene(width=96, height=64, frames=12))
     run(tmp_path / "clip.mp4", tmp_path / "with", config)
-    run(tmp_path / "clip.mp4", tmp_path / "without", replace(config, first_scene=False))
-    assert not (tmp_path / "without" / "first").exists()
-    for folder in ("scene", "model", "final"):
+    run(tmp_path / "clip.mp4", tmp_path / "without", replace(config, coarse_scene=False))
+    assert not (tmp_path / "without" / "coarse").exists()
+    for folder in ("scene", "model", "model_all_frames"):
         files = sorted(path for path in (tmp_path / "without" / folder).rglob("*") if path.is_file())
         assert files
         for path in files:
             same = tmp_path / "with" / path.relative_to(tmp_path / "without")
             assert same.read_bytes() == path.read_bytes(), path
-    where = tmp_path / "with" / "first"
+    where = tmp_path / "with" / "coarse"
     assert len(load_model(where / "model").gaussians) > 0
-    assert {"input_path", "orbit"} <= set(rendered(where / "renders"))
-    monkeypatch.setattr(first, "ingest", lambda *_: pytest.fail("made again"))
+    assert {"input_path", "orbit"} <= set(list_rendered(where / "renders"))
+    monkeypatch.setattr(coarse, "ingest", lambda *_: pytest.fail("made again"))
     folder = RunFolder(tmp_path / "with")
-    first.first_scene(folder, clip_of(12, 24.0, (96, 64)))
+    coarse.coarse_scene(folder, clip_of(12, 24.0, (96, 64)))
 
 
 def test_what_cannot_be_made_is_told_and_left_out(tmp_path, config, monkeypatch, capsys):
     def refuse(*arguments):
         raise InputError("No cameras.")
 
-    monkeypatch.setattr(first, "prepare_priors", refuse)
+    monkeypatch.setattr(coarse, "prepare_priors", refuse)
     folder = RunFolder.open_or_create(tmp_path / "out", "c", "c", config)
-    first.first_scene(folder, clip_of(12, 24.0, (96, 64)))
-    assert "There is no first scene: No cameras." in " ".join(capsys.readouterr().err.split())
-    assert not (tmp_path / "out" / "first" / "model").exists()
+    coarse.coarse_scene(folder, clip_of(12, 24.0, (96, 64)))
+    assert "There is no coarse scene: No cameras." in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "out" / "coarse" / "model").exists()
 
 
 @pytest.mark.parametrize("error", [InputError("No cameras."), MemoryError(), np.linalg.LinAlgError("Singular matrix")])
@@ -117,9 +117,9 @@ def test_it_stops_no_run(tmp_path, config, monkeypatch, capsys, error):
     def fail(*arguments):
         raise error
 
-    monkeypatch.setattr(first, "prepare_priors", fail)
-    first.first_scene(RunFolder.open_or_create(tmp_path / "out", "c", "c", config), clip_of(12, 24.0, (96, 64)))
-    assert "There is no first scene" in capsys.readouterr().err
+    monkeypatch.setattr(coarse, "prepare_priors", fail)
+    coarse.coarse_scene(RunFolder.open_or_create(tmp_path / "out", "c", "c", config), clip_of(12, 24.0, (96, 64)))
+    assert "There is no coarse scene" in capsys.readouterr().err
 
 
 def test_what_can_be_wrong_is_said_first(tmp_path, config):
@@ -134,12 +134,12 @@ def test_what_can_be_wrong_is_said_first(tmp_path, config):
     plain = replace(config, render=RenderOptions())
     clicked = replace(plain, priors=replace(plain.priors, mask_click=("500,5@0",)))
     with pytest.raises(InputError, match="outside the frames"):
-        preparing.prepared(tmp_path / "clip.mp4", tmp_path / "clicked", clicked, show)
+        preparing.prepare_folder(tmp_path / "clip.mp4", tmp_path / "clicked", clicked, show)
     filed = replace(plain, render=replace(plain.render, camera_file=tmp_path / "none.json"))
     with pytest.raises(InputError):
-        preparing.prepared(tmp_path / "clip.mp4", tmp_path / "filed", filed, show)
+        preparing.prepare_folder(tmp_path / "clip.mp4", tmp_path / "filed", filed, show)
     assert not made
     with pytest.raises(KeyboardInterrupt):
-        preparing.prepared(tmp_path / "clip.mp4", tmp_path / "plain", plain, show)
+        preparing.prepare_folder(tmp_path / "clip.mp4", tmp_path / "plain", plain, show)
     assert made == ["plain"]
     assert not (tmp_path / "plain" / "scene").exists()

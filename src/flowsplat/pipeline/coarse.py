@@ -1,4 +1,4 @@
-"""A first coarse scene of a clip: something to turn about while the priors of the real one are computed.
+"""A coarse scene of a clip: something to turn about while the priors of the real one are computed.
 
 It is an ordinary scene, prepared and trained as any other, of few and small frames: what it costs does not depend on the length and
 size of the clip. It takes frames that the run trains on, lies in a folder of its own that nothing else reads, and is shown until
@@ -33,7 +33,7 @@ from flowsplat.training.config import PRESETS, TrainConfig
 from flowsplat.training.scene_model import scene_model
 from flowsplat.training.trainer import Trainer
 
-FIRST = "first"
+STAGE = "coarse"
 """The stage that makes it."""
 FRAMES = 24
 """Frames that it is made from, at most."""
@@ -55,8 +55,8 @@ def is_worth_it(whole: float) -> bool:
     return SHARE * whole >= SECONDS
 
 
-def chosen_frames(timestamps: np.ndarray, train: Sequence[int]) -> list[int]:
-    """Frames that the first scene is made from: evenly over the training frames of the clip, or over its beginning."""
+def choose_frames(timestamps: np.ndarray, train: Sequence[int]) -> list[int]:
+    """Frames that the coarse scene is made from: evenly over the training frames of the clip, or over its beginning."""
     times = timestamps[list(train)]
     over_all = -(-len(train) // FRAMES)
     followed = int(APART / float(np.median(np.diff(times))) + 1e-6)
@@ -79,10 +79,10 @@ class CoarseClip(Clip):
     def of(clip: Clip, holdout: int | None) -> CoarseClip:
         """That of a clip, without the frames that a run holds out."""
         train, _ = split_frames(clip.num_frames, None if clip.num_views else holdout)
-        numbers = chosen_frames(clip.timestamps, train)
+        numbers = choose_frames(clip.timestamps, train)
         scale = min(1.0, LONG_SIDE / max(clip.width, clip.height))
         width, height = (max(32, round(side * scale)) for side in (clip.width, clip.height))
-        cameras = clip.cameras and [clip.cameras[i].resized(width, height) for i in numbers]
+        cameras = clip.cameras and [clip.cameras[i].resize(width, height) for i in numbers]
         return CoarseClip(
             name=clip.name, source=clip.source, width=width, height=height, timestamps=clip.timestamps[numbers],
             source_fps=clip.source_fps, has_masks=clip.has_masks, cameras=cameras, whole=clip, numbers=numbers,
@@ -96,7 +96,7 @@ class CoarseClip(Clip):
         return resize_labels(self.whole.mask(self.numbers[i]), (self.width, self.height))
 
 
-def first_settings() -> TrainConfig:
+def coarse_settings() -> TrainConfig:
     """How it is trained."""
     ours = PRESETS["default"]
     return replace(
@@ -105,28 +105,28 @@ def first_settings() -> TrainConfig:
     )  # fmt: skip
 
 
-def first_scene(folder: RunFolder, clip: Clip) -> None:
-    """Make the first scene of a run from its clip, or what is missing of it; where that is impossible a line says so.
+def coarse_scene(folder: RunFolder, clip: Clip) -> None:
+    """Make the coarse scene of a run from its clip, or what is missing of it; where that is impossible a line says so.
 
-    Writes ``first/scene``, ``first/model``, ``first/renders`` and the run's ``preview.png``.
+    Writes ``coarse/scene``, ``coarse/model``, ``coarse/renders`` and the run's ``preview.png``.
     """
-    where = folder.first
-    settings = first_settings()
+    where = folder.coarse
+    settings = coarse_settings()
     key = stage_key(folder.fingerprint, FRAMES, APART, LONG_SIDE, settings)
-    with folder.stage(FIRST, key, (where.path,), made=has_model(where.model_path)) as stage:
+    with folder.stage(STAGE, key, (where.path,), made=has_model(where.model_path)) as stage:
         if not stage.is_done:
-            _make_first(folder, stage, clip, where, settings)
+            _make_coarse(folder, stage, clip, where, settings)
 
 
-def _make_first(folder: RunFolder, stage: Stage, clip: Clip, where: RunPaths, settings: TrainConfig) -> None:
+def _make_coarse(folder: RunFolder, stage: Stage, clip: Clip, where: RunPaths, settings: TrainConfig) -> None:
     coarse = CoarseClip.of(clip, folder.config.input.holdout)
     device = pick_device(folder.config.device)
-    report(f"First a coarse scene of {coarse.num_frames} small frames, to look at meanwhile (--no-first-scene leaves it out).")
+    report(f"First a coarse scene of {coarse.num_frames} small frames, to look at meanwhile (--no-coarse-scene leaves it out).")
     try:
-        with as_one("A first scene"):
+        with as_one("A coarse scene"):
             _make(folder, coarse, where, settings, device)
     except Exception as error:  # Nothing depends on it: whatever it fails of, memory too, the run goes on.
-        report(f"There is no first scene: {error or type(error).__name__}")
+        report(f"There is no coarse scene: {error or type(error).__name__}")
         return
     stage.finish()
     report(f"Look at it: flowsplat view {folder.path}, or {where.renders_path}. It is coarse: the scene proper takes its place.")

@@ -58,9 +58,9 @@ def test_what_is_measured_is_the_same_to_the_bit(finished, without):
     assert figures_of(finished) == figures_of(without)
     for part in ("model", "scene", "evaluation", "training"):
         assert files_of(finished / part) == files_of(without / part), part
-    assert not (without / "final").exists()
+    assert not (without / "model_all_frames").exists()
     shown = [json.loads((out / "metrics.json").read_text())["shown"] for out in (finished, without)]
-    assert shown == ["final", "model"]
+    assert shown == ["model_all_frames", "model"]
     assert figures_of(finished)["measured"] == "model"
 
 
@@ -87,7 +87,7 @@ def test_nothing_is_fitted_before_everything_is_measured(tiny_scene, tmp_path, m
     monkeypatch.setattr(fitting, "heldout_flow", lambda *arguments: pytest.fail("too early"))
     with pytest.raises(RuntimeError, match="in the evaluation"):
         run(tiny_scene, tmp_path / "out", small_config())
-    assert not (tmp_path / "out" / "final").exists()
+    assert not (tmp_path / "out" / "model_all_frames").exists()
 
 
 def test_heldout_pixels_reach_what_is_shown_and_nothing_else(tiny_scene, finished, tmp_path):
@@ -96,7 +96,7 @@ def test_heldout_pixels_reach_what_is_shown_and_nothing_else(tiny_scene, finishe
     Scene(other).write_frame(9, np.zeros((48, 64, 3), np.uint8))
     run(other, tmp_path / "out", small_config())
     assert files_of(tmp_path / "out" / "model") == files_of(finished / "model")
-    assert files_of(tmp_path / "out" / "final") != files_of(finished / "final")
+    assert files_of(tmp_path / "out" / "model_all_frames") != files_of(finished / "model_all_frames")
     for prior in ("depth", "flow", "masks"):
         assert files_of(tmp_path / "out" / "scene" / prior) == files_of(finished / "scene" / prior)
 
@@ -113,11 +113,11 @@ def test_a_final_fit_that_was_stopped_ends_at_the_same_bits(tiny_scene, finished
     monkeypatch.setattr(Trainer, "_iterate", stop)
     with pytest.raises(RuntimeError, match="stopped"):
         run(tiny_scene, tmp_path / "out", config)
-    assert (tmp_path / "out" / "final" / "latest.json").exists()
+    assert (tmp_path / "out" / "model_all_frames" / "latest.json").exists()
     assert flowsplat.load(tmp_path / "out").render is not None  # the measured model, as long as there is no other
     monkeypatch.setattr(Trainer, "_iterate", iterate)
     run(tiny_scene, tmp_path / "out", config)
-    name = "final/gaussians.safetensors"
+    name = "model_all_frames/gaussians.safetensors"
     assert (tmp_path / "out" / name).read_bytes() == (finished / name).read_bytes()
 
 
@@ -125,7 +125,7 @@ def test_it_can_be_left_out_afterwards(tiny_scene, finished, without, tmp_path, 
     shutil.copytree(finished, tmp_path / "out")
     monkeypatch.setattr(Trainer, "run", lambda self: pytest.fail("trained again"))
     run(tiny_scene, tmp_path / "out", replace(small_config(), final_fit=False))
-    assert not (tmp_path / "out" / "final").exists()
+    assert not (tmp_path / "out" / "model_all_frames").exists()
     again, first, final = (video_of(out) for out in (tmp_path / "out", without, finished))
     # The encoder does not give the same bits twice.
     assert np.abs(again - first).mean() < 0.6 * np.abs(again - final).mean()
@@ -136,15 +136,15 @@ def test_another_training_forgets_it(tiny_scene, finished, tmp_path):
     shutil.copytree(finished, tmp_path / "out")
     folder = prepare(tiny_scene, tmp_path / "out", small_config(seed=5))
     train(folder)
-    assert not (tmp_path / "out" / "final").exists()
+    assert not (tmp_path / "out" / "model_all_frames").exists()
     evaluate_run(folder)
-    assert not (tmp_path / "out" / "final").exists(), "the measurement alone fits nothing"
+    assert not (tmp_path / "out" / "model_all_frames").exists(), "the measurement alone fits nothing"
 
 
 def test_without_heldout_frames_there_is_nothing_to_do(tmp_path):
     write_synthetic(tmp_path / "scene", SyntheticScene(width=48, height=32, frames=4), holdout=None)
     run(tmp_path / "scene", tmp_path / "out", small_config())
-    assert not (tmp_path / "out" / "final").exists()
+    assert not (tmp_path / "out" / "model_all_frames").exists()
 
 
 def test_runs_do_it_and_benchmarks_never(finished):
