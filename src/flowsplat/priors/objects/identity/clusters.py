@@ -72,7 +72,7 @@ def pieces_of(count: int, pairs: np.ndarray, log_odds: np.ndarray) -> np.ndarray
 
 
 def largest_first(labels: np.ndarray, fewest: int) -> np.ndarray:
-    """Labels [N] renumbered from 0 by how often they occur; -1 for those below 0 and those that occur less than ``fewest`` times."""
+    """Labels [N] renumbered from 0 by how often they occur; -1 for those below 0, and for those with less than ``fewest``."""
     sizes = np.bincount(labels[labels >= 0], minlength=1)
     order = np.argsort(-sizes, kind="stable")
     rank = np.full(len(sizes) + 1, -1)

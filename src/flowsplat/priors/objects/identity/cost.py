@@ -72,7 +72,7 @@ def costs_of(values: Mapping[str, Any], features: Mapping[str, Sequence[str]]) -
     found = {}
     for name, names in features.items():
         if values[name]["features"] != list(names):
-            raise InputError(f"The costs of {name} were fitted to other features: run python -m flowsplat_benchmarks.scripts.identity.")
+            raise InputError(f"{WEIGHTS.name}: {name} have other features; run python -m flowsplat_benchmarks.scripts.identity.")
         found[name] = Cost(*(np.array(values[name][key], float) for key in ("mean", "deviation", "weights")))
     return Costs(found["tracks"], float(values["bias"]), found["pieces"])
 

@@ -105,9 +105,12 @@ def _improved(graph: csr_matrix, labels: np.ndarray) -> np.ndarray:
         before, count = changed, labels.max(initial=-1) + 1
         changed = np.zeros(count, bool)
         entries = graph.tocoo()
-        met = np.unique(np.stack([labels[entries.row], labels[entries.col]], 1), axis=0)
-        pairs = [(int(a), int(b)) for a, b in met if a < b and (before[a] or before[b])]
-        for a, b in [*pairs, *((int(a), -1) for a in np.flatnonzero(before[:count]))]:
+        sums = csr_matrix((entries.data, (labels[entries.row], labels[entries.col])), (count, count)).tocoo()
+        # In the order of their sums, not of their nodes: these may come in any.
+        order = np.argsort(-sums.data, kind="stable")
+        met = [(int(a), int(b)) for a, b in zip(sums.row[order], sums.col[order], strict=True) if before[a] or before[b]]
+        alone = [(a, -1) for a, b in met[::-1] if a == b]
+        for a, b in [*((a, b) for a, b in met if a < b), *alone]:
             members = np.flatnonzero((labels == a) | (labels == b))
             block = graph[members][:, members].toarray()
             side = _moved(block, labels[members] == a)

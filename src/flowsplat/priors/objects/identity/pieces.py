@@ -97,9 +97,7 @@ class Pieces:
         return off if off <= FARTHEST and abs(start - end) <= LONGEST_PAUSE else None
 
 
-def piece_features(
-    tracks: Trajectories, piece: np.ndarray, pairs: np.ndarray, costs: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def piece_features(tracks: Trajectories, piece: np.ndarray, pairs: np.ndarray, costs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Pairs [E, 2] of pieces that may be one object, and their ``FEATURES``.
 
     Args:

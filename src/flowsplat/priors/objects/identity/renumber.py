@@ -74,7 +74,7 @@ def track_colors(scene: Scene, frames: Sequence[int], clip: MaskedTracks) -> np.
     for k in range(0, len(frames), COLOR_EVERY):
         image = cv2.GaussianBlur(scene.frame(frames[k]), (0, 0), COLOR_BLUR)
         lab = cv2.cvtColor(image, cv2.COLOR_RGB2LAB)
-        seen, places = clip.seen(k)
+        seen, places = clip.find_visible(k)
         total[seen] += lab[places[:, 1], places[:, 0]]
         count[seen] += 1
     return total / np.maximum(count, 1)
