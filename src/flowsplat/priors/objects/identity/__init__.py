@@ -4,7 +4,7 @@ Parts of a mask that are connected may be several objects that touch, and an obj
 object is one optimization, a minimum-cost multicut (Keuper, Andres and Brox, ICCV 2015): pairs of tracks attract or repel each
 other by a logistic function of how they move, how far apart they are and how they look, whose weights are fitted where the truth is
 known, and the number of objects follows from the optimum. What single tracks are too short to tell, whether something stays
-attached over the whole clip, is told by pieces of them, between which the same is done again.
+attached over the whole clip, is told by fragments of them, between which the same is done again.
 """
 
 from flowsplat.priors.objects.identity.clusters import objects_of_tracks

@@ -1,17 +1,17 @@
-"""Tracks clustered into objects by two multicuts: of tracks into pieces, of pieces into objects."""
+"""Tracks clustered into objects by two multicuts: of tracks into fragments, of fragments into objects."""
 
 from __future__ import annotations
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from flowsplat.priors.objects.identity import fragments as of_fragments
 from flowsplat.priors.objects.identity import pairs as of_tracks
-from flowsplat.priors.objects.identity import pieces as of_pieces
 from flowsplat.priors.objects.identity.cost import Costs, costs_of, stored_weights
+from flowsplat.priors.objects.identity.fragments import fragment_features
 from flowsplat.priors.objects.identity.masked_tracks import MaskedTracks
 from flowsplat.priors.objects.identity.multicut import multicut
 from flowsplat.priors.objects.identity.pairs import Trajectories, candidate_pairs, pair_features, thinned
-from flowsplat.priors.objects.identity.pieces import piece_features
 
 FEWEST_TRACKS = 8
 """Tracks, about one in each cell of the image, below which a cluster is too small to be an object."""
@@ -19,7 +19,7 @@ MOTION = 3.0
 """Pixels of distance that a pixel of a difference in motion counts, where a track that was left out goes with its neighbors."""
 VOTES = 3
 
-FEATURES = {"tracks": of_tracks.FEATURES, "pieces": of_pieces.FEATURES}
+FEATURES = {"tracks": of_tracks.FEATURES, "fragments": of_fragments.FEATURES}
 
 
 def objects_of_tracks(clip: MaskedTracks, colors: np.ndarray | None = None, costs: Costs | None = None) -> np.ndarray:
@@ -27,7 +27,7 @@ def objects_of_tracks(clip: MaskedTracks, colors: np.ndarray | None = None, cost
 
     Args:
         colors: [P, 3] CIE L*a*b* of every track; None = all alike.
-        costs: of cutting two tracks or pieces apart; None = the package's own.
+        costs: of cutting two tracks or fragments apart; None = the package's own.
     """
     on = np.flatnonzero((clip.part > 0).any(1))
     owners = np.zeros(len(clip.part), int)
@@ -55,20 +55,20 @@ def cluster(tracks: Trajectories, pairs: np.ndarray, log_odds: np.ndarray, costs
     Args:
         pairs: [E, 2] of tracks, log_odds: [E] that the two are on one object.
     """
-    piece = pieces_of(len(tracks.part), pairs, log_odds + costs.bias)
-    found, features = piece_features(tracks, piece, pairs, log_odds)
-    whole = multicut(int(piece.max(initial=-1)) + 1, found, costs.pieces(features))
-    objects = largest_first(np.where(piece >= 0, np.append(whole, -1)[piece], -1), FEWEST_TRACKS)
-    drawn = np.zeros((len(piece), int(objects.max(initial=-1)) + 2))
+    fragment = fragments_of(len(tracks.part), pairs, log_odds + costs.bias)
+    found, features = fragment_features(tracks, fragment, pairs, log_odds)
+    whole = multicut(int(fragment.max(initial=-1)) + 1, found, costs.fragments(features))
+    objects = largest_first(np.where(fragment >= 0, np.append(whole, -1)[fragment], -1), FEWEST_TRACKS)
+    drawn = np.zeros((len(fragment), int(objects.max(initial=-1)) + 2))
     for a, b in (pairs.T, pairs[:, ::-1].T):
         np.add.at(drawn, (a, objects[b] + 1), log_odds)
     drawn[:, 0] = 0
     return np.where(objects >= 0, objects + 1, drawn.argmax(1))
 
 
-def pieces_of(count: int, pairs: np.ndarray, log_odds: np.ndarray) -> np.ndarray:
-    """The piece of every track [count], from 0, the largest first; -1 for those in none."""
-    return largest_first(multicut(count, pairs, log_odds), of_pieces.FEWEST)
+def fragments_of(count: int, pairs: np.ndarray, log_odds: np.ndarray) -> np.ndarray:
+    """The fragment of every track [count], from 0, the largest first; -1 for those in none."""
+    return largest_first(multicut(count, pairs, log_odds), of_fragments.FEWEST)
 
 
 def largest_first(labels: np.ndarray, fewest: int) -> np.ndarray:

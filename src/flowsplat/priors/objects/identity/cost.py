@@ -42,15 +42,15 @@ class Cost:
 
 @dataclass(frozen=True)
 class Costs:
-    """Those of tracks, and of pieces of tracks.
+    """Those of tracks, and of fragments of tracks.
 
     Attributes:
-        bias: log odds that are added to those of tracks: below 0, pieces are rather too small than of two objects.
+        bias: log odds that are added to those of tracks: below 0, fragments are rather too small than of two objects.
     """
 
     tracks: Cost
     bias: float
-    pieces: Cost
+    fragments: Cost
 
 
 def expanded(standardized: np.ndarray) -> np.ndarray:
@@ -64,7 +64,7 @@ def costs_of(values: Mapping[str, Any], features: Mapping[str, Sequence[str]]) -
     """What ``weights.json`` holds.
 
     Args:
-        features: the names of those of ``tracks`` and ``pieces`` that are computed.
+        features: the names of those of ``tracks`` and ``fragments`` that are computed.
 
     Raises:
         InputError: it was fitted to other features.
@@ -74,7 +74,7 @@ def costs_of(values: Mapping[str, Any], features: Mapping[str, Sequence[str]]) -
         if values[name]["features"] != list(names):
             raise InputError(f"{WEIGHTS.name}: {name} have other features; run python -m flowsplat_benchmarks.scripts.identity.")
         found[name] = Cost(*(np.array(values[name][key], float) for key in ("mean", "deviation", "weights")))
-    return Costs(found["tracks"], float(values["bias"]), found["pieces"])
+    return Costs(found["tracks"], float(values["bias"]), found["fragments"])
 
 
 @cache
