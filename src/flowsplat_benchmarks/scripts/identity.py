@@ -46,7 +46,7 @@ WORLDS: dict[WorldKind, tuple[range, range]] = {
     "any": (range(24), range(100, 124)), "crowd": (range(8), range(8, 14)), "dancers": (range(4), range(4, 8)),
 }  # fmt: skip
 """Seeds of the worlds that are fitted, and of those that are not, by their kind."""
-BIASES = (-0.5, -1.0, -1.5, -2.0)
+BIASES = (-1.0, -1.5, -2.0)
 """That are tried, the weakest first; fragments of all of them are fitted."""
 RIDGE, STEPS = 1e-2, 25
 """Of the logistic regression: the weight of the mean squared weight, and Newton's steps."""
