@@ -134,11 +134,11 @@ def test_objects_that_cross_keep_their_numbers():
 
 
 def test_objects_that_touch_for_a_while_are_two():
-    # They go side by side, in one part of the mask, and then part.
+    # They go side by side, in one part of the mask, one of them rolling, and then part.
     def parts(t: int) -> tuple[np.ndarray, float]:
-        return np.array([58.0 + 2 * t + 4 * max(0, t - 5), 60.0]), 0.0
+        return np.array([60.0 + 2 * t + 4 * max(0, t - 5), 60.0]), 0.1 * t
 
-    clip = film([disc(14, along((30, 60), (2, 0))), disc(14, parts)], frames=20)
+    clip = film([disc(14, along((30, 60), (2, 0))), disc(14, parts)], frames=16)
     found = shares(clip.true, clip.numbered())
     assert found[1][0] != found[2][0]
     assert min(share for _, share in found.values()) > 0.95
