@@ -1,6 +1,6 @@
 """The weights by which tracks are clustered into objects, fitted where the truth is known, and how many ids are right with them.
 
-    python -m flowsplat_benchmarks.scripts.identity OUT DATA_ROOT            # some two hours of one core, once; then a minute
+    python -m flowsplat_benchmarks.scripts.identity OUT DATA_ROOT            # prepares some 75 scenes once; then three minutes
     python -m flowsplat_benchmarks.scripts.identity OUT DATA_ROOT --write    # also makes them the package's own
 
 Fitted on random worlds of low seeds and on the tuned scenes under ``DATA_ROOT``, every one with the same weight; other worlds, all
