@@ -28,10 +28,10 @@ from flowsplat.priors.cameras import CameraOptions, camera_stage
 from flowsplat.priors.flow import flow_stage
 from flowsplat.priors.masks import mask_stage
 from flowsplat.priors.objects.identity import MaskedTracks
-from flowsplat.priors.objects.identity.clusters import FEATURES, cluster, fragments_of, trajectories
-from flowsplat.priors.objects.identity.cost import WEIGHTS, Cost, Costs, expanded
-from flowsplat.priors.objects.identity.fragments import fragment_features
-from flowsplat.priors.objects.identity.pairs import Trajectories, candidate_pairs, pair_features, thinned
+from flowsplat.priors.objects.identity.clusters import FEATURES, cluster, find_fragments, make_trajectories
+from flowsplat.priors.objects.identity.cost import WEIGHTS, Cost, Costs, expand
+from flowsplat.priors.objects.identity.fragments import compute_fragment_features
+from flowsplat.priors.objects.identity.pairs import Trajectories, compute_pair_features, list_candidate_pairs, thin_tracks
 from flowsplat.priors.objects.identity.renumber import track_colors
 from flowsplat.priors.tracks import tracks_stage
 from flowsplat.scenes import Scene
@@ -73,7 +73,7 @@ class Known:
     features: np.ndarray
 
 
-def prepared(name: str, out: Path, root: Path) -> tuple[Scene, Callable[[int], np.ndarray]]:
+def prepare_scene(name: str, out: Path, root: Path) -> tuple[Scene, Callable[[int], np.ndarray]]:
     """A scene with tracks, and its true masks by frame.
 
     Args:
@@ -114,28 +114,28 @@ def prepared(name: str, out: Path, root: Path) -> tuple[Scene, Callable[[int], n
     return scene, mask
 
 
-def known_of(scene: Scene, true_mask: Callable[[int], np.ndarray]) -> Known | None:
+def read_known(scene: Scene, true_mask: Callable[[int], np.ndarray]) -> Known | None:
     """What is fitted of a scene; None if there is next to nothing, or nothing true among it."""
     frames, tracks = scene.train_frames, scene.tracks
     clip = MaskedTracks(tracks.points[:, frames, :2], tracks.visible[:, frames], [scene.mask(i) for i in frames])
     on = np.flatnonzero((clip.part > 0).any(1))
-    chosen = on[thinned(clip.points[on], clip.part[on], clip.long_side)]
+    chosen = on[thin_tracks(clip.points[on], clip.part[on], clip.long_side)]
     if len(chosen) == 0:
         return None
-    found = trajectories(clip, chosen, track_colors(scene, frames, clip))
+    found = make_trajectories(clip, chosen, track_colors(scene, frames, clip))
     true = np.zeros(found.part.shape, int)
     for k, i in enumerate(frames):
         mask = true_mask(i)
         x, y = np.clip(found.points[:, k].astype(int), 0, [mask.shape[1] - 1, mask.shape[0] - 1]).T
         true[:, k] = np.where(found.seen[:, k], mask[y, x], 0)
     label = np.array([np.bincount(t[s]).argmax() for t, s in zip(true, found.seen, strict=True)])
-    pairs = candidate_pairs(found)
+    pairs = list_candidate_pairs(found)
     if len(pairs) < FEWEST_PAIRS or not label.any():
         return None
-    return Known(found, true, label, pairs, pair_features(found, pairs))
+    return Known(found, true, label, pairs, compute_pair_features(found, pairs))
 
 
-def fitted(features: Sequence[np.ndarray], same: Sequence[np.ndarray], weights: Sequence[np.ndarray], ridge: float) -> Cost:
+def fit_cost(features: Sequence[np.ndarray], same: Sequence[np.ndarray], weights: Sequence[np.ndarray], ridge: float) -> Cost:
     """Logistic regression on features [E, F] of several scenes, by Newton's method.
 
     Args:
@@ -143,7 +143,7 @@ def fitted(features: Sequence[np.ndarray], same: Sequence[np.ndarray], weights: 
     """
     values, truth, weight = np.concatenate(features), np.concatenate(same).astype(float), np.concatenate(weights)
     mean, deviation = values.mean(0), values.std(0) + 1e-9
-    design, weight = expanded((values - mean) / deviation), weight / weight.sum()
+    design, weight = expand((values - mean) / deviation), weight / weight.sum()
     found = np.zeros(design.shape[1])
     penalty = np.append(np.full(len(found) - 1, ridge / len(found)), 1e-9)
     for _ in range(STEPS):
@@ -162,7 +162,7 @@ def fit_tracks(scenes: Iterable[Known]) -> Cost:
         features.append(known.features[told])
         same.append(labels[told, 0] == labels[told, 1])
         weights.append(np.full(int(told.sum()), 1 / len(told)))
-    return fitted(features, same, weights, RIDGE)
+    return fit_cost(features, same, weights, RIDGE)
 
 
 def fit_fragments(scenes: Iterable[Known], tracks: Cost) -> Cost:
@@ -171,8 +171,8 @@ def fit_fragments(scenes: Iterable[Known], tracks: Cost) -> Cost:
     for known in scenes:
         for bias in BIASES:
             log_odds = tracks(known.features)
-            fragment = fragments_of(len(known.label), known.pairs, log_odds + bias)
-            pairs, values = fragment_features(known.tracks, fragment, known.pairs, log_odds)
+            fragment = find_fragments(len(known.label), known.pairs, log_odds + bias)
+            pairs, values = compute_fragment_features(known.tracks, fragment, known.pairs, log_odds)
             counts = np.zeros((int(fragment.max(initial=-1)) + 1, int(known.true.max()) + 1))
             here = known.tracks.seen & (fragment >= 0)[:, None]
             np.add.at(counts, (np.broadcast_to(fragment[:, None], here.shape)[here], known.true[here]), 1)
@@ -182,7 +182,7 @@ def fit_fragments(scenes: Iterable[Known], tracks: Cost) -> Cost:
             features.append(values[told])
             same.append(label[pairs[told, 0]] == label[pairs[told, 1]])
             weights.append(size / np.sqrt(max(len(size), 1)))
-    return fitted(features, same, weights, FRAGMENTS_RIDGE)
+    return fit_cost(features, same, weights, FRAGMENTS_RIDGE)
 
 
 def idf1(found: np.ndarray, known: Known) -> float:
@@ -237,7 +237,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if options.only_prepared and "/" not in name and not (options.out / name / "own" / "tracks.npz").exists():
             continue
         try:
-            known = known_of(*prepared(name, options.out, options.root))
+            known = read_known(*prepare_scene(name, options.out, options.root))
         except InputError as error:
             report(f"{name}: {error}")
             continue

@@ -12,7 +12,7 @@ import pytest
 
 from flowsplat.common.threads import set_thread_count, thread_count
 from flowsplat.geometry import Camera
-from flowsplat.priors.objects.identity import MaskedTracks, identify_objects, objects_of_tracks, paint
+from flowsplat.priors.objects.identity import MaskedTracks, identify_objects, identify_tracks, paint
 from flowsplat.scenes import Flow, Scene, Tracks
 
 WIDTH, HEIGHT, FRAMES = 160, 120, 24
@@ -72,7 +72,7 @@ class Clip:
         def write(k: int, mask: np.ndarray) -> None:
             result[k] = mask
 
-        highest = paint(clip, objects_of_tracks(clip), lambda k: self.flow[k], write)
+        highest = paint(clip, identify_tracks(clip), lambda k: self.flow[k], write)
         assert ((result > 0) == (np.stack(before) > 0)).all()
         assert highest == result.max()
         return result
@@ -183,11 +183,11 @@ def test_what_moves_farther_than_its_size_is_another_object():
 def test_the_number_of_threads_changes_nothing():
     clip = film(CROSSING)
     masks = [(m > 0).astype(np.uint8) for m in clip.true]
-    owners = objects_of_tracks(MaskedTracks(clip.points, clip.visible, masks))
+    owners = identify_tracks(MaskedTracks(clip.points, clip.visible, masks))
     threads = thread_count()
     try:
         set_thread_count(1)
-        assert (objects_of_tracks(MaskedTracks(clip.points, clip.visible, masks)) == owners).all()
+        assert (identify_tracks(MaskedTracks(clip.points, clip.visible, masks)) == owners).all()
     finally:
         set_thread_count(threads)
 

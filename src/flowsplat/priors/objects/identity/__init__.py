@@ -7,9 +7,9 @@ known, and the number of objects follows from the optimum. What single tracks ar
 attached over the whole clip, is told by fragments of them, between which the same is done again.
 """
 
-from flowsplat.priors.objects.identity.clusters import objects_of_tracks
+from flowsplat.priors.objects.identity.clusters import identify_tracks
 from flowsplat.priors.objects.identity.masked_tracks import MaskedTracks
 from flowsplat.priors.objects.identity.painting import paint
 from flowsplat.priors.objects.identity.renumber import identify_objects
 
-__all__ = ["MaskedTracks", "identify_objects", "objects_of_tracks", "paint"]
+__all__ = ["MaskedTracks", "identify_objects", "identify_tracks", "paint"]

@@ -16,9 +16,9 @@ from flowsplat.common.files import read_json
 
 WEIGHTS = Path(__file__).with_name("weights.json")
 """Written by ``python -m flowsplat_benchmarks.scripts.identity``, which says what it was fitted on."""
-OUTLIER = 4.0
+MAX_STANDARDIZED = 4.0
 """Standard deviations beyond which a feature tells no more."""
-SUREST = 5.0
+MAX_LOG_ODDS = 5.0
 """Largest log odds."""
 
 
@@ -37,7 +37,7 @@ class Cost:
 
     def __call__(self, features: np.ndarray) -> np.ndarray:
         """Log odds [E] that those with these features [E, F] are one object."""
-        return np.clip(expanded((features - self.mean) / self.deviation) @ self.weights, -SUREST, SUREST)
+        return np.clip(expand((features - self.mean) / self.deviation) @ self.weights, -MAX_LOG_ODDS, MAX_LOG_ODDS)
 
 
 @dataclass(frozen=True)
@@ -53,14 +53,14 @@ class Costs:
     fragments: Cost
 
 
-def expanded(standardized: np.ndarray) -> np.ndarray:
+def expand(standardized: np.ndarray) -> np.ndarray:
     """Features [E, F], all products of two of them, and 1."""
-    z = np.clip(standardized, -OUTLIER, OUTLIER)
+    z = np.clip(standardized, -MAX_STANDARDIZED, MAX_STANDARDIZED)
     products = [z[:, i] * z[:, j] for i, j in combinations_with_replacement(range(z.shape[1]), 2)]
     return np.column_stack([z, *products, np.ones(len(z))])
 
 
-def costs_of(values: Mapping[str, Any], features: Mapping[str, Sequence[str]]) -> Costs:
+def make_costs(values: Mapping[str, Any], features: Mapping[str, Sequence[str]]) -> Costs:
     """What ``weights.json`` holds.
 
     Args:
@@ -78,7 +78,7 @@ def costs_of(values: Mapping[str, Any], features: Mapping[str, Sequence[str]]) -
 
 
 @cache
-def stored_weights() -> dict[str, Any]:
+def read_weights() -> dict[str, Any]:
     """The package's own."""
     values: dict[str, Any] = read_json(WEIGHTS)
     return values

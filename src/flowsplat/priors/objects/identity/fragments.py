@@ -8,21 +8,21 @@ import numpy as np
 
 from flowsplat.priors.objects.identity.pairs import Trajectories, chunks
 
-FEWEST = 5
+MIN_TRACKS = 5
 """Tracks of a fragment."""
-STRAY, FEW = 0.15, 2
+STRAY_SHARE, STRAY_TRACKS = 0.15, 2
 """Share of the most tracks that a fragment has in a frame, and tracks, below which those in another frame may have slipped."""
-TOGETHER = 3
+MIN_SHARED_FRAMES = 3
 """Frames in which two fragments must be seen to compare their paths; below, one may continue the other."""
-WIDEST = 120.0
+MAX_GAP = 120.0
 """Pixels, in an image whose long side is 640, that two fragments may be apart where they are nearest."""
-CLOSE = 10.0
+CONTACT_GAP = 10.0
 """The same, from which they count as touching."""
-LONGEST_PAUSE, FARTHEST = 15, 150.0
+MAX_PAUSE, MAX_HANDOVER = 15, 150.0
 """Frames between two fragments of which one continues the other, and pixels from where it would be."""
 VELOCITY_FRAMES = 4
 """Frames before its end from which a fragment is extrapolated."""
-SUREST_SHARE = 0.2
+TOP_COST_SHARE = 0.2
 """Share of the pairs between two fragments, those with the largest cost, that are looked at by themselves."""
 FEATURES = (
     "mean cost of their pairs", "mean cost of the surest pairs", "pairs", "frames together", "share of frames in different parts",
@@ -74,14 +74,14 @@ class Fragments:
                 held[p, k], home[p, k] = len(members), np.bincount(tracks.part[members, k]).argmax()
                 middle[p, k] = np.median(points[members, k], 0)
                 radius[p] = max(radius[p], np.sqrt(2) * np.linalg.norm(points[members, k].std(0)))
-                if k + 1 < frames and seen[members, k + 1].sum() >= FEW:
+                if k + 1 < frames and seen[members, k + 1].sum() >= STRAY_TRACKS:
                     stays = members[seen[members, k + 1]]
                     velocity[p, k] = np.median(points[stays, k + 1] - points[stays, k], 0)
-        home[held < np.maximum(FEW, STRAY * held.max(1, keepdims=True, initial=0))] = 0
+        home[held < np.maximum(STRAY_TRACKS, STRAY_SHARE * held.max(1, keepdims=True, initial=0))] = 0
         color = np.array([tracks.colors[fragment == p].mean(0) for p in range(number)]).reshape(-1, 3)
         return Fragments(np.bincount(fragment[fragment >= 0], minlength=number), home, middle, velocity, radius, color, gap)
 
-    def handover(self, a: int, b: int) -> float | None:
+    def predict_handover(self, a: int, b: int) -> float | None:
         """How far the later of two fragments begins from where the earlier one would be, in pixels; None if not soon after."""
         first, second = np.flatnonzero(self.home[a]), np.flatnonzero(self.home[b])
         if len(first) == 0 or len(second) == 0:
@@ -94,10 +94,10 @@ class Fragments:
         known = velocities[np.isfinite(velocities).all(1)]
         step = known.mean(0) if len(known) else np.zeros(2)
         off = float(np.linalg.norm(self.middle[a, end] + step * (start - end) - self.middle[b, start]))
-        return off if off <= FARTHEST and abs(start - end) <= LONGEST_PAUSE else None
+        return off if off <= MAX_HANDOVER and abs(start - end) <= MAX_PAUSE else None
 
 
-def fragment_features(
+def compute_fragment_features(
     tracks: Trajectories, fragment: np.ndarray, pairs: np.ndarray, costs: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Pairs [E, 2] of fragments that may be one object, and their ``FEATURES``.
@@ -112,21 +112,21 @@ def fragment_features(
     together = np.zeros(len(a), int)
     for rows in chunks(len(a)):
         together[rows] = ((fragments.home[a[rows]] > 0) & (fragments.home[b[rows]] > 0)).sum(1)
-    near = fragments.gap.min(0, initial=np.inf)[a, b] <= WIDEST
+    near = fragments.gap.min(0, initial=np.inf)[a, b] <= MAX_GAP
     handover = np.full(len(a), np.nan)
-    for e in np.flatnonzero(together < TOGETHER):
-        off = fragments.handover(int(a[e]), int(b[e]))
+    for e in np.flatnonzero(together < MIN_SHARED_FRAMES):
+        off = fragments.predict_handover(int(a[e]), int(b[e]))
         handover[e] = np.nan if off is None else off
-    chosen = np.where(together < TOGETHER, np.isfinite(handover), near)
+    chosen = np.where(together < MIN_SHARED_FRAMES, np.isfinite(handover), near)
     a, b, together, handover = a[chosen], b[chosen], together[chosen], handover[chosen]
     features = np.zeros((len(a), len(FEATURES)))
     for rows in chunks(len(a)):
-        features[rows, 4:13] = _paths(fragments, a[rows], b[rows])
-        features[rows, 17] = _in_contact(fragments, a[rows], b[rows])
-    mean, surest, count = _costs_between(number, fragment, pairs, costs)
+        features[rows, 4:13] = _measure_paths(fragments, a[rows], b[rows])
+        features[rows, 17] = _measure_contact(fragments, a[rows], b[rows])
+    mean, surest, count = _average_costs(number, fragment, pairs, costs)
     smaller, larger = np.sort(np.stack([fragments.count[a], fragments.count[b]]), 0)
     features[:, :3] = np.stack([mean[a, b], surest[a, b], count[a, b] / np.maximum(smaller, 1)], 1)
-    apart = together < TOGETHER
+    apart = together < MIN_SHARED_FRAMES
     features[np.ix_(apart, [*range(3), *range(4, 8), *range(9, 13), 17])] = 0
     features[:, 3] = np.log(1 + together)
     features[:, 13] = np.linalg.norm(fragments.color[a] - fragments.color[b], axis=1) / 30
@@ -136,20 +136,20 @@ def fragment_features(
     return np.stack([a, b], 1), features
 
 
-def _both(fragments: Fragments, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _find_shared(fragments: Fragments, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Frames [E, T] in which both fragments of a pair are seen, and the gap between them, 0 elsewhere."""
     both = (fragments.home[a] > 0) & (fragments.home[b] > 0)
     return both, np.where(both, fragments.gap[:, a, b].T, 0)
 
 
-def _in_contact(fragments: Fragments, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    both, gap = _both(fragments, a, b)
-    return (both & (gap < CLOSE)).sum(1) / np.maximum(both.sum(1), 1)
+def _measure_contact(fragments: Fragments, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    both, gap = _find_shared(fragments, a, b)
+    return (both & (gap < CONTACT_GAP)).sum(1) / np.maximum(both.sum(1), 1)
 
 
-def _paths(fragments: Fragments, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def _measure_paths(fragments: Fragments, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Features 4 to 12 [E, 9] of pairs of fragments that are seen together."""
-    both, gap = _both(fragments, a, b)
+    both, gap = _find_shared(fragments, a, b)
     count = np.maximum(both.sum(1), 1)
     different = (both & (fragments.home[a] != fragments.home[b])).sum(1) / count
     smallest = np.where(both, gap, np.inf).min(1, initial=1e3)
@@ -167,7 +167,7 @@ def _paths(fragments: Fragments, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     ], 1)  # fmt: skip
 
 
-def _costs_between(
+def _average_costs(
     number: int, fragment: np.ndarray, pairs: np.ndarray, costs: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of the pairs of tracks between two fragments, the lower one first: mean cost, that of the surest, how many; each [P, P]."""
@@ -180,5 +180,5 @@ def _costs_between(
     for code, found in zip(keys.tolist(), np.split(costs[order], start[1:]), strict=False):
         at = divmod(code, number)
         mean[at], count[at] = found.mean(), len(found)
-        surest[at] = found[int((1 - SUREST_SHARE) * len(found)) :].mean()
+        surest[at] = found[int((1 - TOP_COST_SHARE) * len(found)) :].mean()
     return mean, surest, count

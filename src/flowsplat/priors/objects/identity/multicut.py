@@ -13,9 +13,9 @@ from scipy.sparse import csr_matrix
 
 from flowsplat.common.kernels import kernel
 
-ROUNDS = 20
+MAX_ROUNDS = 20
 """Times that all pairs of clusters are looked at, at most; 2 to 5 are needed."""
-SMALLEST_GAIN = 1e-9
+MIN_GAIN = 1e-9
 """By which a move has to lower the sum."""
 
 
@@ -34,7 +34,7 @@ def multicut(count: int, pairs: np.ndarray, costs: np.ndarray) -> np.ndarray:
     graph.eliminate_zeros()
     graph.sum_duplicates()
     graph.sort_indices()
-    labels = _improved(graph, _contracted(graph))
+    labels = _improve(graph, _contract_greedily(graph))
     _, first, labels = np.unique(labels, return_index=True, return_inverse=True)
     return np.argsort(np.argsort(first))[labels]
 
@@ -44,7 +44,7 @@ def cut_cost(labels: np.ndarray, pairs: np.ndarray, costs: np.ndarray) -> float:
     return float(np.asarray(costs)[labels[pairs[:, 0]] != labels[pairs[:, 1]]].sum())
 
 
-def _contracted(graph: csr_matrix) -> np.ndarray:
+def _contract_greedily(graph: csr_matrix) -> np.ndarray:
     """[N] labels by greedy additive edge contraction; of equal sums that of the lowest nodes goes first."""
     return _contract(graph.toarray())
 
@@ -56,7 +56,7 @@ def _contract(sums: np.ndarray) -> np.ndarray:
     labels = np.arange(count)
     best = np.full(count, -1)
     for i in range(count):
-        best[i] = _largest(sums, labels, i)
+        best[i] = _find_largest(sums, labels, i)
     while True:
         a, most = -1, 0.0
         for i in range(count):
@@ -72,11 +72,11 @@ def _contract(sums: np.ndarray) -> np.ndarray:
             if labels[k] == k and k != a:
                 sums[a, k] += sums[b, k]
                 sums[k, a] = sums[a, k]
-        best[a] = _largest(sums, labels, a)
+        best[a] = _find_largest(sums, labels, a)
         for k in range(count):
             if labels[k] == k and k != a:
                 if best[k] == a or best[k] == b:
-                    best[k] = _largest(sums, labels, k)
+                    best[k] = _find_largest(sums, labels, k)
                 elif sums[k, a] > 0 and (best[k] < 0 or sums[k, a] > sums[k, best[k]]):
                     best[k] = a
     for i in range(count):
@@ -88,7 +88,7 @@ def _contract(sums: np.ndarray) -> np.ndarray:
 
 
 @kernel
-def _largest(sums: np.ndarray, labels: np.ndarray, i: int) -> int:
+def _find_largest(sums: np.ndarray, labels: np.ndarray, i: int) -> int:
     """The root to which another one is drawn most; -1 if to none."""
     found, most = -1, 0.0
     for k in range(len(sums)):
@@ -97,11 +97,11 @@ def _largest(sums: np.ndarray, labels: np.ndarray, i: int) -> int:
     return found
 
 
-def _improved(graph: csr_matrix, labels: np.ndarray) -> np.ndarray:
+def _improve(graph: csr_matrix, labels: np.ndarray) -> np.ndarray:
     """[N] labels after moves between all pairs of clusters that hang together, and out of every one."""
     labels = np.unique(labels, return_inverse=True)[1]
     changed = np.ones(labels.max(initial=-1) + 1, bool)
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ROUNDS):
         before, count = changed, labels.max(initial=-1) + 1
         changed = np.zeros(count, bool)
         entries = graph.tocoo()
@@ -113,7 +113,7 @@ def _improved(graph: csr_matrix, labels: np.ndarray) -> np.ndarray:
         for a, b in [*((a, b) for a, b in met if a < b), *alone]:
             members = np.flatnonzero((labels == a) | (labels == b))
             block = graph[members][:, members].toarray()
-            side = _moved(block, labels[members] == a)
+            side = _move(block, labels[members] == a)
             moved = side != (labels[members] == a)
             if moved.any():
                 new = b if b >= 0 else len(changed)
@@ -129,7 +129,7 @@ def _improved(graph: csr_matrix, labels: np.ndarray) -> np.ndarray:
 
 
 @kernel
-def _moved(block: np.ndarray, side: np.ndarray) -> np.ndarray:
+def _move(block: np.ndarray, side: np.ndarray) -> np.ndarray:
     """On which side [N] every node is after the best sequence of moves, repeated; joining both sides is one of them.
 
     Args:
@@ -138,7 +138,7 @@ def _moved(block: np.ndarray, side: np.ndarray) -> np.ndarray:
     """
     count = len(block)
     side = side.copy()
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ROUNDS):
         gain = np.zeros(count)
         across = 0.0
         for i in range(count):
@@ -147,7 +147,7 @@ def _moved(block: np.ndarray, side: np.ndarray) -> np.ndarray:
                 if side[i] and not side[j]:
                     across += block[i, j]
         trial, free = side.copy(), np.ones(count, np.bool_)
-        order, total, best, length = np.zeros(count, np.int64), 0.0, SMALLEST_GAIN, 0
+        order, total, best, length = np.zeros(count, np.int64), 0.0, MIN_GAIN, 0
         for step in range(count):
             chosen = -1
             for i in range(count):

@@ -10,7 +10,7 @@ import numpy as np
 
 from flowsplat.priors.continuity import Continuity
 from flowsplat.priors.objects.areas import describe_count, large_objects
-from flowsplat.priors.objects.identity.clusters import objects_of_tracks
+from flowsplat.priors.objects.identity.clusters import identify_tracks
 from flowsplat.priors.objects.identity.masked_tracks import MaskedTracks
 from flowsplat.priors.objects.identity.painting import paint
 from flowsplat.scenes import Scene
@@ -41,7 +41,7 @@ def identify_objects(scene: Scene) -> int:
     for piece in np.unique(pieces):
         chosen = [frames[k] for k in np.flatnonzero(pieces == piece)]
         clip = MaskedTracks(tracks.points[:, chosen, :2], tracks.visible[:, chosen], [scene.mask(i) for i in chosen])
-        owners = objects_of_tracks(clip, track_colors(scene, chosen, clip))
+        owners = identify_tracks(clip, track_colors(scene, chosen, clip))
 
         def motion(k: int, chosen: list[int] = chosen) -> np.ndarray | None:
             """Of the pixels of a frame, per frame ahead."""
