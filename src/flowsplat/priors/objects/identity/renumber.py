@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
+import cv2
 import numpy as np
 
 from flowsplat.priors.continuity import Continuity
 from flowsplat.priors.objects.areas import describe_count, large_objects
-from flowsplat.priors.objects.identity.clusters import objects_of_tracks
+from flowsplat.priors.objects.identity.clusters import identify_tracks
 from flowsplat.priors.objects.identity.masked_tracks import MaskedTracks
 from flowsplat.priors.objects.identity.painting import paint
 from flowsplat.scenes import Scene
 
 OWN = ("motion", "clicks")
 """Methods of masks whose numbers are ours to change."""
+
+COLOR_EVERY, COLOR_BLUR = 3, 2.0
+"""Every how many frames the colors of tracks are looked up, and the blur of the images, in pixels."""
 
 
 def identify_objects(scene: Scene) -> int:
@@ -32,12 +37,11 @@ def identify_objects(scene: Scene) -> int:
     if len(numbers) == 0 or method == "truth" or (method not in OWN and len(numbers) > 1):
         return len(numbers)
     tracks, pieces = scene.tracks, Continuity(scene).pieces
-    K = scene.cameras[frames[0]].K if scene.has_cameras else None
     highest = 0
     for piece in np.unique(pieces):
         chosen = [frames[k] for k in np.flatnonzero(pieces == piece)]
         clip = MaskedTracks(tracks.points[:, chosen, :2], tracks.visible[:, chosen], [scene.mask(i) for i in chosen])
-        owners = objects_of_tracks(clip, K)
+        owners = identify_tracks(clip, track_colors(scene, chosen, clip))
 
         def motion(k: int, chosen: list[int] = chosen) -> np.ndarray | None:
             """Of the pixels of a frame, per frame ahead."""
@@ -58,3 +62,19 @@ def identify_objects(scene: Scene) -> int:
             counted["verdict"] = f"{describe_count(count, highest - count)} on {how['share']:.1%} of the image"
         scene.amend_prior("masks", **counted)
     return highest
+
+
+def track_colors(scene: Scene, frames: Sequence[int], clip: MaskedTracks) -> np.ndarray:
+    """CIE L*a*b* of all tracks [P, 3], each component from 0 to 255, the mean over some of the frames in which they are seen.
+
+    Args:
+        frames: those of the clip.
+    """
+    total, count = np.zeros((len(clip.points), 3)), np.zeros((len(clip.points), 1))
+    for k in range(0, len(frames), COLOR_EVERY):
+        image = cv2.GaussianBlur(scene.frame(frames[k]), (0, 0), COLOR_BLUR)
+        lab = cv2.cvtColor(image, cv2.COLOR_RGB2LAB)
+        seen, places = clip.find_visible(k)
+        total[seen] += lab[places[:, 1], places[:, 0]]
+        count[seen] += 1
+    return total / np.maximum(count, 1)
