@@ -41,6 +41,8 @@ def test_a_demo_ends_with_one_screen(world, tmp_path, monkeypatch, capsys):
     assert re.search(r"Along the path: .* at \d+\.\d dB", text)
     assert re.search(r"From aside: .* \d+\.\d dB", text)
     assert str(out / "own" / "report.html") in text
+    assert str(out / "compare.html") in text
+    assert (out / "compare.html").read_text().count("<video ") == 2
     assert f"flowsplat view '{out / 'own'}'" in text
     assert f"flowsplat export '{out / 'own'}' --to html" in text
     for name in ("own", "true"):
