@@ -38,7 +38,7 @@ from flowsplat.scenes.scene import split_frames
 
 THUMB_WIDTH = 240
 """Pixels of an image in the page of a batch."""
-SPARSER = 1.5
+SPARSER_SPACING_FACTOR = 1.5
 """Times as far apart Gaussians begin in a run that outgrew its memory; at most half as many are allowed in the end."""
 
 FIGURES = {
@@ -110,8 +110,8 @@ def fewer_gaussians(config: RunConfig) -> RunConfig:
     """Return the settings of a run that may not take as much memory."""
     train = config.train
     init = replace(
-        train.init, background_spacing=SPARSER * train.init.background_spacing,
-        foreground_spacing=SPARSER * train.init.foreground_spacing,
+        train.init, background_spacing=SPARSER_SPACING_FACTOR * train.init.background_spacing,
+        foreground_spacing=SPARSER_SPACING_FACTOR * train.init.foreground_spacing,
     )  # fmt: skip
     density = replace(train.density, max_gaussians=max(1, train.density.max_gaussians // 2))
     return replace(config, train=replace(train, init=init, density=density))

@@ -11,7 +11,7 @@ _DETAIL_SIGMA, _DETAIL_WINDOW = 1.0, 3.0
 """Standard deviations, pixels: what is finer than the first is detail, and it is averaged over the second."""
 _DETAIL_FLOOR = 1 / 255
 """Detail that every image has: a step of its own numbers."""
-_PROBES = 20_000
+_PROBED_PIXELS = 20_000
 """Pixels that say how many there would be."""
 
 
@@ -46,7 +46,7 @@ def spacings(weight: np.ndarray, region: np.ndarray, spacing: float) -> np.ndarr
     wanted = 1 / spacing**2
     lowest = wanted / MAX_SPACING_FACTOR**2
     probes = weight[region]
-    probes = probes[:: max(1, len(probes) // _PROBES)]
+    probes = probes[:: max(1, len(probes) // _PROBED_PIXELS)]
     if len(probes) == 0:
         return np.full(weight.shape, spacing, np.float32)
     low, high = lowest / probes.max(), 1 / probes.min()

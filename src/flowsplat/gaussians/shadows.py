@@ -32,7 +32,7 @@ OWN_BRIGHTNESS_QUANTILE = 0.5
 FEW_FRAMES, FEW_FRAMES_QUANTILE = 8, 0.8
 """Where there are fewer: frames that must show it, and the share of their brightness below that which it has by itself."""
 
-MUCH_DARKER = 0.15
+FEW_FRAMES_DARKENING = 0.15
 """As ``MIN_LOG_DARKENING``, there."""
 
 MIN_LOG_DARKENING = 0.03
@@ -45,7 +45,7 @@ MAX_DEPTH_JUMP, EDGE_FRAME_SHARE = 0.05, 0.5
 """Share of its depth by which a pixel is off the plane around at an edge, and of the frames that see a surface there, from which
 nothing is told of it."""
 
-STIFFNESS = 1e-4
+GAIN_STIFFNESS = 1e-4
 """Weight of the squared gains, times that of their wave, against the squared errors of brightness."""
 
 EXPOSURE_POINTS = 20_000
@@ -57,7 +57,7 @@ UNSEEN_WEIGHT = 0.3
 _SURFACE_TOLERANCE = 0.05
 """Share of its distance by which a point may lie behind the surface that a frame sees."""
 _MIN_ALPHA = 0.5
-_ROWS = 8192
+_ROWS_AT_A_TIME = 8192
 
 
 def add_shadow_free(
@@ -101,7 +101,7 @@ def add_shadow_free(
     level[beside_only] = _quantile(curve[beside_only] - exposure, seen[beside_only], FEW_FRAMES_QUANTILE)
     shade = np.where(seen & ~far, curve - exposure - level[:, None], 0)
     darkest = np.where(told | beside_only, shade.min(1), 0)
-    limit = np.where(told, MIN_LOG_DARKENING, MUCH_DARKER)
+    limit = np.where(told, MIN_LOG_DARKENING, FEW_FRAMES_DARKENING)
     times_limit = np.zeros(len(points), np.float32)
     times_limit[chosen] = darkest / limit
     # A shadow is no matter of single Gaussians: most around must be as dark.
@@ -172,11 +172,11 @@ def _fit(target: np.ndarray, weight: np.ndarray, cosines: torch.Tensor) -> torch
     """Return a constant and gains [N, 1 + G] whose curves are nearest to ``target`` [N, T], by its ``weight``."""
     T, G = cosines.shape
     A = torch.cat([torch.ones(T, 1, dtype=torch.float64), cosines], 1)
-    held = STIFFNESS * T * torch.diag(torch.cat([torch.zeros(1), torch.arange(1.0, G + 1)]).double())
+    held = GAIN_STIFFNESS * T * torch.diag(torch.cat([torch.zeros(1), torch.arange(1.0, G + 1)]).double())
     parts = []
-    for start in range(0, len(target), _ROWS):
-        w = torch.from_numpy(weight[start : start + _ROWS])
-        b = torch.from_numpy(target[start : start + _ROWS])
+    for start in range(0, len(target), _ROWS_AT_A_TIME):
+        w = torch.from_numpy(weight[start : start + _ROWS_AT_A_TIME])
+        b = torch.from_numpy(target[start : start + _ROWS_AT_A_TIME])
         normal = torch.einsum("tp,nt,tq->npq", A, w, A) + held + 1e-9 * torch.eye(G + 1, dtype=torch.float64)
         parts.append(torch.linalg.solve(normal, torch.einsum("tp,nt->np", A, w * b)))
     return torch.cat(parts)

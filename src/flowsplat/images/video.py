@@ -20,7 +20,7 @@ from flowsplat.common.files import atomic_path
 from flowsplat.common.progress import report
 from flowsplat.images.media import open_media
 
-SLOWEST, FASTEST = 0.1, 1000.0
+MIN_FPS, MAX_FPS = 0.1, 1000.0
 """Frames a second that can be written."""
 
 PRESET, CRF = "veryfast", 15

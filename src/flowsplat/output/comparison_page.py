@@ -15,7 +15,7 @@ from flowsplat.images.html import NOTHING, image_tag, shrink_to_page, table
 from flowsplat.output.page import POLICY, script_policy, write_page
 from flowsplat.output.report import Comparison, video_title
 
-MOST_VIDEO = 256 * 2**20
+MAX_VIDEO_BYTES = 256 * 2**20
 """Bytes of a video; those of a run at the usual size have 5 to 20 MiB."""
 
 _TYPES = {".mp4": "video/mp4", ".webm": "video/webm"}
@@ -192,7 +192,7 @@ def _can_be_shown(file: Path) -> bool:
 
 
 def _address(file: Path) -> str:
-    return f"data:{_TYPES[file.suffix]};base64,{base64.b64encode(read_bytes(file, MOST_VIDEO)).decode()}"
+    return f"data:{_TYPES[file.suffix]};base64,{base64.b64encode(read_bytes(file, MAX_VIDEO_BYTES)).decode()}"
 
 
 def _figures_table(labels: Sequence[str], figures: Sequence[ComparedFigure]) -> Markup:

@@ -37,7 +37,7 @@ Ratio = Annotated[float, Meta(gt=0, le=1e6)]
 
 STAGES = ("compiling", "cameras", "priors", "train", "rest")
 """Kernels, in the first run only; search of the cameras; all other priors; training; measuring, final fit and videos."""
-COMPILING = 25.0
+COMPILING_SECONDS = 25.0
 """Seconds by which a run is longer on the reference machine when all its kernels have to be compiled beside it."""
 
 MIN_STAGE_SECONDS, MIN_OWN_SECONDS = 10.0, 2.0
@@ -84,7 +84,7 @@ class TimeEstimate:
 def estimate_seconds(scene: Scene, config: RunConfig, compiling: bool = False) -> dict[str, float]:
     """Return seconds of every stage on the reference machine; ``compiling``: with kernels that are not compiled yet."""
     found = _estimate_seconds(config, scene.width, scene.height, len(scene.train_frames), len(scene.heldout_frames))
-    return {"compiling": COMPILING if compiling else 0.0, **found}
+    return {"compiling": COMPILING_SECONDS if compiling else 0.0, **found}
 
 
 def estimate_seconds_of_clip(clip: Clip, config: RunConfig) -> dict[str, float]:

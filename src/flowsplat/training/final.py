@@ -14,7 +14,7 @@ from flowsplat.training.config import TrainConfig
 
 FINAL_FIT_SHARE = 0.25
 """Steps of the final fit, as a share of those of the training."""
-AVERAGED = 0.5
+AVERAGED_SHARE = 0.5
 """Of the steps of the final fit, the share over which its result is the mean, where training has such a mean."""
 NEIGHBOR_VISITS = 2
 """How often a training frame beside a held-out one is drawn where others are drawn once: what is fitted to a frame is seen in the
@@ -30,7 +30,7 @@ def final_config(config: TrainConfig) -> TrainConfig:
     return replace(
         config,
         iterations=config.iterations + added,
-        average=min(config.average, AVERAGED * added / (config.iterations + added)),
+        average=min(config.average, AVERAGED_SHARE * added / (config.iterations + added)),
         density=replace(config.density, every=0, reset_every=0, gradient=0.0, revise=False),
     )
 

@@ -23,7 +23,7 @@ without any such frame was never found."""
 MIN_PIXELS = 20
 """Pixels of an object in a frame below which it does not count there."""
 
-AT_FEET = 6
+FEET_REACH = 6
 """Pixels from the lowest pixels of an object that touches the ground, within which what rests is called the ground at its feet."""
 
 CENTRAL_PERCENTILES = (15.87, 84.13)
@@ -164,7 +164,7 @@ def _depth_errors(log: np.ndarray, inside: np.ndarray) -> Record:
 
 def _at_feet(true: np.ndarray, known: list[Record], seconds: list[float]) -> np.ndarray:
     """Return [T, H, W] bool: near the lowest pixels of objects, in frames at whose time these touch the ground."""
-    near, around = np.zeros(true.shape, bool), np.ones((2 * AT_FEET + 1, 2 * AT_FEET + 1), np.uint8)
+    near, around = np.zeros(true.shape, bool), np.ones((2 * FEET_REACH + 1, 2 * FEET_REACH + 1), np.uint8)
     half = np.diff(seconds).mean() / 2 if len(seconds) > 1 else np.inf
     for obj in known:
         for t, second in enumerate(seconds):

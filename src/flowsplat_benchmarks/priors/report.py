@@ -29,7 +29,7 @@ STRIP = "strip.png"
 STRIP_FRAMES = 3
 STRIP_HEIGHT = 180
 """Pixels of a row of the strip."""
-STRIP_WIDTH = 2000
+MAX_STRIP_WIDTH = 2000
 """Pixels of a strip in the page, at most."""
 
 
@@ -83,7 +83,7 @@ def _facts(result: Result) -> str:
 def _scene(out: Path, result: Result) -> dict[str, Any]:
     name, path = str(result["scene"]), out / str(result["scene"]) / STRIP
     images = [(read_image(path), f"{name}: frames, ours and the truth")] if path.exists() else []
-    return scene_section(out, name, _facts(result), f"{name}/{PAGE}", images, STRIP_WIDTH)
+    return scene_section(out, name, _facts(result), f"{name}/{PAGE}", images, MAX_STRIP_WIDTH)
 
 
 # -- images

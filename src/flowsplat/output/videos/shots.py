@@ -9,10 +9,10 @@ Shot = tuple[Camera, float]
 
 MIN_ALPHA = 0.5
 """Alpha from which something is shown."""
-_PROBE_SHARE = 4
+_PROBE_REDUCTION = 4
 """By how much the small images are smaller."""
 
 
 def small(camera: Camera) -> Camera:
     """Return the camera for a small image of what it sees."""
-    return camera.resize(max(camera.width // _PROBE_SHARE, 1), max(camera.height // _PROBE_SHARE, 1))
+    return camera.resize(max(camera.width // _PROBE_REDUCTION, 1), max(camera.height // _PROBE_REDUCTION, 1))

@@ -29,7 +29,7 @@ OWN = "tracks"
 """Method of cameras that this stage computed."""
 _FOLLOWS_IMAGES = ("cameras", "masks", "objects")
 """Priors that may be there when images are straightened: cameras are found anew, masks straightened, objects go with depth."""
-LONGEST_LENS = 100
+MAX_FOCAL = 100
 """Focal length at most, in longer sides of the image: an angle of view of half a degree."""
 
 
@@ -65,7 +65,7 @@ def camera_stage(scene: Scene, options: CameraOptions) -> None:
         InputError: the given focal length is not a positive number, or something was made for images that are to be
             straightened.
     """
-    longest = LONGEST_LENS * max(scene.width, scene.height)
+    longest = MAX_FOCAL * max(scene.width, scene.height)
     if options.focal is not None and not 1 <= options.focal <= longest:
         raise InputError(f"The focal length is {options.focal}: give pixels from 1 to {longest:,}, or leave it out.")
     if scene.info.straightening is not None:

@@ -36,7 +36,7 @@ from flowsplat.priors.background.fill import upsample
 from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.static_depth import StaticDepth
 
-SEEN_FROM = (4, 8, 12, 16, 24, 32, 48)
+PLATE_OFFSETS = (4, 8, 12, 16, 24, 32, 48)
 """Training frames before and after, whose images are compared."""
 
 FEW_FRAMES = 16
@@ -73,12 +73,12 @@ class CleanPlate:
     def __init__(self, clip: MatchedClip, background: StaticDepth, blocked: np.ndarray):
         self._clip, self._background, self._blocked = clip, background, blocked
         self._cameras = [clip.scene.cameras[i] for i in clip.scene.train_frames]
-        self._frame = lru_cache(maxsize=2 * SEEN_FROM[-1] + 1)(lambda k: clip.scene.frame(clip.scene.train_frames[k]))
+        self._frame = lru_cache(maxsize=2 * PLATE_OFFSETS[-1] + 1)(lambda k: clip.scene.frame(clip.scene.train_frames[k]))
 
     def residual(self, k: int) -> np.ndarray:
         """Return how many times its noise a frame differs from its plate, [H, W] float32; 1 or less is rest, -1 is unknown."""
         clip, frame = self._clip, self._frame(k)
-        offsets = SEEN_FROM if len(clip) > FEW_FRAMES else range(1, FEW_FRAMES)
+        offsets = PLATE_OFFSETS if len(clip) > FEW_FRAMES else range(1, FEW_FRAMES)
         around = [k + sign * offset for offset in offsets for sign in (-1, 1)]
         others = [j for j in around if 0 <= j < len(clip) and clip.continuity.are_joined(k, j)]
         if len(others) < MIN_VIEWS:

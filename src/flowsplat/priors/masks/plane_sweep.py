@@ -22,7 +22,7 @@ from flowsplat.common.simd import (
 )
 from flowsplat.common.threads import parallel_for
 
-SIDE = 15.0
+SAME_OBJECT_DIFFERENCE = 15.0
 """Mean difference in gray levels from the pixel itself from which one beside it belongs to something else."""
 
 MAX_DEPTHS = 400
@@ -90,7 +90,7 @@ def _largest_share(
                     for q in range(3):
                         here[b, a, q] = np.float32(frame[y + b - 1, x + a - 1, q])
                         total += abs(here[b, a, q] - np.float32(frame[y, x, q]))
-                    like[b, a] = total < np.float32(3 * SIDE)
+                    like[b, a] = total < np.float32(3 * SAME_OBJECT_DIFFERENCE)
                     n_like += like[b, a]
             most = np.float32(3 * n_like) * limit[y, x]
             longest = np.float32(0)

@@ -30,13 +30,13 @@ NEUTRAL_RESIDUAL = 1.7
 MAX_PLATE_EVIDENCE = 2.5
 """Largest evidence of a difference from the plate: a logarithm to base 2."""
 
-MOTION_WEIGHT, FULL_MOTION = 0.6, 8.0
+MOTION_WEIGHT, FULL_MOTION_EVIDENCE = 0.6, 8.0
 """Largest evidence of rest that motion gives, and the summed motion evidence at which it does; of motion half as much more."""
 
 COLOR_WEIGHT, MAX_COLOR_EVIDENCE = 0.7, 1.8
 """Weight of the colors' logarithm to base 2, and the most that it counts."""
 
-MEMORY = 0.5
+EVIDENCE_MEMORY = 0.5
 """Share of the evidence that a frame takes over from the next and the one before."""
 
 MIN_MOVING_SHARE = 0.3
@@ -48,7 +48,7 @@ BLOCKED_MARGIN = 0.01
 MODEL_FRAMES = 16
 """Frames from which the colors are taken."""
 
-_SMOOTHNESS, _COLOR_SIGMA = 20.0, 10.0
+_EDGE_AWARE_SMOOTHNESS, _COLOR_SIGMA = 20.0, 10.0
 
 
 def mask_stage(scene: Scene, estimate: FlowEstimator = dis_estimator) -> None:
@@ -117,7 +117,7 @@ def _plate_evidence(clip: MatchedClip, motion: list[np.ndarray]) -> list[np.ndar
         differs = np.clip(
             np.log2(np.maximum(residual, 1e-3) / np.float32(NEUTRAL_RESIDUAL)), -MAX_PLATE_EVIDENCE, MAX_PLATE_EVIDENCE
         )
-        moves = MOTION_WEIGHT * np.clip(enlarge(motion[k], residual) / FULL_MOTION, -1, 1.5)
+        moves = MOTION_WEIGHT * np.clip(enlarge(motion[k], residual) / FULL_MOTION_EVIDENCE, -1, 1.5)
         evidence.append((np.where(residual >= 0, differs, 0) + moves).astype(np.float16))
     return evidence
 
@@ -151,10 +151,10 @@ def _propagate(clip: MatchedClip, evidence: list[np.ndarray]) -> Iterator[np.nda
         found = scene.flow(numbers[k], numbers[j])
         return found.flow, found.confidence
 
-    return propagate(clip, evidence.__getitem__, flow, MEMORY)
+    return propagate(clip, evidence.__getitem__, flow, EVIDENCE_MEMORY)
 
 
 def _outline(evidence: np.ndarray, frame: np.ndarray, motion: np.ndarray) -> np.ndarray:
     """Return the mask [H, W] uint8 along the edges of the frame, of parts that were found by their motion."""
-    smooth = EdgeSmoother(frame, _SMOOTHNESS, _COLOR_SIGMA).filter(evidence.astype(np.float32))
+    smooth = EdgeSmoother(frame, _EDGE_AWARE_SMOOTHNESS, _COLOR_SIGMA).filter(evidence.astype(np.float32))
     return parts((smooth > 0).astype(np.uint8), enlarge(motion, frame) > 0, MIN_MOVING_SHARE)

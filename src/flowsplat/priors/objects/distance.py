@@ -18,7 +18,7 @@ GUESS_SIGMA, GUESS_TAIL_SIGMA, GUESS_TAIL_SHARE = 0.25, 1.2, 0.4
 the rest."""
 GROUND_SIGMA = 0.25
 """Of the guess by where it would touch the ground."""
-BOUND_SOFTNESS, BOUND_WRONG = 0.03, 0.02
+BOUND_SOFTNESS, BOUND_WRONG_CHANCE = 0.03, 0.02
 """How sharply a far bound cuts, and its chance to be wrong."""
 
 
@@ -69,7 +69,7 @@ def combine(guess: float, cues: Mapping[str, Cue], bounds: Sequence[float], near
         log_p += np.log((1 - cue.wrong) * _student_density(x, cue.log_scale, cue.sigma, 4) + cue.wrong / width)
     for bound in bounds:
         inside = 1 / (1 + np.exp(np.clip((x - bound) / BOUND_SOFTNESS, -50, 50)))
-        log_p += np.log((1 - BOUND_WRONG) * inside + BOUND_WRONG)
+        log_p += np.log((1 - BOUND_WRONG_CHANCE) * inside + BOUND_WRONG_CHANCE)
     p = np.exp(log_p - log_p.max())
     p /= p.sum()
     median = float(np.interp(0.5, np.cumsum(p), x))

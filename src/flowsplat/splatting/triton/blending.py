@@ -22,7 +22,7 @@ FORWARD_WARPS, BACKWARD_WARPS = 2, 1  # with one warp, the sums of a tile need n
 CHECK_EVERY = 32  # Gaussians after which a tile looks whether all its pixels have stopped
 GAUSSIANS_PER_STEP = 4  # Gaussians of which forward loads everything before it uses it
 GEOMETRY = 8  # leading columns of a row of sums: two of the mean, three of the conic, opacity, two of the absolute gradient
-GATHERED = 8  # rows that are summed at once
+SUMMED_ROWS = 8  # rows that are summed at once
 
 _TILE, _RECORD, _GEOMETRY = tl.constexpr(TILE), tl.constexpr(RECORD), tl.constexpr(GEOMETRY)
 _LIMIT, _STOP = tl.constexpr(ALPHA_MAX), tl.constexpr(TRANSMITTANCE_MIN)

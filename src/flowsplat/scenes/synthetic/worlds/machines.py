@@ -29,7 +29,7 @@ from flowsplat.scenes.synthetic.worlds.parts import (
 )
 
 BALL_PATTERNS = (SEGMENTS, SPOTS, STRIPES, CHECKERS)
-STOPS = 0.3
+STOPPING_SHARE = 0.3
 """Share of vehicles and rolling balls that come to rest."""
 
 Way = Callable[[np.ndarray], np.ndarray]

@@ -26,7 +26,7 @@ from flowsplat.scenes.synthetic.worlds.parts import (
     together,
 )
 
-HEIGHT = 1.75
+WALKER_HEIGHT = 1.75
 """Meters of a walker of scale 1."""
 
 THIGH, SHIN, ANKLE = 0.43, 0.43, 0.08
@@ -37,15 +37,15 @@ SHOULDER_HEIGHT = 0.5
 """Above the hips."""
 HALF_FOOT = np.array([0.13, 0.047, 0.035])
 
-STANCE = 0.55
+STANCE_SHARE = 0.55
 """A foot stands from this share of a step before the hips pass it to this share after."""
 
-SLACK = 0.995
+MAX_LEG_STRETCH = 0.995
 """Share of a leg's length that is used at most."""
 
-_RATE = 240.0
+_HIP_RATE = 240.0
 """Times a second at which the height of the hips is found."""
-_SMOOTH = 41
+_HIP_WINDOW = 41
 """Of these times, the window over which it is smoothed."""
 
 Arms = Literal["swing", "forward"]
@@ -90,9 +90,9 @@ class Gait:
     def foot(self, s: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return (middle of the sole [T, 3], heading [T], pitch [T], whether it stands [T])."""
         own = self.first + (side > 0) * self.step
-        number = np.floor((s - own + STANCE * self.step) / (2 * self.step))
-        since = (s - own - 2 * self.step * number) / self.step - STANCE
-        w = np.clip(since / (2 - 2 * STANCE), 0, 1)
+        number = np.floor((s - own + STANCE_SHARE * self.step) / (2 * self.step))
+        since = (s - own - 2 * self.step * number) / self.step - STANCE_SHARE
+        w = np.clip(since / (2 - 2 * STANCE_SHARE), 0, 1)
         (start, heading), (end, later) = self.plant(number, side), self.plant(number + 1, side)
         smooth = w * w * (3 - 2 * w)
         sole = start + smooth[:, None] * (end - start)
@@ -123,7 +123,7 @@ def walker(
     """Return a person who walks, in the middle of the clip at ``at`` [2].
 
     Args:
-        scale: 1 = as tall as ``HEIGHT``.
+        scale: 1 = as tall as ``WALKER_HEIGHT``.
         speed: meters a second.
         duration: seconds of the clip.
         rich: whether the clothes have patterns.
@@ -153,17 +153,17 @@ def walker(
 
 def find_hips(gait: Gait, speed: float, duration: float) -> Callable[[np.ndarray], np.ndarray]:
     """Height of the hips over time: as high as both legs reach, smoothed without ever getting higher."""
-    times = np.arange(-_SMOOTH / _RATE, duration + 2 * _SMOOTH / _RATE, 1 / _RATE)
+    times = np.arange(-_HIP_WINDOW / _HIP_RATE, duration + 2 * _HIP_WINDOW / _HIP_RATE, 1 / _HIP_RATE)
     s = speed * (times - duration / 2)
     place, heading = gait.place(s)
     right = np.stack([np.sin(heading), -np.cos(heading)], -1)
-    reach = SLACK * gait.scale * (THIGH + SHIN)
+    reach = MAX_LEG_STRETCH * gait.scale * (THIGH + SHIN)
     top = np.full(len(times), np.inf)
     for side in (-1, 1):
         ankle = place_ankle(gait, s, side)[0]
         away = np.linalg.norm(ankle[:, :2] - place - side * HIP * gait.scale * right, axis=1)
         top = np.minimum(top, ankle[:, 2] + np.sqrt(np.maximum(reach**2 - away**2, 0)))
-    height = uniform_filter1d(minimum_filter1d(top, _SMOOTH), _SMOOTH)
+    height = uniform_filter1d(minimum_filter1d(top, _HIP_WINDOW), _HIP_WINDOW)
     return lambda asked: np.interp(asked, times, height)
 
 
