@@ -11,7 +11,7 @@ from flowsplat.pipeline import prepare
 from flowsplat_benchmarks.datasets.cases import Case
 
 POLL_INTERVAL = 2.0
-"""Seconds between two looks whether another process has prepared a scene."""
+"""Seconds between two looks whether another process has prepared a scene. Chosen by eye."""
 
 
 def prepare_scene(case: Case, folder: Path) -> Path:

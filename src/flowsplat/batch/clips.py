@@ -28,10 +28,11 @@ VIDEO_SUFFIXES = (
 """Files of a folder that are taken for clips; a clip that is given by its own name may be called anything."""
 LISTS = (".txt", ".csv", ".tsv", ".jsonl", ".ndjson")
 MAX_CLIPS = 1_000_000
+"""Clips of one batch, at most: a list with more is a slip. A round number."""
 MAX_FOLDER_DEPTH = 6
-"""Folders within each other in which clips are looked for."""
+"""Folders within each other in which clips are looked for. Chosen by eye."""
 MAX_NAME_CHARACTERS = 80
-"""Characters of the readable part of an id."""
+"""Characters of the readable part of an id. Chosen by eye."""
 _TAKEN = ("batch.json", "index.html")
 """Names in OUT that no run can have."""
 _ROW = dict[Annotated[str, msgspec.Meta(max_length=200)], Text | float | bool | list[Text | float] | None]

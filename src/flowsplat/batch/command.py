@@ -33,8 +33,10 @@ PLAN = "plan.json"
 PAGE = "page"
 """The claim of who writes the page."""
 PAGE_INTERVAL = 60.0
-"""Seconds, at least, between two pages, and at least so many times as long as one takes:"""
+"""Seconds, at least, between two pages. Chosen by eye."""
 PAGE_INTERVAL_FACTOR = 20
+"""Times as long as writing the page took that pass before the next one, so that pages take a twentieth of the time at most.
+Chosen by eye."""
 
 
 class PlanFile(TypedDict):

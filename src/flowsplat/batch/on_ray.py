@@ -21,9 +21,10 @@ from flowsplat.common.errors import InputError, describe_install, first_line
 from flowsplat.common.processes import THREAD_VARIABLES, usable_cores
 
 TASKS_PER_CORE = 1.25
-"""Tasks at a time, in cores of the cluster: some wait, so that a cluster that grows by itself sees that it should."""
+"""Tasks at a time, in cores of the cluster: some wait, so that a cluster that grows by itself sees that it should. Chosen by eye.
+"""
 OBJECT_STORE_BYTES = 80 * 2**20
-"""Bytes of shared memory of a Ray that is started here: results are small."""
+"""Bytes of shared memory of a Ray that is started here: results are small. Chosen by eye."""
 
 
 @dataclass

@@ -31,9 +31,9 @@ STATES = (*END_STATES, "open")
 VERSION = 1
 
 MAX_CRASH_RESTARTS = 3
-"""How often a run that crashed or was killed is continued."""
+"""How often a run that crashed or was killed is continued. Chosen by eye."""
 MAX_WORKER_LOSSES = 10
-"""How often one is continued whose whole worker died: a machine that was taken away says little about the clip."""
+"""How often one is continued whose whole worker died: a machine that was taken away says little about the clip. Chosen by eye."""
 
 How = Literal["done", "refused", "crashed", "outgrew", "busy", "stopped", "lost", "unwritable"]
 """How an attempt ended: it is done; its input cannot be used; it crashed or was killed; it took more memory than it may; somebody

@@ -13,6 +13,7 @@ from flowsplat.common.progress import report
 
 MANIFEST = "manifest.json"
 _BLOCK_BYTES = 2**20
+"""Bytes that are read at a time: 1 MiB, a round number."""
 
 
 def open_url(url: str) -> tuple[Any, str]:

@@ -19,6 +19,7 @@ from flowsplat.scenes.synthetic import SyntheticScene, write_synthetic_video
 
 SPEC = SyntheticScene(width=96, height=64, frames=12)
 WARMING_ITERATIONS = 12
+"""Training steps that warm up, with density control every fourth one."""
 
 
 def compile_kernels(device: str) -> None:

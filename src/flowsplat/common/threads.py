@@ -20,9 +20,10 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 RESULTS_AHEAD = 1
-"""Results beyond those in work that may wait for whoever takes them."""
+"""Results beyond those in work that may wait for whoever takes them. Chosen by eye."""
 RANGES_PER_THREAD = 4
-"""Ranges for each thread into which a loop is cut: where others need the processor, too, threads are not equally fast."""
+"""Ranges for each thread into which a loop is cut: where others need the processor, too, threads are not equally fast.
+Chosen by eye."""
 
 _own = threading.local()
 _left_to_others = 0

@@ -23,10 +23,11 @@ from flowsplat.scenes.clip import resize_image
 from flowsplat.splatting import blend, project
 
 PYRAMID_LEVELS = ((3, 10), (1, 5))
-"""By how much the image is shrunk, and how many steps are taken then: coarse first, because steps see no farther than texture."""
+"""By how much the image is shrunk, and how many steps are taken then: coarse first, because steps see no farther than texture.
+Chosen by eye."""
 
 MIN_SIDE = 24
-"""Pixels below which a shrunk image tells nothing."""
+"""Pixels below which a shrunk image tells nothing. Chosen by eye."""
 
 MIN_GAIN = 2e-3
 """A step that lowers the error by a smaller share ends a level: that is a hundredth of a decibel."""

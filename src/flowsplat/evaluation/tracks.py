@@ -13,7 +13,7 @@ from flowsplat.geometry import Camera
 from flowsplat.scenes import Scene
 
 TRACK_SPAN = 12
-"""Frames over which a point is followed from the one in which it is asked for."""
+"""Frames over which a point is followed from the one in which it is asked for. Chosen by eye."""
 
 
 def track_errors(model: SceneModel, scene: Scene, births: np.ndarray | None = None) -> dict[str, Any] | None:

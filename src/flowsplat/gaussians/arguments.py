@@ -12,7 +12,7 @@ from flowsplat.common.errors import InputError
 from flowsplat.geometry import Camera
 
 TIME_SLACK = 1e-3
-"""Of the clip's length: what a time may lie outside of it, so that seconds that were rounded are still within."""
+"""Of the clip's length: what a time may lie outside of it, so that seconds that were rounded are still within. Chosen by eye."""
 
 
 def to_number(value: Any, name: str) -> float:

@@ -26,7 +26,7 @@ from flowsplat.geometry.paths import CameraPath
 from flowsplat.splatting.rules import EPS2D
 
 MIN_FACTOR, MAX_FACTOR = 0.1, 10.0
-"""The smallest and the largest factor: what lies beyond is a slip of whoever typed it."""
+"""The smallest and the largest factor: what lies beyond is a slip of whoever typed it. Chosen by eye."""
 _SPEED_TIME_STEP = 1e-4
 """Of clip time, to tell how fast the camera goes."""
 

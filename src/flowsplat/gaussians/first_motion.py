@@ -21,32 +21,33 @@ if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
 NODE_SPACING, MIN_NODE_SPACING = 0.0125, 4.5
-"""Widths of the image between two nodes, and pixels at least."""
+"""Widths of the image between two nodes, and pixels at least (docs/method.md, "Initialization")."""
 NEIGHBORHOOD_SIGMA = 1.5
-"""Standard deviation, in gaps between nodes, of how far around a node pixels count."""
+"""Standard deviation, in gaps between nodes, of how far around a node pixels count. Chosen by eye."""
 NODE_NEIGHBORS = 48
-"""Pixels that are asked at a node."""
+"""Pixels that are asked at a node (docs/method.md, "Initialization")."""
 PIXELS_PER_GAP = 3
-"""As many pixels in a gap between two nodes are followed, beside those whose motion is wanted."""
+"""As many pixels in a gap between two nodes are followed, beside those whose motion is wanted. Chosen by eye."""
 CANDIDATE_NODES, PIXELS_AT_A_TIME = 8, 20_000
-"""Nodes among which a pixel chooses, and how many pixels do so at a time, for the memory."""
+"""Nodes among which a pixel chooses, and how many pixels do so at a time, for the memory (docs/method.md, "Initialization")."""
 COLOR_SIGMA, MAX_COLOR_DISTANCE = 30.0, 9.0
-"""Gray levels by which colors of one part differ, and the square, in these, beyond which it makes no difference."""
+"""Gray levels by which colors of one part differ, and the square, in these, beyond which it makes no difference. Chosen by eye."""
 PATH_SIGMA, MAX_PATH_DISTANCE = 0.5, 50.0
-"""The same of paths, in pixels."""
+"""The same of paths, in pixels. Chosen by eye."""
 REWEIGHTINGS = 4
-"""Of reweighting."""
+"""Of reweighting (docs/method.md, "Initialization")."""
 PRESENCE_SIGMA = 0.8
-"""Standard deviation, in those of the presence, of how much a time counts that is so far off."""
+"""Standard deviation, in those of the presence, of how much a time counts that is so far off (docs/method.md, "Initialization")."""
 CONFIDENCE_POWER, MIN_FLOW_CONFIDENCE = 2.0, 1e-3
 """Flow that does not come back counts this power of its confidence, where that is not less than the second number: it is often
-right, and the neighbors judge."""
+right, and the neighbors judge (docs/method.md, "Initialization")."""
 TIME_RIDGE, GRADIENT_RIDGE = 1e-3, 1e-1
-"""Of the first order in time, in shares of what the observations weigh: ten times as much for every further order."""
+"""Of the first order in time, in shares of what the observations weigh: ten times as much for every further order. Chosen by eye.
+"""
 MIN_OWN_SHARE = 0.5
-"""Of the pixels around a place, by their weight, what share must belong to the object."""
+"""Of the pixels around a place, by their weight, what share must belong to the object. Chosen by eye."""
 ALONG_RAY_WEIGHT = 0.1
-"""What a pixel along the ray counts, relative to one across it."""
+"""What a pixel along the ray counts, relative to one across it. Chosen by eye."""
 
 
 @dataclass(frozen=True)

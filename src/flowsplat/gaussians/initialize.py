@@ -25,11 +25,11 @@ from flowsplat.splatting.harmonics import harmonics_from_colors
 
 BACKGROUND_LOG_LAMBDA = float(np.log(1e-6))
 MIN_TRUSTED_SHARE = 0.05
-"""Share of the objects' pixels of a frame: where fewer have trusted depth, all of them are used."""
+"""Share of the objects' pixels of a frame: where fewer have trusted depth, all of them are used. Chosen by eye."""
 FITTING_TRIES = 3
-"""How often the grids are made coarser until the cap holds."""
+"""How often the grids are made coarser until the cap holds. Chosen by eye."""
 FITTING_MARGIN = 1.01
-"""By how much coarser than the count says."""
+"""By how much coarser than the count says. Chosen by eye."""
 
 
 @bounds_in_help

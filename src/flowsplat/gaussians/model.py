@@ -29,9 +29,9 @@ from flowsplat.splatting.rules import EPS2D
 _BLUR_STEPS = 16
 """Steps of the blur's width between pixels as in training and twice as fine."""
 MAX_CONCURRENT_RENDERS = 4
-"""Images that are rendered at the same time at most: each holds memory of its own."""
+"""Images that are rendered at the same time at most: each holds memory of its own. Chosen by eye."""
 _MAX_GRAPHS = 4
-"""Sizes of images whose graphs are kept; each has buffers of its own."""
+"""Sizes of images whose graphs are kept; each has buffers of its own. Chosen by eye."""
 
 
 @dataclass

@@ -21,43 +21,50 @@ from flowsplat.gaussians.model import SceneModel, at_once
 from flowsplat.geometry import Camera
 
 NEAR_OBJECT_SIZES = 3.0
-"""Sizes of an object (square root of its area in the image) from its mask within which its shadow may fall."""
+"""Sizes of an object (square root of its area in the image) from its mask within which its shadow may fall
+(docs/method.md, "Where preset `default` differs from the paper")."""
 
 MIN_CLEAR_FRAMES = 3
-"""Frames without an object near that must show a surface."""
+"""Frames without an object near that must show a surface (docs/method.md, "Where preset `default` differs from the paper")."""
 
 OWN_BRIGHTNESS_QUANTILE = 0.5
-"""Of these frames' brightness the share below that which a surface has by itself."""
+"""Of these frames' brightness the share below that which a surface has by itself (docs/method.md, "Where preset `default` differs
+from the paper")."""
 
 FEW_FRAMES, FEW_FRAMES_QUANTILE = 8, 0.8
-"""Where there are fewer: frames that must show it, and the share of their brightness below that which it has by itself."""
+"""Where there are fewer: frames that must show it, and the share of their brightness below that which it has by itself
+(docs/method.md, "Where preset `default` differs from the paper")."""
 
 FEW_FRAMES_DARKENING = 0.15
-"""As ``MIN_LOG_DARKENING``, there."""
+"""As ``MIN_LOG_DARKENING``, there (docs/method.md, "Where preset `default` differs from the paper")."""
 
 MIN_LOG_DARKENING = 0.03
-"""Logarithm of the brightness by which a surface must be darker beside objects, or it is left as it is."""
+"""Logarithm of the brightness by which a surface must be darker beside objects, or it is left as it is (docs/method.md, "Where
+preset `default` differs from the paper")."""
 
 SHADOW_NEIGHBORS, NEIGHBOR_LIMITS = 16, 1.0
-"""Nearest Gaussians at rest, most of which must be darker by so many limits, too."""
+"""Nearest Gaussians at rest, most of which must be darker by so many limits, too (docs/method.md, "Where preset `default` differs
+from the paper")."""
 
 MAX_DEPTH_JUMP, EDGE_FRAME_SHARE = 0.05, 0.5
 """Share of its depth by which a pixel is off the plane around at an edge, and of the frames that see a surface there, from which
-nothing is told of it."""
+nothing is told of it (docs/method.md, "Where preset `default` differs from the paper")."""
 
 GAIN_STIFFNESS = 1e-4
-"""Weight of the squared gains, times that of their wave, against the squared errors of brightness."""
+"""Weight of the squared gains, times that of their wave, against the squared errors of brightness. Chosen by eye."""
 
 EXPOSURE_POINTS = 20_000
-"""About how many points that are never beside an object tell how bright whole frames are."""
+"""About how many points that are never beside an object tell how bright whole frames are. Chosen by eye."""
 
 UNSEEN_WEIGHT = 0.3
-"""Weight of times at which a surface is not seen."""
+"""Weight of times at which a surface is not seen. Chosen by eye."""
 
 _SURFACE_TOLERANCE = 0.05
-"""Share of its distance by which a point may lie behind the surface that a frame sees."""
+"""Share of its distance by which a point may lie behind the surface that a frame sees. Chosen by eye."""
 _MIN_ALPHA = 0.5
+"""Alpha from which something is there. Chosen by eye."""
 _ROWS_AT_A_TIME = 8192
+"""Gaussians whose gains are fitted at a time, for the memory. Chosen by eye."""
 
 
 def add_shadow_free(

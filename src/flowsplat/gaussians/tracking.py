@@ -20,15 +20,15 @@ from flowsplat.geometry.rotations import covariances, quats_to_rotations
 from flowsplat.splatting.rules import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 
 MAX_CARRIERS = 32
-"""At most so many Gaussians carry a point."""
+"""At most so many Gaussians carry a point. Chosen by eye."""
 SURFACE_TOLERANCE = 0.05
-"""Relative difference of depth up to which two things are one surface."""
+"""Relative difference of depth up to which two things are one surface. Chosen by eye."""
 HANDOVER_SHARE = 0.5
-"""Carriers hand over when less than this share of the weight that they were chosen for is left."""
+"""Carriers hand over when less than this share of the weight that they were chosen for is left. Chosen by eye."""
 HANDOVER_SIGMAS = 4.0
-"""Standard deviations from a point within which a Gaussian may take over; further away the nearest ones do."""
+"""Standard deviations from a point within which a Gaussian may take over; further away the nearest ones do. Chosen by eye."""
 MAX_CARRIER_DISTANCE = 0.1
-"""Share of its distance to the camera further than which nothing takes over a point."""
+"""Share of its distance to the camera further than which nothing takes over a point. Chosen by eye."""
 
 
 @dataclass(frozen=True)

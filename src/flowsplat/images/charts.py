@@ -15,21 +15,24 @@ Points = tuple[Sequence[float | None], Sequence[float | None]]
 """(x, y) of a line; None or what is not finite leaves a gap."""
 
 MAX_SERIES = 5
-"""Of a chart: each has a color of its own."""
+"""Of a chart: each has a color of its own. Chosen by eye."""
 
 _WIDTH, _HEIGHT = 640, 260
+"""Size of a chart in units of its SVG. Chosen by eye."""
 _LEFT, _RIGHT, _TOP, _BOTTOM = 58, 20, 12, 44
+"""Room around the axes for their labels, in units of the SVG. Chosen by eye."""
 _LEGEND_HEIGHT = 22
-"""Height of the row with the names of the lines."""
+"""Height of the row with the names of the lines. Chosen by eye."""
 _LETTER_WIDTH = 7
 """About the width of a letter, to put names beside each other."""
 _MAX_POINTS = 400
+"""Points of a line, at most: more than a chart has room for. Chosen by eye."""
 _DOT_RADIUS = 3.0
-"""Radius of a marked point."""
+"""Radius of a marked point. Chosen by eye."""
 _NAMES_WIDTH = 292
-"""Width of the column with the names of the bars."""
+"""Width of the column with the names of the bars. Chosen by eye."""
 _BAR_HEIGHT = 10
-"""Height of a bar; a row has two, and a gap as high as one."""
+"""Height of a bar; a row has two, and a gap as high as one. Chosen by eye."""
 _FILE_STYLE = (
     ".chart{font:12px system-ui,sans-serif;background:#fff}.chart text{fill:#666b73}.chart .right{text-anchor:end}"
     ".chart .middle{text-anchor:middle}.chart .name{fill:#1c1e21}.chart .grid{stroke:#e2e3e6}"

@@ -13,17 +13,19 @@ import numpy as np
 _ARCS = np.array([0, 15, 6, 4, 11, 13, 6])
 _CORNERS = np.array([[255, 0, 0], [255, 255, 0], [0, 255, 0], [0, 255, 255], [0, 0, 255], [255, 0, 255], [255, 0, 0]], np.float32)
 _HUE_COUNT = 3600
+"""Colors of the wheel: a tenth of a degree each."""
 _BEYOND_SCALE = 0.75
+"""Factor on the colors of vectors beyond the scale, as in Baker et al. 2011 (Middlebury's color coding of flow)."""
 _OBJECTS = np.array([(255, 128, 0), (0, 190, 255), (255, 60, 160), (120, 220, 40), (180, 110, 255), (255, 220, 0)], np.uint8)
 """Colors of moving objects, by their numbers."""
 """How much displacements beyond the scale are darkened."""
 
 MIN_FLOW_SCALE = 0.5
-"""Pixels. Below this, a clip at rest would show nothing but noise in bright colors."""
+"""Pixels. Below this, a clip at rest would show nothing but noise in bright colors. Chosen by eye."""
 
 
 def _wheel() -> np.ndarray:
-    """Return [_HUES, 3] float32 colors between 0 and 1 round the wheel, starting at the right and going down."""
+    """Return [_HUE_COUNT, 3] float32 colors between 0 and 1 round the wheel, starting at the right and going down."""
     places = np.cumsum(_ARCS) / _ARCS.sum()
     turn = np.arange(_HUE_COUNT) / _HUE_COUNT
     return np.stack([np.interp(turn, places, _CORNERS[:, c]) for c in range(3)], -1).astype(np.float32) / 255

@@ -15,9 +15,9 @@ from markupsafe import Markup, escape
 from flowsplat.images.colors import float_to_bytes
 
 MAX_IMAGE_WIDTH = 960
-"""Pixels of an image in a page."""
+"""Pixels of an image in a page. Chosen by eye."""
 THUMBNAIL_WIDTH = 320
-"""Pixels of an image in a notebook."""
+"""Pixels of an image in a notebook. Chosen by eye."""
 NOTHING = "–"
 """What stands in place of a figure that was not measured."""
 

@@ -10,13 +10,14 @@ import numpy as np
 from flowsplat.images.colors import error_to_color, float_to_bytes
 
 GAP_PIXELS = 4
-"""Pixels between two images."""
+"""Pixels between two images. Chosen by eye."""
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _RULER_WIDTH = 26
-"""Pixels of a ruler beside an image."""
+"""Pixels of a ruler beside an image. Chosen by eye."""
 _MIN_TICK_SPACING = 40
-"""Pixels between two numbers of a ruler, at least."""
+"""Pixels between two numbers of a ruler, at least. Chosen by eye."""
 _TICK_STEPS = (5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000)
+"""Pixels between two numbers of a ruler: the smallest that leaves ``_MIN_TICK_SPACING``."""
 
 
 def side_by_side(images: Sequence[np.ndarray], labels: Sequence[str] = (), height: int | None = None) -> np.ndarray:

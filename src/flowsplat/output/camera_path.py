@@ -12,16 +12,17 @@ from flowsplat.common.spread import spread
 from flowsplat.geometry import Camera
 
 _WIDTH, _HEIGHT, _DRAWING_MARGIN = 640, 400, 26
+"""Size of the drawing and the margin around it, pixels. Chosen by eye."""
 _MAX_FRUSTA = 10
-"""Cameras that are drawn with what they see; the line of the path has all of them."""
+"""Cameras that are drawn with what they see; the line of the path has all of them. Chosen by eye."""
 _FRUSTUM_LENGTH = 0.22
-"""Length of a frustum over the extent of the drawing."""
+"""Length of a frustum over the extent of the drawing. Chosen by eye."""
 _POINT_SIZE = 2.2
-"""Pixels of the side of a scene point."""
+"""Pixels of the side of a scene point. Chosen by eye."""
 _SINGLE_PLACE_EXTENT = 1.0
-"""Extent of the drawing of cameras that all stand in one place."""
+"""Extent of the drawing of cameras that all stand in one place. Chosen by eye."""
 _YAW, _PITCH = np.radians(32.0), np.radians(28.0)
-"""Under which the path is seen at an angle: from behind, a little from the right and from above."""
+"""Under which the path is seen at an angle: from behind, a little from the right and from above. Chosen by eye."""
 
 
 @dataclass(frozen=True)

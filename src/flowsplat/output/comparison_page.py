@@ -16,13 +16,13 @@ from flowsplat.output.page import POLICY, script_policy, write_page
 from flowsplat.output.report import Comparison, video_title
 
 MAX_VIDEO_BYTES = 256 * 2**20
-"""Bytes of a video; those of a run at the usual size have 5 to 20 MiB."""
+"""Bytes of a video; those of a run at the usual size have 5 to 20 MiB. Chosen by eye."""
 
 _TYPES = {".mp4": "video/mp4", ".webm": "video/webm"}
 """What a page can play; an animated image cannot be paused."""
 
 _SHOWN_IMAGES = 2
-"""Held-out images of each kind."""
+"""Held-out images of each kind. Chosen by eye."""
 
 SCRIPT = """
 const chosen = document.getElementById('path'), play = document.getElementById('play'), bar = document.getElementById('bar');

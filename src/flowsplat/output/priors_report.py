@@ -32,23 +32,24 @@ from flowsplat.priors.objects.description import ObjectDescription, describe_obj
 from flowsplat.scenes import Scene, Tracks
 
 PANEL_SIDE = 400
-"""Pixels of the longer side of an image in the strip."""
+"""Pixels of the longer side of an image in the strip. Chosen by eye."""
 MAX_STRIP_FRAMES = 100
-"""Frames of the strip, at most."""
+"""Frames of the strip, at most. Chosen by eye."""
 STRIP_CRF = 30
-"""Quality of the strip: it is to show what was found, not to be beautiful."""
+"""Quality of the strip: it is to show what was found, not to be beautiful. Chosen by eye."""
 STILL_FRAMES = 4
-"""Frames that are shown in images, too."""
+"""Frames that are shown in images, too. Chosen by eye."""
 TRACK_TAIL, MAX_TRACKS = 6, 240
-"""Training frames that a track is drawn over, and how many tracks are drawn."""
+"""Training frames that a track is drawn over, and how many tracks are drawn. Chosen by eye."""
 SCENE_POINTS = 1500
-"""Points of the scene in the drawing of the path."""
+"""Points of the scene in the drawing of the path. Chosen by eye."""
 THUMBNAIL_SIDE = 160
-"""Pixels of the longer side of the image of an object."""
+"""Pixels of the longer side of the image of an object. Chosen by eye."""
 MAX_PIECES = 3
-"""Pieces of a clip with cuts whose paths are drawn."""
+"""Pieces of a clip with cuts whose paths are drawn. Chosen by eye."""
 
 _STATIC_TRACK, _MOVING_TRACK = (80, 220, 255), (255, 140, 0)
+"""Red, green and blue of tracks on what rests and on what moves. Chosen by eye."""
 
 
 def write_priors_report(folder: Path, scene: Scene, seconds: Mapping[str, float]) -> Path:

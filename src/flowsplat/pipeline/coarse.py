@@ -36,17 +36,18 @@ from flowsplat.training.trainer import Trainer
 STAGE = "coarse"
 """The stage that makes it."""
 MAX_FRAMES = 24
-"""Frames that it is made from, at most."""
+"""Frames that it is made from, at most. Chosen by eye."""
 MAX_FRAME_SECONDS = 0.2
 """Seconds between two of them at most, unless the run's own are farther apart: motion has to be followed. Of a longer clip they
-show the beginning."""
+show the beginning. Chosen by eye."""
 LONG_SIDE = 284
-"""Pixels of their long side."""
+"""Pixels of their long side. Chosen by eye."""
 COARSE_STEPS = 200
+"""Training steps of the coarse scene. Chosen by eye."""
 REFERENCE_SECONDS = 30.0
 """What it takes on the reference machine, two cores, with a margin."""
 MAX_RUN_SHARE = 0.08
-"""Of a whole run, which it may take at most: a shorter run has something to show soon enough."""
+"""Of a whole run, which it may take at most: a shorter run has something to show soon enough. Chosen by eye."""
 VIDEOS = RenderOptions(paths=("input", "orbit"), width=427, max_frames=48)
 
 

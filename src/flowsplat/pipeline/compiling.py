@@ -29,7 +29,7 @@ from flowsplat.common.user_cache import cache_folder
 
 SIGNATURES = Path(__file__).with_name("signatures.json")
 NICENESS = 10
-"""By how much the process gives way to the run."""
+"""By how much the process gives way to the run. Chosen by eye."""
 _COMMAND = "import sys; sys.path[:] = [path for path in sys.path if path]; from flowsplat.pipeline.compiling import main; main()"
 """Without the folder that the process begins in, which Python would search first: what lies beside a clip must not run."""
 

@@ -26,6 +26,7 @@ from flowsplat.scenes import Scene
 from flowsplat.scenes.synthetic import DrawnClip, StreetScene, SyntheticScene, encode_frames, write_synthetic
 
 DEMO_ITERATIONS = 600
+"""Training steps of the demo's run. Chosen by eye."""
 
 World = Literal["street", "floating"]
 """``street``: what people film. ``floating``: three things that float in a room, whose distance no camera can tell."""

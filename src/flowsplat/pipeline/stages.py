@@ -39,6 +39,7 @@ from flowsplat.scenes.clip import Clip
 from flowsplat.training.checkpoint import has_model, load_model
 
 _MAX_HISTORY_BYTES = 64 * 2**20
+"""Bytes of the history of a training, at most. A round number."""
 
 
 def run(source: str | Path, out: str | Path, config: RunConfig | None = None) -> dict[str, Any]:

@@ -8,7 +8,8 @@ import numpy as np
 from flowsplat.scenes import Scene
 
 MAX_BLANK_SIGMA = 3.0
-"""Standard deviation in gray levels below which an image is called blank: black, white, or the noise of a dark sensor."""
+"""Standard deviation in gray levels below which an image is called blank: black, white, or the noise of a dark sensor.
+Chosen by eye."""
 
 
 def is_blank(image: np.ndarray) -> bool:

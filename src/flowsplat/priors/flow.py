@@ -16,11 +16,11 @@ from flowsplat.priors.continuity import Continuity
 from flowsplat.scenes import Flow, Scene
 
 MIN_SIDE = 64
-"""Pixels. Smaller images are enlarged, because the search needs room for its patches."""
+"""Pixels. Smaller images are enlarged, because the search needs room for its patches. Chosen by eye."""
 
 FINE_PATCH, FINE_STEP, FINE_DESCENTS, FINE_ROUNDS = 5, 2, 24, 3
 """Of the fine search: side of a patch and distance between patches in pixels, steps of descent for a patch, and rounds of
-variational refinement."""
+variational refinement (docs/method.md, "Flow, masks and depth")."""
 
 
 def gray(image: np.ndarray) -> np.ndarray:

@@ -30,22 +30,27 @@ from flowsplat.scenes import Depth, Scene
 from flowsplat.scenes.layers import TRUSTED_CONFIDENCE
 
 MIN_STATIC_PIXELS = 200
-"""Trusted static working pixels that a frame's own scale and shift need; with fewer it borrows those of its neighbors."""
+"""Trusted static working pixels that a frame's own scale and shift need; with fewer it borrows those of its neighbors.
+Chosen by eye."""
 
 HALF_TRUST_MISFIT = 0.2
-"""Median relative error of the fitted depth at which it is half trusted."""
+"""Median relative error of the fitted depth at which it is half trusted. Chosen by eye."""
 
 INDEPENDENT_SAMPLES = 100
-"""Independent samples that all pixels of a frame are worth."""
+"""Independent samples that all pixels of a frame are worth. Chosen by eye."""
 
 RELATIVE_SHIFT_SIGMA, METRIC_SHIFT_SIGMA = 0.5, 0.05
-"""Shift of the inverse depth to be expected, over its median, where the source does not know infinity and where it does."""
+"""Shift of the inverse depth to be expected, over its median, where the source does not know infinity and where it does.
+Chosen by eye."""
 
 FURTHEST_INVERSE_RATIO = 0.1
-"""Without parallax: inverse depth of the furthest percent of the clip over its median, where infinity is not known."""
+"""Without parallax: inverse depth of the furthest percent of the clip over its median, where infinity is not known.
+Chosen by eye."""
 
 _MAX_FIT_SAMPLES = 20_000
+"""Pixels of a frame that the fit uses, at most, for the time. A round number."""
 _FIT_ROUNDS = 20
+"""Rounds of reweighting of the fit. Chosen by eye."""
 
 
 @dataclass(frozen=True)

@@ -18,19 +18,21 @@ from flowsplat.priors.flow import dis_flow, forward_backward_confidence, gray, l
 from flowsplat.scenes import Flow, Scene
 
 MIN_TRUSTED_SHARE = 0.95
-"""Share of the objects' pixels with trusted flow, both ways, from which it is good enough."""
+"""Share of the objects' pixels with trusted flow, both ways, from which it is good enough (docs/method.md, "Flow, masks and
+depth")."""
 SEARCH_MARGIN = 48
-"""Pixels around the objects of two frames that are searched with them."""
+"""Pixels around the objects of two frames that are searched with them. Chosen by eye."""
 REST_GRAY = 127
 """What rests is painted in it."""
 MAX_COLOR_DIFFERENCE = 60.0
-"""Gray levels beyond which it makes no difference how much colors differ."""
+"""Gray levels beyond which it makes no difference how much colors differ. Chosen by eye."""
 OUTSIDE_COST = 20.0
-"""Gray levels that a place outside the masks counts as."""
+"""Gray levels that a place outside the masks counts as. Chosen by eye."""
 ROUND_TRIP_DIFFERENCE, MAX_ROUND_TRIP_LIMITS = 3.0, 4.0
-"""The same of a round trip that misses by its limit (``forward_backward_confidence``), and by how many limits it counts at most."""
+"""The same of a round trip that misses by its limit (``forward_backward_confidence``), and by how many limits it counts at most.
+Chosen by eye."""
 WINDOW_SIGMA = 2.0
-"""Standard deviation in pixels of the window over which flows are compared."""
+"""Standard deviation in pixels of the window over which flows are compared (docs/method.md, "Flow, masks and depth")."""
 
 
 def object_flow_stage(scene: Scene) -> None:

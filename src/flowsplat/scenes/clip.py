@@ -24,16 +24,17 @@ from flowsplat.scenes.scene import HeldoutView
 LONG_SIDE = 854
 """Pixels of the long side to which larger input is brought unless the user says otherwise (DAVIS 480p)."""
 MIN_SIDE = 32
-"""Pixels below which neither flow nor cameras can be estimated."""
+"""Pixels below which neither flow nor cameras can be estimated. Chosen by eye."""
 MAX_SIDE = 8192
-"""Pixels of a frame, and the most that can be asked for."""
+"""Pixels of a frame, and the most that can be asked for. Chosen by eye."""
 MAX_FRAMES = 100_000
 """Their files are numbered with five digits."""
 MIN_FPS, MAX_FPS = 0.01, 1000.0
-"""Frames a second that a clip may be said to have."""
+"""Frames a second that a clip may be said to have. Chosen by eye."""
 MAX_NUMBER = 10_000_000
+"""The largest number that an option on frames takes. A round number."""
 MAX_FRAME_INTERVAL = 0.5
-"""Seconds between two kept frames above which the user is told that the motion will hardly be followed."""
+"""Seconds between two kept frames above which the user is told that the motion will hardly be followed. Chosen by eye."""
 
 
 @bounds_in_help

@@ -32,13 +32,15 @@ from flowsplat.geometry.cameras import MAX_COORDINATE
 from flowsplat.images.header import MAX_PIXELS, can_hold, image_pixels
 
 FLOW_UNIT = 64
+"""Steps of stored flow in a pixel."""
 TRUSTED_CONFIDENCE = 0.5
+"""Confidence from which a pixel of a layer counts as known: the middle of its range."""
 _MAX_IMAGE_BYTES = 512 * 2**20
-"""Bytes of the file of an image."""
+"""Bytes of the file of an image. Chosen by eye."""
 _MAX_BYTES_PER_PIXEL = 32
-"""Bytes of the arrays of a layer for every pixel."""
+"""Bytes of the arrays of a layer for every pixel. Chosen by eye."""
 _MAX_TRACKS_BYTES = 160 * 2**20
-"""Bytes."""
+"""Bytes. Chosen by eye."""
 _SILENCE = threading.Lock()
 
 

@@ -13,7 +13,8 @@ from flowsplat.geometry.projection import camera_jacobian, to_camera
 from flowsplat.geometry.rotations import covariances
 from flowsplat.splatting.rules import ALPHA_MAX, ALPHA_MIN, OPACITY_FLOOR, RADIUS_MAX, TRANSMITTANCE_MIN
 
-STRIP_ROWS = 8  # rows blended at a time, so that the matrices fit a cache
+STRIP_ROWS = 8
+"""Rows blended at a time, so that the matrices fit a cache."""
 
 
 def project(

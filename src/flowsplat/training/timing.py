@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 FIRST_CHECKPOINT, CHECKPOINT_INTERVAL = 5.0, 20.0
-"""Seconds until the first checkpoint, so that there is something to look at, and from one to the next."""
+"""Seconds until the first checkpoint, so that there is something to look at, and from one to the next. Chosen by eye."""
 MAX_CHECKPOINT_SHARE = 0.02
-"""Share of the time that checkpoints may take."""
+"""Share of the time that checkpoints may take. Chosen by eye."""
 
 
 class CheckpointTimes:

@@ -50,10 +50,11 @@ from flowsplat.training.timing import CheckpointTimes
 from flowsplat.training.weight_averaging import AVERAGE_STRIDE, TailAverage
 
 RECORD_EVERY = 10
-"""Steps that one entry of the history averages over."""
+"""Steps that one entry of the history averages over. Chosen by eye."""
 
 MAX_ALONE_SHARE = 0.01
-"""Share of the dynamic Gaussians that may be without neighbors until the next search, which takes as long as tens of steps."""
+"""Share of the dynamic Gaussians that may be without neighbors until the next search, which takes as long as tens of steps
+(docs/method.md, "Where preset `default` differs from the paper")."""
 
 GOLDEN_RATIO = (5**0.5 - 1) / 2
 """Its multiples, without what is whole of them, are spread most evenly (Knuth, The Art of Computer Programming 3, 6.4)."""

@@ -18,7 +18,9 @@ from flowsplat_benchmarks.resume import BenchmarkOptions, measure_jobs, results_
 PROTOCOL = "ablations"
 SCENES = ("train", "bear", "workshop")
 SEEDS = (0, 1)
+"""Of the random numbers of the runs of every row."""
 ITERATIONS = 1500
+"""Training steps of every run."""
 CLIP_SIDE = 427
 """Long side of the clips, pixels; a rendered scene keeps its own."""
 MAX_GAUSSIANS = 240_000

@@ -20,8 +20,11 @@ from flowsplat_benchmarks.tables import Chart, Column, Result, Table
 PROTOCOL = "caps"
 SCENES = ("bear", "train")
 SEEDS = (0,)
+"""Of the random numbers of the runs."""
 CAPS = (50_000, 100_000, 200_000, 400_000, 600_000)
+"""Gaussians at most, of the runs with different caps."""
 STEPS = (250, 500, 1000, 1500, 3000)
+"""Frame-steps of the runs with different numbers of steps."""
 ITERATIONS = 1500
 """Frame-steps of the runs with different caps."""
 STEPS_CAP = 200_000

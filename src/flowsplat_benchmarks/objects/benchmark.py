@@ -27,6 +27,7 @@ FIGURES = "figures.json"
 
 TITLE = "Objects of random worlds"
 WIDTH, HEIGHT, FRAMES = 320, 180, 40
+"""Pixels, and frames of a world."""
 
 
 def run_objects_benchmark(

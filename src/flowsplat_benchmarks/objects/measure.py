@@ -18,13 +18,14 @@ from flowsplat_benchmarks.worlds import read_objects
 
 MIN_OVERLAP = 0.3
 """Intersection over union of a true and an estimated mask of one object from which they count as the same in a frame; an object
-without any such frame was never found."""
+without any such frame was never found. Chosen by eye."""
 
 MIN_PIXELS = 20
-"""Pixels of an object in a frame below which it does not count there."""
+"""Pixels of an object in a frame below which it does not count there. Chosen by eye."""
 
 FEET_REACH = 6
-"""Pixels from the lowest pixels of an object that touches the ground, within which what rests is called the ground at its feet."""
+"""Pixels from the lowest pixels of an object that touches the ground, within which what rests is called the ground at its feet.
+Chosen by eye."""
 
 CENTRAL_PERCENTILES = (15.87, 84.13)
 """Percentiles whose half distance is the standard deviation of a normal distribution."""

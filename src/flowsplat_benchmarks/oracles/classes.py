@@ -24,23 +24,23 @@ CLASSES = (
 """A pixel belongs to the first of these that it is."""
 
 ASKED_FRAMES = 24
-"""Training frames that are asked whether they saw a point, evenly over the clip."""
+"""Training frames that are asked whether they saw a point, evenly over the clip. Chosen by eye."""
 MIN_WITNESSES = 4
-"""Witnesses that saw it are few below this."""
+"""Witnesses that saw it are few below this. Chosen by eye."""
 SURFACE_TOLERANCE = 0.02
-"""Share of its distance by which a point may lie behind the surface that a frame sees."""
+"""Share of its distance by which a point may lie behind the surface that a frame sees. Chosen by eye."""
 EDGE_DEPTH_JUMP = 0.05
-"""Share of its distance by which depth differs at an edge."""
+"""Share of its distance by which depth differs at an edge. Chosen by eye."""
 EDGE_REACH = 4
-"""Pixels from an edge."""
+"""Pixels from an edge. Chosen by eye."""
 MAX_THIN_PIXELS = 9
-"""Pixels; what is narrower is thin."""
+"""Pixels; what is narrower is thin. Chosen by eye."""
 OBJECT_REACH = 8
-"""Pixels from an object."""
+"""Pixels from an object. Chosen by eye."""
 BORDER_SHARE = 0.04
-"""Share of the image's size from its border."""
+"""Share of the image's size from its border. Chosen by eye."""
 MAX_DULL_SIGMA = 4.0
-"""Gray levels of 255: standard deviation in a window of seven pixels."""
+"""Gray levels of 255: standard deviation in a window of seven pixels. Chosen by eye."""
 
 _COLORS = np.array(
     [(90, 90, 90), (255, 60, 60), (255, 150, 0), (255, 230, 0), (180, 110, 255), (0, 190, 255), (60, 90, 255), (120, 220, 160),

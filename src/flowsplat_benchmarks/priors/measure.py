@@ -20,9 +20,9 @@ from flowsplat.scenes.ingest import open_clip
 from flowsplat_benchmarks.priors.scenes import TRUE_FLOW, BenchmarkScene
 
 MAX_FLOW_ERROR = 1.0
-"""Pixels up to which flow counts as right."""
+"""Pixels up to which flow counts as right. Chosen by eye."""
 MAX_TRACK_ERROR = 2.0
-"""Pixels up to which a point of a track counts as right."""
+"""Pixels up to which a point of a track counts as right. Chosen by eye."""
 UNKNOWN_FLOW = 1e9
 """Values above this say in a ``.flo`` file that the flow is not known."""
 

@@ -27,10 +27,11 @@ TITLE = "Priors, measured"
 PAGE, TABLE = "priors.html", "priors.md"
 STRIP = "strip.png"
 STRIP_FRAMES = 3
+"""Frames that are shown of a scene. Chosen by eye."""
 STRIP_HEIGHT = 180
-"""Pixels of a row of the strip."""
+"""Pixels of a row of the strip. Chosen by eye."""
 MAX_STRIP_WIDTH = 2000
-"""Pixels of a strip in the page, at most."""
+"""Pixels of a strip in the page, at most. Chosen by eye."""
 
 
 def write_report(out: Path, results: Sequence[Result], failed: Mapping[str, str]) -> Path:

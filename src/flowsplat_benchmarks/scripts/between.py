@@ -36,6 +36,7 @@ from flowsplat.training.trainer import Trainer
 from flowsplat_benchmarks.worlds import draw_world, write_world
 
 WIDTH, HEIGHT, FRAMES, HOLDOUT, TRAINING_STEPS = 320, 180, 40, 5, 300
+"""Pixels and frames of a world, every how many frames one is held out, and training steps."""
 SPEEDS, THICKNESSES, BLURS = (1.0, 3.0, 6.0), (4.0, 8.0, 16.0), (0.5, 1.5)
 """Pixels a frame, pixels, and pixels, between which kinds of pixels differ."""
 

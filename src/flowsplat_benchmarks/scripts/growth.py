@@ -34,16 +34,19 @@ from flowsplat_benchmarks.scripts.cpu_parts.timing import significant, tell
 MODULE = "flowsplat_benchmarks.scripts.growth"
 """This one, which its processes run."""
 TRAINING_STEPS = 60
+"""Training steps of every run."""
 FRAMES = (40, 80, 160, 320)
+"""Numbers of frames that are compared."""
 LONG_SIDE = 320
 """Pixels of the long side where frames are counted; the long clip at 480p is enlarged from that."""
 LONG_CLIP = 300, 854
 """Frames and pixels of that one."""
 LONG_SIDES = (427, 640, 854, 1280, 1920)
+"""Pixels of the long side that are compared."""
 FEW_FRAMES = 16
 """Frames where pixels or Gaussians are counted."""
 MAX_DRAWN_SIDE = 960
-"""Pixels of the images that those are made of; larger ones are enlarged."""
+"""Pixels of the images that those are made of; larger ones are enlarged. Chosen by eye."""
 BACKGROUND_SPACINGS = (3.0, 2.0, 1.5, 1.0, 0.75)
 """Pixels between Gaussians of the background at the start."""
 STAGES = ("ingest", *PRIORS.names, "train", "evaluate", "render")

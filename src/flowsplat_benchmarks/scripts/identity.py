@@ -49,12 +49,13 @@ WORLDS: dict[WorldKind, tuple[range, range]] = {
 BIASES = (-1.0, -1.5, -2.0)
 """That are tried, the weakest first; fragments of all of them are fitted."""
 LOGISTIC_RIDGE, LOGISTIC_STEPS = 1e-2, 25
-"""Of the logistic regression: the weight of the mean squared weight, and Newton's steps."""
+"""Of the logistic regression: the weight of the mean squared weight, and Newton's steps. Chosen by eye."""
 FRAGMENTS_RIDGE = 0.1
+"""``LOGISTIC_RIDGE`` of the fit of fragments. Chosen by eye."""
 MIN_PURITY = 0.7
-"""Share of a fragment that must be on one object."""
+"""Share of a fragment that must be on one object. Chosen by eye."""
 MIN_PAIRS = 50
-"""Without as many, a scene tells nothing."""
+"""Without as many, a scene tells nothing. Chosen by eye."""
 
 
 @dataclass(frozen=True)

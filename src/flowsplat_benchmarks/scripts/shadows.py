@@ -33,10 +33,11 @@ from flowsplat.training.trainer import Trainer
 from flowsplat_benchmarks.worlds import draw_world, write_world
 
 WIDTH, HEIGHT, FRAMES, TRAINING_STEPS, HOLDOUT = 320, 180, 40, 500, 3
+"""Pixels and frames of a world, training steps, and every how many frames one is held out."""
 SUN_LIGHT, SKY_LIGHT, SUN_RISE = 0.6, 0.5, 0.88
-"""Light of the sun and of the sky, and how much higher than wide the direction to the sun is."""
+"""Light of the sun and of the sky, and how much higher than wide the direction to the sun is. Chosen by eye."""
 MIN_DARKENING, MIN_PIXELS = 0.04, 500
-"""Of a shadow, 0 to 1; and pixels of a kind that make a figure."""
+"""Of a shadow, 0 to 1; and pixels of a kind that make a figure. Chosen by eye."""
 KINDS = ("all", "shadow", "hidden", "all else")
 
 

@@ -24,7 +24,7 @@ from flowsplat.scenes.synthetic.worlds.people import (
 )
 
 STICK_SHARE = 0.5
-"""Share of dancers with a stick."""
+"""Share of dancers with a stick. Chosen by eye."""
 
 _ACROSS = np.array([0.0, 1.0, 0.0])
 

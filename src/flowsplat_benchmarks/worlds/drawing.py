@@ -21,31 +21,32 @@ from flowsplat_benchmarks.worlds.plan import WorldPlan, draw_plan
 from flowsplat_benchmarks.worlds.scenery import draw_ground, draw_scenery, draw_sky, draw_stand
 
 BLUR_SHARE, NOISE_SHARE = 0.3, 0.7
-"""Shares of worlds with motion blur and with visible noise."""
+"""Shares of worlds with motion blur and with visible noise. Chosen by eye."""
 
 SUN_SHARE = 0.8
-"""Share of worlds with a sun."""
+"""Share of worlds with a sun. Chosen by eye."""
 
 MAX_ATTEMPTS = 4000
-"""How often everything is placed anew at most."""
+"""How often everything is placed anew at most. Chosen by eye."""
 
 OCCLUSION = 0.9
 """Of the sky's light in crowds: the ground right under a body has .1 to .4 of what it has beside it, as in photographs."""
 
 MIN_SEEN_FRAME_SHARE, MIN_SEEN_AREA = 0.6, 0.0012
-"""Share of the frames in which an object's middle must be in the image and enough of it be seen, and how much is enough: a
-share of the image (69 of 57,600 pixels)."""
+"""Share of the frames in which an object's middle must be in the image and enough of it be seen, and how much is enough: a share
+of the image (69 of 57,600 pixels). Chosen by eye."""
 
 MAX_OBJECT_SHARE = 0.35
-"""Share of the image that an object may fill."""
+"""Share of the image that an object may fill. Chosen by eye."""
 
 MIN_GROUND_AREA, MAX_HIDDEN_GROUND_AREA = 0.08, 0.004
-"""Share of the image that the ground fills at least where it is to be seen, and at most where not."""
+"""Share of the image that the ground fills at least where it is to be seen, and at most where not. Chosen by eye."""
 
 MIN_SECOND_STEP_SHARE = 0.1
-"""Share of the ground in sight that a second step fills at least, where there are steps."""
+"""Share of the ground in sight that a second step fills at least, where there are steps. Chosen by eye."""
 
 _CHECK_WIDTH, _CHECK_FRAMES = 80, 10
+"""Pixels of width of the small images that are looked at, and their number. Chosen by eye."""
 
 
 def draw_world(

@@ -26,19 +26,20 @@ from flowsplat_benchmarks.worlds.dancers import dancer
 from flowsplat_benchmarks.worlds.plan import WorldPlan
 
 HEIGHT_RANGE = (0.08, 0.7)
-"""Shares of the image's height between which objects are drawn."""
+"""Shares of the image's height between which objects are drawn. Chosen by eye."""
 
 DANCER_HEIGHT_RANGE = (0.5, 0.9)
-"""The same of dancers."""
+"""The same of dancers. Chosen by eye."""
 
 CROWD_HEIGHT_RANGE = (0.2, 0.7)
-"""The same in crowds."""
+"""The same in crowds. Chosen by eye."""
 
 CROWD_SATURATION, CROWD_BRIGHTNESS = 0.1, (0.06, 0.5)
-"""Plain clothes of a crowd: the share of a color's saturation that is left at most, and between which brightness they lie."""
+"""Plain clothes of a crowd: the share of a color's saturation that is left at most, and between which brightness they lie.
+Chosen by eye."""
 
 MIN_DISTANCE, MAX_DISTANCE = 1.4, 24.0
-"""Meters between which objects are drawn."""
+"""Meters between which objects are drawn. Chosen by eye."""
 
 
 @dataclass(frozen=True)

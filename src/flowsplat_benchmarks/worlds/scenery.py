@@ -13,7 +13,7 @@ from flowsplat_benchmarks.worlds.objects import Scale
 from flowsplat_benchmarks.worlds.plan import WorldPlan
 
 SKY_DISTANCE = 90.0
-"""Meters to where the sky is painted."""
+"""Meters to where the sky is painted. Chosen by eye."""
 
 
 def draw_ground(rng: np.random.Generator, kind: GroundKind, distance: float) -> WorldGround:

@@ -23,15 +23,17 @@ from flowsplat.common.files.opening import ordinary_file
 from flowsplat.common.syntax import PARSING
 
 MAX_ARRAY_BYTES = 96 * 2**20
-"""Of the arrays that are read from one file, where the caller does not know better."""
+"""Of the arrays that are read from one file, where the caller does not know better. Chosen by eye."""
 _KINDS = "biuf"
 """Truth values, whole numbers and floats: everything else needs pickle, or is not used by any format."""
 _PACKED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2)
 """How NumPy and rig scenes pack."""
 _MAX_ZIP_MEMBERS = 4096
+"""Files in a zip, at most. A round number, against archives made to exhaust memory."""
 _MAX_ZIP_DIRECTORY_BYTES = 2**20
-"""Bytes of a zip's directory."""
+"""Bytes of a zip's directory. Chosen by eye."""
 _MAX_AXIS_LENGTH = 2**31
+"""Length of one axis of an array, at most (exclusive): what a signed 32-bit index reaches."""
 _BOM = b"\x93NUMPY"
 
 

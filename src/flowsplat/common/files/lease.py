@@ -34,12 +34,13 @@ except ImportError:  # Windows
 
 NAME = ".lock"
 _MAX_HOLDER_BYTES = 1000
-"""Bytes of the file."""
+"""Bytes of the file. Chosen by eye."""
 
 BEAT_SECONDS = 15.0
-"""Seconds between two signs of life of who holds a claim."""
+"""Seconds between two signs of life of who holds a claim. Chosen by eye."""
 DEAD_SECONDS = 120.0
-"""Seconds without one after which a holder on another machine counts as dead; on its own it is asked for by its number."""
+"""Seconds without one after which a holder on another machine counts as dead; on its own it is asked for by its number.
+Chosen by eye."""
 
 _held: dict[tuple[int, int], int] = {}
 """How often this process has taken what it holds, by device and number of the folder."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from flowsplat.common.errors import InputError
 
 MAX_TEXT_BYTES = 64 * 2**20
-"""Bytes of a text file."""
+"""Bytes of a text file. Chosen by eye."""
 
 _KINDS = {
     stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket", stat.S_IFCHR: "a device", stat.S_IFBLK: "a device",

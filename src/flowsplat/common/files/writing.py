@@ -20,7 +20,7 @@ from flowsplat.common.files.opening import ordinary_file
 
 _PARTIAL = re.compile(r"\..+\.([0-9]{1,9})\.partial(\.[^.]+)?")
 _HASHED_EDGE_BYTES = 65536
-"""Bytes at both ends of a file that enter its hash."""
+"""Bytes at both ends of a file that enter its hash. Chosen by eye."""
 
 
 @contextlib.contextmanager

@@ -16,6 +16,7 @@ from flowsplat.geometry import Camera
 from flowsplat.splatting.rules import TANGENT_MARGIN
 
 CHUNKS = 64
+"""Ranges into which Gaussians are cut, whatever the number of threads."""
 CULL_SIGMAS, BLUR_RADIUS, CULL_MARGIN = (
     np.float32(reference.CULL_SIGMAS),
     np.float32(reference.BLUR_SIGMA),

@@ -20,6 +20,7 @@ from flowsplat.geometry import Camera
 from flowsplat.splatting.rules import TANGENT_MARGIN
 
 BLOCK = 1024
+"""Gaussians of one program. A power of two, as Triton asks."""
 CULL_SIGMAS, BLUR_RADIUS, CULL_MARGIN = (
     tl.constexpr(reference.CULL_SIGMAS),
     tl.constexpr(reference.BLUR_SIGMA),

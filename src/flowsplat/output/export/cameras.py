@@ -19,6 +19,7 @@ from flowsplat.output.export.still import Still
 from flowsplat.scenes import Scene
 
 MAX_POINTS = 100_000
+"""Points that are written, at most, evenly chosen. A round number."""
 
 
 def frame_names(scene: Scene) -> list[str]:

@@ -18,12 +18,12 @@ from flowsplat.gaussians.gaussians4d import Gaussians4D
 from flowsplat.geometry.rotations import normalize_quats, principal_axes
 
 TIME_NODES = 12
-"""Times at which the motion is looked at; the degree of a series stays below."""
+"""Times at which the motion is looked at; the degree of a series stays below. Chosen by eye."""
 MIN_LOG_PRECISION = math.log(1e-3)
 """Log precision below which p(t) is 1 everywhere in the clip, to within 0.001."""
 _CHANGING = "A motion model whose Gaussians change their shape in time cannot be put into the player."
 _WITHIN_TOLERANCE = 0.999
-"""Share of the Gaussians whose series keep the tolerance."""
+"""Share of the Gaussians whose series keep the tolerance. Chosen by eye."""
 
 
 @dataclass(frozen=True)
@@ -100,9 +100,9 @@ def fit_motion(
 
 
 def _fit(values: Tensor, nodes: Tensor, tolerance: float) -> Tensor:
-    """Fit values [M, NODES, C] at the nodes to coefficients [M, degree + 1, C] of the lowest degree that keeps the tolerance."""
+    """Fit values [M, ``TIME_NODES``, C] to coefficients [M, degree + 1, C] of the lowest degree that keeps the tolerance."""
     degrees = torch.arange(TIME_NODES, dtype=torch.float64)
-    basis = torch.cos(degrees[None] * torch.arccos(nodes)[:, None])  # [NODES, NODES], T_k at the nodes
+    basis = torch.cos(degrees[None] * torch.arccos(nodes)[:, None])  # [TIME_NODES, TIME_NODES], T_k at the nodes
     weights = basis * torch.where(degrees == 0, 1.0, 2.0) / TIME_NODES
     coefficients = torch.einsum("jk,mjc->mkc", weights.to(values), values)
     if not len(values):

@@ -34,14 +34,15 @@ from flowsplat.splatting.rules import ALPHA_MAX, ALPHA_MIN, EPS2D
 
 VERSION = 1
 CHUNK_GAUSSIANS = 256
-"""Gaussians that share a box of positions."""
+"""Gaussians that share a box of positions. Chosen by eye."""
 PIXEL_TOLERANCE = 1 / 32
-"""Pixels of the clip by which rounding may move a Gaussian."""
+"""Pixels of the clip by which rounding may move a Gaussian. Chosen by eye."""
 QUAT_TOLERANCE = 0.004
 """Largest error of the series of a unit quaternion: half a degree."""
 DEFAULT_SWING, DEFAULT_DOLLY = 6.0, 1.5
-"""Where it is not known how far the clip tells."""
+"""Where it is not known how far the clip tells. Chosen by eye."""
 _MIN_SCALE, _MAX_SCALE = 1e-5, 1e2
+"""Median depths between which the scales of Gaussians are kept, so that their logarithms fit the steps. Round numbers."""
 _MAX_LOG_LAMBDA = 18.0
 """Log precision beyond which a Gaussian is seen for less than a ten-thousandth of the clip."""
 

@@ -28,6 +28,7 @@ SHADERS = (
     "slice.glsl", "slice.frag", "splat.vert", "splat.frag", "whole.vert", "shrink.frag", "spread.frag", "present.frag",
 )  # fmt: skip
 _POSTER_QUALITY = 80
+"""Of the JPEG of the poster. Chosen by eye."""
 
 
 def write_player(

@@ -18,15 +18,17 @@ from flowsplat.priors.objects.areas import large_objects
 from flowsplat.scenes import Scene
 
 SWING_ANGLES = (3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0)
-"""Degrees to choose from; the first where none is good."""
+"""Degrees to choose from; the first where none is good (docs/method.md, "Evaluation protocols")."""
 DOLLY_FACTORS = (1.1, 1.2, 1.3, 1.4, 1.5)
-"""Factors of the distance to choose from, likewise."""
+"""Factors of the distance to choose from, likewise (docs/method.md, "Evaluation protocols")."""
 MAX_OBJECT_ERROR = 0.02
-"""Share of the width of the image by which the largest objects may stand beside their place, by one standard deviation."""
+"""Share of the width of the image by which the largest objects may stand beside their place, by one standard deviation
+(docs/method.md, "Evaluation protocols")."""
 MAX_UNKNOWN_SHARE = 0.06
-"""Share of the image, on average over a loop, that the clip does not tell, beyond what it does not tell of its own views."""
+"""Share of the image, on average over a loop, that the clip does not tell, beyond what it does not tell of its own views
+(docs/method.md, "Evaluation protocols")."""
 _PROBE_CAMERAS = 4
-"""Cameras of a loop that are looked at: where it turns."""
+"""Cameras of a loop that are looked at: where it turns. Chosen by eye."""
 
 _Look = tuple[Camera, Camera, float]
 """The clip's camera, the one that is looked by, and the seconds."""

@@ -16,9 +16,9 @@ from flowsplat.output.camera_files import MAX_SIDE
 PathName = Literal["input", "stabilized", "orbit", "bullet", "dolly", "wiggle"]
 
 _MIN_SIDE = 16
-"""Pixels of width."""
+"""Pixels of width. Chosen by eye."""
 MAX_FRAMES = 100_000
-"""Of a video."""
+"""Of a video. Chosen by eye."""
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ from flowsplat.output.videos.stabilized import stabilize
 from flowsplat.scenes import Scene
 
 WIGGLE_FRAMES = 16
+"""Frames of one swing of a wiggle, there and back. Chosen by eye."""
 WIGGLE_FPS = 12.5
 """A GIF counts time in hundredths of a second."""
 _SUFFIXES = {"stereo": "mp4", "alpha": "webm", "gif": "gif"}

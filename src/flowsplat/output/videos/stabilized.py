@@ -13,9 +13,10 @@ from flowsplat.geometry.paths import crop_camera, smooth_path
 from flowsplat.output.videos.shots import MIN_ALPHA, Shot
 
 _MIN_KEPT_SHARE = 0.7
-"""Share of width and height that a stabilized video keeps at least; rather than cut more off, it is smoothed less."""
+"""Share of width and height that a stabilized video keeps at least; rather than cut more off, it is smoothed less. Chosen by eye.
+"""
 _PROBE_WIDTH = 160
-"""Pixels of the images in which uncovered borders are looked for."""
+"""Pixels of the images in which uncovered borders are looked for. Chosen by eye."""
 _MARGIN_PIXELS = 1
 """Pixels of these images: Gaussians are blurred to a pixel, so that small images look covered a little further."""
 

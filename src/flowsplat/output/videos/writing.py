@@ -24,7 +24,7 @@ from flowsplat.output.videos.plans import VideoPlan
 from flowsplat.output.videos.shots import MIN_ALPHA, Shot, small
 
 _PROBE_SHOTS = 5
-"""Shots that are looked at before a video is made, to fix its color scales."""
+"""Shots that are looked at before a video is made, to fix its color scales. Chosen by eye."""
 _MAX_PANEL_WIDTH = 1280
 """Pixels. Three panels beside each other then stay below what hardware decoders take."""
 

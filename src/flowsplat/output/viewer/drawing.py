@@ -26,11 +26,11 @@ ImageKind = Literal["color", "flow", "depth", "alpha", "Gaussians"]
 Compare = Literal["off", "beside", "wipe"]
 
 _TRACK_TAIL = 8
-"""Frames that a track on the input image reaches back."""
+"""Frames that a track on the input image reaches back. Chosen by eye."""
 _MAX_TRACKS = 250
-"""Of objects, and of the background; more hide the image."""
+"""Of objects, and of the background; more hide the image. Chosen by eye."""
 _BACKGROUND_GRAY = 24
-"""Gray value behind Gaussians that are shown as points."""
+"""Gray value behind Gaussians that are shown as points. Chosen by eye."""
 _MAX_DEPTH = 150.0
 """What viser can say of a depth ends at 167."""
 _BOTH_EYES = (-1, 1)

@@ -30,7 +30,7 @@ from flowsplat.output.viewer.source import Source
 from flowsplat.output.viewer.worker import Worker
 
 _JPEG_QUALITY = 75
-"""Of the JPEGs of a path that is played."""
+"""Of the JPEGs of a path that is played. Chosen by eye."""
 _READY_HINT = "The paths that flowsplat render knows, at the speed set above; bullet, dolly and wiggle at this moment of the clip."
 _RECORDINGS_HINT = "mp4 and gif: what is shown, for two eyes if so set. webm: what moves, on transparent."
 

@@ -16,13 +16,15 @@ import msgspec
 MAX_UPLOAD_BYTES = 16 * 2**20
 """Bytes of a file that is uploaded: as much as the reader of JSON takes."""
 _MAX_CHARACTERS = 1000
-"""Characters of a text."""
+"""Characters of a text. Chosen by eye."""
 _MAX_COORDINATE = 1e9
-"""Of a camera, in the browser's coordinates."""
+"""Of a camera, in the browser's coordinates. Chosen by eye."""
 _MAX_WINDOW_SIDE = 16_384
+"""Pixels of a browser's window. A round number beyond any screen."""
 _MAX_UPLOAD_PARTS = 1024
+"""Parts of one upload, at most. A round number."""
 _MAX_UPLOADS = 4
-"""Uploads at once."""
+"""Uploads at once. Chosen by eye."""
 
 Receive = Callable[[], Awaitable[Any]]
 

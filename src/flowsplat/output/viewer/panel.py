@@ -26,23 +26,24 @@ from flowsplat.scenes import Scene
 
 _SPEEDS = {"1/10": 0.1, "1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0}
 _MAX_FRUSTA = 24
+"""Cameras of the path that are drawn, at most. Chosen by eye."""
 _FRUSTUM_SIZE = 0.25
-"""Size of a frustum in the browser's coordinates."""
+"""Size of a frustum in the browser's coordinates. Chosen by eye."""
 _PIVOT_DISTANCE = {"orbit": SCENE_DEPTH, "fly": 0.05}
 """How far ahead of the camera the point lies round which dragging turns it."""
 _TIME_STEP = 0.001
-"""Seconds."""
+"""Seconds. Chosen by eye."""
 _MAX_ENLARGEMENT = 2
-"""Times the size of the clip. Beyond that, the gaps between Gaussians are seen rather than the scene."""
+"""Times the size of the clip. Beyond that, the gaps between Gaussians are seen rather than the scene. Chosen by eye."""
 _MODE_HINT = "Orbit turns round the scene, fly looks about; W A S D Q E move. The input camera stays the clip's."
 _MAX_OBJECTS = 16
-"""Objects that can be chosen: those with the most Gaussians."""
+"""Objects that can be chosen: those with the most Gaussians. Chosen by eye."""
 _DISTANCE_RANGE, _DISTANCE_STEP = (0.3, 3.0), 0.01
-"""Times as far from the clip's camera as trained."""
+"""Times as far from the clip's camera as trained. Chosen by eye."""
 _CONFIDENCE_FADE_HINT = "What the clip has not seen well enough to tell what it looks like from here is black."
 _DISTANCE_HINT = "Times as far from the clip's camera. The clip's own frames stay as they are, but for who hides whom."
 _STILL_QUALITY, _MOVING_QUALITY = 92, 75
-"""Of the JPEGs."""
+"""Of the JPEGs. Chosen by eye."""
 
 
 class Panel:

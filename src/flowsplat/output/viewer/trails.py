@@ -9,8 +9,9 @@ import torch
 from flowsplat.gaussians.model import SceneModel
 
 _MAX_TRAILS = 300
+"""Gaussians whose trails are drawn, at most. Chosen by eye."""
 _TRAIL_TIMES = 40
-"""Times of the clip at which a trail is looked at."""
+"""Times of the clip at which a trail is looked at. Chosen by eye."""
 
 
 @torch.no_grad()

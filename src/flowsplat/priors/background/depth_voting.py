@@ -17,11 +17,11 @@ from flowsplat.geometry import Camera
 from flowsplat.priors.background.reprojection import reproject
 
 SURFACE_TOLERANCE = 0.02
-"""Share of the inverse depth by which two values of one surface differ at most."""
+"""Share of the inverse depth by which two values of one surface differ at most (docs/method.md, "Flow, masks and depth")."""
 FARTHER_VOTE_SHARE = 0.8
-"""Share of the most votes that is enough for a surface that lies farther back."""
+"""Share of the most votes that is enough for a surface that lies farther back (docs/method.md, "Flow, masks and depth")."""
 OWN_VOTES = 1.5
-"""Votes of the frame itself, a little more than that of any other."""
+"""Votes of the frame itself, a little more than that of any other. Chosen by eye."""
 
 
 def vote_on_depth(

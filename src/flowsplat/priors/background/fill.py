@@ -8,18 +8,19 @@ import numpy as np
 from flowsplat.images.edge_smoothing import EdgeSmoother
 
 EDGE_AWARE_SMOOTHNESS = 30.0
+"""Of the smoother along the edges of the image, as in the fast global smoother. Chosen by eye."""
 
 SMOOTHED_WEIGHT = 50.0
-"""Weight of a smoothed value against that of the value itself."""
+"""Weight of a smoothed value against that of the value itself. Chosen by eye."""
 
 TREND_SMOOTHNESS = 10_000.0
-"""Of the trend, which knows no edges."""
+"""Of the trend, which knows no edges. Chosen by eye."""
 
 TREND_WEIGHT = 0.1
-"""Weight of the trend."""
+"""Weight of the trend. Chosen by eye."""
 
 COLOR_SIGMA = 8.0
-"""Gray levels across which the smoother no longer reaches."""
+"""Gray levels across which the smoother no longer reaches. Chosen by eye."""
 
 
 def fill(

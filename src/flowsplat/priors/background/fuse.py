@@ -11,7 +11,7 @@ from flowsplat.common.threads import parallel_for
 from flowsplat.geometry import Camera
 
 AGREEMENT_DISTANCE = 1.5
-"""Working pixels: a neighbor agrees if its point lands this close to where the pixel's own point lands."""
+"""Working pixels: a neighbor agrees if its point lands this close to where the pixel's own point lands. Chosen by eye."""
 
 
 def fuse(

@@ -19,27 +19,32 @@ from flowsplat.geometry import Camera
 from flowsplat.geometry.cameras import unproject_depth
 
 MAX_NORMAL_TILT = 35.0
-"""Degrees between the ground's normal and the mean upward direction of the cameras."""
+"""Degrees between the ground's normal and the mean upward direction of the cameras (docs/method.md, "Distance of objects")."""
 MAX_SLOPE = 35.0
-"""Degrees by which a surface may slope and still be ground."""
+"""Degrees by which a surface may slope and still be ground. Chosen by eye."""
 PLANE_TOLERANCE = 0.012
-"""Share of a point's depth that it may lie off a plane."""
+"""Share of a point's depth that it may lie off a plane. Chosen by eye."""
 PLANE_HALF_WEIGHT = 0.3
-"""Tolerances off a plane at which a point counts half."""
+"""Tolerances off a plane at which a point counts half. Chosen by eye."""
 BELOW_PLANE_WEIGHT = 1.0
-"""How much a point that lies below a plane speaks against it, where one on it speaks for it: nothing is below the ground."""
+"""How much a point that lies below a plane speaks against it, where one on it speaks for it: nothing is below the ground.
+Chosen by eye."""
 MIN_GROUND_SHARE = 0.03
-"""Share of all static points from which there is a ground."""
+"""Share of all static points from which there is a ground. Chosen by eye."""
 MIN_PLANE_SHARE = 0.5
-"""Share of what faces up that must lie near the plane for it to be taken on where nothing was seen: steps and terraces end."""
+"""Share of what faces up that must lie near the plane for it to be taken on where nothing was seen: steps and terraces end.
+Chosen by eye."""
 CELL_SIZE = 0.015
-"""Side of a cell of the map, in units of the median depth of its points."""
+"""Side of a cell of the map, in units of the median depth of its points (docs/method.md, "Distance of objects")."""
 MAX_CARRY_CELLS = 8
-"""Cells across which heights are carried to where nothing was seen: what an object always hides."""
+"""Cells across which heights are carried to where nothing was seen: what an object always hides (docs/method.md, "Distance of
+objects")."""
 HEIGHT_PERCENTILE = 40
-"""Percentile of the heights in a cell that counts: what stands on the ground is above it."""
+"""Percentile of the heights in a cell that counts: what stands on the ground is above it. Chosen by eye."""
 _PLANE_SAMPLES, _PLANE_TRIES, _PLANE_REFITS = 4000, 1500, 5
+"""Points that judge a plane, planes that are tried, and rounds in which the best is fitted anew. Chosen by eye."""
 _MAX_MAP_SIDE = 1500
+"""Cells of a side of the map, at most, for the memory: cells grow beyond. Chosen by eye."""
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from flowsplat.priors.flow import FlowEstimator, compose, dis_estimator, forward
 from flowsplat.scenes import Scene
 
 FLOW_STRIDES = (1, 2, 4, 8, 16)
-"""Steps between training frames, each twice the one before."""
+"""Steps between training frames, each twice the one before (docs/method.md, "Flow, masks and depth")."""
 
 
 def compute_working_size(scene: Scene) -> tuple[int, int]:

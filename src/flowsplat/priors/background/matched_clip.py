@@ -25,14 +25,14 @@ SURE_PARALLAX_INFORMATION = 25.0
 """Squared working pixels of information above which a depth is sure: 4 % per 0.2 pixels of noise."""
 
 MAX_REST_NOISES = 3.0
-"""Multiples of the noise up to which the matches of a pixel are those of a scene at rest."""
+"""Multiples of the noise up to which the matches of a pixel are those of a scene at rest. Chosen by eye."""
 
 MIN_SURE_SHARE = 0.03
-"""Share of pixels with sure depth from which a clip has parallax."""
+"""Share of pixels with sure depth from which a clip has parallax (docs/method.md, "Flow, masks and depth")."""
 
 WEAK_PARALLAX, MIN_WEAK_SHARE = 2.0, 0.3
-"""The same where all is less sure: 14 % per 0.2 pixels of noise, but known of so many pixels. Still far better than a guess:
-on a rendered room a camera that turns and travels by 0.6 degrees of parallax gives depth that is 4 % off, guessed 28 %."""
+"""The same where all is less sure: 14 % per 0.2 pixels of noise, but known of so many pixels. Still far better than a guess: on a
+rendered room a camera that turns and travels by 0.6 degrees of parallax gives depth that is 4 % off, guessed 28 %."""
 
 SOLUTIONS = "multiview"
 """Folder of the scene with the solutions, of no use once masks and depth exist."""

@@ -17,19 +17,20 @@ from flowsplat.geometry import Camera
 from flowsplat.priors.flow import lengths
 
 ROBUST_SCALE = 0.5
-"""Working pixels: a residual of this size has half its weight (Cauchy)."""
+"""Working pixels: a residual of this size has half its weight (Cauchy). Chosen by eye."""
 
 DEPTH_ITERATIONS = 5
+"""Gauss-Newton steps for every pixel. Chosen by eye."""
 
 RIM_PARTS = 12
-"""The outermost this many-th part of the image on each side is its rim."""
+"""The outermost this many-th part of the image on each side is its rim. Chosen by eye."""
 
 MIN_RIM_MATCHES = 50
-"""Matches on the rim that are enough to judge by."""
+"""Matches on the rim that are enough to judge by. Chosen by eye."""
 
 MAX_RIM_NOISE_FACTOR = 2.0
 """Times the median error on the rim is the most that counts as noise. The median of all matches is below it in clips whose
-objects fill less than half of the image."""
+objects fill less than half of the image. Chosen by eye."""
 
 
 @dataclass(frozen=True)

@@ -16,31 +16,34 @@ from flowsplat.priors.background.matched_clip import MatchedClip
 from flowsplat.priors.background.reprojection import reproject, uncover
 
 FUSION_OFFSETS = (2, 4, 8, 16)
-"""Training frames before and after, whose depth is fused with a frame's own."""
+"""Training frames before and after, whose depth is fused with a frame's own. Chosen by eye."""
 
 PLATE_OFFSETS = (2, 4, 8, 16, 24)
-"""Training frames before and after, from which hidden background is taken."""
+"""Training frames before and after, from which hidden background is taken. Chosen by eye."""
 
 MAX_INVERSE_DEPTH, MIN_INVERSE_DEPTH = 20.0, 0.01
-"""Inverse depths above the first multiple of the clip's median are mistakes; those below the second are as good as at it."""
+"""Inverse depths above the first multiple of the clip's median are mistakes; those below the second are as good as at it.
+Chosen by eye."""
 
 SURE_WEIGHT = 5.0
-"""Weight from which a value speaks for pixels of other frames, and below which it gives way to theirs."""
+"""Weight from which a value speaks for pixels of other frames, and below which it gives way to theirs. Chosen by eye."""
 
 GUESS_WEIGHT = 6.0
-"""Weight of a guess: little more than what is trusted."""
+"""Weight of a guess: little more than what is trusted. Chosen by eye."""
 
 _REJECTED_WEIGHT_FACTOR = 0.02
-"""What remains of a weight that more neighbors contradict than confirm."""
+"""What remains of a weight that more neighbors contradict than confirm. Chosen by eye."""
 
 _PLATE_SMOOTHNESS = 100.0
+"""Of the smoother that fills the background behind objects, which follows no edges. Chosen by eye."""
 
 _MIN_KNOWN_SHARE = 1e-3
-"""Share of pixels with a known value, below which a frame's depth is guessed."""
+"""Share of pixels with a known value, below which a frame's depth is guessed. Chosen by eye."""
 
 CONFIRMING_FRAMES = 24
 """Frames, evenly over a piece of the clip, before whose static scene an object stands. The depth of frames far apart differs by
-some percent, and where an object were behind what one of them saw, it would make that vanish."""
+some percent, and where an object were behind what one of them saw, it would make that vanish (docs/method.md, "Flow, masks and
+depth")."""
 
 _KEPT_FRAMES = 2 * PLATE_OFFSETS[-1] + 16 + CONFIRMING_FRAMES
 """Frames in memory: on a walk over the clip every one is asked for again until it lies behind the furthest neighbor."""

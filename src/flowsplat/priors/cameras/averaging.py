@@ -24,18 +24,19 @@ from flowsplat.priors.cameras.refinement import place_points, track_errors
 from flowsplat.priors.cameras.twoview import MIN_COMMON_TRACKS, essential, intrinsics
 
 FRAME_STRIDES = (1, 2, 3, 5, 8, 12, 20, 32)
-"""Distances in time of the frames that are compared."""
+"""Distances in time of the frames that are compared (docs/method.md, "Cameras")."""
 MIN_PURE_TURN_SHARE = 0.9
-"""Share of the matches of an epipolar geometry that a mere turn must explain, so that the turn is taken."""
+"""Share of the matches of an epipolar geometry that a mere turn must explain, so that the turn is taken. Chosen by eye."""
 MAX_TURN_ERROR = 1.5
-"""Pixels by which matches may miss a turn and still follow it."""
+"""Pixels by which matches may miss a turn and still follow it. Chosen by eye."""
 ROTATION_SCALE = np.radians(0.5)
-"""Disagreement between two rotations from which a pair loses its influence."""
+"""Disagreement between two rotations from which a pair loses its influence. Chosen by eye."""
 RAY_SCALE = 0.01
-"""Radians by which a ray may miss its point before it loses its influence."""
+"""Radians by which a ray may miss its point before it loses its influence. Chosen by eye."""
 AVERAGING_ROUNDS = 12
+"""Rounds of reweighting of the averaged rotations. Chosen by eye."""
 COARSE_SCALES = (8.0, 3.0)
-"""Scales of the Cauchy cost, in pixels, of the first adjustments: averaged rotations are off by a few pixels."""
+"""Scales of the Cauchy cost, in pixels, of the first adjustments: averaged rotations are off by a few pixels. Chosen by eye."""
 
 
 @dataclass(frozen=True)

@@ -19,13 +19,13 @@ from flowsplat.common.kernels import kernel
 MIN_DEPTH = 1e-4
 """Depths below this are replaced by it: such an observation is an outlier and only has to stay finite."""
 POINTS_PER_GROUP = 256
-"""Points that are eliminated together."""
+"""Points that are eliminated together. Chosen by eye."""
 LENS_PARAMETERS = 2
 """Parameters that all cameras share: the distortion, then the logarithm of the focal length."""
 MIN_INVERSE_LEFT = 0.1
-"""Share of a point's inverse distance that a step leaves at least."""
+"""Share of a point's inverse distance that a step leaves at least. Chosen by eye."""
 USUAL_DISTORTION = 0.3
-"""Distortion that costs as much as a focal length that is wrong by a factor of e."""
+"""Distortion that costs as much as a focal length that is wrong by a factor of e. Chosen by eye."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class CameraPrior(Protocol):
         """Return square pixels."""
 
     def add_to(self, H: np.ndarray, g: np.ndarray, state: Reconstruction) -> None:
-        """Add the gradient and the curvature to the normal equations [6T + LENS], in place."""
+        """Add the gradient and the curvature to the normal equations [6T + LENS_PARAMETERS], in place."""
 
 
 @dataclass(frozen=True)
@@ -186,7 +186,7 @@ def adjust(
 
 
 def free_parameters(count: int, fixed_camera: int, focal: bool, distortion: bool, translations: bool = True) -> np.ndarray:
-    """Return indices of the parameters [6 count + LENS] of poses and lens that may change."""
+    """Return indices of the parameters [6 count + LENS_PARAMETERS] of poses and lens that may change."""
     free = np.ones(6 * count + LENS_PARAMETERS, bool)
     free[6 * fixed_camera : 6 * fixed_camera + 6] = False
     if not translations:
@@ -201,7 +201,7 @@ def compute_scale_direction(state: Reconstruction, fixed_camera: int) -> np.ndar
 
 
 def information(state: Reconstruction, seen: BundleObservations, scale: float, priors: Sequence[CameraPrior]) -> np.ndarray:
-    """Curvature [6T + LENS, 6T + LENS] of the cost along poses and lens, once all points have adapted."""
+    """Curvature [6T + LENS_PARAMETERS, 6T + LENS_PARAMETERS] of the cost along poses and lens, once all points have adapted."""
     first = np.searchsorted(seen.point, np.arange(len(state.points) + 1))
     H, g, Hp, gp, cross, cross_lens = _linearize(*_plain(state, seen), scale)
     for each in priors:

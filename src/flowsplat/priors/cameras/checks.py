@@ -10,16 +10,16 @@ import numpy as np
 from flowsplat.priors.cameras.estimate import CameraEstimate
 
 UNCERTAIN_FOCAL = 0.05
-"""Standard deviation of log focal from which the focal length counts as a guess."""
+"""Standard deviation of log focal from which the focal length counts as a guess. Chosen by eye."""
 LARGE_ERROR = 0.5
-"""Pixels of the working size from which the fit counts as poor (docs/method.md, "Evaluation protocols": half a pixel costs 3
-dB)."""
+"""Pixels of the working size from which the fit counts as poor (docs/method.md, "Evaluation protocols": half a pixel costs 3 dB).
+"""
 MIN_PARALLAX = 0.5
-"""Degrees below which depth from the camera's motion counts as uncertain."""
+"""Degrees below which depth from the camera's motion counts as uncertain. Chosen by eye."""
 MIN_STATIC_SHARE = 0.4
-"""Share of static tracks below which the cameras may follow something that moves."""
+"""Share of static tracks below which the cameras may follow something that moves. Chosen by eye."""
 MAX_NAMED_FRAMES = 6
-"""Frames or stretches of frames that a sentence lists."""
+"""Frames or stretches of frames that a sentence lists. Chosen by eye."""
 
 
 @dataclass(frozen=True)

@@ -21,27 +21,30 @@ from flowsplat.priors.cameras.selection import choose_tracks, on_rim
 from flowsplat.priors.cameras.twoview import MIN_COMMON_TRACKS, chain_rotations, rank_pairs
 
 USUAL_FOCAL = 0.9
-"""Focal length over width that is expected before looking: about 58 degrees across."""
+"""Focal length over width that is expected before looking: about 58 degrees across. Chosen by eye."""
 START_FOCALS = (0.9, 0.6, 1.5)
-"""Focal lengths over width from which the search starts."""
+"""Focal lengths over width from which the search starts. Chosen by eye."""
 MAX_SUCCESSES = 3
-"""Complete reconstructions after which the search ends."""
+"""Complete reconstructions after which the search ends. Chosen by eye."""
 SIMPLER_MISFIT_RATIO = 1.5
-"""A simpler kind of motion is believed unless a richer one lowers the misfit by more than this factor."""
+"""A simpler kind of motion is believed unless a richer one lowers the misfit by more than this factor
+(docs/method.md, "Cameras")."""
 NEGLIGIBLE_MISFIT = 0.04
 """A misfit that errors of a tenth of a pixel cause: below it no richer motion is tried."""
 FOCAL_TOLERANCE = 0.005
-"""Two complete reconstructions whose focal lengths differ by less than this fraction are taken for the same."""
+"""Two complete reconstructions whose focal lengths differ by less than this fraction are taken for the same. Chosen by eye."""
 MAX_STARTS = 15
-"""Attempts at a reconstruction, whatever comes of them."""
+"""Attempts at a reconstruction, whatever comes of them. Chosen by eye."""
 MIN_STILL_RIM = 0.5
-"""Share of what is seen along the image's rim that must stand still; below it the cameras follow something in front."""
+"""Share of what is seen along the image's rim that must stand still; below it the cameras follow something in front.
+Chosen by eye."""
 MAX_STATIC_ERROR = 0.5
-"""Pixels by which a track may miss its point and still stand still, or four times the median error where that is more."""
+"""Pixels by which a track may miss its point and still stand still, or four times the median error where that is more.
+Chosen by eye."""
 MIN_HOMOGRAPHY_SHARE = 0.97
-"""Share of static tracks that one homography must explain in a scene without depth variation."""
+"""Share of static tracks that one homography must explain in a scene without depth variation. Chosen by eye."""
 MAX_JUDGES = 4000
-"""About how many tracks decide between kinds of motion, at most."""
+"""About how many tracks decide between kinds of motion, at most. Chosen by eye."""
 
 
 @dataclass(frozen=True)

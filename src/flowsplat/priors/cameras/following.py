@@ -14,19 +14,19 @@ from flowsplat.priors.tracks.patches import Patches, align
 from flowsplat.scenes import Scene
 
 WORKING_SIDE = 854
-"""Pixels of the longer side at which points are followed; larger images are reduced."""
+"""Pixels of the longer side at which points are followed; larger images are reduced. Chosen by eye."""
 POINTS_AT_A_TIME = 2000
-"""About how many points are followed at a time."""
+"""About how many points are followed at a time. Chosen by eye."""
 MIN_FLOW_SIDE = 100
-"""Pixels of the shorter side down to which images are halved for the flow that predicts where points went."""
+"""Pixels of the shorter side down to which images are halved for the flow that predicts where points went. Chosen by eye."""
 PATCH_SIDE = 15
-"""Side of the square of pixels that is compared round a point: large, because precision decides."""
+"""Side of the square of pixels that is compared round a point: large, because precision decides (docs/method.md, "Cameras")."""
 MIN_SIMILARITY = 0.6
-"""Structural similarity from which a point's surroundings are still those of the frame that they were cut from."""
+"""Structural similarity from which a point's surroundings are still those of the frame that they were cut from. Chosen by eye."""
 MAX_DISAGREEMENT = 1.0
-"""Pixels between both answers, from frame to frame and from those surroundings, up to which they are the same."""
+"""Pixels between both answers, from frame to frame and from those surroundings, up to which they are the same. Chosen by eye."""
 MAX_PATCH_AGE = 20
-"""Frames after which a point's surroundings are cut anew."""
+"""Frames after which a point's surroundings are cut anew (docs/method.md, "Cameras")."""
 
 
 class _Surroundings:

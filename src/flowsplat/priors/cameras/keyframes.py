@@ -12,22 +12,24 @@ from flowsplat.priors.cameras.bundle import MIN_DEPTH, Reconstruction
 from flowsplat.priors.cameras.refinement import track_errors, with_points
 
 MAX_JOINT_FRAMES = 120
-"""Frames up to which all of them are adjusted together."""
+"""Frames up to which all of them are adjusted together (docs/method.md, "Cameras")."""
 MAX_SEARCHED_FRAMES = 48
-"""Frames up to which a search for the right start looks at all of them."""
+"""Frames up to which a search for the right start looks at all of them (docs/method.md, "Cameras")."""
 MAX_SEARCH_GAP = 4
-"""Frames between two keyframes of a search, at most."""
+"""Frames between two keyframes of a search, at most. Chosen by eye."""
 KEYFRAME_OVERLAPS = (0.7, 0.55, 0.4)
-"""Share of a keyframe's tracks that the next one must still see; the next value is tried where too many keyframes remain."""
+"""Share of a keyframe's tracks that the next one must still see; the next value is tried where too many keyframes remain.
+Chosen by eye."""
 MAX_KEYFRAME_GAP = 16
-"""Frames between two keyframes, at most."""
+"""Frames between two keyframes, at most. Chosen by eye."""
 MIN_POINTS = 10
-"""Points that a frame must see to be placed."""
+"""Points that a frame must see to be placed. Chosen by eye."""
 PLACEMENT_STEPS = 8
+"""Iterations that place a frame between keyframes. Chosen by eye."""
 RESIDUAL_SCALE = 0.5
-"""Pixels; residuals beyond it lose their influence."""
+"""Pixels; residuals beyond it lose their influence. Chosen by eye."""
 INLIER_PIXELS = 1.0
-"""Pixels by which a point may miss its track to serve other frames."""
+"""Pixels by which a point may miss its track to serve other frames. Chosen by eye."""
 
 
 def choose_keyframes(seen: np.ndarray, most: int = MAX_JOINT_FRAMES, widest: int = MAX_KEYFRAME_GAP) -> np.ndarray:

@@ -16,13 +16,13 @@ from flowsplat.priors.cameras.refinement import from_middle, misfit, refine
 from flowsplat.priors.cameras.selection import choose_tracks
 
 TRACKS_PER_CELL = 20
-"""About how many tracks of a cell of the image tell the distortion."""
+"""About how many tracks of a cell of the image tell the distortion. Chosen by eye."""
 MIN_DISTORTION_SIGMAS = 3.0
-"""Standard deviations by which the distortion must differ from none to be taken out."""
+"""Standard deviations by which the distortion must differ from none to be taken out (docs/method.md, "Cameras")."""
 MIN_LENS_SLOPE = 0.1
-"""How fast a point of the straightened image must at least leave the middle of the one it is taken from."""
+"""How fast a point of the straightened image must at least leave the middle of the one it is taken from. Chosen by eye."""
 MIN_BORDER_SHIFT = 0.3
-"""Pixels of the border below which a distortion is not worth resampling the images for."""
+"""Pixels of the border below which a distortion is not worth resampling the images for (docs/method.md, "Cameras")."""
 
 
 @dataclass(frozen=True)

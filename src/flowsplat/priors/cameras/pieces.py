@@ -12,17 +12,17 @@ from flowsplat.geometry import Camera
 from flowsplat.geometry.paths import CameraPath
 
 MIN_SURVIVORS = 0.1
-"""Share of points that survive from one frame to the next, below which there is a break."""
+"""Share of points that survive from one frame to the next, below which there is a break. Chosen by eye."""
 FEW_SURVIVORS = 0.25
-"""The same, where those that survive do not move together."""
+"""The same, where those that survive do not move together. Chosen by eye."""
 MIN_HOMOGRAPHY_SHARE = 0.6
-"""Share of the survivors that one homography must explain, so that they count as moving together."""
+"""Share of the survivors that one homography must explain, so that they count as moving together. Chosen by eye."""
 HOMOGRAPHY_TOLERANCE = 2.0
-"""Pixels by which they may miss it."""
+"""Pixels by which they may miss it. Chosen by eye."""
 MIN_TRACKS = 8
-"""Tracks below which nothing can be said about the camera."""
+"""Tracks below which nothing can be said about the camera. Chosen by eye."""
 PIECE_DISTANCE = 100.0
-"""Median distances between the worlds of two pieces, set side by side: no camera sees into the next one."""
+"""Median distances between the worlds of two pieces, set side by side: no camera sees into the next one. Chosen by eye."""
 
 
 def find_breaks(positions: np.ndarray, shown: Sequence[int]) -> list[int]:

@@ -11,24 +11,24 @@ from flowsplat.priors.cameras.growth import triangulate
 from flowsplat.priors.cameras.smoothness import smooth_path
 
 MAX_POINT_DEPTH = 100.0
-"""Points are kept within this many median depths: a ray without parallax then fixes rotations, not depths."""
+"""Points are kept within this many median depths: a ray without parallax then fixes rotations, not depths. Chosen by eye."""
 ROUGH_SCALES = (1.0, 0.5)
-"""Scale of the Cauchy cost in pixels, a round, where cameras are only to be compared with others."""
+"""Scale of the Cauchy cost in pixels, a round, where cameras are only to be compared with others. Chosen by eye."""
 LATE_SCALES = (0.5, 0.2)
-"""The same for cameras that have been through the rough rounds."""
+"""The same for cameras that have been through the rough rounds. Chosen by eye."""
 FINAL_TOLERANCE = 1e-5
-"""An adjustment ends when an iteration lowers its cost by less than this fraction."""
+"""An adjustment ends when an iteration lowers its cost by less than this fraction. Chosen by eye."""
 ROUGH_TOLERANCE = 1e-4
-"""The same of all rounds before the last."""
+"""The same of all rounds before the last. Chosen by eye."""
 MAX_ITERATIONS, MAX_LENS_ITERATIONS = 40, 150
-"""Of an adjustment at most, and of one that finds the distortion of the lens: with a longer lens in its place nearly all of it can
-be explained, and the way back is narrow."""
+"""Of an adjustment at most, and of one that finds the distortion of the lens: with a longer lens in its place nearly all of it
+can be explained, and the way back is narrow (docs/method.md, "Cameras")."""
 ERROR_UNIT = 0.5
-"""Pixels; errors well beyond it add little to the robust cost by which cameras are compared."""
+"""Pixels; errors well beyond it add little to the robust cost by which cameras are compared. Chosen by eye."""
 MAX_ERROR = 20 * ERROR_UNIT
 """Pixels that any larger error counts as, and a point behind the camera."""
 STATIC_SHARE = 0.6
-"""Share of the observations that is assumed to stand still; the cameras are judged by those that fit best."""
+"""Share of the observations that is assumed to stand still; the cameras are judged by those that fit best. Chosen by eye."""
 
 
 @dataclass(frozen=True)

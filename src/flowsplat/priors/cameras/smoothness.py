@@ -28,16 +28,18 @@ from flowsplat.priors.cameras.bundle import (
 THIRD_DIFFERENCE = np.array([-1.0, 3.0, -3.0, 1.0])
 """Third ones over time, of the camera's places: a steady curve, as round something, has none to speak of."""
 MIN_FRAMES = 8
-"""Frames below which there is no telling how smoothly a camera travels."""
+"""Frames below which there is no telling how smoothly a camera travels. Chosen by eye."""
 STUDENT_DEGREES = 4.0
-"""Of freedom of the Student distribution: a jolt now and then is no sign of a camera that shakes."""
+"""Of freedom of the Student distribution: a jolt now and then is no sign of a camera that shakes (docs/method.md, "Cameras")."""
 CORRELATED_SHARE = 0.25
-"""Share of a track over which its errors, and those of its neighbors, are alike, so that they tell as much as one observation."""
+"""Share of a track over which its errors, and those of its neighbors, are alike, so that they tell as much as one observation.
+Chosen on workshop, garden, train, bear and random worlds (docs/method.md, "Cameras"; docs/results.md)."""
 _SCALE_ROUNDS, _ROUND_ITERATIONS, _LAST_ITERATIONS = 8, 2, 10
+"""Estimates of the scale, at most; iterations of the adjustment in each; and those of the last adjustment. Chosen by eye."""
 _SCALE_TOLERANCE = 0.03
-"""Change of the logarithm of the squared scale below which it is found."""
+"""Change of the logarithm of the squared scale below which it is found. Chosen by eye."""
 _MAX_CURVATURE_RATIO = 1e3
-"""Times the median curvature that the scale of all is held by."""
+"""Times the median curvature that the scale of all is held by. Chosen by eye."""
 
 
 @dataclass(frozen=True)

@@ -20,23 +20,24 @@ from flowsplat.priors.cameras.refinement import best_tracks, from_middle, robust
 from flowsplat.priors.cameras.selection import on_rim
 
 JUDGE_STRIDE = 8
-"""Every how many of the longer tracks one is kept from the adjustments."""
+"""Every how many of the longer tracks one is kept from the adjustments (docs/method.md, "Cameras")."""
 MIN_JUDGE_VIEWS = 3
-"""Frames that such a track was seen in: every second one places its point, the others judge it."""
+"""Frames that such a track was seen in: every second one places its point, the others judge it. Chosen by eye."""
 MIN_JUDGES = 30
-"""Such tracks below which they cannot be spared."""
+"""Such tracks below which they cannot be spared. Chosen by eye."""
 MAX_TURN_JUMP = 3.0
-"""Degrees by which the turn from frame to frame may change at once, in any clip."""
+"""Degrees by which the turn from frame to frame may change at once, in any clip. Chosen by eye."""
 MAX_JUMP_RATIO = 8.0
-"""Times the usual change of a turn, or of a step, that count as a jump."""
+"""Times the usual change of a turn, or of a step, that count as a jump. Chosen by eye."""
 MAX_STEP_JUMP = 0.03
-"""Change of a step, in median distances of the points, that is never a jump."""
+"""Change of a step, in median distances of the points, that is never a jump. Chosen by eye."""
 MIN_PATH_EXTENT = 1e-4
-"""Extent of the path, in median distances of the points, below which a moving camera does not move."""
+"""Extent of the path, in median distances of the points, below which a moving camera does not move. Chosen by eye."""
 FIELD_OF_VIEW = (8.0, 130.0)
-"""Degrees across that cameras have."""
+"""Degrees across that cameras have. Chosen by eye."""
 MAX_COST_RATIO = 0.9
-"""The second solver is taken where its cost is below this share of the first one's, or where only it is sane."""
+"""The second solver is taken where its cost is below this share of the first one's, or where only it is sane
+(docs/method.md, "Cameras")."""
 
 
 @dataclass(frozen=True)

@@ -22,15 +22,15 @@ from flowsplat.scenes import Scene
 from flowsplat.scenes.replacing import replace_images
 
 LENS_ROUNDS = 2
-"""How often the lens is estimated, each time with the cameras that the one before allowed."""
+"""How often the lens is estimated, each time with the cameras that the one before allowed. Chosen by eye."""
 MAX_LENS_CHANGE = 0.1
-"""Pixels of the border by which a lens may change and count as found."""
+"""Pixels of the border by which a lens may change and count as found. Chosen by eye."""
 OWN = "tracks"
 """Method of cameras that this stage computed."""
 _FOLLOWS_IMAGES = ("cameras", "masks", "objects")
 """Priors that may be there when images are straightened: cameras are found anew, masks straightened, objects go with depth."""
 MAX_FOCAL = 100
-"""Focal length at most, in longer sides of the image: an angle of view of half a degree."""
+"""Focal length at most, in longer sides of the image: an angle of view of half a degree. Chosen by eye."""
 
 
 @dataclass(frozen=True)

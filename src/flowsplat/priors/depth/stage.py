@@ -19,20 +19,22 @@ from flowsplat.priors.objects.description import sureness
 from flowsplat.scenes import Depth, Scene
 
 MIN_DEPTH, MAX_DEPTH = 0.05, 30.0
-"""Multiples of the median depth between which all depths lie."""
+"""Multiples of the median depth between which all depths lie. Chosen by eye."""
 
 FRONT_MARGIN, KNOWN_FRONT_MARGIN = 1.03, 1.02
 """How much nearer than all that is known to be behind it an object is at least: where nothing tells its distance, and where
-something does. A foot is as far away as the ground that it stands on."""
+something does. A foot is as far away as the ground that it stands on. Chosen by eye."""
 MAX_TIED_SIGMA = 0.14
+"""Standard deviation of ln distance up to which an object counts as tied to the still scene. Chosen by eye."""
 PLACES = {"contact", "bounce", "pivot", "contact_hint", "same_depth_hint"}
 """Standard deviation of an object's ln distance up to which it may stand behind what is only filled in, and the cues that tie it
 to a place of the still scene, with which it may do so, too."""
 OBJECT_CONFIDENCE = 0.6
+"""Confidence of all depth on objects. Chosen by eye."""
 MIN_TRUSTED_SHARE = 0.6
-"""Share of trusted pixels from which depth is called known."""
+"""Share of trusted pixels from which depth is called known. Chosen by eye."""
 TRUSTED_WEIGHT = 5.0
-"""Weight at which a static pixel has a confidence of one half."""
+"""Weight at which a static pixel has a confidence of one half. Chosen by eye."""
 
 
 def depth_stage(

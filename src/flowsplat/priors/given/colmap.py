@@ -20,7 +20,7 @@ from flowsplat.scenes.formats.images import natural_key
 from flowsplat.scenes.formats.lens import require_pinhole
 
 _MAX_IMAGES_BYTES = 256 * 2**20
-"""Bytes: the points of all images stand beside them."""
+"""Bytes: the points of all images stand beside them. Chosen by eye."""
 PLACES = ("", "0", "sparse", "sparse/0", "colmap/sparse/0")
 """Where in a given folder the model may lie."""
 

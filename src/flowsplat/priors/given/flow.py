@@ -24,8 +24,9 @@ FLO_MAGIC = 202021.25
 """First number of a Middlebury ``.flo`` file (https://vision.middlebury.edu/flow/code/flow-code/README.txt)."""
 
 _MAX_NPZ_BYTES = 160 * 2**20
-"""Bytes."""
+"""Bytes. Chosen by eye."""
 _MAX_FLO_BYTES = 12 + 8 * MAX_PIXELS
+"""Bytes: the header, and two float32 for every pixel of the largest image."""
 KITTI_ZERO, KITTI_UNIT = 32768, 64.0
 """In KITTI's 16-bit PNG (https://www.cvlibs.net/datasets/kitti/eval_flow.php) u = (red - 32768) / 64 pixels."""
 

@@ -30,8 +30,9 @@ from flowsplat.scenes.formats.images import natural_key
 from flowsplat.scenes.layers import TRUSTED_CONFIDENCE
 
 MAX_TRACKS = 20_000
+"""Tracks that are kept of a file, evenly chosen. A round number."""
 MAX_TRACK_BYTES = 160 * 2**20
-"""Of a file, or of the files of the tracks from one frame."""
+"""Of a file, or of the files of the tracks from one frame. Chosen by eye."""
 
 KNOWN = (
     "a folder of <from>_<to>.npy (TAPIR in Shape of Motion's preprocessing), of track_<frame>.npy (CoTracker) or of "

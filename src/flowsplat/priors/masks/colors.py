@@ -7,17 +7,17 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 BIN_WIDTHS = (8, 4, 4)
-"""Width of a bin of the histograms in L, a, b."""
+"""Width of a bin of the histograms in L, a, b. Chosen by eye."""
 
 SURROUNDINGS_REACH = 0.07
-"""Share of the long side within which colors are those round an object."""
+"""Share of the long side within which colors are those round an object. Chosen by eye."""
 
 MIN_COLOR_PIXELS = 200
-"""Pixels of objects that make a model."""
+"""Pixels of objects that make a model. Chosen by eye."""
 
 _SHAPE = tuple(256 // step for step in BIN_WIDTHS)
 _MIN_COLOR_SHARE = 1e-5
-"""Share of all pixels at which a color is neither's."""
+"""Share of all pixels at which a color is neither's. Chosen by eye."""
 
 
 class ColorModel:

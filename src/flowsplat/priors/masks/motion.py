@@ -24,23 +24,26 @@ from flowsplat.priors.masks.photometric_residual import Unexplained
 from flowsplat.scenes.layers import TRUSTED_CONFIDENCE
 
 MAX_FRAME_EVIDENCE = 1.5
-"""Largest evidence of one frame, for or against motion: the logarithm to base 2 of the motion over ``estimate_resting_motion``."""
+"""Largest evidence of one frame, for or against motion: the logarithm to base 2 of the motion over ``estimate_resting_motion``.
+Chosen by eye."""
 
 RESTING_MOTION_RATIO, MIN_RESTING_MOTION = 3.5, 1.0
-"""Multiples of the median motion of all pixels that are neither evidence of motion nor of rest, and the least that may be."""
+"""Multiples of the median motion of all pixels that are neither evidence of motion nor of rest, and the least that may be
+(docs/method.md, "Flow, masks and depth")."""
 MOTION_SAMPLES = 24
-"""Frames that the median is taken from."""
+"""Frames that the median is taken from. Chosen by eye."""
 FADE_SHARE, FADE_REACH = 0.35, 0.04
-"""Flow fades from an object to what rests beside it, so rest ends at this share of the largest motion around it. So far around, in
-units of the long side."""
+"""Flow fades from an object to what rests beside it, so rest ends at this share of the largest motion around it. So far around,
+in units of the long side (docs/method.md, "Flow, masks and depth")."""
 
 EVIDENCE_MEMORY = 0.9
-"""Share of the evidence that a frame takes over from the next and the one before."""
+"""Share of the evidence that a frame takes over from the next and the one before. Chosen by eye."""
 
 MIN_OBJECT_SHARE = 0.001
-"""Share of the image below which an object is dropped; a hole is closed below a quarter of it."""
+"""Share of the image below which an object is dropped; a hole is closed below a quarter of it. Chosen by eye."""
 
 _EDGE_AWARE_SMOOTHNESS, _COLOR_SIGMA = 10.0, 12.0
+"""Smoothness along the edges of the image, and gray levels across which it no longer reaches. Chosen by eye."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +62,7 @@ class Weighing:
 
 
 MANY_FRAMES, FEW_IMAGES, MATCHES_ALONE = Weighing(0.35, 4.0, 2.0), Weighing(0.7, 1.5, 1.0), Weighing(0.0, 0.0, 2.0)
+"""For clips of many frames, for few images, and where depth is not seen well (docs/method.md, "Flow, masks and depth")."""
 
 
 def choose_weighing(clip: MatchedClip) -> Weighing:

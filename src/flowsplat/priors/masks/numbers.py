@@ -10,11 +10,11 @@ from flowsplat.priors.continuity import Continuity
 from flowsplat.scenes import Scene
 
 MAX_FRAGMENT_SHARE = 0.2
-"""Share of an object's largest part up to which another part still belongs to it."""
+"""Share of an object's largest part up to which another part still belongs to it. Chosen by eye."""
 
 
 MIN_OWNED_SHARE = 0.15
-"""Share of a part that an object must hold to own it, with most of its own pixels in it."""
+"""Share of a part that an object must hold to own it, with most of its own pixels in it. Chosen by eye."""
 
 
 def number_objects(scene: Scene) -> tuple[int, float]:

@@ -23,13 +23,14 @@ from flowsplat.common.simd import (
 from flowsplat.common.threads import parallel_for
 
 SAME_OBJECT_DIFFERENCE = 15.0
-"""Mean difference in gray levels from the pixel itself from which one beside it belongs to something else."""
+"""Mean difference in gray levels from the pixel itself from which one beside it belongs to something else. Chosen by eye."""
 
 MAX_DEPTHS = 400
-"""Depths that are tried at most, a working pixel apart in the frame that sees them shift most."""
+"""Depths that are tried at most, a working pixel apart in the frame that sees them shift most. Chosen by eye."""
 
 MAX_GRAY_DIFFERENCE, MIN_FRAMES = 10.0, 4
-"""Mean difference of 3 x 3 pixels in gray levels up to which another frame shows the same, and frames that must see a place."""
+"""Mean difference of 3 x 3 pixels in gray levels up to which another frame shows the same, and frames that must see a place.
+Chosen by eye."""
 
 
 def largest_share(

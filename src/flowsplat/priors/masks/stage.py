@@ -25,30 +25,33 @@ from flowsplat.priors.masks.numbers import number_objects
 from flowsplat.scenes import Scene
 
 NEUTRAL_RESIDUAL = 1.7
-"""Multiples of its noise at which a difference from the plate is evidence of neither motion nor rest."""
+"""Multiples of its noise at which a difference from the plate is evidence of neither motion nor rest. Chosen on garden, workshop,
+bear, train and random worlds of seeds 200 to 209 (docs/results.md, Masks of what moves)."""
 
 MAX_PLATE_EVIDENCE = 2.5
-"""Largest evidence of a difference from the plate: a logarithm to base 2."""
+"""Largest evidence of a difference from the plate: a logarithm to base 2. Chosen by eye."""
 
 MOTION_WEIGHT, FULL_MOTION_EVIDENCE = 0.6, 8.0
-"""Largest evidence of rest that motion gives, and the summed motion evidence at which it does; of motion half as much more."""
+"""Largest evidence of rest that motion gives, and the summed motion evidence at which it does; of motion half as much more.
+Chosen by eye."""
 
 COLOR_WEIGHT, MAX_COLOR_EVIDENCE = 0.7, 1.8
-"""Weight of the colors' logarithm to base 2, and the most that it counts."""
+"""Weight of the colors' logarithm to base 2, and the most that it counts. Chosen like ``NEUTRAL_RESIDUAL``."""
 
 EVIDENCE_MEMORY = 0.5
-"""Share of the evidence that a frame takes over from the next and the one before."""
+"""Share of the evidence that a frame takes over from the next and the one before. Chosen by eye."""
 
 MIN_MOVING_SHARE = 0.3
-"""Share of a part that must have been found by its motion."""
+"""Share of a part that must have been found by its motion (docs/method.md, "Flow, masks and depth")."""
 
 BLOCKED_MARGIN = 0.01
-"""Share of the long side by which an object may be larger than its motion shows."""
+"""Share of the long side by which an object may be larger than its motion shows. Chosen by eye."""
 
 MODEL_FRAMES = 16
-"""Frames from which the colors are taken."""
+"""Frames from which the colors are taken. Chosen by eye."""
 
 _EDGE_AWARE_SMOOTHNESS, _COLOR_SIGMA = 20.0, 10.0
+"""Smoothness along the edges of the image, and gray levels across which it no longer reaches. Chosen by eye."""
 
 
 def mask_stage(scene: Scene, estimate: FlowEstimator = dis_estimator) -> None:

@@ -23,21 +23,25 @@ from flowsplat.priors.background.static_depth import StaticDepth
 from flowsplat.scenes.layers import TRUSTED_CONFIDENCE
 
 PLATE_PERCENTILE = 92.0
-"""Percentile of the plate's inverse depth at which an object stands: not the nearest pixel, which a leak of the mask may hold."""
+"""Percentile of the plate's inverse depth at which an object stands: not the nearest pixel, which a leak of the mask may hold.
+Chosen by eye."""
 
 COMPARED_FRAMES, WINDOW_PERCENTILE = 121, 88
-"""Training frames whose billboards are compared, and the percentile of their inverse depth, at one size, that is taken."""
+"""Training frames whose billboards are compared, and the percentile of their inverse depth, at one size, that is taken.
+Chosen by eye."""
 
 SMOOTHING_SIGMA = 8.0
-"""Training frames: standard deviation of the smoothing over time of how large an object would be at its billboard's depth."""
+"""Training frames: standard deviation of the smoothing over time of how large an object would be at its billboard's depth.
+Chosen by eye."""
 
 GROWTH_BELIEF = 0.7
-"""How much of an object's growth is due to its depth: flow is noisy, and what turns or bends grows too."""
+"""How much of an object's growth is due to its depth: flow is noisy, and what turns or bends grows too. Chosen by eye."""
 
 MIN_GROWTH_PIXELS = 40
-"""Trusted working pixels of an object that tell its growth."""
+"""Trusted working pixels of an object that tell its growth. Chosen by eye."""
 
 _REWEIGHTING_ROUNDS = 4
+"""Rounds of reweighting of the fit of an object's growth. Chosen by eye."""
 
 
 def place_billboard(mask: np.ndarray, plate: np.ndarray) -> float:

@@ -20,20 +20,26 @@ from flowsplat.priors.objects.rigid import RigidSolution, TrackObservations, lon
 from flowsplat.priors.objects.shape_offset import ShapePoints, place_points
 
 MIN_TRACKS, MIN_FRAMES = 16, 10
+"""Tracks on an object, and frames with any, below which no motion is solved. Chosen by eye."""
 MAX_SPLIT_HALF_SIGMA = 0.04
-"""Standard deviation over time between ln z of two solutions from halves of the tracks, above which none is believed."""
+"""Standard deviation over time between ln z of two solutions from halves of the tracks, above which none is believed. Chosen on
+random worlds of seeds 0 to 14 (docs/results.md)."""
 MIN_INLIER_SHARE = 0.7
+"""Share of the observations that must lie within ``rigid.INLIER_PIXELS`` of the solution. Chosen on random worlds of seeds 0 to
+14 (docs/results.md)."""
 MIN_RIGID_SHARE = 0.85
-"""Share of all observations on an object that its motion explains from which it does not bend, so that its points have one
-shape."""
+"""Share of all observations on an object that its motion explains from which it does not bend, so that its points have one shape.
+Walkers have 68 to 82 %, what is rigid 87 to 98 (docs/method.md, "Distance of objects")."""
 TRACKS_PER_FRAME = (50, 180)
-"""Tracks in a frame that the motion is solved from, the longest first; half of them for either half. Both are tried."""
+"""Tracks in a frame that the motion is solved from, the longest first; half of them for either half. Both are tried
+(docs/method.md, "Distance of objects")."""
 MIN_LAW_SIGMA = {"pivot": 0.02, "height": 0.03}
 """Standard deviation of ln distance that a law of motion leaves at least."""
 LAW_ERROR_RATE = {"pivot": 0.05, "height": 0.05}
 """Chance that it has nothing to do with the truth."""
 MIN_CONTRADICTION_SIGMA = 0.15
-"""Standard deviation over time between ln z by motion and by growth from which the ground decides which of them is right."""
+"""Standard deviation over time between ln z by motion and by growth from which the ground decides which of them is right
+(docs/method.md, "Distance of objects")."""
 
 
 @dataclass(frozen=True)

@@ -17,19 +17,21 @@ from flowsplat.geometry import Camera
 from flowsplat.priors.objects.rigid import RigidSolution, pose_information, widest_turn
 
 VARIANCE_INFLATION = 4.0
-"""Factor on the variance of tracks: their errors last for frames, so that they average out less than white noise."""
+"""Factor on the variance of tracks: their errors last for frames, so that they average out less than white noise. Chosen by eye."""
 MODEL_ERROR = 0.01
-"""Share of an object's size by which any law of motion is off."""
+"""Share of an object's size by which any law of motion is off. Chosen by eye."""
 MAX_REDUCED_CHI_SQUARE = 3.0
 """chi^2 per degree of freedom above which a path does not obey a law. As errors last for ``VARIANCE_INFLATION`` frames, 40 frames
 are worth ten independent ones, and where the law holds their chi^2 is above 3 a degree less than once in a thousand."""
 BOUNCE_SPAN = 2
-"""Frames to either side over which the second difference of a height is taken."""
+"""Frames to either side over which the second difference of a height is taken. Chosen by eye."""
 MIN_BOUNCE, BOUNCE_WIDTH = 1.5, 4
-"""Second difference at a bounce, in units of that in free flight; so many frames from it there is free flight again."""
+"""Second difference at a bounce, in units of that in free flight; so many frames from it there is free flight again
+(docs/method.md, "Distance of objects")."""
 MAX_FLIGHT_SPREAD = 1.2
-"""Spread of the second differences over time, in units of their median, up to which it is free flight."""
+"""Spread of the second differences over time, in units of their median, up to which it is free flight. Chosen by eye."""
 MIN_CURVED_FRAMES = 8
+"""Second differences of the height below which no bounce is looked for. Chosen by eye."""
 
 
 @dataclass(frozen=True)

@@ -30,33 +30,37 @@ from flowsplat.priors.objects.shape_offset import (
 )
 
 PATCH_RADIUS = 4
-"""Pixels of a point's surroundings to either side."""
+"""Pixels of a point's surroundings to either side (docs/method.md, "Distance of objects")."""
 MAX_POINTS = 700
-"""Points of an object that are matched."""
+"""Points of an object that are matched (docs/method.md, "Distance of objects")."""
 MATCH_ROUNDS = 2
-"""The second time the motion and the surface are better known."""
+"""The second time the motion and the surface are better known (docs/method.md, "Distance of objects")."""
 MIN_CORRELATION = 0.85
-"""Correlation of brightness from which a match counts."""
+"""Correlation of brightness from which a match counts (docs/method.md, "Distance of objects")."""
 MAX_MATCH_SHIFT = 4.0
-"""Pixels that a match may lie away from where the motion puts it."""
+"""Pixels that a match may lie away from where the motion puts it (docs/method.md, "Distance of objects")."""
 MAX_MATCH_SIGMA = 0.25
-"""Pixels: standard deviation of a match, in the direction that it tells least, up to which it counts."""
+"""Pixels: standard deviation of a match, in the direction that it tells least, up to which it counts (docs/method.md, "Distance
+of objects")."""
 MIN_VIEW_COSINE = 0.25
-"""Cosine between the surface's normal and the line of sight from which a frame shows a point."""
+"""Cosine between the surface's normal and the line of sight from which a frame shows a point. Chosen by eye."""
 MIN_COVERED_SHARE = 0.6
-"""Share of the surroundings that has to lie on the object in both frames."""
+"""Share of the surroundings that has to lie on the object in both frames. Chosen by eye."""
 MIN_POINT_FRAMES = 6
-"""Frames of a point from which it counts."""
+"""Frames of a point from which it counts. Chosen by eye."""
 MIN_POINTS = 16
+"""Matched points of an object below which its motion is left as it is. Chosen by eye."""
 MIN_MATCHES = 12
-"""Matched points of a frame below which tracks help out: where an object leaves the image, hardly any point is seen often."""
+"""Matched points of a frame below which tracks help out: where an object leaves the image, hardly any point is seen often.
+Chosen by eye."""
 BLUR_SIGMA = 0.6
-"""Pixels: standard deviation of the blur before images are read between pixels."""
+"""Pixels: standard deviation of the blur before images are read between pixels. Chosen by eye."""
 GATES = np.array([MIN_CORRELATION, MAX_MATCH_SHIFT, MAX_MATCH_SIGMA, MIN_VIEW_COSINE, MIN_COVERED_SHARE])
 
 _ALIGNMENT_ITERATIONS = 12
+"""Gauss-Newton steps of a match, at most. Chosen by eye."""
 _FRAME_NOISE = 2.0
-"""Gray levels: noise of a pixel below which no match is surer."""
+"""Gray levels: noise of a pixel below which no match is surer. Chosen by eye."""
 
 
 @dataclass(frozen=True)
@@ -193,8 +197,8 @@ def _anchors(motion: RigidSolution, points: np.ndarray, positions: np.ndarray, i
 def _shapes(
     anchors: np.ndarray, start: np.ndarray, surface: Callable[[int], np.ndarray], K: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Return depth [M, 2 * RADIUS + 1, 2 * RADIUS + 1] around pixels ``start`` [M, 2], in units of that there, and normals [M, 3]
-    in the camera's axes that face it."""
+    """Return depth [M, side, side] around pixels ``start`` [M, 2], side 2 ``PATCH_RADIUS`` + 1, in units of that there, and
+    normals [M, 3] in the camera's axes that face it."""
     side = 2 * PATCH_RADIUS + 1
     shapes, normals = np.ones((len(anchors), side, side)), np.zeros((len(anchors), 3))
     for t in np.unique(anchors):

@@ -24,27 +24,32 @@ from flowsplat.priors.objects.rigid_equations import (
 )
 
 RESIDUAL_SCALE = 1.0
-"""Pixels: an observation this far off has half its weight (Cauchy)."""
+"""Pixels: an observation this far off has half its weight (Cauchy). Chosen by eye."""
 SHAPE_RIDGE = 0.05
-"""Precision of the prior that an object is no deeper than it is wide, in units of 1 / its width^2."""
+"""Precision of the prior that an object is no deeper than it is wide, in units of 1 / its width^2. Chosen by eye."""
 POSE_SMOOTHNESS = 20.0
-"""Precision of the prior that its pose changes evenly from frame to frame: it carries over frames with few tracks."""
+"""Precision of the prior that its pose changes evenly from frame to frame: it carries over frames with few tracks. Chosen by eye.
+"""
 TRACKS_PER_FRAME = 45
-"""The longest tracks are taken until this many are seen in every frame."""
+"""The longest tracks are taken until this many are seen in every frame. Chosen by eye."""
 MIN_SHARED_POINTS = 6
-"""Known points that a frame must see to be added."""
+"""Known points that a frame must see to be added. Chosen by eye."""
 MIN_POINT_DEPTH = 0.05
-"""Depth, in units of the object's mean distance, below which a point is taken for this near."""
+"""Depth, in units of the object's mean distance, below which a point is taken for this near. Chosen by eye."""
 INLIER_PIXELS = 1.5
-"""Pixels up to which an observation agrees with the solution."""
+"""Pixels up to which an observation agrees with the solution (docs/method.md, "Distance of objects")."""
 
 _GROW_ITERATIONS, _FINAL_ITERATIONS, _POSE_ITERATIONS = 4, 30, 8
+"""Iterations of an adjustment while the solution grows, of the last one, and of the pose of one frame, at most. Chosen by eye."""
 _ADJUST_EVERY, _ADJUST_SHARE = 4, 0.05
-"""While it grows, a solution is adjusted when it has so many more frames, or this share more: all of it each time."""
+"""While it grows, a solution is adjusted when it has so many more frames, or this share more: all of it each time
+(docs/method.md, "Distance of objects")."""
 _DAMPING_TRIES = 5
+"""How often a step that raises the cost is tried again with more damping. Chosen by eye."""
 _MAX_TRACK_FRAMES, _TRACK_CUT_STAGGER = 100, 61
 """Frames over which a track counts as one point; a longer one is two or more. One that lasts for all of a long clip would join
-all of its poses, and time grow with the cube of their number. Where one is cut, and by how many frames later the next one."""
+all of its poses, and time grow with the cube of their number. Where one is cut, and by how many frames later the next one
+(docs/method.md, "Distance of objects")."""
 
 
 @dataclass(frozen=True)

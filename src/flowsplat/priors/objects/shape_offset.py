@@ -13,20 +13,21 @@ from flowsplat.priors.objects.rigid import INLIER_PIXELS, MIN_POINT_DEPTH, RESID
 from flowsplat.priors.objects.rigid_equations import derivatives
 
 EXPECTED_ROUNDNESS = 0.75
-"""How deep the front of an object is expected to be, in units of a ball's of its width."""
+"""How deep the front of an object is expected to be, in units of a ball's of its width (docs/method.md, "Distance of objects")."""
 DISC_RADII = 0.8 ** np.arange(9)
-"""Radii of the discs that are tried, in units of the largest one inside an object."""
+"""Radii of the discs that are tried, in units of the largest one inside an object. Chosen by eye."""
 EXPECTED_OFFSET_SIGMA = 0.6
-"""Standard deviation of the shape offset that is expected, in units of the object's half width."""
+"""Standard deviation of the shape offset that is expected, in units of the object's half width. Chosen by eye."""
 OFFSET_SMOOTHNESS = 60.0
 """Of the shape offset, as in the fast global smoother."""
 COLOR_SIGMA = 12.0
-"""Gray levels across which it is less smooth."""
+"""Gray levels across which it is less smooth. Chosen by eye."""
 NOISE_FACTOR = 2.0
-"""Errors of tracks last for frames: standard deviation of a point's depth over that of white noise."""
+"""Errors of tracks last for frames: standard deviation of a point's depth over that of white noise. Chosen by eye."""
 MAX_OBSERVATION_ERROR = 2.0
-"""Pixels up to which an observation tells of the shape offset."""
+"""Pixels up to which an observation tells of the shape offset. Chosen by eye."""
 _FIT_ITERATIONS = 6
+"""Iterations in which the points of an object are placed. Chosen by eye."""
 
 
 @dataclass(frozen=True)

@@ -27,12 +27,14 @@ from flowsplat.priors.objects.rematching import ObjectImages
 from flowsplat.priors.objects.shape_offset import EXPECTED_OFFSET_SIGMA, ShapePoints, interpolate_shape_offset, roundness
 
 MIN_TRACK_FRAMES = 5
+"""Frames in which a track must be seen to tell of an object. Chosen by eye."""
 MIN_INSIDE_SHARE = 0.7
-"""Share of a track that must lie inside an object to be on it."""
+"""Share of a track that must lie inside an object to be on it. Chosen by eye."""
 GUESS_PERCENTILE, ABOVE_GROUND_LEAD = 10, 0.15
-"""What does not touch the ground is guessed to be this much nearer, in ln, than where it would."""
+"""What does not touch the ground is guessed to be this much nearer, in ln, than where it would. Chosen by eye."""
 BOUND_PERCENTILE, BOUND_SLACK = 5, 0.03
-"""Over time, of where an object would touch the ground: it is not farther than this in any frame, but for errors of its outline."""
+"""Over time, of where an object would touch the ground: it is not farther than this in any frame, but for errors of its outline.
+Chosen by eye."""
 
 
 @dataclass(frozen=True)

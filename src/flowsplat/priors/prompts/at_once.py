@@ -20,9 +20,11 @@ IMAGE = "clicks.png"
 """In the folder of a scene."""
 
 BOX_FRAME_GAP, CLICK_FRAME_GAP = 1, 3
-"""Training frames to the one that a box is matched with, and a click alone, whose own motion must be told from all else."""
+"""Training frames to the one that a box is matched with, and a click alone, whose own motion must be told from all else. Chosen
+on tuned scenes and random worlds (docs/results.md, Clicks and boxes)."""
 
 _CLICK_COLOR, _BESIDE_COLOR, _BOX_COLOR = (60, 230, 60), (240, 50, 50), (255, 220, 0)
+"""Red, green and blue in which clicks on and beside an object and boxes are drawn. Chosen by eye."""
 
 
 def cut_prompts(scene: Scene, prompts: Sequence[Prompt], estimate: FlowEstimator) -> list[np.ndarray]:

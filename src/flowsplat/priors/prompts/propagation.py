@@ -28,20 +28,21 @@ from flowsplat.priors.prompts.parsing import Prompt
 from flowsplat.scenes import Scene
 
 MIN_FLOW_CONFIDENCE = 0.3
-"""Mean confidence of the flow below which a carried part of a mask is dropped."""
+"""Mean confidence of the flow below which a carried part of a mask is dropped. Chosen by eye."""
 
 MAX_GRAY_DIFFERENCE = 30.0
-"""Gray levels beyond which a pixel is not the one that the flow says it was."""
+"""Gray levels beyond which a pixel is not the one that the flow says it was. Chosen by eye."""
 
 CARRIED_EVIDENCE = 2.0
 """Evidence, a logarithm to base 2, that what was carried is the object; it falls to its negative within ``EDGE_BAND`` of the
-edge."""
+edge. Chosen on tuned scenes and random worlds (docs/method.md, "Flow, masks and depth"; docs/results.md, Clicks and boxes)."""
 
 MAX_BANDS = 3.0
-"""Bands round what was carried within which the object may be."""
+"""Bands round what was carried within which the object may be. Chosen by eye."""
 
 OTHER_OBJECT_EVIDENCE, OTHER_OBJECT_BANDS = 1.0, 1.0
-"""Evidence of motion that belongs to something else where it is not found to be the object, and bands from it beyond which."""
+"""Evidence of motion that belongs to something else where it is not found to be the object, and bands from it beyond which
+(docs/method.md, "Flow, masks and depth")."""
 
 
 @dataclass

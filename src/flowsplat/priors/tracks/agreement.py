@@ -10,13 +10,15 @@ from flowsplat.common.kernels import kernel
 from flowsplat.common.threads import parallel_for
 
 NEIGHBOR_TRACKS = 12
+"""Nearest tracks whose motion a track is compared with. Chosen by eye."""
 MIN_NEIGHBORS = 4
-"""Neighbors without which nothing is said."""
+"""Neighbors without which nothing is said. Chosen by eye."""
 REWEIGHTINGS = 4
+"""Rounds of reweighting of the neighbors' motion. Chosen by eye."""
 NEIGHBOR_STIFFNESS = np.float32(0.05)
-"""Weight against differences between neighbors, beside the sum of their own weights."""
+"""Weight against differences between neighbors, beside the sum of their own weights. Chosen by eye."""
 MIN_SPREAD = np.float32(0.15)
-"""Pixels."""
+"""Pixels. Chosen by eye."""
 
 
 def compute_agreed_motion(

@@ -19,31 +19,31 @@ from flowsplat.scenes import Flow
 from flowsplat.scenes.layers import TRUSTED_CONFIDENCE
 
 MIN_SIMILARITY = 0.6
-"""Likeness (structural similarity) to its patch from which a point counts as found."""
+"""Likeness (structural similarity) to its patch from which a point counts as found. Chosen by eye."""
 SIMILARITY_PENALTY = 0.1
-"""Of likeness for every pixel from where the neighbors lead, and for every pixel by which they disagree."""
+"""Of likeness for every pixel from where the neighbors lead, and for every pixel by which they disagree. Chosen by eye."""
 RENEW_SIMILARITY = 0.75
-"""Likeness below which a patch is taken anew."""
+"""Likeness below which a patch is taken anew. Chosen by eye."""
 MIN_RENEW_SIMILARITY = 0.6
-"""Likeness to the patch before it from which a faded one is taken anew."""
+"""Likeness to the patch before it from which a faded one is taken anew. Chosen by eye."""
 MAX_RENEW_SLIP = 0.2
-"""Pixels that a point may slip then, beside half of what speaks against it."""
+"""Pixels that a point may slip then, beside half of what speaks against it. Chosen by eye."""
 MIN_SEEN_SIMILARITY, MAX_SEEN_SLIP = 0.55, 1.0
-"""Likeness less penalties from which, and pixels of slipping up to which, a point that was found counts as seen."""
+"""Likeness less penalties from which, and pixels of slipping up to which, a point that was found counts as seen. Chosen by eye."""
 FLOW_ADVANTAGE = 0.15
-"""Likeness by which the place that the flow leads to must beat the one that the velocity leads to."""
+"""Likeness by which the place that the flow leads to must beat the one that the velocity leads to. Chosen by eye."""
 CLEAR_SIMILARITY = 0.85
-"""Likeness from which the flow is not asked at all."""
+"""Likeness from which the flow is not asked at all. Chosen by eye."""
 MAX_NEIGHBOR_DIFFERENCE = 1.0
-"""Pixels from its neighbors' motion, beside twice their spread, from which a point is taken back to them."""
+"""Pixels from its neighbors' motion, beside twice their spread, from which a point is taken back to them. Chosen by eye."""
 MAX_GAP = 12
-"""Frames after which a point that was not seen is given up."""
+"""Frames after which a point that was not seen is given up. Chosen by eye."""
 NEIGHBOR_REACH, MIN_NEIGHBOR_REACH = 0.07, 32.0
-"""Share of the image's diagonal, and pixels at least, within which neighbors are asked."""
+"""Share of the image's diagonal, and pixels at least, within which neighbors are asked. Chosen by eye."""
 MIN_VELOCITY_FRAMES = 2
-"""Frames from which a point has a velocity."""
+"""Frames from which a point has a velocity. Chosen by eye."""
 OUTSIDE_PIXELS = 20
-"""Pixels that an unseen point may be outside the image."""
+"""Pixels that an unseen point may be outside the image. Chosen by eye."""
 
 
 @dataclass

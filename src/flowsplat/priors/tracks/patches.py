@@ -17,17 +17,19 @@ from flowsplat.common.kernels import helper, inline, kernel
 from flowsplat.common.threads import parallel_for
 
 PATCH_RADIUS = 6
-"""Pixels from the center of a patch to its border."""
+"""Pixels from the center of a patch to its border. Chosen by eye."""
 PATCH_SIDE = 2 * PATCH_RADIUS + 1
+"""Pixels across a patch."""
 ALIGNMENT_ITERATIONS = 8
+"""Gauss-Newton steps of an alignment. Chosen by eye."""
 MIN_STEP = np.float32(0.01)
-"""Pixels; a smaller step ends the search."""
+"""Pixels; a smaller step ends the search. Chosen by eye."""
 DAMPING = np.float32(2.0)
-"""Added to the mean square gradient (gray levels a pixel): noise."""
+"""Added to the mean square gradient (gray levels a pixel): noise. Chosen by eye."""
 AFFINE_STIFFNESS = np.float32(6.0)
-"""The same for the affine part, whose unit is a shift of the patch's border by a pixel."""
+"""The same for the affine part, whose unit is a shift of the patch's border by a pixel. Chosen by eye."""
 MAX_SHIFT = np.float32(4.0)
-"""Pixels that an alignment may move a point: farther away is something similar, not the same."""
+"""Pixels that an alignment may move a point: farther away is something similar, not the same. Chosen by eye."""
 CONTRAST, BRIGHTNESS = np.float32(58.5), np.float32(58.5)
 """(0.03 x 255)^2, the constants of structural similarity: differences below them count as noise."""
 
@@ -38,7 +40,7 @@ _WINDOW = np.exp(-0.5 * (_OFFSETS**2).sum(1) / (0.6 * PATCH_RADIUS) ** 2).astype
 
 @dataclass
 class Patches:
-    """Textures [N, SIDE^2] with their gradients along x and y, and the weights (sum 1) of their pixels; all float32."""
+    """Textures [N, PATCH_SIDE^2] with their gradients along x and y, and the weights (sum 1) of their pixels; all float32."""
 
     gray: np.ndarray
     right: np.ndarray

@@ -8,9 +8,10 @@ import numpy as np
 SUBPIXEL_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.005)
 """At most 20 steps, until one is below 0.005 pixel."""
 MAX_ROUND_TRIP_ERROR = 0.5
-"""Pixels by which a point may miss its start after going there and back."""
+"""Pixels by which a point may miss its start after going there and back. Chosen by eye."""
 DETAIL_SIGMA, COARSE_DAMPING = 3.0, 0.7
-"""Pixels across which an image is blurred for what is larger than detail, and the share of that which is taken away."""
+"""Pixels across which an image is blurred for what is larger than detail, and the share of that which is taken away.
+Chosen by eye."""
 
 
 def detail(image: np.ndarray) -> np.ndarray:

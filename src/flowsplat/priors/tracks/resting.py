@@ -17,20 +17,22 @@ from flowsplat.priors.continuity import Continuity
 from flowsplat.scenes import Scene
 
 MAX_PATH_ERROR = 1.5
-"""Pixels from the path of a resting point up to which it was found there, and within which depth leads back to its birth."""
+"""Pixels from the path of a resting point up to which it was found there, and within which depth leads back to its birth.
+Chosen by eye."""
 MIN_ON_PATH = 2
-"""Frames in which a point must have been found on its path,"""
+"""Frames in which a resting point must have been found on its path. Chosen by eye."""
 MIN_ON_PATH_SHARE = 0.6
-"""and their share of those in which it was found at all."""
+"""The same as a share of the frames in which it was found at all. Chosen by eye."""
 DEPTH_ERROR, MAX_DEPTH_ERROR = 0.03, 0.15
-"""Relative error of the inverse depth to be expected, and that from which a point is not what its pixel shows."""
+"""Relative error of the inverse depth to be expected, and that from which a point is not what its pixel shows. Chosen by eye."""
 RESIDUAL_SCALE = 0.5
-"""Pixels: a sample that is this far off the path has half its weight (Cauchy)."""
+"""Pixels: a sample that is this far off the path has half its weight (Cauchy). Chosen by eye."""
 MIN_RESTING_POINTS = 0.5
-"""Share of the background's points that must rest; with fewer it is the cameras that are not believed."""
+"""Share of the background's points that must rest; with fewer it is the cameras that are not believed. Chosen by eye."""
 SUPPOSED_CONFIDENCE = 0.6
-"""Confidence of a point that was not found where it must be seen."""
+"""Confidence of a point that was not found where it must be seen. Chosen by eye."""
 _REWEIGHTING_ROUNDS = 10
+"""Rounds of reweighting of a resting point's path. Chosen by eye."""
 
 
 @dataclass(frozen=True)

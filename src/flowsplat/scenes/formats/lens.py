@@ -11,7 +11,7 @@ import numpy as np
 from flowsplat.common.errors import InputError
 
 MAX_DISTORTION = 1.0
-"""Pixels by which a lens may move a point of the image's border and still count as a pinhole."""
+"""Pixels by which a lens may move a point of the image's border and still count as a pinhole. Chosen by eye."""
 
 
 def require_pinhole(where: Path | str, K: np.ndarray, width: int, height: int, distortion: Sequence[float]) -> None:

@@ -19,9 +19,9 @@ from flowsplat.scenes.clip import resize_labels
 from flowsplat.scenes.layers import decode_image
 
 MAX_OBJECTS = 32
-"""Colors above which they are taken for shades of one object."""
+"""Colors above which they are taken for shades of one object. Chosen by eye."""
 JPEG_BLACK = 127
-"""Up to this value a pixel of a JPEG mask is background: compression smears its edges."""
+"""Up to this value a pixel of a JPEG mask is background: compression smears its edges. Chosen by eye."""
 
 
 def read_labels(path: Path) -> np.ndarray:

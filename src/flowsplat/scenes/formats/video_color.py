@@ -18,11 +18,15 @@ import numpy as np
 from flowsplat.common.errors import InputError
 
 UNSPECIFIED = 2
+"""FFmpeg's number of a color space that is not told."""
 MATRICES = {1, 4, 5, 6, 7, 9}
 """What can be undone: BT.709, FCC, BT.601 (625 and 525 lines), SMPTE 240M, BT.2020."""
 BT601, BT709, BT2020 = 5, 1, 9
+"""FFmpeg's numbers of the color spaces (ITU-T H.273)."""
 LIMITED, FULL = 1, 2
+"""FFmpeg's numbers of the color ranges: limited (16 to 235) and full (0 to 255)."""
 PQ, HLG = 16, 18
+"""Numbers of the transfer functions of high dynamic range (ITU-T H.273)."""
 GAMUTS = {9: "BT.2020", 11: "DCI-P3", 12: "Display P3"}
 """Primaries that are wider than a screen's."""
 CHROMATICITIES = {
@@ -32,12 +36,13 @@ CHROMATICITIES = {
     12: ((0.680, 0.320), (0.265, 0.690), (0.150, 0.060)),
 }
 WHITE_POINT = (0.3127, 0.3290)
+"""CIE x and y of D65."""
 REFERENCE_WHITE = 203.0
 """cd/m2 that become white."""
 HLG_PEAK = 1000.0
 """cd/m2 of the display that HLG is shown on, at which its system gamma is 1.2."""
 HIGHLIGHT_KNEE = 0.8
-"""Light relative to white above which highlights are compressed."""
+"""Light relative to white above which highlights are compressed. Chosen by eye."""
 STANDARD_DEFINITION = 576
 """Lines up to which video without a tag is taken for BT.601."""
 

@@ -17,7 +17,7 @@ VIEW_STEP = 4
 """Held-out views exist at every fourth time."""
 
 HELD_OUT_BASELINE = 0.06
-"""Held-out cameras stand this share of the scene's depth to the left and to the right, and turn in by as much."""
+"""Held-out cameras stand this share of the scene's depth to the left and to the right, and turn in by as much. Chosen by eye."""
 
 
 @dataclass(frozen=True)

@@ -15,10 +15,10 @@ from flowsplat.scenes.layers import Flow, Tracks
 from flowsplat.scenes.scene import HeldoutView
 
 TRACKS_PER_OBJECT = 100
-"""True tracks on each object; the static world gets twice as many."""
+"""True tracks on each object; the static world gets twice as many. Chosen by eye."""
 
 TRACK_BIRTH_FRAMES = 5
-"""Frames whose pixels become true tracks."""
+"""Frames whose pixels become true tracks. Chosen by eye."""
 
 
 @dataclass(frozen=True)

@@ -19,13 +19,17 @@ from flowsplat.splatting.rules import ALPHA_MIN
 
 TILE_WIDTH = BLOCK_WIDTH  # one block of pixels wide
 TILE_HEIGHT = 64
-GEOMETRY = 6  # leading entries of a record: x, y, three of the exponent, log2 opacity
+"""Pixels. Chosen by eye."""
+GEOMETRY = 6
+"""Leading entries of a record: x, y, three of the exponent, log2 opacity."""
 EXPONENT = np.float32(1.4426950408889634 / 8)  # from a natural exponent to one in base 2 divided by 8
 LOG_ALPHA_MIN = np.float32(math.log(ALPHA_MIN))
 MIN_CONIC = np.float32(1e-20)
 CUT = np.float32(math.log2(ALPHA_MIN) / 8)  # of the exponent: below it nothing is drawn
-BATCH_GAUSSIANS = 64  # Gaussians that are packed before they are cut
-PREFETCH = 8  # Gaussians ahead whose scattered inputs are asked for
+BATCH_GAUSSIANS = 64
+"""Gaussians that are packed before they are cut. Chosen by eye."""
+PREFETCH = 8
+"""Gaussians ahead whose scattered inputs are asked for. Chosen by eye."""
 
 
 @kernel

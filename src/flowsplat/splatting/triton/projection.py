@@ -15,7 +15,8 @@ from flowsplat.splatting.rules import ALPHA_MIN, DETERMINANT_MAX, OPACITY_FLOOR,
 CLAMP_MARGIN, INVERSE_ALPHA_MIN = tl.constexpr(TANGENT_MARGIN), tl.constexpr(1 / ALPHA_MIN)
 MIN_OPACITY, MAX_RADIUS = tl.constexpr(OPACITY_FLOOR), tl.constexpr(RADIUS_MAX)
 MAX_DETERMINANT = tl.constexpr(DETERMINANT_MAX)
-CAMERA = 16  # entries of a camera's gradient: twelve of viewmat, then fx, fy, cx, cy
+CAMERA = 16
+"""Entries of a camera's gradient: twelve of viewmat, then fx, fy, cx, cy."""
 
 
 @triton.jit

@@ -11,9 +11,9 @@ from flowsplat.gaussians.render import RenderedFrame
 from flowsplat.training.photometric_loss import PhotometricTargets
 
 SURFACE_ALPHA = 0.5
-"""Alpha above which there is a surface."""
+"""Alpha above which there is a surface. Chosen by eye."""
 SURFACE_TOLERANCE = 0.05
-"""How far from it a Gaussian on it may be, as a share of its depth."""
+"""How far from it a Gaussian on it may be, as a share of its depth. Chosen by eye."""
 
 
 def add_residuals(

@@ -21,6 +21,7 @@ from flowsplat.training.photometric_loss.api import ImageFigures, PhotometricTar
 from flowsplat.training.photometric_loss.reference import C1, C2, RADIUS, window
 
 CHANNELS = 3
+"""Red, green and blue."""
 PAD = RADIUS * CHANNELS
 W0, W1, W2, W3, W4, W5 = window()[: RADIUS + 1].astype(np.float32)
 K1, K2 = np.float32(C1), np.float32(C2)

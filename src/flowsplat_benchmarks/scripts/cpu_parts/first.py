@@ -14,6 +14,7 @@ from flowsplat.training.config import PRESETS
 
 CONFIG = PRESETS["default"]
 IMAGE_SIZE = 854, 480
+"""Width and height, pixels."""
 
 
 def _gaussians(count: int = 5000) -> Gaussians4D:

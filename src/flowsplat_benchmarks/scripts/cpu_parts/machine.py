@@ -22,7 +22,9 @@ from flowsplat.common.threads import kind_of_threads, parallel_for, thread_count
 from flowsplat_benchmarks.scripts.cpu_parts.timing import Job, significant, use_threads
 
 ARITHMETIC_ROUNDS = 200_000
-TRIAD_SIZE = 1 << 25  # floats in each of three arrays of 128 MiB: far beyond any cache
+"""How often the chain of arithmetic is gone through."""
+TRIAD_SIZE = 1 << 25
+"""Floats in each of three arrays of 128 MiB: far beyond any cache."""
 OPTIONS = {"error_model": "numpy", "nogil": True}
 """Not cached on disk: the cache does not notice when ``simd`` changes the width of a vector."""
 

@@ -15,9 +15,10 @@ from flowsplat.splatting.harmonics import harmonics_from_colors
 from flowsplat_benchmarks.scripts.cpu_parts.work_load import WorkLoad, work_load
 
 FRAMES = 6
+"""Frames that the scene is made for."""
 BACKGROUND_SHARE = 0.4
-"""Share of the Gaussians that is background, always active. The others are objects, each active around one of the frames: with six
-frames 0.4 + 0.6 / 6 = one half is active in every frame."""
+"""Share of the Gaussians that is background, always active. The others are objects, each active around one of the frames: with
+six frames 0.4 + 0.6 / 6 = one half is active in every frame."""
 PRESENCE_REACH = 0.1
 """How long before and after its center time an object is active: half the distance of two frames."""
 

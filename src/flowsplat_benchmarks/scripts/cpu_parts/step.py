@@ -22,6 +22,7 @@ from flowsplat_benchmarks.scripts.cpu_parts.timing import Job, interleave, signi
 from flowsplat_benchmarks.scripts.cpu_parts.work_load import HEIGHT, WIDTH
 
 GAUSSIANS = 200_000
+"""Of the scene whose training step is measured."""
 DIRECTORS = ("training/trainer.py", "gaussians/render.py")
 """The files that put a step together; what they call are its parts."""
 

@@ -29,9 +29,9 @@ FOLDER = Path(__file__).parent
 COMMAND = ("-m", "flowsplat_benchmarks.scripts.gpu")
 """What runs a part, behind the name of Python."""
 SHOWN_LINES = 15
-"""Lines of a failed part's output that are kept."""
+"""Lines of a failed part's output that are kept. Chosen by eye."""
 GRACE_SECONDS = 3.0
-"""Seconds for writing the last result, and for a part that is asked to stop."""
+"""Seconds for writing the last result, and for a part that is asked to stop. Chosen by eye."""
 
 
 class FoundPart(TypedDict):

@@ -19,6 +19,7 @@ from flowsplat_benchmarks.scripts.cpu_parts.timing import significant
 COPIED_BYTES = 1 << 28
 """Bytes that are copied: far more than any cache holds."""
 ARITHMETIC_ROUNDS, PROGRAMS, BLOCK = 4096, 4096, 1024
+"""How often the chain of arithmetic is gone through, the programs that do it, and the numbers of one."""
 
 
 def device() -> str:

@@ -33,9 +33,13 @@ KERNEL_TESTS = (
     "tests/gpu/test_full_size.py",
 )  # fmt: skip
 TESTS_AT_ONCE = 14
+"""Processes that test, at most. Chosen by eye."""
 WIDTH, HEIGHT = 854, 480
+"""Pixels."""
 TRAINING_STEPS = 200
+"""Training steps that are compared."""
 COMPARED_STEPS = (1, 10, 50, 100, TRAINING_STEPS)
+"""Steps after which the losses of both are compared."""
 CHOSEN = {name: getattr(blending, name) for name in ("FORWARD_WARPS", "GAUSSIANS_PER_STEP", "CHECK_EVERY", "BACKWARD_WARPS")}
 """As the package has them."""
 CPU_SECONDS = 100

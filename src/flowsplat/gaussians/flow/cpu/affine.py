@@ -22,8 +22,10 @@ from flowsplat.splatting import Projected
 from flowsplat.splatting.cpu.projection import CLAMP_MARGIN, ONE, ZERO, clamp, rotation, rotation_gradient
 from flowsplat.splatting.rules import EPS2D
 
-CHANNELS = 10  # color 3, depth, flow at the center of the image 2, B by rows 4
+CHANNELS = 10
+"""Color 3, depth, flow at the center of the image 2, B by rows 4."""
 CHUNKS = 64
+"""Ranges into which Gaussians are cut, whatever the number of threads."""
 NEAR_CLIP, BLUR_VARIANCE = np.float32(FLOW_NEAR_PLANE), np.float32(EPS2D)
 
 

@@ -17,6 +17,7 @@ from flowsplat.geometry import Camera
 from flowsplat.splatting import Projected
 
 CHANNELS = 6
+"""Channels of a Gaussian: color 3, depth, flow 2."""
 ONE, ZERO, NEAR_CLIP = np.float32(1), np.float32(0), np.float32(FLOW_NEAR_PLANE)
 
 

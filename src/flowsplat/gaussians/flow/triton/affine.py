@@ -25,7 +25,8 @@ from flowsplat.splatting import Projected
 from flowsplat.splatting.rules import EPS2D
 from flowsplat.splatting.triton.projection import CLAMP_MARGIN, rotation, rotation_gradient
 
-CHANNELS = 11  # color 3, depth, flow at the center of the image 2, B by rows 4, unseen
+CHANNELS = 11
+"""Color 3, depth, flow at the center of the image 2, B by rows 4, unseen."""
 NEAR_CLIP, BLUR_VARIANCE = tl.constexpr(FLOW_NEAR_PLANE), tl.constexpr(EPS2D)
 
 

@@ -22,7 +22,8 @@ from flowsplat.gaussians.slicing import Slice
 from flowsplat.geometry import Camera
 from flowsplat.splatting import Projected
 
-CHANNELS = 7  # color 3, depth, flow 2, unseen
+CHANNELS = 7
+"""Color 3, depth, flow 2, unseen."""
 NEAR_CLIP = tl.constexpr(FLOW_NEAR_PLANE)
 
 

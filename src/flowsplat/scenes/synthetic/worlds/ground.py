@@ -13,10 +13,10 @@ GroundKind = Literal["flat", "slope", "steps", "none"]
 """``none``: there is one, but it is not in sight."""
 
 HALF_WIDTH, BOX_HALF_HEIGHT = 60.0, 1.5
-"""Meters to either side, and half the height of its boxes."""
+"""Meters to either side, and half the height of its boxes. Chosen by eye."""
 
 ROOM_FOR_FOOT = 0.2
-"""Meters that a foot keeps from the edge of a step."""
+"""Meters that a foot keeps from the edge of a step. Chosen by eye."""
 
 
 @dataclass(frozen=True)

@@ -27,26 +27,28 @@ from flowsplat.scenes.synthetic.worlds.parts import (
 )
 
 WALKER_HEIGHT = 1.75
-"""Meters of a walker of scale 1."""
+"""Meters of a walker of scale 1. Chosen by eye."""
 
 THIGH, SHIN, ANKLE = 0.43, 0.43, 0.08
+"""Meters of a walker of scale 1, and the height of the ankle over the ground. Chosen by eye."""
 UPPER_ARM, LOWER_ARM = 0.29, 0.27
+"""Meters of a walker of scale 1. Chosen by eye."""
 HIP, SHOULDER = 0.1, 0.21
-"""Half the widths of hips and shoulders."""
+"""Half the widths of hips and shoulders. Chosen by eye."""
 SHOULDER_HEIGHT = 0.5
-"""Above the hips."""
+"""Above the hips. Chosen by eye."""
 HALF_FOOT = np.array([0.13, 0.047, 0.035])
 
 STANCE_SHARE = 0.55
-"""A foot stands from this share of a step before the hips pass it to this share after."""
+"""A foot stands from this share of a step before the hips pass it to this share after. Chosen by eye."""
 
 MAX_LEG_STRETCH = 0.995
-"""Share of a leg's length that is used at most."""
+"""Share of a leg's length that is used at most. Chosen by eye."""
 
 _HIP_RATE = 240.0
-"""Times a second at which the height of the hips is found."""
+"""Times a second at which the height of the hips is found. Chosen by eye."""
 _HIP_WINDOW = 41
-"""Of these times, the window over which it is smoothed."""
+"""Of these times, the window over which it is smoothed. Chosen by eye."""
 
 Arms = Literal["swing", "forward"]
 """``forward``: held out, as one carries or pushes."""

@@ -24,29 +24,35 @@ from flowsplat.scenes.synthetic.worlds.placing import apart, are_apart, is_free
 from flowsplat.scenes.synthetic.worlds.world import Light, World
 
 FPS = 24.0
+"""Frames a second that the street is drawn at."""
 STREET_SECONDS = 3.0
-"""Seconds for which the street is drawn. A shorter clip shows the middle of them, a longer one all of them in more frames."""
+"""Seconds for which the street is drawn. A shorter clip shows the middle of them, a longer one all of them in more frames.
+Chosen by eye."""
 
 SEEN_SECONDS = 39 / FPS
-"""Seconds in the middle for which everything that moves has to be in the image."""
+"""Seconds in the middle for which everything that moves has to be in the image. Chosen by eye."""
 
 EYE_HEIGHT = 1.6
-"""Meters above the ground at which the camera is carried."""
+"""Meters above the ground at which the camera is carried. Chosen by eye."""
 FOCAL_RATIO = 0.85
-"""Focal length over the width of the image."""
+"""Focal length over the width of the image. Chosen by eye."""
 
 MIDDLE = np.array([0.0, 6.0, 0.95])
 """What the camera looks at."""
 
 MAX_ATTEMPTS = 1000
+"""How often the street is drawn anew, at most. A round number."""
 _MIN_SEEN_AREA = 0.004
-"""Share of the image in which each object has to be seen, at times spread over ``SEEN_SECONDS``: 230 of 57,600 pixels."""
+"""Share of the image in which each object has to be seen, at times spread over ``SEEN_SECONDS``: 230 of 57,600 pixels.
+Chosen by eye."""
 _SETTLE_SECONDS = 0.1
-"""Seconds before the end of ``SEEN_SECONDS`` from which the ball may have no bounce left."""
+"""Seconds before the end of ``SEEN_SECONDS`` from which the ball may have no bounce left. Chosen by eye."""
 _CHECK_SIZE, _CHECKED_TIMES = (80, 45), 6
+"""Pixels of the small images that are looked at, and the number of times. Chosen by eye."""
 
 Color = tuple[float, float, float]
 
+# Red, green and blue, 0 to 1, chosen by eye; what has several takes one of them.
 BRICK: tuple[Color, ...] = ((0.62, 0.33, 0.25), (0.70, 0.52, 0.38), (0.55, 0.42, 0.36))
 PLASTER: tuple[Color, ...] = ((0.86, 0.78, 0.62), (0.66, 0.76, 0.78), (0.84, 0.66, 0.56), (0.78, 0.80, 0.68))
 DOORS: tuple[Color, ...] = ((0.16, 0.36, 0.30), (0.20, 0.28, 0.50), (0.50, 0.16, 0.14))

@@ -18,21 +18,22 @@ from flowsplat.scenes.synthetic.worlds.ground import WorldGround
 from flowsplat.scenes.synthetic.worlds.parts import Placed, WorldObject, WorldPart
 
 MIN_RESTING_FRAMES = 9
-"""Frames for which nothing of an object may move for it to count as resting."""
+"""Frames for which nothing of an object may move for it to count as resting. Chosen by eye."""
 
 _MIN_MOTION = 1e-4
-"""Meters a frame below which a part does not move."""
+"""Meters a frame below which a part does not move. Chosen by eye."""
 
 _BLUR_EXPOSURES = 6
-"""Times over which a blurred image is averaged."""
+"""Times over which a blurred image is averaged. Chosen by eye."""
 
 _SAMPLES = np.array([[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25]])
 """Pixels."""
 
 _SUN_SIZE = 0.012
-"""Radians by which the directions to the sun differ: shadows have soft edges."""
+"""Radians by which the directions to the sun differ: shadows have soft edges. Chosen by eye."""
 
 _NO_BOUND = 1e9
+"""Pixels: the border of what reaches behind the camera, beyond any image."""
 
 
 @dataclass(frozen=True)
