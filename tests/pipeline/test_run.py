@@ -330,7 +330,7 @@ def test_other_contents_of_given_files_are_noticed(tiny_scene, finished, tmp_pat
         for i in range(scene.num_frames):
             write_image(masks / f"{i:05d}.png", np.full((scene.height, scene.width), value, np.uint8))
         folder = prepare(bare, tmp_path / "out", config)
-        assert (Scene(folder.scene_path).mask(0) == value).all()
+        assert ((Scene(folder.scene_path).mask(0) > 0) == bool(value)).all(), "numbers are ours to divide"
 
 
 def test_memory_of_an_earlier_process_counts(finished, tmp_path):
